@@ -1,0 +1,38 @@
+# The two commands: `make run` (the paper's experiment on the mock rig) and `make test`.
+.DEFAULT_GOAL := help
+.PHONY: help run test lint lock clean
+
+VENV := .venv
+BIN := $(VENV)/bin
+STAMP := $(VENV)/.installed
+
+help:
+	@echo "make run    run protocol ramp-a on the mock rig, in real time"
+	@echo "make test   run the tests, formatter, linter and type checker"
+	@echo "make lint   only the formatter, linter and type checker"
+	@echo "make lock   resolve the dependencies anew into requirements.lock"
+	@echo "make clean  remove the environment and every cache"
+
+$(STAMP): requirements.lock pyproject.toml scripts/environment.sh
+	@sh scripts/environment.sh $(VENV)
+	@touch $@
+
+run: $(STAMP)
+	@$(BIN)/rig run ramp-a --yes
+
+test: $(STAMP) lint
+	$(BIN)/python -m pytest
+
+lint: $(STAMP)
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	$(BIN)/mypy
+
+lock: $(STAMP)
+	$(BIN)/python -m pip install -q uv
+	$(BIN)/uv pip compile -q --universal --python-version 3.11 --extra test --extra build \
+		--generate-hashes --no-emit-index-url --no-header --upgrade pyproject.toml -o requirements.lock
+
+clean:
+	rm -rf $(VENV) build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -1,0 +1,1 @@
+"""The science of the paper: Cosserat rods with pressure as an eigenstrain. No I/O, no clock."""

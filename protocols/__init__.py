@@ -1,0 +1,1 @@
+"""What the experimenter asks for: the YAML schema, the waveforms, the named protocols."""

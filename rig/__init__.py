@@ -1,0 +1,1 @@
+"""The running experiment: everything that touches hardware, time or the operator."""

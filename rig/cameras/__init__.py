@@ -1,0 +1,1 @@
+"""Cameras: the protocol they obey, OpenCV's, RealSense, and the rendered one."""

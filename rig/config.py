@@ -1,0 +1,292 @@
+"""rig.yaml -> RigConfig: what the bench consists of.
+
+YAML speaks bar, mm, degrees and volts, with the unit in each key; the properties and methods that other rooms use
+return SI.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+PA_PER_BAR = 1e5
+
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+Number = Annotated[float, Field(allow_inf_nan=False)]
+Index = Annotated[int, Field(ge=0)]
+ActuatorNumber = Annotated[int, Field(ge=1)]
+Triple = tuple[Number, Number, Number]
+Span = tuple[Number, Number]
+
+
+class Section(BaseModel):
+    """A mapping of the YAML: unknown keys are errors, values are never coerced from text."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=False)
+
+
+class CardConfig(Section):
+    """One data-acquisition card."""
+
+    driver: Literal["comedi", "mock"]
+    device: str = Field(description="/dev/comedi0, a board name, or the mock card's name")
+    sampling_hz: Positive = Field(default=1000.0, le=20_000)
+    outputs: Annotated[int, Field(ge=0)] = Field(description="AO channels that the card has")
+    inputs: Annotated[int, Field(ge=0)] = Field(description="AI channels that the card has")
+
+
+class FlowValve(Section):
+    """A proportional 5/3-way valve that meters flow (Festo MPYE): the chamber hangs on one port, the other is plugged.
+
+    `fills` says on which side of `closed_V` the chamber is connected to the supply.
+    """
+
+    type: Literal["flow"]
+    actuators: Annotated[tuple[ActuatorNumber, ...], Field(min_length=1)]
+    card: str
+    channel: Index
+    range_V: Span = (0.0, 10.0)
+    safe_state: Literal["vent", "hold"] = "vent"
+    closed_V: Number = 5.0
+    fills: Literal["above", "below"] = "above"
+    dead_zone_V: NonNegative
+    full_flow_l_min: Positive = Field(description="normal litres per minute fully open at 6 -> 5 bar gauge")
+    flow_curve_V: Annotated[tuple[NonNegative, ...], Field(min_length=2)] = Field(description="volts from closed")
+    flow_curve_percent: Annotated[tuple[NonNegative, ...], Field(min_length=2)] = Field(description="of full flow")
+    supply_bar: Positive = Field(description="gauge pressure at the supply port")
+    critical_ratio: Annotated[float, Field(gt=0, lt=1)] = Field(default=0.3, description="b of ISO 6358")
+
+
+class PressureValve(Section):
+    """An electro-pneumatic regulator that takes a set-point voltage and holds the pressure by itself."""
+
+    type: Literal["pressure"]
+    actuators: Annotated[tuple[ActuatorNumber, ...], Field(min_length=1)]
+    card: str
+    channel: Index
+    range_V: Span = (0.0, 10.0)
+    safe_state: Literal["vent", "hold"] = "vent"
+    span_V: Span = (0.0, 10.0)
+    span_bar: Span
+
+
+Valve = Annotated[FlowValve | PressureValve, Field(discriminator="type")]
+
+
+class Sensor(Section):
+    """A pressure sensor: gauge pressure is linear in voltage over the span.
+
+    A voltage outside the electrical span by more than `margin_V` is a broken sensor or wire, not a pressure.
+    """
+
+    actuator: ActuatorNumber
+    card: str
+    channel: Index
+    range_V: Span = (0.0, 10.0)
+    span_V: Span = (0.0, 10.0)
+    span_bar: Span = (0.0, 10.0)
+    margin_V: NonNegative = 0.1
+    accuracy_bar: Positive = 0.01
+
+    def pressure_pa(self, volts: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Gauge pressure [Pa] of a voltage."""
+        (v0, v1), (b0, b1) = self.span_V, self.span_bar
+        return (b0 + (volts - v0) * ((b1 - b0) / (v1 - v0))) * PA_PER_BAR
+
+
+class Limits(Section):
+    """What no protocol may ask for and no sample may show."""
+
+    pressure_bar: Positive = Field(description="highest set-point and, with its margin, highest pressure")
+    pressure_margin_bar: NonNegative = 0.05
+    rate_bar_per_s: Positive = Field(description="fastest set-point change of a continuous segment")
+    tracking_bar: Positive = Field(description="largest error once the set-point has stood still for tracking_s")
+    tracking_s: Positive
+    frozen_s: Positive = Field(description="a sensor whose reading has not moved by one count for so long is dead")
+    stale_s: Positive = Field(description="longest time without a sample")
+    no_tip_s: Positive = Field(description="longest time without a camera frame")
+    duration_s: Positive = 4 * 3600.0
+
+
+class Control(Section):
+    """The regulator's rate and gains; the gains are those of a flow-metering valve."""
+
+    rate_hz: Positive = Field(default=200.0, le=1000)
+    bandwidth_hz: Positive = Field(description="closed loop, of the proportional action")
+    integral_s: Positive = Field(description="integration time")
+    volume_ml: Positive = Field(description="one chamber and its tube at rest, for the feed-forward")
+
+
+class Lens(Section):
+    """Intrinsic parameters in pixels, OpenCV's five distortion coefficients (k1, k2, p1, p2, k3)."""
+
+    fx_px: Positive
+    fy_px: Positive
+    cx_px: Number
+    cy_px: Number
+    distortion: tuple[Number, Number, Number, Number, Number] = (0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+class Placement(Section):
+    """A rigid transform: a point x of this frame is R x + t in the parent frame; R from a rotation vector."""
+
+    translation_mm: Triple = (0.0, 0.0, 0.0)
+    rotation_deg: Triple = (0.0, 0.0, 0.0)
+    translation_std_mm: NonNegative = 0.0
+    rotation_std_deg: NonNegative = 0.0
+
+
+class CameraConfig(Section):
+    """One camera. `placement` is the camera (x right, y down, z forward) in the rod-base frame."""
+
+    driver: Literal["opencv", "realsense", "mock"]
+    device: str | int
+    width_px: Annotated[int, Field(ge=64)]
+    height_px: Annotated[int, Field(ge=64)]
+    rate_hz: Positive = 30.0
+    exposure_ms: Positive = 8.0
+    lens: Lens
+    placement: Placement
+
+
+class Board(Section):
+    """The checkerboard on the end cap. `placement` is the board (origin at its centre, z out of the print) in the
+    tip frame: origin at the rod's tip, axes as the rod base's when the rod is straight.
+    """
+
+    squares_x: Annotated[int, Field(ge=3)]
+    squares_y: Annotated[int, Field(ge=3)]
+    square_mm: Positive
+    placement: Placement
+
+    @model_validator(mode="after")
+    def _odd_by_even(self) -> Board:
+        if (self.squares_x + self.squares_y) % 2 == 0:
+            raise ValueError("a board needs an odd number of squares one way and an even number the other")
+        return self
+
+
+class Geometry(Section):
+    """The arm's Table 1: actuators on a circle, in degrees from the base frame's x axis."""
+
+    length_mm: Positive
+    inner_radius_mm: Positive
+    outer_radius_mm: Positive
+    circle_radius_mm: Positive = Field(description="b / sqrt 3")
+    actuator_angles_deg: Annotated[tuple[Number, ...], Field(min_length=1)]
+
+
+class Material(Section):
+    """Eqs 16, 30, 32 and the identified gamma."""
+
+    youngs_modulus_pa: Positive = Field(description="homogeneous section")
+    a1_per_N: Positive = Field(description="eq 32")
+    a2_per_N2: NonNegative = Field(description="eq 32")
+    rpe_per_bar: NonNegative = Field(description="a of eq 30")
+    shear_ratio: Positive = Field(description="gamma = G / E")
+    density_kg_m3: Positive = 1080.0
+    damping_s: NonNegative = Field(default=0.0, description="Kelvin-Voigt retardation time")
+
+
+class Arm(Section):
+    """The manipulator. `gravity` is the direction of the weight in the rod-base frame."""
+
+    geometry: Geometry
+    material: Material
+    cap_mass_g: NonNegative = 50.0
+    gravity_direction: Triple = (0.0, 0.0, 1.0)
+    gravity_on_rod: bool = False
+
+
+class ModelConfig(Section):
+    """The model that runs beside the rig."""
+
+    variant: Literal["homogeneous", "homogeneous+rpe", "inhomogeneous+rpe"] = "inhomogeneous+rpe"
+    mode: Literal["static", "dynamic"] = "dynamic"
+
+
+class Recording(Section):
+    """What of the pictures is kept."""
+
+    keep_every: Annotated[int, Field(ge=1)] = 3
+    encoding: Literal["jpeg", "png"] = "jpeg"
+    jpeg_quality: Annotated[int, Field(ge=1, le=100)] = 90
+
+
+class SimulatedValve(Section):
+    """Truth of every flow-metering valve."""
+
+    spool_hz: Positive
+    spool_damping: Positive = 0.7
+    hysteresis_percent: NonNegative = 0.4
+    leakage_l_min: NonNegative
+    dead_zone_V: NonNegative
+    flow_scale: Positive = 1.0
+
+
+class SimulatedChamber(Section):
+    """Truth of every chamber."""
+
+    dead_volume_ml: NonNegative
+    temperature_k: Positive = 293.15
+    polytropic: Annotated[float, Field(ge=1, le=1.4)] = 1.0
+
+
+class SimulatedSensor(Section):
+    """Truth of every pressure sensor."""
+
+    noise_bar: NonNegative
+    offset_bar: NonNegative = Field(default=0.0, description="standard deviation of the sensors' offsets")
+    lag_ms: NonNegative
+
+
+class SimulatedScene(Section):
+    """Truth of the picture."""
+
+    blur_px: NonNegative
+    noise_grey: NonNegative
+    lighting: Annotated[float, Field(gt=0, le=1)] = 0.9
+
+
+class Simulator(Section):
+    """The plant behind the mocks. Its parameters differ from the model's on purpose."""
+
+    valve: SimulatedValve
+    chamber: SimulatedChamber
+    sensor: SimulatedSensor
+    scene: SimulatedScene
+    material: Material
+    cap_mass_g: NonNegative
+    camera_error: Placement = Field(default=Placement(), description="true camera placement beyond the stated one")
+
+
+class RigConfig(Section):
+    """One bench."""
+
+    name: str
+    description: str = ""
+    cards: dict[str, CardConfig]
+    valves: Annotated[tuple[Valve, ...], Field(min_length=1)]
+    sensors: Annotated[tuple[Sensor, ...], Field(min_length=1)]
+    limits: Limits
+    control: Control
+    cameras: dict[str, CameraConfig]
+    board: Board
+    arm: Arm
+    model: ModelConfig = ModelConfig()
+    recording: Recording = Recording()
+    simulator: Simulator | None = None
+
+    @property
+    def actuators(self) -> int:
+        """Number of actuators."""
+        return len(self.arm.geometry.actuator_angles_deg)
+
+    @property
+    def simulated(self) -> bool:
+        """True when any device of the rig is the mock's."""
+        return any(c.driver == "mock" for c in (*self.cards.values(), *self.cameras.values()))

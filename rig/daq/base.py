@@ -1,0 +1,64 @@
+"""The protocol a data-acquisition card obeys.
+
+Cards speak volts. Which volt is which bar is the rig's business (`rig.config`), not the card's.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+class CardError(Exception):
+    """The card could not be opened, read or written; the message says what to do about it."""
+
+
+@dataclass(frozen=True)
+class Channel:
+    """One analogue channel: its number on the card and the voltage range it is used with."""
+
+    number: int
+    low_v: float
+    high_v: float
+
+
+@dataclass(frozen=True)
+class CardSetup:
+    """What a rig wants of one card. `inputs` and `outputs` give the order of the columns below."""
+
+    name: str
+    device: str
+    inputs: tuple[Channel, ...]
+    outputs: tuple[Channel, ...]
+    sampling_hz: float
+
+
+@dataclass(frozen=True)
+class Scans:
+    """Input scans taken since the last read: `t_ns` (n,) and `volts` (n, inputs), oldest first; `lost` by overrun."""
+
+    t_ns: NDArray[np.int64]
+    volts: NDArray[np.float64]
+    lost: int = 0
+
+
+class Card(Protocol):
+    """An open card. Every method may raise `CardError`; none blocks for longer than a control period."""
+
+    def start(self) -> None:
+        """Begin sampling the inputs by the card's own clock."""
+
+    def read(self) -> Scans:
+        """Return the scans taken since the last call, possibly none."""
+
+    def write(self, volts: NDArray[np.float64]) -> None:
+        """Set the outputs, in the order of `CardSetup.outputs`."""
+
+    def readback(self) -> NDArray[np.float64]:
+        """Return the voltages that the outputs stand at, as far as the card can tell."""
+
+    def close(self) -> None:
+        """Stop sampling and release the device. The outputs keep their voltages."""

@@ -1,0 +1,1 @@
+"""The plant behind the mocks: valves, chambers, sensors, the arm, the scene."""

@@ -1,0 +1,182 @@
+"""What a run records: the rows that cross processes, the journal and the archive.
+
+Rows are NumPy structured dtypes because they pass through shared memory; everything in them is SI.
+Times are CLOCK_MONOTONIC nanoseconds (real time) or nanoseconds of virtual time; one wall-clock anchor per run
+(`RunHeader.started_utc_ns` at `RunHeader.started_t_ns`) ties them to the calendar.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import IntEnum, StrEnum
+
+import numpy as np
+
+
+class Status(StrEnum):
+    """How a run ended."""
+
+    FINISHED = "finished"
+    INTERRUPTED = "interrupted"
+    ABORTED = "aborted"
+    RECOVERED = "recovered"
+
+
+class Level(StrEnum):
+    """Weight of an event."""
+
+    INFO = "info"
+    WARNING = "warning"
+    FAULT = "fault"
+
+
+class Seen(IntEnum):
+    """Why a frame has a measured tip, or has none."""
+
+    MEASURED = 0
+    NO_BOARD = 1
+    AMBIGUOUS = 2
+    POOR_FIT = 3
+    NO_FRAME = 4
+
+
+def sample_dtype(actuators: int, valves: int) -> np.dtype[np.void]:
+    """One control tick.
+
+    `t_ns` is when the newest scan in it was taken, `protocol_s` the position in the protocol (it stands still while
+    the run waits for the operator), `measured_pa` the mean of the `scans` scans since the last tick (gauge pressure),
+    `valve_v` the voltage then commanded, `lateness_ns` how late the tick began, `missed` the deadlines skipped since
+    the last tick.
+    """
+    return np.dtype(
+        [
+            ("t_ns", "<i8"),
+            ("tick", "<i8"),
+            ("protocol_s", "<f8"),
+            ("setpoint_pa", "<f8", (actuators,)),
+            ("measured_pa", "<f8", (actuators,)),
+            ("valve_v", "<f8", (valves,)),
+            ("scans", "<i4"),
+            ("missed", "<i4"),
+            ("lateness_ns", "<i8"),
+        ]
+    )
+
+
+def observation_dtype(actuators: int) -> np.dtype[np.void]:
+    """One camera frame: measured and modelled tool centre point, both in the rod-base frame.
+
+    `seen` is a `Seen`; where it is not MEASURED the measured columns are NaN. `covariance_m2` belongs to
+    `measured_m`; `reprojection_px` is the rms over the board's corners. `model_ok` is 0 where the model could not
+    solve the step and `model_m` is the last good one. `truth_m` is the simulator's own tip, NaN on a real rig.
+    `age_ns` is the time from exposure to the end of the computation, `dropped` the frames lost before this one.
+    """
+    return np.dtype(
+        [
+            ("t_ns", "<i8"),
+            ("frame", "<i8"),
+            ("protocol_s", "<f8"),
+            ("seen", "<i4"),
+            ("model_ok", "<i4"),
+            ("pressure_pa", "<f8", (actuators,)),
+            ("measured_m", "<f8", (3,)),
+            ("covariance_m2", "<f8", (3, 3)),
+            ("model_m", "<f8", (3,)),
+            ("truth_m", "<f8", (3,)),
+            ("reprojection_px", "<f8"),
+            ("age_ns", "<i8"),
+            ("dropped", "<i4"),
+        ]
+    )
+
+
+@dataclass(frozen=True)
+class Event:
+    """Something that happened: armed, limit, abort, fault, recovered, a prompt, an operator's answer."""
+
+    t_ns: int
+    level: Level
+    source: str
+    message: str
+
+
+@dataclass(frozen=True)
+class Picture:
+    """One stored camera frame, encoded (`jpeg` or `png`)."""
+
+    t_ns: int
+    frame: int
+    camera: str
+    encoding: str
+    data: bytes
+
+
+@dataclass(frozen=True)
+class Interval:
+    """One segment of the protocol as it was played, in protocol time."""
+
+    start_s: float
+    stop_s: float
+    kind: str
+    label: str
+    level_pa: tuple[float, ...]
+    """Set-point of every actuator at the end of the segment."""
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A number that was used by the run, with where it comes from.
+
+    `room` is `calibration` or `model`; `uncertainty` is one standard deviation, NaN where it is not known.
+    """
+
+    room: str
+    name: str
+    value: tuple[float, ...]
+    unit: str
+    source: str
+    uncertainty: float = float("nan")
+
+
+@dataclass(frozen=True)
+class RunHeader:
+    """Everything known before the first sample: written first to the journal, verbatim into the archive."""
+
+    run_id: str
+    title: str
+    started_utc_ns: int
+    started_t_ns: int
+    protocol_name: str
+    protocol_yaml: str
+    rig_name: str
+    rig_yaml: str
+    actuators: int
+    valves: int
+    executor: str
+    """`real time` or `virtual time`."""
+    simulated: bool
+    """True when any of card, camera or arm is the mock's."""
+    seed: int | None
+    model_variant: str
+    operator: str
+    notes: str
+    command: str
+    host: str
+    versions: dict[str, str] = field(default_factory=dict)
+    git_commit: str = ""
+    git_diff: str = ""
+    intervals: tuple[Interval, ...] = ()
+    quantities: tuple[Quantity, ...] = ()
+    control_hz: float = 200.0
+    camera_hz: float = 30.0
+
+
+@dataclass(frozen=True)
+class RunFooter:
+    """How the run ended; a journal without one was orphaned."""
+
+    t_ns: int
+    status: Status
+    message: str
+    counters: dict[str, int] = field(default_factory=dict)
+    """Ring overflows, dropped frames, missed deadlines, stolen CPU time [ms], as the executor counted them."""
