@@ -1,0 +1,25 @@
+"""Where the simulated tip is: what the scene needs of the plant."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+@dataclass(frozen=True)
+class TipPose:
+    """The tip frame in the rod-base frame: a point x of the tip frame is `rotation` x + `position_m`."""
+
+    t_ns: int
+    position_m: NDArray[np.float64]
+    rotation: NDArray[np.float64]
+
+
+class PoseSource(Protocol):
+    """Anything that knows the tip's recent past."""
+
+    def pose_at(self, t_ns: int) -> TipPose:
+        """Return the pose at a time within the last second, interpolated."""
