@@ -1,0 +1,293 @@
+"""The journal of a run: append-only, whole up to its last write whatever happens to the process.
+
+MCAP with one checked block per call, written past every buffer of the process: what a call returned from survives
+kill -9; what is older than a second survives a power cut. The first block (schemas and header) is written twice,
+because without it nothing else can be read.
+"""
+
+from __future__ import annotations
+
+import errno
+import fcntl
+import mmap
+import os
+import struct
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from mcap.opcode import Opcode
+from mcap.records import Channel, Message, Schema
+from numpy.typing import NDArray
+
+from runs import blocks, messages
+from runs.blocks import Block, Damage
+from runs.messages import EVENTS, FOOTER, HEADER, OBSERVATIONS, PICTURES, SAMPLES
+from runs.records import Event, Picture, RunFooter, RunHeader, observation_dtype, sample_dtype
+
+SUFFIX = ".mcap"
+SYNC_S = 1.0
+RESERVE_BYTES = 32 << 20
+"""Free space that is left on the disk beyond what the archive will need."""
+
+_NO_ROOM = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
+
+
+class JournalError(Exception):
+    """The journal cannot be written or read; the message says why."""
+
+
+class JournalFullError(JournalError):
+    """The disk is full, or nearly. What earlier calls wrote is intact, and the journal can still be closed."""
+
+
+class JournalWriter:
+    """Writes one run's journal. For one thread; the file is locked (flock) while it is open."""
+
+    def __init__(self, path: Path | str, header: RunHeader) -> None:
+        """Create the file, which must not exist, and write the header."""
+        self.path = Path(path)
+        self.longest_sync_s = 0.0
+        self._samples = _Rows(SAMPLES, sample_dtype(header.actuators, header.valves))
+        self._observations = _Rows(OBSERVATIONS, observation_dtype(header.actuators))
+        self._utc_minus_t_ns = header.started_utc_ns - header.started_t_ns
+        self._size = 0
+        self._full: str | None = None
+        first = block_of_header(header, self._samples.form["row"], self._observations.form["row"])
+        try:
+            self._fd = os.open(self.path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_APPEND | os.O_CLOEXEC, 0o644)
+        except OSError as fault:
+            raise JournalError(f"cannot create {self.path}: {fault.strerror}") from fault
+        try:
+            fcntl.flock(self._fd, fcntl.LOCK_EX)
+            self._synced_at = time.monotonic()
+            self._write(blocks.opening() + first + first)
+            self._check_room()
+        except BaseException:
+            os.close(self._fd)
+            raise
+
+    def samples(self, rows: NDArray[np.void]) -> None:
+        """Append control ticks: `sample_dtype` rows (n,)."""
+        self._rows(self._samples, rows)
+
+    def observations(self, rows: NDArray[np.void]) -> None:
+        """Append camera frames: `observation_dtype` rows (n,)."""
+        self._rows(self._observations, rows)
+
+    def picture(self, picture: Picture) -> None:
+        """Append an encoded picture."""
+        utc_ns = picture.t_ns + self._utc_minus_t_ns
+        self._message(PICTURES, utc_ns, messages.picture_to_bytes(picture, utc_ns))
+
+    def event(self, event: Event) -> None:
+        """Append an event."""
+        self._message(EVENTS, event.t_ns + self._utc_minus_t_ns, messages.to_json(event))
+
+    def close(self, footer: RunFooter) -> None:
+        """Write how the run ended, and close. Closes the file even where the footer finds no room."""
+        utc_ns = footer.t_ns + self._utc_minus_t_ns
+        content = blocks.encode(Message(FOOTER, utc_ns, messages.to_json(footer), utc_ns, 0))
+        try:
+            self._write(blocks.block(content, utc_ns, utc_ns) + blocks.ending())
+            self._sync()
+        finally:
+            os.close(self._fd)
+
+    def _rows(self, kind: _Rows, rows: NDArray[np.void]) -> None:
+        if len(rows) == 0:
+            return
+        if rows.dtype != kind.form["row"]:
+            raise TypeError(f"rows of {rows.dtype}, expected {kind.form['row']}")
+        log_ns = rows["t_ns"] + self._utc_minus_t_ns
+        content = blocks.frame_rows(rows, kind.form, kind.channel, kind.sequence, log_ns)
+        kind.sequence += len(rows)
+        self._append(blocks.block(content, int(log_ns[0]), int(log_ns[-1])))
+
+    def _message(self, channel: int, utc_ns: int, data: bytes) -> None:
+        content = blocks.encode(Message(channel, utc_ns, data, utc_ns, 0))
+        self._append(blocks.block(content, utc_ns, utc_ns))
+
+    def _append(self, data: bytes) -> None:
+        if self._full:
+            raise JournalFullError(self._full)
+        self._write(data)
+        if time.monotonic() - self._synced_at >= SYNC_S:
+            self._sync()
+            self._check_room()
+
+    def _write(self, data: bytes) -> None:
+        """Write all of it or, where there is no room, none."""
+        rest = memoryview(data)
+        try:
+            while rest:
+                rest = rest[os.write(self._fd, rest) :]
+        except OSError as fault:
+            os.ftruncate(self._fd, self._size)
+            if fault.errno in _NO_ROOM:
+                self._full = f"the disk with {self.path} is full ({fault.strerror}); what was recorded is intact"
+                raise JournalFullError(self._full) from fault
+            raise JournalError(f"cannot write {self.path}: {fault.strerror}") from fault
+        self._size += len(data)
+
+    def _sync(self) -> None:
+        before = time.monotonic()
+        try:
+            os.fdatasync(self._fd)
+        except OSError as fault:
+            raise JournalError(f"cannot write {self.path} to its disk: {fault.strerror}") from fault
+        self._synced_at = time.monotonic()
+        self.longest_sync_s = max(self.longest_sync_s, self._synced_at - before)
+
+    def _check_room(self) -> None:
+        """Stop while there is still room for the archive, which is about as large as the journal."""
+        disk = os.fstatvfs(self._fd)
+        free, needed = disk.f_bavail * disk.f_frsize, RESERVE_BYTES + self._size
+        if free < needed:
+            self._full = (
+                f"the disk with {self.path} is nearly full: {free / 1e6:.0f} MB free, {needed / 1e6:.0f} MB needed "
+                "to finish this run; what was recorded is intact"
+            )
+            raise JournalFullError(self._full)
+
+
+class _Rows:
+    """How one kind of row is framed, and how many there were."""
+
+    def __init__(self, channel: int, row: np.dtype[np.void]) -> None:
+        self.channel = channel
+        self.form = blocks.framed(row)
+        self.sequence = 0
+
+
+def block_of_header(header: RunHeader, samples: np.dtype[np.void], observations: np.dtype[np.void]) -> bytes:
+    """Return the first block of a journal: schemas, channels and the header."""
+    json: tuple[str, bytes, str, dict[str, str]] = ("jsonschema", b'{"type": "object"}', "json", {})
+    kinds = {
+        HEADER: json,
+        FOOTER: json,
+        EVENTS: json,
+        PICTURES: ("ros1msg", messages.PICTURE_DEFINITION.encode(), "ros1", {}),
+    }
+    for channel, row in ((SAMPLES, samples), (OBSERVATIONS, observations)):
+        definition = messages.row_definition(row).encode()
+        kinds[channel] = ("ros1msg", definition, "ros1", {"dtype": messages.dtype_to_json(row)})
+    names = {PICTURES: "sensor_msgs/CompressedImage"}
+    records: list[Schema | Channel | Message] = []
+    for channel, (schema_encoding, definition, encoding, metadata) in kinds.items():
+        topic = messages.TOPICS[channel]
+        name = names.get(channel, f"softrig{topic}")
+        records.append(Schema(channel, definition, schema_encoding, name))
+        records.append(Channel(channel, topic, encoding, metadata, channel))
+    utc_ns = header.started_utc_ns
+    records.append(Message(HEADER, utc_ns, messages.to_json(header), utc_ns, 0))
+    return blocks.block(blocks.encode(*records), utc_ns, utc_ns)
+
+
+@dataclass(frozen=True)
+class StoredPicture:
+    """A picture in a journal; `data` is a view of the mapped file."""
+
+    t_ns: int
+    frame: int
+    camera: str
+    encoding: str
+    data: memoryview
+
+
+@dataclass(frozen=True)
+class Journal:
+    """What a journal holds. `footer` is None where the run was cut off; `damage` is what could not be read."""
+
+    header: RunHeader
+    footer: RunFooter | None
+    samples: NDArray[np.void]
+    observations: NDArray[np.void]
+    events: tuple[Event, ...]
+    pictures: tuple[StoredPicture, ...]
+    damage: tuple[Damage, ...]
+
+
+def read(path: Path | str) -> Journal:
+    """Read what can be read of a journal, whole or not; `JournalError` where not even the header can."""
+    try:
+        with Path(path).open("rb") as file:
+            empty = os.fstat(file.fileno()).st_size == 0
+            data = memoryview(b"" if empty else mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ))
+    except OSError as fault:
+        raise JournalError(f"cannot read {path}: {fault.strerror}") from fault
+    contents = _Contents()
+    for piece in blocks.scan(data):
+        if isinstance(piece, Damage):
+            contents.damage.append(piece)
+            continue
+        try:
+            contents.take(piece)
+        except (ValueError, KeyError, TypeError, struct.error, RecursionError) as fault:
+            size = len(piece.content)
+            contents.damage.append(Damage(piece.offset, size, f"not understood ({type(fault).__name__})"))
+    if contents.header is None:
+        raise JournalError(f"{path} is not a journal, or its header is lost")
+    return contents.journal(contents.header)
+
+
+class _Contents:
+    """Collects the contents of a journal block by block."""
+
+    def __init__(self) -> None:
+        self.header: RunHeader | None = None
+        self.footer: RunFooter | None = None
+        self.forms: dict[int, np.dtype[np.void]] = {}
+        self.rows: dict[int, list[NDArray[np.void]]] = {SAMPLES: [], OBSERVATIONS: []}
+        self.events: list[Event] = []
+        self.pictures: list[StoredPicture] = []
+        self.damage: list[Damage] = []
+
+    def take(self, piece: Block) -> None:
+        for channel, form in self.forms.items():
+            rows = blocks.unframe_rows(piece.content, form, channel)
+            if rows is not None:
+                self.rows[channel].append(rows)
+                return
+        for opcode, body in piece.records():
+            if opcode == Opcode.CHANNEL:
+                self._channel(blocks.decode_channel(body))
+            elif opcode == Opcode.MESSAGE:
+                channel, log_ns, payload = blocks.decode_message(body)
+                self._message(channel, log_ns, payload)
+
+    def _channel(self, channel: Channel) -> None:
+        if "dtype" in channel.metadata:
+            self.forms[channel.id] = blocks.framed(messages.dtype_from_json(channel.metadata["dtype"]))
+
+    def _message(self, channel: int, log_ns: int, payload: memoryview) -> None:
+        if channel == HEADER:
+            self.header = messages.from_json(RunHeader, payload.tobytes())
+        elif channel == FOOTER:
+            self.footer = messages.from_json(RunFooter, payload.tobytes())
+        elif channel == EVENTS:
+            self.events.append(messages.from_json(Event, payload.tobytes()))
+        elif channel == PICTURES and self.header is not None:
+            frame, camera, encoding, begin = messages.picture_from_bytes(payload[:512].tobytes())
+            t_ns = log_ns - self.header.started_utc_ns + self.header.started_t_ns
+            self.pictures.append(StoredPicture(t_ns, frame, camera, encoding, payload[begin:]))
+
+    def journal(self, header: RunHeader) -> Journal:
+        kinds = {
+            SAMPLES: sample_dtype(header.actuators, header.valves),
+            OBSERVATIONS: observation_dtype(header.actuators),
+        }
+        samples, observations = (
+            np.concatenate([*self.rows[channel]]) if self.rows[channel] else np.zeros(0, kind)
+            for channel, kind in kinds.items()
+        )
+        return Journal(
+            header=header,
+            footer=self.footer,
+            samples=samples,
+            observations=observations,
+            events=tuple(self.events),
+            pictures=tuple(self.pictures),
+            damage=tuple(self.damage),
+        )
