@@ -1,0 +1,134 @@
+"""One control tick: interlocks first, then every valve's regulator. A pure step function without a clock."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig import interlocks, regulator
+from rig.config import RigConfig
+from rig.interlocks import Asked, Sample, Trip, Watch
+from rig.regulator import Regulated
+from rig.valve import vent_v
+
+__all__ = ["Command", "Sample", "Settings", "State", "Trip", "initial", "prepare", "safe_voltages", "step"]
+
+LONGEST_STEP_PERIODS = 4.0
+"""A tick that comes later than this is treated as if it came then: the filters are not made for long gaps."""
+
+
+@dataclass(frozen=True)
+class Settings:
+    """A rig prepared for stepping."""
+
+    period_s: float
+    safe_v: tuple[float, ...]
+    valves: tuple[regulator.Settings, ...]
+    valve_of: tuple[int, ...]
+    """Index of the valve of each actuator."""
+    limits: interlocks.Settings
+
+
+@dataclass(frozen=True)
+class State:
+    """What one tick hands to the next. Once `trip` is set every command is the safe one."""
+
+    t_ns: int | None
+    valves: tuple[Regulated, ...]
+    watches: tuple[Watch, ...]
+    trip: Trip | None = None
+
+
+@dataclass(frozen=True)
+class Command:
+    """Valve voltages (V,) to write now, and the trip that made them the safe ones."""
+
+    valve_v: NDArray[np.float64]
+    trip: Trip | None
+
+
+def safe_voltages(config: RigConfig) -> tuple[float, ...]:
+    """The voltage of each valve that leaves the arm safe: vented, or held where the rig says so."""
+    voltages = []
+    for valve in config.valves:
+        if valve.type == "flow":
+            voltages.append(vent_v(valve) if valve.safe_state == "vent" else valve.closed_V)
+        else:
+            (low_v, high_v), (low_bar, high_bar) = valve.span_V, valve.span_bar
+            zero = low_v - low_bar * (high_v - low_v) / (high_bar - low_bar)
+            voltages.append(min(max(zero, min(low_v, high_v)), max(low_v, high_v)))
+    return tuple(voltages)
+
+
+def prepare(config: RigConfig) -> Settings:
+    """Turn a rig into numbers once, so that a tick does not have to."""
+    valve_of = {a: v for v, valve in enumerate(config.valves) for a in valve.actuators}
+    return Settings(
+        period_s=1.0 / config.control.rate_hz,
+        safe_v=safe_voltages(config),
+        valves=tuple(regulator.settings(valve, config) for valve in config.valves),
+        valve_of=tuple(valve_of[a + 1] for a in range(config.actuators)),
+        limits=interlocks.settings(config),
+    )
+
+
+def initial(settings: Settings) -> State:
+    """The state before the first sample."""
+    return State(None, (Regulated(),) * len(settings.valves), (Watch(),) * len(settings.valve_of))
+
+
+def step(
+    settings: Settings,
+    state: State,
+    sample: Sample,
+    setpoint_pa: NDArray[np.float64],
+    rate_pa_s: NDArray[np.float64],
+) -> tuple[State, Command]:
+    """Take a sample, the set-points (N,) [Pa] and their rates of change (N,) [Pa/s]; give the valve voltages.
+
+    Without a new scan the valves keep their voltages, until the samples count as stale.
+    """
+    if state.trip is None:
+        state = _step(settings, state, sample, setpoint_pa.tolist(), rate_pa_s.tolist())
+    if state.trip is not None:
+        return state, Command(np.array(settings.safe_v), state.trip)
+    voltages = (
+        safe if math.isnan(v.valve_v) else v.valve_v for v, safe in zip(state.valves, settings.safe_v, strict=True)
+    )
+    return state, Command(np.array(tuple(voltages)), None)
+
+
+def _step(settings: Settings, state: State, sample: Sample, setpoint: list[float], rate: list[float]) -> State:
+    limits = settings.limits
+    trip = interlocks.stale(limits, sample.now_ns, sample.t_ns)
+    if trip is not None or sample.scans == 0:
+        return replace(state, trip=trip)
+    trip = interlocks.broken(limits, sample)
+    if trip is not None:
+        return replace(state, trip=trip)
+    dt = settings.period_s if state.t_ns is None else (sample.t_ns - state.t_ns) * 1e-9
+    if not dt > 0.0:
+        return state
+    dt = min(dt, LONGEST_STEP_PERIODS * settings.period_s)
+
+    pressure, volts = sample.pressure_pa.tolist(), sample.volts.tolist()
+    watches = []
+    for i, watch in enumerate(state.watches):
+        valve = state.valves[settings.valve_of[i]]
+        reference = setpoint[i] if math.isnan(valve.reference_pa) else valve.reference_pa
+        asked = Asked(setpoint[i], reference, valve.asked_pa_s, valve.integral_pa_s)
+        moved, tripped = interlocks.step(limits, i, watch, dt, sample.t_ns, volts[i], pressure[i], asked)
+        watches.append(moved)
+        trip = trip or tripped
+    valves = []
+    for s, valve in zip(settings.valves, state.valves, strict=True):
+        # One valve, several chambers: they share the air, so their mean is what the valve can steer.
+        n = len(s.actuators)
+        mean = sum(pressure[a] for a in s.actuators) / n
+        target = sum(setpoint[a] for a in s.actuators) / n
+        slope = sum(rate[a] for a in s.actuators) / n
+        valves.append(regulator.step(s, valve, dt, mean, target, slope))
+    return State(sample.t_ns, tuple(valves), tuple(watches), trip)

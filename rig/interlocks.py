@@ -1,0 +1,230 @@
+"""The conditions under which a run is stopped: a pure step function over what the sensors say.
+
+Each condition is explained in docs/control.md. Pressures are gauge; messages speak bar.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.config import PA_PER_BAR, RigConfig, Sensor
+
+RATE_FILTER_S = 0.02
+"""Time constant of the measured rate: short against a dangerous rise, long against one noisy sample."""
+
+SIXTEEN_BITS = 65_535
+
+
+@dataclass(frozen=True)
+class Sample:
+    """What one control tick knows.
+
+    `now_ns` is when the tick began, `t_ns` when the newest scan was taken. `volts` (N,) and `pressure_pa` (N,) are
+    the means over the `scans` scans since the last tick; without a new scan they and `t_ns` repeat the last ones, and
+    before the first scan they are NaN and `t_ns` is when sampling began.
+    """
+
+    now_ns: int
+    t_ns: int
+    volts: NDArray[np.float64]
+    pressure_pa: NDArray[np.float64]
+    scans: int
+
+    @staticmethod
+    def before_first(now_ns: int, actuators: int) -> Sample:
+        """The sample to begin with, at the moment sampling begins."""
+        nothing = np.full(actuators, np.nan)
+        return Sample(now_ns, now_ns, nothing, nothing, 0)
+
+    def then(
+        self, now_ns: int, t_ns: NDArray[np.int64], volts: NDArray[np.float64], pressure_pa: NDArray[np.float64]
+    ) -> Sample:
+        """The sample after this one, from the scans taken since: (n,), (n, N), (n, N), possibly none."""
+        if len(t_ns) == 0:
+            return replace(self, now_ns=now_ns, scans=0)
+        return Sample(now_ns, int(t_ns[-1]), volts.mean(axis=0), pressure_pa.mean(axis=0), len(t_ns))
+
+
+@dataclass(frozen=True)
+class Trip:
+    """Why a run was stopped. `value` and `limit` are in `unit`; all three are in the message too."""
+
+    t_ns: int
+    source: str
+    message: str
+    value: float
+    limit: float
+    unit: str
+
+
+@dataclass(frozen=True)
+class SensorSettings:
+    """One sensor as the interlocks see it. `ceiling_v` is a saturated input, `count_v` one count of 16 bits."""
+
+    low_v: float
+    high_v: float
+    ceiling_v: float
+    count_v: float
+    accuracy_pa: float
+
+
+@dataclass(frozen=True)
+class Settings:
+    """The rig's limits in SI."""
+
+    sensors: tuple[SensorSettings, ...]
+    pressure_pa: float
+    rate_pa_s: float
+    tracking_pa: float
+    tracking_s: float
+    frozen_s: float
+    stale_s: float
+
+
+@dataclass(frozen=True)
+class Watch:
+    """State of one actuator's interlocks after a step.
+
+    The anchor is the last reading that differed from the one before it by a count; `expected_pa` is by how much the
+    valve should have moved the pressure since.
+    """
+
+    pressure_pa: float = math.nan
+    rate_pa_s: float = 0.0
+    anchor_v: float = math.nan
+    anchor_s: float = 0.0
+    anchor_integral_pa_s: float = 0.0
+    expected_pa: float = 0.0
+    setpoint_pa: float = math.nan
+    still_s: float = 0.0
+    astray_s: float = 0.0
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What the regulator of one actuator wants: see `rig.regulator.Regulated`."""
+
+    setpoint_pa: float
+    reference_pa: float
+    rate_pa_s: float
+    integral_pa_s: float
+
+
+def settings(config: RigConfig) -> Settings:
+    """The rig's limits and sensors, in SI, sensors in the order of the actuators."""
+    limits = config.limits
+    sensors = sorted(config.sensors, key=lambda sensor: sensor.actuator)
+    return Settings(
+        sensors=tuple(_sensor(sensor) for sensor in sensors),
+        pressure_pa=(limits.pressure_bar + limits.pressure_margin_bar) * PA_PER_BAR,
+        rate_pa_s=(limits.rate_bar_per_s + limits.rate_margin_bar_per_s) * PA_PER_BAR,
+        tracking_pa=limits.tracking_bar * PA_PER_BAR,
+        tracking_s=limits.tracking_s,
+        frozen_s=limits.frozen_s,
+        stale_s=limits.stale_s,
+    )
+
+
+def _sensor(sensor: Sensor) -> SensorSettings:
+    low, high = sorted(sensor.span_V)
+    count = (sensor.range_V[1] - sensor.range_V[0]) / SIXTEEN_BITS
+    return SensorSettings(
+        low_v=low - sensor.margin_V,
+        high_v=high + sensor.margin_V,
+        ceiling_v=sensor.range_V[1] - count,
+        count_v=count,
+        accuracy_pa=sensor.accuracy_bar * PA_PER_BAR,
+    )
+
+
+def stale(s: Settings, now_ns: int, t_ns: int) -> Trip | None:
+    """Trip when the newest scan is too old to steer by."""
+    age_s = (now_ns - t_ns) * 1e-9
+    if age_s <= s.stale_s:
+        return None
+    message = f"no pressure sample for {age_s * 1e3:.0f} ms (limit {s.stale_s * 1e3:.0f} ms)"
+    return Trip(now_ns, "stale samples", message, age_s, s.stale_s, "s")
+
+
+def broken(s: Settings, sample: Sample) -> Trip | None:
+    """Trip when a voltage is no pressure at all: outside the sensor's span, or at the end of the card's range."""
+    for i, (sensor, volts) in enumerate(zip(s.sensors, sample.volts.tolist(), strict=True)):
+        if sensor.low_v <= volts <= sensor.high_v and volts < sensor.ceiling_v:
+            continue
+        limit = sensor.low_v if volts < sensor.low_v else min(sensor.high_v, sensor.ceiling_v)
+        message = (
+            f"sensor {i + 1} reads {volts:.3f} V, outside its span of {sensor.low_v:.2f} to "
+            f"{min(sensor.high_v, sensor.ceiling_v):.2f} V: sensor or wire broken"
+        )
+        return Trip(sample.t_ns, f"sensor {i + 1}", message, volts, limit, "V")
+    return None
+
+
+def step(
+    s: Settings, i: int, watch: Watch, dt_s: float, t_ns: int, volts: float, pressure_pa: float, asked: Asked
+) -> tuple[Watch, Trip | None]:
+    """Judge a new reading of actuator `i`, `dt_s` after the last; `asked` is what its valve was doing meanwhile."""
+    if math.isnan(watch.pressure_pa):
+        watch = replace(watch, pressure_pa=pressure_pa, anchor_v=volts, setpoint_pa=asked.setpoint_pa)
+    watch = _moved(s, i, watch, dt_s, volts, pressure_pa, asked)
+    settled = asked.setpoint_pa == watch.setpoint_pa
+    astray = abs(asked.reference_pa - pressure_pa) > s.tracking_pa
+    watch = replace(
+        watch,
+        setpoint_pa=asked.setpoint_pa,
+        still_s=watch.still_s + dt_s if settled else 0.0,
+        astray_s=watch.astray_s + dt_s if astray else 0.0,
+    )
+    return watch, _judge(s, i, watch, t_ns, asked)
+
+
+def _moved(s: Settings, i: int, watch: Watch, dt: float, volts: float, pressure: float, asked: Asked) -> Watch:
+    slope = (pressure - watch.pressure_pa) / dt
+    rate = watch.rate_pa_s + (slope - watch.rate_pa_s) * dt / (RATE_FILTER_S + dt)
+    if abs(volts - watch.anchor_v) >= s.sensors[i].count_v:
+        anchor, still, expected, held = volts, 0.0, 0.0, asked.integral_pa_s
+    else:
+        anchor, still, held = watch.anchor_v, watch.anchor_s + dt, watch.anchor_integral_pa_s
+        # A chamber cannot be emptied below the atmosphere, whatever the valve does.
+        expected = max(watch.expected_pa + (asked.rate_pa_s - held) * dt, -max(pressure, 0.0))
+    return replace(
+        watch,
+        pressure_pa=pressure,
+        rate_pa_s=rate,
+        anchor_v=anchor,
+        anchor_s=still,
+        anchor_integral_pa_s=held,
+        expected_pa=expected,
+    )
+
+
+def _judge(s: Settings, i: int, w: Watch, t_ns: int, asked: Asked) -> Trip | None:
+    name = f"actuator {i + 1}"
+    if not w.pressure_pa <= s.pressure_pa:
+        return _trip_bar(t_ns, "over-pressure", f"{name} is at", w.pressure_pa, s.pressure_pa)
+    if abs(w.rate_pa_s) > s.rate_pa_s:
+        return _trip_bar(t_ns, "pressure rate", f"{name} changes by", w.rate_pa_s, s.rate_pa_s, "bar/s")
+    expected = abs(w.expected_pa)
+    if expected > s.tracking_pa or (w.anchor_s >= s.frozen_s and expected > s.sensors[i].accuracy_pa):
+        message = (
+            f"sensor {i + 1} has not moved by one count for {w.anchor_s:.3f} s (limit {s.frozen_s:.3f} s) while its "
+            f"valve asked for {expected / PA_PER_BAR:.3f} bar: the sensor is frozen, or there is no air"
+        )
+        return Trip(t_ns, f"sensor {i + 1}", message, w.anchor_s, s.frozen_s, "s")
+    error = w.pressure_pa - asked.setpoint_pa
+    if w.still_s >= s.tracking_s and abs(error) > s.tracking_pa:
+        return _trip_bar(t_ns, "tracking", f"{name} is off its standing set-point by", error, s.tracking_pa)
+    if w.astray_s >= s.tracking_s:
+        error = w.pressure_pa - asked.reference_pa
+        message = f"{name} has strayed from its moving set-point for {w.astray_s:.2f} s, now by"
+        return _trip_bar(t_ns, "tracking", message, error, s.tracking_pa)
+    return None
+
+
+def _trip_bar(t_ns: int, source: str, what: str, value: float, limit: float, unit: str = "bar") -> Trip:
+    value, limit = value / PA_PER_BAR, limit / PA_PER_BAR
+    return Trip(t_ns, source, f"{what} {value:.3f} {unit} (limit {limit:.3f} {unit})", value, limit, unit)
