@@ -1,0 +1,48 @@
+"""The lens: pinhole intrinsics with Brown-Conrady distortion, in pixels."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+# The fixed-point iteration of the inverse distortion gains about one digit a step for usual lenses.
+_UNDISTORT = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 30, 1e-10)
+
+
+@dataclass(frozen=True)
+class Lens:
+    """`matrix` (3, 3) camera matrix [px], `distortion` (5,) as OpenCV's k1, k2, p1, p2, k3."""
+
+    matrix: Floats
+    distortion: Floats
+
+    @classmethod
+    def of(
+        cls, fx_px: float, fy_px: float, cx_px: float, cy_px: float, distortion: tuple[float, ...] = (0.0,) * 5
+    ) -> Lens:
+        """Build from focal lengths and principal point [px]."""
+        matrix = np.array([[fx_px, 0.0, cx_px], [0.0, fy_px, cy_px], [0.0, 0.0, 1.0]])
+        return cls(matrix, np.asarray(distortion, dtype=np.float64))
+
+    def project(self, points_m: Floats, rotation_vector: Floats, translation_m: Floats) -> Floats:
+        """Pixels (n, 2) of points (n, 3) whose frame stands at the given pose before the camera."""
+        pixels, _ = cv2.projectPoints(points_m, rotation_vector, translation_m, self.matrix, self.distortion)
+        return np.asarray(pixels[:, 0, :], dtype=np.float64)
+
+    def project_with_jacobian(
+        self, points_m: Floats, rotation_vector: Floats, translation_m: Floats
+    ) -> tuple[Floats, Floats]:
+        """Like `project`, with the derivatives (2 n, 6) by rotation vector and translation; rows u0, v0, u1, ..."""
+        pixels, jacobian = cv2.projectPoints(points_m, rotation_vector, translation_m, self.matrix, self.distortion)
+        return np.asarray(pixels[:, 0, :], dtype=np.float64), np.asarray(jacobian[:, :6], dtype=np.float64)
+
+    def rays(self, pixels: Floats) -> Floats:
+        """Normalised, undistorted image coordinates (n, 2) of pixels (n, 2)."""
+        flat = np.ascontiguousarray(pixels, dtype=np.float64).reshape(-1, 1, 2)
+        rays = cv2.undistortPointsIter(flat, self.matrix, self.distortion, None, None, _UNDISTORT)  # type: ignore[call-overload]
+        return np.asarray(rays[:, 0, :], dtype=np.float64)

@@ -1,0 +1,110 @@
+"""The pose of a board before a camera, from its corners, with covariance."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from calibration.frames import Rigid
+from calibration.lens import Lens
+
+Floats = NDArray[np.float64]
+
+_ITERATIONS = 20
+_CONVERGED = 1e-10
+# Corner noise that is expected before anything was seen, and how many observations that opinion is worth.
+_PRIOR_STD_PX = 0.04
+_PRIOR_WEIGHT = 12.0
+
+
+@dataclass(frozen=True)
+class Pose:
+    """A board in the camera frame: rotation vector (3,) and translation (3,) [m].
+
+    `covariance` (6, 6) is that of both, in this order; `residuals_px` (n, 2) are measured minus projected corners,
+    `projected_px` (n, 2) the latter.
+    """
+
+    rotation_vector: Floats
+    translation_m: Floats
+    covariance: Floats
+    residuals_px: Floats
+    projected_px: Floats
+
+    @property
+    def reprojection_px(self) -> float:
+        """Root mean square distance between measured and projected corners."""
+        return float(np.sqrt(np.mean(np.sum(self.residuals_px**2, axis=1))))
+
+    @property
+    def rigid(self) -> Rigid:
+        """The pose as a transform."""
+        return Rigid.from_vectors(self.rotation_vector, self.translation_m)
+
+    def point(self, point_m: Floats) -> tuple[Floats, Floats]:
+        """A point (3,) fixed to the board, in the camera frame, with the covariance (3, 3) that the pose gives it."""
+        rotation, derivative = cv2.Rodrigues(self.rotation_vector)
+        # derivative (3, 9): row k holds d R / d r_k, flattened by rows.
+        by_rotation = (derivative.reshape(3, 3, 3) @ point_m).T
+        jacobian = np.hstack([by_rotation, np.eye(3)])
+        return rotation @ point_m + self.translation_m, jacobian @ self.covariance @ jacobian.T
+
+
+def refine(points_m: Floats, corners_px: Floats, lens: Lens, start: tuple[Floats, Floats]) -> Pose | None:
+    """Minimise the reprojection error from a starting pose by Levenberg-Marquardt; None if it does not converge.
+
+    `points_m` (n, 3) in the board's frame, `corners_px` (n, 2). The covariance is that of least squares, scaled by
+    the variance of the residuals, which is steadied by a weak prior.
+    """
+    x = np.concatenate([start[0], start[1]]).astype(np.float64)
+    projected, jacobian = lens.project_with_jacobian(points_m, x[:3], x[3:])
+    residual = (corners_px - projected).ravel()
+    cost = float(residual @ residual)
+    damping = 1e-6
+    for _ in range(_ITERATIONS):
+        normal = jacobian.T @ jacobian
+        try:
+            step = np.linalg.solve(normal + damping * np.diag(np.diag(normal)), jacobian.T @ residual)
+        except np.linalg.LinAlgError:
+            return None
+        trial = x + step
+        projected_new, jacobian_new = lens.project_with_jacobian(points_m, trial[:3], trial[3:])
+        residual_new = (corners_px - projected_new).ravel()
+        cost_new = float(residual_new @ residual_new)
+        if not np.isfinite(cost_new):
+            return None
+        if cost_new <= cost:
+            done = cost - cost_new <= _CONVERGED * cost
+            x, projected, jacobian, residual, cost = trial, projected_new, jacobian_new, residual_new, cost_new
+            damping = max(damping * 0.1, 1e-9)
+        else:
+            done = cost_new - cost <= _CONVERGED * cost
+            damping *= 10.0
+        if done:
+            break
+    else:
+        return None
+    if x[5] <= 0:
+        return None
+    freedom = residual.size - 6
+    variance = (cost + _PRIOR_WEIGHT * _PRIOR_STD_PX**2) / (freedom + _PRIOR_WEIGHT)
+    covariance = np.linalg.inv(jacobian.T @ jacobian) * variance
+    return Pose(x[:3], x[3:], covariance, residual.reshape(-1, 2), projected)
+
+
+def solutions(points_m: Floats, corners_px: Floats, lens: Lens) -> tuple[Pose, ...]:
+    """Return the one or two poses that a plane allows, best first, each refined.
+
+    A plane seen from afar looks nearly the same tilted either way (the flip); IPPE gives both.
+    """
+    found, rotations, translations, _ = cv2.solvePnPGeneric(
+        points_m, corners_px, lens.matrix, lens.distortion, flags=cv2.SOLVEPNP_IPPE
+    )
+    if not found:
+        return ()
+    starts = zip(rotations, translations, strict=True)
+    poses = [refine(points_m, corners_px, lens, (r.ravel(), t.ravel())) for r, t in starts]
+    return tuple(sorted((p for p in poses if p is not None), key=lambda p: p.reprojection_px))

@@ -1,0 +1,143 @@
+"""Following the board from frame to frame: a trustworthy pose of it in every picture, or the reason why there is none."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from calibration.board import Board, find, grey
+from calibration.lens import Lens
+from calibration.pose import Pose, refine, solutions
+from runs.records import Seen
+
+Floats = NDArray[np.float64]
+Image = NDArray[np.uint8]
+
+_SUBPIX = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 30, 1e-3)
+# Half the corner window as a share of the smallest distance between corners, and its bounds [px].
+_WINDOW_SHARE = 0.38
+_WINDOW_BOUNDS_PX = (2, 8)
+# More than this is not a board seen through this lens; less is not a measurement (cornerSubPix returns its seed
+# unchanged where it diverges).
+_WORST_PX = 0.6
+_BEST_PX = 0.003
+# A flip is decided by the pictures alone when its squared residuals are so many variances worse.
+_FLIP_EVIDENCE = 16.0
+_FLIP_SAME_RAD = 0.02
+
+
+@dataclass(frozen=True)
+class Sighting:
+    """What one picture showed: corners (n, 2) [px] and pose where `seen` is MEASURED, the reason where it is not."""
+
+    seen: Seen
+    corners_px: Floats | None = None
+    pose: Pose | None = None
+
+
+class Tracker:
+    """Finds the board, then follows it by its velocity; keeps the corners' order and the side of the flip."""
+
+    def __init__(self, board: Board, lens: Lens) -> None:
+        self._board = board
+        self._lens = lens
+        self._last: Pose | None = None
+        self._before: Pose | None = None
+
+    def see(self, picture: Image) -> Sighting:
+        """Measure the board in the next picture, (height, width) grey or (height, width, 3) BGR."""
+        image = grey(picture)
+        sighting = Sighting(Seen.NO_BOARD)
+        if self._last is not None:
+            predicted = 2 * self._last.projected_px - self._before.projected_px if self._before else None
+            if predicted is not None:
+                sighting = self._measure(image, predicted)
+            if sighting.seen is not Seen.MEASURED:
+                sighting = self._measure(image, self._find_near(image, self._last.projected_px))
+        if sighting.seen is not Seen.MEASURED:
+            sighting = self._measure(image, find(image, self._board))
+        self._before = self._last if sighting.pose is not None else None
+        # After a loss the last pose still tells the side of the flip and where to look first.
+        self._last = sighting.pose or self._last
+        return sighting
+
+    def _find_near(self, image: Image, corners: Floats) -> Floats | None:
+        """Search around the last place, two squares further out."""
+        low, high = corners.min(axis=0), corners.max(axis=0)
+        margin = 2.5 * _spacing(corners, self._board) + 0.15 * float((high - low).max())
+        x0, y0 = np.maximum(np.floor(low - margin), 0).astype(int)
+        x1, y1 = np.ceil(high + margin).astype(int) + 1
+        found = find(np.ascontiguousarray(image[y0:y1, x0:x1]), self._board) if x1 > x0 and y1 > y0 else None
+        return None if found is None else found + (x0, y0)
+
+    def _measure(self, image: Image, seeds: Floats | None) -> Sighting:
+        if seeds is None:
+            return Sighting(Seen.NO_BOARD)
+        corners = self._sharpen(image, seeds)
+        if corners is None:
+            return Sighting(Seen.NO_BOARD)
+        pose, seen = self._pose(corners)
+        if pose is None:
+            return Sighting(seen)
+        if not _BEST_PX < pose.reprojection_px < _WORST_PX:
+            return Sighting(Seen.POOR_FIT)
+        check = self._lens.project(self._board.check_points_m, pose.rotation_vector, pose.translation_m)
+        if not self._board.colours_fit(image, check):
+            return Sighting(Seen.AMBIGUOUS)
+        return Sighting(Seen.MEASURED, corners, pose)
+
+    def _sharpen(self, image: Image, seeds: Floats) -> Floats | None:
+        """Corners to sub-pixel; None where one ran away or lies too near the picture's border."""
+        half = int(np.clip(_WINDOW_SHARE * _spacing(seeds, self._board), *_WINDOW_BOUNDS_PX))
+        height, width = image.shape
+        margin = half + 1
+        if seeds.min() < margin or np.any(seeds.max(axis=0) > (width - 1 - margin, height - 1 - margin)):
+            return None
+        start = seeds.astype(np.float32).reshape(-1, 1, 2)
+        corners = cv2.cornerSubPix(image, start.copy(), (half, half), (-1, -1), _SUBPIX)
+        moved = np.abs(corners - start)
+        if moved.max() > half or np.any(moved.max(axis=(1, 2)) == 0.0):
+            return None
+        return np.asarray(corners[:, 0, :], dtype=np.float64)
+
+    def _pose(self, corners: Floats) -> tuple[Pose | None, Seen]:
+        points = self._board.corners_m
+        if self._last is not None and self._before is not None:
+            pose = refine(points, corners, self._lens, (self._last.rotation_vector, self._last.translation_m))
+            return pose, Seen.POOR_FIT
+        poses = solutions(points, corners, self._lens)
+        if not poses:
+            return None, Seen.POOR_FIT
+        if len(poses) == 1 or _angle(poses[0], poses[1]) < _FLIP_SAME_RAD:
+            return poses[0], Seen.MEASURED
+        best, other = poses
+        worse = (np.sum(other.residuals_px**2) - np.sum(best.residuals_px**2)) / _variance(best)
+        if worse > _FLIP_EVIDENCE:
+            return best, Seen.MEASURED
+        if self._last is not None:
+            last = self._last
+            return min(poses, key=lambda p: _angle(p, last)), Seen.MEASURED
+        return None, Seen.AMBIGUOUS
+
+
+def _spacing(corners: Floats, board: Board) -> float:
+    """Smallest distance between neighbouring corners [px]."""
+    columns, rows = board.pattern
+    grid = corners.reshape(rows, columns, 2)
+    across = np.linalg.norm(np.diff(grid, axis=1), axis=2).min()
+    down = np.linalg.norm(np.diff(grid, axis=0), axis=2).min()
+    return float(min(across, down))
+
+
+def _angle(a: Pose, b: Pose) -> float:
+    """Angle [rad] between two poses."""
+    trace = np.sum(a.rigid.rotation * b.rigid.rotation)
+    return float(np.arccos(np.clip((trace - 1) / 2, -1, 1)))
+
+
+def _variance(pose: Pose) -> float:
+    """Variance of one corner coordinate [px^2], not below that of a very good picture."""
+    return float(max(np.sum(pose.residuals_px**2) / (pose.residuals_px.size - 6), 1e-4))

@@ -1,0 +1,76 @@
+"""The mock camera: pictures of the simulated tip, paced in real time or taken at a given time."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+
+from rig.cameras.base import CameraError, Frame
+from rig.config import RigConfig
+from rig.optics import board_in_tip, board_of, camera_in_base, lens_of, rigid
+from rig.simulator.pose import PoseSource, TipPose
+from rig.simulator.scene import Optics, Rigid, Scene
+
+
+class MockCamera:
+    """A camera that looks at the simulator's tip.
+
+    In real time `read` exposes on a fixed grid of CLOCK_MONOTONIC: frame n is the n-th period after the camera was
+    opened, and a reader that comes late skips periods, which shows as a gap in the index. In virtual time the caller
+    asks for `frame_at`.
+    """
+
+    def __init__(self, config: RigConfig, source: PoseSource, name: str | None = None, seed: int = 0) -> None:
+        """Look with the camera called `name` (the only one when None) at the tip that `source` knows."""
+        if config.simulator is None:
+            raise CameraError("the mock camera needs the rig's 'simulator' section: it says what the picture shows")
+        chosen = config.cameras[name] if name is not None else next(iter(config.cameras.values()))
+        self._source = source
+        self._exposure_ns = round(chosen.exposure_ms * 1e6)
+        self._period_ns = round(1e9 / chosen.rate_hz)
+        truth = config.simulator.scene
+        optics = Optics(truth.blur_px, truth.noise_grey, truth.lighting)
+        size = (chosen.width_px, chosen.height_px)
+        self._scene = Scene(board_of(config), lens_of(chosen), size, optics, seed)
+        self._base_in_camera = (camera_in_base(chosen) @ rigid(config.simulator.camera_error)).inverse()
+        self._board_in_tip = board_in_tip(config)
+        self._start_ns = time.monotonic_ns() + self._exposure_ns
+        self._index = -1
+
+    def frame_at(self, index: int, t_ns: int) -> Frame:
+        """Frame `index` with its mid-exposure at `t_ns`; the same arguments and seed give the same picture.
+
+        Looks at the source only up to `t_ns`: the motion of the exposure's second half is that of the first.
+        """
+        before = self._source.pose_at(t_ns - self._exposure_ns // 2)
+        pose = self._source.pose_at(t_ns)
+        opened, middle = self._board_before_camera(before), self._board_before_camera(pose)
+        # Turning on by the same angle again: R_middle R_opened^T R_middle.
+        closed = Rigid(
+            middle.rotation @ opened.rotation.T @ middle.rotation, 2 * middle.translation_m - opened.translation_m
+        )
+        image = self._scene.render(opened, middle, closed, index)
+        return Frame(index, t_ns, image, np.array(pose.position_m, dtype=np.float64))
+
+    def read(self, timeout_s: float) -> Frame:
+        """Wait for the next exposure to end, then return its picture."""
+        now = time.monotonic_ns()
+        # The newest exposure that is over when nothing was read for long, else the one after the last.
+        ended = (now - self._exposure_ns // 2 - self._start_ns) // self._period_ns
+        self._index = max(self._index + 1, ended)
+        t_ns = self._start_ns + self._index * self._period_ns
+        wait_s = (t_ns + self._exposure_ns // 2 - now) * 1e-9
+        if wait_s > timeout_s:
+            time.sleep(timeout_s)
+            self._index -= 1
+            raise CameraError(f"no picture within {timeout_s:g} s: the camera delivers one every {self._period_ns} ns")
+        if wait_s > 0:
+            time.sleep(wait_s)
+        return self.frame_at(self._index, t_ns)
+
+    def close(self) -> None:
+        """Nothing to release."""
+
+    def _board_before_camera(self, pose: TipPose) -> Rigid:
+        return self._base_in_camera @ Rigid(pose.rotation, pose.position_m) @ self._board_in_tip

@@ -1,0 +1,45 @@
+"""One camera's eye: picture in, measured tip with its uncertainty out, or the reason why there is none."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calibration.tool import tip_in_base
+from calibration.tracking import Tracker
+from rig.config import RigConfig
+from rig.optics import board_in_tip, board_of, camera_in_base, lens_of
+from runs.records import Seen
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """The tip (3,) [m] in the rod-base frame with covariance (3, 3); NaN and no corners unless `seen` is MEASURED."""
+
+    seen: Seen
+    tip_m: Floats
+    covariance_m2: Floats
+    reprojection_px: float
+    corners_px: Floats | None
+
+
+class Eye:
+    """Measures the tip in one camera's pictures, in the order they were taken: it follows the board."""
+
+    def __init__(self, config: RigConfig, camera_name: str) -> None:
+        camera = config.cameras[camera_name]
+        self._tracker = Tracker(board_of(config), lens_of(camera))
+        self._board_in_tip = board_in_tip(config)
+        self._camera_in_base = camera_in_base(camera)
+
+    def measure(self, image: NDArray[np.uint8]) -> Measurement:
+        """Measure the tip in the next picture, (height, width) grey or (height, width, 3) BGR."""
+        sighting = self._tracker.see(image)
+        if sighting.pose is None:
+            return Measurement(sighting.seen, np.full(3, np.nan), np.full((3, 3), np.nan), float("nan"), None)
+        tip, covariance = tip_in_base(sighting.pose, self._board_in_tip, self._camera_in_base)
+        return Measurement(sighting.seen, tip, covariance, sighting.pose.reprojection_px, sighting.corners_px)

@@ -1,0 +1,42 @@
+"""What the rig's YAML says of cameras and board, in the terms of the calibration room."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from calibration.board import Board
+from calibration.frames import Rigid
+from calibration.lens import Lens
+from rig.config import CameraConfig, Placement, RigConfig
+
+
+def rigid(placement: Placement) -> Rigid:
+    """A placement as a transform into its parent frame."""
+    return Rigid.from_vectors(
+        np.deg2rad(placement.rotation_deg),
+        np.asarray(placement.translation_mm) * 1e-3,
+        placement.translation_std_mm * 1e-3,
+        float(np.deg2rad(placement.rotation_std_deg)),
+    )
+
+
+def lens_of(camera: CameraConfig) -> Lens:
+    """The camera's intrinsics."""
+    lens = camera.lens
+    return Lens.of(lens.fx_px, lens.fy_px, lens.cx_px, lens.cy_px, lens.distortion)
+
+
+def camera_in_base(camera: CameraConfig) -> Rigid:
+    """The camera in the rod-base frame."""
+    return rigid(camera.placement)
+
+
+def board_of(config: RigConfig) -> Board:
+    """The checkerboard."""
+    board = config.board
+    return Board(board.squares_x, board.squares_y, board.square_mm * 1e-3)
+
+
+def board_in_tip(config: RigConfig) -> Rigid:
+    """The board in the tip frame."""
+    return rigid(config.board.placement)
