@@ -1,0 +1,351 @@
+"""What stands where in an archive: a journal as NeXus groups and fields, in bar, mm and us.
+
+`docs/archive.md` says the same for readers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+
+import numpy as np
+from numpy.typing import NDArray
+
+from runs.journal import Journal
+from runs.records import Event, Interval, Level, Quantity, Seen, Status
+
+VERSION = 1
+"""Raised when a field moves or changes its meaning; readers refuse what is newer than they are."""
+
+PA_PER_BAR = 1e5
+MM_PER_M = 1e3
+AXES = ("x", "y", "z")
+COVARIANCE = ("xx", "xy", "xz", "yy", "yz", "zz")
+_UPPER = (np.array([0, 0, 0, 1, 1, 2]), np.array([0, 1, 2, 1, 2, 2]))
+
+Value = NDArray[np.generic] | np.generic | str | int | float | list[str]
+
+
+@dataclass(frozen=True)
+class Field:
+    """One dataset. `scales` names the dataset of the same group that labels each dimension."""
+
+    name: str
+    value: Value
+    units: str = ""
+    about: str = ""
+    scales: tuple[str, ...] = ()
+    source: str = ""
+    uncertainty: float | None = None
+
+
+@dataclass(frozen=True)
+class Pictures:
+    """The encoded pictures (K,), each of its own length."""
+
+    name: str
+    data: Sequence[memoryview]
+    scales: tuple[str, ...]
+    about: str
+
+
+@dataclass(frozen=True)
+class Group:
+    """One group below the file's root."""
+
+    path: str
+    nx_class: str
+    fields: tuple[Field | Pictures, ...]
+    signal: str = ""
+    axes: tuple[str, ...] = ()
+    about: str = ""
+    default: str = ""
+
+
+def groups(journal: Journal) -> tuple[Group, ...]:
+    """Return every group of the archive of a journal."""
+    return tuple(
+        group
+        for group in (
+            _entry(journal),
+            _protocol(journal),
+            _rig(journal),
+            _versions(journal),
+            _git(journal),
+            _pressure(journal),
+            _tip(journal),
+            _timing(journal),
+            _counters(journal),
+            _frames(journal),
+            _events(journal),
+            _quantities(journal, "calibration", "what was calibrated, as it was used"),
+            _quantities(journal, "model", "every number of the model, as it was used"),
+            _simulator(journal),
+        )
+        if group is not None
+    )
+
+
+def utc(nanoseconds: int) -> str:
+    """Return UTC nanoseconds since 1970 in ISO 8601, to the microsecond."""
+    whole, rest = divmod(nanoseconds, 1_000_000_000)
+    return datetime.fromtimestamp(whole, UTC).strftime("%Y-%m-%dT%H:%M:%S.") + f"{rest // 1000:06d}Z"
+
+
+def end_t_ns(journal: Journal) -> int:
+    """Return when the run ended: by its footer, or by the last thing that was recorded."""
+    if journal.footer is not None:
+        return journal.footer.t_ns
+    last = [journal.header.started_t_ns]
+    last += [int(rows["t_ns"][-1]) for rows in (journal.samples, journal.observations) if len(rows)]
+    last += [event.t_ns for event in journal.events[-1:]]
+    return max(last)
+
+
+def status(journal: Journal) -> tuple[Status, str]:
+    """Return how the run ended, and what there is to say about it."""
+    if journal.footer is not None:
+        return journal.footer.status, journal.footer.message
+    return Status.RECOVERED, "the run was cut off; the archive was made from what its journal holds"
+
+
+def _seconds(journal: Journal, t_ns: NDArray[np.int64]) -> NDArray[np.float64]:
+    return np.asarray((t_ns - journal.header.started_t_ns) / 1e9)
+
+
+def _time(journal: Journal, t_ns: NDArray[np.int64], about: str) -> Field:
+    return Field("time", _seconds(journal, t_ns), "s", f"{about}, since start_time")
+
+
+def _protocol_time(rows: NDArray[np.void]) -> Field:
+    about = "position in the protocol; stands still while the run waits for the operator"
+    return Field("protocol_time", rows["protocol_s"], "s", about, ("time",))
+
+
+def _entry(journal: Journal) -> Group:
+    header = journal.header
+    end_ns = end_t_ns(journal)
+    ended, message = status(journal)
+    fields = [
+        Field("title", header.title),
+        Field("start_time", utc(header.started_utc_ns)),
+        Field("end_time", utc(header.started_utc_ns + end_ns - header.started_t_ns)),
+        Field("duration", (end_ns - header.started_t_ns) / 1e9, "s"),
+        Field("run_id", header.run_id),
+        Field("status", str(ended), about="finished, interrupted, aborted or recovered"),
+        Field("message", message, about="why the run ended as it did"),
+        Field("simulated", np.int8(header.simulated), about="1 where the card, the camera or the arm was simulated"),
+        Field("executor", header.executor),
+        Field("operator", header.operator),
+        Field("notes", header.notes),
+        Field("command", header.command, about="the command line"),
+        Field("host", header.host),
+        Field("start_utc", np.int64(header.started_utc_ns), "ns", "start_time since 1970, exactly"),
+        Field("start_clock", np.int64(header.started_t_ns), "ns", "start_time on the run's own clock"),
+        Field("actuators", np.int32(header.actuators)),
+        Field("valves", np.int32(header.valves)),
+    ]
+    if header.seed is not None:
+        fields.append(Field("seed", np.int64(header.seed), about="of everything random in the simulator"))
+    return Group("entry", "NXentry", tuple(fields), default="tip")
+
+
+def _protocol(journal: Journal) -> Group:
+    header = journal.header
+    intervals: tuple[Interval, ...] = header.intervals
+    level = np.array([i.level_pa for i in intervals], float).reshape(len(intervals), header.actuators)
+    by = ("segment",)
+    return Group(
+        "entry/protocol",
+        "NXcollection",
+        (
+            Field("name", header.protocol_name),
+            Field("yaml", header.protocol_yaml, about="the protocol, verbatim"),
+            Field("segment", np.arange(1, len(intervals) + 1), about="number of the segment, in the order played"),
+            Field("actuator", np.arange(1, header.actuators + 1)),
+            Field("start", np.array([i.start_s for i in intervals], float), "s", "in protocol time", by),
+            Field("stop", np.array([i.stop_s for i in intervals], float), "s", "in protocol time", by),
+            Field("kind", [i.kind for i in intervals], scales=by),
+            Field("label", [i.label for i in intervals], scales=by),
+            Field("level_bar", level / PA_PER_BAR, "bar", "set-points at the end of the segment", (*by, "actuator")),
+        ),
+    )
+
+
+def _rig(journal: Journal) -> Group:
+    header = journal.header
+    return Group(
+        "entry/rig",
+        "NXcollection",
+        (Field("name", header.rig_name), Field("yaml", header.rig_yaml, about="the rig, verbatim")),
+    )
+
+
+def _versions(journal: Journal) -> Group:
+    fields = tuple(Field(name, version) for name, version in sorted(journal.header.versions.items()))
+    return Group("entry/versions", "NXcollection", fields, about="of the program, its libraries and the system")
+
+
+def _git(journal: Journal) -> Group:
+    fields = (
+        Field("commit", journal.header.git_commit),
+        Field("diff", journal.header.git_diff, about="what was not committed"),
+    )
+    return Group("entry/git", "NXcollection", fields, about="the program's own source")
+
+
+def _pressure(journal: Journal) -> Group:
+    header, rows = journal.header, journal.samples
+    per_actuator, per_valve = ("time", "actuator"), ("time", "valve")
+    return Group(
+        "entry/pressure",
+        "NXdata",
+        (
+            _time(journal, rows["t_ns"], "when the newest scan of the tick was taken"),
+            Field("actuator", np.arange(1, header.actuators + 1)),
+            Field("valve", np.arange(1, header.valves + 1)),
+            _protocol_time(rows),
+            Field("setpoint_bar", rows["setpoint_pa"] / PA_PER_BAR, "bar", "gauge pressure asked for", per_actuator),
+            Field("measured_bar", rows["measured_pa"] / PA_PER_BAR, "bar", "gauge, mean of the scans", per_actuator),
+            Field("valve_V", rows["valve_v"], "V", "voltage then commanded", per_valve),
+            Field("scans", rows["scans"], about="scans that the mean was taken over", scales=("time",)),
+            Field("tick", rows["tick"], about="number of the control tick", scales=("time",)),
+        ),
+        signal="measured_bar",
+        axes=per_actuator,
+        about="one row per control tick",
+    )
+
+
+def _tip(journal: Journal) -> Group:
+    rows = journal.observations
+    measured, model = rows["measured_m"] * MM_PER_M, rows["model_m"] * MM_PER_M
+    variance = np.diagonal(rows["covariance_m2"], axis1=1, axis2=2)
+    covariance = rows["covariance_m2"][:, _UPPER[0], _UPPER[1]] * MM_PER_M**2
+    by, per_axis = ("time",), ("time", "axis")
+    seen = ", ".join(f"{s.value} {s.name.lower()}" for s in Seen)
+    return Group(
+        "entry/tip",
+        "NXdata",
+        (
+            _time(journal, rows["t_ns"], "middle of the exposure"),
+            Field("axis", list(AXES), about="of the rod-base frame"),
+            Field("component", list(COVARIANCE)),
+            Field("actuator", np.arange(1, journal.header.actuators + 1)),
+            _protocol_time(rows),
+            Field("measured_mm", measured, "mm", "tool centre point seen by the camera, rod-base frame", per_axis),
+            Field("uncertainty_mm", np.sqrt(variance) * MM_PER_M, "mm", "standard, of measured_mm", per_axis),
+            Field("covariance_mm2", covariance, "mm^2", "of measured_mm", ("time", "component")),
+            Field("model_mm", model, "mm", "tool centre point by the model, rod-base frame", per_axis),
+            Field("error_mm", np.linalg.norm(measured - model, axis=1), "mm", "distance measured to model", by),
+            Field("reprojection_px", rows["reprojection_px"], "px", "rms over the board's corners", by),
+            Field("frame", rows["frame"], about="number of the camera's frame", scales=by),
+            Field("pressure_bar", rows["pressure_pa"] / PA_PER_BAR, "bar", "given to the model", ("time", "actuator")),
+            Field("seen", rows["seen"], about=seen, scales=by),
+            Field("model_ok", rows["model_ok"], about="0 where the model could not solve the step", scales=by),
+            Field("age_us", rows["age_ns"] / 1e3, "us", "from exposure to result", by),
+            Field("dropped", rows["dropped"], about="frames lost before this one", scales=by),
+        ),
+        signal="error_mm",
+        axes=by,
+        about="one row per camera frame; NaN where nothing was measured",
+    )
+
+
+def _timing(journal: Journal) -> Group:
+    rows, counters = journal.samples, journal.footer.counters if journal.footer else {}
+    dropped = int(journal.observations["dropped"].sum())
+    return Group(
+        "entry/timing",
+        "NXdata",
+        (
+            _time(journal, rows["t_ns"], "when the newest scan of the tick was taken"),
+            Field("lateness_us", rows["lateness_ns"] / 1e3, "us", "how late the control tick began", ("time",)),
+            Field("overruns", rows["missed"], about="deadlines missed since the last tick", scales=("time",)),
+            Field("dropped_frames", np.int64(dropped), about="camera frames lost"),
+            Field("ring_overflows", np.int64(counters.get("ring_overflows", 0)), about="rows lost in shared memory"),
+            Field("control_rate", journal.header.control_hz, "Hz", "asked for"),
+            Field("camera_rate", journal.header.camera_hz, "Hz", "asked for"),
+        ),
+        signal="lateness_us",
+        axes=("time",),
+    )
+
+
+def _counters(journal: Journal) -> Group:
+    counters = journal.footer.counters if journal.footer else {}
+    fields = tuple(Field(name, np.int64(count)) for name, count in sorted(counters.items()))
+    return Group("entry/timing/counters", "NXcollection", fields, about="as the executor counted them")
+
+
+def _frames(journal: Journal) -> Group:
+    pictures = journal.pictures
+    by = ("time",)
+    return Group(
+        "entry/frames",
+        "NXcollection",
+        (
+            _time(journal, np.array([p.t_ns for p in pictures], np.int64), "middle of the exposure"),
+            Field("index", np.array([p.frame for p in pictures], np.int64), about="as tip/frame", scales=by),
+            Field("camera", [p.camera for p in pictures], scales=by),
+            Field("encoding", [p.encoding for p in pictures], about="jpeg or png", scales=by),
+            Pictures("image", [p.data for p in pictures], by, "the encoded picture, byte for byte"),
+        ),
+    )
+
+
+def _events(journal: Journal) -> Group:
+    events = list(journal.events)
+    if journal.footer is None:
+        lost = "; ".join(map(str, journal.damage)) or "nothing"
+        text = f"recovered from the journal; not readable: {lost}"
+        events.append(Event(end_t_ns(journal), Level.WARNING, "recovery", text))
+    by = ("time",)
+    return Group(
+        "entry/events",
+        "NXcollection",
+        (
+            _time(journal, np.array([e.t_ns for e in events], np.int64), "when it happened"),
+            Field("level", [str(e.level) for e in events], about="info, warning or fault", scales=by),
+            Field("source", [e.source for e in events], scales=by),
+            Field("message", [e.message for e in events], scales=by),
+        ),
+    )
+
+
+def _quantities(journal: Journal, room: str, about: str) -> Group:
+    fields = [_quantity(q) for q in journal.header.quantities if q.room == room]
+    if room == "model":
+        fields.append(Field("variant", journal.header.model_variant))
+    return Group(f"entry/{room}", "NXcollection", tuple(fields), about=about)
+
+
+def _quantity(quantity: Quantity) -> Field:
+    value = np.array(quantity.value, float)
+    return Field(
+        quantity.name.replace("/", "."),
+        value[0] if len(value) == 1 else value,
+        quantity.unit,
+        source=quantity.source,
+        uncertainty=quantity.uncertainty,
+    )
+
+
+def _simulator(journal: Journal) -> Group | None:
+    rows = journal.observations
+    if not journal.header.simulated:
+        return None
+    about = "SIMULATED: the simulator's own tool centre point, which no camera saw; rod-base frame"
+    return Group(
+        "entry/simulator",
+        "NXdata",
+        (
+            _time(journal, rows["t_ns"], "middle of the exposure"),
+            Field("axis", list(AXES), about="of the rod-base frame"),
+            Field("tip_mm", rows["truth_m"] * MM_PER_M, "mm", about, ("time", "axis")),
+        ),
+        signal="tip_mm",
+        axes=("time", "axis"),
+        about="SIMULATED truth; measurements stand in /entry/tip",
+    )

@@ -1,0 +1,272 @@
+"""An archive, read: every group as a frozen dataclass of NumPy arrays, loaded when it is first asked for."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+from runs import layout
+from runs.archive import ArchiveError
+from runs.records import Event, Interval, Level, Quantity, RunHeader, Status
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Pressure:
+    """Control ticks: (n,), per actuator (n, N), per valve (n, V). Gauge pressures."""
+
+    time_s: Floats
+    protocol_s: Floats
+    setpoint_bar: Floats
+    measured_bar: Floats
+    valve_v: Floats
+    scans: Ints
+    tick: Ints
+
+
+@dataclass(frozen=True)
+class Tip:
+    """Camera frames (m,): tool centre points (m, 3) in the rod-base frame; NaN where nothing was measured."""
+
+    time_s: Floats
+    protocol_s: Floats
+    measured_mm: Floats
+    uncertainty_mm: Floats
+    covariance_mm2: Floats
+    """(m, 3, 3)."""
+    model_mm: Floats
+    error_mm: Floats
+    reprojection_px: Floats
+    frame: Ints
+    pressure_bar: Floats
+    """(m, N), what the model was given."""
+    seen: Ints
+    """`runs.records.Seen`."""
+    model_ok: NDArray[np.bool_]
+    age_us: Floats
+    dropped: Ints
+
+
+@dataclass(frozen=True)
+class Timing:
+    """Control ticks (n,), and what was lost over the whole run."""
+
+    time_s: Floats
+    lateness_us: Floats
+    overruns: Ints
+    dropped_frames: int
+    ring_overflows: int
+    counters: dict[str, int]
+
+
+@dataclass(frozen=True)
+class Simulated:
+    """The simulator's own tool centre point (m, 3), at the times of `Tip`."""
+
+    time_s: Floats
+    tip_mm: Floats
+
+
+@dataclass(frozen=True)
+class Frames:
+    """The kept pictures (k,); `Run.picture` gives their bytes."""
+
+    time_s: Floats
+    index: Ints
+    camera: tuple[str, ...]
+    encoding: tuple[str, ...]
+
+
+class Run:
+    """One archive. Nothing is held open: each group is read whole when it is first asked for."""
+
+    def __init__(self, path: Path | str) -> None:
+        self.path = Path(path)
+        try:
+            with h5py.File(self.path, "r") as file:
+                version = int(file.attrs["layout_version"])
+                self.sha256 = str(file.attrs["content_sha256"])
+        except (OSError, KeyError, RuntimeError) as fault:
+            reason = "no such file" if isinstance(fault, FileNotFoundError) else f"not an archive of softrig ({fault})"
+            raise ArchiveError(f"{self.path}: {reason}") from fault
+        if version > layout.VERSION:
+            raise ArchiveError(f"{self.path} has layout {version}; this softrig knows up to {layout.VERSION}")
+
+    def __repr__(self) -> str:
+        return f"Run({str(self.path)!r})"
+
+    @cached_property
+    def header(self) -> RunHeader:
+        """Everything that was known before the first sample."""
+        entry = self._group("entry")
+        protocol, rig, git = (self._group(f"entry/{name}") for name in ("protocol", "rig", "git"))
+        return RunHeader(
+            run_id=entry["run_id"],
+            title=entry["title"],
+            started_utc_ns=int(entry["start_utc"]),
+            started_t_ns=int(entry["start_clock"]),
+            protocol_name=protocol["name"],
+            protocol_yaml=protocol["yaml"],
+            rig_name=rig["name"],
+            rig_yaml=rig["yaml"],
+            actuators=int(entry["actuators"]),
+            valves=int(entry["valves"]),
+            executor=entry["executor"],
+            simulated=bool(entry["simulated"]),
+            seed=int(entry["seed"]) if "seed" in entry else None,
+            model_variant=self._group("entry/model")["variant"],
+            operator=entry["operator"],
+            notes=entry["notes"],
+            command=entry["command"],
+            host=entry["host"],
+            versions=self._group("entry/versions"),
+            git_commit=git["commit"],
+            git_diff=git["diff"],
+            intervals=_intervals(protocol),
+            quantities=(*self._quantities("calibration"), *self._quantities("model")),
+            control_hz=float(self._group("entry/timing")["control_rate"]),
+            camera_hz=float(self._group("entry/timing")["camera_rate"]),
+        )
+
+    @cached_property
+    def status(self) -> Status:
+        """How the run ended."""
+        return Status(self._group("entry")["status"])
+
+    @cached_property
+    def message(self) -> str:
+        """Why the run ended as it did."""
+        return str(self._group("entry")["message"])
+
+    @cached_property
+    def duration_s(self) -> float:
+        """From start to end, waiting included."""
+        return float(self._group("entry")["duration"])
+
+    @cached_property
+    def pressure(self) -> Pressure:
+        """Control ticks."""
+        g = self._group("entry/pressure")
+        return Pressure(
+            time_s=g["time"],
+            protocol_s=g["protocol_time"],
+            setpoint_bar=g["setpoint_bar"],
+            measured_bar=g["measured_bar"],
+            valve_v=g["valve_V"],
+            scans=g["scans"],
+            tick=g["tick"],
+        )
+
+    @cached_property
+    def tip(self) -> Tip:
+        """Camera frames."""
+        g = self._group("entry/tip")
+        xx, xy, xz, yy, yz, zz = g["covariance_mm2"].T
+        return Tip(
+            time_s=g["time"],
+            protocol_s=g["protocol_time"],
+            measured_mm=g["measured_mm"],
+            uncertainty_mm=g["uncertainty_mm"],
+            covariance_mm2=np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]).transpose(2, 0, 1),
+            model_mm=g["model_mm"],
+            error_mm=g["error_mm"],
+            reprojection_px=g["reprojection_px"],
+            frame=g["frame"],
+            pressure_bar=g["pressure_bar"],
+            seen=g["seen"],
+            model_ok=g["model_ok"].astype(bool),
+            age_us=g["age_us"],
+            dropped=g["dropped"],
+        )
+
+    @cached_property
+    def timing(self) -> Timing:
+        """Lateness and losses."""
+        g = self._group("entry/timing")
+        counters = {name: int(count) for name, count in self._group("entry/timing/counters").items()}
+        return Timing(
+            time_s=g["time"],
+            lateness_us=g["lateness_us"],
+            overruns=g["overruns"],
+            dropped_frames=int(g["dropped_frames"]),
+            ring_overflows=int(g["ring_overflows"]),
+            counters=counters,
+        )
+
+    @cached_property
+    def simulated(self) -> Simulated | None:
+        """The simulator's truth; None for a run without a simulator."""
+        g = self._group("entry/simulator")
+        return Simulated(g["time"], g["tip_mm"]) if g else None
+
+    @cached_property
+    def events(self) -> tuple[Event, ...]:
+        """What happened, in the order it was recorded."""
+        g = self._group("entry/events")
+        start_ns = self.header.started_t_ns
+        return tuple(
+            Event(start_ns + round(t * 1e9), Level(level), source, message)
+            for t, level, source, message in zip(g["time"], g["level"], g["source"], g["message"], strict=True)
+        )
+
+    @cached_property
+    def frames(self) -> Frames:
+        """The kept pictures, without their bytes."""
+        g = self._group("entry/frames", without="image")
+        return Frames(g["time"], g["index"], tuple(g["camera"]), tuple(g["encoding"]))
+
+    def picture(self, k: int) -> bytes:
+        """Return the k-th kept picture as it was encoded."""
+        with h5py.File(self.path, "r") as file:
+            data: bytes = file["entry/frames/image"][k].tobytes()
+            return data
+
+    def _group(self, path: str, without: str = "") -> dict[str, Any]:
+        """Return the datasets of a group by name: arrays, texts and numbers; nothing where the group is missing."""
+        with h5py.File(self.path, "r") as file:
+            if path not in file:
+                return {}
+            return {
+                name: _value(node)
+                for name, node in file[path].items()
+                if isinstance(node, h5py.Dataset) and name != without
+            }
+
+    def _quantities(self, room: str) -> tuple[Quantity, ...]:
+        with h5py.File(self.path, "r") as file:
+            return tuple(
+                Quantity(
+                    room=room,
+                    name=name,
+                    value=tuple(float(v) for v in np.atleast_1d(node[()])),
+                    unit=str(node.attrs.get("units", "")),
+                    source=str(node.attrs.get("source", "")),
+                    uncertainty=float(node.attrs.get("uncertainty", np.nan)),
+                )
+                for name, node in file[f"entry/{room}"].items()
+                if h5py.check_string_dtype(node.dtype) is None
+            )
+
+
+def _value(node: h5py.Dataset) -> Any:
+    if h5py.check_string_dtype(node.dtype) is None:
+        return node[()]
+    values = node.asstr()[()]
+    return values if isinstance(values, str) else list(values)
+
+
+def _intervals(g: dict[str, Any]) -> tuple[Interval, ...]:
+    return tuple(
+        Interval(float(start), float(stop), kind, label, tuple(float(v) * layout.PA_PER_BAR for v in level))
+        for start, stop, kind, label, level in zip(
+            g["start"], g["stop"], g["kind"], g["label"], g["level_bar"], strict=True
+        )
+    )
