@@ -233,6 +233,7 @@ class SimulatedChamber(Section):
     """Truth of every chamber."""
 
     dead_volume_ml: NonNegative
+    tube_l_s_bar: Positive = Field(default=0.5, description="sonic conductance of the tube from valve to chamber")
     temperature_k: Positive = 293.15
     polytropic: Annotated[float, Field(ge=1, le=1.4)] = 1.0
 
