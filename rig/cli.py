@@ -1,0 +1,214 @@
+"""The `rig` command: parses, calls, prints. Heavy modules are imported where they are used."""
+
+from __future__ import annotations
+
+import sys
+
+from pathlib import Path
+from typing import Annotated, Any, NoReturn
+
+import typer
+from typer.core import TyperGroup
+
+DONE, FAULT, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
+
+
+class PlainErrors(TyperGroup):
+    """Turns the errors a user can cause into one message and an exit status, never a traceback."""
+
+    def invoke(self, ctx: Any) -> Any:
+        """Run a command."""
+        try:
+            return super().invoke(ctx)
+        except (typer.Exit, typer.Abort):
+            raise
+        except KeyboardInterrupt:
+            _fail("interrupted", INTERRUPTED)
+        except Exception as error:
+            status = _status(error)
+            if status is None:
+                raise
+            _fail(str(error), status)
+
+
+def _status(error: Exception) -> int | None:
+    """Exit status of an expected error; None for one that is a bug."""
+    from protocols import BadInput
+    from rig.cameras.base import CameraError
+    from rig.daq.base import CardError
+    from rig.executor.base import StartError
+    from runs import ArchiveError
+    from runs.journal import JournalError
+
+    if isinstance(error, BadInput | ArchiveError):
+        return BAD_INPUT
+    if isinstance(error, CardError | CameraError | StartError | JournalError | OSError):
+        return FAULT
+    return None
+
+
+def _fail(message: str, status: int) -> NoReturn:
+    typer.echo(message, err=True)
+    raise typer.Exit(status)
+
+
+app = typer.Typer(
+    cls=PlainErrors,
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    help="Run a soft-robotics experiment: valves, pressures, camera, Cosserat rod model, archive.",
+)
+
+RigName = Annotated[str, typer.Option("--rig", help="Name or file of the rig.")]
+ProtocolName = Annotated[str, typer.Argument(metavar="NAME|FILE", help="Named protocol, or a YAML file.")]
+Folder = Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder of the archives.", file_okay=False)]
+AsJson = Annotated[bool, typer.Option("--json", help="Print JSON, for scripts.")]
+Archives = Annotated[list[Path], typer.Argument(metavar="RUN..", help="Archive, or its run id in the data folder.")]
+Variant = Annotated[
+    str | None, typer.Option("--model", help="homogeneous, homogeneous+rpe or inhomogeneous+rpe; default: the rig's.")
+]
+
+
+@app.command()
+def run(
+    protocol: ProtocolName,
+    rig: RigName = "mock",
+    fast: Annotated[bool, typer.Option("--fast", help="Virtual time; simulated rigs only.")] = False,
+    seed: Annotated[int, typer.Option(help="Seed of the simulator.", min=0)] = 0,
+    out: Folder = Path("data"),
+    model: Variant = None,
+    operator: Annotated[str, typer.Option(help="Who runs it; goes into the archive.")] = "",
+    note: Annotated[str, typer.Option(help="A remark; goes into the archive.")] = "",
+    yes: Annotated[bool, typer.Option("--yes", help="Arm without asking.")] = False,
+    report: Annotated[bool, typer.Option(help="Write the HTML report.")] = True,
+) -> None:
+    """Run a protocol and leave an archive with a report."""
+    from rig import experiment, screens
+    from rig.signals import StopSignals
+    from rig.terminal import Terminal
+
+    request = experiment.request(
+        protocol, rig, folder=out, fast=fast, seed=seed, variant=model, operator=operator, notes=note, report=report
+    )
+    decided = experiment.plan(request)
+    console = screens.console()
+    screens.offer_recovery(console, out)
+    console.print(screens.check_screen(request, decided))
+    if not yes and not screens.confirm(console):
+        _fail("not armed", BAD_INPUT)
+    with StopSignals() as signals, Terminal(console, lambda: signals.reason, screens.title(request)) as terminal:
+        result = experiment.run(request, decided, terminal)
+    screens.last_screen(console, result)
+    raise typer.Exit(screens.exit_status(result))
+
+
+@app.command()
+def check(protocol: ProtocolName, rig: RigName = "mock", json: AsJson = False) -> None:
+    """Check a protocol against a rig, without touching hardware."""
+    from rig import experiment, screens
+
+    request = experiment.request(protocol, rig)
+    decided = experiment.plan(request)
+    if json:
+        typer.echo(screens.check_json(request, decided))
+    else:
+        console = screens.console()
+        console.print(screens.check_screen(request, decided))
+        console.print(screens.sketch(decided, console.width))
+
+
+@app.command()
+def protocols() -> None:
+    """List the named protocols."""
+    from protocols import named
+
+    for entry in named():
+        typer.echo(f"{entry.name:22s}{entry.title}")
+
+
+@app.command()
+def doctor(out: Folder = Path("data"), json: AsJson = False) -> None:
+    """Say what this machine offers a rig, and what to do about what is missing."""
+    from rig import screens
+    from rig.doctor import examine
+
+    findings = examine(out)
+    if json:
+        typer.echo(screens.findings_json(findings))
+    else:
+        screens.console().print(screens.findings_table(findings))
+    raise typer.Exit(FAULT if any(f.verdict == "missing" for f in findings) else DONE)
+
+
+@app.command()
+def vent(rig: RigName = "mock") -> None:
+    """Put every valve of a rig into its safe state, whoever uses it."""
+    from rig.bench import open_bench
+    from rig.config import load
+
+    bench = open_bench(load(rig))
+    bench.make_safe()
+    bench.close()
+    typer.echo("the valves are in their safe state")
+
+
+@app.command()
+def simulate(
+    protocol: ProtocolName,
+    rig: RigName = "mock",
+    model: Variant = None,
+    static: Annotated[bool, typer.Option("--static", help="Statics at every set-point instead of dynamics.")] = False,
+    out: Folder = Path("data"),
+) -> None:
+    """Run the model alone, driven by the protocol's set-points; leaves an archive of the same layout."""
+    from rig import experiment
+    from rig.simulate import simulate as run_model
+
+    request = experiment.request(protocol, rig, folder=out, variant=model)
+    typer.echo(run_model(request, experiment.plan(request), static))
+
+
+@app.command()
+def runs(folder: Folder = Path("data"), text: str = "", json: AsJson = False) -> None:
+    """List the archives of a folder."""
+    from rig import listing
+
+    listing.runs(folder, text, json)
+
+
+@app.command()
+def show(archive: Annotated[Path, typer.Argument(metavar="RUN")], json: AsJson = False) -> None:
+    """Say what an archive holds and how it was made."""
+    from rig import listing
+
+    listing.show(archive, json)
+
+
+@app.command()
+def report(
+    archives: Archives,
+    to: Annotated[Path | None, typer.Option("--to", help="HTML file; default: beside the first archive.")] = None,
+) -> None:
+    """Write the report of one run, or of several side by side."""
+    from runs.report import write
+
+    typer.echo(write(archives, to or archives[0].with_suffix(".html")))
+
+
+@app.command()
+def recover(folder: Annotated[Path, typer.Argument(metavar="DIR", file_okay=False)] = Path("data")) -> None:
+    """Turn the journals of runs that were killed into archives."""
+    from rig import listing
+
+    listing.recover(folder)
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Entry point."""
+    try:
+        app(arguments)
+    except BrokenPipeError:
+        # The reader of our output has gone (`rig runs | head`): that is his decision and no error.
+        sys.stderr.close()
+        sys.exit(FAULT)

@@ -1,0 +1,52 @@
+"""Real-time privileges, punctual waiting, and how the machine behaved meanwhile."""
+
+from __future__ import annotations
+
+import ctypes
+import gc
+import os
+import time
+from pathlib import Path
+
+SPIN_NS = 400_000
+_MCL_CURRENT_AND_FUTURE = 3
+
+
+def become_real_time(priority: int) -> list[str]:
+    """Ask for SCHED_FIFO and locked memory, and freeze the garbage collector; return what was refused, as sentences."""
+    refused = []
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
+    except (OSError, AttributeError):
+        refused.append(
+            "no real-time priority (SCHED_FIFO): deadlines may be missed; "
+            "allow it with a line '@yourgroup - rtprio 80' in /etc/security/limits.conf and log in again"
+        )
+    if ctypes.CDLL(None, use_errno=True).mlockall(_MCL_CURRENT_AND_FUTURE) != 0:
+        refused.append(
+            "memory is not locked (mlockall): allow it with '@yourgroup - memlock unlimited' "
+            "in /etc/security/limits.conf and log in again"
+        )
+    gc.collect()
+    gc.freeze()
+    gc.disable()
+    return refused
+
+
+def wait_until(deadline_ns: int) -> int:
+    """Sleep, then spin for the last 0.4 ms; return the time, which is never before the deadline."""
+    now = time.monotonic_ns()
+    if (rest := deadline_ns - now - SPIN_NS) > 0:
+        time.sleep(rest * 1e-9)
+    while (now := time.monotonic_ns()) < deadline_ns:
+        pass
+    return now
+
+
+def stolen_ms() -> int:
+    """CPU time that the hypervisor took from this machine since boot, all cores, in ms; 0 where it is not told."""
+    try:
+        fields = Path("/proc/stat").read_text().split("\n", 1)[0].split()
+        return int(fields[8]) * 1000 // os.sysconf("SC_CLK_TCK")
+    except (OSError, IndexError, ValueError):
+        return 0

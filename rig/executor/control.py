@@ -1,0 +1,92 @@
+"""The control process: the 200 Hz loop from pressures to valves."""
+
+from __future__ import annotations
+
+import signal
+import sys
+import time
+
+from rig.bench import Bench, open_bench
+from rig.daq.base import CardError
+from rig.executor.child import Job, orphaned, receive
+from rig.executor.clock import become_real_time, wait_until
+from rig.executor.memory import RunMemory, Stage, Stop
+from rig.executor.tick import Ticker
+
+WATCHDOG_SILENT_NS = 1_000_000_000
+
+
+def main() -> int:
+    """Arm, run, make safe; the valves are safe before anything is said."""
+    job, memory = receive()
+    signal.signal(signal.SIGTERM, lambda *_: memory.set("stop", Stop.TERMINATED))
+    try:
+        bench = open_bench(job.plan.config)
+    except CardError as error:
+        memory.say("control", Stage.FAILED, str(error))
+        return 1
+    fault = ""
+    try:
+        bench.arm()
+        bench.start()
+        warnings = become_real_time(priority=50)
+        memory.say("control", Stage.READY, "; ".join(warnings))
+        fault = _run(job, memory, bench)
+    except CardError as error:
+        fault = str(error)
+    finally:
+        try:
+            bench.make_safe()
+            memory.set("safe_ns", time.monotonic_ns())
+        except CardError as error:
+            fault = f"{fault}; then the safe state could not be written: {error}".removeprefix("; ")
+    memory.say("control", Stage.FAILED if fault else Stage.DONE, fault)
+    bench.close()
+    return 1 if fault else 0
+
+
+def _run(job: Job, memory: RunMemory, bench: Bench) -> str:
+    """Loop until the protocol ends or someone asks to stop; return what went wrong, empty when nothing did."""
+    ticker = Ticker(job.plan, bench)
+    period = ticker.period_ns
+    while not (go := memory.get("go_ns")):
+        ticker.listen()
+        memory.beat("control", time.monotonic_ns())
+        time.sleep(0.002)
+        if memory.get("stop") != Stop.NONE:
+            return ""
+        if orphaned(job):
+            return "the conductor died before the run began"
+    memory.beat("control", time.monotonic_ns())
+    memory.say("control", Stage.RUNNING, memory.message("control"))
+    tick = skipped = 0
+    while True:
+        deadline = go + tick * period
+        now = wait_until(deadline)
+        if memory.get("stop") != Stop.NONE:
+            return ""
+        if memory.get("fired_ns"):
+            return "the watchdog took the bench over"
+        if orphaned(job):
+            return "the conductor died"
+        if now - memory.heartbeat_ns("watchdog") > WATCHDOG_SILENT_NS:
+            return "the watchdog is silent"
+        row, trip = ticker.tick(
+            tick, now, 1 + skipped, memory.get("answered"), bool(memory.get("held")), now - deadline, skipped
+        )
+        memory.samples.push(row)
+        memory.set("protocol_s", ticker.position.protocol_s)
+        memory.set("waiting", ticker.position.prompts_passed if ticker.position.waiting else -1)
+        memory.beat("control", now)
+        if trip is not None:
+            return trip
+        if ticker.finished:
+            return ""
+        # A deadline is missed when its tick had not begun before the next one was due.
+        following = max(tick + 1, (time.monotonic_ns() - go) // period)
+        skipped = following - tick - 1
+        tick = following
+
+
+if __name__ == "__main__":
+    sys.exit(main())

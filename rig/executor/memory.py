@@ -1,0 +1,167 @@
+"""The memory that the processes of one run share: a board of flags, the rings, the picture slots."""
+
+from __future__ import annotations
+
+import itertools
+import mmap
+import os
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.config import RigConfig
+from rig.executor.ring import Ring, ring_bytes
+from runs.records import observation_dtype, sample_dtype
+
+SAMPLES = 4096
+OBSERVATIONS = 1024
+PICTURES = 32
+MESSAGE_BYTES = 480
+
+
+class Stage(IntEnum):
+    """How far a process is."""
+
+    STARTING = 0
+    READY = 1
+    RUNNING = 2
+    DONE = 3
+    FAILED = 4
+
+
+class Stop(IntEnum):
+    """Asks every process to end with the valves safe, and says who asks."""
+
+    NONE = 0
+    SAFE = 1
+    SILENT = 2
+    TERMINATED = 3
+
+
+_PROCESS = np.dtype([("stage", "<i8"), ("heartbeat_ns", "<i8"), ("message", f"S{MESSAGE_BYTES}")], align=True)
+_BOARD = np.dtype(
+    [
+        ("control", _PROCESS),
+        ("observer", _PROCESS),
+        ("watchdog", _PROCESS),
+        ("conductor", _PROCESS),
+        ("control_pid", "<i8"),
+        ("go_ns", "<i8"),
+        ("stop", "<i8"),
+        ("held", "<i8"),
+        ("answered", "<i8"),
+        ("waiting", "<i8"),
+        ("protocol_s", "<f8"),
+        ("safe_ns", "<i8"),
+        ("fired_ns", "<i8"),
+    ],
+    align=True,
+)
+_PICTURE = np.dtype([("t_ns", "<i8"), ("frame", "<i8"), ("slot", "<i8"), ("size", "<i8")])
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Sizes that every process computes alike from the rig."""
+
+    actuators: int
+    valves: int
+    picture_bytes: int
+
+    @classmethod
+    def of(cls, config: RigConfig) -> Layout:
+        """The layout for one rig. A picture slot holds the largest camera's frame uncompressed."""
+        largest = max((c.width_px * c.height_px for c in config.cameras.values()), default=0)
+        return cls(config.actuators, len(config.valves), largest * 3 + 4096)
+
+
+class RunMemory:
+    """A view of the shared memory of one run. Whoever has the file descriptor has the memory; it needs no clean-up.
+
+    `board` is one structured row of flags, each with one writer. `samples` and `observations` are rings of the
+    records of `runs.records`.
+    """
+
+    def __init__(self, fd: int, layout: Layout) -> None:
+        self.fd = fd
+        self.layout = layout
+        sample, observation = sample_dtype(layout.actuators, layout.valves), observation_dtype(layout.actuators)
+        sizes = (
+            -(-_BOARD.itemsize // 64) * 64,
+            ring_bytes(sample, SAMPLES),
+            ring_bytes(observation, OBSERVATIONS),
+            ring_bytes(_PICTURE, PICTURES),
+            layout.picture_bytes * PICTURES,
+        )
+        edges = [0, *np.cumsum(sizes).tolist()]
+        if os.fstat(fd).st_size == 0:
+            os.ftruncate(fd, edges[-1])
+        view = memoryview(mmap.mmap(fd, edges[-1]))
+        parts = [view[a:b] for a, b in itertools.pairwise(edges)]
+        self.board: NDArray[np.void] = np.frombuffer(parts[0], _BOARD, 1)
+        self.samples: Ring[np.void] = Ring(parts[1], sample, SAMPLES)
+        self.observations: Ring[np.void] = Ring(parts[2], observation, OBSERVATIONS)
+        self._pictures: Ring[np.void] = Ring(parts[3], _PICTURE, PICTURES)
+        self._slots = parts[4]
+
+    @classmethod
+    def create(cls, layout: Layout) -> RunMemory:
+        """Make the memory of a new run, all zero."""
+        memory = cls(os.memfd_create("softrig", 0), layout)
+        memory.set("waiting", -1)
+        return memory
+
+    def get(self, field: str) -> int:
+        """Read one integer flag."""
+        return int(self.board[field][0])
+
+    def set(self, field: str, value: float) -> None:
+        """Write one flag."""
+        self.board[field][0] = value
+
+    def stage(self, process: str) -> Stage:
+        """How far a process is."""
+        return Stage(int(self.board[process]["stage"][0]))
+
+    def message(self, process: str) -> str:
+        """What a process last said."""
+        return bytes(self.board[process]["message"][0]).decode(errors="replace")
+
+    def say(self, process: str, stage: Stage, message: str = "") -> None:
+        """Publish a process's stage; the message is there before the stage that it explains."""
+        row = self.board[process]
+        row["message"][0] = message.encode()[:MESSAGE_BYTES]
+        row["stage"][0] = stage
+
+    def beat(self, process: str, t_ns: int) -> None:
+        """Publish a sign of life."""
+        self.board[process]["heartbeat_ns"][0] = t_ns
+
+    def heartbeat_ns(self, process: str) -> int:
+        """When a process last gave a sign of life."""
+        return int(self.board[process]["heartbeat_ns"][0])
+
+    def push_picture(self, t_ns: int, frame: int, data: bytes) -> bool:
+        """Store one encoded picture; False where it is larger than a slot."""
+        if len(data) > self.layout.picture_bytes:
+            return False
+        slot = self._pictures.written % PICTURES
+        start = slot * self.layout.picture_bytes
+        self._slots[start : start + len(data)] = data
+        self._pictures.push(np.array((t_ns, frame, slot, len(data)), _PICTURE))
+        return True
+
+    def read_pictures(self) -> list[tuple[int, int, bytes]]:
+        """Return (t_ns, frame, data) of the pictures stored since the last call."""
+        pictures = []
+        for row in self._pictures.read():
+            start = int(row["slot"]) * self.layout.picture_bytes
+            pictures.append((int(row["t_ns"]), int(row["frame"]), bytes(self._slots[start : start + int(row["size"])])))
+        return pictures
+
+    @property
+    def pictures_lost(self) -> int:
+        """Pictures overwritten before this reader came for them."""
+        return self._pictures.lost

@@ -1,0 +1,229 @@
+"""The conductor of a real-time run: starts the processes, records what they write, and ends the run in order."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import time
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.executor.base import Audience, OpenRecord, Outcome, Plan, Progress, Recorder, StartError
+from rig.executor.child import Job, spawn
+from rig.executor.clock import stolen_ms
+from rig.executor.memory import Layout, RunMemory, Stage, Stop
+from rig.simulator.host import simulated
+from runs.records import Event, Level, Picture, Status
+
+START_TIMEOUT_S = 60.0
+"""Generous: a cold compiler cache or a busy machine is not a fault."""
+LEAD_NS = 100_000_000
+DRAIN_S = 0.02
+SHOW_S = 0.1
+SAFE_TIMEOUT_S = 2.0
+
+STOPPED = {
+    Stop.SAFE: "the run was told to stop",
+    Stop.SILENT: "the watchdog asked for the safe state: the conductor had been silent",
+    Stop.TERMINATED: "the control process was told to terminate",
+}
+
+
+def run(plan: Plan, open_record: OpenRecord, audience: Audience) -> Outcome:
+    """Run one plan in real time; return once the valves are safe and every process has ended.
+
+    Raises:
+        CardError, StartError: a device or a process did not come up.
+    """
+    with simulated(plan.config, plan.rig_file, plan.seed) as plant:
+        conductor = _Conductor(plan, audience, plant)
+        try:
+            return conductor.run(open_record)
+        finally:
+            conductor.end()
+
+
+class _Conductor:
+    def __init__(self, plan: Plan, audience: Audience, plant: subprocess.Popen[str] | None) -> None:
+        self.plan = plan
+        self.plant = plant
+        self.recorder: Recorder
+        self.audience = audience
+        self.memory = RunMemory.create(Layout.of(plan.config))
+        self.crew: list[tuple[str, subprocess.Popen[bytes]]] = []
+        self.missed = 0
+        self.dropped = 0
+        self._sample: NDArray[np.void] | None = None
+        self._observation: NDArray[np.void] | None = None
+        self._shown_prompt = -1
+
+    def run(self, open_record: OpenRecord) -> Outcome:
+        """Start, conduct, end."""
+        job = Job(self.plan, self.memory.fd, os.getpid())
+        memory = self.memory
+        memory.beat("conductor", time.monotonic_ns())
+        self.crew.append(("watchdog", spawn("rig.executor.watchdog", job)))
+        self.crew.append(("observer", spawn("rig.executor.observing", job)))
+        self._await_ready("watchdog")
+        control = spawn("rig.executor.control", job)
+        self.crew.append(("control", control))
+        memory.set("control_pid", control.pid)
+        self._await_ready("control")
+        self._await_ready("observer")
+        stolen = stolen_ms()
+        go = time.monotonic_ns() + LEAD_NS
+        self.recorder = open_record(go)
+        self._event(Level.INFO, "control", "armed: the safe state was written and read back")
+        if warning := memory.message("control"):
+            self._event(Level.WARNING, "control", warning)
+        memory.beat("conductor", time.monotonic_ns())
+        memory.set("go_ns", max(go, time.monotonic_ns() + LEAD_NS // 10))
+        try:
+            status, message = self._conduct()
+        finally:
+            self._make_safe()
+        self._drain()
+        if memory.get("fired_ns") and status is not Status.ABORTED:
+            status, message = Status.ABORTED, memory.message("watchdog") or "the watchdog took the bench over"
+        safe_ns = memory.get("safe_ns") or memory.get("fired_ns")
+        self._event(
+            Level.INFO, "control" if memory.get("safe_ns") else "watchdog", "the valves are in their safe state"
+        )
+        counters = {
+            "missed_deadlines": self.missed,
+            "dropped_frames": self.dropped,
+            "sample_ring_overflows": memory.samples.lost,
+            "observation_ring_overflows": memory.observations.lost,
+            "picture_ring_overflows": memory.pictures_lost,
+            "stolen_cpu_ms": stolen_ms() - stolen,
+        }
+        return Outcome(status, message, safe_ns or time.monotonic_ns(), counters)
+
+    def end(self) -> None:
+        """Leave no process behind. Safe to call at any time, more than once."""
+        self.memory.set("stop", Stop.SAFE)
+        # The watchdog goes last: it is the one that writes the safe state when the others cannot.
+        for name, process in sorted(self.crew, key=lambda member: member[0] == "watchdog"):
+            try:
+                process.wait(SAFE_TIMEOUT_S)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
+                if name == "watchdog":
+                    raise StartError("the watchdog did not end; check the valves and run `rig vent`") from None
+
+    def _conduct(self) -> tuple[Status, str]:
+        memory = self.memory
+        shown = 0.0
+        while True:
+            memory.beat("conductor", time.monotonic_ns())
+            self._drain()
+            if reason := self.audience.stop_requested():
+                return Status.INTERRUPTED, reason
+            if (stop := Stop(memory.get("stop"))) != Stop.NONE:
+                self._event(Level.FAULT, "conductor", STOPPED[stop])
+                return Status.ABORTED, STOPPED[stop]
+            if fault := self._fault():
+                self._event(Level.FAULT, *fault)
+                return Status.ABORTED, fault[1]
+            if memory.stage("control") == Stage.DONE:
+                return Status.FINISHED, ""
+            self._prompt()
+            if (now := time.monotonic()) - shown > SHOW_S:
+                shown = now
+                self.audience.show(self._progress())
+            time.sleep(DRAIN_S)
+
+    def _fault(self) -> tuple[str, str] | None:
+        """Which process has a fault, and what it is."""
+        memory = self.memory
+        for name, _ in self.crew:
+            if memory.stage(name) == Stage.FAILED:
+                return name, memory.message(name)
+        if memory.get("fired_ns"):
+            time.sleep(0.01)  # the watchdog writes first and explains afterwards
+            return "watchdog", memory.message("watchdog") or "the watchdog took the bench over"
+        for name, process in self.crew:
+            if process.poll() is not None and memory.stage(name) != Stage.DONE:
+                return name, f"the {name} process died (exit status {process.returncode})"
+        if self.plant is not None and self.plant.poll() is not None:
+            return "simulator", f"the simulator died (exit status {self.plant.returncode})"
+        silent_s = (time.monotonic_ns() - memory.heartbeat_ns("observer")) * 1e-9
+        if silent_s > 2 * self.plan.config.limits.no_tip_s:
+            return "observer", f"the observer process has been silent for {silent_s:.1f} s"
+        return None
+
+    def _drain(self) -> None:
+        """Move everything that the processes have written into the record."""
+        samples = self.memory.samples.read()
+        if len(samples):
+            self.recorder.samples(samples)
+            self.missed += int(samples["missed"].sum())
+            self._sample = samples[-1]
+        observations = self.memory.observations.read()
+        if len(observations):
+            self.recorder.observations(observations)
+            self.dropped += int(observations["dropped"].sum())
+            self._observation = observations[-1]
+        camera = next(iter(self.plan.config.cameras))
+        for t_ns, frame, data in self.memory.read_pictures():
+            self.recorder.picture(Picture(t_ns, frame, camera, self.plan.config.recording.encoding, data))
+
+    def _prompt(self) -> None:
+        waiting = self.memory.get("waiting")
+        if waiting < 0:
+            return
+        if waiting != self._shown_prompt:
+            self._shown_prompt = waiting
+            self._event(Level.INFO, "protocol", f"waiting for the operator: {self._prompt_text(waiting)}")
+            self.audience.show(self._progress())
+        elif self.memory.get("answered") <= waiting and self.audience.answered():
+            self.memory.set("answered", waiting + 1)
+            self._event(Level.INFO, "operator", f"done: {self._prompt_text(waiting)}")
+
+    def _prompt_text(self, index: int) -> str:
+        return self.plan.trajectory.prompts[index].message
+
+    def _progress(self) -> Progress:
+        waiting = self.memory.get("waiting")
+        return Progress(
+            protocol_s=float(self.memory.board["protocol_s"][0]),
+            duration_s=self.plan.trajectory.duration_s,
+            sample=self._sample,
+            observation=self._observation,
+            missed=self.missed,
+            prompt=self._prompt_text(waiting) if waiting >= 0 else None,
+        )
+
+    def _make_safe(self) -> None:
+        """Ask control for the safe state and wait until it, or the watchdog in its place, has written it."""
+        memory = self.memory
+        memory.set("stop", Stop.SAFE)
+        deadline = time.monotonic() + SAFE_TIMEOUT_S
+        while time.monotonic() < deadline:
+            memory.beat("conductor", time.monotonic_ns())
+            if memory.stage("control") in (Stage.DONE, Stage.FAILED) or memory.get("fired_ns"):
+                return
+            time.sleep(0.001)
+
+    def _await_ready(self, name: str) -> None:
+        memory = self.memory
+        deadline = time.monotonic() + START_TIMEOUT_S
+        process = dict(self.crew)[name]
+        while memory.stage(name) == Stage.STARTING:
+            memory.beat("conductor", time.monotonic_ns())
+            if reason := self.audience.stop_requested():
+                raise StartError(f"stopped before the run began: {reason}")
+            if process.poll() is not None:
+                raise StartError(f"the {name} process died while it started (exit status {process.returncode})")
+            if time.monotonic() > deadline:
+                raise StartError(f"the {name} process was not ready within {START_TIMEOUT_S:.0f} s")
+            time.sleep(0.005)
+        if memory.stage(name) == Stage.FAILED:
+            raise StartError(memory.message(name))
+
+    def _event(self, level: Level, source: str, message: str) -> None:
+        event = Event(time.monotonic_ns(), level, source, message)
+        self.recorder.event(event)
+        self.audience.tell(event)

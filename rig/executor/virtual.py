@@ -1,0 +1,159 @@
+"""Virtual time: the whole run in one process, as fast as it goes, the same arrays bit for bit from the same seed."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.bench import Bench
+from rig.cameras.mock import MockCamera
+from rig.executor.base import Audience, OpenRecord, Outcome, Plan, Progress, Recorder, StartError
+from rig.executor.pictures import encode
+from rig.executor.tick import Ticker
+from rig.observer import Observer
+from rig.simulator.plant import Plant
+from runs.records import Event, Level, Picture, Status, observation_dtype, sample_dtype
+
+START_NS = 100_000_000
+"""Virtual time between power-up and the first tick, so that the first tick has scans."""
+BATCH_TICKS = 20
+HISTORY_TICKS = 400
+SHOW_S = 0.1
+
+
+def run(plan: Plan, open_record: OpenRecord, audience: Audience) -> Outcome:
+    """Run one plan in virtual time; return once the (simulated) valves are safe.
+
+    Raises:
+        StartError: the rig has a device that only real time can drive.
+    """
+    config = plan.config
+    devices = (*config.cards.items(), *config.cameras.items())
+    if real := [name for name, device in devices if device.driver != "mock"]:
+        raise StartError(f"virtual time needs a simulated rig, and {', '.join(real)} of rig {config.name} is real")
+    return _VirtualRun(plan, audience).run(open_record)
+
+
+class _VirtualRun:
+    def __init__(self, plan: Plan, audience: Audience) -> None:
+        config = plan.config
+        self._plan = plan
+        self._audience = audience
+        self._plant = Plant(config, plan.seed, t0_ns=0)
+        self._bench = Bench(config, {name: self._plant.card(name) for name in config.cards})
+        self._camera_name, camera = next(iter(config.cameras.items()))
+        self._camera = MockCamera(config, self._camera_name, self._plant, plan.seed)
+        self._observer = Observer(config, plan.variant)
+        self._ticker = Ticker(plan, self._bench)
+        self._frame_ns = round(1e9 / camera.rate_hz)
+        self._frame = 0
+        self._answered = 0
+        self._samples = _Rows(sample_dtype(config.actuators, len(config.valves)))
+        self._observations = _Rows(observation_dtype(config.actuators))
+        self._shown = 0.0
+        self._recorder: Recorder
+
+    def run(self, open_record: OpenRecord) -> Outcome:
+        """Arm, tick until something ends the run, make safe."""
+        self._bench.arm()
+        self._bench.start()
+        self._plant.advance(START_NS)
+        self._recorder = open_record(START_NS)
+        self._tell(START_NS, Level.INFO, "control", "armed: the safe state was written and read back")
+        tick = 0
+        try:
+            while True:
+                now = START_NS + tick * self._ticker.period_ns
+                ending = self._tick(tick, now)
+                if ending is not None:
+                    break
+                tick += 1
+        finally:
+            self._bench.make_safe()
+        self._flush()
+        self._tell(now, Level.INFO, "control", "the valves are in their safe state")
+        return Outcome(*ending, now, {"missed_deadlines": 0, "dropped_frames": 0})
+
+    def _tick(self, tick: int, now: int) -> tuple[Status, str] | None:
+        """Do one tick and the frames that fall into it; return how the run ends, None while it goes on."""
+        self._plant.advance(now)
+        row, trip = self._ticker.tick(tick, now, 1, self._answered, False, 0, 0)
+        self._samples.add(row)
+        # A frame is looked at once the samples on both sides of it are there.
+        while (t_ns := START_NS + (self._frame + 1) * self._frame_ns) <= now:
+            self._frame += 1
+            self._observe(self._frame, t_ns, float(row["protocol_s"]))
+        if trip is not None:
+            self._tell(now, Level.FAULT, "control", trip)
+            return Status.ABORTED, trip
+        if self._ticker.finished:
+            return Status.FINISHED, ""
+        if self._ticker.position.waiting and self._answered == self._ticker.position.prompts_passed:
+            message = self._plan.trajectory.prompts[self._answered].message
+            self._answered += 1
+            self._tell(now, Level.INFO, "operator", f"done (virtual time answers by itself): {message}")
+        if tick % BATCH_TICKS == BATCH_TICKS - 1:
+            self._flush()
+            if time.monotonic() - self._shown > SHOW_S:
+                self._shown = time.monotonic()
+                if reason := self._audience.stop_requested():
+                    return Status.INTERRUPTED, reason
+                self._audience.show(self._progress(row))
+        return None
+
+    def _observe(self, frame: int, t_ns: int, protocol_s: float) -> None:
+        picture = self._camera.frame_at(frame, t_ns)
+        ticks = self._samples.recent(HISTORY_TICKS)
+        self._observations.add(self._observer.step(picture, ticks["t_ns"], ticks["measured_pa"], protocol_s, 0))
+        recording = self._plan.config.recording
+        if frame % recording.keep_every == 0:
+            data = encode(picture.image, recording)
+            self._recorder.picture(Picture(t_ns, frame, self._camera_name, recording.encoding, data))
+
+    def _flush(self) -> None:
+        self._recorder.samples(self._samples.take())
+        self._recorder.observations(self._observations.take())
+
+    def _progress(self, row: NDArray[np.void]) -> Progress:
+        last = self._observations.recent(1)
+        return Progress(
+            protocol_s=self._ticker.position.protocol_s,
+            duration_s=self._plan.trajectory.duration_s,
+            sample=row,
+            observation=last[0] if len(last) else None,
+            missed=0,
+            prompt=None,
+        )
+
+    def _tell(self, t_ns: int, level: Level, source: str, message: str) -> None:
+        event = Event(t_ns, level, source, message)
+        self._recorder.event(event)
+        self._audience.tell(event)
+
+
+class _Rows:
+    """Rows of a run, the recent ones kept for looking back, the new ones handed out once for the record."""
+
+    def __init__(self, dtype: np.dtype[np.void]) -> None:
+        self._rows = np.zeros(2 * HISTORY_TICKS, dtype)
+        self._filled = 0
+        self._taken = 0
+
+    def add(self, row: NDArray[np.void] | np.void) -> None:
+        if self._filled == len(self._rows):
+            drop = min(self._taken, HISTORY_TICKS)
+            self._rows[: self._filled - drop] = self._rows[drop : self._filled].copy()
+            self._filled -= drop
+            self._taken -= drop
+        self._rows[self._filled] = row
+        self._filled += 1
+
+    def take(self) -> NDArray[np.void]:
+        rows = self._rows[self._taken : self._filled]
+        self._taken = self._filled
+        return rows
+
+    def recent(self, n: int) -> NDArray[np.void]:
+        return self._rows[max(0, self._filled - n) : self._filled]

@@ -1,0 +1,117 @@
+"""The watchdog process: its own handle on the cards, and the safe state when control dies or hangs.
+
+It depends on nothing but the shared memory and the cards: not on the conductor, the camera, the disk or the page.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import select
+import signal
+import sys
+import time
+
+from rig.bench import open_bench
+from rig.daq.base import CardError
+from rig.executor.child import receive
+from rig.executor.clock import become_real_time
+from rig.executor.memory import RunMemory, Stage, Stop
+
+PERIOD_MS = 2
+HUNG_NS = 30_000_000
+"""A control process that ticks 200 times a second and is silent for so long hangs."""
+CONDUCTOR_HUNG_NS = 2_000_000_000
+GRACE_NS = 100_000_000
+"""What control gets to make the bench safe by itself after the conductor is gone."""
+OVERSLEPT_NS = 8_000_000
+
+
+def main() -> int:
+    """Watch until control has exited, then leave the bench safe."""
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    job, memory = receive()
+    try:
+        bench = open_bench(job.plan.config, watchdog=True)
+    except CardError as error:
+        memory.say("watchdog", Stage.FAILED, str(error))
+        return 1
+    become_real_time(priority=60)
+    memory.beat("watchdog", time.monotonic_ns())
+    memory.say("watchdog", Stage.READY)
+    try:
+        reason = _watch(memory, job.conductor_pid)
+    finally:
+        with contextlib.suppress(CardError):
+            bench.make_safe()
+    # The register is written: what follows may take its time.
+    if reason:
+        memory.set("fired_ns", time.monotonic_ns())
+        _kill(memory.get("control_pid"))
+        time.sleep(0.005)
+        with contextlib.suppress(CardError):
+            bench.make_safe()  # a control process that was only slow may have written once more before it died
+    memory.say("watchdog", Stage.DONE, reason)
+    bench.close()
+    return 0
+
+
+def _watch(memory: RunMemory, conductor_pid: int) -> str:
+    """Return why the safe state is due, empty when control has made the bench safe by itself."""
+    poll = select.poll()
+    conductor = _watched(poll, conductor_pid)
+    while not (control_pid := memory.get("control_pid")):
+        memory.beat("watchdog", time.monotonic_ns())
+        if conductor in _exited(poll, PERIOD_MS) or memory.get("stop") != Stop.NONE:
+            return ""
+    control = _watched(poll, control_pid)
+    conductor_gone_ns = 0
+    suspected = False
+    before = time.monotonic_ns()
+    while True:
+        exited = _exited(poll, PERIOD_MS)
+        now = time.monotonic_ns()
+        memory.beat("watchdog", now)
+        if control in exited:
+            return "" if memory.stage("control") in (Stage.DONE, Stage.FAILED) else "the control process died"
+        # A machine that stood still as a whole makes every heartbeat old: then look once more, punctually.
+        punctual = now - before < OVERSLEPT_NS
+        before = now
+        running = memory.stage("control") == Stage.RUNNING
+        silent = running and now - memory.heartbeat_ns("control") > HUNG_NS
+        if silent and suspected:
+            return "the control process hung"
+        suspected = silent and punctual
+        if not conductor_gone_ns and (
+            conductor in exited or (running and now - memory.heartbeat_ns("conductor") > CONDUCTOR_HUNG_NS)
+        ):
+            conductor_gone_ns = now
+            memory.set("stop", Stop.SILENT)
+            if conductor in exited:
+                poll.unregister(conductor)
+        if conductor_gone_ns and now - conductor_gone_ns > GRACE_NS:
+            return "the conductor died or hung, and control did not stop"
+
+
+def _watched(poll: select.poll, pid: int) -> int:
+    """Register a process for its exit; its descriptor, or -1 when it is gone already."""
+    try:
+        fd = os.pidfd_open(pid)
+    except ProcessLookupError:
+        return -1
+    poll.register(fd, select.POLLIN)
+    return fd
+
+
+def _exited(poll: select.poll, timeout_ms: int) -> set[int]:
+    """Descriptors of the processes that have exited; -1 stands for one that was gone before it was watched."""
+    return {-1} | {fd for fd, _ in poll.poll(timeout_ms)}
+
+
+def _kill(pid: int) -> None:
+    with contextlib.suppress(ProcessLookupError):
+        os.kill(pid, signal.SIGKILL)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

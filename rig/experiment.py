@@ -1,0 +1,220 @@
+"""One run, start to finish: check, lock, arm, run, make safe, finalise."""
+
+from __future__ import annotations
+
+import platform
+import shutil
+import sys
+import time
+import traceback
+from contextlib import suppress
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+
+from protocols import BadInput, Protocol, Trajectory
+from rig.check import check
+from rig.config import RigConfig
+from rig.daq.base import CardError
+from rig.executor.base import Audience, Outcome, Plan, StartError
+from rig.lock import cards_locked
+from rig.provenance import git_state, quantities, versions
+from runs.journal import JournalError, JournalWriter
+from runs.records import Event, Interval, Level, RunFooter, RunHeader, Status
+
+SPARE_DISK_BYTES = 200_000_000
+
+
+@dataclass(frozen=True)
+class Request:
+    """What the operator asked for."""
+
+    protocol: Protocol
+    config: RigConfig
+    rig_file: Path
+    rig_text: str
+    fast: bool
+    seed: int
+    folder: Path
+    variant: str
+    operator: str = ""
+    notes: str = ""
+    report: bool = True
+
+
+@dataclass(frozen=True)
+class Result:
+    """What a run left behind; `archive` is None when it never began, `report` when none was made."""
+
+    outcome: Outcome
+    archive: Path | None
+    report: Path | None
+    trouble: tuple[str, ...] = ()
+    """What went wrong after the run itself: the archive or the report could not be written."""
+
+
+def request(
+    protocol: str,
+    rig: str,
+    *,
+    folder: Path = Path("data"),
+    fast: bool = False,
+    seed: int = 0,
+    variant: str | None = None,
+    operator: str = "",
+    notes: str = "",
+    report: bool = True,
+) -> Request:
+    """Load a protocol and a rig by name or file.
+
+    Raises:
+        BadInput: either of them is wrong; every problem at once.
+    """
+    asked, config = protocols.load(protocol), load(rig)
+    if variant not in (None, *VARIANTS):
+        expected = f"one of {', '.join(VARIANTS)}"
+        raise BadInput([Problem("--model", 0, 0, "", str(variant), expected, closest(str(variant), VARIANTS))])
+    return Request(
+        protocol=asked,
+        config=config,
+        rig_file=path_of(rig),
+        rig_text=text(rig),
+        fast=fast,
+        seed=seed,
+        folder=folder,
+        variant=variant or config.model.variant,
+        operator=operator,
+        notes=notes,
+        report=report,
+    )
+
+
+def plan(request: Request) -> Plan:
+    """Expand and check a request without touching any device.
+
+    Raises:
+        BadInput: a limit is violated, or the rig cannot run the protocol; every problem at once.
+    """
+    trajectory = request.protocol.expand(request.config.actuators)
+    if problems := check(request.config, trajectory, request.protocol, request.rig_file):
+        raise BadInput(problems)
+    return Plan(request.config, request.rig_file, trajectory, request.variant, request.seed)
+
+
+def run(request: Request, decided: Plan, audience: Audience) -> Result:
+    """Run a plan and leave an archive, however the run ends.
+
+    Raises:
+        CardError, StartError: the run could not begin; the valves are safe and there is no archive.
+    """
+    if request.fast:
+        from rig.executor.virtual import run as execute
+    else:
+        from rig.executor.realtime import run as execute
+    request.folder.mkdir(parents=True, exist_ok=True)
+    if (free := shutil.disk_usage(request.folder).free) < SPARE_DISK_BYTES:
+        raise StartError(
+            f"{request.folder}: only {free / 1e6:.0f} MB free, a run wants {SPARE_DISK_BYTES / 1e6:.0f} MB"
+        )
+    journal: JournalWriter | None = None
+
+    def armed(t_ns: int) -> JournalWriter:
+        nonlocal journal
+        about = header(request, decided, t_ns)
+        journal = JournalWriter(request.folder / f"{about.run_id}.mcap", about)
+        return journal
+
+    trouble: list[str] = []
+    with cards_locked(decided.config, f"protocol {request.protocol.name}"):
+        try:
+            outcome = execute(decided, armed, audience)
+        except (CardError, StartError):
+            if journal is None:
+                raise
+            outcome = _failed(str(sys.exception()))
+        except JournalError as error:
+            outcome = _failed(f"the record could not be written: {error}")
+        except Exception as error:
+            if journal is None:
+                raise
+            outcome = _failed(f"{type(error).__name__}: {error}")
+            with suppress(JournalError):
+                journal.event(Event(time.monotonic_ns(), Level.FAULT, "conductor", traceback.format_exc()))
+    assert journal is not None
+    archive = report = None
+    try:
+        journal.close(RunFooter(outcome.t_ns, outcome.status, outcome.message, outcome.counters))
+        archive = _finalise(journal.path)
+    except (JournalError, OSError) as error:
+        trouble.append(f"{error}; the journal is kept: {journal.path}; run `rig recover {request.folder}` later")
+    if archive is not None and request.report:
+        try:
+            report = _report(archive)
+        except OSError as error:
+            trouble.append(f"no report: {error}; run `rig report {archive}` later")
+    return Result(outcome, archive, report, tuple(trouble))
+
+
+def _failed(message: str) -> Outcome:
+    return Outcome(Status.ABORTED, message, time.monotonic_ns())
+
+
+def _finalise(journal: Path) -> Path:
+    from runs.archive import finalise
+
+    return finalise(journal)
+
+
+def _report(archive: Path) -> Path:
+    from runs.report import write
+
+    return write([archive], archive.with_suffix(".html"))
+
+
+def header(request: Request, decided: Plan, t_ns: int) -> RunHeader:
+    """Everything known about a run before its first sample."""
+    now = datetime.now(UTC)
+    commit, diff = git_state()
+    config, protocol = request.config, request.protocol
+    return RunHeader(
+        run_id=_free_id(request.folder, f"{now.astimezone():%Y%m%d-%H%M%S}-{protocol.name}"),
+        title=protocol.title,
+        started_utc_ns=int(now.timestamp() * 1e9),
+        started_t_ns=t_ns,
+        protocol_name=protocol.name,
+        protocol_yaml=protocol.text,
+        rig_name=config.name,
+        rig_yaml=request.rig_text,
+        actuators=config.actuators,
+        valves=len(config.valves),
+        executor="virtual time" if request.fast else "real time",
+        simulated=config.simulated,
+        seed=request.seed if config.simulated else None,
+        model_variant=request.variant,
+        operator=request.operator,
+        notes=request.notes,
+        command=" ".join(sys.argv),
+        host=platform.node(),
+        versions=versions(),
+        git_commit=commit,
+        git_diff=diff,
+        intervals=_intervals(decided.trajectory),
+        quantities=quantities(config),
+        control_hz=config.control.rate_hz,
+        camera_hz=next(iter(config.cameras.values())).rate_hz,
+    )
+
+
+def _intervals(trajectory: Trajectory) -> tuple[Interval, ...]:
+    return tuple(
+        Interval(s.start_s, s.stop_s, s.kind, s.label, tuple(float(p) for p in s.level_pa)) for s in trajectory.segments
+    )
+
+
+def _free_id(folder: Path, stem: str) -> str:
+    """A run id that no file of the folder has: two runs can begin within one second."""
+    candidate, n = stem, 1
+    while any(folder.glob(f"{candidate}.*")):
+        n += 1
+        candidate = f"{stem}-{n}"
+    return candidate

@@ -1,0 +1,32 @@
+"""Where in the protocol a run is: protocol time runs with the clock, and stands still for prompts and pauses."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Position:
+    """Position in the protocol: its time and how many prompts lie behind it; `waiting` for the operator or not."""
+
+    protocol_s: float = 0.0
+    prompts_passed: int = 0
+    waiting: bool = False
+
+
+def advance(position: Position, dt_s: float, prompts_s: Sequence[float], answered: int, held: bool) -> Position:
+    """Move on by `dt_s`, stopping at the next unanswered prompt.
+
+    `prompts_s` are the prompts' times in ascending order, `answered` how many of them the operator has answered,
+    `held` whether the run is paused.
+    """
+    if held:
+        return Position(position.protocol_s, position.prompts_passed, position.waiting)
+    target = position.protocol_s + dt_s
+    passed = position.prompts_passed
+    while passed < len(prompts_s) and prompts_s[passed] <= target:
+        if answered <= passed:
+            return Position(prompts_s[passed], passed, waiting=True)
+        passed += 1
+    return Position(target, passed, waiting=False)

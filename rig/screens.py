@@ -1,0 +1,155 @@
+"""What the terminal shows before and after a run."""
+
+from __future__ import annotations
+
+import json
+import sys
+from dataclasses import asdict
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console, Group
+from rich.table import Table
+from rich.text import Text
+
+from rig.config import PA_PER_BAR
+from rig.control import safe_voltages
+from rig.doctor import Finding
+from rig.executor.base import Plan
+from rig.experiment import Request, Result
+from runs.records import Status
+
+_EXIT = {Status.FINISHED: 0, Status.ABORTED: 1, Status.INTERRUPTED: 130}
+_VERDICT = {"ok": "green", "missing": "bold red", "note": "yellow"}
+_STATUS = {Status.FINISHED: "bold green", Status.ABORTED: "bold red", Status.INTERRUPTED: "bold yellow"}
+
+
+def console() -> Console:
+    """The console of every screen; wide enough for its tables where the output is a file."""
+    plain = Console(highlight=False)
+    return plain if plain.is_terminal else Console(highlight=False, width=110)
+
+
+def title(request: Request) -> str:
+    """One line that names a run."""
+    how = "virtual time" if request.fast else "real time"
+    marked = " (simulated)" if request.config.simulated else ""
+    return f"{request.protocol.name} on {request.config.name}{marked}, {how}, model {request.variant}"
+
+
+def check_screen(request: Request, plan: Plan) -> Group:
+    """What is about to happen: limits, peak pressure, valves, duration."""
+    config, trajectory = plan.config, plan.trajectory
+    facts = Table(box=None, show_header=False, padding=(0, 2, 0, 0))
+    facts.add_row("protocol", f"{request.protocol.name}: {request.protocol.title}")
+    facts.add_row("duration", f"{trajectory.duration_s:.1f} s, {len(trajectory.segments)} segments")
+    if trajectory.prompts:
+        facts.add_row("operator", f"{len(trajectory.prompts)} prompts")
+    facts.add_row("rig", config.name + (" (SIMULATED: no hardware is touched)" if config.simulated else ""))
+    facts.add_row("model", f"{request.variant}, {config.model.mode}")
+    peak = peak_bar(plan)
+    table = Table(box=None, padding=(0, 2, 0, 0))
+    for head in ("valve", "actuators", "output", "peak [bar]", "limit [bar]", "safe state"):
+        table.add_column(head, justify="right" if "bar" in head else "left")
+    for i, (valve, safe) in enumerate(zip(config.valves, safe_voltages(config), strict=True), 1):
+        actuators = ", ".join(str(a) for a in valve.actuators)
+        highest = max(peak[a - 1] for a in valve.actuators)
+        where = f"{valve.card} AO {valve.channel}"
+        state = f"{valve.safe_state} ({safe:g} V)"
+        table.add_row(str(i), actuators, where, f"{highest:.3f}", f"{config.limits.pressure_bar:.3f}", state)
+    return Group(facts, table)
+
+
+def peak_bar(plan: Plan) -> list[float]:
+    """Highest set-point of each actuator [bar]."""
+    trajectory = plan.trajectory
+    times = np.linspace(0.0, trajectory.duration_s, max(2, int(trajectory.duration_s * 200)))
+    return [float(p) / PA_PER_BAR for p in trajectory.sample(times).max(axis=0)]
+
+
+def check_json(request: Request, plan: Plan) -> str:
+    """The check screen for scripts."""
+    return json.dumps(
+        {
+            "protocol": request.protocol.name,
+            "rig": request.config.name,
+            "simulated": request.config.simulated,
+            "duration_s": plan.trajectory.duration_s,
+            "segments": len(plan.trajectory.segments),
+            "prompts": len(plan.trajectory.prompts),
+            "peak_bar": peak_bar(plan),
+            "limit_bar": request.config.limits.pressure_bar,
+        },
+        indent=2,
+    )
+
+
+def sketch(plan: Plan, width: int, height: int = 10) -> Text:
+    """The set-points over time as a small plot of characters, one mark per actuator."""
+    columns = max(20, min(width, 110) - 12)
+    times = np.linspace(0.0, plan.trajectory.duration_s, columns)
+    levels = plan.trajectory.sample(times) / PA_PER_BAR
+    top = max(float(levels.max()), 1e-9)
+    grid = [[" "] * columns for _ in range(height + 1)]
+    for actuator in reversed(range(levels.shape[1])):
+        for column, level in enumerate(levels[:, actuator]):
+            grid[round(height * (1 - float(level) / top))][column] = str(actuator + 1)
+    lines = [f"{top * (1 - i / height):6.2f} bar {''.join(row)}" for i, row in enumerate(grid)]
+    end = f"{plan.trajectory.duration_s:.0f} s"
+    return Text("\n".join([*lines, " " * 11 + "0 s" + end.rjust(columns - 3)]), no_wrap=True, overflow="crop")
+
+
+def confirm(screen: Console) -> bool:
+    """Ask for the key that arms the rig."""
+    if not sys.stdin.isatty():
+        screen.print("standard input is no terminal: nobody can be asked; say --yes to arm")
+        return False
+    return input("Arm the rig and run? [y/N] ").strip().lower() in ("y", "yes")
+
+
+def last_screen(screen: Console, result: Result) -> None:
+    """How the run ended, what it measured, and where it lies."""
+    outcome = result.outcome
+    screen.print(Text(str(outcome.status), _STATUS[outcome.status]), Text(outcome.message), soft_wrap=True)
+    if result.archive is not None:
+        from runs import open as open_run
+        from runs.summary import summarise
+
+        with open_run(result.archive) as run:
+            screen.print(summarise(run).table())
+        screen.print(f"archive  {result.archive}", soft_wrap=True)
+    if result.report is not None:
+        screen.print(f"report   {result.report}", soft_wrap=True)
+    for trouble in result.trouble:
+        screen.print(Text(trouble, "bold red"), soft_wrap=True)
+
+
+def exit_status(result: Result) -> int:
+    """0 finished, 1 aborted or not archived, 130 interrupted."""
+    return _EXIT[result.outcome.status] or (1 if result.trouble else 0)
+
+
+def offer_recovery(screen: Console, folder: Path) -> None:
+    """Tell of journals that a killed run has left in the folder."""
+    from runs.recovery import orphans
+
+    if left := orphans(folder):
+        names = ", ".join(path.name for path in left)
+        screen.print(Text(f"left by runs that were killed: {names}; `rig recover {folder}` makes archives of them"))
+
+
+def findings_table(findings: tuple[Finding, ...]) -> Table:
+    """What `rig doctor` found."""
+    table = Table(box=None, padding=(0, 2, 0, 0))
+    for head in ("", "topic", "found", "what to do"):
+        table.add_column(head, overflow="fold")
+    for finding in findings:
+        remedy = "" if finding.verdict == "ok" else finding.remedy
+        table.add_row(Text(finding.verdict, _VERDICT[finding.verdict]), finding.topic, finding.found, remedy)
+    return table
+
+
+def findings_json(findings: tuple[Finding, ...]) -> str:
+    """What `rig doctor` found, for scripts."""
+    return json.dumps([asdict(finding) for finding in findings], indent=2)
+

@@ -1,0 +1,35 @@
+"""SIGINT, SIGTERM and SIGHUP as a request that the run polls, never as an exception in the middle of something."""
+
+from __future__ import annotations
+
+import signal
+from types import FrameType, TracebackType
+
+_MEANING = {
+    signal.SIGINT: "interrupted by the operator (Ctrl-C)",
+    signal.SIGTERM: "terminated (SIGTERM)",
+    signal.SIGHUP: "the terminal was closed (SIGHUP)",
+}
+
+
+class StopSignals:
+    """While entered, the stop signals only set `reason`; a second one changes nothing: the end stays orderly."""
+
+    def __init__(self) -> None:
+        self.reason: str | None = None
+        self._previous: dict[signal.Signals, object] = {}
+
+    def __enter__(self) -> StopSignals:
+        for number in _MEANING:
+            self._previous[number] = signal.signal(number, self._note)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        for number, handler in self._previous.items():
+            signal.signal(number, handler)  # type: ignore[arg-type]
+
+    def _note(self, number: int, frame: FrameType | None) -> None:
+        if self.reason is None:
+            self.reason = _MEANING[signal.Signals(number)]

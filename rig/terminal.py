@@ -1,0 +1,144 @@
+"""The run in the terminal: a live table where there is a screen, plain lines where there is none."""
+
+from __future__ import annotations
+
+import select
+import sys
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from types import TracebackType
+
+import numpy as np
+from rich.console import Console, Group
+from rich.live import Live
+from rich.progress_bar import ProgressBar
+from rich.table import Table
+from rich.text import Text
+
+from rig.config import PA_PER_BAR
+from rig.executor.base import Progress
+from runs.records import Event, Level, Seen
+
+LINE_EVERY_S = 2.0
+_STYLE = {Level.INFO: "dim", Level.WARNING: "yellow", Level.FAULT: "bold red"}
+
+
+class Terminal:
+    """Shows a run and takes the operator's answers. A terminal that has gone never stops a run."""
+
+    def __init__(self, console: Console, stop_reason: Callable[[], str | None], title: str) -> None:
+        self._console = console
+        self._stop_reason = stop_reason
+        self._title = title
+        self._live = Live(console=console, auto_refresh=False, transient=True) if console.is_terminal else None
+        self._line_at = -LINE_EVERY_S
+        self._no_operator = False
+
+    def __enter__(self) -> Terminal:
+        if self._live is not None:
+            self._live.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._live is not None:
+            with suppress(OSError):
+                self._live.stop()
+
+    def show(self, progress: Progress) -> None:
+        """Show where the run stands."""
+        with suppress(OSError):
+            if self._live is not None:
+                self._live.update(_screen(self._title, progress), refresh=True)
+            elif time.monotonic() - self._line_at >= LINE_EVERY_S:
+                self._line_at = time.monotonic()
+                self._console.print(_line(progress), soft_wrap=True, highlight=False)
+
+    def tell(self, event: Event) -> None:
+        """Show an event; it stays on the screen."""
+        with suppress(OSError):
+            self._console.print(
+                Text(f"{event.source}: {event.message}", _STYLE[event.level]), soft_wrap=True, highlight=False
+            )
+
+    def answered(self) -> bool:
+        """True once the operator has pressed Enter."""
+        if not select.select([sys.stdin], [], [], 0)[0]:
+            return False
+        if sys.stdin.readline():
+            return True
+        self._no_operator = True
+        return False
+
+    def stop_requested(self) -> str | None:
+        """Why the run is to stop."""
+        if self._no_operator:
+            return "a prompt waits for an operator, and standard input has ended"
+        return self._stop_reason()
+
+
+def _bar(pascal: float) -> str:
+    return f"{pascal / PA_PER_BAR:7.3f}"
+
+
+def _point(metres: np.ndarray) -> str:  # type: ignore[type-arg]
+    return " ".join(f"{1e3 * x:8.2f}" for x in metres)
+
+
+def _clock(seconds: float) -> str:
+    minutes, rest = divmod(max(0, round(seconds)), 60)
+    return f"{minutes}:{rest:02d}"
+
+
+def _error_mm(progress: Progress) -> float:
+    row = progress.observation
+    return float("nan") if row is None else 1e3 * float(np.linalg.norm(row["measured_m"] - row["model_m"]))
+
+
+def _line(progress: Progress) -> str:
+    left = progress.duration_s - progress.protocol_s
+    parts = [f"{progress.protocol_s:7.1f} s, {_clock(left)} left"]
+    if progress.sample is not None:
+        pairs = zip(progress.sample["setpoint_pa"], progress.sample["measured_pa"], strict=True)
+        parts.append("bar " + " ".join(f"{s / PA_PER_BAR:.3f}/{m / PA_PER_BAR:.3f}" for s, m in pairs))
+    if progress.observation is not None and progress.observation["seen"] == Seen.MEASURED:
+        parts.append(f"tip mm {_point(progress.observation['measured_m'])}, error {_error_mm(progress):.2f}")
+    if progress.prompt is not None:
+        parts.append(f"WAITING: {progress.prompt} (then press Enter)")
+    return " | ".join(parts)
+
+
+def _screen(title: str, progress: Progress) -> Group:
+    parts: list[Text | Table | ProgressBar] = [Text(title, "bold")]
+    sample, observation = progress.sample, progress.observation
+    if sample is not None:
+        table = Table(box=None, padding=(0, 2, 0, 0))
+        for head in ("actuator", "set-point [bar]", "measured [bar]", "difference [bar]"):
+            table.add_column(head, justify="right")
+        for i, (setpoint, measured) in enumerate(zip(sample["setpoint_pa"], sample["measured_pa"], strict=True), 1):
+            table.add_row(str(i), _bar(setpoint), _bar(measured), f"{(measured - setpoint) / PA_PER_BAR:+.3f}")
+        parts.append(table)
+    if observation is not None:
+        table = Table(box=None, padding=(0, 2, 0, 0))
+        for head in ("tip", "x y z [mm]", "+- [mm]"):
+            table.add_column(head, justify="right")
+        if observation["seen"] == Seen.MEASURED:
+            std = np.sqrt(np.diagonal(observation["covariance_m2"]))
+            table.add_row("measured", _point(observation["measured_m"]), _point(std))
+        else:
+            reason = Seen(int(observation["seen"])).name.lower().replace("_", " ")
+            table.add_row("measured", Text(f"none: {reason}", "yellow"), "")
+        table.add_row("model", _point(observation["model_m"]), "" if observation["model_ok"] else "not solved")
+        table.add_row("error", Text(f"{_error_mm(progress):.2f} mm", "bold cyan"), "")
+        parts.append(table)
+    if sample is not None:
+        late = f"control late by {sample['lateness_ns'] / 1e3:.0f} us, deadlines missed {progress.missed}"
+        parts.append(Text(late, "yellow" if progress.missed else "dim"))
+    parts.append(ProgressBar(total=progress.duration_s, completed=progress.protocol_s, width=60))
+    left = _clock(progress.duration_s - progress.protocol_s)
+    parts.append(Text(f"{_clock(progress.protocol_s)} of {_clock(progress.duration_s)}, {left} left; Ctrl-C stops"))
+    if progress.prompt is not None:
+        parts.append(Text(f"{progress.prompt}, then press Enter", "bold yellow"))
+    return Group(*parts)
