@@ -1,0 +1,152 @@
+"""What a place of a YAML file expects, in words, from the JSON schema of its pydantic model."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+_UNITS = (
+    ("_bar_per_s", "bar/s"),
+    ("_rad_s", "rad/s"),
+    ("_l_min", "l/min"),
+    ("_per_bar", "1/bar"),
+    ("_per_N2", "1/N²"),
+    ("_per_N", "1/N"),
+    ("_kg_m3", "kg/m³"),
+    ("_percent", "%"),
+    ("_bar", "bar"),
+    ("_deg", "degrees"),
+    ("_rad", "rad"),
+    ("_hz", "Hz"),
+    ("_mm", "mm"),
+    ("_ms", "ms"),
+    ("_ml", "ml"),
+    ("_px", "px"),
+    ("_pa", "Pa"),
+    ("_g", "g"),
+    ("_k", "K"),
+    ("_s", "s"),
+    ("_V", "V"),
+)
+
+Schema = dict[str, Any]
+
+
+def unit_of(key: str) -> str:
+    """The unit that a key's name ends in, or an empty string."""
+    return next((unit for ending, unit in _UNITS if key.endswith(ending)), "")
+
+
+class Expectation:
+    """The schema of one model, walked along the path of a value."""
+
+    def __init__(self, schema: Schema) -> None:
+        self._root = schema
+
+    def at(self, path: tuple[str | int, ...], data: Any) -> Schema:
+        """The schema of the value at `path` in `data`; empty where the path leaves what the schema knows."""
+        schema = self._resolved(self._root)
+        for step in path:
+            schema = self._chosen(schema, data)
+            if isinstance(step, int):
+                fixed = schema.get("prefixItems", [])
+                inner = fixed[step] if step < len(fixed) else schema.get("items", {})
+            else:
+                inner = schema.get("properties", {}).get(step)
+                if inner is None:
+                    extra = schema.get("additionalProperties")
+                    inner = extra if isinstance(extra, dict) else {}
+            schema = self._resolved(inner)
+            data = _inside(data, step)
+        return self._chosen(schema, data)
+
+    def keys(self, path: tuple[str | int, ...], data: Any) -> tuple[str, ...]:
+        """The keys known at `path`."""
+        return tuple(self.at(path, data).get("properties", {}))
+
+    def words(self, path: tuple[str | int, ...], data: Any) -> str:
+        """The expectation at `path` as a phrase: 'a number above 0 (bar)'."""
+        name = next((step for step in reversed(path) if isinstance(step, str)), "")
+        return self._phrase(self.at(path, data), unit_of(name))
+
+    def _phrase(self, schema: Schema, unit: str = "") -> str:
+        schema = self._resolved(schema)
+        branches = schema.get("oneOf") or schema.get("anyOf")
+        if branches and "discriminator" not in schema:
+            return ", or ".join(self._phrase(branch, unit) for branch in branches)
+        if "const" in schema:
+            return json.dumps(schema["const"])
+        if "enum" in schema:
+            return "one of " + ", ".join(str(word) for word in schema["enum"])
+        kind = schema.get("type")
+        if kind in {"number", "integer"}:
+            noun = "a number" if kind == "number" else "a whole number"
+            return noun + _bounds(schema) + (f" ({unit})" if unit else "")
+        if kind == "string":
+            return "text"
+        if kind == "boolean":
+            return "true or false"
+        if kind == "array":
+            return self._list_phrase(schema, unit)
+        if "properties" in schema:
+            return f"a mapping ('key: value' lines) with some of {', '.join(schema['properties'])}"
+        return "a mapping ('key: value' lines)"
+
+    def _list_phrase(self, schema: Schema, unit: str) -> str:
+        fixed = schema.get("prefixItems")
+        item = self._resolved(fixed[0] if fixed else schema.get("items", {}))
+        inner = self._phrase(item, unit)
+        if "properties" in item or "oneOf" in item:
+            return "a list ('- ' items) with at least one item" if schema.get("minItems") else "a list ('- ' items)"
+        plural = inner.replace("a whole number", "whole numbers", 1).replace("a number", "numbers", 1)
+        if fixed:
+            return f"a list of {len(fixed)} {plural}"
+        least = schema.get("minItems", 0)
+        return f"a list of {plural}" + (f", at least {least}" if least else "")
+
+    def _resolved(self, schema: Schema) -> Schema:
+        while "$ref" in schema:
+            name = schema["$ref"].rsplit("/", 1)[-1]
+            schema = {**self._root["$defs"][name], **{k: v for k, v in schema.items() if k != "$ref"}}
+        return schema
+
+    def _chosen(self, schema: Schema, data: Any) -> Schema:
+        """Of several alternatives the one that `data` is: by its tag, or list against plain value."""
+        branches = [self._resolved(branch) for branch in schema.get("oneOf") or schema.get("anyOf") or ()]
+        if not branches:
+            return schema
+        tag = schema.get("discriminator", {}).get("propertyName")
+        if tag is not None:
+            word = data.get(tag) if isinstance(data, dict) else None
+            for branch in branches:
+                if branch.get("properties", {}).get(tag, {}).get("const") == word:
+                    return branch
+            return {"type": "object", "properties": {tag: {"enum": list(schema["discriminator"]["mapping"])}}}
+        if isinstance(data, list):
+            return next((branch for branch in branches if branch.get("type") == "array"), schema)
+        return schema
+
+
+def _inside(data: Any, step: str | int) -> Any:
+    if isinstance(data, dict):
+        return data.get(str(step))
+    if isinstance(data, list) and isinstance(step, int) and step < len(data):
+        return data[step]
+    return None
+
+
+def _bounds(schema: Schema) -> str:
+    low, above = schema.get("minimum"), schema.get("exclusiveMinimum")
+    high, below = schema.get("maximum"), schema.get("exclusiveMaximum")
+    if low is not None and high is not None:
+        return f" from {low:g} to {high:g}"
+    words = []
+    if above is not None:
+        words.append(f"above {above:g}")
+    if low is not None:
+        words.append(f"of {low:g} or more")
+    if below is not None:
+        words.append(f"below {below:g}")
+    if high is not None:
+        words.append(f"up to {high:g}")
+    return " " + " and ".join(words) if words else ""

@@ -1,0 +1,97 @@
+"""Finding and loading protocols, the named ones and the user's own."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+from protocols import document as yaml_document
+from protocols.document import Document
+from protocols.expand import expand, too_long
+from protocols.marks import path_text
+from protocols.problems import BadInput, Problem
+from protocols.samples import Columns, read_samples
+from protocols.schema import Csv, ProtocolFile, Repeat, Step
+from protocols.trajectory import Trajectory
+
+FOLDER = Path(__file__).parent / "library"
+
+
+@dataclass(frozen=True)
+class Protocol:
+    """A checked protocol: its name, title and description, the file it is from and that file's verbatim text."""
+
+    name: str
+    title: str
+    description: str
+    path: Path
+    text: str
+    steps: tuple[Step, ...] = field(repr=False)
+    _document: Document = field(repr=False)
+    _samples: dict[tuple[str, tuple[int, ...]], Columns] = field(repr=False)
+
+    def expand(self, actuators: int) -> Trajectory:
+        """The set-points over time for a rig with so many actuators; `BadInput` where the rig has too few."""
+        return expand(self.steps, actuators, self._document, self._samples)
+
+
+def named() -> tuple[tuple[str, str], ...]:
+    """Name and title of the protocols that come with the program."""
+    return tuple((path.stem, load(path.stem).title) for path in sorted(FOLDER.glob("*.yaml")))
+
+
+def load(name_or_path: str | Path) -> Protocol:
+    """The protocol of that name, or in that file; `BadInput` with everything that is wrong with it."""
+    path = find(str(name_or_path), FOLDER, "protocol")
+    document = yaml_document.read(path)
+    body = yaml_document.validate(ProtocolFile, document)
+    problems = too_long(body.steps, document)
+    samples: dict[tuple[str, tuple[int, ...]], Columns] = {}
+    for here, step in _csv_steps(body.steps, ("steps",)):
+        if (step.file, step.actuators) not in samples:
+            try:
+                samples[step.file, step.actuators] = read_samples(path.parent / step.file, step.actuators)
+            except BadInput as error:
+                problems += [_named_by(problem, document, here) for problem in error.problems]
+    if problems:
+        raise BadInput(dict.fromkeys(problems))
+    return Protocol(path.stem, body.title, body.description, path, document.text, body.steps, document, samples)
+
+
+def find(name: str, folder: Path, what: str) -> Path:
+    """The file that a name, looked for in `folder`, or a path means; `BadInput` when there is none."""
+    names = sorted(path.stem for path in folder.glob("*.yaml"))
+    if name in names:
+        return folder / f"{name}.yaml"
+    try:
+        exists = Path(name).exists()
+    except (OSError, ValueError):
+        exists = False
+    if exists and name:
+        return Path(name)
+    nearby = difflib.get_close_matches(Path(name).stem, names, n=1)
+    expected = f"a {what}'s file, or one of {', '.join(names)}"
+    raise BadInput([Problem(name or "''", 0, 0, "", "no such file or name", expected, nearby[0] if nearby else "")])
+
+
+def _csv_steps(steps: Sequence[Step], base: tuple[str | int, ...]) -> Iterator[tuple[tuple[str | int, ...], Csv]]:
+    for index, step in enumerate(steps):
+        body = getattr(step, step.kind)
+        here = (*base, index, step.kind)
+        if isinstance(body, Csv):
+            yield here, body
+        elif isinstance(body, Repeat):
+            yield from _csv_steps(body.steps, (*here, "steps"))
+        elif isinstance(body, tuple):
+            yield from _csv_steps(body, here)
+
+
+def _named_by(problem: Problem, document: Document, here: tuple[str | int, ...]) -> Problem:
+    """A fault of a CSV file as a whole is the fault of the line that names it."""
+    if problem.line:
+        return problem
+    mark = document.mark((*here, "file"))
+    where = path_text((*here, "file"))
+    return replace(problem, file=document.file, line=mark.line, column=mark.column, where=where, value=problem.file)

@@ -1,0 +1,68 @@
+"""What is wrong with a file a user wrote, said so that it can be mended."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+SHOWN = 40
+
+
+@dataclass(frozen=True)
+class Problem:
+    """One fault: the place (`line`, `column` from 1; 0 where the whole file is meant), the value, and the remedy."""
+
+    file: str
+    line: int
+    column: int
+    where: str
+    value: str
+    expected: str
+    suggestion: str = ""
+
+    def __str__(self) -> str:
+        place = self.file
+        if self.line:
+            place += f":{self.line}"
+            if self.column:
+                place += f":{self.column}"
+        head = ": ".join(part for part in (place, self.where) if part)
+        lines = [head]
+        if self.value:
+            lines.append(f"  found     {self.value}")
+        lines.append(f"  expected  {self.expected}" if self.value else f"  {self.expected}")
+        if self.suggestion:
+            lines.append(f"  did you mean {self.suggestion}?")
+        return "\n".join(lines)
+
+
+class BadInput(Exception):  # noqa: N818
+    """A file, or a name, that cannot be used; `problems` has every fault found and `str()` is the full message."""
+
+    def __init__(self, problems: Iterable[Problem]) -> None:
+        self.problems = tuple(problems)
+        super().__init__(self.problems)
+
+    def __str__(self) -> str:
+        blocks = [str(problem) for problem in self.problems[:SHOWN]]
+        if len(self.problems) > SHOWN:
+            blocks.append(f"and {len(self.problems) - SHOWN} more problems")
+        return "\n".join(blocks)
+
+
+def closest(word: str, known: Iterable[str]) -> str:
+    """The known word that `word` was probably meant to be, or an empty string."""
+    by_folded = {_folded(name): name for name in known}
+    folded = _folded(word)
+    if folded in by_folded:
+        return by_folded[folded]
+    starts = [name for key, name in by_folded.items() if len(folded) > 2 and key.startswith(folded)]
+    if len(starts) == 1:
+        return starts[0]
+    match = difflib.get_close_matches(folded, by_folded, n=1, cutoff=0.6)
+    return by_folded[match[0]] if match else ""
+
+
+def _folded(word: str) -> str:
+    return word.casefold().replace("-", "_").replace(" ", "_")

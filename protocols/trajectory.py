@@ -1,0 +1,99 @@
+"""The set-points of a whole protocol over time, ready for the control loop."""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from protocols.waveforms import Waveform
+
+
+@dataclass(frozen=True)
+class Segment:
+    """A stretch of time in which one thing happens.
+
+    `kind` is `dwell` (one level of a staircase), `rise` (the way to it), `ramp`, `sine`, `hold`, `csv`, `lead-in` or
+    `prompt`; `actuators` are the numbers, from 1, that it drives; `line` is its step's in the protocol's YAML (from
+    1); `level_pa` is the set-point of every actuator at its end, gauge [Pa].
+    """
+
+    start_s: float
+    stop_s: float
+    kind: str
+    label: str
+    actuators: tuple[int, ...]
+    line: int
+    level_pa: tuple[float, ...]
+    waves: tuple[tuple[int, Waveform], ...] = field(default=(), repr=False)
+    """Actuator index (from 0) and waveform of those that move; the others stand at `level_pa`."""
+
+    @property
+    def still(self) -> bool:
+        """True when no set-point moves in it."""
+        return not self.waves
+
+    def level_at(self, t_s: float) -> list[float]:
+        """Set-points [Pa] at a protocol time within it."""
+        level = list(self.level_pa)
+        for index, wave in self.waves:
+            level[index] = wave.at(t_s - self.start_s)
+        return level
+
+
+@dataclass(frozen=True)
+class Prompt:
+    """The run stands still at `at_s` until the operator has done what `message` says."""
+
+    at_s: float
+    message: str
+    line: int
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """Set-points of N actuators from 0 to `duration_s`; `source` names the protocol's file.
+
+    Before 0 the first set-points hold, after the end the last. At a jump the new level holds. A prompt's time lies
+    at the start of a short segment that holds the levels, so that nothing moves before the operator has answered.
+    """
+
+    duration_s: float
+    actuators: int
+    segments: tuple[Segment, ...]
+    prompts: tuple[Prompt, ...]
+    source: str
+    _starts: tuple[float, ...] = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "_starts", tuple(segment.start_s for segment in self.segments))
+
+    def segment_at(self, t_s: float) -> Segment:
+        """The segment at a protocol time; the first before 0, the last from the end on."""
+        return self.segments[max(bisect_right(self._starts, t_s) - 1, 0)]
+
+    def setpoint_pa(self, t_s: float) -> NDArray[np.float64]:
+        """Set-points (N,) [Pa, gauge] at a protocol time."""
+        t_s = min(max(t_s, 0.0), self.duration_s)
+        segment = self.segment_at(t_s)
+        level = np.array(segment.level_pa)
+        for index, wave in segment.waves:
+            level[index] = wave.at(t_s - segment.start_s)
+        return level
+
+    def rate_pa_s(self, t_s: float) -> NDArray[np.float64]:
+        """Rate of change (N,) [Pa/s] of the set-points just after a protocol time; a jump has none."""
+        rate = np.zeros(self.actuators)
+        if 0.0 <= t_s < self.duration_s:
+            segment = self.segment_at(t_s)
+            for index, wave in segment.waves:
+                rate[index] = wave.slope(t_s - segment.start_s)
+        return rate
+
+    def sample(self, t_s: Iterable[float]) -> NDArray[np.float64]:
+        """Set-points (T, N) [Pa, gauge] at T protocol times."""
+        rows = [self.setpoint_pa(t) for t in t_s]
+        return np.array(rows).reshape(len(rows), self.actuators)
