@@ -12,16 +12,20 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
-from protocols import BadInput, Protocol, Trajectory
+import protocols
+from protocols import BadInput, Problem, Protocol, Trajectory
+from protocols.problems import closest
 from rig.check import check
-from rig.config import RigConfig
+from rig.config import RigConfig, load, path_of, text
 from rig.daq.base import CardError
 from rig.executor.base import Audience, Outcome, Plan, StartError
 from rig.lock import cards_locked
 from rig.provenance import git_state, quantities, versions
+from runs.archive import ArchiveError, finalise
 from runs.journal import JournalError, JournalWriter
 from runs.records import Event, Interval, Level, RunFooter, RunHeader, Status
 
+VARIANTS = ("homogeneous", "homogeneous+rpe", "inhomogeneous+rpe")
 SPARE_DISK_BYTES = 200_000_000
 
 
@@ -144,8 +148,8 @@ def run(request: Request, decided: Plan, audience: Audience) -> Result:
     archive = report = None
     try:
         journal.close(RunFooter(outcome.t_ns, outcome.status, outcome.message, outcome.counters))
-        archive = _finalise(journal.path)
-    except (JournalError, OSError) as error:
+        archive = finalise(journal.path)
+    except (ArchiveError, JournalError) as error:
         trouble.append(f"{error}; the journal is kept: {journal.path}; run `rig recover {request.folder}` later")
     if archive is not None and request.report:
         try:
@@ -157,12 +161,6 @@ def run(request: Request, decided: Plan, audience: Audience) -> Result:
 
 def _failed(message: str) -> Outcome:
     return Outcome(Status.ABORTED, message, time.monotonic_ns())
-
-
-def _finalise(journal: Path) -> Path:
-    from runs.archive import finalise
-
-    return finalise(journal)
 
 
 def _report(archive: Path) -> Path:

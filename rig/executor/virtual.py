@@ -44,7 +44,7 @@ class _VirtualRun:
         self._plant = Plant(config, plan.seed, t0_ns=0)
         self._bench = Bench(config, {name: self._plant.card(name) for name in config.cards})
         self._camera_name, camera = next(iter(config.cameras.items()))
-        self._camera = MockCamera(config, self._camera_name, self._plant, plan.seed)
+        self._camera = MockCamera(config, self._plant, self._camera_name, plan.seed)
         self._observer = Observer(config, plan.variant)
         self._ticker = Ticker(plan, self._bench)
         self._frame_ns = round(1e9 / camera.rate_hz)
