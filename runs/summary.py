@@ -1,0 +1,305 @@
+"""A run in a few numbers: how well the pressures followed, how far model and measurement lie apart, what was late.
+
+Definitions. *Error*: distance from the measured to the modelled tool centre point. *Settled*: the mean over the last
+`SETTLED_PART` of a dwell, a segment at whose end the set-points stand still. *Plane of motion*: through the base
+frame's z axis and the direction in which the modelled tip moved; there is none where the tip moved along z only or
+out of any plane. *Normalised*: error over the distance of the measured tip from where it rested without pressure.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from runs.records import Interval, Seen, Status
+from runs.run import Run, Tip
+
+SETTLED_PART = 0.3
+BAND_BAR = 0.01
+"""A pressure has settled when it stays this close to its set-point."""
+CHI2_3_95 = 7.814727903251179
+"""95 % point of chi-squared with three degrees of freedom: the ellipsoid that holds 95 % of a 3-D Gaussian."""
+Z_95 = 1.959963984540054
+_REST_BAR = 0.02
+_MOVED_MM = 2.0
+_FLAT = 0.1
+
+Floats = NDArray[np.float64]
+NAN = float("nan")
+
+
+@dataclass(frozen=True)
+class Spread:
+    """Mean, 95th percentile and maximum of an error [mm]; NaN where there is none."""
+
+    mean: float = NAN
+    p95: float = NAN
+    max: float = NAN
+
+
+@dataclass(frozen=True)
+class Step:
+    """One segment of the protocol; what was not measured in it is NaN."""
+
+    label: str
+    kind: str
+    start_s: float
+    stop_s: float
+    level_bar: tuple[float, ...]
+    dwell: bool
+    """The set-points stand still at the end of the segment."""
+    settling_s: float
+    """From the set-point's last move to the last time that a pressure was outside `BAND_BAR`."""
+    overshoot_bar: float
+    """Farthest beyond the new set-point, of the actuators whose set-point moved; less the sensor's noise: none."""
+    tracking_rms_bar: float
+    """Set-point against measured, over the segment and all actuators."""
+    frames: int
+    """Frames that the settled values are the mean of."""
+    measured_mm: tuple[float, float, float]
+    uncertainty_mm: tuple[float, float, float]
+    """Standard uncertainty of one frame, root mean square."""
+    model_mm: tuple[float, float, float]
+    error_mm: float
+    in_plane_mm: float
+    normalised_percent: float
+
+
+@dataclass(frozen=True)
+class Truth:
+    """Measured against the simulator's own tip; only for simulated runs."""
+
+    error_mm: Spread
+    in_plane_mm: Spread
+    model_mm: Spread
+    """Model against truth."""
+    coverage: float
+    """Fraction of measured frames whose truth lies in the stated 95 % ellipsoid."""
+    coverage_axes: tuple[float, float, float]
+    """The same for each axis and its 95 % interval."""
+
+
+@dataclass(frozen=True)
+class Summary:
+    """The whole run."""
+
+    run_id: str
+    status: Status
+    message: str
+    simulated: bool
+    duration_s: float
+    error_mm: Spread
+    in_plane_mm: Spread
+    plane_deg: float
+    """Azimuth of the plane of motion in the base frame, from x; NaN where there is none."""
+    steps: tuple[Step, ...]
+    settled_error_mm: float
+    """Mean over the dwells."""
+    settling_s: float
+    """Longest of the dwells; NaN where one did not settle."""
+    overshoot_bar: float
+    """Largest of the dwells."""
+    tracking_rms_bar: float
+    """Over the segments that are no dwells."""
+    ticks: int
+    missed_deadlines: int
+    lateness_p50_us: float
+    lateness_p99_us: float
+    lateness_max_us: float
+    frames: int
+    frames_measured: int
+    frames_dropped: int
+    ring_overflows: int
+    model_failures: int
+    reprojection_px: float
+    """Median."""
+    truth: Truth | None
+
+    @property
+    def measured_fraction(self) -> float:
+        """Frames with a measured tip over all frames."""
+        return self.frames_measured / self.frames if self.frames else NAN
+
+
+def summarise(run: Run) -> Summary:
+    """Return the numbers of one run."""
+    tip, pressure, timing = run.tip, run.pressure, run.timing
+    measured = tip.seen == Seen.MEASURED
+    plane = plane_of_motion(tip.model_mm[measured] if measured.any() else tip.model_mm)
+    difference = tip.measured_mm - tip.model_mm
+    steps = _steps(run, measured, plane)
+    dwells = [step for step in steps if step.dwell]
+    moving = [step.tracking_rms_bar for step in steps if not step.dwell]
+    late = timing.lateness_us
+    return Summary(
+        run_id=run.header.run_id,
+        status=run.status,
+        message=run.message,
+        simulated=run.header.simulated,
+        duration_s=run.duration_s,
+        error_mm=spread(tip.error_mm[measured]),
+        in_plane_mm=spread(in_plane(difference[measured], plane)),
+        plane_deg=float(np.degrees(np.arctan2(plane[1], plane[0]))) if plane is not None else NAN,
+        steps=steps,
+        settled_error_mm=_mean([step.error_mm for step in dwells]),
+        settling_s=max((step.settling_s for step in dwells), key=_nan_last, default=NAN),
+        overshoot_bar=max((step.overshoot_bar for step in dwells if step.overshoot_bar >= 0), default=NAN),
+        tracking_rms_bar=_rms(np.array(moving)),
+        ticks=len(pressure.time_s),
+        missed_deadlines=int(timing.overruns.sum()),
+        lateness_p50_us=_percentile(late, 50),
+        lateness_p99_us=_percentile(late, 99),
+        lateness_max_us=_percentile(late, 100),
+        frames=len(tip.time_s),
+        frames_measured=int(measured.sum()),
+        frames_dropped=timing.dropped_frames,
+        ring_overflows=timing.ring_overflows,
+        model_failures=int((~tip.model_ok).sum()),
+        reprojection_px=_percentile(tip.reprojection_px[measured], 50),
+        truth=_truth(run, measured, plane),
+    )
+
+
+def plane_of_motion(points_mm: Floats) -> Floats | None:
+    """Return the unit vector (2,) in x and y along which points (n, 3) move; None where they span no such plane."""
+    points = points_mm[np.isfinite(points_mm).all(axis=1), :2]
+    if len(points) < 2:
+        return None
+    _, size, direction = np.linalg.svd(points, full_matrices=False)
+    size = size / np.sqrt(len(points))
+    if np.ptp(points @ direction[0]) < _MOVED_MM or size[1] > _FLAT * size[0]:
+        return None
+    unit: Floats = direction[0] * (1.0 if direction[0][np.argmax(abs(direction[0]))] > 0 else -1.0)
+    return unit
+
+
+def in_plane(difference_mm: Floats, plane: Floats | None) -> Floats:
+    """Return the lengths (n,) of differences (n, 3) projected on the plane of motion; NaN where there is none."""
+    if plane is None:
+        return np.full(len(difference_mm), NAN)
+    return np.asarray(np.hypot(difference_mm[:, :2] @ plane, difference_mm[:, 2]))
+
+
+def rest_mm(tip: Tip, measured: NDArray[np.bool_]) -> Floats:
+    """Return where the measured tip (3,) rested without pressure; NaN where it never did."""
+    rest = measured & (tip.pressure_bar < _REST_BAR).all(axis=1)
+    return tip.measured_mm[rest].mean(axis=0) if rest.any() else np.full(3, NAN)
+
+
+def spread(errors_mm: Floats) -> Spread:
+    """Return mean, 95th percentile and maximum of what is finite."""
+    finite = errors_mm[np.isfinite(errors_mm)]
+    if len(finite) == 0:
+        return Spread()
+    return Spread(float(finite.mean()), float(np.percentile(finite, 95)), float(finite.max()))
+
+
+def _steps(run: Run, measured: NDArray[np.bool_], plane: Floats | None) -> tuple[Step, ...]:
+    rest = rest_mm(run.tip, measured)
+    return tuple(_step(run, interval, measured, plane, rest) for interval in run.header.intervals)
+
+
+def _step(run: Run, interval: Interval, measured: NDArray[np.bool_], plane: Floats | None, rest: Floats) -> Step:
+    tip, pressure = run.tip, run.pressure
+    settled_from = interval.stop_s - SETTLED_PART * (interval.stop_s - interval.start_s)
+    ticks = (pressure.protocol_s >= interval.start_s) & (pressure.protocol_s < interval.stop_s)
+    last_ticks = ticks & (pressure.protocol_s >= settled_from)
+    setpoint, got = pressure.setpoint_bar[ticks], pressure.measured_bar[ticks]
+    dwell = bool(last_ticks.any() and np.ptp(pressure.setpoint_bar[last_ticks], axis=0).max() == 0)
+    settling, overshoot = NAN, NAN
+    if dwell:
+        before = pressure.setpoint_bar[max(int(np.argmax(ticks)) - 1, 0)]
+        settling = _settling_s(pressure.time_s[ticks], setpoint, got)
+        overshoot = _overshoot_bar(before, setpoint, got)
+    frames = measured & (tip.protocol_s >= settled_from) & (tip.protocol_s < interval.stop_s)
+    difference = tip.measured_mm[frames] - tip.model_mm[frames]
+    where = _vector(tip.measured_mm[frames])
+    error = _mean(tip.error_mm[frames])
+    travelled = float(np.linalg.norm(np.array(where) - rest))
+    return Step(
+        label=interval.label,
+        kind=interval.kind,
+        start_s=interval.start_s,
+        stop_s=interval.stop_s,
+        level_bar=tuple(level / 1e5 for level in interval.level_pa),
+        dwell=dwell,
+        settling_s=settling,
+        overshoot_bar=overshoot,
+        tracking_rms_bar=_rms(got - setpoint),
+        frames=int(frames.sum()),
+        measured_mm=where,
+        uncertainty_mm=_vector(tip.uncertainty_mm[frames] ** 2, root=True),
+        model_mm=_vector(tip.model_mm[frames]),
+        error_mm=error,
+        in_plane_mm=_mean(in_plane(difference, plane)),
+        normalised_percent=100 * error / travelled if travelled > _MOVED_MM else NAN,
+    )
+
+
+def _settling_s(time_s: Floats, setpoint: Floats, got: Floats) -> float:
+    """Return the time from the set-point's last move to the end of the last excursion; NaN where none ended."""
+    still = np.flatnonzero((setpoint != setpoint[-1]).any(axis=1))
+    moved = int(still[-1]) + 1 if len(still) else 0
+    outside = np.flatnonzero((np.abs(got - setpoint) > BAND_BAR).any(axis=1)[moved:])
+    if len(outside) == 0:
+        return 0.0
+    back = moved + int(outside[-1]) + 1
+    return float(time_s[back] - time_s[moved]) if back < len(time_s) else NAN
+
+
+def _overshoot_bar(before: Floats, setpoint: Floats, got: Floats) -> float:
+    """Return how far the pressures went beyond their new set-points; NaN where no set-point moved."""
+    jump = setpoint[-1] - before
+    moved = np.asarray(jump != 0)
+    if not moved.any():
+        return NAN
+    beyond = (got[:, moved] - setpoint[-1][moved]) * np.sign(jump[moved])
+    return float(max(beyond.max(), 0.0))
+
+
+def _truth(run: Run, measured: NDArray[np.bool_], plane: Floats | None) -> Truth | None:
+    if run.simulated is None or not measured.any():
+        return None
+    tip, truth = run.tip, run.simulated.tip_mm
+    known = measured & np.isfinite(truth).all(axis=1)
+    if not known.any():
+        return None
+    difference = tip.measured_mm[known] - truth[known]
+    distance2 = np.einsum(
+        "ni,ni->n", difference, np.linalg.solve(tip.covariance_mm2[known], difference[..., None])[..., 0]
+    )
+    within = (np.abs(difference) <= Z_95 * tip.uncertainty_mm[known]).mean(axis=0)
+    return Truth(
+        error_mm=spread(np.linalg.norm(difference, axis=1)),
+        in_plane_mm=spread(in_plane(difference, plane)),
+        model_mm=spread(np.linalg.norm(tip.model_mm[known] - truth[known], axis=1)),
+        coverage=float((distance2 <= CHI2_3_95).mean()),
+        coverage_axes=(float(within[0]), float(within[1]), float(within[2])),
+    )
+
+
+def _vector(values: Floats, root: bool = False) -> tuple[float, float, float]:
+    if len(values) == 0:
+        return NAN, NAN, NAN
+    x, y, z = np.sqrt(values.mean(axis=0)) if root else values.mean(axis=0)
+    return float(x), float(y), float(z)
+
+
+def _mean(values: Floats | list[float]) -> float:
+    finite = np.asarray(values)[np.isfinite(values)]
+    return float(finite.mean()) if len(finite) else NAN
+
+
+def _rms(values: Floats) -> float:
+    finite = values[np.isfinite(values)]
+    return float(np.sqrt(np.mean(finite**2))) if finite.size else NAN
+
+
+def _percentile(values: Floats, percent: float) -> float:
+    return float(np.percentile(values, percent)) if len(values) else NAN
+
+
+def _nan_last(value: float) -> float:
+    return np.inf if np.isnan(value) else value
