@@ -152,4 +152,3 @@ def findings_table(findings: tuple[Finding, ...]) -> Table:
 def findings_json(findings: tuple[Finding, ...]) -> str:
     """What `rig doctor` found, for scripts."""
     return json.dumps([asdict(finding) for finding in findings], indent=2)
-
