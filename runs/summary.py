@@ -242,7 +242,8 @@ def _settling_s(time_s: Floats, setpoint: Floats, got: Floats) -> float:
     """Return the time from the set-point's last move to the end of the last excursion; NaN where none ended."""
     still = np.flatnonzero((setpoint != setpoint[-1]).any(axis=1))
     moved = int(still[-1]) + 1 if len(still) else 0
-    outside = np.flatnonzero((np.abs(got - setpoint) > BAND_BAR).any(axis=1)[moved:])
+    off: Floats = np.abs(got - setpoint)[moved:].max(axis=1)
+    outside = np.flatnonzero(off > BAND_BAR)
     if len(outside) == 0:
         return 0.0
     back = moved + int(outside[-1]) + 1
@@ -252,7 +253,7 @@ def _settling_s(time_s: Floats, setpoint: Floats, got: Floats) -> float:
 def _overshoot_bar(before: Floats, setpoint: Floats, got: Floats) -> float:
     """Return how far the pressures went beyond their new set-points; NaN where no set-point moved."""
     jump = setpoint[-1] - before
-    moved = np.asarray(jump != 0)
+    moved: NDArray[np.bool_] = np.not_equal(jump, 0)
     if not moved.any():
         return NAN
     beyond = (got[:, moved] - setpoint[-1][moved]) * np.sign(jump[moved])

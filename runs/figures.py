@@ -1,0 +1,297 @@
+"""The figures of a report, as SVG: one function per figure, from a run and its summary."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Callable
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_svg import FigureCanvasSVG
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from runs.records import Seen
+from runs.run import Run
+from runs.summary import BAND_BAR, Z_95, Step, Summary, in_plane, rest_mm
+
+# Okabe and Ito's palette: told apart by all common kinds of colour vision, and in grey.
+INK, MUTED, RULE = "#1b1f24", "#68707a", "#dfe3e8"
+MEASURED, MODEL, TRUTH = "#0072B2", "#D55E00", "#009E73"
+ACTUATORS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00")
+POINTS = 1200
+"""Points drawn of a long line; their extremes are kept."""
+
+STYLE: dict[Any, Any] = {
+    "svg.fonttype": "none",
+    "font.family": "DejaVu Sans",
+    "font.size": 9,
+    "axes.edgecolor": MUTED,
+    "axes.labelcolor": INK,
+    "axes.linewidth": 0.7,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "axes.titlesize": 9.5,
+    "axes.titlelocation": "left",
+    "axes.titlepad": 7,
+    "grid.color": RULE,
+    "grid.linewidth": 0.6,
+    "xtick.color": MUTED,
+    "ytick.color": MUTED,
+    "xtick.labelcolor": INK,
+    "ytick.labelcolor": INK,
+    "xtick.major.width": 0.7,
+    "ytick.major.width": 0.7,
+    "legend.frameon": False,
+    "legend.fontsize": 8.5,
+    "lines.linewidth": 1.3,
+    "lines.solid_joinstyle": "round",
+    "figure.constrained_layout.use": True,
+    "figure.constrained_layout.h_pad": 0.06,
+}
+_FONTS = "Inter, 'Helvetica Neue', Helvetica, Arial, 'DejaVu Sans', sans-serif"
+
+Floats = NDArray[np.float64]
+
+
+def svg(draw: Callable[[Figure, Run, Summary], None], run: Run, summary: Summary, size: tuple[float, float]) -> str:
+    """Return a figure of a size in inches as an SVG element that can stand inside HTML."""
+    with mpl.rc_context({**STYLE, "svg.hashsalt": f"{run.header.run_id}/{draw.__name__}"}):
+        figure = Figure(figsize=size)
+        FigureCanvasSVG(figure)
+        draw(figure, run, summary)
+        text = io.StringIO()
+        figure.savefig(text, format="svg", transparent=True, metadata={"Date": None, "Creator": None})
+    drawing = text.getvalue()
+    return drawing[drawing.index("<svg") :].replace("'DejaVu Sans'", _FONTS)
+
+
+def pressures(figure: Figure, run: Run, summary: Summary) -> None:
+    """Pressures against their set-points, and the difference."""
+    p = run.pressure
+    above, below = figure.subplots(2, 1, sharex=True, height_ratios=[3, 1.1])
+    if len(p.time_s) == 0:
+        _nothing(above, below)
+        return
+    for i in range(p.measured_bar.shape[1]):
+        colour = ACTUATORS[i % len(ACTUATORS)]
+        above.plot(*_thin(p.time_s, p.measured_bar[:, i]), color=colour, label=f"actuator {i + 1}")
+        difference = 1e3 * (p.measured_bar[:, i] - p.setpoint_bar[:, i])
+        below.plot(*_thin(p.time_s, difference), color=colour, lw=0.8)
+    for row in np.unique(p.setpoint_bar, axis=1).T:
+        above.plot(*_thin(p.time_s, row), color=INK, lw=0.8, ls=(0, (4, 2)))
+    above.plot([], [], color=INK, lw=0.8, ls=(0, (4, 2)), label="set-point")
+    above.set_ylabel("gauge pressure [bar]")
+    _legend(above)
+    largest = np.abs(p.measured_bar - p.setpoint_bar).max() * 1e3
+    below.axhspan(-1e3 * BAND_BAR, 1e3 * BAND_BAR, color=RULE, alpha=0.6, lw=0)
+    below.set_ylim(-1.2 * max(min(largest, 60), 15), 1.2 * max(min(largest, 60), 15))
+    below.set_ylabel("difference\n[mbar]")
+    below.set_xlabel("time [s]")
+
+
+def trajectory(figure: Figure, run: Run, summary: Summary) -> None:
+    """The tool centre point in the plane of motion, hanging down as the arm does (the paper's Fig 11)."""
+    axes = figure.subplots()
+    across, name = _across(run, summary)
+    measured, model = across(run.tip.measured_mm), across(run.tip.model_mm)
+    if run.simulated is not None:
+        truth = across(run.simulated.tip_mm)
+        axes.plot(*truth.T, color=TRUTH, lw=0.9, label="simulated truth")
+    axes.plot(*measured.T, ".", ms=2.2, color=MEASURED, alpha=0.35, mew=0, label="measured, every frame")
+    axes.plot(*model.T, color=MODEL, lw=1.1, label="model")
+    dwells = [step for step in summary.steps if step.dwell and np.isfinite(step.error_mm)]
+    if dwells:
+        settled = across(np.array([step.measured_mm for step in dwells]))
+        at = across(np.array([step.model_mm for step in dwells]))
+        axes.plot(*settled.T, "o", ms=6, mfc="white", mec=MEASURED, mew=1.3, label="measured, settled")
+        axes.plot(*at.T, "x", ms=5.5, color=MODEL, mew=1.4, label="model, settled")
+        for step, (x, z) in _labelled(dwells, settled):
+            axes.annotate(
+                f"{max(step.level_bar):.2f} bar",
+                (x, z),
+                xytext=(8, -3),
+                textcoords="offset points",
+                fontsize=7.5,
+                color=MUTED,
+            )
+    axes.set_aspect("equal", adjustable="datalim")
+    axes.invert_yaxis()
+    axes.set_xlabel(f"{name} [mm]")
+    axes.set_ylabel("z, from the base down the arm [mm]")
+    axes.legend(loc="best")
+
+
+def steps(figure: Figure, run: Run, summary: Summary) -> None:
+    """Settled tip of each step, and its error normalised (the paper's Fig 13)."""
+    dwells = [step for step in summary.steps if step.dwell and np.isfinite(step.error_mm)]
+    left, right = figure.subplots(1, 2, width_ratios=[1, 1])
+    across, name = _across(run, summary)
+    where, label = _abscissa([max(step.level_bar) for step in dwells])
+    measured = across(np.array([step.measured_mm for step in dwells]))
+    model = across(np.array([step.model_mm for step in dwells]))
+    rest = across(rest_mm(run.tip, run.tip.seen == Seen.MEASURED)[None])[0]
+    sigma = np.array([step.uncertainty_mm for step in dwells])
+    origin = rest if np.isfinite(rest).all() else np.zeros(2)
+    for column, (colour, axis) in enumerate(((MEASURED, name), (ACTUATORS[3], "z"))):
+        left.errorbar(
+            where,
+            measured[:, column] - origin[column],
+            Z_95 * sigma[:, 0 if column == 0 else 2],
+            fmt="o",
+            ms=5,
+            mfc="white",
+            mew=1.3,
+            color=colour,
+            label=f"{axis} measured",
+        )
+        left.plot(where, model[:, column] - origin[column], color=colour, lw=1.1, label=f"{axis} model")
+    left.set_xlabel(label)
+    left.set_ylabel("from rest [mm]" if origin.any() else "in the base frame [mm]")
+    left.legend(loc="best", ncols=2, columnspacing=1.2)
+    difference = np.abs(measured - model)
+    travelled = np.linalg.norm(measured - rest, axis=1)
+    normalised = np.isfinite(travelled).any()
+    scale = 100 / travelled if normalised else np.ones(len(dwells))
+    width = 0.38 * (np.min(np.diff(where)) if len(where) > 1 else 1)
+    right.bar(where - width / 2, difference[:, 0] * scale, width, color=MEASURED, label=name)
+    right.bar(where + width / 2, difference[:, 1] * scale, width, color=ACTUATORS[3], label="z")
+    right.plot(
+        where, np.linalg.norm(difference, axis=1) * scale, "D", ms=4, color=INK, mfc="white", label="in the plane"
+    )
+    right.set_xlabel(label)
+    right.set_ylabel("|error| / distance from rest [%]" if normalised else "|error| [mm]")
+    right.set_ylim(bottom=0)
+    right.legend(loc="best")
+    right.grid(axis="x", visible=False)
+
+
+def coordinates(figure: Figure, run: Run, summary: Summary) -> None:
+    """The tip over time with the measurement's 95 % band (the paper's Fig 14)."""
+    tip = run.tip
+    axes = figure.subplots(3, 1, sharex=True)
+    for i, (axis, panel) in enumerate(zip("xyz", axes, strict=True)):
+        if len(tip.time_s):
+            half = Z_95 * tip.uncertainty_mm[:, i]
+            low, high = tip.measured_mm[:, i] - half, tip.measured_mm[:, i] + half
+            panel.fill_between(tip.time_s, low, high, color=MEASURED, alpha=0.22, lw=0)
+            panel.plot(tip.time_s, tip.measured_mm[:, i], color=MEASURED, lw=1.0, label="measured, 95 % band")
+            panel.plot(tip.time_s, tip.model_mm[:, i], color=MODEL, lw=1.1, label="model")
+        panel.set_ylabel(f"{axis} [mm]")
+        panel.margins(x=0.01)
+    _legend(axes[0])
+    axes[-1].set_xlabel("time [s]")
+
+
+def error(figure: Figure, run: Run, summary: Summary) -> None:
+    """Error over time; for a simulated run also measured and model against the truth."""
+    tip = run.tip
+    measured = tip.seen == Seen.MEASURED
+    panels = figure.subplots(2 if run.simulated is not None else 1, 1, sharex=True, squeeze=False)[:, 0]
+    above = panels[0]
+    above.plot(tip.time_s, tip.error_mm, color=MEASURED, lw=1.0, label="measured to model, 3-D")
+    if np.isfinite(summary.plane_deg):
+        plane = _plane(summary)
+        above.plot(
+            tip.time_s, in_plane(tip.measured_mm - tip.model_mm, plane), color=MODEL, lw=1.0, label="in the plane"
+        )
+    lost = tip.time_s[~measured]
+    above.plot(lost, np.zeros(len(lost)), "|", color=INK, ms=7, label="nothing measured" if len(lost) else None)
+    above.set_ylabel("error [mm]")
+    above.set_ylim(bottom=0)
+    _legend(above)
+    if run.simulated is not None:
+        below = panels[1]
+        truth = run.simulated.tip_mm
+        sigma = Z_95 * np.sqrt((tip.uncertainty_mm**2).sum(axis=1))
+        below.fill_between(tip.time_s, 0, sigma, color=MEASURED, alpha=0.18, lw=0, label="stated 95 %, all axes")
+        distance = np.linalg.norm(tip.measured_mm - truth, axis=1)
+        below.plot(tip.time_s, distance, color=MEASURED, lw=0.9, label="measured to simulated truth")
+        below.plot(tip.time_s, np.linalg.norm(tip.model_mm - truth, axis=1), color=MODEL, lw=1.1, label="model to it")
+        below.set_ylabel("distance [mm]")
+        below.set_ylim(bottom=0)
+        _legend(below)
+    panels[-1].set_xlabel("time [s]")
+    panels[-1].margins(x=0.01)
+
+
+def timing(figure: Figure, run: Run, summary: Summary) -> None:
+    """How late the control ticks began: over time, and how often."""
+    t = run.timing
+    left, right = figure.subplots(1, 2, width_ratios=[1.6, 1], sharey=True)
+    if len(t.time_s) == 0:
+        _nothing(left, right)
+        return
+    lateness = np.maximum(t.lateness_us, 0.1)
+    left.plot(*_thin(t.time_s, lateness), ",", color=MEASURED)
+    left.plot(*_thin(t.time_s, lateness), color=MEASURED, lw=0.35, alpha=0.6)
+    missed = t.overruns > 0
+    left.plot(t.time_s[missed], lateness[missed], "v", ms=5, color=MODEL, label="deadline missed")
+    left.set_yscale("log")
+    left.set_xlabel("time [s]")
+    left.set_ylabel("lateness [us]")
+    if missed.any():
+        left.legend(loc="upper right")
+    low, high = np.log10(lateness.min()), np.log10(max(lateness.max(), lateness.min() * 1.5))
+    right.hist(lateness, bins=list(np.logspace(low, high, 50)), orientation="horizontal", color=MEASURED, log=True)
+    for value, name in ((summary.lateness_p50_us, "50 %"), (summary.lateness_p99_us, "99 %")):
+        right.axhline(max(value, 0.1), color=INK, lw=0.8, ls=(0, (4, 2)))
+        right.annotate(name, (1, max(value, 0.1)), (-2, 2), ("axes fraction", "data"), "offset points", ha="right")
+    right.set_xlabel("ticks")
+
+
+def _across(run: Run, summary: Summary) -> tuple[Callable[[Floats], Floats], str]:
+    """Return what projects points (n, 3) on the plane of motion (n, 2), and the name of the first coordinate."""
+    plane = _plane(summary)
+    name = "x"
+    if abs(plane[0]) < np.cos(np.radians(10)):
+        name = "y" if abs(plane[1]) > np.cos(np.radians(10)) else f"along {summary.plane_deg:.0f}°"
+    return (lambda points: np.column_stack((points[:, :2] @ plane, points[:, 2]))), name
+
+
+def _plane(summary: Summary) -> Floats:
+    angle = np.radians(summary.plane_deg if np.isfinite(summary.plane_deg) else 0.0)
+    return np.array([np.cos(angle), np.sin(angle)])
+
+
+def _abscissa(levels: list[float]) -> tuple[Floats, str]:
+    """Return where steps stand: at their pressures where each has its own, else at their numbers."""
+    if len(set(np.round(levels, 6))) == len(levels):
+        return np.array(levels), "pressure [bar]"
+    return np.arange(1.0, len(levels) + 1), "step"
+
+
+def _labelled(dwells: list[Step], settled: Floats) -> list[tuple[Step, Floats]]:
+    """Return the steps whose labels fit: first, last, and those far enough from the one before."""
+    chosen: list[tuple[Step, Floats]] = []
+    reach = max(float(np.ptp(settled, axis=0).max()), 1e-9)
+    for step, at in zip(dwells, settled, strict=True):
+        if all(np.linalg.norm(at - other) > 0.06 * reach for _, other in chosen):
+            chosen.append((step, at))
+    return chosen
+
+
+def _thin(x: Floats, y: Floats) -> tuple[Floats, Floats]:
+    """Return a line with fewer points that looks the same: the extremes of each stretch."""
+    stretch = len(x) // POINTS * 2
+    if stretch < 4:
+        return x, y
+    whole = len(x) // stretch * stretch
+    blocks = y[:whole].reshape(-1, stretch)
+    first = np.arange(0, whole, stretch)
+    chosen = np.column_stack((first, first + blocks.argmin(axis=1), first + blocks.argmax(axis=1)))
+    index = np.append(np.unique(chosen), len(x) - 1)
+    return x[index], y[index]
+
+
+def _legend(axes: Axes) -> None:
+    """Above the plot, so that it never hides a line."""
+    axes.legend(loc="lower left", bbox_to_anchor=(0, 1.0), ncols=6, borderaxespad=0.1, columnspacing=1.4)
+
+
+def _nothing(*panels: Axes) -> None:
+    for panel in panels:
+        panel.annotate("nothing was recorded", (0.5, 0.5), xycoords="axes fraction", ha="center", color=MUTED)

@@ -1,0 +1,120 @@
+"""Recovery: what a crash left in a folder becomes archives; what cannot be read is left where it is."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass
+from enum import StrEnum
+from pathlib import Path
+
+from runs import archive, journal
+from runs.archive import ArchiveError, StillWrittenError
+from runs.journal import JournalError
+
+
+class Fate(StrEnum):
+    """What became of a file."""
+
+    RECOVERED = "recovered"
+    FINALISED = "finalised"
+    """The run had ended; only its archive was missing."""
+    ARCHIVED = "archived"
+    """There was nothing to do."""
+    RUNNING = "running"
+    """Its writer is alive."""
+    UNREADABLE = "unreadable"
+    """Left as it is."""
+    REMOVED = "removed"
+    """What an interrupted finalisation left."""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of one file; `archive` is the archive of a journal, where there is one."""
+
+    path: Path
+    fate: Fate
+    message: str
+    archive: Path | None = None
+
+
+def orphans(folder: Path | str) -> tuple[Path, ...]:
+    """Return the journals in a folder that have no archive and no living writer; reads none of them."""
+    return tuple(path for path in _journals(Path(folder)) if not _archive_of(path).exists() and not _held(path))
+
+
+def recover(folder: Path | str) -> tuple[Outcome, ...]:
+    """Make archives of the journals in a folder that have none, and remove what interrupted attempts left.
+
+    Safe to call again, and while runs are being recorded. An archive that cannot be opened is set aside under
+    another name, never deleted, and made anew from its journal.
+    """
+    place = Path(folder)
+    return (*_leftovers(place), *(_recover(path) for path in _journals(place)))
+
+
+def _recover(path: Path) -> Outcome:
+    target = _archive_of(path)
+    aside = ""
+    if target.exists():
+        try:
+            sound = archive.verify(target)
+        except ArchiveError:
+            sound = False
+        if sound:
+            return Outcome(path, Fate.ARCHIVED, "", target)
+        kept = _set_aside(target)
+        aside = f"; the archive that was there is not sound and was kept as {kept.name}"
+    try:
+        archive.finalise(path)
+        content = journal.read(path)
+    except StillWrittenError:
+        return Outcome(path, Fate.RUNNING, "its writer is alive")
+    except (JournalError, ArchiveError) as fault:
+        return Outcome(path, Fate.UNREADABLE, str(fault) + aside)
+    rows = f"{len(content.samples)} samples, {len(content.observations)} frames, {len(content.pictures)} pictures"
+    lost = f"; not readable: {'; '.join(map(str, content.damage))}" if content.damage else ""
+    fate = Fate.RECOVERED if content.footer is None else Fate.FINALISED
+    return Outcome(path, fate, rows + lost + aside, target)
+
+
+def _leftovers(folder: Path) -> Iterator[Outcome]:
+    """Remove archives that were never finished. HDF5 locks the file it writes: a living one is left alone."""
+    for path in sorted(folder.glob(f"*{archive.PART}")):
+        if not _held(path):
+            path.unlink(missing_ok=True)
+            yield Outcome(path, Fate.REMOVED, "left by an interrupted finalisation")
+
+
+def _journals(folder: Path) -> list[Path]:
+    return sorted(folder.glob(f"*{journal.SUFFIX}"))
+
+
+def _archive_of(path: Path) -> Path:
+    return path.with_suffix(archive.SUFFIX)
+
+
+def _held(path: Path) -> bool:
+    """Tell whether a living process holds a lock on a file."""
+    try:
+        handle = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
+    except OSError:
+        return False
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
+    else:
+        return False
+    finally:
+        os.close(handle)
+
+
+def _set_aside(path: Path) -> Path:
+    """Give a file a name of its own that no archive has."""
+    number = 1
+    while (kept := path.with_name(f"{path.name}.unsound-{number}")).exists():
+        number += 1
+    return path.rename(kept)

@@ -1,0 +1,247 @@
+"""The report: one HTML file that holds everything it shows, for one run or several."""
+
+from __future__ import annotations
+
+import base64
+import math
+import os
+from collections.abc import Iterable, Sequence
+from html import escape
+from importlib import resources
+from pathlib import Path
+
+import numpy as np
+
+from runs import figures, layout
+from runs.figures import svg
+from runs.run import Run
+from runs.summary import BAND_BAR, SETTLED_PART, Step, Summary, summarise
+
+SUFFIX = ".html"
+DASH = "–"
+
+
+def write(paths: Path | str | Sequence[Path | str], out_html: Path | str | None = None) -> Path:
+    """Write the report of one archive or several and return its path; by default beside the first archive."""
+    chosen = [Path(paths)] if isinstance(paths, str | os.PathLike) else [Path(path) for path in paths]
+    runs = [Run(path) for path in chosen]
+    target = chosen[0].with_suffix(SUFFIX) if out_html is None else Path(out_html)
+    part = target.with_name(target.name + ".part")
+    part.write_text(page(runs), encoding="utf-8")
+    part.replace(target)
+    return target
+
+
+def page(runs: Sequence[Run]) -> str:
+    """Return the whole HTML text."""
+    style = resources.files("runs").joinpath("report.css").read_text(encoding="utf-8")
+    title = escape(runs[0].header.title if len(runs) == 1 else f"{len(runs)} runs")
+    body = "\n".join(_run(run, summarise(run)) for run in runs)
+    return (
+        f'<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n<title>{title}</title>\n'
+        f'<meta name="viewport" content="width=device-width, initial-scale=1">\n<style>\n{style}</style>\n</head>\n'
+        f"<body>\n{body}\n<footer>Made by softrig from the archive; nothing in this page is loaded from elsewhere."
+        "</footer>\n</body>\n</html>\n"
+    )
+
+
+def _run(run: Run, summary: Summary) -> str:
+    header = run.header
+    badges = f'<span class="badge {summary.status}">{summary.status}</span>'
+    if summary.simulated:
+        badges += '<span class="badge simulated">simulated</span>'
+    began = layout.utc(header.started_utc_ns)[:19].replace("T", " ")
+    parts = [
+        f'<section class="run">\n<header class="run"><h1>{escape(header.title)}{badges}</h1>\n'
+        f'<p class="sub">{escape(header.run_id)} · {began} UTC · {run.duration_s:.1f} s · {escape(header.executor)}'
+        f"{' · ' + escape(header.operator) if header.operator else ''}</p></header>",
+    ]
+    if summary.simulated:
+        parts.append(
+            '<p class="note"><b>This run was simulated.</b> Card, camera or arm were those of the simulator; '
+            "nothing here was measured on a real manipulator.</p>"
+        )
+    if summary.message:
+        parts.append(f'<p class="note fault"><b>{escape(str(summary.status))}:</b> {escape(summary.message)}</p>')
+    if header.notes:
+        parts.append(f"<p>{escape(header.notes)}</p>")
+    parts += [_tiles(summary), *_figures(run, summary), _steps(summary), _pictures(run), _events(run)]
+    parts += [_provenance(run), "</section>"]
+    return "\n".join(part for part in parts if part)
+
+
+def _tiles(s: Summary) -> str:
+    tiles = [
+        (_mm(s.error_mm.mean), "mean error, measured to model (3-D)"),
+        (_mm(s.in_plane_mm.mean), "mean error in the plane of motion"),
+        (_mm(s.settled_error_mm), "mean settled error of the steps"),
+        (_unit(s.settling_s, "s", 2), f"longest settling within {BAND_BAR * 1e3:.0f} mbar"),
+        (_unit(s.overshoot_bar * 1e3, "mbar", 1), "largest overshoot"),
+        (_unit(s.tracking_rms_bar * 1e3, "mbar", 1), "rms tracking, moving set-points"),
+        (f"{s.missed_deadlines} <small>of {s.ticks}</small>", "control deadlines missed"),
+        (_unit(s.lateness_p99_us, "us", 1), "lateness, 99 % of the ticks below"),
+        (_unit(100 * s.measured_fraction, "%", 1), f"frames measured of {s.frames}; {s.frames_dropped} dropped"),
+    ]
+    if s.truth is not None:
+        tiles += [
+            (_mm(s.truth.error_mm.mean), "mean measured to simulated truth"),
+            (_mm(s.truth.in_plane_mm.mean), "the same in the plane of motion"),
+            (_unit(100 * s.truth.coverage, "%", 1), "frames whose truth lies in the stated 95 %"),
+        ]
+    shown = (
+        f'<div class="tile"><b>{value}</b><span>{label}</span></div>' for value, label in tiles if DASH not in value
+    )
+    return f'<div class="tiles">{"".join(shown)}</div>'
+
+
+def _figures(run: Run, summary: Summary) -> Iterable[str]:
+    settled = any(step.dwell and math.isfinite(step.error_mm) for step in summary.steps)
+    yield _figure("Pressures and set-points", svg(figures.pressures, run, summary, (9, 4.1)), "")
+    if len(run.tip.time_s):
+        yield _figure(
+            "Tool centre point in the plane of motion",
+            svg(figures.trajectory, run, summary, (9, 5.2)),
+            "In the rod-base frame, drawn as the arm hangs. Circles and crosses: mean over the last "
+            f"{100 * SETTLED_PART:.0f} % of each dwell.",
+        )
+        if settled:
+            yield _figure(
+                "Settled tip and error, step by step",
+                svg(figures.steps, run, summary, (9, 3.6)),
+                "Bars: 95 % of one frame. Normalised by the distance of the measured tip from where it rested "
+                "without pressure.",
+            )
+        yield _figure("Tip over time", svg(figures.coordinates, run, summary, (9, 5)), "")
+        yield _figure("Error over time", svg(figures.error, run, summary, (9, 4.2 if run.simulated else 2.6)), "")
+    caption = (
+        f"Half of the ticks began less than {_plain(summary.lateness_p50_us, 1)} us late, 99 % less than "
+        f"{_plain(summary.lateness_p99_us, 1)} us; the latest {_plain(summary.lateness_max_us / 1e3, 2)} ms. "
+        f"{summary.missed_deadlines} deadlines missed, {summary.ring_overflows} rows lost between processes."
+    )
+    yield _figure("Timing of the control loop", svg(figures.timing, run, summary, (9, 2.8)), caption)
+
+
+def _figure(title: str, drawing: str, caption: str) -> str:
+    below = f"<figcaption>{caption}</figcaption>" if caption else ""
+    drawing = drawing.replace("<svg", f'<svg role="img" aria-label="{escape(title)}"', 1)
+    return f"<h2>{title}</h2>\n<figure>{drawing}{below}</figure>"
+
+
+def _steps(summary: Summary) -> str:
+    if not summary.steps:
+        return ""
+    columns = (
+        "segment",
+        "set-points<br>[bar]",
+        "measured x, y, z<br>[mm]",
+        "model x, y, z<br>[mm]",
+        "error<br>[mm]",
+        "in plane<br>[mm]",
+        "normalised<br>[%]",
+        "settling<br>[s]",
+        "overshoot<br>[mbar]",
+        "tracking rms<br>[mbar]",
+    )
+    head = "".join(f"<th{'' if i == 0 else ' class=n'}>{name}</th>" for i, name in enumerate(columns))
+    rows = "".join(_step(step) for step in summary.steps)
+    return f'<h2>Segments</h2>\n<div class="scroll"><table><tr>{head}</tr>{rows}</table></div>'
+
+
+def _step(step: Step) -> str:
+    cells = (
+        " ".join(f"{level:.2f}" for level in step.level_bar),
+        _three(step.measured_mm),
+        _three(step.model_mm),
+        _plain(step.error_mm, 2),
+        _plain(step.in_plane_mm, 2),
+        _plain(step.normalised_percent, 2),
+        _plain(step.settling_s, 2) if step.dwell else "",
+        _plain(step.overshoot_bar * 1e3, 1) if step.dwell else "",
+        _plain(step.tracking_rms_bar * 1e3, 1),
+    )
+    return f"<tr><td>{escape(step.label)}</td>{''.join(f'<td class=n>{cell}</td>' for cell in cells)}</tr>"
+
+
+def _pictures(run: Run) -> str:
+    count = len(run.frames.time_s)
+    if count == 0:
+        return ""
+    shown = []
+    for k in np.unique(np.linspace(0, count - 1, 4).round().astype(int)):
+        kind = "png" if run.frames.encoding[k] == "png" else "jpeg"
+        data = base64.b64encode(run.picture(int(k))).decode()
+        when = f"{run.frames.time_s[k]:.2f} s, frame {run.frames.index[k]}"
+        shown.append(
+            f'<figure><img alt="camera picture at {when}" src="data:image/{kind};base64,{data}">'
+            f"<figcaption>{escape(run.frames.camera[k])}, {when}</figcaption></figure>"
+        )
+    return f'<h2>Camera</h2>\n<div class="pictures">{"".join(shown)}</div>'
+
+
+def _events(run: Run) -> str:
+    start = run.header.started_t_ns
+    rows = "".join(
+        f'<tr><td class=n>{(e.t_ns - start) / 1e9:.3f}</td><td class="{e.level}">{e.level}</td>'
+        f"<td>{escape(e.source)}</td><td>{escape(e.message)}</td></tr>"
+        for e in run.events
+    )
+    head = "<tr><th class=n>time [s]</th><th>level</th><th>source</th><th>message</th></tr>"
+    return f"<h2>Events</h2>\n<table>{head}{rows}</table>" if rows else ""
+
+
+def _provenance(run: Run) -> str:
+    header = run.header
+    commit = header.git_commit + (", with changes that were not committed" if header.git_diff else "")
+    facts = {
+        "run": header.run_id,
+        "protocol": header.protocol_name,
+        "rig": header.rig_name,
+        "model": header.model_variant,
+        "executor": header.executor + (f", seed {header.seed}" if header.seed is not None else ""),
+        "operator": header.operator,
+        "command": header.command,
+        "host": header.host,
+        "versions": ", ".join(f"{name} {version}" for name, version in sorted(header.versions.items())),
+        "git": commit if header.git_commit else "",
+        "archive": run.path.name,
+        "SHA-256": run.sha256,
+        "counted": ", ".join(f"{name.replace('_', ' ')} {n}" for name, n in run.timing.counters.items()),
+    }
+    rows = "".join(f"<tr><th>{name}</th><td>{escape(value)}</td></tr>" for name, value in facts.items() if value)
+    parts = [f'<h2>How it was made</h2>\n<table class="facts">{rows}</table>', _quantities(run)]
+    for name, text in (("Protocol", header.protocol_yaml), ("Rig", header.rig_yaml), ("Git diff", header.git_diff)):
+        if text:
+            parts.append(f"<details><summary>{name}, verbatim</summary><pre>{escape(text)}</pre></details>")
+    return "\n".join(part for part in parts if part)
+
+
+def _quantities(run: Run) -> str:
+    rows = "".join(
+        _row(q.room, q.name, ", ".join(f"{v:.6g}" for v in q.value), q.unit, _plain(q.uncertainty, 3), q.source)
+        for q in run.header.quantities
+    )
+    if not rows:
+        return ""
+    names = ("of", "name", "value", "unit", "standard uncertainty", "source")
+    head = "".join(f"<th>{name}</th>" for name in names)
+    return f"<details><summary>Numbers that were used</summary><table><tr>{head}</tr>{rows}</table></details>"
+
+
+def _row(*cells: str) -> str:
+    return f"<tr>{''.join(f'<td>{escape(cell)}</td>' for cell in cells)}</tr>"
+
+
+def _plain(value: float, digits: int) -> str:
+    return f"{value:.{digits}f}" if math.isfinite(value) else DASH
+
+
+def _unit(value: float, unit: str, digits: int) -> str:
+    return f"{value:.{digits}f} <small>{unit}</small>" if math.isfinite(value) else DASH
+
+
+def _mm(value: float) -> str:
+    return _unit(value, "mm", 2)
+
+
+def _three(values: tuple[float, float, float]) -> str:
+    return "&ensp;".join(f"{value:.1f}" for value in values) if math.isfinite(values[0]) else DASH
