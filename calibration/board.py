@@ -77,7 +77,8 @@ class Board:
     @cached_property
     def _shading_fits(self) -> tuple[Floats, Floats]:
         """Least-squares operators of the bright and the dark cells' planes."""
-        return np.linalg.pinv(self._shading[~self.dark]), np.linalg.pinv(self._shading[self.dark])
+        bright, dark = self._shading[~self.dark], self._shading[self.dark]
+        return np.asarray(np.linalg.pinv(bright)), np.asarray(np.linalg.pinv(dark))
 
     def colours_fit(self, image: Image, check_points_px: Floats) -> bool:
         """Tell whether every square and the quiet zone have their colours, given where `check_points_m` are seen.
@@ -89,7 +90,8 @@ class Board:
         low, high = check_points_px.min(axis=0), check_points_px.max(axis=0)
         if not (low[0] >= 0 and low[1] >= 0 and high[0] <= width - 1 and high[1] <= height - 1):
             return False
-        spots = cv2.remap(image, check_points_px.astype(np.float32).reshape(-1, 5, 2), None, cv2.INTER_LINEAR)
+        where = check_points_px.astype(np.float32).reshape(-1, 5, 2)
+        spots = cv2.remap(image, where[..., 0], where[..., 1], cv2.INTER_LINEAR)
         grey = spots.mean(axis=1)
         to_bright, to_dark = self._shading_fits
         bright = self._shading @ (to_bright @ grey[~self.dark])
@@ -125,6 +127,6 @@ def find(image: Image, board: Board) -> Floats | None:
         if to_image is None:
             return None
         check = cv2.perspectiveTransform(board.check_points_m[:, None, :2], to_image)[:, 0, :]
-        if board.colours_fit(image, check):
+        if board.colours_fit(image, np.asarray(check, dtype=np.float64)):
             return points
     return None

@@ -34,7 +34,12 @@ class Rigid:
     ) -> Rigid:
         """Build from a rotation vector (3,) [rad] and a translation (3,) [m]."""
         rotation, _ = cv2.Rodrigues(np.asarray(rotation_vector_rad, dtype=np.float64))
-        return cls(rotation, np.asarray(translation_m, dtype=np.float64), translation_std_m, rotation_std_rad)
+        return cls(
+            np.asarray(rotation, dtype=np.float64),
+            np.asarray(translation_m, dtype=np.float64),
+            translation_std_m,
+            rotation_std_rad,
+        )
 
     def apply(self, points_m: Floats) -> Floats:
         """Points (..., 3) of this frame in the parent frame."""

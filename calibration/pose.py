@@ -91,7 +91,7 @@ def refine(points_m: Floats, corners_px: Floats, lens: Lens, start: tuple[Floats
         return None
     freedom = residual.size - 6
     variance = (cost + _PRIOR_WEIGHT * _PRIOR_STD_PX**2) / (freedom + _PRIOR_WEIGHT)
-    covariance = np.linalg.inv(jacobian.T @ jacobian) * variance
+    covariance = np.asarray(np.linalg.inv(jacobian.T @ jacobian) * variance)
     return Pose(x[:3], x[3:], covariance, residual.reshape(-1, 2), projected)
 
 
@@ -105,6 +105,6 @@ def solutions(points_m: Floats, corners_px: Floats, lens: Lens) -> tuple[Pose, .
     )
     if not found:
         return ()
-    starts = zip(rotations, translations, strict=True)
-    poses = [refine(points_m, corners_px, lens, (r.ravel(), t.ravel())) for r, t in starts]
+    starts = np.concatenate([np.array(rotations), np.array(translations)], axis=1, dtype=np.float64)
+    poses = [refine(points_m, corners_px, lens, (start[:3, 0], start[3:, 0])) for start in starts]
     return tuple(sorted((p for p in poses if p is not None), key=lambda p: p.reprojection_px))

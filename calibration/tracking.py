@@ -1,4 +1,4 @@
-"""Following the board from frame to frame: a trustworthy pose of it in every picture, or the reason why there is none."""
+"""Following the board from frame to frame: a trustworthy pose in every picture, or the reason why there is none."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ class Tracker:
         x0, y0 = np.maximum(np.floor(low - margin), 0).astype(int)
         x1, y1 = np.ceil(high + margin).astype(int) + 1
         found = find(np.ascontiguousarray(image[y0:y1, x0:x1]), self._board) if x1 > x0 and y1 > y0 else None
-        return None if found is None else found + (x0, y0)
+        return None if found is None else found + np.array([x0, y0])
 
     def _measure(self, image: Image, seeds: Floats | None) -> Sighting:
         if seeds is None:

@@ -6,11 +6,12 @@ import time
 
 import numpy as np
 
+from calibration.frames import Rigid
 from rig.cameras.base import CameraError, Frame
 from rig.config import RigConfig
 from rig.optics import board_in_tip, board_of, camera_in_base, lens_of, rigid
 from rig.simulator.pose import PoseSource, TipPose
-from rig.simulator.scene import Optics, Rigid, Scene
+from rig.simulator.scene import Optics, Scene
 
 
 class MockCamera:

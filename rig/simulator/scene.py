@@ -70,7 +70,7 @@ class Scene:
                 self._board.squares_y,
             )
             if self._optics.blur_px > 0:
-                region = cv2.GaussianBlur(region, (0, 0), self._optics.blur_px)
+                cv2.GaussianBlur(region, (0, 0), self._optics.blur_px, dst=region)
             picture[y0:y1, x0:x1] = region
         dx, dy = np.random.default_rng([self._seed, index]).integers(0, _NOISE_SPARE)
         noise = self._noise[dy : dy + height, dx : dx + width]
@@ -104,7 +104,7 @@ class Scene:
             if pose.apply(outline)[:, 2].min() <= 0.01:
                 return None
             vector, _ = cv2.Rodrigues(pose.rotation)
-            seen.append(self._lens.project(outline, vector, pose.translation_m))
+            seen.append(self._lens.project(outline, np.asarray(vector, dtype=np.float64), pose.translation_m))
         pixels = np.concatenate(seen)
         margin = 4 + int(np.ceil(4 * self._optics.blur_px))
         low = np.maximum(np.floor(pixels.min(axis=0)) - margin, 0)
@@ -119,7 +119,7 @@ def _light(size: tuple[int, int], lighting: float) -> Singles:
     width, height = size
     y, x = np.mgrid[0:height, 0:width]
     ramp = (x / width + (height - y) / height) / 2
-    return (255.0 * lighting * (0.55 + 0.45 * ramp)).astype(np.float32)
+    return np.asarray(255.0 * lighting * (0.55 + 0.45 * ramp), dtype=np.float32)
 
 
 def _backdrop(size: tuple[int, int], light: Singles, rng: np.random.Generator) -> Singles:
