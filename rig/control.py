@@ -16,8 +16,8 @@ from rig.valve import vent_v
 
 __all__ = ["Command", "Sample", "Settings", "State", "Trip", "initial", "prepare", "safe_voltages", "step"]
 
-LONGEST_STEP_PERIODS = 4.0
-"""A tick that comes later than this is treated as if it came then: the filters are not made for long gaps."""
+SHORTEST_STEP_PERIODS, LONGEST_STEP_PERIODS = 0.25, 4.0
+"""Time between newest scans is taken as no less and no more: the filters are made for a steady rate."""
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class Settings:
 class State:
     """What one tick hands to the next. Once `trip` is set every command is the safe one."""
 
-    t_ns: int | None
+    scan_t_ns: int | None
     valves: tuple[Regulated, ...]
     watches: tuple[Watch, ...]
     trip: Trip | None = None
@@ -103,16 +103,14 @@ def step(
 
 def _step(settings: Settings, state: State, sample: Sample, setpoint: list[float], rate: list[float]) -> State:
     limits = settings.limits
-    trip = interlocks.stale(limits, sample.now_ns, sample.t_ns)
-    if trip is not None or sample.scans == 0:
+    trip = interlocks.stale(limits, sample)
+    if trip is not None or sample.scan_t_ns == state.scan_t_ns:
         return replace(state, trip=trip)
     trip = interlocks.broken(limits, sample)
     if trip is not None:
         return replace(state, trip=trip)
-    dt = settings.period_s if state.t_ns is None else (sample.t_ns - state.t_ns) * 1e-9
-    if not dt > 0.0:
-        return state
-    dt = min(dt, LONGEST_STEP_PERIODS * settings.period_s)
+    passed = settings.period_s if state.scan_t_ns is None else (sample.scan_t_ns - state.scan_t_ns) * 1e-9
+    dt = min(max(passed, SHORTEST_STEP_PERIODS * settings.period_s), LONGEST_STEP_PERIODS * settings.period_s)
 
     pressure, volts = sample.pressure_pa.tolist(), sample.volts.tolist()
     watches = []
@@ -131,4 +129,4 @@ def _step(settings: Settings, state: State, sample: Sample, setpoint: list[float
         target = sum(setpoint[a] for a in s.actuators) / n
         slope = sum(rate[a] for a in s.actuators) / n
         valves.append(regulator.step(s, valve, dt, mean, target, slope))
-    return State(sample.t_ns, tuple(valves), tuple(watches), trip)
+    return State(sample.scan_t_ns, tuple(valves), tuple(watches), trip)

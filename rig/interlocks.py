@@ -23,30 +23,14 @@ SIXTEEN_BITS = 65_535
 class Sample:
     """What one control tick knows.
 
-    `now_ns` is when the tick began, `t_ns` when the newest scan was taken. `volts` (N,) and `pressure_pa` (N,) are
-    the means over the `scans` scans since the last tick; without a new scan they and `t_ns` repeat the last ones, and
-    before the first scan they are NaN and `t_ns` is when sampling began.
+    `t_ns` is the time of the tick, `scan_t_ns` that of the newest scan (0 before the first); `volts` (N,) and
+    `pressure_pa` (N,) come from the scans since the last tick, or repeat the last ones when there were none.
     """
 
-    now_ns: int
     t_ns: int
+    scan_t_ns: int
     volts: NDArray[np.float64]
     pressure_pa: NDArray[np.float64]
-    scans: int
-
-    @staticmethod
-    def before_first(now_ns: int, actuators: int) -> Sample:
-        """The sample to begin with, at the moment sampling begins."""
-        nothing = np.full(actuators, np.nan)
-        return Sample(now_ns, now_ns, nothing, nothing, 0)
-
-    def then(
-        self, now_ns: int, t_ns: NDArray[np.int64], volts: NDArray[np.float64], pressure_pa: NDArray[np.float64]
-    ) -> Sample:
-        """The sample after this one, from the scans taken since: (n,), (n, N), (n, N), possibly none."""
-        if len(t_ns) == 0:
-            return replace(self, now_ns=now_ns, scans=0)
-        return Sample(now_ns, int(t_ns[-1]), volts.mean(axis=0), pressure_pa.mean(axis=0), len(t_ns))
 
 
 @dataclass(frozen=True)
@@ -141,13 +125,14 @@ def _sensor(sensor: Sensor) -> SensorSettings:
     )
 
 
-def stale(s: Settings, now_ns: int, t_ns: int) -> Trip | None:
+def stale(s: Settings, sample: Sample) -> Trip | None:
     """Trip when the newest scan is too old to steer by."""
-    age_s = (now_ns - t_ns) * 1e-9
+    age_s = (sample.t_ns - sample.scan_t_ns) * 1e-9
     if age_s <= s.stale_s:
         return None
-    message = f"no pressure sample for {age_s * 1e3:.0f} ms (limit {s.stale_s * 1e3:.0f} ms)"
-    return Trip(now_ns, "stale samples", message, age_s, s.stale_s, "s")
+    limit = f"(limit {s.stale_s * 1e3:.0f} ms)"
+    message = f"no pressure sample for {age_s * 1e3:.0f} ms {limit}" if sample.scan_t_ns else "no pressure sample yet"
+    return Trip(sample.t_ns, "stale samples", message, age_s, s.stale_s, "s")
 
 
 def broken(s: Settings, sample: Sample) -> Trip | None:

@@ -1,0 +1,67 @@
+"""The rig's arm as a model: the one it is believed to be, and the simulator's true one."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+
+import model
+from rig.config import Geometry, Material, RigConfig
+
+GRAVITY_M_S2 = 9.81
+
+Variant = Literal["homogeneous", "homogeneous+rpe", "inhomogeneous+rpe"]
+
+
+def model_arm(config: RigConfig, variant: Variant | None = None) -> model.Arm:
+    """The arm as the rig's file describes it; `variant` other than the file's on request."""
+    return _arm(config, config.arm.material, config.arm.cap_mass_g, variant or config.model.variant)
+
+
+def true_arm(config: RigConfig) -> model.Arm:
+    """The arm that hangs in the simulator.
+
+    Raises:
+        ValueError: the rig has no simulator.
+    """
+    if config.simulator is None:
+        raise ValueError(f"rig {config.name} has no simulator section")
+    return _arm(config, config.simulator.material, config.simulator.cap_mass_g, "inhomogeneous+rpe")
+
+
+def model_geometry(geometry: Geometry) -> model.Geometry:
+    """The YAML's geometry in SI."""
+    return model.Geometry.on_circle(
+        geometry.length_mm * 1e-3,
+        geometry.inner_radius_mm * 1e-3,
+        geometry.outer_radius_mm * 1e-3,
+        geometry.circle_radius_mm * 1e-3,
+        geometry.actuator_angles_deg,
+    )
+
+
+def model_material(material: Material) -> model.Material:
+    """The YAML's material."""
+    return model.Material(
+        youngs_modulus_pa=material.youngs_modulus_pa,
+        a1_per_n=material.a1_per_N,
+        a2_per_n2=material.a2_per_N2,
+        rpe_per_bar=material.rpe_per_bar,
+        shear_ratio=material.shear_ratio,
+        density_kg_m3=material.density_kg_m3,
+        damping_s=material.damping_s,
+    )
+
+
+def _arm(config: RigConfig, material: Material, cap_mass_g: float, variant: Variant) -> model.Arm:
+    direction = np.array(config.arm.gravity_direction)
+    x, y, z = GRAVITY_M_S2 * direction / np.linalg.norm(direction)
+    return model.Arm(
+        model_geometry(config.arm.geometry),
+        model_material(material),
+        variant=variant,
+        cap_mass_kg=cap_mass_g * 1e-3,
+        gravity_m_s2=(float(x), float(y), float(z)),
+        rod_weight=config.arm.gravity_on_rod,
+    )

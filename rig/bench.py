@@ -1,0 +1,175 @@
+"""Several cards as one rig: columns by actuator and valve, volts to pressure, and the safe state."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.config import RigConfig
+from rig.control import safe_voltages
+from rig.daq import open_card
+from rig.daq.base import Card, CardError, CardSetup, Channel, Scans
+
+READBACK_TOLERANCE = 1 / 2000
+"""Of the output's range: two counts of a 12-bit card."""
+
+
+@dataclass(frozen=True)
+class BenchScans:
+    """Scans of all sensors, oldest first: `t_ns` (n,), `volts` and gauge `pressure_pa` (n, N) in actuator order.
+
+    `lost` counts the scans that the cards dropped since the last read.
+    """
+
+    t_ns: NDArray[np.int64]
+    volts: NDArray[np.float64]
+    pressure_pa: NDArray[np.float64]
+    lost: int
+
+
+def card_setup(config: RigConfig, name: str) -> CardSetup:
+    """What the rig wants of one of its cards: sensors in actuator order, valves in the rig's order."""
+    card = config.cards[name]
+    sensors = sorted((s for s in config.sensors if s.card == name), key=lambda s: s.actuator)
+    valves = [v for v in config.valves if v.card == name]
+    return CardSetup(
+        name=name,
+        device=card.device,
+        inputs=tuple(Channel(s.channel, *s.range_V) for s in sensors),
+        outputs=tuple(Channel(v.channel, *v.range_V) for v in valves),
+        sampling_hz=card.sampling_hz,
+    )
+
+
+class Bench:
+    """The open cards of a rig. Methods may raise `CardError`."""
+
+    def __init__(self, config: RigConfig, cards: Mapping[str, Card]) -> None:
+        """`cards` are open, by their names in the rig, set up as `card_setup` says."""
+        self._cards = dict(cards)
+        self._sensors = sorted(config.sensors, key=lambda s: s.actuator)
+        self._valves = config.valves
+        self.safe_voltages: NDArray[np.float64] = np.array(safe_voltages(config))
+        columns = {name: [i for i, s in enumerate(self._sensors) if s.card == name] for name in self._cards}
+        self._inputs = {name: column for name, column in columns.items() if column}
+        self._outputs = {name: [i for i, v in enumerate(self._valves) if v.card == name] for name in self._cards}
+        self._pending = {name: _Pending(len(column)) for name, column in self._inputs.items()}
+
+    def start(self) -> None:
+        """Begin sampling on every card that has sensors."""
+        for name in self._inputs:
+            self._cards[name].start()
+
+    def read(self) -> BenchScans:
+        """Scans since the last read. Cards with clocks of their own are paired at the times of the first one.
+
+        A row exists only once every card has a scan as late: a card that falls silent makes the samples stale.
+        """
+        scans = {name: self._pending[name].with_new(self._cards[name].read()) for name in self._inputs}
+        lost = sum(s.lost for s in scans.values())
+        first, *others = scans
+        t_ns = scans[first].t_ns
+        if others:
+            oldest = max((int(scans[o].t_ns[0]) if len(scans[o].t_ns) else _NEVER) for o in others)
+            newest = min((int(scans[o].t_ns[-1]) if len(scans[o].t_ns) else -1) for o in others)
+            t_ns = t_ns[(t_ns <= newest) & (t_ns >= oldest)]
+        volts = np.empty((len(t_ns), len(self._sensors)))
+        for name, s in scans.items():
+            rows = np.searchsorted(s.t_ns, t_ns, side="right") - 1
+            volts[:, self._inputs[name]] = s.volts[rows]
+            # The first card's rows are used up; the others keep the one that the next row may still need.
+            until = int(t_ns[-1]) if len(t_ns) else -1
+            self._pending[name].keep(s, until, inclusive=name != first)
+        pressure = np.column_stack([s.pressure_pa(volts[:, i]) for i, s in enumerate(self._sensors)])
+        return BenchScans(t_ns, volts, pressure, lost)
+
+    def write(self, valve_v: NDArray[np.float64]) -> None:
+        """Set every valve (V,) [V]."""
+        for name, column in self._outputs.items():
+            if column:
+                self._cards[name].write(valve_v[column])
+
+    def readback(self) -> NDArray[np.float64]:
+        """The voltages (V,) that the outputs stand at, as far as the cards can tell."""
+        volts = np.full(len(self._valves), np.nan)
+        for name, column in self._outputs.items():
+            if column:
+                volts[column] = self._cards[name].readback()
+        return volts
+
+    def make_safe(self) -> None:
+        """Write the safe voltages to every card, whatever the others do.
+
+        Raises:
+            CardError: one or more cards could not be written; it names each.
+        """
+        failures = []
+        for name, column in self._outputs.items():
+            try:
+                if column:
+                    self._cards[name].write(self.safe_voltages[column])
+            except Exception as error:  # a card must not keep the others from their safe state
+                failures.append(f"card {name}: {error}")
+        if failures:
+            raise CardError("the safe state could not be written: " + "; ".join(failures))
+
+    def arm(self) -> None:
+        """Write the safe voltages, read them back and compare.
+
+        Raises:
+            CardError: an output does not stand where it was told to.
+        """
+        self.make_safe()
+        stands = self.readback()
+        for i, (valve, safe) in enumerate(zip(self._valves, self.safe_voltages, strict=True)):
+            tolerance = (valve.range_V[1] - valve.range_V[0]) * READBACK_TOLERANCE
+            if not abs(stands[i] - safe) <= tolerance:
+                raise CardError(
+                    f"valve {i + 1} (card {valve.card}, output {valve.channel}) was told {safe:.3f} V but stands at "
+                    f"{stands[i]:.3f} V: check that nothing else drives the card"
+                )
+
+    def close(self) -> None:
+        """Release every card; the outputs keep their voltages."""
+        for card in self._cards.values():
+            card.close()
+
+
+def open_bench(config: RigConfig, *, watchdog: bool = False) -> Bench:
+    """Open every card of the rig. A watchdog only writes: it asks for no inputs, which control may hold for itself."""
+    cards: dict[str, Card] = {}
+    try:
+        for name, card in config.cards.items():
+            setup = card_setup(config, name)
+            if watchdog:
+                setup = CardSetup(setup.name, setup.device, (), setup.outputs, setup.sampling_hz)
+            cards[name] = open_card(card, setup)
+    except BaseException:
+        for opened in cards.values():
+            opened.close()
+        raise
+    return Bench(config, cards)
+
+
+_NEVER = np.iinfo(np.int64).max
+
+
+class _Pending:
+    """Scans of one card that wait for those of the others."""
+
+    def __init__(self, inputs: int) -> None:
+        self._scans = Scans(np.empty(0, np.int64), np.empty((0, inputs)))
+
+    def with_new(self, new: Scans) -> Scans:
+        old = self._scans
+        if len(old.t_ns) == 0:
+            return new
+        return Scans(np.concatenate([old.t_ns, new.t_ns]), np.concatenate([old.volts, new.volts]), new.lost)
+
+    def keep(self, scans: Scans, until_ns: int, *, inclusive: bool) -> None:
+        used = int(np.searchsorted(scans.t_ns, until_ns, side="right"))
+        start = max(used - 1, 0) if inclusive else used
+        self._scans = Scans(scans.t_ns[start:], scans.volts[start:])

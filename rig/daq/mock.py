@@ -1,0 +1,66 @@
+"""The mock card, seen from any process: it reads and writes the shared file behind which the plant runs."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.daq.base import CardError, CardSetup, Scans
+from rig.simulator.converter import sixteen_bits
+from rig.simulator.registers import Registers
+
+
+class MockCard:
+    """A card whose sampling clock, inputs and valves live in the process `rig.simulator.process`.
+
+    Writing and reading back work while the plant stands still or is dead: they are registers.
+    """
+
+    def __init__(self, setup: CardSetup) -> None:
+        """Attach to the mock device.
+
+        Raises:
+            CardError: it does not exist or lacks a channel.
+        """
+        self._registers = Registers.attach(setup.device)
+        self._inputs = [channel.number for channel in setup.inputs]
+        self._outputs = setup.outputs
+        counts = self._registers.header
+        for what, channels, has in (
+            ("input", setup.inputs, int(counts["inputs"][0])),
+            ("output", setup.outputs, int(counts["outputs"][0])),
+        ):
+            missing = [c.number for c in channels if c.number >= has]
+            if missing:
+                self._registers.close()
+                raise CardError(f"mock card {setup.device} has {has} {what}s: there is no {what} {missing[0]}")
+        self._next: int | None = None
+
+    def start(self) -> None:
+        """Take scans from now on; the plant samples all the time."""
+        self._next = self._registers.scans_written
+
+    def read(self) -> Scans:
+        """Scans since the last call; none before `start`."""
+        if self._next is None:
+            return Scans(np.empty(0, np.int64), np.empty((0, len(self._inputs))))
+        scans, self._next = self._registers.scans_since(self._next, self._inputs)
+        return scans
+
+    def write(self, volts: NDArray[np.float64]) -> None:
+        """Set the outputs, as near as 16 bits come."""
+        values = [sixteen_bits(v, c.low_v, c.high_v) for v, c in zip(volts.tolist(), self._outputs, strict=True)]
+        now = time.monotonic_ns()
+        for channel, value in zip(self._outputs, values, strict=True):
+            self._registers.write(channel.number, value, now)
+
+    def readback(self) -> NDArray[np.float64]:
+        """The voltages that the outputs stand at."""
+        volts: NDArray[np.float64] = self._registers.outputs["volts"][[c.number for c in self._outputs]]
+        return volts
+
+    def close(self) -> None:
+        """Let go of the device; the outputs keep their voltages."""
+        self._registers.close()

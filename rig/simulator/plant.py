@@ -1,0 +1,198 @@
+"""The plant: air and arm on one clock, and the cards and the tip that can be seen of it."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.arm import true_arm
+from rig.config import RigConfig
+from rig.daq.base import CardError, Scans
+from rig.simulator import pneumatics
+from rig.simulator.converter import sixteen_bits
+from rig.simulator.history import POSE_DTYPE, pose_among
+from rig.simulator.pneumatics import STEP_NS
+from rig.simulator.pose import TipPose
+from rig.valve import ATMOSPHERE_PA
+
+ARM_STEPS = 50
+"""Grid steps of the air per step of the arm: 5 ms."""
+
+REMEMBERED_POSES = 256
+FIFO_SCANS = 4096
+
+
+class Plant:
+    """A simulated bench from the moment its cards' driver is attached: outputs at 0 V, chambers vented.
+
+    The same seed and the same writes at the same times give the same scans and poses, bit for bit, however the time
+    is cut into calls of `advance`.
+    """
+
+    def __init__(self, config: RigConfig, seed: int, t0_ns: int, *, moving_arm: bool = True) -> None:
+        """`moving_arm` false leaves the arm straight and its chambers at their volume: pneumatics alone.
+
+        Raises:
+            CardError: the rig has no simulator section.
+        """
+        if config.simulator is None:
+            raise CardError(f"rig {config.name} has mock devices but no simulator section")
+        self._config, self._t0_ns, self._step = config, t0_ns, 0
+        truth = config.simulator
+        geometry = config.arm.geometry
+        self._bore_m2 = math.pi * (geometry.inner_radius_mm * 1e-3) ** 2
+        self._dead_m3 = truth.chamber.dead_volume_ml * 1e-6
+        self._dynamics = true_arm(config).dynamics(ARM_STEPS * STEP_NS * 1e-9) if moving_arm else None
+        lengths = np.full(config.actuators, geometry.length_mm * 1e-3)
+        position, rotation = np.array([0.0, 0.0, lengths[0]]), np.eye(3)
+        if self._dynamics is not None:
+            shape = self._dynamics.start(np.zeros(config.actuators))
+            lengths, position, rotation = shape.actuator_lengths_m, shape.tip_m, shape.tip_rotation
+        self._poses = np.zeros(2 * REMEMBERED_POSES, POSE_DTYPE)
+        self._kept = 0
+        self._remember(0, position, rotation)
+        self._valves = pneumatics.valves(config, truth.valve)
+        self._chambers = pneumatics.chambers(config, truth)
+        self._sensors = pneumatics.sensors(config, truth, seed)
+        self._air = pneumatics.vented(len(config.valves), self._dead_m3 + self._bore_m2 * lengths)
+        self._cards = {
+            name: PlantCard(self, config, name) for name, card in config.cards.items() if card.driver == "mock"
+        }
+
+    @property
+    def t_ns(self) -> int:
+        """The time the plant has reached: the last point of its grid."""
+        return self._t0_ns + self._step * STEP_NS
+
+    @property
+    def pressure_pa(self) -> NDArray[np.float64]:
+        """True gauge pressure (N,) now."""
+        return self._air.pressure_pa - ATMOSPHERE_PA
+
+    @property
+    def volume_m3(self) -> NDArray[np.float64]:
+        """True volume (N,) of the chambers with their tubes now."""
+        return self._air.volume_m3.copy()
+
+    def card(self, name: str) -> PlantCard:
+        """One of the rig's mock cards.
+
+        Raises:
+            CardError: the rig's card of that name is not a mock.
+        """
+        if name not in self._cards:
+            raise CardError(f"card {name} of rig {self._config.name} is not simulated")
+        return self._cards[name]
+
+    def pose_at(self, t_ns: int) -> TipPose:
+        """The tip at a time within the last second, interpolated between the arm's steps."""
+        first = max(0, self._kept - REMEMBERED_POSES)
+        return pose_among(self._poses[first : self._kept], t_ns)
+
+    def poses_since(self, index: int) -> NDArray[np.void]:
+        """Remembered poses (n,) of POSE_DTYPE whose index is at least this."""
+        kept = self._poses[max(0, self._kept - REMEMBERED_POSES) : self._kept]
+        return kept[kept["index"] >= index]
+
+    def advance(self, t_ns: int) -> None:
+        """Let time pass until `t_ns`; a time that has passed already changes nothing."""
+        target = (t_ns - self._t0_ns) // STEP_NS
+        while self._step < target:
+            due = (self._step // ARM_STEPS + 1) * ARM_STEPS
+            self._pass(min(due, target) - self._step)
+            if self._step == due:
+                self._move_arm()
+
+    def skip(self, t_ns: int) -> None:
+        """Let the clock run to about `t_ns` while the plant stands still: whole steps of the arm, no scans."""
+        behind = (t_ns - self.t_ns) // (ARM_STEPS * STEP_NS)
+        self._step += max(0, behind) * ARM_STEPS
+
+    def set_output(self, valve: int, volts: float) -> None:
+        """Put a valve's output at a voltage, from the present grid point on."""
+        self._air.command_v[valve] = volts
+
+    def output(self, valve: int) -> float:
+        """The voltage a valve's output stands at."""
+        return float(self._air.command_v[valve])
+
+    def _pass(self, steps: int) -> None:
+        scans = np.empty((steps, len(self._air.pressure_pa)))
+        pneumatics.advance(self._valves, self._chambers, self._sensors, self._air, self._step, steps, scans)
+        for card in self._cards.values():
+            card.take(self._step, scans)
+        self._step += steps
+
+    def _move_arm(self) -> None:
+        if self._dynamics is None:
+            return
+        shape = self._dynamics.step(self.pressure_pa)
+        # The chambers follow within the next step: the arm lags the air by one step, and the volume has no jumps.
+        target = self._dead_m3 + self._bore_m2 * shape.actuator_lengths_m
+        self._air.volume_rate[:] = (target - self._air.volume_m3) / (ARM_STEPS * STEP_NS * 1e-9)
+        self._remember(self._step // ARM_STEPS, shape.tip_m, shape.tip_rotation)
+
+    def _remember(self, index: int, position: NDArray[np.float64], rotation: NDArray[np.float64]) -> None:
+        if self._kept == len(self._poses):
+            self._poses[:REMEMBERED_POSES] = self._poses[REMEMBERED_POSES:].copy()
+            self._kept = REMEMBERED_POSES
+        self._poses[self._kept] = (index, self._t0_ns + index * ARM_STEPS * STEP_NS, position, rotation)
+        self._kept += 1
+
+
+class PlantCard:
+    """A mock card inside the plant's own process, in virtual time; columns as `rig.bench.card_setup` orders them."""
+
+    def __init__(self, plant: Plant, config: RigConfig, name: str) -> None:
+        self._plant = plant
+        sensors = sorted((s for s in config.sensors if s.card == name), key=lambda s: s.actuator)
+        self._columns = [s.actuator - 1 for s in sensors]
+        self._valves = [i for i, v in enumerate(config.valves) if v.card == name]
+        self._ranges = [config.valves[i].range_V for i in self._valves]
+        self._every = pneumatics.scan_steps(config.cards[name].sampling_hz)
+        self._sampling = False
+        self._t_ns = np.zeros(FIFO_SCANS, np.int64)
+        self._volts = np.zeros((FIFO_SCANS, len(sensors)))
+        self._filled = self._lost = 0
+
+    @property
+    def period_ns(self) -> int:
+        """Time between two scans."""
+        return self._every * STEP_NS
+
+    def start(self) -> None:
+        """Begin sampling at the plant's present time."""
+        self._sampling, self._filled, self._lost = True, 0, 0
+
+    def take(self, first_step: int, scans: NDArray[np.float64]) -> None:
+        """Put the scans of a stretch of the grid into the card's buffer; what does not fit is lost."""
+        if not self._sampling:
+            return
+        rows = np.arange(-(first_step + 1) % self._every, len(scans), self._every)
+        fit = rows[: FIFO_SCANS - self._filled]
+        new = slice(self._filled, self._filled + len(fit))
+        self._t_ns[new] = self._plant.t_ns + (fit + 1) * STEP_NS
+        self._volts[new] = scans[np.ix_(fit, self._columns)]
+        self._filled += len(fit)
+        self._lost += len(rows) - len(fit)
+
+    def read(self) -> Scans:
+        """Scans since the last call."""
+        scans = Scans(self._t_ns[: self._filled].copy(), self._volts[: self._filled].copy(), self._lost)
+        self._filled = self._lost = 0
+        return scans
+
+    def write(self, volts: NDArray[np.float64]) -> None:
+        """Set the outputs, as near as 16 bits come."""
+        for valve, (low, high), v in zip(self._valves, self._ranges, volts.tolist(), strict=True):
+            self._plant.set_output(valve, sixteen_bits(v, low, high))
+
+    def readback(self) -> NDArray[np.float64]:
+        """The voltages that the outputs stand at."""
+        return np.array([self._plant.output(valve) for valve in self._valves])
+
+    def close(self) -> None:
+        """Stop sampling; the outputs keep their voltages."""
+        self._sampling = False

@@ -1,0 +1,333 @@
+"""Valves, chambers and sensors: the air of the plant, one compiled kernel on a fixed grid of small steps.
+
+Absolute pressures in Pa, volumes in m3, flow as volume at the reference atmosphere (see `rig.valve`). The equations
+are in docs/simulator.md. The grid is part of the truth: the same steps are taken however they are asked for.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import expm
+
+import rig.valve
+from model.compiled import cache_folder
+from rig.config import PA_PER_BAR, FlowValve, RigConfig, SimulatedValve, Simulator, Valve
+from rig.valve import ANR_K, ANR_PA, ATMOSPHERE_PA, fill_sign, opening_curve, sonic_conductance
+
+STEP_NS = 100_000
+REGULATOR_S = 0.03
+"""Lag of a simulated electro-pneumatic regulator."""
+
+Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+
+def compiled(function: Callable[..., Any]) -> Any:
+    """Compile with a cache on disk that knows both files the kernel is made of; numba's own looks at one."""
+    digest = hashlib.sha256()
+    for source in (__file__, rig.valve.__file__):
+        digest.update(Path(source).read_bytes())
+    folder = cache_folder() / f"plant-{digest.hexdigest()[:16]}"
+    before = numba.config.CACHE_DIR
+    numba.config.CACHE_DIR = str(folder)
+    try:
+        return numba.njit(cache=True, error_model="numpy", nogil=True)(function)
+    finally:
+        numba.config.CACHE_DIR = before
+
+
+class Valves(NamedTuple):
+    """Truth of the valves; arrays over valves. `spool` (V, 2, 2) carries (position - target, rate) over a step."""
+
+    regulates: NDArray[np.bool_]
+    closed_v: Floats
+    fill_sign: Floats
+    half_hysteresis_v: Floats
+    spool: Floats
+    curve_v: Floats
+    curve_fraction: Floats
+    conductance: Floats
+    leak: Floats
+    supply_pa: Floats
+    critical_ratio: Floats
+    pa_at_zero_v: Floats
+    pa_per_v: Floats
+
+
+class Chambers(NamedTuple):
+    """Truth of the chambers: `valve` (N,) of each, and `sharing` (V,), the number of chambers on each valve."""
+
+    valve: Integers
+    sharing: Integers
+    tube: float
+    stiffness_pa: float
+    polytropic: float
+    regulator_gain: float
+
+
+class Sensors(NamedTuple):
+    """Truth of the sensors and of the card inputs behind them; arrays over actuators.
+
+    `every` is the number of grid steps between two scans of the sensor's card.
+    """
+
+    seed: int
+    every: Integers
+    lag_gain: float
+    noise_pa: Floats
+    offset_pa: Floats
+    zero_pa: Floats
+    v_per_pa: Floats
+    span_low_v: Floats
+    span_high_v: Floats
+    range_low_v: Floats
+    range_high_v: Floats
+
+
+class Air(NamedTuple):
+    """State of the plant's air; changed in place by `advance`."""
+
+    command_v: Floats
+    target_v: Floats
+    spool_v: Floats
+    spool_rate: Floats
+    pressure_pa: Floats
+    volume_m3: Floats
+    volume_rate: Floats
+    lagged_pa: Floats
+
+
+def valves(config: RigConfig, truth: SimulatedValve) -> Valves:
+    """The true valves of a rig."""
+    n = len(config.valves)
+    points = max((len(v.flow_curve_V) for v in config.valves if isinstance(v, FlowValve)), default=1) + 1
+    arrays = Valves(
+        regulates=np.array([not isinstance(v, FlowValve) for v in config.valves]),
+        closed_v=np.zeros(n),
+        fill_sign=np.ones(n),
+        half_hysteresis_v=np.zeros(n),
+        spool=np.tile(_spool(truth), (n, 1, 1)),
+        curve_v=np.full((n, points), 1e9) + np.arange(points),
+        curve_fraction=np.zeros((n, points)),
+        conductance=np.zeros(n),
+        leak=np.zeros(n),
+        supply_pa=np.full(n, ATMOSPHERE_PA),
+        critical_ratio=np.full(n, 0.3),
+        pa_at_zero_v=np.zeros(n),
+        pa_per_v=np.zeros(n),
+    )
+    for i, valve in enumerate(config.valves):
+        _describe(arrays, i, valve, truth)
+    return arrays
+
+
+def _describe(arrays: Valves, i: int, valve: Valve, truth: SimulatedValve) -> None:
+    if not isinstance(valve, FlowValve):
+        (low_v, high_v), (low_bar, high_bar) = valve.span_V, valve.span_bar
+        arrays.pa_per_v[i] = (high_bar - low_bar) / (high_v - low_v) * PA_PER_BAR
+        arrays.pa_at_zero_v[i] = low_bar * PA_PER_BAR - low_v * arrays.pa_per_v[i] + ATMOSPHERE_PA
+        return
+    volts, fractions = opening_curve(valve, truth.dead_zone_V)
+    arrays.closed_v[i] = valve.closed_V
+    arrays.fill_sign[i] = fill_sign(valve)
+    arrays.half_hysteresis_v[i] = truth.hysteresis_percent / 200.0 * (valve.range_V[1] - valve.range_V[0])
+    arrays.curve_v[i, : len(volts)] = volts
+    arrays.curve_fraction[i] = fractions[-1]
+    arrays.curve_fraction[i, : len(fractions)] = fractions
+    arrays.conductance[i] = truth.flow_scale * sonic_conductance(valve.full_flow_l_min, valve.critical_ratio)
+    arrays.leak[i] = sonic_conductance(truth.leakage_l_min, valve.critical_ratio)
+    arrays.supply_pa[i] = valve.supply_bar * PA_PER_BAR + ATMOSPHERE_PA
+    arrays.critical_ratio[i] = valve.critical_ratio
+
+
+def _spool(truth: SimulatedValve) -> Floats:
+    """Transition over one grid step of a second-order system at rest at zero."""
+    omega = 2 * math.pi * truth.spool_hz
+    system = np.array([[0.0, 1.0], [-(omega**2), -2 * truth.spool_damping * omega]])
+    return np.asarray(expm(system * STEP_NS * 1e-9), dtype=np.float64)
+
+
+def chambers(config: RigConfig, truth: Simulator) -> Chambers:
+    """The true chambers of a rig."""
+    valve_of = {a - 1: i for i, valve in enumerate(config.valves) for a in valve.actuators}
+    valve = np.array([valve_of[a] for a in range(config.actuators)], np.int64)
+    return Chambers(
+        valve=valve,
+        sharing=np.bincount(valve, minlength=len(config.valves)),
+        tube=truth.chamber.tube_l_s_bar * 1e-3 / PA_PER_BAR,
+        stiffness_pa=truth.chamber.polytropic * ANR_PA * truth.chamber.temperature_k / ANR_K,
+        polytropic=truth.chamber.polytropic,
+        regulator_gain=-math.expm1(-STEP_NS * 1e-9 / REGULATOR_S),
+    )
+
+
+def sensors(config: RigConfig, truth: Simulator, seed: int) -> Sensors:
+    """The true sensors of a rig; their offsets are drawn from the seed."""
+    ordered = sorted(config.sensors, key=lambda s: s.actuator)
+    span_v = np.array([s.span_V for s in ordered])
+    span_pa = np.array([s.span_bar for s in ordered]) * PA_PER_BAR
+    lag_s = truth.sensor.lag_ms * 1e-3
+    rng = np.random.default_rng([seed, 0x5E450])
+    per_pa = (span_v[:, 1] - span_v[:, 0]) / (span_pa[:, 1] - span_pa[:, 0])
+    return Sensors(
+        seed=seed,
+        every=np.array([scan_steps(config.cards[s.card].sampling_hz) for s in ordered], np.int64),
+        lag_gain=-math.expm1(-STEP_NS * 1e-9 / lag_s) if lag_s > 0 else 1.0,
+        noise_pa=np.full(len(ordered), truth.sensor.noise_bar * PA_PER_BAR),
+        offset_pa=rng.standard_normal(len(ordered)) * truth.sensor.offset_bar * PA_PER_BAR,
+        zero_pa=span_pa[:, 0] - span_v[:, 0] / per_pa + ATMOSPHERE_PA,
+        v_per_pa=per_pa,
+        span_low_v=span_v.min(axis=1),
+        span_high_v=span_v.max(axis=1),
+        range_low_v=np.array([s.range_V[0] for s in ordered]),
+        range_high_v=np.array([s.range_V[1] for s in ordered]),
+    )
+
+
+def scan_steps(sampling_hz: float) -> int:
+    """Grid steps between scans: a mock card's clock divides the grid, as a real card's divides its crystal."""
+    return max(1, round(1e9 / sampling_hz / STEP_NS))
+
+
+def vented(n_valves: int, volume_m3: Floats) -> Air:
+    """Air at rest: every chamber (N,) [m3] at the atmosphere, every output at 0 V as a driver's attach leaves it."""
+    n = len(volume_m3)
+    zeros = np.zeros
+    return Air(
+        command_v=zeros(n_valves),
+        target_v=zeros(n_valves),
+        spool_v=zeros(n_valves),
+        spool_rate=zeros(n_valves),
+        pressure_pa=np.full(n, ATMOSPHERE_PA),
+        volume_m3=volume_m3.copy(),
+        volume_rate=zeros(n),
+        lagged_pa=np.full(n, ATMOSPHERE_PA),
+    )
+
+
+_flow_function = compiled(rig.valve.flow_function)
+
+
+@compiled
+def _flow(conductance: float, a_pa: float, b_pa: float, critical_ratio: float) -> float:
+    """Flow from a to b through one restriction; negative when b is at the higher pressure."""
+    if a_pa >= b_pa:
+        return float(conductance * a_pa * _flow_function(b_pa / a_pa, critical_ratio))
+    return float(-conductance * b_pa * _flow_function(a_pa / b_pa, critical_ratio))
+
+
+@compiled
+def _opening(offset_v: float, volts: Floats, fractions: Floats) -> float:
+    if offset_v <= volts[0]:
+        return 0.0
+    for i in range(1, len(volts)):
+        if offset_v < volts[i]:
+            slope = (fractions[i] - fractions[i - 1]) / (volts[i] - volts[i - 1])
+            return float(fractions[i - 1] + (offset_v - volts[i - 1]) * slope)
+    return float(fractions[-1])
+
+
+@compiled
+def _rates(v: Valves, c: Chambers, path: Floats, volume: Floats, volume_rate: Floats, p: Floats, out: Floats) -> None:
+    """dp/dt (N,) of every chamber on a flow-metering valve; `path` (V,) is the opening, negative towards exhaust."""
+    n = len(p)
+    for a in range(n):
+        i = c.valve[a]
+        if v.regulates[i]:
+            out[a] = 0.0
+            continue
+        b = v.critical_ratio[i]
+        leak = v.leak[i] / c.sharing[i]
+        flow = _flow(leak, v.supply_pa[i], p[a], b) - _flow(leak, p[a], ATMOSPHERE_PA, b)
+        if path[i] > 0.0:
+            flow += _flow(path[i], v.supply_pa[i], p[a], b)
+        elif path[i] < 0.0:
+            flow -= _flow(-path[i], p[a], ATMOSPHERE_PA, b)
+        for other in range(n):
+            if other != a and c.valve[other] == i:
+                # Two tubes in series join two chambers; more than two form a star.
+                flow += _flow(c.tube * math.sqrt(2.0) / c.sharing[i], p[other], p[a], b)
+        out[a] = (c.stiffness_pa * flow - c.polytropic * p[a] * volume_rate[a]) / volume[a]
+
+
+@compiled
+def _scatter(key: int) -> np.uint64:
+    """SplitMix64's output function: 64 well-mixed bits of a counter."""
+    z = np.uint64(key)
+    z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    return z ^ (z >> np.uint64(31))
+
+
+@compiled
+def _normal(seed: int, sensor: int, step: int) -> float:
+    """A standard normal number that depends on its arguments only (Box and Muller over a hashed counter)."""
+    golden = np.uint64(0x9E3779B97F4A7C15)
+    stream = _scatter(np.uint64(seed) * golden + np.uint64(sensor + 1))
+    first = _scatter(stream + np.uint64(2 * step) * golden)
+    second = _scatter(stream + np.uint64(2 * step + 1) * golden)
+    u = (np.float64(first >> np.uint64(11)) + 0.5) / 9007199254740992.0
+    angle = np.float64(second >> np.uint64(11)) * (2.0 * math.pi / 9007199254740992.0)
+    return math.sqrt(-2.0 * math.log(u)) * math.cos(angle)
+
+
+@compiled
+def _read(s: Sensors, a: int, step: int, pressure_pa: float) -> float:
+    """Volts that the card's 16 bits give for one sensor."""
+    seen = pressure_pa + s.offset_pa[a] + s.noise_pa[a] * _normal(s.seed, a, step)
+    volts = min(max((seen - s.zero_pa[a]) * s.v_per_pa[a], s.span_low_v[a]), s.span_high_v[a])
+    low, width = s.range_low_v[a], s.range_high_v[a] - s.range_low_v[a]
+    code = min(max(round((volts - low) / width * 65535.0), 0.0), 65535.0)
+    return float(low + code / 65535.0 * width)
+
+
+@compiled
+def advance(v: Valves, c: Chambers, s: Sensors, air: Air, first_step: int, steps: int, scans: Floats) -> None:
+    """Take `steps` grid steps from grid point `first_step`, changing `air`.
+
+    A sensor that is scanned at grid point j writes its volts to `scans[j - first_step - 1, a]` (steps, N); the others
+    leave their entry as it was.
+    """
+    dt = STEP_NS * 1e-9
+    n = len(air.pressure_pa)
+    path = np.zeros(len(air.command_v))
+    rate = np.zeros(n)
+    middle = np.zeros(n)
+    volume = np.zeros(n)
+    for j in range(first_step + 1, first_step + steps + 1):
+        for i in range(len(path)):
+            # Friction: the spool's target follows the command only once it is dragged by the hysteresis' half width.
+            low, high = air.command_v[i] - v.half_hysteresis_v[i], air.command_v[i] + v.half_hysteresis_v[i]
+            air.target_v[i] = min(max(air.target_v[i], low), high)
+            x, w = air.spool_v[i] - air.target_v[i], air.spool_rate[i]
+            air.spool_v[i] = air.target_v[i] + v.spool[i, 0, 0] * x + v.spool[i, 0, 1] * w
+            air.spool_rate[i] = v.spool[i, 1, 0] * x + v.spool[i, 1, 1] * w
+            offset = v.fill_sign[i] * (air.spool_v[i] - v.closed_v[i])
+            opened = v.conductance[i] * _opening(abs(offset), v.curve_v[i], v.curve_fraction[i])
+            # Valve and tubes in series: the squares of their resistances add. The chambers share what passes.
+            share = c.sharing[i]
+            path[i] = math.copysign(opened / math.sqrt(1.0 + (opened / (c.tube * share)) ** 2) / share, offset)
+        _rates(v, c, path, air.volume_m3, air.volume_rate, air.pressure_pa, rate)
+        for a in range(n):
+            middle[a] = air.pressure_pa[a] + 0.5 * dt * rate[a]
+            volume[a] = air.volume_m3[a] + 0.5 * dt * air.volume_rate[a]
+        _rates(v, c, path, volume, air.volume_rate, middle, rate)
+        for a in range(n):
+            i = c.valve[a]
+            if v.regulates[i]:
+                target = max(v.pa_at_zero_v[i] + v.pa_per_v[i] * air.spool_v[i], ATMOSPHERE_PA)
+                air.pressure_pa[a] += c.regulator_gain * (target - air.pressure_pa[a])
+            else:
+                air.pressure_pa[a] += dt * rate[a]
+            air.volume_m3[a] += dt * air.volume_rate[a]
+            air.lagged_pa[a] += s.lag_gain * (air.pressure_pa[a] - air.lagged_pa[a])
+            if j % s.every[a] == 0:
+                scans[j - first_step - 1, a] = _read(s, a, j, air.lagged_pa[a])

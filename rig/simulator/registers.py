@@ -1,0 +1,219 @@
+"""The file in shared memory that is a mock card: outputs, scans and the tip's pose. Layout: docs/simulator.md.
+
+The outputs are registers: one 8-byte word each, written without any lock, so that a process which dies or stands
+still in the middle of a write keeps nobody else from writing, and the last write wins, as on a real card.
+The rings have one writer, the plant. Each row carries its own index, and the counter of rows is stored after them.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import mmap
+import os
+import time
+from pathlib import Path
+from typing import IO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.daq.base import CardError, Scans
+from rig.simulator.history import POSE_DTYPE, pose_among
+from rig.simulator.pose import TipPose
+
+FOLDER = Path("/dev/shm")
+MAGIC = b"softrig\0"
+VERSION = 1
+SCAN_ROWS = 4096
+POSE_ROWS = 512
+SPARE_ROWS = 256
+"""Rows that a reader leaves alone because the plant may overwrite them while they are being copied."""
+RECENT_POSES = 220
+
+HEADER_DTYPE = np.dtype(
+    [
+        ("magic", "S8"),
+        ("version", "<u8"),
+        ("outputs", "<u8"),
+        ("inputs", "<u8"),
+        ("scan_rows", "<u8"),
+        ("pose_rows", "<u8"),
+        ("plant_pid", "<i8"),
+        ("plant_t_ns", "<i8"),
+        ("scans", "<i8"),
+        ("poses", "<i8"),
+    ]
+)
+OUTPUT_DTYPE = np.dtype([("volts", "<f8"), ("written_ns", "<i8")])
+
+
+def scan_dtype(inputs: int) -> np.dtype[np.void]:
+    """One scan of all of a card's inputs."""
+    return np.dtype([("index", "<i8"), ("t_ns", "<i8"), ("volts", "<f8", (inputs,))])
+
+
+def path_of(device: str) -> Path:
+    """The file of a mock device of this user."""
+    return FOLDER / f"softrig-{os.getuid()}-{device.replace('/', '_')}"
+
+
+class Registers:
+    """One mapped file; arrays are views into it."""
+
+    def __init__(self, file: IO[bytes], path: Path) -> None:
+        """Map an open file that `create` or `attach` has found to be sound."""
+        self.path = path
+        self._file = file
+        self._map = mmap.mmap(file.fileno(), 0)
+        self.header: NDArray[np.void] = np.frombuffer(self._map, HEADER_DTYPE, 1)
+        inputs, outputs = int(self.header["inputs"][0]), int(self.header["outputs"][0])
+        outputs_at, scans_at, poses_at, _ = _offsets(outputs, inputs)
+        self.outputs: NDArray[np.void] = np.frombuffer(self._map, OUTPUT_DTYPE, outputs, outputs_at)
+        self._scans: NDArray[np.void] = np.frombuffer(self._map, scan_dtype(inputs), SCAN_ROWS, scans_at)
+        self._poses: NDArray[np.void] = np.frombuffer(self._map, POSE_DTYPE, POSE_ROWS, poses_at)
+
+    @classmethod
+    def create(cls, device: str, outputs: int, inputs: int, patience_s: float = 8.0) -> Registers:
+        """Become the plant of a mock device: empty rings and every output at 0 V, as when a driver attaches.
+
+        An existing file is used again, so that whoever has it mapped stays connected. A plant that is about to end
+        is waited for.
+
+        Raises:
+            CardError: another plant runs behind the device, or the file cannot be made.
+        """
+        path = path_of(device)
+        size = _offsets(outputs, inputs)[3]
+        try:
+            file = _locked(path, patience_s)
+            if os.fstat(file.fileno()).st_size not in (0, size):
+                path.unlink()
+                file.close()
+                file = _locked(path, patience_s)
+            file.truncate(size)
+        except OSError as error:
+            raise CardError(f"mock card {device}: {path}: {error.strerror}") from error
+        with mmap.mmap(file.fileno(), HEADER_DTYPE.itemsize) as raw:
+            header = np.zeros(1, HEADER_DTYPE)
+            header["magic"], header["version"] = MAGIC, VERSION
+            header["outputs"], header["inputs"] = outputs, inputs
+            header["scan_rows"], header["pose_rows"] = SCAN_ROWS, POSE_ROWS
+            header["plant_pid"] = os.getpid()
+            raw[:] = header.tobytes()
+        registers = cls(file, path)
+        registers._scans["index"] = -1
+        registers._poses["index"] = -1
+        now = time.monotonic_ns()
+        for output in range(outputs):
+            registers.write(output, 0.0, now)
+        return registers
+
+    @classmethod
+    def attach(cls, device: str) -> Registers:
+        """Map the file of a mock device whose plant runs, or has run.
+
+        Raises:
+            CardError: there is none, or it is of another version of softrig.
+        """
+        path = path_of(device)
+        try:
+            file = path.open("r+b", buffering=0)
+        except FileNotFoundError:
+            raise CardError(
+                f"mock card {device} does not exist: start its plant with `python -m rig.simulator.process --rig FILE`"
+            ) from None
+        except OSError as error:
+            raise CardError(f"mock card {device}: {path}: {error.strerror}") from error
+        raw = file.read(HEADER_DTYPE.itemsize)
+        header = np.frombuffer(raw, HEADER_DTYPE, 1) if len(raw) == HEADER_DTYPE.itemsize else None
+        # NumPy drops the trailing zeros of a byte string.
+        if header is None or header["magic"][0] != MAGIC.rstrip(b"\0") or header["version"][0] != VERSION:
+            file.close()
+            raise CardError(f"mock card {device}: {path} was not made by this version of softrig: remove it")
+        return cls(file, path)
+
+    def write(self, output: int, volts: float, t_ns: int) -> None:
+        """Set one output register and the time of the write."""
+        self.outputs["volts"][output] = volts
+        self.outputs["written_ns"][output] = t_ns
+
+    def push_scans(self, t_ns: NDArray[np.int64], volts: NDArray[np.float64]) -> None:
+        """Append scans (n,), (n, inputs). Only the plant may."""
+        first = int(self.header["scans"][0])
+        index = np.arange(first, first + len(t_ns))[-SCAN_ROWS:]
+        rows = index % SCAN_ROWS
+        self._scans["index"][rows] = -1
+        self._scans["t_ns"][rows] = t_ns[-SCAN_ROWS:]
+        self._scans["volts"][rows] = volts[-SCAN_ROWS:]
+        self._scans["index"][rows] = index
+        self.header["scans"][0] = first + len(t_ns)
+
+    def push_poses(self, poses: NDArray[np.void]) -> None:
+        """Append poses (n,) of POSE_DTYPE, whose index continues the ring's. Only the plant may."""
+        rows = poses["index"] % POSE_ROWS
+        self._poses["index"][rows] = -1
+        for name in ("t_ns", "position_m", "rotation", "index"):
+            self._poses[name][rows] = poses[name]
+        self.header["poses"][0] = int(poses["index"][-1]) + 1
+
+    @property
+    def scans_written(self) -> int:
+        """How many scans there have been since the plant began."""
+        return int(self.header["scans"][0])
+
+    def scans_since(self, first: int, columns: list[int]) -> tuple[Scans, int]:
+        """Scans from index `first` on, in the given columns, and the index to go on from."""
+        written = self.scans_written
+        if written < first:
+            # A new plant has begun to count from zero.
+            first = 0
+        begin = max(first, written - (SCAN_ROWS - SPARE_ROWS))
+        index = np.arange(begin, written)
+        rows = self._scans[index % SCAN_ROWS]
+        whole = rows["index"] == index
+        rows = rows[whole]
+        lost = begin - first + int(len(index) - np.count_nonzero(whole))
+        return Scans(rows["t_ns"].copy(), rows["volts"][:, columns], lost), written
+
+    def pose_at(self, t_ns: int) -> TipPose:
+        """The tip at a time within the last second.
+
+        Raises:
+            LookupError: the time lies further back, or there is no pose yet.
+        """
+        written = int(self.header["poses"][0])
+        index = np.arange(max(0, written - RECENT_POSES), written)
+        rows = self._poses[index % POSE_ROWS]
+        rows = rows[rows["index"] == index]
+        if len(rows) == 0:
+            raise LookupError(f"{self.path} holds no pose of the tip yet")
+        return pose_among(rows, t_ns)
+
+    def close(self) -> None:
+        """Let go of the file; the registers keep their values."""
+        self._file.close()
+
+
+def _offsets(outputs: int, inputs: int) -> tuple[int, int, int, int]:
+    """Where the outputs, the scans and the poses begin, and the size of the file [bytes]."""
+    outputs_at = 4096
+    scans_at = outputs_at + 4096
+    poses_at = scans_at + SCAN_ROWS * scan_dtype(inputs).itemsize
+    if outputs * OUTPUT_DTYPE.itemsize > 4096:
+        raise CardError(f"a mock card has at most {4096 // OUTPUT_DTYPE.itemsize} outputs, not {outputs}")
+    return outputs_at, scans_at, poses_at, poses_at + POSE_ROWS * POSE_DTYPE.itemsize
+
+
+def _locked(path: Path, patience_s: float) -> IO[bytes]:
+    file = os.fdopen(os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600), "r+b", buffering=0)
+    until = time.monotonic() + patience_s
+    while True:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            if time.monotonic() > until:
+                file.close()
+                raise CardError(f"{path}: another simulator runs behind this mock card") from None
+            time.sleep(0.05)
+        else:
+            return file
