@@ -56,6 +56,7 @@ class JournalWriter:
         self._full: str | None = None
         first = block_of_header(header, self._samples.form["row"], self._observations.form["row"])
         try:
+            self._check_room(os.statvfs(self.path.parent))
             self._fd = os.open(self.path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_APPEND | os.O_CLOEXEC, 0o644)
         except OSError as fault:
             raise JournalError(f"cannot create {self.path}: {fault.strerror}") from fault
@@ -63,7 +64,6 @@ class JournalWriter:
             fcntl.flock(self._fd, fcntl.LOCK_EX)
             self._synced_at = time.monotonic()
             self._write(blocks.opening() + first + first)
-            self._check_room()
         except BaseException:
             os.close(self._fd)
             raise
@@ -115,7 +115,7 @@ class JournalWriter:
         self._write(data)
         if time.monotonic() - self._synced_at >= SYNC_S:
             self._sync()
-            self._check_room()
+            self._check_room(os.fstatvfs(self._fd))
 
     def _write(self, data: bytes) -> None:
         """Write all of it or, where there is no room, none."""
@@ -140,9 +140,8 @@ class JournalWriter:
         self._synced_at = time.monotonic()
         self.longest_sync_s = max(self.longest_sync_s, self._synced_at - before)
 
-    def _check_room(self) -> None:
+    def _check_room(self, disk: os.statvfs_result) -> None:
         """Stop while there is still room for the archive, which is about as large as the journal."""
-        disk = os.fstatvfs(self._fd)
         free, needed = disk.f_bavail * disk.f_frsize, RESERVE_BYTES + self._size
         if free < needed:
             self._full = (

@@ -12,6 +12,7 @@ from pathlib import Path
 from runs import archive, journal
 from runs.archive import ArchiveError, StillWrittenError
 from runs.journal import JournalError
+from runs.run import Run
 
 
 class Fate(StrEnum):
@@ -60,13 +61,12 @@ def _recover(path: Path) -> Outcome:
     aside = ""
     if target.exists():
         try:
-            sound = archive.verify(target)
+            Run(target)
         except ArchiveError:
-            sound = False
-        if sound:
+            kept = _set_aside(target)
+            aside = f"; the archive that was there cannot be opened and was kept as {kept.name}"
+        else:
             return Outcome(path, Fate.ARCHIVED, "", target)
-        kept = _set_aside(target)
-        aside = f"; the archive that was there is not sound and was kept as {kept.name}"
     try:
         archive.finalise(path)
         content = journal.read(path)
@@ -81,9 +81,10 @@ def _recover(path: Path) -> Outcome:
 
 
 def _leftovers(folder: Path) -> Iterator[Outcome]:
-    """Remove archives that were never finished. HDF5 locks the file it writes: a living one is left alone."""
+    """Remove archives that were never finished, unless someone holds the journal or HDF5 the file."""
     for path in sorted(folder.glob(f"*{archive.PART}")):
-        if not _held(path):
+        source = path.with_name(path.name.removesuffix(archive.PART) + journal.SUFFIX)
+        if not _held(source) and not _held(path):
             path.unlink(missing_ok=True)
             yield Outcome(path, Fate.REMOVED, "left by an interrupted finalisation")
 
@@ -115,6 +116,6 @@ def _held(path: Path) -> bool:
 def _set_aside(path: Path) -> Path:
     """Give a file a name of its own that no archive has."""
     number = 1
-    while (kept := path.with_name(f"{path.name}.unsound-{number}")).exists():
+    while (kept := path.with_name(f"{path.name}.unreadable-{number}")).exists():
         number += 1
     return path.rename(kept)

@@ -105,7 +105,7 @@ def observations(duration_s: float, seed: int = 0, simulated: bool = True) -> ND
     rows["truth_m"] = truth if simulated else np.nan
     rows["covariance_m2"] = np.diag(sigma**2)
     rows["measured_m"] = truth + rng.normal(0, 1, (n, 3)) * sigma
-    rows["model_m"] = truth + [1e-3, 0, 0]
+    rows["model_m"] = truth + np.array([1e-3, 0, 0])
     rows["model_ok"] = 1
     rows["reprojection_px"] = 0.05
     rows["age_ns"] = 8_000_000
