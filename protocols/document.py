@@ -127,7 +127,9 @@ def validate(
 def _valid_parts(model_class: type[BaseModel], data: Mapping[str, Any]) -> dict[str, Any]:
     parts = {}
     for name, field in model_class.model_fields.items():
-        if name in data:
+        if name not in data and not field.is_required():
+            parts[name] = field.get_default(call_default_factory=True)
+        elif name in data:
             try:
                 parts[name] = TypeAdapter(field.rebuild_annotation()).validate_python(data[name])
             except ValidationError:

@@ -6,6 +6,7 @@ import difflib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 from protocols import document as yaml_document
 from protocols.document import Document
@@ -36,6 +37,13 @@ class Protocol:
         """The set-points over time for a rig with so many actuators; `BadInput` where the rig has too few."""
         return expand(self.steps, actuators, self._document, self._samples)
 
+    def step_at(self, line: int) -> tuple[str, int]:
+        """The path in words and the column of the step that a segment's `line` points to."""
+        paths = [path for path, _ in _leaves(self.steps, ("steps",)) if self._document.mark(path).key_line == line]
+        if len(paths) != 1:
+            return "steps", 0
+        return path_text(paths[0]), self._document.mark(paths[0]).key_column
+
 
 def named() -> tuple[tuple[str, str], ...]:
     """Name and title of the protocols that come with the program."""
@@ -49,8 +57,8 @@ def load(name_or_path: str | Path) -> Protocol:
     body = yaml_document.validate(ProtocolFile, document)
     problems = too_long(body.steps, document)
     samples: dict[tuple[str, tuple[int, ...]], Columns] = {}
-    for here, step in _csv_steps(body.steps, ("steps",)):
-        if (step.file, step.actuators) not in samples:
+    for here, step in _leaves(body.steps, ("steps",)):
+        if isinstance(step, Csv) and (step.file, step.actuators) not in samples:
             try:
                 samples[step.file, step.actuators] = read_samples(path.parent / step.file, step.actuators)
             except BadInput as error:
@@ -76,16 +84,17 @@ def find(name: str, folder: Path, what: str) -> Path:
     raise BadInput([Problem(name or "''", 0, 0, "", "no such file or name", expected, nearby[0] if nearby else "")])
 
 
-def _csv_steps(steps: Sequence[Step], base: tuple[str | int, ...]) -> Iterator[tuple[tuple[str | int, ...], Csv]]:
+def _leaves(steps: Sequence[Step], base: tuple[str | int, ...]) -> Iterator[tuple[tuple[str | int, ...], Any]]:
+    """Path and content of every step that is not made of steps."""
     for index, step in enumerate(steps):
         body = getattr(step, step.kind)
         here = (*base, index, step.kind)
-        if isinstance(body, Csv):
-            yield here, body
-        elif isinstance(body, Repeat):
-            yield from _csv_steps(body.steps, (*here, "steps"))
+        if isinstance(body, Repeat):
+            yield from _leaves(body.steps, (*here, "steps"))
         elif isinstance(body, tuple):
-            yield from _csv_steps(body, here)
+            yield from _leaves(body, here)
+        else:
+            yield here, body
 
 
 def _named_by(problem: Problem, document: Document, here: tuple[str | int, ...]) -> Problem:

@@ -4,39 +4,68 @@ YAML speaks bar, mm, degrees and volts, with the unit in each key; the propertie
 return SI.
 """
 
+# ruff: noqa: N815 - volts keep their capital, as in V and mV
+
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
+from pydantic.json_schema import SkipJsonSchema
+
+from protocols import document
+from protocols.document import faults
+from protocols.library import find
+from rig import consistency
 
 PA_PER_BAR = 1e5
+FOLDER = Path(__file__).parent / "rigs"
 
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
-Number = Annotated[float, Field(allow_inf_nan=False)]
-Index = Annotated[int, Field(ge=0)]
-ActuatorNumber = Annotated[int, Field(ge=1)]
+
+def _rising(span: tuple[float, float]) -> tuple[float, float]:
+    if span[0] >= span[1]:
+        raise ValueError("two numbers, the lower one first")
+    return span
+
+
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False, strict=True)]
+NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False, strict=True)]
+Number = Annotated[float, Field(allow_inf_nan=False, strict=True)]
+Volt = Annotated[float, Field(ge=-10, le=10, allow_inf_nan=False, strict=True)]
+Bar = Annotated[float, Field(gt=0, le=100, allow_inf_nan=False, strict=True)]
+Flag = Annotated[bool, Field(strict=True)]
+Word = Annotated[str, Field(min_length=1)]
+Index = Annotated[int, Field(ge=0, strict=True)]
+Count = Annotated[int, Field(ge=1, strict=True)]
+ActuatorNumber = Annotated[int, Field(ge=1, strict=True)]
 Triple = tuple[Number, Number, Number]
-Span = tuple[Number, Number]
+BarSpan = Annotated[
+    tuple[
+        Annotated[float, Field(ge=-1, le=100, allow_inf_nan=False, strict=True)],
+        Annotated[float, Field(ge=-1, le=100, allow_inf_nan=False, strict=True)],
+    ],
+    AfterValidator(_rising),
+]
+VoltSpan = Annotated[tuple[Volt, Volt], AfterValidator(_rising)]
 
 
 class Section(BaseModel):
     """A mapping of the YAML: unknown keys are errors, values are never coerced from text."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=False)
+    model_config = ConfigDict(extra="forbid", frozen=True)
 
 
 class CardConfig(Section):
     """One data-acquisition card."""
 
     driver: Literal["comedi", "mock"]
-    device: str = Field(description="/dev/comedi0, a board name, or the mock card's name")
+    device: Word = Field(description="/dev/comedi0, a board name, or the mock card's name")
     sampling_hz: Positive = Field(default=1000.0, le=20_000)
-    outputs: Annotated[int, Field(ge=0)] = Field(description="AO channels that the card has")
-    inputs: Annotated[int, Field(ge=0)] = Field(description="AI channels that the card has")
+    outputs: Index = Field(description="AO channels that the card has")
+    inputs: Index = Field(description="AI channels that the card has")
 
 
 class FlowValve(Section):
@@ -47,18 +76,18 @@ class FlowValve(Section):
 
     type: Literal["flow"]
     actuators: Annotated[tuple[ActuatorNumber, ...], Field(min_length=1)]
-    card: str
+    card: Word
     channel: Index
-    range_V: Span = (0.0, 10.0)
+    range_V: VoltSpan = (0.0, 10.0)
     safe_state: Literal["vent", "hold"] = "vent"
-    closed_V: Number = 5.0
+    closed_V: Volt = 5.0
     fills: Literal["above", "below"] = "above"
     dead_zone_V: NonNegative
     full_flow_l_min: Positive = Field(description="normal litres per minute fully open at 6 -> 5 bar gauge")
     flow_curve_V: Annotated[tuple[NonNegative, ...], Field(min_length=2)] = Field(description="volts from closed")
     flow_curve_percent: Annotated[tuple[NonNegative, ...], Field(min_length=2)] = Field(description="of full flow")
-    supply_bar: Positive = Field(description="gauge pressure at the supply port")
-    critical_ratio: Annotated[float, Field(gt=0, lt=1)] = Field(default=0.3, description="b of ISO 6358")
+    supply_bar: Bar = Field(description="gauge pressure at the supply port")
+    critical_ratio: Annotated[float, Field(gt=0, lt=1, strict=True)] = Field(default=0.3, description="b of ISO 6358")
 
 
 class PressureValve(Section):
@@ -66,12 +95,12 @@ class PressureValve(Section):
 
     type: Literal["pressure"]
     actuators: Annotated[tuple[ActuatorNumber, ...], Field(min_length=1)]
-    card: str
+    card: Word
     channel: Index
-    range_V: Span = (0.0, 10.0)
+    range_V: VoltSpan = (0.0, 10.0)
     safe_state: Literal["vent", "hold"] = "vent"
-    span_V: Span = (0.0, 10.0)
-    span_bar: Span
+    span_V: VoltSpan = (0.0, 10.0)
+    span_bar: BarSpan
 
 
 Valve = Annotated[FlowValve | PressureValve, Field(discriminator="type")]
@@ -84,11 +113,11 @@ class Sensor(Section):
     """
 
     actuator: ActuatorNumber
-    card: str
+    card: Word
     channel: Index
-    range_V: Span = (0.0, 10.0)
-    span_V: Span = (0.0, 10.0)
-    span_bar: Span = (0.0, 10.0)
+    range_V: VoltSpan = (0.0, 10.0)
+    span_V: VoltSpan = (0.0, 10.0)
+    span_bar: BarSpan = (0.0, 10.0)
     margin_V: NonNegative = 0.1
     accuracy_bar: Positive = 0.01
 
@@ -101,7 +130,7 @@ class Sensor(Section):
 class Limits(Section):
     """What no protocol may ask for and no sample may show."""
 
-    pressure_bar: Positive = Field(description="highest set-point and, with its margin, highest pressure")
+    pressure_bar: Bar = Field(description="highest set-point and, with its margin, highest pressure")
     pressure_margin_bar: NonNegative = 0.05
     rate_bar_per_s: Positive = Field(description="fastest set-point change of a continuous segment")
     rate_margin_bar_per_s: NonNegative = Field(default=1.0, description="with it, fastest change a sensor may show")
@@ -145,9 +174,9 @@ class CameraConfig(Section):
     """One camera. `placement` is the camera (x right, y down, z forward) in the rod-base frame."""
 
     driver: Literal["opencv", "realsense", "mock"]
-    device: str | int
-    width_px: Annotated[int, Field(ge=64)]
-    height_px: Annotated[int, Field(ge=64)]
+    device: Word | Index
+    width_px: Annotated[int, Field(ge=64, le=16384, strict=True)]
+    height_px: Annotated[int, Field(ge=64, le=16384, strict=True)]
     rate_hz: Positive = 30.0
     exposure_ms: Positive = 8.0
     lens: Lens
@@ -159,15 +188,15 @@ class Board(Section):
     tip frame: origin at the rod's tip, axes as the rod base's when the rod is straight.
     """
 
-    squares_x: Annotated[int, Field(ge=3)]
-    squares_y: Annotated[int, Field(ge=3)]
+    squares_x: Annotated[int, Field(ge=3, le=100, strict=True)]
+    squares_y: Annotated[int, Field(ge=3, le=100, strict=True)]
     square_mm: Positive
     placement: Placement
 
     @model_validator(mode="after")
     def _odd_by_even(self) -> Board:
         if (self.squares_x + self.squares_y) % 2 == 0:
-            raise ValueError("a board needs an odd number of squares one way and an even number the other")
+            raise ValueError("an odd number of squares one way and an even number the other")
         return self
 
 
@@ -200,7 +229,7 @@ class Arm(Section):
     material: Material
     cap_mass_g: NonNegative = 50.0
     gravity_direction: Triple = (0.0, 0.0, 1.0)
-    gravity_on_rod: bool = False
+    gravity_on_rod: Flag = False
 
 
 class ModelConfig(Section):
@@ -213,9 +242,9 @@ class ModelConfig(Section):
 class Recording(Section):
     """What of the pictures is kept."""
 
-    keep_every: Annotated[int, Field(ge=1)] = 3
+    keep_every: Count = 3
     encoding: Literal["jpeg", "png"] = "jpeg"
-    jpeg_quality: Annotated[int, Field(ge=1, le=100)] = 90
+    jpeg_quality: Annotated[int, Field(ge=1, le=100, strict=True)] = 90
 
 
 class SimulatedValve(Section):
@@ -235,7 +264,7 @@ class SimulatedChamber(Section):
     dead_volume_ml: NonNegative
     tube_l_s_bar: Positive = Field(default=0.5, description="sonic conductance of the tube from valve to chamber")
     temperature_k: Positive = 293.15
-    polytropic: Annotated[float, Field(ge=1, le=1.4)] = 1.0
+    polytropic: Annotated[float, Field(ge=1, le=1.4, strict=True)] = 1.0
 
 
 class SimulatedSensor(Section):
@@ -251,7 +280,7 @@ class SimulatedScene(Section):
 
     blur_px: NonNegative
     noise_grey: NonNegative
-    lighting: Annotated[float, Field(gt=0, le=1)] = 0.9
+    lighting: Annotated[float, Field(gt=0, le=1, strict=True)] = 0.9
 
 
 class Simulator(Section):
@@ -269,19 +298,24 @@ class Simulator(Section):
 class RigConfig(Section):
     """One bench."""
 
-    name: str
+    name: Word
     description: str = ""
-    cards: dict[str, CardConfig]
+    cards: Annotated[dict[str, CardConfig], Field(min_length=1)]
     valves: Annotated[tuple[Valve, ...], Field(min_length=1)]
     sensors: Annotated[tuple[Sensor, ...], Field(min_length=1)]
     limits: Limits
     control: Control
-    cameras: dict[str, CameraConfig]
+    cameras: Annotated[dict[str, CameraConfig], Field(min_length=1)]
     board: Board
     arm: Arm
     model: ModelConfig = ModelConfig()
     recording: Recording = Recording()
-    simulator: Simulator | None = None
+    simulator: Simulator | SkipJsonSchema[None] = None
+
+    @model_validator(mode="after")
+    def _check(self) -> RigConfig:
+        faults(consistency.check(dict(self)))
+        return self
 
     @property
     def actuators(self) -> int:
@@ -291,4 +325,20 @@ class RigConfig(Section):
     @property
     def simulated(self) -> bool:
         """True when any device of the rig is the mock's."""
-        return any(c.driver == "mock" for c in (*self.cards.values(), *self.cameras.values()))
+        cards = any(card.driver == "mock" for card in self.cards.values())
+        return cards or any(camera.driver == "mock" for camera in self.cameras.values())
+
+
+def path_of(name_or_path: str | Path) -> Path:
+    """The file of a rig, by the name of one that comes with the program or by its path; `BadInput` if there is none."""
+    return find(str(name_or_path), FOLDER, "rig")
+
+
+def text(name_or_path: str | Path) -> str:
+    """The rig's YAML, verbatim."""
+    return document.read(path_of(name_or_path)).text
+
+
+def load(name_or_path: str | Path) -> RigConfig:
+    """The rig of that name, or in that file; `BadInput` with everything that is wrong with it."""
+    return document.validate(RigConfig, document.read(path_of(name_or_path)), consistency.check)

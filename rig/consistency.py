@@ -1,0 +1,222 @@
+"""Faults between the parts of a rig's YAML: each part may be right by itself and the rig still be wrong.
+
+The checks take the parts that are valid by themselves, so that one mistyped number hides no other fault.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Iterator, Mapping
+from typing import TYPE_CHECKING, Any
+
+from protocols.document import Fault
+from protocols.problems import closest
+
+if TYPE_CHECKING:
+    from rig.config import Arm, CameraConfig, CardConfig, Control, FlowValve, Limits, Sensor, Simulator, Valve
+
+
+def check(parts: Mapping[str, Any]) -> list[Fault]:
+    """Every fault between the parts of a rig; `parts` are fields of `RigConfig`, those that are valid."""
+    checks: tuple[tuple[Callable[..., Iterator[Fault]], tuple[str, ...]], ...] = (
+        (_valve_channels, ("cards", "valves")),
+        (_sensor_channels, ("cards", "sensors")),
+        (_actuators, ("arm", "valves", "sensors")),
+        (_valves, ("valves",)),
+        (_sensors, ("sensors",)),
+        (_reach, ("limits", "valves", "sensors")),
+        (_rates, ("cards", "cameras", "control", "limits")),
+        (_cards, ("cards",)),
+        (_cameras, ("cameras",)),
+        (_arm, ("arm",)),
+        (_simulator, ("cards", "cameras", "simulator")),
+    )
+    return [
+        fault
+        for function, names in checks
+        if all(name in parts for name in names)
+        for fault in function(*(parts[name] for name in names))
+    ]
+
+
+def _channels(
+    cards: dict[str, CardConfig], users: tuple[Any, ...], key: str, kind: str, have: Callable[[CardConfig], int]
+) -> Iterator[Fault]:
+    taken: dict[tuple[str, int], int] = {}
+    for index, user in enumerate(users):
+        if user.card not in cards:
+            yield Fault((key, index, "card"), f"one of the cards: {', '.join(cards)}", closest(user.card, cards))
+            continue
+        count, wanted = have(cards[user.card]), sum(other.card == user.card for other in users)
+        if user.channel >= count:
+            expected = f"a channel from 0 to {count - 1}" if count else "another card"
+            expected += f": card '{user.card}' has {count} {kind} channels"
+            if wanted > count:
+                expected += f", and this rig needs {wanted}"
+            yield Fault((key, index, "channel"), expected)
+        elif (user.card, user.channel) in taken:
+            first = taken[user.card, user.channel] + 1
+            yield Fault((key, index, "channel"), f"a channel of its own: {key} #{first} has this one")
+        else:
+            taken[user.card, user.channel] = index
+
+
+def _valve_channels(cards: dict[str, CardConfig], valves: tuple[Valve, ...]) -> Iterator[Fault]:
+    yield from _channels(cards, valves, "valves", "AO", lambda card: card.outputs)
+
+
+def _sensor_channels(cards: dict[str, CardConfig], sensors: tuple[Sensor, ...]) -> Iterator[Fault]:
+    yield from _channels(cards, sensors, "sensors", "AI", lambda card: card.inputs)
+
+
+def _actuators(arm: Arm, valves: tuple[Valve, ...], sensors: tuple[Sensor, ...]) -> Iterator[Fault]:
+    """Every actuator has one valve and one sensor."""
+    count = len(arm.geometry.actuator_angles_deg)
+    drives: list[tuple[int, tuple[str | int, ...]]] = [
+        (number, ("valves", i, "actuators", j))
+        for i, valve in enumerate(valves)
+        for j, number in enumerate(valve.actuators)
+    ]
+    senses: list[tuple[int, tuple[str | int, ...]]] = [
+        (sensor.actuator, ("sensors", i, "actuator")) for i, sensor in enumerate(sensors)
+    ]
+    for users, one, all_of in ((drives, "valve", "valves"), (senses, "sensor", "sensors")):
+        seen: set[int] = set()
+        for number, path in users:
+            if number > count:
+                yield Fault(
+                    path, f"an actuator from 1 to {count}: the arm has {count} (arm, geometry, actuator_angles_deg)"
+                )
+            elif number in seen:
+                yield Fault(path, f"each actuator with one {one}: actuator {number} has one already")
+            seen.add(number)
+        for number in sorted(set(range(1, count + 1)) - seen):
+            yield Fault((all_of,), f"a {one} for every actuator: actuator {number} has none")
+
+
+def _valves(valves: tuple[Valve, ...]) -> Iterator[Fault]:
+    for index, valve in enumerate(valves):
+        here: tuple[str | int, ...] = ("valves", index)
+        low, high = valve.range_V
+        if valve.type == "flow":
+            if not low < valve.closed_V < high:
+                yield Fault((*here, "closed_V"), f"a voltage inside range_V, {low:g} to {high:g} V")
+            yield from _curve(valve, here)
+        elif valve.span_V[0] < low or valve.span_V[1] > high:
+            yield Fault((*here, "span_V"), f"a span inside range_V, {low:g} to {high:g} V")
+
+
+def _curve(valve: FlowValve, here: tuple[str | int, ...]) -> Iterator[Fault]:
+    volts, percent = valve.flow_curve_V, valve.flow_curve_percent
+    if len(volts) != len(percent):
+        expected = f"{len(volts)} values, as many as flow_curve_V has, not {len(percent)}"
+        yield Fault((*here, "flow_curve_percent"), expected)
+    for name, values in (("flow_curve_V", volts), ("flow_curve_percent", percent)):
+        if values[0] != 0:
+            yield Fault((*here, name, 0), "0: the curve begins at the closed valve")
+        for i, (a, b) in enumerate(itertools.pairwise(values)):
+            if b <= a:
+                yield Fault((*here, name, i + 1), f"more than the value before, {a:g}: the curve must rise")
+    if percent[-1] > 100:
+        yield Fault((*here, "flow_curve_percent", len(percent) - 1), "at most 100 (% of full flow)")
+    if valve.dead_zone_V >= volts[-1]:
+        yield Fault((*here, "dead_zone_V"), f"less than the end of flow_curve_V, {volts[-1]:g} V")
+
+
+def _sensors(sensors: tuple[Sensor, ...]) -> Iterator[Fault]:
+    for index, sensor in enumerate(sensors):
+        low, high = sensor.range_V
+        if sensor.span_V[0] < low or sensor.span_V[1] > high:
+            yield Fault(("sensors", index, "span_V"), f"a span inside range_V, {low:g} to {high:g} V")
+
+
+def _reach(limits: Limits, valves: tuple[Valve, ...], sensors: tuple[Sensor, ...]) -> Iterator[Fault]:
+    """Valves and sensors cover the pressures that the limits allow."""
+    for index, valve in enumerate(valves):
+        if valve.type == "flow" and valve.supply_bar <= limits.pressure_bar:
+            expected = f"more than limits, pressure_bar ({limits.pressure_bar:g} bar): the valve cannot fill that far"
+            yield Fault(("valves", index, "supply_bar"), expected)
+        elif valve.type == "pressure" and not valve.span_bar[0] <= 0 < limits.pressure_bar <= valve.span_bar[1]:
+            expected = f"a span from 0 to limits, pressure_bar ({limits.pressure_bar:g} bar) at least"
+            yield Fault(("valves", index, "span_bar"), expected)
+    highest = limits.pressure_bar + limits.pressure_margin_bar
+    for index, sensor in enumerate(sensors):
+        if not sensor.span_bar[0] <= 0 < highest <= sensor.span_bar[1]:
+            expected = f"a span from 0 to the limit with its margin ({highest:g} bar) at least"
+            yield Fault(("sensors", index, "span_bar"), expected)
+
+
+def _rates(
+    cards: dict[str, CardConfig], cameras: dict[str, CameraConfig], control: Control, limits: Limits
+) -> Iterator[Fault]:
+    for name, card in cards.items():
+        if card.sampling_hz < control.rate_hz:
+            expected = f"at least control, rate_hz ({control.rate_hz:g} Hz): each control step needs a sample"
+            yield Fault(("cards", name, "sampling_hz"), expected)
+    if control.bandwidth_hz > control.rate_hz / 4:
+        yield Fault(("control", "bandwidth_hz"), f"at most a quarter of rate_hz, {control.rate_hz / 4:g} Hz")
+    if limits.stale_s < 2 / control.rate_hz:
+        yield Fault(("limits", "stale_s"), f"at least two control steps, {2 / control.rate_hz:g} s")
+    for name, camera in cameras.items():
+        if limits.no_tip_s < 2 / camera.rate_hz:
+            yield Fault(("limits", "no_tip_s"), f"at least two frames of camera '{name}', {2 / camera.rate_hz:g} s")
+
+
+def _twice(section: str, devices: Mapping[str, tuple[str, str | int]]) -> Iterator[Fault]:
+    taken: dict[tuple[str, str | int], str] = {}
+    for name, device in devices.items():
+        if device in taken:
+            yield Fault((section, name, "device"), f"a device of its own: '{taken[device]}' has this one")
+        taken.setdefault(device, name)
+
+
+def _cards(cards: dict[str, CardConfig]) -> Iterator[Fault]:
+    yield from _twice("cards", {name: (card.driver, card.device) for name, card in cards.items()})
+
+
+def _cameras(cameras: dict[str, CameraConfig]) -> Iterator[Fault]:
+    yield from _twice("cameras", {name: (camera.driver, camera.device) for name, camera in cameras.items()})
+    for name, camera in cameras.items():
+        here: tuple[str | int, ...] = ("cameras", name)
+        longest = 1000 / camera.rate_hz
+        if camera.exposure_ms > longest:
+            yield Fault(
+                (*here, "exposure_ms"), f"at most the time between frames, {longest:g} ms at {camera.rate_hz:g} Hz"
+            )
+        for key, centre, size in (
+            ("cx_px", camera.lens.cx_px, camera.width_px),
+            ("cy_px", camera.lens.cy_px, camera.height_px),
+        ):
+            if not 0 < centre < size:
+                expected = (
+                    f"a centre inside the picture, 0 to {size} px: was the lens calibrated at another resolution?"
+                )
+                yield Fault((*here, "lens", key), expected)
+
+
+def _arm(arm: Arm) -> Iterator[Fault]:
+    geometry = arm.geometry
+    here = ("arm", "geometry")
+    if geometry.inner_radius_mm >= geometry.outer_radius_mm:
+        yield Fault((*here, "inner_radius_mm"), f"less than outer_radius_mm, {geometry.outer_radius_mm:g} mm")
+    for (i, a), (j, b) in itertools.combinations(enumerate(geometry.actuator_angles_deg), 2):
+        apart = 2 * geometry.circle_radius_mm * abs(math.sin(math.radians(a - b) / 2))
+        if apart < 2 * geometry.outer_radius_mm * (1 - 1e-6):
+            expected = f"room for the tubes: actuators {i + 1} and {j + 1} are {apart:.3g} mm apart, "
+            yield Fault((*here, "actuator_angles_deg", j), expected + "less than 2 outer_radius_mm")
+    if not any(arm.gravity_direction):
+        yield Fault(("arm", "gravity_direction"), "a direction, such as [0, 0, 1]; for no weight set the masses to 0")
+
+
+def _simulator(
+    cards: dict[str, CardConfig], cameras: dict[str, CameraConfig], simulator: Simulator | None
+) -> Iterator[Fault]:
+    mocks = [f"{section}, {name}" for section, devices in (("cards", cards), ("cameras", cameras))
+             for name, device in devices.items() if device.driver == "mock"]  # fmt: skip
+    if mocks and simulator is None:
+        yield Fault(
+            ("simulator",), f"is missing: a mock device ({mocks[0]}) needs the block that says what it simulates"
+        )
+    if simulator is not None and not mocks:
+        yield Fault(("simulator",), "no such block, because no device of this rig is a mock")
