@@ -20,14 +20,17 @@ from rig.valve import (
     vent_v,
 )
 
+REFERENCE_SHARE = 0.5
+"""Bandwidth of the set-point filter as a share of the loop's: a step is led in slower than disturbances are fought."""
+
 SOFT_FRACTION = 0.005
 """Openings below it cross the dead zone linearly instead of jumping, so that sensor noise does not hammer the spool."""
 
 FLOW_FUNCTION_FLOOR = 0.15
 """Below it the driving pressure is too small to divide by; the chamber is then within about 0.01 bar of the port."""
 
-LARGEST_LEAK = 0.10
-"""Bound of the integral as a fraction of the full flow: data sheets promise at most 0.07."""
+LARGEST_LEAK = 0.15
+"""Bound of the integral as a fraction of the full choked flow from the supply: data sheets promise at most 0.07."""
 
 VENTED_PA = 500.0
 """A reference below it asks for an empty chamber: the valve is opened to the exhaust and nothing is regulated."""
@@ -39,6 +42,7 @@ class FlowSettings:
 
     actuators: tuple[int, ...]
     rate_limit_pa_s: float
+    filter_per_s: float
     gain_per_s: float
     integral_per_s2: float
     volume_m3: float
@@ -60,7 +64,7 @@ class PressureSettings:
 
     actuators: tuple[int, ...]
     rate_limit_pa_s: float
-    gain_per_s: float
+    filter_per_s: float
     low_pa: float
     high_pa: float
     low_v: float
@@ -92,13 +96,16 @@ def settings(valve: FlowValve | PressureValve, config: RigConfig) -> Settings:
     gain = 2 * math.pi * config.control.bandwidth_hz
     if isinstance(valve, PressureValve):
         (low_v, high_v), (low_bar, high_bar) = valve.span_V, valve.span_bar
-        return PressureSettings(actuators, rate_limit, gain, low_bar * PA_PER_BAR, high_bar * PA_PER_BAR, low_v, high_v)
+        return PressureSettings(
+            actuators, rate_limit, REFERENCE_SHARE * gain, low_bar * PA_PER_BAR, high_bar * PA_PER_BAR, low_v, high_v
+        )
     volts, fractions = opening_curve(valve, valve.dead_zone_V)
     soft_v = _interpolate(SOFT_FRACTION, fractions, volts)
     above = [(f, v) for f, v in zip(fractions, volts, strict=True) if f > SOFT_FRACTION]
     return FlowSettings(
         actuators=actuators,
         rate_limit_pa_s=rate_limit,
+        filter_per_s=REFERENCE_SHARE * gain,
         gain_per_s=gain,
         integral_per_s2=gain / config.control.integral_s,
         volume_m3=config.control.volume_ml * 1e-6 * len(actuators),
@@ -122,7 +129,7 @@ def step(
     before = state.reference_pa
     if math.isnan(before):
         before = max(measured_pa, 0.0)
-    reference = _follow(before, setpoint_pa, rate_pa_s, s.gain_per_s, s.rate_limit_pa_s, dt_s)
+    reference = _follow(before, setpoint_pa, rate_pa_s, s.filter_per_s, s.rate_limit_pa_s, dt_s)
     reference_rate = (reference - before) / dt_s
     if isinstance(s, PressureSettings):
         fraction = (reference - s.low_pa) / (s.high_pa - s.low_pa)
@@ -131,10 +138,10 @@ def step(
     return _meter(s, state.integral_pa_s, dt_s, measured_pa, reference, reference_rate)
 
 
-def _follow(reference: float, setpoint: float, rate: float, gain: float, limit: float, dt: float) -> float:
+def _follow(reference: float, setpoint: float, rate: float, bandwidth: float, limit: float, dt: float) -> float:
     """Set-point filter: exact for what moves at its stated rate, first order within the rate limit for a step."""
     carried = reference + rate * dt
-    wanted = carried + (setpoint - carried) * (1.0 - math.exp(-gain * dt))
+    wanted = carried + (setpoint - carried) * (1.0 - math.exp(-bandwidth * dt))
     return min(max(wanted, reference - limit * dt), reference + limit * dt)
 
 
@@ -155,7 +162,7 @@ def _meter(
         fraction = math.copysign(1.0, fraction)
         asked = fraction * full_rate
     if not (saturated and error * fraction > 0.0):
-        bound = LARGEST_LEAK * full_rate
+        bound = LARGEST_LEAK * s.conductance * supply * ANR_PA / s.volume_m3
         integral = min(max(integral + s.integral_per_s2 * error * dt, -bound), bound)
     offset = math.copysign(_interpolate(abs(fraction), s.fractions, s.offsets_v), fraction)
     volts = min(max(s.closed_v + s.fill_sign * offset, s.low_v), s.high_v)

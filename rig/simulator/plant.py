@@ -148,7 +148,7 @@ class PlantCard:
     def __init__(self, plant: Plant, config: RigConfig, name: str) -> None:
         self._plant = plant
         sensors = sorted((s for s in config.sensors if s.card == name), key=lambda s: s.actuator)
-        self._columns = [s.actuator - 1 for s in sensors]
+        self._columns = np.array([s.actuator - 1 for s in sensors], np.int64)
         self._valves = [i for i, v in enumerate(config.valves) if v.card == name]
         self._ranges = [config.valves[i].range_V for i in self._valves]
         self._every = pneumatics.scan_steps(config.cards[name].sampling_hz)

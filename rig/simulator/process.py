@@ -15,6 +15,7 @@ import signal
 import sys
 import time
 from collections.abc import Sequence
+from operator import itemgetter
 
 import numpy as np
 
@@ -114,9 +115,10 @@ def _catch_up(plant: Plant, devices: Sequence[_Device]) -> None:
 
 
 def _play(plant: Plant, devices: Sequence[_Device], until_ns: int) -> None:
-    for device in sorted(devices, key=_Device.newest_write_ns):
-        plant.advance(min(device.newest_write_ns(), until_ns))
-        device.take_outputs()
+    for written_ns, device in sorted(((d.newest_write_ns(), d) for d in devices), key=itemgetter(0)):
+        if written_ns <= until_ns:
+            plant.advance(written_ns)
+            device.take_outputs()
     plant.advance(until_ns)
     for device in devices:
         device.publish(plant)
