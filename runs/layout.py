@@ -5,8 +5,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 
 import numpy as np
@@ -183,8 +183,8 @@ def _rig(journal: Journal) -> Group:
 
 
 def _versions(journal: Journal) -> Group:
-    fields = tuple(Field(name, version) for name, version in sorted(journal.header.versions.items()))
-    return Group("entry/versions", "NXcollection", fields, about="of the program, its libraries and the system")
+    fields = (Field(name, version) for name, version in sorted(journal.header.versions.items()))
+    return Group("entry/versions", "NXcollection", _named(fields), about="of the program, its libraries and the system")
 
 
 def _git(journal: Journal) -> Group:
@@ -275,8 +275,8 @@ def _timing(journal: Journal) -> Group:
 
 def _counters(journal: Journal) -> Group:
     counters = journal.footer.counters if journal.footer else {}
-    fields = tuple(Field(name, np.int64(count)) for name, count in sorted(counters.items()))
-    return Group("entry/timing/counters", "NXcollection", fields, about="as the executor counted them")
+    fields = (Field(name, np.int64(count)) for name, count in sorted(counters.items()))
+    return Group("entry/timing/counters", "NXcollection", _named(fields), about="as the executor counted them")
 
 
 def _frames(journal: Journal) -> Group:
@@ -315,16 +315,30 @@ def _events(journal: Journal) -> Group:
 
 
 def _quantities(journal: Journal, room: str, about: str) -> Group:
-    fields = [_quantity(q) for q in journal.header.quantities if q.room == room]
-    if room == "model":
-        fields.append(Field("variant", journal.header.model_variant))
-    return Group(f"entry/{room}", "NXcollection", tuple(fields), about=about)
+    variant = [Field("variant", journal.header.model_variant)] if room == "model" else []
+    fields = variant + [_quantity(q) for q in journal.header.quantities if q.room == room]
+    return Group(f"entry/{room}", "NXcollection", _named(fields), about=about)
+
+
+def _named(fields: Iterable[Field]) -> tuple[Field, ...]:
+    """Make names that came from elsewhere fit for HDF5: without `/`, none empty, no two the same."""
+    taken: set[str] = set()
+    named = []
+    for field in fields:
+        plain = field.name.replace("/", ".").replace("\0", "").strip(".") or "unnamed"
+        name, number = plain, 1
+        while name in taken:
+            number += 1
+            name = f"{plain}.{number}"
+        taken.add(name)
+        named.append(replace(field, name=name))
+    return tuple(named)
 
 
 def _quantity(quantity: Quantity) -> Field:
     value = np.array(quantity.value, float)
     return Field(
-        quantity.name.replace("/", "."),
+        quantity.name,
         value[0] if len(value) == 1 else value,
         quantity.unit,
         source=quantity.source,
