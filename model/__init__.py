@@ -1,1 +1,10 @@
 """The science of the paper: Cosserat rods with pressure as an eigenstrain. No I/O, no clock."""
+
+from model.arm import Arm
+from model.errors import NotConverged
+from model.geometry import Geometry
+from model.loads import Loads
+from model.material import Material
+from model.shape import Shape
+
+__all__ = ["Arm", "Geometry", "Loads", "Material", "NotConverged", "Shape"]

@@ -1,0 +1,112 @@
+"""The arm: what a scientist asks for shapes and motions."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Literal, get_args
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from model.geometry import Geometry
+from model.loads import Loads
+from model.material import Material
+from model.shape import Shape
+
+if TYPE_CHECKING:
+    from model.dynamics import Dynamics
+
+Array = NDArray[np.float64]
+Variant = Literal["homogeneous", "homogeneous+rpe", "inhomogeneous+rpe"]
+SectionRule = Literal["linear", "pointwise", "secant", "tangent"]
+Triple = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Arm:
+    """One arm: geometry, material, cap, gravity, and which of the paper's models describes it.
+
+    variant: 'homogeneous' (eq 16, no radial pressure effect), 'homogeneous+rpe', or 'inhomogeneous+rpe', in which each
+    tube follows eq 32. modulus_rule says how the inhomogeneous section finds each E_i: 'pointwise' solves eq 32 at
+    every point of the rod (default); 'secant' and 'tangent' freeze E_i by the paper's rule (eq 33, 5.2.2).
+    cap_mass_kg hangs at the tip. With cap_inertia it also resists acceleration, with its own rotational inertia
+    cap_inertia_kg_m2 about the section's axes. gravity_m_s2 is in the base frame: +z is an arm that hangs. rod_weight
+    adds the walls' own weight, which the paper leaves out.
+    """
+
+    geometry: Geometry
+    material: Material
+    variant: Variant = "inhomogeneous+rpe"
+    cap_mass_kg: float = 0.05
+    gravity_m_s2: Triple = (0.0, 0.0, 9.81)
+    rod_weight: bool = False
+    modulus_rule: Literal["pointwise", "secant", "tangent"] = "pointwise"
+    cap_inertia: bool = False
+    cap_inertia_kg_m2: Triple = field(default=(0.0, 0.0, 0.0))
+
+    def __post_init__(self) -> None:
+        if self.variant not in get_args(Variant):
+            raise ValueError(f"unknown variant {self.variant!r}: {', '.join(get_args(Variant))}")
+        if self.modulus_rule not in get_args(SectionRule)[1:]:
+            raise ValueError(f"unknown modulus rule {self.modulus_rule!r}: {', '.join(get_args(SectionRule)[1:])}")
+        if not (math.isfinite(self.cap_mass_kg) and self.cap_mass_kg >= 0):
+            raise ValueError(f"the cap's mass must be zero or positive, got {self.cap_mass_kg} kg")
+        for name, triple in (("gravity_m_s2", self.gravity_m_s2), ("cap_inertia_kg_m2", self.cap_inertia_kg_m2)):
+            if len(triple) != 3 or not all(math.isfinite(c) for c in triple):
+                raise ValueError(f"{name} must be three finite numbers, got {triple}")
+            object.__setattr__(self, name, tuple(float(c) for c in triple))
+
+    @classmethod
+    def paper(cls, variant: Variant = "inhomogeneous+rpe") -> Arm:
+        """The paper's arm, hanging, with a 50 g cap and no weight of its own."""
+        return cls(Geometry.paper(), Material.paper(), variant)
+
+    @property
+    def rpe_per_bar(self) -> float:
+        """Free strain per bar of this variant."""
+        return 0.0 if self.variant == "homogeneous" else self.material.rpe_per_bar
+
+    @property
+    def section_rule(self) -> SectionRule:
+        """How the section's stiffness is found in this variant."""
+        return self.modulus_rule if self.variant == "inhomogeneous+rpe" else "linear"
+
+    @property
+    def line_density_kg_m(self) -> float:
+        """rho A of all walls [kg/m]."""
+        return self.material.density_kg_m3 * self.geometry.wall_area_m2 * self.geometry.actuators
+
+    def stiffness_n(self, pressure_pa: Array) -> Array:
+        """Axial stiffness E_i A_m (N,) [N] of each tube; for 'pointwise', that at zero strain."""
+        material, geometry = self.material, self.geometry
+        if self.section_rule == "linear":
+            return np.full(geometry.actuators, material.youngs_modulus_pa * geometry.wall_area_m2)
+        if self.section_rule == "pointwise":
+            return np.full(geometry.actuators, 1 / material.a1_per_n)
+        raise NotImplementedError
+
+    def statics(self, pressure_pa: ArrayLike, loads: Loads | None = None, nodes: int = 20) -> Shape:
+        """The shape at rest under gauge pressures (N,) [Pa].
+
+        nodes: steps along the arm (RK4; the default leaves an error below 1e-8 m). Raises ValueError for pressures or
+        loads that are not finite or of the wrong shape, NotConverged when no equilibrium is found.
+        """
+        from model.statics import solve
+
+        return solve(self, pressure_pa, loads, nodes)
+
+    def dynamics(
+        self,
+        dt_s: float,
+        scheme: str = "bdf-alpha",
+        alpha: float = -0.2,
+        nodes: int | None = None,
+    ) -> Dynamics:
+        """A stepper in time with a fixed step [s]; schemes of Table 2: bdf1, bdf2, bdf3, bdf-alpha, trapezoidal.
+
+        nodes: steps along the arm; by default as many as the time step needs.
+        """
+        from model.dynamics import Dynamics
+
+        return Dynamics(self, dt_s, scheme, alpha, nodes)

@@ -1,0 +1,84 @@
+"""Compiling the kernels, once per version of the model's sources, into a cache on disk.
+
+numba's own cache looks only at the file a kernel stands in, so a kernel whose callee changed would be served stale.
+Here the cache folder is named by a hash of all of the model's sources: another source, another folder.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import shutil
+import tempfile
+import time
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numba
+
+# Reassociation and "no NaN" stay off: a step that went wrong must be seen as NaN, and runs must repeat bit for bit.
+_FAST = {"contract", "arcp", "nsz"}
+_KEEP_S = 30 * 86400.0
+
+
+@cache
+def cache_folder() -> Path:
+    """Where this version's compiled kernels are kept; created if missing, never inside the checkout.
+
+    $SOFTRIG_CACHE, else $XDG_CACHE_HOME/softrig, else ~/.cache/softrig, else a folder of this user in the temporary
+    directory: the first that can be written to.
+    """
+    digest = hashlib.sha256()
+    for source in sorted(Path(__file__).parent.rglob("*.py")):
+        digest.update(source.name.encode() + b"\0" + source.read_bytes() + b"\0")
+    name = f"kernels-{digest.hexdigest()[:16]}"
+    for parent in _candidates():
+        folder = parent / name
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            with tempfile.TemporaryFile(dir=folder):
+                pass
+        except OSError:
+            continue
+        os.utime(folder)
+        _forget_old(parent, keep=name)
+        return folder
+    raise OSError("no folder to keep compiled kernels in: set SOFTRIG_CACHE to one that can be written to")
+
+
+def kernel(function: Callable[..., Any]) -> Any:
+    """Compile a function when it is first called, or take it from the cache on disk."""
+    config: Any = numba.config
+    before = config.CACHE_DIR
+    config.CACHE_DIR = str(cache_folder())
+    try:
+        return numba.njit(cache=True, fastmath=_FAST, error_model="numpy", nogil=True)(function)
+    finally:
+        config.CACHE_DIR = before
+
+
+def _candidates() -> list[Path]:
+    asked = os.environ.get("SOFTRIG_CACHE")
+    if asked:
+        return [Path(asked)]
+    folders = []
+    shared = os.environ.get("XDG_CACHE_HOME")
+    if shared:
+        folders.append(Path(shared) / "softrig")
+    home = Path(os.path.expanduser("~"))  # noqa: PTH111 - Path.home() raises where there is no home
+    if home.is_absolute() and home.is_dir():
+        folders.append(home / ".cache" / "softrig")
+    folders.append(Path(tempfile.gettempdir()) / f"softrig-{os.getuid()}")
+    return folders
+
+
+def _forget_old(parent: Path, keep: str) -> None:
+    """Remove what sources that nobody has run for a month have left behind."""
+    for folder in parent.glob("kernels-*"):
+        try:
+            if folder.name != keep and time.time() - folder.stat().st_mtime > _KEEP_S:
+                shutil.rmtree(folder, ignore_errors=True)
+        except OSError:
+            continue

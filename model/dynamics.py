@@ -1,0 +1,102 @@
+"""The arm in motion."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from model.layout import HISTORY
+from model.loads import Loads
+from model.march import advance, sample_history
+from model.problem import SOLVED, Problem, pressures
+from model.schemes import Scheme
+from model.shape import Shape
+from model.statics import shape, states
+
+if TYPE_CHECKING:
+    from model.arm import Arm
+
+Array = NDArray[np.float64]
+
+
+class Dynamics:
+    """Steps one arm through time; made by `Arm.dynamics`."""
+
+    def __init__(self, arm: Arm, dt_s: float, scheme: str, alpha: float, nodes: int | None) -> None:
+        self._scheme = Scheme.named(scheme, dt_s, alpha)
+        self._arm = arm
+        growth = self._growth()
+        self._nodes = nodes if nodes is not None else 4 * max(3, math.ceil(growth / 2))
+        if self._nodes < 2:
+            raise ValueError(f"an arm needs at least two steps along it, got {nodes}")
+        self._segments = _segments(self._nodes, growth)
+        self._coefficients = np.array(
+            [self._scheme.c0, self._scheme.c1, self._scheme.c2, self._scheme.c3, self._scheme.d1]
+        )
+        self._shape: Shape | None = None
+
+    def start(self, pressure_pa: ArrayLike, loads: Loads | None = None) -> Shape:
+        """Begin at rest under gauge pressures (N,) [Pa]; raises as `Arm.statics` does."""
+        pressure = pressures(self._arm, pressure_pa)
+        n = self._nodes
+        resting = Problem.of(self._arm, pressure)
+        self._x, self._slope = states(self._arm, resting, pressure, loads, n)
+        self._problem = Problem.of(self._arm, pressure, self._scheme.c0)
+        self._levels = np.zeros((4, 2 * n + 1, HISTORY))
+        sample_history(self._x, self._slope, resting.length_m / n, self._levels[0])
+        self._levels[1:3] = self._levels[0]
+        self._trail = np.stack([self._x, self._x])
+        self._before = pressure
+        self._set_loads(loads)
+        self._shape = shape(self._arm, self._problem, self._x, self._slope, ok=True)
+        return self._shape
+
+    def step(self, pressure_pa: ArrayLike, loads: Loads | None = None) -> Shape:
+        """Advance by one time step under gauge pressures (N,) [Pa], held at the step's end.
+
+        Where the step cannot be solved, the shape is the last good one with ok=False, and the next step goes on from
+        it. Raises ValueError for pressures or loads that are not finite or of the wrong shape.
+        """
+        if self._shape is None:
+            raise ValueError("start(pressure_pa) comes before the first step")
+        pressure = pressures(self._arm, pressure_pa)
+        if loads is not self._loads:
+            self._set_loads(loads)
+        if self._arm.section_rule in ("secant", "tangent"):
+            self._problem = Problem.of(self._arm, pressure, self._scheme.c0)
+        problem = self._problem
+        passes = advance(
+            problem.work, problem.law, problem.actuators, problem.rest, problem.per_pressure, problem.free_per_pa,
+            self._before, pressure, self._load, self._loaded, self._tip, problem.length_m, self._segments,
+            problem.scale, self._coefficients, self._levels, self._trail, self._x, self._slope, SOLVED,
+        )  # fmt: skip
+        if passes < 0:
+            return replace(self._shape, ok=False)
+        self._before = pressure
+        self._shape = shape(self._arm, problem, self._x, self._slope, ok=True)
+        return self._shape
+
+    def _set_loads(self, loads: Loads | None) -> None:
+        self._loads = loads
+        self._tip = self._problem.tip(self._arm, loads)
+        self._load, self._loaded = self._problem.load(self._arm, loads, self._nodes)
+
+    def _growth(self) -> float:
+        """Exponent by which the stiffest mode grows along the arm within one time step's equations, c0 L / c_shear."""
+        material, geometry = self._arm.material, self._arm.geometry
+        stiffness = float(self._arm.stiffness_n(np.zeros(geometry.actuators)).min())
+        if self._arm.section_rule != "linear":
+            # A tube that follows eq 32 is about half as stiff at the paper's highest pressure.
+            stiffness *= 0.5
+        slowest = math.sqrt(material.shear_ratio * stiffness / (material.density_kg_m3 * geometry.wall_area_m2))
+        return self._scheme.c0 * geometry.length_m / slowest
+
+
+def _segments(nodes: int, growth: float) -> int:
+    """The smallest divisor of `nodes` that keeps the growth within one segment harmless."""
+    wanted = min(nodes, max(1, math.ceil(growth / 8)))
+    return next(d for d in range(wanted, nodes + 1) if nodes % d == 0)

@@ -1,0 +1,54 @@
+"""What the arm is made of: the constants that section 5.2 of the paper identifies."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Material:
+    """The tubes' elastic law, radial pressure effect, density and damping.
+
+    youngs_modulus_pa: E of the homogeneous section (eq 16).
+    a1_per_n, a2_per_n2: strain = a1 n + a2 n^2 of one tube under an axial wall force n in newtons (eq 32).
+    rpe_per_bar: strain per bar that the radial pressure adds (the a of eq 30).
+    shear_ratio: gamma = G / E, the section's form factor included (5.2.2).
+    density_kg_m3: of the walls. The paper does not print it; 1080 is a usual silicone.
+    damping_s: Kelvin-Voigt retardation time: stress = E (strain + damping_s * strain rate). The paper has none.
+    """
+
+    youngs_modulus_pa: float
+    a1_per_n: float
+    a2_per_n2: float
+    rpe_per_bar: float
+    shear_ratio: float
+    density_kg_m3: float = 1080.0
+    damping_s: float = 0.0
+
+    def __post_init__(self) -> None:
+        positive = {
+            "youngs_modulus_pa": self.youngs_modulus_pa,
+            "a1_per_n": self.a1_per_n,
+            "shear_ratio": self.shear_ratio,
+            "density_kg_m3": self.density_kg_m3,
+        }
+        for name, value in positive.items():
+            if not (math.isfinite(value) and value > 0):
+                raise ValueError(f"{name} must be positive and finite, got {value}")
+        for name, value in (("a2_per_n2", self.a2_per_n2), ("damping_s", self.damping_s)):
+            if not (math.isfinite(value) and value >= 0):
+                raise ValueError(f"{name} must be zero or positive and finite, got {value}")
+        if not math.isfinite(self.rpe_per_bar):
+            raise ValueError(f"rpe_per_bar must be finite, got {self.rpe_per_bar}")
+
+    @classmethod
+    def paper(cls) -> Material:
+        """The values printed in section 5.2, with the default density and no damping."""
+        return cls(
+            youngs_modulus_pa=289142.05,
+            a1_per_n=0.00742681,
+            a2_per_n2=0.00031962,
+            rpe_per_bar=0.05324473,
+            shear_ratio=0.4094,
+        )

@@ -1,0 +1,120 @@
+"""From an arm to the numbers that the kernels work on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from model import layout
+from model.loads import Loads
+from model.section import PA_PER_BAR, Section, section, upper
+
+if TYPE_CHECKING:
+    from model.arm import Arm
+
+Array = NDArray[np.float64]
+
+SOLVED = 1e-5  # last Newton update, in units of `scale`; what is left is its square
+
+
+@dataclass(frozen=True)
+class Problem:
+    """One arm on N + 1 nodes, as the kernels take it. The rod's line runs through the centroid of the walls."""
+
+    law: int
+    actuators: int
+    work: Array
+    rest: Array
+    per_pressure: Array
+    free_per_pa: float
+    centre_m: Array
+    length_m: float
+    scale: Array
+
+    @classmethod
+    def of(cls, arm: Arm, pressure_pa: Array, c0: float = 0.0) -> Problem:
+        """Prepare the arm; pressures matter only to the section rules that freeze each modulus."""
+        geometry, material = arm.geometry, arm.material
+        centre = geometry.centroid_m
+        xy = geometry.positions_m - centre
+        pointwise = arm.section_rule == "pointwise"
+        whole = section(geometry, xy, arm.stiffness_n(pressure_pa), material.shear_ratio, arm.rpe_per_bar)
+        if pointwise:
+            # Each tube's own law carries the strain at rest and the free strain; only the push on the caps remains.
+            push = section(geometry, xy, np.zeros(len(xy)), material.shear_ratio, 0.0)
+            whole = Section(whole.axial, whole.shear, push.rest, push.per_pressure)
+        return cls(
+            law=layout.POINTWISE if pointwise else layout.LINEAR,
+            actuators=len(xy),
+            work=_work(arm, xy, whole, c0),
+            rest=whole.rest,
+            per_pressure=whole.per_pressure,
+            free_per_pa=arm.rpe_per_bar / PA_PER_BAR,
+            centre_m=centre,
+            length_m=geometry.length_m,
+            scale=_scale(geometry.length_m),
+        )
+
+    def tip(self, arm: Arm, loads: Loads | None) -> Array:
+        """What hangs on the tip, as `tip_residual` takes it (13,)."""
+        tip = np.zeros(13)
+        if loads is not None:
+            tip[:6] = loads.tip()
+        tip[:3] += arm.cap_mass_kg * np.asarray(arm.gravity_m_s2)
+        if arm.cap_inertia:
+            tip[6] = arm.cap_mass_kg
+            tip[7:10] = arm.cap_inertia_kg_m2
+        tip[10:12] = -self.centre_m
+        return tip
+
+    def load(self, arm: Arm, loads: Loads | None, nodes: int) -> tuple[Array, bool]:
+        """Distributed load at nodes and mid-points (2 N + 1, 6), and whether there is any."""
+        along = np.zeros((2 * nodes + 1, 6)) if loads is None else loads.along(2 * nodes + 1)
+        if arm.rod_weight:
+            along[:, :3] += arm.line_density_kg_m * np.asarray(arm.gravity_m_s2)
+        return along, bool(along.any())
+
+
+def pressures(arm: Arm, pressure_pa: ArrayLike) -> Array:
+    """The pressures as an array (N,), or ValueError when they are not N finite numbers."""
+    pressure = np.array(pressure_pa, dtype=np.float64)
+    if pressure.shape != (arm.geometry.actuators,):
+        raise ValueError(f"pressure_pa must hold {arm.geometry.actuators} numbers, got shape {pressure.shape}")
+    if not np.isfinite(pressure).all():
+        raise ValueError(f"pressures must be finite, got {pressure.tolist()} Pa")
+    return pressure
+
+
+def _scale(length_m: float) -> Array:
+    one, bent = np.ones(3), np.full(3, 1 / length_m)
+    return np.concatenate([one, bent, one, bent, np.ones(4)])
+
+
+def _work(arm: Arm, xy: Array, whole: Section, c0: float) -> Array:
+    work = np.zeros((layout.work_size(len(xy)) // layout.LANES, layout.LANES))
+    geometry, material = arm.geometry, arm.material
+    area, second = geometry.wall_area_m2, geometry.wall_second_moment_m4
+    x, y = xy.T
+    xx, yy, xys = (area * x * x + second).sum(), (area * y * y + second).sum(), (area * x * y).sum()
+    inertia = material.density_kg_m3 * np.array([yy, xx, -xys, xx + yy])
+    tube = [material.a1_per_n, material.a2_per_n2, material.shear_ratio, second / area]
+    parameters = [
+        c0,
+        arm.line_density_kg_m,
+        *inertia,
+        material.damping_s,
+        *upper(whole.axial),
+        *upper(whole.shear),
+        *upper(np.linalg.inv(whole.axial)),
+        *upper(np.linalg.inv(whole.shear)),
+        *whole.rest,
+        *tube,
+    ]
+    work[layout.C0 : layout.ACTUATORS] = np.array(parameters)[:, None]
+    for k, (cx, cy) in enumerate(xy):
+        at = layout.ACTUATORS + layout.PER_ACTUATOR * k
+        work[at : at + 2] = np.array([cx, cy])[:, None]
+    return work.reshape(-1)

@@ -1,0 +1,52 @@
+"""The arm at rest."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from model.errors import NotConverged
+from model.layout import STATE
+from model.loads import Loads
+from model.march import axis, equilibrium
+from model.problem import SOLVED, Problem, pressures
+from model.shape import Shape
+
+if TYPE_CHECKING:
+    from model.arm import Arm
+
+Array = NDArray[np.float64]
+
+
+def solve(arm: Arm, pressure_pa: ArrayLike, loads: Loads | None, nodes: int) -> Shape:
+    """Behind `Arm.statics`."""
+    pressure = pressures(arm, pressure_pa)
+    problem = Problem.of(arm, pressure)
+    x, slope = states(arm, problem, pressure, loads, nodes)
+    return shape(arm, problem, x, slope, ok=True)
+
+
+def states(arm: Arm, problem: Problem, pressure: Array, loads: Loads | None, nodes: int) -> tuple[Array, Array]:
+    """States and slopes (N + 1, 16) of the arm at rest; raises NotConverged."""
+    if nodes < 2:
+        raise ValueError(f"an arm needs at least two steps along it, got {nodes}")
+    x, slope = np.empty((nodes + 1, STATE)), np.empty((nodes + 1, STATE))
+    load, loaded = problem.load(arm, loads, nodes)
+    passes = equilibrium(
+        problem.work, problem.law, problem.actuators, problem.rest, problem.per_pressure, problem.free_per_pa, pressure,
+        load, loaded, problem.tip(arm, loads), problem.length_m, problem.scale, x, slope, SOLVED,
+    )  # fmt: skip
+    if passes < 0:
+        bar = ", ".join(f"{value / 1e5:.4g}" for value in pressure)
+        raise NotConverged(f"no equilibrium found at {bar} bar: a pressure or load may be far outside the arm's range")
+    return x, slope
+
+
+def shape(arm: Arm, problem: Problem, x: Array, slope: Array, ok: bool) -> Shape:
+    """The arm's axis from solved states."""
+    n = len(x)
+    p, rotation, v, u = np.empty((n, 3)), np.empty((n, 3, 3)), np.empty((n, 3)), np.empty((n, 3))
+    axis(x, slope, problem.length_m, problem.centre_m, p, rotation, v, u)
+    return Shape(np.linspace(0.0, problem.length_m, n), p, rotation, v, u, ok, arm.geometry.positions_m)

@@ -1,0 +1,31 @@
+"""`python -m model.warm`: compile every kernel into the cache on disk, so that no run ever waits for the compiler."""
+
+from __future__ import annotations
+
+import sys
+import time
+
+
+def main() -> int:
+    """Compile, or load what is compiled already; report what was done. Returns the exit status."""
+    start = time.perf_counter()
+    try:
+        from model.arm import Arm
+        from model.compiled import cache_folder
+
+        print(f"model.warm: kernels are kept in {cache_folder()}", flush=True)
+        for variant in ("homogeneous", "inhomogeneous+rpe"):
+            dynamics = Arm.paper(variant).dynamics(1 / 30)
+            dynamics.start((0.0, 0.0, 0.0))
+            if not dynamics.step((1e4, 0.0, 0.0)).ok:
+                print(f"model.warm: failed: the {variant} arm could not be stepped", file=sys.stderr)
+                return 1
+    except Exception as fault:
+        print(f"model.warm: failed: {type(fault).__name__}: {fault}", file=sys.stderr)
+        return 1
+    print(f"model.warm: every kernel is ready after {time.perf_counter() - start:.1f} s")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
