@@ -83,7 +83,7 @@ class Expectation:
             noun = "a number" if kind == "number" else "a whole number"
             return noun + _bounds(schema) + (f" ({unit})" if unit else "")
         if kind == "string":
-            return "text"
+            return "text (not empty)" if schema.get("minLength") else "text"
         if kind == "boolean":
             return "true or false"
         if kind == "array":
@@ -136,17 +136,16 @@ def _inside(data: Any, step: str | int) -> Any:
 
 
 def _bounds(schema: Schema) -> str:
-    low, above = schema.get("minimum"), schema.get("exclusiveMinimum")
-    high, below = schema.get("maximum"), schema.get("exclusiveMaximum")
-    if low is not None and high is not None:
-        return f" from {low:g} to {high:g}"
-    words = []
-    if above is not None:
-        words.append(f"above {above:g}")
-    if low is not None:
-        words.append(f"of {low:g} or more")
-    if below is not None:
-        words.append(f"below {below:g}")
-    if high is not None:
-        words.append(f"up to {high:g}")
+    words = [
+        f"{word} {schema[key]:.12g}{after}"
+        for key, word, after in (
+            ("exclusiveMinimum", "above", ""),
+            ("minimum", "of", " or more"),
+            ("exclusiveMaximum", "below", ""),
+            ("maximum", "up to", ""),
+        )
+        if key in schema
+    ]
+    if "minimum" in schema and "maximum" in schema:
+        return f" from {schema['minimum']:.12g} to {schema['maximum']:.12g}"
     return " " + " and ".join(words) if words else ""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
+from decimal import Decimal
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -12,7 +13,7 @@ import yaml
 from pydantic import BaseModel, TypeAdapter, ValidationError
 from pydantic_core import ErrorDetails, PydanticCustomError
 
-from protocols.describe import Expectation
+from protocols.describe import Expectation, unit_of
 from protocols.marks import Document, Mark, Reader, TooDeep, compose, path_text, shortened
 from protocols.problems import BadInput, Problem, closest
 
@@ -89,13 +90,13 @@ def parse(text: str, file: str) -> Document:
     reader = Reader(file, text)
     data, marks = reader.value(node, ())
     if reader.too_large:
-        expected = "a smaller file: with its aliases (*name) spelt out it has too many values"
+        expected = "the file is too large: with its aliases (*name) spelt out it has far too many values"
         raise BadInput([Problem(file, 0, 0, "", "", expected)])
     if not isinstance(data, dict):
         kind = "a list" if isinstance(data, list) else shortened(marks.source)
         expected = "a mapping ('key: value' lines) at the top of the file"
         raise BadInput([Problem(file, marks.line, marks.column, "", kind, expected)])
-    return Document(file, text, data, marks, tuple(reader.problems))
+    return Document(file, text, data, marks, tuple(reader.problems), frozenset(reader.soft))
 
 
 def validate(
@@ -117,8 +118,10 @@ def validate(
         found = translator.problems(error.errors(include_url=False))
         if partial is not None and "faults" not in {e["type"] for e in error.errors() if not e["loc"]}:
             found += [translator.fault((), fault) for fault in partial(_valid_parts(model_class, document.data))]
-        written = {(problem.line, problem.column) for problem in problems}
-        problems += [problem for problem in found if (problem.line, problem.column) not in written]
+        better = {(problem.line, problem.column) for problem in found} & document.soft
+        problems = [problem for problem in problems if (problem.line, problem.column) not in better]
+        said = {(problem.line, problem.column) for problem in problems}
+        problems += [problem for problem in found if (problem.line, problem.column) not in said]
     if problems or model is None:
         raise BadInput(sorted(problems, key=lambda problem: (problem.line, problem.column)))
     return model
@@ -145,7 +148,7 @@ class _Translator:
         self._expectation = expectation
 
     def problems(self, errors: Iterable[ErrorDetails]) -> list[Problem]:
-        listed = list(errors)
+        listed = [error for error in errors if not self._is_echo(error)]
         unknown = {self._path(e["loc"]) for e in listed if e["type"] == "extra_forbidden"}
         meant = {(*path[:-1], self._meant(path)) for path in unknown}
         problems: list[Problem] = []
@@ -157,13 +160,22 @@ class _Translator:
             problems += [problem for problem in made if problem not in problems]
         return problems
 
+    def _is_echo(self, error: ErrorDetails) -> bool:
+        """True for what pydantic adds to an error of its own: a list whose wrong items left it too short, and the
+        None that an optional value might have been as well.
+        """
+        if error["type"] == "too_short":
+            value = self._value(self._path(error["loc"]))
+            return hasattr(value, "__len__") and len(value) >= error["ctx"]["min_length"]
+        return error["type"] == "none_required"
+
     def fault(self, base: tuple[str | int, ...], fault: Fault) -> Problem:
+        """The problem of a fault inside the value at `base`."""
         path = (*base, *fault.path)
         mark = self._document.mark(path)
-        value = mark.source if path == () or self._exists(path) else ""
-        if not base and not fault.path:
-            value = ""
-        return self._problem(mark, path, value, fault.expected, fault.suggestion)
+        if not fault.path or not self._exists(path):
+            return self._problem(_key_of(mark), path, "", fault.expected, fault.suggestion)
+        return self._problem(mark, path, mark.source, fault.expected, fault.suggestion)
 
     def _several(self, error: ErrorDetails, path: tuple[str | int, ...]) -> list[Problem]:
         kind = error["type"]
@@ -184,20 +196,19 @@ class _Translator:
             expected = str(error["ctx"]["error"])
         else:
             expected = self._expectation.words(path, self._document.data)
-        return [self._problem(mark, path, mark.source, expected, self._suggestion(path, mark))]
+        if mark.note:
+            expected += f"; {mark.note}"
+        return [self._problem(mark, path, mark.source or "nothing", expected, self._suggestion(path, mark))]
 
     def _missing(self, path: tuple[str | int, ...]) -> Problem:
-        parent = self._document.mark(path[:-1])
-        line, column = (parent.key_line, parent.key_column) if parent.key_line else (parent.line, parent.column)
         expected = f"is missing: {self._expectation.words(path, self._document.data)}"
-        return self._problem(replace(parent, line=line, column=column), path, "", expected, "")
+        return self._problem(_key_of(self._document.mark(path[:-1])), path, "", expected, "")
 
     def _unknown(self, path: tuple[str | int, ...]) -> Problem:
         mark = self._document.mark(path)
         known = self._expectation.keys(path[:-1], self._document.data)
-        here = replace(mark, line=mark.key_line, column=mark.key_column)
         expected = f"one of {', '.join(known)}" if known else "no such key"
-        return self._problem(here, path, f"the unknown key '{path[-1]}'", expected, self._meant(path))
+        return self._problem(_key_of(mark), path, f"the unknown key '{path[-1]}'", expected, self._meant(path))
 
     def _meant(self, path: tuple[str | int, ...]) -> str:
         return closest(str(path[-1]), self._expectation.keys(path[:-1], self._document.data))
@@ -206,17 +217,20 @@ class _Translator:
         """A repair of the value that fits what the place expects."""
         schema = self._expectation.at(path, self._document.data)
         value = self._value(path)
+        wanted = schema.get("type")
+        if mark.note and wanted in {"string", "boolean"}:
+            return f"'{mark.source}'" if wanted == "string" else mark.note.rsplit(" ", 1)[-1]
         if isinstance(value, str):
             if "enum" in schema or "const" in schema:
                 return closest(value, [str(word) for word in schema.get("enum", [schema.get("const")])])
-            return _number_meant(value, mark) if _wants(schema, ("number", "integer")) else ""
-        if isinstance(value, float) and schema.get("type") == "integer" and value.is_integer():
+            unit = unit_of(next((step for step in reversed(path) if isinstance(step, str)), ""))
+            return _number_meant(value, unit, mark.quoted) if _wants_number(schema) else ""
+        if isinstance(value, float) and wanted == "integer" and value.is_integer():
             return str(int(value))
         if isinstance(value, int | float):
-            if schema.get("type") == "string":
-                return f"'{mark.source}'"
-            if schema.get("type") == "array":
-                return f"[{mark.source}]"
+            return {"string": f"'{mark.source}'", "array": f"[{mark.source}]"}.get(str(wanted), "")
+        if isinstance(value, dict) and wanted == "array" and value and all(key.isdigit() for key in value):
+            return f"[{', '.join(value)}]"
         return ""
 
     def _path(self, loc: tuple[str | int, ...]) -> tuple[str | int, ...]:
@@ -256,24 +270,25 @@ class _Translator:
         )
 
 
-def _wants(schema: Mapping[str, Any], kinds: tuple[str, ...]) -> bool:
-    return schema.get("type") in kinds or any(
-        branch.get("type") in kinds for branch in schema.get("anyOf") or schema.get("oneOf") or ()
-    )
+def _key_of(mark: Mark) -> Mark:
+    """The mark of a value's key, or the value's own where it has none."""
+    return replace(mark, line=mark.key_line, column=mark.key_column) if mark.key_line else mark
 
 
-def _number_meant(text: str, mark: Mark) -> str:
-    """The number inside a text such as '4 s', '0,15' or 1e5."""
-    match = re.match(r"\s*([-+]?\d*[.,]?\d+([eE][-+]?\d+)?)", text)
-    if not match:
+def _wants_number(schema: Mapping[str, Any]) -> bool:
+    kinds = {schema.get("type"), *(branch.get("type") for branch in schema.get("anyOf") or schema.get("oneOf") or ())}
+    return bool(kinds & {"number", "integer"})
+
+
+def _number_meant(text: str, unit: str, quoted: bool) -> str:
+    """The number that a text such as '0.15', '0,15', 1e5 or, where s are expected, '4 s' stands for."""
+    match = re.fullmatch(r"\s*([-+]?\d*[.,]?\d+)([eE][-+]?\d{1,2})?\s*(.*)", text)
+    if not match or match[3].strip() not in {"", unit}:
         return ""
-    number = match.group(1).replace(",", ".")
-    if "e" in number.lower():
-        value = float(number)
-        return (
-            f"{value:.0f}" if abs(value) < 1e15 and value == int(value) else f"{value!r}" if "." in repr(value) else ""
-        )
-    return f"{number}, without quotes" if mark.quoted and number == text.strip() else number
+    number = match[1].replace(",", ".")
+    if match[2]:
+        number = f"{Decimal(number + match[2]):f}"
+    return f"{number}, without quotes" if quoted and not match[3] else number
 
 
 _SYNTAX = (
@@ -307,8 +322,8 @@ def _syntax_problem(error: yaml.YAMLError, text: str, file: str) -> Problem:
         return Problem(file, 0, 0, "", "", f"YAML cannot read this: {error}")
     said = error.problem or error.context or ""
     mark = error.problem_mark
-    if "unexpected end of stream" in said and error.context_mark is not None:
-        mark = error.context_mark
+    if "unexpected end of stream" in said or (said.startswith("expected ','") and error.context_mark is not None):
+        mark = error.context_mark or mark
     rows = text.split("\n")
     row = rows[mark.line] if mark.line < len(rows) else ""
     character = row[mark.column : mark.column + 1]

@@ -42,11 +42,10 @@ def _count(steps: Sequence[Step], base: Path, document: Document, found: list[Pr
         else:
             count = 1
         if count > MOST_SEGMENTS and not found:
-            expected = f"at most {MOST_SEGMENTS} segments in all; this makes {count:.4g}"
-            found.append(_problem(document, at, expected))
+            found.append(_problem(document, at, f"less: at most {MOST_SEGMENTS} segments in all, and this makes more"))
         total += count
     if total > MOST_SEGMENTS and not found:
-        found.append(_problem(document, base, f"at most {MOST_SEGMENTS} segments in all; these make {total:.4g}", ""))
+        found.append(_problem(document, base, f"at most {MOST_SEGMENTS} segments in all; these make {total}", ""))
     return total
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -101,6 +101,7 @@ def _named_by(problem: Problem, document: Document, here: tuple[str | int, ...])
     """A fault of a CSV file as a whole is the fault of the line that names it."""
     if problem.line:
         return problem
-    mark = document.mark((*here, "file"))
-    where = path_text((*here, "file"))
-    return replace(problem, file=document.file, line=mark.line, column=mark.column, where=where, value=problem.file)
+    path = (*here, "file")
+    mark = document.mark(path)
+    expected = f"a CSV file that can be used; {problem.expected}"
+    return Problem(document.file, mark.line, mark.column, path_text(path), mark.source, expected)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import yaml
@@ -18,6 +18,7 @@ from protocols.problems import Problem
 DEEPEST = 40
 LARGEST = 50_000
 LONGEST_SOURCE = 200
+LONGEST_NUMBER = 30
 
 _TAG = "tag:yaml.org,2002:"
 _DECIMAL_INT = re.compile(r"[-+]?(0|[1-9][0-9]*)")
@@ -28,7 +29,8 @@ _DECIMAL_FLOAT = re.compile(r"[-+]?([0-9]+\.[0-9]*|\.[0-9]+|[0-9]+)([eE][-+]?[0-
 class Mark:
     """Where one value stands: its own place, its key's place, its source text, and the marks inside it.
 
-    `line` and `column` count from 1; `children` are by key or by list index.
+    `line` and `column` count from 1; `note` is what YAML makes of a value that people rarely mean; `children` are by
+    key or by list index.
     """
 
     line: int
@@ -37,6 +39,7 @@ class Mark:
     key_line: int = 0
     key_column: int = 0
     quoted: bool = False
+    note: str = ""
     children: dict[str | int, Mark] = field(default_factory=dict)
 
 
@@ -44,7 +47,8 @@ class Mark:
 class Document:
     """A YAML file: its name as the user gave it, its text, its plain data, the marks, and the faults of its writing.
 
-    `data` is made of dict (text keys), list, str, int, float, bool and, where a value was left out, None.
+    `data` is made of dict (text keys), list, str, int, float, bool and, where a value was left out or cannot be
+    meant, None. `soft` are the places of problems that a model, which knows what is expected there, can say better.
     """
 
     file: str
@@ -52,6 +56,7 @@ class Document:
     data: dict[str, Any]
     marks: Mark
     problems: tuple[Problem, ...] = ()
+    soft: frozenset[tuple[int, int]] = frozenset()
 
     def mark(self, path: tuple[str | int, ...]) -> Mark:
         """The mark of the deepest existing value on the way along `path`."""
@@ -108,6 +113,7 @@ class Reader:
         self.file = file
         self.text = text
         self.problems: list[Problem] = []
+        self.soft: set[tuple[int, int]] = set()
         self._open: set[int] = set()
         self._size = 0
 
@@ -123,7 +129,7 @@ class Reader:
         if self._size > LARGEST:
             return None, mark
         if id(node) in self._open:
-            self._fault(mark, path, "", "an alias (*name) that does not contain itself")
+            self._fault(mark, path, "an alias (*name) inside what it stands for", "something that ends")
             return None, mark
         self._open.add(id(node))
         try:
@@ -165,12 +171,24 @@ class Reader:
 
     def _child(self, node: yaml.Node, path: tuple[str | int, ...], key_mark: Mark) -> tuple[Any, Mark]:
         value, mark = self.value(node, path)
-        child = Mark(mark.line, mark.column, mark.source, key_mark.line, key_mark.column, mark.quoted, mark.children)
+        child = replace(mark, key_line=key_mark.line, key_column=key_mark.column)
         if value is None and node.tag == f"{_TAG}null":
-            child.line, child.column = key_mark.line, key_mark.column
-            wish = f"a value after '{path[-1]}:' (if the lines below belong to it, indent them further)"
-            self._fault(child, path, child.source or "nothing", wish)
+            child = replace(child, line=key_mark.line, column=key_mark.column)
+            self._empty(child, path, str(path[-1]))
         return value, child
+
+    def _empty(self, mark: Mark, path: tuple[str | int, ...], key: str) -> None:
+        """A key without a value; often it is a colon or a decimal comma gone wrong."""
+        glued = re.fullmatch(r"(\w+)(:| +)(\S.*)", key)
+        if key.isdigit():
+            self._fault(mark, path, f",{key}", "a decimal point, or ': ' and a value after this key")
+        elif glued:
+            wish = f"'{glued[1]}: {glued[3]}'"
+            self._fault(mark, path, key, "a key, then a colon and a space, then its value", wish)
+        else:
+            mark.note = "if the lines below belong to it, indent them further"
+            self.soft.add((mark.line, mark.column))
+            self._fault(mark, path, mark.source or "nothing", f"a value after '{key}:'; {mark.note}")
 
     def _merge(
         self, node: yaml.Node, key_mark: Mark, path: tuple[str | int, ...], data: dict[str, Any], mark: Mark
@@ -216,12 +234,12 @@ class Reader:
         return text
 
     def _int(self, text: str, mark: Mark, path: tuple[str | int, ...]) -> int | None:
-        if _DECIMAL_INT.fullmatch(text):
-            if len(text) <= 30:
-                return int(text)
+        if not _DECIMAL_INT.fullmatch(text):
+            self._surprise(text, mark, path)
+        elif len(text) > LONGEST_NUMBER:
             self._fault(mark, path, mark.source, "a number of a sensible size")
-            return None
-        self._fault(mark, path, mark.source, _surprise(text), text.replace("_", "") if "_" in text else "")
+        else:
+            return int(text)
         return None
 
     def _float(self, text: str, mark: Mark, path: tuple[str | int, ...]) -> float | None:
@@ -229,18 +247,30 @@ class Reader:
             return float(text)
         if text.lstrip("+-").lower() in {".inf", ".nan"}:
             return float(text.replace(".", ""))
-        self._fault(mark, path, mark.source, _surprise(text), text.replace("_", "") if "_" in text else "")
+        self._surprise(text, mark, path)
         return None
 
     def _bool(self, text: str, mark: Mark, path: tuple[str | int, ...]) -> bool | None:
         if text.lower() in {"true", "false"}:
             return text.lower() == "true"
-        meant = "true" if text.lower() in {"yes", "on", "y"} else "false"
-        self._fault(
-            mark, path, text, f"true or false, or text in quotes: YAML reads a bare {text} as {meant}",
-            f"{meant} or '{text}'",
-        )  # fmt: skip
+        mark.note = f"YAML reads a bare {text} as {'true' if text.lower() in {'yes', 'on'} else 'false'}"
+        self.soft.add((mark.line, mark.column))
+        self._fault(mark, path, text, f"true or false, or text in quotes; {mark.note}")
         return None
+
+    def _surprise(self, text: str, mark: Mark, path: tuple[str | int, ...]) -> None:
+        """A number written in a way that YAML 1.1 reads as few people know."""
+        digits = text.replace("_", "").lstrip("+-").lower()
+        if ":" in text:
+            mark.note = "YAML reads digits with a colon as base 60"
+        elif digits.startswith(("0x", "0b")):
+            mark.note = "write it in decimal"
+        elif digits.startswith("0") and digits.isdigit():
+            mark.note = "YAML reads a leading zero as octal"
+        else:
+            mark.note = "write it without underscores"
+        self.soft.add((mark.line, mark.column))
+        self._fault(mark, path, mark.source, f"a plain decimal number; {mark.note}")
 
     def _check_tag(self, node: yaml.Node, mark: Mark, path: tuple[str | int, ...], kind: str) -> None:
         if node.tag != _TAG + kind:
@@ -265,15 +295,3 @@ def shortened(text: str, width: int = 60) -> str:
 
 def _tag_text(tag: str) -> str:
     return "!!" + tag.removeprefix(_TAG) if tag.startswith(_TAG) else tag
-
-
-def _surprise(text: str) -> str:
-    """What to write instead of a number that YAML 1.1 reads in a way few people know."""
-    digits = text.replace("_", "").lstrip("+-").lower()
-    if ":" in text:
-        return "a plain number: YAML reads a colon between digits as base 60"
-    if digits.startswith(("0x", "0b")):
-        return "a decimal number"
-    if digits.startswith("0") and digits.isdigit():
-        return "a decimal number: YAML reads a leading zero as octal"
-    return "a plain decimal number, such as 1000 or 0.15"

@@ -25,6 +25,7 @@ def _list_or_number(value: Any) -> str:
 
 
 Bar = Annotated[float, Field(ge=0, le=HIGHEST_BAR, allow_inf_nan=False, strict=True)]
+BarAbove = Annotated[float, Field(gt=0, le=HIGHEST_BAR, allow_inf_nan=False, strict=True)]
 Number = Annotated[float, Field(ge=-1e6, le=1e6, allow_inf_nan=False, strict=True)]
 Positive = Annotated[float, Field(gt=0, le=LONGEST_S, allow_inf_nan=False, strict=True)]
 Seconds = Annotated[float, Field(gt=0, le=LONGEST_S, allow_inf_nan=False, strict=True)]
@@ -79,7 +80,7 @@ def _one_of(names: Sequence[str], given: Sequence[object]) -> list[Fault]:
     if len(present) == 1:
         return []
     if not present:
-        return [Fault((), f"is incomplete: give {' or '.join(names)}")]
+        return [Fault((), f"needs {' or '.join(names)}")]
     return [Fault((present[-1],), f"{' or '.join(names)}, not both")]
 
 
@@ -111,7 +112,7 @@ class Staircase(Motion):
     actuators: Actuators
     start_bar: Bar
     stop_bar: Bar
-    step_bar: Positive = Field(description="distance of the levels; start and stop give the direction")
+    step_bar: BarAbove = Field(description="distance of the levels; start and stop give the direction")
     dwell_s: Seconds = Field(description="time at each level")
     rise_s: SecondsOrNone = Field(default=0.0, description="time of the change to a level; 0 jumps")
 
@@ -177,7 +178,7 @@ class Hold(Motion):
     @model_validator(mode="after")
     def _check(self) -> Hold:
         if (self.actuators is None) != (self.level_bar is None):
-            faults([Fault((), "is incomplete: actuators and level_bar go together")])
+            faults([Fault((), "needs actuators and level_bar, or neither")])
         faults(_fits(self.actuators or (), {"level_bar": self.level_bar}))
         return self
 
@@ -231,11 +232,14 @@ class Step(Part):
         empty = [key for key in value if value[key] is None and key in kinds]
         rest = ", ".join(key for key in value if key not in kinds)
         if not value:
-            faults([Fault((), f"one of {', '.join(kinds)}")])
+            faults([Fault((), f"needs one of {', '.join(kinds)}")])
         if empty and rest:
-            faults([Fault((), f"the lines under '{empty[0]}:' ({rest}) indented further than '{empty[0]}' itself")])
+            faults([Fault((), f"indent the lines that belong to '{empty[0]}:' further than it ({rest})")])
+        named = next((str(value[key]) for key in ("kind", "type", "step") if key in value), "")
+        if named in kinds and not set(kinds) & set(value):
+            faults([Fault((), f"write the step's name as the key of all the rest: '- {named}: {{...}}'")])
         if sum(key in kinds for key in value) > 1:
-            faults([Fault((), f"one step for each '- ', not {' and '.join(value)} together")])
+            faults([Fault((), f"write {' and '.join(value)} as separate steps, each with its own '- '")])
         return value
 
     @property

@@ -25,7 +25,7 @@ def check(
 
     `protocol` and `rig_file` make the places fuller: the step's path, and the file that states the limit.
     """
-    judge = _Judge(config, trajectory, protocol, f" of {rig_file}" if rig_file else "")
+    judge = _Judge(config, trajectory, protocol, f" in {rig_file.name}" if rig_file else "")
     return judge.verdict()
 
 
@@ -86,6 +86,8 @@ class _Judge:
     def _shared(self, segment: Segment) -> Iterator[tuple[str, float, Problem]]:
         """Actuators on one valve can only be at one pressure."""
         for number, valve in enumerate(self._config.valves, start=1):
+            if not set(valve.actuators) & set(segment.actuators):
+                continue
             for t_s in _knots(segment):
                 level = segment.level_at(segment.start_s + t_s)
                 asked = [level[actuator - 1] for actuator in valve.actuators]
@@ -98,7 +100,9 @@ class _Judge:
 
     def _problem(self, segment: Segment, value: str, expected: str) -> Problem:
         where, column = self._protocol.step_at(segment.line) if self._protocol else (segment.kind, 0)
-        return Problem(self._trajectory.source, segment.line, column, f"{where} ({segment.label})", value, expected)
+        if not where.endswith(segment.label):
+            where += f" ({segment.label})"
+        return Problem(self._trajectory.source, segment.line, column, where, value, expected)
 
 
 def _knots(segment: Segment) -> tuple[float, ...]:
