@@ -107,8 +107,12 @@ class Plant:
 
     def skip(self, t_ns: int) -> None:
         """Let the clock run to about `t_ns` while the plant stands still: whole steps of the arm, no scans."""
-        behind = (t_ns - self.t_ns) // (ARM_STEPS * STEP_NS)
-        self._step += max(0, behind) * ARM_STEPS
+        first = self._step // ARM_STEPS + 1
+        self._step += max(0, (t_ns - self.t_ns) // (ARM_STEPS * STEP_NS)) * ARM_STEPS
+        standing = self._poses[self._kept - 1].copy()
+        last = self._step // ARM_STEPS
+        for index in range(max(first, last - REMEMBERED_POSES + 1), last + 1):
+            self._remember(index, standing["position_m"], standing["rotation"])
 
     def set_output(self, valve: int, volts: float) -> None:
         """Put a valve's output at a voltage, from the present grid point on."""
