@@ -37,7 +37,7 @@ def _status(error: Exception) -> int | None:
     from rig.cameras.base import CameraError
     from rig.daq.base import CardError
     from rig.executor.base import StartError
-    from runs import ArchiveError
+    from runs.archive import ArchiveError
     from runs.journal import JournalError
 
     if isinstance(error, BadInput | ArchiveError):
@@ -191,9 +191,11 @@ def report(
     to: Annotated[Path | None, typer.Option("--to", help="HTML file; default: beside the first archive.")] = None,
 ) -> None:
     """Write the report of one run, or of several side by side."""
+    from rig.listing import resolve
     from runs.report import write
 
-    typer.echo(write(archives, to or archives[0].with_suffix(".html")))
+    found = [resolve(archive) for archive in archives]
+    typer.echo(write(found, to or found[0].with_suffix(".html")))
 
 
 @app.command()

@@ -7,7 +7,7 @@ import shutil
 import sys
 import time
 import traceback
-from contextlib import suppress
+from contextlib import nullcontext, suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -129,7 +129,7 @@ def run(request: Request, decided: Plan, audience: Audience) -> Result:
         return journal
 
     trouble: list[str] = []
-    with cards_locked(decided.config, f"protocol {request.protocol.name}"):
+    with nullcontext() if request.fast else cards_locked(decided.config, f"protocol {request.protocol.name}"):
         try:
             outcome = execute(decided, armed, audience)
         except (CardError, StartError):

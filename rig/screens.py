@@ -26,8 +26,8 @@ _STATUS = {Status.FINISHED: "bold green", Status.ABORTED: "bold red", Status.INT
 
 def console() -> Console:
     """The console of every screen; wide enough for its tables where the output is a file."""
-    plain = Console(highlight=False)
-    return plain if plain.is_terminal else Console(highlight=False, width=110)
+    plain = Console(highlight=False, markup=False)
+    return plain if plain.is_terminal else Console(highlight=False, markup=False, width=110)
 
 
 def title(request: Request) -> str:
@@ -112,11 +112,11 @@ def last_screen(screen: Console, result: Result) -> None:
     outcome = result.outcome
     screen.print(Text(str(outcome.status), _STATUS[outcome.status]), Text(outcome.message), soft_wrap=True)
     if result.archive is not None:
-        from runs import open as open_run
+        from rig.listing import summary_table
+        from runs.run import Run
         from runs.summary import summarise
 
-        with open_run(result.archive) as run:
-            screen.print(summarise(run).table())
+        screen.print(summary_table(summarise(Run(result.archive))))
         screen.print(f"archive  {result.archive}", soft_wrap=True)
     if result.report is not None:
         screen.print(f"report   {result.report}", soft_wrap=True)

@@ -1,1 +1,40 @@
 """Cameras: the protocol they obey, OpenCV's, RealSense, and the rendered one."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from rig.cameras.base import Camera, CameraError
+
+if TYPE_CHECKING:
+    from rig.config import RigConfig
+
+
+def open_camera(config: RigConfig, name: str, seed: int = 0) -> Camera:
+    """Open the rig's camera `name` with the driver it names; a driver is imported only when it is used.
+
+    The mock camera looks at the plant that runs behind the rig's mock card, from any process.
+
+    Raises:
+        CameraError: the camera cannot be opened.
+    """
+    camera = config.cameras[name]
+    if camera.driver == "mock":
+        from rig.cameras.mock import MockCamera
+        from rig.daq.base import CardError
+        from rig.simulator.registers import Registers
+
+        devices = [card.device for card in config.cards.values() if card.driver == "mock"]
+        if not devices:
+            raise CameraError(f"camera {name} is a mock, and the rig has no mock card whose plant it could look at")
+        try:
+            return MockCamera(config, Registers.attach(devices[0]), name, seed)
+        except CardError as error:
+            raise CameraError(f"camera {name}: {error}") from error
+    if camera.driver == "opencv":
+        from rig.cameras.opencv import OpenCVCamera
+
+        return OpenCVCamera(camera)
+    from rig.cameras.realsense import RealSenseCamera
+
+    return RealSenseCamera(camera)

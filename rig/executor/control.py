@@ -6,6 +6,9 @@ import signal
 import sys
 import time
 
+import numpy as np
+from numpy.typing import NDArray
+
 from rig.bench import Bench, open_bench
 from rig.daq.base import CardError
 from rig.executor.child import Job, orphaned, receive
@@ -14,6 +17,8 @@ from rig.executor.memory import RunMemory, Stage, Stop
 from rig.executor.tick import Ticker
 
 WATCHDOG_SILENT_NS = 1_000_000_000
+LEAD_IN_NS = 5_000_000
+REHEARSED_TICKS = 20
 
 
 def main() -> int:
@@ -29,6 +34,7 @@ def main() -> int:
     try:
         bench.arm()
         bench.start()
+        _rehearse(job, bench)
         warnings = become_real_time(priority=50)
         memory.say("control", Stage.READY, "; ".join(warnings))
         fault = _run(job, memory, bench)
@@ -45,11 +51,29 @@ def main() -> int:
     return 1 if fault else 0
 
 
+class _Mute:
+    """A bench whose valves do not move."""
+
+    def __init__(self, bench: Bench) -> None:
+        self.read = bench.read
+
+    def write(self, valve_v: NDArray[np.float64]) -> None:
+        """Write nothing."""
+
+
+def _rehearse(job: Job, bench: Bench) -> None:
+    """Play some ticks with the valves left alone: what is imported or compiled at its first use is ready by then."""
+    ticker = Ticker(job.plan, _Mute(bench))
+    for number in range(REHEARSED_TICKS):
+        ticker.tick(number, time.monotonic_ns(), 1, 0, False, 0, 0)
+        time.sleep(ticker.period_ns * 1e-9)
+
+
 def _run(job: Job, memory: RunMemory, bench: Bench) -> str:
     """Loop until the protocol ends or someone asks to stop; return what went wrong, empty when nothing did."""
     ticker = Ticker(job.plan, bench)
     period = ticker.period_ns
-    while not (go := memory.get("go_ns")):
+    while not (go := memory.get("go_ns")) or time.monotonic_ns() < go - LEAD_IN_NS:
         ticker.listen()
         memory.beat("control", time.monotonic_ns())
         time.sleep(0.002)

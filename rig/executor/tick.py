@@ -2,20 +2,32 @@
 
 from __future__ import annotations
 
+from typing import Protocol
+
 import numpy as np
 from numpy.typing import NDArray
 
 from rig import control
-from rig.bench import Bench
+from rig.bench import BenchScans
 from rig.executor.base import Plan
 from rig.playback import Position, advance
 from runs.records import sample_dtype
 
 
+class Valves(Protocol):
+    """What a tick needs of a bench."""
+
+    def read(self) -> BenchScans:
+        """Scans since the last call."""
+
+    def write(self, valve_v: NDArray[np.float64]) -> None:
+        """Set every valve [V]."""
+
+
 class Ticker:
     """The state of the control loop between ticks. It knows no clock: the time comes in."""
 
-    def __init__(self, plan: Plan, bench: Bench) -> None:
+    def __init__(self, plan: Plan, bench: Valves) -> None:
         config = plan.config
         self.period_ns = round(1e9 / config.control.rate_hz)
         self.position = Position()

@@ -1,0 +1,133 @@
+"""What the commands about archives print."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict
+from pathlib import Path
+
+import typer
+from rich.table import Table
+from rich.text import Text
+
+import runs as records
+from rig.screens import console
+from runs.archive import SUFFIX, ArchiveError
+from runs.recovery import Fate
+from runs.recovery import recover as recover_folder
+from runs.summary import Summary, summarise
+
+
+def resolve(name: Path) -> Path:
+    """An archive by its path, or by its run id in the data folder.
+
+    Raises:
+        ArchiveError: there is none.
+    """
+    for candidate in (name, name.with_name(name.name + SUFFIX), Path("data") / f"{name.name}{SUFFIX}"):
+        if candidate.is_file():
+            return candidate
+    raise ArchiveError(f"{name}: no such archive, here or in data/; `rig runs` lists what there is")
+
+
+def show(name: Path, as_json: bool) -> None:
+    """One archive: how it was made and what it measured."""
+    archive = resolve(name)
+    run = records.open(archive)
+    summary = summarise(run)
+    if as_json:
+        typer.echo(json.dumps({"header": asdict(run.header), "summary": asdict(summary)}, indent=2, default=str))
+        return
+    header = run.header
+    screen = console()
+    facts = Table(box=None, show_header=False, padding=(0, 2, 0, 0))
+    simulated = " (simulated)" if header.simulated else ""
+    for key, value in (
+        ("run", header.run_id + simulated),
+        ("title", header.title),
+        ("status", f"{summary.status} {summary.message}".strip()),
+        ("executor", header.executor),
+        ("protocol", header.protocol_name),
+        ("rig", header.rig_name),
+        ("model", header.model_variant),
+        ("operator", header.operator or "-"),
+        ("notes", header.notes or "-"),
+        ("command", header.command),
+        ("host", header.host),
+        ("commit", (header.git_commit or "-") + (" with uncommitted changes" if header.git_diff else "")),
+        ("versions", ", ".join(f"{name} {version}" for name, version in header.versions.items())),
+    ):
+        facts.add_row(key, value)
+    screen.print(facts)
+    screen.print(summary_table(summary))
+
+
+def summary_table(summary: Summary) -> Table:
+    """The numbers of a run: one row per settled step, then the whole."""
+    table = Table(box=None, padding=(0, 2, 0, 0), title_justify="left")
+    for head in ("step", "error [mm]", "normalised [%]", "settled after [s]", "overshoot [bar]"):
+        table.add_column(head, justify="left" if head == "step" else "right")
+    for step in summary.steps:
+        if step.dwell and step.frames and step.kind == "dwell":
+            table.add_row(
+                step.label,
+                f"{step.error_mm:.2f}",
+                f"{step.normalised_percent:.2f}",
+                f"{step.settling_s:.2f}",
+                f"{step.overshoot_bar:.4f}",
+            )
+    table.add_section()
+    table.add_row(Text("whole run: mean error", "bold"), Text(f"{summary.error_mm.mean:.2f}", "bold"))
+    table.add_row("largest error", f"{summary.error_mm.max:.2f}")
+    table.add_row("frames measured", f"{summary.frames_measured} of {summary.frames}")
+    table.add_row("deadlines missed", f"{summary.missed_deadlines} of {summary.ticks}")
+    late = f"{summary.lateness_p50_us:.0f} / {summary.lateness_p99_us:.0f} / {summary.lateness_max_us:.0f}"
+    table.add_row("lateness p50/p99/max [us]", late)
+    return table
+
+
+def recover(folder: Path) -> None:
+    """Make archives of orphaned journals, and say what became of each."""
+    outcomes = [o for o in recover_folder(folder) if o.fate is not Fate.ARCHIVED]
+    for outcome in outcomes:
+        typer.echo(f"{outcome.fate}  {outcome.archive or outcome.path}  {outcome.message}")
+    if not outcomes:
+        typer.echo(f"nothing to recover in {folder}")
+    if any(outcome.fate is Fate.UNREADABLE for outcome in outcomes):
+        raise typer.Exit(1)
+
+
+def runs(folder: Path, text: str, as_json: bool) -> None:
+    """The archives of a folder, newest first, those whose facts contain the text."""
+    rows = []
+    for archive in sorted(folder.glob(f"*{SUFFIX}"), reverse=True):
+        try:
+            run = records.open(archive)
+            summary = summarise(run)
+        except ArchiveError as error:
+            rows.append({"run": archive.stem, "status": f"unreadable: {error}"})
+            continue
+        rows.append(
+            {
+                "run": summary.run_id,
+                "status": str(summary.status),
+                "protocol": run.header.protocol_name,
+                "rig": run.header.rig_name + (" (simulated)" if run.header.simulated else ""),
+                "operator": run.header.operator,
+                "mean error [mm]": f"{summary.error_mm.mean:.2f}",
+            }
+        )
+    rows = [row for row in rows if text.lower() in " ".join(row.values()).lower()]
+    if as_json:
+        typer.echo(json.dumps(rows, indent=2))
+        return
+    if not rows:
+        typer.echo(f"no archives in {folder}" + (f" that match '{text}'" if text else ""))
+        return
+    table = Table(box=None, padding=(0, 2, 0, 0))
+    heads = ("run", "status", "protocol", "rig", "operator", "mean error [mm]")
+    for head in heads:
+        table.add_column(head, overflow="fold")
+    for row in rows:
+        table.add_row(*(row.get(head, "") for head in heads))
+    console().print(table)
