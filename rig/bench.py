@@ -41,6 +41,8 @@ def card_setup(config: RigConfig, name: str) -> CardSetup:
         inputs=tuple(Channel(s.channel, *s.range_V) for s in sensors),
         outputs=tuple(Channel(v.channel, *v.range_V) for v in valves),
         sampling_hz=card.sampling_hz,
+        acquisition=card.acquisition,
+        differential=card.reference == "differential",
     )
 
 

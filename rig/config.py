@@ -17,7 +17,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validat
 from pydantic.json_schema import SkipJsonSchema
 
 from protocols import document
-from protocols.document import faults
+from protocols.document import Fault, faults
 from protocols.library import find
 from rig import consistency
 
@@ -66,6 +66,10 @@ class CardConfig(Section):
     sampling_hz: Positive = Field(default=1000.0, le=20_000)
     outputs: Index = Field(description="AO channels that the card has")
     inputs: Index = Field(description="AI channels that the card has")
+    acquisition: Literal["auto", "command", "instruction"] = Field(
+        default="auto", description="inputs by the card's own clock, one scan per control period, or the card's best"
+    )
+    reference: Literal["ground", "differential"] = Field(default="ground", description="how the inputs are wired")
 
 
 class FlowValve(Section):
@@ -196,7 +200,7 @@ class Board(Section):
     @model_validator(mode="after")
     def _odd_by_even(self) -> Board:
         if (self.squares_x + self.squares_y) % 2 == 0:
-            raise ValueError("an odd number of squares one way and an even number the other")
+            faults([Fault(("squares_y",), "an odd number of squares one way and an even number the other")])
         return self
 
 

@@ -6,7 +6,7 @@ Cards speak volts. Which volt is which bar is the rig's business (`rig.config`),
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,13 +27,19 @@ class Channel:
 
 @dataclass(frozen=True)
 class CardSetup:
-    """What a rig wants of one card. `inputs` and `outputs` give the order of the columns below."""
+    """What a rig wants of one card. `inputs` and `outputs` give the order of the columns below.
+
+    `acquisition` says whether the inputs are sampled by the card's clock (`command`), one scan per read
+    (`instruction`), or by the best that the card has (`auto`).
+    """
 
     name: str
     device: str
     inputs: tuple[Channel, ...]
     outputs: tuple[Channel, ...]
     sampling_hz: float
+    acquisition: Literal["auto", "command", "instruction"] = "auto"
+    differential: bool = False
 
 
 @dataclass(frozen=True)
