@@ -98,5 +98,7 @@ class Dynamics:
 
 def _segments(nodes: int, growth: float) -> int:
     """The smallest divisor of `nodes` that keeps the growth within one segment harmless."""
-    wanted = min(nodes, max(1, math.ceil(growth / 8)))
+    if growth < 4:
+        return 1
+    wanted = min(nodes, max(1, math.ceil(growth / 2)))
     return next(d for d in range(wanted, nodes + 1) if nodes % d == 0)

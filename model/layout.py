@@ -21,9 +21,12 @@ SUM = SLOPE + STATE
 WRENCH = SUM + STATE  # total internal wrench (n, m) in the section frame
 RATE = WRENCH + 6  # its arc-length derivative
 LOAD = RATE + 6  # distributed load (f, l) in the section frame
+TANGENTS = LOAD + 6  # moments of the tubes' tangent stiffness: 1, x, y, xx, xy, yy
+SECANTS = TANGENTS + 6  # moments of their side stiffness: 1, x, y, rr
+CHANGES = SECANTS + 4  # moments of its derivative by strain: 1, x, y, xx, xy, yy, rrx, rry
 
 # Parameters of a run.
-C0 = LOAD + 6  # of the time scheme, eq 26
+C0 = CHANGES + 8  # of the time scheme, eq 26
 LINE_DENSITY = C0 + 1  # rho A
 INERTIA = LINE_DENSITY + 1  # rho J: 11, 22, 12, 33
 DAMPING = INERTIA + 4  # Kelvin-Voigt time
@@ -33,10 +36,8 @@ AXIAL_INVERSE = SHEAR + 6
 SHEAR_INVERSE = AXIAL_INVERSE + 6
 OFFSET = SHEAR_INVERSE + 6  # what the pressures and the strain at rest add to the wrench: n1 n2 n3 m1 m2 m3
 TUBE = OFFSET + 6  # a1, a2, gamma, I_o / A_m of one tube
-ACTUATORS = TUBE + 4  # per actuator: x, y, free strain, then scratch: stiffness and its slope
-PER_ACTUATOR = 5
-
-PARAMETERS = C0  # where the parameters start
+ACTUATORS = TUBE + 4  # per actuator: x, y, free strain
+PER_ACTUATOR = 3
 
 LINEAR = 0
 POINTWISE = 1

@@ -60,7 +60,7 @@ def uniform_guess(w: Array, law: int, actuators: int, history: Array, tip: Array
         if law == LINEAR:
             linear_slopes(w, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
         else:
-            pointwise_slopes(w, actuators, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+            pointwise_slopes(w, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
         largest = 0.0
         for c in range(6):
             for i in range(LANES):

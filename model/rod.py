@@ -10,6 +10,7 @@ which is eqs 12 and 13 with the pressure moved into the section law. Time deriva
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 from model.compiled import kernel
@@ -18,6 +19,7 @@ from model.layout import (
     AXIAL,
     AXIAL_INVERSE,
     C0,
+    CHANGES,
     DAMPING,
     INERTIA,
     LANES,
@@ -28,17 +30,23 @@ from model.layout import (
     OFFSET,
     PER_ACTUATOR,
     RATE,
+    SECANTS,
     SHEAR,
     SHEAR_INVERSE,
     SLOPE,
     STAGE,
     STATE,
     SUM,
+    TANGENTS,
     TUBE,
     WRENCH,
 )
 
 Array = Any
+
+# Eq 32 continued oddly has a kink in its secant stiffness at zero force, which no rubber has and Newton's method trips
+# over. The wall force keeps the law as it is; shear, own bending and torsion take the secant rounded over this strain.
+ROUNDING = 5e-3
 
 
 @kernel
@@ -104,7 +112,7 @@ def pointwise_wrench(
 ) -> None:
     """Total wrench of the stage's strains where each tube follows eq 32 at its own place (section.py derives it).
 
-    Leaves in the work array the tubes' secant stiffness and its slope, which `pointwise_slopes` needs.
+    Leaves in the work array what `pointwise_slopes` needs: sums over the tubes of their stiffnesses.
     """
     y = STAGE * LANES
     linear_wrench(w, hv1, hv2, hv3, hu1, hu2, hu3)
@@ -120,36 +128,59 @@ def pointwise_wrench(
         w[(WRENCH + 3) * LANES + i] -= a12 * v3 + w[(AXIAL + 3) * LANES + i] * u1 + a23 * u2
         w[(WRENCH + 4) * LANES + i] -= a13 * v3 + a23 * u1 + w[(AXIAL + 5) * LANES + i] * u2
         w[(WRENCH + 5) * LANES + i] -= s13 * v1 + s23 * v2 + w[(SHEAR + 5) * LANES + i] * u3
+    for i in range(18 * LANES):
+        w[TANGENTS * LANES + i] = 0.0
     for k in range(actuators):
         at = (ACTUATORS + PER_ACTUATOR * k) * LANES
         for i in range(LANES):
             x, yy = w[at + i], w[at + LANES + i]
-            a1, a2 = w[TUBE * LANES + i], w[(TUBE + 1) * LANES + i]
-            gamma, spread = w[(TUBE + 2) * LANES + i], w[(TUBE + 3) * LANES + i]
-            v1, v2, v3 = w[y + i], w[y + LANES + i], w[y + 2 * LANES + i]
-            u1, u2, u3 = w[y + 3 * LANES + i], w[y + 4 * LANES + i], w[y + 5 * LANES + i]
-            strain = v3 - 1.0 + yy * u1 - x * u2 - w[at + 2 * LANES + i]
-            size = strain if strain > 0.0 else -strain
-            root = (a1 * a1 + 4.0 * a2 * size) ** 0.5
+            a1, a2, spread = w[TUBE * LANES + i], w[(TUBE + 1) * LANES + i], w[(TUBE + 3) * LANES + i]
+            strain = w[y + 2 * LANES + i] - 1.0 + yy * w[y + 3 * LANES + i] - x * w[y + 4 * LANES + i]
+            strain -= w[at + 2 * LANES + i]
+            root = math.sqrt(a1 * a1 + 4.0 * a2 * abs(strain))
+            force = 2.0 * strain / (a1 + root)
+            tangent = 1.0 / root
+            rounded = math.sqrt(strain * strain + ROUNDING * ROUNDING)
+            root = math.sqrt(a1 * a1 + 4.0 * a2 * rounded)
             stiffness = 2.0 / (a1 + root)
-            slope = -stiffness * stiffness * a2 / root
-            w[at + 3 * LANES + i] = stiffness
-            w[at + 4 * LANES + i] = slope if strain > 0.0 else -slope
-            force = stiffness * strain
-            side = gamma * stiffness
-            n1, n2 = side * (v1 - yy * u3), side * (v2 + x * u3)
-            w[WRENCH * LANES + i] += n1
-            w[(WRENCH + 1) * LANES + i] += n2
+            change = -stiffness * stiffness * a2 * strain / (root * rounded)
+            square = x * x + yy * yy + 2.0 * spread
             w[(WRENCH + 2) * LANES + i] += force
-            w[(WRENCH + 3) * LANES + i] += yy * force + spread * stiffness * u1
-            w[(WRENCH + 4) * LANES + i] += spread * stiffness * u2 - x * force
-            w[(WRENCH + 5) * LANES + i] += x * n2 - yy * n1 + 2.0 * spread * side * u3
+            w[(WRENCH + 3) * LANES + i] += yy * force
+            w[(WRENCH + 4) * LANES + i] -= x * force
+            w[TANGENTS * LANES + i] += tangent
+            w[(TANGENTS + 1) * LANES + i] += tangent * x
+            w[(TANGENTS + 2) * LANES + i] += tangent * yy
+            w[(TANGENTS + 3) * LANES + i] += tangent * x * x
+            w[(TANGENTS + 4) * LANES + i] += tangent * x * yy
+            w[(TANGENTS + 5) * LANES + i] += tangent * yy * yy
+            w[SECANTS * LANES + i] += stiffness
+            w[(SECANTS + 1) * LANES + i] += stiffness * x
+            w[(SECANTS + 2) * LANES + i] += stiffness * yy
+            w[(SECANTS + 3) * LANES + i] += stiffness * square
+            w[CHANGES * LANES + i] += change
+            w[(CHANGES + 1) * LANES + i] += change * x
+            w[(CHANGES + 2) * LANES + i] += change * yy
+            w[(CHANGES + 3) * LANES + i] += change * x * x
+            w[(CHANGES + 4) * LANES + i] += change * x * yy
+            w[(CHANGES + 5) * LANES + i] += change * yy * yy
+            w[(CHANGES + 6) * LANES + i] += change * square * x
+            w[(CHANGES + 7) * LANES + i] += change * square * yy
+    for i in range(LANES):
+        v1, v2 = w[y + i], w[y + LANES + i]
+        u1, u2, u3 = w[y + 3 * LANES + i], w[y + 4 * LANES + i], w[y + 5 * LANES + i]
+        gamma, spread = w[(TUBE + 2) * LANES + i], w[(TUBE + 3) * LANES + i]
+        k0, kx = w[SECANTS * LANES + i], w[(SECANTS + 1) * LANES + i]
+        ky, kr = w[(SECANTS + 2) * LANES + i], w[(SECANTS + 3) * LANES + i]
+        w[WRENCH * LANES + i] += gamma * (k0 * v1 - ky * u3)
+        w[(WRENCH + 1) * LANES + i] += gamma * (k0 * v2 + kx * u3)
+        w[(WRENCH + 3) * LANES + i] += spread * k0 * u1
+        w[(WRENCH + 4) * LANES + i] += spread * k0 * u2
+        w[(WRENCH + 5) * LANES + i] += gamma * (kx * v2 - ky * v1 + kr * u3)
 
 
 @kernel
-def pointwise_slopes(
-    w: Array, actuators: int, gv1: float, gv2: float, gv3: float, gu1: float, gu2: float, gu3: float
-) -> None:
+def pointwise_slopes(w: Array, gv1: float, gv2: float, gv3: float, gu1: float, gu2: float, gu3: float) -> None:
     """Strain slopes whose wrench changes at the stage's rate, by the tangent of the pointwise law."""
     y = STAGE * LANES
     for i in range(LANES):
@@ -169,46 +200,31 @@ def pointwise_slopes(
         v1, v2 = w[y + i], w[y + LANES + i]
         u1, u2, u3 = w[y + 3 * LANES + i], w[y + 4 * LANES + i], w[y + 5 * LANES + i]
         gamma, spread = w[(TUBE + 2) * LANES + i], w[(TUBE + 3) * LANES + i]
-        t11, t12, t13 = d * a11, d * a12, d * a13
-        t22, t23, t33 = d * a22, d * a23, d * a33
-        e1, e2, e3 = 0.0, 0.0, 0.0
-        k0, kx, ky, kr = 0.0, 0.0, 0.0, 0.0
-        for k in range(actuators):
-            at = (ACTUATORS + PER_ACTUATOR * k) * LANES
-            x, yy = w[at + i], w[at + LANES + i]
-            stiffness, slope = w[at + 3 * LANES + i], w[at + 4 * LANES + i]
-            tangent = stiffness / (2.0 - w[TUBE * LANES + i] * stiffness)
-            t11 += tangent
-            t12 += tangent * yy
-            t13 -= tangent * x
-            t22 += tangent * yy * yy
-            t23 -= tangent * x * yy
-            t33 += tangent * x * x
-            e1 += slope
-            e2 += slope * yy
-            e3 -= slope * x
-            k0 += stiffness
-            kx += stiffness * x
-            ky += stiffness * yy
-            kr += stiffness * (x * x + yy * yy + 2.0 * spread)
+        t11 = d * a11 + w[TANGENTS * LANES + i]
+        t12 = d * a12 + w[(TANGENTS + 2) * LANES + i]
+        t13 = d * a13 - w[(TANGENTS + 1) * LANES + i]
+        t22 = d * a22 + w[(TANGENTS + 5) * LANES + i]
+        t23 = d * a23 - w[(TANGENTS + 4) * LANES + i]
+        t33 = d * a33 + w[(TANGENTS + 3) * LANES + i]
+        k0, kx = w[SECANTS * LANES + i], w[(SECANTS + 1) * LANES + i]
+        ky, kr = w[(SECANTS + 2) * LANES + i], w[(SECANTS + 3) * LANES + i]
+        e0, ex, ey = w[CHANGES * LANES + i], w[(CHANGES + 1) * LANES + i], w[(CHANGES + 2) * LANES + i]
+        exx, exy = w[(CHANGES + 3) * LANES + i], w[(CHANGES + 4) * LANES + i]
+        eyy = w[(CHANGES + 5) * LANES + i]
         b1, b2 = spread * u1, spread * u2
         # Not symmetric: a tube's own bending stiffness follows its axial strain, not the other way round.
-        p21, p22, p23 = t12 + b1 * e1, t22 + b1 * e2 + spread * k0, t23 + b1 * e3
-        p31, p32, p33 = t13 + b2 * e1, t23 + b2 * e2, t33 + b2 * e3 + spread * k0
+        p21, p22, p23 = t12 + b1 * e0, t22 + b1 * ey + spread * k0, t23 - b1 * ex
+        p31, p32, p33 = t13 + b2 * e0, t23 + b2 * ey, t33 - b2 * ex + spread * k0
         m11, m12, m13 = p22 * p33 - p23 * p32, p23 * p31 - p21 * p33, p21 * p32 - p22 * p31
         over = 1.0 / (t11 * m11 + t12 * m12 + t13 * m13)
         dv3 = over * (m11 * f3 + (t13 * p32 - t12 * p33) * f4 + (t12 * p23 - t13 * p22) * f5)
         du1 = over * (m12 * f3 + (t11 * p33 - t13 * p31) * f4 + (t13 * p21 - t11 * p23) * f5)
         du2 = over * (m13 * f3 + (t12 * p31 - t11 * p32) * f4 + (t11 * p22 - t12 * p21) * f5)
-        r0, rx, ry, rr = 0.0, 0.0, 0.0, 0.0
-        for k in range(actuators):
-            at = (ACTUATORS + PER_ACTUATOR * k) * LANES
-            x, yy = w[at + i], w[at + LANES + i]
-            rate = w[at + 4 * LANES + i] * (dv3 + yy * du1 - x * du2)
-            r0 += rate
-            rx += rate * x
-            ry += rate * yy
-            rr += rate * (x * x + yy * yy + 2.0 * spread)
+        err = exx + eyy + 2.0 * spread * e0
+        r0 = e0 * dv3 + ey * du1 - ex * du2
+        rx = ex * dv3 + exy * du1 - exx * du2
+        ry = ey * dv3 + eyy * du1 - exy * du2
+        rr = err * dv3 + w[(CHANGES + 7) * LANES + i] * du1 - w[(CHANGES + 6) * LANES + i] * du2
         f1 -= gamma * (r0 * v1 - ry * u3)
         f2 -= gamma * (r0 * v2 + rx * u3)
         f6 -= gamma * (rx * v2 - ry * v1 + rr * u3)
@@ -326,7 +342,7 @@ def slopes(w: Array, law: int, actuators: int, history: Array, load: Array, load
     if law == LINEAR:
         linear_slopes(w, h[12], h[13], h[14], h[15], h[16], h[17])
     else:
-        pointwise_slopes(w, actuators, h[12], h[13], h[14], h[15], h[16], h[17])
+        pointwise_slopes(w, h[12], h[13], h[14], h[15], h[16], h[17])
 
 
 @kernel
