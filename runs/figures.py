@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Callable
+import re
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import matplotlib as mpl
@@ -15,13 +16,13 @@ from numpy.typing import NDArray
 
 from runs.records import Seen
 from runs.run import Run
-from runs.summary import BAND_BAR, Z_95, Step, Summary, in_plane, rest_mm
+from runs.summary import BAND_BAR, Z_95, Step, Summary, in_plane, rest_mm, settled_steps
 
 # Okabe and Ito's palette: told apart by all common kinds of colour vision, and in grey.
 INK, MUTED, RULE = "#1b1f24", "#68707a", "#dfe3e8"
 MEASURED, MODEL, TRUTH = "#0072B2", "#D55E00", "#009E73"
 ACTUATORS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00")
-POINTS = 1200
+POINTS = 900
 """Points drawn of a long line; their extremes are kept."""
 
 STYLE: dict[Any, Any] = {
@@ -34,6 +35,7 @@ STYLE: dict[Any, Any] = {
     "axes.spines.top": False,
     "axes.spines.right": False,
     "axes.grid": True,
+    "axes.axisbelow": True,
     "axes.titlesize": 9.5,
     "axes.titlelocation": "left",
     "axes.titlepad": 7,
@@ -54,6 +56,9 @@ STYLE: dict[Any, Any] = {
 }
 _FONTS = "Inter, 'Helvetica Neue', Helvetica, Arial, 'DejaVu Sans', sans-serif"
 
+_PATHS, _DIGITS = re.compile(r' d="[^"]*"'), re.compile(r"(\.\d)\d+")
+"""A tenth of a point is as fine as a page shows."""
+
 Floats = NDArray[np.float64]
 
 
@@ -66,7 +71,8 @@ def svg(draw: Callable[[Figure, Run, Summary], None], run: Run, summary: Summary
         text = io.StringIO()
         figure.savefig(text, format="svg", transparent=True, metadata={"Date": None, "Creator": None})
     drawing = text.getvalue()
-    return drawing[drawing.index("<svg") :].replace("'DejaVu Sans'", _FONTS)
+    drawing = _PATHS.sub(lambda path: _DIGITS.sub(r"\1", path[0]), drawing[drawing.index("<svg") :])
+    return drawing.replace("'DejaVu Sans'", _FONTS)
 
 
 def pressures(figure: Figure, run: Run, summary: Summary) -> None:
@@ -101,33 +107,37 @@ def trajectory(figure: Figure, run: Run, summary: Summary) -> None:
     if run.simulated is not None:
         truth = across(run.simulated.tip_mm)
         axes.plot(*truth.T, color=TRUTH, lw=0.9, label="simulated truth")
-    axes.plot(*measured.T, ".", ms=2.2, color=MEASURED, alpha=0.35, mew=0, label="measured, every frame")
+    axes.plot(*measured.T, color=MEASURED, lw=0.9, label="measured, every frame")
     axes.plot(*model.T, color=MODEL, lw=1.1, label="model")
-    dwells = [step for step in summary.steps if step.dwell and np.isfinite(step.error_mm)]
+    dwells = settled_steps(summary.steps)
     if dwells:
         settled = across(np.array([step.measured_mm for step in dwells]))
         at = across(np.array([step.model_mm for step in dwells]))
         axes.plot(*settled.T, "o", ms=6, mfc="white", mec=MEASURED, mew=1.3, label="measured, settled")
         axes.plot(*at.T, "x", ms=5.5, color=MODEL, mew=1.4, label="model, settled")
         for step, (x, z) in _labelled(dwells, settled):
-            axes.annotate(
-                f"{max(step.level_bar):.2f} bar",
-                (x, z),
-                xytext=(8, -3),
-                textcoords="offset points",
-                fontsize=7.5,
-                color=MUTED,
-            )
+            text = f"{max(step.level_bar):.2f}"
+            axes.annotate(text, (x, z), (0, 9), textcoords="offset points", ha="center", fontsize=7.5, color=MUTED)
     axes.set_aspect("equal", adjustable="datalim")
+    axes.margins(0.05, 0.25)
     axes.invert_yaxis()
     axes.set_xlabel(f"{name} [mm]")
-    axes.set_ylabel("z, from the base down the arm [mm]")
-    axes.legend(loc="best")
+    axes.set_ylabel("z, along the arm [mm]")
+    _legend(axes)
+
+
+def trajectory_size(run: Run, summary: Summary) -> tuple[float, float]:
+    """Return the size of the trajectory's figure: as flat as the motion is."""
+    across, _ = _across(run, summary)
+    points = across(np.vstack((run.tip.measured_mm, run.tip.model_mm)))
+    points = points[np.isfinite(points).all(axis=1)]
+    wide, high = np.ptp(points, axis=0) if len(points) else (1.0, 1.0)
+    return 9.0, float(np.clip(1.2 + 8 * 1.5 * high / max(wide, 1e-9), 2.4, 5.5))
 
 
 def steps(figure: Figure, run: Run, summary: Summary) -> None:
     """Settled tip of each step, and its error normalised (the paper's Fig 13)."""
-    dwells = [step for step in summary.steps if step.dwell and np.isfinite(step.error_mm)]
+    dwells = settled_steps(summary.steps)
     left, right = figure.subplots(1, 2, width_ratios=[1, 1])
     across, name = _across(run, summary)
     where, label = _abscissa([max(step.level_bar) for step in dwells])
@@ -146,17 +156,17 @@ def steps(figure: Figure, run: Run, summary: Summary) -> None:
             mfc="white",
             mew=1.3,
             color=colour,
-            label=f"{axis} measured",
+            label=axis,
         )
-        left.plot(where, model[:, column] - origin[column], color=colour, lw=1.1, label=f"{axis} model")
+        left.plot(where, model[:, column] - origin[column], color=colour, lw=1.1, label="model")
     left.set_xlabel(label)
     left.set_ylabel("from rest [mm]" if origin.any() else "in the base frame [mm]")
-    left.legend(loc="best", ncols=2, columnspacing=1.2)
+    _legend(left)
     difference = np.abs(measured - model)
     travelled = np.linalg.norm(measured - rest, axis=1)
     normalised = np.isfinite(travelled).any()
     scale = 100 / travelled if normalised else np.ones(len(dwells))
-    width = 0.38 * (np.min(np.diff(where)) if len(where) > 1 else 1)
+    width = 0.38 * (float(np.diff(np.sort(where)).min()) if len(where) > 1 else 1.0)
     right.bar(where - width / 2, difference[:, 0] * scale, width, color=MEASURED, label=name)
     right.bar(where + width / 2, difference[:, 1] * scale, width, color=ACTUATORS[3], label="z")
     right.plot(
@@ -165,7 +175,7 @@ def steps(figure: Figure, run: Run, summary: Summary) -> None:
     right.set_xlabel(label)
     right.set_ylabel("|error| / distance from rest [%]" if normalised else "|error| [mm]")
     right.set_ylim(bottom=0)
-    right.legend(loc="best")
+    _legend(right)
     right.grid(axis="x", visible=False)
 
 
@@ -178,8 +188,8 @@ def coordinates(figure: Figure, run: Run, summary: Summary) -> None:
             half = Z_95 * tip.uncertainty_mm[:, i]
             low, high = tip.measured_mm[:, i] - half, tip.measured_mm[:, i] + half
             panel.fill_between(tip.time_s, low, high, color=MEASURED, alpha=0.22, lw=0)
-            panel.plot(tip.time_s, tip.measured_mm[:, i], color=MEASURED, lw=1.0, label="measured, 95 % band")
-            panel.plot(tip.time_s, tip.model_mm[:, i], color=MODEL, lw=1.1, label="model")
+            panel.plot(*_thin(tip.time_s, tip.measured_mm[:, i]), color=MEASURED, lw=1.0, label="measured, 95 % band")
+            panel.plot(*_thin(tip.time_s, tip.model_mm[:, i]), color=MODEL, lw=1.1, label="model")
         panel.set_ylabel(f"{axis} [mm]")
         panel.margins(x=0.01)
     _legend(axes[0])
@@ -264,7 +274,7 @@ def _abscissa(levels: list[float]) -> tuple[Floats, str]:
     return np.arange(1.0, len(levels) + 1), "step"
 
 
-def _labelled(dwells: list[Step], settled: Floats) -> list[tuple[Step, Floats]]:
+def _labelled(dwells: Sequence[Step], settled: Floats) -> list[tuple[Step, Floats]]:
     """Return the steps whose labels fit: first, last, and those far enough from the one before."""
     chosen: list[tuple[Step, Floats]] = []
     reach = max(float(np.ptp(settled, axis=0).max()), 1e-9)

@@ -15,7 +15,7 @@ import numpy as np
 from runs import figures, layout
 from runs.figures import svg
 from runs.run import Run
-from runs.summary import BAND_BAR, SETTLED_PART, Step, Summary, summarise
+from runs.summary import BAND_BAR, SETTLED_PART, Step, Summary, settled_steps, summarise
 
 SUFFIX = ".html"
 DASH = "–"
@@ -74,12 +74,13 @@ def _tiles(s: Summary) -> str:
     tiles = [
         (_mm(s.error_mm.mean), "mean error, measured to model (3-D)"),
         (_mm(s.in_plane_mm.mean), "mean error in the plane of motion"),
+        (f"{_plain(s.rmse_mm[0], 2)} <small>mm</small>, {_plain(s.rmse_mm[2], 2)} <small>mm</small>", "rms in x, in z"),
         (_mm(s.settled_error_mm), "mean settled error of the steps"),
         (_unit(s.settling_s, "s", 2), f"longest settling within {BAND_BAR * 1e3:.0f} mbar"),
         (_unit(s.overshoot_bar * 1e3, "mbar", 1), "largest overshoot"),
         (_unit(s.tracking_rms_bar * 1e3, "mbar", 1), "rms tracking, moving set-points"),
         (f"{s.missed_deadlines} <small>of {s.ticks}</small>", "control deadlines missed"),
-        (_unit(s.lateness_p99_us, "us", 1), "lateness, 99 % of the ticks below"),
+        (_unit(s.lateness_p99_us or math.nan, "us", 1), "lateness, 99 % of the ticks below"),
         (_unit(100 * s.measured_fraction, "%", 1), f"frames measured of {s.frames}; {s.frames_dropped} dropped"),
     ]
     if s.truth is not None:
@@ -95,30 +96,33 @@ def _tiles(s: Summary) -> str:
 
 
 def _figures(run: Run, summary: Summary) -> Iterable[str]:
-    settled = any(step.dwell and math.isfinite(step.error_mm) for step in summary.steps)
+    settled = settled_steps(summary.steps)
     yield _figure("Pressures and set-points", svg(figures.pressures, run, summary, (9, 4.1)), "")
     if len(run.tip.time_s):
         yield _figure(
             "Tool centre point in the plane of motion",
-            svg(figures.trajectory, run, summary, (9, 5.2)),
+            svg(figures.trajectory, run, summary, figures.trajectory_size(run, summary)),
             "In the rod-base frame, drawn as the arm hangs. Circles and crosses: mean over the last "
-            f"{100 * SETTLED_PART:.0f} % of each dwell.",
+            f"{100 * SETTLED_PART:.0f} % of each dwell; the numbers are its pressure in bar.",
         )
         if settled:
             yield _figure(
                 "Settled tip and error, step by step",
                 svg(figures.steps, run, summary, (9, 3.6)),
-                "Bars: 95 % of one frame. Normalised by the distance of the measured tip from where it rested "
+                "Marks: measured, with 95 % of one frame. Normalised by the distance of the measured tip from where it rested "
                 "without pressure.",
             )
         yield _figure("Tip over time", svg(figures.coordinates, run, summary, (9, 5)), "")
         yield _figure("Error over time", svg(figures.error, run, summary, (9, 4.2 if run.simulated else 2.6)), "")
-    caption = (
-        f"Half of the ticks began less than {_plain(summary.lateness_p50_us, 1)} us late, 99 % less than "
-        f"{_plain(summary.lateness_p99_us, 1)} us; the latest {_plain(summary.lateness_max_us / 1e3, 2)} ms. "
-        f"{summary.missed_deadlines} deadlines missed, {summary.ring_overflows} rows lost between processes."
-    )
-    yield _figure("Timing of the control loop", svg(figures.timing, run, summary, (9, 2.8)), caption)
+    if summary.lateness_max_us > 0:
+        caption = (
+            f"Half of the ticks began less than {_plain(summary.lateness_p50_us, 1)} us late, 99 % less than "
+            f"{_plain(summary.lateness_p99_us, 1)} us; the latest {_plain(summary.lateness_max_us / 1e3, 2)} ms. "
+            f"{summary.missed_deadlines} deadlines missed, {summary.ring_overflows} rows lost between processes."
+        )
+        yield _figure("Timing of the control loop", svg(figures.timing, run, summary, (9, 2.8)), caption)
+    else:
+        yield "<h2>Timing of the control loop</h2>\n<p class=small>In virtual time no tick is late.</p>"
 
 
 def _figure(title: str, drawing: str, caption: str) -> str:
@@ -144,17 +148,20 @@ def _steps(summary: Summary) -> str:
     )
     head = "".join(f"<th{'' if i == 0 else ' class=n'}>{name}</th>" for i, name in enumerate(columns))
     rows = "".join(_step(step) for step in summary.steps)
-    return f'<h2>Segments</h2>\n<div class="scroll"><table><tr>{head}</tr>{rows}</table></div>'
+    note = "Dwells: mean over their last part. Other segments: mean over the whole."
+    return (
+        f'<h2>Segments</h2>\n<div class="scroll"><table><tr>{head}</tr>{rows}</table></div>\n<p class=small>{note}</p>'
+    )
 
 
 def _step(step: Step) -> str:
     cells = (
-        " ".join(f"{level:.2f}" for level in step.level_bar),
-        _three(step.measured_mm),
-        _three(step.model_mm),
+        "&ensp;".join(_plain(level, 2) for level in step.level_bar),
+        _three(step.measured_mm) if step.dwell else "",
+        _three(step.model_mm) if step.dwell else "",
         _plain(step.error_mm, 2),
         _plain(step.in_plane_mm, 2),
-        _plain(step.normalised_percent, 2),
+        _plain(step.normalised_percent, 2) if step.dwell else "",
         _plain(step.settling_s, 2) if step.dwell else "",
         _plain(step.overshoot_bar * 1e3, 1) if step.dwell else "",
         _plain(step.tracking_rms_bar * 1e3, 1),
@@ -232,11 +239,14 @@ def _row(*cells: str) -> str:
 
 
 def _plain(value: float, digits: int) -> str:
-    return f"{value:.{digits}f}" if math.isfinite(value) else DASH
+    """Return a number with a real minus, and none before zero."""
+    if math.isinf(value):
+        return "never"
+    return f"{round(value, digits) + 0.0:.{digits}f}".replace("-", "\N{MINUS SIGN}") if math.isfinite(value) else DASH
 
 
 def _unit(value: float, unit: str, digits: int) -> str:
-    return f"{value:.{digits}f} <small>{unit}</small>" if math.isfinite(value) else DASH
+    return f"{_plain(value, digits)} <small>{unit}</small>" if not math.isinf(value) else "never"
 
 
 def _mm(value: float) -> str:
@@ -244,4 +254,4 @@ def _mm(value: float) -> str:
 
 
 def _three(values: tuple[float, float, float]) -> str:
-    return "&ensp;".join(f"{value:.1f}" for value in values) if math.isfinite(values[0]) else DASH
+    return "&ensp;".join(_plain(value, 1) for value in values) if math.isfinite(values[0]) else DASH

@@ -2,12 +2,13 @@
 
 Definitions. *Error*: distance from the measured to the modelled tool centre point. *Settled*: the mean over the last
 `SETTLED_PART` of a dwell, a segment at whose end the set-points stand still. *Plane of motion*: through the base
-frame's z axis and the direction in which the modelled tip moved; there is none where the tip moved along z only or
-out of any plane. *Normalised*: error over the distance of the measured tip from where it rested without pressure.
+frame's z axis and the direction in which the modelled tip moved; there is none where it moved along z only or out of
+any plane. *Normalised*: error over the distance of the measured tip from where it rested without pressure.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,6 +23,8 @@ BAND_BAR = 0.01
 CHI2_3_95 = 7.814727903251179
 """95 % point of chi-squared with three degrees of freedom: the ellipsoid that holds 95 % of a 3-D Gaussian."""
 Z_95 = 1.959963984540054
+JUMP_BAR = 0.005
+"""A set-point that moves farther from one tick to the next has jumped."""
 _REST_BAR = 0.02
 _MOVED_MM = 2.0
 _FLAT = 0.1
@@ -51,13 +54,14 @@ class Step:
     dwell: bool
     """The set-points stand still at the end of the segment."""
     settling_s: float
-    """From the set-point's last move to the last time that a pressure was outside `BAND_BAR`."""
+    """From the jump of a set-point to the last time that a pressure was outside `BAND_BAR`; infinite where one stayed
+    outside, NaN where none jumped."""
     overshoot_bar: float
-    """Farthest beyond the new set-point, of the actuators whose set-point moved; less the sensor's noise: none."""
+    """Farthest beyond the new set-point, of the actuators whose set-point jumped, the sensor's noise included."""
     tracking_rms_bar: float
     """Set-point against measured, over the segment and all actuators."""
     frames: int
-    """Frames that the settled values are the mean of."""
+    """Frames that the values below are the mean of: the last part of a dwell, the whole of any other segment."""
     measured_mm: tuple[float, float, float]
     uncertainty_mm: tuple[float, float, float]
     """Standard uncertainty of one frame, root mean square."""
@@ -65,6 +69,7 @@ class Step:
     error_mm: float
     in_plane_mm: float
     normalised_percent: float
+    """Of dwells."""
 
 
 @dataclass(frozen=True)
@@ -92,15 +97,17 @@ class Summary:
     duration_s: float
     error_mm: Spread
     in_plane_mm: Spread
+    rmse_mm: tuple[float, float, float]
+    """Root mean square of measured minus model in x, y and z, as in the paper's Table 5."""
     plane_deg: float
     """Azimuth of the plane of motion in the base frame, from x; NaN where there is none."""
     steps: tuple[Step, ...]
     settled_error_mm: float
-    """Mean over the dwells."""
+    """Mean over `settled_steps`."""
     settling_s: float
-    """Longest of the dwells; NaN where one did not settle."""
+    """Longest of the steps."""
     overshoot_bar: float
-    """Largest of the dwells."""
+    """Largest of the steps."""
     tracking_rms_bar: float
     """Over the segments that are no dwells."""
     ticks: int
@@ -130,7 +137,6 @@ def summarise(run: Run) -> Summary:
     plane = plane_of_motion(tip.model_mm[measured] if measured.any() else tip.model_mm)
     difference = tip.measured_mm - tip.model_mm
     steps = _steps(run, measured, plane)
-    dwells = [step for step in steps if step.dwell]
     moving = [step.tracking_rms_bar for step in steps if not step.dwell]
     late = timing.lateness_us
     return Summary(
@@ -141,11 +147,12 @@ def summarise(run: Run) -> Summary:
         duration_s=run.duration_s,
         error_mm=spread(tip.error_mm[measured]),
         in_plane_mm=spread(in_plane(difference[measured], plane)),
+        rmse_mm=_vector(difference[measured & np.isfinite(difference).all(axis=1)] ** 2, root=True),
         plane_deg=float(np.degrees(np.arctan2(plane[1], plane[0]))) if plane is not None else NAN,
         steps=steps,
-        settled_error_mm=_mean([step.error_mm for step in dwells]),
-        settling_s=max((step.settling_s for step in dwells), key=_nan_last, default=NAN),
-        overshoot_bar=max((step.overshoot_bar for step in dwells if step.overshoot_bar >= 0), default=NAN),
+        settled_error_mm=_mean([step.error_mm for step in settled_steps(steps)]),
+        settling_s=max((step.settling_s for step in steps if not np.isnan(step.settling_s)), default=NAN),
+        overshoot_bar=max((step.overshoot_bar for step in steps if not np.isnan(step.overshoot_bar)), default=NAN),
         tracking_rms_bar=_rms(np.array(moving)),
         ticks=len(pressure.time_s),
         missed_deadlines=int(timing.overruns.sum()),
@@ -160,6 +167,12 @@ def summarise(run: Run) -> Summary:
         reprojection_px=_percentile(tip.reprojection_px[measured], 50),
         truth=_truth(run, measured, plane),
     )
+
+
+def settled_steps(steps: Iterable[Step]) -> tuple[Step, ...]:
+    """Return the dwells that have a settled error: those under pressure, or all where none is."""
+    dwells = [step for step in steps if step.dwell and np.isfinite(step.error_mm)]
+    return tuple([step for step in dwells if max(step.level_bar) > 0] or dwells)
 
 
 def plane_of_motion(points_mm: Floats) -> Floats | None:
@@ -209,11 +222,12 @@ def _step(run: Run, interval: Interval, measured: NDArray[np.bool_], plane: Floa
     setpoint, got = pressure.setpoint_bar[ticks], pressure.measured_bar[ticks]
     dwell = bool(last_ticks.any() and np.ptp(pressure.setpoint_bar[last_ticks], axis=0).max() == 0)
     settling, overshoot = NAN, NAN
-    if dwell:
-        before = pressure.setpoint_bar[max(int(np.argmax(ticks)) - 1, 0)]
+    before = pressure.setpoint_bar[max(int(np.argmax(ticks)) - 1, 0)] if dwell else None
+    if before is not None and (jumped := np.abs(setpoint[-1] - before) > JUMP_BAR).any():
         settling = _settling_s(pressure.time_s[ticks], setpoint, got)
-        overshoot = _overshoot_bar(before, setpoint, got)
-    frames = measured & (tip.protocol_s >= settled_from) & (tip.protocol_s < interval.stop_s)
+        overshoot = _overshoot_bar(before[jumped], setpoint[-1][jumped], got[:, jumped])
+    begin = settled_from if dwell else interval.start_s
+    frames = measured & (tip.protocol_s >= begin) & (tip.protocol_s < interval.stop_s)
     difference = tip.measured_mm[frames] - tip.model_mm[frames]
     where = _vector(tip.measured_mm[frames])
     error = _mean(tip.error_mm[frames])
@@ -234,12 +248,12 @@ def _step(run: Run, interval: Interval, measured: NDArray[np.bool_], plane: Floa
         model_mm=_vector(tip.model_mm[frames]),
         error_mm=error,
         in_plane_mm=_mean(in_plane(difference, plane)),
-        normalised_percent=100 * error / travelled if travelled > _MOVED_MM else NAN,
+        normalised_percent=100 * error / travelled if dwell and travelled > _MOVED_MM else NAN,
     )
 
 
 def _settling_s(time_s: Floats, setpoint: Floats, got: Floats) -> float:
-    """Return the time from the set-point's last move to the end of the last excursion; NaN where none ended."""
+    """Return the time from the set-point's last move to the end of the last excursion; infinite where none ended."""
     still = np.flatnonzero((setpoint != setpoint[-1]).any(axis=1))
     moved = int(still[-1]) + 1 if len(still) else 0
     off: Floats = np.abs(got - setpoint)[moved:].max(axis=1)
@@ -247,16 +261,12 @@ def _settling_s(time_s: Floats, setpoint: Floats, got: Floats) -> float:
     if len(outside) == 0:
         return 0.0
     back = moved + int(outside[-1]) + 1
-    return float(time_s[back] - time_s[moved]) if back < len(time_s) else NAN
+    return float(time_s[back] - time_s[moved]) if back < len(time_s) else np.inf
 
 
-def _overshoot_bar(before: Floats, setpoint: Floats, got: Floats) -> float:
-    """Return how far the pressures went beyond their new set-points; NaN where no set-point moved."""
-    jump = setpoint[-1] - before
-    moved: NDArray[np.bool_] = np.not_equal(jump, 0)
-    if not moved.any():
-        return NAN
-    beyond = (got[:, moved] - setpoint[-1][moved]) * np.sign(jump[moved])
+def _overshoot_bar(before: Floats, after: Floats, got: Floats) -> float:
+    """Return how far pressures (n, k) went beyond the set-points (k,) that they were sent to."""
+    beyond = (got - after) * np.sign(after - before)
     return float(max(beyond.max(), 0.0))
 
 
@@ -300,7 +310,3 @@ def _rms(values: Floats) -> float:
 
 def _percentile(values: Floats, percent: float) -> float:
     return float(np.percentile(values, percent)) if len(values) else NAN
-
-
-def _nan_last(value: float) -> float:
-    return np.inf if np.isnan(value) else value
