@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import model
-from rig.arm import model_arm
+from rig.arm import Variant, model_arm
 from rig.cameras.base import Frame
 from rig.config import RigConfig
 from rig.eye import Eye
@@ -107,7 +107,7 @@ class _Solve(Protocol):
 class Observer:
     """Turns frames, in their order, into rows of `runs.records.observation_dtype`. Knows no clock."""
 
-    def __init__(self, config: RigConfig, variant: str | None = None, camera: str | None = None) -> None:
+    def __init__(self, config: RigConfig, variant: Variant | None = None, camera: str | None = None) -> None:
         """`variant` of the model (the rig's when None), `camera` by name (the first when None)."""
         name = camera if camera is not None else next(iter(config.cameras))
         self._eye = Eye(config, name)

@@ -68,7 +68,10 @@ class MockCamera:
             raise CameraError(f"no picture within {timeout_s:g} s: the camera delivers one every {self._period_ns} ns")
         if wait_s > 0:
             time.sleep(wait_s)
-        return self.frame_at(self._index, t_ns)
+        try:
+            return self.frame_at(self._index, t_ns)
+        except LookupError as error:
+            raise CameraError(f"the simulator stands still: {error}") from error
 
     def close(self) -> None:
         """Nothing to release."""

@@ -1,0 +1,83 @@
+"""A camera that OpenCV can open: V4L2 devices."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.cameras.base import CameraError, Frame
+from rig.config import CameraConfig
+
+# V4L2's auto_exposure menu, as OpenCV passes it through.
+_MANUAL_EXPOSURE = 1
+# The control counts in units of 100 us.
+_EXPOSURE_UNIT_MS = 0.1
+# A stamp further from the time of arrival than this is on another clock.
+_SAME_CLOCK_S = 2.0
+
+
+class OpenCVCamera:
+    """A V4L2 camera that keeps one buffer, so that a picture is never older than one period.
+
+    Frames are stamped by the driver where its stamps are on CLOCK_MONOTONIC, else on arrival, and moved back by half
+    the exposure. Lost pictures show as gaps of the index, told from the stamps.
+    """
+
+    def __init__(self, camera: CameraConfig) -> None:
+        """Open `camera.device`, a number or a path, and set size, rate and exposure; refuse another size."""
+        self._camera = camera
+        device = camera.device
+        if isinstance(device, str) and device.startswith("/") and not Path(device).exists():
+            raise CameraError(f"camera {device} does not exist: plug it in, or list what there is with `rig doctor`")
+        self._capture = cv2.VideoCapture(device, cv2.CAP_V4L2)
+        if not self._capture.isOpened():
+            raise CameraError(f"camera {device} cannot be opened: is it in use, and may this user read it (group video)?")
+        self._prepare()
+        self._period_ns = round(1e9 / camera.rate_hz)
+        self._half_exposure_ns = round(camera.exposure_ms * 5e5)
+        self._index = -1
+        self._last_ns = 0
+
+    def _prepare(self) -> None:
+        capture, camera = self._capture, self._camera
+        capture.set(cv2.CAP_PROP_BUFFERSIZE, 1)
+        capture.set(cv2.CAP_PROP_FRAME_WIDTH, camera.width_px)
+        capture.set(cv2.CAP_PROP_FRAME_HEIGHT, camera.height_px)
+        capture.set(cv2.CAP_PROP_FPS, camera.rate_hz)
+        capture.set(cv2.CAP_PROP_AUTO_EXPOSURE, _MANUAL_EXPOSURE)
+        capture.set(cv2.CAP_PROP_EXPOSURE, camera.exposure_ms / _EXPOSURE_UNIT_MS)
+        size = round(capture.get(cv2.CAP_PROP_FRAME_WIDTH)), round(capture.get(cv2.CAP_PROP_FRAME_HEIGHT))
+        if size != (camera.width_px, camera.height_px):
+            capture.release()
+            raise CameraError(
+                f"camera {camera.device} delivers {size[0]}x{size[1]} and the rig asks for "
+                f"{camera.width_px}x{camera.height_px}: the lens was calibrated for the latter"
+            )
+
+    def read(self, timeout_s: float) -> Frame:
+        """Return the newest picture."""
+        # OpenCV waits for a V4L2 picture by a time-out of its own; it is asked again until ours is over.
+        until = time.monotonic() + timeout_s
+        while not self._capture.grab():
+            if time.monotonic() > until:
+                raise CameraError(f"camera {self._camera.device} gave no picture within {timeout_s:g} s")
+            time.sleep(0.002)
+        arrived = time.monotonic_ns()
+        stamp = round(self._capture.get(cv2.CAP_PROP_POS_MSEC) * 1e6)
+        end_ns = stamp if 0 <= arrived - stamp < _SAME_CLOCK_S * 1e9 else arrived
+        ok, image = self._capture.retrieve()
+        if not ok:
+            raise CameraError(f"camera {self._camera.device} gave a picture that cannot be decoded")
+        elapsed = max(1, round((end_ns - self._last_ns) / self._period_ns)) if self._index >= 0 else 1
+        self._index += elapsed
+        self._last_ns = end_ns
+        picture: NDArray[np.uint8] = np.asarray(image, dtype=np.uint8)
+        return Frame(self._index, end_ns - self._half_exposure_ns, picture)
+
+    def close(self) -> None:
+        """Release the device."""
+        self._capture.release()
