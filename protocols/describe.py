@@ -90,7 +90,7 @@ class Expectation:
             return self._list_phrase(schema, unit)
         if "properties" in schema:
             return f"a mapping ('key: value' lines) with some of {', '.join(schema['properties'])}"
-        return "a mapping ('key: value' lines)"
+        return "a mapping ('key: value' lines)" + (" with at least one key" if schema.get("minProperties") else "")
 
     def _list_phrase(self, schema: Schema, unit: str) -> str:
         fixed = schema.get("prefixItems")

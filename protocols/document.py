@@ -123,8 +123,17 @@ def validate(
         said = {(problem.line, problem.column) for problem in problems}
         problems += [problem for problem in found if (problem.line, problem.column) not in said]
     if problems or model is None:
-        raise BadInput(sorted(problems, key=lambda problem: (problem.line, problem.column)))
+        raise BadInput(sorted(_once(problems), key=lambda problem: (problem.line, problem.column)))
     return model
+
+
+def _once(problems: Iterable[Problem]) -> list[Problem]:
+    """The problems without those that an alias (*name) repeats at the same place."""
+    kept: dict[object, Problem] = {}
+    for problem in problems:
+        place = (problem.line, problem.column, problem.expected, problem.value)
+        kept.setdefault(place if problem.value else problem, problem)
+    return list(kept.values())
 
 
 def _valid_parts(model_class: type[BaseModel], data: Mapping[str, Any]) -> dict[str, Any]:
@@ -181,7 +190,7 @@ class _Translator:
         kind = error["type"]
         if kind == "faults":
             return [self.fault(path, fault) for fault in error["ctx"]["faults"]]
-        if kind == "missing":
+        if kind == "missing" and isinstance(error["loc"][-1], str):
             return [self._missing(path)]
         if kind == "extra_forbidden":
             return [self._unknown(path)]
@@ -211,7 +220,9 @@ class _Translator:
         return self._problem(_key_of(mark), path, f"the unknown key '{path[-1]}'", expected, self._meant(path))
 
     def _meant(self, path: tuple[str | int, ...]) -> str:
-        return closest(str(path[-1]), self._expectation.keys(path[:-1], self._document.data))
+        known = self._expectation.keys(path[:-1], self._document.data)
+        absent = [key for key in known if not self._exists((*path[:-1], key))]
+        return closest(str(path[-1]), absent) or closest(str(path[-1]), known)
 
     def _suggestion(self, path: tuple[str | int, ...], mark: Mark) -> str:
         """A repair of the value that fits what the place expects."""

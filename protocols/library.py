@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -11,13 +12,14 @@ from typing import Any
 from protocols import document as yaml_document
 from protocols.document import Document
 from protocols.expand import expand, too_long
-from protocols.marks import path_text
+from protocols.marks import path_text, shortened
 from protocols.problems import BadInput, Problem
 from protocols.samples import Columns, read_samples
 from protocols.schema import Csv, ProtocolFile, Repeat, Step
 from protocols.trajectory import Trajectory
 
 FOLDER = Path(__file__).parent / "library"
+MOST_NEIGHBOURS = 200
 
 
 @dataclass(frozen=True)
@@ -79,9 +81,14 @@ def find(name: str, folder: Path, what: str) -> Path:
         exists = False
     if exists and name:
         return Path(name)
-    nearby = difflib.get_close_matches(Path(name).stem, names, n=1)
-    expected = f"a {what}'s file, or one of {', '.join(names)}"
-    raise BadInput([Problem(name or "''", 0, 0, "", "no such file or name", expected, nearby[0] if nearby else "")])
+    given = Path(name)
+    candidates = {known: known for known in names}
+    with suppress(OSError, ValueError):
+        candidates |= {path.stem: str(path) for path in sorted(given.parent.glob("*.y*ml"))[:MOST_NEIGHBOURS]}
+    nearby = sorted(candidates[stem] for stem in difflib.get_close_matches(given.stem, candidates))
+    expected = f"there is no such file, and no {what} of that name; the names are {', '.join(names)}"
+    shown = shortened(name if name.isprintable() else repr(name)) or "''"
+    raise BadInput([Problem(shown, 0, 0, "", "", expected, " or ".join(nearby))])
 
 
 def _leaves(steps: Sequence[Step], base: tuple[str | int, ...]) -> Iterator[tuple[tuple[str | int, ...], Any]]:

@@ -50,8 +50,8 @@ def _channels(
             continue
         count, wanted = have(cards[user.card]), sum(other.card == user.card for other in users)
         if user.channel >= count:
-            expected = f"a channel from 0 to {count - 1}" if count else "another card"
-            expected += f": card '{user.card}' has {count} {kind} channels"
+            expected = {0: "another card", 1: "channel 0"}.get(count, f"a channel from 0 to {count - 1}")
+            expected += f": card '{user.card}' has {count or 'no'} {kind} channel{'' if count == 1 else 's'}"
             if wanted > count:
                 expected += f", and this rig needs {wanted}"
             yield Fault((key, index, "channel"), expected)

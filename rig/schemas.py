@@ -1,0 +1,30 @@
+"""JSON Schemas of both YAMLs, for editors: `python -m rig.schemas docs/schemas` writes them."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+from pydantic import BaseModel
+
+from protocols.schema import ProtocolFile
+from rig.config import RigConfig
+
+FILES: dict[str, type[BaseModel]] = {"protocol.schema.json": ProtocolFile, "rig.schema.json": RigConfig}
+
+
+def schema_text(model: type[BaseModel]) -> str:
+    """The JSON Schema (draft 2020-12) of a model, as committed."""
+    schema = {"$schema": "https://json-schema.org/draft/2020-12/schema", **model.model_json_schema()}
+    return json.dumps(schema, indent=2, ensure_ascii=False) + "\n"
+
+
+def write(folder: Path) -> None:
+    """Write both schemas into `folder`."""
+    for name, model in FILES.items():
+        (folder / name).write_text(schema_text(model), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    write(Path(sys.argv[1]))
