@@ -109,8 +109,8 @@ def _figures(run: Run, summary: Summary) -> Iterable[str]:
             yield _figure(
                 "Settled tip and error, step by step",
                 svg(figures.steps, run, summary, (9, 3.6)),
-                "Marks: measured, with 95 % of one frame. Normalised by the distance of the measured tip from where it rested "
-                "without pressure.",
+                "Marks: measured, with 95 % of one frame. Normalised by the distance of the measured tip from where it "
+                "rested without pressure.",
             )
         yield _figure("Tip over time", svg(figures.coordinates, run, summary, (9, 5)), "")
         yield _figure("Error over time", svg(figures.error, run, summary, (9, 4.2 if run.simulated else 2.6)), "")
