@@ -1,6 +1,6 @@
 # The two commands: `make run` (the paper's experiment on the mock rig) and `make test`.
 .DEFAULT_GOAL := help
-.PHONY: help run test lint lock clean
+.PHONY: help run test test-hardware comedi lint lock clean
 
 VENV := .venv
 BIN := $(VENV)/bin
@@ -10,6 +10,8 @@ help:
 	@echo "make run    run protocol ramp-a on the mock rig, in real time"
 	@echo "make test   run the tests, formatter, linter and type checker"
 	@echo "make lint   only the formatter, linter and type checker"
+	@echo "make comedi build and install the binding to Comedi cards"
+	@echo "make test-hardware  drive a card and a camera of a real kernel, in a virtual machine"
 	@echo "make lock   resolve the dependencies anew into requirements.lock"
 	@echo "make clean  remove the environment and every cache"
 
@@ -27,6 +29,12 @@ lint: $(STAMP)
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/mypy
+
+comedi: $(STAMP)
+	@sh scripts/comedi/install.sh $(VENV)
+
+test-hardware: comedi
+	@sh scripts/vm/test.sh $(VENV)
 
 lock: $(STAMP)
 	$(BIN)/python -m pip install -q uv

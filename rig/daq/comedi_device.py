@@ -230,6 +230,15 @@ def device_paths() -> tuple[str, ...]:
     return tuple(sorted(str(p) for p in Path("/dev").glob("comedi[0-9]*") if p.name[6:].isdigit()))
 
 
+def require() -> None:
+    """Import pycomedi.
+
+    Raises:
+        CardError: it is not installed.
+    """
+    _pycomedi()
+
+
 class _Names:
     """What is used of pycomedi."""
 

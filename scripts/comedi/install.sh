@@ -1,0 +1,66 @@
+#!/bin/sh
+# Builds pycomedi 0.9 from its source distribution and installs it into the virtual environment $1.
+#
+# The sources of 2015 declare no build requirements, need Cython 0.29, and have one line that this Cython refuses:
+# a declaration that differs from its own header. That line is mended here. Doing it twice does nothing.
+set -eu
+venv=$1
+python=$venv/bin/python
+here=$(cd "$(dirname "$0")" && pwd)
+
+installed() {
+    "$python" -c 'from rig.daq.comedi_device import require; require()' 2>/dev/null
+}
+
+if installed; then
+    echo "pycomedi is installed in $venv"
+    exit 0
+fi
+if ! "$python" -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 12))'; then
+    echo "pycomedi 0.9 does not build on $("$python" --version): the Cython that it needs knows Python up to 3.12." >&2
+    echo "Make the environment anew with Python 3.11 or 3.12: make clean && PYTHON=python3.12 make comedi" >&2
+    echo "Everything but a real card works as it is." >&2
+    exit 2
+fi
+
+missing=
+command -v cc >/dev/null 2>&1 || missing="$missing gcc libc6-dev"
+[ -e /usr/include/comedilib.h ] || [ -e /usr/local/include/comedilib.h ] || missing="$missing libcomedi-dev"
+headers=$("$python" -c 'import sysconfig; print(sysconfig.get_path("include"))')
+[ -e "$headers/Python.h" ] || missing="$missing $("$python" -c 'import sys; print("python%d.%d-dev" % sys.version_info[:2])')"
+if [ -n "$missing" ]; then
+    sh "$here/../packages.sh" "building pycomedi" $missing
+fi
+
+work=$(mktemp -d)
+trap 'rm -rf "$work"' EXIT INT TERM
+quietly() {
+    if ! "$@" >"$work/log" 2>&1; then
+        cat "$work/log" >&2
+        echo "make comedi failed at: $*" >&2
+        exit 1
+    fi
+}
+
+echo "softrig: building pycomedi (once, half a minute)"
+numpy=$("$python" -c 'import numpy; print(numpy.__version__)')
+quietly "$python" -m venv "$work/build"
+build=$work/build/bin/python
+quietly "$build" -m pip install --disable-pip-version-check "cython<3" "numpy==$numpy" "setuptools<81" wheel
+quietly "$build" -m pip download --disable-pip-version-check --no-deps --no-binary :all: --no-build-isolation \
+    --require-hashes --dest "$work" -r "$here/requirements.txt"
+tar -xzf "$work/pycomedi-0.9.tar.gz" -C "$work"
+
+declaration='get_comedi_cmd_pointer(self)'
+sed -i "s/$declaration except \*:/$declaration:/" "$work/pycomedi-0.9/pycomedi/command.pyx"
+if ! grep -q "$declaration:" "$work/pycomedi-0.9/pycomedi/command.pyx"; then
+    echo "make comedi: the line to mend in pycomedi/command.pyx is not there" >&2
+    exit 1
+fi
+quietly "$build" -m pip wheel --disable-pip-version-check --no-deps --no-build-isolation --wheel-dir "$work" "$work/pycomedi-0.9"
+quietly "$python" -m pip install --disable-pip-version-check --no-deps --force-reinstall "$work"/pycomedi-0.9-*.whl
+if ! installed; then
+    echo "pycomedi was built and cannot be imported:" >&2
+    "$python" -c 'from rig.daq.comedi_device import require; require()' >&2 || exit 1
+fi
+echo "pycomedi is installed in $venv"
