@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 Variant = Literal["homogeneous", "homogeneous+rpe", "inhomogeneous+rpe"]
-SectionRule = Literal["linear", "pointwise", "secant", "tangent"]
+ModulusRule = Literal["pointwise", "secant", "tangent", "paper-secant", "paper-tangent"]
 Triple = tuple[float, float, float]
 
 
@@ -28,8 +28,10 @@ class Arm:
     """One arm: geometry, material, cap, gravity, and which of the paper's models describes it.
 
     variant: 'homogeneous' (eq 16, no radial pressure effect), 'homogeneous+rpe', or 'inhomogeneous+rpe', in which each
-    tube follows eq 32. modulus_rule says how the inhomogeneous section finds each E_i: 'pointwise' solves eq 32 at
-    every point of the rod (default); 'secant' and 'tangent' freeze E_i by the paper's rule (eq 33, 5.2.2).
+    tube follows eq 32. modulus_rule says how the inhomogeneous section finds each E_i. 'pointwise' (default) solves
+    eq 32 at every point of the rod. 'secant' and 'tangent' (eq 33 as printed) freeze E_i at the wall force that
+    balances the caps, n = P_i A_in. 'paper-secant' and 'paper-tangent' take for passive tubes the paper's n, an even
+    share of the others' push (5.2.2); for active ones, where the paper is silent, P_i A_in.
     cap_mass_kg hangs at the tip. With cap_inertia it also resists acceleration, with its own rotational inertia
     cap_inertia_kg_m2 about the section's axes. gravity_m_s2 is in the base frame: +z is an arm that hangs. rod_weight
     adds the walls' own weight, which the paper leaves out.
@@ -41,15 +43,15 @@ class Arm:
     cap_mass_kg: float = 0.05
     gravity_m_s2: Triple = (0.0, 0.0, 9.81)
     rod_weight: bool = False
-    modulus_rule: Literal["pointwise", "secant", "tangent"] = "pointwise"
+    modulus_rule: ModulusRule = "pointwise"
     cap_inertia: bool = False
     cap_inertia_kg_m2: Triple = field(default=(0.0, 0.0, 0.0))
 
     def __post_init__(self) -> None:
         if self.variant not in get_args(Variant):
             raise ValueError(f"unknown variant {self.variant!r}: {', '.join(get_args(Variant))}")
-        if self.modulus_rule not in get_args(SectionRule)[1:]:
-            raise ValueError(f"unknown modulus rule {self.modulus_rule!r}: {', '.join(get_args(SectionRule)[1:])}")
+        if self.modulus_rule not in get_args(ModulusRule):
+            raise ValueError(f"unknown modulus rule {self.modulus_rule!r}: {', '.join(get_args(ModulusRule))}")
         if not (math.isfinite(self.cap_mass_kg) and self.cap_mass_kg >= 0):
             raise ValueError(f"the cap's mass must be zero or positive, got {self.cap_mass_kg} kg")
         for name, triple in (("gravity_m_s2", self.gravity_m_s2), ("cap_inertia_kg_m2", self.cap_inertia_kg_m2)):
@@ -68,8 +70,8 @@ class Arm:
         return 0.0 if self.variant == "homogeneous" else self.material.rpe_per_bar
 
     @property
-    def section_rule(self) -> SectionRule:
-        """How the section's stiffness is found in this variant."""
+    def section_rule(self) -> ModulusRule | Literal["linear"]:
+        """How the section's stiffness is found in this variant; 'linear' is one modulus for all."""
         return self.modulus_rule if self.variant == "inhomogeneous+rpe" else "linear"
 
     @property
@@ -84,7 +86,17 @@ class Arm:
             return np.full(geometry.actuators, material.youngs_modulus_pa * geometry.wall_area_m2)
         if self.section_rule == "pointwise":
             return np.full(geometry.actuators, 1 / material.a1_per_n)
-        raise NotImplementedError
+        force = np.abs(self._wall_force_n(np.asarray(pressure_pa, dtype=np.float64)))
+        share = 2.0 if self.section_rule.endswith("tangent") else 1.0
+        return 1.0 / (material.a1_per_n + share * material.a2_per_n2 * force)
+
+    def _wall_force_n(self, pressure_pa: Array) -> Array:
+        """The force n that eq 33 takes for each tube: its own push, or by the paper what the cap hands to the rest."""
+        push = pressure_pa * self.geometry.chamber_area_m2
+        passive = push == 0.0
+        if self.section_rule.startswith("paper") and passive.any():
+            return np.where(passive, push.sum() / passive.sum(), push)
+        return push
 
     def statics(self, pressure_pa: ArrayLike, loads: Loads | None = None, nodes: int = 20) -> Shape:
         """The shape at rest under gauge pressures (N,) [Pa].

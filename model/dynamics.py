@@ -66,7 +66,7 @@ class Dynamics:
         pressure = pressures(self._arm, pressure_pa)
         if loads is not self._loads:
             self._set_loads(loads)
-        if self._arm.section_rule in ("secant", "tangent"):
+        if self._arm.section_rule not in ("linear", "pointwise"):
             self._problem = Problem.of(self._arm, pressure, self._scheme.c0)
         problem = self._problem
         passes = advance(

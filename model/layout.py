@@ -26,7 +26,8 @@ SECANTS = TANGENTS + 6  # moments of their side stiffness: 1, x, y, rr
 CHANGES = SECANTS + 4  # moments of its derivative by strain: 1, x, y, xx, xy, yy, rrx, rry
 
 # Parameters of a run.
-C0 = CHANGES + 8  # of the time scheme, eq 26
+CURRENT = CHANGES + 8  # the actuator being summed: x, y, free strain
+C0 = CURRENT + 3  # of the time scheme, eq 26
 LINE_DENSITY = C0 + 1  # rho A
 INERTIA = LINE_DENSITY + 1  # rho J: 11, 22, 12, 33
 DAMPING = INERTIA + 4  # Kelvin-Voigt time

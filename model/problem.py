@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -37,6 +38,13 @@ class Problem:
     @classmethod
     def of(cls, arm: Arm, pressure_pa: Array, c0: float = 0.0) -> Problem:
         """Prepare the arm; pressures matter only to the section rules that freeze each modulus."""
+        if arm.section_rule in ("linear", "pointwise"):
+            known = _prepared(arm, c0)
+            return replace(known, work=known.work.copy())
+        return cls._build(arm, pressure_pa, c0)
+
+    @classmethod
+    def _build(cls, arm: Arm, pressure_pa: Array, c0: float) -> Problem:
         geometry, material = arm.geometry, arm.material
         centre = geometry.centroid_m
         xy = geometry.positions_m - centre
@@ -76,6 +84,11 @@ class Problem:
         if arm.rod_weight:
             along[:, :3] += arm.line_density_kg_m * np.asarray(arm.gravity_m_s2)
         return along, bool(along.any())
+
+
+@lru_cache(maxsize=64)
+def _prepared(arm: Arm, c0: float) -> Problem:
+    return Problem._build(arm, np.zeros(arm.geometry.actuators), c0)
 
 
 def pressures(arm: Arm, pressure_pa: ArrayLike) -> Array:

@@ -20,6 +20,7 @@ from model.layout import (
     AXIAL_INVERSE,
     C0,
     CHANGES,
+    CURRENT,
     DAMPING,
     INERTIA,
     LANES,
@@ -131,12 +132,15 @@ def pointwise_wrench(
     for i in range(18 * LANES):
         w[TANGENTS * LANES + i] = 0.0
     for k in range(actuators):
+        # Copied to a constant place, or the compiler gives up on vector instructions.
         at = (ACTUATORS + PER_ACTUATOR * k) * LANES
+        for i in range(PER_ACTUATOR * LANES):
+            w[CURRENT * LANES + i] = w[at + i]
         for i in range(LANES):
-            x, yy = w[at + i], w[at + LANES + i]
+            x, yy = w[CURRENT * LANES + i], w[(CURRENT + 1) * LANES + i]
             a1, a2, spread = w[TUBE * LANES + i], w[(TUBE + 1) * LANES + i], w[(TUBE + 3) * LANES + i]
             strain = w[y + 2 * LANES + i] - 1.0 + yy * w[y + 3 * LANES + i] - x * w[y + 4 * LANES + i]
-            strain -= w[at + 2 * LANES + i]
+            strain -= w[(CURRENT + 2) * LANES + i]
             root = math.sqrt(a1 * a1 + 4.0 * a2 * abs(strain))
             force = 2.0 * strain / (a1 + root)
             tangent = 1.0 / root
