@@ -128,7 +128,12 @@ def _write(part: Path, name: str, groups: tuple[Group, ...]) -> str:
 
 def _put(node: h5py.Group, item: Field) -> tuple[str, tuple[int, ...], digest.Content]:
     """Write one field and return what was meant by it."""
-    attributes: dict[str, Any] = {"units": item.units, "long_name": item.about, "source": item.source}
+    attributes: dict[str, Any] = {
+        "units": item.units,
+        "long_name": item.label,
+        "description": item.about,
+        "source": item.source,
+    }
     if item.uncertainty is not None:
         attributes["uncertainty"] = item.uncertainty
     meant: tuple[str, tuple[int, ...], digest.Content]
@@ -154,7 +159,7 @@ def _put_pictures(node: h5py.Group, item: Pictures) -> tuple[str, tuple[int, ...
     dataset = node.create_dataset(item.name, (len(item.data),), h5py.vlen_dtype(np.uint8))
     for index, data in enumerate(item.data):
         dataset[index] = np.frombuffer(data, np.uint8)
-    dataset.attrs["long_name"] = item.about
+    dataset.attrs["description"] = item.about
     return "bytes", (len(item.data),), item.data
 
 

@@ -39,6 +39,11 @@ class Field:
     source: str = ""
     uncertainty: float | None = None
 
+    @property
+    def label(self) -> str:
+        """What viewers write at an axis; they add the unit."""
+        return self.name.rpartition("_")[0].replace("_", " ") if self.units and "_" in self.name else ""
+
 
 @dataclass(frozen=True)
 class Pictures:
@@ -254,7 +259,8 @@ def _tip(journal: Journal) -> Group:
 
 
 def _timing(journal: Journal) -> Group:
-    rows, counters = journal.samples, journal.footer.counters if journal.footer else {}
+    rows = journal.samples
+    overflows = sum(count for name, count in _counted(journal).items() if name.endswith("ring_overflows"))
     dropped = int(journal.observations["dropped"].sum())
     return Group(
         "entry/timing",
@@ -264,7 +270,7 @@ def _timing(journal: Journal) -> Group:
             Field("lateness_us", rows["lateness_ns"] / 1e3, "us", "how late the control tick began", ("time",)),
             Field("overruns", rows["missed"], about="deadlines missed since the last tick", scales=("time",)),
             Field("dropped_frames", np.int64(dropped), about="camera frames lost"),
-            Field("ring_overflows", np.int64(counters.get("ring_overflows", 0)), about="rows lost in shared memory"),
+            Field("ring_overflows", np.int64(overflows), about="rows lost in shared memory"),
             Field("control_rate", journal.header.control_hz, "Hz", "asked for"),
             Field("camera_rate", journal.header.camera_hz, "Hz", "asked for"),
         ),
@@ -273,8 +279,12 @@ def _timing(journal: Journal) -> Group:
     )
 
 
+def _counted(journal: Journal) -> dict[str, int]:
+    return journal.footer.counters if journal.footer else {}
+
+
 def _counters(journal: Journal) -> Group:
-    counters = journal.footer.counters if journal.footer else {}
+    counters = _counted(journal)
     fields = (Field(name, np.int64(count)) for name, count in sorted(counters.items()))
     return Group("entry/timing/counters", "NXcollection", _named(fields), about="as the executor counted them")
 
@@ -316,7 +326,10 @@ def _events(journal: Journal) -> Group:
 
 def _quantities(journal: Journal, room: str, about: str) -> Group:
     variant = [Field("variant", journal.header.model_variant)] if room == "model" else []
-    fields = variant + [_quantity(q) for q in journal.header.quantities if q.room == room]
+    numbers = [_quantity(q) for q in journal.header.quantities if q.room == room]
+    lengths = sorted({len(q.value) for q in numbers if isinstance(q.value, np.ndarray)})
+    scales = [Field(f"component_{n}", np.arange(1, n + 1), about=f"labels vectors of {n}") for n in lengths]
+    fields = variant + scales + numbers
     return Group(f"entry/{room}", "NXcollection", _named(fields), about=about)
 
 
@@ -337,10 +350,12 @@ def _named(fields: Iterable[Field]) -> tuple[Field, ...]:
 
 def _quantity(quantity: Quantity) -> Field:
     value = np.array(quantity.value, float)
+    single = len(value) == 1
     return Field(
         quantity.name,
-        value[0] if len(value) == 1 else value,
+        float(value[0]) if single else value,
         quantity.unit,
+        scales=() if single else (f"component_{len(value)}",),
         source=quantity.source,
         uncertainty=quantity.uncertainty,
     )

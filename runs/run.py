@@ -252,7 +252,7 @@ class Run:
                     uncertainty=float(node.attrs.get("uncertainty", np.nan)),
                 )
                 for name, node in file[f"entry/{room}"].items()
-                if h5py.check_string_dtype(node.dtype) is None
+                if h5py.check_string_dtype(node.dtype) is None and not node.is_scale
             )
 
 

@@ -136,7 +136,7 @@ def test_what_was_not_measured_is_nan_and_says_why(path: Path) -> None:
     assert np.isnan(tip.error_mm[lost]).all()
     assert np.isfinite(tip.model_mm[lost]).all()
     with h5py.File(path) as file:
-        assert "1 no_board" in file["entry/tip/seen"].attrs["long_name"]
+        assert "1 no_board" in file["entry/tip/seen"].attrs["description"]
 
 
 def test_the_header_comes_back_as_it_was(path: Path) -> None:
@@ -267,6 +267,17 @@ def test_texts_that_hdf5_cannot_hold_do_not_lose_a_run(tmp_path: Path) -> None:
     run = runs.open(finalise(source))
     assert run.header.notes == "a␀b"
     assert run.header.git_diff == "lone ? byte"
+
+
+def test_vectors_of_calibration_are_kept_with_a_scale(tmp_path: Path) -> None:
+    source = tmp_path / "vector.mcap"
+    plain = made_up.header("vector")
+    vector = dataclasses.replace(plain.quantities[0], name="translation", value=(1.0, 2.0, 3.0), unit="mm")
+    writer = journal.JournalWriter(source, dataclasses.replace(plain, quantities=(vector,)))
+    writer.close(RunFooter(made_up.START_NS, Status.FINISHED, "", {"a_ring_overflows": 2, "b_ring_overflows": 3}))
+    run = runs.open(finalise(source))
+    assert run.header.quantities == (vector,)
+    assert run.timing.ring_overflows == 5
 
 
 def test_names_that_hdf5_cannot_hold_lose_no_number(tmp_path: Path) -> None:
