@@ -116,7 +116,7 @@ def _step(settings: Settings, state: State, sample: Sample, setpoint: list[float
     watches = []
     for i, watch in enumerate(state.watches):
         valve = state.valves[settings.valve_of[i]]
-        reference = setpoint[i] if math.isnan(valve.reference_pa) else valve.reference_pa
+        reference = pressure[i] if math.isnan(valve.reference_pa) else valve.reference_pa
         asked = Asked(setpoint[i], reference, valve.asked_pa_s, valve.integral_pa_s)
         moved, tripped = interlocks.step(limits, i, watch, dt, sample.t_ns, volts[i], pressure[i], asked)
         watches.append(moved)

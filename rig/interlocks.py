@@ -11,12 +11,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.config import PA_PER_BAR, RigConfig, Sensor
+from rig.config import PA_PER_BAR, FlowValve, RigConfig, Sensor
 
 RATE_FILTER_S = 0.02
 """Time constant of the measured rate: short against a dangerous rise, long against one noisy sample."""
 
 SIXTEEN_BITS = 65_535
+
+NOISE_SHARE = 0.5
+"""A reading that moved by less than this share of the sensor's accuracy may have been moved by noise alone."""
+
+EVIDENCE = 2.0
+"""A still reading is suspicious once the valve should have moved it by this many times the sensor's accuracy."""
 
 
 @dataclass(frozen=True)
@@ -47,13 +53,19 @@ class Trip:
 
 @dataclass(frozen=True)
 class SensorSettings:
-    """One sensor as the interlocks see it. `ceiling_v` is a saturated input, `count_v` one count of 16 bits."""
+    """One sensor as the interlocks see it.
+
+    `ceiling_v` is a saturated input, `count_v` one count of 16 bits. `response_s` is how long the pressure may take to
+    follow a moving reference: no time at all where the sensor steers a flow-metering valve, for without it that valve
+    goes on filling.
+    """
 
     low_v: float
     high_v: float
     ceiling_v: float
     count_v: float
     accuracy_pa: float
+    response_s: float
 
 
 @dataclass(frozen=True)
@@ -74,7 +86,8 @@ class Watch:
     """State of one actuator's interlocks after a step.
 
     The anchor is the last reading that differed from the one before it by a count; `expected_pa` is by how much the
-    valve should have moved the pressure since.
+    valve should have moved the pressure since. `left_*` belong to the last reading that differed from the one before
+    it by more than any noise.
     """
 
     pressure_pa: float = math.nan
@@ -83,6 +96,9 @@ class Watch:
     anchor_s: float = 0.0
     anchor_integral_pa_s: float = 0.0
     expected_pa: float = 0.0
+    left_pa: float = math.nan
+    left_reference_pa: float = math.nan
+    left_s: float = 0.0
     setpoint_pa: float = math.nan
     still_s: float = 0.0
     astray_s: float = 0.0
@@ -102,8 +118,9 @@ def settings(config: RigConfig) -> Settings:
     """The rig's limits and sensors, in SI, sensors in the order of the actuators."""
     limits = config.limits
     sensors = sorted(config.sensors, key=lambda sensor: sensor.actuator)
+    steering = {a for valve in config.valves if isinstance(valve, FlowValve) for a in valve.actuators}
     return Settings(
-        sensors=tuple(_sensor(sensor) for sensor in sensors),
+        sensors=tuple(_sensor(s, 0.0 if s.actuator in steering else limits.frozen_s) for s in sensors),
         pressure_pa=(limits.pressure_bar + limits.pressure_margin_bar) * PA_PER_BAR,
         rate_pa_s=(limits.rate_bar_per_s + limits.rate_margin_bar_per_s) * PA_PER_BAR,
         tracking_pa=limits.tracking_bar * PA_PER_BAR,
@@ -113,7 +130,7 @@ def settings(config: RigConfig) -> Settings:
     )
 
 
-def _sensor(sensor: Sensor) -> SensorSettings:
+def _sensor(sensor: Sensor, response_s: float) -> SensorSettings:
     low, high = sorted(sensor.span_V)
     count = (sensor.range_V[1] - sensor.range_V[0]) / SIXTEEN_BITS
     return SensorSettings(
@@ -122,6 +139,7 @@ def _sensor(sensor: Sensor) -> SensorSettings:
         ceiling_v=sensor.range_V[1] - count,
         count_v=count,
         accuracy_pa=sensor.accuracy_bar * PA_PER_BAR,
+        response_s=response_s,
     )
 
 
@@ -154,7 +172,13 @@ def step(
 ) -> tuple[Watch, Trip | None]:
     """Judge a new reading of actuator `i`, `dt_s` after the last; `asked` is what its valve was doing meanwhile."""
     if math.isnan(watch.pressure_pa):
-        watch = replace(watch, pressure_pa=pressure_pa, anchor_v=volts, setpoint_pa=asked.setpoint_pa)
+        watch = Watch(
+            pressure_pa=pressure_pa,
+            anchor_v=volts,
+            left_pa=pressure_pa,
+            left_reference_pa=asked.reference_pa,
+            setpoint_pa=asked.setpoint_pa,
+        )
     watch = _moved(s, i, watch, dt_s, volts, pressure_pa, asked)
     settled = asked.setpoint_pa == watch.setpoint_pa
     astray = abs(asked.reference_pa - pressure_pa) > s.tracking_pa
@@ -176,8 +200,14 @@ def _moved(s: Settings, i: int, watch: Watch, dt: float, volts: float, pressure:
         anchor, still, held = watch.anchor_v, watch.anchor_s + dt, watch.anchor_integral_pa_s
         # A chamber cannot be emptied below the atmosphere, whatever the valve does.
         expected = max(watch.expected_pa + (asked.rate_pa_s - held) * dt, -max(pressure, 0.0))
+    left, left_reference, left_s = watch.left_pa, watch.left_reference_pa, watch.left_s + dt
+    if abs(pressure - left) > NOISE_SHARE * s.sensors[i].accuracy_pa:
+        left, left_reference, left_s = pressure, asked.reference_pa, 0.0
     return replace(
         watch,
+        left_pa=left,
+        left_reference_pa=left_reference,
+        left_s=left_s,
         pressure_pa=pressure,
         rate_pa_s=rate,
         anchor_v=anchor,
@@ -193,13 +223,18 @@ def _judge(s: Settings, i: int, w: Watch, t_ns: int, asked: Asked) -> Trip | Non
         return _trip_bar(t_ns, "over-pressure", f"{name} is at", w.pressure_pa, s.pressure_pa)
     if abs(w.rate_pa_s) > s.rate_pa_s:
         return _trip_bar(t_ns, "pressure rate", f"{name} changes by", w.rate_pa_s, s.rate_pa_s, "bar/s")
+    sensor = s.sensors[i]
     expected = abs(w.expected_pa)
-    if expected > s.tracking_pa or (w.anchor_s >= s.frozen_s and expected > s.sensors[i].accuracy_pa):
+    if w.anchor_s >= s.frozen_s and expected > EVIDENCE * sensor.accuracy_pa:
         message = (
             f"sensor {i + 1} has not moved by one count for {w.anchor_s:.3f} s (limit {s.frozen_s:.3f} s) while its "
             f"valve asked for {expected / PA_PER_BAR:.3f} bar: the sensor is frozen, or there is no air"
         )
         return Trip(t_ns, f"sensor {i + 1}", message, w.anchor_s, s.frozen_s, "s")
+    led = asked.reference_pa - w.left_reference_pa
+    if abs(led) > s.tracking_pa and w.left_s > sensor.response_s:
+        message = f"sensor {i + 1} stays at {w.pressure_pa / PA_PER_BAR:.3f} bar: frozen, or no air, though led by"
+        return _trip_bar(t_ns, f"sensor {i + 1}", message, led, s.tracking_pa)
     error = w.pressure_pa - asked.setpoint_pa
     if w.still_s >= s.tracking_s and abs(error) > s.tracking_pa:
         return _trip_bar(t_ns, "tracking", f"{name} is off its standing set-point by", error, s.tracking_pa)

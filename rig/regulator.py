@@ -149,7 +149,7 @@ def _meter(
     s: FlowSettings, integral: float, dt: float, measured: float, reference: float, reference_rate: float
 ) -> Regulated:
     if reference < VENTED_PA and reference_rate <= 0.0:
-        return Regulated(reference, integral, 0.0, s.vent_v)
+        return Regulated(reference, integral, integral, s.vent_v)
     error = reference - measured
     asked = reference_rate + s.gain_per_s * error + integral
     supply, chamber = s.supply_pa + ATMOSPHERE_PA, max(measured, 0.0) + ATMOSPHERE_PA
