@@ -1,0 +1,158 @@
+"""A run in real time ends safe, with a readable archive and a plain message, however it ends."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rig_process import BRIEF, SHORT, rig_run
+
+import runs
+from rig.simulator.registers import Registers
+from runs.records import Status
+from runs.recovery import recover
+
+CONTROL, OBSERVER, WATCHDOG = "rig.executor.control", "rig.executor.observing", "rig.executor.watchdog"
+SIMULATOR = "rig.simulator.process"
+
+
+def test_a_run_to_the_end_leaves_safe_valves_a_finished_archive_and_status_0(tmp_path: Path) -> None:
+    with rig_run(tmp_path, BRIEF) as run:
+        assert run.end() == 0, run.output
+        assert run.valves_are_safe()
+    archive = runs.open(run.archive())
+    assert archive.status is Status.FINISHED
+    assert archive.pressure.time_s[-1] == pytest.approx(1.0, abs=0.2)
+    assert np.all(np.diff(archive.pressure.tick) >= 1)
+    assert len(archive.tip.time_s) > 15
+    assert "SIMULATED" in run.output
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_makes_the_valves_safe_finalises_the_archive_and_gives_status_130(
+    tmp_path: Path, number: signal.Signals
+) -> None:
+    with rig_run(tmp_path) as run:
+        run.wait_until_pressurised()
+        run.process.send_signal(number)
+        run.wait_until_safe()
+        assert run.end() == 130, run.output
+    archive = runs.open(run.archive())
+    assert archive.status is Status.INTERRUPTED
+    assert len(archive.pressure.time_s) > 50
+    assert number.name in run.output or "Ctrl-C" in run.output
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
+@pytest.mark.parametrize("module", [CONTROL, WATCHDOG, OBSERVER])
+def test_a_lost_or_hung_process_aborts_the_run_with_the_valves_safe(
+    tmp_path: Path, module: str, number: signal.Signals
+) -> None:
+    with rig_run(tmp_path) as run:
+        run.wait_until_pressurised()
+        os.kill(run.pid_of(module), number)
+        run.wait_until_safe()
+        assert run.end() == 1, run.output
+        assert run.valves_are_safe()
+    archive = runs.open(run.archive())
+    assert archive.status is Status.ABORTED
+    name = {CONTROL: "control", WATCHDOG: "watchdog", OBSERVER: "observer"}[module]
+    assert name in archive.message
+    assert archive.message in run.output
+
+
+def test_a_dead_simulator_counts_as_a_dead_card(tmp_path: Path) -> None:
+    with rig_run(tmp_path) as run:
+        run.wait_until_pressurised()
+        os.kill(run.pid_of(SIMULATOR), signal.SIGKILL)
+        run.wait_until_safe()
+        assert run.end() == 1, run.output
+    assert runs.open(run.archive()).status is Status.ABORTED
+
+
+@pytest.mark.parametrize("others", [(), (CONTROL,), (CONTROL, OBSERVER), (WATCHDOG,)])
+def test_a_killed_conductor_leaves_safe_valves_and_a_journal_that_can_be_recovered(
+    tmp_path: Path, others: tuple[str, ...]
+) -> None:
+    with rig_run(tmp_path) as run:
+        run.wait_until_pressurised()
+        victims = [run.pid_of(module) for module in others]
+        for pid in (run.process.pid, *victims):
+            os.kill(pid, signal.SIGKILL)
+        run.wait_until_safe()
+    (outcome,) = recover(run.out)
+    assert outcome.archive is not None
+    archive = runs.open(outcome.archive)
+    assert archive.status is Status.RECOVERED
+    assert len(archive.pressure.time_s) > 50
+
+
+def test_a_hung_conductor_makes_the_valves_safe_and_the_run_aborted_once_it_wakes(tmp_path: Path) -> None:
+    with rig_run(tmp_path) as run:
+        run.wait_until_pressurised()
+        run.process.send_signal(signal.SIGSTOP)
+        run.wait_until_safe()
+        run.process.send_signal(signal.SIGCONT)
+        assert run.end() == 1, run.output
+    assert runs.open(run.archive()).status is Status.ABORTED
+
+
+def test_no_process_outlives_its_run(tmp_path: Path) -> None:
+    with rig_run(tmp_path) as run:
+        run.wait_until_pressurised()
+        pids = [run.pid_of(module) for module in (CONTROL, OBSERVER, WATCHDOG, SIMULATOR)]
+        run.process.kill()
+        deadline = time.monotonic() + 15
+        while any(Path(f"/proc/{pid}").exists() for pid in pids):
+            assert time.monotonic() < deadline, [Path(f"/proc/{pid}/cmdline") for pid in pids]
+            time.sleep(0.05)
+
+
+def test_a_second_run_on_the_same_card_is_refused_and_told_by_whom(tmp_path: Path) -> None:
+    with rig_run(tmp_path) as run:
+        run.wait_until_pressurised()
+        second = subprocess.run(
+            [sys.executable, "-m", "rig", "run", "ramp-a", "--rig", str(run.rig_file), "--yes"],
+            capture_output=True,
+            text=True,
+            cwd=tmp_path,
+            check=False,
+        )
+        assert second.returncode == 1
+        assert f"process {run.process.pid}" in second.stderr
+        assert "Traceback" not in second.stderr
+        assert not run.valves_are_safe()
+
+
+def test_rig_vent_makes_the_valves_safe_while_a_run_hangs(tmp_path: Path) -> None:
+    with rig_run(tmp_path) as run:
+        run.wait_until_pressurised()
+        pids = [run.process.pid, run.pid_of(WATCHDOG), run.pid_of(CONTROL)]
+        for pid in pids:
+            os.kill(pid, signal.SIGSTOP)
+        vent = [sys.executable, "-m", "rig", "vent", "--rig", str(run.rig_file)]
+        subprocess.run(vent, check=True, capture_output=True)
+        run.wait_until_safe(1.0)
+        for pid in pids:
+            os.kill(pid, signal.SIGCONT)
+
+
+def test_an_over_pressure_stops_the_run(tmp_path: Path) -> None:
+    with rig_run(tmp_path, SHORT) as run:
+        run.wait_until_pressurised()
+        # An outside hand opens the valve of actuator 1 as far as it goes, faster than the regulator can answer.
+        registers = Registers.attach(run.device)
+        deadline = time.monotonic() + 10
+        while run.process.poll() is None and time.monotonic() < deadline:
+            if registers.outputs["volts"][0] > 1.0:
+                registers.write(0, 10.0, time.monotonic_ns())
+        registers.close()
+        assert run.end() == 1, run.output
+        run.wait_until_safe()
+    assert "bar" in runs.open(run.archive()).message
