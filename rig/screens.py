@@ -110,7 +110,8 @@ def confirm(screen: Console) -> bool:
 def last_screen(screen: Console, result: Result) -> None:
     """How the run ended, what it measured, and where it lies."""
     outcome = result.outcome
-    screen.print(Text(str(outcome.status), _STATUS[outcome.status]), Text(outcome.message), soft_wrap=True)
+    ending = f"{outcome.status}: {outcome.message}" if outcome.message else str(outcome.status)
+    screen.print(Text(ending, _STATUS[outcome.status]), soft_wrap=True)
     if result.archive is not None:
         from rig.listing import summary_table
         from runs.run import Run

@@ -6,8 +6,8 @@ import signal
 from types import FrameType, TracebackType
 
 _MEANING = {
-    signal.SIGINT: "interrupted by the operator (Ctrl-C)",
-    signal.SIGTERM: "terminated (SIGTERM)",
+    signal.SIGINT: "by the operator (Ctrl-C)",
+    signal.SIGTERM: "by SIGTERM",
     signal.SIGHUP: "the terminal was closed (SIGHUP)",
 }
 
