@@ -62,12 +62,15 @@ _PATHS, _DIGITS = re.compile(r' d="[^"]*"'), re.compile(r"(\.\d)\d+")
 Floats = NDArray[np.float64]
 
 
-def svg(draw: Callable[[Figure, Run, Summary], None], run: Run, summary: Summary, size: tuple[float, float]) -> str:
-    """Return a figure of a size in inches as an SVG element that can stand inside HTML."""
-    with mpl.rc_context({**STYLE, "svg.hashsalt": f"{run.header.run_id}/{draw.__name__}"}):
+def svg(draw: Callable[..., None], size: tuple[float, float], salt: str, *about: object) -> str:
+    """Return a figure of a size in inches as an SVG element that can stand inside HTML.
+
+    `draw` is called with the figure and `about`. The `salt` keeps the drawing's ids apart from others on the page.
+    """
+    with mpl.rc_context({**STYLE, "svg.hashsalt": f"{salt}/{draw.__name__}"}):
         figure = Figure(figsize=size)
         FigureCanvasSVG(figure)
-        draw(figure, run, summary)
+        draw(figure, *about)
         text = io.StringIO()
         figure.savefig(text, format="svg", transparent=True, metadata={"Date": None, "Creator": None})
     drawing = text.getvalue()
@@ -84,14 +87,14 @@ def pressures(figure: Figure, run: Run, summary: Summary) -> None:
         return
     for i in range(p.measured_bar.shape[1]):
         colour = ACTUATORS[i % len(ACTUATORS)]
-        above.plot(*_thin(p.time_s, p.measured_bar[:, i]), color=colour, label=f"actuator {i + 1}")
+        above.plot(*thin(p.time_s, p.measured_bar[:, i]), color=colour, label=f"actuator {i + 1}")
         difference = 1e3 * (p.measured_bar[:, i] - p.setpoint_bar[:, i])
-        below.plot(*_thin(p.time_s, difference), color=colour, lw=0.8)
+        below.plot(*thin(p.time_s, difference), color=colour, lw=0.8)
     for row in np.unique(p.setpoint_bar, axis=1).T:
-        above.plot(*_thin(p.time_s, row), color=INK, lw=0.8, ls=(0, (4, 2)))
+        above.plot(*thin(p.time_s, row), color=INK, lw=0.8, ls=(0, (4, 2)))
     above.plot([], [], color=INK, lw=0.8, ls=(0, (4, 2)), label="set-point")
     above.set_ylabel("gauge pressure [bar]")
-    _legend(above)
+    legend(above)
     largest = np.abs(p.measured_bar - p.setpoint_bar).max() * 1e3
     below.axhspan(-1e3 * BAND_BAR, 1e3 * BAND_BAR, color=RULE, alpha=0.6, lw=0)
     below.set_ylim(-1.2 * max(min(largest, 60), 15), 1.2 * max(min(largest, 60), 15))
@@ -102,17 +105,18 @@ def pressures(figure: Figure, run: Run, summary: Summary) -> None:
 def trajectory(figure: Figure, run: Run, summary: Summary) -> None:
     """The tool centre point in the plane of motion, hanging down as the arm does (the paper's Fig 11)."""
     axes = figure.subplots()
-    across, name = _across(run, summary)
-    measured, model = across(run.tip.measured_mm), across(run.tip.model_mm)
+    project, name = across(run, summary)
+    measured, model = project(run.tip.measured_mm), project(run.tip.model_mm)
     if run.simulated is not None:
-        truth = across(run.simulated.tip_mm)
+        truth = project(run.simulated.tip_mm)
         axes.plot(*truth.T, color=TRUTH, lw=0.9, label="simulated truth")
-    axes.plot(*measured.T, color=MEASURED, lw=0.9, label="measured, every frame")
+    if summary.frames_measured:
+        axes.plot(*measured.T, color=MEASURED, lw=0.9, label="measured, every frame")
     axes.plot(*model.T, color=MODEL, lw=1.1, label="model")
     dwells = settled_steps(summary.steps)
     if dwells:
-        settled = across(np.array([step.measured_mm for step in dwells]))
-        at = across(np.array([step.model_mm for step in dwells]))
+        settled = project(np.array([step.measured_mm for step in dwells]))
+        at = project(np.array([step.model_mm for step in dwells]))
         axes.plot(*settled.T, "o", ms=6, mfc="white", mec=MEASURED, mew=1.3, label="measured, settled")
         axes.plot(*at.T, "x", ms=5.5, color=MODEL, mew=1.4, label="model, settled")
         for step, (x, z) in _labelled(dwells, settled):
@@ -123,13 +127,13 @@ def trajectory(figure: Figure, run: Run, summary: Summary) -> None:
     axes.invert_yaxis()
     axes.set_xlabel(f"{name} [mm]")
     axes.set_ylabel("z, along the arm [mm]")
-    _legend(axes)
+    legend(axes)
 
 
 def trajectory_size(run: Run, summary: Summary) -> tuple[float, float]:
     """Return the size of the trajectory's figure: as flat as the motion is."""
-    across, _ = _across(run, summary)
-    points = across(np.vstack((run.tip.measured_mm, run.tip.model_mm)))
+    project, _ = across(run, summary)
+    points = project(np.vstack((run.tip.measured_mm, run.tip.model_mm)))
     points = points[np.isfinite(points).all(axis=1)]
     wide, high = np.ptp(points, axis=0) if len(points) else (1.0, 1.0)
     return 9.0, float(np.clip(1.2 + 8 * 1.5 * high / max(wide, 1e-9), 2.4, 5.5))
@@ -139,11 +143,11 @@ def steps(figure: Figure, run: Run, summary: Summary) -> None:
     """Settled tip of each step, and its error normalised (the paper's Fig 13)."""
     dwells = settled_steps(summary.steps)
     left, right = figure.subplots(1, 2, width_ratios=[1, 1])
-    across, name = _across(run, summary)
+    project, name = across(run, summary)
     where, label = _abscissa([max(step.level_bar) for step in dwells])
-    measured = across(np.array([step.measured_mm for step in dwells]))
-    model = across(np.array([step.model_mm for step in dwells]))
-    rest = across(rest_mm(run.tip, run.tip.seen == Seen.MEASURED)[None])[0]
+    measured = project(np.array([step.measured_mm for step in dwells]))
+    model = project(np.array([step.model_mm for step in dwells]))
+    rest = project(rest_mm(run.tip, run.tip.seen == Seen.MEASURED)[None])[0]
     sigma = np.array([step.uncertainty_mm for step in dwells])
     origin = rest if np.isfinite(rest).all() else np.zeros(2)
     for column, (colour, axis) in enumerate(((MEASURED, name), (ACTUATORS[3], "z"))):
@@ -158,10 +162,11 @@ def steps(figure: Figure, run: Run, summary: Summary) -> None:
             color=colour,
             label=axis,
         )
-        left.plot(where, model[:, column] - origin[column], color=colour, lw=1.1, label="model")
+        left.plot(where, model[:, column] - origin[column], color=colour, lw=1.1)
+    left.plot([], [], color=MUTED, lw=1.1, label="model")
     left.set_xlabel(label)
     left.set_ylabel("from rest [mm]" if origin.any() else "in the base frame [mm]")
-    _legend(left)
+    legend(left)
     difference = np.abs(measured - model)
     travelled = np.linalg.norm(measured - rest, axis=1)
     normalised = np.isfinite(travelled).any()
@@ -175,7 +180,7 @@ def steps(figure: Figure, run: Run, summary: Summary) -> None:
     right.set_xlabel(label)
     right.set_ylabel("|error| / distance from rest [%]" if normalised else "|error| [mm]")
     right.set_ylim(bottom=0)
-    _legend(right)
+    legend(right)
     right.grid(axis="x", visible=False)
 
 
@@ -187,12 +192,13 @@ def coordinates(figure: Figure, run: Run, summary: Summary) -> None:
         if len(tip.time_s):
             half = Z_95 * tip.uncertainty_mm[:, i]
             low, high = tip.measured_mm[:, i] - half, tip.measured_mm[:, i] + half
-            panel.fill_between(tip.time_s, low, high, color=MEASURED, alpha=0.22, lw=0)
-            panel.plot(*_thin(tip.time_s, tip.measured_mm[:, i]), color=MEASURED, lw=1.0, label="measured, 95 % band")
-            panel.plot(*_thin(tip.time_s, tip.model_mm[:, i]), color=MODEL, lw=1.1, label="model")
+            if summary.frames_measured:
+                panel.fill_between(tip.time_s, low, high, color=MEASURED, alpha=0.22, lw=0)
+                panel.plot(tip.time_s, tip.measured_mm[:, i], color=MEASURED, lw=1.0, label="measured, 95 % band")
+            panel.plot(tip.time_s, tip.model_mm[:, i], color=MODEL, lw=1.1, label="model")
         panel.set_ylabel(f"{axis} [mm]")
         panel.margins(x=0.01)
-    _legend(axes[0])
+    legend(axes[0])
     axes[-1].set_xlabel("time [s]")
 
 
@@ -212,7 +218,7 @@ def error(figure: Figure, run: Run, summary: Summary) -> None:
     above.plot(lost, np.zeros(len(lost)), "|", color=INK, ms=7, label="nothing measured" if len(lost) else None)
     above.set_ylabel("error [mm]")
     above.set_ylim(bottom=0)
-    _legend(above)
+    legend(above)
     if run.simulated is not None:
         below = panels[1]
         truth = run.simulated.tip_mm
@@ -223,7 +229,7 @@ def error(figure: Figure, run: Run, summary: Summary) -> None:
         below.plot(tip.time_s, np.linalg.norm(tip.model_mm - truth, axis=1), color=MODEL, lw=1.1, label="model to it")
         below.set_ylabel("distance [mm]")
         below.set_ylim(bottom=0)
-        _legend(below)
+        legend(below)
     panels[-1].set_xlabel("time [s]")
     panels[-1].margins(x=0.01)
 
@@ -236,8 +242,8 @@ def timing(figure: Figure, run: Run, summary: Summary) -> None:
         _nothing(left, right)
         return
     lateness = np.maximum(t.lateness_us, 0.1)
-    left.plot(*_thin(t.time_s, lateness), ",", color=MEASURED)
-    left.plot(*_thin(t.time_s, lateness), color=MEASURED, lw=0.35, alpha=0.6)
+    left.plot(*thin(t.time_s, lateness), ",", color=MEASURED)
+    left.plot(*thin(t.time_s, lateness), color=MEASURED, lw=0.35, alpha=0.6)
     missed = t.overruns > 0
     left.plot(t.time_s[missed], lateness[missed], "v", ms=5, color=MODEL, label="deadline missed")
     left.set_yscale("log")
@@ -253,7 +259,7 @@ def timing(figure: Figure, run: Run, summary: Summary) -> None:
     right.set_xlabel("ticks")
 
 
-def _across(run: Run, summary: Summary) -> tuple[Callable[[Floats], Floats], str]:
+def across(run: Run, summary: Summary) -> tuple[Callable[[Floats], Floats], str]:
     """Return what projects points (n, 3) on the plane of motion (n, 2), and the name of the first coordinate."""
     plane = _plane(summary)
     name = "x"
@@ -284,7 +290,7 @@ def _labelled(dwells: Sequence[Step], settled: Floats) -> list[tuple[Step, Float
     return chosen
 
 
-def _thin(x: Floats, y: Floats) -> tuple[Floats, Floats]:
+def thin(x: Floats, y: Floats) -> tuple[Floats, Floats]:
     """Return a line with fewer points that looks the same: the extremes of each stretch."""
     stretch = len(x) // POINTS * 2
     if stretch < 4:
@@ -297,9 +303,9 @@ def _thin(x: Floats, y: Floats) -> tuple[Floats, Floats]:
     return x[index], y[index]
 
 
-def _legend(axes: Axes) -> None:
+def legend(axes: Axes, columns: int = 6) -> None:
     """Above the plot, so that it never hides a line."""
-    axes.legend(loc="lower left", bbox_to_anchor=(0, 1.0), ncols=6, borderaxespad=0.1, columnspacing=1.4)
+    axes.legend(loc="lower left", bbox_to_anchor=(0, 1.0), ncols=columns, borderaxespad=0.1, columnspacing=1.4)
 
 
 def _nothing(*panels: Axes) -> None:

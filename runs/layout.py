@@ -363,7 +363,7 @@ def _quantity(quantity: Quantity) -> Field:
 
 def _simulator(journal: Journal) -> Group | None:
     rows = journal.observations
-    if not journal.header.simulated:
+    if not journal.header.simulated or not np.isfinite(rows["truth_m"]).any():
         return None
     about = "SIMULATED: the simulator's own tool centre point, which no camera saw; rod-base frame"
     return Group(

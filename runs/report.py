@@ -12,13 +12,13 @@ from pathlib import Path
 
 import numpy as np
 
-from runs import figures, layout
+from runs import comparison, figures, layout
 from runs.figures import svg
 from runs.run import Run
 from runs.summary import BAND_BAR, SETTLED_PART, Step, Summary, settled_steps, summarise
+from runs.text import DASH, plain, three, with_unit
 
 SUFFIX = ".html"
-DASH = "–"
 
 
 def write(paths: Path | str | Sequence[Path | str], out_html: Path | str | None = None) -> Path:
@@ -36,7 +36,9 @@ def page(runs: Sequence[Run]) -> str:
     """Return the whole HTML text."""
     style = resources.files("runs").joinpath("report.css").read_text(encoding="utf-8")
     title = escape(runs[0].header.title if len(runs) == 1 else f"{len(runs)} runs")
-    body = "\n".join(_run(run, summarise(run)) for run in runs)
+    summaries = [summarise(run) for run in runs]
+    several = comparison.section(runs, summaries) if len(runs) > 1 else ""
+    body = several + "\n".join(_run(run, summary) for run, summary in zip(runs, summaries, strict=True))
     return (
         f'<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n<title>{title}</title>\n'
         f'<meta name="viewport" content="width=device-width, initial-scale=1">\n<style>\n{style}</style>\n</head>\n'
@@ -61,6 +63,8 @@ def _run(run: Run, summary: Summary) -> str:
             '<p class="note"><b>This run was simulated.</b> Card, camera or arm were those of the simulator; '
             "nothing here was measured on a real manipulator.</p>"
         )
+    if summary.frames and not summary.frames_measured:
+        parts.append('<p class="note">No tip was measured in this run: what is shown of it is the model alone.</p>')
     if summary.message:
         parts.append(f'<p class="note fault"><b>{escape(str(summary.status))}:</b> {escape(summary.message)}</p>')
     if header.notes:
@@ -72,22 +76,25 @@ def _run(run: Run, summary: Summary) -> str:
 
 def _tiles(s: Summary) -> str:
     tiles = [
-        (_mm(s.error_mm.mean), "mean error, measured to model (3-D)"),
-        (_mm(s.in_plane_mm.mean), "mean error in the plane of motion"),
-        (f"{_plain(s.rmse_mm[0], 2)} <small>mm</small>, {_plain(s.rmse_mm[2], 2)} <small>mm</small>", "rms in x, in z"),
-        (_mm(s.settled_error_mm), "mean settled error of the steps"),
-        (_unit(s.settling_s, "s", 2), f"longest settling within {BAND_BAR * 1e3:.0f} mbar"),
-        (_unit(s.overshoot_bar * 1e3, "mbar", 1), "largest overshoot"),
-        (_unit(s.tracking_rms_bar * 1e3, "mbar", 1), "rms tracking, moving set-points"),
-        (f"{s.missed_deadlines} <small>of {s.ticks}</small>", "control deadlines missed"),
-        (_unit(s.lateness_p99_us or math.nan, "us", 1), "lateness, 99 % of the ticks below"),
-        (_unit(100 * s.measured_fraction, "%", 1), f"frames measured of {s.frames}; {s.frames_dropped} dropped"),
+        (with_unit(s.error_mm.mean, "mm", 2), "mean error, measured to model (3-D)"),
+        (with_unit(s.in_plane_mm.mean, "mm", 2), "mean error in the plane of motion"),
+        (f"{plain(s.rmse_mm[0], 2)} / {plain(s.rmse_mm[2], 2)} <small>mm</small>", "rms error in x / in z"),
+        (with_unit(s.settled_error_mm, "mm", 2), "mean settled error of the steps"),
+        (with_unit(s.settling_s, "s", 2), f"longest settling within {BAND_BAR * 1e3:.0f} mbar"),
+        (with_unit(s.overshoot_bar * 1e3, "mbar", 1), "largest overshoot"),
+        (with_unit(s.tracking_rms_bar * 1e3, "mbar", 1), "rms tracking, moving set-points"),
+        (
+            f"{s.missed_deadlines} <small>of {s.ticks}</small>" if s.lateness_max_us else DASH,
+            "control deadlines missed",
+        ),
+        (with_unit(s.lateness_p99_us or math.nan, "us", 1), "lateness, 99 % of the ticks below"),
+        (with_unit(100 * s.measured_fraction, "%", 1), f"frames measured of {s.frames}; {s.frames_dropped} dropped"),
     ]
     if s.truth is not None:
         tiles += [
-            (_mm(s.truth.error_mm.mean), "mean measured to simulated truth"),
-            (_mm(s.truth.in_plane_mm.mean), "the same in the plane of motion"),
-            (_unit(100 * s.truth.coverage, "%", 1), "frames whose truth lies in the stated 95 %"),
+            (with_unit(s.truth.error_mm.mean, "mm", 2), "mean measured to simulated truth"),
+            (with_unit(s.truth.in_plane_mm.mean, "mm", 2), "the same in the plane of motion"),
+            (with_unit(100 * s.truth.coverage, "%", 1), "frames whose truth lies in the stated 95 %"),
         ]
     shown = (
         f'<div class="tile"><b>{value}</b><span>{label}</span></div>' for value, label in tiles if DASH not in value
@@ -96,33 +103,35 @@ def _tiles(s: Summary) -> str:
 
 
 def _figures(run: Run, summary: Summary) -> Iterable[str]:
-    settled = settled_steps(summary.steps)
-    yield _figure("Pressures and set-points", svg(figures.pressures, run, summary, (9, 4.1)), "")
+    settled, salt = settled_steps(summary.steps), run.header.run_id
+    yield _figure("Pressures and set-points", svg(figures.pressures, (9, 4.1), salt, run, summary), "")
     if len(run.tip.time_s):
         yield _figure(
             "Tool centre point in the plane of motion",
-            svg(figures.trajectory, run, summary, figures.trajectory_size(run, summary)),
+            svg(figures.trajectory, figures.trajectory_size(run, summary), salt, run, summary),
             "In the rod-base frame, drawn as the arm hangs. Circles and crosses: mean over the last "
             f"{100 * SETTLED_PART:.0f} % of each dwell; the numbers are its pressure in bar.",
         )
         if settled:
             yield _figure(
                 "Settled tip and error, step by step",
-                svg(figures.steps, run, summary, (9, 3.6)),
+                svg(figures.steps, (9, 3.6), salt, run, summary),
                 "Marks: measured, with 95 % of one frame. Normalised by the distance of the measured tip from where it "
                 "rested without pressure.",
             )
-        yield _figure("Tip over time", svg(figures.coordinates, run, summary, (9, 5)), "")
-        yield _figure("Error over time", svg(figures.error, run, summary, (9, 4.2 if run.simulated else 2.6)), "")
+        yield _figure("Tip over time", svg(figures.coordinates, (9, 5), salt, run, summary), "")
+        if summary.frames_measured:
+            size = (9, 4.2 if run.simulated else 2.6)
+            yield _figure("Error over time", svg(figures.error, size, salt, run, summary), "")
     if summary.lateness_max_us > 0:
         caption = (
-            f"Half of the ticks began less than {_plain(summary.lateness_p50_us, 1)} us late, 99 % less than "
-            f"{_plain(summary.lateness_p99_us, 1)} us; the latest {_plain(summary.lateness_max_us / 1e3, 2)} ms. "
+            f"Half of the ticks began less than {plain(summary.lateness_p50_us, 1)} us late, 99 % less than "
+            f"{plain(summary.lateness_p99_us, 1)} us; the latest {plain(summary.lateness_max_us / 1e3, 2)} ms. "
             f"{summary.missed_deadlines} deadlines missed, {summary.ring_overflows} rows lost between processes."
         )
-        yield _figure("Timing of the control loop", svg(figures.timing, run, summary, (9, 2.8)), caption)
-    else:
-        yield "<h2>Timing of the control loop</h2>\n<p class=small>In virtual time no tick is late.</p>"
+        yield _figure("Timing of the control loop", svg(figures.timing, (9, 2.8), salt, run, summary), caption)
+    elif summary.ticks:
+        yield "<h2>Timing of the control loop</h2>\n<p class=small>Not in real time: no tick is late.</p>"
 
 
 def _figure(title: str, drawing: str, caption: str) -> str:
@@ -156,15 +165,15 @@ def _steps(summary: Summary) -> str:
 
 def _step(step: Step) -> str:
     cells = (
-        "&ensp;".join(_plain(level, 2) for level in step.level_bar),
-        _three(step.measured_mm) if step.dwell else "",
-        _three(step.model_mm) if step.dwell else "",
-        _plain(step.error_mm, 2),
-        _plain(step.in_plane_mm, 2),
-        _plain(step.normalised_percent, 2) if step.dwell else "",
-        _plain(step.settling_s, 2) if step.dwell else "",
-        _plain(step.overshoot_bar * 1e3, 1) if step.dwell else "",
-        _plain(step.tracking_rms_bar * 1e3, 1),
+        "&ensp;".join(plain(level, 2) for level in step.level_bar),
+        three(step.measured_mm, 1) if step.dwell else "",
+        three(step.model_mm, 1) if step.dwell else "",
+        plain(step.error_mm, 2),
+        plain(step.in_plane_mm, 2),
+        plain(step.normalised_percent, 2) if step.dwell else "",
+        plain(step.settling_s, 2) if step.dwell else "",
+        plain(step.overshoot_bar * 1e3, 1) if step.dwell else "",
+        plain(step.tracking_rms_bar * 1e3, 1),
     )
     return f"<tr><td>{escape(step.label)}</td>{''.join(f'<td class=n>{cell}</td>' for cell in cells)}</tr>"
 
@@ -224,7 +233,7 @@ def _provenance(run: Run) -> str:
 
 def _quantities(run: Run) -> str:
     rows = "".join(
-        _row(q.room, q.name, ", ".join(f"{v:.6g}" for v in q.value), q.unit, _plain(q.uncertainty, 3), q.source)
+        _row(q.room, q.name, ", ".join(f"{v:.6g}" for v in q.value), q.unit, plain(q.uncertainty, 3), q.source)
         for q in run.header.quantities
     )
     if not rows:
@@ -236,22 +245,3 @@ def _quantities(run: Run) -> str:
 
 def _row(*cells: str) -> str:
     return f"<tr>{''.join(f'<td>{escape(cell)}</td>' for cell in cells)}</tr>"
-
-
-def _plain(value: float, digits: int) -> str:
-    """Return a number with a real minus, and none before zero."""
-    if math.isinf(value):
-        return "never"
-    return f"{round(value, digits) + 0.0:.{digits}f}".replace("-", "\N{MINUS SIGN}") if math.isfinite(value) else DASH
-
-
-def _unit(value: float, unit: str, digits: int) -> str:
-    return f"{_plain(value, digits)} <small>{unit}</small>" if not math.isinf(value) else "never"
-
-
-def _mm(value: float) -> str:
-    return _unit(value, "mm", 2)
-
-
-def _three(values: tuple[float, float, float]) -> str:
-    return "&ensp;".join(_plain(value, 1) for value in values) if math.isfinite(values[0]) else DASH

@@ -104,6 +104,8 @@ class Summary:
     steps: tuple[Step, ...]
     settled_error_mm: float
     """Mean over `settled_steps`."""
+    normalised_percent: float
+    """The same of the normalised error, as in the paper's Table 3."""
     settling_s: float
     """Longest of the steps."""
     overshoot_bar: float
@@ -151,6 +153,7 @@ def summarise(run: Run) -> Summary:
         plane_deg=float(np.degrees(np.arctan2(plane[1], plane[0]))) if plane is not None else NAN,
         steps=steps,
         settled_error_mm=_mean([step.error_mm for step in settled_steps(steps)]),
+        normalised_percent=_mean([step.normalised_percent for step in settled_steps(steps)]),
         settling_s=max((step.settling_s for step in steps if not np.isnan(step.settling_s)), default=NAN),
         overshoot_bar=max((step.overshoot_bar for step in steps if not np.isnan(step.overshoot_bar)), default=NAN),
         tracking_rms_bar=_rms(np.array(moving)),
@@ -170,9 +173,10 @@ def summarise(run: Run) -> Summary:
 
 
 def settled_steps(steps: Iterable[Step]) -> tuple[Step, ...]:
-    """Return the dwells that have a settled error: those under pressure, or all where none is."""
-    dwells = [step for step in steps if step.dwell and np.isfinite(step.error_mm)]
-    return tuple([step for step in dwells if max(step.level_bar) > 0] or dwells)
+    """Return the dwells that have a settled error: those under pressure, or all of a run that uses no pressure."""
+    every = tuple(steps)
+    pressed = any(max(step.level_bar) > 0 or not step.dwell for step in every)
+    return tuple(s for s in every if s.dwell and np.isfinite(s.error_mm) and (max(s.level_bar) > 0 or not pressed))
 
 
 def plane_of_motion(points_mm: Floats) -> Floats | None:

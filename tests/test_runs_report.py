@@ -142,13 +142,25 @@ def test_a_run_that_never_saw_its_tip_has_a_report(tmp_path: Path) -> None:
 
 
 def test_a_long_run_is_drawn_with_few_points_and_keeps_its_extremes(tmp_path: Path) -> None:
-    from runs.figures import POINTS, _thin
+    from runs.figures import POINTS, thin
 
     x = np.arange(200_000) / 200
     y = np.sin(x)
     y[123_456], y[7] = 9.0, -9.0
-    few_x, few_y = _thin(x, y)
+    few_x, few_y = thin(x, y)
     assert len(few_x) <= 2 * POINTS
     assert (few_y.max(), few_y.min()) == (9.0, -9.0)
     assert (few_x[0], few_x[-1]) == (x[0], x[-1])
     assert (np.diff(few_x) > 0).all()
+
+
+def test_several_runs_stand_side_by_side(archive: Path, tmp_path: Path) -> None:
+    made_up.write_journal(tmp_path / "second.mcap", duration_s=2.0, simulated=False)
+    out = report.write([archive, finalise(tmp_path / "second.mcap")], tmp_path / "both.html")
+    text = out.read_text(encoding="utf-8")
+    page = Page(text)
+    assert "2 runs" in page.text
+    assert [row for row in ("run", "second") if row in page.text] == ["run", "second"]
+    ids = re.findall(r'<(?:clipPath|path) id="([^"]+)"', text)
+    assert len(ids) == len(set(ids))
+    assert "nothing here was measured" in text
