@@ -1,0 +1,54 @@
+#!/bin/bash
+# Runs tests/hardware against a real kernel's devices, in a virtual machine on this computer's own files.
+#
+#   test.sh VENV [PYTEST ARGUMENT..]
+#
+# The guest is Debian's stock kernel under QEMU, emulated: no hardware, no /dev/kvm and no root needed. Its root is
+# this computer's, read-only, under a layer of memory; what the tests leave is in $SOFTRIG_VM_CACHE/out.
+# The exit status is pytest's; 3 where the guest never came to run it.
+set -euo pipefail
+here=$(cd "$(dirname "$0")" && pwd)
+checkout=$(cd "$here/../.." && pwd)
+venv=$(cd "$1" && pwd)
+shift
+cache=$(realpath -m "${SOFTRIG_VM_CACHE:-$checkout/.vm}")
+limit_s=${SOFTRIG_VM_LIMIT_S:-900}
+memory_mib=${SOFTRIG_VM_MEMORY_MIB:-2048}
+
+bash "$here/prepare.sh" "$cache"
+release=$(cat "$cache/release")
+
+rm -rf "$cache/out"
+mkdir -p "$cache/out"
+cat >"$cache/out/job" <<END
+release=$release
+cache='$cache'
+checkout='$checkout'
+python='$venv/bin/python'
+arguments='$(printf '%q ' "${@:-$checkout/tests/hardware}")'
+END
+cp "$here/guest.sh" "$cache/out/guest.sh"
+
+root="local,path=/,security_model=none,readonly=on,multidevs=remap"
+out="local,path=$cache/out,security_model=none"
+started=$(date +%s)
+timeout "$limit_s" qemu-system-x86_64 -accel tcg,thread=multi -cpu max -M q35 -smp 2 -m "$memory_mib" \
+    -nodefaults -no-reboot -display none -serial "file:$cache/console" \
+    -kernel "$cache/kernel/boot/vmlinuz-$release" -initrd "$cache/initrd" -append "console=ttyS0 quiet panic=-1" \
+    -fsdev "$root,id=root" -device virtio-9p-pci,fsdev=root,mount_tag=root \
+    -fsdev "$out,id=out" -device virtio-9p-pci,fsdev=out,mount_tag=out &
+machine=$!
+trap 'kill $machine 2>/dev/null || :' EXIT INT TERM
+# The guest's log appears as it is written: an emulated machine is slow, and silence looks like a fault.
+touch "$cache/out/log"
+tail -n +1 -f --pid=$machine "$cache/out/log" &
+wait $machine || :
+wait
+
+echo "softrig: $(($(date +%s) - started)) s in the virtual machine (kernel $release, emulated)"
+if [ ! -e "$cache/out/status" ]; then
+    echo "softrig: the virtual machine ended without a result; the end of its console:" >&2
+    tail -n 20 "$cache/console" >&2
+    exit 3
+fi
+exit "$(cat "$cache/out/status")"
