@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Literal
-
 import numpy as np
 
 import model
-from rig.config import Geometry, Material, RigConfig
+from rig.config import Geometry, Material, RigConfig, Variant
 
 GRAVITY_M_S2 = 9.81
-
-Variant = Literal["homogeneous", "homogeneous+rpe", "inhomogeneous+rpe"]
 
 
 def model_arm(config: RigConfig, variant: Variant | None = None) -> model.Arm:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-
 from pathlib import Path
 from typing import Annotated, Any, NoReturn
 
@@ -123,8 +122,8 @@ def protocols() -> None:
     """List the named protocols."""
     from protocols import named
 
-    for entry in named():
-        typer.echo(f"{entry.name:22s}{entry.title}")
+    for name, title in named():
+        typer.echo(f"{name:22s}{title}")
 
 
 @app.command()

@@ -22,6 +22,8 @@ from protocols.library import find
 from rig import consistency
 
 PA_PER_BAR = 1e5
+
+Variant = Literal["homogeneous", "homogeneous+rpe", "inhomogeneous+rpe"]
 FOLDER = Path(__file__).parent / "rigs"
 
 
@@ -239,7 +241,7 @@ class Arm(Section):
 class ModelConfig(Section):
     """The model that runs beside the rig."""
 
-    variant: Literal["homogeneous", "homogeneous+rpe", "inhomogeneous+rpe"] = "inhomogeneous+rpe"
+    variant: Variant = "inhomogeneous+rpe"
     mode: Literal["static", "dynamic"] = "dynamic"
 
 

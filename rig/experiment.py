@@ -11,12 +11,13 @@ from contextlib import nullcontext, suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import get_args
 
 import protocols
 from protocols import BadInput, Problem, Protocol, Trajectory
 from protocols.problems import closest
 from rig.check import check
-from rig.config import RigConfig, load, path_of, text
+from rig.config import RigConfig, Variant, load, path_of, text
 from rig.daq.base import CardError
 from rig.executor.base import Audience, Outcome, Plan, StartError
 from rig.lock import cards_locked
@@ -25,7 +26,7 @@ from runs.archive import ArchiveError, finalise
 from runs.journal import JournalError, JournalWriter
 from runs.records import Event, Interval, Level, RunFooter, RunHeader, Status
 
-VARIANTS = ("homogeneous", "homogeneous+rpe", "inhomogeneous+rpe")
+VARIANTS: tuple[Variant, ...] = get_args(Variant)
 SPARE_DISK_BYTES = 200_000_000
 
 
@@ -40,7 +41,7 @@ class Request:
     fast: bool
     seed: int
     folder: Path
-    variant: str
+    variant: Variant
     operator: str = ""
     notes: str = ""
     report: bool = True
@@ -75,7 +76,8 @@ def request(
         BadInput: either of them is wrong; every problem at once.
     """
     asked, config = protocols.load(protocol), load(rig)
-    if variant not in (None, *VARIANTS):
+    chosen = next((known for known in VARIANTS if known == variant), None)
+    if variant is not None and chosen is None:
         expected = f"one of {', '.join(VARIANTS)}"
         raise BadInput([Problem("--model", 0, 0, "", str(variant), expected, closest(str(variant), VARIANTS))])
     return Request(
@@ -86,7 +88,7 @@ def request(
         fast=fast,
         seed=seed,
         folder=folder,
-        variant=variant or config.model.variant,
+        variant=chosen or config.model.variant,
         operator=operator,
         notes=notes,
         report=report,

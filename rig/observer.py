@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 import model
-from rig.arm import Variant, model_arm
+from rig.arm import model_arm
 from rig.cameras.base import Frame
-from rig.config import RigConfig
+from rig.config import RigConfig, Variant
 from rig.eye import Eye
 from runs.records import observation_dtype
 

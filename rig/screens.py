@@ -85,18 +85,23 @@ def check_json(request: Request, plan: Plan) -> str:
 
 
 def sketch(plan: Plan, width: int, height: int = 10) -> Text:
-    """The set-points over time as a small plot of characters, one mark per actuator."""
+    """The set-points over time as a small plot of characters; actuators that move alike share a mark."""
     columns = max(20, min(width, 110) - 12)
     times = np.linspace(0.0, plan.trajectory.duration_s, columns)
     levels = plan.trajectory.sample(times) / PA_PER_BAR
+    alike: dict[bytes, list[int]] = {}
+    for actuator, column in enumerate(levels.T, 1):
+        alike.setdefault(column.tobytes(), []).append(actuator)
     top = max(float(levels.max()), 1e-9)
     grid = [[" "] * columns for _ in range(height + 1)]
-    for actuator in reversed(range(levels.shape[1])):
-        for column, level in enumerate(levels[:, actuator]):
-            grid[round(height * (1 - float(level) / top))][column] = str(actuator + 1)
+    for numbers in reversed(alike.values()):
+        for column, level in enumerate(levels[:, numbers[0] - 1]):
+            grid[round(height * (1 - float(level) / top))][column] = str(numbers[0])
     lines = [f"{top * (1 - i / height):6.2f} bar {''.join(row)}" for i, row in enumerate(grid)]
     end = f"{plan.trajectory.duration_s:.0f} s"
-    return Text("\n".join([*lines, " " * 11 + "0 s" + end.rjust(columns - 3)]), no_wrap=True, overflow="crop")
+    lines.append(" " * 11 + "0 s" + end.rjust(columns - 3))
+    lines += [f"{numbers[0]}: actuators {', '.join(map(str, numbers))}" for numbers in alike.values() if numbers[1:]]
+    return Text("\n".join(lines), no_wrap=True, overflow="crop")
 
 
 def confirm(screen: Console) -> bool:

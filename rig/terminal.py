@@ -10,6 +10,7 @@ from contextlib import suppress
 from types import TracebackType
 
 import numpy as np
+from numpy.typing import NDArray
 from rich.console import Console, Group
 from rich.live import Live
 from rich.progress_bar import ProgressBar
@@ -83,7 +84,7 @@ def _bar(pascal: float) -> str:
     return f"{pascal / PA_PER_BAR:7.3f}"
 
 
-def _point(metres: np.ndarray) -> str:  # type: ignore[type-arg]
+def _point(metres: NDArray[np.float64]) -> str:
     return " ".join(f"{1e3 * x:8.2f}" for x in metres)
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protocols import Trajectory
-from rig.config import RigConfig
+from rig.config import RigConfig, Variant
 from runs.records import Event, Picture, Status
 
 
@@ -22,7 +22,7 @@ class Plan:
     config: RigConfig
     rig_file: Path
     trajectory: Trajectory
-    variant: str
+    variant: Variant
     seed: int
 
 

@@ -30,8 +30,9 @@ def run(plan: Plan, open_record: OpenRecord, audience: Audience) -> Outcome:
         StartError: the rig has a device that only real time can drive.
     """
     config = plan.config
-    devices = (*config.cards.items(), *config.cameras.items())
-    if real := [name for name, device in devices if device.driver != "mock"]:
+    real = [name for name, card in config.cards.items() if card.driver != "mock"]
+    real += [name for name, camera in config.cameras.items() if camera.driver != "mock"]
+    if real:
         raise StartError(f"virtual time needs a simulated rig, and {', '.join(real)} of rig {config.name} is real")
     return _VirtualRun(plan, audience).run(open_record)
 
