@@ -7,12 +7,12 @@ The rings have one writer, the plant. Each row carries its own index, and the co
 
 from __future__ import annotations
 
+import contextlib
 import fcntl
 import mmap
 import os
 import time
 from pathlib import Path
-from typing import IO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -60,11 +60,11 @@ def path_of(device: str) -> Path:
 class Registers:
     """One mapped file; arrays are views into it."""
 
-    def __init__(self, file: IO[bytes], path: Path) -> None:
-        """Map an open file that `create` or `attach` has found to be sound."""
+    def __init__(self, descriptor: int, path: Path) -> None:
+        """Map an open file that `create` or `attach` has found to be sound; the map keeps its lock."""
         self.path = path
-        self._file = file
-        self._map = mmap.mmap(file.fileno(), 0)
+        self._map = mmap.mmap(descriptor, 0)
+        os.close(descriptor)
         self.header: NDArray[np.void] = np.frombuffer(self._map, HEADER_DTYPE, 1)
         inputs, outputs = int(self.header["inputs"][0]), int(self.header["outputs"][0])
         outputs_at, scans_at, poses_at, _ = _offsets(outputs, inputs)
@@ -85,22 +85,21 @@ class Registers:
         path = path_of(device)
         size = _offsets(outputs, inputs)[3]
         try:
-            file = _locked(path, patience_s)
-            if os.fstat(file.fileno()).st_size not in (0, size):
+            descriptor = _locked(path, patience_s)
+            if os.fstat(descriptor).st_size not in (0, size):
                 path.unlink()
-                file.close()
-                file = _locked(path, patience_s)
-            file.truncate(size)
-        except OSError as error:
-            raise CardError(f"mock card {device}: {path}: {error.strerror}") from error
-        with mmap.mmap(file.fileno(), HEADER_DTYPE.itemsize) as raw:
+                os.close(descriptor)
+                descriptor = _locked(path, patience_s)
+            os.ftruncate(descriptor, size)
             header = np.zeros(1, HEADER_DTYPE)
             header["magic"], header["version"] = MAGIC, VERSION
             header["outputs"], header["inputs"] = outputs, inputs
             header["scan_rows"], header["pose_rows"] = SCAN_ROWS, POSE_ROWS
             header["plant_pid"] = os.getpid()
-            raw[:] = header.tobytes()
-        registers = cls(file, path)
+            os.pwrite(descriptor, header.tobytes(), 0)
+        except OSError as error:
+            raise CardError(f"mock card {device}: {path}: {error.strerror}") from error
+        registers = cls(descriptor, path)
         registers._scans["index"] = -1
         registers._poses["index"] = -1
         now = time.monotonic_ns()
@@ -117,20 +116,17 @@ class Registers:
         """
         path = path_of(device)
         try:
-            file = path.open("r+b", buffering=0)
+            descriptor = os.open(path, os.O_RDWR | os.O_CLOEXEC)
         except FileNotFoundError:
             raise CardError(
                 f"mock card {device} does not exist: start its plant with `python -m rig.simulator.process --rig FILE`"
             ) from None
         except OSError as error:
             raise CardError(f"mock card {device}: {path}: {error.strerror}") from error
-        raw = file.read(HEADER_DTYPE.itemsize)
-        header = np.frombuffer(raw, HEADER_DTYPE, 1) if len(raw) == HEADER_DTYPE.itemsize else None
-        # NumPy drops the trailing zeros of a byte string.
-        if header is None or header["magic"][0] != MAGIC.rstrip(b"\0") or header["version"][0] != VERSION:
-            file.close()
+        if not _sound(descriptor):
+            os.close(descriptor)
             raise CardError(f"mock card {device}: {path} was not made by this version of softrig: remove it")
-        return cls(file, path)
+        return cls(descriptor, path)
 
     def write(self, output: int, volts: float, t_ns: int) -> None:
         """Set one output register and the time of the write."""
@@ -191,7 +187,22 @@ class Registers:
 
     def close(self) -> None:
         """Let go of the file; the registers keep their values."""
-        self._file.close()
+        del self.header, self.outputs, self._scans, self._poses
+        with contextlib.suppress(BufferError):  # someone still looks at a view: then the map goes with the last one
+            self._map.close()
+
+
+def _sound(descriptor: int) -> bool:
+    raw = os.pread(descriptor, HEADER_DTYPE.itemsize, 0)
+    if len(raw) < HEADER_DTYPE.itemsize:
+        return False
+    header = np.frombuffer(raw, HEADER_DTYPE)[0]
+    # NumPy drops the trailing zeros of a byte string.
+    if header["magic"] != MAGIC.rstrip(b"\0") or header["version"] != VERSION:
+        return False
+    sizes = (int(header["scan_rows"]), int(header["pose_rows"]))
+    expected = _offsets(int(header["outputs"]), int(header["inputs"]))[3]
+    return sizes == (SCAN_ROWS, POSE_ROWS) and os.fstat(descriptor).st_size == expected
 
 
 def _offsets(outputs: int, inputs: int) -> tuple[int, int, int, int]:
@@ -204,16 +215,16 @@ def _offsets(outputs: int, inputs: int) -> tuple[int, int, int, int]:
     return outputs_at, scans_at, poses_at, poses_at + POSE_ROWS * POSE_DTYPE.itemsize
 
 
-def _locked(path: Path, patience_s: float) -> IO[bytes]:
-    file = os.fdopen(os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600), "r+b", buffering=0)
+def _locked(path: Path, patience_s: float) -> int:
+    descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
     until = time.monotonic() + patience_s
     while True:
         try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             if time.monotonic() > until:
-                file.close()
+                os.close(descriptor)
                 raise CardError(f"{path}: another simulator runs behind this mock card") from None
             time.sleep(0.05)
         else:
-            return file
+            return descriptor
