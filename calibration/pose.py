@@ -15,8 +15,9 @@ Floats = NDArray[np.float64]
 
 _ITERATIONS = 20
 _CONVERGED = 1e-10
-# Corner noise that is expected before anything was seen, and how many observations that opinion is worth.
-_PRIOR_STD_PX = 0.04
+# Corner noise where the caller states none.
+_USUAL_STD_PX = 0.05
+# The residuals correct the stated corner noise; that it is right is worth so many observations.
 _PRIOR_WEIGHT = 12.0
 
 
@@ -25,7 +26,8 @@ class Pose:
     """A board in the camera frame: rotation vector (3,) and translation (3,) [m].
 
     `covariance` (6, 6) is that of both, in this order; `residuals_px` (n, 2) are measured minus projected corners,
-    `projected_px` (n, 2) the latter.
+    `projected_px` (n, 2) the latter; `misfit` is the sum of squares of the residuals in units of the corners'
+    standard uncertainty.
     """
 
     rotation_vector: Floats
@@ -33,6 +35,7 @@ class Pose:
     covariance: Floats
     residuals_px: Floats
     projected_px: Floats
+    misfit: float
 
     @property
     def reprojection_px(self) -> float:
@@ -53,15 +56,32 @@ class Pose:
         return rotation @ point_m + self.translation_m, jacobian @ self.covariance @ jacobian.T
 
 
-def refine(points_m: Floats, corners_px: Floats, lens: Lens, start: tuple[Floats, Floats]) -> Pose | None:
+def refine(
+    points_m: Floats,
+    corners_px: Floats,
+    lens: Lens,
+    start: tuple[Floats, Floats],
+    corner_covariance: Floats | None = None,
+) -> Pose | None:
     """Minimise the reprojection error from a starting pose by Levenberg-Marquardt; None if it does not converge.
 
-    `points_m` (n, 3) in the board's frame, `corners_px` (n, 2). The covariance is that of least squares, scaled by
-    the variance of the residuals, which is steadied by a weak prior.
+    `points_m` (n, 3) in the board's frame, `corners_px` (n, 2) with covariance (n, 2, 2) [px^2], `start` a rotation
+    vector and a translation. The covariance is that of weighted least squares, scaled by the variance of the weighted
+    residuals, which is steadied by a weak prior that it is 1.
     """
+    count = len(points_m)
+    if corner_covariance is None:
+        corner_covariance = np.broadcast_to(_USUAL_STD_PX**2 * np.eye(2), (count, 2, 2))
+    # Rows of the whitener turn a residual into two of unit variance.
+    whitener = np.linalg.inv(np.linalg.cholesky(corner_covariance))
+
+    def whitened(at: Floats) -> tuple[Floats, Floats, Floats]:
+        projected, jacobian = lens.project_with_jacobian(points_m, at[:3], at[3:])
+        residual = np.einsum("nij,nj->ni", whitener, corners_px - projected).ravel()
+        return projected, np.matmul(whitener, jacobian.reshape(count, 2, 6)).reshape(-1, 6), residual
+
     x = np.concatenate([start[0], start[1]]).astype(np.float64)
-    projected, jacobian = lens.project_with_jacobian(points_m, x[:3], x[3:])
-    residual = (corners_px - projected).ravel()
+    projected, jacobian, residual = whitened(x)
     cost = float(residual @ residual)
     damping = 1e-6
     for _ in range(_ITERATIONS):
@@ -71,8 +91,7 @@ def refine(points_m: Floats, corners_px: Floats, lens: Lens, start: tuple[Floats
         except np.linalg.LinAlgError:
             return None
         trial = x + step
-        projected_new, jacobian_new = lens.project_with_jacobian(points_m, trial[:3], trial[3:])
-        residual_new = (corners_px - projected_new).ravel()
+        projected_new, jacobian_new, residual_new = whitened(trial)
         cost_new = float(residual_new @ residual_new)
         if not np.isfinite(cost_new):
             return None
@@ -90,12 +109,14 @@ def refine(points_m: Floats, corners_px: Floats, lens: Lens, start: tuple[Floats
     if x[5] <= 0:
         return None
     freedom = residual.size - 6
-    variance = (cost + _PRIOR_WEIGHT * _PRIOR_STD_PX**2) / (freedom + _PRIOR_WEIGHT)
+    variance = (cost + _PRIOR_WEIGHT) / (freedom + _PRIOR_WEIGHT)
     covariance = np.asarray(np.linalg.inv(jacobian.T @ jacobian) * variance)
-    return Pose(x[:3], x[3:], covariance, residual.reshape(-1, 2), projected)
+    return Pose(x[:3], x[3:], covariance, corners_px - projected, projected, cost)
 
 
-def solutions(points_m: Floats, corners_px: Floats, lens: Lens) -> tuple[Pose, ...]:
+def solutions(
+    points_m: Floats, corners_px: Floats, lens: Lens, corner_covariance: Floats | None = None
+) -> tuple[Pose, ...]:
     """Return the one or two poses that a plane allows, best first, each refined.
 
     A plane seen from afar looks nearly the same tilted either way (the flip); IPPE gives both.
@@ -106,5 +127,5 @@ def solutions(points_m: Floats, corners_px: Floats, lens: Lens) -> tuple[Pose, .
     if not found:
         return ()
     starts = np.concatenate([np.array(rotations), np.array(translations)], axis=1, dtype=np.float64)
-    poses = [refine(points_m, corners_px, lens, (start[:3, 0], start[3:, 0])) for start in starts]
-    return tuple(sorted((p for p in poses if p is not None), key=lambda p: p.reprojection_px))
+    poses = [refine(points_m, corners_px, lens, (start[:3, 0], start[3:, 0]), corner_covariance) for start in starts]
+    return tuple(sorted((p for p in poses if p is not None), key=lambda p: p.misfit))

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from calibration.board import Board, find, grey
+from calibration.corners import Corners, sharpen, spacing
 from calibration.lens import Lens
 from calibration.pose import Pose, refine, solutions
 from runs.records import Seen
@@ -16,15 +16,12 @@ from runs.records import Seen
 Floats = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
-_SUBPIX = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 30, 1e-3)
-# Half the corner window as a share of the smallest distance between corners, and its bounds [px].
-_WINDOW_SHARE = 0.38
-_WINDOW_BOUNDS_PX = (2, 8)
-# More than this is not a board seen through this lens; less is not a measurement (cornerSubPix returns its seed
-# unchanged where it diverges).
+# More than this is not a board seen through this lens; less is not a measurement.
 _WORST_PX = 0.6
-_BEST_PX = 0.003
-# A flip is decided by the pictures alone when its squared residuals are so many variances worse.
+_BEST_PX = 0.001
+# Grey values that the corner's model leaves, in shares of the step from dark to bright.
+_WORST_MISFIT = 0.15
+# A flip is decided by the picture alone when its residuals are so many variances worse.
 _FLIP_EVIDENCE = 16.0
 _FLIP_SAME_RAD = 0.02
 
@@ -67,7 +64,7 @@ class Tracker:
     def _find_near(self, image: Image, corners: Floats) -> Floats | None:
         """Search around the last place, two squares further out."""
         low, high = corners.min(axis=0), corners.max(axis=0)
-        margin = 2.5 * _spacing(corners, self._board) + 0.15 * float((high - low).max())
+        margin = 2.5 * spacing(corners, self._board.pattern) + 0.15 * float((high - low).max())
         x0, y0 = np.maximum(np.floor(low - margin), 0).astype(int)
         x1, y1 = np.ceil(high + margin).astype(int) + 1
         found = find(np.ascontiguousarray(image[y0:y1, x0:x1]), self._board) if x1 > x0 and y1 > y0 else None
@@ -76,9 +73,11 @@ class Tracker:
     def _measure(self, image: Image, seeds: Floats | None) -> Sighting:
         if seeds is None:
             return Sighting(Seen.NO_BOARD)
-        corners = self._sharpen(image, seeds)
+        corners = sharpen(image, seeds, self._board.pattern)
         if corners is None:
             return Sighting(Seen.NO_BOARD)
+        if corners.misfit.max() > _WORST_MISFIT:
+            return Sighting(Seen.POOR_FIT)
         pose, seen = self._pose(corners)
         if pose is None:
             return Sighting(seen)
@@ -87,35 +86,23 @@ class Tracker:
         check = self._lens.project(self._board.check_points_m, pose.rotation_vector, pose.translation_m)
         if not self._board.colours_fit(image, check):
             return Sighting(Seen.AMBIGUOUS)
-        return Sighting(Seen.MEASURED, corners, pose)
+        return Sighting(Seen.MEASURED, corners.px, pose)
 
-    def _sharpen(self, image: Image, seeds: Floats) -> Floats | None:
-        """Corners to sub-pixel; None where one ran away or lies too near the picture's border."""
-        half = int(np.clip(_WINDOW_SHARE * _spacing(seeds, self._board), *_WINDOW_BOUNDS_PX))
-        height, width = image.shape
-        margin = half + 1
-        if seeds.min() < margin or np.any(seeds.max(axis=0) > (width - 1 - margin, height - 1 - margin)):
-            return None
-        start = seeds.astype(np.float32).reshape(-1, 1, 2)
-        corners = cv2.cornerSubPix(image, start.copy(), (half, half), (-1, -1), _SUBPIX)
-        moved = np.abs(corners - start)
-        if moved.max() > half or np.any(moved.max(axis=(1, 2)) == 0.0):
-            return None
-        return np.asarray(corners[:, 0, :], dtype=np.float64)
-
-    def _pose(self, corners: Floats) -> tuple[Pose | None, Seen]:
+    def _pose(self, corners: Corners) -> tuple[Pose | None, Seen]:
         points = self._board.corners_m
         if self._last is not None and self._before is not None:
-            pose = refine(points, corners, self._lens, (self._last.rotation_vector, self._last.translation_m))
+            start = self._last.rotation_vector, self._last.translation_m
+            pose = refine(points, corners.px, self._lens, start, corners.covariance)
             return pose, Seen.POOR_FIT
-        poses = solutions(points, corners, self._lens)
+        poses = solutions(points, corners.px, self._lens, corners.covariance)
         if not poses:
             return None, Seen.POOR_FIT
         if len(poses) == 1 or _angle(poses[0], poses[1]) < _FLIP_SAME_RAD:
             return poses[0], Seen.MEASURED
         best, other = poses
-        worse = (np.sum(other.residuals_px**2) - np.sum(best.residuals_px**2)) / _variance(best)
-        if worse > _FLIP_EVIDENCE:
+        # Where even the better one fits badly, the corners are worse than they say.
+        scale = max(best.misfit / (best.residuals_px.size - 6), 1.0)
+        if other.misfit - best.misfit > _FLIP_EVIDENCE * scale:
             return best, Seen.MEASURED
         if self._last is not None:
             last = self._last
@@ -123,21 +110,7 @@ class Tracker:
         return None, Seen.AMBIGUOUS
 
 
-def _spacing(corners: Floats, board: Board) -> float:
-    """Smallest distance between neighbouring corners [px]."""
-    columns, rows = board.pattern
-    grid = corners.reshape(rows, columns, 2)
-    across = np.linalg.norm(np.diff(grid, axis=1), axis=2).min()
-    down = np.linalg.norm(np.diff(grid, axis=0), axis=2).min()
-    return float(min(across, down))
-
-
 def _angle(a: Pose, b: Pose) -> float:
     """Angle [rad] between two poses."""
     trace = np.sum(a.rigid.rotation * b.rigid.rotation)
     return float(np.arccos(np.clip((trace - 1) / 2, -1, 1)))
-
-
-def _variance(pose: Pose) -> float:
-    """Variance of one corner coordinate [px^2], not below that of a very good picture."""
-    return float(max(np.sum(pose.residuals_px**2) / (pose.residuals_px.size - 6), 1e-4))

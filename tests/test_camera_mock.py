@@ -52,13 +52,12 @@ def test_a_late_reader_sees_a_gap_and_never_an_old_picture(config: rig.config.Ri
 
 
 def test_a_camera_slower_than_the_time_out_says_so(config: rig.config.RigConfig) -> None:
-    slow = config.model_copy(
-        update={"cameras": {"front": config.cameras["front"].model_copy(update={"rate_hz": 0.5})}}
-    )
+    slow = config.model_copy(update={"cameras": {"front": config.cameras["front"].model_copy(update={"rate_hz": 5.0})}})
     camera = MockCamera(slow, Sweep(), seed=3)
+    # Built at the start of an exposure, a period before the next.
+    camera.read(3.0)
     with pytest.raises(CameraError, match="no picture within"):
-        for _ in range(3):
-            camera.read(0.02)
+        camera.read(0.02)
 
 
 def test_a_dead_simulator_is_a_camera_error(config: rig.config.RigConfig) -> None:

@@ -66,7 +66,7 @@ def test_squares_keep_their_contrast_from_the_dark_to_the_bright_side() -> None:
 
 def test_motion_smears_along_the_way_and_leaves_the_middle_in_place() -> None:
     view = scene(Optics(0.6, 0.0))
-    middle = facing()
+    middle = facing(roll_deg=20)
     way = np.array([0.0009, 0.0, 0.0])
     opened = Rigid(middle.rotation, middle.translation_m - way / 2)
     closed = Rigid(middle.rotation, middle.translation_m + way / 2)

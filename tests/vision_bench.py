@@ -19,6 +19,7 @@ BOARD = Board(7, 6, 0.008)
 LENS = Lens.of(900, 900, 320, 240, (-0.12, 0.08, 0.0004, -0.0003, 0.0))
 SIZE = (640, 480)
 FRAME_NS = 33_333_333
+OPTICS = Optics(0.6, 2.0)
 FACING = np.diag([1.0, -1.0, -1.0])
 """A board that looks straight into the camera, upright."""
 
@@ -48,7 +49,7 @@ def facing(
     return Rigid(roll @ FACING @ tilt, np.array([x_m, y_m, distance_m]))
 
 
-def scene(optics: Optics = Optics(0.6, 2.0), seed: int = 1, board: Board = BOARD) -> Scene:
+def scene(optics: Optics = OPTICS, seed: int = 1, board: Board = BOARD) -> Scene:
     """The mock camera's scene."""
     return Scene(board, LENS, SIZE, optics, seed)
 

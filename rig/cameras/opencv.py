@@ -35,7 +35,9 @@ class OpenCVCamera:
             raise CameraError(f"camera {device} does not exist: plug it in, or list what there is with `rig doctor`")
         self._capture = cv2.VideoCapture(device, cv2.CAP_V4L2)
         if not self._capture.isOpened():
-            raise CameraError(f"camera {device} cannot be opened: is it in use, and may this user read it (group video)?")
+            raise CameraError(
+                f"camera {device} cannot be opened: is it in use, and may this user read it (group video)?"
+            )
         self._prepare()
         self._period_ns = round(1e9 / camera.rate_hz)
         self._half_exposure_ns = round(camera.exposure_ms * 5e5)
