@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from decimal import Decimal
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, get_args
 
 import yaml
 from pydantic import BaseModel, TypeAdapter, ValidationError
@@ -137,16 +137,28 @@ def _once(problems: Iterable[Problem]) -> list[Problem]:
 
 
 def _valid_parts(model_class: type[BaseModel], data: Mapping[str, Any]) -> dict[str, Any]:
+    """The fields that are valid by themselves; lists and mappings keep their places, with None for what is wrong."""
     parts = {}
     for name, field in model_class.model_fields.items():
         if name not in data and not field.is_required():
             parts[name] = field.get_default(call_default_factory=True)
         elif name in data:
-            try:
-                parts[name] = TypeAdapter(field.rebuild_annotation()).validate_python(data[name])
-            except ValidationError:
-                continue
+            whole = _valid(field.rebuild_annotation(), data[name])
+            items = get_args(field.annotation)
+            if whole is not None:
+                parts[name] = whole
+            elif isinstance(data[name], list) and len(items) == 2:
+                parts[name] = tuple(_valid(items[0], item) for item in data[name])
+            elif isinstance(data[name], dict) and len(items) == 2:
+                parts[name] = {key: _valid(items[1], item) for key, item in data[name].items()}
     return parts
+
+
+def _valid(annotation: Any, value: Any) -> Any:
+    try:
+        return TypeAdapter(annotation).validate_python(value)
+    except ValidationError:
+        return None
 
 
 class _Translator:

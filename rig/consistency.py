@@ -1,14 +1,15 @@
 """Faults between the parts of a rig's YAML: each part may be right by itself and the rig still be wrong.
 
-The checks take the parts that are valid by themselves, so that one mistyped number hides no other fault.
+The checks take what is valid by itself, with None in the place of what is not, so that one mistyped number hides no
+other fault.
 """
 
 from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Iterator, Mapping
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from protocols.document import Fault
 from protocols.problems import closest
@@ -16,9 +17,14 @@ from protocols.problems import closest
 if TYPE_CHECKING:
     from rig.config import Arm, CameraConfig, CardConfig, Control, FlowValve, Limits, Sensor, Simulator, Valve
 
+    Cards = Mapping[str, CardConfig | None]
+    Cameras = Mapping[str, CameraConfig | None]
+    Valves = Sequence[Valve | None]
+    Sensors = Sequence[Sensor | None]
+
 
 def check(parts: Mapping[str, Any]) -> list[Fault]:
-    """Every fault between the parts of a rig; `parts` are fields of `RigConfig`, those that are valid."""
+    """Every fault between the parts of a rig; `parts` are the fields of `RigConfig` that are there."""
     checks: tuple[tuple[Callable[..., Iterator[Fault]], tuple[str, ...]], ...] = (
         (_valve_channels, ("cards", "valves")),
         (_sensor_channels, ("cards", "sensors")),
@@ -40,16 +46,32 @@ def check(parts: Mapping[str, Any]) -> list[Fault]:
     ]
 
 
+Item = TypeVar("Item")
+
+
+def _numbered(items: Sequence[Item | None]) -> list[tuple[int, Item]]:
+    return [(index, item) for index, item in enumerate(items) if item is not None]
+
+
+def _valves_of(valves: Valves) -> list[tuple[int, Valve]]:
+    return [(index, valve) for index, valve in enumerate(valves) if valve is not None]
+
+
+def _named(items: Mapping[str, Item | None]) -> list[tuple[str, Item]]:
+    return [(name, item) for name, item in items.items() if item is not None]
+
+
 def _channels(
-    cards: dict[str, CardConfig], users: tuple[Any, ...], key: str, kind: str, have: Callable[[CardConfig], int]
+    cards: Cards, users: Sequence[Any], key: str, kind: str, have: Callable[[CardConfig], int]
 ) -> Iterator[Fault]:
     taken: dict[tuple[str, int], int] = {}
-    for index, user in enumerate(users):
+    for index, user in _numbered(users):
         if user.card not in cards:
             yield Fault((key, index, "card"), f"one of the cards: {', '.join(cards)}", closest(user.card, cards))
             continue
-        count, wanted = have(cards[user.card]), sum(other.card == user.card for other in users)
-        if user.channel >= count:
+        card = cards[user.card]
+        if card is not None and user.channel >= have(card):
+            count, wanted = have(card), sum(other.card == user.card for _, other in _numbered(users))
             expected = {0: "another card", 1: "channel 0"}.get(count, f"a channel from 0 to {count - 1}")
             expected += f": card '{user.card}' has {count or 'no'} {kind} channel{'' if count == 1 else 's'}"
             if wanted > count:
@@ -62,24 +84,24 @@ def _channels(
             taken[user.card, user.channel] = index
 
 
-def _valve_channels(cards: dict[str, CardConfig], valves: tuple[Valve, ...]) -> Iterator[Fault]:
+def _valve_channels(cards: Cards, valves: Valves) -> Iterator[Fault]:
     yield from _channels(cards, valves, "valves", "AO", lambda card: card.outputs)
 
 
-def _sensor_channels(cards: dict[str, CardConfig], sensors: tuple[Sensor, ...]) -> Iterator[Fault]:
+def _sensor_channels(cards: Cards, sensors: Sensors) -> Iterator[Fault]:
     yield from _channels(cards, sensors, "sensors", "AI", lambda card: card.inputs)
 
 
-def _actuators(arm: Arm, valves: tuple[Valve, ...], sensors: tuple[Sensor, ...]) -> Iterator[Fault]:
+def _actuators(arm: Arm, valves: Valves, sensors: Sensors) -> Iterator[Fault]:
     """Every actuator has one valve and one sensor."""
     count = len(arm.geometry.actuator_angles_deg)
     drives: list[tuple[int, tuple[str | int, ...]]] = [
         (number, ("valves", i, "actuators", j))
-        for i, valve in enumerate(valves)
+        for i, valve in _valves_of(valves)
         for j, number in enumerate(valve.actuators)
     ]
     senses: list[tuple[int, tuple[str | int, ...]]] = [
-        (sensor.actuator, ("sensors", i, "actuator")) for i, sensor in enumerate(sensors)
+        (sensor.actuator, ("sensors", i, "actuator")) for i, sensor in _numbered(sensors)
     ]
     for users, one, all_of in ((drives, "valve", "valves"), (senses, "sensor", "sensors")):
         seen: set[int] = set()
@@ -91,12 +113,13 @@ def _actuators(arm: Arm, valves: tuple[Valve, ...], sensors: tuple[Sensor, ...])
             elif number in seen:
                 yield Fault(path, f"each actuator with one {one}: actuator {number} has one already")
             seen.add(number)
-        for number in sorted(set(range(1, count + 1)) - seen):
+        complete = None not in (valves if one == "valve" else sensors)
+        for number in sorted(set(range(1, count + 1)) - seen) if complete else ():
             yield Fault((all_of,), f"a {one} for every actuator: actuator {number} has none")
 
 
-def _valves(valves: tuple[Valve, ...]) -> Iterator[Fault]:
-    for index, valve in enumerate(valves):
+def _valves(valves: Valves) -> Iterator[Fault]:
+    for index, valve in _valves_of(valves):
         here: tuple[str | int, ...] = ("valves", index)
         low, high = valve.range_V
         if valve.type == "flow":
@@ -124,16 +147,16 @@ def _curve(valve: FlowValve, here: tuple[str | int, ...]) -> Iterator[Fault]:
         yield Fault((*here, "dead_zone_V"), f"less than the end of flow_curve_V, {volts[-1]:g} V")
 
 
-def _sensors(sensors: tuple[Sensor, ...]) -> Iterator[Fault]:
-    for index, sensor in enumerate(sensors):
+def _sensors(sensors: Sensors) -> Iterator[Fault]:
+    for index, sensor in _numbered(sensors):
         low, high = sensor.range_V
         if sensor.span_V[0] < low or sensor.span_V[1] > high:
             yield Fault(("sensors", index, "span_V"), f"a span inside range_V, {low:g} to {high:g} V")
 
 
-def _reach(limits: Limits, valves: tuple[Valve, ...], sensors: tuple[Sensor, ...]) -> Iterator[Fault]:
+def _reach(limits: Limits, valves: Valves, sensors: Sensors) -> Iterator[Fault]:
     """Valves and sensors cover the pressures that the limits allow."""
-    for index, valve in enumerate(valves):
+    for index, valve in _valves_of(valves):
         if valve.type == "flow" and valve.supply_bar <= limits.pressure_bar:
             expected = f"more than limits, pressure_bar ({limits.pressure_bar:g} bar): the valve cannot fill that far"
             yield Fault(("valves", index, "supply_bar"), expected)
@@ -141,16 +164,14 @@ def _reach(limits: Limits, valves: tuple[Valve, ...], sensors: tuple[Sensor, ...
             expected = f"a span from 0 to limits, pressure_bar ({limits.pressure_bar:g} bar) at least"
             yield Fault(("valves", index, "span_bar"), expected)
     highest = limits.pressure_bar + limits.pressure_margin_bar
-    for index, sensor in enumerate(sensors):
+    for index, sensor in _numbered(sensors):
         if not sensor.span_bar[0] <= 0 < highest <= sensor.span_bar[1]:
             expected = f"a span from 0 to the limit with its margin ({highest:g} bar) at least"
             yield Fault(("sensors", index, "span_bar"), expected)
 
 
-def _rates(
-    cards: dict[str, CardConfig], cameras: dict[str, CameraConfig], control: Control, limits: Limits
-) -> Iterator[Fault]:
-    for name, card in cards.items():
+def _rates(cards: Cards, cameras: Cameras, control: Control, limits: Limits) -> Iterator[Fault]:
+    for name, card in _named(cards):
         if card.sampling_hz < control.rate_hz:
             expected = f"at least control, rate_hz ({control.rate_hz:g} Hz): each control step needs a sample"
             yield Fault(("cards", name, "sampling_hz"), expected)
@@ -158,7 +179,7 @@ def _rates(
         yield Fault(("control", "bandwidth_hz"), f"at most a quarter of rate_hz, {control.rate_hz / 4:g} Hz")
     if limits.stale_s < 2 / control.rate_hz:
         yield Fault(("limits", "stale_s"), f"at least two control steps, {2 / control.rate_hz:g} s")
-    for name, camera in cameras.items():
+    for name, camera in _named(cameras):
         if limits.no_tip_s < 2 / camera.rate_hz:
             yield Fault(("limits", "no_tip_s"), f"at least two frames of camera '{name}', {2 / camera.rate_hz:g} s")
 
@@ -171,13 +192,13 @@ def _twice(section: str, devices: Mapping[str, tuple[str, str | int]]) -> Iterat
         taken.setdefault(device, name)
 
 
-def _cards(cards: dict[str, CardConfig]) -> Iterator[Fault]:
-    yield from _twice("cards", {name: (card.driver, card.device) for name, card in cards.items()})
+def _cards(cards: Cards) -> Iterator[Fault]:
+    yield from _twice("cards", {name: (card.driver, card.device) for name, card in _named(cards)})
 
 
-def _cameras(cameras: dict[str, CameraConfig]) -> Iterator[Fault]:
-    yield from _twice("cameras", {name: (camera.driver, camera.device) for name, camera in cameras.items()})
-    for name, camera in cameras.items():
+def _cameras(cameras: Cameras) -> Iterator[Fault]:
+    yield from _twice("cameras", {name: (camera.driver, camera.device) for name, camera in _named(cameras)})
+    for name, camera in _named(cameras):
         here: tuple[str | int, ...] = ("cameras", name)
         longest = 1000 / camera.rate_hz
         if camera.exposure_ms > longest:
@@ -209,14 +230,12 @@ def _arm(arm: Arm) -> Iterator[Fault]:
         yield Fault(("arm", "gravity_direction"), "a direction, such as [0, 0, 1]; for no weight set the masses to 0")
 
 
-def _simulator(
-    cards: dict[str, CardConfig], cameras: dict[str, CameraConfig], simulator: Simulator | None
-) -> Iterator[Fault]:
-    mocks = [f"{section}, {name}" for section, devices in (("cards", cards), ("cameras", cameras))
-             for name, device in devices.items() if device.driver == "mock"]  # fmt: skip
+def _simulator(cards: Cards, cameras: Cameras, simulator: Simulator | None) -> Iterator[Fault]:
+    mocks = [f"cards, {name}" for name, card in _named(cards) if card.driver == "mock"]
+    mocks += [f"cameras, {name}" for name, camera in _named(cameras) if camera.driver == "mock"]
     if mocks and simulator is None:
         yield Fault(
             ("simulator",), f"is missing: a mock device ({mocks[0]}) needs the block that says what it simulates"
         )
-    if simulator is not None and not mocks:
+    if simulator is not None and not mocks and None not in (*cards.values(), *cameras.values()):
         yield Fault(("simulator",), "no such block, because no device of this rig is a mock")

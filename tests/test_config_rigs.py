@@ -109,8 +109,28 @@ def test_a_wrong_rig_is_refused_where_it_is_wrong(change: tuple[str, str], where
 
 
 def test_faults_of_values_and_between_parts_come_together() -> None:
-    found = problems_of(changed(("card: daq", "card: dac"), ("rate_bar_per_s: [0-9.]+", "rate_bar_per_s: fast")))
-    assert [problem.where for problem in found] == ["valves #1, card", "limits, rate_bar_per_s"]
+    written = changed(
+        ("driver: mock", "driver: moc"),
+        ("card: daq", "card: dac"),
+        ("flow_curve_V: .curve_V", "flow_curve_v: &curve_V"),
+        ("channel: 1", "channel: 1\n    closed_V: 11"),
+        (r"\{actuator: 3, card: daq, channel: 2", "{actuator: 2, card: daqq, channel: two"),
+        (r"\{actuator: 2, card: daq, channel: 1", "{actuator: 2, card: daq, channel: 0"),
+        ("rate_bar_per_s: [0-9.]+", "rate_bar_per_s: fast"),
+    )
+    assert [problem.where for problem in problems_of(written)] == [
+        "cards, daq, driver",
+        "valves #1, flow_curve_v",
+        "valves #2, closed_V",
+        "sensors #2, channel",
+        "sensors #3, channel",
+        "limits, rate_bar_per_s",
+    ]
+
+
+def test_a_part_that_is_wrong_by_itself_raises_no_doubt_about_the_others() -> None:
+    found = problems_of(changed(("driver: mock", "driver: moc"), ("dead_zone_V: [0-9.]+", "dead_zone_V: x")))
+    assert [problem.where for problem in found] == ["cards, daq, driver", "valves #1, dead_zone_V"]
 
 
 def test_a_rig_that_needs_more_outputs_than_its_card_has_is_refused() -> None:
