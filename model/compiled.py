@@ -37,7 +37,10 @@ def cache_folder() -> Path:
     for parent in _candidates():
         folder = parent / name
         try:
-            folder.mkdir(parents=True, exist_ok=True)
+            folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+            # Compiled code is trusted code: it must not come from a folder that another user made.
+            if folder.stat().st_uid != os.getuid():
+                continue
             with tempfile.TemporaryFile(dir=folder):
                 pass
         except OSError:

@@ -39,6 +39,11 @@ class Dynamics:
         )
         self._shape: Shape | None = None
 
+    @property
+    def nodes(self) -> int:
+        """Steps along the arm."""
+        return self._nodes
+
     def start(self, pressure_pa: ArrayLike, loads: Loads | None = None) -> Shape:
         """Begin at rest under gauge pressures (N,) [Pa]; raises as `Arm.statics` does."""
         pressure = pressures(self._arm, pressure_pa)

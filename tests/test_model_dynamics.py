@@ -1,0 +1,358 @@
+"""The arm in motion: rest, frequencies, energy, the schemes' order and stability, and steps that cannot be solved."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from scipy.integrate import simpson
+from scipy.optimize import brentq
+
+from model import Arm, Loads
+from model.schemes import Scheme
+
+BAR = 1e5
+variants = ("homogeneous", "homogeneous+rpe", "inhomogeneous+rpe")
+
+
+def frequency(signal: NDArray[np.float64], dt_s: float) -> float:
+    """Angular frequency of the strongest line, the trapezoidal rule's own warping undone."""
+    window = (signal - signal.mean()) * np.hanning(len(signal))
+    spectrum = np.abs(np.fft.rfft(window, 16 * len(signal)))
+    discrete = 2 * math.pi * np.fft.rfftfreq(16 * len(signal), dt_s)[int(spectrum.argmax())]
+    return 2 / dt_s * math.tan(discrete * dt_s / 2)
+
+
+@pytest.mark.parametrize("variant", variants)
+def test_an_arm_at_rest_stays_at_rest(variant: str) -> None:
+    dynamics = Arm.paper(variant).dynamics(1 / 30)
+    p = np.array([0.5, 0.2, 0.1]) * BAR
+    start = dynamics.start(p).p_m
+    assert max(np.abs(dynamics.step(p).p_m - start).max() for _ in range(30)) < 3e-8
+
+
+@pytest.mark.parametrize("variant", variants)
+def test_it_starts_and_settles_at_the_static_shape(variant: str) -> None:
+    arm = Arm.paper(variant)
+    arm = replace(arm, material=replace(arm.material, damping_s=0.02))
+    p = np.array([0.4, 0.0, 0.2]) * BAR
+    dynamics = arm.dynamics(1 / 100, "bdf1")
+    assert np.abs(dynamics.start((0, 0, 0)).tip_m - arm.statics((0, 0, 0)).tip_m).max() < 1e-8
+    for _ in range(400):
+        shape = dynamics.step(p)
+    assert np.abs(shape.tip_m - arm.statics(p).tip_m).max() < 1e-7
+
+
+@pytest.mark.parametrize(
+    ("axis", "kick", "rad_s"),
+    [
+        (0, Loads(tip_force_n=(0.02, 0, 0)), 41.2),
+        (1, Loads(tip_force_n=(0, 0.02, 0)), 41.3),
+        (2, Loads(tip_force_n=(0, 0, 0.05)), 145.0),
+        (3, Loads(tip_moment_n_m=(0, 0, 0.001)), 96.8),
+    ],
+)
+def test_the_first_modes_have_the_known_frequencies(axis: int, kick: Loads, rad_s: float) -> None:
+    # One actuator at 0.35 bar, 50 g, radial pressure effect; an independent model gave these four.
+    dt = 0.002
+    dynamics = Arm.paper("homogeneous+rpe").dynamics(dt, "trapezoidal", nodes=24)
+    p = (0.35 * BAR, 0, 0)
+    dynamics.start(p)
+    still = Loads()
+    signal = []
+    for k in range(2000):
+        shape = dynamics.step(p, kick if k < 5 else still)
+        assert shape.ok
+        twist = shape.tip_rotation[1, 0] - shape.tip_rotation[0, 1]
+        signal.append(twist if axis == 3 else shape.tip_m[axis])
+    found = frequency(np.array(signal), dt)
+    # The bent arm couples what the straight one keeps apart: for the axial kick look above the bending mode.
+    if axis >= 2 and found < 60:
+        x = np.array(signal) - np.mean(signal)
+        spectrum = np.fft.rfft(x * np.hanning(len(x)))
+        spectrum[: int(60 * len(x) * dt / (2 * math.pi))] = 0
+        found = frequency(np.fft.irfft(spectrum), dt)
+    assert found == pytest.approx(rad_s, rel=0.006)
+
+
+def test_the_frequencies_of_a_thin_cantilever_are_those_of_the_textbook() -> None:
+    # Long, slender, no load: (1.8751 / L)^2 sqrt(E I / rho A), lowered by shear and rotary inertia by under 1 %.
+    arm = Arm.paper("homogeneous")
+    geometry = replace(arm.geometry, length_m=2.0)
+    arm = replace(arm, geometry=geometry, gravity_m_s2=(0.0, 0.0, 0.0))
+    bending = 289142.05 * (3 * geometry.wall_second_moment_m4 + geometry.wall_area_m2 * 0.055**2 / 2)
+    book = (1.875104 / 2.0) ** 2 * math.sqrt(bending / arm.line_density_kg_m)
+    dt = 2 * math.pi / book / 60
+    dynamics = arm.dynamics(dt, "trapezoidal", nodes=40)
+    push = Loads(tip_force_n=(1e-4, 0, 0))
+    dynamics.start((0, 0, 0), push)
+    still = Loads()
+    signal = np.array([dynamics.step((0, 0, 0), still).tip_m[0] for _ in range(900)])
+    assert frequency(signal, dt) == pytest.approx(book, rel=0.01)
+
+
+def energy(arm: Arm, dynamics: object) -> float:
+    """Kinetic plus elastic energy of a linear section without pressure, from the solver's own states."""
+    from model.dynamics import Dynamics
+    from model.section import section
+
+    assert isinstance(dynamics, Dynamics)
+    x = dynamics._x
+    g = arm.geometry
+    law = section(g, g.positions_m, arm.stiffness_n(np.zeros(3)), arm.material.shear_ratio, 0.0)
+    strain = x[:, :6] - np.array([0, 0, 1.0, 0, 0, 0])
+    axial, shear = strain[:, [2, 3, 4]], strain[:, [0, 1, 5]]
+    elastic = np.einsum("ni,ij,nj->n", axial, law.axial, axial) + np.einsum("ni,ij,nj->n", shear, law.shear, shear)
+    second = 3 * g.wall_second_moment_m4 + g.wall_area_m2 * 0.055**2 / 2
+    inertia = arm.material.density_kg_m3 * second * np.array([1, 1, 2])
+    kinetic = arm.line_density_kg_m * (x[:, 6:9] ** 2).sum(1) + (inertia * x[:, 9:12] ** 2).sum(1)
+    return float(simpson(0.5 * (elastic + kinetic), dx=g.length_m / (len(x) - 1)))
+
+
+def test_the_trapezoidal_rule_keeps_the_energy_and_backward_euler_loses_it() -> None:
+    arm = replace(Arm.paper("homogeneous"), gravity_m_s2=(0.0, 0.0, 0.0))
+    pull = Loads(tip_force_n=(0.5, 0.3, 0.0))
+    kept = {}
+    for scheme in ("trapezoidal", "bdf1"):
+        dynamics = arm.dynamics(0.001, scheme)
+        dynamics.start((0, 0, 0), pull)
+        first = energy(arm, dynamics)
+        still = Loads()
+        for _ in range(300):
+            assert dynamics.step((0, 0, 0), still).ok
+        kept[scheme] = energy(arm, dynamics) / first
+    assert kept["trapezoidal"] == pytest.approx(1.0, abs=0.01)
+    assert kept["bdf1"] < 0.8
+
+
+def test_damping_dies_out_at_the_rate_of_kelvin_and_voigt() -> None:
+    # One mode of a Kelvin-Voigt rod decays as exp(-tau omega^2 t / 2).
+    tau, dt = 0.002, 0.001
+    arm = replace(Arm.paper("homogeneous"), cap_mass_kg=0.0)
+    arm = replace(arm, material=replace(arm.material, damping_s=tau))
+    dynamics = arm.dynamics(dt, "trapezoidal")
+    dynamics.start((0, 0, 0), Loads(tip_force_n=(0.01, 0, 0)))
+    still = Loads()
+    signal = np.array([dynamics.step((0, 0, 0), still).tip_m[0] for _ in range(800)])
+    peaks = [k for k in range(1, 799) if signal[k - 1] < signal[k] > signal[k + 1]]
+    omega = 2 * math.pi / (np.diff(peaks).mean() * dt)
+    decay = -math.log(signal[peaks[-1]] / signal[peaks[1]]) / ((peaks[-1] - peaks[1]) * dt)
+    assert decay == pytest.approx(tau * omega**2 / 2, rel=0.03)
+
+
+@pytest.mark.parametrize("variant", ["homogeneous+rpe", "inhomogeneous+rpe"])
+def test_damping_changes_no_equilibrium(variant: str) -> None:
+    arm = Arm.paper(variant)
+    damped = replace(arm, material=replace(arm.material, damping_s=0.05))
+    p = (0.5 * BAR, 0.1 * BAR, 0)
+    assert np.array_equal(arm.statics(p).tip_m, damped.statics(p).tip_m)
+    dynamics = damped.dynamics(0.01)
+    dynamics.start(p)
+    assert np.abs(dynamics.step(p).tip_m - arm.statics(p, nodes=80).tip_m).max() < 1e-7
+
+
+@pytest.mark.parametrize("variant", ["homogeneous+rpe", "inhomogeneous+rpe"])
+@pytest.mark.parametrize(("scheme", "order"), [("bdf1", 1), ("bdf2", 2), ("bdf-alpha", 2)])
+def test_halving_the_time_step_gains_what_the_scheme_promises(variant: str, scheme: str, order: int) -> None:
+    arm = Arm.paper(variant)
+
+    def tips(parts: int) -> NDArray[np.float64]:
+        dt = 0.4 / parts
+        dynamics = arm.dynamics(dt, scheme, nodes=64)
+        dynamics.start((0.3 * BAR, 0, 0))
+        # Smooth from rest, so that the order is seen.
+        bars = [0.3 + 0.1 * (1 - math.cos(5 * k * dt)) ** 2 for k in range(1, parts + 1)]
+        path = np.array([dynamics.step((bar * BAR, 0, 0)).tip_m for bar in bars])
+        return path[parts // 40 - 1 :: parts // 40]
+
+    coarse, middle, fine = tips(80), tips(160), tips(320)
+    seen = math.log2(np.linalg.norm(coarse - middle) / np.linalg.norm(middle - fine))
+    assert seen == pytest.approx(order, abs=0.35)
+
+
+@pytest.mark.parametrize("variant", ["homogeneous+rpe", "inhomogeneous+rpe"])
+def test_the_history_between_nodes_keeps_the_fourth_order_in_space(variant: str) -> None:
+    arm = Arm.paper(variant)
+    arm = replace(arm, material=replace(arm.material, damping_s=0.01))
+
+    def tip(nodes: int) -> NDArray[np.float64]:
+        dynamics = arm.dynamics(1 / 30, nodes=nodes)
+        dynamics.start((0.1 * BAR, 0.1 * BAR, 0.1 * BAR))
+        for k in range(10):
+            shape = dynamics.step(((0.1 + 0.02 * k) * BAR, 0.1 * BAR, 0.1 * BAR))
+        return shape.tip_m
+
+    fine = tip(64)
+    coarse, half = np.abs(tip(6) - fine).max(), np.abs(tip(12) - fine).max()
+    assert coarse / half > 11
+    assert half < 1e-6
+
+
+def test_the_default_steps_along_the_arm_suffice_at_every_time_step() -> None:
+    for dt in (0.001, 0.005, 1 / 30):
+        tips = []
+        for refine in (1, 3):
+            dynamics = Arm.paper("homogeneous+rpe").dynamics(dt)
+            if refine > 1:
+                dynamics = Arm.paper("homogeneous+rpe").dynamics(dt, nodes=refine * dynamics.nodes)
+            dynamics.start((0.3 * BAR, 0, 0))
+            for k in range(40):
+                shape = dynamics.step(((0.3 + 0.1 * math.sin(3 * k * dt)) * BAR, 0, 0))
+            tips.append(shape.tip_m)
+        assert np.abs(tips[0] - tips[1]).max() < 1e-6, dt
+
+
+@pytest.mark.parametrize("dt", [0.001, 0.005, 1 / 30, 1 / 15])
+@pytest.mark.parametrize("variant", ["homogeneous+rpe", "inhomogeneous+rpe"])
+def test_no_random_jump_within_the_papers_range_fails(dt: float, variant: str) -> None:
+    rng = np.random.default_rng(20240131)
+    dynamics = Arm.paper(variant).dynamics(dt)
+    dynamics.start((0, 0, 0))
+    for _ in range(150):
+        shape = dynamics.step(rng.uniform(0, 0.65 * BAR, 3))
+        assert shape.ok
+        assert np.isfinite(shape.p_m).all()
+
+
+def test_the_same_pressures_give_the_same_motion_bit_for_bit() -> None:
+    def run() -> NDArray[np.float64]:
+        rng = np.random.default_rng(5)
+        dynamics = Arm.paper().dynamics(0.005)
+        dynamics.start((0, 0, 0))
+        return np.array([dynamics.step(rng.uniform(0, 0.3 * BAR, 3)).tip_m for _ in range(20)])
+
+    assert np.array_equal(run(), run())
+
+
+def test_a_step_that_cannot_be_solved_says_so_and_the_run_goes_on() -> None:
+    dynamics = Arm.paper("homogeneous").dynamics(1 / 30)
+    good = dynamics.start((0.1 * BAR, 0, 0))
+    bad = dynamics.step((1e12, -1e12, 0))
+    assert not bad.ok
+    assert np.array_equal(bad.p_m, good.p_m)
+    after = dynamics.step((0.1 * BAR, 0, 0))
+    assert after.ok
+    assert np.abs(after.tip_m - good.tip_m).max() < 1e-9
+
+
+@settings(max_examples=15, deadline=None)
+@given(st.lists(st.tuples(*[st.floats(-1e6, 1e6)] * 3), min_size=1, max_size=6), st.sampled_from(variants))
+def test_every_step_is_finite_whatever_is_asked(pressures: list[tuple[float, ...]], variant: str) -> None:
+    dynamics = Arm.paper(variant).dynamics(0.01)
+    dynamics.start((0, 0, 0))
+    for p in pressures:
+        shape = dynamics.step(p)
+        assert np.isfinite(shape.p_m).all()
+
+
+def test_a_step_before_the_start_is_refused() -> None:
+    with pytest.raises(ValueError, match="start"):
+        Arm.paper().dynamics(0.01).step((0, 0, 0))
+
+
+def test_pressures_that_are_not_finite_are_refused() -> None:
+    dynamics = Arm.paper().dynamics(0.01)
+    dynamics.start((0, 0, 0))
+    with pytest.raises(ValueError, match="finite"):
+        dynamics.step((math.nan, 0, 0))
+
+
+def test_the_caps_inertia_slows_the_first_mode_as_the_textbook_says() -> None:
+    # A slender cantilever of mass m with M at its end: 1 + cos b cosh b + M/m b (cos b sinh b - sin b cosh b) = 0.
+    arm = Arm.paper("homogeneous")
+    geometry = replace(arm.geometry, length_m=2.0)
+    arm = replace(arm, geometry=geometry, gravity_m_s2=(0.0, 0.0, 0.0), cap_mass_kg=0.5, cap_inertia=True)
+    ratio = 0.5 / (arm.line_density_kg_m * 2.0)
+
+    def mode(b: float) -> float:
+        beam = 1 + math.cos(b) * math.cosh(b)
+        return beam + ratio * b * (math.cos(b) * math.sinh(b) - math.sin(b) * math.cosh(b))
+
+    bending = 289142.05 * (3 * geometry.wall_second_moment_m4 + geometry.wall_area_m2 * 0.055**2 / 2)
+    book = (brentq(mode, 0.5, 1.875) / 2.0) ** 2 * math.sqrt(bending / arm.line_density_kg_m)
+    dt = 2 * math.pi / book / 60
+    dynamics = arm.dynamics(dt, "trapezoidal", nodes=40)
+    dynamics.start((0, 0, 0), Loads(tip_force_n=(1e-4, 0, 0)))
+    still = Loads()
+    signal = np.array([dynamics.step((0, 0, 0), still).tip_m[0] for _ in range(900)])
+    assert frequency(signal, dt) == pytest.approx(book, rel=0.01)
+
+
+@pytest.mark.parametrize(
+    ("name", "order"), [("bdf1", 1), ("bdf2", 2), ("bdf3", 3), ("bdf-alpha", 2), ("trapezoidal", 2)]
+)
+def test_a_scheme_differentiates_polynomials_up_to_its_order_exactly(name: str, order: int) -> None:
+    dt = 0.01
+    scheme = Scheme.named(name, dt)
+    for power in range(order + 2):
+        t = 1.0 + dt * np.array([0, -1, -2, -3])
+        y = t**power
+        past = power * t[1] ** max(power - 1, 0)
+        found = scheme.c0 * y[0] + scheme.c1 * y[1] + scheme.c2 * y[2] + scheme.c3 * y[3] + scheme.d1 * past
+        error = abs(found - power * t[0] ** max(power - 1, 0))
+        # BDF-alpha's formula mixes derivatives of two times; it is exact up to its order as a one-leg recursion.
+        if power <= order:
+            assert error < 1e-9
+        else:
+            assert error > 1e-9
+
+
+def amplification(scheme: Scheme, omega: float) -> float:
+    """Largest growth per step of y_tt = -omega^2 y under a scheme, as a companion matrix of (y, y_t) and history."""
+    # State: y and its rate at three times, then the discrete derivative of both at the last.
+    size = 8
+    a = np.zeros((size, size))
+    history = np.zeros((2, size))
+    for k in range(2):
+        history[k, k], history[k, 2 + k], history[k, 4 + k] = scheme.c1, scheme.c2, scheme.c3
+        history[k, 6 + k] = scheme.d1
+    # c0 y + y^h = q, c0 q + q^h = -omega^2 y.
+    left = np.array([[scheme.c0, -1.0], [omega**2, scheme.c0]])
+    new = np.linalg.solve(left, -history)
+    a[:2] = new
+    a[2:4, :2] = np.eye(2)
+    a[4:6, 2:4] = np.eye(2)
+    a[6:8] = scheme.c0 * new + history
+    return float(np.abs(np.linalg.eigvals(a)).max())
+
+
+def test_at_the_papers_time_step_bdf3_grows_trapezoidal_is_neutral_and_the_rest_hold() -> None:
+    grows = amplification(Scheme.named("bdf3", 1 / 30), 41.2)
+    assert grows == pytest.approx(1.04, abs=0.01)
+    assert amplification(Scheme.named("trapezoidal", 1 / 30), 41.2) == pytest.approx(1.0, abs=1e-9)
+    for name, alpha in (("bdf1", 0.0), ("bdf2", 0.0), ("bdf-alpha", -0.1), ("bdf-alpha", -0.2), ("bdf-alpha", -0.3)):
+        assert amplification(Scheme.named(name, 1 / 30, alpha), 41.2) < 0.95
+
+
+def test_the_rod_itself_shows_that_growth() -> None:
+    def swing(scheme: str) -> float:
+        arm = Arm.paper("homogeneous+rpe")
+        dynamics = arm.dynamics(1 / 30, scheme)
+        rest = dynamics.start((0.35 * BAR, 0, 0)).tip_m
+        still = Loads()
+        dynamics.step((0.35 * BAR, 0, 0), Loads(tip_force_n=(1e-3, 0, 0)))
+        away = [np.abs(dynamics.step((0.35 * BAR, 0, 0), still).tip_m - rest).max() for _ in range(150)]
+        return float(max(away[100:]) / max(away[:50]))
+
+    assert swing("bdf3") > 5
+    assert swing("bdf-alpha") < 1e-3
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"dt_s": 0.0}, "time step"),
+        ({"dt_s": math.nan}, "time step"),
+        ({"dt_s": 0.01, "scheme": "rk4"}, "bdf-alpha"),
+        ({"dt_s": 0.01, "alpha": 0.1}, "alpha"),
+        ({"dt_s": 0.01, "nodes": 1}, "two steps"),
+    ],
+)
+def test_a_stepper_that_cannot_be_is_refused(arguments: dict[str, float], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        Arm.paper().dynamics(**arguments)  # type: ignore[arg-type]

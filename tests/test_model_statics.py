@@ -1,0 +1,301 @@
+"""The arm at rest: known tips, exact solutions, symmetry, and what happens when there is no solution."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from scipy.linalg import expm
+
+from model import Arm, Geometry, Loads, Material, NotConverged
+
+BAR = 1e5
+pressure = st.floats(0.0, 0.65)
+three_pressures = st.tuples(pressure, pressure, pressure)
+variants = ("homogeneous", "homogeneous+rpe", "inhomogeneous+rpe")
+
+
+def about_z(turn: float) -> NDArray[np.float64]:
+    c, s = math.cos(turn), math.sin(turn)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
+@pytest.mark.parametrize(
+    ("variant", "bar", "x_mm", "z_mm"),
+    [
+        ("homogeneous", (0.65, 0, 0), -50.75, 171.26),
+        ("homogeneous+rpe", (0.65, 0, 0), -59.89, 169.26),
+        ("homogeneous", (0, 0.65, 0.65), 53.70, 181.57),
+        ("homogeneous+rpe", (0, 0.65, 0.65), 63.96, 181.19),
+    ],
+)
+def test_tip_equals_an_independent_implementation(
+    variant: str, bar: tuple[float, ...], x_mm: float, z_mm: float
+) -> None:
+    tip = Arm.paper(variant).statics(np.array(bar) * BAR).tip_m * 1e3
+    assert tip == pytest.approx([x_mm, 0.0, z_mm], abs=0.0051)
+
+
+@pytest.mark.parametrize("variant", variants)
+@pytest.mark.parametrize("bar", [(0.65, 0.0, 0.0), (0.6, 0.35, 0.1)])
+def test_without_weight_the_strain_is_the_same_everywhere(variant: str, bar: tuple[float, ...]) -> None:
+    arm = replace(Arm.paper(variant), cap_mass_kg=0.0, gravity_m_s2=(0.0, 0.0, 0.0))
+    shape = arm.statics(np.array(bar) * BAR)
+    v, u = shape.v[0], shape.u[0]
+    twist = np.zeros((4, 4))
+    twist[:3, :3] = [[0, -u[2], u[1]], [u[2], 0, -u[0]], [-u[1], u[0], 0]]
+    twist[:3, 3] = v
+    exact = expm(twist * arm.geometry.length_m)
+    assert np.abs(shape.v - v).max() < 1e-9
+    assert np.abs(shape.tip_m - exact[:3, 3]).max() < 1e-8
+    assert np.abs(shape.tip_rotation - exact[:3, :3]).max() < 1e-7
+
+
+def test_pressure_without_weight_bends_by_the_section_alone() -> None:
+    # One tube pushes A_in P at x = b / sqrt 3: u2 = -M / K22, v3 - 1 = N / K33, no solver involved.
+    g, m = Geometry.paper(), Material.paper()
+    arm = replace(Arm.paper("homogeneous"), gravity_m_s2=(0.0, 0.0, 0.0))
+    shape = arm.statics((0.5 * BAR, 0, 0))
+    push = 0.5 * BAR * g.chamber_area_m2
+    bending = m.youngs_modulus_pa * (3 * g.wall_second_moment_m4 + g.wall_area_m2 * 0.055**2 / 2)
+    assert shape.u[:, 1] == pytest.approx(-push * 0.055 / math.sqrt(3) / bending, rel=1e-9)
+    assert shape.v[:, 2] - 1 == pytest.approx(push / (3 * m.youngs_modulus_pa * g.wall_area_m2), rel=1e-9)
+
+
+@pytest.mark.parametrize("variant", variants)
+def test_the_error_falls_with_the_fourth_power_of_the_step(variant: str) -> None:
+    arm = replace(Arm.paper(variant), rod_weight=True)
+    p = np.array([0.65, 0.1, 0.3]) * BAR
+    fine = arm.statics(p, nodes=160).tip_m
+    coarse, half = (np.abs(arm.statics(p, nodes=n).tip_m - fine).max() for n in (5, 10))
+    assert coarse / half > 12
+    assert np.abs(arm.statics(p).tip_m - fine).max() < 1e-8
+
+
+@settings(max_examples=25, deadline=None)
+@given(three_pressures, st.floats(-math.pi, math.pi), st.sampled_from(variants))
+def test_a_turned_arm_has_a_turned_tip(bar: tuple[float, ...], turn: float, variant: str) -> None:
+    arm = Arm.paper(variant)
+    turned_xy = (about_z(turn)[:2, :2] @ arm.geometry.positions_m.T).T
+    turned = replace(arm, geometry=replace(arm.geometry, actuator_xy_m=tuple(map(tuple, turned_xy))))
+    p = np.array(bar) * BAR
+    assert np.abs(turned.statics(p).tip_m - about_z(turn) @ arm.statics(p).tip_m).max() < 1e-9
+
+
+@settings(max_examples=25, deadline=None)
+@given(three_pressures, st.permutations([0, 1, 2]), st.sampled_from(variants))
+def test_the_actuators_names_do_not_matter(bar: tuple[float, ...], order: list[int], variant: str) -> None:
+    arm = Arm.paper(variant)
+    xy = arm.geometry.actuator_xy_m
+    renamed = replace(arm, geometry=replace(arm.geometry, actuator_xy_m=tuple(xy[k] for k in order)))
+    p = np.array(bar) * BAR
+    one, other = arm.statics(p), renamed.statics(p[order])
+    assert np.abs(one.tip_m - other.tip_m).max() < 1e-10
+    assert one.actuator_lengths_m[order] == pytest.approx(other.actuator_lengths_m, abs=1e-10)
+
+
+@settings(max_examples=25, deadline=None)
+@given(three_pressures, st.sampled_from(variants))
+def test_a_third_of_a_turn_is_a_change_of_names(bar: tuple[float, ...], variant: str) -> None:
+    arm = Arm.paper(variant)
+    p = np.array(bar) * BAR
+    assert np.abs(about_z(2 * math.pi / 3) @ arm.statics(p).tip_m - arm.statics(np.roll(p, 1)).tip_m).max() < 1e-9
+
+
+@pytest.mark.parametrize("variant", variants)
+def test_nothing_on_it_and_nothing_in_it_leaves_it_straight(variant: str) -> None:
+    arm = replace(Arm.paper(variant), cap_mass_kg=0.0)
+    shape = arm.statics((0, 0, 0))
+    straight = np.zeros_like(shape.p_m)
+    straight[:, 2] = shape.s_m
+    assert np.abs(shape.p_m - straight).max() < 1e-13
+    assert np.abs(shape.rotation - np.eye(3)).max() < 1e-13
+    assert shape.actuator_lengths_m == pytest.approx([0.17] * 3, abs=1e-13)
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 4, 6])
+def test_any_number_of_actuators_is_one_geometry(count: int) -> None:
+    angles = tuple(360.0 * k / count + 10 for k in range(count))
+    geometry = Geometry.on_circle(0.17, 0.0095, 0.014, 0.0 if count == 1 else 0.03, angles)
+    arm = replace(Arm.paper("homogeneous+rpe"), geometry=geometry, gravity_m_s2=(0.0, 0.0, 0.0))
+    shape = arm.statics([0.3 * BAR] * count)
+    stretch = 0.3 * BAR * geometry.chamber_area_m2 / (289142.05 * geometry.wall_area_m2) + 0.05324473 * 0.3
+    assert shape.tip_m == pytest.approx([0, 0, 0.17 * (1 + stretch)], abs=1e-10)
+
+
+def test_actuators_may_stand_off_the_axis() -> None:
+    # The same arm described from a line 20 mm aside: eq 29 relates the two axes.
+    arm, shift = Arm.paper("homogeneous+rpe"), np.array([0.02, -0.01])
+    xy = tuple(map(tuple, arm.geometry.positions_m + shift))
+    aside = replace(arm, geometry=replace(arm.geometry, actuator_xy_m=xy), cap_mass_kg=0.0)
+    p = np.array([0.6, 0.2, 0.4]) * BAR
+    one, other = replace(arm, cap_mass_kg=0.0).statics(p), aside.statics(p)
+    offset = np.array([*shift, 0.0])
+    assert np.abs(other.tip_m - (one.tip_m + offset - one.tip_rotation @ offset)).max() < 1e-9
+
+
+def test_unequal_tubes_twist_nothing_and_couple_as_the_neutral_axis_says() -> None:
+    # With frozen moduli the section about its stiffness-weighted centre must be free of coupling (eqs 18-21).
+    from model.section import section
+
+    g = Geometry.paper()
+    stiffness = np.array([60.0, 110.0, 90.0])
+    centre = (stiffness[:, None] * g.positions_m).sum(axis=0) / stiffness.sum()
+    about = section(g, g.positions_m - centre, stiffness, 0.4, 0.05)
+    assert np.abs(about.axial[0, 1:]).max() < 1e-12
+    assert np.abs(about.shear[:2, 2]).max() < 1e-12
+
+
+def test_the_pointwise_section_with_no_curvature_in_its_law_is_the_linear_one() -> None:
+    g = Geometry.paper()
+    material = replace(Material.paper(), a1_per_n=1 / (289142.05 * g.wall_area_m2), a2_per_n2=0.0)
+    p = np.array([0.65, 0.0, 0.3]) * BAR
+    pointwise = Arm(g, material, "inhomogeneous+rpe").statics(p)
+    linear = Arm(g, material, "homogeneous+rpe").statics(p)
+    assert np.abs(pointwise.p_m - linear.p_m).max() < 1e-11
+
+
+def test_each_tube_follows_the_force_strain_curve_of_eq_32() -> None:
+    # All three alike: no bending, so each wall carries A_in P and a third of the cap.
+    arm = Arm.paper()
+    m, n = arm.material, 0.5 * BAR * arm.geometry.chamber_area_m2 + 0.05 * 9.81 / 3
+    strain = m.rpe_per_bar * 0.5 + m.a1_per_n * n + m.a2_per_n2 * n * n
+    assert arm.statics([0.5 * BAR] * 3).v[:, 2] == pytest.approx(1 + strain, rel=1e-9)
+    # And oddly in compression: a vacuum that outweighs the cap.
+    n = -0.2 * BAR * arm.geometry.chamber_area_m2 + 0.05 * 9.81 / 3
+    strain = -m.rpe_per_bar * 0.2 + m.a1_per_n * n - m.a2_per_n2 * n * n
+    assert arm.statics([-0.2 * BAR] * 3).v[:, 2] == pytest.approx(1 + strain, rel=1e-9)
+
+
+def test_a_small_side_load_bends_it_as_a_timoshenko_beam() -> None:
+    arm = replace(Arm.paper("homogeneous"), gravity_m_s2=(0.0, 0.0, 0.0))
+    g, m = arm.geometry, arm.material
+    bending = m.youngs_modulus_pa * (3 * g.wall_second_moment_m4 + g.wall_area_m2 * 0.055**2 / 2)
+    shear = 3 * m.shear_ratio * m.youngs_modulus_pa * g.wall_area_m2
+    force = 1e-4
+    tip = arm.statics((0, 0, 0), Loads(tip_force_n=(0.0, force, 0.0))).tip_m
+    assert tip[1] == pytest.approx(force * (0.17**3 / (3 * bending) + 0.17 / shear), rel=1e-6)
+    spread = arm.statics((0, 0, 0), Loads(force_n_per_m=(force, 0.0, 0.0))).tip_m
+    assert spread[0] == pytest.approx(force * (0.17**4 / (8 * bending) + 0.17**2 / (2 * shear)), rel=1e-6)
+
+
+def test_a_moment_at_the_tip_or_along_the_arm_bends_it_by_the_book() -> None:
+    arm = replace(Arm.paper("homogeneous"), gravity_m_s2=(0.0, 0.0, 0.0))
+    g, m = arm.geometry, arm.material
+    bending = m.youngs_modulus_pa * (3 * g.wall_second_moment_m4 + g.wall_area_m2 * 0.055**2 / 2)
+    shape = arm.statics((0, 0, 0), Loads(tip_moment_n_m=(0.0, 0.2, 0.0)))
+    radius = bending / 0.2
+    angle = 0.17 / radius
+    assert shape.tip_m == pytest.approx([radius * (1 - math.cos(angle)), 0, radius * math.sin(angle)], abs=1e-8)
+    spread = arm.statics((0, 0, 0), Loads(moment_n_m_per_m=(0.0, 1e-3, 0.0)))
+    assert spread.tip_m[0] == pytest.approx(1e-3 * 0.17**3 / (3 * bending), rel=1e-6)
+
+
+def test_its_own_weight_stretches_a_hanging_arm() -> None:
+    arm = replace(Arm.paper("homogeneous"), rod_weight=True, cap_mass_kg=0.0)
+    weight = arm.line_density_kg_m * 0.17 * 9.81
+    stiffness = 3 * arm.material.youngs_modulus_pa * arm.geometry.wall_area_m2
+    assert arm.statics((0, 0, 0)).tip_m[2] == pytest.approx(0.17 * (1 + weight / (2 * stiffness)), rel=1e-10)
+
+
+@settings(max_examples=20, deadline=None)
+@given(three_pressures, st.tuples(*[st.floats(-1, 1)] * 3), st.sampled_from(variants))
+def test_the_base_carries_what_hangs_on_the_arm(bar: tuple[float, ...], force: tuple[float, ...], variant: str) -> None:
+    # Global balance: total wrench at the base, from the solved strain there, against every load outside.
+    from model.section import section
+
+    arm = replace(Arm.paper(variant), rod_weight=True)
+    if variant == "inhomogeneous+rpe":
+        arm = replace(arm, modulus_rule="secant")
+    p = np.array(bar) * BAR
+    shape = arm.statics(p, Loads(tip_force_n=force), nodes=40)
+    law = section(arm.geometry, arm.geometry.positions_m, arm.stiffness_n(p), arm.material.shear_ratio, arm.rpe_per_bar)
+    strain = np.concatenate([shape.v[0], shape.u[0]])
+    wrench = law.rest + law.per_pressure @ p
+    for rows, block in (((2, 3, 4), law.axial), ((0, 1, 5), law.shear)):
+        wrench[list(rows)] += block @ strain[list(rows)]
+    tip_load = np.array([0, 0, 0.05 * 9.81]) + force
+    own = np.array([0.0, 0.0, arm.line_density_kg_m * 9.81])
+    along = np.trapezoid(np.cross(shape.p_m, own), shape.s_m, axis=0)
+    assert wrench[:3] == pytest.approx(tip_load + own * 0.17, abs=1e-8)
+    assert wrench[3:] == pytest.approx(np.cross(shape.tip_m, tip_load) + along, abs=1e-4)
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.tuples(*[st.floats(-1e3, 1e3)] * 3), st.tuples(*[st.floats(-1e3, 1e3)] * 3), st.sampled_from(variants))
+def test_any_pressure_and_load_give_a_finite_shape_or_an_error(
+    bar: tuple[float, ...], force: tuple[float, ...], variant: str
+) -> None:
+    try:
+        shape = Arm.paper(variant).statics(np.array(bar) * BAR, Loads(tip_force_n=force))
+    except NotConverged:
+        return
+    assert np.isfinite(shape.p_m).all()
+    assert np.isfinite(shape.rotation).all()
+
+
+def test_the_error_names_the_pressures_that_have_no_equilibrium() -> None:
+    with pytest.raises(NotConverged, match=r"1e\+06, 0, 0 bar"):
+        Arm.paper("homogeneous").statics((1e6 * BAR, 0, 0))
+
+
+def test_a_vertical_load_beyond_buckling_still_has_its_straight_solution_or_says_so() -> None:
+    up = replace(Arm.paper("homogeneous"), cap_mass_kg=1.0, gravity_m_s2=(0.0, 0.0, -9.81))
+    assert np.isfinite(up.statics((0, 0, 0)).p_m).all()
+
+
+@pytest.mark.parametrize("wrong", [(0, 0), (0, 0, 0, 0), (0, math.nan, 0), (math.inf, 0, 0), [[0, 0, 0]]])
+def test_pressures_of_the_wrong_kind_are_refused(wrong: object) -> None:
+    with pytest.raises(ValueError, match=r"pressure"):
+        Arm.paper().statics(wrong)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [{"tip_force_n": (0, 0)}, {"tip_moment_n_m": (0, 0, math.nan)}, {"force_n_per_m": np.zeros((4, 2))}],
+)
+def test_loads_of_the_wrong_kind_are_refused(wrong: dict[str, object]) -> None:
+    with pytest.raises(ValueError, match=next(iter(wrong))):
+        Arm.paper().statics((0, 0, 0), Loads(**wrong))  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"length_m": 0.0},
+        {"inner_radius_m": 0.02},
+        {"inner_radius_m": -0.001},
+        {"actuator_xy_m": ()},
+        {"length_m": math.nan},
+    ],
+)
+def test_a_geometry_that_cannot_be_is_refused(change: dict[str, object]) -> None:
+    with pytest.raises(ValueError, match=r"length|radii|actuator"):
+        replace(Geometry.paper(), **change)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"youngs_modulus_pa": 0.0},
+        {"a1_per_n": -1.0},
+        {"a2_per_n2": -1e-9},
+        {"damping_s": -1.0},
+        {"shear_ratio": math.nan},
+    ],
+)
+def test_a_material_that_cannot_be_is_refused(change: dict[str, float]) -> None:
+    with pytest.raises(ValueError, match=next(iter(change))):
+        replace(Material.paper(), **change)
+
+
+def test_unknown_variants_and_rules_are_refused_with_the_known_ones_named() -> None:
+    with pytest.raises(ValueError, match=r"inhomogeneous\+rpe"):
+        Arm.paper("heterogeneous")  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match=r"paper-secant"):
+        replace(Arm.paper(), modulus_rule="median")  # type: ignore[arg-type]
