@@ -81,6 +81,7 @@ def run(
     note: Annotated[str, typer.Option(help="A remark; goes into the archive.")] = "",
     yes: Annotated[bool, typer.Option("--yes", help="Arm without asking.")] = False,
     report: Annotated[bool, typer.Option(help="Write the HTML report.")] = True,
+    json: AsJson = False,
 ) -> None:
     """Run a protocol and leave an archive with a report."""
     from rig import experiment, screens
@@ -91,7 +92,7 @@ def run(
         protocol, rig, folder=out, fast=fast, seed=seed, variant=model, operator=operator, notes=note, report=report
     )
     decided = experiment.plan(request)
-    console = screens.console()
+    console = screens.console(stderr=json)
     screens.offer_recovery(console, out)
     console.print(screens.check_screen(request, decided))
     if not yes and not screens.confirm(console):
@@ -99,6 +100,8 @@ def run(
     with StopSignals() as signals, Terminal(console, lambda: signals.reason, screens.title(request)) as terminal:
         result = experiment.run(request, decided, terminal)
     screens.last_screen(console, result)
+    if json:
+        typer.echo(screens.result_json(result))
     raise typer.Exit(screens.exit_status(result))
 
 

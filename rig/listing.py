@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import json
+import math
+from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 import typer
 from rich.table import Table
@@ -36,7 +39,7 @@ def show(name: Path, as_json: bool) -> None:
     run = records.open(archive)
     summary = summarise(run)
     if as_json:
-        typer.echo(json.dumps({"header": asdict(run.header), "summary": asdict(summary)}, indent=2, default=str))
+        typer.echo(json.dumps({"header": _plain(asdict(run.header)), "summary": summary_json(archive)}, indent=2))
         return
     header = run.header
     screen = console()
@@ -59,11 +62,24 @@ def show(name: Path, as_json: bool) -> None:
     ):
         facts.add_row(key, value)
     screen.print(facts)
-    screen.print(summary_table(summary))
+    screen.print(summary_table(summary, run.timing.counters))
 
 
-def summary_table(summary: Summary) -> Table:
-    """The numbers of a run: one row per settled step, then the whole."""
+def summary_json(archive: Path) -> dict[str, Any]:
+    """A run's numbers as JSON has them: what is not a number is null."""
+    return _plain(asdict(summarise(records.open(archive))))  # type: ignore[no-any-return]
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _plain(v) for key, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(v) for v in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def summary_table(summary: Summary, counters: Mapping[str, int]) -> Table:
+    """The numbers of a run: one row per settled step, then the whole; `counters` as the executor counted them."""
     table = Table(box=None, padding=(0, 2, 0, 0), title_justify="left")
     for head in ("step", "error [mm]", "normalised [%]", "settled after [s]", "overshoot [bar]"):
         table.add_column(head, justify="left" if head == "step" else "right")
@@ -83,6 +99,8 @@ def summary_table(summary: Summary) -> Table:
     table.add_row("deadlines missed", f"{summary.missed_deadlines} of {summary.ticks}")
     late = f"{summary.lateness_p50_us:.0f} / {summary.lateness_p99_us:.0f} / {summary.lateness_max_us:.0f}"
     table.add_row("lateness p50/p99/max [us]", late)
+    if "stolen_cpu_ms" in counters:
+        table.add_row("CPU time stolen by the host [ms]", str(counters["stolen_cpu_ms"]))
     return table
 
 

@@ -24,10 +24,10 @@ _VERDICT = {"ok": "green", "missing": "bold red", "note": "yellow"}
 _STATUS = {Status.FINISHED: "bold green", Status.ABORTED: "bold red", Status.INTERRUPTED: "bold yellow"}
 
 
-def console() -> Console:
+def console(stderr: bool = False) -> Console:
     """The console of every screen; wide enough for its tables where the output is a file."""
-    plain = Console(highlight=False, markup=False)
-    return plain if plain.is_terminal else Console(highlight=False, markup=False, width=110)
+    plain = Console(highlight=False, markup=False, stderr=stderr)
+    return plain if plain.is_terminal else Console(highlight=False, markup=False, stderr=stderr, width=110)
 
 
 def title(request: Request) -> str:
@@ -122,12 +122,31 @@ def last_screen(screen: Console, result: Result) -> None:
         from runs.run import Run
         from runs.summary import summarise
 
-        screen.print(summary_table(summarise(Run(result.archive))))
+        run = Run(result.archive)
+        screen.print(summary_table(summarise(run), run.timing.counters))
         screen.print(f"archive  {result.archive}", soft_wrap=True)
     if result.report is not None:
         screen.print(f"report   {result.report}", soft_wrap=True)
     for trouble in result.trouble:
         screen.print(Text(trouble, "bold red"), soft_wrap=True)
+
+
+def result_json(result: Result) -> str:
+    """How the run ended, for scripts."""
+    from rig.listing import summary_json
+
+    return json.dumps(
+        {
+            "status": str(result.outcome.status),
+            "message": result.outcome.message,
+            "archive": str(result.archive) if result.archive else None,
+            "report": str(result.report) if result.report else None,
+            "trouble": result.trouble,
+            "counters": result.outcome.counters,
+            "summary": summary_json(result.archive) if result.archive else None,
+        },
+        indent=2,
+    )
 
 
 def exit_status(result: Result) -> int:
