@@ -8,7 +8,7 @@ from typing import Any
 
 from matplotlib.figure import Figure
 
-from runs.figures import across, legend, svg, thin
+from runs.figures import POINTS, across, legend, svg, thin
 from runs.run import Run
 from runs.summary import Summary
 from runs.text import plain, three
@@ -78,11 +78,12 @@ def tips(figure: Figure, runs: Sequence[Run], summaries: Sequence[Summary]) -> N
     for run, summary, colour, style in _coloured(runs, summaries):
         project, name = across(run, summary)
         names.add(name)
+        every = max(len(run.tip.time_s) // (4 * POINTS), 1)
         if summary.frames_measured:
-            axes.plot(*project(run.tip.measured_mm).T, color=colour, ls=style, lw=1.2, label=run.header.run_id)
+            axes.plot(*project(run.tip.measured_mm[::every]).T, color=colour, ls=style, lw=1.2, label=run.header.run_id)
         else:
             axes.plot([], [], color=colour, ls=style, label=run.header.run_id)
-        axes.plot(*project(run.tip.model_mm).T, color=colour, lw=0.9, ls=":")
+        axes.plot(*project(run.tip.model_mm[::every]).T, color=colour, lw=0.9, ls=":")
     axes.set_aspect("equal", adjustable="datalim")
     axes.invert_yaxis()
     axes.set_xlabel(f"{' / '.join(sorted(names))} [mm]")

@@ -90,7 +90,10 @@ def pressures(figure: Figure, run: Run, summary: Summary) -> None:
         above.plot(*thin(p.time_s, p.measured_bar[:, i]), color=colour, label=f"actuator {i + 1}")
         difference = 1e3 * (p.measured_bar[:, i] - p.setpoint_bar[:, i])
         below.plot(*thin(p.time_s, difference), color=colour, lw=0.8)
-    for row in np.unique(p.setpoint_bar, axis=1).T:
+    columns = p.setpoint_bar.T
+    for i, row in enumerate(columns):
+        if any(np.array_equal(row, other) for other in columns[:i]):
+            continue
         above.plot(*thin(p.time_s, row), color=INK, lw=0.8, ls=(0, (4, 2)))
     above.plot([], [], color=INK, lw=0.8, ls=(0, (4, 2)), label="set-point")
     above.set_ylabel("gauge pressure [bar]")
@@ -106,9 +109,10 @@ def trajectory(figure: Figure, run: Run, summary: Summary) -> None:
     """The tool centre point in the plane of motion, hanging down as the arm does (the paper's Fig 11)."""
     axes = figure.subplots()
     project, name = across(run, summary)
-    measured, model = project(run.tip.measured_mm), project(run.tip.model_mm)
+    every = max(len(run.tip.time_s) // (4 * POINTS), 1)
+    measured, model = project(run.tip.measured_mm[::every]), project(run.tip.model_mm[::every])
     if run.simulated is not None:
-        truth = project(run.simulated.tip_mm)
+        truth = project(run.simulated.tip_mm[::every])
         axes.plot(*truth.T, color=TRUTH, lw=0.9, label="simulated truth")
     if summary.frames_measured:
         axes.plot(*measured.T, color=MEASURED, lw=0.9, label="measured, every frame")
@@ -189,13 +193,12 @@ def coordinates(figure: Figure, run: Run, summary: Summary) -> None:
     tip = run.tip
     axes = figure.subplots(3, 1, sharex=True)
     for i, (axis, panel) in enumerate(zip("xyz", axes, strict=True)):
-        if len(tip.time_s):
-            half = Z_95 * tip.uncertainty_mm[:, i]
-            low, high = tip.measured_mm[:, i] - half, tip.measured_mm[:, i] + half
-            if summary.frames_measured:
-                panel.fill_between(tip.time_s, low, high, color=MEASURED, alpha=0.22, lw=0)
-                panel.plot(tip.time_s, tip.measured_mm[:, i], color=MEASURED, lw=1.0, label="measured, 95 % band")
-            panel.plot(tip.time_s, tip.model_mm[:, i], color=MODEL, lw=1.1, label="model")
+        if summary.frames_measured:
+            index = kept(tip.measured_mm[:, i])
+            time, at, half = tip.time_s[index], tip.measured_mm[index, i], Z_95 * tip.uncertainty_mm[index, i]
+            panel.fill_between(time, at - half, at + half, color=MEASURED, alpha=0.22, lw=0)
+            panel.plot(time, at, color=MEASURED, lw=1.0, label="measured, 95 % band")
+        panel.plot(*thin(tip.time_s, tip.model_mm[:, i]), color=MODEL, lw=1.1, label="model")
         panel.set_ylabel(f"{axis} [mm]")
         panel.margins(x=0.01)
     legend(axes[0])
@@ -208,13 +211,11 @@ def error(figure: Figure, run: Run, summary: Summary) -> None:
     measured = tip.seen == Seen.MEASURED
     panels = figure.subplots(2 if run.simulated is not None else 1, 1, sharex=True, squeeze=False)[:, 0]
     above = panels[0]
-    above.plot(tip.time_s, tip.error_mm, color=MEASURED, lw=1.0, label="measured to model, 3-D")
+    above.plot(*thin(tip.time_s, tip.error_mm), color=MEASURED, lw=1.0, label="measured to model, 3-D")
     if np.isfinite(summary.plane_deg):
-        plane = _plane(summary)
-        above.plot(
-            tip.time_s, in_plane(tip.measured_mm - tip.model_mm, plane), color=MODEL, lw=1.0, label="in the plane"
-        )
-    lost = tip.time_s[~measured]
+        flat = in_plane(tip.measured_mm - tip.model_mm, _plane(summary))
+        above.plot(*thin(tip.time_s, flat), color=MODEL, lw=1.0, label="in the plane")
+    lost = np.unique(np.round(tip.time_s[~measured], 1 if len(tip.time_s) > POINTS else 3))
     above.plot(lost, np.zeros(len(lost)), "|", color=INK, ms=7, label="nothing measured" if len(lost) else None)
     above.set_ylabel("error [mm]")
     above.set_ylim(bottom=0)
@@ -223,10 +224,12 @@ def error(figure: Figure, run: Run, summary: Summary) -> None:
         below = panels[1]
         truth = run.simulated.tip_mm
         sigma = Z_95 * np.sqrt((tip.uncertainty_mm**2).sum(axis=1))
-        below.fill_between(tip.time_s, 0, sigma, color=MEASURED, alpha=0.18, lw=0, label="stated 95 %, all axes")
+        band = thin(tip.time_s, sigma)
+        below.fill_between(*band, color=MEASURED, alpha=0.18, lw=0, label="stated 95 %, all axes")
         distance = np.linalg.norm(tip.measured_mm - truth, axis=1)
-        below.plot(tip.time_s, distance, color=MEASURED, lw=0.9, label="measured to simulated truth")
-        below.plot(tip.time_s, np.linalg.norm(tip.model_mm - truth, axis=1), color=MODEL, lw=1.1, label="model to it")
+        below.plot(*thin(tip.time_s, distance), color=MEASURED, lw=0.9, label="measured to simulated truth")
+        off = np.linalg.norm(tip.model_mm - truth, axis=1)
+        below.plot(*thin(tip.time_s, off), color=MODEL, lw=1.1, label="model to simulated truth")
         below.set_ylabel("distance [mm]")
         below.set_ylim(bottom=0)
         legend(below)
@@ -292,15 +295,21 @@ def _labelled(dwells: Sequence[Step], settled: Floats) -> list[tuple[Step, Float
 
 def thin(x: Floats, y: Floats) -> tuple[Floats, Floats]:
     """Return a line with fewer points that looks the same: the extremes of each stretch."""
-    stretch = len(x) // POINTS * 2
+    index = kept(y)
+    return x[index], y[index]
+
+
+def kept(y: Floats) -> NDArray[np.intp]:
+    """Return which points of a line are drawn: all of a short one, else the extremes of each stretch."""
+    stretch = len(y) // POINTS * 2
     if stretch < 4:
-        return x, y
-    whole = len(x) // stretch * stretch
+        return np.arange(len(y))
+    whole = len(y) // stretch * stretch
     blocks = y[:whole].reshape(-1, stretch)
     first = np.arange(0, whole, stretch)
-    chosen = np.column_stack((first, first + blocks.argmin(axis=1), first + blocks.argmax(axis=1)))
-    index = np.append(np.unique(chosen), len(x) - 1)
-    return x[index], y[index]
+    lowest = np.where(np.isnan(blocks), np.inf, blocks).argmin(axis=1)
+    highest = np.where(np.isnan(blocks), -np.inf, blocks).argmax(axis=1)
+    return np.append(np.unique(np.column_stack((first, first + lowest, first + highest))), len(y) - 1)
 
 
 def legend(axes: Axes, columns: int = 6) -> None:

@@ -159,7 +159,10 @@ def _entry(journal: Journal) -> Group:
 def _protocol(journal: Journal) -> Group:
     header = journal.header
     intervals: tuple[Interval, ...] = header.intervals
-    level = np.array([i.level_pa for i in intervals], float).reshape(len(intervals), header.actuators)
+    level = np.full((len(intervals), header.actuators), np.nan)
+    for row, interval in zip(level, intervals, strict=True):
+        known = interval.level_pa[: header.actuators]
+        row[: len(known)] = known
     by = ("segment",)
     return Group(
         "entry/protocol",

@@ -221,17 +221,18 @@ def _steps(run: Run, measured: NDArray[np.bool_], plane: Floats | None) -> tuple
 def _step(run: Run, interval: Interval, measured: NDArray[np.bool_], plane: Floats | None, rest: Floats) -> Step:
     tip, pressure = run.tip, run.pressure
     settled_from = interval.stop_s - SETTLED_PART * (interval.stop_s - interval.start_s)
-    ticks = (pressure.protocol_s >= interval.start_s) & (pressure.protocol_s < interval.stop_s)
-    last_ticks = ticks & (pressure.protocol_s >= settled_from)
-    setpoint, got = pressure.setpoint_bar[ticks], pressure.measured_bar[ticks]
-    dwell = bool(last_ticks.any() and np.ptp(pressure.setpoint_bar[last_ticks], axis=0).max() == 0)
+    # Protocol time never runs backwards, so a segment is a stretch of rows.
+    first, last, end = np.searchsorted(pressure.protocol_s, (interval.start_s, settled_from, interval.stop_s))
+    setpoint, got = pressure.setpoint_bar[first:end], pressure.measured_bar[first:end]
+    dwell = bool(end > last and np.ptp(pressure.setpoint_bar[last:end], axis=0).max() == 0)
     settling, overshoot = NAN, NAN
-    before = pressure.setpoint_bar[max(int(np.argmax(ticks)) - 1, 0)] if dwell else None
+    before = pressure.setpoint_bar[max(first - 1, 0)] if dwell else None
     if before is not None and (jumped := np.abs(setpoint[-1] - before) > JUMP_BAR).any():
-        settling = _settling_s(pressure.time_s[ticks], setpoint, got)
+        settling = _settling_s(pressure.time_s[first:end], setpoint, got)
         overshoot = _overshoot_bar(before[jumped], setpoint[-1][jumped], got[:, jumped])
     begin = settled_from if dwell else interval.start_s
-    frames = measured & (tip.protocol_s >= begin) & (tip.protocol_s < interval.stop_s)
+    low, high = np.searchsorted(tip.protocol_s, (begin, interval.stop_s))
+    frames = low + np.flatnonzero(measured[low:high])
     difference = tip.measured_mm[frames] - tip.model_mm[frames]
     where = _vector(tip.measured_mm[frames])
     error = _mean(tip.error_mm[frames])
@@ -246,7 +247,7 @@ def _step(run: Run, interval: Interval, measured: NDArray[np.bool_], plane: Floa
         settling_s=settling,
         overshoot_bar=overshoot,
         tracking_rms_bar=_rms(got - setpoint),
-        frames=int(frames.sum()),
+        frames=len(frames),
         measured_mm=where,
         uncertainty_mm=_vector(tip.uncertainty_mm[frames] ** 2, root=True),
         model_mm=_vector(tip.model_mm[frames]),
