@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from decimal import Decimal
 from pathlib import Path
-from typing import Any, TypeVar, get_args
+from typing import Any, TypeVar, get_args, get_origin
 
 import yaml
 from pydantic import BaseModel, TypeAdapter, ValidationError
@@ -144,12 +144,12 @@ def _valid_parts(model_class: type[BaseModel], data: Mapping[str, Any]) -> dict[
             parts[name] = field.get_default(call_default_factory=True)
         elif name in data:
             whole = _valid(field.rebuild_annotation(), data[name])
-            items = get_args(field.annotation)
+            kind, items = get_origin(field.annotation), get_args(field.annotation)
             if whole is not None:
                 parts[name] = whole
-            elif isinstance(data[name], list) and len(items) == 2:
+            elif kind is tuple and isinstance(data[name], list):
                 parts[name] = tuple(_valid(items[0], item) for item in data[name])
-            elif isinstance(data[name], dict) and len(items) == 2:
+            elif kind is dict and isinstance(data[name], dict):
                 parts[name] = {key: _valid(items[1], item) for key, item in data[name].items()}
     return parts
 
@@ -241,6 +241,7 @@ class _Translator:
         schema = self._expectation.at(path, self._document.data)
         value = self._value(path)
         wanted = schema.get("type")
+        lists_numbers = wanted == "array" and _wants_number(schema.get("items", {}))
         if mark.note and wanted in {"string", "boolean"}:
             return f"'{mark.source}'" if wanted == "string" else mark.note.rsplit(" ", 1)[-1]
         if isinstance(value, str):
@@ -251,8 +252,8 @@ class _Translator:
         if isinstance(value, float) and wanted == "integer" and value.is_integer():
             return str(int(value))
         if isinstance(value, int | float):
-            return {"string": f"'{mark.source}'", "array": f"[{mark.source}]"}.get(str(wanted), "")
-        if isinstance(value, dict) and wanted == "array" and value and all(key.isdigit() for key in value):
+            return f"'{mark.source}'" if wanted == "string" else f"[{mark.source}]" if lists_numbers else ""
+        if isinstance(value, dict) and lists_numbers and value and all(key.isdigit() for key in value):
             return f"[{', '.join(value)}]"
         return ""
 

@@ -59,7 +59,7 @@ def expand(
         raise BadInput(expander.problems)
     segments = tuple(expander.segments)
     if not segments:
-        raise BadInput([_problem(document, ("steps",), "a step that takes time: these are prompts only", "")])
+        raise BadInput([_problem(document, ("steps",), "at least one step that takes time", "")])
     return Trajectory(expander.now_s, actuators, segments, tuple(expander.prompts), document.file)
 
 

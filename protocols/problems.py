@@ -57,10 +57,10 @@ def closest(word: str, known: Iterable[str]) -> str:
     folded = _folded(word)
     if folded in by_folded:
         return by_folded[folded]
-    starts = [name for key, name in by_folded.items() if len(folded) > 2 and key.startswith(folded)]
+    starts = [name for key, name in by_folded.items() if len(folded) > 1 and key.startswith(folded)]
     if len(starts) == 1:
         return starts[0]
-    match = difflib.get_close_matches(folded, by_folded, n=1, cutoff=0.6)
+    match = difflib.get_close_matches(folded, by_folded, n=1, cutoff=0.7)
     return by_folded[match[0]] if match else ""
 
 

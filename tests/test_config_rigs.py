@@ -133,6 +133,14 @@ def test_a_part_that_is_wrong_by_itself_raises_no_doubt_about_the_others() -> No
     assert [problem.where for problem in found] == ["cards, daq, driver", "valves #1, dead_zone_V"]
 
 
+def test_cards_given_as_a_list_are_refused_at_their_place() -> None:
+    found = problems_of(changed((r"  daq: \{driver", "  - {driver"), ("rate_hz: 200", "rate_hz: fast")))
+    assert [(problem.where, problem.expected[:9]) for problem in found] == [
+        ("cards", "a mapping"),
+        ("control, rate_hz", "a number "),
+    ]
+
+
 def test_a_rig_that_needs_more_outputs_than_its_card_has_is_refused() -> None:
     third = (
         MOCK.split("valves:\n")[1]
