@@ -1,44 +1,21 @@
-"""A YAML file read and held against a pydantic model, with every fault placed at its line and column."""
+"""A YAML file as a document: read, decoded, parsed, or refused with one plain sentence.
+
+With `validate` it is the one door for every YAML of the program.
+"""
 
 from __future__ import annotations
 
-import re
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, replace
-from decimal import Decimal
 from pathlib import Path
-from typing import Any, TypeVar, get_args, get_origin
 
 import yaml
-from pydantic import BaseModel, TypeAdapter, ValidationError
-from pydantic_core import ErrorDetails, PydanticCustomError
 
-from protocols.describe import Expectation, unit_of
-from protocols.marks import Document, Mark, Reader, TooDeep, compose, path_text, shortened
-from protocols.problems import BadInput, Problem, closest
+from protocols.marks import Document, Reader, TooDeep, compose, shortened
+from protocols.problems import BadInput, Problem
+from protocols.validation import validate
 
-__all__ = ["Document", "Fault", "faults", "parse", "read", "read_text", "validate"]
+__all__ = ["Document", "parse", "read", "read_text", "validate"]
 
 LARGEST_FILE = 200_000
-
-Model = TypeVar("Model", bound=BaseModel)
-
-
-@dataclass(frozen=True)
-class Fault:
-    """What a model's own check finds wrong: the path from the model to the value, and the remedy."""
-
-    path: tuple[str | int, ...]
-    expected: str
-    suggestion: str = ""
-
-
-def faults(found: Iterable[Fault]) -> None:
-    """Raise, from inside a pydantic validator, all that was found; do nothing when nothing was."""
-    listed = tuple(found)
-    if listed:
-        text = "; ".join(f"{path_text(fault.path)}: {fault.expected}" for fault in listed)
-        raise PydanticCustomError("faults", "{text}", {"text": text, "faults": listed})
 
 
 def read(path: Path) -> Document:
@@ -97,222 +74,6 @@ def parse(text: str, file: str) -> Document:
         expected = "a mapping ('key: value' lines) at the top of the file"
         raise BadInput([Problem(file, marks.line, marks.column, "", kind, expected)])
     return Document(file, text, data, marks, tuple(reader.problems), frozenset(reader.soft))
-
-
-def validate(
-    model_class: type[Model],
-    document: Document,
-    partial: Callable[[Mapping[str, Any]], Iterable[Fault]] | None = None,
-) -> Model:
-    """The model that the document describes, or `BadInput` with everything that is wrong with it.
-
-    `partial` finds faults between the fields that are valid by themselves when others are not; it gets those only.
-    """
-    problems = list(document.problems)
-    model = None
-    try:
-        model = model_class.model_validate(document.data)
-    except ValidationError as error:
-        schema = model_class.model_json_schema()
-        translator = _Translator(document, Expectation(schema))
-        found = translator.problems(error.errors(include_url=False))
-        if partial is not None and "faults" not in {e["type"] for e in error.errors() if not e["loc"]}:
-            found += [translator.fault((), fault) for fault in partial(_valid_parts(model_class, document.data))]
-        better = {(problem.line, problem.column) for problem in found} & document.soft
-        problems = [problem for problem in problems if (problem.line, problem.column) not in better]
-        said = {(problem.line, problem.column) for problem in problems}
-        problems += [problem for problem in found if (problem.line, problem.column) not in said]
-    if problems or model is None:
-        raise BadInput(sorted(_once(problems), key=lambda problem: (problem.line, problem.column)))
-    return model
-
-
-def _once(problems: Iterable[Problem]) -> list[Problem]:
-    """The problems without those that an alias (*name) repeats at the same place."""
-    kept: dict[object, Problem] = {}
-    for problem in problems:
-        place = (problem.line, problem.column, problem.expected, problem.value)
-        kept.setdefault(place if problem.value else problem, problem)
-    return list(kept.values())
-
-
-def _valid_parts(model_class: type[BaseModel], data: Mapping[str, Any]) -> dict[str, Any]:
-    """The fields that are valid by themselves; lists and mappings keep their places, with None for what is wrong."""
-    parts = {}
-    for name, field in model_class.model_fields.items():
-        if name not in data and not field.is_required():
-            parts[name] = field.get_default(call_default_factory=True)
-        elif name in data:
-            whole = _valid(field.rebuild_annotation(), data[name])
-            kind, items = get_origin(field.annotation), get_args(field.annotation)
-            if whole is not None:
-                parts[name] = whole
-            elif kind is tuple and isinstance(data[name], list):
-                parts[name] = tuple(_valid(items[0], item) for item in data[name])
-            elif kind is dict and isinstance(data[name], dict):
-                parts[name] = {key: _valid(items[1], item) for key, item in data[name].items()}
-    return parts
-
-
-def _valid(annotation: Any, value: Any) -> Any:
-    try:
-        return TypeAdapter(annotation).validate_python(value)
-    except ValidationError:
-        return None
-
-
-class _Translator:
-    """From pydantic's errors to problems with a place in the file."""
-
-    def __init__(self, document: Document, expectation: Expectation) -> None:
-        self._document = document
-        self._expectation = expectation
-
-    def problems(self, errors: Iterable[ErrorDetails]) -> list[Problem]:
-        listed = [error for error in errors if not self._is_echo(error)]
-        unknown = {self._path(e["loc"]) for e in listed if e["type"] == "extra_forbidden"}
-        meant = {(*path[:-1], self._meant(path)) for path in unknown}
-        problems: list[Problem] = []
-        for error in listed:
-            path = self._path(error["loc"])
-            if error["type"] == "missing" and path in meant:
-                continue
-            made = self._several(error, path)
-            problems += [problem for problem in made if problem not in problems]
-        return problems
-
-    def _is_echo(self, error: ErrorDetails) -> bool:
-        """True for what pydantic adds to an error of its own: a list whose wrong items left it too short, and the
-        None that an optional value might have been as well.
-        """
-        if error["type"] == "too_short":
-            value = self._value(self._path(error["loc"]))
-            return hasattr(value, "__len__") and len(value) >= error["ctx"]["min_length"]
-        return error["type"] == "none_required"
-
-    def fault(self, base: tuple[str | int, ...], fault: Fault) -> Problem:
-        """The problem of a fault inside the value at `base`."""
-        path = (*base, *fault.path)
-        mark = self._document.mark(path)
-        if not fault.path or not self._exists(path):
-            return self._problem(_key_of(mark), path, "", fault.expected, fault.suggestion)
-        return self._problem(mark, path, mark.source, fault.expected, fault.suggestion)
-
-    def _several(self, error: ErrorDetails, path: tuple[str | int, ...]) -> list[Problem]:
-        kind = error["type"]
-        if kind == "faults":
-            return [self.fault(path, fault) for fault in error["ctx"]["faults"]]
-        if kind == "missing" and isinstance(error["loc"][-1], str):
-            return [self._missing(path)]
-        if kind == "extra_forbidden":
-            return [self._unknown(path)]
-        mark = self._document.mark(path)
-        if kind in {"union_tag_not_found", "union_tag_invalid"} and isinstance(self._value(path), dict):
-            tag = str(error["ctx"]["discriminator"]).strip("'")
-            here = (*path, tag)
-            if kind == "union_tag_not_found":
-                return [self._missing(here)]
-            mark, path = self._document.mark(here), here
-        if kind in {"value_error", "assertion_error"}:
-            expected = str(error["ctx"]["error"])
-        else:
-            expected = self._expectation.words(path, self._document.data)
-        if mark.note:
-            expected += f"; {mark.note}"
-        return [self._problem(mark, path, mark.source or "nothing", expected, self._suggestion(path, mark))]
-
-    def _missing(self, path: tuple[str | int, ...]) -> Problem:
-        expected = f"is missing: {self._expectation.words(path, self._document.data)}"
-        return self._problem(_key_of(self._document.mark(path[:-1])), path, "", expected, "")
-
-    def _unknown(self, path: tuple[str | int, ...]) -> Problem:
-        mark = self._document.mark(path)
-        known = self._expectation.keys(path[:-1], self._document.data)
-        expected = f"one of {', '.join(known)}" if known else "no such key"
-        return self._problem(_key_of(mark), path, f"the unknown key '{path[-1]}'", expected, self._meant(path))
-
-    def _meant(self, path: tuple[str | int, ...]) -> str:
-        known = self._expectation.keys(path[:-1], self._document.data)
-        absent = [key for key in known if not self._exists((*path[:-1], key))]
-        return closest(str(path[-1]), absent) or closest(str(path[-1]), known)
-
-    def _suggestion(self, path: tuple[str | int, ...], mark: Mark) -> str:
-        """A repair of the value that fits what the place expects."""
-        schema = self._expectation.at(path, self._document.data)
-        value = self._value(path)
-        wanted = schema.get("type")
-        lists_numbers = wanted == "array" and _wants_number(schema.get("items", {}))
-        if mark.note and wanted in {"string", "boolean"}:
-            return f"'{mark.source}'" if wanted == "string" else mark.note.rsplit(" ", 1)[-1]
-        if isinstance(value, str):
-            if "enum" in schema or "const" in schema:
-                return closest(value, [str(word) for word in schema.get("enum", [schema.get("const")])])
-            unit = unit_of(next((step for step in reversed(path) if isinstance(step, str)), ""))
-            return _number_meant(value, unit, mark.quoted) if _wants_number(schema) else ""
-        if isinstance(value, float) and wanted == "integer" and value.is_integer():
-            return str(int(value))
-        if isinstance(value, int | float):
-            return f"'{mark.source}'" if wanted == "string" else f"[{mark.source}]" if lists_numbers else ""
-        if isinstance(value, dict) and lists_numbers and value and all(key.isdigit() for key in value):
-            return f"[{', '.join(value)}]"
-        return ""
-
-    def _path(self, loc: tuple[str | int, ...]) -> tuple[str | int, ...]:
-        """pydantic's location without the tags of unions; a missing key may be its last element."""
-        path: list[str | int] = []
-        mark = self._document.marks
-        for position, step in enumerate(loc):
-            if step in mark.children:
-                path.append(step)
-                mark = mark.children[step]
-            elif position == len(loc) - 1 and step in self._expectation.keys(tuple(path), self._document.data):
-                path.append(step)
-        return tuple(path)
-
-    def _exists(self, path: tuple[str | int, ...]) -> bool:
-        mark = self._document.marks
-        for step in path:
-            if step not in mark.children:
-                return False
-            mark = mark.children[step]
-        return True
-
-    def _value(self, path: tuple[str | int, ...]) -> Any:
-        data: Any = self._document.data
-        for step in path:
-            if isinstance(data, dict):
-                data = data.get(str(step))
-            elif isinstance(data, list) and isinstance(step, int) and step < len(data):
-                data = data[step]
-            else:
-                return None
-        return data
-
-    def _problem(self, mark: Mark, path: tuple[str | int, ...], value: str, expected: str, suggestion: str) -> Problem:
-        return Problem(
-            self._document.file, mark.line, mark.column, path_text(path), shortened(value), expected, suggestion
-        )
-
-
-def _key_of(mark: Mark) -> Mark:
-    """The mark of a value's key, or the value's own where it has none."""
-    return replace(mark, line=mark.key_line, column=mark.key_column) if mark.key_line else mark
-
-
-def _wants_number(schema: Mapping[str, Any]) -> bool:
-    kinds = {schema.get("type"), *(branch.get("type") for branch in schema.get("anyOf") or schema.get("oneOf") or ())}
-    return bool(kinds & {"number", "integer"})
-
-
-def _number_meant(text: str, unit: str, quoted: bool) -> str:
-    """The number that a text such as '0.15', '0,15', 1e5 or, where s are expected, '4 s' stands for."""
-    match = re.fullmatch(r"\s*([-+]?\d*[.,]?\d+)([eE][-+]?\d{1,2})?\s*(.*)", text)
-    if not match or match[3].strip() not in {"", unit}:
-        return ""
-    number = match[1].replace(",", ".")
-    if match[2]:
-        number = f"{Decimal(number + match[2]):f}"
-    return f"{number}, without quotes" if quoted and not match[3] else number
 
 
 _SYNTAX = (

@@ -13,7 +13,7 @@ from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, model_val
 from pydantic.json_schema import SkipJsonSchema
 
 from protocols.decimals import levels_bar, uneven_stairs
-from protocols.document import Fault, faults
+from protocols.validation import Fault, faults
 
 MOST_SEGMENTS = 20_000
 LONGEST_S = 1e6

@@ -17,8 +17,8 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validat
 from pydantic.json_schema import SkipJsonSchema
 
 from protocols import document
-from protocols.document import Fault, faults
 from protocols.library import find
+from protocols.validation import Fault, faults
 from rig import consistency
 
 PA_PER_BAR = 1e5

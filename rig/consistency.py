@@ -11,8 +11,8 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from protocols.document import Fault
 from protocols.problems import closest
+from protocols.validation import Fault
 
 if TYPE_CHECKING:
     from rig.config import Arm, CameraConfig, CardConfig, Control, FlowValve, Limits, Sensor, Simulator, Valve
