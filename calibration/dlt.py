@@ -1,0 +1,272 @@
+"""Direct linear transformation (Abdel-Aziz and Karara 1971): 11 coefficients per camera, points from several cameras.
+
+The picture of a point (X, Y, Z) lies at
+
+    u = (L1 X + L2 Y + L3 Z + L4) / (L9 X + L10 Y + L11 Z + 1)
+    v = (L5 X + L6 Y + L7 Z + L8) / (L9 X + L10 Y + L11 Z + 1)
+
+once the lens's distortion is taken out of the measured pixels. Coefficients come linearly from at least six control
+points that are not in one plane (Hartley's normalisation, then the singular vector), and are then refined so that the
+squared residuals in the picture are least.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calibration.frames import Rigid
+from calibration.lens import Lens
+
+Floats = NDArray[np.float64]
+
+LEAST_POINTS = 6
+_STEPS = 50
+_CONVERGED = 1e-12
+# Control points whose thickness is below this share of their extent count as lying in a plane.
+_FLAT = 1e-3
+_USUAL_STD_PX = 0.05
+
+
+class DLTError(Exception):
+    """The points do not determine what was asked for; the message says why."""
+
+
+@dataclass(frozen=True)
+class DLT:
+    """One camera: `coefficients` (11,) L1 to L11, world in metres, undistorted pixels.
+
+    `covariance` (11, 11) of the coefficients, `residuals_px` (n, 2) of the control points, measured minus projected;
+    `lens` is the distortion that is taken out first, None where the pictures have none.
+    """
+
+    coefficients: Floats
+    covariance: Floats
+    residuals_px: Floats
+    lens: Lens | None = None
+
+    @classmethod
+    def of_camera(cls, lens: Lens, camera_in_world: Rigid) -> DLT:
+        """Return the coefficients of a camera whose lens and place are known."""
+        world_in_camera = camera_in_world.inverse()
+        placed = np.column_stack([world_in_camera.rotation, world_in_camera.translation_m])
+        return cls(_coefficients(lens.matrix @ placed), np.zeros((11, 11)), np.zeros((0, 2)), lens)
+
+    @property
+    def matrix(self) -> Floats:
+        """Projection matrix (3, 4) with the last entry 1."""
+        return np.append(self.coefficients, 1.0).reshape(3, 4)
+
+    @property
+    def rms_px(self) -> float:
+        """Root mean square residual of the control points."""
+        return float(np.sqrt(np.mean(np.sum(self.residuals_px**2, axis=1)))) if len(self.residuals_px) else 0.0
+
+    @property
+    def centre_m(self) -> Floats:
+        """Where the camera stands (3,): the point that the matrix maps to nothing."""
+        matrix = self.matrix
+        return np.asarray(-np.linalg.solve(matrix[:, :3], matrix[:, 3]))
+
+    def project(self, points_m: Floats) -> Floats:
+        """Undistorted pixels (n, 2) of world points (n, 3)."""
+        return _project(self.matrix, points_m)
+
+    def undistorted(self, pixels: Floats) -> Floats:
+        """Measured pixels (n, 2) with the lens's distortion taken out."""
+        return pixels if self.lens is None else undistort(pixels, self.lens)
+
+
+def undistort(pixels: Floats, lens: Lens) -> Floats:
+    """Where pixels (n, 2) would lie if the lens had no distortion."""
+    matrix = lens.matrix
+    return lens.rays(pixels) @ matrix[:2, :2].T + matrix[:2, 2]
+
+
+def calibrate(control_points_m: Floats, pixels: Floats, lens: Lens | None = None, std_px: float | None = None) -> DLT:
+    """Coefficients from control points (n, 3) [m] and where the camera saw them (n, 2) [px].
+
+    `lens` is taken out first. `std_px` is the standard uncertainty of one pixel coordinate; when None it is told from
+    the residuals.
+
+    Raises:
+        DLTError: fewer than six points, points in a plane, or the origin lies beside the camera.
+    """
+    points = np.asarray(control_points_m, dtype=np.float64)
+    measured = np.asarray(pixels, dtype=np.float64)
+    _check(points, measured)
+    seen = measured if lens is None else undistort(measured, lens)
+    start = _coefficients(_linear(points, seen))
+    coefficients, residuals, jacobian = _refine(start, points, seen)
+    freedom = residuals.size - 11
+    if std_px is not None:
+        variance = std_px**2
+    elif freedom > 0:
+        variance = float(residuals @ residuals) / freedom
+    else:
+        variance = _USUAL_STD_PX**2
+    covariance = variance * np.linalg.pinv(jacobian.T @ jacobian)
+    return DLT(coefficients, np.asarray(covariance), residuals.reshape(-1, 2), lens)
+
+
+@dataclass(frozen=True)
+class Points:
+    """Reconstructed points `m` (n, 3), their covariance (n, 3, 3) [m^2] and residual rms over the cameras (n,) [px]."""
+
+    m: Floats
+    covariance: Floats
+    residual_px: Floats
+
+
+def reconstruct(
+    cameras: Sequence[DLT], pixels: Sequence[Floats], covariances: Sequence[Floats] | None = None
+) -> Points:
+    """Points from two or more cameras' pixels, each (n, 2), with covariances (n, 2, 2) where they are known.
+
+    Linear intersection, then least squares of the residuals. The covariance holds that of the pixels and that of the
+    coefficients, the latter as if it struck every point anew.
+
+    Raises:
+        DLTError: fewer than two cameras, or a point's rays do not meet in front of them.
+    """
+    if len(cameras) < 2 or len(cameras) != len(pixels):
+        raise DLTError(f"a point needs two cameras or more, each with its pixels; here are {len(cameras)}")
+    seen = np.stack([c.undistorted(np.asarray(p, dtype=np.float64)) for c, p in zip(cameras, pixels, strict=True)])
+    count = seen.shape[1]
+    if covariances is None:
+        covariances = [np.broadcast_to(_USUAL_STD_PX**2 * np.eye(2), (count, 2, 2))] * len(cameras)
+    points = np.empty((count, 3))
+    spread = np.empty((count, 3, 3))
+    residual = np.empty(count)
+    for i in range(count):
+        noise = [np.asarray(c[i]) for c in covariances]
+        points[i], spread[i], residual[i] = _intersect(cameras, seen[:, i], noise)
+    return Points(points, spread, residual)
+
+
+def _intersect(cameras: Sequence[DLT], seen: Floats, noise: Sequence[Floats]) -> tuple[Floats, Floats, float]:
+    matrices = [camera.matrix for camera in cameras]
+    rows = np.concatenate([np.outer(uv, m[2]) - m[:2] for m, uv in zip(matrices, seen, strict=True)])
+    rows /= np.linalg.norm(rows[:, :3], axis=1, keepdims=True)
+    point, _, rank, _ = np.linalg.lstsq(rows[:, :3], -rows[:, 3], rcond=1e-10)
+    if rank < 3:
+        raise DLTError("the cameras' rays are parallel: the cameras stand too close together")
+    total = np.zeros((3, 3))
+    for _ in range(_STEPS):
+        total, right = np.zeros((3, 3)), np.zeros(3)
+        for camera, matrix, uv, cov in zip(cameras, matrices, seen, noise, strict=True):
+            slope = _by_point(matrix, point)
+            # What the coefficients' own uncertainty adds to this camera's pixel.
+            by_coefficients = _by_coefficients(matrix, point[None])
+            weight = np.linalg.inv(cov + by_coefficients @ camera.covariance @ by_coefficients.T)
+            total += slope.T @ weight @ slope
+            right += slope.T @ weight @ (uv - _project(matrix, point[None])[0])
+        step = np.linalg.solve(total, right)
+        point = point + step
+        if np.linalg.norm(step) < _CONVERGED * max(1.0, float(np.linalg.norm(point))):
+            break
+    rest = np.stack([uv - _project(m, point[None])[0] for m, uv in zip(matrices, seen, strict=True)])
+    if not np.all(np.isfinite(rest)):
+        raise DLTError("the cameras' rays do not meet")
+    return point, np.asarray(np.linalg.inv(total)), float(np.sqrt(np.mean(np.sum(rest**2, axis=1))))
+
+
+def _check(points: Floats, pixels: Floats) -> None:
+    if points.ndim != 2 or points.shape[1] != 3 or pixels.shape != (len(points), 2):
+        raise DLTError(f"control points (n, 3) need pixels (n, 2); here are {points.shape} and {pixels.shape}")
+    if len(points) < LEAST_POINTS:
+        raise DLTError(f"11 coefficients need at least {LEAST_POINTS} control points; here are {len(points)}")
+    if not (np.all(np.isfinite(points)) and np.all(np.isfinite(pixels))):
+        raise DLTError("a control point or its pixel is not a number")
+    extent = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+    if extent[2] < _FLAT * extent[0]:
+        raise DLTError("the control points lie in one plane: move the board between views, or add points out of it")
+
+
+def _normaliser(points: Floats) -> Floats:
+    """Hartley's similarity: centroid to the origin, mean distance from it to sqrt(dimension)."""
+    dimension = points.shape[1]
+    centre = points.mean(axis=0)
+    scale = np.sqrt(dimension) / np.mean(np.linalg.norm(points - centre, axis=1))
+    similarity = np.diag(np.append(np.full(dimension, scale), 1.0))
+    similarity[:dimension, dimension] = -scale * centre
+    return similarity
+
+
+def _linear(points: Floats, pixels: Floats) -> Floats:
+    """Projection matrix (3, 4), up to scale, by the singular vector of the normalised equations."""
+    to_points, to_pixels = _normaliser(points), _normaliser(pixels)
+    world = np.column_stack([points, np.ones(len(points))]) @ to_points.T
+    image = np.column_stack([pixels, np.ones(len(pixels))]) @ to_pixels.T
+    nothing = np.zeros_like(world)
+    equations = np.concatenate(
+        [
+            np.hstack([world, nothing, -image[:, :1] * world]),
+            np.hstack([nothing, world, -image[:, 1:2] * world]),
+        ]
+    )
+    matrix = np.linalg.svd(equations, full_matrices=False)[2][-1].reshape(3, 4)
+    return np.asarray(np.linalg.inv(to_pixels) @ matrix @ to_points)
+
+
+def _coefficients(matrix: Floats) -> Floats:
+    """L1 to L11 of a projection matrix: scaled so that its last entry is 1."""
+    if abs(matrix[2, 3]) < 1e-9 * np.abs(matrix[2]).max():
+        raise DLTError("the origin lies beside the camera, where the 11 coefficients have no value: move the origin")
+    return np.asarray((matrix / matrix[2, 3]).ravel()[:11])
+
+
+def _project(matrix: Floats, points: Floats) -> Floats:
+    h = points @ matrix[:, :3].T + matrix[:, 3]
+    return np.asarray(h[:, :2] / h[:, 2:])
+
+
+def _by_point(matrix: Floats, point: Floats) -> Floats:
+    """Derivative (2, 3) of a pixel by its point."""
+    h = matrix[:, :3] @ point + matrix[:, 3]
+    return np.asarray((matrix[:2, :3] - np.outer(h[:2] / h[2], matrix[2, :3])) / h[2])
+
+
+def _by_coefficients(matrix: Floats, points: Floats) -> Floats:
+    """Derivative (2 n, 11) of pixels by the coefficients; rows u0, v0, u1, ..."""
+    world = np.column_stack([points, np.ones(len(points))])
+    depth = world @ matrix[2]
+    uv = _project(matrix, points)
+    slope = np.zeros((len(points), 2, 11))
+    slope[:, 0, 0:4] = world / depth[:, None]
+    slope[:, 1, 4:8] = world / depth[:, None]
+    slope[:, :, 8:11] = -uv[:, :, None] * (points / depth[:, None])[:, None, :]
+    return slope.reshape(-1, 11)
+
+
+def _refine(coefficients: Floats, points: Floats, pixels: Floats) -> tuple[Floats, Floats, Floats]:
+    """Levenberg-Marquardt on the residuals; returns coefficients, residuals (2 n,) and derivatives (2 n, 11)."""
+
+    def at(values: Floats) -> tuple[Floats, Floats]:
+        matrix = np.append(values, 1.0).reshape(3, 4)
+        return (pixels - _project(matrix, points)).ravel(), _by_coefficients(matrix, points)
+
+    residual, slope = at(coefficients)
+    cost, damping = float(residual @ residual), 1e-6
+    for _ in range(_STEPS):
+        # The coefficients differ by orders of magnitude: columns are brought to one length before solving.
+        length = np.linalg.norm(slope, axis=0)
+        scaled = slope / length
+        step = np.linalg.solve(scaled.T @ scaled + damping * np.eye(11), scaled.T @ residual) / length
+        trial = coefficients + step
+        residual_new, slope_new = at(trial)
+        cost_new = float(residual_new @ residual_new)
+        if cost_new <= cost:
+            done = cost - cost_new <= _CONVERGED * cost
+            coefficients, residual, slope, cost = trial, residual_new, slope_new, cost_new
+            damping *= 0.1
+            if done:
+                break
+        else:
+            damping *= 10.0
+            if damping > 1e6:
+                break
+    return coefficients, residual, slope

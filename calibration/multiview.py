@@ -1,0 +1,102 @@
+"""The pose of a board in the world, seen by several cameras at once."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from calibration.corners import Corners
+from calibration.dlt import DLT, reconstruct
+from calibration.pose import Pose
+
+Floats = NDArray[np.float64]
+
+_STEPS = 20
+_CONVERGED = 1e-10
+_PRIOR_WEIGHT = 12.0
+
+
+def board_pose(points_m: Floats, cameras: Sequence[DLT], corners: Sequence[Corners]) -> Pose | None:
+    """Pose of the board in the world from its corners (n, 3) and what each camera saw of them.
+
+    Starts from the reconstructed points and then minimises the residuals in all pictures together. `residuals_px`
+    and `projected_px` of the result hold the cameras one after the other, undistorted. None if it does not converge.
+
+    Raises:
+        DLTError: fewer than two cameras.
+    """
+    seen = [camera.undistorted(c.px) for camera, c in zip(cameras, corners, strict=True)]
+    noise = [_undistorted_noise(camera, c) for camera, c in zip(cameras, corners, strict=True)]
+    start = reconstruct(cameras, [c.px for c in corners], noise)
+    rotation, translation = _fit_rigid(points_m, start.m)
+    vector, _ = cv2.Rodrigues(rotation)
+    x = np.concatenate([np.asarray(vector, dtype=np.float64).ravel(), translation])
+    whiteners = [np.linalg.inv(np.linalg.cholesky(n)) for n in noise]
+
+    def at(values: Floats) -> tuple[Floats, Floats, Floats]:
+        projected, slope = _project(points_m, cameras, values)
+        rest = [np.einsum("nij,nj->ni", w, s - p) for w, s, p in zip(whiteners, seen, projected, strict=True)]
+        white = [np.matmul(w, d) for w, d in zip(whiteners, slope, strict=True)]
+        return np.concatenate(projected), np.concatenate(white).reshape(-1, 6), np.concatenate(rest).ravel()
+
+    projected, jacobian, residual = at(x)
+    cost = float(residual @ residual)
+    for _ in range(_STEPS):
+        trial = x + np.linalg.solve(jacobian.T @ jacobian, jacobian.T @ residual)
+        projected_new, jacobian_new, residual_new = at(trial)
+        cost_new = float(residual_new @ residual_new)
+        if not np.isfinite(cost_new):
+            return None
+        done = abs(cost - cost_new) <= _CONVERGED * cost
+        if cost_new <= cost:
+            x, projected, jacobian, residual, cost = trial, projected_new, jacobian_new, residual_new, cost_new
+        if done:
+            break
+        if cost_new > cost:
+            return None
+    else:
+        return None
+    variance = (cost + _PRIOR_WEIGHT) / (residual.size - 6 + _PRIOR_WEIGHT)
+    covariance = np.asarray(np.linalg.inv(jacobian.T @ jacobian) * variance)
+    return Pose(x[:3], x[3:], covariance, np.concatenate(seen) - projected, projected, cost)
+
+
+def _project(points: Floats, cameras: Sequence[DLT], values: Floats) -> tuple[list[Floats], list[Floats]]:
+    """Undistorted pixels (n, 2) and their derivatives (n, 2, 6) by rotation vector and translation, per camera."""
+    rotation, derivative = cv2.Rodrigues(values[:3])
+    # derivative (3, 9): row k holds d R / d r_k, flattened by rows.
+    by_rotation = np.einsum("kij,nj->nik", derivative.reshape(3, 3, 3), points)
+    moved = np.concatenate([by_rotation, np.broadcast_to(np.eye(3), (len(points), 3, 3))], axis=2)
+    world = points @ rotation.T + values[3:]
+    pixels, slopes = [], []
+    for camera in cameras:
+        matrix = camera.matrix
+        h = world @ matrix[:, :3].T + matrix[:, 3]
+        uv = h[:, :2] / h[:, 2:]
+        by_point = (matrix[None, :2, :3] - uv[:, :, None] * matrix[None, 2:, :3]) / h[:, 2, None, None]
+        pixels.append(np.asarray(uv))
+        slopes.append(np.asarray(by_point @ moved))
+    return pixels, slopes
+
+
+def _undistorted_noise(camera: DLT, corners: Corners) -> Floats:
+    """Corner covariances (n, 2, 2) carried through the removal of the distortion and joined by the coefficients' own."""
+    step = 0.5
+    columns = [
+        (camera.undistorted(corners.px + shift) - camera.undistorted(corners.px - shift)) / (2 * step)
+        for shift in (np.array([step, 0.0]), np.array([0.0, step]))
+    ]
+    slope = np.stack(columns, axis=2)
+    return np.asarray(slope @ corners.covariance @ slope.transpose(0, 2, 1))
+
+
+def _fit_rigid(points: Floats, world: Floats) -> tuple[Floats, Floats]:
+    """Rotation and translation that bring points (n, 3) nearest to their places in the world (Kabsch)."""
+    centre, place = points.mean(axis=0), world.mean(axis=0)
+    u, _, vt = np.linalg.svd((world - place).T @ (points - centre))
+    turn = np.diag([1.0, 1.0, np.linalg.det(u @ vt)])
+    rotation = u @ turn @ vt
+    return np.asarray(rotation), np.asarray(place - rotation @ centre)
