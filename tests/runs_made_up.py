@@ -25,6 +25,7 @@ from runs.records import (
 START_NS = 5_000_000_000
 ACTUATORS = 3
 VALVES = 2
+ARMED = Event(START_NS, Level.INFO, "control", "armed")
 
 
 def intervals(duration_s: float) -> tuple[Interval, ...]:
@@ -130,7 +131,7 @@ def write_journal(
 ) -> JournalWriter:
     """Write a whole run; without a footer the writer is left open, as a process that dies leaves it."""
     writer = JournalWriter(path, header(path.stem, duration_s, simulated))
-    writer.event(Event(START_NS, Level.INFO, "control", "armed"))
+    writer.event(ARMED)
     s, o = samples(duration_s), observations(duration_s, simulated=simulated)
     for low in range(0, len(s), 20):
         writer.samples(s[low : low + 20])
