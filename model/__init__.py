@@ -6,5 +6,16 @@ from model.geometry import Geometry
 from model.loads import Loads
 from model.material import Material
 from model.shape import Shape
+from model.tube import Ballooned, Stretch, Tube
 
-__all__ = ["Arm", "Geometry", "Loads", "Material", "NotConverged", "Shape"]
+__all__ = [
+    "Arm",
+    "Ballooned",
+    "Geometry",
+    "Loads",
+    "Material",
+    "NotConverged",
+    "Shape",
+    "Stretch",
+    "Tube",
+]

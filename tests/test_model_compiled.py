@@ -1,4 +1,4 @@
-"""Compiled kernels: kept on disk, never stale, ready after `python -m model.warm`, and not loaded before they are used."""
+"""Compiled kernels: kept on disk, never stale, ready after `python -m model.warm`, loaded only when used."""
 
 from __future__ import annotations
 
