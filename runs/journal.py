@@ -278,7 +278,7 @@ class _Contents:
             OBSERVATIONS: observation_dtype(header.actuators),
         }
         samples, observations = (
-            np.concatenate([*self.rows[channel]]) if self.rows[channel] else np.zeros(0, kind)
+            _as_rows(np.concatenate(self.rows[channel]), kind) if self.rows[channel] else np.zeros(0, kind)
             for channel, kind in kinds.items()
         )
         return Journal(
@@ -290,3 +290,16 @@ class _Contents:
             pictures=tuple(self.pictures),
             damage=tuple(self.damage),
         )
+
+
+def _as_rows(rows: NDArray[np.void], kind: np.dtype[np.void]) -> NDArray[np.void]:
+    """Return rows as those of today: the journal of another version may lack a column, which is then NaN or 0."""
+    if rows.dtype == kind:
+        return rows
+    known = np.zeros(len(rows), kind)
+    for name in kind.names or ():
+        if rows.dtype.names and name in rows.dtype.names and rows[name].shape == known[name].shape:
+            known[name] = rows[name]
+        elif kind[name].base.kind == "f":
+            known[name] = np.nan
+    return known

@@ -249,6 +249,7 @@ def _tip(journal: Journal) -> Group:
             Field("error_mm", np.linalg.norm(measured - model, axis=1), "mm", "distance measured to model", by),
             Field("reprojection_px", rows["reprojection_px"], "px", "rms over the board's corners", by),
             Field("frame", rows["frame"], about="number of the camera's frame", scales=by),
+            Field("weight_g", rows["weight_kg"] * 1e3, "g", "hung on the end cap by the operator", by),
             Field("pressure_bar", rows["pressure_pa"] / PA_PER_BAR, "bar", "given to the model", ("time", "actuator")),
             Field("seen", rows["seen"], about=seen, scales=by),
             Field("model_ok", rows["model_ok"], about="0 where the model could not solve the step", scales=by),

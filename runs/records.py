@@ -68,8 +68,9 @@ def observation_dtype(actuators: int) -> np.dtype[np.void]:
 
     `seen` is a `Seen`; where it is not MEASURED the measured columns are NaN. `covariance_m2` belongs to
     `measured_m`; `reprojection_px` is the rms over the board's corners. `model_ok` is 0 where the model could not
-    solve the step and `model_m` is the last good one. `truth_m` is the simulator's own tip, NaN on a real rig.
-    `age_ns` is the time from exposure to the end of the computation, `dropped` the frames lost before this one.
+    solve the step and `model_m` is the last good one. `weight_kg` is what the operator had hung on the end cap.
+    `truth_m` is the simulator's own tip, NaN on a real rig. `age_ns` is the time from exposure to the end of the
+    computation, `dropped` the frames lost before this one.
     """
     return np.dtype(
         [
@@ -79,6 +80,7 @@ def observation_dtype(actuators: int) -> np.dtype[np.void]:
             ("seen", "<i4"),
             ("model_ok", "<i4"),
             ("pressure_pa", "<f8", (actuators,)),
+            ("weight_kg", "<f8"),
             ("measured_m", "<f8", (3,)),
             ("covariance_m2", "<f8", (3, 3)),
             ("model_m", "<f8", (3,)),

@@ -48,6 +48,8 @@ class Tip:
     frame: Ints
     pressure_bar: Floats
     """(m, N), what the model was given."""
+    weight_g: Floats
+    """Hung on the end cap by the operator."""
     seen: Ints
     """`runs.records.Seen`."""
     model_ok: NDArray[np.bool_]
@@ -181,6 +183,7 @@ class Run:
             reprojection_px=g["reprojection_px"],
             frame=g["frame"],
             pressure_bar=g["pressure_bar"],
+            weight_g=g["weight_g"],
             seen=g["seen"],
             model_ok=g["model_ok"].astype(bool),
             age_us=g["age_us"],

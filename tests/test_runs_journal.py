@@ -306,3 +306,20 @@ def test_a_header_survives_its_encoding(text: str, value: tuple[float, ...], unc
     header = dataclasses.replace(plain, notes=text, protocol_yaml=text, quantities=quantities, seed=None)
     again = messages.from_json(RunHeader, messages.to_json(header))
     assert repr(again) == repr(header)
+
+
+def test_the_journal_of_another_version_is_read_by_the_names_of_its_columns(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    older = np.dtype([("t_ns", "<i8"), ("measured_pa", "<f8", (3,)), ("gone", "<i4")])
+    monkeypatch.setattr(journal, "sample_dtype", lambda *_: older)
+    writer = JournalWriter(tmp_path / "old.mcap", made_up.header())
+    rows = np.zeros(2, older)
+    rows["t_ns"], rows["measured_pa"] = (5, 6), 7.0
+    writer.samples(rows)
+    writer.close(RunFooter(made_up.START_NS, Status.FINISHED, ""))
+    monkeypatch.undo()
+    samples = journal.read(tmp_path / "old.mcap").samples
+    assert samples.dtype == sample_dtype(3, 2)
+    assert (list(samples["t_ns"]), samples["measured_pa"][1, 2], samples["tick"][0]) == ([5, 6], 7.0, 0)
+    assert np.isnan(samples["setpoint_pa"]).all()
