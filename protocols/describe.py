@@ -111,7 +111,7 @@ class Expectation:
         return schema
 
     def _chosen(self, schema: Schema, data: Any) -> Schema:
-        """Of several alternatives the one that `data` is: by its tag, or list against plain value."""
+        """Of several alternatives the one that `data` is: by its tag, or list or mapping against plain value."""
         branches = [self._resolved(branch) for branch in schema.get("oneOf") or schema.get("anyOf") or ()]
         if not branches:
             return schema
@@ -122,9 +122,8 @@ class Expectation:
                 if branch.get("properties", {}).get(tag, {}).get("const") == word:
                     return branch
             return {"type": "object", "properties": {tag: {"enum": list(schema["discriminator"]["mapping"])}}}
-        if isinstance(data, list):
-            return next((branch for branch in branches if branch.get("type") == "array"), schema)
-        return schema
+        kind = {list: "array", dict: "object"}.get(type(data))
+        return next((branch for branch in branches if branch.get("type") == kind), schema)
 
 
 def _inside(data: Any, step: str | int) -> Any:
