@@ -122,7 +122,7 @@ class Expectation:
                 if branch.get("properties", {}).get(tag, {}).get("const") == word:
                     return branch
             return {"type": "object", "properties": {tag: {"enum": list(schema["discriminator"]["mapping"])}}}
-        kind = {list: "array", dict: "object"}.get(type(data))
+        kind = "array" if isinstance(data, list) else "object" if isinstance(data, dict) else ""
         return next((branch for branch in branches if branch.get("type") == kind), schema)
 
 
