@@ -124,7 +124,7 @@ def trajectory(figure: Figure, run: Run, summary: Summary) -> None:
         axes.plot(*settled.T, "o", ms=6, mfc="white", mec=MEASURED, mew=1.3, label="measured, settled")
         axes.plot(*at.T, "x", ms=5.5, color=MODEL, mew=1.4, label="model, settled")
         for step, (x, z) in _labelled(dwells, settled):
-            text = f"{max(step.level_bar):.2f}"
+            text = f"{max(step.level_bar):.2f}" if max(step.level_bar) > 0 else f"{step.weight_g:.0f} g"
             axes.annotate(text, (x, z), (0, 9), textcoords="offset points", ha="center", fontsize=7.5, color=MUTED)
     axes.set_aspect("equal", adjustable="datalim")
     axes.margins(0.05, 0.25)
@@ -148,7 +148,7 @@ def steps(figure: Figure, run: Run, summary: Summary) -> None:
     dwells = settled_steps(summary.steps)
     left, right = figure.subplots(1, 2, width_ratios=[1, 1])
     project, name = across(run, summary)
-    where, label = _abscissa([max(step.level_bar) for step in dwells])
+    where, label = _abscissa(dwells)
     measured = project(np.array([step.measured_mm for step in dwells]))
     model = project(np.array([step.model_mm for step in dwells]))
     rest = project(rest_mm(run.tip, run.tip.seen == Seen.MEASURED)[None])[0]
@@ -276,11 +276,13 @@ def _plane(summary: Summary) -> Floats:
     return np.array([np.cos(angle), np.sin(angle)])
 
 
-def _abscissa(levels: list[float]) -> tuple[Floats, str]:
-    """Return where steps stand: at their pressures where each has its own, else at their numbers."""
-    if len(set(np.round(levels, 6))) == len(levels):
-        return np.array(levels), "pressure [bar]"
-    return np.arange(1.0, len(levels) + 1), "step"
+def _abscissa(dwells: Sequence[Step]) -> tuple[Floats, str]:
+    """Return where steps stand: at their pressures or weights where each has its own, else at their numbers."""
+    choices = (("pressure [bar]", [max(s.level_bar) for s in dwells]), ("weight [g]", [s.weight_g for s in dwells]))
+    for label, values in choices:
+        if len(set(np.round(values, 6))) == len(values):
+            return np.array(values), label
+    return np.arange(1.0, len(dwells) + 1), "step"
 
 
 def _labelled(dwells: Sequence[Step], settled: Floats) -> list[tuple[Step, Floats]]:

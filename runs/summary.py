@@ -3,7 +3,7 @@
 Definitions. *Error*: distance from the measured to the modelled tool centre point. *Settled*: the mean over the last
 `SETTLED_PART` of a dwell, a segment at whose end the set-points stand still. *Plane of motion*: through the base
 frame's z axis and the direction in which the modelled tip moved; there is none where it moved along z only or out of
-any plane. *Normalised*: error over the distance of the measured tip from where it rested without pressure.
+any plane. *Normalised*: error over the distance of the measured tip from where it rested without pressure and weight.
 """
 
 from __future__ import annotations
@@ -51,6 +51,8 @@ class Step:
     start_s: float
     stop_s: float
     level_bar: tuple[float, ...]
+    weight_g: float
+    """Hung on the end cap."""
     dwell: bool
     """The set-points stand still at the end of the segment."""
     settling_s: float
@@ -200,8 +202,8 @@ def in_plane(difference_mm: Floats, plane: Floats | None) -> Floats:
 
 
 def rest_mm(tip: Tip, measured: NDArray[np.bool_]) -> Floats:
-    """Return where the measured tip (3,) rested without pressure; NaN where it never did."""
-    rest = measured & (tip.pressure_bar < _REST_BAR).all(axis=1)
+    """Return where the measured tip (3,) rested without pressure and weight; NaN where it never did."""
+    rest = measured & (tip.pressure_bar < _REST_BAR).all(axis=1) & ~(tip.weight_g > 0)
     return tip.measured_mm[rest].mean(axis=0) if rest.any() else np.full(3, NAN)
 
 
@@ -243,6 +245,7 @@ def _step(run: Run, interval: Interval, measured: NDArray[np.bool_], plane: Floa
         start_s=interval.start_s,
         stop_s=interval.stop_s,
         level_bar=tuple(level / 1e5 for level in interval.level_pa),
+        weight_g=_mean(tip.weight_g[frames]),
         dwell=dwell,
         settling_s=settling,
         overshoot_bar=overshoot,
