@@ -137,8 +137,9 @@ def calibrate_views(views: Iterable[View], corners: tuple[int, int], square_m: f
             found.append((view, seen))
     if size is None or len(found) < _LEAST_VIEWS:
         raise CalibrationError(
-            f"{len(found)} of {len(found) + len(skipped)} views show a board of {corners[0]}x{corners[1]} inner corners, "
-            f"at least {_LEAST_VIEWS} are needed: count the inner corners, not the squares, and light the board evenly"
+            f"{len(found)} of {len(found) + len(skipped)} views show a board of {corners[0]}x{corners[1]} inner "
+            f"corners, at least {_LEAST_VIEWS} are needed: count the inner corners, not the squares, and light the "
+            "board evenly"
         )
     result = _solve(found, size, corners, square_m, skipped)
     usual = float(np.median([v.rms_px for v in result.views]))
@@ -186,6 +187,5 @@ def _solve(
         used.append(CalibratedView(view.name, view.sha256, seen, residuals, vector, offset))
     m = lens.matrix
     parameters = np.concatenate([[m[0, 0], m[1, 1], m[0, 2], m[1, 2]], lens.distortion])
-    return CameraCalibration(
-        *size, corners, square_m, parameters, np.asarray(std).ravel()[:9], float(rms), tuple(used), tuple(skipped)
-    )
+    spread = np.asarray(std, dtype=np.float64).ravel()[:9]
+    return CameraCalibration(*size, corners, square_m, parameters, spread, float(rms), tuple(used), tuple(skipped))

@@ -75,6 +75,10 @@ class DLT:
         """Undistorted pixels (n, 2) of world points (n, 3)."""
         return _project(self.matrix, points_m)
 
+    def by_coefficients(self, points_m: Floats) -> Floats:
+        """Derivative (2 n, 11) of the pixels of world points (n, 3) by the coefficients; rows u0, v0, u1, ..."""
+        return _by_coefficients(self.matrix, points_m)
+
     def undistorted(self, pixels: Floats) -> Floats:
         """Measured pixels (n, 2) with the lens's distortion taken out."""
         return pixels if self.lens is None else undistort(pixels, self.lens)
@@ -138,40 +142,38 @@ def reconstruct(
     count = seen.shape[1]
     if covariances is None:
         covariances = [np.broadcast_to(_USUAL_STD_PX**2 * np.eye(2), (count, 2, 2))] * len(cameras)
-    points = np.empty((count, 3))
-    spread = np.empty((count, 3, 3))
-    residual = np.empty(count)
-    for i in range(count):
-        noise = [np.asarray(c[i]) for c in covariances]
-        points[i], spread[i], residual[i] = _intersect(cameras, seen[:, i], noise)
-    return Points(points, spread, residual)
-
-
-def _intersect(cameras: Sequence[DLT], seen: Floats, noise: Sequence[Floats]) -> tuple[Floats, Floats, float]:
+    noise = np.stack([np.asarray(c, dtype=np.float64) for c in covariances])
     matrices = [camera.matrix for camera in cameras]
-    rows = np.concatenate([np.outer(uv, m[2]) - m[:2] for m, uv in zip(matrices, seen, strict=True)])
-    rows /= np.linalg.norm(rows[:, :3], axis=1, keepdims=True)
-    point, _, rank, _ = np.linalg.lstsq(rows[:, :3], -rows[:, 3], rcond=1e-10)
-    if rank < 3:
-        raise DLTError("the cameras' rays are parallel: the cameras stand too close together")
-    total = np.zeros((3, 3))
+    points = _meet(matrices, seen)
+    total = np.empty((count, 3, 3))
     for _ in range(_STEPS):
-        total, right = np.zeros((3, 3)), np.zeros(3)
+        total, right = np.zeros((count, 3, 3)), np.zeros((count, 3))
         for camera, matrix, uv, cov in zip(cameras, matrices, seen, noise, strict=True):
-            slope = _by_point(matrix, point)
-            # What the coefficients' own uncertainty adds to this camera's pixel.
-            by_coefficients = _by_coefficients(matrix, point[None])
-            weight = np.linalg.inv(cov + by_coefficients @ camera.covariance @ by_coefficients.T)
-            total += slope.T @ weight @ slope
-            right += slope.T @ weight @ (uv - _project(matrix, point[None])[0])
-        step = np.linalg.solve(total, right)
-        point = point + step
-        if np.linalg.norm(step) < _CONVERGED * max(1.0, float(np.linalg.norm(point))):
+            slope = by_points(matrix, points)
+            # What the coefficients' own uncertainty adds to this camera's pixels.
+            by_own = camera.by_coefficients(points).reshape(count, 2, 11)
+            weighted = slope.transpose(0, 2, 1) @ np.linalg.inv(cov + by_own @ camera.covariance @ by_own.mT)
+            total += weighted @ slope
+            right += np.einsum("nij,nj->ni", weighted, uv - _project(matrix, points))
+        step = np.linalg.solve(total, right[:, :, None])[:, :, 0]
+        points = points + step
+        if np.abs(step).max() < _CONVERGED * max(1.0, float(np.abs(points).max())):
             break
-    rest = np.stack([uv - _project(m, point[None])[0] for m, uv in zip(matrices, seen, strict=True)])
+    rest = np.stack([uv - _project(matrix, points) for matrix, uv in zip(matrices, seen, strict=True)])
     if not np.all(np.isfinite(rest)):
         raise DLTError("the cameras' rays do not meet")
-    return point, np.asarray(np.linalg.inv(total)), float(np.sqrt(np.mean(np.sum(rest**2, axis=1))))
+    residual = np.sqrt(np.mean(np.sum(rest**2, axis=2), axis=0))
+    return Points(points, np.asarray(np.linalg.inv(total)), np.asarray(residual))
+
+
+def _meet(matrices: Sequence[Floats], seen: Floats) -> Floats:
+    """Points (n, 3) that fit the cameras' linear equations best; `seen` (cameras, n, 2)."""
+    rows = np.concatenate([uv[:, :, None] * m[2] - m[:2] for m, uv in zip(matrices, seen, strict=True)], axis=1)
+    rows = rows / np.linalg.norm(rows[:, :, :3], axis=2, keepdims=True)
+    singular = np.linalg.svd(rows[:, :, :3], compute_uv=False)
+    if np.any(singular[:, 2] < 1e-6 * singular[:, 0]):
+        raise DLTError("the cameras' rays are parallel: the cameras stand too close together")
+    return np.asarray(-(np.linalg.pinv(rows[:, :, :3]) @ rows[:, :, 3:])[:, :, 0])
 
 
 def _check(points: Floats, pixels: Floats) -> None:
@@ -224,10 +226,11 @@ def _project(matrix: Floats, points: Floats) -> Floats:
     return np.asarray(h[:, :2] / h[:, 2:])
 
 
-def _by_point(matrix: Floats, point: Floats) -> Floats:
-    """Derivative (2, 3) of a pixel by its point."""
-    h = matrix[:, :3] @ point + matrix[:, 3]
-    return np.asarray((matrix[:2, :3] - np.outer(h[:2] / h[2], matrix[2, :3])) / h[2])
+def by_points(matrix: Floats, points: Floats) -> Floats:
+    """Derivative (n, 2, 3) of the pixels of points (n, 3), by each point."""
+    h = points @ matrix[:, :3].T + matrix[:, 3]
+    uv = h[:, :2] / h[:, 2:]
+    return np.asarray((matrix[None, :2, :3] - uv[:, :, None] * matrix[None, 2:, :3]) / h[:, 2, None, None])
 
 
 def _by_coefficients(matrix: Floats, points: Floats) -> Floats:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.corners import Corners
-from calibration.dlt import DLT, reconstruct
+from calibration.dlt import DLT, by_points, reconstruct
 from calibration.pose import Pose
 
 Floats = NDArray[np.float64]
@@ -60,8 +60,16 @@ def board_pose(points_m: Floats, cameras: Sequence[DLT], corners: Sequence[Corne
     else:
         return None
     variance = (cost + _PRIOR_WEIGHT) / (residual.size - 6 + _PRIOR_WEIGHT)
-    covariance = np.asarray(np.linalg.inv(jacobian.T @ jacobian) * variance)
-    return Pose(x[:3], x[3:], covariance, np.concatenate(seen) - projected, projected, cost)
+    unscaled = np.linalg.inv(jacobian.T @ jacobian)
+    covariance = unscaled * variance
+    # The coefficients' errors shift all corners of a camera together, so no number of corners averages them out.
+    world = points_m @ cv2.Rodrigues(x[:3])[0].T + x[3:]
+    by_camera = np.split(jacobian, len(cameras))
+    for camera, whitener, slope in zip(cameras, whiteners, by_camera, strict=True):
+        shift = np.matmul(whitener, camera.by_coefficients(world).reshape(-1, 2, 11)).reshape(-1, 11)
+        gain = unscaled @ slope.T @ shift
+        covariance = covariance + gain @ camera.covariance @ gain.T
+    return Pose(x[:3], x[3:], np.asarray(covariance), np.concatenate(seen) - projected, projected, cost)
 
 
 def _project(points: Floats, cameras: Sequence[DLT], values: Floats) -> tuple[list[Floats], list[Floats]]:
@@ -73,17 +81,13 @@ def _project(points: Floats, cameras: Sequence[DLT], values: Floats) -> tuple[li
     world = points @ rotation.T + values[3:]
     pixels, slopes = [], []
     for camera in cameras:
-        matrix = camera.matrix
-        h = world @ matrix[:, :3].T + matrix[:, 3]
-        uv = h[:, :2] / h[:, 2:]
-        by_point = (matrix[None, :2, :3] - uv[:, :, None] * matrix[None, 2:, :3]) / h[:, 2, None, None]
-        pixels.append(np.asarray(uv))
-        slopes.append(np.asarray(by_point @ moved))
+        pixels.append(camera.project(world))
+        slopes.append(np.asarray(by_points(camera.matrix, world) @ moved))
     return pixels, slopes
 
 
 def _undistorted_noise(camera: DLT, corners: Corners) -> Floats:
-    """Corner covariances (n, 2, 2) carried through the removal of the distortion and joined by the coefficients' own."""
+    """Corner covariances (n, 2, 2) carried through the removal of the distortion."""
     step = 0.5
     columns = [
         (camera.undistorted(corners.px + shift) - camera.undistorted(corners.px - shift)) / (2 * step)
