@@ -1,0 +1,166 @@
+"""The catalogue of a folder: one line per archive, kept in an index that heals itself.
+
+The index is a cache beside the archives. What it says of a file is believed only while the file's size and time are
+those it was read with; a missing, damaged or foreign index is made anew, and a folder that cannot be written is read
+without one. There is no server and no lock: of two that write at once, the later wins, and both were right.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterable
+from contextlib import suppress
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+
+from runs import layout
+from runs.archive import SUFFIX
+
+INDEX = ".catalogue.json"
+_FORM = 1
+"""Raised when `Entry` changes."""
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One archive. `problem` says why an archive could not be read; everything else is then empty."""
+
+    file: str
+    run_id: str = ""
+    title: str = ""
+    start_time: str = ""
+    duration_s: float = 0.0
+    status: str = ""
+    protocol: str = ""
+    rig: str = ""
+    model: str = ""
+    executor: str = ""
+    simulated: bool = False
+    operator: str = ""
+    notes: str = ""
+    frames: int = 0
+    mean_error_mm: float | None = None
+    """None where no tip was measured."""
+    max_error_mm: float | None = None
+    problem: str = ""
+
+
+def catalogue(folder: Path | str) -> tuple[Entry, ...]:
+    """Return the archives of a folder, newest first, unreadable ones last; nothing where there is no folder."""
+    place = Path(folder)
+    known = _load(place / INDEX)
+    now: dict[str, _Known] = {}
+    for name, stamp in _archives(place):
+        before = known.get(name)
+        now[name] = before if before is not None and before.stamp == stamp else _Known(stamp, _read(place / name))
+    if now != known:
+        _store(place / INDEX, now)
+    return tuple(sorted((k.entry for k in now.values()), key=lambda e: (e.start_time, e.file), reverse=True))
+
+
+def search(
+    entries: Iterable[Entry],
+    text: str = "",
+    *,
+    status: str = "",
+    protocol: str = "",
+    operator: str = "",
+    since: str = "",
+    until: str = "",
+    error_above_mm: float | None = None,
+) -> tuple[Entry, ...]:
+    """Return the entries that match all that is given.
+
+    `text` is looked for everywhere, word by word; `protocol` and `operator` are parts of names; `since` and `until` are
+    dates or times as ISO 8601 begins (`2026-11`, `2026-11-21T14`), both included.
+    """
+    words = text.lower().split()
+    return tuple(
+        entry
+        for entry in entries
+        if all(word in _words(entry) for word in words)
+        and (not status or entry.status == status)
+        and protocol.lower() in entry.protocol.lower()
+        and operator.lower() in entry.operator.lower()
+        and entry.start_time >= since
+        and entry.start_time[: len(until)] <= until
+        and (error_above_mm is None or (entry.mean_error_mm or 0.0) > error_above_mm)
+    )
+
+
+@dataclass(frozen=True)
+class _Known:
+    """What the index holds of a file: its size and time [ns] when it was read, and what was read."""
+
+    stamp: tuple[int, int]
+    entry: Entry
+
+
+def _archives(folder: Path) -> list[tuple[str, tuple[int, int]]]:
+    try:
+        with os.scandir(folder) as files:
+            found = [file for file in files if file.name.endswith(SUFFIX) and file.is_file()]
+            stats = [(file.name, file.stat()) for file in found]
+    except OSError:
+        return []
+    return [(name, (stat.st_size, stat.st_mtime_ns)) for name, stat in stats]
+
+
+def _read(path: Path) -> Entry:
+    """Return what the catalogue says of an archive, without reading more of it than that."""
+    try:
+        with h5py.File(path, "r") as file:
+            if int(file.attrs["layout_version"]) > layout.VERSION:
+                return Entry(path.name, problem="made by a newer softrig")
+            entry = file["entry"]
+            error = entry["tip/error_mm"][()]
+            error = error[np.isfinite(error)]
+            names = ("run_id", "title", "start_time", "status", "executor", "operator", "notes")
+            return Entry(
+                file=path.name,
+                **{name: entry[name].asstr()[()] for name in names},
+                protocol=entry["protocol/name"].asstr()[()],
+                rig=entry["rig/name"].asstr()[()],
+                model=entry["model/variant"].asstr()[()],
+                duration_s=float(entry["duration"][()]),
+                simulated=bool(entry["simulated"][()]),
+                frames=len(entry["tip/error_mm"]),
+                mean_error_mm=float(error.mean()) if len(error) else None,
+                max_error_mm=float(error.max()) if len(error) else None,
+            )
+    except (OSError, KeyError, ValueError, TypeError, RuntimeError) as fault:
+        return Entry(path.name, problem=f"not an archive of softrig ({fault})")
+
+
+def _load(path: Path) -> dict[str, _Known]:
+    with suppress(OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
+        index: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        if index["form"] == _FORM:
+            known = {}
+            for name, (size, time, fields) in index["files"].items():
+                known[name] = _Known((size, time), Entry(**fields))
+            return known
+    return {}
+
+
+def _store(path: Path, known: dict[str, _Known]) -> None:
+    """Write the index, where that is possible; it is only a cache."""
+    files = {name: [*k.stamp, asdict(k.entry)] for name, k in known.items()}
+    part = path.with_name(f"{path.name}.{os.getpid()}")
+    with suppress(OSError):
+        try:
+            part.write_text(json.dumps({"form": _FORM, "files": files}), encoding="utf-8")
+            part.replace(path)
+        finally:
+            part.unlink(missing_ok=True)
+
+
+def _words(entry: Entry) -> str:
+    simulated = "simulated" if entry.simulated else ""
+    told = (entry.file, entry.title, entry.start_time, entry.status, entry.protocol, entry.rig, entry.model)
+    return " ".join((*told, entry.executor, simulated, entry.operator, entry.notes, entry.problem)).lower()
