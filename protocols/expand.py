@@ -10,7 +10,7 @@ from protocols.decimals import pa, stair_count
 from protocols.marks import Document, path_text
 from protocols.problems import BadInput, Problem
 from protocols.samples import Columns
-from protocols.schema import MOST_SEGMENTS, Csv, Hold, Ramp, Repeat, Sine, Staircase, Step, each
+from protocols.schema import MOST_SEGMENTS, Ask, Csv, Hold, Ramp, Repeat, Sine, Staircase, Step, each
 from protocols.trajectory import Prompt, Segment, Trajectory
 from protocols.waveforms import Fade, Line, Samples, Sinusoid, Smooth, Waveform
 
@@ -183,8 +183,9 @@ class _Expander:
             self._move("lead-in", f"into {label}", step.actuators, line, step.lead_in_s, leads)
         self._move("csv", label, step.actuators, line, waves[0].times_s[-1], waves)
 
-    def _prompt(self, message: str, line: int) -> None:
-        self.prompts.append(Prompt(self.now_s, message, line))
+    def _prompt(self, step: str | Ask, line: int) -> None:
+        message, weight_g = (step, None) if isinstance(step, str) else (step.message, step.weight_g)
+        self.prompts.append(Prompt(self.now_s, message, line, None if weight_g is None else weight_g * 1e-3))
         self._stand("prompt", message, (), line, PROMPT_S)
 
     def _move(

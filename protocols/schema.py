@@ -26,6 +26,7 @@ def _list_or_number(value: Any) -> str:
 
 Bar = Annotated[float, Field(ge=0, le=HIGHEST_BAR, allow_inf_nan=False, strict=True)]
 BarAbove = Annotated[float, Field(gt=0, le=HIGHEST_BAR, allow_inf_nan=False, strict=True)]
+Grams = Annotated[float, Field(ge=0, le=1e5, allow_inf_nan=False, strict=True)]
 Number = Annotated[float, Field(ge=-1e6, le=1e6, allow_inf_nan=False, strict=True)]
 Positive = Annotated[float, Field(gt=0, le=LONGEST_S, allow_inf_nan=False, strict=True)]
 Seconds = Annotated[float, Field(gt=0, le=LONGEST_S, allow_inf_nan=False, strict=True)]
@@ -43,6 +44,10 @@ NumberEach = Annotated[
 PositiveEach = Annotated[
     Annotated[Positive, Tag("all")] | Annotated[tuple[Positive, ...], Tag("each")], Discriminator(_list_or_number)
 ]
+
+
+def _text_or_weight(value: Any) -> str:
+    return "with weight" if isinstance(value, dict | Ask) else "text"
 
 
 class Part(BaseModel):
@@ -199,6 +204,15 @@ class Csv(Motion):
         return self
 
 
+class Ask(Part):
+    """What the operator has to do; the run waits until it is confirmed. With `weight_g` the model, and a simulated
+    arm, carry that weight on the end cap from then on; without, what hangs there stays.
+    """
+
+    message: Text
+    weight_g: Grams | SkipJsonSchema[None] = Field(default=None, description="hung on the end cap from now on")
+
+
 class Repeat(Part):
     """Steps played several times over."""
 
@@ -216,7 +230,10 @@ class Step(Part):
     sine: Sine | SkipJsonSchema[None] = None
     hold: Hold | SkipJsonSchema[None] = None
     csv: Csv | SkipJsonSchema[None] = None
-    prompt: Text | SkipJsonSchema[None] = Field(default=None, description="the run waits until the operator confirms")
+    prompt: (
+        Annotated[Annotated[Text, Tag("text")] | Annotated[Ask, Tag("with weight")], Discriminator(_text_or_weight)]
+        | SkipJsonSchema[None]
+    ) = Field(default=None, description="the run waits until the operator confirms")
     sequence: Annotated[tuple[Step, ...], Field(min_length=1)] | SkipJsonSchema[None] = Field(
         default=None, description="steps one after the other, so that an alias can name them all"
     )

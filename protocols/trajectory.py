@@ -51,6 +51,8 @@ class Prompt:
     at_s: float
     message: str
     line: int
+    weight_kg: float | None = None
+    """What hangs on the end cap once it is done; None where the prompt changes nothing."""
 
 
 @dataclass(frozen=True)
@@ -92,6 +94,16 @@ class Trajectory:
             for index, wave in segment.waves:
                 rate[index] = wave.slope(t_s - segment.start_s)
         return rate
+
+    def weight_kg(self, t_s: float) -> float:
+        """What the operator has hung on the end cap [kg] at a protocol time; at a prompt's own time, before it."""
+        hung = 0.0
+        for prompt in self.prompts:
+            if prompt.at_s >= t_s:
+                break
+            if prompt.weight_kg is not None:
+                hung = prompt.weight_kg
+        return hung
 
     def sample(self, t_s: Iterable[float]) -> NDArray[np.float64]:
         """Set-points (T, N) [Pa, gauge] at T protocol times."""

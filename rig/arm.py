@@ -50,14 +50,33 @@ def model_material(material: Material) -> model.Material:
     )
 
 
-def _arm(config: RigConfig, material: Material, cap_mass_g: float, variant: Variant) -> model.Arm:
+class Hook:
+    """What hangs on the end cap, as the load of a model; the same weight gives the same object."""
+
+    def __init__(self, config: RigConfig) -> None:
+        self._gravity_m_s2 = np.array(gravity_m_s2(config))
+        self._loads: dict[float, model.Loads | None] = {0.0: None}
+
+    def carrying(self, weight_kg: float) -> model.Loads | None:
+        """A dead load of so many kilograms at the tip; None for nothing."""
+        if weight_kg not in self._loads:
+            self._loads[weight_kg] = model.Loads(tip_force_n=weight_kg * self._gravity_m_s2)
+        return self._loads[weight_kg]
+
+
+def gravity_m_s2(config: RigConfig) -> tuple[float, float, float]:
+    """Gravity in the rod-base frame."""
     direction = np.array(config.arm.gravity_direction)
     x, y, z = GRAVITY_M_S2 * direction / np.linalg.norm(direction)
+    return float(x), float(y), float(z)
+
+
+def _arm(config: RigConfig, material: Material, cap_mass_g: float, variant: Variant) -> model.Arm:
     return model.Arm(
         model_geometry(config.arm.geometry),
         model_material(material),
         variant=variant,
         cap_mass_kg=cap_mass_g * 1e-3,
-        gravity_m_s2=(float(x), float(y), float(z)),
+        gravity_m_s2=gravity_m_s2(config),
         rod_weight=config.arm.gravity_on_rod,
     )

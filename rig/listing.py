@@ -84,7 +84,7 @@ def summary_table(summary: Summary, counters: Mapping[str, int]) -> Table:
     for head in ("step", "error [mm]", "normalised [%]", "settled after [s]", "overshoot [bar]"):
         table.add_column(head, justify="left" if head == "step" else "right")
     for step in summary.steps:
-        if step.dwell and step.frames and step.kind == "dwell":
+        if step.dwell and step.frames and step.kind in ("dwell", "hold"):
             table.add_row(
                 step.label,
                 f"{step.error_mm:.2f}",

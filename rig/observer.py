@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 import model
-from rig.arm import model_arm
+from rig.arm import Hook, model_arm
 from rig.cameras.base import Frame
 from rig.config import RigConfig, Variant
-from rig.eye import Eye
+from rig.eye import Eye, Measurement
 from runs.records import observation_dtype
 
 Floats = NDArray[np.float64]
@@ -25,7 +25,7 @@ _HISTORY_NS = 1_000_000_000
 class _Companion(Protocol):
     """The model in one of its modes."""
 
-    def follow(self, frame: Frame, pressures: Pressures) -> model.Shape | None:
+    def follow(self, frame: Frame, pressures: Pressures, loads: model.Loads | None) -> model.Shape | None:
         """Shape of the arm at the frame's time; None where it cannot be solved."""
 
 
@@ -61,8 +61,8 @@ class _AtRest:
     def __init__(self, arm: model.Arm) -> None:
         self._arm = arm
 
-    def follow(self, frame: Frame, pressures: Pressures) -> model.Shape | None:
-        return _rest(lambda p: self._arm.statics(p), pressures.at(frame.t_ns))
+    def follow(self, frame: Frame, pressures: Pressures, loads: model.Loads | None) -> model.Shape | None:
+        return _rest(self._arm.statics, pressures.at(frame.t_ns), loads)
 
 
 class _InMotion:
@@ -72,16 +72,16 @@ class _InMotion:
         self._dynamics = arm.dynamics(period_s)
         self._last: Frame | None = None
 
-    def follow(self, frame: Frame, pressures: Pressures) -> model.Shape | None:
+    def follow(self, frame: Frame, pressures: Pressures, loads: model.Loads | None) -> model.Shape | None:
         last, self._last = self._last, None
         steps = frame.index - last.index if last is not None else 0
         if last is None or not 0 < steps <= _MOST_STEPS:
-            shape = _rest(self._dynamics.start, pressures.at(frame.t_ns))
+            shape = _rest(self._dynamics.start, pressures.at(frame.t_ns), loads)
         else:
             shape = None
             for k in range(1, steps + 1):
                 pressure = pressures.at(last.t_ns + (frame.t_ns - last.t_ns) * k // steps)
-                shape = self._dynamics.step(pressure) if np.all(np.isfinite(pressure)) else None
+                shape = self._dynamics.step(pressure, loads) if np.all(np.isfinite(pressure)) else None
                 if shape is None or not shape.ok:
                     # The next frame starts anew at rest: a history with a hole is no history.
                     return None
@@ -90,18 +90,18 @@ class _InMotion:
         return shape
 
 
-def _rest(solve: _Solve, pressure: Floats) -> model.Shape | None:
+def _rest(solve: _Solve, pressure: Floats, loads: model.Loads | None) -> model.Shape | None:
     if not np.all(np.isfinite(pressure)):
         return None
     try:
-        shape = solve(pressure)
+        shape = solve(pressure, loads)
     except model.NotConverged:
         return None
     return shape if shape.ok else None
 
 
 class _Solve(Protocol):
-    def __call__(self, pressure_pa: Floats, /) -> model.Shape: ...
+    def __call__(self, pressure_pa: Floats, loads: model.Loads | None, /) -> model.Shape: ...
 
 
 class Observer:
@@ -115,20 +115,33 @@ class Observer:
         self._model: _Companion = (
             _AtRest(arm) if config.model.mode == "static" else _InMotion(arm, 1 / config.cameras[name].rate_hz)
         )
+        self._hook = Hook(config)
         self._pressures = Pressures(config.actuators)
         self._dtype = observation_dtype(config.actuators)
         self._model_m = np.full(3, np.nan)
+        self.measurement: Measurement | None = None
+        """Of the last frame, as `shape` is the model's; for those who draw them."""
+        self.shape: model.Shape | None = None
 
     def step(
-        self, frame: Frame, sample_t_ns: Times, sample_pa: Floats, protocol_s: float, dropped: int = 0
+        self,
+        frame: Frame,
+        sample_t_ns: Times,
+        sample_pa: Floats,
+        protocol_s: float,
+        dropped: int = 0,
+        weight_kg: float = 0.0,
     ) -> NDArray[np.void]:
         """Observe one frame with the samples (k,), (k, N) that came since the last; return a row, shape ().
+
+        `weight_kg` is what the operator has hung on the end cap.
 
         `age_ns` is left at zero for whoever has a clock.
         """
         self._pressures.extend(np.asarray(sample_t_ns, dtype=np.int64), np.asarray(sample_pa, dtype=np.float64))
         seen = self._eye.measure(frame.image)
-        shape = self._model.follow(frame, self._pressures)
+        shape = self._model.follow(frame, self._pressures, self._hook.carrying(weight_kg))
+        self.measurement, self.shape = seen, shape
         if shape is not None:
             self._model_m = np.array(shape.tip_m, dtype=np.float64)
         row = np.zeros((), self._dtype)
@@ -136,6 +149,7 @@ class Observer:
         row["protocol_s"], row["dropped"] = protocol_s, dropped
         row["seen"], row["model_ok"] = seen.seen, shape is not None
         row["pressure_pa"] = self._pressures.at(frame.t_ns)
+        row["weight_kg"] = weight_kg
         row["measured_m"], row["covariance_m2"] = seen.tip_m, seen.covariance_m2
         row["reprojection_px"] = seen.reprojection_px
         row["model_m"] = self._model_m

@@ -148,6 +148,18 @@ def test_prompts_are_answered_by_themselves_and_said_so(tmp_path: Path) -> None:
     assert any("Hang 100 g" in event.message and "virtual time" in event.message for event in run.events)
 
 
+def test_a_hung_weight_stretches_the_simulated_arm_and_the_model_knows_it(tmp_path: Path) -> None:
+    steps = "  - hold: {duration_s: 1}\n  - prompt: {message: Hang 1 kg, weight_g: 1000}\n  - hold: {duration_s: 3}\n"
+    run = run_fast(tmp_path, protocol_file(tmp_path, steps))
+    before, after = run.tip.protocol_s < 0.9, run.tip.protocol_s > 3.0
+    assert set(run.tip.weight_g[before]) == {0.0}
+    assert set(run.tip.weight_g[after]) == {1000.0}
+    stretch_mm = run.tip.measured_mm[after, 2].mean() - run.tip.measured_mm[before, 2].mean()
+    # Eq 32 for a third of 9.81 N, from the 0.16 N of the cap's share: 170 mm x 0.0277 with the paper's constants.
+    assert stretch_mm == pytest.approx(4.7, rel=0.1)
+    assert run.tip.error_mm[after].mean() < 0.5
+
+
 def test_a_level_above_the_limit_is_refused_before_anything_starts(tmp_path: Path) -> None:
     protocol = protocol_file(tmp_path, "  - ramp: {actuators: [1], to_bar: 0.8, duration_s: 2}\n")
     request = experiment.request(protocol, "mock", folder=tmp_path / "out", fast=True)

@@ -11,6 +11,7 @@ from rig.cameras.base import CameraError, Frame
 from rig.executor.child import Job, orphaned, receive
 from rig.executor.memory import RunMemory, Stage, Stop
 from rig.executor.pictures import encode
+from rig.executor.showing import Show
 from rig.observer import Observer
 
 HISTORY = 400
@@ -32,6 +33,7 @@ def _observe(job: Job, memory: RunMemory) -> int:
     config = job.plan.config
     name = next(iter(config.cameras))
     observer = Observer(config, job.plan.variant)
+    show = Show(config, name, memory)
     camera = open_camera(config, name, job.plan.seed)
     try:
         camera.read(timeout_s=5.0)  # a camera that shows nothing is found before the run is armed
@@ -50,7 +52,8 @@ def _observe(job: Job, memory: RunMemory) -> int:
                 continue
             dropped = 0 if previous is None else max(0, frame.index - previous - 1)
             previous = frame.index
-            _record(observer, memory, frame, dropped)
+            _record(job, observer, memory, frame, dropped)
+            show.frame(frame, observer)
             if frame.index % config.recording.keep_every == 0:
                 memory.push_picture(frame.t_ns, frame.index, encode(frame.image, config.recording))
     finally:
@@ -59,12 +62,14 @@ def _observe(job: Job, memory: RunMemory) -> int:
     return 0
 
 
-def _record(observer: Observer, memory: RunMemory, frame: Frame, dropped: int) -> None:
+def _record(job: Job, observer: Observer, memory: RunMemory, frame: Frame, dropped: int) -> None:
     ticks = memory.samples.last(HISTORY)
     if not len(ticks):
         return
     latest = ticks[max(0, int(ticks["t_ns"].searchsorted(frame.t_ns, side="right")) - 1)]
-    row = observer.step(frame, ticks["t_ns"], ticks["measured_pa"], float(latest["protocol_s"]), dropped)
+    protocol_s = float(latest["protocol_s"])
+    weight_kg = job.plan.trajectory.weight_kg(protocol_s)
+    row = observer.step(frame, ticks["t_ns"], ticks["measured_pa"], protocol_s, dropped, weight_kg)
     row["age_ns"] = time.monotonic_ns() - frame.t_ns
     memory.observations.push(row)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import getpass
 import os
 import subprocess
 import time
@@ -12,8 +13,10 @@ from numpy.typing import NDArray
 from rig.executor.base import Audience, OpenRecord, Outcome, Plan, Progress, Recorder, StartError
 from rig.executor.child import Job, spawn
 from rig.executor.clock import stolen_ms
+from rig.executor.door import Door
 from rig.executor.memory import Layout, RunMemory, Stage, Stop
-from rig.simulator.host import simulated
+from rig.executor.requests import Action, Answer, Desk, Request
+from rig.simulator.host import Simulation, simulated
 from runs.records import Event, Level, Picture, Status
 
 START_TIMEOUT_S = 60.0
@@ -27,6 +30,7 @@ STOPPED = {
     Stop.SAFE: "the run was told to stop",
     Stop.SILENT: "the watchdog asked for the safe state: the conductor had been silent",
     Stop.TERMINATED: "the control process was told to terminate",
+    Stop.VENT: "the run was told to vent",
 }
 
 
@@ -45,12 +49,14 @@ def run(plan: Plan, open_record: OpenRecord, audience: Audience) -> Outcome:
 
 
 class _Conductor:
-    def __init__(self, plan: Plan, audience: Audience, plant: subprocess.Popen[str] | None) -> None:
+    def __init__(self, plan: Plan, audience: Audience, plant: Simulation | None) -> None:
         self.plan = plan
         self.plant = plant
         self.recorder: Recorder
         self.audience = audience
         self.memory = RunMemory.create(Layout.of(plan.config))
+        self.desk = Desk(self.memory, plan.trajectory)
+        self.door: Door | None = None
         self.crew: list[tuple[str, subprocess.Popen[bytes]]] = []
         self.missed = 0
         self.dropped = 0
@@ -62,6 +68,7 @@ class _Conductor:
         """Start, conduct, end."""
         job = Job(self.plan, self.memory.fd, os.getpid())
         memory = self.memory
+        trouble = self._open_door()
         memory.beat("conductor", time.monotonic_ns())
         self.crew.append(("watchdog", spawn("rig.executor.watchdog", job)))
         self.crew.append(("observer", spawn("rig.executor.observing", job)))
@@ -77,6 +84,8 @@ class _Conductor:
         self._event(Level.INFO, "control", "armed: the safe state was written and read back")
         if warning := memory.message("control"):
             self._event(Level.WARNING, "control", warning)
+        if trouble:
+            self._event(Level.WARNING, "conductor", trouble)
         memory.beat("conductor", time.monotonic_ns())
         memory.set("go_ns", max(go, time.monotonic_ns() + LEAD_NS // 10))
         try:
@@ -98,11 +107,15 @@ class _Conductor:
             "picture_ring_overflows": memory.pictures_lost,
             "stolen_cpu_ms": stolen_ms() - stolen,
         }
+        memory.say("conductor", Stage.DONE, f"{status}: {message}".removesuffix(": "))
         return Outcome(status, message, safe_ns or time.monotonic_ns(), counters)
 
     def end(self) -> None:
         """Leave no process behind. Safe to call at any time, more than once."""
-        self.memory.set("stop", Stop.SAFE)
+        if self.memory.get("stop") == Stop.NONE:
+            self.memory.set("stop", Stop.SAFE)
+        if self.door is not None:
+            self.door.close()
         # The watchdog goes last: it is the one that writes the safe state when the others cannot.
         for name, process in sorted(self.crew, key=lambda member: member[0] == "watchdog"):
             try:
@@ -121,6 +134,12 @@ class _Conductor:
             self._drain()
             if reason := self.audience.stop_requested():
                 return Status.INTERRUPTED, reason
+            if self.audience.pause_toggled():
+                self._carry_out(
+                    Request(Action.RESUME if memory.get("held") else Action.PAUSE, f"{getpass.getuser()} (terminal)")
+                )
+            if self.desk.ending is not None:
+                return self.desk.ending
             if (stop := Stop(memory.get("stop"))) != Stop.NONE:
                 self._event(Level.FAULT, "conductor", STOPPED[stop])
                 return Status.ABORTED, STOPPED[stop]
@@ -130,10 +149,35 @@ class _Conductor:
             if memory.stage("control") == Stage.DONE:
                 return Status.FINISHED, ""
             self._prompt()
+            if self.plant is not None:
+                self.plant.hang(self.plan.trajectory.weight_kg(float(memory.board["protocol_s"][0])))
             if (now := time.monotonic()) - shown > SHOW_S:
                 shown = now
                 self.audience.show(self._progress())
-            time.sleep(DRAIN_S)
+            self._attend(DRAIN_S)
+
+    def _open_door(self) -> str:
+        """Let pages attach to this run; what keeps them out, empty when nothing does."""
+        try:
+            self.door = Door(self.plan, self.memory)
+        except OSError as error:
+            return f"no page can watch this run: {error}"
+        return ""
+
+    def _attend(self, timeout_s: float) -> None:
+        if self.door is None:
+            time.sleep(timeout_s)
+        else:
+            self.door.attend(timeout_s, self._carry_out)
+
+    def _carry_out(self, request: Request) -> Answer:
+        """Do what an operator asks for, then record it."""
+        if not self.memory.get("go_ns") and request.action not in (Action.STOP, Action.VENT):
+            return Answer(False, "the run has not begun")
+        answer = self.desk.carry_out(request)
+        if answer.done and self.memory.get("go_ns"):
+            self._event(Level.INFO, "operator", answer.said)
+        return answer
 
     def _fault(self) -> tuple[str, str] | None:
         """Which process has a fault, and what it is."""
@@ -147,8 +191,8 @@ class _Conductor:
         for name, process in self.crew:
             if process.poll() is not None and memory.stage(name) != Stage.DONE:
                 return name, f"the {name} process died (exit status {process.returncode})"
-        if self.plant is not None and self.plant.poll() is not None:
-            return "simulator", f"the simulator died (exit status {self.plant.returncode})"
+        if self.plant is not None and self.plant.exit_status is not None:
+            return "simulator", f"the simulator died (exit status {self.plant.exit_status})"
         silent_s = (time.monotonic_ns() - memory.heartbeat_ns("observer")) * 1e-9
         if silent_s > 2 * self.plan.config.limits.no_tip_s:
             return "observer", f"the observer process has been silent for {silent_s:.1f} s"
@@ -194,12 +238,14 @@ class _Conductor:
             observation=self._observation,
             missed=self.missed,
             prompt=self._prompt_text(waiting) if waiting >= 0 else None,
+            held=bool(self.memory.get("held")),
         )
 
     def _make_safe(self) -> None:
         """Ask control for the safe state and wait until it, or the watchdog in its place, has written it."""
         memory = self.memory
-        memory.set("stop", Stop.SAFE)
+        if memory.get("stop") == Stop.NONE:
+            memory.set("stop", Stop.SAFE)
         deadline = time.monotonic() + SAFE_TIMEOUT_S
         while time.monotonic() < deadline:
             memory.beat("conductor", time.monotonic_ns())
@@ -213,17 +259,19 @@ class _Conductor:
         process = dict(self.crew)[name]
         while memory.stage(name) == Stage.STARTING:
             memory.beat("conductor", time.monotonic_ns())
-            if reason := self.audience.stop_requested():
+            reason = self.audience.stop_requested() or (self.desk.ending and self.desk.ending[1])
+            if reason:
                 raise StartError(f"stopped before the run began: {reason}")
             if process.poll() is not None:
                 raise StartError(f"the {name} process died while it started (exit status {process.returncode})")
             if time.monotonic() > deadline:
                 raise StartError(f"the {name} process was not ready within {START_TIMEOUT_S:.0f} s")
-            time.sleep(0.005)
+            self._attend(0.005)
         if memory.stage(name) == Stage.FAILED:
             raise StartError(memory.message(name))
 
     def _event(self, level: Level, source: str, message: str) -> None:
         event = Event(time.monotonic_ns(), level, source, message)
         self.recorder.event(event)
+        self.memory.push_event(event)
         self.audience.tell(event)

@@ -79,6 +79,7 @@ class _VirtualRun:
 
     def _tick(self, tick: int, now: int) -> tuple[Status, str] | None:
         """Do one tick and the frames that fall into it; return how the run ends, None while it goes on."""
+        self._plant.hang(self._plan.trajectory.weight_kg(self._ticker.position.protocol_s))
         self._plant.advance(now)
         row, trip = self._ticker.tick(tick, now, 1, self._answered, False, 0, 0)
         self._samples.add(row)
@@ -107,7 +108,10 @@ class _VirtualRun:
     def _observe(self, frame: int, t_ns: int, protocol_s: float) -> None:
         picture = self._camera.frame_at(frame, t_ns)
         ticks = self._samples.recent(HISTORY_TICKS)
-        self._observations.add(self._observer.step(picture, ticks["t_ns"], ticks["measured_pa"], protocol_s, 0))
+        weight_kg = self._plan.trajectory.weight_kg(protocol_s)
+        self._observations.add(
+            self._observer.step(picture, ticks["t_ns"], ticks["measured_pa"], protocol_s, 0, weight_kg)
+        )
         recording = self._plan.config.recording
         if frame % recording.keep_every == 0:
             data = encode(picture.image, recording)

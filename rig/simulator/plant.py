@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.arm import true_arm
+from rig.arm import Hook, true_arm
 from rig.config import RigConfig
 from rig.daq.base import CardError, Scans
 from rig.simulator import pneumatics
@@ -47,6 +47,8 @@ class Plant:
         self._dynamics = true_arm(config).dynamics(ARM_STEPS * STEP_NS * 1e-9) if moving_arm else None
         lengths = np.full(config.actuators, geometry.length_mm * 1e-3)
         position, rotation = np.array([0.0, 0.0, lengths[0]]), np.eye(3)
+        self._hook = Hook(config)
+        self._loads = self._hook.carrying(0.0)
         if self._dynamics is not None:
             shape = self._dynamics.start(np.zeros(config.actuators))
             lengths, position, rotation = shape.actuator_lengths_m, shape.tip_m, shape.tip_rotation
@@ -114,6 +116,10 @@ class Plant:
         for index in range(max(first, last - REMEMBERED_POSES + 1), last + 1):
             self._remember(index, standing["position_m"], standing["rotation"])
 
+    def hang(self, weight_kg: float) -> None:
+        """Hang a weight on the end cap in place of what hung there, as an operator would."""
+        self._loads = self._hook.carrying(weight_kg)
+
     def set_output(self, valve: int, volts: float) -> None:
         """Put a valve's output at a voltage, from the present grid point on."""
         self._air.command_v[valve] = volts
@@ -132,7 +138,7 @@ class Plant:
     def _move_arm(self) -> None:
         if self._dynamics is None:
             return
-        shape = self._dynamics.step(self.pressure_pa)
+        shape = self._dynamics.step(self.pressure_pa, self._loads)
         # The chambers follow within the next step: the arm lags the air by one step, and the volume has no jumps.
         target = self._dead_m3 + self._bore_m2 * shape.actuator_lengths_m
         self._air.volume_rate[:] = (target - self._air.volume_m3) / (ARM_STEPS * STEP_NS * 1e-9)

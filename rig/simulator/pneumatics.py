@@ -36,12 +36,13 @@ def compiled(function: Callable[..., Any]) -> Any:
     for source in (__file__, rig.valve.__file__):
         digest.update(Path(source).read_bytes())
     folder = cache_folder() / f"plant-{digest.hexdigest()[:16]}"
-    before = numba.config.CACHE_DIR
-    numba.config.CACHE_DIR = str(folder)
+    config: Any = numba.config
+    before = config.CACHE_DIR
+    config.CACHE_DIR = str(folder)
     try:
         return numba.njit(cache=True, error_model="numpy", nogil=True)(function)
     finally:
-        numba.config.CACHE_DIR = before
+        config.CACHE_DIR = before
 
 
 class Valves(NamedTuple):

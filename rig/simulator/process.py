@@ -58,6 +58,10 @@ class _Device:
         """Let the plant's valves feel the registers."""
         self._card.write(self._volts[self._channels])
 
+    def hung_kg(self) -> float:
+        """What the operator has hung on the end cap."""
+        return float(self._registers.header["hung_kg"][0])
+
     def publish(self, plant: Plant) -> None:
         """Put what the plant has done into the rings."""
         scans = self._card.read()
@@ -115,6 +119,8 @@ def _catch_up(plant: Plant, devices: Sequence[_Device]) -> None:
 
 
 def _play(plant: Plant, devices: Sequence[_Device], until_ns: int) -> None:
+    if devices:
+        plant.hang(devices[0].hung_kg())
     for written_ns, device in sorted(((d.newest_write_ns(), d) for d in devices), key=itemgetter(0)):
         if written_ns <= until_ns:
             plant.advance(written_ns)

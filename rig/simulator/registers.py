@@ -40,6 +40,7 @@ HEADER_DTYPE = np.dtype(
         ("pose_rows", "<u8"),
         ("plant_pid", "<i8"),
         ("plant_t_ns", "<i8"),
+        ("hung_kg", "<f8"),
         ("scans", "<i8"),
         ("poses", "<i8"),
     ]
@@ -132,6 +133,10 @@ class Registers:
         """Set one output register and the time of the write."""
         self.outputs["volts"][output] = volts
         self.outputs["written_ns"][output] = t_ns
+
+    def hang(self, weight_kg: float) -> None:
+        """Hang a weight on the simulated end cap; the plant takes it from here."""
+        self.header["hung_kg"][0] = weight_kg
 
     def push_scans(self, t_ns: NDArray[np.int64], volts: NDArray[np.float64]) -> None:
         """Append scans (n,), (n, inputs). Only the plant may."""
