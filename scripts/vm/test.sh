@@ -17,6 +17,9 @@ memory_mib=${SOFTRIG_VM_MEMORY_MIB:-2048}
 
 bash "$here/prepare.sh" "$cache"
 release=$(cat "$cache/release")
+echo "softrig: compiling for the virtual machine, and rendering what its camera will see"
+(cd "$checkout" && SOFTRIG_CACHE=$cache/kernels NUMBA_CPU_NAME=generic NUMBA_CPU_FEATURES='' PYTHONPATH=. \
+    "$venv/bin/python" tests/hardware/played_pictures.py render "$cache/pictures.npz")
 
 rm -rf "$cache/out"
 mkdir -p "$cache/out"
@@ -51,4 +54,8 @@ if [ ! -e "$cache/out/status" ]; then
     tail -n 20 "$cache/console" >&2
     exit 3
 fi
-exit "$(cat "$cache/out/status")"
+status=$(cat "$cache/out/status")
+[ "$status" = 0 ] || exit "$status"
+if compgen -G "$cache/out/runs/*.h5" >/dev/null; then
+    cd "$checkout" && SOFTRIG_GUEST_LEFT=$cache/out "$venv/bin/python" -m pytest tests/hardware/test_hardware_archive.py
+fi

@@ -3,23 +3,28 @@
 from __future__ import annotations
 
 import os
+import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
 from kernel_card import CARD, OpenCard
+from rig_of_the_machine import CAMERA, Player
 
 from rig.daq.base import CardSetup, Channel
 from rig.daq.comedi import ComediCard
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Skip outside the virtual machine: there the card is somebody's, with valves on it."""
-    if os.environ.get("SOFTRIG_GUEST"):
-        return
+    """Skip outside the virtual machine, where the card is somebody's with valves on it; the archive is the host's."""
     for item in items:
-        if Path(__file__).parent in item.path.parents:
-            item.add_marker(pytest.mark.skip(reason="runs in the virtual machine: make test-hardware"))
+        if Path(__file__).parent not in item.path.parents:
+            continue
+        on_host = item.path.stem == "test_hardware_archive"
+        if not os.environ.get("SOFTRIG_GUEST_LEFT" if on_host else "SOFTRIG_GUEST"):
+            item.add_marker(pytest.mark.skip(reason="part of make test-hardware"))
 
 
 @pytest.fixture
@@ -48,3 +53,19 @@ def open_card() -> Iterator[OpenCard]:
     yield open_
     for card in cards:
         card.close()
+
+
+@pytest.fixture
+def player() -> Iterator[Player]:
+    """The rendered scene, played into the kernel's loopback camera while the test runs."""
+    pictures = os.environ["SOFTRIG_PICTURES"]
+    program = Path(__file__).with_name("played_pictures.py")
+    process = subprocess.Popen([sys.executable, program, "play", pictures, CAMERA], stdout=subprocess.PIPE)
+    assert process.stdout is not None
+    assert process.stdout.readline() == b"playing\n"
+    with np.load(pictures) as stored:
+        tips = stored["tips"]
+    yield Player(tips)
+    process.kill()
+    process.wait()
+    process.stdout.close()

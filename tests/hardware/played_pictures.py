@@ -1,0 +1,98 @@
+"""The rendered scene as a V4L2 camera: pictures of the arm at the tips of a static ramp, played into v4l2loopback.
+
+`python played_pictures.py render FILE` renders them (and has every kernel that a run needs compiled on the way);
+`python played_pictures.py play FILE DEVICE` plays them for ever, each for a second.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import struct
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.arm import model_arm
+from rig.cameras.mock import MockCamera
+from rig.config import PA_PER_BAR, load
+from rig.eye import Eye
+from rig.simulator.pose import TipPose
+from runs.records import Seen
+
+LEVELS_BAR = tuple(np.arange(0.1, 0.66, 0.05).round(2).tolist())
+RATE_HZ = 10
+_OUTPUT = 2  # V4L2_BUF_TYPE_VIDEO_OUTPUT
+_FIELD_NONE = 1
+_SRGB = 8
+_FORMAT_BYTES = 208  # struct v4l2_format on 64 bits: the type, padding, and a union of 200 bytes
+_SET_FORMAT = (3 << 30) | (_FORMAT_BYTES << 16) | (ord("V") << 8) | 5
+
+
+@dataclass(frozen=True)
+class _StandingStill:
+    position_m: NDArray[np.float64]
+    rotation: NDArray[np.float64]
+
+    def pose_at(self, t_ns: int) -> TipPose:
+        return TipPose(t_ns, self.position_m, self.rotation)
+
+
+def render(target: Path) -> None:
+    """Write pictures (n, height, width) and their true tips (n, 3) [m]."""
+    config = load("mock")
+    arm = model_arm(config)
+    pictures, tips = [], []
+    eye = Eye(config, "front")
+    for number, level in enumerate(LEVELS_BAR):
+        shape = arm.statics((level * PA_PER_BAR, 0.0, 0.0))
+        frame = MockCamera(config, _StandingStill(shape.tip_m, shape.tip_rotation)).frame_at(number, 0)
+        seen = eye.measure(frame.image)
+        if seen.seen is not Seen.MEASURED:
+            raise SystemExit(f"the picture at {level} bar shows no board: {seen.seen.name}")
+        pictures.append(frame.image)
+        tips.append(frame.truth_m)
+    arm.dynamics(1 / 30).start((0.0, 0.0, 0.0))
+    np.savez_compressed(target, pictures=np.array(pictures), tips=np.array(tips))
+
+
+def yuyv(grey: NDArray[np.uint8]) -> bytes:
+    """Grey of full range as YUYV of video range, which is what readers expect of it."""
+    luma = 16 + grey.astype(np.float64) * (219 / 255)
+    packed = np.full((*grey.shape, 2), 128, np.uint8)
+    packed[:, :, 0] = np.rint(luma)
+    return packed.tobytes()
+
+
+def play(source: Path, device: str) -> None:
+    """Play until killed."""
+    with np.load(source) as stored:
+        pictures = stored["pictures"]
+    height, width = pictures.shape[1:]
+    frames = [yuyv(picture) for picture in pictures]
+    node = os.open(device, os.O_RDWR)
+    fourcc = int.from_bytes(b"YUYV", "little")
+    pixels = struct.pack(
+        "<12I", width, height, fourcc, _FIELD_NONE, 2 * width, 2 * width * height, _SRGB, 0, 0, 0, 0, 0
+    )
+    fcntl.ioctl(node, _SET_FORMAT, bytearray(struct.pack("<2I", _OUTPUT, 0) + pixels.ljust(200, b"\0")))
+    print("playing", flush=True)
+    due = time.monotonic()
+    while True:
+        for frame in frames:
+            for _ in range(RATE_HZ):
+                os.write(node, frame)
+                due = max(due + 1 / RATE_HZ, time.monotonic())
+                time.sleep(max(0.0, due - time.monotonic()))
+
+
+if __name__ == "__main__":
+    verb, path, *rest = sys.argv[1:]
+    if verb == "render":
+        render(Path(path))
+    else:
+        play(Path(path), *rest)

@@ -1,0 +1,21 @@
+"""The rig of the virtual machine, and the pictures that are played in it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+HERE = Path(__file__).parent
+LOOPED = str(HERE / "looped.yaml")
+STEPS = str(HERE / "steps.yaml")
+CAMERA = "/dev/video9"
+
+
+@dataclass(frozen=True)
+class Player:
+    """What is played: the true tips (n, 3) [m] of the pictures."""
+
+    tips_m: NDArray[np.float64]

@@ -1,0 +1,58 @@
+"""On the host: the archive that the run in the virtual machine left."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import runs
+from runs.records import Seen, Status
+from runs.run import Run
+
+
+@pytest.fixture(scope="module")
+def run() -> Run:
+    """The one archive of the guest."""
+    (path,) = (Path(os.environ["SOFTRIG_GUEST_LEFT"]) / "runs").glob("*.h5")
+    return runs.open(path)
+
+
+def test_the_archive_is_finished_real_and_whole(run: Run) -> None:
+    assert run.status is Status.FINISHED
+    assert not run.header.simulated
+    assert run.header.executor == "real time"
+    assert run.pressure.protocol_s[-1] == pytest.approx(12.0, abs=0.5)
+    assert np.all(np.diff(run.pressure.time_s) > 0)
+    assert run.timing.ring_overflows == 0
+
+
+def test_each_level_was_written_to_the_card_and_read_back_from_it(run: Run) -> None:
+    pressure = run.pressure
+    for interval in run.header.intervals:
+        settled = (pressure.protocol_s > interval.stop_s - 1.0) & (pressure.protocol_s < interval.stop_s - 0.1)
+        if interval.kind != "dwell":
+            continue
+        assert settled.sum() > 5
+        level_bar = np.array(interval.level_pa) / 1e5
+        np.testing.assert_allclose(pressure.measured_bar[settled], np.tile(level_bar, (settled.sum(), 1)), atol=1e-3)
+        np.testing.assert_allclose(pressure.valve_v[settled], np.tile(10 * level_bar, (settled.sum(), 1)), atol=1e-2)
+
+
+def test_the_tip_was_measured_in_the_pictures_and_modelled_beside(run: Run) -> None:
+    tip = run.tip
+    assert len(tip.time_s) > 10
+    measured = tip.seen == Seen.MEASURED
+    assert measured.mean() > 0.8
+    assert np.all(np.isfinite(tip.model_mm))
+    with np.load(Path(os.environ["SOFTRIG_GUEST_LEFT"]).parent / "pictures.npz") as stored:
+        played_mm = stored["tips"] * 1e3
+    away = np.linalg.norm(tip.measured_mm[measured][:, None, [0, 2]] - played_mm[None, :, [0, 2]], axis=2).min(axis=1)
+    assert np.median(away) < 1.0
+
+
+def test_the_lateness_is_recorded(run: Run) -> None:
+    assert np.all(run.timing.lateness_us >= 0)
+    print(f"lateness in the virtual machine: median {np.median(run.timing.lateness_us):.0f} us")
