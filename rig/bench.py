@@ -55,6 +55,7 @@ class Bench:
         self._sensors = sorted(config.sensors, key=lambda s: s.actuator)
         self._valves = config.valves
         self.safe_voltages: NDArray[np.float64] = np.array(safe_voltages(config))
+        self._vent_voltages: NDArray[np.float64] = np.array(safe_voltages(config, vent=True))
         columns = {name: [i for i, s in enumerate(self._sensors) if s.card == name] for name in self._cards}
         self._inputs = {name: column for name, column in columns.items() if column}
         self._outputs = {name: [i for i, v in enumerate(self._valves) if v.card == name] for name in self._cards}
@@ -102,17 +103,18 @@ class Bench:
                 volts[column] = self._cards[name].readback()
         return volts
 
-    def make_safe(self) -> None:
-        """Write the safe voltages to every card, whatever the others do.
+    def make_safe(self, *, vent: bool = False) -> None:
+        """Write the safe voltages to every card, whatever the others do; `vent` empties what would be held, too.
 
         Raises:
             CardError: one or more cards could not be written; it names each.
         """
         failures = []
+        voltages = self._vent_voltages if vent else self.safe_voltages
         for name, column in self._outputs.items():
             try:
                 if column:
-                    self._cards[name].write(self.safe_voltages[column])
+                    self._cards[name].write(voltages[column])
             except Exception as error:  # a card must not keep the others from their safe state
                 failures.append(f"card {name}: {error}")
         if failures:

@@ -50,12 +50,12 @@ class Command:
     trip: Trip | None
 
 
-def safe_voltages(config: RigConfig) -> tuple[float, ...]:
-    """The voltage of each valve that leaves the arm safe: vented, or held where the rig says so."""
+def safe_voltages(config: RigConfig, *, vent: bool = False) -> tuple[float, ...]:
+    """The voltage of each valve that leaves the arm safe: vented, or held where the rig says so and nobody vents."""
     voltages = []
     for valve in config.valves:
         if valve.type == "flow":
-            voltages.append(vent_v(valve) if valve.safe_state == "vent" else valve.closed_V)
+            voltages.append(vent_v(valve) if vent or valve.safe_state == "vent" else valve.closed_V)
         else:
             (low_v, high_v), (low_bar, high_bar) = valve.span_V, valve.span_bar
             zero = low_v - low_bar * (high_v - low_v) / (high_bar - low_bar)

@@ -1,4 +1,4 @@
-"""Where in the protocol a run is: protocol time runs with the clock, and stands still for prompts and pauses."""
+"""Where in the protocol a run is: protocol time runs with the clock, stands still for prompts and pauses, and skips."""
 
 from __future__ import annotations
 
@@ -30,3 +30,13 @@ def advance(position: Position, dt_s: float, prompts_s: Sequence[float], answere
             return Position(prompts_s[passed], passed, waiting=True)
         passed += 1
     return Position(target, passed, waiting=False)
+
+
+def skip(position: Position, starts_s: Sequence[float], end_s: float, prompts_s: Sequence[float]) -> Position:
+    """Set protocol time forward to the next of the segments' starts (ascending), or to the end after the last.
+
+    A prompt that waits, or that lies in what is skipped, is taken as done; one at the new place still waits.
+    """
+    target = next((start for start in starts_s if start > position.protocol_s), end_s)
+    behind = sum(at_s < target for at_s in prompts_s)
+    return Position(target, max(position.prompts_passed, behind), waiting=False)

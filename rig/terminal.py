@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import select
-import sys
 import time
 from collections.abc import Callable
 from contextlib import suppress
@@ -19,6 +17,7 @@ from rich.text import Text
 
 from rig.config import PA_PER_BAR
 from rig.executor.base import Progress
+from rig.keys import Keys
 from runs.records import Event, Level, Seen
 
 LINE_EVERY_S = 2.0
@@ -34,9 +33,13 @@ class Terminal:
         self._title = title
         self._live = Live(console=console, auto_refresh=False, transient=True) if console.is_terminal else None
         self._line_at = -LINE_EVERY_S
+        self._keys = Keys()
+        self._typed = ""
+        self._prompted = False
         self._no_operator = False
 
     def __enter__(self) -> Terminal:
+        self._keys.__enter__()
         if self._live is not None:
             self._live.start()
         return self
@@ -47,9 +50,12 @@ class Terminal:
         if self._live is not None:
             with suppress(OSError):
                 self._live.stop()
+        self._keys.__exit__(kind, error, trace)
 
     def show(self, progress: Progress) -> None:
         """Show where the run stands."""
+        if self._live is not None and progress.prompt is None:
+            self._typed = self._typed.replace("\n", "")  # Enter answers the prompt that is shown, never one to come
         with suppress(OSError):
             if self._live is not None:
                 self._live.update(_screen(self._title, progress), refresh=True)
@@ -66,12 +72,23 @@ class Terminal:
 
     def answered(self) -> bool:
         """True once the operator has pressed Enter."""
-        if not select.select([sys.stdin], [], [], 0)[0]:
-            return False
-        if sys.stdin.readline():
-            return True
-        self._no_operator = True
-        return False
+        self._prompted = True
+        answered = self._taken("\n")
+        self._no_operator = self._keys.ended and not answered
+        return answered
+
+    def pause_toggled(self) -> bool:
+        """True once the operator has pressed p."""
+        return self._taken("p")
+
+    def _taken(self, key: str) -> bool:
+        """Take one stroke of a key out of what was typed; a pipe is read only once a prompt asks for an answer."""
+        if self._live is not None or self._prompted:
+            self._typed += self._keys.pressed()
+        before, found, after = self._typed.partition(key)
+        if found:
+            self._typed = before + after
+        return bool(found)
 
     def stop_requested(self) -> str | None:
         """Why the run is to stop."""
@@ -106,6 +123,8 @@ def _line(progress: Progress) -> str:
         parts.append("bar " + " ".join(f"{s / PA_PER_BAR:.3f}/{m / PA_PER_BAR:.3f}" for s, m in pairs))
     if progress.observation is not None and progress.observation["seen"] == Seen.MEASURED:
         parts.append(f"tip mm {_point(progress.observation['measured_m'])}, error {_error_mm(progress):.2f}")
+    if progress.held:
+        parts.append("PAUSED")
     if progress.prompt is not None:
         parts.append(f"WAITING: {progress.prompt} (then press Enter)")
     return " | ".join(parts)
@@ -139,7 +158,11 @@ def _screen(title: str, progress: Progress) -> Group:
         parts.append(Text(late, "yellow" if progress.missed else "dim"))
     parts.append(ProgressBar(total=progress.duration_s, completed=progress.protocol_s, width=60))
     left = _clock(progress.duration_s - progress.protocol_s)
-    parts.append(Text(f"{_clock(progress.protocol_s)} of {_clock(progress.duration_s)}, {left} left; Ctrl-C stops"))
+    parts.append(
+        Text(f"{_clock(progress.protocol_s)} of {_clock(progress.duration_s)}, {left} left; p pauses, Ctrl-C stops")
+    )
+    if progress.held:
+        parts.append(Text("PAUSED: p resumes", "bold yellow"))
     if progress.prompt is not None:
         parts.append(Text(f"{progress.prompt}, then press Enter", "bold yellow"))
     return Group(*parts)

@@ -46,6 +46,7 @@ class Progress:
     observation: NDArray[np.void] | None
     missed: int
     prompt: str | None
+    held: bool = False
 
 
 class Recorder(Protocol):
@@ -78,6 +79,9 @@ class Audience(Protocol):
 
     def stop_requested(self) -> str | None:
         """Why the operator wants the run to stop, None while he does not."""
+
+    def pause_toggled(self) -> bool:
+        """True once when the operator has asked for a pause, or for its end."""
 
 
 class StartError(Exception):

@@ -42,7 +42,7 @@ def main() -> int:
         fault = str(error)
     finally:
         try:
-            bench.make_safe()
+            bench.make_safe(vent=memory.get("stop") == Stop.VENT)
             memory.set("safe_ns", time.monotonic_ns())
         except CardError as error:
             fault = f"{fault}; then the safe state could not be written: {error}".removeprefix("; ")
@@ -83,7 +83,7 @@ def _run(job: Job, memory: RunMemory, bench: Bench) -> str:
             return "the conductor died before the run began"
     memory.beat("control", time.monotonic_ns())
     memory.say("control", Stage.RUNNING, memory.message("control"))
-    tick = skipped = 0
+    tick = skipped = skips = 0
     while True:
         deadline = go + tick * period
         now = wait_until(deadline)
@@ -95,6 +95,9 @@ def _run(job: Job, memory: RunMemory, bench: Bench) -> str:
             return "the conductor died"
         if now - memory.heartbeat_ns("watchdog") > WATCHDOG_SILENT_NS:
             return "the watchdog is silent"
+        while skips < memory.get("skips"):
+            skips += 1
+            ticker.skip()
         row, trip = ticker.tick(
             tick, now, 1 + skipped, memory.get("answered"), bool(memory.get("held")), now - deadline, skipped
         )

@@ -1,4 +1,7 @@
-"""The memory that the processes of one run share: a board of flags, the rings, the picture slots."""
+"""The memory that the processes of one run share: a board of flags, the rings, the picture slots.
+
+The rings of events and views are for those who watch; nothing of the record depends on them.
+"""
 
 from __future__ import annotations
 
@@ -13,12 +16,16 @@ from numpy.typing import NDArray
 
 from rig.config import RigConfig
 from rig.executor.ring import Ring, ring_bytes
-from runs.records import observation_dtype, sample_dtype
+from runs.records import Event, Level, observation_dtype, sample_dtype
 
 SAMPLES = 4096
 OBSERVATIONS = 1024
 PICTURES = 32
 MESSAGE_BYTES = 480
+EVENTS = 256
+VIEWS = 4
+LINE_POINTS = 16
+"""Points of a line that is drawn of the arm: its axis or an actuator's."""
 
 
 class Stage(IntEnum):
@@ -38,6 +45,7 @@ class Stop(IntEnum):
     SAFE = 1
     SILENT = 2
     TERMINATED = 3
+    VENT = 4
 
 
 _PROCESS = np.dtype([("stage", "<i8"), ("heartbeat_ns", "<i8"), ("message", f"S{MESSAGE_BYTES}")], align=True)
@@ -51,6 +59,8 @@ _BOARD = np.dtype(
         ("go_ns", "<i8"),
         ("stop", "<i8"),
         ("held", "<i8"),
+        ("skips", "<i8"),
+        ("watched_ns", "<i8"),
         ("answered", "<i8"),
         ("waiting", "<i8"),
         ("protocol_s", "<f8"),
@@ -59,6 +69,8 @@ _BOARD = np.dtype(
     ],
     align=True,
 )
+_EVENT = np.dtype([("t_ns", "<i8"), ("level", "S8"), ("source", "S32"), ("message", f"S{MESSAGE_BYTES}")])
+_SAID = ("source", "message")
 _PICTURE = np.dtype([("t_ns", "<i8"), ("frame", "<i8"), ("slot", "<i8"), ("size", "<i8")])
 
 
@@ -69,12 +81,35 @@ class Layout:
     actuators: int
     valves: int
     picture_bytes: int
+    corners: int
 
     @classmethod
     def of(cls, config: RigConfig) -> Layout:
         """The layout for one rig. A picture slot holds the largest camera's frame uncompressed."""
         largest = max((c.width_px * c.height_px for c in config.cameras.values()), default=0)
-        return cls(config.actuators, len(config.valves), largest * 3 + 4096)
+        corners = (config.board.squares_x - 1) * (config.board.squares_y - 1)
+        return cls(config.actuators, len(config.valves), largest * 3 + 4096, corners)
+
+
+def view_dtype(layout: Layout) -> np.dtype[np.void]:
+    """What a page draws of one camera frame, besides what is recorded.
+
+    Pixels (u, v) of the board's corners (the first `found` count), of the measured tip and of the model's, NaN where
+    there is none; `lines_m` the arm's axis and its actuators' in the rod-base frame; `shape` that of the picture.
+    """
+    return np.dtype(
+        [
+            ("number", "<i8"),
+            ("t_ns", "<i8"),
+            ("frame", "<i8"),
+            ("shape", "<i4", (3,)),
+            ("found", "<i4"),
+            ("corners_px", "<f4", (layout.corners, 2)),
+            ("tip_px", "<f4", (2,)),
+            ("model_px", "<f4", (2,)),
+            ("lines_m", "<f4", (1 + layout.actuators, LINE_POINTS, 3)),
+        ]
+    )
 
 
 class RunMemory:
@@ -84,7 +119,8 @@ class RunMemory:
     records of `runs.records`.
     """
 
-    def __init__(self, fd: int, layout: Layout) -> None:
+    def __init__(self, fd: int, layout: Layout, *, readonly: bool = False) -> None:
+        """Map the memory; `readonly` for those who watch: writing is then impossible, not just forbidden."""
         self.fd = fd
         self.layout = layout
         sample, observation = sample_dtype(layout.actuators, layout.valves), observation_dtype(layout.actuators)
@@ -94,17 +130,24 @@ class RunMemory:
             ring_bytes(observation, OBSERVATIONS),
             ring_bytes(_PICTURE, PICTURES),
             layout.picture_bytes * PICTURES,
+            ring_bytes(_EVENT, EVENTS),
+            ring_bytes(view_dtype(layout), VIEWS),
+            layout.picture_bytes * VIEWS,
         )
         edges = [0, *np.cumsum(sizes).tolist()]
         if os.fstat(fd).st_size == 0:
             os.ftruncate(fd, edges[-1])
-        view = memoryview(mmap.mmap(fd, edges[-1]))
+        access = mmap.ACCESS_READ if readonly else mmap.ACCESS_WRITE
+        view = memoryview(mmap.mmap(fd, edges[-1], access=access))
         parts = [view[a:b] for a, b in itertools.pairwise(edges)]
         self.board: NDArray[np.void] = np.frombuffer(parts[0], _BOARD, 1)
         self.samples: Ring[np.void] = Ring(parts[1], sample, SAMPLES)
         self.observations: Ring[np.void] = Ring(parts[2], observation, OBSERVATIONS)
         self._pictures: Ring[np.void] = Ring(parts[3], _PICTURE, PICTURES)
         self._slots = parts[4]
+        self._events: Ring[np.void] = Ring(parts[5], _EVENT, EVENTS)
+        self._views: Ring[np.void] = Ring(parts[6], view_dtype(layout), VIEWS)
+        self._shown = parts[7]
 
     @classmethod
     def create(cls, layout: Layout) -> RunMemory:
@@ -165,3 +208,40 @@ class RunMemory:
     def pictures_lost(self) -> int:
         """Pictures overwritten before this reader came for them."""
         return self._pictures.lost
+
+    def push_event(self, event: Event) -> None:
+        """Publish an event to those who watch."""
+        row = np.zeros((), _EVENT)
+        row["t_ns"], row["level"], row["source"] = event.t_ns, event.level.encode(), event.source.encode()[:32]
+        row["message"] = event.message.encode()[:MESSAGE_BYTES]
+        self._events.push(row)
+
+    def read_events(self) -> list[Event]:
+        """Return the events published since the last call."""
+        return [
+            Event(int(row["t_ns"]), Level(row["level"].decode()), *(row[n].decode(errors="replace") for n in _SAID))
+            for row in self._events.read()
+        ]
+
+    def push_view(self, view: NDArray[np.void], image: NDArray[np.uint8]) -> None:
+        """Publish a frame to those who watch: a row of `view_dtype`, whose number is set here, and its picture."""
+        number = self._views.written
+        pixels = np.ascontiguousarray(image).tobytes()
+        if len(pixels) > self.layout.picture_bytes:
+            return
+        start = number % VIEWS * self.layout.picture_bytes
+        self._shown[start : start + len(pixels)] = pixels
+        view["number"] = number
+        self._views.push(view)
+
+    def newest_view(self, after: int = -1) -> tuple[NDArray[np.void], NDArray[np.uint8]] | None:
+        """Return the newest frame with a number above `after`; None when there is none, or it was overwritten."""
+        if self._views.written <= after + 1:
+            return None
+        rows = self._views.last(1)
+        if not len(rows) or int(rows["number"][0]) <= after:
+            return None
+        number, shape = int(rows["number"][0]), rows["shape"][0]
+        start = number % VIEWS * self.layout.picture_bytes
+        image = np.frombuffer(self._shown[start : start + int(shape.prod())], np.uint8).reshape(shape).copy()
+        return (rows[0], image) if self._views.written - number < VIEWS else None

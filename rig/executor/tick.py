@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from rig import control
 from rig.bench import BenchScans
 from rig.executor.base import Plan
-from rig.playback import Position, advance
+from rig.playback import Position, advance, skip
 from runs.records import sample_dtype
 
 
@@ -34,6 +34,7 @@ class Ticker:
         self._bench = bench
         self._trajectory = plan.trajectory
         self._prompts_s = tuple(prompt.at_s for prompt in plan.trajectory.prompts)
+        self._starts_s = tuple(segment.start_s for segment in plan.trajectory.segments)
         self._prepared = control.prepare(config)
         self._state = control.initial(self._prepared)
         self._row = np.zeros((), sample_dtype(config.actuators, len(config.valves)))
@@ -45,6 +46,10 @@ class Ticker:
     def finished(self) -> bool:
         """True once the protocol is played to its end."""
         return self.position.protocol_s >= self._trajectory.duration_s
+
+    def skip(self) -> None:
+        """Go on with the next segment at the next tick."""
+        self.position = skip(self.position, self._starts_s, self._trajectory.duration_s, self._prompts_s)
 
     def listen(self) -> int:
         """Take the scans that have come since the last call; return how many."""

@@ -12,7 +12,7 @@ import signal
 import sys
 import time
 
-from rig.bench import open_bench
+from rig.bench import Bench, open_bench
 from rig.daq.base import CardError
 from rig.executor.child import receive
 from rig.executor.clock import become_real_time
@@ -40,23 +40,26 @@ def main() -> int:
     memory.beat("watchdog", time.monotonic_ns())
     memory.say("watchdog", Stage.READY)
     try:
-        reason = _watch(memory, job.conductor_pid)
+        reason = _watch(memory, job.conductor_pid, bench)
     finally:
-        with contextlib.suppress(CardError):
-            bench.make_safe()
+        _make_safe(bench, memory)
     # The register is written: what follows may take its time.
     if reason:
         memory.set("fired_ns", time.monotonic_ns())
         _kill(memory.get("control_pid"))
         time.sleep(0.005)
-        with contextlib.suppress(CardError):
-            bench.make_safe()  # a control process that was only slow may have written once more before it died
+        _make_safe(bench, memory)  # a control process that was only slow may have written once more before it died
     memory.say("watchdog", Stage.DONE, reason)
     bench.close()
     return 0
 
 
-def _watch(memory: RunMemory, conductor_pid: int) -> str:
+def _make_safe(bench: Bench, memory: RunMemory) -> None:
+    with contextlib.suppress(CardError):
+        bench.make_safe(vent=memory.get("stop") == Stop.VENT)
+
+
+def _watch(memory: RunMemory, conductor_pid: int, bench: Bench) -> str:
     """Return why the safe state is due, empty when control has made the bench safe by itself."""
     poll = select.poll()
     conductor = _watched(poll, conductor_pid)
@@ -66,7 +69,7 @@ def _watch(memory: RunMemory, conductor_pid: int) -> str:
             return ""
     control = _watched(poll, control_pid)
     conductor_gone_ns = 0
-    suspected = False
+    suspected = vented = False
     before = time.monotonic_ns()
     while True:
         exited = _exited(poll, PERIOD_MS)
@@ -74,6 +77,10 @@ def _watch(memory: RunMemory, conductor_pid: int) -> str:
         memory.beat("watchdog", now)
         if control in exited:
             return "" if memory.stage("control") in (Stage.DONE, Stage.FAILED) else "the control process died"
+        if not vented and memory.get("stop") == Stop.VENT:
+            # At once, whatever control is busy with; control does the same at its next tick.
+            _make_safe(bench, memory)
+            vented = True
         # A machine that stood still as a whole makes every heartbeat old: then look once more, punctually.
         punctual = now - before < OVERSLEPT_NS
         before = now

@@ -1,0 +1,91 @@
+"""What an operator may ask of a run that goes, and how the run answers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+from protocols import Trajectory
+from rig.executor.memory import RunMemory, Stop
+from runs.records import Status
+
+
+class Action(StrEnum):
+    """Something an operator can ask for."""
+
+    PAUSE = "pause"
+    RESUME = "resume"
+    SKIP = "skip"
+    ANSWER = "answer"
+    STOP = "stop"
+    VENT = "vent"
+
+
+@dataclass(frozen=True)
+class Request:
+    """One wish, and who has it: `ada (live page)`."""
+
+    action: Action
+    who: str
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What became of a wish: `said` is a sentence for the record, or the reason why nothing was done."""
+
+    done: bool
+    said: str
+
+
+class Desk:
+    """Carries wishes out: sets the flags that control obeys at its next tick. What it says comes after what it does."""
+
+    def __init__(self, memory: RunMemory, trajectory: Trajectory) -> None:
+        self._memory = memory
+        self._trajectory = trajectory
+        self.ending: tuple[Status, str] | None = None
+
+    def carry_out(self, request: Request) -> Answer:
+        """Do one thing, or say why not."""
+        match request.action:
+            case Action.VENT:
+                self._memory.set("stop", Stop.VENT)
+                return self._end(f"vented by {request.who}")
+            case Action.STOP:
+                if self._memory.get("stop") == Stop.NONE:
+                    self._memory.set("stop", Stop.SAFE)
+                return self._end(f"stopped by {request.who}")
+            case Action.PAUSE | Action.RESUME:
+                return self._hold(request.action is Action.PAUSE, request.who)
+            case Action.SKIP:
+                return self._skip(request.who)
+            case Action.ANSWER:
+                return self._answer(request.who)
+
+    def _end(self, sentence: str) -> Answer:
+        if self.ending is None:
+            self.ending = Status.INTERRUPTED, sentence
+        return Answer(True, sentence)
+
+    def _hold(self, held: bool, who: str) -> Answer:
+        if bool(self._memory.get("held")) == held:
+            return Answer(False, "the run is paused already" if held else "the run is not paused")
+        self._memory.set("held", held)
+        return Answer(True, f"{'paused' if held else 'resumed'} by {who} at protocol time {self._protocol_s:.2f} s")
+
+    def _skip(self, who: str) -> Answer:
+        at_s = self._protocol_s
+        self._memory.set("skips", self._memory.get("skips") + 1)
+        segment = self._trajectory.segment_at(at_s)
+        return Answer(True, f"rest of '{segment.label or segment.kind}' skipped by {who} at protocol time {at_s:.2f} s")
+
+    def _answer(self, who: str) -> Answer:
+        waiting = self._memory.get("waiting")
+        if waiting < 0 or self._memory.get("answered") > waiting:
+            return Answer(False, "no prompt waits for an answer")
+        self._memory.set("answered", waiting + 1)
+        return Answer(True, f"done, says {who}: {self._trajectory.prompts[waiting].message}")
+
+    @property
+    def _protocol_s(self) -> float:
+        return float(self._memory.board["protocol_s"][0])
