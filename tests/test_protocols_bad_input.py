@@ -158,6 +158,8 @@ def test_lines_that_belong_to_a_step_must_be_indented() -> None:
         ("{hold: {duration_s: 1}, prompt: hi}", "separate steps"),
         ("{kind: ramp, actuators: [1]}", "'- ramp: {...}'"),
         ("prompt: 100", "text"),
+        ("prompt: {message: hang it, weight_g: -5}", "a number from 0 to 100000 (g)"),
+        ("prompt: {message: hang it, weight_kg: 1}", "one of message, weight_g"),
         ("hold", "a mapping"),
         ("repeat: {times: 0, steps: [{hold: {duration_s: 1}}]}", "from 1 to"),
         ("{}", "needs one of ramp"),

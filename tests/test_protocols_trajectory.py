@@ -153,6 +153,20 @@ def test_nothing_moves_before_the_operator_has_answered() -> None:
     assert played.setpoint_pa(prompt.at_s + 0.02)[0] == 10_000
 
 
+def test_a_weight_hangs_from_its_prompt_on_until_another_prompt_changes_it() -> None:
+    played = trajectory(
+        "  - hold: {duration_s: 1}\n"
+        "  - prompt: {message: hang it, weight_g: 250}\n"
+        "  - hold: {duration_s: 1}\n"
+        "  - prompt: look at it\n"
+        "  - hold: {duration_s: 1}\n"
+        "  - prompt: {message: take it off, weight_g: 0}\n"
+        "  - hold: {duration_s: 1}\n"
+    )
+    assert [played.weight_kg(prompt.at_s) for prompt in played.prompts] == [0.0, 0.25, 0.25]
+    assert [played.weight_kg(prompt.at_s + 0.5) for prompt in played.prompts] == [0.25, 0.25, 0.0]
+
+
 def test_segments_name_their_line() -> None:
     played = trajectory("  - hold: {duration_s: 1}\n\n  - ramp: {actuators: [1], to_bar: 0.1, duration_s: 1}\n")
     assert [segment.line for segment in played.segments] == [3, 5]
