@@ -28,10 +28,10 @@ _FLIP_SAME_RAD = 0.02
 
 @dataclass(frozen=True)
 class Sighting:
-    """What one picture showed: corners (n, 2) [px] and pose where `seen` is MEASURED, the reason where it is not."""
+    """What one picture showed: corners and pose where `seen` is MEASURED, the reason where it is not."""
 
     seen: Seen
-    corners_px: Floats | None = None
+    corners: Corners | None = None
     pose: Pose | None = None
 
 
@@ -86,7 +86,7 @@ class Tracker:
         check = self._lens.project(self._board.check_points_m, pose.rotation_vector, pose.translation_m)
         if not self._board.colours_fit(image, check):
             return Sighting(Seen.AMBIGUOUS)
-        return Sighting(Seen.MEASURED, corners.px, pose)
+        return Sighting(Seen.MEASURED, corners, pose)
 
     def _pose(self, corners: Corners) -> tuple[Pose | None, Seen]:
         points = self._board.corners_m

@@ -39,7 +39,7 @@ class Eye:
     def measure(self, image: NDArray[np.uint8]) -> Measurement:
         """Measure the tip in the next picture, (height, width) grey or (height, width, 3) BGR."""
         sighting = self._tracker.see(image)
-        if sighting.pose is None:
+        if sighting.pose is None or sighting.corners is None:
             return Measurement(sighting.seen, np.full(3, np.nan), np.full((3, 3), np.nan), float("nan"), None)
         tip, covariance = tip_in_base(sighting.pose, self._board_in_tip, self._camera_in_base)
-        return Measurement(sighting.seen, tip, covariance, sighting.pose.reprojection_px, sighting.corners_px)
+        return Measurement(sighting.seen, tip, covariance, sighting.pose.reprojection_px, sighting.corners.px)

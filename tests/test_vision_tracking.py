@@ -79,7 +79,7 @@ def test_a_board_that_leaves_and_comes_back_is_lost_and_found() -> None:
         gone = tracker.see(still(facing(x_m=1.0), k, view))
         assert gone.seen is Seen.NO_BOARD
         assert gone.pose is None
-        assert gone.corners_px is None
+        assert gone.corners is None
     back = facing(-0.06, 0.02, roll_deg=20)
     sighting = tracker.see(still(back, 4, view))
     assert sighting.pose is not None

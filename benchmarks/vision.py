@@ -1,0 +1,184 @@
+"""How well the tip is measured, and how fast: the table of docs/vision.md, on rendered scenes with known truth.
+
+    python benchmarks/vision.py [--frames 2000] [--only two]
+
+The tool centre point lies 30 mm behind a board of 7x6 squares of 8 mm. Lenses and places of the cameras are exact, so
+these are lower bounds: what the pictures allow.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from calibration.board import Board, grey
+from calibration.dlt import DLT
+from calibration.frames import Rigid
+from calibration.lens import Lens
+from calibration.multiview import board_pose
+from calibration.pose import Pose
+from calibration.tracking import Tracker
+from rig.simulator.scene import Optics, Scene
+
+Floats = NDArray[np.float64]
+
+BOARD = Board(7, 6, 0.008)
+TIP_IN_BOARD = np.array([0.0, 0.0, -0.030])
+CHI2_95_3 = 7.815
+FACING = np.diag([1.0, -1.0, -1.0])
+
+
+@dataclass(frozen=True)
+class Setting:
+    """Where the cameras stand, what they resolve, and how far the board is tilted."""
+
+    name: str
+    size: tuple[int, int]
+    focal_px: float
+    distance_m: float
+    tilt_deg: tuple[float, float]
+    angles_deg: tuple[float, ...] = (0.0,)
+
+    @property
+    def lens(self) -> Lens:
+        """A lens with the usual barrel."""
+        width, height = self.size
+        return Lens.of(self.focal_px, self.focal_px, width / 2 + 3, height / 2 - 2, (-0.1, 0.05, 0.0003, -0.0002, 0.0))
+
+    @property
+    def places(self) -> list[Rigid]:
+        """The cameras in the world, whose z axis is the line of sight of a camera at 0 deg."""
+        return [_place(np.deg2rad(angle), self.distance_m) for angle in self.angles_deg]
+
+
+VGA, HD = ((640, 480), 620.0), ((1920, 1080), 1390.0)
+HEAD_ON, TILTED = (0.0, 8.0), (20.0, 35.0)
+SETTINGS = (
+    Setting("one camera 640x480 at 0.8 m, head-on", *VGA, 0.8, HEAD_ON),
+    Setting("one camera 640x480 at 0.8 m, tilted", *VGA, 0.8, TILTED),
+    Setting("one camera 640x480 at 0.4 m, head-on", *VGA, 0.4, HEAD_ON),
+    Setting("one camera 640x480 at 0.4 m, tilted", *VGA, 0.4, TILTED),
+    Setting("one camera 1920x1080 at 0.8 m, head-on", *HD, 0.8, HEAD_ON),
+    Setting("one camera 1920x1080 at 0.8 m, tilted", *HD, 0.8, TILTED),
+    Setting("two cameras 640x480 at 0.7 m, head-on", *VGA, 0.7, HEAD_ON, (-30.0, 30.0)),
+    Setting("two cameras 640x480 at 0.7 m, tilted", *VGA, 0.7, TILTED, (-30.0, 30.0)),
+    Setting("two cameras 1920x1080 at 0.7 m, head-on", *HD, 0.7, HEAD_ON, (-30.0, 30.0)),
+    Setting("two cameras 1920x1080 at 0.7 m, tilted", *HD, 0.7, TILTED, (-30.0, 30.0)),
+)
+
+
+def _place(angle: float, distance: float) -> Rigid:
+    forward = np.array([-np.sin(angle), 0.0, np.cos(angle)])
+    down = np.array([0.0, 1.0, 0.0])
+    return Rigid(np.column_stack([np.cross(down, forward), down, forward]), -distance * forward)
+
+
+def motion(setting: Setting, frames: int) -> Iterator[Rigid]:
+    """The board in the world: it swings, rolls and changes its tilt, never twice alike."""
+    low, high = setting.tilt_deg
+    for k in range(frames):
+        a = 0.11 * k
+        tilt = np.deg2rad((low + high) / 2 + (high - low) / 2 * np.sin(0.317 * a))
+        roll = np.deg2rad(35) * np.sin(0.531 * a)
+        about = Rigid.from_vectors((0.0, 0.0, roll), (0.0, 0.0, 0.0)).rotation
+        back = Rigid.from_vectors((tilt, 0.0, 0.0), (0.0, 0.0, 0.0)).rotation
+        place = np.array([0.06 * np.sin(0.731 * a), 0.03 * np.cos(0.413 * a), 0.01 * np.sin(0.219 * a)])
+        yield Rigid(about @ FACING @ back, place)
+
+
+@dataclass(frozen=True)
+class Result:
+    """Errors (n, 3) [m] in the world, squared Mahalanobis distances (n,), and seconds per frame (n,)."""
+
+    errors_m: Floats
+    distances: Floats
+    render_s: Floats
+    see_s: Floats
+    lost: int
+
+
+def measure(setting: Setting, frames: int, optics: Optics) -> Result:
+    """Render and measure; every frame's truth is known."""
+    lens, places = setting.lens, setting.places
+    scenes = [Scene(BOARD, lens, setting.size, optics, seed) for seed in range(len(places))]
+    trackers = [Tracker(BOARD, lens) for _ in places]
+    cameras = [DLT.of_camera(lens, place) for place in places]
+    errors, distances, render_s, see_s = [], [], [], []
+    lost = 0
+    for k, board in enumerate(motion(setting, frames)):
+        began = time.perf_counter()
+        pictures = []
+        for scene, place in zip(scenes, places, strict=True):
+            seen = place.inverse() @ board
+            pictures.append(scene.render(seen, seen, seen, k))
+        rendered = time.perf_counter()
+        measured = _tip(trackers, cameras, places, pictures)
+        done = time.perf_counter()
+        render_s.append((rendered - began) / len(places))
+        see_s.append((done - rendered) / len(places))
+        if measured is None:
+            lost += 1
+            continue
+        tip, covariance = measured
+        error = tip - board.apply(TIP_IN_BOARD)
+        errors.append(error)
+        distances.append(float(error @ np.linalg.solve(covariance, error)))
+    return Result(np.array(errors).reshape(-1, 3), np.array(distances), np.array(render_s), np.array(see_s), lost)
+
+
+def _tip(
+    trackers: list[Tracker], cameras: list[DLT], places: list[Rigid], pictures: list[NDArray[np.uint8]]
+) -> tuple[Floats, Floats] | None:
+    sightings = [tracker.see(grey(picture)) for tracker, picture in zip(trackers, pictures, strict=True)]
+    if any(s.pose is None for s in sightings):
+        return None
+    if len(places) == 1:
+        pose = sightings[0].pose
+        assert pose is not None
+        return places[0].transport(*pose.point(TIP_IN_BOARD))
+    corners = [s.corners for s in sightings if s.corners is not None]
+    together: Pose | None = board_pose(BOARD.corners_m, cameras, corners)
+    return None if together is None else together.point(TIP_IN_BOARD)
+
+
+def row(setting: Setting, result: Result) -> str:
+    """One line of the table, errors in mm as mean/95 %."""
+
+    def shown(values: Floats) -> str:
+        return f"{values.mean() * 1e3:.3f}/{np.quantile(values, 0.95) * 1e3:.3f}" if len(values) else "-"
+
+    e = result.errors_m
+    plane, depth, space = np.hypot(e[:, 0], e[:, 1]), np.abs(e[:, 2]), np.linalg.norm(e, axis=1)
+    held = np.mean(result.distances < CHI2_95_3) if len(e) else float("nan")
+    render, see = np.median(result.render_s) * 1e3, np.median(result.see_s) * 1e3
+    return (
+        f"| {setting.name} | {shown(plane)} | {shown(depth)} | {shown(space)} | {held * 100:.1f} | {result.lost} "
+        f"| {see:.2f} | {render:.2f} |"
+    )
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
+    parser.add_argument("--frames", type=int, default=2000)
+    parser.add_argument("--only", default="", help="part of a setting's name")
+    parser.add_argument("--blur-px", type=float, default=0.6)
+    parser.add_argument("--noise-grey", type=float, default=2.0)
+    asked = parser.parse_args()
+    cv2.setNumThreads(1)
+    optics = Optics(asked.blur_px, asked.noise_grey)
+    print("| set-up | in plane | depth | 3-D | held by 95 % [%] | lost | see [ms] | render [ms] |")
+    print("|---|---|---|---|---|---|---|---|")
+    for setting in SETTINGS:
+        if asked.only in setting.name:
+            print(row(setting, measure(setting, asked.frames, optics)), flush=True)
+
+
+if __name__ == "__main__":
+    main()
