@@ -7,11 +7,12 @@ import shutil
 import sys
 import time
 import traceback
+from collections.abc import Callable
 from contextlib import nullcontext, suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import get_args
+from typing import TypeVar, get_args
 
 import protocols
 from protocols import BadInput, Problem, Protocol, Trajectory
@@ -27,6 +28,7 @@ from runs.journal import JournalError, JournalWriter
 from runs.records import Event, Interval, Level, RunFooter, RunHeader, Status
 
 VARIANTS: tuple[Variant, ...] = get_args(Variant)
+Loaded = TypeVar("Loaded")
 SPARE_DISK_BYTES = 200_000_000
 
 
@@ -75,11 +77,15 @@ def request(
     Raises:
         BadInput: either of them is wrong; every problem at once.
     """
-    asked, config = protocols.load(protocol), load(rig)
+    problems: list[Problem] = []
+    asked = _collecting(problems, protocols.load, protocol)
+    config = _collecting(problems, load, rig)
     chosen = next((known for known in VARIANTS if known == variant), None)
     if variant is not None and chosen is None:
         expected = f"one of {', '.join(VARIANTS)}"
-        raise BadInput([Problem("--model", 0, 0, "", str(variant), expected, closest(str(variant), VARIANTS))])
+        problems.append(Problem("--model", 0, 0, "", str(variant), expected, closest(str(variant), VARIANTS)))
+    if problems or asked is None or config is None:
+        raise BadInput(problems)
     return Request(
         protocol=asked,
         config=config,
@@ -93,6 +99,14 @@ def request(
         notes=notes,
         report=report,
     )
+
+
+def _collecting(problems: list[Problem], read: Callable[[str], Loaded], name: str) -> Loaded | None:
+    try:
+        return read(name)
+    except BadInput as bad:
+        problems.extend(bad.problems)
+        return None
 
 
 def plan(request: Request) -> Plan:

@@ -89,6 +89,15 @@ def test_bad_input_gives_one_message_and_status_2(tmp_path: Path, arguments: lis
     assert not list(tmp_path.iterdir())
 
 
+def test_what_is_wrong_with_the_protocol_and_the_rig_is_said_at_once(tmp_path: Path) -> None:
+    (tmp_path / "p.yaml").write_text("title: x\nsteps: 3\n")
+    (tmp_path / "r.yaml").write_text("name: 3\n")
+    done = rig(["check", "p.yaml", "--rig", "r.yaml"], tmp_path)
+    assert done.returncode == 2
+    assert "p.yaml:2" in done.stderr
+    assert "r.yaml:1" in done.stderr
+
+
 def test_without_yes_and_without_a_terminal_nothing_is_armed(tmp_path: Path) -> None:
     done = rig(["run", "ramp-a", "--fast"], tmp_path, stdin="y\n")
     assert done.returncode == 2
