@@ -20,6 +20,8 @@ VERSION = 1
 
 PA_PER_BAR = 1e5
 MM_PER_M = 1e3
+UNITS = ("bar", "V", "mm", "mm2", "px", "us", "g")
+"""Units that end the name of a column."""
 AXES = ("x", "y", "z")
 COVARIANCE = ("xx", "xy", "xz", "yy", "yz", "zz")
 _UPPER = (np.array([0, 0, 0, 1, 1, 2]), np.array([0, 1, 2, 1, 2, 2]))
@@ -42,7 +44,7 @@ class Field:
     @property
     def label(self) -> str:
         """What viewers write at an axis; they add the unit."""
-        return self.name.rpartition("_")[0].replace("_", " ") if self.units and "_" in self.name else ""
+        return split_unit(self.name)[0].replace("_", " ") if self.units else ""
 
 
 @dataclass(frozen=True)
@@ -66,6 +68,12 @@ class Group:
     axes: tuple[str, ...] = ()
     about: str = ""
     default: str = ""
+
+
+def split_unit(name: str) -> tuple[str, str]:
+    """Return a field's name without its unit, and the unit; `measured_mm` is `measured` in `mm`."""
+    plain, _, unit = name.rpartition("_")
+    return (plain, unit) if unit in UNITS else (name, "")
 
 
 def groups(journal: Journal) -> tuple[Group, ...]:

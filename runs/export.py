@@ -1,0 +1,135 @@
+"""An archive for other programs: CSV, MATLAB and netCDF. The pictures stay in the archive."""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+
+from runs import layout
+from runs.archive import ArchiveError
+from runs.run import Run
+from runs.table import TABLES, table
+
+
+class ExportError(Exception):
+    """The export could not be written; the message says why."""
+
+
+def export(archive: Path | str, to: str, folder: Path | str | None = None) -> tuple[Path, ...]:
+    """Write an archive in another format (`csv`, `mat` or `nc`) and return what was written.
+
+    By default beside the archive. `ArchiveError` where there is no archive, `ExportError` otherwise.
+    """
+    if to not in FORMATS:
+        raise ExportError(f"cannot export to {to!r}; there are {', '.join(FORMATS)}")
+    source = Run(archive).path
+    place = source.parent if folder is None else Path(folder)
+    try:
+        place.mkdir(parents=True, exist_ok=True)
+        return FORMATS[to](source, place / source.stem)
+    except OSError as fault:
+        raise ExportError(f"cannot write to {place}: {fault.strerror or fault}") from fault
+
+
+def _csv(source: Path, stem: Path) -> tuple[Path, ...]:
+    """One file for each table; numbers with all their digits, nothing where nothing was measured."""
+    written = []
+    for group in TABLES:
+        columns = table(source, group)
+        if not columns:
+            continue
+        path = stem.with_name(f"{stem.name}-{group}.csv")
+        with path.open("w", newline="", encoding="utf-8") as file:
+            lines = csv.writer(file)
+            lines.writerow(columns)
+            lines.writerows(zip(*(_cells(column) for column in columns.values()), strict=True))
+        written.append(path)
+    return tuple(written)
+
+
+def _cells(column: np.ndarray[Any, Any]) -> list[Any]:
+    if column.dtype.kind == "f":
+        return ["" if value != value else repr(value) for value in column.tolist()]
+    return list(column.tolist())
+
+
+def _mat(source: Path, stem: Path) -> tuple[Path, ...]:
+    """One MATLAB 5 file with a struct for each group."""
+    from scipy.io import savemat
+
+    path = stem.with_name(f"{stem.name}.mat")
+    with h5py.File(source, "r") as file:
+        content = _struct(file["entry"])
+    try:
+        with path.open("wb") as target:
+            savemat(target, {"run": content}, long_field_names=True, do_compression=True, oned_as="column")
+    except ValueError as fault:
+        path.unlink(missing_ok=True)
+        raise ExportError(f"MATLAB's format cannot hold this run ({fault}); MATLAB's h5read opens {source}") from fault
+    return (path,)
+
+
+def _struct(group: h5py.Group) -> dict[str, Any]:
+    content: dict[str, Any] = {}
+    for name, node in group.items():
+        if isinstance(node, h5py.Group):
+            content[_identifier(name, content)] = _struct(node)
+        elif h5py.check_string_dtype(node.dtype):
+            content[_identifier(name, content)] = node.asstr()[()]
+        elif not h5py.check_vlen_dtype(node.dtype):
+            content[_identifier(name, content)] = node[()]
+    return content
+
+
+def _identifier(name: str, taken: dict[str, Any]) -> str:
+    """Return a name that MATLAB takes: letters, digits and underscores, a letter first, at most 63, none twice."""
+    plain = re.sub(r"\W", "_", name, flags=re.ASCII)
+    plain = (plain if plain[:1].isalpha() else f"x{plain}")[:60]
+    result, number = plain, 1
+    while result in taken:
+        number += 1
+        result = f"{plain}_{number}"
+    return result
+
+
+def _nc(source: Path, stem: Path) -> tuple[Path, ...]:
+    """One netCDF classic file: `tip_measured_x_mm (tip_time_s)` and so on, what describes the run as attributes."""
+    from scipy.io import netcdf_file
+
+    path = stem.with_name(f"{stem.name}.nc")
+    header = Run(source).header
+    with netcdf_file(path, "w", version=2) as file:
+        file.title, file.run_id, file.protocol = header.title, header.run_id, header.protocol_yaml.encode()
+        file.rig, file.model, file.simulated = header.rig_yaml.encode(), header.model_variant, int(header.simulated)
+        for group in TABLES:
+            columns = {name: c for name, c in table(source, group).items() if c.dtype.kind in "fiu"}
+            if not columns or len(columns["time_s"]) == 0:
+                continue
+            dimension = f"{group}_time_s"
+            file.createDimension(dimension, len(columns["time_s"]))
+            for name, column in columns.items():
+                data = _classic(column)
+                variable = file.createVariable(f"{group}_{name}", data.dtype, (dimension,))
+                variable[:] = data
+                if (unit := name.rpartition("_")[2]) in (*layout.UNITS, "s"):
+                    variable.units = unit
+    return (path,)
+
+
+def _classic(column: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
+    """Return a column in a type that netCDF classic has: it knows no integers of 64 bits."""
+    if column.dtype.kind == "f" or column.dtype.itemsize <= 4:
+        return column
+    small = column.astype(np.int32)
+    return small if (small == column).all() else column.astype(np.float64)
+
+
+FORMATS: dict[str, Callable[[Path, Path], tuple[Path, ...]]] = {"csv": _csv, "mat": _mat, "nc": _nc}
+
+__all__ = ["FORMATS", "ArchiveError", "ExportError", "export"]
