@@ -106,7 +106,6 @@ def test_a_running_plant_gives_every_scan_once_at_its_clocks_pace(mock: Mock) ->
     assert sum(p.lost for p in parts) == 0
     assert set(np.diff(t_ns)) == {1_000_000}
     assert t_ns[-1] <= time.monotonic_ns()
-    assert t_ns[0] >= begin - 100_000_000
     assert volts.shape == (len(t_ns), 3)
     codes = volts / 10.0 * 65535
     np.testing.assert_allclose(codes, np.round(codes), atol=1e-6)
@@ -117,14 +116,14 @@ def test_the_valve_feels_the_register_and_the_sensor_the_valve(mock: Mock) -> No
     bench = mock.bench()
     bench.arm()
     bench.start()
+    time.sleep(0.02)
+    assert abs(bench.read().pressure_pa).max() < 0.02e5
     bench.write(np.array([5.9, 0.0]))
-    time.sleep(0.15)
-    bench.write(np.array([5.0, 0.0]))
-    time.sleep(0.1)
-    pressure = bench.read().pressure_pa
-    assert pressure[:20, 0].max() < 0.05e5
-    assert pressure[-20:, 0].mean() > 0.05e5
-    assert abs(pressure[-20:, 1]).max() < 0.02e5
+    until("the first chamber filled", lambda: bench.read().pressure_pa[-5:, 0].max(initial=0.0) > 0.2e5)
+    assert abs(bench.read().pressure_pa[:, 1]).max(initial=0.0) < 0.02e5
+    bench.write(np.array([0.0, 0.0]))
+    until("the first chamber emptied", lambda: bench.read().pressure_pa[-5:, 0].min(initial=1e5) < 0.02e5)
+    bench.write(np.array([5.6, 0.0]))
     until("the tip moved", lambda: Registers.attach(mock.device).pose_at(time.monotonic_ns()).position_m[0] < -1e-3)
 
 

@@ -171,7 +171,8 @@ class Registers:
         begin = max(first, written - (SCAN_ROWS - SPARE_ROWS))
         index = np.arange(begin, written)
         rows = self._scans[index % SCAN_ROWS]
-        whole = rows["index"] == index
+        # Looked at again after the copy: the plant marks a row before it overwrites it.
+        whole = (rows["index"] == index) & (self._scans["index"][index % SCAN_ROWS] == index)
         rows = rows[whole]
         lost = begin - first + int(len(index) - np.count_nonzero(whole))
         return Scans(rows["t_ns"].copy(), rows["volts"][:, columns], lost), written
@@ -185,7 +186,7 @@ class Registers:
         written = int(self.header["poses"][0])
         index = np.arange(max(0, written - RECENT_POSES), written)
         rows = self._poses[index % POSE_ROWS]
-        rows = rows[rows["index"] == index]
+        rows = rows[(rows["index"] == index) & (self._poses["index"][index % POSE_ROWS] == index)]
         if len(rows) == 0:
             raise LookupError(f"{self.path} holds no pose of the tip yet")
         return pose_among(rows, t_ns)
