@@ -32,6 +32,8 @@ class Arm:
     eq 32 at every point of the rod. 'secant' and 'tangent' (eq 33 as printed) freeze E_i at the wall force that
     balances the caps, n = P_i A_in. 'paper-secant' and 'paper-tangent' take for passive tubes the paper's n, an even
     share of the others' push (5.2.2); for active ones, where the paper is silent, P_i A_in.
+    rpe_as says how the radial pressure stretches a section of frozen moduli (4.4): as the equivalent 'force' of eq 22
+    on each tube (default), or as a free 'strain' of the whole section, the plane through the tubes' own free strains.
     cap_mass_kg hangs at the tip. With cap_inertia it also resists acceleration, with its own rotational inertia
     cap_inertia_kg_m2 about the section's axes. gravity_m_s2 is in the base frame: +z is an arm that hangs. rod_weight
     adds the walls' own weight, which the paper leaves out.
@@ -44,6 +46,7 @@ class Arm:
     gravity_m_s2: Triple = (0.0, 0.0, 9.81)
     rod_weight: bool = False
     modulus_rule: ModulusRule = "pointwise"
+    rpe_as: Literal["force", "strain"] = "force"
     cap_inertia: bool = False
     cap_inertia_kg_m2: Triple = field(default=(0.0, 0.0, 0.0))
 
@@ -52,6 +55,12 @@ class Arm:
             raise ValueError(f"unknown variant {self.variant!r}: {', '.join(get_args(Variant))}")
         if self.modulus_rule not in get_args(ModulusRule):
             raise ValueError(f"unknown modulus rule {self.modulus_rule!r}: {', '.join(get_args(ModulusRule))}")
+        if self.rpe_as not in ("force", "strain"):
+            raise ValueError(f"unknown rpe_as {self.rpe_as!r}: force or strain")
+        if self.rpe_as == "strain" and self.section_rule == "pointwise":
+            raise ValueError(
+                "rpe_as='strain' needs frozen moduli: a pointwise section has the free strain in each tube"
+            )
         if not (math.isfinite(self.cap_mass_kg) and self.cap_mass_kg >= 0):
             raise ValueError(f"the cap's mass must be zero or positive, got {self.cap_mass_kg} kg")
         for name, triple in (("gravity_m_s2", self.gravity_m_s2), ("cap_inertia_kg_m2", self.cap_inertia_kg_m2)):

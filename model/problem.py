@@ -49,7 +49,7 @@ class Problem:
         centre = geometry.centroid_m
         xy = geometry.positions_m - centre
         pointwise = arm.section_rule == "pointwise"
-        whole = section(geometry, xy, arm.stiffness_n(pressure_pa), material.shear_ratio, arm.rpe_per_bar)
+        whole = section(geometry, xy, arm.stiffness_n(pressure_pa), material.shear_ratio, arm.rpe_per_bar, arm.rpe_as)
         if pointwise:
             # Each tube's own law carries the strain at rest and the free strain; only the push on the caps remains.
             push = section(geometry, xy, np.zeros(len(xy)), material.shear_ratio, 0.0)

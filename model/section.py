@@ -13,7 +13,7 @@ a P_i (RPE, 4.4). Both are eigenstrains: constant wrenches that the total wrench
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,8 +44,18 @@ def axial_rows(xy_m: Array) -> Array:
     return np.stack([np.ones(len(xy_m)), xy_m[:, 1], -xy_m[:, 0]], axis=1)
 
 
-def section(geometry: Geometry, xy_m: Array, stiffness_n: Array, shear_ratio: float, rpe_per_bar: float) -> Section:
-    """The section whose actuators stand at xy_m (N, 2) and have axial stiffness E_i A_m = stiffness_n (N,) [N]."""
+def section(
+    geometry: Geometry,
+    xy_m: Array,
+    stiffness_n: Array,
+    shear_ratio: float,
+    rpe_per_bar: float,
+    rpe_as: Literal["force", "strain"] = "force",
+) -> Section:
+    """The section whose actuators stand at xy_m (N, 2) and have axial stiffness E_i A_m = stiffness_n (N,) [N].
+
+    rpe_as: the RPE as a force on each tube, or as the plane through the tubes' free strains (4.4).
+    """
     rows = axial_rows(xy_m)
     spread = geometry.wall_second_moment_m4 / geometry.wall_area_m2
     axial = (rows * stiffness_n[:, None]).T @ rows + np.diag([0.0, 1.0, 1.0]) * spread * stiffness_n.sum()
@@ -57,8 +67,10 @@ def section(geometry: Geometry, xy_m: Array, stiffness_n: Array, shear_ratio: fl
     rest = np.zeros(6)
     rest[2:5] = -axial[:, 0]
     per_pressure = np.zeros((6, len(xy_m)))
-    push = geometry.chamber_area_m2 + stiffness_n * rpe_per_bar / PA_PER_BAR
-    per_pressure[2:5] = -(rows * push[:, None]).T
+    per_pressure[2:5] = -geometry.chamber_area_m2 * rows.T
+    free = rpe_per_bar / PA_PER_BAR
+    # As a force, a tube's own bending stiffness resists the RPE; as a strain of the section, it takes part.
+    per_pressure[2:5] -= free * ((rows * stiffness_n[:, None]).T if rpe_as == "force" else axial @ np.linalg.pinv(rows))
     return Section(axial, shear, rest, per_pressure)
 
 
