@@ -19,8 +19,6 @@ from rig.executor.clock import become_real_time
 from rig.executor.memory import RunMemory, Stage, Stop
 
 PERIOD_MS = 2
-HUNG_NS = 30_000_000
-"""A control process that ticks 200 times a second and is silent for so long hangs."""
 CONDUCTOR_HUNG_NS = 2_000_000_000
 GRACE_NS = 100_000_000
 """What control gets to make the bench safe by itself after the conductor is gone."""
@@ -85,7 +83,7 @@ def _watch(memory: RunMemory, conductor_pid: int, bench: Bench) -> str:
         punctual = now - before < OVERSLEPT_NS
         before = now
         running = memory.stage("control") == Stage.RUNNING
-        silent = running and now - memory.heartbeat_ns("control") > HUNG_NS
+        silent = running and now - memory.heartbeat_ns("control") > hung_ns
         if silent and suspected:
             return "the control process hung"
         suspected = silent and punctual
