@@ -145,7 +145,9 @@ class Limits(Section):
     frozen_s: Positive = Field(description="a sensor whose reading has not moved by one count for so long is dead")
     stale_s: Positive = Field(description="longest time without a sample")
     no_tip_s: Positive = Field(description="longest time without a camera frame")
-    hung_s: Positive = Field(default=0.03, description="longest silence of control before the watchdog takes the valves")
+    hung_s: Positive = Field(
+        default=0.03, description="longest silence of control before the watchdog takes the valves"
+    )
     duration_s: Positive = 4 * 3600.0
 
 

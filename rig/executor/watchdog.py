@@ -38,7 +38,7 @@ def main() -> int:
     memory.beat("watchdog", time.monotonic_ns())
     memory.say("watchdog", Stage.READY)
     try:
-        reason = _watch(memory, job.conductor_pid, bench)
+        reason = _watch(memory, job.conductor_pid, bench, round(job.plan.config.limits.hung_s * 1e9))
     finally:
         _make_safe(bench, memory)
     # The register is written: what follows may take its time.
@@ -57,7 +57,7 @@ def _make_safe(bench: Bench, memory: RunMemory) -> None:
         bench.make_safe(vent=memory.get("stop") == Stop.VENT)
 
 
-def _watch(memory: RunMemory, conductor_pid: int, bench: Bench) -> str:
+def _watch(memory: RunMemory, conductor_pid: int, bench: Bench, hung_ns: int) -> str:
     """Return why the safe state is due, empty when control has made the bench safe by itself."""
     poll = select.poll()
     conductor = _watched(poll, conductor_pid)
