@@ -29,6 +29,8 @@ STYLE: dict[Any, Any] = {
     "svg.fonttype": "none",
     "font.family": "DejaVu Sans",
     "font.size": 9,
+    "figure.facecolor": "none",
+    "axes.facecolor": "none",
     "axes.edgecolor": MUTED,
     "axes.labelcolor": INK,
     "axes.linewidth": 0.7,
@@ -69,10 +71,11 @@ def svg(draw: Callable[..., None], size: tuple[float, float], salt: str, *about:
     """
     with mpl.rc_context({**STYLE, "svg.hashsalt": f"{salt}/{draw.__name__}"}):
         figure = Figure(figsize=size)
-        FigureCanvasSVG(figure)
+        canvas = FigureCanvasSVG(figure)
         draw(figure, *about)
         text = io.StringIO()
-        figure.savefig(text, format="svg", transparent=True, metadata={"Date": None, "Creator": None})
+        # Not figure.savefig: it draws everything twice.
+        canvas.print_svg(text, metadata={"Date": None, "Creator": None})  # type: ignore[no-untyped-call]
     drawing = text.getvalue()
     drawing = _PATHS.sub(lambda path: _DIGITS.sub(r"\1", path[0]), drawing[drawing.index("<svg") :])
     return drawing.replace("'DejaVu Sans'", _FONTS)
@@ -244,7 +247,7 @@ def timing(figure: Figure, run: Run, summary: Summary) -> None:
     if len(t.time_s) == 0:
         _nothing(left, right)
         return
-    lateness = np.maximum(t.lateness_us, 0.1)
+    lateness = np.maximum(t.lateness_us, 0.01)
     left.plot(*thin(t.time_s, lateness), ",", color=MEASURED)
     left.plot(*thin(t.time_s, lateness), color=MEASURED, lw=0.35, alpha=0.6)
     missed = t.overruns > 0
@@ -257,8 +260,8 @@ def timing(figure: Figure, run: Run, summary: Summary) -> None:
     low, high = np.log10(lateness.min()), np.log10(max(lateness.max(), lateness.min() * 1.5))
     right.hist(lateness, bins=list(np.logspace(low, high, 50)), orientation="horizontal", color=MEASURED, log=True)
     for value, name in ((summary.lateness_p50_us, "50 %"), (summary.lateness_p99_us, "99 %")):
-        right.axhline(max(value, 0.1), color=INK, lw=0.8, ls=(0, (4, 2)))
-        right.annotate(name, (1, max(value, 0.1)), (-2, 2), ("axes fraction", "data"), "offset points", ha="right")
+        right.axhline(max(value, 0.01), color=INK, lw=0.8, ls=(0, (4, 2)))
+        right.annotate(name, (1, max(value, 0.01)), (-2, 2), ("axes fraction", "data"), "offset points", ha="right")
     right.set_xlabel("ticks")
 
 

@@ -232,16 +232,17 @@ class Run:
             data: bytes = file["entry/frames/image"][k].tobytes()
             return data
 
-    def _group(self, path: str, without: str = "") -> dict[str, Any]:
+    def _group(self, path: str, without: str = "") -> _Fields:
         """Return the datasets of a group by name: arrays, texts and numbers; nothing where the group is missing."""
-        with h5py.File(self.path, "r") as file:
-            if path not in file:
-                return {}
-            return {
-                name: _value(node)
-                for name, node in file[path].items()
-                if isinstance(node, h5py.Dataset) and name != without
-            }
+        fields = _Fields(f"{self.path}: {path}")
+        try:
+            with h5py.File(self.path, "r") as file:
+                for name, node in file[path].items() if path in file else ():
+                    if isinstance(node, h5py.Dataset) and name != without:
+                        fields[name] = _value(node)
+        except (OSError, RuntimeError, ValueError) as fault:
+            raise ArchiveError(f"{self.path}: cannot read {path} ({fault})") from fault
+        return fields
 
     def _quantities(self, room: str) -> tuple[Quantity, ...]:
         with h5py.File(self.path, "r") as file:
@@ -257,6 +258,17 @@ class Run:
                 for name, node in file[f"entry/{room}"].items()
                 if h5py.check_string_dtype(node.dtype) is None and not node.is_scale
             )
+
+
+class _Fields(dict[str, Any]):
+    """The datasets of a group; what is missing is said in one sentence."""
+
+    def __init__(self, where: str) -> None:
+        super().__init__()
+        self._where = where
+
+    def __missing__(self, name: str) -> Any:
+        raise ArchiveError(f"{self._where} has no {name}; was it made by another version of softrig?")
 
 
 def _value(node: h5py.Dataset) -> Any:

@@ -258,6 +258,27 @@ def test_foreign_hdf5_is_refused(tmp_path: Path) -> None:
         runs.open(tmp_path / "b.h5")
 
 
+def test_a_field_that_is_missing_is_named(path: Path, tmp_path: Path) -> None:
+    copy = Path(shutil.copy(path, tmp_path / "copy.h5"))
+    with h5py.File(copy, "r+") as file:
+        del file["entry/tip/model_mm"]
+    with pytest.raises(ArchiveError, match="entry/tip has no model_mm"):
+        runs.open(copy).tip  # noqa: B018
+
+
+def test_an_archive_damaged_on_the_disk_is_refused_in_one_sentence(path: Path, tmp_path: Path) -> None:
+    copy = Path(shutil.copy(path, tmp_path / "copy.h5"))
+    with h5py.File(copy) as file:
+        chunk = file["entry/tip/model_mm"].id.get_chunk_info(0)
+    with copy.open("r+b") as file:
+        file.seek(chunk.byte_offset + 20)
+        file.write(bytes(200))
+    with pytest.raises(ArchiveError, match="cannot read entry/tip"):
+        runs.open(copy).tip  # noqa: B018
+    with pytest.raises(ArchiveError, match="not an archive that can be read"):
+        verify(copy)
+
+
 def test_a_newer_layout_is_refused(path: Path, tmp_path: Path) -> None:
     copy = Path(shutil.copy(path, tmp_path / "copy.h5"))
     with h5py.File(copy, "r+") as file:
