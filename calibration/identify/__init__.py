@@ -1,0 +1,24 @@
+"""From archives to parameters of an arm, with error bars."""
+
+from calibration.identify.data import NoData, Poses, at_rest, in_motion, poses_of
+from calibration.identify.fit import Estimate, Fit, RunFit, Verdict, identify
+from calibration.identify.parameters import Parameter, Prior, Setup, UnknownParameter, known, named
+
+__all__ = [
+    "Estimate",
+    "Fit",
+    "NoData",
+    "Parameter",
+    "Poses",
+    "Prior",
+    "RunFit",
+    "Setup",
+    "UnknownParameter",
+    "Verdict",
+    "at_rest",
+    "identify",
+    "in_motion",
+    "known",
+    "named",
+    "poses_of",
+]

@@ -1,0 +1,192 @@
+"""What identification takes from an archive: the arm at rest, and the arm in motion."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from runs.records import Seen
+from runs.run import Run
+
+Array = NDArray[np.float64]
+
+PA_PER_BAR = 1e5
+M_PER_MM = 1e-3
+KG_PER_G = 1e-3
+
+SETTLE_S = 1.5
+FEWEST_FRAMES = 5
+
+
+class NoData(ValueError):  # noqa: N818 - the outcome is the name
+    """The runs hold nothing that the question needs."""
+
+
+@dataclass(frozen=True)
+class Poses:
+    """Tips of one run with what acted on the arm: at rest (K plateaus) or in motion (K frames, `period_s` apart).
+
+    pressure_pa (K, N) as measured, with the standard deviation `pressure_std_pa` (N,) of one entry's random error (not
+    of the sensors' offsets). weight_kg (K,) hangs on the cap. tip_m (K, 3) in the rod-base frame with covariance_m2
+    (K, 3, 3); both NaN in frames of a motion that show no tip. frames (K,): camera frames behind each entry.
+    period_s is zero for poses at rest.
+    """
+
+    run_id: str
+    source: str
+    period_s: float
+    pressure_pa: Array
+    pressure_std_pa: Array
+    weight_kg: Array
+    tip_m: Array
+    covariance_m2: Array
+    frames: NDArray[np.int64]
+
+    def __len__(self) -> int:
+        return len(self.weight_kg)
+
+    @property
+    def moving(self) -> bool:
+        """True for a motion, whose entries belong together in time."""
+        return self.period_s > 0
+
+    @property
+    def seen(self) -> NDArray[np.bool_]:
+        """Which entries have a measured tip (K,)."""
+        seen: NDArray[np.bool_] = np.asarray(np.isfinite(self.tip_m).all(axis=1))
+        return seen
+
+    @property
+    def actuators(self) -> int:
+        """How many pressures there are."""
+        return int(self.pressure_pa.shape[1])
+
+
+def at_rest(run: Run, settle_s: float = SETTLE_S) -> Poses:
+    """The plateaus of a run: set-points and weight have stood still for `settle_s` and go on doing so.
+
+    Each plateau becomes one entry: mean pressure and mean tip. Frames of an arm at rest show nearly the same picture,
+    so part of their error is the same in all of them. How much is found from the run itself: the covariances state
+    the whole error, the scatter within the plateaus shows its random part, and the rest does not average out.
+
+    Raises:
+        NoData: nothing in the run stands still for long enough.
+    """
+    tip, setpoint = run.tip, run.pressure.setpoint_bar
+    still = _standing(run.pressure.time_s, setpoint, tip.time_s)
+    same = np.concatenate([[False], np.diff(tip.weight_g) == 0])
+    # While the run waits for the operator its protocol stands still and the weight may be in his hands.
+    going = np.concatenate([[False], np.diff(tip.protocol_s) > 0])
+    held = still & same & going
+    usable = (tip.seen == Seen.MEASURED) & np.isfinite(tip.measured_mm).all(axis=1)
+    plateaus = []
+    for start, stop in _stretches(held):
+        inside = np.arange(start, stop)
+        inside = inside[(tip.time_s[inside] >= tip.time_s[start] + settle_s) & usable[inside]]
+        if len(inside) >= FEWEST_FRAMES:
+            plateaus.append(inside)
+    if not plateaus:
+        raise NoData(f"{run.header.run_id}: nothing stands still for more than {settle_s:g} s with the board in sight")
+    covariance = np.array([tip.covariance_mm2[k].mean(axis=0) for k in plateaus]) * M_PER_MM**2
+    count = np.array([len(k) for k in plateaus])
+    shared = _shared_part([tip.measured_mm[k] * M_PER_MM for k in plateaus], covariance)
+    averaged = shared + (1 - shared) / count
+    pressure = _pressures(run)
+    scatter = np.sqrt(np.mean([pressure[k].var(axis=0, ddof=1) / len(k) for k in plateaus], axis=0))
+    return Poses(
+        run_id=run.header.run_id,
+        source=run.sha256,
+        period_s=0.0,
+        pressure_pa=np.array([pressure[k].mean(axis=0) for k in plateaus]),
+        pressure_std_pa=scatter,
+        weight_kg=np.array([tip.weight_g[k].mean() for k in plateaus]) * KG_PER_G,
+        tip_m=np.array([tip.measured_mm[k].mean(axis=0) for k in plateaus]) * M_PER_MM,
+        covariance_m2=covariance * averaged[:, None, None],
+        frames=count,
+    )
+
+
+def in_motion(run: Run) -> Poses:
+    """Every frame of a run, one camera period apart, from the first frame on.
+
+    Raises:
+        NoData: no frame shows the tip.
+    """
+    tip = run.tip
+    usable = (tip.seen == Seen.MEASURED) & np.isfinite(tip.measured_mm).all(axis=1)
+    if not usable.any():
+        raise NoData(f"{run.header.run_id}: no frame shows the tip")
+    index = tip.frame - tip.frame[0]
+    length = int(index[-1]) + 1
+    pressure, weight = np.empty((length, run.header.actuators)), np.empty(length)
+    every = np.arange(length)
+    for n, column in enumerate(_pressures(run).T):
+        pressure[:, n] = np.interp(every, index, column)
+    weight = tip.weight_g[np.clip(np.searchsorted(index, every, side="right") - 1, 0, None)] * KG_PER_G
+    measured, covariance = np.full((length, 3), np.nan), np.full((length, 3, 3), np.nan)
+    measured[index[usable]] = tip.measured_mm[usable] * M_PER_MM
+    covariance[index[usable]] = tip.covariance_mm2[usable] * M_PER_MM**2
+    return Poses(
+        run_id=run.header.run_id,
+        source=run.sha256,
+        period_s=1.0 / run.header.camera_hz,
+        pressure_pa=pressure,
+        pressure_std_pa=_noise(pressure),
+        weight_kg=weight,
+        tip_m=measured,
+        covariance_m2=covariance,
+        frames=np.ones(length, np.int64),
+    )
+
+
+def poses_of(run: Run) -> Poses:
+    """What a run is best used as: its plateaus where it mostly stands still, else its motion."""
+    try:
+        rest = at_rest(run)
+    except NoData:
+        return in_motion(run)
+    return rest if rest.frames.sum() > 0.25 * len(run.tip.time_s) else in_motion(run)
+
+
+def _pressures(run: Run) -> Array:
+    """Measured pressures (M, N) [Pa] at the frames: samples around each frame, interpolated."""
+    samples, at = run.pressure, run.tip.time_s
+    return np.stack([np.interp(at, samples.time_s, column) for column in samples.measured_bar.T], axis=1) * PA_PER_BAR
+
+
+def _standing(time_s: Array, setpoint: Array, frame_s: Array) -> NDArray[np.bool_]:
+    """For each frame, whether the set-points are as they were one frame ago and nothing moved in between."""
+    moved = np.concatenate([[0], np.cumsum((np.abs(np.diff(setpoint, axis=0)) > 1e-9).any(axis=1))])
+    then = moved[np.clip(np.searchsorted(time_s, frame_s, side="right") - 1, 0, len(moved) - 1)]
+    return np.concatenate([[False], np.diff(then) == 0])
+
+
+def _stretches(true: NDArray[np.bool_]) -> Iterator[tuple[int, int]]:
+    """Start and stop of every run of True."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], true.astype(np.int8), [0]])))
+    yield from zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)
+
+
+def _shared_part(measured_m: list[Array], covariance_m2: Array) -> float:
+    """Fraction of the stated variance that all frames of a plateau have in common.
+
+    Pooled over the plateaus; what chance alone may hide (two standard errors) is not counted as shared.
+    """
+    ratio, freedom = 0.0, 0
+    for tips, covariance in zip(measured_m, covariance_m2, strict=True):
+        difference = tips - tips.mean(axis=0)
+        ratio += float((difference * np.linalg.solve(covariance, difference.T).T).sum())
+        freedom += 3 * (len(tips) - 1)
+    random = ratio / freedom
+    return float(np.clip(1 - random - 2 * np.sqrt(2 / freedom), 0.0, 1.0))
+
+
+def _noise(pressure_pa: Array) -> Array:
+    """Standard deviation (N,) of the random error of each entry of a smooth course, from its second differences."""
+    if len(pressure_pa) < 8:
+        return np.zeros(pressure_pa.shape[1])
+    out: Array = np.median(np.abs(np.diff(pressure_pa, n=2, axis=0)), axis=0) * (1.4826 / np.sqrt(6.0))
+    return out

@@ -1,0 +1,294 @@
+"""Identification: from poses to parameters with error bars, or to the verdict that they cannot be told."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from enum import StrEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calibration.identify.data import NoData, Poses
+from calibration.identify.likelihood import OUTLIER, whitened
+from calibration.identify.parameters import Prior, Setup, named
+from calibration.identify.problem import Problem, Solution, Unknown
+
+Array = NDArray[np.float64]
+
+NORMAL_95 = 1.959963984540054
+# An error bar of this many plausible spans says that the data have not decided.
+_UNDECIDED = 0.5
+_PARTNER = 0.9
+_ONLY_PRIOR = 0.95
+_SAME_LOSS = 0.5
+
+
+class Verdict(StrEnum):
+    """What the data say of one parameter."""
+
+    IDENTIFIED = "identified"
+    NO_EFFECT = "no effect on the data"
+    UNDECIDED = "the data leave it open"
+    ENTANGLED = "only in combination with others"
+    PRIOR = "known from its prior alone"
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """One free parameter. `value`, `std` and `interval` are None where it has not been identified.
+
+    used: the value in `Fit.setup`, whatever the verdict. run: whose own value it is, empty for a value of all runs.
+    partners: with which others it can be exchanged. loose_std: the standard deviation in the joint fit, for the report.
+    """
+
+    name: str
+    unit: str
+    run: str
+    used: float
+    value: float | None
+    std: float | None
+    interval: tuple[float, float] | None
+    verdict: Verdict
+    partners: tuple[str, ...]
+    loose_std: float
+
+    @property
+    def identified(self) -> bool:
+        """Whether the data tell it."""
+        return self.value is not None
+
+
+@dataclass(frozen=True)
+class RunFit:
+    """How one run was met. residual_m (K, 3): measured minus predicted, NaN where no tip is. error_m: its length."""
+
+    run_id: str
+    source: str
+    moving: bool
+    frames: int
+    residual_m: Array
+    predicted_m: Array
+    before_m: Array
+    """Predictions of the starting setup."""
+    outliers: int
+    correlation: float
+    setup: Setup
+
+    @property
+    def error_m(self) -> Array:
+        """Distance from measured to predicted (K,), measured entries only."""
+        error: Array = np.linalg.norm(self.residual_m, axis=1)
+        return error[np.isfinite(error)]
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Parameters of an arm.
+
+    setup: with every `used` value (no run's own). covariance (n, n): of the fitted values, in the order of `estimates`,
+    zero for what was held. discrepancy_m: by how much, per axis, the model is off beyond the stated errors.
+    """
+
+    setup: Setup
+    start: Setup
+    estimates: tuple[Estimate, ...]
+    covariance: Array
+    runs: tuple[RunFit, ...]
+    log_likelihood: float
+    loss: float
+    discrepancy_m: float
+    measured: int
+    fitted: int
+    starts: int
+    agreeing_starts: int
+    solved: bool
+    problem: Problem = field(repr=False)
+    solution: Solution = field(repr=False)
+
+    def __getitem__(self, name: str) -> Estimate:
+        """The estimate of that name, the first run's where each run has its own."""
+        for estimate in self.estimates:
+            if estimate.name == name:
+                return estimate
+        raise KeyError(name)
+
+    @property
+    def rms_m(self) -> float:
+        """Root mean square distance over all measured tips."""
+        return float(np.sqrt(np.concatenate([run.error_m**2 for run in self.runs]).mean()))
+
+    @property
+    def aic(self) -> float:
+        """Akaike's criterion; the discrepancy counts as one parameter."""
+        return 2 * (self.fitted + 1) - 2 * self.log_likelihood
+
+    @property
+    def bic(self) -> float:
+        """Schwarz's criterion, with tips that tell something new for its sample size."""
+        new = sum(3 * len(run.error_m) / run.correlation for run in self.runs)
+        return float((self.fitted + 1) * np.log(max(new, 2.0)) - 2 * self.log_likelihood)
+
+
+def identify(
+    data: Sequence[Poses],
+    start: Setup,
+    free: Iterable[str],
+    priors: Mapping[str, Prior] | None = None,
+    starts: int = 1,
+    seed: int = 0,
+) -> Fit:
+    """Maximum likelihood of the free parameters over all runs, static and moving ones together.
+
+    priors: by name. starts: how many starting points; the first is `start`, the others lie around it.
+
+    Raises:
+        NoData: no measured tip.
+        UnknownParameter: a name in `free` or `priors`.
+    """
+    if not any(poses.seen.any() for poses in data):
+        raise NoData("no run holds a measured tip")
+    actuators = data[0].actuators
+    if any(poses.actuators != actuators for poses in data):
+        raise NoData("the runs are of arms with different numbers of actuators")
+    parameters = named(free, actuators)
+    priors = {p.name: prior for name, prior in (priors or {}).items() for p in named([name], actuators)}
+    problem = Problem(data, start, parameters, priors)
+    joint, agreeing = _best(problem, starts, seed)
+    held, loose = _held(problem, joint)
+    solution = problem.solve(joint.z * _kept(problem, held), sorted(held)) if held else joint
+    estimates, covariance = _estimates(problem, solution, joint, held, loose)
+    return Fit(
+        setup=problem.setup(solution.z),
+        start=start,
+        estimates=estimates,
+        covariance=covariance,
+        runs=_runs(problem, solution),
+        log_likelihood=solution.log_likelihood,
+        loss=solution.loss,
+        discrepancy_m=solution.discrepancy_m,
+        measured=problem.measured,
+        fitted=len(problem.unknowns) - len(held),
+        starts=starts,
+        agreeing_starts=agreeing,
+        solved=solution.solved,
+        problem=problem,
+        solution=solution,
+    )
+
+
+def _best(problem: Problem, starts: int, seed: int) -> tuple[Solution, int]:
+    rng = np.random.default_rng(seed)
+    n = len(problem.unknowns)
+    lower, upper = (np.array([getattr(u, side) for u in problem.unknowns]) for side in ("lower", "upper"))
+    found = [problem.solve(np.zeros(n))]
+    around = (np.clip(rng.uniform(-0.5, 0.5, n), lower, upper) for _ in range(starts - 1))
+    found.extend(problem.solve(z) for z in around)
+    best = max(found, key=lambda s: s.log_likelihood)
+    return best, sum(best.log_likelihood - s.log_likelihood < _SAME_LOSS for s in found)
+
+
+def _std(information: Array) -> Array:
+    """Standard deviations (n,) in spans; what has no information gets a very large one."""
+    return np.sqrt(np.diagonal(_inverse(information)))
+
+
+def _inverse(information: Array) -> Array:
+    """Covariance of an information matrix, finite where it is singular."""
+    values, vectors = np.linalg.eigh(information)
+    floor = max(1e-8, 1e-14 * float(values.max(initial=0.0)))
+    out: Array = (vectors / np.maximum(values, floor)) @ vectors.T
+    return out
+
+
+def _held(problem: Problem, joint: Solution) -> tuple[dict[int, Verdict], Array]:
+    """Which unknowns to hold so that the rest are decided, why, and everyone's deviation (n,) in the joint fit."""
+    loose = _std(joint.information)
+    held: dict[int, Verdict] = {}
+    only = list(range(len(problem.unknowns)))
+    while only:
+        std = _std(joint.information[np.ix_(only, only)])
+        worst = int(np.argmax(std))
+        if std[worst] <= _UNDECIDED:
+            break
+        i = only.pop(worst)
+        alone = joint.information[i, i]
+        held[i] = (
+            Verdict.NO_EFFECT if alone < 1e-6
+            else Verdict.UNDECIDED if alone < 1 / _UNDECIDED**2
+            else Verdict.ENTANGLED
+        )  # fmt: skip
+    return held, loose
+
+
+def _kept(problem: Problem, held: Mapping[int, Verdict]) -> Array:
+    """Zero where an unknown goes back to its start."""
+    return np.array([0.0 if i in held else 1.0 for i in range(len(problem.unknowns))])
+
+
+def _estimates(
+    problem: Problem, solution: Solution, joint: Solution, held: Mapping[int, Verdict], loose: Array
+) -> tuple[tuple[Estimate, ...], Array]:
+    n = len(problem.unknowns)
+    only = [i for i in range(n) if i not in held]
+    span = np.array([u.span for u in problem.unknowns])
+    covariance = np.zeros((n, n))
+    covariance[np.ix_(only, only)] = _inverse(solution.information[np.ix_(only, only)])
+    prior_std = 1 / np.sqrt(np.maximum(np.diagonal(solution.prior_information), 1e-300))
+    joint_covariance = _inverse(joint.information)
+    correlation = joint_covariance / np.sqrt(np.outer(np.diagonal(joint_covariance), np.diagonal(joint_covariance)))
+    out = []
+    for i, unknown in enumerate(problem.unknowns):
+        verdict = held.get(i, Verdict.IDENTIFIED)
+        if i not in held and loose[i] > _UNDECIDED:
+            verdict = Verdict.ENTANGLED
+        std = float(np.sqrt(covariance[i, i]))
+        if verdict is Verdict.IDENTIFIED and std > _ONLY_PRIOR * prior_std[i]:
+            verdict = Verdict.PRIOR
+        partners = [j for j in range(n) if j != i and loose[j] > _UNDECIDED and abs(correlation[i, j]) > _PARTNER]
+        out.append(_estimate(problem, unknown, float(solution.z[i]), std, verdict, partners, float(loose[i])))
+    return tuple(out), covariance * np.outer(span, span)
+
+
+def _estimate(
+    problem: Problem, unknown: Unknown, z: float, std: float, verdict: Verdict, partners: list[int], loose: float
+) -> Estimate:
+    parameter = unknown.parameter
+    used = float(np.clip(unknown.start + unknown.span * z, parameter.lower, parameter.upper))
+    known = verdict is Verdict.IDENTIFIED
+    reach = NORMAL_95 * std * unknown.span
+    interval = (max(used - reach, parameter.lower), min(used + reach, parameter.upper))
+    return Estimate(
+        name=parameter.name,
+        unit=parameter.unit,
+        run="" if unknown.run is None else problem.data[unknown.run].run_id,
+        used=used,
+        value=used if known else None,
+        std=std * unknown.span if known else None,
+        interval=interval if known else None,
+        verdict=verdict,
+        partners=tuple(dict.fromkeys(problem.unknowns[j].parameter.name for j in partners)),
+        loose_std=loose * unknown.span,
+    )
+
+
+def _runs(problem: Problem, solution: Solution) -> tuple[RunFit, ...]:
+    predicted, before = problem.predicted(solution.z), problem.predicted(np.zeros(len(solution.z)))
+    out = []
+    for run, poses in enumerate(problem.data):
+        residual = whitened(poses, predicted[run], solution.weights[run])
+        out.append(
+            RunFit(
+                run_id=poses.run_id,
+                source=poses.source,
+                moving=poses.moving,
+                frames=int(poses.frames[poses.seen].sum()),
+                residual_m=poses.tip_m - predicted[run],
+                predicted_m=predicted[run],
+                before_m=before[run],
+                outliers=int((np.linalg.norm(residual[poses.seen], axis=1) > OUTLIER).sum()),
+                correlation=solution.correlation[run],
+                setup=problem.setup(solution.z, run),
+            )
+        )
+    return tuple(out)

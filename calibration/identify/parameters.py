@@ -1,0 +1,243 @@
+"""What can be free: every number of an arm and its mounting that data may decide."""
+
+from __future__ import annotations
+
+import difflib
+import math
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+import model
+
+Array = NDArray[np.float64]
+Triple = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Setup:
+    """An arm and how it is mounted and measured.
+
+    A tip of the model at (p, R) is measured at B (p + R tool) + base: `base_translation_m` and the rotation vector
+    `base_rotation_rad` are the rod base in the frame of the measurements, `tool_offset_m` the measured point in the
+    tip frame. `actuator_turn_rad` (N,) moves each actuator about the arm's axis. A sensor reads `sensor_gain` (N,) times
+    its pressure plus `sensor_offset_pa` (N,), `sensor_lag_s` late.
+    """
+
+    arm: model.Arm
+    base_translation_m: Triple = (0.0, 0.0, 0.0)
+    base_rotation_rad: Triple = (0.0, 0.0, 0.0)
+    tool_offset_m: Triple = (0.0, 0.0, 0.0)
+    actuator_turn_rad: tuple[float, ...] = ()
+    sensor_offset_pa: tuple[float, ...] = ()
+    sensor_gain: tuple[float, ...] = ()
+    sensor_lag_s: float = 0.0
+
+    def __post_init__(self) -> None:
+        n = self.arm.geometry.actuators
+        for name, neutral in (("actuator_turn_rad", 0.0), ("sensor_offset_pa", 0.0), ("sensor_gain", 1.0)):
+            if not getattr(self, name):
+                object.__setattr__(self, name, (neutral,) * n)
+
+    @property
+    def turned_arm(self) -> model.Arm:
+        """The arm with its actuators where they are."""
+        if not any(self.actuator_turn_rad):
+            return self.arm
+        turned = tuple(
+            (math.cos(t) * x - math.sin(t) * y, math.sin(t) * x + math.cos(t) * y)
+            for t, (x, y) in zip(self.actuator_turn_rad, self.arm.geometry.actuator_xy_m, strict=True)
+        )
+        return replace(self.arm, geometry=replace(self.arm.geometry, actuator_xy_m=turned))
+
+    def pressure_pa(self, measured_pa: Array) -> Array:
+        """True pressures (K, N) behind measured ones."""
+        out: Array = (measured_pa - np.array(self.sensor_offset_pa)) / np.array(self.sensor_gain)
+        return out
+
+    def measured(self, tip_m: Array, rotation: Array) -> Array:
+        """Where tips (K, 3) with orientations (K, 3, 3) of the model are measured, (K, 3) [m]."""
+        point = tip_m + rotation @ np.array(self.tool_offset_m)
+        out: Array = Rotation.from_rotvec(self.base_rotation_rad).apply(point) + np.array(self.base_translation_m)
+        return out
+
+
+Read = Callable[[Setup], float]
+Write = Callable[[Setup, float], Setup]
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One number that can be free.
+
+    span: how far from its start it may plausibly lie; a parameter that the data leave less certain than that has not
+    been identified. lower, upper: where it makes no sense beyond. per_run: each run has its own, as a sensor's zero.
+    """
+
+    name: str
+    unit: str
+    about: str
+    read: Read
+    write: Write
+    span: Callable[[float], float]
+    lower: float
+    upper: float
+    per_run: bool = False
+
+
+@dataclass(frozen=True)
+class Prior:
+    """What is known of a parameter beforehand: a normal distribution."""
+
+    mean: float
+    std: float
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.mean) and math.isfinite(self.std) and self.std > 0):
+            raise ValueError(f"a prior needs a finite mean and a positive deviation, got {self.mean} and {self.std}")
+
+
+class UnknownParameter(ValueError):  # noqa: N818 - the outcome is the name
+    """A name that stands for no parameter."""
+
+
+def known(actuators: int) -> dict[str, Parameter]:
+    """Every parameter of an arm with so many actuators, by name."""
+    found = [
+        _material("youngs_modulus_pa", "Pa", "modulus of the homogeneous section (eq 16)", 1e3, 1e9),
+        _material("a1_per_n", "1/N", "linear term of eq 32", 1e-6, 10.0),
+        _material("a2_per_n2", "1/N^2", "quadratic term of eq 32", 0.0, 1.0, least=1e-4),
+        _material("rpe_per_bar", "1/bar", "radial pressure effect, a of eq 30", -1.0, 1.0, least=0.02),
+        _material("shear_ratio", "1", "gamma, shear stiffness over axial stiffness", 0.01, 5.0),
+        _material("density_kg_m3", "kg/m^3", "density of the walls", 100.0, 1e4),
+        _material("damping_s", "s", "Kelvin-Voigt retardation time", 0.0, 1.0, least=0.02),
+        Parameter(
+            "cap_mass_kg", "kg", "mass of the end cap", lambda s: s.arm.cap_mass_kg,
+            lambda s, x: replace(s, arm=replace(s.arm, cap_mass_kg=x)), lambda x: max(abs(x), 0.02), 0.0, 100.0,
+        ),
+        _geometry("length_m", "m", "length of the arm at rest", 0.1),
+        _geometry("inner_radius_m", "m", "radius of the chambers", 0.2),
+        Parameter(
+            "circle_radius_m", "m", "distance of the first actuator from the axis, the others in proportion", _circle,
+            _circled, lambda x: 0.1 * x, 1e-4, 10.0,
+        ),
+        Parameter(
+            "sensor_lag_s", "s", "delay of the pressure sensors behind the camera", lambda s: s.sensor_lag_s,
+            lambda s, x: replace(s, sensor_lag_s=x), lambda x: 0.05, -1.0, 1.0,
+        ),
+        *_triple("base_translation_m", "base_{}_m", "m", "rod base in the measurements' frame", 0.02, 1.0),
+        *_triple("base_rotation_rad", "base_r{}_rad", "rad", "rotation vector of the rod base", 0.1, math.pi),
+        *_triple("tool_offset_m", "tool_{}_m", "m", "measured point in the tip frame", 0.02, 1.0),
+        *(
+            one
+            for n in range(actuators)
+            for one in (
+                _own(n, "actuator_turn_rad", f"actuator_{n + 1}_turn_rad", "rad", "turn about the axis", 0.2, 3.2),
+                _own(n, "sensor_gain", f"sensor_{n + 1}_gain", "1", "reading over true pressure", 0.2, 10.0, 0.1),
+                _own(n, "sensor_offset_pa", f"sensor_{n + 1}_offset_pa", "Pa", "reading at zero pressure", 5e3, 1e5),
+            )
+        ),
+    ]  # fmt: skip
+    return {parameter.name: parameter for parameter in found}
+
+
+GROUPS = {
+    "law": ("a1_per_n", "a2_per_n2"),
+    "base": ("base_x_m", "base_y_m", "base_z_m", "base_rx_rad", "base_ry_rad", "base_rz_rad"),
+    "tool": ("tool_x_m", "tool_y_m", "tool_z_m"),
+}
+
+
+def named(names: Iterable[str], actuators: int) -> tuple[Parameter, ...]:
+    """Parameters by name; `law`, `base`, `tool`, `actuator_angles`, `sensor_gains`, `sensor_offsets` stand for several.
+
+    Raises:
+        UnknownParameter: with what may have been meant.
+    """
+    every = known(actuators)
+    groups = {
+        **GROUPS,
+        "sensor_offsets": tuple(f"sensor_{n + 1}_offset_pa" for n in range(actuators)),
+        "sensor_gains": tuple(f"sensor_{n + 1}_gain" for n in range(actuators)),
+        "actuator_angles": tuple(f"actuator_{n + 1}_turn_rad" for n in range(actuators)),
+    }
+    chosen: dict[str, Parameter] = {}
+    for name in names:
+        for one in groups.get(name, (name,)):
+            if one not in every:
+                near = difflib.get_close_matches(one, [*every, *groups], 1)
+                hint = f"; did you mean {near[0]}?" if near else f"; known are {', '.join([*groups, *every])}"
+                raise UnknownParameter(f"there is no parameter {one}{hint}")
+            chosen[one] = every[one]
+    return tuple(chosen.values())
+
+
+def _material(name: str, unit: str, about: str, lower: float, upper: float, least: float = 0.0) -> Parameter:
+    def read(setup: Setup) -> float:
+        return float(getattr(setup.arm.material, name))
+
+    def write(setup: Setup, x: float) -> Setup:
+        return replace(setup, arm=replace(setup.arm, material=replace(setup.arm.material, **{name: x})))
+
+    return Parameter(name, unit, about, read, write, lambda x: max(abs(x), least), lower, upper)
+
+
+def _geometry(name: str, unit: str, about: str, share: float) -> Parameter:
+    def read(setup: Setup) -> float:
+        return float(getattr(setup.arm.geometry, name))
+
+    def write(setup: Setup, x: float) -> Setup:
+        changed: dict[str, Any] = {name: x}
+        return replace(setup, arm=replace(setup.arm, geometry=replace(setup.arm.geometry, **changed)))
+
+    return Parameter(name, unit, about, read, write, lambda x: share * abs(x), 1e-6, 10.0)
+
+
+def _circle(setup: Setup) -> float:
+    return math.hypot(*setup.arm.geometry.actuator_xy_m[0])
+
+
+def _circled(setup: Setup, x: float) -> Setup:
+    scale = x / _circle(setup)
+    xy = tuple((scale * a, scale * b) for a, b in setup.arm.geometry.actuator_xy_m)
+    return replace(setup, arm=replace(setup.arm, geometry=replace(setup.arm.geometry, actuator_xy_m=xy)))
+
+
+def _triple(attribute: str, pattern: str, unit: str, about: str, span: float, limit: float) -> list[Parameter]:
+    def one(k: int, axis: str) -> Parameter:
+        def read(setup: Setup) -> float:
+            return float(getattr(setup, attribute)[k])
+
+        def write(setup: Setup, x: float) -> Setup:
+            values = list(getattr(setup, attribute))
+            values[k] = x
+            changed: dict[str, Any] = {attribute: tuple(values)}
+            return replace(setup, **changed)
+
+        name = pattern.format(axis)
+        return Parameter(name, unit, f"{about}, {axis}", read, write, lambda x: span, -limit, limit)
+
+    return [one(k, axis) for k, axis in enumerate("xyz")]
+
+
+def _own(
+    n: int, attribute: str, name: str, unit: str, about: str, span: float, upper: float, lower: float | None = None
+) -> Parameter:
+    def read(setup: Setup) -> float:
+        return float(getattr(setup, attribute)[n])
+
+    def write(setup: Setup, x: float) -> Setup:
+        values = list(getattr(setup, attribute))
+        values[n] = x
+        changed: dict[str, Any] = {attribute: tuple(values)}
+        return replace(setup, **changed)
+
+    low = -upper if lower is None else lower
+    # A sensor's zero drifts from day to day; its gain and the arm's build do not.
+    return Parameter(
+        name, unit, about, read, write, lambda x: span, low, upper, per_run=attribute == "sensor_offset_pa"
+    )
