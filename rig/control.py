@@ -16,6 +16,9 @@ from rig.valve import vent_v
 
 __all__ = ["Command", "Sample", "Settings", "State", "Trip", "initial", "prepare", "safe_voltages", "step"]
 
+BLIND_PERIODS = 3.0
+"""After so long without a scan a flow-metering valve is closed: what it lets through is no longer seen."""
+
 SHORTEST_STEP_PERIODS, LONGEST_STEP_PERIODS = 0.25, 4.0
 """Time between newest scans is taken as no less and no more: the filters are made for a steady rate."""
 
@@ -26,6 +29,8 @@ class Settings:
 
     period_s: float
     safe_v: tuple[float, ...]
+    closed_v: tuple[float | None, ...]
+    """The voltage that shuts each valve; None for one that holds its pressure by itself."""
     valves: tuple[regulator.Settings, ...]
     valve_of: tuple[int, ...]
     """Index of the valve of each actuator."""
@@ -69,6 +74,7 @@ def prepare(config: RigConfig) -> Settings:
     return Settings(
         period_s=1.0 / config.control.rate_hz,
         safe_v=safe_voltages(config),
+        closed_v=tuple(valve.closed_V if valve.type == "flow" else None for valve in config.valves),
         valves=tuple(regulator.settings(valve, config) for valve in config.valves),
         valve_of=tuple(valve_of[a + 1] for a in range(config.actuators)),
         limits=interlocks.settings(config),
@@ -89,16 +95,19 @@ def step(
 ) -> tuple[State, Command]:
     """Take a sample, the set-points (N,) [Pa] and their rates of change (N,) [Pa/s]; give the valve voltages.
 
-    Without a new scan the valves keep their voltages, until the samples count as stale.
+    Without a new scan the valves keep their voltages for three periods; then those that meter flow are closed, and in
+    the end the samples count as stale.
     """
     if state.trip is None:
         state = _step(settings, state, sample, setpoint_pa.tolist(), rate_pa_s.tolist())
     if state.trip is not None:
         return state, Command(np.array(settings.safe_v), state.trip)
-    voltages = (
-        safe if math.isnan(v.valve_v) else v.valve_v for v, safe in zip(state.valves, settings.safe_v, strict=True)
-    )
-    return state, Command(np.array(tuple(voltages)), None)
+    blind = sample.t_ns - sample.scan_t_ns > BLIND_PERIODS * settings.period_s * 1e9
+    voltages = []
+    for valve, safe, closed in zip(state.valves, settings.safe_v, settings.closed_v, strict=True):
+        voltage = safe if math.isnan(valve.valve_v) else valve.valve_v
+        voltages.append(closed if blind and closed is not None else voltage)
+    return state, Command(np.array(voltages), None)
 
 
 def _step(settings: Settings, state: State, sample: Sample, setpoint: list[float], rate: list[float]) -> State:

@@ -98,16 +98,25 @@ def test_a_voltage_that_is_no_pressure_trips_at_once(volts: float) -> None:
     assert "sensor or wire broken" in command.trip.message
 
 
-def test_missing_scans_hold_the_voltages_and_then_trip() -> None:
+def test_without_scans_the_valves_wait_then_close_and_then_the_run_stops() -> None:
     loop = Loop()
     before = loop.hold(0.3)
-    for _ in range(10):
+    for tick in range(1, round(RIG.limits.stale_s / 0.005) + 1):
         command = loop.tick((0, 0, 0), (0.35, 0, 0), scan=False)
         assert command.trip is None
-        np.testing.assert_array_equal(command.valve_v, before.valve_v)
+        np.testing.assert_array_equal(command.valve_v, before.valve_v if tick <= 3 else [5.0, 5.0])
     command = loop.tick((0, 0, 0), (0.35, 0, 0), scan=False)
     assert command.trip is not None
-    assert command.trip.message == "no pressure sample for 55 ms (limit 50 ms)"
+    assert command.trip.message == "no pressure sample for 105 ms (limit 100 ms)"
+
+
+def test_a_short_gap_in_the_scans_is_survived() -> None:
+    loop = Loop()
+    loop.hold(0.3)
+    for _ in range(8):
+        loop.tick((0, 0, 0), (0.3, 0, 0), scan=False)
+    command = loop.hold(0.3, 10)
+    assert not np.array_equal(command.valve_v, [5.0, 5.0])
 
 
 def test_without_any_scan_there_is_no_run() -> None:

@@ -8,6 +8,7 @@ use it for as long as it takes to make it safe; without, it runs until SIGTERM o
 from __future__ import annotations
 
 import argparse
+import contextlib
 import gc
 import os
 import select
@@ -32,6 +33,7 @@ LONGEST_STRETCH_NS = 20_000_000
 GIVE_UP_NS = 2_000_000_000
 """A plant that is later than this (a stopped process, a sleeping laptop) lets the time go instead."""
 OUTLIVE_PARENT_S = 3.0
+PRIORITY = 20
 
 
 class _Device:
@@ -45,6 +47,7 @@ class _Device:
         self._columns = [s.channel for s in sensors]
         self._channels = [v.channel for v in config.valves if v.card == name]
         self._registers = Registers.create(card.device, card.outputs, card.inputs)
+        self.faults = self._registers.faults
         self._written = self._registers.outputs["written_ns"]
         self._volts = self._registers.outputs["volts"]
         self._poses = 0
@@ -86,6 +89,8 @@ def run(config: RigConfig, seed: int, parent: int | None) -> None:
     plant = Plant(config, seed, t0_ns)
     plant.advance(t0_ns + LONGEST_STRETCH_NS)  # compiles what is not in the cache yet
     devices = [_Device(config, name, plant) for name, card in config.cards.items() if card.driver == "mock"]
+    if devices:
+        plant.faults.row = devices[0].faults.row
     _catch_up(plant, devices)
     poll = select.poll()
     if parent is not None:
@@ -95,6 +100,7 @@ def run(config: RigConfig, seed: int, parent: int | None) -> None:
             return
     gc.collect()
     gc.freeze()
+    _take_precedence()
     print("ready", flush=True)
     alone_since: float | None = None
     look_ns = 0
@@ -106,6 +112,15 @@ def run(config: RigConfig, seed: int, parent: int | None) -> None:
             look_ns = now + 200_000_000
             if alone_since is None and poll.poll(0):
                 alone_since = time.monotonic()
+
+
+def _take_precedence() -> None:
+    """Stand in for hardware, which no other process can keep waiting: real-time priority below control's, if allowed.
+
+    A plant that cannot keep up even so is held back by the kernel's own limit for real-time processes.
+    """
+    with contextlib.suppress(OSError):
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
 
 
 def _catch_up(plant: Plant, devices: Sequence[_Device]) -> None:
