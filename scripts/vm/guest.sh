@@ -19,7 +19,7 @@ insmod "$cache/v4l2loopback.ko" devices=1 video_nr=9 card_label=played exclusive
 
 cd "$checkout" || exit
 eval "set -- $arguments"
-export SOFTRIG_GUEST=1 SOFTRIG_GUEST_OUT=/out SOFTRIG_PICTURES=$cache/pictures.npz
+export PYTHONPATH=$checkout SOFTRIG_GUEST=1 SOFTRIG_GUEST_OUT=/out SOFTRIG_PICTURES=$cache/pictures.npz
 # What the host compiled for any processor of its kind serves the guest, which would take minutes.
 export SOFTRIG_CACHE=$cache/kernels NUMBA_CPU_NAME=generic NUMBA_CPU_FEATURES=
 "$python" -m pytest -p no:cacheprovider -v --durations=10 "$@"

@@ -81,4 +81,23 @@ def test_a_run_that_is_stopped_or_killed_leaves_safe_valves(
     while watching.readback().max() > COUNT_V and time.monotonic() < until:
         time.sleep(0.01)
     np.testing.assert_allclose(watching.readback(), [0.0, 0.0, 0.0], atol=COUNT_V)
-    run.communicate(timeout=60)
+    assert run.stdout is not None
+    run.stdout.close()
+    run.wait(timeout=60)
+    until = time.monotonic() + 60
+    while (left := processes_of_runs()) and time.monotonic() < until:
+        time.sleep(0.2)
+    assert left == []
+
+
+def processes_of_runs() -> list[str]:
+    """Command lines of the processes of any run."""
+    lines = []
+    for file in Path("/proc").glob("[0-9]*/cmdline"):
+        try:
+            line = file.read_bytes().replace(b"\0", b" ").decode()
+        except OSError:
+            continue
+        if "rig.executor" in line:
+            lines.append(line)
+    return lines
