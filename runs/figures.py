@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from runs.records import Seen
 from runs.run import Run
-from runs.summary import BAND_BAR, Z_95, Step, Summary, in_plane, rest_mm, settled_steps
+from runs.summary import BAND_BAR, MOVED_MM, Z_95, Step, Summary, in_plane, rest_mm, settled_steps
 
 # Okabe and Ito's palette: told apart by all common kinds of colour vision, and in grey.
 INK, MUTED, RULE = "#1b1f24", "#68707a", "#dfe3e8"
@@ -176,8 +176,8 @@ def steps(figure: Figure, run: Run, summary: Summary) -> None:
     legend(left)
     difference = np.abs(measured - model)
     travelled = np.linalg.norm(measured - rest, axis=1)
-    normalised = np.isfinite(travelled).any()
-    scale = 100 / travelled if normalised else np.ones(len(dwells))
+    normalised = (travelled > MOVED_MM).any()
+    scale = 100 / np.where(travelled > MOVED_MM, travelled, np.nan) if normalised else np.ones(len(dwells))
     width = 0.38 * (float(np.diff(np.sort(where)).min()) if len(where) > 1 else 1.0)
     right.bar(where - width / 2, difference[:, 0] * scale, width, color=MEASURED, label=name)
     right.bar(where + width / 2, difference[:, 1] * scale, width, color=ACTUATORS[3], label="z")

@@ -15,7 +15,7 @@ import numpy as np
 from runs import comparison, figures, layout
 from runs.figures import svg
 from runs.run import Run
-from runs.summary import BAND_BAR, SETTLED_PART, Step, Summary, settled_steps, summarise
+from runs.summary import BAND_BAR, SETTLED_PART, Summary, settled_steps, summarise
 from runs.text import DASH, plain, three, with_unit
 
 SUFFIX = ".html"
@@ -106,12 +106,13 @@ def _figures(run: Run, summary: Summary) -> Iterable[str]:
     settled, salt = settled_steps(summary.steps), run.header.run_id
     yield _figure("Pressures and set-points", svg(figures.pressures, (9, 4.1), salt, run, summary), "")
     if len(run.tip.time_s):
-        yield _figure(
-            "Tool centre point in the plane of motion",
-            svg(figures.trajectory, figures.trajectory_size(run, summary), salt, run, summary),
-            "In the rod-base frame, drawn as the arm hangs. Circles and crosses: mean over the last "
-            f"{100 * SETTLED_PART:.0f} % of each dwell; the numbers are its pressure in bar.",
-        )
+        if math.isfinite(summary.plane_deg):
+            yield _figure(
+                "Tool centre point in the plane of motion",
+                svg(figures.trajectory, figures.trajectory_size(run, summary), salt, run, summary),
+                "In the rod-base frame, drawn as the arm hangs. Circles and crosses: mean over the last "
+                f"{100 * SETTLED_PART:.0f} % of each dwell; the numbers are its pressure in bar.",
+            )
         if settled:
             yield _figure(
                 "Settled tip and error, step by step",
@@ -141,41 +142,29 @@ def _figure(title: str, drawing: str, caption: str) -> str:
 
 
 def _steps(summary: Summary) -> str:
+    """Return the table of the segments, without the columns that would say nothing."""
+    columns: dict[str, list[str]] = {
+        "weight<br>[g]": [plain(s.weight_g, 0) if s.weight_g > 0 else "" for s in summary.steps],
+        "set-points<br>[bar]": ["&ensp;".join(plain(level, 2) for level in s.level_bar) for s in summary.steps],
+        "measured x, y, z<br>[mm]": [three(s.measured_mm, 1) if s.dwell else "" for s in summary.steps],
+        "model x, y, z<br>[mm]": [three(s.model_mm, 1) if s.dwell else "" for s in summary.steps],
+        "error<br>[mm]": [plain(s.error_mm, 2) for s in summary.steps],
+        "in plane<br>[mm]": [plain(s.in_plane_mm, 2) for s in summary.steps],
+        "normalised<br>[%]": [plain(s.normalised_percent, 2) if s.dwell else "" for s in summary.steps],
+        "settling<br>[s]": [plain(s.settling_s, 2) if s.dwell else "" for s in summary.steps],
+        "overshoot<br>[mbar]": [plain(s.overshoot_bar * 1e3, 1) if s.dwell else "" for s in summary.steps],
+        "tracking rms<br>[mbar]": [plain(s.tracking_rms_bar * 1e3, 1) for s in summary.steps],
+    }
+    shown = {name: cells for name, cells in columns.items() if any(cell not in ("", DASH) for cell in cells)}
     if not summary.steps:
         return ""
-    columns = (
-        "segment",
-        "set-points<br>[bar]",
-        "measured x, y, z<br>[mm]",
-        "model x, y, z<br>[mm]",
-        "error<br>[mm]",
-        "in plane<br>[mm]",
-        "normalised<br>[%]",
-        "settling<br>[s]",
-        "overshoot<br>[mbar]",
-        "tracking rms<br>[mbar]",
+    head = "<th>segment</th>" + "".join(f"<th class=n>{name}</th>" for name in shown)
+    rows = "".join(
+        f"<tr><td>{escape(step.label)}</td>{''.join(f'<td class=n>{cells[i]}</td>' for cells in shown.values())}</tr>"
+        for i, step in enumerate(summary.steps)
     )
-    head = "".join(f"<th{'' if i == 0 else ' class=n'}>{name}</th>" for i, name in enumerate(columns))
-    rows = "".join(_step(step) for step in summary.steps)
-    note = "Dwells: mean over their last part. Other segments: mean over the whole."
-    return (
-        f'<h2>Segments</h2>\n<div class="scroll"><table><tr>{head}</tr>{rows}</table></div>\n<p class=small>{note}</p>'
-    )
-
-
-def _step(step: Step) -> str:
-    cells = (
-        "&ensp;".join(plain(level, 2) for level in step.level_bar),
-        three(step.measured_mm, 1) if step.dwell else "",
-        three(step.model_mm, 1) if step.dwell else "",
-        plain(step.error_mm, 2),
-        plain(step.in_plane_mm, 2),
-        plain(step.normalised_percent, 2) if step.dwell else "",
-        plain(step.settling_s, 2) if step.dwell else "",
-        plain(step.overshoot_bar * 1e3, 1) if step.dwell else "",
-        plain(step.tracking_rms_bar * 1e3, 1),
-    )
-    return f"<tr><td>{escape(step.label)}</td>{''.join(f'<td class=n>{cell}</td>' for cell in cells)}</tr>"
+    note = "<p class=small>Dwells: mean over their last part. Other segments: mean over the whole.</p>"
+    return f'<h2>Segments</h2>\n<div class="scroll"><table><tr>{head}</tr>{rows}</table></div>\n{note}'
 
 
 def _pictures(run: Run) -> str:

@@ -26,7 +26,8 @@ Z_95 = 1.959963984540054
 JUMP_BAR = 0.005
 """A set-point that moves farther from one tick to the next has jumped."""
 _REST_BAR = 0.02
-_MOVED_MM = 2.0
+MOVED_MM = 2.0
+"""A tip that moved less has no plane of motion and no normalised error."""
 _FLAT = 0.1
 
 Floats = NDArray[np.float64]
@@ -44,7 +45,7 @@ class Spread:
 
 @dataclass(frozen=True)
 class Step:
-    """One segment of the protocol; what was not measured in it is NaN."""
+    """One segment of the protocol that is no prompt; what was not measured in it is NaN."""
 
     label: str
     kind: str
@@ -175,10 +176,13 @@ def summarise(run: Run) -> Summary:
 
 
 def settled_steps(steps: Iterable[Step]) -> tuple[Step, ...]:
-    """Return the dwells that have a settled error: those under pressure, or all of a run that uses no pressure."""
+    """Return the dwells that have a settled error: those under pressure or weight, or all where nothing ever is."""
     every = tuple(steps)
-    pressed = any(max(step.level_bar) > 0 or not step.dwell for step in every)
-    return tuple(s for s in every if s.dwell and np.isfinite(s.error_mm) and (max(s.level_bar) > 0 or not pressed))
+    loaded = [max(step.level_bar) > 0 or step.weight_g > 0 for step in every]
+    idle = all(step.dwell for step in every) and not any(loaded)
+    return tuple(
+        s for s, load in zip(every, loaded, strict=True) if s.dwell and np.isfinite(s.error_mm) and (load or idle)
+    )
 
 
 def plane_of_motion(points_mm: Floats) -> Floats | None:
@@ -188,7 +192,7 @@ def plane_of_motion(points_mm: Floats) -> Floats | None:
         return None
     _, size, direction = np.linalg.svd(points, full_matrices=False)
     size = size / np.sqrt(len(points))
-    if np.ptp(points @ direction[0]) < _MOVED_MM or size[1] > _FLAT * size[0]:
+    if np.ptp(points @ direction[0]) < MOVED_MM or size[1] > _FLAT * size[0]:
         return None
     unit: Floats = direction[0] * (1.0 if direction[0][np.argmax(abs(direction[0]))] > 0 else -1.0)
     return unit
@@ -217,7 +221,8 @@ def spread(errors_mm: Floats) -> Spread:
 
 def _steps(run: Run, measured: NDArray[np.bool_], plane: Floats | None) -> tuple[Step, ...]:
     rest = rest_mm(run.tip, measured)
-    return tuple(_step(run, interval, measured, plane, rest) for interval in run.header.intervals)
+    played = (interval for interval in run.header.intervals if interval.kind != "prompt")
+    return tuple(_step(run, interval, measured, plane, rest) for interval in played)
 
 
 def _step(run: Run, interval: Interval, measured: NDArray[np.bool_], plane: Floats | None, rest: Floats) -> Step:
@@ -256,7 +261,7 @@ def _step(run: Run, interval: Interval, measured: NDArray[np.bool_], plane: Floa
         model_mm=_vector(tip.model_mm[frames]),
         error_mm=error,
         in_plane_mm=_mean(in_plane(difference, plane)),
-        normalised_percent=100 * error / travelled if dwell and travelled > _MOVED_MM else NAN,
+        normalised_percent=100 * error / travelled if dwell and travelled > MOVED_MM else NAN,
     )
 
 

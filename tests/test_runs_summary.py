@@ -210,3 +210,26 @@ def test_a_spread_is_ordered(errors: np.ndarray) -> None:
 def test_the_constants_are_those_of_the_distributions() -> None:
     assert pytest.approx(chi2.ppf(0.95, 3)) == summary.CHI2_3_95
     assert pytest.approx(norm.ppf(0.975)) == summary.Z_95
+
+
+def test_a_prompt_is_no_step_and_weights_make_settled_steps(tmp_path: Path) -> None:
+    path = tmp_path / "weights.mcap"
+    intervals = (
+        Interval(0.0, 1.0, "hold", "0 g", (0.0, 0.0, 0.0)),
+        Interval(1.0, 1.1, "prompt", "hang 100 g", (0.0, 0.0, 0.0)),
+        Interval(1.1, 2.0, "hold", "100 g", (0.0, 0.0, 0.0)),
+        Interval(2.0, 3.0, "hold", "200 g", (0.0, 0.0, 0.0)),
+    )
+    samples, observations = made_up.samples(3.0), made_up.observations(3.0)
+    samples["setpoint_pa"] = 0.0
+    observations["weight_kg"] = np.select(
+        [observations["protocol_s"] < 1, observations["protocol_s"] < 2], [0, 0.1], 0.2
+    )
+    writer = JournalWriter(path, dataclasses.replace(made_up.header("weights", 3.0), intervals=intervals))
+    writer.samples(samples)
+    writer.observations(observations)
+    writer.close(RunFooter(made_up.START_NS, Status.FINISHED, ""))
+    found = summarise(runs.open(finalise(path)))
+    assert [step.label for step in found.steps] == ["0 g", "100 g", "200 g"]
+    settled = summary.settled_steps(found.steps)
+    assert [step.weight_g for step in settled] == pytest.approx([100.0, 200.0])
