@@ -1,0 +1,73 @@
+"""Programs that people have open an archive and find its axes. Each test needs its program and is skipped without."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import runs_made_up as made_up
+
+import runs
+from runs.archive import finalise
+from runs.export import export
+
+
+@pytest.fixture(scope="module")
+def archive(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("viewers") / "run.mcap"
+    made_up.write_journal(path)
+    return finalise(path)
+
+
+def test_silx_plots_the_error_over_time(archive: Path) -> None:
+    silx_io = pytest.importorskip("silx.io", reason="silx is not installed")
+    nxdata = pytest.importorskip("silx.io.nxdata", reason="silx is not installed")
+    with silx_io.open(str(archive)) as file:
+        shown = nxdata.get_default(file)
+        assert shown is not None
+        assert shown.group.name == "/entry/tip"
+        assert (shown.is_curve, shown.signal_name, shown.axes_names) == (True, "error", ["time (s)"])
+        for name in ("pressure", "tip", "timing", "simulator"):
+            assert nxdata.NXdata(file[f"entry/{name}"]).issues == []
+
+
+def test_nexusformat_plots_the_error_over_time(archive: Path) -> None:
+    nexus = pytest.importorskip("nexusformat.nexus", reason="nexusformat is not installed")
+    root = nexus.nxload(str(archive))
+    shown = root.plottable_data
+    assert shown.nxpath == "/entry/tip"
+    assert shown.nxsignal.nxname == "error_mm"
+    assert [axis.nxname for axis in shown.nxaxes] == ["time"]
+    assert root.entry.title.nxvalue == "Staircase of actuator 1"
+
+
+@pytest.mark.parametrize("engine", ["h5netcdf", "netcdf4"])
+def test_xarray_finds_the_dimensions(archive: Path, engine: str) -> None:
+    xarray = pytest.importorskip("xarray", reason="xarray is not installed")
+    pytest.importorskip({"h5netcdf": "h5netcdf", "netcdf4": "netCDF4"}[engine], reason=f"{engine} is not installed")
+    for group in ("pressure", "tip", "timing", "events", "protocol", "simulator", "calibration", "model"):
+        with xarray.open_dataset(archive, group=f"entry/{group}", engine=engine) as data:
+            data.load()
+            assert not [name for name in data.sizes if "phony" in str(name)]
+    with xarray.open_dataset(archive, group="entry/tip", engine=engine) as data:
+        assert dict(data.sizes) == {"time": 90, "axis": 3, "component": 6, "actuator": 3}
+        run = runs.open(archive)
+        np.testing.assert_array_equal(data.measured_mm.sel(axis="z"), run.tip.measured_mm[:, 2])
+        late = data.model_mm.sel(time=slice(1.0, 2.0))
+        assert 29 <= late.sizes["time"] <= 31
+
+
+def test_xarray_reads_the_netcdf_export(archive: Path, tmp_path: Path) -> None:
+    xarray = pytest.importorskip("xarray", reason="xarray is not installed")
+    (path,) = export(archive, "nc", tmp_path)
+    with xarray.open_dataset(path, engine="scipy") as data:
+        assert data.pressure_measured_1_bar.dims == ("pressure_time_s",)
+        assert data.attrs["run_id"] == "run"
+
+
+def test_pandas_reads_the_csv_export(archive: Path, tmp_path: Path) -> None:
+    pandas = pytest.importorskip("pandas", reason="pandas is not installed")
+    written = {path.stem: path for path in export(archive, "csv", tmp_path)}
+    tip = pandas.read_csv(written["run-tip"], index_col="time_s")
+    np.testing.assert_array_equal(tip["measured_x_mm"], runs.open(archive).tip.measured_mm[:, 0])
