@@ -130,7 +130,6 @@ def _put(node: h5py.Group, item: Field) -> tuple[str, tuple[int, ...], digest.Co
     """Write one field and return what was meant by it."""
     attributes: dict[str, Any] = {
         "units": item.units,
-        "long_name": item.label,
         "description": item.about,
         "source": item.source,
     }

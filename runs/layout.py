@@ -41,11 +41,6 @@ class Field:
     source: str = ""
     uncertainty: float | None = None
 
-    @property
-    def label(self) -> str:
-        """What viewers write at an axis; they add the unit."""
-        return split_unit(self.name)[0].replace("_", " ") if self.units else ""
-
 
 @dataclass(frozen=True)
 class Pictures:

@@ -99,13 +99,6 @@ def test_it_is_nexus(path: Path) -> None:
             assert isinstance(node, h5py.Dataset) or node.attrs["NX_class"] in {"NXdata", "NXcollection"}
 
 
-def test_viewers_get_names_without_units_to_write_at_their_axes(path: Path) -> None:
-    with h5py.File(path) as file:
-        tip = file["entry/tip"]
-        labels = {name: tip[name].attrs.get("long_name") for name in ("time", "protocol_time", "error_mm", "frame")}
-    assert labels == {"time": "time", "protocol_time": "protocol time", "error_mm": "error", "frame": None}
-
-
 def test_every_dimension_has_its_scale(path: Path) -> None:
     unlabelled = []
 
