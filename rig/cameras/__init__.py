@@ -28,7 +28,8 @@ def open_camera(config: RigConfig, name: str, seed: int = 0) -> Camera:
         if not devices:
             raise CameraError(f"camera {name} is a mock, and the rig has no mock card whose plant it could look at")
         try:
-            return MockCamera(config, Registers.attach(devices[0]), name, seed)
+            registers = Registers.attach(devices[0])
+            return MockCamera(config, registers, name, seed, registers.faults)
         except CardError as error:
             raise CameraError(f"camera {name}: {error}") from error
     if camera.driver == "opencv":

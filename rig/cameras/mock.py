@@ -5,13 +5,18 @@ from __future__ import annotations
 import time
 
 import numpy as np
+from numpy.typing import NDArray
 
 from calibration.frames import Rigid
 from rig.cameras.base import CameraError, Frame
 from rig.config import RigConfig
 from rig.optics import board_in_tip, board_of, camera_in_base, lens_of, rigid
+from rig.simulator.faults import CameraFault, Faults
 from rig.simulator.pose import PoseSource, TipPose
 from rig.simulator.scene import Optics, Scene
+
+DROPPED = 9
+"""Pictures that a camera which drops pictures drops at a time."""
 
 
 class MockCamera:
@@ -22,7 +27,14 @@ class MockCamera:
     asks for `frame_at`.
     """
 
-    def __init__(self, config: RigConfig, source: PoseSource, name: str | None = None, seed: int = 0) -> None:
+    def __init__(
+        self,
+        config: RigConfig,
+        source: PoseSource,
+        name: str | None = None,
+        seed: int = 0,
+        faults: Faults | None = None,
+    ) -> None:
         """Look with the camera called `name` (the only one when None) at the tip that `source` knows."""
         if config.simulator is None:
             raise CameraError("the mock camera needs the rig's 'simulator' section: it says what the picture shows")
@@ -38,12 +50,16 @@ class MockCamera:
         self._board_in_tip = board_in_tip(config)
         self._start_ns = time.monotonic_ns() + self._exposure_ns
         self._index = -1
+        self._faults = faults if faults is not None else Faults()
+        self._last: NDArray[np.uint8] | None = None
 
     def frame_at(self, index: int, t_ns: int) -> Frame:
         """Frame `index` with its mid-exposure at `t_ns`; the same arguments and seed give the same picture.
 
         Looks at the source only up to `t_ns`: the motion of the exposure's second half is that of the first.
         """
+        if self._faults.camera in (CameraFault.UNPLUGGED, CameraFault.SILENT):
+            raise CameraError("the camera gives no more pictures: is it plugged in?")
         before = self._source.pose_at(t_ns - self._exposure_ns // 2)
         pose = self._source.pose_at(t_ns)
         opened, middle = self._board_before_camera(before), self._board_before_camera(pose)
@@ -51,17 +67,21 @@ class MockCamera:
         closed = Rigid(
             middle.rotation @ opened.rotation.T @ middle.rotation, 2 * middle.translation_m - opened.translation_m
         )
-        image = self._scene.render(opened, middle, closed, index)
+        image = self._seen(index, self._scene.render(opened, middle, closed, index))
         return Frame(index, t_ns, image, np.array(pose.position_m, dtype=np.float64))
 
     def read(self, timeout_s: float) -> Frame:
         """Wait for the next exposure to end, then return its picture."""
         now = time.monotonic_ns()
+        if self._faults.camera is CameraFault.SILENT:
+            time.sleep(timeout_s)
         # The newest exposure that is over when nothing was read for long, else the one after the last.
-        ended = (now - self._exposure_ns // 2 - self._start_ns) // self._period_ns
-        self._index = max(self._index + 1, ended)
+        takes_ns = self._exposure_ns // 2 + self._faults.camera_delay_ns
+        ended = (now - takes_ns - self._start_ns) // self._period_ns
+        step = 1 if self._faults.camera is not CameraFault.DROPPING else DROPPED + 1
+        self._index = max(self._index + step, ended)
         t_ns = self._start_ns + self._index * self._period_ns
-        wait_s = (t_ns + self._exposure_ns // 2 - now) * 1e-9
+        wait_s = (t_ns + takes_ns - now) * 1e-9
         if wait_s > timeout_s:
             time.sleep(timeout_s)
             self._index -= 1
@@ -75,6 +95,15 @@ class MockCamera:
 
     def close(self) -> None:
         """Nothing to release."""
+
+    def _seen(self, index: int, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        fault = self._faults.camera
+        if fault is CameraFault.BLACK:
+            return np.zeros_like(image)
+        repeats = fault is CameraFault.FROZEN or (fault is CameraFault.DUPLICATED and index % 2 == 1)
+        if not repeats or self._last is None:
+            self._last = image
+        return self._last
 
     def _board_before_camera(self, pose: TipPose) -> Rigid:
         return self._base_in_camera @ Rigid(pose.rotation, pose.position_m) @ self._board_in_tip

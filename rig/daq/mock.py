@@ -24,6 +24,7 @@ class MockCard:
         Raises:
             CardError: it does not exist or lacks a channel.
         """
+        self._device = setup.device
         self._registers = Registers.attach(setup.device)
         self._inputs = [channel.number for channel in setup.inputs]
         self._outputs = setup.outputs
@@ -46,11 +47,13 @@ class MockCard:
         """Scans since the last call; none before `start`."""
         if self._next is None:
             return Scans(np.empty(0, np.int64), np.empty((0, len(self._inputs))))
+        self._registers.faults.before_read(self._device, waits=True)
         scans, self._next = self._registers.scans_since(self._next, self._inputs)
-        return scans
+        return self._registers.faults.of_scans(scans)
 
     def write(self, volts: NDArray[np.float64]) -> None:
         """Set the outputs, as near as 16 bits come."""
+        self._registers.faults.before_write(self._device)
         values = [sixteen_bits(v, c.low_v, c.high_v) for v, c in zip(volts.tolist(), self._outputs, strict=True)]
         now = time.monotonic_ns()
         for channel, value in zip(self._outputs, values, strict=True):

@@ -12,6 +12,7 @@ from rig.config import RigConfig
 from rig.daq.base import CardError, Scans
 from rig.simulator import pneumatics
 from rig.simulator.converter import sixteen_bits
+from rig.simulator.faults import Faults, FaultySensors, FaultyValves
 from rig.simulator.history import POSE_DTYPE, pose_among
 from rig.simulator.pneumatics import STEP_NS
 from rig.simulator.pose import TipPose
@@ -31,8 +32,12 @@ class Plant:
     is cut into calls of `advance`.
     """
 
-    def __init__(self, config: RigConfig, seed: int, t0_ns: int, *, moving_arm: bool = True) -> None:
+    def __init__(
+        self, config: RigConfig, seed: int, t0_ns: int, *, moving_arm: bool = True, faults: Faults | None = None
+    ) -> None:
         """`moving_arm` false leaves the arm straight and its chambers at their volume: pneumatics alone.
+
+        `faults` is the word that gives the bench its faults; without it the bench has one of its own.
 
         Raises:
             CardError: the rig has no simulator section.
@@ -58,6 +63,10 @@ class Plant:
         self._valves = pneumatics.valves(config, truth.valve)
         self._chambers = pneumatics.chambers(config, truth)
         self._sensors = pneumatics.sensors(config, truth, seed)
+        self.faults = faults if faults is not None else Faults()
+        self._faulty_valves = FaultyValves(self.faults, self._valves)
+        self._faulty_sensors = FaultySensors(self.faults, self._sensors)
+        self._outputs_v: NDArray[np.float64] = np.zeros(len(config.valves))
         self._air = pneumatics.vented(len(config.valves), self._dead_m3 + self._bore_m2 * lengths)
         self._cards = {
             name: PlantCard(self, config, name) for name, card in config.cards.items() if card.driver == "mock"
@@ -122,15 +131,17 @@ class Plant:
 
     def set_output(self, valve: int, volts: float) -> None:
         """Put a valve's output at a voltage, from the present grid point on."""
-        self._air.command_v[valve] = volts
+        self._outputs_v[valve] = volts
 
     def output(self, valve: int) -> float:
         """The voltage a valve's output stands at."""
-        return float(self._air.command_v[valve])
+        return float(self._outputs_v[valve])
 
     def _pass(self, steps: int) -> None:
         scans = np.empty((steps, len(self._air.pressure_pa)))
+        self._air.command_v[:] = self._faulty_valves.apply(self._outputs_v, self._air.spool_v)
         pneumatics.advance(self._valves, self._chambers, self._sensors, self._air, self._step, steps, scans)
+        self._faulty_sensors.apply(self._step, scans)
         for card in self._cards.values():
             card.take(self._step, scans)
         self._step += steps
@@ -161,6 +172,7 @@ class PlantCard:
         self._columns = np.array([s.actuator - 1 for s in sensors], np.int64)
         self._valves = [i for i, v in enumerate(config.valves) if v.card == name]
         self._ranges = [config.valves[i].range_V for i in self._valves]
+        self._device = config.cards[name].device
         self._every = pneumatics.scan_steps(config.cards[name].sampling_hz)
         self._sampling = False
         self._t_ns = np.zeros(FIFO_SCANS, np.int64)
@@ -190,12 +202,14 @@ class PlantCard:
 
     def read(self) -> Scans:
         """Scans since the last call."""
+        self._plant.faults.before_read(self._device, waits=False)
         scans = Scans(self._t_ns[: self._filled].copy(), self._volts[: self._filled].copy(), self._lost)
         self._filled = self._lost = 0
-        return scans
+        return self._plant.faults.of_scans(scans)
 
     def write(self, volts: NDArray[np.float64]) -> None:
         """Set the outputs, as near as 16 bits come."""
+        self._plant.faults.before_write(self._device)
         for valve, (low, high), v in zip(self._valves, self._ranges, volts.tolist(), strict=True):
             self._plant.set_output(valve, sixteen_bits(v, low, high))
 

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.daq.base import CardError, Scans
+from rig.simulator.faults import FAULTS_DTYPE, Faults
 from rig.simulator.history import POSE_DTYPE, pose_among
 from rig.simulator.pose import TipPose
 
@@ -29,6 +30,7 @@ POSE_ROWS = 512
 SPARE_ROWS = 256
 """Rows that a reader leaves alone because the plant may overwrite them while they are being copied."""
 RECENT_POSES = 220
+FAULTS_AT = 1024
 
 HEADER_DTYPE = np.dtype(
     [
@@ -69,6 +71,7 @@ class Registers:
         self.header: NDArray[np.void] = np.frombuffer(self._map, HEADER_DTYPE, 1)
         inputs, outputs = int(self.header["inputs"][0]), int(self.header["outputs"][0])
         outputs_at, scans_at, poses_at, _ = _offsets(outputs, inputs)
+        self.faults = Faults(np.frombuffer(self._map, FAULTS_DTYPE, 1, FAULTS_AT))
         self.outputs: NDArray[np.void] = np.frombuffer(self._map, OUTPUT_DTYPE, outputs, outputs_at)
         self._scans: NDArray[np.void] = np.frombuffer(self._map, scan_dtype(inputs), SCAN_ROWS, scans_at)
         self._poses: NDArray[np.void] = np.frombuffer(self._map, POSE_DTYPE, POSE_ROWS, poses_at)
@@ -103,6 +106,7 @@ class Registers:
         registers = cls(descriptor, path)
         registers._scans["index"] = -1
         registers._poses["index"] = -1
+        registers.faults.clear()
         now = time.monotonic_ns()
         for output in range(outputs):
             registers.write(output, 0.0, now)
@@ -193,7 +197,7 @@ class Registers:
 
     def close(self) -> None:
         """Let go of the file; the registers keep their values."""
-        del self.header, self.outputs, self._scans, self._poses
+        del self.header, self.faults, self.outputs, self._scans, self._poses
         with contextlib.suppress(BufferError):  # someone still looks at a view: then the map goes with the last one
             self._map.close()
 

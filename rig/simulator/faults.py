@@ -1,0 +1,233 @@
+"""The faults that the simulated bench can be given: broken sensors, valves, supply, card and camera.
+
+A fault is a word in memory: in a mock card's shared file in real time, in the plant itself in virtual time. Whoever
+tests the rest of the program writes it; the plant, the mock card and the mock camera obey it. Nothing else knows it.
+"""
+
+from __future__ import annotations
+
+import time
+from enum import IntEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.daq.base import CardError, Scans
+from rig.simulator.pneumatics import Sensors, Valves
+from rig.valve import ATMOSPHERE_PA, sonic_conductance
+
+MOST = 8
+"""Sensors and valves that can have a fault."""
+
+FAULTS_DTYPE = np.dtype(
+    [
+        ("active", "<i8"),
+        ("sensor", "<i8", (MOST,)),
+        ("sensor_pa", "<f8", (MOST,)),
+        ("valve", "<i8", (MOST,)),
+        ("valve_value", "<f8", (MOST,)),
+        ("supply_lost", "<i8"),
+        ("failing_reads", "<i8"),
+        ("failing_writes", "<i8"),
+        ("read_delay_ns", "<i8"),
+        ("silent", "<i8"),
+        ("lost_scans", "<i8"),
+        ("camera", "<i8"),
+        ("camera_delay_ns", "<i8"),
+    ]
+)
+"""`active` is set after the others; `failing_reads`, `failing_writes` and `lost_scans` count down. Pressures are gauge.
+
+`sensor_pa` is the noise's standard deviation or the offset; `valve_value` the voltage at which a valve is stuck (not a
+number: where it is), or the flow that it leaks [l/min at 6 -> 5 bar].
+"""
+
+
+class SensorFault(IntEnum):
+    """What is wrong with a pressure sensor."""
+
+    NONE = 0
+    OPEN = 1
+    SHORT = 2
+    FROZEN = 3
+    NOISY = 4
+    OFFSET = 5
+
+
+class ValveFault(IntEnum):
+    """What is wrong with a valve."""
+
+    NONE = 0
+    STUCK = 1
+    LEAKING = 2
+    REVERSED = 3
+
+
+class CameraFault(IntEnum):
+    """What is wrong with the camera."""
+
+    NONE = 0
+    UNPLUGGED = 1
+    SILENT = 2
+    FROZEN = 3
+    BLACK = 4
+    LATE = 5
+    DUPLICATED = 6
+    DROPPING = 7
+
+
+class Faults:
+    """A view of the fault word of one bench: `row` is an array (1,) of FAULTS_DTYPE."""
+
+    def __init__(self, row: NDArray[np.void] | None = None) -> None:
+        """Look at a word in shared memory, or at one of its own."""
+        self.row: NDArray[np.void] = np.zeros(1, FAULTS_DTYPE) if row is None else row
+
+    @property
+    def active(self) -> bool:
+        """True while there is any fault."""
+        return bool(self.row["active"][0])
+
+    @property
+    def camera(self) -> CameraFault:
+        """The camera's fault."""
+        return CameraFault(int(self.row["camera"][0])) if self.active else CameraFault.NONE
+
+    @property
+    def camera_delay_ns(self) -> int:
+        """How much later than it should a picture arrives."""
+        return int(self.row["camera_delay_ns"][0]) if self.camera is CameraFault.LATE else 0
+
+    def inject(self, **words: float) -> None:
+        """Set words by name, `sensor_2` being the second of `sensor`; they take effect together."""
+        for name, value in words.items():
+            stem, _, number = name.rpartition("_")
+            if number.isdigit():
+                self.row[stem][0, int(number) - 1] = value
+            else:
+                self.row[name][0] = value
+        self.row["active"][0] = 1
+
+    def clear(self) -> None:
+        """Mend everything."""
+        self.row["active"][0] = 0
+        self.row[:] = np.zeros(1, FAULTS_DTYPE)
+
+    def before_read(self, device: str, *, waits: bool) -> None:
+        """What happens when the card is read; `waits` where time is real.
+
+        Raises:
+            CardError: this read fails.
+        """
+        if not self.active:
+            return
+        if waits and (delay_ns := int(self.row["read_delay_ns"][0])):
+            time.sleep(delay_ns * 1e-9)
+        if self.row["failing_reads"][0] > 0:
+            self.row["failing_reads"][0] -= 1
+            raise CardError(f"mock card {device}: the inputs cannot be read: Input/output error")
+
+    def before_write(self, device: str) -> None:
+        """What happens when the card is written.
+
+        Raises:
+            CardError: this write fails.
+        """
+        if self.active and self.row["failing_writes"][0] > 0:
+            self.row["failing_writes"][0] -= 1
+            raise CardError(f"mock card {device}: the outputs cannot be written: Input/output error")
+
+    def of_scans(self, scans: Scans) -> Scans:
+        """What is left of the scans that were read."""
+        if not self.active:
+            return scans
+        if self.row["silent"][0]:
+            return Scans(scans.t_ns[:0], scans.volts[:0])
+        lost = min(int(self.row["lost_scans"][0]), len(scans.t_ns))
+        if lost:
+            self.row["lost_scans"][0] -= lost
+            return Scans(scans.t_ns[lost:], scans.volts[lost:], scans.lost + lost)
+        return scans
+
+
+class FaultyValves:
+    """The plant's valves and supply with the faults that they have."""
+
+    def __init__(self, faults: Faults, valves: Valves) -> None:
+        self._faults = faults
+        self._valves = valves
+        self._sound = Valves._make(array.copy() for array in valves)
+        self._held_v: dict[int, float] = {}
+        self._touched = False
+
+    def apply(self, outputs_v: NDArray[np.float64], spool_v: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Give the valves their faults; return the voltages (V,) that they feel when told `outputs_v`."""
+        if not self._faults.active:
+            if self._touched:
+                self._mend()
+            return outputs_v
+        self._mend()
+        self._touched = True
+        row, felt = self._faults.row[0], outputs_v.copy()
+        if row["supply_lost"]:
+            self._valves.supply_pa[:] = ATMOSPHERE_PA
+        for i in range(min(MOST, len(outputs_v))):
+            fault, value = ValveFault(int(row["valve"][i])), float(row["valve_value"][i])
+            if fault is ValveFault.STUCK:
+                self._held_v.setdefault(i, float(spool_v[i]) if np.isnan(value) else value)
+                felt[i] = self._held_v[i]
+            else:
+                self._held_v.pop(i, None)
+            if fault is ValveFault.LEAKING:
+                self._valves.leak[i] = sonic_conductance(value, float(self._sound.critical_ratio[i]))
+            elif fault is ValveFault.REVERSED:
+                self._valves.fill_sign[i] = -self._sound.fill_sign[i]
+        return felt
+
+    def _mend(self) -> None:
+        for array, sound in zip(self._valves, self._sound, strict=True):
+            array[...] = sound
+        self._touched = False
+
+
+class FaultySensors:
+    """The plant's pressure sensors with the faults that they have."""
+
+    def __init__(self, faults: Faults, sensors: Sensors) -> None:
+        self._faults = faults
+        self._sensors = sensors
+        self._last_v: NDArray[np.float64] = np.full(len(sensors.v_per_pa), np.nan)
+
+    def apply(self, first_step: int, scans: NDArray[np.float64]) -> None:
+        """Change the volts (steps, N) of a stretch of the grid that begins after `first_step` to what is seen."""
+        sensors = self._sensors
+        faulty = self._faults.active
+        for a in range(len(self._last_v)):
+            rows = slice(-(first_step + 1) % int(sensors.every[a]), None, int(sensors.every[a]))
+            volts = scans[rows, a]
+            if len(volts) == 0:
+                continue
+            fault = SensorFault(int(self._faults.row["sensor"][0, a])) if faulty and a < MOST else SensorFault.NONE
+            if fault is SensorFault.FROZEN and not np.isnan(self._last_v[a]):
+                scans[rows, a] = self._last_v[a]
+            elif fault is not SensorFault.NONE:
+                scans[rows, a] = self._wrong(fault, a, first_step, volts)
+            self._last_v[a] = scans[rows, a][-1]
+
+    def _wrong(self, fault: SensorFault, a: int, step: int, volts: NDArray[np.float64]) -> NDArray[np.float64]:
+        sensors = self._sensors
+        low, high = float(sensors.range_low_v[a]), float(sensors.range_high_v[a])
+        by_v = float(self._faults.row["sensor_pa"][0, a]) * float(sensors.v_per_pa[a])
+        match fault:
+            case SensorFault.OPEN:
+                # An input that hangs in the air is charged by the multiplexer until it saturates.
+                return np.full_like(volts, high)
+            case SensorFault.SHORT:
+                return np.full_like(volts, min(max(0.0, low), high))
+            case SensorFault.NOISY:
+                noise = np.random.default_rng([sensors.seed, a, step]).standard_normal(len(volts))
+                return np.clip(volts + by_v * noise, low, high)
+            case SensorFault.OFFSET:
+                return np.clip(volts + by_v, low, high)
+            case _:
+                return volts
