@@ -59,6 +59,9 @@ app = typer.Typer(
     help="Run a soft-robotics experiment: valves, pressures, camera, Cosserat rod model, archive.",
 )
 
+LOCAL, LIVE_PORT = "127.0.0.1", 8090
+Listen = Annotated[str, typer.Option(metavar="ADDRESS", help="Serve the page beyond this machine; asks for a token.")]
+Port = Annotated[int, typer.Option(help="First port to try for the page.", min=1, max=65535)]
 RigName = Annotated[str, typer.Option("--rig", help="Name or file of the rig.")]
 ProtocolName = Annotated[str, typer.Argument(metavar="NAME|FILE", help="Named protocol, or a YAML file.")]
 Folder = Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder of the archives.", file_okay=False)]
@@ -81,13 +84,21 @@ def run(
     note: Annotated[str, typer.Option(help="A remark; goes into the archive.")] = "",
     yes: Annotated[bool, typer.Option("--yes", help="Arm without asking.")] = False,
     report: Annotated[bool, typer.Option(help="Write the HTML report.")] = True,
+    live: Annotated[bool, typer.Option("--live", help="Show the run in the browser, too.")] = False,
+    listen: Listen = LOCAL,
+    port: Port = LIVE_PORT,
     json: AsJson = False,
 ) -> None:
     """Run a protocol and leave an archive with a report."""
     from rig import experiment, screens
+    from rig.live.launch import showing_this_run
     from rig.signals import StopSignals
     from rig.terminal import Terminal
 
+    if live and fast:
+        _fail(
+            "--live shows a run in real time; leave out --fast, or play the archive afterwards: rig live RUN", BAD_INPUT
+        )
     request = experiment.request(
         protocol, rig, folder=out, fast=fast, seed=seed, variant=model, operator=operator, notes=note, report=report
     )
@@ -97,7 +108,11 @@ def run(
     console.print(screens.check_screen(request, decided))
     if not yes and not screens.confirm(console):
         _fail("not armed", BAD_INPUT)
-    with StopSignals() as signals, Terminal(console, lambda: signals.reason, screens.title(request)) as terminal:
+    with (
+        showing_this_run(live, listen, port, lambda line: console.print(line, soft_wrap=True)),
+        StopSignals() as signals,
+        Terminal(console, lambda: signals.reason, screens.title(request)) as terminal,
+    ):
         result = experiment.run(request, decided, terminal)
     screens.last_screen(console, result)
     if json:
@@ -169,6 +184,25 @@ def simulate(
 
     request = experiment.request(protocol, rig, folder=out, variant=model)
     typer.echo(run_model(request, experiment.plan(request), static))
+
+
+@app.command()
+def live(
+    archive: Annotated[
+        Path | None, typer.Argument(metavar="[RUN]", help="Archive to play; without it, the run that goes.")
+    ] = None,
+    pid: Annotated[int | None, typer.Option(help="Process of the run to watch, where several go.")] = None,
+    listen: Listen = LOCAL,
+    port: Port = LIVE_PORT,
+) -> None:
+    """Show a run that goes in the browser, or play an archive."""
+    from rig import screens
+    from rig.listing import resolve
+    from rig.live.launch import show
+
+    console = screens.console()
+    found = None if archive is None else resolve(archive)
+    raise typer.Exit(show(found, pid, listen, port, lambda line: console.print(line, soft_wrap=True)))
 
 
 @app.command()

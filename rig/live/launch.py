@@ -1,0 +1,164 @@
+"""Starting the page's process from the command line: the address, the tokens, the links."""
+
+from __future__ import annotations
+
+import errno
+import getpass
+import ipaddress
+import os
+import pickle
+import socket
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+from rig.executor.base import StartError
+from rig.executor.door import door_of
+from rig.live.gate import Keys
+from rig.live.order import LINGER_S, Order
+from rig.live.visit import going
+
+PORTS_TRIED = 20
+
+
+@dataclass(frozen=True)
+class Page:
+    """A page's process, and what to tell the operator of it."""
+
+    process: subprocess.Popen[bytes]
+    said: tuple[str, ...]
+
+    def close(self, patience_s: float = 0.0) -> None:
+        """End it, after it had some time to end by itself."""
+        try:
+            self.process.wait(patience_s)
+        except subprocess.TimeoutExpired:
+            self.process.terminate()
+            try:
+                self.process.wait(3.0)
+            except subprocess.TimeoutExpired:
+                self.process.kill()
+                self.process.wait()
+
+
+def open_page(listen: str, port: int, *, run: Path | None = None, archive: Path | None = None) -> Page:
+    """Start showing a run (by its door) or an archive on an address; the port is the next free one from `port` on.
+
+    Raises:
+        StartError: the address is not one of this machine, or no port is free.
+    """
+    address = _address(listen)
+    bound = _bind(address, port)
+    local = address.is_loopback
+    keys = Keys()
+    order = Order(bound.fileno(), keys, getpass.getuser() if local else None, run, archive)
+    process = subprocess.Popen(
+        [sys.executable, "-m", "rig.live.server"],
+        stdin=subprocess.PIPE,
+        pass_fds=[bound.fileno()],
+        start_new_session=True,
+    )
+    assert process.stdin is not None
+    try:
+        pickle.dump(order, process.stdin)
+        process.stdin.close()
+    except BrokenPipeError:
+        raise StartError(f"the page did not start (exit status {process.wait()})") from None
+    base = _url(bound, address)
+    bound.close()
+    if local:
+        return Page(process, (f"live page  {base}",))
+    return Page(
+        process,
+        (
+            f"live page      {base}",
+            f"operator link  {base}#{keys.operator}  (opens once)",
+            f"guest link     {base}#{keys.guest}  (view only)",
+            "the connection is not encrypted: use it on a network that you trust, or through an SSH tunnel",
+        ),
+    )
+
+
+@contextmanager
+def showing_this_run(wanted: bool, listen: str, port: int, say: Callable[[str], None]) -> Iterator[None]:
+    """Keep a page beside the run that this process is about to conduct, where one is wanted.
+
+    Raises:
+        StartError: the page cannot be had.
+    """
+    if not wanted:
+        yield
+        return
+    page = open_page(listen, port, run=door_of(os.getpid()))
+    for line in page.said:
+        say(line)
+    try:
+        yield
+    finally:
+        page.close(LINGER_S)
+
+
+def show(archive: Path | None, pid: int | None, listen: str, port: int, say: Callable[[str], None]) -> int:
+    """Show an archive, or a run that goes, until it is over or Ctrl-C is pressed; the exit status.
+
+    Raises:
+        StartError: there is nothing to show, or the page cannot be had.
+    """
+    page = open_page(listen, port, run=None if archive else _door(pid), archive=archive)
+    for line in page.said:
+        say(line)
+    try:
+        return page.process.wait()
+    except KeyboardInterrupt:
+        return 0
+    finally:
+        page.close()
+
+
+def _door(pid: int | None) -> Path:
+    found = [path for path in going() if pid is None or path == door_of(pid)]
+    if len(found) == 1:
+        return found[0]
+    if found:
+        pids = ", ".join(path.name.removeprefix("run-") for path in found)
+        raise StartError(f"several runs are going; choose one by its process: --pid with one of {pids}")
+    which = "no run of yours is going" if pid is None else f"process {pid} conducts no run of yours"
+    raise StartError(f"{which}; start one with `rig run .. --live`, or name an archive to play")
+
+
+def _address(listen: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address:
+    try:
+        return ipaddress.ip_address(listen)
+    except ValueError:
+        raise StartError(
+            f"--listen {listen}: expected an address of this machine, such as 192.168.1.20, or 0.0.0.0 for all"
+        ) from None
+
+
+def _bind(address: ipaddress.IPv4Address | ipaddress.IPv6Address, port: int) -> socket.socket:
+    family = socket.AF_INET if address.version == 4 else socket.AF_INET6
+    for candidate in range(port, min(port + PORTS_TRIED, 65536)):
+        bound = socket.socket(family, socket.SOCK_STREAM)
+        bound.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            bound.bind((str(address), candidate))
+            bound.listen(64)
+        except OSError as error:
+            bound.close()
+            if isinstance(error, PermissionError):
+                raise StartError(f"port {candidate} may not be used: {error.strerror}") from error
+            if error.errno == errno.EADDRNOTAVAIL:
+                raise StartError(f"--listen {address}: this machine does not have that address") from error
+        else:
+            return bound
+    raise StartError(f"no free port from {port} to {port + PORTS_TRIED - 1}; choose another with --port")
+
+
+def _url(bound: socket.socket, address: ipaddress.IPv4Address | ipaddress.IPv6Address) -> str:
+    port = bound.getsockname()[1]
+    if address.is_unspecified:
+        return f"http://{os.uname().nodename}:{port}/"
+    return f"http://[{address}]:{port}/" if address.version == 6 else f"http://{address}:{port}/"

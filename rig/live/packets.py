@@ -1,0 +1,144 @@
+"""What is sent to a browser: one packet of numbers and, behind them, the picture. Bar and mm from here on."""
+
+from __future__ import annotations
+
+import json
+import struct
+from dataclasses import dataclass, field
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.config import PA_PER_BAR
+
+Floats = NDArray[np.float64]
+MM = 1e3
+HISTORY_ROWS = 4000
+JPEG_QUALITY = 80
+_LENGTH = struct.Struct("<I")
+
+
+class Trace:
+    """Rows over time that never take more than a bounded place: when it is full every other row is let go."""
+
+    def __init__(self, columns: int, capacity: int = HISTORY_ROWS) -> None:
+        self._rows = np.empty((capacity, columns))
+        self._filled = 0
+        self._stride = 1
+        self._seen = 0
+
+    def add(self, row: Floats | list[float]) -> None:
+        """Append a row; its first column is the time and ascends."""
+        self._seen += 1
+        if (self._seen - 1) % self._stride:
+            return
+        if self._filled == len(self._rows):
+            self._filled = len(self._rows[::2])
+            self._rows[: self._filled] = self._rows[::2].copy()
+            self._stride *= 2
+        self._rows[self._filled] = row
+        self._filled += 1
+
+    def after(self, t_s: float) -> Floats:
+        """Rows (n, columns) later than a time."""
+        rows = self._rows[: self._filled]
+        return rows[int(np.searchsorted(rows[:, 0], t_s, side="right")) :]
+
+
+@dataclass
+class Mean:
+    """A running mean that leaves out what is not there."""
+
+    total: float = 0.0
+    count: int = 0
+
+    def add(self, value: float) -> float:
+        """Take a value in; the mean so far, NaN before the first."""
+        if np.isfinite(value):
+            self.total += value
+            self.count += 1
+        return self.total / self.count if self.count else float("nan")
+
+
+@dataclass(frozen=True)
+class Drawing:
+    """What is drawn into one picture and into space; pixels and mm."""
+
+    corners_px: Floats
+    tip_px: Floats
+    model_px: Floats
+    lines_mm: Floats
+
+
+@dataclass
+class News:
+    """Everything a page shows, as far as it is new; see docs/live.md. NaN becomes null."""
+
+    now: dict[str, Any]
+    pressure: Floats = field(default_factory=lambda: np.empty((0, 0)))
+    """Rows: time [s], N set-points, N measured [bar]."""
+    track: Floats = field(default_factory=lambda: np.empty((0, 0)))
+    """Rows: time [s], measured (3), uncertainty (3), model (3), error, running mean of the error [mm]."""
+    events: list[tuple[float, str, str, str]] = field(default_factory=list)
+    drawing: Drawing | None = None
+    picture: bytes = b""
+    reset: bool = False
+    """Forget what was drawn before."""
+
+    def encoded(self) -> bytes:
+        """The packet: length of the JSON, the JSON, the JPEG."""
+        body: dict[str, Any] = {
+            "now": {name: plain(value) for name, value in self.now.items()},
+            "pressure": rounded(self.pressure, 4),
+            "track": rounded(self.track, 3),
+            "events": self.events,
+            "reset": self.reset,
+        }
+        if self.drawing is not None:
+            body["drawing"] = {
+                "corners": rounded(self.drawing.corners_px, 1),
+                "tip": rounded(self.drawing.tip_px, 1),
+                "model": rounded(self.drawing.model_px, 1),
+                "lines": rounded(self.drawing.lines_mm, 1),
+            }
+        head = json.dumps(body, allow_nan=False, separators=(",", ":")).encode()
+        return _LENGTH.pack(len(head)) + head + self.picture
+
+
+def plain(value: Any) -> Any:
+    """A value as JSON has it: arrays as lists of four decimals, NaN as null."""
+    if isinstance(value, np.ndarray):
+        return rounded(value, 4)
+    if isinstance(value, float):
+        return round(value, 4) if np.isfinite(value) else None
+    return value
+
+
+def rounded(values: NDArray[Any], digits: int) -> list[Any]:
+    """Nested lists; NaN as None."""
+    finite = np.isfinite(values)
+    if finite.all():
+        listed: list[Any] = np.round(values.astype(np.float64), digits).tolist()
+        return listed
+    boxed = np.round(values.astype(np.float64), digits).astype(object)
+    boxed[~finite] = None
+    nested: list[Any] = boxed.tolist()
+    return nested
+
+
+def track_row(t_s: float, measured_mm: Floats, std_mm: Floats, model_mm: Floats, error: float, mean: float) -> Floats:
+    """One row of `News.track`."""
+    return np.concatenate([[t_s], measured_mm, std_mm, model_mm, [error, mean]])
+
+
+def bar(pascal: Floats) -> Floats:
+    """Pressures in bar."""
+    return np.asarray(pascal, dtype=np.float64) / PA_PER_BAR
+
+
+def jpeg(image: NDArray[np.uint8]) -> bytes:
+    """A picture for the page; nothing of the record depends on its quality."""
+    _, data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
+    return data.tobytes()

@@ -1,0 +1,140 @@
+"""The page as NiceGUI lays it out; `static/live.js` fills it from the stream."""
+
+from __future__ import annotations
+
+from fastapi import Request
+from nicegui import ui
+
+from rig.live.gate import SESSION, Session
+from rig.live.source import Source
+
+HEAD = '<link rel="stylesheet" href="/live/live.css"><script type="module" src="/live/live.js"></script>'
+
+
+def define(source: Source) -> None:
+    """Register the page of a source."""
+
+    @ui.page("/", title="softrig")
+    def index(request: Request) -> None:
+        session: Session = request.scope[SESSION]
+        ui.add_head_html(HEAD)
+        with ui.element("main").props("id=softrig"):
+            _header()
+            _prompt(session)
+            _numbers()
+            _panels()
+            if source.live:
+                _actions(session)
+            else:
+                _player()
+
+
+def _part(tag: str, name: str, text: str = "", label: str = "") -> ui.element:
+    element = ui.element(tag).props(f"id={name}")
+    if label:
+        element.props(f'aria-label="{label}" role=img')
+    if text:
+        with element:
+            ui.html(text, sanitize=False, tag="span")
+    return element
+
+
+def _header() -> None:
+    with ui.element("header"):
+        _part("h1", "title")
+        _part("span", "simulated", "SIMULATED")
+        _part("span", "state", "connecting")
+        _part("span", "segment")
+        with _part("div", "progress").props("role=progressbar aria-label=protocol"):
+            _part("div", "progress-bar")
+        _part("span", "clock")
+        _part("span", "who")
+        ui.button("light / dark").props("id=theme flat no-caps dense")
+    _part("div", "banner").props("role=alert hidden")
+
+
+def _prompt(session: Session) -> None:
+    with _part("div", "prompt").props("hidden role=alert"):
+        _part("span", "prompt-text")
+        if session.operator:
+            ui.button("Done").props("data-do=answer unelevated no-caps")
+
+
+def _numbers() -> None:
+    with ui.element("section").props("id=numbers aria-label=numbers"):
+        for name, title, unit in (
+            ("error", "model error", "mm"),
+            ("pressure", "pressure", "bar"),
+            ("left", "left", ""),
+        ):
+            with ui.element("div").classes("tile"):
+                ui.html(title, sanitize=False, tag="h2").props(f"id={name}-title")
+                with ui.element("p").classes("big"):
+                    _part("span", name, "–")
+                    ui.html(unit, sanitize=False, tag="small")
+                _part("p", f"{name}-more")
+
+
+def _panels() -> None:
+    with ui.element("section").props("id=panels"):
+        with _panel("camera", "camera"):
+            _part("canvas", "picture", label="camera picture with the board, the measured tip and the model's tip")
+            ui.html(
+                '<i class="mark tip"></i> measured <i class="mark model"></i> model <i class="mark board"></i> board',
+                sanitize=False,
+            ).classes("legend")
+        with _panel("plane", "tip in the plane of motion [mm]"):
+            ui.echart({"series": []}).classes("chart chart-plane")
+        with _panel("arm", "arm, actuators by pressure; drag to turn"):
+            _part("canvas", "arm-view", label="the arm's axis and actuators in space")
+        with _panel("pressures", "pressures [bar]: measured, set-points dashed"):
+            ui.echart({"series": []}).classes("chart chart-pressure")
+        with _panel("coordinates", "tip over time [mm]: measured with 95 % band, model dashed"):
+            ui.echart({"series": []}).classes("chart chart-tip")
+        with _panel("errors", "error [mm] and its running mean"):
+            ui.echart({"series": []}).classes("chart chart-error")
+        with _panel("events", "events"):
+            _part("ol", "event-list")
+        with _panel("timing", "timing"):
+            _part("dl", "health")
+
+
+def _panel(name: str, title: str) -> ui.element:
+    panel = ui.element("article").props(f"id=panel-{name}")
+    with panel:
+        ui.html(title, sanitize=False, tag="h2")
+    return panel
+
+
+def _actions(session: Session) -> None:
+    with ui.element("footer"):
+        if not session.operator:
+            ui.html("View only.", sanitize=False)
+            return
+        _button("pause", "Pause", "primary")
+        _button("skip", "Skip segment", "primary").props("outline")
+        _part("span", "said").props("role=status")
+        _button("stop", "Stop", "warning")
+        _button("vent", "VENT", "negative")
+
+
+def _button(name: str, text: str, colour: str) -> ui.button:
+    return ui.button(text, color=colour).props(f"id={name} data-do={name} unelevated no-caps disable")
+
+
+def _player() -> None:
+    with ui.element("footer"):
+        ui.button("Pause").props("id=play unelevated no-caps")
+        ui.html(
+            '<input id="place" type="range" min="0" max="1" step="0.01" value="0" aria-label="time">',
+            sanitize=False,
+        ).classes("place")
+        _part("span", "place-text")
+        ui.html(
+            '<label>speed <select id="speed">'
+            + "".join(
+                f"<option value={s}{' selected' if s == 1 else ''}>{s}x</option>" for s in (0.1, 0.25, 1, 2, 5, 20)
+            )
+            + "</select></label>",
+            sanitize=False,
+        )

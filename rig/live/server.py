@@ -1,0 +1,124 @@
+"""The page's process: `python -m rig.live.server`, told on its standard input what to show and to whom.
+
+It runs beside the run in the normal scheduling class and politely; it can die or hang without the run noticing.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import pickle
+import socket
+import sys
+import time
+from pathlib import Path
+
+import uvicorn
+from fastapi import FastAPI, WebSocket
+from starlette.staticfiles import StaticFiles
+
+from rig.executor.base import StartError
+from rig.live.gate import Gate, Session
+from rig.live.order import LINGER_S, Order
+from rig.live.source import Source
+from rig.live.stream import stream
+
+NICE = 10
+UPDATE_S = 0.008
+MOST_CONNECTIONS = 256
+COME_UP_S = 90.0
+STATIC = Path(__file__).parent / "static"
+
+
+def main() -> int:
+    """Serve until the run is over, or for an archive until told to stop."""
+    order: Order = pickle.load(sys.stdin.buffer)  # written by our own parent, over a pipe
+    os.nice(NICE)
+    try:
+        source = _source(order)
+    except StartError as error:
+        print(error, file=sys.stderr)
+        return 1
+    listening = socket.socket(fileno=order.fd)
+    server = uvicorn.Server(
+        uvicorn.Config(
+            application(source, order),
+            log_level="error",
+            access_log=False,
+            server_header=False,
+            limit_concurrency=MOST_CONNECTIONS,
+            ws_max_size=65536,
+            ws_max_queue=8,
+            timeout_keep_alive=5,
+            timeout_graceful_shutdown=1,
+        )
+    )
+
+    async def serve() -> None:
+        feeding = asyncio.create_task(_feed(source, server))
+        await server.serve(sockets=[listening])
+        feeding.cancel()
+
+    asyncio.run(serve())
+    return 0
+
+
+def _source(order: Order) -> Source:
+    if order.archive is not None:
+        from rig.live.playing import Playing
+
+        return Playing(order.archive)
+    from rig.live.visit import Visit, knock
+    from rig.live.watching import Watching
+
+    assert order.run is not None
+    # The page comes up together with its run: the door may still be shut.
+    deadline = time.monotonic() + COME_UP_S
+    parent = os.getppid()
+    while (door := knock(order.run)) is None:
+        if time.monotonic() > deadline or os.getppid() != parent:
+            raise StartError(f"no run is going at {order.run}")
+        time.sleep(0.05)
+    door.close()
+    return Watching(Visit(order.run))
+
+
+async def _feed(source: Source, server: uvicorn.Server) -> None:
+    while not source.over:
+        source.update()
+        await asyncio.sleep(UPDATE_S)
+    await asyncio.sleep(LINGER_S)
+    server.should_exit = True
+
+
+def application(source: Source, order: Order) -> Gate:
+    """The page, its stream and its files, behind the gate."""
+    from nicegui import ui
+
+    from rig.live import page
+
+    app = FastAPI(docs_url=None, redoc_url=None, openapi_url=None)
+
+    @app.websocket("/live/stream")
+    async def live_stream(websocket: WebSocket) -> None:
+        await stream(websocket, source)
+
+    app.mount("/live", StaticFiles(directory=STATIC), name="live")
+    page.define(source)
+    ui.run_with(
+        app,
+        title="softrig",
+        favicon=STATIC / "softrig.svg",
+        dark=None,
+        reconnect_timeout=2.0,
+        message_history_length=0,
+        binding_refresh_interval=None,
+        show_welcome_message=False,
+        tailwind=False,
+    )
+    local = Session(order.who, operator=True) if order.who is not None else None
+    return Gate(app, order.keys, local)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,189 @@
+// Fills the page from the stream. The browser asks for each packet when it has drawn the last, never earlier.
+import { Charts } from "/live/charts.js";
+import { ArmView, pressureColour } from "/live/arm.js";
+import { PictureView } from "/live/picture.js";
+
+const EVENTS_SHOWN = 200;
+const RETRY_MS = 1000;
+const DOUBLE_CLICK_MS = 400;
+const at = (id) => document.getElementById(id);
+const fixed = (x, digits) => (x === null || x === undefined ? "–" : x.toFixed(digits));
+const clock = (s) => `${Math.floor(Math.max(0, s) / 60)}:${String(Math.floor(Math.max(0, s) % 60)).padStart(2, "0")}`;
+
+// For tests and for the curious: how many packets were drawn and how old each picture was on the screen [ms].
+const seen = (window.softrig = { packets: 0, latency: [], now: null, about: null });
+
+let socket, about, charts, arm, picture, now = null, placing = false;
+
+function ask(message) {
+  if (socket?.readyState === WebSocket.OPEN) socket.send(JSON.stringify(message));
+}
+
+function connect() {
+  socket = new WebSocket(`${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/live/stream`);
+  socket.binaryType = "arraybuffer";
+  socket.onmessage = async (event) => {
+    if (typeof event.data === "string") {
+      const message = JSON.parse(event.data);
+      if (message.about) begin(message.about);
+      if (message.answer && at("said")) at("said").textContent = message.answer.said;
+      return;
+    }
+    await show(event.data);
+    // A hidden page asks seldom: whoever does not look costs nothing.
+    if (document.hidden) setTimeout(() => ask({ more: 1 }), 500);
+    else requestAnimationFrame(() => ask({ more: 1 }));
+  };
+  socket.onclose = () => {
+    if (now?.state === "ended") return;
+    state("lost");
+    banner(about?.live ? "Connection lost. The run goes on without this page." : "Connection lost.");
+    setTimeout(connect, RETRY_MS);
+  };
+}
+
+function begin(what) {
+  about = seen.about = what;
+  at("title").textContent = about.title;
+  at("simulated").hidden = !about.simulated;
+  at("who").textContent = about.operator || !about.live ? about.who : `${about.who}, view only`;
+  banner("");
+  charts.begin(about);
+  arm.begin(about);
+  at("event-list").replaceChildren();
+  if (at("place")) at("place").max = about.end;
+  ask({ more: 1 });
+}
+
+async function show(data) {
+  const length = new DataView(data).getUint32(0, true);
+  const packet = JSON.parse(new TextDecoder().decode(new Uint8Array(data, 4, length)));
+  now = seen.now = packet.now;
+  if (packet.reset) {
+    charts.begin(about);
+    at("event-list").replaceChildren();
+  }
+  numbers();
+  charts.add(packet.pressure, packet.track, now.t ?? 0);
+  events(packet.events);
+  if (packet.drawing) arm.show(packet.drawing.lines, now.measured);
+  if (data.byteLength > 4 + length) {
+    await picture.show(new Blob([new Uint8Array(data, 4 + length)], { type: "image/jpeg" }), packet.drawing);
+    if (now.sent) seen.latency.push(now.age + Date.now() - now.sent);
+    if (seen.latency.length > 3000) seen.latency.shift();
+  }
+  seen.packets += 1;
+}
+
+function numbers() {
+  state(now.state);
+  at("segment").textContent = now.segment ? `${now.segment}${now.segmentLeft > 0 ? `, ${clock(now.segmentLeft)} left` : ""}` : "";
+  at("progress-bar").style.width = `${(100 * now.protocol) / about.duration}%`;
+  at("clock").textContent = `${clock(now.protocol)} of ${clock(about.duration)}`;
+  at("error").textContent = fixed(now.error, 2);
+  at("error").dataset.frame = now.frame ?? "";
+  at("error-more").textContent = `mean ${fixed(now.mean, 2)} mm${now.seen && now.seen !== "measured" ? `; tip: ${now.seen}` : ""}${now.modelOk === false ? "; model not solved" : ""}`;
+  if (now.setpoint) {
+    const led = now.setpoint.reduce((best, p, i) => (p > now.setpoint[best] ? i : best), 0);
+    at("pressure").textContent = fixed(now.measured[led], 3);
+    at("pressure-title").textContent = about.actuators > 1 ? `pressure, actuator ${led + 1}` : "pressure";
+    at("pressure-more").textContent = `set-points ${now.setpoint.map((p) => fixed(p, 3)).join("  ")}`;
+  }
+  at("left").textContent = clock(now.left);
+  at("left-more").textContent = { paused: "paused: the protocol stands still", waiting: "waits for the operator" }[now.state] ?? "minutes and seconds of protocol";
+  const rows = [
+    ["control late by", `${fixed(now.late, 0)} us`, false],
+    ["latest of the last second", `${fixed(now.lateMax, 0)} us`, now.lateMax > 2500],
+    ["deadlines missed", now.missed, now.missed > 0],
+    ["frames dropped", now.dropped, now.dropped > 0],
+    ["reprojection error", `${fixed(now.reprojection, 3)} px`, false],
+    ...(now.age === undefined ? [] : [["picture's age", `${fixed(seen.latency.at(-1) ?? now.age, 0)} ms`, false]]),
+  ];
+  at("health").replaceChildren(
+    ...rows.flatMap(([name, value, late]) => [
+      Object.assign(document.createElement("dt"), { textContent: name }),
+      Object.assign(document.createElement("dd"), { textContent: value ?? "–", className: late ? "late" : "" }),
+    ]),
+  );
+  at("prompt").hidden = !now.prompt;
+  at("prompt-text").textContent = now.prompt ?? "";
+  const acting = about.live && ["running", "paused", "waiting"].includes(now.state);
+  for (const button of document.querySelectorAll("footer [data-do]")) {
+    button.disabled = !acting && !(button.id === "stop" || button.id === "vent") || now.state === "ended";
+    button.classList.toggle("disabled", button.disabled);
+  }
+  if (at("pause")) {
+    at("pause").dataset.do = now.state === "paused" ? "resume" : "pause";
+    at("pause").querySelector(".q-btn__content").textContent = now.state === "paused" ? "Resume" : "Pause";
+  }
+  if (now.state === "ended") {
+    banner(`The run has ended: ${now.ended}`);
+    window.socket?.disconnect(); // NiceGUI's own connection would go on knocking at a page that is gone
+  }
+  if (at("place")) {
+    if (!placing) at("place").value = now.t;
+    at("place-text").textContent = `${fixed(now.t, 1)} of ${fixed(about.end, 1)} s`;
+    at("play").querySelector(".q-btn__content").textContent = now.state === "playing" ? "Pause" : "Play";
+  }
+}
+
+function state(name) {
+  at("state").textContent = name === "lost" ? "connection lost" : name;
+  at("state").dataset.state = name;
+}
+
+function banner(text) {
+  at("banner").textContent = text;
+  at("banner").hidden = !text;
+}
+
+function events(rows) {
+  for (const [t, level, source, message] of rows) {
+    const line = document.createElement("li");
+    line.className = level;
+    line.append(Object.assign(document.createElement("time"), { textContent: `${fixed(t, 1)} s` }), `${source}: ${message}`);
+    at("event-list").prepend(line);
+  }
+  while (at("event-list").children.length > EVENTS_SHOWN) at("event-list").lastChild.remove();
+}
+
+function wire() {
+  let acted = 0;
+  for (const button of document.querySelectorAll("[data-do]")) {
+    button.addEventListener("click", () => {
+      const urgent = button.id === "stop" || button.id === "vent";
+      if (!urgent && performance.now() - acted < DOUBLE_CLICK_MS) return; // a double click is one wish, not two
+      acted = performance.now();
+      ask({ do: button.dataset.do });
+    });
+  }
+  at("theme").addEventListener("click", () => {
+    window.Quasar.Dark.set(!window.Quasar.Dark.isActive);
+    localStorage.setItem("softrig-dark", window.Quasar.Dark.isActive);
+  });
+  const kept = localStorage.getItem("softrig-dark");
+  if (kept !== null) window.Quasar.Dark.set(kept === "true");
+  new MutationObserver(() => {
+    charts.colours();
+    arm.draw();
+  }).observe(document.body, { attributes: true, attributeFilter: ["class"] });
+  if (at("place")) {
+    at("place").addEventListener("input", () => {
+      placing = true;
+      ask({ seek: Number(at("place").value) });
+    });
+    at("place").addEventListener("change", () => (placing = false));
+    at("speed").addEventListener("change", () => ask({ speed: Number(at("speed").value) }));
+    at("play").addEventListener("click", () => ask({ play: now?.state !== "playing" }));
+  }
+}
+
+async function start() {
+  while (!at("softrig") || !(charts = Charts.find())) await new Promise((done) => setTimeout(done, 20));
+  arm = new ArmView(at("arm-view"), pressureColour);
+  picture = new PictureView(at("picture"));
+  wire();
+  connect();
+}
+
+start();

@@ -1,0 +1,176 @@
+"""Debian's Chromium, headless, driven through its DevTools protocol: what the live page's tests see with."""
+
+from __future__ import annotations
+
+import base64
+import itertools
+import json
+import os
+import shutil
+import subprocess
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+from websockets.sync.client import ClientConnection, connect
+
+PATIENCE_S = 60.0
+FLAGS = (
+    "--headless",
+    "--no-sandbox",
+    "--disable-gpu",
+    "--disable-quic",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+    "--remote-debugging-port=0",
+    # No name but this machine's resolves: a page that needs the network fails here.
+    "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1, EXCLUDE localhost",
+)
+
+
+def chromium() -> str:
+    """The browser; skips where it is missing, fails where CI is set."""
+    found = shutil.which("chromium") or shutil.which("chromium-browser")
+    if found is None:
+        reason = "Chromium is missing: sudo apt-get install chromium"
+        if os.environ.get("CI"):
+            pytest.fail(reason)
+        pytest.skip(reason)
+    return found
+
+
+class Tab:
+    """One page of the browser. `troubles` are the errors of its console and of its network."""
+
+    def __init__(self, address: str) -> None:
+        self._socket: ClientConnection = connect(address, max_size=None, open_timeout=PATIENCE_S)
+        self._numbers = itertools.count(1)
+        self.troubles: list[str] = []
+        self.requested: list[str] = []
+        for domain in ("Page", "Runtime", "Log", "Network"):
+            self.command(f"{domain}.enable")
+
+    def command(self, method: str, **parameters: Any) -> dict[str, Any]:
+        """One DevTools command and its result."""
+        number = next(self._numbers)
+        self._socket.send(json.dumps({"id": number, "method": method, "params": parameters}))
+        while True:
+            message = json.loads(self._socket.recv(PATIENCE_S))
+            if message.get("id") == number:
+                assert "error" not in message, message["error"]
+                result: dict[str, Any] = message["result"]
+                return result
+            self._note(message.get("method"), message.get("params", {}))
+
+    def go(self, url: str) -> None:
+        """Open an address."""
+        self.command("Page.navigate", url=url)
+
+    def value(self, expression: str) -> Any:
+        """What a JavaScript expression yields; it may be a promise."""
+        answer = self.command("Runtime.evaluate", expression=expression, awaitPromise=True, returnByValue=True)
+        assert "exceptionDetails" not in answer, answer["exceptionDetails"]
+        return answer["result"].get("value")
+
+    def until(self, expression: str, seconds: float = PATIENCE_S) -> Any:
+        """Wait for an expression to become true; its value."""
+        deadline = time.monotonic() + seconds
+        while not (value := self.value(expression)):
+            assert time.monotonic() < deadline, f"never true: {expression}; troubles: {self.troubles}"
+            time.sleep(0.02)
+        return value
+
+    def click(self, selector: str) -> None:
+        """Press and release the left button in the middle of an element, as a hand would."""
+        where = self.value(
+            f"(() => {{ const e = document.querySelector({selector!r}); e.scrollIntoView({{block: 'nearest'}});"
+            " const r = e.getBoundingClientRect(); return [r.x + r.width / 2, r.y + r.height / 2]; })()"
+        )
+        for kind in ("mousePressed", "mouseReleased"):
+            self.command(
+                "Input.dispatchMouseEvent", type=kind, x=where[0], y=where[1], button="left", clickCount=1, buttons=1
+            )
+
+    def size(self, width: int, height: int) -> None:
+        """Set the window's inner size."""
+        self.command(
+            "Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=False
+        )
+
+    def dark(self, dark: bool) -> None:
+        """What the browser says that its user prefers."""
+        feature = {"name": "prefers-color-scheme", "value": "dark" if dark else "light"}
+        self.command("Emulation.setEmulatedMedia", features=[feature])
+
+    def screenshot(self, path: Path) -> None:
+        """Write what is seen as PNG."""
+        data = self.command("Page.captureScreenshot", format="png")["data"]
+        path.write_bytes(base64.b64decode(data))
+
+    def _note(self, method: str | None, parameters: dict[str, Any]) -> None:
+        if method == "Runtime.exceptionThrown":
+            self.troubles.append(json.dumps(parameters["exceptionDetails"])[:500])
+        elif method == "Runtime.consoleAPICalled" and parameters["type"] in ("error", "assert"):
+            self.troubles.append(json.dumps(parameters["args"])[:500])
+        elif method == "Log.entryAdded" and parameters["entry"]["level"] == "error":
+            self.troubles.append(f"{parameters['entry']['text']} {parameters['entry'].get('url', '')}")
+        elif method == "Network.requestWillBeSent":
+            self.requested.append(parameters["request"]["url"])
+
+
+class Browser:
+    """A running browser."""
+
+    def __init__(self, profile: Path) -> None:
+        self.process = subprocess.Popen(
+            [chromium(), *FLAGS, f"--user-data-dir={profile}", "about:blank"],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            start_new_session=True,
+        )
+        told = profile / "DevToolsActivePort"
+        deadline = time.monotonic() + PATIENCE_S
+        while not told.exists() or len(told.read_text().split()) < 2:
+            assert self.process.poll() is None, "Chromium did not start"
+            assert time.monotonic() < deadline, "Chromium did not open its DevTools port"
+            time.sleep(0.05)
+        port, path = told.read_text().split()
+        self._base = f"ws://127.0.0.1:{port}"
+        self._root = connect(f"{self._base}{path}", max_size=None)
+
+    def tab(self) -> Tab:
+        """A new page with cookies and storage of its own."""
+        context = self._ask("Target.createBrowserContext")["browserContextId"]
+        target = self._ask("Target.createTarget", url="about:blank", browserContextId=context)["targetId"]
+        return Tab(f"{self._base}/devtools/page/{target}")
+
+    def close(self) -> None:
+        """End it."""
+        self._root.close()
+        self.process.kill()
+        self.process.wait()
+
+    def _ask(self, method: str, **parameters: Any) -> dict[str, Any]:
+        self._root.send(json.dumps({"id": 1, "method": method, "params": parameters}))
+        while (message := json.loads(self._root.recv(PATIENCE_S))).get("id") != 1:
+            pass
+        result: dict[str, Any] = message["result"]
+        return result
+
+
+@contextmanager
+def browsing() -> Iterator[Browser]:
+    """A browser with a new profile."""
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
+        browser = Browser(Path(folder))
+        try:
+            yield browser
+        finally:
+            browser.close()
