@@ -35,12 +35,14 @@ def _status(error: Exception) -> int | None:
     from protocols import BadInput
     from rig.cameras.base import CameraError
     from rig.daq.base import CardError
-    from rig.executor.base import StartError
+    from rig.executor.base import StartError, StoppedError
     from runs.archive import ArchiveError
     from runs.journal import JournalError
 
     if isinstance(error, BadInput | ArchiveError):
         return BAD_INPUT
+    if isinstance(error, StoppedError):
+        return INTERRUPTED
     if isinstance(error, CardError | CameraError | StartError | JournalError | OSError):
         return FAULT
     return None

@@ -83,6 +83,14 @@ class RigProcess:
         """True while every output stands where its valve vents."""
         return bool(np.all(self.valve_v() < 0.01))
 
+    def wait_until_started(self) -> None:
+        """Return once the run has checked its input and begins to start its processes."""
+        deadline = time.monotonic() + PATIENCE_S
+        while not path_of(self.device).exists():
+            assert self.process.poll() is None, self.output
+            assert time.monotonic() < deadline, self.output
+            time.sleep(0.005)
+
     def wait_until_pressurised(self) -> None:
         """Return once the run drives the valves."""
         deadline = time.monotonic() + PATIENCE_S

@@ -49,6 +49,16 @@ def test_a_signal_makes_the_valves_safe_finalises_the_archive_and_gives_status_1
     assert number.name in run.output or "Ctrl-C" in run.output
 
 
+def test_a_signal_before_the_run_begins_leaves_safe_valves_and_status_130(tmp_path: Path) -> None:
+    with rig_run(tmp_path) as run:
+        run.wait_until_started()
+        run.process.send_signal(signal.SIGINT)
+        assert run.end() == 130, run.output
+        assert run.valves_are_safe()
+        assert not list(run.out.glob("*.h5"))
+        assert "Traceback" not in run.output
+
+
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
 @pytest.mark.parametrize("module", [CONTROL, WATCHDOG, OBSERVER])
 def test_a_lost_or_hung_process_aborts_the_run_with_the_valves_safe(
@@ -146,12 +156,12 @@ def test_rig_vent_makes_the_valves_safe_while_a_run_hangs(tmp_path: Path) -> Non
 def test_an_over_pressure_stops_the_run(tmp_path: Path) -> None:
     with rig_run(tmp_path, SHORT) as run:
         run.wait_until_pressurised()
-        # An outside hand opens the valve of actuator 1 as far as it goes, faster than the regulator can answer.
+        # An outside hand opens the valve of actuator 1 as far as it goes, faster than the regulator can answer, and
+        # lets go once the run has written the safe state.
         registers = Registers.attach(run.device)
         deadline = time.monotonic() + 10
-        while run.process.poll() is None and time.monotonic() < deadline:
-            if registers.outputs["volts"][0] > 1.0:
-                registers.write(0, 10.0, time.monotonic_ns())
+        while not run.valves_are_safe() and time.monotonic() < deadline:
+            registers.write(0, 10.0, time.monotonic_ns())
         registers.close()
         assert run.end() == 1, run.output
         run.wait_until_safe()

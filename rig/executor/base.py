@@ -88,5 +88,9 @@ class StartError(Exception):
     """The run could not begin; the valves are safe and nothing was recorded."""
 
 
+class StoppedError(StartError):
+    """The operator stopped the run before it began."""
+
+
 OpenRecord = Callable[[int], Recorder]
 """Called with the start time [ns] once everything is armed, before the first tick: opens the journal."""

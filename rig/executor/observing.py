@@ -5,6 +5,9 @@ from __future__ import annotations
 import signal
 import sys
 import time
+from dataclasses import replace
+
+import numpy as np
 
 from rig.cameras import open_camera
 from rig.cameras.base import CameraError, Frame
@@ -14,6 +17,7 @@ from rig.executor.pictures import encode
 from rig.executor.showing import Show
 from rig.observer import Observer
 
+REHEARSED_FRAMES = 3
 HISTORY = 400
 """Control ticks handed to the model with each frame: two seconds at 200 Hz."""
 
@@ -36,7 +40,8 @@ def _observe(job: Job, memory: RunMemory) -> int:
     show = Show(config, name, memory)
     camera = open_camera(config, name, job.plan.seed)
     try:
-        camera.read(timeout_s=5.0)  # a camera that shows nothing is found before the run is armed
+        # A camera that shows nothing is found before the run is armed.
+        _rehearse(job, [camera.read(timeout_s=5.0) for _ in range(REHEARSED_FRAMES)])
         memory.say("observer", Stage.READY)
         previous: int | None = None
         while memory.get("stop") == Stop.NONE and not orphaned(job):
@@ -60,6 +65,15 @@ def _observe(job: Job, memory: RunMemory) -> int:
         camera.close()
     memory.say("observer", Stage.DONE)
     return 0
+
+
+def _rehearse(job: Job, frames: list[Frame]) -> None:
+    """Observe some frames with an observer of their own: what is compiled at its first use is ready by then."""
+    config = job.plan.config
+    observer = Observer(config, job.plan.variant)
+    for index, frame in enumerate(frames):
+        times = np.array([frame.t_ns])
+        observer.step(replace(frame, index=index), times, np.zeros((1, config.actuators)), 0.0)
 
 
 def _record(job: Job, observer: Observer, memory: RunMemory, frame: Frame, dropped: int) -> None:

@@ -10,7 +10,7 @@ import time
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.executor.base import Audience, OpenRecord, Outcome, Plan, Progress, Recorder, StartError
+from rig.executor.base import Audience, OpenRecord, Outcome, Plan, Progress, Recorder, StartError, StoppedError
 from rig.executor.child import Job, spawn
 from rig.executor.clock import stolen_ms
 from rig.executor.door import Door
@@ -19,7 +19,8 @@ from rig.executor.requests import Action, Answer, Desk, Request
 from rig.simulator.host import Simulation, simulated
 from runs.records import Event, Level, Picture, Status
 
-START_TIMEOUT_S = 60.0
+SLOW_START_S = 4.0
+START_TIMEOUT_S = 120.0
 """Generous: a cold compiler cache or a busy machine is not a fault."""
 LEAD_NS = 100_000_000
 DRAIN_S = 0.02
@@ -255,16 +256,22 @@ class _Conductor:
 
     def _await_ready(self, name: str) -> None:
         memory = self.memory
-        deadline = time.monotonic() + START_TIMEOUT_S
+        started = time.monotonic()
+        told = False
         process = dict(self.crew)[name]
         while memory.stage(name) == Stage.STARTING:
             memory.beat("conductor", time.monotonic_ns())
             reason = self.audience.stop_requested() or (self.desk.ending and self.desk.ending[1])
             if reason:
-                raise StartError(f"stopped before the run began: {reason}")
+                raise StoppedError(f"stopped before the run began: {reason}")
             if process.poll() is not None:
                 raise StartError(f"the {name} process died while it started (exit status {process.returncode})")
-            if time.monotonic() > deadline:
+            waited = time.monotonic() - started
+            if waited > SLOW_START_S and not told:
+                told = True
+                message = f"waiting for the {name} process: after a new version it compiles its kernels once"
+                self.audience.tell(Event(time.monotonic_ns(), Level.INFO, "conductor", message))
+            if waited > START_TIMEOUT_S:
                 raise StartError(f"the {name} process was not ready within {START_TIMEOUT_S:.0f} s")
             self._attend(0.005)
         if memory.stage(name) == Stage.FAILED:
