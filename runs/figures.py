@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import re
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any
 
 import matplotlib as mpl
@@ -79,6 +80,14 @@ def svg(draw: Callable[..., None], size: tuple[float, float], salt: str, *about:
     drawing = text.getvalue()
     drawing = _PATHS.sub(lambda path: _DIGITS.sub(r"\1", path[0]), drawing[drawing.index("<svg") :])
     return drawing.replace("'DejaVu Sans'", _FONTS)
+
+
+def save(draw: Callable[..., None], size: tuple[float, float], path: Path, *about: object) -> None:
+    """Write a figure to a file; its kind is that of the name. `draw` is called with the figure and `about`."""
+    with mpl.rc_context({**STYLE, "figure.facecolor": "white", "axes.facecolor": "white", "pdf.fonttype": 42}):
+        figure = Figure(figsize=size)
+        draw(figure, *about)
+        figure.savefig(path, dpi=200)
 
 
 def pressures(figure: Figure, run: Run, summary: Summary) -> None:

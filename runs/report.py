@@ -5,17 +5,18 @@ from __future__ import annotations
 import base64
 import math
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterator, Sequence
 from html import escape
 from importlib import resources
 from pathlib import Path
 
 import numpy as np
 
-from runs import comparison, figures, layout
+from runs import comparison, layout
 from runs.figures import svg
+from runs.plates import plates
 from runs.run import Run
-from runs.summary import BAND_BAR, SETTLED_PART, Summary, settled_steps, summarise
+from runs.summary import BAND_BAR, Summary, summarise
 from runs.text import DASH, plain, three, with_unit
 
 SUFFIX = ".html"
@@ -102,36 +103,11 @@ def _tiles(s: Summary) -> str:
     return f'<div class="tiles">{"".join(shown)}</div>'
 
 
-def _figures(run: Run, summary: Summary) -> Iterable[str]:
-    settled, salt = settled_steps(summary.steps), run.header.run_id
-    yield _figure("Pressures and set-points", svg(figures.pressures, (9, 4.1), salt, run, summary), "")
-    if len(run.tip.time_s):
-        if math.isfinite(summary.plane_deg):
-            yield _figure(
-                "Tool centre point in the plane of motion",
-                svg(figures.trajectory, figures.trajectory_size(run, summary), salt, run, summary),
-                "In the rod-base frame, drawn as the arm hangs. Circles and crosses: mean over the last "
-                f"{100 * SETTLED_PART:.0f} % of each dwell; the numbers are its pressure in bar.",
-            )
-        if settled:
-            yield _figure(
-                "Settled tip and error, step by step",
-                svg(figures.steps, (9, 3.6), salt, run, summary),
-                "Marks: measured, with 95 % of one frame. Normalised by the distance of the measured tip from where it "
-                "rested without pressure.",
-            )
-        yield _figure("Tip over time", svg(figures.coordinates, (9, 5), salt, run, summary), "")
-        if summary.frames_measured:
-            size = (9, 4.2 if run.simulated else 2.6)
-            yield _figure("Error over time", svg(figures.error, size, salt, run, summary), "")
-    if summary.lateness_max_us > 0:
-        caption = (
-            f"Half of the ticks began less than {plain(summary.lateness_p50_us, 1)} us late, 99 % less than "
-            f"{plain(summary.lateness_p99_us, 1)} us; the latest {plain(summary.lateness_max_us / 1e3, 2)} ms. "
-            f"{summary.missed_deadlines} deadlines missed, {summary.ring_overflows} rows lost between processes."
-        )
-        yield _figure("Timing of the control loop", svg(figures.timing, (9, 2.8), salt, run, summary), caption)
-    elif summary.ticks:
+def _figures(run: Run, summary: Summary) -> Iterator[str]:
+    salt = run.header.run_id
+    for plate in plates(run, summary):
+        yield _figure(plate.title, svg(plate.draw, plate.size, salt, run, summary), plate.caption)
+    if summary.ticks and not summary.lateness_max_us:
         yield "<h2>Timing of the control loop</h2>\n<p class=small>Not in real time: no tick is late.</p>"
 
 

@@ -14,7 +14,7 @@ import pytest
 import runs_made_up as made_up
 
 import runs
-from runs import report
+from runs import plates, report
 from runs.archive import finalise
 from runs.journal import JournalWriter
 from runs.records import Event, Level, RunFooter, Seen, Status
@@ -164,3 +164,16 @@ def test_several_runs_stand_side_by_side(archive: Path, tmp_path: Path) -> None:
     ids = re.findall(r'<(?:clipPath|path) id="([^"]+)"', text)
     assert len(ids) == len(set(ids))
     assert "nothing here was measured" in text
+
+
+@pytest.mark.parametrize(("kind", "begins"), [("pdf", b"%PDF"), ("png", b"\x89PNG"), ("svg", b"<?xml")])
+def test_figures_can_be_had_as_files_for_a_paper(archive: Path, tmp_path: Path, kind: str, begins: bytes) -> None:
+    written = plates.write(archive, tmp_path / "figures", kind)
+    names = ("pressures", "trajectory", "steps", "tip", "error", "timing")
+    assert [path.name for path in written] == [f"run-{name}.{kind}" for name in names]
+    assert all(path.read_bytes().startswith(begins) for path in written)
+
+
+def test_figures_of_an_unknown_kind_are_refused(archive: Path, tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="there are pdf, png, svg"):
+        plates.write(archive, tmp_path, "doc")

@@ -27,7 +27,8 @@ def test_silx_plots_the_error_over_time(archive: Path) -> None:
         shown = nxdata.get_default(file)
         assert shown is not None
         assert shown.group.name == "/entry/tip"
-        assert (shown.signal_name, shown.signal.shape, shown.axes_names) == ("error_mm", (90,), ["time (s)"])
+        assert shown.signal_name.startswith("error_mm")
+        assert (shown.signal.shape, shown.axes_names) == ((90,), ["time (s)"])
         for name in ("pressure", "tip", "timing", "simulator"):
             assert nxdata.NXdata(file[f"entry/{name}"]).issues == []
 
