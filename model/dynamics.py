@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from model.axis import motion
 from model.layout import HISTORY
 from model.loads import Loads
 from model.march import advance, sample_history
-from model.problem import SOLVED, Problem, pressures
+from model.problem import CLOSE, Problem, pressures
 from model.schemes import Scheme
 from model.shape import Shape
 from model.statics import shape, states
@@ -21,6 +22,15 @@ if TYPE_CHECKING:
     from model.arm import Arm
 
 Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Motion:
+    """The tip over T time steps: tip_m (T, 3), tip_rotation (T, 3, 3), ok (T,)."""
+
+    tip_m: Array
+    tip_rotation: Array
+    ok: NDArray[np.bool_]
 
 
 class Dynamics:
@@ -54,7 +64,7 @@ class Dynamics:
         self._levels = np.zeros((4, 2 * n + 1, HISTORY))
         sample_history(self._x, self._slope, resting.length_m / n, self._levels[0])
         self._levels[1:3] = self._levels[0]
-        self._trail = np.stack([self._x, self._x])
+        self._trail = np.stack([self._x] * 3)
         self._before = pressure
         self._set_loads(loads)
         self._shape = shape(self._arm, self._problem, self._x, self._slope, ok=True)
@@ -77,13 +87,45 @@ class Dynamics:
         passes = advance(
             problem.work, problem.law, problem.actuators, problem.rest, problem.per_pressure, problem.free_per_pa,
             self._before, pressure, self._load, self._loaded, self._tip, problem.length_m, self._segments,
-            problem.scale, self._coefficients, self._levels, self._trail, self._x, self._slope, SOLVED,
+            problem.scale, self._coefficients, self._levels, self._trail, self._x, self._slope, CLOSE,
         )  # fmt: skip
         if passes < 0:
             return replace(self._shape, ok=False)
         self._before = pressure
         self._shape = shape(self._arm, problem, self._x, self._slope, ok=True)
         return self._shape
+
+    def run(self, pressure_pa: ArrayLike) -> Motion:
+        """Advance through the rows of pressure_pa (T, N) [Pa] in one call, with the loads of the last step.
+
+        What `step` does T times, without Python in between; a step that cannot be solved keeps the last good tip and
+        has ok False. Raises as `step` does.
+        """
+        if self._shape is None:
+            raise ValueError("start(pressure_pa) comes before the first step")
+        rows = np.array(pressure_pa, dtype=np.float64)
+        actuators = self._arm.geometry.actuators
+        if rows.ndim != 2 or rows.shape[1] != actuators:
+            raise ValueError(f"pressure_pa must be rows of {actuators} numbers, got shape {rows.shape}")
+        if not np.isfinite(rows).all():
+            raise ValueError("pressures must be finite")
+        if self._arm.section_rule not in ("linear", "pointwise"):
+            shapes = [self.step(row) for row in rows]
+            return Motion(
+                np.array([shape.tip_m for shape in shapes]).reshape(-1, 3),
+                np.array([shape.tip_rotation for shape in shapes]).reshape(-1, 3, 3),
+                np.array([shape.ok for shape in shapes], dtype=bool),
+            )
+        problem, count = self._problem, len(rows)
+        tips, turns, good = np.empty((count, 3)), np.empty((count, 3, 3)), np.empty(count, dtype=np.bool_)
+        motion(
+            problem.work, problem.law, problem.actuators, problem.rest, problem.per_pressure, problem.free_per_pa,
+            self._before, rows, self._load, self._loaded, self._tip, problem.length_m, self._segments,
+            problem.scale, self._coefficients, self._levels, self._trail, self._x, self._slope, CLOSE,
+            problem.centre_m, tips, turns, good,
+        )  # fmt: skip
+        self._shape = shape(self._arm, problem, self._x, self._slope, ok=True)
+        return Motion(tips, turns, good)
 
     def _set_loads(self, loads: Loads | None) -> None:
         self._loads = loads

@@ -18,7 +18,9 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-SOLVED = 1e-5  # last Newton update, in units of `scale`; what is left is its square
+# Last Newton update, in units of `scale`; what is left is its square.
+SOLVED = 1e-5
+CLOSE = 2e-3  # in motion, where the next step corrects
 
 
 @dataclass(frozen=True)

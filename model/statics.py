@@ -7,10 +7,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from model.axis import axis
 from model.errors import NotConverged
 from model.layout import STATE
 from model.loads import Loads
-from model.march import axis, equilibrium
+from model.march import equilibrium
 from model.problem import SOLVED, Problem, pressures
 from model.shape import Shape
 

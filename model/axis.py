@@ -1,0 +1,107 @@
+"""Kernels for what comes after the solution: the arm's axis, and whole motions in one call."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from model.compiled import kernel
+from model.march import advance
+
+Array = Any
+
+
+@kernel
+def axis(x: Array, slope: Array, length: float, centre: Array, p: Array, rotation: Array, v: Array, u: Array) -> None:
+    """Positions, orientations and strains of the arm's axis from the solved states of the line through the centroid.
+
+    Integrates p' = R v (eq 7) by the trapezoid corrected with end slopes, of fourth order, then moves from the centroid
+    to the axis as eq 29 does: p + centre - R centre.
+    """
+    n = x.shape[0] - 1
+    h = length / n
+    speed, turn = np.empty((n + 1, 3)), np.empty((n + 1, 3))
+    for j in range(n + 1):
+        a, b, c, d = x[j, 12], x[j, 13], x[j, 14], x[j, 15]
+        s = 2.0 / (a * a + b * b + c * c + d * d)
+        rotation[j, 0, 0], rotation[j, 0, 1], rotation[j, 0, 2] = (
+            1.0 - s * (c * c + d * d),
+            s * (b * c - d * a),
+            s * (b * d + c * a),
+        )
+        rotation[j, 1, 0], rotation[j, 1, 1], rotation[j, 1, 2] = (
+            s * (b * c + d * a),
+            1.0 - s * (b * b + d * d),
+            s * (c * d - b * a),
+        )
+        rotation[j, 2, 0], rotation[j, 2, 1], rotation[j, 2, 2] = (
+            s * (b * d - c * a),
+            s * (c * d + b * a),
+            1.0 - s * (b * b + c * c),
+        )
+        v1, v2, v3 = x[j, 0], x[j, 1], x[j, 2]
+        u1, u2, u3 = x[j, 3], x[j, 4], x[j, 5]
+        g1 = slope[j, 0] + u2 * v3 - u3 * v2
+        g2 = slope[j, 1] + u3 * v1 - u1 * v3
+        g3 = slope[j, 2] + u1 * v2 - u2 * v1
+        for k in range(3):
+            speed[j, k] = rotation[j, k, 0] * v1 + rotation[j, k, 1] * v2 + rotation[j, k, 2] * v3
+            turn[j, k] = rotation[j, k, 0] * g1 + rotation[j, k, 1] * g2 + rotation[j, k, 2] * g3
+        cx, cy = centre[0], centre[1]
+        v[j, 0], v[j, 1], v[j, 2] = v1 + u3 * cy, v2 - u3 * cx, v3 - u1 * cy + u2 * cx
+        u[j, 0], u[j, 1], u[j, 2] = u1, u2, u3
+    at = np.zeros(3)
+    for j in range(n + 1):
+        for k in range(3):
+            if j > 0:
+                at[k] += 0.5 * h * (speed[j - 1, k] + speed[j, k]) + h * h / 12.0 * (turn[j - 1, k] - turn[j, k])
+            p[j, k] = at[k] - rotation[j, k, 0] * centre[0] - rotation[j, k, 1] * centre[1]
+        p[j, 0] += centre[0]
+        p[j, 1] += centre[1]
+
+
+@kernel
+def motion(
+    w: Array,
+    law: int,
+    actuators: int,
+    rest: Array,
+    per_pressure: Array,
+    free: float,
+    before: Array,
+    pressure: Array,
+    load: Array,
+    loaded: bool,
+    tip: Array,
+    length: float,
+    segments: int,
+    scale: Array,
+    scheme: Array,
+    levels: Array,
+    trail: Array,
+    x: Array,
+    slope: Array,
+    tolerance: float,
+    centre: Array,
+    tips: Array,
+    turns: Array,
+    good: Array,
+) -> int:
+    """Advance through the rows of pressure (T, N); fills tips (T, 3), turns (T, 3, 3), good (T,). Returns the passes."""
+    n = x.shape[0]
+    p, rotation, v, u = np.empty((n, 3)), np.empty((n, 3, 3)), np.empty((n, 3)), np.empty((n, 3))
+    total = 0
+    for t in range(pressure.shape[0]):
+        passes = advance(
+            w, law, actuators, rest, per_pressure, free, before, pressure[t], load, loaded, tip, length, segments,
+            scale, scheme, levels, trail, x, slope, tolerance,
+        )  # fmt: skip
+        good[t] = passes > 0
+        if passes > 0:
+            before[:] = pressure[t]
+            total += passes
+        axis(x, slope, length, centre, p, rotation, v, u)
+        tips[t] = p[n - 1]
+        turns[t] = rotation[n - 1]
+    return total
