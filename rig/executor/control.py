@@ -102,6 +102,7 @@ def _run(job: Job, memory: RunMemory, bench: Bench) -> str:
             tick, now, 1 + skipped, memory.get("answered"), bool(memory.get("held")), now - deadline, skipped
         )
         memory.samples.push(row)
+        memory.set("lost_scans", ticker.lost)
         memory.set("protocol_s", ticker.position.protocol_s)
         memory.set("waiting", ticker.position.prompts_passed if ticker.position.waiting else -1)
         memory.beat("control", now)

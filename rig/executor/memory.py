@@ -66,6 +66,7 @@ _BOARD = np.dtype(
         ("protocol_s", "<f8"),
         ("safe_ns", "<i8"),
         ("fired_ns", "<i8"),
+        ("lost_scans", "<i8"),
     ],
     align=True,
 )

@@ -16,6 +16,7 @@ from rig.executor.clock import stolen_ms
 from rig.executor.door import Door
 from rig.executor.memory import Layout, RunMemory, Stage, Stop
 from rig.executor.requests import Action, Answer, Desk, Request
+from rig.executor.vigil import Vigil
 from rig.simulator.host import Simulation, simulated
 from runs.records import Event, Level, Picture, Status
 
@@ -59,6 +60,8 @@ class _Conductor:
         self.desk = Desk(self.memory, plan.trajectory)
         self.door: Door | None = None
         self.crew: list[tuple[str, subprocess.Popen[bytes]]] = []
+        self.vigil = Vigil(plan.config)
+        self.lost_scans = 0
         self.missed = 0
         self.dropped = 0
         self._sample: NDArray[np.void] | None = None
@@ -103,6 +106,7 @@ class _Conductor:
         counters = {
             "missed_deadlines": self.missed,
             "dropped_frames": self.dropped,
+            "lost_scans": self.lost_scans,
             "sample_ring_overflows": memory.samples.lost,
             "observation_ring_overflows": memory.observations.lost,
             "picture_ring_overflows": memory.pictures_lost,
@@ -132,6 +136,7 @@ class _Conductor:
         shown = 0.0
         while True:
             memory.beat("conductor", time.monotonic_ns())
+            self._report(*self.vigil.looking(time.monotonic_ns()))
             self._drain()
             if reason := self.audience.stop_requested():
                 return Status.INTERRUPTED, reason
@@ -206,11 +211,15 @@ class _Conductor:
             self.recorder.samples(samples)
             self.missed += int(samples["missed"].sum())
             self._sample = samples[-1]
+            self._report(*self.vigil.samples(samples))
+        lost, self.lost_scans = self.memory.get("lost_scans") - self.lost_scans, self.memory.get("lost_scans")
+        self._report(*self.vigil.lost(time.monotonic_ns(), lost))
         observations = self.memory.observations.read()
         if len(observations):
             self.recorder.observations(observations)
             self.dropped += int(observations["dropped"].sum())
             self._observation = observations[-1]
+            self._report(*self.vigil.observations(observations))
         camera = next(iter(self.plan.config.cameras))
         for t_ns, frame, data in self.memory.read_pictures():
             self.recorder.picture(Picture(t_ns, frame, camera, self.plan.config.recording.encoding, data))
@@ -278,7 +287,10 @@ class _Conductor:
             raise StartError(memory.message(name))
 
     def _event(self, level: Level, source: str, message: str) -> None:
-        event = Event(time.monotonic_ns(), level, source, message)
-        self.recorder.event(event)
-        self.memory.push_event(event)
-        self.audience.tell(event)
+        self._report(Event(time.monotonic_ns(), level, source, message))
+
+    def _report(self, *events: Event) -> None:
+        for event in events:
+            self.recorder.event(event)
+            self.memory.push_event(event)
+            self.audience.tell(event)

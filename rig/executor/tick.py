@@ -38,6 +38,8 @@ class Ticker:
         self._prepared = control.prepare(config)
         self._state = control.initial(self._prepared)
         self._row = np.zeros((), sample_dtype(config.actuators, len(config.valves)))
+        self.lost = 0
+        """Scans that the cards have dropped."""
         self._scan_t_ns = 0
         self._pressure_pa: NDArray[np.float64] = np.full(config.actuators, np.nan)
         self._volts: NDArray[np.float64] = np.full(config.actuators, np.nan)
@@ -54,6 +56,7 @@ class Ticker:
     def listen(self) -> int:
         """Take the scans that have come since the last call; return how many."""
         scans = self._bench.read()
+        self.lost += scans.lost
         if len(scans.t_ns):
             self._scan_t_ns = int(scans.t_ns[-1])
             self._pressure_pa = scans.pressure_pa.mean(axis=0)

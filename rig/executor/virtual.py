@@ -8,10 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.bench import Bench
+from rig.cameras.base import CameraError
 from rig.cameras.mock import MockCamera
+from rig.daq.base import CardError
 from rig.executor.base import Audience, OpenRecord, Outcome, Plan, Progress, Recorder, StartError
 from rig.executor.pictures import encode
 from rig.executor.tick import Ticker
+from rig.executor.vigil import Vigil
 from rig.observer import Observer
 from rig.simulator.plant import Plant
 from runs.records import Event, Level, Picture, Status, observation_dtype, sample_dtype
@@ -45,9 +48,11 @@ class _VirtualRun:
         self._plant = Plant(config, plan.seed, t0_ns=0)
         self._bench = Bench(config, {name: self._plant.card(name) for name in config.cards})
         self._camera_name, camera = next(iter(config.cameras.items()))
-        self._camera = MockCamera(config, self._plant, self._camera_name, plan.seed)
+        self._camera = MockCamera(config, self._plant, self._camera_name, plan.seed, self._plant.faults)
         self._observer = Observer(config, plan.variant)
         self._ticker = Ticker(plan, self._bench)
+        self._vigil = Vigil(config)
+        self._lost_scans = 0
         self._frame_ns = round(1e9 / camera.rate_hz)
         self._frame = 0
         self._answered = 0
@@ -64,6 +69,7 @@ class _VirtualRun:
         self._recorder = open_record(START_NS)
         self._tell(START_NS, Level.INFO, "control", "armed: the safe state was written and read back")
         tick = 0
+        now = START_NS
         try:
             while True:
                 now = START_NS + tick * self._ticker.period_ns
@@ -71,11 +77,26 @@ class _VirtualRun:
                 if ending is not None:
                     break
                 tick += 1
+        except (CardError, CameraError) as error:
+            self._tell(now, Level.FAULT, "observer" if isinstance(error, CameraError) else "control", str(error))
+            ending = Status.ABORTED, str(error)
         finally:
-            self._bench.make_safe()
+            unsafe = self._make_safe()
         self._flush()
-        self._tell(now, Level.INFO, "control", "the valves are in their safe state")
-        return Outcome(*ending, now, {"missed_deadlines": 0, "dropped_frames": 0})
+        if unsafe:
+            self._tell(now, Level.FAULT, "control", unsafe)
+            ending = Status.ABORTED, f"{ending[1]}; then {unsafe}".removeprefix("; then ")
+        else:
+            self._tell(now, Level.INFO, "control", "the valves are in their safe state")
+        return Outcome(*ending, now, {"missed_deadlines": 0, "dropped_frames": 0, "lost_scans": self._lost_scans})
+
+    def _make_safe(self) -> str:
+        """Write the safe state; what kept it from being written, empty when nothing did."""
+        try:
+            self._bench.make_safe()
+        except CardError as error:
+            return str(error)
+        return ""
 
     def _tick(self, tick: int, now: int) -> tuple[Status, str] | None:
         """Do one tick and the frames that fall into it; return how the run ends, None while it goes on."""
@@ -118,8 +139,16 @@ class _VirtualRun:
             self._recorder.picture(Picture(t_ns, frame, self._camera_name, recording.encoding, data))
 
     def _flush(self) -> None:
-        self._recorder.samples(self._samples.take())
-        self._recorder.observations(self._observations.take())
+        samples, observations = self._samples.take(), self._observations.take()
+        self._recorder.samples(samples)
+        self._recorder.observations(observations)
+        lost, self._lost_scans = self._ticker.lost - self._lost_scans, self._ticker.lost
+        for event in (
+            *self._vigil.samples(samples),
+            *self._vigil.observations(observations),
+            *self._vigil.lost(self._plant.t_ns, lost),
+        ):
+            self._report(event)
 
     def _progress(self, row: NDArray[np.void]) -> Progress:
         last = self._observations.recent(1)
@@ -133,7 +162,9 @@ class _VirtualRun:
         )
 
     def _tell(self, t_ns: int, level: Level, source: str, message: str) -> None:
-        event = Event(t_ns, level, source, message)
+        self._report(Event(t_ns, level, source, message))
+
+    def _report(self, event: Event) -> None:
         self._recorder.event(event)
         self._audience.tell(event)
 

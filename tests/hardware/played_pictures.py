@@ -16,11 +16,12 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from rig_of_the_machine import LOOPED
 
 from rig.arm import model_arm
 from rig.cameras.mock import MockCamera
 from rig.config import PA_PER_BAR, load
-from rig.eye import Eye
+from rig.observer import Observer
 from rig.simulator.pose import TipPose
 from runs.records import Seen
 
@@ -44,19 +45,19 @@ class _StandingStill:
 
 def render(target: Path) -> None:
     """Write pictures (n, height, width) and their true tips (n, 3) [m]."""
-    config = load("mock")
-    arm = model_arm(config)
+    scene, looped = load("mock"), load(LOOPED)
+    arm, observer = model_arm(scene), Observer(looped)
     pictures, tips = [], []
-    eye = Eye(config, "front")
     for number, level in enumerate(LEVELS_BAR):
-        shape = arm.statics((level * PA_PER_BAR, 0.0, 0.0))
-        frame = MockCamera(config, _StandingStill(shape.tip_m, shape.tip_rotation)).frame_at(number, 0)
-        seen = eye.measure(frame.image)
-        if seen.seen is not Seen.MEASURED:
-            raise SystemExit(f"the picture at {level} bar shows no board: {seen.seen.name}")
+        pressure_pa = np.array([[level * PA_PER_BAR, 0.0, 0.0]])
+        shape = arm.statics(pressure_pa[0])
+        camera = MockCamera(scene, _StandingStill(shape.tip_m, shape.tip_rotation))
+        frame = camera.frame_at(number, number * 10**9 // RATE_HZ)
+        seen = observer.step(frame, np.array([frame.t_ns]), pressure_pa, 0.0, 0)
+        if seen["seen"] != Seen.MEASURED or not seen["model_ok"]:
+            raise SystemExit(f"the picture at {level} bar cannot be measured and modelled: {seen}")
         pictures.append(frame.image)
         tips.append(frame.truth_m)
-    arm.dynamics(1 / 30).start((0.0, 0.0, 0.0))
     np.savez_compressed(target, pictures=np.array(pictures), tips=np.array(tips))
 
 
@@ -73,7 +74,7 @@ def play(source: Path, device: str) -> None:
     with np.load(source) as stored:
         pictures = stored["pictures"]
     height, width = pictures.shape[1:]
-    frames = [yuyv(picture) for picture in pictures]
+    frames = [bytearray(yuyv(picture)) for picture in pictures]
     node = os.open(device, os.O_RDWR)
     fourcc = int.from_bytes(b"YUYV", "little")
     pixels = struct.pack(
@@ -85,6 +86,7 @@ def play(source: Path, device: str) -> None:
     while True:
         for frame in frames:
             for _ in range(RATE_HZ):
+                frame[0] ^= 1  # no sensor gives the same picture twice, and who does counts as frozen
                 os.write(node, frame)
                 due = max(due + 1 / RATE_HZ, time.monotonic())
                 time.sleep(max(0.0, due - time.monotonic()))

@@ -1,0 +1,138 @@
+"""What an operator is warned of while a run goes on: the tip is not measured, the model is not solved, data are lost.
+
+None of it moves a valve, so none of it stops the run: the record says which rows are affected, the operator decides.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.config import RigConfig
+from runs.records import Event, Level, Seen
+
+MEMORY_S = 1.0
+"""A trouble is judged by its share of about the last second."""
+CLEARED = 0.2
+"""A trouble is over once its share has fallen to this part of what it was announced at."""
+LATE_S = 0.25
+STANDSTILL_S = 0.5
+
+_SEEN = {
+    Seen.NO_BOARD: "no board in the picture: light, lens cap, something before the camera?",
+    Seen.AMBIGUOUS: "the board cannot be told from its half turn, or is cut off",
+    Seen.POOR_FIT: "the board's corners do not fit a plane board",
+    Seen.NO_FRAME: "the camera repeats the same picture bit for bit: it is frozen, or delivers old pictures",
+}
+
+
+@dataclass
+class _Trouble:
+    """One thing that may go wrong for a while. `above` is the share of rows at which it is worth a warning."""
+
+    above: float
+    share: float = 0.0
+    since_ns: int = 0
+    told: bool = False
+
+    def judge(self, t_ns: int, period_s: float, part: float) -> bool | None:
+        """Take one row, of which `part` (0 to 1) is affected; True when a trouble begins, False when it is over."""
+        if self.share < self.above * CLEARED:
+            self.since_ns = t_ns
+        self.share += (part - self.share) * min(1.0, period_s / MEMORY_S)
+        if not self.told and self.share > self.above:
+            self.told = True
+            return True
+        if self.told and self.share < self.above * CLEARED:
+            self.told = False
+            return False
+        return None
+
+
+class Vigil:
+    """Looks through what is recorded and says when something begins to be wrong, and when it is over."""
+
+    def __init__(self, config: RigConfig) -> None:
+        self._tick_s = 1 / config.control.rate_hz
+        self._frame_s = 1 / next(iter(config.cameras.values())).rate_hz
+        self._unmeasured, self._unsolved = _Trouble(0.3), _Trouble(0.3)
+        self._dropping, self._late, self._missing = _Trouble(0.3), _Trouble(0.3), _Trouble(0.2)
+        self._looked_ns = 0
+
+    def samples(self, rows: NDArray[np.void]) -> Iterator[Event]:
+        """Control ticks (n,) of `runs.records.sample_dtype`, in their order."""
+        for row in rows:
+            missed, t_ns = int(row["missed"]), int(row["t_ns"])
+            trouble = self._missing
+            match trouble.judge(t_ns, self._tick_s * (missed + 1), missed / (missed + 1)):
+                case True:
+                    yield _warning(
+                        t_ns, "control", f"{trouble.share:.0%} of the deadlines are missed: the machine is too busy"
+                    )
+                case False:
+                    yield _over(trouble, t_ns, "control", "deadlines are met again")
+
+    def observations(self, rows: NDArray[np.void]) -> Iterator[Event]:
+        """Camera frames (n,) of `runs.records.observation_dtype`, in their order."""
+        for row in rows:
+            t_ns, seen, dropped = int(row["t_ns"]), Seen(int(row["seen"])), int(row["dropped"])
+            judged = (
+                (
+                    self._unmeasured,
+                    float(seen is not Seen.MEASURED),
+                    f"the tip is not measured: {_SEEN.get(seen, seen.name)}",
+                    "the tip is measured again",
+                ),
+                (
+                    self._unsolved,
+                    float(not row["model_ok"]),
+                    "the model cannot be solved for these pressures: its tip is the last good one",
+                    "the model is solved again",
+                ),
+                (
+                    self._dropping,
+                    dropped / (dropped + 1),
+                    "the camera drops pictures",
+                    "the camera delivers every picture again",
+                ),
+                (
+                    self._late,
+                    float(row["age_ns"] > LATE_S * 1e9),
+                    f"pictures are {row['age_ns'] * 1e-9:.2f} s old when they are measured",
+                    "pictures come in time again",
+                ),
+            )
+            for trouble, part, wrong, well in judged:
+                match trouble.judge(t_ns, self._frame_s * (dropped + 1), part):
+                    case True:
+                        yield _warning(t_ns, "observer", wrong)
+                    case False:
+                        yield _over(trouble, t_ns, "observer", well)
+
+    def lost(self, t_ns: int, scans: int) -> Iterator[Event]:
+        """Scans that the cards have dropped since the last call."""
+        if scans:
+            yield _warning(t_ns, "card", f"{scans} scans were lost: the card's buffer overran")
+
+    def looking(self, t_ns: int) -> Iterator[Event]:
+        """Called at every look: says when nothing was recorded or shown for long."""
+        before, self._looked_ns = self._looked_ns, t_ns
+        still_s = (t_ns - before) * 1e-9
+        if before and still_s > STANDSTILL_S:
+            yield _warning(
+                t_ns,
+                "conductor",
+                f"nothing was recorded for {still_s:.2f} s, what was measured was kept meanwhile: a slow disk, "
+                "or a machine that stood still?",
+            )
+
+
+def _warning(t_ns: int, source: str, message: str) -> Event:
+    return Event(t_ns, Level.WARNING, source, f"{message}; the run goes on")
+
+
+def _over(trouble: _Trouble, t_ns: int, source: str, message: str) -> Event:
+    return Event(t_ns, Level.INFO, source, f"{message}, after {(t_ns - trouble.since_ns) * 1e-9:.2f} s")
