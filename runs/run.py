@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ from numpy.typing import NDArray
 from runs import layout
 from runs.archive import ArchiveError
 from runs.records import Event, Interval, Level, Quantity, RunHeader, Status
+from runs.table import table
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -232,6 +234,20 @@ class Run:
             data: bytes = file["entry/frames/image"][k].tobytes()
             return data
 
+    def to_pandas(self, group: str = "tip") -> Any:
+        """Return a group of `runs.table.TABLES` as a DataFrame over time; pandas does not come with softrig."""
+        columns = table(self.path, group)
+        time_s = columns.pop("time_s", None)
+        return _optional("pandas").DataFrame(columns, index=_optional("pandas").Index(time_s, name="time_s"))
+
+    def to_xarray(self, group: str = "tip") -> Any:
+        """Return a group of `/entry` as a lazy Dataset; xarray and h5netcdf do not come with softrig."""
+        _optional("h5netcdf")
+        drop = ["image"] if group == "frames" else []
+        return _optional("xarray").open_dataset(
+            self.path, group=f"entry/{group}", engine="h5netcdf", drop_variables=drop
+        )
+
     def _group(self, path: str, without: str = "") -> _Fields:
         """Return the datasets of a group by name: arrays, texts and numbers; nothing where the group is missing."""
         fields = _Fields(f"{self.path}: {path}")
@@ -269,6 +285,13 @@ class _Fields(dict[str, Any]):
 
     def __missing__(self, name: str) -> Any:
         raise ArchiveError(f"{self._where} has no {name}; was it made by another version of softrig?")
+
+
+def _optional(package: str) -> Any:
+    try:
+        return import_module(package)
+    except ImportError as fault:
+        raise ArchiveError(f"{package} is not installed; `pip install {package}` brings it") from fault
 
 
 def _value(node: h5py.Dataset) -> Any:

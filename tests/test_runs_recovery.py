@@ -12,6 +12,7 @@ import pytest
 import runs_made_up as made_up
 
 import runs
+from runs.archive import held, verify
 from runs.records import RunFooter, Status
 from runs.recovery import Fate, orphans, recover
 
@@ -22,6 +23,14 @@ from pathlib import Path
 import runs_made_up as made_up
 made_up.write_journal(Path(sys.argv[1]), footer=False)
 os.kill(os.getpid(), 9)
+"""
+
+
+FINALISE = """
+import os, sys
+from runs import archive
+archive.digest.of_file = lambda file: os.kill(os.getpid(), 9)
+archive.finalise(sys.argv[1])
 """
 
 
@@ -115,6 +124,24 @@ def test_what_an_interrupted_finalisation_left_is_removed(tmp_path: Path) -> Non
     (tmp_path / "run.h5.part").write_bytes(b"half an archive")
     assert fates(tmp_path) == {"run.h5.part": Fate.REMOVED, "run.mcap": Fate.FINALISED}
     assert sorted(p.name for p in tmp_path.iterdir()) == ["run.h5", "run.mcap"]
+
+
+def test_a_finalisation_that_was_killed_is_done_again(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    made_up.write_journal(path)
+    assert subprocess.run([sys.executable, "-c", FINALISE, str(path)], check=False).returncode == -9
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["run.h5.part", "run.mcap"]
+    assert fates(tmp_path) == {"run.h5.part": Fate.REMOVED, "run.mcap": Fate.FINALISED}
+    assert verify(tmp_path / "run.h5")
+
+
+def test_an_archive_that_is_being_written_is_left_alone(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    made_up.write_journal(path)
+    (tmp_path / "run.h5.part").write_bytes(b"half")
+    with held(path):
+        assert fates(tmp_path) == {"run.mcap": Fate.RUNNING}
+    assert (tmp_path / "run.h5.part").exists()
 
 
 def test_an_empty_or_missing_folder_has_nothing_to_recover(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +10,7 @@ import pytest
 import runs_made_up as made_up
 
 import runs
-from runs.archive import finalise
+from runs.archive import ArchiveError, finalise
 from runs.export import export
 
 
@@ -72,3 +73,27 @@ def test_pandas_reads_the_csv_export(archive: Path, tmp_path: Path) -> None:
     written = {path.stem: path for path in export(archive, "csv", tmp_path)}
     tip = pandas.read_csv(written["run-tip"], index_col="time_s")
     np.testing.assert_array_equal(tip["measured_x_mm"], runs.open(archive).tip.measured_mm[:, 0])
+
+
+def test_a_run_becomes_a_pandas_table(archive: Path) -> None:
+    pytest.importorskip("pandas", reason="pandas is not installed")
+    run = runs.open(archive)
+    tip = run.to_pandas("tip")
+    np.testing.assert_array_equal(tip["model_x_mm"], run.tip.model_mm[:, 0])
+    np.testing.assert_array_equal(tip.index, run.tip.time_s)
+
+
+def test_a_run_becomes_an_xarray_dataset(archive: Path) -> None:
+    pytest.importorskip("xarray", reason="xarray is not installed")
+    pytest.importorskip("h5netcdf", reason="h5netcdf is not installed")
+    with runs.open(archive).to_xarray("frames") as frames:
+        assert frames.sizes["time"] == 5
+
+
+def test_what_is_not_installed_is_said_in_one_sentence(archive: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for package in ("pandas", "xarray", "h5netcdf"):
+        monkeypatch.setitem(sys.modules, package, None)
+    with pytest.raises(ArchiveError, match="pip install pandas"):
+        runs.open(archive).to_pandas()
+    with pytest.raises(ArchiveError, match="pip install h5netcdf"):
+        runs.open(archive).to_xarray()
