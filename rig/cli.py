@@ -9,6 +9,9 @@ from typing import Annotated, Any, NoReturn
 import typer
 from typer.core import TyperGroup
 
+from rig.commands import archives, calibrate
+from rig.commands.options import AsJson, Folder
+
 DONE, FAULT, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 
 
@@ -32,14 +35,17 @@ class PlainErrors(TyperGroup):
 
 def _status(error: Exception) -> int | None:
     """Exit status of an expected error; None for one that is a bug."""
+    from calibration.camera import CalibrationError
+    from calibration.views import ViewsError
     from protocols import BadInput
     from rig.cameras.base import CameraError
     from rig.daq.base import CardError
     from rig.executor.base import StartError, StoppedError
     from runs.archive import ArchiveError
+    from runs.export import ExportError
     from runs.journal import JournalError
 
-    if isinstance(error, BadInput | ArchiveError):
+    if isinstance(error, BadInput | ArchiveError | ExportError | CalibrationError | ViewsError):
         return BAD_INPUT
     if isinstance(error, StoppedError):
         return INTERRUPTED
@@ -63,12 +69,9 @@ app = typer.Typer(
 
 LOCAL, LIVE_PORT = "127.0.0.1", 8090
 Listen = Annotated[str, typer.Option(metavar="ADDRESS", help="Serve the page beyond this machine; asks for a token.")]
-Port = Annotated[int, typer.Option(help="First port to try for the page.", min=1, max=65535)]
+Port = Annotated[int, typer.Option(help="First port to try for the page; 0 for any that is free.", min=0, max=65535)]
 RigName = Annotated[str, typer.Option("--rig", help="Name or file of the rig.")]
 ProtocolName = Annotated[str, typer.Argument(metavar="NAME|FILE", help="Named protocol, or a YAML file.")]
-Folder = Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder of the archives.", file_okay=False)]
-AsJson = Annotated[bool, typer.Option("--json", help="Print JSON, for scripts.")]
-Archives = Annotated[list[Path], typer.Argument(metavar="RUN..", help="Archive, or its run id in the data folder.")]
 Variant = Annotated[
     str | None, typer.Option("--model", help="homogeneous, homogeneous+rpe or inhomogeneous+rpe; default: the rig's.")
 ]
@@ -207,41 +210,9 @@ def live(
     raise typer.Exit(show(found, pid, listen, port, lambda line: console.print(line, soft_wrap=True)))
 
 
-@app.command()
-def runs(folder: Folder = Path("data"), text: str = "", json: AsJson = False) -> None:
-    """List the archives of a folder."""
-    from rig import listing
-
-    listing.runs(folder, text, json)
-
-
-@app.command()
-def show(archive: Annotated[Path, typer.Argument(metavar="RUN")], json: AsJson = False) -> None:
-    """Say what an archive holds and how it was made."""
-    from rig import listing
-
-    listing.show(archive, json)
-
-
-@app.command()
-def report(
-    archives: Archives,
-    to: Annotated[Path | None, typer.Option("--to", help="HTML file; default: beside the first archive.")] = None,
-) -> None:
-    """Write the report of one run, or of several side by side."""
-    from rig.listing import resolve
-    from runs.report import write
-
-    found = [resolve(archive) for archive in archives]
-    typer.echo(write(found, to or found[0].with_suffix(".html")))
-
-
-@app.command()
-def recover(folder: Annotated[Path, typer.Argument(metavar="DIR", file_okay=False)] = Path("data")) -> None:
-    """Turn the journals of runs that were killed into archives."""
-    from rig import listing
-
-    listing.recover(folder)
+for command in (archives.runs, archives.show, archives.report, archives.export, archives.recover):
+    app.command()(command)
+app.add_typer(calibrate.app, name="calibrate")
 
 
 def main(arguments: list[str] | None = None) -> None:

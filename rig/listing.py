@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -16,6 +16,7 @@ from rich.text import Text
 import runs as records
 from rig.screens import console
 from runs.archive import SUFFIX, ArchiveError
+from runs.catalogue import Entry
 from runs.recovery import Fate
 from runs.recovery import recover as recover_folder
 from runs.summary import Summary, summarise
@@ -39,7 +40,7 @@ def show(name: Path, as_json: bool) -> None:
     run = records.open(archive)
     summary = summarise(run)
     if as_json:
-        typer.echo(json.dumps({"header": _plain(asdict(run.header)), "summary": summary_json(archive)}, indent=2))
+        typer.echo(json.dumps({"header": plain_json(asdict(run.header)), "summary": summary_json(archive)}, indent=2))
         return
     header = run.header
     screen = console()
@@ -67,14 +68,15 @@ def show(name: Path, as_json: bool) -> None:
 
 def summary_json(archive: Path) -> dict[str, Any]:
     """A run's numbers as JSON has them: what is not a number is null."""
-    return _plain(asdict(summarise(records.open(archive))))  # type: ignore[no-any-return]
+    return plain_json(asdict(summarise(records.open(archive))))  # type: ignore[no-any-return]
 
 
-def _plain(value: Any) -> Any:
+def plain_json(value: Any) -> Any:
+    """The value as JSON can say it: what is not a number is null."""
     if isinstance(value, dict):
-        return {key: _plain(v) for key, v in value.items()}
+        return {key: plain_json(v) for key, v in value.items()}
     if isinstance(value, list | tuple):
-        return [_plain(v) for v in value]
+        return [plain_json(v) for v in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
@@ -115,37 +117,20 @@ def recover(folder: Path) -> None:
         raise typer.Exit(1)
 
 
-def runs(folder: Path, text: str, as_json: bool) -> None:
-    """The archives of a folder, newest first, those whose facts contain the text."""
-    rows = []
-    for archive in sorted(folder.glob(f"*{SUFFIX}"), reverse=True):
-        try:
-            run = records.open(archive)
-            summary = summarise(run)
-        except ArchiveError as error:
-            rows.append({"run": archive.stem, "status": f"unreadable: {error}"})
-            continue
-        rows.append(
-            {
-                "run": summary.run_id,
-                "status": str(summary.status),
-                "protocol": run.header.protocol_name,
-                "rig": run.header.rig_name + (" (simulated)" if run.header.simulated else ""),
-                "operator": run.header.operator,
-                "mean error [mm]": f"{summary.error_mm.mean:.2f}",
-            }
-        )
-    rows = [row for row in rows if text.lower() in " ".join(row.values()).lower()]
+def runs(entries: Sequence[Entry], folder: Path, as_json: bool) -> None:
+    """The entries of a catalogue."""
     if as_json:
-        typer.echo(json.dumps(rows, indent=2))
+        typer.echo(json.dumps([asdict(entry) for entry in entries], indent=2))
         return
-    if not rows:
-        typer.echo(f"no archives in {folder}" + (f" that match '{text}'" if text else ""))
+    if not entries:
+        typer.echo(f"no such archives in {folder}")
         return
     table = Table(box=None, padding=(0, 2, 0, 0))
-    heads = ("run", "status", "protocol", "rig", "operator", "mean error [mm]")
-    for head in heads:
+    for head in ("run", "status", "protocol", "rig", "operator", "mean error [mm]"):
         table.add_column(head, overflow="fold")
-    for row in rows:
-        table.add_row(*(row.get(head, "") for head in heads))
+    for entry in entries:
+        rig = entry.rig + (" (simulated)" if entry.simulated else "")
+        error = "" if entry.mean_error_mm is None else f"{entry.mean_error_mm:.2f}"
+        status = entry.status or f"unreadable: {entry.problem}"
+        table.add_row(entry.run_id or entry.file, status, entry.protocol, rig, entry.operator, error)
     console().print(table)

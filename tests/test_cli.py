@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import shared_data
 
 import runs
 from runs.records import Seen
@@ -78,6 +79,9 @@ def test_help_does_not_import_the_heavy_rooms(tmp_path: Path) -> None:
         (["check", "/"], "/"),
         (["show", "no-such-run"], "no-such-run"),
         (["report", "no-such-run"], "no-such-run"),
+        (["export", "no-such-run"], "no-such-run"),
+        (["calibrate", "camera", "nowhere", "--corners", "9x6", "--square-mm", "25"], "nowhere"),
+        (["calibrate", "camera", ".", "--corners", "9", "--square-mm", "25"], "9x6"),
         (["run", "ramp-a", "--seed", "-1", "--fast", "--yes"], "seed"),
     ],
 )
@@ -138,6 +142,25 @@ def test_show_prints_how_a_run_was_made(recorded: Path) -> None:
 def test_runs_lists_archives_and_filters_them(recorded: Path) -> None:
     assert len(json.loads(rig(["runs", "--json"], recorded).stdout)) == 1
     assert json.loads(rig(["runs", "--json", "--text", "nobody"], recorded).stdout) == []
+
+
+def test_export_writes_tables_with_the_unit_in_every_header(recorded: Path) -> None:
+    (archive,) = (recorded / "data").glob("*.h5")
+    done = rig(["export", archive.stem, "--to", "csv", "--out", "tables"], recorded)
+    assert done.returncode == 0, done.stderr
+    (pressure,) = (recorded / "tables").glob("*-pressure.csv")
+    head = pressure.read_text().splitlines()[0].split(",")
+    assert "time_s" in head
+    assert any(name.startswith("measured") and name.endswith("bar") for name in head)
+
+
+def test_calibrate_camera_gives_the_published_focal_length_of_real_views(tmp_path: Path) -> None:
+    views = shared_data("chessboard")
+    done = rig(["calibrate", "camera", views, "--corners", "9x6", "--square-mm", "25", "--json"], tmp_path)
+    assert done.returncode == 0, done.stderr
+    facts = json.loads(done.stdout)
+    assert facts["fx_px"] == pytest.approx(535.92, rel=0.01)
+    assert facts["rms_px"] < 0.3
 
 
 def test_recover_makes_an_archive_of_an_orphaned_journal(recorded: Path, tmp_path: Path) -> None:

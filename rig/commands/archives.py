@@ -1,0 +1,79 @@
+"""Commands about what runs have left behind."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from rig.commands.options import Archive, Archives, AsJson
+
+
+def runs(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", file_okay=False)] = Path("data"),
+    text: Annotated[str, typer.Option(help="Words to look for, in every field.")] = "",
+    status: Annotated[str, typer.Option(help="finished, interrupted, aborted or recovered.")] = "",
+    protocol: Annotated[str, typer.Option(help="Part of the protocol's name.")] = "",
+    operator: Annotated[str, typer.Option(help="Part of the operator's name.")] = "",
+    since: Annotated[str, typer.Option(help="From this date on, as 2026-11 or 2026-11-21.")] = "",
+    until: Annotated[str, typer.Option(help="Up to this date.")] = "",
+    error_above_mm: Annotated[float | None, typer.Option(help="Only those with a larger mean error.")] = None,
+    json: AsJson = False,
+) -> None:
+    """List the archives of a folder, newest first."""
+    from rig import listing
+    from runs.catalogue import catalogue, search
+
+    found = search(
+        catalogue(folder),
+        text,
+        status=status,
+        protocol=protocol,
+        operator=operator,
+        since=since,
+        until=until,
+        error_above_mm=error_above_mm,
+    )
+    listing.runs(found, folder, json)
+
+
+def show(archive: Archive, json: AsJson = False) -> None:
+    """Say what an archive holds and how it was made."""
+    from rig import listing
+
+    listing.show(archive, json)
+
+
+def report(
+    archives: Archives,
+    to: Annotated[Path | None, typer.Option("--to", help="HTML file; default: beside the first archive.")] = None,
+) -> None:
+    """Write the report of one run, or of several side by side."""
+    from rig.listing import resolve
+    from runs.report import write
+
+    found = [resolve(archive) for archive in archives]
+    typer.echo(write(found, to or found[0].with_suffix(".html")))
+
+
+def export(
+    archive: Archive,
+    to: Annotated[str, typer.Option("--to", help="csv, mat or nc.")] = "csv",
+    out: Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Default: beside the archive.")] = None,
+) -> None:
+    """Write an archive in another format."""
+    from rig.listing import resolve
+    from runs.export import export as write
+
+    for path in write(resolve(archive), to, out):
+        typer.echo(path)
+
+
+def recover(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", file_okay=False)] = Path("data"),
+) -> None:
+    """Turn the journals of runs that were killed into archives."""
+    from rig import listing
+
+    listing.recover(folder)
