@@ -28,8 +28,16 @@ _START_BLUR_PX = 0.8
 _BLUR_BOUNDS_PX = (0.3, 6.0)
 # What the corners before say of the blur, against what this corner's pixels say: its squared share of the step.
 _BLUR_OPINION = 0.05
+# The middle of a square that no edge's blur reaches: half its width as a share of the smallest spacing.
+_MIDDLE_SHARE = 0.15
+# Of the grey values' variance beyond their noise: what the estimate of the noise may miss by chance, and how much of
+# the rest moves corners (most of a wrong edge profile is symmetric and does not).
+_TOLD_BY_CHANCE = 0.25
+_MOVES_CORNERS = 0.5
+# A corner whose pixels scatter so many times more than the median corner's is judged by itself.
+_ITS_OWN = 2.5
 # What is left where the picture has no noise: a pixel is a box, and the model knows only a bell.
-_SYSTEMATIC_PX = 0.008
+_SYSTEMATIC_PX = 0.003
 # Quantisation to whole grey levels: no picture is better than this.
 _LEAST_VARIANCE = 1 / 12
 
@@ -40,13 +48,14 @@ class Corners:
 
     `contrast` (n,) is the step from dark to bright in grey levels, positive where the quadrant between the two edge
     directions (along a row, down a column) is bright; `misfit` (n,) the rms of what the model leaves, in shares of
-    the step.
+    the step. `unexplained` is the share of the variance that is not noise of pixels but the model's own fault.
     """
 
     px: Floats
     covariance: Floats
     contrast: Floats
     misfit: Floats
+    unexplained: float = 0.0
 
 
 def spacing(corners_px: Floats, pattern: tuple[int, int]) -> float:
@@ -68,10 +77,29 @@ def sharpen(image: Image, seeds_px: Floats, pattern: tuple[int, int]) -> Corners
         return None
     # The first look moved the corners, so the directions are taken from where they are now.
     normals = _edge_normals(coarse, pattern)
-    fitted, covariance, contrast, misfit = _fit(image, coarse, normals, radius)
+    fitted, spread, variance, contrast, misfit = _fit(image, coarse, normals, radius)
     if not np.all(np.isfinite(fitted)) or np.abs(fitted - seeds_px).max() > radius + 1:
         return None
-    return Corners(fitted, covariance + _SYSTEMATIC_PX**2 * np.eye(2), contrast, misfit)
+    # A few dozen pixels tell their own noise badly, all of the board's together well; but a corner in glare or shadow
+    # is as bad as it looks.
+    pooled = np.median(variance)
+    noise = np.where(variance > _ITS_OWN * pooled, variance, pooled)
+    total = noise[:, None, None] * spread + _SYSTEMATIC_PX**2 * np.eye(2)
+    beyond_noise = 1 - _pixel_noise(image, fitted, pattern) / float(pooled)
+    unexplained = _MOVES_CORNERS * max(0.0, beyond_noise - _TOLD_BY_CHANCE)
+    return Corners(fitted, total, contrast, misfit, unexplained)
+
+
+def _pixel_noise(image: Image, corners_px: Floats, pattern: tuple[int, int]) -> float:
+    """Variance of the grey values where nothing is to be seen: between neighbours in the middle of the squares."""
+    grid = corners_px.reshape(pattern[1], pattern[0], 2)
+    middles = (grid[1:, 1:] + grid[1:, :-1] + grid[:-1, 1:] + grid[:-1, :-1]).reshape(-1, 2) / 4
+    half = max(1, int(_MIDDLE_SHARE * spacing(corners_px, pattern)))
+    block = np.arange(-half, half + 1)
+    x, y = np.rint(middles).astype(np.intp).T[:, :, None, None]
+    grey = image[y + block[:, None], x + block].astype(np.float64)
+    steps = np.concatenate([np.diff(grey, axis=1).ravel(), np.diff(grey, axis=2).ravel()])
+    return max(float(steps @ steps) / (2 * steps.size), _LEAST_VARIANCE)
 
 
 def _coarse(image: Image, seeds_px: Floats, half: int) -> Floats | None:
@@ -142,15 +170,17 @@ def _solve(matrix: Floats, right: Floats) -> bool:
 
 
 @njit(cache=True)
-def _fit(image: Image, seeds: Floats, normals: Floats, radius: float) -> tuple[Floats, Floats, Floats, Floats]:
+def _fit(image: Image, seeds: Floats, normals: Floats, radius: float) -> tuple[Floats, ...]:
     """Fit grey = mean + half step * edge_1 * edge_2 in a disc round each corner by Gauss-Newton.
 
     Unknowns: the corner (2), mean, half the step, and the blur across either edge (motion blurs one more than the
-    other). Returns corners (n, 2), NaN where there is no fit, covariances (n, 2, 2), steps (n,) and misfits (n,).
+    other). Returns corners (n, 2), NaN where there is no fit, their covariance at unit variance of the grey values
+    (n, 2, 2), that variance (n,), steps (n,) and misfits (n,).
     """
     n = seeds.shape[0]
     corners = np.full((n, 2), np.nan)
-    covariance = np.full((n, 2, 2), np.nan)
+    spread = np.full((n, 2, 2), np.nan)
+    variance = np.full(n, np.nan)
     contrast = np.full(n, np.nan)
     misfit = np.full(n, np.nan)
     matrix = np.empty((_PARAMETERS, _PARAMETERS))
@@ -229,15 +259,15 @@ def _fit(image: Image, seeds: Floats, normals: Floats, radius: float) -> tuple[F
             blur_1 = min(max(blur_1 + min(max(right[4], -0.4), 0.4), _BLUR_BOUNDS_PX[0]), _BLUR_BOUNDS_PX[1])
             blur_2 = min(max(blur_2 + min(max(right[5], -0.4), 0.4), _BLUR_BOUNDS_PX[0]), _BLUR_BOUNDS_PX[1])
             if abs(right[0]) < _STILL_PX and abs(right[1]) < _STILL_PX:
-                variance = max(squares / (count - _PARAMETERS), _LEAST_VARIANCE)
+                variance[c] = max(squares / (count - _PARAMETERS), _LEAST_VARIANCE)
                 corners[c, 0], corners[c, 1] = cx, cy
                 for i in range(2):
                     for j in range(2):
-                        covariance[c, i, j] = variance * matrix[i, j]
+                        spread[c, i, j] = matrix[i, j]
                 contrast[c] = 2 * half_step
                 misfit[c] = math.sqrt(squares / count) / max(abs(2 * half_step), 1e-3)
                 fitted += 1
                 usual_1 += (blur_1 - usual_1) / fitted
                 usual_2 += (blur_2 - usual_2) / fitted
                 break
-    return corners, covariance, contrast, misfit
+    return corners, spread, variance, contrast, misfit

@@ -10,13 +10,12 @@ from numpy.typing import NDArray
 
 from calibration.corners import Corners
 from calibration.dlt import DLT, by_points, reconstruct
-from calibration.pose import Pose
+from calibration.pose import Pose, residual_covariance
 
 Floats = NDArray[np.float64]
 
 _STEPS = 20
 _CONVERGED = 1e-10
-_PRIOR_WEIGHT = 12.0
 
 
 def board_pose(points_m: Floats, cameras: Sequence[DLT], corners: Sequence[Corners]) -> Pose | None:
@@ -59,9 +58,8 @@ def board_pose(points_m: Floats, cameras: Sequence[DLT], corners: Sequence[Corne
             return None
     else:
         return None
-    variance = (cost + _PRIOR_WEIGHT) / (residual.size - 6 + _PRIOR_WEIGHT)
+    covariance = residual_covariance(jacobian, cost, [points_m] * len(cameras), [c.unexplained for c in corners])
     unscaled = np.linalg.inv(jacobian.T @ jacobian)
-    covariance = unscaled * variance
     # The coefficients' errors shift all corners of a camera together, so no number of corners averages them out.
     world = points_m @ cv2.Rodrigues(x[:3])[0].T + x[3:]
     by_camera = np.split(jacobian, len(cameras))

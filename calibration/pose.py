@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -19,6 +20,8 @@ _CONVERGED = 1e-10
 _USUAL_STD_PX = 0.05
 # The residuals correct the stated corner noise; that it is right is worth so many observations.
 _PRIOR_WEIGHT = 12.0
+# Faults of model, lens or print are alike within so many squares.
+_SMOOTH_OVER = 1.0
 
 
 @dataclass(frozen=True)
@@ -62,12 +65,13 @@ def refine(
     lens: Lens,
     start: tuple[Floats, Floats],
     corner_covariance: Floats | None = None,
+    unexplained: float = 0.0,
 ) -> Pose | None:
     """Minimise the reprojection error from a starting pose by Levenberg-Marquardt; None if it does not converge.
 
     `points_m` (n, 3) in the board's frame, `corners_px` (n, 2) with covariance (n, 2, 2) [px^2], `start` a rotation
     vector and a translation. The covariance is that of weighted least squares, scaled by the variance of the weighted
-    residuals, which is steadied by a weak prior that it is 1.
+    residuals; see `residual_covariance`.
     """
     count = len(points_m)
     if corner_covariance is None:
@@ -108,14 +112,37 @@ def refine(
         return None
     if x[5] <= 0:
         return None
-    freedom = residual.size - 6
-    variance = (cost + _PRIOR_WEIGHT) / (freedom + _PRIOR_WEIGHT)
-    covariance = np.asarray(np.linalg.inv(jacobian.T @ jacobian) * variance)
+    covariance = residual_covariance(jacobian, cost, [points_m], [unexplained])
     return Pose(x[:3], x[3:], covariance, corners_px - projected, projected, cost)
 
 
+def residual_covariance(
+    jacobian: Floats, misfit: float, pictures: Sequence[Floats], unexplained: Sequence[float]
+) -> Floats:
+    """Covariance (k, k) of a least-squares fit from its whitened derivatives (2 n, k) and its sum of squares.
+
+    The residuals scale the covariance, steadied by a weak prior that they are what the corners say. What they show
+    beyond that, and the share of the corners' own variance that is `unexplained`, is no noise of pixels but a fault
+    of model, lens or print: it goes smoothly over the board, so that its corners do not average it out. `pictures`
+    has the board's points (n, 3) once for every picture.
+    """
+    unknowns = jacobian.shape[1]
+    inverse = np.asarray(np.linalg.inv(jacobian.T @ jacobian))
+    scale = (misfit + _PRIOR_WEIGHT) / (len(jacobian) - unknowns + _PRIOR_WEIGHT)
+    covariance = inverse * scale
+    gains = np.split(inverse @ jacobian.T, len(pictures), axis=1)
+    for points, gain, share in zip(pictures, gains, unexplained, strict=True):
+        apart = np.linalg.norm(points[:, None] - points, axis=2)
+        length = _SMOOTH_OVER * float(np.min(apart[apart > 0]))
+        together = np.exp(-0.5 * (apart / length) ** 2)
+        shared = max(scale - 1, 0.0) * together + share * scale * (together - np.eye(len(points)))
+        for axis in (gain[:, 0::2], gain[:, 1::2]):
+            covariance = covariance + axis @ shared @ axis.T
+    return np.asarray(covariance)
+
+
 def solutions(
-    points_m: Floats, corners_px: Floats, lens: Lens, corner_covariance: Floats | None = None
+    points_m: Floats, corners_px: Floats, lens: Lens, corner_covariance: Floats | None = None, unexplained: float = 0.0
 ) -> tuple[Pose, ...]:
     """Return the one or two poses that a plane allows, best first, each refined.
 
@@ -127,5 +154,8 @@ def solutions(
     if not found:
         return ()
     starts = np.concatenate([np.array(rotations), np.array(translations)], axis=1, dtype=np.float64)
-    poses = [refine(points_m, corners_px, lens, (start[:3, 0], start[3:, 0]), corner_covariance) for start in starts]
+    poses = [
+        refine(points_m, corners_px, lens, (start[:3, 0], start[3:, 0]), corner_covariance, unexplained)
+        for start in starts
+    ]
     return tuple(sorted((p for p in poses if p is not None), key=lambda p: p.misfit))

@@ -92,9 +92,9 @@ class Tracker:
         points = self._board.corners_m
         if self._last is not None and self._before is not None:
             start = self._last.rotation_vector, self._last.translation_m
-            pose = refine(points, corners.px, self._lens, start, corners.covariance)
+            pose = refine(points, corners.px, self._lens, start, corners.covariance, corners.unexplained)
             return pose, Seen.POOR_FIT
-        poses = solutions(points, corners.px, self._lens, corners.covariance)
+        poses = solutions(points, corners.px, self._lens, corners.covariance, corners.unexplained)
         if not poses:
             return None, Seen.POOR_FIT
         if len(poses) == 1 or _angle(poses[0], poses[1]) < _FLIP_SAME_RAD:

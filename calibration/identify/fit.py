@@ -154,7 +154,7 @@ def identify(
     parameters = named(free, actuators)
     priors = {p.name: prior for name, prior in (priors or {}).items() for p in named([name], actuators)}
     problem = Problem(data, start, parameters, priors)
-    joint, agreeing = _best(problem, starts, seed)
+    joint, agreeing = _best(problem, _first(problem), starts, seed)
     held, loose = _held(problem, joint)
     solution = problem.solve(joint.z * _kept(problem, held), sorted(held)) if held else joint
     estimates, covariance = _estimates(problem, solution, joint, held, loose)
@@ -177,12 +177,29 @@ def identify(
     )
 
 
-def _best(problem: Problem, starts: int, seed: int) -> tuple[Solution, int]:
+def _first(problem: Problem) -> Array:
+    """Where to start: at the best answer of the runs at rest, which cost little, where there are any beside others."""
+    z = np.zeros(len(problem.unknowns))
+    resting = [run for run, poses in enumerate(problem.data) if not poses.moving]
+    if len(resting) in (0, len(problem.data)):
+        return z
+    part = Problem([problem.data[run] for run in resting], problem.start, problem.free, problem.priors)
+    found = dict(
+        zip(((u.parameter.name, u.run) for u in part.unknowns), part.solve(np.zeros(len(part.unknowns))).z, strict=True)
+    )
+    for i, unknown in enumerate(problem.unknowns):
+        own = resting.index(unknown.run) if unknown.run in resting else None
+        if unknown.run is None or own is not None:
+            z[i] = found[unknown.parameter.name, own]
+    return z
+
+
+def _best(problem: Problem, first: Array, starts: int, seed: int) -> tuple[Solution, int]:
     rng = np.random.default_rng(seed)
     n = len(problem.unknowns)
     lower, upper = (np.array([getattr(u, side) for u in problem.unknowns]) for side in ("lower", "upper"))
-    found = [problem.solve(np.zeros(n))]
-    around = (np.clip(rng.uniform(-0.5, 0.5, n), lower, upper) for _ in range(starts - 1))
+    found = [problem.solve(first)]
+    around = (np.clip(first + rng.uniform(-0.5, 0.5, n), lower, upper) for _ in range(starts - 1))
     found.extend(problem.solve(z) for z in around)
     best = max(found, key=lambda s: s.log_likelihood)
     return best, sum(best.log_likelihood - s.log_likelihood < _SAME_LOSS for s in found)

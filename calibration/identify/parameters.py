@@ -24,8 +24,8 @@ class Setup:
 
     A tip of the model at (p, R) is measured at B (p + R tool) + base: `base_translation_m` and the rotation vector
     `base_rotation_rad` are the rod base in the frame of the measurements, `tool_offset_m` the measured point in the
-    tip frame. `actuator_turn_rad` (N,) moves each actuator about the arm's axis. A sensor reads `sensor_gain` (N,) times
-    its pressure plus `sensor_offset_pa` (N,), `sensor_lag_s` late.
+    tip frame. `actuator_turn_rad` (N,) moves each actuator about the arm's axis. Sensors read `sensor_gain` (N,) times
+    their pressure plus `sensor_offset_pa` (N,), `sensor_lag_s` late.
     """
 
     arm: model.Arm

@@ -18,7 +18,9 @@ Singles = NDArray[np.float32]
 Image = NDArray[np.uint8]
 
 WHITE, DARK = 0.92, 0.10
-_SAMPLES = 256
+_SAMPLES = 64
+# The board is drawn on a grid so much finer, because a blur of less than a pixel is no blur on the pixels' own grid.
+_FINE = 2
 _LEAST_SLOPE = 1e-4
 _NOISE_SPARE = (61, 83)
 
@@ -59,9 +61,11 @@ class Scene:
         box = self._extent((opened, middle, closed), width, height)
         if box is not None:
             x0, y0, x1, y1 = box
-            region = np.ascontiguousarray(picture[y0:y1, x0:x1])
+            size = ((x1 - x0) * _FINE, (y1 - y0) * _FINE)
+            coarse = picture[y0:y1, x0:x1]
+            fine = np.asarray(cv2.resize(coarse, size, interpolation=cv2.INTER_NEAREST), dtype=np.float32)
             _draw(
-                region,
+                fine,
                 self._light[y0:y1, x0:x1],
                 self._rays[y0 : y1 + 2, x0 : x1 + 2],
                 self._to_squares(middle),
@@ -71,8 +75,8 @@ class Scene:
                 self._board.squares_y,
             )
             if self._optics.blur_px > 0:
-                cv2.GaussianBlur(region, (0, 0), self._optics.blur_px, dst=region)
-            picture[y0:y1, x0:x1] = region
+                cv2.GaussianBlur(fine, (0, 0), self._optics.blur_px * _FINE, dst=fine)
+            picture[y0:y1, x0:x1] = cv2.resize(fine, (x1 - x0, y1 - y0), interpolation=cv2.INTER_AREA)
         dx, dy = np.random.default_rng([self._seed, index]).integers(0, _NOISE_SPARE)
         noise = self._noise[dy : dy + height, dx : dx + width]
         return np.asarray(cv2.add(picture, noise, dtype=cv2.CV_8U), dtype=np.uint8)
@@ -176,15 +180,49 @@ def _albedo(u: float, v: float, nx: int, ny: int, backdrop: float) -> float:
 
 
 @njit(cache=True, fastmath=True)
+def _cell(
+    u: float,
+    v: float,
+    by_u: tuple[float, float, float],
+    by_v: tuple[float, float, float],
+    offsets: Singles,
+    nx: int,
+    ny: int,
+    backdrop: float,
+) -> float:
+    """Mean reflectance of a cell about (u, v) whose squares change by `by_u`, `by_v` across, down and in time."""
+    ux, uy, ut = by_u
+    vx, vy, vt = by_v
+    u_line, v_line = round(u), round(v)
+    on_u = 2 * abs(u - u_line) <= abs(ux) + abs(uy) + abs(ut)
+    on_v = 2 * abs(v - v_line) <= abs(vx) + abs(vy) + abs(vt)
+    if on_u and on_v:
+        total = 0.0
+        for k in range(offsets.shape[0]):
+            dx, dy, t = offsets[k]
+            total += _albedo(u + ux * dx + uy * dy + ut * t, v + vx * dx + vy * dy + vt * t, nx, ny, backdrop)
+        return total / offsets.shape[0]
+    if on_u:
+        share = _share_beyond(u - u_line, ux, uy, ut)
+        beyond, before = _albedo(u_line + 0.5, v, nx, ny, backdrop), _albedo(u_line - 0.5, v, nx, ny, backdrop)
+        return share * beyond + (1 - share) * before
+    if on_v:
+        share = _share_beyond(v - v_line, vx, vy, vt)
+        beyond, before = _albedo(u, v_line + 0.5, nx, ny, backdrop), _albedo(u, v_line - 0.5, nx, ny, backdrop)
+        return share * beyond + (1 - share) * before
+    return _albedo(u, v, nx, ny, backdrop)
+
+
+@njit(cache=True, fastmath=True)
 def _draw(
-    region: Singles, light: Singles, rays: Floats, H: Floats, dH: Floats, offsets: Singles, nx: int, ny: int
+    fine: Singles, light: Singles, rays: Floats, H: Floats, dH: Floats, offsets: Singles, nx: int, ny: int
 ) -> None:
-    """Paint the board over `region` (h, w); `rays` (h + 2, w + 2, 2) has a rim of one pixel.
+    """Paint the board over `fine` (_FINE h, _FINE w); `rays` (h + 2, w + 2, 2) has a rim of one pixel.
 
     `H` maps a ray to squares at mid-exposure, `dH` is its change over the exposure. Within a pixel the map is taken
     as linear in position and time.
     """
-    h, w = region.shape
+    h, w = light.shape
     for i in range(h):
         for j in range(w):
             x = rays[i + 1, j + 1, 0]
@@ -192,7 +230,10 @@ def _draw(
             d = 1.0 / (H[2, 0] * x + H[2, 1] * y + H[2, 2])
             u = (H[0, 0] * x + H[0, 1] * y + H[0, 2]) * d
             v = (H[1, 0] * x + H[1, 1] * y + H[1, 2]) * d
-            # The change of the map with time, at this ray.
+            far = QUIET_SQUARES + 1
+            if u < -far or v < -far or u > nx + far or v > ny + far:
+                continue
+            # The change of the map with time, at this ray, and with the pixel.
             dd = dH[2, 0] * x + dH[2, 1] * y + dH[2, 2]
             ut = (dH[0, 0] * x + dH[0, 1] * y + dH[0, 2] - u * dd) * d
             vt = (dH[1, 0] * x + dH[1, 1] * y + dH[1, 2] - v * dd) * d
@@ -208,33 +249,19 @@ def _draw(
             uy = ua * x_below + ub * y_below
             vx = va * x_right + vb * y_right
             vy = va * x_below + vb * y_below
-            reach_u = 0.5 * (abs(ux) + abs(uy) + abs(ut))
-            reach_v = 0.5 * (abs(vx) + abs(vy) + abs(vt))
-            outside = (
-                u < -QUIET_SQUARES - reach_u
-                or v < -QUIET_SQUARES - reach_v
-                or u > nx + QUIET_SQUARES + reach_u
-                or v > ny + QUIET_SQUARES + reach_v
-            )
-            if outside:
+            backdrop = fine[i * _FINE, j * _FINE] / light[i, j]
+            near_u = 2 * abs(u - round(u)) <= abs(ux) + abs(uy) + abs(ut)
+            near_v = 2 * abs(v - round(v)) <= abs(vx) + abs(vy) + abs(vt)
+            if not (near_u or near_v):
+                grey = light[i, j] * _albedo(u, v, nx, ny, backdrop)
+                for p in range(_FINE):
+                    for q in range(_FINE):
+                        fine[i * _FINE + p, j * _FINE + q] = grey
                 continue
-            backdrop = region[i, j] / light[i, j]
-            u_line, v_line = round(u), round(v)
-            on_u, on_v = abs(u - u_line) <= reach_u, abs(v - v_line) <= reach_v
-            if on_u and on_v:
-                total = 0.0
-                for k in range(offsets.shape[0]):
-                    dx, dy, t = offsets[k]
-                    total += _albedo(u + ux * dx + uy * dy + ut * t, v + vx * dx + vy * dy + vt * t, nx, ny, backdrop)
-                albedo = total / offsets.shape[0]
-            elif on_u:
-                share = _share_beyond(u - u_line, ux, uy, ut)
-                albedo = share * _albedo(u_line + 0.5, v, nx, ny, backdrop)
-                albedo += (1 - share) * _albedo(u_line - 0.5, v, nx, ny, backdrop)
-            elif on_v:
-                share = _share_beyond(v - v_line, vx, vy, vt)
-                albedo = share * _albedo(u, v_line + 0.5, nx, ny, backdrop)
-                albedo += (1 - share) * _albedo(u, v_line - 0.5, nx, ny, backdrop)
-            else:
-                albedo = _albedo(u, v, nx, ny, backdrop)
-            region[i, j] = light[i, j] * albedo
+            by_u = (ux / _FINE, uy / _FINE, ut)
+            by_v = (vx / _FINE, vy / _FINE, vt)
+            for p in range(_FINE):
+                for q in range(_FINE):
+                    dx, dy = (q + 0.5) / _FINE - 0.5, (p + 0.5) / _FINE - 0.5
+                    value = _cell(u + ux * dx + uy * dy, v + vx * dx + vy * dy, by_u, by_v, offsets, nx, ny, backdrop)
+                    fine[i * _FINE + p, j * _FINE + q] = light[i, j] * value
