@@ -66,6 +66,7 @@ class JournalWriter:
             self._write(blocks.opening() + first + first)
         except BaseException:
             os.close(self._fd)
+            self.path.unlink(missing_ok=True)
             raise
 
     def samples(self, rows: NDArray[np.void]) -> None:

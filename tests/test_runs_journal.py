@@ -253,6 +253,21 @@ def test_a_full_disk_raises_one_error_and_keeps_what_was_recorded(tmp_path: Path
     assert content.footer is not None
 
 
+def test_a_journal_that_cannot_begin_leaves_no_file(tmp_path: Path) -> None:
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    before = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    try:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (1000, hard))
+        with pytest.raises(JournalFullError):
+            JournalWriter(tmp_path / "a.mcap", made_up.header())
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+        signal.signal(signal.SIGXFSZ, before)
+    assert list(tmp_path.iterdir()) == []
+    with pytest.raises(JournalError, match="cannot create"):
+        JournalWriter(tmp_path / "no folder" / "a.mcap", made_up.header())
+
+
 def test_a_run_stops_while_the_disk_still_has_room_for_its_archive(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
