@@ -351,3 +351,8 @@ def text(name_or_path: str | Path) -> str:
 def load(name_or_path: str | Path) -> RigConfig:
     """The rig of that name, or in that file; `BadInput` with everything that is wrong with it."""
     return document.validate(RigConfig, document.read(path_of(name_or_path)), consistency.check)
+
+
+def parse(text: str, file: str | Path) -> RigConfig:
+    """The rig that a YAML text describes; `file` is what its faults are reported of. `BadInput` as for `load`."""
+    return document.validate(RigConfig, document.parse(text, str(file)), consistency.check)

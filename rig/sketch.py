@@ -42,12 +42,11 @@ class Sketcher:
     def sketch(self, measurement: Measurement, shape: model.Shape | None) -> Sketch:
         """Sketch a frame from what was measured in it and the arm's modelled shape, None where it was not solved."""
         corners = measurement.corners_px
-        lines = np.full((self._lines, self._points, 3), np.nan) if shape is None else self._arm(shape)
         return Sketch(
             corners_px=np.empty((0, 2)) if corners is None else corners,
             tip_px=self.pixel(measurement.tip_m),
             model_px=self.pixel(np.full(3, np.nan) if shape is None else shape.tip_m),
-            lines_m=lines,
+            lines_m=self.lines(shape),
         )
 
     def pixel(self, point_m: Floats) -> Floats:
@@ -58,7 +57,10 @@ class Sketcher:
         pixel: Floats = self._lens.project(seen[None], _NOWHERE, _NOWHERE)[0]
         return pixel
 
-    def _arm(self, shape: model.Shape) -> Floats:
+    def lines(self, shape: model.Shape | None) -> Floats:
+        """The arm's axis and actuators (1 + N, points, 3) [m]; NaN for no shape."""
+        if shape is None:
+            return np.full((self._lines, self._points, 3), np.nan)
         at = np.linspace(0, len(shape.s_m) - 1, self._points).round().astype(int)
         axis, rotation = shape.p_m[at], shape.rotation[at]
         offsets = np.column_stack([shape.actuator_xy_m, np.zeros(len(shape.actuator_xy_m))])

@@ -25,7 +25,7 @@ from rig.executor.memory import RunMemory
 from rig.executor.requests import Action, Answer, Request
 
 PACKET_BYTES = 4096
-MOST_VISITORS = 8
+MOST_VISITORS = 32
 MOST_PACKETS = 32
 """Packets taken from one visitor at a time, so that a flood cannot hold the conductor up."""
 _PEER = struct.Struct("3i")
@@ -77,7 +77,7 @@ class Door:
 
     def attend(self, timeout_s: float, carry_out: CarryOut) -> None:
         """Wait for at most `timeout_s`, less when somebody wants something, and give him what he wants."""
-        ready, _, _ = select.select([self._socket, *self._visitors], [], [], timeout_s)
+        ready, _, _ = select.select([*self._visitors, self._socket], [], [], timeout_s)
         for visitor in ready:
             if visitor is self._socket:
                 self._let_in()

@@ -20,6 +20,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 COOKIE = "softrig"
 LOGIN_BYTES = 2048
+LOGIN_S = 5.0
 WRONG_TOKEN_S = 0.5
 WAITING_LOGINS = 16
 MOST_SESSIONS = 64
@@ -157,12 +158,16 @@ def _name(host: str) -> str:
 
 async def _body(receive: Receive) -> bytes:
     data = b""
-    while len(data) <= LOGIN_BYTES:
-        message = await receive()
-        data += bytes(message.get("body", b""))
-        if not message.get("more_body", False):
-            return data
-    return b""
+    try:
+        async with asyncio.timeout(LOGIN_S):
+            while len(data) <= LOGIN_BYTES:
+                message = await receive()
+                data += bytes(message.get("body", b""))
+                if not message.get("more_body", False):
+                    break
+    except TimeoutError:
+        return b""
+    return data if len(data) <= LOGIN_BYTES else b""
 
 
 async def _refuse(scope: Scope, receive: Receive, send: Send, status: int, reason: str) -> None:

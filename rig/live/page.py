@@ -18,6 +18,7 @@ def define(source: Source) -> None:
     def index(request: Request) -> None:
         session: Session = request.scope[SESSION]
         ui.add_head_html(HEAD)
+        ui.colors(primary="#0072b2", warning="#8a5a00", negative="#b3261e")
         with ui.element("main").props("id=softrig"):
             _header()
             _prompt(session)
@@ -87,9 +88,9 @@ def _panels() -> None:
             ui.echart({"series": []}).classes("chart chart-plane")
         with _panel("arm", "arm, actuators by pressure; drag to turn"):
             _part("canvas", "arm-view", label="the arm's axis and actuators in space")
-        with _panel("pressures", "pressures [bar]: measured, set-points dashed"):
+        with _panel("pressures", "pressures [bar], set-points dashed"):
             ui.echart({"series": []}).classes("chart chart-pressure")
-        with _panel("coordinates", "tip over time [mm]: measured with 95 % band, model dashed"):
+        with _panel("coordinates", "tip over time [mm], with 95 % band"):
             ui.echart({"series": []}).classes("chart chart-tip")
         with _panel("errors", "error [mm] and its running mean"):
             ui.echart({"series": []}).classes("chart chart-error")
@@ -112,7 +113,7 @@ def _actions(session: Session) -> None:
             ui.html("View only.", sanitize=False)
             return
         _button("pause", "Pause", "primary")
-        _button("skip", "Skip segment", "primary").props("outline")
+        _button("skip", "Skip segment", "primary")
         _part("span", "said").props("role=status")
         _button("stop", "Stop", "warning")
         _button("vent", "VENT", "negative")

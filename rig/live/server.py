@@ -84,10 +84,12 @@ def _source(order: Order) -> Source:
 
 
 async def _feed(source: Source, server: uvicorn.Server) -> None:
-    while not source.over:
+    parent = os.getppid()
+    while not source.over and os.getppid() == parent:
         source.update()
         await asyncio.sleep(UPDATE_S)
-    await asyncio.sleep(LINGER_S)
+    if source.over:
+        await asyncio.sleep(LINGER_S)
     server.should_exit = True
 
 

@@ -104,3 +104,4 @@ class Visit:
     def close(self) -> None:
         """Leave."""
         self._door.close()
+        os.close(self.memory.fd)

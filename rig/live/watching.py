@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -58,7 +59,7 @@ class Watching:
         plan = self.visit.plan
         camera = next(iter(plan.config.cameras.values()))
         return {
-            "title": f"{plan.trajectory.source}: {plan.config.name}",
+            "title": f"{Path(plan.trajectory.source).stem} on {plan.config.name}",
             "live": True,
             "simulated": plan.config.simulated,
             "variant": plan.variant,

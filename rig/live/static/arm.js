@@ -11,8 +11,8 @@ export class ArmView {
     this.canvas = canvas;
     this.context = canvas.getContext("2d");
     this.colour = colour;
-    this.turn = -1.1;
-    this.tilt = 0.35;
+    this.turn = -0.5;
+    this.tilt = 0.3;
     this.lines = null;
     canvas.addEventListener("pointerdown", (event) => canvas.setPointerCapture(event.pointerId));
     canvas.addEventListener("pointermove", (event) => {
@@ -50,7 +50,7 @@ export class ArmView {
     context.setTransform(ratio, 0, 0, ratio, 0, 0);
     context.clearRect(0, 0, width, height);
     const length = about.length;
-    this.scale = Math.min(height / (1.35 * length), width / (1.5 * length));
+    this.scale = Math.min(height / (1.6 * length), width / (1.3 * length));
     this.cx = width / 2;
     this.cy = 0.12 * height;
     const ink = getComputedStyle(document.body);
@@ -88,21 +88,27 @@ export class ArmView {
         segments.push([a[2] + b[2], a, b, colour, width]);
       }
     };
-    actuators.forEach((points, i) => collect(points, this.colour((this.pressures?.[i] ?? 0) / limit), 26 * this.scale));
+    actuators.forEach((points, i) => collect(points, this.colour((this.pressures?.[i] ?? 0) / limit), 20 * this.scale));
     collect(axis, ink.getPropertyValue("--ink"), 2.5);
     segments.sort((a, b) => b[0] - a[0]); // the far ones first
     const { context } = this;
     context.lineCap = "round";
+    const paper = ink.getPropertyValue("--card");
     for (const [, a, b, colour, width] of segments) {
-      context.strokeStyle = colour;
-      context.lineWidth = width;
-      context.globalAlpha = width > 5 ? 0.9 : 1;
       context.beginPath();
       context.moveTo(a[0], a[1]);
       context.lineTo(b[0], b[1]);
+      if (width > 5) {
+        context.strokeStyle = paper; // a rim, so that one tube stands out before the other
+        context.lineWidth = width + 3;
+        context.lineCap = "butt";
+        context.stroke();
+      }
+      context.strokeStyle = colour;
+      context.lineWidth = width;
+      context.lineCap = "round";
       context.stroke();
     }
-    context.globalAlpha = 1;
     context.lineCap = "butt";
     context.font = "600 16px system-ui, sans-serif";
     context.fillStyle = ink.getPropertyValue("--ink");

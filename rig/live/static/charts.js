@@ -67,7 +67,7 @@ export class Charts {
       type: "value", scale: true, axisLabel: { color: muted, fontSize: 13 }, nameTextStyle: { color: muted, fontSize: 13 },
       axisLine: { lineStyle: { color: muted } }, splitLine: { lineStyle: { color: rule } }, ...more,
     });
-    const time = (more) => axis({ min: "dataMin", max: "dataMax", axisLabel: { color: muted, fontSize: 13, formatter: (v) => Math.round(v) + " s" }, ...more });
+    const time = (more) => axis({ min: "dataMin", max: "dataMax", axisLabel: { color: muted, fontSize: 13, showMinLabel: false, showMaxLabel: false, formatter: (v) => Math.round(v) + " s" }, ...more });
     const common = { animation: false, textStyle: { color: ink }, grid: { left: 46, right: 14, top: 26, bottom: 26 } };
     const legend = (data) => ({ data, top: 0, right: 8, itemHeight: 8, textStyle: { color: ink, fontSize: 13 } });
     const line = (name, colour, more) => ({
@@ -96,9 +96,9 @@ export class Charts {
     ];
     this.tip.setOption({
       animation: false, textStyle: { color: ink }, legend: legend(["measured", "model"]),
-      grid: [{ left: 46, right: 14, top: 26, height: "32%" }, { left: 46, right: 14, bottom: 26, height: "32%" }],
+      grid: [{ left: 54, right: 14, top: 26, height: "34%" }, { left: 54, right: 14, bottom: 24, height: "34%" }],
       xAxis: [time({ gridIndex: 0, axisLabel: { show: false } }), time({ gridIndex: 1 })],
-      yAxis: [axis({ gridIndex: 0, name: "in plane", nameGap: 6, splitNumber: 3 }), axis({ gridIndex: 1, name: "z", nameGap: 6, splitNumber: 3, inverse: true })],
+      yAxis: [axis({ gridIndex: 0, name: "in plane", nameLocation: "middle", nameGap: 34, splitNumber: 3 }), axis({ gridIndex: 1, name: "z", nameLocation: "middle", nameGap: 34, splitNumber: 3, inverse: true })],
       series: [...band("r", 0), ...band("z", 1)],
     }, true);
     this.error.setOption({

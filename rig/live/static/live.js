@@ -93,10 +93,10 @@ function numbers() {
   at("left-more").textContent = { paused: "paused: the protocol stands still", waiting: "waits for the operator" }[now.state] ?? "minutes and seconds of protocol";
   const rows = [
     ["control late by", `${fixed(now.late, 0)} us`, false],
-    ["latest of the last second", `${fixed(now.lateMax, 0)} us`, now.lateMax > 2500],
+    ["worst of 1 s", `${fixed(now.lateMax, 0)} us`, now.lateMax > 2500],
     ["deadlines missed", now.missed, now.missed > 0],
     ["frames dropped", now.dropped, now.dropped > 0],
-    ["reprojection error", `${fixed(now.reprojection, 3)} px`, false],
+    ["reprojection", `${fixed(now.reprojection, 3)} px`, false],
     ...(now.age === undefined ? [] : [["picture's age", `${fixed(seen.latency.at(-1) ?? now.age, 0)} ms`, false]]),
   ];
   at("health").replaceChildren(
