@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
-# The window is kept clear of the neighbouring edges: its radius as a share of the smallest spacing, bounds in px.
+# The window is kept clear of the neighbouring edges: its radius as a share of their distance, bounds in px.
 _RADIUS_SHARE = 0.42
-_RADIUS_BOUNDS_PX = (2.5, 9.0)
+_RADIUS_BOUNDS_PX = (2.2, 9.0)
 _COARSE = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 20, 0.02)
 _PARAMETERS = 6
 _STEPS = 12
@@ -28,7 +28,7 @@ _START_BLUR_PX = 0.8
 _BLUR_BOUNDS_PX = (0.3, 6.0)
 # What the corners before say of the blur, against what this corner's pixels say: its squared share of the step.
 _BLUR_OPINION = 0.05
-# The middle of a square that no edge's blur reaches: half its width as a share of the smallest spacing.
+# The middle of a square that no edge's blur reaches: half its width as a share of the edges' distance.
 _MIDDLE_SHARE = 0.15
 # Of the grey values' variance beyond their noise: what the estimate of the noise may miss by chance, and how much of
 # the rest moves corners (most of a wrong edge profile is symmetric and does not).
@@ -66,12 +66,20 @@ def spacing(corners_px: Floats, pattern: tuple[int, int]) -> float:
     return float(min(across, down))
 
 
+def _room(corners_px: Floats, pattern: tuple[int, int]) -> float:
+    """Smallest distance [px] between neighbouring edges: less than between corners where squares look sheared."""
+    grid = corners_px.reshape(pattern[1], pattern[0], 2)
+    along, down = np.diff(grid, axis=1)[:-1], np.diff(grid, axis=0)[:, :-1]
+    area = np.abs(along[..., 0] * down[..., 1] - along[..., 1] * down[..., 0])
+    return float((area / np.maximum(np.linalg.norm(along, axis=2), np.linalg.norm(down, axis=2))).min())
+
+
 def sharpen(image: Image, seeds_px: Floats, pattern: tuple[int, int]) -> Corners | None:
     """Refine corners (n, 2), known to a few pixels, of a pattern (columns, rows) in a grey picture.
 
     None where a corner has no model: too near the border, or its surroundings are not those of a corner.
     """
-    radius = float(np.clip(_RADIUS_SHARE * spacing(seeds_px, pattern), *_RADIUS_BOUNDS_PX))
+    radius = float(np.clip(_RADIUS_SHARE * _room(seeds_px, pattern), *_RADIUS_BOUNDS_PX))
     coarse = _coarse(image, seeds_px, math.floor(radius))
     if coarse is None:
         return None
@@ -91,10 +99,15 @@ def sharpen(image: Image, seeds_px: Floats, pattern: tuple[int, int]) -> Corners
 
 
 def _pixel_noise(image: Image, corners_px: Floats, pattern: tuple[int, int]) -> float:
-    """Variance of the grey values where nothing is to be seen: between neighbours in the middle of the squares."""
+    """Variance of the grey values where nothing is to be seen: between neighbours in the middle of the squares.
+
+    Infinite, that is unknown, where the squares are too small to have a middle.
+    """
     grid = corners_px.reshape(pattern[1], pattern[0], 2)
     middles = (grid[1:, 1:] + grid[1:, :-1] + grid[:-1, 1:] + grid[:-1, :-1]).reshape(-1, 2) / 4
-    half = max(1, int(_MIDDLE_SHARE * spacing(corners_px, pattern)))
+    half = int(_MIDDLE_SHARE * _room(corners_px, pattern))
+    if half < 1:
+        return math.inf
     block = np.arange(-half, half + 1)
     x, y = np.rint(middles).astype(np.intp).T[:, :, None, None]
     grey = image[y + block[:, None], x + block].astype(np.float64)
