@@ -14,6 +14,7 @@ needs cpio cpio
 needs depmod kmod
 needs make make
 needs gcc gcc
+PATH=$PATH:/sbin:/usr/sbin ldconfig -p | grep -q 'libelf\.so\.1' || missing="$missing libelf1"
 if [ -n "$missing" ]; then
     # shellcheck disable=SC2086
     sh "$here/../packages.sh" "the hardware test" $missing
@@ -57,8 +58,9 @@ fi
 if [ ! -e "$cache/v4l2loopback.ko" ]; then
     echo "softrig: building v4l2loopback (once)"
     sources=$cache/sources
-    unpack "$sources" "linux-headers-$release" "linux-headers-${release%-*}-common" "linux-kbuild-${release%.*}" \
-        v4l2loopback-dkms
+    # shellcheck disable=SC2046
+    unpack "$sources" "linux-headers-$release" v4l2loopback-dkms \
+        $(apt-cache depends "linux-headers-$release" | sed -n 's/.*Depends: \(linux-\(headers\|kbuild\)-.*\)/\1/p')
     headers=$sources/usr/src/linux-headers-$release
     # Debian's headers name each other by where they would be installed.
     grep -rlI '/usr/src/linux-headers' "$headers/Makefile" | xargs -r sed -i "s#\(^\|[^[:alnum:]/]\)/usr/src/#\1$sources/usr/src/#g"
