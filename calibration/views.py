@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator
+from collections.abc import Generator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -30,7 +30,7 @@ class View:
     sha256: str
 
 
-def views_in(source: Path, every: int = 1) -> Iterator[View]:
+def views_in(source: Path, every: int = 1) -> Generator[View, None, None]:
     """Yield the pictures of a folder, by name, or every so many frames of a video.
 
     Raises:
@@ -49,7 +49,7 @@ def views_in(source: Path, every: int = 1) -> Iterator[View]:
         raise ViewsError(f"{source} does not exist")
 
 
-def _pictures(files: list[Path]) -> Iterator[View]:
+def _pictures(files: list[Path]) -> Generator[View, None, None]:
     for file in files:
         data = file.read_bytes()
         image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_GRAYSCALE) if data else None
@@ -58,7 +58,7 @@ def _pictures(files: list[Path]) -> Iterator[View]:
         yield View(file.name, np.asarray(image, dtype=np.uint8), hashlib.sha256(data).hexdigest())
 
 
-def _frames(video: Path, every: int) -> Iterator[View]:
+def _frames(video: Path, every: int) -> Generator[View, None, None]:
     capture = cv2.VideoCapture(str(video))
     try:
         index = 0

@@ -34,7 +34,10 @@ def open_camera(config: RigConfig, name: str, seed: int = 0) -> Camera:
             raise CameraError(f"camera {name}: {error}") from error
     if camera.driver == "opencv":
         from rig.cameras.opencv import OpenCVCamera
+        from rig.cameras.recorded import RecordedCamera, is_recording
 
+        if is_recording(camera.device):
+            return RecordedCamera(camera)
         return OpenCVCamera(camera)
     from rig.cameras.realsense import RealSenseCamera
 
