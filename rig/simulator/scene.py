@@ -210,7 +210,7 @@ def _cell(
         share = _share_beyond(v - v_line, vx, vy, vt)
         beyond, before = _albedo(u, v_line + 0.5, nx, ny, backdrop), _albedo(u, v_line - 0.5, nx, ny, backdrop)
         return share * beyond + (1 - share) * before
-    return _albedo(u, v, nx, ny, backdrop)
+    return float(_albedo(u, v, nx, ny, backdrop))
 
 
 @njit(cache=True, fastmath=True)
