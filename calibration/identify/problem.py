@@ -62,8 +62,8 @@ class Solution:
 class Problem:
     """Which runs, from where, what is free and what is known beforehand.
 
-    held: unknowns kept at a value (z) instead of being fitted. entry_weights: per run (K,), how often each entry
-    counts (bootstrap); None counts each once.
+    For the bootstrap: entry_weights, per run (K,), how often each entry counts (None: once), and prior_shift, by how
+    many standard deviations each prior's mean is moved, in the order of the unknowns that have one.
     """
 
     data: Sequence[Poses]
@@ -71,6 +71,7 @@ class Problem:
     free: Sequence[Parameter]
     priors: Mapping[str, Prior] = field(default_factory=dict)
     entry_weights: Sequence[Array] | None = None
+    prior_shift: Array | None = None
 
     def __post_init__(self) -> None:
         shared = [Unknown(p, None, p.read(self.start), p.span(p.read(self.start))) for p in self.free if not p.per_run]
@@ -228,7 +229,8 @@ class Problem:
                 row[i] = unknown.span / prior.std
                 rows.append(row)
                 gaps.append((unknown.start + unknown.span * z[i] - prior.mean) / prior.std)
-        return np.array(rows).reshape(-1, len(z)), np.array(gaps)
+        gap = np.array(gaps)
+        return np.array(rows).reshape(-1, len(z)), gap if self.prior_shift is None else gap - self.prior_shift
 
     def _count(self, run: int) -> Array:
         return np.ones(len(self.data[run])) if self.entry_weights is None else self.entry_weights[run]

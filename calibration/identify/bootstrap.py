@@ -1,0 +1,138 @@
+"""Error bars by refitting: to data drawn anew from the fitted model, or to resampled data."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calibration.identify.data import Poses
+from calibration.identify.fit import Fit
+from calibration.identify.parameters import Prior, Setup, named
+from calibration.identify.problem import Problem
+from calibration.identify.spread import Progress, spread
+
+Array = NDArray[np.float64]
+Kind = Literal["drawn", "resampled"]
+
+_BLOCK_S = 1.0
+
+
+@dataclass(frozen=True)
+class Bootstrap:
+    """Refitted values (B, n) of the identified estimates `names` (n,), each with the run it belongs to."""
+
+    names: tuple[str, ...]
+    runs: tuple[str, ...]
+    values: Array
+
+    @property
+    def std(self) -> Array:
+        """Standard deviations (n,)."""
+        out: Array = self.values.std(axis=0, ddof=1)
+        return out
+
+    def interval(self, name: str, level: float = 0.95) -> tuple[float, float]:
+        """Percentile interval of a parameter."""
+        column = self.values[:, self.names.index(name)]
+        low, high = np.quantile(column, [(1 - level) / 2, (1 + level) / 2])
+        return float(low), float(high)
+
+
+@dataclass(frozen=True)
+class Refit:
+    """One task: the fit's question, its answer, and the seed of the new data."""
+
+    data: tuple[Poses, ...]
+    start: Setup
+    free: tuple[str, ...]
+    priors: tuple[tuple[str, Prior], ...]
+    z: tuple[float, ...]
+    held: tuple[int, ...]
+    kind: Kind
+    predicted: tuple[Array, ...]
+    covariance: tuple[Array, ...]
+    seed: int
+
+
+def bootstrap(
+    fit: Fit,
+    samples: int = 200,
+    kind: Kind = "drawn",
+    seed: int = 0,
+    workers: int | None = None,
+    scheduler: str | None = None,
+    store: Path | None = None,
+    progress: Progress | None = None,
+) -> Bootstrap:
+    """Refit `samples` times.
+
+    'drawn' takes the fitted model and the stated covariances at their word; 'resampled' draws plateaus, and seconds of
+    motion, with replacement, and so needs a dozen of them at least. The rest is as in `spread`.
+    """
+    chosen = [i for i, e in enumerate(fit.estimates) if e.identified]
+    held = tuple(i for i in range(len(fit.estimates)) if fit.covariance[i, i] == 0)
+    problem = fit.problem
+    whiteners = [w.whitener for w in fit.solution.weights]
+    task = Refit(
+        data=tuple(problem.data),
+        start=problem.start,
+        free=tuple(p.name for p in problem.free),
+        priors=tuple(problem.priors.items()),
+        z=tuple(fit.solution.z.tolist()),
+        held=held,
+        kind=kind,
+        predicted=tuple(run.predicted_m for run in fit.runs),
+        covariance=tuple(np.linalg.pinv(np.swapaxes(w, 1, 2) @ w) for w in whiteners),
+        seed=0,
+    )
+    tasks = [replace(task, seed=seed * 1_000_003 + k) for k in range(samples)]
+    found = np.array(spread(refit, tasks, workers, scheduler, store, progress))
+    return Bootstrap(
+        tuple(fit.estimates[i].name for i in chosen), tuple(fit.estimates[i].run for i in chosen), found[:, chosen]
+    )
+
+
+def refit(task: Refit) -> Array:
+    """Values (n,) of every unknown, fitted to new data."""
+    rng = np.random.default_rng(task.seed)
+    actuators = task.data[0].actuators
+    priors: Mapping[str, Prior] = dict(task.priors)
+    data, counts = list(task.data), None
+    if task.kind == "drawn":
+        data = [
+            replace(poses, tip_m=np.where(poses.seen[:, None], tips + _noise(rng, covariance), np.nan))
+            for poses, tips, covariance in zip(task.data, task.predicted, task.covariance, strict=True)
+        ]
+    else:
+        counts = [_counts(rng, poses) for poses in data]
+    problem = Problem(data, task.start, named(task.free, actuators), priors, counts)
+    known = [i for i, u in enumerate(problem.unknowns) if u.parameter.name in priors]
+    if task.kind == "drawn":
+        # What was known beforehand was drawn once, too: around the values that are now the truth.
+        z = np.array(task.z)
+        start = np.array([problem.unknowns[i].start + problem.unknowns[i].span * z[i] for i in known])
+        mean, std = np.array([[priors[problem.unknowns[i].parameter.name].mean for i in known],
+                              [priors[problem.unknowns[i].parameter.name].std for i in known]])  # fmt: skip
+        problem.prior_shift = (start - mean) / std + rng.standard_normal(len(known))
+    solution = problem.solve(np.array(task.z), task.held, rounds=1, evaluations=8)
+    return np.array([u.start + u.span * value for u, value in zip(problem.unknowns, solution.z, strict=True)])
+
+
+def _noise(rng: np.random.Generator, covariance: Array) -> Array:
+    values, vectors = np.linalg.eigh(covariance)
+    unit = rng.standard_normal((len(covariance), 3))
+    out: Array = np.einsum("kij,kj->ki", vectors, np.sqrt(np.maximum(values, 0.0)) * unit)
+    return out
+
+
+def _counts(rng: np.random.Generator, poses: Poses) -> Array:
+    length = max(1, round(_BLOCK_S / poses.period_s)) if poses.moving else 1
+    blocks = -(-len(poses) // length)
+    drawn = rng.multinomial(blocks, np.full(blocks, 1 / blocks)).astype(np.float64)
+    out: Array = np.repeat(drawn, length)[: len(poses)]
+    return out
