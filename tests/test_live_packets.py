@@ -25,7 +25,7 @@ def test_a_trace_stays_bounded_ascends_and_reaches_from_the_first_row_to_near_th
     assert np.array_equal(kept[:, 1], 10.0 * kept[:, 0])
     if rows:
         assert kept[0, 0] == 0
-        assert kept[-1, 0] >= rows - 1 - 4 * rows / capacity
+        assert kept[-1, 0] >= rows - 1 - 4 * rows / (capacity - 1)
 
 
 def test_a_trace_gives_only_what_is_later() -> None:
