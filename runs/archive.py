@@ -5,7 +5,6 @@ Written under a temporary name, read back and compared with what was meant, then
 
 from __future__ import annotations
 
-import errno
 import fcntl
 import os
 from collections.abc import Iterator
@@ -18,11 +17,13 @@ import h5py
 import numpy as np
 
 from runs import digest, journal, layout
+from runs.journal import ARCHIVE_TO_JOURNAL, NO_ROOM
 from runs.layout import Field, Group, Pictures
 
 SUFFIX = ".h5"
 PART = ".h5.part"
 """End of the name while the archive is being written."""
+_MARGIN_BYTES = 4 << 20
 _CHUNK_ROWS = 16384
 _SMALLEST_COMPRESSED = 512
 
@@ -44,14 +45,16 @@ def finalise(journal_path: Path | str, archive_path: Path | str | None = None) -
     source = Path(journal_path)
     target = source.with_suffix(SUFFIX) if archive_path is None else Path(archive_path)
     with held(source):
-        write(journal.read(source), target)
+        content = journal.read(source)
+        write(content, target, _MARGIN_BYTES + int(ARCHIVE_TO_JOURNAL * source.stat().st_size))
     return target
 
 
-def write(content: journal.Journal, target: Path) -> None:
-    """Write an archive under a temporary name, check it, and give it its name."""
+def write(content: journal.Journal, target: Path, most_bytes: int) -> None:
+    """Write an archive of at most this size under a temporary name, check it, and give it its name."""
     part = target.with_name(target.name.removesuffix(SUFFIX) + PART)
     try:
+        _find_room(part, most_bytes)
         meant = _write(part, target.name, layout.groups(content))
         with h5py.File(part, "r") as file:
             if digest.of_file(file) != meant:
@@ -59,12 +62,13 @@ def write(content: journal.Journal, target: Path) -> None:
         _sync(part)
         part.replace(target)
         _sync(target.parent)
-    except OSError as fault:
+    except (OSError, RuntimeError, ValueError) as fault:
+        # HDF5 tells of its troubles as any of these, some only when the file is closed.
         with suppress(OSError):
             part.unlink(missing_ok=True)
-        reason = os.strerror(fault.errno) if fault.errno else str(fault)
-        if fault.errno == errno.ENOSPC or "No space left" in str(fault):
-            reason = "the disk is full"
+        number = fault.errno if isinstance(fault, OSError) else None
+        full = number in NO_ROOM or any(os.strerror(code) in str(fault) for code in NO_ROOM)
+        reason = "the disk is full" if full else str(fault)
         raise ArchiveError(f"cannot write {target}: {reason}; the journal holds everything") from fault
 
 
@@ -76,10 +80,11 @@ def held(source: Path) -> Iterator[None]:
     except OSError as fault:
         raise journal.JournalError(f"cannot read {source}: {fault.strerror}") from fault
     try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as fault:
+            raise StillWrittenError(f"{source} is being written by another process") from fault
         yield
-    except BlockingIOError as fault:
-        raise StillWrittenError(f"{source} is being written by another process") from fault
     finally:
         os.close(handle)
 
@@ -93,9 +98,18 @@ def verify(path: Path | str) -> bool:
         raise ArchiveError(f"{path} is not an archive that can be read: {fault}") from fault
 
 
+def _find_room(part: Path, size: int) -> None:
+    """Raise `OSError` where a file has no room: a process whose HDF5 meets a full disk may crash when it ends."""
+    handle = os.open(part, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC, 0o644)
+    try:
+        os.posix_fallocate(handle, 0, size)
+    finally:
+        os.close(handle)
+
+
 def _write(part: Path, name: str, groups: tuple[Group, ...]) -> str:
     """Write every group and return the digest of what was meant."""
-    contents: dict[str, tuple[str, tuple[int, ...], digest.Content]] = {}
+    contents: dict[str, digest.Content] = {}
     with h5py.File(part, "w") as file:
         for group in groups:
             node = file.require_group(group.path)
@@ -126,16 +140,12 @@ def _write(part: Path, name: str, groups: tuple[Group, ...]) -> str:
     return sha256
 
 
-def _put(node: h5py.Group, item: Field) -> tuple[str, tuple[int, ...], digest.Content]:
+def _put(node: h5py.Group, item: Field) -> digest.Content:
     """Write one field and return what was meant by it."""
-    attributes: dict[str, Any] = {
-        "units": item.units,
-        "description": item.about,
-        "source": item.source,
-    }
+    attributes: dict[str, Any] = {"units": item.units, "description": item.about, "source": item.source}
     if item.uncertainty is not None:
         attributes["uncertainty"] = item.uncertainty
-    meant: tuple[str, tuple[int, ...], digest.Content]
+    meant: digest.Content
     if isinstance(item.value, str | list):
         words = [item.value] if isinstance(item.value, str) else item.value
         # HDF5 ends a text at its first NUL.
@@ -154,7 +164,7 @@ def _put(node: h5py.Group, item: Field) -> tuple[str, tuple[int, ...], digest.Co
     return meant
 
 
-def _put_pictures(node: h5py.Group, item: Pictures) -> tuple[str, tuple[int, ...], digest.Content]:
+def _put_pictures(node: h5py.Group, item: Pictures) -> digest.Content:
     dataset = node.create_dataset(item.name, (len(item.data),), h5py.vlen_dtype(np.uint8))
     for index, data in enumerate(item.data):
         dataset[index] = np.frombuffer(data, np.uint8)

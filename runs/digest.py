@@ -14,11 +14,13 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-Content = NDArray[np.generic] | Iterable[bytes | memoryview]
+Values = NDArray[np.generic] | Iterable[bytes | memoryview]
+Content = tuple[str, tuple[int, ...], Values]
+"""Kind, shape and values of a dataset."""
 
 
-def of(contents: Mapping[str, tuple[str, tuple[int, ...], Content]]) -> str:
-    """Return the digest of {path: (kind, shape, values)}."""
+def of(contents: Mapping[str, Content]) -> str:
+    """Return the digest of {path: content}."""
     digest = hashlib.sha256()
     for path in sorted(contents):
         kind, shape, values = contents[path]
@@ -32,20 +34,20 @@ def of(contents: Mapping[str, tuple[str, tuple[int, ...], Content]]) -> str:
     return digest.hexdigest()
 
 
-def numbers(values: NDArray[np.generic]) -> tuple[str, tuple[int, ...], Content]:
+def numbers(values: NDArray[np.generic]) -> Content:
     """Return an array as `of` takes it."""
     little = values.astype(values.dtype.newbyteorder("<"), copy=False)
     return little.dtype.str[1:], values.shape, little
 
 
-def texts(values: Iterable[str], shape: tuple[int, ...]) -> tuple[str, tuple[int, ...], Content]:
+def texts(values: Iterable[str], shape: tuple[int, ...]) -> Content:
     """Return texts as `of` takes them."""
     return "str", shape, [value.encode() for value in values]
 
 
 def of_file(file: h5py.File) -> str:
     """Return the digest of what an open archive holds."""
-    contents: dict[str, tuple[str, tuple[int, ...], Content]] = {}
+    contents: dict[str, Content] = {}
 
     def visit(path: str, node: Any) -> None:
         if isinstance(node, h5py.Dataset):
@@ -55,7 +57,7 @@ def of_file(file: h5py.File) -> str:
     return of(contents)
 
 
-def _read(node: h5py.Dataset) -> tuple[str, tuple[int, ...], Content]:
+def _read(node: h5py.Dataset) -> Content:
     if h5py.check_string_dtype(node.dtype) is not None:
         values = node.asstr()[()]
         return texts([values] if node.shape == () else list(values), node.shape)

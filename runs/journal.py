@@ -30,8 +30,11 @@ SUFFIX = ".mcap"
 SYNC_S = 1.0
 RESERVE_BYTES = 32 << 20
 """Free space that is left on the disk beyond what the archive will need."""
+ARCHIVE_TO_JOURNAL = 1.2
+"""An archive is about as large as its journal: its rows are compressed, its pictures are not."""
 
-_NO_ROOM = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
+NO_ROOM = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
+"""What the kernel says when a disk, a quota or a limit is full."""
 
 
 class JournalError(Exception):
@@ -126,7 +129,7 @@ class JournalWriter:
                 rest = rest[os.write(self._fd, rest) :]
         except OSError as fault:
             os.ftruncate(self._fd, self._size)
-            if fault.errno in _NO_ROOM:
+            if fault.errno in NO_ROOM:
                 self._full = f"the disk with {self.path} is full ({fault.strerror}); what was recorded is intact"
                 raise JournalFullError(self._full) from fault
             raise JournalError(f"cannot write {self.path}: {fault.strerror}") from fault
@@ -142,8 +145,8 @@ class JournalWriter:
         self.longest_sync_s = max(self.longest_sync_s, self._synced_at - before)
 
     def _check_room(self, disk: os.statvfs_result) -> None:
-        """Stop while there is still room for the archive, which is about as large as the journal."""
-        free, needed = disk.f_bavail * disk.f_frsize, RESERVE_BYTES + self._size
+        """Stop while there is still room for the archive."""
+        free, needed = disk.f_bavail * disk.f_frsize, RESERVE_BYTES + ARCHIVE_TO_JOURNAL * self._size
         if free < needed:
             self._full = (
                 f"the disk with {self.path} is nearly full: {free / 1e6:.0f} MB free, {needed / 1e6:.0f} MB needed "
