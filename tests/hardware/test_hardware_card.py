@@ -15,6 +15,7 @@ from kernel_card import BOARD, CARD, COUNT_V, OpenCard, bipolar
 
 from rig.daq.base import CardError, CardSetup, Channel, Scans
 from rig.daq.comedi import ComediCard
+from rig.daq.survey import Lines, survey
 
 
 def gather(card: ComediCard, seconds: float) -> Scans:
@@ -227,6 +228,16 @@ def test_a_card_is_found_by_its_boards_name(open_card: OpenCard) -> None:
 def test_a_wrong_card_channel_or_range_is_named_beside_what_there_is(setup: CardSetup, message: str) -> None:
     with pytest.raises(CardError, match=message):
         ComediCard(setup)
+
+
+def test_a_survey_tells_what_the_card_can_do() -> None:
+    (found,) = survey()
+    assert (found.path, found.board, found.driver, found.trouble) == (CARD, BOARD, BOARD, "")
+    assert found.inputs == Lines(8, 16, ((-10.0, 10.0), (-5.0, 5.0)), 1e6)
+    assert found.outputs == Lines(8, 16, ((-10.0, 10.0), (-5.0, 5.0)), None)
+    assert str(found.inputs) == (
+        "8 of 16 bit (-10 to 10 V, -5 to 5 V), by its own clock up to 1e+06 Hz for one channel"
+    )
 
 
 def test_the_card_held_by_one_user_only_says_how_to_join_the_group() -> None:

@@ -1,0 +1,71 @@
+"""What Comedi cards this machine has, and what each can do. Looks only: nothing is sampled or written."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from rig.daq.base import CardError
+from rig.daq.comedi_device import Device, Subdevice, device_paths
+from rig.daq.comedi_timing import timings
+
+
+@dataclass(frozen=True)
+class Lines:
+    """The analogue inputs or outputs of a card.
+
+    `fastest_hz` is the card's own sampling of one channel, None where it samples by instruction only.
+    """
+
+    channels: int
+    bits: int
+    ranges_v: tuple[tuple[float, float], ...]
+    fastest_hz: float | None
+
+    def __str__(self) -> str:
+        """One line for people."""
+        ranges = ", ".join(f"{low:g} to {high:g} V" for low, high in self.ranges_v)
+        rate = "" if self.fastest_hz is None else f", by its own clock up to {self.fastest_hz:.4g} Hz for one channel"
+        return f"{self.channels} of {self.bits} bit ({ranges}){rate}"
+
+
+@dataclass(frozen=True)
+class Found:
+    """One device node: the card behind it, or `trouble`, which says why it cannot be opened and what to do."""
+
+    path: str
+    board: str = ""
+    driver: str = ""
+    inputs: Lines | None = None
+    outputs: Lines | None = None
+    trouble: str = ""
+
+
+def survey() -> tuple[Found, ...]:
+    """Look at every Comedi device; one that cannot be opened is in the list with its trouble."""
+    return tuple(_look(path) for path in device_paths())
+
+
+def _look(path: str) -> Found:
+    try:
+        device = Device(path)
+    except CardError as error:
+        return Found(path, trouble=str(error))
+    try:
+        return Found(path, device.board, device.driver, _lines(device.inputs), _lines(device.outputs))
+    except CardError as error:
+        return Found(path, device.board, device.driver, trouble=str(error))
+    finally:
+        device.close()
+
+
+def _lines(subdevice: Subdevice | None) -> Lines | None:
+    if subdevice is None:
+        return None
+    first = subdevice.line(0, 0)
+    fastest = None
+    if subdevice.can_command:
+        # The driver lengthens a period that is too short to its shortest.
+        offers = [subdevice.prepare([first], timing) for timing in timings(*subdevice.triggers(), 1, 1)]
+        periods = [offer.period_ns(1) for offer in offers if offer is not None]
+        fastest = 1e9 / min(periods) if periods else None
+    return Lines(subdevice.channels, first.max_raw.bit_length(), subdevice.ranges(0), fastest)
