@@ -102,10 +102,11 @@ def refit(task: Refit) -> Array:
     rng = np.random.default_rng(task.seed)
     actuators = task.data[0].actuators
     priors: Mapping[str, Prior] = dict(task.priors)
-    data, counts = list(task.data), None
+    data = list(task.data)
+    counts: list[Array] | None = None
     if task.kind == "drawn":
         data = [
-            replace(poses, tip_m=np.where(poses.seen[:, None], tips + _noise(rng, covariance), np.nan))
+            replace(poses, tip_m=_drawn(rng, tips, covariance, poses))
             for poses, tips, covariance in zip(task.data, task.predicted, task.covariance, strict=True)
         ]
     else:
@@ -123,10 +124,12 @@ def refit(task: Refit) -> Array:
     return np.array([u.start + u.span * value for u, value in zip(problem.unknowns, solution.z, strict=True)])
 
 
-def _noise(rng: np.random.Generator, covariance: Array) -> Array:
+def _drawn(rng: np.random.Generator, tips: Array, covariance: Array, poses: Poses) -> Array:
+    """Tips (K, 3) with errors of the stated size, NaN where none was measured."""
     values, vectors = np.linalg.eigh(covariance)
     unit = rng.standard_normal((len(covariance), 3))
-    out: Array = np.einsum("kij,kj->ki", vectors, np.sqrt(np.maximum(values, 0.0)) * unit)
+    out: Array = tips + np.einsum("kij,kj->ki", vectors, np.sqrt(np.maximum(values, 0.0)) * unit)
+    out[~poses.seen] = np.nan
     return out
 
 

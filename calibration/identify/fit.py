@@ -81,6 +81,17 @@ class RunFit:
         error: Array = np.linalg.norm(self.residual_m, axis=1)
         return error[np.isfinite(error)]
 
+    @property
+    def rms_m(self) -> float:
+        """Root mean square distance from measured to predicted."""
+        return float(np.sqrt((self.error_m**2).mean()))
+
+    @property
+    def rms_before_m(self) -> float:
+        """The same of the starting setup."""
+        error2 = ((self.residual_m + self.predicted_m - self.before_m) ** 2).sum(axis=1)
+        return float(np.sqrt(np.nanmean(error2)))
+
 
 @dataclass(frozen=True)
 class Fit:

@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 
 GRAVITY_M_S2 = 9.81
 # Eq 32 was fitted to weights of 100 to 1200 g, and E is printed beside it.
-PUBLISHED_WEIGHTS_KG: Array = np.arange(1, 13) * 0.1
+PUBLISHED_WEIGHTS_KG: Array = np.linspace(0.1, 1.2, 12)
 PUBLISHED_MODULUS_PA = 289142.05
 _UNPRESSURISED_PA = 2e3
 _TUBE_NAMES = ("shear_modulus_pa", "interface_radius_m", "fibre_modulus_pa", "fibre_angle_deg", "rubber_fraction")
@@ -91,8 +91,8 @@ class PublishedModulus:
     """What the printed eq 32 says of the printed E.
 
     through_origin_pa, with_constant_pa: straight lines through eq 32 at the paper's weights, without and with a
-    constant term. constant: the strain at no load, lost when eq 32 was printed with a plain 1, that would make the first line
-    give the printed E; as_length_m is that strain on the paper's arm.
+    constant term. constant: the strain at no load that would make the first line give the printed E; it is lost when
+    eq 32 is printed with a plain 1. as_length_m is that strain on the paper's arm.
     """
 
     through_origin_pa: float
