@@ -11,7 +11,7 @@ import os
 import shutil
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -51,11 +51,18 @@ def cache_folder() -> Path:
     raise OSError("no folder to keep compiled kernels in: set SOFTRIG_CACHE to one that can be written to")
 
 
-def kernel(function: Callable[..., Any]) -> Any:
-    """Compile a function when it is first called, or take it from the cache on disk."""
+def kernel(function: Callable[..., Any], sources: Sequence[str] = ()) -> Any:
+    """Compile a function when it is first called, or take it from the cache on disk.
+
+    `sources` are the files outside this room that a kernel is made of.
+    """
+    folder = cache_folder()
+    if sources:
+        digest = hashlib.sha256(b"".join(Path(source).read_bytes() for source in sources))
+        folder /= digest.hexdigest()[:16]
     config: Any = numba.config
     before = config.CACHE_DIR
-    config.CACHE_DIR = str(cache_folder())
+    config.CACHE_DIR = str(folder)
     try:
         return numba.njit(cache=True, fastmath=_FAST, error_model="numpy", nogil=True)(function)
     finally:

@@ -6,19 +6,16 @@ are in docs/simulator.md. The grid is part of the truth: the same steps are take
 
 from __future__ import annotations
 
-import hashlib
 import math
-from collections.abc import Callable
-from pathlib import Path
-from typing import Any, NamedTuple
+from functools import partial
+from typing import NamedTuple
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
 import rig.valve
-from model.compiled import cache_folder
+from model.compiled import kernel
 from rig.config import PA_PER_BAR, FlowValve, RigConfig, SimulatedValve, Simulator, Valve
 from rig.valve import ANR_K, ANR_PA, ATMOSPHERE_PA, fill_sign, opening_curve, sonic_conductance
 
@@ -30,19 +27,7 @@ Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
 
-def compiled(function: Callable[..., Any]) -> Any:
-    """Compile with a cache on disk that knows both files the kernel is made of; numba's own looks at one."""
-    digest = hashlib.sha256()
-    for source in (__file__, rig.valve.__file__):
-        digest.update(Path(source).read_bytes())
-    folder = cache_folder() / f"plant-{digest.hexdigest()[:16]}"
-    config: Any = numba.config
-    before = config.CACHE_DIR
-    config.CACHE_DIR = str(folder)
-    try:
-        return numba.njit(cache=True, error_model="numpy", nogil=True)(function)
-    finally:
-        config.CACHE_DIR = before
+compiled = partial(kernel, sources=(__file__, rig.valve.__file__))
 
 
 class Valves(NamedTuple):
