@@ -1,4 +1,4 @@
-"""Kernels for what comes after the solution: the arm's axis, and whole motions in one call."""
+"""Kernels on top of the solver: the arm's axis, whole motions, many arms, and lanes for gradients."""
 
 from __future__ import annotations
 
@@ -7,7 +7,10 @@ from typing import Any
 import numpy as np
 
 from model.compiled import kernel
-from model.march import advance
+from model.layout import HISTORY, LANES, NODE, SLOPE, STAGE, STATE
+from model.march import advance, equilibrium
+from model.rod import integrate, slopes
+from model.shooting import tip_residual
 
 Array = Any
 
@@ -88,7 +91,7 @@ def motion(
     turns: Array,
     good: Array,
 ) -> int:
-    """Advance through the rows of pressure (T, N); fills tips (T, 3), turns (T, 3, 3), good (T,). Returns the passes."""
+    """Advance through the rows of pressure (T, N); fills tips (T, 3), turns (T, 3, 3), good (T,). Returns passes."""
     n = x.shape[0]
     p, rotation, v, u = np.empty((n, 3)), np.empty((n, 3, 3)), np.empty((n, 3)), np.empty((n, 3))
     total = 0
@@ -99,9 +102,94 @@ def motion(
         )  # fmt: skip
         good[t] = passes > 0
         if passes > 0:
-            before[:] = pressure[t]
             total += passes
         axis(x, slope, length, centre, p, rotation, v, u)
         tips[t] = p[n - 1]
         turns[t] = rotation[n - 1]
     return total
+
+
+@kernel
+def lanes(
+    w: Array,
+    law: int,
+    actuators: int,
+    load: Array,
+    loaded: bool,
+    tip: Array,
+    length: float,
+    scale: Array,
+    centre: Array,
+    base: Array,
+    n: int,
+    step: float,
+    residual: Array,
+    place: Array,
+) -> None:
+    """One static pass from a base state (16,): residual (8, 6) and tip (8, 3) of every lane.
+
+    Lanes 1 to 6 start with one base strain each moved by step, in units of scale; 0 moves none.
+    """
+    history = np.zeros((2 * n + 1, HISTORY))
+    states, derivatives = np.empty((n + 1, STATE * LANES)), np.empty((n + 1, STATE * LANES))
+    for c in range(STATE):
+        for i in range(LANES):
+            moved = step * scale[c] if c < 6 and i == c + 1 else 0.0
+            w[(NODE + c) * LANES + i] = base[c] + moved
+    integrate(w, law, actuators, history, load, loaded, 0, n, length / n, states, derivatives)
+    for i in range(STATE * LANES):
+        states[n, i] = w[NODE * LANES + i]
+        w[STAGE * LANES + i] = w[NODE * LANES + i]
+    slopes(w, law, actuators, history, load, loaded, 2 * n)
+    for i in range(STATE * LANES):
+        derivatives[n, i] = w[SLOPE * LANES + i]
+    tip_residual(w, law, actuators, history, 2 * n, tip, 0.0, residual)
+    x, slope = np.empty((n + 1, STATE)), np.empty((n + 1, STATE))
+    p, rotation, v, u = np.empty((n + 1, 3)), np.empty((n + 1, 3, 3)), np.empty((n + 1, 3)), np.empty((n + 1, 3))
+    for i in range(LANES):
+        for j in range(n + 1):
+            for c in range(STATE):
+                x[j, c] = states[j, c * LANES + i]
+                slope[j, c] = derivatives[j, c * LANES + i]
+        axis(x, slope, length, centre, p, rotation, v, u)
+        place[i] = p[n]
+
+
+@kernel
+def equilibria(
+    works: Array,
+    law: int,
+    actuators: int,
+    rests: Array,
+    per_pressures: Array,
+    free: Array,
+    pressure: Array,
+    load: Array,
+    loaded: bool,
+    tips: Array,
+    length: Array,
+    scale: Array,
+    centre: Array,
+    tolerance: float,
+    n: int,
+    place: Array,
+    turned: Array,
+    good: Array,
+) -> None:
+    """One equilibrium per row of pressure (B, N), each with its own parameters; fills place, turned and good."""
+    x, slope = np.empty((n + 1, STATE)), np.empty((n + 1, STATE))
+    p, rotation, v, u = np.empty((n + 1, 3)), np.empty((n + 1, 3, 3)), np.empty((n + 1, 3)), np.empty((n + 1, 3))
+    for b in range(pressure.shape[0]):
+        k = b % works.shape[0]
+        passes = equilibrium(
+            works[k], law, actuators, rests[k], per_pressures[k], free[k], pressure[b], load[k], loaded, tips[k],
+            length[k], scale[k], x, slope, tolerance,
+        )  # fmt: skip
+        good[b] = passes > 0
+        if passes > 0:
+            axis(x, slope, length[k], centre[k], p, rotation, v, u)
+            place[b] = p[n]
+            turned[b] = rotation[n]
+        else:
+            place[b] = np.nan
+            turned[b] = np.nan

@@ -65,7 +65,7 @@ class Dynamics:
         sample_history(self._x, self._slope, resting.length_m / n, self._levels[0])
         self._levels[1:3] = self._levels[0]
         self._trail = np.stack([self._x] * 3)
-        self._before = pressure
+        self._before = np.stack([pressure] * 3)
         self._set_loads(loads)
         self._shape = shape(self._arm, self._problem, self._x, self._slope, ok=True)
         return self._shape
@@ -91,7 +91,6 @@ class Dynamics:
         )  # fmt: skip
         if passes < 0:
             return replace(self._shape, ok=False)
-        self._before = pressure
         self._shape = shape(self._arm, problem, self._x, self._slope, ok=True)
         return self._shape
 
@@ -145,7 +144,7 @@ class Dynamics:
 
 def _segments(nodes: int, growth: float) -> int:
     """The smallest divisor of `nodes` that keeps the growth within one segment harmless."""
-    if growth < 4:
+    if growth < 2.5:
         return 1
     wanted = min(nodes, max(1, math.ceil(growth / 2)))
     return next(d for d in range(wanted, nodes + 1) if nodes % d == 0)

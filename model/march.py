@@ -195,8 +195,9 @@ def advance(
     """One time step. Returns the number of passes, or -1, in which case nothing but the work array has changed.
 
     scheme: c0, c1, c2, c3, d1. levels (4, 2 N + 1, 18): the last three samples, and the time derivative of the last.
-    trail (3, N + 1, 16): the last three solutions, for the guess. Where simple shooting from the extrapolated guess
-    fails: more segments, then the pressures led from the last ones to the new ones in parts.
+    trail (3, N + 1, 16) and before (3, N): the last three solutions and their pressures, for the guess: extrapolated
+    where extrapolation foretells the pressures better than the last ones do. Where that fails: more segments, then the
+    pressures led from the last ones to the new ones in parts.
     """
     n = x.shape[0] - 1
     h = length / n
@@ -213,9 +214,16 @@ def advance(
     states, derivatives = np.empty((n + 1, STATE * LANES)), np.empty((n + 1, STATE * LANES))
     y, z = np.empty_like(x), np.empty_like(slope)
     set_pressures(w, actuators, rest, per_pressure, free, pressure)
-    for j in range(n + 1):
-        for c in range(STATE):
-            y[j, c] = 3.0 * (trail[0, j, c] - trail[1, j, c]) + trail[2, j, c]
+    ahead, off = 0.0, 0.0
+    for k in range(actuators):
+        off += abs(pressure[k] - before[0, k])
+        ahead += abs(pressure[k] - 3.0 * (before[0, k] - before[1, k]) - before[2, k])
+    if ahead <= off:
+        for j in range(n + 1):
+            for c in range(STATE):
+                y[j, c] = 3.0 * (trail[0, j, c] - trail[1, j, c]) + trail[2, j, c]
+    else:
+        y[:] = trail[0]
     passes = newton(
         w, law, actuators, history, load, loaded, tip, c0, length, segments, scale, y, z, states, derivatives,
         tolerance, 8,
@@ -232,7 +240,7 @@ def advance(
             some = np.empty_like(pressure)
             parts = 8
             for part in range(1, parts + 1):
-                some[:] = before + (pressure - before) * (part / parts)
+                some[:] = before[0] + (pressure - before[0]) * (part / parts)
                 set_pressures(w, actuators, rest, per_pressure, free, some)
                 passes = newton(
                     w, law, actuators, history, load, loaded, tip, c0, length, finer, scale, y, z, states, derivatives,
@@ -250,6 +258,9 @@ def advance(
             trail[0, j, c] = y[j, c]
             x[j, c] = y[j, c]
             slope[j, c] = z[j, c]
+    before[2] = before[1]
+    before[1] = before[0]
+    before[0] = pressure
     for j in range(2 * n + 1):
         for c in range(HISTORY):
             levels[2, j, c] = levels[1, j, c]

@@ -125,7 +125,8 @@ class PaperRod:
         known = NeutralSection.of(self._arm, pressure, self._as_printed)
         # The base carries about what the pressure pushes and the cap weighs.
         guess = np.zeros(6)
-        guess[2] = known.push_n.sum()
+        # MINPACK's first step is in proportion to the guess: never start from nothing.
+        guess[2] = known.push_n.sum() + 1.0
         guess[3:] = np.cross(known.arms_m, np.outer(known.push_n, [0.0, 0.0, 1.0])).sum(axis=0)
         history = np.zeros((self._steps + 1, SAMPLE))
         if not self._solve(known, guess, history, 0.0, loads):

@@ -65,7 +65,7 @@ class Problem:
             free_per_pa=arm.rpe_per_bar / PA_PER_BAR,
             centre_m=centre,
             length_m=geometry.length_m,
-            scale=_scale(geometry.length_m),
+            scale=_scale(geometry.length_m, c0),
         )
 
     def tip(self, arm: Arm, loads: Loads | None) -> Array:
@@ -103,9 +103,11 @@ def pressures(arm: Arm, pressure_pa: ArrayLike) -> Array:
     return pressure
 
 
-def _scale(length_m: float) -> Array:
+def _scale(length_m: float, c0: float) -> Array:
+    """What counts as a change of order one in (v, u, q, w, h); a velocity counts by how far it carries in a step."""
     one, bent = np.ones(3), np.full(3, 1 / length_m)
-    return np.concatenate([one, bent, one, bent, np.ones(4)])
+    carried = max(1.0, 0.25 * c0 * length_m)
+    return np.concatenate([one, bent, carried * one, carried * bent, np.ones(4)])
 
 
 def _work(arm: Arm, xy: Array, whole: Section, c0: float) -> Array:

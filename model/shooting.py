@@ -21,7 +21,7 @@ from model.rod import integrate, slopes, stage_wrench
 Array = Any
 
 STEP = 1e-6  # of the one-sided differences, in scaled states
-LONGEST = 0.7  # of a Newton update, in scaled states
+LONGEST = 1.5  # of a Newton update, in scaled strains and orientations
 
 
 @kernel
@@ -166,7 +166,7 @@ def newton(
                     for c in range(k + 1, 6):
                         total -= triangle[s, k, c] * right[c]
                     right[k] = total / triangle[s, k, k]
-        largest = 0.0
+        largest, bent = 0.0, 0.0
         for s in range(segments):
             for j in range(s * per, (s + 1) * per + (1 if s == last else 0)):
                 for c in range(STATE):
@@ -181,10 +181,13 @@ def newton(
                         largest = size
                         if not size < np.inf:
                             return -1
+                    if size > bent and (c < 6 or c >= 12):
+                        bent = size
         if largest > 4.0 * previous and largest > 1.0:
             return -1
         previous = largest
-        damping = 1.0 if largest <= LONGEST else LONGEST / largest
+        # Strain and orientation make the equations nonlinear; velocities may move as far as they like.
+        damping = 1.0 if bent <= LONGEST else LONGEST / bent
         for j in range(n + 1):
             for c in range(STATE):
                 x[j, c] = states[j, c * LANES] + damping * x[j, c]

@@ -10,16 +10,23 @@ def main() -> int:
     """Compile, or load what is compiled already; report what was done. Returns the exit status."""
     start = time.perf_counter()
     try:
+        from model import batch
         from model.arm import Arm
         from model.compiled import cache_folder
+        from model.gradient import tip_gradient
+        from model.paper import PaperRod
 
         print(f"model.warm: kernels are kept in {cache_folder()}", flush=True)
         for variant in ("homogeneous", "inhomogeneous+rpe"):
-            dynamics = Arm.paper(variant).dynamics(1 / 30)
+            arm = Arm.paper(variant)
+            dynamics = arm.dynamics(1 / 30)
             dynamics.start((0.0, 0.0, 0.0))
-            if not dynamics.step((1e4, 0.0, 0.0)).ok:
+            if not (dynamics.step((1e4, 0.0, 0.0)).ok and dynamics.run([(1e4, 0.0, 0.0)]).ok.all()):
                 print(f"model.warm: failed: the {variant} arm could not be stepped", file=sys.stderr)
                 return 1
+            tip_gradient(arm, (1e4, 0.0, 0.0))
+            batch.statics(arm, [(1e4, 0.0, 0.0)])
+        PaperRod(Arm.paper("homogeneous")).statics((1e4, 0.0, 0.0))
     except Exception as fault:
         print(f"model.warm: failed: {type(fault).__name__}: {fault}", file=sys.stderr)
         return 1

@@ -1,0 +1,118 @@
+"""Many rods in one call, over all cores: parameter sets, Monte-Carlo samples, grids of pressures."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from model.arm import Arm
+from model.axis import equilibria
+from model.dynamics import Motion
+from model.problem import SOLVED, Problem
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Tips:
+    """Tips of B arms at rest: tip_m (B, 3), tip_rotation (B, 3, 3), ok (B,); NaN where no equilibrium was found."""
+
+    tip_m: Array
+    tip_rotation: Array
+    ok: NDArray[np.bool_]
+
+
+def statics(arms: Arm | Sequence[Arm], pressure_pa: ArrayLike, nodes: int = 20, workers: int | None = None) -> Tips:
+    """Tips at rest for rows of pressure_pa (B, N) [Pa]: one arm for all rows, or one arm per row.
+
+    The arms must share the number of actuators and the section rule. Raises ValueError for what does not fit.
+    """
+    rows = np.array(pressure_pa, dtype=np.float64)
+    given = [arms] if isinstance(arms, Arm) else list(arms)
+    _check(given, rows, 2)
+    if nodes < 2:
+        raise ValueError(f"an arm needs at least two steps along it, got {nodes}")
+    count = len(rows)
+    place, turned = np.empty((count, 3)), np.empty((count, 3, 3))
+    good = np.empty(count, dtype=np.bool_)
+
+    def part(span: range) -> None:
+        if not len(span):
+            return
+        at = slice(span.start, span.stop)
+        mine = given if len(given) == 1 else given[at]
+        problems = [Problem.of(arm, rows[0]) for arm in mine]
+        loads = [problem.load(arm, None, nodes) for problem, arm in zip(problems, mine, strict=True)]
+        first = problems[0]
+        equilibria(
+            np.array([p.work for p in problems]), first.law, first.actuators, np.array([p.rest for p in problems]),
+            np.array([p.per_pressure for p in problems]), np.array([p.free_per_pa for p in problems]), rows[at],
+            np.array([load for load, _ in loads]), any(loaded for _, loaded in loads),
+            np.array([p.tip(arm, None) for p, arm in zip(problems, mine, strict=True)]),
+            np.array([p.length_m for p in problems]), np.array([p.scale for p in problems]),
+            np.array([p.centre_m for p in problems]), SOLVED, nodes, place[at], turned[at], good[at],
+        )  # fmt: skip
+
+    _spread(part, count, workers)
+    return Tips(place, turned, good)
+
+
+def motions(
+    arms: Arm | Sequence[Arm],
+    pressure_pa: ArrayLike,
+    dt_s: float,
+    scheme: str = "bdf-alpha",
+    alpha: float = -0.2,
+    nodes: int | None = None,
+    workers: int | None = None,
+) -> list[Motion]:
+    """B motions under pressure_pa (B, T + 1, N) [Pa], each starting at rest under its first row."""
+    paths = np.array(pressure_pa, dtype=np.float64)
+    given = [arms] if isinstance(arms, Arm) else list(arms)
+    _check(given, paths, 3)
+    found: dict[int, Motion] = {}
+
+    def part(span: range) -> None:
+        for b in span:
+            dynamics = given[b % len(given)].dynamics(dt_s, scheme, alpha, nodes)
+            dynamics.start(paths[b, 0])
+            found[b] = dynamics.run(paths[b, 1:])
+
+    _spread(part, len(paths), workers)
+    return [found[b] for b in range(len(paths))]
+
+
+def _check(arms: list[Arm], pressure: Array, axes: int) -> None:
+    if not arms:
+        raise ValueError("no arm given")
+    kinds = {(arm.geometry.actuators, arm.section_rule) for arm in arms}
+    if len(kinds) > 1:
+        raise ValueError(f"the arms of a batch must share actuators and section rule, got {sorted(kinds)}")
+    actuators, rule = kinds.pop()
+    if rule not in ("linear", "pointwise"):
+        raise ValueError(f"a batch needs modulus_rule 'pointwise' or a homogeneous variant, not {rule!r}")
+    if pressure.ndim != axes or pressure.shape[-1] != actuators:
+        raise ValueError(f"pressure_pa must have {axes} axes, the last of {actuators}, got shape {pressure.shape}")
+    if len(arms) not in (1, len(pressure)):
+        raise ValueError(f"{len(arms)} arms for {len(pressure)} rows of pressure: give one arm, or one per row")
+    if not np.isfinite(pressure).all():
+        raise ValueError("pressures must be finite")
+
+
+def _spread(part: Callable[[range], None], count: int, workers: int | None) -> None:
+    """Run part(range) over contiguous shares of the rows, one thread per core; the kernels release the GIL."""
+
+    threads = max(1, min(count, workers if workers is not None else os.cpu_count() or 1))
+    edges = [count * k // threads for k in range(threads + 1)]
+    spans = [range(a, b) for a, b in pairwise(edges)]
+    if threads == 1:
+        part(spans[0] if spans else range(0))
+        return
+    with ThreadPoolExecutor(threads) as pool:
+        list(pool.map(part, spans))

@@ -1,0 +1,122 @@
+"""Gradients, batches and whole motions give what single solves give."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from model import Arm
+from model.batch import motions, statics
+from model.gradient import tip_gradient
+
+BAR = 1e5
+variants = ("homogeneous", "homogeneous+rpe", "inhomogeneous+rpe")
+
+
+@settings(max_examples=12, deadline=None)
+@given(st.tuples(*[st.floats(0.02, 0.65)] * 3), st.sampled_from(variants), st.booleans())
+def test_the_gradient_is_what_finite_differences_find(bar: tuple[float, ...], variant: str, heavy: bool) -> None:
+    arm = replace(Arm.paper(variant), rod_weight=heavy)  # type: ignore[arg-type]
+    p = np.array(bar) * BAR
+    gradient = tip_gradient(arm, p)
+    assert gradient.tip_m == pytest.approx(arm.statics(p).tip_m, abs=1e-8)
+    for name, found in gradient.by_parameter.items():
+        step = 1e-3 * getattr(arm.material, name)
+        plus, minus = (
+            replace(arm, material=replace(arm.material, **{name: getattr(arm.material, name) + d})).statics(p).tip_m
+            for d in (step, -step)
+        )
+        assert found * step == pytest.approx((plus - minus) / 2, abs=3e-8), name
+    for k in range(3):
+        step = 100.0 * np.eye(3)[k]
+        central = (arm.statics(p + step).tip_m - arm.statics(p - step).tip_m) / 2
+        assert gradient.by_pressure[:, k] * 100.0 == pytest.approx(central, abs=3e-8)
+
+
+def test_gradients_of_frozen_moduli_are_refused() -> None:
+    with pytest.raises(ValueError, match="pointwise"):
+        tip_gradient(replace(Arm.paper(), modulus_rule="secant"), (0, 0, 0))
+
+
+@pytest.mark.parametrize("variant", variants)
+@pytest.mark.parametrize("workers", [1, 2, 3])
+def test_a_batch_is_its_members(variant: str, workers: int) -> None:
+    arm = Arm.paper(variant)  # type: ignore[arg-type]
+    p = np.random.default_rng(1).uniform(0, 0.65 * BAR, (7, 3))
+    tips = statics(arm, p, workers=workers)
+    assert tips.ok.all()
+    for row, tip, rotation in zip(p, tips.tip_m, tips.tip_rotation, strict=True):
+        single = arm.statics(row)
+        assert np.array_equal(tip, single.tip_m)
+        assert np.array_equal(rotation, single.tip_rotation)
+
+
+def test_a_batch_of_parameter_sets_keeps_each_set_to_its_row() -> None:
+    arms = [
+        replace(Arm.paper(), cap_mass_kg=m, material=replace(Arm.paper().material, a1_per_n=a))
+        for m, a in ((0.05, 0.0074), (0.1, 0.008), (0.0, 0.006), (0.2, 0.0074))
+    ]
+    p = np.array([[0.6, 0, 0], [0.3, 0.2, 0], [0, 0, 0.5], [0.1, 0.1, 0.1]]) * BAR
+    tips = statics(arms, p, workers=2)
+    assert all(np.array_equal(tip, arm.statics(row).tip_m) for tip, arm, row in zip(tips.tip_m, arms, p, strict=True))
+
+
+def test_a_member_without_equilibrium_is_flagged_and_leaves_the_others_alone() -> None:
+    arm = Arm.paper("homogeneous")
+    tips = statics(arm, np.array([[0.3 * BAR, 0, 0], [1e12, 0, 0], [0.3 * BAR, 0, 0]]))
+    assert tips.ok.tolist() == [True, False, True]
+    assert np.isnan(tips.tip_m[1]).all()
+    assert np.array_equal(tips.tip_m[0], tips.tip_m[2])
+
+
+@pytest.mark.parametrize("rule", ["pointwise", "secant"])
+def test_a_motion_in_one_call_is_its_steps(rule: str) -> None:
+    arm = replace(Arm.paper(), modulus_rule=rule)  # type: ignore[arg-type]
+    p = np.random.default_rng(2).uniform(0, 0.5 * BAR, (12, 3))
+    one, many = arm.dynamics(0.02), arm.dynamics(0.02)
+    one.start(p[0])
+    many.start(p[0])
+    steps = [one.step(row) for row in p[1:]]
+    run = many.run(p[1:])
+    assert run.ok.all()
+    assert np.array_equal(run.tip_m, [shape.tip_m for shape in steps])
+    assert np.array_equal(run.tip_rotation, [shape.tip_rotation for shape in steps])
+    assert np.array_equal(many.step(p[0]).tip_m, one.step(p[0]).tip_m)
+
+
+def test_a_motion_flags_the_step_it_could_not_take_and_goes_on() -> None:
+    dynamics = Arm.paper("homogeneous").dynamics(0.02)
+    dynamics.start((0, 0, 0))
+    run = dynamics.run([(0, 0, 0), (1e12, -1e12, 0), (0, 0, 0)])
+    assert run.ok.tolist() == [True, False, True]
+    assert np.array_equal(run.tip_m[1], run.tip_m[0])
+
+
+def test_a_batch_of_motions_is_its_members() -> None:
+    arm = Arm.paper("homogeneous+rpe")
+    p = np.random.default_rng(3).uniform(0, 0.5 * BAR, (3, 6, 3))
+    for path, found in zip(p, motions(arm, p, 1 / 30, workers=2), strict=True):
+        dynamics = arm.dynamics(1 / 30)
+        dynamics.start(path[0])
+        assert np.array_equal(found.tip_m, dynamics.run(path[1:]).tip_m)
+
+
+@pytest.mark.parametrize(
+    ("arms", "pressure", "message"),
+    [
+        ([], [[0, 0, 0]], "no arm"),
+        (Arm.paper(), [0, 0, 0], "axes"),
+        (Arm.paper(), [[0, 0]], "last of 3"),
+        (Arm.paper(), [[0, 0, np.nan]], "finite"),
+        ([Arm.paper()] * 2, [[0, 0, 0]] * 3, "2 arms for 3"),
+        ([Arm.paper(), Arm.paper("homogeneous")], [[0, 0, 0]] * 2, "share"),
+        (replace(Arm.paper(), modulus_rule="secant"), [[0, 0, 0]], "pointwise"),
+    ],
+)
+def test_a_batch_that_does_not_fit_together_is_refused(arms: object, pressure: object, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        statics(arms, pressure)  # type: ignore[arg-type]
