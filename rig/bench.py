@@ -15,6 +15,8 @@ from rig.daq.base import Card, CardError, CardSetup, Channel, Scans
 
 READBACK_TOLERANCE = 1 / 2000
 """Of the output's range: two counts of a 12-bit card."""
+INSISTENCE = 10
+"""How often a safe state is written before the card counts as dead."""
 
 
 @dataclass(frozen=True)
@@ -106,19 +108,18 @@ class Bench:
     def make_safe(self, *, vent: bool = False) -> None:
         """Write the safe voltages to every card, whatever the others do; `vent` empties what would be held, too.
 
+        A write that fails is tried again at once, some times.
+
         Raises:
             CardError: one or more cards could not be written; it names each.
         """
         failures = []
         voltages = self._vent_voltages if vent else self.safe_voltages
         for name, column in self._outputs.items():
-            try:
-                if column:
-                    self._cards[name].write(voltages[column])
-            except Exception as error:  # a card must not keep the others from their safe state
-                failures.append(f"card {name}: {error}")
+            if column and (failure := _insist(self._cards[name], voltages[column])):
+                failures.append(f"card {name}: {failure}")
         if failures:
-            raise CardError("the safe state could not be written: " + "; ".join(failures))
+            raise CardError(f"the safe state could not be written, shut the air off by hand: {'; '.join(failures)}")
 
     def arm(self) -> None:
         """Write the safe voltages, read them back and compare.
@@ -156,6 +157,19 @@ def open_bench(config: RigConfig, *, watchdog: bool = False) -> Bench:
             opened.close()
         raise
     return Bench(config, cards)
+
+
+def _insist(card: Card, volts: NDArray[np.float64]) -> str:
+    """Write until it is written; what kept it from being written, empty when nothing did."""
+    failure = ""
+    for _ in range(INSISTENCE):
+        try:
+            card.write(volts)
+        except Exception as error:  # a card must not keep the others from their safe state
+            failure = str(error)
+        else:
+            return ""
+    return failure
 
 
 _NEVER = np.iinfo(np.int64).max

@@ -1,0 +1,218 @@
+"""The faults of the campaign, by name: what is done to a run, and what has to come of it."""
+
+from __future__ import annotations
+
+import signal
+from dataclasses import dataclass, field
+from enum import Enum
+
+from rig.simulator.faults import CameraFault, SensorFault, ValveFault
+from runs.records import Status
+
+CONDUCTOR, CONTROL, WATCHDOG, OBSERVER, PLANT = "conductor", "control", "watchdog", "observer", "plant"
+KILL, STOP = signal.SIGKILL, signal.SIGSTOP
+STUCK_WHERE_IT_IS = float("nan")
+FOR_EVER = 10**9
+
+
+@dataclass(frozen=True)
+class Bench:
+    """Words of the simulated bench's fault word (`rig.simulator.faults`)."""
+
+    words: dict[str, float]
+
+
+@dataclass(frozen=True)
+class Signal:
+    """A signal to processes of the run, all at once. Stopped ones go on after `lasts_s`, after the run where None."""
+
+    processes: tuple[str, ...]
+    number: signal.Signals
+    lasts_s: float | None = None
+    times: int = 1
+    then_vent: bool = False
+    """`rig vent` while they stand still."""
+
+
+class Trick(Enum):
+    """What is done to the run's surroundings."""
+
+    DISK_FULL = "disk full"
+    FILE_LIMIT = "file limit"
+    FOLDER_READ_ONLY = "folder read-only"
+    FILES_CHANGED = "files changed"
+    CLOCK_FORWARD = "clock forward"
+    CLOCK_BACK = "clock back"
+    TERMINAL_BLOCKED = "terminal blocked"
+    TERMINAL_LOST = "terminal lost"
+    MODEL_UNSOLVABLE = "model unsolvable"
+
+
+@dataclass(frozen=True)
+class Fault:
+    """One fault. `says` is a pattern of what the operator must be told; `safe` false where no program can help.
+
+    `ends` are the statuses that the archive may have.
+    """
+
+    name: str
+    kind: str
+    action: Bench | Signal | Trick
+    ends: tuple[Status, ...]
+    says: str
+    real: bool = True
+    virtual: bool = True
+    safe: bool = True
+    remark: str = field(default="", kw_only=True)
+
+
+ABORTED, FINISHED = (Status.ABORTED,), (Status.FINISHED,)
+RECOVERED, INTERRUPTED = (Status.RECOVERED,), (Status.INTERRUPTED,)
+GOES_ON_OR_NOT = (Status.FINISHED, Status.ABORTED)
+PRESSURE = r"sensor 1|actuator 1"
+NAN = STUCK_WHERE_IT_IS
+
+
+def _sensor(name: str, says: str, **words: float) -> Fault:
+    return Fault(name, "sensor", Bench(words), ABORTED, says)
+
+
+def _valve(name: str, says: str, **words: float) -> Fault:
+    return Fault(name, "valve and air", Bench(words), ABORTED, says)
+
+
+def _process(name: str, action: Signal, ends: tuple[Status, ...], says: str, remark: str = "") -> Fault:
+    return Fault(name, "process", action, ends, says, virtual=False, remark=remark)
+
+
+SENSORS = (
+    _sensor("sensor open", "sensor 1 reads 10.000 V", sensor_1=SensorFault.OPEN),
+    _sensor("sensor short", PRESSURE, sensor_1=SensorFault.SHORT),
+    _sensor("sensor frozen", PRESSURE, sensor_1=SensorFault.FROZEN),
+    _sensor("sensor noisy, 0.3 bar", PRESSURE, sensor_1=SensorFault.NOISY, sensor_pa_1=30e3),
+    _sensor("sensor reads 0.3 bar too much", PRESSURE, sensor_1=SensorFault.OFFSET, sensor_pa_1=30e3),
+    _sensor("sensor reads 0.3 bar too little", PRESSURE, sensor_1=SensorFault.OFFSET, sensor_pa_1=-30e3),
+    _sensor(
+        "every sensor short",
+        r"sensor|actuator",
+        sensor_1=SensorFault.SHORT,
+        sensor_2=SensorFault.SHORT,
+        sensor_3=SensorFault.SHORT,
+    ),
+)
+AIR = (
+    _valve("valve stuck where it is", PRESSURE, valve_1=ValveFault.STUCK, valve_value_1=NAN),
+    _valve("valve stuck open", PRESSURE, valve_1=ValveFault.STUCK, valve_value_1=10.0),
+    _valve("valve stuck shut", PRESSURE, valve_1=ValveFault.STUCK, valve_value_1=5.0),
+    _valve("valve leaking, 60 l/min", PRESSURE, valve_1=ValveFault.LEAKING, valve_value_1=60.0),
+    _valve("valve reversed", PRESSURE, valve_1=ValveFault.REVERSED),
+    _valve("supply lost", r"sensor|actuator", supply_lost=1),
+    _valve(
+        "both valves stuck open",
+        r"sensor|actuator",
+        valve_1=ValveFault.STUCK,
+        valve_value_1=10.0,
+        valve_2=ValveFault.STUCK,
+        valve_value_2=10.0,
+    ),
+)
+CARD = (
+    Fault("card: a read fails", "card", Bench({"failing_reads": 1}), ABORTED, "inputs cannot be read"),
+    Fault("card: three writes fail", "card", Bench({"failing_writes": 3}), ABORTED, "outputs cannot be written"),
+    Fault(
+        "card: no write succeeds any more",
+        "card",
+        Bench({"failing_writes": FOR_EVER}),
+        ABORTED,
+        "safe state could not be written",
+        safe=False,
+        remark="no program can help; the operator is told to shut the air off",
+    ),
+    Fault("card reads slowly, 12 ms", "card", Bench({"read_delay_ns": 12e6}), FINISHED, "deadlines", virtual=False),
+    Fault("card hangs in a read", "card", Bench({"read_delay_ns": 5e9}), ABORTED, "hung", virtual=False),
+    Fault("card gives no more scans", "card", Bench({"silent": 1}), ABORTED, "no pressure sample"),
+    Fault("card overruns, 30 scans", "card", Bench({"lost_scans": 30}), FINISHED, "30 scans were lost|scans were lost"),
+    Fault("card overruns, 2000 scans", "card", Bench({"lost_scans": 2000}), ABORTED, "no pressure sample"),
+)
+CAMERA = (
+    Fault("camera unplugged", "camera", Bench({"camera": CameraFault.UNPLUGGED}), ABORTED, "camera"),
+    Fault("camera gives no more pictures", "camera", Bench({"camera": CameraFault.SILENT}), ABORTED, "camera"),
+    Fault("camera frozen", "camera", Bench({"camera": CameraFault.FROZEN}), FINISHED, "repeats the same picture"),
+    Fault("camera black", "camera", Bench({"camera": CameraFault.BLACK}), FINISHED, "no board in the picture"),
+    Fault("camera repeats every picture", "camera", Bench({"camera": CameraFault.DUPLICATED}), FINISHED, "repeats"),
+    Fault(
+        "camera late by 0.4 s",
+        "camera",
+        Bench({"camera": CameraFault.LATE, "camera_delay_ns": 400e6}),
+        FINISHED,
+        "s old when they are measured",
+        virtual=False,
+    ),
+    Fault(
+        "camera drops nine of ten",
+        "camera",
+        Bench({"camera": CameraFault.DROPPING}),
+        FINISHED,
+        "camera drops pictures",
+        virtual=False,
+    ),
+)
+PROCESSES = (
+    _process("control killed", Signal((CONTROL,), KILL), ABORTED, "control process died"),
+    _process("control stopped", Signal((CONTROL,), STOP), ABORTED, "control process hung"),
+    _process(
+        "control slow",
+        Signal((CONTROL,), STOP, lasts_s=0.012, times=60),
+        GOES_ON_OR_NOT,
+        "deadlines|hung",
+        "stopped for 12 ms, 60 times; goes on with a warning, or counts as hung on a busy machine",
+    ),
+    _process("observer killed", Signal((OBSERVER,), KILL), ABORTED, "observer process died"),
+    _process("observer stopped", Signal((OBSERVER,), STOP), ABORTED, "observer process has been silent"),
+    _process(
+        "observer slow", Signal((OBSERVER,), STOP, lasts_s=0.4, times=3), FINISHED, "drops pictures|s old when they"
+    ),
+    _process("watchdog killed", Signal((WATCHDOG,), KILL), ABORTED, "watchdog process died"),
+    _process("watchdog stopped", Signal((WATCHDOG,), STOP), ABORTED, "watchdog"),
+    _process("conductor killed", Signal((CONDUCTOR,), KILL), RECOVERED, ""),
+    _process("conductor stopped, 4 s", Signal((CONDUCTOR,), STOP, lasts_s=4.0), ABORTED, "conductor had been silent"),
+    _process("simulator killed", Signal((PLANT,), KILL), ABORTED, "simulator died|no pressure sample|camera"),
+    _process("simulator stopped", Signal((PLANT,), STOP), ABORTED, "no pressure sample|camera"),
+    _process("control, observer and conductor killed", Signal((CONTROL, OBSERVER, CONDUCTOR), KILL), RECOVERED, ""),
+    _process(
+        "control, observer and conductor stopped, 4 s",
+        Signal((CONTROL, OBSERVER, CONDUCTOR), STOP, lasts_s=4.0),
+        ABORTED,
+        "hung",
+    ),
+    _process("control and watchdog killed", Signal((CONTROL, WATCHDOG), KILL), ABORTED, "process died"),
+    _process("control and watchdog stopped", Signal((CONTROL, WATCHDOG), STOP), ABORTED, "silent"),
+    _process("watchdog and conductor killed", Signal((WATCHDOG, CONDUCTOR), KILL), RECOVERED, ""),
+    _process("all but the observer killed", Signal((CONTROL, WATCHDOG, CONDUCTOR), KILL), RECOVERED, ""),
+    _process(
+        "all stopped, then rig vent, then on",
+        Signal((CONDUCTOR, WATCHDOG, CONTROL, OBSERVER), STOP, lasts_s=3.0, then_vent=True),
+        ABORTED,
+        "silent|hung|another program|vent",
+        "the time runs from `rig vent`",
+    ),
+)
+SURROUNDINGS = (
+    Fault("disk full", "disk", Trick.DISK_FULL, (*ABORTED, *RECOVERED), "full"),
+    Fault("file size limit reached", "disk", Trick.FILE_LIMIT, (*ABORTED, *RECOVERED), "full", virtual=False),
+    Fault("folder turns read-only", "disk", Trick.FOLDER_READ_ONLY, FINISHED, "the journal is kept", virtual=False),
+    _process(
+        "disk slow: the record stands still for 1.2 s",
+        Signal((CONDUCTOR,), STOP, lasts_s=1.2),
+        FINISHED,
+        "nothing was recorded for",
+        "stood in for by stopping the conductor, which is what a blocked write does",
+    ),
+    Fault("rig and protocol changed on disk", "files", Trick.FILES_CHANGED, FINISHED, "", remark="the run has its own"),
+    Fault("clock stepped forward by a day", "clock", Trick.CLOCK_FORWARD, FINISHED, "", virtual=False),
+    Fault("clock stepped back by a day", "clock", Trick.CLOCK_BACK, FINISHED, "", virtual=False),
+    Fault("terminal blocked (Ctrl-S, a full pipe)", "terminal", Trick.TERMINAL_BLOCKED, FINISHED, "", virtual=False),
+    Fault("terminal closed", "terminal", Trick.TERMINAL_LOST, INTERRUPTED, "SIGHUP", virtual=False),
+    Fault("model not converging", "model", Trick.MODEL_UNSOLVABLE, FINISHED, "model cannot be solved"),
+)
+CATALOGUE: tuple[Fault, ...] = (*SENSORS, *AIR, *CARD, *CAMERA, *PROCESSES, *SURROUNDINGS)

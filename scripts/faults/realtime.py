@@ -1,0 +1,270 @@
+"""One trial in real time: a `rig run` of its own, struck at a moment and watched through its mock card's registers."""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import os
+import select
+import signal
+import subprocess
+import sys
+import termios
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+
+import numpy as np
+
+import rig.config
+from rig.control import safe_voltages
+from rig.simulator.registers import Registers, path_of
+from scripts.faults import surroundings
+from scripts.faults.catalogue import CONDUCTOR, CONTROL, OBSERVER, PLANT, WATCHDOG, Bench, Fault, Signal, Trick
+from scripts.faults.surroundings import NotHereError, SteppedClock
+from scripts.faults.trial import PROTOCOL, Trial, Watched, judge, skipped
+from scripts.faults.virtual import SEEN_SAFE_V, rig_text
+
+MODULES = {
+    CONTROL: "rig.executor.control",
+    WATCHDOG: "rig.executor.watchdog",
+    OBSERVER: "rig.executor.observing",
+    PLANT: "rig.simulator.process",
+}
+START_S, END_S = 200.0, 45.0
+ENDED_S = 0.3
+"""How long the registers are watched on once the run has ended."""
+MOVING_V = 4.0
+
+
+class WatchedRun:
+    """A `rig run` in a process of its own: its members, what it prints, and what its valves are told."""
+
+    def __init__(self, folder: Path, trick: object, environment: dict[str, str]) -> None:
+        self.out = folder / "out"
+        self.rig_file, self.protocol = folder / "rig.yaml", folder / "protocol.yaml"
+        self.device = f"faults-{os.getpid()}-{threading.get_native_id()}"
+        self.rig_file.write_text(rig_text(trick, self.device))
+        self.protocol.write_text(PROTOCOL)
+        self._safe_v = np.array(safe_voltages(rig.config.load(self.rig_file)))
+        self._said: list[bytes] = []
+        self._listening = threading.Event()
+        self._listening.set()
+        command = [sys.executable, "-m", "rig", "run", str(self.protocol), "--rig", str(self.rig_file)]
+        command += ["--out", str(self.out), "--yes", "--no-report"]
+        on_screen = trick in (Trick.TERMINAL_BLOCKED, Trick.TERMINAL_LOST)
+        self.screen, inner = os.openpty() if on_screen else os.pipe()
+        if on_screen:
+            fcntl.ioctl(inner, termios.TIOCSWINSZ, np.array([40, 100, 0, 0], np.uint16).tobytes())
+        self.process = subprocess.Popen(
+            command,
+            stdin=inner if on_screen else subprocess.DEVNULL,
+            stdout=inner,
+            stderr=inner,
+            start_new_session=not on_screen,
+            preexec_fn=(lambda: os.login_tty(os.dup(inner))) if on_screen else None,
+            env=os.environ | environment,
+        )
+        os.close(inner)
+        threading.Thread(target=self._listen, daemon=True).start()
+        self.members: dict[str, int] = {}
+
+    @property
+    def said(self) -> str:
+        """Everything printed so far."""
+        return b"".join(self._said).decode(errors="replace").replace("\r", "")
+
+    def turn_away(self) -> None:
+        """Stop reading what the run prints."""
+        self._listening.clear()
+
+    def turn_back(self) -> None:
+        """Read on."""
+        self._listening.set()
+
+    def hang_up(self) -> None:
+        """Close the terminal."""
+        self._listening.clear()
+        time.sleep(0.1)
+        os.close(self.screen)
+        self.screen = -1
+
+    def _listen(self) -> None:
+        while self.screen >= 0:
+            if not self._listening.is_set():
+                time.sleep(0.02)
+                continue
+            try:
+                if not select.select([self.screen], [], [], 0.05)[0]:
+                    continue
+                data = os.read(self.screen, 65536)
+            except (OSError, ValueError):
+                return
+            if not data:
+                return
+            self._said.append(data)
+
+    def wait_until_moving(self) -> Registers:
+        """Return the card's registers once the run drives a valve, with every member of the run known."""
+        deadline = time.monotonic() + START_S
+        while time.monotonic() < deadline and self.process.poll() is None:
+            if path_of(self.device).exists():
+                registers = Registers.attach(self.device)
+                if np.any(registers.outputs["volts"] > MOVING_V):
+                    self.members = {CONDUCTOR: self.process.pid} | _children(self.process.pid)
+                    return registers
+                registers.close()
+            time.sleep(0.02)
+        raise RuntimeError(f"the run never drove a valve: {self.said}")
+
+    def safe(self, registers: Registers) -> bool:
+        """True while every output stands at its safe voltage."""
+        volts = registers.outputs["volts"][: len(self._safe_v)]
+        return bool(np.all(np.abs(volts - self._safe_v) < SEEN_SAFE_V))
+
+    def watch(self, registers: Registers) -> int | None:
+        """Follow the outputs until the run has ended; since when [ns] they have been safe, None where they are not."""
+        safe_ns: int | None = None
+        deadline = time.monotonic() + END_S
+        ended = 0.0
+        while (now := time.monotonic()) < deadline:
+            if not self.safe(registers):
+                safe_ns = None
+            elif safe_ns is None:
+                safe_ns = int(registers.outputs["written_ns"].max())
+            if self.process.poll() is not None:
+                ended = ended or now
+                left = [name for name in (WATCHDOG, CONTROL, OBSERVER) if _lives(self.members[name])]
+                if now - ended > ENDED_S and not left:
+                    break
+            time.sleep(0.001)
+        return safe_ns
+
+    def signal(self, names: tuple[str, ...], number: signal.Signals) -> None:
+        """Send a signal to members, one right after the other."""
+        for name in names:
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(self.members[name], number)
+
+    def close(self) -> None:
+        """Leave nothing behind."""
+        self._listening.set()
+        for pid in (*self.members.values(), self.process.pid):
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(pid, signal.SIGKILL)
+        self.process.wait()
+        if self.screen >= 0:
+            screen, self.screen = self.screen, -1
+            time.sleep(0.1)
+            os.close(screen)
+        path_of(self.device).unlink(missing_ok=True)
+
+
+@contextmanager
+def _run(folder: Path, trick: object, environment: dict[str, str]) -> Iterator[WatchedRun]:
+    run = WatchedRun(folder, trick, environment)
+    try:
+        yield run
+    finally:
+        run.close()
+
+
+def trial(fault: Fault, folder: Path, at_s: float) -> Trial:
+    """Run it."""
+    out = folder / "out"
+    out.mkdir()
+    environment: dict[str, str] = {}
+    try:
+        with ExitStack() as stack:
+            if fault.action is Trick.DISK_FULL:
+                stack.enter_context(surroundings.small_disk(out))
+            clock = SteppedClock(folder) if fault.action in (Trick.CLOCK_FORWARD, Trick.CLOCK_BACK) else None
+            if clock is not None:
+                environment = clock.environment
+            with _run(folder, fault.action, environment) as run, ExitStack() as undo:
+                registers = run.wait_until_moving()
+                time.sleep(at_s)
+                fault_ns = time.monotonic_ns()
+                fault_ns = _strike(fault, run, registers, clock, undo) or fault_ns
+                safe_ns = run.watch(registers)
+                registers.close()
+                undo.close()
+                time.sleep(0.1)
+                said = run.said
+            with contextlib.suppress(FileNotFoundError):
+                (out / "filler").unlink()
+            return judge(fault, "real", at_s, Watched(fault_ns, safe_ns, said), out)
+    except NotHereError as why:
+        return skipped(fault, "real", str(why))
+
+
+def _strike(
+    fault: Fault, run: WatchedRun, registers: Registers, clock: SteppedClock | None, undo: ExitStack
+) -> int | None:
+    """Do it; return when the time to the safe state begins where that is later than the call."""
+    match fault.action:
+        case Bench(words):
+            registers.faults.inject(**words)
+        case Signal() as action:
+            return _signal(action, run)
+        case Trick.DISK_FULL:
+            surroundings.fill(run.out)
+        case Trick.FILE_LIMIT:
+            surroundings.limit_files(run.process.pid, next(run.out.glob("*.mcap")))
+        case Trick.FOLDER_READ_ONLY:
+            undo.enter_context(surroundings.read_only(run.out))
+        case Trick.FILES_CHANGED:
+            run.rig_file.write_text("spoilt: [")
+            run.protocol.write_text("spoilt: [")
+        case Trick.CLOCK_FORWARD | Trick.CLOCK_BACK:
+            assert clock is not None
+            clock.step(surroundings.DAY_NS if fault.action is Trick.CLOCK_FORWARD else -surroundings.DAY_NS)
+        case Trick.TERMINAL_BLOCKED:
+            run.turn_away()
+            threading.Timer(12.0, run.turn_back).start()
+        case Trick.TERMINAL_LOST:
+            run.hang_up()
+    return None
+
+
+def _signal(action: Signal, run: WatchedRun) -> int | None:
+    for _ in range(action.times):
+        run.signal(action.processes, action.number)
+        if action.lasts_s is None:
+            return None
+        if action.then_vent:
+            begun = time.monotonic_ns()
+            command = [sys.executable, "-m", "rig", "vent", "--rig", str(run.rig_file)]
+            subprocess.run(command, check=True, capture_output=True)
+            time.sleep(action.lasts_s)
+            run.signal(action.processes, signal.SIGCONT)
+            return begun
+        timer = threading.Timer(action.lasts_s, run.signal, (action.processes, signal.SIGCONT))
+        timer.start()
+        if action.times > 1:
+            timer.join()
+            time.sleep(0.004)
+    return None
+
+
+def _children(parent: int) -> dict[str, int]:
+    found = {}
+    for stat in Path("/proc").glob("[0-9]*/stat"):
+        try:
+            ppid = int(stat.read_text().rsplit(")", 1)[1].split()[1])
+            arguments = (stat.parent / "cmdline").read_bytes()
+        except (OSError, IndexError):
+            continue
+        if ppid == parent:
+            found |= {name: int(stat.parent.name) for name, module in MODULES.items() if module.encode() in arguments}
+    return found
+
+
+def _lives(pid: int) -> bool:
+    try:
+        state = Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0]
+    except OSError:
+        return False
+    return state not in ("Z", "T")

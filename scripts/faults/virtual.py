@@ -1,0 +1,121 @@
+"""One trial in virtual time: the plant that the executor makes for itself is given its fault at a moment."""
+
+from __future__ import annotations
+
+import contextlib
+from contextlib import ExitStack
+from pathlib import Path
+from unittest.mock import patch
+
+import numpy as np
+
+import rig.config
+from rig import experiment
+from rig.bench import Bench as Cards
+from rig.config import RigConfig
+from rig.executor.base import Progress
+from rig.executor.virtual import START_NS
+from rig.simulator.faults import Faults
+from rig.simulator.plant import Plant
+from runs.records import Event
+from scripts.faults import surroundings
+from scripts.faults.catalogue import Bench, Fault, Trick
+from scripts.faults.surroundings import NotHereError
+from scripts.faults.trial import PROTOCOL, Trial, Watched, judge, skipped
+
+SEEN_SAFE_V = 0.01
+
+
+class Listener:
+    """An operator who listens and never interferes."""
+
+    def __init__(self) -> None:
+        self.said: list[str] = []
+
+    def show(self, progress: Progress) -> None:
+        """Look away."""
+
+    def tell(self, event: Event) -> None:
+        """Remember."""
+        self.said.append(event.message)
+
+    def answered(self) -> bool:
+        """Never."""
+        return False
+
+    def stop_requested(self) -> str | None:
+        """Never."""
+        return None
+
+    def pause_toggled(self) -> bool:
+        """Never."""
+        return False
+
+
+class StruckPlant(Plant):
+    """A plant that strikes itself at `strike_ns`, and watches its own outputs."""
+
+    strike_ns = 0
+    struck = staticmethod(lambda: None)
+    words: dict[str, float] = {}  # noqa: RUF012
+    made: StruckPlant
+
+    def __init__(self, config: RigConfig, seed: int, t0_ns: int) -> None:
+        super().__init__(config, seed, t0_ns, faults=Faults())
+        self._safe_v = Cards(config, {}).safe_voltages
+        self._due = True
+        self.safe_ns: int | None = None
+        type(self).made = self
+
+    def advance(self, t_ns: int) -> None:
+        """Let time pass, with the fault from its moment on."""
+        if self._due and t_ns >= self.strike_ns:
+            self._due = False
+            super().advance(self.strike_ns)
+            if self.words:
+                self.faults.inject(**self.words)
+            type(self).struck()
+        super().advance(t_ns)
+
+    def set_output(self, valve: int, volts: float) -> None:
+        """Remember since when every output has been safe."""
+        super().set_output(valve, volts)
+        stands = np.array([self.output(i) for i in range(len(self._safe_v))])
+        safe = bool(np.all(np.abs(stands - self._safe_v) < SEEN_SAFE_V))
+        self.safe_ns = (self.safe_ns if self.safe_ns is not None else self.t_ns) if safe else None
+
+
+def rig_text(trick: object, device: str) -> str:
+    """The mock rig with a card of its own, and a model that cannot be solved where that is the fault."""
+    text = rig.config.text("mock").replace("device: mock0", f"device: {device}")
+    if trick is Trick.MODEL_UNSOLVABLE:
+        text = text.replace("  cap_mass_g: 50\n", "  cap_mass_g: 100000\n")
+    return text
+
+
+def trial(fault: Fault, folder: Path, at_s: float, seed: int) -> Trial:
+    """Run it."""
+    out = folder / "out"
+    rig_file, protocol = folder / "rig.yaml", folder / "protocol.yaml"
+    rig_file.write_text(rig_text(fault.action, f"faults-{seed}"))
+    protocol.write_text(PROTOCOL)
+    plant = type("StruckPlant", (StruckPlant,), {"strike_ns": START_NS + round(at_s * 1e9)})
+    if isinstance(fault.action, Bench):
+        plant.words = fault.action.words
+    listener = Listener()
+    with ExitStack() as stack:
+        if fault.action is Trick.DISK_FULL:
+            try:
+                stack.enter_context(surroundings.small_disk(out))
+            except NotHereError as why:
+                return skipped(fault, "virtual", str(why))
+            plant.struck = staticmethod(lambda: surroundings.fill(out))
+        elif fault.action is Trick.FILES_CHANGED:
+            plant.struck = staticmethod(lambda: [path.write_text("spoilt: [") for path in (rig_file, protocol)])
+        stack.enter_context(patch("rig.executor.virtual.Plant", plant))
+        request = experiment.request(str(protocol), str(rig_file), folder=out, fast=True, seed=seed, report=False)
+        result = experiment.run(request, experiment.plan(request), listener)
+        with contextlib.suppress(FileNotFoundError):
+            (out / "filler").unlink()
+        said = "\n".join((*listener.said, result.outcome.message, *result.trouble, ""))
+        return judge(fault, "virtual", at_s, Watched(plant.strike_ns, plant.made.safe_ns, said), out)
