@@ -1,7 +1,8 @@
-"""The rendered scene as a V4L2 camera: pictures of the arm at the tips of a static ramp, played into v4l2loopback.
+"""The rendered scene as a V4L2 camera: pictures of the arm under pressure, played into v4l2loopback.
 
-`python played_pictures.py render FILE` renders them (and has every kernel that a run needs compiled on the way);
-`python played_pictures.py play FILE DEVICE` plays them for ever, each for a second.
+`python played_pictures.py render FILE` renders one for each level of actuator 1 (and has every kernel that a run needs
+compiled on the way); `python played_pictures.py play FILE DEVICE` plays them for ever, the one that belongs to the
+voltage at which the card's first valve stands.
 """
 
 from __future__ import annotations
@@ -15,17 +16,20 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from kernel_card import CARD
 from numpy.typing import NDArray
-from rig_of_the_machine import LOOPED
+from rig_of_the_machine import LOOPED, VALVES
 
 from rig.arm import model_arm
 from rig.cameras.mock import MockCamera
 from rig.config import PA_PER_BAR, load
+from rig.daq.base import CardSetup, Channel
+from rig.daq.comedi import ComediCard
 from rig.observer import Observer
 from rig.simulator.pose import TipPose
 from runs.records import Seen
 
-LEVELS_BAR = tuple(np.arange(0.1, 0.66, 0.05).round(2).tolist())
+LEVELS_BAR = tuple(np.arange(0.0, 0.66, 0.05).round(2).tolist())
 RATE_HZ = 10
 _OUTPUT = 2  # V4L2_BUF_TYPE_VIDEO_OUTPUT
 _FIELD_NONE = 1
@@ -75,21 +79,20 @@ def play(source: Path, device: str) -> None:
         pictures = stored["pictures"]
     height, width = pictures.shape[1:]
     frames = [bytearray(yuyv(picture)) for picture in pictures]
+    valve = ComediCard(CardSetup("player", CARD, (), (Channel(VALVES[0], 0.0, 10.0),), 1000.0))
     node = os.open(device, os.O_RDWR)
     fourcc = int.from_bytes(b"YUYV", "little")
-    pixels = struct.pack(
-        "<12I", width, height, fourcc, _FIELD_NONE, 2 * width, 2 * width * height, _SRGB, 0, 0, 0, 0, 0
-    )
+    pixels = struct.pack("<7I", width, height, fourcc, _FIELD_NONE, 2 * width, 2 * width * height, _SRGB)
     fcntl.ioctl(node, _SET_FORMAT, bytearray(struct.pack("<2I", _OUTPUT, 0) + pixels.ljust(200, b"\0")))
     print("playing", flush=True)
     due = time.monotonic()
     while True:
-        for frame in frames:
-            for _ in range(RATE_HZ):
-                frame[0] ^= 1  # no sensor gives the same picture twice, and who does counts as frozen
-                os.write(node, frame)
-                due = max(due + 1 / RATE_HZ, time.monotonic())
-                time.sleep(max(0.0, due - time.monotonic()))
+        bar = float(valve.readback()[0]) / 10
+        frame = frames[int(np.argmin(np.abs(np.array(LEVELS_BAR) - bar)))]
+        frame[: 2 * width : 2] = os.urandom(width)  # a camera never gives the same picture twice
+        os.write(node, frame)
+        due = max(due + 1 / RATE_HZ, time.monotonic())
+        time.sleep(max(0.0, due - time.monotonic()))
 
 
 if __name__ == "__main__":

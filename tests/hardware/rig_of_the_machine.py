@@ -12,6 +12,8 @@ HERE = Path(__file__).parent
 LOOPED = str(HERE / "looped.yaml")
 STEPS = str(HERE / "steps.yaml")
 CAMERA = "/dev/video9"
+VALVES = (0, 3, 5)
+"""Outputs of the valves, in the order of the actuators."""
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,7 @@ def test_the_archive_is_finished_real_and_whole(run: Run) -> None:
     assert run.status is Status.FINISHED
     assert not run.header.simulated
     assert run.header.executor == "real time"
-    assert run.pressure.protocol_s[-1] == pytest.approx(12.0, abs=0.5)
+    assert run.pressure.protocol_s[-1] == pytest.approx(23.0, abs=0.5)
     assert np.all(np.diff(run.pressure.time_s) > 0)
     assert run.timing.ring_overflows == 0
 
@@ -41,16 +41,18 @@ def test_each_level_was_written_to_the_card_and_read_back_from_it(run: Run) -> N
         np.testing.assert_allclose(pressure.valve_v[settled], np.tile(10 * level_bar, (settled.sum(), 1)), atol=1e-2)
 
 
-def test_the_tip_was_measured_in_the_pictures_and_modelled_beside(run: Run) -> None:
+def test_the_tip_was_measured_where_the_model_has_it_at_the_pressure_read_from_the_card(run: Run) -> None:
+    """The pictures are of the model's own arm, chosen by what stands at the output."""
     tip = run.tip
-    assert len(tip.time_s) > 10
     measured = tip.seen == Seen.MEASURED
     assert measured.mean() > 0.8
-    assert np.all(np.isfinite(tip.model_mm))
-    with np.load(Path(os.environ["SOFTRIG_GUEST_LEFT"]).parent / "pictures.npz") as stored:
-        played_mm = stored["tips"] * 1e3
-    away = np.linalg.norm(tip.measured_mm[measured][:, None, [0, 2]] - played_mm[None, :, [0, 2]], axis=2).min(axis=1)
-    assert np.median(away) < 1.0
+    assert np.all(tip.model_ok)
+    levels = [i for i in run.header.intervals if i.kind == "dwell" and i.level_pa[0] > 0]
+    settled = np.zeros(len(measured), bool)
+    for interval in levels:
+        settled |= (tip.protocol_s > interval.start_s + 2) & (tip.protocol_s < interval.stop_s)
+    assert (settled & measured).sum() >= 3
+    assert np.median(tip.error_mm[settled & measured]) < 1.0
 
 
 def test_the_lateness_is_recorded(run: Run) -> None:

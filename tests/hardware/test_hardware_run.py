@@ -12,14 +12,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from kernel_card import COUNT_V, OpenCard, bipolar
-from rig_of_the_machine import LOOPED, STEPS, Player
+from rig_of_the_machine import LOOPED, STEPS, VALVES, Player
 
 from rig.bench import open_bench
 from rig.config import load
 from rig.doctor import examine
-
-VALVES = (0, 3, 5)
-
 
 # An emulated machine takes a minute to import what a run needs; else this is the command line.
 RIG = "import rig.executor.realtime as r; r.START_TIMEOUT_S = 400.0; from rig.cli import main; main()"
