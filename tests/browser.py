@@ -11,7 +11,7 @@ import subprocess
 import tempfile
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -49,7 +49,10 @@ class Tab:
     """One page of the browser. `troubles` are the errors of its console and of its network."""
 
     def __init__(self, address: str) -> None:
-        self._socket: ClientConnection = connect(address, max_size=None, open_timeout=PATIENCE_S)
+        self._left = ExitStack()
+        self._socket: ClientConnection = self._left.enter_context(
+            connect(address, max_size=None, open_timeout=PATIENCE_S)
+        )
         self._numbers = itertools.count(1)
         self.troubles: list[str] = []
         self.requested: list[str] = []
@@ -67,6 +70,10 @@ class Tab:
                 result: dict[str, Any] = message["result"]
                 return result
             self._note(message.get("method"), message.get("params", {}))
+
+    def close(self) -> None:
+        """Let go of it."""
+        self._left.close()
 
     def go(self, url: str) -> None:
         """Open an address."""
@@ -143,17 +150,20 @@ class Browser:
             time.sleep(0.05)
         port, path = told.read_text().split()
         self._base = f"ws://127.0.0.1:{port}"
-        self._root = connect(f"{self._base}{path}", max_size=None)
+        self._left = ExitStack()
+        self._root: ClientConnection = self._left.enter_context(connect(f"{self._base}{path}", max_size=None))
 
     def tab(self) -> Tab:
         """A new page with cookies and storage of its own."""
         context = self._ask("Target.createBrowserContext")["browserContextId"]
         target = self._ask("Target.createTarget", url="about:blank", browserContextId=context)["targetId"]
-        return Tab(f"{self._base}/devtools/page/{target}")
+        tab = Tab(f"{self._base}/devtools/page/{target}")
+        self._left.callback(tab.close)
+        return tab
 
     def close(self) -> None:
         """End it."""
-        self._root.close()
+        self._left.close()
         self.process.kill()
         self.process.wait()
 

@@ -23,7 +23,8 @@ from rig.live.order import LINGER_S, Order
 from rig.live.source import Source
 from rig.live.stream import stream
 
-NICE = 10
+NICE = 5
+"""Behind the observer and the conductor, but not so far that a busy machine starves it."""
 UPDATE_S = 0.008
 MOST_CONNECTIONS = 256
 COME_UP_S = 90.0
@@ -33,7 +34,6 @@ STATIC = Path(__file__).parent / "static"
 def main() -> int:
     """Serve until the run is over, or for an archive until told to stop."""
     order: Order = pickle.load(sys.stdin.buffer)  # written by our own parent, over a pipe
-    os.nice(NICE)
     try:
         source = _source(order)
     except StartError as error:
@@ -53,6 +53,8 @@ def main() -> int:
             timeout_graceful_shutdown=1,
         )
     )
+
+    os.nice(NICE)  # from here on: what was imported so far was waited for
 
     async def serve() -> None:
         feeding = asyncio.create_task(_feed(source, server))
