@@ -9,6 +9,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from calibration.search import places
+
 Floats = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
@@ -111,8 +113,18 @@ def grey(image: Image) -> Image:
 def find(image: Image, board: Board) -> Floats | None:
     """Find the board in a grey picture: corners (n, 2) [px] to about a pixel in the board's order, None if not there.
 
-    The detector does not know which end of the board is which, nor the sense of its rows; the colours decide.
+    None, too, where two boards are seen: which is the rig's cannot be told.
     """
+    corners = []
+    for x0, y0, x1, y1 in places(image, board.pattern[0] * board.pattern[1]):
+        found = _find_in(np.ascontiguousarray(image[y0:y1, x0:x1]), board)
+        if found is not None:
+            corners.append(found + np.array([x0, y0]))
+    return corners[0] if len(corners) == 1 else None
+
+
+def _find_in(image: Image, board: Board) -> Floats | None:
+    """Search a small picture. The detector does not know which end of the board is which; the colours decide."""
     flags = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
     found, raw = cv2.findChessboardCorners(image, board.pattern, flags=flags)
     if not found:

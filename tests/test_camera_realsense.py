@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import itertools
 import time
 from pathlib import Path
 from typing import Any
@@ -54,7 +55,7 @@ def test_a_recording_plays_with_the_cameras_own_frame_numbers(tmp_path: Path) ->
         frames = [camera.read(3.0) for _ in range(4)]
     finally:
         camera.close()
-    assert all(b.index > a.index for a, b in zip(frames, frames[1:], strict=False))
+    assert all(b.index > a.index for a, b in itertools.pairwise(frames))
     for frame in frames:
         assert np.array_equal(frame.image, pictures[frame.index - 10])
 

@@ -172,3 +172,44 @@ def test_a_colour_picture_is_measured_like_its_grey() -> None:
 def test_a_board_cut_by_the_pictures_edge_is_not_measured() -> None:
     tracker = Tracker(BOARD, LENS)
     assert tracker.see(still(facing(x_m=0.125), view=scene(Optics(0.6, 2.0)))).pose is None
+
+
+def _two_boards() -> np.ndarray:
+    left, right = still(facing(-0.07), 0), still(facing(0.07), 1)
+    return np.ascontiguousarray(np.hstack([left[:, :320], right[:, 320:]]))
+
+
+def test_of_two_boards_in_view_none_is_guessed() -> None:
+    assert find(still(facing(-0.07)), BOARD) is not None
+    assert find(_two_boards(), BOARD) is None
+    assert Tracker(BOARD, LENS).see(_two_boards()).seen is Seen.NO_BOARD
+
+
+def test_a_followed_board_is_kept_when_a_second_comes_into_view() -> None:
+    view, tracker = scene(), Tracker(BOARD, LENS)
+    for k in range(3):
+        assert tracker.see(still(facing(-0.07), k, view)).seen is Seen.MEASURED
+    for _ in range(3):
+        sighting = tracker.see(_two_boards())
+        assert sighting.pose is not None
+        assert _off_mm(sighting.pose.rigid, facing(-0.07)) < 0.5
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_clutter_round_the_board_does_not_hide_it(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    pose = facing(rng.uniform(-0.06, 0.06), rng.uniform(-0.03, 0.03), roll_deg=rng.uniform(-180, 180))
+    clean = still(pose)
+    picture = clean.copy()
+    for _ in range(250):
+        x, y = rng.integers(0, 640), rng.integers(0, 480)
+        w, h = rng.integers(4, 40, 2)
+        cv2.rectangle(picture, (int(x), int(y)), (int(x + w), int(y + h)), int(rng.integers(0, 255)), -1)
+    vector, _ = cv2.Rodrigues(pose.rotation)
+    outline = BOARD.at(np.array([-1.0, 8.0, 8.0, -1.0]), np.array([-1.0, -1.0, 7.0, 7.0]))
+    quad = LENS.project(outline, np.asarray(vector, dtype=np.float64), pose.translation_m)
+    inside = cv2.fillConvexPoly(np.zeros_like(picture), quad.round().astype(np.int32), 1).astype(bool)
+    picture[inside] = clean[inside]
+    sighting = Tracker(BOARD, LENS).see(picture)
+    assert sighting.pose is not None
+    assert _off_mm(sighting.pose.rigid, pose) < 0.5

@@ -77,7 +77,6 @@ def bootstrap(
     chosen = [i for i, e in enumerate(fit.estimates) if e.identified]
     held = tuple(i for i in range(len(fit.estimates)) if fit.covariance[i, i] == 0)
     problem = fit.problem
-    whiteners = [w.whitener for w in fit.solution.weights]
     task = Refit(
         data=tuple(problem.data),
         start=problem.start,
@@ -87,7 +86,7 @@ def bootstrap(
         held=held,
         kind=kind,
         predicted=tuple(run.predicted_m for run in fit.runs),
-        covariance=tuple(np.linalg.pinv(np.swapaxes(w, 1, 2) @ w) for w in whiteners),
+        covariance=tuple(_covariance(weights.whitener) for weights in fit.solution.weights),
         seed=0,
     )
     tasks = [replace(task, seed=seed * 1_000_003 + k) for k in range(samples)]
@@ -122,6 +121,12 @@ def refit(task: Refit) -> Array:
         problem.prior_shift = (start - mean) / std + rng.standard_normal(len(known))
     solution = problem.solve(np.array(task.z), task.held, rounds=1, evaluations=8)
     return np.array([u.start + u.span * value for u, value in zip(problem.unknowns, solution.z, strict=True)])
+
+
+def _covariance(whitener: Array) -> Array:
+    """Covariances (K, 3, 3) that a whitener belongs to; zero where it is."""
+    out: Array = np.linalg.pinv(np.swapaxes(whitener, 1, 2) @ whitener)
+    return out
 
 
 def _drawn(rng: np.random.Generator, tips: Array, covariance: Array, poses: Poses) -> Array:

@@ -201,7 +201,7 @@ def _cell(
         for k in range(offsets.shape[0]):
             dx, dy, t = offsets[k]
             total += _albedo(u + ux * dx + uy * dy + ut * t, v + vx * dx + vy * dy + vt * t, nx, ny, backdrop)
-        return total / offsets.shape[0]
+        return float(total / offsets.shape[0])
     if on_u:
         share = _share_beyond(u - u_line, ux, uy, ut)
         beyond, before = _albedo(u_line + 0.5, v, nx, ny, backdrop), _albedo(u_line - 0.5, v, nx, ny, backdrop)
