@@ -56,7 +56,8 @@ def tip_gradient(arm: Arm, pressure_pa: ArrayLike, loads: Loads | None = None, n
     by_base = (residual[1:7] - residual[0]).T / STEP
     tip_by_base = (place[1:7] - place[0]).T / STEP
     found = place[0].copy()
-    answers: list[Array] = []
+    moved: list[Array] = []
+    lacking: list[Array] = []
     work = problem.work.reshape(-1, layout.LANES)
     for first in range(0, len(steps), layout.LANES - 1):
         kept = work.copy()
@@ -66,9 +67,11 @@ def tip_gradient(arm: Arm, pressure_pa: ArrayLike, loads: Loads | None = None, n
         lanes(problem.work, *shoot, 0.0, residual, place)
         work[:] = kept
         for lane, k in enumerate(chosen, start=1):
-            base = np.linalg.solve(by_base, -(residual[lane] - residual[0]) / steps[k])
-            answers.append((place[lane] - place[0]) / steps[k] + tip_by_base @ base)
-    return TipGradient(found, dict(zip(names, answers, strict=False)), np.array(answers[len(names) :]).T)
+            lacking.append((residual[lane] - residual[0]) / steps[k])
+            moved.append((place[lane] - place[0]) / steps[k])
+    base = np.linalg.solve(by_base, -np.array(lacking).T)
+    answers = np.array(moved) + (tip_by_base @ base).T
+    return TipGradient(found, dict(zip(names, answers, strict=False)), answers[len(names) :].T)
 
 
 def _perturb(
