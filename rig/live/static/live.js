@@ -148,8 +148,8 @@ function events(rows) {
 }
 
 function wire() {
-  let acted = 0;
   for (const button of document.querySelectorAll("[data-do]")) {
+    let acted = -DOUBLE_CLICK_MS;
     button.addEventListener("click", () => {
       const urgent = button.id === "stop" || button.id === "vent";
       if (!urgent && performance.now() - acted < DOUBLE_CLICK_MS) return; // a double click is one wish, not two
