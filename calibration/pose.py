@@ -135,7 +135,9 @@ def residual_covariance(
         apart = np.linalg.norm(points[:, None] - points, axis=2)
         length = _SMOOTH_OVER * float(np.min(apart[apart > 0]))
         together = np.exp(-0.5 * (apart / length) ** 2)
-        shared = max(scale - 1, 0.0) * together + share * scale * (together - np.eye(len(points)))
+        # Residuals smaller than stated say that the unexplained part does not move the corners.
+        believed = max(share - max(1 - scale, 0.0), 0.0)
+        shared = max(scale - 1, 0.0) * together + believed * scale * (together - np.eye(len(points)))
         for axis in (gain[:, 0::2], gain[:, 1::2]):
             covariance = covariance + axis @ shared @ axis.T
     return np.asarray(covariance)

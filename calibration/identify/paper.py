@@ -282,11 +282,19 @@ def _tube_bounds(start: Tube, free: Sequence[str]) -> tuple[Array, Array]:
 
 
 def _deviations(slope: Array, scale: Array, noise: float) -> tuple[float | None, ...]:
-    """Standard deviations, None beyond the value itself."""
-    values, vectors = np.linalg.eigh(slope.T @ slope)
-    covariance = (vectors / np.maximum(values, 1e-12)) @ vectors.T * noise
-    relative = np.sqrt(np.diagonal(covariance))
-    return tuple(float(r * s) if r < 1 else None for r, s in zip(relative, scale, strict=True))
+    """Standard deviations, None for what leaves one larger than the value itself, found with the others held."""
+    out: list[float | None] = [None] * len(scale)
+    only = list(range(len(scale)))
+    while only:
+        values, vectors = np.linalg.eigh(slope[:, only].T @ slope[:, only])
+        relative = np.sqrt((vectors**2 / np.maximum(values, 1e-12)).sum(axis=1) * noise)
+        worst = int(np.argmax(relative))
+        if relative[worst] < 1:
+            for k, share in zip(only, relative, strict=True):
+                out[k] = float(share * scale[k])
+            break
+        only.pop(worst)
+    return tuple(out)
 
 
 def _r2(values: Array, rest: Array) -> float:

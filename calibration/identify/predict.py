@@ -15,6 +15,7 @@ Array = NDArray[np.float64]
 
 # Time steps per camera period: at one step the time scheme's own damping would pass for the material's.
 SUBSTEPS = 2
+_KEPT = 64
 _SENSITIVITIES = 40
 _PRESSURE_STEP_PA = 500.0
 
@@ -34,8 +35,8 @@ class Predictor:
         arm = setup.turned_arm
         key = (arm, setup.sensor_offset_pa, setup.sensor_gain, setup.sensor_lag_s)
         if key not in self._solved:
-            if len(self._solved) > 4:
-                self._solved.clear()
+            if len(self._solved) >= _KEPT:
+                del self._solved[next(iter(self._solved))]
             true = setup.pressure_pa(pressure)
             self._solved[key] = _moving(arm, true, self.poses) if self.poses.moving else _resting(arm, true, self.poses)
         return setup.measured(*self._solved[key])

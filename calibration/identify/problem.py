@@ -20,6 +20,7 @@ _STEP = 3e-5
 # A faint pull to the start, in spans: it keeps what the data do not decide from drifting, and nothing else.
 _TETHER = 5.0
 _ROUNDS = 5
+_NOTICEABLE = 0.05
 
 
 @dataclass(frozen=True)
@@ -83,6 +84,7 @@ class Problem:
         ]
         self.unknowns = (*shared, *own)
         self._predictors = [Predictor(poses) for poses in self.data]
+        self._pressure: tuple[Array, list[Array]] | None = None
         self._columns = [
             [i for i, u in enumerate(self.unknowns) if u.run is None or u.run == run] for run in range(len(self.data))
         ]
@@ -139,9 +141,10 @@ class Problem:
     def weights(self, z: Array, fitted: int) -> tuple[tuple[Weights, ...], float]:
         """How residuals near z are weighed, and the model's discrepancy [m]."""
         predicted = self.predicted(z)
+        pressure = self._pressure_covariances(z)
         covariances, residuals, seen_covariances = [], [], []
         for run, (poses, tips) in enumerate(zip(self.data, predicted, strict=True)):
-            covariance = poses.covariance_m2 + self._predictors[run].pressure_covariance(self.setup(z, run))
+            covariance = poses.covariance_m2 + pressure[run]
             known = poses.seen & np.isfinite(tips).all(axis=1)
             covariances.append(covariance)
             residuals.append((poses.tip_m - tips)[known])
@@ -166,7 +169,7 @@ class Problem:
             damp, slope_d = damped(residual, slope)
             assert slope_d is not None
             count = self._count(run)
-            rows = (slope_d * np.sqrt(count / time)[:, None, None]).reshape(-1, len(only))
+            rows = (slope_d * np.sqrt(count / time)[:, None, None]).reshape(residual.size, len(only))
             information[np.ix_(only, only)] += rows.T @ rows
             squares = float((damp**2 * count[:, None]).sum())
             loss += squares
@@ -184,6 +187,13 @@ class Problem:
             damp, _ = damped(whitened(poses, self.predicted(z)[run], weights[run]))
             total += float((damp**2 * self._count(run)[:, None]).sum()) / correlation[run]
         return total
+
+    def _pressure_covariances(self, z: Array) -> list[Array]:
+        """What pressure errors add, found anew only where the parameters have moved noticeably."""
+        if self._pressure is None or np.abs(z - self._pressure[0]).max(initial=0.0) > _NOTICEABLE:
+            found = [p.pressure_covariance(self.setup(z, run)) for run, p in enumerate(self._predictors)]
+            self._pressure = (z.copy(), found)
+        return self._pressure[1]
 
     def _climb(self, z: Array, only: list[int], weights: tuple[Weights, ...], evaluations: int) -> tuple[Array, bool]:
         def whole(part: Array) -> Array:
