@@ -165,13 +165,11 @@ def doctor(out: Folder = Path("data"), json: AsJson = False) -> None:
 
 @app.command()
 def vent(rig: RigName = "mock") -> None:
-    """Put every valve of a rig into its safe state, whoever uses it."""
-    from rig.bench import open_bench
+    """Vent every chamber of a rig, whoever uses it; a run that goes ends."""
     from rig.config import load
+    from rig.vent import vent as vent_rig
 
-    bench = open_bench(load(rig))
-    bench.make_safe()
-    bench.close()
+    vent_rig(load(rig))
     typer.echo("the valves are in their safe state")
 
 
@@ -210,7 +208,7 @@ def live(
     raise typer.Exit(show(found, pid, listen, port, lambda line: console.print(line, soft_wrap=True)))
 
 
-for command in (archives.runs, archives.show, archives.report, archives.export, archives.recover):
+for command in (archives.runs, archives.show, archives.report, archives.export, archives.replay, archives.recover):
     app.command()(command)
 app.add_typer(calibrate.app, name="calibrate")
 

@@ -29,6 +29,7 @@ from runs.records import Event, Interval, Level, RunFooter, RunHeader, Status
 
 VARIANTS: tuple[Variant, ...] = get_args(Variant)
 Loaded = TypeVar("Loaded")
+Name = TypeVar("Name")
 SPARE_DISK_BYTES = 200_000_000
 
 
@@ -80,10 +81,7 @@ def request(
     problems: list[Problem] = []
     asked = _collecting(problems, protocols.load, protocol)
     config = _collecting(problems, load, rig)
-    chosen = next((known for known in VARIANTS if known == variant), None)
-    if variant is not None and chosen is None:
-        expected = f"one of {', '.join(VARIANTS)}"
-        problems.append(Problem("--model", 0, 0, "", str(variant), expected, closest(str(variant), VARIANTS)))
+    chosen = _collecting(problems, variant_named, variant)
     if problems or asked is None or config is None:
         raise BadInput(problems)
     return Request(
@@ -101,7 +99,16 @@ def request(
     )
 
 
-def _collecting(problems: list[Problem], read: Callable[[str], Loaded], name: str) -> Loaded | None:
+def variant_named(name: str | None) -> Variant | None:
+    """The model variant of that name, None for none; `BadInput` where there is no such variant."""
+    chosen = next((known for known in VARIANTS if known == name), None)
+    if name is not None and chosen is None:
+        expected = f"one of {', '.join(VARIANTS)}"
+        raise BadInput([Problem("--model", 0, 0, "", name, expected, closest(name, VARIANTS))])
+    return chosen
+
+
+def _collecting(problems: list[Problem], read: Callable[[Name], Loaded], name: Name) -> Loaded | None:
     try:
         return read(name)
     except BadInput as bad:
@@ -191,7 +198,7 @@ def header(request: Request, decided: Plan, t_ns: int) -> RunHeader:
     commit, diff = git_state()
     config, protocol = request.config, request.protocol
     return RunHeader(
-        run_id=_free_id(request.folder, f"{now.astimezone():%Y%m%d-%H%M%S}-{protocol.name}"),
+        run_id=free_id(request.folder, f"{now.astimezone():%Y%m%d-%H%M%S}-{protocol.name}"),
         title=protocol.title,
         started_utc_ns=int(now.timestamp() * 1e9),
         started_t_ns=t_ns,
@@ -225,7 +232,7 @@ def _intervals(trajectory: Trajectory) -> tuple[Interval, ...]:
     )
 
 
-def _free_id(folder: Path, stem: str) -> str:
+def free_id(folder: Path, stem: str) -> str:
     """A run id that no file of the folder has: two runs can begin within one second."""
     candidate, n = stem, 1
     while any(folder.glob(f"{candidate}.*")):

@@ -145,6 +145,7 @@ def _entry(journal: Journal) -> Group:
         Field("message", message, about="why the run ended as it did"),
         Field("simulated", np.int8(header.simulated), about="1 where the card, the camera or the arm was simulated"),
         Field("executor", header.executor),
+        Field("parent", header.parent, about="run that this replay was made from; empty for a run"),
         Field("operator", header.operator),
         Field("notes", header.notes),
         Field("command", header.command, about="the command line"),

@@ -169,6 +169,8 @@ class RunHeader:
     git_diff: str = ""
     intervals: tuple[Interval, ...] = ()
     quantities: tuple[Quantity, ...] = ()
+    parent: str = ""
+    """Run id that a replay was made from; empty for a run."""
     control_hz: float = 200.0
     camera_hz: float = 30.0
 

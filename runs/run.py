@@ -124,6 +124,7 @@ class Run:
             actuators=int(entry["actuators"]),
             valves=int(entry["valves"]),
             executor=entry["executor"],
+            parent=entry["parent"],
             simulated=bool(entry["simulated"]),
             seed=int(entry["seed"]) if "seed" in entry else None,
             model_variant=self._group("entry/model")["variant"],

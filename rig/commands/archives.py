@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from rig.commands.options import Archive, Archives, AsJson
+from rig.commands.options import Archive, Archives, AsJson, Folder
 
 
 def runs(
@@ -55,6 +55,21 @@ def report(
 
     found = [resolve(archive) for archive in archives]
     typer.echo(write(found, to or found[0].with_suffix(".html")))
+
+
+def replay(
+    archive: Archive,
+    rig: Annotated[str | None, typer.Option("--rig", help="Another rig: calibration, model, material.")] = None,
+    model: Annotated[str | None, typer.Option("--model", help="Another variant of the model.")] = None,
+    out: Folder = Path("data"),
+) -> None:
+    """Run vision and model again on a run's stored pictures and pressures."""
+    from rig.experiment import variant_named
+    from rig.listing import resolve
+    from rig.replay import replay as observe_again
+    from runs.run import Run
+
+    typer.echo(observe_again(Run(resolve(archive)), out, rig, variant_named(model)))
 
 
 def export(

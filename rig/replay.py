@@ -1,0 +1,121 @@
+"""Vision and model once more, from a run's stored pictures and pressures, into an archive that names its parent."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from dataclasses import replace
+from datetime import UTC, datetime
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from rig import config as rigs
+from rig.cameras.base import Frame
+from rig.config import PA_PER_BAR, RigConfig, Variant
+from rig.executor.base import StartError
+from rig.experiment import VARIANTS, free_id
+from rig.observer import Observer
+from rig.provenance import git_state, quantities, versions
+from runs.archive import finalise
+from runs.journal import SUFFIX, JournalWriter
+from runs.records import RunFooter, sample_dtype
+from runs.run import Run
+
+
+def replay(run: Run, folder: Path, rig: str | None = None, variant: Variant | None = None) -> Path:
+    """Observe a run's pictures again and return the new archive's path.
+
+    `rig` names a rig, or a file, with other calibration, model or material; by default the run's own. Frames that were
+    not stored are not observed; the model steps over them as over dropped frames.
+
+    Raises:
+        StartError: the run kept no pictures.
+        BadInput: the rig is wrong.
+    """
+    if not len(run.frames.index):
+        raise StartError(f"{run.path} holds no pictures: there is nothing to replay")
+    text = run.header.rig_yaml if rig is None else rigs.text(rig)
+    config = rigs.parse(text, f"{run.path}: rig") if rig is None else rigs.load(rig)
+    chosen = variant or (_variant(run) if rig is None else config.model.variant)
+    rows = np.array(list(_observed(run, config, chosen)))
+    now = datetime.now(UTC)
+    commit, diff = git_state()
+    folder.mkdir(parents=True, exist_ok=True)
+    header = replace(
+        run.header,
+        run_id=free_id(folder, f"{run.header.run_id}-replay"),
+        parent=run.header.run_id,
+        notes=f"replayed {now:%Y-%m-%d %H:%M} UTC",
+        rig_name=config.name,
+        rig_yaml=text,
+        model_variant=chosen,
+        command=" ".join(sys.argv),
+        versions=versions(),
+        git_commit=commit,
+        git_diff=diff,
+        quantities=quantities(config),
+    )
+    journal = JournalWriter(folder / f"{header.run_id}{SUFFIX}", header)
+    journal.samples(_samples(run))
+    journal.observations(rows)
+    for event in run.events:
+        journal.event(event)
+    journal.close(RunFooter(int(rows["t_ns"][-1]), run.status, run.message, run.timing.counters))
+    return finalise(journal.path)
+
+
+def _variant(run: Run) -> Variant:
+    return next(v for v in VARIANTS if v == run.header.model_variant)
+
+
+def _observed(run: Run, config: RigConfig, variant: Variant) -> Iterator[NDArray[np.void]]:
+    """The rows of the stored frames, in their order."""
+    observer = Observer(config, variant)
+    tip = run.tip
+    clock = run.header.started_t_ns
+    ticks_ns = _nanoseconds(run.pressure.time_s, clock)
+    measured_pa = run.pressure.measured_bar * PA_PER_BAR
+    truth_mm = run.simulated.tip_mm if run.simulated is not None else np.full((len(tip.frame), 3), np.nan)
+    row_of = {int(frame): row for row, frame in enumerate(tip.frame)}
+    seen = 0
+    before = None
+    for k, (time_s, index) in enumerate(zip(run.frames.time_s, run.frames.index, strict=True)):
+        row = row_of.get(int(index))
+        if row is None:
+            continue
+        t_ns = int(_nanoseconds(time_s, clock))
+        until = min(int(np.searchsorted(ticks_ns, t_ns, side="left")) + 1, len(ticks_ns))
+        image = cv2.imdecode(np.frombuffer(run.picture(k), np.uint8), cv2.IMREAD_UNCHANGED)
+        frame = Frame(int(index), t_ns, np.asarray(image, np.uint8), truth_mm[row] * 1e-3)
+        dropped = 0 if before is None else int(index) - before - 1
+        before = int(index)
+        yield observer.step(
+            frame,
+            ticks_ns[seen:until],
+            measured_pa[seen:until],
+            float(tip.protocol_s[row]),
+            dropped,
+            float(tip.weight_g[row]) * 1e-3,
+        )
+        seen = until
+
+
+def _samples(run: Run) -> NDArray[np.void]:
+    """The run's control ticks, as they were recorded."""
+    pressure = run.pressure
+    rows = np.zeros(len(pressure.time_s), sample_dtype(run.header.actuators, run.header.valves))
+    rows["t_ns"] = _nanoseconds(pressure.time_s, run.header.started_t_ns)
+    rows["tick"], rows["protocol_s"], rows["scans"] = pressure.tick, pressure.protocol_s, pressure.scans
+    rows["setpoint_pa"] = pressure.setpoint_bar * PA_PER_BAR
+    rows["measured_pa"] = pressure.measured_bar * PA_PER_BAR
+    rows["valve_v"] = pressure.valve_v
+    rows["lateness_ns"] = np.round(run.timing.lateness_us * 1e3)
+    rows["missed"] = run.timing.overruns
+    return rows
+
+
+def _nanoseconds(time_s: NDArray[np.float64] | float, clock_ns: int) -> NDArray[np.int64]:
+    return np.round(np.asarray(time_s) * 1e9).astype(np.int64) + clock_ns

@@ -1,0 +1,61 @@
+"""A replay sees in the stored pictures what the run saw, and what other parameters would have made of it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from test_run_virtual import Silent, protocol_file
+
+import runs
+from rig import config, experiment
+from rig.replay import replay
+from runs.run import Run
+
+
+def recorded(folder: Path, encoding: str) -> Run:
+    rig = folder / "rig.yaml"
+    text = config.text("mock")
+    rig.write_text(f"{text}\nrecording: {{keep_every: 1, encoding: {encoding}, jpeg_quality: 95}}\n")
+    protocol = protocol_file(folder, "  - ramp: {actuators: [1], to_bar: 0.4, duration_s: 2}\n")
+    request = experiment.request(protocol, str(rig), folder=folder / encoding, fast=True, seed=3, report=False)
+    archive = experiment.run(request, experiment.plan(request), Silent()).archive
+    assert archive is not None
+    return runs.open(archive)
+
+
+@pytest.fixture(scope="module")
+def lossless(tmp_path_factory: pytest.TempPathFactory) -> Run:
+    """A run whose every frame was kept without loss."""
+    return recorded(tmp_path_factory.mktemp("lossless"), "png")
+
+
+def test_lossless_pictures_give_the_stored_tips_again(lossless: Run, tmp_path: Path) -> None:
+    again = runs.open(replay(lossless, tmp_path))
+    np.testing.assert_array_equal(again.tip.frame, lossless.tip.frame)
+    np.testing.assert_allclose(again.tip.measured_mm, lossless.tip.measured_mm, atol=1e-9)
+    np.testing.assert_allclose(again.tip.model_mm, lossless.tip.model_mm, atol=1e-6)
+    np.testing.assert_allclose(again.pressure.measured_bar, lossless.pressure.measured_bar, rtol=1e-12)
+    np.testing.assert_array_equal(again.pressure.time_s, lossless.pressure.time_s)
+
+
+def test_a_replay_names_its_parent(lossless: Run, tmp_path: Path) -> None:
+    again = runs.open(replay(lossless, tmp_path)).header
+    assert again.parent == lossless.header.run_id
+    assert again.run_id != lossless.header.run_id
+    assert again.simulated
+
+
+def test_jpeg_pictures_give_the_stored_tips_within_two_hundredths_of_a_millimetre(tmp_path: Path) -> None:
+    run = recorded(tmp_path, "jpeg")
+    again = runs.open(replay(run, tmp_path))
+    off = (again.tip.measured_mm - run.tip.measured_mm)[:, [0, 2]]
+    assert np.abs(off).max() < 0.02
+
+
+def test_another_variant_moves_the_model_and_not_the_measurement(lossless: Run, tmp_path: Path) -> None:
+    again = runs.open(replay(lossless, tmp_path, variant="homogeneous"))
+    assert again.header.model_variant == "homogeneous"
+    np.testing.assert_allclose(again.tip.measured_mm, lossless.tip.measured_mm, atol=1e-9)
+    assert np.abs(again.tip.model_mm - lossless.tip.model_mm).max() > 1.0
