@@ -1,0 +1,133 @@
+"""How fast the live page acts, and what it costs a run: `python benchmarks/live.py`.
+
+Times go from the browser's side (the message is sent) to the card's registers, which are read from outside the run.
+"""
+
+from __future__ import annotations
+
+import statistics
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Callable
+from contextlib import ExitStack
+from pathlib import Path
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+
+from live_page import Stream, request, said
+from rig_process import RigProcess, rig_run
+
+import runs
+
+HOLDING = """
+title: Something to hold
+steps:
+  - ramp: {actuators: [1], to_bar: 0.3, duration_s: 2}
+  - sine: {actuators: [1], mean_bar: 0.3, amplitude_bar: 0.1, omega_rad_s: 2, duration_s: 100}
+"""
+ROUNDS = 5
+WATCHED_S = 15.0
+
+
+def page_of(run: RigProcess) -> str:
+    """The address of a run's page, once it answers."""
+    page = said(lambda: run.output, "live page")
+    request(page)
+    return page
+
+
+def ended_by(action: str) -> float:
+    """Milliseconds from asking for a stop or a vent to valves in their safe state."""
+    with tempfile.TemporaryDirectory() as folder, rig_run(Path(folder), HOLDING, "--live", "--port", "0") as run:
+        with Stream(page_of(run)) as viewer:
+            viewer.until("running")
+            run.wait_until_pressurised()
+            began = time.perf_counter()
+            viewer.socket.send(f'{{"do": "{action}"}}')
+            while not run.valves_are_safe():
+                pass
+            took = time.perf_counter() - began
+        run.end()
+    return 1e3 * took
+
+
+def paused() -> list[float]:
+    """Milliseconds from asking for a pause to a protocol that stands still in the shared memory."""
+    took = []
+    with tempfile.TemporaryDirectory() as folder, rig_run(Path(folder), HOLDING, "--live", "--port", "0") as run:
+        with Stream(page_of(run)) as viewer:
+            viewer.until("running")
+            for _ in range(ROUNDS):
+                asked = time.monotonic_ns()
+                viewer.act("pause")
+                time.sleep(0.3)
+                viewer.act("resume")
+                time.sleep(0.3)
+                took.append(asked)
+            viewer.act("stop")
+        run.end()
+        archive = runs.open(run.archive())
+        start_ns = archive.header.started_t_ns
+        time_ns = start_ns + archive.pressure.time_s * 1e9
+        still = np.diff(archive.pressure.protocol_s, prepend=-1.0) == 0
+        return [1e-6 * float(time_ns[still & (time_ns > asked)][0] - asked) for asked in took]
+
+
+def watched(viewers: int, stalled: int) -> tuple[int, float, float, float]:
+    """Missed deadlines, p99 and greatest lateness [us] and packets per second with viewers, some of them stalled."""
+    with tempfile.TemporaryDirectory() as folder, rig_run(Path(folder), HOLDING, "--live", "--port", "0") as run:
+        page = page_of(run)
+        packets = [0] * viewers
+        with ExitStack() as stack:
+            streams = [stack.enter_context(Stream(page)) for _ in range(viewers)]
+            for stream in streams[:stalled]:
+                for _ in range(100):
+                    stream.socket.send('{"more": 1}')
+            run.wait_until_pressurised()
+            until = time.monotonic() + WATCHED_S
+            threads = [
+                threading.Thread(target=_take, args=(stream, packets, i, lambda: time.monotonic() > until))
+                for i, stream in enumerate(streams)
+                if i >= stalled
+            ]
+            for thread in threads:
+                thread.start()
+            while time.monotonic() < until:
+                time.sleep(0.1)
+            for thread in threads:
+                thread.join()
+        run.process.terminate()
+        run.end()
+        timing = runs.open(run.archive()).timing
+    rate = statistics.mean(packets[stalled:]) / WATCHED_S if viewers > stalled else 0.0
+    lateness = timing.lateness_us
+    return int(timing.overruns.sum()), float(np.percentile(lateness, 99)), float(lateness.max()), rate
+
+
+def _take(stream: Stream, packets: list[int], index: int, over: Callable[[], bool]) -> None:
+    while not over():
+        stream.packet()
+        packets[index] += 1
+
+
+def main() -> None:
+    """Measure and print."""
+    for action in ("stop", "vent"):
+        times = sorted(ended_by(action) for _ in range(ROUNDS))
+        print(f"{action}: valves safe after {statistics.median(times):.1f} ms median, {times[-1]:.1f} ms at most")
+    times = sorted(paused())
+    print(f"pause: protocol stands still after {statistics.median(times):.1f} ms median, {times[-1]:.1f} ms at most")
+    for viewers, stalled in ((0, 0), (1, 0), (5, 1)):
+        missed, p99, most, rate = watched(viewers, stalled)
+        print(
+            f"{viewers} viewers, {stalled} stalled: {missed} deadlines missed, lateness p99 {p99:.0f} us, "
+            f"at most {most:.0f} us; {rate:.1f} packets/s each"
+        )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,42 @@
+"""Makes the picture of the live page: `python tests/live_picture.py docs/images/live.png [--dark]`.
+
+Runs a protocol on a simulated rig, watches it in a headless Chromium and takes a screenshot in the middle of it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+from pathlib import Path
+
+from browser import browsing
+from live_page import request, said
+from rig_process import rig_run
+
+import protocols
+
+
+def main() -> None:
+    """Make the picture."""
+    arguments = argparse.ArgumentParser(description=__doc__)
+    arguments.add_argument("picture", type=Path)
+    arguments.add_argument("--dark", action="store_true")
+    arguments.add_argument("--seconds", type=float, default=16.0, help="how far into the run")
+    wanted = arguments.parse_args()
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        browsing() as browser,
+        rig_run(Path(folder), protocols.load("sine-1").text, "--live", "--port", "0") as run,
+    ):
+        url = said(lambda: run.output, "live page")
+        request(url)
+        tab = browser.tab()
+        tab.size(1440, 1000)
+        tab.dark(wanted.dark)
+        tab.go(url)
+        tab.until(f"window.softrig && window.softrig.now && window.softrig.now.t > {wanted.seconds}", 120.0)
+        tab.screenshot(wanted.picture)
+
+
+if __name__ == "__main__":
+    main()
