@@ -50,8 +50,11 @@ def test_a_replay_names_its_parent(lossless: Run, tmp_path: Path) -> None:
 def test_jpeg_pictures_give_the_stored_tips_within_two_hundredths_of_a_millimetre(tmp_path: Path) -> None:
     run = recorded(tmp_path, "jpeg")
     again = runs.open(replay(run, tmp_path))
-    off = (again.tip.measured_mm - run.tip.measured_mm)[:, [0, 2]]
-    assert np.abs(off).max() < 0.02
+    off = again.tip.measured_mm - run.tip.measured_mm
+    assert np.linalg.norm(off, axis=1).mean() < 0.02
+    # Along the line of sight a single frame sees less sharply: its own standard uncertainty is 0.1 mm there.
+    assert np.abs(off[:, [0, 2]]).max() < 0.02
+    assert np.abs(off[:, 1]).max() < 0.05
 
 
 def test_another_variant_moves_the_model_and_not_the_measurement(lossless: Run, tmp_path: Path) -> None:
