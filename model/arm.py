@@ -126,7 +126,8 @@ class Arm:
     ) -> Dynamics:
         """A stepper in time with a fixed step [s]; schemes of Table 2: bdf1, bdf2, bdf3, bdf-alpha, trapezoidal.
 
-        nodes: steps along the arm; by default as many as the time step needs.
+        nodes: steps along the arm; by default as many as the time step needs. ValueError for fewer than can follow the
+        waves of so short a step, an unknown scheme, or a time step that is not positive.
         """
         from model.dynamics import Dynamics
 

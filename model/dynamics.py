@@ -43,6 +43,10 @@ class Dynamics:
         self._nodes = nodes if nodes is not None else 4 * max(3, math.ceil(growth / 2))
         if self._nodes < 2:
             raise ValueError(f"an arm needs at least two steps along it, got {nodes}")
+        if self._nodes < growth:
+            raise ValueError(
+                f"a time step of {dt_s} s needs at least {math.ceil(growth)} steps along the arm, got {nodes}"
+            )
         self._segments = _segments(self._nodes, growth)
         self._coefficients = np.array(
             [self._scheme.c0, self._scheme.c1, self._scheme.c2, self._scheme.c3, self._scheme.d1]

@@ -351,6 +351,7 @@ def test_the_rod_itself_shows_that_growth() -> None:
         ({"dt_s": 0.01, "scheme": "rk4"}, "bdf-alpha"),
         ({"dt_s": 0.01, "alpha": 0.1}, "alpha"),
         ({"dt_s": 0.01, "nodes": 1}, "two steps"),
+        ({"dt_s": 0.001, "nodes": 12}, "needs at least"),
     ],
 )
 def test_a_stepper_that_cannot_be_is_refused(arguments: dict[str, float], message: str) -> None:

@@ -81,7 +81,7 @@ def test_a_growing_load_swings_it_alike() -> None:
     theirs = extrapolated(duration, 0.0, samples)
 
     def ours(parts: int) -> NDArray[np.float64]:
-        dynamics = ROD.dynamics(duration / parts, "trapezoidal", nodes=64)
+        dynamics = ROD.dynamics(duration / parts, "trapezoidal", nodes=96)
         dynamics.start((0,))
         times = np.arange(1, parts + 1) * duration / parts
         pulls = np.outer(np.minimum(1.0, times / RAMP_S), FORCE)
