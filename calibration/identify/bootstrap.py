@@ -133,7 +133,8 @@ def _drawn(rng: np.random.Generator, tips: Array, covariance: Array, poses: Pose
     """Tips (K, 3) with errors of the stated size, NaN where none was measured."""
     values, vectors = np.linalg.eigh(covariance)
     unit = rng.standard_normal((len(covariance), 3))
-    out: Array = tips + np.einsum("kij,kj->ki", vectors, np.sqrt(np.maximum(values, 0.0)) * unit)
+    error: Array = np.asarray(np.einsum("kij,kj->ki", vectors, np.sqrt(np.maximum(values, 0.0)) * unit))
+    out = tips + error
     out[~poses.seen] = np.nan
     return out
 
@@ -141,6 +142,6 @@ def _drawn(rng: np.random.Generator, tips: Array, covariance: Array, poses: Pose
 def _counts(rng: np.random.Generator, poses: Poses) -> Array:
     length = max(1, round(_BLOCK_S / poses.period_s)) if poses.moving else 1
     blocks = -(-len(poses) // length)
-    drawn = rng.multinomial(blocks, np.full(blocks, 1 / blocks)).astype(np.float64)
+    drawn: Array = rng.multinomial(blocks, np.full(blocks, 1 / blocks)).astype(np.float64)
     out: Array = np.repeat(drawn, length)[: len(poses)]
     return out

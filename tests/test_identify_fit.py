@@ -1,0 +1,172 @@
+"""Maximum likelihood: truth found within error bars, outliers harmless, and no number where data decide none."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import model
+from calibration.identify import NoData, Poses, Prior, Setup, UnknownParameter, Verdict, identify, named
+from calibration.identify.bootstrap import bootstrap
+from calibration.identify.document import BadParameters, content, read, write
+from calibration.identify.simulated import Errors, coverage, perform, plan
+
+RAMP = np.linspace(0.15e5, 0.65e5, 8)[:, None]
+PLANNED = (
+    plan("ramp-a", RAMP * np.array([1.0, 0, 0])),
+    plan("ramp-b", RAMP * np.array([0, 1.0, 1.0])),
+    plan("weights", np.zeros((7, 3)), np.linspace(0, 1.2, 7)),
+)
+START = Setup(model.Arm.paper())
+ZEROS = {"sensor_offsets": Prior(0.0, 200.0)}
+
+
+def true_setup(**material: float) -> Setup:
+    changed = {"a1_per_n": 0.0079, "a2_per_n2": 0.00034, "rpe_per_bar": 0.049, **material}
+    return Setup(replace(START.arm, material=replace(START.arm.material, **changed)))
+
+
+def done(
+    truth: Setup, seed: int = 1, planned: tuple[Poses, ...] = PLANNED, errors: Errors | None = None
+) -> list[Poses]:
+    rng = np.random.default_rng(seed)
+    return [perform(one, truth, rng, errors) for one in planned]
+
+
+def test_law_and_radial_effect_are_found_within_their_error_bars() -> None:
+    truth = true_setup()
+    fit = identify(done(truth), START, ["law", "rpe_per_bar", "sensor_offsets"], ZEROS)
+    assert fit.solved
+    for name in ("a1_per_n", "a2_per_n2", "rpe_per_bar"):
+        estimate, true = fit[name], getattr(truth.arm.material, name)
+        assert estimate.verdict is Verdict.IDENTIFIED
+        assert estimate.value is not None
+        assert estimate.std is not None
+        assert abs(estimate.value - true) < 4 * estimate.std
+        assert estimate.std < 0.3 * true
+    assert fit.discrepancy_m == 0.0
+
+
+def test_error_bars_hold_in_repeated_experiments() -> None:
+    # `python -m benchmarks.identify` does the paper's four runs 200 times.
+    found = coverage(PLANNED[:2], true_setup(), START, ("law", "rpe_per_bar"), 24, seed=5, workers=1)
+    z = found.z[np.isfinite(found.z)]
+    assert len(z) == found.z.size
+    # 24 independent trials of three correlated errors: 99.9 % of such samples lie within these bounds.
+    assert found.overall >= 0.85
+    assert 0.6 < z.std() < 1.45
+
+
+def test_an_outlier_moves_the_answer_by_less_than_an_error_bar() -> None:
+    data = done(true_setup())
+    clean = identify(data, START, ["law"])
+    tip = data[0].tip_m.copy()
+    tip[4] += np.array([0.05, 0.0, 0.02])
+    spoiled = identify([replace(data[0], tip_m=tip), *data[1:]], START, ["law"])
+    assert spoiled.runs[0].outliers >= 1
+    for name in ("a1_per_n", "a2_per_n2"):
+        before, after = clean[name], spoiled[name]
+        assert before.value is not None
+        assert after.value is not None
+        assert before.std is not None
+        assert abs(after.value - before.value) < before.std
+
+
+@pytest.mark.parametrize(
+    ("free", "planned", "name", "verdict"),
+    [
+        (["law", "youngs_modulus_pa"], PLANNED, "youngs_modulus_pa", Verdict.NO_EFFECT),
+        (["law", "damping_s"], PLANNED, "damping_s", Verdict.NO_EFFECT),
+        (["damping_s"], PLANNED[2:], "damping_s", Verdict.NO_EFFECT),
+        (["a1_per_n", "sensor_gains"], PLANNED[:1], "sensor_2_gain", Verdict.UNDECIDED),
+    ],
+)
+def test_what_does_not_show_in_the_data_gets_a_verdict_and_no_number(
+    free: list[str], planned: tuple[Poses, ...], name: str, verdict: Verdict
+) -> None:
+    estimate = identify(done(true_setup(), planned=planned), START, free)[name]
+    assert estimate.verdict is verdict
+    assert (estimate.value, estimate.std, estimate.interval) == (None, None, None)
+
+
+def test_parameters_that_can_be_exchanged_are_named_together() -> None:
+    # Turning the base and turning all actuators is the same thing.
+    fit = identify(done(true_setup()), START, ["law", "base_rz_rad", "actuator_angles"])
+    turns = [e for e in fit.estimates if "turn" in e.name or e.name == "base_rz_rad"]
+    assert all(e.verdict is Verdict.ENTANGLED for e in turns)
+    assert "base_rz_rad" in fit["actuator_1_turn_rad"].partners
+    assert fit["a1_per_n"].identified
+
+
+def test_a_prior_alone_is_no_measurement() -> None:
+    fit = identify(done(true_setup()), START, ["law", "density_kg_m3"], {"density_kg_m3": Prior(1080.0, 30.0)})
+    assert fit["density_kg_m3"].verdict is Verdict.PRIOR
+    assert fit["density_kg_m3"].value is None
+
+
+def test_a_model_that_is_wrong_says_by_how_much_and_widens_its_bars() -> None:
+    small = Errors((1e-5, 1e-5, 1e-5), 5.0, 0.0)
+    data = done(true_setup(), errors=small)
+    homogeneous = replace(START, arm=replace(START.arm, variant="homogeneous+rpe"))
+    wrong = identify(data, homogeneous, ["youngs_modulus_pa", "rpe_per_bar"])
+    right = identify(data, START, ["law", "rpe_per_bar"])
+    assert right.discrepancy_m < 1e-5
+    assert wrong.discrepancy_m > 3e-4
+    assert wrong.bic > right.bic + 100
+    assert wrong.discrepancy_m == pytest.approx(wrong.rms_m / math.sqrt(3), rel=0.5)
+
+
+def test_static_and_moving_runs_together_give_damping() -> None:
+    truth = true_setup(damping_s=0.03)
+    t = np.arange(90) / 30
+    step = np.where(t[:, None] < 0.3, 0.2e5, 0.5e5) * np.array([1.0, 0.0, 0.0])
+    moving = plan("step", step, period_s=1 / 30)
+    data = done(truth, planned=(PLANNED[0], moving), errors=Errors((1e-4, 1e-4, 1e-4), 0.0, 0.0))
+    start = Setup(replace(START.arm, material=replace(START.arm.material, damping_s=0.01)))
+    fit = identify(data, start, ["law", "damping_s"])
+    estimate = fit["damping_s"]
+    assert estimate.value is not None
+    assert estimate.std is not None
+    assert abs(estimate.value - 0.03) < max(4 * estimate.std, 1e-4)
+
+
+def test_bootstrap_and_laplace_agree() -> None:
+    fit = identify(done(true_setup()), START, ["law"])
+    found = bootstrap(fit, 30, seed=3, workers=1)
+    for name, std in zip(found.names, found.std, strict=True):
+        assert std == pytest.approx(fit[name].std, rel=0.45)
+        low, high = found.interval(name)
+        assert low < fit[name].used < high
+
+
+def test_the_result_is_a_file_that_reads_back(tmp_path: Path) -> None:
+    fit = identify(done(true_setup()), START, ["law", "cap_mass_kg", "tool_x_m"])
+    path = write(fit, tmp_path / "arm.yaml")
+    overlay = read(path)
+    assert overlay.rig["arm"]["material"]["a1_per_N"] == fit.setup.arm.material.a1_per_n
+    assert overlay.tool_offset_mm[0] == pytest.approx(1e3 * fit.setup.tool_offset_m[0])
+    said = content(fit)
+    assert [e["name"] for e in said["estimates"]] == ["a1_per_n", "a2_per_n2", "cap_mass_kg", "tool_x_m"]
+    assert np.shape(said["covariance"]) == (4, 4)
+    assert {d["run"] for d in said["data"]} == {"ramp-a", "ramp-b", "weights"}
+
+
+@pytest.mark.parametrize("text", ["", "[1, 2]", "softrig_parameters: 1\n", "a: [", "softrig_parameters: 2\nrig: {}\n"])
+def test_a_file_that_is_none_is_refused_in_one_sentence(text: str, tmp_path: Path) -> None:
+    path = tmp_path / "other.yaml"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(BadParameters, match=r"other\.yaml"):
+        read(path)
+
+
+def test_bad_questions_are_refused() -> None:
+    with pytest.raises(UnknownParameter, match="did you mean a1_per_n"):
+        named(["a1_per_m"], 3)
+    with pytest.raises(NoData):
+        identify(PLANNED, START, ["law"])
+    with pytest.raises(ValueError, match="positive deviation"):
+        Prior(0.0, 0.0)
