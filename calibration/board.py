@@ -23,6 +23,8 @@ _SPOTS = np.array([[0, 0], [_SPREAD, _SPREAD], [-_SPREAD, _SPREAD], [_SPREAD, -_
 # Between the local dark (0) and the local bright (1) a cell must stand clearly on its side.
 _SIDE_MARGIN = 0.2
 _MIN_CONTRAST_GREY = 12.0
+# A place no larger than this holds squares so small that the detector sees them better magnified.
+_SMALL_PX = 240
 
 
 @dataclass(frozen=True)
@@ -127,9 +129,15 @@ def _find_in(image: Image, board: Board) -> Floats | None:
     """Search a small picture. The detector does not know which end of the board is which; the colours decide."""
     flags = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
     found, raw = cv2.findChessboardCorners(image, board.pattern, flags=flags)
+    magnified = 1
+    if not found and max(image.shape) < _SMALL_PX:
+        magnified = 2
+        larger = np.asarray(cv2.resize(image, None, fx=2, fy=2, interpolation=cv2.INTER_CUBIC), dtype=np.uint8)
+        found, raw = cv2.findChessboardCorners(larger, board.pattern, flags=flags)
     if not found:
         return None
-    corners = np.asarray(raw, dtype=np.float64).reshape(board.pattern[1], board.pattern[0], 2)
+    # Magnified about the picture's corner: a pixel's centre moves with it.
+    corners = (np.asarray(raw, dtype=np.float64).reshape(board.pattern[1], board.pattern[0], 2) + 0.5) / magnified - 0.5
     along, down = corners[0, -1] - corners[0, 0], corners[-1, 0] - corners[0, 0]
     if along[0] * down[1] - along[1] * down[0] < 0:  # seen from the front, rows run clockwise before columns
         corners = corners[::-1]

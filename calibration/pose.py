@@ -14,8 +14,8 @@ from calibration.lens import Lens
 
 Floats = NDArray[np.float64]
 
-_ITERATIONS = 20
-_CONVERGED = 1e-10
+_ITERATIONS = 60
+_CONVERGED = 1e-8
 # Corner noise where the caller states none.
 _USUAL_STD_PX = 0.05
 # The residuals correct the stated corner noise; that it is right is worth so many observations.

@@ -24,6 +24,8 @@ _WORST_MISFIT = 0.15
 # A flip is decided by the picture alone when its residuals are so many variances worse.
 _FLIP_EVIDENCE = 16.0
 _FLIP_SAME_RAD = 0.02
+# Followed from frame to frame, a pose whose residuals are so many times larger than the corners say is looked at anew.
+_SUSPECT = 3.0
 
 
 @dataclass(frozen=True)
@@ -93,7 +95,9 @@ class Tracker:
         if self._last is not None and self._before is not None:
             start = self._last.rotation_vector, self._last.translation_m
             pose = refine(points, corners.px, self._lens, start, corners.covariance, corners.unexplained)
-            return pose, Seen.POOR_FIT
+            if pose is not None and pose.misfit < _SUSPECT * (corners.px.size - 6):
+                return pose, Seen.MEASURED
+        # At first sight, and where following may have led to the wrong side of a flip.
         poses = solutions(points, corners.px, self._lens, corners.covariance, corners.unexplained)
         if not poses:
             return None, Seen.POOR_FIT

@@ -213,3 +213,15 @@ def test_clutter_round_the_board_does_not_hide_it(seed: int) -> None:
     sighting = Tracker(BOARD, LENS).see(picture)
     assert sighting.pose is not None
     assert _off_mm(sighting.pose.rigid, pose) < 0.5
+
+
+def test_a_flip_that_was_followed_wrongly_is_righted_when_the_picture_shows_it() -> None:
+    """Head-on either side fits; once the board tilts, only one does."""
+    view, tracker = scene(), Tracker(BOARD, LENS)
+    for k, tilt in enumerate(np.linspace(25, -25, 40)):
+        pose = facing(tilt_deg=float(tilt))
+        sighting = tracker.see(still(pose, k, view))
+        if abs(tilt) > 8:
+            assert sighting.pose is not None
+            turn = sighting.pose.rigid.rotation @ pose.rotation.T
+            assert np.degrees(np.arccos(np.clip((np.trace(turn) - 1) / 2, -1, 1))) < 1.0
