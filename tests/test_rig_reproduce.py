@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from rig.reproduce import SCHEMES, Table4Row, figure, table4
+from rig.reproduce import SCHEMES, Table4Row, backbones, figure, table4
 
 
 @pytest.fixture(scope="module")
@@ -37,3 +37,8 @@ def test_the_live_solver_is_as_exact_as_the_papers_rk4_and_better_than_its_euler
 def test_the_figure_is_drawn(rows: tuple[Table4Row, ...], tmp_path: Path) -> None:
     figure(rows, tmp_path / "table4.svg")
     assert "live solver" in (tmp_path / "table4.svg").read_text()
+
+
+def test_the_backbones_are_drawn(tmp_path: Path) -> None:
+    backbones(tmp_path / "backbones.svg")
+    assert "inhomogeneous+rpe" in (tmp_path / "backbones.svg").read_text()
