@@ -9,7 +9,7 @@ from typing import Annotated, Any, NoReturn
 import typer
 from typer.core import TyperGroup
 
-from rig.commands import archives, calibrate
+from rig.commands import archives, calibrate, identify
 from rig.commands.options import AsJson, Folder
 
 DONE, FAULT, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
@@ -210,6 +210,7 @@ def live(
 
 for command in (archives.runs, archives.show, archives.report, archives.export, archives.replay, archives.recover):
     app.command()(command)
+app.command()(identify.identify)
 app.add_typer(calibrate.app, name="calibrate")
 
 

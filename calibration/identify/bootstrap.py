@@ -125,7 +125,7 @@ def refit(task: Refit) -> Array:
 
 def _covariance(whitener: Array) -> Array:
     """Covariances (K, 3, 3) that a whitener belongs to; zero where it is."""
-    out: Array = np.linalg.pinv(np.swapaxes(whitener, 1, 2) @ whitener)
+    out: Array = np.asarray(np.linalg.pinv(np.swapaxes(whitener, 1, 2) @ whitener), dtype=np.float64)
     return out
 
 

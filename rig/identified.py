@@ -1,0 +1,119 @@
+"""Identified parameters laid over a rig, and what `rig identify` prints."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import typer
+import yaml
+from rich.table import Table
+from rich.text import Text
+from scipy.spatial.transform import Rotation
+
+from calibration.identify.data import Poses, poses_of
+from calibration.identify.document import Overlay, content, read
+from calibration.identify.fit import Fit, identify
+from calibration.identify.parameters import Prior, Setup
+from rig.arm import model_arm
+from rig.config import PA_PER_BAR, RigConfig, load, path_of, text
+from rig.listing import plain_json
+from rig.screens import console
+from runs.run import Run
+
+DEFAULT = ("law", "rpe_per_bar", "sensor_offsets")
+DEFAULT_HOMOGENEOUS = ("youngs_modulus_pa", "rpe_per_bar", "sensor_offsets")
+
+
+def rig_with(rig: str, parameters: Path) -> str:
+    """The YAML of a rig with identified parameters in it.
+
+    Raises:
+        BadInput: the rig, or what the overlay makes of it.
+        BadParameters: the parameter file.
+    """
+    overlay = read(parameters)
+    config = load(rig)
+    data = yaml.safe_load(text(rig))
+    _lay(data, overlay.rig)
+    _mount(data, config, overlay)
+    head = f"# {path_of(rig).name} with the parameters of {parameters.name}\n"
+    return head + yaml.safe_dump(data, sort_keys=False, width=120, default_flow_style=None)
+
+
+def from_runs(archives: Sequence[Run], free: Sequence[str], priors: Mapping[str, Prior], starts: int = 1) -> Fit:
+    """Identify the arm of some runs; where nothing is said, the start is the arm of the first run's rig.
+
+    The sensors' accuracy, as their rig states it, is the prior of their offsets.
+    """
+    config = _rig_of(archives[0])
+    chosen = tuple(free) or (DEFAULT_HOMOGENEOUS if config.model.variant.startswith("homogeneous") else DEFAULT)
+    accuracy = max(sensor.accuracy_bar for sensor in config.sensors) * PA_PER_BAR / 2
+    known = {"sensor_offsets": Prior(0.0, accuracy), **priors}
+    data: list[Poses] = [poses_of(run) for run in archives]
+    return identify(data, Setup(model_arm(config)), chosen, known, starts)
+
+
+def show(fit: Fit, as_json: bool) -> None:
+    """Estimates with their error bars or verdicts, and how well each run is met."""
+    if as_json:
+        typer.echo(json.dumps(plain_json(content(fit)), indent=2))
+        return
+    screen = console()
+    table = Table(box=None, padding=(0, 2, 0, 0))
+    for head in ("parameter", "value", "+-", "95 %", "unit", "run"):
+        table.add_column(head, justify="left" if head in ("parameter", "unit", "run") else "right")
+    for e in fit.estimates:
+        if e.value is None or e.std is None or e.interval is None:
+            others = f" ({', '.join(e.partners)})" if e.partners else ""
+            table.add_row(
+                e.name, "-", "", Text(f"{e.verdict.value}{others}; held at {e.used:.5g}", "yellow"), e.unit, e.run
+            )
+        else:
+            low, high = e.interval
+            table.add_row(e.name, f"{e.value:.6g}", f"{e.std:.2g}", f"{low:.5g} .. {high:.5g}", e.unit, e.run)
+    screen.print(table)
+    for run in fit.runs:
+        kind = "motion" if run.moving else "plateaus"
+        before, after = 1e3 * run.rms_before_m, 1e3 * run.rms_m
+        screen.print(
+            f"{run.run_id} ({kind}): rms {before:.3f} -> {after:.3f} mm, {run.outliers} outliers", soft_wrap=True
+        )
+    if fit.discrepancy_m:
+        screen.print(f"the model is off by {1e3 * fit.discrepancy_m:.3f} mm per axis beyond the stated errors")
+    if not fit.solved:
+        screen.print(Text("the search ended before it had converged", "yellow"))
+
+
+def _rig_of(run: Run) -> RigConfig:
+    return RigConfig.model_validate(yaml.safe_load(run.header.rig_yaml))
+
+
+def _lay(under: dict[str, Any], over: Mapping[str, Any]) -> None:
+    for key, value in over.items():
+        if isinstance(value, Mapping) and isinstance(under.get(key), dict):
+            _lay(under[key], value)
+        else:
+            under[key] = value
+
+
+def _mount(data: dict[str, Any], config: RigConfig, overlay: Overlay) -> None:
+    """Move cameras and board so that the measured tips are those of the arm's own base and tip."""
+    base, shift = Rotation.from_rotvec(overlay.base_rotation_deg, degrees=True), np.array(overlay.base_translation_mm)
+    if shift.any() or base.magnitude() > 0:
+        for name, camera in config.cameras.items():
+            old = camera.placement
+            turned = base.inv() * Rotation.from_rotvec(old.rotation_deg, degrees=True)
+            moved = base.inv().apply(np.array(old.translation_mm) - shift)
+            placement = data["cameras"][name].setdefault("placement", {})
+            placement["translation_mm"] = moved.tolist()
+            placement["rotation_deg"] = [math.degrees(x) for x in turned.as_rotvec()]
+    if any(overlay.tool_offset_mm):
+        placement = data["board"]["placement"]
+        placement["translation_mm"] = (
+            np.array(config.board.placement.translation_mm) + np.array(overlay.tool_offset_mm)
+        ).tolist()
