@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Protocol
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -112,6 +113,8 @@ class Observer:
 
     def __init__(self, config: RigConfig, variant: Variant | None = None, camera: str | None = None) -> None:
         """`variant` of the model (the rig's when None), `camera` by name (the first when None)."""
+        # The pictures are small: a second thread gains nothing here and costs the control process its core.
+        cv2.setNumThreads(1)
         name = camera if camera is not None else next(iter(config.cameras))
         self._eye = Eye(config, name)
         arm = model_arm(config, variant)
