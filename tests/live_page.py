@@ -15,7 +15,7 @@ from urllib.parse import urlencode, urlsplit
 
 from websockets.sync.client import ClientConnection, connect
 
-PATIENCE_S = 60.0
+PATIENCE_S = 150.0
 
 
 def said(output: Callable[[], str], what: str) -> str:

@@ -6,14 +6,14 @@ Runs a protocol on a simulated rig, watches it in a headless Chromium and takes 
 from __future__ import annotations
 
 import argparse
+import subprocess
+import sys
 import tempfile
 from pathlib import Path
 
 from browser import browsing
 from live_page import request, said
-from rig_process import rig_run
-
-import protocols
+from rig_process import write_rig
 
 
 def main() -> None:
@@ -21,14 +21,20 @@ def main() -> None:
     arguments = argparse.ArgumentParser(description=__doc__)
     arguments.add_argument("picture", type=Path)
     arguments.add_argument("--dark", action="store_true")
-    arguments.add_argument("--seconds", type=float, default=16.0, help="how far into the run")
+    arguments.add_argument("--seconds", type=float, default=13.0, help="how far into the run")
     wanted = arguments.parse_args()
-    with (
-        tempfile.TemporaryDirectory() as folder,
-        browsing() as browser,
-        rig_run(Path(folder), protocols.load("sine-1").text, "--live", "--port", "0") as run,
-    ):
-        url = said(lambda: run.output, "live page")
+    with tempfile.TemporaryDirectory() as name, browsing() as browser:
+        folder = Path(name)
+        log = folder / "log"
+        with log.open("w") as file:
+            run = subprocess.Popen(
+                [sys.executable, "-m", "rig", "run", "sine-1", "--rig", str(write_rig(folder)), "--out", name]
+                + ["--yes", "--no-report", "--live", "--port", "0"],
+                stdin=subprocess.DEVNULL,
+                stdout=file,
+                stderr=subprocess.STDOUT,
+            )
+        url = said(log.read_text, "live page")
         request(url)
         tab = browser.tab()
         tab.size(1440, 1000)
@@ -36,6 +42,8 @@ def main() -> None:
         tab.go(url)
         tab.until(f"window.softrig && window.softrig.now && window.softrig.now.t > {wanted.seconds}", 120.0)
         tab.screenshot(wanted.picture)
+        run.terminate()
+        run.wait()
 
 
 if __name__ == "__main__":

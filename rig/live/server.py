@@ -10,7 +10,6 @@ import os
 import pickle
 import socket
 import sys
-import time
 from pathlib import Path
 
 import uvicorn
@@ -27,18 +26,13 @@ NICE = 5
 """Behind the observer and the conductor, but not so far that a busy machine starves it."""
 UPDATE_S = 0.008
 MOST_CONNECTIONS = 256
-COME_UP_S = 90.0
 STATIC = Path(__file__).parent / "static"
 
 
 def main() -> int:
     """Serve until the run is over, or for an archive until told to stop."""
     order: Order = pickle.load(sys.stdin.buffer)  # written by our own parent, over a pipe
-    try:
-        source = _source(order)
-    except StartError as error:
-        print(error, file=sys.stderr)
-        return 1
+    source = _source(order)
     listening = socket.socket(fileno=order.fd)
     server = uvicorn.Server(
         uvicorn.Config(
@@ -70,29 +64,24 @@ def _source(order: Order) -> Source:
         from rig.live.playing import Playing
 
         return Playing(order.archive)
-    from rig.live.visit import Visit, knock
-    from rig.live.watching import Watching
+    from rig.live.awaiting import Awaiting
 
     assert order.run is not None
-    # The page comes up together with its run: the door may still be shut.
-    deadline = time.monotonic() + COME_UP_S
-    parent = os.getppid()
-    while (door := knock(order.run)) is None:
-        if time.monotonic() > deadline or os.getppid() != parent:
-            raise StartError(f"no run is going at {order.run}")
-        time.sleep(0.05)
-    door.close()
-    return Watching(Visit(order.run))
+    return Awaiting(order.run)
 
 
 async def _feed(source: Source, server: uvicorn.Server) -> None:
     parent = os.getppid()
-    while not source.over and os.getppid() == parent:
-        source.update()
-        await asyncio.sleep(UPDATE_S)
-    if source.over:
-        await asyncio.sleep(LINGER_S)
-    server.should_exit = True
+    try:
+        while not source.over and os.getppid() == parent:
+            source.update()
+            await asyncio.sleep(UPDATE_S)
+        if source.over:
+            await asyncio.sleep(LINGER_S)
+    except StartError as error:
+        print(f"the live page ends: {error}", file=sys.stderr)
+    finally:
+        server.should_exit = True
 
 
 def application(source: Source, order: Order) -> Gate:

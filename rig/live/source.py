@@ -27,8 +27,8 @@ class Source(Protocol):
     def over(self) -> bool:
         """True when there will be nothing new any more."""
 
-    def about(self) -> dict[str, Any]:
-        """What does not change: title, actuators, duration, limits."""
+    def about(self) -> dict[str, Any] | None:
+        """What does not change: title, actuators, duration, limits; None while there is nothing to show yet."""
 
     def viewer(self) -> Viewer:
         """The view of one more browser."""

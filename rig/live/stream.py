@@ -17,6 +17,7 @@ from rig.live.gate import SESSION, Session
 from rig.live.source import Source, Viewer
 
 POLL_S = 0.008
+WAIT_S = 0.1
 LEAST_PERIOD_S = 0.02
 MESSAGE_BYTES = 1024
 MOST_STREAMS = 24
@@ -30,22 +31,30 @@ async def stream(socket: WebSocket, source: Source) -> None:
     if _open >= MOST_STREAMS:
         await socket.close(1013)
         return
-    await socket.accept()
     _open += 1
+    try:
+        await socket.accept()
+        while (about := source.about()) is None:
+            await asyncio.sleep(WAIT_S)
+        await _serve(socket, source, about)
+    except (WebSocketDisconnect, RuntimeError):
+        pass
+    finally:
+        _open -= 1
+
+
+async def _serve(socket: WebSocket, source: Source, about: dict[str, Any]) -> None:
     session: Session = socket.scope[SESSION]
     viewer = source.viewer()
     ready = asyncio.Event()
     lock = asyncio.Lock()
     sending = asyncio.create_task(_send(socket, viewer, ready, lock))
     try:
-        about = {**source.about(), "who": session.who, "operator": session.operator}
+        greeting = {**about, "who": session.who, "operator": session.operator}
         async with lock:
-            await socket.send_text(json.dumps({"about": about}))
+            await socket.send_text(json.dumps({"about": greeting}))
         await _listen(socket, viewer, session, ready, lock, source.live)
-    except (WebSocketDisconnect, RuntimeError):
-        pass
     finally:
-        _open -= 1
         viewer.close()
         sending.cancel()
         with suppress(asyncio.CancelledError, WebSocketDisconnect, RuntimeError):
