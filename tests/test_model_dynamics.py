@@ -219,6 +219,22 @@ def test_no_random_jump_within_the_papers_range_fails(dt: float, variant: str) -
         assert np.isfinite(shape.p_m).all()
 
 
+@pytest.mark.parametrize("scheme", ["bdf1", "bdf-alpha"])
+@pytest.mark.parametrize(
+    "change",
+    [{"rod_weight": True}, {"cap_inertia": True}, {"gravity_m_s2": (0.0, 0.0, -9.81)}, {"modulus_rule": "secant"}],
+)
+@pytest.mark.parametrize("damping_s", [0.0, 0.01])
+def test_random_jumps_fail_with_no_option_either(scheme: str, change: dict[str, object], damping_s: float) -> None:
+    arm = replace(Arm.paper(), **change)  # type: ignore[arg-type]
+    arm = replace(arm, material=replace(arm.material, damping_s=damping_s))
+    dynamics = arm.dynamics(0.005, scheme)
+    dynamics.start((0, 0, 0))
+    run = dynamics.run(np.random.default_rng(11).uniform(0, 0.65 * BAR, (80, 3)))
+    assert run.ok.all()
+    assert np.isfinite(run.tip_m).all()
+
+
 def test_the_same_pressures_give_the_same_motion_bit_for_bit() -> None:
     def run() -> NDArray[np.float64]:
         rng = np.random.default_rng(5)
