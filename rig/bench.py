@@ -58,6 +58,10 @@ class Bench:
         self._valves = config.valves
         self.safe_voltages: NDArray[np.float64] = np.array(safe_voltages(config))
         self._vent_voltages: NDArray[np.float64] = np.array(safe_voltages(config, vent=True))
+        self._told_v: NDArray[np.float64] | None = None
+        self._tolerance_v: NDArray[np.float64] = np.array(
+            [(v.range_V[1] - v.range_V[0]) * READBACK_TOLERANCE for v in config.valves]
+        )
         columns = {name: [i for i, s in enumerate(self._sensors) if s.card == name] for name in self._cards}
         self._inputs = {name: column for name, column in columns.items() if column}
         self._outputs = {name: [i for i, v in enumerate(self._valves) if v.card == name] for name in self._cards}
@@ -93,9 +97,28 @@ class Bench:
 
     def write(self, valve_v: NDArray[np.float64]) -> None:
         """Set every valve (V,) [V]."""
+        self._told_v = None
         for name, column in self._outputs.items():
             if column:
                 self._cards[name].write(valve_v[column])
+        self._told_v = valve_v.copy()
+
+    def disturbance(self) -> str:
+        """Say which valve does not stand where `write` put it last: who else writes, means it. Empty while none is.
+
+        Raises:
+            CardError: a card cannot be read back.
+        """
+        if self._told_v is None:
+            return ""
+        stands = self.readback()
+        for i, off in enumerate(np.abs(stands - self._told_v) > self._tolerance_v):
+            if off:
+                return (
+                    f"valve {i + 1} stands at {stands[i]:.3f} V and not at the {self._told_v[i]:.3f} V that it was "
+                    "told: another program has written to the card (`rig vent`?)"
+                )
+        return ""
 
     def readback(self) -> NDArray[np.float64]:
         """The voltages (V,) that the outputs stand at, as far as the cards can tell."""
@@ -130,8 +153,7 @@ class Bench:
         self.make_safe()
         stands = self.readback()
         for i, (valve, safe) in enumerate(zip(self._valves, self.safe_voltages, strict=True)):
-            tolerance = (valve.range_V[1] - valve.range_V[0]) * READBACK_TOLERANCE
-            if not abs(stands[i] - safe) <= tolerance:
+            if not abs(stands[i] - safe) <= self._tolerance_v[i]:
                 raise CardError(
                     f"valve {i + 1} (card {valve.card}, output {valve.channel}) was told {safe:.3f} V but stands at "
                     f"{stands[i]:.3f} V: check that nothing else drives the card"

@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable
 from contextlib import suppress
 from types import TracebackType
+from typing import IO, TextIO, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +19,7 @@ from rich.text import Text
 from rig.config import PA_PER_BAR
 from rig.executor.base import Progress
 from rig.keys import Keys
+from rig.outlet import Outlet
 from runs.records import Event, Level, Seen
 
 LINE_EVERY_S = 2.0
@@ -34,12 +36,18 @@ class Terminal:
         self._live = Live(console=console, auto_refresh=False, transient=True) if console.is_terminal else None
         self._line_at = -LINE_EVERY_S
         self._keys = Keys()
+        self._outlet: Outlet | None = None
         self._typed = ""
         self._prompted = False
         self._no_operator = False
 
     def __enter__(self) -> Terminal:
         self._keys.__enter__()
+        # Whoever reads the terminal may stop reading; the run has no time to wait for him.
+        with suppress(OSError, ValueError):
+            self._stream = cast(TextIO, self._console.file)
+            self._outlet = Outlet(self._stream)
+            self._console.file = cast(IO[str], self._outlet)
         if self._live is not None:
             self._live.start()
         return self
@@ -50,6 +58,9 @@ class Terminal:
         if self._live is not None:
             with suppress(OSError):
                 self._live.stop()
+        if self._outlet is not None:
+            self._console.file = self._stream
+            self._outlet.close()
         self._keys.__exit__(kind, error, trace)
 
     def show(self, progress: Progress) -> None:

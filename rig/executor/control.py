@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import signal
 import sys
 import time
@@ -15,6 +16,7 @@ from rig.executor.child import Job, orphaned, receive
 from rig.executor.clock import become_real_time, wait_until
 from rig.executor.memory import RunMemory, Stage, Stop
 from rig.executor.tick import Ticker
+from rig.executor.venting import PATIENCE_S, Venting
 
 WATCHDOG_SILENT_NS = 1_000_000_000
 LEAD_IN_NS = 5_000_000
@@ -45,10 +47,26 @@ def main() -> int:
             bench.make_safe(vent=memory.get("stop") == Stop.VENT)
             memory.set("safe_ns", time.monotonic_ns())
         except CardError as error:
-            fault = f"{fault}; then the safe state could not be written: {error}".removeprefix("; ")
+            fault = f"{fault}; then {error}".removeprefix("; then ")
+        else:
+            if trouble := _vented(job, memory, bench):
+                fault = f"{fault}; then {trouble}".removeprefix("; then ")
     memory.say("control", Stage.FAILED if fault else Stage.DONE, fault)
     bench.close()
     return 1 if fault else 0
+
+
+def _vented(job: Job, memory: RunMemory, bench: Bench) -> str:
+    """Watch the air go; what keeps it, empty when nothing does."""
+    venting = Venting(job.plan.config, bench)
+    until = time.monotonic() + PATIENCE_S
+    with contextlib.suppress(CardError):
+        while time.monotonic() < until and not memory.get("fired_ns"):
+            memory.beat("control", time.monotonic_ns())
+            if venting.done():
+                return ""
+            time.sleep(0.005)
+    return venting.verdict()
 
 
 class _Mute:
@@ -91,6 +109,8 @@ def _run(job: Job, memory: RunMemory, bench: Bench) -> str:
             return ""
         if memory.get("fired_ns"):
             return "the watchdog took the bench over"
+        if disturbance := bench.disturbance():
+            return disturbance
         if orphaned(job):
             return "the conductor died"
         if now - memory.heartbeat_ns("watchdog") > WATCHDOG_SILENT_NS:

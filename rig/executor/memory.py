@@ -56,6 +56,7 @@ _BOARD = np.dtype(
         ("watchdog", _PROCESS),
         ("conductor", _PROCESS),
         ("control_pid", "<i8"),
+        ("watchdog_pid", "<i8"),
         ("go_ns", "<i8"),
         ("stop", "<i8"),
         ("held", "<i8"),

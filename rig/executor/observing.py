@@ -15,9 +15,11 @@ from rig.executor.child import Job, orphaned, receive
 from rig.executor.memory import RunMemory, Stage, Stop
 from rig.executor.pictures import encode
 from rig.executor.showing import Show
+from rig.executor.standin import made_safe, nobody_acts, stand_in
 from rig.observer import Observer
 
 REHEARSED_FRAMES = 3
+OUTLIVE_S = 0.5
 HISTORY = 400
 """Control ticks handed to the model with each frame: two seconds at 200 Hz."""
 
@@ -63,8 +65,19 @@ def _observe(job: Job, memory: RunMemory) -> int:
                 memory.push_picture(frame.t_ns, frame.index, encode(frame.image, config.recording))
     finally:
         camera.close()
+    if orphaned(job):
+        _outlive(job, memory)
     memory.say("observer", Stage.DONE)
     return 0
+
+
+def _outlive(job: Job, memory: RunMemory) -> None:
+    """The conductor is gone: see to it that somebody makes the bench safe, and be that one where there is no other."""
+    until = time.monotonic() + OUTLIVE_S
+    while time.monotonic() < until and not made_safe(memory):
+        time.sleep(0.005)
+    if not made_safe(memory) and nobody_acts(memory):
+        stand_in(job.plan.config, memory)
 
 
 def _rehearse(job: Job, frames: list[Frame]) -> None:

@@ -16,6 +16,7 @@ from rig.executor.clock import stolen_ms
 from rig.executor.door import Door
 from rig.executor.memory import Layout, RunMemory, Stage, Stop
 from rig.executor.requests import Action, Answer, Desk, Request
+from rig.executor.standin import SILENT_NS, stand_in
 from rig.executor.vigil import Vigil
 from rig.simulator.host import Simulation, simulated
 from runs.records import Event, Level, Picture, Status
@@ -27,6 +28,7 @@ LEAD_NS = 100_000_000
 DRAIN_S = 0.02
 SHOW_S = 0.1
 SAFE_TIMEOUT_S = 2.0
+OVERSLEPT_NS = 200_000_000
 
 STOPPED = {
     Stop.SAFE: "the run was told to stop",
@@ -62,6 +64,7 @@ class _Conductor:
         self.crew: list[tuple[str, subprocess.Popen[bytes]]] = []
         self.vigil = Vigil(plan.config)
         self.lost_scans = 0
+        self._looked_ns = 0
         self.missed = 0
         self.dropped = 0
         self._sample: NDArray[np.void] | None = None
@@ -74,7 +77,9 @@ class _Conductor:
         memory = self.memory
         trouble = self._open_door()
         memory.beat("conductor", time.monotonic_ns())
-        self.crew.append(("watchdog", spawn("rig.executor.watchdog", job)))
+        watchdog = spawn("rig.executor.watchdog", job)
+        self.crew.append(("watchdog", watchdog))
+        memory.set("watchdog_pid", watchdog.pid)
         self.crew.append(("observer", spawn("rig.executor.observing", job)))
         self._await_ready("watchdog")
         control = spawn("rig.executor.control", job)
@@ -97,6 +102,9 @@ class _Conductor:
         finally:
             self._make_safe()
         self._drain()
+        if memory.stage("control") == Stage.FAILED and status is not Status.ABORTED:
+            status, message = Status.ABORTED, f"{message}; {memory.message('control')}".removeprefix("; ")
+            self._event(Level.FAULT, "control", memory.message("control"))
         if memory.get("fired_ns") and status is not Status.ABORTED:
             status, message = Status.ABORTED, memory.message("watchdog") or "the watchdog took the bench over"
         safe_ns = memory.get("safe_ns") or memory.get("fired_ns")
@@ -199,9 +207,14 @@ class _Conductor:
                 return name, f"the {name} process died (exit status {process.returncode})"
         if self.plant is not None and self.plant.exit_status is not None:
             return "simulator", f"the simulator died (exit status {self.plant.exit_status})"
-        silent_s = (time.monotonic_ns() - memory.heartbeat_ns("observer")) * 1e-9
-        if silent_s > 2 * self.plan.config.limits.no_tip_s:
-            return "observer", f"the observer process has been silent for {silent_s:.1f} s"
+        before, self._looked_ns = self._looked_ns, time.monotonic_ns()
+        if self._looked_ns - before > OVERSLEPT_NS:
+            return None  # this process stood still itself: the others get time to give a sign of life
+        patience_s = {"observer": 2 * self.plan.config.limits.no_tip_s, "control": 0.5, "watchdog": 1.2}
+        for name in patience_s if memory.stage("control") == Stage.RUNNING else ("observer",):
+            silent_s = (self._looked_ns - memory.heartbeat_ns(name)) * 1e-9
+            if silent_s > patience_s[name]:
+                return name, f"the {name} process has been silent for {silent_s:.1f} s"
         return None
 
     def _drain(self) -> None:
@@ -261,7 +274,19 @@ class _Conductor:
             memory.beat("conductor", time.monotonic_ns())
             if memory.stage("control") in (Stage.DONE, Stage.FAILED) or memory.get("fired_ns"):
                 return
+            if self._gone("control") and self._gone("watchdog"):
+                break
             time.sleep(0.001)
+        trouble = stand_in(self.plan.config, memory)
+        said = "neither control nor the watchdog acts: the conductor has written the safe state"
+        if trouble:
+            said = f"neither control nor the watchdog acts, and the conductor failed: {trouble}"
+        self._event(Level.FAULT, "conductor", said)
+
+    def _gone(self, name: str) -> bool:
+        """True when a process has exited or gives no sign of life."""
+        exited = dict(self.crew)[name].poll() is not None
+        return exited or time.monotonic_ns() - self.memory.heartbeat_ns(name) > SILENT_NS
 
     def _await_ready(self, name: str) -> None:
         memory = self.memory

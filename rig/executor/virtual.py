@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from contextlib import suppress
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +15,7 @@ from rig.daq.base import CardError
 from rig.executor.base import Audience, OpenRecord, Outcome, Plan, Progress, Recorder, StartError
 from rig.executor.pictures import encode
 from rig.executor.tick import Ticker
+from rig.executor.venting import PATIENCE_S, Venting
 from rig.executor.vigil import Vigil
 from rig.observer import Observer
 from rig.simulator.plant import Plant
@@ -83,12 +85,23 @@ class _VirtualRun:
         finally:
             unsafe = self._make_safe()
         self._flush()
+        unsafe = unsafe or self._vented(now)
         if unsafe:
             self._tell(now, Level.FAULT, "control", unsafe)
             ending = Status.ABORTED, f"{ending[1]}; then {unsafe}".removeprefix("; then ")
         else:
             self._tell(now, Level.INFO, "control", "the valves are in their safe state")
         return Outcome(*ending, now, {"missed_deadlines": 0, "dropped_frames": 0, "lost_scans": self._lost_scans})
+
+    def _vented(self, now: int) -> str:
+        """Watch the air go; what keeps it, empty when nothing does."""
+        venting = Venting(self._plan.config, self._bench)
+        with suppress(CardError):
+            for waited in range(0, round(PATIENCE_S * 1e9), self._ticker.period_ns):
+                self._plant.advance(now + waited)
+                if venting.done():
+                    return ""
+        return venting.verdict()
 
     def _make_safe(self) -> str:
         """Write the safe state; what kept it from being written, empty when nothing did."""

@@ -23,6 +23,7 @@ CONDUCTOR_HUNG_NS = 2_000_000_000
 GRACE_NS = 100_000_000
 """What control gets to make the bench safe by itself after the conductor is gone."""
 OVERSLEPT_NS = 8_000_000
+PATIENCE_S = 0.5
 
 
 def main() -> int:
@@ -52,9 +53,18 @@ def main() -> int:
     return 0
 
 
-def _make_safe(bench: Bench, memory: RunMemory) -> None:
-    with contextlib.suppress(CardError):
-        bench.make_safe(vent=memory.get("stop") == Stop.VENT)
+def _make_safe(bench: Bench, memory: RunMemory, patience_s: float = PATIENCE_S) -> None:
+    """Write the safe state; a card that refuses is asked again for a while."""
+    until = time.monotonic() + patience_s
+    while True:
+        try:
+            bench.make_safe(vent=memory.get("stop") == Stop.VENT)
+        except CardError:
+            if time.monotonic() > until:
+                return
+            time.sleep(0.002)
+        else:
+            return
 
 
 def _watch(memory: RunMemory, conductor_pid: int, bench: Bench, hung_ns: int) -> str:
@@ -77,7 +87,7 @@ def _watch(memory: RunMemory, conductor_pid: int, bench: Bench, hung_ns: int) ->
             return "" if memory.stage("control") in (Stage.DONE, Stage.FAILED) else "the control process died"
         if not vented and memory.get("stop") == Stop.VENT:
             # At once, whatever control is busy with; control does the same at its next tick.
-            _make_safe(bench, memory)
+            _make_safe(bench, memory, patience_s=0.0)
             vented = True
         # A machine that stood still as a whole makes every heartbeat old: then look once more, punctually.
         punctual = now - before < OVERSLEPT_NS

@@ -31,6 +31,7 @@ SPARE_ROWS = 256
 """Rows that a reader leaves alone because the plant may overwrite them while they are being copied."""
 RECENT_POSES = 220
 FAULTS_AT = 1024
+SETTLING_S = 0.5
 
 HEADER_DTYPE = np.dtype(
     [
@@ -128,6 +129,9 @@ class Registers:
             ) from None
         except OSError as error:
             raise CardError(f"mock card {device}: {path}: {error.strerror}") from error
+        until = time.monotonic() + SETTLING_S
+        while not _sound(descriptor) and time.monotonic() < until:
+            time.sleep(0.01)  # its plant may be making it just now
         if not _sound(descriptor):
             os.close(descriptor)
             raise CardError(f"mock card {device}: {path} was not made by this version of softrig: remove it")

@@ -20,6 +20,7 @@ import numpy as np
 
 import rig.config
 from rig.control import safe_voltages
+from rig.daq.base import CardError
 from rig.simulator.registers import Registers, path_of
 from scripts.faults import surroundings
 from scripts.faults.catalogue import CONDUCTOR, CONTROL, OBSERVER, PLANT, WATCHDOG, Bench, Fault, Signal, Trick
@@ -110,14 +111,20 @@ class WatchedRun:
         """Return the card's registers once the run drives a valve, with every member of the run known."""
         deadline = time.monotonic() + START_S
         while time.monotonic() < deadline and self.process.poll() is None:
-            if path_of(self.device).exists():
-                registers = Registers.attach(self.device)
+            registers = self._attached()
+            if registers is not None:
                 if np.any(registers.outputs["volts"] > MOVING_V):
                     self.members = {CONDUCTOR: self.process.pid} | _children(self.process.pid)
                     return registers
                 registers.close()
             time.sleep(0.02)
         raise RuntimeError(f"the run never drove a valve: {self.said}")
+
+    def _attached(self) -> Registers | None:
+        try:
+            return Registers.attach(self.device)
+        except CardError:  # not there yet, or not yet complete
+            return None
 
     def safe(self, registers: Registers) -> bool:
         """True while every output stands at its safe voltage."""
@@ -162,6 +169,25 @@ class WatchedRun:
         path_of(self.device).unlink(missing_ok=True)
 
 
+class Watch(threading.Thread):
+    """Watches the outputs of a run from now on."""
+
+    def __init__(self, run: WatchedRun, registers: Registers) -> None:
+        super().__init__(daemon=True)
+        self._run, self._registers = run, registers
+        self._safe_ns: int | None = None
+        self.start()
+
+    def run(self) -> None:
+        """Watch."""
+        self._safe_ns = self._run.watch(self._registers)
+
+    def result(self) -> int | None:
+        """Since when the outputs have been safe [ns], once the run has ended."""
+        self.join()
+        return self._safe_ns
+
+
 @contextmanager
 def _run(folder: Path, trick: object, environment: dict[str, str]) -> Iterator[WatchedRun]:
     run = WatchedRun(folder, trick, environment)
@@ -186,9 +212,10 @@ def trial(fault: Fault, folder: Path, at_s: float) -> Trial:
             with _run(folder, fault.action, environment) as run, ExitStack() as undo:
                 registers = run.wait_until_moving()
                 time.sleep(at_s)
+                watch = Watch(run, registers)
                 fault_ns = time.monotonic_ns()
                 fault_ns = _strike(fault, run, registers, clock, undo) or fault_ns
-                safe_ns = run.watch(registers)
+                safe_ns = watch.result()
                 registers.close()
                 undo.close()
                 time.sleep(0.1)

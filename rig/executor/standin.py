@@ -1,0 +1,58 @@
+"""The safe state written by whoever is left, when control and the watchdog, whose duty it is, no longer can."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import time
+
+from rig.bench import open_bench
+from rig.config import RigConfig
+from rig.daq.base import CardError
+from rig.executor.memory import RunMemory, Stage, Stop
+
+SILENT_NS = 200_000_000
+"""Control and watchdog give a sign of life every few milliseconds; who is silent for so long does not act."""
+
+
+def made_safe(memory: RunMemory) -> bool:
+    """True once control or the watchdog has written the safe state, or has said why it cannot."""
+    ended = (Stage.DONE, Stage.FAILED)
+    return memory.stage("control") in ended or memory.stage("watchdog") == Stage.DONE or bool(memory.get("fired_ns"))
+
+
+def nobody_acts(memory: RunMemory) -> bool:
+    """True while neither control nor the watchdog gives a sign of life."""
+    now = time.monotonic_ns()
+    return all(now - memory.heartbeat_ns(name) > SILENT_NS for name in ("control", "watchdog"))
+
+
+def stand_in(config: RigConfig, memory: RunMemory) -> str:
+    """Write the safe state, end control and the watchdog, which may only sleep, and write it again.
+
+    Returns what kept it from being written, empty when nothing did.
+    """
+    _write(config, memory)
+    for name in ("control_pid", "watchdog_pid"):
+        if pid := memory.get(name):
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(pid, signal.SIGKILL)
+    time.sleep(0.005)
+    # A card that allows one opener is free only now; and who was killed may have written once more before it died.
+    return _write(config, memory)
+
+
+def _write(config: RigConfig, memory: RunMemory) -> str:
+    try:
+        bench = open_bench(config, watchdog=True)
+    except CardError as error:
+        return str(error)
+    try:
+        bench.make_safe(vent=memory.get("stop") == Stop.VENT)
+        memory.set("safe_ns", memory.get("safe_ns") or time.monotonic_ns())
+    except CardError as error:
+        return str(error)
+    finally:
+        bench.close()
+    return ""
