@@ -167,11 +167,10 @@ def _screen(title: str, progress: Progress) -> Group:
     if sample is not None:
         late = f"control late by {sample['lateness_ns'] / 1e3:.0f} us, deadlines missed {progress.missed}"
         parts.append(Text(late, "yellow" if progress.missed else "dim"))
-    parts.append(ProgressBar(total=progress.duration_s, completed=progress.protocol_s, width=60))
+    parts.append(ProgressBar(total=progress.duration_s, completed=progress.protocol_s, width=50))
     left = _clock(progress.duration_s - progress.protocol_s)
-    parts.append(
-        Text(f"{_clock(progress.protocol_s)} of {_clock(progress.duration_s)}, {left} left; p pauses, Ctrl-C stops")
-    )
+    parts.append(Text(f" {_clock(progress.protocol_s)} of {_clock(progress.duration_s)}, {left} left"))
+    parts.append(Text("p pauses, Ctrl-C stops", "dim"))
     if progress.held:
         parts.append(Text("PAUSED: p resumes", "bold yellow"))
     if progress.prompt is not None:

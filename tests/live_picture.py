@@ -23,13 +23,24 @@ def main() -> None:
     arguments.add_argument("--dark", action="store_true")
     arguments.add_argument("--seconds", type=float, default=13.0, help="how far into the run")
     wanted = arguments.parse_args()
+    command = [sys.executable, "-m", "rig", "run", "sine-1"]
     with tempfile.TemporaryDirectory() as name, browsing() as browser:
         folder = Path(name)
         log = folder / "log"
         with log.open("w") as file:
             run = subprocess.Popen(
-                [sys.executable, "-m", "rig", "run", "sine-1", "--rig", str(write_rig(folder)), "--out", name]
-                + ["--yes", "--no-report", "--live", "--port", "0"],
+                [
+                    *command,
+                    "--rig",
+                    str(write_rig(folder)),
+                    "--out",
+                    name,
+                    "--yes",
+                    "--no-report",
+                    "--live",
+                    "--port",
+                    "0",
+                ],
                 stdin=subprocess.DEVNULL,
                 stdout=file,
                 stderr=subprocess.STDOUT,
