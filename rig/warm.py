@@ -5,21 +5,34 @@ from __future__ import annotations
 import sys
 
 from model import warm as model_warm
+from runs.records import Seen
+
+WARMING_NS = 100_000_000
 
 
 def main() -> int:
     """Compile the rod's and the plant's kernels into the cache on disk; the exit status."""
     if status := model_warm.main():
         return status
-    from rig.arm import true_arm
+    import numpy as np
+
+    from rig.cameras.mock import MockCamera
     from rig.config import load
+    from rig.observer import Observer
     from rig.simulator.plant import Plant
 
     config = load("mock")
-    Plant(config, seed=0, t0_ns=0).advance(20_000_000)
-    # The simulator's arm is damped, which is a kernel of its own.
-    true_arm(config).dynamics(1 / config.control.rate_hz).start([0.0] * config.actuators)
-    print("rig.warm: the simulator's kernels are ready")
+    plant = Plant(config, seed=0, t0_ns=0)
+    plant.advance(WARMING_NS)
+    camera, observer = MockCamera(config, plant), Observer(config)
+    pressure_pa = np.zeros((1, config.actuators))
+    for index in range(3):
+        t_ns = WARMING_NS // 2 + index
+        row = observer.step(camera.frame_at(index, t_ns), np.array([t_ns]), pressure_pa, 0.0)
+    if row["seen"] != Seen.MEASURED:
+        print("rig.warm: failed: the simulated camera did not see the board", file=sys.stderr)
+        return 1
+    print("rig.warm: simulator and vision are ready")
     return 0
 
 
