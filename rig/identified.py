@@ -25,8 +25,8 @@ from rig.listing import plain_json
 from rig.screens import console
 from runs.run import Run
 
-DEFAULT = ("law", "rpe_per_bar", "sensor_offsets")
-DEFAULT_HOMOGENEOUS = ("youngs_modulus_pa", "rpe_per_bar", "sensor_offsets")
+DEFAULT = ("law", "rpe_per_bar", "base", "sensor_offsets")
+DEFAULT_HOMOGENEOUS = ("youngs_modulus_pa", "rpe_per_bar", "base", "sensor_offsets")
 
 
 def rig_with(rig: str, parameters: Path) -> str:

@@ -19,6 +19,8 @@ KG_PER_G = 1e-3
 
 SETTLE_S = 1.5
 FEWEST_FRAMES = 5
+# Frames share more of their error than their scatter can show: lens, placement, print of the board.
+_LEAST_SHARED = 0.1
 
 
 class NoData(ValueError):  # noqa: N818 - the outcome is the name
@@ -70,7 +72,8 @@ def at_rest(run: Run, settle_s: float = SETTLE_S) -> Poses:
 
     Each plateau becomes one entry: mean pressure and mean tip. Frames of an arm at rest show nearly the same picture,
     so part of their error is the same in all of them. How much is found from the run itself: the covariances state
-    the whole error, the scatter within the plateaus shows its random part, and the rest does not average out.
+    the whole error, the scatter within the plateaus shows its random part, and the rest, a tenth at least, does not
+    average out.
 
     Raises:
         NoData: nothing in the run stands still for long enough.
@@ -181,7 +184,7 @@ def _shared_part(measured_m: list[Array], covariance_m2: Array) -> float:
         ratio += float((difference * np.linalg.solve(covariance, difference.T).T).sum())
         freedom += 3 * (len(tips) - 1)
     random = ratio / freedom
-    return float(np.clip(1 - random - 2 * np.sqrt(2 / freedom), 0.0, 1.0))
+    return float(np.clip(1 - random - 2 * np.sqrt(2 / freedom), _LEAST_SHARED, 1.0))
 
 
 def _noise(pressure_pa: Array) -> Array:
