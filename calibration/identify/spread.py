@@ -21,6 +21,7 @@ Task = TypeVar("Task")
 Progress = Callable[[int, int], None]
 
 _MOST_DEATHS = 20
+_PATIENCE = "10s"
 
 
 class WorkersDie(RuntimeError):  # noqa: N818 - the outcome is the name
@@ -110,7 +111,7 @@ def _on_cluster(
     except ImportError as missing:
         raise NoCluster("a Dask cluster needs the extra 'cluster': pip install softrig[cluster]") from missing
     try:
-        client: Any = distributed.Client(scheduler, timeout="10s")
+        client: Any = distributed.Client(scheduler, timeout=_PATIENCE)
     except (OSError, TimeoutError) as silent:
         raise NoCluster(f"no Dask scheduler answers at {scheduler}: {silent}") from silent
     with client:
