@@ -24,6 +24,8 @@ GRACE_NS = 100_000_000
 """What control gets to make the bench safe by itself after the conductor is gone."""
 OVERSLEPT_NS = 8_000_000
 PATIENCE_S = 0.5
+_FLAGS, _PF_EXITING = 6, 0x4
+"""The kernel's flags of a process in /proc/PID/stat, counted after the name, and the one of a process that dies."""
 
 
 def main() -> int:
@@ -76,6 +78,7 @@ def _watch(memory: RunMemory, conductor_pid: int, bench: Bench, hung_ns: int) ->
         if conductor in _exited(poll, PERIOD_MS) or memory.get("stop") != Stop.NONE:
             return ""
     control = _watched(poll, control_pid)
+    control_stat = _stat_of(control_pid)
     conductor_gone_ns = 0
     suspected = vented = False
     before = time.monotonic_ns()
@@ -83,7 +86,7 @@ def _watch(memory: RunMemory, conductor_pid: int, bench: Bench, hung_ns: int) ->
         exited = _exited(poll, PERIOD_MS)
         now = time.monotonic_ns()
         memory.beat("watchdog", now)
-        if control in exited:
+        if control in exited or _exiting(control_stat):
             return "" if memory.stage("control") in (Stage.DONE, Stage.FAILED) else "the control process died"
         if not vented and memory.get("stop") == Stop.VENT:
             # At once, whatever control is busy with; control does the same at its next tick.
@@ -106,6 +109,26 @@ def _watch(memory: RunMemory, conductor_pid: int, bench: Bench, hung_ns: int) ->
                 poll.unregister(conductor)
         if conductor_gone_ns and now - conductor_gone_ns > GRACE_NS:
             return "the conductor died or hung, and control did not stop"
+
+
+def _stat_of(pid: int) -> int:
+    """An open descriptor of what the kernel says of a process; -1 when it is gone already."""
+    try:
+        return os.open(f"/proc/{pid}/stat", os.O_RDONLY | os.O_CLOEXEC)
+    except FileNotFoundError:
+        return -1
+
+
+def _exiting(stat: int) -> bool:
+    """True as soon as a process begins to die.
+
+    Its pidfd tells only once its memory is given back, which takes tens of milliseconds where that is locked.
+    """
+    try:
+        fields = os.pread(stat, 1024, 0).rpartition(b")")[2].split()
+    except OSError:
+        return True
+    return bool(int(fields[_FLAGS]) & _PF_EXITING)
 
 
 def _watched(poll: select.poll, pid: int) -> int:
