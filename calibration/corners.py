@@ -8,14 +8,19 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import partial
 
 import cv2
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from model.compiled import kernel
 
 Floats = NDArray[np.float64]
 Image = NDArray[np.uint8]
+
+exact_kernel = partial(kernel, sources=(__file__,), fastmath=False)
+fast_kernel = partial(kernel, sources=(__file__,), fastmath=True)
 
 # The window is kept clear of the neighbouring edges: its radius as a share of their distance, bounds in px.
 _RADIUS_SHARE = 0.42
@@ -149,7 +154,7 @@ def _edge_normals(corners_px: Floats, pattern: tuple[int, int]) -> Floats:
     return normals.reshape(-1, 2, 2)
 
 
-@njit(cache=True, fastmath=True)
+@fast_kernel
 def _step_edge(distance: float, blur: float) -> tuple[float, float]:
     """A blurred step from -1 to 1 and its slope: erf by Abramowitz and Stegun 7.1.26, good to 1.5e-7."""
     x = distance / (blur * math.sqrt(2.0))
@@ -160,7 +165,7 @@ def _step_edge(distance: float, blur: float) -> tuple[float, float]:
     return (value if x >= 0 else -value), decay * math.sqrt(2.0 / math.pi) / blur
 
 
-@njit(cache=True)
+@exact_kernel
 def _solve(matrix: Floats, right: Floats) -> bool:
     """Solve a small symmetric positive system in place by Gauss-Jordan; `matrix` becomes its inverse."""
     n = matrix.shape[0]
@@ -182,7 +187,7 @@ def _solve(matrix: Floats, right: Floats) -> bool:
     return True
 
 
-@njit(cache=True)
+@exact_kernel
 def _fit(image: Image, seeds: Floats, normals: Floats, radius: float) -> tuple[Floats, ...]:
     """Fit grey = mean + half step * edge_1 * edge_2 in a disc round each corner by Gauss-Newton.
 

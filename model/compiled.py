@@ -51,10 +51,10 @@ def cache_folder() -> Path:
     raise OSError("no folder to keep compiled kernels in: set SOFTRIG_CACHE to one that can be written to")
 
 
-def kernel(function: Callable[..., Any], sources: Sequence[str] = ()) -> Any:
+def kernel(function: Callable[..., Any], sources: Sequence[str] = (), fastmath: bool | set[str] = _FAST) -> Any:
     """Compile a function when it is first called, or take it from the cache on disk.
 
-    `sources` are the files outside this room that a kernel is made of.
+    `sources` are the files outside this room that a kernel is made of; `fastmath` is numba's.
     """
     folder = cache_folder()
     if sources:
@@ -64,7 +64,7 @@ def kernel(function: Callable[..., Any], sources: Sequence[str] = ()) -> Any:
     before = config.CACHE_DIR
     config.CACHE_DIR = str(folder)
     try:
-        return numba.njit(cache=True, fastmath=_FAST, error_model="numpy", nogil=True)(function)
+        return numba.njit(cache=True, fastmath=fastmath, error_model="numpy", nogil=True)(function)
     finally:
         config.CACHE_DIR = before
 

@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 import cv2
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from calibration.board import QUIET_SQUARES, Board
 from calibration.frames import Rigid
 from calibration.lens import Lens
+from model.compiled import kernel
 
 Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]
 Image = NDArray[np.uint8]
+
+exact_kernel = partial(kernel, sources=(__file__,), fastmath=False)
+fast_kernel = partial(kernel, sources=(__file__,), fastmath=True)
 
 WHITE, DARK = 0.92, 0.10
 _SAMPLES = 64
@@ -153,7 +157,7 @@ def _sample_offsets() -> Singles:
     return np.concatenate([half, -half]).astype(np.float32)
 
 
-@njit(cache=True)
+@exact_kernel
 def _share_beyond(distance: float, a: float, b: float, c: float) -> float:
     """Share of a pixel and an exposure that lies beyond an edge: P(distance + a X + b Y + c T > 0).
 
@@ -169,7 +173,7 @@ def _share_beyond(distance: float, a: float, b: float, c: float) -> float:
     return min(max(total / (6.0 * a * b * c), 0.0), 1.0)
 
 
-@njit(cache=True, fastmath=True)
+@fast_kernel
 def _albedo(u: float, v: float, nx: int, ny: int, backdrop: float) -> float:
     """Reflectance at (u, v) squares from the print's top left corner; `backdrop` beyond the white margin."""
     if u < -QUIET_SQUARES or v < -QUIET_SQUARES or u > nx + QUIET_SQUARES or v > ny + QUIET_SQUARES:
@@ -179,7 +183,7 @@ def _albedo(u: float, v: float, nx: int, ny: int, backdrop: float) -> float:
     return WHITE if (int(u) + int(v)) & 1 else DARK
 
 
-@njit(cache=True, fastmath=True)
+@fast_kernel
 def _cell(
     u: float,
     v: float,
@@ -205,15 +209,15 @@ def _cell(
     if on_u:
         share = _share_beyond(u - u_line, ux, uy, ut)
         beyond, before = _albedo(u_line + 0.5, v, nx, ny, backdrop), _albedo(u_line - 0.5, v, nx, ny, backdrop)
-        return share * beyond + (1 - share) * before
+        return float(share * beyond + (1 - share) * before)
     if on_v:
         share = _share_beyond(v - v_line, vx, vy, vt)
         beyond, before = _albedo(u, v_line + 0.5, nx, ny, backdrop), _albedo(u, v_line - 0.5, nx, ny, backdrop)
-        return share * beyond + (1 - share) * before
+        return float(share * beyond + (1 - share) * before)
     return float(_albedo(u, v, nx, ny, backdrop))
 
 
-@njit(cache=True, fastmath=True)
+@fast_kernel
 def _draw(
     fine: Singles, light: Singles, rays: Floats, H: Floats, dH: Floats, offsets: Singles, nx: int, ny: int
 ) -> None:
