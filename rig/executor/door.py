@@ -78,10 +78,10 @@ class Door:
     def attend(self, timeout_s: float, carry_out: CarryOut) -> None:
         """Wait for at most `timeout_s`, less when somebody wants something, and give him what he wants."""
         ready, _, _ = select.select([*self._visitors, self._socket], [], [], timeout_s)
-        for visitor in ready:
-            if visitor is self._socket:
-                self._let_in()
-            elif not self._serve(visitor, carry_out):
+        for end in ready:
+            # Who has just come in often wants something already.
+            visitor = self._let_in() if end is self._socket else end
+            if visitor is not None and not self._serve(visitor, carry_out):
                 self._visitors.remove(visitor)
                 visitor.close()
 
@@ -96,15 +96,16 @@ class Door:
                 os.close(fd)
         self._view_fd = self._plan_fd = -1
 
-    def _let_in(self) -> None:
+    def _let_in(self) -> socket.socket | None:
         with contextlib.suppress(OSError):
             visitor, _ = self._socket.accept()
             visitor.setblocking(False)
             _, uid, _ = _PEER.unpack(visitor.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _PEER.size))
             if uid in (0, os.getuid()) and len(self._visitors) < MOST_VISITORS:
                 self._visitors.append(visitor)
-            else:
-                visitor.close()
+                return visitor
+            visitor.close()
+        return None
 
     def _serve(self, visitor: socket.socket, carry_out: CarryOut) -> bool:
         """Answer what lies there; False when the visitor has gone or has to."""
