@@ -1,6 +1,6 @@
 # The two commands: `make run` (the paper's experiment on the mock rig) and `make test`.
 .DEFAULT_GOAL := help
-.PHONY: help run test test-hardware comedi lint lock clean
+.PHONY: help run test test-hardware faults soak comedi lint lock clean
 
 VENV := .venv
 BIN := $(VENV)/bin
@@ -12,6 +12,8 @@ help:
 	@echo "make lint   only the formatter, linter and type checker"
 	@echo "make comedi build and install the binding to Comedi cards"
 	@echo "make test-hardware  drive a card and a camera of a real kernel, in a virtual machine"
+	@echo "make faults  every way a run can fail, at random moments; writes docs/reliability.md (hours)"
+	@echo "make soak    an hour in real time and a day in virtual time, watched for leaks (hours)"
 	@echo "make lock   resolve the dependencies anew into requirements.lock"
 	@echo "make clean  remove the environment and every cache"
 
@@ -35,6 +37,13 @@ comedi: $(STAMP)
 
 test-hardware: comedi
 	@sh scripts/vm/test.sh $(VENV)
+
+faults: $(STAMP)
+	$(BIN)/python -m scripts.faults --write docs/reliability.md
+	$(BIN)/python -m benchmarks.watchdog
+
+soak: $(STAMP)
+	$(BIN)/python -m scripts.soak
 
 lock: $(STAMP)
 	$(BIN)/python -m pip install -q uv

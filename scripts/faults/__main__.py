@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import argparse
+import json
 import random
 import sys
 import tempfile
-import time
 from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
 
 from scripts.faults import realtime, table, virtual
@@ -23,13 +24,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--executor", choices=("real", "virtual", "both"), default="both")
     parser.add_argument("--only", default="", help="faults whose name contains this")
     parser.add_argument("--write", type=Path, help="Markdown file whose table is replaced")
+    parser.add_argument("--log", type=Path, help="file of trials to add to: the table is made of all in it")
     parser.add_argument("--list", action="store_true", help="name the faults and do nothing")
     options = parser.parse_args(arguments)
     faults = [fault for fault in CATALOGUE if options.only in fault.name]
     if options.list:
         print("\n".join(f"{fault.kind:14}{fault.name}" for fault in faults))
         return 0
-    begun = time.monotonic()
     chance = random.Random(options.seed)
     jobs = [
         (fault, executor, chance.uniform(EARLIEST_S, LATEST_S), chance.randrange(2**31))
@@ -43,8 +44,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for number, job in enumerate(jobs, 1):
         trials.append(_try(*job))
         print(f"{number}/{len(jobs)} {line(trials[-1])}", flush=True)
-        if options.write and (number % 20 == 0 or number == len(jobs)):
-            table.write(options.write, faults, trials, options.seed, time.monotonic() - begun)
+        if options.log:
+            with options.log.open("a") as log:
+                log.write(json.dumps(asdict(trials[-1])) + "\n")
+    if options.log and options.log.exists():
+        trials = [Trial(**json.loads(text)) for text in options.log.read_text().splitlines()]
+    if options.write:
+        table.write(options.write, faults, trials)
     bad = [trial for trial in trials if trial.wrong]
     print(f"{len(trials)} trials of {len(faults)} faults, {len(bad)} not as they must be")
     for trial in bad:

@@ -43,12 +43,12 @@ MOVING_V = 4.0
 class WatchedRun:
     """A `rig run` in a process of its own: its members, what it prints, and what its valves are told."""
 
-    def __init__(self, folder: Path, trick: object, environment: dict[str, str]) -> None:
+    def __init__(self, folder: Path, trick: object, environment: dict[str, str], protocol: str = PROTOCOL) -> None:
         self.out = folder / "out"
         self.rig_file, self.protocol = folder / "rig.yaml", folder / "protocol.yaml"
         self.device = f"faults-{os.getpid()}-{threading.get_native_id()}"
         self.rig_file.write_text(rig_text(trick, self.device))
-        self.protocol.write_text(PROTOCOL)
+        self.protocol.write_text(protocol)
         self._safe_v = np.array(safe_voltages(rig.config.load(self.rig_file)))
         self._said: list[bytes] = []
         self._listening = threading.Event()

@@ -13,23 +13,23 @@ from scripts.faults.trial import Trial, worst
 BEGIN, END = "<!-- campaign: written by `make faults` -->", "<!-- end of campaign -->"
 
 
-def write(page: Path, faults: Sequence[Fault], trials: Sequence[Trial], seed: int, took_s: float) -> None:
+def write(page: Path, faults: Sequence[Fault], trials: Sequence[Trial]) -> None:
     """Replace the table between the two marks of a page."""
     text = page.read_text()
     before, _, rest = text.partition(BEGIN)
     _, _, after = rest.partition(END)
-    page.write_text(f"{before}{BEGIN}\n\n{table(faults, trials, seed, took_s)}\n{END}{after}")
+    page.write_text(f"{before}{BEGIN}\n\n{table(faults, trials)}\n{END}{after}")
 
 
-def table(faults: Sequence[Fault], trials: Sequence[Trial], seed: int, took_s: float) -> str:
+def table(faults: Sequence[Fault], trials: Sequence[Trial]) -> str:
     """One row per fault and executor, and a summary."""
     tried = [trial for trial in trials if not trial.skipped]
     bad = sum(bool(trial.wrong) for trial in tried)
     unsafe = sum("NOT SAFE" in trial.wrong for trial in tried)
     silent = sum("not told" in trial.wrong for trial in tried)
     lines = [
-        f"{len(tried)} trials of {len({t.fault for t in tried})} faults at random moments (seed {seed}), "
-        f"{took_s / 60:.0f} minutes: **{unsafe} left unsafe, {silent} silent, {bad} in any way not as they must be**; "
+        f"{len(tried)} trials of {len({t.fault for t in tried})} faults at random moments: "
+        f"**{unsafe} left unsafe, {silent} silent, {bad} in any way not as they must be**; "
         f"at most {1e3 * worst([t.lost_s for t in tried]):.0f} ms of samples lost.",
         "",
         "| fault | executor | trials | safe after, median (worst) | samples lost | archive | as it must | "

@@ -1,0 +1,145 @@
+"""`python -m scripts.soak`: long runs, watched for growth of memory and file handles and for what is missing.
+
+One run in real time on the mock rig, every process of it watched; then hours of virtual time, run after run in one
+process. Says what it saw in a few lines; 0 where nothing grew and nothing was missing.
+"""
+
+from __future__ import annotations
+
+import argparse
+import gc
+import os
+import sys
+import tempfile
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+import rig.config
+import runs
+from rig import experiment
+from runs.run import Run
+from scripts.faults.realtime import WatchedRun
+from scripts.faults.virtual import Listener
+
+PROTOCOL = """
+title: Soak
+steps:
+  - ramp: {{actuators: [1, 2, 3], to_bar: 0.35, duration_s: 1}}
+  - sine: {{actuators: [1, 2, 3], mean_bar: 0.35, amplitude_bar: 0.25, omega_rad_s: 1, duration_s: {duration_s}}}
+"""
+HOUR_S = 3600.0
+LOOK_S = 5.0
+GROWTH_MB, GROWTH_SHARE = 8.0, 0.03
+"""What resident memory may grow by over the second half: noise of the allocator."""
+
+
+@dataclass
+class Growth:
+    """Memory [MB] and open files of one process, look by look."""
+
+    memory_mb: list[float] = field(default_factory=list)
+    files: list[int] = field(default_factory=list)
+
+    def look(self, pid: int) -> None:
+        """Look once more; a process that has gone is not looked at."""
+        try:
+            pages = int(Path(f"/proc/{pid}/statm").read_text().split()[1])
+            files = len(os.listdir(f"/proc/{pid}/fd"))  # noqa: PTH208
+        except OSError:
+            return
+        self.memory_mb.append(pages * os.sysconf("SC_PAGE_SIZE") / 1e6)
+        self.files.append(files)
+
+    def verdict(self, name: str) -> tuple[bool, str]:
+        """Compare the end with the middle: by then everything has been used once."""
+        if len(self.memory_mb) < 4:
+            return True, f"{name}: too short to judge"
+        half = len(self.memory_mb) // 2
+        before, after = self.memory_mb[half], float(np.median(self.memory_mb[-3:]))
+        grown = after - before
+        sound = grown < max(GROWTH_MB, GROWTH_SHARE * before) and max(self.files[half:]) <= max(self.files[: half + 1])
+        return sound, (
+            f"{name}: {before:.1f} -> {after:.1f} MB over the second half, "
+            f"{self.files[half]} -> {self.files[-1]} open files{'' if sound else '  GROWS'}"
+        )
+
+
+def real(duration_s: float) -> bool:
+    """One run in real time."""
+    with tempfile.TemporaryDirectory(prefix="softrig-soak-") as folder:
+        run = WatchedRun(Path(folder), None, {}, PROTOCOL.format(duration_s=duration_s - 1))
+        try:
+            run.wait_until_moving().close()
+            grown = {name: Growth() for name in run.members}
+            while run.process.poll() is None:
+                for name, growth in grown.items():
+                    growth.look(run.members[name])
+                time.sleep(LOOK_S if duration_s > 20 * LOOK_S else 0.5)
+        finally:
+            run.close()
+        (archive,) = run.out.glob("*.h5")
+        verdicts = [growth.verdict(name) for name, growth in grown.items()]
+        return _report(f"{duration_s:.0f} s in real time", verdicts, runs.open(archive))
+
+
+def virtual(hours: float) -> bool:
+    """Hours of virtual time, an hour a run."""
+    growth, sound = Growth(), True
+    left_s = hours * HOUR_S
+    with tempfile.TemporaryDirectory(prefix="softrig-soak-") as name:
+        folder = Path(name)
+        rig_file, protocol = folder / "rig.yaml", folder / "protocol.yaml"
+        rig_file.write_text(rig.config.text("mock") + "\nrecording: {keep_every: 30}\n")
+        while left_s > 0:
+            duration_s = min(left_s, HOUR_S)
+            protocol.write_text(PROTOCOL.format(duration_s=duration_s - 1))
+            request = experiment.request(
+                str(protocol), str(rig_file), folder=folder / "out", fast=True, seed=int(left_s), report=False
+            )
+            result = experiment.run(request, experiment.plan(request), Listener())
+            assert result.archive is not None
+            sound &= _report(f"{duration_s:.0f} s in virtual time", [], runs.open(result.archive))
+            for left in (folder / "out").iterdir():
+                left.unlink()
+            gc.collect()
+            growth.look(os.getpid())
+            left_s -= duration_s
+    fine, said = growth.verdict("the process")
+    print(f"{hours:g} h in virtual time: {said}")
+    return sound and fine
+
+
+def _report(what: str, verdicts: list[tuple[bool, str]], run: Run) -> bool:
+    pressure, timing = run.pressure, run.timing
+    holes = int(np.clip(np.diff(pressure.tick) - 1 - timing.overruns[1:], 0, None).sum())
+    missed = int(timing.overruns.sum())
+    stolen = timing.counters.get("stolen_cpu_ms", 0)
+    complete = str(run.status) == "finished" and holes == 0 and timing.ring_overflows == 0
+    print(
+        f"{what}: {run.status}, {len(pressure.tick)} ticks, {holes} missing, {missed} deadlines missed "
+        f"({stolen} ms of CPU stolen by the host), {len(run.tip.time_s)} frames, {timing.dropped_frames} dropped, "
+        f"{timing.ring_overflows} rows lost in rings",
+        flush=True,
+    )
+    for _, said in verdicts:
+        print(f"  {said}", flush=True)
+    return complete and all(sound for sound, _ in verdicts)
+
+
+def main() -> int:
+    """Soak for as long as is asked."""
+    parser = argparse.ArgumentParser(prog="python -m scripts.soak", description=__doc__)
+    parser.add_argument("--real-s", type=float, default=HOUR_S)
+    parser.add_argument("--virtual-hours", type=float, default=24.0)
+    options = parser.parse_args()
+    sound = real(options.real_s) if options.real_s > 0 else True
+    if options.virtual_hours > 0:
+        sound &= virtual(options.virtual_hours)
+    return 0 if sound else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())
