@@ -9,7 +9,7 @@ from typing import Annotated, Any, NoReturn
 import typer
 from typer.core import TyperGroup
 
-from rig.commands import archives, calibrate, identify
+from rig.commands import archives, calibrate, identify, reproduce
 from rig.commands.options import AsJson, Folder
 
 DONE, FAULT, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
@@ -36,6 +36,8 @@ class PlainErrors(TyperGroup):
 def _status(error: Exception) -> int | None:
     """Exit status of an expected error; None for one that is a bug."""
     from calibration.camera import CalibrationError
+    from calibration.identify import NoData, UnknownParameter
+    from calibration.identify.document import BadParameters
     from calibration.views import ViewsError
     from protocols import BadInput
     from rig.cameras.base import CameraError
@@ -45,6 +47,8 @@ def _status(error: Exception) -> int | None:
     from runs.export import ExportError
     from runs.journal import JournalError
 
+    if isinstance(error, NoData | UnknownParameter | BadParameters):
+        return BAD_INPUT
     if isinstance(error, BadInput | ArchiveError | ExportError | CalibrationError | ViewsError):
         return BAD_INPUT
     if isinstance(error, StoppedError):
@@ -211,6 +215,8 @@ def live(
 for command in (archives.runs, archives.show, archives.report, archives.export, archives.replay, archives.recover):
     app.command()(command)
 app.command()(identify.identify)
+app.command()(reproduce.reproduce)
+app.command()(reproduce.reproduce)
 app.add_typer(calibrate.app, name="calibrate")
 
 

@@ -17,6 +17,7 @@ from rig.control import safe_voltages
 from rig.doctor import Finding
 from rig.executor.base import Plan
 from rig.experiment import Request, Result
+from rig.reproduce import Table4Row
 from runs.records import Status
 
 _EXIT = {Status.FINISHED: 0, Status.ABORTED: 1, Status.INTERRUPTED: 130}
@@ -161,6 +162,28 @@ def offer_recovery(screen: Console, folder: Path) -> None:
     if left := orphans(folder):
         names = ", ".join(path.name for path in left)
         screen.print(Text(f"left by runs that were killed: {names}; `rig recover {folder}` makes archives of them"))
+
+
+def table4(rows: tuple[Table4Row, ...], horizon_s: float) -> Table:
+    """The paper's Table 4 beside what is computed here; times are per simulated second."""
+    table = Table(box=None, padding=(0, 2, 0, 0))
+    for head in ("along the arm", "N", "in time", "paper [s]", "its method [s]", "ours [ms]", "holds for [s]"):
+        table.add_column(head, justify="left" if head in ("along the arm", "in time") else "right")
+    for head in ("error [mm]", "ours [mm]"):
+        table.add_column(head, justify="right")
+    for row in rows:
+        table.add_row(
+            row.space,
+            str(row.steps),
+            row.scheme,
+            "unstable" if row.printed_s is None else f"{row.printed_s:.4f}",
+            f"{row.faithful_s:.4f}",
+            f"{row.ours_s * 1e3:.3f}",
+            f"{row.held_s:.1f}" if row.held_s < horizon_s else f"> {horizon_s:g}",
+            f"{row.error_mm:.4f}",
+            f"{row.ours_error_mm:.4f}",
+        )
+    return table
 
 
 def findings_table(findings: tuple[Finding, ...]) -> Table:
