@@ -168,7 +168,7 @@ def table4(rows: tuple[Table4Row, ...], horizon_s: float) -> Table:
     """The paper's Table 4 beside what is computed here; times are per simulated second."""
     table = Table(box=None, padding=(0, 2, 0, 0))
     for head in ("along the arm", "N", "in time", "paper [s]", "its method [s]", "ours [ms]", "holds for [s]"):
-        table.add_column(head, justify="left" if head in ("along the arm", "in time") else "right")
+        table.add_column(head, justify="left" if head in ("along the arm", "in time") else "right", no_wrap=True)
     for head in ("error [mm]", "ours [mm]"):
         table.add_column(head, justify="right")
     for row in rows:
