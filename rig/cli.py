@@ -38,6 +38,7 @@ def _status(error: Exception) -> int | None:
     from calibration.camera import CalibrationError
     from calibration.identify import NoData, UnknownParameter
     from calibration.identify.document import BadParameters
+    from calibration.identify.spread import NoCluster, WorkersDie
     from calibration.views import ViewsError
     from protocols import BadInput
     from rig.cameras.base import CameraError
@@ -53,6 +54,8 @@ def _status(error: Exception) -> int | None:
         return BAD_INPUT
     if isinstance(error, StoppedError):
         return INTERRUPTED
+    if isinstance(error, NoCluster | WorkersDie):
+        return FAULT
     if isinstance(error, CardError | CameraError | StartError | JournalError | OSError):
         return FAULT
     return None

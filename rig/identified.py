@@ -11,10 +11,12 @@ from typing import Any
 import numpy as np
 import typer
 import yaml
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 from rich.text import Text
 from scipy.spatial.transform import Rotation
 
+from calibration.identify.bootstrap import bootstrap
 from calibration.identify.data import Poses, poses_of
 from calibration.identify.document import Overlay, content, read
 from calibration.identify.fit import Fit, identify
@@ -87,6 +89,20 @@ def show(fit: Fit, as_json: bool) -> None:
         screen.print(f"the model is off by {1e3 * fit.discrepancy_m:.3f} mm per axis beyond the stated errors")
     if not fit.solved:
         screen.print(Text("the search ended before it had converged", "yellow"))
+
+
+def second_opinion(fit: Fit, samples: int, scheduler: str | None, store: Path | None) -> None:
+    """Bootstrap error bars beside those of the likelihood, with a progress bar on the error stream."""
+    screen = console(stderr=True)
+    columns = (TextColumn("refitting"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=screen, transient=True) as bar:
+        job = bar.add_task("refitting", total=samples)
+        found = bootstrap(
+            fit, samples, scheduler=scheduler, store=store, progress=lambda done, _: bar.update(job, completed=done)
+        )
+    bars = {(e.name, e.run): e.std for e in fit.estimates}
+    for name, run, std in zip(found.names, found.runs, found.std, strict=True):
+        screen.print(f"{name} {run}: +- {std:.2g} by {samples} refits, {bars[name, run]:.2g} by the likelihood")
 
 
 def _rig_of(run: Run) -> RigConfig:

@@ -7,11 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import model
 import runs
 from calibration.identify import NoData, Prior, Setup, at_rest, identify, in_motion, poses_of
 from calibration.identify.online import Adapter
 from rig import experiment
 from rig.arm import model_arm, true_arm
+from rig.cli import main
 from rig.config import load
 from rig.executor.base import Progress
 from runs.records import Event
@@ -152,3 +154,27 @@ def test_a_frame_without_a_tip_or_far_off_does_not_throw_the_estimate() -> None:
     adapter.step(pressure, arm.statics(pressure).tip_m + 0.5, covariance)
     assert (np.abs(adapter.values - before) < 0.5 * before).all()
     assert np.isfinite(adapter.std).all()
+
+
+def test_rig_identify_writes_a_rig_that_holds_the_found_arm(
+    resting: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    found = tmp_path / "found.yaml"
+    with pytest.raises(SystemExit) as left:
+        main(["identify", str(resting.path), "--free", "law,rpe_per_bar,sensor_offsets", "--rig-file", str(found)])
+    assert left.value.code == 0
+    assert "a1_per_n" in capsys.readouterr().out
+    published, true, identified = model_arm(load("mock")), true_arm(load("mock")), model_arm(load(str(found)))
+
+    def gap(arm: model.Arm) -> float:
+        pressure = [0.6e5, 0.0, 0.0]
+        return float(np.linalg.norm(arm.statics(pressure).tip_m - true.statics(pressure).tip_m))
+
+    assert gap(identified) < 0.25 * gap(published)
+
+
+def test_rig_identify_says_what_is_wrong_with_the_question(resting: Run, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as left:
+        main(["identify", str(resting.path), "--free", "a1_per_m"])
+    assert left.value.code == 2
+    assert "did you mean" in capsys.readouterr().err

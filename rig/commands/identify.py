@@ -19,6 +19,11 @@ def identify(
         list[str] | None, typer.Option(metavar="NAME=MEAN+-STD", help="What is known beforehand; may be repeated.")
     ] = None,
     starts: Annotated[int, typer.Option(help="Starting points of the search.", min=1)] = 1,
+    bootstrap: Annotated[int, typer.Option(metavar="N", help="Refit N times for a second opinion on +-.", min=0)] = 0,
+    scheduler: Annotated[
+        str | None, typer.Option(metavar="tcp://HOST:PORT", help="Dask scheduler for the refits; default: all cores.")
+    ] = None,
+    store: Annotated[Path | None, typer.Option(metavar="DIR", help="Keep finished refits there, to resume.")] = None,
     to: Annotated[Path | None, typer.Option("--to", metavar="FILE", help="Write the parameters (YAML).")] = None,
     rig: Annotated[str, typer.Option("--rig", help="Rig that --rig-file starts from.")] = "mock",
     rig_file: Annotated[
@@ -28,7 +33,7 @@ def identify(
 ) -> None:
     """Find an arm's parameters from runs, with error bars, or say that the runs do not tell them."""
     import runs
-    from calibration.identify import NoData, Prior, UnknownParameter
+    from calibration.identify import Prior
     from calibration.identify.document import write
     from rig import identified
     from rig.listing import resolve
@@ -44,11 +49,10 @@ def identify(
         except ValueError as fault:
             raise typer.BadParameter(f"'{item}' is not of the form NAME=MEAN+-STD", param_hint="--prior") from fault
     names = [name.strip() for name in free.split(",") if name.strip()]
-    try:
-        fit = identified.from_runs([runs.open(resolve(archive)) for archive in archives], names, priors, starts)
-    except (NoData, UnknownParameter) as fault:
-        raise typer.BadParameter(str(fault), param_hint="RUN.. --free --prior") from fault
+    fit = identified.from_runs([runs.open(resolve(archive)) for archive in archives], names, priors, starts)
     identified.show(fit, json)
+    if bootstrap:
+        identified.second_opinion(fit, bootstrap, scheduler, store)
     if to is not None:
         written = write(fit, to)
         typer.echo(written, err=json)

@@ -1,0 +1,65 @@
+"""Model choice: the model that made the data wins by runs left out, and is only recommended where it pays."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import model
+from calibration.identify import NoData, Poses, Setup
+from calibration.identify.choice import Candidate, candidates, choose
+from calibration.identify.simulated import Errors, perform, plan
+
+RAMP = np.linspace(0.15e5, 0.65e5, 6)[:, None]
+ERRORS = Errors((1e-4, 1e-4, 1e-4), 10.0, 0.0)
+START = Setup(model.Arm.paper())
+
+
+def data(truth: model.Arm) -> list[Poses]:
+    rng = np.random.default_rng(3)
+    planned = (
+        plan("ramp-a", RAMP * np.array([1.0, 0, 0]), errors=ERRORS),
+        plan("ramp-b", RAMP * np.array([0, 1.0, 1.0]), errors=ERRORS),
+        plan("weights", np.zeros((6, 3)), np.linspace(0, 1.2, 6), errors=ERRORS),
+    )
+    return [perform(one, Setup(truth), rng, ERRORS) for one in planned]
+
+
+def some() -> tuple[Candidate, ...]:
+    return tuple(c for c in candidates(START) if c.name.startswith("homogeneous") or "pointwise" in c.name)
+
+
+def test_an_inhomogeneous_arm_is_recognised_and_the_larger_model_pays() -> None:
+    arm = model.Arm.paper()
+    choice = choose(data(replace(arm, material=replace(arm.material, a1_per_n=0.008))), some())
+    assert [row.candidate.name for row in choice.rows] == [
+        "homogeneous",
+        "homogeneous+rpe",
+        "inhomogeneous+rpe, pointwise",
+    ]
+    assert choice.best.candidate.inhomogeneous
+    errors = [row.error_percent for row in choice.rows]
+    assert errors[0] > errors[1] > errors[2]
+    assert "the data pay for the larger model" in choice.sentence
+
+
+def test_a_homogeneous_arm_does_not_pay_for_softening() -> None:
+    choice = choose(data(model.Arm.paper("homogeneous+rpe")), some())
+    plain, radial, soft = choice.rows
+    assert plain.bic > radial.bic + 10
+    assert soft.bic > radial.bic - 10
+    assert radial.error_m < 3e-4
+
+
+def test_one_run_is_not_enough() -> None:
+    with pytest.raises(NoData, match="at least two runs"):
+        choose(data(model.Arm.paper())[:1], some())
+
+
+def test_the_candidates_are_the_papers_models_and_rules() -> None:
+    names = [c.name for c in candidates(START, moving=True)]
+    assert len(names) == 8
+    assert [(c.inhomogeneous, c.radial) for c in candidates(START)[:3]] == [(False, False), (False, True), (True, True)]
+    assert names[-1] == "inhomogeneous+rpe, damped"
