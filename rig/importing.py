@@ -1,0 +1,286 @@
+"""Foreign measurements, a table and its mapping, into an archive of the same layout as a run's."""
+
+from __future__ import annotations
+
+import hashlib
+import platform
+import re
+import sys
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from protocols.marks import Document
+from protocols.problems import BadInput, Problem
+from rig import config as rigs
+from rig.config import PA_PER_BAR
+from rig.experiment import free_id
+from rig.mapping import KILOGRAMS, PASCALS, SECONDS, VOLTS, Mapping, PressureUnit, load
+from rig.placing import placed
+from rig.provenance import git_state, versions
+from rig.reading import MOST_PROBLEMS, Columns
+from rig.tables import read as read_table
+from runs.archive import finalise
+from runs.journal import SUFFIX, JournalWriter
+from runs.records import (
+    Event,
+    Level,
+    Quantity,
+    RunFooter,
+    RunHeader,
+    Seen,
+    Status,
+    observation_dtype,
+    sample_dtype,
+)
+
+LONGEST_S = 9e9
+"""Times beyond this have no nanoseconds in 64 bits."""
+EVEN = 0.25
+"""Time steps are even when each is a whole number of periods, but for this part of one."""
+VENTED_BAR = 0.02
+"""A vented chamber's pressure does not wander farther than this within the rows that state the ambient pressure."""
+AMBIENT_BAR = (0.5, 1.1)
+"""Of the places where people work."""
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Imported:
+    """What an import made: the archive, and the warnings that it carries as events."""
+
+    archive: Path
+    warnings: tuple[str, ...]
+
+
+def import_table(data: Path, mapping_file: Path, folder: Path, operator: str = "", notes: str = "") -> Imported:
+    """Write the archive of a foreign table.
+
+    What is wrong but leaves the data usable becomes a warning, an event of the archive.
+
+    Raises:
+        BadInput: the mapping, or the data; every problem at once.
+    """
+    mapping, document = load(mapping_file)
+    rig_name, rig_text = _rig(mapping, document)
+    table = read_table(data, mapping.file)
+    columns = Columns(table)
+    t_ns = _time(columns, mapping)
+    gauge_pa, ambient_pa = _pressures(columns, mapping)
+    tip_m, covariance_m2 = placed(columns, mapping)
+    asked_pa = _asked(columns, mapping)
+    valve_v = _valves(columns, mapping)
+    weight_kg = _weight(columns, mapping)
+    columns.check()
+    frame = _frames(columns, t_ns)
+
+    n, period_s = len(t_ns), float(np.median(np.diff(t_ns))) * 1e-9
+    samples = np.zeros(n, sample_dtype(mapping.actuators, valve_v.shape[1]))
+    samples["t_ns"], samples["tick"], samples["scans"] = t_ns, frame, 1
+    samples["protocol_s"] = (t_ns - t_ns[0]) * 1e-9
+    samples["setpoint_pa"], samples["measured_pa"], samples["valve_v"] = asked_pa, gauge_pa, valve_v
+    rows = np.zeros(n, observation_dtype(mapping.actuators))
+    for field in ("t_ns", "protocol_s"):
+        rows[field] = samples[field]
+    rows["frame"], rows["dropped"] = frame, np.diff(frame, prepend=-1) - 1
+    rows["pressure_pa"], rows["weight_kg"] = gauge_pa, weight_kg
+    rows["measured_m"], rows["covariance_m2"] = tip_m, covariance_m2
+    rows["seen"] = np.where(np.isfinite(tip_m).all(axis=1), Seen.MEASURED, Seen.NO_FRAME)
+    for field in ("model_m", "truth_m", "reprojection_px"):
+        rows[field] = np.nan
+
+    if mapping.started is None:
+        columns.warn("the mapping does not say when the measurement began: start_time is that of the import")
+    now = datetime.now(UTC)
+    commit, diff = git_state()
+    folder.mkdir(parents=True, exist_ok=True)
+    source = f"{data.name}, SHA-256 {hashlib.sha256(data.read_bytes()).hexdigest()}"
+    header = RunHeader(
+        run_id=free_id(folder, f"{now.astimezone():%Y%m%d-%H%M%S}-{_word(data.stem)}"),
+        title=mapping.title,
+        started_utc_ns=mapping.started_utc_ns or int(now.timestamp() * 1e9),
+        started_t_ns=int(t_ns[0]),
+        protocol_name=f"import {mapping_file.stem}",
+        # What a protocol is to a run the mapping is to an import: what made the archive what it is.
+        protocol_yaml=document.text,
+        rig_name=rig_name,
+        rig_yaml=rig_text,
+        actuators=mapping.actuators,
+        valves=valve_v.shape[1],
+        executor="imported",
+        simulated=False,
+        seed=None,
+        model_variant="",
+        operator=operator,
+        notes="; ".join(filter(None, (notes, f"imported from {source}"))),
+        command=" ".join(sys.argv),
+        host=platform.node(),
+        versions=versions(),
+        git_commit=commit,
+        git_diff=diff,
+        quantities=_quantities(mapping, mapping_file, ambient_pa),
+        control_hz=1 / period_s,
+        camera_hz=1 / period_s,
+    )
+    journal = JournalWriter(folder / f"{header.run_id}{SUFFIX}", header)
+    journal.samples(samples)
+    journal.observations(rows)
+    journal.event(Event(int(t_ns[0]), Level.INFO, "import", f"{n} rows from {source}, by mapping {mapping_file.name}"))
+    for warning in columns.warnings:
+        journal.event(Event(int(t_ns[0]), Level.WARNING, "import", warning))
+    journal.close(RunFooter(int(t_ns[-1]), Status.FINISHED, ""))
+    return Imported(finalise(journal.path), tuple(columns.warnings))
+
+
+def _rig(mapping: Mapping, document: Document) -> tuple[str, str]:
+    """Name and YAML of the rig that the mapping names; empty where it names none."""
+    if mapping.rig is None:
+        return "", ""
+    beside = Path(document.file).parent / mapping.rig
+    name = str(beside) if beside.is_file() else mapping.rig
+    config = rigs.load(name)
+    if config.actuators != mapping.actuators:
+        mark = document.mark(("rig",))
+        found = f"{mapping.rig}, which has {config.actuators} actuators"
+        expected = f"a rig with {mapping.actuators} actuators, as there are pressures"
+        raise BadInput([Problem(document.file, mark.line, mark.column, "rig", found, expected)])
+    return config.name, rigs.text(name)
+
+
+def _time(columns: Columns, mapping: Mapping) -> Ints:
+    """Times (n,) [ns] on the file's own clock, increasing; what the file lacks of that is a problem."""
+    column, unit = mapping.time.column, mapping.time.unit
+    time_s = columns.scaled(column, SECONDS[unit])
+    if time_s is None:
+        return np.array([0, 1], np.int64)
+    table, problems = columns.table, []
+    for row in np.flatnonzero(~(np.abs(time_s) <= LONGEST_S))[:MOST_PROBLEMS]:
+        value = "nothing" if np.isnan(time_s[row]) else f"{time_s[row]:g} s"
+        problems.append(table.problem(int(row), column, value, f"a time of at most {LONGEST_S:g} s"))
+    t_ns: Ints = np.round(np.nan_to_num(np.clip(time_s, -LONGEST_S, LONGEST_S)) * 1e9).astype(np.int64)
+    if not problems:
+        for row in np.flatnonzero(np.diff(t_ns) <= 0)[:MOST_PROBLEMS] + 1:
+            wish = f"a time after {time_s[row - 1]:.12g} s, that of the row before"
+            problems.append(table.problem(int(row), column, f"{time_s[row]:.12g} s", wish))
+    if len(t_ns) < 2:
+        problems.append(Problem(table.file, 0, 0, "", f"{len(t_ns)} rows", "two rows at least"))
+    columns.problems += problems
+    return t_ns
+
+
+def _frames(columns: Columns, t_ns: Ints) -> Ints:
+    """Numbers of the rows (n,), which leave out those that are missing from even time steps."""
+    steps = np.diff(t_ns) / np.median(np.diff(t_ns))
+    whole = np.round(steps).astype(np.int64)
+    if (np.abs(steps - whole) > EVEN).any() or (whole < 1).any():
+        low, high = np.diff(t_ns).min() * 1e-9, np.diff(t_ns).max() * 1e-9
+        columns.warn(f"the time steps are uneven, from {low:.6g} to {high:.6g} s: rows are numbered one by one")
+        return np.arange(len(t_ns))
+    if len(gaps := np.flatnonzero(whole > 1)):
+        where = columns.table.place(int(gaps[0]))
+        columns.warn(f"{int((whole - 1).sum())} rows are missing from even time steps, the first after {where}")
+    return np.concatenate([[0], np.cumsum(whole)])
+
+
+def _pressures(columns: Columns, mapping: Mapping) -> tuple[Floats, Floats]:
+    """Gauge pressures (n, N) and what was taken off the columns (N,) [Pa]."""
+    asked = mapping.pressures
+    raw_pa = _scaled(columns, asked.columns, asked.unit)
+    for column, values in zip(asked.columns, raw_pa.T, strict=True):
+        columns.warn_missing(values, f"the pressure of column {column}")
+    off_pa = np.zeros(mapping.actuators)
+    if columns.problems:
+        return raw_pa, off_pa
+    if asked.reading == "gauge":
+        for column, values in zip(asked.columns, raw_pa.T, strict=True):
+            if np.nanmin(values, initial=np.inf) / PA_PER_BAR > AMBIENT_BAR[0]:
+                lowest = f"{np.nanmin(values) / PA_PER_BAR:.3g} bar"
+                columns.warn(f"column {column} never falls below {lowest}: is it absolute? The mapping says gauge")
+        return raw_pa, off_pa
+    if asked.ambient_bar is not None:
+        off_pa[:] = asked.ambient_bar * PA_PER_BAR
+    elif asked.ambient_rows is not None:
+        off_pa = _vented(columns, mapping, raw_pa, asked.ambient_rows)
+    for column, ambient in zip(asked.columns, off_pa / PA_PER_BAR, strict=True):
+        if not AMBIENT_BAR[0] <= ambient <= AMBIENT_BAR[1]:
+            columns.warn(f"the ambient pressure taken off column {column} is {ambient:.4g} bar: is it really absolute?")
+    return raw_pa - off_pa, off_pa
+
+
+def _vented(columns: Columns, mapping: Mapping, raw_pa: Floats, rows: int) -> Floats:
+    """Each column's mean (N,) [Pa] over the first rows."""
+    first = raw_pa[:rows]
+    if len(first) < rows:
+        wish = f"at least the {rows} rows that ambient_rows names"
+        columns.problems.append(Problem(columns.table.file, 0, 0, "", f"{len(first)} rows", wish))
+        return np.zeros(mapping.actuators)
+    known = np.isfinite(first)
+    means = np.zeros(mapping.actuators)
+    for n, column in enumerate(mapping.pressures.columns):
+        if not known[:, n].any():
+            wish = f"a pressure in the first {rows} rows, for the ambient pressure"
+            columns.problems.append(columns.table.problem(0, column, "nothing", wish))
+            continue
+        values = first[known[:, n], n]
+        means[n] = values.mean()
+        if (spread := float(np.ptp(values)) / PA_PER_BAR) > VENTED_BAR:
+            columns.warn(
+                f"column {column} moves by {spread:.3g} bar within the first {rows} rows, whose mean is taken for the "
+                "ambient pressure"
+            )
+    return means
+
+
+def _asked(columns: Columns, mapping: Mapping) -> Floats:
+    """Set-points (n, N) [Pa], or NaN where the file has none."""
+    if mapping.setpoints is None:
+        return np.full((1, mapping.actuators), np.nan)
+    return _scaled(columns, mapping.setpoints.columns, mapping.setpoints.unit)
+
+
+def _valves(columns: Columns, mapping: Mapping) -> Floats:
+    """Voltages (n, V), or one row of none."""
+    if mapping.valves is None:
+        return np.empty((1, 0))
+    return columns.several(mapping.valves.columns, [VOLTS[mapping.valves.unit]] * len(mapping.valves.columns))
+
+
+def _weight(columns: Columns, mapping: Mapping) -> Floats:
+    """Weights (n,) [kg]; where the file has none, nothing was hung."""
+    if mapping.weight is None:
+        return np.zeros(1)
+    weight = columns.several((mapping.weight.column,), (KILOGRAMS[mapping.weight.unit],))[:, 0]
+    columns.warn_missing(weight, "the weight")
+    return weight
+
+
+def _scaled(columns: Columns, keys: tuple[int | str, ...], unit: PressureUnit | tuple[PressureUnit, ...]) -> Floats:
+    units = unit if isinstance(unit, tuple) else (unit,) * len(keys)
+    return columns.several(keys, [PASCALS[word] for word in units])
+
+
+def _quantities(mapping: Mapping, file: Path, ambient_pa: Floats) -> tuple[Quantity, ...]:
+    """Every number that the import used."""
+    source = f"mapping {file.name}"
+    pressures, place = mapping.pressures, mapping.frame
+    found = [
+        Quantity("calibration", "frame_translation", place.translation_mm, "mm", source, place.translation_std_mm),
+        Quantity("calibration", "frame_rotation", place.rotation_deg, "deg", source, place.rotation_std_deg),
+    ]
+    if pressures.reading == "absolute":
+        how = f"mean of the first {pressures.ambient_rows} rows" if pressures.ambient_rows else source
+        ambient = tuple(float(p) / PA_PER_BAR for p in ambient_pa)
+        found.append(Quantity("calibration", "ambient_pressure", ambient, "bar", how))
+    if mapping.tip is not None and mapping.tip.offset_mm is not None:
+        found.append(Quantity("calibration", "tip_offset", mapping.tip.offset_mm, "mm", source))
+    return tuple(found)
+
+
+def _word(text: str) -> str:
+    """A file's name as a run id can carry it."""
+    return re.sub(r"[^\w-]+", "-", text).strip("-") or "data"

@@ -1,0 +1,292 @@
+"""The mapping of an import: a YAML that says what the columns of a foreign table are.
+
+`docs/import.md` says the same for those who write one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import AfterValidator, Discriminator, Field, Tag, model_validator
+from pydantic.json_schema import SkipJsonSchema
+
+from protocols.document import Document, read
+from protocols.document import validate as validated
+from protocols.marks import path_text
+from protocols.validation import Fault, faults
+from rig.config import Bar, Count, Flag, Index, NonNegative, Placement, Section, Triple, Word
+
+SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0}
+PASCALS = {
+    "Pa": 1.0,
+    "hPa": 100.0,
+    "kPa": 1e3,
+    "MPa": 1e6,
+    "mbar": 100.0,
+    "bar": 1e5,
+    "psi": 6894.757293168361,
+    "atm": 101325.0,
+    "mmHg": 133.322387415,
+}
+METRES = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "in": 0.0254}
+KILOGRAMS = {"kg": 1.0, "g": 1e-3}
+VOLTS = {"V": 1.0, "mV": 1e-3}
+
+TimeUnit = Literal["s", "ms", "us", "ns", "min"]
+PressureUnit = Literal["Pa", "hPa", "kPa", "MPa", "mbar", "bar", "psi", "atm", "mmHg"]
+LengthUnit = Literal["m", "cm", "mm", "um", "in"]
+MassUnit = Literal["kg", "g"]
+VoltUnit = Literal["V", "mV"]
+
+
+def _list_or_one(value: Any) -> str:
+    return "each" if isinstance(value, list | tuple) else "all"
+
+
+PressureUnits = Annotated[
+    Annotated[PressureUnit, Tag("all")] | Annotated[tuple[PressureUnit, ...], Tag("each")], Discriminator(_list_or_one)
+]
+LengthUnits = Annotated[
+    Annotated[LengthUnit, Tag("all")] | Annotated[tuple[LengthUnit, ...], Tag("each")], Discriminator(_list_or_one)
+]
+Uncertainty = Annotated[
+    Annotated[NonNegative, Tag("all")] | Annotated[tuple[NonNegative, NonNegative, NonNegative], Tag("each")],
+    Discriminator(_list_or_one),
+]
+
+
+def _number_or_name(value: Any) -> str:
+    return "number" if isinstance(value, int) else "name"
+
+
+Column = Annotated[Annotated[Index, Tag("number")] | Annotated[Word, Tag("name")], Discriminator(_number_or_name)]
+"""A column by its number, or by its name."""
+
+
+def _moment(text: str) -> str:
+    try:
+        moment = datetime.fromisoformat(text)
+    except ValueError:
+        moment = None
+    if moment is None or moment.tzinfo is None:
+        raise ValueError("date and time in ISO 8601 with the distance from UTC, as 2026-11-21T14:05:00+01:00")
+    return text
+
+
+Moment = Annotated[str, AfterValidator(_moment)]
+
+
+class Written(Section):
+    """How the file is written. Everything but `variable` and `first_column` is about CSV."""
+
+    first_column: Annotated[int, Field(ge=0, le=1, strict=True)] | SkipJsonSchema[None] = Field(
+        default=None, description="number of the first column, where columns are given by number"
+    )
+    variable: Word | SkipJsonSchema[None] = Field(default=None, description="of the .mat file: a matrix or a struct")
+    delimiter: Literal["comma", "semicolon", "tab", "bar", "space"] | SkipJsonSchema[None] = Field(
+        default=None, description="found out where it is not said"
+    )
+    decimal: Literal["point", "comma"] = "point"
+    header: Flag = Field(default=True, description="the first line names the columns")
+    skip_lines: Index = Field(default=0, description="lines before the header")
+    lines_after_header: Index = Field(default=0, description="lines between header and numbers, such as one of units")
+    comment: Word | SkipJsonSchema[None] = Field(default=None, description="how a line begins that is no data")
+    missing: tuple[str, ...] = Field(default=(), description="cells that mean 'not measured', beside empty and nan")
+
+
+class TimeColumn(Section):
+    """When each row was taken."""
+
+    column: Column
+    unit: TimeUnit
+
+
+class WeightColumn(Section):
+    """What hung on the end cap."""
+
+    column: Column
+    unit: MassUnit
+
+
+class Pressures(Section):
+    """Measured pressure of every actuator, in the order of the actuators.
+
+    What is absolute has the ambient pressure taken off: a stated one, or each column's mean over its first rows.
+    """
+
+    columns: Annotated[tuple[Column, ...], Field(min_length=1)]
+    unit: PressureUnits
+    reading: Literal["absolute", "gauge"]
+    ambient_rows: Count | SkipJsonSchema[None] = Field(default=None, description="first rows, with the arm vented")
+    ambient_bar: Bar | SkipJsonSchema[None] = None
+
+    @model_validator(mode="after")
+    def _check(self) -> Pressures:
+        given = [name for name in ("ambient_rows", "ambient_bar") if getattr(self, name) is not None]
+        found = _units(self.columns, self.unit)
+        if self.reading == "gauge":
+            found += [Fault((name,), "nothing: gauge pressures have no ambient pressure to take off") for name in given]
+        elif not given:
+            found.append(Fault((), "absolute pressures need ambient_rows or ambient_bar"))
+        elif len(given) == 2:
+            found.append(Fault(("ambient_bar",), "ambient_rows or ambient_bar, not both"))
+        faults(found)
+        return self
+
+
+class SetPoints(Section):
+    """Gauge pressure that was asked for, of every actuator."""
+
+    columns: Annotated[tuple[Column, ...], Field(min_length=1)]
+    unit: PressureUnits
+
+    @model_validator(mode="after")
+    def _check(self) -> SetPoints:
+        faults(_units(self.columns, self.unit))
+        return self
+
+
+class Valves(Section):
+    """Voltage that was commanded, of every valve."""
+
+    columns: Annotated[tuple[Column, ...], Field(min_length=1)]
+    unit: VoltUnit
+
+
+class Position(Section):
+    """Where a sensor is: its x, y and z."""
+
+    columns: tuple[Column, Column, Column]
+    unit: LengthUnits
+
+    @model_validator(mode="after")
+    def _check(self) -> Position:
+        faults(_units(self.columns, self.unit))
+        return self
+
+
+class Orientation(Section):
+    """A unit quaternion that turns vectors of the sensor's axes into the tracker's."""
+
+    columns: tuple[Column, Column, Column, Column]
+    order: Literal["wxyz", "xyzw"]
+
+
+class BaseOrientation(Orientation):
+    """Of the base sensor; `ignore` where it is not to be believed, or does not matter because the base stands still."""
+
+    use: Literal["turn", "ignore"] = "turn"
+
+
+class BaseSensor(Section):
+    """The sensor at the rod's base. Its position is taken off the tip's; its orientation turns the difference."""
+
+    position: Position
+    orientation: BaseOrientation | SkipJsonSchema[None] = None
+    uncertainty_mm: Uncertainty | SkipJsonSchema[None] = Field(default=None, description="standard, per axis")
+
+
+class TipSensor(Section):
+    """The sensor at the tip; `offset_mm` is the tool centre point in the sensor's own axes."""
+
+    position: Position
+    orientation: Orientation | SkipJsonSchema[None] = None
+    offset_mm: Triple | SkipJsonSchema[None] = None
+    uncertainty_mm: Uncertainty | SkipJsonSchema[None] = Field(default=None, description="standard, per axis")
+
+    @model_validator(mode="after")
+    def _check(self) -> TipSensor:
+        if self.offset_mm is not None and self.orientation is None:
+            faults([Fault(("offset_mm",), "an orientation beside it: the offset is along the sensor's own axes")])
+        if self.orientation is not None and self.offset_mm is None:
+            faults([Fault(("orientation",), "offset_mm beside it: an archive keeps no orientation of the tip")])
+        return self
+
+
+class Mapping(Section):
+    """What the columns of a table are. `frame` places the tracker (or the base sensor) in the rod-base frame."""
+
+    title: Word
+    started: Moment | SkipJsonSchema[None] = Field(default=None, description="moment of the first row")
+    rig: Word | SkipJsonSchema[None] = Field(default=None, description="name or file of a rig with this arm")
+    file: Written = Written()
+    time: TimeColumn
+    pressures: Pressures
+    setpoints: SetPoints | SkipJsonSchema[None] = None
+    valves: Valves | SkipJsonSchema[None] = None
+    weight: WeightColumn | SkipJsonSchema[None] = None
+    tip: TipSensor | SkipJsonSchema[None] = None
+    base: BaseSensor | SkipJsonSchema[None] = None
+    frame: Placement = Placement()
+
+    @model_validator(mode="after")
+    def _check(self) -> Mapping:
+        faults([*self._faults_of_columns(), *self._faults_between()])
+        return self
+
+    @property
+    def actuators(self) -> int:
+        """Number of actuators."""
+        return len(self.pressures.columns)
+
+    @property
+    def started_utc_ns(self) -> int | None:
+        """Moment of the first row, since 1970; None where the mapping does not say."""
+        if self.started is None:
+            return None
+        since = datetime.fromisoformat(self.started) - datetime(1970, 1, 1, tzinfo=UTC)
+        return since // timedelta(microseconds=1) * 1000
+
+    def _faults_between(self) -> Iterator[Fault]:
+        if self.setpoints is not None and len(self.setpoints.columns) != self.actuators:
+            yield Fault(("setpoints", "columns"), f"as many columns as there are pressures: {self.actuators}")
+        if self.base is not None and self.tip is None:
+            yield Fault(("base",), "a tip beside it: the base sensor's position is taken off the tip's")
+
+    def _faults_of_columns(self) -> Iterator[Fault]:
+        """Columns that have two meanings, and kinds of column that the file cannot have."""
+        used: dict[int | str, tuple[str | int, ...]] = {}
+        for path, columns in self._groups():
+            # Actuators on one valve share a sensor, and so a column.
+            here = set(columns) if path[0] in ("pressures", "setpoints", "valves") else columns
+            for column in here:
+                place = (*path, "columns", columns.index(column)) if len(columns) > 1 else (*path, "column")
+                if column in used:
+                    yield Fault(place, f"a column of its own: {column} is already used by {path_text(used[column])}")
+                used.setdefault(column, path)
+        numbers = [column for column in used if isinstance(column, int)]
+        first = self.file.first_column
+        if numbers and first is None:
+            yield Fault(("file", "first_column"), "file: {first_column: 0} or 1, because columns are given by number")
+        if first == 1 and 0 in numbers:
+            yield Fault(used[0], "column numbers of 1 or more, because first_column is 1")
+        if not self.file.header and len(numbers) < len(used):
+            yield Fault(("file", "header"), "columns by number where the file names none")
+
+    def _groups(self) -> Iterator[tuple[tuple[str | int, ...], tuple[int | str, ...]]]:
+        yield ("time",), (self.time.column,)
+        if self.weight is not None:
+            yield ("weight",), (self.weight.column,)
+        for name in ("pressures", "setpoints", "valves"):
+            if (part := getattr(self, name)) is not None:
+                yield (name,), part.columns
+        for name in ("tip", "base"):
+            if (sensor := getattr(self, name)) is not None:
+                yield (name, "position"), sensor.position.columns
+                if sensor.orientation is not None:
+                    yield (name, "orientation"), sensor.orientation.columns
+
+
+def load(path: Path) -> tuple[Mapping, Document]:
+    """The mapping in a file, and the document that it was read from; `BadInput` with everything that is wrong."""
+    document = read(path)
+    return validated(Mapping, document), document
+
+
+def _units(columns: tuple[int | str, ...], unit: str | tuple[str, ...]) -> list[Fault]:
+    if isinstance(unit, tuple) and len(unit) != len(columns):
+        return [Fault(("unit",), f"one unit, or one for each of the {len(columns)} columns, not {len(unit)}")]
+    return []

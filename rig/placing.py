@@ -1,0 +1,132 @@
+"""Where a foreign tracker saw the tip, carried into the rod-base frame."""
+
+from __future__ import annotations
+
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from calibration.frames import Rigid
+from protocols.problems import Problem
+from rig.mapping import METRES, BaseSensor, Mapping, Orientation, Position
+from rig.reading import Columns
+
+UNIT = 0.01
+"""A quaternion's norm may be off by this: trackers write three or four digits."""
+
+Floats = NDArray[np.float64]
+
+
+def placed(columns: Columns, mapping: Mapping) -> tuple[Floats, Floats]:
+    """Tips (n, 3) [m] in the rod-base frame with their covariances (n, 3, 3); NaN where there are none.
+
+    tip + R_tip offset - base, turned by the base's inverse orientation where that is used, then by the mapping's
+    frame. A broken orientation that is needed is a problem, one that is not is a warning.
+    """
+    nothing = np.full((1, 3), np.nan), np.full((1, 3, 3), np.nan)
+    if mapping.tip is None:
+        return nothing
+    tip_m = _position(columns, mapping.tip.position, "tip")
+    offset, turn = None, None
+    if mapping.tip.orientation is not None and mapping.tip.offset_mm is not None:
+        offset = _matrices(columns, mapping.tip.orientation, "tip") @ (np.array(mapping.tip.offset_mm) * 1e-3)
+    if mapping.base is not None:
+        base_m = _position(columns, mapping.base.position, "base")
+        turn = _base_turn(columns, mapping.base)
+    if columns.problems:
+        return nothing
+    variance = _variance(mapping.tip.uncertainty_mm)
+    if offset is not None:
+        tip_m = tip_m + offset
+    if mapping.base is not None:
+        tip_m = tip_m - base_m
+        if mapping.base.uncertainty_mm is not None:
+            variance = variance + _variance(mapping.base.uncertainty_mm)
+    covariance = np.broadcast_to(np.diag(variance), (len(tip_m), 3, 3))
+    if turn is not None:
+        tip_m = np.einsum("nij,nj->ni", turn, tip_m)
+        covariance = turn @ covariance @ turn.transpose(0, 2, 1)
+    return _framed(mapping, tip_m, covariance)
+
+
+def _framed(mapping: Mapping, tip_m: Floats, covariance: Floats) -> tuple[Floats, Floats]:
+    frame = Rigid.from_vectors(
+        np.radians(mapping.frame.rotation_deg),
+        np.array(mapping.frame.translation_mm) * 1e-3,
+        mapping.frame.translation_std_mm * 1e-3,
+        float(np.radians(mapping.frame.rotation_std_deg)),
+    )
+    carried = [frame.transport(point, spread) for point, spread in zip(tip_m, covariance, strict=True)]
+    return np.array([point for point, _ in carried]), np.array([spread for _, spread in carried])
+
+
+def _base_turn(columns: Columns, base: BaseSensor) -> Floats | None:
+    """Rotations (n, 3, 3) from the tracker's axes to the base sensor's; None where they are not to be used."""
+    if base.orientation is None:
+        return None
+    if base.orientation.use == "turn":
+        return _matrices(columns, base.orientation, "base").transpose(0, 2, 1)
+    fault = _fault(columns, base.orientation, _quaternions(columns, base.orientation, "base"), "base")
+    if fault:
+        columns.warn(f"{fault}; it is not used, as the mapping says")
+    return None
+
+
+def _position(columns: Columns, position: Position, whose: str) -> Floats:
+    units = position.unit if isinstance(position.unit, tuple) else (position.unit,) * 3
+    values = columns.several(position.columns, [METRES[unit] for unit in units])
+    columns.warn_missing(values, f"the {whose}'s position")
+    return values
+
+
+def _variance(uncertainty_mm: float | tuple[float, ...] | None) -> Floats:
+    """Variances (3,) [m^2]."""
+    if uncertainty_mm is None:
+        return np.full(3, np.nan)
+    return np.broadcast_to(np.square(np.array(uncertainty_mm) * 1e-3), 3)
+
+
+def _quaternions(columns: Columns, orientation: Orientation, whose: str) -> Floats:
+    """Quaternions (n, 4), in the order of the mapping."""
+    values = columns.several(orientation.columns, (1.0,) * 4)
+    columns.warn_missing(values, f"the {whose}'s orientation")
+    return values
+
+
+def _matrices(columns: Columns, orientation: Orientation, whose: str) -> Floats:
+    """Rotations (n, 3, 3) from the sensor's axes to the tracker's, NaN where one is missing; a fault is a problem."""
+    values = _quaternions(columns, orientation, whose)
+    if fault := _fault(columns, orientation, values, whose):
+        wish = "unit quaternions"
+        if whose == "base":
+            wish += "; with 'use: ignore' in the mapping's base orientation it stays out of the frame change"
+        columns.problems.append(Problem(columns.table.file, 0, 0, "", fault, wish))
+    known = np.isfinite(values).all(axis=1) & (values != 0).any(axis=1)
+    scalar_last = values[:, [1, 2, 3, 0]] if orientation.order == "wxyz" else values
+    matrices = np.full((len(values), 3, 3), np.nan)
+    matrices[known] = Rotation.from_quat(scalar_last[known]).as_matrix()
+    return matrices
+
+
+def _fault(columns: Columns, orientation: Orientation, values: Floats, whose: str) -> str:
+    """What makes the quaternions (n, 4) no rotations, or an empty text. A repeated component alone is a warning:
+    rotations about a diagonal have one.
+    """
+    known = np.flatnonzero(np.isfinite(values).all(axis=1))
+    norms = np.linalg.norm(values[known], axis=1)
+    off = known[np.abs(norms - 1) > UNIT]
+    echoes = []
+    for i, j in combinations(range(4), 2):
+        same = len(known) > 1 and (values[known, i] == values[known, j]).all() and (values[known, i] != 0).all()
+        if same and (len(off) or np.ptp(values[known, i]) > 0):
+            names = [f"{orientation.order[k]} (column {orientation.columns[k]})" for k in (j, i)]
+            echoes.append(f"component {names[0]} repeats {names[1]} in every row")
+    if not len(off):
+        if echoes:
+            columns.warn(f"{whose} orientation: {', '.join(echoes)}")
+        return ""
+    where = f"in {len(off)} of {len(values)} rows, the first {columns.table.place(int(off[0]))}"
+    said = f"its norm lies between {norms.min():.4g} and {norms.max():.4g} instead of at 1, {where}"
+    return f"the {whose}'s orientation is no rotation: " + "; ".join([said, *echoes])

@@ -1,0 +1,66 @@
+"""The columns of a foreign table, taken one by one, with everything that is wrong with them collected on the way."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from protocols.problems import BadInput, Problem
+from rig.tables import MOST_PROBLEMS, Key, Table
+
+Floats = NDArray[np.float64]
+
+
+class Columns:
+    """Takes columns from a table; faults gather in `problems`, doubts in `warnings`."""
+
+    def __init__(self, table: Table) -> None:
+        self.table = table
+        self.problems: list[Problem] = []
+        self.warnings: list[str] = []
+        self._length: tuple[Key, int] | None = None
+
+    def scaled(self, column: Key, scale: float) -> Floats | None:
+        """A column (n,) times `scale`; None, and a problem, where it cannot be read."""
+        try:
+            values = self.table.numbers(column)
+        except BadInput as bad:
+            self.problems += bad.problems
+            return None
+        if self._length is None:
+            self._length = (column, len(values))
+        first, length = self._length
+        if len(values) != length:
+            wish = f"{length} rows, as in column {first}"
+            found = f"{len(values)} rows in column {column}"
+            self.problems.append(Problem(self.table.file, 0, 0, "", found, wish))
+            return None
+        return values * scale
+
+    def several(self, columns: Sequence[Key], scales: Sequence[float]) -> Floats:
+        """Columns (n, k), each times its scale; NaN stands for one that cannot be read, beside its problem."""
+        length = self._length[1] if self._length else 2
+        found = [self.scaled(column, scale) for column, scale in zip(columns, scales, strict=True)]
+        length = self._length[1] if self._length else length
+        return np.column_stack([np.full(length, np.nan) if values is None else values for values in found])
+
+    def warn(self, message: str) -> None:
+        """Note what is doubtful."""
+        self.warnings.append(message)
+
+    def warn_missing(self, values: Floats, what: str) -> None:
+        """Note that some of the values (n,) or (n, k) are missing."""
+        rows = np.flatnonzero(~np.isfinite(values if values.ndim == 1 else values.sum(axis=1)))
+        if len(rows):
+            where = self.table.place(int(rows[0]))
+            self.warn(f"{what} is missing in {len(rows)} of {len(values)} rows, the first {where}")
+
+    def check(self) -> None:
+        """Raise `BadInput` where there is a problem."""
+        if self.problems:
+            raise BadInput(self.problems)
+
+
+__all__ = ["MOST_PROBLEMS", "Columns"]

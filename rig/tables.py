@@ -1,0 +1,301 @@
+"""A foreign table, CSV or MATLAB, read column by column into numbers; what is no number is named by its place."""
+
+from __future__ import annotations
+
+import csv
+import math
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from protocols.document import read_text
+from protocols.marks import shortened
+from protocols.problems import BadInput, Problem, closest
+from rig.mapping import Written
+
+LARGEST_FILE = 500_000_000
+MOST_PROBLEMS = 20
+DELIMITERS = {"semicolon": ";", "tab": "\t", "bar": "|", "comma": ",", "space": " "}
+"""In the order in which they are tried: a comma may be a decimal one, a space stand in a name."""
+SNIFFED_LINES = 50
+SHEETS = (".xlsx", ".xls", ".ods")
+
+Floats = NDArray[np.float64]
+Key = int | str
+
+
+class Table(Protocol):
+    """Rows of a file, whose columns have numbers (from 0) or names."""
+
+    @property
+    def file(self) -> str:
+        """The file's name."""
+
+    def numbers(self, column: Key) -> Floats:
+        """The numbers (n,) of a column, NaN where a cell says that nothing was measured.
+
+        Raises:
+            BadInput: there is no such column, or it holds what is no number; every cell, up to `MOST_PROBLEMS`.
+        """
+
+    def problem(self, row: int, column: Key, value: str, expected: str, suggestion: str = "") -> Problem:
+        """A fault of one cell; `row` counts the rows of numbers from 0."""
+
+    def place(self, row: int) -> str:
+        """A row as its file counts it: `line 7`, `row 7`."""
+
+
+def read(path: Path, written: Written) -> Table:
+    """The table in a file, MATLAB's by the ending `.mat`. `BadInput` where there is none."""
+    if path.suffix.lower() in SHEETS:
+        raise _bad(path, "CSV or .mat; save this sheet as CSV", shortened(path.suffix))
+    return _read_mat(path, written) if path.suffix.lower() == ".mat" else _read_csv(path, written)
+
+
+@dataclass(frozen=True)
+class CsvTable:
+    """Cells as they were written, with the line of each row."""
+
+    file: str
+    names: tuple[str, ...]
+    first_column: int
+    cells: tuple[tuple[str, ...], ...]
+    lines: tuple[int, ...]
+    decimal_comma: bool
+    missing: frozenset[str]
+
+    def numbers(self, column: Key) -> Floats:
+        """See `Table`."""
+        at = self._position(column)
+        values = np.empty(len(self.cells))
+        problems: list[Problem] = []
+        for row, cells in enumerate(self.cells):
+            if at >= len(cells):
+                problems.append(self.problem(row, column, "the end of the row", "a number here"))
+            else:
+                values[row] = self._number(row, column, cells[at].strip(), problems)
+            if len(problems) >= MOST_PROBLEMS:
+                break
+        if problems:
+            raise BadInput(problems)
+        return values
+
+    def problem(self, row: int, column: Key, value: str, expected: str, suggestion: str = "") -> Problem:
+        """See `Table`."""
+        return Problem(self.file, self.lines[row], 0, f"column {column}", shortened(value), expected, suggestion)
+
+    def place(self, row: int) -> str:
+        """See `Table`."""
+        return f"line {self.lines[row]}"
+
+    def _position(self, column: Key) -> int:
+        if isinstance(column, int):
+            width = max(len(cells) for cells in self.cells)
+            if (at := column - self.first_column) >= width:
+                last = width - 1 + self.first_column
+                wish = f"a column from {self.first_column} to {last}"
+                raise BadInput([Problem(self.file, 0, 0, "", f"no column {column}", wish)])
+            return at
+        if self.names.count(column) != 1:
+            found = f"several columns '{column}'" if column in self.names else f"no column '{column}'"
+            wish = f"one of {', '.join(self.names)}"
+            raise BadInput([Problem(self.file, 0, 0, "", found, wish, closest(column, self.names))])
+        return self.names.index(column)
+
+    def _number(self, row: int, column: Key, cell: str, problems: list[Problem]) -> float:
+        if not cell or cell.lower() == "nan" or cell in self.missing:
+            return math.nan
+        try:
+            plain = cell.replace(",", ".") if self.decimal_comma else cell
+            value = math.inf if "_" in cell or (self.decimal_comma and "." in cell) else float(plain)
+        except ValueError:
+            value = math.inf
+        if math.isinf(value):
+            mark = "comma" if self.decimal_comma else "point"
+            other = not self.decimal_comma and re.fullmatch(r"[-+]?\d*,\d+", cell)
+            suggestion = "'decimal: comma' in the mapping's file section" if other else ""
+            problems.append(self.problem(row, column, cell, f"a finite number with a decimal {mark}", suggestion))
+        return value
+
+
+def _read_csv(path: Path, written: Written) -> CsvTable:
+    text = read_text(path, LARGEST_FILE).replace("\r", "\n")
+    lines = [(number, line) for number, line in enumerate(text.split("\n"), start=1) if number > written.skip_lines]
+    if written.comment is not None:
+        lines = [(number, line) for number, line in lines if not line.lstrip().startswith(written.comment)]
+    lines = [(number, line) for number, line in lines if line.strip()]
+    skipped = written.lines_after_header + written.header
+    if len(lines) <= skipped:
+        raise _bad(path, "the file holds no rows of numbers")
+    delimiter = _delimiter(path, [line for _, line in lines[skipped:]], written)
+    names: tuple[str, ...] = ()
+    if written.header:
+        names = tuple(cell.strip() for cell in _split(path, lines[:1], delimiter)[0][1])
+    rows = _split(path, lines[skipped:], delimiter)
+    width = len(names) or len(rows[0][1])
+    problems = [
+        Problem(str(path), number, 0, "", f"{len(cells)} columns", f"{width} columns, as in the first line")
+        for number, cells in rows
+        if any(cell.strip() for cell in cells[width:])
+    ]
+    if problems:
+        raise BadInput(problems[:MOST_PROBLEMS])
+    return CsvTable(
+        file=str(path),
+        names=names,
+        first_column=written.first_column or 0,
+        cells=tuple(tuple(cells[:width]) for _, cells in rows),
+        lines=tuple(number for number, _ in rows),
+        decimal_comma=written.decimal == "comma",
+        missing=frozenset(word.strip() for word in written.missing),
+    )
+
+
+def _delimiter(path: Path, lines: Sequence[str], written: Written) -> str:
+    """The stated delimiter, or the first that cuts every line into the same number of columns, two at least."""
+    if written.delimiter is not None:
+        return DELIMITERS[written.delimiter]
+    for delimiter in DELIMITERS.values():
+        if delimiter == "," and written.decimal == "comma":
+            continue
+        first = list(enumerate(lines[:SNIFFED_LINES], start=1))
+        counts = {len(cells) for _, cells in _split(path, first, delimiter)}
+        if len(counts) == 1 and min(counts) > 1:
+            return delimiter
+    raise _bad(path, "no delimiter cuts all lines alike; say which it is: 'delimiter:' in the mapping's file section")
+
+
+def _split(path: Path, lines: Sequence[tuple[int, str]], delimiter: str) -> list[tuple[int, list[str]]]:
+    texts = (line.strip() if delimiter == " " else line for _, line in lines)
+    reader = csv.reader(texts, delimiter=delimiter, skipinitialspace=True)
+    rows = []
+    try:
+        for cells in reader:
+            rows.append((lines[reader.line_num - 1][0], cells))  # noqa: PERF401 - line_num moves with the reader
+    except csv.Error as fault:
+        number = lines[reader.line_num - 1][0]
+        raise BadInput([Problem(str(path), number, 0, "", "", f"this line is no CSV: {fault}")]) from None
+    return rows
+
+
+@dataclass(frozen=True)
+class MatTable:
+    """Columns by name, and those of the one matrix by number."""
+
+    file: str
+    columns: Mapping[str, NDArray[Any]]
+    matrix: NDArray[Any] | None
+    first_column: int
+
+    def numbers(self, column: Key) -> Floats:
+        """See `Table`."""
+        values = self._values(column)
+        if np.iscomplexobj(values):
+            raise BadInput([Problem(self.file, 0, 0, "", f"complex numbers in column {column}", "real numbers")])
+        numbers = values.astype(np.float64)
+        infinite = np.flatnonzero(np.isinf(numbers))
+        if len(infinite):
+            wish = "a finite number, or NaN where nothing was measured"
+            raise BadInput([self.problem(row, column, str(numbers[row]), wish) for row in infinite[:MOST_PROBLEMS]])
+        return numbers
+
+    def problem(self, row: int, column: Key, value: str, expected: str, suggestion: str = "") -> Problem:
+        """See `Table`."""
+        return Problem(self.file, 0, 0, f"{self.place(row)}, column {column}", value, expected, suggestion)
+
+    def place(self, row: int) -> str:
+        """See `Table`."""
+        return f"row {row + 1}"
+
+    def _values(self, column: Key) -> NDArray[Any]:
+        if isinstance(column, str):
+            if column not in self.columns:
+                wish = f"one of {', '.join(self.columns)}"
+                raise BadInput(
+                    [Problem(self.file, 0, 0, "", f"no column '{column}'", wish, closest(column, self.columns))]
+                )
+            return self.columns[column]
+        if self.matrix is None:
+            wish = "columns by name, or 'variable:' in the mapping's file section, naming a matrix"
+            held = f"no single matrix, but {', '.join(self.columns) or 'no numbers'}"
+            raise BadInput([Problem(self.file, 0, 0, "", held, wish)])
+        at = column - self.first_column
+        if at >= self.matrix.shape[1]:
+            wish = f"a column from {self.first_column} to {self.matrix.shape[1] - 1 + self.first_column}"
+            raise BadInput([Problem(self.file, 0, 0, "", f"no column {column}", wish)])
+        return np.asarray(self.matrix[:, at])
+
+
+def _read_mat(path: Path, written: Written) -> MatTable:
+    import h5py
+
+    if not path.is_file():
+        raise _bad(path, "there is no such file")
+    load: Callable[[Path], dict[str, Any]] = _load_v73 if h5py.is_hdf5(path) else _load_v5
+    try:
+        arrays = _flat(load(path))
+    except Exception as fault:
+        # SciPy and h5py tell of a broken file by whatever their parsers happen to stumble over.
+        raise _bad(path, f"this is no MATLAB file that can be read ({shortened(str(fault))})") from fault
+    if written.variable is not None:
+        arrays = _chosen(path, arrays, written.variable)
+    columns: dict[str, NDArray[Any]] = {}
+    for name, array in arrays.items():
+        if array.ndim == 1:
+            columns[name] = array
+        else:
+            columns |= {f"{name}(:,{j + 1})": array[:, j] for j in range(array.shape[1])}
+    matrices = [array for array in arrays.values() if array.ndim == 2]
+    matrix = matrices[0] if len(matrices) == 1 else None
+    return MatTable(str(path), columns, matrix, written.first_column or 0)
+
+
+def _load_v5(path: Path) -> dict[str, Any]:
+    from scipy.io import loadmat
+
+    found = loadmat(path, simplify_cells=True)
+    return {name: value for name, value in found.items() if not name.startswith("__")}
+
+
+def _load_v73(path: Path) -> dict[str, Any]:
+    import h5py
+
+    def plain(node: Any) -> Any:
+        if isinstance(node, h5py.Group):
+            return {name: plain(node[name]) for name in node if not name.startswith("#")}
+        # MATLAB writes its columns first; text is stored as numbers, and says so.
+        words = node.attrs.get("MATLAB_class", b"") in (b"char", b"cell", b"string")
+        return None if words else np.squeeze(np.asarray(node[()]).T)
+
+    with h5py.File(path, "r") as file:
+        return dict(plain(file))
+
+
+def _flat(values: Mapping[str, Any], before: str = "") -> dict[str, NDArray[Any]]:
+    """Vectors and matrices of numbers by name, a struct's fields as `struct.field`."""
+    found: dict[str, NDArray[Any]] = {}
+    for name, value in values.items():
+        if isinstance(value, Mapping):
+            found |= _flat(value, f"{before}{name}.")
+        elif isinstance(value, np.ndarray) and value.ndim in (1, 2) and value.dtype.kind in "fiubc":
+            found[f"{before}{name}"] = value
+    return found
+
+
+def _chosen(path: Path, arrays: Mapping[str, NDArray[Any]], variable: str) -> dict[str, NDArray[Any]]:
+    if variable in arrays:
+        return {variable: arrays[variable]}
+    fields = {name.removeprefix(f"{variable}."): a for name, a in arrays.items() if name.startswith(f"{variable}.")}
+    if not fields:
+        wish = f"one of {', '.join(arrays)}" if arrays else "a variable with numbers; this file has none"
+        raise BadInput([Problem(str(path), 0, 0, "", f"no variable '{variable}'", wish, closest(variable, arrays))])
+    return fields
+
+
+def _bad(path: Path, expected: str, value: str = "") -> BadInput:
+    return BadInput([Problem(str(path), 0, 0, "", value, expected)])
