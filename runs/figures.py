@@ -110,7 +110,7 @@ def pressures(figure: Figure, run: Run, summary: Summary) -> None:
     above.plot([], [], color=INK, lw=0.8, ls=(0, (4, 2)), label="set-point")
     above.set_ylabel("gauge pressure [bar]")
     legend(above)
-    largest = np.abs(p.measured_bar - p.setpoint_bar).max() * 1e3
+    largest = np.nanmax(np.abs(p.measured_bar - p.setpoint_bar), initial=0) * 1e3
     below.axhspan(-1e3 * BAND_BAR, 1e3 * BAND_BAR, color=RULE, alpha=0.6, lw=0)
     below.set_ylim(-1.2 * max(min(largest, 60), 15), 1.2 * max(min(largest, 60), 15))
     below.set_ylabel("difference\n[mbar]")
