@@ -104,7 +104,7 @@ def verdict(rows: tuple[Table3Row, ...]) -> str:
         "none of the rules for E_i gives Table 3. The two homogeneous models must lie at least 11.71 apart, which "
         f"leaves these readings of the error: {', '.join(open_readings)}. Nearest comes {nearest.rule} with "
         f"'{nearest.reading}': {nearest.homogeneous:.2f} and {nearest.radial:.2f} against 17.20 and 5.49, of which "
-        "1.27 may be the experiment's; under these readings the model with radial effect alone is too far from them all."
+        "1.27 may be the experiment's; under these readings the model with radial effect alone is too far off."
     )
 
 
