@@ -217,6 +217,7 @@ def live(
 
 for command in (archives.runs, archives.show, archives.report, archives.export, archives.replay, archives.recover):
     app.command()(command)
+app.command("import")(archives.import_)
 app.command()(identify.identify)
 app.command()(reproduce.reproduce)
 app.command()(reproduce.reproduce)

@@ -127,6 +127,6 @@ def _fault(columns: Columns, orientation: Orientation, values: Floats, whose: st
         if echoes:
             columns.warn(f"{whose} orientation: {', '.join(echoes)}")
         return ""
-    where = f"in {len(off)} of {len(values)} rows, the first {columns.table.place(int(off[0]))}"
+    where = f"in {len(off)} of {len(values)} rows, the first in {columns.table.place(int(off[0]))}"
     said = f"its norm lies between {norms.min():.4g} and {norms.max():.4g} instead of at 1, {where}"
     return f"the {whose}'s orientation is no rotation: " + "; ".join([said, *echoes])

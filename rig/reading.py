@@ -55,7 +55,7 @@ class Columns:
         rows = np.flatnonzero(~np.isfinite(values if values.ndim == 1 else values.sum(axis=1)))
         if len(rows):
             where = self.table.place(int(rows[0]))
-            self.warn(f"{what} is missing in {len(rows)} of {len(values)} rows, the first {where}")
+            self.warn(f"{what} is missing in {len(rows)} of {len(values)} rows, the first in {where}")
 
     def check(self) -> None:
         """Raise `BadInput` where there is a problem."""

@@ -85,6 +85,25 @@ def export(
         typer.echo(path)
 
 
+def import_(
+    data: Annotated[list[Path], typer.Argument(metavar="DATA..", help="CSV or .mat files.", dir_okay=False)],
+    mapping: Annotated[
+        Path, typer.Option("--mapping", metavar="FILE", help="YAML: which column is what; docs/import.md.")
+    ],
+    out: Folder = Path("data"),
+    operator: Annotated[str, typer.Option(help="Who measured it; goes into the archive.")] = "",
+    note: Annotated[str, typer.Option(help="A remark; goes into the archive.")] = "",
+) -> None:
+    """Make archives of measurements from elsewhere."""
+    from rig.importing import import_table
+
+    for file in data:
+        made = import_table(file, mapping, out, operator, note)
+        for warning in made.warnings:
+            typer.echo(f"warning: {file}: {warning}", err=True)
+        typer.echo(made.archive)
+
+
 def recover(
     folder: Annotated[Path, typer.Argument(metavar="DIR", file_okay=False)] = Path("data"),
 ) -> None:
