@@ -196,12 +196,13 @@ class _Conductor:
     def _fault(self) -> tuple[str, str] | None:
         """Which process has a fault, and what it is."""
         memory = self.memory
-        for name, _ in self.crew:
-            if memory.stage(name) == Stage.FAILED:
-                return name, memory.message(name)
+        # What the watchdog saw comes first: what others then complain of may follow from it.
         if memory.get("fired_ns"):
             time.sleep(0.01)  # the watchdog writes first and explains afterwards
             return "watchdog", memory.message("watchdog") or "the watchdog took the bench over"
+        for name, _ in self.crew:
+            if memory.stage(name) == Stage.FAILED:
+                return name, memory.message(name)
         for name, process in self.crew:
             if process.poll() is not None and memory.stage(name) != Stage.DONE:
                 return name, f"the {name} process died (exit status {process.returncode})"

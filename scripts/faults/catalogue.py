@@ -94,7 +94,7 @@ SENSORS = (
     _sensor("sensor reads 0.3 bar too little", PRESSURE, sensor_1=SensorFault.OFFSET, sensor_pa_1=-30e3),
     _sensor(
         "every sensor short",
-        r"sensor|actuator",
+        r"sensor \d|actuator \d",
         sensor_1=SensorFault.SHORT,
         sensor_2=SensorFault.SHORT,
         sensor_3=SensorFault.SHORT,
@@ -106,10 +106,10 @@ AIR = (
     _valve("valve stuck shut", PRESSURE, valve_1=ValveFault.STUCK, valve_value_1=5.0),
     _valve("valve leaking, 60 l/min", PRESSURE, valve_1=ValveFault.LEAKING, valve_value_1=60.0),
     _valve("valve reversed", PRESSURE, valve_1=ValveFault.REVERSED),
-    _valve("supply lost", r"sensor|actuator", supply_lost=1),
+    _valve("supply lost", r"sensor \d|actuator \d", supply_lost=1),
     _valve(
         "both valves stuck open",
-        r"sensor|actuator",
+        r"sensor \d|actuator \d",
         valve_1=ValveFault.STUCK,
         valve_value_1=10.0,
         valve_2=ValveFault.STUCK,

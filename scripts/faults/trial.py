@@ -66,7 +66,7 @@ def judge(fault: Fault, executor: str, at_s: float, watched: Watched, folder: Pa
         wrong.append("no archive, and none could be recovered")
     else:
         status = str(run.status)
-        said += "\n".join((run.message, *(event.message for event in run.events)))
+        said = "\n".join((*(event.message for event in run.events), run.message, said))
         if run.status not in fault.ends:
             wrong.append(f"status {status} ({run.message})")
         lost_s = _lost_s(run, watched)

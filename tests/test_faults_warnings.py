@@ -1,0 +1,76 @@
+"""What moves no valve is told once when it begins and once when it is over."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import rig.config
+from rig.executor.vigil import Vigil
+from runs.records import Event, Level, Seen, observation_dtype, sample_dtype
+
+FRAME_NS, TICK_NS = 33_333_333, 5_000_000
+
+
+@pytest.fixture
+def vigil() -> Vigil:
+    return Vigil(rig.config.load("mock"))
+
+
+def frames(n: int, first: int = 0, **columns: object) -> np.ndarray:  # type: ignore[type-arg]
+    rows = np.zeros(n, observation_dtype(3))
+    rows["t_ns"] = 10**9 + (first + np.arange(n)) * FRAME_NS
+    rows["model_ok"] = 1
+    for name, value in columns.items():
+        rows[name] = value
+    return rows
+
+
+def levels(events: list[Event]) -> list[Level]:
+    return [event.level for event in events]
+
+
+def test_a_good_run_is_told_nothing(vigil: Vigil) -> None:
+    assert list(vigil.observations(frames(300))) == []
+
+
+def test_one_bad_frame_in_ten_is_told_nothing(vigil: Vigil) -> None:
+    seen = np.where(np.arange(300) % 10 == 0, Seen.NO_BOARD, Seen.MEASURED)
+    assert list(vigil.observations(frames(300, seen=seen))) == []
+
+
+@pytest.mark.parametrize(
+    ("trouble", "says"),
+    [
+        ({"seen": Seen.NO_BOARD}, "no board"),
+        ({"seen": Seen.NO_FRAME}, "repeats"),
+        ({"model_ok": 0}, "model cannot be solved"),
+        ({"dropped": 9}, "drops"),
+        ({"age_ns": 400_000_000}, "0.40 s old"),
+    ],
+)
+def test_a_trouble_is_told_once_when_it_begins_and_once_when_it_is_over(
+    vigil: Vigil, trouble: dict[str, object], says: str
+) -> None:
+    (begun,) = vigil.observations(frames(90, **trouble))
+    assert (begun.level, says in begun.message) == (Level.WARNING, True)
+    assert begun.message.endswith("the run goes on")
+    (over,) = vigil.observations(frames(300, 90))
+    assert over.level is Level.INFO
+    assert "after" in over.message
+
+
+def test_missed_deadlines_and_lost_scans_are_told(vigil: Vigil) -> None:
+    rows = np.zeros(400, sample_dtype(3, 2))
+    rows["t_ns"] = 10**9 + np.arange(400) * 3 * TICK_NS
+    rows["missed"] = 2
+    (told,) = vigil.samples(rows)
+    assert "deadlines" in told.message
+    assert list(vigil.lost(0, 0)) == []
+    assert levels(list(vigil.lost(0, 5))) == [Level.WARNING]
+
+
+def test_a_standstill_of_the_record_is_told(vigil: Vigil) -> None:
+    looks = [10**9, 10**9 + 20_000_000, 10**9 + 1_220_000_000]
+    told = [event for t_ns in looks for event in vigil.looking(t_ns)]
+    assert [event.message[:34] for event in told] == ["nothing was recorded for 1.20 s, w"]
