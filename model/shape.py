@@ -46,5 +46,5 @@ class Shape:
         v1, v2, v3 = self.v.T[:, :, None]
         u1, u2, u3 = self.u.T[:, :, None]
         speed = np.sqrt((v1 - u3 * y) ** 2 + (v2 + u3 * x) ** 2 + (v3 + u1 * y - u2 * x) ** 2)
-        lengths: Array = np.trapezoid(speed, self.s_m, axis=0)
+        lengths: Array = 0.5 * np.diff(self.s_m) @ (speed[1:] + speed[:-1])
         return lengths

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -45,9 +46,17 @@ def states(arm: Arm, problem: Problem, pressure: Array, loads: Loads | None, nod
     return x, slope
 
 
+@lru_cache(maxsize=32)
+def _points(length_m: float, n: int) -> Array:
+    """Arc lengths at rest (n,), shared by every shape of an arm and so read-only."""
+    s = np.linspace(0.0, length_m, n)
+    s.flags.writeable = False
+    return s
+
+
 def shape(arm: Arm, problem: Problem, x: Array, slope: Array, ok: bool) -> Shape:
     """The arm's axis from solved states."""
     n = len(x)
     p, rotation, v, u = np.empty((n, 3)), np.empty((n, 3, 3)), np.empty((n, 3)), np.empty((n, 3))
     axis(x, slope, problem.length_m, problem.centre_m, p, rotation, v, u)
-    return Shape(np.linspace(0.0, problem.length_m, n), p, rotation, v, u, ok, arm.geometry.positions_m)
+    return Shape(_points(problem.length_m, n), p, rotation, v, u, ok, arm.geometry.positions_m)

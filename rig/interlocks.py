@@ -6,7 +6,8 @@ Each condition is explained in docs/control.md. Pressures are gauge; messages sp
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -81,9 +82,8 @@ class Settings:
     stale_s: float
 
 
-@dataclass(frozen=True)
-class Watch:
-    """State of one actuator's interlocks after a step.
+class Watch(NamedTuple):
+    """State of one actuator's interlocks after a step; a named tuple, because a tick makes six of them.
 
     The anchor is the last reading that differed from the one before it by a count; `expected_pa` is by how much the
     valve should have moved the pressure since. `left_*` belong to the last reading that differed from the one before
@@ -182,8 +182,7 @@ def step(
     watch = _moved(s, i, watch, dt_s, volts, pressure_pa, asked)
     settled = asked.setpoint_pa == watch.setpoint_pa
     astray = abs(asked.reference_pa - pressure_pa) > s.tracking_pa
-    watch = replace(
-        watch,
+    watch = watch._replace(
         setpoint_pa=asked.setpoint_pa,
         still_s=watch.still_s + dt_s if settled else 0.0,
         astray_s=watch.astray_s + dt_s if astray else 0.0,
@@ -203,8 +202,7 @@ def _moved(s: Settings, i: int, watch: Watch, dt: float, volts: float, pressure:
     left, left_reference, left_s = watch.left_pa, watch.left_reference_pa, watch.left_s + dt
     if abs(pressure - left) > NOISE_SHARE * s.sensors[i].accuracy_pa:
         left, left_reference, left_s = pressure, asked.reference_pa, 0.0
-    return replace(
-        watch,
+    return watch._replace(
         left_pa=left,
         left_reference_pa=left_reference,
         left_s=left_s,
