@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import random
 import sys
 import tempfile
@@ -60,9 +61,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _try(fault: Fault, executor: str, at_s: float, seed: int) -> Trial:
     with tempfile.TemporaryDirectory(prefix="softrig-faults-") as folder:
-        if executor == "virtual":
-            return virtual.trial(fault, Path(folder), at_s, seed)
-        return realtime.trial(fault, Path(folder), at_s)
+        try:
+            if executor == "virtual":
+                return virtual.trial(fault, Path(folder), at_s, seed)
+            return realtime.trial(fault, Path(folder), at_s)
+        except Exception as error:
+            wrong = f"{type(error).__name__}: {error}"
+            return Trial(fault.name, executor, at_s, "no trial", "", math.nan, math.nan, wrong)
 
 
 def line(trial: Trial) -> str:
