@@ -277,7 +277,7 @@ def _signal(action: Signal, run: WatchedRun) -> int | None:
 
 
 def _children(parent: int) -> dict[str, int]:
-    found = {}
+    found: dict[str, int] = {}
     for stat in Path("/proc").glob("[0-9]*/stat"):
         try:
             ppid = int(stat.read_text().rsplit(")", 1)[1].split()[1])

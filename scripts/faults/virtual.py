@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import contextlib
+from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
+from typing import ClassVar
 from unittest.mock import patch
 
 import numpy as np
@@ -56,9 +58,9 @@ class StruckPlant(Plant):
     """A plant that strikes itself at `strike_ns`, and watches its own outputs."""
 
     strike_ns = 0
-    struck = staticmethod(lambda: None)
-    words: dict[str, float] = {}  # noqa: RUF012
-    made: StruckPlant
+    words: ClassVar[dict[str, float]] = {}
+    struck: ClassVar[Callable[[], object]] = lambda: None
+    made: ClassVar[StruckPlant]
 
     def __init__(self, config: RigConfig, seed: int, t0_ns: int) -> None:
         super().__init__(config, seed, t0_ns, faults=Faults())
@@ -99,7 +101,12 @@ def trial(fault: Fault, folder: Path, at_s: float, seed: int) -> Trial:
     rig_file, protocol = folder / "rig.yaml", folder / "protocol.yaml"
     rig_file.write_text(rig_text(fault.action, f"faults-{seed}"))
     protocol.write_text(PROTOCOL)
-    plant = type("StruckPlant", (StruckPlant,), {"strike_ns": START_NS + round(at_s * 1e9)})
+
+    class ThisPlant(StruckPlant):
+        """The plant of this trial."""
+
+    plant = ThisPlant
+    plant.strike_ns = START_NS + round(at_s * 1e9)
     if isinstance(fault.action, Bench):
         plant.words = fault.action.words
     listener = Listener()
@@ -109,9 +116,9 @@ def trial(fault: Fault, folder: Path, at_s: float, seed: int) -> Trial:
                 stack.enter_context(surroundings.small_disk(out))
             except NotHereError as why:
                 return skipped(fault, "virtual", str(why))
-            plant.struck = staticmethod(lambda: surroundings.fill(out))
+            plant.struck = lambda: surroundings.fill(out)
         elif fault.action is Trick.FILES_CHANGED:
-            plant.struck = staticmethod(lambda: [path.write_text("spoilt: [") for path in (rig_file, protocol)])
+            plant.struck = lambda: [path.write_text("spoilt: [") for path in (rig_file, protocol)]
         stack.enter_context(patch("rig.executor.virtual.Plant", plant))
         request = experiment.request(str(protocol), str(rig_file), folder=out, fast=True, seed=seed, report=False)
         result = experiment.run(request, experiment.plan(request), listener)
