@@ -5,6 +5,8 @@ from __future__ import annotations
 import csv
 import math
 import re
+import subprocess
+import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,6 +26,9 @@ DELIMITERS = {"semicolon": ";", "tab": "\t", "bar": "|", "comma": ",", "space": 
 """In the order in which they are tried: a comma may be a decimal one, a space stand in a name."""
 SNIFFED_LINES = 50
 SHEETS = (".xlsx", ".xls", ".ods")
+
+_END = "\n"
+"""Stands for a cell that a short row lacks; no cell is like it."""
 
 Floats = NDArray[np.float64]
 Key = int | str
@@ -59,31 +64,23 @@ def read(path: Path, written: Written) -> Table:
 
 @dataclass(frozen=True)
 class CsvTable:
-    """Cells as they were written, with the line of each row."""
+    """Numbers of every cell (n, k) with the line of each row (n,); `odd` are the cells that are no numbers."""
 
     file: str
     names: tuple[str, ...]
     first_column: int
-    cells: tuple[tuple[str, ...], ...]
-    lines: tuple[int, ...]
+    cells: Floats
+    odd: Mapping[tuple[int, int], str]
+    lines: Sequence[int]
     decimal_comma: bool
-    missing: frozenset[str]
 
     def numbers(self, column: Key) -> Floats:
         """See `Table`."""
         at = self._position(column)
-        values = np.empty(len(self.cells))
-        problems: list[Problem] = []
-        for row, cells in enumerate(self.cells):
-            if at >= len(cells):
-                problems.append(self.problem(row, column, "the end of the row", "a number here"))
-            else:
-                values[row] = self._number(row, column, cells[at].strip(), problems)
-            if len(problems) >= MOST_PROBLEMS:
-                break
-        if problems:
-            raise BadInput(problems)
-        return values
+        rows = np.flatnonzero(np.isinf(self.cells[:, at]))[:MOST_PROBLEMS]
+        if len(rows):
+            raise BadInput([self._no_number(int(row), column, self.odd[int(row), at]) for row in rows])
+        return self.cells[:, at]
 
     def problem(self, row: int, column: Key, value: str, expected: str, suggestion: str = "") -> Problem:
         """See `Table`."""
@@ -95,32 +92,24 @@ class CsvTable:
 
     def _position(self, column: Key) -> int:
         if isinstance(column, int):
-            width = max(len(cells) for cells in self.cells)
-            if (at := column - self.first_column) >= width:
-                last = width - 1 + self.first_column
+            last = self.cells.shape[1] - 1 + self.first_column
+            if column > last:
                 wish = f"a column from {self.first_column} to {last}"
                 raise BadInput([Problem(self.file, 0, 0, "", f"no column {column}", wish)])
-            return at
+            return column - self.first_column
         if self.names.count(column) != 1:
             found = f"several columns '{column}'" if column in self.names else f"no column '{column}'"
             wish = f"one of {', '.join(self.names)}"
             raise BadInput([Problem(self.file, 0, 0, "", found, wish, closest(column, self.names))])
         return self.names.index(column)
 
-    def _number(self, row: int, column: Key, cell: str, problems: list[Problem]) -> float:
-        if not cell or cell.lower() == "nan" or cell in self.missing:
-            return math.nan
-        try:
-            plain = cell.replace(",", ".") if self.decimal_comma else cell
-            value = math.inf if "_" in cell or (self.decimal_comma and "." in cell) else float(plain)
-        except ValueError:
-            value = math.inf
-        if math.isinf(value):
-            mark = "comma" if self.decimal_comma else "point"
-            other = not self.decimal_comma and re.fullmatch(r"[-+]?\d*,\d+", cell)
-            suggestion = "'decimal: comma' in the mapping's file section" if other else ""
-            problems.append(self.problem(row, column, cell, f"a finite number with a decimal {mark}", suggestion))
-        return value
+    def _no_number(self, row: int, column: Key, cell: str) -> Problem:
+        if cell == _END:
+            return self.problem(row, column, "the end of the row", "a number here")
+        wish = f"a finite number with a decimal {'comma' if self.decimal_comma else 'point'}"
+        other = not self.decimal_comma and re.fullmatch(r"[-+]?\d*,\d+", cell)
+        suggestion = "'decimal: comma' in the mapping's file section" if other else ""
+        return self.problem(row, column, cell, wish, suggestion)
 
 
 def _read_csv(path: Path, written: Written) -> CsvTable:
@@ -136,24 +125,41 @@ def _read_csv(path: Path, written: Written) -> CsvTable:
     names: tuple[str, ...] = ()
     if written.header:
         names = tuple(cell.strip() for cell in _split(path, lines[:1], delimiter)[0][1])
-    rows = _split(path, lines[skipped:], delimiter)
+    return _parsed(path, names, _split(path, lines[skipped:], delimiter), written)
+
+
+def _parsed(path: Path, names: tuple[str, ...], rows: Sequence[tuple[int, list[str]]], written: Written) -> CsvTable:
     width = len(names) or len(rows[0][1])
-    problems = [
-        Problem(str(path), number, 0, "", f"{len(cells)} columns", f"{width} columns, as in the first line")
-        for number, cells in rows
-        if any(cell.strip() for cell in cells[width:])
-    ]
+    comma = written.decimal == "comma"
+    missing = {"", *(word.strip() for word in written.missing)}
+    values = np.full((len(rows), width), math.inf)
+    odd: dict[tuple[int, int], str] = {}
+    problems: list[Problem] = []
+    for row, (number, cells) in enumerate(rows):
+        if any(cell.strip() for cell in cells[width:]):
+            wish = f"{width} columns, as in the first line"
+            problems.append(Problem(str(path), number, 0, "", f"{len(cells)} columns", wish))
+        for at in range(width):
+            cell = cells[at].strip() if at < len(cells) else _END
+            value = math.nan if cell in missing else _number(cell, comma)
+            values[row, at] = value
+            if math.isinf(value):
+                odd[row, at] = cell
     if problems:
         raise BadInput(problems[:MOST_PROBLEMS])
     return CsvTable(
-        file=str(path),
-        names=names,
-        first_column=written.first_column or 0,
-        cells=tuple(tuple(cells[:width]) for _, cells in rows),
-        lines=tuple(number for number, _ in rows),
-        decimal_comma=written.decimal == "comma",
-        missing=frozenset(word.strip() for word in written.missing),
+        str(path), names, written.first_column or 0, values, odd, tuple(number for number, _ in rows), comma
     )
+
+
+def _number(cell: str, comma: bool) -> float:
+    """The number of a cell; infinity where it is none."""
+    if "_" in cell or (comma and "." in cell):
+        return math.inf
+    try:
+        return float(cell.replace(",", ".") if comma else cell)
+    except ValueError:
+        return math.inf
 
 
 def _delimiter(path: Path, lines: Sequence[str], written: Written) -> str:
@@ -237,6 +243,8 @@ def _read_mat(path: Path, written: Written) -> MatTable:
     if not path.is_file():
         raise _bad(path, "there is no such file")
     load: Callable[[Path], dict[str, Any]] = _load_v73 if h5py.is_hdf5(path) else _load_v5
+    if load is _load_v5 and _crashes(path):
+        raise _bad(path, "this MATLAB file is damaged: what reads it crashes")
     try:
         arrays = _flat(load(path))
     except Exception as fault:
@@ -260,6 +268,12 @@ def _load_v5(path: Path) -> dict[str, Any]:
 
     found = loadmat(path, simplify_cells=True)
     return {name: value for name, value in found.items() if not name.startswith("__")}
+
+
+def _crashes(path: Path) -> bool:
+    """Tell whether SciPy's reader, which is compiled, dies of the file: it trusts lengths that it finds there."""
+    command = [sys.executable, "-I", "-c", "import sys, scipy.io; scipy.io.loadmat(sys.argv[1])", str(path)]
+    return subprocess.run(command, capture_output=True, check=False).returncode < 0
 
 
 def _load_v73(path: Path) -> dict[str, Any]:
