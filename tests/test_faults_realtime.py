@@ -14,7 +14,7 @@ from runs.records import Status
 from scripts.faults import realtime
 from scripts.faults.catalogue import CATALOGUE
 
-SOME = ("control and watchdog stopped", "all but the observer killed", "terminal blocked (Ctrl-S, a full pipe)")
+SOME = ("all but the observer killed", "terminal blocked (Ctrl-S, a full pipe)")
 
 
 @pytest.mark.parametrize("name", SOME)
