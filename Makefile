@@ -24,8 +24,10 @@ $(STAMP): requirements.lock pyproject.toml scripts/environment.sh
 run: $(STAMP)
 	@$(BIN)/rig run ramp-a --yes
 
+# Tests that run in real time would be disturbed by others beside them, and so come last, one after the other.
 test: $(STAMP) lint
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n auto --dist loadfile -m "not alone"
+	$(BIN)/python -m pytest -m alone
 
 lint: $(STAMP)
 	$(BIN)/ruff format --check .

@@ -1,26 +1,7 @@
 """Shared by every test."""
 
-from __future__ import annotations
-
-import os
-from pathlib import Path
-
-import pytest
 from hypothesis import settings
 
 # Machines are shared and noisy: how long an example takes says nothing about the code.
 settings.register_profile("softrig", deadline=None)
 settings.load_profile("softrig")
-
-SHARED = Path(__file__).resolve().parents[2] / "shared"
-
-
-def shared_data(*parts: str) -> Path:
-    """A data file kept beside the checkout; skips where it is missing, fails where CI is set."""
-    path = SHARED.joinpath("data", *parts)
-    if not path.exists():
-        reason = f"{path} is not here: this test needs the data folder beside the checkout"
-        if os.environ.get("CI"):
-            pytest.fail(reason)
-        pytest.skip(reason)
-    return path

@@ -13,6 +13,8 @@ from rig.cameras.mock import MockCamera
 from rig.simulator.pose import TipPose
 from tests.vision_bench import FRAME_NS, Sweep
 
+pytestmark = pytest.mark.alone
+
 
 @pytest.fixture(scope="module")
 def config() -> rig.config.RigConfig:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import shared_data
+from beside import shared_data
 
 import runs
 from runs.records import Seen

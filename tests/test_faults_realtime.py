@@ -14,6 +14,8 @@ from runs.records import Status
 from scripts.faults import realtime
 from scripts.faults.catalogue import CATALOGUE
 
+pytestmark = pytest.mark.alone
+
 SOME = ("all but the observer killed", "terminal blocked (Ctrl-S, a full pipe)")
 
 

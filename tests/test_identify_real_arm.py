@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from conftest import shared_data
+from beside import shared_data
 from numpy.typing import NDArray
 from scipy.io import loadmat
 

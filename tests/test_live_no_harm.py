@@ -18,6 +18,8 @@ from websockets.exceptions import InvalidStatus
 import runs
 from runs.records import Status
 
+pytestmark = pytest.mark.alone
+
 SERVER = "rig.live.server"
 HOLDING = """
 title: Something to hold

@@ -21,6 +21,8 @@ from rig.executor.base import Progress
 from runs.records import Event, Status
 from runs.run import Run
 
+pytestmark = pytest.mark.alone
+
 SERVER = "rig.live.server"
 LIVE = ("--live", "--port", "0")
 WATCHED = """

@@ -11,11 +11,14 @@ import time
 from pathlib import Path
 
 import numpy as np
+import pytest
 from rig_process import SHORT, write_rig
 
 import rig.config
 import runs
 from rig.simulator.registers import path_of
+
+pytestmark = pytest.mark.alone
 
 PATIENCE_S = 150.0
 

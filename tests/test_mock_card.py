@@ -22,6 +22,8 @@ from rig.daq.mock import MockCard
 from rig.simulator import registers
 from rig.simulator.registers import Registers, path_of
 
+pytestmark = pytest.mark.alone
+
 COMMAND = [sys.executable, "-m", "rig.simulator.process"]
 
 

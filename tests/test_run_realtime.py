@@ -19,6 +19,8 @@ from rig.simulator.registers import Registers
 from runs.records import Status
 from runs.recovery import recover
 
+pytestmark = pytest.mark.alone
+
 CONTROL, OBSERVER, WATCHDOG = "rig.executor.control", "rig.executor.observing", "rig.executor.watchdog"
 SIMULATOR = "rig.simulator.process"
 
