@@ -14,7 +14,7 @@ from calibration.camera import PARAMETERS, CalibrationError, calibrate, calibrat
 from calibration.frames import Rigid
 from calibration.views import View, ViewsError, views_in
 from rig.simulator.scene import Optics
-from tests.conftest import shared_data
+from tests.beside import shared_data
 from tests.vision_bench import FACING, LENS, scene
 
 BOARD = Board(10, 7, 0.016)
