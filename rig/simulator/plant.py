@@ -173,6 +173,8 @@ class PlantCard:
         self._valves = [i for i, v in enumerate(config.valves) if v.card == name]
         self._ranges = [config.valves[i].range_V for i in self._valves]
         self._device = config.cards[name].device
+        self.faults = plant.faults
+        """The card's own: a mock card that stands before this one takes them upon itself."""
         self._every = pneumatics.scan_steps(config.cards[name].sampling_hz)
         self._sampling = False
         self._t_ns = np.zeros(FIFO_SCANS, np.int64)
@@ -202,14 +204,14 @@ class PlantCard:
 
     def read(self) -> Scans:
         """Scans since the last call."""
-        self._plant.faults.before_read(self._device, waits=False)
+        self.faults.before_read(self._device, waits=False)
         scans = Scans(self._t_ns[: self._filled].copy(), self._volts[: self._filled].copy(), self._lost)
         self._filled = self._lost = 0
-        return self._plant.faults.of_scans(scans)
+        return self.faults.of_scans(scans)
 
     def write(self, volts: NDArray[np.float64]) -> None:
         """Set the outputs, as near as 16 bits come."""
-        self._plant.faults.before_write(self._device)
+        self.faults.before_write(self._device)
         for valve, (low, high), v in zip(self._valves, self._ranges, volts.tolist(), strict=True):
             self._plant.set_output(valve, sixteen_bits(v, low, high))
 

@@ -24,6 +24,7 @@ import rig.config
 from protocols import BadInput
 from rig.config import RigConfig
 from rig.daq.base import CardError
+from rig.simulator.faults import Faults
 from rig.simulator.plant import Plant, PlantCard
 from rig.simulator.registers import Registers
 
@@ -48,6 +49,7 @@ class _Device:
         self._channels = [v.channel for v in config.valves if v.card == name]
         self._registers = Registers.create(card.device, card.outputs, card.inputs)
         self.faults = self._registers.faults
+        self._card.faults = Faults()  # the mock card in the run's processes obeys the word; this one only samples
         self._written = self._registers.outputs["written_ns"]
         self._volts = self._registers.outputs["volts"]
         self._poses = 0
