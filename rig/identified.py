@@ -22,7 +22,7 @@ from calibration.identify.document import Overlay, content, read
 from calibration.identify.fit import Fit, identify
 from calibration.identify.parameters import Prior, Setup
 from rig.arm import model_arm
-from rig.config import PA_PER_BAR, RigConfig, load, path_of, text
+from rig.config import PA_PER_BAR, RigConfig, load, parse, path_of, text
 from rig.listing import plain_json
 from rig.screens import console
 from runs.run import Run
@@ -106,7 +106,7 @@ def second_opinion(fit: Fit, samples: int, scheduler: str | None, store: Path | 
 
 
 def _rig_of(run: Run) -> RigConfig:
-    return RigConfig.model_validate(yaml.safe_load(run.header.rig_yaml))
+    return parse(run.header.rig_yaml, f"{run.path}: the rig's YAML")
 
 
 def _lay(under: dict[str, Any], over: Mapping[str, Any]) -> None:

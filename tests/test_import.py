@@ -19,8 +19,9 @@ from scipy.io import savemat
 from scipy.spatial.transform import Rotation
 
 import runs
+from calibration.identify.data import poses_of
 from protocols import BadInput
-from rig import config
+from rig import config, identified
 from rig.importing import Imported, import_table
 from runs.archive import verify
 from runs.export import export
@@ -467,6 +468,17 @@ class TestMapping:
         run = bring("0,0.1,1,2,3\n1,0.2,1,2,3\n", mapping)
         assert run.header.rig_name == "mock"
         assert run.header.rig_yaml == config.text("mock")
+
+    def test_identification_takes_a_run_without_set_points_for_a_motion(self, bring: Bring) -> None:
+        rows = "".join(f"{0.1 * i:.1f},{0.01 * i:.2f},1,2,3\n" for i in range(40))
+        poses = poses_of(bring(rows, SMALL.replace("unit: mm}}", "unit: mm}, uncertainty_mm: 0.2}")))
+        assert poses.moving
+        assert len(poses) == 40
+        np.testing.assert_allclose(poses.pressure_pa[:, 0], 1e3 * np.arange(40), atol=1e-6)
+
+    def test_identification_says_that_an_archive_has_no_rig(self, bring: Bring) -> None:
+        with pytest.raises(BadInput, match="the rig's YAML"):
+            identified.from_runs([bring("0,0.1,1,2,3\n1,0.2,1,2,3\n", SMALL)], (), {})
 
     def test_a_file_without_a_tip_is_an_archive_of_pressures(self, bring: Bring, tmp_path: Path) -> None:
         run = bring("0,0.1\n1,0.2\n", SMALL.split("tip:")[0])

@@ -161,8 +161,11 @@ def _pressures(run: Run) -> Array:
 
 
 def _standing(time_s: Array, setpoint: Array, frame_s: Array) -> NDArray[np.bool_]:
-    """For each frame, whether the set-points are as they were one frame ago and nothing moved in between."""
-    moved = np.concatenate([[0], np.cumsum((np.abs(np.diff(setpoint, axis=0)) > 1e-9).any(axis=1))])
+    """For each frame, whether the set-points are as they were one frame ago and nothing moved in between.
+
+    Set-points that nobody knows (NaN, of imported runs) do not stand.
+    """
+    moved = np.concatenate([[0], np.cumsum(~(np.abs(np.diff(setpoint, axis=0)) <= 1e-9).all(axis=1))])
     then = moved[np.clip(np.searchsorted(time_s, frame_s, side="right") - 1, 0, len(moved) - 1)]
     return np.concatenate([[False], np.diff(then) == 0])
 
