@@ -1,4 +1,4 @@
-"""JSON Schemas of both YAMLs, for editors: `python -m rig.schemas docs/schemas` writes them."""
+"""JSON Schemas of every YAML that people write, for editors: `python -m rig.schemas docs/schemas` writes them."""
 
 from __future__ import annotations
 
@@ -10,8 +10,13 @@ from pydantic import BaseModel
 
 from protocols.schema import ProtocolFile
 from rig.config import RigConfig
+from rig.mapping import Mapping
 
-FILES: dict[str, type[BaseModel]] = {"protocol.schema.json": ProtocolFile, "rig.schema.json": RigConfig}
+FILES: dict[str, type[BaseModel]] = {
+    "protocol.schema.json": ProtocolFile,
+    "rig.schema.json": RigConfig,
+    "import.schema.json": Mapping,
+}
 
 
 def schema_text(model: type[BaseModel]) -> str:
@@ -21,7 +26,7 @@ def schema_text(model: type[BaseModel]) -> str:
 
 
 def write(folder: Path) -> None:
-    """Write both schemas into `folder`."""
+    """Write all schemas into `folder`."""
     for name, model in FILES.items():
         (folder / name).write_text(schema_text(model), encoding="utf-8")
 

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import ClassVar
+from typing import ClassVar, get_args
 
 import h5py
 import numpy as np
@@ -23,6 +24,20 @@ from calibration.identify.data import poses_of
 from protocols import BadInput
 from rig import config, identified
 from rig.importing import Imported, import_table
+from rig.mapping import (
+    KILOGRAMS,
+    METRES,
+    PASCALS,
+    SECONDS,
+    VOLTS,
+    LengthUnit,
+    Mapping,
+    MassUnit,
+    PressureUnit,
+    TimeUnit,
+    VoltUnit,
+    load,
+)
 from runs.archive import verify
 from runs.export import export
 from runs.records import Level, Seen, Status
@@ -485,6 +500,42 @@ class TestMapping:
         assert (run.tip.seen == Seen.NO_FRAME).all()
         np.testing.assert_allclose(run.pressure.measured_bar, [[0.1], [0.2]])
         assert write([run.path], tmp_path / "report.html").exists()
+
+
+class TestDocumentation:
+    PAGE = (ROOT / "docs" / "import.md").read_text(encoding="utf-8")
+
+    def test_its_mappings_are_mappings(self, tmp_path: Path) -> None:
+        blocks = re.findall(r"```yaml\n(.*?)```", self.PAGE, re.DOTALL)
+        assert len(blocks) == 2
+        for block in blocks:
+            (tmp_path / "m.yaml").write_text(block, encoding="utf-8")
+            load(tmp_path / "m.yaml")
+
+    def test_its_first_mapping_means_the_same_as_the_example(self, tmp_path: Path) -> None:
+        block = self.PAGE.split("```yaml\n")[1].split("```")[0]
+        (tmp_path / "m.yaml").write_text(block, encoding="utf-8")
+        assert load(tmp_path / "m.yaml")[0] == load(EXAMPLE)[0]
+
+    def test_it_names_every_key_and_every_unit(self) -> None:
+        schema = Mapping.model_json_schema()
+        keys = {key for part in (schema, *schema["$defs"].values()) for key in part["properties"]}
+        units = {unit for table in (SECONDS, PASCALS, METRES, KILOGRAMS, VOLTS) for unit in table}
+        assert {word for word in keys | units if not re.search(rf"\b{word}\b", self.PAGE)} == set()
+
+    def test_every_unit_that_a_mapping_may_say_is_known(self) -> None:
+        for said, known in (
+            (TimeUnit, SECONDS),
+            (PressureUnit, PASCALS),
+            (LengthUnit, METRES),
+            (MassUnit, KILOGRAMS),
+            (VoltUnit, VOLTS),
+        ):
+            assert set(get_args(said)) == set(known)
+
+    def test_the_example_tells_editors_its_schema(self) -> None:
+        schema = EXAMPLE.read_text(encoding="utf-8").splitlines()[0].removeprefix("# yaml-language-server: $schema=")
+        assert (EXAMPLE.parent / schema).resolve() == ROOT / "docs" / "schemas" / "import.schema.json"
 
 
 def test_the_command_prints_archives_and_warnings(tmp_path: Path) -> None:
