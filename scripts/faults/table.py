@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import statistics
 from collections.abc import Sequence
 from pathlib import Path
@@ -11,6 +12,8 @@ from scripts.faults.catalogue import Fault
 from scripts.faults.trial import Trial, worst
 
 BEGIN, END = "<!-- campaign: written by `make faults` -->", "<!-- end of campaign -->"
+
+_TEMPORARY = re.compile(r"/\S*softrig-faults-\S*")
 
 
 def write(page: Path, faults: Sequence[Fault], trials: Sequence[Trial]) -> None:
@@ -29,7 +32,7 @@ def table(faults: Sequence[Fault], trials: Sequence[Trial]) -> str:
     silent = sum("not told" in trial.wrong for trial in tried)
     lines = [
         f"{len(tried)} trials of {len({t.fault for t in tried})} faults at random moments: "
-        f"**{unsafe} left unsafe, {silent} silent, {bad} in any way not as they must be**; "
+        f"**{unsafe} left unsafe where a program can help, {silent} silent, {bad} in any way not as they must be**; "
         f"at most {1e3 * worst([t.lost_s for t in tried]):.0f} ms of samples lost.",
         "",
         "| fault | executor | trials | safe after, median (worst) | samples lost | archive | as it must | "
@@ -51,6 +54,7 @@ def _row(fault: Fault, executor: str, trials: Sequence[Trial]) -> str:
         return f"| {name} | {executor} | 0 | | | | | not tried here: {trials[0].skipped} |"
     good = sum(not t.wrong for t in tried)
     told = max((t.told for t in tried), key=len).replace("|", "\\|")
+    told = _TEMPORARY.sub("...", told)
     statuses = ", ".join(sorted({t.status for t in tried}))
     lost = 1e3 * worst([t.lost_s for t in tried])
     as_it_must = f"{good} of {len(tried)}" if good < len(tried) else "all"
