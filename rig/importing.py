@@ -68,42 +68,28 @@ def import_table(data: Path, mapping_file: Path, folder: Path, operator: str = "
     """
     mapping, document = load(mapping_file)
     rig_name, rig_text = _rig(mapping, document)
-    table = read_table(data, mapping.file)
-    columns = Columns(table)
+    columns = Columns(read_table(data, mapping.file))
     t_ns = _time(columns, mapping)
     gauge_pa, ambient_pa = _pressures(columns, mapping)
     tip_m, covariance_m2 = placed(columns, mapping)
-    asked_pa = _asked(columns, mapping)
-    valve_v = _valves(columns, mapping)
-    weight_kg = _weight(columns, mapping)
+    asked_pa, valve_v, weight_kg = _asked(columns, mapping), _valves(columns, mapping), _weight(columns, mapping)
     columns.check()
-    frame = _frames(columns, t_ns)
+    samples = _samples(t_ns, _frames(columns, t_ns), asked_pa, gauge_pa, valve_v)
+    observations = _observations(samples, tip_m, covariance_m2, weight_kg)
 
-    n, period_s = len(t_ns), float(np.median(np.diff(t_ns))) * 1e-9
-    samples = np.zeros(n, sample_dtype(mapping.actuators, valve_v.shape[1]))
-    samples["t_ns"], samples["tick"], samples["scans"] = t_ns, frame, 1
-    samples["protocol_s"] = (t_ns - t_ns[0]) * 1e-9
-    samples["setpoint_pa"], samples["measured_pa"], samples["valve_v"] = asked_pa, gauge_pa, valve_v
-    rows = np.zeros(n, observation_dtype(mapping.actuators))
-    for field in ("t_ns", "protocol_s"):
-        rows[field] = samples[field]
-    rows["frame"], rows["dropped"] = frame, np.diff(frame, prepend=-1) - 1
-    rows["pressure_pa"], rows["weight_kg"] = gauge_pa, weight_kg
-    rows["measured_m"], rows["covariance_m2"] = tip_m, covariance_m2
-    rows["seen"] = np.where(np.isfinite(tip_m).all(axis=1), Seen.MEASURED, Seen.NO_FRAME)
-    for field in ("model_m", "truth_m", "reprojection_px"):
-        rows[field] = np.nan
-
-    if mapping.started is None:
-        columns.warn("the mapping does not say when the measurement began: start_time is that of the import")
     now = datetime.now(UTC)
+    started_utc_ns = mapping.started_utc_ns
+    if started_utc_ns is None:
+        columns.warn("the mapping does not say when the measurement began: start_time is that of the import")
+        started_utc_ns = int(now.timestamp() * 1e9)
     commit, diff = git_state()
     folder.mkdir(parents=True, exist_ok=True)
     source = f"{data.name}, SHA-256 {hashlib.sha256(data.read_bytes()).hexdigest()}"
+    rate_hz = 1e9 / float(np.median(np.diff(t_ns)))
     header = RunHeader(
         run_id=free_id(folder, f"{now.astimezone():%Y%m%d-%H%M%S}-{_word(data.stem)}"),
         title=mapping.title,
-        started_utc_ns=mapping.started_utc_ns or int(now.timestamp() * 1e9),
+        started_utc_ns=started_utc_ns,
         started_t_ns=int(t_ns[0]),
         protocol_name=f"import {mapping_file.stem}",
         # What a protocol is to a run the mapping is to an import: what made the archive what it is.
@@ -124,17 +110,44 @@ def import_table(data: Path, mapping_file: Path, folder: Path, operator: str = "
         git_commit=commit,
         git_diff=diff,
         quantities=_quantities(mapping, mapping_file, ambient_pa),
-        control_hz=1 / period_s,
-        camera_hz=1 / period_s,
+        control_hz=rate_hz,
+        camera_hz=rate_hz,
     )
+    made_of = f"{len(t_ns)} rows from {source}, by mapping {mapping_file.name}"
     journal = JournalWriter(folder / f"{header.run_id}{SUFFIX}", header)
     journal.samples(samples)
-    journal.observations(rows)
-    journal.event(Event(int(t_ns[0]), Level.INFO, "import", f"{n} rows from {source}, by mapping {mapping_file.name}"))
+    journal.observations(observations)
+    journal.event(Event(header.started_t_ns, Level.INFO, "import", made_of))
     for warning in columns.warnings:
-        journal.event(Event(int(t_ns[0]), Level.WARNING, "import", warning))
+        journal.event(Event(header.started_t_ns, Level.WARNING, "import", warning))
     journal.close(RunFooter(int(t_ns[-1]), Status.FINISHED, ""))
     return Imported(finalise(journal.path), tuple(columns.warnings))
+
+
+def _samples(t_ns: Ints, frame: Ints, asked_pa: Floats, gauge_pa: Floats, valve_v: Floats) -> NDArray[np.void]:
+    """One tick per row (n,), never late."""
+    samples = np.zeros(len(t_ns), sample_dtype(gauge_pa.shape[1], valve_v.shape[1]))
+    samples["t_ns"], samples["tick"], samples["scans"] = t_ns, frame, 1
+    samples["protocol_s"] = (t_ns - t_ns[0]) * 1e-9
+    samples["setpoint_pa"], samples["measured_pa"], samples["valve_v"] = asked_pa, gauge_pa, valve_v
+    return samples
+
+
+def _observations(
+    samples: NDArray[np.void], tip_m: Floats, covariance_m2: Floats, weight_kg: Floats
+) -> NDArray[np.void]:
+    """One frame per row (n,), without a model."""
+    rows = np.zeros(len(samples), observation_dtype(samples["measured_pa"].shape[1]))
+    rows["t_ns"], rows["frame"], rows["protocol_s"] = samples["t_ns"], samples["tick"], samples["protocol_s"]
+    rows["dropped"] = np.diff(samples["tick"], prepend=-1) - 1
+    rows["pressure_pa"], rows["weight_kg"] = samples["measured_pa"], weight_kg
+    rows["measured_m"], rows["covariance_m2"] = tip_m, covariance_m2
+    unseen = ~np.isfinite(rows["measured_m"]).all(axis=1)
+    rows["seen"] = np.where(unseen, Seen.NO_FRAME, Seen.MEASURED)
+    rows["measured_m"][unseen] = rows["covariance_m2"][unseen] = np.nan
+    for field in ("model_m", "truth_m", "reprojection_px"):
+        rows[field] = np.nan
+    return rows
 
 
 def _rig(mapping: Mapping, document: Document) -> tuple[str, str]:

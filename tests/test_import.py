@@ -198,6 +198,7 @@ class TestAnotherLayout:
         run = bring(BENCH_CSV, BENCH)
         assert run.tip.seen.tolist() == [Seen.MEASURED, Seen.MEASURED, Seen.NO_FRAME]
         assert np.isnan(run.tip.measured_mm[2]).all()
+        assert np.isnan(run.tip.uncertainty_mm[2]).all()
         assert "the tip's position is missing in 1 of 3 rows, the first in line 9" in warnings_of(run)
 
     @settings(max_examples=12, suppress_health_check=[HealthCheck.function_scoped_fixture])
