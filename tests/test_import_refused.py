@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from import_bench import BENCH, BENCH_CSV, SMALL, Bring, complaint, imported_in, warnings_of
 
 import runs
-from calibration.identify.data import poses_of
+from calibration.identify.data import NoData, poses_of
 from protocols import BadInput
 from rig import config, identified
 from runs.records import Seen
@@ -167,6 +167,12 @@ class TestMapping:
         assert poses.moving
         assert len(poses) == 40
         np.testing.assert_allclose(poses.pressure_pa[:, 0], 1e3 * np.arange(40), atol=1e-6)
+
+    def test_identification_wants_the_tips_uncertainty_and_every_pressure(self, bring: Bring) -> None:
+        with pytest.raises(NoData, match="without an uncertainty"):
+            poses_of(bring("0,0.1,1,2,3\n1,0.2,1,2,3\n", SMALL))
+        with pytest.raises(NoData, match="pressures are missing"):
+            poses_of(bring("0,0.1,1,2,3\n1,,1,2,3\n", SMALL.replace("unit: mm}}", "unit: mm}, uncertainty_mm: 0.2}")))
 
     def test_identification_says_that_an_archive_has_no_rig(self, bring: Bring) -> None:
         with pytest.raises(BadInput, match="the rig's YAML"):

@@ -84,7 +84,7 @@ def at_rest(run: Run, settle_s: float = SETTLE_S) -> Poses:
     # While the run waits for the operator its protocol stands still and the weight may be in his hands.
     going = np.concatenate([[False], np.diff(tip.protocol_s) > 0])
     held = still & same & going
-    usable = (tip.seen == Seen.MEASURED) & np.isfinite(tip.measured_mm).all(axis=1)
+    usable = _usable(run)
     plateaus = []
     for start, stop in _stretches(held):
         inside = np.arange(start, stop)
@@ -119,7 +119,7 @@ def in_motion(run: Run) -> Poses:
         NoData: no frame shows the tip.
     """
     tip = run.tip
-    usable = (tip.seen == Seen.MEASURED) & np.isfinite(tip.measured_mm).all(axis=1)
+    usable = _usable(run)
     if not usable.any():
         raise NoData(f"{run.header.run_id}: no frame shows the tip")
     index = tip.frame - tip.frame[0]
@@ -152,6 +152,17 @@ def poses_of(run: Run) -> Poses:
     except NoData:
         return in_motion(run)
     return rest if rest.frames.sum() > 0.25 * len(run.tip.time_s) else in_motion(run)
+
+
+def _usable(run: Run) -> NDArray[np.bool_]:
+    """Frames (M,) with a measured tip. `NoData` where an archive, of an import, lacks what gives them their weight."""
+    tip = run.tip
+    usable: NDArray[np.bool_] = (tip.seen == Seen.MEASURED) & np.isfinite(tip.measured_mm).all(axis=1)
+    if not np.isfinite(tip.covariance_mm2[usable]).all():
+        raise NoData(f"{run.header.run_id}: the tips come without an uncertainty; state one (import: uncertainty_mm)")
+    if not np.isfinite(run.pressure.measured_bar).all():
+        raise NoData(f"{run.header.run_id}: pressures are missing in some rows")
+    return usable
 
 
 def _pressures(run: Run) -> Array:
