@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import getpass
 import os
 import subprocess
@@ -27,6 +28,7 @@ START_TIMEOUT_S = 120.0
 LEAD_NS = 100_000_000
 DRAIN_S = 0.02
 SHOW_S = 0.1
+LAST_FRAME_S = 0.5
 SAFE_TIMEOUT_S = 2.0
 OVERSLEPT_NS = 200_000_000
 
@@ -101,6 +103,9 @@ class _Conductor:
             status, message = self._conduct()
         finally:
             self._make_safe()
+        # The last frame is still being looked at; what a page has shown is to be in the record.
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            dict(self.crew)["observer"].wait(LAST_FRAME_S)
         self._drain()
         if memory.stage("control") == Stage.FAILED and status is not Status.ABORTED:
             status, message = Status.ABORTED, f"{message}; {memory.message('control')}".removeprefix("; ")
