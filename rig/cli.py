@@ -220,7 +220,6 @@ for command in (archives.runs, archives.show, archives.report, archives.export, 
 app.command("import")(archives.import_)
 app.command()(identify.identify)
 app.command()(reproduce.reproduce)
-app.command()(reproduce.reproduce)
 app.add_typer(calibrate.app, name="calibrate")
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +18,19 @@ from rig.simulator.scene import Optics, Scene
 
 DROPPED = 9
 """Pictures that a camera which drops pictures drops at a time."""
+
+
+@dataclass(frozen=True)
+class Exposure:
+    """What a picture will show: the board before the camera at the exposure's beginning, middle and end."""
+
+    index: int
+    t_ns: int
+    opened: Rigid
+    middle: Rigid
+    closed: Rigid
+    truth_m: NDArray[np.float64]
+    fault: CameraFault
 
 
 class MockCamera:
@@ -54,9 +68,16 @@ class MockCamera:
         self._last: NDArray[np.uint8] | None = None
 
     def frame_at(self, index: int, t_ns: int) -> Frame:
-        """Frame `index` with its mid-exposure at `t_ns`; the same arguments and seed give the same picture.
+        """Frame `index` with its mid-exposure at `t_ns`; the same arguments and seed give the same picture."""
+        return self.develop(self.expose(index, t_ns))
 
-        Looks at the source only up to `t_ns`: the motion of the exposure's second half is that of the first.
+    def expose(self, index: int, t_ns: int) -> Exposure:
+        """What frame `index` will show; takes microseconds, and needs the source only now and only up to `t_ns`.
+
+        The motion of the exposure's second half is that of the first.
+
+        Raises:
+            CameraError: the camera gives no pictures.
         """
         if self._faults.camera in (CameraFault.UNPLUGGED, CameraFault.SILENT):
             raise CameraError("the camera gives no more pictures: is it plugged in?")
@@ -67,8 +88,13 @@ class MockCamera:
         closed = Rigid(
             middle.rotation @ opened.rotation.T @ middle.rotation, 2 * middle.translation_m - opened.translation_m
         )
-        image = self._seen(index, self._scene.render(opened, middle, closed, index))
-        return Frame(index, t_ns, image, np.array(pose.position_m, dtype=np.float64))
+        truth_m = np.array(pose.position_m, dtype=np.float64)
+        return Exposure(index, t_ns, opened, middle, closed, truth_m, self._faults.camera)
+
+    def develop(self, exposure: Exposure) -> Frame:
+        """The picture of an exposure; in their order, by one thread, which need not be the one that exposed."""
+        image = self._scene.render(exposure.opened, exposure.middle, exposure.closed, exposure.index)
+        return Frame(exposure.index, exposure.t_ns, self._seen(exposure, image), exposure.truth_m)
 
     def read(self, timeout_s: float) -> Frame:
         """Wait for the next exposure to end, then return its picture."""
@@ -96,11 +122,11 @@ class MockCamera:
     def close(self) -> None:
         """Nothing to release."""
 
-    def _seen(self, index: int, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        fault = self._faults.camera
+    def _seen(self, exposure: Exposure, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        fault = exposure.fault
         if fault is CameraFault.BLACK:
             return np.zeros_like(image)
-        repeats = fault is CameraFault.FROZEN or (fault is CameraFault.DUPLICATED and index % 2 == 1)
+        repeats = fault is CameraFault.FROZEN or (fault is CameraFault.DUPLICATED and exposure.index % 2 == 1)
         if not repeats or self._last is None:
             self._last = image
         return self._last

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import time
+from collections import deque
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 
 import numpy as np
@@ -10,7 +12,7 @@ from numpy.typing import NDArray
 
 from rig.bench import Bench
 from rig.cameras.base import CameraError
-from rig.cameras.mock import MockCamera
+from rig.cameras.mock import Exposure, MockCamera
 from rig.daq.base import CardError
 from rig.executor.base import Audience, OpenRecord, Outcome, Plan, Progress, Recorder, StartError
 from rig.executor.pictures import encode
@@ -25,6 +27,8 @@ START_NS = 100_000_000
 """Virtual time between power-up and the first tick, so that the first tick has scans."""
 BATCH_TICKS = 20
 HISTORY_TICKS = 400
+FRAMES_IN_FLIGHT = 6
+"""Frames that may still be looked at while control goes on; a fixed number, so that runs repeat bit for bit."""
 SHOW_S = 0.1
 
 
@@ -52,6 +56,9 @@ class _VirtualRun:
         self._camera_name, camera = next(iter(config.cameras.items()))
         self._camera = MockCamera(config, self._plant, self._camera_name, plan.seed, self._plant.faults)
         self._observer = Observer(config, plan.variant)
+        # Drawing and seeing release the interpreter's lock: a thread of their own lets control go on meanwhile.
+        self._looker = ThreadPoolExecutor(1, thread_name_prefix="observer")
+        self._looking: deque[Future[tuple[NDArray[np.void], Picture | None]]] = deque()
         self._ticker = Ticker(plan, self._bench)
         self._vigil = Vigil(config)
         self._lost_scans = 0
@@ -84,7 +91,8 @@ class _VirtualRun:
             ending = Status.ABORTED, str(error)
         finally:
             unsafe = self._make_safe()
-        self._flush()
+            self._looker.shutdown()
+        self._flush(in_flight=0)
         unsafe = unsafe or self._vented(now)
         if unsafe:
             self._tell(now, Level.FAULT, "control", unsafe)
@@ -140,18 +148,38 @@ class _VirtualRun:
         return None
 
     def _observe(self, frame: int, t_ns: int, protocol_s: float) -> None:
-        picture = self._camera.frame_at(frame, t_ns)
+        """Hand a frame to the thread that looks: what it sees is decided here, so that nothing hangs on its pace."""
+        exposure = self._camera.expose(frame, t_ns)
         ticks = self._samples.recent(HISTORY_TICKS)
         weight_kg = self._plan.trajectory.weight_kg(protocol_s)
-        self._observations.add(
-            self._observer.step(picture, ticks["t_ns"], ticks["measured_pa"], protocol_s, 0, weight_kg)
+        self._looking.append(
+            self._looker.submit(
+                self._look, exposure, ticks["t_ns"].copy(), ticks["measured_pa"].copy(), protocol_s, weight_kg
+            )
         )
-        recording = self._plan.config.recording
-        if frame % recording.keep_every == 0:
-            data = encode(picture.image, recording)
-            self._recorder.picture(Picture(t_ns, frame, self._camera_name, recording.encoding, data))
 
-    def _flush(self) -> None:
+    def _look(
+        self,
+        exposure: Exposure,
+        t_ns: NDArray[np.int64],
+        measured_pa: NDArray[np.float64],
+        protocol_s: float,
+        weight_kg: float,
+    ) -> tuple[NDArray[np.void], Picture | None]:
+        frame = self._camera.develop(exposure)
+        row = self._observer.step(frame, t_ns, measured_pa, protocol_s, 0, weight_kg)
+        recording = self._plan.config.recording
+        if frame.index % recording.keep_every:
+            return row, None
+        data = encode(frame.image, recording)
+        return row, Picture(frame.t_ns, frame.index, self._camera_name, recording.encoding, data)
+
+    def _flush(self, in_flight: int = FRAMES_IN_FLIGHT) -> None:
+        while len(self._looking) > in_flight:
+            row, picture = self._looking.popleft().result()
+            self._observations.add(row)
+            if picture is not None:
+                self._recorder.picture(picture)
         samples, observations = self._samples.take(), self._observations.take()
         self._recorder.samples(samples)
         self._recorder.observations(observations)
