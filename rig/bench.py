@@ -55,6 +55,10 @@ class Bench:
         """`cards` are open, by their names in the rig, set up as `card_setup` says."""
         self._cards = dict(cards)
         self._sensors = sorted(config.sensors, key=lambda s: s.actuator)
+        # A sensor is linear in voltage: two of its points say it all.
+        at_0, at_1 = ([float(s.pressure_pa(np.array(v))) for s in self._sensors] for v in (0.0, 1.0))
+        self._pa_at_0_v = np.array(at_0)
+        self._pa_per_v = np.array(at_1) - self._pa_at_0_v
         self._valves = config.valves
         self.safe_voltages: NDArray[np.float64] = np.array(safe_voltages(config))
         self._vent_voltages: NDArray[np.float64] = np.array(safe_voltages(config, vent=True))
@@ -77,6 +81,10 @@ class Bench:
 
         A row exists only once every card has a scan as late: a card that falls silent makes the samples stale.
         """
+        if len(self._inputs) == 1:
+            (name,) = self._inputs
+            only = self._cards[name].read()
+            return BenchScans(only.t_ns, only.volts, self._pressure_pa(only.volts), only.lost)
         scans = {name: self._pending[name].with_new(self._cards[name].read()) for name in self._inputs}
         lost = sum(s.lost for s in scans.values())
         first, *others = scans
@@ -92,8 +100,11 @@ class Bench:
             # The first card's rows are used up; the others keep the one that the next row may still need.
             until = int(t_ns[-1]) if len(t_ns) else -1
             self._pending[name].keep(s, until, inclusive=name != first)
-        pressure = np.column_stack([s.pressure_pa(volts[:, i]) for i, s in enumerate(self._sensors)])
-        return BenchScans(t_ns, volts, pressure, lost)
+        return BenchScans(t_ns, volts, self._pressure_pa(volts), lost)
+
+    def _pressure_pa(self, volts: NDArray[np.float64]) -> NDArray[np.float64]:
+        pressure: NDArray[np.float64] = volts * self._pa_per_v + self._pa_at_0_v
+        return pressure
 
     def write(self, valve_v: NDArray[np.float64]) -> None:
         """Set every valve (V,) [V]."""
