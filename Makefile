@@ -38,7 +38,7 @@ comedi: $(STAMP)
 	@sh scripts/comedi/install.sh $(VENV)
 
 test-hardware: comedi
-	@sh scripts/vm/test.sh $(VENV)
+	@bash scripts/vm/test.sh $(VENV)
 
 faults: $(STAMP)
 	$(BIN)/python -m scripts.faults --write docs/reliability.md
