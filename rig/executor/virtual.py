@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import time
 from collections import deque
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -43,7 +44,12 @@ def run(plan: Plan, open_record: OpenRecord, audience: Audience) -> Outcome:
     real += [name for name, camera in config.cameras.items() if camera.driver != "mock"]
     if real:
         raise StartError(f"virtual time needs a simulated rig, and {', '.join(real)} of rig {config.name} is real")
-    return _VirtualRun(plan, audience).run(open_record)
+    virtual = _VirtualRun(plan, audience)
+    gc.freeze()  # what was imported need not be searched for garbage again and again
+    try:
+        return virtual.run(open_record)
+    finally:
+        gc.unfreeze()
 
 
 class _VirtualRun:
