@@ -228,7 +228,7 @@ def test_a_rig_with_a_piece_cut_out_is_taken_or_refused_with_a_message(at: int, 
 
 def test_the_looped_rig_sees_the_mock_rigs_scene_with_the_same_camera() -> None:
     """Its camera is played pictures that the mock rig's camera took."""
-    mock, looped = config.load("mock"), config.load(Path(__file__).parent / "hardware" / "looped.yaml")
+    mock, looped = load("mock"), load(Path(__file__).parent / "hardware" / "looped.yaml")
     assert looped.cameras["front"].lens == mock.cameras["front"].lens
     assert looped.cameras["front"].placement == mock.cameras["front"].placement
     assert looped.board == mock.board
