@@ -13,7 +13,6 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
-from pathlib import Path
 
 import numba
 import numpy as np
@@ -175,8 +174,7 @@ def elastica() -> None:
     if importlib.util.find_spec("elastica") is None:
         print("\nPyElastica is not installed: skipped")
         return
-    sys.path.insert(0, str(Path(__file__).parent.parent))
-    from tests.test_model_elastica import FORCE, RAMP_S, ROD, elastica_tips
+    from elastica_rod import FORCE, RAMP_S, ROD, elastica_tips
 
     duration, samples = 0.24, 24
     print(f"\nPyElastica: one tube, {duration} s, tip load growing over {RAMP_S} s; rms error of the tip")

@@ -10,57 +10,14 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from model import Arm, Geometry, Loads, Material
+from model import Loads
 
 with warnings.catch_warnings():
     # What PyElastica's own dependencies say at import is theirs.
     warnings.simplefilter("ignore")
-    ea = pytest.importorskip("elastica", exc_type=ImportError)
+    pytest.importorskip("elastica", exc_type=ImportError)
 
-LENGTH, RADIUS, DENSITY, MODULUS, RATIO = 0.17, 0.014, 1080.0, 289142.05, 0.4094
-FORCE = (0.25, 0.0, 0.0)
-RAMP_S = 0.1
-# A hair-thin bore, because a tube has one.
-ROD = Arm(
-    Geometry(LENGTH, 1e-6, RADIUS, ((0.0, 0.0),)),
-    Material(MODULUS, 1.0, 0.0, 0.0, RATIO, DENSITY),
-    "homogeneous",
-    cap_mass_kg=0.0,
-    gravity_m_s2=(0.0, 0.0, 0.0),
-)
-
-
-class _Simulator(ea.BaseSystemCollection, ea.Constraints, ea.Forcing, ea.Damping):  # type: ignore[misc]
-    pass
-
-
-def elastica_tips(elements: int, duration_s: float, damping: float, samples: int, pull: bool) -> NDArray[np.float64]:
-    """Tip path (samples, 3) of PyElastica's rod, base clamped, its tip pulled by a force that grows over RAMP_S."""
-    simulator = _Simulator()
-    rod = ea.CosseratRod.straight_rod(
-        elements, np.zeros(3), np.array([0.0, 0, 1]), np.array([1.0, 0, 0]), LENGTH, RADIUS, DENSITY,
-        youngs_modulus=MODULUS, shear_modulus=RATIO * MODULUS,
-    )  # fmt: skip
-    area = math.pi * RADIUS**2
-    # Our gamma includes the form factor that PyElastica applies to shear by itself.
-    rod.shear_matrix[0, 0, :] = rod.shear_matrix[1, 1, :] = RATIO * MODULUS * area
-    simulator.append(rod)
-    simulator.constrain(rod).using(ea.OneEndFixedBC, constrained_position_idx=(0,), constrained_director_idx=(0,))
-    if pull:
-        simulator.add_forcing_to(rod).using(ea.EndpointForces, np.zeros(3), np.array(FORCE), ramp_up_time=RAMP_S)
-    step = 0.25 * LENGTH / elements / math.sqrt(MODULUS / DENSITY)
-    steps = samples * math.ceil(duration_s / step / samples)
-    if damping:
-        simulator.dampen(rod).using(
-            ea.AnalyticalLinearDamper, uniform_damping_constant=damping, time_step=duration_s / steps
-        )
-    simulator.finalize()
-    stepper, time, path = ea.PositionVerlet(), 0.0, []
-    for k in range(steps):
-        time = stepper.step(simulator, time, duration_s / steps)
-        if (k + 1) % (steps // samples) == 0:
-            path.append(rod.position_collection[:, -1].copy())
-    return np.array(path)
+from benchmarks.elastica_rod import FORCE, LENGTH, RAMP_S, ROD, elastica_tips
 
 
 def extrapolated(duration_s: float, damping: float, samples: int) -> NDArray[np.float64]:
