@@ -1,4 +1,4 @@
-"""Programs that people have open an archive and find its axes. Each test needs its program and is skipped without."""
+"""Programs that people have open an archive, and plot the error over time without being told anything."""
 
 from __future__ import annotations
 
@@ -6,8 +6,13 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import pandas
 import pytest
 import runs_made_up as made_up
+import silx.io
+import xarray
+from nexusformat import nexus
+from silx.io import nxdata
 
 import runs
 from runs.archive import ArchiveError, finalise
@@ -22,20 +27,36 @@ def archive(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_silx_plots_the_error_over_time(archive: Path) -> None:
-    silx_io = pytest.importorskip("silx.io", reason="silx is not installed")
-    nxdata = pytest.importorskip("silx.io.nxdata", reason="silx is not installed")
-    with silx_io.open(str(archive)) as file:
+    with silx.io.open(str(archive)) as file:
         shown = nxdata.get_default(file)
         assert shown is not None
         assert shown.group.name == "/entry/tip"
         assert shown.signal_name.startswith("error_mm")
         assert (shown.signal.shape, shown.axes_names) == ((90,), ["time (s)"])
-        for name in ("pressure", "tip", "timing", "simulator"):
-            assert nxdata.NXdata(file[f"entry/{name}"]).issues == []
+
+
+@pytest.mark.parametrize(
+    ("group", "signal", "axes", "shape"),
+    [
+        ("pressure", "measured_bar", ["time", "actuator"], (600, 3)),
+        ("tip", "error_mm", ["time"], (90,)),
+        ("timing", "lateness_us", ["time"], (600,)),
+        ("simulator", "tip_mm", ["time", "axis"], (90, 3)),
+    ],
+)
+def test_every_group_of_data_has_a_plot_of_its_own(
+    archive: Path, group: str, signal: str, axes: list[str], shape: tuple[int, ...]
+) -> None:
+    with silx.io.open(str(archive)) as file:
+        shown = nxdata.NXdata(file[f"entry/{group}"])
+        assert shown.issues == []
+        assert (shown.signal_dataset_name, shown.axes_dataset_names, shown.signal.shape) == (signal, axes, shape)
+    data = nexus.nxload(str(archive))[f"entry/{group}"]
+    assert (data.nxsignal.nxname, [axis.nxname for axis in data.nxaxes]) == (signal, axes)
+    assert data.is_plottable()
 
 
 def test_nexusformat_plots_the_error_over_time(archive: Path) -> None:
-    nexus = pytest.importorskip("nexusformat.nexus", reason="nexusformat is not installed")
     root = nexus.nxload(str(archive))
     shown = root.plottable_data
     assert shown.nxpath == "/entry/tip"
@@ -46,8 +67,6 @@ def test_nexusformat_plots_the_error_over_time(archive: Path) -> None:
 
 @pytest.mark.parametrize("engine", ["h5netcdf", "netcdf4"])
 def test_xarray_finds_the_dimensions(archive: Path, engine: str) -> None:
-    xarray = pytest.importorskip("xarray", reason="xarray is not installed")
-    pytest.importorskip({"h5netcdf": "h5netcdf", "netcdf4": "netCDF4"}[engine], reason=f"{engine} is not installed")
     for group in ("pressure", "tip", "timing", "events", "protocol", "simulator", "calibration", "model"):
         with xarray.open_dataset(archive, group=f"entry/{group}", engine=engine) as data:
             data.load()
@@ -61,7 +80,6 @@ def test_xarray_finds_the_dimensions(archive: Path, engine: str) -> None:
 
 
 def test_xarray_reads_the_netcdf_export(archive: Path, tmp_path: Path) -> None:
-    xarray = pytest.importorskip("xarray", reason="xarray is not installed")
     (path,) = export(archive, "nc", tmp_path)
     with xarray.open_dataset(path, engine="scipy") as data:
         assert data.pressure_measured_1_bar.dims == ("pressure_time_s",)
@@ -69,14 +87,12 @@ def test_xarray_reads_the_netcdf_export(archive: Path, tmp_path: Path) -> None:
 
 
 def test_pandas_reads_the_csv_export(archive: Path, tmp_path: Path) -> None:
-    pandas = pytest.importorskip("pandas", reason="pandas is not installed")
     written = {path.stem: path for path in export(archive, "csv", tmp_path)}
     tip = pandas.read_csv(written["run-tip"], index_col="time_s")
     np.testing.assert_array_equal(tip["measured_x_mm"], runs.open(archive).tip.measured_mm[:, 0])
 
 
 def test_a_run_becomes_a_pandas_table(archive: Path) -> None:
-    pytest.importorskip("pandas", reason="pandas is not installed")
     run = runs.open(archive)
     tip = run.to_pandas("tip")
     np.testing.assert_array_equal(tip["model_x_mm"], run.tip.model_mm[:, 0])
@@ -84,8 +100,6 @@ def test_a_run_becomes_a_pandas_table(archive: Path) -> None:
 
 
 def test_a_run_becomes_an_xarray_dataset(archive: Path) -> None:
-    pytest.importorskip("xarray", reason="xarray is not installed")
-    pytest.importorskip("h5netcdf", reason="h5netcdf is not installed")
     with runs.open(archive).to_xarray("frames") as frames:
         assert frames.sizes["time"] == 5
 
