@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import ast
 import os
+import shutil
+import subprocess
+import sys
 import time
 from pathlib import Path
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -16,6 +20,7 @@ from rig import control
 from rig.bench import Bench
 from rig.outlet import LAST_WORDS_S, MOST_BYTES, Outlet
 from rig.simulator.plant import Plant
+from scripts.faults.surroundings import DAY_NS, SteppedClock
 
 ROOM = Path(rig.config.__file__).parent
 CALENDAR = {("time", "time"), ("time", "time_ns"), ("datetime", "now"), ("datetime", "utcnow"), ("datetime", "today")}
@@ -96,3 +101,40 @@ def test_no_set_point_whatever_can_raise_a_chamber_above_the_limit(bar: float, b
     # Beyond it the air goes on for the sensor's lag, one tick and the spool: 20 ms at the fastest rate allowed.
     assert highest < limit_pa + 0.05e5
     assert np.all(plant.pressure_pa < 0.05e5)
+
+
+@pytest.mark.skipif(not (shutil.which("cc") or shutil.which("gcc")), reason="the clock that steps takes a C compiler")
+def test_the_clock_that_the_campaign_steps_is_stepped_for_a_process_that_runs_and_the_monotonic_one_is_not(
+    tmp_path: Path,
+) -> None:
+    clock = SteppedClock(tmp_path)
+    program = (
+        "import datetime, sys, time\n"
+        "for _ in sys.stdin:\n"
+        "    print(time.time_ns(), datetime.datetime.now().timestamp() * 1e9, time.monotonic_ns(), flush=True)\n"
+    )
+
+    def told(process: subprocess.Popen[str]) -> list[float]:
+        assert process.stdin is not None
+        assert process.stdout is not None
+        process.stdin.write("\n")
+        process.stdin.flush()
+        return [float(word) for word in process.stdout.readline().split()]
+
+    with subprocess.Popen(
+        [sys.executable, "-c", program],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+        env=os.environ | clock.environment,
+    ) as process:
+        before = told(process)
+        clock.require([process.pid])
+        for days in (1, -1):
+            clock.step(days * DAY_NS)
+            calendar, date, monotonic = told(process)
+            assert calendar - time.time_ns() == pytest.approx(days * DAY_NS, abs=60e9)
+            assert date - time.time_ns() == pytest.approx(days * DAY_NS, abs=60e9)
+            assert 0 < monotonic - before[2] < 60e9
+        with pytest.raises(RuntimeError, match="does not have the clock"):
+            clock.require([os.getpid()])

@@ -70,6 +70,23 @@ def test_missed_deadlines_and_lost_scans_are_told(vigil: Vigil) -> None:
     assert levels(list(vigil.lost(0, 5))) == [Level.WARNING]
 
 
+def test_a_tenth_of_the_deadlines_missed_in_a_second_is_told_while_the_run_goes_on(vigil: Vigil) -> None:
+    """A control process that is stopped for 12 ms again and again; the operator is told now, not at the end."""
+    rows = np.zeros(200, sample_dtype(3, 2))
+    rows["missed"][::10] = 1
+    rows["t_ns"] = 10**9 + np.cumsum(1 + rows["missed"]) * TICK_NS
+    (told,) = vigil.samples(rows)
+    assert "of the deadlines are missed" in told.message
+    assert told.t_ns < 10**9 + 1_000_000_000
+
+
+def test_a_single_missed_deadline_is_told_nothing(vigil: Vigil) -> None:
+    rows = np.zeros(400, sample_dtype(3, 2))
+    rows["t_ns"] = 10**9 + np.arange(400) * TICK_NS
+    rows["missed"][200] = 2
+    assert list(vigil.samples(rows)) == []
+
+
 def test_a_standstill_of_the_record_is_told(vigil: Vigil) -> None:
     looks = [10**9, 10**9 + 20_000_000, 10**9 + 1_220_000_000]
     told = [event for t_ns in looks for event in vigil.looking(t_ns)]

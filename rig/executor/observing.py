@@ -15,11 +15,10 @@ from rig.executor.child import Job, orphaned, receive
 from rig.executor.memory import RunMemory, Stage, Stop
 from rig.executor.pictures import encode
 from rig.executor.showing import Show
-from rig.executor.standin import made_safe, nobody_acts, stand_in
+from rig.executor.standin import forsaken, outlive
 from rig.observer import Observer
 
 REHEARSED_FRAMES = 3
-OUTLIVE_S = 0.5
 HISTORY = 400
 """Control ticks handed to the model with each frame: two seconds at 200 Hz."""
 
@@ -48,6 +47,9 @@ def _observe(job: Job, memory: RunMemory) -> int:
         previous: int | None = None
         while memory.get("stop") == Stop.NONE and not orphaned(job):
             memory.beat("observer", time.monotonic_ns())
+            if forsaken(memory):
+                outlive(config, memory)
+                continue
             try:
                 frame = camera.read(timeout_s=config.limits.no_tip_s)
             except CameraError:
@@ -66,18 +68,9 @@ def _observe(job: Job, memory: RunMemory) -> int:
     finally:
         camera.close()
     if orphaned(job):
-        _outlive(job, memory)
+        outlive(config, memory)
     memory.say("observer", Stage.DONE)
     return 0
-
-
-def _outlive(job: Job, memory: RunMemory) -> None:
-    """The conductor is gone: see to it that somebody makes the bench safe, and be that one where there is no other."""
-    until = time.monotonic() + OUTLIVE_S
-    while time.monotonic() < until and not made_safe(memory):
-        time.sleep(0.005)
-    if not made_safe(memory) and nobody_acts(memory):
-        stand_in(job.plan.config, memory)
 
 
 def _rehearse(job: Job, frames: list[Frame]) -> None:

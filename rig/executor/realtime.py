@@ -34,7 +34,7 @@ OVERSLEPT_NS = 200_000_000
 
 STOPPED = {
     Stop.SAFE: "the run was told to stop",
-    Stop.SILENT: "the watchdog asked for the safe state: the conductor had been silent",
+    Stop.SILENT: "the conductor had been silent, and the others were told to make the bench safe",
     Stop.TERMINATED: "the control process was told to terminate",
     Stop.VENT: "the run was told to vent",
 }

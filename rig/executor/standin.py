@@ -16,6 +16,11 @@ SILENT_NS = 200_000_000
 """Control and watchdog give a sign of life every few milliseconds; who is silent for so long does not act."""
 
 
+CONDUCTOR_SILENT_NS = 500_000_000
+OUTLIVE_S = 0.5
+"""What the others get to make the bench safe before the observer does."""
+
+
 def made_safe(memory: RunMemory) -> bool:
     """True once control or the watchdog has written the safe state, or has said why it cannot."""
     ended = (Stage.DONE, Stage.FAILED)
@@ -26,6 +31,25 @@ def nobody_acts(memory: RunMemory) -> bool:
     """True while neither control nor the watchdog gives a sign of life."""
     now = time.monotonic_ns()
     return all(now - memory.heartbeat_ns(name) > SILENT_NS for name in ("control", "watchdog"))
+
+
+def forsaken(memory: RunMemory) -> bool:
+    """True while those who would make the bench safe stand still, all three of them."""
+    conductor_ns = time.monotonic_ns() - memory.heartbeat_ns("conductor")
+    return conductor_ns > CONDUCTOR_SILENT_NS and nobody_acts(memory) and not made_safe(memory)
+
+
+def outlive(config: RigConfig, memory: RunMemory) -> None:
+    """Wait until somebody has made the bench safe; where nobody acts, do it, and stop the run.
+
+    A machine that stood still as a whole makes everybody look silent: those who wake with it have acted by the end.
+    """
+    until = time.monotonic() + OUTLIVE_S
+    while time.monotonic() < until and not made_safe(memory):
+        time.sleep(0.005)
+    if not made_safe(memory) and nobody_acts(memory):
+        memory.set("stop", memory.get("stop") or Stop.SILENT)
+        stand_in(config, memory)
 
 
 def stand_in(config: RigConfig, memory: RunMemory) -> str:

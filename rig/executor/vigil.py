@@ -59,7 +59,7 @@ class Vigil:
         self._tick_s = 1 / config.control.rate_hz
         self._frame_s = 1 / next(iter(config.cameras.values())).rate_hz
         self._unmeasured, self._unsolved = _Trouble(0.3), _Trouble(0.3)
-        self._dropping, self._late, self._missing = _Trouble(0.3), _Trouble(0.3), _Trouble(0.2)
+        self._dropping, self._late, self._missing = _Trouble(0.3), _Trouble(0.3), _Trouble(0.05)
         self._looked_ns = 0
 
     def samples(self, rows: NDArray[np.void]) -> Iterator[Event]:

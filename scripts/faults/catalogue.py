@@ -34,6 +34,17 @@ class Signal:
     """`rig vent` while they stand still."""
 
 
+@dataclass(frozen=True)
+class Havoc:
+    """One to three of the four processes that can make the valves safe, one after the other in any order.
+
+    Each gets one of `numbers`; those that are stopped go on after `lasts_s`.
+    """
+
+    numbers: tuple[signal.Signals, ...]
+    lasts_s: float = 4.0
+
+
 class Trick(Enum):
     """What is done to the run's surroundings."""
 
@@ -57,18 +68,22 @@ class Fault:
 
     name: str
     kind: str
-    action: Bench | Signal | Trick
+    action: Bench | Signal | Havoc | Trick
     ends: tuple[Status, ...]
     says: str
     real: bool = True
     virtual: bool = True
     safe: bool = True
+    within_s: float = 3.0
+    """How soon the valves must be safe where the run does not go on."""
     remark: str = field(default="", kw_only=True)
 
 
 ABORTED, FINISHED = (Status.ABORTED,), (Status.FINISHED,)
 RECOVERED, INTERRUPTED = (Status.RECOVERED,), (Status.INTERRUPTED,)
 GOES_ON_OR_NOT = (Status.FINISHED, Status.ABORTED)
+EITHER = (Status.ABORTED, Status.RECOVERED)
+TOLD_OF_A_PROCESS = "process died|silent|hung"
 PRESSURE = r"sensor 1|actuator 1"
 NAN = STUCK_WHERE_IT_IS
 
@@ -81,8 +96,15 @@ def _valve(name: str, says: str, **words: float) -> Fault:
     return Fault(name, "valve and air", Bench(words), ABORTED, says)
 
 
-def _process(name: str, action: Signal, ends: tuple[Status, ...], says: str, remark: str = "") -> Fault:
-    return Fault(name, "process", action, ends, says, virtual=False, remark=remark)
+def _process(
+    name: str,
+    action: Signal | Havoc,
+    ends: tuple[Status, ...],
+    says: str,
+    remark: str = "",
+    within_s: float = 3.0,
+) -> Fault:
+    return Fault(name, "process", action, ends, says, virtual=False, within_s=within_s, remark=remark)
 
 
 SENSORS = (
@@ -128,7 +150,14 @@ CARD = (
         safe=False,
         remark="no program can help; the operator is told to shut the air off",
     ),
-    Fault("card reads slowly, 12 ms", "card", Bench({"read_delay_ns": 12e6}), FINISHED, "deadlines", virtual=False),
+    Fault(
+        "card reads slowly, 12 ms",
+        "card",
+        Bench({"read_delay_ns": 12e6}),
+        FINISHED,
+        "of the deadlines are missed",
+        virtual=False,
+    ),
     Fault("card hangs in a read", "card", Bench({"read_delay_ns": 5e9}), ABORTED, "hung", virtual=False),
     Fault("card gives no more scans", "card", Bench({"silent": 1}), ABORTED, "no pressure sample"),
     Fault("card overruns, 30 scans", "card", Bench({"lost_scans": 30}), FINISHED, "30 scans were lost|scans were lost"),
@@ -164,7 +193,7 @@ PROCESSES = (
         "control slow",
         Signal((CONTROL,), STOP, lasts_s=0.012, times=60),
         GOES_ON_OR_NOT,
-        "deadlines|hung",
+        "of the deadlines are missed|hung",
         "stopped for 12 ms, 60 times; goes on with a warning, or counts as hung on a busy machine",
     ),
     _process("observer killed", Signal((OBSERVER,), KILL), ABORTED, "observer process died"),
@@ -190,11 +219,23 @@ PROCESSES = (
     _process("watchdog and conductor killed", Signal((WATCHDOG, CONDUCTOR), KILL), RECOVERED, ""),
     _process("all but the observer killed", Signal((CONTROL, WATCHDOG, CONDUCTOR), KILL), RECOVERED, ""),
     _process(
+        "all but the observer stopped, 4 s",
+        Signal((CONTROL, WATCHDOG, CONDUCTOR), STOP, lasts_s=4.0),
+        ABORTED,
+        "conductor had been silent",
+    ),
+    _process("one to three of the four killed, in any order", Havoc((KILL,)), EITHER, TOLD_OF_A_PROCESS),
+    _process("one to three of the four stopped, in any order", Havoc((STOP,)), EITHER, TOLD_OF_A_PROCESS),
+    _process(
+        "one to three of the four killed or stopped, in any order", Havoc((KILL, STOP)), EITHER, TOLD_OF_A_PROCESS
+    ),
+    _process(
         "all stopped, then rig vent, then on",
         Signal((CONDUCTOR, WATCHDOG, CONTROL, OBSERVER), STOP, lasts_s=3.0, then_vent=True),
         ABORTED,
         "silent|hung|another program",
-        "the time runs from `rig vent`",
+        "the time runs from the start of the program `rig vent`",
+        within_s=8.0,
     ),
 )
 SURROUNDINGS = (

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import fcntl
 import os
+import random
 import select
 import signal
 import subprocess
@@ -14,6 +15,7 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -23,7 +25,22 @@ from rig.control import safe_voltages
 from rig.daq.base import CardError
 from rig.simulator.registers import Registers, path_of
 from scripts.faults import surroundings
-from scripts.faults.catalogue import CONDUCTOR, CONTROL, OBSERVER, PLANT, WATCHDOG, Bench, Fault, Signal, Trick
+from scripts.faults.catalogue import (
+    ABORTED,
+    CONDUCTOR,
+    CONTROL,
+    KILL,
+    OBSERVER,
+    PLANT,
+    RECOVERED,
+    STOP,
+    WATCHDOG,
+    Bench,
+    Fault,
+    Havoc,
+    Signal,
+    Trick,
+)
 from scripts.faults.surroundings import NotHereError, SteppedClock
 from scripts.faults.trial import PROTOCOL, Trial, Watched, judge, skipped
 from scripts.faults.virtual import SEEN_SAFE_V, rig_text
@@ -197,8 +214,9 @@ def _run(folder: Path, trick: object, environment: dict[str, str]) -> Iterator[W
         run.close()
 
 
-def trial(fault: Fault, folder: Path, at_s: float) -> Trial:
+def trial(fault: Fault, folder: Path, at_s: float, seed: int) -> Trial:
     """Run it."""
+    fault, blows = _decided(fault, random.Random(seed))
     out = folder / "out"
     out.mkdir()
     environment: dict[str, str] = {}
@@ -214,7 +232,7 @@ def trial(fault: Fault, folder: Path, at_s: float) -> Trial:
                 time.sleep(at_s)
                 watch = Watch(run, registers)
                 fault_ns = time.monotonic_ns()
-                fault_ns = _strike(fault, run, registers, clock, undo) or fault_ns
+                fault_ns = _strike(fault, blows, run, registers, clock, undo) or fault_ns
                 safe_ns = watch.result()
                 registers.close()
                 undo.close()
@@ -224,11 +242,37 @@ def trial(fault: Fault, folder: Path, at_s: float) -> Trial:
                 (out / "filler").unlink()
             return judge(fault, "real", at_s, Watched(fault_ns, safe_ns, said), out)
     except NotHereError as why:
-        return skipped(fault, "real", str(why))
+        return skipped(fault, "real", at_s, str(why))
+
+
+@dataclass(frozen=True)
+class Blow:
+    """One signal of a havoc, some time after the one before it."""
+
+    process: str
+    number: signal.Signals
+    wait_s: float
+
+
+def _decided(fault: Fault, chance: random.Random) -> tuple[Fault, tuple[Blow, ...]]:
+    """The blows of a havoc, and the fault with what must come of them: a conductor that is dead tells nothing."""
+    if not isinstance(fault.action, Havoc):
+        return fault, ()
+    four = (CONTROL, WATCHDOG, CONDUCTOR, OBSERVER)
+    chosen = chance.sample(four, chance.randint(1, len(four) - 1))
+    blows = tuple(Blow(name, chance.choice(fault.action.numbers), chance.uniform(0, 0.05)) for name in chosen)
+    if any(blow.process == CONDUCTOR and blow.number == KILL for blow in blows):
+        return replace(fault, ends=RECOVERED, says=""), blows
+    return replace(fault, ends=ABORTED), blows
 
 
 def _strike(
-    fault: Fault, run: WatchedRun, registers: Registers, clock: SteppedClock | None, undo: ExitStack
+    fault: Fault,
+    blows: tuple[Blow, ...],
+    run: WatchedRun,
+    registers: Registers,
+    clock: SteppedClock | None,
+    undo: ExitStack,
 ) -> int | None:
     """Do it; return when the time to the safe state begins where that is later than the call."""
     match fault.action:
@@ -236,6 +280,12 @@ def _strike(
             registers.faults.inject(**words)
         case Signal() as action:
             return _signal(action, run)
+        case Havoc(lasts_s=lasts_s):
+            for blow in blows:
+                time.sleep(blow.wait_s)
+                run.signal((blow.process,), blow.number)
+            stopped = tuple(blow.process for blow in blows if blow.number == STOP)
+            threading.Timer(lasts_s, run.signal, (stopped, signal.SIGCONT)).start()
         case Trick.DISK_FULL:
             surroundings.fill(run.out)
         case Trick.FILE_LIMIT:
@@ -247,6 +297,7 @@ def _strike(
             run.protocol.write_text("spoilt: [")
         case Trick.CLOCK_FORWARD | Trick.CLOCK_BACK:
             assert clock is not None
+            clock.require(run.members.values())
             clock.step(surroundings.DAY_NS if fault.action is Trick.CLOCK_FORWARD else -surroundings.DAY_NS)
         case Trick.TERMINAL_BLOCKED:
             run.turn_away()

@@ -6,7 +6,7 @@ import os
 import resource
 import shutil
 import subprocess
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -105,10 +105,17 @@ class SteppedClock:
             raise NotHereError("no C compiler for the clock that steps")
         self._step = folder / "clock-step"
         self._step.write_bytes(bytes(8))
-        source, library = folder / "clock.c", folder / "clock.so"
+        source, library = folder / "clock.c", folder / "softrig-stepped-clock.so"
+        self._library = library
         source.write_text(CLOCK_C)
         subprocess.run([compiler, "-shared", "-fPIC", "-o", library, source, "-ldl"], check=True, capture_output=True)
         self.environment = {"LD_PRELOAD": str(library), "CLOCK_STEP": str(self._step)}
+
+    def require(self, pids: Iterable[int]) -> None:
+        """See to it that these processes have this clock: a step that nobody feels would prove nothing."""
+        for pid in pids:
+            if self._library.name not in Path(f"/proc/{pid}/maps").read_text():
+                raise RuntimeError(f"process {pid} does not have the clock that steps")
 
     def step(self, ns: int) -> None:
         """Put the clock off by so much, at once."""

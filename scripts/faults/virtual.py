@@ -115,7 +115,7 @@ def trial(fault: Fault, folder: Path, at_s: float, seed: int) -> Trial:
             try:
                 stack.enter_context(surroundings.small_disk(out))
             except NotHereError as why:
-                return skipped(fault, "virtual", str(why))
+                return skipped(fault, "virtual", at_s, str(why))
             plant.struck = lambda: surroundings.fill(out)
         elif fault.action is Trick.FILES_CHANGED:
             plant.struck = lambda: [path.write_text("spoilt: [") for path in (rig_file, protocol)]
