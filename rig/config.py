@@ -292,6 +292,14 @@ class SimulatedScene(Section):
     lighting: Annotated[float, Field(gt=0, le=1, strict=True)] = 0.9
 
 
+class Built(Section):
+    """What the simulator is built of where a calibration has changed what the rig states."""
+
+    lenses: dict[str, Lens]
+    valves: tuple[Valve, ...]
+    sensors: tuple[Sensor, ...]
+
+
 class Simulator(Section):
     """The plant behind the mocks. Its parameters differ from the model's on purpose."""
 
@@ -302,6 +310,13 @@ class Simulator(Section):
     material: Material
     cap_mass_g: NonNegative
     camera_error: Placement = Field(default=Placement(), description="true camera placement beyond the stated one")
+    camera_errors: dict[str, Placement] = Field(default={}, description="the same for the cameras that are named")
+    built: Built | SkipJsonSchema[None] = Field(default=None, description="true parts; default: those stated")
+
+
+    def error_of(self, camera: str) -> Placement:
+        """True placement of a camera beyond the stated one."""
+        return self.camera_errors.get(camera, self.camera_error)
 
 
 class RigConfig(Section):
@@ -309,6 +324,9 @@ class RigConfig(Section):
 
     name: Word
     description: str = ""
+    calibrations: tuple[Word, ...] = Field(
+        default=(), description="files of `rig calibrate`, from this file's folder: they replace what is stated here"
+    )
     cards: Annotated[dict[str, CardConfig], Field(min_length=1)]
     valves: Annotated[tuple[Valve, ...], Field(min_length=1)]
     sensors: Annotated[tuple[Sensor, ...], Field(min_length=1)]
@@ -337,6 +355,15 @@ class RigConfig(Section):
         cards = any(card.driver == "mock" for card in self.cards.values())
         return cards or any(camera.driver == "mock" for camera in self.cameras.values())
 
+    @property
+    def as_built(self) -> RigConfig:
+        """The rig that its simulator is: calibrations change what is believed, not what is there."""
+        built = None if self.simulator is None else self.simulator.built
+        if built is None:
+            return self
+        cameras = {n: c.model_copy(update={"lens": built.lenses.get(n, c.lens)}) for n, c in self.cameras.items()}
+        return self.model_copy(update={"cameras": cameras, "valves": built.valves, "sensors": built.sensors})
+
 
 def path_of(name_or_path: str | Path) -> Path:
     """The file of a rig, by the name of one that comes with the program or by its path; `BadInput` if there is none."""
@@ -344,15 +371,27 @@ def path_of(name_or_path: str | Path) -> Path:
 
 
 def text(name_or_path: str | Path) -> str:
-    """The rig's YAML, verbatim."""
-    return document.read(path_of(name_or_path)).text
+    """The rig's YAML: verbatim, or with the calibrations in it that it names. `BadInput` where one does not fit."""
+    source = document.read(path_of(name_or_path))
+    return _with_calibrations(source)[0] if source.data.get("calibrations") else source.text
 
 
 def load(name_or_path: str | Path) -> RigConfig:
     """The rig of that name, or in that file; `BadInput` with everything that is wrong with it."""
-    return document.validate(RigConfig, document.read(path_of(name_or_path)), consistency.check)
+    return _with_calibrations(document.read(path_of(name_or_path)))[1]
 
 
 def parse(text: str, file: str | Path) -> RigConfig:
     """The rig that a YAML text describes; `file` is what its faults are reported of. `BadInput` as for `load`."""
-    return document.validate(RigConfig, document.parse(text, str(file)), consistency.check)
+    return _with_calibrations(document.parse(text, str(file)))[1]
+
+
+def _with_calibrations(source: document.Document) -> tuple[str, RigConfig]:
+    """A rig's YAML and what it says, with the calibrations that it names in both."""
+    config = document.validate(RigConfig, source, consistency.check)
+    if not config.calibrations:
+        return source.text, config
+    from rig.calibrations import folding
+
+    folded = folding.folded(source.text, config, folding.read_all(source))
+    return folded, document.validate(RigConfig, document.parse(folded, source.file), consistency.check)

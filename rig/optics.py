@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from calibration.board import Board
 from calibration.frames import Rigid
@@ -17,6 +18,18 @@ def rigid(placement: Placement) -> Rigid:
         np.asarray(placement.translation_mm) * 1e-3,
         placement.translation_std_mm * 1e-3,
         float(np.deg2rad(placement.rotation_std_deg)),
+    )
+
+
+def placement_of(found: Rigid) -> Placement:
+    """A transform as the rig's file states it."""
+    x, y, z = (float(v) for v in found.translation_m * 1e3)
+    a, b, c = (float(v) for v in Rotation.from_matrix(found.rotation).as_rotvec(degrees=True))
+    return Placement(
+        translation_mm=(x, y, z),
+        rotation_deg=(a, b, c),
+        translation_std_mm=found.translation_std_m * 1e3,
+        rotation_std_deg=float(np.rad2deg(found.rotation_std_rad)),
     )
 
 

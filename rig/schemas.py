@@ -9,6 +9,7 @@ from pathlib import Path
 from pydantic import BaseModel
 
 from protocols.schema import ProtocolFile
+from rig.calibrations.schema import CameraFile, DLTFile, PressureFile, ToolFile
 from rig.config import RigConfig
 from rig.mapping import Mapping
 
@@ -16,6 +17,10 @@ FILES: dict[str, type[BaseModel]] = {
     "protocol.schema.json": ProtocolFile,
     "rig.schema.json": RigConfig,
     "import.schema.json": Mapping,
+    "calibration-camera.schema.json": CameraFile,
+    "calibration-dlt.schema.json": DLTFile,
+    "calibration-tool.schema.json": ToolFile,
+    "calibration-pressure.schema.json": PressureFile,
 }
 
 

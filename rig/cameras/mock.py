@@ -50,9 +50,11 @@ class MockCamera:
         faults: Faults | None = None,
     ) -> None:
         """Look with the camera called `name` (the only one when None) at the tip that `source` knows."""
+        config = config.as_built
         if config.simulator is None:
             raise CameraError("the mock camera needs the rig's 'simulator' section: it says what the picture shows")
-        chosen = config.cameras[name] if name is not None else next(iter(config.cameras.values()))
+        name = name or next(iter(config.cameras))
+        chosen = config.cameras[name]
         self._source = source
         self._exposure_ns = round(chosen.exposure_ms * 1e6)
         self._period_ns = round(1e9 / chosen.rate_hz)
@@ -60,7 +62,7 @@ class MockCamera:
         optics = Optics(truth.blur_px, truth.noise_grey, truth.lighting)
         size = (chosen.width_px, chosen.height_px)
         self._scene = Scene(board_of(config), lens_of(chosen), size, optics, seed)
-        self._base_in_camera = (camera_in_base(chosen) @ rigid(config.simulator.camera_error)).inverse()
+        self._base_in_camera = (camera_in_base(chosen) @ rigid(config.simulator.error_of(name))).inverse()
         self._board_in_tip = board_in_tip(config)
         self._start_ns = time.monotonic_ns() + self._exposure_ns
         self._index = -1

@@ -42,6 +42,7 @@ class Plant:
         Raises:
             CardError: the rig has no simulator section.
         """
+        config = config.as_built
         if config.simulator is None:
             raise CardError(f"rig {config.name} has mock devices but no simulator section")
         self._config, self._t0_ns, self._step = config, t0_ns, 0
