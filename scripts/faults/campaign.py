@@ -1,0 +1,72 @@
+"""The trials of a campaign, and how they are made: side by side, each in a process of its own."""
+
+from __future__ import annotations
+
+import math
+import multiprocessing
+import os
+import random
+import tempfile
+from collections.abc import Iterator, Sequence
+from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+
+from scripts.faults import realtime, virtual
+from scripts.faults.catalogue import Fault
+from scripts.faults.trial import EARLIEST_S, LATEST_S, Trial
+
+EXECUTORS = ("real", "virtual")
+
+
+@dataclass(frozen=True)
+class Job:
+    """One trial to be made; the same campaign has the same ones, whatever part of it is asked for."""
+
+    fault: Fault
+    executor: str
+    at_s: float
+    seed: int
+
+    @property
+    def key(self) -> tuple[str, str, float]:
+        """What tells it from every other, and finds its trial in a log."""
+        return self.fault.name, self.executor, self.at_s
+
+
+def jobs(faults: Sequence[Fault], executors: Sequence[str], moments: int, seed: int) -> Iterator[Job]:
+    """Every fault once, in any order, then every fault again: a campaign that is broken off has tried all alike."""
+    for moment in range(moments):
+        turn = [(fault, executor) for fault in faults for executor in executors if getattr(fault, executor)]
+        random.Random(f"{seed} {moment}").shuffle(turn)
+        for fault, executor in turn:
+            chance = random.Random(f"{seed} {moment} {fault.name} {executor}")
+            yield Job(fault, executor, chance.uniform(EARLIEST_S, LATEST_S), chance.randrange(2**31))
+
+
+def tried(due: Sequence[Job], beside: int) -> Iterator[Trial]:
+    """Make the trials, each as it comes: real time side by side, virtual time in what the machine has left."""
+    spawn = multiprocessing.get_context("spawn")
+    with ExitStack() as stack:
+        pools = {
+            "real": stack.enter_context(ProcessPoolExecutor(beside, spawn)),
+            "virtual": stack.enter_context(ProcessPoolExecutor(1, spawn, os.nice, (10,))),
+        }
+        made: list[Future[Trial]] = [pools[job.executor].submit(_try, job) for job in due]
+        try:
+            for future in as_completed(made):
+                yield future.result()
+        finally:
+            for future in made:
+                future.cancel()
+
+
+def _try(job: Job) -> Trial:
+    with tempfile.TemporaryDirectory(prefix="softrig-faults-") as folder:
+        trial = virtual.trial if job.executor == "virtual" else realtime.trial
+        try:
+            return trial(job.fault, Path(folder), job.at_s, job.seed)
+        except Exception as error:
+            wrong = f"{type(error).__name__}: {error}"
+            return Trial(job.fault.name, job.executor, job.at_s, "no trial", "", math.nan, math.nan, wrong)
