@@ -6,7 +6,8 @@ import cv2
 import numpy as np
 
 from calibration.frames import Rigid
-from rig.simulator.scene import DARK, WHITE, Optics
+from rig.simulator.drawing import DARK, WHITE
+from rig.simulator.scene import Optics
 from tests.vision_bench import BOARD, LENS, facing, scene, still
 
 
