@@ -26,10 +26,10 @@ def spawn(module: str, job: Job) -> subprocess.Popen[bytes]:
     """Start `python -m module` with a job.
 
     The child gets a session of its own, so that Ctrl-C at the terminal reaches only the conductor: who stops what,
-    and in which order, is the conductor's decision.
+    and in which order, is the conductor's decision. A child that crashes in compiled code says where, on stderr.
     """
     process = subprocess.Popen(
-        [sys.executable, "-m", module],
+        [sys.executable, "-X", "faulthandler", "-m", module],
         stdin=subprocess.PIPE,
         pass_fds=[job.fd],
         start_new_session=True,
@@ -47,7 +47,7 @@ def receive() -> tuple[Job, RunMemory]:
     """In the child: the job and the shared memory."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     job: Job = pickle.load(sys.stdin.buffer)  # written by our own parent, over a pipe
-    return job, RunMemory(job.fd, Layout.of(job.plan.config))
+    return job, RunMemory(job.fd, Layout.of(job.plan.config, len(job.plan.adapted)))
 
 
 def orphaned(job: Job) -> bool:
