@@ -12,7 +12,8 @@ GRAVITY_M_S2 = 9.81
 
 def model_arm(config: RigConfig, variant: Variant | None = None) -> model.Arm:
     """The arm as the rig's file describes it; `variant` other than the file's on request."""
-    return _arm(config, config.arm.material, config.arm.cap_mass_g, variant or config.model.variant)
+    arm = config.arm
+    return _arm(config, arm.geometry, arm.material, arm.cap_mass_g, variant or config.model.variant)
 
 
 def true_arm(config: RigConfig) -> model.Arm:
@@ -23,7 +24,14 @@ def true_arm(config: RigConfig) -> model.Arm:
     """
     if config.simulator is None:
         raise ValueError(f"rig {config.name} has no simulator section")
-    return _arm(config, config.simulator.material, config.simulator.cap_mass_g, "inhomogeneous+rpe")
+    truth = config.simulator
+    return _arm(config, true_geometry(config), truth.material, truth.cap_mass_g, "inhomogeneous+rpe")
+
+
+def true_geometry(config: RigConfig) -> Geometry:
+    """The geometry of the arm that hangs in the simulator; the stated one where nothing else is said."""
+    truth = config.simulator
+    return config.arm.geometry if truth is None or truth.geometry is None else truth.geometry
 
 
 def model_geometry(geometry: Geometry) -> model.Geometry:
@@ -71,9 +79,9 @@ def gravity_m_s2(config: RigConfig) -> tuple[float, float, float]:
     return float(x), float(y), float(z)
 
 
-def _arm(config: RigConfig, material: Material, cap_mass_g: float, variant: Variant) -> model.Arm:
+def _arm(config: RigConfig, geometry: Geometry, material: Material, cap_mass_g: float, variant: Variant) -> model.Arm:
     return model.Arm(
-        model_geometry(config.arm.geometry),
+        model_geometry(geometry),
         model_material(material),
         variant=variant,
         cap_mass_kg=cap_mass_g * 1e-3,

@@ -10,7 +10,7 @@ import typer
 from typer.core import TyperGroup
 
 from rig.commands import archives, calibrate, identify, reproduce
-from rig.commands.options import AsJson, Folder
+from rig.commands.options import AsJson, Folder, Parameters
 
 DONE, FAULT, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 
@@ -37,7 +37,6 @@ def _status(error: Exception) -> int | None:
     """Exit status of an expected error; None for one that is a bug."""
     from calibration.camera import CalibrationError
     from calibration.identify import NoData, UnknownParameter
-    from calibration.identify.document import BadParameters
     from calibration.identify.spread import NoCluster, WorkersDie
     from calibration.views import ViewsError
     from protocols import BadInput
@@ -48,7 +47,7 @@ def _status(error: Exception) -> int | None:
     from runs.export import ExportError
     from runs.journal import JournalError
 
-    if isinstance(error, NoData | UnknownParameter | BadParameters):
+    if isinstance(error, NoData | UnknownParameter):
         return BAD_INPUT
     if isinstance(error, BadInput | ArchiveError | ExportError | CalibrationError | ViewsError):
         return BAD_INPUT
@@ -92,6 +91,7 @@ def run(
     seed: Annotated[int, typer.Option(help="Seed of the simulator.", min=0)] = 0,
     out: Folder = Path("data"),
     model: Variant = None,
+    parameters: Parameters = None,
     operator: Annotated[str, typer.Option(help="Who runs it; goes into the archive.")] = "",
     note: Annotated[str, typer.Option(help="A remark; goes into the archive.")] = "",
     yes: Annotated[bool, typer.Option("--yes", help="Arm without asking.")] = False,
@@ -112,7 +112,16 @@ def run(
             "--live shows a run in real time; leave out --fast, or play the archive afterwards: rig live RUN", BAD_INPUT
         )
     request = experiment.request(
-        protocol, rig, folder=out, fast=fast, seed=seed, variant=model, operator=operator, notes=note, report=report
+        protocol,
+        rig,
+        folder=out,
+        fast=fast,
+        seed=seed,
+        variant=model,
+        parameters=parameters,
+        operator=operator,
+        notes=note,
+        report=report,
     )
     decided = experiment.plan(request)
     console = screens.console(stderr=json)
@@ -185,6 +194,7 @@ def simulate(
     protocol: ProtocolName,
     rig: RigName = "mock",
     model: Variant = None,
+    parameters: Parameters = None,
     static: Annotated[bool, typer.Option("--static", help="Statics at every set-point instead of dynamics.")] = False,
     out: Folder = Path("data"),
 ) -> None:
@@ -192,7 +202,7 @@ def simulate(
     from rig import experiment
     from rig.simulate import simulate as run_model
 
-    request = experiment.request(protocol, rig, folder=out, variant=model)
+    request = experiment.request(protocol, rig, folder=out, variant=model, parameters=parameters)
     typer.echo(run_model(request, experiment.plan(request), static))
 
 

@@ -225,7 +225,7 @@ class Material(Section):
     youngs_modulus_pa: Positive = Field(description="homogeneous section")
     a1_per_N: Positive = Field(description="eq 32")
     a2_per_N2: NonNegative = Field(description="eq 32")
-    rpe_per_bar: NonNegative = Field(description="a of eq 30")
+    rpe_per_bar: Number = Field(description="a of eq 30")
     shear_ratio: Positive = Field(description="gamma = G / E")
     density_kg_m3: Positive = 1080.0
     damping_s: NonNegative = Field(default=0.0, description="Kelvin-Voigt retardation time")
@@ -312,7 +312,11 @@ class Simulator(Section):
     camera_error: Placement = Field(default=Placement(), description="true camera placement beyond the stated one")
     camera_errors: dict[str, Placement] = Field(default={}, description="the same for the cameras that are named")
     built: Built | SkipJsonSchema[None] = Field(default=None, description="true parts; default: those stated")
-
+    geometry: Geometry | SkipJsonSchema[None] = Field(default=None, description="true geometry; default: the arm's")
+    base: Placement = Field(default=Placement(), description="true rod base in the frame that the rig takes for it")
+    board: Placement | SkipJsonSchema[None] = Field(
+        default=None, description="true placement of the board; default: the one stated"
+    )
 
     def error_of(self, camera: str) -> Placement:
         """True placement of a camera beyond the stated one."""

@@ -18,7 +18,7 @@ import protocols
 from protocols import BadInput, Problem, Protocol, Trajectory
 from protocols.problems import closest
 from rig.check import check
-from rig.config import RigConfig, Variant, load, path_of, text
+from rig.config import RigConfig, Variant, load, parse, path_of, text
 from rig.daq.base import CardError
 from rig.executor.base import Audience, Outcome, Plan, StartError
 from rig.lock import cards_locked
@@ -48,6 +48,8 @@ class Request:
     operator: str = ""
     notes: str = ""
     report: bool = True
+    parameters_text: str = ""
+    """The file of identified parameters that lies over the rig, verbatim; `rig_text` has them in it."""
 
 
 @dataclass(frozen=True)
@@ -72,11 +74,12 @@ def request(
     operator: str = "",
     notes: str = "",
     report: bool = True,
+    parameters: Path | None = None,
 ) -> Request:
-    """Load a protocol and a rig by name or file.
+    """Load a protocol and a rig by name or file, with a file of identified `parameters` over the rig.
 
     Raises:
-        BadInput: either of them is wrong; every problem at once.
+        BadInput: any of them is wrong; every problem at once.
     """
     problems: list[Problem] = []
     asked = _collecting(problems, protocols.load, protocol)
@@ -84,11 +87,17 @@ def request(
     chosen = _collecting(problems, variant_named, variant)
     if problems or asked is None or config is None:
         raise BadInput(problems)
+    rig_text, parameters_text = text(rig), ""
+    if parameters is not None:
+        from rig.parameters import over
+
+        rig_text, parameters_text = over(rig_text, path_of(rig), parameters, chosen)
+        config = parse(rig_text, f"{path_of(rig)} with {parameters}")
     return Request(
         protocol=asked,
         config=config,
         rig_file=path_of(rig),
-        rig_text=text(rig),
+        rig_text=rig_text,
         fast=fast,
         seed=seed,
         folder=folder,
@@ -96,6 +105,7 @@ def request(
         operator=operator,
         notes=notes,
         report=report,
+        parameters_text=parameters_text,
     )
 
 
@@ -206,6 +216,7 @@ def header(request: Request, decided: Plan, t_ns: int) -> RunHeader:
         protocol_yaml=protocol.text,
         rig_name=config.name,
         rig_yaml=request.rig_text,
+        parameters_yaml=request.parameters_text,
         actuators=config.actuators,
         valves=len(config.valves),
         executor="virtual time" if request.fast else "real time",

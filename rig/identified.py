@@ -3,27 +3,24 @@
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
-import numpy as np
 import typer
-import yaml
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 from rich.text import Text
-from scipy.spatial.transform import Rotation
 
 from calibration.identify.bootstrap import bootstrap
 from calibration.identify.data import Poses, poses_of
-from calibration.identify.document import Overlay, content, read
+from calibration.identify.document import content
 from calibration.identify.fit import Fit, identify
 from calibration.identify.parameters import Prior, Setup
 from rig.arm import model_arm
-from rig.config import PA_PER_BAR, RigConfig, load, parse, path_of, text
+from rig.config import PA_PER_BAR, RigConfig, parse, path_of, text
 from rig.listing import plain_json
+from rig.parameters import laid_over
+from rig.parameters import read as read_parameters
 from rig.screens import console
 from runs.run import Run
 
@@ -32,19 +29,13 @@ DEFAULT_HOMOGENEOUS = ("youngs_modulus_pa", "rpe_per_bar", "base", "sensor_offse
 
 
 def rig_with(rig: str, parameters: Path) -> str:
-    """The YAML of a rig with identified parameters in it.
+    """The YAML of a rig with identified parameters in it, whatever model the rig had.
 
     Raises:
-        BadInput: the rig, or what the overlay makes of it.
-        BadParameters: the parameter file.
+        BadInput: the rig, the parameter file, or that they do not belong together.
     """
-    overlay = read(parameters)
-    config = load(rig)
-    data = yaml.safe_load(text(rig))
-    _lay(data, overlay.rig)
-    _mount(data, config, overlay)
-    head = f"# {path_of(rig).name} with the parameters of {parameters.name}\n"
-    return head + yaml.safe_dump(data, sort_keys=False, width=120, default_flow_style=None)
+    found = read_parameters(parameters)
+    return laid_over(text(rig), path_of(rig), found, found.found.identified.variant)
 
 
 def from_runs(archives: Sequence[Run], free: Sequence[str], priors: Mapping[str, Prior], starts: int = 1) -> Fit:
@@ -107,29 +98,3 @@ def second_opinion(fit: Fit, samples: int, scheduler: str | None, store: Path | 
 
 def _rig_of(run: Run) -> RigConfig:
     return parse(run.header.rig_yaml, f"{run.path}: the rig's YAML")
-
-
-def _lay(under: dict[str, Any], over: Mapping[str, Any]) -> None:
-    for key, value in over.items():
-        if isinstance(value, Mapping) and isinstance(under.get(key), dict):
-            _lay(under[key], value)
-        else:
-            under[key] = value
-
-
-def _mount(data: dict[str, Any], config: RigConfig, overlay: Overlay) -> None:
-    """Move cameras and board so that the measured tips are those of the arm's own base and tip."""
-    base, shift = Rotation.from_rotvec(overlay.base_rotation_deg, degrees=True), np.array(overlay.base_translation_mm)
-    if shift.any() or base.magnitude() > 0:
-        for name, camera in config.cameras.items():
-            old = camera.placement
-            turned = base.inv() * Rotation.from_rotvec(old.rotation_deg, degrees=True)
-            moved = base.inv().apply(np.array(old.translation_mm) - shift)
-            placement = data["cameras"][name].setdefault("placement", {})
-            placement["translation_mm"] = moved.tolist()
-            placement["rotation_deg"] = [math.degrees(x) for x in turned.as_rotvec()]
-    if any(overlay.tool_offset_mm):
-        placement = data["board"]["placement"]
-        placement["translation_mm"] = (
-            np.array(config.board.placement.translation_mm) + np.array(overlay.tool_offset_mm)
-        ).tolist()

@@ -18,6 +18,7 @@ from rig.config import PA_PER_BAR, RigConfig, Variant
 from rig.executor.base import StartError
 from rig.experiment import VARIANTS, free_id
 from rig.observer import Observer
+from rig.parameters import over
 from rig.provenance import git_state, quantities, versions
 from runs.archive import finalise
 from runs.journal import SUFFIX, JournalWriter
@@ -25,10 +26,13 @@ from runs.records import RunFooter, sample_dtype
 from runs.run import Run
 
 
-def replay(run: Run, folder: Path, rig: str | None = None, variant: Variant | None = None) -> Path:
+def replay(
+    run: Run, folder: Path, rig: str | None = None, variant: Variant | None = None, parameters: Path | None = None
+) -> Path:
     """Observe a run's pictures again and return the new archive's path.
 
-    `rig` names a rig, or a file, with other calibration, model or material; by default the run's own. Frames that were
+    `rig` names a rig, or a file, with other calibration, model or material; by default the run's own. `parameters` is
+    a file of identified ones to lay over it. Frames that were
     not stored are not observed; the model steps over them as over dropped frames.
 
     Raises:
@@ -40,6 +44,10 @@ def replay(run: Run, folder: Path, rig: str | None = None, variant: Variant | No
     text = run.header.rig_yaml if rig is None else rigs.text(rig)
     config = rigs.parse(text, f"{run.path}: rig") if rig is None else rigs.load(rig)
     chosen = variant or (_variant(run) if rig is None else config.model.variant)
+    found = run.header.parameters_yaml if rig is None else ""
+    if parameters is not None:
+        text, found = over(text, f"{run.path}: rig" if rig is None else rigs.path_of(rig), parameters, chosen)
+        config = rigs.parse(text, f"rig with {parameters}")
     rows = np.array(list(_observed(run, config, chosen)))
     now = datetime.now(UTC)
     commit, diff = git_state()
@@ -51,6 +59,7 @@ def replay(run: Run, folder: Path, rig: str | None = None, variant: Variant | No
         notes=f"replayed {now:%Y-%m-%d %H:%M} UTC",
         rig_name=config.name,
         rig_yaml=text,
+        parameters_yaml=found,
         model_variant=chosen,
         command=" ".join(sys.argv),
         versions=versions(),

@@ -190,7 +190,11 @@ def _rig(journal: Journal) -> Group:
     return Group(
         "entry/rig",
         "NXcollection",
-        (Field("name", header.rig_name), Field("yaml", header.rig_yaml, about="the rig, verbatim")),
+        (
+            Field("name", header.rig_name),
+            Field("yaml", header.rig_yaml, about="the rig as it was used, verbatim"),
+            Field("parameters", header.parameters_yaml, about="identified parameters laid over the rig, verbatim"),
+        ),
     )
 
 

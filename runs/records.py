@@ -171,6 +171,8 @@ class RunHeader:
     quantities: tuple[Quantity, ...] = ()
     parent: str = ""
     """Run id that a replay was made from; empty for a run."""
+    parameters_yaml: str = ""
+    """File of identified parameters that was laid over the rig, verbatim; `rig_yaml` has them in it."""
     control_hz: float = 200.0
     camera_hz: float = 30.0
 

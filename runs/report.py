@@ -190,7 +190,13 @@ def _provenance(run: Run) -> str:
     }
     rows = "".join(f"<tr><th>{name}</th><td>{escape(value)}</td></tr>" for name, value in facts.items() if value)
     parts = [f'<h2>How it was made</h2>\n<table class="facts">{rows}</table>', _quantities(run)]
-    for name, text in (("Protocol", header.protocol_yaml), ("Rig", header.rig_yaml), ("Git diff", header.git_diff)):
+    verbatim = {
+        "Protocol": header.protocol_yaml,
+        "Rig": header.rig_yaml,
+        "Identified parameters": header.parameters_yaml,
+        "Git diff": header.git_diff,
+    }
+    for name, text in verbatim.items():
         if text:
             parts.append(f"<details><summary>{name}, verbatim</summary><pre>{escape(text)}</pre></details>")
     return "\n".join(part for part in parts if part)

@@ -121,6 +121,7 @@ class Run:
             protocol_yaml=protocol["yaml"],
             rig_name=rig["name"],
             rig_yaml=rig["yaml"],
+            parameters_yaml=rig["parameters"],
             actuators=int(entry["actuators"]),
             valves=int(entry["valves"]),
             executor=entry["executor"],

@@ -1,37 +1,21 @@
-"""The result as YAML: an overlay for a rig's file, with every estimate, their covariance and the data they rest on."""
+"""The result as YAML: what to lay over a rig's file, every estimate, their covariance and the data they rest on."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import yaml
 
-from calibration.identify.fit import Fit
+from calibration.identify.fit import Fit, RunFit
 from calibration.identify.parameters import Setup
 
-VERSION = 1
+VERSION = 2
 _MM = 1e3
-
-
-class BadParameters(ValueError):  # noqa: N818 - the outcome is the name
-    """A parameter file that cannot be used."""
-
-
-@dataclass(frozen=True)
-class Overlay:
-    """What a parameter file changes: `rig` is laid over a rig's file, key by key; mm and degrees as there.
-
-    The mounting is that of `Setup`: the rod base in the measurements' frame, and the measured point in the tip frame.
-    """
-
-    rig: dict[str, Any]
-    base_translation_mm: tuple[float, float, float]
-    base_rotation_deg: tuple[float, float, float]
-    tool_offset_mm: tuple[float, float, float]
+# Residuals of a motion that are written out: enough to draw, few enough to read.
+_MOST_RESIDUALS = 100
 
 
 def write(fit: Fit, path: Path) -> Path:
@@ -46,17 +30,17 @@ def write(fit: Fit, path: Path) -> Path:
 def content(fit: Fit) -> dict[str, Any]:
     """Everything of a fit that a later reader needs, in plain numbers."""
     setup = fit.setup
+    start = fit.start.arm
     return {
         "softrig_parameters": VERSION,
-        "rig": {"arm": _arm(setup), "model": {"variant": setup.arm.variant}},
+        "identified": {"variant": start.variant, "modulus_rule": start.modulus_rule, "geometry": _geometry(fit.start)},
+        "arm": _arm(setup),
         "mounting": {
             "base_translation_mm": [_MM * x for x in setup.base_translation_m],
             "base_rotation_deg": [math.degrees(x) for x in setup.base_rotation_rad],
             "tool_offset_mm": [_MM * x for x in setup.tool_offset_m],
         },
-        "modulus_rule": setup.arm.modulus_rule,
-        "sensor_lag_s": float(setup.sensor_lag_s),
-        "sensor_gain": [float(x) for x in setup.sensor_gain],
+        "sensing": {"gain": [float(x) for x in setup.sensor_gain], "lag_s": float(setup.sensor_lag_s)},
         "estimates": [
             {
                 "name": e.name,
@@ -82,51 +66,26 @@ def content(fit: Fit) -> dict[str, Any]:
                 "outliers": run.outliers,
                 "rms_before_mm": _MM * run.rms_before_m,
                 "rms_mm": _MM * run.rms_m,
+                "residual_mm": _residuals(run),
             }
             for run in fit.runs
         ],
     }
 
 
-def read(path: Path) -> Overlay:
-    """Read a parameter file.
-
-    Raises:
-        BadParameters: it is none, or is from a newer softrig.
-    """
-    try:
-        data = yaml.safe_load(path.read_text(encoding="utf-8"))
-        version = data["softrig_parameters"]
-        mounting = data["mounting"]
-        triples = [
-            (float(x), float(y), float(z))
-            for x, y, z in (
-                mounting[key] for key in ("base_translation_mm", "base_rotation_deg", "tool_offset_mm")
-            )
-        ]  # fmt: skip
-        rig = dict(data["rig"])
-    except OSError as fault:
-        raise BadParameters(f"{path}: {fault.strerror or fault}") from fault
-    except (yaml.YAMLError, KeyError, TypeError, ValueError, UnicodeDecodeError) as fault:
-        raise BadParameters(f"{path}: not a file of parameters as 'rig identify' writes it ({fault})") from fault
-    if version != VERSION:
-        raise BadParameters(f"{path} is of version {version}; this softrig knows version {VERSION}")
-    return Overlay(rig, *triples)
+def _residuals(run: RunFit) -> list[list[float]]:
+    """Measured minus predicted [mm], to a tenth of a micrometre; of a motion a hundred rows, evenly spaced."""
+    known = run.residual_m[np.isfinite(run.residual_m).all(axis=1)]
+    chosen = np.unique(np.linspace(0, len(known) - 1, min(len(known), _MOST_RESIDUALS)).round().astype(int))
+    rows: list[list[float]] = np.round(_MM * known[chosen if run.moving else slice(None)], 4).tolist()
+    return rows
 
 
 def _arm(setup: Setup) -> dict[str, Any]:
     arm = setup.turned_arm
-    geometry, material = arm.geometry, arm.material
-    xy = geometry.positions_m
-    radii = np.hypot(xy[:, 0], xy[:, 1])
+    material = arm.material
     return {
-        "geometry": {
-            "length_mm": _MM * geometry.length_m,
-            "inner_radius_mm": _MM * geometry.inner_radius_m,
-            "outer_radius_mm": _MM * geometry.outer_radius_m,
-            "circle_radius_mm": float(_MM * radii.mean()),
-            "actuator_angles_deg": np.degrees(np.arctan2(xy[:, 1], xy[:, 0])).tolist(),
-        },
+        "geometry": _geometry(setup),
         "material": {
             "youngs_modulus_pa": material.youngs_modulus_pa,
             "a1_per_N": material.a1_per_n,
@@ -137,4 +96,16 @@ def _arm(setup: Setup) -> dict[str, Any]:
             "damping_s": material.damping_s,
         },
         "cap_mass_g": 1e3 * arm.cap_mass_kg,
+    }
+
+
+def _geometry(setup: Setup) -> dict[str, Any]:
+    geometry = setup.turned_arm.geometry
+    x, y = geometry.positions_m.T
+    return {
+        "length_mm": _MM * geometry.length_m,
+        "inner_radius_mm": _MM * geometry.inner_radius_m,
+        "outer_radius_mm": _MM * geometry.outer_radius_m,
+        "circle_radius_mm": float(_MM * np.hypot(x, y).mean()),
+        "actuator_angles_deg": np.degrees(np.arctan2(y, x)).tolist(),
     }

@@ -70,7 +70,7 @@ def folded(text: str, config: RigConfig, calibrations: Sequence[Read]) -> str:
         raise BadInput(problems)
     data = yaml.safe_load(text)
     data.pop("calibrations", None)
-    built = None if config.simulator is None else _built(data, config)
+    built = None if config.simulator is None else as_stated(config)
     for calibration in calibrations:
         found = calibration.found
         if isinstance(found, CameraFile):
@@ -90,7 +90,7 @@ def folded(text: str, config: RigConfig, calibrations: Sequence[Read]) -> str:
     return head + yaml.safe_dump(data, sort_keys=False, width=120, default_flow_style=None)
 
 
-def _built(data: dict[str, Any], config: RigConfig) -> dict[str, Any]:
+def as_stated(config: RigConfig) -> dict[str, Any]:
     """What a simulator is built of, as the rig states it now."""
     return {
         "lenses": {name: camera.lens.model_dump(mode="json") for name, camera in config.cameras.items()},

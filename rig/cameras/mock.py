@@ -62,8 +62,10 @@ class MockCamera:
         optics = Optics(truth.blur_px, truth.noise_grey, truth.lighting)
         size = (chosen.width_px, chosen.height_px)
         self._scene = Scene(board_of(config), lens_of(chosen), size, optics, seed)
-        self._base_in_camera = (camera_in_base(chosen) @ rigid(config.simulator.error_of(name))).inverse()
-        self._board_in_tip = board_in_tip(config)
+        simulator = config.simulator
+        self._base = rigid(simulator.base)
+        self._base_in_camera = (camera_in_base(chosen) @ rigid(simulator.error_of(name))).inverse() @ self._base
+        self._board_in_tip = board_in_tip(config) if simulator.board is None else rigid(simulator.board)
         self._start_ns = time.monotonic_ns() + self._exposure_ns
         self._index = -1
         self._faults = faults if faults is not None else Faults()
@@ -90,7 +92,7 @@ class MockCamera:
         closed = Rigid(
             middle.rotation @ opened.rotation.T @ middle.rotation, 2 * middle.translation_m - opened.translation_m
         )
-        truth_m = np.array(pose.position_m, dtype=np.float64)
+        truth_m = self._base.apply(np.array(pose.position_m, dtype=np.float64))
         return Exposure(index, t_ns, opened, middle, closed, truth_m, self._faults.camera)
 
     def develop(self, exposure: Exposure) -> Frame:

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from rig.commands.options import Archive, Archives, AsJson, Folder
+from rig.commands.options import Archive, Archives, AsJson, Folder, Parameters
 
 
 def runs(
@@ -61,6 +61,7 @@ def replay(
     archive: Archive,
     rig: Annotated[str | None, typer.Option("--rig", help="Another rig: calibration, model, material.")] = None,
     model: Annotated[str | None, typer.Option("--model", help="Another variant of the model.")] = None,
+    parameters: Parameters = None,
     out: Folder = Path("data"),
 ) -> None:
     """Run vision and model again on a run's stored pictures and pressures."""
@@ -69,7 +70,7 @@ def replay(
     from rig.replay import replay as observe_again
     from runs.run import Run
 
-    typer.echo(observe_again(Run(resolve(archive)), out, rig, variant_named(model)))
+    typer.echo(observe_again(Run(resolve(archive)), out, rig, variant_named(model), parameters))
 
 
 def export(

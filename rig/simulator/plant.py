@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.arm import Hook, true_arm
+from rig.arm import Hook, true_arm, true_geometry
 from rig.config import RigConfig
 from rig.daq.base import CardError, Scans
 from rig.simulator import pneumatics
@@ -47,7 +47,7 @@ class Plant:
             raise CardError(f"rig {config.name} has mock devices but no simulator section")
         self._config, self._t0_ns, self._step = config, t0_ns, 0
         truth = config.simulator
-        geometry = config.arm.geometry
+        geometry = true_geometry(config)
         self._bore_m2 = math.pi * (geometry.inner_radius_mm * 1e-3) ** 2
         self._dead_m3 = truth.chamber.dead_volume_ml * 1e-6
         self._dynamics = true_arm(config).dynamics(ARM_STEPS * STEP_NS * 1e-9) if moving_arm else None

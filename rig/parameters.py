@@ -1,0 +1,241 @@
+"""A file of identified parameters, laid over a rig."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import yaml
+from pydantic import Field
+
+from calibration.frames import Rigid
+from protocols import BadInput, Problem, document
+from rig.calibrations.folding import as_stated
+from rig.config import (
+    Count,
+    Geometry,
+    Material,
+    NonNegative,
+    Number,
+    Placement,
+    Positive,
+    RigConfig,
+    Section,
+    Triple,
+    Variant,
+    Word,
+    parse,
+)
+from rig.optics import placement_of, rigid
+
+_SAME = 1e-6
+"""Lengths and angles are the same within this part of them."""
+
+
+class Origin(Section):
+    """What was identified: the arm as it was known before, and the model that describes it."""
+
+    variant: Variant
+    modulus_rule: Literal["pointwise"] = Field(description="how each E_i is found; a rig runs none but this")
+    geometry: Geometry
+
+
+class FoundArm(Section):
+    """The arm with what was found."""
+
+    geometry: Geometry
+    material: Material
+    cap_mass_g: NonNegative
+
+
+class Mounting(Section):
+    """The rod base in the frame of the measured tips, and the measured point in the tip frame."""
+
+    base_translation_mm: Triple
+    base_rotation_deg: Triple
+    tool_offset_mm: Triple
+
+
+class Sensing(Section):
+    """Reading over true pressure of each sensor, and how much later than the camera they are."""
+
+    gain: tuple[Positive, ...]
+    lag_s: Number
+
+
+class Estimate(Section):
+    """One parameter that was free."""
+
+    name: Word
+    unit: str
+    run: str = ""
+    verdict: Word
+    value: Number | None
+    std: Number | None
+    interval_95: tuple[Number, Number] | None
+    profile_95: tuple[Number | None, Number | None] | None = None
+    used: Number
+    exchangeable_with: tuple[str, ...] = ()
+
+
+class Residuals(Section):
+    """Measured minus predicted over all runs, and what of it no stated error explains."""
+
+    rms_mm: NonNegative
+    discrepancy_mm: NonNegative
+
+
+class Data(Section):
+    """One run that was used: its archive's id and hash, and how it was met."""
+
+    run: Word
+    sha256: str
+    used_as: Literal["plateaus", "motion"]
+    frames: Count
+    outliers: int
+    rms_before_mm: NonNegative
+    rms_mm: NonNegative
+    residual_mm: tuple[Triple, ...]
+
+
+class ParametersFile(Section):
+    """What `rig identify --to FILE` writes and `--parameters FILE` takes."""
+
+    softrig_parameters: Literal[2] = Field(description="version of this format")
+    identified: Origin
+    arm: FoundArm
+    mounting: Mounting
+    sensing: Sensing
+    estimates: tuple[Estimate, ...]
+    covariance: tuple[tuple[Number, ...], ...]
+    residuals: Residuals
+    data: tuple[Data, ...]
+
+
+@dataclass(frozen=True)
+class Parameters:
+    """A parameter file: what it says, and its text, verbatim."""
+
+    found: ParametersFile
+    source: document.Document
+
+
+def read(path: Path) -> Parameters:
+    """Read a parameter file; `BadInput` with everything that is wrong with it."""
+    source = document.read(path)
+    return Parameters(document.validate(ParametersFile, source), source)
+
+
+def laid_over(rig_yaml: str, file: str | Path, parameters: Parameters, variant: Variant | None = None) -> str:
+    """The YAML of a rig with identified parameters in it; `file` is where the rig's YAML comes from.
+
+    `variant` is the model that was asked for; without it, the rig's own. What hangs in a simulator stays as it was.
+
+    Raises:
+        BadInput: the rig is wrong; or the parameters are of another arm, or of another model.
+    """
+    config = parse(rig_yaml, file)
+    found = parameters.found
+    _check(config, Path(file).name, parameters, variant)
+    data = yaml.safe_load(rig_yaml)
+    _lay(data, found.model_dump(mode="json", include={"arm"}))
+    _lay(data, {"model": {"variant": found.identified.variant}})
+    _scale(data, config, found.sensing)
+    _mount(data, config, found.mounting)
+    if config.simulator is not None and config.simulator.geometry is None:
+        data["simulator"]["geometry"] = config.arm.geometry.model_dump(mode="json")
+    head = f"# {Path(file).name} with the parameters of {Path(parameters.source.file).name}\n"
+    return head + yaml.safe_dump(data, sort_keys=False, width=120, default_flow_style=None)
+
+
+def over(rig_yaml: str, file: str | Path, parameters: Path, variant: Variant | None = None) -> tuple[str, str]:
+    """`laid_over` with the parameters in a file; returns the file's text, too, as it is to be recorded."""
+    found = read(parameters)
+    return laid_over(rig_yaml, file, found, variant), found.source.text
+
+
+def _check(config: RigConfig, rig: str, parameters: Parameters, variant: Variant | None) -> None:
+    """Refuse what was identified on another arm or for another model; every problem at once."""
+    found, source = parameters.found, parameters.source
+    problems = []
+
+    def refuse(where: tuple[str, ...], value: str, expected: str) -> None:
+        mark = source.mark(where)
+        problems.append(Problem(source.file, mark.line, mark.column, ".".join(where), value, expected))
+
+    asked = variant or config.model.variant
+    if found.identified.variant != asked:
+        by = "that was asked for" if variant else f"of {rig}"
+        refuse(("identified", "variant"), found.identified.variant, f"{asked}, the model {by}; another with --model")
+    now, then = config.arm.geometry, found.identified.geometry
+    if len(then.actuator_angles_deg) != config.actuators:
+        refuse(
+            ("identified", "geometry", "actuator_angles_deg"),
+            f"{len(then.actuator_angles_deg)} actuators",
+            f"{config.actuators}, as {rig} has",
+        )
+    elif (other := _different(now, then)) and _different(now, found.arm.geometry):
+        for name in other:
+            mine, theirs = (", ".join(f"{x:.6g}" for x in np.ravel(getattr(g, name))) for g in (now, then))
+            refuse(("identified", "geometry", name), theirs, f"{mine}, as {rig} has: it is another arm")
+    if len(found.sensing.gain) != config.actuators and not problems:
+        refuse(("sensing", "gain"), f"{len(found.sensing.gain)} numbers", f"one for each of {config.actuators} sensors")
+    n = len(found.estimates)
+    if [len(row) for row in found.covariance] != [n] * n:
+        refuse(("covariance",), f"{len(found.covariance)} rows", f"{n} rows of {n} numbers, as there are estimates")
+    if problems:
+        raise BadInput(problems)
+
+
+def _different(one: Geometry, other: Geometry) -> list[str]:
+    """The fields in which two geometries of as many actuators differ; angles may differ by whole turns."""
+    found = []
+    for name in Geometry.model_fields:
+        a, b = np.ravel(getattr(one, name)), np.ravel(getattr(other, name))
+        gap = (a - b + 180) % 360 - 180 if name == "actuator_angles_deg" else a - b
+        if (np.abs(gap) > _SAME * max(1.0, np.abs(a).max())).any():
+            found.append(name)
+    return found
+
+
+def _lay(under: dict[str, Any], over: Mapping[str, Any]) -> None:
+    for key, value in over.items():
+        if isinstance(value, Mapping):
+            _lay(under.setdefault(key, {}), value)
+        else:
+            under[key] = value
+
+
+def _scale(data: dict[str, Any], config: RigConfig, sensing: Sensing) -> None:
+    """Take what the sensors read too much off their scales."""
+    if all(gain == 1 for gain in sensing.gain):
+        return
+    if config.simulator is not None and config.simulator.built is None:
+        data["simulator"]["built"] = as_stated(config)
+    for sensor, known in zip(data["sensors"], config.sensors, strict=True):
+        sensor["span_bar"] = [bar / sensing.gain[known.actuator - 1] for bar in known.span_bar]
+
+
+def _mount(data: dict[str, Any], config: RigConfig, mounting: Mounting) -> None:
+    """Move cameras and board so that the measured tips are those of the arm's own base and tip."""
+    base = Placement(translation_mm=mounting.base_translation_mm, rotation_deg=mounting.base_rotation_deg)
+    if any((*base.translation_mm, *base.rotation_deg)):
+        back = rigid(base).inverse()
+        for name, camera in config.cameras.items():
+            _place(data["cameras"][name], "placement", camera.placement, back)
+        if config.simulator is not None:
+            _place(data["simulator"], "base", config.simulator.base, back)
+    if any(mounting.tool_offset_mm):
+        moved = np.array(config.board.placement.translation_mm) + np.array(mounting.tool_offset_mm)
+        data["board"].setdefault("placement", {})["translation_mm"] = moved.tolist()
+        if config.simulator is not None and config.simulator.board is None:
+            data["simulator"]["board"] = config.board.placement.model_dump(mode="json")
+
+
+def _place(data: dict[str, Any], key: str, known: Placement, back: Rigid) -> None:
+    """Carry a placement from one rod base to another; how well it is known stays."""
+    moved = placement_of(back @ rigid(known)).model_dump(mode="json", include={"translation_mm", "rotation_deg"})
+    data[key] = {**known.model_dump(mode="json"), **moved}
