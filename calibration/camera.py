@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from calibration.corners import sharpen, spacing
+from calibration.coverage import Coverage, look
 from calibration.lens import Lens
 from calibration.views import View, views_in
 
@@ -23,17 +25,24 @@ _CONVERGED = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 200, 1e-10)
 _LEAST_VIEWS = 4
 # A view whose rms is so many times the median's shows a corner that was mistaken, or a board that moved.
 _OUTLYING = 3.0
-# Where the board should have been seen: cells of the picture, and tilts.
-_CELLS = (4, 3)
-_ENOUGH_CELLS = 0.75
-_ENOUGH_TILT_DEG = 20.0
-_ENOUGH_VIEWS = 10
+# Boards are sought in pictures of at most this width: corners need no more, and they are sharpened in the whole one.
+_WIDTH_PX = 1000
+# More than this is not noise of pixels: a bent board, a moved one, or another kind of lens.
+_LARGE_PX = 1.0
 
 PARAMETERS = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
 
 
 class CalibrationError(Exception):
     """The views do not determine the camera; the message says what is missing."""
+
+
+class LeftOut(NamedTuple):
+    """A view that was not used, and why."""
+
+    name: str
+    reason: str
+    sha256: str
 
 
 @dataclass(frozen=True)
@@ -52,17 +61,10 @@ class CalibratedView:
         """Root mean square distance between measured and projected corners."""
         return float(np.sqrt(np.mean(np.sum(self.residuals_px**2, axis=1))))
 
-    @property
-    def tilt_deg(self) -> float:
-        """Angle between the board's normal and the line of sight."""
-        rotation, _ = cv2.Rodrigues(self.rotation_vector)
-        sight = self.translation_m / np.linalg.norm(self.translation_m)
-        return float(np.degrees(np.arccos(np.clip(abs(rotation[:, 2] @ sight), 0, 1))))
-
 
 @dataclass(frozen=True)
 class CameraCalibration:
-    """A camera's intrinsics: `parameters` and their standard uncertainties `std`, both (9,) in order of PARAMETERS.
+    """A camera's intrinsics: `parameters` (9,) in order of PARAMETERS and their `covariance` (9, 9).
 
     `skipped` says of every view that was not used why it was not.
     """
@@ -72,10 +74,15 @@ class CameraCalibration:
     corners: tuple[int, int]
     square_m: float
     parameters: Floats
-    std: Floats
+    covariance: Floats
     rms_px: float
     views: tuple[CalibratedView, ...]
-    skipped: tuple[tuple[str, str], ...]
+    skipped: tuple[LeftOut, ...]
+
+    @property
+    def std(self) -> Floats:
+        """Standard uncertainties (9,)."""
+        return np.asarray(np.sqrt(np.diag(self.covariance)))
 
     @property
     def lens(self) -> Lens:
@@ -84,26 +91,18 @@ class CameraCalibration:
         return Lens.of(fx, fy, cx, cy, tuple(distortion))
 
     @property
-    def coverage(self) -> float:
-        """Share of the picture's cells in which some corner was seen."""
-        corners = np.concatenate([v.corners_px for v in self.views])
-        cells = np.floor(corners / (self.width_px, self.height_px) * _CELLS).astype(int)
-        return len({tuple(c) for c in cells.tolist()}) / (_CELLS[0] * _CELLS[1])
+    def coverage(self) -> Coverage:
+        """What the views show of picture, tilt and distance."""
+        size, focal = (self.width_px, self.height_px), float(self.parameters[0])
+        return Coverage(size, [look(v.corners_px, self.corners, size, focal) for v in self.views])
 
     @property
     def advice(self) -> tuple[str, ...]:
-        """What more views would help, in plain words; empty when these are enough."""
-        wants = []
-        if len(self.views) < _ENOUGH_VIEWS:
-            wants.append(f"take at least {_ENOUGH_VIEWS} views; {len(self.views)} could be used")
-        if self.coverage < _ENOUGH_CELLS:
-            wants.append(
-                f"show the board near the edges and corners too: it covered {self.coverage:.0%} of the picture"
-            )
-        tilt = max(v.tilt_deg for v in self.views)
-        if tilt < _ENOUGH_TILT_DEG:
-            wants.append(f"tilt the board by 20 to 45 deg: the largest tilt was {tilt:.0f} deg, so f is uncertain")
-        return tuple(wants)
+        """What would make the calibration better, in plain words; empty when it is good enough."""
+        wants = self.coverage.advice()
+        if self.rms_px > _LARGE_PX:
+            wants += (f"the residuals are large ({self.rms_px:.2f} px): is the board flat, and the lens no fisheye?",)
+        return wants
 
 
 def calibrate(source: Path, corners: tuple[int, int], square_m: float, every: int = 1) -> CameraCalibration:
@@ -123,7 +122,7 @@ def calibrate_views(views: Iterable[View], corners: tuple[int, int], square_m: f
     if not square_m > 0:
         raise CalibrationError(f"a square of {square_m} m has no size")
     found: list[tuple[View, Floats]] = []
-    skipped: list[tuple[str, str]] = []
+    skipped: list[LeftOut] = []
     size: tuple[int, int] | None = None
     for view in views:
         height, width = view.image.shape
@@ -132,7 +131,9 @@ def calibrate_views(views: Iterable[View], corners: tuple[int, int], square_m: f
         size = (width, height)
         seen = find_corners(view.image, corners)
         if seen is None:
-            skipped.append((view.name, f"no board of {corners[0]}x{corners[1]} inner corners found"))
+            skipped.append(
+                LeftOut(view.name, f"no board of {corners[0]}x{corners[1]} inner corners found", view.sha256)
+            )
         else:
             found.append((view, seen))
     if size is None or len(found) < _LEAST_VIEWS:
@@ -142,22 +143,28 @@ def calibrate_views(views: Iterable[View], corners: tuple[int, int], square_m: f
             "board evenly"
         )
     result = _solve(found, size, corners, square_m, skipped)
-    usual = float(np.median([v.rms_px for v in result.views]))
-    bad = {v.name: v.rms_px for v in result.views if v.rms_px > _OUTLYING * usual}
-    if bad and len(found) - len(bad) >= _LEAST_VIEWS:
-        skipped += [(n, f"residual {r:.2f} px where the median is {usual:.2f} px") for n, r in bad.items()]
-        result = _solve([f for f in found if f[0].name not in bad], size, corners, square_m, skipped)
+    # The worst view draws the others with it: one at a time, and each is judged by what is left.
+    while len(result.views) > _LEAST_VIEWS:
+        usual = float(np.median([v.rms_px for v in result.views]))
+        worst = max(range(len(found)), key=lambda k: result.views[k].rms_px)
+        if result.views[worst].rms_px <= _OUTLYING * usual:
+            break
+        view, _ = found.pop(worst)
+        why = f"residual {result.views[worst].rms_px:.2f} px where the median is {usual:.2f} px"
+        skipped.append(LeftOut(view.name, why, view.sha256))
+        result = _solve(found, size, corners, square_m, skipped)
     return result
 
 
 def find_corners(image: Image, corners: tuple[int, int]) -> Floats | None:
-    """Corners (n, 2) of any checkerboard in a grey picture, to sub-pixel; which end comes first is left open."""
-    found, raw = cv2.findChessboardCorners(image, corners, flags=_FLAGS)
-    if not found:
-        found, raw = cv2.findChessboardCornersSB(image, corners, flags=cv2.CALIB_CB_NORMALIZE_IMAGE)
-    if not found:
+    """Corners (n, 2) of any checkerboard in a grey picture, to sub-pixel, in rows as seen from the print's front.
+
+    Which end comes first is told by the colours where one count is odd and the other even, the first square between
+    corners being the dark one; on other boards it is left open.
+    """
+    seeds = _seeds(image, corners)
+    if seeds is None:
         return None
-    seeds = np.asarray(raw, dtype=np.float64).reshape(-1, 2)
     sharp = sharpen(image, seeds, corners)
     if sharp is not None:
         return sharp.px
@@ -166,17 +173,52 @@ def find_corners(image: Image, corners: tuple[int, int]) -> Floats | None:
     return np.asarray(refined[:, 0, :], dtype=np.float64)
 
 
+def _seeds(image: Image, corners: tuple[int, int]) -> Floats | None:
+    """Corners (n, 2) to about a pixel."""
+    scale = max(1, -(-image.shape[1] // _WIDTH_PX))
+    for factor in {scale, 1}:
+        small = image
+        if factor > 1:
+            size = (image.shape[1] // factor, image.shape[0] // factor)
+            small = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
+        # At full width only what looks like a board is searched: a picture without one takes seconds otherwise.
+        fast = cv2.CALIB_CB_FAST_CHECK if factor < scale else 0
+        found, raw = cv2.findChessboardCorners(small, corners, flags=_FLAGS | fast)
+        if not found and not fast:
+            found, raw = cv2.findChessboardCornersSB(small, corners, flags=cv2.CALIB_CB_NORMALIZE_IMAGE)
+        if found:
+            # A pixel's centre moves with the scale.
+            seeds = (np.asarray(raw, dtype=np.float64).reshape(corners[1], corners[0], 2) + 0.5) * factor - 0.5
+            return _in_order(image, seeds).reshape(-1, 2)
+    return None
+
+
+def _in_order(image: Image, grid: Floats) -> Floats:
+    """Corners (rows, columns, 2) turned as the colours say."""
+    along, down = grid[0, -1] - grid[0, 0], grid[-1, 0] - grid[0, 0]
+    if along[0] * down[1] - along[1] * down[0] < 0:  # seen from the front, rows run clockwise before columns
+        grid = grid[::-1]
+    rows, columns = grid.shape[:2]
+    if (rows + columns) % 2 == 0:
+        return grid
+    middles = (grid[1:, 1:] + grid[1:, :-1] + grid[:-1, 1:] + grid[:-1, :-1]) / 4
+    spots = middles.astype(np.float32)
+    greys = cv2.remap(image, spots[..., 0], spots[..., 1], cv2.INTER_LINEAR).astype(np.float64)
+    first = np.indices(greys.shape).sum(axis=0) % 2 == 0
+    return grid if greys[first].mean() < greys[~first].mean() else grid[::-1, ::-1]
+
+
 def _solve(
     found: list[tuple[View, Floats]],
     size: tuple[int, int],
     corners: tuple[int, int],
     square_m: float,
-    skipped: list[tuple[str, str]],
+    skipped: list[LeftOut],
 ) -> CameraCalibration:
     grid = np.zeros((corners[0] * corners[1], 3), np.float32)
     grid[:, :2] = np.indices(corners).T.reshape(-1, 2) * square_m
     points = [c.astype(np.float32).reshape(-1, 1, 2) for _, c in found]
-    rms, matrix, distortion, rotations, translations, std, _, _ = cv2.calibrateCameraExtended(
+    rms, matrix, distortion, rotations, translations = cv2.calibrateCamera(
         [grid] * len(found), points, size, np.eye(3), np.zeros(5), criteria=_CONVERGED
     )
     lens = Lens(np.asarray(matrix, dtype=np.float64), np.asarray(distortion, dtype=np.float64).ravel()[:5])
@@ -187,5 +229,21 @@ def _solve(
         used.append(CalibratedView(view.name, view.sha256, seen, residuals, vector, offset))
     m = lens.matrix
     parameters = np.concatenate([[m[0, 0], m[1, 1], m[0, 2], m[1, 2]], lens.distortion])
-    spread = np.asarray(std, dtype=np.float64).ravel()[:9]
-    return CameraCalibration(*size, corners, square_m, parameters, spread, float(rms), tuple(used), tuple(skipped))
+    covariance = _covariance(grid.astype(np.float64), lens, used)
+    return CameraCalibration(*size, corners, square_m, parameters, covariance, float(rms), tuple(used), tuple(skipped))
+
+
+def _covariance(grid: Floats, lens: Lens, views: Sequence[CalibratedView]) -> Floats:
+    """Covariance (9, 9) of the intrinsics with every view's pose free: the poses are eliminated view by view."""
+    normal = np.zeros((len(PARAMETERS), len(PARAMETERS)))
+    squares, count = 0.0, 0
+    for view in views:
+        _, slope = cv2.projectPoints(grid, view.rotation_vector, view.translation_m, lens.matrix, lens.distortion)
+        pose, own = slope[:, :6], slope[:, 6 : 6 + len(PARAMETERS)]
+        mixed = pose.T @ own
+        normal += own.T @ own - mixed.T @ np.linalg.solve(pose.T @ pose, mixed)
+        squares += float(np.sum(view.residuals_px**2))
+        count += view.residuals_px.size
+    freedom = max(count - len(PARAMETERS) - 6 * len(views), 1)
+    inverse = np.linalg.pinv(normal, hermitian=True)
+    return np.asarray(squares / freedom * (inverse + inverse.T) / 2)

@@ -31,7 +31,7 @@ class View:
 
 
 def views_in(source: Path, every: int = 1) -> Generator[View, None, None]:
-    """Yield the pictures of a folder, by name, or every so many frames of a video.
+    """Yield the pictures of a folder or of a pattern such as views/left*.jpg, by name, or every so many video frames.
 
     Raises:
         ViewsError: the source does not exist, or holds no picture.
@@ -43,6 +43,11 @@ def views_in(source: Path, every: int = 1) -> Generator[View, None, None]:
         yield from _pictures(files)
     elif source.is_file() and source.suffix.lower() in VIDEO_SUFFIXES:
         yield from _frames(source, every)
+    elif any(sign in source.name for sign in "*?[") and not source.exists():
+        files = sorted(p for p in source.parent.glob(source.name) if p.suffix.lower() in IMAGE_SUFFIXES)
+        if not files:
+            raise ViewsError(f"{source} matches no picture ({', '.join(sorted(IMAGE_SUFFIXES))})")
+        yield from _pictures(files)
     elif source.exists():
         raise ViewsError(f"{source} is neither a folder nor a video ({', '.join(sorted(VIDEO_SUFFIXES))})")
     else:

@@ -72,7 +72,7 @@ def test_a_folder_says_which_views_it_could_not_use_and_what_would_help(tmp_path
     folder = _write(tmp_path, _rendered(5))
     cv2.imwrite(str(folder / "blank.png"), np.full((480, 640), 90, np.uint8))
     found = calibrate(folder, (9, 6), 0.016)
-    assert [name for name, _ in found.skipped] == ["blank.png"]
+    assert [name for name, _, _ in found.skipped] == ["blank.png"]
     assert "no board" in found.skipped[0][1]
     assert any("at least 10 views" in want for want in found.advice)
 
@@ -84,7 +84,7 @@ def test_a_view_with_mistaken_corners_is_left_out_with_its_residual() -> None:
     wavy = cv2.remap(straight, x + 4 * np.sin(y / 30), y, cv2.INTER_LINEAR)
     views[3] = View("bent", np.asarray(wavy, dtype=np.uint8), "")
     found = calibrate_views(iter(views), (9, 6), 0.016)
-    assert [name for name, _ in found.skipped] == ["bent"]
+    assert [name for name, _, _ in found.skipped] == ["bent"]
     assert "residual" in found.skipped[0][1]
     assert found.rms_px < 0.05
 

@@ -9,7 +9,16 @@ import typer
 
 from rig.commands.options import AsJson
 
-app = typer.Typer(no_args_is_help=True, help="Calibrate a camera.")
+app = typer.Typer(no_args_is_help=True, help="Calibrate cameras, DLT, tool and pressures; each leaves a dated file.")
+
+Corners = Annotated[str, typer.Option(help="Inner corners of the board, as 9x6.")]
+SquareMm = Annotated[float, typer.Option(help="Edge of a square [mm].")]
+Every = Annotated[int, typer.Option(help="Of a video, every so many frames.", min=1)]
+RigFile = Annotated[str | None, typer.Option("--rig", help="Rig whose cameras these are: name or file.")]
+To = Annotated[Path | None, typer.Option("--to", metavar="FILE", help="Where the result goes; default: a dated name.")]
+Replace = Annotated[bool, typer.Option("--replace", help="Write over an existing file.")]
+Note = Annotated[str, typer.Option(help="A remark; goes into the file.")]
+Seed = Annotated[int, typer.Option(help="Seed of the simulator.", min=0)]
 
 
 @app.callback()
@@ -19,17 +28,28 @@ def group() -> None:
 
 @app.command()
 def camera(
-    views: Annotated[Path, typer.Argument(metavar="FOLDER|VIDEO", help="Pictures or a video of the board.")],
-    corners: Annotated[str, typer.Option(help="Inner corners of the board, as 9x6.")],
-    square_mm: Annotated[float, typer.Option(help="Edge of a square [mm].")],
-    every: Annotated[int, typer.Option(help="Of a video, every so many frames.", min=1)] = 1,
+    views: Annotated[
+        list[str] | None,
+        typer.Argument(metavar="[NAME=]VIEWS..", help="Folder, video or pattern ('views/left*.jpg') for each camera."),
+    ] = None,
+    corners: Corners = "",
+    square_mm: SquareMm = 0.0,
+    live: Annotated[bool, typer.Option("--live", help="Take the views from the rig's camera now.")] = False,
+    rig: RigFile = None,
+    camera: Annotated[str | None, typer.Option(help="Name of the camera in the rig's file.")] = None,
+    count: Annotated[int, typer.Option("--views", help="Live views to keep.", min=4)] = 20,
+    every: Every = 1,
+    to: To = None,
+    replace: Replace = False,
+    note: Note = "",
+    seed: Seed = 0,
     json: AsJson = False,
 ) -> None:
-    """Find a camera's intrinsics and distortion from views of a checkerboard."""
-    from calibration.camera import calibrate
-    from rig import calibrated
+    """Find cameras' intrinsics and distortion from views of a checkerboard."""
+    from rig.calibrations import camera as procedure
 
-    columns, cross, rows = corners.partition("x")
-    if not (cross and columns.isdigit() and rows.isdigit()):
-        raise typer.BadParameter(f"'{corners}' is not of the form 9x6", param_hint="--corners")
-    calibrated.camera(calibrate(views, (int(columns), int(rows)), square_mm * 1e-3, every), json)
+    procedure.run(
+        procedure.Asked(
+            tuple(views or ()), corners, square_mm, live, rig, camera, count, every, to, replace, note, seed, json
+        )
+    )

@@ -1,0 +1,114 @@
+"""`rig calibrate camera`: views in, intrinsics with a picture of their residuals out."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+import typer
+
+from calibration.board import Board
+from calibration.camera import calibrate, calibrate_views
+from calibration.views import View
+from rig.calibrations import making, picture, screens, sources
+from rig.calibrations.collecting import collect, pictures
+from rig.calibrations.files import default_path, refuse_existing, write
+from rig.calibrations.sources import bad
+from rig.config import RigConfig
+from rig.keys import Keys
+from rig.listing import plain_json
+from rig.screens import console
+
+
+@dataclass(frozen=True)
+class Asked:
+    """The command line."""
+
+    views: tuple[str, ...]
+    corners: str
+    square_mm: float
+    live: bool
+    rig: str | None
+    camera: str | None
+    count: int
+    every: int
+    to: Path | None
+    replace: bool
+    note: str
+    seed: int
+    json: bool
+
+
+def run(asked: Asked) -> None:
+    """Calibrate every camera that was named, and write a file and a picture for each.
+
+    Raises:
+        BadInput: the command line cannot be.
+        ViewsError, CalibrationError: the views do not determine a camera.
+        CameraError: a live camera gives no pictures.
+    """
+    corners, square_m = sources.corners_of(asked.corners), sources.square_of(asked.square_mm)
+    rig = sources.rig_of(asked.rig)
+    screen = console(stderr=asked.json)
+    if asked.to is not None:
+        if len(asked.views) > 1:
+            raise bad("--to", str(asked.to), "one camera at a time; each of several gets a dated name of its own")
+        refuse_existing(asked.to, asked.replace)
+    if asked.live:
+        if asked.views:
+            raise bad("--live", asked.views[0], "either views that are there or live ones")
+        if rig is None:
+            raise bad("--live", "", "--rig as well: whose camera is it?")
+        name = sources.known_camera(rig, asked.camera or next(iter(rig.cameras)))
+        file = asked.to or default_path(f"camera-{name}")
+        views = _live(asked, rig, name, corners, square_m, file)
+        listed = [(name, file, calibrate_views(views, corners, square_m))]
+    else:
+        if not asked.views:
+            raise bad("VIEWS", "", "a folder, a video or a pattern of the board's pictures; or --live")
+        if asked.camera is not None and rig is not None:
+            sources.known_camera(rig, asked.camera)
+        listed = [
+            (
+                s.camera,
+                asked.to or default_path(f"camera-{s.camera}"),
+                calibrate(s.views, corners, square_m, asked.every),
+            )
+            for s in sources.sources_of(list(asked.views), rig, asked.camera)
+        ]
+    facts = {}
+    for name, file, found in listed:
+        made = write(
+            making.camera_file(found, sources.identity(rig, name, found), asked.note), file, replace=asked.replace
+        )
+        drawn = picture.write(found, f"camera {name}", made.with_suffix(".png"))
+        facts[name] = screens.camera_facts(found, made, drawn)
+        if not asked.json:
+            screens.camera(found, name, screen)
+            _finish(made, drawn, rig)
+    if asked.json:
+        only = next(iter(facts.values())) if len(facts) == 1 else {"cameras": facts}
+        typer.echo(json.dumps(plain_json(only), indent=2))
+
+
+def _finish(made: Path, drawn: Path, rig: RigConfig | None) -> None:
+    typer.echo(f"{made}\n{drawn}")
+    if rig is None:
+        typer.echo("to use it, give the camera's name with NAME=VIEWS and put the file under `calibrations:` of a rig")
+
+
+def _live(asked: Asked, rig: RigConfig, name: str, corners: tuple[int, int], square_m: float, file: Path) -> list[View]:
+    """Views from the rig's camera, kept as pictures beside the file."""
+    board = Board(corners[0] + 1, corners[1] + 1, square_m)
+    folder = file.with_name(f"{file.stem}-views")
+    typer.echo(f"views go to {folder}; Enter: enough, Ctrl-C: give up", err=True)
+    with Keys() as keys:
+        return collect(
+            pictures(rig, name, board, asked.seed),
+            corners,
+            asked.count,
+            folder,
+            lambda line: typer.echo(line, err=True),
+            lambda: "\n" in keys.pressed(),
+        )
