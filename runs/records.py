@@ -92,6 +92,25 @@ def observation_dtype(actuators: int) -> np.dtype[np.void]:
     )
 
 
+def adaptation_dtype(parameters: int) -> np.dtype[np.void]:
+    """What the recursive estimator made of one camera frame, in the order of `RunHeader.adapted`.
+
+    `value` (P,) and `covariance` (P, P) are the estimates after the frame, each in its own unit; `used` is 0 where the
+    frame told nothing and they are as before. `start_model_m` is the tip by the parameters that the run began with;
+    the observation's `model_m` is that by the estimates before the frame.
+    """
+    return np.dtype(
+        [
+            ("t_ns", "<i8"),
+            ("frame", "<i8"),
+            ("used", "<i4"),
+            ("start_model_m", "<f8", (3,)),
+            ("value", "<f8", (parameters,)),
+            ("covariance", "<f8", (parameters, parameters)),
+        ]
+    )
+
+
 @dataclass(frozen=True)
 class Event:
     """Something that happened: armed, limit, abort, fault, recovered, a prompt, an operator's answer."""
@@ -129,7 +148,8 @@ class Interval:
 class Quantity:
     """A number that was used by the run, with where it comes from.
 
-    `room` is `calibration` or `model`; `uncertainty` is one standard deviation, NaN where it is not known.
+    `room` is `calibration`, `model` or `adaptation`; `uncertainty` is one standard deviation, NaN where it is not
+    known.
     """
 
     room: str
@@ -173,6 +193,8 @@ class RunHeader:
     """Run id that a replay was made from; empty for a run."""
     parameters_yaml: str = ""
     """File of identified parameters that was laid over the rig, verbatim; `rig_yaml` has them in it."""
+    adapted: tuple[Quantity, ...] = ()
+    """What the recursive estimator estimates: name, unit, the value it starts from and how well that is known."""
     control_hz: float = 200.0
     camera_hz: float = 30.0
 

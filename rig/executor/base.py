@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from protocols import Trajectory
 from rig.config import RigConfig, Variant
-from runs.records import Event, Picture, Status
+from runs.records import Event, Picture, Quantity, Status
 
 
 @dataclass(frozen=True)
@@ -24,6 +24,8 @@ class Plan:
     trajectory: Trajectory
     variant: Variant
     seed: int
+    adapted: tuple[Quantity, ...] = ()
+    """What the recursive estimator estimates beside the run; nothing by default."""
 
 
 @dataclass(frozen=True)
@@ -47,6 +49,9 @@ class Progress:
     missed: int
     prompt: str | None
     held: bool = False
+    adapted: tuple[Quantity, ...] = ()
+    adaptation: NDArray[np.void] | None = None
+    """The newest row of the recursive estimator, in the order of `adapted`."""
 
 
 class Recorder(Protocol):
@@ -57,6 +62,9 @@ class Recorder(Protocol):
 
     def observations(self, rows: NDArray[np.void]) -> None:
         """Record camera frames."""
+
+    def adaptations(self, rows: NDArray[np.void]) -> None:
+        """Record what the recursive estimator found."""
 
     def picture(self, picture: Picture) -> None:
         """Record a camera picture."""

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from rig.config import RigConfig
 from rig.executor.ring import Ring, ring_bytes
-from runs.records import Event, Level, observation_dtype, sample_dtype
+from runs.records import Event, Level, adaptation_dtype, observation_dtype, sample_dtype
 
 SAMPLES = 4096
 OBSERVATIONS = 1024
@@ -84,13 +84,14 @@ class Layout:
     valves: int
     picture_bytes: int
     corners: int
+    adapted: int = 0
 
     @classmethod
-    def of(cls, config: RigConfig) -> Layout:
-        """The layout for one rig. A picture slot holds the largest camera's frame uncompressed."""
+    def of(cls, config: RigConfig, adapted: int = 0) -> Layout:
+        """The layout for one rig and so many adapted parameters. A picture slot holds the largest camera's frame."""
         largest = max((c.width_px * c.height_px for c in config.cameras.values()), default=0)
         corners = (config.board.squares_x - 1) * (config.board.squares_y - 1)
-        return cls(config.actuators, len(config.valves), largest * 3 + 4096, corners)
+        return cls(config.actuators, len(config.valves), largest * 3 + 4096, corners, adapted)
 
 
 def view_dtype(layout: Layout) -> np.dtype[np.void]:
@@ -117,8 +118,8 @@ def view_dtype(layout: Layout) -> np.dtype[np.void]:
 class RunMemory:
     """A view of the shared memory of one run. Whoever has the file descriptor has the memory; it needs no clean-up.
 
-    `board` is one structured row of flags, each with one writer. `samples` and `observations` are rings of the
-    records of `runs.records`.
+    `board` is one structured row of flags, each with one writer. `samples`, `observations` and `adaptations` are rings
+    of the records of `runs.records`.
     """
 
     def __init__(self, fd: int, layout: Layout, *, readonly: bool = False) -> None:
@@ -135,6 +136,7 @@ class RunMemory:
             ring_bytes(_EVENT, EVENTS),
             ring_bytes(view_dtype(layout), VIEWS),
             layout.picture_bytes * VIEWS,
+            ring_bytes(adaptation_dtype(layout.adapted), OBSERVATIONS),
         )
         edges = [0, *np.cumsum(sizes).tolist()]
         if os.fstat(fd).st_size == 0:
@@ -150,6 +152,7 @@ class RunMemory:
         self._events: Ring[np.void] = Ring(parts[5], _EVENT, EVENTS)
         self._views: Ring[np.void] = Ring(parts[6], view_dtype(layout), VIEWS)
         self._shown = parts[7]
+        self.adaptations: Ring[np.void] = Ring(parts[8], adaptation_dtype(layout.adapted), OBSERVATIONS)
 
     @classmethod
     def create(cls, layout: Layout) -> RunMemory:

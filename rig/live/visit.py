@@ -65,7 +65,7 @@ class Visit:
         with os.fdopen(plan_fd, "rb") as file:
             file.seek(0)
             self.plan: Plan = pickle.load(file)  # from our own user's run, through a folder that is his alone
-        self.memory = RunMemory(memory_fd, Layout.of(self.plan.config), readonly=True)
+        self.memory = RunMemory(memory_fd, Layout.of(self.plan.config, len(self.plan.adapted)), readonly=True)
         door.setblocking(False)
         self.over = False
 
