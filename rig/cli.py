@@ -166,12 +166,17 @@ def protocols() -> None:
 
 
 @app.command()
-def doctor(out: Folder = Path("data"), json: AsJson = False) -> None:
+def doctor(
+    rig: Annotated[str, typer.Option(help="A rig of yours, by name or file: are its cards as it wants them?")] = "",
+    out: Folder = Path("data"),
+    json: AsJson = False,
+) -> None:
     """Say what this machine offers a rig, and what to do about what is missing."""
     from rig import screens
+    from rig.config import load
     from rig.doctor import examine
 
-    findings = examine(out)
+    findings = examine(out, load(rig) if rig else None)
     if json:
         typer.echo(screens.findings_json(findings))
     else:

@@ -14,9 +14,9 @@ from rich.text import Text
 
 from rig.config import PA_PER_BAR
 from rig.control import safe_voltages
-from rig.doctor import Finding
 from rig.executor.base import Plan
 from rig.experiment import Request, Result
+from rig.finding import Finding
 from rig.reproduce import Table4Row
 from runs.records import Status
 

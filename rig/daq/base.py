@@ -13,7 +13,12 @@ from numpy.typing import NDArray
 
 
 class CardError(Exception):
-    """The card could not be opened, read or written; the message says what to do about it."""
+    """The card could not be opened, read or written: `what` is wrong, and the `remedy` where there is one."""
+
+    def __init__(self, what: str, remedy: str = "") -> None:
+        super().__init__(f"{what}: {remedy}" if remedy else what)
+        self.what = what
+        self.remedy = remedy
 
 
 @dataclass(frozen=True)

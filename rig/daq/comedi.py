@@ -87,6 +87,11 @@ class ComediCard:
         return f"{self._device.board} (driver {self._device.driver}, {self._device.path})"
 
     @property
+    def outputs_there(self) -> int:
+        """How many analogue outputs the card has, used or not."""
+        return self._device.outputs.channels if self._device.outputs else 0
+
+    @property
     def period_ns(self) -> float | None:
         """From one scan to the next as the driver rounded it; None where the card does not sample by its own clock."""
         return self._sampler.period_ns if isinstance(self._sampler, _Commanded) else None

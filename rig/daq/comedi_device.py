@@ -9,6 +9,7 @@ import contextlib
 import errno
 import grp
 import os
+import pwd
 import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -183,10 +184,8 @@ class Device:
         pc = _pycomedi()
         self.path = path
         # Comedilib keeps no reason that could be trusted, so the kernel is asked first.
-        try:
-            os.close(os.open(path, os.O_RDWR))
-        except OSError as error:
-            raise CardError(_why_closed(path, error)) from None
+        if (trouble := closed(path)) is not None:
+            raise trouble
         self._device = pc.Device(os.fsencode(path))
         with _told(path, "it exists, but no card is attached to it"):
             self._device.open()
@@ -194,6 +193,8 @@ class Device:
             with _told(path, "it cannot be asked what it is"):
                 self.driver = _text(self._device.get_driver_name())
                 self.board = _text(self._device.get_board_name())
+                self.subdevices = tuple((s.get_type().name, int(s.get_n_channels())) for s in self._device.subdevices())
+                """What the card has: Comedi's short name of the kind (`ai`, `dio`, ...), and how many channels."""
                 self.inputs = self._analogue(pc.SUBDEVICE_TYPE.ai, "input")
                 self.outputs = self._analogue(pc.SUBDEVICE_TYPE.ao, "output")
             os.set_blocking(self.fileno, False)
@@ -254,7 +255,7 @@ class _Names:
             from pycomedi.device import Device as PyComediDevice
             from pycomedi.subdevice import StreamingSubdevice
         except ImportError as error:
-            raise CardError(f"pycomedi is not installed ({error}): run `make comedi` in softrig's folder") from None
+            raise CardError(f"pycomedi is not installed ({error})", "run `make comedi` in softrig's folder") from None
         finally:
             if before is None:
                 del sys.modules["comedi"]
@@ -302,26 +303,42 @@ def _triggers(flags: Any) -> Trigger:
     return chosen
 
 
-def _why_closed(path: str, error: OSError) -> str:
+def closed(path: str) -> CardError | None:
+    """Why the kernel does not let this process open a device, and what to do; None where it does."""
+    try:
+        os.close(os.open(path, os.O_RDWR))
+    except OSError as error:
+        return _why_closed(path, error)
+    return None
+
+
+def _why_closed(path: str, error: OSError) -> CardError:
     if error.errno == errno.ENOENT:
         present = ", ".join(device_paths()) or "none"
-        return (
-            f"{path} does not exist (Comedi devices present: {present}). Load the card's driver, for example "
-            "`sudo modprobe adv_pci1710`; `rig doctor` says which one the card needs"
+        return CardError(
+            f"{path} does not exist (Comedi devices present: {present})",
+            "load the card's driver, for example `sudo modprobe adv_pci1710`; `rig doctor` says which one it is",
         )
     if error.errno in (errno.EACCES, errno.EPERM):
-        owner = grp.getgrgid(Path(path).stat().st_gid).gr_name
-        if owner == "root":
-            return f"no permission to open {path}: install libcomedi0, whose udev rule opens it to the group iocard"
-        return f"no permission to open {path}: `sudo adduser $USER {owner}`, then log in again"
+        return CardError(f"no permission to open {path}", _how_to_join(grp.getgrgid(Path(path).stat().st_gid)))
     if error.errno == errno.EBUSY:
-        return (
-            f"{path} allows one process at a time and is open already{_holders(path)}: end that process. On such a "
-            "card the watchdog cannot have a handle of its own, so runs are refused"
+        return CardError(
+            f"{path} allows one process at a time and is open already{_holders(path)}",
+            "end that process. On such a card the watchdog cannot have a handle of its own, so runs are refused",
         )
     if error.errno in (errno.ENXIO, errno.ENODEV):
-        return f"{path} exists, but no card is attached to it: load the card's driver (`rig doctor` says which)"
-    return f"{path} cannot be opened: {error.strerror}"
+        return CardError(
+            f"{path} exists, but no card is attached to it", "load the card's driver (`rig doctor` says which)"
+        )
+    return CardError(f"{path} cannot be opened: {error.strerror}")
+
+
+def _how_to_join(owner: grp.struct_group) -> str:
+    if owner.gr_name == "root":
+        return "install libcomedi0, whose udev rule opens it to the group iocard"
+    if pwd.getpwuid(os.getuid()).pw_name in owner.gr_mem:
+        return f"you are in its group {owner.gr_name} since after you logged in: log in again"
+    return f"`sudo adduser $USER {owner.gr_name}`, then log in again"
 
 
 def _holders(path: str) -> str:

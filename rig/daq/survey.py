@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from rig.daq.base import CardError
 from rig.daq.comedi_device import Device, Subdevice, device_paths
@@ -30,14 +30,19 @@ class Lines:
 
 @dataclass(frozen=True)
 class Found:
-    """One device node: the card behind it, or `trouble`, which says why it cannot be opened and what to do."""
+    """One device node: the card behind it, or `trouble`, why it cannot be asked, with what to do about it.
+
+    `subdevices` are what the card has, in its order: Comedi's short name of the kind, and how many channels.
+    """
 
     path: str
     board: str = ""
     driver: str = ""
+    subdevices: tuple[tuple[str, int], ...] = ()
     inputs: Lines | None = None
     outputs: Lines | None = None
     trouble: str = ""
+    remedy: str = ""
 
 
 def survey() -> tuple[Found, ...]:
@@ -49,11 +54,12 @@ def _look(path: str) -> Found:
     try:
         device = Device(path)
     except CardError as error:
-        return Found(path, trouble=str(error))
+        return Found(path, trouble=error.what, remedy=error.remedy)
+    known = Found(path, device.board, device.driver, device.subdevices)
     try:
-        return Found(path, device.board, device.driver, _lines(device.inputs), _lines(device.outputs))
+        return replace(known, inputs=_lines(device.inputs), outputs=_lines(device.outputs))
     except CardError as error:
-        return Found(path, device.board, device.driver, trouble=str(error))
+        return replace(known, trouble=error.what, remedy=error.remedy)
     finally:
         device.close()
 

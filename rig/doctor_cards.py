@@ -1,0 +1,172 @@
+"""The cards of this machine as `rig doctor` sees them: what each is and can do, and what keeps it from being used."""
+
+from __future__ import annotations
+
+import importlib.util
+import platform
+from collections import Counter
+from pathlib import Path
+
+from rig.bench import card_setup
+from rig.config import RigConfig
+from rig.daq.base import CardError
+from rig.daq.comedi import ComediCard
+from rig.daq.comedi_device import closed, device_paths
+from rig.daq.kernel import Comedi, PciCard, comedi, has_module, pci_cards
+from rig.daq.survey import Found, survey
+from rig.finding import Finding
+
+ADVANTECH = "0x13fe"
+BOARDS = {"0x1710": "PCI-1710", "0x1711": "PCI-1711", "0x1713": "PCI-1713", "0x1716": "PCI-1716", "0x1731": "PCI-1731"}
+FAMILY_DRIVER = "adv_pci1710"
+OUT_OF_TREE = (
+    f"the kernel's own {FAMILY_DRIVER} does not know this board: build the out-of-tree Linux-Comedi drivers "
+    f"(git clone https://github.com/Linux-Comedi/comedi; see INSTALL), then sudo modprobe {FAMILY_DRIVER} from there"
+)
+POWER_UP = (
+    "keep the air and the valves' 24 V off until `rig vent --rig FILE` has put the outputs to the safe state; "
+    "docs/hardware.md, Power up"
+)
+_KINDS = {
+    "ai": "analogue in",
+    "ao": "analogue out",
+    "di": "digital in",
+    "do": "digital out",
+    "dio": "digital in/out",
+    "calib": "calibration",
+}
+
+
+def cards(root: Path = Path("/")) -> tuple[Finding, ...]:
+    """Every card, from the bus to its channels. Opens devices to ask what they are; samples and writes nothing."""
+    kernel = comedi(root)
+    release = platform.release()
+    on_bus = pci_cards(ADVANTECH, release, root)
+    return (
+        *_boards(on_bus),
+        *_drivers(kernel, on_bus, has_module("comedi", release, root)),
+        _binding(),
+        *_devices(kernel),
+    )
+
+
+def _boards(on_bus: tuple[PciCard, ...]) -> list[Finding]:
+    other = "dry runs need none; a board of another make is seen once its Comedi driver has it"
+    return [_board(card) for card in on_bus] or [Finding("board", "note", "no Advantech board on the PCI bus", other)]
+
+
+def _board(card: PciCard) -> Finding:
+    name = f"{BOARDS.get(card.device, f'Advantech board {card.device}')} in PCI slot {card.slot}"
+    if card.driver:
+        return Finding("board", "ok", f"{name}, driver {card.driver}")
+    if card.modules:
+        return Finding("board", "missing", f"{name}: its driver is not loaded", f"sudo modprobe {card.modules[0]}")
+    return Finding("board", "missing", f"{name}: this kernel has no driver for it", OUT_OF_TREE)
+
+
+def _drivers(kernel: Comedi | None, on_bus: tuple[PciCard, ...], available: bool) -> list[Finding]:
+    if kernel is None:
+        found = "not loaded"
+        remedy = "sudo modprobe the board's driver (for a trial without hardware: comedi_test); dry runs need none"
+        if not available:
+            found = f"not loaded, and kernel {platform.release()} has no Comedi"
+            remedy = "install a kernel that has it (Debian's linux-image-amd64, not -cloud); dry runs need none"
+        return [Finding("Comedi", "missing" if on_bus else "note", found, remedy)]
+    loaded = f"version {kernel.version}, drivers loaded: {', '.join(kernel.drivers) or 'none'}"
+    if not kernel.attached:
+        remedy = (
+            "the driver that is loaded knows no board in this machine: load the board's own (PCI boards need no more; "
+            "ISA and serial ones are attached with comedi_config)"
+        )
+        return [Finding("Comedi", "missing", f"{loaded}; no card is attached", remedy)]
+    return [Finding("Comedi", "ok", loaded)]
+
+
+def _binding() -> Finding:
+    if importlib.util.find_spec("pycomedi"):
+        return Finding("pycomedi", "ok", "installed")
+    return Finding("pycomedi", "note", "not installed", "make comedi; dry runs need none")
+
+
+def _devices(kernel: Comedi | None) -> list[Finding]:
+    if importlib.util.find_spec("pycomedi"):
+        return [finding for found in survey() for finding in _card(found, kernel)]
+    findings = []
+    for path in device_paths():
+        if (trouble := closed(path)) is not None:
+            findings.append(Finding("card", "missing", f"{_called(path, kernel)}{trouble.what}", trouble.remedy))
+        else:
+            findings.append(
+                Finding("card", "missing", f"{_called(path, kernel)}{path} can be opened, not asked", "make comedi")
+            )
+    return findings
+
+
+def _called(path: str, kernel: Comedi | None) -> str:
+    """The kernel's name of a card that cannot be asked for its own."""
+    for card in kernel.attached if kernel else ():
+        if path == f"/dev/comedi{card.minor}":
+            return f"{card.board} (driver {card.driver}): "
+    return ""
+
+
+def _card(found: Found, kernel: Comedi | None) -> list[Finding]:
+    if found.trouble:
+        remedy = found.remedy or "dmesg says why; docs/hardware.md, When something is wrong"
+        return [Finding("card", "missing", f"{_called(found.path, kernel)}{found.trouble}", remedy)]
+    parts = Counter((kind, channels) for kind, channels in found.subdevices if kind != "unused")
+    has = ", ".join(
+        f"{f'{times} x ' if times > 1 else ''}{channels} {_KINDS.get(kind, kind)}"
+        for (kind, channels), times in parts.items()
+    )
+    findings = [Finding("card", "ok", f"{found.path}: {found.board}, driver {found.driver}; {has}")]
+    if found.inputs is None:
+        findings.append(Finding("card inputs", "missing", "no analogue inputs", "sensors need a card that has some"))
+    elif found.inputs.fastest_hz is None:
+        remedy = "nothing, if one scan in each control period is enough; else a driver that has commands"
+        findings.append(Finding("card inputs", "note", f"{found.inputs}, by instruction only", remedy))
+    else:
+        findings.append(Finding("card inputs", "ok", str(found.inputs)))
+    if found.outputs is None:
+        findings.append(Finding("card outputs", "missing", "no analogue outputs", "valves need a card that has some"))
+    else:
+        findings.append(Finding("card outputs", "ok", str(found.outputs)))
+        at_zero = "attaching the driver put every output to 0 V, where a 5/3 valve (MPYE) is fully open"
+        findings.append(Finding("power-up", "note", at_zero, POWER_UP))
+    return findings
+
+
+def rig_cards(config: RigConfig) -> tuple[Finding, ...]:
+    """Whether the cards that a rig names are there, have all that it wants of them, and what 0 V does to its valves."""
+    findings = []
+    for name, card in config.cards.items():
+        if card.driver != "comedi":
+            continue
+        try:
+            opened = ComediCard(card_setup(config, name))
+        except CardError as error:
+            remedy = error.remedy or f"change card '{name}' of the rig, or use another card"
+            findings.append(Finding(f"rig's card {name}", "missing", error.what, remedy))
+            continue
+        used = sum(valve.card == name for valve in config.valves)
+        left = opened.outputs_there - used
+        findings.append(
+            Finding(
+                f"rig's card {name}",
+                "ok",
+                f"{opened.description} has every channel and range that the rig wants; "
+                f"{used} of {opened.outputs_there} outputs used, {left or 'none'} left",
+            )
+        )
+        opened.close()
+    for number, valve in enumerate(config.valves, 1):
+        if config.cards[valve.card].driver == "comedi" and valve.type == "flow" and valve.fills == "below":
+            findings.append(
+                Finding(
+                    f"rig's valve {number}",
+                    "note",
+                    "at 0 V, where attaching the driver puts it, it FILLS its chamber up to the supply's pressure",
+                    f"hang the chamber on port 4 (fills: above); until then {POWER_UP}",
+                )
+            )
+    return tuple(findings)
