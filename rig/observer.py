@@ -13,6 +13,7 @@ from rig.arm import Hook, model_arm
 from rig.cameras.base import Frame
 from rig.config import RigConfig, Variant
 from rig.eye import Eye, Measurement
+from rig.sketch import backbone
 from runs.records import Seen, observation_dtype
 
 Floats = NDArray[np.float64]
@@ -160,6 +161,7 @@ class Observer:
         row["measured_m"], row["covariance_m2"] = seen.tip_m, seen.covariance_m2
         row["reprojection_px"] = seen.reprojection_px
         row["model_m"] = self._model_m
+        row["backbone_m"] = backbone(shape)
         row["truth_m"] = np.nan if frame.truth_m is None else frame.truth_m
         return row
 

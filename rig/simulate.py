@@ -10,6 +10,7 @@ import numpy as np
 from rig.arm import model_arm
 from rig.executor.base import Plan
 from rig.experiment import Request, header
+from rig.sketch import backbone
 from runs.archive import finalise
 from runs.journal import JournalWriter
 from runs.records import RunFooter, Seen, Status, observation_dtype, sample_dtype
@@ -47,6 +48,7 @@ def simulate(request: Request, plan: Plan, static: bool) -> Path:
         else:
             shape = dynamics.start(pressure) if i == 0 else dynamics.step(pressure)
         rows["model_m"][i] = shape.tip_m
+        rows["backbone_m"][i] = backbone(shape)
         rows["model_ok"][i] = shape.ok
 
     title = f"{request.protocol.title} (model alone, {'static' if static else 'dynamic'})"

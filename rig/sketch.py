@@ -11,6 +11,7 @@ import model
 from rig.config import RigConfig
 from rig.eye import Measurement
 from rig.optics import camera_in_base, lens_of
+from runs.records import BACKBONE_POINTS, Marks
 
 Floats = NDArray[np.float64]
 _NOWHERE = np.zeros(3)
@@ -49,13 +50,26 @@ class Sketcher:
             lines_m=self.lines(shape),
         )
 
+    def marks(self, measurement: Measurement, shape: model.Shape | None) -> Marks:
+        """What is kept with a picture that is kept: where board, tips and backbone are in it."""
+        line = backbone(shape)
+        points = self.pixels(np.vstack([measurement.tip_m, np.full(3, np.nan) if shape is None else shape.tip_m, line]))
+        corners = np.empty((0, 2)) if measurement.corners_px is None else measurement.corners_px
+        return Marks.of(corners, points[0], points[1], points[2:])
+
     def pixel(self, point_m: Floats) -> Floats:
         """Where a point (3,) of the rod-base frame is in the picture (2,); NaN for one behind the camera."""
-        seen = self._base_in_camera.apply(point_m)
-        if not seen[2] > 0:
-            return np.full(2, np.nan)
-        pixel: Floats = self._lens.project(seen[None], _NOWHERE, _NOWHERE)[0]
+        pixel: Floats = self.pixels(point_m[None])[0]
         return pixel
+
+    def pixels(self, points_m: Floats) -> Floats:
+        """Where points (n, 3) of the rod-base frame are in the picture (n, 2); NaN for those behind the camera."""
+        seen = self._base_in_camera.apply(points_m)
+        before = seen[:, 2] > 0
+        pixels = np.full((len(seen), 2), np.nan)
+        if before.any():
+            pixels[before] = self._lens.project(seen[before], _NOWHERE, _NOWHERE)
+        return pixels
 
     def lines(self, shape: model.Shape | None) -> Floats:
         """The arm's axis and actuators (1 + N, points, 3) [m]; NaN for no shape."""
@@ -66,3 +80,11 @@ class Sketcher:
         offsets = np.column_stack([shape.actuator_xy_m, np.zeros(len(shape.actuator_xy_m))])
         actuators = axis + np.einsum("sij,aj->asi", rotation, offsets)
         return np.concatenate([axis[None], actuators])
+
+
+def backbone(shape: model.Shape | None) -> Floats:
+    """The arm's centre line (BACKBONE_POINTS, 3) [m], evenly spaced along the arm at rest; NaN for no shape."""
+    if shape is None:
+        return np.full((BACKBONE_POINTS, 3), np.nan)
+    at = np.linspace(shape.s_m[0], shape.s_m[-1], BACKBONE_POINTS)
+    return np.column_stack([np.interp(at, shape.s_m, coordinate) for coordinate in shape.p_m.T])

@@ -23,8 +23,8 @@ from numpy.typing import NDArray
 
 from runs import blocks, messages
 from runs.blocks import Block, Damage
-from runs.messages import EVENTS, FOOTER, HEADER, OBSERVATIONS, PICTURES, SAMPLES
-from runs.records import Event, Picture, RunFooter, RunHeader, observation_dtype, sample_dtype
+from runs.messages import EVENTS, FOOTER, HEADER, MARKS, OBSERVATIONS, PICTURES, SAMPLES
+from runs.records import Event, Marks, Picture, RunFooter, RunHeader, observation_dtype, sample_dtype
 
 SUFFIX = ".mcap"
 SYNC_S = 1.0
@@ -81,13 +81,19 @@ class JournalWriter:
         self._rows(self._observations, rows)
 
     def picture(self, picture: Picture) -> None:
-        """Append an encoded picture."""
+        """Append an encoded picture and what was seen in it, both or neither."""
         utc_ns = picture.t_ns + self._utc_minus_t_ns
-        self._message(PICTURES, utc_ns, messages.picture_to_bytes(picture, utc_ns))
+        content = blocks.encode(
+            Message(MARKS, utc_ns, messages.marks_to_bytes(picture), utc_ns, 0),
+            Message(PICTURES, utc_ns, messages.picture_to_bytes(picture, utc_ns), utc_ns, 0),
+        )
+        self._append(blocks.block(content, utc_ns, utc_ns))
 
     def event(self, event: Event) -> None:
         """Append an event."""
-        self._message(EVENTS, event.t_ns + self._utc_minus_t_ns, messages.to_json(event))
+        utc_ns = event.t_ns + self._utc_minus_t_ns
+        content = blocks.encode(Message(EVENTS, utc_ns, messages.to_json(event), utc_ns, 0))
+        self._append(blocks.block(content, utc_ns, utc_ns))
 
     def close(self, footer: RunFooter) -> None:
         """Write how the run ended, and close. Closes the file even where the footer finds no room."""
@@ -108,10 +114,6 @@ class JournalWriter:
         content = blocks.frame_rows(rows, kind.form, kind.channel, kind.sequence, log_ns)
         kind.sequence += len(rows)
         self._append(blocks.block(content, int(log_ns[0]), int(log_ns[-1])))
-
-    def _message(self, channel: int, utc_ns: int, data: bytes) -> None:
-        content = blocks.encode(Message(channel, utc_ns, data, utc_ns, 0))
-        self._append(blocks.block(content, utc_ns, utc_ns))
 
     def _append(self, data: bytes) -> None:
         if self._full:
@@ -172,6 +174,7 @@ def block_of_header(header: RunHeader, samples: np.dtype[np.void], observations:
         FOOTER: json,
         EVENTS: json,
         PICTURES: ("ros1msg", messages.PICTURE_DEFINITION.encode(), "ros1", {}),
+        MARKS: ("ros1msg", messages.MARKS_DEFINITION.encode(), "ros1", {}),
     }
     for channel, row in ((SAMPLES, samples), (OBSERVATIONS, observations)):
         definition = messages.row_definition(row).encode()
@@ -197,6 +200,7 @@ class StoredPicture:
     camera: str
     encoding: str
     data: memoryview
+    marks: Marks
 
 
 @dataclass(frozen=True)
@@ -245,6 +249,7 @@ class _Contents:
         self.rows: dict[int, list[NDArray[np.void]]] = {SAMPLES: [], OBSERVATIONS: []}
         self.events: list[Event] = []
         self.pictures: list[StoredPicture] = []
+        self.marks: dict[tuple[int, str], Marks] = {}
         self.damage: list[Damage] = []
 
     def take(self, piece: Block) -> None:
@@ -271,10 +276,14 @@ class _Contents:
             self.footer = messages.from_json(RunFooter, payload.tobytes())
         elif channel == EVENTS:
             self.events.append(messages.from_json(Event, payload.tobytes()))
+        elif channel == MARKS:
+            frame, camera, marks = messages.marks_from_bytes(payload.tobytes())
+            self.marks[frame & 0xFFFFFFFF, camera] = marks
         elif channel == PICTURES and self.header is not None:
             frame, camera, encoding, begin = messages.picture_from_bytes(payload[:512].tobytes())
             t_ns = log_ns - self.header.started_utc_ns + self.header.started_t_ns
-            self.pictures.append(StoredPicture(t_ns, frame, camera, encoding, payload[begin:]))
+            marks = self.marks.pop((frame, camera), Marks.none())
+            self.pictures.append(StoredPicture(t_ns, frame, camera, encoding, payload[begin:], marks))
 
     def journal(self, header: RunHeader) -> Journal:
         kinds = {

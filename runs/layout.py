@@ -89,6 +89,7 @@ def groups(journal: Journal) -> tuple[Group, ...]:
             _events(journal),
             _quantities(journal, "calibration", "what was calibrated, as it was used"),
             _quantities(journal, "model", "every number of the model, as it was used"),
+            _backbone(journal),
             _simulator(journal),
         )
         if group is not None
@@ -270,6 +271,28 @@ def _tip(journal: Journal) -> Group:
     )
 
 
+def _backbone(journal: Journal) -> Group | None:
+    line = journal.observations["backbone_m"]
+    if not np.isfinite(line).any():
+        return None
+    per_point = ("time", "station", "axis")
+    return Group(
+        "entry/backbone",
+        "NXdata",
+        (
+            _time(journal, journal.observations["t_ns"], "middle of the exposure"),
+            Field(
+                "station", np.linspace(0, 1, line.shape[1]), about="share of the arm's length at rest, from the base"
+            ),
+            Field("axis", list(AXES), about="of the rod-base frame"),
+            Field("model_mm", line * np.float32(MM_PER_M), "mm", "centre line by the model, rod-base frame", per_point),
+        ),
+        signal="model_mm",
+        axes=per_point,
+        about="one row per camera frame; NaN where the model could not solve the step",
+    )
+
+
 def _timing(journal: Journal) -> Group:
     rows = journal.samples
     overflows = sum(count for name, count in _counted(journal).items() if name.endswith("ring_overflows"))
@@ -304,6 +327,9 @@ def _counters(journal: Journal) -> Group:
 def _frames(journal: Journal) -> Group:
     pictures = journal.pictures
     by = ("time",)
+    marks = [picture.marks for picture in pictures]
+    corners, backbone = (_stacked([getattr(m, name) for m in marks]) for name in ("corners_px", "backbone_px"))
+    tip, model = (np.array([getattr(m, name) for m in marks]).reshape(-1, 2) for name in ("tip_px", "model_px"))
     return Group(
         "entry/frames",
         "NXcollection",
@@ -313,8 +339,25 @@ def _frames(journal: Journal) -> Group:
             Field("camera", [p.camera for p in pictures], scales=by),
             Field("encoding", [p.encoding for p in pictures], about="jpeg or png", scales=by),
             Pictures("image", [p.data for p in pictures], by, "the encoded picture, byte for byte"),
+            Field("pixel", ["u", "v"], about="to the right, down; 0 in the middle of the first pixel"),
+            Field("corner", np.arange(1, corners.shape[1] + 1), about="of the board, row by row"),
+            Field("point", np.arange(1, backbone.shape[1] + 1), about="from the base to the tip"),
+            Field("corners_px", corners, "px", "the board's corners as detected", ("time", "corner", "pixel")),
+            Field("tip_px", tip, "px", "the measured tool centre point in this picture", ("time", "pixel")),
+            Field("model_px", model, "px", "the model's tool centre point in this picture", ("time", "pixel")),
+            Field("backbone_px", backbone, "px", "the model's backbone in this picture", ("time", "point", "pixel")),
         ),
+        about="the kept pictures and what was seen in them; NaN where there was nothing",
     )
+
+
+def _stacked(rows: Sequence[NDArray[np.float32]]) -> NDArray[np.float32]:
+    """Return point lists (n, 2) of any lengths as one array (K, longest, 2), NaN behind the shorter ones."""
+    longest = max((len(row) for row in rows), default=0)
+    stack = np.full((len(rows), longest, 2), np.nan, np.float32)
+    for filled, row in zip(stack, rows, strict=True):
+        filled[: len(row)] = row
+    return stack
 
 
 def _events(journal: Journal) -> Group:

@@ -15,11 +15,11 @@ from typing import Any, TypeVar
 import numpy as np
 from pydantic import TypeAdapter
 
-from runs.records import Event, Picture, RunFooter, RunHeader
+from runs.records import Event, Marks, Picture, RunFooter, RunHeader
 
 T = TypeVar("T", RunHeader, RunFooter, Event)
 
-HEADER, FOOTER, EVENTS, SAMPLES, OBSERVATIONS, PICTURES = range(1, 7)
+HEADER, FOOTER, EVENTS, SAMPLES, OBSERVATIONS, PICTURES, MARKS = range(1, 8)
 """Channel numbers, the same in every journal."""
 TOPICS = {
     HEADER: "/header",
@@ -28,10 +28,12 @@ TOPICS = {
     SAMPLES: "/samples",
     OBSERVATIONS: "/observations",
     PICTURES: "/pictures",
+    MARKS: "/marks",
 }
-_ROS_TYPES = {"<i8": "int64", "<i4": "int32", "<f8": "float64"}
+_ROS_TYPES = {"<i8": "int64", "<i4": "int32", "<f8": "float64", "<f4": "float32"}
 _STAMP = struct.Struct("<III")
 _LENGTH = struct.Struct("<I")
+_FRAME = struct.Struct("<q")
 
 PICTURE_DEFINITION = f"""std_msgs/Header header
 string format
@@ -42,6 +44,15 @@ uint32 seq
 time stamp
 string frame_id
 """
+
+MARKS_DEFINITION = """int64 frame
+string camera
+float32[] corners_px
+float32[] tip_px
+float32[] model_px
+float32[] backbone_px
+"""
+"""Of the picture with this number by this camera; u, v, u, v, .. each."""
 
 
 def to_json(value: RunHeader | RunFooter | Event) -> bytes:
@@ -113,3 +124,27 @@ def picture_from_bytes(body: bytes) -> tuple[int, str, str, int]:
         words.append(body[position : position + length].decode())
         position += length
     return frame, words[0], words[1], position + _LENGTH.size
+
+
+def marks_to_bytes(picture: Picture) -> bytes:
+    """Return what was seen in a picture as the ROS 1 message of `MARKS_DEFINITION`."""
+    camera, marks = picture.camera.encode(), picture.marks
+    parts = [_FRAME.pack(picture.frame), _LENGTH.pack(len(camera)), camera]
+    for points in (marks.corners_px, marks.tip_px, marks.model_px, marks.backbone_px):
+        parts += (_LENGTH.pack(points.size), points.astype("<f4").tobytes())
+    return b"".join(parts)
+
+
+def marks_from_bytes(body: bytes) -> tuple[int, str, Marks]:
+    """Return frame, camera and marks; `ValueError` where the message is not whole."""
+    (frame,) = _FRAME.unpack_from(body, 0)
+    (length,) = _LENGTH.unpack_from(body, _FRAME.size)
+    position = _FRAME.size + _LENGTH.size + length
+    camera = body[position - length : position].decode()
+    points = []
+    for _ in range(4):
+        (length,) = _LENGTH.unpack_from(body, position)
+        position += _LENGTH.size
+        points.append(np.frombuffer(body, "<f4", length, position))
+        position += 4 * length
+    return frame, camera, Marks.of(*points)

@@ -11,6 +11,10 @@ from dataclasses import dataclass, field
 from enum import IntEnum, StrEnum
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+BACKBONE_POINTS = 11
+"""Points of the model's backbone, evenly spaced along the arm at rest."""
 
 
 class Status(StrEnum):
@@ -70,7 +74,8 @@ def observation_dtype(actuators: int) -> np.dtype[np.void]:
     `measured_m`; `reprojection_px` is the rms over the board's corners. `model_ok` is 0 where the model could not
     solve the step and `model_m` is the last good one. `weight_kg` is what the operator had hung on the end cap.
     `truth_m` is the simulator's own tip, NaN on a real rig. `age_ns` is the time from exposure to the end of the
-    computation, `dropped` the frames lost before this one.
+    computation, `dropped` the frames lost before this one. `backbone_m` is the model's centre line from the base to the
+    tip, NaN where the step was not solved.
     """
     return np.dtype(
         [
@@ -88,6 +93,7 @@ def observation_dtype(actuators: int) -> np.dtype[np.void]:
             ("reprojection_px", "<f8"),
             ("age_ns", "<i8"),
             ("dropped", "<i4"),
+            ("backbone_m", "<f4", (BACKBONE_POINTS, 3)),
         ]
     )
 
@@ -121,15 +127,42 @@ class Event:
     message: str
 
 
+@dataclass(frozen=True, eq=False)
+class Marks:
+    """Where things are in a picture, in its pixels (u, v): the board's corners (n, 2), the measured tip (2,), the
+    model's tip (2,) and backbone (p, 2). NaN, or no corners, where there is none."""
+
+    corners_px: NDArray[np.float32]
+    tip_px: NDArray[np.float32]
+    model_px: NDArray[np.float32]
+    backbone_px: NDArray[np.float32]
+
+    @classmethod
+    def of(cls, corners_px: ArrayLike, tip_px: ArrayLike, model_px: ArrayLike, backbone_px: ArrayLike) -> Marks:
+        """Marks from arrays of any kind of number."""
+        return cls(
+            corners_px=np.asarray(corners_px, np.float32).reshape(-1, 2),
+            tip_px=np.asarray(tip_px, np.float32),
+            model_px=np.asarray(model_px, np.float32),
+            backbone_px=np.asarray(backbone_px, np.float32).reshape(-1, 2),
+        )
+
+    @classmethod
+    def none(cls) -> Marks:
+        """Nothing is known of a picture."""
+        return cls.of([], [np.nan, np.nan], [np.nan, np.nan], [])
+
+
 @dataclass(frozen=True)
 class Picture:
-    """One stored camera frame, encoded (`jpeg` or `png`)."""
+    """One stored camera frame, encoded (`jpeg` or `png`), and what was seen in it."""
 
     t_ns: int
     frame: int
     camera: str
     encoding: str
     data: bytes
+    marks: Marks = field(default_factory=Marks.none)
 
 
 @dataclass(frozen=True)

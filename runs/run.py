@@ -80,6 +80,14 @@ class Simulated:
 
 
 @dataclass(frozen=True)
+class Backbone:
+    """The model's centre line (m, points, 3) from base to tip, at the times of `Tip`; NaN where it was not solved."""
+
+    time_s: Floats
+    model_mm: NDArray[np.float32]
+
+
+@dataclass(frozen=True)
 class Frames:
     """The kept pictures (k,); `Run.picture` gives their bytes."""
 
@@ -87,6 +95,14 @@ class Frames:
     index: Ints
     camera: tuple[str, ...]
     encoding: tuple[str, ...]
+    corners_px: NDArray[np.float32]
+    """(k, corners, 2); NaN where no board was found."""
+    tip_px: NDArray[np.float32]
+    """(k, 2), measured."""
+    model_px: NDArray[np.float32]
+    """(k, 2)."""
+    backbone_px: NDArray[np.float32]
+    """(k, points, 2), the model's."""
 
 
 class Run:
@@ -215,6 +231,12 @@ class Run:
         return Simulated(g["time"], g["tip_mm"]) if g else None
 
     @cached_property
+    def backbone(self) -> Backbone | None:
+        """The model's centre line; None where there was no model."""
+        g = self._group("entry/backbone")
+        return Backbone(g["time"], g["model_mm"]) if g else None
+
+    @cached_property
     def events(self) -> tuple[Event, ...]:
         """What happened, in the order it was recorded."""
         g = self._group("entry/events")
@@ -228,7 +250,16 @@ class Run:
     def frames(self) -> Frames:
         """The kept pictures, without their bytes."""
         g = self._group("entry/frames", without="image")
-        return Frames(g["time"], g["index"], tuple(g["camera"]), tuple(g["encoding"]))
+        return Frames(
+            time_s=g["time"],
+            index=g["index"],
+            camera=tuple(g["camera"]),
+            encoding=tuple(g["encoding"]),
+            corners_px=g["corners_px"],
+            tip_px=g["tip_px"],
+            model_px=g["model_px"],
+            backbone_px=g["backbone_px"],
+        )
 
     def picture(self, k: int) -> bytes:
         """Return the k-th kept picture as it was encoded."""

@@ -9,9 +9,11 @@ from numpy.typing import NDArray
 
 from runs.journal import JournalWriter
 from runs.records import (
+    BACKBONE_POINTS,
     Event,
     Interval,
     Level,
+    Marks,
     Picture,
     Quantity,
     RunFooter,
@@ -107,6 +109,7 @@ def observations(duration_s: float, seed: int = 0, simulated: bool = True) -> ND
     rows["covariance_m2"] = np.diag(sigma**2)
     rows["measured_m"] = truth + rng.normal(0, 1, (n, 3)) * sigma
     rows["model_m"] = truth + np.array([1e-3, 0, 0])
+    rows["backbone_m"] = rows["model_m"][:, None] * np.linspace(0, 1, BACKBONE_POINTS)[:, None]
     rows["model_ok"] = 1
     rows["reprojection_px"] = 0.05
     rows["age_ns"] = 8_000_000
@@ -123,7 +126,16 @@ def observations(duration_s: float, seed: int = 0, simulated: bool = True) -> ND
 def picture(index: int, size: int = 3000) -> Picture:
     """A picture whose bytes are told by its number."""
     data = np.random.default_rng(index).integers(0, 256, size, dtype=np.uint8).tobytes()
-    return Picture(START_NS + index * 100_000_000, index * 3, "front", "jpeg", data)
+    return Picture(START_NS + index * 100_000_000, index * 3, "front", "jpeg", data, marks(index))
+
+
+def marks(index: int) -> Marks:
+    """Marks told by the picture's number; the picture with number 3 shows no board."""
+    corners = np.array([(u, v) for v in range(4) for u in range(5)]) * 8.0 + 300 + index
+    if index == 3:
+        return Marks.of([], [np.nan, np.nan], (340.0, 420.0), np.linspace((320, 40), (340, 420), BACKBONE_POINTS))
+    tip = (330.0 + index, 420.0)
+    return Marks.of(corners, tip, (335.0, 421.0), np.linspace((320, 40), (335, 421), BACKBONE_POINTS))
 
 
 def write_journal(

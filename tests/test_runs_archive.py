@@ -171,6 +171,24 @@ def test_start_and_end_are_calendar_times(path: Path) -> None:
     assert (end - start).total_seconds() == pytest.approx(3.0, abs=2e-6)
 
 
+def test_what_was_seen_in_a_picture_comes_back_with_it(path: Path) -> None:
+    run = runs.open(path)
+    for k in range(K):
+        marks = made_up.marks(k)
+        found = run.frames.corners_px[k]
+        np.testing.assert_array_equal(found[np.isfinite(found).all(axis=1)], marks.corners_px)
+        np.testing.assert_array_equal(run.frames.tip_px[k], marks.tip_px)
+        np.testing.assert_array_equal(run.frames.model_px[k], marks.model_px)
+        np.testing.assert_array_equal(run.frames.backbone_px[k], marks.backbone_px)
+
+
+def test_the_backbone_ends_at_the_models_tip(path: Path) -> None:
+    run = runs.open(path)
+    assert run.backbone is not None
+    np.testing.assert_array_equal(run.backbone.time_s, run.tip.time_s)
+    np.testing.assert_allclose(run.backbone.model_mm[:, -1], run.tip.model_mm, rtol=1e-6)
+
+
 def test_pictures_come_back_byte_for_byte(path: Path) -> None:
     run = runs.open(path)
     assert [run.picture(k) for k in range(K)] == [made_up.picture(k).data for k in range(K)]

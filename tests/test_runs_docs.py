@@ -13,10 +13,12 @@ import runs_made_up as made_up
 
 from runs.archive import finalise
 from runs.journal import JournalWriter
-from runs.records import RunFooter, Status, observation_dtype, sample_dtype
+from runs.records import BACKBONE_POINTS, RunFooter, Status, observation_dtype, sample_dtype
 
 PAGE = Path(__file__).parent.parent / "docs" / "archive.md"
-SIZES = {"N": 11, "M": 7, "K": 2, "E": 1, "S": 4, "A": 5, "V": 8, "3": 3, "6": 6}
+SIZES = {"N": 13, "M": 7, "K": 10, "Q": 20, "P": BACKBONE_POINTS, "E": 1, "S": 4, "A": 5, "V": 8} | {
+    str(n): n for n in (2, 3, 6)
+}
 FREE = ("calibration", "model", "versions", "timing/counters")
 """Groups whose names come from elsewhere."""
 
@@ -44,8 +46,8 @@ def stored(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[tuple[in
     writer = JournalWriter(source, header)
     writer.samples(np.zeros(SIZES["N"], sample_dtype(SIZES["A"], SIZES["V"])))
     writer.observations(np.zeros(SIZES["M"], observation_dtype(SIZES["A"])))
-    writer.picture(made_up.picture(0))
-    writer.picture(made_up.picture(1))
+    for index in range(SIZES["K"]):
+        writer.picture(made_up.picture(index))
     writer.event(made_up.ARMED)
     writer.close(RunFooter(made_up.START_NS, Status.FINISHED, "", {"missed_deadlines": 0}))
     found = {}

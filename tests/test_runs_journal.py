@@ -66,6 +66,9 @@ def test_what_was_written_is_read_back_bit_for_bit(whole: Path) -> None:
     assert content.observations.tobytes() == made_up.observations(1.0).tobytes()
     assert content.events == (Event(made_up.START_NS, Level.INFO, "control", "armed"),)
     assert [bytes(p.data) for p in content.pictures] == [made_up.picture(i).data for i in range(3)]
+    for index, stored in enumerate(content.pictures):
+        for name, points in vars(made_up.marks(index)).items():
+            np.testing.assert_array_equal(getattr(stored.marks, name), points)
     assert [(p.t_ns, p.frame, p.camera) for p in content.pictures] == [
         (made_up.picture(i).t_ns, i * 3, "front") for i in range(3)
     ]

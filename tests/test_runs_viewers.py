@@ -42,6 +42,7 @@ def test_silx_plots_the_error_over_time(archive: Path) -> None:
         ("tip", "error_mm", ["time"], (90,)),
         ("timing", "lateness_us", ["time"], (600,)),
         ("simulator", "tip_mm", ["time", "axis"], (90, 3)),
+        ("backbone", "model_mm", ["time", "station", "axis"], (90, 11, 3)),
     ],
 )
 def test_every_group_of_data_has_a_plot_of_its_own(
@@ -67,7 +68,7 @@ def test_nexusformat_plots_the_error_over_time(archive: Path) -> None:
 
 @pytest.mark.parametrize("engine", ["h5netcdf", "netcdf4"])
 def test_xarray_finds_the_dimensions(archive: Path, engine: str) -> None:
-    for group in ("pressure", "tip", "timing", "events", "protocol", "simulator", "calibration", "model"):
+    for group in ("pressure", "tip", "timing", "events", "protocol", "simulator", "backbone", "calibration", "model"):
         with xarray.open_dataset(archive, group=f"entry/{group}", engine=engine) as data:
             data.load()
             assert not [name for name in data.sizes if "phony" in str(name)]
@@ -101,7 +102,7 @@ def test_a_run_becomes_a_pandas_table(archive: Path) -> None:
 
 def test_a_run_becomes_an_xarray_dataset(archive: Path) -> None:
     with runs.open(archive).to_xarray("frames") as frames:
-        assert frames.sizes["time"] == 5
+        assert dict(frames.sizes) == {"time": 5, "pixel": 2, "corner": 20, "point": 11}
 
 
 def test_what_is_not_installed_is_said_in_one_sentence(archive: Path, monkeypatch: pytest.MonkeyPatch) -> None:
