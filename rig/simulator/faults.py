@@ -196,23 +196,26 @@ class FaultySensors:
     def __init__(self, faults: Faults, sensors: Sensors) -> None:
         self._faults = faults
         self._sensors = sensors
-        self._last_v: NDArray[np.float64] = np.full(len(sensors.v_per_pa), np.nan)
+        self._held_v: dict[int, float] = {}
 
     def apply(self, first_step: int, scans: NDArray[np.float64]) -> None:
         """Change the volts (steps, N) of a stretch of the grid that begins after `first_step` to what is seen."""
+        if not self._faults.active:
+            self._held_v.clear()
+            return
         sensors = self._sensors
-        faulty = self._faults.active
-        for a in range(len(self._last_v)):
+        for a in range(min(MOST, scans.shape[1])):
+            fault = SensorFault(int(self._faults.row["sensor"][0, a]))
+            if fault is not SensorFault.FROZEN:
+                self._held_v.pop(a, None)
             rows = slice(-(first_step + 1) % int(sensors.every[a]), None, int(sensors.every[a]))
             volts = scans[rows, a]
-            if len(volts) == 0:
+            if len(volts) == 0 or fault is SensorFault.NONE:
                 continue
-            fault = SensorFault(int(self._faults.row["sensor"][0, a])) if faulty and a < MOST else SensorFault.NONE
-            if fault is SensorFault.FROZEN and not np.isnan(self._last_v[a]):
-                scans[rows, a] = self._last_v[a]
-            elif fault is not SensorFault.NONE:
+            if fault is SensorFault.FROZEN:
+                scans[rows, a] = self._held_v.setdefault(a, float(volts[0]))
+            else:
                 scans[rows, a] = self._wrong(fault, a, first_step, volts)
-            self._last_v[a] = scans[rows, a][-1]
 
     def _wrong(self, fault: SensorFault, a: int, step: int, volts: NDArray[np.float64]) -> NDArray[np.float64]:
         sensors = self._sensors

@@ -21,6 +21,8 @@ from rig.valve import ATMOSPHERE_PA
 ARM_STEPS = 50
 """Grid steps of the air per step of the arm: 5 ms."""
 
+ARM_STEP_S = ARM_STEPS * STEP_NS * 1e-9
+
 REMEMBERED_POSES = 256
 FIFO_SCANS = 4096
 
@@ -50,7 +52,7 @@ class Plant:
         geometry = true_geometry(config)
         self._bore_m2 = math.pi * (geometry.inner_radius_mm * 1e-3) ** 2
         self._dead_m3 = truth.chamber.dead_volume_ml * 1e-6
-        self._dynamics = true_arm(config).dynamics(ARM_STEPS * STEP_NS * 1e-9) if moving_arm else None
+        self._dynamics = true_arm(config).dynamics(ARM_STEP_S) if moving_arm else None
         lengths = np.full(config.actuators, geometry.length_mm * 1e-3)
         position, rotation = np.array([0.0, 0.0, lengths[0]]), np.eye(3)
         self._hook = Hook(config)
@@ -152,8 +154,9 @@ class Plant:
             return
         shape = self._dynamics.step(self.pressure_pa, self._loads)
         # The chambers follow within the next step: the arm lags the air by one step, and the volume has no jumps.
-        target = self._dead_m3 + self._bore_m2 * shape.actuator_lengths_m
-        self._air.volume_rate[:] = (target - self._air.volume_m3) / (ARM_STEPS * STEP_NS * 1e-9)
+        pneumatics.follow(
+            shape.s_m, shape.v, shape.u, shape.actuator_xy_m, self._bore_m2, self._dead_m3, ARM_STEP_S, self._air
+        )
         self._remember(self._step // ARM_STEPS, shape.tip_m, shape.tip_rotation)
 
     def _remember(self, index: int, position: NDArray[np.float64], rotation: NDArray[np.float64]) -> None:
@@ -170,7 +173,9 @@ class PlantCard:
     def __init__(self, plant: Plant, config: RigConfig, name: str) -> None:
         self._plant = plant
         sensors = sorted((s for s in config.sensors if s.card == name), key=lambda s: s.actuator)
-        self._columns = np.array([s.actuator - 1 for s in sensors], np.int64)
+        columns = [s.actuator - 1 for s in sensors]
+        together = bool(columns) and columns == list(range(columns[0], columns[-1] + 1))
+        self._columns = slice(columns[0], columns[-1] + 1) if together else np.array(columns, np.int64)
         self._valves = [i for i, v in enumerate(config.valves) if v.card == name]
         self._ranges = [config.valves[i].range_V for i in self._valves]
         self._device = config.cards[name].device
@@ -195,13 +200,16 @@ class PlantCard:
         """Put the scans of a stretch of the grid into the card's buffer; what does not fit is lost."""
         if not self._sampling:
             return
-        rows = np.arange(-(first_step + 1) % self._every, len(scans), self._every)
-        fit = rows[: FIFO_SCANS - self._filled]
-        new = slice(self._filled, self._filled + len(fit))
-        self._t_ns[new] = self._plant.t_ns + (fit + 1) * STEP_NS
-        self._volts[new] = scans[np.ix_(fit, self._columns)]
-        self._filled += len(fit)
-        self._lost += len(rows) - len(fit)
+        first = -(first_step + 1) % self._every
+        count = len(range(first, len(scans), self._every))
+        fit = min(count, FIFO_SCANS - self._filled)
+        if fit:
+            new = slice(self._filled, self._filled + fit)
+            oldest_ns = self._plant.t_ns + (first + 1) * STEP_NS
+            self._t_ns[new] = range(oldest_ns, oldest_ns + fit * self.period_ns, self.period_ns)
+            self._volts[new] = scans[first : first + fit * self._every : self._every, self._columns]
+            self._filled += fit
+        self._lost += count - fit
 
     def read(self) -> Scans:
         """Scans since the last call."""

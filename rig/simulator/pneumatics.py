@@ -317,3 +317,24 @@ def advance(v: Valves, c: Chambers, s: Sensors, air: Air, first_step: int, steps
             air.lagged_pa[a] += s.lag_gain * (air.pressure_pa[a] - air.lagged_pa[a])
             if j % s.every[a] == 0:
                 scans[j - first_step - 1, a] = _read(s, a, j, air.lagged_pa[a])
+
+
+@compiled
+def follow(
+    s_m: Floats, v: Floats, u: Floats, at_m: Floats, bore_m2: float, dead_m3: float, within_s: float, air: Air
+) -> None:
+    """Have the chambers' volumes go, within some time, to those that they have in a bent arm.
+
+    `s_m` (n,), shear and stretch `v` (n, 3) and curvature `u` (n, 3) along its axis; `at_m` (N, 2): where the chambers
+    lie in its section. A chamber is a bore along the arm, and the dead volume beside it.
+    """
+    for a in range(at_m.shape[0]):
+        x, y = at_m[a]
+        length = before = 0.0
+        for j in range(len(s_m)):
+            v1, v2, v3 = v[j, 0] - u[j, 2] * y, v[j, 1] + u[j, 2] * x, v[j, 2] + u[j, 0] * y - u[j, 1] * x
+            stretch = math.sqrt(v1 * v1 + v2 * v2 + v3 * v3)
+            if j > 0:
+                length += 0.5 * (s_m[j] - s_m[j - 1]) * (before + stretch)
+            before = stretch
+        air.volume_rate[a] = (dead_m3 + bore_m2 * length - air.volume_m3[a]) / within_s
