@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from rig.config import RigConfig
 from rig.control import safe_voltages
 from rig.daq import open_card
-from rig.daq.base import Card, CardError, CardSetup, Channel, Scans
+from rig.daq.base import Card, CardError, CardSetup, Channel, Clocked, Scans
 
 READBACK_TOLERANCE = 1 / 2000
 """Of the output's range: two counts of a 12-bit card."""
@@ -70,6 +70,18 @@ class Bench:
         self._inputs = {name: column for name, column in columns.items() if column}
         self._outputs = {name: [i for i, v in enumerate(self._valves) if v.card == name] for name in self._cards}
         self._pending = {name: _Pending(len(column)) for name, column in self._inputs.items()}
+
+    @property
+    def card_names(self) -> tuple[str, ...]:
+        """The cards, in the rig's order."""
+        return tuple(self._cards)
+
+    def clock(self, card: str) -> tuple[float, float] | None:
+        """Period [ns] of a card's own sampling clock and its drift [ppm]; None where the computer's clock is used."""
+        clocked = self._cards[card]
+        if not isinstance(clocked, Clocked) or clocked.period_ns is None:
+            return None
+        return clocked.period_ns, clocked.drift_ppm or 0.0
 
     def start(self) -> None:
         """Begin sampling on every card that has sensors."""

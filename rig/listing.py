@@ -103,6 +103,11 @@ def summary_table(summary: Summary, counters: Mapping[str, int]) -> Table:
     table.add_row("lateness p50/p99/max [us]", late)
     if "stolen_cpu_ms" in counters:
         table.add_row("CPU time stolen by the host [ms]", str(counters["stolen_cpu_ms"]))
+    for name, period_ns in counters.items():
+        if (card := name.removesuffix("_scan_period_ns")) != name:
+            drift_ppm = counters.get(f"{card}_scan_drift_ppb", 0) * 1e-3
+            table.add_row(f"card {card} samples every [us]", f"{period_ns * 1e-3:.3f}")
+            table.add_row("longer by the computer's clock [ppm]", f"{drift_ppm:+.1f}")
     return table
 
 

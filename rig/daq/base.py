@@ -6,7 +6,7 @@ Cards speak volts. Which volt is which bar is the rig's business (`rig.config`),
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal, Protocol
+from typing import Literal, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,6 +54,19 @@ class Scans:
     t_ns: NDArray[np.int64]
     volts: NDArray[np.float64]
     lost: int = 0
+
+
+@runtime_checkable
+class Clocked(Protocol):
+    """A card that may sample by a clock of its own."""
+
+    @property
+    def period_ns(self) -> float | None:
+        """From one scan to the next as the driver rounded it; None where the card does not sample by its own clock."""
+
+    @property
+    def drift_ppm(self) -> float | None:
+        """How much longer that period is by the computer's clock; None where there is none."""
 
 
 class Card(Protocol):

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from rig.bench import Bench, open_bench
 from rig.daq.base import CardError
+from rig.executor import clocks
 from rig.executor.child import Job, orphaned, receive
 from rig.executor.clock import become_real_time, wait_until
 from rig.executor.memory import RunMemory, Stage, Stop
@@ -21,6 +22,7 @@ from rig.executor.venting import PATIENCE_S, Venting
 WATCHDOG_SILENT_NS = 1_000_000_000
 LEAD_IN_NS = 5_000_000
 REHEARSED_TICKS = 20
+CLOCKS_TOLD_EVERY = 200
 
 
 def main() -> int:
@@ -37,6 +39,7 @@ def main() -> int:
         bench.arm()
         bench.start()
         _rehearse(job, bench)
+        clocks.publish(memory, bench)
         warnings = become_real_time(priority=50)
         memory.say("control", Stage.READY, "; ".join(warnings))
         fault = _run(job, memory, bench)
@@ -123,6 +126,8 @@ def _run(job: Job, memory: RunMemory, bench: Bench) -> str:
         )
         memory.samples.push(row)
         memory.set("lost_scans", ticker.lost)
+        if tick % CLOCKS_TOLD_EVERY == 0:
+            clocks.publish(memory, bench)
         memory.set("protocol_s", ticker.position.protocol_s)
         memory.set("waiting", ticker.position.prompts_passed if ticker.position.waiting else -1)
         memory.beat("control", now)

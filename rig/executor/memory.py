@@ -24,6 +24,8 @@ PICTURES = 32
 MESSAGE_BYTES = 480
 EVENTS = 256
 VIEWS = 4
+CLOCKS = 8
+"""Cards whose sampling clocks are told."""
 LINE_POINTS = 16
 """Points of a line that is drawn of the arm: its axis or an actuator's."""
 
@@ -68,6 +70,8 @@ _BOARD = np.dtype(
         ("safe_ns", "<i8"),
         ("fired_ns", "<i8"),
         ("lost_scans", "<i8"),
+        ("scan_period_ns", "<f8", (CLOCKS,)),
+        ("scan_drift_ppm", "<f8", (CLOCKS,)),
     ],
     align=True,
 )

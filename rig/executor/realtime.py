@@ -11,6 +11,7 @@ import time
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.executor import clocks
 from rig.executor.base import Audience, OpenRecord, Outcome, Plan, Progress, Recorder, StartError, StoppedError
 from rig.executor.child import Job, spawn
 from rig.executor.clock import stolen_ms
@@ -93,6 +94,8 @@ class _Conductor:
         go = time.monotonic_ns() + LEAD_NS
         self.recorder = open_record(go)
         self._event(Level.INFO, "control", "armed: the safe state was written and read back")
+        for sentence in clocks.told(memory, self.plan.config):
+            self._event(Level.INFO, "card", sentence)
         if warning := memory.message("control"):
             self._event(Level.WARNING, "control", warning)
         if trouble:
@@ -124,6 +127,7 @@ class _Conductor:
             "observation_ring_overflows": memory.observations.lost,
             "picture_ring_overflows": memory.pictures_lost,
             "stolen_cpu_ms": stolen_ms() - stolen,
+            **clocks.counted(memory, self.plan.config),
         }
         memory.say("conductor", Stage.DONE, f"{status}: {message}".removesuffix(": "))
         return Outcome(status, message, safe_ns or time.monotonic_ns(), counters)

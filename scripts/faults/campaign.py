@@ -15,9 +15,10 @@ from pathlib import Path
 
 from scripts.faults import realtime, virtual
 from scripts.faults.catalogue import Fault
-from scripts.faults.trial import EARLIEST_S, LATEST_S, Trial
+from scripts.faults.trial import EARLIEST_S, LATEST_S, EndedBeforeError, Trial
 
 EXECUTORS = ("real", "virtual")
+ATTEMPTS = 3
 
 
 @dataclass(frozen=True)
@@ -63,10 +64,15 @@ def tried(due: Sequence[Job], beside: int) -> Iterator[Trial]:
 
 
 def _try(job: Job) -> Trial:
-    with tempfile.TemporaryDirectory(prefix="softrig-faults-") as folder:
-        trial = virtual.trial if job.executor == "virtual" else realtime.trial
-        try:
-            return trial(job.fault, Path(folder), job.at_s, job.seed)
-        except Exception as error:
-            wrong = f"{type(error).__name__}: {error}"
-            return Trial(job.fault.name, job.executor, job.at_s, "no trial", "", math.nan, math.nan, wrong)
+    trial = virtual.trial if job.executor == "virtual" else realtime.trial
+    early = ""
+    for _ in range(ATTEMPTS):
+        with tempfile.TemporaryDirectory(prefix="softrig-faults-") as folder:
+            try:
+                return trial(job.fault, Path(folder), job.at_s, job.seed)
+            except EndedBeforeError as error:
+                early = f"{ATTEMPTS} runs ended before the fault could strike: {error}"
+            except Exception as error:
+                early = f"{type(error).__name__}: {error}"
+                break
+    return Trial(job.fault.name, job.executor, job.at_s, "no trial", "", math.nan, math.nan, early)

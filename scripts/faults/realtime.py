@@ -42,7 +42,7 @@ from scripts.faults.catalogue import (
     Trick,
 )
 from scripts.faults.surroundings import NotHereError, SteppedClock
-from scripts.faults.trial import PROTOCOL, Trial, Watched, judge, skipped
+from scripts.faults.trial import PROTOCOL, EndedBeforeError, Trial, Watched, judge, skipped
 from scripts.faults.virtual import SEEN_SAFE_V, rig_text
 
 MODULES = {
@@ -55,6 +55,7 @@ START_S, END_S = 200.0, 45.0
 ENDED_S = 0.3
 """How long the registers are watched on once the run has ended."""
 MOVING_V = 4.0
+STILL_S = 0.1
 
 
 class WatchedRun:
@@ -143,6 +144,17 @@ class WatchedRun:
         except CardError:  # not there yet, or not yet complete
             return None
 
+    def ended(self, registers: Registers) -> bool:
+        """True where the run is over: it has left, or its valves are safe and stay so for longer than they ever do."""
+        until = time.monotonic() + STILL_S
+        while self.process.poll() is None:
+            if not self.safe(registers):
+                return False
+            if time.monotonic() > until:
+                return True
+            time.sleep(0.001)
+        return True
+
     def safe(self, registers: Registers) -> bool:
         """True while every output stands at its safe voltage."""
         volts = registers.outputs["volts"][: len(self._safe_v)]
@@ -230,6 +242,9 @@ def trial(fault: Fault, folder: Path, at_s: float, seed: int) -> Trial:
             with _run(folder, fault.action, environment) as run, ExitStack() as undo:
                 registers = run.wait_until_moving()
                 time.sleep(at_s)
+                if run.ended(registers):
+                    run.process.wait(END_S)
+                    raise EndedBeforeError(run.said[-1500:])
                 watch = Watch(run, registers)
                 fault_ns = time.monotonic_ns()
                 fault_ns = _strike(fault, blows, run, registers, clock, undo) or fault_ns

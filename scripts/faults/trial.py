@@ -45,6 +45,10 @@ class Trial:
     skipped: str = ""
 
 
+class EndedBeforeError(Exception):
+    """The run ended by itself before the fault could strike; the message says what it told."""
+
+
 @dataclass(frozen=True)
 class Watched:
     """What was seen from outside: monotonic or virtual times [ns]; `safe_ns` when the valves became safe for good."""
@@ -74,7 +78,8 @@ def judge(fault: Fault, executor: str, at_s: float, watched: Watched, folder: Pa
     found = re.search(fault.says, said)
     told = _sentence(said, found) if found and fault.says else ""
     if not found:
-        wrong.append(f"the operator was not told: nothing like '{fault.says}' in {said[-600:]!r}")
+        heard = f"{run.message if run else ''} | {said[-600:]}"
+        wrong.append(f"the operator was not told: nothing like '{fault.says}' in {heard!r}")
     if "Traceback" in said:
         wrong.append(f"a traceback: {said[-800:]}")
     if fault.safe and watched.safe_ns is None:
