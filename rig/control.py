@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,8 +38,7 @@ class Settings:
     limits: interlocks.Settings
 
 
-@dataclass(frozen=True)
-class State:
+class State(NamedTuple):
     """What one tick hands to the next. Once `trip` is set every command is the safe one."""
 
     scan_t_ns: int | None
@@ -47,8 +47,7 @@ class State:
     trip: Trip | None = None
 
 
-@dataclass(frozen=True)
-class Command:
+class Command(NamedTuple):
     """Valve voltages (V,) to write now, and the trip that made them the safe ones."""
 
     valve_v: NDArray[np.float64]
@@ -114,10 +113,10 @@ def _step(settings: Settings, state: State, sample: Sample, setpoint: list[float
     limits = settings.limits
     trip = interlocks.stale(limits, sample)
     if trip is not None or sample.scan_t_ns == state.scan_t_ns:
-        return replace(state, trip=trip)
+        return state._replace(trip=trip)
     trip = interlocks.broken(limits, sample)
     if trip is not None:
-        return replace(state, trip=trip)
+        return state._replace(trip=trip)
     passed = settings.period_s if state.scan_t_ns is None else (sample.scan_t_ns - state.scan_t_ns) * 1e-9
     dt = min(max(passed, SHORTEST_STEP_PERIODS * settings.period_s), LONGEST_STEP_PERIODS * settings.period_s)
 

@@ -26,8 +26,7 @@ EVIDENCE = 2.0
 """A still reading is suspicious once the valve should have moved it by this many times the sensor's accuracy."""
 
 
-@dataclass(frozen=True)
-class Sample:
+class Sample(NamedTuple):
     """What one control tick knows.
 
     `t_ns` is the time of the tick, `scan_t_ns` that of the newest scan (0 before the first); `volts` (N,) and
@@ -104,8 +103,7 @@ class Watch(NamedTuple):
     astray_s: float = 0.0
 
 
-@dataclass(frozen=True)
-class Asked:
+class Asked(NamedTuple):
     """What the regulator of one actuator wants: see `rig.regulator.Regulated`."""
 
     setpoint_pa: float
@@ -180,13 +178,6 @@ def step(
             setpoint_pa=asked.setpoint_pa,
         )
     watch = _moved(s, i, watch, dt_s, volts, pressure_pa, asked)
-    settled = asked.setpoint_pa == watch.setpoint_pa
-    astray = abs(asked.reference_pa - pressure_pa) > s.tracking_pa
-    watch = watch._replace(
-        setpoint_pa=asked.setpoint_pa,
-        still_s=watch.still_s + dt_s if settled else 0.0,
-        astray_s=watch.astray_s + dt_s if astray else 0.0,
-    )
     return watch, _judge(s, i, watch, t_ns, asked)
 
 
@@ -202,16 +193,22 @@ def _moved(s: Settings, i: int, watch: Watch, dt: float, volts: float, pressure:
     left, left_reference, left_s = watch.left_pa, watch.left_reference_pa, watch.left_s + dt
     if abs(pressure - left) > NOISE_SHARE * s.sensors[i].accuracy_pa:
         left, left_reference, left_s = pressure, asked.reference_pa, 0.0
-    return watch._replace(
-        left_pa=left,
-        left_reference_pa=left_reference,
-        left_s=left_s,
-        pressure_pa=pressure,
-        rate_pa_s=rate,
-        anchor_v=anchor,
-        anchor_s=still,
-        anchor_integral_pa_s=held,
-        expected_pa=expected,
+    settled = asked.setpoint_pa == watch.setpoint_pa
+    astray = abs(asked.reference_pa - pressure) > s.tracking_pa
+    # By position: names would cost as much as everything above.
+    return Watch(
+        pressure,
+        rate,
+        anchor,
+        still,
+        held,
+        expected,
+        left,
+        left_reference,
+        left_s,
+        asked.setpoint_pa,
+        watch.still_s + dt if settled else 0.0,
+        watch.astray_s + dt if astray else 0.0,
     )
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from bisect import bisect_right
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from rig.config import PA_PER_BAR, FlowValve, PressureValve, RigConfig
 from rig.valve import (
@@ -74,8 +75,7 @@ class PressureSettings:
 Settings = FlowSettings | PressureSettings
 
 
-@dataclass(frozen=True)
-class Regulated:
+class Regulated(NamedTuple):
     """State of one regulator after a step; `valve_v` is what the valve shall get.
 
     `reference_pa` is the set-point after the rate limit, `asked_pa_s` the rate of pressure change that the voltage
