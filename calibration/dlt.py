@@ -84,6 +84,21 @@ class DLT:
         return pixels if self.lens is None else undistort(pixels, self.lens)
 
 
+def decompose(dlt: DLT) -> tuple[Lens, Rigid]:
+    """The pinhole and the camera in the world that a camera's coefficients are; its skew is left out of the lens."""
+    matrix = dlt.matrix
+    # RQ by QR of the reversed matrix; signs such that the focal lengths are positive.
+    q, r = np.linalg.qr(np.flipud(matrix[:, :3]).T)
+    upper, rotation = np.flipud(np.fliplr(r.T)), np.flipud(q.T)
+    signs = np.diag(np.sign(np.diag(upper)))
+    upper, rotation = upper @ signs, signs @ rotation
+    if np.linalg.det(rotation) < 0:
+        rotation = -rotation
+    upper = upper / upper[2, 2]
+    lens = Lens.of(upper[0, 0], upper[1, 1], upper[0, 2], upper[1, 2])
+    return lens, Rigid(np.asarray(rotation.T), dlt.centre_m)
+
+
 def undistort(pixels: Floats, lens: Lens) -> Floats:
     """Where pixels (n, 2) would lie if the lens had no distortion."""
     matrix = lens.matrix

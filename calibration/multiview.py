@@ -30,7 +30,7 @@ def board_pose(points_m: Floats, cameras: Sequence[DLT], corners: Sequence[Corne
     seen = [camera.undistorted(c.px) for camera, c in zip(cameras, corners, strict=True)]
     noise = [_undistorted_noise(camera, c) for camera, c in zip(cameras, corners, strict=True)]
     start = reconstruct(cameras, [c.px for c in corners], noise)
-    rotation, translation = _fit_rigid(points_m, start.m)
+    rotation, translation = fit_rigid(points_m, start.m)
     vector, _ = cv2.Rodrigues(rotation)
     x = np.concatenate([np.asarray(vector, dtype=np.float64).ravel(), translation])
     whiteners = [np.linalg.inv(np.linalg.cholesky(n)) for n in noise]
@@ -95,7 +95,7 @@ def _undistorted_noise(camera: DLT, corners: Corners) -> Floats:
     return np.asarray(slope @ corners.covariance @ slope.transpose(0, 2, 1))
 
 
-def _fit_rigid(points: Floats, world: Floats) -> tuple[Floats, Floats]:
+def fit_rigid(points: Floats, world: Floats) -> tuple[Floats, Floats]:
     """Rotation and translation that bring points (n, 3) nearest to their places in the world (Kabsch)."""
     centre, place = points.mean(axis=0), world.mean(axis=0)
     u, _, vt = np.linalg.svd((world - place).T @ (points - centre))

@@ -36,6 +36,7 @@ class PlainErrors(TyperGroup):
 def _status(error: Exception) -> int | None:
     """Exit status of an expected error; None for one that is a bug."""
     from calibration.camera import CalibrationError
+    from calibration.dlt import DLTError
     from calibration.identify import NoData, UnknownParameter
     from calibration.identify.spread import NoCluster, WorkersDie
     from calibration.views import ViewsError
@@ -49,7 +50,7 @@ def _status(error: Exception) -> int | None:
 
     if isinstance(error, NoData | UnknownParameter):
         return BAD_INPUT
-    if isinstance(error, BadInput | ArchiveError | ExportError | CalibrationError | ViewsError):
+    if isinstance(error, BadInput | ArchiveError | ExportError | CalibrationError | DLTError | ViewsError):
         return BAD_INPUT
     if isinstance(error, StoppedError):
         return INTERRUPTED

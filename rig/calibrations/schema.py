@@ -156,6 +156,9 @@ class DLTCamera(Section):
     rms_px: NonNegative
     placement: Placement = Field(description="the camera in the world")
     placement_covariance: Annotated[Matrix, Field(description="of translation [mm] and rotation vector [deg]")]
+    placement_known: Annotated[
+        bool, Field(strict=True, description="whether the place's uncertainty could be told")
+    ] = True
     control_points: Annotated[tuple[ControlPoint, ...], Field(min_length=1)]
 
     @model_validator(mode="after")

@@ -2,14 +2,21 @@
 
 from __future__ import annotations
 
+from itertools import combinations
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
 from calibration.camera import PARAMETERS, CameraCalibration
+from calibration.frames import Rigid
+from rig.calibrations import schema
+
+_WORST_SHOWN = 5
 
 
 def table(*heads: str, title: str | None = None) -> Table:
@@ -61,3 +68,67 @@ def camera(found: CameraCalibration, name: str, screen: Console) -> None:
         screen.print(Text(f"not used: {left.name}: {left.reason}", "yellow"), soft_wrap=True)
     for line in found.advice:
         screen.print(Text(line, "yellow"), soft_wrap=True)
+
+
+def pairs(places: dict[str, tuple[Rigid, NDArray[np.float64]]]) -> list[dict[str, Any]]:
+    """How each pair of cameras stands: distance of the centres and angle between the lines of sight."""
+    found: list[dict[str, Any]] = []
+    for (a, (one, _)), (b, (other, _)) in combinations(places.items(), 2):
+        turn = np.clip(float(one.rotation[:, 2] @ other.rotation[:, 2]), -1, 1)
+        found.append(
+            {
+                "cameras": [a, b],
+                "baseline_mm": float(np.linalg.norm(one.translation_m - other.translation_m)) * 1e3,
+                "angle_deg": float(np.degrees(np.arccos(turn))),
+            }
+        )
+    return found
+
+
+def dlt(found: schema.DLTFile, places: dict[str, tuple[Rigid, NDArray[np.float64]]], screen: Console) -> None:
+    """Coefficients, places, residuals and test error of a DLT."""
+    values = table("", *(c.camera.name for c in found.cameras), title="coefficients (world in mm, undistorted px)")
+    for k in range(11):
+        cells = (f"{c.coefficients_px_mm[k]:.6g} +- {c.covariance[k][k] ** 0.5:.1g}" for c in found.cameras)
+        values.add_row(f"L{k + 1}", *cells)
+    values.add_row("rms [px]", *(f"{c.rms_px:.3f}" for c in found.cameras))
+    values.add_row("points", *(str(len(c.control_points)) for c in found.cameras))
+    screen.print(values)
+    world = found.world if found.world == "rod base" else f"the board of view {found.world_view}"
+    stands = table("camera", "x [mm]", "y [mm]", "z [mm]", "+- [mm]", "+- [deg]", title=f"places in {world}")
+    for c in found.cameras:
+        p = c.placement
+        known = (f"{p.translation_std_mm:.2g}", f"{p.rotation_std_deg:.2g}") if c.placement_known else ("?", "?")
+        stands.add_row(c.camera.name, *(f"{v:.3f}" for v in p.translation_mm), *known)
+    screen.print(stands)
+    for pair in pairs(places):
+        names = " - ".join(pair["cameras"])
+        screen.print(f"{names}: baseline {pair['baseline_mm']:.3f} mm, {pair['angle_deg']:.2f} deg", soft_wrap=True)
+    screen.print(_worst_points(found))
+    if found.test_error is not None:
+        screen.print(_test_words(found), soft_wrap=True)
+    for left in found.left_out:
+        screen.print(Text(f"not used: {left.name}: {left.reason}", "yellow"), soft_wrap=True)
+
+
+def _worst_points(found: schema.DLTFile) -> Table:
+    every = [(c.camera.name, p.point, float(np.hypot(*p.residual_px))) for c in found.cameras for p in c.control_points]
+    every.sort(key=lambda item: -item[2])
+    shown = every if len(every) <= 4 * _WORST_SHOWN else every[:_WORST_SHOWN]
+    title = "residuals" if len(shown) == len(every) else f"largest of {len(every)} residuals (all are in the file)"
+    made = table("point", "camera", "residual [px]", title=title)
+    for camera, point, px in shown:
+        made.add_row(point, camera, f"{px:.3f}")
+    return made
+
+
+def _test_words(found: schema.DLTFile) -> str:
+    test = found.test_error
+    assert test is not None
+    if test.rms_mm is None:
+        return f"test ({test.method}): {test.points} points, rms {test.rms_px:.3f} px"
+    words = f"test ({test.method}): {test.points} points, rms {test.rms_mm:.4f} mm, worst {test.worst_mm:.4f} mm"
+    if test.square_mm is not None and found.board is not None:
+        words += f"; square by triangulation {test.square_mm:.4f} +- {test.square_std_mm:.4f} mm"
+        words += f" ({found.board.square_mm:g} stated)"
+    return words

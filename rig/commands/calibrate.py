@@ -27,6 +27,44 @@ def group() -> None:
 
 
 @app.command()
+def dlt(
+    given: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="CSV|NAME=VIEWS..", help="Control points, or each camera's simultaneous views of a board."
+        ),
+    ] = None,
+    corners: Corners = "",
+    square_mm: SquareMm = 0.0,
+    calibration: Annotated[
+        list[Path] | None, typer.Option(metavar="FILE", help="A camera's calibration, to take its lens out.")
+    ] = None,
+    rig: RigFile = None,
+    size: Annotated[str, typer.Option(help="Size of the pictures, as 640x480, where nothing else tells it.")] = "",
+    points_std_mm: Annotated[float, typer.Option(help="Uncertainty of the control points, for the bundle.")] = 0.0,
+    bundle: Annotated[bool, typer.Option(help="Refine everything together.")] = True,
+    world_view: Annotated[str, typer.Option(help="View whose board is the world.")] = "",
+    base: Annotated[
+        str, typer.Option(metavar="X,Y,Z,A,B,C", help="That board in the rod-base frame: mm, rotation vector in deg.")
+    ] = "",
+    every: Every = 1,
+    to: To = None,
+    replace: Replace = False,
+    note: Note = "",
+    json: AsJson = False,
+) -> None:
+    """Find cameras' 11 coefficients and places, from control points or from views of a board."""
+    from rig.calibrations import dlt as procedure
+
+    procedure.run(
+        procedure.Asked(
+            tuple(given or ()), corners, square_mm, tuple(calibration or ()), rig, size, points_std_mm, bundle,
+            world_view, base, every, to, replace, note, json,
+        )
+    )  # fmt: skip
+
+
+@app.command()
 def camera(
     views: Annotated[
         list[str] | None,
