@@ -29,6 +29,8 @@ _CONVERGED = 1e-12
 # Control points whose thickness is below this share of their extent count as lying in a plane.
 _FLAT = 1e-3
 _USUAL_STD_PX = 0.05
+# Turn [rad] and shift [m] by which coefficients are differentiated.
+_SLIP = 1e-6
 
 
 class DLTError(Exception):
@@ -50,10 +52,17 @@ class DLT:
 
     @classmethod
     def of_camera(cls, lens: Lens, camera_in_world: Rigid) -> DLT:
-        """Return the coefficients of a camera whose lens and place are known."""
-        world_in_camera = camera_in_world.inverse()
-        placed = np.column_stack([world_in_camera.rotation, world_in_camera.translation_m])
-        return cls(_coefficients(lens.matrix @ placed), np.zeros((11, 11)), np.zeros((0, 2)), lens)
+        """Return the coefficients of a camera whose lens and place are known, the latter to its stated uncertainty."""
+        coefficients = _placed(lens, camera_in_world)
+        slips = [(np.eye(3)[k] * _SLIP, np.zeros(3)) for k in range(3)]
+        slips += [(np.zeros(3), np.eye(3)[k] * _SLIP) for k in range(3)]
+        stds = [camera_in_world.rotation_std_rad] * 3 + [camera_in_world.translation_std_m] * 3
+        columns = [
+            (_placed(lens, _slipped(camera_in_world, *slip)) - coefficients) * (std / _SLIP)
+            for slip, std in zip(slips, stds, strict=True)
+        ]
+        by_place = np.column_stack(columns)
+        return cls(coefficients, by_place @ by_place.T, np.zeros((0, 2)), lens)
 
     @property
     def matrix(self) -> Floats:
@@ -97,6 +106,15 @@ def decompose(dlt: DLT) -> tuple[Lens, Rigid]:
     upper = upper / upper[2, 2]
     lens = Lens.of(upper[0, 0], upper[1, 1], upper[0, 2], upper[1, 2])
     return lens, Rigid(np.asarray(rotation.T), dlt.centre_m)
+
+
+def _placed(lens: Lens, camera_in_world: Rigid) -> Floats:
+    world_in_camera = camera_in_world.inverse()
+    return _coefficients(lens.matrix @ np.column_stack([world_in_camera.rotation, world_in_camera.translation_m]))
+
+
+def _slipped(frame: Rigid, turn_rad: Floats, shift_m: Floats) -> Rigid:
+    return Rigid(Rigid.from_vectors(turn_rad, shift_m).rotation @ frame.rotation, frame.translation_m + shift_m)
 
 
 def undistort(pixels: Floats, lens: Lens) -> Floats:

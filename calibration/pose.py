@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import cv2
 import numpy as np
@@ -59,6 +60,13 @@ class Pose:
         return rotation @ point_m + self.translation_m, jacobian @ self.covariance @ jacobian.T
 
 
+class Known(Protocol):
+    """What is known of a pose before the picture is looked at."""
+
+    def departure(self, rotation_vector: Floats, translation_m: Floats) -> tuple[Floats, Floats]:
+        """How far a pose is from what is known (m,), in standard uncertainties, with its derivatives (m, 6)."""
+
+
 def refine(
     points_m: Floats,
     corners_px: Floats,
@@ -66,12 +74,13 @@ def refine(
     start: tuple[Floats, Floats],
     corner_covariance: Floats | None = None,
     unexplained: float = 0.0,
+    known: Known | None = None,
 ) -> Pose | None:
     """Minimise the reprojection error from a starting pose by Levenberg-Marquardt; None if it does not converge.
 
     `points_m` (n, 3) in the board's frame, `corners_px` (n, 2) with covariance (n, 2, 2) [px^2], `start` a rotation
-    vector and a translation. The covariance is that of weighted least squares, scaled by the variance of the weighted
-    residuals; see `residual_covariance`.
+    vector and a translation, `known` what weighs in like further residuals. The covariance is that of weighted least
+    squares, scaled by the variance of the weighted residuals; see `residual_covariance`.
     """
     count = len(points_m)
     if corner_covariance is None:
@@ -82,7 +91,11 @@ def refine(
     def whitened(at: Floats) -> tuple[Floats, Floats, Floats]:
         projected, jacobian = lens.project_with_jacobian(points_m, at[:3], at[3:])
         residual = np.einsum("nij,nj->ni", whitener, corners_px - projected).ravel()
-        return projected, np.matmul(whitener, jacobian.reshape(count, 2, 6)).reshape(-1, 6), residual
+        white = np.matmul(whitener, jacobian.reshape(count, 2, 6)).reshape(-1, 6)
+        if known is not None:
+            off, slope = known.departure(at[:3], at[3:])
+            residual, white = np.concatenate([residual, -off]), np.concatenate([white, slope])
+        return projected, white, residual
 
     x = np.concatenate([start[0], start[1]]).astype(np.float64)
     projected, jacobian, residual = whitened(x)
@@ -119,18 +132,21 @@ def refine(
 def residual_covariance(
     jacobian: Floats, misfit: float, pictures: Sequence[Floats], unexplained: Sequence[float]
 ) -> Floats:
-    """Covariance (k, k) of a least-squares fit from its whitened derivatives (2 n, k) and its sum of squares.
+    """Covariance (k, k) of a least-squares fit from its whitened derivatives (2 n + m, k) and its sum of squares.
 
     The residuals scale the covariance, steadied by a weak prior that they are what the corners say. What they show
     beyond that, and the share of the corners' own variance that is `unexplained`, is no noise of pixels but a fault
     of model, lens or print: it goes smoothly over the board, so that its corners do not average it out. `pictures`
-    has the board's points (n, 3) once for every picture.
+    has the board's points (n, 3) once for every picture; rows beyond theirs are of what was known beforehand.
     """
     unknowns = jacobian.shape[1]
     inverse = np.asarray(np.linalg.inv(jacobian.T @ jacobian))
     scale = (misfit + _PRIOR_WEIGHT) / (len(jacobian) - unknowns + _PRIOR_WEIGHT)
-    covariance = inverse * scale
-    gains = np.split(inverse @ jacobian.T, len(pictures), axis=1)
+    gain_of_all = inverse @ jacobian.T
+    seen = 2 * sum(len(points) for points in pictures)
+    from_pictures, from_known = gain_of_all[:, :seen], gain_of_all[:, seen:]
+    covariance = from_pictures @ from_pictures.T * scale + from_known @ from_known.T
+    gains = np.split(from_pictures, len(pictures), axis=1)
     for points, gain, share in zip(pictures, gains, unexplained, strict=True):
         apart = np.linalg.norm(points[:, None] - points, axis=2)
         length = _SMOOTH_OVER * float(np.min(apart[apart > 0]))
@@ -144,7 +160,12 @@ def residual_covariance(
 
 
 def solutions(
-    points_m: Floats, corners_px: Floats, lens: Lens, corner_covariance: Floats | None = None, unexplained: float = 0.0
+    points_m: Floats,
+    corners_px: Floats,
+    lens: Lens,
+    corner_covariance: Floats | None = None,
+    unexplained: float = 0.0,
+    known: Known | None = None,
 ) -> tuple[Pose, ...]:
     """Return the one or two poses that a plane allows, best first, each refined.
 
@@ -157,7 +178,7 @@ def solutions(
         return ()
     starts = np.concatenate([np.array(rotations), np.array(translations)], axis=1, dtype=np.float64)
     poses = [
-        refine(points_m, corners_px, lens, (start[:3, 0], start[3:, 0]), corner_covariance, unexplained)
+        refine(points_m, corners_px, lens, (start[:3, 0], start[3:, 0]), corner_covariance, unexplained, known)
         for start in starts
     ]
     return tuple(sorted((p for p in poses if p is not None), key=lambda p: p.misfit))

@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 
 from calibration.board import Board, find, grey
 from calibration.corners import Corners, sharpen, spacing
+from calibration.frames import Rigid
 from calibration.lens import Lens
-from calibration.pose import Pose, refine, solutions
+from calibration.pose import Known, Pose, refine, solutions
 from runs.records import Seen
 
 Floats = NDArray[np.float64]
@@ -24,13 +25,18 @@ _WORST_MISFIT = 0.15
 # A flip is decided by the picture alone when its residuals are so many variances worse.
 _FLIP_EVIDENCE = 16.0
 _FLIP_SAME_RAD = 0.02
+# Further from what the other cameras say than this, a pose is the flip of the right one.
+_OTHER_SIDE_RAD = 0.1
 # Followed from frame to frame, a pose whose residuals are so many times larger than the corners say is looked at anew.
 _SUSPECT = 3.0
 
 
 @dataclass(frozen=True)
 class Sighting:
-    """What one picture showed: corners and pose where `seen` is MEASURED, the reason where it is not."""
+    """What one picture showed: corners and pose where `seen` is MEASURED, the reason where it is not.
+
+    Corners without a pose are those of a board that may be tilted either way.
+    """
 
     seen: Seen
     corners: Corners | None = None
@@ -40,9 +46,11 @@ class Sighting:
 class Tracker:
     """Finds the board, then follows it by its velocity; keeps the corners' order and the side of the flip."""
 
-    def __init__(self, board: Board, lens: Lens) -> None:
+    def __init__(self, board: Board, lens: Lens, known: Known | None = None) -> None:
+        """`known` is what holds of the board's pose before the camera in every picture."""
         self._board = board
         self._lens = lens
+        self._known = known
         self._last: Pose | None = None
         self._before: Pose | None = None
 
@@ -62,6 +70,16 @@ class Tracker:
         # After a loss the last pose still tells the side of the flip and where to look first.
         self._last = sighting.pose or self._last
         return sighting
+
+    def agree(self, sighting: Sighting, board_in_camera: Rigid) -> None:
+        """Take the side of the flip that others know to be right; `sighting` is what `see` gave last."""
+        if sighting.corners is None or (
+            sighting.pose is not None and _angle(sighting.pose.rigid, board_in_camera) < _OTHER_SIDE_RAD
+        ):
+            return
+        poses = self._solutions(sighting.corners)
+        self._before = None
+        self._last = min(poses, key=lambda p: _angle(p.rigid, board_in_camera), default=self._last)
 
     def _find_near(self, image: Image, corners: Floats) -> Floats | None:
         """Search around the last place, two squares further out."""
@@ -88,20 +106,25 @@ class Tracker:
         check = self._lens.project(self._board.check_points_m, pose.rotation_vector, pose.translation_m)
         if not self._board.colours_fit(image, check):
             return Sighting(Seen.AMBIGUOUS)
-        return Sighting(Seen.MEASURED, corners, pose)
+        return Sighting(seen, corners, pose if seen is Seen.MEASURED else None)
+
+    def _solutions(self, corners: Corners) -> tuple[Pose, ...]:
+        points = self._board.corners_m
+        return solutions(points, corners.px, self._lens, corners.covariance, corners.unexplained, self._known)
 
     def _pose(self, corners: Corners) -> tuple[Pose | None, Seen]:
+        """The best pose, and whether it is the measured one or as good as its flip."""
         points = self._board.corners_m
         if self._last is not None and self._before is not None:
             start = self._last.rotation_vector, self._last.translation_m
-            pose = refine(points, corners.px, self._lens, start, corners.covariance, corners.unexplained)
+            pose = refine(points, corners.px, self._lens, start, corners.covariance, corners.unexplained, self._known)
             if pose is not None and pose.misfit < _SUSPECT * (corners.px.size - 6):
                 return pose, Seen.MEASURED
         # At first sight, and where following may have led to the wrong side of a flip.
-        poses = solutions(points, corners.px, self._lens, corners.covariance, corners.unexplained)
+        poses = self._solutions(corners)
         if not poses:
             return None, Seen.POOR_FIT
-        if len(poses) == 1 or _angle(poses[0], poses[1]) < _FLIP_SAME_RAD:
+        if len(poses) == 1 or _angle(poses[0].rigid, poses[1].rigid) < _FLIP_SAME_RAD:
             return poses[0], Seen.MEASURED
         best, other = poses
         # Where even the better one fits badly, the corners are worse than they say.
@@ -109,12 +132,12 @@ class Tracker:
         if other.misfit - best.misfit > _FLIP_EVIDENCE * scale:
             return best, Seen.MEASURED
         if self._last is not None:
-            last = self._last
-            return min(poses, key=lambda p: _angle(p, last)), Seen.MEASURED
-        return None, Seen.AMBIGUOUS
+            last = self._last.rigid
+            return min(poses, key=lambda p: _angle(p.rigid, last)), Seen.MEASURED
+        return best, Seen.AMBIGUOUS
 
 
-def _angle(a: Pose, b: Pose) -> float:
-    """Angle [rad] between two poses."""
-    trace = np.sum(a.rigid.rotation * b.rigid.rotation)
+def _angle(a: Rigid, b: Rigid) -> float:
+    """Angle [rad] between two orientations."""
+    trace = np.sum(a.rotation * b.rotation)
     return float(np.arccos(np.clip((trace - 1) / 2, -1, 1)))

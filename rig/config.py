@@ -145,6 +145,7 @@ class Limits(Section):
     frozen_s: Positive = Field(description="a sensor whose reading has not moved by one count for so long is dead")
     stale_s: Positive = Field(description="longest time without a sample")
     no_tip_s: Positive = Field(description="longest time without a camera frame")
+    least_cameras: Count = Field(default=1, description="cameras that must deliver; with fewer the run ends")
     hung_s: Positive = Field(
         default=0.03, description="longest silence of control before the watchdog takes the valves"
     )
@@ -179,6 +180,15 @@ class Placement(Section):
     rotation_std_deg: NonNegative = 0.0
 
 
+class PlanarMotion(Section):
+    """The plane of the rod-base frame in which the tip moves and turns; only for motion that keeps to it."""
+
+    normal: Triple = (0.0, 1.0, 0.0)
+    through_mm: Triple = (0.0, 0.0, 0.0)
+    offset_std_mm: Positive = Field(description="how far the tip may leave the plane")
+    tilt_std_deg: Positive = Field(description="how far the tip may turn out of the plane")
+
+
 class CameraConfig(Section):
     """One camera. `placement` is the camera (x right, y down, z forward) in the rod-base frame."""
 
@@ -190,6 +200,9 @@ class CameraConfig(Section):
     exposure_ms: Positive = 8.0
     lens: Lens
     placement: Placement
+    planar_motion: PlanarMotion | SkipJsonSchema[None] = Field(
+        default=None, description="the tip moves in a known plane: depth and tilt are no longer this camera's alone"
+    )
 
 
 class Board(Section):
@@ -290,6 +303,7 @@ class SimulatedScene(Section):
     blur_px: NonNegative
     noise_grey: NonNegative
     lighting: Annotated[float, Field(gt=0, le=1, strict=True)] = 0.9
+    skew_ms: NonNegative = Field(default=0.0, description="virtual time: each camera exposes so long after the last")
 
 
 class Built(Section):

@@ -35,6 +35,7 @@ def check(parts: Mapping[str, Any]) -> list[Fault]:
         (_rates, ("cards", "cameras", "control", "limits")),
         (_cards, ("cards",)),
         (_cameras, ("cameras",)),
+        (_least_cameras, ("cameras", "limits")),
         (_arm, ("arm",)),
         (_simulator, ("cards", "cameras", "simulator")),
     )
@@ -201,8 +202,14 @@ def _cards(cards: Cards) -> Iterator[Fault]:
 
 def _cameras(cameras: Cameras) -> Iterator[Fault]:
     yield from _twice("cameras", {name: (camera.driver, camera.device) for name, camera in _named(cameras)})
+    rates = {name: camera.rate_hz for name, camera in _named(cameras)}
     for name, camera in _named(cameras):
         here: tuple[str | int, ...] = ("cameras", name)
+        first = next(iter(rates))
+        if camera.rate_hz != rates[first]:
+            yield Fault((*here, "rate_hz"), f"the rate of camera '{first}', {rates[first]:g} Hz: they see together")
+        if camera.planar_motion is not None and not any(camera.planar_motion.normal):
+            yield Fault((*here, "planar_motion", "normal"), "a direction, such as [0, 1, 0]")
         longest = 1000 / camera.rate_hz
         if camera.exposure_ms > longest:
             yield Fault(
@@ -217,6 +224,11 @@ def _cameras(cameras: Cameras) -> Iterator[Fault]:
                     f"a centre inside the picture, 0 to {size} px: was the lens calibrated at another resolution?"
                 )
                 yield Fault((*here, "lens", key), expected)
+
+
+def _least_cameras(cameras: Cameras, limits: Limits) -> Iterator[Fault]:
+    if limits.least_cameras > len(cameras):
+        yield Fault(("limits", "least_cameras"), f"at most {len(cameras)}: so many cameras has this rig")
 
 
 def _arm(arm: Arm) -> Iterator[Fault]:

@@ -234,6 +234,7 @@ def header(request: Request, decided: Plan, t_ns: int) -> RunHeader:
         quantities=quantities(config),
         control_hz=config.control.rate_hz,
         camera_hz=next(iter(config.cameras.values())).rate_hz,
+        cameras=tuple(config.cameras),
     )
 
 

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.tool import tip_in_base
-from calibration.tracking import Tracker
+from calibration.tracking import Sighting, Tracker
 from rig.config import RigConfig
-from rig.optics import board_in_tip, board_of, camera_in_base, lens_of
+from rig.optics import board_in_tip, board_of, camera_in_base, lens_of, plane_of
 from runs.records import Seen
 
 Floats = NDArray[np.float64]
@@ -18,13 +18,23 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Measurement:
-    """The tip (3,) [m] in the rod-base frame with covariance (3, 3); NaN and no corners unless `seen` is MEASURED."""
+    """The tip (3,) [m] in the rod-base frame with covariance (3, 3); NaN and no corners unless `seen` is MEASURED.
+
+    `corners_px` are those in the picture of the first camera that has one. `cameras` is what each of the rig's cameras
+    saw: the tip was measured from those that are MEASURED.
+    """
 
     seen: Seen
     tip_m: Floats
     covariance_m2: Floats
     reprojection_px: float
     corners_px: Floats | None
+    cameras: tuple[Seen, ...]
+
+    @classmethod
+    def none(cls, seen: Seen, cameras: tuple[Seen, ...]) -> Measurement:
+        """Nothing was measured, and why."""
+        return cls(seen, np.full(3, np.nan), np.full((3, 3), np.nan), float("nan"), None, cameras)
 
 
 class Eye:
@@ -32,14 +42,18 @@ class Eye:
 
     def __init__(self, config: RigConfig, camera_name: str) -> None:
         camera = config.cameras[camera_name]
-        self._tracker = Tracker(board_of(config), lens_of(camera))
+        self.tracker = Tracker(board_of(config), lens_of(camera), plane_of(config, camera))
         self._board_in_tip = board_in_tip(config)
         self._camera_in_base = camera_in_base(camera)
 
     def measure(self, image: NDArray[np.uint8]) -> Measurement:
         """Measure the tip in the next picture, (height, width) grey or (height, width, 3) BGR."""
-        sighting = self._tracker.see(image)
+        return self.judge(self.tracker.see(image))
+
+    def judge(self, sighting: Sighting) -> Measurement:
+        """The tip by what this camera alone has seen."""
         if sighting.pose is None or sighting.corners is None:
-            return Measurement(sighting.seen, np.full(3, np.nan), np.full((3, 3), np.nan), float("nan"), None)
+            return Measurement.none(sighting.seen, (sighting.seen,))
         tip, covariance = tip_in_base(sighting.pose, self._board_in_tip, self._camera_in_base)
-        return Measurement(sighting.seen, tip, covariance, sighting.pose.reprojection_px, sighting.corners.px)
+        seen, pose = sighting.seen, sighting.pose
+        return Measurement(seen, tip, covariance, pose.reprojection_px, sighting.corners.px, (seen,))

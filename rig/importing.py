@@ -144,6 +144,7 @@ def _observations(
     rows["measured_m"], rows["covariance_m2"] = tip_m, covariance_m2
     unseen = ~np.isfinite(rows["measured_m"]).all(axis=1)
     rows["seen"] = np.where(unseen, Seen.NO_FRAME, Seen.MEASURED)
+    rows["camera_seen"] = rows["seen"][:, None]
     rows["measured_m"][unseen] = rows["covariance_m2"][unseen] = np.nan
     for field in ("model_m", "truth_m", "reprojection_px", "backbone_m"):
         rows[field] = np.nan

@@ -8,6 +8,7 @@ from scipy.spatial.transform import Rotation
 from calibration.board import Board
 from calibration.frames import Rigid
 from calibration.lens import Lens
+from calibration.planar import PlaneOfMotion
 from rig.config import CameraConfig, Placement, RigConfig
 
 
@@ -42,6 +43,22 @@ def lens_of(camera: CameraConfig) -> Lens:
 def camera_in_base(camera: CameraConfig) -> Rigid:
     """The camera in the rod-base frame."""
     return rigid(camera.placement)
+
+
+def plane_of(config: RigConfig, camera: CameraConfig) -> PlaneOfMotion | None:
+    """The plane that the tip keeps to, where the camera may take that for granted."""
+    plane = camera.planar_motion
+    if plane is None:
+        return None
+    normal = np.asarray(plane.normal) / np.linalg.norm(plane.normal)
+    return PlaneOfMotion(
+        normal,
+        np.asarray(plane.through_mm) * 1e-3,
+        plane.offset_std_mm * 1e-3,
+        float(np.deg2rad(plane.tilt_std_deg)),
+        board_in_tip(config),
+        camera_in_base(camera),
+    )
 
 
 def board_of(config: RigConfig) -> Board:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig import config as rigs
-from rig.cameras.base import Frame
+from rig.cameras.base import Frame, Shot
 from rig.config import PA_PER_BAR, RigConfig, Variant
 from rig.executor.base import StartError
 from rig.experiment import VARIANTS, free_id
@@ -61,6 +61,7 @@ def replay(
         rig_yaml=text,
         parameters_yaml=found,
         model_variant=chosen,
+        cameras=tuple(config.cameras),
         command=" ".join(sys.argv),
         versions=versions(),
         git_commit=commit,
@@ -89,20 +90,27 @@ def _observed(run: Run, config: RigConfig, variant: Variant) -> Iterator[NDArray
     measured_pa = run.pressure.measured_bar * PA_PER_BAR
     truth_mm = run.simulated.tip_mm if run.simulated is not None else np.full((len(tip.frame), 3), np.nan)
     row_of = {int(frame): row for row, frame in enumerate(tip.frame)}
+    camera_of = _cameras(run, config)
+    pictures: dict[int, list[int]] = {}
+    for k, (index, name) in enumerate(zip(run.frames.index, run.frames.camera, strict=True)):
+        if int(index) in row_of and name in camera_of:
+            pictures.setdefault(int(index), []).append(k)
     seen = 0
     before = None
-    for k, (time_s, index) in enumerate(zip(run.frames.time_s, run.frames.index, strict=True)):
-        row = row_of.get(int(index))
-        if row is None:
-            continue
-        t_ns = int(_nanoseconds(time_s, clock))
-        until = min(int(np.searchsorted(ticks_ns, t_ns, side="left")) + 1, len(ticks_ns))
-        image = cv2.imdecode(np.frombuffer(run.picture(k), np.uint8), cv2.IMREAD_UNCHANGED)
-        frame = Frame(int(index), t_ns, np.asarray(image, np.uint8), truth_mm[row] * 1e-3)
-        dropped = 0 if before is None else int(index) - before - 1
-        before = int(index)
+    for index, of_shot in pictures.items():
+        row = row_of[index]
+        frames: list[Frame | None] = [None] * len(config.cameras)
+        for k in of_shot:
+            t_ns = int(_nanoseconds(run.frames.time_s[k], clock))
+            image = cv2.imdecode(np.frombuffer(run.picture(k), np.uint8), cv2.IMREAD_UNCHANGED)
+            truth_m = truth_mm[row] * 1e-3
+            frames[camera_of[run.frames.camera[k]]] = Frame(index, t_ns, np.asarray(image, np.uint8), truth_m)
+        shot = Shot(index, tuple(frames))
+        until = min(int(np.searchsorted(ticks_ns, shot.t_ns, side="left")) + 1, len(ticks_ns))
+        dropped = 0 if before is None else index - before - 1
+        before = index
         yield observer.step(
-            frame,
+            shot,
             ticks_ns[seen:until],
             measured_pa[seen:until],
             float(tip.protocol_s[row]),
@@ -110,6 +118,14 @@ def _observed(run: Run, config: RigConfig, variant: Variant) -> Iterator[NDArray
             float(tip.weight_g[row]) * 1e-3,
         )
         seen = until
+
+
+def _cameras(run: Run, config: RigConfig) -> dict[str, int]:
+    """Which of the rig's cameras took the run's pictures: by name, or in their order where no name is the same."""
+    names = list(config.cameras)
+    if set(names).isdisjoint(run.header.cameras):
+        return dict(zip(run.header.cameras, range(len(names)), strict=False))
+    return {name: names.index(name) for name in run.header.cameras if name in names}
 
 
 def _samples(run: Run) -> NDArray[np.void]:

@@ -36,11 +36,11 @@ def simulate(request: Request, plan: Plan, static: bool) -> Path:
     samples["protocol_s"] = np.arange(steps) * dt_s
     samples["setpoint_pa"] = samples["measured_pa"] = pressures
     samples["valve_v"] = np.nan
-    rows = np.zeros(steps, observation_dtype(config.actuators))
+    rows = np.zeros(steps, observation_dtype(config.actuators, len(config.cameras)))
     rows["t_ns"], rows["frame"], rows["protocol_s"] = samples["t_ns"], samples["tick"], samples["protocol_s"]
-    rows["seen"] = Seen.NO_FRAME
+    rows["seen"] = rows["camera_seen"] = Seen.NO_FRAME
     rows["pressure_pa"] = pressures
-    for field in ("measured_m", "covariance_m2", "truth_m", "reprojection_px"):
+    for field in ("measured_m", "covariance_m2", "truth_m", "reprojection_px", "camera_skew_s"):
         rows[field] = np.nan
     for i, pressure in enumerate(pressures):
         if dynamics is None:

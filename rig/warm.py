@@ -16,6 +16,7 @@ def main() -> int:
         return status
     import numpy as np
 
+    from rig.cameras.base import Shot
     from rig.cameras.mock import MockCamera
     from rig.config import load
     from rig.observer import Observer
@@ -28,7 +29,7 @@ def main() -> int:
     pressure_pa = np.zeros((1, config.actuators))
     for index in range(3):
         t_ns = WARMING_NS // 2 + index
-        row = observer.step(camera.frame_at(index, t_ns), np.array([t_ns]), pressure_pa, 0.0)
+        row = observer.step(Shot.of(camera.frame_at(index, t_ns)), np.array([t_ns]), pressure_pa, 0.0)
     if row["seen"] != Seen.MEASURED:
         print("rig.warm: failed: the simulated camera did not see the board", file=sys.stderr)
         return 1

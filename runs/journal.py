@@ -53,7 +53,7 @@ class JournalWriter:
         self.path = Path(path)
         self.longest_sync_s = 0.0
         self._samples = _Rows(SAMPLES, sample_dtype(header.actuators, header.valves))
-        self._observations = _Rows(OBSERVATIONS, observation_dtype(header.actuators))
+        self._observations = _Rows(OBSERVATIONS, observation_dtype(header.actuators, len(header.cameras)))
         self._utc_minus_t_ns = header.started_utc_ns - header.started_t_ns
         self._size = 0
         self._full: str | None = None
@@ -288,7 +288,7 @@ class _Contents:
     def journal(self, header: RunHeader) -> Journal:
         kinds = {
             SAMPLES: sample_dtype(header.actuators, header.valves),
-            OBSERVATIONS: observation_dtype(header.actuators),
+            OBSERVATIONS: observation_dtype(header.actuators, len(header.cameras)),
         }
         samples, observations = (
             _as_rows(np.concatenate(self.rows[channel]), kind) if self.rows[channel] else np.zeros(0, kind)

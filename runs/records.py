@@ -42,6 +42,7 @@ class Seen(IntEnum):
     AMBIGUOUS = 2
     POOR_FIT = 3
     NO_FRAME = 4
+    DISAGREE = 5
 
 
 def sample_dtype(actuators: int, valves: int) -> np.dtype[np.void]:
@@ -67,8 +68,8 @@ def sample_dtype(actuators: int, valves: int) -> np.dtype[np.void]:
     )
 
 
-def observation_dtype(actuators: int) -> np.dtype[np.void]:
-    """One camera frame: measured and modelled tool centre point, both in the rod-base frame.
+def observation_dtype(actuators: int, cameras: int = 1) -> np.dtype[np.void]:
+    """One frame of every camera: measured and modelled tool centre point, both in the rod-base frame.
 
     `seen` is a `Seen`; where it is not MEASURED the measured columns are NaN. `covariance_m2` belongs to
     `measured_m`; `reprojection_px` is the rms over the board's corners. `model_ok` is 0 where the model could not
@@ -76,6 +77,9 @@ def observation_dtype(actuators: int) -> np.dtype[np.void]:
     `truth_m` is the simulator's own tip, NaN on a real rig. `age_ns` is the time from exposure to the end of the
     computation, `dropped` the frames lost before this one. `backbone_m` is the model's centre line from the base to the
     tip, NaN where the step was not solved.
+
+    `camera_seen` is what each camera saw: the tip is measured from those that are MEASURED. `camera_skew_s` is how
+    much later than `t_ns` each exposed, NaN where a camera gave no picture.
     """
     return np.dtype(
         [
@@ -94,6 +98,8 @@ def observation_dtype(actuators: int) -> np.dtype[np.void]:
             ("age_ns", "<i8"),
             ("dropped", "<i4"),
             ("backbone_m", "<f4", (BACKBONE_POINTS, 3)),
+            ("camera_seen", "<i4", (cameras,)),
+            ("camera_skew_s", "<f8", (cameras,)),
         ]
     )
 
@@ -230,6 +236,8 @@ class RunHeader:
     """What the recursive estimator estimates: name, unit, the value it starts from and how well that is known."""
     control_hz: float = 200.0
     camera_hz: float = 30.0
+    cameras: tuple[str, ...] = ("camera",)
+    """By name, in the order of the observations' columns."""
 
 
 @dataclass(frozen=True)

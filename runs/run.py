@@ -57,6 +57,10 @@ class Tip:
     model_ok: NDArray[np.bool_]
     age_us: Floats
     dropped: Ints
+    camera_seen: Ints
+    """(m, C), `runs.records.Seen` of each camera; the tip is measured from those that are MEASURED."""
+    camera_skew_us: Floats
+    """(m, C), exposed so much after `time_s`; NaN where a camera gave no picture."""
 
 
 @dataclass(frozen=True)
@@ -156,6 +160,7 @@ class Run:
             quantities=(*self._quantities("calibration"), *self._quantities("model")),
             control_hz=float(self._group("entry/timing")["control_rate"]),
             camera_hz=float(self._group("entry/timing")["camera_rate"]),
+            cameras=self._cameras,
         )
 
     @cached_property
@@ -208,6 +213,8 @@ class Run:
             model_ok=g["model_ok"].astype(bool),
             age_us=g["age_us"],
             dropped=g["dropped"],
+            camera_seen=g["camera_seen"],
+            camera_skew_us=g["camera_skew_us"],
         )
 
     @cached_property
@@ -281,17 +288,22 @@ class Run:
             self.path, group=f"entry/{group}", engine="h5netcdf", drop_variables=drop
         )
 
-    def _group(self, path: str, without: str = "") -> _Fields:
+    def _group(self, path: str, without: str = "", only: str = "") -> _Fields:
         """Return the datasets of a group by name: arrays, texts and numbers; nothing where the group is missing."""
         fields = _Fields(f"{self.path}: {path}")
         try:
             with h5py.File(self.path, "r") as file:
                 for name, node in file[path].items() if path in file else ():
-                    if isinstance(node, h5py.Dataset) and name != without:
+                    if isinstance(node, h5py.Dataset) and name != without and only in ("", name):
                         fields[name] = _value(node)
         except (OSError, RuntimeError, ValueError) as fault:
             raise ArchiveError(f"{self.path}: cannot read {path} ({fault})") from fault
         return fields
+
+    @cached_property
+    def _cameras(self) -> tuple[str, ...]:
+        names = self._group("entry/tip", only="camera")["camera"]
+        return tuple(names)
 
     def _quantities(self, room: str) -> tuple[Quantity, ...]:
         with h5py.File(self.path, "r") as file:

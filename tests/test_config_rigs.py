@@ -37,13 +37,13 @@ def changed(*changes: tuple[str, str]) -> str:
     return written
 
 
-@pytest.mark.parametrize("name", ["mock", "pci1716"])
+@pytest.mark.parametrize("name", ["mock", "mock-stereo", "pci1716"])
 def test_a_rig_loads_by_name_and_by_path(name: str) -> None:
     config = load(name)
     assert config == load(path_of(name))
     assert config.name == name
     assert config.actuators == 3
-    assert config.simulated == (name == "mock")
+    assert config.simulated == name.startswith("mock")
     assert text(name) == path_of(name).read_text()
 
 
@@ -188,7 +188,7 @@ def test_an_unknown_rig_gets_the_names(name: str, meant: str) -> None:
         load(name)
     (problem,) = caught.value.problems
     assert problem.suggestion == meant
-    assert "mock, pci1716" in problem.expected
+    assert "mock, mock-stereo, pci1716" in problem.expected
 
 
 def test_a_real_file_is_read_by_its_path(tmp_path: Path) -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import rig.config
-from rig.cameras.base import Frame
+from rig.cameras.base import Frame, Shot
 from rig.cameras.mock import MockCamera
 from rig.observer import Observer, Pressures
 from runs.records import Seen
@@ -36,7 +36,7 @@ def test_a_frame_becomes_a_row_with_measured_true_and_modelled_tip(
     config: rig.config.RigConfig, camera: MockCamera
 ) -> None:
     observer = Observer(config)
-    row = observer.step(camera.frame_at(3, 10**9), SCANS_NS, _pressures(SCANS_NS, 0.3), 0.9, dropped=2)
+    row = observer.step(Shot.of(camera.frame_at(3, 10**9)), SCANS_NS, _pressures(SCANS_NS, 0.3), 0.9, dropped=2)
     assert (row["frame"], row["t_ns"], row["protocol_s"], row["dropped"]) == (3, 10**9, 0.9, 2)
     assert row["seen"] == Seen.MEASURED
     assert row["model_ok"] == 1
@@ -64,9 +64,9 @@ def test_in_motion_the_model_lags_what_it_would_be_at_rest(config: rig.config.Ri
     )
     pa = np.zeros((len(SCANS_NS), 3))
     pa[SCANS_NS > 20_000_000, 0] = 0.3e5  # a step just after the first frame
-    first = [o.step(camera.frame_at(0, 0), SCANS_NS, pa, 0.0) for o in (moving, resting)]
+    first = [o.step(Shot.of(camera.frame_at(0, 0)), SCANS_NS, pa, 0.0) for o in (moving, resting)]
     assert np.allclose(first[0]["model_m"], first[1]["model_m"], atol=1e-5)
-    second = [o.step(camera.frame_at(1, FRAME_NS), SCANS_NS, pa, 0.0) for o in (moving, resting)]
+    second = [o.step(Shot.of(camera.frame_at(1, FRAME_NS)), SCANS_NS, pa, 0.0) for o in (moving, resting)]
     assert second[1]["model_m"][0] < first[1]["model_m"][0] - 0.01
     assert np.linalg.norm(second[0]["model_m"] - second[1]["model_m"]) > 0.002
 
@@ -76,9 +76,9 @@ def test_after_lost_frames_the_model_has_taken_every_step_between(
 ) -> None:
     pa = _pressures(SCANS_NS, 0.4)
     whole, gappy = Observer(config), Observer(config)
-    rows = [whole.step(camera.frame_at(k, k * FRAME_NS), SCANS_NS, pa, 0.0) for k in range(8)]
+    rows = [whole.step(Shot.of(camera.frame_at(k, k * FRAME_NS)), SCANS_NS, pa, 0.0) for k in range(8)]
     for k in (0, 3, 7):
-        last = gappy.step(camera.frame_at(k, k * FRAME_NS), SCANS_NS, pa, 0.0)
+        last = gappy.step(Shot.of(camera.frame_at(k, k * FRAME_NS)), SCANS_NS, pa, 0.0)
     assert np.allclose(last["model_m"], rows[-1]["model_m"], atol=1e-7)
 
 
@@ -86,7 +86,9 @@ def test_without_a_board_the_measured_columns_are_nan_and_the_model_goes_on(
     config: rig.config.RigConfig,
 ) -> None:
     observer = Observer(config)
-    row = observer.step(Frame(0, 0, np.full((480, 640), 80, np.uint8)), SCANS_NS, _pressures(SCANS_NS, 0.3), 0.0)
+    row = observer.step(
+        Shot.of(Frame(0, 0, np.full((480, 640), 80, np.uint8))), SCANS_NS, _pressures(SCANS_NS, 0.3), 0.0
+    )
     assert row["seen"] == Seen.NO_BOARD
     assert np.all(np.isnan(row["measured_m"]))
     assert np.all(np.isnan(row["covariance_m2"]))
@@ -101,19 +103,19 @@ def test_where_the_model_cannot_be_solved_the_last_good_tip_stays_and_is_marked(
 ) -> None:
     chosen = config.model_copy(update={"model": config.model.model_copy(update={"mode": mode})})
     observer = Observer(chosen)
-    good = observer.step(camera.frame_at(0, 0), SCANS_NS[:1], _pressures(SCANS_NS[:1], 0.3), 0.0)
+    good = observer.step(Shot.of(camera.frame_at(0, 0)), SCANS_NS[:1], _pressures(SCANS_NS[:1], 0.3), 0.0)
     later = SCANS_NS[1:8]
-    bad = observer.step(camera.frame_at(1, FRAME_NS), later, np.full((7, 3), np.nan), 0.0)
+    bad = observer.step(Shot.of(camera.frame_at(1, FRAME_NS)), later, np.full((7, 3), np.nan), 0.0)
     assert good["model_ok"] == 1
     assert bad["model_ok"] == 0
     assert np.array_equal(bad["model_m"], good["model_m"])
     fresh = SCANS_NS[8:15]
-    again = observer.step(camera.frame_at(2, 2 * FRAME_NS), fresh, _pressures(fresh, 0.3), 0.0)
+    again = observer.step(Shot.of(camera.frame_at(2, 2 * FRAME_NS)), fresh, _pressures(fresh, 0.3), 0.0)
     assert again["model_ok"] == 1
 
 
 def test_without_any_pressure_there_is_no_modelled_tip(config: rig.config.RigConfig, camera: MockCamera) -> None:
-    row = Observer(config).step(camera.frame_at(0, 0), EMPTY_T, EMPTY_PA, 0.0)
+    row = Observer(config).step(Shot.of(camera.frame_at(0, 0)), EMPTY_T, EMPTY_PA, 0.0)
     assert row["model_ok"] == 0
     assert np.all(np.isnan(row["model_m"]))
     assert np.all(np.isnan(row["pressure_pa"]))

@@ -16,7 +16,7 @@ from runs.journal import JournalWriter
 from runs.records import BACKBONE_POINTS, RunFooter, Status, observation_dtype, sample_dtype
 
 PAGE = Path(__file__).parent.parent / "docs" / "archive.md"
-SIZES = {"N": 13, "M": 7, "K": 10, "Q": 20, "P": BACKBONE_POINTS, "E": 1, "S": 4, "A": 5, "V": 8} | {
+SIZES = {"N": 13, "M": 7, "K": 10, "Q": 20, "P": BACKBONE_POINTS, "E": 1, "S": 4, "A": 5, "V": 8, "C": 9} | {
     str(n): n for n in (2, 3, 6)
 }
 FREE = ("calibration", "model", "versions", "timing/counters")
@@ -42,10 +42,11 @@ def written() -> dict[str, tuple[tuple[int, ...], str]]:
 def stored(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[tuple[int, ...], str]]:
     """An archive whose every size is another: {path: (shape, unit)}."""
     source = tmp_path_factory.mktemp("docs") / "sizes.mcap"
-    header = dataclasses.replace(made_up.header("sizes", 4.0), actuators=SIZES["A"], valves=SIZES["V"])
+    cameras = tuple(f"camera {k}" for k in range(SIZES["C"]))
+    header = dataclasses.replace(made_up.header("sizes", 4.0), actuators=SIZES["A"], valves=SIZES["V"], cameras=cameras)
     writer = JournalWriter(source, header)
     writer.samples(np.zeros(SIZES["N"], sample_dtype(SIZES["A"], SIZES["V"])))
-    writer.observations(np.zeros(SIZES["M"], observation_dtype(SIZES["A"])))
+    writer.observations(np.zeros(SIZES["M"], observation_dtype(SIZES["A"], SIZES["C"])))
     for index in range(SIZES["K"]):
         writer.picture(made_up.picture(index))
     writer.event(made_up.ARMED)

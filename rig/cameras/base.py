@@ -28,6 +28,37 @@ class Frame:
     truth_m: NDArray[np.float64] | None = None
 
 
+@dataclass(frozen=True)
+class Shot:
+    """What the rig's cameras saw at one time: a frame of each in the rig's order, None for one that gave none.
+
+    The first frame that is there gives the time; `index` counts shots, so that a gap is a dropped one.
+    """
+
+    index: int
+    frames: tuple[Frame | None, ...]
+
+    @classmethod
+    def of(cls, frame: Frame) -> Shot:
+        """The shot of a rig with one camera."""
+        return cls(frame.index, (frame,))
+
+    @property
+    def leader(self) -> int:
+        """Number of the camera whose frame gives the time."""
+        return next(k for k, frame in enumerate(self.frames) if frame is not None)
+
+    @property
+    def lead(self) -> Frame:
+        """The frame that gives the time."""
+        return next(frame for frame in self.frames if frame is not None)
+
+    @property
+    def t_ns(self) -> int:
+        """Middle of the leading frame's exposure."""
+        return self.lead.t_ns
+
+
 class Camera(Protocol):
     """An open camera."""
 

@@ -18,6 +18,8 @@ from rig.simulator.scene import Optics, Scene
 
 DROPPED = 9
 """Pictures that a camera which drops pictures drops at a time."""
+_OTHER_NOISE = 1_000_003
+"""Between the seeds of a rig's cameras: each has its own noise."""
 
 
 @dataclass(frozen=True)
@@ -55,13 +57,14 @@ class MockCamera:
             raise CameraError("the mock camera needs the rig's 'simulator' section: it says what the picture shows")
         name = name or next(iter(config.cameras))
         chosen = config.cameras[name]
+        self._number = list(config.cameras).index(name) + 1
         self._source = source
         self._exposure_ns = round(chosen.exposure_ms * 1e6)
         self._period_ns = round(1e9 / chosen.rate_hz)
         truth = config.simulator.scene
         optics = Optics(truth.blur_px, truth.noise_grey, truth.lighting)
         size = (chosen.width_px, chosen.height_px)
-        self._scene = Scene(board_of(config), lens_of(chosen), size, optics, seed)
+        self._scene = Scene(board_of(config), lens_of(chosen), size, optics, seed + _OTHER_NOISE * (self._number - 1))
         simulator = config.simulator
         self._base = rigid(simulator.base)
         self._base_in_camera = (camera_in_base(chosen) @ rigid(simulator.error_of(name))).inverse() @ self._base
@@ -83,7 +86,7 @@ class MockCamera:
         Raises:
             CameraError: the camera gives no pictures.
         """
-        if self._faults.camera in (CameraFault.UNPLUGGED, CameraFault.SILENT):
+        if self._faults.camera(self._number) in (CameraFault.UNPLUGGED, CameraFault.SILENT):
             raise CameraError("the camera gives no more pictures: is it plugged in?")
         before = self._source.pose_at(t_ns - self._exposure_ns // 2)
         pose = self._source.pose_at(t_ns)
@@ -93,7 +96,7 @@ class MockCamera:
             middle.rotation @ opened.rotation.T @ middle.rotation, 2 * middle.translation_m - opened.translation_m
         )
         truth_m = self._base.apply(np.array(pose.position_m, dtype=np.float64))
-        return Exposure(index, t_ns, opened, middle, closed, truth_m, self._faults.camera)
+        return Exposure(index, t_ns, opened, middle, closed, truth_m, self._faults.camera(self._number))
 
     def develop(self, exposure: Exposure) -> Frame:
         """The picture of an exposure; in their order, by one thread, which need not be the one that exposed."""
@@ -103,12 +106,12 @@ class MockCamera:
     def read(self, timeout_s: float) -> Frame:
         """Wait for the next exposure to end, then return its picture."""
         now = time.monotonic_ns()
-        if self._faults.camera is CameraFault.SILENT:
+        if self._faults.camera(self._number) is CameraFault.SILENT:
             time.sleep(timeout_s)
         # The newest exposure that is over when nothing was read for long, else the one after the last.
-        takes_ns = self._exposure_ns // 2 + self._faults.camera_delay_ns
+        takes_ns = self._exposure_ns // 2 + self._faults.camera_delay_ns(self._number)
         ended = (now - takes_ns - self._start_ns) // self._period_ns
-        step = 1 if self._faults.camera is not CameraFault.DROPPING else DROPPED + 1
+        step = 1 if self._faults.camera(self._number) is not CameraFault.DROPPING else DROPPED + 1
         self._index = max(self._index + step, ended)
         t_ns = self._start_ns + self._index * self._period_ns
         wait_s = (t_ns + takes_ns - now) * 1e-9

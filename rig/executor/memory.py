@@ -77,7 +77,7 @@ _BOARD = np.dtype(
 )
 _EVENT = np.dtype([("t_ns", "<i8"), ("level", "S8"), ("source", "S32"), ("message", f"S{MESSAGE_BYTES}")])
 _SAID = ("source", "message")
-_PICTURE = np.dtype([("t_ns", "<i8"), ("frame", "<i8"), ("slot", "<i8"), ("size", "<i8")])
+_PICTURE = np.dtype([("t_ns", "<i8"), ("frame", "<i8"), ("camera", "<i8"), ("slot", "<i8"), ("size", "<i8")])
 
 
 @dataclass(frozen=True)
@@ -89,13 +89,15 @@ class Layout:
     picture_bytes: int
     corners: int
     adapted: int = 0
+    cameras: int = 1
 
     @classmethod
     def of(cls, config: RigConfig, adapted: int = 0) -> Layout:
         """The layout for one rig and so many adapted parameters. A picture slot holds the largest camera's frame."""
         largest = max((c.width_px * c.height_px for c in config.cameras.values()), default=0)
         corners = (config.board.squares_x - 1) * (config.board.squares_y - 1)
-        return cls(config.actuators, len(config.valves), largest * 3 + 4096, corners, adapted)
+        cameras = len(config.cameras)
+        return cls(config.actuators, len(config.valves), largest * 3 + 4096, corners, adapted, cameras)
 
 
 def view_dtype(layout: Layout) -> np.dtype[np.void]:
@@ -130,7 +132,8 @@ class RunMemory:
         """Map the memory; `readonly` for those who watch: writing is then impossible, not just forbidden."""
         self.fd = fd
         self.layout = layout
-        sample, observation = sample_dtype(layout.actuators, layout.valves), observation_dtype(layout.actuators)
+        sample = sample_dtype(layout.actuators, layout.valves)
+        observation = observation_dtype(layout.actuators, layout.cameras)
         sizes = (
             -(-_BOARD.itemsize // 64) * 64,
             ring_bytes(sample, SAMPLES),
@@ -195,22 +198,23 @@ class RunMemory:
         """When a process last gave a sign of life."""
         return int(self.board[process]["heartbeat_ns"][0])
 
-    def push_picture(self, t_ns: int, frame: int, data: bytes) -> bool:
-        """Store one encoded picture; False where it is larger than a slot."""
+    def push_picture(self, t_ns: int, frame: int, data: bytes, camera: int = 0) -> bool:
+        """Store one encoded picture of the `camera`-th camera; False where it is larger than a slot."""
         if len(data) > self.layout.picture_bytes:
             return False
         slot = self._pictures.written % PICTURES
         start = slot * self.layout.picture_bytes
         self._slots[start : start + len(data)] = data
-        self._pictures.push(np.array((t_ns, frame, slot, len(data)), _PICTURE))
+        self._pictures.push(np.array((t_ns, frame, camera, slot, len(data)), _PICTURE))
         return True
 
-    def read_pictures(self) -> list[tuple[int, int, bytes]]:
-        """Return (t_ns, frame, data) of the pictures stored since the last call."""
+    def read_pictures(self) -> list[tuple[int, int, int, bytes]]:
+        """Return (t_ns, frame, camera, data) of the pictures stored since the last call."""
         pictures = []
         for row in self._pictures.read():
             start = int(row["slot"]) * self.layout.picture_bytes
-            pictures.append((int(row["t_ns"]), int(row["frame"]), bytes(self._slots[start : start + int(row["size"])])))
+            data = bytes(self._slots[start : start + int(row["size"])])
+            pictures.append((int(row["t_ns"]), int(row["frame"]), int(row["camera"]), data))
         return pictures
 
     @property

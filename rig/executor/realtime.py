@@ -243,9 +243,9 @@ class _Conductor:
             self.dropped += int(observations["dropped"].sum())
             self._observation = observations[-1]
             self._report(*self.vigil.observations(observations))
-        camera = next(iter(self.plan.config.cameras))
-        for t_ns, frame, data in self.memory.read_pictures():
-            self.recorder.picture(Picture(t_ns, frame, camera, self.plan.config.recording.encoding, data))
+        names = list(self.plan.config.cameras)
+        for t_ns, frame, camera, data in self.memory.read_pictures():
+            self.recorder.picture(Picture(t_ns, frame, names[camera], self.plan.config.recording.encoding, data))
 
     def _prompt(self) -> None:
         waiting = self.memory.get("waiting")

@@ -6,7 +6,7 @@ import time
 
 import numpy as np
 
-from rig.cameras.base import Frame
+from rig.cameras.base import Shot
 from rig.config import RigConfig
 from rig.executor.memory import LINE_POINTS, RunMemory, view_dtype
 from rig.observer import Observer
@@ -19,19 +19,20 @@ WATCHED_NS = 3_000_000_000
 class Show:
     """The observer's shop window."""
 
-    def __init__(self, config: RigConfig, camera: str, memory: RunMemory) -> None:
+    def __init__(self, config: RigConfig, memory: RunMemory) -> None:
         self._memory = memory
-        self._sketcher = Sketcher(config, camera, LINE_POINTS)
+        self._sketchers = [Sketcher(config, name, LINE_POINTS) for name in config.cameras]
         self._row = np.zeros((), view_dtype(memory.layout))
 
-    def frame(self, frame: Frame, observer: Observer) -> None:
-        """Publish the frame that the observer has just observed, if somebody watches."""
+    def shot(self, shot: Shot, observer: Observer) -> None:
+        """Publish the leading frame of the shot that the observer has just observed, if somebody watches."""
         watched = time.monotonic_ns() - self._memory.get("watched_ns") <= WATCHED_NS
         if not watched or observer.measurement is None:
             return
-        sketch = self._sketcher.sketch(observer.measurement, observer.shape)
+        frame = shot.lead
+        sketch = self._sketchers[shot.leader].sketch(observer.measurement, observer.shape)
         row = self._row
-        row["t_ns"], row["frame"] = frame.t_ns, frame.index
+        row["t_ns"], row["frame"] = shot.t_ns, shot.index
         row["shape"] = (*frame.image.shape, 1)[:3]
         row["found"] = len(sketch.corners_px)
         row["corners_px"][: len(sketch.corners_px)] = sketch.corners_px

@@ -26,6 +26,7 @@ _SEEN = {
     Seen.AMBIGUOUS: "the board cannot be told from its half turn, or is cut off",
     Seen.POOR_FIT: "the board's corners do not fit a plane board",
     Seen.NO_FRAME: "the camera repeats the same picture bit for bit: it is frozen, or delivers old pictures",
+    Seen.DISAGREE: "the cameras contradict each other: was one moved, or is its calibration another's?",
 }
 
 
@@ -60,6 +61,7 @@ class Vigil:
         self._frame_s = 1 / next(iter(config.cameras.values())).rate_hz
         self._unmeasured, self._unsolved = _Trouble(0.3), _Trouble(0.3)
         self._dropping, self._late, self._missing = _Trouble(0.3), _Trouble(0.3), _Trouble(0.05)
+        self._cameras = [(name, _Trouble(0.3)) for name in config.cameras] if len(config.cameras) > 1 else []
         self._looked_ns = 0
 
     def samples(self, rows: NDArray[np.void]) -> Iterator[Event]:
@@ -111,6 +113,23 @@ class Vigil:
                         yield _warning(t_ns, "observer", wrong)
                     case False:
                         yield _over(trouble, t_ns, "observer", well)
+            if self._cameras:
+                yield from self._blind(row)
+
+    def _blind(self, row: NDArray[np.void]) -> Iterator[Event]:
+        """Of several cameras, one that adds nothing: the tip is then measured by the others."""
+        t_ns, dropped = int(row["t_ns"]), int(row["dropped"])
+        for (name, trouble), seen, skew in zip(self._cameras, row["camera_seen"], row["camera_skew_s"], strict=True):
+            match trouble.judge(t_ns, self._frame_s * (dropped + 1), float(seen != Seen.MEASURED)):
+                case True:
+                    why = (
+                        "gives no pictures"
+                        if np.isnan(skew)
+                        else f"adds nothing: {_SEEN.get(Seen(seen), Seen(seen).name)}"
+                    )
+                    yield _warning(t_ns, "observer", f"camera {name} {why}; the tip is measured without it")
+                case False:
+                    yield _over(trouble, t_ns, "observer", f"camera {name} sees the board again")
 
     def lost(self, t_ns: int, scans: int) -> Iterator[Event]:
         """Scans that the cards have dropped since the last call."""

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.bench import Bench
-from rig.cameras.base import CameraError
+from rig.cameras.base import CameraError, Shot
 from rig.cameras.mock import Exposure, MockCamera
 from rig.daq.base import CardError
 from rig.executor.base import Audience, OpenRecord, Outcome, Plan, Progress, Recorder, StartError
@@ -59,20 +59,23 @@ class _VirtualRun:
         self._audience = audience
         self._plant = Plant(config, plan.seed, t0_ns=0)
         self._bench = Bench(config, {name: self._plant.card(name) for name in config.cards})
-        self._camera_name, camera = next(iter(config.cameras.items()))
-        self._camera = MockCamera(config, self._plant, self._camera_name, plan.seed, self._plant.faults)
+        self._cameras = {
+            name: MockCamera(config, self._plant, name, plan.seed, self._plant.faults) for name in config.cameras
+        }
+        skew_ms = config.simulator.scene.skew_ms if config.simulator else 0.0
+        self._skews_ns = [round(k * skew_ms * 1e6) for k in range(len(self._cameras))]
         self._observer = Observer(config, plan.variant)
         # Drawing and seeing release the interpreter's lock: a thread of their own lets control go on meanwhile.
         self._looker = ThreadPoolExecutor(1, thread_name_prefix="observer")
-        self._looking: deque[Future[tuple[NDArray[np.void], Picture | None]]] = deque()
+        self._looking: deque[Future[tuple[NDArray[np.void], list[Picture]]]] = deque()
         self._ticker = Ticker(plan, self._bench)
         self._vigil = Vigil(config)
         self._lost_scans = 0
-        self._frame_ns = round(1e9 / camera.rate_hz)
+        self._frame_ns = round(1e9 / next(iter(config.cameras.values())).rate_hz)
         self._frame = 0
         self._answered = 0
         self._samples = _Rows(sample_dtype(config.actuators, len(config.valves)))
-        self._observations = _Rows(observation_dtype(config.actuators))
+        self._observations = _Rows(observation_dtype(config.actuators, len(config.cameras)))
         self._shown = 0.0
         self._recorder: Recorder
 
@@ -131,8 +134,8 @@ class _VirtualRun:
         self._plant.advance(now)
         row, trip = self._ticker.tick(tick, now, 1, self._answered, False, 0, 0)
         self._samples.add(row)
-        # A frame is looked at once the samples on both sides of it are there.
-        while (t_ns := START_NS + (self._frame + 1) * self._frame_ns) <= now:
+        # A frame is looked at once the samples on both sides of it are there, and the last camera has exposed.
+        while (t_ns := START_NS + (self._frame + 1) * self._frame_ns) + self._skews_ns[-1] <= now:
             self._frame += 1
             self._observe(self._frame, t_ns, float(row["protocol_s"]))
         if trip is not None:
@@ -155,36 +158,53 @@ class _VirtualRun:
 
     def _observe(self, frame: int, t_ns: int, protocol_s: float) -> None:
         """Hand a frame to the thread that looks: what it sees is decided here, so that nothing hangs on its pace."""
-        exposure = self._camera.expose(frame, t_ns)
+        exposures: list[Exposure | None] = []
+        failures = []
+        for camera, skew_ns in zip(self._cameras.values(), self._skews_ns, strict=True):
+            try:
+                exposures.append(camera.expose(frame, t_ns + skew_ns))
+            except CameraError as error:
+                exposures.append(None)
+                failures.append(error)
+        if len(exposures) - len(failures) < self._plan.config.limits.least_cameras:
+            raise failures[0]
         ticks = self._samples.recent(HISTORY_TICKS)
         weight_kg = self._plan.trajectory.weight_kg(protocol_s)
         self._looking.append(
             self._looker.submit(
-                self._look, exposure, ticks["t_ns"].copy(), ticks["measured_pa"].copy(), protocol_s, weight_kg
+                self._look, frame, exposures, ticks["t_ns"].copy(), ticks["measured_pa"].copy(), protocol_s, weight_kg
             )
         )
 
     def _look(
         self,
-        exposure: Exposure,
+        index: int,
+        exposures: list[Exposure | None],
         t_ns: NDArray[np.int64],
         measured_pa: NDArray[np.float64],
         protocol_s: float,
         weight_kg: float,
-    ) -> tuple[NDArray[np.void], Picture | None]:
-        frame = self._camera.develop(exposure)
-        row = self._observer.step(frame, t_ns, measured_pa, protocol_s, 0, weight_kg)
+    ) -> tuple[NDArray[np.void], list[Picture]]:
+        frames = {
+            name: None if exposure is None else camera.develop(exposure)
+            for (name, camera), exposure in zip(self._cameras.items(), exposures, strict=True)
+        }
+        shot = Shot(index, tuple(frames.values()))
+        row = self._observer.step(shot, t_ns, measured_pa, protocol_s, 0, weight_kg)
         recording = self._plan.config.recording
-        if frame.index % recording.keep_every:
-            return row, None
-        data = encode(frame.image, recording)
-        return row, Picture(frame.t_ns, frame.index, self._camera_name, recording.encoding, data)
+        if index % recording.keep_every:
+            return row, []
+        return row, [
+            Picture(frame.t_ns, index, name, recording.encoding, encode(frame.image, recording))
+            for name, frame in frames.items()
+            if frame is not None
+        ]
 
     def _flush(self, in_flight: int = FRAMES_IN_FLIGHT) -> None:
         while len(self._looking) > in_flight:
-            row, picture = self._looking.popleft().result()
+            row, pictures = self._looking.popleft().result()
             self._observations.add(row)
-            if picture is not None:
+            for picture in pictures:
                 self._recorder.picture(picture)
         samples, observations = self._samples.take(), self._observations.take()
         self._recorder.samples(samples)

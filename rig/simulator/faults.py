@@ -33,13 +33,15 @@ FAULTS_DTYPE = np.dtype(
         ("silent", "<i8"),
         ("lost_scans", "<i8"),
         ("camera", "<i8"),
+        ("camera_number", "<i8"),
         ("camera_delay_ns", "<i8"),
     ]
 )
 """`active` is set after the others; `failing_reads`, `failing_writes` and `lost_scans` count down. Pressures are gauge.
 
 `sensor_pa` is the noise's standard deviation or the offset; `valve_value` the voltage at which a valve is stuck (not a
-number: where it is), or the flow that it leaks [l/min at 6 -> 5 bar].
+number: where it is), or the flow that it leaks [l/min at 6 -> 5 bar]. `camera_number` is the camera that has the fault,
+1 for the rig's first; all have it where it is 0.
 """
 
 
@@ -88,15 +90,15 @@ class Faults:
         """True while there is any fault."""
         return bool(self.row["active"][0])
 
-    @property
-    def camera(self) -> CameraFault:
-        """The camera's fault."""
-        return CameraFault(int(self.row["camera"][0])) if self.active else CameraFault.NONE
+    def camera(self, number: int) -> CameraFault:
+        """The fault of a camera, the rig's first being number 1."""
+        if not self.active or self.row["camera_number"][0] not in (0, number):
+            return CameraFault.NONE
+        return CameraFault(int(self.row["camera"][0]))
 
-    @property
-    def camera_delay_ns(self) -> int:
+    def camera_delay_ns(self, number: int) -> int:
         """How much later than it should a picture arrives."""
-        return int(self.row["camera_delay_ns"][0]) if self.camera is CameraFault.LATE else 0
+        return int(self.row["camera_delay_ns"][0]) if self.camera(number) is CameraFault.LATE else 0
 
     def inject(self, **words: float) -> None:
         """Set words by name, `sensor_2` being the second of `sensor`; they take effect together."""

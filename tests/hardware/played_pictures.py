@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from rig_of_the_machine import LOOPED, VALVES
 
 from rig.arm import model_arm
+from rig.cameras.base import Shot
 from rig.cameras.mock import MockCamera
 from rig.config import PA_PER_BAR, load
 from rig.daq.base import CardSetup, Channel
@@ -57,7 +58,7 @@ def render(target: Path) -> None:
         shape = arm.statics(pressure_pa[0])
         camera = MockCamera(scene, _StandingStill(shape.tip_m, shape.tip_rotation))
         frame = camera.frame_at(number, number * 10**9 // RATE_HZ)
-        seen = observer.step(frame, np.array([frame.t_ns]), pressure_pa, 0.0, 0)
+        seen = observer.step(Shot.of(frame), np.array([frame.t_ns]), pressure_pa, 0.0, 0)
         if seen["seen"] != Seen.MEASURED or not seen["model_ok"]:
             raise SystemExit(f"the picture at {level} bar cannot be measured and modelled: {seen}")
         pictures.append(frame.image)
