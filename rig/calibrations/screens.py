@@ -14,7 +14,9 @@ from rich.text import Text
 
 from calibration.camera import PARAMETERS, CameraCalibration
 from calibration.frames import Rigid
+from calibration.mounting import Mounting
 from rig.calibrations import schema
+from rig.optics import placement_of
 
 _WORST_SHOWN = 5
 
@@ -132,3 +134,27 @@ def _test_words(found: schema.DLTFile) -> str:
         words += f"; square by triangulation {test.square_mm:.4f} +- {test.square_std_mm:.4f} mm"
         words += f" ({found.board.square_mm:g} stated)"
     return words
+
+
+def tool(found: Mounting, stated: Rigid, screen: Console) -> None:
+    """Where the board is on the tip, beside what the rig states."""
+    std = np.sqrt(np.diag(found.covariance))
+    now, before = placement_of(found.board_in_tip), placement_of(stated)
+    values = table("board in the tip frame", "found", "+-", "the rig's file", title=f"{len(found.views)} views")
+    for k, axis in enumerate("xyz"):
+        values.add_row(f"{axis} [mm]", f"{now.translation_mm[k]:.3f}", f"{std[k] * 1e3:.2g}",
+                       f"{before.translation_mm[k]:.3f}")  # fmt: skip
+    for k, axis in enumerate("xyz"):
+        values.add_row(f"rotation {axis} [deg]", f"{now.rotation_deg[k]:.3f}", f"{np.rad2deg(std[3 + k]):.2g}",
+                       f"{before.rotation_deg[k]:.3f}")  # fmt: skip
+    screen.print(values)
+    views = table("view", "turned [deg]", "off [mm]", "off [deg]")
+    for v in found.views:
+        views.add_row(v.name, f"{np.rad2deg(v.angle_rad):.2f}", f"{v.residual_m * 1e3:.3f}",
+                      f"{np.rad2deg(v.residual_rad):.3f}")  # fmt: skip
+    screen.print(views)
+    for name, why, _ in found.left_out:
+        screen.print(Text(f"not used: {name}: {why}", "yellow"), soft_wrap=True)
+    if not any(v.turned for v in found.views):
+        line = "no views of the turned cap: the offset from the axis rests on the camera's place alone"
+        screen.print(Text(line, "yellow"), soft_wrap=True)

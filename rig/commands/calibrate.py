@@ -91,3 +91,28 @@ def camera(
             tuple(views or ()), corners, square_mm, live, rig, camera, count, every, to, replace, note, seed, json
         )
     )
+
+
+@app.command()
+def tool(
+    rig: Annotated[str, typer.Option("--rig", help="Name or file of the rig.")] = "mock",
+    camera: Annotated[str | None, typer.Option(help="Name of the camera in the rig's file.")] = None,
+    straight: Annotated[Path | None, typer.Option(metavar="VIEWS", help="Views of the vented, straight arm.")] = None,
+    turned: Annotated[
+        Path | None, typer.Option(metavar="VIEWS", help="Views with the end cap turned about the arm's axis.")
+    ] = None,
+    live: Annotated[bool, typer.Option("--live", help="Take the views from the rig's camera now.")] = False,
+    tip_std_mm: Annotated[float, typer.Option(help="How well the straight arm's tip is known, in place [mm].")] = 0.1,
+    tip_std_deg: Annotated[float, typer.Option(help="The same in direction [deg].")] = 0.2,
+    to: To = None,
+    replace: Replace = False,
+    note: Note = "",
+    seed: Seed = 0,
+    json: AsJson = False,
+) -> None:
+    """Find the board's offset from the arm's central axis and its rotation."""
+    from rig.calibrations import tool as procedure
+
+    procedure.run(
+        procedure.Asked(rig, camera, straight, turned, live, tip_std_mm, tip_std_deg, to, replace, note, seed, json)
+    )
