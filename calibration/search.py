@@ -9,7 +9,6 @@ from __future__ import annotations
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse.csgraph import connected_components
 
 Floats = NDArray[np.float64]
 Image = NDArray[np.uint8]
@@ -46,7 +45,7 @@ def places(image: Image, corners: int) -> list[Box]:
     np.fill_diagonal(apart, np.inf)
     nearest = apart.min(axis=1)
     reach = _TOGETHER * np.maximum(nearest[:, None], nearest)
-    _, label = connected_components((apart <= reach) & (apart <= reach.T), directed=False)
+    label = _connected((apart <= reach) & (apart <= reach.T))
     sizes = np.bincount(label)
     found = []
     for group in np.argsort(-sizes)[:_MOST_PLACES]:
@@ -58,6 +57,17 @@ def places(image: Image, corners: int) -> list[Box]:
         high = np.minimum((members.max(axis=0) + margin) * scale + 1, (width, height)).astype(int)
         found.append((int(low[0]), int(low[1]), int(high[0]), int(high[1])))
     return found
+
+
+def _connected(linked: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """Label (n,) of the cluster that each point is in, from which are linked (n, n, symmetric)."""
+    label = np.full(len(linked), -1)
+    for point in range(len(linked)):
+        reached = np.array([point]) if label[point] < 0 else np.empty(0, np.intp)
+        while reached.size:
+            label[reached] = label[point] if label[point] >= 0 else label.max() + 1
+            reached = np.flatnonzero(linked[reached].any(axis=0) & (label < 0))
+    return label
 
 
 def _saddles(image: Image, corners: int) -> Floats:

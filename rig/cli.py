@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import Annotated, Any, NoReturn
 
@@ -104,7 +105,6 @@ def run(
 ) -> None:
     """Run a protocol and leave an archive with a report."""
     from rig import experiment, screens
-    from rig.live.launch import showing_this_run
     from rig.signals import StopSignals
     from rig.terminal import Terminal
 
@@ -130,8 +130,13 @@ def run(
     console.print(screens.check_screen(request, decided))
     if not yes and not screens.confirm(console):
         _fail("not armed", BAD_INPUT)
+    page: AbstractContextManager[None] = nullcontext()
+    if live:
+        from rig.live.launch import showing_this_run
+
+        page = showing_this_run(listen, port, lambda line: console.print(line, soft_wrap=True))
     with (
-        showing_this_run(live, listen, port, lambda line: console.print(line, soft_wrap=True)),
+        page,
         StopSignals() as signals,
         Terminal(console, lambda: signals.reason, screens.title(request)) as terminal,
     ):

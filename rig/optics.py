@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from calibration.board import Board
 from calibration.frames import Rigid
@@ -25,7 +25,8 @@ def rigid(placement: Placement) -> Rigid:
 def placement_of(found: Rigid) -> Placement:
     """A transform as the rig's file states it."""
     x, y, z = (float(v) for v in found.translation_m * 1e3)
-    a, b, c = (float(v) for v in Rotation.from_matrix(found.rotation).as_rotvec(degrees=True))
+    vector, _ = cv2.Rodrigues(found.rotation)
+    a, b, c = (float(v) for v in np.rad2deg(np.asarray(vector, dtype=np.float64)).ravel())
     return Placement(
         translation_mm=(x, y, z),
         rotation_deg=(a, b, c),

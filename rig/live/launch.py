@@ -83,15 +83,12 @@ def open_page(listen: str, port: int, *, run: Path | None = None, archive: Path 
 
 
 @contextmanager
-def showing_this_run(wanted: bool, listen: str, port: int, say: Callable[[str], None]) -> Iterator[None]:
-    """Keep a page beside the run that this process is about to conduct, where one is wanted.
+def showing_this_run(listen: str, port: int, say: Callable[[str], None]) -> Iterator[None]:
+    """Keep a page beside the run that this process is about to conduct.
 
     Raises:
         StartError: the page cannot be had.
     """
-    if not wanted:
-        yield
-        return
     page = open_page(listen, port, run=door_of(os.getpid()))
     for line in page.said:
         say(line)
