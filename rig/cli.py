@@ -42,6 +42,7 @@ def _status(error: Exception) -> int | None:
     from calibration.identify.spread import NoCluster, WorkersDie
     from calibration.views import ViewsError
     from protocols import BadInput
+    from rig.calibrations.driving import TrippedError
     from rig.cameras.base import CameraError
     from rig.daq.base import CardError
     from rig.executor.base import StartError, StoppedError
@@ -57,7 +58,7 @@ def _status(error: Exception) -> int | None:
         return INTERRUPTED
     if isinstance(error, NoCluster | WorkersDie):
         return FAULT
-    if isinstance(error, CardError | CameraError | StartError | JournalError | OSError):
+    if isinstance(error, CardError | CameraError | StartError | TrippedError | JournalError | OSError):
         return FAULT
     return None
 

@@ -16,6 +16,7 @@ from calibration.camera import PARAMETERS, CameraCalibration
 from calibration.frames import Rigid
 from calibration.mounting import Mounting
 from rig.calibrations import schema
+from rig.config import RigConfig
 from rig.optics import placement_of
 
 _WORST_SHOWN = 5
@@ -158,3 +159,40 @@ def tool(found: Mounting, stated: Rigid, screen: Console) -> None:
     if not any(v.turned for v in found.views):
         line = "no views of the turned cap: the offset from the axis rests on the camera's place alone"
         screen.print(Text(line, "yellow"), soft_wrap=True)
+
+
+def pressure(
+    sensors: tuple[schema.SensorScale, ...], valves: tuple[schema.ValveSweep, ...], config: RigConfig, screen: Console
+) -> None:
+    """Scales and valves, beside what the rig states."""
+    if sensors:
+        made = table("sensor", "bar per V", "+-", "offset [bar]", "+-", "rms [bar]", "the rig's file")
+        for s in sensors:
+            stated = next(c for c in config.sensors if c.actuator == s.actuator)
+            scale = (stated.span_bar[1] - stated.span_bar[0]) / (stated.span_V[1] - stated.span_V[0])
+            made.add_row(
+                str(s.actuator), f"{s.scale_bar_per_V:.5f}", f"{s.covariance[1][1] ** 0.5:.1g}", f"{s.offset_bar:.4f}",
+                f"{s.covariance[0][0] ** 0.5:.1g}", f"{s.rms_bar:.4f}",
+                f"{scale:.5f}, {stated.span_bar[0] - scale * stated.span_V[0]:.4f}",
+            )  # fmt: skip
+        screen.print(made)
+    for v in valves:
+        before = config.valves[v.valve - 1]
+        made = table(f"valve {v.valve}", "found", "+-", "the rig's file")
+        stated_of = before.model_dump()
+        for key, std in (("closed_V", v.closed_std_V), ("dead_zone_V", v.dead_zone_std_V), ("hysteresis_V", None),
+                         ("leakage_l_min", v.leakage_std_l_min), ("full_flow_l_min", None)):  # fmt: skip
+            stated_text = f"{stated_of[key]:g}" if key in stated_of else ""
+            made.add_row(key, f"{getattr(v, key):.4g}", "" if std is None else f"{std:.2g}", stated_text)
+        screen.print(made)
+        curve = table("V from closed", "l/min at 6 -> 5 bar", "+-")
+        for volts, share, std_share in zip(v.flow_curve_V, v.flow_curve_percent, v.flow_curve_std_percent, strict=True):
+            beyond = "" if volts <= v.measured_to_V + 1e-9 else "  (the rig's curve, scaled)"
+            scale = v.full_flow_l_min / 100
+            curve.add_row(f"{volts:.3f}", f"{share * scale:.3f}", f"{std_share * scale:.2g}{beyond}")
+        screen.print(curve)
+        screen.print(
+            f"every flow rests on {v.volume_ml:g} +- {v.volume_std_ml:g} ml of air: "
+            f"{v.volume_std_ml / v.volume_ml:.0%} more uncertainty, the same for all",
+            soft_wrap=True,
+        )

@@ -116,3 +116,34 @@ def tool(
     procedure.run(
         procedure.Asked(rig, camera, straight, turned, live, tip_std_mm, tip_std_deg, to, replace, note, seed, json)
     )
+
+
+@app.command()
+def pressure(
+    rig: Annotated[str, typer.Option("--rig", help="Name or file of the rig.")] = "mock",
+    readings: Annotated[
+        Path | None, typer.Option(metavar="CSV", help="Readings that are there: actuator,volts_V,gauge_bar.")
+    ] = None,
+    sensors: Annotated[bool, typer.Option(help="Scale the sensors against the gauge.")] = True,
+    valves: Annotated[bool, typer.Option(help="Sweep the valves that meter flow.")] = True,
+    fast: Annotated[bool, typer.Option("--fast", help="Virtual time; simulated rigs only.")] = False,
+    gauge: Annotated[str, typer.Option(help="Name and number of the gauge; goes into the file.")] = "",
+    gauge_std_bar: Annotated[float, typer.Option(help="Standard uncertainty of the gauge [bar].")] = 0.002,
+    volume_ml: Annotated[float | None, typer.Option(help="One chamber with its tube [ml]; default: the rig's.")] = None,
+    volume_std_ml: Annotated[float | None, typer.Option(help="How well that is known [ml]; default: a tenth.")] = None,
+    to: To = None,
+    replace: Replace = False,
+    note: Note = "",
+    yes: Annotated[bool, typer.Option("--yes", help="Arm without asking.")] = False,
+    seed: Seed = 0,
+    json: AsJson = False,
+) -> None:
+    """Find the sensors' scales against a gauge, and the valves' dead zone and flow curve by a sweep."""
+    from rig.calibrations import pressure as procedure
+
+    procedure.run(
+        procedure.Asked(
+            rig, readings, sensors, valves, fast, gauge, gauge_std_bar, volume_ml, volume_std_ml, to, replace, note,
+            yes, seed, json,
+        )
+    )  # fmt: skip

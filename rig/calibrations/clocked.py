@@ -1,0 +1,142 @@
+"""A bench to drive, in real time under the watchdog's eye or in virtual time with the plant in this process."""
+
+from __future__ import annotations
+
+import contextlib
+import gc
+import os
+import subprocess
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from protocols import Trajectory
+from rig.bench import Bench, open_bench
+from rig.calibrations.driving import Ticks, made_safe
+from rig.config import RigConfig
+from rig.executor.base import Plan, StartError
+from rig.executor.child import Job, spawn
+from rig.executor.clock import become_real_time, wait_until
+from rig.executor.memory import Layout, RunMemory, Stage, Stop
+from rig.lock import cards_locked
+from rig.simulator.plant import Plant
+
+POWER_UP_NS = 100_000_000
+_READY_S = 20.0
+_END_S = 5.0
+
+
+class VirtualTicks:
+    """Control periods as fast as the plant goes."""
+
+    def __init__(self, plant: Plant, period_ns: int) -> None:
+        self._plant, self._period_ns, self._now = plant, period_ns, plant.t_ns
+
+    def next(self) -> int:
+        """Let the plant live through one period."""
+        self._now += self._period_ns
+        self._plant.advance(self._now)
+        return self._now
+
+
+class RealTicks:
+    """Control periods of CLOCK_MONOTONIC; each is a sign of life for the watchdog."""
+
+    def __init__(self, memory: RunMemory, period_ns: int) -> None:
+        self._memory, self._period_ns = memory, period_ns
+        self._deadline = time.monotonic_ns()
+
+    def next(self) -> int:
+        """Wait for the next period.
+
+        Raises:
+            StartError: the watchdog has taken the bench.
+        """
+        # Late by more than a period: what was missed is not caught up.
+        self._deadline = max(self._deadline + self._period_ns, time.monotonic_ns() - self._period_ns)
+        now = wait_until(self._deadline)
+        self._memory.beat("control", now)
+        self._memory.beat("conductor", now)
+        if self._memory.get("fired_ns"):
+            raise StartError(f"the watchdog took the bench over: {self._memory.message('watchdog') or 'a late tick'}")
+        return now
+
+
+@contextmanager
+def virtual(config: RigConfig, seed: int, *, moving_arm: bool = True) -> Iterator[tuple[Bench, Ticks, Plant]]:
+    """The simulated bench in this process, armed.
+
+    Raises:
+        StartError: the rig has a card that only real time can drive.
+    """
+    real = [name for name, card in config.cards.items() if card.driver != "mock"]
+    if real:
+        raise StartError(f"virtual time needs simulated cards, and {', '.join(real)} of rig {config.name} is real")
+    plant = Plant(config, seed, t0_ns=0, moving_arm=moving_arm)
+    bench = Bench(config, {name: plant.card(name) for name in config.cards})
+    with made_safe(bench):
+        plant.advance(POWER_UP_NS)
+        yield bench, VirtualTicks(plant, _period_ns(config)), plant
+
+
+@contextmanager
+def real(config: RigConfig, rig_file: Path, purpose: str) -> Iterator[tuple[Bench, Ticks]]:
+    """The rig's cards, locked and armed, with the run's watchdog beside: it makes safe what this process cannot.
+
+    Raises:
+        CardError: a card is in use or cannot be opened.
+        StartError: the watchdog does not start.
+    """
+    with cards_locked(config, purpose), _watched(config, rig_file) as memory:
+        bench = open_bench(config)
+        try:
+            with made_safe(bench):
+                become_real_time(priority=50)
+                # The first scans are on their way.
+                time.sleep(POWER_UP_NS * 1e-9)
+                memory.beat("control", time.monotonic_ns())
+                memory.beat("conductor", time.monotonic_ns())
+                memory.say("control", Stage.RUNNING)
+                yield bench, RealTicks(memory, _period_ns(config))
+        finally:
+            memory.say("control", Stage.DONE)
+            bench.close()
+            gc.enable()
+            with contextlib.suppress(OSError):
+                os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+
+
+@contextmanager
+def _watched(config: RigConfig, rig_file: Path) -> Iterator[RunMemory]:
+    """Keep the watchdog process; the one whose death it watches for lives exactly as long as this one needs it."""
+    memory = RunMemory.create(Layout.of(config))
+    nothing = Trajectory(0.0, config.actuators, (), (), "")
+    plan = Plan(config, rig_file, nothing, config.model.variant, 0)
+    watchdog = spawn("rig.executor.watchdog", Job(plan, memory.fd, os.getpid()))
+    # It ends when its input is closed: by us, or by the kernel when we die.
+    stand_in = subprocess.Popen(["cat"], stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, start_new_session=True)
+    try:
+        until = time.monotonic() + _READY_S
+        while memory.stage("watchdog") not in (Stage.READY, Stage.FAILED):
+            if time.monotonic() > until or watchdog.poll() is not None:
+                raise StartError("the watchdog did not start")
+            time.sleep(0.01)
+        if memory.stage("watchdog") == Stage.FAILED:
+            raise StartError(memory.message("watchdog"))
+        memory.set("control_pid", stand_in.pid)
+        yield memory
+    finally:
+        assert stand_in.stdin is not None
+        stand_in.stdin.close()
+        stand_in.wait()
+        memory.set("stop", Stop.SAFE)
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            watchdog.wait(_END_S)
+        if watchdog.poll() is None:
+            watchdog.kill()
+            watchdog.wait()
+
+
+def _period_ns(config: RigConfig) -> int:
+    return round(1e9 / config.control.rate_hz)
