@@ -126,7 +126,7 @@ def _step(settings: Settings, state: State, sample: Sample, setpoint: list[float
         valve = state.valves[settings.valve_of[i]]
         reference = pressure[i] if math.isnan(valve.reference_pa) else valve.reference_pa
         asked = Asked(setpoint[i], reference, valve.asked_pa_s, valve.integral_pa_s)
-        moved, tripped = interlocks.step(limits, i, watch, dt, sample.t_ns, volts[i], pressure[i], asked)
+        moved, tripped = interlocks.step(limits, i, watch, max(dt, passed), sample.t_ns, volts[i], pressure[i], asked)
         watches.append(moved)
         trip = trip or tripped
     valves = []

@@ -31,12 +31,14 @@ class Sample(NamedTuple):
 
     `t_ns` is the time of the tick, `scan_t_ns` that of the newest scan (0 before the first); `volts` (N,) and
     `pressure_pa` (N,) come from the scans since the last tick, or repeat the last ones when there were none.
+    `stood_still_ns` is for how long, just now, this program could not look.
     """
 
     t_ns: int
     scan_t_ns: int
     volts: NDArray[np.float64]
     pressure_pa: NDArray[np.float64]
+    stood_still_ns: int = 0
 
 
 @dataclass(frozen=True)
@@ -142,9 +144,13 @@ def _sensor(sensor: Sensor, response_s: float) -> SensorSettings:
 
 
 def stale(s: Settings, sample: Sample) -> Trip | None:
-    """Trip when the newest scan is too old to steer by."""
+    """Trip when the newest scan is too old to steer by.
+
+    A computer that stood still as a whole (its host took the processor away) has made every scan old; it gets the
+    time to read what the card has taken meanwhile.
+    """
     age_s = (sample.t_ns - sample.scan_t_ns) * 1e-9
-    if age_s <= s.stale_s:
+    if age_s - sample.stood_still_ns * 1e-9 <= s.stale_s:
         return None
     limit = f"(limit {s.stale_s * 1e3:.0f} ms)"
     message = f"no pressure sample for {age_s * 1e3:.0f} ms {limit}" if sample.scan_t_ns else "no pressure sample yet"

@@ -20,6 +20,7 @@ import numpy as np
 import rig.config
 import runs
 from rig import experiment
+from runs.records import Level
 from runs.run import Run
 from scripts.faults.realtime import WatchedRun
 from scripts.faults.virtual import Listener
@@ -38,7 +39,10 @@ GROWTH_MB, GROWTH_SHARE = 8.0, 0.03
 
 @dataclass
 class Growth:
-    """Memory [MB] and open files of one process, look by look."""
+    """Memory [MB] of its own and open files of one process, look by look.
+
+    Files that are mapped, and memory that is shared, are not its own: the journal is mapped when the archive is made.
+    """
 
     memory_mb: list[float] = field(default_factory=list)
     files: list[int] = field(default_factory=list)
@@ -46,11 +50,11 @@ class Growth:
     def look(self, pid: int) -> None:
         """Look once more; a process that has gone is not looked at."""
         try:
-            pages = int(Path(f"/proc/{pid}/statm").read_text().split()[1])
+            _, resident, shared, *_ = map(int, Path(f"/proc/{pid}/statm").read_text().split())
             files = len(os.listdir(f"/proc/{pid}/fd"))  # noqa: PTH208
         except OSError:
             return
-        self.memory_mb.append(pages * os.sysconf("SC_PAGE_SIZE") / 1e6)
+        self.memory_mb.append((resident - shared) * os.sysconf("SC_PAGE_SIZE") / 1e6)
         self.files.append(files)
 
     def verdict(self, name: str) -> tuple[bool, str]:
@@ -124,6 +128,13 @@ def _report(what: str, verdicts: list[tuple[bool, str]], run: Run) -> bool:
         f"{timing.ring_overflows} rows lost in rings",
         flush=True,
     )
+    if run.message:
+        print(f"  {run.message}", flush=True)
+    for event in run.events:
+        if event.level is not Level.INFO:
+            print(
+                f"  {(event.t_ns - run.header.started_t_ns) * 1e-9:.1f} s {event.source}: {event.message}", flush=True
+            )
     for _, said in verdicts:
         print(f"  {said}", flush=True)
     return complete and all(sound for sound, _ in verdicts)

@@ -29,13 +29,14 @@ class Loop:
         *,
         volts: object = None,
         scan: bool = True,
+        stood_still_ns: int = 0,
     ) -> control.Command:
         self.t_ns += TICK_NS
         if scan:
             self.scan_t_ns = self.t_ns
             pressure = np.array(bar) + 1e-3 * self.rng.standard_normal(3)
             self.pressure, self.volts = pressure * 1e5, pressure.copy() if volts is None else np.array(volts)
-        sample = control.Sample(self.t_ns, self.scan_t_ns, self.volts, self.pressure)
+        sample = control.Sample(self.t_ns, self.scan_t_ns, self.volts, self.pressure, stood_still_ns)
         self.state, command = control.step(self.settings, self.state, sample, np.array(setpoint) * 1e5, np.zeros(3))
         return command
 
@@ -108,6 +109,25 @@ def test_without_scans_the_valves_wait_then_close_and_then_the_run_stops() -> No
     command = loop.tick((0, 0, 0), (0.35, 0, 0), scan=False)
     assert command.trip is not None
     assert command.trip.message == "no pressure sample for 105 ms (limit 100 ms)"
+
+
+def test_a_computer_that_stood_still_gets_the_time_to_read_what_the_card_has_taken_meanwhile() -> None:
+    loop = Loop()
+    loop.hold(0.3)
+    still_ns = 300_000_000
+    loop.t_ns += still_ns
+    for _ in range(round(RIG.limits.stale_s / 0.005)):
+        command = loop.tick((0, 0, 0), (0.3, 0, 0), scan=False, stood_still_ns=still_ns)
+        assert command.trip is None
+        np.testing.assert_array_equal(command.valve_v, [5.0, 5.0])
+    assert loop.tick((0, 0, 0), (0.3, 0, 0), scan=False, stood_still_ns=still_ns).trip is not None
+
+
+def test_a_pressure_that_has_moved_at_its_rate_while_the_computer_stood_still_is_no_fast_one() -> None:
+    loop = Loop()
+    loop.hold(0.3)
+    loop.t_ns += 300_000_000
+    assert loop.tick((0.6, 0, 0), (0.6, 0, 0), stood_still_ns=300_000_000).trip is None
 
 
 def test_a_short_gap_in_the_scans_is_survived() -> None:

@@ -13,6 +13,10 @@ from rig.executor.base import Plan
 from rig.playback import Position, advance, skip
 from runs.records import sample_dtype
 
+STOOD_STILL_NS = 20_000_000
+EXCUSED_NS = 100_000_000
+"""What a card, or its simulator, gets to deliver the scans of a time in which this process stood still."""
+
 
 class Valves(Protocol):
     """What a tick needs of a bench."""
@@ -41,6 +45,7 @@ class Ticker:
         self.lost = 0
         """Scans that the cards have dropped."""
         self._scan_t_ns = 0
+        self._excuse_ns = self._excused_until_ns = 0
         self._pressure_pa: NDArray[np.float64] = np.full(config.actuators, np.nan)
         self._volts: NDArray[np.float64] = np.full(config.actuators, np.nan)
 
@@ -48,6 +53,12 @@ class Ticker:
     def finished(self) -> bool:
         """True once the protocol is played to its end."""
         return self.position.protocol_s >= self._trajectory.duration_s
+
+    def _stood_still(self, now_ns: int, behind_ns: int) -> int:
+        """For how long the loop stood still within the last moments, 0 where it is punctual."""
+        if behind_ns > STOOD_STILL_NS:
+            self._excuse_ns, self._excused_until_ns = behind_ns, now_ns + EXCUSED_NS
+        return self._excuse_ns if now_ns < self._excused_until_ns else 0
 
     def skip(self) -> None:
         """Go on with the next segment at the next tick."""
@@ -80,7 +91,11 @@ class Ticker:
         setpoint_pa = self._trajectory.setpoint_pa(protocol_s)
         rate_pa_s = np.zeros_like(setpoint_pa) if still else self._trajectory.rate_pa_s(protocol_s)
         sample = control.Sample(
-            t_ns=now_ns, scan_t_ns=self._scan_t_ns, volts=self._volts, pressure_pa=self._pressure_pa
+            t_ns=now_ns,
+            scan_t_ns=self._scan_t_ns,
+            volts=self._volts,
+            pressure_pa=self._pressure_pa,
+            stood_still_ns=self._stood_still(now_ns, lateness_ns + missed * self.period_ns),
         )
         self._state, command = control.step(self._prepared, self._state, sample, setpoint_pa, rate_pa_s)
         self._bench.write(command.valve_v)

@@ -238,7 +238,18 @@ PROCESSES = (
         within_s=8.0,
     ),
 )
+ALL_FIVE = (CONDUCTOR, WATCHDOG, CONTROL, OBSERVER, PLANT)
 SURROUNDINGS = (
+    _process(
+        "machine stands still, 0.15 s",
+        Signal(ALL_FIVE, STOP, lasts_s=0.15),
+        FINISHED,
+        "of the deadlines are missed",
+        "every process of the run is stopped: a host that takes the processor away",
+    ),
+    _process(
+        "machine stands still, 0.6 s", Signal(ALL_FIVE, STOP, lasts_s=0.6), FINISHED, "of the deadlines are missed"
+    ),
     Fault("disk full", "disk", Trick.DISK_FULL, (*ABORTED, *RECOVERED), "full"),
     Fault("file size limit reached", "disk", Trick.FILE_LIMIT, (*ABORTED, *RECOVERED), "full", virtual=False),
     Fault("folder turns read-only", "disk", Trick.FOLDER_READ_ONLY, FINISHED, "the journal is kept", virtual=False),
