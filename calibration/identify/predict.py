@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+import itertools
+import os
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,8 +15,14 @@ from numpy.typing import NDArray
 import model
 from calibration.identify.data import Poses
 from calibration.identify.parameters import Setup
+from model.batch import statics
 
 Array = NDArray[np.float64]
+Solved = tuple[Array, Array]
+"""Tips (K, 3) and orientations (K, 3, 3)."""
+Key = tuple[model.Arm, tuple[float, ...], tuple[float, ...], float]
+
+BATCHED = ("linear", "pointwise")
 
 # Time steps per camera period: at one step the time scheme's own damping would pass for the material's.
 SUBSTEPS = 2
@@ -25,21 +36,34 @@ class Predictor:
     """Predicts the tips of one `Poses`; keeps the last solved shapes, because mounting and tool need no new ones."""
 
     poses: Poses
-    _solved: dict[tuple[object, ...], tuple[Array, Array]] = field(default_factory=dict)
+    _solved: dict[Key, Solved] = field(default_factory=dict)
 
     def __call__(self, setup: Setup) -> Array:
         """Tips (K, 3) [m] as they would be measured; NaN where the model has no solution."""
+        return self.many([setup])[0]
+
+    def many(self, setups: Sequence[Setup]) -> list[Array]:
+        """Tips (K, 3) of each setup; what has not been solved yet is solved together, on all cores."""
+        keys = [self._key(setup) for setup in setups]
+        new = {key: setup for key, setup in zip(keys, setups, strict=True) if key not in self._solved}
+        found = {key: self._solved[key] for key in keys if key in self._solved}
+        if new:
+            arms, pressures = [key[0] for key in new], [self._pressure(setup) for setup in new.values()]
+            solve = _moving if self.poses.moving else _resting
+            found |= zip(new, solve(arms, pressures, self.poses), strict=True)
+        out = [setup.measured(*found[key]) for key, setup in zip(keys, setups, strict=True)]
+        self._solved = dict(list({**self._solved, **found}.items())[-_KEPT:])
+        return out
+
+    def _key(self, setup: Setup) -> Key:
+        return setup.turned_arm, setup.sensor_offset_pa, setup.sensor_gain, setup.sensor_lag_s
+
+    def _pressure(self, setup: Setup) -> Array:
+        """True pressures (K, N)."""
         pressure = self.poses.pressure_pa
         if setup.sensor_lag_s and self.poses.moving and len(pressure) > 1:
             pressure = pressure + setup.sensor_lag_s * np.gradient(pressure, self.poses.period_s, axis=0)
-        arm = setup.turned_arm
-        key = (arm, setup.sensor_offset_pa, setup.sensor_gain, setup.sensor_lag_s)
-        if key not in self._solved:
-            if len(self._solved) >= _KEPT:
-                del self._solved[next(iter(self._solved))]
-            true = setup.pressure_pa(pressure)
-            self._solved[key] = _moving(arm, true, self.poses) if self.poses.moving else _resting(arm, true, self.poses)
-        return setup.measured(*self._solved[key])
+        return setup.pressure_pa(pressure)
 
     def pressure_covariance(self, setup: Setup) -> Array:
         """Covariance (K, 3, 3) [m^2] that random pressure errors lend the predictions, by the arm's statics."""
@@ -47,16 +71,14 @@ class Predictor:
         if not poses.pressure_std_pa.any():
             return np.zeros((len(poses), 3, 3))
         some = np.unique(np.linspace(0, len(poses) - 1, min(len(poses), _SENSITIVITIES)).round().astype(int))
-        arm = setup.turned_arm
         at = setup.pressure_pa(poses.pressure_pa[some])
-        found = np.empty((len(some), 3, 3))
-        for k, (pressure, weight) in enumerate(zip(at, poses.weight_kg[some], strict=True)):
-            steps = _PRESSURE_STEP_PA * np.eye(poses.actuators)
-            loads = _loads(arm, weight)
-            high = np.array([_tip(arm, pressure + step, loads)[0] for step in steps])
-            low = np.array([_tip(arm, pressure - step, loads)[0] for step in steps])
-            slope = (high - low) / (2 * _PRESSURE_STEP_PA) * poses.pressure_std_pa[:, None]
-            found[k] = slope.T @ slope
+        steps = _PRESSURE_STEP_PA * np.concatenate([np.eye(poses.actuators), -np.eye(poses.actuators)])
+        rows = (at[:, None, :] + steps).reshape(-1, poses.actuators)
+        each = np.repeat(some, len(steps))
+        tips = at_rest([setup.turned_arm], rows, poses.weight_kg[each])[0].reshape(len(some), -1, 3)
+        high, low = tips[:, : poses.actuators], tips[:, poses.actuators :]
+        slope = (high - low) / (2 * _PRESSURE_STEP_PA) * poses.pressure_std_pa[:, None]
+        found = np.swapaxes(slope, 1, 2) @ slope
         found = np.where(np.isfinite(found), found, 0.0)
         nearest = np.abs(np.arange(len(poses))[:, None] - some).argmin(axis=1)
         out: Array = found[nearest]
@@ -70,34 +92,57 @@ def _loads(arm: model.Arm, weight_kg: float) -> model.Loads | None:
     return model.Loads(tip_force_n=(weight_kg * x, weight_kg * y, weight_kg * z))
 
 
-def _tip(arm: model.Arm, pressure_pa: Array, loads: model.Loads | None) -> tuple[Array, Array]:
-    try:
-        shape = arm.statics(pressure_pa, loads)
-    except model.NotConverged:
-        return np.full(3, np.nan), np.full((3, 3), np.nan)
-    return shape.tip_m, shape.tip_rotation
+def _resting(arms: Sequence[model.Arm], pressure_pa: Sequence[Array], poses: Poses) -> list[Solved]:
+    count = len(poses)
+    each = [arm for arm in arms for _ in range(count)]
+    tips, turned = at_rest(each, np.concatenate(pressure_pa), np.tile(poses.weight_kg, len(arms)))
+    return [(tips[k : k + count], turned[k : k + count]) for k in range(0, len(tips), count)]
 
 
-def _resting(arm: model.Arm, pressure_pa: Array, poses: Poses) -> tuple[Array, Array]:
-    pairs = [_tip(arm, p, _loads(arm, w)) for p, w in zip(pressure_pa, poses.weight_kg, strict=True)]
-    return np.array([tip for tip, _ in pairs]), np.array([rotation for _, rotation in pairs])
+def at_rest(arms: Sequence[model.Arm], pressure_pa: Array, weight_kg: Array) -> Solved:
+    """Tips (B, 3) and orientations (B, 3, 3) under rows of pressures (B, N) and weights (B,); NaN where none is found.
+
+    arms: one for every row, or one for all.
+    """
+    # At rest a weight on the cap is a heavier cap.
+    loaded = [
+        arm if weight == 0 else replace(arm, cap_mass_kg=arm.cap_mass_kg + weight)
+        for arm, weight in zip(itertools.cycle(arms), weight_kg.tolist(), strict=False)
+    ]
+    if arms[0].section_rule in BATCHED:
+        tips = statics(loaded, pressure_pa)
+        return tips.tip_m, tips.tip_rotation
+    place, turned = np.full((len(loaded), 3), np.nan), np.full((len(loaded), 3, 3), np.nan)
+    for k, (arm, pressure) in enumerate(zip(loaded, pressure_pa, strict=True)):
+        with suppress(model.NotConverged):
+            shape = arm.statics(pressure)
+            place[k], turned[k] = shape.tip_m, shape.tip_rotation
+    return place, turned
 
 
-def _moving(arm: model.Arm, pressure_pa: Array, poses: Poses) -> tuple[Array, Array]:
-    tips, rotations = np.full((len(poses), 3), np.nan), np.full((len(poses), 3, 3), np.nan)
+def _moving(arms: Sequence[model.Arm], pressure_pa: Sequence[Array], poses: Poses) -> list[Solved]:
+    with ThreadPoolExecutor(min(len(arms), os.cpu_count() or 1)) as pool:
+        return list(pool.map(_motion, arms, pressure_pa, itertools.repeat(poses)))
+
+
+def _motion(arm: model.Arm, pressure_pa: Array, poses: Poses) -> Solved:
+    tips, turned = np.full((len(poses), 3), np.nan), np.full((len(poses), 3, 3), np.nan)
     dynamics = arm.dynamics(poses.period_s / SUBSTEPS)
-    loads, hung = _loads(arm, poses.weight_kg[0]), poses.weight_kg[0]
+    weight = poses.weight_kg
     try:
-        shape = dynamics.start(pressure_pa[0], loads)
+        shape = dynamics.start(pressure_pa[0], _loads(arm, weight[0]))
     except model.NotConverged:
-        return tips, rotations
-    tips[0], rotations[0] = shape.tip_m, shape.tip_rotation
-    for k in range(1, len(poses)):
-        if poses.weight_kg[k] != hung:
-            loads, hung = _loads(arm, poses.weight_kg[k]), poses.weight_kg[k]
-        for part in range(1, SUBSTEPS + 1):
-            share = part / SUBSTEPS
-            shape = dynamics.step((1 - share) * pressure_pa[k - 1] + share * pressure_pa[k], loads)
-        if shape.ok:
-            tips[k], rotations[k] = shape.tip_m, shape.tip_rotation
-    return tips, rotations
+        return tips, turned
+    tips[0], turned[0] = shape.tip_m, shape.tip_rotation
+    share = np.arange(1, SUBSTEPS + 1)[:, None] / SUBSTEPS
+    path = (1 - share) * pressure_pa[:-1, None] + share * pressure_pa[1:, None]
+    changes = np.flatnonzero(np.diff(weight)) + 1
+    for start, stop in itertools.pairwise([1, *changes[changes > 1].tolist(), len(poses)]):
+        rows = path[start - 1 : stop - 1].reshape(-1, poses.actuators)
+        # The first step takes up what hangs there; the others go on with it.
+        dynamics.step(rows[0], _loads(arm, weight[start]))
+        motion = dynamics.run(rows[1:])
+        good = motion.ok[SUBSTEPS - 2 :: SUBSTEPS]
+        tips[start:stop][good] = motion.tip_m[SUBSTEPS - 2 :: SUBSTEPS][good]
+        turned[start:stop][good] = motion.tip_rotation[SUBSTEPS - 2 :: SUBSTEPS][good]
+    return tips, turned

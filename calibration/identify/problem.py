@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
 
 from calibration.identify.data import Poses
 from calibration.identify.likelihood import Weights, correlation_time, damped, discrepancy, whitened
@@ -21,6 +20,11 @@ _STEP = 3e-5
 _TETHER = 5.0
 _ROUNDS = 5
 _NOTICEABLE = 0.05
+_LONGEST_STEP = 1.0
+_SAME_SLOPE = 3e-3
+_LEAST_DAMPING = 1e-4
+# A step that promises less than this of the sum of squares is a hundredth of an error bar.
+_CONVERGED = 1e-4
 
 
 @dataclass(frozen=True)
@@ -85,6 +89,7 @@ class Problem:
         self.unknowns = (*shared, *own)
         self._predictors = [Predictor(poses) for poses in self.data]
         self._pressure: tuple[Array, list[Array]] | None = None
+        self._slopes: tuple[Array, tuple[int, ...], list[Array]] | None = None
         self._columns = [
             [i for i, u in enumerate(self.unknowns) if u.run is None or u.run == run] for run in range(len(self.data))
         ]
@@ -109,18 +114,29 @@ class Problem:
         return [predictor(self.setup(z, run)) for run, predictor in enumerate(self._predictors)]
 
     def slopes(self, z: Array, at: list[Array], only: Sequence[int]) -> list[Array]:
-        """Derivatives (K, 3, n) of every run's tips by the unknowns `only`."""
+        """Derivatives (K, 3, n) of every run's tips by the unknowns `only`; those at the last z are kept.
+
+        Where z has moved by less than a few thousandths of a span they are still good: they bend no faster.
+        """
+        if self._slopes is not None:
+            there, columns, kept = self._slopes
+            if set(only) <= set(columns) and np.abs(z - there).max(initial=0.0) < _SAME_SLOPE:
+                chosen = [columns.index(i) for i in only]
+                return [slope[:, :, chosen] for slope in kept]
         out = []
         for run, predictor in enumerate(self._predictors):
+            mine = [(column, i) for column, i in enumerate(only) if i in self._columns[run]]
+            steps = [-_STEP if z[i] + _STEP > self.unknowns[i].upper else _STEP for _, i in mine]
+            moved = []
+            for (_, i), step in zip(mine, steps, strict=True):
+                there = z.copy()
+                there[i] += step
+                moved.append(self.setup(there, run))
             slope = np.zeros((*at[run].shape, len(only)))
-            for column, i in enumerate(only):
-                if i not in self._columns[run]:
-                    continue
-                step = -_STEP if z[i] + _STEP > self.unknowns[i].upper else _STEP
-                moved = z.copy()
-                moved[i] += step
-                slope[:, :, column] = (predictor(self.setup(moved, run)) - at[run]) / step
+            for (column, _), step, tips in zip(mine, steps, predictor.many(moved), strict=True):
+                slope[:, :, column] = (tips - at[run]) / step
             out.append(np.nan_to_num(slope, nan=0.0))
+        self._slopes = (z.copy(), tuple(only), out)
         return out
 
     def solve(self, z: Array, held: Sequence[int] = (), rounds: int = _ROUNDS, evaluations: int = 40) -> Solution:
@@ -196,38 +212,54 @@ class Problem:
         return self._pressure[1]
 
     def _climb(self, z: Array, only: list[int], weights: tuple[Weights, ...], evaluations: int) -> tuple[Array, bool]:
-        def whole(part: Array) -> Array:
-            out = z.copy()
-            out[only] = part
-            return out
+        """Gauss and Newton's steps within the bounds, damped by Levenberg where the loss does not fall."""
+        lower, upper = (np.array([getattr(self.unknowns[i], side) for i in only]) for side in ("lower", "upper"))
+        z[only] = np.clip(z[only], lower, upper)
+        residual = self._rows(z, only, weights)
+        damping = 0.0
+        slope: Array | None = None
+        for _ in range(evaluations):
+            if slope is None:
+                slope = self._slope_rows(z, only, weights)
+            pull = -slope.T @ residual
+            stuck = ((z[only] <= lower) & (pull < 0)) | ((z[only] >= upper) & (pull > 0))
+            loose = np.flatnonzero(~stuck)
+            curvature = (slope.T @ slope)[np.ix_(loose, loose)]
+            step = np.zeros(len(only))
+            step[loose] = np.linalg.solve(curvature + damping * np.diag(np.diagonal(curvature)), pull[loose])
+            promised = float(step @ pull)
+            step *= min(1.0, _LONGEST_STEP / max(np.abs(step).max(initial=0.0), 1e-300))
+            trial = z.copy()
+            trial[only] = np.clip(z[only] + step, lower, upper)
+            there = self._rows(trial, only, weights)
+            better = float(there @ there) <= float(residual @ residual)
+            if better:
+                z, residual, slope = trial, there, None
+                damping = damping / 10 if damping > _LEAST_DAMPING else 0.0
+            else:
+                damping = max(10 * damping, _LEAST_DAMPING)
+            if promised < _CONVERGED:
+                return z, True
+        return z, False
 
-        def residual(part: Array) -> Array:
-            now = whole(part)
-            rows = []
-            for run, tips in enumerate(self.predicted(now)):
-                damp, _ = damped(whitened(self.data[run], tips, weights[run]))
-                rows.append((damp * np.sqrt(self._count(run))[:, None]).ravel())
-            return np.concatenate([*rows, self._prior_rows(now)[1], part / _TETHER])
+    def _rows(self, z: Array, only: list[int], weights: tuple[Weights, ...]) -> Array:
+        """Everything whose squares are summed: residuals, priors, tether."""
+        rows = []
+        for run, tips in enumerate(self.predicted(z)):
+            damp, _ = damped(whitened(self.data[run], tips, weights[run]))
+            rows.append((damp * np.sqrt(self._count(run))[:, None]).ravel())
+        return np.concatenate([*rows, self._prior_rows(z)[1], z[only] / _TETHER])
 
-        def slope(part: Array) -> Array:
-            now = whole(part)
-            at = self.predicted(now)
-            rows = []
-            for run, tips_slope in enumerate(self.slopes(now, at, only)):
-                whitener = weights[run].whitener
-                turned = -np.einsum("kij,kjn->kin", whitener, tips_slope)
-                _, out = damped(whitened(self.data[run], at[run], weights[run]), turned)
-                assert out is not None
-                rows.append((out * np.sqrt(self._count(run))[:, None, None]).reshape(-1, len(only)))
-            return np.concatenate([*rows, self._prior_rows(now)[0][:, only], np.eye(len(only)) / _TETHER])
-
-        lower = np.array([self.unknowns[i].lower for i in only])
-        upper = np.array([self.unknowns[i].upper for i in only])
-        first = np.clip(z[only], lower + 1e-9, upper - 1e-9)
-        found = least_squares(
-            residual, first, slope, (lower, upper), xtol=1e-6, ftol=1e-7, gtol=1e-7, max_nfev=evaluations
-        )
-        return whole(found.x), bool(found.status > 0)
+    def _slope_rows(self, z: Array, only: list[int], weights: tuple[Weights, ...]) -> Array:
+        """Derivatives of `_rows` by the unknowns `only`."""
+        at = self.predicted(z)
+        rows = []
+        for run, tips_slope in enumerate(self.slopes(z, at, only)):
+            turned = -np.einsum("kij,kjn->kin", weights[run].whitener, tips_slope)
+            _, out = damped(whitened(self.data[run], at[run], weights[run]), turned)
+            assert out is not None
+            rows.append((out * np.sqrt(self._count(run))[:, None, None]).reshape(-1, len(only)))
+        return np.concatenate([*rows, self._prior_rows(z)[0][:, only], np.eye(len(only)) / _TETHER])
 
     def _prior_rows(self, z: Array) -> tuple[Array, Array]:
         """Rows (m, n) and gaps (m,) of the priors in standard deviations."""
