@@ -178,3 +178,16 @@ def test_rig_identify_says_what_is_wrong_with_the_question(resting: Run, capsys:
         main(["identify", str(resting.path), "--free", "a1_per_m"])
     assert left.value.code == 2
     assert "did you mean" in capsys.readouterr().err
+
+
+def test_a_sensor_at_the_foot_of_its_scale_tells_only_that_the_pressure_is_low(resting: Run) -> None:
+    poses = at_rest(resting)
+    sensors = [q for q in resting.header.quantities if q.name.endswith("_offset") and q.name.startswith("sensor_")]
+    foot_pa = np.array([q.value[0] * 1e5 for q in sensors])
+    doubt = poses.pressure_std_pa > 200
+    vented, pressed = poses.pressure_pa < 2e3, poses.pressure_pa > 1e4
+    touching = (resting.pressure.measured_bar * 1e5 <= foot_pa).sum(axis=0)
+    lowest = int(np.argmax(touching))
+    assert touching[lowest] > 100
+    assert doubt[vented[:, lowest], lowest].all()
+    assert not doubt[pressed].any()

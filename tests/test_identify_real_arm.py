@@ -36,7 +36,7 @@ class Recording:
             source="",
             period_s=0.0,
             pressure_pa=self.pressure_pa[chosen],
-            pressure_std_pa=np.zeros(3),
+            pressure_std_pa=np.zeros((n, 3)),
             weight_kg=np.zeros(n),
             tip_m=self.tip_m[chosen],
             # An electromagnetic tracker: 0.3 mm; what the model lacks beyond that is found.

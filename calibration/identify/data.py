@@ -7,7 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import maximum_filter1d
 
+from calibration.identify.smooth import smoothed
 from runs.records import Seen
 from runs.run import Run
 
@@ -21,6 +23,8 @@ SETTLE_S = 1.5
 FEWEST_FRAMES = 5
 # Frames share more of their error than their scatter can show: lens, placement, print of the board.
 _LEAST_SHARED = 0.1
+# Samples within which a clipped one spoils its neighbours.
+_NEAR = 21
 
 
 class NoData(ValueError):  # noqa: N818 - the outcome is the name
@@ -31,8 +35,8 @@ class NoData(ValueError):  # noqa: N818 - the outcome is the name
 class Poses:
     """Tips of one run with what acted on the arm: at rest (K plateaus) or in motion (K frames, `period_s` apart).
 
-    pressure_pa (K, N) as measured, with the standard deviation `pressure_std_pa` (N,) of one entry's random error (not
-    of the sensors' offsets). weight_kg (K,) hangs on the cap. tip_m (K, 3) in the rod-base frame with covariance_m2
+    pressure_pa (K, N) as measured, with the standard deviation `pressure_std_pa` (K, N) of the random error (not of the
+    sensors' offsets). weight_kg (K,) hangs on the cap. tip_m (K, 3) in the rod-base frame with covariance_m2
     (K, 3, 3); both NaN in frames of a motion that show no tip. frames (K,): camera frames behind each entry.
     period_s is zero for poses at rest.
     """
@@ -97,14 +101,18 @@ def at_rest(run: Run, settle_s: float = SETTLE_S) -> Poses:
     count = np.array([len(k) for k in plateaus])
     shared = _shared_part([tip.measured_mm[k] * M_PER_MM for k in plateaus], covariance)
     averaged = shared + (1 - shared) / count
-    pressure = _pressures(run)
-    scatter = np.sqrt(np.mean([pressure[k].var(axis=0, ddof=1) / len(k) for k in plateaus], axis=0))
+    samples = _sampled(run)
+    spans = [np.searchsorted(samples.time_s, [tip.time_s[k[0]], tip.time_s[k[-1]]]) for k in plateaus]
+    parts = [slice(first, max(last, first + 1)) for first, last in spans]
+    pressure = [samples.pa[part] for part in parts]
+    scatter = np.sqrt(np.mean([part.var(axis=0) / max(len(part) - 1, 1) for part in pressure], axis=0))
+    clipped = np.array([samples.clipped[part].any(axis=0) for part in parts])
     return Poses(
         run_id=run.header.run_id,
         source=run.sha256,
         period_s=0.0,
-        pressure_pa=np.array([pressure[k].mean(axis=0) for k in plateaus]),
-        pressure_std_pa=scatter,
+        pressure_pa=np.array([part.mean(axis=0) for part in pressure]),
+        pressure_std_pa=np.where(clipped, np.hypot(scatter, samples.doubt_pa), scatter),
         weight_kg=np.array([tip.weight_g[k].mean() for k in plateaus]) * KG_PER_G,
         tip_m=np.array([tip.measured_mm[k].mean(axis=0) for k in plateaus]) * M_PER_MM,
         covariance_m2=covariance * averaged[:, None, None],
@@ -124,10 +132,12 @@ def in_motion(run: Run) -> Poses:
         raise NoData(f"{run.header.run_id}: no frame shows the tip")
     index = tip.frame - tip.frame[0]
     length = int(index[-1]) + 1
-    pressure, weight = np.empty((length, run.header.actuators)), np.empty(length)
     every = np.arange(length)
-    for n, column in enumerate(_pressures(run).T):
-        pressure[:, n] = np.interp(every, index, column)
+    samples = _sampled(run)
+    course, deviation = smoothed(samples.pa)
+    frame_s = np.interp(every, index, tip.time_s)
+    pressure, spread = _at(frame_s, samples.time_s, course), _at(frame_s, samples.time_s, deviation)
+    clipped = _at(frame_s, samples.time_s, maximum_filter1d(samples.clipped.astype(float), _NEAR, axis=0)) > 0
     weight = tip.weight_g[np.clip(np.searchsorted(index, every, side="right") - 1, 0, None)] * KG_PER_G
     measured, covariance = np.full((length, 3), np.nan), np.full((length, 3, 3), np.nan)
     measured[index[usable]] = tip.measured_mm[usable] * M_PER_MM
@@ -137,7 +147,7 @@ def in_motion(run: Run) -> Poses:
         source=run.sha256,
         period_s=1.0 / run.header.camera_hz,
         pressure_pa=pressure,
-        pressure_std_pa=_noise(pressure),
+        pressure_std_pa=np.where(clipped, np.hypot(spread, samples.doubt_pa), spread),
         weight_kg=weight,
         tip_m=measured,
         covariance_m2=covariance,
@@ -165,10 +175,42 @@ def _usable(run: Run) -> NDArray[np.bool_]:
     return usable
 
 
-def _pressures(run: Run) -> Array:
-    """Measured pressures (M, N) [Pa] at the frames: samples around each frame, interpolated."""
-    samples, at = run.pressure, run.tip.time_s
-    return np.stack([np.interp(at, samples.time_s, column) for column in samples.measured_bar.T], axis=1) * PA_PER_BAR
+@dataclass(frozen=True)
+class _Samples:
+    """Pressures (n, N) [Pa] at times (n,) [s].
+
+    clipped (n, N): at the foot of the sensor's scale, where it reads no less whatever the pressure is; doubt_pa (N,) is
+    the standard deviation of the pressure then.
+    """
+
+    time_s: Array
+    pa: Array
+    clipped: NDArray[np.bool_]
+    doubt_pa: Array
+
+
+def _sampled(run: Run) -> _Samples:
+    """The measured pressures.
+
+    A sample is the mean of its scans and is stamped with the newest of them: its own time lies half their span before.
+    """
+    samples = run.pressure
+    scans = np.maximum(samples.scans, 1)
+    late_s = (scans - 1) / (2 * scans * run.header.control_hz)
+    foot, doubt = np.full(run.header.actuators, -np.inf), np.zeros(run.header.actuators)
+    for quantity in run.header.quantities:
+        for n in range(run.header.actuators):
+            if quantity.name == f"sensor_{n + 1}_offset" and np.isfinite(quantity.uncertainty):
+                foot[n] = quantity.value[0]
+                # Somewhere within the sensor's accuracy.
+                doubt[n] = quantity.uncertainty * PA_PER_BAR / np.sqrt(12)
+    at_foot = samples.measured_bar <= foot + 1e-9
+    return _Samples(samples.time_s - late_s, samples.measured_bar * PA_PER_BAR, at_foot, doubt)
+
+
+def _at(time_s: Array, sampled_s: Array, samples: Array) -> Array:
+    """Columns (n, N) of samples, interpolated at other times (M, N)."""
+    return np.stack([np.interp(time_s, sampled_s, column) for column in samples.T], axis=1)
 
 
 def _standing(time_s: Array, setpoint: Array, frame_s: Array) -> NDArray[np.bool_]:
@@ -199,11 +241,3 @@ def _shared_part(measured_m: list[Array], covariance_m2: Array) -> float:
         freedom += 3 * (len(tips) - 1)
     random = ratio / freedom
     return float(np.clip(1 - random - 2 * np.sqrt(2 / freedom), _LEAST_SHARED, 1.0))
-
-
-def _noise(pressure_pa: Array) -> Array:
-    """Standard deviation (N,) of the random error of each entry of a smooth course, from its second differences."""
-    if len(pressure_pa) < 8:
-        return np.zeros(pressure_pa.shape[1])
-    out: Array = np.median(np.abs(np.diff(pressure_pa, n=2, axis=0)), axis=0) * (1.4826 / np.sqrt(6.0))
-    return out

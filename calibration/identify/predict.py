@@ -77,11 +77,10 @@ class Predictor:
         each = np.repeat(some, len(steps))
         tips = at_rest([setup.turned_arm], rows, poses.weight_kg[each])[0].reshape(len(some), -1, 3)
         high, low = tips[:, : poses.actuators], tips[:, poses.actuators :]
-        slope = (high - low) / (2 * _PRESSURE_STEP_PA) * poses.pressure_std_pa[:, None]
-        found = np.swapaxes(slope, 1, 2) @ slope
-        found = np.where(np.isfinite(found), found, 0.0)
+        slope = np.nan_to_num((high - low) / (2 * _PRESSURE_STEP_PA))
         nearest = np.abs(np.arange(len(poses))[:, None] - some).argmin(axis=1)
-        out: Array = found[nearest]
+        spread = slope[nearest] * poses.pressure_std_pa[:, :, None]
+        out: Array = np.swapaxes(spread, 1, 2) @ spread
         return out
 
 

@@ -37,7 +37,7 @@ def plan(
         source="simulated",
         period_s=period_s,
         pressure_pa=pressure_pa,
-        pressure_std_pa=np.full(pressure_pa.shape[1], errors.pressure_pa),
+        pressure_std_pa=np.full(pressure_pa.shape, errors.pressure_pa),
         weight_kg=np.zeros(k) if weight_kg is None else weight_kg,
         tip_m=np.full((k, 3), np.nan),
         covariance_m2=np.tile(np.diag(np.square(errors.tip_m)), (k, 1, 1)),
