@@ -1,44 +1,83 @@
-"""Several runs side by side: the table of their errors, and their tips and errors overlaid."""
+"""Several runs side by side: the tables of their errors, and their tips and errors overlaid."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from html import escape
 from typing import Any
 
 from matplotlib.figure import Figure
 
+from runs.colours import RUNS
 from runs.figures import POINTS, across, legend, svg, thin
+from runs.plates import Plate
 from runs.run import Run
 from runs.summary import Summary
 from runs.text import plain, three
 
-COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 STYLES = ("-", (0, (6, 1.5)), (0, (6, 1.5, 1, 1.5)))
 
 
 def section(runs: Sequence[Run], summaries: Sequence[Summary]) -> str:
     """Return the part of a report that compares its runs."""
     salt = "/".join(run.header.run_id for run in runs)
-    height = 3.4 + 0.16 * len(runs)
-    drawings = (
-        (
-            "Tips in the plane of motion",
-            svg(tips, (9, height), salt, runs, summaries),
-            "Lines: measured. Dotted: model.",
-        ),
-        ("Errors over the protocol", svg(errors, (9, height), salt, runs, summaries), "Measured to model."),
-    )
     shown = "".join(
-        f"<h2>{title}</h2>\n<figure>{drawing}<figcaption>{caption}</figcaption></figure>\n"
-        for title, drawing, caption in drawings
+        f"<h2>{plate.title}</h2>\n<figure>{svg(plate.draw, plate.size, salt, runs, summaries)}"
+        f"<figcaption>{plate.caption}</figcaption></figure>\n"
+        for plate in plates(runs)
     )
     head = f'<header class="run"><h1>{len(runs)} runs</h1></header>'
-    return f'<section class="run">\n{head}\n{table(runs, summaries)}{shown}</section>\n'
+    papers = f'<div class="beside">{by_model(runs, summaries)}{by_axis(runs, summaries)}</div>\n'
+    return f'<section class="run">\n{head}\n{table(runs, summaries)}{papers}{shown}</section>\n'
+
+
+def plates(runs: Sequence[Run]) -> tuple[Plate, ...]:
+    """Return the figures that compare runs."""
+    size = (9, 3.4 + 0.16 * len(runs))
+    return (
+        Plate("tips", "Tips in the plane of motion", tips, size, "Lines: measured. Dotted: model."),
+        Plate("errors", "Errors over the protocol", errors, size, "Measured to model."),
+    )
+
+
+def by_model(runs: Sequence[Run], summaries: Sequence[Summary]) -> str:
+    """Return the mean normalised error of each model in the shape of the paper's Table 3; nothing without one."""
+    known: dict[str, list[float]] = {}
+    for run, summary in zip(runs, summaries, strict=True):
+        if math.isfinite(summary.normalised_percent):
+            known.setdefault(run.header.model_variant, []).append(summary.normalised_percent)
+    rows = "".join(
+        f"<tr><td>{_tick(model.startswith('inhomogeneous'))}</td><td>{_tick(model.endswith('+rpe'))}</td>"
+        f"<td class=n>{plain(sum(errors) / len(errors), 2)}</td><td class=n>{len(errors)}</td></tr>"
+        for model, errors in sorted(known.items())
+    )
+    head = "<th>inhomogeneity</th><th>radial pressure effect</th><th class=n>|error| [%]</th><th class=n>runs</th>"
+    title = "<h2>Normalised error by model</h2>"
+    caption = "<p class=small>As the paper's Table 3: the mean over the settled steps of all runs.</p>"
+    return f"<div>{title}\n<table><tr>{head}</tr>{rows}</table>{caption}</div>" if rows else ""
+
+
+def by_axis(runs: Sequence[Run], summaries: Sequence[Summary]) -> str:
+    """Return the rms errors of each run in the shape of the paper's Table 5; nothing where nothing was measured."""
+    rows = "".join(
+        f"<tr><td>{escape(run.header.protocol_name)}</td><td>{escape(run.header.model_variant)}</td>"
+        f"<td class=n>{plain(s.rmse_mm[2], 4)}</td><td class=n>{plain(s.rmse_mm[0], 4)}</td></tr>"
+        for run, s in zip(runs, summaries, strict=True)
+        if math.isfinite(s.rmse_mm[0])
+    )
+    head = "<th>case</th><th>model</th><th class=n>z [mm]</th><th class=n>x [mm]</th>"
+    title = "<h2>Root mean square error by direction</h2>"
+    caption = "<p class=small>As the paper's Table 5: over every frame.</p>"
+    return f"<div>{title}\n<table><tr>{head}</tr>{rows}</table>{caption}</div>" if rows else ""
+
+
+def _tick(yes: bool) -> str:
+    return "\N{HEAVY CHECK MARK}" if yes else "\N{MULTIPLICATION X}"
 
 
 def table(runs: Sequence[Run], summaries: Sequence[Summary]) -> str:
-    """Return the errors of each run: the mean normalised one of the paper's Table 3, rms per axis of Table 5."""
+    """Return the errors of each run."""
     names = (
         "run",
         "model",
@@ -107,4 +146,4 @@ def errors(figure: Figure, runs: Sequence[Run], summaries: Sequence[Summary]) ->
 def _coloured(runs: Sequence[Run], summaries: Sequence[Summary]) -> Iterator[tuple[Run, Summary, str, Any]]:
     """Yield each run with its colour and line: every pair is another, up to three times the colours."""
     for i, (run, summary) in enumerate(zip(runs, summaries, strict=True)):
-        yield run, summary, COLOURS[i % len(COLOURS)], STYLES[i // len(COLOURS) % len(STYLES)]
+        yield run, summary, RUNS[i % len(RUNS)], STYLES[i // len(RUNS) % len(STYLES)]

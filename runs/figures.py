@@ -12,17 +12,18 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_svg import FigureCanvasSVG
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
+from runs.colours import ACTUATORS, INK, MEASURED, MODEL, MUTED, RULE, TRUTH
 from runs.records import Seen
 from runs.run import Run
 from runs.summary import BAND_BAR, MOVED_MM, Z_95, Step, Summary, in_plane, rest_mm, settled_steps
 
-# Okabe and Ito's palette: told apart by all common kinds of colour vision, and in grey.
-INK, MUTED, RULE = "#1b1f24", "#68707a", "#dfe3e8"
-MEASURED, MODEL, TRUTH = "#0072B2", "#D55E00", "#009E73"
-ACTUATORS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00")
+SHAPES = 12
 POINTS = 900
 """Points drawn of a long line; their extremes are kept."""
 
@@ -144,6 +145,58 @@ def trajectory(figure: Figure, run: Run, summary: Summary) -> None:
     axes.set_xlabel(f"{name} [mm]")
     axes.set_ylabel("z, along the arm [mm]")
     legend(axes)
+
+
+def backbones(figure: Figure, run: Run, summary: Summary) -> None:
+    """The model's backbone and the measured tip at the end of each step, or at even times (the paper's Fig 12)."""
+    whole, near = figure.subplots(1, 2, width_ratios=[1, 1.5])
+    project, name = across(run, summary)
+    assert run.backbone is not None
+    rows, values, label = _shapes(run, summary)
+    low, high = min(values), max(values)
+    # The palest colours would be lost on white.
+    scale = ScalarMappable(Normalize(low, high + 0.12 * (high - low or 1.0)), "viridis")
+    colours = scale.to_rgba(np.array(values))
+    model, measured = project(run.tip.model_mm[rows]), project(run.tip.measured_mm[rows])
+    for axes in (whole, near):
+        for row, colour in zip(rows, colours, strict=True):
+            axes.plot(*project(run.backbone.model_mm[row].astype(float)).T, color=colour, lw=1.4)
+        axes.plot(*model.T, "x", ms=5, mew=1.3, color=MODEL, label="model's tip", zorder=4)
+        if np.isfinite(measured).any():
+            axes.plot(*measured.T, "o", ms=6.5, mfc="none", mec=MEASURED, mew=1.3, label="measured tip", zorder=5)
+        axes.set_xlabel(f"{name} [mm]")
+    ends = np.vstack((model, measured[np.isfinite(measured).all(axis=1)]))
+    margin = 0.08 * max(float(np.ptp(ends, axis=0).max()), 5.0)
+    near.set_xlim(ends[:, 0].min() - margin, ends[:, 0].max() + margin)
+    low_z, high_z = ends[:, 1].min() - margin, ends[:, 1].max() + margin
+    near.set_ylim(high_z, min(low_z, high_z - 0.6 * (np.ptp(ends[:, 0]) + 2 * margin)))
+    near.set_aspect("equal", adjustable="box", anchor="W")
+    whole.set_aspect("equal", adjustable="datalim")
+    whole.invert_yaxis()
+    whole.set_ylabel("z, along the arm [mm]")
+    legend(near)
+    if len(rows) > 1:
+        bar = figure.colorbar(scale, ax=near, label=label, aspect=30, pad=0.02, boundaries=np.linspace(low, high, 256))
+        bar.outline.set_visible(False)
+        bar.locator = MaxNLocator(6)
+        bar.update_ticks()
+
+
+def _shapes(run: Run, summary: Summary) -> tuple[list[int], list[float], str]:
+    """Return the rows whose backbones are drawn, with a number for each and what it is."""
+    tip = run.tip
+    ends: dict[int, float] = {}
+    dwells = settled_steps(summary.steps) or tuple(step for step in summary.steps if step.dwell)
+    by_weight = len({round(max(step.level_bar), 6) for step in dwells}) < len({s.weight_g for s in dwells})
+    for step in dwells:
+        within = np.flatnonzero((tip.protocol_s >= step.start_s) & (tip.protocol_s < step.stop_s) & tip.model_ok)
+        if len(within):
+            ends[int(within[-1])] = step.weight_g if by_weight else max(step.level_bar)
+    if len(ends) > 1:
+        return [*ends], [*ends.values()], "weight [g]" if by_weight else "pressure [bar]"
+    solved = np.flatnonzero(tip.model_ok)
+    rows = np.unique(solved[np.linspace(0, len(solved) - 1, SHAPES).round().astype(int)]).tolist()
+    return rows, tip.time_s[rows].tolist(), "time [s]"
 
 
 def trajectory_size(run: Run, summary: Summary) -> tuple[float, float]:
@@ -327,7 +380,9 @@ def kept(y: Floats) -> NDArray[np.intp]:
 
 
 def legend(axes: Axes, columns: int = 6) -> None:
-    """Above the plot, so that it never hides a line."""
+    """Above the plot, so that it never hides a line; none where nothing has a name."""
+    if not axes.get_legend_handles_labels()[0]:
+        return
     axes.legend(loc="lower left", bbox_to_anchor=(0, 1.0), ncols=columns, borderaxespad=0.1, columnspacing=1.4)
 
 

@@ -1,29 +1,32 @@
-"""Which figures a run has, with their titles, sizes and captions; and the figures as files of their own."""
+"""Which figures a run has, with their titles, sizes and captions."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from pathlib import Path
 
-from runs import figures
+from runs import figures, pictures
 from runs.run import Run
-from runs.summary import SETTLED_PART, Summary, settled_steps, summarise
+from runs.summary import SETTLED_PART, Summary, settled_steps
 from runs.text import plain
-
-KINDS = ("pdf", "png", "svg")
 
 
 @dataclass(frozen=True)
 class Plate:
-    """One figure: `draw(figure, run, summary)` at a size in inches."""
+    """One figure at a size in inches: `draw(figure, run, summary)`, or with the runs and summaries that it compares."""
 
     name: str
     title: str
     draw: Callable[..., None]
     size: tuple[float, float]
     caption: str = ""
+
+
+def of_pictures(run: Run, summary: Summary) -> Iterator[Plate]:
+    """Yield the figure of the kept pictures, where there are any; in a page they stand as they were stored."""
+    if len(run.frames.time_s):
+        yield Plate("pictures", "Camera", pictures.grid, pictures.grid_size(run, summary))
 
 
 def plates(run: Run, summary: Summary) -> Iterator[Plate]:
@@ -37,6 +40,9 @@ def plates(run: Run, summary: Summary) -> Iterator[Plate]:
         )
         size = figures.trajectory_size(run, summary)
         yield Plate("trajectory", "Tool centre point in the plane of motion", figures.trajectory, size, caption)
+    if run.backbone is not None and run.tip.model_ok.any():
+        caption = "The arm as the model has it, drawn as it hangs, and where the camera saw its tip."
+        yield Plate("backbones", "Backbone and measured tip", figures.backbones, (9, 4.8), caption)
     if settled_steps(summary.steps):
         caption = (
             "Marks: measured, with 95 % of one frame. Normalised by the distance of the measured tip from where it "
@@ -54,18 +60,3 @@ def plates(run: Run, summary: Summary) -> Iterator[Plate]:
             f"{summary.missed_deadlines} deadlines missed, {summary.ring_overflows} rows lost between processes."
         )
         yield Plate("timing", "Timing of the control loop", figures.timing, (9, 2.8), caption)
-
-
-def write(archive: Path | str, folder: Path | str, kind: str = "pdf") -> tuple[Path, ...]:
-    """Write each figure of a run as a file `<run>-<figure>.pdf` (or png, svg) for a paper; return the files."""
-    if kind not in KINDS:
-        raise ValueError(f"no figures as {kind!r}; there are {', '.join(KINDS)}")
-    run, place = Run(archive), Path(folder)
-    summary = summarise(run)
-    place.mkdir(parents=True, exist_ok=True)
-    written = []
-    for plate in plates(run, summary):
-        path = place / f"{run.path.stem}-{plate.name}.{kind}"
-        figures.save(plate.draw, plate.size, path, run, summary)
-        written.append(path)
-    return tuple(written)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 import math
 import os
 from collections.abc import Iterator, Sequence
@@ -10,9 +9,7 @@ from html import escape
 from importlib import resources
 from pathlib import Path
 
-import numpy as np
-
-from runs import comparison, layout
+from runs import comparison, layout, pictures
 from runs.figures import svg
 from runs.plates import plates
 from runs.run import Run
@@ -70,7 +67,7 @@ def _run(run: Run, summary: Summary) -> str:
         parts.append(f'<p class="note fault"><b>{escape(str(summary.status))}:</b> {escape(summary.message)}</p>')
     if header.notes:
         parts.append(f"<p>{escape(header.notes)}</p>")
-    parts += [_tiles(summary), *_figures(run, summary), _steps(summary), _pictures(run), _events(run)]
+    parts += [_tiles(summary), *_figures(run, summary), _steps(summary), pictures.section(run, summary), _events(run)]
     parts += [_provenance(run), "</section>"]
     return "\n".join(part for part in parts if part)
 
@@ -141,22 +138,6 @@ def _steps(summary: Summary) -> str:
     )
     note = "<p class=small>Dwells: mean over their last part. Other segments: mean over the whole.</p>"
     return f'<h2>Segments</h2>\n<div class="scroll"><table><tr>{head}</tr>{rows}</table></div>\n{note}'
-
-
-def _pictures(run: Run) -> str:
-    count = len(run.frames.time_s)
-    if count == 0:
-        return ""
-    shown = []
-    for k in np.unique(np.linspace(0, count - 1, 4).round().astype(int)):
-        kind = "png" if run.frames.encoding[k] == "png" else "jpeg"
-        data = base64.b64encode(run.picture(int(k))).decode()
-        when = f"{run.frames.time_s[k]:.2f} s, frame {run.frames.index[k]}"
-        shown.append(
-            f'<figure><img alt="camera picture at {when}" src="data:image/{kind};base64,{data}">'
-            f"<figcaption>{escape(run.frames.camera[k])}, {when}</figcaption></figure>"
-        )
-    return f'<h2>Camera</h2>\n<div class="pictures">{"".join(shown)}</div>'
 
 
 def _events(run: Run) -> str:

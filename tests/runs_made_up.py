@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -123,9 +124,11 @@ def observations(duration_s: float, seed: int = 0, simulated: bool = True) -> ND
     return rows
 
 
-def picture(index: int, size: int = 3000) -> Picture:
+def picture(index: int) -> Picture:
     """A picture whose bytes are told by its number."""
-    data = np.random.default_rng(index).integers(0, 256, size, dtype=np.uint8).tobytes()
+    image = np.full((480, 640), 40 + index % 200, np.uint8)
+    image[100:200, 100:200] = np.random.default_rng(index).integers(0, 256, (100, 100), dtype=np.uint8)
+    data = cv2.imencode(".jpg", image)[1].tobytes()
     return Picture(START_NS + index * 100_000_000, index * 3, "front", "jpeg", data, marks(index))
 
 

@@ -14,8 +14,10 @@ import pytest
 import runs_made_up as made_up
 
 import runs
-from runs import plates, report
+from runs import pictures, plates, printed, report
 from runs.archive import finalise
+from runs.comparison import by_axis, by_model
+from runs.export import ExportError
 from runs.journal import JournalWriter
 from runs.records import Event, Level, RunFooter, Seen, Status
 from runs.summary import summarise
@@ -84,8 +86,8 @@ def test_nothing_is_loaded_from_elsewhere(text: str) -> None:
 
 
 def test_every_figure_is_a_sound_drawing_with_ids_of_its_own(text: str) -> None:
-    drawings = re.findall(r"<svg.*?</svg>", text, re.DOTALL)
-    assert len(drawings) == 6
+    drawings = re.findall(r"<svg(?! viewBox).*?</svg>", text, re.DOTALL)
+    assert len(drawings) == 7
     ids: list[str] = []
     for drawing in drawings:
         root = ET.fromstring(drawing)
@@ -110,9 +112,59 @@ def test_it_tells_how_the_run_was_made(archive: Path, text: str) -> None:
 
 
 def test_the_pictures_are_inside(text: str) -> None:
-    data = re.findall(r'src="data:image/jpeg;base64,([^"]+)"', text)
-    assert len(data) == 4
-    assert base64.b64decode(data[0]) == made_up.picture(0).data
+    data = re.findall(r'href="data:image/jpeg;base64,([^"]+)"', text)
+    stored = [made_up.picture(index).data for index in range(5)]
+    assert data
+    assert all(base64.b64decode(encoded) in stored for encoded in data)
+
+
+def test_what_was_seen_is_drawn_into_the_pictures(archive: Path, text: str) -> None:
+    drawn = re.findall(r'<circle cx="([\d.]+)" cy="([\d.]+)"', text)
+    for k in (moment.k for moment in pictures.moments(runs.open(archive), summarise(runs.open(archive)))):
+        marks = made_up.marks(k)
+        for u, v in (*marks.corners_px, *([marks.tip_px] if len(marks.corners_px) else [])):
+            assert (f"{u:.2f}", f"{v:.2f}") in drawn
+
+
+def test_pictures_show_the_ends_of_steps_the_largest_error_and_where_the_board_was_lost(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    header = made_up.header("run", 4.0)
+    writer = JournalWriter(path, header)
+    rows = made_up.observations(4.0)
+    rows["seen"][90:100], rows["measured_m"][90:100] = Seen.NO_BOARD, np.nan
+    rows["model_m"][50] += 0.004
+    writer.samples(made_up.samples(4.0))
+    writer.observations(rows)
+    for index in range(40):
+        shown = made_up.picture(index)
+        writer.picture(
+            dataclasses.replace(shown, t_ns=int(rows["t_ns"][3 * index]), frame=int(rows["frame"][3 * index]))
+        )
+    writer.close(RunFooter(made_up.START_NS + 4 * 10**9, Status.FINISHED, ""))
+    run = runs.open(finalise(path))
+    chosen = {moment.why: int(run.frames.index[moment.k]) for moment in pictures.moments(run, summarise(run))}
+    assert chosen == {
+        "end of step 1": 28,
+        f"near the largest error ({np.nanmax(run.tip.error_mm):.2f} mm)": 52,
+        "end of step 2": 58,
+        "end of step 3": 88,
+        "nothing measured (no board)": 91,
+        "end of step 4": 118,
+    }
+
+
+def test_a_run_with_several_cameras_shows_every_view_of_a_moment(tmp_path: Path) -> None:
+    path = tmp_path / "two.mcap"
+    writer = JournalWriter(path, made_up.header("two", 1.0))
+    writer.observations(made_up.observations(1.0))
+    for index in range(5):
+        for camera in ("front", "side"):
+            writer.picture(dataclasses.replace(made_up.picture(index), camera=camera))
+    writer.close(RunFooter(made_up.START_NS + 10**9, Status.FINISHED, ""))
+    run = runs.open(finalise(path))
+    chosen = [moment.k for moment in pictures.moments(run, summarise(run))]
+    assert [run.frames.camera[k] for k in chosen] == ["front", "side"] * (len(chosen) // 2)
+    Page(report.page([run]))
 
 
 def test_the_same_archive_gives_the_same_report(archive: Path, text: str) -> None:
@@ -177,18 +229,36 @@ def test_several_runs_stand_side_by_side(short: Path, tmp_path: Path) -> None:
 
 def test_a_run_has_the_figures_that_it_has_data_for(archive: Path, short: Path) -> None:
     run, brief = runs.open(archive), runs.open(short)
-    everything = ["pressures", "trajectory", "steps", "tip", "error", "timing"]
+    everything = ["pressures", "trajectory", "backbones", "steps", "tip", "error", "timing"]
     assert [plate.name for plate in plates.plates(run, summarise(run))] == everything
     assert [plate.name for plate in plates.plates(brief, summarise(brief))] == ["pressures", "timing"]
 
 
 @pytest.mark.parametrize(("kind", "begins"), [("pdf", b"%PDF"), ("png", b"\x89PNG"), ("svg", b"<?xml")])
 def test_figures_can_be_had_as_files_for_a_paper(short: Path, tmp_path: Path, kind: str, begins: bytes) -> None:
-    written = plates.write(short, tmp_path / "figures", kind)
-    assert [path.name for path in written] == [f"short-pressures.{kind}", f"short-timing.{kind}"]
+    written = printed.write([short], tmp_path / "figures", kind)
+    assert [path.name for path in written] == [f"short-{name}.{kind}" for name in ("pressures", "timing", "pictures")]
     assert all(path.read_bytes().startswith(begins) for path in written)
 
 
 def test_figures_of_an_unknown_kind_are_refused(archive: Path, tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="there are pdf, png, svg"):
-        plates.write(archive, tmp_path, "doc")
+    with pytest.raises(ExportError, match="there are pdf, png, svg"):
+        printed.write([archive], tmp_path, "doc")
+
+
+def test_several_runs_are_told_in_the_shape_of_the_papers_tables(archive: Path, tmp_path: Path) -> None:
+    made_up.write_journal(tmp_path / "other.mcap", pictures=0)
+    chosen = [runs.open(archive), runs.open(finalise(tmp_path / "other.mcap"))]
+    chosen[1].header = dataclasses.replace(chosen[1].header, model_variant="homogeneous", protocol_name="other")
+    summaries = [
+        dataclasses.replace(summarise(run), normalised_percent=percent, rmse_mm=rmse)
+        for run, percent, rmse in zip(chosen, (1.27, 17.2), ((1.7349, 0.1, 0.3269), (1.6247, 0.1, 0.8019)), strict=True)
+    ]
+    cells = [re.findall(r"<td[^>]*>([^<]*)</td>", table(chosen, summaries)) for table in (by_model, by_axis)]
+    assert cells[0] == ["\u2715", "\u2715", "17.20", "1", "\u2714", "\u2714", "1.27", "1"]
+    assert cells[1] == ["stairs", "inhomogeneous+rpe", "0.3269", "1.7349", "other", "homogeneous", "0.8019", "1.6247"]
+
+
+def test_several_runs_have_figures_that_compare_them(short: Path, tmp_path: Path) -> None:
+    written = {path.stem for path in printed.write([short, short], tmp_path, "svg")}
+    assert {"compared-tips", "compared-errors"} <= written

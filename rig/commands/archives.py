@@ -47,14 +47,24 @@ def show(archive: Archive, json: AsJson = False) -> None:
 
 def report(
     archives: Archives,
-    to: Annotated[Path | None, typer.Option("--to", help="HTML file; default: beside the first archive.")] = None,
+    to: Annotated[
+        Path | None, typer.Option("--to", help="HTML file, or the figures' folder; default: beside the first archive.")
+    ] = None,
+    figures: Annotated[
+        str | None, typer.Option("--figures", metavar="KIND", help="Instead, each figure as a file: pdf, png or svg.")
+    ] = None,
 ) -> None:
     """Write the report of one run, or of several side by side."""
     from rig.listing import resolve
+    from runs import printed
     from runs.report import write
 
     found = [resolve(archive) for archive in archives]
-    typer.echo(write(found, to or found[0].with_suffix(".html")))
+    if figures is None:
+        typer.echo(write(found, to or found[0].with_suffix(".html")))
+        return
+    for path in printed.write(found, to or found[0].with_name(f"{found[0].stem}-figures"), figures):
+        typer.echo(path)
 
 
 def replay(

@@ -1,0 +1,40 @@
+"""Figures as files of their own, for a paper."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from runs import comparison, figures
+from runs.export import ExportError
+from runs.plates import of_pictures, plates
+from runs.run import Run
+from runs.summary import summarise
+
+KINDS = ("pdf", "png", "svg")
+
+
+def write(archives: Sequence[Path | str], folder: Path | str, kind: str = "pdf") -> tuple[Path, ...]:
+    """Write each figure of each run as `<run>-<figure>.pdf` (or png, svg) for a paper; return the files.
+
+    Of several runs also those that compare them, `compared-<figure>.pdf`.
+    """
+    if kind not in KINDS:
+        raise ExportError(f"no figures as {kind!r}; there are {', '.join(KINDS)}")
+    runs, place = [Run(archive) for archive in archives], Path(folder)
+    summaries = [summarise(run) for run in runs]
+    try:
+        place.mkdir(parents=True, exist_ok=True)
+        written = []
+        for run, summary in zip(runs, summaries, strict=True):
+            for plate in (*plates(run, summary), *of_pictures(run, summary)):
+                path = place / f"{run.path.stem}-{plate.name}.{kind}"
+                figures.save(plate.draw, plate.size, path, run, summary)
+                written.append(path)
+        for plate in comparison.plates(runs) if len(runs) > 1 else ():
+            path = place / f"compared-{plate.name}.{kind}"
+            figures.save(plate.draw, plate.size, path, runs, summaries)
+            written.append(path)
+    except OSError as fault:
+        raise ExportError(f"cannot write to {place}: {fault.strerror or fault}") from fault
+    return tuple(written)
