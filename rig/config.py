@@ -20,6 +20,7 @@ from protocols import document
 from protocols.library import find
 from protocols.validation import Fault, faults
 from rig import consistency
+from runs.records import SourceFile
 
 PA_PER_BAR = 1e5
 
@@ -392,6 +393,16 @@ def text(name_or_path: str | Path) -> str:
     """The rig's YAML: verbatim, or with the calibrations in it that it names. `BadInput` where one does not fit."""
     source = document.read(path_of(name_or_path))
     return _with_calibrations(source)[0] if source.data.get("calibrations") else source.text
+
+
+def sources(name_or_path: str | Path) -> tuple[SourceFile, ...]:
+    """A rig's file and the calibrations that it names, verbatim; nothing where it names none."""
+    source = document.read(path_of(name_or_path))
+    if not source.data.get("calibrations"):
+        return ()
+    from rig.calibrations import folding
+
+    return folding.sources(source, folding.read_all(source))
 
 
 def load(name_or_path: str | Path) -> RigConfig:

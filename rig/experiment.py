@@ -18,14 +18,14 @@ import protocols
 from protocols import BadInput, Problem, Protocol, Trajectory
 from protocols.problems import closest
 from rig.check import check
-from rig.config import RigConfig, Variant, load, parse, path_of, text
+from rig.config import RigConfig, Variant, load, parse, path_of, sources, text
 from rig.daq.base import CardError
 from rig.executor.base import Audience, Outcome, Plan, StartError
 from rig.lock import cards_locked
 from rig.provenance import git_state, quantities, versions
 from runs.archive import ArchiveError, finalise
 from runs.journal import JournalError, JournalWriter
-from runs.records import Event, Interval, Level, RunFooter, RunHeader, Status
+from runs.records import Event, Interval, Level, RunFooter, RunHeader, SourceFile, Status
 
 VARIANTS: tuple[Variant, ...] = get_args(Variant)
 Loaded = TypeVar("Loaded")
@@ -48,6 +48,7 @@ class Request:
     operator: str = ""
     notes: str = ""
     report: bool = True
+    sources: tuple[SourceFile, ...] = ()
     parameters_text: str = ""
     """The file of identified parameters that lies over the rig, verbatim; `rig_text` has them in it."""
 
@@ -105,6 +106,7 @@ def request(
         operator=operator,
         notes=notes,
         report=report,
+        sources=sources(rig),
         parameters_text=parameters_text,
     )
 
@@ -216,6 +218,7 @@ def header(request: Request, decided: Plan, t_ns: int) -> RunHeader:
         protocol_yaml=protocol.text,
         rig_name=config.name,
         rig_yaml=request.rig_text,
+        sources=request.sources,
         parameters_yaml=request.parameters_text,
         actuators=config.actuators,
         valves=len(config.valves),

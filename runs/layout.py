@@ -79,6 +79,7 @@ def groups(journal: Journal) -> tuple[Group, ...]:
             _entry(journal),
             _protocol(journal),
             _rig(journal),
+            _sources(journal),
             _versions(journal),
             _git(journal),
             _pressure(journal),
@@ -196,6 +197,24 @@ def _rig(journal: Journal) -> Group:
             Field("yaml", header.rig_yaml, about="the rig as it was used, verbatim"),
             Field("parameters", header.parameters_yaml, about="identified parameters laid over the rig, verbatim"),
         ),
+    )
+
+
+def _sources(journal: Journal) -> Group | None:
+    sources = journal.header.sources
+    if not sources:
+        return None
+    by = ("name",)
+    return Group(
+        "entry/calibration_files",
+        "NXcollection",
+        (
+            Field("name", [s.name for s in sources]),
+            Field("kind", [s.kind for s in sources], about="rig, camera, dlt, tool or pressure", scales=by),
+            Field("sha256", [s.sha256 for s in sources], about="of the text", scales=by),
+            Field("yaml", [s.text for s in sources], about="verbatim", scales=by),
+        ),
+        about="what the rig as it was used was made of",
     )
 
 

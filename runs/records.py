@@ -200,6 +200,16 @@ class Quantity:
 
 
 @dataclass(frozen=True)
+class SourceFile:
+    """A file that the rig as it was used was made of: the rig's own, or a calibration (its `kind`), verbatim."""
+
+    name: str
+    kind: str
+    sha256: str
+    text: str
+
+
+@dataclass(frozen=True)
 class RunHeader:
     """Everything known before the first sample: written first to the journal, verbatim into the archive."""
 
@@ -230,6 +240,8 @@ class RunHeader:
     quantities: tuple[Quantity, ...] = ()
     parent: str = ""
     """Run id that a replay was made from; empty for a run."""
+    sources: tuple[SourceFile, ...] = ()
+    """The rig's own file and the calibrations that it names; empty where `rig_yaml` is the file itself."""
     parameters_yaml: str = ""
     """File of identified parameters that was laid over the rig, verbatim; `rig_yaml` has them in it."""
     adapted: tuple[Quantity, ...] = ()

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from runs import layout
 from runs.archive import ArchiveError
-from runs.records import Event, Interval, Level, Quantity, RunHeader, Status
+from runs.records import Event, Interval, Level, Quantity, RunHeader, SourceFile, Status
 from runs.table import table
 
 Floats = NDArray[np.float64]
@@ -142,6 +142,7 @@ class Run:
             rig_name=rig["name"],
             rig_yaml=rig["yaml"],
             parameters_yaml=rig["parameters"],
+            sources=_sources(self._group("entry/calibration_files")),
             actuators=int(entry["actuators"]),
             valves=int(entry["valves"]),
             executor=entry["executor"],
@@ -344,6 +345,11 @@ def _value(node: h5py.Dataset) -> Any:
         return node[()]
     values = node.asstr()[()]
     return values if isinstance(values, str) else list(values)
+
+
+def _sources(g: dict[str, Any]) -> tuple[SourceFile, ...]:
+    columns = ([str(text) for text in g.get(key, ())] for key in ("name", "kind", "sha256", "yaml"))
+    return tuple(SourceFile(*row) for row in zip(*columns, strict=True))
 
 
 def _intervals(g: dict[str, Any]) -> tuple[Interval, ...]:

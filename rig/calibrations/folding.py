@@ -5,6 +5,7 @@ The simulator goes on as it was built: what the rig stated before is kept for it
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -27,6 +28,7 @@ from rig.calibrations.schema import (
 )
 from rig.config import FlowValve, Placement, RigConfig, Sensor, Valve
 from rig.optics import placement_of, rigid
+from runs.records import SourceFile
 
 Faults = Iterator[Problem]
 
@@ -55,6 +57,15 @@ def read_all(source: Document) -> tuple[Read, ...]:
     if problems:
         raise BadInput(problems)
     return tuple(found)
+
+
+def sources(rig: Document, calibrations: Sequence[Read]) -> tuple[SourceFile, ...]:
+    """The rig's file and its calibrations, as an archive keeps them."""
+    own = hashlib.sha256(rig.text.encode()).hexdigest()
+    return (
+        SourceFile(Path(rig.file).name, "rig", own, rig.text),
+        *(SourceFile(Path(c.source.file).name, c.found.kind, c.sha256, c.source.text) for c in calibrations),
+    )
 
 
 def folded(text: str, config: RigConfig, calibrations: Sequence[Read]) -> str:
