@@ -39,6 +39,7 @@ def _status(error: Exception) -> int | None:
     from calibration.camera import CalibrationError
     from calibration.dlt import DLTError
     from calibration.identify import NoData, UnknownParameter
+    from calibration.identify.online import NotAdaptable
     from calibration.identify.spread import NoCluster, WorkersDie
     from calibration.views import ViewsError
     from protocols import BadInput
@@ -50,7 +51,7 @@ def _status(error: Exception) -> int | None:
     from runs.export import ExportError
     from runs.journal import JournalError
 
-    if isinstance(error, NoData | UnknownParameter):
+    if isinstance(error, NoData | UnknownParameter | NotAdaptable):
         return BAD_INPUT
     if isinstance(error, BadInput | ArchiveError | ExportError | CalibrationError | DLTError | ViewsError):
         return BAD_INPUT
@@ -99,6 +100,10 @@ def run(
     note: Annotated[str, typer.Option(help="A remark; goes into the archive.")] = "",
     yes: Annotated[bool, typer.Option("--yes", help="Arm without asking.")] = False,
     report: Annotated[bool, typer.Option(help="Write the HTML report.")] = True,
+    adapt: Annotated[
+        bool, typer.Option("--adapt", help="Find the arm's parameters meanwhile; never controls.")
+    ] = False,
+    free: Annotated[str, typer.Option(help="What --adapt finds, by commas, as for rig identify.")] = "",
     live: Annotated[bool, typer.Option("--live", help="Show the run in the browser, too.")] = False,
     listen: Listen = LOCAL,
     port: Port = LIVE_PORT,
@@ -113,9 +118,12 @@ def run(
         _fail(
             "--live shows a run in real time; leave out --fast, or play the archive afterwards: rig live RUN", BAD_INPUT
         )
+    if free and not adapt:
+        _fail("--free says what --adapt finds; say --adapt, too", BAD_INPUT)
     request = experiment.request(
         protocol,
         rig,
+        adapt=[name.strip() for name in free.split(",") if name.strip()] if adapt else None,
         folder=out,
         fast=fast,
         seed=seed,

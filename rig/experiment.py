@@ -7,7 +7,7 @@ import shutil
 import sys
 import time
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import nullcontext, suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -25,7 +25,7 @@ from rig.lock import cards_locked
 from rig.provenance import git_state, quantities, versions
 from runs.archive import ArchiveError, finalise
 from runs.journal import JournalError, JournalWriter
-from runs.records import Event, Interval, Level, RunFooter, RunHeader, SourceFile, Status
+from runs.records import Event, Interval, Level, Quantity, RunFooter, RunHeader, SourceFile, Status
 
 VARIANTS: tuple[Variant, ...] = get_args(Variant)
 Loaded = TypeVar("Loaded")
@@ -48,6 +48,7 @@ class Request:
     operator: str = ""
     notes: str = ""
     report: bool = True
+    adapted: tuple[Quantity, ...] = ()
     sources: tuple[SourceFile, ...] = ()
     parameters_text: str = ""
     """The file of identified parameters that lies over the rig, verbatim; `rig_text` has them in it."""
@@ -76,10 +77,15 @@ def request(
     notes: str = "",
     report: bool = True,
     parameters: Path | None = None,
+    adapt: Sequence[str] | None = None,
 ) -> Request:
     """Load a protocol and a rig by name or file, with a file of identified `parameters` over the rig.
 
+    `adapt` names the parameters that a recursive estimator finds beside the run: the usual ones where it is empty,
+    none where it is None.
+
     Raises:
+        UnknownParameter, NotAdaptable: of those names, one stands for no parameter or cannot be found that way.
         BadInput: any of them is wrong; every problem at once.
     """
     problems: list[Problem] = []
@@ -94,6 +100,13 @@ def request(
 
         rig_text, parameters_text = over(rig_text, path_of(rig), parameters, chosen)
         config = parse(rig_text, f"{path_of(rig)} with {parameters}")
+    adapted: tuple[Quantity, ...] = ()
+    if adapt is not None:
+        from rig.adapting import adapted as estimated
+        from rig.adapting import usual
+
+        variant_used = chosen or config.model.variant
+        adapted = estimated(config, variant_used, adapt or usual(variant_used))
     return Request(
         protocol=asked,
         config=config,
@@ -106,6 +119,7 @@ def request(
         operator=operator,
         notes=notes,
         report=report,
+        adapted=adapted,
         sources=sources(rig),
         parameters_text=parameters_text,
     )
@@ -137,7 +151,7 @@ def plan(request: Request) -> Plan:
     trajectory = request.protocol.expand(request.config.actuators)
     if problems := check(request.config, trajectory, request.protocol, request.rig_file):
         raise BadInput(problems)
-    return Plan(request.config, request.rig_file, trajectory, request.variant, request.seed)
+    return Plan(request.config, request.rig_file, trajectory, request.variant, request.seed, request.adapted)
 
 
 def run(request: Request, decided: Plan, audience: Audience) -> Result:
@@ -235,6 +249,7 @@ def header(request: Request, decided: Plan, t_ns: int) -> RunHeader:
         git_diff=diff,
         intervals=_intervals(decided.trajectory),
         quantities=quantities(config),
+        adapted=decided.adapted,
         control_hz=config.control.rate_hz,
         camera_hz=next(iter(config.cameras.values())).rate_hz,
         cameras=tuple(config.cameras),

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Protocol
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Protocol
 
 import cv2
 import numpy as np
@@ -16,6 +17,9 @@ from rig.eye import Measurement
 from rig.eyes import Eyes
 from rig.sketch import backbone
 from runs.records import observation_dtype
+
+if TYPE_CHECKING:
+    from rig.adapting import Adapting
 
 Floats = NDArray[np.float64]
 Times = NDArray[np.int64]
@@ -110,8 +114,11 @@ class _Solve(Protocol):
 class Observer:
     """Turns shots, in their order, into rows of `runs.records.observation_dtype`. Knows no clock."""
 
-    def __init__(self, config: RigConfig, variant: Variant | None = None) -> None:
-        """`variant` of the model (the rig's when None)."""
+    def __init__(self, config: RigConfig, variant: Variant | None = None, adapt: Sequence[str] = ()) -> None:
+        """`variant` of the model (the rig's when None).
+
+        `adapt` names the parameters that a recursive estimator finds meanwhile; the model's tip is then by these.
+        """
         # The pictures are small: a second thread gains nothing here and costs the control process its core.
         cv2.setNumThreads(1)
         self._eyes = Eyes(config)
@@ -125,6 +132,13 @@ class Observer:
         self.measurement: Measurement | None = None
         """Of the last shot, as `shape` is the model's; for those who draw them."""
         self.shape: model.Shape | None = None
+        self.adaptation: NDArray[np.void] | None = None
+        """What the estimator made of the last shot; None without one."""
+        self._adapting: Adapting | None = None
+        if adapt:
+            from rig.adapting import Adapting
+
+            self._adapting = Adapting(config, variant, adapt)
 
     def step(
         self,
@@ -160,4 +174,6 @@ class Observer:
         row["truth_m"] = np.nan if shot.lead.truth_m is None else shot.lead.truth_m
         row["camera_seen"] = seen.cameras
         row["camera_skew_s"] = [np.nan if f is None else (f.t_ns - shot.t_ns) * 1e-9 for f in shot.frames]
+        if self._adapting is not None:
+            self.adaptation = self._adapting.step(row)
         return row

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from types import TracebackType
 from typing import IO, TextIO, cast
@@ -20,7 +20,7 @@ from rig.config import PA_PER_BAR
 from rig.executor.base import Progress
 from rig.keys import Keys
 from rig.outlet import Outlet
-from runs.records import Event, Level, Seen
+from runs.records import Event, Level, Quantity, Seen
 
 LINE_EVERY_S = 2.0
 _STYLE = {Level.INFO: "dim", Level.WARNING: "yellow", Level.FAULT: "bold red"}
@@ -141,6 +141,18 @@ def _line(progress: Progress) -> str:
     return " | ".join(parts)
 
 
+def _estimates(adapted: Sequence[Quantity], row: NDArray[np.void]) -> Table:
+    """What the recursive estimator knows by now, beside what the run began with."""
+    table = Table(box=None, padding=(0, 2, 0, 0))
+    for head in ("parameter", "estimate", "+-", "began with", "+-", "unit"):
+        table.add_column(head, justify="left" if head in ("parameter", "unit") else "right")
+    std = np.sqrt(np.diagonal(row["covariance"]))
+    for quantity, value, deviation in zip(adapted, row["value"], std, strict=True):
+        begun = f"{quantity.value[0]:.5g}", f"{quantity.uncertainty:.2g}"
+        table.add_row(quantity.name, f"{value:.5g}", f"{deviation:.2g}", *begun, quantity.unit)
+    return table
+
+
 def _screen(title: str, progress: Progress) -> Group:
     parts: list[Text | Table | ProgressBar] = [Text(title, "bold")]
     sample, observation = progress.sample, progress.observation
@@ -164,6 +176,8 @@ def _screen(title: str, progress: Progress) -> Group:
         table.add_row("model", _point(observation["model_m"]), "" if observation["model_ok"] else "not solved")
         table.add_row("error", Text(f"{_error_mm(progress):.2f} mm", "bold cyan"), "")
         parts.append(table)
+    if progress.adaptation is not None:
+        parts.append(_estimates(progress.adapted, progress.adaptation))
     if sample is not None:
         late = f"control late by {sample['lateness_ns'] / 1e3:.0f} us, deadlines missed {progress.missed}"
         parts.append(Text(late, "yellow" if progress.missed else "dim"))

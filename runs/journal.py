@@ -13,6 +13,7 @@ import mmap
 import os
 import struct
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -23,8 +24,8 @@ from numpy.typing import NDArray
 
 from runs import blocks, messages
 from runs.blocks import Block, Damage
-from runs.messages import EVENTS, FOOTER, HEADER, MARKS, OBSERVATIONS, PICTURES, SAMPLES
-from runs.records import Event, Marks, Picture, RunFooter, RunHeader, observation_dtype, sample_dtype
+from runs.messages import ADAPTATIONS, EVENTS, FOOTER, HEADER, MARKS, OBSERVATIONS, PICTURES, SAMPLES
+from runs.records import Event, Marks, Picture, RunFooter, RunHeader, adaptation_dtype, observation_dtype, sample_dtype
 
 SUFFIX = ".mcap"
 SYNC_S = 1.0
@@ -54,10 +55,12 @@ class JournalWriter:
         self.longest_sync_s = 0.0
         self._samples = _Rows(SAMPLES, sample_dtype(header.actuators, header.valves))
         self._observations = _Rows(OBSERVATIONS, observation_dtype(header.actuators, len(header.cameras)))
+        self._adaptations = _Rows(ADAPTATIONS, adaptation_dtype(len(header.adapted)))
         self._utc_minus_t_ns = header.started_utc_ns - header.started_t_ns
         self._size = 0
         self._full: str | None = None
-        first = block_of_header(header, self._samples.form["row"], self._observations.form["row"])
+        kinds = [self._samples, self._observations, *([self._adaptations] if header.adapted else [])]
+        first = block_of_header(header, {kind.channel: kind.form["row"] for kind in kinds})
         try:
             self._check_room(os.statvfs(self.path.parent))
             self._fd = os.open(self.path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_APPEND | os.O_CLOEXEC, 0o644)
@@ -79,6 +82,10 @@ class JournalWriter:
     def observations(self, rows: NDArray[np.void]) -> None:
         """Append camera frames: `observation_dtype` rows (n,)."""
         self._rows(self._observations, rows)
+
+    def adaptations(self, rows: NDArray[np.void]) -> None:
+        """Append what the recursive estimator found: `adaptation_dtype` rows (n,)."""
+        self._rows(self._adaptations, rows)
 
     def picture(self, picture: Picture) -> None:
         """Append an encoded picture and what was seen in it, both or neither."""
@@ -166,8 +173,8 @@ class _Rows:
         self.sequence = 0
 
 
-def block_of_header(header: RunHeader, samples: np.dtype[np.void], observations: np.dtype[np.void]) -> bytes:
-    """Return the first block of a journal: schemas, channels and the header."""
+def block_of_header(header: RunHeader, rows: Mapping[int, np.dtype[np.void]]) -> bytes:
+    """Return the first block of a journal: schemas, channels (with the rows of each that has any) and the header."""
     json: tuple[str, bytes, str, dict[str, str]] = ("jsonschema", b'{"type": "object"}', "json", {})
     kinds = {
         HEADER: json,
@@ -176,7 +183,7 @@ def block_of_header(header: RunHeader, samples: np.dtype[np.void], observations:
         PICTURES: ("ros1msg", messages.PICTURE_DEFINITION.encode(), "ros1", {}),
         MARKS: ("ros1msg", messages.MARKS_DEFINITION.encode(), "ros1", {}),
     }
-    for channel, row in ((SAMPLES, samples), (OBSERVATIONS, observations)):
+    for channel, row in rows.items():
         definition = messages.row_definition(row).encode()
         kinds[channel] = ("ros1msg", definition, "ros1", {"dtype": messages.dtype_to_json(row)})
     names = {PICTURES: "sensor_msgs/CompressedImage"}
@@ -211,6 +218,7 @@ class Journal:
     footer: RunFooter | None
     samples: NDArray[np.void]
     observations: NDArray[np.void]
+    adaptations: NDArray[np.void]
     events: tuple[Event, ...]
     pictures: tuple[StoredPicture, ...]
     damage: tuple[Damage, ...]
@@ -246,7 +254,7 @@ class _Contents:
         self.header: RunHeader | None = None
         self.footer: RunFooter | None = None
         self.forms: dict[int, np.dtype[np.void]] = {}
-        self.rows: dict[int, list[NDArray[np.void]]] = {SAMPLES: [], OBSERVATIONS: []}
+        self.rows: dict[int, list[NDArray[np.void]]] = {SAMPLES: [], OBSERVATIONS: [], ADAPTATIONS: []}
         self.events: list[Event] = []
         self.pictures: list[StoredPicture] = []
         self.marks: dict[tuple[int, str], Marks] = {}
@@ -289,8 +297,9 @@ class _Contents:
         kinds = {
             SAMPLES: sample_dtype(header.actuators, header.valves),
             OBSERVATIONS: observation_dtype(header.actuators, len(header.cameras)),
+            ADAPTATIONS: adaptation_dtype(len(header.adapted)),
         }
-        samples, observations = (
+        samples, observations, adaptations = (
             _as_rows(np.concatenate(self.rows[channel]), kind) if self.rows[channel] else np.zeros(0, kind)
             for channel, kind in kinds.items()
         )
@@ -299,6 +308,7 @@ class _Contents:
             footer=self.footer,
             samples=samples,
             observations=observations,
+            adaptations=adaptations,
             events=tuple(self.events),
             pictures=tuple(self.pictures),
             damage=tuple(self.damage),

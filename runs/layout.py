@@ -84,6 +84,7 @@ def groups(journal: Journal) -> tuple[Group, ...]:
             _git(journal),
             _pressure(journal),
             _tip(journal),
+            _adaptation(journal),
             _timing(journal),
             _counters(journal),
             _frames(journal),
@@ -290,6 +291,36 @@ def _tip(journal: Journal) -> Group:
         signal="error_mm",
         axes=by,
         about="one row per camera frame; NaN where nothing was measured",
+    )
+
+
+def _adaptation(journal: Journal) -> Group | None:
+    adapted, rows = journal.header.adapted, journal.adaptations
+    if not adapted:
+        return None
+    by, each = ("parameter",), ("time", "parameter")
+    deviation = np.sqrt(np.diagonal(rows["covariance"], axis1=1, axis2=2))
+    about = "tool centre point by the parameters that the run began with, rod-base frame"
+    return Group(
+        "entry/adaptation",
+        "NXdata",
+        (
+            _time(journal, rows["t_ns"], "middle of the exposure"),
+            Field("parameter", [q.name for q in adapted], about="what is estimated while the run goes on"),
+            Field("axis", list(AXES), about="of the rod-base frame"),
+            Field("unit", [q.unit for q in adapted], about="of value, uncertainty and start", scales=by),
+            Field("start", np.array([q.value[0] for q in adapted], float), about="value before the run", scales=by),
+            Field("start_uncertainty", np.array([q.uncertainty for q in adapted], float), "", "standard, of start", by),
+            Field("value", rows["value"], about="estimate after the frame", scales=each),
+            Field("uncertainty", deviation, about="standard, of value", scales=each),
+            Field("covariance", rows["covariance"], about="of value", scales=(*each, "parameter")),
+            Field("frame", rows["frame"], about="as tip/frame", scales=("time",)),
+            Field("used", rows["used"], about="0 where the frame told nothing", scales=("time",)),
+            Field("start_model_mm", rows["start_model_m"] * MM_PER_M, "mm", about, ("time", "axis")),
+        ),
+        signal="value",
+        axes=each,
+        about="parameters estimated beside the run; never used for control",
     )
 
 

@@ -19,7 +19,7 @@ from runs.records import Event, Marks, Picture, RunFooter, RunHeader
 
 T = TypeVar("T", RunHeader, RunFooter, Event)
 
-HEADER, FOOTER, EVENTS, SAMPLES, OBSERVATIONS, PICTURES, MARKS = range(1, 8)
+HEADER, FOOTER, EVENTS, SAMPLES, OBSERVATIONS, PICTURES, ADAPTATIONS, MARKS = range(1, 9)
 """Channel numbers, the same in every journal."""
 TOPICS = {
     HEADER: "/header",
@@ -28,6 +28,7 @@ TOPICS = {
     SAMPLES: "/samples",
     OBSERVATIONS: "/observations",
     PICTURES: "/pictures",
+    ADAPTATIONS: "/adaptations",
     MARKS: "/marks",
 }
 _ROS_TYPES = {"<i8": "int64", "<i4": "int32", "<f8": "float64", "<f4": "float32"}

@@ -64,6 +64,26 @@ class Tip:
 
 
 @dataclass(frozen=True)
+class Adaptation:
+    """Parameters estimated beside the run, frame by frame (m,); P of them, each in its own unit."""
+
+    time_s: Floats
+    parameter: tuple[str, ...]
+    unit: tuple[str, ...]
+    start: Floats
+    start_uncertainty: Floats
+    value: Floats
+    """(m, P), after the frame."""
+    uncertainty: Floats
+    covariance: Floats
+    """(m, P, P)."""
+    frame: Ints
+    used: NDArray[np.bool_]
+    start_model_mm: Floats
+    """(m, 3), the tip by the parameters that the run began with."""
+
+
+@dataclass(frozen=True)
 class Timing:
     """Control ticks (n,), and what was lost over the whole run."""
 
@@ -159,6 +179,7 @@ class Run:
             git_diff=git["diff"],
             intervals=_intervals(protocol),
             quantities=(*self._quantities("calibration"), *self._quantities("model")),
+            adapted=_adapted(self._group("entry/adaptation")),
             control_hz=float(self._group("entry/timing")["control_rate"]),
             camera_hz=float(self._group("entry/timing")["camera_rate"]),
             cameras=self._cameras,
@@ -216,6 +237,26 @@ class Run:
             dropped=g["dropped"],
             camera_seen=g["camera_seen"],
             camera_skew_us=g["camera_skew_us"],
+        )
+
+    @cached_property
+    def adaptation(self) -> Adaptation | None:
+        """What the recursive estimator found; None for a run without one."""
+        g = self._group("entry/adaptation")
+        if not g:
+            return None
+        return Adaptation(
+            time_s=g["time"],
+            parameter=tuple(g["parameter"]),
+            unit=tuple(g["unit"]),
+            start=g["start"],
+            start_uncertainty=g["start_uncertainty"],
+            value=g["value"],
+            uncertainty=g["uncertainty"],
+            covariance=g["covariance"],
+            frame=g["frame"],
+            used=g["used"].astype(bool),
+            start_model_mm=g["start_model_mm"],
         )
 
     @cached_property
@@ -345,6 +386,14 @@ def _value(node: h5py.Dataset) -> Any:
         return node[()]
     values = node.asstr()[()]
     return values if isinstance(values, str) else list(values)
+
+
+def _adapted(g: dict[str, Any]) -> tuple[Quantity, ...]:
+    columns = ("parameter", "start", "unit", "start_uncertainty")
+    return tuple(
+        Quantity("adaptation", name, (float(start),), unit, "the run's start", float(doubt))
+        for name, start, unit, doubt in (zip(*(g[column] for column in columns), strict=True) if g else ())
+    )
 
 
 def _sources(g: dict[str, Any]) -> tuple[SourceFile, ...]:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from runs import layout
 
 Column = NDArray[Any]
-TABLES = ("pressure", "tip", "timing", "simulator", "events")
+TABLES = ("pressure", "tip", "adaptation", "timing", "simulator", "events")
 """Groups whose rows are those of their `time`."""
 
 
@@ -29,7 +29,7 @@ def table(path: Path | str, group: str) -> dict[str, Column]:
         rows = node["time"].shape
         columns = {"time_s": node["time"][()]}
         for name, data in node.items():
-            if isinstance(data, h5py.Dataset) and data.shape[:1] == rows and _along_time(data):
+            if isinstance(data, h5py.Dataset) and data.shape[:1] == rows and data.ndim < 3 and _along_time(data):
                 columns.update(_columns(name, data))
     return columns
 

@@ -13,10 +13,18 @@ import runs_made_up as made_up
 
 from runs.archive import finalise
 from runs.journal import JournalWriter
-from runs.records import BACKBONE_POINTS, RunFooter, Status, observation_dtype, sample_dtype
+from runs.records import (
+    BACKBONE_POINTS,
+    Quantity,
+    RunFooter,
+    Status,
+    adaptation_dtype,
+    observation_dtype,
+    sample_dtype,
+)
 
 PAGE = Path(__file__).parent.parent / "docs" / "archive.md"
-SIZES = {"N": 13, "M": 7, "K": 10, "Q": 20, "P": BACKBONE_POINTS, "E": 1, "S": 4, "A": 5, "V": 8, "C": 9} | {
+SIZES = {"N": 13, "M": 7, "K": 12, "Q": 20, "L": BACKBONE_POINTS, "E": 1, "S": 4, "A": 5, "V": 8, "C": 9, "P": 10} | {
     str(n): n for n in (2, 3, 6)
 }
 FREE = ("calibration", "model", "versions", "timing/counters")
@@ -43,10 +51,14 @@ def stored(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[tuple[in
     """An archive whose every size is another: {path: (shape, unit)}."""
     source = tmp_path_factory.mktemp("docs") / "sizes.mcap"
     cameras = tuple(f"camera {k}" for k in range(SIZES["C"]))
-    header = dataclasses.replace(made_up.header("sizes", 4.0), actuators=SIZES["A"], valves=SIZES["V"], cameras=cameras)
+    adapted = tuple(Quantity("adaptation", f"parameter {k}", (1.0,), "m", "", 0.1) for k in range(SIZES["P"]))
+    header = dataclasses.replace(
+        made_up.header("sizes", 4.0), actuators=SIZES["A"], valves=SIZES["V"], cameras=cameras, adapted=adapted
+    )
     writer = JournalWriter(source, header)
     writer.samples(np.zeros(SIZES["N"], sample_dtype(SIZES["A"], SIZES["V"])))
     writer.observations(np.zeros(SIZES["M"], observation_dtype(SIZES["A"], SIZES["C"])))
+    writer.adaptations(np.zeros(SIZES["M"], adaptation_dtype(SIZES["P"])))
     for index in range(SIZES["K"]):
         writer.picture(made_up.picture(index))
     writer.event(made_up.ARMED)

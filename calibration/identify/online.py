@@ -14,18 +14,22 @@ from calibration.identify.parameters import Parameter, Prior, Setup, named
 Array = NDArray[np.float64]
 
 _STEP = 1e-4
+# What a model at rest knows nothing of.
+_ONLY_IN_MOTION = ("damping_s", "sensor_lag_s")
 # Innovations beyond this many standard deviations are cut back: one bad frame must not throw the estimate.
 _GATE = 4.0
 
 
+class NotAdaptable(ValueError):  # noqa: N818 - the outcome is the name
+    """A parameter that no frame taken by itself tells."""
+
+
 @dataclass(frozen=True)
 class Adapted:
-    """One frame's result: the tip predicted before the frame was used (3,) [m], and the setup after it."""
+    """One frame's result: the tip predicted before the frame was used (3,) [m], and whether it told anything."""
 
     predicted_m: Array
-    setup: Setup
-    values: Array
-    std: Array
+    used: bool
 
 
 class Adapter:
@@ -36,6 +40,9 @@ class Adapter:
 
     priors: by name, else a parameter starts known to `doubt` of its span. floor_m: error per axis that every frame may
     have beyond its covariance. repeats: how many neighbouring frames carry the same error, and so count as one.
+
+    Raises:
+        UnknownParameter, NotAdaptable: what is free cannot be.
     """
 
     def __init__(
@@ -50,6 +57,8 @@ class Adapter:
         actuators = start.arm.geometry.actuators
         self._start = start
         self._parameters: tuple[Parameter, ...] = named(free, actuators)
+        if lost := [p.name for p in self._parameters if p.name in _ONLY_IN_MOTION]:
+            raise NotAdaptable(f"{', '.join(lost)}: shows only in how the arm moves; free it in rig identify instead")
         known = {p.name: prior for name, prior in (priors or {}).items() for p in named([name], actuators)}
         first = np.array([p.read(start) for p in self._parameters])
         self._span = np.array([p.span(x) for p, x in zip(self._parameters, first, strict=True)])
@@ -60,11 +69,17 @@ class Adapter:
         self._z = np.zeros(len(self._parameters))
         self._covariance = np.diag(np.square(doubts))
         self._floor, self._repeats = floor_m, repeats
+        self._solved: dict[tuple[object, ...], model.Shape | None] = {}
 
     @property
     def names(self) -> tuple[str, ...]:
         """What is estimated."""
         return tuple(p.name for p in self._parameters)
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """Their units."""
+        return tuple(p.unit for p in self._parameters)
 
     @property
     def values(self) -> Array:
@@ -75,6 +90,12 @@ class Adapter:
     def std(self) -> Array:
         """Their standard deviations (n,)."""
         out: Array = self._span * np.sqrt(np.diagonal(self._covariance))
+        return out
+
+    @property
+    def covariance(self) -> Array:
+        """Their covariance (n, n)."""
+        out: Array = self._span[:, None] * self._covariance * self._span
         return out
 
     @property
@@ -96,9 +117,11 @@ class Adapter:
         whose tip is NaN, or whose pressures have no equilibrium, changes nothing.
         """
         extra = np.zeros(3) if motion_m is None else motion_m
+        self._solved.clear()
         at = self._tip(self._z, pressure_pa, weight_kg)
         predicted = at + extra
         gap = tip_m - predicted
+        used = False
         if np.isfinite(gap).all():
             slope = np.stack(
                 [
@@ -107,9 +130,10 @@ class Adapter:
                 ],
                 axis=1,
             )
-            if np.isfinite(slope).all():
+            used = bool(np.isfinite(slope).all())
+            if used:
                 self._update(gap, slope, self._repeats * (covariance_m2 + self._floor**2 * np.eye(3)))
-        return Adapted(predicted, self.setup, self.values, self.std)
+        return Adapted(predicted, used)
 
     def _update(self, gap: Array, slope: Array, noise: Array) -> None:
         innovation = slope @ self._covariance @ slope.T + noise
@@ -138,12 +162,22 @@ class Adapter:
 
     def _tip(self, z: Array, pressure_pa: Array, weight_kg: float) -> Array:
         setup = self._setup(z)
-        arm = setup.turned_arm
-        x, y, zed = arm.gravity_m_s2
-        loads = model.Loads(tip_force_n=(weight_kg * x, weight_kg * y, weight_kg * zed)) if weight_kg else None
-        try:
-            shape = arm.statics(setup.pressure_pa(pressure_pa), loads)
-        except (model.NotConverged, ValueError):
+        # Base and tool move the tip of an arm that is solved already.
+        key = (setup.arm, setup.actuator_turn_rad, setup.sensor_offset_pa, setup.sensor_gain)
+        if key not in self._solved:
+            self._solved[key] = _shape(setup, pressure_pa, weight_kg)
+        shape = self._solved[key]
+        if shape is None:
             return np.full(3, np.nan)
         out: Array = setup.measured(shape.tip_m[None], shape.tip_rotation[None])[0]
         return out
+
+
+def _shape(setup: Setup, pressure_pa: Array, weight_kg: float) -> model.Shape | None:
+    arm = setup.turned_arm
+    x, y, z = arm.gravity_m_s2
+    loads = model.Loads(tip_force_n=(weight_kg * x, weight_kg * y, weight_kg * z)) if weight_kg else None
+    try:
+        return arm.statics(setup.pressure_pa(pressure_pa), loads)
+    except (model.NotConverged, ValueError):
+        return None

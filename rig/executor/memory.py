@@ -88,16 +88,15 @@ class Layout:
     valves: int
     picture_bytes: int
     corners: int
-    adapted: int = 0
     cameras: int = 1
+    adapted: int = 0
 
     @classmethod
     def of(cls, config: RigConfig, adapted: int = 0) -> Layout:
         """The layout for one rig and so many adapted parameters. A picture slot holds the largest camera's frame."""
         largest = max((c.width_px * c.height_px for c in config.cameras.values()), default=0)
         corners = (config.board.squares_x - 1) * (config.board.squares_y - 1)
-        cameras = len(config.cameras)
-        return cls(config.actuators, len(config.valves), largest * 3 + 4096, corners, adapted, cameras)
+        return cls(config.actuators, len(config.valves), largest * 3 + 4096, corners, len(config.cameras), adapted)
 
 
 def view_dtype(layout: Layout) -> np.dtype[np.void]:

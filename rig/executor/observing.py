@@ -37,7 +37,7 @@ def main() -> int:
 
 def _observe(job: Job, memory: RunMemory) -> int:
     config = job.plan.config
-    observer = Observer(config, job.plan.variant)
+    observer = _observer(job)
     show = Show(config, memory)
     cameras = Together(config, job.plan.seed)
     try:
@@ -76,10 +76,14 @@ def _observe(job: Job, memory: RunMemory) -> int:
     return 0
 
 
+def _observer(job: Job) -> Observer:
+    return Observer(job.plan.config, job.plan.variant, [quantity.name for quantity in job.plan.adapted])
+
+
 def _rehearse(job: Job, shots: list[Shot]) -> None:
     """Observe some shots with an observer of their own: what is compiled at its first use is ready by then."""
     config = job.plan.config
-    observer = Observer(config, job.plan.variant)
+    observer = _observer(job)
     for index, shot in enumerate(shots):
         times = np.array([shot.t_ns])
         observer.step(replace(shot, index=index), times, np.zeros((1, config.actuators)), 0.0)
@@ -95,6 +99,8 @@ def _record(job: Job, observer: Observer, memory: RunMemory, shot: Shot, dropped
     row = observer.step(shot, ticks["t_ns"], ticks["measured_pa"], protocol_s, dropped, weight_kg)
     row["age_ns"] = time.monotonic_ns() - shot.t_ns
     memory.observations.push(row)
+    if observer.adaptation is not None:
+        memory.adaptations.push(observer.adaptation)
 
 
 if __name__ == "__main__":

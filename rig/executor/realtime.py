@@ -61,7 +61,7 @@ class _Conductor:
         self.plant = plant
         self.recorder: Recorder
         self.audience = audience
-        self.memory = RunMemory.create(Layout.of(plan.config))
+        self.memory = RunMemory.create(Layout.of(plan.config, len(plan.adapted)))
         self.desk = Desk(self.memory, plan.trajectory)
         self.door: Door | None = None
         self.crew: list[tuple[str, subprocess.Popen[bytes]]] = []
@@ -72,6 +72,7 @@ class _Conductor:
         self.dropped = 0
         self._sample: NDArray[np.void] | None = None
         self._observation: NDArray[np.void] | None = None
+        self._adaptation: NDArray[np.void] | None = None
         self._shown_prompt = -1
 
     def run(self, open_record: OpenRecord) -> Outcome:
@@ -243,6 +244,10 @@ class _Conductor:
             self.dropped += int(observations["dropped"].sum())
             self._observation = observations[-1]
             self._report(*self.vigil.observations(observations))
+        adaptations = self.memory.adaptations.read()
+        if len(adaptations):
+            self.recorder.adaptations(adaptations)
+            self._adaptation = adaptations[-1]
         names = list(self.plan.config.cameras)
         for t_ns, frame, camera, data in self.memory.read_pictures():
             self.recorder.picture(Picture(t_ns, frame, names[camera], self.plan.config.recording.encoding, data))
@@ -272,6 +277,8 @@ class _Conductor:
             missed=self.missed,
             prompt=self._prompt_text(waiting) if waiting >= 0 else None,
             held=bool(self.memory.get("held")),
+            adapted=self.plan.adapted,
+            adaptation=self._adaptation,
         )
 
     def _make_safe(self) -> None:

@@ -22,7 +22,7 @@ from rig.executor.venting import PATIENCE_S, Venting
 from rig.executor.vigil import Vigil
 from rig.observer import Observer
 from rig.simulator.plant import Plant
-from runs.records import Event, Level, Picture, Status, observation_dtype, sample_dtype
+from runs.records import Event, Level, Picture, Status, adaptation_dtype, observation_dtype, sample_dtype
 
 START_NS = 100_000_000
 """Virtual time between power-up and the first tick, so that the first tick has scans."""
@@ -31,6 +31,9 @@ HISTORY_TICKS = 400
 FRAMES_IN_FLIGHT = 6
 """Frames that may still be looked at while control goes on; a fixed number, so that runs repeat bit for bit."""
 SHOW_S = 0.1
+
+_Look = tuple[NDArray[np.void], NDArray[np.void] | None, list[Picture]]
+"""A row of observations, what the estimator made of it, and the pictures that are kept."""
 
 
 def run(plan: Plan, open_record: OpenRecord, audience: Audience) -> Outcome:
@@ -64,10 +67,10 @@ class _VirtualRun:
         }
         skew_ms = config.simulator.scene.skew_ms if config.simulator else 0.0
         self._skews_ns = [round(k * skew_ms * 1e6) for k in range(len(self._cameras))]
-        self._observer = Observer(config, plan.variant)
+        self._observer = Observer(config, plan.variant, [quantity.name for quantity in plan.adapted])
         # Drawing and seeing release the interpreter's lock: a thread of their own lets control go on meanwhile.
         self._looker = ThreadPoolExecutor(1, thread_name_prefix="observer")
-        self._looking: deque[Future[tuple[NDArray[np.void], list[Picture]]]] = deque()
+        self._looking: deque[Future[_Look]] = deque()
         self._ticker = Ticker(plan, self._bench)
         self._vigil = Vigil(config)
         self._lost_scans = 0
@@ -76,6 +79,7 @@ class _VirtualRun:
         self._answered = 0
         self._samples = _Rows(sample_dtype(config.actuators, len(config.valves)))
         self._observations = _Rows(observation_dtype(config.actuators, len(config.cameras)))
+        self._adaptations = _Rows(adaptation_dtype(len(plan.adapted)))
         self._shown = 0.0
         self._recorder: Recorder
 
@@ -184,31 +188,39 @@ class _VirtualRun:
         measured_pa: NDArray[np.float64],
         protocol_s: float,
         weight_kg: float,
-    ) -> tuple[NDArray[np.void], list[Picture]]:
+    ) -> _Look:
         frames = {
             name: None if exposure is None else camera.develop(exposure)
             for (name, camera), exposure in zip(self._cameras.items(), exposures, strict=True)
         }
         shot = Shot(index, tuple(frames.values()))
         row = self._observer.step(shot, t_ns, measured_pa, protocol_s, 0, weight_kg)
+        adaptation = self._observer.adaptation
         recording = self._plan.config.recording
         if index % recording.keep_every:
-            return row, []
-        return row, [
-            Picture(frame.t_ns, index, name, recording.encoding, encode(frame.image, recording))
-            for name, frame in frames.items()
-            if frame is not None
-        ]
+            return row, adaptation, []
+        return (
+            row,
+            adaptation,
+            [
+                Picture(frame.t_ns, index, name, recording.encoding, encode(frame.image, recording))
+                for name, frame in frames.items()
+                if frame is not None
+            ],
+        )
 
     def _flush(self, in_flight: int = FRAMES_IN_FLIGHT) -> None:
         while len(self._looking) > in_flight:
-            row, pictures = self._looking.popleft().result()
+            row, adaptation, pictures = self._looking.popleft().result()
             self._observations.add(row)
+            if adaptation is not None:
+                self._adaptations.add(adaptation)
             for picture in pictures:
                 self._recorder.picture(picture)
         samples, observations = self._samples.take(), self._observations.take()
         self._recorder.samples(samples)
         self._recorder.observations(observations)
+        self._recorder.adaptations(self._adaptations.take())
         lost, self._lost_scans = self._ticker.lost - self._lost_scans, self._ticker.lost
         for event in (
             *self._vigil.samples(samples),
@@ -218,7 +230,7 @@ class _VirtualRun:
             self._report(event)
 
     def _progress(self, row: NDArray[np.void]) -> Progress:
-        last = self._observations.recent(1)
+        last, estimate = self._observations.recent(1), self._adaptations.recent(1)
         return Progress(
             protocol_s=self._ticker.position.protocol_s,
             duration_s=self._plan.trajectory.duration_s,
@@ -226,6 +238,8 @@ class _VirtualRun:
             observation=last[0] if len(last) else None,
             missed=0,
             prompt=None,
+            adapted=self._plan.adapted,
+            adaptation=estimate[0] if len(estimate) else None,
         )
 
     def _tell(self, t_ns: int, level: Level, source: str, message: str) -> None:
