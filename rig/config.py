@@ -8,6 +8,7 @@ return SI.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -413,6 +414,20 @@ def load(name_or_path: str | Path) -> RigConfig:
 def parse(text: str, file: str | Path) -> RigConfig:
     """The rig that a YAML text describes; `file` is what its faults are reported of. `BadInput` as for `load`."""
     return _with_calibrations(document.parse(text, str(file)))[1]
+
+
+def calibrated(text: str, file: str | Path, files: Sequence[Path]) -> tuple[str, tuple[SourceFile, ...]]:
+    """A rig's YAML with calibration files in it besides those that it names, and what it was made of.
+
+    Raises:
+        BadInput: one of them is wrong or does not fit; see `load`.
+    """
+    from rig.calibrations import folding
+
+    source = document.parse(text, str(file))
+    config = document.validate(RigConfig, source, consistency.check)
+    calibrations = (*folding.read_all(source), *folding.read_files(files))
+    return folding.folded(text, config, calibrations), folding.sources(source, calibrations)
 
 
 def _with_calibrations(source: document.Document) -> tuple[str, RigConfig]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -27,12 +27,17 @@ from runs.run import Run
 
 
 def replay(
-    run: Run, folder: Path, rig: str | None = None, variant: Variant | None = None, parameters: Path | None = None
+    run: Run,
+    folder: Path,
+    rig: str | None = None,
+    variant: Variant | None = None,
+    parameters: Path | None = None,
+    calibrations: Sequence[Path] = (),
 ) -> Path:
     """Observe a run's pictures again and return the new archive's path.
 
     `rig` names a rig, or a file, with other calibration, model or material; by default the run's own. `parameters` is
-    a file of identified ones to lay over it. Frames that were
+    a file of identified ones to lay over it, `calibrations` are files of `rig calibrate`. Frames that were
     not stored are not observed; the model steps over them as over dropped frames.
 
     Raises:
@@ -43,6 +48,11 @@ def replay(
         raise StartError(f"{run.path} holds no pictures: there is nothing to replay")
     text = run.header.rig_yaml if rig is None else rigs.text(rig)
     config = rigs.parse(text, f"{run.path}: rig") if rig is None else rigs.load(rig)
+    sources = run.header.sources if rig is None else rigs.sources(rig)
+    if calibrations:
+        file = f"{run.path}: rig" if rig is None else rigs.path_of(rig)
+        text, sources = rigs.calibrated(text, file, calibrations)
+        config = rigs.parse(text, f"{file} with calibrations")
     chosen = variant or (_variant(run) if rig is None else config.model.variant)
     found = run.header.parameters_yaml if rig is None else ""
     if parameters is not None:
@@ -59,6 +69,7 @@ def replay(
         notes=f"replayed {now:%Y-%m-%d %H:%M} UTC",
         rig_name=config.name,
         rig_yaml=text,
+        sources=sources,
         parameters_yaml=found,
         model_variant=chosen,
         cameras=tuple(config.cameras),

@@ -59,6 +59,20 @@ def read_all(source: Document) -> tuple[Read, ...]:
     return tuple(found)
 
 
+def read_files(paths: Sequence[Path]) -> tuple[Read, ...]:
+    """Read calibration files; `BadInput` with all that is wrong with any of them."""
+    found: list[Read] = []
+    problems: list[Problem] = []
+    for path in paths:
+        try:
+            found.append(read(path))
+        except BadInput as bad:
+            problems += bad.problems
+    if problems:
+        raise BadInput(problems)
+    return tuple(found)
+
+
 def sources(rig: Document, calibrations: Sequence[Read]) -> tuple[SourceFile, ...]:
     """The rig's file and its calibrations, as an archive keeps them."""
     own = hashlib.sha256(rig.text.encode()).hexdigest()

@@ -72,6 +72,9 @@ def replay(
     rig: Annotated[str | None, typer.Option("--rig", help="Another rig: calibration, model, material.")] = None,
     model: Annotated[str | None, typer.Option("--model", help="Another variant of the model.")] = None,
     parameters: Parameters = None,
+    calibration: Annotated[
+        list[Path] | None, typer.Option(metavar="FILE", help="A file of `rig calibrate`, to lay over the rig.")
+    ] = None,
     out: Folder = Path("data"),
 ) -> None:
     """Run vision and model again on a run's stored pictures and pressures."""
@@ -80,7 +83,9 @@ def replay(
     from rig.replay import replay as observe_again
     from runs.run import Run
 
-    typer.echo(observe_again(Run(resolve(archive)), out, rig, variant_named(model), parameters))
+    typer.echo(
+        observe_again(Run(resolve(archive)), out, rig, variant_named(model), parameters, tuple(calibration or ()))
+    )
 
 
 def export(
