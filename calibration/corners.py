@@ -71,12 +71,20 @@ def spacing(corners_px: Floats, pattern: tuple[int, int]) -> float:
     return float(min(across, down))
 
 
-def _room(corners_px: Floats, pattern: tuple[int, int]) -> float:
-    """Smallest distance [px] between neighbouring edges: less than between corners where squares look sheared."""
-    grid = corners_px.reshape(pattern[1], pattern[0], 2)
-    along, down = np.diff(grid, axis=1)[:-1], np.diff(grid, axis=0)[:, :-1]
-    area = np.abs(along[..., 0] * down[..., 1] - along[..., 1] * down[..., 0])
-    return float((area / np.maximum(np.linalg.norm(along, axis=2), np.linalg.norm(down, axis=2))).min())
+@exact_kernel
+def _room(grid: Floats) -> float:
+    """Smallest distance [px] between neighbouring edges of corners (rows, columns, 2).
+
+    That is less than between corners where squares look sheared.
+    """
+    least = np.inf
+    for i in range(grid.shape[0] - 1):
+        for j in range(grid.shape[1] - 1):
+            ax, ay = grid[i, j + 1, 0] - grid[i, j, 0], grid[i, j + 1, 1] - grid[i, j, 1]
+            dx, dy = grid[i + 1, j, 0] - grid[i, j, 0], grid[i + 1, j, 1] - grid[i, j, 1]
+            longer = max(math.hypot(ax, ay), math.hypot(dx, dy))
+            least = min(least, abs(ax * dy - ay * dx) / longer)
+    return least
 
 
 def sharpen(image: Image, seeds_px: Floats, pattern: tuple[int, int]) -> Corners | None:
@@ -84,40 +92,64 @@ def sharpen(image: Image, seeds_px: Floats, pattern: tuple[int, int]) -> Corners
 
     None where a corner has no model: too near the border, or its surroundings are not those of a corner.
     """
-    radius = float(np.clip(_RADIUS_SHARE * _room(seeds_px, pattern), *_RADIUS_BOUNDS_PX))
+    grid = (pattern[1], pattern[0], 2)
+    smallest, largest = _RADIUS_BOUNDS_PX
+    radius = min(max(_RADIUS_SHARE * _room(seeds_px.reshape(grid)), smallest), largest)
     coarse = _coarse(image, seeds_px, math.floor(radius))
     if coarse is None:
         return None
     # The first look moved the corners, so the directions are taken from where they are now.
-    normals = _edge_normals(coarse, pattern)
+    normals = _edge_normals(coarse.reshape(grid))
     fitted, spread, variance, contrast, misfit = _fit(image, coarse, normals, radius)
-    if not np.all(np.isfinite(fitted)) or np.abs(fitted - seeds_px).max() > radius + 1:
+    if not np.isfinite(fitted).all() or np.abs(fitted - seeds_px).max() > radius + 1:
         return None
-    # A few dozen pixels tell their own noise badly, all of the board's together well; but a corner in glare or shadow
-    # is as bad as it looks.
-    pooled = np.median(variance)
-    noise = np.where(variance > _ITS_OWN * pooled, variance, pooled)
-    total = noise[:, None, None] * spread + _SYSTEMATIC_PX**2 * np.eye(2)
-    beyond_noise = 1 - _pixel_noise(image, fitted, pattern) / float(pooled)
+    pooled, total = _uncertainty(variance, spread)
+    beyond_noise = 1 - _pixel_noise(image, fitted.reshape(grid)) / pooled
     unexplained = _MOVES_CORNERS * max(0.0, beyond_noise - _TOLD_BY_CHANCE)
     return Corners(fitted, total, contrast, misfit, unexplained)
 
 
-def _pixel_noise(image: Image, corners_px: Floats, pattern: tuple[int, int]) -> float:
+@exact_kernel
+def _uncertainty(variance: Floats, spread: Floats) -> tuple[float, Floats]:
+    """The grey values' variance about the fits, and the corners' covariance (n, 2, 2).
+
+    A few dozen pixels tell their own noise badly, all of the board's together well; but a corner in glare or shadow is
+    as bad as it looks.
+    """
+    pooled = np.median(variance)
+    total = np.empty_like(spread)
+    for c in range(len(variance)):
+        noise = variance[c] if variance[c] > _ITS_OWN * pooled else pooled
+        for i in range(2):
+            for j in range(2):
+                total[c, i, j] = noise * spread[c, i, j] + (_SYSTEMATIC_PX**2 if i == j else 0.0)
+    return pooled, total
+
+
+@exact_kernel
+def _pixel_noise(image: Image, grid: Floats) -> float:
     """Variance of the grey values where nothing is to be seen: between neighbours in the middle of the squares.
 
-    Infinite, that is unknown, where the squares are too small to have a middle.
+    `grid` are the corners (rows, columns, 2). Infinite, that is unknown, where the squares are too small to have a
+    middle.
     """
-    grid = corners_px.reshape(pattern[1], pattern[0], 2)
-    middles = (grid[1:, 1:] + grid[1:, :-1] + grid[:-1, 1:] + grid[:-1, :-1]).reshape(-1, 2) / 4
-    half = int(_MIDDLE_SHARE * _room(corners_px, pattern))
+    half = int(_MIDDLE_SHARE * _room(grid))
     if half < 1:
-        return math.inf
-    block = np.arange(-half, half + 1)
-    x, y = np.rint(middles).astype(np.intp).T[:, :, None, None]
-    grey = image[y + block[:, None], x + block].astype(np.float64)
-    steps = np.concatenate([np.diff(grey, axis=1).ravel(), np.diff(grey, axis=2).ravel()])
-    return max(float(steps @ steps) / (2 * steps.size), _LEAST_VARIANCE)
+        return np.inf
+    total, count = 0.0, 0
+    for i in range(grid.shape[0] - 1):
+        for j in range(grid.shape[1] - 1):
+            x0 = round((grid[i, j, 0] + grid[i, j + 1, 0] + grid[i + 1, j, 0] + grid[i + 1, j + 1, 0]) / 4)
+            y0 = round((grid[i, j, 1] + grid[i, j + 1, 1] + grid[i + 1, j, 1] + grid[i + 1, j + 1, 1]) / 4)
+            for y in range(y0 - half, y0 + half + 1):
+                for x in range(x0 - half, x0 + half + 1):
+                    if x < x0 + half:
+                        total += (float(image[y, x + 1]) - float(image[y, x])) ** 2
+                        count += 1
+                    if y < y0 + half:
+                        total += (float(image[y + 1, x]) - float(image[y, x])) ** 2
+                        count += 1
+    return max(total / (2 * count), _LEAST_VARIANCE)
 
 
 def _coarse(image: Image, seeds_px: Floats, half: int) -> Floats | None:
@@ -138,20 +170,25 @@ def _coarse(image: Image, seeds_px: Floats, half: int) -> Floats | None:
     return found
 
 
-def _edge_normals(corners_px: Floats, pattern: tuple[int, int]) -> Floats:
-    """Unit normals (n, 2, 2) of the two edges through each corner: that along the column first, then along the row.
+@exact_kernel
+def _edge_normals(grid: Floats) -> Floats:
+    """Unit normals (n, 2, 2) of the two edges through each corner (rows, columns, 2): along the column, along the row.
 
     Their signs are such that the first points on along the row and the second on down the column.
     """
-    grid = corners_px.reshape(pattern[1], pattern[0], 2)
-    along: Floats = np.asarray(np.gradient(grid, axis=1))
-    down: Floats = np.asarray(np.gradient(grid, axis=0))
-    normals = np.empty((*grid.shape[:2], 2, 2))
-    for k, (edge, onward) in enumerate(((down, along), (along, down))):
-        normal = np.stack([-edge[..., 1], edge[..., 0]], axis=-1)
-        normal *= np.sign(np.sum(normal * onward, axis=-1, keepdims=True))
-        normals[:, :, k] = normal / np.linalg.norm(normal, axis=-1, keepdims=True)
-    return normals.reshape(-1, 2, 2)
+    rows, columns = grid.shape[:2]
+    normals = np.empty((rows * columns, 2, 2))
+    for i in range(rows):
+        for j in range(columns):
+            left, right, up, down = max(j - 1, 0), min(j + 1, columns - 1), max(i - 1, 0), min(i + 1, rows - 1)
+            # Only directions count: a step over two squares serves as well as one over one.
+            ax, ay = grid[i, right, 0] - grid[i, left, 0], grid[i, right, 1] - grid[i, left, 1]
+            dx, dy = grid[down, j, 0] - grid[up, j, 0], grid[down, j, 1] - grid[up, j, 1]
+            side = 1.0 if ay * dx - ax * dy > 0 else -1.0
+            c = i * columns + j
+            normals[c, 0, 0], normals[c, 0, 1] = -side * dy / math.hypot(dx, dy), side * dx / math.hypot(dx, dy)
+            normals[c, 1, 0], normals[c, 1, 1] = side * ay / math.hypot(ax, ay), -side * ax / math.hypot(ax, ay)
+    return normals
 
 
 @fast_kernel

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Protocol
 
 import cv2
@@ -44,7 +46,7 @@ class Pose:
     @property
     def reprojection_px(self) -> float:
         """Root mean square distance between measured and projected corners."""
-        return float(np.sqrt(np.mean(np.sum(self.residuals_px**2, axis=1))))
+        return math.sqrt(float(np.vdot(self.residuals_px, self.residuals_px)) / len(self.residuals_px))
 
     @property
     def rigid(self) -> Rigid:
@@ -90,7 +92,7 @@ def refine(
 
     def whitened(at: Floats) -> tuple[Floats, Floats, Floats]:
         projected, jacobian = lens.project_with_jacobian(points_m, at[:3], at[3:])
-        residual = np.einsum("nij,nj->ni", whitener, corners_px - projected).ravel()
+        residual = np.matmul(whitener, (corners_px - projected)[:, :, None]).ravel()
         white = np.matmul(whitener, jacobian.reshape(count, 2, 6)).reshape(-1, 6)
         if known is not None:
             off, slope = known.departure(at[:3], at[3:])
@@ -148,15 +150,22 @@ def residual_covariance(
     covariance = from_pictures @ from_pictures.T * scale + from_known @ from_known.T
     gains = np.split(from_pictures, len(pictures), axis=1)
     for points, gain, share in zip(pictures, gains, unexplained, strict=True):
-        apart = np.linalg.norm(points[:, None] - points, axis=2)
-        length = _SMOOTH_OVER * float(np.min(apart[apart > 0]))
-        together = np.exp(-0.5 * (apart / length) ** 2)
+        together = _together(points.shape, points.tobytes())
         # Residuals smaller than stated say that the unexplained part does not move the corners.
         believed = max(share - max(1 - scale, 0.0), 0.0)
         shared = max(scale - 1, 0.0) * together + believed * scale * (together - np.eye(len(points)))
         for axis in (gain[:, 0::2], gain[:, 1::2]):
             covariance = covariance + axis @ shared @ axis.T
     return np.asarray(covariance)
+
+
+@lru_cache(maxsize=8)
+def _together(shape: tuple[int, int], points: bytes) -> Floats:
+    """How alike faults are at points (n, 3) of a board, by how far apart they lie (n, n); the same in every picture."""
+    points_m = np.frombuffer(points).reshape(shape)
+    apart = np.linalg.norm(points_m[:, None] - points_m, axis=2)
+    length = _SMOOTH_OVER * float(np.min(apart[apart > 0]))
+    return np.asarray(np.exp(-0.5 * (apart / length) ** 2))
 
 
 def solutions(
