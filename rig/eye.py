@@ -30,6 +30,8 @@ class Measurement:
     reprojection_px: float
     corners_px: Floats | None
     cameras: tuple[Seen, ...]
+    board_px: tuple[Floats | None, ...] = ()
+    """The corners in each camera's picture."""
 
     @classmethod
     def none(cls, seen: Seen, cameras: tuple[Seen, ...]) -> Measurement:

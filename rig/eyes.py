@@ -74,7 +74,8 @@ class Eyes:
             self._tip_past = _Past(shot.t_ns, found.tip_m)
         leading = sightings[shot.leader].corners
         shown = leading.px if found.seen is Seen.MEASURED and leading is not None else None
-        return replace(found, corners_px=shown)
+        board = tuple(None if sighting.corners is None else sighting.corners.px for sighting in sightings)
+        return replace(found, corners_px=shown, board_px=board)
 
     def _look(self, k: int, frame: Frame | None) -> Sighting:
         """What camera `k` saw; nothing in a picture that is the last one once more, because that camera hangs."""

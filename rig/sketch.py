@@ -50,12 +50,11 @@ class Sketcher:
             lines_m=self.lines(shape),
         )
 
-    def marks(self, measurement: Measurement, shape: model.Shape | None) -> Marks:
-        """What is kept with a picture that is kept: where board, tips and backbone are in it."""
+    def marks(self, corners_px: Floats | None, tip_m: Floats, shape: model.Shape | None) -> Marks:
+        """What is kept with a picture that is kept: where the board's corners, the tips and the backbone are in it."""
         line = backbone(shape)
-        points = self.pixels(np.vstack([measurement.tip_m, np.full(3, np.nan) if shape is None else shape.tip_m, line]))
-        corners = np.empty((0, 2)) if measurement.corners_px is None else measurement.corners_px
-        return Marks.of(corners, points[0], points[1], points[2:])
+        points = self.pixels(np.vstack([tip_m, np.full(3, np.nan) if shape is None else shape.tip_m, line]))
+        return Marks.of(np.empty((0, 2)) if corners_px is None else corners_px, points[0], points[1], points[2:])
 
     def pixel(self, point_m: Floats) -> Floats:
         """Where a point (3,) of the rod-base frame is in the picture (2,); NaN for one behind the camera."""

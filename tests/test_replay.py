@@ -4,13 +4,17 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from test_run_virtual import Silent, protocol_file
 
 import runs
+from calibration.board import find
 from rig import config, experiment
+from rig.optics import board_of
 from rig.replay import replay
+from rig.sketch import Sketcher
 from runs.run import Run
 
 
@@ -38,6 +42,25 @@ def test_lossless_pictures_give_the_stored_tips_again(lossless: Run, tmp_path: P
     np.testing.assert_allclose(again.tip.model_mm, lossless.tip.model_mm, atol=1e-6)
     np.testing.assert_allclose(again.pressure.measured_bar, lossless.pressure.measured_bar, rtol=1e-12)
     np.testing.assert_array_equal(again.pressure.time_s, lossless.pressure.time_s)
+
+
+def test_corners_tips_and_backbone_stand_where_they_are_in_the_stored_pictures(lossless: Run) -> None:
+    parsed = config.parse(lossless.header.rig_yaml, "rig")
+    name = next(iter(parsed.cameras))
+    sketcher, frames, backbone = Sketcher(parsed, name, 2), lossless.frames, lossless.backbone
+    assert backbone is not None
+    for k in range(0, len(frames.index), 20):
+        image = np.asarray(cv2.imdecode(np.frombuffer(lossless.picture(k), np.uint8), 0), np.uint8)
+        found = find(image, board_of(parsed))
+        assert found is not None
+        assert np.abs(frames.corners_px[k] - found).max() < 0.5
+        row = int(np.searchsorted(lossless.tip.frame, frames.index[k]))
+        for drawn, point_mm in (
+            (frames.tip_px[k], lossless.tip.measured_mm[row]),
+            (frames.model_px[k], lossless.tip.model_mm[row]),
+            (frames.backbone_px[k][5], backbone.model_mm[row][5]),
+        ):
+            np.testing.assert_allclose(drawn, sketcher.pixel(np.asarray(point_mm, float) * 1e-3), atol=1e-3)
 
 
 def test_a_replay_names_its_parent(lossless: Run, tmp_path: Path) -> None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import itertools
 import mmap
 import os
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 
@@ -16,7 +17,8 @@ from numpy.typing import NDArray
 
 from rig.config import RigConfig
 from rig.executor.ring import Ring, ring_bytes
-from runs.records import Event, Level, adaptation_dtype, observation_dtype, sample_dtype
+from runs.messages import marks_from_bytes, marks_to_bytes
+from runs.records import Event, Level, Picture, adaptation_dtype, observation_dtype, sample_dtype
 
 SAMPLES = 4096
 OBSERVATIONS = 1024
@@ -77,7 +79,9 @@ _BOARD = np.dtype(
 )
 _EVENT = np.dtype([("t_ns", "<i8"), ("level", "S8"), ("source", "S32"), ("message", f"S{MESSAGE_BYTES}")])
 _SAID = ("source", "message")
-_PICTURE = np.dtype([("t_ns", "<i8"), ("frame", "<i8"), ("camera", "<i8"), ("slot", "<i8"), ("size", "<i8")])
+_PICTURE = np.dtype(
+    [("t_ns", "<i8"), ("frame", "<i8"), ("camera", "<i8"), ("slot", "<i8"), ("size", "<i8"), ("marks", "<i8")]
+)
 
 
 @dataclass(frozen=True)
@@ -197,23 +201,28 @@ class RunMemory:
         """When a process last gave a sign of life."""
         return int(self.board[process]["heartbeat_ns"][0])
 
-    def push_picture(self, t_ns: int, frame: int, data: bytes, camera: int = 0) -> bool:
-        """Store one encoded picture of the `camera`-th camera; False where it is larger than a slot."""
-        if len(data) > self.layout.picture_bytes:
+    def push_picture(self, picture: Picture, camera: int = 0) -> bool:
+        """Store one encoded picture of the `camera`-th camera with its marks; False where it is larger than a slot."""
+        marks = marks_to_bytes(picture)
+        size = len(picture.data)
+        if size + len(marks) > self.layout.picture_bytes:
             return False
         slot = self._pictures.written % PICTURES
         start = slot * self.layout.picture_bytes
-        self._slots[start : start + len(data)] = data
-        self._pictures.push(np.array((t_ns, frame, camera, slot, len(data)), _PICTURE))
+        self._slots[start : start + size + len(marks)] = picture.data + marks
+        self._pictures.push(np.array((picture.t_ns, picture.frame, camera, slot, size, len(marks)), _PICTURE))
         return True
 
-    def read_pictures(self) -> list[tuple[int, int, int, bytes]]:
-        """Return (t_ns, frame, camera, data) of the pictures stored since the last call."""
+    def read_pictures(self, cameras: Sequence[str], encoding: str) -> list[Picture]:
+        """Return the pictures stored since the last call; `cameras` are their names, in the rig's order."""
         pictures = []
         for row in self._pictures.read():
             start = int(row["slot"]) * self.layout.picture_bytes
-            data = bytes(self._slots[start : start + int(row["size"])])
-            pictures.append((int(row["t_ns"]), int(row["frame"]), int(row["camera"]), data))
+            end = start + int(row["size"])
+            _, _, marks = marks_from_bytes(bytes(self._slots[end : end + int(row["marks"])]))
+            data = bytes(self._slots[start:end])
+            camera = cameras[int(row["camera"])]
+            pictures.append(Picture(int(row["t_ns"]), int(row["frame"]), camera, encoding, data, marks))
         return pictures
 
     @property

@@ -13,7 +13,7 @@ from rig.cameras.base import CameraError, Shot
 from rig.cameras.together import Together
 from rig.executor.child import Job, orphaned, receive
 from rig.executor.memory import RunMemory, Stage, Stop
-from rig.executor.pictures import encode
+from rig.executor.pictures import Album
 from rig.executor.showing import Show
 from rig.executor.standin import forsaken, outlive
 from rig.observer import Observer
@@ -39,6 +39,7 @@ def _observe(job: Job, memory: RunMemory) -> int:
     config = job.plan.config
     observer = _observer(job)
     show = Show(config, memory)
+    album, names = Album(config), list(config.cameras)
     cameras = Together(config, job.plan.seed)
     try:
         # A camera that shows nothing is found before the run is armed.
@@ -64,10 +65,8 @@ def _observe(job: Job, memory: RunMemory) -> int:
             previous = shot.index
             _record(job, observer, memory, shot, dropped)
             show.shot(shot, observer)
-            if shot.index % config.recording.keep_every == 0:
-                for k, frame in enumerate(shot.frames):
-                    if frame is not None:
-                        memory.push_picture(frame.t_ns, shot.index, encode(frame.image, config.recording), k)
+            for picture in album.pictures(shot, observer):
+                memory.push_picture(picture, names.index(picture.camera))
     finally:
         cameras.close()
     if orphaned(job):

@@ -21,7 +21,7 @@ from rig.executor.requests import Action, Answer, Desk, Request
 from rig.executor.standin import SILENT_NS, stand_in
 from rig.executor.vigil import Vigil
 from rig.simulator.host import Simulation, simulated
-from runs.records import Event, Level, Picture, Status
+from runs.records import Event, Level, Status
 
 SLOW_START_S = 4.0
 START_TIMEOUT_S = 120.0
@@ -248,9 +248,8 @@ class _Conductor:
         if len(adaptations):
             self.recorder.adaptations(adaptations)
             self._adaptation = adaptations[-1]
-        names = list(self.plan.config.cameras)
-        for t_ns, frame, camera, data in self.memory.read_pictures():
-            self.recorder.picture(Picture(t_ns, frame, names[camera], self.plan.config.recording.encoding, data))
+        for picture in self.memory.read_pictures(list(self.plan.config.cameras), self.plan.config.recording.encoding):
+            self.recorder.picture(picture)
 
     def _prompt(self) -> None:
         waiting = self.memory.get("waiting")

@@ -16,7 +16,7 @@ from rig.cameras.base import CameraError, Shot
 from rig.cameras.mock import Exposure, MockCamera
 from rig.daq.base import CardError
 from rig.executor.base import Audience, OpenRecord, Outcome, Plan, Progress, Recorder, StartError
-from rig.executor.pictures import encode
+from rig.executor.pictures import Album
 from rig.executor.tick import Ticker
 from rig.executor.venting import PATIENCE_S, Venting
 from rig.executor.vigil import Vigil
@@ -67,6 +67,7 @@ class _VirtualRun:
         }
         skew_ms = config.simulator.scene.skew_ms if config.simulator else 0.0
         self._skews_ns = [round(k * skew_ms * 1e6) for k in range(len(self._cameras))]
+        self._album = Album(config)
         self._observer = Observer(config, plan.variant, [quantity.name for quantity in plan.adapted])
         # Drawing and seeing release the interpreter's lock: a thread of their own lets control go on meanwhile.
         self._looker = ThreadPoolExecutor(1, thread_name_prefix="observer")
@@ -195,19 +196,7 @@ class _VirtualRun:
         }
         shot = Shot(index, tuple(frames.values()))
         row = self._observer.step(shot, t_ns, measured_pa, protocol_s, 0, weight_kg)
-        adaptation = self._observer.adaptation
-        recording = self._plan.config.recording
-        if index % recording.keep_every:
-            return row, adaptation, []
-        return (
-            row,
-            adaptation,
-            [
-                Picture(frame.t_ns, index, name, recording.encoding, encode(frame.image, recording))
-                for name, frame in frames.items()
-                if frame is not None
-            ],
-        )
+        return row, self._observer.adaptation, self._album.pictures(shot, self._observer)
 
     def _flush(self, in_flight: int = FRAMES_IN_FLIGHT) -> None:
         while len(self._looking) > in_flight:
