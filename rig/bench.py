@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,6 +45,7 @@ def card_setup(config: RigConfig, name: str) -> CardSetup:
         sampling_hz=card.sampling_hz,
         acquisition=card.acquisition,
         differential=card.reference == "differential",
+        one_opener=card.one_opener,
     )
 
 
@@ -195,7 +196,7 @@ def open_bench(config: RigConfig, *, watchdog: bool = False) -> Bench:
         for name, card in config.cards.items():
             setup = card_setup(config, name)
             if watchdog:
-                setup = CardSetup(setup.name, setup.device, (), setup.outputs, setup.sampling_hz)
+                setup = replace(setup, inputs=())
             cards[name] = open_card(card, setup)
     except BaseException:
         for opened in cards.values():

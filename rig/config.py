@@ -74,6 +74,13 @@ class CardConfig(Section):
         default="auto", description="inputs by the card's own clock, one scan per control period, or the card's best"
     )
     reference: Literal["ground", "differential"] = Field(default="ground", description="how the inputs are wired")
+    one_opener: bool = Field(default=False, description="mock only: let one process in at a time, as some drivers do")
+
+    @model_validator(mode="after")
+    def _one_opener_is_the_mocks(self) -> CardConfig:
+        if self.one_opener and self.driver != "mock":
+            faults([Fault(("one_opener",), "nothing: of a real card it is found out")])
+        return self
 
 
 class FlowValve(Section):

@@ -31,25 +31,28 @@ steps:
 PATIENCE_S = 60.0
 
 
-def write_rig(folder: Path, **replaced: str) -> Path:
-    """A copy of the mock rig with a card of its own, and with other text replaced."""
+def write_rig(folder: Path, *, one_opener: bool = False) -> Path:
+    """A copy of the mock rig with a card of its own, which may let in one process only."""
     device = f"test-{os.getpid()}-{abs(hash(str(folder))) % 10**8}"
-    text = config.text("mock").replace("device: mock0", f"device: {device}")
-    for old, new in replaced.items():
-        assert old in text
-        text = text.replace(old, new)
+    text = with_one_opener(config.text("mock").replace("device: mock0", f"device: {device}"), one_opener=one_opener)
     path = folder / "rig.yaml"
     path.write_text(text)
     return path
 
 
+def with_one_opener(text: str, *, one_opener: bool) -> str:
+    """The mock rig with a card that lets in one process at a time, or any number."""
+    assert text.count("{driver: mock, ") == 1
+    return text.replace("{driver: mock, ", f"{{driver: mock, one_opener: {str(one_opener).lower()}, ")
+
+
 class RigProcess:
     """One `rig run` under test."""
 
-    def __init__(self, folder: Path, protocol: str, *options: str) -> None:
+    def __init__(self, folder: Path, protocol: str, *options: str, one_opener: bool = False) -> None:
         self.folder = folder
         self.out = folder / "out"
-        self.rig_file = write_rig(folder)
+        self.rig_file = write_rig(folder, one_opener=one_opener)
         self.config = config.load(self.rig_file)
         (folder / "protocol.yaml").write_text(protocol)
         self._log = (folder / "log").open("w+")
@@ -138,9 +141,9 @@ class RigProcess:
 
 
 @contextmanager
-def rig_run(folder: Path, protocol: str = SHORT, *options: str) -> Iterator[RigProcess]:
+def rig_run(folder: Path, protocol: str = SHORT, *options: str, one_opener: bool = False) -> Iterator[RigProcess]:
     """Start a run; leave nothing of it behind."""
-    run = RigProcess(folder, protocol, *options)
+    run = RigProcess(folder, protocol, *options, one_opener=one_opener)
     try:
         yield run
     finally:

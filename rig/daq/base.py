@@ -21,6 +21,15 @@ class CardError(Exception):
         self.remedy = remedy
 
 
+class CardBusyError(CardError):
+    """Another process has the card, which lets in one at a time; `holders` are those that this user may see."""
+
+    def __init__(self, what: str, holders: tuple[int, ...]) -> None:
+        by = f" by process {', '.join(map(str, holders))}" if holders else ""
+        super().__init__(f"{what} lets in one process at a time and is open already{by}", "end that process")
+        self.holders = holders
+
+
 @dataclass(frozen=True)
 class Channel:
     """One analogue channel: its number on the card and the voltage range it is used with."""
@@ -35,7 +44,8 @@ class CardSetup:
     """What a rig wants of one card. `inputs` and `outputs` give the order of the columns below.
 
     `acquisition` says whether the inputs are sampled by the card's clock (`command`), one scan per read
-    (`instruction`), or by the best that the card has (`auto`).
+    (`instruction`), or by the best that the card has (`auto`). `one_opener` makes the mock let in one process at a
+    time; of a real card that is found out.
     """
 
     name: str
@@ -45,6 +55,7 @@ class CardSetup:
     sampling_hz: float
     acquisition: Literal["auto", "command", "instruction"] = "auto"
     differential: bool = False
+    one_opener: bool = False
 
 
 @dataclass(frozen=True)

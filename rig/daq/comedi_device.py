@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rig.daq import comedi_constants
-from rig.daq.base import CardError
+from rig.daq.base import CardBusyError, CardError
 
 _ROUNDINGS = 8
 """How often a driver may round a command before it must be content."""
@@ -322,10 +322,7 @@ def _why_closed(path: str, error: OSError) -> CardError:
     if error.errno in (errno.EACCES, errno.EPERM):
         return CardError(f"no permission to open {path}", _how_to_join(grp.getgrgid(Path(path).stat().st_gid)))
     if error.errno == errno.EBUSY:
-        return CardError(
-            f"{path} allows one process at a time and is open already{_holders(path)}",
-            "end that process. On such a card the watchdog cannot have a handle of its own, so runs are refused",
-        )
+        return CardBusyError(path, _holders(path))
     if error.errno in (errno.ENXIO, errno.ENODEV):
         return CardError(
             f"{path} exists, but no card is attached to it", "load the card's driver (`rig doctor` says which)"
@@ -341,11 +338,11 @@ def _how_to_join(owner: grp.struct_group) -> str:
     return f"`sudo adduser $USER {owner.gr_name}`, then log in again"
 
 
-def _holders(path: str) -> str:
+def _holders(path: str) -> tuple[int, ...]:
     """Processes that have the device open, as far as this user may see them."""
     pids = set()
     for link in Path("/proc").glob("[0-9]*/fd/*"):
         with contextlib.suppress(OSError):
             if str(link.readlink()) == path:
                 pids.add(int(link.parts[2]))
-    return " by process " + ", ".join(map(str, sorted(pids))) if pids else ""
+    return tuple(sorted(pids))

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import fcntl
+import os
 import time
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.daq.base import CardError, CardSetup, Scans
+from rig.daq.base import CardBusyError, CardError, CardSetup, Scans
 from rig.simulator.converter import sixteen_bits
-from rig.simulator.registers import Registers
+from rig.simulator.registers import Registers, path_of
 
 
 class MockCard:
@@ -25,7 +27,12 @@ class MockCard:
             CardError: it does not exist or lacks a channel.
         """
         self._device = setup.device
-        self._registers = Registers.attach(setup.device)
+        self._door = _only_opener(setup.device) if setup.one_opener else -1
+        try:
+            self._registers = Registers.attach(setup.device)
+        except CardError:
+            self._leave()
+            raise
         self._inputs = [channel.number for channel in setup.inputs]
         self._outputs = setup.outputs
         counts = self._registers.header
@@ -35,7 +42,7 @@ class MockCard:
         ):
             missing = [c.number for c in channels if c.number >= has]
             if missing:
-                self._registers.close()
+                self.close()
                 raise CardError(f"mock card {setup.device} has {has} {what}s: there is no {what} {missing[0]}")
         self._next: int | None = None
 
@@ -67,3 +74,24 @@ class MockCard:
     def close(self) -> None:
         """Let go of the device; the outputs keep their voltages."""
         self._registers.close()
+        self._leave()
+
+    def _leave(self) -> None:
+        if self._door >= 0:
+            os.close(self._door)
+            self._door = -1
+
+
+def _only_opener(device: str) -> int:
+    """Be the only process in a device for as long as the descriptor is open; the kernel closes it for the dead."""
+    door = path_of(device).with_suffix(".door")
+    descriptor = os.open(door, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        holder = os.pread(descriptor, 20, 0).decode()
+        os.close(descriptor)
+        raise CardBusyError(f"mock card {device}", (int(holder),) if holder else ()) from None
+    os.ftruncate(descriptor, 0)
+    os.pwrite(descriptor, str(os.getpid()).encode(), 0)
+    return descriptor

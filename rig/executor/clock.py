@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import gc
 import os
@@ -15,6 +16,15 @@ _MCL_CURRENT_AND_FUTURE = 3
 def become_real_time(priority: int) -> list[str]:
     """Ask for SCHED_FIFO and locked memory, and freeze the garbage collector; return what was refused, as sentences."""
     refused = []
+    # The priority comes last: locking memory takes a tenth of a second, in which no other run may lose the processor.
+    gc.collect()
+    gc.freeze()
+    gc.disable()
+    if ctypes.CDLL(None, use_errno=True).mlockall(_MCL_CURRENT_AND_FUTURE) != 0:
+        refused.append(
+            "memory is not locked (mlockall): allow it with '@yourgroup - memlock unlimited' "
+            "in /etc/security/limits.conf and log in again"
+        )
     try:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
     except (OSError, AttributeError):
@@ -22,15 +32,13 @@ def become_real_time(priority: int) -> list[str]:
             "no real-time priority (SCHED_FIFO): deadlines may be missed; "
             "allow it with a line '@yourgroup - rtprio 80' in /etc/security/limits.conf and log in again"
         )
-    if ctypes.CDLL(None, use_errno=True).mlockall(_MCL_CURRENT_AND_FUTURE) != 0:
-        refused.append(
-            "memory is not locked (mlockall): allow it with '@yourgroup - memlock unlimited' "
-            "in /etc/security/limits.conf and log in again"
-        )
-    gc.collect()
-    gc.freeze()
-    gc.disable()
     return refused
+
+
+def become_ordinary() -> None:
+    """Give the priority back before the end: what locked memory takes to be given back is nobody's deadline."""
+    with contextlib.suppress(OSError, AttributeError):
+        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
 
 
 def wait_until(deadline_ns: int) -> int:

@@ -14,7 +14,7 @@ from rig.bench import Bench, open_bench
 from rig.daq.base import CardError
 from rig.executor import clocks
 from rig.executor.child import Job, orphaned, receive
-from rig.executor.clock import become_real_time, wait_until
+from rig.executor.clock import become_ordinary, become_real_time, wait_until
 from rig.executor.memory import RunMemory, Stage, Stop
 from rig.executor.tick import Ticker
 from rig.executor.venting import PATIENCE_S, Venting
@@ -56,6 +56,7 @@ def main() -> int:
                 fault = f"{fault}; then {trouble}".removeprefix("; then ")
     memory.say("control", Stage.FAILED if fault else Stage.DONE, fault)
     bench.close()
+    become_ordinary()
     return 1 if fault else 0
 
 

@@ -21,6 +21,9 @@ OUTLIVE_S = 0.5
 """What the others get to make the bench safe before the observer does."""
 
 
+FREED_S = 0.5
+
+
 def made_safe(memory: RunMemory) -> bool:
     """True once control or the watchdog has written the safe state, or has said why it cannot."""
     ended = (Stage.DONE, Stage.FAILED)
@@ -63,8 +66,12 @@ def stand_in(config: RigConfig, memory: RunMemory) -> str:
             with contextlib.suppress(ProcessLookupError):
                 os.kill(pid, signal.SIGKILL)
     time.sleep(0.005)
-    # A card that allows one opener is free only now; and who was killed may have written once more before it died.
-    return _write(config, memory)
+    # A card that lets in one process is free only once who had it is gone, which takes as long as its memory is large;
+    # and who was killed may have written once more before it died.
+    until = time.monotonic() + FREED_S
+    while (trouble := _write(config, memory)) and time.monotonic() < until:
+        time.sleep(0.005)
+    return trouble
 
 
 def _write(config: RigConfig, memory: RunMemory) -> str:

@@ -12,10 +12,10 @@ import signal
 import sys
 import time
 
-from rig.bench import Bench, open_bench
 from rig.daq.base import CardError
 from rig.executor.child import receive
-from rig.executor.clock import become_real_time
+from rig.executor.clock import become_ordinary, become_real_time
+from rig.executor.grip import Grip
 from rig.executor.memory import RunMemory, Stage, Stop
 
 PERIOD_MS = 2
@@ -33,34 +33,38 @@ def main() -> int:
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
     job, memory = receive()
     try:
-        bench = open_bench(job.plan.config, watchdog=True)
+        grip = Grip(job.plan.config)
     except CardError as error:
         memory.say("watchdog", Stage.FAILED, str(error))
         return 1
     become_real_time(priority=60)
     memory.beat("watchdog", time.monotonic_ns())
     memory.say("watchdog", Stage.READY)
+    reason = "the watchdog failed"
     try:
-        reason = _watch(memory, job.conductor_pid, bench, round(job.plan.config.limits.hung_s * 1e9))
+        reason = _watch(memory, job.conductor_pid, grip, round(job.plan.config.limits.hung_s * 1e9))
     finally:
-        _make_safe(bench, memory)
+        if reason and not grip.shared:
+            _kill(memory.get("control_pid"))  # its end is what opens the card to others
+        _make_safe(grip, memory)
     # The register is written: what follows may take its time.
     if reason:
         memory.set("fired_ns", time.monotonic_ns())
         _kill(memory.get("control_pid"))
         time.sleep(0.005)
-        _make_safe(bench, memory)  # a control process that was only slow may have written once more before it died
+        _make_safe(grip, memory)  # a control process that was only slow may have written once more before it died
     memory.say("watchdog", Stage.DONE, reason)
-    bench.close()
+    grip.close()
+    become_ordinary()
     return 0
 
 
-def _make_safe(bench: Bench, memory: RunMemory, patience_s: float = PATIENCE_S) -> None:
+def _make_safe(grip: Grip, memory: RunMemory, patience_s: float = PATIENCE_S) -> None:
     """Write the safe state; a card that refuses is asked again for a while."""
     until = time.monotonic() + patience_s
     while True:
         try:
-            bench.make_safe(vent=memory.get("stop") == Stop.VENT)
+            grip.make_safe(vent=memory.get("stop") == Stop.VENT)
         except CardError:
             if time.monotonic() > until:
                 return
@@ -69,7 +73,7 @@ def _make_safe(bench: Bench, memory: RunMemory, patience_s: float = PATIENCE_S) 
             return
 
 
-def _watch(memory: RunMemory, conductor_pid: int, bench: Bench, hung_ns: int) -> str:
+def _watch(memory: RunMemory, conductor_pid: int, grip: Grip, hung_ns: int) -> str:
     """Return why the safe state is due, empty when control has made the bench safe by itself."""
     poll = select.poll()
     conductor = _watched(poll, conductor_pid)
@@ -90,7 +94,7 @@ def _watch(memory: RunMemory, conductor_pid: int, bench: Bench, hung_ns: int) ->
             return "" if memory.stage("control") in (Stage.DONE, Stage.FAILED) else "the control process died"
         if not vented and memory.get("stop") == Stop.VENT:
             # At once, whatever control is busy with; control does the same at its next tick.
-            _make_safe(bench, memory, patience_s=0.0)
+            _make_safe(grip, memory, patience_s=0.0)
             vented = True
         # A machine that stood still as a whole makes every heartbeat old: then look once more, punctually.
         punctual = now - before < OVERSLEPT_NS
