@@ -19,7 +19,7 @@ from rig import config as rigs
 from rig.config import PA_PER_BAR
 from rig.experiment import free_id
 from rig.mapping import KILOGRAMS, PASCALS, SECONDS, VOLTS, Mapping, PressureUnit, load
-from rig.placing import placed
+from rig.placing import placed, wrench
 from rig.provenance import git_state, versions
 from rig.reading import MOST_PROBLEMS, Columns
 from rig.tables import read as read_table
@@ -73,9 +73,11 @@ def import_table(data: Path, mapping_file: Path, folder: Path, operator: str = "
     gauge_pa, ambient_pa = _pressures(columns, mapping)
     tip_m, covariance_m2 = placed(columns, mapping)
     asked_pa, valve_v, weight_kg = _asked(columns, mapping), _valves(columns, mapping), _weight(columns, mapping)
+    pull = wrench(columns, mapping)
     columns.check()
     samples = _samples(t_ns, _frames(columns, t_ns), asked_pa, gauge_pa, valve_v)
     observations = _observations(samples, tip_m, covariance_m2, weight_kg)
+    observations["force_n"], observations["moment_n_m"] = pull[:, :3], pull[:, 3:]
 
     now = datetime.now(UTC)
     started_utc_ns = mapping.started_utc_ns

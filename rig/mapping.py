@@ -34,12 +34,16 @@ PASCALS = {
 METRES = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "in": 0.0254}
 KILOGRAMS = {"kg": 1.0, "g": 1e-3}
 VOLTS = {"V": 1.0, "mV": 1e-3}
+NEWTONS = {"N": 1.0, "mN": 1e-3}
+NEWTON_METRES = {"N m": 1.0, "N cm": 1e-2, "N mm": 1e-3, "mN m": 1e-3}
 
 TimeUnit = Literal["s", "ms", "us", "ns", "min"]
 PressureUnit = Literal["Pa", "hPa", "kPa", "MPa", "mbar", "bar", "psi", "atm", "mmHg"]
 LengthUnit = Literal["m", "cm", "mm", "um", "in"]
 MassUnit = Literal["kg", "g"]
 VoltUnit = Literal["V", "mV"]
+ForceUnit = Literal["N", "mN"]
+MomentUnit = Literal["N m", "N cm", "N mm", "mN m"]
 
 
 def _list_or_one(value: Any) -> str:
@@ -201,9 +205,34 @@ class TipSensor(Section):
     def _check(self) -> TipSensor:
         if self.offset_mm is not None and self.orientation is None:
             faults([Fault(("offset_mm",), "an orientation beside it: the offset is along the sensor's own axes")])
-        if self.orientation is not None and self.offset_mm is None:
-            faults([Fault(("orientation",), "offset_mm beside it: an archive keeps no orientation of the tip")])
         return self
+
+
+class Force(Section):
+    """Measured force: its x, y and z."""
+
+    columns: tuple[Column, Column, Column]
+    unit: ForceUnit
+
+
+class Torque(Section):
+    """Measured moment: its x, y and z."""
+
+    columns: tuple[Column, Column, Column]
+    unit: MomentUnit
+
+
+class Wrench(Section):
+    """A measured wrench at the tip. `at_mm` is where it is measured, from the tool centre point along the axes named.
+
+    `axes`: of the tracker (of the base sensor, where its orientation is used), or of the tip sensor, turning with it.
+    """
+
+    force: Force
+    moment: Torque | SkipJsonSchema[None] = None
+    axes: Literal["tracker", "tip"]
+    on: Literal["arm", "surroundings"] = Field(default="arm", description="what the numbers say is pushed")
+    at_mm: Triple = (0.0, 0.0, 0.0)
 
 
 class Mapping(Section):
@@ -220,6 +249,7 @@ class Mapping(Section):
     weight: WeightColumn | SkipJsonSchema[None] = None
     tip: TipSensor | SkipJsonSchema[None] = None
     base: BaseSensor | SkipJsonSchema[None] = None
+    wrench: Wrench | SkipJsonSchema[None] = None
     frame: Placement = Placement()
 
     @model_validator(mode="after")
@@ -243,6 +273,12 @@ class Mapping(Section):
     def _faults_between(self) -> Iterator[Fault]:
         if self.setpoints is not None and len(self.setpoints.columns) != self.actuators:
             yield Fault(("setpoints", "columns"), f"as many columns as there are pressures: {self.actuators}")
+        turning = self.tip is not None and self.tip.orientation is not None
+        if self.wrench is not None and self.wrench.axes == "tip" and not turning:
+            yield Fault(("wrench", "axes"), "tracker, or an orientation of the tip: the wrench turns with it")
+        if turning and self.tip is not None and self.tip.offset_mm is None and self.wrench is None:
+            wish = "offset_mm or a wrench beside it: an archive keeps no orientation of the tip"
+            yield Fault(("tip", "orientation"), wish)
         if self.base is not None and self.tip is None:
             yield Fault(("base",), "a tip beside it: the base sensor's position is taken off the tip's")
 
@@ -273,6 +309,10 @@ class Mapping(Section):
         for name in ("pressures", "setpoints", "valves"):
             if (part := getattr(self, name)) is not None:
                 yield (name,), part.columns
+        if self.wrench is not None:
+            yield ("wrench", "force"), self.wrench.force.columns
+            if self.wrench.moment is not None:
+                yield ("wrench", "moment"), self.wrench.moment.columns
         for name in ("tip", "base"):
             if (sensor := getattr(self, name)) is not None:
                 yield (name, "position"), sensor.position.columns

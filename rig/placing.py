@@ -10,13 +10,50 @@ from scipy.spatial.transform import Rotation
 
 from calibration.frames import Rigid
 from protocols.problems import Problem
-from rig.mapping import METRES, BaseSensor, Mapping, Orientation, Position
-from rig.reading import Columns
+from rig.mapping import METRES, NEWTON_METRES, NEWTONS, BaseSensor, Mapping, Orientation, Position
+from rig.reading import MOST_PROBLEMS, Columns
 
 UNIT = 0.01
 """A quaternion's norm may be off by this: trackers write three or four digits."""
 
 Floats = NDArray[np.float64]
+
+
+def wrench(columns: Columns, mapping: Mapping) -> Floats:
+    """Force [N] and moment [N m] on the arm at the tool centre point (n, 6), along the axes of the rod base.
+
+    One row of zeros where the mapping names none; a row that lacks part of its wrench is a problem.
+    """
+    asked = mapping.wrench
+    if asked is None:
+        return np.zeros((1, 6))
+    force = columns.several(asked.force.columns, (NEWTONS[asked.force.unit],) * 3)
+    moment = np.zeros_like(force)
+    if asked.moment is not None:
+        moment = columns.several(asked.moment.columns, (NEWTON_METRES[asked.moment.unit],) * 3)
+    if asked.axes == "tip":
+        assert mapping.tip is not None
+        assert mapping.tip.orientation is not None
+        turn = _matrices(columns, mapping.tip.orientation, "tip")
+    else:
+        turn = np.eye(3)[None]
+    base = None
+    if mapping.base is not None and mapping.base.orientation is not None and mapping.base.orientation.use == "turn":
+        base = _base_turn(columns, mapping.base)
+    if columns.problems:
+        return np.zeros((1, 6))
+    moment = moment + np.cross(np.array(asked.at_mm) * 1e-3, force)
+    frame = Rigid.from_vectors(np.radians(mapping.frame.rotation_deg), (0.0, 0.0, 0.0)).rotation
+    turn = frame @ (turn if base is None else base @ turn)
+    found = np.concatenate(
+        [np.einsum("nij,nj->ni", np.broadcast_to(turn, (len(v), 3, 3)), v) for v in (force, moment)], 1
+    )
+    for row in np.flatnonzero(~np.isfinite(found).all(axis=1))[:MOST_PROBLEMS]:
+        wish = "a whole wrench in every row: what pulls at the arm cannot be guessed"
+        columns.problems.append(
+            columns.table.problem(int(row), asked.force.columns[0], "nothing, or no orientation", wish)
+        )
+    return found if asked.on == "arm" else -found
 
 
 def placed(columns: Columns, mapping: Mapping) -> tuple[Floats, Floats]:

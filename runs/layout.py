@@ -20,7 +20,7 @@ VERSION = 1
 
 PA_PER_BAR = 1e5
 MM_PER_M = 1e3
-UNITS = ("bar", "V", "mm", "mm2", "px", "us", "g")
+UNITS = ("bar", "V", "mm", "mm2", "px", "us", "g", "N", "Nm")
 """Units that end the name of a column."""
 AXES = ("x", "y", "z")
 COVARIANCE = ("xx", "xy", "xz", "yy", "yz", "zz")
@@ -280,6 +280,8 @@ def _tip(journal: Journal) -> Group:
             Field("reprojection_px", rows["reprojection_px"], "px", "rms over the board's corners", by),
             Field("frame", rows["frame"], about="number of the camera's frame", scales=by),
             Field("weight_g", rows["weight_kg"] * 1e3, "g", "hung on the end cap by the operator", by),
+            Field("force_N", rows["force_n"], "N", "measured, on the arm at the measured point; else zero", per_axis),
+            Field("moment_Nm", rows["moment_n_m"], "N.m", "measured, about the measured point; else zero", per_axis),
             Field("pressure_bar", rows["pressure_pa"] / PA_PER_BAR, "bar", "given to the model", ("time", "actuator")),
             Field("seen", rows["seen"], about=seen, scales=by),
             Field("model_ok", rows["model_ok"], about="0 where the model could not solve the step", scales=by),

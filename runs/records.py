@@ -74,6 +74,8 @@ def observation_dtype(actuators: int, cameras: int = 1) -> np.dtype[np.void]:
     `seen` is a `Seen`; where it is not MEASURED the measured columns are NaN. `covariance_m2` belongs to
     `measured_m`; `reprojection_px` is the rms over the board's corners. `model_ok` is 0 where the model could not
     solve the step and `model_m` is the last good one. `weight_kg` is what the operator had hung on the end cap.
+    `force_n` and `moment_n_m` are a measured wrench on the arm at the measured point, along the axes of the rod base;
+    zero where none was measured.
     `truth_m` is the simulator's own tip, NaN on a real rig. `age_ns` is the time from exposure to the end of the
     computation, `dropped` the frames lost before this one. `backbone_m` is the model's centre line from the base to the
     tip, NaN where the step was not solved.
@@ -90,6 +92,8 @@ def observation_dtype(actuators: int, cameras: int = 1) -> np.dtype[np.void]:
             ("model_ok", "<i4"),
             ("pressure_pa", "<f8", (actuators,)),
             ("weight_kg", "<f8"),
+            ("force_n", "<f8", (3,)),
+            ("moment_n_m", "<f8", (3,)),
             ("measured_m", "<f8", (3,)),
             ("covariance_m2", "<f8", (3, 3)),
             ("model_m", "<f8", (3,)),

@@ -52,6 +52,10 @@ class Tip:
     """(m, N), what the model was given."""
     weight_g: Floats
     """Hung on the end cap by the operator."""
+    force_n: Floats
+    """(m, 3), measured, on the arm at the measured point, along the axes of the rod base; zero where none was."""
+    moment_n_m: Floats
+    """(m, 3), of the same wrench, about the measured point."""
     seen: Ints
     """`runs.records.Seen`."""
     model_ok: NDArray[np.bool_]
@@ -231,6 +235,8 @@ class Run:
             frame=g["frame"],
             pressure_bar=g["pressure_bar"],
             weight_g=g["weight_g"],
+            force_n=g["force_N"],
+            moment_n_m=g["moment_Nm"],
             seen=g["seen"],
             model_ok=g["model_ok"].astype(bool),
             age_us=g["age_us"],

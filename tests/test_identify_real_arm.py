@@ -38,6 +38,7 @@ class Recording:
             pressure_pa=self.pressure_pa[chosen],
             pressure_std_pa=np.zeros((n, 3)),
             weight_kg=np.zeros(n),
+            wrench=np.zeros((n, 6)),
             tip_m=self.tip_m[chosen],
             # An electromagnetic tracker: 0.3 mm; what the model lacks beyond that is found.
             covariance_m2=np.tile(np.eye(3) * 3e-4**2, (n, 1, 1)),

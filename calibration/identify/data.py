@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,9 +36,10 @@ class Poses:
     """Tips of one run with what acted on the arm: at rest (K plateaus) or in motion (K frames, `period_s` apart).
 
     pressure_pa (K, N) as measured, with the standard deviation `pressure_std_pa` (K, N) of the random error (not of the
-    sensors' offsets). weight_kg (K,) hangs on the cap. tip_m (K, 3) in the rod-base frame with covariance_m2
-    (K, 3, 3); both NaN in frames of a motion that show no tip. frames (K,): camera frames behind each entry.
-    period_s is zero for poses at rest.
+    sensors' offsets). weight_kg (K,) hangs on the cap. wrench (K, 6): measured force [N] and moment [N m] at the
+    measured point, in the frame of the tips. tip_m (K, 3) in the rod-base frame with covariance_m2 (K, 3, 3); both NaN
+    in frames of a motion that show no tip. frames (K,): camera frames behind each entry. period_s is zero for poses at
+    rest.
     """
 
     run_id: str
@@ -47,6 +48,7 @@ class Poses:
     pressure_pa: Array
     pressure_std_pa: Array
     weight_kg: Array
+    wrench: Array
     tip_m: Array
     covariance_m2: Array
     frames: NDArray[np.int64]
@@ -114,6 +116,7 @@ def at_rest(run: Run, settle_s: float = SETTLE_S) -> Poses:
         pressure_pa=np.array([part.mean(axis=0) for part in pressure]),
         pressure_std_pa=np.where(clipped, np.hypot(scatter, samples.doubt_pa), scatter),
         weight_kg=np.array([tip.weight_g[k].mean() for k in plateaus]) * KG_PER_G,
+        wrench=np.array([_wrench(run)[k].mean(axis=0) for k in plateaus]),
         tip_m=np.array([tip.measured_mm[k].mean(axis=0) for k in plateaus]) * M_PER_MM,
         covariance_m2=covariance * averaged[:, None, None],
         frames=count,
@@ -149,9 +152,31 @@ def in_motion(run: Run) -> Poses:
         pressure_pa=pressure,
         pressure_std_pa=np.where(clipped, np.hypot(spread, samples.doubt_pa), spread),
         weight_kg=weight,
+        wrench=_at(frame_s, tip.time_s, _wrench(run)),
         tip_m=measured,
         covariance_m2=covariance,
         frames=np.ones(length, np.int64),
+    )
+
+
+def as_if_at_rest(run: Run) -> Poses:
+    """Every frame of a slow motion that shows the tip, each taken as an equilibrium.
+
+    Raises:
+        NoData: no frame shows the tip.
+    """
+    motion = in_motion(run)
+    seen = motion.seen
+    return replace(
+        motion,
+        period_s=0.0,
+        pressure_pa=motion.pressure_pa[seen],
+        pressure_std_pa=motion.pressure_std_pa[seen],
+        weight_kg=motion.weight_kg[seen],
+        wrench=motion.wrench[seen],
+        tip_m=motion.tip_m[seen],
+        covariance_m2=motion.covariance_m2[seen],
+        frames=motion.frames[seen],
     )
 
 
@@ -206,6 +231,11 @@ def _sampled(run: Run) -> _Samples:
                 doubt[n] = quantity.uncertainty * PA_PER_BAR / np.sqrt(12)
     at_foot = samples.measured_bar <= foot + 1e-9
     return _Samples(samples.time_s - late_s, samples.measured_bar * PA_PER_BAR, at_foot, doubt)
+
+
+def _wrench(run: Run) -> Array:
+    """Force and moment (M, 6) at the measured point."""
+    return np.concatenate([run.tip.force_n, run.tip.moment_n_m], axis=1)
 
 
 def _at(time_s: Array, sampled_s: Array, samples: Array) -> Array:

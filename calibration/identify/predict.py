@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 import model
 from calibration.identify.data import Poses
@@ -20,13 +21,15 @@ from model.batch import statics
 Array = NDArray[np.float64]
 Solved = tuple[Array, Array]
 """Tips (K, 3) and orientations (K, 3, 3)."""
-Key = tuple[model.Arm, tuple[float, ...], tuple[float, ...], float]
+Key = tuple[object, ...]
 
 BATCHED = ("linear", "pointwise")
 
 # Time steps per camera period: at one step the time scheme's own damping would pass for the material's.
 SUBSTEPS = 2
 _KEPT = 64
+# The lever from the axis to the measured point turns with the tip: it is found anew until it stands still.
+_LEVER_PASSES, _LEVER_STILL = 40, 1e-7
 _SENSITIVITIES = 40
 _PRESSURE_STEP_PA = 500.0
 
@@ -48,15 +51,17 @@ class Predictor:
         new = {key: setup for key, setup in zip(keys, setups, strict=True) if key not in self._solved}
         found = {key: self._solved[key] for key in keys if key in self._solved}
         if new:
-            arms, pressures = [key[0] for key in new], [self._pressure(setup) for setup in new.values()]
-            solve = _moving if self.poses.moving else _resting
-            found |= zip(new, solve(arms, pressures, self.poses), strict=True)
+            solve = _pulled if self.poses.wrench.any() else _moving if self.poses.moving else _resting
+            pressures = [self._pressure(setup) for setup in new.values()]
+            found |= zip(new, solve(list(new.values()), pressures, self.poses), strict=True)
         out = [setup.measured(*found[key]) for key, setup in zip(keys, setups, strict=True)]
         self._solved = dict(list({**self._solved, **found}.items())[-_KEPT:])
         return out
 
     def _key(self, setup: Setup) -> Key:
-        return setup.turned_arm, setup.sensor_offset_pa, setup.sensor_gain, setup.sensor_lag_s
+        # A wrench acts at the measured point, in the measurements' frame: then mounting and tool change the shape.
+        mount = (setup.base_rotation_rad, setup.tool_offset_m) if self.poses.wrench.any() else ()
+        return setup.turned_arm, setup.sensor_offset_pa, setup.sensor_gain, setup.sensor_lag_s, mount
 
     def _pressure(self, setup: Setup) -> Array:
         """True pressures (K, N)."""
@@ -91,10 +96,10 @@ def _loads(arm: model.Arm, weight_kg: float) -> model.Loads | None:
     return model.Loads(tip_force_n=(weight_kg * x, weight_kg * y, weight_kg * z))
 
 
-def _resting(arms: Sequence[model.Arm], pressure_pa: Sequence[Array], poses: Poses) -> list[Solved]:
+def _resting(setups: Sequence[Setup], pressure_pa: Sequence[Array], poses: Poses) -> list[Solved]:
     count = len(poses)
-    each = [arm for arm in arms for _ in range(count)]
-    tips, turned = at_rest(each, np.concatenate(pressure_pa), np.tile(poses.weight_kg, len(arms)))
+    each = [arm for setup in setups for arm in [setup.turned_arm] * count]
+    tips, turned = at_rest(each, np.concatenate(pressure_pa), np.tile(poses.weight_kg, len(setups)))
     return [(tips[k : k + count], turned[k : k + count]) for k in range(0, len(tips), count)]
 
 
@@ -119,9 +124,52 @@ def at_rest(arms: Sequence[model.Arm], pressure_pa: Array, weight_kg: Array) -> 
     return place, turned
 
 
-def _moving(arms: Sequence[model.Arm], pressure_pa: Sequence[Array], poses: Poses) -> list[Solved]:
+def _moving(setups: Sequence[Setup], pressure_pa: Sequence[Array], poses: Poses) -> list[Solved]:
+    arms = [setup.turned_arm for setup in setups]
     with ThreadPoolExecutor(min(len(arms), os.cpu_count() or 1)) as pool:
         return list(pool.map(_motion, arms, pressure_pa, itertools.repeat(poses)))
+
+
+def _pulled(setups: Sequence[Setup], pressure_pa: Sequence[Array], poses: Poses) -> list[Solved]:
+    """Under measured wrenches, one pose at a time: the lever of the force turns with the tip."""
+    return [_under_wrench(setup, rows, poses) for setup, rows in zip(setups, pressure_pa, strict=True)]
+
+
+def _under_wrench(setup: Setup, pressure_pa: Array, poses: Poses) -> Solved:
+    arm, count = setup.turned_arm, len(poses)
+    tips, turned = np.full((count, 3), np.nan), np.full((count, 3, 3), np.nan)
+    back = Rotation.from_rotvec(setup.base_rotation_rad).inv()
+    force, moment = back.apply(poses.wrench[:, :3]), back.apply(poses.wrench[:, 3:])
+    tool, gravity = np.array(setup.tool_offset_m), np.array(arm.gravity_m_s2)
+    dynamics = arm.dynamics(poses.period_s / SUBSTEPS) if poses.moving else None
+    rotation, before = np.eye(3), None
+
+    def loads(k: int) -> model.Loads:
+        pull = force[k] + poses.weight_kg[k] * gravity
+        return model.Loads(tip_force_n=pull, tip_moment_n_m=moment[k] + np.cross(rotation @ tool, force[k]))
+
+    for k in range(count):
+        try:
+            if dynamics is None or before is None:
+                for _ in range(_LEVER_PASSES):
+                    shape = arm.statics(pressure_pa[k], loads(k))
+                    turn, rotation = np.abs(shape.tip_rotation - rotation).max(), shape.tip_rotation
+                    if turn < _LEVER_STILL:
+                        break
+                if dynamics is not None:
+                    shape = dynamics.start(pressure_pa[k], loads(k))
+            else:
+                for part in range(1, SUBSTEPS + 1):
+                    share = part / SUBSTEPS
+                    shape = dynamics.step((1 - share) * before + share * pressure_pa[k], loads(k))
+                    rotation = shape.tip_rotation
+        except model.NotConverged:
+            rotation = np.eye(3)
+            continue
+        before = pressure_pa[k]
+        if shape.ok:
+            tips[k], turned[k] = shape.tip_m, shape.tip_rotation
+    return tips, turned
 
 
 def _motion(arm: model.Arm, pressure_pa: Array, poses: Poses) -> Solved:

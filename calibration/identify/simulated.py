@@ -39,6 +39,7 @@ def plan(
         pressure_pa=pressure_pa,
         pressure_std_pa=np.full(pressure_pa.shape, errors.pressure_pa),
         weight_kg=np.zeros(k) if weight_kg is None else weight_kg,
+        wrench=np.zeros((k, 6)),
         tip_m=np.full((k, 3), np.nan),
         covariance_m2=np.tile(np.diag(np.square(errors.tip_m)), (k, 1, 1)),
         frames=np.ones(k, np.int64),

@@ -1,0 +1,127 @@
+"""A measured wrench at the tip: from a foreign table through its mapping into the archive, and into the prediction."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+import model
+import runs
+from calibration.identify import Setup, as_if_at_rest, identify
+from calibration.identify.predict import Predictor
+from protocols import BadInput
+from rig.importing import import_table
+from runs.run import Run
+
+Array = NDArray[np.float64]
+
+TRUTH = Setup(
+    model.Arm.paper(),
+    base_translation_m=(0.004, -0.002, 0.003),
+    base_rotation_rad=(0.02, -0.03, 0.1),
+    tool_offset_m=(0.015, 0.0, 0.02),
+)
+AT_M = np.array([0.0, 0.005, 0.01])
+HEAD = """
+title: An arm that is pulled at its tip
+file: {delimiter: comma}
+time: {column: t, unit: s}
+pressures: {columns: [p1, p2, p3], unit: bar, reading: gauge}
+tip:
+  position: {columns: [x, y, z], unit: mm}
+  orientation: {columns: [qw, qx, qy, qz], order: wxyz}
+  uncertainty_mm: 0.05
+"""
+TRACKER = """wrench:
+  force: {columns: [fx, fy, fz], unit: N}
+  moment: {columns: [mx, my, mz], unit: N mm}
+  axes: tracker
+"""
+TIP = """wrench:
+  force: {columns: [gx, gy, gz], unit: N}
+  moment: {columns: [hx, hy, hz], unit: N mm}
+  axes: tip
+  on: surroundings
+  at_mm: [0, 5, 10]
+"""
+
+
+def pulled(pressure: Array, force: Array, moment: Array) -> tuple[Array, Array]:
+    """Measured point and orientation [tracker] of the true arm under a wrench at that point [tracker]."""
+    turn = Rotation.from_rotvec(TRUTH.base_rotation_rad)
+    f, m, tool = turn.inv().apply(force), turn.inv().apply(moment), np.array(TRUTH.tool_offset_m)
+    rotation = np.eye(3)
+    for _ in range(30):
+        lever = np.cross(rotation @ tool, f)
+        shape = TRUTH.arm.statics(pressure, model.Loads(tip_force_n=f, tip_moment_n_m=m + lever))
+        rotation = shape.tip_rotation
+    return TRUTH.measured(shape.tip_m[None], rotation[None])[0], (turn * Rotation.from_matrix(rotation)).as_matrix()
+
+
+@pytest.fixture(scope="module")
+def table(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    rng = np.random.default_rng(8)
+    names = ["t", "p1", "p2", "p3", "x", "y", "z", "qw", "qx", "qy", "qz"]
+    names += [a + b for a in "fmgh" for b in "xyz"]
+    rows = [",".join(names)]
+    for k in range(40):
+        bar = np.array([0.5 * np.sin(k / 13) ** 2, 0.3 * np.sin(k / 17) ** 2, 0.0])
+        force, moment = rng.uniform(-1, 1, 3), rng.uniform(-0.01, 0.01, 3)
+        tip, rotation = pulled(bar * 1e5, force, moment)
+        # The same wrench as a load cell on the tip says it: what the arm does to it, elsewhere, along its own axes.
+        own_force = -rotation.T @ force
+        own_moment = -rotation.T @ moment - np.cross(AT_M, own_force)
+        q = Rotation.from_matrix(rotation).as_quat()[[3, 0, 1, 2]]
+        numbers = [k / 20, *bar, *(1e3 * tip), *q, *force, *(1e3 * moment), *own_force, *(1e3 * own_moment)]
+        rows.append(",".join(f"{x:.9f}" for x in numbers))
+    file = tmp_path_factory.mktemp("pulled") / "pulled.csv"
+    file.write_text("\n".join(rows) + "\n", encoding="utf-8")
+    return file
+
+
+def bring(table: Path, mapping: str, folder: Path) -> Run:
+    file = folder / "mapping.yaml"
+    file.write_text(mapping, encoding="utf-8")
+    return runs.open(import_table(table, file, folder).archive)
+
+
+@pytest.mark.parametrize("wrench", [TRACKER, TIP])
+def test_the_wrench_of_any_stated_frame_predicts_the_tip(table: Path, tmp_path: Path, wrench: str) -> None:
+    poses = as_if_at_rest(bring(table, HEAD + wrench, tmp_path))
+    assert len(poses) == 40
+    error = np.linalg.norm(Predictor(poses)(TRUTH) - poses.tip_m, axis=1)
+    # A tenth of a millimetre: the pressures of the table are smoothed, as those of every run are.
+    assert error.max() < 1e-4
+    blind = replace(poses, wrench=np.zeros((40, 6)))
+    assert np.linalg.norm(Predictor(blind)(TRUTH) - poses.tip_m, axis=1).mean() > 5e-3
+
+
+def test_a_pulled_arm_tells_its_law_without_any_pressure_free(table: Path, tmp_path: Path) -> None:
+    poses = as_if_at_rest(bring(table, HEAD + TRACKER, tmp_path))
+    material = replace(TRUTH.arm.material, a1_per_n=0.0065)
+    fit = identify([poses], replace(TRUTH, arm=replace(TRUTH.arm, material=material)), ["a1_per_n"])
+    found = fit["a1_per_n"]
+    assert found.value == pytest.approx(TRUTH.arm.material.a1_per_n, rel=2e-3)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("axes: tip", "axes: world", "tracker"),
+        ("unit: N mm", "unit: lb", "N mm"),
+        ("[gx, gy, gz]", "[gx, gy]", "force"),
+        ("[gx, gy, gz]", "[gx, gy, p1]", "already used"),
+        ("  orientation: {columns: [qw, qx, qy, qz], order: wxyz}\n", "", "orientation"),
+    ],
+)
+def test_a_wrench_that_cannot_be_placed_is_refused(table: Path, tmp_path: Path, old: str, new: str, said: str) -> None:
+    text = HEAD + TIP
+    assert old in text
+    with pytest.raises(BadInput, match=r"mapping\.yaml") as bad:
+        bring(table, text.replace(old, new), tmp_path)
+    assert said in str(bad.value)
