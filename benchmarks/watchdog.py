@@ -50,7 +50,7 @@ def _load(idle: bool) -> Iterator[None]:
 
 
 def trial(number: signal.Signals, moment_s: float, idle: bool) -> float:
-    """One run, struck; milliseconds until every output stood at its safe voltage. A run that ends before is no trial."""
+    """One run, struck; milliseconds until every output stood safe. A run that ends before is no trial."""
     for _ in range(ATTEMPTS):
         with suppress(EndedBeforeError):
             return _struck(number, moment_s, idle)
