@@ -178,7 +178,7 @@ def test_a_card_tells_what_it_is_and_can_do_and_in_which_order_to_power_up(machi
         "/dev/comedi11: pci1716, driver adv_pci1710; "
         "16 analogue in, 2 analogue out, 16 digital in, 16 digital out, 1 counter"
     )
-    assert "up to 2.5e+05 Hz" in said["card inputs"].found
+    assert "up to 250 kHz" in said["card inputs"].found
     assert "2 of 16 bit (0 to 5 V, 0 to 10 V)" in said["card outputs"].found
     assert "0 V" in said["power-up"].found
     assert "rig vent" in said["power-up"].remedy

@@ -24,7 +24,7 @@ class Lines:
     def __str__(self) -> str:
         """One line for people."""
         ranges = ", ".join(f"{low:g} to {high:g} V" for low, high in self.ranges_v)
-        rate = "" if self.fastest_hz is None else f", by its own clock up to {self.fastest_hz:.4g} Hz for one channel"
+        rate = "" if self.fastest_hz is None else f", by its own clock up to {self.fastest_hz / 1e3:.4g} kHz for one channel"
         return f"{self.channels} of {self.bits} bit ({ranges}){rate}"
 
 
