@@ -93,8 +93,8 @@ class CameraCalibration:
     @property
     def coverage(self) -> Coverage:
         """What the views show of picture, tilt and distance."""
-        size, focal = (self.width_px, self.height_px), float(self.parameters[0])
-        return Coverage(size, [look(v.corners_px, self.corners, size, focal) for v in self.views])
+        size, lens = (self.width_px, self.height_px), self.lens
+        return Coverage(size, [look(v.corners_px, self.corners, size, lens) for v in self.views])
 
     @property
     def advice(self) -> tuple[str, ...]:

@@ -9,6 +9,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from calibration.lens import Lens
+
 Floats = NDArray[np.float64]
 
 REGIONS = (
@@ -38,14 +40,14 @@ class Look:
     lean_deg: Floats
 
 
-def look(corners_px: Floats, pattern: tuple[int, int], size: tuple[int, int], focal_px: float | None = None) -> Look:
-    """A view by its corners; the lean is rough where the focal length is not known yet."""
+def look(corners_px: Floats, pattern: tuple[int, int], size: tuple[int, int], lens: Lens | None = None) -> Look:
+    """A view by its corners; the lean is rough where the lens is not known yet."""
     width, height = size
-    f = 1.1 * max(size) if focal_px is None else focal_px
-    matrix = np.array([[f, 0, width / 2], [0, f, height / 2], [0, 0, 1.0]])
+    usual = 1.1 * max(size)
+    through = lens or Lens.of(usual, usual, width / 2, height / 2)
     grid = np.zeros((pattern[0] * pattern[1], 3))
-    grid[:, :2] = np.indices(pattern).T.reshape(-1, 2)
-    found, turn, place = cv2.solvePnP(grid, corners_px, matrix, np.zeros(5), flags=cv2.SOLVEPNP_IPPE)
+    grid[:, :2] = np.indices(pattern).T.reshape(-1, 2) - (np.array(pattern) - 1) / 2
+    found, turn, place = cv2.solvePnP(grid, corners_px, through.matrix, through.distortion, flags=cv2.SOLVEPNP_IPPE)
     if not found:
         return Look(corners_px, np.zeros(2))
     normal = cv2.Rodrigues(turn)[0][:, 2]

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from protocols import BadInput, document
@@ -89,6 +89,7 @@ def camera_files(draw: st.DrawFn) -> schema.CameraFile:
     )  # fmt: skip
 
 
+@settings(max_examples=40)
 @given(found=camera_files())
 def test_what_is_written_is_read_back_the_same(found: schema.CameraFile) -> None:
     again = parse(document.parse(text_of(found), "c.yaml"))
@@ -109,6 +110,7 @@ LEAVES = [
 ]
 
 
+@settings(max_examples=60)
 @given(leaf=st.sampled_from(LEAVES), junk=st.sampled_from([[], {"a": 1}, ".nan", "many", [1, 2], None]))
 def test_every_malformed_value_is_named_with_its_file_and_line(leaf: tuple[str | int, ...], junk: Any) -> None:
     data = yaml.safe_load(text_of(camera_file()))
