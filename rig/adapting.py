@@ -75,7 +75,8 @@ class Adapting:
         if solved:
             self._predicted_m = done.predicted_m
         seen["model_m"], seen["model_ok"] = self._predicted_m, solved
-        row["used"], row["value"], row["covariance"] = done.used, self._adapter.values, self._adapter.covariance
+        row["used"] = int(done.used) + int(done.damped)
+        row["value"], row["covariance"] = self._adapter.values, self._adapter.covariance
         return row
 
     def _motion_m(self, seen: NDArray[np.void]) -> NDArray[np.float64]:

@@ -61,6 +61,8 @@ class Result:
     outcome: Outcome
     archive: Path | None
     report: Path | None
+    parameters: Path | None = None
+    """What the recursive estimator found, where one ran."""
     trouble: tuple[str, ...] = ()
     """What went wrong after the run itself: the archive or the report could not be written."""
 
@@ -194,7 +196,7 @@ def run(request: Request, decided: Plan, audience: Audience) -> Result:
             with suppress(JournalError):
                 journal.event(Event(time.monotonic_ns(), Level.FAULT, "conductor", traceback.format_exc()))
     assert journal is not None
-    archive = report = None
+    archive = report = parameters = None
     try:
         journal.close(RunFooter(outcome.t_ns, outcome.status, outcome.message, outcome.counters))
         archive = finalise(journal.path)
@@ -205,7 +207,12 @@ def run(request: Request, decided: Plan, audience: Audience) -> Result:
             report = _report(archive)
         except OSError as error:
             trouble.append(f"no report: {error}; run `rig report {archive}` later")
-    return Result(outcome, archive, report, tuple(trouble))
+    if archive is not None and decided.adapted:
+        try:
+            parameters = _parameters(archive)
+        except OSError as error:
+            trouble.append(f"the adapted parameters could not be written: {error}; they are in {archive}")
+    return Result(outcome, archive, report, parameters, tuple(trouble))
 
 
 def _failed(message: str) -> Outcome:
@@ -216,6 +223,13 @@ def _report(archive: Path) -> Path:
     from runs.report import write
 
     return write([archive], archive.with_suffix(".html"))
+
+
+def _parameters(archive: Path) -> Path | None:
+    from rig.adapted import write_parameters
+    from runs.run import Run
+
+    return write_parameters(Run(archive))
 
 
 def header(request: Request, decided: Plan, t_ns: int) -> RunHeader:

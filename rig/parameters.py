@@ -73,9 +73,9 @@ class Estimate(Section):
     unit: str
     run: str = ""
     verdict: Word
-    value: Number | None
-    std: Number | None
-    interval_95: tuple[Number, Number] | None
+    value: Number | None = None
+    std: Number | None = None
+    interval_95: tuple[Number, Number] | None = None
     profile_95: tuple[Number | None, Number | None] | None = None
     used: Number
     exchangeable_with: tuple[str, ...] = ()

@@ -128,6 +128,8 @@ def last_screen(screen: Console, result: Result) -> None:
         screen.print(f"archive  {result.archive}", soft_wrap=True)
     if result.report is not None:
         screen.print(f"report   {result.report}", soft_wrap=True)
+    if result.parameters is not None:
+        screen.print(f"adapted  {result.parameters}  (use them: --parameters FILE)", soft_wrap=True)
     for trouble in result.trouble:
         screen.print(Text(trouble, "bold red"), soft_wrap=True)
 
@@ -142,6 +144,7 @@ def result_json(result: Result) -> str:
             "message": result.outcome.message,
             "archive": str(result.archive) if result.archive else None,
             "report": str(result.report) if result.report else None,
+            "parameters": str(result.parameters) if result.parameters else None,
             "trouble": result.trouble,
             "counters": result.outcome.counters,
             "summary": summary_json(result.archive) if result.archive else None,

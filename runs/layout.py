@@ -317,7 +317,12 @@ def _adaptation(journal: Journal) -> Group | None:
             Field("uncertainty", deviation, about="standard, of value", scales=each),
             Field("covariance", rows["covariance"], about="of value", scales=(*each, "parameter")),
             Field("frame", rows["frame"], about="as tip/frame", scales=("time",)),
-            Field("used", rows["used"], about="0 where the frame told nothing", scales=("time",)),
+            Field(
+                "used",
+                rows["used"],
+                about="1; 0 where the frame told nothing, 2 where it counted less",
+                scales=("time",),
+            ),
             Field("start_model_mm", rows["start_model_m"] * MM_PER_M, "mm", about, ("time", "axis")),
         ),
         signal="value",

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
-from runs import figures, pictures
+from runs import estimates, figures, pictures
 from runs.run import Run
 from runs.summary import SETTLED_PART, Summary, settled_steps
 from runs.text import plain
@@ -53,6 +53,13 @@ def plates(run: Run, summary: Summary) -> Iterator[Plate]:
         yield Plate("tip", "Tip over time", figures.coordinates, (9, 5))
     if summary.frames_measured:
         yield Plate("error", "Error over time", figures.error, (9, 4.2 if run.simulated else 2.6))
+    if run.adaptation is not None and len(run.adaptation.time_s):
+        caption = (
+            "Estimated while the run went on, with 95 % bands; dashed: the value that the run began with. Each frame "
+            "was predicted before it was used. Nothing of this controlled the run."
+        )
+        size = estimates.size(run.adaptation)
+        yield Plate("adaptation", "Parameters estimated beside the run", estimates.draw, size, caption)
     if summary.lateness_max_us > 0:
         caption = (
             f"Half of the ticks began less than {plain(summary.lateness_p50_us, 1)} us late, 99 % less than "

@@ -112,8 +112,9 @@ def adaptation_dtype(parameters: int) -> np.dtype[np.void]:
     """What the recursive estimator made of one camera frame, in the order of `RunHeader.adapted`.
 
     `value` (P,) and `covariance` (P, P) are the estimates after the frame, each in its own unit; `used` is 0 where the
-    frame told nothing and they are as before. `start_model_m` is the tip by the parameters that the run began with;
-    the observation's `model_m` is that by the estimates before the frame.
+    frame told nothing and they are as before, 2 where it was so far off that it counted less, else 1. `start_model_m`
+    is the tip by the parameters that the run began with; the observation's `model_m` is that by the estimates before
+    the frame.
     """
     return np.dtype(
         [

@@ -82,7 +82,8 @@ class Adaptation:
     covariance: Floats
     """(m, P, P)."""
     frame: Ints
-    used: NDArray[np.bool_]
+    used: Ints
+    """1; 0 where the frame told nothing, 2 where it was far off and counted less."""
     start_model_mm: Floats
     """(m, 3), the tip by the parameters that the run began with."""
 
@@ -261,7 +262,7 @@ class Run:
             uncertainty=g["uncertainty"],
             covariance=g["covariance"],
             frame=g["frame"],
-            used=g["used"].astype(bool),
+            used=g["used"],
             start_model_mm=g["start_model_mm"],
         )
 

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import yaml
+from numpy.typing import NDArray
 
-from calibration.identify.fit import Fit, RunFit
+from calibration.identify.fit import Estimate, RunFit
 from calibration.identify.parameters import Setup
 
 VERSION = 2
@@ -18,16 +20,51 @@ _MM = 1e3
 _MOST_RESIDUALS = 100
 
 
-def write(fit: Fit, path: Path) -> Path:
+class Found(Protocol):
+    """What a document is made of: a `Fit`, or what a recursive estimator has found. Members are those of `Fit`."""
+
+    @property
+    def setup(self) -> Setup:
+        """With what was found."""
+
+    @property
+    def start(self) -> Setup:
+        """As it was known before."""
+
+    @property
+    def estimates(self) -> Sequence[Estimate]:
+        """One for each free parameter."""
+
+    @property
+    def covariance(self) -> NDArray[np.float64]:
+        """Of the estimates (n, n)."""
+
+    @property
+    def runs(self) -> Sequence[RunFit]:
+        """The runs that were used."""
+
+    @property
+    def rms_m(self) -> float:
+        """Over all of them."""
+
+    @property
+    def discrepancy_m(self) -> float:
+        """By how much the model is off beyond the stated errors."""
+
+
+def write(fit: Found, path: Path) -> Path:
     """Write the fit; what was not identified is in the overlay with the value it was held at, and says so."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    text = yaml.safe_dump(content(fit), sort_keys=False, width=120, default_flow_style=None)
+    told = content(fit)
+    # A key without a value is an error in every file that people edit: what is not known is left out.
+    told["estimates"] = [{key: x for key, x in e.items() if x is not None} for e in told["estimates"]]
+    text = yaml.safe_dump(told, sort_keys=False, width=120, default_flow_style=None)
     head = "# Identified parameters of an arm. Lay them over a rig: --parameters FILE.\n"
     path.write_text(head + text, encoding="utf-8")
     return path
 
 
-def content(fit: Fit) -> dict[str, Any]:
+def content(fit: Found) -> dict[str, Any]:
     """Everything of a fit that a later reader needs, in plain numbers."""
     setup = fit.setup
     start = fit.start.arm

@@ -26,10 +26,14 @@ class NotAdaptable(ValueError):  # noqa: N818 - the outcome is the name
 
 @dataclass(frozen=True)
 class Adapted:
-    """One frame's result: the tip predicted before the frame was used (3,) [m], and whether it told anything."""
+    """One frame's result: the tip predicted before the frame was used (3,) [m], and whether it told anything.
+
+    damped: it was so far off that it pulled no harder than at the gate.
+    """
 
     predicted_m: Array
     used: bool
+    damped: bool
 
 
 class Adapter:
@@ -121,7 +125,7 @@ class Adapter:
         at = self._tip(self._z, pressure_pa, weight_kg)
         predicted = at + extra
         gap = tip_m - predicted
-        used = False
+        used = damped = False
         if np.isfinite(gap).all():
             slope = np.stack(
                 [
@@ -132,13 +136,14 @@ class Adapter:
             )
             used = bool(np.isfinite(slope).all())
             if used:
-                self._update(gap, slope, self._repeats * (covariance_m2 + self._floor**2 * np.eye(3)))
-        return Adapted(predicted, used)
+                damped = self._update(gap, slope, self._repeats * (covariance_m2 + self._floor**2 * np.eye(3)))
+        return Adapted(predicted, used, damped)
 
-    def _update(self, gap: Array, slope: Array, noise: Array) -> None:
+    def _update(self, gap: Array, slope: Array, noise: Array) -> bool:
         innovation = slope @ self._covariance @ slope.T + noise
         distance = float(np.sqrt(gap @ np.linalg.solve(innovation, gap)))
-        if distance > _GATE:
+        far = distance > _GATE
+        if far:
             noise = noise * (distance / _GATE) ** 2
             innovation = slope @ self._covariance @ slope.T + noise
         gain = np.linalg.solve(innovation, slope @ self._covariance).T
@@ -146,6 +151,7 @@ class Adapter:
         # Joseph's form stays symmetric and positive whatever the rounding.
         keep = np.eye(len(self._z)) - gain @ slope
         self._covariance = keep @ self._covariance @ keep.T + gain @ noise @ gain.T
+        return far
 
     def _bounded(self, z: Array) -> Array:
         lower = np.array([p.lower for p in self._parameters])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import struct
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -12,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.config import PA_PER_BAR
+from runs.records import Quantity
 
 Floats = NDArray[np.float64]
 MM = 1e3
@@ -131,6 +133,14 @@ def rounded(values: NDArray[Any], digits: int) -> list[Any]:
 def track_row(t_s: float, measured_mm: Floats, std_mm: Floats, model_mm: Floats, error: float, mean: float) -> Floats:
     """One row of `News.track`."""
     return np.concatenate([[t_s], measured_mm, std_mm, model_mm, [error, mean]])
+
+
+def estimates(adapted: Sequence[Quantity], value: Floats, std: Floats) -> list[list[Any]]:
+    """Rows of `now.estimates`: name, unit, estimate, its deviation, what the run began with; each a text."""
+    return [
+        [q.name, q.unit, f"{x:.5g}", f"{s:.2g}", f"{q.value[0]:.5g}"]
+        for q, x, s in zip(adapted, value, std, strict=True)
+    ]
 
 
 def bar(pascal: Floats) -> Floats:

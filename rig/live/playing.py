@@ -18,7 +18,7 @@ from rig.arm import model_arm
 from rig.config import PA_PER_BAR, RigConfig, parse
 from rig.executor.memory import LINE_POINTS
 from rig.eye import Eye
-from rig.live.packets import Drawing, News
+from rig.live.packets import Drawing, News, estimates
 from rig.sketch import Sketcher
 from runs.records import Seen
 from runs.run import Run
@@ -169,6 +169,9 @@ class Playing:
                 "mean": float(self.mean[frame]),
                 "reprojection": float(tip.reprojection_px[frame]),
             }
+            if run.adaptation is not None:
+                found = run.adaptation
+                now["estimates"] = estimates(run.header.adapted, found.value[frame], found.uncertainty[frame])
         return now
 
     def _segment(self, protocol_s: float) -> dict[str, Any]:

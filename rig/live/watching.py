@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from rig.executor.memory import Stage
 from rig.executor.requests import Action
-from rig.live.packets import MM, Drawing, Mean, News, Trace, bar, jpeg, track_row
+from rig.live.packets import MM, Drawing, Mean, News, Trace, bar, estimates, jpeg, track_row
 from rig.live.visit import Visit
 from runs.records import Event, Seen
 
@@ -42,6 +42,7 @@ class Watching:
         self.ended = ""
         self.sample: NDArray[np.void] | None = None
         self.observations: dict[int, tuple[NDArray[np.void], float]] = {}
+        self.adaptation: NDArray[np.void] | None = None
         self.missed = self.dropped = self.ticks = 0
         self.view: tuple[NDArray[np.void], NDArray[np.uint8]] | None = None
         self._lateness = np.zeros(LATENESS_WINDOW)
@@ -89,6 +90,8 @@ class Watching:
         self._take_samples(memory.samples.read())
         for row in memory.observations.read():
             self._take_observation(row)
+        for row in memory.adaptations.read()[-1:]:
+            self.adaptation = row
         self.events += memory.read_events()
         spare = len(self.events) - EVENTS_KEPT
         if spare > 0:
@@ -217,6 +220,10 @@ class WatchingViewer:
                 "measured": bar(source.sample["measured_pa"]),
                 "late": float(source.sample["lateness_ns"]) * 1e-3,
             }
+        if source.adaptation is not None:
+            row = source.adaptation
+            std = np.sqrt(np.diagonal(row["covariance"]))
+            now["estimates"] = estimates(plan.adapted, row["value"], std)
         if source.observations:
             now |= self._tip()
         return now

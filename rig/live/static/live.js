@@ -106,6 +106,7 @@ function numbers() {
       Object.assign(document.createElement("dd"), { textContent: value ?? "–", className: late ? "late" : "" }),
     ]),
   );
+  estimates(now.estimates);
   at("prompt").hidden = !now.prompt;
   at("prompt-text").textContent = now.prompt ?? "";
   const acting = about.live && ["running", "paused", "waiting"].includes(now.state);
@@ -126,6 +127,18 @@ function numbers() {
     at("place-text").textContent = `${fixed(now.t, 1)} of ${fixed(about.end, 1)} s`;
     at("play").querySelector(".q-btn__content").textContent = now.state === "playing" ? "Pause" : "Play";
   }
+}
+
+function estimates(rows) {
+  at("panel-estimates").hidden = !rows;
+  const head = ["parameter", "unit", "estimate", "+-", "began with"];
+  at("estimate-rows").replaceChildren(
+    ...[head, ...(rows ?? [])].map((cells, i) => {
+      const line = document.createElement("tr");
+      line.append(...cells.map((text) => Object.assign(document.createElement(i ? "td" : "th"), { textContent: text })));
+      return line;
+    }),
+  );
 }
 
 function state(name) {
