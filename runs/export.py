@@ -1,4 +1,4 @@
-"""An archive for other programs: CSV, MATLAB and netCDF. The pictures stay in the archive."""
+"""An archive for other programs: CSV, MATLAB, netCDF and MCAP. Only MCAP takes the pictures along."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class ExportError(Exception):
 
 
 def export(archive: Path | str, to: str, folder: Path | str | None = None) -> tuple[Path, ...]:
-    """Write an archive in another format (`csv`, `mat` or `nc`) and return what was written.
+    """Write an archive in another format (`csv`, `mat`, `nc` or `mcap`) and return what was written.
 
     By default beside the archive. `ArchiveError` where there is no archive, `ExportError` otherwise.
     """
@@ -130,6 +130,15 @@ def _classic(column: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
     return small if (small == column).all() else column.astype(np.float64)
 
 
-FORMATS: dict[str, Callable[[Path, Path], tuple[Path, ...]]] = {"csv": _csv, "mat": _mat, "nc": _nc}
+def _mcap(source: Path, stem: Path) -> tuple[Path, ...]:
+    """One MCAP file; the journal beside the archive has that ending already."""
+    from runs.foxglove import SUFFIX, write
+
+    path = stem.with_name(f"{stem.name}{SUFFIX}")
+    write(Run(source), path)
+    return (path,)
+
+
+FORMATS: dict[str, Callable[[Path, Path], tuple[Path, ...]]] = {"csv": _csv, "mat": _mat, "nc": _nc, "mcap": _mcap}
 
 __all__ = ["FORMATS", "ArchiveError", "ExportError", "export"]

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
 
-from runs import archive, journal
+from runs import archive, foxglove, journal
 from runs.archive import ArchiveError, StillWrittenError
 from runs.journal import JournalError
 from runs.run import Run
@@ -90,7 +90,7 @@ def _leftovers(folder: Path) -> Iterator[Outcome]:
 
 
 def _journals(folder: Path) -> list[Path]:
-    return sorted(folder.glob(f"*{journal.SUFFIX}"))
+    return sorted(path for path in folder.glob(f"*{journal.SUFFIX}") if not path.name.endswith(foxglove.SUFFIX))
 
 
 def _archive_of(path: Path) -> Path:
