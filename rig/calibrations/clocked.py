@@ -24,6 +24,8 @@ from rig.simulator.plant import Plant
 
 POWER_UP_NS = 100_000_000
 _READY_S = 20.0
+_REHEARSED_TICKS = 40
+"""What is imported or compiled at its first use may make these late; then the watchdog looks for hanging, too."""
 _END_S = 5.0
 
 
@@ -46,6 +48,7 @@ class RealTicks:
     def __init__(self, memory: RunMemory, period_ns: int) -> None:
         self._memory, self._period_ns = memory, period_ns
         self._deadline = time.monotonic_ns()
+        self._ticks = 0
 
     def next(self) -> int:
         """Wait for the next period.
@@ -58,6 +61,9 @@ class RealTicks:
         now = wait_until(self._deadline)
         self._memory.beat("control", now)
         self._memory.beat("conductor", now)
+        self._ticks += 1
+        if self._ticks == _REHEARSED_TICKS:
+            self._memory.say("control", Stage.RUNNING)
         if self._memory.get("fired_ns"):
             raise StartError(f"the watchdog took the bench over: {self._memory.message('watchdog') or 'a late tick'}")
         return now
@@ -97,7 +103,6 @@ def real(config: RigConfig, rig_file: Path, purpose: str) -> Iterator[tuple[Benc
                 time.sleep(POWER_UP_NS * 1e-9)
                 memory.beat("control", time.monotonic_ns())
                 memory.beat("conductor", time.monotonic_ns())
-                memory.say("control", Stage.RUNNING)
                 yield bench, RealTicks(memory, _period_ns(config))
         finally:
             memory.say("control", Stage.DONE)

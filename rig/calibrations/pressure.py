@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from calibration.camera import CalibrationError
 from calibration.pressure import SensorFit, fit_sensor
+from model import Arm
 from protocols import BadInput, Problem
 from rig.arm import model_arm
 from rig.calibrations import control_points, making, schema, screens
@@ -111,7 +112,7 @@ def run(asked: Asked) -> None:
             if asked.fast:
                 with virtual(config, asked.seed) as (bench, ticks, plant):
                     driver = Driver(config, bench, ticks, check)
-                    found = _drive(asked, config, driver, _true_gauge(plant, asked, tell), by_gauge, tell)
+                    measured = _drive(asked, config, driver, _true_gauge(plant, asked, tell), by_gauge, tell)
             else:
                 rig_file = path_of(asked.rig)
                 with (
@@ -120,8 +121,13 @@ def run(asked: Asked) -> None:
                     real(config, rig_file, "rig calibrate pressure") as (bench, ticks),
                 ):
                     driver = Driver(config, bench, ticks, check)
-                    found = _drive(asked, config, driver, _typed_gauge(keys, tell), by_gauge, tell)
-        sensors, valves = sensors or found[0], found[1]
+                    measured = _drive(asked, config, driver, _typed_gauge(keys, tell), by_gauge, tell)
+        # The bench is safe: what takes time comes now.
+        for actuator, pairs in sorted(measured.readings.items()):
+            sensors += (sensor_section(config, actuator, np.array(pairs), asked.gauge_std_bar),)
+        volume_ml = asked.volume_ml or config.control.volume_ml
+        std_ml = asked.volume_std_ml if asked.volume_std_ml is not None else 0.1 * volume_ml
+        valves = tuple(valve_section(config, i, rates, volume_ml, std_ml) for i, rates in measured.rates.items())
     if not (sensors or valves):
         raise bad("--no-sensors", "", "something to calibrate: sensors, or a valve that meters flow")
     made = write(
@@ -144,23 +150,29 @@ def run(asked: Asked) -> None:
     typer.echo(made)
 
 
+@dataclass(frozen=True)
+class Measured:
+    """What the bench showed: volts and gauge [Pa] at each level by actuator, and rates by the valve's index."""
+
+    readings: dict[int, list[tuple[float, float]]]
+    rates: dict[int, list[Rate]]
+
+
 def _drive(
     asked: Asked, config: RigConfig, driver: Driver, gauge: Gauge, by_gauge: bool, tell: Callable[[str], None]
-) -> tuple[tuple[schema.SensorScale, ...], tuple[schema.ValveSweep, ...]]:
-    sensors = scale_sensors(config, driver, gauge, asked.gauge_std_bar, tell) if by_gauge else ()
-    valves = []
+) -> Measured:
+    readings = read_gauge(config, driver, gauge, tell) if by_gauge else {}
+    rates = {}
     for index, valve in enumerate(config.valves) if asked.valves else ():
         if isinstance(valve, FlowValve):
-            volume_ml = asked.volume_ml or config.control.volume_ml
-            std_ml = asked.volume_std_ml if asked.volume_std_ml is not None else 0.1 * volume_ml
             tell(f"valve {index + 1}: sweep of its voltage")
-            valves.append(sweep(config, driver, index, volume_ml, std_ml))
-    return sensors, tuple(valves)
+            rates[index] = sweep(config, driver, index)
+    return Measured(readings, rates)
 
 
-def scale_sensors(
-    config: RigConfig, driver: Driver, gauge: Gauge, gauge_std_bar: float, tell: Callable[[str], None]
-) -> tuple[schema.SensorScale, ...]:
+def read_gauge(
+    config: RigConfig, driver: Driver, gauge: Gauge, tell: Callable[[str], None]
+) -> dict[int, list[tuple[float, float]]]:
     """Hold several pressures in every chamber and read sensors and gauge."""
     readings: dict[int, list[tuple[float, float]]] = {s.actuator: [] for s in config.sensors}
     for share in LEVELS:
@@ -170,9 +182,7 @@ def scale_sensors(
             tell(f"held at {share * config.limits.pressure_bar:.3f} bar; the gauge on actuator {actuator}?")
             volts = driver.regulate(level, AVERAGE_S).volts[:, actuator - 1]
             readings[actuator].append((float(volts.mean()), gauge(driver, actuator - 1)))
-    return tuple(
-        sensor_section(config, actuator, np.array(pairs), gauge_std_bar) for actuator, pairs in sorted(readings.items())
-    )
+    return readings
 
 
 def sensor_section(config: RigConfig, actuator: int, readings: Floats, gauge_std_bar: float) -> schema.SensorScale:
@@ -201,85 +211,93 @@ def sensor_section(config: RigConfig, actuator: int, readings: Floats, gauge_std
     )
 
 
-def sweep(config: RigConfig, driver: Driver, index: int, volume_ml: float, volume_std_ml: float) -> schema.ValveSweep:
+def sweep(config: RigConfig, driver: Driver, index: int) -> list[Rate]:
     """Open one valve to more and more voltages, either side, out and back; watch how fast the pressure moves."""
     valve = config.valves[index]
     assert isinstance(valve, FlowValve)
     highest = config.limits.pressure_bar * PA_PER_BAR
-    sweeper = _Sweeper(config, driver, index, volume_ml)
+    chambers = [a - 1 for a in valve.actuators]
+
+    def reach(share: float) -> None:
+        """Regulate to a pressure, then close the valve and let the spool come to rest."""
+        level = np.zeros(config.actuators)
+        level[chambers] = share * highest
+        driver.regulate(level, REACH_S)
+        driver.let(index, 0.0, REST_S)
+
+    def watch(offset_v: float, outward: bool, seconds: float) -> Rate:
+        log = driver.let(index, offset_v, seconds, BAND * highest)
+        return rate_of(log.time_s, log.pressure_pa[:, chambers].mean(axis=1), offset_v, outward)
+
     rates: list[Rate] = []
     for share in (FILL_FROM, VENT_FROM):
-        sweeper.reach(share * highest)
-        rates.append(sweeper.watch(0.0, True, LEAK_S))
+        reach(share)
+        rates.append(watch(0.0, True, LEAK_S))
     limit = FASTEST_SHARE * interlock_settings(config).rate_pa_s
     going = {1.0: True, -1.0: True}
     fastest = {1.0: (0.0, 0.0), -1.0: (0.0, 0.0)}
     room_v = min(valve.closed_V - valve.range_V[0], valve.range_V[1] - valve.closed_V) - KICK_V
-    for offset in OFFSETS_V:
+    for offset in (float(v) for v in OFFSETS_V if v <= room_v):
         for side, share in ((1.0, FILL_FROM), (-1.0, VENT_FROM)):
-            if not going[side] or offset > room_v:
+            if not going[side]:
                 continue
-            sweeper.reach(share * highest)
-            out = sweeper.watch(side * float(offset), True, WATCH_S)
-            driver.let(index, side * (float(offset) + KICK_V), KICK_S, BAND * highest)
-            back = sweeper.watch(side * float(offset), False, WATCH_S)
+            reach(share)
+            out = watch(side * offset, True, WATCH_S)
+            driver.let(index, side * (offset + KICK_V), KICK_S, BAND * highest)
+            back = watch(side * offset, False, WATCH_S)
             rates += [out, back]
-            v0, r0 = fastest[side]
-            r1 = max(abs(out.rate_pa_s), abs(back.rate_pa_s))
-            slope = (r1 - r0) / (float(offset) - v0)
-            fastest[side] = float(offset), r1
+            before_v, before = fastest[side]
+            now = max(abs(out.rate_pa_s), abs(back.rate_pa_s))
+            slope = (now - before) / (offset - before_v)
+            fastest[side] = offset, now
             # The next voltage, with a curve that grows steeper, must stay clear of the interlock.
-            going[side] = r1 + 1.6 * slope * 0.1 < limit and r1 < limit
+            going[side] = now + 1.6 * slope * 0.1 < limit
     driver.regulate(np.zeros(config.actuators), SETTLE_S)
-    found = fit(valve, fill_sign(valve), rates)
-    return _valve_section(config, index, found, volume_ml * len(valve.actuators), volume_std_ml * len(valve.actuators))
+    return rates
 
 
-class _Sweeper:
-    """One valve between two pressures."""
+def rate_of(time_s: Floats, pressure_pa: Floats, offset_v: float, outward: bool) -> Rate:
+    """The line through what a pressure (n,) did, without its beginning, when the spool was still on its way.
 
-    def __init__(self, config: RigConfig, driver: Driver, index: int, volume_ml: float) -> None:
-        valve = config.valves[index]
-        assert isinstance(valve, FlowValve)
-        self._config, self._driver, self._index = config, driver, index
-        self._chambers = [a - 1 for a in valve.actuators]
-        self._rest_m3 = volume_ml * 1e-6 * len(self._chambers)
-        self._band_pa = BAND * config.limits.pressure_bar * PA_PER_BAR
-        self._arm = model_arm(config)
-        self._bore_m2 = math.pi * (config.arm.geometry.inner_radius_mm * 1e-3) ** 2
+    Raises:
+        CalibrationError: there are too few samples.
+    """
+    late = time_s > min(SKIP_S, time_s[-1] / 2 if len(time_s) else 0.0)
+    time_s, pressure_pa = time_s[late], pressure_pa[late]
+    if len(time_s) < _LEAST_ROWS:
+        raise CalibrationError("too few samples while a valve was open: the card's sampling_hz is too low")
+    passed = time_s - time_s.mean()
+    spread = float(passed @ passed)
+    mean, rate = float(pressure_pa.mean()), float(passed @ pressure_pa) / spread
+    rest = pressure_pa - mean - rate * passed
+    return Rate(offset_v, outward, mean, rate, math.sqrt(float(rest @ rest) / (len(rest) - 2) / spread))
 
-    def reach(self, pressure_pa: float) -> None:
-        """Regulate to a pressure, then close the valve and let the spool come to rest."""
-        level = np.zeros(self._config.actuators)
-        level[self._chambers] = pressure_pa
-        self._driver.regulate(level, REACH_S)
-        self._driver.let(self._index, 0.0, REST_S)
 
-    def watch(self, offset_v: float, outward: bool, seconds: float) -> Rate:
-        """Open the valve and fit a line to what the pressure does."""
-        log = self._driver.let(self._index, offset_v, seconds, self._band_pa)
-        time_s, pressure = log.time_s, log.pressure_pa[:, self._chambers].mean(axis=1)
-        late = time_s > min(SKIP_S, time_s[-1] / 2)
-        time_s, pressure = time_s[late], pressure[late]
-        if len(time_s) < _LEAST_ROWS:
-            raise CalibrationError(f"valve {self._index + 1}: too few samples; the card's sampling_hz is too low")
-        slopes = np.column_stack([np.ones(len(time_s)), time_s - time_s.mean()])
-        (mean, rate), *_ = np.linalg.lstsq(slopes, pressure, rcond=None)
-        rest = pressure - slopes @ np.array([mean, rate])
-        std = math.sqrt(float(rest @ rest) / (len(rest) - 2) / float(np.sum((time_s - time_s.mean()) ** 2)))
-        return Rate(offset_v, outward, float(mean), float(rate), std, self._volume_m3(float(mean)))
+def volume_m3(config: RigConfig, chambers: list[int], rest_m3: float, pressure_pa: float, arm: Arm) -> float:
+    """Air of some chambers as a rate of pressure sees it: a chamber that lengthens with its pressure takes in more."""
+    step = 0.05 * config.limits.pressure_bar * PA_PER_BAR
+    bore_m2 = math.pi * (config.arm.geometry.inner_radius_mm * 1e-3) ** 2
+    volumes = []
+    for at in (0.0, pressure_pa - step, pressure_pa + step):
+        pressures = np.zeros(config.actuators)
+        pressures[chambers] = max(at, 0.0)
+        volumes.append(bore_m2 * float(arm.statics(pressures).actuator_lengths_m[chambers].sum()))
+    rest, below, above = volumes
+    grown = (below + above) / 2 - rest
+    return rest_m3 + grown + (pressure_pa + ATMOSPHERE_PA) * (above - below) / (2 * step)
 
-    def _volume_m3(self, pressure_pa: float) -> float:
-        """Air as the rate sees it: a chamber that lengthens with its pressure takes in more."""
-        step = 0.05 * self._config.limits.pressure_bar * PA_PER_BAR
-        lengths = []
-        for at in (0.0, pressure_pa - step, pressure_pa + step):
-            pressures = np.zeros(self._config.actuators)
-            pressures[self._chambers] = max(at, 0.0)
-            lengths.append(float(self._arm.statics(pressures).actuator_lengths_m[self._chambers].sum()))
-        rest, below, above = (self._bore_m2 * length for length in lengths)
-        grown = (below + above) / 2 - rest
-        return self._rest_m3 + grown + (pressure_pa + ATMOSPHERE_PA) * (above - below) / (2 * step)
+
+def valve_section(
+    config: RigConfig, index: int, rates: list[Rate], volume_ml: float, volume_std_ml: float
+) -> schema.ValveSweep:
+    """One valve from its rates; `volume_ml` is one chamber's with its tube."""
+    valve = config.valves[index]
+    assert isinstance(valve, FlowValve)
+    chambers = [a - 1 for a in valve.actuators]
+    count, arm = len(chambers), model_arm(config)
+    volumes = [volume_m3(config, chambers, count * volume_ml * 1e-6, r.pressure_pa, arm) for r in rates]
+    found = fit(valve, fill_sign(valve), rates, volumes)
+    return _valve_section(config, index, found, volume_ml * count, volume_std_ml * count)
 
 
 def _valve_section(

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,7 +34,7 @@ _JOINING = 3
 class Rate:
     """One measurement: the valve at `offset_v` from its stated closed voltage (positive fills), `outward` when it came
     from nearer to closed; the chambers at gauge `pressure_pa`, changing by `rate_pa_s` with standard uncertainty
-    `std_pa_s`; their air of `volume_m3` as the rate sees it.
+    `std_pa_s`.
     """
 
     offset_v: float
@@ -41,7 +42,6 @@ class Rate:
     pressure_pa: float
     rate_pa_s: float
     std_pa_s: float
-    volume_m3: float
 
 
 @dataclass(frozen=True)
@@ -70,18 +70,21 @@ class Valve:
     residuals_l_min: Floats
 
 
-def fit(valve: FlowValve, sign: float, rates: Sequence[Rate]) -> Valve:
-    """Fit one valve; `sign` is +1 where a higher voltage fills.
+def fit(valve: FlowValve, sign: float, rates: Sequence[Rate], volumes_m3: Sequence[float]) -> Valve:
+    """Fit one valve; `sign` is +1 where a higher voltage fills, `volumes_m3` the air that each rate moved.
 
     Raises:
         CalibrationError: the sweep did not leave the dead zone on either side, or has no leakage measurement.
     """
     per_conductance = 1.0 / sonic_conductance(1.0, valve.critical_ratio)
-    leakage, leakage_std = _leakage(valve, [r for r in rates if r.offset_v == 0.0])
-    swept = [r for r in rates if r.offset_v != 0.0]
-    offset = np.array([r.offset_v for r in swept])
-    outward = np.array([r.outward for r in swept])
-    flow, std = np.array([_opening(valve, r, leakage) for r in swept]).T * per_conductance
+    every = [
+        _Flow(r, v * r.rate_pa_s / ANR_PA, v * r.std_pa_s / ANR_PA) for r, v in zip(rates, volumes_m3, strict=True)
+    ]
+    leakage, leakage_std = _leakage(valve, [f for f in every if f.of.offset_v == 0.0])
+    swept = [f for f in every if f.of.offset_v != 0.0]
+    offset = np.array([f.of.offset_v for f in swept])
+    outward = np.array([f.of.outward for f in swept])
+    flow, std = np.array([_opening(valve, f, leakage) for f in swept]).T * per_conductance
     # Drag of the spool moves the edge outward on the way out and inward on the way back.
     edges = {}
     for side in (1, -1):
@@ -116,6 +119,14 @@ def fit(valve: FlowValve, sign: float, rates: Sequence[Rate]) -> Valve:
     )
 
 
+class _Flow(NamedTuple):
+    """A rate as the flow [m3/s, reference atmosphere] into the chambers, and its standard uncertainty."""
+
+    of: Rate
+    flow: float
+    std: float
+
+
 def _leak_drive(valve: FlowValve, pressure_pa: float) -> float:
     """Leakage in per conductance: from the supply into the chamber, less from the chamber into the room."""
     chamber, supply = pressure_pa + ATMOSPHERE_PA, valve.supply_bar * 1e5 + ATMOSPHERE_PA
@@ -123,27 +134,26 @@ def _leak_drive(valve: FlowValve, pressure_pa: float) -> float:
     return into - chamber * flow_function(ATMOSPHERE_PA / chamber, valve.critical_ratio)
 
 
-def _leakage(valve: FlowValve, rates: Sequence[Rate]) -> tuple[float, float]:
+def _leakage(valve: FlowValve, rates: Sequence[_Flow]) -> tuple[float, float]:
     """Conductance of the closed valve and its standard uncertainty, from rates at different pressures."""
     if len(rates) < 2:
         raise CalibrationError("the leakage needs the closed valve at two pressures")
-    drive = np.array([_leak_drive(valve, r.pressure_pa) for r in rates])
-    flow = np.array([r.volume_m3 * r.rate_pa_s / ANR_PA for r in rates])
-    std = np.array([r.volume_m3 * r.std_pa_s / ANR_PA for r in rates])
+    drive = np.array([_leak_drive(valve, r.of.pressure_pa) for r in rates])
+    flow = np.array([r.flow for r in rates])
+    std = np.array([r.std for r in rates])
     weight = 1 / np.maximum(std, 1e-12) ** 2
     found = float(np.sum(weight * drive * flow) / np.sum(weight * drive**2))
     chi = float(np.sum(weight * (flow - found * drive) ** 2)) / max(len(rates) - 1, 1)
     return max(found, 0.0), float(np.sqrt(max(chi, 1.0) / np.sum(weight * drive**2)))
 
 
-def _opening(valve: FlowValve, rate: Rate, leakage: float) -> tuple[float, float]:
+def _opening(valve: FlowValve, seen: _Flow, leakage: float) -> tuple[float, float]:
     """Conductance of the metered path, signed as the offset, and its standard uncertainty."""
-    chamber = rate.pressure_pa + ATMOSPHERE_PA
+    chamber = seen.of.pressure_pa + ATMOSPHERE_PA
     supply = valve.supply_bar * 1e5 + ATMOSPHERE_PA
-    up, down = (supply, chamber) if rate.offset_v > 0 else (chamber, ATMOSPHERE_PA)
+    up, down = (supply, chamber) if seen.of.offset_v > 0 else (chamber, ATMOSPHERE_PA)
     drive = up * flow_function(down / up, valve.critical_ratio)
-    flow = rate.volume_m3 * rate.rate_pa_s / ANR_PA - leakage * _leak_drive(valve, rate.pressure_pa)
-    return flow / drive, rate.volume_m3 * rate.std_pa_s / ANR_PA / drive
+    return (seen.flow - leakage * _leak_drive(valve, seen.of.pressure_pa)) / drive, seen.std / drive
 
 
 def _edge(offset: Floats, flow: Floats, std: Floats, full: float) -> tuple[float, float]:
