@@ -11,12 +11,15 @@ import pytest
 import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from typer.testing import CliRunner
 
 from protocols import BadInput, document
 from rig import config as rigs
 from rig.calibrations import files, making, schema
 from rig.calibrations.files import parse, read, text_of, write
+from rig.cli import app
 from rig.config import Lens, Placement, RigConfig
+from rig.optics import camera_in_base, lens_of, rigid
 
 SHA = "0" * 63 + "a"
 finite = st.floats(-1e6, 1e6, allow_nan=False)
@@ -293,3 +296,37 @@ def test_faults_of_every_calibration_are_told_at_once(tmp_path: Path) -> None:
     with pytest.raises(BadInput) as caught:
         rigs.load(_rig(tmp_path, "a.yaml", "b.yaml"))
     assert {Path(problem.file).name for problem in caught.value.problems} == {"a.yaml", "b.yaml"}
+
+
+def test_a_dlt_in_the_rods_frame_places_the_camera_and_the_simulated_one_stays(tmp_path: Path) -> None:
+    before = rigs.load("mock")
+    camera = before.cameras["front"]
+    world = np.random.default_rng(3).uniform((-0.08, -0.05, 0.12), (0.08, 0.05, 0.24), (15, 3))
+    seen = camera_in_base(camera).inverse().apply(world)
+    pixels = lens_of(camera).project(seen, np.zeros(3), np.zeros(3))
+    rows = [
+        f"{k},{1e3 * x},{1e3 * y},{1e3 * z},front,{u},{v}"
+        for k, ((x, y, z), (u, v)) in enumerate(zip(world, pixels, strict=True))
+    ]
+    (tmp_path / "points.csv").write_text("point,X_mm,Y_mm,Z_mm,camera,u_px,v_px\n" + "\n".join(rows))
+    done = CliRunner().invoke(
+        app, ["calibrate", "dlt", str(tmp_path / "points.csv"), "--rig", "mock", "--to", str(tmp_path / "d.yaml")]
+    )
+    assert done.exit_code == 0, done.output
+    after = rigs.load(_rig(tmp_path, "d.yaml"))
+    stated, found = camera.placement, after.cameras["front"].placement
+    assert found.translation_mm == pytest.approx(stated.translation_mm, abs=1e-3)
+    assert after.simulator is not None
+    stands = rigid(found) @ rigid(after.simulator.error_of("front"))
+    assert stands.translation_m == pytest.approx(camera_in_base(camera).translation_m, abs=1e-9)
+    write(camera_file(), tmp_path / "c.yaml")
+    with pytest.raises(BadInput, match="the place was found through another lens"):
+        rigs.load(_rig(tmp_path, "c.yaml", "d.yaml"))
+
+
+def test_a_dlt_whose_world_is_a_board_is_refused(tmp_path: Path) -> None:
+    test_a_dlt_in_the_rods_frame_places_the_camera_and_the_simulated_one_stays(tmp_path)
+    text = (tmp_path / "d.yaml").read_text().replace("world: rod base", "world: board")
+    (tmp_path / "d.yaml").write_text(text)
+    with pytest.raises(BadInput, match=r"d\.yaml:\d+:\d+: world\n  found     board\n  expected  rod base"):
+        rigs.load(_rig(tmp_path, "d.yaml"))

@@ -10,6 +10,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import yaml
 
 from protocols import BadInput, Problem
@@ -91,6 +92,7 @@ def folded(text: str, config: RigConfig, calibrations: Sequence[Read]) -> str:
     problems = [*_twice(calibrations)]
     for calibration in calibrations:
         problems += _unfit(config, calibration)
+        problems += _other_lens(config, calibration, calibrations)
     if problems:
         raise BadInput(problems)
     data = yaml.safe_load(text)
@@ -230,6 +232,24 @@ def _other_camera(
         if serial is not None and serial != identity.serial:
             wish = f"{serial}, the serial number of the camera that is plugged in for {where}"
             yield calibration.problem((*here, "serial"), identity.serial, wish)
+
+
+def _other_lens(config: RigConfig, calibration: Read, calibrations: Sequence[Read]) -> Faults:
+    """A camera's place was found through a lens, and holds with that one only."""
+    found = calibration.found
+    if not isinstance(found, DLTFile):
+        return
+    lenses = {c.found.camera.name: c.found.lens for c in calibrations if isinstance(c.found, CameraFile)}
+    for i, item in enumerate(found.cameras):
+        name = item.camera.name
+        if item.lens is None or name not in config.cameras:
+            continue
+        used = lenses.get(name, config.cameras[name].lens)
+        mine, theirs = (np.array([v.fx_px, v.fy_px, v.cx_px, v.cy_px, *v.distortion]) for v in (item.lens, used))
+        if not np.allclose(mine, theirs, rtol=1e-5, atol=1e-7):
+            wish = f"{used.fx_px:g} and so on, the lens of camera {name} in rig {config.name}: the place was found "
+            wish += "through another lens; name that lens's calibration, too"
+            yield calibration.problem(("cameras", i, "lens"), f"fx_px {item.lens.fx_px:g}", wish)
 
 
 def _other_bench(config: RigConfig, calibration: Read, found: PressureFile) -> Faults:
