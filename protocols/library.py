@@ -24,7 +24,10 @@ MOST_NEIGHBOURS = 200
 
 @dataclass(frozen=True)
 class Protocol:
-    """A checked protocol: its name, title and description, the file it is from and that file's verbatim text."""
+    """A checked protocol: its name, title and description, the file it is from and that file's verbatim text.
+
+    `files` are the texts of the CSV files that it plays, by the names that it gives them.
+    """
 
     name: str
     title: str
@@ -32,6 +35,7 @@ class Protocol:
     path: Path
     text: str
     steps: tuple[Step, ...] = field(repr=False)
+    files: dict[str, str] = field(repr=False)
     _document: Document = field(repr=False)
     _samples: dict[tuple[str, tuple[int, ...]], Columns] = field(repr=False)
 
@@ -59,15 +63,17 @@ def load(name_or_path: str | Path) -> Protocol:
     body = yaml_document.validate(ProtocolFile, document)
     problems = too_long(body.steps, document)
     samples: dict[tuple[str, tuple[int, ...]], Columns] = {}
+    files: dict[str, str] = {}
     for here, step in _leaves(body.steps, ("steps",)):
         if isinstance(step, Csv) and (step.file, step.actuators) not in samples:
             try:
-                samples[step.file, step.actuators] = read_samples(path.parent / step.file, step.actuators)
+                columns, files[step.file] = read_samples(path.parent / step.file, step.actuators)
+                samples[step.file, step.actuators] = columns
             except BadInput as error:
                 problems += [_named_by(problem, document, here) for problem in error.problems]
     if problems:
         raise BadInput(dict.fromkeys(problems))
-    return Protocol(path.stem, body.title, body.description, path, document.text, body.steps, document, samples)
+    return Protocol(path.stem, body.title, body.description, path, document.text, body.steps, files, document, samples)
 
 
 def find(name: str, folder: Path, what: str) -> Path:

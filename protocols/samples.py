@@ -29,9 +29,10 @@ def column_name(actuator: int) -> str:
     return f"actuator_{actuator}_bar"
 
 
-def read_samples(path: Path, actuators: tuple[int, ...]) -> Columns:
-    """The columns of a CSV file, or `BadInput` with line and column of everything that is wrong."""
-    rows = read_text(path, LARGEST_FILE).split("\n")
+def read_samples(path: Path, actuators: tuple[int, ...]) -> tuple[Columns, str]:
+    """The columns of a CSV file and its text, or `BadInput` with line and column of everything that is wrong."""
+    text = read_text(path, LARGEST_FILE)
+    rows = text.split("\n")
     if not rows[0].strip():
         raise BadInput([Problem(str(path), 1, 1, "", "nothing", _header_wish(actuators))])
     places = _header(path, rows[0], actuators)
@@ -57,7 +58,7 @@ def read_samples(path: Path, actuators: tuple[int, ...]) -> Columns:
         raise BadInput(problems)
     columns = tuple(zip(*table, strict=True))
     first = columns[0][0]
-    return Columns(tuple(t - first for t in columns[0]), columns[1:])
+    return Columns(tuple(t - first for t in columns[0]), columns[1:]), text
 
 
 def _header_wish(actuators: tuple[int, ...]) -> str:

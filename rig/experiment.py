@@ -246,6 +246,7 @@ def header(request: Request, decided: Plan, t_ns: int) -> RunHeader:
         protocol_yaml=protocol.text,
         rig_name=config.name,
         rig_yaml=request.rig_text,
+        protocol_files=tuple(SourceFile.of(name, "csv", text) for name, text in protocol.files.items()),
         sources=request.sources,
         parameters_yaml=request.parameters_text,
         actuators=config.actuators,

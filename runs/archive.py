@@ -17,8 +17,8 @@ import h5py
 import numpy as np
 
 from runs import digest, journal, layout
+from runs.groups import Field, Group, Pictures
 from runs.journal import ARCHIVE_TO_JOURNAL, NO_ROOM
-from runs.layout import Field, Group, Pictures
 
 SUFFIX = ".h5"
 PART = ".h5.part"

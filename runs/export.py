@@ -1,11 +1,11 @@
-"""An archive for other programs: CSV, MATLAB, netCDF and MCAP. Only MCAP takes the pictures along."""
+"""An archive for other programs: CSV, MATLAB, netCDF and MCAP; and, as YAML, what it was made from."""
 
 from __future__ import annotations
 
 import csv
 import re
 from collections.abc import Callable
-from pathlib import Path
+from pathlib import Path, PurePath
 from typing import Any
 
 import h5py
@@ -22,7 +22,7 @@ class ExportError(Exception):
 
 
 def export(archive: Path | str, to: str, folder: Path | str | None = None) -> tuple[Path, ...]:
-    """Write an archive in another format (`csv`, `mat`, `nc` or `mcap`) and return what was written.
+    """Write an archive in another format (`csv`, `mat`, `nc`, `mcap` or `yaml`) and return what was written.
 
     By default beside the archive. `ArchiveError` where there is no archive, `ExportError` otherwise.
     """
@@ -139,6 +139,34 @@ def _mcap(source: Path, stem: Path) -> tuple[Path, ...]:
     return (path,)
 
 
-FORMATS: dict[str, Callable[[Path, Path], tuple[Path, ...]]] = {"csv": _csv, "mat": _mat, "nc": _nc, "mcap": _mcap}
+def _yaml(source: Path, stem: Path) -> tuple[Path, ...]:
+    """A folder with protocol, rig and the files that they name: what `rig run` needs to do it again."""
+    header = Run(source).header
+    folder = stem.with_name(f"{stem.name}-inputs")
+    texts = {f"{_file_name(header.rig_name)}-rig.yaml": header.rig_yaml} if header.rig_yaml else {}
+    protocol = header.protocol_yaml
+    for file in header.protocol_files:
+        inside = _file_name(PurePath(file.name).name)
+        # The folder is whole in itself: a file from elsewhere comes into it.
+        protocol = protocol.replace(file.name, inside)
+        texts[inside] = file.text
+    texts[f"{_file_name(header.protocol_name)}.yaml"] = protocol
+    folder.mkdir(exist_ok=True)
+    for name, text in texts.items():
+        (folder / name).write_text(text, encoding="utf-8")
+    return tuple(folder / name for name in texts)
+
+
+def _file_name(name: str) -> str:
+    return re.sub(r"[^\w.+-]", "_", name).lstrip(".") or "unnamed"
+
+
+FORMATS: dict[str, Callable[[Path, Path], tuple[Path, ...]]] = {
+    "csv": _csv,
+    "mat": _mat,
+    "nc": _nc,
+    "mcap": _mcap,
+    "yaml": _yaml,
+}
 
 __all__ = ["FORMATS", "ArchiveError", "ExportError", "export"]

@@ -5,64 +5,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
 from datetime import UTC, datetime
 
 import numpy as np
 from numpy.typing import NDArray
 
+from runs import origin
+from runs.groups import PA_PER_BAR, Field, Group, Pictures, named
 from runs.journal import Journal
-from runs.records import Event, Interval, Level, Quantity, Seen, Status
+from runs.records import Event, Level, Seen, Status
 
 VERSION = 1
 """Raised when a field moves or changes its meaning; readers refuse what is newer than they are."""
 
-PA_PER_BAR = 1e5
 MM_PER_M = 1e3
 UNITS = ("bar", "V", "mm", "mm2", "px", "us", "g", "N", "Nm")
 """Units that end the name of a column."""
 AXES = ("x", "y", "z")
 COVARIANCE = ("xx", "xy", "xz", "yy", "yz", "zz")
 _UPPER = (np.array([0, 0, 0, 1, 1, 2]), np.array([0, 1, 2, 1, 2, 2]))
-
-Value = NDArray[np.generic] | np.generic | str | int | float | list[str]
-
-
-@dataclass(frozen=True)
-class Field:
-    """One dataset. `scales` names the dataset of the same group that labels each dimension."""
-
-    name: str
-    value: Value
-    units: str = ""
-    about: str = ""
-    scales: tuple[str, ...] = ()
-    source: str = ""
-    uncertainty: float | None = None
-
-
-@dataclass(frozen=True)
-class Pictures:
-    """The encoded pictures (K,), each of its own length."""
-
-    name: str
-    data: Sequence[memoryview]
-    scales: tuple[str, ...]
-    about: str
-
-
-@dataclass(frozen=True)
-class Group:
-    """One group below the file's root."""
-
-    path: str
-    nx_class: str
-    fields: tuple[Field | Pictures, ...]
-    signal: str = ""
-    axes: tuple[str, ...] = ()
-    about: str = ""
-    default: str = ""
 
 
 def split_unit(name: str) -> tuple[str, str]:
@@ -77,11 +39,12 @@ def groups(journal: Journal) -> tuple[Group, ...]:
         group
         for group in (
             _entry(journal),
-            _protocol(journal),
-            _rig(journal),
-            _sources(journal),
-            _versions(journal),
-            _git(journal),
+            origin.protocol(journal),
+            origin.rig(journal),
+            origin.protocol_files(journal),
+            origin.sources(journal),
+            origin.versions(journal),
+            origin.git(journal),
             _pressure(journal),
             _tip(journal),
             _adaptation(journal),
@@ -89,8 +52,8 @@ def groups(journal: Journal) -> tuple[Group, ...]:
             _counters(journal),
             _frames(journal),
             _events(journal),
-            _quantities(journal, "calibration", "what was calibrated, as it was used"),
-            _quantities(journal, "model", "every number of the model, as it was used"),
+            origin.quantities(journal, "calibration", "what was calibrated, as it was used"),
+            origin.quantities(journal, "model", "every number of the model, as it was used"),
             _backbone(journal),
             _simulator(journal),
         )
@@ -161,75 +124,6 @@ def _entry(journal: Journal) -> Group:
     if header.seed is not None:
         fields.append(Field("seed", np.int64(header.seed), about="of everything random in the simulator"))
     return Group("entry", "NXentry", tuple(fields), default="tip")
-
-
-def _protocol(journal: Journal) -> Group:
-    header = journal.header
-    intervals: tuple[Interval, ...] = header.intervals
-    level = np.full((len(intervals), header.actuators), np.nan)
-    for row, interval in zip(level, intervals, strict=True):
-        known = interval.level_pa[: header.actuators]
-        row[: len(known)] = known
-    by = ("segment",)
-    return Group(
-        "entry/protocol",
-        "NXcollection",
-        (
-            Field("name", header.protocol_name),
-            Field("yaml", header.protocol_yaml, about="the protocol, verbatim"),
-            Field("segment", np.arange(1, len(intervals) + 1), about="number of the segment, in the order played"),
-            Field("actuator", np.arange(1, header.actuators + 1)),
-            Field("start", np.array([i.start_s for i in intervals], float), "s", "in protocol time", by),
-            Field("stop", np.array([i.stop_s for i in intervals], float), "s", "in protocol time", by),
-            Field("kind", [i.kind for i in intervals], scales=by),
-            Field("label", [i.label for i in intervals], scales=by),
-            Field("level_bar", level / PA_PER_BAR, "bar", "set-points at the end of the segment", (*by, "actuator")),
-        ),
-    )
-
-
-def _rig(journal: Journal) -> Group:
-    header = journal.header
-    return Group(
-        "entry/rig",
-        "NXcollection",
-        (
-            Field("name", header.rig_name),
-            Field("yaml", header.rig_yaml, about="the rig as it was used, verbatim"),
-            Field("parameters", header.parameters_yaml, about="identified parameters laid over the rig, verbatim"),
-        ),
-    )
-
-
-def _sources(journal: Journal) -> Group | None:
-    sources = journal.header.sources
-    if not sources:
-        return None
-    by = ("name",)
-    return Group(
-        "entry/calibration_files",
-        "NXcollection",
-        (
-            Field("name", [s.name for s in sources]),
-            Field("kind", [s.kind for s in sources], about="rig, camera, dlt, tool or pressure", scales=by),
-            Field("sha256", [s.sha256 for s in sources], about="of the text", scales=by),
-            Field("yaml", [s.text for s in sources], about="verbatim", scales=by),
-        ),
-        about="what the rig as it was used was made of",
-    )
-
-
-def _versions(journal: Journal) -> Group:
-    fields = (Field(name, version) for name, version in sorted(journal.header.versions.items()))
-    return Group("entry/versions", "NXcollection", _named(fields), about="of the program, its libraries and the system")
-
-
-def _git(journal: Journal) -> Group:
-    fields = (
-        Field("commit", journal.header.git_commit),
-        Field("diff", journal.header.git_diff, about="what was not committed"),
-    )
-    return Group("entry/git", "NXcollection", fields, about="the program's own source")
 
 
 def _pressure(journal: Journal) -> Group:
@@ -381,7 +275,7 @@ def _counted(journal: Journal) -> dict[str, int]:
 def _counters(journal: Journal) -> Group:
     counters = _counted(journal)
     fields = (Field(name, np.int64(count)) for name, count in sorted(counters.items()))
-    return Group("entry/timing/counters", "NXcollection", _named(fields), about="as the executor counted them")
+    return Group("entry/timing/counters", "NXcollection", named(fields), about="as the executor counted them")
 
 
 def _frames(journal: Journal) -> Group:
@@ -436,43 +330,6 @@ def _events(journal: Journal) -> Group:
             Field("source", [e.source for e in events], scales=by),
             Field("message", [e.message for e in events], scales=by),
         ),
-    )
-
-
-def _quantities(journal: Journal, room: str, about: str) -> Group:
-    variant = [Field("variant", journal.header.model_variant)] if room == "model" else []
-    numbers = [_quantity(q) for q in journal.header.quantities if q.room == room]
-    lengths = sorted({len(q.value) for q in numbers if isinstance(q.value, np.ndarray)})
-    scales = [Field(f"component_{n}", np.arange(1, n + 1), about=f"labels vectors of {n}") for n in lengths]
-    fields = variant + scales + numbers
-    return Group(f"entry/{room}", "NXcollection", _named(fields), about=about)
-
-
-def _named(fields: Iterable[Field]) -> tuple[Field, ...]:
-    """Make names that came from elsewhere fit for HDF5: without `/`, none empty, no two the same."""
-    taken: set[str] = set()
-    named = []
-    for field in fields:
-        plain = field.name.replace("/", ".").replace("\0", "").strip(".") or "unnamed"
-        name, number = plain, 1
-        while name in taken:
-            number += 1
-            name = f"{plain}.{number}"
-        taken.add(name)
-        named.append(replace(field, name=name))
-    return tuple(named)
-
-
-def _quantity(quantity: Quantity) -> Field:
-    value = np.array(quantity.value, float)
-    single = len(value) == 1
-    return Field(
-        quantity.name,
-        float(value[0]) if single else value,
-        quantity.unit,
-        scales=() if single else (f"component_{len(value)}",),
-        source=quantity.source,
-        uncertainty=quantity.uncertainty,
     )
 
 

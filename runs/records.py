@@ -7,6 +7,7 @@ Times are CLOCK_MONOTONIC nanoseconds (real time) or nanoseconds of virtual time
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import dataclass, field
 from enum import IntEnum, StrEnum
 
@@ -206,12 +207,17 @@ class Quantity:
 
 @dataclass(frozen=True)
 class SourceFile:
-    """A file that the rig as it was used was made of: the rig's own, or a calibration (its `kind`), verbatim."""
+    """A file that a run was made of, verbatim: the rig's own, a calibration (its `kind`), or one that is played."""
 
     name: str
     kind: str
     sha256: str
     text: str
+
+    @classmethod
+    def of(cls, name: str, kind: str, text: str) -> SourceFile:
+        """A file with this text."""
+        return cls(name, kind, hashlib.sha256(text.encode()).hexdigest(), text)
 
 
 @dataclass(frozen=True)
@@ -245,6 +251,8 @@ class RunHeader:
     quantities: tuple[Quantity, ...] = ()
     parent: str = ""
     """Run id that a replay was made from; empty for a run."""
+    protocol_files: tuple[SourceFile, ...] = ()
+    """The files that the protocol plays, by the names that it gives them."""
     sources: tuple[SourceFile, ...] = ()
     """The rig's own file and the calibrations that it names; empty where `rig_yaml` is the file itself."""
     parameters_yaml: str = ""

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from runs import layout
 from runs.archive import ArchiveError
+from runs.groups import PA_PER_BAR
 from runs.records import Event, Interval, Level, Quantity, RunHeader, SourceFile, Status
 from runs.table import table
 
@@ -167,6 +168,7 @@ class Run:
             rig_name=rig["name"],
             rig_yaml=rig["yaml"],
             parameters_yaml=rig["parameters"],
+            protocol_files=_sources(self._group("entry/protocol_files"), "text"),
             sources=_sources(self._group("entry/calibration_files")),
             actuators=int(entry["actuators"]),
             valves=int(entry["valves"]),
@@ -403,14 +405,14 @@ def _adapted(g: dict[str, Any]) -> tuple[Quantity, ...]:
     )
 
 
-def _sources(g: dict[str, Any]) -> tuple[SourceFile, ...]:
-    columns = ([str(text) for text in g.get(key, ())] for key in ("name", "kind", "sha256", "yaml"))
+def _sources(g: dict[str, Any], text: str = "yaml") -> tuple[SourceFile, ...]:
+    columns = ([str(text) for text in g.get(key, ())] for key in ("name", "kind", "sha256", text))
     return tuple(SourceFile(*row) for row in zip(*columns, strict=True))
 
 
 def _intervals(g: dict[str, Any]) -> tuple[Interval, ...]:
     return tuple(
-        Interval(float(start), float(stop), kind, label, tuple(float(v) * layout.PA_PER_BAR for v in level))
+        Interval(float(start), float(stop), kind, label, tuple(float(v) * PA_PER_BAR for v in level))
         for start, stop, kind, label, level in zip(
             g["start"], g["stop"], g["kind"], g["label"], g["level_bar"], strict=True
         )

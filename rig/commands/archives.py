@@ -90,7 +90,7 @@ def replay(
 
 def export(
     archive: Archive,
-    to: Annotated[str, typer.Option("--to", help="csv, mat, nc or mcap.")] = "csv",
+    to: Annotated[str, typer.Option("--to", help="csv, mat, nc, mcap, or yaml: what it was made from.")] = "csv",
     out: Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Default: beside the archive.")] = None,
 ) -> None:
     """Write an archive in another format."""
