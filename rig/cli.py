@@ -110,7 +110,7 @@ def run(
     json: AsJson = False,
 ) -> None:
     """Run a protocol and leave an archive with a report."""
-    from rig import experiment, screens
+    from rig import experiment, recovering, screens
     from rig.signals import StopSignals
     from rig.terminal import Terminal
 
@@ -135,7 +135,7 @@ def run(
     )
     decided = experiment.plan(request)
     console = screens.console(stderr=json)
-    screens.offer_recovery(console, out)
+    recovering.offer(out, ask=not yes)
     console.print(screens.check_screen(request, decided))
     if not yes and not screens.confirm(console):
         _fail("not armed", BAD_INPUT)

@@ -14,6 +14,7 @@ from rich.table import Table
 from rich.text import Text
 
 import runs as records
+from rig import recovering
 from rig.screens import console
 from runs.archive import SUFFIX, ArchiveError
 from runs.catalogue import Entry
@@ -30,7 +31,9 @@ def resolve(name: Path) -> Path:
     """
     for candidate in (name, name.with_name(name.name + SUFFIX), Path("data") / f"{name.name}{SUFFIX}"):
         if candidate.is_file():
+            recovering.offer(candidate.parent)
             return candidate
+    recovering.offer(name.parent)
     raise ArchiveError(f"{name}: no such archive, here or in data/; `rig runs` lists what there is")
 
 

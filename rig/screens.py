@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import sys
 from dataclasses import asdict
-from pathlib import Path
 
 import numpy as np
 from rich.console import Console, Group
@@ -156,15 +155,6 @@ def result_json(result: Result) -> str:
 def exit_status(result: Result) -> int:
     """0 finished, 1 aborted or not archived, 130 interrupted."""
     return _EXIT[result.outcome.status] or (1 if result.trouble else 0)
-
-
-def offer_recovery(screen: Console, folder: Path) -> None:
-    """Tell of journals that a killed run has left in the folder."""
-    from runs.recovery import orphans
-
-    if left := orphans(folder):
-        names = ", ".join(path.name for path in left)
-        screen.print(Text(f"left by runs that were killed: {names}; `rig recover {folder}` makes archives of them"))
 
 
 def table4(rows: tuple[Table4Row, ...], horizon_s: float) -> Table:

@@ -22,9 +22,10 @@ def runs(
     json: AsJson = False,
 ) -> None:
     """List the archives of a folder, newest first."""
-    from rig import listing
+    from rig import listing, recovering
     from runs.catalogue import catalogue, search
 
+    recovering.offer(folder)
     found = search(
         catalogue(folder),
         text,
