@@ -176,7 +176,7 @@ def find_corners(image: Image, corners: tuple[int, int]) -> Floats | None:
 def _seeds(image: Image, corners: tuple[int, int]) -> Floats | None:
     """Corners (n, 2) to about a pixel."""
     scale = max(1, -(-image.shape[1] // _WIDTH_PX))
-    for factor in {scale, 1}:
+    for factor in (scale, 1) if scale > 1 else (1,):
         small = image
         if factor > 1:
             size = (image.shape[1] // factor, image.shape[0] // factor)

@@ -202,6 +202,9 @@ def doctor(
 @app.command()
 def vent(rig: RigName = "mock") -> None:
     """Vent every chamber of a rig, whoever uses it; a run that goes ends."""
+    from rig.executor.clock import hurry
+
+    hurry()  # before what takes long to import: a busy machine must not keep the valves waiting
     from rig.config import load
     from rig.vent import vent as vent_rig
 

@@ -145,6 +145,16 @@ def test_the_first_corner_is_told_by_the_colours_however_the_board_is_turned(rol
     assert np.abs(found - meant).max() < 0.2
 
 
+def test_a_large_picture_is_searched_small_and_sharpened_whole() -> None:
+    pose = Rigid(FACING, np.array([0, 0, 0.45]))
+    small = scene(board=BOARD).render(pose, pose, pose, 0)
+    large = cv2.resize(small, None, fx=3, fy=3, interpolation=cv2.INTER_CUBIC)
+    found, before = find_corners(np.asarray(large, np.uint8), BOARD.pattern), find_corners(small, BOARD.pattern)
+    assert found is not None
+    assert before is not None
+    assert np.abs((found + 0.5) / 3 - 0.5 - before).max() < 0.1
+
+
 # --- several cameras ------------------------------------------------------------------------------------------------
 
 IDEAL = Lens.of(700, 705, 322, 238, (-0.12, 0.08, 0.0004, -0.0003, 0.0))

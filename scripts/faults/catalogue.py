@@ -233,7 +233,7 @@ PROCESSES = (
         "all stopped, then rig vent, then on",
         Signal((CONDUCTOR, WATCHDOG, CONTROL, OBSERVER), STOP, lasts_s=3.0, then_vent=True),
         ABORTED,
-        "silent|hung|another program",
+        "silent|hung|another program|simulator stands still",
         "the time runs from the start of the program `rig vent`",
         within_s=8.0,
     ),
