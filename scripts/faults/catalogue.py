@@ -240,15 +240,16 @@ PROCESSES = (
 )
 ALL_FIVE = (CONDUCTOR, WATCHDOG, CONTROL, OBSERVER, PLANT)
 SURROUNDINGS = (
-    _process(
-        "machine stands still, 0.15 s",
-        Signal(ALL_FIVE, STOP, lasts_s=0.15),
-        FINISHED,
-        "of the deadlines are missed",
-        "every process of the run is stopped: a host that takes the processor away",
-    ),
-    _process(
-        "machine stands still, 0.6 s", Signal(ALL_FIVE, STOP, lasts_s=0.6), FINISHED, "of the deadlines are missed"
+    *(
+        _process(
+            f"machine stands still, {lasts_s:g} s",
+            Signal(ALL_FIVE, STOP, lasts_s=lasts_s),
+            GOES_ON_OR_NOT,
+            "of the deadlines are missed",
+            "every process is stopped, as by a host that takes the processor away; goes on with a warning, or is stopped "
+            "where the pressures have strayed meanwhile",
+        )
+        for lasts_s in (0.15, 0.6)
     ),
     Fault("disk full", "disk", Trick.DISK_FULL, (*ABORTED, *RECOVERED), "full"),
     Fault("file size limit reached", "disk", Trick.FILE_LIMIT, (*ABORTED, *RECOVERED), "full", virtual=False),
