@@ -291,7 +291,7 @@ def test_control_points_give_coefficients_places_and_a_test_error(here: Path) ->
         off = np.array(camera.placement.translation_mm) - 1e3 * place.translation_m
         std = np.sqrt(np.diag(np.array(camera.placement_covariance)))[:3]
         assert np.all(np.abs(off) < 5 * std + 1e-3), (off, std)
-        assert len(camera.control_points) == 20
+        assert len(camera.points) == len(camera.residuals_px) / 2 == 20
     assert found.test_error is not None
     assert found.test_error.points == 20
     assert 0.001 < found.test_error.rms_mm < 0.5

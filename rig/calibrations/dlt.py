@@ -310,6 +310,11 @@ def _base(asked: Asked) -> Rigid:
     return rigid(Placement(translation_mm=(x, y, z), rotation_deg=(a, b, c)))
 
 
+def _points(names: tuple[str, ...], *, boards: bool) -> tuple[str, ...]:
+    """Names of control points, or of the views whose corners they are."""
+    return tuple(dict.fromkeys(name.rpartition(":")[0] for name in names)) if boards else names
+
+
 def _section(name: str, result: Result, identity: schema.CameraIdentity) -> schema.DLTCamera:
     dlt, sight = result.dlts[name], result.sights[name]
     place, covariance = result.places[name]
@@ -332,10 +337,8 @@ def _section(name: str, result: Result, identity: schema.CameraIdentity) -> sche
         placement=placement,
         placement_covariance=making.matrix(spread if known else np.zeros((6, 6))),
         placement_known=known,
-        control_points=tuple(
-            schema.ControlPoint(point=point, residual_px=rounded(residual, 3))
-            for point, residual in zip(sight.names, dlt.residuals_px, strict=True)
-        ),
+        points=_points(sight.names, boards=bool(result.world_view)),
+        residuals_px=rounded(dlt.residuals_px.ravel(), 3),
     )
 
 

@@ -18,6 +18,8 @@ from rig.calibrations.schema import KINDS, AnyFile, CalibrationFile, Software
 from rig.provenance import git_state, versions
 
 SUFFIX = ".yaml"
+LARGEST = 2_000_000
+"""Residuals of many cameras and views make a long file."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +43,7 @@ class Read:
 
 def read(path: Path) -> Read:
     """Read a calibration file of any kind; `BadInput` with everything that is wrong with it."""
-    return parse(document.read(path))
+    return parse(document.parse(document.read_text(path, LARGEST), str(path)))
 
 
 def parse(source: Document) -> Read:

@@ -27,7 +27,6 @@ from rig.config import (
 
 Row = tuple[Number, ...]
 Matrix = tuple[Row, ...]
-Pair = tuple[Number, Number]
 
 
 def _dated(text: str) -> str:
@@ -139,13 +138,6 @@ class CameraFile(CalibrationFile):
         return self
 
 
-class ControlPoint(Section):
-    """One control point as a camera saw it: measured minus projected pixels, distortion taken out."""
-
-    point: Word
-    residual_px: Pair
-
-
 class DLTCamera(Section):
     """One camera's 11 coefficients (world in mm, pixels without distortion) and its place in the world."""
 
@@ -159,7 +151,13 @@ class DLTCamera(Section):
     placement_known: Annotated[
         bool, Field(strict=True, description="whether the place's uncertainty could be told")
     ] = True
-    control_points: Annotated[tuple[ControlPoint, ...], Field(min_length=1)]
+    points: Annotated[
+        tuple[Word, ...],
+        Field(min_length=1, description="control points; or views of a board, each for all its corners in their order"),
+    ]
+    residuals_px: Annotated[
+        tuple[Number, ...], Field(min_length=2, description="u, v of one point after the other, measured - projected")
+    ]
 
     @model_validator(mode="after")
     def _check(self) -> DLTCamera:

@@ -95,7 +95,7 @@ def dlt(found: schema.DLTFile, places: dict[str, tuple[Rigid, NDArray[np.float64
         cells = (f"{c.coefficients_px_mm[k]:.6g} +- {c.covariance[k][k] ** 0.5:.1g}" for c in found.cameras)
         values.add_row(f"L{k + 1}", *cells)
     values.add_row("rms [px]", *(f"{c.rms_px:.3f}" for c in found.cameras))
-    values.add_row("points", *(str(len(c.control_points)) for c in found.cameras))
+    values.add_row("points", *(str(len(c.residuals_px) // 2) for c in found.cameras))
     screen.print(values)
     world = found.world if found.world == "rod base" else f"the board of view {found.world_view}"
     stands = table("camera", "x [mm]", "y [mm]", "z [mm]", "+- [mm]", "+- [deg]", title=f"places in {world}")
@@ -115,7 +115,12 @@ def dlt(found: schema.DLTFile, places: dict[str, tuple[Rigid, NDArray[np.float64
 
 
 def _worst_points(found: schema.DLTFile) -> Table:
-    every = [(c.camera.name, p.point, float(np.hypot(*p.residual_px))) for c in found.cameras for p in c.control_points]
+    every: list[tuple[str, str, float]] = []
+    for c in found.cameras:
+        sizes = np.linalg.norm(np.reshape(c.residuals_px, (-1, 2)), axis=1)
+        each = len(sizes) // len(c.points)
+        names = c.points if each == 1 else tuple(f"{view}:{k}" for view in c.points for k in range(each))
+        every += [(c.camera.name, name, float(size)) for name, size in zip(names, sizes, strict=True)]
     every.sort(key=lambda item: -item[2])
     shown = every if len(every) <= 4 * _WORST_SHOWN else every[:_WORST_SHOWN]
     title = "residuals" if len(shown) == len(every) else f"largest of {len(every)} residuals (all are in the file)"
