@@ -246,7 +246,7 @@ SURROUNDINGS = (
             Signal(ALL_FIVE, STOP, lasts_s=lasts_s),
             GOES_ON_OR_NOT,
             "of the deadlines are missed",
-            "every process is stopped, as by a host that takes the processor away; goes on with a warning, or is stopped "
+            "every process is stopped, as by a host that takes the processor away; goes on, or is stopped "
             "where the pressures have strayed meanwhile",
         )
         for lasts_s in (0.15, 0.6)
