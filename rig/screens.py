@@ -16,6 +16,7 @@ from rig.control import safe_voltages
 from rig.executor.base import Plan
 from rig.experiment import Request, Result
 from rig.finding import Finding
+from rig.paper.compared import Compared
 from rig.reproduce import Table4Row
 from runs.records import Status
 
@@ -155,6 +156,16 @@ def result_json(result: Result) -> str:
 def exit_status(result: Result) -> int:
     """0 finished, 1 aborted or not archived, 130 interrupted."""
     return _EXIT[result.outcome.status] or (1 if result.trouble else 0)
+
+
+def compared_table(rows: tuple[Compared, ...]) -> Table:
+    """Results of the paper beside what came out here."""
+    table = Table(box=None, padding=(0, 2, 0, 0))
+    for head in ("item", "what", "paper", "here", "by", "why different"):
+        table.add_column(head, overflow="fold")
+    for row in rows:
+        table.add_row(row.item, row.what, row.paper, row.here, row.origin, row.why)
+    return table
 
 
 def table4(rows: tuple[Table4Row, ...], horizon_s: float) -> Table:

@@ -1,0 +1,73 @@
+"""Which result of the paper needs which experiments, and all of them in one go."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+from rig.paper import elongation, motion, positions
+from rig.paper.compared import Compared, Drawing
+from rig.paper.experiments import PROTOCOLS, gathered
+from rig.reproduce import Table4Row
+
+NEEDS = {
+    "fig9": PROTOCOLS[:2],
+    "fig10": PROTOCOLS[:2],
+    "table3": PROTOCOLS[2:4],
+    "fig11": PROTOCOLS[2:4],
+    "fig12": PROTOCOLS[2:4],
+    "fig13": PROTOCOLS[2:4],
+    "table5": PROTOCOLS[4:],
+    "fig14": PROTOCOLS[4:],
+}
+Told = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class Results:
+    """What came out."""
+
+    rows: tuple[Compared, ...]
+    drawings: tuple[Drawing, ...]
+
+
+def results(items: Iterable[str], folder: Path, errors_of_methods: bool, told: Told = lambda _: None) -> Results:
+    """Some of `NEEDS`, from the archives of a folder; what is missing there is simulated into it.
+
+    errors_of_methods: also hold every method of Table 4 against the sinusoids.
+    """
+    wanted = set(items)
+    names = tuple(name for name in PROTOCOLS if any(name in NEEDS[item] for item in wanted))
+    runs = gathered(folder, names, told=told)
+    rows: list[Compared] = []
+    drawn: list[Drawing] = []
+    if wanted & {"fig9", "fig10"}:
+        grown = elongation.Elongations(runs)
+        rows += elongation.compared(grown)
+        drawn += elongation.drawings(grown)
+    if wanted & {"table3", "fig11", "fig12", "fig13"}:
+        rested = positions.Positions(runs)
+        rows += positions.compared(rested)
+        drawn += positions.drawings(rested)
+    if wanted & {"table5", "fig14"}:
+        moved = motion.motions(runs)
+        rows += motion.compared(moved)
+        if errors_of_methods:
+            rows += motion.table4(moved, told=told)
+        drawn += motion.drawings(moved)
+    return Results(tuple(rows), tuple(one for one in drawn if one.name.replace("fig0", "fig") in wanted))
+
+
+def run_times(methods: Iterable[Table4Row]) -> tuple[Compared, ...]:
+    """The run times and the stability of Table 4, as lines of the comparison."""
+    rows = []
+    for method in methods:
+        name = f"{method.space}, N = {method.steps}, {method.scheme}"
+        paper = "unstable" if method.printed_s is None else f"{method.printed_s:.4f}"
+        why = "another processor, compiled kernels"
+        if method.printed_s is None:
+            why = f"with 1 mbar of sensor noise it held {method.held_s:.1f} s here; within one second nothing grows far"
+        here = f"{method.faithful_s:.4f} (live solver {method.ours_s:.4f})"
+        rows.append(Compared("Table 4", f"run time of 1 s, {name} [s]", paper, here, "model", why))
+    return tuple(rows)

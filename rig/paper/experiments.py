@@ -1,0 +1,81 @@
+"""The paper's six experiments: archives that are there already, or runs of a simulated rig in virtual time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from rig import experiment
+from rig.executor.base import Progress, StartError
+from rig.paper.compared import Origin
+from runs.archive import ArchiveError
+from runs.records import Event, Status
+from runs.run import Run
+
+PROTOCOLS = ("extension-weights", "extension-pressure", "ramp-a", "ramp-b", "sine-1", "sine-2")
+
+
+class _Nobody:
+    """No one watches, and no one stops the run."""
+
+    def show(self, progress: Progress) -> None:
+        """Nothing."""
+
+    def tell(self, event: Event) -> None:
+        """Nothing."""
+
+    def answered(self) -> bool:
+        """Virtual time answers by itself."""
+        return False
+
+    def stop_requested(self) -> str | None:
+        """Never."""
+        return None
+
+    def pause_toggled(self) -> bool:
+        """Never."""
+        return False
+
+
+def gathered(
+    folder: Path, protocols: tuple[str, ...] = PROTOCOLS, seed: int = 0, told: Callable[[str], None] = lambda _: None
+) -> dict[str, Run]:
+    """The newest finished archive of each protocol in a folder; what is missing is run on the mock rig into it.
+
+    told: called with a line before each run.
+
+    Raises:
+        StartError: a simulated run did not finish.
+    """
+    found = _archives(folder)
+    for name in protocols:
+        if name not in found:
+            told(f"simulating {name} on the mock rig")
+            found[name] = _simulated(folder, name, seed)
+    return {name: found[name] for name in protocols}
+
+
+def origin(run: Run) -> Origin:
+    """Whether a run was measured."""
+    return "simulated" if run.header.simulated else "measured"
+
+
+def _archives(folder: Path) -> dict[str, Run]:
+    found = {}
+    for path in sorted(folder.glob("*.h5")):
+        try:
+            run = Run(path)
+            known = run.header.protocol_name in PROTOCOLS and not run.header.parent and run.status is Status.FINISHED
+        except ArchiveError:
+            continue
+        if known:
+            found[run.header.protocol_name] = run
+    return found
+
+
+def _simulated(folder: Path, name: str, seed: int) -> Run:
+    asked = experiment.request(name, "mock", folder=folder, fast=True, seed=seed, report=False)
+    result = experiment.run(asked, experiment.plan(asked), _Nobody())
+    if result.archive is None or result.outcome.status is not Status.FINISHED:
+        raise StartError(f"{name} could not be simulated: {result.outcome.message}")
+    return Run(result.archive)
