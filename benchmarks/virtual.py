@@ -1,0 +1,179 @@
+"""Where the time of a run in virtual time goes: the whole command `rig run PROTOCOL --fast`, report included.
+
+    python benchmarks/virtual.py [--protocol ramp-a] [--times 3] [--parts]
+
+The command is run as a process of its own and timed from outside, several times; the best counts. With `--parts` it is
+run once more in this process with a stopwatch at every part. Processor time is printed beside: on a busy machine it is
+the steadier of the two. Frames are drawn and seen in a thread beside control, so the parts add up to more than the run.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+
+class Stopwatch:
+    """Adds up the processor time of the calling thread inside functions, without what is inside others of them."""
+
+    def __init__(self) -> None:
+        self.spent_s: dict[str, float] = {}
+        self._inside: list[list[float]] = []
+
+    def around(self, owner: Any, name: str, part: str) -> None:
+        """Time a function or method from now on, as a part of the run."""
+        timed: Callable[..., Any] = getattr(owner, name)
+
+        def stopped(*arguments: Any, **named: Any) -> Any:
+            within = [0.0]
+            self._inside.append(within)
+            begun = time.thread_time()
+            try:
+                return timed(*arguments, **named)
+            finally:
+                took = time.thread_time() - begun
+                self._inside.pop()
+                self.spent_s[part] = self.spent_s.get(part, 0.0) + took - within[0]
+                if self._inside:
+                    self._inside[-1][0] += took
+
+        setattr(owner, name, stopped)
+
+
+def whole(protocol: str, times: int) -> None:
+    """Time the command from outside."""
+    best = (float("inf"), float("inf"))
+    for _ in range(times):
+        with tempfile.TemporaryDirectory() as folder:
+            before, begun = os.times(), time.perf_counter()
+            command = [sys.executable, "-m", "rig", "run", protocol, "--fast", "--seed", "1", "--yes", "--out", folder]
+            subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+            wall, after = time.perf_counter() - begun, os.times()
+            (archive,) = Path(folder).glob("*.h5")
+            lasted = _duration_s(archive)
+        spent = after.children_user + after.children_system - before.children_user - before.children_system
+        best = min(best, (wall, spent))
+    print(f"{protocol}: {lasted:.0f} s of experiment in {best[0]:.2f} s, {lasted / best[0]:.1f} times as fast")
+    print(f"processor time {best[1]:.2f} s")
+
+
+def _duration_s(archive: Path) -> float:
+    from runs.run import Run
+
+    return Run(archive).duration_s
+
+
+def parts(protocol: str) -> None:
+    """Time the parts of a run in this process."""
+    begun = time.process_time()
+    from rig import experiment, screens, terminal  # noqa: F401 - what the command imports
+    from rig.cameras.mock import MockCamera
+    from rig.executor import pictures, tick, virtual
+    from rig.observer import Observer
+    from rig.simulator.plant import Plant
+
+    imports_s = time.process_time() - begun
+    watch = Stopwatch()
+    virtual.ThreadPoolExecutor = _Beside  # type: ignore[attr-defined,assignment]
+    watch.around(virtual._VirtualRun, "__init__", "start")
+    watch.around(virtual._VirtualRun, "_tick", "the loop itself")
+    watch.around(tick.Ticker, "tick", "control")
+    watch.around(Plant, "advance", "plant")
+    watch.around(MockCamera, "expose", "camera")
+    watch.around(MockCamera, "develop", "camera")
+    watch.around(Observer, "step", "observer, the rest")
+    watch.around(_eyes(), "measure", "eye")
+    watch.around(_companion(), "follow", "model")
+    watch.around(pictures.Album, "pictures", "pictures kept")
+    watch.around(virtual._VirtualRun, "_flush", "recording")
+    watch.around(experiment, "finalise", "archive")
+    watch.around(experiment, "_report", "report")
+    with tempfile.TemporaryDirectory() as folder:
+        request = experiment.request(protocol, "mock", folder=Path(folder), fast=True, seed=1)
+        decided = experiment.plan(request)
+        begun = time.process_time()
+        experiment.run(request, decided, _Nobody())
+        spent = time.process_time() - begun
+        result = {"imports": imports_s, **watch.spent_s}
+    result["else"] = spent - sum(watch.spent_s.values())
+    print(f"\n{'part':24s}{'s':>8s}{'% of all':>10s}")
+    for part, part_s in result.items():
+        print(f"{part:24s}{part_s:8.2f}{100 * part_s / (imports_s + spent):10.1f}")
+    outside = sum(result[part] for part in ("imports", "start", "archive", "report", "else"))
+    loop_s = imports_s + spent - outside
+    print(f"{'the whole loop':24s}{loop_s:8.2f}, {decided.trajectory.duration_s / loop_s:.1f} times real time")
+
+
+def _eyes() -> Any:
+    from rig.eyes import Eyes
+
+    return Eyes
+
+
+def _companion() -> Any:
+    from rig.observer import _InMotion
+
+    return _InMotion
+
+
+class _Beside:
+    """Does in this thread, at once, what the run would have another thread do: so every part is seen alone."""
+
+    def __init__(self, *_: object, **__: object) -> None:
+        pass
+
+    def submit(self, work: Callable[..., Any], *arguments: Any) -> Any:
+        from concurrent.futures import Future
+
+        future: Future[Any] = Future()
+        future.set_result(work(*arguments))
+        return future
+
+    def shutdown(self) -> None:
+        """Nothing waits."""
+
+
+class _Nobody:
+    """Watches and never stops."""
+
+    def show(self, progress: object) -> None:
+        """Look away."""
+
+    def tell(self, event: object) -> None:
+        """Forget."""
+
+    def answered(self) -> bool:
+        """Never."""
+        return False
+
+    def pause_toggled(self) -> bool:
+        """Never."""
+        return False
+
+    def stop_requested(self) -> str | None:
+        """Never."""
+        return None
+
+
+def main() -> None:
+    """Parse the command line and measure."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--protocol", default="ramp-a")
+    parser.add_argument("--times", type=int, default=3, help="how often; 0 leaves this out")
+    parser.add_argument("--parts", action="store_true")
+    options = parser.parse_args()
+    if options.times:
+        whole(options.protocol, options.times)
+    if options.parts:
+        parts(options.protocol)
+
+
+if __name__ == "__main__":
+    main()
