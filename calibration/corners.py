@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from calibration.corner_model import KNOTS, LEAST_VARIANCE, TAPER_PX, edge_shape, fit
 from model.compiled import kernel
 
 Floats = NDArray[np.float64]
@@ -23,28 +24,29 @@ exact_kernel = partial(kernel, sources=(__file__,), fastmath=False)
 fast_kernel = partial(kernel, sources=(__file__,), fastmath=True)
 
 # The window is kept clear of the neighbouring edges: its radius as a share of their distance, bounds in px.
-_RADIUS_SHARE = 0.42
+_RADIUS_SHARE = 0.46
 _RADIUS_BOUNDS_PX = (2.2, 9.0)
+# Knots of the edges' own shape lie so many blurs apart, but not less than so many px.
+_KNOT_BLURS = 0.25
+_LEAST_KNOT_PX = 0.2
 _COARSE = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 20, 0.02)
-_PARAMETERS = 6
-_STEPS = 12
-_STILL_PX = 0.02
 _START_BLUR_PX = 0.8
-_BLUR_BOUNDS_PX = (0.3, 6.0)
 # What the corners before say of the blur, against what this corner's pixels say: its squared share of the step.
 _BLUR_OPINION = 0.05
+# The same once all corners have told it: they share a lens, and the motion.
+_BLUR_CERTAIN = 1.0
 # The middle of a square that no edge's blur reaches: half its width as a share of the edges' distance.
 _MIDDLE_SHARE = 0.15
 # Of the grey values' variance beyond their noise: what the estimate of the noise may miss by chance, and how much of
 # the rest moves corners (most of a wrong edge profile is symmetric and does not).
 _TOLD_BY_CHANCE = 0.25
 _MOVES_CORNERS = 0.5
+# Where windows overlap neighbours share pixels, and with them errors.
+_BY_OVERLAP = 0.8
 # A corner whose pixels scatter so many times more than the median corner's is judged by itself.
 _ITS_OWN = 2.5
 # What is left where the picture has no noise: a pixel is a box, and the model knows only a bell.
 _SYSTEMATIC_PX = 0.003
-# Quantisation to whole grey levels: no picture is better than this.
-_LEAST_VARIANCE = 1 / 12
 
 
 @dataclass(frozen=True)
@@ -94,19 +96,44 @@ def sharpen(image: Image, seeds_px: Floats, pattern: tuple[int, int]) -> Corners
     """
     grid = (pattern[1], pattern[0], 2)
     smallest, largest = _RADIUS_BOUNDS_PX
-    radius = min(max(_RADIUS_SHARE * _room(seeds_px.reshape(grid)), smallest), largest)
+    room = _room(seeds_px.reshape(grid))
+    radius = min(max(_RADIUS_SHARE * room, smallest), largest)
     coarse = _coarse(image, seeds_px, math.floor(radius))
     if coarse is None:
         return None
     # The first look moved the corners, so the directions are taken from where they are now.
     normals = _edge_normals(coarse.reshape(grid))
-    fitted, spread, variance, contrast, misfit = _fit(image, coarse, normals, radius)
-    if not np.isfinite(fitted).all() or np.abs(fitted - seeds_px).max() > radius + 1:
+    usual = np.full(2, _START_BLUR_PX)
+    first = fit(image, coarse, normals, radius, np.zeros((2, KNOTS + 1)), 1.0, usual, _BLUR_OPINION)
+    if not _plausible(first.px, seeds_px, radius):
         return None
-    pooled, total = _uncertainty(variance, spread)
-    beyond_noise = 1 - _pixel_noise(image, fitted.reshape(grid)) / pooled
+    # No lens blurs like a bell: what all corners' edges have in common is told from them, then taken into account.
+    blur = _median(first.blur)
+    knot = max(_KNOT_BLURS * float(blur.mean()), _LEAST_KNOT_PX)
+    normals = _edge_normals(first.px.reshape(grid))
+    shape = edge_shape(image, first.px, normals, radius, first.levels, blur, knot)
+    found = fit(image, first.px, normals, radius, shape, knot, blur, _BLUR_CERTAIN)
+    if not _plausible(found.px, seeds_px, radius):
+        return None
+    pooled, total = _uncertainty(found.variance, found.spread)
+    beyond_noise = 1 - _pixel_noise(image, found.px.reshape(grid)) / pooled
     unexplained = _MOVES_CORNERS * max(0.0, beyond_noise - _TOLD_BY_CHANCE)
-    return Corners(fitted, total, contrast, misfit, unexplained)
+    overlap = max(0.0, 2 * (radius + TAPER_PX / 2) / room - 1)
+    unexplained = min(max(unexplained, _BY_OVERLAP * overlap), 1.0)
+    return Corners(found.px, total, found.contrast, found.misfit, unexplained)
+
+
+def _plausible(px: Floats, seeds_px: Floats, radius: float) -> bool:
+    return bool(np.isfinite(px).all() and np.abs(px - seeds_px).max() <= radius + 1)
+
+
+@exact_kernel
+def _median(values: Floats) -> Floats:
+    """Median of each column of (n, k)."""
+    middle = np.empty(values.shape[1])
+    for k in range(values.shape[1]):
+        middle[k] = np.median(values[:, k])
+    return middle
 
 
 @exact_kernel
@@ -149,7 +176,7 @@ def _pixel_noise(image: Image, grid: Floats) -> float:
                     if y < y0 + half:
                         total += (float(image[y + 1, x]) - float(image[y, x])) ** 2
                         count += 1
-    return max(total / (2 * count), _LEAST_VARIANCE)
+    return max(total / (2 * count), LEAST_VARIANCE)
 
 
 def _coarse(image: Image, seeds_px: Floats, half: int) -> Floats | None:
@@ -189,140 +216,3 @@ def _edge_normals(grid: Floats) -> Floats:
             normals[c, 0, 0], normals[c, 0, 1] = -side * dy / math.hypot(dx, dy), side * dx / math.hypot(dx, dy)
             normals[c, 1, 0], normals[c, 1, 1] = side * ay / math.hypot(ax, ay), -side * ax / math.hypot(ax, ay)
     return normals
-
-
-@fast_kernel
-def _step_edge(distance: float, blur: float) -> tuple[float, float]:
-    """A blurred step from -1 to 1 and its slope: erf by Abramowitz and Stegun 7.1.26, good to 1.5e-7."""
-    x = distance / (blur * math.sqrt(2.0))
-    decay = math.exp(-x * x)
-    t = 1.0 / (1.0 + 0.3275911 * abs(x))
-    tail = t * (0.254829592 + t * (-0.284496736 + t * (1.421413741 + t * (-1.453152027 + t * 1.061405429))))
-    value = 1.0 - tail * decay
-    return (value if x >= 0 else -value), decay * math.sqrt(2.0 / math.pi) / blur
-
-
-@exact_kernel
-def _solve(matrix: Floats, right: Floats) -> bool:
-    """Solve a small symmetric positive system in place by Gauss-Jordan; `matrix` becomes its inverse."""
-    n = matrix.shape[0]
-    for k in range(n):
-        pivot = matrix[k, k]
-        if not pivot > 1e-12:
-            return False
-        matrix[k, k] = 1.0
-        for j in range(n):
-            matrix[k, j] /= pivot
-        right[k] /= pivot
-        for i in range(n):
-            if i != k:
-                factor = matrix[i, k]
-                matrix[i, k] = 0.0
-                for j in range(n):
-                    matrix[i, j] -= factor * matrix[k, j]
-                right[i] -= factor * right[k]
-    return True
-
-
-@exact_kernel
-def _fit(image: Image, seeds: Floats, normals: Floats, radius: float) -> tuple[Floats, ...]:
-    """Fit grey = mean + half step * edge_1 * edge_2 in a disc round each corner by Gauss-Newton.
-
-    Unknowns: the corner (2), mean, half the step, and the blur across either edge (motion blurs one more than the
-    other). Returns corners (n, 2), NaN where there is no fit, their covariance at unit variance of the grey values
-    (n, 2, 2), that variance (n,), steps (n,) and misfits (n,).
-    """
-    n = seeds.shape[0]
-    corners = np.full((n, 2), np.nan)
-    spread = np.full((n, 2, 2), np.nan)
-    variance = np.full(n, np.nan)
-    contrast = np.full(n, np.nan)
-    misfit = np.full(n, np.nan)
-    matrix = np.empty((_PARAMETERS, _PARAMETERS))
-    right = np.empty(_PARAMETERS)
-    slope = np.empty(_PARAMETERS)
-    reach = math.ceil(radius)
-    usual_1 = usual_2 = _START_BLUR_PX
-    fitted = 0
-    for c in range(n):
-        cx, cy = seeds[c]
-        x0, y0 = round(cx), round(cy)
-        n1x, n1y = normals[c, 0]
-        n2x, n2y = normals[c, 1]
-        blur_1, blur_2 = usual_1, usual_2
-        mean, half_step = 0.0, 0.0
-        for step in range(_STEPS):
-            if step == 0:
-                # Mean and step follow linearly from the edges of the start.
-                s_v = s_e = s_ve = s_ee = 0.0
-                count = 0
-                for y in range(y0 - reach, y0 + reach + 1):
-                    for x in range(x0 - reach, x0 + reach + 1):
-                        if (x - x0) ** 2 + (y - y0) ** 2 <= radius * radius:
-                            e1, _ = _step_edge(n1x * (x - cx) + n1y * (y - cy), blur_1)
-                            e2, _ = _step_edge(n2x * (x - cx) + n2y * (y - cy), blur_2)
-                            value = float(image[y, x])
-                            s_v += value
-                            s_e += e1 * e2
-                            s_ve += value * e1 * e2
-                            s_ee += e1 * e2 * e1 * e2
-                            count += 1
-                half_step = (s_ve - s_v * s_e / count) / (s_ee - s_e * s_e / count)
-                mean = (s_v - half_step * s_e) / count
-            matrix[:] = 0.0
-            right[:] = 0.0
-            squares = 0.0
-            count = 0
-            for y in range(y0 - reach, y0 + reach + 1):
-                for x in range(x0 - reach, x0 + reach + 1):
-                    if (x - x0) ** 2 + (y - y0) ** 2 > radius * radius:
-                        continue
-                    d1 = n1x * (x - cx) + n1y * (y - cy)
-                    d2 = n2x * (x - cx) + n2y * (y - cy)
-                    e1, g1 = _step_edge(d1, blur_1)
-                    e2, g2 = _step_edge(d2, blur_2)
-                    rest = float(image[y, x]) - mean - half_step * e1 * e2
-                    slope[0] = -half_step * (g1 * n1x * e2 + e1 * g2 * n2x)
-                    slope[1] = -half_step * (g1 * n1y * e2 + e1 * g2 * n2y)
-                    slope[2] = 1.0
-                    slope[3] = e1 * e2
-                    slope[4] = -half_step * g1 * e2 * d1 / blur_1
-                    slope[5] = -half_step * g2 * e1 * d2 / blur_2
-                    squares += rest * rest
-                    count += 1
-                    for i in range(_PARAMETERS):
-                        right[i] += slope[i] * rest
-                        for j in range(i + 1):
-                            matrix[i, j] += slope[i] * slope[j]
-            for i in range(_PARAMETERS):
-                for j in range(i + 1, _PARAMETERS):
-                    matrix[i, j] = matrix[j, i]
-            # The blur is not determined where an edge runs midway between pixels.
-            opinion = _BLUR_OPINION * (half_step * half_step + 1.0)
-            matrix[4, 4] += opinion
-            matrix[5, 5] += opinion
-            right[4] += opinion * (usual_1 - blur_1)
-            right[5] += opinion * (usual_2 - blur_2)
-            if not _solve(matrix, right):
-                break
-            cx += min(max(right[0], -1.0), 1.0)
-            cy += min(max(right[1], -1.0), 1.0)
-            if (cx - seeds[c, 0]) ** 2 + (cy - seeds[c, 1]) ** 2 > 4.0:
-                break
-            mean += right[2]
-            half_step += right[3]
-            blur_1 = min(max(blur_1 + min(max(right[4], -0.4), 0.4), _BLUR_BOUNDS_PX[0]), _BLUR_BOUNDS_PX[1])
-            blur_2 = min(max(blur_2 + min(max(right[5], -0.4), 0.4), _BLUR_BOUNDS_PX[0]), _BLUR_BOUNDS_PX[1])
-            if abs(right[0]) < _STILL_PX and abs(right[1]) < _STILL_PX:
-                variance[c] = max(squares / (count - _PARAMETERS), _LEAST_VARIANCE)
-                corners[c, 0], corners[c, 1] = cx, cy
-                for i in range(2):
-                    for j in range(2):
-                        spread[c, i, j] = matrix[i, j]
-                contrast[c] = 2 * half_step
-                misfit[c] = math.sqrt(squares / count) / max(abs(2 * half_step), 1e-3)
-                fitted += 1
-                usual_1 += (blur_1 - usual_1) / fitted
-                usual_2 += (blur_2 - usual_2) / fitted
-                break
-    return corners, spread, variance, contrast, misfit

@@ -207,6 +207,12 @@ class CameraConfig(Section):
     height_px: Annotated[int, Field(ge=64, le=16384, strict=True)]
     rate_hz: Positive = 30.0
     exposure_ms: Positive = 8.0
+    gain: NonNegative | SkipJsonSchema[None] = Field(
+        default=None, description="in the driver's own unit; default: as the camera stands"
+    )
+    pixel_format: Annotated[str, Field(pattern=r"^[A-Z0-9 ]{4}$")] | SkipJsonSchema[None] = Field(
+        default=None, description="V4L2's four letters, such as YUYV, MJPG, GREY; default: the driver's choice"
+    )
     lens: Lens
     placement: Placement
     planar_motion: PlanarMotion | SkipJsonSchema[None] = Field(

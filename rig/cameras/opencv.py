@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
+from typing import NoReturn
 
 import cv2
 import numpy as np
@@ -47,18 +48,31 @@ class OpenCVCamera:
     def _prepare(self) -> None:
         capture, camera = self._capture, self._camera
         capture.set(cv2.CAP_PROP_BUFFERSIZE, 1)
+        if camera.pixel_format is not None:
+            capture.set(cv2.CAP_PROP_FOURCC, cv2.VideoWriter.fourcc(*camera.pixel_format))
         capture.set(cv2.CAP_PROP_FRAME_WIDTH, camera.width_px)
         capture.set(cv2.CAP_PROP_FRAME_HEIGHT, camera.height_px)
         capture.set(cv2.CAP_PROP_FPS, camera.rate_hz)
         capture.set(cv2.CAP_PROP_AUTO_EXPOSURE, _MANUAL_EXPOSURE)
         capture.set(cv2.CAP_PROP_EXPOSURE, camera.exposure_ms / _EXPOSURE_UNIT_MS)
+        if camera.gain is not None and not capture.set(cv2.CAP_PROP_GAIN, camera.gain):
+            self._refuse(f"has no gain that can be set to {camera.gain:g}: leave `gain` out")
+        if camera.pixel_format is not None and (given := self._pixel_format()) != camera.pixel_format:
+            self._refuse(f"delivers {given} and the rig asks for {camera.pixel_format}: `v4l2-ctl --list-formats`")
         size = round(capture.get(cv2.CAP_PROP_FRAME_WIDTH)), round(capture.get(cv2.CAP_PROP_FRAME_HEIGHT))
         if size != (camera.width_px, camera.height_px):
-            capture.release()
-            raise CameraError(
-                f"camera {camera.device} delivers {size[0]}x{size[1]} and the rig asks for "
-                f"{camera.width_px}x{camera.height_px}: the lens was calibrated for the latter"
+            self._refuse(
+                f"delivers {size[0]}x{size[1]} and the rig asks for {camera.width_px}x{camera.height_px}: "
+                "the lens was calibrated for the latter"
             )
+
+    def _pixel_format(self) -> str:
+        """The four letters of what the driver delivers."""
+        return int(self._capture.get(cv2.CAP_PROP_FOURCC)).to_bytes(4, "little").decode("ascii", "replace")
+
+    def _refuse(self, why: str) -> NoReturn:
+        self._capture.release()
+        raise CameraError(f"camera {self._camera.device} {why}")
 
     def read(self, timeout_s: float) -> Frame:
         """Return the newest picture."""

@@ -61,6 +61,8 @@ class RealSenseCamera:
         sensor = profile.get_device().first_color_sensor()
         sensor.set_option(self._rs.option.enable_auto_exposure, 0)
         sensor.set_option(self._rs.option.exposure, self._camera.exposure_ms / _EXPOSURE_UNIT_MS)
+        if self._camera.gain is not None:
+            sensor.set_option(self._rs.option.gain, self._camera.gain)
 
     def read(self, timeout_s: float) -> Frame:
         """Return the newest picture."""

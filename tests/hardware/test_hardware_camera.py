@@ -47,6 +47,16 @@ def test_a_size_that_the_camera_lacks_is_refused_with_what_it_delivers() -> None
         OpenCVCamera(camera_config("/dev/video0", width_px=700, height_px=500))
 
 
+def test_pixel_format_and_gain_reach_the_driver() -> None:
+    frames = take(OpenCVCamera(camera_config("/dev/video0", pixel_format="YUYV", gain=100.0)), 3)
+    assert {frame.image.shape for frame in frames} == {(480, 640, 3)}
+
+
+def test_a_pixel_format_that_the_camera_lacks_is_refused_with_what_it_delivers() -> None:
+    with pytest.raises(CameraError, match="the rig asks for MJPG"):
+        OpenCVCamera(camera_config("/dev/video0", pixel_format="MJPG"))
+
+
 def test_a_camera_that_is_not_there_is_named() -> None:
     with pytest.raises(CameraError, match="/dev/video77 does not exist"):
         OpenCVCamera(camera_config("/dev/video77"))
