@@ -10,20 +10,25 @@ import typer
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 from rich.text import Text
+from scipy.spatial.transform import Rotation
 
-from calibration.identify.bootstrap import bootstrap
-from calibration.identify.data import Poses, poses_of
+from calibration.identify.bootstrap import Bootstrap, bootstrap
+from calibration.identify.data import NoData, Poses, as_if_at_rest, poses_of
 from calibration.identify.document import content
 from calibration.identify.fit import Fit, identify
-from calibration.identify.parameters import Prior, Setup
-from rig.arm import model_arm
+from calibration.identify.parameters import Prior, Setup, known
+from calibration.identify.prediction import Prediction
+from calibration.identify.profile import Profile, profiles
+from rig.arm import model_arm, true_arm
 from rig.config import PA_PER_BAR, RigConfig, parse, path_of, text
 from rig.listing import plain_json
+from rig.optics import rigid
 from rig.parameters import laid_over
 from rig.parameters import read as read_parameters
 from rig.screens import console
 from runs.run import Run
 
+SENSOR_LAG_STD_S = 0.005
 DEFAULT = ("law", "rpe_per_bar", "base", "sensor_offsets")
 DEFAULT_HOMOGENEOUS = ("youngs_modulus_pa", "rpe_per_bar", "base", "sensor_offsets")
 
@@ -38,17 +43,59 @@ def rig_with(rig: str, parameters: Path) -> str:
     return laid_over(text(rig), path_of(rig), found, found.found.identified.variant)
 
 
-def from_runs(archives: Sequence[Run], free: Sequence[str], priors: Mapping[str, Prior], starts: int = 1) -> Fit:
+def poses(run: Run, quasi_static: bool = False) -> Poses:
+    """What identification takes from a run: plateaus or motion, or every frame as an equilibrium."""
+    return as_if_at_rest(run) if quasi_static else poses_of(run)
+
+
+def setup_of(run: Run) -> Setup:
+    """The arm as the run's rig states it.
+
+    Raises:
+        NoData: the archive, of an import, names no rig.
+    """
+    if not run.header.rig_yaml:
+        raise NoData(f"{run.path}: the archive holds no rig; name one in the import's mapping (rig: FILE)")
+    return Setup(model_arm(_rig_of(run)))
+
+
+def truth_of(run: Run) -> dict[str, float]:
+    """The simulator's own value of every parameter of a simulated run's arm, by name; nothing for a real one."""
+    if not run.header.simulated or not run.header.rig_yaml:
+        return {}
+    config = _rig_of(run)
+    if config.simulator is None:
+        return {}
+    base = rigid(config.simulator.base)
+    x, y, z = (float(v) for v in base.translation_m)
+    a, b, c = (float(v) for v in Rotation.from_matrix(base.rotation).as_rotvec())
+    setup = Setup(true_arm(config), base_translation_m=(x, y, z), base_rotation_rad=(a, b, c))
+    shown = {name: one.read(setup) for name, one in known(config.actuators).items() if not one.per_run}
+    return {**shown, "sensor_lag_s": config.simulator.sensor.lag_ms * 1e-3}
+
+
+def from_runs(
+    archives: Sequence[Run],
+    free: Sequence[str],
+    priors: Mapping[str, Prior],
+    starts: int = 1,
+    quasi_static: bool = False,
+) -> Fit:
     """Identify the arm of some runs; where nothing is said, the start is the arm of the first run's rig.
 
-    The sensors' accuracy, as their rig states it, is the prior of their offsets.
+    The sensors' accuracy, as their rig states it, is the prior of their offsets. Where a motion is to tell damping or
+    density, the sensors' delay, which passes for either, is free with a prior of 5 ms.
     """
+    start = setup_of(archives[0])
     config = _rig_of(archives[0])
     chosen = tuple(free) or (DEFAULT_HOMOGENEOUS if config.model.variant.startswith("homogeneous") else DEFAULT)
+    data = [poses(run, quasi_static) for run in archives]
+    moving = any(one.moving for one in data) and {"damping_s", "density_kg_m3"} & set(chosen)
+    if moving and "sensor_lag_s" not in chosen:
+        chosen = (*chosen, "sensor_lag_s")
     accuracy = max(sensor.accuracy_bar for sensor in config.sensors) * PA_PER_BAR / 2
-    known = {"sensor_offsets": Prior(0.0, accuracy), **priors}
-    data: list[Poses] = [poses_of(run) for run in archives]
-    return identify(data, Setup(model_arm(config)), chosen, known, starts)
+    believed = {"sensor_offsets": Prior(0.0, accuracy), "sensor_lag_s": Prior(0.0, SENSOR_LAG_STD_S), **priors}
+    return identify(data, start, chosen, believed, starts)
 
 
 def show(fit: Fit, as_json: bool) -> None:
@@ -78,15 +125,42 @@ def show(fit: Fit, as_json: bool) -> None:
         )
     if fit.discrepancy_m:
         screen.print(f"the model is off by {1e3 * fit.discrepancy_m:.3f} mm per axis beyond the stated errors")
+    for words in fit.open_directions:
+        screen.print(Text(f"left open by the data: {words}", "yellow"), soft_wrap=True)
     if not fit.solved:
         screen.print(Text("the search ended before it had converged", "yellow"))
 
 
-def second_opinion(fit: Fit, samples: int, scheduler: str | None, store: Path | None) -> None:
+def profiled(fit: Fit) -> tuple[Profile, ...]:
+    """Profile likelihoods, with a progress bar on the error stream; prints their intervals."""
+    screen = console(stderr=True)
+    with _bar("profiles") as bar:
+        job = bar.add_task("profiles", total=None)
+        found = profiles(fit, progress=lambda done, total: bar.update(job, completed=done, total=total))
+    for one in found:
+        ends = " .. ".join("open" if end is None else f"{end:.5g}" for end in one.interval)
+        said = "flat: the data set it no end" if one.flat else ends
+        screen.print(f"{one.name}: 95 % by profile {said}", soft_wrap=True)
+    return found
+
+
+def told(found: Sequence[Prediction]) -> None:
+    """How well runs that were left out are predicted."""
+    for one in found:
+        how = ", under its measured wrench" if one.pulled else ""
+        said = f"rms {1e3 * one.rms_before_m:.3f} -> {1e3 * one.rms_m:.3f} mm, mean {1e3 * one.mean_m:.3f} mm"
+        console(stderr=True).print(f"{one.run_id} (left out{how}): {said}", soft_wrap=True)
+
+
+def _bar(what: str) -> Progress:
+    columns = (TextColumn(what), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    return Progress(*columns, console=console(stderr=True), transient=True)
+
+
+def second_opinion(fit: Fit, samples: int, scheduler: str | None, store: Path | None) -> Bootstrap:
     """Bootstrap error bars beside those of the likelihood, with a progress bar on the error stream."""
     screen = console(stderr=True)
-    columns = (TextColumn("refitting"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=screen, transient=True) as bar:
+    with _bar("refitting") as bar:
         job = bar.add_task("refitting", total=samples)
         found = bootstrap(
             fit, samples, scheduler=scheduler, store=store, progress=lambda done, _: bar.update(job, completed=done)
@@ -94,6 +168,7 @@ def second_opinion(fit: Fit, samples: int, scheduler: str | None, store: Path | 
     bars = {(e.name, e.run): e.std for e in fit.estimates}
     for name, run, std in zip(found.names, found.runs, found.std, strict=True):
         screen.print(f"{name} {run}: +- {std:.2g} by {samples} refits, {bars[name, run]:.2g} by the likelihood")
+    return found
 
 
 def _rig_of(run: Run) -> RigConfig:

@@ -13,6 +13,7 @@ import model
 from calibration.identify import NoData, Poses, Prior, Setup, UnknownParameter, Verdict, identify, named
 from calibration.identify.bootstrap import bootstrap
 from calibration.identify.document import content, write
+from calibration.identify.profile import profiles
 from calibration.identify.simulated import Errors, coverage, perform, plan
 from rig.parameters import read
 
@@ -163,3 +164,27 @@ def test_bad_questions_are_refused() -> None:
         identify(PLANNED, START, ["law"])
     with pytest.raises(ValueError, match="positive deviation"):
         Prior(0.0, 0.0)
+
+
+def test_the_profile_gives_the_same_interval_as_the_curvature_where_the_data_decide() -> None:
+    fit = identify(done(true_setup()), START, ["law", "rpe_per_bar"])
+    for found in profiles(fit):
+        estimate = fit[found.name]
+        assert estimate.interval is not None
+        low, high = found.interval
+        assert low is not None
+        assert high is not None
+        assert (low, high) == pytest.approx(estimate.interval, abs=0.4 * (estimate.std or 0.0))
+        assert found.rise.min() == 0.0
+        assert not found.flat
+
+
+def test_the_profile_of_what_the_data_do_not_tell_is_flat() -> None:
+    fit = identify(done(true_setup()), START, ["law", "damping_s", "base_rz_rad", "actuator_angles"])
+    by_name = {found.name: found for found in profiles(fit)}
+    assert by_name["damping_s"].flat
+    assert by_name["damping_s"].rise.max() < 1e-6
+    assert not by_name["a1_per_n"].flat
+    # What has no information, and what can be turned against each other, is said in words.
+    assert any("damping_s" in words for words in fit.open_directions)
+    assert any("base_rz_rad" in words and "actuator_2_turn_rad" in words for words in fit.open_directions)

@@ -13,6 +13,7 @@ from calibration.identify.data import NoData, Poses
 from calibration.identify.fit import Fit, identify
 from calibration.identify.parameters import Prior, Setup
 from calibration.identify.predict import Predictor
+from calibration.identify.prediction import with_zeros
 
 Array = NDArray[np.float64]
 
@@ -110,7 +111,7 @@ def _row(data: Sequence[Poses], candidate: Candidate, priors: Mapping[str, Prior
     errors, shares = [], []
     for k, left_out in enumerate(data):
         fit = identify([d for j, d in enumerate(data) if j != k], whole.setup, candidate.free, priors)
-        error = np.linalg.norm(left_out.tip_m - Predictor(left_out)(fit.setup), axis=1)
+        error = np.linalg.norm(left_out.tip_m - Predictor(left_out)(with_zeros(fit)), axis=1)
         known = np.isfinite(error)
         errors.append(error[known])
         largest = np.nanmax(excursion(left_out))

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from calibration.identify.fit import Estimate, RunFit
 from calibration.identify.parameters import Setup
+from calibration.identify.profile import Profile
 
 VERSION = 2
 _MM = 1e3
@@ -52,10 +53,10 @@ class Found(Protocol):
         """By how much the model is off beyond the stated errors."""
 
 
-def write(fit: Found, path: Path) -> Path:
+def write(fit: Found, path: Path, profiles: Sequence[Profile] = ()) -> Path:
     """Write the fit; what was not identified is in the overlay with the value it was held at, and says so."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    told = content(fit)
+    told = content(fit, profiles)
     # A key without a value is an error in every file that people edit: what is not known is left out.
     told["estimates"] = [{key: x for key, x in e.items() if x is not None} for e in told["estimates"]]
     text = yaml.safe_dump(told, sort_keys=False, width=120, default_flow_style=None)
@@ -64,8 +65,9 @@ def write(fit: Found, path: Path) -> Path:
     return path
 
 
-def content(fit: Found) -> dict[str, Any]:
+def content(fit: Found, profiles: Sequence[Profile] = ()) -> dict[str, Any]:
     """Everything of a fit that a later reader needs, in plain numbers."""
+    ends = {(p.name, p.run): list(p.interval) for p in profiles}
     setup = fit.setup
     start = fit.start.arm
     return {
@@ -87,6 +89,7 @@ def content(fit: Found) -> dict[str, Any]:
                 "value": e.value,
                 "std": e.std,
                 "interval_95": list(e.interval) if e.interval else None,
+                **({"profile_95": ends[e.name, e.run]} if (e.name, e.run) in ends else {}),
                 "used": e.used,
                 **({"exchangeable_with": list(e.partners)} if e.partners else {}),
             }

@@ -22,6 +22,7 @@ _UNDECIDED = 0.5
 _PARTNER = 0.9
 _ONLY_PRIOR = 0.95
 _SAME_LOSS = 0.5
+_SHOWN_SHARE = 0.2
 
 
 class Verdict(StrEnum):
@@ -114,6 +115,10 @@ class Fit:
     starts: int
     agreeing_starts: int
     solved: bool
+    open_directions: tuple[str, ...]
+    """Combinations of parameters that the data leave open, in words: what the information matrix lacks in rank."""
+    start_losses: tuple[float, ...]
+    """What the search from each starting point ended at, the best one as zero, twice the log likelihood."""
     problem: Problem = field(repr=False)
     solution: Solution = field(repr=False)
 
@@ -165,7 +170,7 @@ def identify(
     parameters = named(free, actuators)
     priors = {p.name: prior for name, prior in (priors or {}).items() for p in named([name], actuators)}
     problem = Problem(data, start, parameters, priors)
-    joint, agreeing = _best(problem, _first(problem), starts, seed)
+    joint, ends = _best(problem, _first(problem), starts, seed)
     held, loose = _held(problem, joint)
     solution = problem.solve(joint.z * _kept(problem, held), sorted(held)) if held else joint
     estimates, covariance = _estimates(problem, solution, joint, held, loose)
@@ -181,8 +186,10 @@ def identify(
         measured=problem.measured,
         fitted=len(problem.unknowns) - len(held),
         starts=starts,
-        agreeing_starts=agreeing,
+        agreeing_starts=sum(end < 2 * _SAME_LOSS for end in ends),
         solved=solution.solved,
+        open_directions=_open_directions(problem, joint),
+        start_losses=ends,
         problem=problem,
         solution=solution,
     )
@@ -205,7 +212,7 @@ def _first(problem: Problem) -> Array:
     return z
 
 
-def _best(problem: Problem, first: Array, starts: int, seed: int) -> tuple[Solution, int]:
+def _best(problem: Problem, first: Array, starts: int, seed: int) -> tuple[Solution, tuple[float, ...]]:
     rng = np.random.default_rng(seed)
     n = len(problem.unknowns)
     lower, upper = (np.array([getattr(u, side) for u in problem.unknowns]) for side in ("lower", "upper"))
@@ -213,7 +220,20 @@ def _best(problem: Problem, first: Array, starts: int, seed: int) -> tuple[Solut
     around = (np.clip(first + rng.uniform(-0.5, 0.5, n), lower, upper) for _ in range(starts - 1))
     found.extend(problem.solve(z) for z in around)
     best = max(found, key=lambda s: s.log_likelihood)
-    return best, sum(best.log_likelihood - s.log_likelihood < _SAME_LOSS for s in found)
+    return best, tuple(2 * (best.log_likelihood - s.log_likelihood) for s in found)
+
+
+def _open_directions(problem: Problem, joint: Solution) -> tuple[str, ...]:
+    """Directions, in spans, along which the data leave half a span or more open."""
+    values, vectors = np.linalg.eigh(joint.information)
+    said = []
+    for k in np.flatnonzero(values < 1 / _UNDECIDED**2):
+        vector = vectors[:, k]
+        order = [int(i) for i in np.argsort(-np.abs(vector)) if abs(vector[i]) > _SHOWN_SHARE]
+        sign = 1.0 if vector[order[0]] > 0 else -1.0
+        terms = [f"{sign * vector[i]:+.2f} {problem.unknowns[i].parameter.name}" for i in order]
+        said.append(" ".join(terms))
+    return tuple(said)
 
 
 def _std(information: Array) -> Array:

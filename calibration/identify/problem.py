@@ -147,7 +147,7 @@ class Problem:
         solved, before = True, np.inf
         for _ in range(rounds):
             if only:
-                z, solved = self._climb(z, only, weights, evaluations)
+                z, solved = self.climb(z, only, weights, evaluations)
             weights, sigma = self.weights(z, len(only))
             if abs(sigma - before) <= 0.02 * sigma:
                 break
@@ -211,7 +211,7 @@ class Problem:
             self._pressure = (z.copy(), found)
         return self._pressure[1]
 
-    def _climb(self, z: Array, only: list[int], weights: tuple[Weights, ...], evaluations: int) -> tuple[Array, bool]:
+    def climb(self, z: Array, only: list[int], weights: tuple[Weights, ...], evaluations: int) -> tuple[Array, bool]:
         """Gauss and Newton's steps within the bounds, damped by Levenberg where the loss does not fall."""
         lower, upper = (np.array([getattr(self.unknowns[i], side) for i in only]) for side in ("lower", "upper"))
         z[only] = np.clip(z[only], lower, upper)

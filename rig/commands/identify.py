@@ -24,6 +24,21 @@ def identify(
         str | None, typer.Option(metavar="tcp://HOST:PORT", help="Dask scheduler for the refits; default: all cores.")
     ] = None,
     store: Annotated[Path | None, typer.Option(metavar="DIR", help="Keep finished refits there, to resume.")] = None,
+    profile: Annotated[bool, typer.Option("--profile", help="Profile likelihood of every shared parameter.")] = False,
+    leave_out: Annotated[
+        list[Path] | None,
+        typer.Option("--leave-out", "--predict", metavar="RUN", help="Predict this run, unseen; may be repeated."),
+    ] = None,
+    quasi_static: Annotated[
+        bool, typer.Option("--quasi-static", help="Take every frame as an equilibrium, as of slow imported motions.")
+    ] = False,
+    choose: Annotated[
+        bool, typer.Option("--choose", help="Compare the paper's models by predicting each run from the others.")
+    ] = False,
+    paper: Annotated[
+        bool, typer.Option("--paper", help="The paper's own identification, from its two extension experiments.")
+    ] = False,
+    report: Annotated[Path | None, typer.Option(metavar="FILE", help="Write a report page (HTML).")] = None,
     to: Annotated[Path | None, typer.Option("--to", metavar="FILE", help="Write the parameters (YAML).")] = None,
     rig: Annotated[str, typer.Option("--rig", help="Rig that --rig-file starts from.")] = "mock",
     rig_file: Annotated[
@@ -35,6 +50,7 @@ def identify(
     import runs
     from calibration.identify import Prior
     from calibration.identify.document import write
+    from calibration.identify.prediction import predict
     from rig import identified
     from rig.listing import resolve
 
@@ -49,12 +65,33 @@ def identify(
         except ValueError as fault:
             raise typer.BadParameter(f"'{item}' is not of the form NAME=MEAN+-STD", param_hint="--prior") from fault
     names = [name.strip() for name in free.split(",") if name.strip()]
-    fit = identified.from_runs([runs.open(resolve(archive)) for archive in archives], names, priors, starts)
+    unseen = [resolve(archive) for archive in leave_out or []]
+    seen = [runs.open(path) for path in map(resolve, archives) if path not in unseen]
+    if paper:
+        from rig import paper_identified
+
+        paper_identified.show(seen, json)
+        return
+    if choose:
+        from rig import choosing
+
+        choosing.show(seen, names, priors, quasi_static, json)
+        return
+    if not seen:
+        raise typer.BadParameter("every run is left out: nothing is left to identify from", param_hint="--leave-out")
+    fit = identified.from_runs(seen, names, priors, starts, quasi_static)
     identified.show(fit, json)
-    if bootstrap:
-        identified.second_opinion(fit, bootstrap, scheduler, store)
+    predictions = [predict(fit, identified.poses(runs.open(path), quasi_static)) for path in unseen]
+    identified.told(predictions)
+    profiles = identified.profiled(fit) if profile else ()
+    refits = identified.second_opinion(fit, bootstrap, scheduler, store) if bootstrap else None
+    if report is not None:
+        from calibration.identify.report import write as write_report
+
+        truth = identified.truth_of(seen[0])
+        typer.echo(write_report(fit, report, profiles, refits, predictions, truth), err=json)
     if to is not None:
-        written = write(fit, to)
+        written = write(fit, to, profiles)
         typer.echo(written, err=json)
         if rig_file is not None:
             rig_file.write_text(identified.rig_with(rig, written), encoding="utf-8")

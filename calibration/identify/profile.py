@@ -1,0 +1,109 @@
+"""Profile likelihood: how far each parameter can go while all others give way, and where the data cease to object."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2
+
+from calibration.identify.fit import Estimate, Fit
+
+Array = NDArray[np.float64]
+
+# Rise of the sum of squares at the ends of a 95 % interval.
+RISE_95 = float(chi2.ppf(0.95, 1))
+# Where to look, in standard deviations to either side; the last is tried only where the others have not risen enough.
+_STEPS = (0.7, 1.4, 2.0, 2.8, 4.0, 6.0)
+_EVALUATIONS = 6
+
+
+@dataclass(frozen=True)
+class Profile:
+    """One parameter's profile: the least rise (m,) of the robust sum of squares over its optimum, at values (m,).
+
+    interval: the 95 % ends; None where the profile stays below `RISE_95` up to the parameter's bound, or up to one
+    plausible span, so that the data set no end there.
+    """
+
+    name: str
+    unit: str
+    run: str
+    best: float
+    values: Array
+    rise: Array
+    interval: tuple[float | None, float | None]
+
+    @property
+    def flat(self) -> bool:
+        """Whether the data set no end on either side."""
+        return self.interval == (None, None)
+
+
+def profiles(
+    fit: Fit, chosen: Callable[[Estimate], bool] | None = None, progress: Callable[[int, int], None] | None = None
+) -> tuple[Profile, ...]:
+    """Profile the estimates for which `chosen` holds, by default all that belong to no single run.
+
+    What was held because the data leave it open is let go for its own profile; the rest of what was held stays.
+    """
+    wanted = [i for i, e in enumerate(fit.estimates) if (not e.run if chosen is None else chosen(e))]
+    out = []
+    for done, i in enumerate(wanted, start=1):
+        out.append(_profile(fit, i))
+        if progress is not None:
+            progress(done, len(wanted))
+    return tuple(out)
+
+
+def _profile(fit: Fit, i: int) -> Profile:
+    problem, solution = fit.problem, fit.solution
+    unknown, estimate = problem.unknowns[i], fit.estimates[i]
+    others = [j for j in range(len(problem.unknowns)) if j != i and fit.covariance[j, j] > 0]
+    # The others' answer to first order: from far off, where the loss is cut down, they would not find the way.
+    slope = fit.covariance[others, i] / (fit.covariance[i, i] or np.inf)
+    span = np.array([u.span for u in problem.unknowns])
+    deviation = min(estimate.loose_std / unknown.span, 0.25)
+    lowest = problem.loss(solution.z, solution.weights, solution.correlation)
+    points = {float(solution.z[i]): 0.0}
+    for side in (-1.0, 1.0):
+        z = solution.z.copy()
+        limit = unknown.lower if side < 0 else unknown.upper
+        limit = max(limit, solution.z[i] - 1.0) if side < 0 else min(limit, solution.z[i] + 1.0)
+        for step in (*_STEPS, np.inf):
+            at = solution.z[i] + side * step * deviation
+            to = max(at, limit) if side < 0 else min(at, limit)
+            z[others] += slope * (to - z[i]) * span[i] / span[others]
+            z[i] = to
+            if others:
+                z, _ = problem.climb(z.copy(), others, solution.weights, _EVALUATIONS)
+            rise = problem.loss(z, solution.weights, solution.correlation) - lowest
+            points[float(z[i])] = max(rise, 0.0)
+            if rise > RISE_95 * 1.3 or z[i] == limit:
+                break
+    found = np.array(sorted(points.items()))
+    values = unknown.start + unknown.span * found[:, 0]
+    best = unknown.start + unknown.span * solution.z[i]
+    return Profile(
+        name=estimate.name,
+        unit=estimate.unit,
+        run=estimate.run,
+        best=float(best),
+        values=values,
+        rise=found[:, 1],
+        interval=(_end(values, found[:, 1], best, -1), _end(values, found[:, 1], best, 1)),
+    )
+
+
+def _end(values: Array, rise: Array, best: float, side: int) -> float | None:
+    """Where the profile passes `RISE_95` on one side: its root rises about straight, so a line between points does."""
+    part = values <= best if side < 0 else values >= best
+    x, height = values[part][:: side if side < 0 else 1], np.sqrt(rise[part][:: side if side < 0 else 1])
+    over = np.flatnonzero(height >= np.sqrt(RISE_95))
+    if not len(over) or over[0] == 0:
+        return None
+    k = int(over[0])
+    share = (np.sqrt(RISE_95) - height[k - 1]) / (height[k] - height[k - 1])
+    return float(x[k - 1] + share * (x[k] - x[k - 1]))

@@ -1,0 +1,150 @@
+"""The report of an identification: one HTML file that holds everything it shows."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from html import escape
+from importlib import resources
+from pathlib import Path
+
+from calibration.identify import figures
+from calibration.identify.bootstrap import Bootstrap
+from calibration.identify.fit import Estimate, Fit
+from calibration.identify.prediction import Prediction
+from calibration.identify.profile import Profile
+from runs.figures import svg
+
+
+def write(
+    fit: Fit,
+    path: Path,
+    profiles: Sequence[Profile] = (),
+    refits: Bootstrap | None = None,
+    left_out: Sequence[Prediction] = (),
+    truth: Mapping[str, float] | None = None,
+) -> Path:
+    """Write the page. `truth`: the simulator's own values by parameter, where the runs were simulated."""
+    known = truth or {}
+    style = resources.files("runs").joinpath("report.css").read_text(encoding="utf-8")
+    simulated = '<span class="badge simulated">simulated</span>' if known else ""
+    parts = [
+        f'<section class="run">\n<header class="run"><h1>Identification of an arm{simulated}</h1>\n'
+        f'<p class="sub">{len(fit.runs)} runs, {fit.measured} numbers measured, {fit.fitted} fitted, '
+        f"{escape(fit.setup.arm.variant)}</p></header>",
+        _tiles(fit, left_out),
+        _notes(fit, bool(known)),
+        _parameters(fit, profiles, refits, known),
+    ]
+    rows = sum(1 for e in fit.estimates if e.std)
+    drawn = [("Intervals", svg(figures.estimates, (9, 1.2 + 0.28 * rows), "e", fit, profiles, known))] if rows else []
+    drawn.append(("Residuals over time, pressure and place", svg(figures.residuals, (9, 6.4), "r", fit)))
+    drawn.append(("Are the residuals as stated? Normal quantiles", svg(figures.quantiles, (6, 3.8), "q", fit)))
+    if fit.covariance.any():
+        drawn.append(("Correlations", svg(figures.correlations, (6.5, 5.2), "c", fit)))
+    if profiles:
+        size = (9, 1.9 * -(-len(profiles) // 3))
+        drawn.append(("Profiles", svg(figures.profile_sheet, size, "p", profiles, known)))
+    if left_out:
+        drawn.append(("Runs that were left out", svg(figures.predictions, (9, 2.3 * len(left_out)), "l", left_out)))
+    if fit.starts > 1:
+        drawn.append(("Where the searches ended", svg(figures.starts, (6, 2.6), "s", fit)))
+    parts += [f"<h2>{title}</h2>\n<figure>{drawing}</figure>" for title, drawing in drawn]
+    parts += [_runs(fit, left_out), "</section>"]
+    body = "\n".join(part for part in parts if part)
+    page = (
+        f'<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n<title>Identification</title>\n'
+        f'<meta name="viewport" content="width=device-width, initial-scale=1">\n<style>\n{style}</style>\n</head>\n'
+        f"<body>\n{body}\n<footer>Made by softrig from archives; nothing in this page is loaded from elsewhere."
+        "</footer>\n</body>\n</html>\n"
+    )
+    path.parent.mkdir(parents=True, exist_ok=True)
+    part = path.with_name(path.name + ".part")
+    part.write_text(page, encoding="utf-8")
+    part.replace(path)
+    return path
+
+
+def _tiles(fit: Fit, left_out: Sequence[Prediction]) -> str:
+    tiles = [
+        (f"{1e3 * fit.rms_m:.3f} <small>mm</small>", "rms distance, measured to model"),
+        (f"{1e3 * fit.discrepancy_m:.3f} <small>mm</small>", "per axis that no stated error explains"),
+        (f"{sum(e.identified for e in fit.estimates)} <small>of {len(fit.estimates)}</small>", "parameters identified"),
+        (f"{fit.agreeing_starts} <small>of {fit.starts}</small>", "searches that ended here"),
+    ]
+    tiles += [(f"{1e3 * p.rms_m:.3f} <small>mm</small>", f"rms on {escape(p.run_id)}, left out") for p in left_out]
+    return (
+        '<div class="tiles">'
+        + "".join(f'<div class="tile"><b>{v}</b><span>{t}</span></div>' for v, t in tiles)
+        + "</div>"
+    )
+
+
+def _notes(fit: Fit, simulated: bool) -> str:
+    notes = []
+    if simulated:
+        notes.append("<b>These runs were simulated.</b> Nothing here was measured on a real manipulator.")
+    if fit.open_directions:
+        items = "".join(f"<li>{escape(words)}</li>" for words in fit.open_directions)
+        notes.append(f"The data leave these combinations (in plausible spans) open:<ul>{items}</ul>")
+    if not fit.solved:
+        notes.append("The search ended before it had converged.")
+    return "\n".join(f'<div class="note">{note}</div>' for note in notes)
+
+
+def _parameters(fit: Fit, profiles: Sequence[Profile], refits: Bootstrap | None, truth: Mapping[str, float]) -> str:
+    by_key = {(p.name, p.run): p for p in profiles}
+    again = {} if refits is None else dict(zip(zip(refits.names, refits.runs, strict=True), refits.std, strict=True))
+    heads = ["parameter", "run", "value", "std", "95 % by curvature"]
+    heads += ["95 % by profile"] * bool(profiles) + ["std by refits"] * bool(again) + ["truth"] * bool(truth) + ["unit"]
+    rows = []
+    for e in fit.estimates:
+        cells = [e.name, e.run, *_said(e)]
+        if profiles:
+            found = by_key.get((e.name, e.run))
+            cells.append(
+                "" if found is None else "flat" if found.flat else " .. ".join(_end(x) for x in found.interval)
+            )
+        if again:
+            std = again.get((e.name, e.run))
+            cells.append("" if std is None else f"{std:.2g}")
+        if truth:
+            cells.append(f"{truth[e.name]:.6g}" if e.name in truth and not e.run else "")
+        rows.append([*cells, e.unit])
+    return f'<h2>Parameters</h2>\n<div class="scroll">{_table(heads, rows)}</div>'
+
+
+def _said(e: Estimate) -> list[str]:
+    if e.value is None or e.std is None or e.interval is None:
+        others = f" ({', '.join(e.partners)})" if e.partners else ""
+        return [f"{e.verdict.value}{others}", "", f"held at {e.used:.5g}"]
+    return [f"{e.value:.6g}", f"{e.std:.2g}", f"{e.interval[0]:.5g} .. {e.interval[1]:.5g}"]
+
+
+def _end(value: float | None) -> str:
+    return "open" if value is None else f"{value:.5g}"
+
+
+def _runs(fit: Fit, left_out: Sequence[Prediction]) -> str:
+    heads = ["run", "used as", "frames", "outliers", "rms before [mm]", "rms [mm]", "SHA-256"]
+    rows = [
+        [
+            run.run_id,
+            "motion" if run.moving else "plateaus",
+            str(run.frames),
+            str(run.outliers),
+            f"{1e3 * run.rms_before_m:.3f}",
+            f"{1e3 * run.rms_m:.3f}",
+            run.source,
+        ]
+        for run in fit.runs
+    ]
+    rows += [
+        [p.run_id, "left out", "", "", f"{1e3 * p.rms_before_m:.3f}", f"{1e3 * p.rms_m:.3f}", ""] for p in left_out
+    ]
+    return f'<h2>Data</h2>\n<div class="scroll">{_table(heads, rows)}</div>'
+
+
+def _table(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    head = "".join(f"<th>{escape(h)}</th>" for h in heads)
+    body = "".join("<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in row) + "</tr>" for row in rows)
+    return f"<table><tr>{head}</tr>{body}</table>"

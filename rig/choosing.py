@@ -1,0 +1,65 @@
+"""`rig identify --choose`: was the larger model worth it? A table in the shape of the paper's Table 3."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+
+import typer
+from rich.table import Table
+
+from calibration.identify.choice import Choice, candidates, choose
+from calibration.identify.parameters import Prior
+from rig.identified import poses, setup_of
+from rig.listing import plain_json
+from rig.screens import console
+from runs.run import Run
+
+
+def show(
+    archives: Sequence[Run], free: Sequence[str], priors: Mapping[str, Prior], quasi_static: bool, as_json: bool
+) -> None:
+    """Compare the models on some runs and print the table and the sentence that follows from it.
+
+    `free`: what is free in every model beside its own law; by default the pose of the base.
+    """
+    data = [poses(run, quasi_static) for run in archives]
+    asked = candidates(setup_of(archives[0]), free or ("base",), moving=any(one.moving for one in data))
+    found = choose(data, asked, priors)
+    if as_json:
+        typer.echo(json.dumps(plain_json(_facts(found)), indent=2))
+        return
+    screen = console()
+    table = Table(box=None, padding=(0, 2, 0, 0))
+    for head in ("inhomogeneous", "radial effect", "error of runs left out [%]", "rms [mm]", "AIC", "BIC", "fitted"):
+        table.add_column(head, justify="left" if head in ("inhomogeneous", "radial effect") else "right")
+    for row in found.rows:
+        _, _, rule = row.candidate.name.partition(", ")
+        table.add_row(
+            f"yes, {rule}" if row.candidate.inhomogeneous else "no",
+            "yes" if row.candidate.radial else "no",
+            f"{row.error_percent:.2f}",
+            f"{1e3 * row.error_m:.3f}",
+            f"{row.aic:.0f}",
+            f"{row.bic:.0f}",
+            str(row.dof),
+        )
+    screen.print(table)
+    screen.print(found.sentence, soft_wrap=True)
+
+
+def _facts(found: Choice) -> dict[str, object]:
+    rows = [
+        {
+            "model": row.candidate.name,
+            "inhomogeneous": row.candidate.inhomogeneous,
+            "radial_effect": row.candidate.radial,
+            "left_out_percent": row.error_percent,
+            "left_out_rms_mm": 1e3 * row.error_m,
+            "aic": row.aic,
+            "bic": row.bic,
+            "fitted": row.dof,
+        }
+        for row in found.rows
+    ]
+    return {"rows": rows, "best": found.best.candidate.name, "sentence": found.sentence}

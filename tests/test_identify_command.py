@@ -1,0 +1,125 @@
+"""`rig identify` from the command line: report, profiles, runs left out, model choice, the paper's own numbers."""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from runs_made_up import header
+
+import runs
+from calibration.identify import Setup
+from calibration.identify.simulated import Errors, perform, plan
+from rig.arm import model_arm
+from rig.cli import main
+from rig.config import load, text
+from runs.archive import finalise
+from runs.journal import JournalWriter
+from runs.records import RunFooter, Seen, Status, observation_dtype, sample_dtype
+
+HOLD_S, HZ = 3, 30
+TRUE = {"a1_per_n": 0.0079, "a2_per_n2": 0.00034, "rpe_per_bar": 0.049}
+
+
+def archive(folder: Path, name: str, pressure_bar: np.ndarray, weight_kg: np.ndarray) -> Path:
+    """A run of plateaus on an arm that is softer than the mock's file says, as its archive would be."""
+    arm = model_arm(load("mock"))
+    truth = Setup(replace(arm, material=replace(arm.material, **TRUE)))
+    poses = perform(plan(name, pressure_bar * 1e5, weight_kg), truth, np.random.default_rng(2), Errors((0, 0, 0), 0, 0))
+    rng = np.random.default_rng(len(name))
+    n = len(poses) * HOLD_S * HZ
+    which = np.arange(n) // (HOLD_S * HZ)
+    about = replace(header(name), rig_yaml=text("mock"), intervals=(), quantities=(), control_hz=HZ, camera_hz=HZ)
+    samples, rows = np.zeros(n, sample_dtype(3, 2)), np.zeros(n, observation_dtype(3))
+    samples["tick"] = rows["frame"] = np.arange(n)
+    samples["t_ns"] = rows["t_ns"] = about.started_t_ns + np.arange(n) * 1_000_000_000 // HZ
+    samples["protocol_s"] = rows["protocol_s"] = np.arange(n) / HZ
+    samples["setpoint_pa"], samples["scans"] = poses.pressure_pa[which], 1
+    samples["measured_pa"] = rows["pressure_pa"] = poses.pressure_pa[which] + rng.normal(0, 30, (n, 3))
+    rows["weight_kg"], rows["seen"] = weight_kg[which], Seen.MEASURED
+    rows["measured_m"] = poses.tip_m[which] + rng.normal(0, 1e-4, (n, 3))
+    rows["covariance_m2"] = np.eye(3) * 1e-8
+    journal = JournalWriter(folder / f"{name}.mcap", about)
+    journal.samples(samples)
+    journal.observations(rows)
+    journal.close(RunFooter(int(rows["t_ns"][-1]), Status.FINISHED, ""))
+    return finalise(journal.path)
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+    folder = tmp_path_factory.mktemp("bench")
+    ramp, none = np.linspace(0.0, 0.6, 7)[:, None], np.zeros(7)
+    made = {
+        "weights": archive(folder, "weights", np.zeros((7, 3)), np.linspace(0, 1.2, 7)),
+        "extension": archive(folder, "extension", ramp * np.ones(3), none),
+        "one": archive(folder, "one", ramp * np.array([1.0, 0, 0]), none),
+        "two": archive(folder, "two", ramp * np.array([0, 1.0, 1.0]), none),
+    }
+    return {name: str(path) for name, path in made.items()}
+
+
+def rig(*arguments: str, status: int = 0) -> None:
+    with pytest.raises(SystemExit) as left:
+        main(["identify", *arguments])
+    assert left.value.code == status
+
+
+def test_the_report_holds_everything_and_loads_nothing(
+    bench: dict[str, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    page, found = tmp_path / "page.html", tmp_path / "arm.yaml"
+    options = ["--free", "law,rpe_per_bar,damping_s", "--profile", "--leave-out", bench["two"]]
+    rig(*bench.values(), *options, "--report", str(page), "--to", str(found), "--starts", "2")
+    html, said = page.read_text(), capsys.readouterr()
+    for heading in (
+        "Parameters",
+        "Intervals",
+        "Residuals",
+        "quantiles",
+        "Correlations",
+        "Profiles",
+        "left out",
+        "ended",
+    ):
+        assert re.search(f"<h2>[^<]*{heading}", html), heading
+    assert "These runs were simulated" in html
+    assert not re.search(r"(src|href)=\"http", html)
+    assert runs.open(bench["one"]).sha256 in html
+    # The run that was left out is predicted, not fitted.
+    assert "two (left out)" in said.err
+    before, after = map(float, re.findall(r"two \(left out\): rms ([\d.]+) -> ([\d.]+)", said.err)[0])
+    assert after < 0.1 * before
+    assert "damping_s: 95 % by profile flat" in said.err
+    assert "left open by the data: +1.00 damping_s" in said.out
+    assert "profile_95" in found.read_text()
+
+
+def test_choose_ends_with_a_table_like_the_papers_and_a_sentence(
+    bench: dict[str, str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    rig(bench["weights"], bench["one"], bench["two"], "--choose", "--free", "base_z_m", "--json")
+    found = json.loads(capsys.readouterr().out)
+    assert found["best"] == "inhomogeneous+rpe, pointwise"
+    assert "predicts runs left out best" in found["sentence"]
+    assert {(row["inhomogeneous"], row["radial_effect"]) for row in found["rows"]} == {(0, 0), (0, 1), (1, 1)}
+
+
+def test_paper_gives_what_section_5_2_gives(bench: dict[str, str], capsys: pytest.CaptureFixture[str]) -> None:
+    rig(bench["weights"], bench["extension"], "--paper", "--json")
+    found = json.loads(capsys.readouterr().out)
+    assert float(found["a1 of eq 32"]["r2"]) > 0.999
+    assert float(found["a2 of eq 32"]["value"]) == pytest.approx(TRUE["a2_per_n2"], rel=0.15)
+    free_strain = float(found["a of eq 30, push on the caps taken off"]["value"])
+    assert free_strain == pytest.approx(TRUE["rpe_per_bar"], rel=0.1)
+    assert float(found["mu of eqs 1-6"]["value"]) > 1e4
+    assert "290.5 kPa" in found["published"]
+
+
+def test_paper_says_what_it_lacks(bench: dict[str, str], capsys: pytest.CaptureFixture[str]) -> None:
+    rig(bench["one"], "--paper", status=2)
+    assert "under weights" in capsys.readouterr().err
