@@ -57,9 +57,13 @@ class Pressures:
         """Pressures (N,) [Pa] at a time, the nearest sample beyond the ends; NaN when nothing was measured yet."""
         if not self._t_ns.size:
             return np.full(self._pa.shape[1], np.nan)
-        # Relative times: nanoseconds since boot do not fit a float exactly.
-        elapsed = (self._t_ns - self._t_ns[0]).astype(np.float64)
-        return np.array([np.interp(float(t_ns - self._t_ns[0]), elapsed, column) for column in self._pa.T])
+        after = int(np.searchsorted(self._t_ns, t_ns))
+        if after == 0 or after == len(self._t_ns):
+            return np.array(self._pa[min(after, len(self._t_ns) - 1)])
+        # Differences of times: nanoseconds since boot do not fit a float exactly.
+        before_ns = int(self._t_ns[after - 1])
+        share = (t_ns - before_ns) / (int(self._t_ns[after]) - before_ns)
+        return np.array(self._pa[after - 1] + share * (self._pa[after] - self._pa[after - 1]))
 
 
 class _AtRest:

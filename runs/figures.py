@@ -60,7 +60,7 @@ STYLE: dict[Any, Any] = {
 }
 _FONTS = "Inter, 'Helvetica Neue', Helvetica, Arial, 'DejaVu Sans', sans-serif"
 
-_PATHS, _DIGITS = re.compile(r' d="[^"]*"'), re.compile(r"(\.\d)\d+")
+_PATHS, _DIGITS = re.compile(r' d="[^"]*"'), re.compile(r"(?<=\.\d)\d+")
 """A tenth of a point is as fine as a page shows."""
 
 Floats = NDArray[np.float64]
@@ -79,7 +79,7 @@ def svg(draw: Callable[..., None], size: tuple[float, float], salt: str, *about:
         # Not figure.savefig: it draws everything twice.
         canvas.print_svg(text, metadata={"Date": None, "Creator": None})  # type: ignore[no-untyped-call]
     drawing = text.getvalue()
-    drawing = _PATHS.sub(lambda path: _DIGITS.sub(r"\1", path[0]), drawing[drawing.index("<svg") :])
+    drawing = _PATHS.sub(lambda path: _DIGITS.sub("", path[0]), drawing[drawing.index("<svg") :])
     return drawing.replace("'DejaVu Sans'", _FONTS)
 
 

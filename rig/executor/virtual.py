@@ -78,6 +78,7 @@ class _VirtualRun:
         self._frame_ns = round(1e9 / next(iter(config.cameras.values())).rate_hz)
         self._frame = 0
         self._answered = 0
+        self._unseen = 0
         self._samples = _Rows(sample_dtype(config.actuators, len(config.valves)))
         self._observations = _Rows(observation_dtype(config.actuators, len(config.cameras)))
         self._adaptations = _Rows(adaptation_dtype(len(plan.adapted)))
@@ -139,6 +140,7 @@ class _VirtualRun:
         self._plant.advance(now)
         row, trip = self._ticker.tick(tick, now, 1, self._answered, False, 0, 0)
         self._samples.add(row)
+        self._unseen = min(self._unseen + 1, HISTORY_TICKS)
         # A frame is looked at once the samples on both sides of it are there, and the last camera has exposed.
         while (t_ns := START_NS + (self._frame + 1) * self._frame_ns) + self._skews_ns[-1] <= now:
             self._frame += 1
@@ -173,7 +175,7 @@ class _VirtualRun:
                 failures.append(error)
         if len(exposures) - len(failures) < self._plan.config.limits.least_cameras:
             raise failures[0]
-        ticks = self._samples.recent(HISTORY_TICKS)
+        ticks, self._unseen = self._samples.recent(self._unseen), 0
         weight_kg = self._plan.trajectory.weight_kg(protocol_s)
         self._looking.append(
             self._looker.submit(
