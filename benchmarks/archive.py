@@ -1,8 +1,11 @@
 """What recording, finalising, opening and reporting a run cost.
 
-    python benchmarks/archive.py [--seconds 600] [--channels 8] [--control-hz 1000] [--cameras 2] [--picture-kb 30]
+    python -m benchmarks.archive [--seconds 600] [--channels 8] [--control-hz 1000] [--cameras 2] [--keep-every 3]
+                                 [--archives 10000]
 
-By default a 10-minute run of 1 kHz x 8 channels beside two cameras at 30 Hz of which every third picture is kept.
+By default a 10-minute run of 1 kHz x 8 channels beside two 640x480 cameras at 30 Hz. Every third picture is
+kept, as a rig does that says nothing else; encoding it as JPEG counts as recording. Then the first and the second look
+at a folder of so many archives. CPU time, and beside it the time that a machine with other work took.
 """
 
 from __future__ import annotations
@@ -10,19 +13,31 @@ from __future__ import annotations
 import argparse
 import tempfile
 import time
+from collections.abc import Callable
 from pathlib import Path
 
+import cv2
 import numpy as np
 
 import runs
 from runs import report
 from runs.archive import finalise, verify
+from runs.catalogue import catalogue
 from runs.journal import JournalWriter
-from runs.records import Interval, Picture, RunFooter, RunHeader, Status, observation_dtype, sample_dtype
+from runs.records import (
+    BACKBONE_POINTS,
+    Interval,
+    Marks,
+    Picture,
+    RunFooter,
+    RunHeader,
+    Status,
+    observation_dtype,
+    sample_dtype,
+)
 from runs.summary import summarise
 
 CAMERA_HZ = 30
-KEEP_EVERY = 3
 
 
 def header(options: argparse.Namespace) -> RunHeader:
@@ -56,7 +71,7 @@ def header(options: argparse.Namespace) -> RunHeader:
     )
 
 
-def record(path: Path, options: argparse.Namespace) -> float:
+def record(path: Path, options: argparse.Namespace, quiet: bool = False) -> float:
     """Write the journal in batches of one camera frame; return the CPU time that it took [s]."""
     rng = np.random.default_rng(0)
     ticks, frames = options.control_hz, CAMERA_HZ * options.cameras
@@ -64,7 +79,8 @@ def record(path: Path, options: argparse.Namespace) -> float:
     noise = rng.normal(0, 100, (ticks, options.channels))
     rows = np.zeros(frames, observation_dtype(options.channels))
     rows["covariance_m2"], rows["model_ok"] = np.eye(3) * 1e-8, 1
-    picture = rng.integers(0, 256, options.picture_kb * 1000, dtype=np.uint8).tobytes()
+    image = np.clip(np.linspace(40, 200, 640) + rng.normal(0, 2, (480, 640)), 0, 255).astype(np.uint8)
+    marks = Marks.of(np.ones((20, 2)), np.ones(2), np.ones(2), np.ones((BACKBONE_POINTS, 2)))
     began = time.process_time()
     writer = JournalWriter(path, header(options))
     for second in range(options.seconds):
@@ -79,17 +95,40 @@ def record(path: Path, options: argparse.Namespace) -> float:
         for k in range(frames):
             writer.samples(samples[k * ticks // frames : (k + 1) * ticks // frames])
             writer.observations(rows[k : k + 1])
-            if k % KEEP_EVERY == 0:
-                writer.picture(Picture(int(rows["t_ns"][k]), second * frames + k, "front", "jpeg", picture))
+            if k % options.keep_every == 0:
+                data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, 90])[1].tobytes()
+                writer.picture(Picture(int(rows["t_ns"][k]), second * frames + k, "front", "jpeg", data, marks))
     writer.close(RunFooter(options.seconds * 10**9, Status.FINISHED, ""))
-    print(f"longest fdatasync        {writer.longest_sync_s * 1e3:8.1f} ms")
+    if not quiet:
+        print(f"longest fdatasync        {writer.longest_sync_s * 1e3:8.1f} ms")
     return time.process_time() - began
+
+
+def timed(name: str, step: Callable[[], object]) -> None:
+    """Print what a step costs."""
+    began, cpu = time.perf_counter(), time.process_time()
+    step()
+    print(f"{name:24} {time.process_time() - cpu:8.2f} s of CPU, {time.perf_counter() - began:8.2f} s", flush=True)
+
+
+def folder_of(archives: int, source: Path, folder: Path) -> None:
+    """Many names of one small archive: each is read as if it were a file of its own."""
+    folder.mkdir()
+    for number in range(archives):
+        (folder / f"{number:05d}.h5").hardlink_to(source)
 
 
 def main() -> None:
     """Print the costs."""
     parser = argparse.ArgumentParser(description=__doc__)
-    for name, default in (("seconds", 600), ("channels", 8), ("control-hz", 1000), ("cameras", 2), ("picture-kb", 30)):
+    for name, default in (
+        ("seconds", 600),
+        ("channels", 8),
+        ("control-hz", 1000),
+        ("cameras", 2),
+        ("keep-every", 3),
+        ("archives", 10_000),
+    ):
         parser.add_argument(f"--{name}", type=int, default=default)
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
@@ -103,11 +142,16 @@ def main() -> None:
             ("open, read, summarise", lambda: summarise(runs.open(path.with_suffix(".h5")))),
             ("report", lambda: report.write(path.with_suffix(".h5"))),
         ):
-            began = time.perf_counter()
-            step()
-            print(f"{name:24} {time.perf_counter() - began:8.2f} s")
+            timed(name, step)
         for kind in (".h5", ".html"):
             print(f"{kind:24} {path.with_suffix(kind).stat().st_size / 1e6:8.1f} MB")
+        if options.archives:
+            small = Path(folder) / "small.mcap"
+            record(small, argparse.Namespace(**vars(options) | {"seconds": 2}), quiet=True)
+            many = Path(folder) / "many"
+            folder_of(options.archives, finalise(small), many)
+            timed(f"{options.archives} archives, first", lambda: catalogue(many))
+            timed(f"{options.archives} archives, again", lambda: catalogue(many))
 
 
 if __name__ == "__main__":

@@ -172,11 +172,34 @@ class Position(Section):
         return self
 
 
-class Orientation(Section):
-    """A unit quaternion that turns vectors of the sensor's axes into the tracker's."""
+def _order(text: str) -> str:
+    euler = len(text) == 3 and set(text.lower()) <= set("xyz") and text in (text.lower(), text.upper())
+    if text in ("wxyz", "xyzw", "matrix", "vector") or (euler and text[0] != text[1] != text[2]):
+        return text
+    raise ValueError("wxyz, xyzw, matrix, vector, or three Euler axes such as xyz or ZYX")
 
-    columns: tuple[Column, Column, Column, Column]
-    order: Literal["wxyz", "xyzw"]
+
+class Orientation(Section):
+    """What turns vectors of the sensor's axes into the tracker's.
+
+    `order`: a unit quaternion as `wxyz` or `xyzw`; a rotation `matrix`, nine columns row by row; a rotation `vector`;
+    or three Euler angles about axes that stand still (`xyz`, `zyz`, ..) or that turn along (`ZYX`, ..), in turn.
+    """
+
+    columns: Annotated[tuple[Column, ...], Field(min_length=3, max_length=9)]
+    order: Annotated[str, AfterValidator(_order)]
+    unit: Literal["deg", "rad"] | SkipJsonSchema[None] = Field(default=None, description="of angles")
+
+    @model_validator(mode="after")
+    def _check_columns(self) -> Orientation:
+        found = []
+        wanted = {"wxyz": 4, "xyzw": 4, "matrix": 9}.get(self.order, 3)
+        if len(self.columns) != wanted:
+            found.append(Fault(("columns",), f"{wanted} columns for '{self.order}'"))
+        if (wanted == 3) != (self.unit is not None):
+            found.append(Fault(("unit",), "deg or rad" if wanted == 3 else "nothing: only angles have a unit"))
+        faults(found)
+        return self
 
 
 class BaseOrientation(Orientation):

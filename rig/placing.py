@@ -105,7 +105,7 @@ def _base_turn(columns: Columns, base: BaseSensor) -> Floats | None:
         return None
     if base.orientation.use == "turn":
         return _matrices(columns, base.orientation, "base").transpose(0, 2, 1)
-    fault = _fault(columns, base.orientation, _quaternions(columns, base.orientation, "base"), "base")
+    fault = _fault(columns, base.orientation, _turns(columns, base.orientation, "base"), "base")
     if fault:
         columns.warn(f"{fault}; it is not used, as the mapping says")
     return None
@@ -125,26 +125,39 @@ def _variance(uncertainty_mm: float | tuple[float, ...] | None) -> Floats:
     return np.broadcast_to(np.square(np.array(uncertainty_mm) * 1e-3), 3)
 
 
-def _quaternions(columns: Columns, orientation: Orientation, whose: str) -> Floats:
-    """Quaternions (n, 4), in the order of the mapping."""
-    values = columns.several(orientation.columns, (1.0,) * 4)
+def _turns(columns: Columns, orientation: Orientation, whose: str) -> Floats:
+    """What the columns hold (n, 4), (n, 3) or (n, 9), in the order of the mapping; angles in radians."""
+    scale = np.pi / 180 if orientation.unit == "deg" else 1.0
+    values = columns.several(orientation.columns, (scale,) * len(orientation.columns))
     columns.warn_missing(values, f"the {whose}'s orientation")
     return values
 
 
 def _matrices(columns: Columns, orientation: Orientation, whose: str) -> Floats:
     """Rotations (n, 3, 3) from the sensor's axes to the tracker's, NaN where one is missing; a fault is a problem."""
-    values = _quaternions(columns, orientation, whose)
+    values = _turns(columns, orientation, whose)
     if fault := _fault(columns, orientation, values, whose):
-        wish = "unit quaternions"
+        wish = "rotation matrices" if orientation.order == "matrix" else "unit quaternions"
         if whose == "base":
             wish += "; with 'use: ignore' in the mapping's base orientation it stays out of the frame change"
         columns.problems.append(Problem(columns.table.file, 0, 0, "", fault, wish))
-    known = np.isfinite(values).all(axis=1) & (values != 0).any(axis=1)
-    scalar_last = values[:, [1, 2, 3, 0]] if orientation.order == "wxyz" else values
+    known = np.isfinite(values).all(axis=1)
+    if len(orientation.columns) > 3:
+        known &= (values != 0).any(axis=1)
     matrices = np.full((len(values), 3, 3), np.nan)
-    matrices[known] = Rotation.from_quat(scalar_last[known]).as_matrix()
+    matrices[known] = _rotation(orientation.order, values[known])
     return matrices
+
+
+def _rotation(order: str, values: Floats) -> Floats:
+    """Matrices (n, 3, 3) of what a mapping's order says that the values are."""
+    if order == "matrix":
+        return values.reshape(-1, 3, 3)
+    if order == "vector":
+        return np.asarray(Rotation.from_rotvec(values).as_matrix())
+    if len(order) == 3:
+        return np.asarray(Rotation.from_euler(order, values).as_matrix())
+    return np.asarray(Rotation.from_quat(values[:, [1, 2, 3, 0]] if order == "wxyz" else values).as_matrix())
 
 
 def _fault(columns: Columns, orientation: Orientation, values: Floats, whose: str) -> str:
@@ -152,6 +165,10 @@ def _fault(columns: Columns, orientation: Orientation, values: Floats, whose: st
     rotations about a diagonal have one.
     """
     known = np.flatnonzero(np.isfinite(values).all(axis=1))
+    if orientation.order == "matrix":
+        return _no_rotation(columns, values, known, whose)
+    if orientation.unit is not None:
+        return ""
     norms = np.linalg.norm(values[known], axis=1)
     off = known[np.abs(norms - 1) > UNIT]
     echoes = []
@@ -167,3 +184,14 @@ def _fault(columns: Columns, orientation: Orientation, values: Floats, whose: st
     where = f"in {len(off)} of {len(values)} rows, the first in {columns.table.place(int(off[0]))}"
     said = f"its norm lies between {norms.min():.4g} and {norms.max():.4g} instead of at 1, {where}"
     return f"the {whose}'s orientation is no rotation: " + "; ".join([said, *echoes])
+
+
+def _no_rotation(columns: Columns, values: Floats, known: NDArray[np.intp], whose: str) -> str:
+    """What makes the matrices (n, 9) no rotations, or an empty text."""
+    matrices = values[known].reshape(-1, 3, 3)
+    apart = np.abs(matrices @ matrices.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2))
+    off = known[(apart > 2 * UNIT) | (np.linalg.det(matrices) < 0)]
+    if not len(off):
+        return ""
+    where = f"in {len(off)} of {len(values)} rows, the first in {columns.table.place(int(off[0]))}"
+    return f"the {whose}'s orientation is no rotation: its rows are not at right angles and of length 1, {where}"
