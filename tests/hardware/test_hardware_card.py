@@ -236,7 +236,7 @@ def test_a_survey_tells_what_the_card_can_do() -> None:
     assert found.inputs == Lines(8, 16, ((-10.0, 10.0), (-5.0, 5.0)), 1e6)
     assert found.outputs == Lines(8, 16, ((-10.0, 10.0), (-5.0, 5.0)), None)
     assert str(found.inputs) == (
-        "8 of 16 bit (-10 to 10 V, -5 to 5 V), by its own clock up to 1e+06 Hz for one channel"
+        "8 of 16 bit (-10 to 10 V, -5 to 5 V), by its own clock up to 1000 kHz for one channel"
     )
 
 

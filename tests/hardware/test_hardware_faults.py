@@ -1,0 +1,95 @@
+"""Who else has the kernel's card: another writer, a lock on its outputs, a process that stands still; and its clock."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+from kernel_card import CARD, COUNT_V, OpenCard, bipolar
+from rig_of_the_machine import LOOPED, VALVES
+
+import rig.config
+from rig.bench import open_bench
+from rig.config import load
+from rig.daq.base import CardError
+from rig.executor import clocks
+from rig.executor.memory import Layout, RunMemory
+from rig.executor.standin import stand_in
+
+COMEDI_LOCK = (ord("d") << 8) | 5
+OUTPUTS = 1
+"""The card's subdevice of analogue outputs."""
+HOLD = (
+    "import sys, time\nfrom rig.bench import open_bench\nfrom rig.config import load\n"
+    "bench = open_bench(load(sys.argv[1]))\nprint('held', flush=True)\ntime.sleep(300)\n"
+)
+
+
+@pytest.fixture
+def memory() -> Iterator[RunMemory]:
+    memory = RunMemory.create(Layout.of(load(LOOPED)))
+    yield memory
+    os.close(memory.fd)
+
+
+@pytest.fixture
+def locked() -> Iterator[None]:
+    """Another program has the outputs for itself; other processes may open the card, and write nothing."""
+    node = os.open(CARD, os.O_RDWR)
+    fcntl.ioctl(node, COMEDI_LOCK, OUTPUTS)
+    yield
+    os.close(node)
+
+
+def test_who_else_writes_to_the_card_is_noticed_at_the_next_look(open_card: OpenCard) -> None:
+    bench = open_bench(load(LOOPED))
+    bench.write(np.array([1.0, 2.0, 3.0]))
+    assert bench.disturbance() == ""
+    other = open_card((), bipolar(VALVES[1]))
+    other.write(np.array([7.0]))
+    assert "valve 2 stands at 7.000 V and not at the 2.000 V that it was told" in bench.disturbance()
+    bench.close()
+
+
+def test_who_stands_in_makes_the_card_safe_and_ends_those_who_hold_it(memory: RunMemory, open_card: OpenCard) -> None:
+    watching = open_card((), bipolar(*VALVES))
+    watching.write(np.array([5.0, 5.0, 5.0]))
+    with subprocess.Popen([sys.executable, "-c", HOLD, LOOPED], stdout=subprocess.PIPE) as holder:
+        assert holder.stdout is not None
+        assert holder.stdout.readline() == b"held\n"
+        os.kill(holder.pid, signal.SIGSTOP)
+        memory.set("control_pid", holder.pid)
+        assert stand_in(load(LOOPED), memory) == ""
+        assert holder.wait(20) == -signal.SIGKILL
+    np.testing.assert_allclose(watching.readback(), [0.0, 0.0, 0.0], atol=COUNT_V)
+
+
+def test_a_card_whose_outputs_another_program_has_for_itself_is_not_armed(locked: None, memory: RunMemory) -> None:
+    bench = open_bench(load(LOOPED))
+    with pytest.raises(CardError, match="the safe state could not be written, shut the air off by hand"):
+        bench.arm()
+    bench.close()
+    assert "cannot be written" in stand_in(load(LOOPED), memory)
+
+
+def test_the_period_of_the_cards_own_clock_reaches_the_record(memory: RunMemory) -> None:
+    text = rig.config.text(LOOPED).replace("acquisition: instruction", "acquisition: command, sampling_hz: 1234.567")
+    config = rig.config.parse(text, "looped.yaml")
+    bench = open_bench(config)
+    bench.start()
+    until = time.monotonic() + 5
+    while time.monotonic() < until:
+        bench.read()
+        time.sleep(0.01)
+    clocks.publish(memory, bench)
+    bench.close()
+    counters = clocks.counted(memory, config)
+    assert counters["daq_scan_period_ns"] == 810_000
+    assert abs(counters["daq_scan_drift_ppb"]) <= 1_000_000
