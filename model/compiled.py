@@ -51,10 +51,18 @@ def cache_folder() -> Path:
     raise OSError("no folder to keep compiled kernels in: set SOFTRIG_CACHE to one that can be written to")
 
 
-def kernel(function: Callable[..., Any], sources: Sequence[str] = (), fastmath: bool | set[str] = _FAST) -> Any:
+def kernel(
+    function: Callable[..., Any],
+    sources: Sequence[str] = (),
+    fastmath: bool | set[str] = _FAST,
+    inlined: bool = False,
+    allocates: bool = True,
+) -> Any:
     """Compile a function when it is first called, or take it from the cache on disk.
 
-    `sources` are the files outside this room that a kernel is made of; `fastmath` is numba's.
+    `sources` are the files outside this room that a kernel is made of; `fastmath` is numba's. `inlined` puts the
+    machine code into every caller, which lets a loop around it become vector instructions. A kernel that makes no array
+    says so by `allocates`: it is then spared the counting of references, which is an atomic operation per array and call.
     """
     folder = cache_folder()
     if sources:
@@ -64,7 +72,8 @@ def kernel(function: Callable[..., Any], sources: Sequence[str] = (), fastmath: 
     before = config.CACHE_DIR
     config.CACHE_DIR = str(folder)
     try:
-        return numba.njit(cache=True, fastmath=fastmath, error_model="numpy", nogil=True)(function)
+        options = {"cache": True, "fastmath": fastmath, "error_model": "numpy", "nogil": True, "forceinline": inlined}
+        return numba.njit(**options, _nrt=allocates)(function)
     finally:
         config.CACHE_DIR = before
 

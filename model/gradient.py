@@ -79,7 +79,7 @@ def _perturb(
 ) -> None:
     """Write one changed parameter, or pressure k - len(names), into one lane."""
     offset = slice(layout.OFFSET, layout.OFFSET + 6)
-    free = slice(layout.ACTUATORS + 2, len(lane), layout.PER_ACTUATOR)
+    free = layout.tubes_at(len(pressure)) + 2 + layout.PER_TUBE * np.arange(len(pressure))
     if k >= len(names):
         moved = pressure.copy()
         moved[k - len(names)] += step

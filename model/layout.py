@@ -21,29 +21,43 @@ SUM = SLOPE + STATE
 WRENCH = SUM + STATE  # total internal wrench (n, m) in the section frame
 RATE = WRENCH + 6  # its arc-length derivative
 LOAD = RATE + 6  # distributed load (f, l) in the section frame
-TANGENTS = LOAD + 6  # moments of the tubes' tangent stiffness: 1, x, y, xx, xy, yy
+PULLS = LOAD + 6  # moments of the tubes' wall forces: 1, y, -x
+TANGENTS = PULLS + 3  # moments of the tubes' tangent stiffness: 1, x, y, xx, xy, yy
 SECANTS = TANGENTS + 6  # moments of their side stiffness: 1, x, y, rr
 CHANGES = SECANTS + 4  # moments of its derivative by strain: 1, x, y, xx, xy, yy, rrx, rry
 
 # Parameters of a run.
-CURRENT = CHANGES + 8  # the actuator being summed: x, y, free strain
-C0 = CURRENT + 3  # of the time scheme, eq 26
+C0 = CHANGES + 8  # of the time scheme, eq 26
 LINE_DENSITY = C0 + 1  # rho A
 INERTIA = LINE_DENSITY + 1  # rho J: 11, 22, 12, 33
-DAMPING = INERTIA + 4  # Kelvin-Voigt time
-AXIAL = DAMPING + 1  # stiffness over (v3, u1, u2): 11, 12, 13, 22, 23, 33
+LAG = INERTIA + 4  # Kelvin-Voigt time tau, as tau / (1 + tau c0)
+# Stiffness over (v3, u1, u2): 11, 12, 13, 22, 23, 33, times 1 + tau c0; of a pointwise section, times tau.
+AXIAL = LAG + 1
 SHEAR = AXIAL + 6  # stiffness over (v1, v2, u3), in the same order
 AXIAL_INVERSE = SHEAR + 6
 SHEAR_INVERSE = AXIAL_INVERSE + 6
 OFFSET = SHEAR_INVERSE + 6  # what the pressures and the strain at rest add to the wrench: n1 n2 n3 m1 m2 m3
 TUBE = OFFSET + 6  # a1, a2, gamma, I_o / A_m of one tube
-ACTUATORS = TUBE + 4  # per actuator: x, y, free strain
-PER_ACTUATOR = 3
+# Tubes come in trios, the last filled up with tubes of no share. Per tube: x, y, free strain, share (1, or 0).
+TRIO = TUBE + 4  # the trio being summed; where there is one only, it stands here
+PER_TUBE = 4
+PER_TRIO = 3 * PER_TUBE
+MORE = TRIO + PER_TRIO  # where there are several, all of them
 
 LINEAR = 0
 POINTWISE = 1
 
 
+def trios(actuators: int) -> int:
+    """How many trios hold the tubes."""
+    return -(-actuators // 3)
+
+
+def tubes_at(actuators: int) -> int:
+    """Where the first tube stands."""
+    return TRIO if actuators <= 3 else MORE
+
+
 def work_size(actuators: int) -> int:
     """Doubles in the work array."""
-    return LANES * (ACTUATORS + PER_ACTUATOR * actuators)
+    return LANES * (MORE if actuators <= 3 else MORE + PER_TRIO * trios(actuators))

@@ -8,20 +8,20 @@ import numpy as np
 
 from model.compiled import kernel
 from model.layout import (
-    ACTUATORS,
     HISTORY,
     LANES,
-    LINEAR,
+    MORE,
     NODE,
     OFFSET,
-    PER_ACTUATOR,
+    PER_TUBE,
     RATE,
     SLOPE,
     STAGE,
     STATE,
+    TRIO,
     WRENCH,
 )
-from model.rod import integrate, linear_slopes, pointwise_slopes, stage_wrench
+from model.rod import integrate, stage_wrench, strain_changes
 from model.shooting import newton
 
 Array = Any
@@ -36,9 +36,10 @@ def set_pressures(w: Array, actuators: int, rest: Array, per_pressure: Array, fr
             total += per_pressure[c, k] * pressure[k]
         for i in range(LANES):
             w[(OFFSET + c) * LANES + i] = total
+    first = TRIO if actuators <= 3 else MORE
     for k in range(actuators):
         for i in range(LANES):
-            w[(ACTUATORS + PER_ACTUATOR * k + 2) * LANES + i] = free * pressure[k]
+            w[(first + PER_TUBE * k + 2) * LANES + i] = free * pressure[k]
 
 
 @kernel
@@ -57,10 +58,7 @@ def uniform_guess(w: Array, law: int, actuators: int, history: Array, tip: Array
             w[(RATE + 3) * LANES + i] = tip[3] - w[(WRENCH + 3) * LANES + i]
             w[(RATE + 4) * LANES + i] = tip[4] - w[(WRENCH + 4) * LANES + i]
             w[(RATE + 5) * LANES + i] = tip[5] - w[(WRENCH + 5) * LANES + i]
-        if law == LINEAR:
-            linear_slopes(w, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-        else:
-            pointwise_slopes(w, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+        strain_changes(w, law)
         largest = 0.0
         for c in range(6):
             for i in range(LANES):

@@ -59,7 +59,7 @@ class Problem:
         return cls(
             law=layout.POINTWISE if pointwise else layout.LINEAR,
             actuators=len(xy),
-            work=_work(arm, xy, whole, c0),
+            work=_work(arm, xy, whole, c0, pointwise),
             rest=whole.rest,
             per_pressure=whole.per_pressure,
             free_per_pa=arm.rpe_per_bar / PA_PER_BAR,
@@ -110,7 +110,7 @@ def _scale(length_m: float, c0: float) -> Array:
     return np.concatenate([one, bent, carried * one, carried * bent, np.ones(4)])
 
 
-def _work(arm: Arm, xy: Array, whole: Section, c0: float) -> Array:
+def _work(arm: Arm, xy: Array, whole: Section, c0: float, pointwise: bool) -> Array:
     work = np.zeros((layout.work_size(len(xy)) // layout.LANES, layout.LANES))
     geometry, material = arm.geometry, arm.material
     area, second = geometry.wall_area_m2, geometry.wall_second_moment_m4
@@ -118,20 +118,23 @@ def _work(arm: Arm, xy: Array, whole: Section, c0: float) -> Array:
     xx, yy, xys = (area * x * x + second).sum(), (area * y * y + second).sum(), (area * x * y).sum()
     inertia = material.density_kg_m3 * np.array([yy, xx, -xys, xx + yy])
     tube = [material.a1_per_n, material.a2_per_n2, material.shear_ratio, second / area]
+    tau = material.damping_s
+    grown = 1 + tau * c0
+    share = tau if pointwise else grown
     parameters = [
         c0,
         arm.line_density_kg_m,
         *inertia,
-        material.damping_s,
-        *upper(whole.axial),
-        *upper(whole.shear),
-        *upper(np.linalg.inv(whole.axial)),
-        *upper(np.linalg.inv(whole.shear)),
+        tau / grown,
+        *upper(whole.axial * share),
+        *upper(whole.shear * share),
+        *upper(np.linalg.inv(whole.axial) / grown),
+        *upper(np.linalg.inv(whole.shear) / grown),
         *whole.rest,
         *tube,
     ]
-    work[layout.C0 : layout.ACTUATORS] = np.array(parameters)[:, None]
+    work[layout.C0 : layout.TRIO] = np.array(parameters)[:, None]
     for k, (cx, cy) in enumerate(xy):
-        at = layout.ACTUATORS + layout.PER_ACTUATOR * k
-        work[at : at + 2] = np.array([cx, cy])[:, None]
+        at = layout.tubes_at(len(xy)) + layout.PER_TUBE * k
+        work[at : at + layout.PER_TUBE] = np.array([cx, cy, 0.0, 1.0])[:, None]
     return work.reshape(-1)

@@ -1,0 +1,172 @@
+"""The section whose tubes each follow eq 32 at their own place (section.py derives what is summed)."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from model.layout import (
+    AXIAL,
+    CHANGES,
+    LANES,
+    MORE,
+    OFFSET,
+    PER_TRIO,
+    PULLS,
+    SECANTS,
+    SHEAR,
+    STAGE,
+    TANGENTS,
+    TRIO,
+    TUBE,
+)
+from model.triples import Triple, dot, inlined, leaf, plus, put, six, times, triple
+
+Array = Any
+
+# Eq 32 continued oddly has a kink in its secant stiffness at zero force, which no rubber has and Newton's method trips
+# over. The wall force keeps the law as it is; shear, own bending and torsion take the secant rounded over this strain.
+ROUNDING = 5e-3
+
+
+@inlined
+def _tube(strain: float, a1: float, a2: float, share: float) -> tuple[float, float, float, float]:
+    """Wall force of a strain, its derivative; rounded secant stiffness, its derivative; all times `share`."""
+    root = math.sqrt(a1 * a1 + 4.0 * a2 * abs(strain))
+    rounded = math.sqrt(strain * strain + ROUNDING * ROUNDING)
+    round_root = math.sqrt(a1 * a1 + 4.0 * a2 * rounded)
+    # Roots and divisions cost more than anything else here: two divisions serve for four quotients.
+    over = share / (root * (a1 + root))
+    both = (a1 + round_root) * round_root * rounded
+    round_over = 2.0 / both
+    stiffness = round_over * round_root * rounded
+    change = -0.5 * stiffness * stiffness * a2 * strain * round_over * (a1 + round_root)
+    return 2.0 * strain * root * over, (a1 + root) * over, share * stiffness, share * change
+
+
+@inlined
+def _trio(w: Array, i: int):  # type: ignore[no-untyped-def]
+    """Sums over the three tubes at TRIO: as they stand from PULLS on, in threes."""
+    a1, a2, spread = w[TUBE * LANES + i], w[(TUBE + 1) * LANES + i], 2.0 * w[(TUBE + 3) * LANES + i]
+    v3, u1, u2 = triple(w, STAGE + 2, i)
+    x1, y1, free1 = triple(w, TRIO, i)
+    x2, y2, free2 = triple(w, TRIO + 4, i)
+    x3, y3, free3 = triple(w, TRIO + 8, i)
+    share1, share2, share3 = w[(TRIO + 3) * LANES + i], w[(TRIO + 7) * LANES + i], w[(TRIO + 11) * LANES + i]
+    f1, t1, k1, e1 = _tube(v3 - 1.0 + y1 * u1 - x1 * u2 - free1, a1, a2, share1)
+    f2, t2, k2, e2 = _tube(v3 - 1.0 + y2 * u1 - x2 * u2 - free2, a1, a2, share2)
+    f3, t3, k3, e3 = _tube(v3 - 1.0 + y3 * u1 - x3 * u2 - free3, a1, a2, share3)
+    x, y = (x1, x2, x3), (y1, y2, y3)
+    xx, xy, yy = (x1 * x1, x2 * x2, x3 * x3), (x1 * y1, x2 * y2, x3 * y3), (y1 * y1, y2 * y2, y3 * y3)
+    far = (xx[0] + yy[0] + spread, xx[1] + yy[1] + spread, xx[2] + yy[2] + spread)
+    f, t, k, e = (f1, f2, f3), (t1, t2, t3), (k1, k2, k3), (e1, e2, e3)
+    g = (e1 * far[0], e2 * far[1], e3 * far[2])
+    return (
+        (f1 + f2 + f3, dot(f, y), -dot(f, x)),
+        (t1 + t2 + t3, dot(t, x), dot(t, y)),
+        (dot(t, xx), dot(t, xy), dot(t, yy)),
+        (k1 + k2 + k3, dot(k, x), dot(k, y)),
+        (dot(k, far), e1 + e2 + e3, dot(e, x)),
+        (dot(e, y), dot(e, xx), dot(e, xy)),
+        (dot(e, yy), dot(g, x), dot(g, y)),
+    )
+
+
+@leaf
+def sum_tubes(w: Array, trios: int) -> None:
+    """Sum over the tubes, all lanes, at the stage's strains: wall forces, tangent stiffnesses, side stiffnesses."""
+    if trios == 1:
+        for i in range(LANES):
+            s0, s1, s2, s3, s4, s5, s6 = _trio(w, i)
+            put(w, PULLS, i, s0)
+            put(w, PULLS + 3, i, s1)
+            put(w, PULLS + 6, i, s2)
+            put(w, PULLS + 9, i, s3)
+            put(w, PULLS + 12, i, s4)
+            put(w, PULLS + 15, i, s5)
+            put(w, PULLS + 18, i, s6)
+        return
+    for i in range(21 * LANES):
+        w[PULLS * LANES + i] = 0.0
+    for k in range(trios):
+        # Copied to a constant place, or the compiler gives up on vector instructions.
+        at = (MORE + PER_TRIO * k) * LANES
+        for i in range(PER_TRIO * LANES):
+            w[TRIO * LANES + i] = w[at + i]
+        for i in range(LANES):
+            s0, s1, s2, s3, s4, s5, s6 = _trio(w, i)
+            put(w, PULLS, i, plus(s0, 1.0, triple(w, PULLS, i)))
+            put(w, PULLS + 3, i, plus(s1, 1.0, triple(w, PULLS + 3, i)))
+            put(w, PULLS + 6, i, plus(s2, 1.0, triple(w, PULLS + 6, i)))
+            put(w, PULLS + 9, i, plus(s3, 1.0, triple(w, PULLS + 9, i)))
+            put(w, PULLS + 12, i, plus(s4, 1.0, triple(w, PULLS + 12, i)))
+            put(w, PULLS + 15, i, plus(s5, 1.0, triple(w, PULLS + 15, i)))
+            put(w, PULLS + 18, i, plus(s6, 1.0, triple(w, PULLS + 18, i)))
+
+
+@inlined
+def pointwise_wrench(w: Array, i: int, c0: float, v: Triple, u: Triple, v_h: Triple, u_h: Triple):  # type: ignore[no-untyped-def]
+    """Total wrench of the strains from the tubes' sums; the blocks hold the damping time times the stiffness."""
+    v_t, u_t = plus(v_h, c0, v), plus(u_h, c0, u)
+    a = times(six(w, AXIAL, i), (v_t[2], u_t[0], u_t[1]))
+    b = times(six(w, SHEAR, i), (v_t[0], v_t[1], u_t[2]))
+    offset, pull = six(w, OFFSET, i), triple(w, PULLS, i)
+    gamma, spread = w[(TUBE + 2) * LANES + i], w[(TUBE + 3) * LANES + i]
+    k0, kx, ky = triple(w, SECANTS, i)
+    kr = w[(SECANTS + 3) * LANES + i]
+    return (
+        offset[0] + b[0] + gamma * (k0 * v[0] - ky * u[2]),
+        offset[1] + b[1] + gamma * (k0 * v[1] + kx * u[2]),
+        offset[2] + a[0] + pull[0],
+    ), (
+        offset[3] + a[1] + pull[1] + spread * k0 * u[0],
+        offset[4] + a[2] + pull[2] + spread * k0 * u[1],
+        offset[5] + b[2] + gamma * (kx * v[1] - ky * v[0] + kr * u[2]),
+    )
+
+
+@inlined
+def pointwise_slopes(w: Array, i: int, c0: float, v: Triple, u: Triple, n: Triple, m: Triple, v_h: Triple, u_h: Triple):  # type: ignore[no-untyped-def]
+    """Strain slopes whose wrench has the slopes n, m, by the tangent; v_h, u_h are the slopes of the history."""
+    a11, a12, a13, a22, a23, a33 = six(w, AXIAL, i)
+    s11, s12, s13, s22, s23, s33 = six(w, SHEAR, i)
+    # Viscous part first.
+    f3, f4, f5 = plus((n[2], m[0], m[1]), -1.0, times((a11, a12, a13, a22, a23, a33), (v_h[2], u_h[0], u_h[1])))
+    f1, f2, f6 = plus((n[0], n[1], m[2]), -1.0, times((s11, s12, s13, s22, s23, s33), (v_h[0], v_h[1], u_h[2])))
+    v1, v2 = v[0], v[1]
+    u1, u2, u3 = u
+    gamma, spread = w[(TUBE + 2) * LANES + i], w[(TUBE + 3) * LANES + i]
+    t0, tx, ty = triple(w, TANGENTS, i)
+    txx, txy, tyy = triple(w, TANGENTS + 3, i)
+    t11, t12, t13 = c0 * a11 + t0, c0 * a12 + ty, c0 * a13 - tx
+    t22, t23, t33 = c0 * a22 + tyy, c0 * a23 - txy, c0 * a33 + txx
+    k0, kx, ky = triple(w, SECANTS, i)
+    kr = w[(SECANTS + 3) * LANES + i]
+    e0, ex, ey = triple(w, CHANGES, i)
+    exx, exy, eyy = triple(w, CHANGES + 3, i)
+    b1, b2 = spread * u1, spread * u2
+    # Not symmetric: a tube's own bending stiffness follows its axial strain, not the other way round.
+    p21, p22, p23 = t12 + b1 * e0, t22 + b1 * ey + spread * k0, t23 - b1 * ex
+    p31, p32, p33 = t13 + b2 * e0, t23 + b2 * ey, t33 - b2 * ex + spread * k0
+    m11, m12, m13 = p22 * p33 - p23 * p32, p23 * p31 - p21 * p33, p21 * p32 - p22 * p31
+    s11, s12, s13 = c0 * s11 + gamma * k0, c0 * s12, c0 * s13 - gamma * ky
+    s22, s23, s33 = c0 * s22 + gamma * k0, c0 * s23 + gamma * kx, c0 * s33 + gamma * kr
+    g11, g12, g13 = s22 * s33 - s23 * s23, s13 * s23 - s12 * s33, s12 * s23 - s13 * s22
+    first, second = t11 * m11 + t12 * m12 + t13 * m13, s11 * g11 + s12 * g12 + s13 * g13
+    both = 1.0 / (first * second)
+    over = both * second
+    dv3 = over * (m11 * f3 + (t13 * p32 - t12 * p33) * f4 + (t12 * p23 - t13 * p22) * f5)
+    du1 = over * (m12 * f3 + (t11 * p33 - t13 * p31) * f4 + (t13 * p21 - t11 * p23) * f5)
+    du2 = over * (m13 * f3 + (t12 * p31 - t11 * p32) * f4 + (t11 * p22 - t12 * p21) * f5)
+    r0 = e0 * dv3 + ey * du1 - ex * du2
+    rx = ex * dv3 + exy * du1 - exx * du2
+    ry = ey * dv3 + eyy * du1 - exy * du2
+    rr = (exx + eyy + 2.0 * spread * e0) * dv3 + w[(CHANGES + 7) * LANES + i] * du1 - w[(CHANGES + 6) * LANES + i] * du2
+    f1 -= gamma * (r0 * v1 - ry * u3)
+    f2 -= gamma * (r0 * v2 + rx * u3)
+    f6 -= gamma * (rx * v2 - ry * v1 + rr * u3)
+    over = both * first
+    g22, g23, g33 = s11 * s33 - s13 * s13, s12 * s13 - s11 * s23, s11 * s22 - s12 * s12
+    return (
+        over * (g11 * f1 + g12 * f2 + g13 * f6), over * (g12 * f1 + g22 * f2 + g23 * f6), dv3,
+    ), (du1, du2, over * (g13 * f1 + g23 * f2 + g33 * f6))  # fmt: skip
