@@ -7,16 +7,17 @@ from typing import Any
 import numpy as np
 
 from model.compiled import kernel
-from model.layout import HISTORY, LANES, NODE, SLOPE, STAGE, STATE
+from model.layout import HISTORY, LANES, NODE, SLOPE, STAGE, STATE, WRENCH
 from model.march import advance, equilibrium
 from model.rod import integrate, slopes
-from model.shooting import tip_residual
+from model.shooting import Room, tip_residual
+from model.triples import cross, leaf, plus, rotation
 
 Array = Any
 
 
-@kernel
-def axis(x: Array, slope: Array, length: float, centre: Array, p: Array, rotation: Array, v: Array, u: Array) -> None:
+@leaf
+def axis(x: Array, slope: Array, length: float, centre: Array, p: Array, rotations: Array, v: Array, u: Array) -> None:
     """Positions, orientations and strains of the arm's axis from the solved states of the line through the centroid.
 
     Integrates p' = R v (eq 7) by the trapezoid corrected with end slopes, of fourth order, then moves from the centroid
@@ -24,44 +25,26 @@ def axis(x: Array, slope: Array, length: float, centre: Array, p: Array, rotatio
     """
     n = x.shape[0] - 1
     h = length / n
-    speed, turn = np.empty((n + 1, 3)), np.empty((n + 1, 3))
+    cx, cy = centre[0], centre[1]
+    at, speed, turn = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
     for j in range(n + 1):
-        a, b, c, d = x[j, 12], x[j, 13], x[j, 14], x[j, 15]
-        s = 2.0 / (a * a + b * b + c * c + d * d)
-        rotation[j, 0, 0], rotation[j, 0, 1], rotation[j, 0, 2] = (
-            1.0 - s * (c * c + d * d),
-            s * (b * c - d * a),
-            s * (b * d + c * a),
-        )
-        rotation[j, 1, 0], rotation[j, 1, 1], rotation[j, 1, 2] = (
-            s * (b * c + d * a),
-            1.0 - s * (b * b + d * d),
-            s * (c * d - b * a),
-        )
-        rotation[j, 2, 0], rotation[j, 2, 1], rotation[j, 2, 2] = (
-            s * (b * d - c * a),
-            s * (c * d + b * a),
-            1.0 - s * (b * b + c * c),
-        )
-        v1, v2, v3 = x[j, 0], x[j, 1], x[j, 2]
-        u1, u2, u3 = x[j, 3], x[j, 4], x[j, 5]
-        g1 = slope[j, 0] + u2 * v3 - u3 * v2
-        g2 = slope[j, 1] + u3 * v1 - u1 * v3
-        g3 = slope[j, 2] + u1 * v2 - u2 * v1
+        d1, d2, d3 = rotation((x[j, 12], x[j, 13], x[j, 14], x[j, 15]))
+        strain, curvature = (x[j, 0], x[j, 1], x[j, 2]), (x[j, 3], x[j, 4], x[j, 5])
+        g = plus((slope[j, 0], slope[j, 1], slope[j, 2]), 1.0, cross(curvature, strain))
+        was, turned = speed, turn
+        speed = plus(plus((strain[0] * d1[0], strain[0] * d1[1], strain[0] * d1[2]), strain[1], d2), strain[2], d3)
+        turn = plus(plus((g[0] * d1[0], g[0] * d1[1], g[0] * d1[2]), g[1], d2), g[2], d3)
+        if j > 0:
+            at = plus(at, 0.5 * h, plus(was, 1.0, speed))
+            at = plus(at, h * h / 12.0, plus(turned, -1.0, turn))
         for k in range(3):
-            speed[j, k] = rotation[j, k, 0] * v1 + rotation[j, k, 1] * v2 + rotation[j, k, 2] * v3
-            turn[j, k] = rotation[j, k, 0] * g1 + rotation[j, k, 1] * g2 + rotation[j, k, 2] * g3
-        cx, cy = centre[0], centre[1]
-        v[j, 0], v[j, 1], v[j, 2] = v1 + u3 * cy, v2 - u3 * cx, v3 - u1 * cy + u2 * cx
+            rotations[j, k, 0], rotations[j, k, 1], rotations[j, k, 2] = d1[k], d2[k], d3[k]
+            p[j, k] = at[k] - d1[k] * cx - d2[k] * cy
+        p[j, 0] += cx
+        p[j, 1] += cy
+        u1, u2, u3 = curvature
+        v[j, 0], v[j, 1], v[j, 2] = strain[0] + u3 * cy, strain[1] - u3 * cx, strain[2] - u1 * cy + u2 * cx
         u[j, 0], u[j, 1], u[j, 2] = u1, u2, u3
-    at = np.zeros(3)
-    for j in range(n + 1):
-        for k in range(3):
-            if j > 0:
-                at[k] += 0.5 * h * (speed[j - 1, k] + speed[j, k]) + h * h / 12.0 * (turn[j - 1, k] - turn[j, k])
-            p[j, k] = at[k] - rotation[j, k, 0] * centre[0] - rotation[j, k, 1] * centre[1]
-        p[j, 0] += centre[0]
-        p[j, 1] += centre[1]
 
 
 @kernel
@@ -85,6 +68,7 @@ def motion(
     trail: Array,
     x: Array,
     slope: Array,
+    room: Room,
     tolerance: float,
     centre: Array,
     tips: Array,
@@ -93,19 +77,19 @@ def motion(
 ) -> int:
     """Advance through the rows of pressure (T, N); fills tips (T, 3), turns (T, 3, 3), good (T,). Returns passes."""
     n = x.shape[0]
-    p, rotation, v, u = np.empty((n, 3)), np.empty((n, 3, 3)), np.empty((n, 3)), np.empty((n, 3))
+    p, turned, v, u = np.empty((n, 3)), np.empty((n, 3, 3)), np.empty((n, 3)), np.empty((n, 3))
     total = 0
     for t in range(pressure.shape[0]):
         passes = advance(
             w, law, actuators, rest, per_pressure, free, before, pressure[t], load, loaded, tip, length, segments,
-            scale, scheme, levels, trail, x, slope, tolerance,
+            scale, scheme, levels, trail, x, slope, room, tolerance,
         )  # fmt: skip
         good[t] = passes > 0
         if passes > 0:
             total += passes
-        axis(x, slope, length, centre, p, rotation, v, u)
+        axis(x, slope, length, centre, p, turned, v, u)
         tips[t] = p[n - 1]
-        turns[t] = rotation[n - 1]
+        turns[t] = turned[n - 1]
     return total
 
 
@@ -130,7 +114,7 @@ def lanes(
 
     Lanes 1 to 6 start with one base strain each moved by step, in units of scale; 0 moves none.
     """
-    history = np.zeros((2 * n + 1, HISTORY))
+    history = np.zeros((2 * n + 1) * HISTORY)
     states, derivatives = np.empty((n + 1, STATE * LANES)), np.empty((n + 1, STATE * LANES))
     for c in range(STATE):
         for i in range(LANES):
@@ -143,15 +127,17 @@ def lanes(
     slopes(w, law, actuators, history, load, loaded, 2 * n)
     for i in range(STATE * LANES):
         derivatives[n, i] = w[SLOPE * LANES + i]
-    tip_residual(w, law, actuators, history, 2 * n, tip, 0.0, residual)
+    tip_residual(w, law, actuators, history, 2 * n, tip, 0.0)
     x, slope = np.empty((n + 1, STATE)), np.empty((n + 1, STATE))
-    p, rotation, v, u = np.empty((n + 1, 3)), np.empty((n + 1, 3, 3)), np.empty((n + 1, 3)), np.empty((n + 1, 3))
+    p, turned, v, u = np.empty((n + 1, 3)), np.empty((n + 1, 3, 3)), np.empty((n + 1, 3)), np.empty((n + 1, 3))
     for i in range(LANES):
+        for c in range(6):
+            residual[i, c] = w[(WRENCH + c) * LANES + i]
         for j in range(n + 1):
             for c in range(STATE):
                 x[j, c] = states[j, c * LANES + i]
                 slope[j, c] = derivatives[j, c * LANES + i]
-        axis(x, slope, length, centre, p, rotation, v, u)
+        axis(x, slope, length, centre, p, turned, v, u)
         place[i] = p[n]
 
 
@@ -171,25 +157,25 @@ def equilibria(
     scale: Array,
     centre: Array,
     tolerance: float,
-    n: int,
+    room: Room,
     place: Array,
     turned: Array,
     good: Array,
 ) -> None:
     """One equilibrium per row of pressure (B, N), each with its own parameters; fills place, turned and good."""
-    x, slope = np.empty((n + 1, STATE)), np.empty((n + 1, STATE))
-    p, rotation, v, u = np.empty((n + 1, 3)), np.empty((n + 1, 3, 3)), np.empty((n + 1, 3)), np.empty((n + 1, 3))
+    n = room.x.shape[0] - 1
+    p, turns, v, u = np.empty((n + 1, 3)), np.empty((n + 1, 3, 3)), np.empty((n + 1, 3)), np.empty((n + 1, 3))
     for b in range(pressure.shape[0]):
         k = b % works.shape[0]
         passes = equilibrium(
             works[k], law, actuators, rests[k], per_pressures[k], free[k], pressure[b], load[k], loaded, tips[k],
-            length[k], scale[k], x, slope, tolerance,
+            length[k], scale[k], room, tolerance,
         )  # fmt: skip
         good[b] = passes > 0
         if passes > 0:
-            axis(x, slope, length[k], centre[k], p, rotation, v, u)
+            axis(room.x, room.slope, length[k], centre[k], p, turns, v, u)
             place[b] = p[n]
-            turned[b] = rotation[n]
+            turned[b] = turns[n]
         else:
             place[b] = np.nan
             turned[b] = np.nan

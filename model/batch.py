@@ -15,6 +15,7 @@ from model.arm import Arm
 from model.axis import equilibria
 from model.dynamics import Motion
 from model.problem import SOLVED, Problem
+from model.shooting import Room
 
 Array = NDArray[np.float64]
 
@@ -56,7 +57,7 @@ def statics(arms: Arm | Sequence[Arm], pressure_pa: ArrayLike, nodes: int = 20, 
             np.array([load for load, _ in loads]), any(loaded for _, loaded in loads),
             np.array([p.tip(arm, None) for p, arm in zip(problems, mine, strict=True)]),
             np.array([p.length_m for p in problems]), np.array([p.scale for p in problems]),
-            np.array([p.centre_m for p in problems]), SOLVED, nodes, place[at], turned[at], good[at],
+            np.array([p.centre_m for p in problems]), SOLVED, Room.of(nodes), place[at], turned[at], good[at],
         )  # fmt: skip
 
     _spread(part, count, workers)

@@ -10,12 +10,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from model.axis import motion
-from model.layout import HISTORY
+from model.layout import HISTORY, aligned
 from model.loads import Loads
 from model.march import advance, sample_history
 from model.problem import CLOSE, Problem, pressures
 from model.schemes import Scheme
 from model.shape import Shape
+from model.shooting import Room
 from model.statics import shape, states
 
 if TYPE_CHECKING:
@@ -65,7 +66,8 @@ class Dynamics:
         resting = Problem.of(self._arm, pressure)
         self._x, self._slope = states(self._arm, resting, pressure, loads, n)
         self._problem = Problem.of(self._arm, pressure, self._scheme.c0)
-        self._levels = np.zeros((4, 2 * n + 1, HISTORY))
+        self._room = Room.of(n)
+        self._levels = aligned(4, (2 * n + 1) * HISTORY)
         sample_history(self._x, self._slope, resting.length_m / n, self._levels[0])
         self._levels[1:3] = self._levels[0]
         self._trail = np.stack([self._x] * 3)
@@ -91,7 +93,7 @@ class Dynamics:
         passes = advance(
             problem.work, problem.law, problem.actuators, problem.rest, problem.per_pressure, problem.free_per_pa,
             self._before, pressure, self._load, self._loaded, self._tip, problem.length_m, self._segments,
-            problem.scale, self._coefficients, self._levels, self._trail, self._x, self._slope, CLOSE,
+            problem.scale, self._coefficients, self._levels, self._trail, self._x, self._slope, self._room, CLOSE,
         )  # fmt: skip
         if passes < 0:
             return replace(self._shape, ok=False)
@@ -124,7 +126,7 @@ class Dynamics:
         motion(
             problem.work, problem.law, problem.actuators, problem.rest, problem.per_pressure, problem.free_per_pa,
             self._before, rows, self._load, self._loaded, self._tip, problem.length_m, self._segments,
-            problem.scale, self._coefficients, self._levels, self._trail, self._x, self._slope, CLOSE,
+            problem.scale, self._coefficients, self._levels, self._trail, self._x, self._slope, self._room, CLOSE,
             problem.centre_m, tips, turns, good,
         )  # fmt: skip
         self._shape = shape(self._arm, problem, self._x, self._slope, ok=True)

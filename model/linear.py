@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from typing import Any
 
-from model.compiled import kernel
+from model.triples import leaf
 
 Array = Any
 
 
-@kernel
+@leaf
 def solve_six(a: Array, b: Array) -> bool:
     """Solve a x = b in place (a is destroyed, b becomes x) by elimination with row pivots; False when singular."""
     n = 6
@@ -40,7 +40,7 @@ def solve_six(a: Array, b: Array) -> bool:
     return True
 
 
-@kernel
+@leaf
 def orthonormalise(y: Array, r: Array) -> bool:
     """Factor y (six rows of 16, each a direction) into orthonormal rows and an upper triangle r, both in place.
 

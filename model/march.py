@@ -22,12 +22,13 @@ from model.layout import (
     WRENCH,
 )
 from model.rod import integrate, stage_wrench, strain_changes
-from model.shooting import newton
+from model.shooting import Room, newton
+from model.triples import leaf
 
 Array = Any
 
 
-@kernel
+@leaf
 def set_pressures(w: Array, actuators: int, rest: Array, per_pressure: Array, free: float, pressure: Array) -> None:
     """Write what the pressures [Pa] do into the parameters of all lanes; free is the RPE's strain per pascal."""
     for c in range(6):
@@ -42,22 +43,19 @@ def set_pressures(w: Array, actuators: int, rest: Array, per_pressure: Array, fr
             w[(first + PER_TUBE * k + 2) * LANES + i] = free * pressure[k]
 
 
-@kernel
-def uniform_guess(w: Array, law: int, actuators: int, history: Array, tip: Array, scale: Array, x: Array) -> None:
+@leaf
+def uniform_guess(w: Array, law: int, actuators: int, tip: Array, scale: Array, room: Room) -> None:
     """Fill x with the strains that the section would have everywhere if the tip's load did not turn with the arm."""
+    x = room.x
     n = x.shape[0] - 1
     for i in range(LANES):
         for c in range(STATE):
             w[(STAGE + c) * LANES + i] = 1.0 if c in (2, 12) else 0.0
     for _ in range(8):
-        stage_wrench(w, law, actuators, history, 0)
-        for i in range(LANES):
-            w[RATE * LANES + i] = tip[0] - w[WRENCH * LANES + i]
-            w[(RATE + 1) * LANES + i] = tip[1] - w[(WRENCH + 1) * LANES + i]
-            w[(RATE + 2) * LANES + i] = tip[2] - w[(WRENCH + 2) * LANES + i]
-            w[(RATE + 3) * LANES + i] = tip[3] - w[(WRENCH + 3) * LANES + i]
-            w[(RATE + 4) * LANES + i] = tip[4] - w[(WRENCH + 4) * LANES + i]
-            w[(RATE + 5) * LANES + i] = tip[5] - w[(WRENCH + 5) * LANES + i]
+        stage_wrench(w, law, actuators, room.history, 0)
+        for c in range(6):
+            for i in range(LANES):
+                w[(RATE + c) * LANES + i] = tip[c] - w[(WRENCH + c) * LANES + i]
         strain_changes(w, law)
         largest = 0.0
         for c in range(6):
@@ -71,7 +69,7 @@ def uniform_guess(w: Array, law: int, actuators: int, history: Array, tip: Array
             x[j, c] = w[(STAGE + c) * LANES]
 
 
-@kernel
+@leaf
 def equilibrium(
     w: Array,
     law: int,
@@ -85,48 +83,68 @@ def equilibrium(
     tip: Array,
     length: float,
     scale: Array,
-    x: Array,
-    slope: Array,
+    room: Room,
     tolerance: float,
 ) -> int:
-    """Solve the static rod into x (N + 1, 16) from scratch. Returns the number of passes, or -1.
+    """Solve the static rod into room.x and room.slope from scratch. Returns the number of passes, or -1.
 
     First by simple shooting from a uniform guess; where that fails, by following the loads up from nothing.
     """
-    n = x.shape[0] - 1
-    history = np.zeros((2 * n + 1, HISTORY))
-    states, derivatives = np.empty((n + 1, STATE * LANES)), np.empty((n + 1, STATE * LANES))
+    for j in range(room.history.shape[0]):
+        room.history[j] = 0.0
     set_pressures(w, actuators, rest, per_pressure, free, pressure)
-    uniform_guess(w, law, actuators, history, tip, scale, x)
-    passes = newton(
-        w, law, actuators, history, load, loaded, tip, 0.0, length, 1, scale, x, slope, states, derivatives,
-        tolerance, 20,
-    )  # fmt: skip
+    uniform_guess(w, law, actuators, tip, scale, room)
+    passes = newton(w, law, actuators, load, loaded, tip, 0.0, length, 1, scale, room, tolerance, 20)
     if passes > 0:
         return int(passes)
+    return int(
+        _followed(
+            w, law, actuators, rest, per_pressure, free, pressure, load, loaded, tip, length, scale, room, tolerance
+        )
+    )
+
+
+@kernel
+def _followed(
+    w: Array,
+    law: int,
+    actuators: int,
+    rest: Array,
+    per_pressure: Array,
+    free: float,
+    pressure: Array,
+    load: Array,
+    loaded: bool,
+    tip: Array,
+    length: float,
+    scale: Array,
+    room: Room,
+    tolerance: float,
+) -> int:
+    """The equilibrium by following pressures and loads up from nothing, with strides as long as succeed."""
+    x = room.x
+    n = x.shape[0] - 1
     segments = _divisor(n, 4)
-    some, some_load, some_tip = np.empty_like(pressure), np.empty_like(load), tip.copy()
+    some, some_load, some_tip = np.zeros_like(pressure), np.zeros_like(load), np.zeros_like(tip)
     done, stride, total = 0.0, 0.25, 0
-    set_pressures(w, actuators, rest, per_pressure, free, np.zeros_like(pressure))
-    uniform_guess(w, law, actuators, history, np.zeros_like(tip), scale, x)
+    set_pressures(w, actuators, rest, per_pressure, free, some)
+    uniform_guess(w, law, actuators, some_tip, scale, room)
     for c in range(STATE):
         for i in range(LANES):
             w[(NODE + c) * LANES + i] = x[0, c]
-    integrate(w, law, actuators, history, np.zeros_like(load), False, 0, n, length / n, states, derivatives)
+    integrate(w, law, actuators, room.history, some_load, False, 0, n, length / n, room.states, room.derivatives)
     for j in range(n):
         for c in range(STATE):
-            x[j, c] = states[j, c * LANES]
+            x[j, c] = room.states[j, c * LANES]
     good = x.copy()
+    some_tip[:] = tip
     while done < 1.0:
         share = min(1.0, done + stride)
         some[:] = share * pressure
         some_load[:] = share * load
         some_tip[:6] = share * tip[:6]
         set_pressures(w, actuators, rest, per_pressure, free, some)
-        passes = newton(
-            w, law, actuators, history, some_load, loaded, some_tip, 0.0, length, segments, scale, x, slope, states,
-            derivatives, tolerance, 30,
-        )  # fmt: skip
+        passes = newton(w, law, actuators, some_load, loaded, some_tip, 0.0, length, segments, scale, room, tolerance, 30)
         if passes > 0:
             total += passes
             done, stride = share, 2.0 * stride
@@ -139,7 +157,7 @@ def equilibrium(
     return total
 
 
-@kernel
+@leaf
 def _divisor(n: int, wanted: int) -> int:
     """The smallest divisor of n that is at least `wanted`."""
     for d in range(max(1, wanted), n + 1):
@@ -148,26 +166,60 @@ def _divisor(n: int, wanted: int) -> int:
     return n
 
 
-@kernel
+@leaf
 def sample_history(x: Array, slope: Array, h: float, out: Array) -> None:
-    """Velocities and strains, and the strains' slopes, at nodes and mid-points (2 N + 1, 18), by cubic Hermite.
+    """Velocities and strains, and the strains' slopes, at nodes and mid-points (2 N + 1 rows of 18), by cubic Hermite.
 
     The mid-point's slope from the same cubic is of fourth order too: its leading error vanishes by symmetry.
     """
     n = x.shape[0] - 1
+    over = 1.5 / h
     for j in range(n + 1):
+        at = 2 * HISTORY * j
         for c in range(12):
-            out[2 * j, c] = x[j, c]
+            out[at + c] = x[j, c]
         for c in range(6):
-            out[2 * j, 12 + c] = slope[j, c]
+            out[at + 12 + c] = slope[j, c]
     for j in range(n):
+        at = 2 * HISTORY * j + HISTORY
         for c in range(12):
-            out[2 * j + 1, c] = 0.5 * (x[j, c] + x[j + 1, c]) + 0.125 * h * (slope[j, c] - slope[j + 1, c])
+            out[at + c] = 0.5 * (x[j, c] + x[j + 1, c]) + 0.125 * h * (slope[j, c] - slope[j + 1, c])
         for c in range(6):
-            out[2 * j + 1, 12 + c] = 1.5 * (x[j + 1, c] - x[j, c]) / h - 0.25 * (slope[j, c] + slope[j + 1, c])
+            out[at + 12 + c] = over * (x[j + 1, c] - x[j, c]) - 0.25 * (slope[j, c] + slope[j + 1, c])
 
 
 @kernel
+def _led(
+    w: Array,
+    law: int,
+    actuators: int,
+    rest: Array,
+    per_pressure: Array,
+    free: float,
+    last: Array,
+    pressure: Array,
+    load: Array,
+    loaded: bool,
+    tip: Array,
+    c0: float,
+    length: float,
+    segments: int,
+    scale: Array,
+    room: Room,
+    tolerance: float,
+) -> int:
+    """A time step by leading the pressures from the last ones to the new ones in parts."""
+    some, parts, passes = np.empty_like(pressure), 8, -1
+    for part in range(1, parts + 1):
+        some[:] = last + (pressure - last) * (part / parts)
+        set_pressures(w, actuators, rest, per_pressure, free, some)
+        passes = newton(w, law, actuators, load, loaded, tip, c0, length, segments, scale, room, tolerance, 40)
+        if passes < 0:
+            return -1
+    return int(passes)
+
+
+@leaf
 def advance(
     w: Array,
     law: int,
@@ -188,83 +240,68 @@ def advance(
     trail: Array,
     x: Array,
     slope: Array,
+    room: Room,
     tolerance: float,
 ) -> int:
-    """One time step. Returns the number of passes, or -1, in which case nothing but the work array has changed.
+    """One time step. Returns the number of passes, or -1, in which case nothing but work array and room has changed.
 
-    scheme: c0, c1, c2, c3, d1. levels (4, 2 N + 1, 18): the last three samples, and the time derivative of the last.
+    scheme: c0, c1, c2, c3, d1. levels (4, (2 N + 1) 18): the last three samples, and the time derivative of the last.
     trail (3, N + 1, 16) and before (3, N): the last three solutions and their pressures, for the guess: extrapolated
     where extrapolation foretells the pressures better than the last ones do. Where that fails: more segments, then the
     pressures led from the last ones to the new ones in parts.
     """
     n = x.shape[0] - 1
-    h = length / n
-    c0 = scheme[0]
-    history = np.empty((2 * n + 1, HISTORY))
-    for j in range(2 * n + 1):
-        for c in range(HISTORY):
-            history[j, c] = (
-                scheme[1] * levels[0, j, c]
-                + scheme[2] * levels[1, j, c]
-                + scheme[3] * levels[2, j, c]
-                + scheme[4] * levels[3, j, c]
-            )
-    states, derivatives = np.empty((n + 1, STATE * LANES)), np.empty((n + 1, STATE * LANES))
-    y, z = np.empty_like(x), np.empty_like(slope)
+    c0, history, y, z = scheme[0], room.history, room.x, room.slope
+    c1, c2, c3, d1 = scheme[1], scheme[2], scheme[3], scheme[4]
+    samples = history.shape[0]
+    for j in range(samples):
+        history[j] = c1 * levels[0, j] + c2 * levels[1, j] + c3 * levels[2, j] + d1 * levels[3, j]
     set_pressures(w, actuators, rest, per_pressure, free, pressure)
     ahead, off = 0.0, 0.0
     for k in range(actuators):
         off += abs(pressure[k] - before[0, k])
         ahead += abs(pressure[k] - 3.0 * (before[0, k] - before[1, k]) - before[2, k])
-    if ahead <= off:
-        for j in range(n + 1):
-            for c in range(STATE):
-                y[j, c] = 3.0 * (trail[0, j, c] - trail[1, j, c]) + trail[2, j, c]
-    else:
-        y[:] = trail[0]
-    passes = newton(
-        w, law, actuators, history, load, loaded, tip, c0, length, segments, scale, y, z, states, derivatives,
-        tolerance, 8,
-    )  # fmt: skip
+    a, b = (3.0, 1.0) if ahead <= off else (1.0, 0.0)
+    _guess(trail, a, b, y)
+    passes = newton(w, law, actuators, load, loaded, tip, c0, length, segments, scale, room, tolerance, 8)
     if passes < 0:
         finer = _divisor(n, max(4, 2 * segments))
-        y[:] = trail[0]
-        passes = newton(
-            w, law, actuators, history, load, loaded, tip, c0, length, finer, scale, y, z, states, derivatives,
-            tolerance, 25,
-        )  # fmt: skip
+        _guess(trail, 1.0, 0.0, y)
+        passes = newton(w, law, actuators, load, loaded, tip, c0, length, finer, scale, room, tolerance, 25)
         if passes < 0:
-            y[:] = trail[0]
-            some = np.empty_like(pressure)
-            parts = 8
-            for part in range(1, parts + 1):
-                some[:] = before[0] + (pressure - before[0]) * (part / parts)
-                set_pressures(w, actuators, rest, per_pressure, free, some)
-                passes = newton(
-                    w, law, actuators, history, load, loaded, tip, c0, length, finer, scale, y, z, states, derivatives,
-                    tolerance, 40,
-                )  # fmt: skip
-                if passes < 0:
-                    return -1
+            _guess(trail, 1.0, 0.0, y)
+            passes = _led(
+                w, law, actuators, rest, per_pressure, free, before[0], pressure, load, loaded, tip, c0, length, finer,
+                scale, room, tolerance,
+            )  # fmt: skip
+            if passes < 0:
+                return -1
     for j in range(n + 1):
-        size = (y[j, 12] ** 2 + y[j, 13] ** 2 + y[j, 14] ** 2 + y[j, 15] ** 2) ** 0.5
+        over = 1.0 / (y[j, 12] ** 2 + y[j, 13] ** 2 + y[j, 14] ** 2 + y[j, 15] ** 2) ** 0.5
         for c in range(12, 16):
-            y[j, c] /= size
+            y[j, c] *= over
         for c in range(STATE):
             trail[2, j, c] = trail[1, j, c]
             trail[1, j, c] = trail[0, j, c]
             trail[0, j, c] = y[j, c]
             x[j, c] = y[j, c]
             slope[j, c] = z[j, c]
-    before[2] = before[1]
-    before[1] = before[0]
-    before[0] = pressure
-    for j in range(2 * n + 1):
-        for c in range(HISTORY):
-            levels[2, j, c] = levels[1, j, c]
-            levels[1, j, c] = levels[0, j, c]
-    sample_history(x, slope, h, levels[0])
-    for j in range(2 * n + 1):
-        for c in range(HISTORY):
-            levels[3, j, c] = c0 * levels[0, j, c] + history[j, c]
+    for k in range(actuators):
+        before[2, k] = before[1, k]
+        before[1, k] = before[0, k]
+        before[0, k] = pressure[k]
+    for j in range(samples):
+        levels[2, j] = levels[1, j]
+        levels[1, j] = levels[0, j]
+    sample_history(x, slope, length / n, levels[0])
+    for j in range(samples):
+        levels[3, j] = c0 * levels[0, j] + history[j]
     return int(passes)
+
+
+@leaf
+def _guess(trail: Array, a: float, b: float, y: Array) -> None:
+    """The next solution from the last three: a y1 - a b y2 + b y3, quadratic for (3, 1), the last one for (1, 0)."""
+    for j in range(y.shape[0]):
+        for c in range(STATE):
+            y[j, c] = a * (trail[0, j, c] - b * trail[1, j, c]) + b * trail[2, j, c]

@@ -42,7 +42,9 @@ class Problem:
         """Prepare the arm; pressures matter only to the section rules that freeze each modulus."""
         if arm.section_rule in ("linear", "pointwise"):
             known = _prepared(arm, c0)
-            return replace(known, work=known.work.copy())
+            work = layout.aligned(len(known.work))
+            work[:] = known.work
+            return replace(known, work=work)
         return cls._build(arm, pressure_pa, c0)
 
     @classmethod
@@ -81,11 +83,11 @@ class Problem:
         return tip
 
     def load(self, arm: Arm, loads: Loads | None, nodes: int) -> tuple[Array, bool]:
-        """Distributed load at nodes and mid-points (2 N + 1, 6), and whether there is any."""
+        """Distributed load at nodes and mid-points (2 N + 1 rows of 6, flat), and whether there is any."""
         along = np.zeros((2 * nodes + 1, 6)) if loads is None else loads.along(2 * nodes + 1)
         if arm.rod_weight:
             along[:, :3] += arm.line_density_kg_m * np.asarray(arm.gravity_m_s2)
-        return along, bool(along.any())
+        return along.reshape(-1), bool(along.any())
 
 
 @lru_cache(maxsize=64)
@@ -111,7 +113,7 @@ def _scale(length_m: float, c0: float) -> Array:
 
 
 def _work(arm: Arm, xy: Array, whole: Section, c0: float, pointwise: bool) -> Array:
-    work = np.zeros((layout.work_size(len(xy)) // layout.LANES, layout.LANES))
+    work = layout.aligned(layout.work_size(len(xy)) // layout.LANES, layout.LANES)
     geometry, material = arm.geometry, arm.material
     area, second = geometry.wall_area_m2, geometry.wall_second_moment_m4
     x, y = xy.T

@@ -16,6 +16,7 @@ from model.layout import (
     AXIAL,
     AXIAL_INVERSE,
     C0,
+    HISTORY,
     INERTIA,
     LAG,
     LANES,
@@ -34,7 +35,7 @@ from model.layout import (
     WRENCH,
 )
 from model.pointwise import pointwise_slopes, pointwise_wrench, sum_tubes
-from model.triples import Six, Triple, cross, dot, inlined, leaf, plus, put, rotation, row_triple, six, times, triple
+from model.triples import Six, Triple, cross, dot, inlined, leaf, plus, put, rotation, six, three, times, triple
 
 Array = Any
 
@@ -71,14 +72,27 @@ def balance(
 
 
 @inlined
-def turning(w: Array, u: Triple, i: int) -> None:
-    """Write the slope of the orientation, h' = h u / 2 as quaternions (eq 9)."""
+def _move(w: Array, c: int, i: int, slope: Triple, ahead: float, weight: float) -> None:
+    """Keep three slopes, from state c on, move the stage on from the node by them, and add them to the step's sum."""
+    put(w, SLOPE + c, i, slope)
+    put(w, STAGE + c, i, plus(triple(w, NODE + c, i), ahead, slope))
+    put(w, SUM + c, i, plus(triple(w, SUM + c, i), weight, slope))
+
+
+@inlined
+def _turn(w: Array, u: Triple, i: int, ahead: float, weight: float) -> None:
+    """The same for the orientation: h' = h u / 2 as quaternions (eq 9)."""
     h = (STAGE + 12) * LANES + i
     a, b, c, d = w[h], w[h + LANES], w[h + 2 * LANES], w[h + 3 * LANES]
-    w[(SLOPE + 12) * LANES + i] = -0.5 * (b * u[0] + c * u[1] + d * u[2])
-    w[(SLOPE + 13) * LANES + i] = 0.5 * (a * u[0] + c * u[2] - d * u[1])
-    w[(SLOPE + 14) * LANES + i] = 0.5 * (a * u[1] + d * u[0] - b * u[2])
-    w[(SLOPE + 15) * LANES + i] = 0.5 * (a * u[2] + b * u[1] - c * u[0])
+    slope = -0.5 * (b * u[0] + c * u[1] + d * u[2])
+    w[(SLOPE + 12) * LANES + i] = slope
+    w[h] = w[(NODE + 12) * LANES + i] + ahead * slope
+    w[(SUM + 12) * LANES + i] += weight * slope
+    turned = (
+        0.5 * (a * u[0] + c * u[2] - d * u[1]), 0.5 * (a * u[1] + d * u[0] - b * u[2]),
+        0.5 * (a * u[2] + b * u[1] - c * u[0]),
+    )  # fmt: skip
+    _move(w, 13, i, turned, ahead, weight)
 
 
 @inlined
@@ -102,12 +116,11 @@ def linear_slopes(axial_inverse: Six, shear_inverse: Six, lag: float, n: Triple,
 
 
 @inlined
-def linear_stage(w: Array, history: Array, row: int) -> None:
-    """Slopes of the stage's state, all lanes, for a section of constant stiffness."""
-    v_h, u_h, q_h, o_h = (
-        row_triple(history, row, 0), row_triple(history, row, 3), row_triple(history, row, 6), row_triple(history, row, 9),
-    )  # fmt: skip
-    v_hs, u_hs = row_triple(history, row, 12), row_triple(history, row, 15)
+def linear_stage(w: Array, history: Array, row: int, ahead: float, weight: float) -> None:
+    """Slopes of the stage's state, all lanes, for a section of constant stiffness; then the stage is moved on."""
+    y = HISTORY * row
+    v_h, u_h, q_h, o_h = three(history, y), three(history, y + 3), three(history, y + 6), three(history, y + 9)
+    v_hs, u_hs = three(history, y + 12), three(history, y + 15)
     for i in range(LANES):
         v, u, q, o = triple(w, STAGE, i), triple(w, STAGE + 3, i), triple(w, STAGE + 6, i), triple(w, STAGE + 9, i)
         lag = w[LAG * LANES + i]
@@ -118,20 +131,19 @@ def linear_stage(w: Array, history: Array, row: int) -> None:
             v, u, q, o, n, m, (v_h, u_h, q_h, o_h), triple(w, LOAD, i), triple(w, LOAD + 3, i),
         )  # fmt: skip
         v_s, u_s = linear_slopes(six(w, AXIAL_INVERSE, i), six(w, SHEAR_INVERSE, i), lag, n_s, m_s, v_hs, u_hs)
-        turning(w, u, i)
-        put(w, SLOPE, i, v_s)
-        put(w, SLOPE + 3, i, u_s)
-        put(w, SLOPE + 6, i, q_s)
-        put(w, SLOPE + 9, i, o_s)
+        _turn(w, u, i, ahead, weight)
+        _move(w, 0, i, v_s, ahead, weight)
+        _move(w, 3, i, u_s, ahead, weight)
+        _move(w, 6, i, q_s, ahead, weight)
+        _move(w, 9, i, o_s, ahead, weight)
 
 
 @inlined
-def pointwise_stage(w: Array, actuators: int, history: Array, row: int) -> None:
-    """Slopes of the stage's state, all lanes, where each tube follows eq 32 at its own place."""
-    v_h, u_h, q_h, o_h = (
-        row_triple(history, row, 0), row_triple(history, row, 3), row_triple(history, row, 6), row_triple(history, row, 9),
-    )  # fmt: skip
-    v_hs, u_hs = row_triple(history, row, 12), row_triple(history, row, 15)
+def pointwise_stage(w: Array, actuators: int, history: Array, row: int, ahead: float, weight: float) -> None:
+    """The same where each tube follows eq 32 at its own place."""
+    y = HISTORY * row
+    v_h, u_h, q_h, o_h = three(history, y), three(history, y + 3), three(history, y + 6), three(history, y + 9)
+    v_hs, u_hs = three(history, y + 12), three(history, y + 15)
     sum_tubes(w, (actuators + 2) // 3)
     for i in range(LANES):
         v, u, q, o = triple(w, STAGE, i), triple(w, STAGE + 3, i), triple(w, STAGE + 6, i), triple(w, STAGE + 9, i)
@@ -143,17 +155,17 @@ def pointwise_stage(w: Array, actuators: int, history: Array, row: int) -> None:
             v, u, q, o, n, m, (v_h, u_h, q_h, o_h), triple(w, LOAD, i), triple(w, LOAD + 3, i),
         )  # fmt: skip
         v_s, u_s = pointwise_slopes(w, i, c0, v, u, n_s, m_s, v_hs, u_hs)
-        turning(w, u, i)
-        put(w, SLOPE, i, v_s)
-        put(w, SLOPE + 3, i, u_s)
-        put(w, SLOPE + 6, i, q_s)
-        put(w, SLOPE + 9, i, o_s)
+        _turn(w, u, i, ahead, weight)
+        _move(w, 0, i, v_s, ahead, weight)
+        _move(w, 3, i, u_s, ahead, weight)
+        _move(w, 6, i, q_s, ahead, weight)
+        _move(w, 9, i, o_s, ahead, weight)
 
 
 @inlined
 def loads_in_section(w: Array, load: Array, row: int) -> None:
     """Turn a distributed load (force and moment per metre, base frame) into the section frame."""
-    f, l = row_triple(load, row, 0), row_triple(load, row, 3)
+    f, l = three(load, 6 * row), three(load, 6 * row + 3)
     for i in range(LANES):
         h = (STAGE + 12) * LANES + i
         d1, d2, d3 = rotation((w[h], w[h + LANES], w[h + 2 * LANES], w[h + 3 * LANES]))
@@ -164,7 +176,7 @@ def loads_in_section(w: Array, load: Array, row: int) -> None:
 @leaf
 def stage_wrench(w: Array, law: int, actuators: int, history: Array, row: int) -> None:
     """Total wrench at the stage, all lanes, by whichever section law is in force."""
-    v_h, u_h = row_triple(history, row, 0), row_triple(history, row, 3)
+    v_h, u_h = three(history, HISTORY * row), three(history, HISTORY * row + 3)
     if law == LINEAR:
         for i in range(LANES):
             v, u = triple(w, STAGE, i), triple(w, STAGE + 3, i)
@@ -201,14 +213,27 @@ def strain_changes(w: Array, law: int) -> None:
 
 
 @inlined
-def slopes(w: Array, law: int, actuators: int, history: Array, load: Array, loaded: bool, row: int) -> None:
-    """The right-hand side: slopes along the arc length of the stage's state, all lanes."""
+def slopes(
+    w: Array,
+    law: int,
+    actuators: int,
+    history: Array,
+    load: Array,
+    loaded: bool,
+    row: int,
+    ahead: float = 0.0,
+    weight: float = 0.0,
+) -> None:
+    """The right-hand side: slopes along the arc length of the stage's state, all lanes.
+
+    The stage becomes the node plus `ahead` times the slopes, and the step's sum grows by `weight` times them.
+    """
     if loaded:
         loads_in_section(w, load, row)
     if law == LINEAR:
-        linear_stage(w, history, row)
+        linear_stage(w, history, row, ahead, weight)
     else:
-        pointwise_stage(w, actuators, history, row)
+        pointwise_stage(w, actuators, history, row, ahead, weight)
 
 
 @leaf
@@ -227,31 +252,21 @@ def integrate(
 ) -> None:
     """Integrate the node's state, all lanes, from node `first` to node `last` in steps of h [m] by RK4.
 
-    history, load: one row per node and per mid-point, (2 N + 1, ..). states, derivatives: (N + 1, 128), filled at each
-    node; at `last`, only the state is left, in the work array.
+    history, load: one row per node and per mid-point, (2 N + 1) of 18 and of 6, flat. states, derivatives: (N + 1, 128),
+    filled at each node; at `last`, only the state is left, in the work array.
     """
     size = STATE * LANES
     for j in range(first, last):
         for i in range(size):
             y = w[NODE * LANES + i]
             w[STAGE * LANES + i] = y
+            w[SUM * LANES + i] = y
             states[j, i] = y
-        slopes(w, law, actuators, history, load, loaded, 2 * j)
+        slopes(w, law, actuators, history, load, loaded, 2 * j, 0.5 * h, h / 6.0)
         for i in range(size):
-            k = w[SLOPE * LANES + i]
-            derivatives[j, i] = k
-            w[SUM * LANES + i] = k
-            w[STAGE * LANES + i] = w[NODE * LANES + i] + 0.5 * h * k
-        slopes(w, law, actuators, history, load, loaded, 2 * j + 1)
+            derivatives[j, i] = w[SLOPE * LANES + i]
+        slopes(w, law, actuators, history, load, loaded, 2 * j + 1, 0.5 * h, h / 3.0)
+        slopes(w, law, actuators, history, load, loaded, 2 * j + 1, h, h / 3.0)
+        slopes(w, law, actuators, history, load, loaded, 2 * j + 2, 0.0, h / 6.0)
         for i in range(size):
-            k = w[SLOPE * LANES + i]
-            w[SUM * LANES + i] += 2.0 * k
-            w[STAGE * LANES + i] = w[NODE * LANES + i] + 0.5 * h * k
-        slopes(w, law, actuators, history, load, loaded, 2 * j + 1)
-        for i in range(size):
-            k = w[SLOPE * LANES + i]
-            w[SUM * LANES + i] += 2.0 * k
-            w[STAGE * LANES + i] = w[NODE * LANES + i] + h * k
-        slopes(w, law, actuators, history, load, loaded, 2 * j + 2)
-        for i in range(size):
-            w[NODE * LANES + i] += h / 6.0 * (w[SUM * LANES + i] + w[SLOPE * LANES + i])
+            w[NODE * LANES + i] = w[SUM * LANES + i]

@@ -9,14 +9,14 @@ shooting.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from model.compiled import kernel
-from model.layout import LANES, NODE, SLOPE, STAGE, STATE, WRENCH
+from model.layout import HISTORY, LANES, NODE, SLOPE, STAGE, STATE, WRENCH, aligned
 from model.linear import orthonormalise, solve_six
 from model.rod import integrate, slopes, stage_wrench
+from model.triples import cross, dot, inlined, lane_sum, leaf, plus, put, rotation, three, triple
 
 Array = Any
 
@@ -24,9 +24,52 @@ STEP = 1e-6  # of the one-sided differences, in scaled states
 LONGEST = 1.5  # of a Newton update, in scaled strains and orientations
 
 
-@kernel
-def tip_residual(w: Array, law: int, actuators: int, history: Array, row: int, tip: Array, c0: float, r: Array) -> None:
-    """What the tip's total wrench lacks of what hangs on it (eqs 23-25, 28), per lane: r (8, 6) [N, N m].
+class Room(NamedTuple):
+    """The arrays that the solver works in, made once so that no step waits for memory."""
+
+    history: Array  # 2 N + 1 rows of 18, flat
+    states: Array  # (N + 1, 128), all lanes
+    derivatives: Array  # the same of their slopes
+    x: Array  # (N + 1, 16), the guess that is improved
+    slope: Array
+    directions: Array  # (N, 7, 16), per segment
+    triangle: Array  # (N, 6, 6)
+    along: Array  # (N, 6)
+    weights: Array  # (N, 8), of the lanes in the solution
+    reach: Array  # (N,)
+    matrix: Array  # (6, 6)
+    right: Array  # (6,)
+    worst: Array  # (3, 16), per quantity: 1 / scale, largest update, sum of updates
+
+    @classmethod
+    def of(cls, n: int) -> Room:
+        """Room for n steps along the arm, in up to n segments."""
+        return cls(
+            aligned((2 * n + 1) * HISTORY), aligned(n + 1, STATE * LANES), aligned(n + 1, STATE * LANES),
+            aligned(n + 1, STATE), aligned(n + 1, STATE), aligned(n, 7, STATE), aligned(n, 6, 6), aligned(n, 6),
+            aligned(n, LANES), aligned(n), aligned(6, 6), aligned(6), aligned(3, STATE),
+        )  # fmt: skip
+
+
+@inlined
+def _cap(w: Array, i: int, f: Any, l: Any, mass: float, inertia: Any, place: Any, c0: float, q_h: Any, o_h: Any) -> Any:
+    """The tip's load f, l less what the cap's inertia takes, in the section's frame."""
+    q, o = triple(w, NODE + 6, i), triple(w, NODE + 9, i)
+    q_t, o_t = plus(q_h, c0, q), plus(o_h, c0, o)
+    speed = plus(q, 1.0, cross(o, place))
+    f = plus(f, -mass, plus(plus(q_t, 1.0, cross(o_t, place)), 1.0, cross(o, speed)))
+    j1, j2, j3 = inertia
+    turned = (
+        j1 * o_t[0] + (j3 - j2) * o[1] * o[2],
+        j2 * o_t[1] + (j1 - j3) * o[2] * o[0],
+        j3 * o_t[2] + (j2 - j1) * o[0] * o[1],
+    )
+    return f, plus(l, -1.0, turned)
+
+
+@leaf
+def tip_residual(w: Array, law: int, actuators: int, history: Array, row: int, tip: Array, c0: float) -> None:
+    """What the tip's total wrench lacks of what hangs on it (eqs 23-25, 28) [N, N m], all lanes, in place of the wrench.
 
     tip: dead force (3) and moment (3) in the base frame, cap mass that resists acceleration, cap inertia (3), place of
     the load in the section (3).
@@ -34,49 +77,27 @@ def tip_residual(w: Array, law: int, actuators: int, history: Array, row: int, t
     for i in range(STATE * LANES):
         w[STAGE * LANES + i] = w[NODE * LANES + i]
     stage_wrench(w, law, actuators, history, row)
+    force, moment, place = three(tip, 0), three(tip, 3), three(tip, 10)
+    mass, inertia = tip[6], three(tip, 7)
+    heavy = mass > 0.0 or inertia[0] > 0.0 or inertia[1] > 0.0 or inertia[2] > 0.0
+    q_h, o_h = three(history, HISTORY * row + 6), three(history, HISTORY * row + 9)
     for i in range(LANES):
-        a, b = w[(NODE + 12) * LANES + i], w[(NODE + 13) * LANES + i]
-        c, d = w[(NODE + 14) * LANES + i], w[(NODE + 15) * LANES + i]
-        s = 2.0 / (a * a + b * b + c * c + d * d)
-        r11, r12, r13 = 1.0 - s * (c * c + d * d), s * (b * c - d * a), s * (b * d + c * a)
-        r21, r22, r23 = s * (b * c + d * a), 1.0 - s * (b * b + d * d), s * (c * d - b * a)
-        r31, r32, r33 = s * (b * d - c * a), s * (c * d + b * a), 1.0 - s * (b * b + c * c)
-        f1 = r11 * tip[0] + r21 * tip[1] + r31 * tip[2]
-        f2 = r12 * tip[0] + r22 * tip[1] + r32 * tip[2]
-        f3 = r13 * tip[0] + r23 * tip[1] + r33 * tip[2]
-        l1 = r11 * tip[3] + r21 * tip[4] + r31 * tip[5]
-        l2 = r12 * tip[3] + r22 * tip[4] + r32 * tip[5]
-        l3 = r13 * tip[3] + r23 * tip[4] + r33 * tip[5]
-        mass, j1, j2, j3 = tip[6], tip[7], tip[8], tip[9]
-        x, y, z = tip[10], tip[11], tip[12]
-        if mass > 0.0 or j1 > 0.0 or j2 > 0.0 or j3 > 0.0:
-            q1, q2, q3 = w[(NODE + 6) * LANES + i], w[(NODE + 7) * LANES + i], w[(NODE + 8) * LANES + i]
-            w1, w2, w3 = w[(NODE + 9) * LANES + i], w[(NODE + 10) * LANES + i], w[(NODE + 11) * LANES + i]
-            t1, t2, t3 = c0 * w1 + history[row, 9], c0 * w2 + history[row, 10], c0 * w3 + history[row, 11]
-            g1, g2, g3 = q1 + w2 * z - w3 * y, q2 + w3 * x - w1 * z, q3 + w1 * y - w2 * x
-            f1 -= mass * (c0 * q1 + history[row, 6] + t2 * z - t3 * y + w2 * g3 - w3 * g2)
-            f2 -= mass * (c0 * q2 + history[row, 7] + t3 * x - t1 * z + w3 * g1 - w1 * g3)
-            f3 -= mass * (c0 * q3 + history[row, 8] + t1 * y - t2 * x + w1 * g2 - w2 * g1)
-            l1 -= j1 * t1 + (j3 - j2) * w2 * w3
-            l2 -= j2 * t2 + (j1 - j3) * w3 * w1
-            l3 -= j3 * t3 + (j2 - j1) * w1 * w2
-        l1 += y * f3 - z * f2
-        l2 += z * f1 - x * f3
-        l3 += x * f2 - y * f1
-        r[i, 0] = w[WRENCH * LANES + i] - f1
-        r[i, 1] = w[(WRENCH + 1) * LANES + i] - f2
-        r[i, 2] = w[(WRENCH + 2) * LANES + i] - f3
-        r[i, 3] = w[(WRENCH + 3) * LANES + i] - l1
-        r[i, 4] = w[(WRENCH + 4) * LANES + i] - l2
-        r[i, 5] = w[(WRENCH + 5) * LANES + i] - l3
+        h = (NODE + 12) * LANES + i
+        d1, d2, d3 = rotation((w[h], w[h + LANES], w[h + 2 * LANES], w[h + 3 * LANES]))
+        f = (dot(d1, force), dot(d2, force), dot(d3, force))
+        l = (dot(d1, moment), dot(d2, moment), dot(d3, moment))
+        if heavy:
+            f, l = _cap(w, i, f, l, mass, inertia, place, c0, q_h, o_h)
+        l = plus(l, 1.0, cross(place, f))
+        put(w, WRENCH, i, plus(triple(w, WRENCH, i), -1.0, f))
+        put(w, WRENCH + 3, i, plus(triple(w, WRENCH + 3, i), -1.0, l))
 
 
-@kernel
+@leaf
 def newton(
     w: Array,
     law: int,
     actuators: int,
-    history: Array,
     load: Array,
     loaded: bool,
     tip: Array,
@@ -84,29 +105,26 @@ def newton(
     length: float,
     segments: int,
     scale: Array,
-    x: Array,
-    slope: Array,
-    states: Array,
-    derivatives: Array,
+    room: Room,
     tolerance: float,
     most: int,
 ) -> int:
     """Solve for the states x (N + 1, 16) at the nodes, and their slopes, from a guess in x; N divides by `segments`.
 
-    Stops when the last update, in units of `scale`, is below `tolerance`; the error left is of the order of its
-    square, because all nodes are moved along the computed directions. Returns the number of passes, or -1.
+    x, slope and the history stand in `room`. Stops when the last update, in units of `scale`, is below `tolerance`; the
+    error left is of the order of its square, because all nodes are moved along the computed directions. Returns the
+    number of passes, or -1.
     """
+    history, states, derivatives, x, slope = room.history, room.states, room.derivatives, room.x, room.slope
+    directions, triangle, along, weights = room.directions, room.triangle, room.along, room.weights
+    reach, matrix, right, worst = room.reach, room.matrix, room.right, room.worst
     n = x.shape[0] - 1
     per = n // segments
     h = length / n
-    directions = np.zeros((segments, 7, STATE))
-    triangle = np.zeros((segments, 6, 6))
-    along = np.zeros((segments, 6))
-    weights = np.zeros((segments, 7))
-    reach = np.zeros(segments)
-    matrix, right = np.empty((6, 6)), np.empty(6)
-    r = np.empty((LANES, 6))
-    end = np.empty((segments, STATE))
+    last = segments - 1
+    for c in range(STATE):
+        directions[0, 6, c] = 0.0
+        worst[0, c] = 1.0 / scale[c]
     previous = np.inf
     for passes in range(1, most + 1):
         for k in range(6):
@@ -124,8 +142,6 @@ def newton(
                     w[at + 1 + k] = x[s * per, c] + STEP * unit * directions[s, k, c]
                 w[at + 7] = x[s * per, c] + reach[s] * unit * directions[s, 6, c]
             integrate(w, law, actuators, history, load, loaded, s * per, (s + 1) * per, h, states, derivatives)
-            for c in range(STATE):
-                end[s, c] = w[(NODE + c) * LANES]
             if s == segments - 1:
                 break
             for c in range(STATE):
@@ -145,44 +161,48 @@ def newton(
             for k in range(6):
                 for c in range(STATE):
                     directions[s + 1, 6, c] -= along[s + 1, k] * directions[s + 1, k, c]
-        last = segments - 1
         for i in range(STATE * LANES):
             states[n, i] = w[NODE * LANES + i]
-        tip_residual(w, law, actuators, history, 2 * n, tip, c0, r)
+        tip_residual(w, law, actuators, history, 2 * n, tip, c0)
         for i in range(6):
-            carried = (r[7, i] - r[0, i]) / reach[last] if reach[last] > 0.0 else 0.0
-            right[i] = -r[0, i] - carried
+            at = (WRENCH + i) * LANES
+            lacking = w[at]
+            carried = (w[at + 7] - lacking) / reach[last] if reach[last] > 0.0 else 0.0
+            right[i] = -lacking - carried
             for k in range(6):
-                matrix[i, k] = (r[k + 1, i] - r[0, i]) / STEP
+                matrix[i, k] = (w[at + 1 + k] - lacking) * (1.0 / STEP)
         if not solve_six(matrix, right):
             return -1
         for s in range(last, -1, -1):
             for k in range(6):
-                weights[s, k] = right[k] / STEP
-            weights[s, 6] = 1.0 / reach[s] if reach[s] > 0.0 else 0.0
+                weights[s, k + 1] = right[k] * (1.0 / STEP)
+            weights[s, 7] = 1.0 / reach[s] if reach[s] > 0.0 else 0.0
             if s > 0:
                 for k in range(5, -1, -1):
                     total = right[k] - along[s, k]
                     for c in range(k + 1, 6):
                         total -= triangle[s, k, c] * right[c]
                     right[k] = total / triangle[s, k, k]
-        largest, bent = 0.0, 0.0
+        for c in range(STATE):
+            worst[1, c] = 0.0
+            worst[2, c] = 0.0
         for s in range(segments):
             for j in range(s * per, (s + 1) * per + (1 if s == last else 0)):
                 for c in range(STATE):
-                    at = c * LANES
-                    move = 0.0
-                    for k in range(7):
-                        move += weights[s, k] * (states[j, at + 1 + k] - states[j, at])
-                    x[j, c] = move
-                    size = abs(move) / scale[c]
-                    # A plain maximum would swallow a NaN and call the step solved.
-                    if not size <= largest:
-                        largest = size
-                        if not size < np.inf:
-                            return -1
-                    if size > bent and (c < 6 or c >= 12):
-                        bent = size
+                    x[j, c] = lane_sum(weights, s, states, j, c)
+                for c in range(STATE):
+                    size = abs(x[j, c]) * worst[0, c]
+                    worst[1, c] = max(worst[1, c], size)
+                    worst[2, c] += size
+        largest, bent, total = 0.0, 0.0, 0.0
+        for c in range(STATE):
+            largest = max(largest, worst[1, c])
+            if c < 6 or c >= 12:
+                bent = max(bent, worst[1, c])
+            total += worst[2, c]
+        # A maximum swallows a NaN and would call the step solved; a sum does not.
+        if not total < np.inf:
+            return -1
         if largest > 4.0 * previous and largest > 1.0:
             return -1
         previous = largest
@@ -195,11 +215,7 @@ def newton(
             for s in range(segments):
                 for j in range(s * per, (s + 1) * per):
                     for c in range(STATE):
-                        at = c * LANES
-                        move = 0.0
-                        for k in range(7):
-                            move += weights[s, k] * (derivatives[j, at + 1 + k] - derivatives[j, at])
-                        slope[j, c] = derivatives[j, at] + move
+                        slope[j, c] = derivatives[j, c * LANES] + lane_sum(weights, s, derivatives, j, c)
             for c in range(STATE):
                 for i in range(LANES):
                     w[(STAGE + c) * LANES + i] = x[n, c]

@@ -10,11 +10,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from model.axis import axis
 from model.errors import NotConverged
-from model.layout import STATE
 from model.loads import Loads
 from model.march import equilibrium
 from model.problem import SOLVED, Problem, pressures
 from model.shape import Shape
+from model.shooting import Room
 
 if TYPE_CHECKING:
     from model.arm import Arm
@@ -34,16 +34,16 @@ def states(arm: Arm, problem: Problem, pressure: Array, loads: Loads | None, nod
     """States and slopes (N + 1, 16) of the arm at rest; raises NotConverged."""
     if nodes < 2:
         raise ValueError(f"an arm needs at least two steps along it, got {nodes}")
-    x, slope = np.empty((nodes + 1, STATE)), np.empty((nodes + 1, STATE))
+    room = Room.of(nodes)
     load, loaded = problem.load(arm, loads, nodes)
     passes = equilibrium(
         problem.work, problem.law, problem.actuators, problem.rest, problem.per_pressure, problem.free_per_pa, pressure,
-        load, loaded, problem.tip(arm, loads), problem.length_m, problem.scale, x, slope, SOLVED,
+        load, loaded, problem.tip(arm, loads), problem.length_m, problem.scale, room, SOLVED,
     )  # fmt: skip
     if passes < 0:
         bar = ", ".join(f"{value / 1e5:.4g}" for value in pressure)
         raise NotConverged(f"no equilibrium found at {bar} bar: a pressure or load may be far outside the arm's range")
-    return x, slope
+    return room.x, room.slope
 
 
 @lru_cache(maxsize=32)

@@ -46,9 +46,9 @@ def put(w: Array, at: int, i: int, a: Triple) -> None:
 
 
 @inlined
-def row_triple(a: Array, row: int, at: int) -> Triple:
-    """Three numbers of a row of a matrix, from column `at`."""
-    return a[row, at], a[row, at + 1], a[row, at + 2]
+def three(a: Array, at: int) -> Triple:
+    """Three numbers in a row."""
+    return a[at], a[at + 1], a[at + 2]
 
 
 @inlined
@@ -89,3 +89,17 @@ def rotation(h: tuple[float, float, float, float]) -> tuple[Triple, Triple, Trip
 def dot(a: Triple, b: Triple) -> float:
     """a . b."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+def _lane_sum(weights: Array, s: int, a: Array, j: int, c: int) -> float:
+    """How row s of the weights moves quantity c of row j of `a`: lanes 1 to 7 against lane 0."""
+    first = c * LANES
+    base = a[j, first]
+    total = 0.0
+    for i in range(LANES):
+        total += weights[s, i] * (a[j, first + i] - base)
+    return total
+
+
+# Eight terms may be summed in any order, which the compiler then fixes once and for all.
+lane_sum = kernel(_lane_sum, fastmath={"contract", "arcp", "nsz", "reassoc"}, inlined=True, allocates=False)
