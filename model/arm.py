@@ -22,6 +22,10 @@ Variant = Literal["homogeneous", "homogeneous+rpe", "inhomogeneous+rpe"]
 ModulusRule = Literal["pointwise", "secant", "tangent", "paper-secant", "paper-tangent"]
 Triple = tuple[float, float, float]
 
+# Under this gauge pressure the paper-* rules take a tube for passive: a measured zero is never exactly zero. Twice the
+# accuracy of the paper's sensor, and far below its smallest pressure, 15 kPa.
+PASSIVE_BELOW_PA = 2000.0
+
 
 @dataclass(frozen=True)
 class Arm:
@@ -30,8 +34,9 @@ class Arm:
     variant: 'homogeneous' (eq 16, no radial pressure effect), 'homogeneous+rpe', or 'inhomogeneous+rpe', in which each
     tube follows eq 32. modulus_rule says how the inhomogeneous section finds each E_i. 'pointwise' (default) solves
     eq 32 at every point of the rod. 'secant' and 'tangent' (eq 33 as printed) freeze E_i at the wall force that
-    balances the caps, n = P_i A_in. 'paper-secant' and 'paper-tangent' take for passive tubes the paper's n, an even
-    share of the others' push (5.2.2); for active ones, where the paper is silent, P_i A_in.
+    balances the caps, n = P_i A_in. 'paper-secant' and 'paper-tangent' take for passive tubes, those below
+    PASSIVE_BELOW_PA, the paper's n, an even share of the others' push (5.2.2); for active ones, where the paper is
+    silent, P_i A_in.
     rpe_as says how the radial pressure stretches a section of frozen moduli (4.4): as the equivalent 'force' of eq 22
     on each tube (default), or as a free 'strain' of the whole section, the plane through the tubes' own free strains.
     cap_mass_kg hangs at the tip. With cap_inertia it also resists acceleration, with its own rotational inertia
@@ -102,9 +107,9 @@ class Arm:
     def _wall_force_n(self, pressure_pa: Array) -> Array:
         """The force n that eq 33 takes for each tube: its own push, or by the paper what the cap hands to the rest."""
         push = pressure_pa * self.geometry.chamber_area_m2
-        passive = push == 0.0
+        passive = pressure_pa < PASSIVE_BELOW_PA
         if self.section_rule.startswith("paper") and passive.any():
-            return np.where(passive, push.sum() / passive.sum(), push)
+            return np.where(passive, push[~passive].sum() / passive.sum(), push)
         return push
 
     def statics(self, pressure_pa: ArrayLike, loads: Loads | None = None, nodes: int = 20) -> Shape:

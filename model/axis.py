@@ -8,6 +8,7 @@ import numpy as np
 
 from model.compiled import kernel
 from model.layout import HISTORY, LANES, NODE, SLOPE, STAGE, STATE, WRENCH
+from model.linear import solve_six
 from model.march import advance, equilibrium
 from model.rod import integrate, slopes
 from model.shooting import Room, tip_residual
@@ -139,6 +140,54 @@ def lanes(
                 slope[j, c] = derivatives[j, c * LANES + i]
         axis(x, slope, length, centre, p, turned, v, u)
         place[i] = p[n]
+
+
+@kernel
+def tip_answers(
+    w: Array,
+    works: Array,
+    law: int,
+    actuators: int,
+    load: Array,
+    loaded: bool,
+    tip: Array,
+    length: float,
+    scale: Array,
+    centre: Array,
+    base: Array,
+    n: int,
+    step: float,
+    steps: Array,
+    found: Array,
+    answers: Array,
+) -> None:
+    """The tip found (3,) and how it answers (K, 3) to each of K changes of size steps (K,), seven to a work array.
+
+    By the implicit function theorem from a solved base state (16,): one pass with the base strains moved, one for every
+    seven changes, no further iterations.
+    """
+    residual, place = np.empty((LANES, 6)), np.empty((LANES, 3))
+    other, moved = np.empty((LANES, 6)), np.empty((LANES, 3))
+    matrix, right = np.empty((6, 6)), np.empty(6)
+    lanes(w, law, actuators, load, loaded, tip, length, scale, centre, base, n, step, residual, place)
+    found[:] = place[0]
+    for k in range(steps.shape[0]):
+        lane = 1 + k % (LANES - 1)
+        if lane == 1:
+            lanes(
+                works[k // (LANES - 1)], law, actuators, load, loaded, tip, length, scale, centre, base, n, 0.0, other,
+                moved,
+            )  # fmt: skip
+        for i in range(6):
+            right[i] = other[0, i] - other[lane, i]
+            for c in range(6):
+                matrix[i, c] = residual[c + 1, i] - residual[0, i]
+        solve_six(matrix, right)
+        for i in range(3):
+            total = moved[lane, i] - moved[0, i]
+            for c in range(6):
+                total += right[c] * (place[c + 1, i] - place[0, i])
+            answers[k, i] = total / steps[k]
 
 
 @kernel

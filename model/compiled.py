@@ -61,8 +61,8 @@ def kernel(
     """Compile a function when it is first called, or take it from the cache on disk.
 
     `sources` are the files outside this room that a kernel is made of; `fastmath` is numba's. `inlined` puts the
-    machine code into every caller, which lets a loop around it become vector instructions. A kernel that makes no array
-    says so by `allocates`: it is then spared the counting of references, which is an atomic operation per array and call.
+    machine code into every caller, which lets a loop around it become vector instructions. A kernel that makes no
+    array says so by `allocates`: it is then spared the counting of references, an atomic operation per array and call.
     """
     folder = cache_folder()
     if sources:
@@ -72,8 +72,8 @@ def kernel(
     before = config.CACHE_DIR
     config.CACHE_DIR = str(folder)
     try:
-        options = {"cache": True, "fastmath": fastmath, "error_model": "numpy", "nogil": True, "forceinline": inlined}
-        return numba.njit(**options, _nrt=allocates)(function)
+        options: dict[str, Any] = {"fastmath": fastmath, "forceinline": inlined, "_nrt": allocates}
+        return numba.njit(cache=True, error_model="numpy", nogil=True, **options)(function)
     finally:
         config.CACHE_DIR = before
 

@@ -6,14 +6,15 @@ perturbed lane by lane, both at the solution. No further Newton iterations.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from model import layout
-from model.axis import lanes
+from model.axis import tip_answers
 from model.loads import Loads
 from model.problem import Problem, pressures
 from model.statics import states
@@ -26,6 +27,9 @@ Array = NDArray[np.float64]
 LINEAR_PARAMETERS = ("youngs_modulus_pa", "rpe_per_bar", "shear_ratio")
 POINTWISE_PARAMETERS = ("a1_per_n", "a2_per_n2", "rpe_per_bar", "shear_ratio")
 STEP = 1e-6
+PRESSURE_STEP_PA = 0.1
+# What a step is a share of where the parameter itself is zero.
+USUAL = {"youngs_modulus_pa": 1e5, "rpe_per_bar": 0.05, "a1_per_n": 1e-2, "a2_per_n2": 1e-4, "shear_ratio": 0.4}
 
 
 @dataclass(frozen=True)
@@ -44,74 +48,72 @@ def tip_gradient(arm: Arm, pressure_pa: ArrayLike, loads: Loads | None = None, n
     pressure = pressures(arm, pressure_pa)
     problem = Problem.of(arm, pressure)
     x, _ = states(arm, problem, pressure, loads, nodes)
-    names = LINEAR_PARAMETERS if arm.section_rule == "linear" else POINTWISE_PARAMETERS
-    steps = [STEP * max(abs(getattr(arm.material, name)), 1e-12) for name in names] + [STEP * 1e5] * len(pressure)
-    tip, (load, loaded) = problem.tip(arm, loads), problem.load(arm, loads, nodes)
-    shoot = (
-        problem.law, problem.actuators, load, loaded, tip, problem.length_m, problem.scale, problem.centre_m,
-        x[0], nodes,
+    varied = _varied(arm)
+    works = varied.works(pressure)
+    load, loaded = problem.load(arm, loads, nodes)
+    found, answers = np.empty(3), np.empty((len(varied.steps), 3))
+    tip_answers(
+        problem.work, works, problem.law, problem.actuators, load, loaded, problem.tip(arm, loads), problem.length_m,
+        problem.scale, problem.centre_m, x[0], nodes, STEP, varied.steps, found, answers,
     )  # fmt: skip
-    residual, place = np.empty((layout.LANES, 6)), np.empty((layout.LANES, 3))
-    lanes(problem.work, *shoot, STEP, residual, place)
-    by_base = (residual[1:7] - residual[0]).T / STEP
-    tip_by_base = (place[1:7] - place[0]).T / STEP
-    found = place[0].copy()
-    moved: list[Array] = []
-    lacking: list[Array] = []
-    work = problem.work.reshape(-1, layout.LANES)
-    for first in range(0, len(steps), layout.LANES - 1):
-        kept = work.copy()
-        chosen = range(first, min(first + layout.LANES - 1, len(steps)))
-        for lane, k in enumerate(chosen, start=1):
-            _perturb(arm, problem, work[:, lane], names, k, steps[k], pressure)
-        lanes(problem.work, *shoot, 0.0, residual, place)
-        work[:] = kept
-        for lane, k in enumerate(chosen, start=1):
-            lacking.append((residual[lane] - residual[0]) / steps[k])
-            moved.append((place[lane] - place[0]) / steps[k])
-    base = np.linalg.solve(by_base, -np.array(lacking).T)
-    answers = np.array(moved) + (tip_by_base @ base).T
+    names = varied.names
     return TipGradient(found, dict(zip(names, answers, strict=False)), answers[len(names) :].T)
 
 
-def _perturb(
-    arm: Arm, problem: Problem, lane: Array, names: tuple[str, ...], k: int, step: float, pressure: Array
-) -> None:
-    """Write one changed parameter, or pressure k - len(names), into one lane."""
-    offset = slice(layout.OFFSET, layout.OFFSET + 6)
-    free = layout.tubes_at(len(pressure)) + 2 + layout.PER_TUBE * np.arange(len(pressure))
-    if k >= len(names):
-        moved = pressure.copy()
-        moved[k - len(names)] += step
-        lane[offset] = problem.rest + problem.per_pressure @ moved
-        lane[free] = problem.free_per_pa * moved
-        return
-    name = names[k]
-    share = 1 + step / getattr(arm.material, name) if getattr(arm.material, name) else 1.0
-    shear, shear_inverse = (slice(at, at + 6) for at in (layout.SHEAR, layout.SHEAR_INVERSE))
-    if name == "shear_ratio":
-        lane[shear] *= share
-        lane[shear_inverse] /= share
-        lane[layout.TUBE + 2] *= share
-    elif name == "a1_per_n":
-        lane[layout.TUBE] += step
-    elif name == "a2_per_n2":
-        lane[layout.TUBE + 1] += step
-    elif problem.law == layout.POINTWISE:
-        lane[free] += step / 1e5 * pressure
-    else:
-        # What the caps are pushed with does not scale with the modulus; the rest of the offset does.
-        push = np.zeros(6)
-        xy = arm.geometry.positions_m - problem.centre_m
-        push[2:5] = -arm.geometry.chamber_area_m2 * np.array(
-            [pressure.sum(), xy[:, 1] @ pressure, -xy[:, 0] @ pressure]
-        )
-        radial = lane[offset] - push - problem.rest
-        if name == "youngs_modulus_pa":
-            lane[offset] = push + share * (lane[offset] - push)
-            for at in (layout.AXIAL, layout.SHEAR):
-                lane[at : at + 6] *= share
-            for at in (layout.AXIAL_INVERSE, layout.SHEAR_INVERSE):
-                lane[at : at + 6] /= share
-        elif arm.rpe_per_bar:
-            lane[offset] += (share - 1) * radial
+@dataclass(frozen=True)
+class _Varied:
+    """The arm with one parameter or pressure changed a little in lane after lane; lane 0 of a work array is the arm.
+
+    frame (passes, size, 8): work arrays but for the pressures. rest, per_pressure, free_per_pa, shift_pa: by lane.
+    """
+
+    names: tuple[str, ...]
+    steps: Array
+    frame: Array
+    rest: Array
+    per_pressure: Array
+    free_per_pa: Array
+    shift_pa: Array
+    tubes: NDArray[np.intp]
+
+    def works(self, pressure_pa: Array) -> Array:
+        """Work arrays (passes, size) at these pressures."""
+        pressure = pressure_pa + self.shift_pa
+        works = layout.aligned(*self.frame.shape)
+        works[:] = self.frame
+        works[:, layout.OFFSET : layout.OFFSET + 6] = self.rest + (self.per_pressure @ pressure[..., None])[..., 0].mT
+        works[:, self.tubes] = (self.free_per_pa[..., None] * pressure).mT
+        return works.reshape(len(works), -1)
+
+
+@lru_cache(maxsize=64)
+def _varied(arm: Arm) -> _Varied:
+    names = LINEAR_PARAMETERS if arm.section_rule == "linear" else POINTWISE_PARAMETERS
+    count, material = arm.geometry.actuators, arm.material
+    # A parameter that is zero, such as no effect of the radial pressure, moves by a share of what is usual.
+    changes = [STEP * abs(getattr(material, name)) or STEP * USUAL[name] for name in names]
+    moved = [
+        replace(arm, material=replace(material, **{n: getattr(material, n) + d}))
+        for n, d in zip(names, changes, strict=True)
+    ]
+    arms, shifts = (
+        [*moved, *[arm] * count],
+        np.vstack([np.zeros((len(names), count)), PRESSURE_STEP_PA * np.eye(count)]),
+    )
+    passes = -(-len(arms) // (layout.LANES - 1))
+    problems = [Problem.of(a, np.zeros(count)) for a in (arm, *arms)]
+    # Which problem each lane of each pass holds; what is left over holds the arm as it is.
+    order = np.zeros((passes, layout.LANES), dtype=np.intp)
+    lanes = np.arange(1, len(problems))
+    order[(lanes - 1) // (layout.LANES - 1), 1 + (lanes - 1) % (layout.LANES - 1)] = lanes
+    columns = np.array([p.work.reshape(-1, layout.LANES)[:, 0] for p in problems])
+    return _Varied(
+        names,
+        np.array(changes + [PRESSURE_STEP_PA] * count),
+        columns[order].mT.copy(),
+        np.array([p.rest for p in problems])[order].mT,
+        np.array([p.per_pressure for p in problems])[order],
+        np.array([p.free_per_pa for p in problems])[order],
+        np.vstack([np.zeros(count), shifts])[order],
+        layout.tubes_at(count) + 2 + layout.PER_TUBE * np.arange(count),
+    )

@@ -144,7 +144,9 @@ def _followed(
         some_load[:] = share * load
         some_tip[:6] = share * tip[:6]
         set_pressures(w, actuators, rest, per_pressure, free, some)
-        passes = newton(w, law, actuators, some_load, loaded, some_tip, 0.0, length, segments, scale, room, tolerance, 30)
+        passes = newton(
+            w, law, actuators, some_load, loaded, some_tip, 0.0, length, segments, scale, room, tolerance, 30
+        )
         if passes > 0:
             total += passes
             done, stride = share, 2.0 * stride

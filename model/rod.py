@@ -53,9 +53,9 @@ def balance(
     m: Triple,
     past: tuple[Triple, Triple, Triple, Triple],
     f: Triple,
-    l: Triple,
+    couple: Triple,
 ) -> tuple[Triple, Triple, Triple, Triple]:
-    """Slopes of the velocities q, o (eq 11) and of the wrench n, m (eqs 12, 13), less the load f, l per length.
+    """Slopes of the velocities q, o (eq 11) and of the wrench n, m (eqs 12, 13), less the load f and couple per length.
 
     past: the history y^h of v, u, q and o. inertia: rho J as 11, 22, 12, 33.
     """
@@ -67,7 +67,7 @@ def balance(
         plus(plus(v_t, 1.0, cross(o, v)), -1.0, cross(u, q)),
         plus(u_t, -1.0, cross(u, o)),
         plus(plus(cross(n, u), mass, plus(q_t, 1.0, cross(o, q))), -1.0, f),
-        plus(plus(plus(plus(cross(m, u), 1.0, cross(n, v)), 1.0, spun), 1.0, cross(o, spin)), -1.0, l),
+        plus(plus(plus(plus(cross(m, u), 1.0, cross(n, v)), 1.0, spun), 1.0, cross(o, spin)), -1.0, couple),
     )
 
 
@@ -104,7 +104,11 @@ def linear_wrench(axial: Six, shear: Six, offset: Six, lag: float, v: Triple, u:
     e, g = plus(v, lag, v_h), plus(u, lag, u_h)
     a = times(axial, (e[2], g[0], g[1]))
     b = times(shear, (e[0], e[1], g[2]))
-    return (offset[0] + b[0], offset[1] + b[1], offset[2] + a[0]), (offset[3] + a[1], offset[4] + a[2], offset[5] + b[2])
+    return (offset[0] + b[0], offset[1] + b[1], offset[2] + a[0]), (
+        offset[3] + a[1],
+        offset[4] + a[2],
+        offset[5] + b[2],
+    )
 
 
 @inlined
@@ -165,12 +169,12 @@ def pointwise_stage(w: Array, actuators: int, history: Array, row: int, ahead: f
 @inlined
 def loads_in_section(w: Array, load: Array, row: int) -> None:
     """Turn a distributed load (force and moment per metre, base frame) into the section frame."""
-    f, l = three(load, 6 * row), three(load, 6 * row + 3)
+    f, couple = three(load, 6 * row), three(load, 6 * row + 3)
     for i in range(LANES):
         h = (STAGE + 12) * LANES + i
         d1, d2, d3 = rotation((w[h], w[h + LANES], w[h + 2 * LANES], w[h + 3 * LANES]))
         put(w, LOAD, i, (dot(d1, f), dot(d2, f), dot(d3, f)))
-        put(w, LOAD + 3, i, (dot(d1, l), dot(d2, l), dot(d3, l)))
+        put(w, LOAD + 3, i, (dot(d1, couple), dot(d2, couple), dot(d3, couple)))
 
 
 @leaf
@@ -252,8 +256,8 @@ def integrate(
 ) -> None:
     """Integrate the node's state, all lanes, from node `first` to node `last` in steps of h [m] by RK4.
 
-    history, load: one row per node and per mid-point, (2 N + 1) of 18 and of 6, flat. states, derivatives: (N + 1, 128),
-    filled at each node; at `last`, only the state is left, in the work array.
+    history, load: one row per node and per mid-point, (2 N + 1) of 18 and of 6, flat. states, derivatives:
+    (N + 1, 128), filled at each node; at `last`, only the state is left, in the work array.
     """
     size = STATE * LANES
     for j in range(first, last):

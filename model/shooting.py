@@ -9,6 +9,7 @@ shooting.
 
 from __future__ import annotations
 
+import threading
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -52,8 +53,10 @@ class Room(NamedTuple):
 
 
 @inlined
-def _cap(w: Array, i: int, f: Any, l: Any, mass: float, inertia: Any, place: Any, c0: float, q_h: Any, o_h: Any) -> Any:
-    """The tip's load f, l less what the cap's inertia takes, in the section's frame."""
+def _cap(
+    w: Array, i: int, f: Any, couple: Any, mass: float, inertia: Any, place: Any, c0: float, q_h: Any, o_h: Any
+) -> Any:
+    """The tip's force f and couple less what the cap's inertia takes, in the section's frame."""
     q, o = triple(w, NODE + 6, i), triple(w, NODE + 9, i)
     q_t, o_t = plus(q_h, c0, q), plus(o_h, c0, o)
     speed = plus(q, 1.0, cross(o, place))
@@ -64,12 +67,12 @@ def _cap(w: Array, i: int, f: Any, l: Any, mass: float, inertia: Any, place: Any
         j2 * o_t[1] + (j1 - j3) * o[2] * o[0],
         j3 * o_t[2] + (j2 - j1) * o[0] * o[1],
     )
-    return f, plus(l, -1.0, turned)
+    return f, plus(couple, -1.0, turned)
 
 
 @leaf
 def tip_residual(w: Array, law: int, actuators: int, history: Array, row: int, tip: Array, c0: float) -> None:
-    """What the tip's total wrench lacks of what hangs on it (eqs 23-25, 28) [N, N m], all lanes, in place of the wrench.
+    """What the tip's total wrench lacks of what hangs on it (eqs 23-25, 28) [N, N m], in the wrench's place.
 
     tip: dead force (3) and moment (3) in the base frame, cap mass that resists acceleration, cap inertia (3), place of
     the load in the section (3).
@@ -85,12 +88,12 @@ def tip_residual(w: Array, law: int, actuators: int, history: Array, row: int, t
         h = (NODE + 12) * LANES + i
         d1, d2, d3 = rotation((w[h], w[h + LANES], w[h + 2 * LANES], w[h + 3 * LANES]))
         f = (dot(d1, force), dot(d2, force), dot(d3, force))
-        l = (dot(d1, moment), dot(d2, moment), dot(d3, moment))
+        couple = (dot(d1, moment), dot(d2, moment), dot(d3, moment))
         if heavy:
-            f, l = _cap(w, i, f, l, mass, inertia, place, c0, q_h, o_h)
-        l = plus(l, 1.0, cross(place, f))
+            f, couple = _cap(w, i, f, couple, mass, inertia, place, c0, q_h, o_h)
+        couple = plus(couple, 1.0, cross(place, f))
         put(w, WRENCH, i, plus(triple(w, WRENCH, i), -1.0, f))
-        put(w, WRENCH + 3, i, plus(triple(w, WRENCH + 3, i), -1.0, l))
+        put(w, WRENCH + 3, i, plus(triple(w, WRENCH + 3, i), -1.0, couple))
 
 
 @leaf
@@ -224,3 +227,17 @@ def newton(
                 slope[n, c] = w[(SLOPE + c) * LANES]
             return passes
     return -1
+
+
+class _Kept(threading.local):
+    room: Room | None = None
+
+
+_kept = _Kept()
+
+
+def room_for(n: int) -> Room:
+    """Room for n steps, the same one at every call from one thread: what it holds must be copied out at once."""
+    if _kept.room is None or len(_kept.room.x) != n + 1:
+        _kept.room = Room.of(n)
+    return _kept.room

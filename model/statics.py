@@ -14,7 +14,7 @@ from model.loads import Loads
 from model.march import equilibrium
 from model.problem import SOLVED, Problem, pressures
 from model.shape import Shape
-from model.shooting import Room
+from model.shooting import room_for
 
 if TYPE_CHECKING:
     from model.arm import Arm
@@ -34,7 +34,7 @@ def states(arm: Arm, problem: Problem, pressure: Array, loads: Loads | None, nod
     """States and slopes (N + 1, 16) of the arm at rest; raises NotConverged."""
     if nodes < 2:
         raise ValueError(f"an arm needs at least two steps along it, got {nodes}")
-    room = Room.of(nodes)
+    room = room_for(nodes)
     load, loaded = problem.load(arm, loads, nodes)
     passes = equilibrium(
         problem.work, problem.law, problem.actuators, problem.rest, problem.per_pressure, problem.free_per_pa, pressure,
@@ -43,7 +43,7 @@ def states(arm: Arm, problem: Problem, pressure: Array, loads: Loads | None, nod
     if passes < 0:
         bar = ", ".join(f"{value / 1e5:.4g}" for value in pressure)
         raise NotConverged(f"no equilibrium found at {bar} bar: a pressure or load may be far outside the arm's range")
-    return room.x, room.slope
+    return room.x.copy(), room.slope.copy()
 
 
 @lru_cache(maxsize=32)

@@ -22,6 +22,25 @@ def frozen(rule: ModulusRule = "secant") -> Arm:
     return replace(Arm.paper(), modulus_rule=rule)
 
 
+@pytest.mark.parametrize("rule", ["paper-secant", "paper-tangent"])
+@pytest.mark.parametrize("bar", [(0.65, 0, 0), (0, 0.5, 0.5), (0, 0, 0)])
+@given(noise=st.tuples(*[st.floats(-0.01, 0.01)] * 3))
+@settings(max_examples=20, deadline=None)
+def test_a_passive_tube_stays_passive_under_the_sensors_noise(
+    rule: ModulusRule, bar: tuple[float, ...], noise: tuple[float, ...]
+) -> None:
+    # The paper's sensor is good to 0.01 bar; its n on a passive tube is an even share of what the others push.
+    arm = frozen(rule)
+    clean = np.array(bar) * BAR
+    read = clean + np.array(noise) * BAR
+    passive = clean == 0
+    share = (read[~passive] * arm.geometry.chamber_area_m2).sum() / passive.sum()
+    alone = replace(arm, modulus_rule="secant" if rule == "paper-secant" else "tangent")
+    like = np.where(passive, share / arm.geometry.chamber_area_m2, read)
+    assert np.allclose(arm.stiffness_n(read), alone.stiffness_n(like), rtol=1e-12)
+    assert np.abs(arm.statics(read).tip_m - arm.statics(clean).tip_m).max() < 5e-3
+
+
 @pytest.mark.parametrize("bar", [(0.65, 0, 0), (0, 0.65, 0.65), (0.65, 0.3, 0.1)])
 @pytest.mark.parametrize("rpe_as", ["force", "strain"])
 @pytest.mark.parametrize("solver", ["lm", "dogleg"])
