@@ -68,6 +68,17 @@ def test_pause_and_resume_set_the_flag_that_control_obeys_and_are_refused_twice(
     assert not desk.carry_out(Request(Action.RESUME, "ada")).done
 
 
+def test_a_paused_run_holds_its_pressures_whoever_wants_to_skip(plan: experiment.Plan, memory: RunMemory) -> None:
+    desk = Desk(memory, plan.trajectory)
+    desk.carry_out(Request(Action.PAUSE, "ada"))
+    answer = desk.carry_out(Request(Action.SKIP, "bob"))
+    assert (answer.done, memory.get("skips")) == (False, 0)
+    assert "resume" in answer.said
+    desk.carry_out(Request(Action.RESUME, "ada"))
+    assert desk.carry_out(Request(Action.SKIP, "bob")).done
+    assert memory.get("skips") == 1
+
+
 @pytest.mark.parametrize(("action", "stop"), [(Action.STOP, Stop.SAFE), (Action.VENT, Stop.VENT)])
 def test_stop_and_vent_end_the_run_and_say_who(
     plan: experiment.Plan, memory: RunMemory, action: Action, stop: Stop

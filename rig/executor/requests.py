@@ -74,6 +74,9 @@ class Desk:
         return Answer(True, f"{'paused' if held else 'resumed'} by {who} at protocol time {self._protocol_s:.2f} s")
 
     def _skip(self, who: str) -> Answer:
+        if self._memory.get("held"):
+            # Whoever pauses counts on the pressures to stay as they are.
+            return Answer(False, "the run is paused and holds its pressures; resume it, then skip")
         at_s = self._protocol_s
         self._memory.set("skips", self._memory.get("skips") + 1)
         segment = self._trajectory.segment_at(at_s)

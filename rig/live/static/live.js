@@ -112,6 +112,7 @@ function numbers() {
   const acting = about.live && ["running", "paused", "waiting"].includes(now.state);
   for (const button of document.querySelectorAll("footer [data-do]")) {
     button.disabled = !acting && !(button.id === "stop" || button.id === "vent") || now.state === "ended";
+    if (button.id === "skip" && now.state === "paused") button.disabled = true; // a pause holds its pressures
     button.classList.toggle("disabled", button.disabled);
   }
   if (at("pause")) {
