@@ -1,6 +1,6 @@
 """How honest and how fast identification is: coverage of its error bars, and archives per minute by workers.
 
-Run: python -m benchmarks.identify [--trials 200] [--seed 0] [--workers 2]
+Run: python -m benchmarks.identify [--trials 200] [--seed 0] [--workers 2] [--figure FILE]
 """
 
 from __future__ import annotations
@@ -8,13 +8,17 @@ from __future__ import annotations
 import argparse
 import time
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
 import model
+from calibration.identify import figures
 from calibration.identify.data import Poses
-from calibration.identify.parameters import Setup
-from calibration.identify.simulated import coverage, plan
+from calibration.identify.fit import identify
+from calibration.identify.parameters import Prior, Setup, named
+from calibration.identify.simulated import coverage, perform, plan
+from runs.figures import save
 
 FREE = ("law", "rpe_per_bar", "cap_mass_kg", "base_x_m", "base_z_m", "base_ry_rad")
 
@@ -36,13 +40,27 @@ def experiment() -> tuple[tuple[Poses, ...], Setup, Setup]:
     return planned, truth, start
 
 
+def draw(file: Path, seed: int) -> None:
+    """Draw the intervals of one simulated identification, with the truth, as its report does."""
+    planned, truth, start = experiment()
+    rng = np.random.default_rng(seed)
+    data = [perform(one, truth, rng) for one in planned]
+    fit = identify(data, start, (*FREE, "sensor_offsets"), {"sensor_offsets": Prior(0.0, 200.0)})
+    true = {one.name: one.read(truth) for one in named(FREE, 3)}
+    save(figures.estimates, (9, 5.5), file, fit, (), true)
+
+
 def main() -> None:
-    """Print both tables."""
+    """Print both tables, or draw."""
     options = argparse.ArgumentParser(description=__doc__)
     options.add_argument("--trials", type=int, default=200)
     options.add_argument("--seed", type=int, default=0)
     options.add_argument("--workers", type=int, nargs="+", default=[2])
+    options.add_argument("--figure", type=Path, help="draw one identification there instead (png, pdf, svg)")
     given = options.parse_args()
+    if given.figure is not None:
+        draw(given.figure, given.seed)
+        return
     planned, truth, start = experiment()
     for workers in given.workers:
         began = time.perf_counter()
