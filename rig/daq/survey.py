@@ -24,7 +24,8 @@ class Lines:
     def __str__(self) -> str:
         """One line for people."""
         ranges = ", ".join(f"{low:g} to {high:g} V" for low, high in self.ranges_v)
-        rate = "" if self.fastest_hz is None else f", by its own clock up to {self.fastest_hz / 1e3:.4g} kHz for one channel"
+        own_clock = self.fastest_hz is not None
+        rate = f", by its own clock up to {(self.fastest_hz or 0) / 1e3:.4g} kHz for one channel" if own_clock else ""
         return f"{self.channels} of {self.bits} bit ({ranges}){rate}"
 
 
