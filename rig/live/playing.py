@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 import model
 from protocols import BadInput
-from rig.arm import model_arm
+from rig.arm import Hook, model_arm
 from rig.config import PA_PER_BAR, RigConfig, parse
 from rig.executor.memory import LINE_POINTS
 from rig.eye import Eye
@@ -27,6 +27,7 @@ HISTORY_ROWS = 1500
 PACKET_S = 1 / 30
 FASTEST = 100.0
 MM_PER_M = 1e3
+KG_PER_G = 1e-3
 Floats = NDArray[np.float64]
 
 
@@ -90,6 +91,11 @@ class Playing:
     def _arm(self) -> model.Arm | None:
         return model_arm(self._config) if self._config else None
 
+    @cached_property
+    def _hook(self) -> Hook:
+        assert self._config is not None
+        return Hook(self._config)
+
     def drawing(self, frame: int, picture: int) -> Drawing | None:
         """What is drawn for row `frame` of the tip: the arm as it would stand at rest, and the marks of the picture."""
         if self._config is None or frame < 0:
@@ -121,7 +127,7 @@ class Playing:
         if self._arm is None or not np.all(np.isfinite(pressure)):
             return None
         try:
-            return self._arm.statics(pressure)
+            return self._arm.statics(pressure, self._hook.carrying(float(self.run.tip.weight_g[frame]) * KG_PER_G))
         except model.NotConverged:
             return None
 

@@ -1,0 +1,33 @@
+"""What the page draws when it plays an archive."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rig.cli import main
+from rig.live.playing import Playing
+
+WEIGHED = """
+title: A weight
+steps:
+  - hold: {duration_s: 0.5}
+  - prompt: {message: Hang it., weight_g: 800}
+  - hold: {duration_s: 1.5}
+"""
+
+
+def test_the_arm_is_drawn_with_the_weight_that_hung_on_it(tmp_path: Path) -> None:
+    (tmp_path / "weight.yaml").write_text(WEIGHED)
+    with pytest.raises(SystemExit):
+        main(["run", str(tmp_path / "weight.yaml"), "--fast", "--yes", "--no-report", "--out", str(tmp_path)])
+    played = Playing(next(tmp_path.glob("*.h5")))
+    tip = played.run.tip
+    assert tip.weight_g[-1] == 800
+    for frame in (0, len(tip.frame) - 1):
+        drawing = played.drawing(frame, -1)
+        assert drawing is not None
+        # The archive's model still swings a little where the weight has just been hung.
+        assert np.linalg.norm(drawing.lines_mm[0, -1] - tip.model_mm[frame]) < 1.0
