@@ -36,9 +36,9 @@ def become_real_time(priority: int) -> list[str]:
 
 
 def hurry() -> None:
-    """Go before every ordinary program from now on, if that is allowed."""
+    """Go before every ordinary program from now on, if that is allowed, and after all that are punctual."""
     with contextlib.suppress(OSError, AttributeError):
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(40))
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(10))
 
 
 def become_ordinary() -> None:
