@@ -175,7 +175,7 @@ class TestMapping:
             poses_of(bring("0,0.1,1,2,3\n1,,1,2,3\n", SMALL.replace("unit: mm}}", "unit: mm}, uncertainty_mm: 0.2}")))
 
     def test_identification_says_that_an_archive_has_no_rig(self, bring: Bring) -> None:
-        with pytest.raises(BadInput, match="the rig's YAML"):
+        with pytest.raises(NoData, match="holds no rig; name one in the import's mapping"):
             identified.from_runs([bring("0,0.1,1,2,3\n1,0.2,1,2,3\n", SMALL)], (), {})
 
     def test_a_file_without_a_tip_is_an_archive_of_pressures(self, bring: Bring, tmp_path: Path) -> None:
