@@ -210,15 +210,25 @@ def _led(
     room: Room,
     tolerance: float,
 ) -> int:
-    """A time step by leading the pressures from the last ones to the new ones in parts."""
-    some, parts, passes = np.empty_like(pressure), 8, -1
-    for part in range(1, parts + 1):
-        some[:] = last + (pressure - last) * (part / parts)
+    """A time step by leading the pressures from the last ones to the new ones, with strides as long as succeed."""
+    x = room.x
+    good, some = x.copy(), np.empty_like(pressure)
+    done, stride, total = 0.0, 0.125, 0
+    while done < 1.0:
+        share = min(1.0, done + stride)
+        some[:] = last + (pressure - last) * share
         set_pressures(w, actuators, rest, per_pressure, free, some)
         passes = newton(w, law, actuators, load, loaded, tip, c0, length, segments, scale, room, tolerance, 40)
-        if passes < 0:
-            return -1
-    return int(passes)
+        if passes > 0:
+            total += passes
+            done, stride = share, 2.0 * stride
+            good[:] = x
+        else:
+            stride *= 0.25
+            x[:] = good
+            if stride < 1e-3:
+                return -1
+    return total
 
 
 @leaf

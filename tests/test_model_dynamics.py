@@ -219,6 +219,14 @@ def test_no_random_jump_within_the_papers_range_fails(dt: float, variant: str) -
         assert np.isfinite(shape.p_m).all()
 
 
+def test_thousands_of_jumps_a_millisecond_apart_do_not_fail_once() -> None:
+    """Step 8737 of these needs pressures that are led in strides shorter than an eighth of the jump."""
+    dynamics = Arm.paper("inhomogeneous+rpe").dynamics(0.001)
+    dynamics.start((0, 0, 0))
+    run = dynamics.run(np.random.default_rng(424242).uniform(0, 0.65, (8800, 3)) * BAR)
+    assert run.ok.all()
+
+
 @pytest.mark.parametrize("scheme", ["bdf1", "bdf-alpha"])
 @pytest.mark.parametrize(
     "change",
