@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.corner_model import KNOTS, LEAST_VARIANCE, TAPER_PX, edge_shape, fit
+from calibration.corner_model import KNOTS, LARGEST_RADIUS_PX, LEAST_VARIANCE, TAPER_PX, edge_shape, fit
 from model.compiled import kernel
 
 Floats = NDArray[np.float64]
@@ -25,7 +25,7 @@ fast_kernel = partial(kernel, sources=(__file__,), fastmath=True)
 
 # The window is kept clear of the neighbouring edges: its radius as a share of their distance, bounds in px.
 _RADIUS_SHARE = 0.46
-_RADIUS_BOUNDS_PX = (2.2, 9.0)
+_RADIUS_BOUNDS_PX = (2.2, LARGEST_RADIUS_PX)
 # Knots of the edges' own shape lie so many blurs apart, but not less than so many px.
 _KNOT_BLURS = 0.25
 _LEAST_KNOT_PX = 0.2
