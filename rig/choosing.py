@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 import typer
 from rich.table import Table
 
-from calibration.identify.choice import Choice, candidates, choose
+from calibration.identify.choice import DAMPING, Choice, Row, candidates, choose
 from calibration.identify.parameters import Prior
 from rig.identified import poses, setup_of
 from rig.listing import plain_json
@@ -24,20 +24,25 @@ def show(
     `free`: what is free in every model beside its own law; by default the pose of the base.
     """
     data = [poses(run, quasi_static) for run in archives]
-    asked = candidates(setup_of(archives[0]), free or ("base",), moving=any(one.moving for one in data))
+    moving = any(one.moving for one in data)
+    asked = candidates(setup_of(archives[0]), free or ("base",), moving)
     found = choose(data, asked, priors)
     if as_json:
         typer.echo(json.dumps(plain_json(_facts(found)), indent=2))
         return
     screen = console()
     table = Table(box=None, padding=(0, 2, 0, 0))
-    for head in ("inhomogeneous", "radial effect", "error of runs left out [%]", "rms [mm]", "AIC", "BIC", "fitted"):
-        table.add_column(head, justify="left" if head in ("inhomogeneous", "radial effect") else "right")
+    models = ("inhomogeneous", "radial effect", *(("damping",) if moving else ()))
+    for head in models:
+        table.add_column(head)
+    for head in ("error of runs left out [%]", "rms [mm]", "AIC", "BIC", "fitted"):
+        table.add_column(head, justify="right")
     for row in found.rows:
         _, _, rule = row.candidate.name.partition(", ")
         table.add_row(
             f"yes, {rule}" if row.candidate.inhomogeneous else "no",
             "yes" if row.candidate.radial else "no",
+            *((_damping(row),) if moving else ()),
             f"{row.error_percent:.2f}",
             f"{1e3 * row.error_m:.3f}",
             f"{row.aic:.0f}",
@@ -48,12 +53,21 @@ def show(
     screen.print(found.sentence, soft_wrap=True)
 
 
+def _damping(row: Row) -> str:
+    """Whether the row's model is damped, and how much, if the data say."""
+    if not row.candidate.damping:
+        return "no"
+    value = row.fit[DAMPING].value
+    return "yes, undecided" if value is None else f"yes, {1e3 * value:.1f} ms"
+
+
 def _facts(found: Choice) -> dict[str, object]:
     rows = [
         {
             "model": row.candidate.name,
             "inhomogeneous": row.candidate.inhomogeneous,
             "radial_effect": row.candidate.radial,
+            "damping": row.candidate.damping,
             "left_out_percent": row.error_percent,
             "left_out_rms_mm": 1e3 * row.error_m,
             "aic": row.aic,

@@ -59,7 +59,23 @@ def test_one_run_is_not_enough() -> None:
 
 
 def test_the_candidates_are_the_papers_models_and_rules() -> None:
-    names = [c.name for c in candidates(START, moving=True)]
-    assert len(names) == 8
-    assert [(c.inhomogeneous, c.radial) for c in candidates(START)[:3]] == [(False, False), (False, True), (True, True)]
-    assert names[-1] == "inhomogeneous+rpe, damped"
+    still = candidates(START)
+    assert [(c.inhomogeneous, c.radial) for c in still[:3]] == [(False, False), (False, True), (True, True)]
+    assert len(still) == 7
+    assert all("damping_s" not in c.free for c in still)
+
+
+@pytest.mark.parametrize("free", [(), ("base", "damping_s")])
+@pytest.mark.parametrize("damping_s", [0.0, 0.02])
+def test_where_runs_move_every_model_is_compared_with_and_without_damping(
+    damping_s: float, free: tuple[str, ...]
+) -> None:
+    arm = model.Arm.paper()
+    start = Setup(replace(arm, material=replace(arm.material, damping_s=damping_s)))
+    moving = candidates(start, free, moving=True)
+    assert [c.name for c in moving[::2]] == [c.name for c in moving[1::2]] == [c.name for c in candidates(start)]
+    for without, damped in zip(moving[::2], moving[1::2], strict=True):
+        assert (without.damping, damped.damping) == (False, True)
+        assert without.start.arm.material.damping_s == 0.0
+        assert "damping_s" not in without.free
+        assert damped.free.count("damping_s") == 1

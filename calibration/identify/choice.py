@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,6 +19,8 @@ Array = NDArray[np.float64]
 
 # Differences of a criterion below this are not worth a sentence (Burnham and Anderson's rule of thumb).
 _WORTH = 10.0
+_DAMPED_FROM_S = 0.01
+DAMPING = "damping_s"
 
 
 @dataclass(frozen=True)
@@ -28,6 +30,20 @@ class Candidate:
     name: str
     start: Setup
     free: tuple[str, ...]
+
+    def without_damping(self) -> Candidate:
+        """The same with damping held at zero, free or not."""
+        return replace(self, start=_with_damping(self.start, 0.0), free=tuple(n for n in self.free if n != DAMPING))
+
+    def damped(self) -> Candidate:
+        """The same with damping free; where the start has none, from a hundredth of a second."""
+        start = self.start if self.start.arm.material.damping_s else _with_damping(self.start, _DAMPED_FROM_S)
+        return replace(self, start=start, free=(*(n for n in self.free if n != DAMPING), DAMPING))
+
+    @property
+    def damping(self) -> bool:
+        """Whether the arm's walls take energy away."""
+        return self.start.arm.material.damping_s > 0
 
     @property
     def inhomogeneous(self) -> bool:
@@ -67,7 +83,11 @@ class Choice:
 
 
 def candidates(setup: Setup, free: Iterable[str] = (), moving: bool = False) -> tuple[Candidate, ...]:
-    """The paper's three models, the inhomogeneous one by each rule for E_i, and with damping where runs move."""
+    """The paper's three models, the inhomogeneous one by each rule for E_i.
+
+    Where runs move, each stands there twice: without damping, and with a damping that is fitted. Where nothing moves
+    damping does not show.
+    """
     extra = tuple(free)
     linear, law = ("youngs_modulus_pa", *extra), ("a1_per_n", "a2_per_n2", *extra)
 
@@ -80,9 +100,12 @@ def candidates(setup: Setup, free: Iterable[str] = (), moving: bool = False) -> 
     ]
     rules: tuple[model.arm.ModulusRule, ...] = ("pointwise", "secant", "tangent", "paper-secant", "paper-tangent")
     out += [Candidate(f"inhomogeneous+rpe, {r}", of("inhomogeneous+rpe", r), (*law, "rpe_per_bar")) for r in rules]
-    if moving:
-        out.append(Candidate("inhomogeneous+rpe, damped", of("inhomogeneous+rpe"), (*law, "rpe_per_bar", "damping_s")))
-    return tuple(out)
+    return tuple(one for still in out for one in (still.without_damping(), still.damped())) if moving else tuple(out)
+
+
+def _with_damping(setup: Setup, damping_s: float) -> Setup:
+    material = replace(setup.arm.material, damping_s=damping_s)
+    return replace(setup, arm=replace(setup.arm, material=material))
 
 
 def choose(data: Sequence[Poses], asked: Sequence[Candidate], priors: Mapping[str, Prior] | None = None) -> Choice:
@@ -128,15 +151,27 @@ def _row(data: Sequence[Poses], candidate: Candidate, priors: Mapping[str, Prior
 
 
 def _sentence(rows: Sequence[Row], best: Row) -> str:
-    said = f"{best.candidate.name} predicts runs left out best: {best.error_m * 1e3:.3g} mm rms"
+    name = _named(rows)
+    said = f"{name(best)} predicts runs left out best: {best.error_m * 1e3:.3g} mm rms"
     simpler = [r for r in rows if r.dof < best.dof]
     if simpler:
         rival = min(simpler, key=lambda row: row.error_m)
         gain = 100 * (1 - best.error_m / rival.error_m)
         worth = rival.bic - best.bic
-        said += f", {gain:.0f} % less than {rival.candidate.name} ({rival.error_m * 1e3:.3g} mm)"
+        said += f", {gain:.0f} % less than {name(rival)} ({rival.error_m * 1e3:.3g} mm)"
         if worth > _WORTH:
             said += f"; the data pay for the larger model (BIC lower by {worth:.0f})"
         else:
             said += f"; but the data do not pay for it (BIC {'lower' if worth > 0 else 'higher'} by {abs(worth):.0f})"
     return said + "."
+
+
+def _named(rows: Sequence[Row]) -> Callable[[Row], str]:
+    """How rows are called in the sentence: by their damping, too, where they differ in it."""
+    differ = len({row.candidate.damping for row in rows}) > 1
+
+    def name(row: Row) -> str:
+        damping = ("with damping" if row.candidate.damping else "without damping") if differ else ""
+        return f"{row.candidate.name} {damping}".rstrip()
+
+    return name
