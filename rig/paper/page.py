@@ -10,7 +10,11 @@ from pathlib import Path
 from rig.paper.compared import Compared, Drawing
 from runs.figures import save, svg
 
-_STYLE = "table.paper td, table.paper th { vertical-align: top; } table.paper td:nth-child(6) { min-width: 18em; }"
+_STYLE = (
+    "table.paper td, table.paper th { vertical-align: top; } table.paper td:nth-child(6) { min-width: 18em; } "
+    "table.paper td:first-child { white-space: nowrap; }"
+)
+_LONG = "Table 4"
 
 
 def write(folder: Path, rows: Sequence[Compared], drawings: Sequence[Drawing], remarks: Sequence[str]) -> Path:
@@ -54,6 +58,6 @@ def _table(rows: Sequence[Compared]) -> str:
         "<tr>"
         + "".join(f"<td>{escape(cell)}</td>" for cell in (row.item, row.what, row.paper, row.here, row.origin, row.why))
         + "</tr>"
-        for row in rows
+        for row in sorted(rows, key=lambda row: row.item == _LONG)  # its many lines would hide the others
     )
     return f'<div class="scroll"><table class="paper"><tr>{head}</tr>{body}</table></div>'
