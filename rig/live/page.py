@@ -96,7 +96,7 @@ def _panels() -> None:
             ui.echart({"series": []}).classes("chart chart-error")
         with _panel("events", "events"):
             _part("ol", "event-list")
-        with _panel("estimates", "parameters estimated meanwhile; never used for control").props("hidden"):
+        with _panel("estimates", "estimated beside the run, never used for control").props("hidden"):
             _part("table", "estimate-rows")
         with _panel("timing", "timing"):
             _part("dl", "health")
