@@ -17,6 +17,7 @@ from typing import TypeVar, get_args
 import protocols
 from protocols import BadInput, Problem, Protocol, Trajectory
 from protocols.problems import closest
+from rig import reporter
 from rig.check import check
 from rig.config import RigConfig, Variant, load, parse, path_of, sources, text
 from rig.daq.base import CardError
@@ -162,6 +163,12 @@ def run(request: Request, decided: Plan, audience: Audience) -> Result:
     Raises:
         CardError, StartError: the run could not begin; the valves are safe and there is no archive.
     """
+    # In real time nothing is loaded beside the control loop.
+    with reporter.waiting() if request.fast and request.report else nullcontext(reporter.here) as draw:
+        return _run(request, decided, audience, draw)
+
+
+def _run(request: Request, decided: Plan, audience: Audience, draw: Callable[[Path], Path]) -> Result:
     if request.fast:
         from rig.executor.virtual import run as execute
     else:
@@ -204,7 +211,7 @@ def run(request: Request, decided: Plan, audience: Audience) -> Result:
         trouble.append(f"{error}; the journal is kept: {journal.path}; run `rig recover {request.folder}` later")
     if archive is not None and request.report:
         try:
-            report = _report(archive)
+            report = draw(archive)
         except OSError as error:
             trouble.append(f"no report: {error}; run `rig report {archive}` later")
     if archive is not None and decided.adapted:
@@ -217,12 +224,6 @@ def run(request: Request, decided: Plan, audience: Audience) -> Result:
 
 def _failed(message: str) -> Outcome:
     return Outcome(Status.ABORTED, message, time.monotonic_ns())
-
-
-def _report(archive: Path) -> Path:
-    from runs.report import write
-
-    return write([archive], archive.with_suffix(".html"))
 
 
 def _parameters(archive: Path) -> Path | None:
