@@ -31,10 +31,10 @@ steps:
 PATIENCE_S = 60.0
 
 
-def write_rig(folder: Path, *, one_opener: bool = False) -> Path:
-    """A copy of the mock rig with a card of its own, which may let in one process only."""
+def write_rig(folder: Path, *, one_opener: bool = False, like: str = "mock") -> Path:
+    """A copy of a mock rig with a card of its own, which may let in one process only."""
     device = f"test-{os.getpid()}-{abs(hash(str(folder))) % 10**8}"
-    text = with_one_opener(config.text("mock").replace("device: mock0", f"device: {device}"), one_opener=one_opener)
+    text = with_one_opener(config.text(like).replace("device: mock0", f"device: {device}"), one_opener=one_opener)
     path = folder / "rig.yaml"
     path.write_text(text)
     return path
@@ -49,10 +49,12 @@ def with_one_opener(text: str, *, one_opener: bool) -> str:
 class RigProcess:
     """One `rig run` under test."""
 
-    def __init__(self, folder: Path, protocol: str, *options: str, one_opener: bool = False) -> None:
+    def __init__(
+        self, folder: Path, protocol: str, *options: str, one_opener: bool = False, like: str = "mock"
+    ) -> None:
         self.folder = folder
         self.out = folder / "out"
-        self.rig_file = write_rig(folder, one_opener=one_opener)
+        self.rig_file = write_rig(folder, one_opener=one_opener, like=like)
         self.config = config.load(self.rig_file)
         (folder / "protocol.yaml").write_text(protocol)
         self._log = (folder / "log").open("w+")
@@ -141,9 +143,11 @@ class RigProcess:
 
 
 @contextmanager
-def rig_run(folder: Path, protocol: str = SHORT, *options: str, one_opener: bool = False) -> Iterator[RigProcess]:
+def rig_run(
+    folder: Path, protocol: str = SHORT, *options: str, one_opener: bool = False, like: str = "mock"
+) -> Iterator[RigProcess]:
     """Start a run; leave nothing of it behind."""
-    run = RigProcess(folder, protocol, *options, one_opener=one_opener)
+    run = RigProcess(folder, protocol, *options, one_opener=one_opener, like=like)
     try:
         yield run
     finally:

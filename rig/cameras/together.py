@@ -9,6 +9,7 @@ from __future__ import annotations
 import threading
 import time
 from collections import deque
+from collections.abc import Sequence
 
 from rig.cameras import open_camera
 from rig.cameras.base import Camera, CameraError, Frame, Shot
@@ -16,6 +17,8 @@ from rig.config import RigConfig
 
 KEPT = 4
 """Frames of one camera that wait for those of the others."""
+PATIENCE = 1.5
+"""Periods that a frame waits for those of the other cameras, whose pictures may take longer to come."""
 RETRY_S = 0.1
 POLL_S = 0.5
 
@@ -98,29 +101,45 @@ class Together:
             raise CameraError(said)
 
     def _pair(self) -> Shot | None:
-        """The next shot; None while it is not complete."""
+        """The next shot; None while there is none.
+
+        It is the newest whose frames have all come, or that has waited for them as long as it may.
+        """
         now, period = time.monotonic_ns(), self._period_ns
         silent = [now - reader.arrived_ns > 2 * period for reader in self._readers]
-        leader = next((k for k, quiet in enumerate(silent) if not quiet and self._readers[k].waiting), None)
-        first = next((k for k, quiet in enumerate(silent) if not quiet), None)
-        if leader is None or leader != first:
+        leader = next((k for k, quiet in enumerate(silent) if not quiet), None)
+        if leader is None:
             return None
-        lead, arrived_ns = self._readers[leader].waiting[-1]
-        frames: list[Frame | None] = [None] * len(self._readers)
-        frames[leader] = lead
-        for k, reader in enumerate(self._readers):
-            if k == leader:
-                continue
-            nearest = min(reader.waiting, key=lambda w: abs(w[0].t_ns - lead.t_ns), default=None)
-            if nearest is not None and abs(nearest[0].t_ns - lead.t_ns) <= period // 2:
-                frames[k] = nearest[0]
-            elif not silent[k] and reader.newest_ns < lead.t_ns and now - arrived_ns < 0.7 * period:
+        # A camera that leads anew may have pictures older than what was shot with the one before it.
+        after_ns = -1 if self._last is None else self._last[1] + period // 2
+        for lead, arrived_ns in reversed(self._readers[leader].waiting):
+            if lead.t_ns <= after_ns:
                 return None
+            frames, complete = self._fellows(leader, lead, silent)
+            if complete or now - arrived_ns > PATIENCE * period:
+                break
+        else:
+            return None
         for reader, frame in zip(self._readers, frames, strict=True):
             until_ns = frame.t_ns if frame is not None else lead.t_ns - period
             while reader.waiting and reader.waiting[0][0].t_ns <= until_ns:
                 reader.waiting.popleft()
         return Shot(self._number(leader, lead), tuple(frames))
+
+    def _fellows(self, leader: int, lead: Frame, silent: Sequence[bool]) -> tuple[list[Frame | None], bool]:
+        """Every camera's frame that goes with the leading one, and whether none of those missing may still come."""
+        frames: list[Frame | None] = [None] * len(self._readers)
+        frames[leader], complete = lead, True
+        for k, reader in enumerate(self._readers):
+            # Those before it are silent, or they would lead.
+            if k <= leader:
+                continue
+            nearest = min(reader.waiting, key=lambda w: abs(w[0].t_ns - lead.t_ns), default=None)
+            if nearest is not None and abs(nearest[0].t_ns - lead.t_ns) <= self._period_ns // 2:
+                frames[k] = nearest[0]
+            elif not silent[k] and reader.newest_ns < lead.t_ns:
+                complete = False
+        return frames, complete
 
     def _number(self, leader: int, lead: Frame) -> int:
         """Number of the shot: the leading camera's own count, carried on where another one leads."""
