@@ -15,6 +15,7 @@ from rig.cameras.mock import MockCamera
 from rig.config import RigConfig, load
 from rig.executor.vigil import Vigil
 from rig.eyes import Eyes
+from rig.live.playing import Playing
 from rig.replay import replay
 from runs.records import Level, Seen, observation_dtype
 from runs.run import Run
@@ -65,6 +66,17 @@ def test_the_archive_names_the_cameras_what_each_saw_and_their_skew(stereo: Run)
     assert np.all(stereo.tip.camera_skew_us[:, 0] == 0)
     assert stereo.tip.camera_skew_us[:, 1] == pytest.approx(2000)
     assert set(stereo.frames.camera) == {"left", "right"}
+
+
+def test_played_back_the_page_shows_one_camera_all_the_time_with_its_own_marks(stereo: Run) -> None:
+    played = Playing(stereo.path)
+    shown = [played.picture_at(t_s) for t_s in np.linspace(0.5, stereo.tip.time_s[-1], 60)]
+    assert len(set(shown)) > 20
+    assert {stereo.frames.camera[k] for k in shown} == {"left"}
+    drawing = played.drawing(len(stereo.tip.time_s) - 1, shown[-1])
+    assert drawing is not None
+    assert np.array_equal(drawing.corners_px, stereo.frames.corners_px[shown[-1]])
+    assert np.array_equal(drawing.tip_px, stereo.frames.tip_px[shown[-1]])
 
 
 def test_a_replay_measures_again_with_both(stereo: Run, tmp_path: Path) -> None:

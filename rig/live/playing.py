@@ -8,7 +8,6 @@ from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -17,7 +16,6 @@ from protocols import BadInput
 from rig.arm import Hook, model_arm
 from rig.config import PA_PER_BAR, RigConfig, parse
 from rig.executor.memory import LINE_POINTS
-from rig.eye import Eye
 from rig.live.packets import Drawing, News, estimates
 from rig.sketch import Sketcher
 from runs.records import Seen
@@ -97,24 +95,32 @@ class Playing:
         return Hook(self._config)
 
     def drawing(self, frame: int, picture: int) -> Drawing | None:
-        """What is drawn for row `frame` of the tip: the arm as it would stand at rest, and the marks of the picture."""
+        """What is drawn for row `frame` of the tip: the arm as it would stand at rest, and the marks kept with a picture."""
         if self._config is None or frame < 0:
             return None
-        shape = self._shape(frame)
-        tip, sketcher = self.run.tip, self._sketcher
-        at = int(self._rows_of_pictures[picture]) if picture >= 0 else frame
+        lines_mm = MM_PER_M * self._sketcher.lines(self._shape(frame))
+        if picture < 0:
+            return Drawing(np.empty((0, 2)), np.full(2, np.nan), np.full(2, np.nan), lines_mm)
+        kept = self.run.frames
+        corners = kept.corners_px[picture]
         return Drawing(
-            corners_px=self._corners(picture) if picture >= 0 else np.empty((0, 2)),
-            tip_px=sketcher.pixel(tip.measured_mm[at] / MM_PER_M),
-            model_px=sketcher.pixel(tip.model_mm[at] / MM_PER_M),
-            lines_mm=MM_PER_M * sketcher.lines(shape),
+            corners_px=corners[np.isfinite(corners).all(axis=1)],
+            tip_px=kept.tip_px[picture],
+            model_px=kept.model_px[picture],
+            lines_mm=lines_mm,
         )
 
+    def picture_at(self, t_s: float) -> int:
+        """The newest kept picture of the leading camera at a time; -1 where there is none."""
+        times_s, rows = self._leading
+        before = int(np.searchsorted(times_s, t_s, side="right"))
+        return int(rows[before - 1]) if before else -1
+
     @cached_property
-    def _rows_of_pictures(self) -> NDArray[np.int64]:
-        """The tip's row of each kept picture."""
-        rows = np.searchsorted(self.run.tip.frame, self.run.frames.index)
-        return np.minimum(rows, len(self.run.tip.frame) - 1).astype(np.int64)
+    def _leading(self) -> tuple[Floats, NDArray[np.int64]]:
+        """Times and rows of the pictures to show: of those taken together the first."""
+        rows = np.unique(self.run.frames.index, return_index=True)[1]
+        return self.run.frames.time_s[rows], rows
 
     @cached_property
     def _sketcher(self) -> Sketcher:
@@ -130,14 +136,6 @@ class Playing:
             return self._arm.statics(pressure, self._hook.carrying(float(self.run.tip.weight_g[frame]) * KG_PER_G))
         except model.NotConverged:
             return None
-
-    @lru_cache(maxsize=64)  # noqa: B019
-    def _corners(self, picture: int) -> Floats:
-        assert self._config is not None
-        data = np.frombuffer(self.run.picture(picture), np.uint8)
-        image = np.asarray(cv2.imdecode(data, cv2.IMREAD_UNCHANGED), np.uint8)
-        corners = Eye(self._config, next(iter(self._config.cameras))).measure(image).corners_px
-        return np.empty((0, 2)) if corners is None else corners
 
     def now(self, t_s: float, frame: int, playing: bool) -> dict[str, Any]:
         """The numbers at a time."""
@@ -214,7 +212,7 @@ class PlayingViewer:
         reset = self._t_s < self._shown_s or self._shown_s == -math.inf
         since = -math.inf if reset else self._shown_s
         frame = int(np.searchsorted(source.run.tip.time_s, self._t_s, side="right")) - 1
-        picture = int(np.searchsorted(source.run.frames.time_s, self._t_s, side="right")) - 1
+        picture = source.picture_at(self._t_s)
         news = News(
             source.now(self._t_s, frame, self._playing),
             pressure=_between(source.pressure_rows, since, self._t_s),
