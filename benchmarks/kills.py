@@ -21,9 +21,9 @@ import numpy as np
 
 import runs
 from rig import config, experiment
-from rig.executor.base import Progress
+from rig.executor.base import Nobody
 from runs.archive import verify
-from runs.records import Event, Status
+from runs.records import Status
 from runs.recovery import Fate, recover
 from runs.run import Run
 
@@ -35,32 +35,10 @@ steps:
 PATIENCE_S = 60.0
 
 
-class Silent:
-    """Watches and never stops."""
-
-    def show(self, progress: Progress) -> None:
-        """Look away."""
-
-    def tell(self, event: Event) -> None:
-        """Look away."""
-
-    def answered(self) -> bool:
-        """Never."""
-        return False
-
-    def pause_toggled(self) -> bool:
-        """Never."""
-        return False
-
-    def stop_requested(self) -> str | None:
-        """Never."""
-        return None
-
-
 def run_fast(folder: Path, protocol: Path) -> Path:
     """One virtual run; the same arrays every time."""
     request = experiment.request(str(protocol), "mock", folder=folder, fast=True, seed=1, report=False)
-    archive = experiment.run(request, experiment.plan(request), Silent()).archive
+    archive = experiment.run(request, experiment.plan(request), Nobody()).archive
     assert archive is not None
     return archive
 

@@ -15,8 +15,7 @@ from rig import experiment
 from rig.arm import model_arm, true_arm
 from rig.cli import main
 from rig.config import load
-from rig.executor.base import Progress
-from runs.records import Event
+from rig.executor.base import Nobody
 from runs.run import Run
 
 AT_REST = """
@@ -39,33 +38,19 @@ steps:
 """
 
 
-class Nobody:
-    """Watches nothing, answers everything."""
-
-    def show(self, progress: Progress) -> None:
-        """Look away."""
-
-    def tell(self, event: Event) -> None:
-        """Forget."""
+class Prompt(Nobody):
+    """Answers every prompt at once."""
 
     def answered(self) -> bool:
         """Always."""
         return True
-
-    def stop_requested(self) -> str | None:
-        """Never."""
-        return None
-
-    def pause_toggled(self) -> bool:
-        """Never."""
-        return False
 
 
 def performed(folder: Path, text: str, seed: int) -> Run:
     file = folder / "protocol.yaml"
     file.write_text(text, encoding="utf-8")
     request = experiment.request(str(file), "mock", folder=folder, fast=True, seed=seed, report=False)
-    result = experiment.run(request, experiment.plan(request), Nobody())
+    result = experiment.run(request, experiment.plan(request), Prompt())
     assert result.archive is not None
     return runs.open(result.archive)
 

@@ -17,8 +17,8 @@ from rig_process import RigProcess, rig_run
 
 import runs
 from rig import experiment
-from rig.executor.base import Progress
-from runs.records import Event, Status
+from rig.executor.base import Nobody
+from runs.records import Status
 from runs.run import Run
 
 pytestmark = pytest.mark.alone
@@ -130,33 +130,13 @@ def test_vent_ends_the_run_at_once_with_every_valve_vented(browser: Browser, tmp
     assert "vented by" in runs.open(run.archive()).message
 
 
-class _Nobody:
-    def show(self, progress: Progress) -> None:
-        """Look away."""
-
-    def tell(self, event: Event) -> None:
-        """Do not listen."""
-
-    def answered(self) -> bool:
-        """Never."""
-        return False
-
-    def stop_requested(self) -> str | None:
-        """Never."""
-        return None
-
-    def pause_toggled(self) -> bool:
-        """Never."""
-        return False
-
-
 @pytest.fixture(scope="module")
 def archive(tmp_path_factory: pytest.TempPathFactory) -> Run:
     """A short run in virtual time."""
     folder = tmp_path_factory.mktemp("archive")
     (folder / "short.yaml").write_text(WATCHED)
     asked = experiment.request(str(folder / "short.yaml"), "mock", folder=folder, fast=True, report=False)
-    result = experiment.run(asked, experiment.plan(asked), _Nobody())
+    result = experiment.run(asked, experiment.plan(asked), Nobody())
     assert result.archive is not None
     return runs.open(result.archive)
 

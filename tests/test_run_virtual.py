@@ -10,29 +10,22 @@ import pytest
 import runs
 from protocols import BadInput
 from rig import experiment
-from rig.executor.base import Progress, StartError
+from rig.executor.base import Nobody, StartError
 from runs.records import Event, Status
 from runs.run import Run
 from runs.summary import Summary, summarise
 
 
-class Silent:
+class Silent(Nobody):
     """Watches and never stops; remembers the events."""
 
     def __init__(self, stop_after: int = 10**9) -> None:
         self.events: list[Event] = []
         self._polls_left = stop_after
 
-    def show(self, progress: Progress) -> None:
-        """Look away."""
-
     def tell(self, event: Event) -> None:
         """Remember."""
         self.events.append(event)
-
-    def answered(self) -> bool:
-        """Never."""
-        return False
 
     def stop_requested(self) -> str | None:
         """After some polls."""

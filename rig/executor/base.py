@@ -92,6 +92,28 @@ class Audience(Protocol):
         """True once when the operator has asked for a pause, or for its end."""
 
 
+class Nobody:
+    """An audience that looks away and never acts: a script's."""
+
+    def show(self, progress: Progress) -> None:
+        """Look away."""
+
+    def tell(self, event: Event) -> None:
+        """Forget."""
+
+    def answered(self) -> bool:
+        """Never."""
+        return False
+
+    def stop_requested(self) -> str | None:
+        """Never."""
+        return None
+
+    def pause_toggled(self) -> bool:
+        """Never."""
+        return False
+
+
 class StartError(Exception):
     """The run could not begin; the valves are safe and nothing was recorded."""
 

@@ -6,35 +6,13 @@ from collections.abc import Callable
 from pathlib import Path
 
 from rig import experiment
-from rig.executor.base import Progress, StartError
+from rig.executor.base import Nobody, StartError
 from rig.paper.compared import Origin
 from runs.archive import ArchiveError
-from runs.records import Event, Status
+from runs.records import Status
 from runs.run import Run
 
 PROTOCOLS = ("extension-weights", "extension-pressure", "ramp-a", "ramp-b", "sine-1", "sine-2")
-
-
-class _Nobody:
-    """No one watches, and no one stops the run."""
-
-    def show(self, progress: Progress) -> None:
-        """Nothing."""
-
-    def tell(self, event: Event) -> None:
-        """Nothing."""
-
-    def answered(self) -> bool:
-        """Virtual time answers by itself."""
-        return False
-
-    def stop_requested(self) -> str | None:
-        """Never."""
-        return None
-
-    def pause_toggled(self) -> bool:
-        """Never."""
-        return False
 
 
 def gathered(
@@ -75,7 +53,7 @@ def _archives(folder: Path) -> dict[str, Run]:
 
 def _simulated(folder: Path, name: str, seed: int) -> Run:
     asked = experiment.request(name, "mock", folder=folder, fast=True, seed=seed, report=False)
-    result = experiment.run(asked, experiment.plan(asked), _Nobody())
+    result = experiment.run(asked, experiment.plan(asked), Nobody())
     if result.archive is None or result.outcome.status is not Status.FINISHED:
         raise StartError(f"{name} could not be simulated: {result.outcome.message}")
     return Run(result.archive)

@@ -15,7 +15,7 @@ import rig.config
 from rig import experiment
 from rig.bench import Bench as Cards
 from rig.config import RigConfig
-from rig.executor.base import Progress
+from rig.executor.base import Nobody
 from rig.executor.virtual import START_NS
 from rig.simulator.faults import Faults
 from rig.simulator.plant import Plant
@@ -28,30 +28,15 @@ from scripts.faults.trial import PROTOCOL, Trial, Watched, judge, skipped
 SEEN_SAFE_V = 0.01
 
 
-class Listener:
+class Listener(Nobody):
     """An operator who listens and never interferes."""
 
     def __init__(self) -> None:
         self.said: list[str] = []
 
-    def show(self, progress: Progress) -> None:
-        """Look away."""
-
     def tell(self, event: Event) -> None:
         """Remember."""
         self.said.append(event.message)
-
-    def answered(self) -> bool:
-        """Never."""
-        return False
-
-    def stop_requested(self) -> str | None:
-        """Never."""
-        return None
-
-    def pause_toggled(self) -> bool:
-        """Never."""
-        return False
 
 
 class StruckPlant(Plant):
