@@ -56,6 +56,7 @@ class Corners:
     `contrast` (n,) is the step from dark to bright in grey levels, positive where the quadrant between the two edge
     directions (along a row, down a column) is bright; `misfit` (n,) the rms of what the model leaves, in shares of
     the step. `unexplained` is the share of the variance that is not noise of pixels but the model's own fault.
+    `carried_px` (n, 2) is the standard uncertainty that all corners share, as they do when carried to another time.
     """
 
     px: Floats
@@ -63,6 +64,7 @@ class Corners:
     contrast: Floats
     misfit: Floats
     unexplained: float = 0.0
+    carried_px: Floats | None = None
 
 
 def spacing(corners_px: Floats, pattern: tuple[int, int]) -> float:

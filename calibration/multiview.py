@@ -60,13 +60,17 @@ def board_pose(points_m: Floats, cameras: Sequence[DLT], corners: Sequence[Corne
         return None
     covariance = residual_covariance(jacobian, cost, [points_m] * len(cameras), [c.unexplained for c in corners])
     unscaled = np.linalg.inv(jacobian.T @ jacobian)
-    # The coefficients' errors shift all corners of a camera together, so no number of corners averages them out.
+    # The coefficients' errors shift all corners of a camera together, so no number of corners averages them out; nor
+    # those of corners that were carried to another time.
     world = points_m @ cv2.Rodrigues(x[:3])[0].T + x[3:]
     by_camera = np.split(jacobian, len(cameras))
-    for camera, whitener, slope in zip(cameras, whiteners, by_camera, strict=True):
+    for camera, seen_by, whitener, slope in zip(cameras, corners, whiteners, by_camera, strict=True):
         shift = np.matmul(whitener, camera.by_coefficients(world).reshape(-1, 2, 11)).reshape(-1, 11)
         gain = unscaled @ slope.T @ shift
         covariance = covariance + gain @ camera.covariance @ gain.T
+        if seen_by.carried_px is not None:
+            by_carrying = unscaled @ slope.T @ np.einsum("nij,nj->ni", whitener, seen_by.carried_px).ravel()
+            covariance = covariance + np.outer(by_carrying, by_carrying)
     return Pose(x[:3], x[3:], np.asarray(covariance), np.concatenate(seen) - projected, projected, cost)
 
 

@@ -26,9 +26,11 @@ _GLIMPSE_ROWS = 16
 """Every so many rows of a picture are compared with the last one's: a sensor's noise never repeats."""
 # Exposures closer together than this are one.
 _SIMULTANEOUS_NS = 100_000
-# Speeds are told from pictures no further apart than so many periods, and are right but for this share.
+# Speeds are told from pictures no further apart than so many periods. One camera's is right but for this share;
+# corners' but for this share of its greatest change between the last pictures, as long as they have moved alike.
 _RECENT_PERIODS = 4.5
 _SPEED_SHARE = 0.3
+_CHANGE_SHARE = 1.0
 # Residuals of all cameras together beyond this, and beyond what their places are uncertain by, contradict each other.
 _WORST_PX = 0.6
 _PLACE_STDS = 3.0
@@ -36,10 +38,12 @@ _PLACE_STDS = 3.0
 
 @dataclass(frozen=True)
 class _Past:
-    """Where something was: corners in a picture [px], or the tip [m]."""
+    """Where something was: corners in a picture [px], or the tip [m]; its speed [1/ns] and the change of that."""
 
     t_ns: int
     place: Floats
+    speed: Floats | None = None
+    change: Floats | None = None
 
 
 class Eyes:
@@ -110,8 +114,6 @@ class Eyes:
         for k in corners:
             self._eyes[k].tracker.agree(sightings[k], self._places[k].inverse() @ pose.rigid)
         tip, covariance = tip_in_base(pose, self._board_in_tip, self._world_in_base)
-        skew_ns = max(abs(frame.t_ns - shot.t_ns) for k, frame in enumerate(shot.frames) if frame and k in corners)
-        covariance = covariance + self._of_skew(shot.t_ns, tip, skew_ns)
         return Measurement(Seen.MEASURED, tip, covariance, pose.reprojection_px, None, seen)
 
     def _alone(self, shot: Shot, sightings: Sequence[Sighting]) -> Measurement:
@@ -135,13 +137,16 @@ class Eyes:
         corners = sighting.corners
         if corners is None:
             return None
-        before, self._corners_past[k] = self._corners_past[k], _Past(taken_ns, corners.px)
+        before, now = self._corners_past[k], _after(self._corners_past[k], taken_ns, corners.px, self._recent_ns)
+        self._corners_past[k] = now
         if abs(t_ns - taken_ns) <= _SIMULTANEOUS_NS:
             return corners
-        if before is None or not 0 < taken_ns - before.t_ns < self._recent_ns:
+        if now.speed is None or now.change is None:
             return None
-        share = (t_ns - taken_ns) / (taken_ns - before.t_ns)
-        return replace(corners, px=corners.px + (corners.px - before.place) * share)
+        changes = [now.change] if before is None or before.change is None else [now.change, before.change]
+        greatest = max(changes, key=lambda change: float(np.square(change).sum()))
+        by_ns = t_ns - taken_ns
+        return replace(corners, px=corners.px + now.speed * by_ns, carried_px=_CHANGE_SHARE * greatest * by_ns)
 
     def _velocity(self, t_ns: int, tip_m: Floats) -> Floats:
         """Of the tip [m/ns]; none where it was not measured lately."""
@@ -165,6 +170,14 @@ class Eyes:
         """How far a camera's uncertain place moves its picture [px]."""
         slope = camera.by_coefficients(self._points_m)
         return float(np.sqrt(np.trace(slope @ camera.covariance @ slope.T) / len(self._points_m)))
+
+
+def _after(before: _Past | None, t_ns: int, px: Floats, recent_ns: float) -> _Past:
+    """Corners at a time, their speed and its change by what they were before; a first speed may be all wrong."""
+    if before is None or not 0 < t_ns - before.t_ns < recent_ns:
+        return _Past(t_ns, px)
+    speed = (px - before.place) / (t_ns - before.t_ns)
+    return _Past(t_ns, px, speed, speed if before.speed is None else speed - before.speed)
 
 
 def _unused(seen: Seen) -> Seen:

@@ -24,9 +24,15 @@ from tests.vision_bench import FRAME_NS, Sweep
 STEPS = "  - sine: {actuators: [1], mean_bar: 0.3, amplitude_bar: 0.2, omega_rad_s: 2, periods: 2, lead_in_s: 1}\n"
 
 
-def run_of(folder: Path, rig: str) -> Run:
+STARTS = "".join(
+    f"  - ramp: {{actuators: [1], to_bar: {bar}, duration_s: 0.4}}\n  - hold: {{duration_s: 0.2}}\n"
+    for bar in (0.3, 0.1, 0.4, 0.2, 0.5, 0.1)
+)
+
+
+def run_of(folder: Path, rig: str, steps: str = STEPS) -> Run:
     request = experiment.request(
-        protocol_file(folder, STEPS), rig, folder=folder / rig, fast=True, seed=2, report=False
+        protocol_file(folder, steps), rig, folder=folder / rig, fast=True, seed=2, report=False
     )
     archive = experiment.run(request, experiment.plan(request), Silent()).archive
     assert archive is not None
@@ -58,6 +64,12 @@ def test_two_cameras_hold_the_truth_and_err_less_than_one(stereo: Run, tmp_path:
     assert 0.88 <= np.mean(distances < 7.815) <= 1.0  # of some 200 frames, which one path links
     alone, _ = errors(run_of(tmp_path, "mock"))
     assert np.linalg.norm(error, axis=1).mean() < 0.5 * np.linalg.norm(alone, axis=1).mean()
+
+
+def test_the_truth_is_held_where_the_arm_starts_and_stops_between_two_exposures(tmp_path: Path) -> None:
+    _, distances = errors(run_of(tmp_path, "mock-stereo", STARTS))
+    assert np.mean(distances < 7.815) > 0.88
+    assert distances.max() < 200
 
 
 def test_the_archive_names_the_cameras_what_each_saw_and_their_skew(stereo: Run) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -142,6 +144,25 @@ def test_a_board_is_placed_in_the_world_by_two_cameras_with_an_honest_covariance
         inside += float(error @ np.linalg.solve(covariance, error)) < 7.815
     assert 0.90 <= inside / 200 <= 0.99
     assert np.mean(errors) < 0.15e-3
+
+
+def test_what_all_corners_of_a_camera_are_off_by_together_moves_the_board_as_its_covariance_says() -> None:
+    places = [_camera(a) for a in (-30, 30)]
+    cameras = [DLT.of_camera(LENS, place) for place in places]
+    world = Rigid.from_vectors(np.array([np.pi - 0.3, 0.2, 0.1]), np.array([0.02, 0.01, 0.0])).apply(BOARD.corners_m)
+    noise, unknown = np.broadcast_to(0.02**2 * np.eye(2), (len(world), 2, 2)), np.ones(len(world))
+    left, right = (Corners(_pixels(LENS, place, world), noise, unknown, unknown) for place in places)
+    shift = np.tile([0.05, -0.02], (len(world), 1))
+    still = board_pose(BOARD.corners_m, cameras, [left, right])
+    told = board_pose(BOARD.corners_m, cameras, [left, replace(right, carried_px=shift)])
+    moved = board_pose(BOARD.corners_m, cameras, [left, replace(right, px=right.px + shift)])
+    assert still is not None
+    assert told is not None
+    assert moved is not None
+    way = moved.translation_m - still.translation_m
+    more = (told.covariance - still.covariance)[3:, 3:]
+    assert np.linalg.norm(way) > 20e-6
+    assert np.allclose(more, np.outer(way, way), atol=0.05 * way @ way)
 
 
 @pytest.mark.parametrize(
