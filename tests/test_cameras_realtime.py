@@ -46,7 +46,8 @@ class Paced:
         self.index += 1
         t_ns = self.index * FRAME_NS
         if self.away_ns[0] <= t_ns < self.away_ns[1]:
-            time.sleep(FRAME_NS * 1e-9)
+            time.sleep((self.away_ns[1] - t_ns) * 1e-9)
+            self.index = self.away_ns[1] // FRAME_NS
             raise CameraError("away")
         late_ns = self.late_afterwards_ns if self.away_ns[1] and t_ns >= self.away_ns[1] else self.late_ns
         time.sleep(max(0.0, (self.start_ns + t_ns + late_ns - time.monotonic_ns()) * 1e-9))

@@ -95,7 +95,7 @@ class Playing:
         return Hook(self._config)
 
     def drawing(self, frame: int, picture: int) -> Drawing | None:
-        """What is drawn for row `frame` of the tip: the arm as it would stand at rest, and the marks kept with a picture."""
+        """What is drawn for row `frame` of the tip: the arm as it would stand at rest, and a picture's marks."""
         if self._config is None or frame < 0:
             return None
         lines_mm = MM_PER_M * self._sketcher.lines(self._shape(frame))
