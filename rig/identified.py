@@ -15,6 +15,7 @@ from scipy.spatial.transform import Rotation
 from calibration.identify.bootstrap import Bootstrap, bootstrap
 from calibration.identify.data import NoData, Poses, as_if_at_rest, poses_of
 from calibration.identify.document import content
+from calibration.identify.figures import predictions
 from calibration.identify.fit import Fit, identify
 from calibration.identify.parameters import Prior, Setup, known
 from calibration.identify.prediction import Prediction
@@ -26,6 +27,7 @@ from rig.optics import rigid
 from rig.parameters import laid_over
 from rig.parameters import read as read_parameters
 from rig.screens import console
+from runs.figures import save
 from runs.run import Run
 
 SENSOR_LAG_STD_S = 0.005
@@ -46,6 +48,16 @@ def rig_with(rig: str, parameters: Path) -> str:
 def poses(run: Run, quasi_static: bool = False) -> Poses:
     """What identification takes from a run: plateaus or motion, or every frame as an equilibrium."""
     return as_if_at_rest(run) if quasi_static else poses_of(run)
+
+
+def shown(archives: Sequence[Run], quasi_static: bool = False) -> list[Poses]:
+    """What identification takes from some runs, of which the first names the rig.
+
+    Raises:
+        NoData: no rig, or nothing in a run that can be used.
+    """
+    setup_of(archives[0])
+    return [poses(run, quasi_static) for run in archives]
 
 
 def setup_of(run: Run) -> Setup:
@@ -74,22 +86,22 @@ def truth_of(run: Run) -> dict[str, float]:
     return {**shown, "sensor_lag_s": config.simulator.sensor.lag_ms * 1e-3}
 
 
-def from_runs(
-    archives: Sequence[Run],
-    free: Sequence[str],
-    priors: Mapping[str, Prior],
-    starts: int = 1,
-    quasi_static: bool = False,
+def from_runs(archives: Sequence[Run], free: Sequence[str], priors: Mapping[str, Prior]) -> Fit:
+    """Identify the arm of some whole runs, as `from_poses` does."""
+    return from_poses(archives[0], shown(archives), free, priors)
+
+
+def from_poses(
+    first: Run, data: Sequence[Poses], free: Sequence[str], priors: Mapping[str, Prior], starts: int = 1
 ) -> Fit:
-    """Identify the arm of some runs; where nothing is said, the start is the arm of the first run's rig.
+    """Identify an arm from what runs show of it; where nothing is said, the start is the arm of the first run's rig.
 
     The sensors' accuracy, as their rig states it, is the prior of their offsets. Where a motion is to tell damping or
     density, the sensors' delay, which passes for either, is free with a prior of 5 ms.
     """
-    start = setup_of(archives[0])
-    config = _rig_of(archives[0])
+    start = setup_of(first)
+    config = _rig_of(first)
     chosen = tuple(free) or (DEFAULT_HOMOGENEOUS if config.model.variant.startswith("homogeneous") else DEFAULT)
-    data = [poses(run, quasi_static) for run in archives]
     moving = any(one.moving for one in data) and {"damping_s", "density_kg_m3"} & set(chosen)
     if moving and "sensor_lag_s" not in chosen:
         chosen = (*chosen, "sensor_lag_s")
@@ -142,6 +154,16 @@ def profiled(fit: Fit) -> tuple[Profile, ...]:
         said = "flat: the data set it no end" if one.flat else ends
         screen.print(f"{one.name}: 95 % by profile {said}", soft_wrap=True)
     return found
+
+
+def draw_predictions(found: Sequence[Prediction], file: Path) -> Path:
+    """Draw how far each predicted run is missed, before and after, over time."""
+    file.parent.mkdir(parents=True, exist_ok=True)
+    try:
+        save(predictions, (9, 2.6 * len(found)), file, found)
+    except ValueError as fault:
+        raise typer.BadParameter(f"{file}: {fault}", param_hint="--figure") from fault
+    return file
 
 
 def told(found: Sequence[Prediction]) -> None:

@@ -9,7 +9,7 @@ import pytest
 
 import model
 import runs
-from calibration.identify import NoData, Prior, Setup, at_rest, identify, in_motion, poses_of
+from calibration.identify import NoData, Prior, Setup, at_rest, identify, in_motion, parted, poses_of
 from calibration.identify.online import Adapter
 from rig import experiment
 from rig.arm import model_arm, true_arm
@@ -176,3 +176,23 @@ def test_a_sensor_at_the_foot_of_its_scale_tells_only_that_the_pressure_is_low(r
     assert touching[lowest] > 100
     assert doubt[vented[:, lowest], lowest].all()
     assert not doubt[pressed].any()
+
+
+def test_a_motion_is_parted_by_its_tips_and_keeps_its_pressures(moving: Run) -> None:
+    whole = in_motion(moving)
+    middle_s = float(whole.time_s[len(whole) // 2])
+    before, after = parted(whole, middle_s)
+    assert (before.time_s[before.seen] < middle_s).all()
+    assert (after.time_s[after.seen] >= middle_s).all()
+    assert np.array_equal(before.seen ^ after.seen, whole.seen)
+    for part in (before, after):
+        assert np.array_equal(part.pressure_pa, whole.pressure_pa)
+
+
+def test_a_plateau_counts_to_the_part_in_which_it_ends(resting: Run) -> None:
+    whole = at_rest(resting)
+    assert (np.diff(whole.time_s) > 0).all()
+    before, after = parted(whole, float(whole.time_s[1]))
+    assert (len(before), len(after)) == (1, len(whole) - 1)
+    with pytest.raises(NoData, match="no tip after"):
+        parted(whole, 1e6)

@@ -123,3 +123,32 @@ def test_paper_gives_what_section_5_2_gives(bench: dict[str, str], capsys: pytes
 def test_paper_says_what_it_lacks(bench: dict[str, str], capsys: pytest.CaptureFixture[str]) -> None:
     rig(bench["one"], "--paper", status=2)
     assert "under weights" in capsys.readouterr().err
+
+
+def test_the_rest_of_a_run_is_predicted_and_drawn(
+    bench: dict[str, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    middle_s = runs.open(bench["one"]).duration_s / 2
+    picture = tmp_path / "predicted.svg"
+    told = ["--until", f"{middle_s:g}", "--figure", str(picture)]
+    rig(bench["one"], "--free", "law,rpe_per_bar", *told)
+    said = capsys.readouterr()
+    before, after = map(float, re.findall(rf"from {middle_s:g} s \(left out\): rms ([\d.]+) -> ([\d.]+)", said.err)[0])
+    assert after < 0.3 * before
+    assert "before, rms" in picture.read_text()
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--figure", "x.png"], "nothing is predicted"),
+        (["--until", "3", "--paper"], "neither --choose nor --paper"),
+        (["--until", "1e6"], "shows no tip after"),
+    ],
+)
+def test_a_figure_or_a_part_without_sense_is_refused(
+    bench: dict[str, str], options: list[str], said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rig(bench["one"], *options, status=2)
+    # A narrow terminal breaks the sentence.
+    assert said in re.sub(r"[\s│]+", " ", capsys.readouterr().err)

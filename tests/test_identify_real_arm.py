@@ -43,6 +43,7 @@ class Recording:
             # An electromagnetic tracker: 0.3 mm; what the model lacks beyond that is found.
             covariance_m2=np.tile(np.eye(3) * 3e-4**2, (n, 1, 1)),
             frames=np.ones(n, np.int64),
+            time_s=self.time_s[chosen],
         )
 
 

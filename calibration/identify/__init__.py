@@ -1,6 +1,6 @@
 """From archives to parameters of an arm, with error bars."""
 
-from calibration.identify.data import NoData, Poses, as_if_at_rest, at_rest, in_motion, poses_of
+from calibration.identify.data import NoData, Poses, as_if_at_rest, at_rest, in_motion, parted, poses_of
 from calibration.identify.fit import Estimate, Fit, RunFit, Verdict, identify
 from calibration.identify.parameters import Parameter, Prior, Setup, UnknownParameter, known, named
 
@@ -21,5 +21,6 @@ __all__ = [
     "in_motion",
     "known",
     "named",
+    "parted",
     "poses_of",
 ]

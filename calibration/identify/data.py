@@ -38,8 +38,8 @@ class Poses:
     pressure_pa (K, N) as measured, with the standard deviation `pressure_std_pa` (K, N) of the random error (not of the
     sensors' offsets). weight_kg (K,) hangs on the cap. wrench (K, 6): measured force [N] and moment [N m] at the
     measured point, in the frame of the tips. tip_m (K, 3) in the rod-base frame with covariance_m2 (K, 3, 3); both NaN
-    in frames of a motion that show no tip. frames (K,): camera frames behind each entry. period_s is zero for poses at
-    rest.
+    in frames of a motion that show no tip. frames (K,): camera frames behind each entry. time_s (K,) counts
+    from the run's start; a plateau has that of its end. period_s is zero for poses at rest.
     """
 
     run_id: str
@@ -52,6 +52,7 @@ class Poses:
     tip_m: Array
     covariance_m2: Array
     frames: NDArray[np.int64]
+    time_s: Array
 
     def __len__(self) -> int:
         return len(self.weight_kg)
@@ -120,6 +121,7 @@ def at_rest(run: Run, settle_s: float = SETTLE_S) -> Poses:
         tip_m=np.array([tip.measured_mm[k].mean(axis=0) for k in plateaus]) * M_PER_MM,
         covariance_m2=covariance * averaged[:, None, None],
         frames=count,
+        time_s=np.array([tip.time_s[k[-1]] for k in plateaus]),
     )
 
 
@@ -156,6 +158,7 @@ def in_motion(run: Run) -> Poses:
         tip_m=measured,
         covariance_m2=covariance,
         frames=np.ones(length, np.int64),
+        time_s=frame_s,
     )
 
 
@@ -166,18 +169,7 @@ def as_if_at_rest(run: Run) -> Poses:
         NoData: no frame shows the tip.
     """
     motion = in_motion(run)
-    seen = motion.seen
-    return replace(
-        motion,
-        period_s=0.0,
-        pressure_pa=motion.pressure_pa[seen],
-        pressure_std_pa=motion.pressure_std_pa[seen],
-        weight_kg=motion.weight_kg[seen],
-        wrench=motion.wrench[seen],
-        tip_m=motion.tip_m[seen],
-        covariance_m2=motion.covariance_m2[seen],
-        frames=motion.frames[seen],
-    )
+    return _only(replace(motion, period_s=0.0), motion.seen)
 
 
 def poses_of(run: Run) -> Poses:
@@ -187,6 +179,41 @@ def poses_of(run: Run) -> Poses:
     except NoData:
         return in_motion(run)
     return rest if rest.frames.sum() > 0.25 * len(run.tip.time_s) else in_motion(run)
+
+
+def parted(poses: Poses, until_s: float) -> tuple[Poses, Poses]:
+    """What a run shows before a moment, and from then on.
+
+    Both parts of a motion keep all its pressures, because what it did before tells how it moves on; each shows the tips
+    of its own time.
+
+    Raises:
+        NoData: one of the parts shows no tip.
+    """
+    before = poses.time_s < until_s
+    parts = []
+    for inside, which in ((before, "before"), (~before, "after")):
+        part = replace(poses, tip_m=np.where(inside[:, None], poses.tip_m, np.nan))
+        part = part if poses.moving else _only(part, inside)
+        if not part.seen.any():
+            raise NoData(f"{poses.run_id} shows no tip {which} {until_s:g} s")
+        parts.append(part)
+    return parts[0], replace(parts[1], run_id=f"{poses.run_id} from {until_s:g} s")
+
+
+def _only(poses: Poses, chosen: NDArray[np.bool_]) -> Poses:
+    """Some entries (K,) of poses at rest."""
+    return replace(
+        poses,
+        pressure_pa=poses.pressure_pa[chosen],
+        pressure_std_pa=poses.pressure_std_pa[chosen],
+        weight_kg=poses.weight_kg[chosen],
+        wrench=poses.wrench[chosen],
+        tip_m=poses.tip_m[chosen],
+        covariance_m2=poses.covariance_m2[chosen],
+        frames=poses.frames[chosen],
+        time_s=poses.time_s[chosen],
+    )
 
 
 def _usable(run: Run) -> NDArray[np.bool_]:

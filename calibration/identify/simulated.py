@@ -43,6 +43,7 @@ def plan(
         tip_m=np.full((k, 3), np.nan),
         covariance_m2=np.tile(np.diag(np.square(errors.tip_m)), (k, 1, 1)),
         frames=np.ones(k, np.int64),
+        time_s=np.arange(k, dtype=np.float64) * (period_s or 1.0),
     )
 
 

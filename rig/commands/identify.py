@@ -29,6 +29,10 @@ def identify(
         list[Path] | None,
         typer.Option("--leave-out", "--predict", metavar="RUN", help="Predict this run, unseen; may be repeated."),
     ] = None,
+    until: Annotated[
+        float | None,
+        typer.Option(metavar="S", help="Identify from each run's first S seconds, and predict the rest of it.", min=0),
+    ] = None,
     quasi_static: Annotated[
         bool, typer.Option("--quasi-static", help="Take every frame as an equilibrium, as of slow imported motions.")
     ] = False,
@@ -39,6 +43,9 @@ def identify(
         bool, typer.Option("--paper", help="The paper's own identification, from its two extension experiments.")
     ] = False,
     report: Annotated[Path | None, typer.Option(metavar="FILE", help="Write a report page (HTML).")] = None,
+    figure: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Draw what was predicted, before and after (png, pdf, svg).")
+    ] = None,
     to: Annotated[Path | None, typer.Option("--to", metavar="FILE", help="Write the parameters (YAML).")] = None,
     rig: Annotated[str, typer.Option("--rig", help="Rig that --rig-file starts from.")] = "mock",
     rig_file: Annotated[
@@ -48,7 +55,7 @@ def identify(
 ) -> None:
     """Find an arm's parameters from runs, with error bars, or say that the runs do not tell them."""
     import runs
-    from calibration.identify import Prior
+    from calibration.identify import Prior, parted
     from calibration.identify.document import write
     from calibration.identify.prediction import predict
     from rig import identified
@@ -64,6 +71,10 @@ def identify(
             priors[name] = Prior(float(mean), float(std))
         except ValueError as fault:
             raise typer.BadParameter(f"'{item}' is not of the form NAME=MEAN+-STD", param_hint="--prior") from fault
+    if (until is not None or figure is not None) and (choose or paper):
+        raise typer.BadParameter("neither --choose nor --paper takes it", param_hint="--until, --figure")
+    if figure is not None and until is None and not leave_out:
+        raise typer.BadParameter("nothing is predicted: say --leave-out or --until", param_hint="--figure")
     names = [name.strip() for name in free.split(",") if name.strip()]
     unseen = [resolve(archive) for archive in leave_out or []]
     seen = [runs.open(path) for path in map(resolve, archives) if path not in unseen]
@@ -79,12 +90,20 @@ def identify(
         return
     if not seen:
         raise typer.BadParameter("every run is left out: nothing is left to identify from", param_hint="--leave-out")
-    fit = identified.from_runs(seen, names, priors, starts, quasi_static)
+    data = identified.shown(seen, quasi_static)
+    later = []
+    if until is not None:
+        parts = [parted(poses, until) for poses in data]
+        data, later = [part[0] for part in parts], [part[1] for part in parts]
+    fit = identified.from_poses(seen[0], data, names, priors, starts)
     identified.show(fit, json)
-    predictions = [predict(fit, identified.poses(runs.open(path), quasi_static)) for path in unseen]
+    later += [identified.poses(runs.open(path), quasi_static) for path in unseen]
+    predictions = [predict(fit, poses) for poses in later]
     identified.told(predictions)
     profiles = identified.profiled(fit) if profile else ()
     refits = identified.second_opinion(fit, bootstrap, scheduler, store) if bootstrap else None
+    if figure is not None:
+        typer.echo(identified.draw_predictions(predictions, figure), err=json)
     if report is not None:
         from calibration.identify.report import write as write_report
 
