@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -85,5 +86,13 @@ def backbone(shape: model.Shape | None) -> Floats:
     """The arm's centre line (BACKBONE_POINTS, 3) [m], evenly spaced along the arm at rest; NaN for no shape."""
     if shape is None:
         return np.full((BACKBONE_POINTS, 3), np.nan)
-    at = np.linspace(shape.s_m[0], shape.s_m[-1], BACKBONE_POINTS)
-    return np.column_stack([np.interp(at, shape.s_m, coordinate) for coordinate in shape.p_m.T])
+    at = _evenly(float(shape.s_m[0]), float(shape.s_m[-1]))
+    line = np.empty((BACKBONE_POINTS, 3))
+    for axis in range(3):
+        line[:, axis] = np.interp(at, shape.s_m, shape.p_m[:, axis])
+    return line
+
+
+@lru_cache(maxsize=8)
+def _evenly(first_m: float, last_m: float) -> Floats:
+    return np.linspace(first_m, last_m, BACKBONE_POINTS)

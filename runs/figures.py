@@ -58,6 +58,9 @@ STYLE: dict[Any, Any] = {
     "figure.constrained_layout.use": True,
     "figure.constrained_layout.h_pad": 0.06,
 }
+_ROOM_IN = (0.85, 0.1, 0.46, 0.28)
+"""Left, right, below and above of a figure's panels, for labels and legends; `_BETWEEN_IN` beside and below each."""
+_BETWEEN_IN = (0.75, 0.3)
 _FONTS = "Inter, 'Helvetica Neue', Helvetica, Arial, 'DejaVu Sans', sans-serif"
 
 _PATHS, _DIGITS = re.compile(r' d="[^"]*"'), re.compile(r"(?<=\.\d)\d+")
@@ -91,10 +94,30 @@ def save(draw: Callable[..., None], size: tuple[float, float], path: Path, *abou
         figure.savefig(path, dpi=200)
 
 
+def panels(figure: Figure, rows: int = 1, columns: int = 1, **options: Any) -> NDArray[Any]:
+    """Return axes (rows, columns) with fixed room round them: to measure every label takes as long as to draw."""
+    figure.set_layout_engine("none")
+    width, height = figure.get_size_inches()
+    left, right, below, above = _ROOM_IN
+    beside, between = _BETWEEN_IN
+    across = (width - left - right - (columns - 1) * beside) / columns
+    down = (height - below - above - (rows - 1) * between) / rows
+    room = {
+        "left": left / width,
+        "right": 1 - right / width,
+        "bottom": below / height,
+        "top": 1 - above / height,
+        "wspace": beside / across,
+        "hspace": between / down,
+    }
+    axes: NDArray[Any] = figure.subplots(rows, columns, sharex=columns == 1, squeeze=False, gridspec_kw=room, **options)
+    return axes
+
+
 def pressures(figure: Figure, run: Run, summary: Summary) -> None:
     """Pressures against their set-points, and the difference."""
     p = run.pressure
-    above, below = figure.subplots(2, 1, sharex=True, height_ratios=[3, 1.1])
+    above, below = panels(figure, 2, height_ratios=[3, 1.1])[:, 0]
     if len(p.time_s) == 0:
         _nothing(above, below)
         return
@@ -120,7 +143,7 @@ def pressures(figure: Figure, run: Run, summary: Summary) -> None:
 
 def trajectory(figure: Figure, run: Run, summary: Summary) -> None:
     """The tool centre point in the plane of motion, hanging down as the arm does (the paper's Fig 11)."""
-    axes = figure.subplots()
+    axes = panels(figure)[0, 0]
     project, name = across(run, summary)
     every = max(len(run.tip.time_s) // (4 * POINTS), 1)
     measured, model = project(run.tip.measured_mm[::every]), project(run.tip.model_mm[::every])
@@ -211,7 +234,7 @@ def trajectory_size(run: Run, summary: Summary) -> tuple[float, float]:
 def steps(figure: Figure, run: Run, summary: Summary) -> None:
     """Settled tip of each step, and its error normalised (the paper's Fig 13)."""
     dwells = settled_steps(summary.steps)
-    left, right = figure.subplots(1, 2, width_ratios=[1, 1])
+    left, right = panels(figure, columns=2)[0]
     project, name = across(run, summary)
     where, label = _abscissa(dwells)
     measured = project(np.array([step.measured_mm for step in dwells]))
@@ -256,7 +279,7 @@ def steps(figure: Figure, run: Run, summary: Summary) -> None:
 def coordinates(figure: Figure, run: Run, summary: Summary) -> None:
     """The tip over time with the measurement's 95 % band (the paper's Fig 14)."""
     tip = run.tip
-    axes = figure.subplots(3, 1, sharex=True)
+    axes = panels(figure, 3)[:, 0]
     for i, (axis, panel) in enumerate(zip("xyz", axes, strict=True)):
         if summary.frames_measured:
             index = kept(tip.measured_mm[:, i])
@@ -274,8 +297,8 @@ def error(figure: Figure, run: Run, summary: Summary) -> None:
     """Error over time; for a simulated run also measured and model against the truth."""
     tip = run.tip
     measured = tip.seen == Seen.MEASURED
-    panels = figure.subplots(2 if run.simulated is not None else 1, 1, sharex=True, squeeze=False)[:, 0]
-    above = panels[0]
+    stacked = panels(figure, 2 if run.simulated is not None else 1)[:, 0]
+    above = stacked[0]
     above.plot(*thin(tip.time_s, tip.error_mm), color=MEASURED, lw=1.0, label="measured to model, 3-D")
     if np.isfinite(summary.plane_deg):
         flat = in_plane(tip.measured_mm - tip.model_mm, _plane(summary))
@@ -286,7 +309,7 @@ def error(figure: Figure, run: Run, summary: Summary) -> None:
     above.set_ylim(bottom=0)
     legend(above)
     if run.simulated is not None:
-        below = panels[1]
+        below = stacked[1]
         truth = run.simulated.tip_mm
         sigma = Z_95 * np.sqrt((tip.uncertainty_mm**2).sum(axis=1))
         band = thin(tip.time_s, sigma)
@@ -298,8 +321,8 @@ def error(figure: Figure, run: Run, summary: Summary) -> None:
         below.set_ylabel("distance [mm]")
         below.set_ylim(bottom=0)
         legend(below)
-    panels[-1].set_xlabel("time [s]")
-    panels[-1].margins(x=0.01)
+    stacked[-1].set_xlabel("time [s]")
+    stacked[-1].margins(x=0.01)
 
 
 def timing(figure: Figure, run: Run, summary: Summary) -> None:
