@@ -9,7 +9,7 @@ import pytest
 
 import model
 from calibration.identify import Prior, Setup, identify
-from calibration.identify.predict import Predictor
+from calibration.identify.predict import FINE_SUBSTEPS, SUBSTEPS, Predictor
 from calibration.identify.simulated import Errors, plan
 from calibration.identify.smooth import noise_of, smoothed
 
@@ -72,3 +72,15 @@ def test_the_density_found_on_slow_sines_is_not_that_of_the_noise() -> None:
     spoiled = identify([raw], truth, free, priors)["density_kg_m3"]
     assert spoiled.std is not None
     assert abs(spoiled.used - 1100.0) > 4 * spoiled.std
+
+
+def test_fine_steps_do_not_slow_the_arms_own_oscillation() -> None:
+    pressure = np.zeros((40, 3))
+    pressure[3:, 0] = 0.2e5
+    step = plan("step", pressure, period_s=1 / CAMERA_HZ)
+    truth = Predictor(step, 40)(Setup(model.Arm.paper()))
+    coarse, fine = (
+        np.linalg.norm(Predictor(step, steps)(Setup(model.Arm.paper())) - truth, axis=1).max()
+        for steps in (SUBSTEPS, FINE_SUBSTEPS)
+    )
+    assert fine < 0.35 * coarse

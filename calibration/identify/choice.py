@@ -134,7 +134,7 @@ def _row(data: Sequence[Poses], candidate: Candidate, priors: Mapping[str, Prior
     errors, shares = [], []
     for k, left_out in enumerate(data):
         fit = identify([d for j, d in enumerate(data) if j != k], whole.setup, candidate.free, priors)
-        error = np.linalg.norm(left_out.tip_m - Predictor(left_out)(with_zeros(fit)), axis=1)
+        error = np.linalg.norm(left_out.tip_m - Predictor(left_out, fit.problem.substeps)(with_zeros(fit)), axis=1)
         known = np.isfinite(error)
         errors.append(error[known])
         largest = np.nanmax(excursion(left_out))

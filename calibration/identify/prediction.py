@@ -55,7 +55,7 @@ def with_zeros(fit: Fit) -> Setup:
 
 def predict(fit: Fit, poses: Poses) -> Prediction:
     """Predict a run; its sensors' zeros are taken for the mean of those that were fitted to the other runs."""
-    predictor = Predictor(poses)
+    predictor = Predictor(poses, fit.problem.substeps)
     tips, before = predictor(with_zeros(fit)), predictor(fit.start)
     return Prediction(
         run_id=poses.run_id,

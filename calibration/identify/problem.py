@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from calibration.identify.data import Poses
 from calibration.identify.likelihood import Weights, correlation_time, damped, discrepancy, whitened
 from calibration.identify.parameters import Parameter, Prior, Setup
-from calibration.identify.predict import Predictor
+from calibration.identify.predict import FINE_SUBSTEPS, SUBSTEPS, Predictor
 
 Array = NDArray[np.float64]
 
@@ -87,7 +87,9 @@ class Problem:
             for run in range(len(self.data))
         ]
         self.unknowns = (*shared, *own)
-        self._predictors = [Predictor(poses) for poses in self.data]
+        inertia = any(p.name == "density_kg_m3" for p in self.free)
+        self.substeps = FINE_SUBSTEPS if inertia else SUBSTEPS
+        self._predictors = [Predictor(poses, self.substeps) for poses in self.data]
         self._pressure: tuple[Array, list[Array]] | None = None
         self._slopes: tuple[Array, tuple[int, ...], list[Array]] | None = None
         self._columns = [
