@@ -89,6 +89,20 @@ def test_a_camera_that_comes_back_with_old_pictures_does_not_turn_the_time_back(
     assert np.all(np.diff([shot.index for shot in shots]) > 0)
 
 
+def test_a_process_that_stood_still_does_not_blame_its_cameras(monkeypatch: pytest.MonkeyPatch) -> None:
+    start_ns = time.monotonic_ns()
+    cameras = opened(monkeypatch, Paced(start_ns), Paced(start_ns))
+    try:
+        before = cameras.read(1.0)
+        with cameras._changed:
+            # Nobody looks and no picture gets in.
+            time.sleep(1.2)
+            after = cameras.read(1.0)
+        assert after.t_ns > before.t_ns
+    finally:
+        cameras.close()
+
+
 def test_a_run_goes_on_without_either_camera_and_tells_of_it(tmp_path: Path) -> None:
     with rig_run(tmp_path, HOLD, like="mock-stereo") as run:
         run.wait_until_pressurised()

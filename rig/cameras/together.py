@@ -19,6 +19,8 @@ KEPT = 4
 """Frames of one camera that wait for those of the others."""
 PATIENCE = 1.5
 """Periods that a frame waits for those of the other cameras, whose pictures may take longer to come."""
+STALL_PERIODS = 2.0
+"""Where nobody looked for longer than that the process stood still, and the cameras cannot be blamed for it."""
 RETRY_S = 0.1
 POLL_S = 0.5
 
@@ -38,6 +40,7 @@ class Together:
         self._cameras: list[Camera] = []
         self._readers: list[_Reader] = []
         self._changed = threading.Condition()
+        self._looked_ns = time.monotonic_ns()
         self._leader = 0
         self._offset: int | None = None
         self._last: tuple[int, int] | None = None
@@ -74,6 +77,7 @@ class Together:
         until = time.monotonic() + timeout_s
         with self._changed:
             while True:
+                self._forgive()
                 self._check(timeout_s)
                 shot = self._pair()
                 if shot is not None:
@@ -89,6 +93,14 @@ class Together:
             reader.stop()
         for camera in self._cameras:
             camera.close()
+
+    def _forgive(self) -> None:
+        """Not count as silence of the cameras what this process did not live through."""
+        before, self._looked_ns = self._looked_ns, time.monotonic_ns()
+        stood_ns = self._looked_ns - before - round(STALL_PERIODS * self._period_ns)
+        if stood_ns > 0:
+            for reader in self._readers:
+                reader.arrived_ns = min(reader.arrived_ns + stood_ns, self._looked_ns)
 
     def _check(self, timeout_s: float) -> None:
         now = time.monotonic_ns()
