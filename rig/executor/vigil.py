@@ -122,11 +122,12 @@ class Vigil:
         for (name, trouble), seen, skew in zip(self._cameras, row["camera_seen"], row["camera_skew_s"], strict=True):
             match trouble.judge(t_ns, self._frame_s * (dropped + 1), float(seen != Seen.MEASURED)):
                 case True:
-                    why = (
-                        "gives no pictures"
-                        if np.isnan(skew)
-                        else f"adds nothing: {_SEEN.get(Seen(seen), Seen(seen).name)}"
-                    )
+                    if np.isnan(skew):
+                        why = "gives no pictures"
+                    elif seen == Seen.NO_FRAME:
+                        why = "adds nothing: its pictures repeat, or too many are dropped to tell how the board moves"
+                    else:
+                        why = f"adds nothing: {_SEEN.get(Seen(seen), Seen(seen).name)}"
                     yield _warning(t_ns, "observer", f"camera {name} {why}; the tip is measured without it")
                 case False:
                     yield _over(trouble, t_ns, "observer", f"camera {name} sees the board again")
