@@ -16,6 +16,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+import yaml
 
 import rig.config
 import runs
@@ -33,6 +34,8 @@ steps:
 """
 HOUR_S = 3600.0
 LOOK_S = 5.0
+SLOW_CAMERA_HZ = 5
+"""Pictures a second of the virtual day: a rendered picture costs ten times what a tick does."""
 GROWTH_MB, GROWTH_SHARE = 8.0, 0.03
 """What resident memory may grow by over the second half: noise of the allocator."""
 
@@ -96,7 +99,7 @@ def virtual(hours: float) -> bool:
     with tempfile.TemporaryDirectory(prefix="softrig-soak-") as name:
         folder = Path(name)
         rig_file, protocol = folder / "rig.yaml", folder / "protocol.yaml"
-        rig_file.write_text(rig.config.text("mock") + "\nrecording: {keep_every: 30}\n")
+        rig_file.write_text(_mock(SLOW_CAMERA_HZ))
         while left_s > 0:
             duration_s = min(left_s, HOUR_S)
             protocol.write_text(PROTOCOL.format(duration_s=duration_s - 1))
@@ -114,6 +117,14 @@ def virtual(hours: float) -> bool:
     fine, said = growth.verdict("the process")
     print(f"{hours:g} h in virtual time: {said}")
     return sound and fine
+
+
+def _mock(rate_hz: float) -> str:
+    """The mock rig's file with its camera at another rate, few pictures of which are kept."""
+    document = yaml.safe_load(rig.config.text("mock"))
+    for camera in document["cameras"].values():
+        camera["rate_hz"] = rate_hz
+    return yaml.safe_dump({**document, "recording": {"keep_every": 30}})
 
 
 def _report(what: str, verdicts: list[tuple[bool, str]], run: Run) -> bool:
