@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 
 import runs
-from rig import config, experiment
+from rig import experiment, rig_file
 from rig.executor.base import Nobody
 from runs.archive import verify
 from runs.records import Status
@@ -107,7 +107,7 @@ def real_time(trials: int, seed: int, place: Path) -> None:
         folder = place / f"{trial}"
         folder.mkdir()
         rig = folder / "rig.yaml"
-        rig.write_text(config.text("mock").replace("device: mock0", f"device: kills-{os.getpid()}-{trial}"))
+        rig.write_text(rig_file.text("mock").replace("device: mock0", f"device: kills-{os.getpid()}-{trial}"))
         command = [sys.executable, "-m", "rig", "run", str(protocol), "--rig", str(rig), "--out", str(folder / "out")]
         with subprocess.Popen([*command, "--yes", "--no-report"], stdout=subprocess.DEVNULL) as process:
             await_journal(folder / "out")

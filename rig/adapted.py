@@ -12,8 +12,8 @@ from calibration.identify.document import write
 from calibration.identify.fit import NORMAL_95, Estimate, RunFit, Verdict
 from calibration.identify.parameters import Parameter, Setup, named
 from rig.arm import model_arm
-from rig.config import parse
 from rig.experiment import variant_named
+from rig.rig_file import parse
 from runs.records import Seen
 from runs.run import Adaptation, Run
 

@@ -193,8 +193,8 @@ def doctor(
 ) -> None:
     """Say what this machine offers a rig, and what to do about what is missing."""
     from rig import screens
-    from rig.config import load
     from rig.doctor import examine
+    from rig.rig_file import load
 
     findings = examine(out, load(rig) if rig else None)
     if json:
@@ -210,7 +210,7 @@ def vent(rig: RigName = "mock") -> None:
     from rig.executor.clock import hurry
 
     hurry()  # before what takes long to import: a busy machine must not keep the valves waiting
-    from rig.config import load
+    from rig.rig_file import load
     from rig.vent import vent as vent_rig
 
     vent_rig(load(rig))

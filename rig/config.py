@@ -8,8 +8,6 @@ return SI.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
@@ -17,16 +15,12 @@ from numpy.typing import NDArray
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
 from pydantic.json_schema import SkipJsonSchema
 
-from protocols import document
-from protocols.library import find
 from protocols.validation import Fault, faults
 from rig import consistency
-from runs.records import SourceFile
 
 PA_PER_BAR = 1e5
 
 Variant = Literal["homogeneous", "homogeneous+rpe", "inhomogeneous+rpe"]
-FOLDER = Path(__file__).parent / "rigs"
 
 
 def _rising(span: tuple[float, float]) -> tuple[float, float]:
@@ -396,59 +390,3 @@ class RigConfig(Section):
             return self
         cameras = {n: c.model_copy(update={"lens": built.lenses.get(n, c.lens)}) for n, c in self.cameras.items()}
         return self.model_copy(update={"cameras": cameras, "valves": built.valves, "sensors": built.sensors})
-
-
-def path_of(name_or_path: str | Path) -> Path:
-    """The file of a rig, by the name of one that comes with the program or by its path; `BadInput` if there is none."""
-    return find(str(name_or_path), FOLDER, "rig")
-
-
-def text(name_or_path: str | Path) -> str:
-    """The rig's YAML: verbatim, or with the calibrations in it that it names. `BadInput` where one does not fit."""
-    source = document.read(path_of(name_or_path))
-    return _with_calibrations(source)[0] if source.data.get("calibrations") else source.text
-
-
-def sources(name_or_path: str | Path) -> tuple[SourceFile, ...]:
-    """A rig's file and the calibrations that it names, verbatim; nothing where it names none."""
-    source = document.read(path_of(name_or_path))
-    if not source.data.get("calibrations"):
-        return ()
-    from rig.calibrations import folding
-
-    return folding.sources(source, folding.read_all(source))
-
-
-def load(name_or_path: str | Path) -> RigConfig:
-    """The rig of that name, or in that file; `BadInput` with everything that is wrong with it."""
-    return _with_calibrations(document.read(path_of(name_or_path)))[1]
-
-
-def parse(text: str, file: str | Path) -> RigConfig:
-    """The rig that a YAML text describes; `file` is what its faults are reported of. `BadInput` as for `load`."""
-    return _with_calibrations(document.parse(text, str(file)))[1]
-
-
-def calibrated(text: str, file: str | Path, files: Sequence[Path]) -> tuple[str, tuple[SourceFile, ...]]:
-    """A rig's YAML with calibration files in it besides those that it names, and what it was made of.
-
-    Raises:
-        BadInput: one of them is wrong or does not fit; see `load`.
-    """
-    from rig.calibrations import folding
-
-    source = document.parse(text, str(file))
-    config = document.validate(RigConfig, source, consistency.check)
-    calibrations = (*folding.read_all(source), *folding.read_files(files))
-    return folding.folded(text, config, calibrations), folding.sources(source, calibrations)
-
-
-def _with_calibrations(source: document.Document) -> tuple[str, RigConfig]:
-    """A rig's YAML and what it says, with the calibrations that it names in both."""
-    config = document.validate(RigConfig, source, consistency.check)
-    if not config.calibrations:
-        return source.text, config
-    from rig.calibrations import folding
-
-    folded = folding.folded(source.text, config, folding.read_all(source))
-    return folded, document.validate(RigConfig, document.parse(folded, source.file), consistency.check)

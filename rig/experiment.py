@@ -19,11 +19,12 @@ from protocols import BadInput, Problem, Protocol, Trajectory
 from protocols.problems import closest
 from rig import reporter
 from rig.check import check
-from rig.config import RigConfig, Variant, load, parse, path_of, sources, text
+from rig.config import RigConfig, Variant
 from rig.daq.base import CardError
 from rig.executor.base import Audience, Outcome, Plan, StartError
 from rig.lock import cards_locked
 from rig.provenance import git_state, quantities, versions
+from rig.rig_file import load, parse, path_of, sources, text
 from runs.archive import ArchiveError, finalise
 from runs.journal import JournalError, JournalWriter
 from runs.records import Event, Interval, Level, Quantity, RunFooter, RunHeader, SourceFile, Status

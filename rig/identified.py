@@ -21,11 +21,12 @@ from calibration.identify.parameters import Prior, Setup, known
 from calibration.identify.prediction import Prediction
 from calibration.identify.profile import Profile, profiles
 from rig.arm import model_arm, true_arm
-from rig.config import PA_PER_BAR, RigConfig, parse, path_of, text
+from rig.config import PA_PER_BAR, RigConfig
 from rig.listing import plain_json
 from rig.optics import rigid
 from rig.parameters import laid_over
 from rig.parameters import read as read_parameters
+from rig.rig_file import parse, path_of, text
 from rig.screens import console
 from runs.figures import save
 from runs.run import Run

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from protocols.marks import Document
 from protocols.problems import BadInput, Problem
-from rig import config as rigs
+from rig import rig_file
 from rig.config import PA_PER_BAR
 from rig.experiment import free_id
 from rig.mapping import KILOGRAMS, PASCALS, SECONDS, VOLTS, Mapping, PressureUnit, load
@@ -159,13 +159,13 @@ def _rig(mapping: Mapping, document: Document) -> tuple[str, str]:
         return "", ""
     beside = Path(document.file).parent / mapping.rig
     name = str(beside) if beside.is_file() else mapping.rig
-    config = rigs.load(name)
+    config = rig_file.load(name)
     if config.actuators != mapping.actuators:
         mark = document.mark(("rig",))
         found = f"{mapping.rig}, which has {config.actuators} actuators"
         expected = f"a rig with {mapping.actuators} actuators, as there are pressures"
         raise BadInput([Problem(document.file, mark.line, mark.column, "rig", found, expected)])
-    return config.name, rigs.text(name)
+    return config.name, rig_file.text(name)
 
 
 def _time(columns: Columns, mapping: Mapping) -> Ints:

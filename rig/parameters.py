@@ -27,9 +27,9 @@ from rig.config import (
     Triple,
     Variant,
     Word,
-    parse,
 )
 from rig.optics import placement_of, rigid
+from rig.rig_file import parse
 
 _SAME = 1e-6
 """Lengths and angles are the same within this part of them."""

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from rig import config as rigs
+from rig import rig_file
 from rig.cameras.base import Frame, Shot
 from rig.config import PA_PER_BAR, RigConfig, Variant
 from rig.executor.base import StartError
@@ -46,18 +46,18 @@ def replay(
     """
     if not len(run.frames.index):
         raise StartError(f"{run.path} holds no pictures: there is nothing to replay")
-    text = run.header.rig_yaml if rig is None else rigs.text(rig)
-    config = rigs.parse(text, f"{run.path}: rig") if rig is None else rigs.load(rig)
-    sources = run.header.sources if rig is None else rigs.sources(rig)
+    text = run.header.rig_yaml if rig is None else rig_file.text(rig)
+    config = rig_file.parse(text, f"{run.path}: rig") if rig is None else rig_file.load(rig)
+    sources = run.header.sources if rig is None else rig_file.sources(rig)
     if calibrations:
-        file = f"{run.path}: rig" if rig is None else rigs.path_of(rig)
-        text, sources = rigs.calibrated(text, file, calibrations)
-        config = rigs.parse(text, f"{file} with calibrations")
+        file = f"{run.path}: rig" if rig is None else rig_file.path_of(rig)
+        text, sources = rig_file.calibrated(text, file, calibrations)
+        config = rig_file.parse(text, f"{file} with calibrations")
     chosen = variant or (_variant(run) if rig is None else config.model.variant)
     found = run.header.parameters_yaml if rig is None else ""
     if parameters is not None:
-        text, found = over(text, f"{run.path}: rig" if rig is None else rigs.path_of(rig), parameters, chosen)
-        config = rigs.parse(text, f"rig with {parameters}")
+        text, found = over(text, f"{run.path}: rig" if rig is None else rig_file.path_of(rig), parameters, chosen)
+        config = rig_file.parse(text, f"rig with {parameters}")
     rows = np.array(list(_observed(run, config, chosen)))
     now = datetime.now(UTC)
     commit, diff = git_state()

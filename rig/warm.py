@@ -18,8 +18,8 @@ def main() -> int:
 
     from rig.cameras.base import Shot
     from rig.cameras.mock import MockCamera
-    from rig.config import load
     from rig.observer import Observer
+    from rig.rig_file import load
     from rig.simulator.plant import Plant
 
     config = load("mock")

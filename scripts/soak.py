@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 import yaml
 
-import rig.config
+import rig.rig_file
 import runs
 from rig import experiment
 from runs.records import Level
@@ -121,7 +121,7 @@ def virtual(hours: float) -> bool:
 
 def _mock(rate_hz: float) -> str:
     """The mock rig's file with its camera at another rate, few pictures of which are kept."""
-    document = yaml.safe_load(rig.config.text("mock"))
+    document = yaml.safe_load(rig.rig_file.text("mock"))
     for camera in document["cameras"].values():
         camera["rate_hz"] = rate_hz
     return yaml.safe_dump({**document, "recording": {"keep_every": 30}})

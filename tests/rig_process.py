@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from rig import config
+from rig import rig_file
 from rig.simulator.registers import Registers, path_of
 
 SHORT = """
@@ -34,7 +34,7 @@ PATIENCE_S = 60.0
 def write_rig(folder: Path, *, one_opener: bool = False, like: str = "mock") -> Path:
     """A copy of a mock rig with a card of its own, which may let in one process only."""
     device = f"test-{os.getpid()}-{abs(hash(str(folder))) % 10**8}"
-    text = with_one_opener(config.text(like).replace("device: mock0", f"device: {device}"), one_opener=one_opener)
+    text = with_one_opener(rig_file.text(like).replace("device: mock0", f"device: {device}"), one_opener=one_opener)
     path = folder / "rig.yaml"
     path.write_text(text)
     return path
@@ -55,7 +55,7 @@ class RigProcess:
         self.folder = folder
         self.out = folder / "out"
         self.rig_file = write_rig(folder, one_opener=one_opener, like=like)
-        self.config = config.load(self.rig_file)
+        self.config = rig_file.load(self.rig_file)
         (folder / "protocol.yaml").write_text(protocol)
         self._log = (folder / "log").open("w+")
         command = [sys.executable, "-m", "rig", "run", str(folder / "protocol.yaml"), "--rig", str(self.rig_file)]

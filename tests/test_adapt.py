@@ -14,7 +14,7 @@ from rig import parameters as parameter_files
 from rig.adapting import USUAL, Adapting, adapted
 from rig.arm import model_arm, true_arm
 from rig.cli import main
-from rig.config import load
+from rig.rig_file import load
 from runs import report
 from runs.records import Seen, observation_dtype
 from runs.run import Run

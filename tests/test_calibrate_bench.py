@@ -11,7 +11,7 @@ import pytest
 from typer.testing import CliRunner, Result
 
 import runs
-from rig import config as rigs
+from rig import rig_file
 from rig.bench import Bench
 from rig.calibrations.clocked import virtual
 from rig.calibrations.driving import Driver, TrippedError
@@ -61,7 +61,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         ):
             done = rig("calibrate", *command)
             assert done.exit_code == 0, done.output
-        text = rigs.text("mock").replace("name: mock\n", "name: mock\ncalibrations: [c.yaml, t.yaml, p.yaml]\n")
+        text = rig_file.text("mock").replace("name: mock\n", "name: mock\ncalibrations: [c.yaml, t.yaml, p.yaml]\n")
         (here / "my.yaml").write_text(text)
         (here / "short.yaml").write_text(SHORT)
     finally:
@@ -71,7 +71,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def truth() -> RigConfig:
-    return rigs.load("mock")
+    return rig_file.load("mock")
 
 
 def test_the_lens_is_the_simulators_within_its_own_bounds(folder: Path, truth: RigConfig) -> None:
@@ -144,7 +144,7 @@ def test_the_valves_are_the_simulators_within_their_own_bounds(folder: Path, tru
 
 
 def test_the_regulator_takes_what_was_found(folder: Path) -> None:
-    config = rigs.load(folder / "my.yaml")
+    config = rig_file.load(folder / "my.yaml")
     found = read(folder / "p.yaml").found
     for settings, sweep in zip(prepare(config).valves, found.valves, strict=True):
         assert settings.closed_v == sweep.closed_V

@@ -24,7 +24,7 @@ pytestmark = pytest.mark.alone
 def sweeping(folder: Path) -> Iterator[tuple[subprocess.Popen[bytes], config.RigConfig]]:
     """A sweep that goes; killed at the end if it still does."""
     rig_file = write_rig(folder)
-    loaded = config.load(rig_file)
+    loaded = rig_file.load(rig_file)
     with (folder / "log").open("w") as log:
         process = subprocess.Popen(
             [sys.executable, "-m", "rig", "calibrate", "pressure", "--rig", str(rig_file), "--yes", "--no-sensors",

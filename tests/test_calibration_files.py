@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from typer.testing import CliRunner
 
 from protocols import BadInput, document
-from rig import config as rigs
+from rig import rig_file
 from rig.calibrations import files, making, schema
 from rig.calibrations.files import parse, read, text_of, write
 from rig.cli import app
@@ -180,7 +180,7 @@ def test_a_default_name_is_dated_and_lies_beside_no_other(tmp_path: Path) -> Non
 
 
 def _rig(folder: Path, *names: str, **changes: str) -> Path:
-    text = rigs.text("mock").replace("name: mock\n", f"name: mock\ncalibrations: [{', '.join(names)}]\n")
+    text = rig_file.text("mock").replace("name: mock\n", f"name: mock\ncalibrations: [{', '.join(names)}]\n")
     for old, new in changes.items():
         assert old in text
         text = text.replace(old, new)
@@ -193,7 +193,7 @@ def test_a_rig_takes_what_its_calibrations_found(tmp_path: Path) -> None:
     (tmp_path / "made").mkdir()
     write(camera_file(), tmp_path / "made" / "c.yaml")
     write(tool_file(), tmp_path / "t.yaml")
-    config = rigs.load(_rig(tmp_path, "made/c.yaml", "t.yaml"))
+    config = rig_file.load(_rig(tmp_path, "made/c.yaml", "t.yaml"))
     assert config.cameras["front"].lens.fx_px == 621.5
     assert config.board.placement.translation_mm == (0.1, 0.2, 35.3)
 
@@ -201,21 +201,21 @@ def test_a_rig_takes_what_its_calibrations_found(tmp_path: Path) -> None:
 def test_the_simulator_stays_as_it_was_built(tmp_path: Path) -> None:
     write(camera_file(), tmp_path / "c.yaml")
     write(tool_file(), tmp_path / "t.yaml")
-    before, after = rigs.load("mock"), rigs.load(_rig(tmp_path, "c.yaml", "t.yaml"))
+    before, after = rig_file.load("mock"), rig_file.load(_rig(tmp_path, "c.yaml", "t.yaml"))
     assert after.as_built.cameras["front"].lens == before.cameras["front"].lens
     assert after.simulator is not None
     assert after.simulator.board == before.board.placement
 
 
 def test_a_rig_without_calibrations_is_its_file_verbatim() -> None:
-    assert rigs.text("mock") == rigs.path_of("mock").read_text(encoding="utf-8")
-    assert rigs.sources("mock") == ()
+    assert rig_file.text("mock") == rig_file.path_of("mock").read_text(encoding="utf-8")
+    assert rig_file.sources("mock") == ()
 
 
 def test_what_was_used_is_kept_verbatim(tmp_path: Path) -> None:
     write(camera_file(), tmp_path / "c.yaml")
     file = _rig(tmp_path, "c.yaml")
-    own, calibration = rigs.sources(file)
+    own, calibration = rig_file.sources(file)
     assert (own.kind, calibration.kind) == ("rig", "camera")
     assert own.text == file.read_text()
     assert calibration.text == (tmp_path / "c.yaml").read_text()
@@ -248,7 +248,7 @@ def test_a_calibration_of_something_else_is_refused_with_its_line(
 ) -> None:
     path = write(found, tmp_path / "c.yaml")
     with pytest.raises(BadInput) as caught:
-        rigs.load(_rig(tmp_path, "c.yaml"))
+        rig_file.load(_rig(tmp_path, "c.yaml"))
     (problem,) = caught.value.problems
     assert problem.file == str(path)
     assert problem.line > 0
@@ -261,7 +261,7 @@ def test_a_camera_with_another_serial_number_is_refused(tmp_path: Path, monkeypa
     write(camera_file(camera=_identity(serial="A1")), tmp_path / "c.yaml")
     monkeypatch.setattr("rig.cameras.identity.serial_of", lambda camera: "B2")
     with pytest.raises(BadInput, match="B2, the serial number of the camera that is plugged in"):
-        rigs.load(_rig(tmp_path, "c.yaml"))
+        rig_file.load(_rig(tmp_path, "c.yaml"))
 
 
 def test_the_serial_number_is_that_of_the_usb_device(tmp_path: Path) -> None:
@@ -272,7 +272,7 @@ def test_the_serial_number_is_that_of_the_usb_device(tmp_path: Path) -> None:
     (usb / "serial").write_text("SN-77\n")
     (tmp_path / "video3").mkdir()
     (tmp_path / "video3" / "device").symlink_to(usb / "1-2:1.0")
-    front: RigConfig = rigs.load("mock")
+    front: RigConfig = rig_file.load("mock")
     camera = front.cameras["front"].model_copy(update={"driver": "opencv", "device": "/dev/video3"})
     assert serial_of(camera, tmp_path) == "SN-77"
     assert serial_of(camera.model_copy(update={"device": 4}), tmp_path) is None
@@ -282,24 +282,24 @@ def test_two_calibrations_of_one_thing_are_refused(tmp_path: Path) -> None:
     write(camera_file(), tmp_path / "a.yaml")
     write(camera_file(), tmp_path / "b.yaml")
     with pytest.raises(BadInput, match=r"each thing calibrated by one file.*a\.yaml"):
-        rigs.load(_rig(tmp_path, "a.yaml", "b.yaml"))
+        rig_file.load(_rig(tmp_path, "a.yaml", "b.yaml"))
 
 
 def test_a_calibration_that_is_not_there_is_named_in_the_rigs_file(tmp_path: Path) -> None:
     with pytest.raises(BadInput, match=r"my\.yaml:\d+:\d+: calibrations\n  found     nowhere\.yaml"):
-        rigs.load(_rig(tmp_path, "nowhere.yaml"))
+        rig_file.load(_rig(tmp_path, "nowhere.yaml"))
 
 
 def test_faults_of_every_calibration_are_told_at_once(tmp_path: Path) -> None:
     (tmp_path / "a.yaml").write_text("kind: camera\n")
     (tmp_path / "b.yaml").write_text("kind: tol\n")
     with pytest.raises(BadInput) as caught:
-        rigs.load(_rig(tmp_path, "a.yaml", "b.yaml"))
+        rig_file.load(_rig(tmp_path, "a.yaml", "b.yaml"))
     assert {Path(problem.file).name for problem in caught.value.problems} == {"a.yaml", "b.yaml"}
 
 
 def test_a_dlt_in_the_rods_frame_places_the_camera_and_the_simulated_one_stays(tmp_path: Path) -> None:
-    before = rigs.load("mock")
+    before = rig_file.load("mock")
     camera = before.cameras["front"]
     world = np.random.default_rng(3).uniform((-0.08, -0.05, 0.12), (0.08, 0.05, 0.24), (15, 3))
     seen = camera_in_base(camera).inverse().apply(world)
@@ -313,7 +313,7 @@ def test_a_dlt_in_the_rods_frame_places_the_camera_and_the_simulated_one_stays(t
         app, ["calibrate", "dlt", str(tmp_path / "points.csv"), "--rig", "mock", "--to", str(tmp_path / "d.yaml")]
     )
     assert done.exit_code == 0, done.output
-    after = rigs.load(_rig(tmp_path, "d.yaml"))
+    after = rig_file.load(_rig(tmp_path, "d.yaml"))
     stated, found = camera.placement, after.cameras["front"].placement
     assert found.translation_mm == pytest.approx(stated.translation_mm, abs=1e-3)
     assert after.simulator is not None
@@ -321,7 +321,7 @@ def test_a_dlt_in_the_rods_frame_places_the_camera_and_the_simulated_one_stays(t
     assert stands.translation_m == pytest.approx(camera_in_base(camera).translation_m, abs=1e-9)
     write(camera_file(), tmp_path / "c.yaml")
     with pytest.raises(BadInput, match="the place was found through another lens"):
-        rigs.load(_rig(tmp_path, "c.yaml", "d.yaml"))
+        rig_file.load(_rig(tmp_path, "c.yaml", "d.yaml"))
 
 
 def test_a_dlt_whose_world_is_a_board_is_refused(tmp_path: Path) -> None:
@@ -329,4 +329,4 @@ def test_a_dlt_whose_world_is_a_board_is_refused(tmp_path: Path) -> None:
     text = (tmp_path / "d.yaml").read_text().replace("world: rod base", "world: board")
     (tmp_path / "d.yaml").write_text(text)
     with pytest.raises(BadInput, match=r"d\.yaml:\d+:\d+: world\n  found     board\n  expected  rod base"):
-        rigs.load(_rig(tmp_path, "d.yaml"))
+        rig_file.load(_rig(tmp_path, "d.yaml"))

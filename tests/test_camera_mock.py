@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import rig.config
+import rig.rig_file
 from rig.cameras.base import CameraError
 from rig.cameras.mock import MockCamera
 from rig.simulator.pose import TipPose
@@ -18,7 +19,7 @@ pytestmark = pytest.mark.alone
 
 @pytest.fixture(scope="module")
 def config() -> rig.config.RigConfig:
-    return rig.config.load("mock")
+    return rig.rig_file.load("mock")
 
 
 def test_a_frame_in_virtual_time_is_repeatable_and_knows_the_truth(config: rig.config.RigConfig) -> None:

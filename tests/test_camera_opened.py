@@ -10,13 +10,14 @@ import numpy as np
 import pytest
 
 import rig.config
+import rig.rig_file
 from rig.cameras import open_camera
 from rig.cameras.base import CameraError
 
 
 @pytest.fixture(scope="module")
 def config() -> rig.config.RigConfig:
-    return rig.config.load("mock")
+    return rig.rig_file.load("mock")
 
 
 def _with(config: rig.config.RigConfig, **changes: object) -> rig.config.RigConfig:

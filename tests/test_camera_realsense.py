@@ -12,12 +12,13 @@ import numpy as np
 import pytest
 
 import rig.config
+import rig.rig_file
 from rig.cameras.base import CameraError
 from rig.cameras.realsense import RealSenseCamera
 
 
 def _camera(device: str) -> rig.config.CameraConfig:
-    config = rig.config.load("mock").cameras["front"]
+    config = rig.rig_file.load("mock").cameras["front"]
     return config.model_copy(update={"driver": "realsense", "device": device})
 
 

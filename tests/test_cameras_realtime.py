@@ -14,7 +14,7 @@ import runs
 from rig.cameras import together
 from rig.cameras.base import CameraError, Frame
 from rig.cameras.together import Together
-from rig.config import load
+from rig.rig_file import load
 from rig.simulator.faults import CameraFault
 from rig.simulator.registers import Registers
 from runs.records import Seen, Status

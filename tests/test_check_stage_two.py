@@ -9,7 +9,7 @@ import pytest
 import protocols
 from protocols import Problem
 from rig.check import check
-from rig.config import load
+from rig.rig_file import load
 
 RIG = load("mock")
 RIG = RIG.model_copy(update={"limits": RIG.limits.model_copy(update={

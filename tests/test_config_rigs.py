@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 from protocols import BadInput, Problem
 from protocols.document import parse, validate
 from rig import consistency
-from rig.config import RigConfig, load, path_of, text
+from rig.config import RigConfig
+from rig.rig_file import load, path_of, text
 
 MOCK = text("mock")
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 import protocols
-from rig import config
+from rig import rig_file
 from rig.schemas import FILES, schema_text
 
 ROOT = Path(__file__).parent.parent
@@ -22,7 +22,7 @@ def test_committed_schemas_are_up_to_date(name: str) -> None:
 @pytest.mark.parametrize(
     ("path", "name"),
     [(protocols.load(name).path, "protocol") for name, _ in protocols.named()]
-    + [(config.path_of(name), "rig") for name in ("mock", "mock-stereo", "pci1716")],
+    + [(rig_file.path_of(name), "rig") for name in ("mock", "mock-stereo", "pci1716")],
     ids=lambda value: Path(value).stem,
 )
 def test_every_yaml_tells_editors_its_schema(path: Path, name: str) -> None:

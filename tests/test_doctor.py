@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-import rig.config
+import rig.rig_file
 from rig import doctor_cards
 from rig.daq.base import CardError
 from rig.daq.kernel import Attached, Comedi, comedi, has_module, pci_cards
@@ -225,7 +225,7 @@ class OpenCard:
 
 def test_a_rig_whose_card_has_everything_says_how_many_outputs_are_left(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(doctor_cards, "ComediCard", OpenCard)
-    (said,) = doctor_cards.rig_cards(rig.config.load("pci1716"))
+    (said,) = doctor_cards.rig_cards(rig.rig_file.load("pci1716"))
     assert said.verdict == "ok"
     assert "2 of 2 outputs used, none left" in said.found
 
@@ -235,7 +235,7 @@ def test_a_rig_whose_card_lacks_an_output_is_told_the_cards_own_words(monkeypatc
         raise CardError("pci1716 has 2 analogue outputs (0 to 1): there is no output 2")
 
     monkeypatch.setattr(doctor_cards, "ComediCard", lacks)
-    (said,) = doctor_cards.rig_cards(rig.config.load("pci1716"))
+    (said,) = doctor_cards.rig_cards(rig.rig_file.load("pci1716"))
     assert said.verdict == "missing"
     assert "there is no output 2" in said.found
     assert "another card" in said.remedy
@@ -243,12 +243,12 @@ def test_a_rig_whose_card_lacks_an_output_is_told_the_cards_own_words(monkeypatc
 
 def test_a_valve_that_0_v_opens_to_the_supply_is_pointed_out(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(doctor_cards, "ComediCard", OpenCard)
-    text = rig.config.text("pci1716").replace("    dead_zone_V: 0.4\n", "    dead_zone_V: 0.4\n    fills: below\n", 1)
-    _, said = doctor_cards.rig_cards(rig.config.parse(text, "rig.yaml"))
+    text = rig.rig_file.text("pci1716").replace("    dead_zone_V: 0.4\n", "    dead_zone_V: 0.4\n    fills: below\n", 1)
+    _, said = doctor_cards.rig_cards(rig.rig_file.parse(text, "rig.yaml"))
     assert said.topic == "rig's valve 1"
     assert "FILLS" in said.found
     assert "port 4" in said.remedy
 
 
 def test_a_mock_rig_has_no_card_to_look_at() -> None:
-    assert doctor_cards.rig_cards(rig.config.load("mock")) == ()
+    assert doctor_cards.rig_cards(rig.rig_file.load("mock")) == ()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-import rig.config
+import rig.rig_file
 from rig.cameras.base import CameraError
 from rig.cameras.mock import MockCamera
 from rig.daq.base import CardError, Scans
@@ -20,7 +20,7 @@ class Rig:
     """A plant at about 0.1 bar, its card read up to now."""
 
     def __init__(self) -> None:
-        self.plant = Plant(rig.config.load("mock"), 1, 0, moving_arm=False)
+        self.plant = Plant(rig.rig_file.load("mock"), 1, 0, moving_arm=False)
         self.faults = self.plant.faults
         self.card: PlantCard = self.plant.card("daq")
         self.card.start()
@@ -119,7 +119,7 @@ def test_without_a_fault_nothing_is_touched() -> None:
 
 def test_a_camera_goes_black_repeats_itself_and_is_unplugged() -> None:
     faults = Faults()
-    camera = MockCamera(rig.config.load("mock"), Sweep(), seed=1, faults=faults)
+    camera = MockCamera(rig.rig_file.load("mock"), Sweep(), seed=1, faults=faults)
     first = camera.frame_at(0, 10**9).image
     faults.inject(camera=CameraFault.FROZEN)
     assert np.array_equal(camera.frame_at(1, 10**9 + 33 * MS).image, first)

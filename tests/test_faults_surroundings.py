@@ -16,6 +16,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import rig.config
+import rig.rig_file
 from rig import control
 from rig.bench import Bench
 from rig.outlet import LAST_WORDS_S, MOST_BYTES, Outlet
@@ -77,7 +78,7 @@ def test_nothing_that_runs_asks_the_calendar_clock() -> None:
 @given(st.floats(0.8, 100.0), st.floats(0.0, 1000.0), st.integers(0, 2**31))
 def test_no_set_point_whatever_can_raise_a_chamber_above_the_limit(bar: float, bar_per_s: float, seed: int) -> None:
     """The check before the run refuses such set-points; here they come all the same."""
-    config = rig.config.load("mock")
+    config = rig.rig_file.load("mock")
     plant = Plant(config, seed, 0, moving_arm=False)
     bench = Bench(config, {"daq": plant.card("daq")})
     prepared = control.prepare(config)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-import rig.config
+import rig.rig_file
 from rig.executor.vigil import Vigil
 from runs.records import Event, Level, Seen, observation_dtype, sample_dtype
 
@@ -14,7 +14,7 @@ FRAME_NS, TICK_NS = 33_333_333, 5_000_000
 
 @pytest.fixture
 def vigil() -> Vigil:
-    return Vigil(rig.config.load("mock"))
+    return Vigil(rig.rig_file.load("mock"))
 
 
 def frames(n: int, first: int = 0, **columns: object) -> np.ndarray:  # type: ignore[type-arg]

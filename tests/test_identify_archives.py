@@ -14,8 +14,8 @@ from calibration.identify.online import Adapter
 from rig import experiment
 from rig.arm import model_arm, true_arm
 from rig.cli import main
-from rig.config import load
 from rig.executor.base import Nobody
+from rig.rig_file import load
 from runs.run import Run
 
 AT_REST = """

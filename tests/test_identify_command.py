@@ -16,7 +16,7 @@ from calibration.identify import Setup
 from calibration.identify.simulated import Errors, perform, plan
 from rig.arm import model_arm
 from rig.cli import main
-from rig.config import load, text
+from rig.rig_file import load, text
 from runs.archive import finalise
 from runs.journal import JournalWriter
 from runs.records import RunFooter, Seen, Status, observation_dtype, sample_dtype

@@ -18,8 +18,8 @@ from calibration.identify.simulated import perform, plan
 from protocols import BadInput
 from rig.arm import model_arm, true_arm
 from rig.cli import main
-from rig.config import load, parse, path_of, text
 from rig.parameters import laid_over, read
+from rig.rig_file import load, parse, path_of, text
 from runs.records import Seen
 from runs.run import Run
 

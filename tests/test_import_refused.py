@@ -14,7 +14,7 @@ from import_bench import BENCH, BENCH_CSV, SMALL, Bring, complaint, imported_in,
 import runs
 from calibration.identify.data import NoData, poses_of
 from protocols import BadInput
-from rig import config, identified
+from rig import identified, rig_file
 from runs.records import Seen
 from runs.report import write
 from runs.run import Run
@@ -159,7 +159,7 @@ class TestMapping:
         mapping = SMALL.replace("[1]", "[1, 1, 1]").replace("title: Small", "title: Small\nrig: mock")
         run = bring("0,0.1,1,2,3\n1,0.2,1,2,3\n", mapping)
         assert run.header.rig_name == "mock"
-        assert run.header.rig_yaml == config.text("mock")
+        assert run.header.rig_yaml == rig_file.text("mock")
 
     def test_identification_takes_a_run_without_set_points_for_a_motion(self, bring: Bring) -> None:
         rows = "".join(f"{0.1 * i:.1f},{0.01 * i:.2f},1,2,3\n" for i in range(40))

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from rig_process import SHORT, write_rig
 
-import rig.config
+import rig.rig_file
 import runs
 from rig.simulator.registers import path_of
 
@@ -67,7 +67,7 @@ def test_p_pauses_and_resumes_and_leaves_the_terminal_as_it_was(tmp_path: Path) 
         process.kill()
         process.wait()
         os.close(terminal)
-        device = next(iter(rig.config.load(rig_file).cards.values())).device
+        device = next(iter(rig.rig_file.load(rig_file).cards.values())).device
         path_of(device).unlink(missing_ok=True)
     archive = runs.open(next(tmp_path.glob("*.h5")))
     told = [event.message for event in archive.events if event.source == "operator"]

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import rig.config
+import rig.rig_file
 from rig.cameras.base import Frame, Shot
 from rig.cameras.mock import MockCamera
 from rig.observer import Observer, Pressures
@@ -18,7 +19,7 @@ SCANS_NS = np.arange(0, 2_000_000_000, 5_000_000)
 
 @pytest.fixture(scope="module")
 def config() -> rig.config.RigConfig:
-    return rig.config.load("mock")
+    return rig.rig_file.load("mock")
 
 
 @pytest.fixture(scope="module")

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 from rig_process import BRIEF, SHORT, rig_run, with_one_opener
 
-import rig.config
+import rig.rig_file
 import runs
 from protocols import BadInput
 from rig.bench import open_bench
@@ -25,13 +25,13 @@ from rig.simulator.registers import Registers, path_of
 from runs.records import Status
 
 HOLD = (
-    "import sys, time\nimport rig.config\nfrom rig.bench import open_bench\n"
-    "bench = open_bench(rig.config.load(sys.argv[1]))\nprint('held', flush=True)\ntime.sleep(60)\n"
+    "import sys, time\nimport rig.rig_file\nfrom rig.bench import open_bench\n"
+    "bench = open_bench(rig.rig_file.load(sys.argv[1]))\nprint('held', flush=True)\ntime.sleep(60)\n"
 )
 
 
 def rig_text(device: str, *, one_opener: bool = True) -> str:
-    text = rig.config.text("mock").replace("device: mock0", f"device: {device}")
+    text = rig.rig_file.text("mock").replace("device: mock0", f"device: {device}")
     return with_one_opener(text, one_opener=one_opener)
 
 
@@ -48,7 +48,7 @@ def device() -> Iterator[str]:
 
 @pytest.fixture
 def config(device: str) -> RigConfig:
-    return rig.config.parse(rig_text(device), "rig.yaml")
+    return rig.rig_file.parse(rig_text(device), "rig.yaml")
 
 
 @pytest.fixture
@@ -93,7 +93,7 @@ def test_the_watchdog_lets_go_of_a_card_that_lets_in_one_and_opens_it_when_it_mu
 
 
 def test_the_watchdog_keeps_hold_of_any_other_card(device: str) -> None:
-    config = rig.config.parse(rig_text(device, one_opener=False), "rig.yaml")
+    config = rig.rig_file.parse(rig_text(device, one_opener=False), "rig.yaml")
     grip = Grip(config)
     assert grip.shared
     control = open_bench(config)
@@ -124,9 +124,9 @@ def test_rig_vent_ends_the_process_that_has_the_card(
 
 
 def test_a_real_card_that_claims_to_let_in_one_is_refused() -> None:
-    text = rig.config.text("pci1716").replace("device: /dev/comedi0", "device: /dev/comedi0, one_opener: true")
+    text = rig.rig_file.text("pci1716").replace("device: /dev/comedi0", "device: /dev/comedi0, one_opener: true")
     with pytest.raises(BadInput, match="one_opener"):
-        rig.config.parse(text, "rig.yaml")
+        rig.rig_file.parse(text, "rig.yaml")
 
 
 @pytest.mark.alone

@@ -10,7 +10,8 @@ import pytest
 from protocols.document import parse, validate
 from protocols.expand import expand
 from protocols.schema import ProtocolFile
-from rig.config import RigConfig, text
+from rig.config import RigConfig
+from rig.rig_file import text
 
 DOCS = Path(__file__).parent.parent / "docs"
 

@@ -11,7 +11,7 @@ from test_run_virtual import Silent, protocol_file
 
 import runs
 from calibration.board import find
-from rig import config, experiment
+from rig import experiment, rig_file
 from rig.optics import board_of
 from rig.replay import replay
 from rig.sketch import Sketcher
@@ -20,7 +20,7 @@ from runs.run import Run
 
 def recorded(folder: Path, encoding: str) -> Run:
     rig = folder / "rig.yaml"
-    text = config.text("mock")
+    text = rig_file.text("mock")
     rig.write_text(f"{text}\nrecording: {{keep_every: 1, encoding: {encoding}, jpeg_quality: 95}}\n")
     protocol = protocol_file(folder, "  - ramp: {actuators: [1], to_bar: 0.4, duration_s: 2}\n")
     request = experiment.request(protocol, str(rig), folder=folder / encoding, fast=True, seed=3, report=False)
@@ -45,7 +45,7 @@ def test_lossless_pictures_give_the_stored_tips_again(lossless: Run, tmp_path: P
 
 
 def test_corners_tips_and_backbone_stand_where_they_are_in_the_stored_pictures(lossless: Run) -> None:
-    parsed = config.parse(lossless.header.rig_yaml, "rig")
+    parsed = rig_file.parse(lossless.header.rig_yaml, "rig")
     name = next(iter(parsed.cameras))
     sketcher, frames, backbone = Sketcher(parsed, name, 2), lossless.frames, lossless.backbone
     assert backbone is not None

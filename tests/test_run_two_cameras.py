@@ -12,11 +12,12 @@ import runs
 from rig import experiment
 from rig.cameras.base import Frame, Shot
 from rig.cameras.mock import MockCamera
-from rig.config import RigConfig, load
+from rig.config import RigConfig
 from rig.executor.vigil import Vigil
 from rig.eyes import Eyes
 from rig.live.playing import Playing
 from rig.replay import replay
+from rig.rig_file import load
 from runs.records import Level, Seen, observation_dtype
 from runs.run import Run
 from tests.vision_bench import FRAME_NS, Sweep

@@ -23,11 +23,12 @@ from rig.calibrations.driving import Driver
 from rig.calibrations.files import default_path, origin, refuse_existing, rounded, sha256_of, write
 from rig.calibrations.sources import bad
 from rig.calibrations.valve_fit import Rate, Valve, fit
-from rig.config import PA_PER_BAR, FlowValve, RigConfig, load, path_of
+from rig.config import PA_PER_BAR, FlowValve, RigConfig
 from rig.executor.base import StoppedError
 from rig.interlocks import settings as interlock_settings
 from rig.keys import Keys
 from rig.listing import plain_json
+from rig.rig_file import load, path_of
 from rig.screens import confirm, console
 from rig.signals import StopSignals
 from rig.simulator.host import simulated

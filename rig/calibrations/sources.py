@@ -10,7 +10,8 @@ from protocols import BadInput, Problem
 from protocols.problems import closest
 from rig.calibrations import making, schema
 from rig.calibrations.files import Read, read
-from rig.config import RigConfig, load
+from rig.config import RigConfig
+from rig.rig_file import load
 
 MOST_CORNERS = 100
 

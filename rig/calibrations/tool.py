@@ -23,9 +23,10 @@ from rig.calibrations import making, schema, screens, sources
 from rig.calibrations.files import default_path, origin, refuse_existing, rounded, write
 from rig.calibrations.sources import bad
 from rig.cameras import open_camera
-from rig.config import RigConfig, load
+from rig.config import RigConfig
 from rig.listing import plain_json
 from rig.optics import board_in_tip, board_of, camera_in_base, lens_of, placement_of
+from rig.rig_file import load
 from rig.screens import console
 
 STRAIGHT_VIEWS = 5

@@ -14,9 +14,10 @@ from numpy.typing import NDArray
 import model
 from protocols import BadInput
 from rig.arm import Hook, model_arm
-from rig.config import PA_PER_BAR, RigConfig, parse
+from rig.config import PA_PER_BAR, RigConfig
 from rig.executor.memory import LINE_POINTS
 from rig.live.packets import Drawing, News, estimates
+from rig.rig_file import parse
 from rig.sketch import Sketcher
 from runs.records import Seen
 from runs.run import Run

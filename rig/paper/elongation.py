@@ -22,9 +22,10 @@ from calibration.identify.paper import (
 )
 from model.tube import Ballooned, Tube
 from rig.arm import model_geometry
-from rig.config import PA_PER_BAR, parse
+from rig.config import PA_PER_BAR
 from rig.paper.compared import Compared, Drawing
 from rig.paper.experiments import origin
+from rig.rig_file import parse
 from runs.colours import INK, MEASURED, MODEL, MUTED
 from runs.figures import legend
 from runs.run import Run

@@ -11,10 +11,11 @@ from numpy.typing import NDArray
 
 from model.paper import PaperRod
 from rig.arm import model_arm
-from rig.config import PA_PER_BAR, parse
+from rig.config import PA_PER_BAR
 from rig.paper.compared import Compared, Drawing
 from rig.paper.experiments import origin
 from rig.reproduce import SCHEMES, Space
+from rig.rig_file import parse
 from runs.colours import MEASURED, MODEL
 from runs.figures import kept, legend, thin
 from runs.records import Seen

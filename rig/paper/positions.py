@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 from calibration.identify.data import at_rest
 from model.arm import Variant
 from rig.arm import model_arm
-from rig.config import PA_PER_BAR, parse
+from rig.config import PA_PER_BAR
 from rig.paper.compared import Compared, Drawing
 from rig.paper.experiments import origin
+from rig.rig_file import parse
 from rig.table3 import PRINTED, READINGS
 from runs.colours import ACTUATORS, INK, MEASURED, MODEL, MUTED
 from runs.figures import legend

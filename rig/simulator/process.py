@@ -20,7 +20,7 @@ from operator import itemgetter
 
 import numpy as np
 
-import rig.config
+import rig.rig_file
 from protocols import BadInput
 from rig.config import RigConfig
 from rig.daq.base import CardError
@@ -159,7 +159,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     # Ctrl-C goes to every process of the terminal; the card must outlive those who make it safe.
     signal.signal(signal.SIGINT, _leave if options.parent is None else signal.SIG_IGN)
     try:
-        run(rig.config.load(options.rig), options.seed, options.parent)
+        run(rig.rig_file.load(options.rig), options.seed, options.parent)
     except (BadInput, CardError) as error:
         print(error, file=sys.stderr)
         return 2

@@ -20,7 +20,7 @@ from pathlib import Path
 
 import numpy as np
 
-import rig.config
+import rig.rig_file
 from rig.control import safe_voltages
 from rig.daq.base import CardError
 from rig.simulator.registers import Registers, path_of
@@ -67,7 +67,7 @@ class WatchedRun:
         self.device = f"faults-{os.getpid()}-{threading.get_native_id()}"
         self.rig_file.write_text(rig_text(trick, self.device))
         self.protocol.write_text(protocol)
-        self._safe_v = np.array(safe_voltages(rig.config.load(self.rig_file)))
+        self._safe_v = np.array(safe_voltages(rig.rig_file.load(self.rig_file)))
         self._said: list[bytes] = []
         self._listening = threading.Event()
         self._listening.set()

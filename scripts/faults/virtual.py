@@ -11,7 +11,7 @@ from unittest.mock import patch
 
 import numpy as np
 
-import rig.config
+import rig.rig_file
 from rig import experiment
 from rig.bench import Bench as Cards
 from rig.config import RigConfig
@@ -74,7 +74,7 @@ class StruckPlant(Plant):
 
 def rig_text(trick: object, device: str) -> str:
     """The mock rig with a card of its own, and a model that cannot be solved where that is the fault."""
-    text = rig.config.text("mock").replace("device: mock0", f"device: {device}")
+    text = rig.rig_file.text("mock").replace("device: mock0", f"device: {device}")
     if trick is Trick.MODEL_UNSOLVABLE:
         text = text.replace("  cap_mass_g: 50\n", "  cap_mass_g: 100000\n")
     return text

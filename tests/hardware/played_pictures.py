@@ -23,10 +23,11 @@ from rig_of_the_machine import LOOPED, VALVES
 from rig.arm import model_arm
 from rig.cameras.base import Shot
 from rig.cameras.mock import MockCamera
-from rig.config import PA_PER_BAR, load
+from rig.config import PA_PER_BAR
 from rig.daq.base import CardSetup, Channel
 from rig.daq.comedi import ComediCard
 from rig.observer import Observer
+from rig.rig_file import load
 from rig.simulator.pose import TipPose
 from runs.records import Seen
 

@@ -12,8 +12,9 @@ from rig_of_the_machine import LOOPED, Player
 
 from rig.cameras.base import CameraError, Frame
 from rig.cameras.opencv import OpenCVCamera
-from rig.config import CameraConfig, load
+from rig.config import CameraConfig
 from rig.eye import Eye
+from rig.rig_file import load
 from runs.records import Seen
 
 

@@ -15,19 +15,19 @@ import pytest
 from kernel_card import CARD, COUNT_V, OpenCard, bipolar
 from rig_of_the_machine import LOOPED, VALVES
 
-import rig.config
+import rig.rig_file
 from rig.bench import open_bench
-from rig.config import load
 from rig.daq.base import CardError
 from rig.executor import clocks
 from rig.executor.memory import Layout, RunMemory
 from rig.executor.standin import stand_in
+from rig.rig_file import load
 
 COMEDI_LOCK = (ord("d") << 8) | 5
 OUTPUTS = 1
 """The card's subdevice of analogue outputs."""
 HOLD = (
-    "import sys, time\nfrom rig.bench import open_bench\nfrom rig.config import load\n"
+    "import sys, time\nfrom rig.bench import open_bench\nfrom rig.rig_file import load\n"
     "bench = open_bench(load(sys.argv[1]))\nprint('held', flush=True)\ntime.sleep(300)\n"
 )
 
@@ -80,8 +80,8 @@ def test_a_card_whose_outputs_another_program_has_for_itself_is_not_armed(locked
 
 
 def test_the_period_of_the_cards_own_clock_reaches_the_record(memory: RunMemory) -> None:
-    text = rig.config.text(LOOPED).replace("acquisition: instruction", "acquisition: command, sampling_hz: 1234.567")
-    config = rig.config.parse(text, "looped.yaml")
+    text = rig.rig_file.text(LOOPED).replace("acquisition: instruction", "acquisition: command, sampling_hz: 1234.567")
+    config = rig.rig_file.parse(text, "looped.yaml")
     bench = open_bench(config)
     bench.start()
     until = time.monotonic() + 5

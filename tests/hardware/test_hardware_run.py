@@ -15,8 +15,8 @@ from kernel_card import COUNT_V, OpenCard, bipolar
 from rig_of_the_machine import LOOPED, STEPS, VALVES, Player
 
 from rig.bench import open_bench
-from rig.config import load
 from rig.doctor import examine
+from rig.rig_file import load
 
 # An emulated machine takes a minute to import what a run needs; else this is the command line.
 RIG = "import rig.executor.realtime as r; r.START_TIMEOUT_S = 400.0; from rig.cli import main; main()"
