@@ -45,7 +45,7 @@ class Problem:
             work = layout.aligned(len(known.work))
             work[:] = known.work
             return replace(known, work=work)
-        return cls._build(arm, pressure_pa, c0)
+        return _frozen(arm, c0).at(arm.stiffness_n(pressure_pa))
 
     @classmethod
     def _build(cls, arm: Arm, pressure_pa: Array, c0: float) -> Problem:
@@ -93,6 +93,49 @@ class Problem:
 @lru_cache(maxsize=64)
 def _prepared(arm: Arm, c0: float) -> Problem:
     return Problem._build(arm, np.zeros(arm.geometry.actuators), c0)
+
+
+@dataclass(frozen=True)
+class _Frozen:
+    """An arm whose rule freezes each modulus. Its section is linear in the tubes' stiffness, and that alone changes.
+
+    without (m,), each (N, m): axial and shear block, rest and per_pressure, flat, of no tube and per N of each tube.
+    """
+
+    problem: Problem
+    grown: float
+    without: Array
+    each: Array
+
+    def at(self, stiffness_n: Array) -> Problem:
+        """The arm at axial stiffnesses (N,) of its tubes."""
+        parts = self.without + stiffness_n @ self.each
+        blocks = parts[:18].reshape(2, 3, 3)
+        turned = np.concatenate([blocks * self.grown, np.linalg.inv(blocks) / self.grown])
+        work = layout.aligned(len(self.problem.work))
+        work[:] = self.problem.work
+        rows = work.reshape(-1, layout.LANES)
+        rows[layout.AXIAL : layout.OFFSET] = turned.reshape(4, 9)[:, _UPPER].reshape(-1, 1)
+        rows[layout.OFFSET : layout.OFFSET + 6] = parts[18:24, None]
+        return replace(self.problem, work=work, rest=parts[18:24], per_pressure=parts[24:].reshape(6, -1))
+
+
+_UPPER = upper(np.arange(9).reshape(3, 3))
+
+
+@lru_cache(maxsize=64)
+def _frozen(arm: Arm, c0: float) -> _Frozen:
+    geometry, material = arm.geometry, arm.material
+    count = geometry.actuators
+
+    def flat(stiffness_n: Array) -> Array:
+        xy = geometry.positions_m - geometry.centroid_m
+        one = section(geometry, xy, stiffness_n, material.shear_ratio, arm.rpe_per_bar, arm.rpe_as)
+        return np.concatenate([part.ravel() for part in (one.axial, one.shear, one.rest, one.per_pressure)])
+
+    without = flat(np.zeros(count))
+    each = np.array([flat(one) - without for one in np.eye(count)])
+    return _Frozen(Problem._build(arm, np.zeros(count), c0), 1 + material.damping_s * c0, without, each)
 
 
 def pressures(arm: Arm, pressure_pa: ArrayLike) -> Array:

@@ -104,6 +104,16 @@ def test_parameters_that_can_be_exchanged_are_named_together() -> None:
     assert fit["a1_per_n"].identified
 
 
+def test_parameters_of_which_no_two_can_be_exchanged_but_three_together_are_named() -> None:
+    # The arm hangs straight: its length, the base and the measured point all move the tip along the same line.
+    hanging = plan("hanging", np.zeros((4, 3)))
+    free = ["length_m", "base_z_m", "tool_z_m"]
+    fit = identify(done(true_setup(), planned=(hanging,)), START, free)
+    for name in free:
+        assert fit[name].verdict is Verdict.ENTANGLED
+        assert set(fit[name].partners) == set(free) - {name}
+
+
 def test_a_prior_alone_is_no_measurement() -> None:
     fit = identify(done(true_setup()), START, ["law", "density_kg_m3"], {"density_kg_m3": Prior(1080.0, 30.0)})
     assert fit["density_kg_m3"].verdict is Verdict.PRIOR

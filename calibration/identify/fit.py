@@ -19,9 +19,10 @@ Array = NDArray[np.float64]
 NORMAL_95 = 1.959963984540054
 # An error bar of this many plausible spans says that the data have not decided.
 _UNDECIDED = 0.5
-_PARTNER = 0.9
 _ONLY_PRIOR = 0.95
 _SAME_LOSS = 0.5
+# Spans that nothing lies farther off than: what the data leave wholly open stays finite.
+_FAR = 10.0
 _SHOWN_SHARE = 0.2
 
 
@@ -153,10 +154,13 @@ def identify(
     priors: Mapping[str, Prior] | None = None,
     starts: int = 1,
     seed: int = 0,
+    begin: Mapping[tuple[str, str], float] | None = None,
 ) -> Fit:
     """Maximum likelihood of the free parameters over all runs, static and moving ones together.
 
-    priors: by name. starts: how many starting points; the first is `start`, the others lie around it.
+    priors: by name. starts: how many starting points; the first is `start`, the others lie around it. begin: values by
+    (name, run) that the search begins at instead, say of a fit to nearly the same data; what cannot be told is held at
+    `start` even so.
 
     Raises:
         NoData: no measured tip.
@@ -170,7 +174,7 @@ def identify(
     parameters = named(free, actuators)
     priors = {p.name: prior for name, prior in (priors or {}).items() for p in named([name], actuators)}
     problem = Problem(data, start, parameters, priors)
-    joint, ends = _best(problem, _first(problem), starts, seed)
+    joint, ends = _best(problem, _first(problem) if begin is None else _at(problem, begin), starts, seed)
     held, loose = _held(problem, joint)
     solution = problem.solve(joint.z * _kept(problem, held), sorted(held)) if held else joint
     estimates, covariance = _estimates(problem, solution, joint, held, loose)
@@ -209,6 +213,16 @@ def _first(problem: Problem) -> Array:
         own = resting.index(unknown.run) if unknown.run in resting else None
         if unknown.run is None or own is not None:
             z[i] = found[unknown.parameter.name, own]
+    return z
+
+
+def _at(problem: Problem, values: Mapping[tuple[str, str], float]) -> Array:
+    """Values by (name, run), in spans (n,); zero where there is none."""
+    z = np.zeros(len(problem.unknowns))
+    for i, unknown in enumerate(problem.unknowns):
+        run = "" if unknown.run is None else problem.data[unknown.run].run_id
+        value = values.get((unknown.parameter.name, run), unknown.start)
+        z[i] = np.clip((value - unknown.start) / unknown.span, unknown.lower, unknown.upper)
     return z
 
 
@@ -283,8 +297,6 @@ def _estimates(
     covariance = np.zeros((n, n))
     covariance[np.ix_(only, only)] = _inverse(solution.information[np.ix_(only, only)])
     prior_std = 1 / np.sqrt(np.maximum(np.diagonal(solution.prior_information), 1e-300))
-    joint_covariance = _inverse(joint.information)
-    correlation = joint_covariance / np.sqrt(np.outer(np.diagonal(joint_covariance), np.diagonal(joint_covariance)))
     out = []
     for i, unknown in enumerate(problem.unknowns):
         verdict = held.get(i, Verdict.IDENTIFIED)
@@ -293,9 +305,29 @@ def _estimates(
         std = float(np.sqrt(covariance[i, i]))
         if verdict is Verdict.IDENTIFIED and std > _ONLY_PRIOR * prior_std[i]:
             verdict = Verdict.PRIOR
-        partners = [j for j in range(n) if j != i and loose[j] > _UNDECIDED and abs(correlation[i, j]) > _PARTNER]
+        partners = _partners(joint.information, i) if verdict is Verdict.ENTANGLED else []
         out.append(_estimate(problem, unknown, float(solution.z[i]), std, verdict, partners, float(loose[i])))
     return tuple(out), covariance * np.outer(span, span)
+
+
+def _partners(information: Array, i: int) -> list[int]:
+    """Which others would have to be known for unknown i to be decided.
+
+    One after the other that helps most; where several would each do alone, as what can be exchanged does, all of them.
+    """
+    n, enough = len(information), _UNDECIDED**2
+    covariance = np.linalg.inv(information + np.eye(n) / _FAR**2)
+    found: list[int] = []
+    while covariance[i, i] > enough and len(found) < n - 1:
+        left = {
+            j: float(covariance[i, i] - covariance[i, j] ** 2 / covariance[j, j])
+            for j in range(n)
+            if j != i and j not in found
+        }
+        best = min(left, key=left.__getitem__)
+        found += [j for j, variance in left.items() if variance <= enough] or [best]
+        covariance -= np.outer(covariance[:, best], covariance[best]) / covariance[best, best]
+    return found
 
 
 def _estimate(
