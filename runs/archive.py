@@ -1,11 +1,13 @@
 """The archive of a run: a journal turned into NeXus HDF5, whole or not at all.
 
-Written under a temporary name, read back and compared with what was meant, then renamed.
+Written under a temporary name, read back and compared with what was meant, then renamed. Rows and pictures go from the
+journal into the archive some thousand at a time: a long run needs no more memory than a short one.
 """
 
 from __future__ import annotations
 
 import fcntl
+import math
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -17,14 +19,13 @@ import h5py
 import numpy as np
 
 from runs import digest, journal, layout
-from runs.groups import Field, Group, Pictures
+from runs.groups import CHUNK_ROWS, Column, Field, Group, Pictures, Table, pieces
 from runs.journal import ARCHIVE_TO_JOURNAL, NO_ROOM
 
 SUFFIX = ".h5"
 PART = ".h5.part"
 """End of the name while the archive is being written."""
 _MARGIN_BYTES = 4 << 20
-_CHUNK_ROWS = 16384
 _SMALLEST_COMPRESSED = 512
 
 
@@ -56,9 +57,11 @@ def write(content: journal.Journal, target: Path, most_bytes: int) -> None:
     try:
         _find_room(part, most_bytes)
         meant = _write(part, target.name, layout.groups(content))
-        with h5py.File(part, "r") as file:
-            if digest.of_file(file) != meant:
+        with h5py.File(part, "r+") as file:
+            found = digest.of_file(file)
+            if found.parts != meant:
                 raise ArchiveError(f"{part}: what was read back is not what was written; is the disk sound?")
+            file.attrs.modify("content_sha256", found.sha256)
         _sync(part)
         part.replace(target)
         _sync(target.parent)
@@ -93,7 +96,7 @@ def verify(path: Path | str) -> bool:
     """Tell whether the content of an archive is what its own SHA-256 says."""
     try:
         with h5py.File(path, "r") as file:
-            return bool(digest.of_file(file) == file.attrs["content_sha256"])
+            return bool(digest.of_file(file).sha256 == file.attrs["content_sha256"])
     except (OSError, KeyError, ValueError, RuntimeError) as fault:
         raise ArchiveError(f"{path} is not an archive that can be read: {fault}") from fault
 
@@ -107,10 +110,11 @@ def _find_room(part: Path, size: int) -> None:
         os.close(handle)
 
 
-def _write(part: Path, name: str, groups: tuple[Group, ...]) -> str:
-    """Write every group and return the digest of what was meant."""
-    contents: dict[str, digest.Content] = {}
-    with h5py.File(part, "w") as file:
+def _write(part: Path, name: str, groups: tuple[Group, ...]) -> dict[str, int]:
+    """Write every group and return, for each dataset, the CRC-32 of what was meant."""
+    # Without a cache of chunks for each of the datasets that are open at once: whole chunks are written.
+    with h5py.File(part, "w", rdcc_nbytes=0) as file:
+        written: list[_Dataset] = []
         for group in groups:
             node = file.require_group(group.path)
             node.attrs["NX_class"] = group.nx_class
@@ -121,11 +125,9 @@ def _write(part: Path, name: str, groups: tuple[Group, ...]) -> str:
             if group.signal:
                 node.attrs["signal"] = group.signal
                 node.attrs["axes"] = list(group.axes)
-            for item in group.fields:
-                path = f"{group.path}/{item.name}"
-                contents[path] = _put_pictures(node, item) if isinstance(item, Pictures) else _put(node, item)
+            written += [_Dataset(node, item) for item in group.fields]
             _attach(node, group)
-        sha256 = digest.of(contents)
+        _fill(written)
         file.attrs.update(
             NX_class="NXroot",
             default="entry",
@@ -135,41 +137,80 @@ def _write(part: Path, name: str, groups: tuple[Group, ...]) -> str:
             file_time=datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ"),
             HDF5_Version=h5py.version.hdf5_version,
             h5py_version=h5py.version.version,
-            content_sha256=sha256,
+            content_sha256="0" * 64,
         )
-    return sha256
+        return {dataset.path: dataset.crc for dataset in written}
 
 
-def _put(node: h5py.Group, item: Field) -> digest.Content:
-    """Write one field and return what was meant by it."""
-    attributes: dict[str, Any] = {"units": item.units, "description": item.about, "source": item.source}
-    if item.uncertainty is not None:
-        attributes["uncertainty"] = item.uncertainty
-    meant: digest.Content
-    if isinstance(item.value, str | list):
-        words = [item.value] if isinstance(item.value, str) else item.value
-        # HDF5 ends a text at its first NUL.
-        words = [word.replace("\0", "\N{SYMBOL FOR NULL}") for word in words]
-        shape = () if isinstance(item.value, str) else (len(words),)
-        data = words[0] if isinstance(item.value, str) else np.array(words, dtype=object)
-        dataset = node.create_dataset(item.name, shape, h5py.string_dtype(), data)
-        meant = digest.texts(words, shape)
-    else:
-        values = np.asarray(item.value)
-        dataset = node.create_dataset(item.name, data=values, **_storage(values))
-        meant = digest.numbers(values)
-    for name, value in attributes.items():
-        if value != "":
-            dataset.attrs[name] = value
-    return meant
+class _Dataset:
+    """One dataset of an archive, and the checksum of what is meant by it."""
+
+    def __init__(self, node: h5py.Group, item: Field | Pictures) -> None:
+        value = item.data if isinstance(item, Pictures) else item.value
+        self.column = value if isinstance(value, Column) else None
+        now: Any = value.of(value.table[:0]) if isinstance(value, Column) else value
+        shape: tuple[int, ...] = (len(value.table),) if isinstance(value, Column) else np.shape(now)
+        storage: dict[str, Any] = {}
+        attributes: dict[str, Any] = {"description": item.about}
+        kind: Any
+        if isinstance(item, Pictures):
+            self._kind, kind = "bytes", h5py.vlen_dtype(np.uint8)
+        else:
+            attributes = {"units": item.units, **attributes, "source": item.source}
+            if item.uncertainty is not None:
+                attributes["uncertainty"] = item.uncertainty
+            if isinstance(now, str | list):
+                self._kind, kind = "str", h5py.string_dtype()
+            else:
+                numbers = np.asarray(now)
+                self._kind, kind = digest.kind_of(numbers), numbers.dtype
+                shape = (*shape[:1], *numbers.shape[1:])
+                storage = _storage(shape, kind.itemsize)
+        self._node = node.create_dataset(item.name, shape, kind, **storage)
+        self.path = self._node.name.lstrip("/")
+        for name, attribute in attributes.items():
+            if attribute != "":
+                self._node.attrs[name] = attribute
+        self._part = digest.Part(self._kind, shape)
+        if self.column is None:
+            self.put(0, now)
+
+    @property
+    def crc(self) -> int:
+        """CRC-32 of what was put."""
+        return self._part.crc
+
+    def put(self, low: int, values: Any) -> None:
+        """Write the rows from `low` on, or the one value that there is."""
+        single = self._node.shape == ()
+        rows = () if single else slice(low, low + len(values))
+        if self._kind == "bytes":
+            for index, data in enumerate(values, low):
+                self._node[index] = np.frombuffer(data, np.uint8)
+            self._part.add(values)
+        elif self._kind == "str":
+            # HDF5 ends a text at its first NUL.
+            words = [word.replace("\0", "\N{SYMBOL FOR NULL}") for word in ([values] if single else values)]
+            if words:
+                self._node[rows] = words[0] if single else np.array(words, dtype=object)
+            self._part.add(word.encode() for word in words)
+        else:
+            numbers = np.asarray(values)
+            if numbers.size:
+                self._node[rows] = numbers
+            self._part.add(digest.little(numbers))
 
 
-def _put_pictures(node: h5py.Group, item: Pictures) -> digest.Content:
-    dataset = node.create_dataset(item.name, (len(item.data),), h5py.vlen_dtype(np.uint8))
-    for index, data in enumerate(item.data):
-        dataset[index] = np.frombuffer(data, np.uint8)
-    dataset.attrs["description"] = item.about
-    return "bytes", (len(item.data),), item.data
+def _fill(datasets: list[_Dataset]) -> None:
+    """Write what is made of rows: each table is gone through once, a chunk of every dataset at a time."""
+    tables: dict[int, tuple[Table, list[tuple[_Dataset, Column]]]] = {}
+    for dataset in datasets:
+        if (column := dataset.column) is not None:
+            tables.setdefault(id(column.table), (column.table, []))[1].append((dataset, column))
+    for table, columns in tables.values():
+        for number, rows in enumerate(pieces(table)):
+            for dataset, column in columns:
+                dataset.put(number * CHUNK_ROWS, column.of(rows))
 
 
 def _attach(node: h5py.Group, group: Group) -> None:
@@ -182,11 +223,11 @@ def _attach(node: h5py.Group, group: Group) -> None:
             node[item.name].dims[dimension].attach_scale(node[name])
 
 
-def _storage(values: np.ndarray[Any, Any]) -> dict[str, Any]:
+def _storage(shape: tuple[int, ...], item_bytes: int) -> dict[str, Any]:
     """Compress what is worth it, with the one filter that every HDF5 reader has."""
-    if values.ndim == 0 or values.nbytes < _SMALLEST_COMPRESSED:
+    if not shape or math.prod(shape) * item_bytes < _SMALLEST_COMPRESSED:
         return {}
-    chunks = (min(len(values), _CHUNK_ROWS), *values.shape[1:])
+    chunks = (min(shape[0], CHUNK_ROWS), *shape[1:])
     return {"chunks": chunks, "compression": "gzip", "compression_opts": 1, "shuffle": True}
 
 

@@ -100,17 +100,17 @@ def frame_rows(
     return records.tobytes()
 
 
-def unframe_rows(content: memoryview, form: np.dtype[np.void], channel: int) -> NDArray[np.void] | None:
-    """Return the rows of a block that holds nothing but messages of this form and channel, else None."""
+def framed_rows(content: memoryview, form: np.dtype[np.void], channel: int) -> int:
+    """Return how many rows a block holds that has nothing but messages of this form and channel, else 0."""
     if len(content) == 0 or len(content) % form.itemsize:
-        return None
+        return 0
     records: NDArray[np.void] = np.frombuffer(content, form)
     sound = (
         (records["opcode"] == Opcode.MESSAGE)
         & (records["length"] == form.itemsize - _RECORD.size)
         & (records["channel"] == channel)
     )
-    return records["row"] if sound.all() else None
+    return len(records) if sound.all() else 0
 
 
 def decode_channel(body: memoryview) -> Channel:
@@ -125,6 +125,13 @@ def decode_message(body: memoryview) -> tuple[int, int, memoryview]:
     return channel, log_ns, body[_MESSAGE.size :]
 
 
+def message_at(data: memoryview, position: int) -> tuple[int, int, memoryview]:
+    """Return channel number, time and payload of the message whose record begins here."""
+    _, length = _RECORD.unpack_from(data, position)
+    begin = position + _RECORD.size
+    return decode_message(data[begin : begin + length])
+
+
 @dataclass(frozen=True)
 class Block:
     """The checked content of one block: MCAP records."""
@@ -132,14 +139,19 @@ class Block:
     offset: int
     content: memoryview
 
-    def records(self) -> Iterator[tuple[int, memoryview]]:
-        """Yield (opcode, body) of each record."""
+    @property
+    def begin(self) -> int:
+        """Where the content begins in the file."""
+        return self.offset + _CHUNK.size
+
+    def records(self) -> Iterator[tuple[int, int, memoryview]]:
+        """Yield (opcode, where it begins in the file, body) of each record."""
         position = 0
         while position < len(self.content):
             opcode, length = _RECORD.unpack_from(self.content, position)
-            position += _RECORD.size
-            yield opcode, self.content[position : position + length]
-            position += length
+            body = position + _RECORD.size
+            yield opcode, self.begin + position, self.content[body : body + length]
+            position = body + length
 
 
 def scan(data: memoryview) -> Iterator[Block | Damage]:

@@ -7,7 +7,9 @@ order, little-endian; texts and pictures each preceded by their length in bytes 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable, Mapping
+import zlib
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import h5py
@@ -15,52 +17,90 @@ import numpy as np
 from numpy.typing import NDArray
 
 Values = NDArray[np.generic] | Iterable[bytes | memoryview]
-Content = tuple[str, tuple[int, ...], Values]
-"""Kind, shape and values of a dataset."""
+_ROWS = 16384
+"""Rows that are looked at together where a dataset is not in chunks."""
 
 
-def of(contents: Mapping[str, Content]) -> str:
-    """Return the digest of {path: content}."""
-    digest = hashlib.sha256()
-    for path in sorted(contents):
-        kind, shape, values = contents[path]
-        digest.update(f"{path} {kind} {shape}\n".encode())
-        if isinstance(values, np.ndarray):
-            digest.update(np.ascontiguousarray(values).data)
-        else:
-            for item in values:
-                digest.update(len(item).to_bytes(8, "little"))
-                digest.update(item)
-    return digest.hexdigest()
+@dataclass(frozen=True)
+class Digest:
+    """The SHA-256 of an archive, and the CRC-32 of each of its datasets by path."""
+
+    sha256: str
+    parts: Mapping[str, int]
 
 
-def numbers(values: NDArray[np.generic]) -> Content:
-    """Return an array as `of` takes it."""
-    little = values.astype(values.dtype.newbyteorder("<"), copy=False)
-    return little.dtype.str[1:], values.shape, little
+class Part:
+    """The CRC-32 of one dataset, fed some rows at a time."""
+
+    def __init__(self, kind: str, shape: tuple[int, ...]) -> None:
+        self.crc = zlib.crc32(f"{kind} {shape}".encode())
+
+    def add(self, values: Values) -> None:
+        """Take the next rows."""
+        _feed(values, self._take)
+
+    def _take(self, data: Any) -> None:
+        self.crc = zlib.crc32(data, self.crc)
 
 
-def texts(values: Iterable[str], shape: tuple[int, ...]) -> Content:
-    """Return texts as `of` takes them."""
-    return "str", shape, [value.encode() for value in values]
+def kind_of(values: NDArray[np.generic] | h5py.Dataset) -> str:
+    """Return the kind of numbers, whatever their order of bytes."""
+    return str(values.dtype.str[1:])
 
 
-def of_file(file: h5py.File) -> str:
-    """Return the digest of what an open archive holds."""
-    contents: dict[str, Content] = {}
+def little(values: NDArray[np.generic]) -> NDArray[np.generic]:
+    """Return numbers as they are digested."""
+    return values.astype(values.dtype.newbyteorder("<"), copy=False)
+
+
+def of_file(file: h5py.File) -> Digest:
+    """Return the digest of what an open archive holds, read some rows at a time."""
+    paths: list[str] = []
 
     def visit(path: str, node: Any) -> None:
         if isinstance(node, h5py.Dataset):
-            contents[path] = _read(node)
+            paths.append(path)
 
     file.visititems(visit)
-    return of(contents)
+    whole = hashlib.sha256()
+    parts: dict[str, int] = {}
+    for path in sorted(paths):
+        # One dataset is open at a time: each has a cache of its own.
+        node = file[path]
+        kind, pieces = _read(node)
+        shape = node.shape
+        whole.update(f"{path} {kind} {shape}\n".encode())
+        part = Part(kind, shape)
+        for values in pieces:
+            _feed(values, whole.update)
+            part.add(values)
+        parts[path] = part.crc
+    return Digest(whole.hexdigest(), parts)
 
 
-def _read(node: h5py.Dataset) -> Content:
+def _read(node: h5py.Dataset) -> tuple[str, Iterator[Values]]:
+    """Return the kind of a dataset, and its values some rows at a time."""
     if h5py.check_string_dtype(node.dtype) is not None:
-        values = node.asstr()[()]
-        return texts([values] if node.shape == () else list(values), node.shape)
+        return "str", ([word.encode() for word in np.atleast_1d(words)] for words in _slices(node.asstr(), node.shape))
     if h5py.check_vlen_dtype(node.dtype) is not None:
-        return "bytes", node.shape, (node[index].tobytes() for index in range(len(node)))
-    return numbers(np.asarray(node[()]))
+        return "bytes", ([node[index].tobytes()] for index in range(len(node)))
+    rows = node.chunks[0] if node.chunks else _ROWS
+    pieces = (np.asarray(values) for values in _slices(node, node.shape, rows))
+    return kind_of(node), (little(values) for values in pieces)
+
+
+def _slices(node: Any, shape: tuple[int, ...], rows: int = _ROWS) -> Iterator[Any]:
+    if shape == ():
+        yield node[()]
+        return
+    for low in range(0, shape[0], rows):
+        yield node[low : low + rows]
+
+
+def _feed(values: Values, take: Callable[[Any], None]) -> None:
+    if isinstance(values, np.ndarray):
+        take(np.ascontiguousarray(values).data)
+        return
+    for item in values:
+        take(len(item).to_bytes(8, "little"))
+        take(item)

@@ -2,15 +2,39 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 PA_PER_BAR = 1e5
+CHUNK_ROWS = 16384
+"""Rows of a chunk of a dataset, and rows that are held at once."""
 
 Value = NDArray[np.generic] | np.generic | str | int | float | list[str]
+
+
+class Table(Protocol):
+    """Rows that are too many to hold at once."""
+
+    def __len__(self) -> int: ...
+
+    def __getitem__(self, part: slice) -> Any: ...
+
+
+def pieces(table: Table) -> Iterator[Any]:
+    """Go through a table, as many rows at a time as a chunk of a dataset holds."""
+    return (table[low : low + CHUNK_ROWS] for low in range(0, len(table), CHUNK_ROWS))
+
+
+@dataclass(frozen=True)
+class Column:
+    """What is made of every row of a table; `of` is given some rows at a time, or none, and returns as many values."""
+
+    table: Table
+    of: Callable[[Any], NDArray[np.generic] | list[str] | list[memoryview]]
 
 
 @dataclass(frozen=True)
@@ -18,7 +42,7 @@ class Field:
     """One dataset. `scales` names the dataset of the same group that labels each dimension."""
 
     name: str
-    value: Value
+    value: Value | Column
     units: str = ""
     about: str = ""
     scales: tuple[str, ...] = ()
@@ -31,7 +55,7 @@ class Pictures:
     """The encoded pictures (K,), each of its own length."""
 
     name: str
-    data: Sequence[memoryview]
+    data: Column
     scales: tuple[str, ...]
     about: str
 

@@ -25,7 +25,8 @@ from numpy.typing import NDArray
 from runs import blocks, messages
 from runs.blocks import Block, Damage
 from runs.messages import ADAPTATIONS, EVENTS, FOOTER, HEADER, MARKS, OBSERVATIONS, PICTURES, SAMPLES
-from runs.records import Event, Marks, Picture, RunFooter, RunHeader, adaptation_dtype, observation_dtype, sample_dtype
+from runs.records import Event, Picture, RunFooter, RunHeader, adaptation_dtype, observation_dtype, sample_dtype
+from runs.stored import Index, StoredPictures, StoredRows
 
 SUFFIX = ".mcap"
 SYNC_S = 1.0
@@ -199,28 +200,19 @@ def block_of_header(header: RunHeader, rows: Mapping[int, np.dtype[np.void]]) ->
 
 
 @dataclass(frozen=True)
-class StoredPicture:
-    """A picture in a journal; `data` is a view of the mapped file."""
-
-    t_ns: int
-    frame: int
-    camera: str
-    encoding: str
-    data: memoryview
-    marks: Marks
-
-
-@dataclass(frozen=True)
 class Journal:
-    """What a journal holds. `footer` is None where the run was cut off; `damage` is what could not be read."""
+    """What a journal holds. `footer` is None where the run was cut off; `damage` is what could not be read.
+
+    Rows and pictures stay in the file until a slice of them is taken.
+    """
 
     header: RunHeader
     footer: RunFooter | None
-    samples: NDArray[np.void]
-    observations: NDArray[np.void]
-    adaptations: NDArray[np.void]
+    samples: StoredRows
+    observations: StoredRows
+    adaptations: StoredRows
     events: tuple[Event, ...]
-    pictures: tuple[StoredPicture, ...]
+    pictures: StoredPictures
     damage: tuple[Damage, ...]
 
 
@@ -232,7 +224,7 @@ def read(path: Path | str) -> Journal:
             data = memoryview(b"" if empty else mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ))
     except OSError as fault:
         raise JournalError(f"cannot read {path}: {fault.strerror}") from fault
-    contents = _Contents()
+    contents = _Contents(data)
     for piece in blocks.scan(data):
         if isinstance(piece, Damage):
             contents.damage.append(piece)
@@ -250,79 +242,58 @@ def read(path: Path | str) -> Journal:
 class _Contents:
     """Collects the contents of a journal block by block."""
 
-    def __init__(self) -> None:
+    def __init__(self, data: memoryview) -> None:
         self.header: RunHeader | None = None
         self.footer: RunFooter | None = None
-        self.forms: dict[int, np.dtype[np.void]] = {}
-        self.rows: dict[int, list[NDArray[np.void]]] = {SAMPLES: [], OBSERVATIONS: [], ADAPTATIONS: []}
+        self.data = data
+        self.stored: dict[int, np.dtype[np.void]] = {}
+        self.rows = {channel: Index() for channel in (SAMPLES, OBSERVATIONS, ADAPTATIONS)}
         self.events: list[Event] = []
-        self.pictures: list[StoredPicture] = []
-        self.marks: dict[tuple[int, str], Marks] = {}
+        self.pictures = StoredPictures(data)
         self.damage: list[Damage] = []
 
     def take(self, piece: Block) -> None:
-        for channel, form in self.forms.items():
-            rows = blocks.unframe_rows(piece.content, form, channel)
-            if rows is not None:
-                self.rows[channel].append(rows)
+        for channel, stored in self.stored.items():
+            form = blocks.framed(stored)
+            if rows := blocks.framed_rows(piece.content, form, channel):
+                self.rows[channel].add(piece.begin + (form.itemsize - stored.itemsize), rows)
                 return
-        for opcode, body in piece.records():
+        for opcode, position, body in piece.records():
             if opcode == Opcode.CHANNEL:
                 self._channel(blocks.decode_channel(body))
             elif opcode == Opcode.MESSAGE:
-                channel, log_ns, payload = blocks.decode_message(body)
-                self._message(channel, log_ns, payload)
+                channel, _, payload = blocks.decode_message(body)
+                self._message(channel, position, payload)
 
     def _channel(self, channel: Channel) -> None:
         if "dtype" in channel.metadata:
-            self.forms[channel.id] = blocks.framed(messages.dtype_from_json(channel.metadata["dtype"]))
+            # The first block stands twice; rows of one channel are all of one dtype.
+            self.stored.setdefault(channel.id, messages.dtype_from_json(channel.metadata["dtype"]))
 
-    def _message(self, channel: int, log_ns: int, payload: memoryview) -> None:
+    def _message(self, channel: int, position: int, payload: memoryview) -> None:
         if channel == HEADER:
             self.header = messages.from_json(RunHeader, payload.tobytes())
+            self.pictures.utc_minus_t_ns = self.header.started_utc_ns - self.header.started_t_ns
         elif channel == FOOTER:
             self.footer = messages.from_json(RunFooter, payload.tobytes())
         elif channel == EVENTS:
             self.events.append(messages.from_json(Event, payload.tobytes()))
         elif channel == MARKS:
-            frame, camera, marks = messages.marks_from_bytes(payload.tobytes())
-            self.marks[frame & 0xFFFFFFFF, camera] = marks
-        elif channel == PICTURES and self.header is not None:
-            frame, camera, encoding, begin = messages.picture_from_bytes(payload[:512].tobytes())
-            t_ns = log_ns - self.header.started_utc_ns + self.header.started_t_ns
-            marks = self.marks.pop((frame, camera), Marks.none())
-            self.pictures.append(StoredPicture(t_ns, frame, camera, encoding, payload[begin:], marks))
+            self.pictures.mark(position)
+        elif channel == PICTURES:
+            self.pictures.picture(position)
 
     def journal(self, header: RunHeader) -> Journal:
-        kinds = {
-            SAMPLES: sample_dtype(header.actuators, header.valves),
-            OBSERVATIONS: observation_dtype(header.actuators, len(header.cameras)),
-            ADAPTATIONS: adaptation_dtype(len(header.adapted)),
-        }
-        samples, observations, adaptations = (
-            _as_rows(np.concatenate(self.rows[channel]), kind) if self.rows[channel] else np.zeros(0, kind)
-            for channel, kind in kinds.items()
-        )
+        def rows(channel: int, kind: np.dtype[np.void]) -> StoredRows:
+            return StoredRows(self.data, self.stored.get(channel, kind), kind, self.rows[channel])
+
         return Journal(
             header=header,
             footer=self.footer,
-            samples=samples,
-            observations=observations,
-            adaptations=adaptations,
+            samples=rows(SAMPLES, sample_dtype(header.actuators, header.valves)),
+            observations=rows(OBSERVATIONS, observation_dtype(header.actuators, len(header.cameras))),
+            adaptations=rows(ADAPTATIONS, adaptation_dtype(len(header.adapted))),
             events=tuple(self.events),
-            pictures=tuple(self.pictures),
+            pictures=self.pictures,
             damage=tuple(self.damage),
         )
-
-
-def _as_rows(rows: NDArray[np.void], kind: np.dtype[np.void]) -> NDArray[np.void]:
-    """Return rows as those of today: the journal of another version may lack a column, which is then NaN or 0."""
-    if rows.dtype == kind:
-        return rows
-    known = np.zeros(len(rows), kind)
-    for name in kind.names or ():
-        if rows.dtype.names and name in rows.dtype.names and rows[name].shape == known[name].shape:
-            known[name] = rows[name]
-        elif kind[name].base.kind == "f":
-            known[name] = np.nan
-    return known
