@@ -23,7 +23,8 @@ import runs
 from rig import experiment
 from runs.records import Level
 from runs.run import Run
-from scripts.faults.realtime import WatchedRun
+from scripts.faults.catalogue import CONDUCTOR, CONTROL
+from scripts.faults.realtime import WatchedRun, lives
 from scripts.faults.virtual import Listener
 
 PROTOCOL = """
@@ -38,6 +39,9 @@ SLOW_CAMERA_HZ = 5
 """Pictures a second of the virtual day: a rendered picture costs ten times what a tick does."""
 GROWTH_MB, GROWTH_SHARE = 8.0, 0.03
 """What resident memory may grow by over the second half: noise of the allocator."""
+FINALISING_LOOK_S = 0.05
+FINALISING_MB = 100.0
+"""What making the archive may take, however long the run was."""
 
 
 @dataclass
@@ -73,6 +77,14 @@ class Growth:
             f"{self.files[half]} -> {self.files[-1]} open files{'' if sound else '  GROWS'}"
         )
 
+    def peak(self, before: Growth) -> tuple[bool, str]:
+        """Compare the most that was taken with what the process had before."""
+        if not self.memory_mb:
+            return True, "while finalising: too short to see"
+        most, had = max(self.memory_mb), before.memory_mb[-1]
+        sound = most - had < FINALISING_MB
+        return sound, f"while finalising: peak {most:.1f} MB, {had:.1f} MB before{'' if sound else '  TOO MUCH'}"
+
 
 def real(duration_s: float) -> bool:
     """One run in real time."""
@@ -81,14 +93,21 @@ def real(duration_s: float) -> bool:
         try:
             run.wait_until_moving().close()
             grown = {name: Growth() for name in run.members}
+            finalising = Growth()
             while run.process.poll() is None:
-                for name, growth in grown.items():
-                    growth.look(run.members[name])
-                time.sleep(LOOK_S if duration_s > 20 * LOOK_S else 0.5)
+                # The conductor makes the archive when the others have gone: a matter of its own.
+                if lives(run.members[CONTROL]):
+                    for name, growth in grown.items():
+                        growth.look(run.members[name])
+                    time.sleep(LOOK_S if duration_s > 20 * LOOK_S else 0.5)
+                else:
+                    finalising.look(run.process.pid)
+                    time.sleep(FINALISING_LOOK_S)
         finally:
             run.close()
         (archive,) = run.out.glob("*.h5")
         verdicts = [growth.verdict(name) for name, growth in grown.items()]
+        verdicts.append(finalising.peak(grown[CONDUCTOR]))
         return _report(f"{duration_s:.0f} s in real time", verdicts, runs.open(archive))
 
 

@@ -172,7 +172,7 @@ class WatchedRun:
                 safe_ns = int(registers.outputs["written_ns"].max())
             if self.process.poll() is not None:
                 ended = ended or now
-                left = [name for name in (WATCHDOG, CONTROL, OBSERVER) if _lives(self.members[name])]
+                left = [name for name in (WATCHDOG, CONTROL, OBSERVER) if lives(self.members[name])]
                 if now - ended > ENDED_S and not left:
                     break
             time.sleep(0.001)
@@ -355,7 +355,8 @@ def _children(parent: int) -> dict[str, int]:
     return found
 
 
-def _lives(pid: int) -> bool:
+def lives(pid: int) -> bool:
+    """True while a process is there and not stopped."""
     try:
         state = Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0]
     except OSError:
