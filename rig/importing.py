@@ -219,7 +219,7 @@ def _pressures(columns: Columns, mapping: Mapping) -> tuple[Floats, Floats]:
                 columns.warn(f"column {column} never falls below {lowest}: is it absolute? The mapping says gauge")
         return raw_pa, off_pa
     if asked.ambient_bar is not None:
-        off_pa[:] = asked.ambient_bar * PA_PER_BAR
+        off_pa[:] = np.array(asked.ambient_bar) * PA_PER_BAR
     elif asked.ambient_rows is not None:
         off_pa = _vented(columns, mapping, raw_pa, asked.ambient_rows)
     for column, ambient in zip(asked.columns, off_pa / PA_PER_BAR, strict=True):

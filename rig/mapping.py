@@ -61,6 +61,10 @@ Uncertainty = Annotated[
     Discriminator(_list_or_one),
 ]
 
+AmbientBar = Annotated[
+    Annotated[Bar, Tag("all")] | Annotated[tuple[Bar, ...], Tag("each")], Discriminator(_list_or_one)
+]
+
 
 def _number_or_name(value: Any) -> str:
     return "number" if isinstance(value, int) else "name"
@@ -125,7 +129,7 @@ class Pressures(Section):
     unit: PressureUnits
     reading: Literal["absolute", "gauge"]
     ambient_rows: Count | SkipJsonSchema[None] = Field(default=None, description="first rows, with the arm vented")
-    ambient_bar: Bar | SkipJsonSchema[None] = None
+    ambient_bar: AmbientBar | SkipJsonSchema[None] = Field(default=None, description="of all columns, or of each")
 
     @model_validator(mode="after")
     def _check(self) -> Pressures:
@@ -137,6 +141,9 @@ class Pressures(Section):
             found.append(Fault((), "absolute pressures need ambient_rows or ambient_bar"))
         elif len(given) == 2:
             found.append(Fault(("ambient_bar",), "ambient_rows or ambient_bar, not both"))
+        if isinstance(self.ambient_bar, tuple) and len(self.ambient_bar) != len(self.columns):
+            wish = f"one pressure, or one for each of the {len(self.columns)} columns, not {len(self.ambient_bar)}"
+            found.append(Fault(("ambient_bar",), wish))
         faults(found)
         return self
 
@@ -249,6 +256,8 @@ class Wrench(Section):
     """A measured wrench at the tip. `at_mm` is where it is measured, from the tool centre point along the axes named.
 
     `axes`: of the tracker (of the base sensor, where its orientation is used), or of the tip sensor, turning with it.
+    A load cell that stands otherwise on the tip: `rotation_deg`, a rotation vector, turns vectors of its axes into the
+    tip sensor's; or in the first `aligned_rows` its axes stood as the tracker's.
     """
 
     force: Force
@@ -256,6 +265,24 @@ class Wrench(Section):
     axes: Literal["tracker", "tip"]
     on: Literal["arm", "surroundings"] = Field(default="arm", description="what the numbers say is pushed")
     at_mm: Triple = (0.0, 0.0, 0.0)
+    zero_rows: Count | SkipJsonSchema[None] = Field(
+        default=None, description="first rows, with nothing pulling: their mean is taken off"
+    )
+    aligned_rows: Count | SkipJsonSchema[None] = Field(
+        default=None, description="first rows, in which the load cell's axes stood as the tracker's"
+    )
+    rotation_deg: Triple | SkipJsonSchema[None] = Field(
+        default=None, description="rotation vector, from the load cell's axes to the tip sensor's"
+    )
+
+    @model_validator(mode="after")
+    def _check(self) -> Wrench:
+        given = [name for name in ("aligned_rows", "rotation_deg") if getattr(self, name) is not None]
+        if self.axes == "tracker":
+            faults([Fault((name,), "nothing: the wrench's axes are the tracker's") for name in given])
+        elif len(given) == 2:
+            faults([Fault(("rotation_deg",), "aligned_rows or rotation_deg, not both")])
+        return self
 
 
 class Mapping(Section):

@@ -10,11 +10,17 @@ from scipy.spatial.transform import Rotation
 
 from calibration.frames import Rigid
 from protocols.problems import Problem
-from rig.mapping import METRES, NEWTON_METRES, NEWTONS, BaseSensor, Mapping, Orientation, Position
+from rig.mapping import METRES, NEWTON_METRES, NEWTONS, BaseSensor, Mapping, Orientation, Position, Wrench
 from rig.reading import MOST_PROBLEMS, Columns
 
 UNIT = 0.01
 """A quaternion's norm may be off by this: trackers write three or four digits."""
+QUIET_N = 0.2
+"""A force that nothing exerts does not wander farther than this."""
+STANDING_DEG = 2.0
+"""Nor does a tip that stands still turn farther than this."""
+LONGEST_LEVER_M = 1.0
+"""A wrench at a tip has no longer lever than this."""
 
 Floats = NDArray[np.float64]
 
@@ -31,20 +37,27 @@ def wrench(columns: Columns, mapping: Mapping) -> Floats:
     moment = np.zeros_like(force)
     if asked.moment is not None:
         moment = columns.several(asked.moment.columns, (NEWTON_METRES[asked.moment.unit],) * 3)
+    turn = np.eye(3)[None]
     if asked.axes == "tip":
         assert mapping.tip is not None
         assert mapping.tip.orientation is not None
         turn = _matrices(columns, mapping.tip.orientation, "tip")
-    else:
-        turn = np.eye(3)[None]
     base = None
     if mapping.base is not None and mapping.base.orientation is not None and mapping.base.orientation.use == "turn":
         base = _base_turn(columns, mapping.base)
     if columns.problems:
         return np.zeros((1, 6))
+    if asked.zero_rows is not None:
+        force, moment = _zeroed(columns, asked, force, moment)
+    _doubt_lever(columns, force, moment)
     moment = moment + np.cross(np.array(asked.at_mm) * 1e-3, force)
     frame = Rigid.from_vectors(np.radians(mapping.frame.rotation_deg), (0.0, 0.0, 0.0)).rotation
-    turn = frame @ (turn if base is None else base @ turn)
+    turn = turn if base is None else base @ turn
+    if asked.rotation_deg is not None:
+        turn = turn @ Rotation.from_rotvec(asked.rotation_deg, degrees=True).as_matrix()
+    if asked.aligned_rows is not None:
+        turn = turn @ _at_first(columns, turn, asked.aligned_rows).T
+    turn = frame @ turn
     found = np.concatenate(
         [np.einsum("nij,nj->ni", np.broadcast_to(turn, (len(v), 3, 3)), v) for v in (force, moment)], 1
     )
@@ -54,6 +67,46 @@ def wrench(columns: Columns, mapping: Mapping) -> Floats:
             columns.table.problem(int(row), asked.force.columns[0], "nothing, or no orientation", wish)
         )
     return found if asked.on == "arm" else -found
+
+
+def _zeroed(columns: Columns, asked: Wrench, force: Floats, moment: Floats) -> tuple[Floats, Floats]:
+    """Force and moment (n, 3) without their means over the first rows, in which nothing pulls."""
+    rows = asked.zero_rows
+    first = np.concatenate([force, moment], 1)[:rows]
+    if len(first) < (rows or 0) or not np.isfinite(first).any(axis=0).all():
+        wish = f"a wrench in the first {rows} rows, as zero_rows says"
+        columns.problems.append(columns.table.problem(0, asked.force.columns[0], f"{len(first)} rows", wish))
+        return force, moment
+    if (spread := float(np.ptp(first[:, :3], axis=0).max())) > QUIET_N:
+        said = (
+            f"the force moves by {spread:.3g} N within the first {rows} rows, whose mean is taken for nothing pulling"
+        )
+        columns.warn(said)
+    means = np.nanmean(first, axis=0)
+    return force - means[:3], moment - means[3:]
+
+
+def _at_first(columns: Columns, turn: Floats, rows: int) -> Floats:
+    """Mean rotation (3, 3) of the first of some rotations (n, 3, 3)."""
+    known = np.isfinite(turn[:rows]).all(axis=(1, 2))
+    if not known.any():
+        columns.problems.append(
+            Problem(columns.table.file, 0, 0, "", "no orientation", f"one in the first {rows} rows")
+        )
+        return np.eye(3)
+    first = Rotation.from_matrix(turn[:rows][known])
+    mean = first.mean()
+    if (spread := float(np.degrees((first * mean.inv()).magnitude().max()))) > STANDING_DEG:
+        columns.warn(f"the tip turns by {spread:.2g} degrees within the first {rows} rows, which align the wrench")
+    return np.asarray(mean.as_matrix())
+
+
+def _doubt_lever(columns: Columns, force: Floats, moment: Floats) -> None:
+    """Warn of moments (n, 3) that no arm's length makes of the forces (n, 3): one of the units is another."""
+    pull, turning = (float(np.nanmax(np.abs(v), initial=0.0)) for v in (force, moment))
+    if turning > LONGEST_LEVER_M * pull > 0:
+        said = f"the moment reaches {turning:.3g} N m where the force stays below {pull:.3g} N: are their units right?"
+        columns.warn(said)
 
 
 def placed(columns: Columns, mapping: Mapping) -> tuple[Floats, Floats]:

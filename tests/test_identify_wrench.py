@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from import_bench import warnings_of
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
@@ -49,6 +50,15 @@ TIP = """wrench:
   on: surroundings
   at_mm: [0, 5, 10]
 """
+# A load cell that stands askew on the tip sensor, so that its axes are the tracker's while nothing pulls.
+CELL = """wrench:
+  force: {columns: [cx, cy, cz], unit: N}
+  moment: {columns: [dx, dy, dz], unit: N mm}
+  axes: tip
+  aligned_rows: 4
+  zero_rows: 4
+"""
+ZERO_N, ZERO_N_M = np.array([0.3, -0.2, 1.0]), np.array([2e-3, 0.0, -1e-3])
 
 
 def pulled(pressure: Array, force: Array, moment: Array) -> tuple[Array, Array]:
@@ -67,17 +77,21 @@ def pulled(pressure: Array, force: Array, moment: Array) -> tuple[Array, Array]:
 def table(tmp_path_factory: pytest.TempPathFactory) -> Path:
     rng = np.random.default_rng(8)
     names = ["t", "p1", "p2", "p3", "x", "y", "z", "qw", "qx", "qy", "qz"]
-    names += [a + b for a in "fmgh" for b in "xyz"]
+    names += [a + b for a in "fmghcd" for b in "xyz"]
     rows = [",".join(names)]
+    straight = pulled(np.zeros(3), np.zeros(3), np.zeros(3))[1]
     for k in range(40):
-        bar = np.array([0.5 * np.sin(k / 13) ** 2, 0.3 * np.sin(k / 17) ** 2, 0.0])
-        force, moment = rng.uniform(-1, 1, 3), rng.uniform(-0.01, 0.01, 3)
+        going = max(k - 4, 0)
+        bar = np.array([0.5 * np.sin(going / 13) ** 2, 0.3 * np.sin(going / 17) ** 2, 0.0])
+        force, moment = rng.uniform(-1, 1, 3) * bool(going), rng.uniform(-0.01, 0.01, 3) * bool(going)
         tip, rotation = pulled(bar * 1e5, force, moment)
         # The same wrench as a load cell on the tip says it: what the arm does to it, elsewhere, along its own axes.
         own_force = -rotation.T @ force
         own_moment = -rotation.T @ moment - np.cross(AT_M, own_force)
+        back = straight @ rotation.T
         q = Rotation.from_matrix(rotation).as_quat()[[3, 0, 1, 2]]
         numbers = [k / 20, *bar, *(1e3 * tip), *q, *force, *(1e3 * moment), *own_force, *(1e3 * own_moment)]
+        numbers += [*(back @ force + ZERO_N), *(1e3 * (back @ moment + ZERO_N_M))]
         rows.append(",".join(f"{x:.9f}" for x in numbers))
     file = tmp_path_factory.mktemp("pulled") / "pulled.csv"
     file.write_text("\n".join(rows) + "\n", encoding="utf-8")
@@ -90,7 +104,16 @@ def bring(table: Path, mapping: str, folder: Path) -> Run:
     return runs.open(import_table(table, file, folder).archive)
 
 
-@pytest.mark.parametrize("wrench", [TRACKER, TIP])
+def turned_as(straight: Array) -> str:
+    """How the load cell stands on the tip sensor, as a mapping says it."""
+    x, y, z = np.degrees(Rotation.from_matrix(straight).inv().as_rotvec())
+    return f"rotation_deg: [{x:.7f}, {y:.7f}, {z:.7f}]"
+
+
+STATED = CELL.replace("aligned_rows: 4", turned_as(pulled(np.zeros(3), np.zeros(3), np.zeros(3))[1]))
+
+
+@pytest.mark.parametrize("wrench", [TRACKER, TIP, CELL, STATED])
 def test_the_wrench_of_any_stated_frame_predicts_the_tip(table: Path, tmp_path: Path, wrench: str) -> None:
     poses = as_if_at_rest(bring(table, HEAD + wrench, tmp_path))
     assert len(poses) == 40
@@ -114,6 +137,10 @@ def test_a_pulled_arm_tells_its_law_without_any_pressure_free(table: Path, tmp_p
     [
         ("axes: tip", "axes: world", "tracker"),
         ("unit: N mm", "unit: lb", "N mm"),
+        ("unit: N}", "unit: kg}", "mN"),
+        ("axes: tip", "axes: tracker\n  aligned_rows: 4", "tracker's"),
+        ("axes: tip", "axes: tip\n  aligned_rows: 4\n  rotation_deg: [0, 0, 1]", "not both"),
+        ("axes: tip", "axes: tip\n  zero_rows: 50", "50"),
         ("[gx, gy, gz]", "[gx, gy]", "force"),
         ("[gx, gy, gz]", "[gx, gy, p1]", "already used"),
         ("  orientation: {columns: [qw, qx, qy, qz], order: wxyz}\n", "", "orientation"),
@@ -122,6 +149,14 @@ def test_a_pulled_arm_tells_its_law_without_any_pressure_free(table: Path, tmp_p
 def test_a_wrench_that_cannot_be_placed_is_refused(table: Path, tmp_path: Path, old: str, new: str, said: str) -> None:
     text = HEAD + TIP
     assert old in text
-    with pytest.raises(BadInput, match=r"mapping\.yaml") as bad:
+    with pytest.raises(BadInput, match=r"mapping\.yaml|pulled\.csv") as bad:
         bring(table, text.replace(old, new), tmp_path)
     assert said in str(bad.value)
+
+
+def test_a_wrench_that_is_doubtful_is_imported_with_a_warning(table: Path, tmp_path: Path) -> None:
+    said = warnings_of(bring(table, HEAD + CELL.replace("N mm", "N m").replace("rows: 4", "rows: 20"), tmp_path))
+    assert "are their units right?" in said
+    assert "whose mean is taken for nothing pulling" in said
+    assert "degrees within the first 20 rows" in said
+    assert warnings_of(bring(table, HEAD + CELL, tmp_path)).count("\n") == 0

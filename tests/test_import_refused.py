@@ -134,6 +134,10 @@ class TestMapping:
             (("unit: bar", "unit: [bar, bar]"), ("mapping.yaml:4:33", "one for each of the 1 columns")),
             (("reading: gauge", "reading: absolute"), ("mapping.yaml:4", "ambient_rows or ambient_bar")),
             (("reading: gauge", "reading: gauge, ambient_bar: 1"), ("mapping.yaml:4:", "no ambient pressure")),
+            (
+                ("reading: gauge", "reading: absolute, ambient_bar: [1, 1]"),
+                ("mapping.yaml:4", "of the 1 columns, not 2"),
+            ),
             (("first_column: 0, ", ""), ("first_column: 0} or 1", "mapping.yaml:2")),
             (("first_column: 0", "first_column: 1"), ("mapping.yaml:3", "because first_column is 1")),
             (("[2, 3, 4]", "[2, 3, 1]"), ("mapping.yaml:5:34", "1 is already used by pressures")),
