@@ -4,29 +4,39 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 
 import typer
 from rich.table import Table
 
-from calibration.identify.choice import DAMPING, Choice, Row, candidates, choose
+from calibration.identify.choice import Choice, Row, candidates, choose, compared
 from calibration.identify.parameters import Prior
-from rig.identified import poses, setup_of
+from rig.identified import setup_of, shown, waiting
 from rig.listing import plain_json
 from rig.screens import console
 from runs.run import Run
 
 
 def show(
-    archives: Sequence[Run], free: Sequence[str], priors: Mapping[str, Prior], quasi_static: bool, as_json: bool
+    archives: Sequence[Run],
+    free: Sequence[str],
+    priors: Mapping[str, Prior],
+    quasi_static: bool,
+    as_json: bool,
+    scheduler: str | None = None,
+    store: Path | None = None,
 ) -> None:
     """Compare the models on some runs and print the table and the sentence that follows from it.
 
-    `free`: what is free in every model beside its own law; by default the pose of the base.
+    `free`: what is free in every model beside its own law; by default the pose of the base. scheduler, store: as for
+    the bootstrap.
     """
-    data = [poses(run, quasi_static) for run in archives]
+    every = shown(archives, quasi_static)
+    data = [compared(one) for one in every]
     moving = any(one.moving for one in data)
     asked = candidates(setup_of(archives[0]), free or ("base",), moving)
-    found = choose(data, asked, priors)
+    with waiting("fitting") as progress:
+        found = choose(data, asked, priors, scheduler=scheduler, store=store, progress=progress)
     if as_json:
         typer.echo(json.dumps(plain_json(_facts(found)), indent=2))
         return
@@ -50,6 +60,10 @@ def show(
             str(row.dof),
         )
     screen.print(table)
+    for whole, part in zip(every, data, strict=True):
+        if len(part) < len(whole):
+            kept = "first" if whole.moving else "evenly spaced"
+            screen.print(f"{whole.run_id}: {len(part)} {kept} of {len(whole)} frames are compared", soft_wrap=True)
     screen.print(found.sentence, soft_wrap=True)
 
 
@@ -57,8 +71,7 @@ def _damping(row: Row) -> str:
     """Whether the row's model is damped, and how much, if the data say."""
     if not row.candidate.damping:
         return "no"
-    value = row.fit[DAMPING].value
-    return "yes, undecided" if value is None else f"yes, {1e3 * value:.1f} ms"
+    return "yes, undecided" if row.damping_s is None else f"yes, {1e3 * row.damping_s:.1f} ms"
 
 
 def _facts(found: Choice) -> dict[str, object]:
@@ -68,6 +81,7 @@ def _facts(found: Choice) -> dict[str, object]:
             "inhomogeneous": row.candidate.inhomogeneous,
             "radial_effect": row.candidate.radial,
             "damping": row.candidate.damping,
+            "damping_s": row.damping_s,
             "left_out_percent": row.error_percent,
             "left_out_rms_mm": 1e3 * row.error_m,
             "aic": row.aic,

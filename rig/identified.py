@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 
 import typer
@@ -147,9 +148,8 @@ def show(fit: Fit, as_json: bool) -> None:
 def profiled(fit: Fit) -> tuple[Profile, ...]:
     """Profile likelihoods, with a progress bar on the error stream; prints their intervals."""
     screen = console(stderr=True)
-    with _bar("profiles") as bar:
-        job = bar.add_task("profiles", total=None)
-        found = profiles(fit, progress=lambda done, total: bar.update(job, completed=done, total=total))
+    with waiting("profiles") as progress:
+        found = profiles(fit, progress=progress)
     for one in found:
         ends = " .. ".join("open" if end is None else f"{end:.5g}" for end in one.interval)
         said = "flat: the data set it no end" if one.flat else ends
@@ -175,19 +175,20 @@ def told(found: Sequence[Prediction]) -> None:
         console(stderr=True).print(f"{one.run_id} (left out{how}): {said}", soft_wrap=True)
 
 
-def _bar(what: str) -> Progress:
+@contextmanager
+def waiting(what: str) -> Iterator[Callable[[int, int], None]]:
+    """A progress bar on the error stream, with the time left; call what it gives with (done, all)."""
     columns = (TextColumn(what), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    return Progress(*columns, console=console(stderr=True), transient=True)
+    with Progress(*columns, console=console(stderr=True), transient=True) as bar:
+        job = bar.add_task(what, total=None)
+        yield lambda done, total: bar.update(job, completed=done, total=total)
 
 
 def second_opinion(fit: Fit, samples: int, scheduler: str | None, store: Path | None) -> Bootstrap:
     """Bootstrap error bars beside those of the likelihood, with a progress bar on the error stream."""
     screen = console(stderr=True)
-    with _bar("refitting") as bar:
-        job = bar.add_task("refitting", total=samples)
-        found = bootstrap(
-            fit, samples, scheduler=scheduler, store=store, progress=lambda done, _: bar.update(job, completed=done)
-        )
+    with waiting("refitting") as progress:
+        found = bootstrap(fit, samples, scheduler=scheduler, store=store, progress=progress)
     bars = {(e.name, e.run): e.std for e in fit.estimates}
     for name, run, std in zip(found.names, found.runs, found.std, strict=True):
         screen.print(f"{name} {run}: +- {std:.2g} by {samples} refits, {bars[name, run]:.2g} by the likelihood")

@@ -35,6 +35,10 @@ _SAME = 1e-6
 """Lengths and angles are the same within this part of them."""
 
 
+End = Number | Literal["open"]
+"""Of an interval by profile likelihood: 'open' where the data set it none."""
+
+
 class Origin(Section):
     """What was identified: the arm as it was known before, and the model that describes it."""
 
@@ -76,7 +80,7 @@ class Estimate(Section):
     value: Number | None = None
     std: Number | None = None
     interval_95: tuple[Number, Number] | None = None
-    profile_95: tuple[Number | None, Number | None] | None = None
+    profile_95: tuple[End, End] | None = None
     used: Number
     exchangeable_with: tuple[str, ...] = ()
 

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 import model
 from calibration.identify import NoData, Poses, Setup
-from calibration.identify.choice import Candidate, candidates, choose
+from calibration.identify.choice import Candidate, candidates, choose, compared
 from calibration.identify.simulated import Errors, perform, plan
 
 RAMP = np.linspace(0.15e5, 0.65e5, 6)[:, None]
@@ -33,7 +34,7 @@ def some() -> tuple[Candidate, ...]:
 
 def test_an_inhomogeneous_arm_is_recognised_and_the_larger_model_pays() -> None:
     arm = model.Arm.paper()
-    choice = choose(data(replace(arm, material=replace(arm.material, a1_per_n=0.008))), some())
+    choice = choose(data(replace(arm, material=replace(arm.material, a1_per_n=0.008))), some(), workers=1)
     assert [row.candidate.name for row in choice.rows] == [
         "homogeneous",
         "homogeneous+rpe",
@@ -46,11 +47,52 @@ def test_an_inhomogeneous_arm_is_recognised_and_the_larger_model_pays() -> None:
 
 
 def test_a_homogeneous_arm_does_not_pay_for_softening() -> None:
-    choice = choose(data(model.Arm.paper("homogeneous+rpe")), some())
+    choice = choose(data(model.Arm.paper("homogeneous+rpe")), some(), workers=1)
     plain, radial, soft = choice.rows
     assert plain.bic > radial.bic + 10
     assert soft.bic > radial.bic - 10
     assert radial.error_m < 3e-4
+
+
+def test_a_comparison_that_was_broken_off_goes_on_where_it_was_and_says_how_far_it_is(tmp_path: Path) -> None:
+    made, asked, steps = data(model.Arm.paper()), some()[:1], []
+
+    def stop(done: int, total: int) -> None:
+        steps.append((done, total))
+        if done == 2:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        choose(made, asked, workers=1, store=tmp_path, progress=stop)
+    kept = {file: file.stat().st_mtime_ns for file in tmp_path.iterdir()}
+    resumed = choose(made, asked, workers=1, store=tmp_path, progress=lambda *at: steps.append(at))
+    assert len(kept) == 2
+    assert {file: file.stat().st_mtime_ns for file in kept} == kept
+    # One fit to all runs and one without each of three: two before the break, and then from the first kept one on.
+    assert steps == [(1, 4), (2, 4), (1, 4), (2, 4), (3, 4), (4, 4)]
+    assert resumed == choose(made, asked, workers=1)
+
+
+def test_a_damping_that_only_the_run_left_out_could_tell_does_not_leak_into_its_prediction() -> None:
+    arm = model.Arm.paper()
+    damped = replace(arm, material=replace(arm.material, damping_s=0.06))
+    step = np.repeat(np.array([[0.2e5, 0, 0], [0.5e5, 0, 0]]), 20, axis=0)
+    rng = np.random.default_rng(5)
+    moving = perform(plan("step", step, period_s=1 / 30, errors=ERRORS), Setup(damped), rng, ERRORS)
+    one = Candidate("pointwise", START, ("a1_per_n",)).damped()
+    found = choose([*data(damped)[:1], moving], [one], workers=1).rows[0]
+    assert found.damping_s == pytest.approx(0.06, rel=0.05)
+    # Without the motion nothing tells the damping: the candidate predicts with what it started from.
+    assert found.error_m > 5e-4
+
+
+def test_of_very_many_frames_some_are_compared() -> None:
+    still, moving = plan("still", np.zeros((1000, 3))), plan("moving", np.zeros((5000, 3)), period_s=1 / 30)
+    assert len(compared(still)) == 300
+    assert compared(still).time_s[[0, -1]].tolist() == still.time_s[[0, -1]].tolist()
+    assert np.array_equal(compared(moving).time_s, moving.time_s[:2000])
+    few = plan("few", np.zeros((10, 3)))
+    assert compared(few) is few
 
 
 def test_one_run_is_not_enough() -> None:

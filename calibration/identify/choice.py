@@ -4,16 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 import model
 from calibration.identify.data import NoData, Poses
-from calibration.identify.fit import Fit, identify
-from calibration.identify.parameters import Prior, Setup
+from calibration.identify.fit import identify
+from calibration.identify.parameters import Prior, Setup, named
 from calibration.identify.predict import Predictor
 from calibration.identify.prediction import with_zeros
+from calibration.identify.problem import Problem
+from calibration.identify.spread import Progress, spread
 
 Array = NDArray[np.float64]
 
@@ -21,6 +24,12 @@ Array = NDArray[np.float64]
 _WORTH = 10.0
 _DAMPED_FROM_S = 0.01
 DAMPING = "damping_s"
+# Up to so many runs each is left out by itself; of more, so many groups in turn.
+_FOLDS = 10
+# What is compared of each run, so that the slow candidates end too: frames of a motion from its beginning, or poses.
+_MOST_FRAMES, _MOST_POSES = 2000, 300
+# Numbers of a whole fit before its values.
+_FACTS = 4
 
 
 @dataclass(frozen=True)
@@ -61,7 +70,7 @@ class Row:
     """One line of the table.
 
     error_percent: mean distance of a left-out run's tips from their prediction over the tip's own excursion, as in
-    Table 3. error_m: the same distance, rms. dof: fitted numbers.
+    Table 3. error_m: the same distance, rms. dof: fitted numbers. damping_s: what the data say of it, if they do.
     """
 
     candidate: Candidate
@@ -70,7 +79,7 @@ class Row:
     aic: float
     bic: float
     dof: int
-    fit: Fit
+    damping_s: float | None
 
 
 @dataclass(frozen=True)
@@ -108,17 +117,74 @@ def _with_damping(setup: Setup, damping_s: float) -> Setup:
     return replace(setup, arm=replace(setup.arm, material=material))
 
 
-def choose(data: Sequence[Poses], asked: Sequence[Candidate], priors: Mapping[str, Prior] | None = None) -> Choice:
-    """Fit every candidate to all runs, and to all but one in turn to predict that one.
+@dataclass(frozen=True)
+class Fitting:
+    """One task: a candidate fitted to some runs, from where, and the runs that it is to predict then."""
+
+    candidate: Candidate
+    data: tuple[Poses, ...]
+    priors: tuple[tuple[str, Prior], ...]
+    begin: tuple[tuple[str, str, float], ...] = ()
+    unseen: tuple[Poses, ...] = ()
+
+
+def choose(
+    data: Sequence[Poses],
+    asked: Sequence[Candidate],
+    priors: Mapping[str, Prior] | None = None,
+    workers: int | None = None,
+    scheduler: str | None = None,
+    store: Path | None = None,
+    progress: Progress | None = None,
+) -> Choice:
+    """Fit every candidate to all runs, and to all but one in turn to predict that one; of many runs, all but a group.
+
+    The rest is as in `spread`.
 
     Raises:
         NoData: fewer than two runs.
     """
     if len(data) < 2:
         raise NoData("models are compared by predicting runs left out: give at least two runs")
-    rows = tuple(_row(data, candidate, priors) for candidate in asked)
+    folds = min(len(data), _FOLDS)
+    total = len(asked) * (1 + folds)
+
+    def done(before: int) -> Progress | None:
+        return None if progress is None else lambda now, _: progress(before + now, total)
+
+    known = tuple((priors or {}).items())
+    wholes = [Fitting(candidate, tuple(data), known) for candidate in asked]
+    # The slow candidates stand last in the table and are begun first, so that no core is left with one in the end.
+    fitted = spread(whole, wholes[::-1], workers, scheduler, store, done(0))[::-1]
+    names = [_unknowns(task) for task in wholes]
+    parts = [
+        Fitting(
+            task.candidate,
+            tuple(poses for k, poses in enumerate(data) if k % folds != fold),
+            known,
+            tuple((*of, value) for of, value in zip(unknowns, found[_FACTS:].tolist(), strict=True)),
+            tuple(data[fold::folds]),
+        )
+        for task, unknowns, found in zip(wholes, names, fitted, strict=True)
+        for fold in range(folds)
+    ]
+    missed = spread(unseen, parts[::-1], workers, scheduler, store, done(len(asked)))[::-1]
+    rows = tuple(
+        _row(candidate, found, np.concatenate(missed[k * folds : (k + 1) * folds], axis=1))
+        for k, (candidate, found) in enumerate(zip(asked, fitted, strict=True))
+    )
     best = min(rows, key=lambda row: row.error_m)
     return Choice(rows, best, _sentence(rows, best))
+
+
+def compared(poses: Poses) -> Poses:
+    """What of a run is compared: a motion's beginning, or poses evenly spaced, where there are very many."""
+    count = len(poses)
+    if poses.moving:
+        chosen = np.arange(min(count, _MOST_FRAMES))
+    else:
+        chosen = np.unique(np.linspace(0, count - 1, min(count, _MOST_POSES)).round().astype(int))
+    return poses if len(chosen) == count else poses.only(chosen)
 
 
 def excursion(poses: Poses) -> Array:
@@ -129,24 +195,45 @@ def excursion(poses: Poses) -> Array:
     return out
 
 
-def _row(data: Sequence[Poses], candidate: Candidate, priors: Mapping[str, Prior] | None) -> Row:
-    whole = identify(data, candidate.start, candidate.free, priors)
-    errors, shares = [], []
-    for k, left_out in enumerate(data):
-        fit = identify([d for j, d in enumerate(data) if j != k], whole.setup, candidate.free, priors)
-        error = np.linalg.norm(left_out.tip_m - Predictor(left_out, fit.problem.substeps)(with_zeros(fit)), axis=1)
-        known = np.isfinite(error)
-        errors.append(error[known])
-        largest = np.nanmax(excursion(left_out))
-        shares.append(error[known] / largest)
+def whole(task: Fitting) -> Array:
+    """AIC, BIC, fitted numbers and damping (NaN: undecided) of a fit to all runs, then the value of each unknown."""
+    fit = identify(task.data, task.candidate.start, task.candidate.free, dict(task.priors))
+    damping = next((e.value for e in fit.estimates if e.name == DAMPING), None)
+    facts = [fit.aic, fit.bic, float(fit.fitted), np.nan if damping is None else damping]
+    return np.array(facts + [e.used for e in fit.estimates])
+
+
+def unseen(task: Fitting) -> Array:
+    """Distances [m] from each tip of the unseen runs to its prediction, and the same over their run's excursion."""
+    begin = {(name, run): value for name, run, value in task.begin}
+    fit = identify(task.data, task.candidate.start, task.candidate.free, dict(task.priors), begin=begin)
+    setup, found = with_zeros(fit), []
+    for poses in task.unseen:
+        moved, seen = excursion(poses), poses.seen
+        error = np.linalg.norm(poses.tip_m - Predictor(poses, fit.problem.substeps)(setup), axis=1)
+        # A model without a solution foretells no more than an arm that stays where it was.
+        error = np.where(np.isfinite(error), error, moved)[seen]
+        found.append(np.stack([error, error / moved[seen].max()]))
+    return np.concatenate(found, axis=1)
+
+
+def _unknowns(task: Fitting) -> list[tuple[str, str]]:
+    """Name and run of each unknown, in the order of `whole`."""
+    start = task.candidate.start
+    problem = Problem(task.data, start, named(task.candidate.free, start.arm.geometry.actuators))
+    return [(u.parameter.name, "" if u.run is None else task.data[u.run].run_id) for u in problem.unknowns]
+
+
+def _row(candidate: Candidate, found: Array, missed: Array) -> Row:
+    aic, bic, dof, damping = found[:_FACTS].tolist()
     return Row(
         candidate=candidate,
-        error_percent=float(100 * np.concatenate(shares).mean()),
-        error_m=float(np.sqrt((np.concatenate(errors) ** 2).mean())),
-        aic=whole.aic,
-        bic=whole.bic,
-        dof=whole.fitted,
-        fit=whole,
+        error_percent=float(100 * missed[1].mean()),
+        error_m=float(np.sqrt((missed[0] ** 2).mean())),
+        aic=aic,
+        bic=bic,
+        dof=int(dof),
+        damping_s=None if np.isnan(damping) else damping,
     )
 
 

@@ -73,6 +73,20 @@ class Poses:
         """How many pressures there are."""
         return int(self.pressure_pa.shape[1])
 
+    def only(self, chosen: NDArray[np.bool_] | NDArray[np.intp]) -> Poses:
+        """Some of the entries; of a motion they must follow one another."""
+        return replace(
+            self,
+            pressure_pa=self.pressure_pa[chosen],
+            pressure_std_pa=self.pressure_std_pa[chosen],
+            weight_kg=self.weight_kg[chosen],
+            wrench=self.wrench[chosen],
+            tip_m=self.tip_m[chosen],
+            covariance_m2=self.covariance_m2[chosen],
+            frames=self.frames[chosen],
+            time_s=self.time_s[chosen],
+        )
+
 
 def at_rest(run: Run, settle_s: float = SETTLE_S) -> Poses:
     """The plateaus of a run: set-points and weight have stood still for `settle_s` and go on doing so.
@@ -169,7 +183,7 @@ def as_if_at_rest(run: Run) -> Poses:
         NoData: no frame shows the tip.
     """
     motion = in_motion(run)
-    return _only(replace(motion, period_s=0.0), motion.seen)
+    return replace(motion, period_s=0.0).only(motion.seen)
 
 
 def poses_of(run: Run) -> Poses:
@@ -194,26 +208,11 @@ def parted(poses: Poses, until_s: float) -> tuple[Poses, Poses]:
     parts = []
     for inside, which in ((before, "before"), (~before, "after")):
         part = replace(poses, tip_m=np.where(inside[:, None], poses.tip_m, np.nan))
-        part = part if poses.moving else _only(part, inside)
+        part = part if poses.moving else part.only(inside)
         if not part.seen.any():
             raise NoData(f"{poses.run_id} shows no tip {which} {until_s:g} s")
         parts.append(part)
     return parts[0], replace(parts[1], run_id=f"{poses.run_id} from {until_s:g} s")
-
-
-def _only(poses: Poses, chosen: NDArray[np.bool_]) -> Poses:
-    """Some entries (K,) of poses at rest."""
-    return replace(
-        poses,
-        pressure_pa=poses.pressure_pa[chosen],
-        pressure_std_pa=poses.pressure_std_pa[chosen],
-        weight_kg=poses.weight_kg[chosen],
-        wrench=poses.wrench[chosen],
-        tip_m=poses.tip_m[chosen],
-        covariance_m2=poses.covariance_m2[chosen],
-        frames=poses.frames[chosen],
-        time_s=poses.time_s[chosen],
-    )
 
 
 def _usable(run: Run) -> NDArray[np.bool_]:

@@ -67,7 +67,7 @@ def write(fit: Found, path: Path, profiles: Sequence[Profile] = ()) -> Path:
 
 def content(fit: Found, profiles: Sequence[Profile] = ()) -> dict[str, Any]:
     """Everything of a fit that a later reader needs, in plain numbers."""
-    ends = {(p.name, p.run): list(p.interval) for p in profiles}
+    ends = {(p.name, p.run): ["open" if end is None else end for end in p.interval] for p in profiles}
     setup = fit.setup
     start = fit.start.arm
     return {

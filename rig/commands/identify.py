@@ -21,9 +21,10 @@ def identify(
     starts: Annotated[int, typer.Option(help="Starting points of the search.", min=1)] = 1,
     bootstrap: Annotated[int, typer.Option(metavar="N", help="Refit N times for a second opinion on +-.", min=0)] = 0,
     scheduler: Annotated[
-        str | None, typer.Option(metavar="tcp://HOST:PORT", help="Dask scheduler for the refits; default: all cores.")
+        str | None,
+        typer.Option(metavar="tcp://HOST:PORT", help="Dask scheduler for refits and --choose; default: all cores."),
     ] = None,
-    store: Annotated[Path | None, typer.Option(metavar="DIR", help="Keep finished refits there, to resume.")] = None,
+    store: Annotated[Path | None, typer.Option(metavar="DIR", help="Keep what is done there, to resume.")] = None,
     profile: Annotated[bool, typer.Option("--profile", help="Profile likelihood of every shared parameter.")] = False,
     leave_out: Annotated[
         list[Path] | None,
@@ -86,7 +87,7 @@ def identify(
     if choose:
         from rig import choosing
 
-        choosing.show(seen, names, priors, quasi_static, json)
+        choosing.show(seen, names, priors, quasi_static, json, scheduler, store)
         return
     if not seen:
         raise typer.BadParameter("every run is left out: nothing is left to identify from", param_hint="--leave-out")
