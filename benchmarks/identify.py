@@ -1,6 +1,6 @@
 """How honest and how fast identification is: coverage of its error bars, and archives per minute by workers.
 
-Run: python -m benchmarks.identify [--trials 200] [--seed 0] [--workers 2] [--figure FILE]
+Run: python -m benchmarks.identify [--moving] [--trials 200] [--seed 0] [--workers 1 2] [--figure FILE | --archives ..]
 """
 
 from __future__ import annotations
@@ -11,15 +11,22 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 import model
+import runs
 from calibration.identify import figures
 from calibration.identify.data import Poses
 from calibration.identify.fit import identify
 from calibration.identify.parameters import Prior, Setup, named
-from calibration.identify.simulated import coverage, perform, plan
+from calibration.identify.simulated import LAG_PRIOR, Coverage, Errors, Trial, attempt, coverage, perform, plan
+from calibration.identify.spread import spread
+from rig.identified import from_runs
 from runs.figures import save
 
+Array = NDArray[np.float64]
+
+FREE_MOVING = ("damping_s", "density_kg_m3", "sensor_lag_s", "rpe_per_bar")
 FREE = ("law", "rpe_per_bar", "cap_mass_kg", "base_x_m", "base_z_m", "base_ry_rad")
 
 
@@ -40,6 +47,35 @@ def experiment() -> tuple[tuple[Poses, ...], Setup, Setup]:
     return planned, truth, start
 
 
+def motions(trials: int, seed: int) -> list[Trial]:
+    """Eight seconds of two sines each, every time of another arm: its damping, density, RPE and the sensors' delay."""
+    rng = np.random.default_rng([seed, 1])
+    time_s, start = np.arange(240) / 30, Setup(model.Arm.paper())
+    phase = 2 * np.pi * time_s[:, None] * np.array([0.6, 0.9, 0.9]) + np.array([0.0, 1.0, 1.0])
+    planned = plan("two sines", 1e5 * (0.35 + 0.2 * np.sin(phase)), period_s=1 / 30)
+    material = replace(start.arm.material, damping_s=0.02)
+    start = replace(start, arm=replace(start.arm, material=material))
+    tasks = []
+    for k in range(trials):
+        true = replace(
+            material,
+            damping_s=rng.uniform(0.005, 0.03),
+            density_kg_m3=rng.uniform(900.0, 1300.0),
+            rpe_per_bar=rng.uniform(0.048, 0.058),
+        )
+        truth = replace(start, arm=replace(start.arm, material=true), sensor_lag_s=rng.normal(0.0, LAG_PRIOR.std))
+        tasks.append(Trial((planned,), truth, start, FREE_MOVING, Errors(), seed * 1_000_003 + k))
+    return tasks
+
+
+def read_and_identified(files: tuple[Path, ...]) -> Array:
+    """Archives to numbers: what is done with each group of them in the measurement of throughput."""
+    archives = [runs.open(file) for file in files]
+    return np.array(
+        [e.used for e in from_runs(archives, ("law", "rpe_per_bar", "base", "sensor_offsets"), {}).estimates]
+    )
+
+
 def draw(file: Path, seed: int) -> None:
     """Draw the intervals of one simulated identification, with the truth, as its report does."""
     planned, truth, start = experiment()
@@ -50,12 +86,33 @@ def draw(file: Path, seed: int) -> None:
     save(figures.estimates, (9, 5.5), file, fit, (), true)
 
 
+def told(found: Coverage) -> None:
+    """Print how often the intervals held the truth."""
+    for name, share, column in zip(found.names, found.share, found.z.T, strict=True):
+        z = column[np.isfinite(column)]
+        scatter = f"z {z.mean():+.2f} +- {z.std():.2f}" if len(z) else ""
+        print(f"  {name:16s} covered {100 * share:5.1f} % of {len(z)} identified, {scatter}")
+    print(f"  overall          covered {100 * found.overall:5.1f} %")
+
+
+def throughput(files: list[Path], workers: int) -> None:
+    """Print archives per minute, read and identified three at a time."""
+    groups = [tuple(files[k : k + 3]) for k in range(0, len(files), 3)]
+    began = time.perf_counter()
+    spread(read_and_identified, groups, workers)
+    took = time.perf_counter() - began
+    print(f"{workers} workers: {len(files)} archives in {took:.1f} s, {60 * len(files) / took:.0f} a minute")
+
+
 def main() -> None:
-    """Print both tables, or draw."""
+    """Print the tables, or draw."""
     options = argparse.ArgumentParser(description=__doc__)
     options.add_argument("--trials", type=int, default=200)
     options.add_argument("--seed", type=int, default=0)
     options.add_argument("--workers", type=int, nargs="+", default=[2])
+    options.add_argument("--moving", action="store_true", help="coverage of damping, density and delay in motion")
+    options.add_argument("--store", type=Path, help="keep finished trials there, to resume")
+    options.add_argument("--archives", type=Path, nargs="+", help="measure archives per minute with these instead")
     options.add_argument("--figure", type=Path, help="draw one identification there instead (png, pdf, svg)")
     given = options.parse_args()
     if given.figure is not None:
@@ -63,16 +120,22 @@ def main() -> None:
         return
     planned, truth, start = experiment()
     for workers in given.workers:
+        if given.archives:
+            throughput(given.archives, workers)
+            continue
         began = time.perf_counter()
-        found = coverage(planned, truth, start, FREE, given.trials, seed=given.seed, workers=workers)
+        if given.moving:
+            z = np.array(spread(attempt, motions(given.trials, given.seed), workers, store=given.store))
+            found, count = Coverage(FREE_MOVING, z), 1
+        else:
+            found, count = (
+                coverage(planned, truth, start, FREE, given.trials, None, given.seed, workers, store=given.store),
+                len(planned),
+            )
         took = time.perf_counter() - began
-        rate = given.trials * len(planned) / took * 60
-        print(f"{workers} workers: {given.trials} times {len(planned)} runs in {took:.0f} s, {rate:.0f} runs/min")
-        for name, share, column in zip(found.names, found.share, found.z.T, strict=True):
-            z = column[np.isfinite(column)]
-            spread = f"z {z.mean():+.2f} +- {z.std():.2f}" if len(z) else ""
-            print(f"  {name:16s} covered {100 * share:5.1f} % of {len(z)} identified, {spread}")
-        print(f"  overall          covered {100 * found.overall:5.1f} %")
+        rate = given.trials * count / took * 60
+        print(f"{workers} workers: {given.trials} times {count} runs in {took:.0f} s, {rate:.0f} runs/min")
+        told(found)
 
 
 if __name__ == "__main__":

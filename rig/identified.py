@@ -59,7 +59,12 @@ def shown(archives: Sequence[Run], quasi_static: bool = False) -> list[Poses]:
         NoData: no rig, or nothing in a run that can be used.
     """
     setup_of(archives[0])
-    return [poses(run, quasi_static) for run in archives]
+    found = []
+    with waiting("reading") as progress:
+        for run in archives:
+            found.append(poses(run, quasi_static))
+            progress(len(found), len(archives))
+    return found
 
 
 def setup_of(run: Run) -> Setup:

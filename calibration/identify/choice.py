@@ -13,7 +13,7 @@ import model
 from calibration.identify.data import NoData, Poses
 from calibration.identify.fit import identify
 from calibration.identify.parameters import Prior, Setup, named
-from calibration.identify.predict import Predictor
+from calibration.identify.predict import SUBSTEPS, Predictor
 from calibration.identify.prediction import with_zeros
 from calibration.identify.problem import Problem
 from calibration.identify.spread import Progress, spread
@@ -197,7 +197,7 @@ def excursion(poses: Poses) -> Array:
 
 def whole(task: Fitting) -> Array:
     """AIC, BIC, fitted numbers and damping (NaN: undecided) of a fit to all runs, then the value of each unknown."""
-    fit = identify(task.data, task.candidate.start, task.candidate.free, dict(task.priors))
+    fit = identify(task.data, task.candidate.start, task.candidate.free, dict(task.priors), substeps=SUBSTEPS)
     damping = next((e.value for e in fit.estimates if e.name == DAMPING), None)
     facts = [fit.aic, fit.bic, float(fit.fitted), np.nan if damping is None else damping]
     return np.array(facts + [e.used for e in fit.estimates])
@@ -206,11 +206,12 @@ def whole(task: Fitting) -> Array:
 def unseen(task: Fitting) -> Array:
     """Distances [m] from each tip of the unseen runs to its prediction, and the same over their run's excursion."""
     begin = {(name, run): value for name, run, value in task.begin}
-    fit = identify(task.data, task.candidate.start, task.candidate.free, dict(task.priors), begin=begin)
+    candidate = task.candidate
+    fit = identify(task.data, candidate.start, candidate.free, dict(task.priors), begin=begin, substeps=SUBSTEPS)
     setup, found = with_zeros(fit), []
     for poses in task.unseen:
         moved, seen = excursion(poses), poses.seen
-        error = np.linalg.norm(poses.tip_m - Predictor(poses, fit.problem.substeps)(setup), axis=1)
+        error = np.linalg.norm(poses.tip_m - Predictor(poses)(setup), axis=1)
         # A model without a solution foretells no more than an arm that stays where it was.
         error = np.where(np.isfinite(error), error, moved)[seen]
         found.append(np.stack([error, error / moved[seen].max()]))

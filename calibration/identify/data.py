@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d
 
-from calibration.identify.smooth import smoothed
+from calibration.identify.smooth import noise_of, smoothed
 from runs.records import Seen
 from runs.run import Run
 
@@ -154,6 +154,10 @@ def in_motion(run: Run) -> Poses:
     every = np.arange(length)
     samples = _sampled(run)
     course, deviation = smoothed(samples.pa)
+    # Neighbouring values of a course share their errors, which frames do not know of each other: over a whole motion
+    # they tell as much as the samples within each frame.
+    step_s = float(np.median(np.diff(samples.time_s)))
+    deviation = np.maximum(deviation, noise_of(samples.pa) * min(1.0, np.sqrt(step_s * run.header.camera_hz)))
     frame_s = np.interp(every, index, tip.time_s)
     pressure, spread = _at(frame_s, samples.time_s, course), _at(frame_s, samples.time_s, deviation)
     clipped = _at(frame_s, samples.time_s, maximum_filter1d(samples.clipped.astype(float), _NEAR, axis=0)) > 0

@@ -155,12 +155,13 @@ def identify(
     starts: int = 1,
     seed: int = 0,
     begin: Mapping[tuple[str, str], float] | None = None,
+    substeps: int = 0,
 ) -> Fit:
     """Maximum likelihood of the free parameters over all runs, static and moving ones together.
 
     priors: by name. starts: how many starting points; the first is `start`, the others lie around it. begin: values by
     (name, run) that the search begins at instead, say of a fit to nearly the same data; what cannot be told is held at
-    `start` even so.
+    `start` even so. substeps: as of `Problem`.
 
     Raises:
         NoData: no measured tip.
@@ -173,7 +174,7 @@ def identify(
         raise NoData("the runs are of arms with different numbers of actuators")
     parameters = named(free, actuators)
     priors = {p.name: prior for name, prior in (priors or {}).items() for p in named([name], actuators)}
-    problem = Problem(data, start, parameters, priors)
+    problem = Problem(data, start, parameters, priors, substeps=substeps)
     joint, ends = _best(problem, _first(problem) if begin is None else _at(problem, begin), starts, seed)
     held, loose = _held(problem, joint)
     solution = problem.solve(joint.z * _kept(problem, held), sorted(held)) if held else joint

@@ -67,6 +67,7 @@ class Solution:
 class Problem:
     """Which runs, from where, what is free and what is known beforehand.
 
+    substeps: time steps per frame of a motion, by default as many as what is free needs.
     For the bootstrap: entry_weights, per run (K,), how often each entry counts (None: once), and prior_shift, by how
     many standard deviations each prior's mean is moved, in the order of the unknowns that have one.
     """
@@ -77,6 +78,7 @@ class Problem:
     priors: Mapping[str, Prior] = field(default_factory=dict)
     entry_weights: Sequence[Array] | None = None
     prior_shift: Array | None = None
+    substeps: int = 0
 
     def __post_init__(self) -> None:
         shared = [Unknown(p, None, p.read(self.start), p.span(p.read(self.start))) for p in self.free if not p.per_run]
@@ -87,8 +89,8 @@ class Problem:
             for run in range(len(self.data))
         ]
         self.unknowns = (*shared, *own)
-        inertia = any(p.name == "density_kg_m3" for p in self.free)
-        self.substeps = FINE_SUBSTEPS if inertia else SUBSTEPS
+        fast = any(p.name in ("density_kg_m3", "damping_s", "sensor_lag_s") for p in self.free)
+        self.substeps = self.substeps or (FINE_SUBSTEPS if fast else SUBSTEPS)
         self._predictors = [Predictor(poses, self.substeps) for poses in self.data]
         self._pressure: tuple[Array, list[Array]] | None = None
         self._slopes: tuple[Array, tuple[int, ...], list[Array]] | None = None
@@ -183,6 +185,8 @@ class Problem:
             slope = -np.einsum("kij,kjn->kin", weights[run].whitener, slopes[run])
             seen = poses.seen
             time = correlation_time(residual[seen]) if poses.moving else 1.0
+            # Errors that the weights count, but that hardly show, need not be counted twice.
+            time = max(1.0, time * min(1.0, float((residual[seen] ** 2).mean())))
             correlation.append(time)
             damp, slope_d = damped(residual, slope)
             assert slope_d is not None

@@ -12,15 +12,23 @@ from numpy.typing import NDArray
 from calibration.identify.data import Poses
 from calibration.identify.fit import identify
 from calibration.identify.parameters import Prior, Setup, named
-from calibration.identify.predict import Predictor
+from calibration.identify.predict import FINE_SUBSTEPS, Predictor
+from calibration.identify.smooth import smoothed
 from calibration.identify.spread import Progress, spread
 
 Array = NDArray[np.float64]
 
+LAG_PRIOR = Prior(0.0, 0.005)
+# Of the pressures in each frame of a motion.
+_SAMPLES = 7
+
 
 @dataclass(frozen=True)
 class Errors:
-    """What goes wrong in measuring: standard deviations, per axis of the tip and per sensor."""
+    """What goes wrong in measuring: standard deviations, per axis of the tip and per sensor.
+
+    pressure_pa: of a plateau's mean, or of the mean of the samples within one frame of a motion.
+    """
 
     tip_m: tuple[float, float, float] = (2e-4, 4e-4, 2e-4)
     pressure_pa: float = 50.0
@@ -48,15 +56,30 @@ def plan(
 
 
 def perform(planned: Poses, truth: Setup, rng: np.random.Generator, errors: Errors | None = None) -> Poses:
-    """Do a planned experiment on a simulated arm; its pressures are the true ones, the result's the measured ones."""
+    """Do a planned experiment on a simulated arm; its pressures are the true ones, the result's the measured ones.
+
+    Those of a motion come as late as `truth` says and are smoothed, as those of an archive.
+    """
     errors = errors or Errors()
-    shape = planned.pressure_pa.shape
-    tips = Predictor(planned)(replace(truth, sensor_offset_pa=(), sensor_gain=()))
-    offset = rng.normal(0.0, errors.offset_pa, shape[1]) if errors.offset_pa else np.zeros(shape[1])
-    noise = rng.normal(0.0, 1.0, shape) * errors.pressure_pa
+    true_pa = planned.pressure_pa
+    tips = Predictor(planned, FINE_SUBSTEPS)(replace(truth, sensor_offset_pa=(), sensor_gain=(), sensor_lag_s=0.0))
+    offset = rng.normal(0.0, errors.offset_pa, planned.actuators) if errors.offset_pa else np.zeros(planned.actuators)
+
+    def read(pressure_pa: Array, noise_pa: float) -> Array:
+        noise = rng.normal(0.0, 1.0, pressure_pa.shape) * noise_pa
+        out: Array = pressure_pa * np.array(truth.sensor_gain) + offset + noise
+        return out
+
+    if planned.moving:
+        sampled_s = np.linspace(0.0, planned.time_s[-1], _SAMPLES * (len(planned) - 1) + 1)
+        late_s = sampled_s - truth.sensor_lag_s
+        late_pa = np.stack([np.interp(late_s, planned.time_s, column) for column in true_pa.T], axis=1)
+        measured_pa = smoothed(read(late_pa, errors.pressure_pa * _SAMPLES**0.5))[0][::_SAMPLES]
+    else:
+        measured_pa = read(true_pa, errors.pressure_pa)
     return replace(
         planned,
-        pressure_pa=planned.pressure_pa * np.array(truth.sensor_gain) + offset + noise,
+        pressure_pa=measured_pa,
         tip_m=tips + rng.standard_normal((len(planned), 3)) * np.array(errors.tip_m),
     )
 
@@ -119,14 +142,17 @@ def coverage(
 
 
 def attempt(trial: Trial) -> Array:
-    """Errors (n,) of one trial in standard deviations, NaN where a parameter was not identified."""
+    """Errors (n,) of one trial in standard deviations, NaN where a parameter was not identified.
+
+    Free are the sensors' zeros, too, if they err; a sensor's delay is believed to be as `LAG_PRIOR` says.
+    """
     rng = np.random.default_rng(trial.seed)
     data = [perform(planned, trial.truth, rng, trial.errors) for planned in trial.planned]
-    free, priors = list(trial.free), {}
+    free, priors = list(trial.free), {"sensor_lag_s": LAG_PRIOR}
     if trial.errors.offset_pa:
         free.append("sensor_offsets")
         actuators = data[0].actuators
-        priors = {f"sensor_{n + 1}_offset_pa": Prior(0.0, trial.errors.offset_pa) for n in range(actuators)}
+        priors |= {f"sensor_{n + 1}_offset_pa": Prior(0.0, trial.errors.offset_pa) for n in range(actuators)}
     fit = identify(data, trial.start, free, priors)
     out = []
     for parameter in named(trial.free, data[0].actuators):
