@@ -27,7 +27,7 @@ from rig.listing import plain_json
 from rig.optics import rigid
 from rig.parameters import laid_over
 from rig.parameters import read as read_parameters
-from rig.rig_file import parse, path_of, text
+from rig.rig_file import load, parse, path_of, text
 from rig.screens import console
 from runs.figures import save
 from runs.run import Run
@@ -53,12 +53,11 @@ def poses(run: Run, quasi_static: bool = False) -> Poses:
 
 
 def shown(archives: Sequence[Run], quasi_static: bool = False) -> list[Poses]:
-    """What identification takes from some runs, of which the first names the rig.
+    """What identification takes from some runs.
 
     Raises:
-        NoData: no rig, or nothing in a run that can be used.
+        NoData: nothing in a run can be used.
     """
-    setup_of(archives[0])
     found = []
     with waiting("reading") as progress:
         for run in archives:
@@ -73,8 +72,6 @@ def setup_of(run: Run) -> Setup:
     Raises:
         NoData: the archive, of an import, names no rig.
     """
-    if not run.header.rig_yaml:
-        raise NoData(f"{run.path}: the archive holds no rig; name one in the import's mapping (rig: FILE)")
     return Setup(model_arm(_rig_of(run)))
 
 
@@ -94,27 +91,57 @@ def truth_of(run: Run) -> dict[str, float]:
 
 
 def from_runs(archives: Sequence[Run], free: Sequence[str], priors: Mapping[str, Prior]) -> Fit:
-    """Identify the arm of some whole runs, as `from_poses` does."""
-    return from_poses(archives[0], shown(archives), free, priors)
+    """Identify the arm of some whole runs, as `from_poses` does, from the arm of the first run's rig.
+
+    Raises:
+        NoData: no rig, or nothing in a run that can be used.
+    """
+    config = _rig_of(archives[0])
+    return from_poses(config, shown(archives), free, priors)
+
+
+def starting_rigs(first: Run, named: Sequence[str]) -> dict[str, RigConfig]:
+    """The rigs that the search starts from, by name or file: those that are named, or else the first run's own.
+
+    Raises:
+        BadInput: a rig that is named.
+        NoData: none is named, and the archive, of an import, has none.
+    """
+    return {name: load(name) for name in named} or {first.header.rig_name: _rig_of(first)}
+
+
+def likeliest(
+    rigs: Mapping[str, RigConfig],
+    data: Sequence[Poses],
+    free: Sequence[str],
+    priors: Mapping[str, Prior],
+    starts: int = 1,
+) -> Fit:
+    """Identify from each rig's arm and take what makes the runs likeliest; says so where there are several."""
+    fits = {name: from_poses(config, data, free, priors, starts) for name, config in rigs.items()}
+    best = max(fits, key=lambda name: fits[name].log_likelihood)
+    for name, fit in fits.items() if len(fits) > 1 else ():
+        taken = ", taken" if name == best else ""
+        said = f"from {name}: log likelihood {fit.log_likelihood:.1f}, rms {1e3 * fit.rms_m:.3f} mm{taken}"
+        console(stderr=True).print(said, soft_wrap=True)
+    return fits[best]
 
 
 def from_poses(
-    first: Run, data: Sequence[Poses], free: Sequence[str], priors: Mapping[str, Prior], starts: int = 1
+    config: RigConfig, data: Sequence[Poses], free: Sequence[str], priors: Mapping[str, Prior], starts: int = 1
 ) -> Fit:
-    """Identify an arm from what runs show of it; where nothing is said, the start is the arm of the first run's rig.
+    """Identify an arm from what runs show of it, beginning at a rig's.
 
-    The sensors' accuracy, as their rig states it, is the prior of their offsets. Where a motion is to tell damping or
+    The sensors' accuracy, as the rig states it, is the prior of their offsets. Where a motion is to tell damping or
     density, the sensors' delay, which passes for either, is free with a prior of 5 ms.
     """
-    start = setup_of(first)
-    config = _rig_of(first)
     chosen = tuple(free) or (DEFAULT_HOMOGENEOUS if config.model.variant.startswith("homogeneous") else DEFAULT)
     moving = any(one.moving for one in data) and {"damping_s", "density_kg_m3"} & set(chosen)
     if moving and "sensor_lag_s" not in chosen:
         chosen = (*chosen, "sensor_lag_s")
     accuracy = max(sensor.accuracy_bar for sensor in config.sensors) * PA_PER_BAR / 2
     believed = {"sensor_offsets": Prior(0.0, accuracy), "sensor_lag_s": Prior(0.0, SENSOR_LAG_STD_S), **priors}
-    return identify(data, start, chosen, believed, starts)
+    return identify(data, Setup(model_arm(config)), chosen, believed, starts)
 
 
 def show(fit: Fit, as_json: bool) -> None:
@@ -176,7 +203,8 @@ def told(found: Sequence[Prediction]) -> None:
     """How well runs that were left out are predicted."""
     for one in found:
         how = ", under its measured wrench" if one.pulled else ""
-        said = f"rms {1e3 * one.rms_before_m:.3f} -> {1e3 * one.rms_m:.3f} mm, mean {1e3 * one.mean_m:.3f} mm"
+        said = f"rms {1e3 * one.rms_before_m:.3f} -> {1e3 * one.rms_m:.3f} mm, "
+        said += f"mean {1e3 * one.mean_m:.3f} mm, 95 % below {1e3 * one.most_m:.3f} mm"
         console(stderr=True).print(f"{one.run_id} (left out{how}): {said}", soft_wrap=True)
 
 
@@ -201,4 +229,8 @@ def second_opinion(fit: Fit, samples: int, scheduler: str | None, store: Path | 
 
 
 def _rig_of(run: Run) -> RigConfig:
+    if not run.header.rig_yaml:
+        raise NoData(
+            f"{run.path}: the archive holds no rig; name one in the import's mapping (rig: FILE), or with --start"
+        )
     return parse(run.header.rig_yaml, f"{run.path}: the rig's YAML")

@@ -144,9 +144,27 @@ def test_the_rest_of_a_run_is_predicted_and_drawn(
     assert "before, rms" in picture.read_text()
 
 
+def test_of_several_starts_the_likeliest_is_taken(
+    bench: dict[str, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    upright = tmp_path / "upright.yaml"
+    upright.write_text(
+        text("mock").replace("  cap_mass_g: 50\n\n", "  cap_mass_g: 50\n  gravity_direction: [0, 0, -1]\n\n")
+    )
+    rig(bench["weights"], bench["one"], "--free", "law,rpe_per_bar", "--start", str(upright), "--start", "mock")
+    said = capsys.readouterr()
+    found = {name: float(x) for name, x in re.findall(r"from (\S+): log likelihood (-?[\d.]+)", said.err)}
+    assert found["mock"] > found[str(upright)] + 100
+    assert re.findall(r"from (\S+): .*, taken", said.err) == ["mock"]
+    assert re.search(rf"a1_per_n +{TRUE['a1_per_n']:.5f}"[:-1], said.out)
+
+
 @pytest.mark.parametrize(
     ("options", "said"),
     [
+        (["--every", "2"], "say --quasi-static"),
+        (["--start", "mock", "--choose"], "neither --choose nor --paper"),
+        (["--start", "nowhere"], "there is no such file"),
         (["--figure", "x.png"], "nothing is predicted"),
         (["--until", "3", "--paper"], "neither --choose nor --paper"),
         (["--until", "1e6"], "shows no tip after"),

@@ -38,6 +38,11 @@ class Prediction:
         return float(np.nanmean(self.error_m))
 
     @property
+    def most_m(self) -> float:
+        """What 95 % of the distances by the fit stay below."""
+        return float(np.nanpercentile(self.error_m, 95))
+
+    @property
     def rms_before_m(self) -> float:
         """Root mean square distance by the setup that the fit started from."""
         return float(np.sqrt(np.nanmean(self.before_m**2)))

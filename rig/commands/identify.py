@@ -18,6 +18,13 @@ def identify(
     prior: Annotated[
         list[str] | None, typer.Option(metavar="NAME=MEAN+-STD", help="What is known beforehand; may be repeated.")
     ] = None,
+    start: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="RIG",
+            help="Rig to start from, a name or a file, instead of the first run's; of several the likeliest wins.",
+        ),
+    ] = None,
     starts: Annotated[int, typer.Option(help="Starting points of the search.", min=1)] = 1,
     bootstrap: Annotated[int, typer.Option(metavar="N", help="Refit N times for a second opinion on +-.", min=0)] = 0,
     scheduler: Annotated[
@@ -37,6 +44,12 @@ def identify(
     quasi_static: Annotated[
         bool, typer.Option("--quasi-static", help="Take every frame as an equilibrium, as of slow imported motions.")
     ] = False,
+    every: Annotated[
+        int,
+        typer.Option(
+            metavar="N", help="Of --quasi-static, identify from every Nth frame: neighbours tell the same.", min=1
+        ),
+    ] = 1,
     choose: Annotated[
         bool, typer.Option("--choose", help="Compare the paper's models by predicting each run from the others.")
     ] = False,
@@ -55,6 +68,8 @@ def identify(
     json: AsJson = False,
 ) -> None:
     """Find an arm's parameters from runs, with error bars, or say that the runs do not tell them."""
+    import numpy as np
+
     import runs
     from calibration.identify import Prior, parted
     from calibration.identify.document import write
@@ -72,6 +87,12 @@ def identify(
             priors[name] = Prior(float(mean), float(std))
         except ValueError as fault:
             raise typer.BadParameter(f"'{item}' is not of the form NAME=MEAN+-STD", param_hint="--prior") from fault
+    if every > 1 and not quasi_static:
+        raise typer.BadParameter(
+            "only frames taken as equilibria can be left out: say --quasi-static", param_hint="--every"
+        )
+    if start and (choose or paper):
+        raise typer.BadParameter("neither --choose nor --paper takes it", param_hint="--start")
     if (until is not None or figure is not None) and (choose or paper):
         raise typer.BadParameter("neither --choose nor --paper takes it", param_hint="--until, --figure")
     if figure is not None and until is None and not leave_out:
@@ -91,12 +112,18 @@ def identify(
         return
     if not seen:
         raise typer.BadParameter("every run is left out: nothing is left to identify from", param_hint="--leave-out")
+    rigs = identified.starting_rigs(seen[0], start or [])
     data = identified.shown(seen, quasi_static)
+    for name, config in rigs.items():
+        if config.actuators != data[0].actuators:
+            said = f"{name} has {config.actuators} actuators, the runs have {data[0].actuators}"
+            raise typer.BadParameter(said, param_hint="--start")
     later = []
     if until is not None:
         parts = [parted(poses, until) for poses in data]
         data, later = [part[0] for part in parts], [part[1] for part in parts]
-    fit = identified.from_poses(seen[0], data, names, priors, starts)
+    data = [poses.only(np.arange(0, len(poses), every)) for poses in data]
+    fit = identified.likeliest(rigs, data, names, priors, starts)
     identified.show(fit, json)
     later += [identified.poses(runs.open(path), quasi_static) for path in unseen]
     predictions = [predict(fit, poses) for poses in later]
