@@ -38,13 +38,21 @@ class Settings:
     limits: interlocks.Settings
 
 
+REJOIN_S = 0.1
+"""How long scans may keep coming late after a standstill, as a card or its simulator catches up."""
+
+
 class State(NamedTuple):
-    """What one tick hands to the next. Once `trip` is set every command is the safe one."""
+    """What one tick hands to the next. Once `trip` is set every command is the safe one.
+
+    `rejoined_ns` is when the last standstill ended after which the interlocks gave the pressures time to come back.
+    """
 
     scan_t_ns: int | None
     valves: tuple[Regulated, ...]
     watches: tuple[Watch, ...]
     trip: Trip | None = None
+    rejoined_ns: int | None = None
 
 
 class Command(NamedTuple):
@@ -95,7 +103,8 @@ def step(
     """Take a sample, the set-points (N,) [Pa] and their rates of change (N,) [Pa/s]; give the valve voltages.
 
     Without a new scan the valves keep their voltages for three periods; then those that meter flow are closed, and in
-    the end the samples count as stale.
+    the end the samples count as stale. After a standstill of this program each reference begins anew at the measured
+    pressure, from where it is led back within the rate limit.
     """
     if state.trip is None:
         state = _step(settings, state, sample, setpoint_pa.tolist(), rate_pa_s.tolist())
@@ -121,6 +130,8 @@ def _step(settings: Settings, state: State, sample: Sample, setpoint: list[float
     dt = min(max(passed, SHORTEST_STEP_PERIODS * settings.period_s), LONGEST_STEP_PERIODS * settings.period_s)
 
     pressure, volts = sample.pressure_pa.tolist(), sample.volts.tolist()
+    if sample.stood_still_ns and passed >= LONGEST_STEP_PERIODS * settings.period_s:
+        state = _rejoin(limits, state, sample.t_ns, pressure)
     watches = []
     for i, watch in enumerate(state.watches):
         valve = state.valves[settings.valve_of[i]]
@@ -137,4 +148,17 @@ def _step(settings: Settings, state: State, sample: Sample, setpoint: list[float
         target = sum(setpoint[a] for a in s.actuators) / n
         slope = sum(rate[a] for a in s.actuators) / n
         valves.append(regulator.step(s, valve, dt, mean, target, slope))
-    return State(sample.scan_t_ns, tuple(valves), tuple(watches), trip)
+    return State(sample.scan_t_ns, tuple(valves), tuple(watches), trip, state.rejoined_ns)
+
+
+def _rejoin(limits: interlocks.Settings, state: State, t_ns: int, pressure: list[float]) -> State:
+    """Begin anew from where the valves, which nobody steered, have let the pressures go.
+
+    The interlocks give the time of a step to come back; a machine that stands still again and again gets it once.
+    """
+    state = state._replace(valves=tuple(valve._replace(reference_pa=math.nan) for valve in state.valves))
+    since_s = math.inf if state.rejoined_ns is None else (t_ns - state.rejoined_ns) * 1e-9
+    if REJOIN_S < since_s < 2 * limits.tracking_s:
+        return state
+    watches = tuple(interlocks.anew(watch, pa) for watch, pa in zip(state.watches, pressure, strict=True))
+    return state._replace(watches=watches, rejoined_ns=t_ns if since_s > REJOIN_S else state.rejoined_ns)

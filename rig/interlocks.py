@@ -171,6 +171,11 @@ def broken(s: Settings, sample: Sample) -> Trip | None:
     return None
 
 
+def anew(watch: Watch, pressure_pa: float) -> Watch:
+    """Forget what was asked of a pressure and not reached: nobody steered it. Where it is and how fast stays known."""
+    return watch._replace(left_pa=pressure_pa, left_reference_pa=pressure_pa, left_s=0.0, still_s=0.0, astray_s=0.0)
+
+
 def step(
     s: Settings, i: int, watch: Watch, dt_s: float, t_ns: int, volts: float, pressure_pa: float, asked: Asked
 ) -> tuple[Watch, Trip | None]:

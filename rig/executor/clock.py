@@ -57,6 +57,35 @@ def wait_until(deadline_ns: int) -> int:
     return now
 
 
+class Silence:
+    """For how long a process has given no sign of life, counting only the time in which somebody watched.
+
+    A look that comes late by itself proves nothing of the other one: the machine may have stood still as a whole. It
+    counts as one period, and the other goes on being watched from there. Late looks one after the other are a machine
+    that is merely busy, and count in full.
+    """
+
+    def __init__(self, period_ns: int, overslept_ns: int) -> None:
+        """Looks are due every `period_ns`; those farther apart than `overslept_ns` count as late."""
+        self._period_ns, self._overslept_ns = period_ns, overslept_ns
+        self._looked_ns = self._heartbeat_ns = 0
+        self._silent_ns = 0
+        self._late = False
+
+    def look(self, now_ns: int, heartbeat_ns: int) -> int:
+        """Return the silence [ns] at a look; `heartbeat_ns` is when the last sign of life was given."""
+        since, self._looked_ns = now_ns - self._looked_ns, now_ns
+        late = since >= self._overslept_ns
+        watched = self._period_ns if late and not self._late else since
+        self._late = late
+        if heartbeat_ns != self._heartbeat_ns:
+            self._heartbeat_ns = heartbeat_ns
+            self._silent_ns = min(now_ns - heartbeat_ns, watched)
+        else:
+            self._silent_ns += watched
+        return self._silent_ns
+
+
 def stolen_ms() -> int:
     """CPU time that the hypervisor took from this machine since boot, all cores, in ms; 0 where it is not told."""
     try:

@@ -14,7 +14,7 @@ from rig.bench import Bench, open_bench
 from rig.daq.base import CardError
 from rig.executor import clocks
 from rig.executor.child import Job, orphaned, receive
-from rig.executor.clock import become_ordinary, become_real_time, wait_until
+from rig.executor.clock import Silence, become_ordinary, become_real_time, wait_until
 from rig.executor.memory import RunMemory, Stage, Stop
 from rig.executor.tick import Ticker
 from rig.executor.venting import PATIENCE_S, Venting
@@ -106,6 +106,7 @@ def _run(job: Job, memory: RunMemory, bench: Bench) -> str:
     memory.beat("control", time.monotonic_ns())
     memory.say("control", Stage.RUNNING, memory.message("control"))
     tick = skipped = skips = 0
+    watchdogs = Silence(period, WATCHDOG_SILENT_NS // 10)
     while True:
         deadline = go + tick * period
         now = wait_until(deadline)
@@ -117,7 +118,7 @@ def _run(job: Job, memory: RunMemory, bench: Bench) -> str:
             return disturbance
         if orphaned(job):
             return "the conductor died"
-        if now - memory.heartbeat_ns("watchdog") > WATCHDOG_SILENT_NS:
+        if watchdogs.look(now, memory.heartbeat_ns("watchdog")) > WATCHDOG_SILENT_NS:
             return "the watchdog is silent"
         while skips < memory.get("skips"):
             skips += 1

@@ -14,6 +14,7 @@ from rig.playback import Position, advance, skip
 from runs.records import sample_dtype
 
 STOOD_STILL_NS = 20_000_000
+LONGEST_MEAN_PERIODS = 2
 EXCUSED_NS = 100_000_000
 """What a card, or its simulator, gets to deliver the scans of a time in which this process stood still."""
 
@@ -70,8 +71,12 @@ class Ticker:
         self.lost += scans.lost
         if len(scans.t_ns):
             self._scan_t_ns = int(scans.t_ns[-1])
+            pressure_pa = scans.pressure_pa
+            if scans.t_ns[0] < self._scan_t_ns - LONGEST_MEAN_PERIODS * self.period_ns:
+                # A mean over a time in which nobody looked is where the pressure was and not where it is.
+                pressure_pa = pressure_pa[scans.t_ns > self._scan_t_ns - self.period_ns]
             # What NumPy's mean computes, in half its time.
-            self._pressure_pa = np.add.reduce(scans.pressure_pa) / len(scans.pressure_pa)
+            self._pressure_pa = np.add.reduce(pressure_pa) / len(pressure_pa)
             self._volts = scans.volts[-1]
         return len(scans.t_ns)
 

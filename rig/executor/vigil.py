@@ -20,6 +20,7 @@ CLEARED = 0.2
 """A trouble is over once its share has fallen to this part of what it was announced at."""
 LATE_S = 0.25
 STANDSTILL_S = 0.5
+STOOD_STILL_S = 0.1
 
 _SEEN = {
     Seen.NO_BOARD: "no board in the picture: light, lens cap, something before the camera?",
@@ -68,6 +69,13 @@ class Vigil:
         """Control ticks (n,) of `runs.records.sample_dtype`, in their order."""
         for row in rows:
             missed, t_ns = int(row["missed"]), int(row["t_ns"])
+            if row["lateness_ns"] > STOOD_STILL_S * 1e9:
+                yield _warning(
+                    t_ns,
+                    "control",
+                    f"control stood still for {row['lateness_ns'] * 1e-9:.2f} s, the valves at their last voltages; "
+                    "the pressures are led back to their set-points within the rate limit",
+                )
             trouble = self._missing
             match trouble.judge(t_ns, self._tick_s * (missed + 1), missed / (missed + 1)):
                 case True:

@@ -14,7 +14,7 @@ import time
 
 from rig.daq.base import CardError
 from rig.executor.child import receive
-from rig.executor.clock import become_ordinary, become_real_time
+from rig.executor.clock import Silence, become_ordinary, become_real_time
 from rig.executor.grip import Grip
 from rig.executor.memory import RunMemory, Stage, Stop
 
@@ -23,6 +23,7 @@ CONDUCTOR_HUNG_NS = 2_000_000_000
 GRACE_NS = 100_000_000
 """What control gets to make the bench safe by itself after the conductor is gone."""
 OVERSLEPT_NS = 8_000_000
+"""A look that comes so late says nothing of control: both may have stood still."""
 PATIENCE_S = 0.5
 _FLAGS, _PF_EXITING = 6, 0x4
 """The kernel's flags of a process in /proc/PID/stat, counted after the name, and the one of a process that dies."""
@@ -84,8 +85,8 @@ def _watch(memory: RunMemory, conductor_pid: int, grip: Grip, hung_ns: int) -> s
     control = _watched(poll, control_pid)
     control_stat = _stat_of(control_pid)
     conductor_gone_ns = 0
-    suspected = vented = False
-    before = time.monotonic_ns()
+    vented = False
+    silence, conductors = (Silence(PERIOD_MS * 1_000_000, OVERSLEPT_NS) for _ in range(2))
     while True:
         exited = _exited(poll, PERIOD_MS)
         now = time.monotonic_ns()
@@ -96,17 +97,12 @@ def _watch(memory: RunMemory, conductor_pid: int, grip: Grip, hung_ns: int) -> s
             # At once, whatever control is busy with; control does the same at its next tick.
             _make_safe(grip, memory, patience_s=0.0)
             vented = True
-        # A machine that stood still as a whole makes every heartbeat old: then look once more, punctually.
-        punctual = now - before < OVERSLEPT_NS
-        before = now
         running = memory.stage("control") == Stage.RUNNING
-        silent = running and now - memory.heartbeat_ns("control") > hung_ns
-        if silent and suspected:
+        silent_ns = silence.look(now, memory.heartbeat_ns("control"))
+        conductor_silent_ns = conductors.look(now, memory.heartbeat_ns("conductor"))
+        if running and silent_ns > hung_ns:
             return "the control process hung"
-        suspected = silent and punctual
-        if not conductor_gone_ns and (
-            conductor in exited or (running and now - memory.heartbeat_ns("conductor") > CONDUCTOR_HUNG_NS)
-        ):
+        if not conductor_gone_ns and (conductor in exited or (running and conductor_silent_ns > CONDUCTOR_HUNG_NS)):
             conductor_gone_ns = now
             memory.set("stop", Stop.SILENT)
             if conductor in exited:
