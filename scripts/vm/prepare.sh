@@ -14,7 +14,7 @@ needs cpio cpio
 needs depmod kmod
 needs make make
 needs gcc gcc
-PATH=$PATH:/sbin:/usr/sbin ldconfig -p | grep -q 'libelf\.so\.1' || missing="$missing libelf1"
+PATH=$PATH:/sbin:/usr/sbin ldconfig -p | grep 'libelf\.so\.1' >/dev/null || missing="$missing libelf1"
 if [ -n "$missing" ]; then
     # shellcheck disable=SC2086
     sh "$here/../packages.sh" "the hardware test" $missing
