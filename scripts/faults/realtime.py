@@ -6,6 +6,7 @@ import contextlib
 import fcntl
 import os
 import random
+import re
 import select
 import signal
 import subprocess
@@ -61,11 +62,19 @@ STILL_S = 0.1
 class WatchedRun:
     """A `rig run` in a process of its own: its members, what it prints, and what its valves are told."""
 
-    def __init__(self, folder: Path, trick: object, environment: dict[str, str], protocol: str = PROTOCOL) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        trick: object,
+        environment: dict[str, str],
+        protocol: str = PROTOCOL,
+        limits: dict[str, float] | None = None,
+    ) -> None:
+        """Start it; `limits` are some of the rig's that are to be others."""
         self.out = folder / "out"
         self.rig_file, self.protocol = folder / "rig.yaml", folder / "protocol.yaml"
         self.device = f"faults-{os.getpid()}-{threading.get_native_id()}"
-        self.rig_file.write_text(rig_text(trick, self.device))
+        self.rig_file.write_text(_limited(rig_text(trick, self.device), limits or {}))
         self.protocol.write_text(protocol)
         self._safe_v = np.array(safe_voltages(rig.rig_file.load(self.rig_file)))
         self._said: list[bytes] = []
@@ -353,6 +362,13 @@ def _children(parent: int) -> dict[str, int]:
         if ppid == parent:
             found |= {name: int(stat.parent.name) for name, module in MODULES.items() if module.encode() in arguments}
     return found
+
+
+def _limited(text: str, limits: dict[str, float]) -> str:
+    for name, value in limits.items():
+        text = re.sub(rf"^  {name}: .*\n", "", text, flags=re.MULTILINE)
+        text = text.replace("\nlimits:\n", f"\nlimits:\n  {name}: {value:g}\n")
+    return text
 
 
 def lives(pid: int) -> bool:
