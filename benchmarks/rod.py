@@ -8,11 +8,13 @@ from __future__ import annotations
 
 import argparse
 import importlib.util
+import json
 import math
 import subprocess
 import sys
 import time
 from collections.abc import Callable
+from pathlib import Path
 
 import numba
 import numpy as np
@@ -26,8 +28,8 @@ Array = NDArray[np.float64]
 BAR = 1e5
 DT = 1 / 30
 # Operations of one lane in one stage of RK4 with a constant stiffness, counted in the machine code of model/rod.py: a
-# multiply-add is two. 257 are the right-hand side, 64 move the stage on and add to the step's sum.
-FLOP_PER_STAGE = 321
+# multiply-add is two. 257 are the right-hand side, 52 move the state on.
+FLOP_PER_STAGE = 309
 LANES = 8
 
 
@@ -64,8 +66,8 @@ def peak_gflops() -> float:
     """Fused multiply-adds on sixteen vectors that stay in the registers or the first cache."""
     x = np.ones(128)
     _burn(x, 1)
-    rounds = 200_000
-    return 2 * 128 * rounds / best(lambda: _burn(x, rounds), 5) / 1e9
+    rounds = 2000  # short, so that some run undisturbed on a busy machine
+    return 2 * 128 * rounds / best(lambda: _burn(x, rounds), 1000) / 1e9
 
 
 def chain_ns() -> float:
@@ -75,34 +77,41 @@ def chain_ns() -> float:
     return best(lambda: _chain(1.0, rounds), 5) / rounds * 1e9
 
 
-def sine(parts: int) -> Array:
-    """The paper's sinusoid on actuator 1 over one second, (parts, 3) [Pa]."""
-    t = np.arange(1, parts + 1) / parts
+def path_of_sine(parts: int) -> Array:
+    """The paper's sinusoid on actuator 1 over one second, (parts + 1, 3) [Pa], from rest on."""
+    t = np.arange(parts + 1) / parts
     return np.stack([0.35 + 0.25 * np.sin(t + 4 * math.pi / 3), 0 * t, 0 * t], axis=1) * BAR
 
 
-def ours(arm: Arm, nodes: int, repeats: int = 30) -> tuple[float, Array]:
+def ours(arm: Arm, nodes: int, repeats: int = 300) -> tuple[float, Array]:
     """Seconds per simulated second at 30 steps, and the tip's path."""
-    path, first = sine(30), (0.35 + 0.25 * math.sin(4 * math.pi / 3)) * BAR
+    path = path_of_sine(30)
     times, tips = [], np.empty(0)
     for _ in range(repeats):
         dynamics = arm.dynamics(DT, nodes=nodes)
-        dynamics.start((first, 0, 0))
+        dynamics.start(path[0])
         start = time.perf_counter()
-        tips = dynamics.run(path).tip_m
+        tips = dynamics.run(path[1:]).tip_m
         times.append(time.perf_counter() - start)
     return min(times), tips
 
 
+def operations(variant: str, nodes: int) -> dict[str, int]:
+    """What that second needs, counted by operations.py, which must not share a process with compiled kernels."""
+    script = Path(__file__).with_name("operations.py")
+    done = subprocess.run([sys.executable, script, variant, str(nodes)], check=True, capture_output=True, text=True)
+    return dict(json.loads(done.stdout))
+
+
 def plain(arm: Arm, space: str, steps: int) -> tuple[float, Array]:
     """The same by the paper's and Till's plain method: scalar shooting, compiled, with MINPACK."""
-    first = (0.35 + 0.25 * math.sin(4 * math.pi / 3)) * BAR
+    path = path_of_sine(30)
     times, tips = [], np.empty(0)
     for _ in range(3):
         rod = PaperRod(arm, DT, space=space, steps=steps)  # type: ignore[arg-type]
-        rod.start((first, 0, 0))
+        rod.start(path[0])
         start = time.perf_counter()
-        tips = np.array([rod.step(p).tip_m for p in sine(30)])
+        tips = np.array([rod.step(p).tip_m for p in path[1:]])
         times.append(time.perf_counter() - start)
     return min(times), tips
 
@@ -129,10 +138,19 @@ def dynamics() -> None:
         assert cheapest is not None
         nodes, seconds = cheapest
         line("at 1e-6 m", f"{seconds * 1e3:.3f} ms", f"N = {nodes}; aim: 0.2 ms")
+        need = operations(variant, nodes)
+        limit = need["all"] / (peak * 1e9)
+        line(
+            "  the same at the arithmetic peak", f"{limit * 1e3:.3f} ms",
+            f"{need['all'] / 1e6:.2f} million operations in {need['passes']} passes, {need['divide']} of them divisions"
+            f" and {need['root']} roots",
+        )  # fmt: skip
+        share = f"{need['all'] / seconds / 1e9:.1f} of {peak:.0f} GFLOP/s; aim: 3 x"
+        line("  of the arithmetic limit", f"{seconds / limit:.1f} x", share)
         if variant == "homogeneous+rpe":
-            # One pass a step is the least that can be done: it gives the value and the six derivatives.
+            # As if there were nothing to do but to integrate, once a step.
             limit = 30 * 4 * nodes * LANES * FLOP_PER_STAGE / (peak * 1e9)
-            line("of one pass a step at the arithmetic peak", f"{seconds / limit:.1f} x", f"limit {limit * 1e3:.3f} ms")
+            line("  of one integration a step", f"{seconds / limit:.1f} x", f"limit {limit * 1e3:.3f} ms")
             for space, steps in (("euler", 50), ("rk4", 12), ("rk4", 25), ("rk4", 50), ("rk4", 200)):
                 slow, tips = plain(arm, space, steps)
                 error = np.abs(tips - exact).max()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -52,7 +52,7 @@ class Dynamics:
         self._coefficients = np.array(
             [self._scheme.c0, self._scheme.c1, self._scheme.c2, self._scheme.c3, self._scheme.d1]
         )
-        self._shape: Shape | None = None
+        self._started = False
 
     @property
     def nodes(self) -> int:
@@ -70,11 +70,11 @@ class Dynamics:
         self._levels = aligned(4, (2 * n + 1) * HISTORY)
         sample_history(self._x, self._slope, resting.length_m / n, self._levels[0])
         self._levels[1:3] = self._levels[0]
-        self._trail = np.stack([self._x] * 3)
+        self._trail = np.stack([self._x] * 2)
         self._before = np.stack([pressure] * 3)
         self._set_loads(loads)
-        self._shape = shape(self._arm, self._problem, self._x, self._slope, ok=True)
-        return self._shape
+        self._started = True
+        return shape(self._arm, self._problem, self._x, self._slope, ok=True)
 
     def step(self, pressure_pa: ArrayLike, loads: Loads | None = None) -> Shape:
         """Advance by one time step under gauge pressures (N,) [Pa], held at the step's end.
@@ -82,7 +82,7 @@ class Dynamics:
         Where the step cannot be solved, the shape is the last good one with ok=False, and the next step goes on from
         it. Raises ValueError for pressures or loads that are not finite or of the wrong shape.
         """
-        if self._shape is None:
+        if not self._started:
             raise ValueError("start(pressure_pa) comes before the first step")
         pressure = pressures(self._arm, pressure_pa)
         if loads is not self._loads:
@@ -95,10 +95,7 @@ class Dynamics:
             self._before, pressure, self._load, self._loaded, self._tip, problem.length_m, self._segments,
             problem.scale, self._coefficients, self._levels, self._trail, self._x, self._slope, self._room, CLOSE,
         )  # fmt: skip
-        if passes < 0:
-            return replace(self._shape, ok=False)
-        self._shape = shape(self._arm, problem, self._x, self._slope, ok=True)
-        return self._shape
+        return shape(self._arm, problem, self._x, self._slope, ok=passes > 0)
 
     def run(self, pressure_pa: ArrayLike) -> Motion:
         """Advance through the rows of pressure_pa (T, N) [Pa] in one call, with the loads of the last step.
@@ -106,7 +103,7 @@ class Dynamics:
         What `step` does T times, without Python in between; a step that cannot be solved keeps the last good tip and
         has ok False. Raises as `step` does.
         """
-        if self._shape is None:
+        if not self._started:
             raise ValueError("start(pressure_pa) comes before the first step")
         rows = np.array(pressure_pa, dtype=np.float64)
         actuators = self._arm.geometry.actuators
@@ -129,7 +126,6 @@ class Dynamics:
             problem.scale, self._coefficients, self._levels, self._trail, self._x, self._slope, self._room, CLOSE,
             problem.centre_m, tips, turns, good,
         )  # fmt: skip
-        self._shape = shape(self._arm, problem, self._x, self._slope, ok=True)
         return Motion(tips, turns, good)
 
     def _set_loads(self, loads: Loads | None) -> None:

@@ -27,6 +27,7 @@ def solve_six(a: Array, b: Array) -> bool:
                 a[i, c], a[p, c] = a[p, c], a[i, c]
             b[i], b[p] = b[p], b[i]
         over = 1.0 / a[i, i]
+        a[i, i] = over
         for r in range(i + 1, n):
             f = a[r, i] * over
             for c in range(i + 1, n):
@@ -36,7 +37,7 @@ def solve_six(a: Array, b: Array) -> bool:
         total = b[i]
         for c in range(i + 1, n):
             total -= a[i, c] * b[c]
-        b[i] = total / a[i, i]
+        b[i] = total * a[i, i]
     return True
 
 

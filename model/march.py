@@ -94,7 +94,8 @@ def equilibrium(
         room.history[j] = 0.0
     set_pressures(w, actuators, rest, per_pressure, free, pressure)
     uniform_guess(w, law, actuators, tip, scale, room)
-    passes = newton(w, law, actuators, load, loaded, tip, 0.0, length, 1, scale, room, tolerance, 20)
+    segments = _divisor(room.x.shape[0] - 1, 1)
+    passes = newton(w, law, actuators, load, loaded, tip, 0.0, length, segments, scale, room, tolerance, 20.0)
     if passes > 0:
         return int(passes)
     return int(
@@ -121,31 +122,61 @@ def _followed(
     room: Room,
     tolerance: float,
 ) -> int:
-    """The equilibrium by following pressures and loads up from nothing, with strides as long as succeed."""
+    """The equilibrium by following pressures and loads up from nothing."""
     x = room.x
     n = x.shape[0] - 1
-    segments = _divisor(n, 4)
-    some, some_load, some_tip = np.zeros_like(pressure), np.zeros_like(load), np.zeros_like(tip)
-    done, stride, total = 0.0, 0.25, 0
-    set_pressures(w, actuators, rest, per_pressure, free, some)
-    uniform_guess(w, law, actuators, some_tip, scale, room)
+    nothing = np.zeros_like(pressure)
+    set_pressures(w, actuators, rest, per_pressure, free, nothing)
+    uniform_guess(w, law, actuators, np.zeros_like(tip), scale, room)
     for c in range(STATE):
         for i in range(LANES):
             w[(NODE + c) * LANES + i] = x[0, c]
-    integrate(w, law, actuators, room.history, some_load, False, 0, n, length / n, room.states, room.derivatives)
+    none, h = np.zeros_like(load), length / n
     for j in range(n):
+        integrate(w, law, actuators, room.history, none, loaded, j, j + 1, h, room.states, room.derivatives)
         for c in range(STATE):
             x[j, c] = room.states[j, c * LANES]
-    good = x.copy()
-    some_tip[:] = tip
+    return int(
+        _led(
+            w, law, actuators, rest, per_pressure, free, nothing, pressure, load, loaded, tip, 0.0, length,
+            _divisor(n, 4), scale, room, tolerance,
+        )
+    )  # fmt: skip
+
+
+@kernel
+def _led(
+    w: Array,
+    law: int,
+    actuators: int,
+    rest: Array,
+    per_pressure: Array,
+    free: float,
+    last: Array,
+    pressure: Array,
+    load: Array,
+    loaded: bool,
+    tip: Array,
+    c0: float,
+    length: float,
+    segments: int,
+    scale: Array,
+    room: Room,
+    tolerance: float,
+) -> int:
+    """Lead the pressures from the last ones to the new ones, and at rest the loads, in strides as long as succeed."""
+    x = room.x
+    good, some, some_load, some_tip = x.copy(), np.empty_like(pressure), load.copy(), tip.copy()
+    done, stride, total = 0.0, 0.125, 0
     while done < 1.0:
         share = min(1.0, done + stride)
-        some[:] = share * pressure
-        some_load[:] = share * load
-        some_tip[:6] = share * tip[:6]
+        some[:] = last + (pressure - last) * share
+        if c0 == 0.0:
+            some_load[:] = share * load
+            some_tip[:6] = share * tip[:6]
         set_pressures(w, actuators, rest, per_pressure, free, some)
         passes = newton(
-            w, law, actuators, some_load, loaded, some_tip, 0.0, length, segments, scale, room, tolerance, 30
+            w, law, actuators, some_load, loaded, some_tip, c0, length, segments, scale, room, tolerance, 40.0
         )
         if passes > 0:
             total += passes
@@ -190,47 +221,6 @@ def sample_history(x: Array, slope: Array, h: float, out: Array) -> None:
             out[at + 12 + c] = over * (x[j + 1, c] - x[j, c]) - 0.25 * (slope[j, c] + slope[j + 1, c])
 
 
-@kernel
-def _led(
-    w: Array,
-    law: int,
-    actuators: int,
-    rest: Array,
-    per_pressure: Array,
-    free: float,
-    last: Array,
-    pressure: Array,
-    load: Array,
-    loaded: bool,
-    tip: Array,
-    c0: float,
-    length: float,
-    segments: int,
-    scale: Array,
-    room: Room,
-    tolerance: float,
-) -> int:
-    """A time step by leading the pressures from the last ones to the new ones, with strides as long as succeed."""
-    x = room.x
-    good, some = x.copy(), np.empty_like(pressure)
-    done, stride, total = 0.0, 0.125, 0
-    while done < 1.0:
-        share = min(1.0, done + stride)
-        some[:] = last + (pressure - last) * share
-        set_pressures(w, actuators, rest, per_pressure, free, some)
-        passes = newton(w, law, actuators, load, loaded, tip, c0, length, segments, scale, room, tolerance, 40)
-        if passes > 0:
-            total += passes
-            done, stride = share, 2.0 * stride
-            good[:] = x
-        else:
-            stride *= 0.25
-            x[:] = good
-            if stride < 1e-3:
-                return -1
-    return total
-
-
 @leaf
 def advance(
     w: Array,
@@ -258,33 +248,33 @@ def advance(
     """One time step. Returns the number of passes, or -1, in which case nothing but work array and room has changed.
 
     scheme: c0, c1, c2, c3, d1. levels (4, (2 N + 1) 18): the last three samples, and the time derivative of the last.
-    trail (3, N + 1, 16) and before (3, N): the last three solutions and their pressures, for the guess: extrapolated
-    where extrapolation foretells the pressures better than the last ones do. Where that fails: more segments, then the
-    pressures led from the last ones to the new ones in parts.
+    trail (2, N + 1, 16): the two solutions before x, where segments start; before (3, N): the last three's pressures;
+    both for the guess, extrapolated where extrapolation foretells the pressures better than the last ones do. Where
+    that fails: more segments, then the pressures led from the last ones to the new ones in parts.
     """
     n = x.shape[0] - 1
     c0, history, y, z = scheme[0], room.history, room.x, room.slope
+    new, old, older, rate = levels[0], levels[1], levels[2], levels[3]
     c1, c2, c3, d1 = scheme[1], scheme[2], scheme[3], scheme[4]
     samples = history.shape[0]
     for j in range(samples):
-        history[j] = c1 * levels[0, j] + c2 * levels[1, j] + c3 * levels[2, j] + d1 * levels[3, j]
+        history[j] = c1 * new[j] + c2 * old[j] + c3 * older[j] + d1 * rate[j]
     set_pressures(w, actuators, rest, per_pressure, free, pressure)
     ahead, off = 0.0, 0.0
     for k in range(actuators):
         off += abs(pressure[k] - before[0, k])
         ahead += abs(pressure[k] - 3.0 * (before[0, k] - before[1, k]) - before[2, k])
-    a, b = (3.0, 1.0) if ahead <= off else (1.0, 0.0)
-    _guess(trail, a, b, y)
-    passes = newton(w, law, actuators, load, loaded, tip, c0, length, segments, scale, room, tolerance, 8)
+    _guess(x, trail, ahead <= off, segments, y)
+    passes = newton(w, law, actuators, load, loaded, tip, c0, length, segments, scale, room, tolerance, 8.0)
     if passes < 0:
         finer = _divisor(n, max(4, 2 * segments))
-        _guess(trail, 1.0, 0.0, y)
-        passes = newton(w, law, actuators, load, loaded, tip, c0, length, finer, scale, room, tolerance, 25)
+        _guess(x, trail, False, finer, y)
+        passes = newton(w, law, actuators, load, loaded, tip, c0, length, finer, scale, room, tolerance, 25.0)
         if passes < 0:
-            _guess(trail, 1.0, 0.0, y)
+            _guess(x, trail, False, finer, y)
             passes = _led(
-                w, law, actuators, rest, per_pressure, free, before[0], pressure, load, loaded, tip, c0, length, finer,
-                scale, room, tolerance,
+                w, law, actuators, rest, per_pressure, free, before[0], pressure, load, loaded, tip, c0, length,
+                finer, scale, room, tolerance,
             )  # fmt: skip
             if passes < 0:
                 return -1
@@ -292,10 +282,12 @@ def advance(
         over = 1.0 / (y[j, 12] ** 2 + y[j, 13] ** 2 + y[j, 14] ** 2 + y[j, 15] ** 2) ** 0.5
         for c in range(12, 16):
             y[j, c] *= over
+    for j in range(0, n, n // segments):
         for c in range(STATE):
-            trail[2, j, c] = trail[1, j, c]
             trail[1, j, c] = trail[0, j, c]
-            trail[0, j, c] = y[j, c]
+            trail[0, j, c] = x[j, c]
+    for j in range(n + 1):
+        for c in range(STATE):
             x[j, c] = y[j, c]
             slope[j, c] = z[j, c]
     for k in range(actuators):
@@ -303,17 +295,18 @@ def advance(
         before[1, k] = before[0, k]
         before[0, k] = pressure[k]
     for j in range(samples):
-        levels[2, j] = levels[1, j]
-        levels[1, j] = levels[0, j]
-    sample_history(x, slope, length / n, levels[0])
+        older[j] = old[j]
+        old[j] = new[j]
+    sample_history(x, slope, length / n, new)
     for j in range(samples):
-        levels[3, j] = c0 * levels[0, j] + history[j]
+        rate[j] = c0 * new[j] + history[j]
     return int(passes)
 
 
 @leaf
-def _guess(trail: Array, a: float, b: float, y: Array) -> None:
-    """The next solution from the last three: a y1 - a b y2 + b y3, quadratic for (3, 1), the last one for (1, 0)."""
-    for j in range(y.shape[0]):
+def _guess(x: Array, trail: Array, ahead: bool, segments: int, y: Array) -> None:
+    """Where each segment starts: the last solution, or ahead of the last three by a parabola."""
+    n = x.shape[0] - 1
+    for j in range(0, n, n // segments):
         for c in range(STATE):
-            y[j, c] = a * (trail[0, j, c] - b * trail[1, j, c]) + b * trail[2, j, c]
+            y[j, c] = 3.0 * (x[j, c] - trail[0, j, c]) + trail[1, j, c] if ahead else x[j, c]

@@ -15,7 +15,7 @@ from model.layout import (
     PULLS,
     SECANTS,
     SHEAR,
-    STAGE,
+    STRAINS,
     TANGENTS,
     TRIO,
     TUBE,
@@ -48,7 +48,7 @@ def _tube(strain: float, a1: float, a2: float, share: float) -> tuple[float, flo
 def _trio(w: Array, i: int):  # type: ignore[no-untyped-def]
     """Sums over the three tubes at TRIO: as they stand from PULLS on, in threes."""
     a1, a2, spread = w[TUBE * LANES + i], w[(TUBE + 1) * LANES + i], 2.0 * w[(TUBE + 3) * LANES + i]
-    v3, u1, u2 = triple(w, STAGE + 2, i)
+    v3, u1, u2 = triple(w, STRAINS, i)
     x1, y1, free1 = triple(w, TRIO, i)
     x2, y2, free2 = triple(w, TRIO + 4, i)
     x3, y3, free3 = triple(w, TRIO + 8, i)
@@ -74,7 +74,7 @@ def _trio(w: Array, i: int):  # type: ignore[no-untyped-def]
 
 @leaf
 def sum_tubes(w: Array, trios: int) -> None:
-    """Sum over the tubes, all lanes, at the stage's strains: wall forces, tangent stiffnesses, side stiffnesses."""
+    """Sum over the tubes, all lanes, at the strains kept for it: wall forces, tangent stiffnesses, side stiffnesses."""
     if trios == 1:
         for i in range(LANES):
             s0, s1, s2, s3, s4, s5, s6 = _trio(w, i)

@@ -18,9 +18,9 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-# Last Newton update, in units of `scale`; what is left is its square.
+# Last Newton update, in units of `scale`, as `newton` measures it; what is left is its square.
 SOLVED = 1e-5
-CLOSE = 2e-3  # in motion, where the next step corrects
+CLOSE = 2.5e-3  # in motion, where the next step corrects
 
 
 @dataclass(frozen=True)

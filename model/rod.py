@@ -16,6 +16,7 @@ from model.layout import (
     AXIAL,
     AXIAL_INVERSE,
     C0,
+    FOURTH,
     HISTORY,
     INERTIA,
     LAG,
@@ -31,7 +32,8 @@ from model.layout import (
     SLOPE,
     STAGE,
     STATE,
-    SUM,
+    STRAINS,
+    THIRD,
     WRENCH,
 )
 from model.pointwise import pointwise_slopes, pointwise_wrench, sum_tubes
@@ -72,27 +74,44 @@ def balance(
 
 
 @inlined
-def _move(w: Array, c: int, i: int, slope: Triple, ahead: float, weight: float) -> None:
-    """Keep three slopes, from state c on, move the stage on from the node by them, and add them to the step's sum."""
-    put(w, SLOPE + c, i, slope)
-    put(w, STAGE + c, i, plus(triple(w, NODE + c, i), ahead, slope))
-    put(w, SUM + c, i, plus(triple(w, SUM + c, i), weight, slope))
+def _move(w: Array, c: int, i: int, slope: float, to: int, ahead: float) -> None:
+    """Where the slope of quantity c leads: to the next stage of RK4, or to the next node, or nowhere (SLOPE).
+
+    The next node is (second + 2 third + fourth stage - node) / 3 + h / 6 slope: RK4 without a sum to carry along.
+    """
+    at = c * LANES + i
+    node = w[NODE * LANES + at]
+    if to in (SLOPE, STAGE):
+        w[SLOPE * LANES + at] = slope
+    if to == NODE:
+        apart = (w[STAGE * LANES + at] - node) + w[FOURTH * LANES + at] + 2.0 * w[THIRD * LANES + at]
+        w[NODE * LANES + at] = (1.0 / 3.0) * apart + ahead * slope
+    elif to != SLOPE:
+        w[to * LANES + at] = node + ahead * slope
 
 
 @inlined
-def _turn(w: Array, u: Triple, i: int, ahead: float, weight: float) -> None:
-    """The same for the orientation: h' = h u / 2 as quaternions (eq 9)."""
-    h = (STAGE + 12) * LANES + i
+def _move_three(w: Array, c: int, i: int, slope: Triple, to: int, ahead: float) -> None:
+    _move(w, c, i, slope[0], to, ahead)
+    _move(w, c + 1, i, slope[1], to, ahead)
+    _move(w, c + 2, i, slope[2], to, ahead)
+
+
+@inlined
+def _move_on(
+    w: Array, i: int, v_s: Triple, u_s: Triple, q_s: Triple, o_s: Triple, u: Triple, at: int, to: int, ahead: float
+) -> None:
+    """The same for the whole state, with the orientation's slope h u / 2 as quaternions (eq 9)."""
+    h = (at + 12) * LANES + i
     a, b, c, d = w[h], w[h + LANES], w[h + 2 * LANES], w[h + 3 * LANES]
-    slope = -0.5 * (b * u[0] + c * u[1] + d * u[2])
-    w[(SLOPE + 12) * LANES + i] = slope
-    w[h] = w[(NODE + 12) * LANES + i] + ahead * slope
-    w[(SUM + 12) * LANES + i] += weight * slope
-    turned = (
-        0.5 * (a * u[0] + c * u[2] - d * u[1]), 0.5 * (a * u[1] + d * u[0] - b * u[2]),
-        0.5 * (a * u[2] + b * u[1] - c * u[0]),
-    )  # fmt: skip
-    _move(w, 13, i, turned, ahead, weight)
+    _move(w, 12, i, -0.5 * (b * u[0] + c * u[1] + d * u[2]), to, ahead)
+    _move(w, 13, i, 0.5 * (a * u[0] + c * u[2] - d * u[1]), to, ahead)
+    _move(w, 14, i, 0.5 * (a * u[1] + d * u[0] - b * u[2]), to, ahead)
+    _move(w, 15, i, 0.5 * (a * u[2] + b * u[1] - c * u[0]), to, ahead)
+    _move_three(w, 0, i, v_s, to, ahead)
+    _move_three(w, 3, i, u_s, to, ahead)
+    _move_three(w, 6, i, q_s, to, ahead)
+    _move_three(w, 9, i, o_s, to, ahead)
 
 
 @inlined
@@ -120,13 +139,13 @@ def linear_slopes(axial_inverse: Six, shear_inverse: Six, lag: float, n: Triple,
 
 
 @inlined
-def linear_stage(w: Array, history: Array, row: int, ahead: float, weight: float) -> None:
-    """Slopes of the stage's state, all lanes, for a section of constant stiffness; then the stage is moved on."""
+def linear_stage(w: Array, history: Array, row: int, at: int, to: int, ahead: float) -> None:
+    """Slopes of the state at `at`, all lanes, for a constant stiffness, and the state at `to` that follows."""
     y = HISTORY * row
     v_h, u_h, q_h, o_h = three(history, y), three(history, y + 3), three(history, y + 6), three(history, y + 9)
     v_hs, u_hs = three(history, y + 12), three(history, y + 15)
     for i in range(LANES):
-        v, u, q, o = triple(w, STAGE, i), triple(w, STAGE + 3, i), triple(w, STAGE + 6, i), triple(w, STAGE + 9, i)
+        v, u, q, o = triple(w, at, i), triple(w, at + 3, i), triple(w, at + 6, i), triple(w, at + 9, i)
         lag = w[LAG * LANES + i]
         n, m = linear_wrench(six(w, AXIAL, i), six(w, SHEAR, i), six(w, OFFSET, i), lag, v, u, v_h, u_h)
         j = INERTIA * LANES + i
@@ -135,22 +154,25 @@ def linear_stage(w: Array, history: Array, row: int, ahead: float, weight: float
             v, u, q, o, n, m, (v_h, u_h, q_h, o_h), triple(w, LOAD, i), triple(w, LOAD + 3, i),
         )  # fmt: skip
         v_s, u_s = linear_slopes(six(w, AXIAL_INVERSE, i), six(w, SHEAR_INVERSE, i), lag, n_s, m_s, v_hs, u_hs)
-        _turn(w, u, i, ahead, weight)
-        _move(w, 0, i, v_s, ahead, weight)
-        _move(w, 3, i, u_s, ahead, weight)
-        _move(w, 6, i, q_s, ahead, weight)
-        _move(w, 9, i, o_s, ahead, weight)
+        _move_on(w, i, v_s, u_s, q_s, o_s, u, at, to, ahead)
 
 
 @inlined
-def pointwise_stage(w: Array, actuators: int, history: Array, row: int, ahead: float, weight: float) -> None:
+def _sum_tubes_at(w: Array, actuators: int, at: int) -> None:
+    for i in range(LANES):
+        put(w, STRAINS, i, triple(w, at + 2, i))
+    sum_tubes(w, (actuators + 2) // 3)
+
+
+@inlined
+def pointwise_stage(w: Array, actuators: int, history: Array, row: int, at: int, to: int, ahead: float) -> None:
     """The same where each tube follows eq 32 at its own place."""
     y = HISTORY * row
     v_h, u_h, q_h, o_h = three(history, y), three(history, y + 3), three(history, y + 6), three(history, y + 9)
     v_hs, u_hs = three(history, y + 12), three(history, y + 15)
-    sum_tubes(w, (actuators + 2) // 3)
+    _sum_tubes_at(w, actuators, at)
     for i in range(LANES):
-        v, u, q, o = triple(w, STAGE, i), triple(w, STAGE + 3, i), triple(w, STAGE + 6, i), triple(w, STAGE + 9, i)
+        v, u, q, o = triple(w, at, i), triple(w, at + 3, i), triple(w, at + 6, i), triple(w, at + 9, i)
         c0 = w[C0 * LANES + i]
         n, m = pointwise_wrench(w, i, c0, v, u, v_h, u_h)
         j = INERTIA * LANES + i
@@ -159,19 +181,15 @@ def pointwise_stage(w: Array, actuators: int, history: Array, row: int, ahead: f
             v, u, q, o, n, m, (v_h, u_h, q_h, o_h), triple(w, LOAD, i), triple(w, LOAD + 3, i),
         )  # fmt: skip
         v_s, u_s = pointwise_slopes(w, i, c0, v, u, n_s, m_s, v_hs, u_hs)
-        _turn(w, u, i, ahead, weight)
-        _move(w, 0, i, v_s, ahead, weight)
-        _move(w, 3, i, u_s, ahead, weight)
-        _move(w, 6, i, q_s, ahead, weight)
-        _move(w, 9, i, o_s, ahead, weight)
+        _move_on(w, i, v_s, u_s, q_s, o_s, u, at, to, ahead)
 
 
 @inlined
-def loads_in_section(w: Array, load: Array, row: int) -> None:
+def loads_in_section(w: Array, load: Array, row: int, at: int) -> None:
     """Turn a distributed load (force and moment per metre, base frame) into the section frame."""
     f, couple = three(load, 6 * row), three(load, 6 * row + 3)
     for i in range(LANES):
-        h = (STAGE + 12) * LANES + i
+        h = (at + 12) * LANES + i
         d1, d2, d3 = rotation((w[h], w[h + LANES], w[h + 2 * LANES], w[h + 3 * LANES]))
         put(w, LOAD, i, (dot(d1, f), dot(d2, f), dot(d3, f)))
         put(w, LOAD + 3, i, (dot(d1, couple), dot(d2, couple), dot(d3, couple)))
@@ -190,7 +208,7 @@ def stage_wrench(w: Array, law: int, actuators: int, history: Array, row: int) -
             put(w, WRENCH, i, n)
             put(w, WRENCH + 3, i, m)
     else:
-        sum_tubes(w, (actuators + 2) // 3)
+        _sum_tubes_at(w, actuators, STAGE)
         for i in range(LANES):
             v, u = triple(w, STAGE, i), triple(w, STAGE + 3, i)
             n, m = pointwise_wrench(w, i, w[C0 * LANES + i], v, u, v_h, u_h)
@@ -217,27 +235,22 @@ def strain_changes(w: Array, law: int) -> None:
 
 
 @inlined
-def slopes(
-    w: Array,
-    law: int,
-    actuators: int,
-    history: Array,
-    load: Array,
-    loaded: bool,
-    row: int,
-    ahead: float = 0.0,
-    weight: float = 0.0,
-) -> None:
-    """The right-hand side: slopes along the arc length of the stage's state, all lanes.
-
-    The stage becomes the node plus `ahead` times the slopes, and the step's sum grows by `weight` times them.
-    """
+def _stage(
+    w: Array, law: int, actuators: int, history: Array, load: Array, loaded: bool, row: int, at: int, to: int,
+    ahead: float,
+) -> None:  # fmt: skip
     if loaded:
-        loads_in_section(w, load, row)
+        loads_in_section(w, load, row, at)
     if law == LINEAR:
-        linear_stage(w, history, row, ahead, weight)
+        linear_stage(w, history, row, at, to, ahead)
     else:
-        pointwise_stage(w, actuators, history, row, ahead, weight)
+        pointwise_stage(w, actuators, history, row, at, to, ahead)
+
+
+@inlined
+def slopes(w: Array, law: int, actuators: int, history: Array, load: Array, loaded: bool, row: int) -> None:
+    """The right-hand side: slopes along the arc length of the stage's state, all lanes."""
+    _stage(w, law, actuators, history, load, loaded, row, STAGE, SLOPE, 0.0)
 
 
 @leaf
@@ -262,15 +275,10 @@ def integrate(
     size = STATE * LANES
     for j in range(first, last):
         for i in range(size):
-            y = w[NODE * LANES + i]
-            w[STAGE * LANES + i] = y
-            w[SUM * LANES + i] = y
-            states[j, i] = y
-        slopes(w, law, actuators, history, load, loaded, 2 * j, 0.5 * h, h / 6.0)
+            states[j, i] = w[NODE * LANES + i]
+        _stage(w, law, actuators, history, load, loaded, 2 * j, NODE, STAGE, 0.5 * h)
         for i in range(size):
             derivatives[j, i] = w[SLOPE * LANES + i]
-        slopes(w, law, actuators, history, load, loaded, 2 * j + 1, 0.5 * h, h / 3.0)
-        slopes(w, law, actuators, history, load, loaded, 2 * j + 1, h, h / 3.0)
-        slopes(w, law, actuators, history, load, loaded, 2 * j + 2, 0.0, h / 6.0)
-        for i in range(size):
-            w[NODE * LANES + i] = w[SUM * LANES + i]
+        _stage(w, law, actuators, history, load, loaded, 2 * j + 1, STAGE, THIRD, 0.5 * h)
+        _stage(w, law, actuators, history, load, loaded, 2 * j + 1, THIRD, FOURTH, h)
+        _stage(w, law, actuators, history, load, loaded, 2 * j + 2, FOURTH, NODE, h / 6.0)

@@ -40,7 +40,7 @@ class Room(NamedTuple):
     reach: Array  # (N,)
     matrix: Array  # (6, 6)
     right: Array  # (6,)
-    worst: Array  # (3, 16), per quantity: 1 / scale, largest update, sum of updates
+    over: Array  # (16,), 1 / scale
 
     @classmethod
     def of(cls, n: int) -> Room:
@@ -48,7 +48,7 @@ class Room(NamedTuple):
         return cls(
             aligned((2 * n + 1) * HISTORY), aligned(n + 1, STATE * LANES), aligned(n + 1, STATE * LANES),
             aligned(n + 1, STATE), aligned(n + 1, STATE), aligned(n, 7, STATE), aligned(n, 6, 6), aligned(n, 6),
-            aligned(n, LANES), aligned(n), aligned(6, 6), aligned(6), aligned(3, STATE),
+            aligned(n, LANES), aligned(n), aligned(6, 6), aligned(6), aligned(STATE),
         )  # fmt: skip
 
 
@@ -110,48 +110,51 @@ def newton(
     scale: Array,
     room: Room,
     tolerance: float,
-    most: int,
+    most: float,
 ) -> int:
     """Solve for the states x (N + 1, 16) at the nodes, and their slopes, from a guess in x; N divides by `segments`.
 
-    x, slope and the history stand in `room`. Stops when the last update, in units of `scale`, is below `tolerance`; the
-    error left is of the order of its square, because all nodes are moved along the computed directions. Returns the
-    number of passes, or -1.
+    x, slope and the history stand in `room`. All nodes are moved along the computed directions. What is left after an
+    update is of the order of its size, in units of `scale`, times that of its strains and orientations, which make the
+    equations nonlinear: it stops when this product is below the square of `tolerance`. Returns the number of passes, or
+    -1 when `most` were not enough (no int: numba would compile this anew for every constant).
     """
     history, states, derivatives, x, slope = room.history, room.states, room.derivatives, room.x, room.slope
     directions, triangle, along, weights = room.directions, room.triangle, room.along, room.weights
-    reach, matrix, right, worst = room.reach, room.matrix, room.right, room.worst
+    reach, matrix, right, over = room.reach, room.matrix, room.right, room.over
     n = x.shape[0] - 1
     per = n // segments
     h = length / n
     last = segments - 1
     for c in range(STATE):
-        directions[0, 6, c] = 0.0
-        worst[0, c] = 1.0 / scale[c]
+        over[c] = 1.0 / scale[c]
+    reach[0] = 0.0
     previous = np.inf
-    for passes in range(1, most + 1):
-        for k in range(6):
-            for c in range(STATE):
-                directions[0, k, c] = 1.0 if c == k else 0.0
+    for passes in range(1, int(most) + 1):
         for s in range(segments):
-            particular = 0.0
             for c in range(STATE):
-                particular += directions[s, 6, c] ** 2
-            reach[s] = STEP / particular**0.5 if particular > 0.0 else 0.0
-            for c in range(STATE):
-                at, unit = (NODE + c) * LANES, scale[c]
-                w[at] = x[s * per, c]
+                for i in range(LANES):
+                    w[(NODE + c) * LANES + i] = x[s * per, c]
+            if s == 0:
                 for k in range(6):
-                    w[at + 1 + k] = x[s * per, c] + STEP * unit * directions[s, k, c]
-                w[at + 7] = x[s * per, c] + reach[s] * unit * directions[s, 6, c]
+                    w[(NODE + k) * LANES + 1 + k] += STEP * scale[k]
+            else:
+                particular = 0.0
+                for c in range(STATE):
+                    particular += directions[s, 6, c] ** 2
+                reach[s] = STEP / particular**0.5 if particular > 0.0 else 0.0
+                for c in range(STATE):
+                    at, unit = (NODE + c) * LANES, scale[c]
+                    for k in range(6):
+                        w[at + 1 + k] += STEP * unit * directions[s, k, c]
+                    w[at + 7] += reach[s] * unit * directions[s, 6, c]
             integrate(w, law, actuators, history, load, loaded, s * per, (s + 1) * per, h, states, derivatives)
             if s == segments - 1:
                 break
             for c in range(STATE):
                 at = (NODE + c) * LANES
-                over = 1.0 / (STEP * scale[c])
                 for k in range(6):
-                    directions[s + 1, k, c] = (w[at + 1 + k] - w[at]) * over
+                    directions[s + 1, k, c] = (w[at + 1 + k] - w[at]) * (over[c] / STEP)
                 carried = (w[at + 7] - w[at]) / (reach[s] * scale[c]) if reach[s] > 0.0 else 0.0
                 directions[s + 1, 6, c] = carried + (w[at] - x[(s + 1) * per, c]) / scale[c]
             if not orthonormalise(directions[s + 1, :6], triangle[s + 1]):
@@ -180,29 +183,30 @@ def newton(
             for k in range(6):
                 weights[s, k + 1] = right[k] * (1.0 / STEP)
             weights[s, 7] = 1.0 / reach[s] if reach[s] > 0.0 else 0.0
+            # Against lane 0.
+            weights[s, 0] = 0.0
+            for i in range(1, LANES):
+                weights[s, 0] -= weights[s, i]
             if s > 0:
                 for k in range(5, -1, -1):
                     total = right[k] - along[s, k]
                     for c in range(k + 1, 6):
                         total -= triangle[s, k, c] * right[c]
                     right[k] = total / triangle[s, k, k]
-        for c in range(STATE):
-            worst[1, c] = 0.0
-            worst[2, c] = 0.0
+        # One number after the other: as vectors over c, the lanes would be gathered, which takes five times as long.
+        swift, bent, total = 0.0, 0.0, 0.0
         for s in range(segments):
             for j in range(s * per, (s + 1) * per + (1 if s == last else 0)):
                 for c in range(STATE):
-                    x[j, c] = lane_sum(weights, s, states, j, c)
-                for c in range(STATE):
-                    size = abs(x[j, c]) * worst[0, c]
-                    worst[1, c] = max(worst[1, c], size)
-                    worst[2, c] += size
-        largest, bent, total = 0.0, 0.0, 0.0
-        for c in range(STATE):
-            largest = max(largest, worst[1, c])
-            if c < 6 or c >= 12:
-                bent = max(bent, worst[1, c])
-            total += worst[2, c]
+                    update = lane_sum(weights, s, states, j, c)
+                    x[j, c] = update
+                    size = abs(update) * over[c]
+                    total += size
+                    if 6 <= c < 12:
+                        swift = max(swift, size)
+                    else:
+                        bent = max(bent, size)
+        largest = max(swift, bent)
         # A maximum swallows a NaN and would call the step solved; a sum does not.
         if not total < np.inf:
             return -1
@@ -214,11 +218,14 @@ def newton(
         for j in range(n + 1):
             for c in range(STATE):
                 x[j, c] = states[j, c * LANES] + damping * x[j, c]
-        if largest < tolerance:
+        if bent * largest < tolerance * tolerance:
             for s in range(segments):
                 for j in range(s * per, (s + 1) * per):
                     for c in range(STATE):
                         slope[j, c] = derivatives[j, c * LANES] + lane_sum(weights, s, derivatives, j, c)
+                        total += slope[j, c]
+            if not abs(total) < np.inf:
+                return -1
             for c in range(STATE):
                 for i in range(LANES):
                     w[(STAGE + c) * LANES + i] = x[n, c]

@@ -92,12 +92,10 @@ def dot(a: Triple, b: Triple) -> float:
 
 
 def _lane_sum(weights: Array, s: int, a: Array, j: int, c: int) -> float:
-    """How row s of the weights moves quantity c of row j of `a`: lanes 1 to 7 against lane 0."""
-    first = c * LANES
-    base = a[j, first]
+    """Quantity c of row j of `a`, its lanes summed with row s of the weights."""
     total = 0.0
     for i in range(LANES):
-        total += weights[s, i] * (a[j, first + i] - base)
+        total += weights[s, i] * a[j, c * LANES + i]
     return total
 
 
