@@ -114,6 +114,30 @@ def test_parameters_of_which_no_two_can_be_exchanged_but_three_together_are_name
         assert set(fit[name].partners) == set(free) - {name}
 
 
+def test_what_is_held_may_be_wrong_and_widens_the_error_bars_of_the_rest() -> None:
+    # Hung weights tell a1 times the length, and where the base is believed to be tells the length to 7 %.
+    hanging = plan("weights", np.zeros((7, 3)), np.linspace(0, 1.2, 7))
+    arm = true_setup().arm
+    truth = Setup(replace(arm, geometry=replace(arm.geometry, length_m=0.176)), base_translation_m=(0.0, 0.0, -0.006))
+    small = Errors((2e-5, 2e-5, 2e-5), 0.0, 0.0)
+    known = {"base_z_m": Prior(0.0, 0.012)}
+    fit = identify(done(truth, planned=(hanging,), errors=small), START, ["law", "length_m", "base_z_m"], known)
+    assert not fit["length_m"].identified
+    a1 = fit["a1_per_n"]
+    assert a1.interval is not None
+    assert a1.interval[0] < truth.arm.material.a1_per_n < a1.interval[1]
+
+
+def test_where_the_rest_moves_when_something_is_held_it_is_judged_anew() -> None:
+    # All free, the best shear ratio is small and seems certain; with the cap's mass held it is neither.
+    noisy = Errors((5e-4, 1e-3, 5e-4), 20.0, 0.0)
+    data = done(true_setup(shear_ratio=0.7), seed=5, planned=PLANNED[:2], errors=noisy)
+    fit = identify(data, START, ["law", "cap_mass_kg", "shear_ratio"])
+    assert not fit["cap_mass_kg"].identified
+    shear = fit["shear_ratio"]
+    assert shear.std is None or shear.std < 0.5 * shear.used
+
+
 def test_a_prior_alone_is_no_measurement() -> None:
     fit = identify(done(true_setup()), START, ["law", "density_kg_m3"], {"density_kg_m3": Prior(1080.0, 30.0)})
     assert fit["density_kg_m3"].verdict is Verdict.PRIOR

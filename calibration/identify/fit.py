@@ -100,7 +100,8 @@ class Fit:
     """Parameters of an arm.
 
     setup: with every `used` value (no run's own). covariance (n, n): of the fitted values, in the order of `estimates`,
-    zero for what was held. discrepancy_m: by how much, per axis, the model is off beyond the stated errors.
+    zero for what was held, which the others' error bars take to be half a span off. discrepancy_m: by how much,
+    per axis, the model is off beyond the stated errors.
     """
 
     setup: Setup
@@ -176,9 +177,8 @@ def identify(
     priors = {p.name: prior for name, prior in (priors or {}).items() for p in named([name], actuators)}
     problem = Problem(data, start, parameters, priors, substeps=substeps)
     joint, ends = _best(problem, _first(problem) if begin is None else _at(problem, begin), starts, seed)
-    held, loose = _held(problem, joint)
-    solution = problem.solve(joint.z * _kept(problem, held), sorted(held)) if held else joint
-    estimates, covariance = _estimates(problem, solution, joint, held, loose)
+    solution, held = _decided(problem, joint)
+    estimates, covariance = _estimates(problem, solution, joint, held)
     return Fit(
         setup=problem.setup(solution.z),
         start=start,
@@ -264,39 +264,46 @@ def _inverse(information: Array) -> Array:
     return out
 
 
-def _held(problem: Problem, joint: Solution) -> tuple[dict[int, Verdict], Array]:
-    """Which unknowns to hold so that the rest are decided, why, and everyone's deviation (n,) in the joint fit."""
-    loose = _std(joint.information)
+def _decided(problem: Problem, joint: Solution) -> tuple[Solution, dict[int, Verdict]]:
+    """The fit in which what the data do not tell is held at its start, and why each of these is held.
+
+    Without them the rest may lie elsewhere, where the data tell less: it is judged again there.
+    """
+    solution, held = joint, dict[int, Verdict]()
+    while more := _undecided(solution, [i for i in range(len(problem.unknowns)) if i not in held]):
+        held |= more
+        at = np.array([0.0 if i in held else value for i, value in enumerate(joint.z)])
+        solution = problem.solve(at, sorted(held))
+    return solution, held
+
+
+def _undecided(solution: Solution, only: list[int]) -> dict[int, Verdict]:
+    """Which of the unknowns `only` to hold so that the rest of them are decided, and why."""
     held: dict[int, Verdict] = {}
-    only = list(range(len(problem.unknowns)))
     while only:
-        std = _std(joint.information[np.ix_(only, only)])
+        std = _std(solution.information[np.ix_(only, only)])
         worst = int(np.argmax(std))
         if std[worst] <= _UNDECIDED:
             break
         i = only.pop(worst)
-        alone = joint.information[i, i]
+        alone = solution.information[i, i]
         held[i] = (
             Verdict.NO_EFFECT if alone < 1e-6
             else Verdict.UNDECIDED if alone < 1 / _UNDECIDED**2
             else Verdict.ENTANGLED
         )  # fmt: skip
-    return held, loose
-
-
-def _kept(problem: Problem, held: Mapping[int, Verdict]) -> Array:
-    """Zero where an unknown goes back to its start."""
-    return np.array([0.0 if i in held else 1.0 for i in range(len(problem.unknowns))])
+    return held
 
 
 def _estimates(
-    problem: Problem, solution: Solution, joint: Solution, held: Mapping[int, Verdict], loose: Array
+    problem: Problem, solution: Solution, joint: Solution, held: Mapping[int, Verdict]
 ) -> tuple[tuple[Estimate, ...], Array]:
     n = len(problem.unknowns)
     only = [i for i in range(n) if i not in held]
     span = np.array([u.span for u in problem.unknowns])
+    loose = _std(joint.information)
     covariance = np.zeros((n, n))
-    covariance[np.ix_(only, only)] = _inverse(solution.information[np.ix_(only, only)])
+    covariance[np.ix_(only, only)] = _marginal(problem, solution, only)
     prior_std = 1 / np.sqrt(np.maximum(np.diagonal(solution.prior_information), 1e-300))
     out = []
     for i, unknown in enumerate(problem.unknowns):
@@ -309,6 +316,16 @@ def _estimates(
         partners = _partners(joint.information, i) if verdict is Verdict.ENTANGLED else []
         out.append(_estimate(problem, unknown, float(solution.z[i]), std, verdict, partners, float(loose[i])))
     return tuple(out), covariance * np.outer(span, span)
+
+
+def _marginal(problem: Problem, solution: Solution, only: list[int]) -> Array:
+    """Covariance of the unknowns `only`, in spans, where each of the others may lie `_UNDECIDED` of a span off."""
+    if len(only) == len(problem.unknowns):
+        return _inverse(solution.information)
+    every = range(len(problem.unknowns))
+    whole = problem.solution(solution.z, every, solution.weights, solution.discrepancy_m, solution.solved)
+    guessed = np.diag([0.0 if i in only else 1 / _UNDECIDED**2 for i in every])
+    return _inverse(whole.information + guessed)[np.ix_(only, only)]
 
 
 def _partners(information: Array, i: int) -> list[int]:
