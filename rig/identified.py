@@ -205,6 +205,8 @@ def told(found: Sequence[Prediction]) -> None:
         how = ", under its measured wrench" if one.pulled else ""
         said = f"rms {1e3 * one.rms_before_m:.3f} -> {1e3 * one.rms_m:.3f} mm, "
         said += f"mean {1e3 * one.mean_m:.3f} mm, 95 % below {1e3 * one.most_m:.3f} mm"
+        if one.lost:
+            said += f"; {one.lost} of {len(one.error_m)} frames have no prediction and do not count"
         console(stderr=True).print(f"{one.run_id} (left out{how}): {said}", soft_wrap=True)
 
 

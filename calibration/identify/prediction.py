@@ -28,6 +28,11 @@ class Prediction:
     error_m: Array
 
     @property
+    def lost(self) -> int:
+        """Entries for which the model has no solution."""
+        return int((~np.isfinite(self.predicted_m).all(axis=1)).sum())
+
+    @property
     def rms_m(self) -> float:
         """Root mean square distance by the fit."""
         return float(np.sqrt(np.nanmean(self.error_m**2)))
