@@ -11,7 +11,7 @@ import model
 from calibration.identify import Prior, Setup, identify
 from calibration.identify.predict import FINE_SUBSTEPS, SUBSTEPS, Predictor
 from calibration.identify.simulated import Errors, plan
-from calibration.identify.smooth import noise_of, smoothed
+from calibration.identify.smooth import between, noise_of, smoothed
 
 TICK_HZ, CAMERA_HZ = 200, 30
 NOISE_PA = 45.0
@@ -30,11 +30,35 @@ def test_noise_of_a_smooth_course_is_found_and_taken_off() -> None:
     assert noise_of(samples) == pytest.approx(np.full(3, NOISE_PA), rel=0.1)
     found, deviation = smoothed(samples)
     error = np.sqrt(((found - truth) ** 2).mean(axis=0))
-    assert (error < 0.25 * NOISE_PA).all()
+    assert (error < 0.3 * NOISE_PA).all()
     # The stated deviation is of the size of the error.
     stated = np.sqrt((deviation**2).mean(axis=0))
     assert (error < 2 * stated).all()
     assert (error > 0.5 * stated).all()
+
+
+def test_a_whole_motion_keeps_its_height() -> None:
+    ticks_s = np.arange(0, 40, 1 / TICK_HZ)
+    truth = 2e4 * np.sin(2 * np.pi * np.outer(ticks_s, [0.6, 0.9]))
+    samples = truth + 2 * NOISE_PA * np.random.default_rng(3).standard_normal(truth.shape)
+    found, _ = smoothed(samples)
+    inside = slice(300, -300)
+    height = (found * truth)[inside].sum(axis=0) / (truth**2)[inside].sum(axis=0)
+    # Crests cut by one deviation of each value are a thousandth, which the mean over the motion shows tenfold.
+    assert height == pytest.approx(np.ones(2), abs=3e-4)
+
+
+def test_between_frames_a_course_keeps_its_crests() -> None:
+    def truth(time_s: np.ndarray) -> np.ndarray:
+        return np.sin(2 * np.pi * time_s)[..., None]
+
+    frames_s, parts = np.arange(60) / CAMERA_HZ, 8
+    found = between(truth(frames_s), parts)
+    assert found[:, -1] == pytest.approx(truth(frames_s[1:]))
+    true = truth(frames_s[:-1, None] + np.arange(1, parts + 1) / parts / CAMERA_HZ)
+    # Straight lines lose 0.36 %.
+    assert np.abs(found - true)[2:-2].max() < 5e-4
+    assert between(truth(frames_s[:1]), parts).shape == (0, parts, 1)
 
 
 def test_an_edge_stays_where_it_is() -> None:

@@ -16,6 +16,7 @@ from scipy.spatial.transform import Rotation
 import model
 from calibration.identify.data import Poses
 from calibration.identify.parameters import Setup
+from calibration.identify.smooth import between
 from model.batch import statics
 
 Array = NDArray[np.float64]
@@ -184,8 +185,7 @@ def _motion(arm: model.Arm, pressure_pa: Array, poses: Poses, substeps: int) -> 
     except model.NotConverged:
         return tips, turned
     tips[0], turned[0] = shape.tip_m, shape.tip_rotation
-    share = np.arange(1, substeps + 1)[:, None] / substeps
-    path = (1 - share) * pressure_pa[:-1, None] + share * pressure_pa[1:, None]
+    path = between(pressure_pa, substeps)
     changes = np.flatnonzero(np.diff(weight)) + 1
     for start, stop in itertools.pairwise([1, *changes[changes > 1].tolist(), len(poses)]):
         rows = path[start - 1 : stop - 1].reshape(-1, poses.actuators)

@@ -8,11 +8,12 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
 
 from calibration.identify.data import Poses
 from calibration.identify.fit import identify
 from calibration.identify.parameters import Prior, Setup, named
-from calibration.identify.predict import FINE_SUBSTEPS, Predictor
+from calibration.identify.predict import FINE_SUBSTEPS, SUBSTEPS, Predictor
 from calibration.identify.smooth import smoothed
 from calibration.identify.spread import Progress, spread
 
@@ -58,11 +59,11 @@ def plan(
 def perform(planned: Poses, truth: Setup, rng: np.random.Generator, errors: Errors | None = None) -> Poses:
     """Do a planned experiment on a simulated arm; its pressures are the true ones, the result's the measured ones.
 
-    Those of a motion come as late as `truth` says and are smoothed, as those of an archive.
+    A motion's true pressures go through the planned ones in a smooth curve; measured ones come as late as `truth` says
+    and are smoothed, as those of an archive.
     """
     errors = errors or Errors()
-    true_pa = planned.pressure_pa
-    tips = Predictor(planned, FINE_SUBSTEPS)(replace(truth, sensor_offset_pa=(), sensor_gain=(), sensor_lag_s=0.0))
+    plant = replace(truth, sensor_offset_pa=(), sensor_gain=(), sensor_lag_s=0.0)
     offset = rng.normal(0.0, errors.offset_pa, planned.actuators) if errors.offset_pa else np.zeros(planned.actuators)
 
     def read(pressure_pa: Array, noise_pa: float) -> Array:
@@ -71,12 +72,18 @@ def perform(planned: Poses, truth: Setup, rng: np.random.Generator, errors: Erro
         return out
 
     if planned.moving:
-        sampled_s = np.linspace(0.0, planned.time_s[-1], _SAMPLES * (len(planned) - 1) + 1)
-        late_s = sampled_s - truth.sensor_lag_s
-        late_pa = np.stack([np.interp(late_s, planned.time_s, column) for column in true_pa.T], axis=1)
-        measured_pa = smoothed(read(late_pa, errors.pressure_pa * _SAMPLES**0.5))[0][::_SAMPLES]
+        curve, end_s = CubicSpline(planned.time_s, planned.pressure_pa), planned.time_s[-1]
+        parts = FINE_SUBSTEPS // SUBSTEPS
+        steps_s = np.linspace(0.0, end_s, parts * (len(planned) - 1) + 1)
+        weight = np.concatenate([planned.weight_kg[:1], np.repeat(planned.weight_kg[1:], parts)])
+        fine = plan(planned.run_id, curve(steps_s), weight, steps_s[1])
+        tips = Predictor(fine)(plant)[::parts]
+        sampled_s = np.linspace(0.0, end_s, _SAMPLES * (len(planned) - 1) + 1)
+        samples = read(curve(sampled_s - truth.sensor_lag_s), errors.pressure_pa * _SAMPLES**0.5)
+        measured_pa = smoothed(samples)[0][::_SAMPLES]
     else:
-        measured_pa = read(true_pa, errors.pressure_pa)
+        tips = Predictor(planned)(plant)
+        measured_pa = read(planned.pressure_pa, errors.pressure_pa)
     return replace(
         planned,
         pressure_pa=measured_pa,
