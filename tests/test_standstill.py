@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import os
+
 import numpy as np
 import pytest
 from plant_bench import mock_rig
 
 from rig import control, experiment
 from rig.bench import Bench
-from rig.executor.base import Plan
+from rig.executor import realtime
+from rig.executor.base import Nobody, Plan
 from rig.executor.clock import Silence
+from rig.executor.memory import Stage
 from rig.executor.tick import Ticker
 from rig.executor.vigil import Vigil
 from rig.simulator.plant import Plant
@@ -103,6 +107,29 @@ class TestSilence:
 
     def test_one_that_hangs_on_a_busy_machine_is_found(self) -> None:
         assert self.looked(1060 * MS, 1000 * MS, every_ns=12 * MS)[1] > 25 * MS
+
+
+def test_the_conductor_blames_nobody_for_a_standstill_and_somebody_who_stays_silent_after_it(
+    moving: Plan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    conductor = realtime._Conductor(moving, Nobody(), None)
+    memory, now = conductor.memory, 10**9
+    memory.say("control", Stage.RUNNING)
+    monkeypatch.setattr(realtime.time, "monotonic_ns", lambda: now)
+    try:
+        for name in ("observer", "control", "watchdog"):
+            memory.beat(name, now)
+        for still_ns in (5 * MS, 1500 * MS, *(20 * MS for _ in range(20))):
+            now += still_ns
+            assert conductor._fault() is None
+        for _ in range(20):
+            now += 20 * MS
+            memory.beat("watchdog", now)
+            if (fault := conductor._fault()) is not None:
+                break
+        assert fault == ("control", "the control process has been silent for 0.5 s")
+    finally:
+        os.close(memory.fd)
 
 
 def test_a_standstill_is_told_once_with_its_length() -> None:

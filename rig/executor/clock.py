@@ -74,7 +74,7 @@ class Silence:
 
     def look(self, now_ns: int, heartbeat_ns: int) -> int:
         """Return the silence [ns] at a look; `heartbeat_ns` is when the last sign of life was given."""
-        since, self._looked_ns = now_ns - self._looked_ns, now_ns
+        since, self._looked_ns = now_ns - (self._looked_ns or now_ns), now_ns
         late = since >= self._overslept_ns
         watched = self._period_ns if late and not self._late else since
         self._late = late

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from rig.executor import clocks
 from rig.executor.base import Audience, OpenRecord, Outcome, Plan, Progress, Recorder, StartError, StoppedError
 from rig.executor.child import Job, spawn
-from rig.executor.clock import stolen_ms
+from rig.executor.clock import Silence, stolen_ms
 from rig.executor.door import Door
 from rig.executor.memory import Layout, RunMemory, Stage, Stop
 from rig.executor.requests import Action, Answer, Desk, Request
@@ -67,7 +67,10 @@ class _Conductor:
         self.crew: list[tuple[str, subprocess.Popen[bytes]]] = []
         self.vigil = Vigil(plan.config)
         self.lost_scans = 0
-        self._looked_ns = 0
+        # What stood still while this process did gets the time to give a sign of life.
+        self.silences = {
+            name: Silence(round(DRAIN_S * 1e9), OVERSLEPT_NS) for name in ("observer", "control", "watchdog")
+        }
         self.missed = 0
         self.dropped = 0
         self._sample: NDArray[np.void] | None = None
@@ -218,14 +221,12 @@ class _Conductor:
                 return name, f"the {name} process died (exit status {process.returncode})"
         if self.plant is not None and self.plant.exit_status is not None:
             return "simulator", f"the simulator died (exit status {self.plant.exit_status})"
-        before, self._looked_ns = self._looked_ns, time.monotonic_ns()
-        if self._looked_ns - before > OVERSLEPT_NS:
-            return None  # this process stood still itself: the others get time to give a sign of life
+        now = time.monotonic_ns()
         patience_s = {"observer": 2 * self.plan.config.limits.no_tip_s, "control": 0.5, "watchdog": 1.2}
+        silent_s = {name: self.silences[name].look(now, memory.heartbeat_ns(name)) * 1e-9 for name in patience_s}
         for name in patience_s if memory.stage("control") == Stage.RUNNING else ("observer",):
-            silent_s = (self._looked_ns - memory.heartbeat_ns(name)) * 1e-9
-            if silent_s > patience_s[name]:
-                return name, f"the {name} process has been silent for {silent_s:.1f} s"
+            if silent_s[name] > patience_s[name]:
+                return name, f"the {name} process has been silent for {silent_s[name]:.1f} s"
         return None
 
     def _drain(self) -> None:
