@@ -14,6 +14,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numba
@@ -21,7 +22,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from model import Arm, Loads, batch
-from model.gradient import tip_gradient
+from model.gradient import Change, tip_gradient
+from model.gradient import statics as answers
 from model.paper import PaperRod
 
 Array = NDArray[np.float64]
@@ -179,6 +181,23 @@ def stepping() -> None:
             line(f"{variant}, {clock} time", f"{high:.3f} ms", f"p99; median {median:.3f}, worst {most:.3f}; aim: 0.5")
 
 
+def twelve(arm: Arm, rows: Array) -> list[Change]:
+    """What an identification may ask for: changes of material, geometry, cap and each pressure."""
+    step = 1e-7
+    material = ("youngs_modulus_pa", "a1_per_n", "a2_per_n2", "rpe_per_bar", "shear_ratio")
+    moved = [
+        replace(arm, material=replace(arm.material, **{n: (1 + step) * getattr(arm.material, n)})) for n in material
+    ]
+    geometry = arm.geometry
+    moved += [replace(arm, geometry=replace(geometry, length_m=(1 + step) * geometry.length_m))]
+    moved += [replace(arm, geometry=replace(geometry, inner_radius_m=(1 + step) * geometry.inner_radius_m))]
+    first, *others = geometry.actuator_xy_m
+    moved += [replace(arm, geometry=replace(geometry, actuator_xy_m=(((1 + step) * first[0], first[1]), *others)))]
+    moved += [replace(arm, cap_mass_kg=(1 + step) * arm.cap_mass_kg)]
+    pressed = [Change(0.01, arm, rows + shift) for shift in 0.01 * np.eye(3)]
+    return [*(Change(step, one) for one in moved), *pressed]
+
+
 def statics() -> None:
     """Cold solves, gradients against solves, and batches over the cores."""
     print("\nStatics, from scratch, RK4 N = 20")
@@ -189,6 +208,11 @@ def statics() -> None:
         gradient = best(lambda arm=arm, p=p: tip_gradient(arm, p), 300)  # type: ignore[misc]
         line(f"{variant}, one solve", f"{solve * 1e6:.0f} us", "aim: 100")
         line("  with the gradient by parameters and pressures", f"{gradient / solve:.1f} x", "aim: 3 x")
+        some = np.random.default_rng(1).uniform(0, 0.65 * BAR, (200, 3))
+        plain, by = (
+            best(lambda c=c, arm=arm, p=some: answers(arm, p, c, workers=1), 10) for c in ((), twelve(arm, some))
+        )  # type: ignore[misc]
+        line("  200 in one call, with the gradient by 12 changes", f"{by / plain:.1f} x", "aim: 3 x")
         rows = np.random.default_rng(0).uniform(0, 0.65 * BAR, (4000, 3))
         one, many = (best(lambda w=w, arm=arm, rows=rows: batch.statics(arm, rows, workers=w), 3) for w in (1, None))  # type: ignore[misc]
         line("  4000 in one call, one core", f"{one / 4000 * 1e6:.1f} us", "each")

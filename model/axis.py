@@ -1,4 +1,4 @@
-"""Kernels on top of the solver: the arm's axis, whole motions, many arms, and lanes for gradients."""
+"""Kernels on top of the solver: the arm's axis, whole motions, many arms."""
 
 from __future__ import annotations
 
@@ -7,11 +7,8 @@ from typing import Any
 import numpy as np
 
 from model.compiled import kernel
-from model.layout import HISTORY, LANES, NODE, SLOPE, STAGE, STATE, WRENCH
-from model.linear import solve_six
 from model.march import advance, equilibrium
-from model.rod import integrate, slopes
-from model.shooting import Room, tip_residual
+from model.shooting import Room
 from model.triples import cross, leaf, plus, rotation
 
 Array = Any
@@ -92,102 +89,6 @@ def motion(
         tips[t] = p[n - 1]
         turns[t] = turned[n - 1]
     return total
-
-
-@kernel
-def lanes(
-    w: Array,
-    law: int,
-    actuators: int,
-    load: Array,
-    loaded: bool,
-    tip: Array,
-    length: float,
-    scale: Array,
-    centre: Array,
-    base: Array,
-    n: int,
-    step: float,
-    residual: Array,
-    place: Array,
-) -> None:
-    """One static pass from a base state (16,): residual (8, 6) and tip (8, 3) of every lane.
-
-    Lanes 1 to 6 start with one base strain each moved by step, in units of scale; 0 moves none.
-    """
-    history = np.zeros((2 * n + 1) * HISTORY)
-    states, derivatives = np.empty((n + 1, STATE * LANES)), np.empty((n + 1, STATE * LANES))
-    for c in range(STATE):
-        for i in range(LANES):
-            moved = step * scale[c] if c < 6 and i == c + 1 else 0.0
-            w[(NODE + c) * LANES + i] = base[c] + moved
-    integrate(w, law, actuators, history, load, loaded, 0, n, length / n, states, derivatives)
-    for i in range(STATE * LANES):
-        states[n, i] = w[NODE * LANES + i]
-        w[STAGE * LANES + i] = w[NODE * LANES + i]
-    slopes(w, law, actuators, history, load, loaded, 2 * n)
-    for i in range(STATE * LANES):
-        derivatives[n, i] = w[SLOPE * LANES + i]
-    tip_residual(w, law, actuators, history, 2 * n, tip, 0.0)
-    x, slope = np.empty((n + 1, STATE)), np.empty((n + 1, STATE))
-    p, turned, v, u = np.empty((n + 1, 3)), np.empty((n + 1, 3, 3)), np.empty((n + 1, 3)), np.empty((n + 1, 3))
-    for i in range(LANES):
-        for c in range(6):
-            residual[i, c] = w[(WRENCH + c) * LANES + i]
-        for j in range(n + 1):
-            for c in range(STATE):
-                x[j, c] = states[j, c * LANES + i]
-                slope[j, c] = derivatives[j, c * LANES + i]
-        axis(x, slope, length, centre, p, turned, v, u)
-        place[i] = p[n]
-
-
-@kernel
-def tip_answers(
-    w: Array,
-    works: Array,
-    law: int,
-    actuators: int,
-    load: Array,
-    loaded: bool,
-    tip: Array,
-    length: float,
-    scale: Array,
-    centre: Array,
-    base: Array,
-    n: int,
-    step: float,
-    steps: Array,
-    found: Array,
-    answers: Array,
-) -> None:
-    """The tip found (3,) and how it answers (K, 3) to each of K changes of size steps (K,), seven to a work array.
-
-    By the implicit function theorem from a solved base state (16,): one pass with the base strains moved, one for every
-    seven changes, no further iterations.
-    """
-    residual, place = np.empty((LANES, 6)), np.empty((LANES, 3))
-    other, moved = np.empty((LANES, 6)), np.empty((LANES, 3))
-    matrix, right = np.empty((6, 6)), np.empty(6)
-    lanes(w, law, actuators, load, loaded, tip, length, scale, centre, base, n, step, residual, place)
-    found[:] = place[0]
-    for k in range(steps.shape[0]):
-        lane = 1 + k % (LANES - 1)
-        if lane == 1:
-            lanes(
-                works[k // (LANES - 1)], law, actuators, load, loaded, tip, length, scale, centre, base, n, 0.0, other,
-                moved,
-            )  # fmt: skip
-        for i in range(6):
-            right[i] = other[0, i] - other[lane, i]
-            for c in range(6):
-                matrix[i, c] = residual[c + 1, i] - residual[0, i]
-        solve_six(matrix, right)
-        for i in range(3):
-            total = moved[lane, i] - moved[0, i]
-            for c in range(6):
-                total += right[c] * (place[c + 1, i] - place[0, i])
-            answers[k, i] = total / steps[k]
 
 
 @kernel

@@ -47,8 +47,10 @@ def statics(arms: Arm | Sequence[Arm], pressure_pa: ArrayLike, nodes: int = 20, 
         if not len(span):
             return
         at = slice(span.start, span.stop)
-        mine = given if len(given) == 1 else given[at]
-        problems = [Problem.of(arm, rows[0]) for arm in mine]
+        # Frozen moduli are those of the pressures: then every row has a section of its own.
+        alike = len(given) == 1 and given[0].section_rule in ("linear", "pointwise")
+        mine = given if alike else given * len(span) if len(given) == 1 else given[at]
+        problems = [Problem.of(arm, row) for arm, row in zip(mine, rows[at], strict=False)]
         loads = [problem.load(arm, None, nodes) for problem, arm in zip(problems, mine, strict=True)]
         first = problems[0]
         equilibria(
@@ -60,7 +62,7 @@ def statics(arms: Arm | Sequence[Arm], pressure_pa: ArrayLike, nodes: int = 20, 
             np.array([p.centre_m for p in problems]), SOLVED, Room.of(nodes), place[at], turned[at], good[at],
         )  # fmt: skip
 
-    _spread(part, count, workers)
+    spread(part, count, workers)
     return Tips(place, turned, good)
 
 
@@ -85,7 +87,7 @@ def motions(
             dynamics.start(paths[b, 0])
             found[b] = dynamics.run(paths[b, 1:])
 
-    _spread(part, len(paths), workers)
+    spread(part, len(paths), workers)
     return [found[b] for b in range(len(paths))]
 
 
@@ -95,9 +97,7 @@ def _check(arms: list[Arm], pressure: Array, axes: int) -> None:
     kinds = {(arm.geometry.actuators, arm.section_rule) for arm in arms}
     if len(kinds) > 1:
         raise ValueError(f"the arms of a batch must share actuators and section rule, got {sorted(kinds)}")
-    actuators, rule = kinds.pop()
-    if rule not in ("linear", "pointwise"):
-        raise ValueError(f"a batch needs modulus_rule 'pointwise' or a homogeneous variant, not {rule!r}")
+    actuators, _ = kinds.pop()
     if pressure.ndim != axes or pressure.shape[-1] != actuators:
         raise ValueError(f"pressure_pa must have {axes} axes, the last of {actuators}, got shape {pressure.shape}")
     if len(arms) not in (1, len(pressure)):
@@ -106,7 +106,7 @@ def _check(arms: list[Arm], pressure: Array, axes: int) -> None:
         raise ValueError("pressures must be finite")
 
 
-def _spread(part: Callable[[range], None], count: int, workers: int | None) -> None:
+def spread(part: Callable[[range], None], count: int, workers: int | None) -> None:
     """Run part(range) over contiguous shares of the rows, one thread per core; the kernels release the GIL."""
 
     threads = max(1, min(count, workers if workers is not None else os.cpu_count() or 1))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -58,6 +58,25 @@ class Dynamics:
     def nodes(self) -> int:
         """Steps along the arm."""
         return self._nodes
+
+    @property
+    def segments(self) -> int:
+        """Into how many parts the arm is cut."""
+        return self._segments
+
+    @property
+    def c0(self) -> float:
+        """Of the time scheme (eq 26) [1/s]."""
+        return self._scheme.c0
+
+    def arguments(self) -> tuple[Any, ...]:
+        """The arm in motion, after `start`, as `lanes.moving` takes it."""
+        problem = self._problem
+        return (
+            problem.work, problem.law, problem.actuators, problem.rest, problem.per_pressure, problem.free_per_pa,
+            self._before, self._load, self._loaded, problem.length_m, self._segments, problem.scale,
+            self._coefficients, self._levels, self._trail, self._x, self._slope, self._room, CLOSE, problem.centre_m,
+        )  # fmt: skip
 
     def start(self, pressure_pa: ArrayLike, loads: Loads | None = None) -> Shape:
         """Begin at rest under gauge pressures (N,) [Pa]; raises as `Arm.statics` does."""

@@ -53,7 +53,7 @@ class Room(NamedTuple):
 
 
 @inlined
-def _cap(
+def cap(
     w: Array, i: int, f: Any, couple: Any, mass: float, inertia: Any, place: Any, c0: float, q_h: Any, o_h: Any
 ) -> Any:
     """The tip's force f and couple less what the cap's inertia takes, in the section's frame."""
@@ -90,7 +90,7 @@ def tip_residual(w: Array, law: int, actuators: int, history: Array, row: int, t
         f = (dot(d1, force), dot(d2, force), dot(d3, force))
         couple = (dot(d1, moment), dot(d2, moment), dot(d3, moment))
         if heavy:
-            f, couple = _cap(w, i, f, couple, mass, inertia, place, c0, q_h, o_h)
+            f, couple = cap(w, i, f, couple, mass, inertia, place, c0, q_h, o_h)
         couple = plus(couple, 1.0, cross(place, f))
         put(w, WRENCH, i, plus(triple(w, WRENCH, i), -1.0, f))
         put(w, WRENCH + 3, i, plus(triple(w, WRENCH + 3, i), -1.0, couple))

@@ -13,7 +13,7 @@ def main() -> int:
         from model import batch
         from model.arm import Arm
         from model.compiled import cache_folder
-        from model.gradient import tip_gradient
+        from model.gradient import motion, tip_gradient
         from model.paper import PaperRod
 
         print(f"model.warm: kernels are kept in {cache_folder()}", flush=True)
@@ -25,6 +25,7 @@ def main() -> int:
                 print(f"model.warm: failed: the {variant} arm could not be stepped", file=sys.stderr)
                 return 1
             tip_gradient(arm, (1e4, 0.0, 0.0))
+            motion(arm, [(1e4, 0.0, 0.0)] * 2, 1 / 30, ())
             batch.statics(arm, [(1e4, 0.0, 0.0)])
         PaperRod(Arm.paper("homogeneous")).statics((1e4, 0.0, 0.0))
     except Exception as fault:

@@ -1,4 +1,4 @@
-"""Gradients, batches and whole motions give what single solves give."""
+"""Batches and whole motions give what single solves give."""
 
 from __future__ import annotations
 
@@ -6,46 +6,19 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from model import Arm
+from model.arm import ModulusRule, Variant
 from model.batch import motions, statics
-from model.gradient import tip_gradient
 
 BAR = 1e5
-variants = ("homogeneous", "homogeneous+rpe", "inhomogeneous+rpe")
+variants: tuple[Variant, ...] = ("homogeneous", "homogeneous+rpe", "inhomogeneous+rpe")
+rules: tuple[ModulusRule, ...] = ("secant", "paper-tangent")
 
 
-@settings(max_examples=12, deadline=None)
-@given(st.tuples(*[st.floats(0.02, 0.65)] * 3), st.sampled_from(variants), st.booleans())
-def test_the_gradient_is_what_finite_differences_find(bar: tuple[float, ...], variant: str, heavy: bool) -> None:
-    arm = replace(Arm.paper(variant), rod_weight=heavy)  # type: ignore[arg-type]
-    p = np.array(bar) * BAR
-    gradient = tip_gradient(arm, p)
-    assert gradient.tip_m == pytest.approx(arm.statics(p).tip_m, abs=1e-8)
-    for name, found in gradient.by_parameter.items():
-        step = 1e-3 * getattr(arm.material, name)
-        plus, minus = (
-            replace(arm, material=replace(arm.material, **{name: getattr(arm.material, name) + d})).statics(p).tip_m
-            for d in (step, -step)
-        )
-        assert found * step == pytest.approx((plus - minus) / 2, abs=3e-8), name
-    for k in range(3):
-        step = 100.0 * np.eye(3)[k]
-        central = (arm.statics(p + step).tip_m - arm.statics(p - step).tip_m) / 2
-        assert gradient.by_pressure[:, k] * 100.0 == pytest.approx(central, abs=3e-8)
-
-
-def test_gradients_of_frozen_moduli_are_refused() -> None:
-    with pytest.raises(ValueError, match="pointwise"):
-        tip_gradient(replace(Arm.paper(), modulus_rule="secant"), (0, 0, 0))
-
-
-@pytest.mark.parametrize("variant", variants)
+@pytest.mark.parametrize("arm", [*map(Arm.paper, variants), *(replace(Arm.paper(), modulus_rule=r) for r in rules)])
 @pytest.mark.parametrize("workers", [1, 2, 3])
-def test_a_batch_is_its_members(variant: str, workers: int) -> None:
-    arm = Arm.paper(variant)  # type: ignore[arg-type]
+def test_a_batch_is_its_members(arm: Arm, workers: int) -> None:
     p = np.random.default_rng(1).uniform(0, 0.65 * BAR, (7, 3))
     tips = statics(arm, p, workers=workers)
     assert tips.ok.all()
@@ -96,8 +69,8 @@ def test_a_motion_flags_the_step_it_could_not_take_and_goes_on() -> None:
     assert np.array_equal(run.tip_m[1], run.tip_m[0])
 
 
-def test_a_batch_of_motions_is_its_members() -> None:
-    arm = Arm.paper("homogeneous+rpe")
+@pytest.mark.parametrize("arm", [Arm.paper("homogeneous+rpe"), replace(Arm.paper(), modulus_rule="secant")])
+def test_a_batch_of_motions_is_its_members(arm: Arm) -> None:
     p = np.random.default_rng(3).uniform(0, 0.5 * BAR, (3, 6, 3))
     for path, found in zip(p, motions(arm, p, 1 / 30, workers=2), strict=True):
         dynamics = arm.dynamics(1 / 30)
@@ -114,7 +87,6 @@ def test_a_batch_of_motions_is_its_members() -> None:
         (Arm.paper(), [[0, 0, np.nan]], "finite"),
         ([Arm.paper()] * 2, [[0, 0, 0]] * 3, "2 arms for 3"),
         ([Arm.paper(), Arm.paper("homogeneous")], [[0, 0, 0]] * 2, "share"),
-        (replace(Arm.paper(), modulus_rule="secant"), [[0, 0, 0]], "pointwise"),
     ],
 )
 def test_a_batch_that_does_not_fit_together_is_refused(arms: object, pressure: object, message: str) -> None:
