@@ -6,8 +6,7 @@ import itertools
 import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,24 +16,20 @@ import model
 from calibration.identify.data import Poses
 from calibration.identify.parameters import Setup
 from calibration.identify.smooth import between
-from model.batch import statics
+from model import gradient
+from model.gradient import Change, Pull
 
 Array = NDArray[np.float64]
 Solved = tuple[Array, Array]
 """Tips (K, 3) and orientations (K, 3, 3)."""
 Key = tuple[object, ...]
 
-BATCHED = ("linear", "pointwise")
-
 # Time steps per camera period: at one step the time scheme's own damping would pass for the material's.
 SUBSTEPS = 2
 # Where inertia is asked for: two steps slow the arm's own oscillation, and a density came out 16 % too low.
 FINE_SUBSTEPS = 8
 _KEPT = 64
-# The lever from the axis to the measured point turns with the tip: it is found anew until it stands still.
-_LEVER_PASSES, _LEVER_STILL = 40, 1e-7
 _SENSITIVITIES = 40
-_PRESSURE_STEP_PA = 500.0
 
 
 @dataclass
@@ -55,7 +50,7 @@ class Predictor:
         new = {key: setup for key, setup in zip(keys, setups, strict=True) if key not in self._solved}
         found = {key: self._solved[key] for key in keys if key in self._solved}
         if new:
-            solve = _pulled if self.poses.wrench.any() else _moving if self.poses.moving else _resting
+            solve = _moving if self.poses.moving else _resting
             pressures = [self._pressure(setup) for setup in new.values()]
             found |= zip(new, solve(list(new.values()), pressures, self.poses, self.substeps), strict=True)
         out = [setup.measured(*found[key]) for key, setup in zip(keys, setups, strict=True)]
@@ -74,23 +69,71 @@ class Predictor:
             pressure = pressure + setup.sensor_lag_s * np.gradient(pressure, self.poses.period_s, axis=0)
         return setup.pressure_pa(pressure)
 
+    def slopes(self, setup: Setup, moved: Sequence[Setup], steps: Sequence[float]) -> Array | None:
+        """How the tips answer (K, 3, P) to each change of the setup, per unit of its step, by the model's gradients.
+
+        moved: the setup with one change each, so small that the answer is linear in it. None where the model has no
+        gradient: in motion with frozen moduli, or under measured wrenches.
+        """
+        poses, key = self.poses, self._key(setup)
+        new = [k for k, other in enumerate(moved) if self._key(other) != key]
+        frozen = setup.arm.section_rule not in ("linear", "pointwise")
+        if poses.moving and (frozen or poses.wrench.any()):
+            return None
+        if poses.moving:
+            paths = [_path(self._pressure(one), self.substeps) for one in (setup, *(moved[k] for k in new))]
+            changes = [Change(steps[k], moved[k].turned_arm, own) for k, own in zip(new, paths[1:], strict=True)]
+            weight = np.concatenate([poses.weight_kg[:1], np.repeat(poses.weight_kg[1:], self.substeps)])
+            dt_s = poses.period_s / self.substeps
+            found = gradient.motion(setup.turned_arm, paths[0], dt_s, changes, weight, self.substeps)
+        else:
+            changes = [
+                Change(steps[k], moved[k].turned_arm, self._pressure(moved[k]), _pull(moved[k], poses)) for k in new
+            ]
+            rows, pull = self._pressure(setup), _pull(setup, poses)
+            found = gradient.statics(setup.turned_arm, rows, changes, poses.weight_kg, pull)
+        lever = found.tip_rotation @ np.array(setup.tool_offset_m)
+        base = Rotation.from_rotvec(setup.base_rotation_rad).as_matrix()
+        out = np.zeros((len(poses), 3, len(moved)))
+        out[:, :, new] = base @ (found.tip_by + np.cross(found.turn_by, lever[:, :, None], axis=1))
+        point = (found.tip_m + lever) @ base.T
+        for k, (other, step) in enumerate(zip(moved, steps, strict=True)):
+            shift, turn, tool = (
+                (np.array(getattr(other, name)) - np.array(getattr(setup, name))) / step
+                for name in ("base_translation_m", "base_rotation_rad", "tool_offset_m")
+            )
+            turn = _turned_by(np.array(setup.base_rotation_rad)) @ turn
+            out[:, :, k] += shift + np.cross(turn, point) + (found.tip_rotation @ tool) @ base.T
+        return out
+
     def pressure_covariance(self, setup: Setup) -> Array:
         """Covariance (K, 3, 3) [m^2] that random pressure errors lend the predictions, by the arm's statics."""
         poses = self.poses
         if not poses.pressure_std_pa.any():
             return np.zeros((len(poses), 3, 3))
         some = np.unique(np.linspace(0, len(poses) - 1, min(len(poses), _SENSITIVITIES)).round().astype(int))
-        at = setup.pressure_pa(poses.pressure_pa[some])
-        steps = _PRESSURE_STEP_PA * np.concatenate([np.eye(poses.actuators), -np.eye(poses.actuators)])
-        rows = (at[:, None, :] + steps).reshape(-1, poses.actuators)
-        each = np.repeat(some, len(steps))
-        tips = at_rest([setup.turned_arm], rows, poses.weight_kg[each])[0].reshape(len(some), -1, 3)
-        high, low = tips[:, : poses.actuators], tips[:, poses.actuators :]
-        slope = np.nan_to_num((high - low) / (2 * _PRESSURE_STEP_PA))
+        arm, at = setup.turned_arm, setup.pressure_pa(poses.pressure_pa[some])
+        changes = [
+            Change(gradient.PRESSURE_STEP_PA, arm, at + step)
+            for step in gradient.PRESSURE_STEP_PA * np.eye(poses.actuators)
+        ]
+        slope = np.nan_to_num(gradient.statics(arm, at, changes, poses.weight_kg[some]).tip_by).swapaxes(1, 2)
         nearest = np.abs(np.arange(len(poses))[:, None] - some).argmin(axis=1)
         spread = slope[nearest] * poses.pressure_std_pa[:, :, None]
         out: Array = np.swapaxes(spread, 1, 2) @ spread
         return out
+
+
+def _turned_by(rotvec: Array) -> Array:
+    """How fast a rotation turns (3, 3), in the outer frame, as its rotation vector changes."""
+    angle = float(np.linalg.norm(rotvec))
+    x, y, z = rotvec
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    first, second = (
+        (0.5, 1 / 6) if angle < 1e-4 else ((1 - np.cos(angle)) / angle**2, (angle - np.sin(angle)) / angle**3)
+    )
+    out: Array = np.eye(3) + first * cross + second * cross @ cross
+    return out
 
 
 def _loads(arm: model.Arm, weight_kg: float) -> model.Loads | None:
@@ -100,80 +143,71 @@ def _loads(arm: model.Arm, weight_kg: float) -> model.Loads | None:
     return model.Loads(tip_force_n=(weight_kg * x, weight_kg * y, weight_kg * z))
 
 
+def _pull(setup: Setup, poses: Poses) -> Pull | None:
+    """The measured wrenches as the arm feels them, at the measured point."""
+    if not poses.wrench.any():
+        return None
+    back = Rotation.from_rotvec(setup.base_rotation_rad).inv()
+    return Pull(back.apply(poses.wrench[:, :3]), back.apply(poses.wrench[:, 3:]), np.array(setup.tool_offset_m))
+
+
 def _resting(setups: Sequence[Setup], pressure_pa: Sequence[Array], poses: Poses, _: int) -> list[Solved]:
-    count = len(poses)
-    each = [arm for setup in setups for arm in [setup.turned_arm] * count]
-    tips, turned = at_rest(each, np.concatenate(pressure_pa), np.tile(poses.weight_kg, len(setups)))
-    return [(tips[k : k + count], turned[k : k + count]) for k in range(0, len(tips), count)]
-
-
-def at_rest(arms: Sequence[model.Arm], pressure_pa: Array, weight_kg: Array) -> Solved:
-    """Tips (B, 3) and orientations (B, 3, 3) under rows of pressures (B, N) and weights (B,); NaN where none is found.
-
-    arms: one for every row, or one for all.
-    """
-    # At rest a weight on the cap is a heavier cap.
-    loaded = [
-        arm if weight == 0 else replace(arm, cap_mass_kg=arm.cap_mass_kg + weight)
-        for arm, weight in zip(itertools.cycle(arms), weight_kg.tolist(), strict=False)
+    found = [
+        gradient.statics(setup.turned_arm, rows, (), poses.weight_kg, _pull(setup, poses))
+        for setup, rows in zip(setups, pressure_pa, strict=True)
     ]
-    if arms[0].section_rule in BATCHED:
-        tips = statics(loaded, pressure_pa)
-        return tips.tip_m, tips.tip_rotation
-    place, turned = np.full((len(loaded), 3), np.nan), np.full((len(loaded), 3, 3), np.nan)
-    for k, (arm, pressure) in enumerate(zip(loaded, pressure_pa, strict=True)):
-        with suppress(model.NotConverged):
-            shape = arm.statics(pressure)
-            place[k], turned[k] = shape.tip_m, shape.tip_rotation
-    return place, turned
+    return [(one.tip_m, one.tip_rotation) for one in found]
 
 
 def _moving(setups: Sequence[Setup], pressure_pa: Sequence[Array], poses: Poses, substeps: int) -> list[Solved]:
+    if poses.wrench.any():
+        return [_pulled(setup, rows, poses, substeps) for setup, rows in zip(setups, pressure_pa, strict=True)]
     arms = [setup.turned_arm for setup in setups]
     with ThreadPoolExecutor(min(len(arms), os.cpu_count() or 1)) as pool:
         return list(pool.map(_motion, arms, pressure_pa, itertools.repeat(poses), itertools.repeat(substeps)))
 
 
-def _pulled(setups: Sequence[Setup], pressure_pa: Sequence[Array], poses: Poses, substeps: int) -> list[Solved]:
-    """Under measured wrenches, one pose at a time: the lever of the force turns with the tip."""
-    return [_under_wrench(setup, rows, poses, substeps) for setup, rows in zip(setups, pressure_pa, strict=True)]
-
-
-def _under_wrench(setup: Setup, pressure_pa: Array, poses: Poses, substeps: int) -> Solved:
-    arm, count = setup.turned_arm, len(poses)
+def _pulled(setup: Setup, pressure_pa: Array, poses: Poses, substeps: int) -> Solved:
+    """In motion under measured wrenches: the lever of the force is that of the step before."""
+    arm, pull = setup.turned_arm, _pull(setup, poses)
+    assert pull is not None
+    count = len(poses)
     tips, turned = np.full((count, 3), np.nan), np.full((count, 3, 3), np.nan)
-    back = Rotation.from_rotvec(setup.base_rotation_rad).inv()
-    force, moment = back.apply(poses.wrench[:, :3]), back.apply(poses.wrench[:, 3:])
-    tool, gravity = np.array(setup.tool_offset_m), np.array(arm.gravity_m_s2)
-    dynamics = arm.dynamics(poses.period_s / substeps) if poses.moving else None
+    gravity = np.array(arm.gravity_m_s2)
+    dynamics = arm.dynamics(poses.period_s / substeps)
     rotation, before = np.eye(3), None
 
     def loads(k: int) -> model.Loads:
-        pull = force[k] + poses.weight_kg[k] * gravity
-        return model.Loads(tip_force_n=pull, tip_moment_n_m=moment[k] + np.cross(rotation @ tool, force[k]))
+        force = pull.force_n[k] + poses.weight_kg[k] * gravity
+        lever = np.cross(rotation @ pull.point_m, pull.force_n[k])
+        return model.Loads(tip_force_n=force, tip_moment_n_m=pull.moment_n_m[k] + lever)
 
     for k in range(count):
-        try:
-            if dynamics is None or before is None:
-                for _ in range(_LEVER_PASSES):
-                    shape = arm.statics(pressure_pa[k], loads(k))
-                    turn, rotation = np.abs(shape.tip_rotation - rotation).max(), shape.tip_rotation
-                    if turn < _LEVER_STILL:
-                        break
-                if dynamics is not None:
-                    shape = dynamics.start(pressure_pa[k], loads(k))
-            else:
-                for part in range(1, substeps + 1):
-                    share = part / substeps
-                    shape = dynamics.step((1 - share) * before + share * pressure_pa[k], loads(k))
-                    rotation = shape.tip_rotation
-        except model.NotConverged:
-            rotation = np.eye(3)
-            continue
+        if before is None:
+            own = Pull(pull.force_n[k : k + 1], pull.moment_n_m[k : k + 1], pull.point_m)
+            found = gradient.statics(arm, pressure_pa[k : k + 1], (), poses.weight_kg[k : k + 1], own)
+            if not found.ok[0]:
+                continue
+            rotation = found.tip_rotation[0]
+            try:
+                shape = dynamics.start(pressure_pa[k], loads(k))
+            except model.NotConverged:
+                continue
+        else:
+            for part in range(1, substeps + 1):
+                share = part / substeps
+                shape = dynamics.step((1 - share) * before + share * pressure_pa[k], loads(k))
+                rotation = shape.tip_rotation
         before = pressure_pa[k]
         if shape.ok:
             tips[k], turned[k] = shape.tip_m, shape.tip_rotation
     return tips, turned
+
+
+def _path(pressure_pa: Array, substeps: int) -> Array:
+    """Pressures (1 + (K - 1) substeps, N) at rest and then step by step."""
+    steps = between(pressure_pa, substeps).reshape(-1, pressure_pa.shape[1])
+    return np.concatenate([pressure_pa[:1], steps])
 
 
 def _motion(arm: model.Arm, pressure_pa: Array, poses: Poses, substeps: int) -> Solved:

@@ -15,7 +15,8 @@ from calibration.identify.predict import FINE_SUBSTEPS, SUBSTEPS, Predictor
 
 Array = NDArray[np.float64]
 
-_STEP = 3e-5
+# Of the model's own gradients, and of differences of whole predictions where it has none.
+_SMALL_STEP, _STEP = 1e-7, 3e-5
 # A faint pull to the start, in spans: it keeps what the data do not decide from drifting, and nothing else.
 _TETHER = 5.0
 _ROUNDS = 5
@@ -130,18 +131,27 @@ class Problem:
         out = []
         for run, predictor in enumerate(self._predictors):
             mine = [(column, i) for column, i in enumerate(only) if i in self._columns[run]]
-            steps = [-_STEP if z[i] + _STEP > self.unknowns[i].upper else _STEP for _, i in mine]
-            moved = []
-            for (_, i), step in zip(mine, steps, strict=True):
-                there = z.copy()
-                there[i] += step
-                moved.append(self.setup(there, run))
+            moved, steps = self._moved(z, run, [i for _, i in mine], _SMALL_STEP)
+            found = predictor.slopes(self.setup(z, run), moved, steps)
+            if found is None:
+                moved, steps = self._moved(z, run, [i for _, i in mine], _STEP)
+                apart = [(tips - at[run]) / step for step, tips in zip(steps, predictor.many(moved), strict=True)]
+                found = np.stack(apart, axis=2) if apart else np.zeros((*at[run].shape, 0))
             slope = np.zeros((*at[run].shape, len(only)))
-            for (column, _), step, tips in zip(mine, steps, predictor.many(moved), strict=True):
-                slope[:, :, column] = (tips - at[run]) / step
+            slope[:, :, [column for column, _ in mine]] = found
             out.append(np.nan_to_num(slope, nan=0.0))
         self._slopes = (z.copy(), tuple(only), out)
         return out
+
+    def _moved(self, z: Array, run: int, which: Sequence[int], step: float) -> tuple[list[Setup], list[float]]:
+        """A run's setups with one unknown moved each, and by how much; upwards unless a bound is there."""
+        steps = [-step if z[i] + step > self.unknowns[i].upper else step for i in which]
+        moved = []
+        for i, own in zip(which, steps, strict=True):
+            there = z.copy()
+            there[i] += own
+            moved.append(self.setup(there, run))
+        return moved, steps
 
     def solve(self, z: Array, held: Sequence[int] = (), rounds: int = _ROUNDS, evaluations: int = 40) -> Solution:
         """Climb to the maximum from z (n,); `held` unknowns stay where they are. Weights are updated between rounds."""
