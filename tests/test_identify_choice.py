@@ -76,9 +76,9 @@ def test_a_comparison_that_was_broken_off_goes_on_where_it_was_and_says_how_far_
 def test_a_damping_that_only_the_run_left_out_could_tell_does_not_leak_into_its_prediction() -> None:
     arm = model.Arm.paper()
     damped = replace(arm, material=replace(arm.material, damping_s=0.06))
-    step = np.repeat(np.array([[0.2e5, 0, 0], [0.5e5, 0, 0]]), 20, axis=0)
+    sine = (0.35e5 + 0.15e5 * np.sin(np.arange(60)[:, None] / 5)) * np.array([1.0, 0, 0])
     rng = np.random.default_rng(5)
-    moving = perform(plan("step", step, period_s=1 / 30, errors=ERRORS), Setup(damped), rng, ERRORS)
+    moving = perform(plan("sine", sine, period_s=1 / 30, errors=ERRORS), Setup(damped), rng, ERRORS)
     one = Candidate("pointwise", START, ("a1_per_n",)).damped()
     found = choose([*data(damped)[:1], moving], [one], workers=1).rows[0]
     assert found.damping_s == pytest.approx(0.06, rel=0.05)
