@@ -15,6 +15,7 @@ import model
 import runs
 from calibration.identify import Setup, as_if_at_rest, identify
 from calibration.identify.predict import Predictor
+from model import gradient
 from protocols import BadInput
 from rig.importing import import_table
 from runs.run import Run
@@ -122,6 +123,22 @@ def test_the_wrench_of_any_stated_frame_predicts_the_tip(table: Path, tmp_path: 
     assert error.max() < 1e-4
     blind = replace(poses, wrench=np.zeros((40, 6)))
     assert np.linalg.norm(Predictor(blind)(TRUTH) - poses.tip_m, axis=1).mean() > 5e-3
+
+
+def test_a_strong_pull_beside_the_axis_is_met_or_said_to_be_lost() -> None:
+    """The lever of such a pull turns more than the arm that it turns: going back and forth between them diverges."""
+    geometry = model.Geometry.on_circle(0.045, 0.00395, 0.0069, 0.00797, (90.0, -30.0, 210.0))
+    arm = model.Arm(geometry, model.Material(130e3, 0.0494, 0.0243, 0.0, 0.333), cap_mass_kg=0.013)
+    n, point, rng = 24, np.array([0.0157, 0.0, 0.006]), np.random.default_rng(1)
+    pressure_pa = rng.uniform(0, 1e5, (n, 3)) * np.eye(3)[rng.integers(0, 3, n)]
+    force = 2.0 * Rotation.random(n, random_state=3).apply([0, 0, 1])
+    found = gradient.statics(arm, pressure_pa, (), np.zeros(n), gradient.Pull(force, np.zeros((n, 3)), point))
+    met = np.flatnonzero(found.ok)
+    assert len(met) > 0.8 * n
+    assert np.isnan(found.tip_m[~found.ok]).all()
+    for k in met:
+        loads = model.Loads(tip_force_n=force[k], tip_moment_n_m=np.cross(found.tip_rotation[k] @ point, force[k]))
+        np.testing.assert_allclose(arm.statics(pressure_pa[k], loads).tip_m, found.tip_m[k], atol=1e-6)
 
 
 def test_a_pulled_arm_tells_its_law_without_any_pressure_free(table: Path, tmp_path: Path) -> None:
