@@ -49,7 +49,8 @@ def board_pose(points_m: Floats, cameras: Sequence[DLT], corners: Sequence[Corne
         cost_new = float(residual_new @ residual_new)
         if not np.isfinite(cost_new):
             return None
-        done = abs(cost - cost_new) <= _CONVERGED * cost
+        # Of pictures without noise the cost is rounding alone, and rises as often as it falls.
+        done = abs(cost - cost_new) <= _CONVERGED * max(cost, 1.0)
         if cost_new <= cost:
             x, projected, jacobian, residual, cost = trial, projected_new, jacobian_new, residual_new, cost_new
         if done:

@@ -60,6 +60,7 @@ FIRST = 7  # lane of the first neighbour
 STEP = 1e-7  # of the moved base strains, in scaled states
 # The lever of a pull turns with the tip: it is found anew until it stands still, or the pull is not met.
 LEVER_PASSES, LEVER_STILL = 80, 1e-8
+NO_MOMENT = 1e-15  # [N m]: a pull so small that its moments have no digits
 
 
 class Lanes(NamedTuple):
@@ -516,7 +517,7 @@ def resting(
             for _ in range(LEVER_PASSES):
                 if solved > 0 and not still:
                     off = _lever(solver.x, pulls[0], here, lever, share)
-                    still = off < LEVER_STILL * pulled
+                    still = off <= LEVER_STILL * pulled + NO_MOMENT
                     # A strong pull turns the tip by more than the lever was off: then smaller steps.
                     share = max(0.1, 0.5 * share) if off > 0.7 * last else share
                     last = off
