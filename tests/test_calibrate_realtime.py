@@ -15,6 +15,7 @@ import pytest
 from rig import config
 from rig.bench import open_bench
 from rig.daq.base import CardError
+from rig.rig_file import load
 from tests.rig_process import PATIENCE_S, write_rig
 
 pytestmark = pytest.mark.alone
@@ -24,7 +25,7 @@ pytestmark = pytest.mark.alone
 def sweeping(folder: Path) -> Iterator[tuple[subprocess.Popen[bytes], config.RigConfig]]:
     """A sweep that goes; killed at the end if it still does."""
     rig_file = write_rig(folder)
-    loaded = rig_file.load(rig_file)
+    loaded = load(rig_file)
     with (folder / "log").open("w") as log:
         process = subprocess.Popen(
             [sys.executable, "-m", "rig", "calibrate", "pressure", "--rig", str(rig_file), "--yes", "--no-sensors",
