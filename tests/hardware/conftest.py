@@ -65,7 +65,7 @@ def player() -> Iterator[Player]:
     assert process.stdout.readline() == b"playing\n"
     with np.load(pictures) as stored:
         tips = stored["tips"]
-    yield Player(tips)
+    yield Player(tips, process)
     process.kill()
     process.wait()
     process.stdout.close()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import subprocess
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,6 +19,7 @@ VALVES = (0, 3, 5)
 
 @dataclass(frozen=True)
 class Player:
-    """What is played: the true tips (n, 3) [m] of the pictures."""
+    """What is played: the true tips (n, 3) [m] of the pictures, and the process that plays them."""
 
     tips_m: NDArray[np.float64]
+    process: subprocess.Popen[bytes]

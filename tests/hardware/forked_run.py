@@ -1,0 +1,99 @@
+"""`rig run` in processes that are forked from one that has imported everything already.
+
+An emulated machine takes a minute to import what a run needs. The processes are what they always are, with the same
+handles on the card, the same priorities and the same memory between them; only no program is loaded anew.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import importlib
+import os
+import pickle
+import subprocess
+import sys
+import time
+import traceback
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+from rig_of_the_machine import STEPS
+
+from rig.executor import control, observing, realtime, watchdog  # imported here, so that no fork has to
+from rig.executor.child import Job
+
+_NAME = 15
+"""PR_SET_NAME: a process is found by the name of its module."""
+READY = (control, observing, watchdog)
+
+
+def run(rig_file: Path, out: Path) -> subprocess.Popen[bytes]:
+    """Start a run of the looped rig's steps."""
+
+    def conduct() -> None:
+        from rig.cli import main
+
+        realtime.spawn = _spawn
+        realtime.START_TIMEOUT_S = 400.0
+        sys.argv = ["rig", "run", STEPS, "--rig", str(rig_file), "--out", str(out), "--yes", "--no-report"]
+        main()
+
+    return _forked("conductor", conduct, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, stdin=subprocess.DEVNULL)
+
+
+def members(conductor: int) -> dict[str, int]:
+    """The processes of a run by name."""
+    found = {"conductor": conductor}
+    for stat in Path("/proc").glob("[0-9]*/stat"):
+        with suppress(OSError):
+            head, _, tail = stat.read_text().rpartition(")")
+            state, parent = tail.split()[:2]
+            if int(parent) == conductor and state != "Z":
+                found[head.partition("(")[2]] = int(stat.parent.name)
+    return found
+
+
+def _spawn(module: str, job: Job) -> subprocess.Popen[bytes]:
+    """What `rig.executor.child.spawn` does."""
+    main = importlib.import_module(module).main
+    process = _forked(module.rpartition(".")[2], main, job.fd, stdin=subprocess.PIPE, start_new_session=True)
+    assert process.stdin is not None
+    with suppress(BrokenPipeError):
+        pickle.dump(job, process.stdin)
+        process.stdin.close()
+    return process
+
+
+def _forked(name: str, main: Callable[[], object], *kept: int, **streams: Any) -> subprocess.Popen[bytes]:
+    def become() -> None:
+        status: object = 70
+        try:
+            # Among them the one by which the parent learns that a program was loaded.
+            for number in map(int, os.listdir("/proc/self/fd")):  # noqa: PTH208
+                if number > 2 and number not in kept:
+                    with suppress(OSError):
+                        os.close(number)
+            ctypes.CDLL(None).prctl(_NAME, name.encode())
+            sys.stdin, sys.stdout, sys.stderr = (os.fdopen(fd, mode) for fd, mode in ((0, "r"), (1, "w"), (2, "w")))
+            status = main() or 0
+        except SystemExit as ending:
+            status = ending.code or 0
+        except BaseException:
+            traceback.print_exc()
+        finally:
+            with suppress(OSError, ValueError):
+                sys.stdout.flush()
+                sys.stderr.flush()
+            os._exit(status if isinstance(status, int) else 1)
+
+    return subprocess.Popen(["forked"], preexec_fn=become, **streams)
+
+
+def wait_until(done: Callable[[], bool], seconds: float, what: str) -> None:
+    """Wait for what has to come."""
+    until = time.monotonic() + seconds
+    while not done():
+        assert time.monotonic() < until, f"{what}: not within {seconds:.0f} s"
+        time.sleep(0.005)
