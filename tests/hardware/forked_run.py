@@ -76,7 +76,9 @@ def _forked(name: str, main: Callable[[], object], *kept: int, **streams: Any) -
                     with suppress(OSError):
                         os.close(number)
             ctypes.CDLL(None).prctl(_NAME, name.encode())
-            sys.stdin, sys.stdout, sys.stderr = (os.fdopen(fd, mode) for fd, mode in ((0, "r"), (1, "w"), (2, "w")))
+            # Those of the parent close their descriptors when they are forgotten.
+            modes = ((0, "r"), (1, "w"), (2, "w"))
+            sys.stdin, sys.stdout, sys.stderr = (os.fdopen(fd, mode, closefd=False) for fd, mode in modes)
             status = main() or 0
         except SystemExit as ending:
             status = ending.code or 0
