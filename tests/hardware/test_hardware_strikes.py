@@ -86,6 +86,8 @@ class Struck:
             except ProcessLookupError:
                 continue
         self.process.wait()
+        assert self.process.stdout is not None
+        self.process.stdout.close()
 
 
 @pytest.fixture(scope="module", autouse=True)
