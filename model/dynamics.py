@@ -70,7 +70,7 @@ class Dynamics:
         return self._scheme.c0
 
     def arguments(self) -> tuple[Any, ...]:
-        """The arm in motion, after `start`, as `lanes.moving` takes it."""
+        """The arm in motion, after `start`, as `moving.moving` takes it."""
         problem = self._problem
         return (
             problem.work, problem.law, problem.actuators, problem.rest, problem.per_pressure, problem.free_per_pa,

@@ -1,6 +1,6 @@
 """How the tip answers to whatever may change a little: exact gradients, for identification.
 
-By the implicit function theorem (model/lanes.py): neighbours of a solved arm are integrated beside it, no further
+By the implicit function theorem (model/neighbours.py): neighbours of a solved arm are integrated beside it, no further
 Newton iterations.
 """
 
@@ -17,9 +17,11 @@ from numpy.typing import ArrayLike, NDArray
 from model import layout
 from model.batch import spread
 from model.errors import NotConverged
-from model.lanes import FIRST, Lanes, moving, passes, resting
+from model.lanes import FIRST, Lanes, passes
 from model.loads import Loads
+from model.moving import moving
 from model.problem import SOLVED, Problem, pressures
+from model.resting import resting
 from model.shooting import room_for
 
 if TYPE_CHECKING:
@@ -292,7 +294,7 @@ class _Tips:
 
 @dataclass(frozen=True)
 class _Stack:
-    """The arm and its neighbours as the kernels take them: `first` and the arrays (R, ..) of `lanes.resting`."""
+    """The arm and its neighbours as the kernels take them: `first` and the arrays (R, ..) of `resting.resting`."""
 
     first: Problem
     work: Array

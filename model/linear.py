@@ -42,6 +42,39 @@ def solve_six(a: Array, b: Array) -> bool:
 
 
 @leaf
+def solve_six_rows(a: Array, b: Array) -> bool:
+    """Solve a x = b (6, 6) for every row of b (P, 6), in place; False when singular."""
+    n = 6
+    for i in range(n):
+        p, best = i, abs(a[i, i])
+        for r in range(i + 1, n):
+            if abs(a[r, i]) > best:
+                p, best = r, abs(a[r, i])
+        # Written so that a NaN is refused too.
+        if not best > 1e-300:
+            return False
+        if p != i:
+            for c in range(n):
+                a[i, c], a[p, c] = a[p, c], a[i, c]
+            for f in range(b.shape[0]):
+                b[f, i], b[f, p] = b[f, p], b[f, i]
+        over = 1.0 / a[i, i]
+        for r in range(i + 1, n):
+            share = a[r, i] * over
+            for c in range(i + 1, n):
+                a[r, c] -= share * a[i, c]
+            for f in range(b.shape[0]):
+                b[f, r] -= share * b[f, i]
+    for f in range(b.shape[0]):
+        for i in range(n - 1, -1, -1):
+            total = b[f, i]
+            for c in range(i + 1, n):
+                total -= a[i, c] * b[f, c]
+            b[f, i] = total / a[i, i]
+    return True
+
+
+@leaf
 def orthonormalise(y: Array, r: Array) -> bool:
     """Factor y (six rows of 16, each a direction) into orthonormal rows and an upper triangle r, both in place.
 

@@ -1,0 +1,143 @@
+"""The kernel of an arm in motion: its time steps, and how its tip answers to small changes of it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from model.axis import axis
+from model.compiled import kernel
+from model.lanes import FIRST, Lanes, places, press
+from model.layout import LANES, STATE
+from model.march import advance
+from model.neighbours import neighbours
+from model.shooting import Room
+from model.triples import inlined, leaf
+
+Array = Any
+
+
+@inlined
+def _join(row: Array, first: Array, shares: Array, arm: Array, p: int, count: int, quantities: int) -> None:
+    for c in range(quantities):
+        at = c * LANES
+        base = first[at]
+        d1, d2, d3 = first[at + 1] - base, first[at + 2] - base, first[at + 3] - base
+        d4, d5, d6 = first[at + 4] - base, first[at + 5] - base, first[at + 6] - base
+        for i in range(LANES):
+            total = row[at + i] - base + shares[0, i] * d1 + shares[1, i] * d2 + shares[2, i] * d3
+            row[at + i] = arm[c] + total + shares[3, i] * d4 + shares[4, i] * d5 + shares[5, i] * d6
+        for i in range(LANES):
+            lane = p * LANES + i
+            if lane < FIRST or lane >= FIRST + count:
+                row[at + i] = arm[c]
+
+
+@leaf
+def _combine(x: Array, slope: Array, segments: int, room: Lanes, states: Array, derivatives: Array) -> None:
+    """Turn the lanes, after `neighbours`, into the solved neighbours; all other lanes become the arm x, slope."""
+    n, count = x.shape[0] - 1, room.parts.shape[0]
+    per = n // segments
+    for j in range(n + 1):
+        s = min(j // per, segments - 1)
+        for p in range(states.shape[0] - 1, -1, -1):
+            _join(states[p, j], states[0, j], room.shares[s, p], x[j], p, count, STATE)
+            _join(derivatives[p, j], derivatives[0, j], room.shares[s, p], slope[j], p, count, 12)
+
+
+@leaf
+def _moved(x: Array, works: Array, room: Lanes, states: Array, derivatives: Array, steps: Array, by: Array) -> None:
+    """How tip and turn answer (P, 6) to each neighbour's change, after `_combine`."""
+    n = x.shape[0] - 1
+    for p in range(works.shape[0]):
+        places(works[p], states[p], derivatives[p], x[n], room.place[p])
+    for f in range(steps.shape[0]):
+        p, i = (FIRST + f) // LANES, (FIRST + f) % LANES
+        for c in range(6):
+            by[f, c] = (room.place[p, c, i] - room.place[0, c, 0]) / steps[f]
+
+
+@leaf
+def _remember(past: Array, room: Lanes, last: int, a: float, b: float, d: float) -> None:
+    """The history (eq 26) of the next time step: a, b times the last two solutions, d times this history."""
+    half = 12 * LANES
+    for k in range(past.shape[0]):
+        for j in range(past.shape[1]):
+            x, x_before = room.states[last, k, j], room.states[1 - last, k, j]
+            slope, slope_before = room.derivatives[last, k, j], room.derivatives[1 - last, k, j]
+            for i in range(half):
+                past[k, j, i] = a * x[i] + b * x_before[i] + d * past[k, j, i]
+            for i in range(half):
+                past[k, j, half + i] = a * slope[i] + b * slope_before[i] + d * past[k, j, half + i]
+
+
+@kernel
+def moving(
+    w: Array, law: int, actuators: int, rest: Array, per_pressure: Array, free: float, before: Array, load: Array,
+    loaded: bool, length: float, segments: int, scale: Array, scheme: Array, levels: Array, trail: Array, x: Array,
+    slope: Array, solver: Room, tolerance: float, centre: Array, tip: Array, resting_works: Array,
+    resting_rests: Array, resting_per_pressures: Array, still: Array, works: Array, rests: Array,
+    per_pressures: Array, frees: Array, ends: Array, pressure: Array, hung: Array, loaded_lanes: bool, heavy: bool,
+    past: Array, room: Lanes, steps: Array, every: int, place: Array, turned: Array, by: Array, good: Array,
+) -> None:  # fmt: skip
+    """A motion from rest by BDF-alpha, and how its tip answers to each neighbour's change.
+
+    The arm as `axis.motion` takes it, at rest in x, slope; the lanes as `press` takes them, `resting_..` and scale
+    `still` of the arm at rest. pressure (1 + T, W, N, 8): at rest, then step by step. hung (1 + T, 3): force on the
+    tip. past (W, N + 1, 192): room for the lanes' history. Of every so many steps it fills place, turned, by
+    (1 + T / every, ..) and good.
+    """
+    n, count = x.shape[0] - 1, works.shape[0]
+    p, turns, v, u = np.empty((n + 1, 3)), np.empty((n + 1, 3, 3)), np.empty((n + 1, 3)), np.empty((n + 1, 3))
+    row, here, nothing = np.empty(actuators), tip.copy(), np.zeros((count, 6, LANES))
+    hangs = np.zeros((count, 6, LANES))
+    c0, c1, c2, d1 = scheme[0], scheme[1], scheme[2], scheme[4]
+    followed, now = True, 0
+    for t in range(pressure.shape[0]):
+        for c in range(3):
+            here[c] = tip[c] + hung[t, c]
+            for k in range(count):
+                for i in range(LANES):
+                    hangs[k, c, i] = hung[t, c]
+        solved = 1
+        if t == 0:
+            press(
+                resting_works, actuators, resting_rests, resting_per_pressures, frees, ends, pressure[t], hangs, nothing
+            )
+            followed = neighbours(
+                resting_works, law, actuators, past, load, loaded_lanes, 0.0, heavy, segments, still, x, room,
+                room.states[0], room.derivatives[0],
+            )  # fmt: skip
+            _combine(x, slope, segments, room, room.states[0], room.derivatives[0])
+            room.states[1] = room.states[0]
+            room.derivatives[1] = room.derivatives[0]
+            # An arm at rest has no rates: y^h = -c0 y.
+            _remember(past, room, now, -c0, 0.0, 0.0)
+        else:
+            for k in range(actuators):
+                row[k] = pressure[t, 0, k, 0]
+            solved = advance(
+                w, law, actuators, rest, per_pressure, free, before, row, load, loaded, here, length, segments, scale,
+                scheme, levels, trail, x, slope, solver, tolerance,
+            )  # fmt: skip
+            if solved > 0 and followed:
+                # y_t of the last step is c0 times its solution plus its history.
+                _remember(past, room, now, c1 + d1 * c0, c2, d1)
+                now = 1 - now
+                press(works, actuators, rests, per_pressures, frees, ends, pressure[t], hangs, nothing)
+                followed = neighbours(
+                    works, law, actuators, past, load, loaded_lanes, c0, heavy, segments, scale, x, room,
+                    room.states[now], room.derivatives[now],
+                )  # fmt: skip
+                _combine(x, slope, segments, room, room.states[now], room.derivatives[now])
+        if t % every == 0:
+            at = t // every
+            good[at] = solved > 0
+            axis(x, slope, length, centre, p, turns, v, u)
+            place[at] = p[n]
+            turned[at] = turns[n]
+            if followed:
+                _moved(x, works, room, room.states[now], room.derivatives[now], steps, by[at])
+            else:
+                by[at] = np.nan
