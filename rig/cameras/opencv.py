@@ -76,9 +76,8 @@ class OpenCVCamera:
 
     def read(self, timeout_s: float) -> Frame:
         """Return the newest picture."""
-        # OpenCV waits for a V4L2 picture by a time-out of its own; it is asked again until ours is over.
         until = time.monotonic() + timeout_s
-        while not self._capture.grab():
+        while not self._grab(until - time.monotonic()):
             if time.monotonic() > until:
                 raise CameraError(f"camera {self._camera.device} gave no picture within {timeout_s:g} s")
             time.sleep(0.002)
@@ -93,6 +92,17 @@ class OpenCVCamera:
         self._last_ns = end_ns
         picture: NDArray[np.uint8] = np.asarray(image, dtype=np.uint8)
         return Frame(self._index, end_ns - self._half_exposure_ns, picture)
+
+    def _grab(self, timeout_s: float) -> bool:
+        """Take the next picture; False if none has come in time, or if the device reports an error.
+
+        `VideoCapture.grab` would wait ten seconds, whatever it is asked.
+        """
+        try:
+            ready, _ = cv2.VideoCapture.waitAny([self._capture], max(1, round(timeout_s * 1e3)) * 10**6)
+        except cv2.error:
+            return False
+        return ready
 
     def close(self) -> None:
         """Release the device."""

@@ -1,7 +1,6 @@
 """Runs on the kernel's devices that are struck: what the valves see, who says what, and what is left of the record.
 
-The valves' voltages are what another process reads back through the card's inputs, by its own handle. Not part of
-`make test-hardware`: `bash scripts/vm/test.sh .venv tests/hardware/strikes.py` takes ten minutes or so.
+The valves' voltages are what another process reads back through the card's inputs, by its own handle.
 """
 
 from __future__ import annotations
@@ -80,6 +79,13 @@ class Struck:
         (path,) = self.out.glob("*.h5")
         return runs.open(path)
 
+    def recovered(self) -> Run:
+        """What is made of the journal that a killed conductor left, when no process of the run is left."""
+        wait_until(lambda: not any(map(_runs, self.members.values())), SHORT_S, "the others end")
+        (outcome,) = recover(self.out)
+        assert outcome.fate is Fate.RECOVERED, outcome.message
+        return self.archive()
+
     def end(self) -> None:
         for pid in members(self.process.pid).values():
             try:
@@ -89,6 +95,13 @@ class Struck:
         self.process.wait()
         assert self.process.stdout is not None
         self.process.stdout.close()
+
+
+def _runs(pid: int) -> bool:
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -127,6 +140,19 @@ def timed(out: Path, request: pytest.FixtureRequest) -> Callable[[float], None]:
     return note
 
 
+def test_ctrl_c(struck: Struck, timed: Callable[[float], None]) -> None:
+    timed(struck.until_safe_ms(struck.strike(signal.SIGINT, "conductor")))
+    assert "by the operator (Ctrl-C)" in struck.said()
+    assert struck.process.returncode == 130
+    assert struck.archive().status is Status.INTERRUPTED
+
+
+def test_the_conductor_killed(struck: Struck, timed: Callable[[float], None]) -> None:
+    timed(struck.until_safe_ms(struck.strike(signal.SIGKILL, "conductor")))
+    assert struck.process.wait(SHORT_S) == -signal.SIGKILL
+    assert struck.recovered().status is not Status.FINISHED
+
+
 def test_control_killed(struck: Struck, timed: Callable[[float], None]) -> None:
     timed(struck.until_safe_ms(struck.strike(signal.SIGKILL, "control")))
     assert "the control process died" in struck.said()
@@ -146,11 +172,7 @@ def test_the_observer_killed(struck: Struck, timed: Callable[[float], None]) -> 
 def test_conductor_and_control_killed_together(struck: Struck, timed: Callable[[float], None]) -> None:
     timed(struck.until_safe_ms(struck.strike(signal.SIGKILL, "conductor", "control")))
     assert struck.process.wait(SHORT_S) == -signal.SIGKILL
-    left = [pid for name, pid in struck.members.items() if name not in ("conductor", "control")]
-    wait_until(lambda: not any(Path(f"/proc/{pid}").exists() for pid in left), SHORT_S, "the others end")
-    (outcome,) = recover(struck.out)
-    assert outcome.fate is Fate.RECOVERED, outcome.message
-    assert struck.archive().pressure.measured_bar[:, 0].max() * 10 > MOVING_V
+    assert struck.recovered().pressure.measured_bar[:, 0].max() * 10 > MOVING_V
 
 
 def test_pictures_that_stand_still_for_a_second_then_a_driver_that_is_unloaded_then_sigterm(
@@ -168,6 +190,15 @@ def test_pictures_that_stand_still_for_a_second_then_a_driver_that_is_unloaded_t
     assert "SIGTERM" in struck.said()
     assert struck.process.returncode == 130
     assert struck.archive().status is Status.INTERRUPTED
+
+
+def test_pictures_that_end(struck: Struck, player: Player, timed: Callable[[float], None]) -> None:
+    struck_ns = time.monotonic_ns()
+    player.process.kill()
+    timed(struck.until_safe_ms(struck_ns))
+    assert "gave no picture within 4 s" in struck.said()
+    assert struck.process.returncode == 1
+    assert struck.archive().status is Status.ABORTED
 
 
 @pytest.fixture
