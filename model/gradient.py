@@ -6,6 +6,7 @@ Newton iterations.
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -88,15 +89,16 @@ def tip_gradient(arm: Arm, pressure_pa: ArrayLike, loads: Loads | None = None, n
     """The tip at rest and its gradient by the section's material and the pressures. Raises as `Arm.statics` does."""
     pressure = pressures(arm, pressure_pa)
     _check_nodes(nodes)
-    names = LINEAR_PARAMETERS if arm.section_rule == "linear" else EQ_32_PARAMETERS
-    rows = [*[pressure] * len(names), *(pressure + PRESSURE_STEP_PA * np.eye(len(pressure)))]
-    stack = _Stack.of(arm, _varied(arm, names, rows), nodes, pressure[None]) if _frozen(arm) else _kept(arm, nodes)
-    load, loaded = stack.first.load(arm, loads, nodes)
-    stack = replace(stack.at(slice(None)), load=load, loaded=loaded, loaded_lanes=loaded or stack.loaded_lanes)
-    hung = np.zeros((1, stack.works.shape[1], 6, layout.LANES))
+    names = _material(arm)
+    stack = _Stack.of(arm, _varied(arm, pressure), nodes, pressure[None]) if _frozen(arm) else _kept.stack(arm, nodes)
+    tips = stack.bare
     if loads is not None:
-        hung += loads.tip()[:, None]
-    found = _solve(stack, _lane_rows(pressure[None], rows), _Tips(hung, np.zeros_like(hung)), nodes)
+        load, loaded = stack.first.load(arm, loads, nodes)
+        # What is kept must not remember a load.
+        stack = replace(stack.at(slice(None)), load=load, loaded=loaded, loaded_lanes=loaded or stack.loaded_lanes)
+        tips = replace(tips, hung=tips.hung + loads.tip()[:, None])
+    rows = pressure[:, None] + _shifts(len(names), len(pressure))
+    found = _solve(stack, rows, tips, nodes, _kept.lanes(len(stack.steps), nodes))
     if not found.ok[0]:
         bar = ", ".join(f"{value / 1e5:.4g}" for value in pressure)
         raise NotConverged(f"no equilibrium found at {bar} bar: a pressure or load may be far outside the arm's range")
@@ -128,7 +130,8 @@ def statics(
     def part(span: range) -> None:
         if len(span):
             at = slice(span.start, span.stop)
-            parts[span.start] = _solve(stack.at(at), lane_rows[at], tips.at(at), nodes)
+            room = Lanes.of(len(changes), nodes, 1)
+            parts[span.start] = _solve(stack.at(at), lane_rows[at], tips.at(at), nodes, room)
 
     spread(part, len(rows), workers)
     each = [parts[start] for start in sorted(parts)]
@@ -224,15 +227,28 @@ def _frozen(arm: Arm) -> bool:
     return arm.section_rule not in ("linear", "pointwise")
 
 
-def _varied(arm: Arm, names: Sequence[str], rows: Sequence[Array]) -> list[Change]:
-    """Changes of the named material parameters and then of each pressure; rows: the pressures (N,) of each."""
+def _material(arm: Arm) -> tuple[str, ...]:
+    """The material's fields that the section rests on."""
+    return LINEAR_PARAMETERS if arm.section_rule == "linear" else EQ_32_PARAMETERS
+
+
+def _varied(arm: Arm, pressure: Array) -> list[Change]:
+    """Changes of these fields and then of each pressure (N,)."""
     changes = []
-    for name, own in zip(names, rows, strict=False):
+    for name in _material(arm):
         value = getattr(arm.material, name)
         # A parameter that is zero, such as no effect of the radial pressure, moves by a share of what is usual.
         step = STEP * abs(value) or STEP * USUAL[name]
-        changes.append(Change(step, replace(arm, material=replace(arm.material, **{name: value + step})), own[None]))
-    return changes + [Change(PRESSURE_STEP_PA, arm, own[None]) for own in rows[len(names) :]]
+        changes.append(Change(step, replace(arm, material=replace(arm.material, **{name: value + step}))))
+    pressed = pressure + PRESSURE_STEP_PA * np.eye(len(pressure))
+    return changes + [Change(PRESSURE_STEP_PA, arm, own[None]) for own in pressed]
+
+
+@lru_cache(maxsize=16)
+def _shifts(fields: int, actuators: int) -> Array:
+    """What the pressures of these lanes differ by, (1, W, N, 8) [Pa]."""
+    still = np.zeros((1, actuators))
+    return _lane_rows(still, [still] * fields + list(PRESSURE_STEP_PA * np.eye(actuators)[:, None]))
 
 
 def _lane_rows(rows: Array, changed: Sequence[Array | None]) -> Array:
@@ -312,6 +328,7 @@ class _Stack:
     heavy: bool
     tip: Array
     steps: Array
+    bare: _Tips
 
     @classmethod
     def of(cls, arm: Arm, changes: Sequence[Change], nodes: int, rows: Array, c0: float = 0.0) -> _Stack:
@@ -354,6 +371,7 @@ class _Stack:
             arm.cap_inertia,
             first.tip(arm, None),
             np.array([change.step for change in changes], dtype=np.float64),
+            _Tips(*np.zeros((2, 1, works.shape[1], 6, layout.LANES))),
         )
 
     def at(self, rows: slice) -> _Stack:
@@ -370,14 +388,27 @@ class _Stack:
         )  # fmt: skip
 
 
-@lru_cache(maxsize=64)
-def _kept(arm: Arm, nodes: int) -> _Stack:
-    names = LINEAR_PARAMETERS if arm.section_rule == "linear" else EQ_32_PARAMETERS
+class _Kept(threading.local):
+    """What `tip_gradient` works in, made once per thread: its arrays are written to."""
+
+    def __init__(self) -> None:
+        self.stack = lru_cache(maxsize=64)(_stack_of_material)
+        self.lanes = lru_cache(maxsize=8)(_lanes_at_rest)
+
+
+def _stack_of_material(arm: Arm, nodes: int) -> _Stack:
     nothing = np.zeros(arm.geometry.actuators)
-    return _Stack.of(arm, _varied(arm, names, [nothing] * (len(names) + len(nothing))), nodes, nothing[None])
+    return _Stack.of(arm, _varied(arm, nothing), nodes, nothing[None])
 
 
-def _solve(stack: _Stack, rows: Array, tips: _Tips, nodes: int) -> Gradients:
+def _lanes_at_rest(neighbours: int, nodes: int) -> Lanes:
+    return Lanes.of(neighbours, nodes, 1)
+
+
+_kept = _Kept()
+
+
+def _solve(stack: _Stack, rows: Array, tips: _Tips, nodes: int, room: Lanes) -> Gradients:
     """For pressures (K, W, N, 8); the stack's work arrays are written to."""
     count, first, neighbours = len(rows), stack.first, len(stack.steps)
     place, turned, by = np.empty((count, 3)), np.empty((count, 3, 3)), np.empty((count, neighbours, 6))
@@ -386,6 +417,6 @@ def _solve(stack: _Stack, rows: Array, tips: _Tips, nodes: int) -> Gradients:
         stack.work, stack.works, first.law, first.actuators, stack.rest, stack.per_pressure, stack.free, stack.rests,
         stack.per_pressures, stack.frees, stack.ends, rows, tips.hung, tips.pull, stack.load, stack.loaded,
         stack.loaded_lanes, stack.heavy, stack.tip, first.length_m, first.scale, first.centre_m, SOLVED,
-        room_for(nodes), Lanes.of(neighbours, nodes, 1), stack.steps, place, turned, by, good,
+        room_for(nodes), room, stack.steps, place, turned, by, good,
     )  # fmt: skip
     return _gradients(place, turned, good, by)

@@ -10,18 +10,15 @@ from typing import Any, NamedTuple
 
 from model.layout import (
     AXIAL,
-    AXIAL_INVERSE,
     C0,
     CENTRE,
     END,
+    FOURTH,
     GATHER,
     HISTORY,
-    INERTIA,
     LAG,
     LANES,
-    LINE_DENSITY,
     LINEAR,
-    LOAD,
     MORE,
     NODE,
     OFFSET,
@@ -30,25 +27,24 @@ from model.layout import (
     POINTWISE,
     PULL,
     SHEAR,
-    SHEAR_INVERSE,
     SLOPE,
     STAGE,
     STATE,
-    STRAINS,
     STRIDE,
+    THIRD,
     TRIO,
-    WEIGHT,
     WRENCH,
     aligned,
 )
-from model.pointwise import pointwise_slopes, pointwise_wrench, sum_tubes
-from model.rod import balance, linear_slopes, linear_wrench
+from model.pointwise import pointwise_wrench
+from model.rod import linear_wrench, stage
 from model.shooting import cap
-from model.triples import Triple, cross, dot, inlined, leaf, plus, put, rotation, six, three, triple
+from model.triples import cross, dot, inlined, leaf, plus, put, rotation, six, triple
 
 Array = Any
 
 FIRST = 7  # lane of the first neighbour
+OWN = ((0.0, 0.0, 0.0),) * 6  # in the place of a history that lanes share
 
 
 class Lanes(NamedTuple):
@@ -80,73 +76,6 @@ class Lanes(NamedTuple):
 def passes(neighbours: int) -> int:
     """Work arrays, and so passes, for so many neighbours."""
     return -(-(FIRST + neighbours) // LANES)
-
-
-@inlined
-def _balanced(w: Array, i: int, n: Triple, m: Triple) -> Any:
-    """`rod.balance` of one lane, whose wrench is n, m."""
-    j, past = INERTIA * LANES + i, PAST
-    return balance(
-        w[C0 * LANES + i], w[LINE_DENSITY * LANES + i], (w[j], w[j + LANES], w[j + 2 * LANES], w[j + 3 * LANES]),
-        triple(w, STAGE, i), triple(w, STAGE + 3, i), triple(w, STAGE + 6, i), triple(w, STAGE + 9, i), n, m,
-        (triple(w, past, i), triple(w, past + 3, i), triple(w, past + 6, i), triple(w, past + 9, i)),
-        triple(w, LOAD, i), triple(w, LOAD + 3, i),
-    )  # fmt: skip
-
-
-@inlined
-def _wrench(w: Array, law: int, i: int) -> Any:
-    """Total wrench of one lane at the stage; of a pointwise section, after `sum_tubes`."""
-    v, u, v_h, u_h = triple(w, STAGE, i), triple(w, STAGE + 3, i), triple(w, PAST, i), triple(w, PAST + 3, i)
-    if law == LINEAR:
-        return linear_wrench(six(w, AXIAL, i), six(w, SHEAR, i), six(w, OFFSET, i), w[LAG * LANES + i], v, u, v_h, u_h)
-    return pointwise_wrench(w, i, w[C0 * LANES + i], v, u, v_h, u_h)
-
-
-@inlined
-def _sloped(w: Array, law: int, i: int) -> None:
-    """Slopes of one lane's state at the stage."""
-    n, m = _wrench(w, law, i)
-    q_s, o_s, n_s, m_s = _balanced(w, i, n, m)
-    v, u, v_hs, u_hs = triple(w, STAGE, i), triple(w, STAGE + 3, i), triple(w, PAST + 12, i), triple(w, PAST + 15, i)
-    if law == LINEAR:
-        lag = w[LAG * LANES + i]
-        v_s, u_s = linear_slopes(six(w, AXIAL_INVERSE, i), six(w, SHEAR_INVERSE, i), lag, n_s, m_s, v_hs, u_hs)
-    else:
-        v_s, u_s = pointwise_slopes(w, i, w[C0 * LANES + i], v, u, n_s, m_s, v_hs, u_hs)
-    put(w, SLOPE, i, v_s)
-    put(w, SLOPE + 3, i, u_s)
-    put(w, SLOPE + 6, i, q_s)
-    put(w, SLOPE + 9, i, o_s)
-    # h' = h u / 2 as quaternions (eq 9).
-    h = (STAGE + 12) * LANES + i
-    a, b, c, d = w[h], w[h + LANES], w[h + 2 * LANES], w[h + 3 * LANES]
-    w[(SLOPE + 12) * LANES + i] = -0.5 * (b * u[0] + c * u[1] + d * u[2])
-    w[(SLOPE + 13) * LANES + i] = 0.5 * (a * u[0] + c * u[2] - d * u[1])
-    w[(SLOPE + 14) * LANES + i] = 0.5 * (a * u[1] + d * u[0] - b * u[2])
-    w[(SLOPE + 15) * LANES + i] = 0.5 * (a * u[2] + b * u[1] - c * u[0])
-
-
-@leaf
-def _slopes(w: Array, law: int, actuators: int, load: Array, loaded: bool, row: int) -> None:
-    """The right-hand side: slopes along the arc length of the stage's state, all lanes."""
-    if loaded:
-        f0, couple0 = three(load, 6 * row), three(load, 6 * row + 3)
-        for i in range(LANES):
-            h = (STAGE + 12) * LANES + i
-            d1, d2, d3 = rotation((w[h], w[h + LANES], w[h + 2 * LANES], w[h + 3 * LANES]))
-            f, couple = plus(f0, 1.0, triple(w, WEIGHT, i)), plus(couple0, 1.0, triple(w, WEIGHT + 3, i))
-            put(w, LOAD, i, (dot(d1, f), dot(d2, f), dot(d3, f)))
-            put(w, LOAD + 3, i, (dot(d1, couple), dot(d2, couple), dot(d3, couple)))
-    if law == LINEAR:
-        for i in range(LANES):
-            _sloped(w, LINEAR, i)
-    else:
-        for i in range(3 * LANES):
-            w[STRAINS * LANES + i] = w[(STAGE + 2) * LANES + i]
-        sum_tubes(w, (actuators + 2) // 3)
-        for i in range(LANES):
-            _sloped(w, POINTWISE, i)
 
 
 @inlined
@@ -183,38 +112,35 @@ def integrate_lanes(
     size, n = STATE * LANES, states.shape[0] - 1
     for j in range(first, last):
         for i in range(size):
-            y = w[NODE * LANES + i]
-            w[STAGE * LANES + i] = y
-            w[GATHER * LANES + i] = y
-            states[j, i] = y
-        for k in range(4):
-            row = 2 * j + (k + 1) // 2
-            if moving and k == 1:
-                _recall_between(w, past[j], past[j + 1])
-            elif moving and k != 2:
-                _recall(w, past[row // 2])
-            _slopes(w, law, actuators, load, loaded, row)
-            ahead = 1.0 if k == 2 else 0.5
-            share = 1.0 / 6.0 if k in (0, 3) else 1.0 / 3.0
-            if k == 0:
-                for i in range(size):
-                    derivatives[j, i] = w[SLOPE * LANES + i]
-            for c in range(STATE):
-                for i in range(LANES):
-                    slope = w[STRIDE * LANES + i] * w[(SLOPE + c) * LANES + i]
-                    w[(STAGE + c) * LANES + i] = w[(NODE + c) * LANES + i] + ahead * slope
-                    w[(GATHER + c) * LANES + i] += share * slope
+            states[j, i] = w[NODE * LANES + i]
+        if moving:
+            _recall(w, past[j])
+        stage(w, law, actuators, OWN, True, load, loaded, 2 * j, NODE, STAGE, 0.5)
         for i in range(size):
-            w[NODE * LANES + i] = w[GATHER * LANES + i]
+            derivatives[j, i] = w[SLOPE * LANES + i]
+        if moving:
+            _recall_between(w, past[j], past[j + 1])
+        stage(w, law, actuators, OWN, True, load, loaded, 2 * j + 1, STAGE, THIRD, 0.5)
+        stage(w, law, actuators, OWN, True, load, loaded, 2 * j + 1, THIRD, FOURTH, 1.0)
+        if moving:
+            _recall(w, past[j + 1])
+        stage(w, law, actuators, OWN, True, load, loaded, 2 * j + 2, FOURTH, NODE, 1.0 / 6.0)
     if last == n:
         for i in range(size):
-            y = w[NODE * LANES + i]
-            w[STAGE * LANES + i] = y
-            states[n, i] = y
+            states[n, i] = w[NODE * LANES + i]
         # PAST holds the tip's history from the last stage.
-        _slopes(w, law, actuators, load, loaded, 2 * n)
+        stage(w, law, actuators, OWN, True, load, loaded, 2 * n, NODE, SLOPE, 0.0)
         for i in range(size):
             derivatives[n, i] = w[SLOPE * LANES + i]
+
+
+@inlined
+def _wrench(w: Array, law: int, i: int) -> Any:
+    """Total wrench of one lane at the node; of a pointwise section, after the tubes were summed there."""
+    v, u, v_h, u_h = triple(w, NODE, i), triple(w, NODE + 3, i), triple(w, PAST, i), triple(w, PAST + 3, i)
+    if law == LINEAR:
+        return linear_wrench(six(w, AXIAL, i), six(w, SHEAR, i), six(w, OFFSET, i), w[LAG * LANES + i], v, u, v_h, u_h)
+    return pointwise_wrench(w, i, w[C0 * LANES + i], v, u, v_h, u_h)
 
 
 @leaf

@@ -49,10 +49,10 @@ TUBE = OFFSET + 6  # a1, a2, gamma, I_o / A_m of one tube
 TRIO = TUBE + 4  # the trio being summed; where there is one only, it stands here
 PER_TUBE = 4
 PER_TRIO = 3 * PER_TUBE
+STRIDE = TRIO + PER_TRIO  # step along the arm
 # Where each lane is an arm of its own (model/lanes.py), what else they differ in.
-PAST = TRIO + PER_TRIO  # history at the stage
-STRIDE = PAST + HISTORY  # step along the arm
-WEIGHT = STRIDE + 1  # load per metre beyond the one that all share: force and moment, base frame
+PAST = STRIDE + 1  # history at the stage
+WEIGHT = PAST + HISTORY  # load per metre beyond the one that all share: force and moment, base frame
 END = WEIGHT + 6  # what hangs on the tip, as `tip_residual` takes it
 PULL = END + 13  # force that pulls, by a lever that turns with the tip (3), and the lever (3)
 CENTRE = PULL + 6  # centroid of the walls

@@ -18,6 +18,7 @@ from model.layout import (
     SLOPE,
     STAGE,
     STATE,
+    STRIDE,
     TRIO,
     WRENCH,
 )
@@ -131,9 +132,11 @@ def _followed(
     for c in range(STATE):
         for i in range(LANES):
             w[(NODE + c) * LANES + i] = x[0, c]
-    none, h = np.zeros_like(load), length / n
+    for i in range(LANES):
+        w[STRIDE * LANES + i] = length / n
+    none = np.zeros_like(load)
     for j in range(n):
-        integrate(w, law, actuators, room.history, none, loaded, j, j + 1, h, room.states, room.derivatives)
+        integrate(w, law, actuators, room.history, none, loaded, j, j + 1, room.states, room.derivatives)
         for c in range(STATE):
             x[j, c] = room.states[j, c * LANES]
     return int(

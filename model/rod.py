@@ -26,6 +26,7 @@ from model.layout import (
     LOAD,
     NODE,
     OFFSET,
+    PAST,
     RATE,
     SHEAR,
     SHEAR_INVERSE,
@@ -33,13 +34,16 @@ from model.layout import (
     STAGE,
     STATE,
     STRAINS,
+    STRIDE,
     THIRD,
+    WEIGHT,
     WRENCH,
 )
 from model.pointwise import pointwise_slopes, pointwise_wrench, sum_tubes
 from model.triples import Six, Triple, cross, dot, inlined, leaf, plus, put, rotation, six, three, times, triple
 
 Array = Any
+Past = tuple[Triple, Triple, Triple, Triple, Triple, Triple]
 
 
 @inlined
@@ -139,12 +143,29 @@ def linear_slopes(axial_inverse: Six, shear_inverse: Six, lag: float, n: Triple,
 
 
 @inlined
-def linear_stage(w: Array, history: Array, row: int, at: int, to: int, ahead: float) -> None:
-    """Slopes of the state at `at`, all lanes, for a constant stiffness, and the state at `to` that follows."""
+def past_of(history: Array, row: int) -> Past:
+    """History of v, u, q, w at a row, and the slopes of that of v, u."""
     y = HISTORY * row
-    v_h, u_h, q_h, o_h = three(history, y), three(history, y + 3), three(history, y + 6), three(history, y + 9)
-    v_hs, u_hs = three(history, y + 12), three(history, y + 15)
+    return (
+        three(history, y), three(history, y + 3), three(history, y + 6), three(history, y + 9),
+        three(history, y + 12), three(history, y + 15),
+    )  # fmt: skip
+
+
+@inlined
+def _own_past(w: Array, i: int) -> Past:
+    """The same of one lane."""
+    return (
+        triple(w, PAST, i), triple(w, PAST + 3, i), triple(w, PAST + 6, i), triple(w, PAST + 9, i),
+        triple(w, PAST + 12, i), triple(w, PAST + 15, i),
+    )  # fmt: skip
+
+
+@inlined
+def _linear_stage(w: Array, past: Past, own: bool, at: int, to: int, ahead: float) -> None:
+    """Slopes of the state at `at`, all lanes, for a constant stiffness, and the state at `to` that follows."""
     for i in range(LANES):
+        v_h, u_h, q_h, o_h, v_hs, u_hs = _own_past(w, i) if own else past
         v, u, q, o = triple(w, at, i), triple(w, at + 3, i), triple(w, at + 6, i), triple(w, at + 9, i)
         lag = w[LAG * LANES + i]
         n, m = linear_wrench(six(w, AXIAL, i), six(w, SHEAR, i), six(w, OFFSET, i), lag, v, u, v_h, u_h)
@@ -154,7 +175,7 @@ def linear_stage(w: Array, history: Array, row: int, at: int, to: int, ahead: fl
             v, u, q, o, n, m, (v_h, u_h, q_h, o_h), triple(w, LOAD, i), triple(w, LOAD + 3, i),
         )  # fmt: skip
         v_s, u_s = linear_slopes(six(w, AXIAL_INVERSE, i), six(w, SHEAR_INVERSE, i), lag, n_s, m_s, v_hs, u_hs)
-        _move_on(w, i, v_s, u_s, q_s, o_s, u, at, to, ahead)
+        _move_on(w, i, v_s, u_s, q_s, o_s, u, at, to, ahead * w[STRIDE * LANES + i])
 
 
 @inlined
@@ -165,13 +186,11 @@ def _sum_tubes_at(w: Array, actuators: int, at: int) -> None:
 
 
 @inlined
-def pointwise_stage(w: Array, actuators: int, history: Array, row: int, at: int, to: int, ahead: float) -> None:
+def _pointwise_stage(w: Array, actuators: int, past: Past, own: bool, at: int, to: int, ahead: float) -> None:
     """The same where each tube follows eq 32 at its own place."""
-    y = HISTORY * row
-    v_h, u_h, q_h, o_h = three(history, y), three(history, y + 3), three(history, y + 6), three(history, y + 9)
-    v_hs, u_hs = three(history, y + 12), three(history, y + 15)
     _sum_tubes_at(w, actuators, at)
     for i in range(LANES):
+        v_h, u_h, q_h, o_h, v_hs, u_hs = _own_past(w, i) if own else past
         v, u, q, o = triple(w, at, i), triple(w, at + 3, i), triple(w, at + 6, i), triple(w, at + 9, i)
         c0 = w[C0 * LANES + i]
         n, m = pointwise_wrench(w, i, c0, v, u, v_h, u_h)
@@ -181,18 +200,20 @@ def pointwise_stage(w: Array, actuators: int, history: Array, row: int, at: int,
             v, u, q, o, n, m, (v_h, u_h, q_h, o_h), triple(w, LOAD, i), triple(w, LOAD + 3, i),
         )  # fmt: skip
         v_s, u_s = pointwise_slopes(w, i, c0, v, u, n_s, m_s, v_hs, u_hs)
-        _move_on(w, i, v_s, u_s, q_s, o_s, u, at, to, ahead)
+        _move_on(w, i, v_s, u_s, q_s, o_s, u, at, to, ahead * w[STRIDE * LANES + i])
 
 
 @inlined
-def loads_in_section(w: Array, load: Array, row: int, at: int) -> None:
+def _loads_in_section(w: Array, load: Array, own: bool, row: int, at: int) -> None:
     """Turn a distributed load (force and moment per metre, base frame) into the section frame."""
     f, couple = three(load, 6 * row), three(load, 6 * row + 3)
     for i in range(LANES):
+        force = plus(f, 1.0, triple(w, WEIGHT, i)) if own else f
+        moment = plus(couple, 1.0, triple(w, WEIGHT + 3, i)) if own else couple
         h = (at + 12) * LANES + i
         d1, d2, d3 = rotation((w[h], w[h + LANES], w[h + 2 * LANES], w[h + 3 * LANES]))
-        put(w, LOAD, i, (dot(d1, f), dot(d2, f), dot(d3, f)))
-        put(w, LOAD + 3, i, (dot(d1, couple), dot(d2, couple), dot(d3, couple)))
+        put(w, LOAD, i, (dot(d1, force), dot(d2, force), dot(d3, force)))
+        put(w, LOAD + 3, i, (dot(d1, moment), dot(d2, moment), dot(d3, moment)))
 
 
 @leaf
@@ -235,22 +256,27 @@ def strain_changes(w: Array, law: int) -> None:
 
 
 @inlined
-def _stage(
-    w: Array, law: int, actuators: int, history: Array, load: Array, loaded: bool, row: int, at: int, to: int,
+def stage(
+    w: Array, law: int, actuators: int, past: Past, own: bool, load: Array, loaded: bool, row: int, at: int, to: int,
     ahead: float,
 ) -> None:  # fmt: skip
+    """One stage of RK4, all lanes: slopes of the state at `at`, and the state at `to`, `ahead` of a stride further.
+
+    past: the history that all lanes share; with `own`, each has one at PAST instead, and a weight of its own. Shared
+    numbers are read before the loops over the lanes, or these are not made of vector instructions.
+    """
     if loaded:
-        loads_in_section(w, load, row, at)
+        _loads_in_section(w, load, own, row, at)
     if law == LINEAR:
-        linear_stage(w, history, row, at, to, ahead)
+        _linear_stage(w, past, own, at, to, ahead)
     else:
-        pointwise_stage(w, actuators, history, row, at, to, ahead)
+        _pointwise_stage(w, actuators, past, own, at, to, ahead)
 
 
-@inlined
+@leaf
 def slopes(w: Array, law: int, actuators: int, history: Array, load: Array, loaded: bool, row: int) -> None:
     """The right-hand side: slopes along the arc length of the stage's state, all lanes."""
-    _stage(w, law, actuators, history, load, loaded, row, STAGE, SLOPE, 0.0)
+    stage(w, law, actuators, past_of(history, row), False, load, loaded, row, STAGE, SLOPE, 0.0)
 
 
 @leaf
@@ -263,11 +289,10 @@ def integrate(
     loaded: bool,
     first: int,
     last: int,
-    h: float,
     states: Array,
     derivatives: Array,
 ) -> None:
-    """Integrate the node's state, all lanes, from node `first` to node `last` in steps of h [m] by RK4.
+    """Integrate the node's state, all lanes, from node `first` to node `last` by RK4, a stride each.
 
     history, load: one row per node and per mid-point, (2 N + 1) of 18 and of 6, flat. states, derivatives:
     (N + 1, 128), filled at each node; at `last`, only the state is left, in the work array.
@@ -276,9 +301,10 @@ def integrate(
     for j in range(first, last):
         for i in range(size):
             states[j, i] = w[NODE * LANES + i]
-        _stage(w, law, actuators, history, load, loaded, 2 * j, NODE, STAGE, 0.5 * h)
+        stage(w, law, actuators, past_of(history, 2 * j), False, load, loaded, 2 * j, NODE, STAGE, 0.5)
         for i in range(size):
             derivatives[j, i] = w[SLOPE * LANES + i]
-        _stage(w, law, actuators, history, load, loaded, 2 * j + 1, STAGE, THIRD, 0.5 * h)
-        _stage(w, law, actuators, history, load, loaded, 2 * j + 1, THIRD, FOURTH, h)
-        _stage(w, law, actuators, history, load, loaded, 2 * j + 2, FOURTH, NODE, h / 6.0)
+        past = past_of(history, 2 * j + 1)
+        stage(w, law, actuators, past, False, load, loaded, 2 * j + 1, STAGE, THIRD, 0.5)
+        stage(w, law, actuators, past, False, load, loaded, 2 * j + 1, THIRD, FOURTH, 1.0)
+        stage(w, law, actuators, past_of(history, 2 * j + 2), False, load, loaded, 2 * j + 2, FOURTH, NODE, 1.0 / 6.0)

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from model.layout import HISTORY, LANES, NODE, SLOPE, STAGE, STATE, WRENCH, aligned
+from model.layout import HISTORY, LANES, NODE, SLOPE, STAGE, STATE, STRIDE, WRENCH, aligned
 from model.linear import orthonormalise, solve_six
 from model.rod import integrate, slopes, stage_wrench
 from model.triples import cross, dot, inlined, lane_sum, leaf, plus, put, rotation, three, triple
@@ -124,8 +124,9 @@ def newton(
     reach, matrix, right, over = room.reach, room.matrix, room.right, room.over
     n = x.shape[0] - 1
     per = n // segments
-    h = length / n
     last = segments - 1
+    for i in range(LANES):
+        w[STRIDE * LANES + i] = length / n
     for c in range(STATE):
         over[c] = 1.0 / scale[c]
     reach[0] = 0.0
@@ -148,7 +149,7 @@ def newton(
                     for k in range(6):
                         w[at + 1 + k] += STEP * unit * directions[s, k, c]
                     w[at + 7] += reach[s] * unit * directions[s, 6, c]
-            integrate(w, law, actuators, history, load, loaded, s * per, (s + 1) * per, h, states, derivatives)
+            integrate(w, law, actuators, history, load, loaded, s * per, (s + 1) * per, states, derivatives)
             if s == segments - 1:
                 break
             for c in range(STATE):
