@@ -42,6 +42,8 @@ GROWTH_MB, GROWTH_SHARE = 8.0, 0.03
 FINALISING_LOOK_S = 0.05
 FINALISING_MB = 100.0
 """What making the archive may take, however long the run was."""
+READING_MB = 250.0
+"""What reading it for the last screen may take, an hour of run: the rows are held."""
 
 
 @dataclass
@@ -77,13 +79,13 @@ class Growth:
             f"{self.files[half]} -> {self.files[-1]} open files{'' if sound else '  GROWS'}"
         )
 
-    def peak(self, before: Growth) -> tuple[bool, str]:
+    def peak(self, name: str, before: Growth, allowed_mb: float) -> tuple[bool, str]:
         """Compare the most that was taken with what the process had before."""
         if not self.memory_mb:
-            return True, "while finalising: too short to see"
+            return True, f"{name}: too short to see"
         most, had = max(self.memory_mb), before.memory_mb[-1]
-        sound = most - had < FINALISING_MB
-        return sound, f"while finalising: peak {most:.1f} MB, {had:.1f} MB before{'' if sound else '  TOO MUCH'}"
+        sound = most - had < allowed_mb
+        return sound, f"{name}: peak {most:.1f} MB, {had:.1f} MB before{'' if sound else '  TOO MUCH'}"
 
 
 def real(duration_s: float, stolen_s: float | None) -> bool:
@@ -94,21 +96,24 @@ def real(duration_s: float, stolen_s: float | None) -> bool:
         try:
             run.wait_until_moving().close()
             grown = {name: Growth() for name in run.members}
-            finalising = Growth()
+            finalising, reading = Growth(), Growth()
             while run.process.poll() is None:
-                # The conductor makes the archive when the others have gone: a matter of its own.
+                # The conductor makes the archive when the others have gone, and then reads it for its last screen.
                 if lives(run.members[CONTROL]):
                     for name, growth in grown.items():
                         growth.look(run.members[name])
                     time.sleep(LOOK_S if duration_s > 20 * LOOK_S else 0.5)
                 else:
-                    finalising.look(run.process.pid)
+                    (reading if any(run.out.glob("*.h5")) else finalising).look(run.process.pid)
                     time.sleep(FINALISING_LOOK_S)
         finally:
             run.close()
         (archive,) = run.out.glob("*.h5")
         verdicts = [growth.verdict(name) for name, growth in grown.items()]
-        verdicts.append(finalising.peak(grown[CONDUCTOR]))
+        verdicts.append(finalising.peak("while finalising", grown[CONDUCTOR], FINALISING_MB))
+        verdicts.append(
+            reading.peak("while its last screen is made", grown[CONDUCTOR], READING_MB * duration_s / HOUR_S)
+        )
         return _report(f"{duration_s:.0f} s in real time", verdicts, runs.open(archive))
 
 
