@@ -112,7 +112,9 @@ def real(duration_s: float, stolen_s: float | None) -> bool:
         verdicts = [growth.verdict(name) for name, growth in grown.items()]
         verdicts.append(finalising.peak("while finalising", grown[CONDUCTOR], FINALISING_MB))
         verdicts.append(
-            reading.peak("while its last screen is made", grown[CONDUCTOR], READING_MB * duration_s / HOUR_S)
+            reading.peak(
+                "while its last screen is made", grown[CONDUCTOR], max(FINALISING_MB, READING_MB * duration_s / HOUR_S)
+            )
         )
         return _report(f"{duration_s:.0f} s in real time", verdicts, runs.open(archive))
 
