@@ -23,7 +23,8 @@ from rod import DT, path_of_sine
 
 import model.pointwise
 from model import Arm
-from model.axis import axis
+from model.axis import place_tip
+from model.layout import STATE
 from model.march import advance
 from model.problem import CLOSE
 
@@ -147,25 +148,27 @@ def second(variant: str, nodes: int) -> dict[str, int]:
     moving.start(path[0])
     problem, total, passes = moving._problem, Counter[str](), 0
     room = type(moving._room)(*(given(part) for part in moving._room))
-    work, levels, trail, x, slope = (
-        given(a) for a in (problem.work, moving._levels, moving._trail, moving._x, moving._slope)
-    )
-    place, turned, v, u = (given(np.zeros((nodes + 1, *shape))) for shape in ((3,), (3, 3), (3,), (3,)))
+    work, trail, x = (given(a) for a in (problem.work, moving._trail, moving._x))
+    place, turned = given(np.zeros((1, 3))), given(np.zeros((1, 3, 3)))
     before = moving._before
     for row in path[1:]:
         done = advance(
             work, problem.law, problem.actuators, problem.rest, problem.per_pressure, problem.free_per_pa, before, row,
             moving._load, moving._loaded, moving._tip, problem.length_m, moving._segments, problem.scale,
-            moving._coefficients, levels, trail, x, slope, room, CLOSE,
+            moving._coefficients, trail, x, room, CLOSE,
         )  # fmt: skip
         assert done > 0
         passes += done
-        axis(x, slope, problem.length_m, problem.centre_m, place, turned, v, u)
-        total += count([*needed, *levels[0], *levels[3], *x.ravel(), *place[-1], *turned[-1].ravel()])
+        place_tip(x, problem.length_m, problem.centre_m, place, turned, 0)
+        # Of the history: v, u, q, w at the nodes and their slopes, and between the nodes the slopes of v and u alone.
+        history = room.history.reshape(4, nodes + 1, STATE)
+        carried = [*history[:3, :, :12].ravel(), *history[3, :, :6].ravel(), *x.ravel()]
+        total += count([*needed, *carried, *place.ravel(), *turned.ravel()])
         needed.clear()
         known.clear()
         work[:] = given(work)
-        levels, trail, x, slope = (given(a) for a in (levels, trail, x, slope))
+        trail, x = given(trail), given(x)
+        room = room._replace(history=given(room.history))
     counted = {kind: total[kind] for kind in COUNTED}
     return {"steps": len(path) - 1, "passes": passes, "all": sum(counted.values()), **counted}
 

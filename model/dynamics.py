@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from model.axis import motion
-from model.layout import HISTORY, aligned
+from model.layout import STATE, aligned
 from model.loads import Loads
-from model.march import advance, sample_history
+from model.march import advance, settle
 from model.problem import CLOSE, Problem, pressures
 from model.schemes import Scheme
 from model.shape import Shape
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from model.arm import Arm
 
 Array = NDArray[np.float64]
+NOT_FINITE = "pressures must be finite"
 
 
 @dataclass(frozen=True)
@@ -75,7 +76,7 @@ class Dynamics:
         return (
             problem.work, problem.law, problem.actuators, problem.rest, problem.per_pressure, problem.free_per_pa,
             self._before, self._load, self._loaded, problem.length_m, self._segments, problem.scale,
-            self._coefficients, self._levels, self._trail, self._x, self._slope, self._room, CLOSE, problem.centre_m,
+            self._coefficients, self._trail, self._x, self._room, CLOSE, problem.centre_m,
         )  # fmt: skip
 
     def start(self, pressure_pa: ArrayLike, loads: Loads | None = None) -> Shape:
@@ -83,17 +84,15 @@ class Dynamics:
         pressure = pressures(self._arm, pressure_pa)
         n = self._nodes
         resting = Problem.of(self._arm, pressure)
-        self._x, self._slope = states(self._arm, resting, pressure, loads, n)
+        self._x = states(self._arm, resting, pressure, loads, n)
         self._problem = Problem.of(self._arm, pressure, self._scheme.c0)
         self._room = Room.of(n)
-        self._levels = aligned(4, (2 * n + 1) * HISTORY)
-        sample_history(self._x, self._slope, resting.length_m / n, self._levels[0])
-        self._levels[1:3] = self._levels[0]
-        self._trail = np.stack([self._x] * 2)
+        self._trail = aligned(2, 2 * n + 2, STATE)
+        settle(self._coefficients, self._x, self._trail, resting.length_m, self._room)
         self._before = np.stack([pressure] * 3)
         self._set_loads(loads)
         self._started = True
-        return shape(self._arm, self._problem, self._x, self._slope, ok=True)
+        return shape(self._arm, self._problem, self._x, ok=True)
 
     def step(self, pressure_pa: ArrayLike, loads: Loads | None = None) -> Shape:
         """Advance by one time step under gauge pressures (N,) [Pa], held at the step's end.
@@ -112,9 +111,9 @@ class Dynamics:
         passes = advance(
             problem.work, problem.law, problem.actuators, problem.rest, problem.per_pressure, problem.free_per_pa,
             self._before, pressure, self._load, self._loaded, self._tip, problem.length_m, self._segments,
-            problem.scale, self._coefficients, self._levels, self._trail, self._x, self._slope, self._room, CLOSE,
+            problem.scale, self._coefficients, self._trail, self._x, self._room, CLOSE,
         )  # fmt: skip
-        return shape(self._arm, problem, self._x, self._slope, ok=passes > 0)
+        return shape(self._arm, problem, self._x, ok=passes > 0)
 
     def run(self, pressure_pa: ArrayLike) -> Motion:
         """Advance through the rows of pressure_pa (T, N) [Pa] in one call, with the loads of the last step.
@@ -128,9 +127,9 @@ class Dynamics:
         actuators = self._arm.geometry.actuators
         if rows.ndim != 2 or rows.shape[1] != actuators:
             raise ValueError(f"pressure_pa must be rows of {actuators} numbers, got shape {rows.shape}")
-        if not np.isfinite(rows).all():
-            raise ValueError("pressures must be finite")
         if self._arm.section_rule not in ("linear", "pointwise"):
+            if not np.isfinite(rows).all():
+                raise ValueError(NOT_FINITE)
             shapes = [self.step(row) for row in rows]
             return Motion(
                 np.array([shape.tip_m for shape in shapes]).reshape(-1, 3),
@@ -139,12 +138,14 @@ class Dynamics:
             )
         problem, count = self._problem, len(rows)
         tips, turns, good = np.empty((count, 3)), np.empty((count, 3, 3)), np.empty(count, dtype=np.bool_)
-        motion(
+        passes = motion(
             problem.work, problem.law, problem.actuators, problem.rest, problem.per_pressure, problem.free_per_pa,
             self._before, rows, self._load, self._loaded, self._tip, problem.length_m, self._segments,
-            problem.scale, self._coefficients, self._levels, self._trail, self._x, self._slope, self._room, CLOSE,
+            problem.scale, self._coefficients, self._trail, self._x, self._room, CLOSE,
             problem.centre_m, tips, turns, good,
         )  # fmt: skip
+        if passes < 0:
+            raise ValueError(NOT_FINITE)
         return Motion(tips, turns, good)
 
     def _set_loads(self, loads: Loads | None) -> None:

@@ -9,14 +9,11 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 from model.layout import (
-    AXIAL,
-    C0,
     CENTRE,
     END,
     FOURTH,
     GATHER,
     HISTORY,
-    LAG,
     LANES,
     LINEAR,
     MORE,
@@ -26,7 +23,6 @@ from model.layout import (
     PER_TUBE,
     POINTWISE,
     PULL,
-    SHEAR,
     SLOPE,
     STAGE,
     STATE,
@@ -36,10 +32,9 @@ from model.layout import (
     WRENCH,
     aligned,
 )
-from model.pointwise import pointwise_wrench
-from model.rod import linear_wrench, stage
+from model.rod import stage, wrench
 from model.shooting import cap
-from model.triples import cross, dot, inlined, leaf, plus, put, rotation, six, triple
+from model.triples import cross, dot, inlined, leaf, plus, put, rotation, triple
 
 Array = Any
 
@@ -87,7 +82,7 @@ def _recall(w: Array, past: Array) -> None:
 
 @inlined
 def _recall_between(w: Array, a: Array, b: Array) -> None:
-    """The history half-way between two nodes, as `march.sample_history` finds it."""
+    """The history half-way between two nodes, as `march._between` finds it."""
     for c in range(12):
         for i in range(LANES):
             at, to = c * LANES + i, (12 + c) * LANES + i
@@ -134,15 +129,6 @@ def integrate_lanes(
             derivatives[n, i] = w[SLOPE * LANES + i]
 
 
-@inlined
-def _wrench(w: Array, law: int, i: int) -> Any:
-    """Total wrench of one lane at the node; of a pointwise section, after the tubes were summed there."""
-    v, u, v_h, u_h = triple(w, NODE, i), triple(w, NODE + 3, i), triple(w, PAST, i), triple(w, PAST + 3, i)
-    if law == LINEAR:
-        return linear_wrench(six(w, AXIAL, i), six(w, SHEAR, i), six(w, OFFSET, i), w[LAG * LANES + i], v, u, v_h, u_h)
-    return pointwise_wrench(w, i, w[C0 * LANES + i], v, u, v_h, u_h)
-
-
 @leaf
 def lacking(w: Array, law: int, c0: float, heavy: bool) -> None:
     """What each lane's tip lacks of what hangs on it, in the wrench's place; `shooting.tip_residual` lane by lane.
@@ -150,7 +136,8 @@ def lacking(w: Array, law: int, c0: float, heavy: bool) -> None:
     After `integrate_lanes`, which leaves the tubes' sums.
     """
     for i in range(LANES):
-        n, m = _wrench(w, LINEAR, i) if law == LINEAR else _wrench(w, POINTWISE, i)
+        v_h, u_h = triple(w, PAST, i), triple(w, PAST + 3, i)
+        n, m = wrench(w, LINEAR, i, NODE, v_h, u_h) if law == LINEAR else wrench(w, POINTWISE, i, NODE, v_h, u_h)
         h = (NODE + 12) * LANES + i
         d1, d2, d3 = rotation((w[h], w[h + LANES], w[h + 2 * LANES], w[h + 3 * LANES]))
         force, moment, place = triple(w, END, i), triple(w, END + 3, i), triple(w, END + 10, i)

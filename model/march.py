@@ -8,7 +8,6 @@ import numpy as np
 
 from model.compiled import kernel
 from model.layout import (
-    HISTORY,
     LANES,
     MORE,
     NODE,
@@ -22,9 +21,9 @@ from model.layout import (
     TRIO,
     WRENCH,
 )
-from model.rod import integrate, stage_wrench, strain_changes
+from model.rod import integrate, resting_wrench, strain_changes
 from model.shooting import Room, newton
-from model.triples import leaf
+from model.triples import inlined, leaf
 
 Array = Any
 
@@ -48,12 +47,12 @@ def set_pressures(w: Array, actuators: int, rest: Array, per_pressure: Array, fr
 def uniform_guess(w: Array, law: int, actuators: int, tip: Array, scale: Array, room: Room) -> None:
     """Fill x with the strains that the section would have everywhere if the tip's load did not turn with the arm."""
     x = room.x
-    n = x.shape[0] - 1
+    n = room.states.shape[0] - 1
     for i in range(LANES):
         for c in range(STATE):
             w[(STAGE + c) * LANES + i] = 1.0 if c in (2, 12) else 0.0
     for _ in range(8):
-        stage_wrench(w, law, actuators, room.history, 0)
+        resting_wrench(w, law, actuators)
         for c in range(6):
             for i in range(LANES):
                 w[(RATE + c) * LANES + i] = tip[c] - w[(WRENCH + c) * LANES + i]
@@ -91,11 +90,11 @@ def equilibrium(
 
     First by simple shooting from a uniform guess; where that fails, by following the loads up from nothing.
     """
-    for j in range(room.history.shape[0]):
-        room.history[j] = 0.0
+    for m in range(room.history.shape[0]):
+        room.history[m] = 0.0
     set_pressures(w, actuators, rest, per_pressure, free, pressure)
     uniform_guess(w, law, actuators, tip, scale, room)
-    segments = _divisor(room.x.shape[0] - 1, 1)
+    segments = _divisor(room.states.shape[0] - 1, 1)
     passes = newton(w, law, actuators, load, loaded, tip, 0.0, length, segments, scale, room, tolerance, 20.0)
     if passes > 0:
         return int(passes)
@@ -125,7 +124,7 @@ def _followed(
 ) -> int:
     """The equilibrium by following pressures and loads up from nothing."""
     x = room.x
-    n = x.shape[0] - 1
+    n = room.states.shape[0] - 1
     nothing = np.zeros_like(pressure)
     set_pressures(w, actuators, rest, per_pressure, free, nothing)
     uniform_guess(w, law, actuators, np.zeros_like(tip), scale, room)
@@ -145,6 +144,14 @@ def _followed(
             _divisor(n, 4), scale, room, tolerance,
         )
     )  # fmt: skip
+
+
+@leaf
+def _copy(a: Array, b: Array) -> None:
+    """Rows of a to b; an assignment of whole arrays brings in code that words an error."""
+    for j in range(a.shape[0]):
+        for c in range(STATE):
+            b[j, c] = a[j, c]
 
 
 @kernel
@@ -173,10 +180,13 @@ def _led(
     done, stride, total = 0.0, 0.125, 0
     while done < 1.0:
         share = min(1.0, done + stride)
-        some[:] = last + (pressure - last) * share
+        for k in range(actuators):
+            some[k] = last[k] + (pressure[k] - last[k]) * share
         if c0 == 0.0:
-            some_load[:] = share * load
-            some_tip[:6] = share * tip[:6]
+            for k in range(load.shape[0]):
+                some_load[k] = share * load[k]
+            for k in range(6):
+                some_tip[k] = share * tip[k]
         set_pressures(w, actuators, rest, per_pressure, free, some)
         passes = newton(
             w, law, actuators, some_load, loaded, some_tip, c0, length, segments, scale, room, tolerance, 40.0
@@ -184,10 +194,10 @@ def _led(
         if passes > 0:
             total += passes
             done, stride = share, 2.0 * stride
-            good[:] = x
+            _copy(x, good)
         else:
             stride *= 0.25
-            x[:] = good
+            _copy(good, x)
             if stride < 1e-3:
                 return -1
     return total
@@ -203,28 +213,45 @@ def _divisor(n: int, wanted: int) -> int:
 
 
 @leaf
-def sample_history(x: Array, slope: Array, h: float, out: Array) -> None:
-    """Velocities and strains, and the strains' slopes, at nodes and mid-points (2 N + 1 rows of 18), by cubic Hermite.
+def _between(history: Array, size: int, h: float) -> None:
+    """The history half-way between the nodes, by cubic Hermite: of velocities and strains, and their slopes.
 
     The mid-point's slope from the same cubic is of fourth order too: its leading error vanishes by symmetry.
     """
-    n = x.shape[0] - 1
     over = 1.5 / h
-    for j in range(n + 1):
-        at = 2 * HISTORY * j
-        for c in range(12):
-            out[at + c] = x[j, c]
-        for c in range(6):
-            out[at + 12 + c] = slope[j, c]
-    for j in range(n):
-        at = 2 * HISTORY * j + HISTORY
-        for c in range(12):
-            out[at + c] = 0.5 * (x[j, c] + x[j + 1, c]) + 0.125 * h * (slope[j, c] - slope[j + 1, c])
-        for c in range(6):
-            out[at + 12 + c] = over * (x[j + 1, c] - x[j, c]) - 0.25 * (slope[j, c] + slope[j + 1, c])
+    for m in range(size - STATE):
+        a, b = history[m], history[STATE + m]
+        a_s, b_s = history[size + m], history[size + STATE + m]
+        history[2 * size + m] = 0.5 * (a + b) + 0.125 * h * (a_s - b_s)
+        history[3 * size + m] = over * (b - a) - 0.25 * (a_s + b_s)
 
 
 @leaf
+def settle(scheme: Array, x: Array, trail: Array, length: float, room: Room) -> None:
+    """The past of the first time step of an arm that has long been at rest in x: trail, and the room's history."""
+    history, share = room.history, scheme[1] + scheme[2] + scheme[3]
+    flat, past = x.reshape(x.size), trail.reshape(2, x.size)
+    for m in range(x.size):
+        history[m] = share * flat[m]
+        past[0, m] = flat[m]
+        past[1, m] = flat[m]
+    _between(history, x.size // 2, length / (room.states.shape[0] - 1))
+
+
+@inlined
+def _remember(scheme: Array, y: Array, x: Array, trail: Array, history: Array) -> None:
+    """After a time step to y: the history y^h (eq 26) of the next step, and all the past one step back."""
+    c0, c1, c2, c3, d1 = scheme[0], scheme[1], scheme[2], scheme[3], scheme[4]
+    now, last, past = y.reshape(y.size), x.reshape(y.size), trail.reshape(2, y.size)
+    for m in range(now.size):
+        rate = c0 * now[m] + history[m]
+        history[m] = c1 * now[m] + c2 * last[m] + c3 * past[0, m] + d1 * rate
+        past[1, m] = past[0, m]
+        past[0, m] = last[m]
+        last[m] = now[m]
+
+
+@inlined
 def advance(
     w: Array,
     law: int,
@@ -241,40 +268,33 @@ def advance(
     segments: int,
     scale: Array,
     scheme: Array,
-    levels: Array,
     trail: Array,
     x: Array,
-    slope: Array,
     room: Room,
     tolerance: float,
 ) -> int:
     """One time step. Returns the number of passes, or -1, in which case nothing but work array and room has changed.
 
-    scheme: c0, c1, c2, c3, d1. levels (4, (2 N + 1) 18): the last three samples, and the time derivative of the last.
-    trail (2, N + 1, 16): the two solutions before x, where segments start; before (3, N): the last three's pressures;
-    both for the guess, extrapolated where extrapolation foretells the pressures better than the last ones do. Where
-    that fails: more segments, then the pressures led from the last ones to the new ones in parts.
+    scheme: c0, c1, c2, c3, d1. x (2 N + 2, 16): the last solution and its slopes; trail (2, 2 N + 2, 16): the two
+    before. before (3, N): the last three's pressures. The guess is extrapolated where that foretells the pressures
+    better than the last ones do. room.history: y^h at the nodes, its slopes, and the same at the mid-points, (N + 1) x
+    16 each. Where a step fails: more segments, then the pressures led from the last ones to the new ones in parts.
     """
-    n = x.shape[0] - 1
-    c0, history, y, z = scheme[0], room.history, room.x, room.slope
-    new, old, older, rate = levels[0], levels[1], levels[2], levels[3]
-    c1, c2, c3, d1 = scheme[1], scheme[2], scheme[3], scheme[4]
-    samples = history.shape[0]
-    for j in range(samples):
-        history[j] = c1 * new[j] + c2 * old[j] + c3 * older[j] + d1 * rate[j]
+    n = room.states.shape[0] - 1
+    c0, y = scheme[0], room.x
     set_pressures(w, actuators, rest, per_pressure, free, pressure)
     ahead, off = 0.0, 0.0
     for k in range(actuators):
         off += abs(pressure[k] - before[0, k])
         ahead += abs(pressure[k] - 3.0 * (before[0, k] - before[1, k]) - before[2, k])
-    _guess(x, trail, ahead <= off, segments, y)
+    _guess(x, trail, ahead <= off, n, segments, y)
     passes = newton(w, law, actuators, load, loaded, tip, c0, length, segments, scale, room, tolerance, 8.0)
     if passes < 0:
         finer = _divisor(n, max(4, 2 * segments))
-        _guess(x, trail, False, finer, y)
+        _guess(x, trail, False, n, finer, y)
         passes = newton(w, law, actuators, load, loaded, tip, c0, length, finer, scale, room, tolerance, 25.0)
         if passes < 0:
-            _guess(x, trail, False, finer, y)
+            _guess(x, trail, False, n, finer, y)
             passes = _led(
                 w, law, actuators, rest, per_pressure, free, before[0], pressure, load, loaded, tip, c0, length,
                 finer, scale, room, tolerance,
@@ -285,31 +305,18 @@ def advance(
         over = 1.0 / (y[j, 12] ** 2 + y[j, 13] ** 2 + y[j, 14] ** 2 + y[j, 15] ** 2) ** 0.5
         for c in range(12, 16):
             y[j, c] *= over
-    for j in range(0, n, n // segments):
-        for c in range(STATE):
-            trail[1, j, c] = trail[0, j, c]
-            trail[0, j, c] = x[j, c]
-    for j in range(n + 1):
-        for c in range(STATE):
-            x[j, c] = y[j, c]
-            slope[j, c] = z[j, c]
     for k in range(actuators):
         before[2, k] = before[1, k]
         before[1, k] = before[0, k]
         before[0, k] = pressure[k]
-    for j in range(samples):
-        older[j] = old[j]
-        old[j] = new[j]
-    sample_history(x, slope, length / n, new)
-    for j in range(samples):
-        rate[j] = c0 * new[j] + history[j]
+    _remember(scheme, y, x, trail, room.history)
+    _between(room.history, x.size // 2, length / n)
     return int(passes)
 
 
 @leaf
-def _guess(x: Array, trail: Array, ahead: bool, segments: int, y: Array) -> None:
+def _guess(x: Array, trail: Array, ahead: bool, n: int, segments: int, y: Array) -> None:
     """Where each segment starts: the last solution, or ahead of the last three by a parabola."""
-    n = x.shape[0] - 1
     for j in range(0, n, n // segments):
         for c in range(STATE):
             y[j, c] = 3.0 * (x[j, c] - trail[0, j, c]) + trail[1, j, c] if ahead else x[j, c]

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from model.axis import axis
+from model.axis import place_tip
 from model.compiled import kernel
 from model.lanes import FIRST, Lanes, places, press
 from model.layout import LANES, STATE
@@ -35,21 +35,21 @@ def _join(row: Array, first: Array, shares: Array, arm: Array, p: int, count: in
 
 
 @leaf
-def _combine(x: Array, slope: Array, segments: int, room: Lanes, states: Array, derivatives: Array) -> None:
-    """Turn the lanes, after `neighbours`, into the solved neighbours; all other lanes become the arm x, slope."""
-    n, count = x.shape[0] - 1, room.parts.shape[0]
+def _combine(x: Array, segments: int, room: Lanes, states: Array, derivatives: Array) -> None:
+    """Turn the lanes, after `neighbours`, into the solved neighbours; all other lanes become the arm x."""
+    n, count = states.shape[1] - 1, room.parts.shape[0]
     per = n // segments
     for j in range(n + 1):
         s = min(j // per, segments - 1)
         for p in range(states.shape[0] - 1, -1, -1):
             _join(states[p, j], states[0, j], room.shares[s, p], x[j], p, count, STATE)
-            _join(derivatives[p, j], derivatives[0, j], room.shares[s, p], slope[j], p, count, 12)
+            _join(derivatives[p, j], derivatives[0, j], room.shares[s, p], x[n + 1 + j], p, count, 12)
 
 
 @leaf
 def _moved(x: Array, works: Array, room: Lanes, states: Array, derivatives: Array, steps: Array, by: Array) -> None:
     """How tip and turn answer (P, 6) to each neighbour's change, after `_combine`."""
-    n = x.shape[0] - 1
+    n = states.shape[1] - 1
     for p in range(works.shape[0]):
         places(works[p], states[p], derivatives[p], x[n], room.place[p])
     for f in range(steps.shape[0]):
@@ -75,21 +75,20 @@ def _remember(past: Array, room: Lanes, last: int, a: float, b: float, d: float)
 @kernel
 def moving(
     w: Array, law: int, actuators: int, rest: Array, per_pressure: Array, free: float, before: Array, load: Array,
-    loaded: bool, length: float, segments: int, scale: Array, scheme: Array, levels: Array, trail: Array, x: Array,
-    slope: Array, solver: Room, tolerance: float, centre: Array, tip: Array, resting_works: Array,
+    loaded: bool, length: float, segments: int, scale: Array, scheme: Array, trail: Array, x: Array,
+    solver: Room, tolerance: float, centre: Array, tip: Array, resting_works: Array,
     resting_rests: Array, resting_per_pressures: Array, still: Array, works: Array, rests: Array,
     per_pressures: Array, frees: Array, ends: Array, pressure: Array, hung: Array, loaded_lanes: bool, heavy: bool,
     past: Array, room: Lanes, steps: Array, every: int, place: Array, turned: Array, by: Array, good: Array,
 ) -> None:  # fmt: skip
     """A motion from rest by BDF-alpha, and how its tip answers to each neighbour's change.
 
-    The arm as `axis.motion` takes it, at rest in x, slope; the lanes as `press` takes them, `resting_..` and scale
+    The arm as `axis.motion` takes it, at rest in x; the lanes as `press` takes them, `resting_..` and scale
     `still` of the arm at rest. pressure (1 + T, W, N, 8): at rest, then step by step. hung (1 + T, 3): force on the
     tip. past (W, N + 1, 192): room for the lanes' history. Of every so many steps it fills place, turned, by
     (1 + T / every, ..) and good.
     """
-    n, count = x.shape[0] - 1, works.shape[0]
-    p, turns, v, u = np.empty((n + 1, 3)), np.empty((n + 1, 3, 3)), np.empty((n + 1, 3)), np.empty((n + 1, 3))
+    count = works.shape[0]
     row, here, nothing = np.empty(actuators), tip.copy(), np.zeros((count, 6, LANES))
     hangs = np.zeros((count, 6, LANES))
     c0, c1, c2, d1 = scheme[0], scheme[1], scheme[2], scheme[4]
@@ -109,7 +108,7 @@ def moving(
                 resting_works, law, actuators, past, load, loaded_lanes, 0.0, heavy, segments, still, x, room,
                 room.states[0], room.derivatives[0],
             )  # fmt: skip
-            _combine(x, slope, segments, room, room.states[0], room.derivatives[0])
+            _combine(x, segments, room, room.states[0], room.derivatives[0])
             room.states[1] = room.states[0]
             room.derivatives[1] = room.derivatives[0]
             # An arm at rest has no rates: y^h = -c0 y.
@@ -119,7 +118,7 @@ def moving(
                 row[k] = pressure[t, 0, k, 0]
             solved = advance(
                 w, law, actuators, rest, per_pressure, free, before, row, load, loaded, here, length, segments, scale,
-                scheme, levels, trail, x, slope, solver, tolerance,
+                scheme, trail, x, solver, tolerance,
             )  # fmt: skip
             if solved > 0 and followed:
                 # y_t of the last step is c0 times its solution plus its history.
@@ -130,13 +129,11 @@ def moving(
                     works, law, actuators, past, load, loaded_lanes, c0, heavy, segments, scale, x, room,
                     room.states[now], room.derivatives[now],
                 )  # fmt: skip
-                _combine(x, slope, segments, room, room.states[now], room.derivatives[now])
+                _combine(x, segments, room, room.states[now], room.derivatives[now])
         if t % every == 0:
             at = t // every
             good[at] = solved > 0
-            axis(x, slope, length, centre, p, turns, v, u)
-            place[at] = p[n]
-            turned[at] = turns[n]
+            place_tip(x, length, centre, place, turned, at)
             if followed:
                 _moved(x, works, room, room.states[now], room.derivatives[now], steps, by[at])
             else:

@@ -23,13 +23,13 @@ def neighbours(
     works: Array, law: int, actuators: int, past: Array, load: Array, loaded: bool, c0: float, heavy: bool,
     segments: int, scale: Array, x: Array, room: Lanes, states: Array, derivatives: Array,
 ) -> bool:  # fmt: skip
-    """One pass from the solved arm x (N + 1, 16): fills states, derivatives (W, N + 1, 128) and the shares of them.
+    """One pass from the solved arm x (2 N + 2, 16): fills states, derivatives (W, N + 1, 128) and the shares of them.
 
     A neighbour is its lane plus, in segment s, its shares of lanes 1 to 6, all against lane 0. Segments are joined as
     in `shooting.newton`. past (W, N + 1, 192), at rest not looked at. False when no answer is found.
     """
     directions, triangle, along, parts = room.directions, room.triangle, room.along, room.parts
-    n, count = x.shape[0] - 1, parts.shape[0]
+    n, count = states.shape[1] - 1, parts.shape[0]
     per = n // segments
     first = works[0]
     for k in range(6):

@@ -35,10 +35,10 @@ def _tube(strain: float, a1: float, a2: float, share: float) -> tuple[float, flo
     root = math.sqrt(a1 * a1 + 4.0 * a2 * abs(strain))
     rounded = math.sqrt(strain * strain + ROUNDING * ROUNDING)
     round_root = math.sqrt(a1 * a1 + 4.0 * a2 * rounded)
-    # Roots and divisions cost more than anything else here: two divisions serve for four quotients.
-    over = share / (root * (a1 + root))
-    both = (a1 + round_root) * round_root * rounded
-    round_over = 2.0 / both
+    # Roots and divisions cost more than anything else here: one division serves for four quotients.
+    plain, both = root * (a1 + root), (a1 + round_root) * round_root * rounded
+    inverse = 1.0 / (plain * both)
+    over, round_over = share * both * inverse, 2.0 * plain * inverse
     stiffness = round_over * round_root * rounded
     change = -0.5 * stiffness * stiffness * a2 * strain * round_over * (a1 + round_root)
     return 2.0 * strain * root * over, (a1 + root) * over, share * stiffness, share * change

@@ -149,10 +149,14 @@ def pressures(arm: Arm, pressure_pa: ArrayLike) -> Array:
 
 
 def _scale(length_m: float, c0: float) -> Array:
-    """What counts as a change of order one in (v, u, q, w, h); a velocity counts by how far it carries in a step."""
+    """What counts as a change of order one in (v, u, q, w, h), then the reciprocals (32,).
+
+    A velocity counts by how far it carries in a step.
+    """
     one, bent = np.ones(3), np.full(3, 1 / length_m)
     carried = max(1.0, 0.25 * c0 * length_m)
-    return np.concatenate([one, bent, carried * one, carried * bent, np.ones(4)])
+    scale = np.concatenate([one, bent, carried * one, carried * bent, np.ones(4)])
+    return np.concatenate([scale, 1 / scale])
 
 
 def _work(arm: Arm, xy: Array, whole: Section, c0: float, pointwise: bool) -> Array:

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from model.axis import axis
+from model.axis import place_tip
 from model.compiled import kernel
 from model.lanes import FIRST, Lanes, places, press
 from model.layout import LANES, STATE
@@ -25,7 +25,7 @@ NO_MOMENT = 1e-15  # [N m]: a pull so small that its moments have no digits
 @leaf
 def _answers(x: Array, works: Array, room: Lanes, steps: Array, by: Array) -> None:
     """How tip and turn answer (P, 6) to each neighbour's change of size steps (P,), after `neighbours` in one go."""
-    n = x.shape[0] - 1
+    n = room.states.shape[2] - 1
     for p in range(works.shape[0]):
         places(works[p], room.states[0, p], room.derivatives[0, p], x[n], room.place[p])
     for f in range(steps.shape[0]):
@@ -43,7 +43,7 @@ def _lever(x: Array, pull: Array, tip: Array, before: Array, share: float) -> fl
 
     pull (6, 8): force and lever, of which lane 0 counts. The moment is about the axis' end.
     """
-    h = x[x.shape[0] - 1]
+    h = x[x.shape[0] // 2 - 1]
     d1, d2, d3 = rotation((h[12], h[13], h[14], h[15]))
     at = (pull[3, 0], pull[4, 0], pull[5, 0])
     arm = plus(plus((at[0] * d1[0], at[0] * d1[1], at[0] * d1[2]), at[1], d2), at[2], d3)
@@ -70,8 +70,7 @@ def resting(
     and as `press` takes them, with R before. R and the rows of hung and pull are K, or 1 for the same everywhere.
     Fills place (K, 3), turned (K, 3, 3), by (K, P, 6) and good (K,).
     """
-    n = solver.x.shape[0] - 1
-    p, turns, v, u = np.empty((n + 1, 3)), np.empty((n + 1, 3, 3)), np.empty((n + 1, 3)), np.empty((n + 1, 3))
+    n = solver.states.shape[0] - 1
     row, here, lever = np.empty(actuators), tip.copy(), np.empty(3)
     nothing = np.zeros((works.shape[1], 1, 1))
     segments = room.shares.shape[0]
@@ -112,9 +111,7 @@ def resting(
                 solved = -1
         good[t] = solved > 0
         if solved > 0:
-            axis(solver.x, solver.slope, length, centre, p, turns, v, u)
-            place[t] = p[n]
-            turned[t] = turns[n]
+            place_tip(solver.x, length, centre, place, turned, t)
             if steps.shape[0] > 0:
                 press(works[r], actuators, rests[r], per_pressures[r], frees[r], ends, pressure[t], hangs, pulls)
                 found = neighbours(

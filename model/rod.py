@@ -17,7 +17,6 @@ from model.layout import (
     AXIAL_INVERSE,
     C0,
     FOURTH,
-    HISTORY,
     INERTIA,
     LAG,
     LANES,
@@ -27,6 +26,7 @@ from model.layout import (
     NODE,
     OFFSET,
     PAST,
+    POINTWISE,
     RATE,
     SHEAR,
     SHEAR_INVERSE,
@@ -143,12 +143,11 @@ def linear_slopes(axial_inverse: Six, shear_inverse: Six, lag: float, n: Triple,
 
 
 @inlined
-def past_of(history: Array, row: int) -> Past:
-    """History of v, u, q, w at a row, and the slopes of that of v, u."""
-    y = HISTORY * row
+def past_of(history: Array, size: int, at: int) -> Past:
+    """History of v, u, q, w that stands at `at`, and the slopes of that of v, u, `size` further on."""
     return (
-        three(history, y), three(history, y + 3), three(history, y + 6), three(history, y + 9),
-        three(history, y + 12), three(history, y + 15),
+        three(history, at), three(history, at + 3), three(history, at + 6), three(history, at + 9),
+        three(history, size + at), three(history, size + at + 3),
     )  # fmt: skip
 
 
@@ -216,32 +215,32 @@ def _loads_in_section(w: Array, load: Array, own: bool, row: int, at: int) -> No
         put(w, LOAD + 3, i, (dot(d1, moment), dot(d2, moment), dot(d3, moment)))
 
 
-@leaf
-def stage_wrench(w: Array, law: int, actuators: int, history: Array, row: int) -> None:
-    """Total wrench at the stage, all lanes, by whichever section law is in force."""
-    v_h, u_h = three(history, HISTORY * row), three(history, HISTORY * row + 3)
+@inlined
+def wrench(w: Array, law: int, i: int, at: int, v_h: Triple, u_h: Triple) -> tuple[Triple, Triple]:
+    """Total wrench of one lane, whose state stands at `at`; of a pointwise section, after its tubes were summed."""
+    v, u = triple(w, at, i), triple(w, at + 3, i)
     if law == LINEAR:
-        for i in range(LANES):
-            v, u = triple(w, STAGE, i), triple(w, STAGE + 3, i)
-            n, m = linear_wrench(
-                six(w, AXIAL, i), six(w, SHEAR, i), six(w, OFFSET, i), w[LAG * LANES + i], v, u, v_h, u_h
-            )
-            put(w, WRENCH, i, n)
-            put(w, WRENCH + 3, i, m)
-    else:
+        return linear_wrench(six(w, AXIAL, i), six(w, SHEAR, i), six(w, OFFSET, i), w[LAG * LANES + i], v, u, v_h, u_h)  # type: ignore[no-any-return]
+    return pointwise_wrench(w, i, w[C0 * LANES + i], v, u, v_h, u_h)  # type: ignore[no-any-return]
+
+
+@leaf
+def resting_wrench(w: Array, law: int, actuators: int) -> None:
+    """Total wrench at the stage, all lanes, of an arm that has no history."""
+    zero = (0.0, 0.0, 0.0)
+    if law != LINEAR:
         _sum_tubes_at(w, actuators, STAGE)
-        for i in range(LANES):
-            v, u = triple(w, STAGE, i), triple(w, STAGE + 3, i)
-            n, m = pointwise_wrench(w, i, w[C0 * LANES + i], v, u, v_h, u_h)
-            put(w, WRENCH, i, n)
-            put(w, WRENCH + 3, i, m)
+    for i in range(LANES):
+        n, m = wrench(w, LINEAR, i, STAGE, zero, zero) if law == LINEAR else wrench(w, POINTWISE, i, STAGE, zero, zero)
+        put(w, WRENCH, i, n)
+        put(w, WRENCH + 3, i, m)
 
 
 @leaf
 def strain_changes(w: Array, law: int) -> None:
     """Static changes of the stage's strains that change its wrench by what stands at the rate, to first order.
 
-    For a pointwise section after `stage_wrench`, which leaves the tubes' sums.
+    For a pointwise section after `resting_wrench`, which leaves the tubes' sums.
     """
     zero = (0.0, 0.0, 0.0)
     for i in range(LANES):
@@ -274,9 +273,10 @@ def stage(
 
 
 @leaf
-def slopes(w: Array, law: int, actuators: int, history: Array, load: Array, loaded: bool, row: int) -> None:
-    """The right-hand side: slopes along the arc length of the stage's state, all lanes."""
-    stage(w, law, actuators, past_of(history, row), False, load, loaded, row, STAGE, SLOPE, 0.0)
+def tip_slopes(w: Array, law: int, actuators: int, history: Array, load: Array, loaded: bool, n: int) -> None:
+    """The right-hand side at node n, the tip: slopes along the arc length of the node's state, all lanes."""
+    past = past_of(history, STATE * (n + 1), STATE * n)
+    stage(w, law, actuators, past, False, load, loaded, 2 * n, NODE, SLOPE, 0.0)
 
 
 @leaf
@@ -294,17 +294,19 @@ def integrate(
 ) -> None:
     """Integrate the node's state, all lanes, from node `first` to node `last` by RK4, a stride each.
 
-    history, load: one row per node and per mid-point, (2 N + 1) of 18 and of 6, flat. states, derivatives:
+    history: as of `march.advance`. load: one row of 6 per node and per mid-point, (2 N + 1) flat. states, derivatives:
     (N + 1, 128), filled at each node; at `last`, only the state is left, in the work array.
     """
-    size = STATE * LANES
+    size = STATE * states.shape[0]
     for j in range(first, last):
-        for i in range(size):
+        for i in range(STATE * LANES):
             states[j, i] = w[NODE * LANES + i]
-        stage(w, law, actuators, past_of(history, 2 * j), False, load, loaded, 2 * j, NODE, STAGE, 0.5)
-        for i in range(size):
+        at = STATE * j
+        stage(w, law, actuators, past_of(history, size, at), False, load, loaded, 2 * j, NODE, STAGE, 0.5)
+        for i in range(STATE * LANES):
             derivatives[j, i] = w[SLOPE * LANES + i]
-        past = past_of(history, 2 * j + 1)
+        past = past_of(history, size, 2 * size + at)
         stage(w, law, actuators, past, False, load, loaded, 2 * j + 1, STAGE, THIRD, 0.5)
         stage(w, law, actuators, past, False, load, loaded, 2 * j + 1, THIRD, FOURTH, 1.0)
-        stage(w, law, actuators, past_of(history, 2 * j + 2), False, load, loaded, 2 * j + 2, FOURTH, NODE, 1.0 / 6.0)
+        past = past_of(history, size, at + STATE)
+        stage(w, law, actuators, past, False, load, loaded, 2 * j + 2, FOURTH, NODE, 1.0 / 6.0)

@@ -14,10 +14,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from model.layout import HISTORY, LANES, NODE, SLOPE, STAGE, STATE, STRIDE, WRENCH, aligned
+from model.layout import LANES, LINEAR, NODE, POINTWISE, SLOPE, STATE, STRIDE, WRENCH, aligned
 from model.linear import orthonormalise, solve_six
-from model.rod import integrate, slopes, stage_wrench
-from model.triples import cross, dot, inlined, lane_sum, leaf, plus, put, rotation, three, triple
+from model.rod import integrate, past_of, tip_slopes, wrench
+from model.triples import cross, dot, inlined, lane_sums, leaf, plus, put, rotation, size, sum_of, three, triple, write
 
 Array = Any
 
@@ -28,11 +28,10 @@ LONGEST = 1.5  # of a Newton update, in scaled strains and orientations
 class Room(NamedTuple):
     """The arrays that the solver works in, made once so that no step waits for memory."""
 
-    history: Array  # 2 N + 1 rows of 18, flat
+    history: Array  # of the next time step, 4 x (N + 1) x 16, flat: as of `march.advance`
     states: Array  # (N + 1, 128), all lanes
     derivatives: Array  # the same of their slopes
-    x: Array  # (N + 1, 16), the guess that is improved
-    slope: Array
+    x: Array  # (2 N + 2, 16), states at the nodes, a guess that is improved, and then their slopes
     directions: Array  # (N, 7, 16), per segment
     triangle: Array  # (N, 6, 6)
     along: Array  # (N, 6)
@@ -40,15 +39,14 @@ class Room(NamedTuple):
     reach: Array  # (N,)
     matrix: Array  # (6, 6)
     right: Array  # (6,)
-    over: Array  # (16,), 1 / scale
 
     @classmethod
     def of(cls, n: int) -> Room:
         """Room for n steps along the arm, in up to n segments."""
         return cls(
-            aligned((2 * n + 1) * HISTORY), aligned(n + 1, STATE * LANES), aligned(n + 1, STATE * LANES),
-            aligned(n + 1, STATE), aligned(n + 1, STATE), aligned(n, 7, STATE), aligned(n, 6, 6), aligned(n, 6),
-            aligned(n, LANES), aligned(n), aligned(6, 6), aligned(6), aligned(STATE),
+            aligned(4 * (n + 1) * STATE), aligned(n + 1, STATE * LANES), aligned(n + 1, STATE * LANES),
+            aligned(2 * n + 2, STATE), aligned(n, 7, STATE), aligned(n, 6, 6), aligned(n, 6),
+            aligned(n, LANES), aligned(n), aligned(6, 6), aligned(6),
         )  # fmt: skip
 
 
@@ -71,20 +69,20 @@ def cap(
 
 
 @leaf
-def tip_residual(w: Array, law: int, actuators: int, history: Array, row: int, tip: Array, c0: float) -> None:
-    """What the tip's total wrench lacks of what hangs on it (eqs 23-25, 28) [N, N m], in the wrench's place.
+def tip_residual(w: Array, law: int, history: Array, n: int, tip: Array, c0: float) -> None:
+    """What the wrench at node n, the tip, lacks of what hangs on it (eqs 23-25, 28) [N, N m], in the wrench's place.
 
-    tip: dead force (3) and moment (3) in the base frame, cap mass that resists acceleration, cap inertia (3), place of
-    the load in the section (3).
+    After `tip_slopes`, which leaves the tubes' sums. tip: dead force (3) and moment (3) in the base frame, cap mass
+    that resists acceleration, cap inertia (3), place of the load in the section (3).
     """
-    for i in range(STATE * LANES):
-        w[STAGE * LANES + i] = w[NODE * LANES + i]
-    stage_wrench(w, law, actuators, history, row)
+    v_h, u_h, q_h, o_h, _, _ = past_of(history, 0, STATE * n)
     force, moment, place = three(tip, 0), three(tip, 3), three(tip, 10)
     mass, inertia = tip[6], three(tip, 7)
     heavy = mass > 0.0 or inertia[0] > 0.0 or inertia[1] > 0.0 or inertia[2] > 0.0
-    q_h, o_h = three(history, HISTORY * row + 6), three(history, HISTORY * row + 9)
     for i in range(LANES):
+        force_n, moment_n = (
+            wrench(w, LINEAR, i, NODE, v_h, u_h) if law == LINEAR else wrench(w, POINTWISE, i, NODE, v_h, u_h)
+        )
         h = (NODE + 12) * LANES + i
         d1, d2, d3 = rotation((w[h], w[h + LANES], w[h + 2 * LANES], w[h + 3 * LANES]))
         f = (dot(d1, force), dot(d2, force), dot(d3, force))
@@ -92,8 +90,22 @@ def tip_residual(w: Array, law: int, actuators: int, history: Array, row: int, t
         if heavy:
             f, couple = cap(w, i, f, couple, mass, inertia, place, c0, q_h, o_h)
         couple = plus(couple, 1.0, cross(place, f))
-        put(w, WRENCH, i, plus(triple(w, WRENCH, i), -1.0, f))
-        put(w, WRENCH + 3, i, plus(triple(w, WRENCH + 3, i), -1.0, couple))
+        put(w, WRENCH, i, plus(force_n, -1.0, f))
+        put(w, WRENCH + 3, i, plus(moment_n, -1.0, couple))
+
+
+@inlined
+def _everywhere(w: Array, x: Array, j: int, lanes: int) -> None:
+    """The state in row j of x to the node, all lanes: a loop only while the compiler does not know their number."""
+    v, u, q, o, h = three(x[j], 0), three(x[j], 3), three(x[j], 6), three(x[j], 9), three(x[j], 13)
+    h0 = x[j, 12]
+    for i in range(lanes):
+        put(w, NODE, i, v)
+        put(w, NODE + 3, i, u)
+        put(w, NODE + 6, i, q)
+        put(w, NODE + 9, i, o)
+        w[(NODE + 12) * LANES + i] = h0
+        put(w, NODE + 13, i, h)
 
 
 @leaf
@@ -112,30 +124,26 @@ def newton(
     tolerance: float,
     most: float,
 ) -> int:
-    """Solve for the states x (N + 1, 16) at the nodes, and their slopes, from a guess in x; N divides by `segments`.
+    """Solve for the states at the nodes, and their slopes, from a guess in room.x; N divides by `segments`.
 
-    x, slope and the history stand in `room`. All nodes are moved along the computed directions. What is left after an
+    The history stands in `room` too. All nodes are moved along the computed directions. What is left after an
     update is of the order of its size, in units of `scale`, times that of its strains and orientations, which make the
     equations nonlinear: it stops when this product is below the square of `tolerance`. Returns the number of passes, or
     -1 when `most` were not enough (no int: numba would compile this anew for every constant).
     """
-    history, states, derivatives, x, slope = room.history, room.states, room.derivatives, room.x, room.slope
+    history, states, derivatives, x = room.history, room.states, room.derivatives, room.x
     directions, triangle, along, weights = room.directions, room.triangle, room.along, room.weights
-    reach, matrix, right, over = room.reach, room.matrix, room.right, room.over
-    n = x.shape[0] - 1
+    reach, matrix, right = room.reach, room.matrix, room.right
+    n = states.shape[0] - 1
     per = n // segments
     last = segments - 1
     for i in range(LANES):
         w[STRIDE * LANES + i] = length / n
-    for c in range(STATE):
-        over[c] = 1.0 / scale[c]
     reach[0] = 0.0
     previous = np.inf
     for passes in range(1, int(most) + 1):
         for s in range(segments):
-            for c in range(STATE):
-                for i in range(LANES):
-                    w[(NODE + c) * LANES + i] = x[s * per, c]
+            _everywhere(w, x, s * per, room.weights.shape[1])
             if s == 0:
                 for k in range(6):
                     w[(NODE + k) * LANES + 1 + k] += STEP * scale[k]
@@ -155,7 +163,7 @@ def newton(
             for c in range(STATE):
                 at = (NODE + c) * LANES
                 for k in range(6):
-                    directions[s + 1, k, c] = (w[at + 1 + k] - w[at]) * (over[c] / STEP)
+                    directions[s + 1, k, c] = (w[at + 1 + k] - w[at]) * (scale[STATE + c] / STEP)
                 carried = (w[at + 7] - w[at]) / (reach[s] * scale[c]) if reach[s] > 0.0 else 0.0
                 directions[s + 1, 6, c] = carried + (w[at] - x[(s + 1) * per, c]) / scale[c]
             if not orthonormalise(directions[s + 1, :6], triangle[s + 1]):
@@ -168,9 +176,12 @@ def newton(
             for k in range(6):
                 for c in range(STATE):
                     directions[s + 1, 6, c] -= along[s + 1, k] * directions[s + 1, k, c]
+        tip_slopes(w, law, actuators, history, load, loaded, n)
         for i in range(STATE * LANES):
             states[n, i] = w[NODE * LANES + i]
-        tip_residual(w, law, actuators, history, 2 * n, tip, c0)
+        for i in range(STATE * LANES):
+            derivatives[n, i] = w[SLOPE * LANES + i]
+        tip_residual(w, law, history, n, tip, c0)
         for i in range(6):
             at = (WRENCH + i) * LANES
             lacking = w[at]
@@ -194,19 +205,20 @@ def newton(
                     for c in range(k + 1, 6):
                         total -= triangle[s, k, c] * right[c]
                     right[k] = total / triangle[s, k, k]
-        # One number after the other: as vectors over c, the lanes would be gathered, which takes five times as long.
         swift, bent, total = 0.0, 0.0, 0.0
         for s in range(segments):
             for j in range(s * per, (s + 1) * per + (1 if s == last else 0)):
-                for c in range(STATE):
-                    update = lane_sum(weights, s, states, j, c)
-                    x[j, c] = update
-                    size = abs(update) * over[c]
-                    total += size
-                    if 6 <= c < 12:
-                        swift = max(swift, size)
-                    else:
-                        bent = max(bent, size)
+                v, u, q, o, h0, h = lane_sums(weights, s, states, j)
+                write(x, j, 0, v)
+                write(x, j, 3, u)
+                write(x, j, 6, q)
+                write(x, j, 9, o)
+                x[j, 12] = h0
+                write(x, j, 13, h)
+                swift = max(swift, max(size(q) * scale[STATE + 6], size(o) * scale[STATE + 9]))
+                turned = max(abs(h0), size(h)) * scale[STATE + 12]
+                bent = max(bent, max(max(size(v) * scale[STATE], size(u) * scale[STATE + 3]), turned))
+                total += ((sum_of(v) + sum_of(u)) + (sum_of(q) + sum_of(o))) + (sum_of(h) + abs(h0))
         largest = max(swift, bent)
         # A maximum swallows a NaN and would call the step solved; a sum does not.
         if not total < np.inf:
@@ -221,19 +233,15 @@ def newton(
                 x[j, c] = states[j, c * LANES] + damping * x[j, c]
         if bent * largest < tolerance * tolerance:
             for s in range(segments):
-                for j in range(s * per, (s + 1) * per):
-                    for c in range(STATE):
-                        slope[j, c] = derivatives[j, c * LANES] + lane_sum(weights, s, derivatives, j, c)
-                        total += slope[j, c]
-            if not abs(total) < np.inf:
-                return -1
-            for c in range(STATE):
-                for i in range(LANES):
-                    w[(STAGE + c) * LANES + i] = x[n, c]
-            slopes(w, law, actuators, history, load, loaded, 2 * n)
-            for c in range(STATE):
-                slope[n, c] = w[(SLOPE + c) * LANES]
-            return passes
+                weights[s, 0] += 1.0
+                for j in range(s * per, (s + 1) * per + (1 if s == last else 0)):
+                    v, u, q, o, _, _ = lane_sums(weights, s, derivatives, j)
+                    write(x, n + 1 + j, 0, v)
+                    write(x, n + 1 + j, 3, u)
+                    write(x, n + 1 + j, 6, q)
+                    write(x, n + 1 + j, 9, o)
+                    total += (sum_of(v) + sum_of(u)) + (sum_of(q) + sum_of(o))
+            return passes if total < np.inf else -1
     return -1
 
 
@@ -246,6 +254,6 @@ _kept = _Kept()
 
 def room_for(n: int) -> Room:
     """Room for n steps, the same one at every call from one thread: what it holds must be copied out at once."""
-    if _kept.room is None or len(_kept.room.x) != n + 1:
+    if _kept.room is None or len(_kept.room.states) != n + 1:
         _kept.room = Room.of(n)
     return _kept.room

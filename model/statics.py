@@ -26,12 +26,11 @@ def solve(arm: Arm, pressure_pa: ArrayLike, loads: Loads | None, nodes: int) -> 
     """Behind `Arm.statics`."""
     pressure = pressures(arm, pressure_pa)
     problem = Problem.of(arm, pressure)
-    x, slope = states(arm, problem, pressure, loads, nodes)
-    return shape(arm, problem, x, slope, ok=True)
+    return shape(arm, problem, states(arm, problem, pressure, loads, nodes), ok=True)
 
 
-def states(arm: Arm, problem: Problem, pressure: Array, loads: Loads | None, nodes: int) -> tuple[Array, Array]:
-    """States and slopes (N + 1, 16) of the arm at rest; raises NotConverged."""
+def states(arm: Arm, problem: Problem, pressure: Array, loads: Loads | None, nodes: int) -> Array:
+    """States at the nodes, then their slopes, (2 N + 2, 16), of the arm at rest; raises NotConverged."""
     if nodes < 2:
         raise ValueError(f"an arm needs at least two steps along it, got {nodes}")
     room = room_for(nodes)
@@ -43,7 +42,8 @@ def states(arm: Arm, problem: Problem, pressure: Array, loads: Loads | None, nod
     if passes < 0:
         bar = ", ".join(f"{value / 1e5:.4g}" for value in pressure)
         raise NotConverged(f"no equilibrium found at {bar} bar: a pressure or load may be far outside the arm's range")
-    return room.x.copy(), room.slope.copy()
+    x: Array = room.x.copy()
+    return x
 
 
 @lru_cache(maxsize=32)
@@ -54,9 +54,9 @@ def _points(length_m: float, n: int) -> Array:
     return s
 
 
-def shape(arm: Arm, problem: Problem, x: Array, slope: Array, ok: bool) -> Shape:
+def shape(arm: Arm, problem: Problem, x: Array, ok: bool) -> Shape:
     """The arm's axis from solved states."""
-    n = len(x)
+    n = len(x) // 2
     p, rotation, v, u = np.empty((n, 3)), np.empty((n, 3, 3)), np.empty((n, 3)), np.empty((n, 3))
-    axis(x, slope, problem.length_m, problem.centre_m, p, rotation, v, u)
+    axis(x, problem.length_m, problem.centre_m, p, rotation, v, u)
     return Shape(_points(problem.length_m, n), p, rotation, v, u, ok, arm.geometry.positions_m)

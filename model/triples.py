@@ -91,13 +91,50 @@ def dot(a: Triple, b: Triple) -> float:
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-def _lane_sum(weights: Array, s: int, a: Array, j: int, c: int) -> float:
-    """Quantity c of row j of `a`, its lanes summed with row s of the weights."""
-    total = 0.0
+def _lane_sums(weights: Array, s: int, a: Array, j: int) -> Any:
+    """Row j of `a` with its lanes summed by row s of the weights: v, u, q, w and the first and the last three of h.
+
+    Sixteen sums in one loop over the lanes, or they are not made of vector instructions.
+    """
+    v1 = v2 = v3 = u1 = u2 = u3 = q1 = q2 = q3 = o1 = o2 = o3 = h0 = h1 = h2 = h3 = 0.0
     for i in range(LANES):
-        total += weights[s, i] * a[j, c * LANES + i]
-    return total
+        k = weights[s, i]
+        v1 += k * a[j, i]
+        v2 += k * a[j, LANES + i]
+        v3 += k * a[j, 2 * LANES + i]
+        u1 += k * a[j, 3 * LANES + i]
+        u2 += k * a[j, 4 * LANES + i]
+        u3 += k * a[j, 5 * LANES + i]
+        q1 += k * a[j, 6 * LANES + i]
+        q2 += k * a[j, 7 * LANES + i]
+        q3 += k * a[j, 8 * LANES + i]
+        o1 += k * a[j, 9 * LANES + i]
+        o2 += k * a[j, 10 * LANES + i]
+        o3 += k * a[j, 11 * LANES + i]
+        h0 += k * a[j, 12 * LANES + i]
+        h1 += k * a[j, 13 * LANES + i]
+        h2 += k * a[j, 14 * LANES + i]
+        h3 += k * a[j, 15 * LANES + i]
+    return (v1, v2, v3), (u1, u2, u3), (q1, q2, q3), (o1, o2, o3), h0, (h1, h2, h3)
 
 
 # Eight terms may be summed in any order, which the compiler then fixes once and for all.
-lane_sum = kernel(_lane_sum, fastmath={"contract", "arcp", "nsz", "reassoc"}, inlined=True, allocates=False)
+lane_sums = kernel(_lane_sums, fastmath={"contract", "arcp", "nsz", "reassoc"}, inlined=True, allocates=False)
+
+
+@inlined
+def write(a: Array, j: int, c: int, b: Triple) -> None:
+    """Three numbers into row j, from c on."""
+    a[j, c], a[j, c + 1], a[j, c + 2] = b
+
+
+@inlined
+def size(a: Triple) -> float:
+    """The largest of three, all taken positive."""
+    return max(max(abs(a[0]), abs(a[1])), abs(a[2]))
+
+
+@inlined
+def sum_of(a: Triple) -> float:
+    """The sum of three, all taken positive."""
+    return abs(a[0]) + abs(a[1]) + abs(a[2])

@@ -102,7 +102,7 @@ def energy(arm: Arm, dynamics: object) -> float:
     from model.section import section
 
     assert isinstance(dynamics, Dynamics)
-    x = dynamics._x
+    x = dynamics._x[: dynamics.nodes + 1]
     g = arm.geometry
     law = section(g, g.positions_m, arm.stiffness_n(np.zeros(3)), arm.material.shear_ratio, 0.0)
     strain = x[:, :6] - np.array([0, 0, 1.0, 0, 0, 0])
