@@ -72,19 +72,25 @@ def _trio(w: Array, i: int):  # type: ignore[no-untyped-def]
     )
 
 
+@inlined
+def sum_trio(w: Array, i: int) -> None:
+    """Sum over the tubes of one lane where there are up to three, at the strains kept for it."""
+    s0, s1, s2, s3, s4, s5, s6 = _trio(w, i)
+    put(w, PULLS, i, s0)
+    put(w, PULLS + 3, i, s1)
+    put(w, PULLS + 6, i, s2)
+    put(w, PULLS + 9, i, s3)
+    put(w, PULLS + 12, i, s4)
+    put(w, PULLS + 15, i, s5)
+    put(w, PULLS + 18, i, s6)
+
+
 @leaf
 def sum_tubes(w: Array, trios: int) -> None:
     """Sum over the tubes, all lanes, at the strains kept for it: wall forces, tangent stiffnesses, side stiffnesses."""
     if trios == 1:
         for i in range(LANES):
-            s0, s1, s2, s3, s4, s5, s6 = _trio(w, i)
-            put(w, PULLS, i, s0)
-            put(w, PULLS + 3, i, s1)
-            put(w, PULLS + 6, i, s2)
-            put(w, PULLS + 9, i, s3)
-            put(w, PULLS + 12, i, s4)
-            put(w, PULLS + 15, i, s5)
-            put(w, PULLS + 18, i, s6)
+            sum_trio(w, i)
         return
     for i in range(21 * LANES):
         w[PULLS * LANES + i] = 0.0

@@ -39,7 +39,7 @@ from model.layout import (
     WEIGHT,
     WRENCH,
 )
-from model.pointwise import pointwise_slopes, pointwise_wrench, sum_tubes
+from model.pointwise import pointwise_slopes, pointwise_wrench, sum_trio, sum_tubes
 from model.triples import Six, Triple, cross, dot, inlined, leaf, plus, put, rotation, six, three, times, triple
 
 Array = Any
@@ -185,21 +185,32 @@ def _sum_tubes_at(w: Array, actuators: int, at: int) -> None:
 
 
 @inlined
+def _pointwise_lane(w: Array, i: int, past: Past, own: bool, at: int, to: int, ahead: float) -> None:
+    v_h, u_h, q_h, o_h, v_hs, u_hs = _own_past(w, i) if own else past
+    v, u, q, o = triple(w, at, i), triple(w, at + 3, i), triple(w, at + 6, i), triple(w, at + 9, i)
+    c0 = w[C0 * LANES + i]
+    n, m = pointwise_wrench(w, i, c0, v, u, v_h, u_h)
+    j = INERTIA * LANES + i
+    q_s, o_s, n_s, m_s = balance(
+        c0, w[LINE_DENSITY * LANES + i], (w[j], w[j + LANES], w[j + 2 * LANES], w[j + 3 * LANES]),
+        v, u, q, o, n, m, (v_h, u_h, q_h, o_h), triple(w, LOAD, i), triple(w, LOAD + 3, i),
+    )  # fmt: skip
+    v_s, u_s = pointwise_slopes(w, i, c0, v, u, n_s, m_s, v_hs, u_hs)
+    _move_on(w, i, v_s, u_s, q_s, o_s, u, at, to, ahead * w[STRIDE * LANES + i])
+
+
+@inlined
 def _pointwise_stage(w: Array, actuators: int, past: Past, own: bool, at: int, to: int, ahead: float) -> None:
     """The same where each tube follows eq 32 at its own place."""
-    _sum_tubes_at(w, actuators, at)
-    for i in range(LANES):
-        v_h, u_h, q_h, o_h, v_hs, u_hs = _own_past(w, i) if own else past
-        v, u, q, o = triple(w, at, i), triple(w, at + 3, i), triple(w, at + 6, i), triple(w, at + 9, i)
-        c0 = w[C0 * LANES + i]
-        n, m = pointwise_wrench(w, i, c0, v, u, v_h, u_h)
-        j = INERTIA * LANES + i
-        q_s, o_s, n_s, m_s = balance(
-            c0, w[LINE_DENSITY * LANES + i], (w[j], w[j + LANES], w[j + 2 * LANES], w[j + 3 * LANES]),
-            v, u, q, o, n, m, (v_h, u_h, q_h, o_h), triple(w, LOAD, i), triple(w, LOAD + 3, i),
-        )  # fmt: skip
-        v_s, u_s = pointwise_slopes(w, i, c0, v, u, n_s, m_s, v_hs, u_hs)
-        _move_on(w, i, v_s, u_s, q_s, o_s, u, at, to, ahead * w[STRIDE * LANES + i])
+    if actuators <= 3:
+        for i in range(LANES):
+            put(w, STRAINS, i, triple(w, at + 2, i))
+            sum_trio(w, i)
+            _pointwise_lane(w, i, past, own, at, to, ahead)
+    else:
+        _sum_tubes_at(w, actuators, at)
+        for i in range(LANES):
+            _pointwise_lane(w, i, past, own, at, to, ahead)
 
 
 @inlined
