@@ -1,6 +1,6 @@
 # The two commands: `make run` (the paper's experiment on the mock rig) and `make test`.
 .DEFAULT_GOAL := help
-.PHONY: help run test test-hardware faults soak comedi lint lock clean
+.PHONY: help run test test-hardware strikes faults soak comedi lint lock clean
 
 VENV := .venv
 BIN := $(VENV)/bin
@@ -39,6 +39,9 @@ comedi: $(STAMP)
 
 test-hardware: comedi
 	@bash scripts/vm/test.sh $(VENV)
+
+strikes: comedi
+	@bash scripts/vm/test.sh $(VENV) tests/hardware/strikes.py
 
 faults: $(STAMP)
 	$(BIN)/python -m scripts.faults --write docs/reliability.md
