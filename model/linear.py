@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from model.triples import leaf
+from model.triples import any_order, leaf
 
 Array = Any
 
@@ -74,7 +74,7 @@ def solve_six_rows(a: Array, b: Array) -> bool:
     return True
 
 
-@leaf
+@any_order
 def orthonormalise(y: Array, r: Array) -> bool:
     """Factor y (six rows of 16, each a direction) into orthonormal rows and an upper triangle r, both in place.
 
@@ -96,6 +96,7 @@ def orthonormalise(y: Array, r: Array) -> bool:
         if not norm > 1e-300:
             return False
         r[k, k] = norm
+        over = 1.0 / norm
         for c in range(size):
-            y[k, c] /= norm
+            y[k, c] *= over
     return True

@@ -8,6 +8,7 @@ from model.compiled import kernel
 from model.layout import LANES
 
 Array = Any
+_ANY_ORDER = {"contract", "arcp", "nsz", "reassoc"}
 Triple = tuple[float, float, float]
 Six = tuple[float, float, float, float, float, float]
 
@@ -91,6 +92,11 @@ def dot(a: Triple, b: Triple) -> float:
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
+def any_order(function: Any) -> Any:
+    """Compile a leaf whose sums may be taken in any order, which the compiler then fixes once and for all."""
+    return kernel(function, fastmath=_ANY_ORDER, allocates=False)
+
+
 def _lane_sums(weights: Array, s: int, a: Array, j: int) -> Any:
     """Row j of `a` with its lanes summed by row s of the weights: v, u, q, w and the first and the last three of h.
 
@@ -118,8 +124,7 @@ def _lane_sums(weights: Array, s: int, a: Array, j: int) -> Any:
     return (v1, v2, v3), (u1, u2, u3), (q1, q2, q3), (o1, o2, o3), h0, (h1, h2, h3)
 
 
-# Eight terms may be summed in any order, which the compiler then fixes once and for all.
-lane_sums = kernel(_lane_sums, fastmath={"contract", "arcp", "nsz", "reassoc"}, inlined=True, allocates=False)
+lane_sums = kernel(_lane_sums, fastmath=_ANY_ORDER, inlined=True, allocates=False)
 
 
 @inlined
