@@ -32,7 +32,8 @@ from rig.screens import console
 from runs.figures import save
 from runs.run import Run
 
-SENSOR_LAG_STD_S = 0.005
+# How late pressures may be behind the camera, as two clocks are, and how slow their sensors.
+SENSOR_TIMES = {"sensor_lag_s": Prior(0.0, 0.005), "sensor_filter_s": Prior(0.003, 0.002)}
 DEFAULT = ("law", "rpe_per_bar", "base", "sensor_offsets")
 DEFAULT_HOMOGENEOUS = ("youngs_modulus_pa", "rpe_per_bar", "base", "sensor_offsets")
 
@@ -87,7 +88,7 @@ def truth_of(run: Run) -> dict[str, float]:
     a, b, c = (float(v) for v in Rotation.from_matrix(base.rotation).as_rotvec())
     setup = Setup(true_arm(config), base_translation_m=(x, y, z), base_rotation_rad=(a, b, c))
     shown = {name: one.read(setup) for name, one in known(config.actuators).items() if not one.per_run}
-    return {**shown, "sensor_lag_s": config.simulator.sensor.lag_ms * 1e-3}
+    return {**shown, "sensor_filter_s": config.simulator.sensor.lag_ms * 1e-3}
 
 
 def from_runs(archives: Sequence[Run], free: Sequence[str], priors: Mapping[str, Prior]) -> Fit:
@@ -137,10 +138,10 @@ def from_poses(
     """
     chosen = tuple(free) or (DEFAULT_HOMOGENEOUS if config.model.variant.startswith("homogeneous") else DEFAULT)
     moving = any(one.moving for one in data) and {"damping_s", "density_kg_m3"} & set(chosen)
-    if moving and "sensor_lag_s" not in chosen:
-        chosen = (*chosen, "sensor_lag_s")
+    if moving:
+        chosen = (*chosen, *(name for name in SENSOR_TIMES if name not in chosen))
     accuracy = max(sensor.accuracy_bar for sensor in config.sensors) * PA_PER_BAR / 2
-    believed = {"sensor_offsets": Prior(0.0, accuracy), "sensor_lag_s": Prior(0.0, SENSOR_LAG_STD_S), **priors}
+    believed = {"sensor_offsets": Prior(0.0, accuracy), **SENSOR_TIMES, **priors}
     return identify(data, Setup(model_arm(config)), chosen, believed, starts)
 
 

@@ -222,3 +222,17 @@ def test_the_profile_of_what_the_data_do_not_tell_is_flat() -> None:
     # What has no information, and what can be turned against each other, is said in words.
     assert any("damping_s" in words for words in fit.open_directions)
     assert any("base_rz_rad" in words and "actuator_2_turn_rad" in words for words in fit.open_directions)
+
+
+def test_the_shear_ratio_has_bars_that_are_even_in_its_reciprocal() -> None:
+    fine = tuple(
+        replace(one, covariance_m2=one.covariance_m2 / 100, pressure_std_pa=one.pressure_std_pa / 10) for one in PLANNED
+    )
+    data = done(true_setup(shear_ratio=0.2), planned=fine, errors=Errors((2e-5, 4e-5, 2e-5), 5.0, 0.0))
+    found = identify(data, START, ["law", "rpe_per_bar", "shear_ratio"])["shear_ratio"]
+    assert found.value is not None
+    assert found.interval is not None
+    low, high = found.interval
+    assert low < 0.2 < high
+    assert 1 / low - 1 / found.value == pytest.approx(1 / found.value - 1 / high, rel=1e-6)
+    assert high - found.value > 1.02 * (found.value - low)

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 import model
-from calibration.identify import Prior, Setup, identify
+from calibration.identify import Prior, Setup, identify, problem
 from calibration.identify.predict import FINE_SUBSTEPS, SUBSTEPS, Predictor
 from calibration.identify.simulated import Errors, plan
-from calibration.identify.smooth import between, noise_of, smoothed
+from calibration.identify.smooth import curve, noise_of, smoothed
 
 TICK_HZ, CAMERA_HZ = 200, 30
 NOISE_PA = 45.0
@@ -30,35 +30,54 @@ def test_noise_of_a_smooth_course_is_found_and_taken_off() -> None:
     assert noise_of(samples) == pytest.approx(np.full(3, NOISE_PA), rel=0.1)
     found, deviation = smoothed(samples)
     error = np.sqrt(((found - truth) ** 2).mean(axis=0))
-    assert (error < 0.3 * NOISE_PA).all()
+    assert (error < 0.36 * NOISE_PA).all()
     # The stated deviation is of the size of the error.
     stated = np.sqrt((deviation**2).mean(axis=0))
     assert (error < 2 * stated).all()
     assert (error > 0.5 * stated).all()
 
 
-def test_a_whole_motion_keeps_its_height() -> None:
+def test_a_whole_motion_keeps_its_height_and_time() -> None:
     ticks_s = np.arange(0, 40, 1 / TICK_HZ)
-    truth = 2e4 * np.sin(2 * np.pi * np.outer(ticks_s, [0.6, 0.9]))
-    samples = truth + 2 * NOISE_PA * np.random.default_rng(3).standard_normal(truth.shape)
-    found, _ = smoothed(samples)
-    inside = slice(300, -300)
-    height = (found * truth)[inside].sum(axis=0) / (truth**2)[inside].sum(axis=0)
-    # Crests cut by one deviation of each value are a thousandth, which the mean over the motion shows tenfold.
-    assert height == pytest.approx(np.ones(2), abs=3e-4)
+    omega = 2 * np.pi * np.array([0.6, 0.9])
+    truth = 2e4 * np.sin(np.outer(ticks_s, omega))
+    rng = np.random.default_rng(3)
+    found = np.mean([smoothed(truth + 2 * NOISE_PA * rng.standard_normal(truth.shape))[0] for _ in range(6)], axis=0)
+    height = (found * truth).sum(axis=0) / (truth**2).sum(axis=0)
+    ahead = 2e4 * np.cos(np.outer(ticks_s, omega))
+    late_s = -(found * ahead).sum(axis=0) / (truth**2).sum(axis=0) / omega
+    # Chance alone leaves 2e-5 and 5 us. A crest cut by a ten-thousandth is a tenth of a usual damping.
+    assert height == pytest.approx(np.ones(2), abs=8e-5)
+    assert late_s == pytest.approx(np.zeros(2), abs=2e-5)
 
 
-def test_between_frames_a_course_keeps_its_crests() -> None:
-    def truth(time_s: np.ndarray) -> np.ndarray:
-        return np.sin(2 * np.pi * time_s)[..., None]
+def test_the_ends_of_a_course_are_as_true_as_its_middle() -> None:
+    time_s = np.arange(0, 8, 1 / TICK_HZ)
+    truth = 2e4 * np.sin(2 * np.pi * np.outer(time_s, [0.6, 0.9]) + 0.7)
+    rng = np.random.default_rng(4)
+    courses = np.array([smoothed(truth + NOISE_PA * rng.standard_normal(truth.shape))[0] for _ in range(20)])
+    bias = np.abs(courses.mean(axis=0) - truth)
+    # The mean of twenty courses still has a fifth of their noise.
+    assert bias[:40].max() < 0.6 * NOISE_PA
+    assert bias[-40:].max() < 0.6 * NOISE_PA
 
-    frames_s, parts = np.arange(60) / CAMERA_HZ, 8
-    found = between(truth(frames_s), parts)
-    assert found[:, -1] == pytest.approx(truth(frames_s[1:]))
-    true = truth(frames_s[:-1, None] + np.arange(1, parts + 1) / parts / CAMERA_HZ)
+
+def test_between_frames_a_course_keeps_its_crests_and_its_slopes() -> None:
+    omega = 2 * np.pi * 1.0
+    frames_s = np.arange(60) / CAMERA_HZ
+    at_s = np.arange(2, 57, 0.125) / CAMERA_HZ + 0.004
+    found, rate = curve(frames_s, np.sin(omega * frames_s)[:, None], at_s)
     # Straight lines lose 0.36 %.
-    assert np.abs(found - true)[2:-2].max() < 5e-4
-    assert between(truth(frames_s[:1]), parts).shape == (0, parts, 1)
+    assert np.abs(found[:, 0] - np.sin(omega * at_s)).max() < 5e-4
+    assert np.abs(rate[:, 0] - omega * np.cos(omega * at_s)).max() < 0.02 * omega
+
+
+def test_a_course_goes_straight_on_beyond_its_ends() -> None:
+    time_s = np.array([0.0, 1.0, 2.0])
+    found, rate = curve(time_s, np.array([[1.0], [3.0], [5.0]]), np.array([-0.5, 2.5]))
+    assert found[:, 0] == pytest.approx([0.0, 6.0])
+    assert rate[:, 0] == pytest.approx([2.0, 2.0])
+    assert curve(time_s[:1], np.array([[7.0]]), np.array([0.0, 0.2]))[0][:, 0] == pytest.approx([7.0, 7.0])
 
 
 def test_an_edge_stays_where_it_is() -> None:
@@ -71,7 +90,7 @@ def test_an_edge_stays_where_it_is() -> None:
     assert found[300, 0] > 0.45e5
 
 
-def test_the_density_found_on_slow_sines_is_not_that_of_the_noise() -> None:
+def test_the_density_found_on_slow_sines_is_not_that_of_the_noise(monkeypatch: pytest.MonkeyPatch) -> None:
     arm = model.Arm.paper()
     truth = Setup(replace(arm, material=replace(arm.material, damping_s=0.01, density_kg_m3=1100.0)))
     ticks_s, frames_s = np.arange(0, 9, 1 / TICK_HZ), np.arange(0, 9, 1 / CAMERA_HZ)
@@ -79,23 +98,19 @@ def test_the_density_found_on_slow_sines_is_not_that_of_the_noise() -> None:
     rng = np.random.default_rng(1)
     tip = Predictor(planned)(truth) + 3e-5 * rng.standard_normal((len(planned), 3))
     samples = sine(ticks_s) + 3 * NOISE_PA * rng.standard_normal((len(ticks_s), 3))
-    course, deviation = smoothed(samples)
+    noise = np.full((len(frames_s), 3), 3 * NOISE_PA)
+    data = replace(planned, tip_m=tip, pressure_pa=curve(ticks_s, samples, frames_s)[0], pressure_std_pa=noise)
 
-    def at_frames(values: np.ndarray) -> np.ndarray:
-        return np.stack([np.interp(frames_s, ticks_s, column) for column in values.T], axis=1)
+    def found() -> float:
+        free, priors = ["density_kg_m3", "sensor_offsets"], {"sensor_offsets": Prior(0.0, 200.0)}
+        density = identify([data], truth, free, priors)["density_kg_m3"]
+        assert density.std is not None
+        return (density.used - 1100.0) / density.std
 
-    data = replace(planned, tip_m=tip, pressure_pa=at_frames(course), pressure_std_pa=at_frames(deviation))
-    free, priors = ["law", "density_kg_m3", "damping_s", "sensor_offsets"], {"sensor_offsets": Prior(0.0, 200.0)}
-    density = identify([data], truth, free, priors)["density_kg_m3"]
-    assert density.value is not None
-    assert density.std is not None
-    assert abs(density.value - 1100.0) < 4 * density.std
-    # The samples as they are drive the density far from the truth, and the bars do not show it.
-    noise = np.full(course.shape, 3 * NOISE_PA)[: len(frames_s)]
-    raw = replace(data, pressure_pa=at_frames(samples), pressure_std_pa=noise)
-    spoiled = identify([raw], truth, free, priors)["density_kg_m3"]
-    assert spoiled.std is not None
-    assert abs(spoiled.used - 1100.0) > 4 * spoiled.std
+    # Even from the samples as they are: frequencies at which they show but noise do not count.
+    assert abs(found()) < 3
+    monkeypatch.setattr(problem, "passed", lambda poses: np.ones(len(poses) // 2 + 1))
+    assert found() < -4
 
 
 def test_fine_steps_do_not_slow_the_arms_own_oscillation() -> None:

@@ -115,12 +115,12 @@ def refit(task: Refit) -> Array:
     if task.kind == "drawn":
         # What was known beforehand was drawn once, too: around the values that are now the truth.
         z = np.array(task.z)
-        start = np.array([problem.unknowns[i].start + problem.unknowns[i].span * z[i] for i in known])
+        start = problem.values(z)[known]
         mean, std = np.array([[priors[problem.unknowns[i].parameter.name].mean for i in known],
                               [priors[problem.unknowns[i].parameter.name].std for i in known]])  # fmt: skip
         problem.prior_shift = (start - mean) / std + rng.standard_normal(len(known))
     solution = problem.solve(np.array(task.z), task.held, rounds=1, evaluations=8)
-    return np.array([u.start + u.span * value for u, value in zip(problem.unknowns, solution.z, strict=True)])
+    return problem.values(solution.z)
 
 
 def _covariance(whitener: Array) -> Array:

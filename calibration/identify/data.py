@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d
 
-from calibration.identify.smooth import noise_of, smoothed
+from calibration.identify.smooth import curve, noise_of, smoothed
 from runs.records import Seen
 from runs.run import Run
 
@@ -21,6 +21,8 @@ KG_PER_G = 1e-3
 
 SETTLE_S = 1.5
 FEWEST_FRAMES = 5
+# Entries of a slow motion, each an equilibrium of its own, in which what neighbours share can be found.
+FEWEST_IN_SEQUENCE = 32
 # Frames share more of their error than their scatter can show: lens, placement, print of the board.
 _LEAST_SHARED = 0.1
 # Samples within which a clipped one spoils its neighbours.
@@ -61,6 +63,11 @@ class Poses:
     def moving(self) -> bool:
         """True for a motion, whose entries belong together in time."""
         return self.period_s > 0
+
+    @property
+    def in_sequence(self) -> bool:
+        """True where the entries are frames that follow one another, so that neighbours share errors."""
+        return self.moving or (len(self) >= FEWEST_IN_SEQUENCE and bool((self.frames == 1).all()))
 
     @property
     def seen(self) -> NDArray[np.bool_]:
@@ -159,7 +166,7 @@ def in_motion(run: Run) -> Poses:
     step_s = float(np.median(np.diff(samples.time_s)))
     deviation = np.maximum(deviation, noise_of(samples.pa) * min(1.0, np.sqrt(step_s * run.header.camera_hz)))
     frame_s = np.interp(every, index, tip.time_s)
-    pressure, spread = _at(frame_s, samples.time_s, course), _at(frame_s, samples.time_s, deviation)
+    pressure, spread = curve(samples.time_s, course, frame_s)[0], _at(frame_s, samples.time_s, deviation)
     clipped = _at(frame_s, samples.time_s, maximum_filter1d(samples.clipped.astype(float), _NEAR, axis=0)) > 0
     weight = tip.weight_g[np.clip(np.searchsorted(index, every, side="right") - 1, 0, None)] * KG_PER_G
     measured, covariance = np.full((length, 3), np.nan), np.full((length, 3, 3), np.nan)

@@ -144,7 +144,7 @@ class Fit:
     @property
     def bic(self) -> float:
         """Schwarz's criterion, with tips that tell something new for its sample size."""
-        new = sum(3 * len(run.error_m) / run.correlation for run in self.runs)
+        new = sum(3 * len(run.error_m) / max(run.correlation, 1.0) for run in self.runs)
         return float((self.fitted + 1) * np.log(max(new, 2.0)) - 2 * self.log_likelihood)
 
 
@@ -223,19 +223,27 @@ def _at(problem: Problem, values: Mapping[tuple[str, str], float]) -> Array:
     for i, unknown in enumerate(problem.unknowns):
         run = "" if unknown.run is None else problem.data[unknown.run].run_id
         value = values.get((unknown.parameter.name, run), unknown.start)
-        z[i] = np.clip((value - unknown.start) / unknown.span, unknown.lower, unknown.upper)
+        z[i] = np.clip(unknown.of(value), unknown.lower, unknown.upper)
     return z
 
 
 def _best(problem: Problem, first: Array, starts: int, seed: int) -> tuple[Solution, tuple[float, ...]]:
     rng = np.random.default_rng(seed)
-    n = len(problem.unknowns)
-    lower, upper = (np.array([getattr(u, side) for u in problem.unknowns]) for side in ("lower", "upper"))
     found = [problem.solve(first)]
-    around = (np.clip(first + rng.uniform(-0.5, 0.5, n), lower, upper) for _ in range(starts - 1))
-    found.extend(problem.solve(z) for z in around)
+    found.extend(problem.solve(_around(problem, first, rng)) for _ in range(starts - 1))
     best = max(found, key=lambda s: s.log_likelihood)
     return best, tuple(2 * (best.log_likelihood - s.log_likelihood) for s in found)
+
+
+def _around(problem: Problem, first: Array, rng: np.random.Generator) -> Array:
+    """Another starting point: half a span about the first one, or decades where a law may be of another order."""
+    z = first + rng.uniform(-0.5, 0.5, len(first))
+    for i, unknown in enumerate(problem.unknowns):
+        decades = unknown.parameter.decades
+        if decades:
+            z[i] = unknown.of(unknown.at(float(first[i])) * 10 ** rng.uniform(-decades, decades))
+        z[i] = np.clip(z[i], unknown.lower, unknown.upper)
+    return z
 
 
 def _open_directions(problem: Problem, joint: Solution) -> tuple[str, ...]:
@@ -300,7 +308,7 @@ def _estimates(
 ) -> tuple[tuple[Estimate, ...], Array]:
     n = len(problem.unknowns)
     only = [i for i in range(n) if i not in held]
-    span = np.array([u.span for u in problem.unknowns])
+    rates = problem.rates(solution.z)
     loose = _std(joint.information)
     covariance = np.zeros((n, n))
     covariance[np.ix_(only, only)] = _marginal(problem, solution, only)
@@ -315,7 +323,7 @@ def _estimates(
             verdict = Verdict.PRIOR
         partners = _partners(joint.information, i) if verdict is Verdict.ENTANGLED else []
         out.append(_estimate(problem, unknown, float(solution.z[i]), std, verdict, partners, float(loose[i])))
-    return tuple(out), covariance * np.outer(span, span)
+    return tuple(out), covariance * np.outer(rates, rates)
 
 
 def _marginal(problem: Problem, solution: Solution, only: list[int]) -> Array:
@@ -352,21 +360,20 @@ def _estimate(
     problem: Problem, unknown: Unknown, z: float, std: float, verdict: Verdict, partners: list[int], loose: float
 ) -> Estimate:
     parameter = unknown.parameter
-    used = float(np.clip(unknown.start + unknown.span * z, parameter.lower, parameter.upper))
+    used, rate = unknown.at(z), unknown.rate(z)
     known = verdict is Verdict.IDENTIFIED
-    reach = NORMAL_95 * std * unknown.span
-    interval = (max(used - reach, parameter.lower), min(used + reach, parameter.upper))
+    interval = (unknown.at(z - NORMAL_95 * std), unknown.at(z + NORMAL_95 * std))
     return Estimate(
         name=parameter.name,
         unit=parameter.unit,
         run="" if unknown.run is None else problem.data[unknown.run].run_id,
         used=used,
         value=used if known else None,
-        std=std * unknown.span if known else None,
+        std=std * rate if known else None,
         interval=interval if known else None,
         verdict=verdict,
         partners=tuple(dict.fromkeys(problem.unknowns[j].parameter.name for j in partners)),
-        loose_std=loose * unknown.span,
+        loose_std=loose * rate,
     )
 
 

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter1d
 from scipy.optimize import brentq
 from scipy.stats import chi2
 
@@ -21,6 +23,12 @@ OUTLIER = math.sqrt(chi2.ppf(0.99, 3))
 _EXPECTED = float(chi2.cdf(OUTLIER**2, 5)) + OUTLIER**2 * 0.01 / 3
 _UNSOLVED = 1e3
 _MOST_DISCREPANCY_M = 10.0
+# Pressures show something at a frequency where their power, over so many neighbours, is so many times their noise's.
+_NEIGHBOURS, _SHOWN = 5, 200.0
+# From the highest of these to so many times that, residuals cease to count.
+_FADED = 1.5
+# The lowest band of frequencies whose scatter is found by itself, and how many numbers of the next one it leans on.
+_LOWEST, _LEAN = 5, 8.0
 
 
 @dataclass(frozen=True)
@@ -94,18 +102,58 @@ def discrepancy(residual_m: Sequence[Array], covariance_m2: Sequence[Array], fre
     return float(brentq(excess, 0.0, _MOST_DISCREPANCY_M, xtol=1e-9))
 
 
-def correlation_time(residual: Array) -> float:
-    """How many neighbouring entries of whitened residuals (K, 3) tell the same: 1 when they are independent.
+def passed(poses: Poses) -> Array:
+    """How much each frequency (K // 2 + 1,) of a motion's residuals counts: 1, or 0 where pressures show but noise.
 
-    Integrated autocorrelation time, summed while pairs of neighbouring lags stay positive.
+    A model that is driven by noise answers to what the arm never felt, and is the likelier the less it answers.
+    Smoother pressures would be no way out: what is taken off them is missing in the model and not in the tips.
     """
-    n = len(residual)
-    power = float((residual**2).sum())
-    if n < 8 or power == 0:
-        return 1.0
-    size = 1 << (2 * n - 1).bit_length()
-    spectrum = np.abs(np.fft.rfft(residual, size, axis=0)) ** 2
-    rho = np.fft.irfft(spectrum, size, axis=0)[:n].sum(axis=1) / power
-    pairs = rho[0 : n - 1 : 2] + rho[1:n:2]
-    stop = int(np.argmax(pairs <= 0)) if (pairs <= 0).any() else len(pairs)
-    return max(1.0, 2 * float(pairs[:stop].sum()) - 1)
+    count = len(poses)
+    window = np.hanning(count)[:, None]
+    power = np.abs(np.fft.rfft((poses.pressure_pa - poses.pressure_pa.mean(axis=0)) * window, axis=0)) ** 2
+    noise = (poses.pressure_std_pa**2).mean(axis=0) * (window**2).sum()
+    shown = uniform_filter1d(power, _NEIGHBOURS, axis=0, mode="nearest") > _SHOWN * noise
+    highest = max((int(np.flatnonzero(column).max(initial=0)) for column in shown.T), default=0)
+    over = np.arange(count // 2 + 1) / max(highest, 1)
+    out: Array = 0.5 + 0.5 * np.cos(np.pi * np.clip((over - 1) / (_FADED - 1), 0.0, 1.0))
+    return out
+
+
+def through(rows: Array, gain: Array) -> Array:
+    """Rows (K, ..) with each of their frequencies times `gain` (K // 2 + 1,)."""
+    if (gain == 1.0).all():
+        return rows
+    shape = (len(gain), *(1,) * (rows.ndim - 1))
+    out: Array = np.fft.irfft(np.fft.rfft(rows, axis=0) * gain.reshape(shape), len(rows), axis=0)
+    return out
+
+
+def scatter(residual: Array, slope: Array, gain: Array, seen: float, covariance: Array) -> Array:
+    """How much the pull (n, n) of neighbouring entries on the unknowns scatters; slope' slope if they are independent.
+
+    residual (K, 3), slope (K, 3, n): in standard deviations, after `through`. seen: part of the entries with a tip.
+    covariance (n, n): of the unknowns, if entries were independent. Errors that neighbours share are large where
+    frequencies are low, and there the unknowns pull. So what the residuals scatter is found by octaves and axes; what
+    has been fitted to them is made up for, and bands of few numbers lean on the next. In all they do not scatter less
+    than stated: what the errors of a run have in common does not show.
+    """
+    count = len(residual)
+    twice = np.where((np.arange(len(gain)) == 0) | (2 * np.arange(len(gain)) == count), 1.0, 2.0)
+    power = twice[:, None] * np.abs(np.fft.rfft(residual, axis=0, norm="ortho")) ** 2
+    turned = np.fft.rfft(slope, axis=0, norm="ortho")
+    fitted = twice[:, None] * np.einsum("fin,nm,fim->fi", turned.conj(), covariance, turned).real
+    free = np.maximum(seen * (twice * gain**2)[:, None] - fitted, 0.0)
+    level = np.ones_like(power)
+    edges = [0, *(_LOWEST * 2**k for k in range(64) if _LOWEST * 2**k < len(gain)), len(gain)]
+    before = np.ones(residual.shape[1])
+    for first, last in reversed(list(itertools.pairwise(edges))):
+        band = slice(first, last)
+        numbers = free[band].sum(axis=0) + _LEAN
+        before = (power[band].sum(axis=0) + _LEAN * before) / numbers
+        # What a variance that was found from few numbers is on average.
+        level[band] = before * numbers / (numbers - 2)
+    if free.any():
+        level /= min(1.0, float((level * free).sum() / free.sum()))
+    weight = level * (twice * gain**2)[:, None]
+    out: Array = np.einsum("fin,fi,fim->nm", turned.conj(), weight, turned).real
+    return out

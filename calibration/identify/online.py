@@ -15,7 +15,7 @@ Array = NDArray[np.float64]
 
 _STEP = 1e-4
 # What a model at rest knows nothing of.
-_ONLY_IN_MOTION = ("damping_s", "sensor_lag_s")
+_ONLY_IN_MOTION = ("damping_s", "sensor_lag_s", "sensor_filter_s")
 # Innovations beyond this many standard deviations are cut back: one bad frame must not throw the estimate.
 _GATE = 4.0
 

@@ -25,7 +25,8 @@ class Setup:
     A tip of the model at (p, R) is measured at B (p + R tool) + base: `base_translation_m` and the rotation vector
     `base_rotation_rad` are the rod base in the frame of the measurements, `tool_offset_m` the measured point in the
     tip frame. `actuator_turn_rad` (N,) moves each actuator about the arm's axis. Sensors read `sensor_gain` (N,) times
-    their pressure plus `sensor_offset_pa` (N,), `sensor_lag_s` late.
+    their pressure plus `sensor_offset_pa` (N,), `sensor_lag_s` late as clocks are, and behind a filter of first order
+    with the time constant `sensor_filter_s`.
     """
 
     arm: model.Arm
@@ -36,6 +37,7 @@ class Setup:
     sensor_offset_pa: tuple[float, ...] = ()
     sensor_gain: tuple[float, ...] = ()
     sensor_lag_s: float = 0.0
+    sensor_filter_s: float = 0.0
 
     def __post_init__(self) -> None:
         n = self.arm.geometry.actuators
@@ -76,6 +78,8 @@ class Parameter:
 
     span: how far from its start it may plausibly lie; a parameter that the data leave less certain than that has not
     been identified. lower, upper: where it makes no sense beyond. per_run: each run has its own, as a sensor's zero.
+    reciprocal: data tell one over it, as they tell a compliance and not a stiffness; it is positive. decades: how far
+    off, in powers of ten, a further search may have to begin.
     """
 
     name: str
@@ -87,6 +91,8 @@ class Parameter:
     lower: float
     upper: float
     per_run: bool = False
+    reciprocal: bool = False
+    decades: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -110,9 +116,9 @@ def known(actuators: int) -> dict[str, Parameter]:
     found = [
         _material("youngs_modulus_pa", "Pa", "modulus of the homogeneous section (eq 16)", 1e3, 1e9),
         _material("a1_per_n", "1/N", "linear term of eq 32", 1e-6, 10.0),
-        _material("a2_per_n2", "1/N^2", "quadratic term of eq 32", 0.0, 1.0, least=1e-4),
+        _material("a2_per_n2", "1/N^2", "quadratic term of eq 32", 0.0, 1.0, least=1e-4, decades=2.0),
         _material("rpe_per_bar", "1/bar", "radial pressure effect, a of eq 30", -1.0, 1.0, least=0.02),
-        _material("shear_ratio", "1", "gamma, shear stiffness over axial stiffness", 0.01, 5.0),
+        _material("shear_ratio", "1", "gamma, shear stiffness over axial stiffness", 0.01, 5.0, reciprocal=True),
         _material("density_kg_m3", "kg/m^3", "density of the walls", 100.0, 1e4),
         _material("damping_s", "s", "Kelvin-Voigt retardation time", 0.0, 1.0, least=0.02),
         Parameter(
@@ -128,6 +134,10 @@ def known(actuators: int) -> dict[str, Parameter]:
         Parameter(
             "sensor_lag_s", "s", "delay of the pressure sensors behind the camera", lambda s: s.sensor_lag_s,
             lambda s, x: replace(s, sensor_lag_s=x), lambda x: 0.05, -1.0, 1.0,
+        ),
+        Parameter(
+            "sensor_filter_s", "s", "time constant of the pressure sensors", lambda s: s.sensor_filter_s,
+            lambda s, x: replace(s, sensor_filter_s=x), lambda x: 0.05, 0.0, 1.0,
         ),
         *_triple("base_translation_m", "base_{}_m", "m", "rod base in the measurements' frame", 0.02, 1.0),
         *_triple("base_rotation_rad", "base_r{}_rad", "rad", "rotation vector of the rod base", 0.1, math.pi),
@@ -176,14 +186,26 @@ def named(names: Iterable[str], actuators: int) -> tuple[Parameter, ...]:
     return tuple(chosen.values())
 
 
-def _material(name: str, unit: str, about: str, lower: float, upper: float, least: float = 0.0) -> Parameter:
+def _material(
+    name: str,
+    unit: str,
+    about: str,
+    lower: float,
+    upper: float,
+    least: float = 0.0,
+    reciprocal: bool = False,
+    decades: float = 0.0,
+) -> Parameter:
     def read(setup: Setup) -> float:
         return float(getattr(setup.arm.material, name))
 
     def write(setup: Setup, x: float) -> Setup:
         return replace(setup, arm=replace(setup.arm, material=replace(setup.arm.material, **{name: x})))
 
-    return Parameter(name, unit, about, read, write, lambda x: max(abs(x), least), lower, upper)
+    def span(x: float) -> float:
+        return max(abs(x), least)
+
+    return Parameter(name, unit, about, read, write, span, lower, upper, reciprocal=reciprocal, decades=decades)
 
 
 def _geometry(name: str, unit: str, about: str, share: float) -> Parameter:

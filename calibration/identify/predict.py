@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 import model
 from calibration.identify.data import Poses
 from calibration.identify.parameters import Setup
-from calibration.identify.smooth import between
+from calibration.identify.smooth import curve
 from model import gradient
 from model.gradient import Change, Pull
 
@@ -60,14 +60,25 @@ class Predictor:
     def _key(self, setup: Setup) -> Key:
         # A wrench acts at the measured point, in the measurements' frame: then mounting and tool change the shape.
         mount = (setup.base_rotation_rad, setup.tool_offset_m) if self.poses.wrench.any() else ()
-        return setup.turned_arm, setup.sensor_offset_pa, setup.sensor_gain, setup.sensor_lag_s, mount
+        return (
+            setup.turned_arm,
+            setup.sensor_offset_pa,
+            setup.sensor_gain,
+            setup.sensor_lag_s,
+            setup.sensor_filter_s,
+            mount,
+        )
 
     def _pressure(self, setup: Setup) -> Array:
-        """True pressures (K, N)."""
-        pressure = self.poses.pressure_pa
-        if setup.sensor_lag_s and self.poses.moving and len(pressure) > 1:
-            pressure = pressure + setup.sensor_lag_s * np.gradient(pressure, self.poses.period_s, axis=0)
-        return setup.pressure_pa(pressure)
+        """True pressures: of poses (K, N), or of a motion's start and each of its steps (1 + (K - 1) substeps, N)."""
+        poses = self.poses
+        if not poses.moving:
+            return setup.pressure_pa(poses.pressure_pa)
+        rows_s = np.arange(len(poses), dtype=np.float64) * poses.period_s
+        count = 1 + (len(poses) - 1) * self.substeps
+        steps_s = np.arange(count, dtype=np.float64) * (poses.period_s / self.substeps)
+        course, rate = curve(rows_s, poses.pressure_pa, steps_s + setup.sensor_lag_s)
+        return setup.pressure_pa(course + setup.sensor_filter_s * rate)
 
     def slopes(self, setup: Setup, moved: Sequence[Setup], steps: Sequence[float]) -> Array | None:
         """How the tips answer (K, 3, P) to each change of the setup, per unit of its step, by the model's gradients.
@@ -81,7 +92,7 @@ class Predictor:
         if poses.moving and (frozen or poses.wrench.any()):
             return None
         if poses.moving:
-            paths = [_path(self._pressure(one), self.substeps) for one in (setup, *(moved[k] for k in new))]
+            paths = [self._pressure(one) for one in (setup, *(moved[k] for k in new))]
             changes = [Change(steps[k], moved[k].turned_arm, own) for k, own in zip(new, paths[1:], strict=True)]
             weight = np.concatenate([poses.weight_kg[:1], np.repeat(poses.weight_kg[1:], self.substeps)])
             dt_s = poses.period_s / self.substeps
@@ -175,7 +186,7 @@ def _pulled(setup: Setup, pressure_pa: Array, poses: Poses, substeps: int) -> So
     tips, turned = np.full((count, 3), np.nan), np.full((count, 3, 3), np.nan)
     gravity = np.array(arm.gravity_m_s2)
     dynamics = arm.dynamics(poses.period_s / substeps)
-    rotation, before = np.eye(3), None
+    rotation, begun = np.eye(3), False
 
     def loads(k: int) -> model.Loads:
         force = pull.force_n[k] + poses.weight_kg[k] * gravity
@@ -183,31 +194,25 @@ def _pulled(setup: Setup, pressure_pa: Array, poses: Poses, substeps: int) -> So
         return model.Loads(tip_force_n=force, tip_moment_n_m=pull.moment_n_m[k] + lever)
 
     for k in range(count):
-        if before is None:
+        if not begun:
             own = Pull(pull.force_n[k : k + 1], pull.moment_n_m[k : k + 1], pull.point_m)
-            found = gradient.statics(arm, pressure_pa[k : k + 1], (), poses.weight_kg[k : k + 1], own)
+            row = pressure_pa[k * substeps : k * substeps + 1]
+            found = gradient.statics(arm, row, (), poses.weight_kg[k : k + 1], own)
             if not found.ok[0]:
                 continue
             rotation = found.tip_rotation[0]
             try:
-                shape = dynamics.start(pressure_pa[k], loads(k))
+                shape = dynamics.start(pressure_pa[k * substeps], loads(k))
             except model.NotConverged:
                 continue
         else:
-            for part in range(1, substeps + 1):
-                share = part / substeps
-                shape = dynamics.step((1 - share) * before + share * pressure_pa[k], loads(k))
+            for row in pressure_pa[1 + (k - 1) * substeps : 1 + k * substeps]:
+                shape = dynamics.step(row, loads(k))
                 rotation = shape.tip_rotation
-        before = pressure_pa[k]
+        begun = True
         if shape.ok:
             tips[k], turned[k] = shape.tip_m, shape.tip_rotation
     return tips, turned
-
-
-def _path(pressure_pa: Array, substeps: int) -> Array:
-    """Pressures (1 + (K - 1) substeps, N) at rest and then step by step."""
-    steps = between(pressure_pa, substeps).reshape(-1, pressure_pa.shape[1])
-    return np.concatenate([pressure_pa[:1], steps])
 
 
 def _motion(arm: model.Arm, pressure_pa: Array, poses: Poses, substeps: int) -> Solved:
@@ -219,10 +224,9 @@ def _motion(arm: model.Arm, pressure_pa: Array, poses: Poses, substeps: int) -> 
     except model.NotConverged:
         return tips, turned
     tips[0], turned[0] = shape.tip_m, shape.tip_rotation
-    path = between(pressure_pa, substeps)
     changes = np.flatnonzero(np.diff(weight)) + 1
     for start, stop in itertools.pairwise([1, *changes[changes > 1].tolist(), len(poses)]):
-        rows = path[start - 1 : stop - 1].reshape(-1, poses.actuators)
+        rows = pressure_pa[1 + (start - 1) * substeps : 1 + (stop - 1) * substeps]
         # The first step takes up what hangs there; the others go on with it.
         dynamics.step(rows[0], _loads(arm, weight[start]))
         motion = dynamics.run(rows[1:])

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.identify.data import Poses
-from calibration.identify.likelihood import Weights, correlation_time, damped, discrepancy, whitened
+from calibration.identify.likelihood import Weights, damped, discrepancy, passed, scatter, through, whitened
 from calibration.identify.parameters import Parameter, Prior, Setup
 from calibration.identify.predict import FINE_SUBSTEPS, SUBSTEPS, Predictor
 
@@ -30,22 +30,41 @@ _CONVERGED = 1e-4
 
 @dataclass(frozen=True)
 class Unknown:
-    """A free parameter, or one run's own value of it."""
+    """A free parameter, or one run's own value of it, counted in spans z from its start.
+
+    What data tell the reciprocal of is counted by that, in spans of the same size at the start.
+    """
 
     parameter: Parameter
     run: int | None
     start: float
     span: float
 
+    def at(self, z: float) -> float:
+        """The value at z, within the parameter's bounds."""
+        z = min(max(z, self.lower), self.upper)
+        away = self.span * z
+        value = self.start / (1 - away / self.start) if self.parameter.reciprocal else self.start + away
+        return min(max(value, self.parameter.lower), self.parameter.upper)
+
+    def of(self, value: float) -> float:
+        """The z of a value."""
+        away = value - self.start
+        return (away * self.start / value if self.parameter.reciprocal else away) / self.span
+
+    def rate(self, z: float) -> float:
+        """How fast the value goes with z."""
+        return self.span * (self.at(z) / self.start) ** 2 if self.parameter.reciprocal else self.span
+
     @property
     def lower(self) -> float:
-        """Lower bound in units of the span from the start."""
-        return (self.parameter.lower - self.start) / self.span
+        """Lower bound of z."""
+        return self.of(self.parameter.lower)
 
     @property
     def upper(self) -> float:
-        """Upper bound in units of the span from the start."""
-        return (self.parameter.upper - self.start) / self.span
+        """Upper bound of z."""
+        return self.of(self.parameter.upper)
 
 
 @dataclass(frozen=True)
@@ -93,6 +112,7 @@ class Problem:
         fast = any(p.name in ("density_kg_m3", "damping_s", "sensor_lag_s") for p in self.free)
         self.substeps = self.substeps or (FINE_SUBSTEPS if fast else SUBSTEPS)
         self._predictors = [Predictor(poses, self.substeps) for poses in self.data]
+        self._passed = [passed(poses) if poses.moving else np.ones(len(poses) // 2 + 1) for poses in self.data]
         self._pressure: tuple[Array, list[Array]] | None = None
         self._slopes: tuple[Array, tuple[int, ...], list[Array]] | None = None
         self._columns = [
@@ -109,10 +129,16 @@ class Problem:
         out = self.start
         for unknown, value in zip(self.unknowns, z, strict=True):
             if unknown.run is None or unknown.run == run:
-                parameter = unknown.parameter
-                x = float(np.clip(unknown.start + unknown.span * value, parameter.lower, parameter.upper))
-                out = parameter.write(out, x)
+                out = unknown.parameter.write(out, unknown.at(float(value)))
         return out
+
+    def rates(self, z: Array) -> Array:
+        """How fast the unknowns' values (n,) go with z (n,)."""
+        return np.array([unknown.rate(value) for unknown, value in zip(self.unknowns, z.tolist(), strict=True)])
+
+    def values(self, z: Array) -> Array:
+        """The unknowns' values (n,) at z (n,)."""
+        return np.array([unknown.at(value) for unknown, value in zip(self.unknowns, z.tolist(), strict=True)])
 
     def predicted(self, z: Array) -> list[Array]:
         """Tips (K, 3) of every run."""
@@ -188,28 +214,43 @@ class Problem:
     ) -> Solution:
         """What the likelihood looks like at z; `only` were fitted, and only they get information."""
         at = self.predicted(z)
-        information, loss, log_likelihood, correlation = np.zeros((len(z), len(z))), 0.0, 0.0, []
+        loss, log_likelihood = 0.0, 0.0
         slopes = self.slopes(z, at, only)
+        rows = []
         for run, poses in enumerate(self.data):
-            residual = whitened(poses, at[run], weights[run])
             slope = -np.einsum("kij,kjn->kin", weights[run].whitener, slopes[run])
-            seen = poses.seen
-            time = correlation_time(residual[seen]) if poses.moving else 1.0
-            # Errors that the weights count, but that hardly show, need not be counted twice.
-            time = max(1.0, time * min(1.0, float((residual[seen] ** 2).mean())))
-            correlation.append(time)
-            damp, slope_d = damped(residual, slope)
+            damp, slope_d = damped(whitened(poses, at[run], weights[run]), slope)
             assert slope_d is not None
-            count = self._count(run)
-            rows = (slope_d * np.sqrt(count / time)[:, None, None]).reshape(residual.size, len(only))
-            information[np.ix_(only, only)] += rows.T @ rows
-            squares = float((damp**2 * count[:, None]).sum())
+            root = np.sqrt(self._count(run))
+            rows.append((self._kept(run, damp) * root[:, None], self._kept(run, slope_d) * root[:, None, None]))
+            squares = float((rows[-1][0] ** 2).sum())
             loss += squares
             log_likelihood -= 0.5 * (squares + weights[run].log_det)
         prior_rows, prior_gap = self._prior_rows(z)
         loss += float(prior_gap @ prior_gap)
         prior = prior_rows.T @ prior_rows
-        return Solution(z, information + prior, prior, loss, log_likelihood, sigma, tuple(correlation), weights, solved)
+        information, correlation = self._counted(rows, prior, only)
+        return Solution(z, information, prior, loss, log_likelihood, sigma, correlation, weights, solved)
+
+    def _counted(
+        self, rows: Sequence[tuple[Array, Array]], prior: Array, only: Sequence[int]
+    ) -> tuple[Array, tuple[float, ...]]:
+        """Information (n, n) of residuals and slopes, and by how much each run's entries count less than they are."""
+        part = np.ix_(only, only)
+        curvatures = [np.einsum("kin,kim->nm", slope, slope) for _, slope in rows]
+        curvature = np.sum(curvatures, axis=0) + prior[part]
+        covariance = _inverse(curvature)
+        pulls, correlation = [], []
+        for run, (residual, slope) in enumerate(rows):
+            poses, pull = self.data[run], curvatures[run]
+            if poses.in_sequence:
+                pull = scatter(residual, slope, self._passed[run], float(poses.seen.mean()), covariance)
+            told = float(np.trace(covariance @ curvatures[run]))
+            pulls.append(pull)
+            correlation.append(float(np.trace(covariance @ pull)) / told if told > 0 else 1.0)
+        information = prior.copy()
+        information[part] = curvature @ _inverse(np.sum(pulls, axis=0) + prior[part]) @ curvature
+        return information, tuple(correlation)
 
     def loss(self, z: Array, weights: tuple[Weights, ...], correlation: Sequence[float]) -> float:
         """Robust sum of squares at given weights, priors included; runs count by their independent entries."""
@@ -217,7 +258,7 @@ class Problem:
         total = float(gap @ gap)
         for run, poses in enumerate(self.data):
             damp, _ = damped(whitened(poses, self.predicted(z)[run], weights[run]))
-            total += float((damp**2 * self._count(run)[:, None]).sum()) / correlation[run]
+            total += float((self._kept(run, damp) ** 2 * self._count(run)[:, None]).sum()) / correlation[run]
         return total
 
     def _pressure_covariances(self, z: Array) -> list[Array]:
@@ -263,7 +304,7 @@ class Problem:
         rows = []
         for run, tips in enumerate(self.predicted(z)):
             damp, _ = damped(whitened(self.data[run], tips, weights[run]))
-            rows.append((damp * np.sqrt(self._count(run))[:, None]).ravel())
+            rows.append((self._kept(run, damp) * np.sqrt(self._count(run))[:, None]).ravel())
         return np.concatenate([*rows, self._prior_rows(z)[1], z[only] / _TETHER])
 
     def _slope_rows(self, z: Array, only: list[int], weights: tuple[Weights, ...]) -> Array:
@@ -274,7 +315,7 @@ class Problem:
             turned = -np.einsum("kij,kjn->kin", weights[run].whitener, tips_slope)
             _, out = damped(whitened(self.data[run], at[run], weights[run]), turned)
             assert out is not None
-            rows.append((out * np.sqrt(self._count(run))[:, None, None]).reshape(-1, len(only)))
+            rows.append((self._kept(run, out) * np.sqrt(self._count(run))[:, None, None]).reshape(-1, len(only)))
         return np.concatenate([*rows, self._prior_rows(z)[0][:, only], np.eye(len(only)) / _TETHER])
 
     def _prior_rows(self, z: Array) -> tuple[Array, Array]:
@@ -284,11 +325,23 @@ class Problem:
             prior = self.priors.get(unknown.parameter.name)
             if prior is not None:
                 row = np.zeros(len(z))
-                row[i] = unknown.span / prior.std
+                row[i] = unknown.rate(float(z[i])) / prior.std
                 rows.append(row)
-                gaps.append((unknown.start + unknown.span * z[i] - prior.mean) / prior.std)
+                gaps.append((unknown.at(float(z[i])) - prior.mean) / prior.std)
         gap = np.array(gaps)
         return np.array(rows).reshape(-1, len(z)), gap if self.prior_shift is None else gap - self.prior_shift
 
+    def _kept(self, run: int, rows: Array) -> Array:
+        """Rows (K, ..) of a run without the frequencies that do not count."""
+        return through(rows, self._passed[run])
+
     def _count(self, run: int) -> Array:
         return np.ones(len(self.data[run])) if self.entry_weights is None else self.entry_weights[run]
+
+
+def _inverse(matrix: Array) -> Array:
+    """Of a symmetric matrix (n, n) that nothing is negative in; along what is missing in it, zero."""
+    values, vectors = np.linalg.eigh(matrix)
+    there = values > max(1e-12, 1e-14 * float(values.max(initial=0.0)))
+    out: Array = (vectors[:, there] / values[there]) @ vectors[:, there].T
+    return out

@@ -64,8 +64,8 @@ def _profile(fit: Fit, i: int) -> Profile:
     others = [j for j in range(len(problem.unknowns)) if j != i and fit.covariance[j, j] > 0]
     # The others' answer to first order: from far off, where the loss is cut down, they would not find the way.
     slope = fit.covariance[others, i] / (fit.covariance[i, i] or np.inf)
-    span = np.array([u.span for u in problem.unknowns])
-    deviation = min(estimate.loose_std / unknown.span, 0.25)
+    rates = problem.rates(solution.z)
+    deviation = min(estimate.loose_std / rates[i], 0.25)
     lowest = problem.loss(solution.z, solution.weights, solution.correlation)
     points = {float(solution.z[i]): 0.0}
     for side in (-1.0, 1.0):
@@ -75,7 +75,7 @@ def _profile(fit: Fit, i: int) -> Profile:
         for step in (*_STEPS, np.inf):
             at = solution.z[i] + side * step * deviation
             to = max(at, limit) if side < 0 else min(at, limit)
-            z[others] += slope * (to - z[i]) * span[i] / span[others]
+            z[others] += slope * (to - z[i]) * rates[i] / rates[others]
             z[i] = to
             if others:
                 z, _ = problem.climb(z.copy(), others, solution.weights, _EVALUATIONS)
@@ -84,8 +84,8 @@ def _profile(fit: Fit, i: int) -> Profile:
             if rise > RISE_95 * 1.3 or z[i] == limit:
                 break
     found = np.array(sorted(points.items()))
-    values = unknown.start + unknown.span * found[:, 0]
-    best = unknown.start + unknown.span * solution.z[i]
+    values = np.array([unknown.at(z) for z in found[:, 0].tolist()])
+    best = unknown.at(float(solution.z[i]))
     return Profile(
         name=estimate.name,
         unit=estimate.unit,

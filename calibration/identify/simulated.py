@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
-from calibration.identify.data import Poses
+from calibration.identify.data import FEWEST_FRAMES, Poses
 from calibration.identify.fit import identify
 from calibration.identify.parameters import Prior, Setup, named
 from calibration.identify.predict import FINE_SUBSTEPS, SUBSTEPS, Predictor
@@ -51,7 +51,7 @@ def plan(
         wrench=np.zeros((k, 6)),
         tip_m=np.full((k, 3), np.nan),
         covariance_m2=np.tile(np.diag(np.square(errors.tip_m)), (k, 1, 1)),
-        frames=np.ones(k, np.int64),
+        frames=np.full(k, 1 if period_s else FEWEST_FRAMES, np.int64),
         time_s=np.arange(k, dtype=np.float64) * (period_s or 1.0),
     )
 

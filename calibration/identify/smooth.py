@@ -9,16 +9,18 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import CubicHermiteSpline
 from scipy.ndimage import convolve1d
-from scipy.signal import savgol_coeffs
 
 Array = NDArray[np.float64]
 
 # Widths of the windows in samples: each about 1.6 times the one before.
-_WIDTHS = (5, 9, 15, 23, 37, 59, 95, 151, 243)
-_DEGREE = 2
+_WIDTHS = (9, 15, 23, 37, 59)
+# Windows are chosen by polynomials of both degrees and filled with those of the second: what escapes the first is too
+# little for the second to miss.
+_CHOOSING, _FILLING = 4, 6
 # Estimates of one sample by two windows that agree within this many of their standard deviations are of one curve.
-_AGREE = 1.5
+_AGREE = 2.5
 
 
 def noise_of(samples: Array) -> Array:
@@ -32,47 +34,55 @@ def noise_of(samples: Array) -> Array:
 def smoothed(samples: Array) -> tuple[Array, Array]:
     """Courses (K, N) behind evenly spaced samples (K, N), and the standard deviation (K, N) of each value.
 
-    A parabola through a window about each sample; the window is the widest that no narrower one contradicts
-    (Katkovnik's intersection of confidence intervals), so edges stay sharp and plateaus become smooth. Windows as wide
-    as that cut every crest by about one deviation, and all crests alike, which a whole motion shows as a wrong
-    stiffness: so what the parabolas left over is smoothed by the same windows and added (Tukey's twicing).
+    A polynomial through a window about each sample; the window is the widest that no narrower one contradicts
+    (Katkovnik's intersection of confidence intervals), so edges stay sharp and plateaus become smooth. A motion shows
+    how high its crests are to a few hundred-thousandths: what is cut off all of them passes for damping.
     """
     noise = noise_of(samples)
     best, deviation = samples.copy(), np.broadcast_to(noise, samples.shape).copy()
     low, high = samples - _AGREE * 2 * noise, samples + _AGREE * 2 * noise
-    going, chosen = np.ones(samples.shape, dtype=bool), np.zeros(samples.shape, dtype=int)
+    going = np.ones(samples.shape, dtype=bool)
     for width in _WIDTHS:
         if width > len(samples):
             break
-        weights = savgol_coeffs(width, _DEGREE, use="dot")
-        value = convolve1d(samples, weights[::-1], axis=0, mode="nearest")
-        std = noise * np.sqrt((weights**2).sum())
-        low = np.maximum(low, value - _AGREE * std)
-        high = np.minimum(high, value + _AGREE * std)
+        for degree in (_CHOOSING, _FILLING):
+            value, share = _windowed(samples, width, degree)
+            low = np.maximum(low, value - _AGREE * share * noise)
+            high = np.minimum(high, value + _AGREE * share * noise)
         going &= low <= high
         best = np.where(going, value, best)
-        chosen = np.where(going, width, chosen)
-    left = samples - best
-    for width in np.unique(chosen[chosen > 0]):
-        weights = savgol_coeffs(width, _DEGREE, use="dot")
-        twice = 2 * np.pad(weights, width // 2) - np.convolve(weights, weights)
-        mine = chosen == width
-        best = np.where(mine, best + convolve1d(left, weights[::-1], axis=0, mode="nearest"), best)
-        deviation = np.where(mine, noise * np.sqrt((twice**2).sum()), deviation)
+        deviation = np.where(going, share * noise, deviation)
     return best, deviation
 
 
-def between(rows: Array, parts: int) -> Array:
-    """What lies between rows (K, N) of a smooth course: (K - 1, parts, N), of which the last part is the next row.
+def _windowed(samples: Array, width: int, degree: int) -> tuple[Array, Array]:
+    """Values (K, N) of polynomials about each sample, those of the outermost whole windows at the ends.
 
-    Cubics through neighbouring rows with the slopes of their neighbours (Catmull and Rom). Straight lines would cut
-    every crest: at 1 Hz and 30 rows a second by 0.4 %.
+    Also how much of the samples' standard deviation stays in each, (K, 1).
     """
-    if len(rows) < 2:
-        return np.empty((0, parts, rows.shape[1]))
-    slope = np.gradient(rows, axis=0)[:, None]
-    s = np.arange(1, parts + 1)[:, None] / parts
-    first, last = rows[:-1, None], rows[1:, None]
-    out: Array = first + (last - first) * s**2 * (3 - 2 * s)
-    out += slope[:-1] * s * (1 - s) ** 2 - slope[1:] * s**2 * (1 - s)
-    return out
+    basis = np.linalg.qr(np.vander(np.linspace(-1.0, 1.0, width), degree + 1))[0]
+    hat, half = basis @ basis.T, width // 2
+    value = convolve1d(samples, hat[half], axis=0)
+    value[:half], value[-half:] = hat[:half] @ samples[:width], hat[half + 1 :] @ samples[-width:]
+    kept = np.full((len(samples), 1), hat[half, half])
+    own = np.diagonal(hat)[:, None]
+    kept[:half], kept[-half:] = own[:half], own[half + 1 :]
+    return value, np.sqrt(kept)
+
+
+def curve(time_s: Array, rows: Array, at_s: Array) -> tuple[Array, Array]:
+    """Values (M, N) and slopes (M, N) per second, at other times (M,), of a smooth course through rows (K, N).
+
+    Cubics with the slopes of their neighbours (Catmull and Rom). Straight lines would cut every crest: at 1 Hz and 30
+    rows a second by 0.4 %. Beyond the ends the course goes straight on.
+    """
+    if len(rows) < 3:
+        slope = np.gradient(rows, time_s, axis=0) if len(rows) == 2 else np.zeros_like(rows)
+    else:
+        slope = np.gradient(rows, time_s, axis=0, edge_order=2)
+    if len(rows) == 1:
+        return np.repeat(rows, len(at_s), axis=0), np.repeat(slope, len(at_s), axis=0)
+    inside = np.clip(at_s, time_s[0], time_s[-1])
+    spline = CubicHermiteSpline(time_s, rows, slope)
+    rate = spline(inside, 1)
+    return spline(inside) + rate * (at_s - inside)[:, None], rate
