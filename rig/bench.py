@@ -17,6 +17,8 @@ READBACK_TOLERANCE = 1 / 2000
 """Of the output's range: two counts of a 12-bit card."""
 INSISTENCE = 10
 """How often a safe state is written before the card counts as dead."""
+UNSAFE = "the safe state could not be written, shut the air off by hand"
+"""How what must be told then begins."""
 
 
 @dataclass(frozen=True)
@@ -166,7 +168,7 @@ class Bench:
             if column and (failure := _insist(self._cards[name], voltages[column])):
                 failures.append(f"card {name}: {failure}")
         if failures:
-            raise CardError(f"the safe state could not be written, shut the air off by hand: {'; '.join(failures)}")
+            raise CardError(f"{UNSAFE}: {'; '.join(failures)}")
 
     def arm(self) -> None:
         """Write the safe voltages, read them back and compare.

@@ -10,9 +10,10 @@ import pytest
 from rig_process import rig_run
 
 import runs
+from rig.bench import UNSAFE
 from runs.records import Status
 from scripts.faults import realtime
-from scripts.faults.catalogue import CATALOGUE
+from scripts.faults.catalogue import CATALOGUE, CONTROL, FOR_EVER, KILL
 
 pytestmark = pytest.mark.alone
 
@@ -24,6 +25,23 @@ def test_the_fault_is_told_and_the_bench_is_safe(name: str, tmp_path: Path) -> N
     (fault,) = (fault for fault in CATALOGUE if fault.name == name)
     trial = realtime.trial(fault, tmp_path, at_s=1.0, seed=1)
     assert trial.wrong == ""
+
+
+@pytest.mark.parametrize("killed", [(), (CONTROL,)], ids=["by control", "by the watchdog"])
+def test_valves_that_cannot_be_written_are_never_called_safe(killed: tuple[str, ...], tmp_path: Path) -> None:
+    run = realtime.WatchedRun(tmp_path, None, {})
+    try:
+        registers = run.wait_until_moving()
+        registers.faults.inject(failing_writes=FOR_EVER)
+        run.signal(killed, KILL)
+        assert run.process.wait(20) == 1
+        registers.close()
+    finally:
+        run.close()
+    archive = runs.open(next(run.out.glob("*.h5")))
+    assert archive.status is Status.ABORTED
+    assert UNSAFE in archive.message
+    assert "the valves are in their safe state" not in [event.message for event in archive.events]
 
 
 def test_rig_vent_ends_a_run_that_goes(tmp_path: Path) -> None:

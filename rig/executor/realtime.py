@@ -11,6 +11,7 @@ import time
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.bench import UNSAFE
 from rig.executor import clocks
 from rig.executor.base import Audience, OpenRecord, Outcome, Plan, Progress, Recorder, StartError, StoppedError
 from rig.executor.child import Job, spawn
@@ -120,9 +121,13 @@ class _Conductor:
         if memory.get("fired_ns") and status is not Status.ABORTED:
             status, message = Status.ABORTED, memory.message("watchdog") or "the watchdog took the bench over"
         safe_ns = memory.get("safe_ns") or memory.get("fired_ns")
-        self._event(
-            Level.INFO, "control" if memory.get("safe_ns") else "watchdog", "the valves are in their safe state"
-        )
+        if trouble := self._unsafe():
+            status = Status.ABORTED
+            message = message if UNSAFE in message else f"{message}; {trouble}".removeprefix("; ")
+            self._event(Level.FAULT, "watchdog", trouble)
+        else:
+            writer = "control" if memory.get("safe_ns") else "watchdog"
+            self._event(Level.INFO, writer, "the valves are in their safe state")
         counters = {
             "missed_deadlines": self.missed,
             "dropped_frames": self.dropped,
@@ -299,6 +304,19 @@ class _Conductor:
         if trouble:
             said = f"neither control nor the watchdog acts, and the conductor failed: {trouble}"
         self._event(Level.FAULT, "conductor", said)
+
+    def _unsafe(self) -> str:
+        """What kept everybody from writing the safe state; empty when somebody has."""
+        memory = self.memory
+        if memory.get("safe_ns"):
+            return ""
+        # It says at its very end whether its last write has succeeded.
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            dict(self.crew)["watchdog"].wait(SAFE_TIMEOUT_S)
+        if memory.stage("watchdog") == Stage.DONE:
+            return ""
+        said = memory.message("watchdog")
+        return said if UNSAFE in said else f"{UNSAFE}: neither control nor the watchdog has said that it was"
 
     def _gone(self, name: str) -> bool:
         """True when a process has exited or gives no sign of life."""

@@ -27,7 +27,7 @@ FREED_S = 0.5
 def made_safe(memory: RunMemory) -> bool:
     """True once control or the watchdog has written the safe state, or has said why it cannot."""
     ended = (Stage.DONE, Stage.FAILED)
-    return memory.stage("control") in ended or memory.stage("watchdog") == Stage.DONE or bool(memory.get("fired_ns"))
+    return any(memory.stage(name) in ended for name in ("control", "watchdog")) or bool(memory.get("fired_ns"))
 
 
 def nobody_acts(memory: RunMemory) -> bool:

@@ -47,31 +47,33 @@ def main() -> int:
     finally:
         if reason and not grip.shared:
             _kill(memory.get("control_pid"))  # its end is what opens the card to others
-        _make_safe(grip, memory)
+        trouble = _make_safe(grip, memory)
     # The register is written: what follows may take its time.
     if reason:
         memory.set("fired_ns", time.monotonic_ns())
         _kill(memory.get("control_pid"))
         time.sleep(0.005)
-        _make_safe(grip, memory)  # a control process that was only slow may have written once more before it died
-    memory.say("watchdog", Stage.DONE, reason)
+        # A control process that was only slow may have written once more before it died.
+        trouble = _make_safe(grip, memory)
+    said = f"{reason}; then {trouble}" if reason and trouble else reason or trouble
+    memory.say("watchdog", Stage.FAILED if trouble else Stage.DONE, said)
     grip.close()
     become_ordinary()
-    return 0
+    return 1 if trouble else 0
 
 
-def _make_safe(grip: Grip, memory: RunMemory, patience_s: float = PATIENCE_S) -> None:
-    """Write the safe state; a card that refuses is asked again for a while."""
+def _make_safe(grip: Grip, memory: RunMemory, patience_s: float = PATIENCE_S) -> str:
+    """Write the safe state; a card that refuses is asked again for a while. What kept it, empty when nothing did."""
     until = time.monotonic() + patience_s
     while True:
         try:
             grip.make_safe(vent=memory.get("stop") == Stop.VENT)
-        except CardError:
+        except CardError as error:
             if time.monotonic() > until:
-                return
+                return str(error)
             time.sleep(0.002)
         else:
-            return
+            return ""
 
 
 def _watch(memory: RunMemory, conductor_pid: int, grip: Grip, hung_ns: int) -> str:
