@@ -19,6 +19,8 @@ import pytest
 from websockets.sync.client import ClientConnection, connect
 
 PATIENCE_S = 150.0
+GOODBYE_S = 0.5
+"""A page that is gone does not answer a goodbye."""
 FLAGS = (
     "--headless",
     "--no-sandbox",
@@ -51,7 +53,7 @@ class Tab:
     def __init__(self, address: str) -> None:
         self._left = ExitStack()
         self._socket: ClientConnection = self._left.enter_context(
-            connect(address, max_size=None, open_timeout=PATIENCE_S)
+            connect(address, max_size=None, open_timeout=PATIENCE_S, close_timeout=GOODBYE_S)
         )
         self._numbers = itertools.count(1)
         self.troubles: list[str] = []
