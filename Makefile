@@ -12,7 +12,7 @@ help:
 	@echo "make lint   only the formatter, linter and type checker"
 	@echo "make comedi build and install the binding to Comedi cards"
 	@echo "make test-hardware  drive a card and a camera of a real kernel, in a virtual machine"
-	@echo "make strikes  strike runs in that virtual machine (a quarter of an hour)"
+	@echo "make strikes  two more faults in that virtual machine (five minutes)"
 	@echo "make faults  every way a run can fail, at random moments; writes docs/reliability.md (hours)"
 	@echo "make soak    an hour in real time and a day in virtual time, watched for leaks (hours)"
 	@echo "make lock   resolve the dependencies anew into requirements.lock"

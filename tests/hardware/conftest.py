@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
+import json
 import os
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
-from kernel_card import CARD, OpenCard
-from rig_of_the_machine import CAMERA, Player
+from kernel_card import CARD, OpenCard, bipolar
+from rig_of_the_machine import CAMERA, LOOPED, VALVES, Player
+from struck_run import Inputs, Struck
 
+from rig.cameras.base import Frame, Shot
 from rig.daq.base import CardSetup, Channel
 from rig.daq.comedi import ComediCard
+from rig.observer import Observer
+from rig.rig_file import load
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
@@ -69,3 +74,37 @@ def player() -> Iterator[Player]:
     process.kill()
     process.wait()
     process.stdout.close()
+
+
+@pytest.fixture(scope="session")
+def compiled() -> None:
+    """What is compiled at its first use is there before a run is forked."""
+    observer = Observer(load(LOOPED))
+    with np.load(os.environ["SOFTRIG_PICTURES"]) as stored:
+        image = stored["pictures"][0]
+    observer.step(Shot.of(Frame(0, 1, image)), np.array([1]), np.zeros((1, 3)), 0.0, 0)
+
+
+@pytest.fixture
+def inputs(open_card: OpenCard) -> Inputs:
+    card = open_card(bipolar(*VALVES), (), acquisition="instruction")
+    card.start()
+    return lambda: card.read().volts[-1]
+
+
+@pytest.fixture
+def struck(tmp_path: Path, compiled: None, player: Player, inputs: Inputs) -> Iterator[Struck]:
+    run = Struck(tmp_path / "out", inputs)
+    yield run
+    run.end()
+
+
+@pytest.fixture
+def timed(out: Path, request: pytest.FixtureRequest) -> Callable[[float], None]:
+    """Leave a time for the host: it is recorded and not judged, because the machine is emulated."""
+
+    def note(milliseconds: float) -> None:
+        with (out / "safe_after_ms.jsonl").open("a") as file:
+            print(json.dumps({request.node.name: round(milliseconds, 1)}), file=file)
+
+    return note

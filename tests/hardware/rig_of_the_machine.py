@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 HERE = Path(__file__).parent
 LOOPED = str(HERE / "looped.yaml")
 STEPS = str(HERE / "steps.yaml")
+SLOW_RAMP = str(HERE / "slow_ramp.yaml")
 CAMERA = "/dev/video9"
 VALVES = (0, 3, 5)
 """Outputs of the valves, in the order of the actuators."""

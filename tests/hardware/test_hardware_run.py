@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import os
-import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import numpy as np
@@ -71,41 +68,3 @@ def test_a_run_to_the_end_leaves_its_archive_and_safe_valves(
     assert run.returncode == 0, said
     assert "SIMULATED" not in said
     np.testing.assert_allclose(open_card((), bipolar(*VALVES)).readback(), [0.0, 0.0, 0.0], atol=COUNT_V)
-
-
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
-def test_a_run_that_is_stopped_or_killed_leaves_safe_valves(
-    tmp_path: Path, player: Player, open_card: OpenCard, number: signal.Signals
-) -> None:
-    watching = open_card((), bipolar(*VALVES))
-    run = start_run(tmp_path)
-    until = time.monotonic() + 500
-    while not watching.readback().max() > 0.5:
-        assert run.poll() is None, run.communicate()[0]
-        assert time.monotonic() < until, "no valve moved"
-        time.sleep(0.02)
-    os.kill(run.pid, number)
-    until = time.monotonic() + 20
-    while watching.readback().max() > COUNT_V and time.monotonic() < until:
-        time.sleep(0.01)
-    np.testing.assert_allclose(watching.readback(), [0.0, 0.0, 0.0], atol=COUNT_V)
-    assert run.stdout is not None
-    run.stdout.close()
-    run.wait(timeout=60)
-    until = time.monotonic() + 60
-    while (left := processes_of_runs()) and time.monotonic() < until:
-        time.sleep(0.2)
-    assert left == []
-
-
-def processes_of_runs() -> list[str]:
-    """Command lines of the processes of any run."""
-    lines = []
-    for file in Path("/proc").glob("[0-9]*/cmdline"):
-        try:
-            line = file.read_bytes().replace(b"\0", b" ").decode()
-        except OSError:
-            continue
-        if "rig.executor" in line:
-            lines.append(line)
-    return lines
