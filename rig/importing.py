@@ -6,6 +6,7 @@ import hashlib
 import platform
 import re
 import sys
+import time
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -18,10 +19,11 @@ from protocols.problems import BadInput, Problem
 from rig import rig_file
 from rig.config import PA_PER_BAR
 from rig.experiment import free_id
-from rig.mapping import KILOGRAMS, PASCALS, SECONDS, VOLTS, Mapping, PressureUnit, load
+from rig.mapping import KILOGRAMS, PASCALS, VOLTS, Mapping, PressureUnit, load
 from rig.placing import placed, wrench
 from rig.provenance import git_state, versions
-from rig.reading import MOST_PROBLEMS, Columns
+from rig.reading import Columns
+from rig.row_times import Times, times
 from rig.tables import read as read_table
 from runs.archive import finalise
 from runs.journal import SUFFIX, JournalWriter
@@ -37,8 +39,6 @@ from runs.records import (
     sample_dtype,
 )
 
-LONGEST_S = 9e9
-"""Times beyond this have no nanoseconds in 64 bits."""
 EVEN = 0.25
 """Time steps are even when each is a whole number of periods, but for this part of one."""
 VENTED_BAR = 0.02
@@ -69,21 +69,19 @@ def import_table(data: Path, mapping_file: Path, folder: Path, operator: str = "
     mapping, document = load(mapping_file)
     rig_name, rig_text = _rig(mapping, document)
     columns = Columns(read_table(data, mapping.file))
-    t_ns = _time(columns, mapping)
+    read = times(columns, mapping)
+    t_ns = read.t_ns
     gauge_pa, ambient_pa = _pressures(columns, mapping)
     tip_m, covariance_m2 = placed(columns, mapping)
     asked_pa, valve_v, weight_kg = _asked(columns, mapping), _valves(columns, mapping), _weight(columns, mapping)
     pull = wrench(columns, mapping)
     columns.check()
+    started_utc_ns = _started_utc_ns(columns, mapping, document, read)
     samples = _samples(t_ns, _frames(columns, t_ns), asked_pa, gauge_pa, valve_v)
     observations = _observations(samples, tip_m, covariance_m2, weight_kg)
     observations["force_n"], observations["moment_n_m"] = pull[:, :3], pull[:, 3:]
 
     now = datetime.now(UTC)
-    started_utc_ns = mapping.started_utc_ns
-    if started_utc_ns is None:
-        columns.warn("the mapping does not say when the measurement began: start_time is that of the import")
-        started_utc_ns = int(now.timestamp() * 1e9)
     commit, diff = git_state()
     folder.mkdir(parents=True, exist_ok=True)
     source = f"{data.name}, SHA-256 {hashlib.sha256(data.read_bytes()).hexdigest()}"
@@ -168,25 +166,19 @@ def _rig(mapping: Mapping, document: Document) -> tuple[str, str]:
     return config.name, rig_file.text(name)
 
 
-def _time(columns: Columns, mapping: Mapping) -> Ints:
-    """Times (n,) [ns] on the file's own clock, increasing; what the file lacks of that is a problem."""
-    column, unit = mapping.time.column, mapping.time.unit
-    time_s = columns.scaled(column, SECONDS[unit])
-    if time_s is None:
-        return np.array([0, 1], np.int64)
-    table, problems = columns.table, []
-    for row in np.flatnonzero(~(np.abs(time_s) <= LONGEST_S))[:MOST_PROBLEMS]:
-        value = "nothing" if np.isnan(time_s[row]) else f"{time_s[row]:g} s"
-        problems.append(table.problem(int(row), column, value, f"a time of at most {LONGEST_S:g} s"))
-    t_ns: Ints = np.round(np.nan_to_num(np.clip(time_s, -LONGEST_S, LONGEST_S)) * 1e9).astype(np.int64)
-    if not problems:
-        for row in np.flatnonzero(np.diff(t_ns) <= 0)[:MOST_PROBLEMS] + 1:
-            wish = f"a time after {time_s[row - 1]:.12g} s, that of the row before"
-            problems.append(table.problem(int(row), column, f"{time_s[row]:.12g} s", wish))
-    if len(t_ns) < 2:
-        problems.append(Problem(table.file, 0, 0, "", f"{len(t_ns)} rows", "two rows at least"))
-    columns.problems += problems
-    return t_ns
+def _started_utc_ns(columns: Columns, mapping: Mapping, document: Document, read: Times) -> int:
+    """Moment of the first row, since 1970: as the mapping states it or the rows themselves do."""
+    stated = mapping.started_utc_ns
+    if read.utc and stated is not None:
+        mark = document.mark(("started",))
+        wish = "no such key: the times themselves are dates with their distance from UTC"
+        raise BadInput([Problem(document.file, mark.line, mark.column, "started", mark.source, wish)])
+    if read.utc:
+        return int(read.t_ns[0])
+    if stated is None:
+        columns.warn("the mapping does not say when the measurement began: start_time is that of the import")
+        return time.time_ns()
+    return stated
 
 
 def _frames(columns: Columns, t_ns: Ints) -> Ints:

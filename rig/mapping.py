@@ -109,7 +109,7 @@ class TimeColumn(Section):
     """When each row was taken."""
 
     column: Column
-    unit: TimeUnit
+    unit: Literal[TimeUnit, "iso"] = Field(description="iso: date and time in ISO 8601, to the microsecond")
 
 
 class WeightColumn(Section):

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protocols.problems import BadInput, Problem
-from rig.tables import MOST_PROBLEMS, Key, Table
+from rig.tables import Key, Table
 
 Floats = NDArray[np.float64]
 
@@ -39,6 +39,16 @@ class Columns:
             return None
         return values * scale
 
+    def texts(self, column: Key) -> Sequence[str] | None:
+        """The cells (n,) of a column as they are written; None, and a problem, where it has no such ones."""
+        try:
+            cells = self.table.texts(column)
+        except BadInput as bad:
+            self.problems += bad.problems
+            return None
+        self._length = self._length or (column, len(cells))
+        return cells
+
     def several(self, columns: Sequence[Key], scales: Sequence[float]) -> Floats:
         """Columns (n, k), each times its scale; NaN stands for one that cannot be read, beside its problem."""
         length = self._length[1] if self._length else 2
@@ -61,6 +71,3 @@ class Columns:
         """Raise `BadInput` where there is a problem."""
         if self.problems:
             raise BadInput(self.problems)
-
-
-__all__ = ["MOST_PROBLEMS", "Columns"]

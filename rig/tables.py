@@ -48,6 +48,13 @@ class Table(Protocol):
             BadInput: there is no such column, or it holds what is no number; every cell, up to `MOST_PROBLEMS`.
         """
 
+    def texts(self, column: Key) -> Sequence[str]:
+        """The cells (n,) of a column as they are written, where they are no numbers; empty where nothing was measured.
+
+        Raises:
+            BadInput: there is no such column, or the file keeps none but numbers.
+        """
+
     def problem(self, row: int, column: Key, value: str, expected: str, suggestion: str = "") -> Problem:
         """A fault of one cell; `row` counts the rows of numbers from 0."""
 
@@ -81,6 +88,12 @@ class CsvTable:
         if len(rows):
             raise BadInput([self._no_number(int(row), column, self.odd[int(row), at]) for row in rows])
         return self.cells[:, at]
+
+    def texts(self, column: Key) -> Sequence[str]:
+        """See `Table`."""
+        at = self._position(column)
+        plain = ("" if math.isnan(value) else f"{value:.15g}" for value in self.cells[:, at])
+        return [self.odd.get((row, at), text).strip() for row, text in enumerate(plain)]
 
     def problem(self, row: int, column: Key, value: str, expected: str, suggestion: str = "") -> Problem:
         """See `Table`."""
@@ -209,6 +222,12 @@ class MatTable:
             wish = "a finite number, or NaN where nothing was measured"
             raise BadInput([self.problem(row, column, str(numbers[row]), wish) for row in infinite[:MOST_PROBLEMS]])
         return numbers
+
+    def texts(self, column: Key) -> Sequence[str]:
+        """See `Table`."""
+        self._values(column)
+        wish = "dates, which only a CSV's columns can hold; or another unit in the mapping"
+        raise BadInput([Problem(self.file, 0, 0, "", f"numbers in column {column}", wish)])
 
     def problem(self, row: int, column: Key, value: str, expected: str, suggestion: str = "") -> Problem:
         """See `Table`."""

@@ -27,6 +27,7 @@ from runs.report import write
 from runs.run import Run
 
 ROOT = Path(__file__).parent.parent
+DATED = "title: D\ntime: {column: when, unit: iso}\npressures: {columns: [p], unit: bar, reading: gauge}\n"
 EXAMPLE = ROOT / "docs" / "examples" / "stiff-flop.yaml"
 
 
@@ -125,6 +126,24 @@ class TestAnotherLayout:
         with h5py.File(run.path) as file:
             assert file["entry/start_time"].asstr()[()] == "2024-05-06T05:08:09.000000Z"
         assert run.header.started_t_ns == 1_000_000_000
+
+    def test_dates_are_times_and_tell_when_it_began(self, bring: Bring) -> None:
+        text = (
+            "when;p\n2024-05-06T07:08:09.125+02:00;0.1\n2024-05-06 07:08:09.150+02:00;0.2\n20240506T050809.175Z;0.3\n"
+        )
+        run = bring(text, DATED)
+        np.testing.assert_allclose(run.pressure.time_s, [0, 0.025, 0.05], atol=1e-12)
+        with h5py.File(run.path) as file:
+            assert file["entry/start_time"].asstr()[()] == "2024-05-06T05:08:09.125000Z"
+        assert warnings_of(run) == ""
+
+    def test_dates_without_a_zone_leave_the_beginning_to_the_mapping(self, bring: Bring) -> None:
+        text = "when;p\n2024-05-06T23:59:59.5;0.1\n2024-05-07T00:00:00.5;0.2\n"
+        run = bring(text, DATED)
+        np.testing.assert_allclose(run.pressure.time_s, [0, 1], atol=1e-12)
+        assert "does not say when the measurement began" in warnings_of(run)
+        with h5py.File(bring(text, f"started: 2024-05-06T23:59:59.5+02:00\n{DATED}").path) as file:
+            assert file["entry/start_time"].asstr()[()] == "2024-05-06T21:59:59.500000Z"
 
     def test_a_missing_tip_is_a_row_without_one_and_a_warning(self, bring: Bring) -> None:
         run = bring(BENCH_CSV, BENCH)

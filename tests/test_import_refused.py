@@ -56,6 +56,26 @@ class TestBadData:
         for part in said:
             assert part in found
 
+    @pytest.mark.parametrize(
+        ("second", "said"),
+        [
+            ("6.5.2024 07:08:10", "data.csv:3: column 0\n  found     6.5.2024 07:08:10"),
+            ("2024-05-06T07:08:10+02:00", "date and time in ISO 8601, as 2026-11-21T14:05:00.250"),
+            ("2024-05-06T07:08:08", "a time after 2024-05-06T07:08:09, that of the row before"),
+            ("", "found     nothing"),
+            ("17.5", "found     17.5"),
+        ],
+    )
+    def test_a_row_with_another_kind_of_date_is_refused(self, bring: Bring, second: str, said: str) -> None:
+        mapping = SMALL.split("tip:")[0].replace("unit: s", "unit: iso").replace("{first", "{delimiter: comma, first")
+        text = f"2024-05-06T07:08:07,0.1\n2024-05-06T07:08:09,0.1\n{second},0.1\n2024-05-06T07:08:20,0.1\n"
+        assert said in complaint(bring, text, mapping)
+
+    def test_dates_that_tell_the_beginning_and_a_mapping_that_does_are_refused(self, bring: Bring) -> None:
+        mapping = "started: 2024-05-06T07:08:09Z\n" + SMALL.split("tip:")[0].replace("unit: s", "unit: iso")
+        text = "2024-05-06T07:08:07Z,0.1\n2024-05-06T07:08:09Z,0.1\n"
+        assert "mapping.yaml:1:10: started" in complaint(bring, text, mapping)
+
     def test_every_bad_cell_is_said_at_once(self, bring: Bring) -> None:
         found = complaint(bring, self.rows("0.2,x,1,2,3", "0.5,0.1,1,y,3"))
         assert "5: column 1" in found
