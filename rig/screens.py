@@ -11,13 +11,11 @@ from rich.console import Console, Group
 from rich.table import Table
 from rich.text import Text
 
-from rig.config import PA_PER_BAR
+from rig.config import PA_PER_BAR, RigConfig
 from rig.control import safe_voltages
 from rig.executor.base import Plan
 from rig.experiment import Request, Result
 from rig.finding import Finding
-from rig.paper.compared import Compared
-from rig.reproduce import Table4Row
 from runs.records import Status
 
 _EXIT = {Status.FINISHED: 0, Status.ABORTED: 1, Status.INTERRUPTED: 130}
@@ -46,7 +44,7 @@ def check_screen(request: Request, plan: Plan) -> Group:
     facts.add_row("duration", f"{trajectory.duration_s:.1f} s, {len(trajectory.segments)} segments")
     if trajectory.prompts:
         facts.add_row("operator", f"{len(trajectory.prompts)} prompts")
-    facts.add_row("rig", config.name + (" (SIMULATED: no hardware is touched)" if config.simulated else ""))
+    facts.add_row("rig", config.name + _how_simulated(config))
     facts.add_row("model", f"{request.variant}, {config.model.mode}")
     peak = peak_bar(plan)
     table = Table(box=None, padding=(0, 2, 0, 0))
@@ -59,6 +57,13 @@ def check_screen(request: Request, plan: Plan) -> Group:
         state = f"{valve.safe_state} ({safe:g} V)"
         table.add_row(str(i), actuators, where, f"{highest:.3f}", f"{config.limits.pressure_bar:.3f}", state)
     return Group(facts, table)
+
+
+def _how_simulated(config: RigConfig) -> str:
+    real = [name for name, card in config.cards.items() if card.driver != "mock"]
+    if real:
+        return f" (SIMULATED in part: card {', '.join(real)} is real)" if config.simulated else ""
+    return " (SIMULATED: no hardware is touched)"
 
 
 def peak_bar(plan: Plan) -> list[float]:
@@ -156,38 +161,6 @@ def result_json(result: Result) -> str:
 def exit_status(result: Result) -> int:
     """0 finished, 1 aborted or not archived, 130 interrupted."""
     return _EXIT[result.outcome.status] or (1 if result.trouble else 0)
-
-
-def compared_table(rows: tuple[Compared, ...]) -> Table:
-    """Results of the paper beside what came out here."""
-    table = Table(box=None, padding=(0, 2, 0, 0))
-    for head in ("item", "what", "paper", "here", "by", "why different"):
-        table.add_column(head, overflow="fold")
-    for row in rows:
-        table.add_row(row.item, row.what, row.paper, row.here, row.origin, row.why)
-    return table
-
-
-def table4(rows: tuple[Table4Row, ...], horizon_s: float) -> Table:
-    """The paper's Table 4 beside what is computed here; times are per simulated second."""
-    table = Table(box=None, padding=(0, 2, 0, 0))
-    for head in ("along the arm", "N", "in time", "paper [s]", "its method [s]", "ours [ms]", "holds for [s]"):
-        table.add_column(head, justify="left" if head in ("along the arm", "in time") else "right", no_wrap=True)
-    for head in ("error [mm]", "ours [mm]"):
-        table.add_column(head, justify="right")
-    for row in rows:
-        table.add_row(
-            row.space,
-            str(row.steps),
-            row.scheme,
-            "unstable" if row.printed_s is None else f"{row.printed_s:.4f}",
-            f"{row.faithful_s:.4f}",
-            f"{row.ours_s * 1e3:.3f}",
-            f"{row.held_s:.1f}" if row.held_s < horizon_s else f"> {horizon_s:g}",
-            f"{row.error_mm:.4f}",
-            f"{row.ours_error_mm:.4f}",
-        )
-    return table
 
 
 def findings_table(findings: tuple[Finding, ...]) -> Table:

@@ -9,7 +9,7 @@ import pytest
 
 import model
 from rig.cli import main
-from rig.table3 import READINGS, table3, verdict
+from rig.paper.table3 import READINGS, table3, verdict
 
 
 def test_no_rule_gives_table_3_with_the_printed_parameters() -> None:

@@ -6,11 +6,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from runs_made_up import write_journal
 
+import runs
 from rig.cli import main
 from rig.paper import motion
 from rig.paper.compared import Compared
+from rig.paper.experiments import origin
 from rig.paper.page import write
+from rig.paper.table3 import READINGS
+from runs.archive import finalise
 
 
 def test_the_text_alone_tells_what_average_rmse_means() -> None:
@@ -20,9 +25,23 @@ def test_the_text_alone_tells_what_average_rmse_means() -> None:
     assert round(float(np.mean(four)), 4) == best
 
 
+ONE_PERIOD = """
+title: Sinusoid of a bench, shorter than the paper's
+steps:
+  - sine:
+      {actuators: [1], mean_bar: 0.35, amplitude_bar: 0.25, omega_rad_s: 1, phase_deg: 240, periods: 1, lead_in_s: 2}
+"""
+
+
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Fig 14 from an archive of sine-1 that is there, and one of sine-2 that is not."""
     out = tmp_path_factory.mktemp("paper")
+    (out / "sine-1.yaml").write_text(ONE_PERIOD)
+    with pytest.raises(SystemExit):
+        main(["run", str(out / "sine-1.yaml"), "--fast", "--yes", "--no-report", "--out", str(out / "runs")])
+    with pytest.raises(SystemExit):
+        main(["simulate", "sine-2", "--out", str(out / "runs")])
     with pytest.raises(SystemExit) as left:
         main(["reproduce", "fig14", "--out", str(out)])
     assert left.value.code == 0
@@ -31,7 +50,10 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_what_is_missing_is_simulated_once_and_said_to_be(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     archives = sorted((folder / "runs").glob("*.h5"))
-    assert len(archives) == 2
+    headers = [runs.open(archive).header for archive in archives]
+    # The model alone is no experiment: sine-2 was missing.
+    made = sorted((header.protocol_name, header.executor) for header in headers)
+    assert made == [("sine-1", "virtual time"), ("sine-2", "model alone"), ("sine-2", "virtual time")]
     with pytest.raises(SystemExit):
         main(["reproduce", "table5", "--out", str(folder)])
     told = capsys.readouterr().out
@@ -54,3 +76,21 @@ def test_a_page_of_a_real_rig_does_not_call_itself_simulated(tmp_path: Path) -> 
     page = write(tmp_path, [row], [], ["a remark"]).read_text()
     assert "measure nothing of the paper" not in page
     assert "tip &lt;x&gt;" in page
+
+
+def test_what_rests_on_one_simulated_run_is_called_simulated(tmp_path: Path) -> None:
+    made = []
+    for simulated in (False, True):
+        write_journal(tmp_path / f"{simulated}.mcap", 1.0, pictures=0, simulated=simulated)
+        made.append(runs.open(finalise(tmp_path / f"{simulated}.mcap")))
+    measured, mock = made
+    assert origin(measured) == origin(measured, measured) == "measured"
+    assert origin(measured, mock) == origin(mock, measured) == "simulated"
+
+
+def test_an_error_is_normalised_by_the_way_of_the_arm_that_it_is_of() -> None:
+    gap, rest_m = np.full((2, 3), [1e-3, 0, 0]), 0.25
+    tip = np.array([[0.03, 0.0, rest_m - 0.04], [0.06, 0.0, rest_m - 0.08]])
+    over = {reading.name: float(reading.error(gap, tip, rest_m)[0]) for reading in READINGS}
+    assert over["distance over the tip's excursion"] == pytest.approx(1 / 50)
+    assert over["distance over the arm's length"] == pytest.approx(1 / 250)

@@ -6,7 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from rig.reproduce import SCHEMES, Table4Row, backbones, figure, table4
+from rig.paper.backbones import backbones
+from rig.paper.table4 import SCHEMES, Table4Row, drawing, table4
+from runs.figures import save
 
 
 @pytest.fixture(scope="module")
@@ -35,7 +37,8 @@ def test_the_live_solver_is_as_exact_as_the_papers_rk4_and_better_than_its_euler
 
 
 def test_the_figure_is_drawn(rows: tuple[Table4Row, ...], tmp_path: Path) -> None:
-    figure(rows, tmp_path / "table4.svg")
+    drawn = drawing(rows)
+    save(drawn.draw, drawn.size, tmp_path / "table4.svg", *drawn.about)
     assert "live solver" in (tmp_path / "table4.svg").read_text()
 
 

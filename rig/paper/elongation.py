@@ -32,7 +32,6 @@ from runs.run import Run
 
 Array = NDArray[np.float64]
 
-LEVELS_BAR: Array = np.linspace(0.15, 0.65, 11)
 TUBE = Tube(0.0095, 0.0125, 0.014, 82e3, 1.1e6, 3.0)
 """Constants of section 3 that come near both printed curves; the paper prints none of them."""
 
@@ -42,7 +41,7 @@ class Elongations:
 
     def __init__(self, runs: Mapping[str, Run]) -> None:
         weights, pressure = runs["extension-weights"], runs["extension-pressure"]
-        self.origin = origin(weights)
+        self.origin = origin(weights, pressure)
         config = parse(weights.header.rig_yaml, f"{weights.path}: the rig's YAML")
         geometry = model_geometry(config.arm.geometry)
         self.length_m = geometry.length_m

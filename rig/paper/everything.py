@@ -9,7 +9,6 @@ from pathlib import Path
 from rig.paper import elongation, motion, positions
 from rig.paper.compared import Compared, Drawing
 from rig.paper.experiments import PROTOCOLS, gathered
-from rig.reproduce import Table4Row
 
 NEEDS = {
     "fig9": PROTOCOLS[:2],
@@ -57,17 +56,3 @@ def results(items: Iterable[str], folder: Path, errors_of_methods: bool, told: T
             rows += motion.table4(moved, told=told)
         drawn += motion.drawings(moved)
     return Results(tuple(rows), tuple(one for one in drawn if one.name.replace("fig0", "fig") in wanted))
-
-
-def run_times(methods: Iterable[Table4Row]) -> tuple[Compared, ...]:
-    """The run times and the stability of Table 4, as lines of the comparison."""
-    rows = []
-    for method in methods:
-        name = f"{method.space}, N = {method.steps}, {method.scheme}"
-        paper = "unstable" if method.printed_s is None else f"{method.printed_s:.4f}"
-        why = "another processor, compiled kernels"
-        if method.printed_s is None:
-            why = f"with 1 mbar of sensor noise it held {method.held_s:.1f} s here; within one second nothing grows far"
-        here = f"{method.faithful_s:.4f} (live solver {method.ours_s:.4f})"
-        rows.append(Compared("Table 4", f"run time of 1 s, {name} [s]", paper, here, "model", why))
-    return tuple(rows)

@@ -33,9 +33,9 @@ def gathered(
     return {name: found[name] for name in protocols}
 
 
-def origin(run: Run) -> Origin:
-    """Whether a run was measured."""
-    return "simulated" if run.header.simulated else "measured"
+def origin(*runs: Run) -> Origin:
+    """Whether all of some runs were measured: what rests on a simulated one is simulated."""
+    return "simulated" if any(run.header.simulated for run in runs) else "measured"
 
 
 def _archives(folder: Path) -> dict[str, Run]:
@@ -43,10 +43,11 @@ def _archives(folder: Path) -> dict[str, Run]:
     for path in sorted(folder.glob("*.h5")):
         try:
             run = Run(path)
-            known = run.header.protocol_name in PROTOCOLS and not run.header.parent and run.status is Status.FINISHED
+            header = run.header
+            known = header.protocol_name in PROTOCOLS and not header.parent and run.status is Status.FINISHED
         except ArchiveError:
             continue
-        if known:
+        if known and header.executor in ("real time", "virtual time"):  # the model alone measures nothing
             found[run.header.protocol_name] = run
     return found
 

@@ -14,7 +14,7 @@ from rig.arm import model_arm
 from rig.config import PA_PER_BAR
 from rig.paper.compared import Compared, Drawing
 from rig.paper.experiments import origin
-from rig.reproduce import SCHEMES, Space
+from rig.paper.table4 import SCHEMES, Space
 from rig.rig_file import parse
 from runs.colours import MEASURED, MODEL
 from runs.figures import kept, legend, thin
@@ -32,7 +32,7 @@ TABLE4_MM: dict[tuple[Space, int], tuple[float | None, ...]] = {
     ("rk4", 50): (1.1393, 1.1724, 1.1254, 1.1221, 1.2923, None, None),
     ("rk4", 200): (1.1395, 1.1707, 1.1259, 1.1224, 1.2817, None, None),
 }
-"""Printed average RMSE, in the order of `rig.reproduce.SCHEMES`; None where it says Unstable."""
+"""Printed average RMSE, in the order of `rig.paper.table4.SCHEMES`; None where it says Unstable."""
 WINDOW_S = 1.0
 
 
@@ -95,6 +95,7 @@ def table4(
     cases: tuple[Motion, Motion], steps_along: tuple[int, ...] = (50, 200), told: Callable[[str], None] = lambda _: None
 ) -> Iterator[Compared]:
     """The error columns of Table 4: every method against the experiment, over one second."""
+    how = origin(*(case.run for case in cases))
     spaces: tuple[Space, ...] = ("euler", "rk4")
     for space in spaces:
         for steps in steps_along:
@@ -109,14 +110,15 @@ def table4(
                 )
                 paper = "unstable" if printed is None else f"{printed:.4f}"
                 name = f"average RMSE, {space}, N = {steps}, {label} [mm]"
-                yield Compared("Table 4", name, paper, f"{here:.4f}", cases[0].origin, why)
+                yield Compared("Table 4", name, paper, f"{here:.4f}", how, why)
 
 
 def drawings(cases: tuple[Motion, Motion]) -> Iterator[Drawing]:
     """Fig 14."""
+    how = origin(*(case.run for case in cases))
     yield Drawing(
         "fig14", "Fig 14: the tip under a sinusoidal pressure", fig14, (9, 5.4),
-        f"Band: 95 % of one frame ({cases[0].origin}). Line: the running model, BDF-alpha with alpha = -0.2.", (cases,),
+        f"Band: 95 % of one frame ({how}). Line: the running model, BDF-alpha with alpha = -0.2.", (cases,),
     )  # fmt: skip
 
 

@@ -15,8 +15,8 @@ from rig.arm import model_arm
 from rig.config import PA_PER_BAR
 from rig.paper.compared import Compared, Drawing
 from rig.paper.experiments import origin
+from rig.paper.table3 import PRINTED, READINGS
 from rig.rig_file import parse
-from rig.table3 import PRINTED, READINGS
 from runs.colours import ACTUATORS, INK, MEASURED, MODEL, MUTED
 from runs.figures import legend
 from runs.run import Run
@@ -35,7 +35,7 @@ class Positions:
     """Cases (a) and (b) at rest: pressures (K, N), measured tips (K, 3), and each model's tips at these pressures."""
 
     def __init__(self, runs: Mapping[str, Run]) -> None:
-        self.origin = origin(runs["ramp-a"])
+        self.origin = origin(runs["ramp-a"], runs["ramp-b"])
         self.pressure_pa: list[Array] = []
         self.measured_m: list[Array] = []
         self.tips_m: dict[Variant, list[Array]] = {variant: [] for variant, *_ in MODELS}
@@ -54,10 +54,11 @@ class Positions:
             self.arm = replace(arm, variant="inhomogeneous+rpe")
 
     def error_percent(self, variant: Variant, reading: int = 0) -> float:
-        """Mean normalised error over both cases, in a reading of `rig.table3.READINGS`."""
+        """Mean normalised error over both cases, in a reading of `rig.paper.table3.READINGS`."""
         error = READINGS[reading].error
         pairs = zip(self.tips_m[variant], self.measured_m, strict=True)
-        return float(100 * np.concatenate([error(tip - seen, seen) for tip, seen in pairs]).mean())
+        rest_m = self.arm.geometry.length_m
+        return float(100 * np.concatenate([error(tip - seen, seen, rest_m) for tip, seen in pairs]).mean())
 
 
 def compared(data: Positions) -> Iterator[Compared]:

@@ -27,10 +27,10 @@ CASES = ((1.0, 0.0, 0.0), (0.0, 1.0, 1.0))
 
 @dataclass(frozen=True)
 class Reading:
-    """One meaning of 'normalised error': residuals (K, 3) and measured tips (K, 3) from rest to errors (K,)."""
+    """One meaning of 'normalised error': residuals and measured tips (K, 3), length at rest [m] to errors (K,)."""
 
     name: str
-    error: Callable[[Array, Array], Array]
+    error: Callable[[Array, Array, float], Array]
 
 
 @dataclass(frozen=True)
@@ -54,24 +54,28 @@ def _length(v: Array) -> Array:
     return out
 
 
-def _own_axes(gap: Array, tip: Array) -> Array:
+def _way(tip: Array, length_m: float) -> Array:
+    """How far tips (K, 3) are from where the straight arm's is."""
+    return _length(tip - np.array([0.0, 0.0, length_m]))
+
+
+def _own_axes(gap: Array, tip: Array, _: float) -> Array:
     out: Array = 0.5 * (np.abs(gap[:, 0] / tip[:, 0]) + np.abs(gap[:, 2] / tip[:, 2]))
     return out
 
 
-def _ranges(gap: Array, tip: Array) -> Array:
+def _ranges(gap: Array, tip: Array, _: float) -> Array:
     out: Array = 0.5 * (np.abs(gap[:, 0]) / np.ptp(tip[:, 0]) + np.abs(gap[:, 2]) / np.ptp(tip[:, 2]))
     return out
 
 
-REST_M: Array = np.array([0.0, 0.0, 0.17])
 READINGS = (
-    Reading("distance over the tip's excursion", lambda gap, tip: _length(gap) / _length(tip - REST_M)),
-    Reading("distance over the largest excursion", lambda gap, tip: _length(gap) / _length(tip - REST_M).max()),
-    Reading("distance over the arm's length", lambda gap, tip: _length(gap) / 0.17),
-    Reading("distance over the tip's distance from the base", lambda gap, tip: _length(gap) / _length(tip)),
-    Reading("x over x", lambda gap, tip: np.abs(gap[:, 0] / tip[:, 0])),
-    Reading("x over its largest value", lambda gap, tip: np.abs(gap[:, 0]) / np.abs(tip[:, 0]).max()),
+    Reading("distance over the tip's excursion", lambda gap, tip, rest: _length(gap) / _way(tip, rest)),
+    Reading("distance over the largest excursion", lambda gap, tip, rest: _length(gap) / _way(tip, rest).max()),
+    Reading("distance over the arm's length", lambda gap, tip, rest: _length(gap) / rest),
+    Reading("distance over the tip's distance from the base", lambda gap, tip, rest: _length(gap) / _length(tip)),
+    Reading("x over x", lambda gap, tip, rest: np.abs(gap[:, 0] / tip[:, 0])),
+    Reading("x over its largest value", lambda gap, tip, rest: np.abs(gap[:, 0]) / np.abs(tip[:, 0]).max()),
     Reading("mean of x over x and z over z", _own_axes),
     Reading("mean of x and z over their ranges", _ranges),
 )
@@ -84,7 +88,7 @@ def table3(arm: model.Arm | None = None) -> tuple[Table3Row, ...]:
     rows = []
     for rule in get_args(ModulusRule):
         best = _tips(replace(paper, modulus_rule=rule), "inhomogeneous+rpe")
-        rows += [_row(rule, reading, plain, radial, best) for reading in READINGS]
+        rows += [_row(rule, reading, paper.geometry.length_m, plain, radial, best) for reading in READINGS]
     return tuple(rows)
 
 
@@ -113,9 +117,11 @@ def _tips(arm: model.Arm, variant: Variant) -> list[Array]:
     return [np.array([arm.statics(level * np.array(case)).tip_m for level in LEVELS_PA]) for case in CASES]
 
 
-def _row(rule: ModulusRule, reading: Reading, plain: list[Array], radial: list[Array], best: list[Array]) -> Table3Row:
+def _row(
+    rule: ModulusRule, reading: Reading, length_m: float, plain: list[Array], radial: list[Array], best: list[Array]
+) -> Table3Row:
     def distance(first: list[Array], second: list[Array]) -> float:
-        shares = [reading.error(a - b, tip) for a, b, tip in zip(first, second, best, strict=True)]
+        shares = [reading.error(a - b, tip, length_m) for a, b, tip in zip(first, second, best, strict=True)]
         return float(100 * np.concatenate(shares).mean())
 
     homogeneous, rpe, between = distance(plain, best), distance(radial, best), distance(plain, radial)
