@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
-from rig.arm import model_arm
+import model
+from rig.arm import Hook, model_arm
 from rig.executor.base import Plan
 from rig.experiment import Request, header
 from rig.sketch import backbone
@@ -15,12 +18,15 @@ from runs.archive import finalise
 from runs.journal import JournalWriter
 from runs.records import RunFooter, Seen, Status, observation_dtype, sample_dtype
 
+_Solve = Callable[[NDArray[np.float64], model.Loads | None], model.Shape]
+
 
 def simulate(request: Request, plan: Plan, static: bool) -> Path:
     """Write what the model says the tip does when the chambers follow the set-points exactly.
 
-    The rows carry no measured tip (`Seen.NO_FRAME`); the measured pressures are the set-points, and the archive says
-    that it is a simulation. Time steps are the camera's.
+    What prompts hang on the end cap hangs on the model. The rows carry no measured tip (`Seen.NO_FRAME`); the measured
+    pressures are the set-points, and the archive says that it is a simulation. Time steps are the camera's. After one
+    that cannot be solved the model begins anew at rest.
     """
     config, trajectory = plan.config, plan.trajectory
     rate_hz = next(iter(config.cameras.values())).rate_hz
@@ -42,14 +48,17 @@ def simulate(request: Request, plan: Plan, static: bool) -> Path:
     rows["pressure_pa"] = pressures
     for field in ("measured_m", "covariance_m2", "truth_m", "reprojection_px", "camera_skew_s"):
         rows[field] = np.nan
-    for i, pressure in enumerate(pressures):
+    hook, shape, tip_m = Hook(config), None, np.full(3, np.nan)
+    for row, pressure in zip(rows, pressures, strict=True):
+        row["weight_kg"] = weight_kg = trajectory.weight_kg(float(row["protocol_s"]))
         if dynamics is None:
-            shape = arm.statics(pressure)
+            solve: _Solve = arm.statics
         else:
-            shape = dynamics.start(pressure) if i == 0 else dynamics.step(pressure)
-        rows["model_m"][i] = shape.tip_m
-        rows["backbone_m"][i] = backbone(shape)
-        rows["model_ok"][i] = shape.ok
+            solve = dynamics.start if shape is None else dynamics.step
+        shape = _solved(solve, pressure, hook.carrying(weight_kg))
+        if shape is not None:
+            tip_m = shape.tip_m
+        row["model_m"], row["backbone_m"], row["model_ok"] = tip_m, backbone(shape), shape is not None
 
     title = f"{request.protocol.title} (model alone, {'static' if static else 'dynamic'})"
     about = replace(header(request, plan, 0), title=title, executor="model alone", simulated=True, control_hz=rate_hz)
@@ -61,3 +70,11 @@ def simulate(request: Request, plan: Plan, static: bool) -> Path:
     message = f"{unsolved} of {steps} steps could not be solved" if unsolved else ""
     journal.close(RunFooter(int(samples["t_ns"][-1]), Status.FINISHED, message))
     return finalise(journal.path)
+
+
+def _solved(solve: _Solve, pressure_pa: NDArray[np.float64], loads: model.Loads | None) -> model.Shape | None:
+    try:
+        shape = solve(pressure_pa, loads)
+    except model.NotConverged:
+        return None
+    return shape if shape.ok else None
