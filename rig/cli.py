@@ -12,7 +12,7 @@ import typer
 from typer.core import TyperGroup
 
 from rig.commands import archives, calibrate, identify, reproduce
-from rig.commands.options import AsJson, Folder, Parameters
+from rig.commands.options import AsJson, Fast, Folder, Note, Operator, Parameters, RigName, Seed, Variant, Yes
 
 DONE, FAULT, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 GARBAGE_OBJECTS = 50_000
@@ -85,25 +85,21 @@ app = typer.Typer(
 LOCAL, LIVE_PORT = "127.0.0.1", 8090
 Listen = Annotated[str, typer.Option(metavar="ADDRESS", help="Serve the page beyond this machine; asks for a token.")]
 Port = Annotated[int, typer.Option(help="First port to try for the page; 0 for any that is free.", min=0, max=65535)]
-RigName = Annotated[str, typer.Option("--rig", help="Name or file of the rig.")]
 ProtocolName = Annotated[str, typer.Argument(metavar="NAME|FILE", help="Named protocol, or a YAML file.")]
-Variant = Annotated[
-    str | None, typer.Option("--model", help="homogeneous, homogeneous+rpe or inhomogeneous+rpe; default: the rig's.")
-]
 
 
 @app.command()
 def run(
     protocol: ProtocolName,
     rig: RigName = "mock",
-    fast: Annotated[bool, typer.Option("--fast", help="Virtual time; simulated rigs only.")] = False,
-    seed: Annotated[int, typer.Option(help="Seed of the simulator.", min=0)] = 0,
+    fast: Fast = False,
+    seed: Seed = 0,
     out: Folder = Path("data"),
     model: Variant = None,
     parameters: Parameters = None,
-    operator: Annotated[str, typer.Option(help="Who runs it; goes into the archive.")] = "",
-    note: Annotated[str, typer.Option(help="A remark; goes into the archive.")] = "",
-    yes: Annotated[bool, typer.Option("--yes", help="Arm without asking.")] = False,
+    operator: Operator = "",
+    note: Note = "",
+    yes: Yes = False,
     report: Annotated[bool, typer.Option(help="Write the HTML report.")] = True,
     adapt: Annotated[
         bool, typer.Option("--adapt", help="Find the arm's parameters meanwhile; never controls.")
@@ -123,6 +119,8 @@ def run(
         _fail(
             "--live shows a run in real time; leave out --fast, or play the archive afterwards: rig live RUN", BAD_INPUT
         )
+    if not live and (listen, port) != (LOCAL, LIVE_PORT):
+        _fail("--listen and --port say where --live shows the run; say --live, too", BAD_INPUT)
     if free and not adapt:
         _fail("--free says what --adapt finds; say --adapt, too", BAD_INPUT)
     request = experiment.request(
@@ -213,8 +211,11 @@ def vent(rig: RigName = "mock") -> None:
     from rig.rig_file import load
     from rig.vent import vent as vent_rig
 
-    vent_rig(load(rig))
-    typer.echo("the valves are in their safe state")
+    config = load(rig)
+    vent_rig(config)
+    mock = all(card.driver == "mock" for card in config.cards.values())
+    simulated = " (simulated: no hardware was touched; name yours with --rig)" if mock else ""
+    typer.echo(f"every chamber of rig {config.name} is open to the exhaust{simulated}")
 
 
 @app.command()
@@ -248,6 +249,8 @@ def live(
     from rig.listing import resolve
     from rig.live.launch import show
 
+    if archive is not None and pid is not None:
+        _fail("--pid names a run that goes; leave it out to play an archive", BAD_INPUT)
     console = screens.console()
     found = None if archive is None else resolve(archive)
     raise typer.Exit(show(found, pid, listen, port, lambda line: console.print(line, soft_wrap=True)))

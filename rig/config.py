@@ -254,7 +254,7 @@ class Material(Section):
 
 
 class Arm(Section):
-    """The manipulator. `gravity` is the direction of the weight in the rod-base frame."""
+    """The manipulator. `gravity_direction` is that of the weight in the rod-base frame."""
 
     geometry: Geometry
     material: Material

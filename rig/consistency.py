@@ -15,6 +15,7 @@ from protocols.problems import closest
 from protocols.validation import Fault
 
 if TYPE_CHECKING:
+    from rig.calibrations.schema import ValveSweep
     from rig.config import Arm, CameraConfig, CardConfig, Control, FlowValve, Limits, Sensor, Simulator, Valve
 
     Cards = Mapping[str, CardConfig | None]
@@ -126,12 +127,13 @@ def _valves(valves: Valves) -> Iterator[Fault]:
         if valve.type == "flow":
             if not low < valve.closed_V < high:
                 yield Fault((*here, "closed_V"), f"a voltage inside range_V, {low:g} to {high:g} V")
-            yield from _curve(valve, here)
+            yield from curve(valve, here)
         elif valve.span_V[0] < low or valve.span_V[1] > high:
             yield Fault((*here, "span_V"), f"a span inside range_V, {low:g} to {high:g} V")
 
 
-def _curve(valve: FlowValve, here: tuple[str | int, ...]) -> Iterator[Fault]:
+def curve(valve: FlowValve | ValveSweep, here: tuple[str | int, ...] = ()) -> Iterator[Fault]:
+    """Faults of a flow curve, as a rig states it or a sweep has found it; `here` leads to the valve."""
     volts, percent = valve.flow_curve_V, valve.flow_curve_percent
     if len(volts) != len(percent):
         expected = f"{len(volts)} values, as many as flow_curve_V has, not {len(percent)}"

@@ -29,7 +29,10 @@ def resolve(name: Path) -> Path:
     Raises:
         ArchiveError: there is none.
     """
-    for candidate in (name, name.with_name(name.name + SUFFIX), Path("data") / f"{name.name}{SUFFIX}"):
+    by_id: tuple[Path, ...] = ()
+    if name.name:
+        by_id = (name.with_name(name.name + SUFFIX), Path("data") / f"{name.name}{SUFFIX}")
+    for candidate in (name, *by_id):
         if candidate.is_file():
             recovering.offer(candidate.parent)
             return candidate
@@ -98,7 +101,8 @@ def summary_table(summary: Summary, counters: Mapping[str, int]) -> Table:
                 f"{step.overshoot_bar:.4f}",
             )
     table.add_section()
-    table.add_row(Text("whole run: mean error", "bold"), Text(f"{summary.error_mm.mean:.2f}", "bold"))
+    whole = f"whole run{' (simulated)' if summary.simulated else ''}: mean error"
+    table.add_row(Text(whole, "bold"), Text(f"{summary.error_mm.mean:.2f}", "bold"))
     table.add_row("largest error", f"{summary.error_mm.max:.2f}")
     table.add_row("frames measured", f"{summary.frames_measured} of {summary.frames}")
     table.add_row("deadlines missed", f"{summary.missed_deadlines} of {summary.ticks}")

@@ -61,6 +61,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         ):
             done = rig("calibrate", *command)
             assert done.exit_code == 0, done.output
+            assert "nothing real was measured" in done.output
         text = rig_file.text("mock").replace("name: mock\n", "name: mock\ncalibrations: [c.yaml, t.yaml, p.yaml]\n")
         (here / "my.yaml").write_text(text)
         (here / "short.yaml").write_text(SHORT)

@@ -80,13 +80,26 @@ def test_views_of_another_size_than_the_rigs_camera_are_refused(here: Path) -> N
         (["camera", "--live", "--corners", "9x6", "--square-mm", "25"], "--rig"),
         (["camera", "a=x", "a=y", "--corners", "9x6", "--square-mm", "25"], "a name of its own"),
         (["dlt"], "control points"),
+        (["camera", ".", "--corners", "9x6", "--square-mm", "25", "--to", "a.PNG"], "the picture goes beside it"),
+        (["camera", ".", "--corners", "9x6", "--square-mm", "25", "--to", "."], "a file, not a folder"),
+        (["camera", ".", "--corners", "9x6", "--square-mm", "25", "--to", "kept.yaml"], "kept.png"),
         (["dlt", "points.csv", "--size", "640"], "640x480"),
+        (["dlt", "points.csv", "--base", "0,0,0,0,0,0"], "it is of views of a board"),
+        (
+            ["dlt", "a=x", "b=y", "--corners", "9x6", "--square-mm", "25", "--size", "640x480"],
+            "it is of control points (.csv)",
+        ),
+        (["dlt", "points.csv", "--size", "640x480", "--points-std-mm", "nan"], "--points-std-mm"),
+        (["dlt", "a=x", "b=y", "--corners", "9x6", "--square-mm", "25", "--base", "0,nan,0,0,0,0"], "six numbers"),
+        (["pressure", "--no-sensors", "--fast", "--yes", "--volume-ml", "0"], "more than 0"),
+        (["pressure", "--no-sensors", "--fast", "--yes", "--volume-std-ml", "nan"], "more than 0"),
         (["tool"], "--straight"),
         (["pressure", "--readings", "nowhere.csv", "--no-valves"], "no such file"),
     ],
 )
 def test_a_command_that_cannot_be_gets_one_clear_message(here: Path, arguments: list[str], message: str) -> None:
     (here / "points.csv").write_text(CSV_HEAD + "1,0,0,0,a,1,2\n")
+    (here / "kept.png").touch()
     done = rig("calibrate", *arguments)
     assert done.exit_code == 2, done.output
     assert message in done.output
@@ -323,6 +336,7 @@ def test_control_points_that_are_uncertain_themselves_enlarge_the_covariance(her
         (CSV_HEAD + "1,0,0,0,a,1,2\n1,9,0,0,b,1,2\n", "as point 1 stands in a row above"),
         (CSV_HEAD + "1,0,0,0,a,1\n", "7 cells"),
         (CSV_HEAD + "1,0,0,nan,a,1,2\n", "a plain number"),
+        (CSV_HEAD + "1,0,0,0,a,1,2\n" + "9" * 140_000 + ",0,0,0,a,1,2\n", "points.csv:3\n"),
     ],
 )
 def test_control_points_that_cannot_be_get_one_clear_message(here: Path, text: str, message: str) -> None:

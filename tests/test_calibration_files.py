@@ -177,6 +177,9 @@ def test_a_default_name_is_dated_and_lies_beside_no_other(tmp_path: Path) -> Non
     assert re.fullmatch(r"camera-front-20\d\d-\d\d-\d\d\.yaml", first.name)
     first.touch()
     assert files.default_path("camera-front", tmp_path).stem == f"{first.stem}-2"
+    (tmp_path / f"{first.stem}-2-views").mkdir()
+    (tmp_path / f"{first.stem}-3.png").touch()
+    assert files.default_path("camera-front", tmp_path).stem == f"{first.stem}-4"
 
 
 def _rig(folder: Path, *names: str, **changes: str) -> Path:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import subprocess
 import sys
@@ -13,22 +14,41 @@ import pytest
 from beside import shared_data
 
 import runs
+from rig import rig_file
+from rig.cli import main
+from rig.simulator.registers import Registers
 from runs.records import Seen
+from tests.rig_process import write_rig
 
 SHORT = "title: Short\nsteps:\n  - ramp: {actuators: [1], to_bar: 0.3, duration_s: 1}\n"
 
 
-def rig(arguments: Sequence[str | Path], cwd: Path, stdin: str = "") -> subprocess.CompletedProcess[str]:
+def rig(arguments: Sequence[str | Path], cwd: Path) -> subprocess.CompletedProcess[str]:
     """Run the command as a user would."""
     return subprocess.run(
         [sys.executable, "-m", "rig", *map(str, arguments)],
         capture_output=True,
         text=True,
         cwd=cwd,
-        input=stdin,
+        stdin=subprocess.DEVNULL,
         check=False,
         timeout=120,
     )
+
+
+@pytest.fixture
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """An empty folder to stand in."""
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def inside(*arguments: str | Path) -> int:
+    """Run the command in this process, which spares its start; what it does not catch reaches the test."""
+    with pytest.raises(SystemExit) as left:
+        main([*map(str, arguments)])
+    assert isinstance(left.value.code, int)
+    return left.value.code
 
 
 @pytest.fixture(scope="module")
@@ -38,6 +58,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "short.yaml").write_text(SHORT)
     done = rig(["run", "short.yaml", "--fast", "--yes", "--operator", "ada", "--note", "first"], folder)
     assert done.returncode == 0, done.stderr
+    (folder / "said.txt").write_text(done.stdout)
     return folder
 
 
@@ -51,10 +72,10 @@ def test_a_run_leaves_an_archive_and_a_report_in_the_data_folder(recorded: Path)
 
 
 def test_the_last_screen_says_how_it_ended_and_where_it_lies(recorded: Path) -> None:
-    done = rig(["run", "short.yaml", "--fast", "--yes", "--out", "elsewhere"], recorded)
-    assert "finished" in done.stdout
-    assert "elsewhere/" in done.stdout
-    assert "mean error" in done.stdout
+    said = (recorded / "said.txt").read_text()
+    assert "finished" in said
+    assert "archive  data/" in said
+    assert "whole run (simulated): mean error" in said
 
 
 def test_help_does_not_import_the_heavy_rooms(tmp_path: Path) -> None:
@@ -83,71 +104,124 @@ def test_help_does_not_import_the_heavy_rooms(tmp_path: Path) -> None:
         (["calibrate", "camera", "nowhere", "--corners", "9x6", "--square-mm", "25"], "nowhere"),
         (["calibrate", "camera", ".", "--corners", "9", "--square-mm", "25"], "9x6"),
         (["run", "ramp-a", "--seed", "-1", "--fast", "--yes"], "seed"),
+        (["run", "ramp-a", "--fast", "--yes", "--listen", "0.0.0.0"], "--live"),
+        (["show", "."], "no such archive"),
+        (["show", "/"], "no such archive"),
+        (["live", "here", "--pid", "1"], "--pid"),
     ],
 )
-def test_bad_input_gives_one_message_and_status_2(tmp_path: Path, arguments: list[str], said: str) -> None:
-    done = rig(arguments, tmp_path)
+def test_bad_input_gives_one_message_and_status_2(
+    here: Path, arguments: list[str], said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert inside(*arguments) == 2
+    assert said in capsys.readouterr().err
+    assert not list(here.iterdir())
+
+
+def test_a_process_of_its_own_says_the_same_without_a_traceback(tmp_path: Path) -> None:
+    done = rig(["run", "ramp-z", "--fast", "--yes"], tmp_path)
     assert done.returncode == 2, done.stderr
-    assert said in done.stderr
-    assert "Traceback" not in done.stderr
-    assert not list(tmp_path.iterdir())
-
-
-def test_what_is_wrong_with_the_protocol_and_the_rig_is_said_at_once(tmp_path: Path) -> None:
-    (tmp_path / "p.yaml").write_text("title: x\nsteps: 3\n")
-    (tmp_path / "r.yaml").write_text("name: 3\n")
-    done = rig(["check", "p.yaml", "--rig", "r.yaml"], tmp_path)
-    assert done.returncode == 2
-    assert "p.yaml:2" in done.stderr
-    assert "r.yaml:1" in done.stderr
-
-
-def test_without_yes_and_without_a_terminal_nothing_is_armed(tmp_path: Path) -> None:
-    done = rig(["run", "ramp-a", "--fast"], tmp_path, stdin="y\n")
-    assert done.returncode == 2
-    assert "--yes" in done.stdout
-    assert not (tmp_path / "data").exists()
-
-
-def test_a_data_folder_that_cannot_be_written_is_said_so(tmp_path: Path) -> None:
-    (tmp_path / "data").write_text("a file")
-    done = rig(["run", "ramp-a", "--fast", "--yes"], tmp_path)
-    assert done.returncode in (1, 2)
-    assert "data" in done.stderr
+    assert "ramp-a" in done.stderr
     assert "Traceback" not in done.stderr
 
 
-def test_check_prints_the_peak_pressure_and_the_limit_without_touching_anything(tmp_path: Path) -> None:
-    facts = json.loads(rig(["check", "ramp-b", "--json"], tmp_path).stdout)
+def test_an_address_of_another_machine_is_bad_input(recorded: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (archive,) = (recorded / "data").glob("*.h5")
+    for address in ("lab", "192.0.2.1"):
+        assert inside("live", archive, "--listen", address) == 2
+        assert f"found     {address}" in capsys.readouterr().err
+
+
+def test_what_is_wrong_with_the_protocol_and_the_rig_is_said_at_once(
+    here: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (here / "p.yaml").write_text("title: x\nsteps: 3\n")
+    (here / "r.yaml").write_text("name: 3\n")
+    assert inside("check", "p.yaml", "--rig", "r.yaml") == 2
+    said = capsys.readouterr().err
+    assert "p.yaml:2" in said
+    assert "r.yaml:1" in said
+
+
+def test_without_yes_and_without_a_terminal_nothing_is_armed(
+    here: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("sys.stdin", io.StringIO("y\n"))
+    assert inside("run", "ramp-a", "--fast") == 2
+    assert "--yes" in capsys.readouterr().out
+    assert not (here / "data").exists()
+
+
+def test_vent_says_which_bench_it_was_and_that_it_is_simulated(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    bench = write_rig(here)
+    registers = Registers.create(rig_file.load(bench).cards["daq"].device, outputs=2, inputs=16)
+    try:
+        assert inside("vent", "--rig", bench) == 0
+    finally:
+        registers.path.unlink()
+    assert "every chamber of rig mock is open to the exhaust (simulated" in capsys.readouterr().out
+
+
+def test_a_data_folder_that_cannot_be_written_is_said_so(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (here / "data").write_text("a file")
+    assert inside("run", "ramp-a", "--fast", "--yes") in (1, 2)
+    assert "data" in capsys.readouterr().err
+
+
+def test_check_prints_the_peak_pressure_and_the_limit_without_touching_anything(
+    here: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert inside("check", "ramp-b", "--json") == 0
+    facts = json.loads(capsys.readouterr().out)
     assert facts["peak_bar"] == pytest.approx([0, 0.65, 0.65])
     assert facts["limit_bar"] >= 0.65
-    assert not list(tmp_path.iterdir())
+    assert not list(here.iterdir())
 
 
-def test_doctor_names_what_is_missing_and_what_to_do(tmp_path: Path) -> None:
-    findings = json.loads(rig(["doctor", "--json"], tmp_path).stdout)
+def test_a_real_card_beside_a_simulated_camera_is_not_called_untouched(
+    here: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    mixed = rig_file.text("mock").replace("daq: {driver: mock, device: mock0", "daq: {driver: comedi, device: pci1716")
+    (here / "mixed.yaml").write_text(mixed)
+    assert inside("check", "ramp-a", "--rig", "mixed.yaml") == 0
+    assert "SIMULATED in part: card daq is real" in capsys.readouterr().out
+
+
+@pytest.mark.usefixtures("here")
+def test_doctor_names_what_is_missing_and_what_to_do(capsys: pytest.CaptureFixture[str]) -> None:
+    inside("doctor", "--json")
+    findings = json.loads(capsys.readouterr().out)
     assert {"Python", "board", "pycomedi", "camera", "real-time priority", "disk"} <= {f["topic"] for f in findings}
     assert all(f["remedy"] for f in findings if f["verdict"] != "ok")
 
 
-def test_show_prints_how_a_run_was_made(recorded: Path) -> None:
+def test_show_prints_how_a_run_was_made(
+    recorded: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(recorded)
     (archive,) = (recorded / "data").glob("*.h5")
-    shown = rig(["show", archive.stem], recorded).stdout
+    assert inside("show", archive.stem) == 0
+    shown = capsys.readouterr().out
     for fact in (archive.stem, "simulated", "ada", "short", "virtual time", "mean error"):
         assert fact in shown
-    facts = json.loads(rig(["show", archive, "--json"], recorded).stdout)
+    inside("show", archive, "--json")
+    facts = json.loads(capsys.readouterr().out)
     assert facts["header"]["operator"] == "ada"
 
 
-def test_runs_lists_archives_and_filters_them(recorded: Path) -> None:
-    assert len(json.loads(rig(["runs", "--json"], recorded).stdout)) == 1
-    assert json.loads(rig(["runs", "--json", "--text", "nobody"], recorded).stdout) == []
+def test_runs_lists_archives_and_filters_them(
+    recorded: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(recorded)
+    for options, found in (((), 1), (("--text", "nobody"), 0)):
+        assert inside("runs", "--json", *options) == 0
+        assert len(json.loads(capsys.readouterr().out)) == found
 
 
-def test_export_writes_tables_with_the_unit_in_every_header(recorded: Path) -> None:
+def test_export_writes_tables_with_the_unit_in_every_header(recorded: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(recorded)
     (archive,) = (recorded / "data").glob("*.h5")
-    done = rig(["export", archive.stem, "--to", "csv", "--out", "tables"], recorded)
-    assert done.returncode == 0, done.stderr
+    assert inside("export", archive.stem, "--to", "csv", "--out", "tables") == 0
     (pressure,) = (recorded / "tables").glob("*-pressure.csv")
     head = pressure.read_text().splitlines()[0].split(",")
     assert "time_s" in head
@@ -174,11 +248,12 @@ def test_recover_makes_an_archive_of_an_orphaned_journal(recorded: Path, tmp_pat
     assert "nothing to recover" in rig(["recover", tmp_path], recorded).stdout
 
 
-def test_simulate_leaves_the_models_tip_alone_in_the_same_layout(tmp_path: Path) -> None:
-    (tmp_path / "short.yaml").write_text(SHORT)
-    done = rig(["simulate", "short.yaml", "--model", "homogeneous", "--static", "--out", "out"], tmp_path)
-    assert done.returncode == 0, done.stderr
-    run = runs.open(tmp_path / done.stdout.strip())
+def test_simulate_leaves_the_models_tip_alone_in_the_same_layout(
+    here: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (here / "short.yaml").write_text(SHORT)
+    assert inside("simulate", "short.yaml", "--model", "homogeneous", "--static", "--out", "out") == 0
+    run = runs.open(here / capsys.readouterr().out.strip())
     assert np.all(run.tip.seen == Seen.NO_FRAME)
     assert np.all(np.isnan(run.tip.measured_mm))
     assert run.tip.model_mm[0, 0] == pytest.approx(0.0, abs=1e-6)

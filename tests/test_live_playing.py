@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 
 from rig.cli import main
 from rig.live.playing import Playing
+from tests.import_bench import SMALL, imported_in
 
 WEIGHED = """
 title: A weight
@@ -31,3 +33,11 @@ def test_the_arm_is_drawn_with_the_weight_that_hung_on_it(tmp_path: Path) -> Non
         assert drawing is not None
         # The archive's model still swings a little where the weight has just been hung.
         assert np.linalg.norm(drawing.lines_mm[0, -1] - tip.model_mm[frame]) < 1.0
+
+
+def test_an_import_without_rig_and_set_points_is_described_in_plain_json(tmp_path: Path) -> None:
+    made = imported_in(tmp_path, "0,0.1,1,2,3\n1,0.2,1,2,3\n", SMALL)
+    played = Playing(made.archive)
+    about = json.dumps(played.about(), allow_nan=False)
+    assert json.loads(about)["limit"] == 0.2
+    assert played.viewer().packet() is not None

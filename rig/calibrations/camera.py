@@ -20,6 +20,8 @@ from rig.keys import Keys
 from rig.listing import plain_json
 from rig.screens import console
 
+_PICTURE = ".png"
+
 
 @dataclass(frozen=True)
 class Asked:
@@ -54,7 +56,10 @@ def run(asked: Asked) -> None:
     if asked.to is not None:
         if len(asked.views) > 1:
             raise bad("--to", str(asked.to), "one camera at a time; each of several gets a dated name of its own")
+        if asked.to.suffix.lower() == _PICTURE:
+            raise bad("--to", str(asked.to), "a name for the YAML file; the picture goes beside it with this ending")
         refuse_existing(asked.to, asked.replace)
+        refuse_existing(asked.to.with_suffix(_PICTURE), asked.replace)
     if asked.live:
         if asked.views:
             raise bad("--live", asked.views[0], "either views that are there or live ones")
@@ -82,18 +87,19 @@ def run(asked: Asked) -> None:
         made = write(
             making.camera_file(found, sources.identity(rig, name, found), asked.note), file, replace=asked.replace
         )
-        drawn = picture.write(found, f"camera {name}", made.with_suffix(".png"))
+        drawn = picture.write(found, f"camera {name}", made.with_suffix(_PICTURE))
         facts[name] = screens.camera_facts(found, made, drawn)
         if not asked.json:
             screens.camera(found, name, screen)
-            _finish(made, drawn, rig)
+            _finish(made, drawn, rig, name)
     if asked.json:
         only = next(iter(facts.values())) if len(facts) == 1 else {"cameras": facts}
         typer.echo(json.dumps(plain_json(only), indent=2))
 
 
-def _finish(made: Path, drawn: Path, rig: RigConfig | None) -> None:
-    typer.echo(f"{made}\n{drawn}")
+def _finish(made: Path, drawn: Path, rig: RigConfig | None, name: str) -> None:
+    mock = rig is not None and name in rig.cameras and rig.cameras[name].driver == "mock"
+    typer.echo(f"{screens.written(made, mock)}\n{drawn}")
     if rig is None:
         typer.echo("to use it, give the camera's name with NAME=VIEWS and put the file under `calibrations:` of a rig")
 

@@ -67,8 +67,12 @@ def read(path: Path) -> dict[str, Seen]:
 
 def table(path: Path, columns: tuple[str, ...]) -> list[tuple[int, dict[str, str]]]:
     """Rows of a CSV by line, each with the named columns; `BadInput` where one is missing or there are no rows."""
-    lines = document.read_text(path, LARGEST).splitlines()
-    rows = [(k + 1, row) for k, row in enumerate(csv.reader(lines)) if row and not row[0].lstrip().startswith("#")]
+    reader = csv.reader(document.read_text(path, LARGEST).splitlines())
+    try:
+        rows = [(reader.line_num, row) for row in reader if row and not row[0].lstrip().startswith("#")]
+    except csv.Error as fault:
+        wish = f"a line of CSV ({fault})"
+        raise BadInput([Problem(str(path), reader.line_num, 0, "", "", wish)]) from None
     if not rows:
         raise BadInput([Problem(str(path), 0, 0, "", "", f"the file is empty: a header {','.join(columns)} and rows")])
     line, header = rows[0]

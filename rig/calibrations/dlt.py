@@ -34,6 +34,8 @@ Floats = NDArray[np.float64]
 
 _MOST_LEFT_OUT = 200
 _MM = 1e3
+_WAYS = ("control points (.csv)", "views of a board")
+_WIDEST_MM = 1e6
 
 
 @dataclass(frozen=True)
@@ -82,9 +84,10 @@ def run(asked: Asked) -> None:
         refuse_existing(asked.to, asked.replace)
     if not asked.given:
         raise bad("CSV|NAME=VIEWS", "", "a CSV of control points, or folders of simultaneous views for each camera")
+    is_csv = len(asked.given) == 1 and asked.given[0].lower().endswith((".csv", ".txt"))
+    _refuse_strangers(asked, is_csv)
     rig = sources.rig_of(asked.rig)
     known = sources.camera_calibrations(list(asked.calibrations))
-    is_csv = len(asked.given) == 1 and asked.given[0].lower().endswith((".csv", ".txt"))
     sizes: dict[str, tuple[int, int]]
     if is_csv:
         csv = Path(asked.given[0])
@@ -100,7 +103,22 @@ def run(asked: Asked) -> None:
         typer.echo(json.dumps(plain_json(_facts(result, found, made)), indent=2))
         return
     screens.dlt(found, result.places, console())
-    typer.echo(made)
+    typer.echo(screens.written(made, any(camera.camera.driver == "mock" for camera in found.cameras)))
+
+
+def _refuse_strangers(asked: Asked, is_csv: bool) -> None:
+    """Refuse options that belong to the other way of calibrating, and would do nothing in this one."""
+    of_boards = {
+        "--corners": asked.corners,
+        "--square-mm": asked.square_mm,
+        "--world-view": asked.world_view,
+        "--base": asked.base,
+    }
+    of_points = {"--size": asked.size, "--points-std-mm": asked.points_std_mm}
+    for option, value in (of_boards if is_csv else of_points).items():
+        if value:
+            way, other = _WAYS if is_csv else _WAYS[::-1]
+            raise bad(option, str(value), f"no such option: it is of {other}, and {way} are given")
 
 
 def _lens(name: str, rig: RigConfig | None, known: dict[str, Read], size: tuple[int, int], what: str) -> Lens | None:
@@ -115,8 +133,8 @@ def _from_points(
     asked: Asked, csv: Path, rig: RigConfig | None, known: dict[str, Read]
 ) -> tuple[Result, dict[str, tuple[int, int]]]:
     seen = control_points.read(csv)
-    if asked.points_std_mm < 0:
-        raise bad("--points-std-mm", f"{asked.points_std_mm:g}", "0 or more")
+    if not 0 <= asked.points_std_mm < _WIDEST_MM:
+        raise bad("--points-std-mm", f"{asked.points_std_mm:g}", "the points' standard uncertainty in mm, 0 or more")
     sights, sizes = {}, {}
     for name, points in seen.items():
         sizes[name] = _size_of(asked, name, rig, known)
@@ -187,13 +205,12 @@ def _from_boards(
     asked: Asked, rig: RigConfig | None, known: dict[str, Read]
 ) -> tuple[Result, dict[str, tuple[int, int]]]:
     corners, square_m = sources.corners_of(asked.corners), sources.square_of(asked.square_mm)
-    board = Board(corners[0] + 1, corners[1] + 1, square_m)
+    board, base = Board(corners[0] + 1, corners[1] + 1, square_m), _base(asked)
     listed = sources.sources_of(list(asked.given), rig)
     cameras, sizes, hashes, left_out = _seen(asked, listed, board, rig, known)
     together = locate(cameras, board, bundle=asked.bundle)
     left_out += [LeftOut(key, why, _hash(hashes, key)) for key, why in together.left_out]
     world_view = _world_view(asked, together, hashes)
-    base = _base(asked)
     places, boards = together.in_world(world_view, base)
     sights, groups = {}, {key: tuple(f"{key}:{k}" for k in range(len(board.corners_m))) for key in together.boards}
     for camera in cameras:
@@ -306,7 +323,9 @@ def _base(asked: Asked) -> Rigid:
     try:
         x, y, z, a, b, c = (float(part) for part in parts)
     except ValueError:
-        raise bad("--base", asked.base, "six numbers X,Y,Z,A,B,C: mm, and a rotation vector in deg") from None
+        x = y = z = a = b = c = np.inf
+    if not all(abs(number) < _WIDEST_MM for number in (x, y, z, a, b, c)):
+        raise bad("--base", asked.base, "six numbers X,Y,Z,A,B,C: mm, and a rotation vector in deg")
     return rigid(Placement(translation_mm=(x, y, z), rotation_deg=(a, b, c)))
 
 

@@ -85,15 +85,18 @@ def text_of(found: CalibrationFile) -> str:
 def default_path(stem: str, folder: Path = Path()) -> Path:
     """Where a new file goes when nothing is said: named after what was calibrated and the day, beside no other."""
     dated = f"{stem}-{datetime.now():%Y-%m-%d}"
-    path, n = folder / f"{dated}{SUFFIX}", 1
-    while path.exists():
+    name, n = dated, 1
+    # Pictures and views that lie beside a file carry its name.
+    while any((folder / f"{name}{end}").exists() for end in (SUFFIX, ".png", "-views")):
         n += 1
-        path = folder / f"{dated}-{n}{SUFFIX}"
-    return path
+        name = f"{dated}-{n}"
+    return folder / f"{name}{SUFFIX}"
 
 
 def refuse_existing(path: Path, replace: bool) -> None:
     """Raise `BadInput` where a file would be lost that nobody said may be; ask before a long calibration."""
+    if path.is_dir():
+        raise BadInput([Problem("--to", 0, 0, "", str(path), "a file, not a folder")])
     if path.exists() and not replace:
         raise BadInput(
             [Problem("--to", 0, 0, "", str(path), "a file that does not exist yet; --replace writes over this one")]

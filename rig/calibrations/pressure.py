@@ -52,6 +52,7 @@ FASTEST_SHARE = 0.6
 """Of the rate at which the interlock trips: the sweep goes no further."""
 _LEAST_ROWS = 8
 _CLIPPED_V = 0.004
+_LARGEST_ML = 1e5
 
 
 @dataclass(frozen=True)
@@ -89,6 +90,9 @@ def run(asked: Asked) -> None:
         refuse_existing(asked.to, asked.replace)
     if not 0 < asked.gauge_std_bar < 1:
         raise bad("--gauge-std-bar", f"{asked.gauge_std_bar:g}", "the gauge's standard uncertainty in bar, more than 0")
+    for option, value in (("--volume-ml", asked.volume_ml), ("--volume-std-ml", asked.volume_std_ml)):
+        if value is not None and not 0 < value < _LARGEST_ML:
+            raise bad(option, f"{value:g}", f"millilitres, more than 0 and less than {_LARGEST_ML:g}")
     sensors: tuple[schema.SensorScale, ...] = ()
     valves: tuple[schema.ValveSweep, ...] = ()
     used: tuple[schema.SourceFile, ...] = ()
@@ -148,7 +152,7 @@ def run(asked: Asked) -> None:
         typer.echo(json.dumps(plain_json(facts), indent=2))
         return
     screens.pressure(sensors, valves, config, screen)
-    typer.echo(made)
+    typer.echo(screens.written(made, any(card.driver == "mock" for card in config.cards.values())))
 
 
 @dataclass(frozen=True)

@@ -24,6 +24,7 @@ from rig.config import (
     VoltSpan,
     Word,
 )
+from rig.consistency import curve
 
 Row = tuple[Number, ...]
 Matrix = tuple[Row, ...]
@@ -289,23 +290,10 @@ class ValveSweep(Section):
 
     @model_validator(mode="after")
     def _check(self) -> ValveSweep:
-        volts, percent, std = self.flow_curve_V, self.flow_curve_percent, self.flow_curve_std_percent
-        found = []
-        for name, values in (("flow_curve_percent", percent), ("flow_curve_std_percent", std)):
-            if len(values) != len(volts):
-                found.append(Fault((name,), f"{len(volts)} values, as many as flow_curve_V has, not {len(values)}"))
-        for name, values in (("flow_curve_V", volts), ("flow_curve_percent", percent)):
-            if values[0] != 0:
-                found.append(Fault((name, 0), "0: the curve begins at the closed valve"))
-            found += [
-                Fault((name, i), f"more than the value before, {values[i - 1]:g}: the curve must rise")
-                for i in range(1, len(values))
-                if values[i] <= values[i - 1]
-            ]
-        if percent[-1] > 100:
-            found.append(Fault(("flow_curve_percent", len(percent) - 1), "at most 100 (% of full flow)"))
-        if self.dead_zone_V >= volts[-1]:
-            found.append(Fault(("dead_zone_V",), f"less than the end of flow_curve_V, {volts[-1]:g} V"))
+        found, std = list(curve(self)), self.flow_curve_std_percent
+        if len(std) != len(self.flow_curve_V):
+            wish = f"{len(self.flow_curve_V)} values, as many as flow_curve_V has, not {len(std)}"
+            found.append(Fault(("flow_curve_std_percent",), wish))
         faults(found)
         return self
 

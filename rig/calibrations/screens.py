@@ -30,6 +30,11 @@ def table(*heads: str, title: str | None = None) -> Table:
     return made
 
 
+def written(made: Path, simulated: bool) -> str:
+    """Where a result lies, and whether it is one of the simulated bench."""
+    return f"{made}{' (simulated: nothing real was measured)' if simulated else ''}"
+
+
 def camera_facts(found: CameraCalibration, file: Path, picture: Path) -> dict[str, Any]:
     """A camera's intrinsics for scripts."""
     fx, fy, cx, cy, *distortion = (float(p) for p in found.parameters)

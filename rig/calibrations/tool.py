@@ -86,7 +86,7 @@ def run(asked: Asked) -> None:
         typer.echo(json.dumps(plain_json(_facts(found, made)), indent=2))
         return
     screens.tool(found, board_in_tip(config), console())
-    typer.echo(made)
+    typer.echo(screens.written(made, config.cameras[name].driver == "mock"))
 
 
 def tip_in_camera(config: RigConfig, name: str, std_m: float, std_rad: float) -> Rigid:

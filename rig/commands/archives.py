@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from rig.commands.options import Archive, Archives, AsJson, Folder, Parameters
+from rig.commands.options import Archive, Archives, AsJson, Folder, Note, Operator, Parameters
 
 
 def runs(
@@ -108,8 +108,8 @@ def import_(
         Path, typer.Option("--mapping", metavar="FILE", help="YAML: which column is what; docs/import.md.")
     ],
     out: Folder = Path("data"),
-    operator: Annotated[str, typer.Option(help="Who measured it; goes into the archive.")] = "",
-    note: Annotated[str, typer.Option(help="A remark; goes into the archive.")] = "",
+    operator: Operator = "",
+    note: Note = "",
 ) -> None:
     """Make archives of measurements from elsewhere."""
     from rig.importing import import_table

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from rig.commands.options import AsJson
+from rig.commands.options import AsJson, Fast, Note, RigName, Seed, Yes
 
 app = typer.Typer(no_args_is_help=True, help="Calibrate cameras, DLT, tool and pressures; each leaves a dated file.")
 
@@ -17,8 +17,6 @@ Every = Annotated[int, typer.Option(help="Of a video, every so many frames.", mi
 RigFile = Annotated[str | None, typer.Option("--rig", help="Rig whose cameras these are: name or file.")]
 To = Annotated[Path | None, typer.Option("--to", metavar="FILE", help="Where the result goes; default: a dated name.")]
 Replace = Annotated[bool, typer.Option("--replace", help="Write over an existing file.")]
-Note = Annotated[str, typer.Option(help="A remark; goes into the file.")]
-Seed = Annotated[int, typer.Option(help="Seed of the simulator.", min=0)]
 
 
 @app.callback()
@@ -58,10 +56,23 @@ def dlt(
 
     procedure.run(
         procedure.Asked(
-            tuple(given or ()), corners, square_mm, tuple(calibration or ()), rig, size, points_std_mm, bundle,
-            world_view, base, every, to, replace, note, json,
+            given=tuple(given or ()),
+            corners=corners,
+            square_mm=square_mm,
+            calibrations=tuple(calibration or ()),
+            rig=rig,
+            size=size,
+            points_std_mm=points_std_mm,
+            bundle=bundle,
+            world_view=world_view,
+            base=base,
+            every=every,
+            to=to,
+            replace=replace,
+            note=note,
+            json=json,
         )
-    )  # fmt: skip
+    )
 
 
 @app.command()
@@ -88,14 +99,26 @@ def camera(
 
     procedure.run(
         procedure.Asked(
-            tuple(views or ()), corners, square_mm, live, rig, camera, count, every, to, replace, note, seed, json
+            views=tuple(views or ()),
+            corners=corners,
+            square_mm=square_mm,
+            live=live,
+            rig=rig,
+            camera=camera,
+            count=count,
+            every=every,
+            to=to,
+            replace=replace,
+            note=note,
+            seed=seed,
+            json=json,
         )
     )
 
 
 @app.command()
 def tool(
-    rig: Annotated[str, typer.Option("--rig", help="Name or file of the rig.")] = "mock",
+    rig: RigName = "mock",
     camera: Annotated[str | None, typer.Option(help="Name of the camera in the rig's file.")] = None,
     straight: Annotated[Path | None, typer.Option(metavar="VIEWS", help="Views of the vented, straight arm.")] = None,
     turned: Annotated[
@@ -114,19 +137,32 @@ def tool(
     from rig.calibrations import tool as procedure
 
     procedure.run(
-        procedure.Asked(rig, camera, straight, turned, live, tip_std_mm, tip_std_deg, to, replace, note, seed, json)
+        procedure.Asked(
+            rig=rig,
+            camera=camera,
+            straight=straight,
+            turned=turned,
+            live=live,
+            tip_std_mm=tip_std_mm,
+            tip_std_deg=tip_std_deg,
+            to=to,
+            replace=replace,
+            note=note,
+            seed=seed,
+            json=json,
+        )
     )
 
 
 @app.command()
 def pressure(
-    rig: Annotated[str, typer.Option("--rig", help="Name or file of the rig.")] = "mock",
+    rig: RigName = "mock",
     readings: Annotated[
         Path | None, typer.Option(metavar="CSV", help="Readings that are there: actuator,volts_V,gauge_bar.")
     ] = None,
     sensors: Annotated[bool, typer.Option(help="Scale the sensors against the gauge.")] = True,
     valves: Annotated[bool, typer.Option(help="Sweep the valves that meter flow.")] = True,
-    fast: Annotated[bool, typer.Option("--fast", help="Virtual time; simulated rigs only.")] = False,
+    fast: Fast = False,
     gauge: Annotated[str, typer.Option(help="Name and number of the gauge; goes into the file.")] = "",
     gauge_std_bar: Annotated[float, typer.Option(help="Standard uncertainty of the gauge [bar].")] = 0.002,
     volume_ml: Annotated[float | None, typer.Option(help="One chamber with its tube [ml]; default: the rig's.")] = None,
@@ -134,7 +170,7 @@ def pressure(
     to: To = None,
     replace: Replace = False,
     note: Note = "",
-    yes: Annotated[bool, typer.Option("--yes", help="Arm without asking.")] = False,
+    yes: Yes = False,
     seed: Seed = 0,
     json: AsJson = False,
 ) -> None:
@@ -143,7 +179,20 @@ def pressure(
 
     procedure.run(
         procedure.Asked(
-            rig, readings, sensors, valves, fast, gauge, gauge_std_bar, volume_ml, volume_std_ml, to, replace, note,
-            yes, seed, json,
+            rig=rig,
+            readings=readings,
+            sensors=sensors,
+            valves=valves,
+            fast=fast,
+            gauge=gauge,
+            gauge_std_bar=gauge_std_bar,
+            volume_ml=volume_ml,
+            volume_std_ml=volume_std_ml,
+            to=to,
+            replace=replace,
+            note=note,
+            yes=yes,
+            seed=seed,
+            json=json,
         )
-    )  # fmt: skip
+    )

@@ -8,6 +8,15 @@ from typing import Annotated
 import typer
 
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON, for scripts.")]
+RigName = Annotated[str, typer.Option("--rig", metavar="NAME|FILE", help="Name or file of the rig.")]
+Variant = Annotated[
+    str | None, typer.Option("--model", help="homogeneous, homogeneous+rpe or inhomogeneous+rpe; default: the rig's.")
+]
+Fast = Annotated[bool, typer.Option("--fast", help="Virtual time; simulated rigs only.")]
+Seed = Annotated[int, typer.Option(help="Seed of the simulator.", min=0)]
+Yes = Annotated[bool, typer.Option("--yes", help="Arm without asking.")]
+Operator = Annotated[str, typer.Option(help="By whom; goes into the archive.")]
+Note = Annotated[str, typer.Option(help="A remark; goes into what is written.")]
 Archive = Annotated[Path, typer.Argument(metavar="RUN", help="Archive, or its run id in the data folder.")]
 Archives = Annotated[list[Path], typer.Argument(metavar="RUN..", help="Archives, or run ids in the data folder.")]
 Parameters = Annotated[

@@ -15,6 +15,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
+from protocols import BadInput, Problem
 from rig.executor.base import StartError
 from rig.executor.door import door_of
 from rig.live.gate import Keys
@@ -48,7 +49,8 @@ def open_page(listen: str, port: int, *, run: Path | None = None, archive: Path 
     """Start showing a run (by its door) or an archive on an address; the port is the next free one from `port` on.
 
     Raises:
-        StartError: the address is not one of this machine, or no port is free.
+        BadInput: the address is not one of this machine.
+        StartError: no port is free.
     """
     address = _address(listen)
     bound = _bind(address, port)
@@ -130,9 +132,12 @@ def _address(listen: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address:
     try:
         return ipaddress.ip_address(listen)
     except ValueError:
-        raise StartError(
-            f"--listen {listen}: expected an address of this machine, such as 192.168.1.20, or 0.0.0.0 for all"
-        ) from None
+        raise _not_here(listen) from None
+
+
+def _not_here(listen: str) -> BadInput:
+    wish = "an address of this machine, such as 192.168.1.20, or 0.0.0.0 for all"
+    return BadInput([Problem("--listen", 0, 0, "", listen, wish)])
 
 
 def _bind(address: ipaddress.IPv4Address | ipaddress.IPv6Address, port: int) -> socket.socket:
@@ -148,7 +153,7 @@ def _bind(address: ipaddress.IPv4Address | ipaddress.IPv6Address, port: int) -> 
             if isinstance(error, PermissionError):
                 raise StartError(f"port {candidate} may not be used: {error.strerror}") from error
             if error.errno == errno.EADDRNOTAVAIL:
-                raise StartError(f"--listen {address}: this machine does not have that address") from error
+                raise _not_here(str(address)) from error
         else:
             return bound
     raise StartError(f"no free port from {port} to {port + PORTS_TRIED - 1}; choose another with --port")

@@ -66,7 +66,9 @@ class Playing:
             "actuators": header.actuators,
             "camera": None,
             "duration": self.duration_s,
-            "limit": self._config.limits.pressure_bar if self._config else float(self.pressure_rows[:, 1:].max()),
+            "limit": self._config.limits.pressure_bar
+            if self._config
+            else float(np.nanmax(self.pressure_rows[:, 1:], initial=0.0)),
             "length": self._config.arm.geometry.length_mm if self._config else 170.0,
             "end": self.end_s,
         }
