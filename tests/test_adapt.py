@@ -21,10 +21,10 @@ from runs.run import Run
 
 PERIOD_S = 2 * np.pi
 ONE_PERIOD = """
-title: One period of sine-1
+title: Somewhat more than one period of sine-1
 steps:
   - sine:
-      {actuators: [1], mean_bar: 0.35, amplitude_bar: 0.25, omega_rad_s: 1, phase_deg: 240, periods: 2, lead_in_s: 3}
+      {actuators: [1], mean_bar: 0.35, amplitude_bar: 0.25, omega_rad_s: 1, phase_deg: 240, periods: 1.4, lead_in_s: 3}
 """
 COVARIANCE = np.diag(np.square([0.06e-3, 0.35e-3, 0.08e-3]))
 
@@ -41,7 +41,7 @@ def ran(folder: Path, seed: int, *more: str) -> Run:
 
 @pytest.fixture(scope="module")
 def runs(tmp_path_factory: pytest.TempPathFactory) -> list[Run]:
-    return [ran(tmp_path_factory.mktemp("adapt"), seed, "--adapt") for seed in (3, 4)]
+    return [ran(tmp_path_factory.mktemp("adapt"), seed, "--adapt") for seed in (3,)]
 
 
 def test_the_live_error_is_at_least_halved_after_one_period(runs: list[Run]) -> None:

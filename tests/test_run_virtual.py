@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import protocols
 import runs
 from protocols import BadInput
 from rig import experiment
@@ -48,8 +49,10 @@ def protocol_file(folder: Path, steps: str) -> str:
 
 @pytest.fixture(scope="module")
 def ramp_a(tmp_path_factory: pytest.TempPathFactory) -> Run:
-    """The paper's staircase on actuator 1, once for every test that looks at it."""
-    return run_fast(tmp_path_factory.mktemp("ramp-a"), "ramp-a")
+    """The paper's staircase on actuator 1, each level held for half as long, once for every test that looks at it."""
+    folder = tmp_path_factory.mktemp("ramp-a")
+    (folder / "ramp-a.yaml").write_text(protocols.load("ramp-a").text.replace("dwell_s: 4", "dwell_s: 2"))
+    return run_fast(folder, str(folder / "ramp-a.yaml"))
 
 
 @pytest.fixture(scope="module")
@@ -105,7 +108,8 @@ def test_the_archive_names_every_number_that_the_model_used(ramp_a: Run) -> None
 
 
 def test_the_sinusoid_is_tracked_within_ten_millibar_rms(tmp_path: Path) -> None:
-    run = run_fast(tmp_path, "sine-2")
+    (tmp_path / "sine-2.yaml").write_text(protocols.load("sine-2").text.replace("periods: 4", "periods: 1"))
+    run = run_fast(tmp_path, str(tmp_path / "sine-2.yaml"))
     (sine,) = [s for s in run.header.intervals if s.kind == "sine"]
     pressure = run.pressure
     during = (pressure.protocol_s >= sine.start_s) & (pressure.protocol_s < sine.stop_s)
