@@ -12,7 +12,8 @@ from rig.config import RigConfig
 from rig.daq.base import CardError, Scans
 from rig.simulator import pneumatics
 from rig.simulator.converter import sixteen_bits
-from rig.simulator.faults import Faults, FaultySensors, FaultyValves
+from rig.simulator.faults import Faults
+from rig.simulator.faulty import FaultySensors, FaultyValves
 from rig.simulator.history import POSE_DTYPE, pose_among
 from rig.simulator.pneumatics import STEP_NS
 from rig.simulator.pose import TipPose
