@@ -169,7 +169,9 @@ def test_wishes_are_passed_on_with_who_has_them(conducted: Conducted, memory: Ru
     visit.close()
 
 
-@pytest.mark.parametrize("packet", [b"{", b"[]", b'{"do": "fly"}', b"null", b"\xff", b'{"do": ["stop"]}', b"1" * 4096])
+@pytest.mark.parametrize(
+    "packet", [b"{", b"[]", b'{"do": "fly"}', b"null", b"\xff", b'{"do": ["stop"]}', b"1" * 4096, b"[" * 4096]
+)
 def test_nonsense_is_shown_out_and_the_door_stays_open(conducted: Conducted, packet: bytes) -> None:
     visitor = knock(conducted.door.path)
     assert visitor is not None

@@ -117,7 +117,7 @@ class Door:
                 self._answer(visitor, json.loads(packet), carry_out)
         except BlockingIOError:
             return True
-        except (OSError, ValueError, TypeError, AttributeError):
+        except (OSError, ValueError, TypeError, AttributeError, RecursionError):
             return False
         return True
 
