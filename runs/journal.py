@@ -14,6 +14,7 @@ import os
 import struct
 import time
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -138,7 +139,9 @@ class JournalWriter:
             while rest:
                 rest = rest[os.write(self._fd, rest) :]
         except OSError as fault:
-            os.ftruncate(self._fd, self._size)
+            # A disk that has turned read-only takes not even that; what is torn is told from what is whole on reading.
+            with suppress(OSError):
+                os.ftruncate(self._fd, self._size)
             if fault.errno in NO_ROOM:
                 self._full = f"the disk with {self.path} is full ({fault.strerror}); what was recorded is intact"
                 raise JournalFullError(self._full) from fault

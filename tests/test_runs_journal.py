@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import errno
 import os
 import random
 import resource
@@ -287,6 +288,21 @@ def test_a_run_stops_while_the_disk_still_has_room_for_its_archive(
     assert not (tmp_path / "b.mcap").exists()
     writer.close(RunFooter(made_up.START_NS, Status.ABORTED, "the disk is nearly full"))
     assert len(journal.read(path).samples) == 40, "the rows of the call that was refused are kept too"
+
+
+def test_a_disk_that_turns_read_only_is_told_as_what_it_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refused(*_: object) -> int:
+        raise OSError(errno.EROFS, os.strerror(errno.EROFS))
+
+    writer = JournalWriter(tmp_path / "run.mcap", made_up.header())
+    writer.samples(made_up.samples(0.5))
+    with monkeypatch.context() as readonly:
+        readonly.setattr(os, "write", refused)
+        readonly.setattr(os, "ftruncate", refused)
+        with pytest.raises(JournalError, match=r"cannot write .*Read-only file system"):
+            writer.samples(made_up.samples(0.5))
+    writer.close(RunFooter(0, Status.ABORTED, ""))
+    assert len(journal.read(tmp_path / "run.mcap").samples) == len(made_up.samples(0.5))
 
 
 def test_what_is_older_than_a_second_is_on_the_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
