@@ -10,7 +10,7 @@ import traceback
 from collections.abc import Callable, Sequence
 from contextlib import nullcontext, suppress
 from dataclasses import dataclass
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import TypeVar, get_args
 
@@ -183,7 +183,9 @@ def _run(request: Request, decided: Plan, audience: Audience, draw: Callable[[Pa
 
     def armed(t_ns: int) -> JournalWriter:
         nonlocal journal
-        about = header(request, decided, t_ns)
+        # The first tick is yet to come; virtual time has no place in the calendar but its beginning.
+        ahead_ns = 0 if request.fast else t_ns - time.monotonic_ns()
+        about = header(request, decided, t_ns, ahead_ns)
         journal = JournalWriter(request.folder / f"{about.run_id}.mcap", about)
         return journal
 
@@ -234,9 +236,9 @@ def _parameters(archive: Path) -> Path | None:
     return write_parameters(Run(archive))
 
 
-def header(request: Request, decided: Plan, t_ns: int) -> RunHeader:
-    """Everything known about a run before its first sample."""
-    now = datetime.now(UTC)
+def header(request: Request, decided: Plan, t_ns: int, ahead_ns: int = 0) -> RunHeader:
+    """Everything known about a run before its first sample, which is due at `t_ns`, so long from now."""
+    now = datetime.now(UTC) + timedelta(microseconds=ahead_ns / 1e3)
     commit, diff = git_state()
     config, protocol = request.config, request.protocol
     return RunHeader(
