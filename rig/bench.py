@@ -55,7 +55,7 @@ class Bench:
     """The open cards of a rig. Methods may raise `CardError`."""
 
     def __init__(self, config: RigConfig, cards: Mapping[str, Card]) -> None:
-        """`cards` are open, by their names in the rig, set up as `card_setup` says."""
+        """`cards` are open, by their names in the rig, set up as `card_setup` says; who only writes may have some."""
         self._cards = dict(cards)
         self._sensors = sorted(config.sensors, key=lambda s: s.actuator)
         # A sensor is linear in voltage: two of its points say it all.
@@ -170,15 +170,17 @@ class Bench:
         if failures:
             raise CardError(f"{UNSAFE}: {'; '.join(failures)}")
 
-    def arm(self) -> None:
-        """Write the safe voltages, read them back and compare.
+    def arm(self, *, vent: bool = False) -> None:
+        """Write the safe voltages as `make_safe` does, read them back and compare.
 
         Raises:
             CardError: an output does not stand where it was told to.
         """
-        self.make_safe()
+        self.make_safe(vent=vent)
         stands = self.readback()
-        for i, (valve, safe) in enumerate(zip(self._valves, self.safe_voltages, strict=True)):
+        voltages = self._vent_voltages if vent else self.safe_voltages
+        for i in sorted(i for column in self._outputs.values() for i in column):
+            valve, safe = self._valves[i], voltages[i]
             if not abs(stands[i] - safe) <= self._tolerance_v[i]:
                 raise CardError(
                     f"valve {i + 1} (card {valve.card}, output {valve.channel}) was told {safe:.3f} V but stands at "
@@ -192,19 +194,63 @@ class Bench:
 
 
 def open_bench(config: RigConfig, *, watchdog: bool = False) -> Bench:
-    """Open every card of the rig. A watchdog only writes: it asks for no inputs, which control may hold for itself."""
+    """Open every card of the rig. A watchdog only writes: it asks for no inputs, which control may hold for itself.
+
+    Raises:
+        CardError: a card cannot be opened.
+    """
     cards: dict[str, Card] = {}
     try:
         for name, card in config.cards.items():
-            setup = card_setup(config, name)
-            if watchdog:
-                setup = replace(setup, inputs=())
-            cards[name] = open_card(card, setup)
+            cards[name] = _to_write(config, name) if watchdog else open_card(card, card_setup(config, name))
     except BaseException:
         for opened in cards.values():
             opened.close()
         raise
     return Bench(config, cards)
+
+
+def open_outputs(config: RigConfig, card: str) -> Bench:
+    """Open one card of the rig, to write its valves alone.
+
+    Raises:
+        CardError: it cannot be opened.
+    """
+    return Bench(config, {card: _to_write(config, card)})
+
+
+def cards_with_valves(config: RigConfig) -> tuple[str, ...]:
+    """The cards that have anything to make safe."""
+    return tuple(name for name in config.cards if any(valve.card == name for valve in config.valves))
+
+
+def make_safe(config: RigConfig, *, vent: bool) -> None:
+    """Write the safe state to every card of a rig by handles that are opened for it; one that fails stops no other.
+
+    Raises:
+        CardError: one or more cannot be opened or written.
+    """
+    failures: list[CardError] = []
+    for name in cards_with_valves(config):
+        try:
+            bench = open_outputs(config, name)
+        except CardError as error:
+            failures.append(error)
+            continue
+        try:
+            bench.make_safe(vent=vent)
+        except CardError as error:
+            failures.append(error)
+        finally:
+            bench.close()
+    if len(failures) == 1:
+        raise failures[0]
+    if failures:
+        raise CardError("; ".join(map(str, failures)))
+
+
+def _to_write(config: RigConfig, name: str) -> Card:
+    return open_card(config.cards[name], replace(card_setup(config, name), inputs=()))
 
 
 def _insist(card: Card, volts: NDArray[np.float64]) -> str:

@@ -5,20 +5,59 @@ from __future__ import annotations
 import contextlib
 import fcntl
 import os
+import re
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from datetime import datetime
 from pathlib import Path
 
-from rig.config import RigConfig
+from rig.config import CardConfig, RigConfig
 from rig.daq.base import CardError
+from rig.daq.kernel import comedi
+
+FOLDER = Path("/tmp")
+"""Where every program of the machine finds the locks, whatever folder it keeps its own temporary files in."""
 
 
-def lock_file(driver: str, device: str) -> Path:
-    """Where the lock of a device lies: one place for all users of the machine."""
-    name = "".join(c if c.isalnum() else "-" for c in f"{driver}-{device}")
-    return Path(tempfile.gettempdir()) / f"softrig-{name}.lock"
+def lock_file(card: CardConfig) -> Path:
+    """Where the lock of a card lies: one place, by whatever name a rig calls the card.
+
+    A mock card is its user's alone, as the file behind it is.
+    """
+    device = f"{os.getuid()}-{card.device}" if card.driver == "mock" else _node(card.device)
+    name = "".join(c if c.isalnum() else "-" for c in f"{card.driver}-{device}")
+    return (FOLDER if FOLDER.is_dir() else Path(tempfile.gettempdir())) / f"softrig-{name}.lock"
+
+
+def _node(device: str) -> str:
+    """The device node behind a symbolic link or a board's name; the name itself where it stands for no one card."""
+    if device.startswith("/"):
+        return os.path.realpath(device)
+    known = comedi()
+    minors = [card.minor for card in known.attached if card.board.casefold() == device.casefold()] if known else []
+    return f"/dev/comedi{minors[0]}" if len(minors) == 1 else device
+
+
+def holders(config: RigConfig) -> tuple[int, ...]:
+    """Processes that hold a card of the rig, as far as this user may see them."""
+    found = []
+    for card in config.cards.values():
+        path = lock_file(card)
+        with contextlib.suppress(OSError):
+            named = re.match(r"process (\d+),", path.read_text(errors="replace"))
+            # What is written there may be left over; who holds the lock has the file open.
+            if named and _has_open(int(named[1]), path):
+                found.append(int(named[1]))
+    return tuple(found)
+
+
+def _has_open(pid: int, path: Path) -> bool:
+    for link in Path(f"/proc/{pid}/fd").iterdir():
+        with contextlib.suppress(OSError):
+            if link.samefile(path):
+                return True
+    return False
 
 
 @contextmanager
@@ -31,7 +70,7 @@ def cards_locked(config: RigConfig, purpose: str) -> Iterator[None]:
     held: list[int] = []
     try:
         for name, card in sorted(config.cards.items()):
-            path = lock_file(card.driver, card.device)
+            path = lock_file(card)
             try:
                 fd = _open(path)
             except OSError as error:

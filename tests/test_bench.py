@@ -7,9 +7,11 @@ import pytest
 from numpy.typing import NDArray
 from plant_bench import mock_rig
 
-from rig.bench import Bench, card_setup
-from rig.config import RigConfig
+import rig.bench
+from rig.bench import Bench, card_setup, make_safe
+from rig.config import CardConfig, RigConfig
 from rig.daq.base import CardError, CardSetup, Scans
+from rig.vent import vent
 
 
 class FakeCard:
@@ -130,3 +132,29 @@ def test_starting_and_closing_reach_every_card(bench: Bench, cards: dict[str, Fa
     bench.start()
     bench.close()
     assert all(card.started and card.closed for card in cards.values())
+
+
+def test_valves_of_one_card_are_made_safe_by_it_alone(cards: dict[str, FakeCard]) -> None:
+    bench = Bench(two_card_rig(), {"other": cards["other"]})
+    bench.arm()
+    assert cards["other"].outputs.tolist() == [5.0]
+    bench.arm(vent=True)
+    assert cards["other"].outputs.tolist() == [0.0]
+    assert np.isnan(cards["daq"].outputs).all()
+
+
+def test_a_card_that_cannot_be_opened_keeps_no_other_from_its_safe_state(
+    cards: dict[str, FakeCard], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def opened(card: CardConfig, setup: CardSetup) -> FakeCard:
+        if setup.name == "daq":
+            raise CardError("card daq is not there")
+        return cards[setup.name]
+
+    monkeypatch.setattr(rig.bench, "open_card", opened)
+    with pytest.raises(CardError, match="card daq is not there"):
+        make_safe(two_card_rig(), vent=True)
+    assert cards["other"].outputs.tolist() == [0.0]
+    with pytest.raises(CardError, match="card daq is not there"):
+        vent(two_card_rig())
+    assert cards["other"].closed

@@ -2,20 +2,33 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from rig.config import CardConfig
 from rig.daq.base import Card, CardSetup
 
 
+def card_type(card: CardConfig) -> Callable[[CardSetup], Card]:
+    """What opens a card with the driver that the rig names; a driver is loaded only when it is used.
+
+    Raises:
+        CardError: the driver cannot be loaded.
+    """
+    if card.driver == "comedi":
+        from rig.daq.comedi import ComediCard
+        from rig.daq.comedi_device import require
+
+        require()
+        return ComediCard
+    from rig.daq.mock import MockCard
+
+    return MockCard
+
+
 def open_card(card: CardConfig, setup: CardSetup) -> Card:
-    """Open a card with the driver that the rig names; a driver is imported only when it is used.
+    """Open a card.
 
     Raises:
         CardError: the card cannot be opened.
     """
-    if card.driver == "comedi":
-        from rig.daq.comedi import ComediCard
-
-        return ComediCard(setup)
-    from rig.daq.mock import MockCard
-
-    return MockCard(setup)
+    return card_type(card)(setup)

@@ -340,9 +340,9 @@ def _how_to_join(owner: grp.struct_group) -> str:
 
 def _holders(path: str) -> tuple[int, ...]:
     """Processes that have the device open, as far as this user may see them."""
-    pids = set()
+    pids, node = set(), os.path.realpath(path)
     for link in Path("/proc").glob("[0-9]*/fd/*"):
         with contextlib.suppress(OSError):
-            if str(link.readlink()) == path:
+            if str(link.readlink()) == node:
                 pids.add(int(link.parts[2]))
     return tuple(sorted(pids))

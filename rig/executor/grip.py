@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from rig.bench import Bench, open_bench
+from rig.bench import Bench, make_safe, open_bench
 from rig.config import RigConfig
 from rig.daq.base import CardBusyError
 
@@ -42,11 +42,7 @@ class Grip:
         if self._bench is not None:
             self._bench.make_safe(vent=vent)
             return
-        bench = open_bench(self._config, watchdog=True)
-        try:
-            bench.make_safe(vent=vent)
-        finally:
-            bench.close()
+        make_safe(self._config, vent=vent)
 
     def close(self) -> None:
         """Release the cards; the outputs keep their voltages."""

@@ -1,0 +1,111 @@
+"""One run per card by whatever name it is called, and `rig vent` whatever that run is doing."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import rig.rig_file
+from rig import lock
+from rig.config import CardConfig, RigConfig
+from rig.daq.base import CardError
+from rig.daq.comedi_device import _holders
+from rig.daq.kernel import Attached, Comedi
+from rig.daq.mock import MockCard
+from rig.lock import cards_locked, holders, lock_file
+from rig.simulator.registers import Registers
+from rig.vent import vent
+
+HOLD = (
+    "import sys, time\nimport rig.rig_file\nfrom rig.lock import cards_locked\n"
+    "with cards_locked(rig.rig_file.load(sys.argv[1]), 'a run that has not begun'):\n"
+    "    print('held', flush=True)\n    time.sleep(60)\n"
+)
+
+
+def text() -> str:
+    return rig.rig_file.text("mock").replace("device: mock0", f"device: vented-{os.getpid()}")
+
+
+@pytest.fixture
+def registers() -> Iterator[Registers]:
+    registers = Registers.create(f"vented-{os.getpid()}", 2, 8)
+    yield registers
+    path = registers.path
+    registers.close()
+    path.unlink()
+
+
+@pytest.fixture
+def config(registers: Registers) -> Iterator[RigConfig]:
+    config = rig.rig_file.parse(text(), "rig.yaml")
+    yield config
+    for card in config.cards.values():
+        lock_file(card).unlink(missing_ok=True)
+
+
+def comedi_card(device: str) -> CardConfig:
+    return CardConfig(driver="comedi", device=device, inputs=1, outputs=1)
+
+
+def test_a_card_has_one_lock_by_its_node_a_link_to_it_and_its_boards_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    boards = (Attached(0, "adv_pci1710", "pci1716"), Attached(1, "comedi_test", "comedi_test"))
+    monkeypatch.setattr(lock, "comedi", lambda: Comedi("0.7.76", boards, ()))
+    link = tmp_path / "card"
+    link.symlink_to("/dev/comedi0")
+    node = lock_file(comedi_card("/dev/comedi0"))
+    assert lock_file(comedi_card(str(link))) == node
+    assert lock_file(comedi_card("PCI1716")) == node
+    assert lock_file(comedi_card("comedi_test")) == lock_file(comedi_card("/dev/comedi1"))
+    assert lock_file(comedi_card("another")) != node
+
+
+def test_the_lock_lies_in_the_same_place_wherever_a_program_keeps_its_temporary_files(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    before = lock_file(comedi_card("/dev/comedi0"))
+    monkeypatch.setattr(lock.tempfile, "tempdir", str(tmp_path))
+    assert lock_file(comedi_card("/dev/comedi0")) == before
+
+
+def test_who_holds_a_lock_is_known_while_he_does(config: RigConfig) -> None:
+    assert holders(config) == ()
+    with cards_locked(config, "a test"):
+        assert holders(config) == (os.getpid(),)
+    assert holders(config) == ()
+
+
+def test_a_run_that_has_not_begun_is_told_to_end(config: RigConfig, registers: Registers, tmp_path: Path) -> None:
+    """Its valves stand where `rig vent` puts them: it would not notice."""
+    file = tmp_path / "rig.yaml"
+    file.write_text(text())
+    with subprocess.Popen([sys.executable, "-c", HOLD, file], stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "held\n"
+        vent(config)
+        assert process.wait(20) == -signal.SIGTERM
+
+
+def test_valves_that_do_not_stay_where_they_are_told_are_not_called_vented(
+    config: RigConfig, registers: Registers, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(MockCard, "readback", lambda card: np.array([0.0, 7.0]))
+    with pytest.raises(CardError, match=r"valve 2 .* was told 0\.000 V but stands at 7\.000 V"):
+        vent(config)
+
+
+def test_who_has_a_card_open_is_found_behind_a_link_to_it(tmp_path: Path) -> None:
+    node, link = tmp_path / "comedi0", tmp_path / "card"
+    node.touch()
+    link.symlink_to(node)
+    with node.open():
+        assert _holders(str(link)) == (os.getpid(),)
