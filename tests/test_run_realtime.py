@@ -14,7 +14,7 @@ import pytest
 from rig_process import BRIEF, SHORT, rig_run
 
 import runs
-from rig.simulator.faults import ValveFault
+from rig.simulator.faults import CameraFault, ValveFault
 from rig.simulator.registers import Registers
 from runs.records import Status
 from runs.recovery import recover
@@ -106,6 +106,22 @@ def test_a_killed_conductor_leaves_safe_valves_and_a_journal_that_can_be_recover
     assert len(archive.pressure.time_s) > 50
 
 
+@pytest.mark.parametrize("how", ["camera lost, too", "just told to stop"])
+def test_the_last_one_left_makes_the_valves_safe_whatever_else_it_has_to_do(tmp_path: Path, how: str) -> None:
+    with rig_run(tmp_path) as run:
+        run.wait_until_pressurised()
+        victims = [run.pid_of(module) for module in (CONTROL, WATCHDOG)]
+        if how == "just told to stop":
+            os.kill(run.process.pid, signal.SIGINT)
+        else:
+            registers = Registers.attach(run.device)
+            registers.faults.inject(camera=CameraFault.UNPLUGGED)
+            registers.close()
+        for pid in (*victims, run.process.pid):
+            os.kill(pid, signal.SIGKILL)
+        run.wait_until_safe()
+
+
 def test_a_hung_conductor_makes_the_valves_safe_and_the_run_aborted_once_it_wakes(tmp_path: Path) -> None:
     with rig_run(tmp_path) as run:
         run.wait_until_pressurised()
@@ -154,6 +170,16 @@ def test_rig_vent_makes_the_valves_safe_while_a_run_hangs(tmp_path: Path) -> Non
         run.wait_until_safe(1.0)
         for pid in pids:
             os.kill(pid, signal.SIGCONT)
+
+
+def test_rig_vent_keeps_a_run_that_starts_from_beginning(tmp_path: Path) -> None:
+    with rig_run(tmp_path) as run:
+        run.wait_until_started()
+        vent = [sys.executable, "-m", "rig", "vent", "--rig", str(run.rig_file)]
+        subprocess.run(vent, check=True, capture_output=True)
+        assert run.end() == 130, run.output
+        assert run.valves_are_safe()
+        assert "before the run began" in run.output
 
 
 def test_an_over_pressure_stops_the_run(tmp_path: Path) -> None:

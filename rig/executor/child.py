@@ -1,16 +1,22 @@
-"""Starting the processes of a run: a module, a job, the shared memory."""
+"""Starting the processes of a run: a module, a job, the shared memory, and each one's turn to touch the devices."""
 
 from __future__ import annotations
 
 import os
 import pickle
+import select
 import signal
 import subprocess
 import sys
+import time
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from rig.executor.base import Plan
-from rig.executor.memory import Layout, RunMemory
+from rig.executor.life import Life
+from rig.executor.memory import Layout, RunMemory, Stop
+
+TURN_S = 0.002
 
 
 @dataclass(frozen=True)
@@ -43,13 +49,43 @@ def spawn(module: str, job: Job) -> subprocess.Popen[bytes]:
     return process
 
 
+def ended_within(process: subprocess.Popen[bytes], timeout_s: float) -> bool:
+    """Wait for a process; True once it has ended. `Popen.wait` looks only every twentieth of a second."""
+    if process.poll() is None:
+        exit_fd = os.pidfd_open(process.pid)
+        try:
+            select.select([exit_fd], [], [], timeout_s)
+        finally:
+            os.close(exit_fd)
+    return process.poll() is not None
+
+
 def receive() -> tuple[Job, RunMemory]:
-    """In the child: the job and the shared memory."""
+    """In the child: the job and the shared memory. Ends the process where the conductor died before it said what."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    job: Job = pickle.load(sys.stdin.buffer)  # written by our own parent, over a pipe
+    try:
+        job: Job = pickle.load(sys.stdin.buffer)  # written by our own parent, over a pipe
+    except (EOFError, pickle.UnpicklingError):
+        raise SystemExit(1) from None
     return job, RunMemory(job.fd, Layout.of(job.plan.config, len(job.plan.adapted)))
 
 
-def orphaned(job: Job) -> bool:
-    """True once the conductor is gone."""
-    return os.getppid() != job.conductor_pid
+def conductor_of(job: Job) -> Life:
+    """In the child: the life of its conductor."""
+    life = Life(job.conductor_pid)
+    if os.getppid() != job.conductor_pid:
+        # Gone already; the number may be somebody else's by now.
+        life.close()
+    return life
+
+
+def await_turn(memory: RunMemory, conductor: Life, come: Callable[[], bool]) -> bool:
+    """Wait until this process may touch the devices; False when the run is over before it began.
+
+    What a process has to load takes longer than all else in a start: all load at once, and then come in their order.
+    """
+    while not come():
+        if memory.get("stop") != Stop.NONE or conductor.over:
+            return False
+        time.sleep(TURN_S)
+    return True

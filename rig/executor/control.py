@@ -13,22 +13,30 @@ from numpy.typing import NDArray
 from rig.bench import Bench, open_bench
 from rig.daq.base import CardError
 from rig.executor import clocks
-from rig.executor.child import Job, orphaned, receive
+from rig.executor.child import Job, await_turn, conductor_of, receive
 from rig.executor.clock import Silence, become_ordinary, become_real_time, wait_until
+from rig.executor.life import Life
 from rig.executor.memory import RunMemory, Stage, Stop
 from rig.executor.tick import Ticker
 from rig.executor.venting import PATIENCE_S, Venting
 
 WATCHDOG_SILENT_NS = 1_000_000_000
 LEAD_IN_NS = 5_000_000
-REHEARSED_TICKS = 20
+REHEARSED_TICKS = 10
+FIRST_SCAN_S = 0.2
 CLOCKS_TOLD_EVERY = 200
 
 
 def main() -> int:
     """Arm, run, make safe; the valves are safe before anything is said."""
     job, memory = receive()
-    signal.signal(signal.SIGTERM, lambda *_: memory.set("stop", Stop.TERMINATED))
+    signal.signal(signal.SIGTERM, lambda *_: memory.ask_to_stop(Stop.TERMINATED))
+    conductor = conductor_of(job)
+    # The watchdog has the cards first: of one that lets in one process it must know that.
+    if not await_turn(memory, conductor, lambda: memory.stage("watchdog") is Stage.READY):
+        memory.say("control", Stage.DONE)
+        return 0
+    memory.beat("control", time.monotonic_ns())
     try:
         bench = open_bench(job.plan.config)
     except CardError as error:
@@ -42,7 +50,7 @@ def main() -> int:
         clocks.publish(memory, bench)
         warnings = become_real_time(priority=50)
         memory.say("control", Stage.READY, "; ".join(warnings))
-        fault = _run(job, memory, bench)
+        fault = _run(job, memory, bench, conductor)
     except CardError as error:
         fault = str(error)
     finally:
@@ -62,7 +70,7 @@ def main() -> int:
 
 def _vented(job: Job, memory: RunMemory, bench: Bench) -> str:
     """Watch the air go; what keeps it, empty when nothing does."""
-    venting = Venting(job.plan.config, bench)
+    venting = Venting(job.plan.config, bench, vent=memory.get("stop") == Stop.VENT)
     until = time.monotonic() + PATIENCE_S
     with contextlib.suppress(CardError):
         while time.monotonic() < until and not memory.get("fired_ns"):
@@ -86,12 +94,17 @@ class _Mute:
 def _rehearse(job: Job, bench: Bench) -> None:
     """Play some ticks with the valves left alone: what is imported or compiled at its first use is ready by then."""
     ticker = Ticker(job.plan, _Mute(bench))
+    period_s = ticker.period_ns * 1e-9
+    # Without a scan a tick goes no further than that there is none.
+    until = time.monotonic() + FIRST_SCAN_S
+    while not ticker.listen() and time.monotonic() < until:
+        time.sleep(period_s)
     for number in range(REHEARSED_TICKS):
         ticker.tick(number, time.monotonic_ns(), 1, 0, False, 0, 0)
-        time.sleep(ticker.period_ns * 1e-9)
+        time.sleep(period_s)
 
 
-def _run(job: Job, memory: RunMemory, bench: Bench) -> str:
+def _run(job: Job, memory: RunMemory, bench: Bench, conductor: Life) -> str:
     """Loop until the protocol ends or someone asks to stop; return what went wrong, empty when nothing did."""
     ticker = Ticker(job.plan, bench)
     period = ticker.period_ns
@@ -101,7 +114,7 @@ def _run(job: Job, memory: RunMemory, bench: Bench) -> str:
         time.sleep(0.002)
         if memory.get("stop") != Stop.NONE:
             return ""
-        if orphaned(job):
+        if conductor.over:
             return "the conductor died before the run began"
     memory.beat("control", time.monotonic_ns())
     memory.say("control", Stage.RUNNING, memory.message("control"))
@@ -116,7 +129,7 @@ def _run(job: Job, memory: RunMemory, bench: Bench) -> str:
             return "the watchdog took the bench over"
         if disturbance := bench.disturbance():
             return disturbance
-        if orphaned(job):
+        if conductor.over:
             return "the conductor died"
         if watchdogs.look(now, memory.heartbeat_ns("watchdog")) > WATCHDOG_SILENT_NS:
             return "the watchdog is silent"

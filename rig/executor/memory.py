@@ -61,6 +61,7 @@ _BOARD = np.dtype(
         ("conductor", _PROCESS),
         ("control_pid", "<i8"),
         ("watchdog_pid", "<i8"),
+        ("plant_starting", "<i8"),
         ("go_ns", "<i8"),
         ("stop", "<i8"),
         ("held", "<i8"),
@@ -178,6 +179,11 @@ class RunMemory:
     def set(self, field: str, value: float) -> None:
         """Write one flag."""
         self.board[field][0] = value
+
+    def ask_to_stop(self, why: Stop) -> None:
+        """Ask every process to end with the valves safe. Who asks first is told of; to vent wins over all else."""
+        if why is Stop.VENT or self.get("stop") == Stop.NONE:
+            self.set("stop", why)
 
     def stage(self, process: str) -> Stage:
         """How far a process is."""

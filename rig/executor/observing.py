@@ -11,11 +11,11 @@ import numpy as np
 
 from rig.cameras.base import CameraError, Shot
 from rig.cameras.together import Together
-from rig.executor.child import Job, orphaned, receive
+from rig.executor.child import Job, await_turn, conductor_of, receive
 from rig.executor.memory import RunMemory, Stage, Stop
 from rig.executor.pictures import Album
 from rig.executor.showing import Show
-from rig.executor.standin import forsaken, outlive
+from rig.executor.standin import Guard
 from rig.observer import Observer
 
 REHEARSED_FRAMES = 3
@@ -25,21 +25,32 @@ HISTORY = 400
 
 
 def main() -> int:
-    """Observe until told to stop."""
+    """Observe until told to stop; stay until the bench is safe."""
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
     job, memory = receive()
+    guard = Guard(job, memory)
     try:
-        return _observe(job, memory)
+        _observe(job, memory)
     except CameraError as error:
         memory.say("observer", Stage.FAILED, str(error))
         return 1
+    except Exception as error:
+        memory.say("observer", Stage.FAILED, f"the observer process failed: {type(error).__name__}: {error}")
+        raise
+    finally:
+        guard.outlast()
+    memory.say("observer", Stage.DONE)
+    return 0
 
 
-def _observe(job: Job, memory: RunMemory) -> int:
+def _observe(job: Job, memory: RunMemory) -> None:
     config = job.plan.config
     observer = _observer(job)
     show = Show(config, memory)
     album, names = Album(config), list(config.cameras)
+    conductor = conductor_of(job)
+    if not await_turn(memory, conductor, lambda: not memory.get("plant_starting")):
+        return
     cameras = Together(config, job.plan.seed)
     try:
         # A camera that shows nothing is found before the run is armed.
@@ -47,11 +58,8 @@ def _observe(job: Job, memory: RunMemory) -> int:
         _rehearse(job, [cameras.read(FIRST_PICTURE_S) for _ in range(REHEARSED_FRAMES)])
         memory.say("observer", Stage.READY)
         previous: int | None = None
-        while memory.get("stop") == Stop.NONE and not orphaned(job):
+        while memory.get("stop") == Stop.NONE and not conductor.over:
             memory.beat("observer", time.monotonic_ns())
-            if forsaken(memory):
-                outlive(config, memory)
-                continue
             try:
                 shot = cameras.read(config.limits.no_tip_s)
             except CameraError:
@@ -69,10 +77,6 @@ def _observe(job: Job, memory: RunMemory) -> int:
                 memory.push_picture(picture, names.index(picture.camera))
     finally:
         cameras.close()
-    if orphaned(job):
-        outlive(config, memory)
-    memory.say("observer", Stage.DONE)
-    return 0
 
 
 def _observer(job: Job) -> Observer:

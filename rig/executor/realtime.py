@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import getpass
 import os
 import subprocess
@@ -12,26 +11,32 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.bench import UNSAFE
+from rig.daq import card_type
+from rig.daq.base import CardError
 from rig.executor import clocks
 from rig.executor.base import Audience, OpenRecord, Outcome, Plan, Progress, Recorder, StartError, StoppedError
-from rig.executor.child import Job, spawn
+from rig.executor.child import Job, ended_within, spawn
 from rig.executor.clock import Silence, stolen_ms
 from rig.executor.door import Door
+from rig.executor.life import Life
 from rig.executor.memory import Layout, RunMemory, Stage, Stop
 from rig.executor.requests import Action, Answer, Desk, Request
 from rig.executor.standin import SILENT_NS, stand_in
 from rig.executor.vigil import Vigil
-from rig.simulator.host import Simulation, simulated
+from rig.simulator.host import Simulation, started
 from runs.records import Event, Level, Status
 
 SLOW_START_S = 4.0
 START_TIMEOUT_S = 120.0
 """Generous: a cold compiler cache or a busy machine is not a fault."""
-LEAD_NS = 100_000_000
+LEAD_NS = 60_000_000
+START_LOOK_S = 0.005
 DRAIN_S = 0.02
 SHOW_S = 0.1
 LAST_FRAME_S = 0.5
 SAFE_TIMEOUT_S = 2.0
+STATUS_S = 1.0
+"""What a process that dies gets to give its memory back: only then its exit status is known."""
 OVERSLEPT_NS = 200_000_000
 
 STOPPED = {
@@ -48,12 +53,18 @@ def run(plan: Plan, open_record: OpenRecord, audience: Audience) -> Outcome:
     Raises:
         CardError, StartError: a device or a process did not come up.
     """
-    with simulated(plan.config, plan.rig_file, plan.seed) as plant:
+    with started(plan.config, plan.rig_file, plan.seed) as plant:
         conductor = _Conductor(plan, audience, plant)
         try:
-            return conductor.run(open_record)
-        finally:
-            conductor.end()
+            outcome = conductor.run(open_record)
+        except BaseException as error:
+            trouble = conductor.end()
+            if trouble and isinstance(error, Exception):
+                raise CardError(f"{error}; {trouble}") from error
+            raise
+        if trouble := conductor.end():
+            raise CardError(trouble)
+        return outcome
 
 
 class _Conductor:
@@ -65,7 +76,10 @@ class _Conductor:
         self.memory = RunMemory.create(Layout.of(plan.config, len(plan.adapted)))
         self.desk = Desk(self.memory, plan.trajectory)
         self.door: Door | None = None
-        self.crew: list[tuple[str, subprocess.Popen[bytes]]] = []
+        self.crew: dict[str, subprocess.Popen[bytes]] = {}
+        self.lives: dict[str, Life] = {}
+        self._stood_in = ""
+        self._judged = False
         self.vigil = Vigil(plan.config)
         self.lost_scans = 0
         # What stood still while this process did gets the time to give a sign of life.
@@ -81,20 +95,18 @@ class _Conductor:
 
     def run(self, open_record: OpenRecord) -> Outcome:
         """Start, conduct, end."""
-        job = Job(self.plan, self.memory.fd, os.getpid())
         memory = self.memory
         trouble = self._open_door()
         memory.beat("conductor", time.monotonic_ns())
-        watchdog = spawn("rig.executor.watchdog", job)
-        self.crew.append(("watchdog", watchdog))
-        memory.set("watchdog_pid", watchdog.pid)
-        self.crew.append(("observer", spawn("rig.executor.observing", job)))
-        self._await_ready("watchdog")
-        control = spawn("rig.executor.control", job)
-        self.crew.append(("control", control))
-        memory.set("control_pid", control.pid)
-        self._await_ready("control")
-        self._await_ready("observer")
+        memory.set("plant_starting", self.plant is not None)
+        for name, module in (("watchdog", "watchdog"), ("control", "control"), ("observer", "observing")):
+            self._spawn(name, f"rig.executor.{module}")
+        for card in self.plan.config.cards.values():
+            card_type(card)  # no time to load it when it is needed
+        self._await("simulator")
+        memory.set("plant_starting", False)
+        for name in self.crew:
+            self._await(name)
         stolen = stolen_ms()
         go = time.monotonic_ns() + LEAD_NS
         self.recorder = open_record(go)
@@ -112,8 +124,7 @@ class _Conductor:
         finally:
             self._make_safe()
         # The last frame is still being looked at; what a page has shown is to be in the record.
-        with contextlib.suppress(subprocess.TimeoutExpired):
-            dict(self.crew)["observer"].wait(LAST_FRAME_S)
+        ended_within(self.crew["observer"], LAST_FRAME_S)
         self._drain()
         if memory.stage("control") == Stage.FAILED and status is not Status.ABORTED:
             status, message = Status.ABORTED, f"{message}; {memory.message('control')}".removeprefix("; ")
@@ -121,12 +132,15 @@ class _Conductor:
         if memory.get("fired_ns") and status is not Status.ABORTED:
             status, message = Status.ABORTED, memory.message("watchdog") or "the watchdog took the bench over"
         safe_ns = memory.get("safe_ns") or memory.get("fired_ns")
-        if trouble := self._unsafe():
+        trouble = self._unsafe()
+        if self._stood_in:
+            self._event(Level.FAULT, "conductor", self._stood_in)
+        if trouble:
             status = Status.ABORTED
             message = message if UNSAFE in message else f"{message}; {trouble}".removeprefix("; ")
             self._event(Level.FAULT, "watchdog", trouble)
         else:
-            writer = "control" if memory.get("safe_ns") else "watchdog"
+            writer = "conductor" if self._stood_in else "control" if memory.get("safe_ns") else "watchdog"
             self._event(Level.INFO, writer, "the valves are in their safe state")
         counters = {
             "missed_deadlines": self.missed,
@@ -141,21 +155,27 @@ class _Conductor:
         memory.say("conductor", Stage.DONE, f"{status}: {message}".removesuffix(": "))
         return Outcome(status, message, safe_ns or time.monotonic_ns(), counters)
 
-    def end(self) -> None:
-        """Leave no process behind. Safe to call at any time, more than once."""
-        if self.memory.get("stop") == Stop.NONE:
-            self.memory.set("stop", Stop.SAFE)
+    def end(self) -> str:
+        """Leave no process behind; may be called at any time. Returns what is wrong with the valves then."""
+        memory = self.memory
+        memory.ask_to_stop(Stop.SAFE)
         if self.door is not None:
             self.door.close()
+        said = ""
         # The watchdog goes last: it is the one that writes the safe state when the others cannot.
-        for name, process in sorted(self.crew, key=lambda member: member[0] == "watchdog"):
-            try:
-                process.wait(SAFE_TIMEOUT_S)
-            except subprocess.TimeoutExpired:
+        for name, process in sorted(self.crew.items(), key=lambda member: member[0] == "watchdog"):
+            if not ended_within(process, SAFE_TIMEOUT_S):
                 process.kill()
                 process.wait()
                 if name == "watchdog":
-                    raise StartError("the watchdog did not end; check the valves and run `rig vent`") from None
+                    said = "the watchdog did not end; check the valves and run `rig vent`"
+        for life in self.lives.values():
+            life.close()
+        # Control gives a sign of life before it touches a card; before that nobody has moved a valve.
+        if not self._judged and memory.heartbeat_ns("control") and not self._written():
+            trouble = stand_in(self.plan.config, memory)
+            return trouble if not trouble or UNSAFE in trouble else f"{UNSAFE}: {trouble}"
+        return said
 
     def _conduct(self) -> tuple[Status, str]:
         memory = self.memory
@@ -176,6 +196,9 @@ class _Conductor:
                 self._event(Level.FAULT, "conductor", STOPPED[stop])
                 return Status.ABORTED, STOPPED[stop]
             if fault := self._fault():
+                # First of all: neither a slow disk nor a process that is long in dying is to be waited for.
+                self._make_safe()
+                fault = self._explained(*fault)
                 self._event(Level.FAULT, *fault)
                 return Status.ABORTED, fault[1]
             if memory.stage("control") == Stage.DONE:
@@ -214,16 +237,10 @@ class _Conductor:
     def _fault(self) -> tuple[str, str] | None:
         """Which process has a fault, and what it is."""
         memory = self.memory
-        # What the watchdog saw comes first: what others then complain of may follow from it.
         if memory.get("fired_ns"):
-            time.sleep(0.01)  # the watchdog writes first and explains afterwards
-            return "watchdog", memory.message("watchdog") or "the watchdog took the bench over"
-        for name, _ in self.crew:
-            if memory.stage(name) == Stage.FAILED:
-                return name, memory.message(name)
-        for name, process in self.crew:
-            if process.poll() is not None and memory.stage(name) != Stage.DONE:
-                return name, f"the {name} process died (exit status {process.returncode})"
+            return "watchdog", "the watchdog took the bench over"
+        if fault := self._lost():
+            return fault
         if self.plant is not None and self.plant.exit_status is not None:
             return "simulator", f"the simulator died (exit status {self.plant.exit_status})"
         now = time.monotonic_ns()
@@ -233,6 +250,32 @@ class _Conductor:
             if silent_s[name] > patience_s[name]:
                 return name, f"the {name} process has been silent for {silent_s[name]:.1f} s"
         return None
+
+    def _lost(self) -> tuple[str, str] | None:
+        """Which process has failed or died."""
+        for name, life in self.lives.items():
+            over, stage = life.over, self.memory.stage(name)
+            if stage is Stage.FAILED:
+                return name, self.memory.message(name)
+            if over and stage is not Stage.DONE:
+                return name, f"the {name} process died"
+        return None
+
+    def _explained(self, source: str, message: str) -> tuple[str, str]:
+        """A fault with what is known of it once the valves are safe."""
+        if self.memory.get("fired_ns"):
+            # What the watchdog saw comes first: what others complain of may follow from it. It explains at its end.
+            ended_within(self.crew["watchdog"], SAFE_TIMEOUT_S)
+            return "watchdog", self.memory.message("watchdog") or message
+        return source, message + self._exit_status(source)
+
+    def _exit_status(self, name: str) -> str:
+        """That of a process that has died without a word; empty for any other."""
+        if name not in self.crew or self.memory.stage(name) in (Stage.DONE, Stage.FAILED):
+            return ""
+        if not self.lives[name].over or not ended_within(self.crew[name], STATUS_S):
+            return ""
+        return f" (exit status {self.crew[name].returncode})"
 
     def _drain(self) -> None:
         """Move everything that the processes have written into the record."""
@@ -287,54 +330,64 @@ class _Conductor:
         )
 
     def _make_safe(self) -> None:
-        """Ask control for the safe state and wait until it, or the watchdog in its place, has written it."""
+        """Ask control for the safe state and wait until it, or who stands in for it, has written it; once is enough."""
         memory = self.memory
-        if memory.get("stop") == Stop.NONE:
-            memory.set("stop", Stop.SAFE)
+        memory.ask_to_stop(Stop.SAFE)
         deadline = time.monotonic() + SAFE_TIMEOUT_S
-        while time.monotonic() < deadline:
+        while time.monotonic() < deadline and not self._stood_in:
             memory.beat("conductor", time.monotonic_ns())
             if memory.stage("control") in (Stage.DONE, Stage.FAILED) or memory.get("fired_ns"):
                 return
             if self._gone("control") and self._gone("watchdog"):
                 break
             time.sleep(0.001)
+        if self._stood_in:
+            return
         trouble = stand_in(self.plan.config, memory)
-        said = "neither control nor the watchdog acts: the conductor has written the safe state"
+        self._stood_in = "neither control nor the watchdog acts: the conductor has written the safe state"
         if trouble:
-            said = f"neither control nor the watchdog acts, and the conductor failed: {trouble}"
-        self._event(Level.FAULT, "conductor", said)
+            self._stood_in = f"neither control nor the watchdog acts, and the conductor failed: {trouble}"
 
     def _unsafe(self) -> str:
         """What kept everybody from writing the safe state; empty when somebody has."""
-        memory = self.memory
-        if memory.get("safe_ns"):
+        self._judged = True
+        if not self.memory.get("safe_ns"):
+            # It says at its very end whether its last write has succeeded.
+            ended_within(self.crew["watchdog"], SAFE_TIMEOUT_S)
+        if self._written():
             return ""
-        # It says at its very end whether its last write has succeeded.
-        with contextlib.suppress(subprocess.TimeoutExpired):
-            dict(self.crew)["watchdog"].wait(SAFE_TIMEOUT_S)
-        if memory.stage("watchdog") == Stage.DONE:
+        if not self._stood_in and not stand_in(self.plan.config, self.memory):
+            self._stood_in = "neither control nor the watchdog could write the safe state: the conductor has written it"
             return ""
-        said = memory.message("watchdog")
+        said = self.memory.message("watchdog")
         return said if UNSAFE in said else f"{UNSAFE}: neither control nor the watchdog has said that it was"
 
-    def _gone(self, name: str) -> bool:
-        """True when a process has exited or gives no sign of life."""
-        exited = dict(self.crew)[name].poll() is not None
-        return exited or time.monotonic_ns() - self.memory.heartbeat_ns(name) > SILENT_NS
+    def _written(self) -> bool:
+        """True where somebody has written the safe state, and nothing was written after it."""
+        return bool(self.memory.get("safe_ns")) or self.memory.stage("watchdog") is Stage.DONE
 
-    def _await_ready(self, name: str) -> None:
-        memory = self.memory
+    def _gone(self, name: str) -> bool:
+        """True when a process has died or gives no sign of life."""
+        return self.lives[name].over or time.monotonic_ns() - self.memory.heartbeat_ns(name) > SILENT_NS
+
+    def _spawn(self, name: str, module: str) -> None:
+        process = spawn(module, Job(self.plan, self.memory.fd, os.getpid()))
+        self.crew[name], self.lives[name] = process, Life(process.pid)
+        if name != "observer":
+            self.memory.set(f"{name}_pid", process.pid)
+
+    def _ready(self, name: str) -> bool:
+        if name == "simulator":
+            return self.plant is None or self.plant.ready()
+        return self.memory.stage(name) is not Stage.STARTING
+
+    def _await(self, name: str) -> None:
+        """Wait for one of those that start; whatever befalls any of them meanwhile ends the run before it begins."""
         started = time.monotonic()
         told = False
-        process = dict(self.crew)[name]
-        while memory.stage(name) == Stage.STARTING:
-            memory.beat("conductor", time.monotonic_ns())
-            reason = self.audience.stop_requested() or (self.desk.ending and self.desk.ending[1])
-            if reason:
-                raise StoppedError(f"stopped before the run began: {reason}")
-            if process.poll() is not None:
-                raise StartError(f"the {name} process died while it started (exit status {process.returncode})")
+        while not self._ready(name):
+            self.memory.beat("conductor", time.monotonic_ns())
+            self._refuse()
             waited = time.monotonic() - started
             if waited > SLOW_START_S and not told:
                 told = True
@@ -342,9 +395,19 @@ class _Conductor:
                 self.audience.tell(Event(time.monotonic_ns(), Level.INFO, "conductor", message))
             if waited > START_TIMEOUT_S:
                 raise StartError(f"the {name} process was not ready within {START_TIMEOUT_S:.0f} s")
-            self._attend(0.005)
-        if memory.stage(name) == Stage.FAILED:
-            raise StartError(memory.message(name))
+            self._attend(START_LOOK_S)
+        self._refuse()
+
+    def _refuse(self) -> None:
+        """Raise where the run must not begin: somebody wants it to end, or one of those that start is lost."""
+        reason = self.audience.stop_requested() or (self.desk.ending and self.desk.ending[1])
+        if reason:
+            raise StoppedError(f"stopped before the run began: {reason}")
+        if fault := self._lost():
+            name, said = fault
+            raise StartError(said.replace("process died", "process died while it started") + self._exit_status(name))
+        if (stop := Stop(self.memory.get("stop"))) != Stop.NONE:
+            raise StartError(f"before the run began, {STOPPED[stop]}")
 
     def _event(self, level: Level, source: str, message: str) -> None:
         self._report(Event(time.monotonic_ns(), level, source, message))

@@ -49,11 +49,10 @@ class Desk:
         """Do one thing, or say why not."""
         match request.action:
             case Action.VENT:
-                self._memory.set("stop", Stop.VENT)
+                self._memory.ask_to_stop(Stop.VENT)
                 return self._end(f"vented by {request.who}")
             case Action.STOP:
-                if self._memory.get("stop") == Stop.NONE:
-                    self._memory.set("stop", Stop.SAFE)
+                self._memory.ask_to_stop(Stop.SAFE)
                 return self._end(f"stopped by {request.who}")
             case Action.PAUSE | Action.RESUME:
                 return self._hold(request.action is Action.PAUSE, request.who)

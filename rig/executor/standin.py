@@ -5,54 +5,82 @@ from __future__ import annotations
 import contextlib
 import os
 import signal
+import threading
 import time
 
-from rig.bench import open_bench
+from rig.bench import make_safe
 from rig.config import RigConfig
+from rig.daq import card_type
 from rig.daq.base import CardError
+from rig.executor.child import Job, conductor_of
+from rig.executor.life import Life
 from rig.executor.memory import RunMemory, Stage, Stop
 
 SILENT_NS = 200_000_000
 """Control and watchdog give a sign of life every few milliseconds; who is silent for so long does not act."""
-
-
 CONDUCTOR_SILENT_NS = 500_000_000
-OUTLIVE_S = 0.5
-"""What the others get to make the bench safe before the observer does."""
-
-
+LOOK_S = 0.02
+LOOKS = 25
+"""What the others get to make the bench safe, where they are silent and may yet wake, before the observer does."""
 FREED_S = 0.5
 
 
 def made_safe(memory: RunMemory) -> bool:
-    """True once control or the watchdog has written the safe state, or has said why it cannot."""
+    """True once somebody has written the safe state, or has said why it cannot be."""
     ended = (Stage.DONE, Stage.FAILED)
-    return any(memory.stage(name) in ended for name in ("control", "watchdog")) or bool(memory.get("fired_ns"))
+    written = memory.get("safe_ns") or memory.get("fired_ns")
+    return bool(written) or any(memory.stage(name) in ended for name in ("control", "watchdog"))
 
 
-def nobody_acts(memory: RunMemory) -> bool:
-    """True while neither control nor the watchdog gives a sign of life."""
-    now = time.monotonic_ns()
-    return all(now - memory.heartbeat_ns(name) > SILENT_NS for name in ("control", "watchdog"))
+class Guard:
+    """What the observer does for the bench: it makes it safe once nobody else is left who could.
 
-
-def forsaken(memory: RunMemory) -> bool:
-    """True while those who would make the bench safe stand still, all three of them."""
-    conductor_ns = time.monotonic_ns() - memory.heartbeat_ns("conductor")
-    return conductor_ns > CONDUCTOR_SILENT_NS and nobody_acts(memory) and not made_safe(memory)
-
-
-def outlive(config: RigConfig, memory: RunMemory) -> None:
-    """Wait until somebody has made the bench safe; where nobody acts, do it, and stop the run.
-
-    A machine that stood still as a whole makes everybody look silent: those who wake with it have acted by the end.
+    A thread, so that neither a picture that is long in coming nor one that is long looked at holds it up.
     """
-    until = time.monotonic() + OUTLIVE_S
-    while time.monotonic() < until and not made_safe(memory):
-        time.sleep(0.005)
-    if not made_safe(memory) and nobody_acts(memory):
-        memory.set("stop", memory.get("stop") or Stop.SILENT)
-        stand_in(config, memory)
+
+    def __init__(self, job: Job, memory: RunMemory) -> None:
+        self._config, self._memory = job.plan.config, memory
+        self._conductor = conductor_of(job)
+        self._lives: dict[str, Life] = {}
+        self._looks = 0
+        self._thread = threading.Thread(target=self._stand_guard, name="guard", daemon=True)
+        self._thread.start()
+
+    def outlast(self) -> None:
+        """Return once the bench is safe, by whomever, or nothing more can be done for it."""
+        self._thread.join()
+
+    def _stand_guard(self) -> None:
+        for card in self._config.cards.values():
+            with contextlib.suppress(CardError):
+                card_type(card)  # no time to load it when it is needed
+        while not made_safe(self._memory):
+            if self._left_alone():
+                self._memory.ask_to_stop(Stop.SILENT)
+                stand_in(self._config, self._memory)
+                return
+            time.sleep(LOOK_S)
+
+    def _left_alone(self) -> bool:
+        """The dead need no waiting for. A machine that stood still as a whole makes everybody look silent: those who
+        wake with it get the time to act; and before the first tick no valve has been moved by anybody.
+        """
+        memory, now = self._memory, time.monotonic_ns()
+        orphaned = self._conductor.over
+        if orphaned and self._dead("control") and self._dead("watchdog"):
+            return True
+        silent_ns = min(now - memory.heartbeat_ns(name) for name in ("control", "watchdog"))
+        forsaken = orphaned or now - memory.heartbeat_ns("conductor") > CONDUCTOR_SILENT_NS
+        alone = memory.get("go_ns") and forsaken and silent_ns > SILENT_NS
+        self._looks = self._looks + 1 if alone else 0
+        return self._looks > LOOKS
+
+    def _dead(self, name: str) -> bool:
+        """True where a process has died, or was never started by a conductor that is dead."""
+        pid = self._memory.get(f"{name}_pid")
+        if pid and name not in self._lives:
+            self._lives[name] = Life(pid)
+        return not pid or self._lives[name].over
 
 
 def stand_in(config: RigConfig, memory: RunMemory) -> str:
@@ -71,19 +99,14 @@ def stand_in(config: RigConfig, memory: RunMemory) -> str:
     until = time.monotonic() + FREED_S
     while (trouble := _write(config, memory)) and time.monotonic() < until:
         time.sleep(0.005)
+    # Not before: who is told that the bench is safe looks no further.
+    memory.set("safe_ns", 0 if trouble else time.monotonic_ns())
     return trouble
 
 
 def _write(config: RigConfig, memory: RunMemory) -> str:
     try:
-        bench = open_bench(config, watchdog=True)
+        make_safe(config, vent=memory.get("stop") == Stop.VENT)
     except CardError as error:
         return str(error)
-    try:
-        bench.make_safe(vent=memory.get("stop") == Stop.VENT)
-        memory.set("safe_ns", memory.get("safe_ns") or time.monotonic_ns())
-    except CardError as error:
-        return str(error)
-    finally:
-        bench.close()
     return ""

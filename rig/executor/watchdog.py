@@ -13,9 +13,10 @@ import sys
 import time
 
 from rig.daq.base import CardError
-from rig.executor.child import receive
+from rig.executor.child import await_turn, conductor_of, receive
 from rig.executor.clock import Silence, become_ordinary, become_real_time
 from rig.executor.grip import Grip
+from rig.executor.life import Life
 from rig.executor.memory import RunMemory, Stage, Stop
 
 PERIOD_MS = 2
@@ -25,14 +26,15 @@ GRACE_NS = 100_000_000
 OVERSLEPT_NS = 8_000_000
 """A look that comes so late says nothing of control: both may have stood still."""
 PATIENCE_S = 0.5
-_FLAGS, _PF_EXITING = 6, 0x4
-"""The kernel's flags of a process in /proc/PID/stat, counted after the name, and the one of a process that dies."""
 
 
 def main() -> int:
     """Watch until control has exited, then leave the bench safe."""
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
     job, memory = receive()
+    if not await_turn(memory, conductor_of(job), lambda: not memory.get("plant_starting")):
+        memory.say("watchdog", Stage.DONE)
+        return 0
     try:
         grip = Grip(job.plan.config)
     except CardError as error:
@@ -85,7 +87,7 @@ def _watch(memory: RunMemory, conductor_pid: int, grip: Grip, hung_ns: int) -> s
         if conductor in _exited(poll, PERIOD_MS) or memory.get("stop") != Stop.NONE:
             return ""
     control = _watched(poll, control_pid)
-    control_stat = _stat_of(control_pid)
+    life = Life(control_pid)
     conductor_gone_ns = 0
     vented = False
     silence, conductors = (Silence(PERIOD_MS * 1_000_000, OVERSLEPT_NS) for _ in range(2))
@@ -93,7 +95,7 @@ def _watch(memory: RunMemory, conductor_pid: int, grip: Grip, hung_ns: int) -> s
         exited = _exited(poll, PERIOD_MS)
         now = time.monotonic_ns()
         memory.beat("watchdog", now)
-        if control in exited or _exiting(control_stat):
+        if control in exited or life.over:
             return "" if memory.stage("control") in (Stage.DONE, Stage.FAILED) else "the control process died"
         if not vented and memory.get("stop") == Stop.VENT:
             # At once, whatever control is busy with; control does the same at its next tick.
@@ -106,31 +108,11 @@ def _watch(memory: RunMemory, conductor_pid: int, grip: Grip, hung_ns: int) -> s
             return "the control process hung"
         if not conductor_gone_ns and (conductor in exited or (running and conductor_silent_ns > CONDUCTOR_HUNG_NS)):
             conductor_gone_ns = now
-            memory.set("stop", Stop.SILENT)
-            if conductor in exited:
+            memory.ask_to_stop(Stop.SILENT)
+            if conductor >= 0 and conductor in exited:
                 poll.unregister(conductor)
         if conductor_gone_ns and now - conductor_gone_ns > GRACE_NS:
             return "the conductor died or hung, and control did not stop"
-
-
-def _stat_of(pid: int) -> int:
-    """An open descriptor of what the kernel says of a process; -1 when it is gone already."""
-    try:
-        return os.open(f"/proc/{pid}/stat", os.O_RDONLY | os.O_CLOEXEC)
-    except FileNotFoundError:
-        return -1
-
-
-def _exiting(stat: int) -> bool:
-    """True as soon as a process begins to die.
-
-    Its pidfd tells only once its memory is given back, which takes tens of milliseconds where that is locked.
-    """
-    try:
-        fields = os.pread(stat, 1024, 0).rpartition(b")")[2].split()
-    except OSError:
-        return True
-    return bool(int(fields[_FLAGS]) & _PF_EXITING)
 
 
 def _watched(poll: select.poll, pid: int) -> int:

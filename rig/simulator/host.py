@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import os
+import select
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -13,13 +15,41 @@ from rig.config import RigConfig
 from rig.daq.base import CardError
 from rig.simulator.registers import Registers
 
+READY = b"ready\n"
+LOOK_S = 0.005
+
 
 class Simulation:
     """A running plant, as the conductor sees it."""
 
-    def __init__(self, process: subprocess.Popen[str], registers: Registers | None) -> None:
+    def __init__(self, process: subprocess.Popen[bytes], config: RigConfig) -> None:
         self._process = process
-        self._registers = registers
+        self._config = config
+        self._said = b""
+        self._registers: Registers | None = None
+
+    def ready(self) -> bool:
+        """True once its cards are there; does not wait.
+
+        Raises:
+            CardError: the plant did not start.
+        """
+        assert self._process.stdout is not None
+        if self._said == READY:
+            return True
+        if not select.select([self._process.stdout], [], [], 0)[0]:
+            return False
+        more = os.read(self._process.stdout.fileno(), len(READY))
+        self._said += more
+        if not more:
+            raise CardError(f"the simulator did not start (exit status {self._process.wait()})")
+        if not READY.startswith(self._said):
+            raise CardError(f"the simulator did not start: it said {self._said!r}")
+        if self._said != READY:
+            return False
+        mocks = [card.device for card in self._config.cards.values() if card.driver == "mock"]
+        self._registers = Registers.attach(mocks[0]) if mocks else None
+        return True
 
     def hang(self, weight_kg: float) -> None:
         """Do what a prompt asks of the operator: hang a weight on the end cap."""
@@ -31,13 +61,25 @@ class Simulation:
         """The plant's exit status once it has died, None while it lives."""
         return self._process.poll()
 
+    def close(self) -> None:
+        """End it."""
+        if self._registers is not None:
+            self._registers.close()
+        self._process.terminate()
+        try:
+            self._process.wait(5.0)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+        assert self._process.stdout is not None
+        self._process.stdout.close()
+
 
 @contextmanager
-def simulated(config: RigConfig, rig_file: Path, seed: int) -> Iterator[Simulation | None]:
-    """Keep the plant running behind the rig's mock devices; None for a rig that has none.
+def started(config: RigConfig, rig_file: Path, seed: int) -> Iterator[Simulation | None]:
+    """Start the plant behind the rig's mock devices and keep it until the end; None for a rig that has none.
 
-    Raises:
-        CardError: the plant did not start.
+    Its cards are there once it is `ready`.
     """
     if not config.simulated:
         yield None
@@ -47,24 +89,24 @@ def simulated(config: RigConfig, rig_file: Path, seed: int) -> Iterator[Simulati
         [*command, "--parent", str(os.getpid())],
         stdin=subprocess.DEVNULL,
         stdout=subprocess.PIPE,
-        text=True,
+        bufsize=0,
         start_new_session=True,
     )
-    assert process.stdout is not None
-    registers = None
+    simulation = Simulation(process, config)
     try:
-        if process.stdout.readline().strip() != "ready":
-            raise CardError(f"the simulator did not start (exit status {process.wait()})")
-        mocks = [card.device for card in config.cards.values() if card.driver == "mock"]
-        registers = Registers.attach(mocks[0]) if mocks else None
-        yield Simulation(process, registers)
+        yield simulation
     finally:
-        if registers is not None:
-            registers.close()
-        process.terminate()
-        try:
-            process.wait(5.0)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.wait()
-        process.stdout.close()
+        simulation.close()
+
+
+@contextmanager
+def simulated(config: RigConfig, rig_file: Path, seed: int) -> Iterator[Simulation | None]:
+    """Keep the plant running behind the rig's mock devices; None for a rig that has none.
+
+    Raises:
+        CardError: the plant did not start.
+    """
+    with started(config, rig_file, seed) as simulation:
+        while simulation is not None and not simulation.ready():
+            time.sleep(LOOK_S)
+        yield simulation

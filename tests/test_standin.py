@@ -1,0 +1,190 @@
+"""Who is left makes the bench safe: at once where the others are dead, patiently where they only stand still."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+
+import pytest
+
+import rig.rig_file
+from protocols import Trajectory
+from rig.config import RigConfig
+from rig.executor.base import Plan
+from rig.executor.child import Job, await_turn, conductor_of, ended_within
+from rig.executor.life import Life
+from rig.executor.memory import Layout, RunMemory, Stage, Stop
+from rig.executor.standin import Guard, stand_in
+from rig.simulator.registers import Registers, path_of
+
+OPEN_V, SAFE_V = 7.0, 0.0
+
+
+@pytest.fixture
+def registers() -> Iterator[Registers]:
+    """A mock card whose valves are open, and nobody behind it."""
+    registers = Registers.create(f"guarded-{os.getpid()}", 2, 8)
+    registers.outputs["volts"] = OPEN_V
+    yield registers
+    path = registers.path
+    registers.close()
+    path.unlink()
+
+
+@pytest.fixture
+def config(registers: Registers) -> RigConfig:
+    text = rig.rig_file.text("mock").replace("device: mock0", f"device: guarded-{os.getpid()}")
+    return rig.rig_file.parse(text, "rig.yaml")
+
+
+@pytest.fixture
+def memory(config: RigConfig) -> Iterator[RunMemory]:
+    memory = RunMemory.create(Layout.of(config))
+    memory.beat("conductor", time.monotonic_ns())
+    yield memory
+    os.close(memory.fd)
+
+
+@pytest.fixture
+def sleeper() -> Iterator[subprocess.Popen[bytes]]:
+    """A process that does nothing, which is not to be left over."""
+    with subprocess.Popen(["sleep", "60"]) as process:
+        yield process
+        process.kill()
+
+
+def dead() -> int:
+    """The number of a process that has been."""
+    process = subprocess.Popen(["true"])
+    process.wait()
+    return process.pid
+
+
+def job(config: RigConfig, memory: RunMemory, conductor: int) -> Job:
+    nothing = Trajectory(0.0, config.actuators, (), (), "")
+    return Job(Plan(config, path_of("none"), nothing, config.model.variant, 0), memory.fd, conductor)
+
+
+def until(condition: Callable[[], bool]) -> None:
+    limit = time.monotonic() + 30
+    while not condition():
+        assert time.monotonic() < limit
+        time.sleep(0.005)
+
+
+def volts(registers: Registers) -> list[float]:
+    stand: list[float] = registers.outputs["volts"].tolist()
+    return stand
+
+
+def test_a_life_is_over_once_the_process_dies_though_nobody_has_asked_for_its_status(
+    sleeper: subprocess.Popen[bytes],
+) -> None:
+    life = Life(sleeper.pid)
+    assert not life.over
+    sleeper.kill()
+    until(lambda: life.over)
+    assert ended_within(sleeper, 30)
+    assert life.over
+    life.close()
+
+
+def test_one_who_never_was_is_over() -> None:
+    assert Life(dead()).over
+
+
+def test_where_all_others_are_dead_the_bench_is_made_safe_at_once(
+    config: RigConfig, memory: RunMemory, registers: Registers
+) -> None:
+    memory.set("control_pid", dead())
+    memory.set("watchdog_pid", dead())
+    guard = Guard(job(config, memory, dead()), memory)
+    guard.outlast()
+    assert volts(registers) == [SAFE_V, SAFE_V]
+    assert memory.get("safe_ns")
+    assert memory.get("stop") == Stop.SILENT
+
+
+def test_nobody_stands_in_while_the_watchdog_lives_and_somebody_does_once_it_is_killed(
+    config: RigConfig, memory: RunMemory, registers: Registers, sleeper: subprocess.Popen[bytes]
+) -> None:
+    memory.set("control_pid", dead())
+    memory.set("watchdog_pid", sleeper.pid)
+    guard = Guard(job(config, memory, dead()), memory)
+    time.sleep(0.2)
+    assert volts(registers) == [OPEN_V, OPEN_V]
+    sleeper.kill()
+    guard.outlast()
+    assert volts(registers) == [SAFE_V, SAFE_V]
+
+
+def test_those_who_stand_still_with_the_valves_open_are_stood_in_for_and_ended(
+    config: RigConfig, memory: RunMemory, registers: Registers, sleeper: subprocess.Popen[bytes]
+) -> None:
+    memory.set("control_pid", sleeper.pid)
+    memory.set("go_ns", 1)
+    guard = Guard(job(config, memory, os.getppid()), memory)
+    guard.outlast()
+    assert volts(registers) == [SAFE_V, SAFE_V]
+    assert ended_within(sleeper, 30)
+
+
+def test_those_who_stand_still_before_the_first_tick_are_left_to_wake(
+    config: RigConfig, memory: RunMemory, registers: Registers, sleeper: subprocess.Popen[bytes]
+) -> None:
+    memory.beat("conductor", 1)
+    memory.set("control_pid", sleeper.pid)
+    guard = Guard(job(config, memory, os.getppid()), memory)
+    time.sleep(0.9)
+    assert volts(registers) == [OPEN_V, OPEN_V]
+    assert sleeper.poll() is None
+    memory.say("control", Stage.DONE)
+    guard.outlast()
+
+
+def test_what_could_not_be_written_is_not_called_safe(
+    config: RigConfig, memory: RunMemory, registers: Registers
+) -> None:
+    registers.faults.inject(failing_writes=10**9)
+    assert "could not be written" in stand_in(config, memory)
+    assert not memory.get("safe_ns")
+    assert volts(registers) == [OPEN_V, OPEN_V]
+
+
+def test_who_asked_first_to_stop_is_told_of_and_to_vent_wins_over_all(memory: RunMemory) -> None:
+    for asked, told in (
+        (Stop.TERMINATED, Stop.TERMINATED),
+        (Stop.SAFE, Stop.TERMINATED),
+        (Stop.VENT, Stop.VENT),
+        (Stop.SILENT, Stop.VENT),
+    ):
+        memory.ask_to_stop(asked)
+        assert memory.get("stop") == told
+
+
+def test_a_turn_is_waited_for_and_comes_no_more_once_the_run_is_over(config: RigConfig, memory: RunMemory) -> None:
+    conductor = conductor_of(job(config, memory, os.getppid()))
+    looks = iter((False, False, True))
+    assert await_turn(memory, conductor, lambda: next(looks))
+    assert not await_turn(memory, conductor_of(job(config, memory, dead())), lambda: False)
+    memory.ask_to_stop(Stop.SAFE)
+    assert not await_turn(memory, conductor, lambda: False)
+
+
+def test_a_process_whose_conductor_dies_before_it_is_told_its_job_leaves_without_a_word() -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", "from rig.executor.child import receive; receive()"],
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        check=False,
+    )
+    assert (done.returncode, done.stderr) == (1, b"")
+
+
+def test_who_drives_or_guards_a_mock_card_need_not_load_the_plants_compiler() -> None:
+    program = "import sys, rig.executor.realtime, rig.executor.control, rig.executor.watchdog, rig.daq.mock\n"
+    program += "assert 'numba' not in sys.modules"
+    subprocess.run([sys.executable, "-c", program], check=True)

@@ -1,0 +1,143 @@
+"""How a run in real time begins: rehearsed on scans, anchored in the calendar at its first tick, refused plainly."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rig import experiment, regulator
+from rig.bench import BenchScans
+from rig.daq.base import CardError
+from rig.executor import control, realtime
+from rig.executor.base import Nobody, Plan, StartError
+from rig.executor.child import Job
+from rig.executor.life import Life
+from rig.executor.memory import Stage, Stop
+from rig.simulator.host import Simulation
+
+
+@pytest.fixture(scope="module")
+def request_() -> experiment.Request:
+    return experiment.request("ramp-a", "mock")
+
+
+@pytest.fixture(scope="module")
+def plan(request_: experiment.Request) -> Plan:
+    return experiment.plan(request_)
+
+
+class SlowBench:
+    """A bench whose first scans take their time."""
+
+    def __init__(self, actuators: int) -> None:
+        self._actuators = actuators
+        self._looks = 0
+
+    def read(self) -> BenchScans:
+        self._looks += 1
+        n = 5 if self._looks > 3 else 0
+        t_ns = time.monotonic_ns() - np.arange(n, dtype=np.int64)[::-1] * 1_000_000
+        return BenchScans(t_ns, np.full((n, self._actuators), 0.1), np.full((n, self._actuators), 1e4), 0)
+
+    def write(self, valve_v: np.ndarray) -> None:  # type: ignore[type-arg]
+        raise AssertionError("a rehearsal moves no valve")
+
+
+def test_what_a_tick_does_is_rehearsed_though_the_first_scans_take_their_time(
+    plan: Plan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    steps = []
+
+    def counted(*arguments: object) -> object:
+        steps.append(arguments)
+        return step(*arguments)  # type: ignore[arg-type]
+
+    step = regulator.step
+    monkeypatch.setattr(regulator, "step", counted)
+    control._rehearse(Job(plan, -1, os.getpid()), SlowBench(plan.config.actuators))  # type: ignore[arg-type]
+    assert len(steps) > len(plan.config.valves)
+
+
+def test_the_calendars_anchor_is_that_of_the_first_tick_and_not_of_the_journals_beginning(
+    request_: experiment.Request, plan: Plan
+) -> None:
+    before_ns = time.time_ns()
+    about = experiment.header(request_, plan, t_ns=5, ahead_ns=10**12)
+    assert about.started_t_ns == 5
+    assert before_ns <= about.started_utc_ns - 10**12 <= time.time_ns()
+
+
+def fellow(conductor: realtime._Conductor, name: str, program: str) -> subprocess.Popen[bytes]:
+    process = subprocess.Popen([sys.executable, "-c", program])
+    conductor.crew[name], conductor.lives[name] = process, Life(process.pid)
+    return process
+
+
+def test_a_process_that_dies_while_another_is_waited_for_ends_the_start(plan: Plan) -> None:
+    conductor = realtime._Conductor(plan, Nobody(), None)
+    fellow(conductor, "watchdog", "import time; time.sleep(60)")
+    fellow(conductor, "observer", "import sys; sys.exit(3)")
+    with pytest.raises(StartError, match=r"the observer process died while it started \(exit status 3\)"):
+        conductor._await("watchdog")
+    conductor.crew["watchdog"].kill()
+    assert conductor.end() == ""
+    os.close(conductor.memory.fd)
+
+
+def test_what_a_process_said_before_it_left_is_told_and_not_that_it_has_left(plan: Plan) -> None:
+    conductor = realtime._Conductor(plan, Nobody(), None)
+    fellow(conductor, "watchdog", "").wait()
+    conductor.memory.say("watchdog", Stage.FAILED, "the card is not there")
+    with pytest.raises(StartError, match="the card is not there"):
+        conductor._await("watchdog")
+    assert conductor.end() == ""
+    os.close(conductor.memory.fd)
+
+
+def test_a_run_whose_control_was_told_to_end_before_its_turn_is_not_called_armed(plan: Plan) -> None:
+    conductor = realtime._Conductor(plan, Nobody(), None)
+    conductor.memory.ask_to_stop(Stop.TERMINATED)
+    conductor.memory.say("control", Stage.DONE)
+    with pytest.raises(StartError, match="before the run began, the control process was told to terminate"):
+        conductor._await("control")
+    os.close(conductor.memory.fd)
+
+
+def test_valves_that_nobody_is_left_to_make_safe_are_told_of_though_the_run_did_not_begin(
+    plan: Plan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    conductor = realtime._Conductor(plan, Nobody(), None)
+    for name in ("watchdog", "control"):
+        fellow(conductor, name, "").wait()
+    conductor.memory.beat("control", 1)
+    monkeypatch.setattr(realtime, "stand_in", lambda *_: "no answer")
+    assert conductor.end() == "the safe state could not be written, shut the air off by hand: no answer"
+    os.close(conductor.memory.fd)
+
+
+@pytest.mark.parametrize(
+    ("program", "said"),
+    [("import sys; sys.exit(7)", "exit status 7"), ("print('hello', flush=True); input()", "it said b'hello")],
+)
+def test_a_simulator_that_does_not_start_is_told_of(plan: Plan, program: str, said: str, tmp_path: Path) -> None:
+    process = subprocess.Popen(
+        [sys.executable, "-c", program], stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
+    )
+    simulation = Simulation(process, plan.config)
+
+    def wait() -> None:
+        limit = time.monotonic() + 30
+        while time.monotonic() < limit and not simulation.ready():
+            time.sleep(0.01)
+
+    with pytest.raises(CardError, match=said):
+        wait()
+    simulation.close()
+    assert process.stdin is not None
+    process.stdin.close()
