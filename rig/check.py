@@ -29,6 +29,12 @@ def check(
     return judge.verdict()
 
 
+def peak_pa(trajectory: Trajectory) -> list[float]:
+    """The highest set-point of each actuator [Pa]."""
+    highest = zip(*([high for _, high, _ in _extremes(segment)] for segment in trajectory.segments), strict=True)
+    return [max(levels) for levels in highest]
+
+
 class _Judge:
     def __init__(self, config: RigConfig, trajectory: Trajectory, protocol: Protocol | None, rig: str) -> None:
         self._config = config

@@ -7,7 +7,9 @@ import time
 import numpy as np
 import pytest
 
+from rig.executor.memory import PICTURES, Layout, RunMemory
 from rig.executor.ring import Ring, ring_bytes
+from runs.records import Picture
 
 ROW = np.dtype([("n", "<i8"), ("copies", "<i8", (64,))])
 
@@ -84,3 +86,28 @@ def test_no_row_is_torn_while_another_process_writes_as_fast_as_it_can() -> None
             seen += 1
     writer.join()
     assert seen + reader.lost == total
+
+
+class Interrupted(list[str]):
+    """Names of cameras; whoever looks one up for the first time stands still while the writer goes on."""
+
+    def __init__(self, memory: RunMemory, pictures: int) -> None:
+        super().__init__(["front"])
+        self.memory, self.pictures = memory, pictures
+
+    def __getitem__(self, index: object) -> str:  # type: ignore[override]
+        for number in range(self.pictures):
+            self.memory.push_picture(Picture(number, number, "front", "jpeg", bytes([99]) * 300))
+        self.pictures = 0
+        return "front"
+
+
+def test_a_picture_that_is_overwritten_while_it_is_read_is_lost_and_not_another_ones() -> None:
+    memory = RunMemory.create(Layout(1, 1, 4096, 1))
+    for number in range(10):
+        memory.push_picture(Picture(number, number, "front", "jpeg", bytes([number]) * 100))
+    got = memory.read_pictures(Interrupted(memory, PICTURES - 6), "jpeg")
+    assert [picture.frame for picture in got] == [0, 5, 6, 7, 8, 9]
+    assert all(picture.data == bytes([picture.frame]) * 100 for picture in got)
+    assert memory.pictures_lost == 4
+    os.close(memory.fd)

@@ -222,11 +222,16 @@ class RunMemory:
     def read_pictures(self, cameras: Sequence[str], encoding: str) -> list[Picture]:
         """Return the pictures stored since the last call; `cameras` are their names, in the rig's order."""
         pictures = []
-        for row in self._pictures.read():
+        rows = self._pictures.read()
+        for number, row in enumerate(rows, self._pictures.taken - len(rows)):
             start = int(row["slot"]) * self.layout.picture_bytes
             end = start + int(row["size"])
-            _, _, marks = marks_from_bytes(bytes(self._slots[end : end + int(row["marks"])]))
-            data = bytes(self._slots[start:end])
+            data, seen = bytes(self._slots[start:end]), bytes(self._slots[end : end + int(row["marks"])])
+            # Whoever stood still in between has copied another picture's bytes: that slot is being filled anew.
+            if self._pictures.written - number >= PICTURES:
+                self._pictures.lost += 1
+                continue
+            _, _, marks = marks_from_bytes(seen)
             camera = cameras[int(row["camera"])]
             pictures.append(Picture(int(row["t_ns"]), int(row["frame"]), camera, encoding, data, marks))
         return pictures

@@ -34,6 +34,11 @@ class Ring(Generic[Row]):
         """Rows written since the run began."""
         return int(self._count[0])
 
+    @property
+    def taken(self) -> int:
+        """Rows that this reader has taken, or lost, since the run began."""
+        return self._cursor
+
     def push(self, row: NDArray[np.void] | np.void) -> None:
         """Write one row; never waits."""
         count = int(self._count[0])
