@@ -11,6 +11,7 @@ from rich.console import Console, Group
 from rich.table import Table
 from rich.text import Text
 
+from rig.check import peak_pa
 from rig.config import PA_PER_BAR, RigConfig
 from rig.control import safe_voltages
 from rig.executor.base import Plan
@@ -68,9 +69,7 @@ def _how_simulated(config: RigConfig) -> str:
 
 def peak_bar(plan: Plan) -> list[float]:
     """Highest set-point of each actuator [bar]."""
-    trajectory = plan.trajectory
-    times = np.linspace(0.0, trajectory.duration_s, max(2, int(trajectory.duration_s * 200)))
-    return [float(p) / PA_PER_BAR for p in trajectory.sample(times).max(axis=0)]
+    return [pa / PA_PER_BAR for pa in peak_pa(plan.trajectory)]
 
 
 def check_json(request: Request, plan: Plan) -> str:

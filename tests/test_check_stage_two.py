@@ -8,7 +8,7 @@ import pytest
 
 import protocols
 from protocols import Problem
-from rig.check import check
+from rig.check import check, peak_pa
 from rig.rig_file import load
 
 RIG = load("mock")
@@ -78,3 +78,9 @@ def test_a_protocol_that_takes_too_long_is_refused(tmp_path: Path) -> None:
 def test_a_trajectory_for_another_number_of_actuators_is_refused() -> None:
     (problem,) = check(RIG, protocols.load("ramp-a").expand(1))
     assert problem.expected == "a trajectory for the 3 actuators of the rig"
+
+
+def test_the_peak_is_found_however_brief_it_is(tmp_path: Path) -> None:
+    (tmp_path / "pulse.csv").write_text("time_s,actuator_2_bar\n0,0.1\n3000.0011,0.1\n3000.0012,0.5\n3000.0013,0.1\n")
+    (tmp_path / "p.yaml").write_text("title: t\nsteps:\n  - csv: {file: pulse.csv, actuators: [2], lead_in_s: 1}\n")
+    assert peak_pa(protocols.load(tmp_path / "p.yaml").expand(3)) == pytest.approx([0, 0.5e5, 0])
