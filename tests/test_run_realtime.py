@@ -175,6 +175,7 @@ def test_rig_vent_makes_the_valves_safe_while_a_run_hangs(tmp_path: Path) -> Non
 def test_rig_vent_keeps_a_run_that_starts_from_beginning(tmp_path: Path) -> None:
     with rig_run(tmp_path) as run:
         run.wait_until_started()
+        os.kill(run.pid_of(OBSERVER), signal.SIGSTOP)  # it is waited for
         vent = [sys.executable, "-m", "rig", "vent", "--rig", str(run.rig_file)]
         subprocess.run(vent, check=True, capture_output=True)
         assert run.end() == 130, run.output
