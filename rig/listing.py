@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -14,13 +15,19 @@ from rich.table import Table
 from rich.text import Text
 
 import runs as records
+from protocols.problems import BadInput, Problem, closest
 from rig import recovering
 from rig.screens import console
 from runs.archive import SUFFIX, ArchiveError
 from runs.catalogue import Entry
+from runs.records import Status
 from runs.recovery import Fate
 from runs.recovery import recover as recover_folder
 from runs.summary import Summary, summarise
+
+DATA = Path("data")
+"""Where commands put archives, and look for them, unless they are told."""
+_DATE = re.compile(r"\d{4}(-\d\d(-\d\d(T\d\d(:\d\d(:\d\d)?)?)?)?)?")
 
 
 def resolve(name: Path) -> Path:
@@ -31,13 +38,29 @@ def resolve(name: Path) -> Path:
     """
     by_id: tuple[Path, ...] = ()
     if name.name:
-        by_id = (name.with_name(name.name + SUFFIX), Path("data") / f"{name.name}{SUFFIX}")
-    for candidate in (name, *by_id):
-        if candidate.is_file():
-            recovering.offer(candidate.parent)
-            return candidate
-    recovering.offer(name.parent)
+        by_id = (name.with_name(name.name + SUFFIX), DATA / f"{name.name}{SUFFIX}")
+    try:
+        found = next((candidate for candidate in (name, *by_id) if candidate.is_file()), None)
+    except OSError as error:
+        raise ArchiveError(f"{name}: {error.strerror}") from None
+    recovering.offer((found or name).parent)
+    if found is not None:
+        return found
     raise ArchiveError(f"{name}: no such archive, here or in data/; `rig runs` lists what there is")
+
+
+def check_search(folder: Path, status: str, since: str, until: str) -> None:
+    """Raise `BadInput` for what no archive can match; the data folder alone may be missing: nothing was run yet."""
+    problems = []
+    if folder != DATA and not folder.is_dir():
+        problems.append(Problem("DIR", 0, 0, "", str(folder), "a folder of archives: there is none of this name"))
+    if status and status not in set(Status):
+        problems.append(Problem("--status", 0, 0, "", status, f"one of {', '.join(Status)}", closest(status, Status)))
+    for option, date in (("--since", since), ("--until", until)):
+        if date and not _DATE.fullmatch(date):
+            problems.append(Problem(option, 0, 0, "", date, "a date or its beginning, as 2026-11 or 2026-11-21T14:05"))
+    if problems:
+        raise BadInput(problems)
 
 
 def show(name: Path, as_json: bool) -> None:
@@ -120,6 +143,7 @@ def summary_table(summary: Summary, counters: Mapping[str, int]) -> Table:
 
 def recover(folder: Path) -> None:
     """Make archives of orphaned journals, and say what became of each."""
+    check_search(folder, "", "", "")
     outcomes = [o for o in recover_folder(folder) if o.fate is not Fate.ARCHIVED]
     for outcome in outcomes:
         typer.echo(f"{outcome.fate}  {outcome.archive or outcome.path}  {outcome.message}")

@@ -15,12 +15,11 @@ from numpy.typing import NDArray
 from rig import rig_file
 from rig.cameras.base import Frame, Shot
 from rig.config import PA_PER_BAR, RigConfig, Variant
-from rig.executor.base import StartError
 from rig.experiment import VARIANTS, free_id
 from rig.observer import Observer
 from rig.parameters import over
 from rig.provenance import git_state, quantities, versions
-from runs.archive import finalise
+from runs.archive import ArchiveError, finalise
 from runs.journal import SUFFIX, JournalWriter
 from runs.records import RunFooter, sample_dtype
 from runs.run import Run
@@ -41,11 +40,11 @@ def replay(
     not stored are not observed; the model steps over them as over dropped frames.
 
     Raises:
-        StartError: the run kept no pictures.
+        ArchiveError: the run kept no pictures.
         BadInput: the rig is wrong.
     """
     if not len(run.frames.index):
-        raise StartError(f"{run.path} holds no pictures: there is nothing to replay")
+        raise ArchiveError(f"{run.path} holds no pictures: there is nothing to replay")
     text = run.header.rig_yaml if rig is None else rig_file.text(rig)
     config = rig_file.parse(text, f"{run.path}: rig") if rig is None else rig_file.load(rig)
     sources = run.header.sources if rig is None else rig_file.sources(rig)

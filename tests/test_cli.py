@@ -108,6 +108,12 @@ def test_help_does_not_import_the_heavy_rooms(tmp_path: Path) -> None:
         (["show", "."], "no such archive"),
         (["show", "/"], "no such archive"),
         (["live", "here", "--pid", "1"], "--pid"),
+        (["show", "x" * 300], "File name too long"),
+        (["report", "no-such-run", "--to", "other.h5"], "ends with .html"),
+        (["report", "no-such-run", "--to", "."], "ends with .html"),
+        (["runs", "nowhere"], "a folder of archives"),
+        (["recover", "nowhere"], "a folder of archives"),
+        (["runs", "--since", "yesterday", "--status", "finsihed"], "did you mean finished?"),
     ],
 )
 def test_bad_input_gives_one_message_and_status_2(
@@ -253,7 +259,10 @@ def test_simulate_leaves_the_models_tip_alone_in_the_same_layout(
 ) -> None:
     (here / "short.yaml").write_text(SHORT)
     assert inside("simulate", "short.yaml", "--model", "homogeneous", "--static", "--out", "out") == 0
-    run = runs.open(here / capsys.readouterr().out.strip())
+    archive = here / capsys.readouterr().out.strip()
+    assert inside("replay", archive) == 2
+    assert "holds no pictures" in capsys.readouterr().err
+    run = runs.open(archive)
     assert np.all(run.tip.seen == Seen.NO_FRAME)
     assert np.all(np.isnan(run.tip.measured_mm))
     assert run.tip.model_mm[0, 0] == pytest.approx(0.0, abs=1e-6)

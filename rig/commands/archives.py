@@ -17,7 +17,7 @@ def runs(
     protocol: Annotated[str, typer.Option(help="Part of the protocol's name.")] = "",
     operator: Annotated[str, typer.Option(help="Part of the operator's name.")] = "",
     since: Annotated[str, typer.Option(help="From this date on, as 2026-11 or 2026-11-21.")] = "",
-    until: Annotated[str, typer.Option(help="Up to this date.")] = "",
+    until: Annotated[str, typer.Option(help="Up to this date, which is included.")] = "",
     error_above_mm: Annotated[float | None, typer.Option(help="Only those with a larger mean error.")] = None,
     json: AsJson = False,
 ) -> None:
@@ -25,6 +25,7 @@ def runs(
     from rig import listing, recovering
     from runs.catalogue import catalogue, search
 
+    listing.check_search(folder, status, since, until)
     recovering.offer(folder)
     found = search(
         catalogue(folder),
@@ -56,10 +57,13 @@ def report(
     ] = None,
 ) -> None:
     """Write the report of one run, or of several side by side."""
+    from protocols.problems import BadInput, Problem
     from rig.listing import resolve
     from runs import printed
     from runs.report import write
 
+    if figures is None and to is not None and (to.suffix.lower() != ".html" or to.is_dir()):
+        raise BadInput([Problem("--to", 0, 0, "", str(to), "a file whose name ends with .html")])
     found = [resolve(archive) for archive in archives]
     if figures is None:
         typer.echo(write(found, to or found[0].with_suffix(".html")))
