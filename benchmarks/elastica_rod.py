@@ -32,8 +32,13 @@ class _Simulator(ea.BaseSystemCollection, ea.Constraints, ea.Forcing, ea.Damping
     pass
 
 
-def elastica_tips(elements: int, duration_s: float, damping: float, samples: int, pull: bool) -> NDArray[np.float64]:
-    """Tip path (samples, 3) of PyElastica's rod, base clamped, its tip pulled by a force that grows over RAMP_S."""
+def elastica_tips(
+    elements: int, duration_s: float, damping: float, samples: int, pull: bool, courant: float = 0.25
+) -> NDArray[np.float64]:
+    """Tip path (samples, 3) of PyElastica's rod, base clamped, its tip pulled by a force that grows over RAMP_S.
+
+    courant: elements that sound passes in one time step; damping [1/s] of every velocity.
+    """
     simulator = _Simulator()
     rod = ea.CosseratRod.straight_rod(
         elements, np.zeros(3), np.array([0.0, 0, 1]), np.array([1.0, 0, 0]), LENGTH, RADIUS, DENSITY,
@@ -46,7 +51,7 @@ def elastica_tips(elements: int, duration_s: float, damping: float, samples: int
     simulator.constrain(rod).using(ea.OneEndFixedBC, constrained_position_idx=(0,), constrained_director_idx=(0,))
     if pull:
         simulator.add_forcing_to(rod).using(ea.EndpointForces, np.zeros(3), np.array(FORCE), ramp_up_time=RAMP_S)
-    step = 0.25 * LENGTH / elements / math.sqrt(MODULUS / DENSITY)
+    step = courant * LENGTH / elements / math.sqrt(MODULUS / DENSITY)
     steps = samples * math.ceil(duration_s / step / samples)
     if damping:
         simulator.dampen(rod).using(

@@ -20,22 +20,23 @@ with warnings.catch_warnings():
 from benchmarks.elastica_rod import FORCE, LENGTH, RAMP_S, ROD, elastica_tips
 
 
-def extrapolated(duration_s: float, damping: float, samples: int) -> NDArray[np.float64]:
+def extrapolated(duration_s: float, damping: float, samples: int, courant: float) -> NDArray[np.float64]:
     """PyElastica's tip path without its errors of first order (its clamp holds the first element) and second."""
-    coarse, middle, fine = (elastica_tips(n, duration_s, damping, samples, pull=True) for n in (10, 20, 40))
+    coarse, middle, fine = (elastica_tips(n, duration_s, damping, samples, True, courant) for n in (10, 20, 40))
     return (8 * fine - 6 * middle + coarse) / 3
 
 
 def test_a_tip_load_bends_it_alike() -> None:
     ours = ROD.statics((0,), Loads(tip_force_n=FORCE)).tip_m
-    theirs = extrapolated(1.6, 20.0, 1)[-1]
+    # Nearly critical damping of the first mode: what is left of the motion then is a ten-thousandth.
+    theirs = extrapolated(0.9, 24.0, 1, 0.5)[-1]
     assert abs(ours[0]) > 0.03
     assert np.linalg.norm(ours - theirs) < 1e-3 * np.linalg.norm(ours - [0, 0, LENGTH])
 
 
 def test_a_growing_load_swings_it_alike() -> None:
     duration, samples = 0.24, 24
-    theirs = extrapolated(duration, 0.0, samples)
+    theirs = extrapolated(duration, 0.0, samples, 0.25)
 
     def ours(parts: int) -> NDArray[np.float64]:
         dynamics = ROD.dynamics(duration / parts, "trapezoidal", nodes=96)
