@@ -49,7 +49,7 @@ def resolve(name: Path) -> Path:
     raise ArchiveError(f"{name}: no such archive, here or in data/; `rig runs` lists what there is")
 
 
-def check_search(folder: Path, status: str, since: str, until: str) -> None:
+def check_search(folder: Path, status: str = "", since: str = "", until: str = "") -> None:
     """Raise `BadInput` for what no archive can match; the data folder alone may be missing: nothing was run yet."""
     problems = []
     if folder != DATA and not folder.is_dir():
@@ -143,7 +143,7 @@ def summary_table(summary: Summary, counters: Mapping[str, int]) -> Table:
 
 def recover(folder: Path) -> None:
     """Make archives of orphaned journals, and say what became of each."""
-    check_search(folder, "", "", "")
+    check_search(folder)
     outcomes = [o for o in recover_folder(folder) if o.fate is not Fate.ARCHIVED]
     for outcome in outcomes:
         typer.echo(f"{outcome.fate}  {outcome.archive or outcome.path}  {outcome.message}")

@@ -138,6 +138,14 @@ def test_an_address_of_another_machine_is_bad_input(recorded: Path, capsys: pyte
         assert f"found     {address}" in capsys.readouterr().err
 
 
+def test_the_page_is_not_opened_on_what_is_no_archive(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (here / "notes.h5").write_text("no archive")
+    assert inside("live", "notes.h5", "--port", "0") == 2
+    said = capsys.readouterr()
+    assert "not an archive of softrig" in said.err
+    assert "live page" not in said.out
+
+
 def test_what_is_wrong_with_the_protocol_and_the_rig_is_said_at_once(
     here: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -104,8 +104,13 @@ def show(archive: Path | None, pid: int | None, listen: str, port: int, say: Cal
     """Show an archive, or a run that goes, until it is over or Ctrl-C is pressed; the exit status.
 
     Raises:
+        ArchiveError: the file is no archive.
         StartError: there is nothing to show, or the page cannot be had.
     """
+    if archive is not None:
+        from runs.run import Run
+
+        Run(archive)  # what is none is said here, not by the page's process
     page = open_page(listen, port, run=None if archive else _door(pid), archive=archive)
     for line in page.said:
         say(line)
