@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import sys
 import time
@@ -106,6 +107,16 @@ def test_a_run_whose_control_was_told_to_end_before_its_turn_is_not_called_armed
     conductor.memory.say("control", Stage.DONE)
     with pytest.raises(StartError, match="before the run began, the control process was told to terminate"):
         conductor._await("control")
+    os.close(conductor.memory.fd)
+
+
+def test_who_has_not_had_his_turn_is_not_waited_for(plan: Plan, monkeypatch: pytest.MonkeyPatch) -> None:
+    conductor = realtime._Conductor(plan, Nobody(), None)
+    loading = [fellow(conductor, name, "import time; time.sleep(5)") for name in ("watchdog", "control")]
+    conductor.memory.set("plant_starting", 1)
+    monkeypatch.setattr(realtime, "SAFE_TIMEOUT_S", 60.0)
+    assert conductor.end() == ""
+    assert [process.returncode for process in loading] == [-signal.SIGKILL] * 2
     os.close(conductor.memory.fd)
 
 

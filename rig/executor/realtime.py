@@ -161,6 +161,10 @@ class _Conductor:
         memory.ask_to_stop(Stop.SAFE)
         if self.door is not None:
             self.door.close()
+        if memory.get("plant_starting"):
+            # Nobody has had his turn: they only load, and would look up when they are done.
+            for process in self.crew.values():
+                process.kill()
         said = ""
         # The watchdog goes last: it is the one that writes the safe state when the others cannot.
         for name, process in sorted(self.crew.items(), key=lambda member: member[0] == "watchdog"):
