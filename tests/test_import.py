@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from pathlib import Path
 from typing import ClassVar
 
@@ -19,6 +17,7 @@ from scipy.io import savemat
 from scipy.spatial.transform import Rotation
 
 import runs
+from rig.cli import main
 from rig.importing import import_table
 from runs.archive import verify
 from runs.export import export
@@ -305,18 +304,23 @@ class TestMatlab:
         assert "k.mat\n  this" in complaint(bring, tmp_path / "k.mat", self.VECTORS)
 
 
-def test_the_command_prints_archives_and_warnings(tmp_path: Path) -> None:
+def test_the_command_prints_archives_and_warnings(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
     for name in ("one", "two"):
         (tmp_path / f"{name}.csv").write_text("0,0.1,1,2,3\n1,0.2,1,2,3\n")
     (tmp_path / "map.yaml").write_text(SMALL)
-    command = [sys.executable, "-m", "rig", "import", "one.csv", "two.csv", "--mapping", "map.yaml", "--note", "old"]
-    done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, check=False, timeout=120)
-    assert done.returncode == 0, done.stderr
-    archives = [runs.open(tmp_path / line) for line in done.stdout.splitlines()]
+    command = ["import", "one.csv", "two.csv", "--mapping", "map.yaml", "--note", "old"]
+    with pytest.raises(SystemExit) as left:
+        main(command)
+    assert left.value.code == 0
+    said = capsys.readouterr()
+    archives = [runs.open(tmp_path / line) for line in said.out.splitlines()]
     assert [run.header.notes[:26] for run in archives] == ["old; imported from one.csv", "old; imported from two.csv"]
-    assert "warning: one.csv: the mapping does not say when" in done.stderr
+    assert "warning: one.csv: the mapping does not say when" in said.err
     (tmp_path / "map.yaml").write_text(SMALL.replace("unit: s", "unit: h"))
-    done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, check=False, timeout=120)
-    assert done.returncode == 2
-    assert "map.yaml:3:25: time, unit" in done.stderr
-    assert "Traceback" not in done.stderr
+    with pytest.raises(SystemExit) as left:
+        main(command)
+    assert left.value.code == 2
+    assert "map.yaml:3:25: time, unit" in capsys.readouterr().err
