@@ -11,9 +11,10 @@ from rich.table import Table
 
 from calibration.identify.choice import Choice, Row, candidates, choose, compared
 from calibration.identify.parameters import Prior
-from rig.identified import setup_of, shown, waiting
+from rig.identified import check_priors, shown, waiting
 from rig.listing import plain_json
 from rig.screens import console
+from rig.starting import setup_of
 from runs.run import Run
 
 
@@ -30,11 +31,16 @@ def show(
 
     `free`: what is free in every model beside its own law; by default the pose of the base. scheduler, store: as for
     the bootstrap.
+
+    Raises:
+        UnknownParameter: a name stands for no parameter, or something is known beforehand of what no model has free.
     """
+    start = setup_of(archives[0])
     every = shown(archives, quasi_static)
     data = [compared(one) for one in every]
     moving = any(one.moving for one in data)
-    asked = candidates(setup_of(archives[0]), free or ("base",), moving)
+    asked = candidates(start, free or ("base",), moving)
+    check_priors(priors, [name for one in asked for name in one.free], start.arm.geometry.actuators)
     with waiting("fitting") as progress:
         found = choose(data, asked, priors, scheduler=scheduler, store=store, progress=progress)
     if as_json:

@@ -8,44 +8,48 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import typer
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
 from rich.table import Table
 from rich.text import Text
-from scipy.spatial.transform import Rotation
 
 from calibration.identify.bootstrap import Bootstrap, bootstrap
-from calibration.identify.data import NoData, Poses, as_if_at_rest, poses_of
+from calibration.identify.data import Poses, as_if_at_rest, poses_of
 from calibration.identify.document import content
 from calibration.identify.figures import predictions
 from calibration.identify.fit import Fit, identify
-from calibration.identify.parameters import Prior, Setup, known
+from calibration.identify.parameters import Prior, Setup, UnknownParameter, named
 from calibration.identify.prediction import Prediction
 from calibration.identify.profile import Profile, profiles
-from rig.arm import model_arm, true_arm
+from rig.adapting import usual
+from rig.arm import model_arm
 from rig.config import PA_PER_BAR, RigConfig
 from rig.listing import plain_json
-from rig.optics import rigid
 from rig.parameters import laid_over
 from rig.parameters import read as read_parameters
-from rig.rig_file import load, parse, path_of, text
 from rig.screens import console
+from rig.starting import Beginning, rig_of
 from runs.figures import save
 from runs.run import Run
 
 # How late pressures may be behind the camera, as two clocks are, and how slow their sensors.
 SENSOR_TIMES = {"sensor_lag_s": Prior(0.0, 0.005), "sensor_filter_s": Prior(0.003, 0.002)}
-DEFAULT = ("law", "rpe_per_bar", "base", "sensor_offsets")
-DEFAULT_HOMOGENEOUS = ("youngs_modulus_pa", "rpe_per_bar", "base", "sensor_offsets")
 
 
-def rig_with(rig: str, parameters: Path) -> str:
+def rig_with(rig: Beginning, parameters: Path) -> str:
     """The YAML of a rig with identified parameters in it, whatever model the rig had.
 
     Raises:
-        BadInput: the rig, the parameter file, or that they do not belong together.
+        BadInput: the parameter file, or that they do not belong together.
     """
     found = read_parameters(parameters)
-    return laid_over(text(rig), path_of(rig), found, found.found.identified.variant)
+    return laid_over(rig.yaml, rig.file, found, found.found.identified.variant)
 
 
 def poses(run: Run, quasi_static: bool = False) -> Poses:
@@ -59,36 +63,14 @@ def shown(archives: Sequence[Run], quasi_static: bool = False) -> list[Poses]:
     Raises:
         NoData: nothing in a run can be used.
     """
-    found = []
+    found: list[Poses] = []
+    if not archives:
+        return found
     with waiting("reading") as progress:
         for run in archives:
             found.append(poses(run, quasi_static))
             progress(len(found), len(archives))
     return found
-
-
-def setup_of(run: Run) -> Setup:
-    """The arm as the run's rig states it.
-
-    Raises:
-        NoData: the archive, of an import, names no rig.
-    """
-    return Setup(model_arm(_rig_of(run)))
-
-
-def truth_of(run: Run) -> dict[str, float]:
-    """The simulator's own value of every parameter of a simulated run's arm, by name; nothing for a real one."""
-    if not run.header.simulated or not run.header.rig_yaml:
-        return {}
-    config = _rig_of(run)
-    if config.simulator is None:
-        return {}
-    base = rigid(config.simulator.base)
-    x, y, z = (float(v) for v in base.translation_m)
-    a, b, c = (float(v) for v in Rotation.from_matrix(base.rotation).as_rotvec())
-    setup = Setup(true_arm(config), base_translation_m=(x, y, z), base_rotation_rad=(a, b, c))
-    shown = {name: one.read(setup) for name, one in known(config.actuators).items() if not one.per_run}
-    return {**shown, "sensor_filter_s": config.simulator.sensor.lag_ms * 1e-3}
 
 
 def from_runs(archives: Sequence[Run], free: Sequence[str], priors: Mapping[str, Prior]) -> Fit:
@@ -97,35 +79,28 @@ def from_runs(archives: Sequence[Run], free: Sequence[str], priors: Mapping[str,
     Raises:
         NoData: no rig, or nothing in a run that can be used.
     """
-    config = _rig_of(archives[0])
+    config = rig_of(archives[0])
     return from_poses(config, shown(archives), free, priors)
 
 
-def starting_rigs(first: Run, named: Sequence[str]) -> dict[str, RigConfig]:
-    """The rigs that the search starts from, by name or file: those that are named, or else the first run's own.
-
-    Raises:
-        BadInput: a rig that is named.
-        NoData: none is named, and the archive, of an import, has none.
-    """
-    return {name: load(name) for name in named} or {first.header.rig_name: _rig_of(first)}
-
-
 def likeliest(
-    rigs: Mapping[str, RigConfig],
+    rigs: Mapping[str, Beginning],
     data: Sequence[Poses],
     free: Sequence[str],
     priors: Mapping[str, Prior],
     starts: int = 1,
-) -> Fit:
+) -> tuple[Beginning, Fit]:
     """Identify from each rig's arm and take what makes the runs likeliest; says so where there are several."""
-    fits = {name: from_poses(config, data, free, priors, starts) for name, config in rigs.items()}
+    columns = (TextColumn("searching"), BarColumn(), TimeElapsedColumn())
+    with Progress(*columns, console=console(stderr=True), transient=True) as bar:
+        bar.add_task("", total=None)
+        fits = {name: from_poses(rig.config, data, free, priors, starts) for name, rig in rigs.items()}
     best = max(fits, key=lambda name: fits[name].log_likelihood)
     for name, fit in fits.items() if len(fits) > 1 else ():
         taken = ", taken" if name == best else ""
         said = f"from {name}: log likelihood {fit.log_likelihood:.1f}, rms {1e3 * fit.rms_m:.3f} mm{taken}"
         console(stderr=True).print(said, soft_wrap=True)
-    return fits[best]
+    return rigs[best], fits[best]
 
 
 def from_poses(
@@ -135,14 +110,30 @@ def from_poses(
 
     The sensors' accuracy, as the rig states it, is the prior of their offsets. Where a motion is to tell damping or
     density, the sensors' delay, which passes for either, is free with a prior of 5 ms.
+
+    Raises:
+        UnknownParameter: a name stands for no parameter, or something is known beforehand of what is not free.
     """
-    chosen = tuple(free) or (DEFAULT_HOMOGENEOUS if config.model.variant.startswith("homogeneous") else DEFAULT)
+    chosen = tuple(free) or usual(config.model.variant)
     moving = any(one.moving for one in data) and {"damping_s", "density_kg_m3"} & set(chosen)
     if moving:
         chosen = (*chosen, *(name for name in SENSOR_TIMES if name not in chosen))
+    check_priors(priors, chosen, config.actuators)
     accuracy = max(sensor.accuracy_bar for sensor in config.sensors) * PA_PER_BAR / 2
     believed = {"sensor_offsets": Prior(0.0, accuracy), **SENSOR_TIMES, **priors}
     return identify(data, Setup(model_arm(config)), chosen, believed, starts)
+
+
+def check_priors(priors: Mapping[str, Prior], free: Sequence[str], actuators: int) -> None:
+    """Refuse what is known beforehand of a parameter that is not free: it would change nothing.
+
+    Raises:
+        UnknownParameter: of the first such.
+    """
+    chosen = {one.name for one in named(free, actuators)}
+    for name in priors:
+        if chosen.isdisjoint(one.name for one in named([name], actuators)):
+            raise UnknownParameter(f"--prior {name}: it is not free; name it in --free, too")
 
 
 def show(fit: Fit, as_json: bool) -> None:
@@ -154,16 +145,18 @@ def show(fit: Fit, as_json: bool) -> None:
     table = Table(box=None, padding=(0, 2, 0, 0))
     for head in ("parameter", "value", "+-", "95 %", "unit", "run"):
         table.add_column(head, justify="left" if head in ("parameter", "unit", "run") else "right")
-    for e in fit.estimates:
+    untold = []
+    for e, held in zip(fit.estimates, fit.held, strict=True):
         if e.value is None or e.std is None or e.interval is None:
             others = f" ({', '.join(e.partners)})" if e.partners else ""
-            table.add_row(
-                e.name, "-", "", Text(f"{e.verdict.value}{others}; held at {e.used:.5g}", "yellow"), e.unit, e.run
-            )
+            told = f"{e.name} {e.run}".strip()
+            untold.append(f"{told}: {e.verdict.value}{others}; {'held at' if held else 'used'} {e.used:.5g} {e.unit}")
         else:
             low, high = e.interval
             table.add_row(e.name, f"{e.value:.6g}", f"{e.std:.2g}", f"{low:.5g} .. {high:.5g}", e.unit, e.run)
     screen.print(table)
+    for words in untold:
+        screen.print(Text(words, "yellow"), soft_wrap=True)
     for run in fit.runs:
         kind = "motion" if run.moving else "plateaus"
         before, after = 1e3 * run.rms_before_m, 1e3 * run.rms_m
@@ -229,11 +222,3 @@ def second_opinion(fit: Fit, samples: int, scheduler: str | None, store: Path | 
     for name, run, std in zip(found.names, found.runs, found.std, strict=True):
         screen.print(f"{name} {run}: +- {std:.2g} by {samples} refits, {bars[name, run]:.2g} by the likelihood")
     return found
-
-
-def _rig_of(run: Run) -> RigConfig:
-    if not run.header.rig_yaml:
-        raise NoData(
-            f"{run.path}: the archive holds no rig; name one in the import's mapping (rig: FILE), or with --start"
-        )
-    return parse(run.header.rig_yaml, f"{run.path}: the rig's YAML")

@@ -19,9 +19,10 @@ from calibration.identify.paper import (
     published_modulus,
 )
 from model.tube import Tube
-from rig.identified import from_runs, setup_of
+from rig.identified import from_runs
 from rig.listing import plain_json
 from rig.screens import console
+from rig.starting import setup_of
 from runs.run import Run
 
 # Where the fit of section 3 begins, and what it leaves as it is: stiff fibres, nearly around the tube.
@@ -71,19 +72,28 @@ def show(archives: Sequence[Run], as_json: bool) -> None:
 
 def _sorted(archives: Sequence[Run]) -> tuple[Elongation, Elongation | None, bool]:
     """Elongations under weights and under pressure, and whether any run bends the arm."""
-    weights, pressures, bending = None, None, False
+    weights: Elongation | None = None
+    pressures: Elongation | None = None
+    bending = False
     for run in archives:
         poses = at_rest(run)
         length = setup_of(run).arm.geometry.length_m
         if (poses.weight_kg > 0).any():
-            weights = elongation(poses, length)
+            weights = _only(weights, elongation(poses, length), run, "hangs weights on the arm")
         elif (np.ptp(poses.pressure_pa, axis=1) < _EQUAL_PA).all():
-            pressures = elongation(poses, length)
+            pressures = _only(pressures, elongation(poses, length), run, "stretches the arm by equal pressures")
         else:
             bending = True
     if weights is None:
         raise NoData("the paper's identification needs a run under weights: rig run extension-weights")
     return weights, pressures, bending
+
+
+def _only(before: Elongation | None, found: Elongation, run: Run, what: str) -> Elongation:
+    """The one run of its kind that section 5.2 takes."""
+    if before is not None:
+        raise NoData(f"{run.path}: a second run that {what}; give one of them")
+    return found
 
 
 def _lines(found: PaperIdentification) -> list[Line]:

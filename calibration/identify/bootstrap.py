@@ -75,7 +75,7 @@ def bootstrap(
     motion, with replacement, and so needs a dozen of them at least. The rest is as in `spread`.
     """
     chosen = [i for i, e in enumerate(fit.estimates) if e.identified]
-    held = tuple(i for i in range(len(fit.estimates)) if fit.covariance[i, i] == 0)
+    held = tuple(i for i, stands in enumerate(fit.held) if stands)
     problem = fit.problem
     task = Refit(
         data=tuple(problem.data),

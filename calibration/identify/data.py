@@ -25,6 +25,8 @@ FEWEST_FRAMES = 5
 FEWEST_IN_SEQUENCE = 32
 # Frames share more of their error than their scatter can show: lens, placement, print of the board.
 _LEAST_SHARED = 0.1
+# A frame has pressures beside it if it lies at most so many periods outside their record.
+_BESIDE_FRAMES = 1.5
 # Samples within which a clipped one spoils its neighbours.
 _NEAR = 21
 
@@ -147,7 +149,7 @@ def at_rest(run: Run, settle_s: float = SETTLE_S) -> Poses:
 
 
 def in_motion(run: Run) -> Poses:
-    """Every frame of a run, one camera period apart, from the first frame on.
+    """Every frame of a run, one camera period apart, from the first frame to the last that shows the tip.
 
     Raises:
         NoData: no frame shows the tip.
@@ -155,16 +157,18 @@ def in_motion(run: Run) -> Poses:
     tip = run.tip
     usable = _usable(run)
     if not usable.any():
-        raise NoData(f"{run.header.run_id}: no frame shows the tip")
+        raise NoData(f"{run.header.run_id}: no frame shows the tip while pressures were recorded")
     index = tip.frame - tip.frame[0]
-    length = int(index[-1]) + 1
+    length = int(index[usable][-1]) + 1
+    # Cameras do not always deliver at the rate that they were asked for.
+    period_s = float(tip.time_s[-1] - tip.time_s[0]) / index[-1] if index[-1] else 1.0 / run.header.camera_hz
     every = np.arange(length)
     samples = _sampled(run)
     course, deviation = smoothed(samples.pa)
     # Neighbouring values of a course share their errors, which frames do not know of each other: over a whole motion
     # they tell as much as the samples within each frame.
-    step_s = float(np.median(np.diff(samples.time_s)))
-    deviation = np.maximum(deviation, noise_of(samples.pa) * min(1.0, np.sqrt(step_s * run.header.camera_hz)))
+    step_s = float(np.median(np.diff(samples.time_s))) if len(samples.time_s) > 1 else period_s
+    deviation = np.maximum(deviation, noise_of(samples.pa) * min(1.0, np.sqrt(step_s / period_s)))
     frame_s = np.interp(every, index, tip.time_s)
     pressure, spread = curve(samples.time_s, course, frame_s)[0], _at(frame_s, samples.time_s, deviation)
     clipped = _at(frame_s, samples.time_s, maximum_filter1d(samples.clipped.astype(float), _NEAR, axis=0)) > 0
@@ -175,7 +179,7 @@ def in_motion(run: Run) -> Poses:
     return Poses(
         run_id=run.header.run_id,
         source=run.sha256,
-        period_s=1.0 / run.header.camera_hz,
+        period_s=period_s,
         pressure_pa=pressure,
         pressure_std_pa=np.where(clipped, np.hypot(spread, samples.doubt_pa), spread),
         weight_kg=weight,
@@ -230,8 +234,16 @@ def _usable(run: Run) -> NDArray[np.bool_]:
     """Frames (M,) with a measured tip. `NoData` where an archive, of an import, lacks what gives them their weight."""
     tip = run.tip
     usable: NDArray[np.bool_] = (tip.seen == Seen.MEASURED) & np.isfinite(tip.measured_mm).all(axis=1)
-    if not np.isfinite(tip.covariance_mm2[usable]).all():
+    if not len(run.pressure.time_s):
+        raise NoData(f"{run.header.run_id}: no pressure was recorded")
+    # Where control ended before the camera did, nobody knows what the arm felt.
+    first_s, last_s = run.pressure.time_s[[0, -1]] + np.array([-1.0, 1.0]) * _BESIDE_FRAMES / run.header.camera_hz
+    usable &= (tip.time_s >= first_s) & (tip.time_s <= last_s)
+    covariance = tip.covariance_mm2[usable]
+    if not np.isfinite(covariance).all():
         raise NoData(f"{run.header.run_id}: the tips come without an uncertainty; state one (import: uncertainty_mm)")
+    if (np.linalg.eigvalsh(covariance)[:, 0] <= 0).any():
+        raise NoData(f"{run.header.run_id}: the tips' uncertainty is zero along an axis: no measurement is that good")
     if not np.isfinite(run.pressure.measured_bar).all():
         raise NoData(f"{run.header.run_id}: pressures are missing in some rows")
     return usable

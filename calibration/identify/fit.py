@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
@@ -34,6 +35,12 @@ class Verdict(StrEnum):
     UNDECIDED = "the data leave it open"
     ENTANGLED = "only in combination with others"
     PRIOR = "known from its prior alone"
+
+
+def rms(distance_m: Array) -> float:
+    """Root mean square of those distances (K,) [m] that are known; NaN where none is."""
+    known = distance_m[np.isfinite(distance_m)]
+    return float(np.sqrt((known**2).mean())) if len(known) else math.nan
 
 
 @dataclass(frozen=True)
@@ -86,13 +93,12 @@ class RunFit:
     @property
     def rms_m(self) -> float:
         """Root mean square distance from measured to predicted."""
-        return float(np.sqrt((self.error_m**2).mean()))
+        return rms(self.error_m)
 
     @property
     def rms_before_m(self) -> float:
         """The same of the starting setup."""
-        error2 = ((self.residual_m + self.predicted_m - self.before_m) ** 2).sum(axis=1)
-        return float(np.sqrt(np.nanmean(error2)))
+        return rms(np.linalg.norm(self.residual_m + self.predicted_m - self.before_m, axis=1))
 
 
 @dataclass(frozen=True)
@@ -132,9 +138,14 @@ class Fit:
         raise KeyError(name)
 
     @property
+    def held(self) -> tuple[bool, ...]:
+        """Which estimates stand at their start because the data do not tell them, in the order of `estimates`."""
+        return tuple((np.diagonal(self.covariance) == 0).tolist())
+
+    @property
     def rms_m(self) -> float:
         """Root mean square distance over all measured tips."""
-        return float(np.sqrt(np.concatenate([run.error_m**2 for run in self.runs]).mean()))
+        return rms(np.concatenate([run.error_m for run in self.runs]))
 
     @property
     def aic(self) -> float:
@@ -309,7 +320,8 @@ def _estimates(
     n = len(problem.unknowns)
     only = [i for i in range(n) if i not in held]
     rates = problem.rates(solution.z)
-    loose = _std(joint.information)
+    # What one unknown leaves open reaches others far away only by detours that nothing plausible takes.
+    loose = _std(joint.information + np.eye(n) / _FAR**2)
     covariance = np.zeros((n, n))
     covariance[np.ix_(only, only)] = _marginal(problem, solution, only)
     prior_std = 1 / np.sqrt(np.maximum(np.diagonal(solution.prior_information), 1e-300))

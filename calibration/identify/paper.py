@@ -138,7 +138,13 @@ def elongation(poses: Poses, length_m: float) -> Elongation:
 
 
 def line(x: Array, strain: Array) -> Line:
-    """Least squares through the origin."""
+    """Least squares through the origin.
+
+    Raises:
+        NoData: fewer than two points.
+    """
+    if len(x) < 2:
+        raise NoData("one elongation makes no line: take the arm to two levels at least")
     slope = float((x @ strain) / (x @ x))
     rest = strain - slope * x
     std = math.sqrt(float(rest @ rest) / max(len(x) - 1, 1) / float(x @ x))

@@ -77,7 +77,8 @@ class Parameter:
     """One number that can be free.
 
     span: how far from its start it may plausibly lie; a parameter that the data leave less certain than that has not
-    been identified. lower, upper: where it makes no sense beyond. per_run: each run has its own, as a sensor's zero.
+    been identified. lower, upper: where it makes no sense beyond; below: nor from there on, on the arm of a setup.
+    per_run: each run has its own, as a sensor's zero.
     reciprocal: data tell one over it, as they tell a compliance and not a stiffness; it is positive. decades: how far
     off, in powers of ten, a further search may have to begin.
     """
@@ -93,6 +94,7 @@ class Parameter:
     per_run: bool = False
     reciprocal: bool = False
     decades: float = 0.0
+    below: Callable[[Setup], float] = lambda _: math.inf
 
 
 @dataclass(frozen=True)
@@ -126,7 +128,10 @@ def known(actuators: int) -> dict[str, Parameter]:
             lambda s, x: replace(s, arm=replace(s.arm, cap_mass_kg=x)), lambda x: max(abs(x), 0.02), 0.0, 100.0,
         ),
         _geometry("length_m", "m", "length of the arm at rest", 0.1),
-        _geometry("inner_radius_m", "m", "radius of the chambers", 0.2),
+        replace(
+            _geometry("inner_radius_m", "m", "radius of the chambers", 0.2),
+            below=lambda s: s.arm.geometry.outer_radius_m,
+        ),
         Parameter(
             "circle_radius_m", "m", "distance of the first actuator from the axis, the others in proportion", _circle,
             _circled, lambda x: 0.1 * x, 1e-4, 10.0,

@@ -225,7 +225,7 @@ def _motion(arm: model.Arm, pressure_pa: Array, poses: Poses, substeps: int) -> 
         return tips, turned
     tips[0], turned[0] = shape.tip_m, shape.tip_rotation
     changes = np.flatnonzero(np.diff(weight)) + 1
-    for start, stop in itertools.pairwise([1, *changes[changes > 1].tolist(), len(poses)]):
+    for start, stop in itertools.pairwise(sorted({1, *changes.tolist(), len(poses)})):
         rows = pressure_pa[1 + (start - 1) * substeps : 1 + (stop - 1) * substeps]
         # The first step takes up what hangs there; the others go on with it.
         dynamics.step(rows[0], _loads(arm, weight[start]))

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from calibration.identify.data import Poses
-from calibration.identify.fit import Fit
+from calibration.identify.fit import Fit, rms
 from calibration.identify.parameters import Setup, known
 from calibration.identify.predict import Predictor
 
@@ -35,22 +36,24 @@ class Prediction:
     @property
     def rms_m(self) -> float:
         """Root mean square distance by the fit."""
-        return float(np.sqrt(np.nanmean(self.error_m**2)))
+        return rms(self.error_m)
 
     @property
     def mean_m(self) -> float:
         """Mean distance by the fit."""
-        return float(np.nanmean(self.error_m))
+        found = self.error_m[np.isfinite(self.error_m)]
+        return float(found.mean()) if len(found) else math.nan
 
     @property
     def most_m(self) -> float:
         """What 95 % of the distances by the fit stay below."""
-        return float(np.nanpercentile(self.error_m, 95))
+        found = self.error_m[np.isfinite(self.error_m)]
+        return float(np.percentile(found, 95)) if len(found) else math.nan
 
     @property
     def rms_before_m(self) -> float:
         """Root mean square distance by the setup that the fit started from."""
-        return float(np.sqrt(np.nanmean(self.before_m**2)))
+        return rms(self.before_m)
 
 
 def with_zeros(fit: Fit) -> Setup:

@@ -24,6 +24,8 @@ _NOTICEABLE = 0.05
 _LONGEST_STEP = 1.0
 _SAME_SLOPE = 3e-3
 _LEAST_DAMPING = 1e-4
+# How near a parameter may come to what it must stay below.
+_SHORT_OF = 0.98
 # A step that promises less than this of the sum of squares is a hundredth of an error bar.
 _CONVERGED = 1e-4
 
@@ -39,13 +41,21 @@ class Unknown:
     run: int | None
     start: float
     span: float
+    most: float
+
+    @classmethod
+    def of_setup(cls, parameter: Parameter, run: int | None, setup: Setup) -> Unknown:
+        """The parameter as it is in a setup."""
+        start = parameter.read(setup)
+        most = min(parameter.upper, _SHORT_OF * parameter.below(setup))
+        return cls(parameter, run, start, parameter.span(start), most)
 
     def at(self, z: float) -> float:
         """The value at z, within the parameter's bounds."""
         z = min(max(z, self.lower), self.upper)
         away = self.span * z
         value = self.start / (1 - away / self.start) if self.parameter.reciprocal else self.start + away
-        return min(max(value, self.parameter.lower), self.parameter.upper)
+        return min(max(value, self.parameter.lower), self.most)
 
     def of(self, value: float) -> float:
         """The z of a value."""
@@ -64,7 +74,7 @@ class Unknown:
     @property
     def upper(self) -> float:
         """Upper bound of z."""
-        return self.of(self.parameter.upper)
+        return self.of(self.most)
 
 
 @dataclass(frozen=True)
@@ -101,13 +111,8 @@ class Problem:
     substeps: int = 0
 
     def __post_init__(self) -> None:
-        shared = [Unknown(p, None, p.read(self.start), p.span(p.read(self.start))) for p in self.free if not p.per_run]
-        own = [
-            Unknown(p, run, p.read(self.start), p.span(p.read(self.start)))
-            for p in self.free
-            if p.per_run
-            for run in range(len(self.data))
-        ]
+        shared = [Unknown.of_setup(p, None, self.start) for p in self.free if not p.per_run]
+        own = [Unknown.of_setup(p, run, self.start) for p in self.free if p.per_run for run in range(len(self.data))]
         self.unknowns = (*shared, *own)
         fast = any(p.name in ("density_kg_m3", "damping_s", "sensor_lag_s") for p in self.free)
         self.substeps = self.substeps or (FINE_SUBSTEPS if fast else SUBSTEPS)
@@ -256,8 +261,8 @@ class Problem:
         """Robust sum of squares at given weights, priors included; runs count by their independent entries."""
         gap = self._prior_rows(z)[1]
         total = float(gap @ gap)
-        for run, poses in enumerate(self.data):
-            damp, _ = damped(whitened(poses, self.predicted(z)[run], weights[run]))
+        for run, (poses, tips) in enumerate(zip(self.data, self.predicted(z), strict=True)):
+            damp, _ = damped(whitened(poses, tips, weights[run]))
             total += float((self._kept(run, damp) ** 2 * self._count(run)[:, None]).sum()) / correlation[run]
         return total
 

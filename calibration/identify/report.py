@@ -97,8 +97,8 @@ def _parameters(fit: Fit, profiles: Sequence[Profile], refits: Bootstrap | None,
     heads = ["parameter", "run", "value", "std", "95 % by curvature"]
     heads += ["95 % by profile"] * bool(profiles) + ["std by refits"] * bool(again) + ["truth"] * bool(truth) + ["unit"]
     rows = []
-    for e in fit.estimates:
-        cells = [e.name, e.run, *_said(e)]
+    for e, held in zip(fit.estimates, fit.held, strict=True):
+        cells = [e.name, e.run, *_said(e, held)]
         if profiles:
             found = by_key.get((e.name, e.run))
             cells.append(
@@ -113,10 +113,10 @@ def _parameters(fit: Fit, profiles: Sequence[Profile], refits: Bootstrap | None,
     return f'<h2>Parameters</h2>\n<div class="scroll">{_table(heads, rows)}</div>'
 
 
-def _said(e: Estimate) -> list[str]:
+def _said(e: Estimate, held: bool) -> list[str]:
     if e.value is None or e.std is None or e.interval is None:
         others = f" ({', '.join(e.partners)})" if e.partners else ""
-        return [f"{e.verdict.value}{others}", "", f"held at {e.used:.5g}"]
+        return [f"{e.verdict.value}{others}", "", f"{'held at' if held else 'used'} {e.used:.5g}"]
     return [f"{e.value:.6g}", f"{e.std:.2g}", f"{e.interval[0]:.5g} .. {e.interval[1]:.5g}"]
 
 

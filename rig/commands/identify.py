@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from rig.commands.options import Archives, AsJson
+
+if TYPE_CHECKING:
+    from calibration.identify import Prior
 
 
 def identify(
@@ -61,7 +65,9 @@ def identify(
         Path | None, typer.Option(metavar="FILE", help="Draw what was predicted, before and after (png, pdf, svg).")
     ] = None,
     to: Annotated[Path | None, typer.Option("--to", metavar="FILE", help="Write the parameters (YAML).")] = None,
-    rig: Annotated[str, typer.Option("--rig", help="Rig that --rig-file starts from.")] = "mock",
+    rig: Annotated[
+        str | None, typer.Option("--rig", help="Rig that --rig-file starts from; default: the one that the search did.")
+    ] = None,
     rig_file: Annotated[
         Path | None, typer.Option("--rig-file", metavar="FILE", help="Write the rig with the parameters in it.")
     ] = None,
@@ -70,36 +76,43 @@ def identify(
     """Find an arm's parameters from runs, with error bars, or say that the runs do not tell them."""
     import numpy as np
 
-    import runs
-    from calibration.identify import Prior, parted
+    from calibration.identify import parted
     from calibration.identify.document import write
     from calibration.identify.prediction import predict
-    from rig import identified
-    from rig.listing import resolve
+    from rig import identified, starting
 
-    if rig_file is not None and to is None:
+    whole = {
+        "--start": start, "--starts": starts > 1, "--bootstrap": bootstrap, "--profile": profile,
+        "--leave-out": leave_out, "--until": until is not None, "--every": every > 1, "--report": report,
+        "--figure": figure, "--to": to, "--rig-file": rig_file,
+    }  # fmt: skip
+    shared = {
+        "--free": free, "--prior": prior, "--quasi-static": quasi_static, "--scheduler": scheduler, "--store": store,
+    }  # fmt: skip
+    if choose or paper:
+        _refuse("neither --choose nor --paper takes it", whole)
+    if paper:
+        _refuse("--paper does not take it", {**shared, "--choose": choose})
+    if not quasi_static:
+        _refuse("only frames taken as equilibria can be left out: say --quasi-static", {"--every": every > 1})
+    if until is None and not leave_out:
+        _refuse("nothing is predicted: say --leave-out or --until", {"--figure": figure})
+    if not (choose or bootstrap):
+        _refuse("there is nothing to spread: say --bootstrap or --choose", {"--scheduler": scheduler, "--store": store})
+    if rig_file is None:
+        _refuse("no rig is written: say --rig-file", {"--rig": rig})
+    elif to is None:
         to = rig_file.with_suffix(".parameters.yaml")
-    priors = {}
-    for item in prior or []:
-        name, _, numbers = item.partition("=")
-        mean, _, std = numbers.partition("+-")
-        try:
-            priors[name] = Prior(float(mean), float(std))
-        except ValueError as fault:
-            raise typer.BadParameter(f"'{item}' is not of the form NAME=MEAN+-STD", param_hint="--prior") from fault
-    if every > 1 and not quasi_static:
-        raise typer.BadParameter(
-            "only frames taken as equilibria can be left out: say --quasi-static", param_hint="--every"
-        )
-    if start and (choose or paper):
-        raise typer.BadParameter("neither --choose nor --paper takes it", param_hint="--start")
-    if (until is not None or figure is not None) and (choose or paper):
-        raise typer.BadParameter("neither --choose nor --paper takes it", param_hint="--until, --figure")
-    if figure is not None and until is None and not leave_out:
-        raise typer.BadParameter("nothing is predicted: say --leave-out or --until", param_hint="--figure")
+    if bootstrap == 1:
+        _refuse("one refit has no scatter: at least two", {"--bootstrap": bootstrap})
+    priors = _priors(prior or [])
     names = [name.strip() for name in free.split(",") if name.strip()]
-    unseen = [resolve(archive) for archive in leave_out or []]
-    seen = [runs.open(path) for path in map(resolve, archives) if path not in unseen]
+    unseen = starting.opened(leave_out or [])
+    left_out = {run.sha256 for run in unseen}
+    seen = [run for run in starting.opened(archives) if run.sha256 not in left_out]
+    if not seen:
+        raise typer.BadParameter("every run is left out: nothing is left to identify from", param_hint="--leave-out")
+    starting.check_alike([*seen, *unseen])
     if paper:
         from rig import paper_identified
 
@@ -110,22 +123,23 @@ def identify(
 
         choosing.show(seen, names, priors, quasi_static, json, scheduler, store)
         return
-    if not seen:
-        raise typer.BadParameter("every run is left out: nothing is left to identify from", param_hint="--leave-out")
-    rigs = identified.starting_rigs(seen[0], start or [])
+    rigs = starting.starting_rigs(seen[0], start or [])
     data = identified.shown(seen, quasi_static)
-    for name, config in rigs.items():
-        if config.actuators != data[0].actuators:
-            said = f"{name} has {config.actuators} actuators, the runs have {data[0].actuators}"
+    for name, begun in rigs.items():
+        if begun.config.actuators != data[0].actuators:
+            said = f"{name} has {begun.config.actuators} actuators, the runs have {data[0].actuators}"
             raise typer.BadParameter(said, param_hint="--start")
-    later = []
+    later = identified.shown(unseen, quasi_static)
+    for poses in later:
+        if poses.actuators != data[0].actuators:
+            said = f"{poses.run_id} is of {poses.actuators} actuators, the others are of {data[0].actuators}"
+            raise typer.BadParameter(said, param_hint="--leave-out")
     if until is not None:
         parts = [parted(poses, until) for poses in data]
-        data, later = [part[0] for part in parts], [part[1] for part in parts]
+        data, later = [part[0] for part in parts], [part[1] for part in parts] + later
     data = [poses.only(np.arange(0, len(poses), every)) for poses in data]
-    fit = identified.likeliest(rigs, data, names, priors, starts)
+    taken, fit = identified.likeliest(rigs, data, names, priors, starts)
     identified.show(fit, json)
-    later += [identified.poses(runs.open(path), quasi_static) for path in unseen]
     predictions = [predict(fit, poses) for poses in later]
     identified.told(predictions)
     profiles = identified.profiled(fit) if profile else ()
@@ -135,11 +149,39 @@ def identify(
     if report is not None:
         from calibration.identify.report import write as write_report
 
-        truth = identified.truth_of(seen[0])
+        truth = starting.truth_of(seen[0])
         typer.echo(write_report(fit, report, profiles, refits, predictions, truth), err=json)
     if to is not None:
         written = write(fit, to, profiles)
         typer.echo(written, err=json)
         if rig_file is not None:
-            rig_file.write_text(identified.rig_with(rig, written), encoding="utf-8")
+            base = taken if rig is None else starting.Beginning.named(rig)
+            rig_file.write_text(identified.rig_with(base, written), encoding="utf-8")
             typer.echo(rig_file, err=json)
+
+
+def _refuse(why: str, options: Mapping[str, object]) -> None:
+    """Say of the options that were given why they cannot be."""
+    if given := [name for name, value in options.items() if value]:
+        raise typer.BadParameter(why, param_hint=", ".join(given))
+
+
+def _priors(items: Sequence[str]) -> dict[str, Prior]:
+    """What is known beforehand, by name, from NAME=MEAN+-STD."""
+    from calibration.identify import Prior
+
+    priors: dict[str, Prior] = {}
+    for item in items:
+        name, _, numbers = item.partition("=")
+        mean, _, std = numbers.partition("+-")
+        if name in priors:
+            raise typer.BadParameter(f"{name} is given twice", param_hint="--prior")
+        try:
+            known = float(mean), float(std)
+        except ValueError as fault:
+            raise typer.BadParameter(f"'{item}' is not of the form NAME=MEAN+-STD", param_hint="--prior") from fault
+        try:
+            priors[name] = Prior(*known)
+        except ValueError as fault:
+            raise typer.BadParameter(f"'{item}': {fault}", param_hint="--prior") from fault
+    return priors

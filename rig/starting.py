@@ -1,0 +1,173 @@
+"""What an identification starts from: archives, a rig, and for simulated runs the truth that it should find."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from calibration.identify.data import NoData
+from calibration.identify.parameters import Setup, known
+from rig.arm import model_arm, true_arm
+from rig.config import RigConfig, Sensor
+from rig.listing import resolve
+from rig.optics import rigid
+from rig.rig_file import load, parse, path_of, text
+from rig.screens import console
+from runs.run import Run
+
+
+@dataclass(frozen=True)
+class Beginning:
+    """A rig that a search begins at: its YAML, where that is from, and what it says."""
+
+    yaml: str
+    file: str
+    config: RigConfig
+
+    @classmethod
+    def named(cls, name: str) -> Beginning:
+        """The rig of that name, or in that file; `BadInput` as `rig_file.load`."""
+        return cls(text(name), str(path_of(name)), load(name))
+
+    @classmethod
+    def of(cls, run: Run) -> Beginning:
+        """The rig of a run as it was used.
+
+        Raises:
+            NoData: the archive, of an import, names none.
+        """
+        return cls(run.header.rig_yaml, f"{run.path}: the rig's YAML", rig_of(run))
+
+
+def starting_rigs(first: Run, names: Sequence[str]) -> dict[str, Beginning]:
+    """The rigs that the search starts from, by name or file: those that are named, or else the first run's own.
+
+    Raises:
+        BadInput: a rig that is named.
+        NoData: none is named, and the archive, of an import, has none.
+    """
+    return {name: Beginning.named(name) for name in names} or {first.header.rig_name: Beginning.of(first)}
+
+
+def opened(names: Sequence[Path]) -> list[Run]:
+    """The archives of these names, each once; says of what is named twice that it counts once.
+
+    Raises:
+        ArchiveError: there is none of a name.
+        NoData: two of them, a run and its replay, show the same motion.
+    """
+    found: dict[str, Run] = {}
+    shown: dict[tuple[str, int], Run] = {}
+    for path in map(resolve, names):
+        run = Run(path)
+        if run.sha256 in found:
+            console(stderr=True).print(f"{path} is named twice and counts once", soft_wrap=True)
+            continue
+        same = shown.setdefault((run.header.parent or run.header.run_id, run.header.started_utc_ns), run)
+        if same is not run:
+            raise NoData(f"{same.path} and {run.path} are of one run, seen twice: give one of them")
+        found[run.sha256] = run
+    return list(found.values())
+
+
+def check_alike(archives: Sequence[Run]) -> None:
+    """Refuse runs whose tips, or pressures, count from different zeros; say where these are not the plain rig's.
+
+    Raises:
+        NoData: parameters with another mounting, or another gain, lay over the rig of some of them.
+    """
+    first, *others = archives
+    laid = _laid(first)
+    for run in others:
+        if _laid(run) != laid:
+            raise NoData(
+                f"{first.path} and {run.path} were recorded with different parameters laid over their rig: their tips "
+                "and pressures do not count from the same; identify them apart"
+            )
+    if laid is not None:
+        said = f"{first.header.run_id} was recorded with parameters laid over its rig: mounting and gains that are "
+        said += "found count from there; --rig-file writes the whole rig"
+        console(stderr=True).print(said, soft_wrap=True)
+
+
+def _laid(run: Run) -> tuple[object, ...] | None:
+    """What the parameters over a run's rig changed of how it measures; None for nothing."""
+    if not run.header.parameters_yaml:
+        return None
+    found = yaml.safe_load(run.header.parameters_yaml)
+    moved, gain = found["mounting"], found["sensing"]["gain"]
+    numbers = (*(x for _, triple in sorted(moved.items()) for x in triple), *(g - 1 for g in gain))
+    return numbers if any(numbers) else None
+
+
+def rig_of(run: Run) -> RigConfig:
+    """The rig of a run as it was used.
+
+    Raises:
+        NoData: the archive, of an import, names none.
+    """
+    if not run.header.rig_yaml:
+        raise NoData(
+            f"{run.path}: the archive holds no rig; name one in the import's mapping (rig: FILE), or with --start"
+        )
+    return parse(run.header.rig_yaml, f"{run.path}: the rig's YAML")
+
+
+def setup_of(run: Run) -> Setup:
+    """The arm as the run's rig states it.
+
+    Raises:
+        NoData: the archive, of an import, names no rig.
+    """
+    return Setup(model_arm(rig_of(run)))
+
+
+def truth_of(run: Run) -> dict[str, float]:
+    """The simulator's own value of every parameter of a simulated run's arm, by name; nothing for a real one."""
+    if not run.header.simulated or not run.header.rig_yaml:
+        return {}
+    config = rig_of(run)
+    simulator = config.simulator
+    if simulator is None:
+        return {}
+    base, board = rigid(simulator.base), config.board.placement
+    mounted = rigid(simulator.board or board) @ rigid(board).inverse()
+    stated, built = model_arm(config).geometry.positions_m, true_arm(config).geometry.positions_m
+    across = stated[:, 0] * built[:, 1] - stated[:, 1] * built[:, 0]
+    setup = Setup(
+        true_arm(config),
+        base_translation_m=_triple(base.translation_m),
+        base_rotation_rad=_triple(Rotation.from_matrix(base.rotation).as_rotvec()),
+        tool_offset_m=_triple(mounted.translation_m),
+        actuator_turn_rad=tuple(np.arctan2(across, (stated * built).sum(axis=1)).tolist()),
+        sensor_gain=tuple(
+            _bar_per_v(one) / _bar_per_v(other)
+            for one, other in zip(_by_actuator(config), _by_actuator(config.as_built), strict=True)
+        ),
+        sensor_filter_s=simulator.sensor.lag_ms * 1e-3,
+    )
+    shown = {name: one.read(setup) for name, one in known(config.actuators).items() if not one.per_run}
+    if any(any((*error.translation_mm, *error.rotation_deg)) for error in map(simulator.error_of, config.cameras)):
+        # Cameras that stand elsewhere than stated move the frame of the measurements, too.
+        shown = {name: value for name, value in shown.items() if not name.startswith(("base_", "tool_"))}
+    return shown
+
+
+def _triple(values: NDArray[np.float64]) -> tuple[float, float, float]:
+    x, y, z = (float(v) for v in values)
+    return x, y, z
+
+
+def _by_actuator(config: RigConfig) -> list[Sensor]:
+    return sorted(config.sensors, key=lambda sensor: sensor.actuator)
+
+
+def _bar_per_v(sensor: Sensor) -> float:
+    (v0, v1), (b0, b1) = sensor.span_V, sensor.span_bar
+    return (b1 - b0) / (v1 - v0)
