@@ -22,8 +22,9 @@ NORMAL_95 = 1.959963984540054
 _UNDECIDED = 0.5
 _ONLY_PRIOR = 0.95
 _SAME_LOSS = 0.5
-# Spans that nothing lies farther off than: what the data leave wholly open stays finite.
-_FAR = 10.0
+# Spans that nothing lies farther off than: what the data leave wholly open stays finite, and does not carry along what
+# it hardly touches.
+_FAR = 2.0
 _SHOWN_SHARE = 0.2
 
 
@@ -320,7 +321,6 @@ def _estimates(
     n = len(problem.unknowns)
     only = [i for i in range(n) if i not in held]
     rates = problem.rates(solution.z)
-    # What one unknown leaves open reaches others far away only by detours that nothing plausible takes.
     loose = _std(joint.information + np.eye(n) / _FAR**2)
     covariance = np.zeros((n, n))
     covariance[np.ix_(only, only)] = _marginal(problem, solution, only)

@@ -23,7 +23,8 @@ _ROUNDS = 5
 _NOTICEABLE = 0.05
 _LONGEST_STEP = 1.0
 _SAME_SLOPE = 3e-3
-_LEAST_DAMPING = 1e-4
+# What a squared step, in spans, costs of the sum of squares where the search begins to be careful, and where it ceases.
+_CAREFUL, _CARELESS = 1.0, 1e-3
 # How near a parameter may come to what it must stay below.
 _SHORT_OF = 0.98
 # A step that promises less than this of the sum of squares is a hundredth of an error bar.
@@ -254,7 +255,7 @@ class Problem:
             pulls.append(pull)
             correlation.append(float(np.trace(covariance @ pull)) / told if told > 0 else 1.0)
         information = prior.copy()
-        information[part] = curvature @ _inverse(np.sum(pulls, axis=0) + prior[part]) @ curvature
+        information[part] = _sandwich(curvature, np.sum(pulls, axis=0) + prior[part])
         return information, tuple(correlation)
 
     def loss(self, z: Array, weights: tuple[Weights, ...], correlation: Sequence[float]) -> float:
@@ -274,7 +275,12 @@ class Problem:
         return self._pressure[1]
 
     def climb(self, z: Array, only: list[int], weights: tuple[Weights, ...], evaluations: int) -> tuple[Array, bool]:
-        """Gauss and Newton's steps within the bounds, damped by Levenberg where the loss does not fall."""
+        """Gauss and Newton's steps within the bounds, damped where the loss does not fall.
+
+        What is damped is the step in spans (Levenberg): it shortens the way along what the data leave open, on which
+        they are met less well than straight ahead seems, and leaves what they tell sharply alone. Damping by the
+        curvature (Marquardt) would slow all unknowns down that can be exchanged with others.
+        """
         lower, upper = (np.array([getattr(self.unknowns[i], side) for i in only]) for side in ("lower", "upper"))
         z[only] = np.clip(z[only], lower, upper)
         residual = self._rows(z, only, weights)
@@ -288,7 +294,7 @@ class Problem:
             loose = np.flatnonzero(~stuck)
             curvature = (slope.T @ slope)[np.ix_(loose, loose)]
             step = np.zeros(len(only))
-            step[loose] = np.linalg.solve(curvature + damping * np.diag(np.diagonal(curvature)), pull[loose])
+            step[loose] = np.linalg.solve(curvature + damping * np.eye(len(loose)), pull[loose])
             promised = float(step @ pull)
             step *= min(1.0, _LONGEST_STEP / max(np.abs(step).max(initial=0.0), 1e-300))
             trial = z.copy()
@@ -297,9 +303,9 @@ class Problem:
             better = float(there @ there) <= float(residual @ residual)
             if better:
                 z, residual, slope = trial, there, None
-                damping = damping / 10 if damping > _LEAST_DAMPING else 0.0
+                damping = damping / 10 if damping > _CARELESS else 0.0
             else:
-                damping = max(10 * damping, _LEAST_DAMPING)
+                damping = max(10 * damping, _CAREFUL)
             if promised < _CONVERGED:
                 return z, True
         return z, False
@@ -344,9 +350,28 @@ class Problem:
         return np.ones(len(self.data[run])) if self.entry_weights is None else self.entry_weights[run]
 
 
-def _inverse(matrix: Array) -> Array:
-    """Of a symmetric matrix (n, n) that nothing is negative in; along what is missing in it, zero."""
+def _roots(matrix: Array) -> tuple[Array, Array]:
+    """Of a symmetric matrix (n, n) that nothing is negative in: values (k,) and vectors (n, k) of what is in it."""
     values, vectors = np.linalg.eigh(matrix)
     there = values > max(1e-12, 1e-14 * float(values.max(initial=0.0)))
-    out: Array = (vectors[:, there] / values[there]) @ vectors[:, there].T
+    return values[there], vectors[:, there]
+
+
+def _inverse(matrix: Array) -> Array:
+    """Of a symmetric matrix (n, n) that nothing is negative in; along what is missing in it, zero."""
+    values, vectors = _roots(matrix)
+    out: Array = (vectors / values) @ vectors.T
     return out
+
+
+def _sandwich(curvature: Array, pull: Array) -> Array:
+    """Information (n, n) where what pulls scatters by `pull`: curvature pull^-1 curvature.
+
+    In units of the curvature's own axes: multiplied out, what the data tell sharply would drown what they leave open.
+    """
+    values, vectors = _roots(curvature)
+    scale = np.sqrt(values)
+    relative = (vectors / scale).T @ pull @ (vectors / scale)
+    wide = vectors * scale
+    out: Array = wide @ _inverse(relative) @ wide.T
+    return (out + out.T) / 2
