@@ -57,12 +57,15 @@ def kernel(
     fastmath: bool | set[str] = _FAST,
     inlined: bool = False,
     allocates: bool = True,
+    called: bool = True,
 ) -> Any:
     """Compile a function when it is first called, or take it from the cache on disk.
 
     `sources` are the files outside this room that a kernel is made of; `fastmath` is numba's. `inlined` puts the
     machine code into every caller, which lets a loop around it become vector instructions. A kernel that makes no
     array says so by `allocates`: it is then spared the counting of references, an atomic operation per array and call.
+    One that only other kernels call says so by `called`: it is spared what Python would call it by, in which an inlined
+    kernel would be compiled once more. Calling it from Python then ends the process.
     """
     folder = cache_folder()
     if sources:
@@ -73,6 +76,7 @@ def kernel(
     config.CACHE_DIR = str(folder)
     try:
         options: dict[str, Any] = {"fastmath": fastmath, "forceinline": inlined, "_nrt": allocates}
+        options |= {"no_cpython_wrapper": not called, "no_cfunc_wrapper": True}
         return numba.njit(cache=True, error_model="numpy", nogil=True, **options)(function)
     finally:
         config.CACHE_DIR = before

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +26,8 @@ class Geometry:
     actuator_xy_m: tuple[Point, ...]
 
     def __post_init__(self) -> None:
+        if any(np.shape(point) != (2,) for point in self.actuator_xy_m):
+            raise ValueError(f"actuator_xy_m must be pairs of numbers, got {self.actuator_xy_m}")
         xy = tuple((float(x), float(y)) for x, y in self.actuator_xy_m)
         object.__setattr__(self, "actuator_xy_m", xy)
         sizes = (self.length_m, self.inner_radius_m, self.outer_radius_m)
@@ -63,10 +66,12 @@ class Geometry:
         """How many tubes there are."""
         return len(self.actuator_xy_m)
 
-    @property
+    @cached_property
     def positions_m(self) -> NDArray[np.float64]:
-        """The tubes' axes (N, 2) [m] in the base frame."""
-        return np.array(self.actuator_xy_m, dtype=np.float64)
+        """The tubes' axes (N, 2) [m] in the base frame; read-only."""
+        positions = np.array(self.actuator_xy_m, dtype=np.float64)
+        positions.flags.writeable = False
+        return positions
 
     @property
     def centroid_m(self) -> NDArray[np.float64]:
@@ -74,6 +79,12 @@ class Geometry:
         centre: NDArray[np.float64] = self.positions_m.mean(axis=0)
         rounding = 1e-12 * float(np.abs(self.positions_m).max())
         return np.where(np.abs(centre) < rounding, 0.0, centre)
+
+    @cached_property
+    def slenderness(self) -> float:
+        """Length over width, the latter twice the largest distance of a wall from the centroid."""
+        away = np.linalg.norm(self.positions_m - self.centroid_m, axis=1).max() + self.outer_radius_m
+        return float(self.length_m / (2 * away))
 
     @property
     def chamber_area_m2(self) -> float:

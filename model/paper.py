@@ -110,12 +110,10 @@ class PaperRod:
             {"lm": "lm", "dogleg": "hybr"}[solver],
             as_printed,
         )
-        area, second = arm.geometry.wall_area_m2, arm.geometry.wall_second_moment_m4
-        xy = arm.geometry.positions_m - arm.geometry.centroid_m
-        xx, yy = (area * xy**2 + second).sum(axis=0)
-        self._inertia = arm.material.density_kg_m3 * np.array([yy, xx, xx + yy])
+        self._inertia = _inertia(arm)
         self._states, self._samples = np.empty((steps + 1, STATE)), np.empty((steps + 1, SAMPLE))
         self._guess: Array | None = None
+        self._last: Shape | None = None
         self._past = np.zeros((3, steps + 1, SAMPLE))
         self._rate = np.zeros((steps + 1, SAMPLE))
 
@@ -134,7 +132,12 @@ class PaperRod:
         return self._shape(known, ok=True)
 
     def start(self, pressure_pa: ArrayLike, loads: Loads | None = None) -> Shape:
-        """Begin at rest."""
+        """Begin at rest. Raises ValueError for a cap with inertia or a material with damping, which the paper lacks."""
+        if self._arm.cap_inertia or self._arm.material.damping_s > 0:
+            raise ValueError(
+                "the paper's formulation has neither the cap's inertia nor damping in motion: "
+                "set cap_inertia=False and damping_s=0, or use Arm.dynamics"
+            )
         shape = self.statics(pressure_pa, loads)
         self._past[:] = self._samples
         self._rate[:] = 0.0
@@ -143,7 +146,7 @@ class PaperRod:
 
     def step(self, pressure_pa: ArrayLike, loads: Loads | None = None) -> Shape:
         """Advance by one time step; the last good shape with ok=False where shooting fails."""
-        if self._guess is None:
+        if self._last is None or self._guess is None:
             raise ValueError("start(pressure_pa) comes before the first step")
         pressure = pressures(self._arm, pressure_pa)
         known = NeutralSection.of(self._arm, pressure, self._as_printed)
@@ -160,6 +163,10 @@ class PaperRod:
     def _solve(self, known: NeutralSection, guess: Array, history: Array, c0: float, loads: Loads | None) -> bool:
         arm = self._arm
         loads = loads if loads is not None else Loads()
+        if np.any(loads.tip_point_m):
+            raise ValueError(
+                "the paper's formulation has the tip's force at the end of the axis: leave tip_point_m out"
+            )
         load = loads.along(self._steps + 1)
         gravity = np.asarray(arm.gravity_m_s2)
         if arm.rod_weight:
@@ -192,3 +199,12 @@ class PaperRod:
         v, u = self._samples[:, :3], self._samples[:, 3:6].copy()
         s = np.linspace(0.0, self._arm.geometry.length_m, n)
         return Shape(s, p, rotation, v - np.cross(u, d), u, ok, self._arm.geometry.positions_m)
+
+
+def _inertia(arm: Arm) -> Array:
+    """rho J (3, 3) [kg m] of the walls about their centroid."""
+    area, second = arm.geometry.wall_area_m2, arm.geometry.wall_second_moment_m4
+    x, y = (arm.geometry.positions_m - arm.geometry.centroid_m).T
+    xx, xy, yy = (area * x * x + second).sum(), (area * x * y).sum(), (area * y * y + second).sum()
+    inertia: Array = arm.material.density_kg_m3 * np.array([[yy, -xy, 0.0], [-xy, xx, 0.0], [0.0, 0.0, xx + yy]])
+    return inertia

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -12,9 +13,10 @@ Array = Any
 
 STATE = 19  # p (3), h (4), n (3), m (3), q (3), w (3): base frame for p, n, m, section frame for q, w
 SAMPLE = 12  # v, u, q, w
+_inner = partial(kernel, called=False)
 
 
-@kernel
+@_inner
 def _cross(a: Array, b: Array, out: Array) -> None:
     out[0] = a[1] * b[2] - a[2] * b[1]
     out[1] = a[2] * b[0] - a[0] * b[2]
@@ -31,7 +33,7 @@ def turn(h: Array, r: Array) -> None:
     r[2, 0], r[2, 1], r[2, 2] = s * (b * d - c * a), s * (c * d + b * a), 1.0 - s * (b * b + c * c)
 
 
-@kernel
+@_inner
 def slopes(
     y: Array,
     history: Array,
@@ -51,7 +53,7 @@ def slopes(
     """Eq 27: dy/ds (19,) of the state y, and the sample (v, u, q, w) from which the next history is made.
 
     history: y^h of that sample. load: f_e, l_e. soft_se, soft_bt: inverse stiffnesses. push (N,): P_i A_i + the RPE's
-    E_i A_m v. arms (N, 3): r_i - D.
+    E_i A_m v. arms (N, 3): r_i - D. inertia: rho J (3, 3).
     """
     r = np.empty((3, 3))
     turn(y[3:7], r)
@@ -86,11 +88,14 @@ def slopes(
     _cross(w, q, spin)
     for k in range(3):
         force[k] = total * bent[k] + mass * (spin[k] + c0 * q[k] + history[6 + k])
-    swirl = np.empty(3)
-    momentum = np.array((inertia[0] * w[0], inertia[1] * w[1], inertia[2] * w[2]))
+    momentum, spun, swirl = np.zeros(3), np.zeros(3), np.empty(3)
+    for k in range(3):
+        for i in range(3):
+            momentum[k] += inertia[k, i] * w[i]
+            spun[k] += inertia[k, i] * (c0 * w[i] + history[9 + i])
     _cross(w, momentum, swirl)
     for k in range(3):
-        moment[k] += swirl[k] + c0 * momentum[k] + inertia[k] * history[9 + k]
+        moment[k] += swirl[k] + spun[k]
     ps = np.empty(3)
     for k in range(3):
         ps[k] = r[k, 0] * v[0] + r[k, 1] * v[1] + r[k, 2] * v[2]

@@ -60,6 +60,8 @@ class Tube:
         for name, value in (("fibre_modulus_pa", self.fibre_modulus_pa), ("rubber_fraction", self.rubber_fraction)):
             if not (math.isfinite(value) and value >= 0):
                 raise ValueError(f"{name} must be zero or positive, got {value}")
+        if not math.isfinite(self.fibre_angle_deg):
+            raise ValueError(f"fibre_angle_deg must be finite, got {self.fibre_angle_deg}")
 
     def under_pressure(self, pressure_pa: float) -> Stretch:
         """Closed tube: the pressure acts on the wall and on the caps, N = P pi r_i^2. Raises Ballooned."""

@@ -77,6 +77,31 @@ def test_both_formulations_agree_in_motion(scheme: str) -> None:
         assert np.abs(paper.step(p).tip_m - ours.step(p).tip_m).max() < 1e-6
 
 
+def test_both_formulations_agree_in_motion_of_two_tubes_askew() -> None:
+    # Then the section's own axes of inertia are not x and y.
+    arm = replace(Arm.paper("homogeneous+rpe"), geometry=Geometry.on_circle(0.1, 0.0095, 0.014, 0.06, (35.0, 215.0)))
+    paper, ours = PaperRod(arm, 1 / 30, steps=100), arm.dynamics(1 / 30, nodes=40)
+    paper.start((0, 0))
+    ours.start((0, 0))
+    for k in range(8):
+        p = np.array([0.3, 0.05 * k]) * BAR
+        assert np.abs(paper.step(p).tip_m - ours.step(p).tip_m).max() < 1e-6
+
+
+@pytest.mark.parametrize("change", [{"cap_inertia": True}, {"damping_s": 0.01}])
+def test_what_the_papers_formulation_lacks_in_motion_is_refused(change: dict[str, object]) -> None:
+    arm = Arm.paper("homogeneous")
+    if "damping_s" in change:
+        change = {"material": replace(arm.material, **change)}  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match=r"Arm\.dynamics"):
+        PaperRod(replace(arm, **change)).start((0, 0, 0))  # type: ignore[arg-type]
+
+
+def test_a_force_beside_the_axis_is_refused_by_the_papers_formulation() -> None:
+    with pytest.raises(ValueError, match="tip_point_m"):
+        PaperRod(Arm.paper("homogeneous")).statics((0, 0, 0), Loads(tip_force_n=(1, 0, 0), tip_point_m=(0, 0, 0.01)))
+
+
 @pytest.mark.parametrize(("space", "order"), [("euler", 1), ("rk4", 4)])
 def test_the_spatial_methods_have_their_orders(space: str, order: int) -> None:
     arm = replace(Arm.paper("homogeneous+rpe"), rod_weight=True)
@@ -107,6 +132,7 @@ def test_a_linear_history_at_the_mid_points_drops_rk4_to_second_order() -> None:
 
 def test_a_step_that_shooting_cannot_solve_is_flagged() -> None:
     rod = PaperRod(Arm.paper("homogeneous"))
+    rod.statics((0, 0, 0))
     with pytest.raises(ValueError, match="start"):
         rod.step((0, 0, 0))
     good = rod.start((0.1 * BAR, 0, 0))

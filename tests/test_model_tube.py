@@ -143,10 +143,11 @@ def test_the_sign_of_a_hangs_on_the_fibres_that_the_paper_does_not_print() -> No
         {"shear_modulus_pa": 0.0},
         {"fibre_modulus_pa": -1.0},
         {"inner_radius_m": math.nan},
+        {"fibre_angle_deg": math.nan},
     ],
 )
 def test_a_tube_that_cannot_be_is_refused(change: dict[str, float]) -> None:
-    with pytest.raises(ValueError, match=r"radii|modulus"):
+    with pytest.raises(ValueError, match=r"radii|modulus|fibre_angle_deg"):
         replace(PAPER, **change)
 
 
