@@ -24,7 +24,7 @@ from rod import DT, path_of_sine
 import model.pointwise
 from model import Arm
 from model.axis import place_tip
-from model.layout import STATE
+from model.layout import LANES, OTHERS, STATE, SUMS
 from model.march import advance
 from model.problem import CLOSE
 
@@ -148,13 +148,15 @@ def second(variant: str, nodes: int) -> dict[str, int]:
     moving.start(path[0])
     problem, total, passes = moving._problem, Counter[str](), 0
     room = type(moving._room)(*(given(part) for part in moving._room))
-    work, trail, x = (given(a) for a in (problem.work, moving._trail, moving._x))
+    work, trail, x = (given(a) for a in (problem.prepared, moving._trail, moving._x))
     place, turned = given(np.zeros((1, 3))), given(np.zeros((1, 3, 3)))
     before = moving._before
     for row in path[1:]:
+        # With up to three tubes, there are no others: what is added for them is no operation.
+        work[OTHERS * LANES : (OTHERS + SUMS) * LANES] = 0.0
         done = advance(
-            work, problem.law, problem.actuators, problem.rest, problem.per_pressure, problem.free_per_pa, before, row,
-            moving._load, moving._loaded, moving._tip, problem.length_m, moving._segments, problem.scale,
+            work, problem.law, problem.actuators, problem.rest[0], problem.per_pressure[0], problem.free_per_pa, before,
+            row, moving._load, moving._loaded, moving._tip, problem.length_m, moving._segments, problem.scale,
             moving._coefficients, trail, x, room, CLOSE,
         )  # fmt: skip
         assert done > 0

@@ -72,6 +72,8 @@ class Arm:
             if len(triple) != 3 or not all(math.isfinite(c) for c in triple):
                 raise ValueError(f"{name} must be three finite numbers, got {triple}")
             object.__setattr__(self, name, tuple(float(c) for c in triple))
+        if min(self.cap_inertia_kg_m2) < 0:
+            raise ValueError(f"cap_inertia_kg_m2 must be zero or positive, got {self.cap_inertia_kg_m2}")
 
     @classmethod
     def paper(cls, variant: Variant = "inhomogeneous+rpe") -> Arm:
@@ -89,34 +91,42 @@ class Arm:
         return self.modulus_rule if self.variant == "inhomogeneous+rpe" else "linear"
 
     @property
+    def frozen(self) -> bool:
+        """Whether the rule freezes the moduli at those of the pressures, so that each row of these has a section."""
+        return self.section_rule not in ("linear", "pointwise")
+
+    @property
     def line_density_kg_m(self) -> float:
         """rho A of all walls [kg/m]."""
         return self.material.density_kg_m3 * self.geometry.wall_area_m2 * self.geometry.actuators
 
     def stiffness_n(self, pressure_pa: Array) -> Array:
-        """Axial stiffness E_i A_m (N,) [N] of each tube; for 'pointwise', that at zero strain."""
-        material, geometry = self.material, self.geometry
+        """Axial stiffness E_i A_m [N] of each tube at pressures (.., N) [Pa]; for 'pointwise', that at zero strain."""
+        material, geometry, pressure = self.material, self.geometry, np.asarray(pressure_pa, dtype=np.float64)
         if self.section_rule == "linear":
-            return np.full(geometry.actuators, material.youngs_modulus_pa * geometry.wall_area_m2)
+            return np.full(pressure.shape, material.youngs_modulus_pa * geometry.wall_area_m2)
         if self.section_rule == "pointwise":
-            return np.full(geometry.actuators, 1 / material.a1_per_n)
-        force = np.abs(self._wall_force_n(np.asarray(pressure_pa, dtype=np.float64)))
+            return np.full(pressure.shape, 1 / material.a1_per_n)
+        force = np.abs(self._wall_force_n(pressure))
         share = 2.0 if self.section_rule.endswith("tangent") else 1.0
         return 1.0 / (material.a1_per_n + share * material.a2_per_n2 * force)
 
     def _wall_force_n(self, pressure_pa: Array) -> Array:
         """The force n that eq 33 takes for each tube: its own push, or by the paper what the cap hands to the rest."""
         push = pressure_pa * self.geometry.chamber_area_m2
+        if not self.section_rule.startswith("paper"):
+            return push
         passive = pressure_pa < PASSIVE_BELOW_PA
-        if self.section_rule.startswith("paper") and passive.any():
-            return np.where(passive, push[~passive].sum() / passive.sum(), push)
-        return push
+        handed = np.where(passive, 0.0, push).sum(axis=-1, keepdims=True)
+        share: Array = handed / np.maximum(1, passive.sum(axis=-1, keepdims=True))
+        return np.where(passive, share, push)
 
-    def statics(self, pressure_pa: ArrayLike, loads: Loads | None = None, nodes: int = 20) -> Shape:
+    def statics(self, pressure_pa: ArrayLike, loads: Loads | None = None, nodes: int | None = None) -> Shape:
         """The shape at rest under gauge pressures (N,) [Pa].
 
-        nodes: steps along the arm (RK4; the default leaves an error below 1e-8 m). Raises ValueError for pressures or
-        loads that are not finite or of the wrong shape, NotConverged when no equilibrium is found.
+        nodes: steps along the arm (RK4); by default 20, or ten for each width of its length where it is slender, which
+        leaves an error below 1e-8 m at the paper's pressures (docs/model.md says where not). Raises ValueError for
+        pressures or loads that are not finite or of the wrong shape, NotConverged when no equilibrium is found.
         """
         from model.statics import solve
 
@@ -131,8 +141,8 @@ class Arm:
     ) -> Dynamics:
         """A stepper in time with a fixed step [s]; schemes of Table 2: bdf1, bdf2, bdf3, bdf-alpha, trapezoidal.
 
-        nodes: steps along the arm; by default as many as the time step needs. ValueError for fewer than can follow the
-        waves of so short a step, an unknown scheme, or a time step that is not positive.
+        nodes: steps along the arm; by default as many as the time step and a slender arm need. ValueError for fewer
+        than can follow the waves of so short a step, an unknown scheme, or a time step that is not positive.
         """
         from model.dynamics import Dynamics
 

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 
 from model.compiled import kernel
-from model.march import advance, equilibrium
+from model.march import advance, equilibrium, stiffen
 from model.shooting import Room
-from model.triples import Triple, cross, inlined, leaf, plus, rotation
+from model.triples import Triple, called, cross, inlined, leaf, plus, rotation
 
 Array = Any
 
@@ -37,7 +37,7 @@ def _write_axis(at: Triple, d1: Triple, d2: Triple, d3: Triple, centre: Array, p
     p[j, 1] += cy
 
 
-@leaf
+@called
 def axis(x: Array, length: float, centre: Array, p: Array, rotations: Array, v: Array, u: Array) -> None:
     """Positions, orientations and strains of the arm's axis from the solved states of the line through the centroid.
 
@@ -71,6 +71,7 @@ def motion(
     w: Array,
     law: int,
     actuators: int,
+    stiffness: Array,
     rest: Array,
     per_pressure: Array,
     free: float,
@@ -94,17 +95,21 @@ def motion(
 ) -> int:
     """Advance through the rows of pressure (T, N); fills tips (T, 3), turns (T, 3, 3), good (T,).
 
+    stiffness (R, 24), rest (R, 6), per_pressure (R, 6, N): of each row's section; R is T, or 1 for the same in all.
     Returns the number of passes, or -1, having done nothing, where a pressure is not finite.
     """
     for t in range(pressure.shape[0]):
         for k in range(actuators):
             if not abs(pressure[t, k]) < np.inf:
                 return -1
-    total = 0
+    total, sections = 0, stiffness.shape[0]
     for t in range(pressure.shape[0]):
+        r = t % sections
+        if sections > 1:
+            stiffen(w, stiffness[r])
         passes = advance(
-            w, law, actuators, rest, per_pressure, free, before, pressure[t], load, loaded, tip, length, segments,
-            scale, scheme, trail, x, room, tolerance,
+            w, law, actuators, rest[r], per_pressure[r], free, before, pressure[t], load, loaded, tip, length,
+            segments, scale, scheme, trail, x, room, tolerance,
         )  # fmt: skip
         good[t] = passes > 0
         if passes > 0:
@@ -118,8 +123,9 @@ def equilibria(
     works: Array,
     law: int,
     actuators: int,
-    rests: Array,
-    per_pressures: Array,
+    stiffness: Array,
+    rest: Array,
+    per_pressure: Array,
     free: Array,
     pressure: Array,
     load: Array,
@@ -134,11 +140,15 @@ def equilibria(
     turned: Array,
     good: Array,
 ) -> None:
-    """One equilibrium per row of pressure (B, N), each with its own parameters; fills place, turned and good."""
+    """One equilibrium per row of pressure (B, N); fills place, turned and good.
+
+    Each row has an arm of its own, or all have the first one; its section (stiffness, rest, per_pressure) the same.
+    """
     for b in range(pressure.shape[0]):
-        k = b % works.shape[0]
+        k, r = b % works.shape[0], b % rest.shape[0]
+        stiffen(works[k], stiffness[r])
         passes = equilibrium(
-            works[k], law, actuators, rests[k], per_pressures[k], free[k], pressure[b], load[k], loaded, tips[k],
+            works[k], law, actuators, rest[r], per_pressure[r], free[k], pressure[b], load[k], loaded, tips[k],
             length[k], scale[k], room, tolerance,
         )  # fmt: skip
         good[b] = passes > 0

@@ -11,13 +11,16 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from model import layout
 from model.arm import Arm
 from model.axis import equilibria
 from model.dynamics import Motion
 from model.problem import SOLVED, Problem
 from model.shooting import Room
+from model.statics import steps_along
 
 Array = NDArray[np.float64]
+AT_ONCE = 1024  # arms prepared for the kernels, each in an array of its own
 
 
 @dataclass(frozen=True)
@@ -29,38 +32,44 @@ class Tips:
     ok: NDArray[np.bool_]
 
 
-def statics(arms: Arm | Sequence[Arm], pressure_pa: ArrayLike, nodes: int = 20, workers: int | None = None) -> Tips:
+def statics(
+    arms: Arm | Sequence[Arm], pressure_pa: ArrayLike, nodes: int | None = None, workers: int | None = None
+) -> Tips:
     """Tips at rest for rows of pressure_pa (B, N) [Pa]: one arm for all rows, or one arm per row.
 
-    The arms must share the number of actuators and the section rule. Raises ValueError for what does not fit.
+    The arms must share the number of actuators and the section rule. nodes: steps along each arm, by default as many as
+    the most slender one needs. Raises ValueError for what does not fit.
     """
     rows = np.array(pressure_pa, dtype=np.float64)
     given = [arms] if isinstance(arms, Arm) else list(arms)
     _check(given, rows, 2)
-    if nodes < 2:
-        raise ValueError(f"an arm needs at least two steps along it, got {nodes}")
+    steps = max(steps_along(arm, nodes) for arm in given)
     count = len(rows)
     place, turned = np.empty((count, 3)), np.empty((count, 3, 3))
     good = np.empty(count, dtype=np.bool_)
 
     def part(span: range) -> None:
-        if not len(span):
-            return
-        at = slice(span.start, span.stop)
-        # Frozen moduli are those of the pressures: then every row has a section of its own.
-        alike = len(given) == 1 and given[0].section_rule in ("linear", "pointwise")
-        mine = given if alike else given * len(span) if len(given) == 1 else given[at]
-        problems = [Problem.of(arm, row) for arm, row in zip(mine, rows[at], strict=False)]
-        loads = [problem.load(arm, None, nodes) for problem, arm in zip(problems, mine, strict=True)]
-        first = problems[0]
-        equilibria(
-            np.array([p.work for p in problems]), first.law, first.actuators, np.array([p.rest for p in problems]),
-            np.array([p.per_pressure for p in problems]), np.array([p.free_per_pa for p in problems]), rows[at],
-            np.array([load for load, _ in loads]), any(loaded for _, loaded in loads),
-            np.array([p.tip(arm, None) for p, arm in zip(problems, mine, strict=True)]),
-            np.array([p.length_m for p in problems]), np.array([p.scale for p in problems]),
-            np.array([p.centre_m for p in problems]), SOLVED, Room.of(nodes), place[at], turned[at], good[at],
-        )  # fmt: skip
+        room = Room.of(steps)
+        for start in range(span.start, span.stop, AT_ONCE):
+            at = slice(start, min(start + AT_ONCE, span.stop))
+            if len(given) == 1:
+                mine, problems = given, [Problem.of(given[0], rows[at])]
+            else:
+                mine = given[at]
+                problems = [Problem.of(arm, row[None]) for arm, row in zip(mine, rows[at], strict=True)]
+            loads = [problem.load(arm, None, steps) for problem, arm in zip(problems, mine, strict=True)]
+            first = problems[0]
+            works = layout.aligned(len(problems), len(first.prepared))
+            works[:] = [p.prepared for p in problems]
+            equilibria(
+                works, first.law, first.actuators,
+                np.concatenate([p.stiffness for p in problems]), np.concatenate([p.rest for p in problems]),
+                np.concatenate([p.per_pressure for p in problems]), np.array([p.free_per_pa for p in problems]),
+                rows[at], np.array([load for load, _ in loads]), any(loaded for _, loaded in loads),
+                np.array([p.cap for p in problems]),
+                np.array([p.length_m for p in problems]), np.array([p.scale for p in problems]),
+                np.array([p.centre_m for p in problems]), SOLVED, room, place[at], turned[at], good[at],
+            )  # fmt: skip
 
     spread(part, count, workers)
     return Tips(place, turned, good)

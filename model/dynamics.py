@@ -12,18 +12,20 @@ from numpy.typing import ArrayLike, NDArray
 from model.axis import motion
 from model.layout import STATE, aligned
 from model.loads import Loads
-from model.march import advance, settle
+from model.march import settle
 from model.problem import CLOSE, Problem, pressures
 from model.schemes import Scheme
 from model.shape import Shape
 from model.shooting import Room
-from model.statics import shape, states
+from model.statics import shape, states, steps_along
 
 if TYPE_CHECKING:
     from model.arm import Arm
 
 Array = NDArray[np.float64]
 NOT_FINITE = "pressures must be finite"
+# Beyond this the steps would take seconds each, and then more memory than there is.
+MOST_NODES = 20_000
 
 
 @dataclass(frozen=True)
@@ -42,9 +44,10 @@ class Dynamics:
         self._scheme = Scheme.named(scheme, dt_s, alpha)
         self._arm = arm
         growth = self._growth()
-        self._nodes = nodes if nodes is not None else 4 * max(3, math.ceil(growth / 2))
-        if self._nodes < 2:
-            raise ValueError(f"an arm needs at least two steps along it, got {nodes}")
+        if not growth < MOST_NODES / 2:
+            raise ValueError(f"a time step of {dt_s} s is too short for this arm: it needs {growth:.3g} steps along it")
+        slender = 1.5 * arm.geometry.slenderness
+        self._nodes = steps_along(arm, nodes if nodes is not None else 4 * math.ceil(max(3, growth / 2, slender)))
         if self._nodes < growth:
             raise ValueError(
                 f"a time step of {dt_s} s needs at least {math.ceil(growth)} steps along the arm, got {nodes}"
@@ -54,6 +57,7 @@ class Dynamics:
             [self._scheme.c0, self._scheme.c1, self._scheme.c2, self._scheme.c3, self._scheme.d1]
         )
         self._started = False
+        self._loads: Loads | None = None
 
     @property
     def nodes(self) -> int:
@@ -71,28 +75,34 @@ class Dynamics:
         return self._scheme.c0
 
     def arguments(self) -> tuple[Any, ...]:
-        """The arm in motion, after `start`, as `moving.moving` takes it."""
+        """The arm in motion, after `start`, as `moving.moving` takes it: with nothing on its tip but the cap."""
         problem = self._problem
         return (
-            problem.work, problem.law, problem.actuators, problem.rest, problem.per_pressure, problem.free_per_pa,
-            self._before, self._load, self._loaded, problem.length_m, self._segments, problem.scale,
-            self._coefficients, self._trail, self._x, self._room, CLOSE, problem.centre_m,
+            self._work, problem.law, problem.actuators, problem.free_per_pa, self._before, self._load, self._loaded,
+            problem.cap, problem.length_m, self._segments, problem.scale, self._coefficients, self._trail, self._x,
+            self._room, CLOSE, problem.centre_m,
         )  # fmt: skip
 
     def start(self, pressure_pa: ArrayLike, loads: Loads | None = None) -> Shape:
         """Begin at rest under gauge pressures (N,) [Pa]; raises as `Arm.statics` does."""
         pressure = pressures(self._arm, pressure_pa)
+        resting = Problem.of(self._arm, pressure[None])
+        self.begin(resting, pressure, resting.tip(loads), *resting.load(self._arm, loads, self._nodes))
+        self._loads = loads
+        return shape(self._arm, self._problem, self._x, ok=True)
+
+    def begin(self, resting: Problem, pressure: Array, tip: Array, load: Array, loaded: bool) -> None:
+        """What `start` does, with all that hangs on the arm in the kernels' words; the arm at rest is prepared."""
         n = self._nodes
-        resting = Problem.of(self._arm, pressure)
-        self._x = states(self._arm, resting, pressure, loads, n)
-        self._problem = Problem.of(self._arm, pressure, self._scheme.c0)
+        self._x = states(resting, pressure, tip, load, loaded)
+        self._problem = Problem.of(self._arm, pressure[None], self._scheme.c0)
+        self._work = self._problem.work()
         self._room = Room.of(n)
         self._trail = aligned(2, 2 * n + 2, STATE)
         settle(self._coefficients, self._x, self._trail, resting.length_m, self._room)
         self._before = np.stack([pressure] * 3)
-        self._set_loads(loads)
+        self._loads, self._tip, self._load, self._loaded = None, tip, load, loaded
         self._started = True
-        return shape(self._arm, self._problem, self._x, ok=True)
 
     def step(self, pressure_pa: ArrayLike, loads: Loads | None = None) -> Shape:
         """Advance by one time step under gauge pressures (N,) [Pa], held at the step's end.
@@ -105,15 +115,8 @@ class Dynamics:
         pressure = pressures(self._arm, pressure_pa)
         if loads is not self._loads:
             self._set_loads(loads)
-        if self._arm.section_rule not in ("linear", "pointwise"):
-            self._problem = Problem.of(self._arm, pressure, self._scheme.c0)
-        problem = self._problem
-        passes = advance(
-            problem.work, problem.law, problem.actuators, problem.rest, problem.per_pressure, problem.free_per_pa,
-            self._before, pressure, self._load, self._loaded, self._tip, problem.length_m, self._segments,
-            problem.scale, self._coefficients, self._trail, self._x, self._room, CLOSE,
-        )  # fmt: skip
-        return shape(self._arm, problem, self._x, ok=passes > 0)
+        moved = self._advance(pressure[None])
+        return shape(self._arm, self._problem, self._x, ok=bool(moved.ok[0]))
 
     def run(self, pressure_pa: ArrayLike) -> Motion:
         """Advance through the rows of pressure_pa (T, N) [Pa] in one call, with the loads of the last step.
@@ -127,21 +130,20 @@ class Dynamics:
         actuators = self._arm.geometry.actuators
         if rows.ndim != 2 or rows.shape[1] != actuators:
             raise ValueError(f"pressure_pa must be rows of {actuators} numbers, got shape {rows.shape}")
-        if self._arm.section_rule not in ("linear", "pointwise"):
+        return self._advance(rows)
+
+    def _advance(self, rows: Array) -> Motion:
+        if self._arm.frozen and len(rows):
             if not np.isfinite(rows).all():
                 raise ValueError(NOT_FINITE)
-            shapes = [self.step(row) for row in rows]
-            return Motion(
-                np.array([shape.tip_m for shape in shapes]).reshape(-1, 3),
-                np.array([shape.tip_rotation for shape in shapes]).reshape(-1, 3, 3),
-                np.array([shape.ok for shape in shapes], dtype=bool),
-            )
+            self._problem = Problem.of(self._arm, rows, self._scheme.c0)
+            self._work = self._problem.work()
         problem, count = self._problem, len(rows)
         tips, turns, good = np.empty((count, 3)), np.empty((count, 3, 3)), np.empty(count, dtype=np.bool_)
         passes = motion(
-            problem.work, problem.law, problem.actuators, problem.rest, problem.per_pressure, problem.free_per_pa,
-            self._before, rows, self._load, self._loaded, self._tip, problem.length_m, self._segments,
-            problem.scale, self._coefficients, self._trail, self._x, self._room, CLOSE,
+            self._work, problem.law, problem.actuators, problem.stiffness, problem.rest, problem.per_pressure,
+            problem.free_per_pa, self._before, rows, self._load, self._loaded, self._tip, problem.length_m,
+            self._segments, problem.scale, self._coefficients, self._trail, self._x, self._room, CLOSE,
             problem.centre_m, tips, turns, good,
         )  # fmt: skip
         if passes < 0:
@@ -149,9 +151,9 @@ class Dynamics:
         return Motion(tips, turns, good)
 
     def _set_loads(self, loads: Loads | None) -> None:
-        self._loads = loads
-        self._tip = self._problem.tip(self._arm, loads)
+        self._tip = self._problem.tip(loads)
         self._load, self._loaded = self._problem.load(self._arm, loads, self._nodes)
+        self._loads = loads
 
     def _growth(self) -> float:
         """Exponent by which the stiffest mode grows along the arm within one time step's equations, c0 L / c_shear."""

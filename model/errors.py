@@ -2,6 +2,15 @@
 
 from __future__ import annotations
 
+import numpy as np
+from numpy.typing import NDArray
+
 
 class NotConverged(Exception):  # noqa: N818 - the outcome is the name
     """No equilibrium was found; the message says at which pressures."""
+
+    @classmethod
+    def at(cls, pressure_pa: NDArray[np.float64]) -> NotConverged:
+        """Under these pressures (N,)."""
+        bar = ", ".join(f"{value / 1e5:.4g}" for value in pressure_pa)
+        return cls(f"no equilibrium found at {bar} bar: a pressure or load may be far outside the arm's range")

@@ -18,12 +18,13 @@ from numpy.typing import ArrayLike, NDArray
 from model import layout
 from model.batch import spread
 from model.errors import NotConverged
-from model.lanes import FIRST, Lanes, passes
+from model.lanes import FIRST, Lanes, hang, passes
 from model.loads import Loads
 from model.moving import moving
 from model.problem import SOLVED, Problem, pressures
 from model.resting import resting
 from model.shooting import room_for
+from model.statics import steps_along
 
 if TYPE_CHECKING:
     from model.arm import Arm
@@ -40,11 +41,24 @@ USUAL = {"youngs_modulus_pa": 1e5, "rpe_per_bar": 0.05, "a1_per_n": 1e-2, "a2_pe
 
 @dataclass(frozen=True)
 class Pull:
-    """Dead forces (K, 3) [N] and moments (K, 3) [N m] in the base frame; the force at point_m (3,) of the tip frame."""
+    """Dead forces (K, 3) [N] and moments (K, 3) [N m] in the base frame; the force at point_m (3,) of the tip frame.
+
+    Raises ValueError for what is not finite or of another shape.
+    """
 
     force_n: Array
     moment_n_m: Array
     point_m: Array
+
+    def __post_init__(self) -> None:
+        for name in ("force_n", "moment_n_m", "point_m"):
+            given = np.array(getattr(self, name), dtype=np.float64)
+            if not np.isfinite(given).all():
+                raise ValueError(f"what pulls must be finite, got {name} {given.tolist()}")
+            object.__setattr__(self, name, given)
+        shapes = self.force_n.shape, self.moment_n_m.shape, self.point_m.shape
+        if shapes != ((len(self.force_n), 3), (len(self.force_n), 3), (3,)):
+            raise ValueError(f"what pulls must have forces and moments (K, 3) at a point (3,), got shapes {shapes}")
 
 
 @dataclass(frozen=True)
@@ -85,23 +99,22 @@ class TipGradient:
     by_pressure: Array
 
 
-def tip_gradient(arm: Arm, pressure_pa: ArrayLike, loads: Loads | None = None, nodes: int = 20) -> TipGradient:
+def tip_gradient(arm: Arm, pressure_pa: ArrayLike, loads: Loads | None = None, nodes: int | None = None) -> TipGradient:
     """The tip at rest and its gradient by the section's material and the pressures. Raises as `Arm.statics` does."""
-    pressure = pressures(arm, pressure_pa)
-    _check_nodes(nodes)
+    pressure, nodes = pressures(arm, pressure_pa), steps_along(arm, nodes)
     names = _material(arm)
-    stack = _Stack.of(arm, _varied(arm, pressure), nodes, pressure[None]) if _frozen(arm) else _kept.stack(arm, nodes)
-    tips = stack.bare
+    frozen = arm.frozen
+    stack = _Stack.of(arm, _varied(arm, pressure), nodes, pressure[None]) if frozen else _kept.stack(arm, nodes)
+    hung = stack.nothing
     if loads is not None:
         load, loaded = stack.first.load(arm, loads, nodes)
         # What is kept must not remember a load.
-        stack = replace(stack.at(slice(None)), load=load, loaded=loaded, loaded_lanes=loaded or stack.loaded_lanes)
-        tips = replace(tips, hung=tips.hung + loads.tip()[:, None])
+        stack = replace(stack.own(slice(None)), load=load, loaded=loaded, loaded_lanes=loaded or stack.loaded_lanes)
+        hung = hung + np.concatenate([loads.tip(), loads.pull()])[:, None]
     rows = pressure[:, None] + _shifts(len(names), len(pressure))
-    found = _solve(stack, rows, tips, nodes, _kept.lanes(len(stack.steps), nodes))
+    found = _solve(stack, rows, hung, nodes, _kept.lanes(len(stack.steps), nodes))
     if not found.ok[0]:
-        bar = ", ".join(f"{value / 1e5:.4g}" for value in pressure)
-        raise NotConverged(f"no equilibrium found at {bar} bar: a pressure or load may be far outside the arm's range")
+        raise NotConverged.at(pressure)
     by = found.tip_by[0]
     return TipGradient(found.tip_m[0], dict(zip(names, by.T, strict=False)), by[:, len(names) :])
 
@@ -112,17 +125,16 @@ def statics(
     changes: Sequence[Change] = (),
     weight_kg: ArrayLike | None = None,
     pull: Pull | None = None,
-    nodes: int = 20,
+    nodes: int | None = None,
     workers: int | None = None,
 ) -> Gradients:
     """Tips at rest for rows of pressure_pa (K, N) [Pa], and how they answer to each change, in one call on all cores.
 
-    weight_kg (K,): hangs on the tip. Raises ValueError for what does not fit.
+    weight_kg (K,), pull (K rows): hang on the tip. Raises ValueError for what does not fit.
     """
-    rows = _rows(arm, pressure_pa)
-    _check_nodes(nodes)
+    rows, nodes = _rows(arm, pressure_pa), steps_along(arm, nodes)
     _check_changes(arm, changes, rows)
-    tips = _Tips.of(arm, changes, len(rows), weight_kg, pull)
+    hung = _hung(arm, changes, len(rows), weight_kg, pull)
     stack = _Stack.of(arm, changes, nodes, rows)
     lane_rows = _lane_rows(rows, [change.pressure_pa for change in changes])
     parts: dict[int, Gradients] = {}
@@ -131,7 +143,7 @@ def statics(
         if len(span):
             at = slice(span.start, span.stop)
             room = Lanes.of(len(changes), nodes, 1)
-            parts[span.start] = _solve(stack.at(at), lane_rows[at], tips.at(at), nodes, room)
+            parts[span.start] = _solve(stack.own(at), lane_rows[at], hung if len(hung) == 1 else hung[at], nodes, room)
 
     spread(part, len(rows), workers)
     each = [parts[start] for start in sorted(parts)]
@@ -149,36 +161,38 @@ def motion(
     weight_kg: ArrayLike | None = None,
     every: int = 1,
     nodes: int | None = None,
+    pull: Pull | None = None,
 ) -> Gradients:
     """The tip in motion, from rest under the first of the rows of pressure_pa (1 + T, N) [Pa], one time step a row.
 
-    Answers of the first row and of `every` so many steps after it: K = 1 + T // every. weight_kg (1 + T,): hangs on the
-    tip. The scheme is BDF-alpha. Raises ValueError for frozen moduli and for what does not fit.
+    Answers of the first row and of `every` so many steps after it: K = 1 + T // every. weight_kg (1 + T,), pull
+    (1 + T rows): hang on the tip. The scheme is BDF-alpha. Raises ValueError for what does not fit.
     """
     rows = _rows(arm, pressure_pa)
     _check_changes(arm, changes, rows)
-    if _frozen(arm) or any(change.pull is not None for change in changes):
-        raise ValueError("a motion has gradients with modulus_rule 'pointwise' or a homogeneous variant, and no pull")
-    weight = _weights(weight_kg, len(rows))
-    count = 1 + (len(rows) - 1) // every
-    neighbours = len(changes)
+    if every < 1:
+        raise ValueError(f"answers are asked for every so many steps, at least 1, got {every}")
+    hung = _hung(arm, changes, len(rows), weight_kg, pull)
+    count, neighbours = 1 + (len(rows) - 1) // every, len(changes)
     place, turned = np.full((count, 3), np.nan), np.full((count, 3, 3), np.nan)
     by, good = np.full((count, neighbours, 6), np.nan), np.zeros(count, dtype=np.bool_)
-    hung = weight[:, None] * np.asarray(arm.gravity_m_s2)
     dynamics = arm.dynamics(dt_s, nodes=nodes)
+    n = dynamics.nodes
+    still = _Stack.of(arm, changes, n, rows[:1])
+    here = np.empty(layout.HANGS)
+    hang(still.first.cap, hung[0], here)
     try:
-        dynamics.start(rows[0], Loads(tip_force_n=hung[0]))
+        dynamics.begin(still.first, rows[0], here, still.load, still.loaded)
     except NotConverged:
         return _gradients(place, turned, good, by)
-    n = dynamics.nodes
-    still = _Stack.of(arm, changes, n, rows)
     swinging = _Stack.of(arm, changes, n, rows, dynamics.c0)
     moving(
-        *dynamics.arguments(), swinging.tip, still.works[0], still.rests[0], still.per_pressures[0],
-        still.first.scale, swinging.works[0], swinging.rests[0], swinging.per_pressures[0], swinging.frees[0],
-        swinging.ends, _lane_rows(rows, [change.pressure_pa for change in changes]), hung,
-        swinging.loaded_lanes, swinging.heavy, layout.aligned(len(swinging.ends), n + 1, 24 * layout.LANES),
-        Lanes.of(neighbours, n, dynamics.segments), swinging.steps, every, place, turned, by, good,
+        *dynamics.arguments(), swinging.first.stiffness, swinging.first.rest, swinging.first.per_pressure,
+        still.first.scale, still.works, still.stiffness, still.rest, still.per_pressure, swinging.works,
+        swinging.stiffness, swinging.rest, swinging.per_pressure, swinging.frees, swinging.ends,
+        _lane_rows(rows, [change.pressure_pa for change in changes]), hung, swinging.loaded_lanes, swinging.heavy,
+        layout.aligned(len(swinging.ends), n + 1, 24 * layout.LANES), Lanes.of(neighbours, n, dynamics.segments),
+        swinging.steps, every, place, turned, by, good,
     )  # fmt: skip
     lost = ~good
     place[lost], turned[lost], by[lost] = np.nan, np.nan, np.nan
@@ -205,11 +219,6 @@ def _weights(weight_kg: ArrayLike | None, count: int) -> Array:
     return weight
 
 
-def _check_nodes(nodes: int) -> None:
-    if nodes < 2:
-        raise ValueError(f"an arm needs at least two steps along it, got {nodes}")
-
-
 def _check_changes(arm: Arm, changes: Sequence[Change], rows: Array) -> None:
     if not np.isfinite(rows).all():
         raise ValueError("pressures must be finite")
@@ -220,11 +229,6 @@ def _check_changes(arm: Arm, changes: Sequence[Change], rows: Array) -> None:
             raise ValueError(f"a change needs a step that is not zero, got {change.step}")
         if change.pressure_pa is not None and change.pressure_pa.shape != rows.shape:
             raise ValueError(f"a change has pressures of shape {change.pressure_pa.shape}, the arm {rows.shape}")
-
-
-def _frozen(arm: Arm) -> bool:
-    """Whether the moduli are those of the pressures, so that every row of pressures has its own section."""
-    return arm.section_rule not in ("linear", "pointwise")
 
 
 def _material(arm: Arm) -> tuple[str, ...]:
@@ -269,122 +273,86 @@ def _lanes(order: NDArray[np.intp], values: Sequence[ArrayLike]) -> Array:
     return np.ascontiguousarray(np.moveaxis(each, 1, -1))
 
 
-@dataclass(frozen=True)
-class _Tips:
-    """What hangs on the tip beyond the cap, as `lanes.press` takes it: rows of (W, 6, 8), one for all where alike."""
-
-    hung: Array
-    pull: Array
-
-    @classmethod
-    def of(
-        cls, arm: Arm, changes: Sequence[Change], count: int, weight_kg: ArrayLike | None, pull: Pull | None
-    ) -> _Tips:
-        works = passes(len(changes))
-        shape = (works, 6, layout.LANES)
-        weight = _weights(weight_kg, count)
-        if pull is None:
-            if any(change.pull is not None for change in changes):
-                raise ValueError("what pulls may only change where something pulls")
-            hung = np.zeros((count if weight.any() else 1, *shape))
-            if weight.any():
-                hung[:, :, :3] = (weight[:, None] * np.asarray(arm.gravity_m_s2))[:, None, :, None]
-            return cls(hung, np.zeros((1, *shape)))
-        hung, pulls = np.zeros((count, works * layout.LANES, 6)), np.zeros((count, works * layout.LANES, 6))
-        own = [pull] * FIRST + [change.pull or pull for change in changes]
-        own += [pull] * (works * layout.LANES - len(own))
-        for lane, one in enumerate(own):
-            hung[:, lane, :3], hung[:, lane, 3:] = one.force_n, one.moment_n_m
-            pulls[:, lane, :3], pulls[:, lane, 3:] = one.force_n, one.point_m
-        hung[:, :, :3] += (weight[:, None] * np.asarray(arm.gravity_m_s2))[:, None]
-        hung, pulls = (
-            np.ascontiguousarray(a.reshape(count, works, layout.LANES, 6).transpose(0, 1, 3, 2)) for a in (hung, pulls)
-        )
-        if not (np.isfinite(hung).all() and np.isfinite(pulls).all()):
-            raise ValueError("what pulls must be finite")
-        return cls(hung, pulls)
-
-    def at(self, rows: slice) -> _Tips:
-        return _Tips(*(a if len(a) == 1 else a[rows] for a in (self.hung, self.pull)))
+def _hung(arm: Arm, changes: Sequence[Change], count: int, weight_kg: ArrayLike | None, pull: Pull | None) -> Array:
+    """What hangs on the lanes' tips beyond the cap, (count, W, 12, 8) as `lanes.press` takes it; or one empty row."""
+    weight = _weights(weight_kg, count)
+    if pull is None and any(change.pull is not None for change in changes):
+        raise ValueError("what pulls may only change where something pulls")
+    for some in (pull, *(change.pull for change in changes)):
+        if some is not None and len(some.force_n) != count:
+            raise ValueError(f"what pulls has {len(some.force_n)} rows, the pressures {count}")
+    lanes = passes(len(changes)) * layout.LANES
+    hung = np.zeros((lanes, count if pull is not None or weight.any() else 1, 12))
+    own = [(arm, pull)] * lanes
+    own[FIRST : FIRST + len(changes)] = [(change.arm, change.pull or pull) for change in changes]
+    for lane, (one, pulls) in zip(hung, own, strict=True):
+        if weight.any():
+            lane[:, :3] = weight[:, None] * np.asarray(one.gravity_m_s2)
+        if pulls is not None:
+            lane[:, :3] += pulls.force_n
+            lane[:, 3:6], lane[:, 6:9], lane[:, 9:] = pulls.moment_n_m, pulls.force_n, pulls.point_m
+    return np.ascontiguousarray(hung.reshape(-1, layout.LANES, *hung.shape[1:]).transpose(2, 0, 3, 1))
 
 
 @dataclass(frozen=True)
 class _Stack:
-    """The arm and its neighbours as the kernels take them: `first` and the arrays (R, ..) of `resting.resting`."""
+    """The arm and its neighbours as the kernels take them; one section for each row of pressures, or one for all."""
 
     first: Problem
-    work: Array
+    works: Array
+    stiffness: Array
     rest: Array
     per_pressure: Array
-    free: Array
-    works: Array
-    rests: Array
-    per_pressures: Array
     frees: Array
     ends: Array
     load: Array
     loaded: bool
     loaded_lanes: bool
     heavy: bool
-    tip: Array
+    work: Array
     steps: Array
-    bare: _Tips
+    nothing: Array
 
     @classmethod
     def of(cls, arm: Arm, changes: Sequence[Change], nodes: int, rows: Array, c0: float = 0.0) -> _Stack:
-        """Of rows of pressures (K, N), which matter only to rules that freeze the moduli."""
-        arms = [arm, *(change.arm for change in changes)]
-        pressure = [rows, *(rows if change.pressure_pa is None else change.pressure_pa for change in changes)]
-        count = len(rows) if _frozen(arm) else 1
-        each = [[Problem.of(one, own[r], c0) for one, own in zip(arms, pressure, strict=True)] for r in range(count)]
-        firsts = each[0]
-        first = firsts[0]
+        """Of rows of pressures (K, N), the first ones or all; they matter only to rules that freeze the moduli."""
+        arms, some = [arm, *(change.arm for change in changes)], len(rows)
+        pressure = [rows, *(rows if change.pressure_pa is None else change.pressure_pa[:some] for change in changes)]
+        each = [Problem.of(one, own, c0) for one, own in zip(arms, pressure, strict=True)]
+        first = each[0]
         order = np.zeros(passes(len(changes)) * layout.LANES, dtype=np.intp)
         order[FIRST : FIRST + len(changes)] = np.arange(1, len(arms))
-        works = layout.aligned(count, len(order) // layout.LANES, len(first.work) // layout.LANES, layout.LANES)
-        for r, problems in enumerate(each):
-            works[r] = _lanes(order, [p.work[:: layout.LANES] for p in problems])
-        gravity = np.asarray(arm.gravity_m_s2)
-        heavier = [
-            (one.line_density_kg_m - arm.line_density_kg_m) * gravity if arm.rod_weight else np.zeros(3) for one in arms
-        ]
-        works[:, :, layout.STRIDE] = _lanes(order, [p.length_m / nodes for p in firsts])
-        works[:, :, layout.WEIGHT : layout.WEIGHT + 3] = _lanes(order, heavier)
-        works[:, :, layout.CENTRE : layout.CENTRE + 2] = _lanes(order, [p.centre_m for p in firsts])
-        ends = _lanes(order, [p.tip(one, None) for p, one in zip(firsts, arms, strict=True)])
-        works[:, :, layout.END : layout.END + 13] = ends
+        works = layout.aligned(len(order) // layout.LANES, len(first.prepared) // layout.LANES, layout.LANES)
+        works[:] = _lanes(order, [p.prepared[:: layout.LANES] for p in each])
+        weight = [one.line_density_kg_m * one.rod_weight * np.asarray(one.gravity_m_s2) for one in arms]
+        heavier = [own - weight[0] for own in weight]
+        works[:, layout.STRIDE] = _lanes(order, [p.length_m / nodes for p in each])
+        works[:, layout.WEIGHT : layout.WEIGHT + 3] = _lanes(order, heavier)
+        works[:, layout.CENTRE : layout.CENTRE + 2] = _lanes(order, [p.centre_m for p in each])
+        ends = _lanes(order, [p.cap for p in each])
         load, loaded = first.load(arm, None, nodes)
+        sections = [p.stiffness for p in each], [p.rest for p in each], [p.per_pressure for p in each]
+        stiffness, rest, per_pressure = (np.ascontiguousarray(_lanes(order, part).swapaxes(0, 1)) for part in sections)
         return cls(
-            first,
-            np.array([problems[0].work for problems in each]).reshape(count, -1),
-            np.array([problems[0].rest for problems in each]).reshape(count, 6),
-            np.array([problems[0].per_pressure for problems in each]).reshape(count, 6, -1),
-            np.array([problems[0].free_per_pa for problems in each]),
-            works.reshape(count, len(order) // layout.LANES, -1),
-            np.array([_lanes(order, [p.rest for p in problems]) for problems in each]),
-            np.array([_lanes(order, [p.per_pressure for p in problems]) for problems in each]),
-            np.array([_lanes(order, [p.free_per_pa for p in problems]) for problems in each]),
-            ends,
-            load,
-            loaded,
-            loaded or bool(np.any(heavier)),
-            arm.cap_inertia,
-            first.tip(arm, None),
+            first, works.reshape(len(works), -1), stiffness, rest, per_pressure,
+            _lanes(order, [p.free_per_pa for p in each]), ends, load, loaded, loaded or bool(np.any(heavier)),
+            any(one.cap_inertia for one in arms), first.work(),
             np.array([change.step for change in changes], dtype=np.float64),
-            _Tips(*np.zeros((2, 1, works.shape[1], 6, layout.LANES))),
-        )
+            np.zeros((1, len(works), 12, layout.LANES)),
+        )  # fmt: skip
 
-    def at(self, rows: slice) -> _Stack:
+    def own(self, rows: slice) -> _Stack:
         """The part for some rows, with work arrays of its own."""
-        chosen = slice(None) if len(self.work) == 1 else rows
-        works = layout.aligned(*self.works[chosen].shape)
-        works[:] = self.works[chosen]
-        work = layout.aligned(*self.work[chosen].shape)
-        work[:] = self.work[chosen]
+        works = layout.aligned(*self.works.shape)
+        works[:] = self.works
+        at = slice(None) if len(self.stiffness) == 1 else rows
+        first = self.first
         return replace(
-            self, work=work, works=works, rest=self.rest[chosen], per_pressure=self.per_pressure[chosen],
-            free=self.free[chosen], rests=self.rests[chosen], per_pressures=self.per_pressures[chosen],
-            frees=self.frees[chosen],
+            self, works=works, work=first.work(), stiffness=self.stiffness[at], rest=self.rest[at],
+            per_pressure=self.per_pressure[at],
+            first=replace(
+                first, stiffness=first.stiffness[at], rest=first.rest[at], per_pressure=first.per_pressure[at]
+            ),
         )  # fmt: skip
 
 
@@ -408,15 +376,15 @@ def _lanes_at_rest(neighbours: int, nodes: int) -> Lanes:
 _kept = _Kept()
 
 
-def _solve(stack: _Stack, rows: Array, tips: _Tips, nodes: int, room: Lanes) -> Gradients:
+def _solve(stack: _Stack, rows: Array, hung: Array, nodes: int, room: Lanes) -> Gradients:
     """For pressures (K, W, N, 8); the stack's work arrays are written to."""
     count, first, neighbours = len(rows), stack.first, len(stack.steps)
     place, turned, by = np.empty((count, 3)), np.empty((count, 3, 3)), np.empty((count, neighbours, 6))
     good = np.empty(count, dtype=np.bool_)
     resting(
-        stack.work, stack.works, first.law, first.actuators, stack.rest, stack.per_pressure, stack.free, stack.rests,
-        stack.per_pressures, stack.frees, stack.ends, rows, tips.hung, tips.pull, stack.load, stack.loaded,
-        stack.loaded_lanes, stack.heavy, stack.tip, first.length_m, first.scale, first.centre_m, SOLVED,
-        room_for(nodes), room, stack.steps, place, turned, by, good,
+        stack.work, stack.works, first.law, first.actuators, first.stiffness, first.rest, first.per_pressure,
+        first.free_per_pa, stack.stiffness, stack.rest, stack.per_pressure, stack.frees, stack.ends, rows, hung,
+        stack.load, stack.loaded, stack.loaded_lanes, stack.heavy, first.cap, first.length_m, first.scale,
+        first.centre_m, SOLVED, room_for(nodes), room, stack.steps, place, turned, by, good,
     )  # fmt: skip
     return _gradients(place, turned, good, by)

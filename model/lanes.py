@@ -9,19 +9,19 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 from model.layout import (
+    AXIAL,
     CENTRE,
     END,
     FOURTH,
     GATHER,
+    HANGS,
     HISTORY,
     LANES,
-    LINEAR,
     MORE,
     NODE,
     OFFSET,
     PAST,
     PER_TUBE,
-    POINTWISE,
     PULL,
     SLOPE,
     STAGE,
@@ -29,12 +29,10 @@ from model.layout import (
     STRIDE,
     THIRD,
     TRIO,
-    WRENCH,
     aligned,
 )
-from model.rod import stage, wrench
-from model.shooting import cap
-from model.triples import cross, dot, inlined, leaf, plus, put, rotation, triple
+from model.rod import stage
+from model.triples import called, cross, inlined, leaf, plus, put, rotation, triple
 
 Array = Any
 
@@ -102,10 +100,12 @@ def integrate_lanes(
     """Integrate the node's state, all lanes, from node `first` to node `last`, as `rod.integrate` does.
 
     past (N + 1, 192): history of velocities, strains and all their slopes at the nodes, of every lane, looked at when
-    `moving`. At the arm's tip, the state and its slope are filled in too.
+    `moving`.
     """
     size, n = STATE * LANES, states.shape[0] - 1
-    for j in range(first, last):
+    for j in range(first, last + 1):
+        if j == last and last < n:
+            break
         for i in range(size):
             states[j, i] = w[NODE * LANES + i]
         if moving:
@@ -113,6 +113,8 @@ def integrate_lanes(
         stage(w, law, actuators, OWN, True, load, loaded, 2 * j, NODE, STAGE, 0.5)
         for i in range(size):
             derivatives[j, i] = w[SLOPE * LANES + i]
+        if j == n:
+            break
         if moving:
             _recall_between(w, past[j], past[j + 1])
         stage(w, law, actuators, OWN, True, load, loaded, 2 * j + 1, STAGE, THIRD, 0.5)
@@ -120,65 +122,50 @@ def integrate_lanes(
         if moving:
             _recall(w, past[j + 1])
         stage(w, law, actuators, OWN, True, load, loaded, 2 * j + 2, FOURTH, NODE, 1.0 / 6.0)
-    if last == n:
-        for i in range(size):
-            states[n, i] = w[NODE * LANES + i]
-        # PAST holds the tip's history from the last stage.
-        stage(w, law, actuators, OWN, True, load, loaded, 2 * n, NODE, SLOPE, 0.0)
-        for i in range(size):
-            derivatives[n, i] = w[SLOPE * LANES + i]
-
-
-@leaf
-def lacking(w: Array, law: int, c0: float, heavy: bool) -> None:
-    """What each lane's tip lacks of what hangs on it, in the wrench's place; `shooting.tip_residual` lane by lane.
-
-    After `integrate_lanes`, which leaves the tubes' sums.
-    """
-    for i in range(LANES):
-        v_h, u_h = triple(w, PAST, i), triple(w, PAST + 3, i)
-        n, m = wrench(w, LINEAR, i, NODE, v_h, u_h) if law == LINEAR else wrench(w, POINTWISE, i, NODE, v_h, u_h)
-        h = (NODE + 12) * LANES + i
-        d1, d2, d3 = rotation((w[h], w[h + LANES], w[h + 2 * LANES], w[h + 3 * LANES]))
-        force, moment, place = triple(w, END, i), triple(w, END + 3, i), triple(w, END + 10, i)
-        f = (dot(d1, force), dot(d2, force), dot(d3, force))
-        couple = (dot(d1, moment), dot(d2, moment), dot(d3, moment))
-        if heavy:
-            f, couple = cap(
-                w, i, f, couple, w[(END + 6) * LANES + i], triple(w, END + 7, i), place, c0,
-                triple(w, PAST + 6, i), triple(w, PAST + 9, i),
-            )  # fmt: skip
-        couple = plus(couple, 1.0, cross(place, f))
-        pull = triple(w, PULL, i)
-        couple = plus(couple, 1.0, cross(triple(w, PULL + 3, i), (dot(d1, pull), dot(d2, pull), dot(d3, pull))))
-        put(w, WRENCH, i, plus(n, -1.0, f))
-        put(w, WRENCH + 3, i, plus(m, -1.0, couple))
 
 
 @leaf
 def press(
-    works: Array, actuators: int, rest: Array, per_pressure: Array, free: Array, ends: Array, pressure: Array,
-    hung: Array, pull: Array,
+    works: Array, actuators: int, stiffness: Array, rest: Array, per_pressure: Array, free: Array, ends: Array,
+    pressure: Array, hung: Array,
 ) -> None:  # fmt: skip
-    """Write pressures (W, N, 8) and loads at the tip into the work arrays (W, size), lane by lane.
+    """Write sections, pressures (W, N, 8) and loads at the tip into the work arrays (W, size), lane by lane.
 
-    rest (W, 6, 8), per_pressure (W, 6, N, 8), free (W, 8) and ends (W, 13, 8): as of `Problem`. hung (W, 6, 8): force
-    and moment beyond that. pull (W, 6, 8): a part of the force whose lever turns with the tip, and the lever.
+    stiffness (W, 24, 8), rest (W, 6, 8), per_pressure (W, 6, N, 8), free (W, 8) and ends (W, 19, 8): as of `Problem`.
+    hung (W, 12, 8): force and moment beyond that, a part of the force that pulls elsewhere, and where.
     """
     first = TRIO if actuators <= 3 else MORE
     for p in range(works.shape[0]):
         w = works[p]
+        for c in range(24):
+            for i in range(LANES):
+                w[(AXIAL + c) * LANES + i] = stiffness[p, c, i]
         for c in range(6):
             for i in range(LANES):
                 total = rest[p, c, i]
                 for k in range(actuators):
                     total += per_pressure[p, c, k, i] * pressure[p, k, i]
                 w[(OFFSET + c) * LANES + i] = total
-                w[(END + c) * LANES + i] = ends[p, c, i] + hung[p, c, i]
-                w[(PULL + c) * LANES + i] = pull[p, c, i]
+        for c in range(HANGS):
+            for i in range(LANES):
+                w[(END + c) * LANES + i] = ends[p, c, i]
+        for c in range(6):
+            for i in range(LANES):
+                w[(END + c) * LANES + i] += hung[p, c, i]
+                w[(PULL + c) * LANES + i] += hung[p, 6 + c, i]
         for k in range(actuators):
             for i in range(LANES):
                 w[(first + PER_TUBE * k + 2) * LANES + i] = free[p, i] * pressure[p, k, i]
+
+
+@called
+def hang(tip: Array, hung: Array, here: Array) -> None:
+    """What hangs on the arm's own tip (19,) with what `press` hangs there too."""
+    for c in range(HANGS):
+        here[c] = tip[c]
+    for c in range(6):
+        here[c] += hung[0, c, 0]
+        here[HANGS - 6 + c] += hung[0, 6 + c, 0]
 
 
 @leaf

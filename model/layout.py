@@ -32,9 +32,11 @@ PULLS = STRAINS + 3  # moments of the tubes' wall forces: 1, y, -x
 TANGENTS = PULLS + 3  # moments of the tubes' tangent stiffness: 1, x, y, xx, xy, yy
 SECANTS = TANGENTS + 6  # moments of their side stiffness: 1, x, y, rr
 CHANGES = SECANTS + 4  # moments of its derivative by strain: 1, x, y, xx, xy, yy, rrx, rry
+SUMS = 21  # all of these moments
+OTHERS = CHANGES + 8  # the same moments of all trios but the last; nothing where there is one only
 
 # Parameters of a run.
-C0 = CHANGES + 8  # of the time scheme, eq 26
+C0 = OTHERS + SUMS  # of the time scheme, eq 26
 LINE_DENSITY = C0 + 1  # rho A
 INERTIA = LINE_DENSITY + 1  # rho J: 11, 22, 12, 33
 LAG = INERTIA + 4  # Kelvin-Voigt time tau, as tau / (1 + tau c0)
@@ -46,16 +48,19 @@ SHEAR_INVERSE = AXIAL_INVERSE + 6
 OFFSET = SHEAR_INVERSE + 6  # what the pressures and the strain at rest add to the wrench: n1 n2 n3 m1 m2 m3
 TUBE = OFFSET + 6  # a1, a2, gamma, I_o / A_m of one tube
 # Tubes come in trios, the last filled up with tubes of no share. Per tube: x, y, free strain, share (1, or 0).
-TRIO = TUBE + 4  # the trio being summed; where there is one only, it stands here
+TRIO = TUBE + 4  # the trio being summed: the last, or the only one
 PER_TUBE = 4
 PER_TRIO = 3 * PER_TUBE
 STRIDE = TRIO + PER_TRIO  # step along the arm
+# What hangs on the tip. Force and moment in the base frame, the mass and rotational inertia (3) of a cap that resists
+# acceleration, where all this is in the section (3). Last the part of the force that pulls elsewhere, and where (3).
+END = STRIDE + 1
+PULL = END + 13
+HANGS = 19  # numbers of this
 # Where each lane is an arm of its own (model/lanes.py), what else they differ in.
-PAST = STRIDE + 1  # history at the stage
+PAST = END + HANGS  # history at the stage
 WEIGHT = PAST + HISTORY  # load per metre beyond the one that all share: force and moment, base frame
-END = WEIGHT + 6  # what hangs on the tip, as `tip_residual` takes it
-PULL = END + 13  # force that pulls, by a lever that turns with the tip (3), and the lever (3)
-CENTRE = PULL + 6  # centroid of the walls
+CENTRE = WEIGHT + 6  # centroid of the walls
 GATHER = CENTRE + 2  # sum of a step along the arm
 MORE = GATHER + STATE  # where there are several trios, all of them
 

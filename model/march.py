@@ -8,22 +8,21 @@ import numpy as np
 
 from model.compiled import kernel
 from model.layout import (
+    AXIAL,
     LANES,
     MORE,
-    NODE,
     OFFSET,
     PER_TUBE,
     RATE,
     SLOPE,
     STAGE,
     STATE,
-    STRIDE,
     TRIO,
     WRENCH,
 )
-from model.rod import integrate, resting_wrench, strain_changes
+from model.rod import resting_wrench, strain_changes
 from model.shooting import Room, newton
-from model.triples import inlined, leaf
+from model.triples import called, cross, inlined, leaf, plus, put, three, triple
 
 Array = Any
 
@@ -44,6 +43,14 @@ def set_pressures(w: Array, actuators: int, rest: Array, per_pressure: Array, fr
 
 
 @leaf
+def stiffen(w: Array, stiffness: Array) -> None:
+    """Write a section's stiffness blocks and their inverses (24,) into the parameters of all lanes."""
+    for c in range(24):
+        for i in range(LANES):
+            w[(AXIAL + c) * LANES + i] = stiffness[c]
+
+
+@leaf
 def uniform_guess(w: Array, law: int, actuators: int, tip: Array, scale: Array, room: Room) -> None:
     """Fill x with the strains that the section would have everywhere if the tip's load did not turn with the arm."""
     x = room.x
@@ -51,11 +58,13 @@ def uniform_guess(w: Array, law: int, actuators: int, tip: Array, scale: Array, 
     for i in range(LANES):
         for c in range(STATE):
             w[(STAGE + c) * LANES + i] = 1.0 if c in (2, 12) else 0.0
+    force = three(tip, 0)
+    moment = plus(plus(three(tip, 3), 1.0, cross(three(tip, 10), force)), 1.0, cross(three(tip, 16), three(tip, 13)))
     for _ in range(8):
         resting_wrench(w, law, actuators)
-        for c in range(6):
-            for i in range(LANES):
-                w[(RATE + c) * LANES + i] = tip[c] - w[(WRENCH + c) * LANES + i]
+        for i in range(LANES):
+            put(w, RATE, i, plus(force, -1.0, triple(w, WRENCH, i)))
+            put(w, RATE + 3, i, plus(moment, -1.0, triple(w, WRENCH + 3, i)))
         strain_changes(w, law)
         largest = 0.0
         for c in range(6):
@@ -69,7 +78,7 @@ def uniform_guess(w: Array, law: int, actuators: int, tip: Array, scale: Array, 
             x[j, c] = w[(STAGE + c) * LANES]
 
 
-@leaf
+@called
 def equilibrium(
     w: Array,
     law: int,
@@ -94,56 +103,19 @@ def equilibrium(
         room.history[m] = 0.0
     set_pressures(w, actuators, rest, per_pressure, free, pressure)
     uniform_guess(w, law, actuators, tip, scale, room)
-    segments = _divisor(room.states.shape[0] - 1, 1)
-    passes = newton(w, law, actuators, load, loaded, tip, 0.0, length, segments, scale, room, tolerance, 20.0)
-    if passes > 0:
-        return int(passes)
-    return int(
-        _followed(
-            w, law, actuators, rest, per_pressure, free, pressure, load, loaded, tip, length, scale, room, tolerance
-        )
-    )
-
-
-@kernel
-def _followed(
-    w: Array,
-    law: int,
-    actuators: int,
-    rest: Array,
-    per_pressure: Array,
-    free: float,
-    pressure: Array,
-    load: Array,
-    loaded: bool,
-    tip: Array,
-    length: float,
-    scale: Array,
-    room: Room,
-    tolerance: float,
-) -> int:
-    """The equilibrium by following pressures and loads up from nothing."""
-    x = room.x
-    n = room.states.shape[0] - 1
-    nothing = np.zeros_like(pressure)
-    set_pressures(w, actuators, rest, per_pressure, free, nothing)
-    uniform_guess(w, law, actuators, np.zeros_like(tip), scale, room)
-    for c in range(STATE):
-        for i in range(LANES):
-            w[(NODE + c) * LANES + i] = x[0, c]
-    for i in range(LANES):
-        w[STRIDE * LANES + i] = length / n
-    none = np.zeros_like(load)
-    for j in range(n):
-        integrate(w, law, actuators, room.history, none, loaded, j, j + 1, room.states, room.derivatives)
-        for c in range(STATE):
-            x[j, c] = room.states[j, c * LANES]
-    return int(
-        _led(
-            w, law, actuators, rest, per_pressure, free, nothing, pressure, load, loaded, tip, 0.0, length,
+    n, x = room.states.shape[0] - 1, room.x
+    # One segment; a plain 1 would have numba compile Newton's method once more, for this constant.
+    passes = newton(w, law, actuators, load, loaded, tip, 0.0, length, np.int64(1), scale, room, tolerance, 20.0)
+    if passes < 0:
+        # Straight, with nothing in it and nothing on it, an arm has the strains that it has at rest.
+        for j in range(n + 1):
+            for c in range(STATE):
+                x[j, c] = 1.0 if c in (2, 12) else 0.0
+        passes = _led(
+            w, law, actuators, rest, per_pressure, free, pressure, pressure, load, loaded, tip, 0.0, length,
             _divisor(n, 4), scale, room, tolerance,
-        )
-    )  # fmt: skip
+        )  # fmt: skip
+    return int(passes)
 
 
 @leaf
@@ -174,18 +146,24 @@ def _led(
     room: Room,
     tolerance: float,
 ) -> int:
-    """Lead the pressures from the last ones to the new ones, and at rest the loads, in strides as long as succeed."""
+    """Lead the pressures from the last ones to the new ones, in strides as long as succeed.
+
+    At rest (c0 = 0) pressures and loads are led up from nothing.
+    """
     x = room.x
     good, some, some_load, some_tip = x.copy(), np.empty_like(pressure), load.copy(), tip.copy()
     done, stride, total = 0.0, 0.125, 0
     while done < 1.0:
         share = min(1.0, done + stride)
         for k in range(actuators):
-            some[k] = last[k] + (pressure[k] - last[k]) * share
+            begun = last[k] if c0 > 0.0 else 0.0
+            some[k] = begun + (pressure[k] - begun) * share
         if c0 == 0.0:
             for k in range(load.shape[0]):
                 some_load[k] = share * load[k]
             for k in range(6):
+                some_tip[k] = share * tip[k]
+            for k in range(13, 16):
                 some_tip[k] = share * tip[k]
         set_pressures(w, actuators, rest, per_pressure, free, some)
         passes = newton(
@@ -226,7 +204,7 @@ def _between(history: Array, size: int, h: float) -> None:
         history[3 * size + m] = over * (b - a) - 0.25 * (a_s + b_s)
 
 
-@leaf
+@called
 def settle(scheme: Array, x: Array, trail: Array, length: float, room: Room) -> None:
     """The past of the first time step of an arm that has long been at rest in x: trail, and the room's history."""
     history, share = room.history, scheme[1] + scheme[2] + scheme[3]

@@ -8,9 +8,9 @@ import numpy as np
 
 from model.axis import place_tip
 from model.compiled import kernel
-from model.lanes import FIRST, Lanes, places, press
+from model.lanes import FIRST, Lanes, hang, places, press
 from model.layout import LANES, STATE
-from model.march import advance
+from model.march import advance, stiffen
 from model.neighbours import neighbours
 from model.shooting import Room
 from model.triples import inlined, leaf
@@ -74,38 +74,35 @@ def _remember(past: Array, room: Lanes, last: int, a: float, b: float, d: float)
 
 @kernel
 def moving(
-    w: Array, law: int, actuators: int, rest: Array, per_pressure: Array, free: float, before: Array, load: Array,
-    loaded: bool, length: float, segments: int, scale: Array, scheme: Array, trail: Array, x: Array,
-    solver: Room, tolerance: float, centre: Array, tip: Array, resting_works: Array,
-    resting_rests: Array, resting_per_pressures: Array, still: Array, works: Array, rests: Array,
-    per_pressures: Array, frees: Array, ends: Array, pressure: Array, hung: Array, loaded_lanes: bool, heavy: bool,
-    past: Array, room: Lanes, steps: Array, every: int, place: Array, turned: Array, by: Array, good: Array,
+    w: Array, law: int, actuators: int, free: float, before: Array, load: Array, loaded: bool, tip: Array,
+    length: float, segments: int, scale: Array, scheme: Array, trail: Array, x: Array, solver: Room,
+    tolerance: float, centre: Array, stiffness: Array, rest: Array, per_pressure: Array, still_scale: Array,
+    still_works: Array, still_stiffness: Array, still_rest: Array, still_per_pressure: Array, works: Array,
+    lane_stiffness: Array, lane_rest: Array, lane_per_pressure: Array, frees: Array, ends: Array, pressure: Array,
+    hung: Array, loaded_lanes: bool, heavy: bool, past: Array, room: Lanes, steps: Array, every: int, place: Array,
+    turned: Array, by: Array, good: Array,
 ) -> None:  # fmt: skip
     """A motion from rest by BDF-alpha, and how its tip answers to each neighbour's change.
 
-    The arm as `axis.motion` takes it, at rest in x; the lanes as `press` takes them, `resting_..` and scale
-    `still` of the arm at rest. pressure (1 + T, W, N, 8): at rest, then step by step. hung (1 + T, 3): force on the
-    tip. past (W, N + 1, 192): room for the lanes' history. Of every so many steps it fills place, turned, by
-    (1 + T / every, ..) and good.
+    The arm as `axis.motion` takes it, at rest in x; the lanes as `press` takes them, `still_..` those of the arm at
+    rest. pressure (1 + T, W, N, 8): at rest, then step by step; sections and hung one for each of these rows, or one
+    for all. past (W, N + 1, 192): room for the lanes' history. Without neighbours the lanes rest. Of every so many
+    steps it fills place, turned, by (1 + T / every, ..) and good.
     """
-    count = works.shape[0]
-    row, here, nothing = np.empty(actuators), tip.copy(), np.zeros((count, 6, LANES))
-    hangs = np.zeros((count, 6, LANES))
+    row, here = np.empty(actuators), tip.copy()
     c0, c1, c2, d1 = scheme[0], scheme[1], scheme[2], scheme[4]
-    followed, now = True, 0
+    followed, now, sections = steps.shape[0] > 0, 0, stiffness.shape[0]
     for t in range(pressure.shape[0]):
-        for c in range(3):
-            here[c] = tip[c] + hung[t, c]
-            for k in range(count):
-                for i in range(LANES):
-                    hangs[k, c, i] = hung[t, c]
+        r, hangs = t % sections, hung[t % hung.shape[0]]
+        hang(tip, hangs, here)
         solved = 1
-        if t == 0:
+        if t == 0 and followed:
             press(
-                resting_works, actuators, resting_rests, resting_per_pressures, frees, ends, pressure[t], hangs, nothing
-            )
+                still_works, actuators, still_stiffness[0], still_rest[0], still_per_pressure[0], frees, ends,
+                pressure[t], hangs,
+            )  # fmt: skip
             followed = neighbours(
-                resting_works, law, actuators, past, load, loaded_lanes, 0.0, heavy, segments, still, x, room,
+                still_works, law, actuators, past, load, loaded_lanes, 0.0, heavy, segments, still_scale, x, room,
                 room.states[0], room.derivatives[0],
             )  # fmt: skip
             _combine(x, segments, room, room.states[0], room.derivatives[0])
@@ -113,18 +110,23 @@ def moving(
             room.derivatives[1] = room.derivatives[0]
             # An arm at rest has no rates: y^h = -c0 y.
             _remember(past, room, now, -c0, 0.0, 0.0)
-        else:
+        if t > 0:
             for k in range(actuators):
                 row[k] = pressure[t, 0, k, 0]
+            if sections > 1:
+                stiffen(w, stiffness[r])
             solved = advance(
-                w, law, actuators, rest, per_pressure, free, before, row, load, loaded, here, length, segments, scale,
-                scheme, trail, x, solver, tolerance,
+                w, law, actuators, rest[r], per_pressure[r], free, before, row, load, loaded, here, length, segments,
+                scale, scheme, trail, x, solver, tolerance,
             )  # fmt: skip
             if solved > 0 and followed:
                 # y_t of the last step is c0 times its solution plus its history.
                 _remember(past, room, now, c1 + d1 * c0, c2, d1)
                 now = 1 - now
-                press(works, actuators, rests, per_pressures, frees, ends, pressure[t], hangs, nothing)
+                press(
+                    works, actuators, lane_stiffness[r], lane_rest[r], lane_per_pressure[r], frees, ends, pressure[t],
+                    hangs,
+                )  # fmt: skip
                 followed = neighbours(
                     works, law, actuators, past, load, loaded_lanes, c0, heavy, segments, scale, x, room,
                     room.states[now], room.derivatives[now],

@@ -8,9 +8,10 @@ from __future__ import annotations
 
 from typing import Any
 
-from model.lanes import FIRST, Lanes, integrate_lanes, lacking
+from model.lanes import FIRST, OWN, Lanes, integrate_lanes
 from model.layout import LANES, NODE, STATE, WRENCH
 from model.linear import orthonormalise, solve_six_rows
+from model.shooting import tip_residual
 from model.triples import leaf
 
 Array = Any
@@ -79,7 +80,7 @@ def neighbours(
             for c in range(STATE):
                 parts[f, c] *= scale[c]
     for p in range(works.shape[0]):
-        lacking(works[p], law, c0, heavy)
+        tip_residual(works[p], law, OWN, True, c0, heavy)
     for i in range(6):
         at = (WRENCH + i) * LANES
         for k in range(6):

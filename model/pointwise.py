@@ -11,16 +11,18 @@ from model.layout import (
     LANES,
     MORE,
     OFFSET,
+    OTHERS,
     PER_TRIO,
     PULLS,
     SECANTS,
     SHEAR,
     STRAINS,
+    SUMS,
     TANGENTS,
     TRIO,
     TUBE,
 )
-from model.triples import Triple, dot, inlined, leaf, plus, put, six, times, triple
+from model.triples import Triple, inlined, leaf, plus, put, six, times, triple
 
 Array = Any
 
@@ -45,8 +47,17 @@ def _tube(strain: float, a1: float, a2: float, share: float) -> tuple[float, flo
 
 
 @inlined
-def _trio(w: Array, i: int):  # type: ignore[no-untyped-def]
-    """Sums over the three tubes at TRIO: as they stand from PULLS on, in threes."""
+def _on(total: float, a: Triple, b: Triple) -> float:
+    """total + a . b."""
+    return total + a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@inlined
+def sum_tubes(w: Array, i: int, to: int) -> None:
+    """Sum over all tubes of lane i, at the strains kept for it: wall forces, tangent and side stiffnesses, to `to`.
+
+    These are the three at TRIO, on top of what stands at OTHERS.
+    """
     a1, a2, spread = w[TUBE * LANES + i], w[(TUBE + 1) * LANES + i], 2.0 * w[(TUBE + 3) * LANES + i]
     v3, u1, u2 = triple(w, STRAINS, i)
     x1, y1, free1 = triple(w, TRIO, i)
@@ -56,58 +67,36 @@ def _trio(w: Array, i: int):  # type: ignore[no-untyped-def]
     f1, t1, k1, e1 = _tube(v3 - 1.0 + y1 * u1 - x1 * u2 - free1, a1, a2, share1)
     f2, t2, k2, e2 = _tube(v3 - 1.0 + y2 * u1 - x2 * u2 - free2, a1, a2, share2)
     f3, t3, k3, e3 = _tube(v3 - 1.0 + y3 * u1 - x3 * u2 - free3, a1, a2, share3)
-    x, y = (x1, x2, x3), (y1, y2, y3)
+    x, y, less = (x1, x2, x3), (y1, y2, y3), (-x1, -x2, -x3)
     xx, xy, yy = (x1 * x1, x2 * x2, x3 * x3), (x1 * y1, x2 * y2, x3 * y3), (y1 * y1, y2 * y2, y3 * y3)
     far = (xx[0] + yy[0] + spread, xx[1] + yy[1] + spread, xx[2] + yy[2] + spread)
     f, t, k, e = (f1, f2, f3), (t1, t2, t3), (k1, k2, k3), (e1, e2, e3)
     g = (e1 * far[0], e2 * far[1], e3 * far[2])
-    return (
-        (f1 + f2 + f3, dot(f, y), -dot(f, x)),
-        (t1 + t2 + t3, dot(t, x), dot(t, y)),
-        (dot(t, xx), dot(t, xy), dot(t, yy)),
-        (k1 + k2 + k3, dot(k, x), dot(k, y)),
-        (dot(k, far), e1 + e2 + e3, dot(e, x)),
-        (dot(e, y), dot(e, xx), dot(e, xy)),
-        (dot(e, yy), dot(g, x), dot(g, y)),
-    )
-
-
-@inlined
-def sum_trio(w: Array, i: int) -> None:
-    """Sum over the tubes of one lane where there are up to three, at the strains kept for it."""
-    s0, s1, s2, s3, s4, s5, s6 = _trio(w, i)
-    put(w, PULLS, i, s0)
-    put(w, PULLS + 3, i, s1)
-    put(w, PULLS + 6, i, s2)
-    put(w, PULLS + 9, i, s3)
-    put(w, PULLS + 12, i, s4)
-    put(w, PULLS + 15, i, s5)
-    put(w, PULLS + 18, i, s6)
+    s0, s1, s2, s3 = triple(w, OTHERS, i), triple(w, OTHERS + 3, i), triple(w, OTHERS + 6, i), triple(w, OTHERS + 9, i)
+    s4, s5, s6 = triple(w, OTHERS + 12, i), triple(w, OTHERS + 15, i), triple(w, OTHERS + 18, i)
+    put(w, to, i, (s0[0] + f1 + f2 + f3, _on(s0[1], f, y), _on(s0[2], f, less)))
+    put(w, to + 3, i, (s1[0] + t1 + t2 + t3, _on(s1[1], t, x), _on(s1[2], t, y)))
+    put(w, to + 6, i, (_on(s2[0], t, xx), _on(s2[1], t, xy), _on(s2[2], t, yy)))
+    put(w, to + 9, i, (s3[0] + k1 + k2 + k3, _on(s3[1], k, x), _on(s3[2], k, y)))
+    put(w, to + 12, i, (_on(s4[0], k, far), s4[1] + e1 + e2 + e3, _on(s4[2], e, x)))
+    put(w, to + 15, i, (_on(s5[0], e, y), _on(s5[1], e, xx), _on(s5[2], e, xy)))
+    put(w, to + 18, i, (_on(s6[0], e, yy), _on(s6[1], g, x), _on(s6[2], g, y)))
 
 
 @leaf
-def sum_tubes(w: Array, trios: int) -> None:
-    """Sum over the tubes, all lanes, at the strains kept for it: wall forces, tangent stiffnesses, side stiffnesses."""
-    if trios == 1:
-        for i in range(LANES):
-            sum_trio(w, i)
-        return
-    for i in range(21 * LANES):
-        w[PULLS * LANES + i] = 0.0
-    for k in range(trios):
+def sum_others(w: Array, actuators: int) -> None:
+    """Sum over all trios but the last, all lanes, at the strains kept for it, and make the last one ready."""
+    for i in range(SUMS * LANES):
+        w[OTHERS * LANES + i] = 0.0
+    last = (actuators - 1) // 3
+    for k in range(last + 1):
         # Copied to a constant place, or the compiler gives up on vector instructions.
         at = (MORE + PER_TRIO * k) * LANES
         for i in range(PER_TRIO * LANES):
             w[TRIO * LANES + i] = w[at + i]
-        for i in range(LANES):
-            s0, s1, s2, s3, s4, s5, s6 = _trio(w, i)
-            put(w, PULLS, i, plus(s0, 1.0, triple(w, PULLS, i)))
-            put(w, PULLS + 3, i, plus(s1, 1.0, triple(w, PULLS + 3, i)))
-            put(w, PULLS + 6, i, plus(s2, 1.0, triple(w, PULLS + 6, i)))
-            put(w, PULLS + 9, i, plus(s3, 1.0, triple(w, PULLS + 9, i)))
-            put(w, PULLS + 12, i, plus(s4, 1.0, triple(w, PULLS + 12, i)))
-            put(w, PULLS + 15, i, plus(s5, 1.0, triple(w, PULLS + 15, i)))
-            put(w, PULLS + 18, i, plus(s6, 1.0, triple(w, PULLS + 18, i)))
+        if k < last:
+            for i in range(LANES):
+                sum_tubes(w, i, OTHERS)
 
 
 @inlined

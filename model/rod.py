@@ -27,6 +27,7 @@ from model.layout import (
     OFFSET,
     PAST,
     POINTWISE,
+    PULLS,
     RATE,
     SHEAR,
     SHEAR_INVERSE,
@@ -39,7 +40,7 @@ from model.layout import (
     WEIGHT,
     WRENCH,
 )
-from model.pointwise import pointwise_slopes, pointwise_wrench, sum_trio, sum_tubes
+from model.pointwise import pointwise_slopes, pointwise_wrench, sum_others, sum_tubes
 from model.triples import Six, Triple, cross, dot, inlined, leaf, plus, put, rotation, six, three, times, triple
 
 Array = Any
@@ -78,27 +79,27 @@ def balance(
 
 
 @inlined
-def _move(w: Array, c: int, i: int, slope: float, to: int, ahead: float) -> None:
-    """Where the slope of quantity c leads: to the next stage of RK4, or to the next node, or nowhere (SLOPE).
+def _move(w: Array, k: int, slope: float, to: int, ahead: float) -> None:
+    """Where a slope leads: to the next stage of RK4, or to the next node. k: where the quantity stands in a state.
 
-    The next node is (second + 2 third + fourth stage - node) / 3 + h / 6 slope: RK4 without a sum to carry along.
+    The next node is (second + 2 third + fourth stage - node) / 3 + h / 6 slope: RK4 without a sum to carry along. The
+    first stage's slopes are kept.
     """
-    at = c * LANES + i
-    node = w[NODE * LANES + at]
-    if to in (SLOPE, STAGE):
-        w[SLOPE * LANES + at] = slope
+    node = w[NODE * LANES + k]
+    if to == STAGE:
+        w[SLOPE * LANES + k] = slope
     if to == NODE:
-        apart = (w[STAGE * LANES + at] - node) + w[FOURTH * LANES + at] + 2.0 * w[THIRD * LANES + at]
-        w[NODE * LANES + at] = (1.0 / 3.0) * apart + ahead * slope
-    elif to != SLOPE:
-        w[to * LANES + at] = node + ahead * slope
+        apart = (w[STAGE * LANES + k] - node) + w[FOURTH * LANES + k] + 2.0 * w[THIRD * LANES + k]
+        w[NODE * LANES + k] = (1.0 / 3.0) * apart + ahead * slope
+    else:
+        w[to * LANES + k] = node + ahead * slope
 
 
 @inlined
-def _move_three(w: Array, c: int, i: int, slope: Triple, to: int, ahead: float) -> None:
-    _move(w, c, i, slope[0], to, ahead)
-    _move(w, c + 1, i, slope[1], to, ahead)
-    _move(w, c + 2, i, slope[2], to, ahead)
+def _move_three(w: Array, k: int, slope: Triple, to: int, ahead: float) -> None:
+    _move(w, k, slope[0], to, ahead)
+    _move(w, k + LANES, slope[1], to, ahead)
+    _move(w, k + 2 * LANES, slope[2], to, ahead)
 
 
 @inlined
@@ -108,14 +109,14 @@ def _move_on(
     """The same for the whole state, with the orientation's slope h u / 2 as quaternions (eq 9)."""
     h = (at + 12) * LANES + i
     a, b, c, d = w[h], w[h + LANES], w[h + 2 * LANES], w[h + 3 * LANES]
-    _move(w, 12, i, -0.5 * (b * u[0] + c * u[1] + d * u[2]), to, ahead)
-    _move(w, 13, i, 0.5 * (a * u[0] + c * u[2] - d * u[1]), to, ahead)
-    _move(w, 14, i, 0.5 * (a * u[1] + d * u[0] - b * u[2]), to, ahead)
-    _move(w, 15, i, 0.5 * (a * u[2] + b * u[1] - c * u[0]), to, ahead)
-    _move_three(w, 0, i, v_s, to, ahead)
-    _move_three(w, 3, i, u_s, to, ahead)
-    _move_three(w, 6, i, q_s, to, ahead)
-    _move_three(w, 9, i, o_s, to, ahead)
+    _move(w, 12 * LANES + i, -0.5 * (b * u[0] + c * u[1] + d * u[2]), to, ahead)
+    h_s = (0.5 * (a * u[0] + c * u[2] - d * u[1]), 0.5 * (a * u[1] + d * u[0] - b * u[2]),
+           0.5 * (a * u[2] + b * u[1] - c * u[0]))  # fmt: skip
+    _move_three(w, 13 * LANES + i, h_s, to, ahead)
+    _move_three(w, i, v_s, to, ahead)
+    _move_three(w, 3 * LANES + i, u_s, to, ahead)
+    _move_three(w, 6 * LANES + i, q_s, to, ahead)
+    _move_three(w, 9 * LANES + i, o_s, to, ahead)
 
 
 @inlined
@@ -152,8 +153,8 @@ def past_of(history: Array, size: int, at: int) -> Past:
 
 
 @inlined
-def _own_past(w: Array, i: int) -> Past:
-    """The same of one lane."""
+def own_past(w: Array, i: int) -> Past:
+    """The same of one lane that has its own."""
     return (
         triple(w, PAST, i), triple(w, PAST + 3, i), triple(w, PAST + 6, i), triple(w, PAST + 9, i),
         triple(w, PAST + 12, i), triple(w, PAST + 15, i),
@@ -164,7 +165,7 @@ def _own_past(w: Array, i: int) -> Past:
 def _linear_stage(w: Array, past: Past, own: bool, at: int, to: int, ahead: float) -> None:
     """Slopes of the state at `at`, all lanes, for a constant stiffness, and the state at `to` that follows."""
     for i in range(LANES):
-        v_h, u_h, q_h, o_h, v_hs, u_hs = _own_past(w, i) if own else past
+        v_h, u_h, q_h, o_h, v_hs, u_hs = own_past(w, i) if own else past
         v, u, q, o = triple(w, at, i), triple(w, at + 3, i), triple(w, at + 6, i), triple(w, at + 9, i)
         lag = w[LAG * LANES + i]
         n, m = linear_wrench(six(w, AXIAL, i), six(w, SHEAR, i), six(w, OFFSET, i), lag, v, u, v_h, u_h)
@@ -178,39 +179,31 @@ def _linear_stage(w: Array, past: Past, own: bool, at: int, to: int, ahead: floa
 
 
 @inlined
-def _sum_tubes_at(w: Array, actuators: int, at: int) -> None:
-    for i in range(LANES):
-        put(w, STRAINS, i, triple(w, at + 2, i))
-    sum_tubes(w, (actuators + 2) // 3)
-
-
-@inlined
-def _pointwise_lane(w: Array, i: int, past: Past, own: bool, at: int, to: int, ahead: float) -> None:
-    v_h, u_h, q_h, o_h, v_hs, u_hs = _own_past(w, i) if own else past
-    v, u, q, o = triple(w, at, i), triple(w, at + 3, i), triple(w, at + 6, i), triple(w, at + 9, i)
-    c0 = w[C0 * LANES + i]
-    n, m = pointwise_wrench(w, i, c0, v, u, v_h, u_h)
-    j = INERTIA * LANES + i
-    q_s, o_s, n_s, m_s = balance(
-        c0, w[LINE_DENSITY * LANES + i], (w[j], w[j + LANES], w[j + 2 * LANES], w[j + 3 * LANES]),
-        v, u, q, o, n, m, (v_h, u_h, q_h, o_h), triple(w, LOAD, i), triple(w, LOAD + 3, i),
-    )  # fmt: skip
-    v_s, u_s = pointwise_slopes(w, i, c0, v, u, n_s, m_s, v_hs, u_hs)
-    _move_on(w, i, v_s, u_s, q_s, o_s, u, at, to, ahead * w[STRIDE * LANES + i])
+def _sum_others_at(w: Array, actuators: int, at: int) -> None:
+    if actuators > 3:
+        for i in range(LANES):
+            put(w, STRAINS, i, triple(w, at + 2, i))
+        sum_others(w, actuators)
 
 
 @inlined
 def _pointwise_stage(w: Array, actuators: int, past: Past, own: bool, at: int, to: int, ahead: float) -> None:
     """The same where each tube follows eq 32 at its own place."""
-    if actuators <= 3:
-        for i in range(LANES):
-            put(w, STRAINS, i, triple(w, at + 2, i))
-            sum_trio(w, i)
-            _pointwise_lane(w, i, past, own, at, to, ahead)
-    else:
-        _sum_tubes_at(w, actuators, at)
-        for i in range(LANES):
-            _pointwise_lane(w, i, past, own, at, to, ahead)
+    _sum_others_at(w, actuators, at)
+    for i in range(LANES):
+        put(w, STRAINS, i, triple(w, at + 2, i))
+        sum_tubes(w, i, PULLS)
+        v_h, u_h, q_h, o_h, v_hs, u_hs = own_past(w, i) if own else past
+        v, u, q, o = triple(w, at, i), triple(w, at + 3, i), triple(w, at + 6, i), triple(w, at + 9, i)
+        c0 = w[C0 * LANES + i]
+        n, m = pointwise_wrench(w, i, c0, v, u, v_h, u_h)
+        j = INERTIA * LANES + i
+        q_s, o_s, n_s, m_s = balance(
+            c0, w[LINE_DENSITY * LANES + i], (w[j], w[j + LANES], w[j + 2 * LANES], w[j + 3 * LANES]),
+            v, u, q, o, n, m, (v_h, u_h, q_h, o_h), triple(w, LOAD, i), triple(w, LOAD + 3, i),
+        )  # fmt: skip
+        v_s, u_s = pointwise_slopes(w, i, c0, v, u, n_s, m_s, v_hs, u_hs)
+        _move_on(w, i, v_s, u_s, q_s, o_s, u, at, to, ahead * w[STRIDE * LANES + i])
 
 
 @inlined
@@ -240,7 +233,10 @@ def resting_wrench(w: Array, law: int, actuators: int) -> None:
     """Total wrench at the stage, all lanes, of an arm that has no history."""
     zero = (0.0, 0.0, 0.0)
     if law != LINEAR:
-        _sum_tubes_at(w, actuators, STAGE)
+        _sum_others_at(w, actuators, STAGE)
+        for i in range(LANES):
+            put(w, STRAINS, i, triple(w, STAGE + 2, i))
+            sum_tubes(w, i, PULLS)
     for i in range(LANES):
         n, m = wrench(w, LINEAR, i, STAGE, zero, zero) if law == LINEAR else wrench(w, POINTWISE, i, STAGE, zero, zero)
         put(w, WRENCH, i, n)
@@ -284,13 +280,6 @@ def stage(
 
 
 @leaf
-def tip_slopes(w: Array, law: int, actuators: int, history: Array, load: Array, loaded: bool, n: int) -> None:
-    """The right-hand side at node n, the tip: slopes along the arc length of the node's state, all lanes."""
-    past = past_of(history, STATE * (n + 1), STATE * n)
-    stage(w, law, actuators, past, False, load, loaded, 2 * n, NODE, SLOPE, 0.0)
-
-
-@leaf
 def integrate(
     w: Array,
     law: int,
@@ -306,16 +295,21 @@ def integrate(
     """Integrate the node's state, all lanes, from node `first` to node `last` by RK4, a stride each.
 
     history: as of `march.advance`. load: one row of 6 per node and per mid-point, (2 N + 1) flat. states, derivatives:
-    (N + 1, 128), filled at each node; at `last`, only the state is left, in the work array.
+    (N + 1, 128), filled at each node but the last, unless this is the arm's tip: elsewhere, only its state is left, in
+    the work array.
     """
-    size = STATE * states.shape[0]
-    for j in range(first, last):
+    n, size = states.shape[0] - 1, STATE * states.shape[0]
+    for j in range(first, last + 1):
+        if j == last and last < n:
+            break
         for i in range(STATE * LANES):
             states[j, i] = w[NODE * LANES + i]
         at = STATE * j
         stage(w, law, actuators, past_of(history, size, at), False, load, loaded, 2 * j, NODE, STAGE, 0.5)
         for i in range(STATE * LANES):
             derivatives[j, i] = w[SLOPE * LANES + i]
+        if j == n:
+            break
         past = past_of(history, size, 2 * size + at)
         stage(w, law, actuators, past, False, load, loaded, 2 * j + 1, STAGE, THIRD, 0.5)
         stage(w, law, actuators, past, False, load, loaded, 2 * j + 1, THIRD, FOURTH, 1.0)

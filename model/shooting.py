@@ -14,10 +14,25 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from model.layout import LANES, LINEAR, NODE, POINTWISE, SLOPE, STATE, STRIDE, WRENCH, aligned
+from model.layout import END, HANGS, LANES, LINEAR, LOAD, NODE, POINTWISE, PULL, STATE, STRIDE, WRENCH, aligned
 from model.linear import orthonormalise, solve_six
-from model.rod import integrate, past_of, tip_slopes, wrench
-from model.triples import cross, dot, inlined, lane_sums, leaf, plus, put, rotation, size, sum_of, three, triple, write
+from model.rod import Past, integrate, own_past, past_of, wrench
+from model.triples import (
+    Triple,
+    cross,
+    dot,
+    inlined,
+    lane_sums,
+    leaf,
+    plus,
+    put,
+    rotation,
+    size,
+    sum_of,
+    three,
+    triple,
+    write,
+)
 
 Array = Any
 
@@ -51,10 +66,9 @@ class Room(NamedTuple):
 
 
 @inlined
-def cap(
-    w: Array, i: int, f: Any, couple: Any, mass: float, inertia: Any, place: Any, c0: float, q_h: Any, o_h: Any
-) -> Any:
+def _cap(w: Array, i: int, f: Triple, couple: Triple, place: Triple, c0: float, q_h: Triple, o_h: Triple) -> Any:
     """The tip's force f and couple less what the cap's inertia takes, in the section's frame."""
+    mass, inertia = w[(END + 6) * LANES + i], triple(w, END + 7, i)
     q, o = triple(w, NODE + 6, i), triple(w, NODE + 9, i)
     q_t, o_t = plus(q_h, c0, q), plus(o_h, c0, o)
     speed = plus(q, 1.0, cross(o, place))
@@ -69,29 +83,27 @@ def cap(
 
 
 @leaf
-def tip_residual(w: Array, law: int, history: Array, n: int, tip: Array, c0: float) -> None:
-    """What the wrench at node n, the tip, lacks of what hangs on it (eqs 23-25, 28) [N, N m], in the wrench's place.
+def tip_residual(w: Array, law: int, past: Past, own: bool, c0: float, heavy: bool) -> None:
+    """What the wrench at the tip, the node, lacks of what hangs on it (eqs 23-25, 28) [N, N m], in the wrench's place.
 
-    After `tip_slopes`, which leaves the tubes' sums. tip: dead force (3) and moment (3) in the base frame, cap mass
-    that resists acceleration, cap inertia (3), place of the load in the section (3).
+    After the tip's stage, which leaves the tubes' sums; past and own as there. What hangs on the tip stands at END;
+    heavy: it resists acceleration.
     """
-    v_h, u_h, q_h, o_h, _, _ = past_of(history, 0, STATE * n)
-    force, moment, place = three(tip, 0), three(tip, 3), three(tip, 10)
-    mass, inertia = tip[6], three(tip, 7)
-    heavy = mass > 0.0 or inertia[0] > 0.0 or inertia[1] > 0.0 or inertia[2] > 0.0
     for i in range(LANES):
-        force_n, moment_n = (
-            wrench(w, LINEAR, i, NODE, v_h, u_h) if law == LINEAR else wrench(w, POINTWISE, i, NODE, v_h, u_h)
-        )
+        v_h, u_h, q_h, o_h, _, _ = own_past(w, i) if own else past
+        n, m = wrench(w, LINEAR, i, NODE, v_h, u_h) if law == LINEAR else wrench(w, POINTWISE, i, NODE, v_h, u_h)
         h = (NODE + 12) * LANES + i
         d1, d2, d3 = rotation((w[h], w[h + LANES], w[h + 2 * LANES], w[h + 3 * LANES]))
+        force, moment, place = triple(w, END, i), triple(w, END + 3, i), triple(w, END + 10, i)
+        pull, lever = triple(w, PULL, i), triple(w, PULL + 3, i)
         f = (dot(d1, force), dot(d2, force), dot(d3, force))
         couple = (dot(d1, moment), dot(d2, moment), dot(d3, moment))
+        couple = plus(couple, 1.0, cross(lever, (dot(d1, pull), dot(d2, pull), dot(d3, pull))))
         if heavy:
-            f, couple = cap(w, i, f, couple, mass, inertia, place, c0, q_h, o_h)
+            f, couple = _cap(w, i, f, couple, place, c0, q_h, o_h)
         couple = plus(couple, 1.0, cross(place, f))
-        put(w, WRENCH, i, plus(force_n, -1.0, f))
-        put(w, WRENCH + 3, i, plus(moment_n, -1.0, couple))
+        put(w, WRENCH, i, plus(n, -1.0, f))
+        put(w, WRENCH + 3, i, plus(m, -1.0, couple))
 
 
 @inlined
@@ -126,12 +138,14 @@ def newton(
 ) -> int:
     """Solve for the states at the nodes, and their slopes, from a guess in room.x; N divides by `segments`.
 
-    The history stands in `room` too. All nodes are moved along the computed directions. What is left after an
-    update is of the order of its size, in units of `scale`, times that of its strains and orientations, which make the
-    equations nonlinear: it stops when this product is below the square of `tolerance`. Returns the number of passes, or
-    -1 when `most` were not enough (no int: numba would compile this anew for every constant).
+    The history stands in `room` too. tip (19,): what hangs there, as it stands at END. All nodes are moved along the
+    computed directions. What is left after an update is of the order of its size, in units of `scale`, times that of
+    its strains and orientations, which make the equations nonlinear: it stops when this product is below the square of
+    `tolerance`. Returns the number of passes, or -1 when `most` were not enough (no int: numba would compile this anew
+    for every constant).
     """
     history, states, derivatives, x = room.history, room.states, room.derivatives, room.x
+    heavy = tip[6] > 0.0 or tip[7] > 0.0 or tip[8] > 0.0 or tip[9] > 0.0
     directions, triangle, along, weights = room.directions, room.triangle, room.along, room.weights
     reach, matrix, right = room.reach, room.matrix, room.right
     n = states.shape[0] - 1
@@ -139,6 +153,11 @@ def newton(
     last = segments - 1
     for i in range(LANES):
         w[STRIDE * LANES + i] = length / n
+        for c in range(HANGS):
+            w[(END + c) * LANES + i] = tip[c]
+        if not loaded:
+            put(w, LOAD, i, (0.0, 0.0, 0.0))
+            put(w, LOAD + 3, i, (0.0, 0.0, 0.0))
     reach[0] = 0.0
     previous = np.inf
     for passes in range(1, int(most) + 1):
@@ -176,12 +195,8 @@ def newton(
             for k in range(6):
                 for c in range(STATE):
                     directions[s + 1, 6, c] -= along[s + 1, k] * directions[s + 1, k, c]
-        tip_slopes(w, law, actuators, history, load, loaded, n)
-        for i in range(STATE * LANES):
-            states[n, i] = w[NODE * LANES + i]
-        for i in range(STATE * LANES):
-            derivatives[n, i] = w[SLOPE * LANES + i]
-        tip_residual(w, law, history, n, tip, c0)
+        past = past_of(history, STATE * (n + 1), STATE * n)
+        tip_residual(w, law, past, False, c0, heavy)
         for i in range(6):
             at = (WRENCH + i) * LANES
             lacking = w[at]

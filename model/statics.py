@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from functools import lru_cache
 from typing import TYPE_CHECKING
 
@@ -22,26 +23,35 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 
-def solve(arm: Arm, pressure_pa: ArrayLike, loads: Loads | None, nodes: int) -> Shape:
+def solve(arm: Arm, pressure_pa: ArrayLike, loads: Loads | None, nodes: int | None) -> Shape:
     """Behind `Arm.statics`."""
     pressure = pressures(arm, pressure_pa)
-    problem = Problem.of(arm, pressure)
-    return shape(arm, problem, states(arm, problem, pressure, loads, nodes), ok=True)
+    problem = Problem.of(arm, pressure[None])
+    x = states(problem, pressure, problem.tip(loads), *problem.load(arm, loads, steps_along(arm, nodes)))
+    return shape(arm, problem, x, ok=True)
 
 
-def states(arm: Arm, problem: Problem, pressure: Array, loads: Loads | None, nodes: int) -> Array:
-    """States at the nodes, then their slopes, (2 N + 2, 16), of the arm at rest; raises NotConverged."""
+def steps_along(arm: Arm, nodes: int | None) -> int:
+    """How many steps along the arm at rest: as many as asked for, at least two, or ValueError; else what it needs."""
+    if nodes is None:
+        return 4 * max(5, math.ceil(2.5 * arm.geometry.slenderness))
     if nodes < 2:
         raise ValueError(f"an arm needs at least two steps along it, got {nodes}")
-    room = room_for(nodes)
-    load, loaded = problem.load(arm, loads, nodes)
+    return nodes
+
+
+def states(problem: Problem, pressure: Array, tip: Array, load: Array, loaded: bool) -> Array:
+    """States at the nodes, then their slopes, (2 N + 2, 16), of the arm at rest; raises NotConverged.
+
+    tip, load and loaded: as of `Problem`.
+    """
+    room = room_for(len(load) // 12)
     passes = equilibrium(
-        problem.work, problem.law, problem.actuators, problem.rest, problem.per_pressure, problem.free_per_pa, pressure,
-        load, loaded, problem.tip(arm, loads), problem.length_m, problem.scale, room, SOLVED,
+        problem.work(), problem.law, problem.actuators, problem.rest[0], problem.per_pressure[0], problem.free_per_pa,
+        pressure, load, loaded, tip, problem.length_m, problem.scale, room, SOLVED,
     )  # fmt: skip
     if passes < 0:
-        bar = ", ".join(f"{value / 1e5:.4g}" for value in pressure)
-        raise NotConverged(f"no equilibrium found at {bar} bar: a pressure or load may be far outside the arm's range")
+        raise NotConverged.at(pressure)
     x: Array = room.x.copy()
     return x
 

@@ -15,11 +15,16 @@ Six = tuple[float, float, float, float, float, float]
 
 def inlined(function: Any) -> Any:
     """Compile into every caller: a loop that calls is not made of vector instructions."""
-    return kernel(function, inlined=True, allocates=False)
+    return kernel(function, inlined=True, allocates=False, called=False)
 
 
 def leaf(function: Any) -> Any:
-    """Compile a kernel that makes no array."""
+    """Compile a kernel that makes no array and that only kernels call."""
+    return kernel(function, allocates=False, called=False)
+
+
+def called(function: Any) -> Any:
+    """Compile a kernel that makes no array and that Python calls."""
     return kernel(function, allocates=False)
 
 
@@ -94,7 +99,7 @@ def dot(a: Triple, b: Triple) -> float:
 
 def any_order(function: Any) -> Any:
     """Compile a leaf whose sums may be taken in any order, which the compiler then fixes once and for all."""
-    return kernel(function, fastmath=_ANY_ORDER, allocates=False)
+    return kernel(function, fastmath=_ANY_ORDER, allocates=False, called=False)
 
 
 def _lane_sums(weights: Array, s: int, a: Array, j: int) -> Any:
@@ -124,7 +129,7 @@ def _lane_sums(weights: Array, s: int, a: Array, j: int) -> Any:
     return (v1, v2, v3), (u1, u2, u3), (q1, q2, q3), (o1, o2, o3), h0, (h1, h2, h3)
 
 
-lane_sums = kernel(_lane_sums, fastmath=_ANY_ORDER, inlined=True, allocates=False)
+lane_sums = kernel(_lane_sums, fastmath=_ANY_ORDER, inlined=True, allocates=False, called=False)
 
 
 @inlined

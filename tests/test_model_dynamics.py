@@ -274,6 +274,18 @@ def test_every_step_is_finite_whatever_is_asked(pressures: list[tuple[float, ...
         assert np.isfinite(shape.p_m).all()
 
 
+def test_a_load_along_the_arm_that_is_gone_pulls_no_more() -> None:
+    arm, p = Arm.paper("homogeneous"), (0.1 * BAR, 0, 0)
+    load, next_to_none = Loads(force_n_per_m=(2, 0, 0)), Loads(force_n_per_m=(1e-12, 0, 0))
+    tips = []
+    for last in (None, next_to_none):
+        dynamics = arm.dynamics(1 / 30)
+        dynamics.start(p, load)
+        dynamics.step(p, load)
+        tips.append(np.array([dynamics.step(p, last).tip_m for _ in range(5)]))
+    assert np.abs(tips[0] - tips[1]).max() < 1e-9
+
+
 def test_a_step_before_the_start_is_refused() -> None:
     with pytest.raises(ValueError, match="start"):
         Arm.paper().dynamics(0.01).step((0, 0, 0))
@@ -376,6 +388,7 @@ def test_the_rod_itself_shows_that_growth() -> None:
         ({"dt_s": 0.01, "alpha": 0.1}, "alpha"),
         ({"dt_s": 0.01, "nodes": 1}, "two steps"),
         ({"dt_s": 0.001, "nodes": 12}, "needs at least"),
+        ({"dt_s": 1e-9}, "too short"),
     ],
 )
 def test_a_stepper_that_cannot_be_is_refused(arguments: dict[str, float], message: str) -> None:

@@ -160,6 +160,48 @@ def test_the_motion_beside_its_gradient_is_the_motion() -> None:
     assert np.array_equal(found.tip_m[1:], dynamics.run(p[1:]).tip_m[1::2])
 
 
+PULL = Pull(
+    np.array([[0.5, -0.3, 0.4], [0.2, 0.6, 0.1], [-0.4, 0.1, 0.3], [0.1, 0.2, -0.3], [0.3, 0.3, 0.3]]),
+    np.array([[0.004, -0.002, 0.003]] * 5), np.array([0.02, -0.01, 0.03]),
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("rule", ["linear", "pointwise", "secant", "paper-tangent"])
+@pytest.mark.parametrize("pull", [None, PULL])
+def test_the_tip_in_motion_answers_to_pressures_build_weight_and_pull_as_differences_say(
+    monkeypatch: pytest.MonkeyPatch, rule: str, pull: Pull | None
+) -> None:
+    # What Newton's method leaves of a step differs from one neighbour to the next: here it leaves nothing.
+    monkeypatch.setattr("model.dynamics.CLOSE", 1e-7)
+    path = np.array([[0.3, 0.1, 0.2], [0.4, 0.1, 0.2], [0.5, 0.2, 0.1], [0.3, 0.3, 0.1], [0.2, 0.3, 0.2]]) * BAR
+    push, hung = np.array([1e4, -5e3, 2e3]), np.array([0.0, 0.1, 0.1, 0.0, 0.2]) if pull is None else np.zeros(5)
+
+    def arm_at(x: float) -> Arm:
+        geometry = Geometry.on_circle(0.17 * (1 + x), 0.0095, 0.014, 0.0318, (10 * x, 120.0, 240.0))
+        return replace(arm_of(rule), geometry=geometry, gravity_m_s2=(3 * x, -2 * x, 9.81))
+
+    def pull_at(x: float) -> Pull | None:
+        return pull and replace(pull, force_n=pull.force_n + x, point_m=pull.point_m * (1 + x))
+
+    def loads_at(x: float, k: int) -> Loads:
+        at = pull_at(x)
+        if at is None:
+            return Loads(tip_force_n=hung[k] * np.array(arm_at(x).gravity_m_s2))
+        return Loads(at.force_n[k], at.moment_n_m[k], tip_point_m=at.point_m)
+
+    def tips_at(x: float) -> Array:
+        dynamics, rows = arm_at(x).dynamics(0.05), path + x * push
+        first = dynamics.start(rows[0], loads_at(x, 0))
+        steps = [dynamics.step(rows[k], loads_at(x, k)) for k in range(1, 5)]
+        return np.array([shape.tip_m for shape in (first, *steps)])
+
+    change = Change(1e-7, arm_at(1e-7), path + 1e-7 * push, pull_at(1e-7))
+    found = gradient.motion(arm_at(0.0), path, 0.05, [change], hung, pull=pull)
+    assert found.ok.all()
+    assert found.tip_m == pytest.approx(tips_at(0.0), abs=1e-9)
+    assert found.tip_by[:, :, 0] == pytest.approx(slope(tips_at, 2e-3), rel=1e-4, abs=2e-6)
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -174,6 +216,23 @@ def test_a_change_that_does_not_fit_the_arm_is_refused(change: Change, message: 
         gradient.statics(Arm.paper(), [[0.0, 0.0, 0.0]], [change])
 
 
-def test_a_motion_with_frozen_moduli_has_no_gradient() -> None:
-    with pytest.raises(ValueError, match="pointwise"):
-        gradient.motion(replace(Arm.paper(), modulus_rule="secant"), [[0.0, 0.0, 0.0]] * 2, DT, [])
+@pytest.mark.parametrize(
+    ("force", "moment", "point", "message"),
+    [
+        (np.zeros(3), np.zeros(3), np.zeros(3), "shapes"),
+        (np.zeros((2, 3)), np.zeros((1, 3)), np.zeros(3), "shapes"),
+        (np.zeros((1, 3)), np.zeros((1, 3)), np.zeros((1, 3)), "shapes"),
+        (np.full((1, 3), np.nan), np.zeros((1, 3)), np.zeros(3), "force_n"),
+    ],
+)
+def test_a_pull_that_cannot_be_is_refused(force: Array, moment: Array, point: Array, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        Pull(force, moment, point)
+
+
+def test_a_motion_that_cannot_be_is_refused() -> None:
+    rows, pull = np.zeros((3, 3)), Pull(np.zeros((2, 3)), np.zeros((2, 3)), np.zeros(3))
+    with pytest.raises(ValueError, match="2 rows, the pressures 3"):
+        gradient.motion(Arm.paper(), rows, DT, [], pull=pull)
+    with pytest.raises(ValueError, match="every"):
+        gradient.motion(Arm.paper(), rows, DT, [], every=0)

@@ -77,6 +77,15 @@ def test_the_error_falls_with_the_fourth_power_of_the_step(variant: str) -> None
     assert np.abs(arm.statics(p).tip_m - fine).max() < 1e-8
 
 
+@pytest.mark.parametrize("length_m", [0.05, 0.34, 0.7])
+def test_the_default_steps_suffice_for_slender_arms_too(length_m: float) -> None:
+    arm = Arm.paper()
+    arm = replace(arm, geometry=replace(arm.geometry, length_m=length_m))
+    p = np.array([0.5, 0.0, 0.1]) * BAR
+    fine = arm.statics(p, nodes=320).tip_m
+    assert np.abs(arm.statics(p).tip_m - fine).max() < 3e-8
+
+
 @settings(max_examples=25, deadline=None)
 @given(three_pressures, st.floats(-math.pi, math.pi), st.sampled_from(variants))
 def test_a_turned_arm_has_a_turned_tip(bar: tuple[float, ...], turn: float, variant: str) -> None:
@@ -126,6 +135,22 @@ def test_any_number_of_actuators_is_one_geometry(count: int) -> None:
     shape = arm.statics([0.3 * BAR] * count)
     stretch = 0.3 * BAR * geometry.chamber_area_m2 / (289142.05 * geometry.wall_area_m2) + 0.05324473 * 0.3
     assert shape.tip_m == pytest.approx([0, 0, 0.17 * (1 + stretch)], abs=1e-10)
+
+
+def in_pairs(arm: Arm) -> Arm:
+    """The arm with every tube there twice, and twice the cap: then each tube carries what it carried."""
+    xy = tuple(point for point in arm.geometry.actuator_xy_m for _ in range(2))
+    return replace(arm, geometry=replace(arm.geometry, actuator_xy_m=xy), cap_mass_kg=2 * arm.cap_mass_kg)
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 4])
+def test_tubes_that_are_there_twice_change_nothing_where_each_follows_its_own_curve(count: int) -> None:
+    angles = tuple(360.0 * k / count + 10 for k in range(count))
+    arm = replace(Arm.paper(), geometry=Geometry.on_circle(0.17, 0.0095, 0.014, 0.03, angles), rod_weight=True)
+    p = np.array([0.6, 0.1, 0.35, 0.2])[:count] * BAR
+    one, twice = arm.statics(p), in_pairs(arm).statics(np.repeat(p, 2))
+    assert np.abs(one.p_m - twice.p_m).max() < 1e-12
+    assert np.abs(one.tip_m[:2]).max() > 1e-3
 
 
 def test_actuators_may_stand_off_the_axis() -> None:
@@ -196,6 +221,25 @@ def test_a_moment_at_the_tip_or_along_the_arm_bends_it_by_the_book() -> None:
     assert spread.tip_m[0] == pytest.approx(1e-3 * 0.17**3 / (3 * bending), rel=1e-6)
 
 
+@settings(max_examples=15, deadline=None)
+@given(three_pressures, st.tuples(*[st.floats(-2, 2)] * 3), st.tuples(*[st.floats(-0.05, 0.05)] * 3))
+def test_a_force_beside_the_axis_has_the_moment_of_its_lever_where_the_tip_has_turned_to(
+    bar: tuple[float, ...], force: tuple[float, ...], point: tuple[float, ...]
+) -> None:
+    arm, p = Arm.paper(), np.array(bar) * BAR
+    shape = arm.statics(p, Loads(tip_force_n=force, tip_point_m=point))
+    moment = np.cross(shape.tip_rotation @ np.array(point), force)
+    same = arm.statics(p, Loads(tip_force_n=force, tip_moment_n_m=moment))
+    assert np.abs(shape.p_m - same.p_m).max() < 1e-9
+
+
+def test_a_load_is_what_it_was_when_it_was_made() -> None:
+    force = np.array([0.5, 0.0, 0.0])
+    load = Loads(tip_force_n=force)
+    force[:] = 0.0
+    assert load.tip()[0] == 0.5
+
+
 def test_its_own_weight_stretches_a_hanging_arm() -> None:
     arm = replace(Arm.paper("homogeneous"), rod_weight=True, cap_mass_kg=0.0)
     weight = arm.line_density_kg_m * 0.17 * 9.81
@@ -257,7 +301,12 @@ def test_pressures_of_the_wrong_kind_are_refused(wrong: object) -> None:
 
 @pytest.mark.parametrize(
     "wrong",
-    [{"tip_force_n": (0, 0)}, {"tip_moment_n_m": (0, 0, math.nan)}, {"force_n_per_m": np.zeros((4, 2))}],
+    [
+        {"tip_force_n": (0, 0)},
+        {"tip_moment_n_m": (0, 0, math.nan)},
+        {"force_n_per_m": np.zeros((4, 2))},
+        {"tip_point_m": np.zeros((2, 3))},
+    ],
 )
 def test_loads_of_the_wrong_kind_are_refused(wrong: dict[str, object]) -> None:
     with pytest.raises(ValueError, match=next(iter(wrong))):
@@ -272,6 +321,7 @@ def test_loads_of_the_wrong_kind_are_refused(wrong: dict[str, object]) -> None:
         {"inner_radius_m": -0.001},
         {"actuator_xy_m": ()},
         {"length_m": math.nan},
+        {"actuator_xy_m": (0.01, 0.02)},
     ],
 )
 def test_a_geometry_that_cannot_be_is_refused(change: dict[str, object]) -> None:
@@ -292,6 +342,14 @@ def test_a_geometry_that_cannot_be_is_refused(change: dict[str, object]) -> None
 def test_a_material_that_cannot_be_is_refused(change: dict[str, float]) -> None:
     with pytest.raises(ValueError, match=next(iter(change))):
         replace(Material.paper(), **change)
+
+
+@pytest.mark.parametrize(
+    "change", [{"cap_mass_kg": -0.1}, {"cap_inertia_kg_m2": (0, -1e-6, 0)}, {"gravity_m_s2": (0, 9.81)}]
+)
+def test_an_arm_that_cannot_be_is_refused(change: dict[str, object]) -> None:
+    with pytest.raises(ValueError, match=r"mass|cap_inertia_kg_m2|gravity_m_s2"):
+        replace(Arm.paper(), **change)  # type: ignore[arg-type]
 
 
 def test_unknown_variants_and_rules_are_refused_with_the_known_ones_named() -> None:
