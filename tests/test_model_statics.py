@@ -97,6 +97,29 @@ def test_a_turned_arm_has_a_turned_tip(bar: tuple[float, ...], turn: float, vari
 
 
 @settings(max_examples=25, deadline=None)
+@given(
+    st.lists(st.tuples(st.floats(-0.04, 0.04), st.floats(-0.04, 0.04), pressure), min_size=1, max_size=7),
+    st.floats(-math.pi, math.pi), st.floats(0.04, 0.4), st.sampled_from(variants),
+    st.tuples(*[st.floats(-1, 1)] * 3), st.tuples(*[st.floats(-0.05, 0.05)] * 3),
+)  # fmt: skip
+def test_any_arm_and_its_loads_turned_have_a_turned_tip(
+    tubes: list[tuple[float, float, float]], turn: float, length: float, variant: str, force: tuple[float, ...],
+    point: tuple[float, ...],
+) -> None:  # fmt: skip
+    xy, p, q = np.array(tubes)[:, :2], np.array(tubes)[:, 2] * BAR, about_z(turn)
+    tips = []
+    for by in (np.eye(3), q):
+        geometry = Geometry(length, 0.0095, 0.014, tuple(map(tuple, xy @ by[:2, :2].T)))
+        arm = Arm(geometry, Material.paper(), variant, rod_weight=True)
+        loads = Loads(tip_force_n=by @ force, tip_point_m=by @ point, force_n_per_m=by @ (0.5, 0.0, 0.0))
+        try:
+            tips.append(arm.statics(p, loads, nodes=24).tip_m)
+        except NotConverged:
+            return
+    assert np.abs(tips[1] - q @ tips[0]).max() < 1e-8
+
+
+@settings(max_examples=25, deadline=None)
 @given(three_pressures, st.permutations([0, 1, 2]), st.sampled_from(variants))
 def test_the_actuators_names_do_not_matter(bar: tuple[float, ...], order: list[int], variant: str) -> None:
     arm = Arm.paper(variant)
