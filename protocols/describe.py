@@ -83,7 +83,7 @@ class Expectation:
             noun = "a number" if kind == "number" else "a whole number"
             return noun + _bounds(schema) + (f" ({unit})" if unit else "")
         if kind == "string":
-            return "text (not empty)" if schema.get("minLength") else "text"
+            return "text (one line, not empty)" if schema.get("minLength") else "text"
         if kind == "boolean":
             return "true or false"
         if kind == "array":

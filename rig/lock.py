@@ -82,7 +82,7 @@ def cards_locked(config: RigConfig, purpose: str) -> Iterator[None]:
                 owner = os.pread(fd, 500, 0).decode(errors="replace").strip() or "unknown"
                 raise CardError(
                     f"card '{name}' ({card.device}) is in use by another run: {owner}. "
-                    "Wait for it to end, stop it, or make everything safe with `rig vent`."
+                    "Wait for it to end, stop it, or make everything safe with `rig vent --rig` and this rig."
                 ) from None
             os.ftruncate(fd, 0)
             since = datetime.now().astimezone().isoformat(timespec="seconds")

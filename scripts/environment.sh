@@ -27,5 +27,5 @@ rm -rf "$venv"
 "$python" -m venv "$venv"
 "$venv/bin/python" -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements.lock
 "$venv/bin/python" -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
-echo "softrig: compiling the rod model (once, a few minutes)"
+echo "softrig: compiling the rod model (once, a minute or two)"
 "$venv/bin/python" -m rig.warm

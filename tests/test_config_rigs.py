@@ -96,7 +96,8 @@ FAULTS = [
     (("cap_mass_g: 50\n", "gravity_on_rod: yes\n"), "arm, gravity_on_rod", "true or false"),
     (("cap_mass_g: 50\n", "gravity_on_rod: 1\n"), "arm, gravity_on_rod", "true or false"),
     (("simulator:", "simulater:"), "simulater", "one of name"),
-    (("device: mock0\n", "device: 1.5\n"), "cameras, front, device", "text (not empty), or a whole number"),
+    (("device: mock0\n", "device: 1.5\n"), "cameras, front, device", "text (one line, not empty), or a whole number"),
+    (("device: mock0,", 'device: "mock\\\\0",'), "cards, daq, device", "text (one line, not empty)"),
     (("fx_px: 620", "f_px: 900"), "cameras, front, lens, f_px", "one of fx_px"),
     (("rate_hz: 200", "rate_hz: '200'"), "control, rate_hz", "a number above 0 and up to 1000 (Hz)"),
 ]  # fmt: skip

@@ -172,7 +172,7 @@ class _Conductor:
                 process.kill()
                 process.wait()
                 if name == "watchdog":
-                    said = "the watchdog did not end; check the valves and run `rig vent`"
+                    said = "the watchdog did not end; check the valves and run `rig vent --rig` with this rig"
         for life in self.lives.values():
             life.close()
         # Control gives a sign of life before it touches a card; before that nobody has moved a valve.
