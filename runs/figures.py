@@ -86,11 +86,15 @@ def svg(draw: Callable[..., None], size: tuple[float, float], salt: str, *about:
     return drawing.replace("'DejaVu Sans'", _FONTS)
 
 
-def save(draw: Callable[..., None], size: tuple[float, float], path: Path, *about: object) -> None:
-    """Write a figure to a file; its kind is that of the name. `draw` is called with the figure and `about`."""
+def save(draw: Callable[..., None], size: tuple[float, float], path: Path, *about: object, mark: str = "") -> None:
+    """Write a figure to a file; its kind is that of the name. `draw` is called with the figure and `about`.
+
+    The `mark` goes into a corner: what must not be forgotten of a figure that is shown without its page.
+    """
     with mpl.rc_context({**STYLE, "figure.facecolor": "white", "axes.facecolor": "white", "pdf.fonttype": 42}):
         figure = Figure(figsize=size)
         draw(figure, *about)
+        figure.text(0.998, 0.004, mark, ha="right", va="bottom", fontsize=7, color=MUTED)
         figure.savefig(path, dpi=200)
 
 

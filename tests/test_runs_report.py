@@ -241,6 +241,12 @@ def test_figures_can_be_had_as_files_for_a_paper(short: Path, tmp_path: Path, ki
     assert all(path.read_bytes().startswith(begins) for path in written)
 
 
+def test_a_figure_of_a_simulated_run_says_so_where_it_stands_alone(short: Path, tmp_path: Path) -> None:
+    assert runs.open(short).header.simulated
+    for path in printed.write([short], tmp_path, "svg"):
+        assert ">simulated</text>" in path.read_text(encoding="utf-8")
+
+
 def test_figures_of_an_unknown_kind_are_refused(archive: Path, tmp_path: Path) -> None:
     with pytest.raises(ExportError, match="there are pdf, png, svg"):
         printed.write([archive], tmp_path, "doc")
