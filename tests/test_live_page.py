@@ -29,7 +29,7 @@ WATCHED = """
 title: Something to watch
 steps:
   - ramp: {actuators: [1], to_bar: 0.3, duration_s: 4}
-  - hold: {duration_s: 6}
+  - hold: {duration_s: 2}
 """
 HANDLED = """
 title: Something to handle
@@ -182,12 +182,12 @@ def test_an_archive_is_played_with_slider_and_speed(browser: Browser, archive: R
         tab.click("#play")
         tab.until("window.softrig.now.state === 'stopped'")
         tab.value(
-            "(() => { const e = document.getElementById('place'); e.value = 7.5;"
+            "(() => { const e = document.getElementById('place'); e.value = 4.5;"
             " e.dispatchEvent(new Event('input')); e.dispatchEvent(new Event('change')); })()"
         )
-        tab.until("Math.abs(window.softrig.now.t - 7.5) < 0.02")
+        tab.until("Math.abs(window.softrig.now.t - 4.5) < 0.02")
         now = tab.value("window.softrig.now")
-        row = int(np.searchsorted(archive.tip.time_s, 7.5, side="right")) - 1
+        row = int(np.searchsorted(archive.tip.time_s, 4.5, side="right")) - 1
         assert now["frame"] == archive.tip.frame[row]
         assert now["error"] == pytest.approx(archive.tip.error_mm[row], abs=1e-4)
         tick = int(np.searchsorted(archive.pressure.time_s, now["t"], side="right")) - 1
@@ -197,7 +197,7 @@ def test_an_archive_is_played_with_slider_and_speed(browser: Browser, archive: R
             " e.dispatchEvent(new Event('change')); })()"
         )
         tab.click("#play")
-        tab.until("window.softrig.now.t > 9.9 && window.softrig.now.state === 'stopped'", 15)
+        tab.until("window.softrig.now.t > 5.9 && window.softrig.now.state === 'stopped'", 15)
         assert tab.troubles == []
 
 

@@ -325,7 +325,7 @@ def _strike(
             clock.step(surroundings.DAY_NS if fault.action is Trick.CLOCK_FORWARD else -surroundings.DAY_NS)
         case Trick.TERMINAL_BLOCKED:
             run.turn_away()
-            threading.Timer(12.0, run.turn_back).start()
+            threading.Timer(8.0, run.turn_back).start()
         case Trick.TERMINAL_LOST:
             run.hang_up()
     return None
