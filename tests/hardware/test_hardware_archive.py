@@ -44,7 +44,7 @@ def test_each_level_was_written_to_the_card_and_read_back_from_it(run: Run) -> N
 def test_the_tip_was_measured_where_the_model_has_it_at_the_pressure_read_from_the_card(run: Run) -> None:
     """The pictures are of the model's own arm, chosen by what stands at the output.
 
-    A picture takes an emulated processor up to five seconds: one or two of a level are what there is to judge.
+    A picture takes an emulated processor five seconds or ten: one or two of a level are what there is to judge.
     """
     tip = run.tip
     measured = tip.seen == Seen.MEASURED
