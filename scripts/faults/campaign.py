@@ -13,8 +13,8 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 
-from scripts.faults import realtime, virtual
-from scripts.faults.catalogue import Fault
+from scripts.faults import margins, realtime, virtual
+from scripts.faults.catalogue import Fault, Margin
 from scripts.faults.trial import EARLIEST_S, LATEST_S, EndedBeforeError, Trial
 
 EXECUTORS = ("real", "virtual")
@@ -65,6 +65,8 @@ def tried(due: Sequence[Job], beside: int) -> Iterator[Trial]:
 
 def _try(job: Job) -> Trial:
     trial = virtual.trial if job.executor == "virtual" else realtime.trial
+    if isinstance(job.fault.action, Margin):
+        trial = margins.trial
     early = ""
     for _ in range(ATTEMPTS):
         with tempfile.TemporaryDirectory(prefix="softrig-faults-") as folder:

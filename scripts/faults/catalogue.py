@@ -45,6 +45,22 @@ class Havoc:
     lasts_s: float = 4.0
 
 
+class Blows(Enum):
+    """What a run gets at one of its margins."""
+
+    KILLED_OR_STOPPED = "one to three of its processes killed or stopped"
+    ASKED = "Ctrl-C, SIGTERM or SIGHUP, one to three of them"
+    VENT = "rig vent"
+
+
+@dataclass(frozen=True)
+class Margin:
+    """A run that is struck while it starts, or while it ends: its valves are safe and its archive is not yet made."""
+
+    ending: bool
+    blows: Blows
+
+
 class Trick(Enum):
     """What is done to the run's surroundings."""
 
@@ -68,7 +84,7 @@ class Fault:
 
     name: str
     kind: str
-    action: Bench | Signal | Havoc | Trick
+    action: Bench | Signal | Havoc | Trick | Margin
     ends: tuple[Status, ...]
     says: str
     real: bool = True
@@ -268,4 +284,18 @@ SURROUNDINGS = (
     Fault("terminal closed", "terminal", Trick.TERMINAL_LOST, INTERRUPTED, "SIGHUP", virtual=False),
     Fault("model not converging", "model", Trick.MODEL_UNSOLVABLE, FINISHED, "model cannot be solved"),
 )
-CATALOGUE: tuple[Fault, ...] = (*SENSORS, *AIR, *CARD, *CAMERA, *PROCESSES, *SURROUNDINGS)
+MARGINS = tuple(
+    Fault(
+        f"{blows.value}, while it {'ends' if ending else 'starts'}",
+        "margins",
+        Margin(ending, blows),
+        tuple(Status),
+        "",
+        virtual=False,
+        remark="" if ending else "whatever is there by then",
+    )
+    for ending in (False, True)
+    for blows in Blows
+    if not (ending and blows is Blows.VENT)
+)
+CATALOGUE: tuple[Fault, ...] = (*SENSORS, *AIR, *CARD, *CAMERA, *PROCESSES, *SURROUNDINGS, *MARGINS)

@@ -138,16 +138,17 @@ class WatchedRun:
         """Return the card's registers once the run drives a valve, with every member of the run known."""
         deadline = time.monotonic() + START_S
         while time.monotonic() < deadline and self.process.poll() is None:
-            registers = self._attached()
+            registers = self.attached()
             if registers is not None:
                 if np.any(registers.outputs["volts"] > MOVING_V):
-                    self.members = {CONDUCTOR: self.process.pid} | _children(self.process.pid)
+                    self.members = {CONDUCTOR: self.process.pid} | children(self.process.pid)
                     return registers
                 registers.close()
             time.sleep(0.02)
         raise RuntimeError(f"the run never drove a valve: {self.said}")
 
-    def _attached(self) -> Registers | None:
+    def attached(self) -> Registers | None:
+        """The card's registers, None as long as there are none."""
         try:
             return Registers.attach(self.device)
         except CardError:  # not there yet, or not yet complete
@@ -351,7 +352,8 @@ def _signal(action: Signal, run: WatchedRun) -> int | None:
     return None
 
 
-def _children(parent: int) -> dict[str, int]:
+def children(parent: int) -> dict[str, int]:
+    """The processes of a run that are there, by name."""
     found: dict[str, int] = {}
     for stat in Path("/proc").glob("[0-9]*/stat"):
         try:

@@ -62,7 +62,7 @@ class Watched:
 def judge(fault: Fault, executor: str, at_s: float, watched: Watched, folder: Path) -> Trial:
     """Compare what came of a trial with what has to; recovers the journal where the run could not."""
     wrong = []
-    run = _archive(folder)
+    run = archive(folder)
     status, said = "no archive", watched.said
     lost_s = math.nan
     if run is None:
@@ -104,7 +104,8 @@ def worst(values: Sequence[float]) -> float:
     return max(known) if known else math.nan
 
 
-def _archive(folder: Path) -> Run | None:
+def archive(folder: Path) -> Run | None:
+    """What a run has left in a folder, or what its journal is good for; None where nothing is."""
     if not list(folder.glob("*.h5")):
         recover(folder)
     for path in folder.glob("*.h5"):

@@ -1,0 +1,147 @@
+"""Trials at the two margins of a run in real time: while it starts, and while its archive is being made."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import random
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import rig.rig_file
+from rig.daq.base import CardError
+from rig.lock import cards_locked
+from runs.records import Status
+from scripts.faults.catalogue import CONDUCTOR, KILL, PLANT, STOP, Blows, Fault, Margin
+from scripts.faults.realtime import START_S, WatchedRun, children
+from scripts.faults.trial import TICK_S, EndedBeforeError, Trial, archive
+
+DURATION_S = 0.6
+PROTOCOL = f"""
+title: Soon over
+steps:
+  - ramp: {{actuators: [1, 2, 3], to_bar: 0.3, duration_s: {DURATION_S}}}
+"""
+STRUCK_S = 0.5
+"""How long after the birth of a process, or after the valves are safe, a strike may come."""
+STOPPED_S = 4.0
+GONE_S, LEFT_S = 60.0, 12.0
+"""What a run gets to end, and then what it may leave behind to follow it: the plant ends some seconds later."""
+SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+TOLD = "stopped before the run began|process died|before the run began|silent|hung|interrupted|Interrupt|is in use"
+
+
+def trial(fault: Fault, folder: Path, at_s: float, seed: int) -> Trial:
+    """Strike one run; what it leaves behind is looked at once it is gone."""
+    margin = fault.action
+    assert isinstance(margin, Margin)
+    chance = random.Random(seed)
+    run = WatchedRun(folder, None, {}, PROTOCOL)
+    try:
+        _wait(run, margin, chance.randint(0, 4))
+        time.sleep(chance.uniform(0.0, STRUCK_S))
+        if run.process.poll() is not None:
+            raise EndedBeforeError(run.said[-1500:])
+        run.members = {CONDUCTOR: run.process.pid} | children(run.process.pid)
+        killed = _strike(run, margin.blows, chance)
+        return _judged(fault.name, margin, at_s, run, killed)
+    finally:
+        run.close()
+
+
+def _wait(run: WatchedRun, margin: Margin, born: int) -> None:
+    """Until so many of its processes are there; or until it has moved its valves and made them safe."""
+    if margin.ending:
+        registers = run.wait_until_moving()
+        while not run.ended(registers):
+            time.sleep(0.001)
+        registers.close()
+        return
+    deadline = time.monotonic() + START_S
+    while run.process.poll() is None and time.monotonic() < deadline and len(children(run.process.pid)) < born:
+        time.sleep(0.001)
+
+
+def _strike(run: WatchedRun, blows: Blows, chance: random.Random) -> bool:
+    """Do it; true where the conductor was killed, who alone tells anything."""
+    if blows is Blows.VENT:
+        vent = [sys.executable, "-m", "rig", "vent", "--rig", str(run.rig_file)]
+        subprocess.run(vent, check=False, capture_output=True)
+        return False
+    if blows is Blows.ASKED:
+        for _ in range(chance.randint(1, 3)):
+            run.signal((CONDUCTOR,), chance.choice(SIGNALS))
+            time.sleep(chance.uniform(0.0, 0.1))
+        return False
+    there = [name for name in run.members if name != PLANT]
+    chosen = {name: chance.choice((KILL, STOP)) for name in chance.sample(there, chance.randint(1, min(3, len(there))))}
+    for name, number in chosen.items():
+        run.signal((name,), number)
+        time.sleep(chance.uniform(0.0, 0.03))
+    stopped = tuple(name for name, number in chosen.items() if number == STOP)
+    if stopped:
+        time.sleep(STOPPED_S)
+        run.signal(stopped, signal.SIGCONT)
+    return chosen.get(CONDUCTOR) == KILL
+
+
+def _judged(name: str, margin: Margin, at_s: float, run: WatchedRun, killed: bool) -> Trial:
+    wrong = []
+    try:
+        ended = run.process.wait(GONE_S)
+    except subprocess.TimeoutExpired:
+        ended, wrong = 0, ["it does not end"]
+    if left := _left(run.process.pid):
+        wrong.append(f"left behind: {left}")
+    with contextlib.suppress(CardError):  # no card was made yet
+        registers = run.attached()
+        if registers is not None:
+            if not run.safe(registers):
+                wrong.append(f"THE VALVES ARE NOT SAFE: {registers.outputs['volts']}")
+            registers.close()
+    try:
+        with cards_locked(rig.rig_file.load(run.rig_file), "trial"):
+            pass
+    except CardError as error:
+        wrong.append(str(error))
+    kept, status, lost_s = archive(run.out), "no archive", 0.0
+    if kept is not None:
+        status = str(kept.status)
+        if margin.ending and len(kept.pressure.time_s):
+            lost_s = max(0.0, DURATION_S - float(kept.pressure.time_s[-1]) - 2 * TICK_S)
+    elif list(run.out.glob("*")):
+        wrong.append("the archive does not open, and none could be made of its journal")
+    said = run.said + (kept.message if kept else "")
+    found = re.search(TOLD, said)
+    if ended == 0 and kept is not None and kept.status is not Status.FINISHED:
+        wrong.append(f"exit status 0 with an archive that is {status}")
+    if ended != 0 and not killed and not found and ended not in [-number for number in SIGNALS]:
+        wrong.append(f"the operator was not told: nothing like '{TOLD}' in {said[-600:]!r}")
+    if "Traceback" in said:
+        wrong.append(f"a traceback: {said[-800:]}")
+    if lost_s > 0.1:
+        wrong.append(f"{lost_s:.2f} s of samples lost")
+    told = next((line.strip() for line in said.splitlines() if re.search(TOLD, line)), "") if not killed else ""
+    return Trial(name, "real", at_s, status, told, math.nan, lost_s, "; ".join(wrong))
+
+
+def _left(session: int) -> list[str]:
+    """Processes of a run's session that are still there after what they get to follow it."""
+    deadline = time.monotonic() + LEFT_S
+    while (left := _members(session)) and time.monotonic() < deadline:
+        time.sleep(0.02)
+    return left
+
+
+def _members(session: int) -> list[str]:
+    found = []
+    for stat in Path("/proc").glob("[0-9]*/stat"):
+        with contextlib.suppress(OSError):
+            state, _, _, its_session = stat.read_text().rsplit(")", 1)[1].split()[:4]
+            if int(its_session) == session and state != "Z":
+                found.append((stat.parent / "cmdline").read_bytes().replace(b"\0", b" ").decode()[-60:])
+    return found
