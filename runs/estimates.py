@@ -27,9 +27,13 @@ def draw(figure: Figure, run: Run, summary: Summary) -> None:
     rows = math.ceil(len(a.parameter) / COLUMNS)
     grid = figure.add_gridspec(1 + rows, COLUMNS)
     above = figure.add_subplot(grid[0, :])
-    without = np.linalg.norm(run.tip.measured_mm - a.start_model_mm, axis=1)
-    above.plot(*figures.thin(a.time_s, without), color=MUTED, lw=0.9, label="with the parameters as they were")
-    above.plot(*figures.thin(a.time_s, run.tip.error_mm), color=MEASURED, lw=1.0, label="live error")
+    # A run that was cut off may have a frame without what it taught.
+    _, of_tip, of_estimate = np.intersect1d(run.tip.frame, a.frame, return_indices=True)
+    without = np.linalg.norm(run.tip.measured_mm[of_tip] - a.start_model_mm[of_estimate], axis=1)
+    above.plot(
+        *figures.thin(run.tip.time_s[of_tip], without), color=MUTED, lw=0.9, label="with the parameters as they were"
+    )
+    above.plot(*figures.thin(run.tip.time_s, run.tip.error_mm), color=MEASURED, lw=1.0, label="live error")
     above.set_ylabel("error [mm]")
     above.set_ylim(bottom=0)
     above.margins(x=0.01)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -21,6 +23,7 @@ from runs.records import (
     RunHeader,
     Seen,
     Status,
+    adaptation_dtype,
     observation_dtype,
     sample_dtype,
 )
@@ -158,3 +161,20 @@ def write_journal(
         end_ns = START_NS + int(duration_s * 1e9)
         writer.close(RunFooter(end_ns, Status.FINISHED, "", {"ring_overflows": 0, "missed_deadlines": 2}))
     return writer
+
+
+def write_cut_off_while_adapting(path: Path) -> Path:
+    """Write a run with an estimator that dies with its last frames recorded and what they taught it not."""
+    adapted = (Quantity("adaptation", "shear_ratio", (0.4,), "", "", 0.1),)
+    writer = JournalWriter(path.with_suffix(".written"), replace(header(path.stem), adapted=adapted))
+    seen = observations(3.0)
+    writer.samples(samples(3.0))
+    writer.observations(seen)
+    rows = np.zeros(len(seen) - 2, adaptation_dtype(1))
+    for field in ("t_ns", "frame"):
+        rows[field] = seen[field][:-2]
+    rows["used"], rows["value"], rows["covariance"] = 1, 0.4, 0.01
+    rows["start_model_m"] = seen["model_m"][:-2]
+    writer.adaptations(rows)
+    # A copy has no living writer.
+    return shutil.copy(writer.path, path)

@@ -7,9 +7,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import runs_made_up as made_up
 
 from rig.cli import main
 from rig.live.playing import Playing
+from runs.archive import finalise
 from tests.import_bench import SMALL, imported_in
 
 WEIGHED = """
@@ -41,3 +43,11 @@ def test_an_import_without_rig_and_set_points_is_described_in_plain_json(tmp_pat
     about = json.dumps(played.about(), allow_nan=False)
     assert json.loads(about)["limit"] == 0.2
     assert played.viewer().packet() is not None
+
+
+def test_a_run_cut_off_between_a_frame_and_what_it_taught_is_played_to_its_end(tmp_path: Path) -> None:
+    played = Playing(finalise(made_up.write_cut_off_while_adapting(tmp_path / "adapting.mcap")))
+    last = len(played.run.tip.frame) - 1
+    shown = played.now(played.end_s, last, playing=False)
+    assert shown["estimates"] == [["shear_ratio", "", "0.4", "0.1", "0.4"]]
+    assert "estimates" not in played.now(0.0, -1, playing=False)

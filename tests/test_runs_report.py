@@ -202,6 +202,12 @@ def test_a_run_that_never_saw_its_tip_has_a_report(tmp_path: Path) -> None:
     Page(report.write(finalise(path)).read_text(encoding="utf-8"))
 
 
+def test_a_run_cut_off_between_a_frame_and_what_it_taught_has_a_report(tmp_path: Path) -> None:
+    path = made_up.write_cut_off_while_adapting(tmp_path / "adapting.mcap")
+    page = Page(report.write(finalise(path)).read_text(encoding="utf-8"))
+    assert "Parameters estimated beside the run" in "".join(page.text)
+
+
 def test_a_long_run_is_drawn_with_few_points_and_keeps_its_extremes(tmp_path: Path) -> None:
     from runs.figures import POINTS, thin
 

@@ -176,9 +176,11 @@ class Playing:
                 "mean": float(self.mean[frame]),
                 "reprojection": float(tip.reprojection_px[frame]),
             }
-            if run.adaptation is not None:
-                found = run.adaptation
-                now["estimates"] = estimates(run.header.adapted, found.value[frame], found.uncertainty[frame])
+            if (found := run.adaptation) is not None:
+                # A run that was cut off may have a frame without what it taught.
+                row = int(np.searchsorted(found.time_s, tip.time_s[frame], side="right")) - 1
+                if row >= 0:
+                    now["estimates"] = estimates(run.header.adapted, found.value[row], found.uncertainty[row])
         return now
 
     def _segment(self, protocol_s: float) -> dict[str, Any]:

@@ -40,6 +40,7 @@ class Watching:
         self.events: list[Event] = []
         self.events_let_go = 0
         self.ended = ""
+        self.start_ns = 0
         self.sample: NDArray[np.void] | None = None
         self.observations: dict[int, tuple[NDArray[np.void], float]] = {}
         self.adaptation: NDArray[np.void] | None = None
