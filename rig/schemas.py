@@ -11,7 +11,7 @@ from pydantic import BaseModel
 from protocols.schema import ProtocolFile
 from rig.calibrations.schema import CameraFile, DLTFile, PressureFile, ToolFile
 from rig.config import RigConfig
-from rig.mapping import Mapping
+from rig.importing.mapping import Mapping
 
 FILES: dict[str, type[BaseModel]] = {
     "protocol.schema.json": ProtocolFile,

@@ -16,6 +16,9 @@ from runs.archive import ArchiveError
 from runs.run import Run
 from runs.table import TABLES, table
 
+SIMULATED = "simulated"
+"""Column of every CSV: 1 where card, camera or arm was simulated, else 0."""
+
 
 class ExportError(Exception):
     """The export could not be written; the message says why."""
@@ -38,8 +41,13 @@ def export(archive: Path | str, to: str, folder: Path | str | None = None) -> tu
 
 
 def _csv(source: Path, stem: Path) -> tuple[Path, ...]:
-    """One file for each table; numbers with all their digits, nothing where nothing was measured."""
+    """One file for each table; numbers with all their digits, nothing where nothing was measured.
+
+    The last column says of every row whether it was simulated: it stays with rows that are cut out or joined to
+    others', and every reader takes it.
+    """
     written = []
+    simulated = int(Run(source).header.simulated)
     for group in TABLES:
         columns = table(source, group)
         if not columns:
@@ -47,8 +55,9 @@ def _csv(source: Path, stem: Path) -> tuple[Path, ...]:
         path = stem.with_name(f"{stem.name}-{group}.csv")
         with path.open("w", newline="", encoding="utf-8") as file:
             lines = csv.writer(file)
-            lines.writerow(columns)
-            lines.writerows(zip(*(_cells(column) for column in columns.values()), strict=True))
+            lines.writerow([*columns, SIMULATED])
+            rows = zip(*(_cells(column) for column in columns.values()), strict=True)
+            lines.writerows((*row, simulated) for row in rows)
         written.append(path)
     return tuple(written)
 

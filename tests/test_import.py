@@ -8,6 +8,7 @@ from typing import ClassVar
 import h5py
 import numpy as np
 import pytest
+import runs_made_up as made_up
 from beside import shared_data
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -19,7 +20,7 @@ from scipy.spatial.transform import Rotation
 import runs
 from rig.cli import main
 from rig.importing import import_table
-from runs.archive import verify
+from runs.archive import finalise, verify
 from runs.export import export
 from runs.records import Seen, Status
 from runs.report import write
@@ -302,6 +303,25 @@ class TestMatlab:
         damaged[176] = 255
         (tmp_path / "k.mat").write_bytes(damaged)
         assert "k.mat\n  this" in complaint(bring, tmp_path / "k.mat", self.VECTORS)
+
+
+def test_what_a_program_computed_is_no_measurement(bring: Bring, tmp_path: Path) -> None:
+    rows = "0,0.1,1,2,3\n1,0.2,1,2,3\n"
+    assert not bring(rows, SMALL).header.simulated
+    assert bring(rows, "simulated: true\n" + SMALL.lstrip("\n")).header.simulated
+
+
+def test_an_export_of_a_simulated_run_comes_back_as_one(bring: Bring, tmp_path: Path) -> None:
+    mapping = (
+        "title: There and back\ntime: {column: time_s, unit: s}\n"
+        "pressures: {columns: [measured_1_bar, measured_2_bar, measured_3_bar], unit: bar, reading: gauge}\n"
+    )
+    for simulated in (True, False):
+        made_up.write_journal(tmp_path / f"{simulated}.mcap", duration_s=0.1, pictures=0, simulated=simulated)
+        pressure, *_ = export(finalise(tmp_path / f"{simulated}.mcap"), "csv")
+        run = bring(pressure, mapping)
+        assert run.header.simulated is simulated
+        assert ("these rows were not measured" in warnings_of(run)) is simulated
 
 
 def test_the_command_prints_archives_and_warnings(

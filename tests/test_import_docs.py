@@ -6,7 +6,7 @@ import re
 from pathlib import Path
 from typing import get_args
 
-from rig.mapping import (
+from rig.importing.mapping import (
     KILOGRAMS,
     METRES,
     PASCALS,

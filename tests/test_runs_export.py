@@ -7,6 +7,7 @@ import dataclasses
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 import runs_made_up as made_up
 from scipy.io import loadmat, netcdf_file
@@ -70,6 +71,16 @@ def test_csv_quotes_what_was_written_by_people(tmp_path: Path) -> None:
     export(finalise(path), "csv")
     with (tmp_path / "odd-events.csv").open(encoding="utf-8", newline="") as file:
         assert next(csv.DictReader(file))["message"] == said
+
+
+@pytest.mark.parametrize("simulated", [True, False])
+def test_every_row_of_a_csv_says_whether_it_was_simulated(tmp_path: Path, simulated: bool) -> None:
+    made_up.write_journal(tmp_path / "run.mcap", duration_s=0.1, simulated=simulated)
+    for path in export(finalise(tmp_path / "run.mcap"), "csv"):
+        read = pd.read_csv(path)
+        assert len(read) > 0
+        assert read.columns[-1] == "simulated"
+        assert (read["simulated"] == int(simulated)).all()
 
 
 def test_matlab_gets_a_struct_of_the_groups(archive: Path) -> None:

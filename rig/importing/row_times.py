@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protocols.problems import Problem
-from rig.mapping import SECONDS, Mapping
-from rig.reading import Columns
-from rig.tables import MOST_PROBLEMS, Key
+from rig.importing.columns import Columns
+from rig.importing.mapping import SECONDS, Mapping
+from rig.importing.tables import MOST_PROBLEMS, Key
 
 LONGEST_S = 9e9
 """Times beyond this have no nanoseconds in 64 bits."""

@@ -19,13 +19,14 @@ from protocols.problems import BadInput, Problem
 from rig import rig_file
 from rig.config import PA_PER_BAR
 from rig.experiment import free_id
-from rig.mapping import KILOGRAMS, PASCALS, VOLTS, Mapping, PressureUnit, load
-from rig.placing import placed, wrench
+from rig.importing.columns import Columns
+from rig.importing.mapping import KILOGRAMS, PASCALS, VOLTS, Mapping, PressureUnit, load
+from rig.importing.placing import placed, wrench
+from rig.importing.row_times import Times, times
+from rig.importing.tables import read as read_table
 from rig.provenance import git_state, versions
-from rig.reading import Columns
-from rig.row_times import Times, times
-from rig.tables import read as read_table
 from runs.archive import finalise
+from runs.export import SIMULATED
 from runs.journal import SUFFIX, JournalWriter
 from runs.records import (
     Event,
@@ -99,7 +100,7 @@ def import_table(data: Path, mapping_file: Path, folder: Path, operator: str = "
         actuators=mapping.actuators,
         valves=valve_v.shape[1],
         executor="imported",
-        simulated=False,
+        simulated=_simulated(columns, mapping),
         seed=None,
         model_variant="",
         operator=operator,
@@ -179,6 +180,19 @@ def _started_utc_ns(columns: Columns, mapping: Mapping, document: Document, read
         columns.warn("the mapping does not say when the measurement began: start_time is that of the import")
         return time.time_ns()
     return stated
+
+
+def _simulated(columns: Columns, mapping: Mapping) -> bool:
+    """Whether nothing was measured: the mapping says so, or the column does with which `rig export` marks its rows."""
+    if mapping.simulated:
+        return True
+    try:
+        marked = (columns.table.numbers(SIMULATED) > 0).any()
+    except BadInput:
+        return False
+    if marked:
+        columns.warn(f"column {SIMULATED} says that these rows were not measured: the archive says so, too")
+    return bool(marked)
 
 
 def _frames(columns: Columns, t_ns: Ints) -> Ints:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from protocols.document import read_text
 from protocols.marks import shortened
 from protocols.problems import BadInput, Problem, closest
-from rig.mapping import Written
+from rig.importing.mapping import Written
 
 LARGEST_FILE = 500_000_000
 MOST_PROBLEMS = 20
@@ -126,7 +126,7 @@ class CsvTable:
 
 
 def _read_csv(path: Path, written: Written) -> CsvTable:
-    text = read_text(path, LARGEST_FILE).replace("\r", "\n")
+    text = read_text(path, LARGEST_FILE)
     lines = [(number, line) for number, line in enumerate(text.split("\n"), start=1) if number > written.skip_lines]
     if written.comment is not None:
         lines = [(number, line) for number, line in lines if not line.lstrip().startswith(written.comment)]

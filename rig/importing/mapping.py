@@ -291,6 +291,7 @@ class Mapping(Section):
     title: Word
     started: Moment | SkipJsonSchema[None] = Field(default=None, description="moment of the first row")
     rig: Word | SkipJsonSchema[None] = Field(default=None, description="name or file of a rig with this arm")
+    simulated: Flag = Field(default=False, description="the table holds no measurements: a program computed it")
     file: Written = Written()
     time: TimeColumn
     pressures: Pressures

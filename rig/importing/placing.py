@@ -10,9 +10,9 @@ from scipy.spatial.transform import Rotation
 
 from calibration.frames import Rigid
 from protocols.problems import Problem
-from rig.mapping import METRES, NEWTON_METRES, NEWTONS, BaseSensor, Mapping, Orientation, Position, Wrench
-from rig.reading import Columns
-from rig.tables import MOST_PROBLEMS
+from rig.importing.columns import Columns
+from rig.importing.mapping import METRES, NEWTON_METRES, NEWTONS, BaseSensor, Mapping, Orientation, Position, Wrench
+from rig.importing.tables import MOST_PROBLEMS
 
 UNIT = 0.01
 """A quaternion's norm may be off by this: trackers write three or four digits."""

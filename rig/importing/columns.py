@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protocols.problems import BadInput, Problem
-from rig.tables import Key, Table
+from rig.importing.tables import Key, Table
 
 Floats = NDArray[np.float64]
 
