@@ -24,7 +24,7 @@ def read(path: Path) -> Document:
 
 
 def read_text(path: Path, largest: int) -> str:
-    """The text of a UTF-8 file of at most `largest` bytes, or `BadInput`."""
+    """The text of a UTF-8 file of at most `largest` bytes, its lines ended by a line feed; or `BadInput`."""
 
     def bad(expected: str, line: int = 0, column: int = 0, value: str = "") -> BadInput:
         return BadInput([Problem(str(path), line, column, "", value, expected)])
@@ -44,7 +44,7 @@ def read_text(path: Path, largest: int) -> str:
     if raw.startswith((b"\xff\xfe", b"\xfe\xff")):
         raise bad("the file is UTF-16; save it as UTF-8")
     try:
-        return raw.decode("utf-8-sig").replace("\r\n", "\n")
+        return raw.decode("utf-8-sig").replace("\r\n", "\n").replace("\r", "\n")
     except UnicodeDecodeError as error:
         before = raw[: error.start]
         line = before.count(b"\n") + 1

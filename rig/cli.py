@@ -33,7 +33,14 @@ class PlainErrors(TyperGroup):
             status = _status(error)
             if status is None:
                 raise
-            _fail(str(error), status)
+            _fail(_said(error), status)
+
+
+def _said(error: Exception) -> str:
+    """An error in words: the system's without its number."""
+    if isinstance(error, OSError) and error.strerror:
+        return f"{error.filename}: {error.strerror}" if isinstance(error.filename, str) else error.strerror
+    return str(error)
 
 
 def _status(error: Exception) -> int | None:

@@ -118,19 +118,19 @@ def summary_table(summary: Summary, counters: Mapping[str, int]) -> Table:
         if step.dwell and step.frames and step.kind in ("dwell", "hold"):
             table.add_row(
                 step.label,
-                f"{step.error_mm:.2f}",
-                f"{step.normalised_percent:.2f}",
-                f"{step.settling_s:.2f}",
-                f"{step.overshoot_bar:.4f}",
+                _number(step.error_mm, 2),
+                _number(step.normalised_percent, 2),
+                _number(step.settling_s, 2),
+                _number(step.overshoot_bar, 4),
             )
     table.add_section()
     whole = f"whole run{' (simulated)' if summary.simulated else ''}: mean error"
-    table.add_row(Text(whole, "bold"), Text(f"{summary.error_mm.mean:.2f}", "bold"))
-    table.add_row("largest error", f"{summary.error_mm.max:.2f}")
+    table.add_row(Text(whole, "bold"), Text(_number(summary.error_mm.mean, 2), "bold"))
+    table.add_row("largest error", _number(summary.error_mm.max, 2))
     table.add_row("frames measured", f"{summary.frames_measured} of {summary.frames}")
     table.add_row("deadlines missed", f"{summary.missed_deadlines} of {summary.ticks}")
-    late = f"{summary.lateness_p50_us:.0f} / {summary.lateness_p99_us:.0f} / {summary.lateness_max_us:.0f}"
-    table.add_row("lateness p50/p99/max [us]", late)
+    late = (summary.lateness_p50_us, summary.lateness_p99_us, summary.lateness_max_us)
+    table.add_row("lateness p50/p99/max [us]", " / ".join(_number(us, 0) for us in late))
     if "stolen_cpu_ms" in counters:
         table.add_row("CPU time stolen by the host [ms]", str(counters["stolen_cpu_ms"]))
     for name, period_ns in counters.items():
@@ -139,6 +139,11 @@ def summary_table(summary: Summary, counters: Mapping[str, int]) -> Table:
             table.add_row(f"card {card} samples every [us]", f"{period_ns * 1e-3:.3f}")
             table.add_row("longer by the computer's clock [ppm]", f"{drift_ppm:+.1f}")
     return table
+
+
+def _number(value: float, digits: int) -> str:
+    """A number of a table: a dash where there is none, and a pressure that never settled took for ever."""
+    return "-" if math.isnan(value) else "never" if math.isinf(value) else f"{value:.{digits}f}"
 
 
 def recover(folder: Path) -> None:

@@ -24,6 +24,7 @@ def write(paths: Path | str | Sequence[Path | str], out_html: Path | str | None 
     chosen = [Path(paths)] if isinstance(paths, str | os.PathLike) else [Path(path) for path in paths]
     runs = [Run(path) for path in chosen]
     target = chosen[0].with_suffix(SUFFIX) if out_html is None else Path(out_html)
+    target.parent.mkdir(parents=True, exist_ok=True)
     part = target.with_name(target.name + ".part")
     part.write_text(page(runs), encoding="utf-8")
     part.replace(target)

@@ -219,6 +219,12 @@ def test_a_byte_order_mark_and_windows_line_ends_do_no_harm(tmp_path: Path) -> N
     assert protocols.load(file).expand(1).duration_s == 1
 
 
+def test_line_ends_of_old_spreadsheets_do_no_harm(tmp_path: Path) -> None:
+    (tmp_path / "s.csv").write_bytes(b"time_s,actuator_1_bar\r0,0.1\r1,0.3\r")
+    (tmp_path / "p.yaml").write_bytes(steps("csv: {file: s.csv, actuators: [1]}").replace("\n", "\r").encode())
+    assert protocols.load(tmp_path / "p.yaml").expand(1).setpoint_pa(1.0)[0] == 30_000
+
+
 def test_what_is_no_readable_file_is_refused(tmp_path: Path) -> None:
     with pytest.raises(BadInput, match="folder"):
         protocols.load(tmp_path)

@@ -1,0 +1,41 @@
+"""What the commands about archives print where there is little to print, or nowhere to write it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+import runs_made_up as made_up
+
+from rig.cli import main
+from runs.archive import finalise
+
+
+def status_of(*words: object) -> object:
+    with pytest.raises(SystemExit) as ended:
+        main([str(word) for word in words])
+    return ended.value.code
+
+
+@pytest.fixture
+def short(tmp_path: Path) -> Path:
+    """A run so short that no frame was seen and no pressure settled."""
+    made_up.write_journal(tmp_path / "short.mcap", duration_s=0.0, pictures=0)
+    return finalise(tmp_path / "short.mcap")
+
+
+def test_what_was_not_measured_is_a_dash(short: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert status_of("show", short) == 0
+    shown = capsys.readouterr().out
+    assert "nan" not in shown
+    assert [line.split()[-1] for line in shown.splitlines() if "mean error" in line] == ["-"]
+
+
+def test_a_report_goes_into_a_new_folder(short: Path, tmp_path: Path) -> None:
+    assert status_of("report", short, "--to", tmp_path / "new" / "folder" / "a.html") == 0
+    assert (tmp_path / "new" / "folder" / "a.html").read_text(encoding="utf-8").startswith("<!doctype html>")
+
+
+def test_what_the_system_refuses_is_named_without_its_number(short: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert status_of("report", short, "--to", "/proc/nowhere/a.html") == 1
+    assert capsys.readouterr().err == "/proc/nowhere: No such file or directory\n"
