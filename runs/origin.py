@@ -10,6 +10,7 @@ from runs.records import Interval, Quantity
 
 
 def protocol(journal: Journal) -> Group:
+    """The protocol: its text, and every segment as it was expanded."""
     header = journal.header
     intervals: tuple[Interval, ...] = header.intervals
     level = np.full((len(intervals), header.actuators), np.nan)
@@ -35,6 +36,7 @@ def protocol(journal: Journal) -> Group:
 
 
 def rig(journal: Journal) -> Group:
+    """The rig as it was used."""
     header = journal.header
     return Group(
         "entry/rig",
@@ -48,6 +50,7 @@ def rig(journal: Journal) -> Group:
 
 
 def protocol_files(journal: Journal) -> Group | None:
+    """The files that the protocol plays; None where it plays none."""
     files = journal.header.protocol_files
     if not files:
         return None
@@ -66,29 +69,32 @@ def protocol_files(journal: Journal) -> Group | None:
 
 
 def sources(journal: Journal) -> Group | None:
-    sources = journal.header.sources
-    if not sources:
+    """The rig's own file and the calibrations that it names; None where it names none."""
+    files = journal.header.sources
+    if not files:
         return None
     by = ("name",)
     return Group(
         "entry/calibration_files",
         "NXcollection",
         (
-            Field("name", [s.name for s in sources]),
-            Field("kind", [s.kind for s in sources], about="rig, camera, dlt, tool or pressure", scales=by),
-            Field("sha256", [s.sha256 for s in sources], about="of the text", scales=by),
-            Field("yaml", [s.text for s in sources], about="verbatim", scales=by),
+            Field("name", [f.name for f in files]),
+            Field("kind", [f.kind for f in files], about="rig, camera, dlt, tool or pressure", scales=by),
+            Field("sha256", [f.sha256 for f in files], about="of the text", scales=by),
+            Field("yaml", [f.text for f in files], about="verbatim", scales=by),
         ),
         about="what the rig as it was used was made of",
     )
 
 
 def versions(journal: Journal) -> Group:
+    """Of the program, its libraries and the system."""
     fields = (Field(name, version) for name, version in sorted(journal.header.versions.items()))
     return Group("entry/versions", "NXcollection", named(fields), about="of the program, its libraries and the system")
 
 
 def git(journal: Journal) -> Group:
+    """The state of the program's own checkout."""
     fields = (
         Field("commit", journal.header.git_commit),
         Field("diff", journal.header.git_diff, about="what was not committed"),
@@ -97,15 +103,16 @@ def git(journal: Journal) -> Group:
 
 
 def quantities(journal: Journal, room: str, about: str) -> Group:
+    """Every number of a room (`calibration` or `model`) that was used; vectors with scales that label them."""
     variant = [Field("variant", journal.header.model_variant)] if room == "model" else []
-    numbers = [quantity(q) for q in journal.header.quantities if q.room == room]
+    numbers = [_number(q) for q in journal.header.quantities if q.room == room]
     lengths = sorted({len(q.value) for q in numbers if isinstance(q.value, np.ndarray)})
     scales = [Field(f"component_{n}", np.arange(1, n + 1), about=f"labels vectors of {n}") for n in lengths]
     fields = variant + scales + numbers
     return Group(f"entry/{room}", "NXcollection", named(fields), about=about)
 
 
-def quantity(quantity: Quantity) -> Field:
+def _number(quantity: Quantity) -> Field:
     value = np.array(quantity.value, float)
     single = len(value) == 1
     return Field(

@@ -145,8 +145,7 @@ class Run:
                 version = int(file.attrs["layout_version"])
                 self.sha256 = str(file.attrs["content_sha256"])
         except (OSError, KeyError, RuntimeError) as fault:
-            reason = "no such file" if isinstance(fault, FileNotFoundError) else f"not an archive of softrig ({fault})"
-            raise ArchiveError(f"{self.path}: {reason}") from fault
+            raise ArchiveError(f"{self.path}: {_why(self.path, fault)}") from fault
         if version > layout.VERSION:
             raise ArchiveError(f"{self.path} has layout {version}; this softrig knows up to {layout.VERSION}")
 
@@ -381,6 +380,15 @@ class _Fields(dict[str, Any]):
 
     def __missing__(self, name: str) -> Any:
         raise ArchiveError(f"{self._where} has no {name}; was it made by another version of softrig?")
+
+
+def _why(path: Path, fault: Exception) -> str:
+    """What keeps a file from being read as an archive; HDF5 says of every other file that its signature is missing."""
+    if isinstance(fault, FileNotFoundError):
+        return "no such file"
+    if isinstance(fault, IsADirectoryError | PermissionError) or h5py.is_hdf5(path):
+        return f"not an archive of softrig ({fault})"
+    return "not an archive of softrig: it is no HDF5 file"
 
 
 def _optional(package: str) -> Any:

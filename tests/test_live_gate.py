@@ -150,14 +150,16 @@ def test_what_another_site_makes_the_browser_fetch_is_refused(gate: Gate, keys: 
     assert ask(gate, cookie=cookie, sec_fetch_site="none", sec_fetch_mode="navigate").status == 200
 
 
-@pytest.mark.parametrize("host", ["evil.example:8090", "127.0.0.1.evil.example", "", "[::2]:8090"])
+@pytest.mark.parametrize("host", ["evil.example:8090", "127.0.0.1.evil.example", "", "[::2]:8090", "192.168.1.20"])
 def test_on_this_machine_a_foreign_name_is_refused(keys: Keys, host: str) -> None:
     local = Gate(_inside, keys, Session("ada", operator=True))
     assert ask(local, host=host).status == 403
     assert not ask(local, kind="websocket", host=host).accepted
 
 
-@pytest.mark.parametrize("host", ["127.0.0.1:8090", "localhost:8090", "LOCALHOST", "[::1]:8090", "[::1]"])
+@pytest.mark.parametrize(
+    "host", ["127.0.0.1:8090", "127.0.0.2:8090", "localhost:8090", "LOCALHOST", "[::1]:8090", "[::1]"]
+)
 def test_on_this_machine_everybody_is_the_operator(keys: Keys, host: str) -> None:
     local = Gate(_inside, keys, Session("ada", operator=True))
     assert ask(local, host=host).body == SECRET + b"ada"

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import asyncio
 import hmac
+import ipaddress
 import secrets
 from dataclasses import dataclass, field
 from http.cookies import CookieError, SimpleCookie
@@ -27,7 +28,6 @@ MOST_SESSIONS = 64
 SESSION = "softrig.session"
 """Where the session is found in a request's scope."""
 
-_LOCAL_NAMES = {"127.0.0.1", "localhost", "[::1]"}
 _POLICY = (
     "default-src 'self'; script-src 'self' 'unsafe-inline' 'unsafe-eval'; style-src 'self' 'unsafe-inline'; "
     "img-src 'self' data: blob:; font-src 'self' data:; connect-src 'self'; object-src 'none'; base-uri 'none'; "
@@ -111,7 +111,7 @@ class Gate:
     def _foreign(self, scope: Scope, headers: dict[str, str]) -> str | None:
         """Why a request does not come from this page."""
         host = headers.get("host", "")
-        if self._local is not None and _name(host) not in _LOCAL_NAMES:
+        if self._local is not None and not _is_local(host):
             return "this page answers to the names of its own machine only"
         origin = headers.get("origin")
         if origin is not None and origin not in (f"http://{host}", f"https://{host}"):
@@ -152,8 +152,13 @@ class Gate:
         await _answer(send, 303, where, b"")
 
 
-def _name(host: str) -> str:
-    return host.lower() if host.endswith("]") else host.lower().rpartition(":")[0] or host.lower()
+def _is_local(host: str) -> bool:
+    """Whether a Host header names this machine: an address cannot be made to point elsewhere, a name can."""
+    name = host.lower() if host.endswith("]") else host.lower().rpartition(":")[0] or host.lower()
+    try:
+        return name == "localhost" or ipaddress.ip_address(name.removeprefix("[").removesuffix("]")).is_loopback
+    except ValueError:
+        return False
 
 
 async def _body(receive: Receive) -> bytes:
