@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from protocols import BadInput, Problem
 from rig import rig_file
 from rig.cameras.base import Frame, Shot
 from rig.config import PA_PER_BAR, RigConfig, Variant
@@ -41,7 +42,7 @@ def replay(
 
     Raises:
         ArchiveError: the run kept no pictures.
-        BadInput: the rig is wrong.
+        BadInput: the rig is wrong, or has another number of actuators.
     """
     if not len(run.frames.index):
         raise ArchiveError(f"{run.path} holds no pictures: there is nothing to replay")
@@ -57,6 +58,9 @@ def replay(
     if parameters is not None:
         text, found = over(text, f"{run.path}: rig" if rig is None else rig_file.path_of(rig), parameters, chosen)
         config = rig_file.parse(text, f"rig with {parameters}")
+    if config.actuators != run.header.actuators:
+        wish = f"a rig with {run.header.actuators} actuators, as the run had"
+        raise BadInput([Problem("--rig", 0, 0, "", f"{config.name}, which has {config.actuators}", wish)])
     rows = np.array(list(_observed(run, config, chosen)))
     now = datetime.now(UTC)
     commit, diff = git_state()
@@ -77,6 +81,7 @@ def replay(
         git_commit=commit,
         git_diff=diff,
         quantities=quantities(config),
+        adapted=(),
     )
     journal = JournalWriter(folder / f"{header.run_id}{SUFFIX}", header)
     journal.samples(_samples(run))

@@ -11,6 +11,7 @@ from test_run_virtual import Silent, protocol_file
 
 import runs
 from calibration.board import find
+from protocols import BadInput
 from rig import experiment, rig_file
 from rig.optics import board_of
 from rig.replay import replay
@@ -18,12 +19,13 @@ from rig.sketch import Sketcher
 from runs.run import Run
 
 
-def recorded(folder: Path, encoding: str) -> Run:
+def recorded(folder: Path, encoding: str, adapt: list[str] | None = None) -> Run:
     rig = folder / "rig.yaml"
     text = rig_file.text("mock")
     rig.write_text(f"{text}\nrecording: {{keep_every: 1, encoding: {encoding}, jpeg_quality: 95}}\n")
     protocol = protocol_file(folder, "  - ramp: {actuators: [1], to_bar: 0.4, duration_s: 2}\n")
-    request = experiment.request(protocol, str(rig), folder=folder / encoding, fast=True, seed=3, report=False)
+    out = folder / encoding
+    request = experiment.request(protocol, str(rig), folder=out, fast=True, seed=3, report=False, adapt=adapt)
     archive = experiment.run(request, experiment.plan(request), Silent()).archive
     assert archive is not None
     return runs.open(archive)
@@ -70,9 +72,26 @@ def test_a_replay_names_its_parent(lossless: Run, tmp_path: Path) -> None:
     assert again.simulated
 
 
+def test_a_rig_with_other_actuators_is_refused(lossless: Run, tmp_path: Path) -> None:
+    text = rig_file.text("mock")
+    for three, two in (
+        ("actuators: [2, 3]", "actuators: [2]"),
+        ("  - {actuator: 3, card: daq, channel: 2}\n", ""),
+        ("actuator_angles_deg: [0, 120, 240]", "actuator_angles_deg: [0, 180]"),
+    ):
+        assert text.count(three) == 1
+        text = text.replace(three, two)
+    (tmp_path / "two.yaml").write_text(text)
+    with pytest.raises(BadInput, match="a rig with 3 actuators, as the run had"):
+        replay(lossless, tmp_path, str(tmp_path / "two.yaml"))
+
+
 def test_jpeg_pictures_give_the_stored_tips_within_two_hundredths_of_a_millimetre(tmp_path: Path) -> None:
-    run = recorded(tmp_path, "jpeg")
+    run = recorded(tmp_path, "jpeg", adapt=["shear_ratio"])
     again = runs.open(replay(run, tmp_path))
+    # A replay estimates nothing, whatever the run did.
+    assert run.adaptation is not None
+    assert again.adaptation is None
     off = again.tip.measured_mm - run.tip.measured_mm
     assert np.linalg.norm(off, axis=1).mean() < 0.02
     # Along the line of sight a single frame sees less sharply: its own standard uncertainty is 0.1 mm there.
