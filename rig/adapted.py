@@ -14,6 +14,7 @@ from calibration.identify.parameters import Parameter, Setup, named
 from rig.arm import model_arm
 from rig.experiment import variant_named
 from rig.rig_file import parse
+from rig.starting import laid_under
 from runs.records import Seen
 from runs.run import Adaptation, Run
 
@@ -45,7 +46,8 @@ def write_parameters(run: Run) -> Path | None:
     adaptation = run.adaptation
     if adaptation is None or not adaptation.used.any():
         return None
-    return write(found(run, adaptation), run.path.with_suffix(SUFFIX))
+    estimated = found(run, adaptation)
+    return write(estimated, run.path.with_suffix(SUFFIX), under=laid_under(run, estimated.start))
 
 
 def found(run: Run, adaptation: Adaptation) -> Found:

@@ -21,7 +21,7 @@ from rich.text import Text
 
 from calibration.identify.bootstrap import Bootstrap, bootstrap
 from calibration.identify.data import Poses, as_if_at_rest, poses_of
-from calibration.identify.document import content
+from calibration.identify.document import Under, content
 from calibration.identify.figures import predictions
 from calibration.identify.fit import Fit, identify
 from calibration.identify.parameters import Prior, Setup, UnknownParameter, named
@@ -38,6 +38,8 @@ from rig.starting import Beginning, rig_of
 from runs.figures import save
 from runs.run import Run
 
+# A prior surer than this part of a parameter's span would drown in rounding what runs tell of the others.
+_SUREST = 1e-6
 # How late pressures may be behind the camera, as two clocks are, and how slow their sensors.
 SENSOR_TIMES = {"sensor_lag_s": Prior(0.0, 0.005), "sensor_filter_s": Prior(0.003, 0.002)}
 
@@ -49,7 +51,7 @@ def rig_with(rig: Beginning, parameters: Path) -> str:
         BadInput: the parameter file, or that they do not belong together.
     """
     found = read_parameters(parameters)
-    return laid_over(rig.yaml, rig.file, found, found.found.identified.variant)
+    return laid_over(rig.yaml, rig.file, found, found.found.identified.variant, rig.laid)
 
 
 def poses(run: Run, quasi_static: bool = False) -> Poses:
@@ -125,21 +127,32 @@ def from_poses(
 
 
 def check_priors(priors: Mapping[str, Prior], free: Sequence[str], actuators: int) -> None:
-    """Refuse what is known beforehand of a parameter that is not free: it would change nothing.
+    """Refuse what is known beforehand of a parameter that is not free, and what nobody can know of one.
 
     Raises:
-        UnknownParameter: of the first such.
+        UnknownParameter: of the first that is not free: it would change nothing.
+        typer.BadParameter: of the first that lies where the parameter makes no sense, or is too sure or too vague.
     """
     chosen = {one.name for one in named(free, actuators)}
-    for name in priors:
-        if chosen.isdisjoint(one.name for one in named([name], actuators)):
+    for name, prior in priors.items():
+        members = named([name], actuators)
+        if chosen.isdisjoint(one.name for one in members):
             raise UnknownParameter(f"--prior {name}: it is not free; name it in --free, too")
+        for one in members:
+            least, most = _SUREST * one.span(prior.mean), one.upper - one.lower
+            if not one.lower <= prior.mean <= one.upper:
+                said = f"{prior.mean:g} {one.unit}; it lies between {one.lower:g} and {one.upper:g} {one.unit}"
+            elif not least <= prior.std <= most:
+                said = f"+-{prior.std:g} {one.unit}; a deviation lies between {least:.3g} and {most:.3g} {one.unit}"
+            else:
+                continue
+            raise typer.BadParameter(f"{one.name} cannot be {said}", param_hint="--prior")
 
 
-def show(fit: Fit, as_json: bool) -> None:
+def show(fit: Fit, as_json: bool, under: Under | None = None) -> None:
     """Estimates with their error bars or verdicts, and how well each run is met."""
     if as_json:
-        typer.echo(json.dumps(plain_json(content(fit)), indent=2))
+        typer.echo(json.dumps(plain_json(content(fit, under=under)), indent=2))
         return
     screen = console()
     table = Table(box=None, padding=(0, 2, 0, 0))

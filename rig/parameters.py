@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -105,6 +105,13 @@ class Data(Section):
     residual_mm: tuple[Triple, ...]
 
 
+class Counted(Section):
+    """What lay over the rig of the runs already, from where their estimates count."""
+
+    mounting: Mounting
+    gain: tuple[Positive, ...]
+
+
 class ParametersFile(Section):
     """What `rig identify --to FILE` writes and `--parameters FILE` takes."""
 
@@ -113,6 +120,7 @@ class ParametersFile(Section):
     arm: FoundArm
     mounting: Mounting
     sensing: Sensing
+    estimates_count_from: Counted | None = None
     estimates: tuple[Estimate, ...]
     covariance: tuple[tuple[Number, ...], ...]
     residuals: Residuals
@@ -129,19 +137,28 @@ class Parameters:
 
 def read(path: Path) -> Parameters:
     """Read a parameter file; `BadInput` with everything that is wrong with it."""
-    source = document.read(path)
-    return Parameters(document.validate(ParametersFile, source), source)
+    return _validated(document.read(path))
 
 
-def laid_over(rig_yaml: str, file: str | Path, parameters: Parameters, variant: Variant | None = None) -> str:
+def recorded(text: str) -> Parameters:
+    """The parameters that an archive keeps, of their text."""
+    return _validated(document.parse(text, "the recorded parameters"))
+
+
+def laid_over(
+    rig_yaml: str, file: str | Path, parameters: Parameters, variant: Variant | None = None, instead_of: str = ""
+) -> str:
     """The YAML of a rig with identified parameters in it; `file` is where the rig's YAML comes from.
 
     `variant` is the model that was asked for; without it, the rig's own. What hangs in a simulator stays as it was.
+    `instead_of` are the parameters that the rig has in it already, verbatim.
 
     Raises:
         BadInput: the rig is wrong; or the parameters are of another arm, or of another model.
     """
     config = parse(rig_yaml, file)
+    if instead_of:
+        parameters = replace(parameters, found=_further(parameters.found, recorded(instead_of).found))
     found = parameters.found
     _check(config, Path(file).name, parameters, variant)
     data = yaml.safe_load(rig_yaml)
@@ -155,10 +172,36 @@ def laid_over(rig_yaml: str, file: str | Path, parameters: Parameters, variant: 
     return head + yaml.safe_dump(data, sort_keys=False, width=120, default_flow_style=None)
 
 
-def over(rig_yaml: str, file: str | Path, parameters: Path, variant: Variant | None = None) -> tuple[str, str]:
+def over(
+    rig_yaml: str, file: str | Path, parameters: Path, variant: Variant | None = None, instead_of: str = ""
+) -> tuple[str, str]:
     """`laid_over` with the parameters in a file; returns the file's text, too, as it is to be recorded."""
     found = read(parameters)
-    return laid_over(rig_yaml, file, found, variant), found.source.text
+    return laid_over(rig_yaml, file, found, variant, instead_of), found.source.text
+
+
+def _validated(source: document.Document) -> Parameters:
+    return Parameters(document.validate(ParametersFile, source), source)
+
+
+def _further(found: ParametersFile, laid: ParametersFile) -> ParametersFile:
+    """Parameters of a rig as they count from the same rig with `laid` over it."""
+    if len(found.sensing.gain) != len(laid.sensing.gain):
+        return found
+    base = placement_of(_base(laid.mounting).inverse() @ _base(found.mounting))
+    tool = np.subtract(found.mounting.tool_offset_mm, laid.mounting.tool_offset_mm)
+    mounting = Mounting(
+        base_translation_mm=base.translation_mm,
+        base_rotation_deg=base.rotation_deg,
+        tool_offset_mm=tuple(tool.tolist()),
+    )
+    identified = found.identified
+    counts = {len(one.geometry.actuator_angles_deg) for one in (identified, laid.identified, laid.arm)}
+    if len(counts) == 1 and not _different(identified.geometry, laid.identified.geometry):
+        identified = identified.model_copy(update={"geometry": laid.arm.geometry})
+    gain = np.divide(found.sensing.gain, laid.sensing.gain)
+    sensing = found.sensing.model_copy(update={"gain": tuple(gain.tolist())})
+    return found.model_copy(update={"identified": identified, "mounting": mounting, "sensing": sensing})
 
 
 def _check(config: RigConfig, rig: str, parameters: Parameters, variant: Variant | None) -> None:
@@ -225,9 +268,8 @@ def _scale(data: dict[str, Any], config: RigConfig, sensing: Sensing) -> None:
 
 def _mount(data: dict[str, Any], config: RigConfig, mounting: Mounting) -> None:
     """Move cameras and board so that the measured tips are those of the arm's own base and tip."""
-    base = Placement(translation_mm=mounting.base_translation_mm, rotation_deg=mounting.base_rotation_deg)
-    if any((*base.translation_mm, *base.rotation_deg)):
-        back = rigid(base).inverse()
+    if any((*mounting.base_translation_mm, *mounting.base_rotation_deg)):
+        back = _base(mounting).inverse()
         for name, camera in config.cameras.items():
             _place(data["cameras"][name], "placement", camera.placement, back)
         if config.simulator is not None:
@@ -237,6 +279,11 @@ def _mount(data: dict[str, Any], config: RigConfig, mounting: Mounting) -> None:
         data["board"].setdefault("placement", {})["translation_mm"] = moved.tolist()
         if config.simulator is not None and config.simulator.board is None:
             data["simulator"]["board"] = config.board.placement.model_dump(mode="json")
+
+
+def _base(mounting: Mounting) -> Rigid:
+    """The rod base in the frame of the measured tips."""
+    return rigid(Placement(translation_mm=mounting.base_translation_mm, rotation_deg=mounting.base_rotation_deg))
 
 
 def _place(data: dict[str, Any], key: str, known: Placement, back: Rigid) -> None:

@@ -56,7 +56,8 @@ def replay(
     chosen = variant or (_variant(run) if rig is None else config.model.variant)
     found = run.header.parameters_yaml if rig is None else ""
     if parameters is not None:
-        text, found = over(text, f"{run.path}: rig" if rig is None else rig_file.path_of(rig), parameters, chosen)
+        file = f"{run.path}: rig" if rig is None else rig_file.path_of(rig)
+        text, found = over(text, file, parameters, chosen, instead_of=found)
         config = rig_file.parse(text, f"rig with {parameters}")
     if config.actuators != run.header.actuators:
         wish = f"a rig with {run.header.actuators} actuators, as the run had"

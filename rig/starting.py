@@ -7,16 +7,17 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import yaml
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from calibration.identify.data import NoData
+from calibration.identify.document import Under
 from calibration.identify.parameters import Setup, known
 from rig.arm import model_arm, true_arm
 from rig.config import RigConfig, Sensor
 from rig.listing import resolve
 from rig.optics import rigid
+from rig.parameters import recorded
 from rig.rig_file import load, parse, path_of, text
 from rig.screens import console
 from runs.run import Run
@@ -24,11 +25,12 @@ from runs.run import Run
 
 @dataclass(frozen=True)
 class Beginning:
-    """A rig that a search begins at: its YAML, where that is from, and what it says."""
+    """A rig that a search begins at: its YAML, where that is from, what it says, and the parameters laid over it."""
 
     yaml: str
     file: str
     config: RigConfig
+    laid: str = ""
 
     @classmethod
     def named(cls, name: str) -> Beginning:
@@ -42,7 +44,7 @@ class Beginning:
         Raises:
             NoData: the archive, of an import, names none.
         """
-        return cls(run.header.rig_yaml, f"{run.path}: the rig's YAML", rig_of(run))
+        return cls(run.header.rig_yaml, f"{run.path}: the rig's YAML", rig_of(run), run.header.parameters_yaml)
 
 
 def starting_rigs(first: Run, names: Sequence[str]) -> dict[str, Beginning]:
@@ -91,8 +93,8 @@ def check_alike(archives: Sequence[Run]) -> None:
                 "and pressures do not count from the same; identify them apart"
             )
     if laid is not None:
-        said = f"{first.header.run_id} was recorded with parameters laid over its rig: mounting and gains that are "
-        said += "found count from there; --rig-file writes the whole rig"
+        said = f"{first.header.run_id} was recorded with parameters laid over its rig: estimates of mounting and gains "
+        said += "count from there, files that are written from the rig without them"
         console(stderr=True).print(said, soft_wrap=True)
 
 
@@ -100,8 +102,8 @@ def _laid(run: Run) -> tuple[object, ...] | None:
     """What the parameters over a run's rig changed of how it measures; None for nothing."""
     if not run.header.parameters_yaml:
         return None
-    found = yaml.safe_load(run.header.parameters_yaml)
-    moved, gain = found["mounting"], found["sensing"]["gain"]
+    found = recorded(run.header.parameters_yaml).found
+    moved, gain = found.mounting.model_dump(), found.sensing.gain
     numbers = (*(x for _, triple in sorted(moved.items()) for x in triple), *(g - 1 for g in gain))
     return numbers if any(numbers) else None
 
@@ -126,6 +128,22 @@ def setup_of(run: Run) -> Setup:
         NoData: the archive, of an import, names no rig.
     """
     return Setup(model_arm(rig_of(run)))
+
+
+def laid_under(run: Run, start: Setup, begun_there: bool = True) -> Under | None:
+    """The parameters that lay over a run's rig; None where none did. `begun_there`: `start` is that rig's arm."""
+    if not run.header.parameters_yaml:
+        return None
+    found = recorded(run.header.parameters_yaml).found
+    mounting = found.mounting
+    setup = Setup(
+        start.arm,
+        base_translation_m=_triple(np.multiply(mounting.base_translation_mm, 1e-3)),
+        base_rotation_rad=_triple(np.deg2rad(mounting.base_rotation_deg)),
+        tool_offset_m=_triple(np.multiply(mounting.tool_offset_mm, 1e-3)),
+        sensor_gain=found.sensing.gain,
+    )
+    return Under(setup, found.identified.geometry.model_dump(mode="json") if begun_there else None)
 
 
 def truth_of(run: Run) -> dict[str, float]:

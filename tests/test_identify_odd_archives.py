@@ -18,7 +18,8 @@ from calibration.identify.predict import Predictor
 from calibration.identify.simulated import Errors, plan
 from rig.arm import model_arm
 from rig.cli import main
-from rig.rig_file import load, text
+from rig.parameters import laid_over, read
+from rig.rig_file import load, parse, path_of, text
 from rig.starting import truth_of
 from runs.archive import finalise
 from runs.journal import JournalWriter
@@ -26,10 +27,6 @@ from runs.records import RunFooter, RunHeader, Seen, Status, observation_dtype, 
 
 HZ, TICK_HZ = 15, 60
 MILLISECOND = 1_000_000
-LAID = {
-    "mounting": {"base_translation_mm": [3.0, 0, 0], "base_rotation_deg": [0, 0, 0.0], "tool_offset_mm": [0, 0, 0]},
-    "sensing": {"gain": [1, 1, 1], "lag_s": 0},
-}
 
 
 def about(name: str, **changes: Any) -> RunHeader:
@@ -148,13 +145,55 @@ def test_a_run_and_its_replay_are_one_experiment(tmp_path: Path, capsys: pytest.
     assert "are of one run" in told
 
 
+def with_parameters(folder: Path, capsys: pytest.CaptureFixture[str]) -> tuple[Path, Path, Path]:
+    """A run of the mock's rig, parameters of it that move and turn what they found, and a run that was given these."""
+    plain, file = archive(folder, "plain", started_utc_ns=1), folder / "first.yaml"
+    identify(capsys, plain, "--free", "a1_per_n", "--to", file, status=0)
+    found = yaml.safe_load(file.read_text())
+    found["mounting"] |= {"base_translation_mm": [3.0, 0.0, 1.0], "base_rotation_deg": [0.0, 0.0, 90.0]}
+    found["mounting"]["tool_offset_mm"], found["sensing"]["gain"] = [0.0, 1.0, 0.0], [1.02, 1.0, 1.0]
+    found["arm"]["geometry"]["actuator_angles_deg"][0] += 0.5
+    file.write_text(yaml.safe_dump(found, sort_keys=False))
+    laid = laid_over(text("mock"), path_of("mock"), read(file))
+    moved = archive(folder, "moved", started_utc_ns=2, rig_yaml=laid, parameters_yaml=file.read_text())
+    return plain, file, moved
+
+
 def test_runs_that_count_from_different_bases_are_not_mixed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    plain = archive(tmp_path, "plain", started_utc_ns=1)
-    moved = archive(tmp_path, "moved", started_utc_ns=2, parameters_yaml=yaml.safe_dump(LAID))
+    plain, _, moved = with_parameters(tmp_path, capsys)
     told = identify(capsys, plain, moved, "--free", "law", status=2)
     assert "different parameters laid over their rig" in told
-    told = identify(capsys, moved, "--free", "law", status=0)
+
+
+def test_what_is_found_with_parameters_laid_over_a_rig_is_for_the_rig_without_them(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    _, first, moved = with_parameters(tmp_path, capsys)
+    file, rig = tmp_path / "second.yaml", tmp_path / "rig.yaml"
+    told = identify(capsys, moved, "--free", "a1_per_n,base_x_m", "--to", file, "--rig-file", rig, status=0)
     assert "count from there" in told
+    second = read(file).found
+    shift = 1e3 * next(e.used for e in second.estimates if e.name == "base_x_m")
+    assert abs(shift) > 1e-3
+    # The base that the first parameters turned by a quarter: its x is the plain rig's y.
+    assert second.mounting.base_translation_mm == pytest.approx((3.0, shift, 1.0), abs=1e-9)
+    assert second.mounting.base_rotation_deg == pytest.approx((0.0, 0.0, 90.0))
+    assert (second.mounting.tool_offset_mm, second.sensing.gain) == ((0.0, 1.0, 0.0), (1.02, 1.0, 1.0))
+    assert second.estimates_count_from is not None
+    assert second.estimates_count_from.mounting == read(first).found.mounting
+
+    plain = text("mock"), path_of("mock")
+    wanted = parse(laid_over(*plain, read(file)), "wanted")
+    again = laid_over(laid_over(*plain, read(first)), "laid", read(file), instead_of=first.read_text())
+    for other in (parse(rig.read_text(), "written"), parse(again, "again")):
+        assert other.arm == wanted.arm
+        for name, camera in wanted.cameras.items():
+            placed = other.cameras[name].placement
+            assert placed.translation_mm == pytest.approx(camera.placement.translation_mm, abs=1e-9)
+            assert placed.rotation_deg == pytest.approx(camera.placement.rotation_deg, abs=1e-9)
+        assert other.board.placement.translation_mm == pytest.approx(wanted.board.placement.translation_mm)
+        for one, sensor in zip(other.sensors, wanted.sensors, strict=True):
+            assert one.span_bar == pytest.approx(sensor.span_bar)
 
 
 def test_a_run_of_another_arm_is_not_predicted(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -193,6 +232,23 @@ def test_the_simulators_truth_is_told_of_what_is_mounted_otherwise_than_stated(t
     shaken = truth_of(runs.open(archive(tmp_path, "shaken", rig_yaml=yaml.safe_dump(rig))))
     assert "base_x_m" not in shaken
     assert shaken["a1_per_n"] == truth["a1_per_n"]
+
+
+@pytest.mark.parametrize(
+    ("prior", "said"),
+    [
+        ("law=1e300+-1e300", "a1_per_n cannot be 1e+300 1/N; it lies between 1e-06 and 10 1/N"),
+        ("law=0.01+-1e300", "a1_per_n cannot be +-1e+300 1/N; a deviation lies between 1e-08 and 10 1/N"),
+        ("rpe_per_bar=0.05+-1e-300", "rpe_per_bar cannot be +-1e-300 1/bar"),
+    ],
+)
+@pytest.mark.parametrize("asked", [(), ("--choose",)])
+def test_what_nobody_can_know_beforehand_is_refused(
+    tmp_path: Path, prior: str, said: str, asked: tuple[str, ...], capsys: pytest.CaptureFixture[str]
+) -> None:
+    first, other = archive(tmp_path), archive(tmp_path, "other", frames=31, started_utc_ns=1)
+    told = identify(capsys, first, other, "--free", "law,rpe_per_bar", "--prior", prior, *asked, status=2)
+    assert said in told
 
 
 @pytest.mark.parametrize(

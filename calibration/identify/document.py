@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -19,6 +20,18 @@ VERSION = 2
 _MM = 1e3
 # Residuals of a motion that are written out: enough to draw, few enough to read.
 _MOST_RESIDUALS = 100
+
+
+@dataclass(frozen=True)
+class Under:
+    """Identified parameters that lay over the rig of the runs already: what is found with it counts from there.
+
+    setup: how they mount and measure the arm. geometry: of the rig beneath them, as a document holds it; None where the
+    search did not begin at the rig with them in it.
+    """
+
+    setup: Setup
+    geometry: Mapping[str, Any] | None
 
 
 class Found(Protocol):
@@ -53,10 +66,10 @@ class Found(Protocol):
         """By how much the model is off beyond the stated errors."""
 
 
-def write(fit: Found, path: Path, profiles: Sequence[Profile] = ()) -> Path:
+def write(fit: Found, path: Path, profiles: Sequence[Profile] = (), under: Under | None = None) -> Path:
     """Write the fit; what was not identified is in the overlay with the value it was held at, and says so."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    told = content(fit, profiles)
+    told = content(fit, profiles, under)
     # A key without a value is an error in every file that people edit: what is not known is left out.
     told["estimates"] = [{key: x for key, x in e.items() if x is not None} for e in told["estimates"]]
     text = yaml.safe_dump(told, sort_keys=False, width=120, default_flow_style=None)
@@ -65,21 +78,22 @@ def write(fit: Found, path: Path, profiles: Sequence[Profile] = ()) -> Path:
     return path
 
 
-def content(fit: Found, profiles: Sequence[Profile] = ()) -> dict[str, Any]:
-    """Everything of a fit that a later reader needs, in plain numbers."""
+def content(fit: Found, profiles: Sequence[Profile] = (), under: Under | None = None) -> dict[str, Any]:
+    """Everything of a fit that a later reader needs, in plain numbers.
+
+    What is to be laid over a rig counts from the rig without any parameters; estimates, from the one with `under`.
+    """
     ends = {(p.name, p.run): ["open" if end is None else end for end in p.interval] for p in profiles}
-    setup = fit.setup
+    setup = fit.setup if under is None else fit.setup.seen_without(under.setup)
     start = fit.start.arm
+    geometry = _geometry(fit.start) if under is None or under.geometry is None else dict(under.geometry)
     return {
         "softrig_parameters": VERSION,
-        "identified": {"variant": start.variant, "modulus_rule": start.modulus_rule, "geometry": _geometry(fit.start)},
+        "identified": {"variant": start.variant, "modulus_rule": start.modulus_rule, "geometry": geometry},
         "arm": _arm(setup),
-        "mounting": {
-            "base_translation_mm": [_MM * x for x in setup.base_translation_m],
-            "base_rotation_deg": [math.degrees(x) for x in setup.base_rotation_rad],
-            "tool_offset_mm": [_MM * x for x in setup.tool_offset_m],
-        },
+        "mounting": _mounting(setup),
         "sensing": {"gain": [float(x) for x in setup.sensor_gain], "lag_s": float(setup.sensor_lag_s)},
+        **({} if under is None else {"estimates_count_from": _counted(under.setup)}),
         "estimates": [
             {
                 "name": e.name,
@@ -111,6 +125,18 @@ def content(fit: Found, profiles: Sequence[Profile] = ()) -> dict[str, Any]:
             for run in fit.runs
         ],
     }
+
+
+def _mounting(setup: Setup) -> dict[str, list[float]]:
+    return {
+        "base_translation_mm": [_MM * x for x in setup.base_translation_m],
+        "base_rotation_deg": [math.degrees(x) for x in setup.base_rotation_rad],
+        "tool_offset_mm": [_MM * x for x in setup.tool_offset_m],
+    }
+
+
+def _counted(setup: Setup) -> dict[str, Any]:
+    return {"mounting": _mounting(setup), "gain": [float(x) for x in setup.sensor_gain]}
 
 
 def _residuals(run: RunFit) -> list[list[float]]:

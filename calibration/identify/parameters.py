@@ -56,6 +56,17 @@ class Setup:
         )
         return replace(self.arm, geometry=replace(self.arm.geometry, actuator_xy_m=turned))
 
+    def seen_without(self, laid: Setup) -> Setup:
+        """The same arm as a rig without `laid` measures it, where this is how a rig with `laid` in it does."""
+        turn = Rotation.from_rotvec(laid.base_rotation_rad)
+        return replace(
+            self,
+            base_translation_m=_three(turn.apply(self.base_translation_m) + laid.base_translation_m),
+            base_rotation_rad=_three((turn * Rotation.from_rotvec(self.base_rotation_rad)).as_rotvec()),
+            tool_offset_m=_three(np.add(self.tool_offset_m, laid.tool_offset_m)),
+            sensor_gain=tuple(np.multiply(self.sensor_gain, laid.sensor_gain).tolist()),
+        )
+
     def pressure_pa(self, measured_pa: Array) -> Array:
         """True pressures (K, N) behind measured ones."""
         out: Array = (measured_pa - np.array(self.sensor_offset_pa)) / np.array(self.sensor_gain)
@@ -66,6 +77,11 @@ class Setup:
         point = tip_m + rotation @ np.array(self.tool_offset_m)
         out: Array = Rotation.from_rotvec(self.base_rotation_rad).apply(point) + np.array(self.base_translation_m)
         return out
+
+
+def _three(values: Array) -> Triple:
+    x, y, z = values.tolist()
+    return x, y, z
 
 
 Read = Callable[[Setup], float]

@@ -114,9 +114,9 @@ def identify(
         raise typer.BadParameter("every run is left out: nothing is left to identify from", param_hint="--leave-out")
     starting.check_alike([*seen, *unseen])
     if paper:
-        from rig import paper_identified
+        from rig.paper import identified as by_the_paper
 
-        paper_identified.show(seen, json)
+        by_the_paper.show(seen, json)
         return
     if choose:
         from rig import choosing
@@ -139,7 +139,8 @@ def identify(
         data, later = [part[0] for part in parts], [part[1] for part in parts] + later
     data = [poses.only(np.arange(0, len(poses), every)) for poses in data]
     taken, fit = identified.likeliest(rigs, data, names, priors, starts)
-    identified.show(fit, json)
+    under = starting.laid_under(seen[0], fit.start, begun_there=not start)
+    identified.show(fit, json, under)
     predictions = [predict(fit, poses) for poses in later]
     identified.told(predictions)
     profiles = identified.profiled(fit) if profile else ()
@@ -152,7 +153,7 @@ def identify(
         truth = starting.truth_of(seen[0])
         typer.echo(write_report(fit, report, profiles, refits, predictions, truth), err=json)
     if to is not None:
-        written = write(fit, to, profiles)
+        written = write(fit, to, profiles, under)
         typer.echo(written, err=json)
         if rig_file is not None:
             base = taken if rig is None else starting.Beginning.named(rig)
