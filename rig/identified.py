@@ -178,6 +178,8 @@ def show(fit: Fit, as_json: bool, under: Under | None = None) -> None:
         )
     if fit.discrepancy_m:
         screen.print(f"the model is off by {1e3 * fit.discrepancy_m:.3f} mm per axis beyond the stated errors")
+    if fit.drifts:
+        screen.print(Text(fit.drifts, "yellow"), soft_wrap=True)
     for words in fit.open_directions:
         screen.print(Text(f"left open by the data: {words}", "yellow"), soft_wrap=True)
     if not fit.solved:
@@ -221,7 +223,9 @@ def told(found: Sequence[Prediction]) -> None:
 def waiting(what: str) -> Iterator[Callable[[int, int], None]]:
     """A progress bar on the error stream, with the time left; call what it gives with (done, all)."""
     columns = (TextColumn(what), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=console(stderr=True), transient=True) as bar:
+    # Fits of slow and quick models come in turns: the pace of the last seconds would tell little.
+    period_s = 3600.0
+    with Progress(*columns, console=console(stderr=True), transient=True, speed_estimate_period=period_s) as bar:
         job = bar.add_task(what, total=None)
         yield lambda done, total: bar.update(job, completed=done, total=total)
 

@@ -9,9 +9,11 @@ import pytest
 from numpy.typing import NDArray
 
 import model
-from calibration.identify import Setup, named
+from calibration.identify import Poses, Setup, named
+from calibration.identify.predict import Predictor
 from calibration.identify.problem import Problem
 from calibration.identify.simulated import plan
+from model.arm import ModulusRule
 
 BAR = 1e5
 FREE = ("law", "rpe_per_bar", "density_kg_m3", "damping_s", "cap_mass_kg", "length_m", "base", "tool_z_m",
@@ -45,7 +47,7 @@ def test_slopes_are_those_of_whole_predictions_at_rest_and_in_motion(monkeypatch
     monkeypatch.setattr("model.dynamics.CLOSE", 1e-7)
     problem = Problem([RESTING, MOVING], start(), named(FREE, 3))
     z = np.random.default_rng(4).uniform(-0.05, 0.05, len(problem.unknowns))
-    found = problem.slopes(z, problem.predicted(z), range(len(z)))
+    found = problem.slopes(z, range(len(z)))
     for i, unknown in enumerate(problem.unknowns):
         for run, tolerance in ((0, 2e-7), (1, 2e-6)):
             expected = differences(problem, z, i, run)
@@ -60,15 +62,48 @@ def test_slopes_at_a_bound_look_inwards() -> None:
     z = np.zeros(1)
     inside = problem.predicted(z - 2e-3)[0], problem.predicted(z - 1e-3)[0], problem.predicted(z)[0]
     expected = (3 * inside[2] - 4 * inside[1] + inside[0]) / 2e-3
-    found = problem.slopes(z, problem.predicted(z), [0])[0][:, :, 0]
+    found = problem.slopes(z, [0])[0][:, :, 0]
     assert np.abs(found).max() > 1e-6
     assert found == pytest.approx(expected, rel=1e-2, abs=1e-7)
 
 
-def test_where_the_model_has_no_gradient_whole_predictions_are_compared() -> None:
-    frozen = replace(start(), arm=replace(start().arm, modulus_rule="secant"))
-    problem = Problem([replace(MOVING, period_s=0.1)], frozen, named(["law"], 3))
-    z = np.zeros(2)
-    found = problem.slopes(z, problem.predicted(z), [0, 1])[0]
-    for i in range(2):
-        assert found[:, :, i] == pytest.approx(differences(problem, z, i, 0), rel=2e-3, abs=1e-5)
+PULLED = replace(
+    MOVING, wrench=np.array([[0.3, -0.2, 0.4, 0.004, -0.002, 0.003]]) * np.cos(0.2 * np.arange(7))[:, None]
+)
+
+
+@pytest.mark.parametrize(
+    ("poses", "rule", "free"),
+    [
+        (MOVING, "secant", ("law",)),
+        (PULLED, "pointwise", ("law", "tool_x_m", "base_rx_rad")),
+        (PULLED, "secant", ("law",)),
+    ],
+)
+def test_slopes_in_motion_are_those_of_whole_predictions_for_frozen_moduli_and_under_a_wrench(
+    monkeypatch: pytest.MonkeyPatch, poses: Poses, rule: ModulusRule, free: tuple[str, ...]
+) -> None:
+    monkeypatch.setattr("model.dynamics.CLOSE", 1e-7)
+    problem = Problem([poses], replace(start(), arm=replace(start().arm, modulus_rule=rule)), named(free, 3))
+    z = np.zeros(len(problem.unknowns))
+    found = problem.slopes(z, range(len(z)))[0]
+    assert np.abs(found).max(axis=(0, 1)).min() > 1e-4
+    for i in range(len(z)):
+        assert found[:, :, i] == pytest.approx(differences(problem, z, i, 0), rel=1e-4, abs=2e-6)
+
+
+def test_a_slow_motion_under_a_wrench_is_a_row_of_equilibria() -> None:
+    slow = Predictor(replace(PULLED, period_s=30.0))(start())
+    still = Predictor(replace(PULLED, period_s=0.0))(start())
+    assert np.linalg.norm(slow - Predictor(MOVING)(start()), axis=1).min() > 1e-3
+    assert slow == pytest.approx(still, abs=1e-5)
+
+
+def test_noise_of_pressures_counts_at_the_measured_point_under_what_pulls_there() -> None:
+    turned = replace(start(), base_rotation_rad=(0.0, 0.0, 1.5), tool_offset_m=(0.0, 0.0, 0.2))
+    poses = replace(PULLED, period_s=0.0, pressure_std_pa=np.full((7, 3), 30.0))
+    often = poses.only(np.repeat(np.arange(7), 1000))
+    noise = 30.0 * np.random.default_rng(2).standard_normal((7000, 3))
+    tips = Predictor(replace(often, pressure_pa=often.pressure_pa + noise))(turned).reshape(7, 1000, 3)
+    for found, seen in zip(Predictor(poses).pressure_covariance(turned), tips, strict=True):
+        assert np.linalg.norm(np.cov(seen.T) - found) < 0.15 * np.linalg.norm(found)

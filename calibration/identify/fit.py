@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.identify.data import NoData, Poses
-from calibration.identify.likelihood import OUTLIER, whitened
+from calibration.identify.likelihood import OUTLIER, drifting, whitened
 from calibration.identify.parameters import Prior, Setup, named
 from calibration.identify.problem import Problem, Solution, Unknown
 
@@ -84,6 +84,8 @@ class RunFit:
     outliers: int
     correlation: float
     setup: Setup
+    drifting: bool = False
+    """Its errors outlast a tenth of it; error bars count them as far as they show."""
 
     @property
     def error_m(self) -> Array:
@@ -142,6 +144,12 @@ class Fit:
     def held(self) -> tuple[bool, ...]:
         """Which estimates stand at their start because the data do not tell them, in the order of `estimates`."""
         return tuple((np.diagonal(self.covariance) == 0).tolist())
+
+    @property
+    def drifts(self) -> str:
+        """Of runs whose errors outlast a tenth of them, what it means; empty where there are none."""
+        names = ", ".join(run.run_id for run in self.runs if run.drifting)
+        return f"what is left of {names} drifts as slowly as the run: error bars may be too narrow" if names else ""
 
     @property
     def rms_m(self) -> float:
@@ -406,6 +414,7 @@ def _runs(problem: Problem, solution: Solution) -> tuple[RunFit, ...]:
                 outliers=int((np.linalg.norm(residual[poses.seen], axis=1) > OUTLIER).sum()),
                 correlation=solution.correlation[run],
                 setup=problem.setup(solution.z, run),
+                drifting=poses.in_sequence and drifting(residual),
             )
         )
     return tuple(out)

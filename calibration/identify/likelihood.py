@@ -27,8 +27,11 @@ _MOST_DISCREPANCY_M = 10.0
 _NEIGHBOURS, _SHOWN = 5, 200.0
 # From the highest of these to so many times that, residuals cease to count.
 _FADED = 1.5
-# The lowest band of frequencies whose scatter is found by itself, and how many numbers of the next one it leans on.
-_LOWEST, _LEAN = 5, 8.0
+# The lowest band of frequencies whose scatter is found by itself, on how many numbers' worth of what the higher ones
+# make expected it leans, and by how much scatter may grow from an octave to the next: that of a drift, by four.
+_LOWEST, _LEAN, _STEEPEST = 5, 8.0, 4.0
+# By how much the lowest band scatters more than the next where errors outlast it.
+_DRIFT = 5.0
 
 
 @dataclass(frozen=True)
@@ -128,14 +131,26 @@ def through(rows: Array, gain: Array) -> Array:
     return out
 
 
+def drifting(residual: Array) -> bool:
+    """Whether neighbouring residuals (K, 3), in standard deviations, share errors that outlast a tenth of the entries.
+
+    Then they scatter more and more towards the lowest frequencies, and nobody sees by how much in the end.
+    """
+    if len(residual) < 4 * _LOWEST:
+        return False
+    power = np.abs(np.fft.rfft(residual, axis=0)[1 : 2 * _LOWEST]) ** 2
+    return bool(power[: _LOWEST - 1].mean() > _DRIFT * power[_LOWEST - 1 :].mean())
+
+
 def scatter(residual: Array, slope: Array, gain: Array, seen: float, covariance: Array) -> Array:
     """How much the pull (n, n) of neighbouring entries on the unknowns scatters; slope' slope if they are independent.
 
     residual (K, 3), slope (K, 3, n): in standard deviations, after `through`. seen: part of the entries with a tip.
     covariance (n, n): of the unknowns, if entries were independent. Errors that neighbours share are large where
     frequencies are low, and there the unknowns pull. So what the residuals scatter is found by octaves and axes; what
-    has been fitted to them is made up for, and bands of few numbers lean on the next. In all they do not scatter less
-    than stated: what the errors of a run have in common does not show.
+    has been fitted to them is made up for, and bands of few numbers lean on the higher ones: on the next, and on what
+    it has grown by since the one before, beyond chance, as it goes on growing. In all they do not scatter less than
+    stated: what the errors of a run have in common does not show.
     """
     count = len(residual)
     twice = np.where((np.arange(len(gain)) == 0) | (2 * np.arange(len(gain)) == count), 1.0, 2.0)
@@ -145,11 +160,14 @@ def scatter(residual: Array, slope: Array, gain: Array, seen: float, covariance:
     free = np.maximum(seen * (twice * gain**2)[:, None] - fitted, 0.0)
     level = np.ones_like(power)
     edges = [0, *(_LOWEST * 2**k for k in range(64) if _LOWEST * 2**k < len(gain)), len(gain)]
-    before = np.ones(residual.shape[1])
+    before, growth, known = np.ones(residual.shape[1]), 1.0, math.inf
     for first, last in reversed(list(itertools.pairwise(edges))):
         band = slice(first, last)
         numbers = free[band].sum(axis=0) + _LEAN
-        before = (power[band].sum(axis=0) + _LEAN * before) / numbers
+        here = (power[band].sum(axis=0) + _LEAN * growth * before) / numbers
+        chance = 1 + math.sqrt(2 / numbers.sum() + 2 / known)
+        growth = float(np.clip(here.mean() / before.mean() / chance, 1.0, _STEEPEST))
+        before, known = here, numbers.sum()
         # What a variance that was found from few numbers is on average.
         level[band] = before * numbers / (numbers - 2)
     if free.any():

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import itertools
-import os
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +15,7 @@ from calibration.identify.data import Poses
 from calibration.identify.parameters import Setup
 from calibration.identify.smooth import curve
 from model import gradient
-from model.gradient import Change, Pull
+from model.gradient import Change, Gradients, Pull
 
 Array = NDArray[np.float64]
 Solved = tuple[Array, Array]
@@ -42,20 +40,13 @@ class Predictor:
 
     def __call__(self, setup: Setup) -> Array:
         """Tips (K, 3) [m] as they would be measured; NaN where the model has no solution."""
-        return self.many([setup])[0]
-
-    def many(self, setups: Sequence[Setup]) -> list[Array]:
-        """Tips (K, 3) of each setup; what has not been solved yet is solved together, on all cores."""
-        keys = [self._key(setup) for setup in setups]
-        new = {key: setup for key, setup in zip(keys, setups, strict=True) if key not in self._solved}
-        found = {key: self._solved[key] for key in keys if key in self._solved}
-        if new:
+        key = self._key(setup)
+        found = self._solved.get(key)
+        if found is None:
             solve = _moving if self.poses.moving else _resting
-            pressures = [self._pressure(setup) for setup in new.values()]
-            found |= zip(new, solve(list(new.values()), pressures, self.poses, self.substeps), strict=True)
-        out = [setup.measured(*found[key]) for key, setup in zip(keys, setups, strict=True)]
-        self._solved = dict(list({**self._solved, **found}.items())[-_KEPT:])
-        return out
+            found = solve(setup, self._pressure(setup), self.poses, self.substeps)
+            self._solved = dict([*self._solved.items(), (key, found)][-_KEPT:])
+        return setup.measured(*found)
 
     def _key(self, setup: Setup) -> Key:
         # A wrench acts at the measured point, in the measurements' frame: then mounting and tool change the shape.
@@ -80,28 +71,22 @@ class Predictor:
         course, rate = curve(rows_s, poses.pressure_pa, steps_s + setup.sensor_lag_s)
         return setup.pressure_pa(course + setup.sensor_filter_s * rate)
 
-    def slopes(self, setup: Setup, moved: Sequence[Setup], steps: Sequence[float]) -> Array | None:
+    def slopes(self, setup: Setup, moved: Sequence[Setup], steps: Sequence[float]) -> Array:
         """How the tips answer (K, 3, P) to each change of the setup, per unit of its step, by the model's gradients.
 
-        moved: the setup with one change each, so small that the answer is linear in it. None where the model has no
-        gradient: in motion with frozen moduli, or under measured wrenches.
+        moved: the setup with one change each, so small that the answer is linear in it.
         """
         poses, key = self.poses, self._key(setup)
         new = [k for k, other in enumerate(moved) if self._key(other) != key]
-        frozen = setup.arm.section_rule not in ("linear", "pointwise")
-        if poses.moving and (frozen or poses.wrench.any()):
-            return None
+        repeats = self.substeps if poses.moving else 1
+        changes = [
+            Change(steps[k], moved[k].turned_arm, self._pressure(moved[k]), _pull(moved[k], poses, repeats))
+            for k in new
+        ]
+        rows, pull = self._pressure(setup), _pull(setup, poses, repeats)
         if poses.moving:
-            paths = [self._pressure(one) for one in (setup, *(moved[k] for k in new))]
-            changes = [Change(steps[k], moved[k].turned_arm, own) for k, own in zip(new, paths[1:], strict=True)]
-            weight = np.concatenate([poses.weight_kg[:1], np.repeat(poses.weight_kg[1:], self.substeps)])
-            dt_s = poses.period_s / self.substeps
-            found = gradient.motion(setup.turned_arm, paths[0], dt_s, changes, weight, self.substeps)
+            found = _swung(setup, rows, changes, poses, self.substeps, pull)
         else:
-            changes = [
-                Change(steps[k], moved[k].turned_arm, self._pressure(moved[k]), _pull(moved[k], poses)) for k in new
-            ]
-            rows, pull = self._pressure(setup), _pull(setup, poses)
             found = gradient.statics(setup.turned_arm, rows, changes, poses.weight_kg, pull)
         lever = found.tip_rotation @ np.array(setup.tool_offset_m)
         base = Rotation.from_rotvec(setup.base_rotation_rad).as_matrix()
@@ -123,12 +108,10 @@ class Predictor:
         if not poses.pressure_std_pa.any():
             return np.zeros((len(poses), 3, 3))
         some = np.unique(np.linspace(0, len(poses) - 1, min(len(poses), _SENSITIVITIES)).round().astype(int))
-        arm, at = setup.turned_arm, setup.pressure_pa(poses.pressure_pa[some])
-        changes = [
-            Change(gradient.PRESSURE_STEP_PA, arm, at + step)
-            for step in gradient.PRESSURE_STEP_PA * np.eye(poses.actuators)
-        ]
-        slope = np.nan_to_num(gradient.statics(arm, at, changes, poses.weight_kg[some]).tip_by).swapaxes(1, 2)
+        still, step = Predictor(replace(poses.only(some), period_s=0.0)), gradient.PRESSURE_STEP_PA
+        zeros = setup.sensor_offset_pa + step * np.eye(poses.actuators)
+        moved = [replace(setup, sensor_offset_pa=tuple(own)) for own in zeros.tolist()]
+        slope = np.nan_to_num(still.slopes(setup, moved, [step] * len(moved))).swapaxes(1, 2)
         nearest = np.abs(np.arange(len(poses))[:, None] - some).argmin(axis=1)
         spread = slope[nearest] * poses.pressure_std_pa[:, :, None]
         out: Array = np.swapaxes(spread, 1, 2) @ spread
@@ -154,65 +137,38 @@ def _loads(arm: model.Arm, weight_kg: float) -> model.Loads | None:
     return model.Loads(tip_force_n=(weight_kg * x, weight_kg * y, weight_kg * z))
 
 
-def _pull(setup: Setup, poses: Poses) -> Pull | None:
-    """The measured wrenches as the arm feels them, at the measured point."""
+def _pull(setup: Setup, poses: Poses, repeats: int = 1) -> Pull | None:
+    """The measured wrenches as the arm feels them, at the measured point; all but the first so many times."""
     if not poses.wrench.any():
         return None
     back = Rotation.from_rotvec(setup.base_rotation_rad).inv()
-    return Pull(back.apply(poses.wrench[:, :3]), back.apply(poses.wrench[:, 3:]), np.array(setup.tool_offset_m))
+    force, moment = (_held(back.apply(part), repeats) for part in (poses.wrench[:, :3], poses.wrench[:, 3:]))
+    return Pull(force, moment, np.array(setup.tool_offset_m))
 
 
-def _resting(setups: Sequence[Setup], pressure_pa: Sequence[Array], poses: Poses, _: int) -> list[Solved]:
-    found = [
-        gradient.statics(setup.turned_arm, rows, (), poses.weight_kg, _pull(setup, poses))
-        for setup, rows in zip(setups, pressure_pa, strict=True)
-    ]
-    return [(one.tip_m, one.tip_rotation) for one in found]
+def _held(rows: Array, repeats: int) -> Array:
+    """Rows (K, ..) of frames as they hold in each of the time steps that lead to them."""
+    out: Array = np.concatenate([rows[:1], np.repeat(rows[1:], repeats, axis=0)])
+    return out
 
 
-def _moving(setups: Sequence[Setup], pressure_pa: Sequence[Array], poses: Poses, substeps: int) -> list[Solved]:
-    if poses.wrench.any():
-        return [_pulled(setup, rows, poses, substeps) for setup, rows in zip(setups, pressure_pa, strict=True)]
-    arms = [setup.turned_arm for setup in setups]
-    with ThreadPoolExecutor(min(len(arms), os.cpu_count() or 1)) as pool:
-        return list(pool.map(_motion, arms, pressure_pa, itertools.repeat(poses), itertools.repeat(substeps)))
+def _resting(setup: Setup, pressure_pa: Array, poses: Poses, _: int) -> Solved:
+    found = gradient.statics(setup.turned_arm, pressure_pa, (), poses.weight_kg, _pull(setup, poses))
+    return found.tip_m, found.tip_rotation
 
 
-def _pulled(setup: Setup, pressure_pa: Array, poses: Poses, substeps: int) -> Solved:
-    """In motion under measured wrenches: the lever of the force is that of the step before."""
-    arm, pull = setup.turned_arm, _pull(setup, poses)
-    assert pull is not None
-    count = len(poses)
-    tips, turned = np.full((count, 3), np.nan), np.full((count, 3, 3), np.nan)
-    gravity = np.array(arm.gravity_m_s2)
-    dynamics = arm.dynamics(poses.period_s / substeps)
-    rotation, begun = np.eye(3), False
+def _moving(setup: Setup, pressure_pa: Array, poses: Poses, substeps: int) -> Solved:
+    if not poses.wrench.any():
+        return _motion(setup.turned_arm, pressure_pa, poses, substeps)
+    found = _swung(setup, pressure_pa, (), poses, substeps, _pull(setup, poses, substeps))
+    return found.tip_m, found.tip_rotation
 
-    def loads(k: int) -> model.Loads:
-        force = pull.force_n[k] + poses.weight_kg[k] * gravity
-        lever = np.cross(rotation @ pull.point_m, pull.force_n[k])
-        return model.Loads(tip_force_n=force, tip_moment_n_m=pull.moment_n_m[k] + lever)
 
-    for k in range(count):
-        if not begun:
-            own = Pull(pull.force_n[k : k + 1], pull.moment_n_m[k : k + 1], pull.point_m)
-            row = pressure_pa[k * substeps : k * substeps + 1]
-            found = gradient.statics(arm, row, (), poses.weight_kg[k : k + 1], own)
-            if not found.ok[0]:
-                continue
-            rotation = found.tip_rotation[0]
-            try:
-                shape = dynamics.start(pressure_pa[k * substeps], loads(k))
-            except model.NotConverged:
-                continue
-        else:
-            for row in pressure_pa[1 + (k - 1) * substeps : 1 + k * substeps]:
-                shape = dynamics.step(row, loads(k))
-                rotation = shape.tip_rotation
-        begun = True
-        if shape.ok:
-            tips[k], turned[k] = shape.tip_m, shape.tip_rotation
-    return tips, turned
+def _swung(
+    setup: Setup, pressure_pa: Array, changes: Sequence[Change], poses: Poses, substeps: int, pull: Pull | None
+) -> Gradients:
+    weight, dt_s = _held(poses.weight_kg, substeps), poses.period_s / substeps
+    return gradient.motion(setup.turned_arm, pressure_pa, dt_s, changes, weight, substeps, pull=pull)
 
 
 def _motion(arm: model.Arm, pressure_pa: Array, poses: Poses, substeps: int) -> Solved:

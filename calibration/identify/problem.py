@@ -15,8 +15,8 @@ from calibration.identify.predict import FINE_SUBSTEPS, SUBSTEPS, Predictor
 
 Array = NDArray[np.float64]
 
-# Of the model's own gradients, and of differences of whole predictions where it has none.
-_SMALL_STEP, _STEP = 1e-7, 3e-5
+# Of the model's gradients.
+_STEP = 1e-7
 # A faint pull to the start, in spans: it keeps what the data do not decide from drifting, and nothing else.
 _TETHER = 5.0
 _ROUNDS = 5
@@ -150,7 +150,7 @@ class Problem:
         """Tips (K, 3) of every run."""
         return [predictor(self.setup(z, run)) for run, predictor in enumerate(self._predictors)]
 
-    def slopes(self, z: Array, at: list[Array], only: Sequence[int]) -> list[Array]:
+    def slopes(self, z: Array, only: Sequence[int]) -> list[Array]:
         """Derivatives (K, 3, n) of every run's tips by the unknowns `only`; those at the last z are kept.
 
         Where z has moved by less than a few thousandths of a span they are still good: they bend no faster.
@@ -163,21 +163,16 @@ class Problem:
         out = []
         for run, predictor in enumerate(self._predictors):
             mine = [(column, i) for column, i in enumerate(only) if i in self._columns[run]]
-            moved, steps = self._moved(z, run, [i for _, i in mine], _SMALL_STEP)
-            found = predictor.slopes(self.setup(z, run), moved, steps)
-            if found is None:
-                moved, steps = self._moved(z, run, [i for _, i in mine], _STEP)
-                apart = [(tips - at[run]) / step for step, tips in zip(steps, predictor.many(moved), strict=True)]
-                found = np.stack(apart, axis=2) if apart else np.zeros((*at[run].shape, 0))
-            slope = np.zeros((*at[run].shape, len(only)))
-            slope[:, :, [column for column, _ in mine]] = found
+            moved, steps = self._moved(z, run, [i for _, i in mine])
+            slope = np.zeros((len(self.data[run]), 3, len(only)))
+            slope[:, :, [column for column, _ in mine]] = predictor.slopes(self.setup(z, run), moved, steps)
             out.append(np.nan_to_num(slope, nan=0.0))
         self._slopes = (z.copy(), tuple(only), out)
         return out
 
-    def _moved(self, z: Array, run: int, which: Sequence[int], step: float) -> tuple[list[Setup], list[float]]:
+    def _moved(self, z: Array, run: int, which: Sequence[int]) -> tuple[list[Setup], list[float]]:
         """A run's setups with one unknown moved each, and by how much; upwards unless a bound is there."""
-        steps = [-step if z[i] + step > self.unknowns[i].upper else step for i in which]
+        steps = [-_STEP if z[i] + _STEP > self.unknowns[i].upper else _STEP for i in which]
         moved = []
         for i, own in zip(which, steps, strict=True):
             there = z.copy()
@@ -221,7 +216,7 @@ class Problem:
         """What the likelihood looks like at z; `only` were fitted, and only they get information."""
         at = self.predicted(z)
         loss, log_likelihood = 0.0, 0.0
-        slopes = self.slopes(z, at, only)
+        slopes = self.slopes(z, only)
         rows = []
         for run, poses in enumerate(self.data):
             slope = -np.einsum("kij,kjn->kin", weights[run].whitener, slopes[run])
@@ -322,7 +317,7 @@ class Problem:
         """Derivatives of `_rows` by the unknowns `only`."""
         at = self.predicted(z)
         rows = []
-        for run, tips_slope in enumerate(self.slopes(z, at, only)):
+        for run, tips_slope in enumerate(self.slopes(z, only)):
             turned = -np.einsum("kij,kjn->kin", weights[run].whitener, tips_slope)
             _, out = damped(whitened(self.data[run], at[run], weights[run]), turned)
             assert out is not None

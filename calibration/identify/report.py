@@ -86,6 +86,8 @@ def _notes(fit: Fit, simulated: bool) -> str:
     if fit.open_directions:
         items = "".join(f"<li>{escape(words)}</li>" for words in fit.open_directions)
         notes.append(f"The data leave these combinations (in plausible spans) open:<ul>{items}</ul>")
+    if fit.drifts:
+        notes.append(f"{escape(fit.drifts[0].upper() + fit.drifts[1:])}.")
     if not fit.solved:
         notes.append("The search ended before it had converged.")
     return "\n".join(f'<div class="note">{note}</div>' for note in notes)
