@@ -8,6 +8,7 @@ return SI.
 
 from __future__ import annotations
 
+from datetime import datetime
 from typing import Annotated, Literal
 
 import numpy as np
@@ -29,6 +30,16 @@ def _rising(span: tuple[float, float]) -> tuple[float, float]:
     return span
 
 
+def _moment(text: str) -> str:
+    try:
+        moment = datetime.fromisoformat(text)
+    except ValueError:
+        moment = None
+    if moment is None or moment.tzinfo is None:
+        raise ValueError("a date with time and zone in ISO 8601, such as '2026-11-21T14:05:00+01:00'")
+    return text
+
+
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False, strict=True)]
 NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False, strict=True)]
 Number = Annotated[float, Field(allow_inf_nan=False, strict=True)]
@@ -36,6 +47,7 @@ Volt = Annotated[float, Field(ge=-10, le=10, allow_inf_nan=False, strict=True)]
 Bar = Annotated[float, Field(gt=0, le=100, allow_inf_nan=False, strict=True)]
 Flag = Annotated[bool, Field(strict=True)]
 Word = Annotated[str, Field(min_length=1, pattern=r"^[^\x00-\x1f\x7f]*$")]
+Moment = Annotated[str, AfterValidator(_moment)]
 Index = Annotated[int, Field(ge=0, strict=True)]
 Count = Annotated[int, Field(ge=1, strict=True)]
 ActuatorNumber = Annotated[int, Field(ge=1, strict=True)]

@@ -122,6 +122,19 @@ def test_the_lean_is_named_after_the_edge_that_is_nearer(lean: tuple[float, floa
     assert seen.lean_deg == pytest.approx(lean, abs=1)
 
 
+@pytest.mark.parametrize(
+    "words", [["tool"], ["camera", "--rig", "mock", "--corners", "9x6", "--square-mm", "16"]], ids=["tool", "camera"]
+)
+def test_live_views_are_not_taken_over_those_of_another_calibration(here: Path, words: list[str]) -> None:
+    kept = here / "mine-views" / "view01.png"
+    kept.parent.mkdir()
+    kept.write_text("a picture")
+    done = rig("calibrate", *words, "--live", "--to", "mine.yaml")
+    assert done.exit_code == 2
+    assert "--replace writes over those in mine-views" in done.output
+    assert kept.read_text() == "a picture"
+
+
 def test_the_operator_is_told_where_to_move_until_everything_is_covered() -> None:
     coverage = Coverage(SIZE)
     middle = look(_corners(0, 0, distance_m=0.9), BOARD.pattern, SIZE)

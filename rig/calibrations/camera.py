@@ -13,7 +13,7 @@ from calibration.camera import calibrate, calibrate_views
 from calibration.views import View
 from rig.calibrations import making, picture, screens, sources
 from rig.calibrations.collecting import collect, pictures
-from rig.calibrations.files import default_path, refuse_existing, write
+from rig.calibrations.files import default_path, refuse_existing, views_beside, write
 from rig.calibrations.sources import bad
 from rig.config import RigConfig
 from rig.keys import Keys
@@ -107,7 +107,7 @@ def _finish(made: Path, drawn: Path, rig: RigConfig | None, name: str) -> None:
 def _live(asked: Asked, rig: RigConfig, name: str, corners: tuple[int, int], square_m: float, file: Path) -> list[View]:
     """Views from the rig's camera, kept as pictures beside the file."""
     board = Board(corners[0] + 1, corners[1] + 1, square_m)
-    folder = file.with_name(f"{file.stem}-views")
+    folder = views_beside(file, asked.replace)
     typer.echo(f"views go to {folder}; Enter: enough, Ctrl-C: give up", err=True)
     with Keys() as keys:
         return collect(

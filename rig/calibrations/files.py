@@ -18,6 +18,7 @@ from rig.calibrations.schema import KINDS, AnyFile, CalibrationFile, Software
 from rig.provenance import git_state, versions
 
 SUFFIX = ".yaml"
+_VIEWS = "-views"
 LARGEST = 2_000_000
 """Residuals of many cameras and views make a long file."""
 
@@ -87,7 +88,7 @@ def default_path(stem: str, folder: Path = Path()) -> Path:
     dated = f"{stem}-{datetime.now():%Y-%m-%d}"
     name, n = dated, 1
     # Pictures and views that lie beside a file carry its name.
-    while any((folder / f"{name}{end}").exists() for end in (SUFFIX, ".png", "-views")):
+    while any((folder / f"{name}{end}").exists() for end in (SUFFIX, ".png", _VIEWS)):
         n += 1
         name = f"{dated}-{n}"
     return folder / f"{name}{SUFFIX}"
@@ -101,6 +102,19 @@ def refuse_existing(path: Path, replace: bool) -> None:
         raise BadInput(
             [Problem("--to", 0, 0, "", str(path), "a file that does not exist yet; --replace writes over this one")]
         )
+
+
+def views_beside(path: Path, replace: bool) -> Path:
+    """The folder beside a calibration file for the pictures that are taken for it.
+
+    Raises:
+        BadInput: it is there already, and nobody said that its pictures may be lost.
+    """
+    folder = path.with_name(f"{path.stem}{_VIEWS}")
+    if folder.exists() and not replace:
+        wish = f"a name without views beside it; --replace writes over those in {folder}"
+        raise BadInput([Problem("--to", 0, 0, "", str(path), wish)])
+    return folder
 
 
 def write(found: CalibrationFile, path: Path, *, replace: bool = False) -> Path:

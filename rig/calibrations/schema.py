@@ -4,10 +4,9 @@
 
 from __future__ import annotations
 
-from datetime import datetime
 from typing import Annotated, Literal
 
-from pydantic import AfterValidator, Field, model_validator
+from pydantic import Field, model_validator
 
 from protocols.validation import Fault, faults
 from rig.config import (
@@ -15,6 +14,7 @@ from rig.config import (
     Count,
     Index,
     Lens,
+    Moment,
     NonNegative,
     Number,
     Placement,
@@ -28,19 +28,6 @@ from rig.consistency import curve
 
 Row = tuple[Number, ...]
 Matrix = tuple[Row, ...]
-
-
-def _dated(text: str) -> str:
-    try:
-        when = datetime.fromisoformat(text)
-    except ValueError:
-        when = None
-    if when is None or when.tzinfo is None:
-        raise ValueError("a date with time and zone, such as '2026-11-21T14:30:00+00:00'")
-    return text
-
-
-Date = Annotated[str, AfterValidator(_dated)]
 Sha256 = Annotated[str, Field(pattern="^[0-9a-f]{64}$", description="SHA-256, 64 hexadecimal digits")]
 
 
@@ -106,7 +93,7 @@ class CalibrationFile(Section):
     """What every calibration file says of itself."""
 
     softrig_calibration: Literal[1] = Field(description="version of this format")
-    made: Date
+    made: Moment
     software: Software
     command: str = ""
     note: str = ""

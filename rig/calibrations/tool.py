@@ -20,7 +20,7 @@ from calibration.mounting import Mounting, mount
 from calibration.views import View, views_in
 from rig.arm import model_arm
 from rig.calibrations import making, schema, screens, sources
-from rig.calibrations.files import default_path, origin, refuse_existing, rounded, write
+from rig.calibrations.files import default_path, origin, refuse_existing, rounded, views_beside, write
 from rig.calibrations.sources import bad
 from rig.cameras import open_camera
 from rig.config import RigConfig
@@ -73,7 +73,7 @@ def run(asked: Asked) -> None:
     if asked.live:
         if asked.straight is not None or asked.turned is not None:
             raise bad("--live", "", "either views that are there or live ones")
-        straight, turned = _live(config, name, asked.seed, file.with_name(f"{file.stem}-views"))
+        straight, turned = _live(config, name, asked.seed, views_beside(file, asked.replace))
     else:
         if asked.straight is None:
             raise bad("--straight", "", "views of the straight arm; or --live")

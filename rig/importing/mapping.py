@@ -17,7 +17,7 @@ from protocols.document import Document, read
 from protocols.document import validate as validated
 from protocols.marks import path_text
 from protocols.validation import Fault, faults
-from rig.config import Bar, Count, Flag, Index, NonNegative, Placement, Section, Triple, Word
+from rig.config import Bar, Count, Flag, Index, Moment, NonNegative, Placement, Section, Triple, Word
 
 SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0}
 PASCALS = {
@@ -72,19 +72,6 @@ def _number_or_name(value: Any) -> str:
 
 Column = Annotated[Annotated[Index, Tag("number")] | Annotated[Word, Tag("name")], Discriminator(_number_or_name)]
 """A column by its number, or by its name."""
-
-
-def _moment(text: str) -> str:
-    try:
-        moment = datetime.fromisoformat(text)
-    except ValueError:
-        moment = None
-    if moment is None or moment.tzinfo is None:
-        raise ValueError("date and time in ISO 8601 with the distance from UTC, as 2026-11-21T14:05:00+01:00")
-    return text
-
-
-Moment = Annotated[str, AfterValidator(_moment)]
 
 
 class Written(Section):
