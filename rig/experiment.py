@@ -33,6 +33,7 @@ VARIANTS: tuple[Variant, ...] = get_args(Variant)
 Loaded = TypeVar("Loaded")
 Name = TypeVar("Name")
 SPARE_DISK_BYTES = 200_000_000
+_EXPECTED = (CardError, StartError, JournalError)
 
 
 @dataclass(frozen=True)
@@ -162,7 +163,7 @@ def run(request: Request, decided: Plan, audience: Audience) -> Result:
     """Run a plan and leave an archive, however the run ends.
 
     Raises:
-        CardError, StartError: the run could not begin; the valves are safe and there is no archive.
+        CardError, StartError, JournalError: the run could not begin; the valves are safe and there is no archive.
     """
     # In real time nothing is loaded beside the control loop.
     with reporter.waiting() if request.fast and request.report else nullcontext(reporter.here) as draw:
@@ -193,18 +194,15 @@ def _run(request: Request, decided: Plan, audience: Audience, draw: Callable[[Pa
     with nullcontext() if request.fast else cards_locked(decided.config, f"protocol {request.protocol.name}"):
         try:
             outcome = execute(decided, armed, audience)
-        except (CardError, StartError):
-            if journal is None:
-                raise
-            outcome = _failed(str(sys.exception()))
-        except JournalError as error:
-            outcome = _failed(f"the record could not be written: {error}")
         except Exception as error:
             if journal is None:
                 raise
-            outcome = _failed(f"{type(error).__name__}: {error}")
+            # Virtual time is known by what was recorded last.
+            ended_ns = journal.newest_t_ns if request.fast else time.monotonic_ns()
+            outcome = Outcome(Status.ABORTED, _told(error), ended_ns)
             with suppress(JournalError):
-                journal.event(Event(time.monotonic_ns(), Level.FAULT, "conductor", traceback.format_exc()))
+                if not isinstance(error, _EXPECTED):
+                    journal.event(Event(ended_ns, Level.FAULT, "conductor", traceback.format_exc()))
     assert journal is not None
     archive = report = parameters = None
     try:
@@ -225,8 +223,11 @@ def _run(request: Request, decided: Plan, audience: Audience, draw: Callable[[Pa
     return Result(outcome, archive, report, parameters, tuple(trouble))
 
 
-def _failed(message: str) -> Outcome:
-    return Outcome(Status.ABORTED, message, time.monotonic_ns())
+def _told(error: Exception) -> str:
+    """What the operator is told of what ended a run."""
+    if isinstance(error, JournalError):
+        return f"the record could not be written: {error}"
+    return str(error) if isinstance(error, _EXPECTED) else f"{type(error).__name__}: {error}"
 
 
 def _parameters(archive: Path) -> Path | None:

@@ -59,6 +59,7 @@ class JournalWriter:
         self._observations = _Rows(OBSERVATIONS, observation_dtype(header.actuators, len(header.cameras)))
         self._adaptations = _Rows(ADAPTATIONS, adaptation_dtype(len(header.adapted)))
         self._utc_minus_t_ns = header.started_utc_ns - header.started_t_ns
+        self.newest_t_ns = header.started_t_ns
         self._size = 0
         self._full: str | None = None
         kinds = [self._samples, self._observations, *([self._adaptations] if header.adapted else [])]
@@ -101,6 +102,7 @@ class JournalWriter:
     def event(self, event: Event) -> None:
         """Append an event."""
         utc_ns = event.t_ns + self._utc_minus_t_ns
+        self.newest_t_ns = max(self.newest_t_ns, event.t_ns)
         content = blocks.encode(Message(EVENTS, utc_ns, messages.to_json(event), utc_ns, 0))
         self._append(blocks.block(content, utc_ns, utc_ns))
 
@@ -122,6 +124,7 @@ class JournalWriter:
         log_ns = rows["t_ns"] + self._utc_minus_t_ns
         content = blocks.frame_rows(rows, kind.form, kind.channel, kind.sequence, log_ns)
         kind.sequence += len(rows)
+        self.newest_t_ns = max(self.newest_t_ns, int(rows["t_ns"][-1]))
         self._append(blocks.block(content, int(log_ns[0]), int(log_ns[-1])))
 
     def _append(self, data: bytes) -> None:

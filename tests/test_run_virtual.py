@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import resource
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +15,7 @@ import runs
 from protocols import BadInput
 from rig import experiment
 from rig.executor.base import Nobody, StartError
+from runs.journal import JournalError
 from runs.records import Event, Status
 from runs.run import Run
 from runs.summary import Summary, summarise
@@ -170,3 +174,40 @@ def test_virtual_time_refuses_a_real_rig(tmp_path: Path) -> None:
     with pytest.raises(StartError, match="simulated rig"):
         experiment.run(request, experiment.plan(request), Silent())
     assert not list(tmp_path.glob("*.h5"))
+
+
+@contextmanager
+def limited_files() -> Iterator[Callable[[int], None]]:
+    """What is given sets how large a file may become: a disk that takes no more."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    try:
+        yield lambda size: resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+
+def test_a_record_that_cannot_be_begun_is_refused_plainly(tmp_path: Path) -> None:
+    request = experiment.request("sine-1", "mock", folder=tmp_path, fast=True, report=False)
+    decided = experiment.plan(request)
+    with limited_files() as at_most:
+        at_most(0)
+        with pytest.raises(JournalError, match="is full"):
+            experiment.run(request, decided, Nobody())
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_run_that_its_disk_ends_ends_by_its_own_clock(tmp_path: Path) -> None:
+    request = experiment.request("sine-1", "mock", folder=tmp_path, fast=True, report=False)
+    decided = experiment.plan(request)
+
+    class Filling(Nobody):
+        def tell(self, event: Event) -> None:
+            (journal,) = tmp_path.glob("*.mcap")
+            at_most(journal.stat().st_size + 50_000)
+
+    with limited_files() as at_most:
+        result = experiment.run(request, decided, Filling())
+    assert result.outcome.status is Status.ABORTED
+    assert "the record could not be written" in result.outcome.message
+    assert result.trouble
+    assert 0 < result.outcome.t_ns * 1e-9 < decided.trajectory.duration_s
