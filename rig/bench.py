@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import closing, suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -138,12 +139,46 @@ class Bench:
         if self._told_v is None:
             return ""
         stands = self.readback()
-        for i, off in enumerate(np.abs(stands - self._told_v) > self._tolerance_v):
-            if off:
-                return (
-                    f"valve {i + 1} stands at {stands[i]:.3f} V and not at the {self._told_v[i]:.3f} V that it was "
-                    "told: another program has written to the card (`rig vent`?)"
-                )
+        off = np.abs(stands - self._told_v) > self._tolerance_v
+        for i in np.flatnonzero(off).tolist():
+            return (
+                f"valve {i + 1} stands at {stands[i]:.3f} V and not at the {self._told_v[i]:.3f} V that it was "
+                "told: another program has written to the card (`rig vent`?)"
+            )
+        return ""
+
+    @property
+    def vented(self) -> bool:
+        """True where every valve that does not stand where `write` put it stands vented.
+
+        Raises:
+            CardError: a card cannot be read back.
+        """
+        if self._told_v is None:
+            return False
+        stands = self.readback()
+        off = np.abs(stands - self._told_v) > self._tolerance_v
+        return bool(np.all(np.abs(stands - self._vent_voltages)[off] <= self._tolerance_v[off]))
+
+    def stands_vented(self) -> bool:
+        """True where every valve of these cards stands vented, as far as they can tell.
+
+        Raises:
+            CardError: a card cannot be read back.
+        """
+        return not np.any(np.abs(self.readback() - self._vent_voltages) > self._tolerance_v)
+
+    def astray(self) -> str:
+        """Say which valve stands neither safe nor vented; empty where none does, or the cards cannot tell.
+
+        Raises:
+            CardError: a card cannot be read back.
+        """
+        stands = self.readback()
+        for i in range(len(stands)):
+            known = (self.safe_voltages[i], self._vent_voltages[i])
+            if all(abs(stands[i] - v) > self._tolerance_v[i] for v in known):
+                return f"valve {i + 1} stands at {stands[i]:.3f} V"
         return ""
 
     def readback(self) -> NDArray[np.float64]:
@@ -233,20 +268,28 @@ def make_safe(config: RigConfig, *, vent: bool) -> None:
     failures: list[CardError] = []
     for name in cards_with_valves(config):
         try:
-            bench = open_outputs(config, name)
+            with closing(open_outputs(config, name)) as bench:
+                bench.make_safe(vent=vent)
         except CardError as error:
             failures.append(error)
-            continue
-        try:
-            bench.make_safe(vent=vent)
-        except CardError as error:
-            failures.append(error)
-        finally:
-            bench.close()
+        except Exception as error:
+            failures.append(CardError(f"card {name}: {type(error).__name__}: {error}"))
     if len(failures) == 1:
         raise failures[0]
     if failures:
         raise CardError("; ".join(map(str, failures)))
+
+
+def astray(config: RigConfig) -> str:
+    """Say, by handles that are opened for it, which valve stands neither safe nor vented.
+
+    Empty where none does, or where a card cannot be opened or cannot tell.
+    """
+    for name in cards_with_valves(config):
+        with suppress(CardError), closing(open_outputs(config, name)) as bench:
+            if off := bench.astray():
+                return off
+    return ""
 
 
 def _to_write(config: RigConfig, name: str) -> Card:

@@ -36,16 +36,21 @@ def vent(config: RigConfig) -> None:
     """
     benches: list[Bench] = []
     failures: list[str] = []
+    moved = False
     for card in cards_with_valves(config):
         # A card that is gone keeps no other from being vented.
         with _noting(failures):
-            benches.append(_opened(config, card))
+            bench = _opened(config, card)
+            benches.append(bench)
+            with contextlib.suppress(CardError):
+                moved |= not bench.stands_vented()
         _insist(benches[-1:], 0.0)
     try:
         _insist(benches, NOTICED_S)
         for holder in holders(config):
             with contextlib.suppress(ProcessLookupError, PermissionError):
-                if not _stands_still(holder):
+                # One that stands still ends, once it goes on, by what it finds moved, and says what that was.
+                if not (moved and _stands_still(holder)):
                     os.kill(holder, signal.SIGTERM)
         _insist(benches, REPEATED_S - NOTICED_S)
         for bench in benches:
@@ -70,7 +75,7 @@ def _insist(benches: list[Bench], seconds: float) -> None:
 
 
 def _stands_still(pid: int) -> bool:
-    """True for a process that is stopped: once it goes on, its run ends by what it finds, and says what that was."""
+    """True for a process that is stopped."""
     try:
         return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] in "Tt"
     except OSError:

@@ -143,6 +143,32 @@ def test_valves_of_one_card_are_made_safe_by_it_alone(cards: dict[str, FakeCard]
     assert np.isnan(cards["daq"].outputs).all()
 
 
+@pytest.mark.parametrize("bug", [ValueError, OSError])
+def test_an_error_that_nobody_expected_of_a_card_keeps_no_other_from_its_safe_state(
+    bug: type[Exception], cards: dict[str, FakeCard], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def opened(card: CardConfig, setup: CardSetup) -> FakeCard:
+        if setup.name == "daq":
+            raise bug("oddly broken")
+        return cards[setup.name]
+
+    monkeypatch.setattr(rig.bench, "open_card", opened)
+    with pytest.raises(CardError, match=f"card daq: {bug.__name__}: oddly broken"):
+        make_safe(two_card_rig(), vent=False)
+    assert cards["other"].outputs.tolist() == [5.0]
+
+
+def test_a_valve_may_stand_safe_or_vented_and_nowhere_else(bench: Bench, cards: dict[str, FakeCard]) -> None:
+    bench.arm()
+    assert bench.astray() == ""
+    bench.arm(vent=True)
+    assert bench.astray() == ""
+    cards["other"].outputs = np.array([7.0])
+    assert bench.astray() == "valve 2 stands at 7.000 V"
+    cards["other"].outputs = np.array([np.nan])
+    assert bench.astray() == ""
+
+
 def test_a_card_that_cannot_be_opened_keeps_no_other_from_its_safe_state(
     cards: dict[str, FakeCard], monkeypatch: pytest.MonkeyPatch
 ) -> None:

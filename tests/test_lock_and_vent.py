@@ -14,11 +14,14 @@ import pytest
 
 import rig.rig_file
 from rig import lock
+from rig.bench import open_bench
 from rig.config import CardConfig, RigConfig
 from rig.daq.base import CardError
 from rig.daq.comedi_device import _holders
 from rig.daq.kernel import Attached, Comedi
 from rig.daq.mock import MockCard
+from rig.executor import control
+from rig.executor.memory import Layout, RunMemory
 from rig.lock import cards_locked, holders, lock_file
 from rig.simulator.registers import Registers
 from rig.vent import vent
@@ -84,14 +87,20 @@ def test_who_holds_a_lock_is_known_while_he_does(config: RigConfig) -> None:
     assert holders(config) == ()
 
 
-def test_a_run_that_has_not_begun_is_told_to_end(config: RigConfig, registers: Registers, tmp_path: Path) -> None:
-    """Its valves stand where `rig vent` puts them: it would not notice."""
+@pytest.mark.parametrize("still", [False, True], ids=["awake", "standing still"])
+def test_a_run_whose_valves_stand_vented_is_told_to_end(
+    still: bool, config: RigConfig, registers: Registers, tmp_path: Path
+) -> None:
+    """One that has not begun, or has vented all by itself: it would not notice."""
     file = tmp_path / "rig.yaml"
     file.write_text(text())
     with subprocess.Popen([sys.executable, "-c", HOLD, file], stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
         assert process.stdout.readline() == "held\n"
+        if still:
+            process.send_signal(signal.SIGSTOP)
         vent(config)
+        process.send_signal(signal.SIGCONT)
         assert process.wait(20) == -signal.SIGTERM
 
 
@@ -101,6 +110,23 @@ def test_valves_that_do_not_stay_where_they_are_told_are_not_called_vented(
     monkeypatch.setattr(MockCard, "readback", lambda card: np.array([0.0, 7.0]))
     with pytest.raises(CardError, match=r"valve 2 .* was told 0\.000 V but stands at 7\.000 V"):
         vent(config)
+
+
+@pytest.mark.parametrize(("stands_v", "vented"), [(0.0, True), (3.0, False)])
+def test_who_stood_still_in_a_tick_does_not_undo_what_was_written_meanwhile(
+    config: RigConfig, registers: Registers, stands_v: float, vented: bool
+) -> None:
+    memory = RunMemory.create(Layout.of(config))
+    bench = open_bench(config)
+    own = control._Own(bench, memory)
+    own.write(np.array([6.0, 7.0]))
+    registers.outputs["volts"] = stands_v
+    with pytest.raises(CardError, match="another program has written to the card"):
+        own.write(np.array([6.0, 7.0]))
+    assert registers.outputs["volts"].tolist() == [stands_v] * 2
+    assert memory.vents is vented
+    bench.close()
+    os.close(memory.fd)
 
 
 def test_who_has_a_card_open_is_found_behind_a_link_to_it(tmp_path: Path) -> None:

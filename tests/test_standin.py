@@ -174,16 +174,6 @@ def test_a_turn_is_waited_for_and_comes_no_more_once_the_run_is_over(config: Rig
     assert not await_turn(memory, conductor, lambda: False)
 
 
-def test_a_process_whose_conductor_dies_before_it_is_told_its_job_leaves_without_a_word() -> None:
-    done = subprocess.run(
-        [sys.executable, "-c", "from rig.executor.child import receive; receive()"],
-        stdin=subprocess.DEVNULL,
-        capture_output=True,
-        check=False,
-    )
-    assert (done.returncode, done.stderr) == (1, b"")
-
-
 def test_who_drives_or_guards_a_mock_card_need_not_load_the_plants_compiler() -> None:
     program = "import sys, rig.executor.realtime, rig.executor.control, rig.executor.watchdog, rig.daq.mock\n"
     program += "assert 'numba' not in sys.modules"

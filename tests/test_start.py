@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import os
+import pickle
 import signal
+import socket
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,12 +19,14 @@ import pytest
 from rig import experiment, regulator
 from rig.bench import BenchScans
 from rig.daq.base import CardError
-from rig.executor import control, realtime
+from rig.executor import child, control, realtime
 from rig.executor.base import Nobody, Plan, StartError
 from rig.executor.child import Job
+from rig.executor.door import Door, door_of, doors
 from rig.executor.life import Life
-from rig.executor.memory import Stage, Stop
+from rig.executor.memory import Layout, RunMemory, Stage, Stop
 from rig.simulator.host import Simulation
+from rig.simulator.registers import Registers
 
 
 @pytest.fixture(scope="module")
@@ -152,3 +158,123 @@ def test_a_simulator_that_does_not_start_is_told_of(plan: Plan, program: str, sa
     simulation.close()
     assert process.stdin is not None
     process.stdin.close()
+
+
+def test_a_job_larger_than_a_pipe_is_there_at_once_though_the_child_is_long_in_loading(
+    plan: Plan, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    loading = tmp_path / "loading"
+    loading.write_text("#!/bin/sh\nexec sleep 20\n")
+    loading.chmod(0o700)
+    monkeypatch.setattr(child.sys, "executable", str(loading))
+    long = replace(plan, trajectory=replace(plan.trajectory, source="x" * 1_000_000))
+    memory = RunMemory.create(Layout.of(plan.config))
+    process = child.spawn("rig.executor.control", Job(long, memory.fd, os.getpid()))
+    assert process.poll() is None
+    with Path(f"/proc/{process.pid}/fd/0").open("rb") as told:
+        assert pickle.load(told).plan.trajectory.source == long.trajectory.source
+    process.kill()
+    process.wait()
+    os.close(memory.fd)
+
+
+def test_control_that_stands_still_before_its_first_tick_ends_the_run(
+    plan: Plan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    conductor = realtime._Conductor(plan, Nobody(), None)
+    memory, now = conductor.memory, 10**9
+    monkeypatch.setattr(realtime.time, "monotonic_ns", lambda: now)
+    for name in ("control", "watchdog"):
+        memory.say(name, Stage.READY)
+    memory.beat("control", now)
+    faults = []
+    for _ in range(50):
+        now += 20_000_000
+        for name in ("observer", "watchdog"):
+            memory.beat(name, now)
+        faults.append(conductor._fault())
+    assert faults[0] is None
+    assert faults[-1] is not None
+    assert faults[-1][0] == "control"
+    os.close(memory.fd)
+
+
+@pytest.fixture
+def registers() -> Iterator[Registers]:
+    """A mock card whose valves are open, and nobody behind it."""
+    registers = Registers.create(f"started-{os.getpid()}", 2, 8)
+    registers.outputs["volts"] = 7.0
+    yield registers
+    path = registers.path
+    registers.close()
+    path.unlink()
+
+
+@pytest.fixture
+def own_plan(plan: Plan, registers: Registers) -> Plan:
+    """A plan for that card."""
+    cards = {
+        name: card.model_copy(update={"device": f"started-{os.getpid()}"}) for name, card in plan.config.cards.items()
+    }
+    return replace(plan, config=plan.config.model_copy(update={"cards": cards}))
+
+
+def test_an_error_in_control_is_told_by_its_name_and_leaves_the_valves_safe(
+    own_plan: Plan, registers: Registers, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    memory = RunMemory.create(Layout.of(own_plan.config))
+    memory.say("watchdog", Stage.READY)
+
+    def fails(*_: object) -> None:
+        registers.outputs["volts"] = 7.0
+        raise ZeroDivisionError("of a rehearsal")
+
+    monkeypatch.setattr(control, "receive", lambda: (Job(own_plan, memory.fd, os.getppid()), memory))
+    monkeypatch.setattr(control, "_rehearse", fails)
+    monkeypatch.setattr(control, "PATIENCE_S", 0.0)
+    before = signal.getsignal(signal.SIGTERM)
+    try:
+        with pytest.raises(ZeroDivisionError):
+            control.main()
+    finally:
+        signal.signal(signal.SIGTERM, before)
+    assert registers.outputs["volts"].tolist() == [0.0, 0.0]
+    assert memory.get("safe_ns")
+    assert memory.stage("control") is Stage.FAILED
+    assert memory.message("control") == "the control process failed: ZeroDivisionError: of a rehearsal"
+    os.close(memory.fd)
+
+
+def test_valves_that_do_not_stand_safe_at_the_end_are_not_called_safe_though_it_was_written(
+    own_plan: Plan, registers: Registers
+) -> None:
+    conductor = realtime._Conductor(own_plan, Nobody(), None)
+    conductor.memory.set("safe_ns", 1)
+    assert conductor._unsafe() == ""
+    assert "valve 1 stands at 7.000 V" in conductor._stood_in
+    assert registers.outputs["volts"].tolist() == [0.0, 0.0]
+    registers.outputs["volts"] = 7.0
+    registers.faults.inject(failing_writes=10**9)
+    said = conductor._unsafe()
+    assert "shut the air off by hand" in said
+    assert "valve 1 stands at 7.000 V" in said
+    os.close(conductor.memory.fd)
+
+
+def test_the_doors_of_killed_runs_are_cleared_away_and_those_of_others_stay(
+    plan: Plan, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    memory = RunMemory.create(Layout.of(plan.config))
+    with (
+        socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as left,
+        socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as going,
+    ):
+        left.bind(os.fspath(door_of(1)))
+        going.bind(os.fspath(door_of(2)))
+        going.listen()
+        left.close()
+        door = Door(plan, memory)
+        assert sorted(doors().iterdir()) == sorted([door_of(2), door.path])
+        door.close()
+    os.close(memory.fd)

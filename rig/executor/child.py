@@ -11,6 +11,7 @@ import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NoReturn
 
 from rig.executor.base import Plan
 from rig.executor.life import Life
@@ -34,19 +35,16 @@ def spawn(module: str, job: Job) -> subprocess.Popen[bytes]:
     The child gets a session of its own, so that Ctrl-C at the terminal reaches only the conductor: who stops what,
     and in which order, is the conductor's decision. A child that crashes in compiled code says where, on stderr.
     """
-    process = subprocess.Popen(
-        [sys.executable, "-X", "faulthandler", "-m", module],
-        stdin=subprocess.PIPE,
-        pass_fds=[job.fd],
-        start_new_session=True,
-    )
-    assert process.stdin is not None
-    try:
-        pickle.dump(job, process.stdin)
-        process.stdin.close()
-    except BrokenPipeError:
-        pass  # it died at once; the conductor sees that by its exit
-    return process
+    # Not by a pipe: one that is full waits for a child that may be long in loading, or stand still.
+    with os.fdopen(os.memfd_create("softrig-job"), "w+b") as told:
+        pickle.dump(job, told)
+        told.seek(0)
+        return subprocess.Popen(
+            [sys.executable, "-X", "faulthandler", "-m", module],
+            stdin=told,
+            pass_fds=[job.fd],
+            start_new_session=True,
+        )
 
 
 def ended_within(process: subprocess.Popen[bytes], timeout_s: float) -> bool:
@@ -61,13 +59,17 @@ def ended_within(process: subprocess.Popen[bytes], timeout_s: float) -> bool:
 
 
 def receive() -> tuple[Job, RunMemory]:
-    """In the child: the job and the shared memory. Ends the process where the conductor died before it said what."""
+    """In the child: the job and the shared memory."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    try:
-        job: Job = pickle.load(sys.stdin.buffer)  # written by our own parent, over a pipe
-    except (EOFError, pickle.UnpicklingError):
-        raise SystemExit(1) from None
+    job: Job = pickle.load(sys.stdin.buffer)  # written by our own parent
     return job, RunMemory(job.fd, Layout.of(job.plan.config, len(job.plan.adapted)))
+
+
+def leave(status: int) -> NoReturn:
+    """In the child: end, and spare the conductor, who waits, the taking apart of an interpreter that is not needed."""
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(status)
 
 
 def conductor_of(job: Job) -> Life:

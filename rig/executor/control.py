@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import signal
-import sys
 import time
 
 import numpy as np
@@ -13,7 +12,7 @@ from numpy.typing import NDArray
 from rig.bench import Bench, open_bench
 from rig.daq.base import CardError
 from rig.executor import clocks
-from rig.executor.child import Job, await_turn, conductor_of, receive
+from rig.executor.child import Job, await_turn, conductor_of, leave, receive
 from rig.executor.clock import Silence, become_ordinary, become_real_time, wait_until
 from rig.executor.life import Life
 from rig.executor.memory import RunMemory, Stage, Stop
@@ -43,6 +42,7 @@ def main() -> int:
         memory.say("control", Stage.FAILED, str(error))
         return 1
     fault = ""
+    crash: Exception | None = None
     try:
         bench.arm()
         bench.start()
@@ -53,9 +53,11 @@ def main() -> int:
         fault = _run(job, memory, bench, conductor)
     except CardError as error:
         fault = str(error)
+    except Exception as error:
+        crash, fault = error, f"the control process failed: {type(error).__name__}: {error}"
     finally:
         try:
-            bench.make_safe(vent=memory.get("stop") == Stop.VENT)
+            bench.make_safe(vent=memory.vents)
             memory.set("safe_ns", time.monotonic_ns())
         except CardError as error:
             fault = f"{fault}; then {error}".removeprefix("; then ")
@@ -65,12 +67,14 @@ def main() -> int:
     memory.say("control", Stage.FAILED if fault else Stage.DONE, fault)
     bench.close()
     become_ordinary()
+    if crash is not None:
+        raise crash  # where in the program; nothing waits for who reads it
     return 1 if fault else 0
 
 
 def _vented(job: Job, memory: RunMemory, bench: Bench) -> str:
     """Watch the air go; what keeps it, empty when nothing does."""
-    venting = Venting(job.plan.config, bench, vent=memory.get("stop") == Stop.VENT)
+    venting = Venting(job.plan.config, bench, vent=memory.vents)
     until = time.monotonic() + PATIENCE_S
     with contextlib.suppress(CardError):
         while time.monotonic() < until and not memory.get("fired_ns"):
@@ -91,6 +95,26 @@ class _Mute:
         """Write nothing."""
 
 
+class _Own:
+    """A bench that is written only while the valves stand where they were put: who else writes, means it."""
+
+    def __init__(self, bench: Bench, memory: RunMemory) -> None:
+        self.read = bench.read
+        self._bench, self._memory = bench, memory
+
+    def write(self, valve_v: NDArray[np.float64]) -> None:
+        """Set every valve.
+
+        Raises:
+            CardError: somebody else has; where that was to vent, the run ends vented.
+        """
+        # Looked at this late: a process that stood still in the middle of a tick must not undo what was done meanwhile.
+        if disturbance := self._bench.disturbance():
+            self._memory.set("vented", self._bench.vented)
+            raise CardError(disturbance)
+        self._bench.write(valve_v)
+
+
 def _rehearse(job: Job, bench: Bench) -> None:
     """Play some ticks with the valves left alone: what is imported or compiled at its first use is ready by then."""
     ticker = Ticker(job.plan, _Mute(bench))
@@ -106,7 +130,7 @@ def _rehearse(job: Job, bench: Bench) -> None:
 
 def _run(job: Job, memory: RunMemory, bench: Bench, conductor: Life) -> str:
     """Loop until the protocol ends or someone asks to stop; return what went wrong, empty when nothing did."""
-    ticker = Ticker(job.plan, bench)
+    ticker = Ticker(job.plan, _Own(bench, memory))
     period = ticker.period_ns
     while not (go := memory.get("go_ns")) or time.monotonic_ns() < go - LEAD_IN_NS:
         ticker.listen()
@@ -127,8 +151,6 @@ def _run(job: Job, memory: RunMemory, bench: Bench, conductor: Life) -> str:
             return ""
         if memory.get("fired_ns"):
             return "the watchdog took the bench over"
-        if disturbance := bench.disturbance():
-            return disturbance
         if conductor.over:
             return "the conductor died"
         if watchdogs.look(now, memory.heartbeat_ns("watchdog")) > WATCHDOG_SILENT_NS:
@@ -157,4 +179,4 @@ def _run(job: Job, memory: RunMemory, bench: Bench, conductor: Life) -> str:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    leave(main())

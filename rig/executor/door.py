@@ -53,6 +53,18 @@ def door_of(pid: int) -> Path:
     return doors() / f"run-{pid}"
 
 
+def _clear_away() -> None:
+    """Remove the doors that killed runs have left: nobody answers there."""
+    for path in doors().glob("run-*"):
+        with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET | socket.SOCK_NONBLOCK) as visitor:
+            try:
+                visitor.connect(os.fspath(path))
+            except ConnectionRefusedError:
+                path.unlink(missing_ok=True)
+            except OSError:
+                continue
+
+
 class Door:
     """The open door of one run. `close` may be called more than once."""
 
@@ -65,6 +77,7 @@ class Door:
         self._memory = memory
         self._visitors: list[socket.socket] = []
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET | socket.SOCK_NONBLOCK)
+        _clear_away()
         self.path = door_of(os.getpid())
         self.path.unlink(missing_ok=True)
         self._socket.bind(os.fspath(self.path))

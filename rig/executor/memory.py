@@ -64,6 +64,7 @@ _BOARD = np.dtype(
         ("plant_starting", "<i8"),
         ("go_ns", "<i8"),
         ("stop", "<i8"),
+        ("vented", "<i8"),
         ("held", "<i8"),
         ("skips", "<i8"),
         ("watched_ns", "<i8"),
@@ -184,6 +185,11 @@ class RunMemory:
         """Ask every process to end with the valves safe. Who asks first is told of; to vent wins over all else."""
         if why is Stop.VENT or self.get("stop") == Stop.NONE:
             self.set("stop", why)
+
+    @property
+    def vents(self) -> bool:
+        """True where the safe state is the vented one, also of valves that would be held."""
+        return self.get("stop") == Stop.VENT or bool(self.get("vented"))
 
     def stage(self, process: str) -> Stage:
         """How far a process is."""

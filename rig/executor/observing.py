@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import signal
-import sys
 import time
 from dataclasses import replace
 
@@ -11,7 +10,7 @@ import numpy as np
 
 from rig.cameras.base import CameraError, Shot
 from rig.cameras.together import Together
-from rig.executor.child import Job, await_turn, conductor_of, receive
+from rig.executor.child import Job, await_turn, conductor_of, leave, receive
 from rig.executor.memory import RunMemory, Stage, Stop
 from rig.executor.pictures import Album
 from rig.executor.showing import Show
@@ -107,4 +106,4 @@ def _record(job: Job, observer: Observer, memory: RunMemory, shot: Shot, dropped
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    leave(main())

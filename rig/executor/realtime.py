@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import getpass
 import os
 import subprocess
 import time
@@ -10,7 +9,7 @@ import time
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.bench import UNSAFE
+from rig.bench import UNSAFE, astray
 from rig.daq import card_type
 from rig.daq.base import CardError
 from rig.executor import clocks
@@ -20,7 +19,7 @@ from rig.executor.clock import Silence, stolen_ms
 from rig.executor.door import Door
 from rig.executor.life import Life
 from rig.executor.memory import Layout, RunMemory, Stage, Stop
-from rig.executor.requests import Action, Answer, Desk, Request
+from rig.executor.requests import Action, Answer, Desk, Request, user_name
 from rig.executor.standin import SILENT_NS, stand_in
 from rig.executor.vigil import Vigil
 from rig.simulator.host import Simulation, started
@@ -191,9 +190,8 @@ class _Conductor:
             if reason := self.audience.stop_requested():
                 return Status.INTERRUPTED, reason
             if self.audience.pause_toggled():
-                self._carry_out(
-                    Request(Action.RESUME if memory.get("held") else Action.PAUSE, f"{getpass.getuser()} (terminal)")
-                )
+                wish = Action.RESUME if memory.get("held") else Action.PAUSE
+                self._carry_out(Request(wish, f"{user_name()} (terminal)"))
             if self.desk.ending is not None:
                 return self.desk.ending
             if (stop := Stop(memory.get("stop"))) != Stop.NONE:
@@ -250,7 +248,8 @@ class _Conductor:
         now = time.monotonic_ns()
         patience_s = {"observer": 2 * self.plan.config.limits.no_tip_s, "control": 0.5, "watchdog": 1.2}
         silent_s = {name: self.silences[name].look(now, memory.heartbeat_ns(name)) * 1e-9 for name in patience_s}
-        for name in patience_s if memory.stage("control") == Stage.RUNNING else ("observer",):
+        ended = memory.stage("control") in (Stage.DONE, Stage.FAILED)
+        for name in ("observer",) if ended else patience_s:
             if silent_s[name] > patience_s[name]:
                 return name, f"the {name} process has been silent for {silent_s[name]:.1f} s"
         return None
@@ -359,6 +358,12 @@ class _Conductor:
             # It says at its very end whether its last write has succeeded.
             ended_within(self.crew["watchdog"], SAFE_TIMEOUT_S)
         if self._written():
+            off = astray(self.plan.config)
+            if not off:
+                return ""
+            if trouble := stand_in(self.plan.config, self.memory):
+                return f"{UNSAFE}: {off}, though it had been made safe; {trouble}"
+            self._stood_in = f"{off}, though it had been made safe: the conductor has written the safe state once more"
             return ""
         if not self._stood_in and not stand_in(self.plan.config, self.memory):
             self._stood_in = "neither control nor the watchdog could write the safe state: the conductor has written it"

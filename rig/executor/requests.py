@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import getpass
+import os
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -35,6 +37,14 @@ class Answer:
 
     done: bool
     said: str
+
+
+def user_name() -> str:
+    """Who acts; a number where the machine has no name for this user, as in a container."""
+    try:
+        return getpass.getuser()
+    except (KeyError, OSError):
+        return f"user {os.getuid()}"
 
 
 class Desk:

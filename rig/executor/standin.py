@@ -106,7 +106,7 @@ def stand_in(config: RigConfig, memory: RunMemory) -> str:
 
 def _write(config: RigConfig, memory: RunMemory) -> str:
     try:
-        make_safe(config, vent=memory.get("stop") == Stop.VENT)
+        make_safe(config, vent=memory.vents)
     except CardError as error:
         return str(error)
     return ""

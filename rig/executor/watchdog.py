@@ -9,11 +9,10 @@ import contextlib
 import os
 import select
 import signal
-import sys
 import time
 
 from rig.daq.base import CardError
-from rig.executor.child import await_turn, conductor_of, receive
+from rig.executor.child import await_turn, conductor_of, leave, receive
 from rig.executor.clock import Silence, become_ordinary, become_real_time
 from rig.executor.grip import Grip
 from rig.executor.life import Life
@@ -69,7 +68,7 @@ def _make_safe(grip: Grip, memory: RunMemory, patience_s: float = PATIENCE_S) ->
     until = time.monotonic() + patience_s
     while True:
         try:
-            grip.make_safe(vent=memory.get("stop") == Stop.VENT)
+            grip.make_safe(vent=memory.vents)
         except CardError as error:
             if time.monotonic() > until:
                 return str(error)
@@ -97,7 +96,7 @@ def _watch(memory: RunMemory, conductor_pid: int, grip: Grip, hung_ns: int) -> s
         memory.beat("watchdog", now)
         if control in exited or life.over:
             return "" if memory.stage("control") in (Stage.DONE, Stage.FAILED) else "the control process died"
-        if not vented and memory.get("stop") == Stop.VENT:
+        if not vented and memory.vents:
             # At once, whatever control is busy with; control does the same at its next tick.
             _make_safe(grip, memory, patience_s=0.0)
             vented = True
@@ -136,4 +135,4 @@ def _kill(pid: int) -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    leave(main())
