@@ -60,6 +60,21 @@ def test_a_trouble_is_told_once_when_it_begins_and_once_when_it_is_over(
     assert "after" in over.message
 
 
+@pytest.mark.parametrize("pace", [0.8, 1.2])
+def test_a_camera_that_grants_another_rate_than_the_rig_says_is_told_of(vigil: Vigil, pace: float) -> None:
+    rows = frames(150)
+    rows["t_ns"] = 10**9 + np.arange(150) * round(pace * FRAME_NS)
+    (told,) = vigil.observations(rows)
+    assert told.level is Level.WARNING
+    assert "pictures a second and the rig says 30" in told.message
+
+
+def test_a_camera_whose_pictures_are_stamped_unevenly_keeps_its_pace(vigil: Vigil) -> None:
+    rows = frames(300)
+    rows["t_ns"] += np.random.default_rng(0).integers(-8_000_000, 8_000_000, 300)
+    assert list(vigil.observations(rows)) == []
+
+
 def test_missed_deadlines_and_lost_scans_are_told(vigil: Vigil) -> None:
     rows = np.zeros(400, sample_dtype(3, 2))
     rows["t_ns"] = 10**9 + np.arange(400) * 3 * TICK_NS

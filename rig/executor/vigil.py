@@ -19,6 +19,8 @@ MEMORY_S = 1.0
 CLEARED = 0.2
 """A trouble is over once its share has fallen to this part of what it was announced at."""
 LATE_S = 0.25
+OFF_PACE = 0.05
+"""A camera that keeps its pace no better than this makes the model, which steps by the rig's, too slow or too fast."""
 STANDSTILL_S = 0.5
 STOOD_STILL_S = 0.1
 
@@ -62,6 +64,7 @@ class Vigil:
         self._frame_s = 1 / next(iter(config.cameras.values())).rate_hz
         self._unmeasured, self._unsolved = _Trouble(0.3), _Trouble(0.3)
         self._dropping, self._late, self._missing = _Trouble(0.3), _Trouble(0.3), _Trouble(0.05)
+        self._off_pace, self._apart_s, self._frame_t_ns = _Trouble(0.5), self._frame_s, 0
         self._cameras = [(name, _Trouble(0.3)) for name in config.cameras] if len(config.cameras) > 1 else []
         self._looked_ns = 0
 
@@ -121,8 +124,28 @@ class Vigil:
                         yield _warning(t_ns, "observer", wrong)
                     case False:
                         yield _over(trouble, t_ns, "observer", well)
+            yield from self._paced(t_ns, dropped)
             if self._cameras:
                 yield from self._blind(row)
+
+    def _paced(self, t_ns: int, dropped: int) -> Iterator[Event]:
+        """Whether pictures come as the rig says: a driver may grant another rate than it is asked for."""
+        before_ns, self._frame_t_ns = self._frame_t_ns, t_ns
+        if dropped or not before_ns:
+            return
+        apart_s = (t_ns - before_ns) * 1e-9
+        self._apart_s += (apart_s - self._apart_s) * min(1.0, apart_s / MEMORY_S)
+        off = abs(self._apart_s / self._frame_s - 1) > OFF_PACE
+        match self._off_pace.judge(t_ns, self._frame_s, float(off)):
+            case True:
+                yield _warning(
+                    t_ns,
+                    "observer",
+                    f"the camera gives {1 / self._apart_s:.1f} pictures a second and the rig says "
+                    f"{1 / self._frame_s:g}, by which the model steps: set `rate_hz` to what the camera can do",
+                )
+            case False:
+                yield _over(self._off_pace, t_ns, "observer", "the camera keeps its pace again")
 
     def _blind(self, row: NDArray[np.void]) -> Iterator[Event]:
         """Of several cameras, one that adds nothing: the tip is then measured by the others."""
