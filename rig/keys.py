@@ -39,7 +39,10 @@ class Keys:
         """What was typed since the last call; from a pipe or a file, what it holds."""
         if self.ended or not self._readable():
             return ""
-        data = os.read(sys.stdin.fileno(), 256)
+        try:
+            data = os.read(sys.stdin.fileno(), 256)
+        except OSError:  # the terminal has gone
+            data = b""
         self.ended = not data
         return data.decode(errors="replace")
 

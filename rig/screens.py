@@ -114,7 +114,10 @@ def confirm(screen: Console) -> bool:
     if not sys.stdin.isatty():
         screen.print("standard input is no terminal: nobody can be asked; say --yes to arm")
         return False
-    return input("Arm the rig and run? [y/N] ").strip().lower() in ("y", "yes")
+    try:
+        return input("Arm the rig and run? [y/N] ").strip().lower() in ("y", "yes")
+    except EOFError:
+        return False
 
 
 def last_screen(screen: Console, result: Result) -> None:

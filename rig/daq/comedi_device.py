@@ -320,7 +320,7 @@ def _why_closed(path: str, error: OSError) -> CardError:
             "load the card's driver, for example `sudo modprobe adv_pci1710`; `rig doctor` says which one it is",
         )
     if error.errno in (errno.EACCES, errno.EPERM):
-        return CardError(f"no permission to open {path}", _how_to_join(grp.getgrgid(Path(path).stat().st_gid)))
+        return CardError(f"no permission to open {path}", _how_to_join(Path(path).stat().st_gid))
     if error.errno == errno.EBUSY:
         return CardBusyError(path, _holders(path))
     if error.errno in (errno.ENXIO, errno.ENODEV):
@@ -330,10 +330,14 @@ def _why_closed(path: str, error: OSError) -> CardError:
     return CardError(f"{path} cannot be opened: {error.strerror}")
 
 
-def _how_to_join(owner: grp.struct_group) -> str:
+def _how_to_join(group: int) -> str:
+    try:
+        owner, user = grp.getgrgid(group), pwd.getpwuid(os.getuid()).pw_name
+    except KeyError:
+        return f"its group {group}, or this user, has no name on this machine (a container?): add the group to the user"
     if owner.gr_name == "root":
         return "install libcomedi0, whose udev rule opens it to the group iocard"
-    if pwd.getpwuid(os.getuid()).pw_name in owner.gr_mem:
+    if user in owner.gr_mem:
         return f"you are in its group {owner.gr_name} since after you logged in: log in again"
     return f"`sudo adduser $USER {owner.gr_name}`, then log in again"
 
