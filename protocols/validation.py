@@ -49,6 +49,7 @@ def validate(
     try:
         model = model_class.model_validate(document.data)
     except ValidationError as error:
+        _refuse_other_kind(model_class, document)
         schema = model_class.model_json_schema()
         translator = _Translator(document, Expectation(schema))
         found = translator.problems(error.errors(include_url=False))
@@ -61,6 +62,14 @@ def validate(
     if problems or model is None:
         raise BadInput(sorted(_once(problems), key=lambda problem: (problem.line, problem.column)))
     return model
+
+
+def _refuse_other_kind(model_class: type[BaseModel], document: Document) -> None:
+    """Raise `BadInput`, one sentence instead of a fault for each key, where a file has nothing of what it must have."""
+    needed = [name for name, field in model_class.model_fields.items() if field.is_required()]
+    if document.data and not any(closest(key, needed) for key in document.data):
+        expected = f"{', '.join(needed)}: is this another kind of file?"
+        raise BadInput([Problem(document.file, 1, 1, "", shortened(", ".join(document.data)), expected)])
 
 
 def _once(problems: Iterable[Problem]) -> list[Problem]:

@@ -129,6 +129,14 @@ def test_text_that_is_no_yaml_gets_one_plain_sentence(text: str, line: int, colu
     assert said in problem.expected + problem.value
 
 
+def test_a_file_of_another_kind_is_one_fault() -> None:
+    problem = only_problem("name: mock\ndescription: a rig\ncards: {}\nvalves: []\nsensors: []\n")
+    assert problem.value == "name, description, cards, valves, sensors"
+    assert problem.expected == "title, steps: is this another kind of file?"
+    # What is meant for one is told in full.
+    assert len(problems_of("titel: t\nstep: []\nmore: 1\n")) == 3
+
+
 def test_a_key_given_twice_is_an_error_not_the_last_one() -> None:
     problem = only_problem(steps("hold: {duration_s: 1, duration_s: 2}"))
     assert (problem.line, problem.column) == (3, 27)
