@@ -267,8 +267,20 @@ def test_several_runs_are_told_in_the_shape_of_the_papers_tables(archive: Path, 
         for run, percent, rmse in zip(chosen, (1.27, 17.2), ((1.7349, 0.1, 0.3269), (1.6247, 0.1, 0.8019)), strict=True)
     ]
     cells = [re.findall(r"<td[^>]*>([^<]*)</td>", table(chosen, summaries)) for table in (by_model, by_axis)]
-    assert cells[0] == ["\u2715", "\u2715", "17.20", "1", "\u2714", "\u2714", "1.27", "1"]
-    assert cells[1] == ["stairs", "inhomogeneous+rpe", "0.3269", "1.7349", "other", "homogeneous", "0.8019", "1.6247"]
+    one = "1 (simulated)"
+    assert cells[0] == ["\u2715", "\u2715", "17.20", one, "\u2714", "\u2714", "1.27", one]
+    assert cells[1][:4] == ["stairs (simulated)", "inhomogeneous+rpe", "0.3269", "1.7349"]
+    assert cells[1][4:] == ["other (simulated)", "homogeneous", "0.8019", "1.6247"]
+
+
+def test_no_mean_is_over_measured_and_simulated_runs(archive: Path) -> None:
+    run = runs.open(archive)
+    simulated, measured = (
+        dataclasses.replace(summarise(run), normalised_percent=percent, simulated=mark)
+        for percent, mark in ((2.0, True), (4.0, False))
+    )
+    cells = re.findall(r"<td class=n>([^<]*)</td>", by_model([run] * 3, [simulated, measured, measured]))
+    assert cells == ["4.00", "2", "2.00", "1 (simulated)"]
 
 
 def test_several_runs_have_figures_that_compare_them(short: Path, tmp_path: Path) -> None:
