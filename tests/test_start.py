@@ -10,6 +10,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 
@@ -20,13 +21,14 @@ from rig import experiment, regulator
 from rig.bench import BenchScans
 from rig.daq.base import CardError
 from rig.executor import child, control, realtime
-from rig.executor.base import Nobody, Plan, StartError
+from rig.executor.base import Nobody, Outcome, Plan, StartError
 from rig.executor.child import Job
 from rig.executor.door import Door, door_of, doors
 from rig.executor.life import Life
 from rig.executor.memory import Layout, RunMemory, Stage, Stop
 from rig.simulator.host import Simulation
 from rig.simulator.registers import Registers
+from runs.records import Status
 
 
 @pytest.fixture(scope="module")
@@ -278,3 +280,22 @@ def test_the_doors_of_killed_runs_are_cleared_away_and_those_of_others_stay(
         assert sorted(doors().iterdir()) == sorted([door_of(2), door.path])
         door.close()
     os.close(memory.fd)
+
+
+def test_what_ended_a_run_is_told_beside_a_watchdog_that_has_to_be_killed(
+    plan: Plan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One that stands still has not ended when the run has."""
+    ended = Outcome(Status.ABORTED, "the watchdog process has been silent for 1.2 s", 5, {"missed_deadlines": 3})
+
+    def conduct(conductor: realtime._Conductor, _: object) -> Outcome:
+        fellow(conductor, "watchdog", "import time; time.sleep(60)")
+        return ended
+
+    monkeypatch.setattr(realtime, "started", lambda *_: nullcontext())
+    monkeypatch.setattr(realtime, "SAFE_TIMEOUT_S", 0.1)
+    monkeypatch.setattr(realtime._Conductor, "run", conduct)
+    outcome = realtime.run(plan, lambda _: None, Nobody())  # type: ignore[arg-type, return-value]
+    assert outcome.message.startswith(f"{ended.message}; the watchdog did not end")
+    assert outcome.status is Status.ABORTED
+    assert outcome.counters == ended.counters

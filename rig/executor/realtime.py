@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import time
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,7 +63,8 @@ def run(plan: Plan, open_record: OpenRecord, audience: Audience) -> Outcome:
                 raise CardError(f"{error}; {trouble}") from error
             raise
         if trouble := conductor.end():
-            raise CardError(trouble)
+            said = f"{outcome.message}; {trouble}".removeprefix("; ")
+            return replace(outcome, status=Status.ABORTED, message=said)
         return outcome
 
 
