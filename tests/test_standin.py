@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import sys
 import time
@@ -13,6 +14,7 @@ import pytest
 import rig.rig_file
 from protocols import Trajectory
 from rig.config import RigConfig
+from rig.executor import watchdog
 from rig.executor.base import Plan
 from rig.executor.child import Job, await_turn, conductor_of, ended_within
 from rig.executor.life import Life
@@ -143,6 +145,30 @@ def test_those_who_stand_still_before_the_first_tick_are_left_to_wake(
     assert sleeper.poll() is None
     memory.say("control", Stage.DONE)
     guard.outlast()
+
+
+@pytest.mark.parametrize(("safe_ns", "left_v"), [(1, OPEN_V), (0, SAFE_V)])
+def test_the_watchdog_writes_at_the_end_only_what_control_has_not(
+    config: RigConfig,
+    memory: RunMemory,
+    registers: Registers,
+    monkeypatch: pytest.MonkeyPatch,
+    safe_ns: int,
+    left_v: float,
+) -> None:
+    """Who vents, by another program, what control only holds, means it."""
+    memory.set("control_pid", dead())
+    memory.say("control", Stage.DONE)
+    memory.set("safe_ns", safe_ns)
+    monkeypatch.setattr(watchdog, "receive", lambda: (job(config, memory, os.getppid()), memory))
+    monkeypatch.setattr(watchdog, "become_real_time", lambda priority: None)
+    before = signal.getsignal(signal.SIGTERM)
+    try:
+        assert watchdog.main() == 0
+    finally:
+        signal.signal(signal.SIGTERM, before)
+    assert volts(registers) == [left_v, left_v]
+    assert memory.stage("watchdog") is Stage.DONE
 
 
 def test_what_could_not_be_written_is_not_called_safe(
