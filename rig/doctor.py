@@ -43,10 +43,18 @@ def _cameras() -> list[Finding]:
         if os.access(device, os.R_OK | os.W_OK):
             findings.append(Finding("camera", "ok", name))
         else:
-            group = grp.getgrgid(device.stat().st_gid).gr_name
+            group = _group_name(device.stat().st_gid)
             remedy = f"sudo adduser $USER {group}, then log in again"
             findings.append(Finding("camera", "missing", f"{name}: no permission", remedy))
     return findings
+
+
+def _group_name(number: int) -> str:
+    """The name of a group; its number where this machine, a container, has no name for it."""
+    try:
+        return grp.getgrgid(number).gr_name
+    except KeyError:
+        return str(number)
 
 
 def _real_time() -> Finding:

@@ -87,10 +87,15 @@ def test_a_life_is_over_once_the_process_dies_though_nobody_has_asked_for_its_st
 ) -> None:
     life = Life(sleeper.pid)
     assert not life.over
+    assert not life.stopped
+    sleeper.send_signal(signal.SIGSTOP)
+    until(lambda: life.stopped)
+    assert not life.over
     sleeper.kill()
     until(lambda: life.over)
     assert ended_within(sleeper, 30)
     assert life.over
+    assert not life.stopped
     life.close()
 
 

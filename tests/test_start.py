@@ -28,7 +28,7 @@ from rig.executor.life import Life
 from rig.executor.memory import Layout, RunMemory, Stage, Stop
 from rig.simulator.host import Simulation
 from rig.simulator.registers import Registers
-from runs.records import Status
+from runs.records import Event, Status
 
 
 @pytest.fixture(scope="module")
@@ -299,3 +299,35 @@ def test_what_ended_a_run_is_told_beside_a_watchdog_that_has_to_be_killed(
     assert outcome.message.startswith(f"{ended.message}; the watchdog did not end")
     assert outcome.status is Status.ABORTED
     assert outcome.counters == ended.counters
+
+
+@pytest.mark.parametrize(("died", "said"), [(True, " (exit status -9)"), (False, "")])
+def test_the_exit_status_of_who_was_killed_for_being_silent_is_not_told(plan: Plan, died: bool, said: str) -> None:
+    conductor = realtime._Conductor(plan, Nobody(), None)
+    fellow(conductor, "control", "import time; time.sleep(60)").kill()
+    assert conductor._explained("control", "a fault", died=died) == ("control", f"a fault{said}")
+    assert conductor.end() == ""
+    os.close(conductor.memory.fd)
+
+
+def test_a_process_that_was_stopped_while_it_starts_is_told_of(plan: Plan, monkeypatch: pytest.MonkeyPatch) -> None:
+    class Hearer(Nobody):
+        told = ""
+
+        def tell(self, event: Event) -> None:
+            self.told = event.message
+
+    hearer = Hearer()
+    conductor = realtime._Conductor(plan, hearer, None)
+    still = fellow(conductor, "observer", "import time; time.sleep(60)")
+    still.send_signal(signal.SIGSTOP)
+    while not conductor.lives["observer"].stopped:
+        time.sleep(0.005)
+    monkeypatch.setattr(realtime, "SLOW_START_S", 0.0)
+    monkeypatch.setattr(realtime, "START_TIMEOUT_S", 0.1)
+    with pytest.raises(StartError, match="the observer process was not ready"):
+        conductor._await("observer")
+    assert hearer.told == "waiting for the observer process: it was stopped"
+    still.kill()
+    assert conductor.end() == ""
+    os.close(conductor.memory.fd)

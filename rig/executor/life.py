@@ -25,11 +25,20 @@ class Life:
     @property
     def over(self) -> bool:
         """True as soon as the process begins to die."""
+        fields = self._fields()
+        return not fields or bool(int(fields[_FLAGS]) & _PF_EXITING)
+
+    @property
+    def stopped(self) -> bool:
+        """True while the process lives but was stopped by a signal."""
+        return self._fields()[:1] == [b"T"]
+
+    def _fields(self) -> list[bytes]:
+        """What the kernel tells of the process after its name; nothing of one that is gone."""
         try:
-            fields = os.pread(self._stat, 1024, 0).rpartition(b")")[2].split()
+            return os.pread(self._stat, 1024, 0).rpartition(b")")[2].split()
         except OSError:
-            return True
-        return bool(int(fields[_FLAGS]) & _PF_EXITING)
+            return []
 
     def close(self) -> None:
         """Follow it no longer."""

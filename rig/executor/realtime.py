@@ -200,9 +200,11 @@ class _Conductor:
                 self._event(Level.FAULT, "conductor", STOPPED[stop])
                 return Status.ABORTED, STOPPED[stop]
             if fault := self._fault():
+                # Who is silent is killed where he does not act: that is no news of what befell him.
+                died = self._died(fault[0])
                 # First of all: neither a slow disk nor a process that is long in dying is to be waited for.
                 self._make_safe()
-                fault = self._explained(*fault)
+                fault = self._explained(*fault, died=died)
                 self._event(Level.FAULT, *fault)
                 return Status.ABORTED, fault[1]
             if memory.stage("control") == Stage.DONE:
@@ -266,21 +268,21 @@ class _Conductor:
                 return name, f"the {name} process died"
         return None
 
-    def _explained(self, source: str, message: str) -> tuple[str, str]:
+    def _explained(self, source: str, message: str, *, died: bool) -> tuple[str, str]:
         """A fault with what is known of it once the valves are safe."""
         if self.memory.get("fired_ns"):
             # What the watchdog saw comes first: what others complain of may follow from it. It explains at its end.
             ended_within(self.crew["watchdog"], SAFE_TIMEOUT_S)
             return "watchdog", self.memory.message("watchdog") or message
-        return source, message + self._exit_status(source)
+        return source, message + (self._exit_status(source) if died else "")
+
+    def _died(self, name: str) -> bool:
+        """True for a process that has died without a word."""
+        return name in self.lives and self.lives[name].over and self.memory.stage(name) <= Stage.RUNNING
 
     def _exit_status(self, name: str) -> str:
-        """That of a process that has died without a word; empty for any other."""
-        if name not in self.crew or self.memory.stage(name) in (Stage.DONE, Stage.FAILED):
-            return ""
-        if not self.lives[name].over or not ended_within(self.crew[name], STATUS_S):
-            return ""
-        return f" (exit status {self.crew[name].returncode})"
+        """That of a process that has died."""
+        return f" (exit status {self.crew[name].returncode})" if ended_within(self.crew[name], STATUS_S) else ""
 
     def _drain(self) -> None:
         """Move everything that the processes have written into the record."""
@@ -402,7 +404,9 @@ class _Conductor:
             waited = time.monotonic() - started
             if waited > SLOW_START_S and not told:
                 told = True
-                message = f"waiting for the {name} process: after a new version it compiles its kernels once"
+                still = name in self.lives and self.lives[name].stopped
+                why = "it was stopped" if still else "after a new version it compiles its kernels once"
+                message = f"waiting for the {name} process: {why}"
                 self.audience.tell(Event(time.monotonic_ns(), Level.INFO, "conductor", message))
             if waited > START_TIMEOUT_S:
                 raise StartError(f"the {name} process was not ready within {START_TIMEOUT_S:.0f} s")
@@ -416,7 +420,8 @@ class _Conductor:
             raise StoppedError(f"stopped before the run began: {reason}")
         if fault := self._lost():
             name, said = fault
-            raise StartError(said.replace("process died", "process died while it started") + self._exit_status(name))
+            status = self._exit_status(name) if self._died(name) else ""
+            raise StartError(said.replace("process died", "process died while it started") + status)
         if (stop := Stop(self.memory.get("stop"))) != Stop.NONE:
             raise StartError(f"before the run began, {STOPPED[stop]}")
 
