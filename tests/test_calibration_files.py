@@ -92,7 +92,7 @@ def camera_files(draw: st.DrawFn) -> schema.CameraFile:
     )  # fmt: skip
 
 
-@settings(max_examples=40)
+@settings(max_examples=20)
 @given(found=camera_files())
 def test_what_is_written_is_read_back_the_same(found: schema.CameraFile) -> None:
     again = parse(document.parse(text_of(found), "c.yaml"))
@@ -113,7 +113,7 @@ LEAVES = [
 ]
 
 
-@settings(max_examples=60)
+@settings(max_examples=25)
 @given(leaf=st.sampled_from(LEAVES), junk=st.sampled_from([[], {"a": 1}, ".nan", "many", [1, 2], None]))
 def test_every_malformed_value_is_named_with_its_file_and_line(leaf: tuple[str | int, ...], junk: Any) -> None:
     data = yaml.safe_load(text_of(camera_file()))

@@ -2,44 +2,13 @@
 
 from __future__ import annotations
 
-import os
-import signal
 import warnings
-from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
 import pytest
-from numpy.typing import NDArray
+from spread_work import Task, deadly, squared, squared_but_killed_once
 
 from calibration.identify.spread import NoCluster, WorkersDie, spread
-
-Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class Task:
-    number: int
-    folder: str
-
-
-def squared(task: Task) -> Array:
-    with (Path(task.folder) / "calls").open("a") as calls:
-        calls.write(f"{task.number}\n")
-    return np.array([float(task.number**2)])
-
-
-def squared_but_killed_once(task: Task) -> Array:
-    mark = Path(task.folder) / "killed"
-    if task.number == 2 and not mark.exists():
-        mark.touch()
-        os.kill(os.getpid(), signal.SIGKILL)
-    return squared(task)
-
-
-def deadly(task: Task) -> Array:
-    os.kill(os.getpid(), signal.SIGKILL)
-    return squared(task)
 
 
 def tasks(folder: Path, n: int = 6) -> list[Task]:

@@ -1,0 +1,43 @@
+"""Tasks for workers of other processes: each of them imports this, and nothing that takes long to import."""
+
+from __future__ import annotations
+
+import os
+import signal
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Task:
+    """A number to be squared, and the folder in which it is noted that it was."""
+
+    number: int
+    folder: str
+
+
+def squared(task: Task) -> Array:
+    """The square of the number."""
+    with (Path(task.folder) / "calls").open("a") as calls:
+        calls.write(f"{task.number}\n")
+    return np.array([float(task.number**2)])
+
+
+def squared_but_killed_once(task: Task) -> Array:
+    """The same, but the first worker that gets the number 2 is killed."""
+    mark = Path(task.folder) / "killed"
+    if task.number == 2 and not mark.exists():
+        mark.touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return squared(task)
+
+
+def deadly(task: Task) -> Array:
+    """No worker survives it."""
+    os.kill(os.getpid(), signal.SIGKILL)
+    return squared(task)
