@@ -9,7 +9,13 @@ import pytest
 
 import model
 from rig.cli import main
-from rig.paper.table3 import READINGS, table3, verdict
+from rig.paper.table3 import PRINTED, READINGS, table3, verdict
+
+
+def test_what_section_6_calls_15_93_and_11_71_percent_are_differences_of_table_3_in_points() -> None:
+    neither, radial, both = PRINTED
+    assert (neither - both, neither - radial) == pytest.approx((15.93, 11.71))
+    assert (neither - both) / neither == pytest.approx(0.926, abs=1e-3)
 
 
 def test_no_rule_gives_table_3_with_the_printed_parameters() -> None:

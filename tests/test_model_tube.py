@@ -44,6 +44,13 @@ def test_without_fibres_a_large_force_follows_the_neo_hookean_bar() -> None:
     assert BARE.shear_modulus_pa * (stretch - stretch**-2) * area == pytest.approx(30.0, rel=1e-9)
 
 
+def test_without_fibres_the_outer_layer_bears_as_much_as_it_has_rubber() -> None:
+    inner, interface, outer = (math.pi * r**2 for r in (0.0095, 0.0125, 0.014))
+    stretch = replace(BARE, rubber_fraction=0.6).under_force(20.0).axial
+    area = interface - inner + 0.6 * (outer - interface)
+    assert BARE.shear_modulus_pa * (stretch - stretch**-2) * area == pytest.approx(20.0, rel=1e-9)
+
+
 @settings(max_examples=25, deadline=None)
 @given(st.floats(0.05, 0.45), st.floats(0, 60), st.floats(0.2e6, 5e6))
 def test_a_found_state_balances_the_printed_integrals(bar: float, angle: float, fibre: float) -> None:
