@@ -258,24 +258,26 @@ def test_export_writes_tables_with_the_unit_in_every_header(recorded: Path, monk
     assert any(name.startswith("measured") and name.endswith("bar") for name in head)
 
 
-def test_calibrate_camera_gives_the_published_focal_length_of_real_views(tmp_path: Path) -> None:
+@pytest.mark.usefixtures("here")
+def test_calibrate_camera_gives_the_published_focal_length_of_real_views(capsys: pytest.CaptureFixture[str]) -> None:
     views = shared_data("chessboard")
-    done = rig(["calibrate", "camera", views, "--corners", "9x6", "--square-mm", "25", "--json"], tmp_path)
-    assert done.returncode == 0, done.stderr
-    facts = json.loads(done.stdout)
+    assert inside("calibrate", "camera", views, "--corners", "9x6", "--square-mm", "25", "--json") == 0
+    facts = json.loads(capsys.readouterr().out)
     assert facts["fx_px"] == pytest.approx(535.92, rel=0.01)
     assert facts["rms_px"] < 0.3
 
 
-def test_recover_makes_an_archive_of_an_orphaned_journal(recorded: Path, tmp_path: Path) -> None:
+def test_recover_makes_an_archive_of_an_orphaned_journal(
+    recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     (journal,) = (recorded / "data").glob("*.mcap")
     data = journal.read_bytes()
     (tmp_path / "orphan.mcap").write_bytes(data[: len(data) // 2])
-    done = rig(["recover", tmp_path], recorded)
-    assert done.returncode == 0, done.stdout
-    assert "recovered" in done.stdout
+    assert inside("recover", tmp_path) == 0
+    assert "recovered" in capsys.readouterr().out
     assert len(runs.open(tmp_path / "orphan.h5").pressure.time_s) > 10
-    assert "nothing to recover" in rig(["recover", tmp_path], recorded).stdout
+    assert inside("recover", tmp_path) == 0
+    assert "nothing to recover" in capsys.readouterr().out
 
 
 def test_simulate_leaves_the_models_tip_alone_in_the_same_layout(
