@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 import model
 from calibration.identify.parameters import Setup, named
@@ -15,9 +16,10 @@ from rig.adapting import USUAL, Adapting, adapted
 from rig.arm import model_arm, true_arm
 from rig.cli import main
 from rig.rig_file import load
-from runs import report
+from runs.plates import plates
 from runs.records import Seen, observation_dtype
 from runs.run import Run
+from runs.summary import summarise
 
 PERIOD_S = 2 * np.pi
 ONE_PERIOD = """
@@ -84,10 +86,21 @@ def test_the_valves_do_what_they_do_without_it(runs: list[Run], tmp_path: Path) 
     assert np.allclose(plain.tip.model_mm, runs[0].adaptation.start_model_mm)  # type: ignore[union-attr]
 
 
-def test_the_report_shows_the_parameters_with_their_bands(runs: list[Run], tmp_path: Path) -> None:
-    page = report.write(runs[0].path, tmp_path / "page.html").read_text()
-    assert "Parameters estimated beside the run" in page
-    assert "a2_per_n2" in page
+def test_the_report_draws_every_estimate_with_its_95_percent_band(runs: list[Run]) -> None:
+    summary, found = summarise(runs[0]), runs[0].adaptation
+    assert found is not None
+    (plate,) = (plate for plate in plates(runs[0], summary) if plate.name == "adaptation")
+    figure = Figure(plate.size)
+    plate.draw(figure, runs[0], summary)
+    panels = {axes.get_title(): axes for axes in figure.axes if axes.get_title()}
+    assert list(panels) == [f"{name} [{unit}]" for name, unit in zip(found.parameter, found.unit, strict=True)]
+    for k, panel in enumerate(panels.values()):
+        (band,) = panel.collections
+        corners = band.get_paths()[0].vertices
+        last = corners[corners[:, 0] == found.time_s[-1], 1]
+        half = 1.96 * found.uncertainty[-1, k]
+        assert np.ptp(last) == pytest.approx(2 * half, rel=1e-4)
+        assert (last.min() + last.max()) / 2 == pytest.approx(found.value[-1, k], abs=1e-6 * half)
 
 
 def test_over_twenty_arms_drawn_from_the_prior_the_bounds_hold_what_they_say() -> None:
@@ -160,6 +173,7 @@ def test_a_wrong_question_gets_one_sentence(
 def test_scripts_are_told_where_the_parameters_lie(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     protocol = tmp_path / "short.yaml"
     protocol.write_text("title: short\nsteps:\n  - hold: {duration_s: 1}\n")
+    options = ["--fast", "--yes", "--no-report", "--json", "--adapt", "--free", "law", "--out", str(tmp_path)]
     with pytest.raises(SystemExit):
-        main(["run", str(protocol), "--fast", "--yes", "--json", "--adapt", "--free", "law", "--out", str(tmp_path)])
+        main(["run", str(protocol), *options])
     assert Path(json.loads(capsys.readouterr().out)["parameters"]).exists()
