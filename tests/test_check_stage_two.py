@@ -7,7 +7,8 @@ from pathlib import Path
 import pytest
 
 import protocols
-from protocols import Problem
+from protocols import Problem, Segment, Trajectory
+from protocols.waveforms import Line
 from rig.check import check, peak_pa
 from rig.rig_file import load
 
@@ -57,6 +58,14 @@ def test_a_violation_points_to_the_line_of_its_step(tmp_path: Path, step: str, f
     assert all((problem.line, problem.column) == (4, 5) for problem in problems)
     assert all(problem.file == str(tmp_path / "p.yaml") for problem in problems)
     assert any(found in problem.value and expected in problem.expected for problem in problems)
+
+
+def test_a_set_point_below_the_atmosphere_is_refused_whoever_made_the_trajectory() -> None:
+    dips = ((0, Line(0.0, -2000.0, 1.0)),)
+    segment = Segment(0.0, 1.0, "ramp", "down", (1,), 7, (-2000.0, 0.0, 0.0), dips)
+    (problem,) = check(RIG, Trajectory(1.0, 3, (segment,), (), "made.py"))
+    assert (problem.line, problem.value) == (7, "actuator 1 at -0.02 bar")
+    assert problem.expected == "gauge pressures of 0 or more"
 
 
 def test_a_step_is_reported_once_for_each_rule_however_often_it_repeats(tmp_path: Path) -> None:

@@ -193,6 +193,22 @@ def test_a_trip_latches_with_the_safe_voltages() -> None:
         np.testing.assert_array_equal(command.valve_v, control.safe_voltages(RIG))
 
 
+def test_a_valve_of_two_chambers_steers_the_mean_of_both() -> None:
+    """They share its air: what is read of one and asked of one counts half."""
+
+    def second_valve(bar: list[float], setpoint: list[float], rate: list[float]) -> float:
+        sample = control.Sample(10**9, 10**9, np.array(bar), np.array(bar) * 1e5)
+        asked, slope = np.array(setpoint) * 1e5, np.array(rate) * 1e5
+        _, command = control.step(SETTINGS, control.initial(SETTINGS), sample, asked, slope)
+        assert command.trip is None
+        return float(command.valve_v[1])
+
+    alike = second_valve([0.0, 0.3, 0.3], [0.0, 0.31, 0.31], [0.0, 0.2, 0.2])
+    assert 5.0 < alike < 10.0
+    apart = second_valve([0.0, 0.31, 0.29], [0.0, 0.305, 0.315], [0.0, 0.1, 0.3])
+    assert apart == pytest.approx(alike, abs=1e-9)
+
+
 @pytest.mark.parametrize(
     ("changes", "safe_v"),
     [

@@ -160,6 +160,10 @@ def test_lines_that_belong_to_a_step_must_be_indented() -> None:
         ("ramp: {actuators: [], to_bar: 0.1, duration_s: 1}", "at least 1"),
         ("sine: {actuators: [1], mean_bar: 0.1, amplitude_bar: 0.2, omega_rad_s: 1, periods: 1}", "below 0"),
         ("staircase: " + STAIRS.replace("0.05", "0.07"), "the last level would be 0.64"),
+        (
+            "staircase: {actuators: [1], start_bar: 0.65, stop_bar: 0.15, step_bar: 0.07, dwell_s: 4}",
+            "the last level would be 0.16",
+        ),
         ("staircase: " + STAIRS.replace("0.05", "-0.05"), "above 0"),
         ("staircase: " + STAIRS.replace("0.05", "0.6"), "a step that fits"),
         ("staircase: " + STAIRS.replace("0.15", "-0.15"), "from 0 to 100 (bar)"),
@@ -239,11 +243,9 @@ def test_what_is_no_readable_file_is_refused(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe")
     with pytest.raises(BadInput, match="regular file"):
         protocols.load(tmp_path / "pipe")
-    closed = tmp_path / "closed.yaml"
-    closed.touch(0)
-    if not os.access(closed, os.R_OK):
-        with pytest.raises(BadInput, match="cannot be read"):
-            protocols.load(closed)
+    # Of files that cannot be read, the one that root cannot read either.
+    with pytest.raises(BadInput, match="cannot be read"):
+        protocols.load(Path("/proc/self/mem"))
 
 
 @pytest.mark.parametrize(("name", "meant"), [("ramp_a", "ramp-a"), ("sin-1", "sine-1"), ("ramp-b.yaml", "ramp-b")])
@@ -314,7 +316,7 @@ def refusal(text: str) -> BadInput | None:
     return None
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=120, deadline=None)
 @given(at=st.integers(0, len(GOOD)), cut=st.integers(0, 30), scrap=st.sampled_from(SCRAPS) | st.text(max_size=4))
 @example(at=0, cut=0, scrap="")
 def test_any_mutation_of_a_good_protocol_is_taken_or_refused_with_a_message(at: int, cut: int, scrap: str) -> None:
@@ -322,7 +324,7 @@ def test_any_mutation_of_a_good_protocol_is_taken_or_refused_with_a_message(at: 
     assert error is None or (error.problems and str(error).startswith("p.yaml"))
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=80, deadline=None)
 @given(st.text(max_size=60))
 def test_any_text_is_taken_or_refused_with_a_message(text: str) -> None:
     with pytest.raises(BadInput):
@@ -337,7 +339,7 @@ VALUES = st.recursive(
 KEYS = ("ramp", "staircase", "sine", "hold", "csv", "prompt", "sequence", "repeat")
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=80, deadline=None)
 @given(kind=st.sampled_from(KEYS), body=VALUES)
 def test_any_value_for_a_step_is_taken_or_refused_with_a_message(kind: str, body: object) -> None:
     error = refusal(yaml.safe_dump({"title": "t", "steps": [{kind: body}]}, allow_unicode=True))
