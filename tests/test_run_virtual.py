@@ -73,10 +73,13 @@ def test_the_staircase_plays_its_eleven_levels(ramp_a_summary: Summary) -> None:
 def test_every_step_settles_within_half_a_second_with_less_than_ten_millibar_of_overshoot(
     ramp_a_summary: Summary,
 ) -> None:
-    for step in (s for s in ramp_a_summary.steps if s.kind == "dwell"):
-        if np.isfinite(step.overshoot_bar):
-            assert step.settling_s < 0.5, step.label
-            assert step.overshoot_bar < 0.01, step.label
+    dwells = [step for step in ramp_a_summary.steps if step.kind == "dwell"]
+    # Into the first level it climbs from rest; the other ten are steps.
+    steps = [step for step in dwells if np.isfinite(step.overshoot_bar)]
+    assert len(steps) >= 10
+    for step in steps:
+        assert step.settling_s < 0.5, step.label
+        assert step.overshoot_bar < 0.01, step.label
 
 
 def test_the_measured_tip_is_within_a_millimetre_of_the_truth_in_the_plane_of_motion(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import os
 import shutil
 import subprocess
 import sys
@@ -248,6 +249,23 @@ def test_content_that_reads_back_differently_gets_no_name(tmp_path: Path, monkey
     with pytest.raises(ArchiveError, match="read back"):
         finalise(source)
     assert not source.with_suffix(".h5").exists()
+
+
+def test_an_archive_is_on_the_disk_before_it_gets_its_name_and_then_its_name_is(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    done: list[str] = []
+    named = Path.replace
+
+    def replace(part: Path, target: Path) -> Path:
+        done.append(f"{part.name} becomes {target.name}")
+        return named(part, target)
+
+    monkeypatch.setattr(os, "fsync", lambda handle: done.append(Path(f"/proc/self/fd/{handle}").readlink().name))
+    monkeypatch.setattr(Path, "replace", replace)
+    made_up.write_journal(tmp_path / "run.mcap", duration_s=0.1)
+    finalise(tmp_path / "run.mcap")
+    assert done == ["run.h5.part", "run.h5.part becomes run.h5", tmp_path.name]
 
 
 @pytest.mark.parametrize("room", [0, 3000, 300_000])

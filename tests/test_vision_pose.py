@@ -77,10 +77,10 @@ def test_a_plane_has_two_poses_and_the_better_one_comes_first() -> None:
     truth = facing(0.02, -0.01, tilt_deg=30)
     exact = LENS.project(BOARD.corners_m, _vector(truth), truth.translation_m)
     found = solutions(BOARD.corners_m, exact, LENS)
-    assert found[0].misfit < 1e-6
-    assert np.allclose(found[0].translation_m, truth.translation_m, atol=1e-7)
-    if len(found) == 2:
-        assert found[1].misfit > 100
+    better, worse = found
+    assert better.misfit < 1e-6
+    assert np.allclose(better.translation_m, truth.translation_m, atol=1e-7)
+    assert worse.misfit > 100
 
 
 def test_a_start_far_off_converges_or_is_refused_and_never_ends_behind_the_camera() -> None:
@@ -106,3 +106,18 @@ def test_the_tip_in_the_base_is_the_tip_whatever_the_places_of_board_and_camera(
     loose = Rigid(camera_in_base.rotation, camera_in_base.translation_m, 1e-3, np.deg2rad(0.1))
     _, wider = tip_in_base(pose, board_in_tip, loose)
     assert np.all(np.linalg.eigvalsh(wider - covariance) > 0.9e-6)
+
+
+def test_what_is_uncertain_of_the_boards_place_turns_with_the_tip() -> None:
+    tip = Rigid.from_vectors((0.1, 0.5, -0.2), (0.04, 0.001, 0.172))
+    board = Rigid.from_vectors((-1.0, 0.1, 0.2), (0.001, 0.002, 0.035))
+    camera = Rigid.from_vectors((1.5, 0.02, -0.03), (0.01, 0.4, 0.2))
+    seen = camera.inverse() @ tip @ board
+    exact = LENS.project(BOARD.corners_m, _vector(seen), seen.translation_m)
+    pose = refine(BOARD.corners_m, exact, LENS, (_vector(seen), seen.translation_m))
+    assert pose is not None
+    loose = Rigid(board.rotation, board.translation_m, 1e-3, 0.02)
+    adds = tip_in_base(pose, loose, camera)[1] - tip_in_base(pose, board, camera)[1]
+    lever = tip.rotation @ board.translation_m
+    expected = 1e-6 * np.eye(3) + 0.02**2 * (lever @ lever * np.eye(3) - np.outer(lever, lever))
+    assert adds == pytest.approx(expected, abs=1e-12)

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
 
+from calibration import tracking
 from calibration.board import Board, find
 from calibration.frames import Rigid
 from calibration.tracking import Tracker
@@ -146,6 +149,18 @@ def test_a_cornerless_picture_that_leaves_every_seed_in_place_is_not_a_perfect_f
     assert tracker.see(np.full((480, 640), 90, np.uint8)).seen is Seen.NO_BOARD
 
 
+def test_corners_that_fit_better_than_any_picture_can_show_are_not_believed(monkeypatch: pytest.MonkeyPatch) -> None:
+    pose, found = facing(), tracking.sharpen
+
+    def too_good(image: np.ndarray, seeds: np.ndarray, pattern: tuple[int, int]) -> tracking.Corners:
+        corners = found(image, seeds, pattern)
+        assert corners is not None
+        return replace(corners, px=_corners(pose))
+
+    monkeypatch.setattr(tracking, "sharpen", too_good)
+    assert Tracker(BOARD, LENS).see(still(pose)).seen is Seen.POOR_FIT
+
+
 def test_fast_motion_is_measured_through_its_blur() -> None:
     """400 mm/s at 8 ms: seven pixels of smear; the position is that of mid-exposure."""
     view, tracker = scene(), Tracker(BOARD, LENS)
@@ -155,8 +170,8 @@ def test_fast_motion_is_measured_through_its_blur() -> None:
         opened = Rigid(middle.rotation, middle.translation_m - step / 2)
         closed = Rigid(middle.rotation, middle.translation_m + step / 2)
         sighting = tracker.see(view.render(opened, middle, closed, k))
-        if sighting.pose is not None:
-            assert _off_mm(sighting.pose.rigid, middle) < 3.0
+        assert sighting.pose is not None
+        assert _off_mm(sighting.pose.rigid, middle) < 3.0
     assert tracker.see(still(facing(), 99, view)).seen is Seen.MEASURED
 
 
