@@ -201,7 +201,7 @@ def test_a_real_file_is_read_by_its_path(tmp_path: Path) -> None:
 WORDS = ["", "-1", "x", "[]", "{}", "~", ".nan", "1e9", "yes", "'1'", "[1, 2]", "{a: 1}", "10000000", "1.5", "*curve"]
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=40, deadline=None)
 @given(line=st.integers(0, MOCK.count("\n")), word=st.sampled_from(WORDS))
 def test_any_other_value_in_a_line_is_taken_or_refused_with_a_message(line: int, word: str) -> None:
     lines = MOCK.splitlines()
@@ -216,7 +216,7 @@ def test_any_other_value_in_a_line_is_taken_or_refused_with_a_message(line: int,
     assert str(refused).startswith("rig.yaml")
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=20, deadline=None)
 @given(at=st.integers(0, len(MOCK)), cut=st.integers(1, 200))
 def test_a_rig_with_a_piece_cut_out_is_taken_or_refused_with_a_message(at: int, cut: int) -> None:
     try:
