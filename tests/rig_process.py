@@ -102,7 +102,7 @@ class RigProcess:
         while time.monotonic() < deadline:
             assert self.process.poll() is None, self.output
             if path_of(self.device).exists() and bool(np.any(self.valve_v() > 4.0)):
-                time.sleep(0.5)
+                time.sleep(0.3)
                 return
             time.sleep(0.02)
         raise AssertionError(f"the run never drove a valve:\n{self.output}")
