@@ -240,18 +240,21 @@ def test_views_that_are_not_of_the_same_moments_contradict_each_other() -> None:
 
 
 @pytest.mark.parametrize(
-    ("left", "right", "same"),
+    ("left", "right", "pairs"),
     [
-        (["left01.jpg", "left02.jpg", "left11.jpg"], ["right02.jpg", "right11.jpg"], 2),
-        (["0007_cam1.png", "0009_cam1.png"], ["0007_cam2.png", "0009_cam2.png"], 2),
-        (["a.png", "b.png"], ["a.png", "b.png"], 2),
-        (["x.png", "y.png"], ["p.png", "q.png"], 2),
-        (["v.avi#0", "v.avi#5"], ["w.avi#0", "w.avi#5"], 2),
+        ("l01.jpg l02.jpg l11.jpg", "r02.jpg r11.jpg", "l02.jpg-r02.jpg l11.jpg-r11.jpg"),
+        ("07_cam1.png 09_cam1.png", "09_cam2.png 07_cam2.png", "07_cam1.png-07_cam2.png 09_cam1.png-09_cam2.png"),
+        ("a.png b.png", "b.png a.png", "a.png-a.png b.png-b.png"),
+        ("x.png y.png", "p.png q.png", "x.png-p.png y.png-q.png"),
+        ("l_0001.png l_0002.png", "r_1001.png r_1002.png", "l_0001.png-r_1001.png l_0002.png-r_1002.png"),
+        ("v.avi#0 v.avi#5", "w.avi#0 w.avi#5", "v.avi#0-w.avi#0 v.avi#5-w.avi#5"),
     ],
-)
-def test_pictures_of_one_moment_are_told_by_their_names(left: list[str], right: list[str], same: int) -> None:
-    found = keys({"left": left, "right": right})
-    assert len(set(found["left"].values()) & set(found["right"].values())) == same
+    ids=["numbers", "numbers before the camera's", "names", "order", "order of other numbers", "frames of videos"],
+)  # fmt: skip
+def test_pictures_of_one_moment_are_told_by_their_names(left: str, right: str, pairs: str) -> None:
+    found = keys({"left": left.split(), "right": right.split()})
+    same = {(a, b) for a, moment in found["left"].items() for b, other in found["right"].items() if moment == other}
+    assert same == {tuple(pair.split("-")) for pair in pairs.split()}
 
 
 def test_pictures_that_nothing_pairs_are_refused() -> None:

@@ -13,6 +13,9 @@ from rig import control
 TICK_NS = 5_000_000
 RIG = mock_rig()
 SETTINGS = control.prepare(RIG)
+REGULATING: dict[str, object] = {
+    "valves__0": {"type": "pressure", "actuators": [1], "card": "daq", "channel": 0, "span_bar": [0.0, 2.0]}
+}
 
 
 class Loop:
@@ -177,6 +180,34 @@ def test_a_moving_set_point_that_is_not_followed_trips() -> None:
     assert t < 2.0
 
 
+def test_a_reading_that_does_not_move_by_a_count_is_frozen_after_the_time_allowed() -> None:
+    loop = Loop()
+    loop.hold(0.3)
+    ticks = 0
+    while not (command := loop.tick((0.3, 0, 0), (0.34, 0, 0), volts=(0.3, 0.0, 0.0))).trip:
+        ticks += 1
+    assert command.trip.message.startswith("sensor 1 has not moved by one count")
+    assert ticks * 0.005 == pytest.approx(RIG.limits.frozen_s, abs=0.02)
+
+
+@pytest.mark.parametrize(
+    ("valve", "allowed_s"), [({}, 0.0), (REGULATING, RIG.limits.frozen_s)], ids=["flow", "pressure"]
+)
+def test_a_pressure_that_stays_where_it_is_led_away_from_is_no_sensors_fault_before_a_regulating_valve_may_answer(
+    valve: dict[str, object], allowed_s: float
+) -> None:
+    loop = Loop(control.prepare(mock_rig(**valve)))
+    loop.hold(0.3)
+    for bar in np.arange(0.3, 0.4, 0.006):
+        assert loop.tick((float(bar), 0, 0), (float(bar), 0, 0)).trip is None
+    ticks = 0
+    while not (command := loop.tick((float(bar), 0, 0), (0.6, 0, 0))).trip:
+        ticks += 1
+    assert command.trip.message.startswith("sensor 1 stays at")
+    # Until the reference, at 1 bar/s, is 0.05 bar away.
+    assert ticks * 0.005 == pytest.approx(max(allowed_s, 0.05), abs=0.03)
+
+
 def test_a_still_reading_of_a_vented_chamber_is_no_frozen_sensor() -> None:
     loop = Loop()
     for _ in range(1000):
@@ -195,18 +226,18 @@ def test_a_trip_latches_with_the_safe_voltages() -> None:
 
 def test_a_valve_of_two_chambers_steers_the_mean_of_both() -> None:
     """They share its air: what is read of one and asked of one counts half."""
-
-    def second_valve(bar: list[float], setpoint: list[float], rate: list[float]) -> float:
+    for bar, setpoint, rate in (
+        ((0.0, 0.3, 0.3), (0.0, 0.301, 0.301), (0.0, 0.2, 0.2)),
+        ((0.0, 0.31, 0.29), (0.0, 0.2995, 0.3025), (0.0, 0.1, 0.3)),
+    ):
         sample = control.Sample(10**9, 10**9, np.array(bar), np.array(bar) * 1e5)
         asked, slope = np.array(setpoint) * 1e5, np.array(rate) * 1e5
-        _, command = control.step(SETTINGS, control.initial(SETTINGS), sample, asked, slope)
+        state, command = control.step(SETTINGS, control.initial(SETTINGS), sample, asked, slope)
         assert command.trip is None
-        return float(command.valve_v[1])
-
-    alike = second_valve([0.0, 0.3, 0.3], [0.0, 0.31, 0.31], [0.0, 0.2, 0.2])
-    assert 5.0 < alike < 10.0
-    apart = second_valve([0.0, 0.31, 0.29], [0.0, 0.305, 0.315], [0.0, 0.1, 0.3])
-    assert apart == pytest.approx(alike, abs=1e-9)
+        # From 0.3 bar it goes on at 0.2 bar/s, which is where the set-points are.
+        second = state.valves[1]
+        assert second.reference_pa == pytest.approx(0.301e5)
+        assert second.asked_pa_s == pytest.approx(0.2e5 + SETTINGS.valves[1].gain_per_s * 100.0)  # type: ignore[union-attr]
 
 
 @pytest.mark.parametrize(

@@ -12,6 +12,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -81,13 +82,14 @@ def test_what_was_written_is_read_back_bit_for_bit(whole: Path) -> None:
 def test_the_public_mcap_reader_reads_it_and_finds_every_checksum_right(whole: Path) -> None:
     with whole.open("rb") as file:
         found = [
-            (channel.topic, schema.encoding if schema else "", message.log_time)
+            (channel.topic, message.sequence, message.log_time)
             for schema, channel, message in make_reader(file, validate_crcs=True).iter_messages()
         ]
     topics = [topic for topic, _, _ in found]
     assert topics.count("/samples") == 200
     assert topics.count("/observations") == 30
     assert topics.count("/pictures") == 3
+    assert [number for topic, number, _ in found if topic == "/samples"] == list(range(200))
     first = next(time_ns for topic, _, time_ns in found if topic == "/samples")
     assert first == made_up.header().started_utc_ns, "viewers see wall-clock time"
 
@@ -288,6 +290,26 @@ def test_a_run_stops_while_the_disk_still_has_room_for_its_archive(
     assert not (tmp_path / "b.mcap").exists()
     writer.close(RunFooter(made_up.START_NS, Status.ABORTED, "the disk is nearly full"))
     assert len(journal.read(path).samples) == 40, "the rows of the call that was refused are kept too"
+
+
+def test_the_room_that_is_kept_for_the_archive_grows_with_the_journal(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    writer = JournalWriter(tmp_path / "a.mcap", made_up.header())
+    monkeypatch.setattr(journal, "SYNC_S", 0.0)
+    monkeypatch.setattr(journal, "RESERVE_BYTES", 0)
+    free = SimpleNamespace(f_frsize=1, f_bavail=200_000)
+    monkeypatch.setattr(os, "fstatvfs", lambda _: free)
+
+    def record() -> None:
+        for _ in range(1000):
+            writer.samples(made_up.samples(0.1))
+
+    with pytest.raises(JournalFullError, match="nearly full"):
+        record()
+    # An archive is about as large as its journal.
+    assert 100_000 < (tmp_path / "a.mcap").stat().st_size < 200_000
+    writer.close(RunFooter(made_up.START_NS, Status.ABORTED, "the disk is nearly full"))
 
 
 def test_a_disk_that_turns_read_only_is_told_as_what_it_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
