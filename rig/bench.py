@@ -160,14 +160,6 @@ class Bench:
         off = np.abs(stands - self._told_v) > self._tolerance_v
         return bool(np.all(np.abs(stands - self._vent_voltages)[off] <= self._tolerance_v[off]))
 
-    def stands_vented(self) -> bool:
-        """True where every valve of these cards stands vented, as far as they can tell.
-
-        Raises:
-            CardError: a card cannot be read back.
-        """
-        return not np.any(np.abs(self.readback() - self._vent_voltages) > self._tolerance_v)
-
     def astray(self) -> str:
         """Say which valve stands neither safe nor vented; empty where none does, or the cards cannot tell.
 

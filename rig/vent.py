@@ -7,7 +7,6 @@ import os
 import signal
 import time
 from collections.abc import Iterator
-from pathlib import Path
 
 from rig.bench import Bench, cards_with_valves, open_outputs
 from rig.config import RigConfig
@@ -27,8 +26,8 @@ def vent(config: RigConfig) -> None:
     """Write the vented state to every card, again and again for a while: longer than any control period.
 
     A run that goes finds its valves where it did not put them, and ends. One that has just looked writes once more,
-    and is overwritten. One that has not begun, or whose valves stand there anyway, is told to end (SIGTERM). Of a card
-    that lets in one process at a time, the process that has it is killed.
+    and is overwritten. One that has not begun, that stands still, or whose valves stand there anyway, is told to end
+    (SIGTERM). Of a card that lets in one process at a time, the process that has it is killed.
 
     Raises:
         CardError: a card cannot be opened or written, or an output does not stay where it was told to; the others
@@ -36,22 +35,16 @@ def vent(config: RigConfig) -> None:
     """
     benches: list[Bench] = []
     failures: list[str] = []
-    moved = False
     for card in cards_with_valves(config):
         # A card that is gone keeps no other from being vented.
         with _noting(failures):
-            bench = _opened(config, card)
-            benches.append(bench)
-            with contextlib.suppress(CardError):
-                moved |= not bench.stands_vented()
+            benches.append(_opened(config, card))
         _insist(benches[-1:], 0.0)
     try:
         _insist(benches, NOTICED_S)
         for holder in holders(config):
             with contextlib.suppress(ProcessLookupError, PermissionError):
-                # One that stands still ends, once it goes on, by what it finds moved, and says what that was.
-                if not (moved and _stands_still(holder)):
-                    os.kill(holder, signal.SIGTERM)
+                os.kill(holder, signal.SIGTERM)
         _insist(benches, REPEATED_S - NOTICED_S)
         for bench in benches:
             with _noting(failures):
@@ -72,14 +65,6 @@ def _insist(benches: list[Bench], seconds: float) -> None:
         if time.monotonic() >= until:
             return
         time.sleep(PAUSE_S)
-
-
-def _stands_still(pid: int) -> bool:
-    """True for a process that is stopped."""
-    try:
-        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] in "Tt"
-    except OSError:
-        return False
 
 
 @contextlib.contextmanager

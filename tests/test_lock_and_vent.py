@@ -21,7 +21,7 @@ from rig.daq.comedi_device import _holders
 from rig.daq.kernel import Attached, Comedi
 from rig.daq.mock import MockCard
 from rig.executor import control
-from rig.executor.memory import Layout, RunMemory
+from rig.executor.memory import Layout, RunMemory, Stop
 from rig.lock import cards_locked, holders, lock_file
 from rig.simulator.registers import Registers
 from rig.vent import vent
@@ -88,10 +88,10 @@ def test_who_holds_a_lock_is_known_while_he_does(config: RigConfig) -> None:
 
 
 @pytest.mark.parametrize("still", [False, True], ids=["awake", "standing still"])
-def test_a_run_whose_valves_stand_vented_is_told_to_end(
+def test_a_run_that_would_not_notice_is_told_to_end(
     still: bool, config: RigConfig, registers: Registers, tmp_path: Path
 ) -> None:
-    """One that has not begun, or has vented all by itself: it would not notice."""
+    """One that has not begun, that stands still, or whose valves stand vented anyway."""
     file = tmp_path / "rig.yaml"
     file.write_text(text())
     with subprocess.Popen([sys.executable, "-c", HOLD, file], stdout=subprocess.PIPE, text=True) as process:
@@ -125,6 +125,24 @@ def test_who_stood_still_in_a_tick_does_not_undo_what_was_written_meanwhile(
         own.write(np.array([6.0, 7.0]))
     assert registers.outputs["volts"].tolist() == [stands_v] * 2
     assert memory.vents is vented
+    bench.close()
+    os.close(memory.fd)
+
+
+@pytest.mark.parametrize("flags", [{"stop": Stop.VENT}, {"fired_ns": 1}])
+def test_what_a_runs_own_watchdog_has_written_is_neither_undone_nor_taken_for_another_programs(
+    config: RigConfig, registers: Registers, flags: dict[str, int]
+) -> None:
+    memory = RunMemory.create(Layout.of(config))
+    bench = open_bench(config)
+    own = control._Own(bench, memory)
+    own.write(np.array([6.0, 7.0]))
+    for name, value in flags.items():
+        memory.set(name, value)
+    registers.outputs["volts"] = 0.0
+    own.write(np.array([6.0, 7.0]))
+    assert registers.outputs["volts"].tolist() == [0.0, 0.0]
+    assert not own.undisturbed()
     bench.close()
     os.close(memory.fd)
 

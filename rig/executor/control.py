@@ -103,16 +103,22 @@ class _Own:
         self._bench, self._memory = bench, memory
 
     def write(self, valve_v: NDArray[np.float64]) -> None:
-        """Set every valve.
+        """Set every valve; raises as `undisturbed`."""
+        # Looked at this late: a process that stood still in the middle of a tick must not undo what was done meanwhile.
+        if self.undisturbed():
+            self._bench.write(valve_v)
+
+    def undisturbed(self) -> bool:
+        """True where the valves stand where they were put; False where this run's own watchdog has moved them.
 
         Raises:
             CardError: somebody else has; where that was to vent, the run ends vented.
         """
-        # Looked at this late: a process that stood still in the middle of a tick must not undo what was done meanwhile.
-        if disturbance := self._bench.disturbance():
+        disturbance = self._bench.disturbance()
+        if disturbance and not (self._memory.vents or self._memory.get("fired_ns")):
             self._memory.set("vented", self._bench.vented)
             raise CardError(disturbance)
-        self._bench.write(valve_v)
+        return not disturbance
 
 
 def _rehearse(job: Job, bench: Bench) -> None:
@@ -130,7 +136,8 @@ def _rehearse(job: Job, bench: Bench) -> None:
 
 def _run(job: Job, memory: RunMemory, bench: Bench, conductor: Life) -> str:
     """Loop until the protocol ends or someone asks to stop; return what went wrong, empty when nothing did."""
-    ticker = Ticker(job.plan, _Own(bench, memory))
+    valves = _Own(bench, memory)
+    ticker = Ticker(job.plan, valves)
     period = ticker.period_ns
     while not (go := memory.get("go_ns")) or time.monotonic_ns() < go - LEAD_IN_NS:
         ticker.listen()
@@ -148,6 +155,7 @@ def _run(job: Job, memory: RunMemory, bench: Bench, conductor: Life) -> str:
         deadline = go + tick * period
         now = wait_until(deadline)
         if memory.get("stop") != Stop.NONE:
+            valves.undisturbed()  # `rig vent` asks to stop, too: what it did is to be told, and to stay
             return ""
         if memory.get("fired_ns"):
             return "the watchdog took the bench over"
