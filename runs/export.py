@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path, PurePath
 from typing import Any
 
@@ -47,7 +47,8 @@ def _csv(source: Path, stem: Path) -> tuple[Path, ...]:
     others', and every reader takes it.
     """
     written = []
-    simulated = int(Run(source).header.simulated)
+    with h5py.File(source, "r") as file:
+        simulated = int(file["entry/simulated"][()])
     for group in TABLES:
         columns = table(source, group)
         if not columns:
@@ -96,8 +97,8 @@ def _struct(group: h5py.Group) -> dict[str, Any]:
     return content
 
 
-def _identifier(name: str, taken: dict[str, Any]) -> str:
-    """Return a name that MATLAB takes: letters, digits and underscores, a letter first, at most 63, none twice."""
+def _identifier(name: str, taken: Mapping[str, Any]) -> str:
+    """Return a name for MATLAB and netCDF: letters, digits and underscores, a letter first, at most 63, none twice."""
     plain = re.sub(r"\W", "_", name, flags=re.ASCII)
     plain = (plain if plain[:1].isalpha() else f"x{plain}")[:60]
     result, number = plain, 1
@@ -114,8 +115,11 @@ def _nc(source: Path, stem: Path) -> tuple[Path, ...]:
     path = stem.with_name(f"{stem.name}.nc")
     header = Run(source).header
     with netcdf_file(path, "w", version=2) as file:
-        file.title, file.run_id, file.protocol = header.title, header.run_id, header.protocol_yaml.encode()
-        file.rig, file.model, file.simulated = header.rig_yaml.encode(), header.model_variant, int(header.simulated)
+        # A text of its own is written as ASCII, which what people write need not be.
+        texts = {"title": header.title, "run_id": header.run_id, "model": header.model_variant}
+        for name, text in (texts | {"protocol": header.protocol_yaml, "rig": header.rig_yaml}).items():
+            setattr(file, name, text.encode())
+        file.simulated = int(header.simulated)
         for group in TABLES:
             columns = {name: c for name, c in table(source, group).items() if c.dtype.kind in "fiu"}
             if not columns or len(columns["time_s"]) == 0:
@@ -124,7 +128,8 @@ def _nc(source: Path, stem: Path) -> tuple[Path, ...]:
             file.createDimension(dimension, len(columns["time_s"]))
             for name, column in columns.items():
                 data = _classic(column)
-                variable = file.createVariable(f"{group}_{name}", data.dtype, (dimension,))
+                known = _identifier(f"{group}_{name}", file.variables)
+                variable = file.createVariable(known, data.dtype, (dimension,))
                 variable[:] = data
                 if (unit := name.rpartition("_")[2]) in (*layout.UNITS, "s"):
                     variable.units = unit

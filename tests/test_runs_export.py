@@ -121,6 +121,21 @@ def test_netcdf_holds_the_columns_and_their_units(archive: Path) -> None:
         assert "µ and ° survive" in file.protocol.decode()
 
 
+@pytest.mark.parametrize("to", ["csv", "mat", "nc", "mcap"])
+def test_titles_and_names_in_any_language_are_exported(tmp_path: Path, to: str) -> None:
+    path = tmp_path / "odd.mcap"
+    words = dataclasses.replace(made_up.header("odd"), title="Größe 腕", operator="Ada Ł", cameras=("vorn/µ",))
+    writer = JournalWriter(path, words)
+    writer.observations(made_up.observations(0.2))
+    writer.close(RunFooter(made_up.START_NS, Status.FINISHED, ""))
+    written = export(finalise(path), to)
+    assert all(made.stat().st_size > 0 for made in written)
+    if to == "nc":
+        with netcdf_file(written[0], "r", mmap=False) as file:
+            assert file.title.decode() == "Größe 腕"
+            assert "tip_camera_seen_vorn__" in file.variables
+
+
 @pytest.mark.parametrize("to", ["csv", "mat", "nc"])
 def test_an_empty_run_can_be_exported(tmp_path: Path, to: str) -> None:
     path = tmp_path / "empty.mcap"

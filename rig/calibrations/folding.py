@@ -53,7 +53,7 @@ def read_all(source: Document) -> tuple[Read, ...]:
             if path.is_file():
                 problems += bad.problems
             else:
-                wish = "a calibration file; its path is taken from the rig's folder"
+                wish = "a calibration file: there is none of this name, seen from the rig's folder"
                 problems.append(Problem(source.file, mark.line, mark.column, "calibrations", mark.source, wish))
     if problems:
         raise BadInput(problems)
