@@ -165,6 +165,19 @@ def test_what_is_held_may_be_wrong_and_widens_the_error_bars_of_the_rest() -> No
     assert a1.interval[0] < truth.arm.material.a1_per_n < a1.interval[1]
 
 
+def test_what_the_data_put_far_from_its_start_is_not_held_there() -> None:
+    # In spans of a start without any cap, a tenth of a kilogramme is told too badly to count.
+    truth = true_setup()
+    truth = replace(truth, arm=replace(truth.arm, cap_mass_kg=0.15))
+    bare = replace(START, arm=replace(START.arm, cap_mass_kg=0.0))
+    data = done(truth, planned=PLANNED[:2], errors=Errors((1e-3, 1e-3, 1e-3), 20.0, 0.0))
+    far, near = (identify(data, start, ["law", "cap_mass_kg"])["cap_mass_kg"] for start in (bare, truth))
+    assert near.std is not None
+    assert near.std > 0.01
+    assert far.value == pytest.approx(near.value, abs=0.3 * near.std)
+    assert far.std == pytest.approx(near.std, rel=0.1)
+
+
 def test_where_the_rest_moves_when_something_is_held_it_is_judged_anew() -> None:
     # All free, the best shear ratio is small, and the cap is light with it; held, it leaves the cap its doubt.
     noisy = Errors((5e-4, 1e-3, 5e-4), 20.0, 0.0)

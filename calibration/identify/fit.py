@@ -20,6 +20,8 @@ Array = NDArray[np.float64]
 NORMAL_95 = 1.959963984540054
 # An error bar of this many plausible spans says that the data have not decided.
 _UNDECIDED = 0.5
+# Of what lies far from its start, spans count as this part of the way: four error bars from there it is no longer open.
+_OF_WAY = 0.5
 _ONLY_PRIOR = 0.95
 _SAME_LOSS = 0.5
 # Spans that nothing lies farther off than: what the data leave wholly open stays finite, and does not carry along what
@@ -268,7 +270,7 @@ def _around(problem: Problem, first: Array, rng: np.random.Generator) -> Array:
 
 def _open_directions(problem: Problem, joint: Solution) -> tuple[str, ...]:
     """Directions, in spans, along which the data leave half a span or more open."""
-    values, vectors = np.linalg.eigh(joint.information)
+    values, vectors = np.linalg.eigh(_judged(joint))
     said = []
     for k in np.flatnonzero(values < 1 / _UNDECIDED**2):
         vector = vectors[:, k]
@@ -277,6 +279,22 @@ def _open_directions(problem: Problem, joint: Solution) -> tuple[str, ...]:
         terms = [f"{sign * vector[i]:+.2f} {problem.unknowns[i].parameter.name}" for i in order]
         said.append(" ".join(terms))
     return tuple(said)
+
+
+def _stretched(solution: Solution) -> Array:
+    """By how much (n,) the spans by which unknowns are judged are longer than those that they are counted in."""
+    out: Array = np.maximum(1.0, _OF_WAY * np.abs(solution.z))
+    return out
+
+
+def _judged(solution: Solution) -> Array:
+    """The information (n, n) in the spans by which unknowns are judged.
+
+    A start that is wrong by an order of magnitude has a span that is too small by as much: in these the data would
+    leave open what they tell, and it would be held where they say that it is not.
+    """
+    stretched = _stretched(solution)
+    return solution.information * np.outer(stretched, stretched)
 
 
 def _std(information: Array) -> Array:
@@ -308,13 +326,14 @@ def _decided(problem: Problem, joint: Solution) -> tuple[Solution, dict[int, Ver
 def _undecided(solution: Solution, only: list[int]) -> dict[int, Verdict]:
     """Which of the unknowns `only` to hold so that the rest of them are decided, and why."""
     held: dict[int, Verdict] = {}
+    information = _judged(solution)
     while only:
-        std = _std(solution.information[np.ix_(only, only)])
+        std = _std(information[np.ix_(only, only)])
         worst = int(np.argmax(std))
         if std[worst] <= _UNDECIDED:
             break
         i = only.pop(worst)
-        alone = solution.information[i, i]
+        alone = information[i, i]
         held[i] = (
             Verdict.NO_EFFECT if alone < 1e-6
             else Verdict.UNDECIDED if alone < 1 / _UNDECIDED**2
@@ -329,7 +348,9 @@ def _estimates(
     n = len(problem.unknowns)
     only = [i for i in range(n) if i not in held]
     rates = problem.rates(solution.z)
-    loose = _std(joint.information + np.eye(n) / _FAR**2)
+    judged = _judged(joint)
+    loose = _std(judged + np.eye(n) / _FAR**2)
+    far = loose * _stretched(joint)
     covariance = np.zeros((n, n))
     covariance[np.ix_(only, only)] = _marginal(problem, solution, only)
     prior_std = 1 / np.sqrt(np.maximum(np.diagonal(solution.prior_information), 1e-300))
@@ -341,8 +362,8 @@ def _estimates(
         std = float(np.sqrt(covariance[i, i]))
         if verdict is Verdict.IDENTIFIED and std > _ONLY_PRIOR * prior_std[i]:
             verdict = Verdict.PRIOR
-        partners = _partners(joint.information, i) if verdict is Verdict.ENTANGLED else []
-        out.append(_estimate(problem, unknown, float(solution.z[i]), std, verdict, partners, float(loose[i])))
+        partners = _partners(judged, i) if verdict is Verdict.ENTANGLED else []
+        out.append(_estimate(problem, unknown, float(solution.z[i]), std, verdict, partners, float(far[i])))
     return tuple(out), covariance * np.outer(rates, rates)
 
 

@@ -1,8 +1,8 @@
 """The course of a pressure behind its noisy samples.
 
 Noise in the pressures does not average out in a fit of the motion: a model that shakes with it looks worse than one
-that does not, so the density, which makes the arm answer to fast noise, comes out too
-small. So noise is taken off first.
+that does not, so the density, which makes the arm answer to fast noise, comes out too small. So noise is taken off
+first.
 """
 
 from __future__ import annotations
