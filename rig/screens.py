@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import json
+import os
 import sys
+from contextlib import suppress
 from dataclasses import asdict
+from pathlib import Path
 
 import numpy as np
 from rich.console import Console, Group
@@ -121,24 +124,29 @@ def confirm(screen: Console) -> bool:
 
 
 def last_screen(screen: Console, result: Result) -> None:
-    """How the run ended, what it measured, and where it lies."""
+    """How the run ended, what it measured, and where it lies. A terminal that has gone changes none of it."""
     outcome = result.outcome
     ending = f"{outcome.status}: {outcome.message}" if outcome.message else str(outcome.status)
-    screen.print(Text(ending, _STATUS[outcome.status]), soft_wrap=True)
+    parts: list[Text | Table | str] = [Text(ending, _STATUS[outcome.status])]
     if result.archive is not None:
         from rig.listing import summary_table
         from runs.run import Run
         from runs.summary import summarise
 
         run = Run(result.archive)
-        screen.print(summary_table(summarise(run), run.timing.counters))
-        screen.print(f"archive  {result.archive}", soft_wrap=True)
+        parts += [summary_table(summarise(run), run.timing.counters), f"archive  {result.archive}"]
     if result.report is not None:
-        screen.print(f"report   {result.report}", soft_wrap=True)
+        parts.append(f"report   {result.report}")
     if result.parameters is not None:
-        screen.print(f"adapted  {result.parameters}  (use them: --parameters FILE)", soft_wrap=True)
-    for trouble in result.trouble:
-        screen.print(Text(trouble, "bold red"), soft_wrap=True)
+        parts.append(f"adapted  {result.parameters}  (use them: --parameters FILE)")
+    parts += [Text(trouble, "bold red") for trouble in result.trouble]
+    try:
+        for part in parts:
+            screen.print(part, soft_wrap=not isinstance(part, Table))
+    except (OSError, SystemExit):  # the latter is rich's answer to a pipe that nobody reads any more
+        # What its stream still holds would be tried again at the program's end, whose exit status is the run's.
+        with suppress(OSError), Path(os.devnull).open("w") as nowhere:
+            os.dup2(nowhere.fileno(), screen.file.fileno())
 
 
 def result_json(result: Result) -> str:

@@ -293,3 +293,19 @@ def test_simulate_leaves_the_models_tip_alone_in_the_same_layout(
     assert np.all(np.isnan(run.tip.measured_mm))
     assert run.tip.model_mm[0, 0] == pytest.approx(0.0, abs=1e-6)
     assert run.tip.model_mm[-1, 0] < -10.0
+
+
+@pytest.mark.parametrize("gone", ["openpty", "pipe"])
+def test_a_terminal_that_has_gone_changes_nothing_of_how_a_run_ended(gone: str) -> None:
+    program = (
+        "import os, sys\n"
+        f"outer, inner = os.{gone}()\n"
+        "os.dup2(inner, 1)\nos.close(inner)\nos.close(outer)\n"
+        "from rig import screens\nfrom rig.executor.base import Outcome\nfrom rig.experiment import Result\n"
+        "from runs.records import Status\n"
+        "result = Result(Outcome(Status.INTERRUPTED, 'the terminal was closed', 0), None, None)\n"
+        "screens.last_screen(screens.console(), result)\n"
+        "sys.exit(screens.exit_status(result))\n"
+    )
+    done = subprocess.run([sys.executable, "-c", program], stderr=subprocess.PIPE, text=True, check=False)
+    assert (done.returncode, done.stderr) == (130, "")
