@@ -28,6 +28,7 @@ from rig.executor.life import Life
 from rig.executor.memory import Layout, RunMemory, Stage, Stop
 from rig.simulator.host import Simulation
 from rig.simulator.registers import Registers
+from runs.journal import JournalError
 from runs.records import Event, Status
 
 
@@ -331,3 +332,24 @@ def test_a_process_that_was_stopped_while_it_starts_is_told_of(plan: Plan, monke
     still.kill()
     assert conductor.end() == ""
     os.close(conductor.memory.fd)
+
+
+@pytest.mark.parametrize(
+    ("error", "told"),
+    [
+        (JournalError("the disk is full"), "the disk is full; the air stays"),
+        (StartError("the air stays"), "the air stays"),
+    ],
+)
+def test_air_that_does_not_go_is_told_of_whatever_ends_a_run(
+    plan: Plan, monkeypatch: pytest.MonkeyPatch, error: Exception, told: str
+) -> None:
+    def conduct(conductor: realtime._Conductor, _: object) -> Outcome:
+        conductor.memory.say("control", Stage.FAILED, "the air stays")
+        raise error
+
+    monkeypatch.setattr(realtime, "started", lambda *_: nullcontext())
+    monkeypatch.setattr(realtime._Conductor, "run", conduct)
+    with pytest.raises((CardError, StartError)) as raised:
+        realtime.run(plan, lambda _: None, Nobody())  # type: ignore[arg-type, return-value]
+    assert str(raised.value) == told

@@ -58,8 +58,8 @@ def run(plan: Plan, open_record: OpenRecord, audience: Audience) -> Outcome:
         try:
             outcome = conductor.run(open_record)
         except BaseException as error:
-            trouble = conductor.end()
-            if trouble and isinstance(error, Exception):
+            trouble = conductor.end() or conductor.complaint
+            if trouble and trouble not in str(error) and isinstance(error, Exception):
                 raise CardError(f"{error}; {trouble}") from error
             raise
         if trouble := conductor.end():
@@ -155,6 +155,11 @@ class _Conductor:
         }
         memory.say("conductor", Stage.DONE, f"{status}: {message}".removesuffix(": "))
         return Outcome(status, message, safe_ns or time.monotonic_ns(), counters)
+
+    @property
+    def complaint(self) -> str:
+        """What control has failed by: air that does not go is to be told of, whatever else ends a run."""
+        return self.memory.message("control") if self.memory.stage("control") is Stage.FAILED else ""
 
     def end(self) -> str:
         """Leave no process behind; may be called at any time. Returns what is wrong with the valves then."""
