@@ -181,6 +181,21 @@ def test_a_job_larger_than_a_pipe_is_there_at_once_though_the_child_is_long_in_l
     os.close(memory.fd)
 
 
+@pytest.mark.parametrize(
+    ("name", "module"), [("watchdog", "watchdog"), ("control", "control"), ("observer", "observing")]
+)
+def test_who_is_told_to_stop_before_his_turn_takes_his_job_and_leaves(plan: Plan, name: str, module: str) -> None:
+    memory = RunMemory.create(Layout.of(plan.config))
+    memory.set("plant_starting", 1)
+    memory.ask_to_stop(Stop.SAFE)
+    process = child.spawn(f"rig.executor.{module}", Job(plan, memory.fd, os.getpid()))
+    memory.say("control" if name == "observer" else "observer", Stage.DONE)  # the observer stays until all is safe
+    assert process.wait(60) == 0
+    assert memory.stage(name) is Stage.DONE
+    assert not memory.heartbeat_ns(name)
+    os.close(memory.fd)
+
+
 def test_control_that_stands_still_before_its_first_tick_ends_the_run(
     plan: Plan, monkeypatch: pytest.MonkeyPatch
 ) -> None:
