@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 from runs_made_up import write_journal
 
 import runs
+from protocols import library
 from rig.cli import main
 from rig.paper import motion
 from rig.paper.compared import Compared
@@ -38,12 +40,20 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Fig 14 from an archive of sine-1 that is there, and one of sine-2 that is not."""
     out = tmp_path_factory.mktemp("paper")
     (out / "sine-1.yaml").write_text(ONE_PERIOD)
-    with pytest.raises(SystemExit):
-        main(["run", str(out / "sine-1.yaml"), "--fast", "--yes", "--no-report", "--out", str(out / "runs")])
-    with pytest.raises(SystemExit):
-        main(["simulate", "sine-2", "--out", str(out / "runs")])
-    with pytest.raises(SystemExit) as left:
-        main(["reproduce", "fig14", "--out", str(out)])
+    # The program's own protocols, but for the periods of sine-2: what is simulated is looked at for a second.
+    own = tmp_path_factory.mktemp("library") / "library"
+    shutil.copytree(library.FOLDER, own)
+    sine = own / "sine-2.yaml"
+    assert "periods: 4" in sine.read_text()
+    sine.write_text(sine.read_text().replace("periods: 4", "periods: 1"))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(library, "FOLDER", own)
+        with pytest.raises(SystemExit):
+            main(["run", str(out / "sine-1.yaml"), "--fast", "--yes", "--no-report", "--out", str(out / "runs")])
+        with pytest.raises(SystemExit):
+            main(["simulate", "sine-2", "--out", str(out / "runs")])
+        with pytest.raises(SystemExit) as left:
+            main(["reproduce", "fig14", "--out", str(out)])
     assert left.value.code == 0
     return out
 

@@ -17,8 +17,9 @@ from runs.report import write
 
 @pytest.fixture
 def archive(tmp_path: Path) -> Path:
+    """A run so short that few figures are drawn of it."""
     path = tmp_path / "run.mcap"
-    made_up.write_journal(path)
+    made_up.write_journal(path, duration_s=0.03, pictures=1)
     return finalise(path)
 
 
