@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import io
 import sys
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
@@ -275,6 +276,10 @@ def main(arguments: list[str] | None = None) -> None:
     """Entry point."""
     # Imports, runs and reports make many objects and little cyclic garbage: looking for it less often saves a tenth.
     gc.set_threshold(GARBAGE_OBJECTS, 20, 20)
+    # A sign that the terminal cannot show (a µ, where it is not UTF-8) must end nothing, a run least of all.
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")
     try:
         app(arguments)
     except BrokenPipeError:

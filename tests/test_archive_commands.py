@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
+import io
+import sys
 from pathlib import Path
 
 import pytest
@@ -9,6 +12,8 @@ import runs_made_up as made_up
 
 from rig.cli import main
 from runs.archive import finalise
+from runs.journal import JournalWriter
+from runs.records import RunFooter, Status
 
 
 def status_of(*words: object) -> object:
@@ -29,6 +34,16 @@ def test_what_was_not_measured_is_a_dash(short: Path, capsys: pytest.CaptureFixt
     shown = capsys.readouterr().out
     assert "nan" not in shown
     assert [line.split()[-1] for line in shown.splitlines() if "mean error" in line] == ["-"]
+
+
+def test_a_terminal_that_cannot_show_a_sign_gets_another(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    writer = JournalWriter(tmp_path / "u.mcap", dataclasses.replace(made_up.header("u"), title="Größe 腕"))
+    writer.close(RunFooter(made_up.START_NS, Status.FINISHED, ""))
+    archive, plain = finalise(writer.path), io.TextIOWrapper(io.BytesIO(), "latin-1")
+    monkeypatch.setattr(sys, "stdout", plain)
+    assert status_of("show", archive) == 0
+    plain.seek(0)
+    assert "Größe ?" in plain.read()
 
 
 def test_a_report_goes_into_a_new_folder(short: Path, tmp_path: Path) -> None:
