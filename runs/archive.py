@@ -7,6 +7,7 @@ journal into the archive some thousand at a time: a long run needs no more memor
 from __future__ import annotations
 
 import fcntl
+import io
 import math
 import os
 from collections.abc import Iterator
@@ -55,7 +56,7 @@ def write(content: journal.Journal, target: Path, most_bytes: int) -> None:
     """Write an archive of at most this size under a temporary name, check it, and give it its name."""
     part = target.with_name(target.name.removesuffix(SUFFIX) + PART)
     try:
-        _find_room(part, most_bytes)
+        _take_room(part, most_bytes)
         meant = _write(part, target.name, layout.groups(content))
         with h5py.File(part, "r+") as file:
             found = digest.of_file(file)
@@ -101,11 +102,17 @@ def verify(path: Path | str) -> bool:
         raise ArchiveError(f"{path} is not an archive that can be read: {fault}") from fault
 
 
-def _find_room(part: Path, size: int) -> None:
-    """Raise `OSError` where a file has no room: a process whose HDF5 meets a full disk may crash when it ends."""
+def _take_room(part: Path, size: int) -> None:
+    """Make an empty HDF5 file that holds room for this size; what it does not use it gives back when it is closed.
+
+    Raises `OSError` where there is no room: a process whose HDF5 meets a full disk says so with tracebacks, or crashes.
+    """
+    empty = io.BytesIO()
+    h5py.File(empty, "w").close()
     handle = os.open(part, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC, 0o644)
     try:
         os.posix_fallocate(handle, 0, size)
+        os.pwrite(handle, empty.getbuffer(), 0)
     finally:
         os.close(handle)
 
@@ -113,7 +120,7 @@ def _find_room(part: Path, size: int) -> None:
 def _write(part: Path, name: str, groups: tuple[Group, ...]) -> dict[str, int]:
     """Write every group and return, for each dataset, the CRC-32 of what was meant."""
     # Without a cache of chunks for each of the datasets that are open at once: whole chunks are written.
-    with h5py.File(part, "w", rdcc_nbytes=0) as file:
+    with h5py.File(part, "r+", rdcc_nbytes=0) as file:
         written: list[_Dataset] = []
         for group in groups:
             node = file.require_group(group.path)

@@ -20,6 +20,8 @@ import runs
 from runs import archive, groups, journal, layout
 from runs.archive import ArchiveError, StillWrittenError, finalise, verify
 from runs.records import RunFooter, Seen, Status
+from scripts.faults import surroundings
+from scripts.faults.surroundings import NotHereError
 
 N, M, K = 600, 90, 5
 FULL = """
@@ -266,6 +268,27 @@ def test_an_archive_is_on_the_disk_before_it_gets_its_name_and_then_its_name_is(
     made_up.write_journal(tmp_path / "run.mcap", duration_s=0.1)
     finalise(tmp_path / "run.mcap")
     assert done == ["run.h5.part", "run.h5.part becomes run.h5", tmp_path.name]
+
+
+def test_a_disk_that_fills_while_the_archive_is_made_does_not_touch_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    take_room = archive._take_room
+
+    def just_in_time(part: Path, size: int) -> None:
+        take_room(part, size)
+        surroundings.fill(part.parent)
+
+    monkeypatch.setattr(archive, "_take_room", just_in_time)
+    try:
+        with surroundings.small_disk(tmp_path / "disk"):
+            source = tmp_path / "disk" / "run.mcap"
+            made_up.write_journal(source)
+            made = finalise(source)
+            assert verify(made)
+            assert made.stat().st_blocks * 512 < made.stat().st_size + 4096
+    except NotHereError as why:
+        pytest.skip(str(why))
 
 
 @pytest.mark.parametrize("room", [0, 3000, 300_000])
