@@ -8,23 +8,38 @@ import numpy as np
 
 from model.compiled import kernel
 from model.march import advance, equilibrium, stiffen
-from model.shooting import Room
+from model.shooting import Room, room_within
 from model.triples import Triple, called, cross, inlined, leaf, plus, rotation
 
 Array = Any
 
 
 @inlined
-def _on(x: Array, j: int, h: float, at: Triple, was: Triple, turned: Triple):  # type: ignore[no-untyped-def]
-    """From one node on to node j: place, its slope R v and the slope of that, and the section's axes."""
-    slope = x.shape[0] // 2 + j
+def _turned(d1: Triple, d2: Triple, d3: Triple, a: Triple) -> Triple:
+    """A vector of the section, whose axes are given, in the base frame."""
+    return plus(plus((a[0] * d1[0], a[0] * d1[1], a[0] * d1[2]), a[1], d2), a[2], d3)  # type: ignore[no-any-return]
+
+
+@inlined
+def _speed(x: Array, j: int):  # type: ignore[no-untyped-def]
+    """At node j the line's slope p' = R v (eq 7), and the section's axes."""
     d1, d2, d3 = rotation((x[j, 12], x[j, 13], x[j, 14], x[j, 15]))
+    return _turned(d1, d2, d3, (x[j, 0], x[j, 1], x[j, 2])), d1, d2, d3
+
+
+@inlined
+def _bend(x: Array, j: int, d1: Triple, d2: Triple, d3: Triple) -> Triple:
+    """At node j the slope of that slope, R (v' + u x v)."""
+    slope = x.shape[0] // 2 + j
     strain, curvature = (x[j, 0], x[j, 1], x[j, 2]), (x[j, 3], x[j, 4], x[j, 5])
-    g = plus((x[slope, 0], x[slope, 1], x[slope, 2]), 1.0, cross(curvature, strain))
-    speed = plus(plus((strain[0] * d1[0], strain[0] * d1[1], strain[0] * d1[2]), strain[1], d2), strain[2], d3)
-    turn = plus(plus((g[0] * d1[0], g[0] * d1[1], g[0] * d1[2]), g[1], d2), g[2], d3)
-    at = plus(plus(at, 0.5 * h, plus(was, 1.0, speed)), h * h / 12.0, plus(turned, -1.0, turn))
-    return at, speed, turn, d1, d2, d3
+    return _turned(d1, d2, d3, plus((x[slope, 0], x[slope, 1], x[slope, 2]), 1.0, cross(curvature, strain)))  # type: ignore[no-any-return]
+
+
+@inlined
+def _reached(passed: Triple, speed: Triple, first: Triple, bend: Triple, h: float) -> Triple:
+    """Place of a node: passed holds half the first slope and all slopes in between, first and bend the ends' slopes."""
+    at = plus(plus(passed, 0.5, speed), h / 12.0, plus(first, -1.0, bend))
+    return h * at[0], h * at[1], h * at[2]
 
 
 @inlined
@@ -44,11 +59,14 @@ def axis(x: Array, length: float, centre: Array, p: Array, rotations: Array, v: 
     Integrates p' = R v (eq 7) by the trapezoid corrected with end slopes, of fourth order, then moves from the centroid
     to the axis as eq 29 does: p + centre - R centre. x (2 N + 2, 16): states, then slopes.
     """
-    zero = (0.0, 0.0, 0.0)
     n, cx, cy = p.shape[0] - 1, centre[0], centre[1]
-    at, speed, turn = zero, zero, zero
+    speed, d1, d2, d3 = _speed(x, 0)
+    passed, first, at = (0.5 * speed[0], 0.5 * speed[1], 0.5 * speed[2]), _bend(x, 0, d1, d2, d3), (0.0, 0.0, 0.0)
     for j in range(n + 1):
-        at, speed, turn, d1, d2, d3 = _on(x, j, length / n if j > 0 else 0.0, at, speed, turn)
+        if j > 0:
+            speed, d1, d2, d3 = _speed(x, j)
+            at = _reached(passed, speed, first, _bend(x, j, d1, d2, d3), length / n)
+            passed = plus(passed, 1.0, speed)
         _write_axis(at, d1, d2, d3, centre, p, rotations, j)
         u1, u2, u3 = x[j, 3], x[j, 4], x[j, 5]
         v[j, 0], v[j, 1], v[j, 2] = x[j, 0] + u3 * cy, x[j, 1] - u3 * cx, x[j, 2] - u1 * cy + u2 * cx
@@ -57,12 +75,15 @@ def axis(x: Array, length: float, centre: Array, p: Array, rotations: Array, v: 
 
 @leaf
 def place_tip(x: Array, length: float, centre: Array, place: Array, turned: Array, t: int) -> None:
-    """The tip alone, into row t of place (T, 3) and turned (T, 3, 3)."""
-    zero = (0.0, 0.0, 0.0)
+    """The tip alone, into row t of place (T, 3) and turned (T, 3, 3): of all the slopes' slopes, the ends' remain."""
     n = x.shape[0] // 2 - 1
-    at, speed, turn, d1, d2, d3 = _on(x, 0, 0.0, zero, zero, zero)
-    for j in range(1, n + 1):
-        at, speed, turn, d1, d2, d3 = _on(x, j, length / n, at, speed, turn)
+    speed, d1, d2, d3 = _speed(x, 0)
+    passed, first = (0.5 * speed[0], 0.5 * speed[1], 0.5 * speed[2]), _bend(x, 0, d1, d2, d3)
+    for j in range(1, n):
+        speed, _, _, _ = _speed(x, j)
+        passed = plus(passed, 1.0, speed)
+    speed, d1, d2, d3 = _speed(x, n)
+    at = _reached(passed, speed, first, _bend(x, n, d1, d2, d3), length / n)
     _write_axis(at, d1, d2, d3, centre, place, turned, t)
 
 
@@ -86,7 +107,7 @@ def motion(
     scheme: Array,
     trail: Array,
     x: Array,
-    room: Room,
+    pool: Array,
     tolerance: float,
     centre: Array,
     tips: Array,
@@ -96,13 +117,14 @@ def motion(
     """Advance through the rows of pressure (T, N); fills tips (T, 3), turns (T, 3, 3), good (T,).
 
     stiffness (R, 24), rest (R, 6), per_pressure (R, 6, N): of each row's section; R is T, or 1 for the same in all.
-    Returns the number of passes, or -1, having done nothing, where a pressure is not finite.
+    pool: a room, as `shooting.room_in` takes it. Returns the number of passes, or -1, having done nothing, where a
+    pressure is not finite.
     """
     for t in range(pressure.shape[0]):
         for k in range(actuators):
             if not abs(pressure[t, k]) < np.inf:
                 return -1
-    total, sections = 0, stiffness.shape[0]
+    total, sections, room = 0, stiffness.shape[0], room_within(pool, x.shape[0] // 2 - 1)
     for t in range(pressure.shape[0]):
         r = t % sections
         if sections > 1:

@@ -16,7 +16,7 @@ from model.march import settle
 from model.problem import CLOSE, Problem, pressures
 from model.schemes import Scheme
 from model.shape import Shape
-from model.shooting import Room
+from model.shooting import room_in, room_size
 from model.statics import shape, states, steps_along
 
 if TYPE_CHECKING:
@@ -97,7 +97,8 @@ class Dynamics:
         self._x = states(resting, pressure, tip, load, loaded)
         self._problem = Problem.of(self._arm, pressure[None], self._scheme.c0)
         self._work = self._problem.work()
-        self._room = Room.of(n)
+        self._pool = aligned(room_size(n))
+        self._room = room_in(self._pool, n)
         self._trail = aligned(2, 2 * n + 2, STATE)
         settle(self._coefficients, self._x, self._trail, resting.length_m, self._room)
         self._before = np.stack([pressure] * 3)
@@ -143,7 +144,7 @@ class Dynamics:
         passes = motion(
             self._work, problem.law, problem.actuators, problem.stiffness, problem.rest, problem.per_pressure,
             problem.free_per_pa, self._before, rows, self._load, self._loaded, self._tip, problem.length_m,
-            self._segments, problem.scale, self._coefficients, self._trail, self._x, self._room, CLOSE,
+            self._segments, problem.scale, self._coefficients, self._trail, self._x, self._pool, CLOSE,
             problem.centre_m, tips, turns, good,
         )  # fmt: skip
         if passes < 0:

@@ -111,7 +111,7 @@ def integrate_lanes(
         if moving:
             _recall(w, past[j])
         stage(w, law, actuators, OWN, True, load, loaded, 2 * j, NODE, STAGE, 0.5)
-        for i in range(size):
+        for i in range(12 * LANES):
             derivatives[j, i] = w[SLOPE * LANES + i]
         if j == n:
             break

@@ -47,9 +47,10 @@ AXIAL_INVERSE = SHEAR + 6
 SHEAR_INVERSE = AXIAL_INVERSE + 6
 OFFSET = SHEAR_INVERSE + 6  # what the pressures and the strain at rest add to the wrench: n1 n2 n3 m1 m2 m3
 TUBE = OFFSET + 6  # a1, a2, gamma, I_o / A_m of one tube
-# Tubes come in trios, the last filled up with tubes of no share. Per tube: x, y, free strain, share (1, or 0).
+# Tubes come in trios, the last filled up with tubes of no share. Per tube: x, y, free strain, share (1, or 0), and of
+# its place xx, xy, yy and xx + yy + 2 I_o / A_m.
 TRIO = TUBE + 4  # the trio being summed: the last, or the only one
-PER_TUBE = 4
+PER_TUBE = 8
 PER_TRIO = 3 * PER_TUBE
 STRIDE = TRIO + PER_TRIO  # step along the arm
 # What hangs on the tip. Force and moment in the base frame, the mass and rotational inertia (3) of a cap that resists

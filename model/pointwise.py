@@ -13,6 +13,7 @@ from model.layout import (
     OFFSET,
     OTHERS,
     PER_TRIO,
+    PER_TUBE,
     PULLS,
     SECANTS,
     SHEAR,
@@ -33,17 +34,17 @@ ROUNDING = 5e-3
 
 @inlined
 def _tube(strain: float, a1: float, a2: float, share: float) -> tuple[float, float, float, float]:
-    """Wall force of a strain, its derivative; rounded secant stiffness, its derivative; all times `share`."""
+    """Wall force of a strain, its derivative; rounded secant stiffness, its derivative; all times `share` (1, or 0)."""
     root = math.sqrt(a1 * a1 + 4.0 * a2 * abs(strain))
     rounded = math.sqrt(strain * strain + ROUNDING * ROUNDING)
     round_root = math.sqrt(a1 * a1 + 4.0 * a2 * rounded)
     # Roots and divisions cost more than anything else here: one division serves for four quotients.
-    plain, both = root * (a1 + root), (a1 + round_root) * round_root * rounded
-    inverse = 1.0 / (plain * both)
-    over, round_over = share * both * inverse, 2.0 * plain * inverse
-    stiffness = round_over * round_root * rounded
-    change = -0.5 * stiffness * stiffness * a2 * strain * round_over * (a1 + round_root)
-    return 2.0 * strain * root * over, (a1 + root) * over, share * stiffness, share * change
+    far, round_far, both = a1 + root, a1 + round_root, round_root * rounded
+    plain, round_plain = root * far, both * round_far
+    inverse = share / (plain * round_plain)
+    over, round_over = inverse * round_plain, inverse * plain
+    half = both * round_over
+    return 2.0 * strain * (root * over), far * over, 2.0 * half, -4.0 * a2 * strain * round_over * half
 
 
 @inlined
@@ -53,32 +54,44 @@ def _on(total: float, a: Triple, b: Triple) -> float:
 
 
 @inlined
-def sum_tubes(w: Array, i: int, to: int) -> None:
-    """Sum over all tubes of lane i, at the strains kept for it: wall forces, tangent and side stiffnesses, to `to`.
-
-    These are the three at TRIO, on top of what stands at OTHERS.
-    """
-    a1, a2, spread = w[TUBE * LANES + i], w[(TUBE + 1) * LANES + i], 2.0 * w[(TUBE + 3) * LANES + i]
-    v3, u1, u2 = triple(w, STRAINS, i)
+def tubes(w: Array, i: int, v3: float, u1: float, u2: float) -> Any:
+    """What the three tubes at TRIO, of lane i, answer to the strains: as of `_tube`, each for all three."""
+    a1, a2 = w[TUBE * LANES + i], w[(TUBE + 1) * LANES + i]
     x1, y1, free1 = triple(w, TRIO, i)
-    x2, y2, free2 = triple(w, TRIO + 4, i)
-    x3, y3, free3 = triple(w, TRIO + 8, i)
-    share1, share2, share3 = w[(TRIO + 3) * LANES + i], w[(TRIO + 7) * LANES + i], w[(TRIO + 11) * LANES + i]
+    x2, y2, free2 = triple(w, TRIO + PER_TUBE, i)
+    x3, y3, free3 = triple(w, TRIO + 2 * PER_TUBE, i)
+    share = (TRIO + 3) * LANES + i
+    share1, share2, share3 = w[share], w[share + PER_TUBE * LANES], w[share + 2 * PER_TUBE * LANES]
     f1, t1, k1, e1 = _tube(v3 - 1.0 + y1 * u1 - x1 * u2 - free1, a1, a2, share1)
     f2, t2, k2, e2 = _tube(v3 - 1.0 + y2 * u1 - x2 * u2 - free2, a1, a2, share2)
     f3, t3, k3, e3 = _tube(v3 - 1.0 + y3 * u1 - x3 * u2 - free3, a1, a2, share3)
-    x, y, less = (x1, x2, x3), (y1, y2, y3), (-x1, -x2, -x3)
-    xx, xy, yy = (x1 * x1, x2 * x2, x3 * x3), (x1 * y1, x2 * y2, x3 * y3), (y1 * y1, y2 * y2, y3 * y3)
-    far = (xx[0] + yy[0] + spread, xx[1] + yy[1] + spread, xx[2] + yy[2] + spread)
-    f, t, k, e = (f1, f2, f3), (t1, t2, t3), (k1, k2, k3), (e1, e2, e3)
-    g = (e1 * far[0], e2 * far[1], e3 * far[2])
+    return (f1, f2, f3), (t1, t2, t3), (k1, k2, k3), (e1, e2, e3)
+
+
+@inlined
+def _of_tubes(w: Array, i: int, c: int) -> Triple:
+    """Number c of each of the three tubes."""
+    at = (TRIO + c) * LANES + i
+    return w[at], w[at + PER_TUBE * LANES], w[at + 2 * PER_TUBE * LANES]
+
+
+@inlined
+def sum_tubes(w: Array, i: int, answers: Any, to: int) -> None:
+    """Sum over all tubes of lane i: wall forces, tangent and side stiffnesses, to `to`.
+
+    These are the three at TRIO, whose answers are given, on top of what stands at OTHERS.
+    """
+    f, t, k, e = answers
+    x, y, far = _of_tubes(w, i, 0), _of_tubes(w, i, 1), _of_tubes(w, i, 7)
+    xx, xy, yy = _of_tubes(w, i, 4), _of_tubes(w, i, 5), _of_tubes(w, i, 6)
+    less, g = (-x[0], -x[1], -x[2]), (e[0] * far[0], e[1] * far[1], e[2] * far[2])
     s0, s1, s2, s3 = triple(w, OTHERS, i), triple(w, OTHERS + 3, i), triple(w, OTHERS + 6, i), triple(w, OTHERS + 9, i)
     s4, s5, s6 = triple(w, OTHERS + 12, i), triple(w, OTHERS + 15, i), triple(w, OTHERS + 18, i)
-    put(w, to, i, (s0[0] + f1 + f2 + f3, _on(s0[1], f, y), _on(s0[2], f, less)))
-    put(w, to + 3, i, (s1[0] + t1 + t2 + t3, _on(s1[1], t, x), _on(s1[2], t, y)))
+    put(w, to, i, (s0[0] + f[0] + f[1] + f[2], _on(s0[1], f, y), _on(s0[2], f, less)))
+    put(w, to + 3, i, (s1[0] + t[0] + t[1] + t[2], _on(s1[1], t, x), _on(s1[2], t, y)))
     put(w, to + 6, i, (_on(s2[0], t, xx), _on(s2[1], t, xy), _on(s2[2], t, yy)))
-    put(w, to + 9, i, (s3[0] + k1 + k2 + k3, _on(s3[1], k, x), _on(s3[2], k, y)))
-    put(w, to + 12, i, (_on(s4[0], k, far), s4[1] + e1 + e2 + e3, _on(s4[2], e, x)))
+    put(w, to + 9, i, (s3[0] + k[0] + k[1] + k[2], _on(s3[1], k, x), _on(s3[2], k, y)))
+    put(w, to + 12, i, (_on(s4[0], k, far), s4[1] + e[0] + e[1] + e[2], _on(s4[2], e, x)))
     put(w, to + 15, i, (_on(s5[0], e, y), _on(s5[1], e, xx), _on(s5[2], e, xy)))
     put(w, to + 18, i, (_on(s6[0], e, yy), _on(s6[1], g, x), _on(s6[2], g, y)))
 
@@ -96,7 +109,8 @@ def sum_others(w: Array, actuators: int) -> None:
             w[TRIO * LANES + i] = w[at + i]
         if k < last:
             for i in range(LANES):
-                sum_tubes(w, i, OTHERS)
+                v3, u1, u2 = triple(w, STRAINS, i)
+                sum_tubes(w, i, tubes(w, i, v3, u1, u2), OTHERS)
 
 
 @inlined

@@ -215,5 +215,6 @@ def _work(arm: Arm, xy: Array, whole: Section, c0: float, pointwise: bool) -> Ar
     work[layout.C0 : layout.TRIO] = np.array(parameters)[:, None]
     for k, (cx, cy) in enumerate(xy):
         at = layout.tubes_at(len(xy)) + layout.PER_TUBE * k
-        work[at : at + layout.PER_TUBE] = np.array([cx, cy, 0.0, 1.0])[:, None]
+        place = [cx, cy, 0.0, 1.0, cx * cx, cx * cy, cy * cy, cx * cx + cy * cy + 2.0 * second / area]
+        work[at : at + layout.PER_TUBE] = np.array(place)[:, None]
     return work.reshape(-1)

@@ -40,7 +40,7 @@ from model.layout import (
     WEIGHT,
     WRENCH,
 )
-from model.pointwise import pointwise_slopes, pointwise_wrench, sum_others, sum_tubes
+from model.pointwise import pointwise_slopes, pointwise_wrench, sum_others, sum_tubes, tubes
 from model.triples import Six, Triple, cross, dot, inlined, leaf, plus, put, rotation, six, three, times, triple
 
 Array = Any
@@ -48,46 +48,36 @@ Past = tuple[Triple, Triple, Triple, Triple, Triple, Triple]
 
 
 @inlined
-def balance(
-    c0: float,
-    mass: float,
-    inertia: tuple[float, float, float, float],
-    v: Triple,
-    u: Triple,
-    q: Triple,
-    o: Triple,
-    n: Triple,
-    m: Triple,
-    past: tuple[Triple, Triple, Triple, Triple],
-    f: Triple,
-    couple: Triple,
-) -> tuple[Triple, Triple, Triple, Triple]:
-    """Slopes of the velocities q, o (eq 11) and of the wrench n, m (eqs 12, 13), less the load f and couple per length.
+def compatibility(v: Triple, u: Triple, q: Triple, o: Triple, v_t: Triple, u_t: Triple) -> tuple[Triple, Triple]:
+    """Slopes of the velocities q, o (eq 11)."""
+    return plus(plus(v_t, 1.0, cross(o, v)), -1.0, cross(u, q)), plus(u_t, -1.0, cross(u, o))
 
-    past: the history y^h of v, u, q and o. inertia: rho J as 11, 22, 12, 33.
-    """
-    v_t, u_t, q_t, o_t = plus(past[0], c0, v), plus(past[1], c0, u), plus(past[2], c0, q), plus(past[3], c0, o)
-    j11, j22, j12, j33 = inertia
+
+@inlined
+def inertia(
+    mass: float, inertias: tuple[float, float, float, float], q: Triple, o: Triple, q_t: Triple, o_t: Triple
+) -> tuple[Triple, Triple]:
+    """Force and moment per length that accelerate the rod. inertias: rho J as 11, 22, 12, 33."""
+    j11, j22, j12, j33 = inertias
     spin = (j11 * o[0] + j12 * o[1], j12 * o[0] + j22 * o[1], j33 * o[2])
     spun = (j11 * o_t[0] + j12 * o_t[1], j12 * o_t[0] + j22 * o_t[1], j33 * o_t[2])
-    return (
-        plus(plus(v_t, 1.0, cross(o, v)), -1.0, cross(u, q)),
-        plus(u_t, -1.0, cross(u, o)),
-        plus(plus(cross(n, u), mass, plus(q_t, 1.0, cross(o, q))), -1.0, f),
-        plus(plus(plus(plus(cross(m, u), 1.0, cross(n, v)), 1.0, spun), 1.0, cross(o, spin)), -1.0, couple),
-    )
+    force = plus(q_t, 1.0, cross(o, q))
+    return (mass * force[0], mass * force[1], mass * force[2]), plus(spun, 1.0, cross(o, spin))
+
+
+@inlined
+def balance(v: Triple, u: Triple, n: Triple, m: Triple, force: Triple, couple: Triple) -> tuple[Triple, Triple]:
+    """Slopes of the wrench n, m (eqs 12, 13); force and couple: of the inertia, less the load, per length."""
+    return plus(cross(n, u), 1.0, force), plus(plus(cross(m, u), 1.0, cross(n, v)), 1.0, couple)
 
 
 @inlined
 def _move(w: Array, k: int, slope: float, to: int, ahead: float) -> None:
     """Where a slope leads: to the next stage of RK4, or to the next node. k: where the quantity stands in a state.
 
-    The next node is (second + 2 third + fourth stage - node) / 3 + h / 6 slope: RK4 without a sum to carry along. The
-    first stage's slopes are kept.
+    The next node is (second + 2 third + fourth stage - node) / 3 + h / 6 slope: RK4 without a sum to carry along.
     """
     node = w[NODE * LANES + k]
-    if to == STAGE:
-        w[SLOPE * LANES + k] = slope
     if to == NODE:
         apart = (w[STAGE * LANES + k] - node) + w[FOURTH * LANES + k] + 2.0 * w[THIRD * LANES + k]
         w[NODE * LANES + k] = (1.0 / 3.0) * apart + ahead * slope
@@ -103,20 +93,36 @@ def _move_three(w: Array, k: int, slope: Triple, to: int, ahead: float) -> None:
 
 
 @inlined
-def _move_on(
-    w: Array, i: int, v_s: Triple, u_s: Triple, q_s: Triple, o_s: Triple, u: Triple, at: int, to: int, ahead: float
-) -> None:
-    """The same for the whole state, with the orientation's slope h u / 2 as quaternions (eq 9)."""
+def _move_and_keep(w: Array, c: int, i: int, slope: Triple, to: int, ahead: float) -> None:
+    """The same of lane i, from quantity c on; the first stage's slopes are kept."""
+    if to == STAGE:
+        put(w, SLOPE + c, i, slope)
+    _move_three(w, c * LANES + i, slope, to, ahead)
+
+
+@inlined
+def _move_motion(w: Array, i: int, past: Past, at: int, to: int, ahead: float) -> tuple[Triple, Triple]:
+    """The same for velocities and orientation, whose slope is h u / 2 as quaternions (eq 9).
+
+    Returns what the balance of the wrench needs of them: force and couple of the inertia, less the load, per length.
+    """
+    v, u, q, o = triple(w, at, i), triple(w, at + 3, i), triple(w, at + 6, i), triple(w, at + 9, i)
+    v_h, u_h, q_h, o_h, _, _ = past
+    c0, j = w[C0 * LANES + i], INERTIA * LANES + i
+    q_s, o_s = compatibility(v, u, q, o, plus(v_h, c0, v), plus(u_h, c0, u))
+    force, couple = inertia(
+        w[LINE_DENSITY * LANES + i], (w[j], w[j + LANES], w[j + 2 * LANES], w[j + 3 * LANES]), q, o,
+        plus(q_h, c0, q), plus(o_h, c0, o),
+    )  # fmt: skip
     h = (at + 12) * LANES + i
     a, b, c, d = w[h], w[h + LANES], w[h + 2 * LANES], w[h + 3 * LANES]
     _move(w, 12 * LANES + i, -0.5 * (b * u[0] + c * u[1] + d * u[2]), to, ahead)
     h_s = (0.5 * (a * u[0] + c * u[2] - d * u[1]), 0.5 * (a * u[1] + d * u[0] - b * u[2]),
            0.5 * (a * u[2] + b * u[1] - c * u[0]))  # fmt: skip
     _move_three(w, 13 * LANES + i, h_s, to, ahead)
-    _move_three(w, i, v_s, to, ahead)
-    _move_three(w, 3 * LANES + i, u_s, to, ahead)
-    _move_three(w, 6 * LANES + i, q_s, to, ahead)
-    _move_three(w, 9 * LANES + i, o_s, to, ahead)
+    _move_and_keep(w, 6, i, q_s, to, ahead)
+    _move_and_keep(w, 9, i, o_s, to, ahead)
+    return plus(force, -1.0, triple(w, LOAD, i)), plus(couple, -1.0, triple(w, LOAD + 3, i))
 
 
 @inlined
@@ -165,17 +171,16 @@ def own_past(w: Array, i: int) -> Past:
 def _linear_stage(w: Array, past: Past, own: bool, at: int, to: int, ahead: float) -> None:
     """Slopes of the state at `at`, all lanes, for a constant stiffness, and the state at `to` that follows."""
     for i in range(LANES):
-        v_h, u_h, q_h, o_h, v_hs, u_hs = own_past(w, i) if own else past
-        v, u, q, o = triple(w, at, i), triple(w, at + 3, i), triple(w, at + 6, i), triple(w, at + 9, i)
-        lag = w[LAG * LANES + i]
+        here = own_past(w, i) if own else past
+        v_h, u_h, _, _, v_hs, u_hs = here
+        further = ahead * w[STRIDE * LANES + i]
+        v, u, lag = triple(w, at, i), triple(w, at + 3, i), w[LAG * LANES + i]
         n, m = linear_wrench(six(w, AXIAL, i), six(w, SHEAR, i), six(w, OFFSET, i), lag, v, u, v_h, u_h)
-        j = INERTIA * LANES + i
-        q_s, o_s, n_s, m_s = balance(
-            w[C0 * LANES + i], w[LINE_DENSITY * LANES + i], (w[j], w[j + LANES], w[j + 2 * LANES], w[j + 3 * LANES]),
-            v, u, q, o, n, m, (v_h, u_h, q_h, o_h), triple(w, LOAD, i), triple(w, LOAD + 3, i),
-        )  # fmt: skip
+        force, couple = _move_motion(w, i, here, at, to, further)
+        n_s, m_s = balance(v, u, n, m, force, couple)
         v_s, u_s = linear_slopes(six(w, AXIAL_INVERSE, i), six(w, SHEAR_INVERSE, i), lag, n_s, m_s, v_hs, u_hs)
-        _move_on(w, i, v_s, u_s, q_s, o_s, u, at, to, ahead * w[STRIDE * LANES + i])
+        _move_and_keep(w, 0, i, v_s, to, further)
+        _move_and_keep(w, 3, i, u_s, to, further)
 
 
 @inlined
@@ -188,22 +193,24 @@ def _sum_others_at(w: Array, actuators: int, at: int) -> None:
 
 @inlined
 def _pointwise_stage(w: Array, actuators: int, past: Past, own: bool, at: int, to: int, ahead: float) -> None:
-    """The same where each tube follows eq 32 at its own place."""
+    """The same where each tube follows eq 32 at its own place.
+
+    Roots and divisions of the tubes come first: what needs none of their answers fills the wait for them.
+    """
     _sum_others_at(w, actuators, at)
     for i in range(LANES):
-        put(w, STRAINS, i, triple(w, at + 2, i))
-        sum_tubes(w, i, PULLS)
-        v_h, u_h, q_h, o_h, v_hs, u_hs = own_past(w, i) if own else past
-        v, u, q, o = triple(w, at, i), triple(w, at + 3, i), triple(w, at + 6, i), triple(w, at + 9, i)
-        c0 = w[C0 * LANES + i]
+        here = own_past(w, i) if own else past
+        v_h, u_h, _, _, v_hs, u_hs = here
+        further = ahead * w[STRIDE * LANES + i]
+        v, u, c0 = triple(w, at, i), triple(w, at + 3, i), w[C0 * LANES + i]
+        answers = tubes(w, i, v[2], u[0], u[1])
+        force, couple = _move_motion(w, i, here, at, to, further)
+        sum_tubes(w, i, answers, PULLS)
         n, m = pointwise_wrench(w, i, c0, v, u, v_h, u_h)
-        j = INERTIA * LANES + i
-        q_s, o_s, n_s, m_s = balance(
-            c0, w[LINE_DENSITY * LANES + i], (w[j], w[j + LANES], w[j + 2 * LANES], w[j + 3 * LANES]),
-            v, u, q, o, n, m, (v_h, u_h, q_h, o_h), triple(w, LOAD, i), triple(w, LOAD + 3, i),
-        )  # fmt: skip
+        n_s, m_s = balance(v, u, n, m, force, couple)
         v_s, u_s = pointwise_slopes(w, i, c0, v, u, n_s, m_s, v_hs, u_hs)
-        _move_on(w, i, v_s, u_s, q_s, o_s, u, at, to, ahead * w[STRIDE * LANES + i])
+        _move_and_keep(w, 0, i, v_s, to, further)
+        _move_and_keep(w, 3, i, u_s, to, further)
 
 
 @inlined
@@ -235,8 +242,8 @@ def resting_wrench(w: Array, law: int, actuators: int) -> None:
     if law != LINEAR:
         _sum_others_at(w, actuators, STAGE)
         for i in range(LANES):
-            put(w, STRAINS, i, triple(w, STAGE + 2, i))
-            sum_tubes(w, i, PULLS)
+            v3, u1, u2 = triple(w, STAGE + 2, i)
+            sum_tubes(w, i, tubes(w, i, v3, u1, u2), PULLS)
     for i in range(LANES):
         n, m = wrench(w, LINEAR, i, STAGE, zero, zero) if law == LINEAR else wrench(w, POINTWISE, i, STAGE, zero, zero)
         put(w, WRENCH, i, n)
@@ -296,7 +303,7 @@ def integrate(
 
     history: as of `march.advance`. load: one row of 6 per node and per mid-point, (2 N + 1) flat. states, derivatives:
     (N + 1, 128), filled at each node but the last, unless this is the arm's tip: elsewhere, only its state is left, in
-    the work array.
+    the work array. Of the derivatives the first twelve quantities are.
     """
     n, size = states.shape[0] - 1, STATE * states.shape[0]
     for j in range(first, last + 1):
@@ -306,7 +313,7 @@ def integrate(
             states[j, i] = w[NODE * LANES + i]
         at = STATE * j
         stage(w, law, actuators, past_of(history, size, at), False, load, loaded, 2 * j, NODE, STAGE, 0.5)
-        for i in range(STATE * LANES):
+        for i in range(12 * LANES):
             derivatives[j, i] = w[SLOPE * LANES + i]
         if j == n:
             break

@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from model.compiled import kernel
 from model.layout import END, HANGS, LANES, LINEAR, LOAD, NODE, POINTWISE, PULL, STATE, STRIDE, WRENCH, aligned
 from model.linear import orthonormalise, solve_six
 from model.rod import Past, integrate, own_past, past_of, wrench
@@ -22,17 +23,13 @@ from model.triples import (
     cross,
     dot,
     inlined,
-    lane_sums,
     leaf,
     plus,
     put,
     rotation,
-    size,
-    sum_of,
-    three,
     triple,
-    write,
 )
+from model.vectors import add_up, add_up_slopes, everywhere
 
 Array = Any
 
@@ -45,24 +42,51 @@ class Room(NamedTuple):
 
     history: Array  # of the next time step, 4 x (N + 1) x 16, flat: as of `march.advance`
     states: Array  # (N + 1, 128), all lanes
-    derivatives: Array  # the same of their slopes
+    derivatives: Array  # the same of the slopes of strains and velocities
     x: Array  # (2 N + 2, 16), states at the nodes, a guess that is improved, and then their slopes
     directions: Array  # (N, 7, 16), per segment
     triangle: Array  # (N, 6, 6)
     along: Array  # (N, 6)
     weights: Array  # (N, 8), of the lanes in the solution
     reach: Array  # (N,)
+    moved: Array  # (2, 16), by how much at most, and in total, an update moves each quantity
     matrix: Array  # (6, 6)
     right: Array  # (6,)
 
     @classmethod
     def of(cls, n: int) -> Room:
         """Room for n steps along the arm, in up to n segments."""
-        return cls(
-            aligned(4 * (n + 1) * STATE), aligned(n + 1, STATE * LANES), aligned(n + 1, STATE * LANES),
-            aligned(2 * n + 2, STATE), aligned(n, 7, STATE), aligned(n, 6, 6), aligned(n, 6),
-            aligned(n, LANES), aligned(n), aligned(6, 6), aligned(6),
-        )  # fmt: skip
+        return room_in(aligned(room_size(n)), n)
+
+
+def room_size(n: int) -> int:
+    """Numbers in a room."""
+    return (6 * STATE + 2 * STATE * LANES) * (n + 1) + 22 * LANES * n + 10 * LANES
+
+
+def room_in(pool: Array, n: int) -> Room:
+    """A room in one array that holds it all; each of its own begins on a line of the cache."""
+    a = 4 * STATE * (n + 1)
+    b = a + STATE * LANES * (n + 1)
+    c = b + STATE * LANES * (n + 1)
+    d = c + 2 * STATE * (n + 1)
+    e = d + 14 * LANES * n
+    f = e + 5 * LANES * n
+    g = f + LANES * n
+    h = g + LANES * n
+    i = h + LANES * n
+    j = i + 4 * LANES
+    k = j + 5 * LANES
+    return Room(
+        pool[:a], pool[a:b].reshape(n + 1, STATE * LANES), pool[b:c].reshape(n + 1, STATE * LANES),
+        pool[c:d].reshape(2 * n + 2, STATE), pool[d:e].reshape(n, 7, STATE),
+        pool[e : e + 36 * n].reshape(n, 6, 6), pool[f : f + 6 * n].reshape(n, 6), pool[g:h].reshape(n, LANES),
+        pool[h : h + n], pool[i:j].reshape(2, STATE), pool[j : j + 36].reshape(6, 6), pool[k : k + 6],
+    )  # fmt: skip
+
+
+# Python hands over one array faster than a dozen.
+room_within = kernel(room_in, inlined=True, called=False)
 
 
 @inlined
@@ -106,20 +130,6 @@ def tip_residual(w: Array, law: int, past: Past, own: bool, c0: float, heavy: bo
         put(w, WRENCH + 3, i, plus(m, -1.0, couple))
 
 
-@inlined
-def _everywhere(w: Array, x: Array, j: int, lanes: int) -> None:
-    """The state in row j of x to the node, all lanes: a loop only while the compiler does not know their number."""
-    v, u, q, o, h = three(x[j], 0), three(x[j], 3), three(x[j], 6), three(x[j], 9), three(x[j], 13)
-    h0 = x[j, 12]
-    for i in range(lanes):
-        put(w, NODE, i, v)
-        put(w, NODE + 3, i, u)
-        put(w, NODE + 6, i, q)
-        put(w, NODE + 9, i, o)
-        w[(NODE + 12) * LANES + i] = h0
-        put(w, NODE + 13, i, h)
-
-
 @leaf
 def newton(
     w: Array,
@@ -147,22 +157,22 @@ def newton(
     history, states, derivatives, x = room.history, room.states, room.derivatives, room.x
     heavy = tip[6] > 0.0 or tip[7] > 0.0 or tip[8] > 0.0 or tip[9] > 0.0
     directions, triangle, along, weights = room.directions, room.triangle, room.along, room.weights
-    reach, matrix, right = room.reach, room.matrix, room.right
+    reach, moved, matrix, right = room.reach, room.moved, room.matrix, room.right
     n = states.shape[0] - 1
     per = n // segments
     last = segments - 1
-    for i in range(LANES):
-        w[STRIDE * LANES + i] = length / n
-        for c in range(HANGS):
-            w[(END + c) * LANES + i] = tip[c]
-        if not loaded:
-            put(w, LOAD, i, (0.0, 0.0, 0.0))
-            put(w, LOAD + 3, i, (0.0, 0.0, 0.0))
+    everywhere(w, STRIDE, length / n)
+    for c in range(HANGS):
+        everywhere(w, END + c, tip[c])
+    if not loaded:
+        for c in range(6):
+            everywhere(w, LOAD + c, 0.0)
     reach[0] = 0.0
     previous = np.inf
     for passes in range(1, int(most) + 1):
         for s in range(segments):
-            _everywhere(w, x, s * per, room.weights.shape[1])
+            for c in range(STATE):
+                everywhere(w, NODE + c, x[s * per, c])
             if s == 0:
                 for k in range(6):
                     w[(NODE + k) * LANES + 1 + k] += STEP * scale[k]
@@ -220,20 +230,19 @@ def newton(
                     for c in range(k + 1, 6):
                         total -= triangle[s, k, c] * right[c]
                     right[k] = total / triangle[s, k, k]
-        swift, bent, total = 0.0, 0.0, 0.0
+        for c in range(STATE):
+            moved[0, c], moved[1, c] = 0.0, 0.0
         for s in range(segments):
             for j in range(s * per, (s + 1) * per + (1 if s == last else 0)):
-                v, u, q, o, h0, h = lane_sums(weights, s, states, j)
-                write(x, j, 0, v)
-                write(x, j, 3, u)
-                write(x, j, 6, q)
-                write(x, j, 9, o)
-                x[j, 12] = h0
-                write(x, j, 13, h)
-                swift = max(swift, max(size(q) * scale[STATE + 6], size(o) * scale[STATE + 9]))
-                turned = max(abs(h0), size(h)) * scale[STATE + 12]
-                bent = max(bent, max(max(size(v) * scale[STATE], size(u) * scale[STATE + 3]), turned))
-                total += ((sum_of(v) + sum_of(u)) + (sum_of(q) + sum_of(o))) + (sum_of(h) + abs(h0))
+                add_up(weights, s, states, j, x, moved)
+        swift, bent, total = 0.0, 0.0, 0.0
+        for c in range(6):
+            swift = max(swift, moved[0, 6 + c] * scale[STATE + 6 + c])
+            bent = max(bent, moved[0, c] * scale[STATE + c])
+        for c in range(12, STATE):
+            bent = max(bent, moved[0, c] * scale[STATE + c])
+        for c in range(STATE):
+            total += moved[1, c]
         largest = max(swift, bent)
         # A maximum swallows a NaN and would call the step solved; a sum does not.
         if not total < np.inf:
@@ -242,20 +251,17 @@ def newton(
             return -1
         previous = largest
         # Strain and orientation make the equations nonlinear; velocities may move as far as they like.
-        damping = 1.0 if bent <= LONGEST else LONGEST / bent
-        for j in range(n + 1):
-            for c in range(STATE):
-                x[j, c] = states[j, c * LANES] + damping * x[j, c]
+        if bent > LONGEST:
+            damping = LONGEST / bent
+            for j in range(n + 1):
+                for c in range(STATE):
+                    x[j, c] = states[j, c * LANES] + damping * (x[j, c] - states[j, c * LANES])
         if bent * largest < tolerance * tolerance:
             for s in range(segments):
-                weights[s, 0] += 1.0
                 for j in range(s * per, (s + 1) * per + (1 if s == last else 0)):
-                    v, u, q, o, _, _ = lane_sums(weights, s, derivatives, j)
-                    write(x, n + 1 + j, 0, v)
-                    write(x, n + 1 + j, 3, u)
-                    write(x, n + 1 + j, 6, q)
-                    write(x, n + 1 + j, 9, o)
-                    total += (sum_of(v) + sum_of(u)) + (sum_of(q) + sum_of(o))
+                    add_up_slopes(weights, s, derivatives, j, x, n + 1 + j, moved)
+            for c in range(12):
+                total += abs(moved[1, c])
             return passes if total < np.inf else -1
     return -1
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
+
 from model.compiled import kernel
 from model.layout import LANES
 
@@ -54,7 +56,9 @@ def put(w: Array, at: int, i: int, a: Triple) -> None:
 @inlined
 def three(a: Array, at: int) -> Triple:
     """Three numbers in a row."""
-    return a[at], a[at + 1], a[at + 2]
+    # An index without a sign is not asked whether it counts from the end.
+    first, second, third = np.uint64(at), np.uint64(at + 1), np.uint64(at + 2)
+    return a[first], a[second], a[third]
 
 
 @inlined
@@ -100,51 +104,3 @@ def dot(a: Triple, b: Triple) -> float:
 def any_order(function: Any) -> Any:
     """Compile a leaf whose sums may be taken in any order, which the compiler then fixes once and for all."""
     return kernel(function, fastmath=_ANY_ORDER, allocates=False, called=False)
-
-
-def _lane_sums(weights: Array, s: int, a: Array, j: int) -> Any:
-    """Row j of `a` with its lanes summed by row s of the weights: v, u, q, w and the first and the last three of h.
-
-    Sixteen sums in one loop over the lanes, or they are not made of vector instructions.
-    """
-    v1 = v2 = v3 = u1 = u2 = u3 = q1 = q2 = q3 = o1 = o2 = o3 = h0 = h1 = h2 = h3 = 0.0
-    for i in range(LANES):
-        k = weights[s, i]
-        v1 += k * a[j, i]
-        v2 += k * a[j, LANES + i]
-        v3 += k * a[j, 2 * LANES + i]
-        u1 += k * a[j, 3 * LANES + i]
-        u2 += k * a[j, 4 * LANES + i]
-        u3 += k * a[j, 5 * LANES + i]
-        q1 += k * a[j, 6 * LANES + i]
-        q2 += k * a[j, 7 * LANES + i]
-        q3 += k * a[j, 8 * LANES + i]
-        o1 += k * a[j, 9 * LANES + i]
-        o2 += k * a[j, 10 * LANES + i]
-        o3 += k * a[j, 11 * LANES + i]
-        h0 += k * a[j, 12 * LANES + i]
-        h1 += k * a[j, 13 * LANES + i]
-        h2 += k * a[j, 14 * LANES + i]
-        h3 += k * a[j, 15 * LANES + i]
-    return (v1, v2, v3), (u1, u2, u3), (q1, q2, q3), (o1, o2, o3), h0, (h1, h2, h3)
-
-
-lane_sums = kernel(_lane_sums, fastmath=_ANY_ORDER, inlined=True, allocates=False, called=False)
-
-
-@inlined
-def write(a: Array, j: int, c: int, b: Triple) -> None:
-    """Three numbers into row j, from c on."""
-    a[j, c], a[j, c + 1], a[j, c + 2] = b
-
-
-@inlined
-def size(a: Triple) -> float:
-    """The largest of three, all taken positive."""
-    return max(max(abs(a[0]), abs(a[1])), abs(a[2]))
-
-
-@inlined
-def sum_of(a: Triple) -> float:
-    """The sum of three, all taken positive."""
-    return abs(a[0]) + abs(a[1]) + abs(a[2])
