@@ -1,6 +1,8 @@
 """How honest and how fast identification is: coverage of its error bars, and archives per minute by workers.
 
-Run: python -m benchmarks.identify [--moving] [--trials 200] [--seed 0] [--workers 1 2] [--figure FILE | --archives ..]
+Run: python -m benchmarks.identify [--moving | --drawn] [--trials 200] [--seed 0] [--workers 1 2] [--store DIR]
+     python -m benchmarks.identify --archives data/*.h5 --workers 1 2
+     python -m benchmarks.identify --figure FILE
 """
 
 from __future__ import annotations
@@ -28,6 +30,10 @@ Array = NDArray[np.float64]
 
 FREE_MOVING = ("damping_s", "density_kg_m3", "sensor_lag_s", "rpe_per_bar")
 FREE = ("law", "rpe_per_bar", "cap_mass_kg", "base_x_m", "base_z_m", "base_ry_rad")
+FREE_DRAWN = (
+    "law", "rpe_per_bar", "cap_mass_kg", "shear_ratio", "base", "tool", "actuator_angles", "damping_s",
+    "density_kg_m3", "sensor_lag_s",
+)  # fmt: skip
 
 
 def experiment() -> tuple[tuple[Poses, ...], Setup, Setup]:
@@ -66,6 +72,50 @@ def motions(trials: int, seed: int) -> list[Trial]:
         truth = replace(start, arm=replace(start.arm, material=true), sensor_lag_s=rng.normal(0.0, LAG_PRIOR.std))
         tasks.append(Trial((planned,), truth, start, FREE_MOVING, Errors(), seed * 1_000_003 + k))
     return tasks
+
+
+def drawn(trials: int, seed: int) -> list[Trial]:
+    """Weights, two ramps and eight seconds of a sine, every time of an arm of which next to nothing is as in the file.
+
+    Much of what is free can be exchanged, and is then held at values that are wrong.
+    """
+    rng, errors = np.random.default_rng([seed, 2]), Errors((3e-5, 3e-5, 6e-5), 10.0, 300.0)
+    ramp, time_s = np.linspace(0.15e5, 0.65e5, 11)[:, None], np.arange(240) / 30
+    sine = 0.35e5 + 0.25e5 * np.sin(np.pi * time_s)[:, None]
+    planned = (
+        plan("weights", np.zeros((13, 3)), np.linspace(0.0, 1.2, 13), errors=errors),
+        plan("ramp-a", ramp * np.array([1.0, 0.0, 0.0]), errors=errors),
+        plan("ramp-b", ramp * np.array([0.0, 1.0, 1.0]), errors=errors),
+        plan("sine", sine * np.array([1.0, 0.0, 0.0]), period_s=1 / 30, errors=errors),
+    )
+    paper = model.Arm.paper()
+    known = replace(paper, rod_weight=True, material=replace(paper.material, damping_s=0.02))
+    tasks = []
+    for k in range(trials):
+        material = replace(
+            known.material,
+            a1_per_n=float(np.exp(rng.uniform(np.log(0.005), np.log(0.012)))),
+            a2_per_n2=float(np.exp(rng.uniform(np.log(1.2e-4), np.log(6e-4)))),
+            rpe_per_bar=rng.uniform(0.01, 0.09),
+            shear_ratio=float(np.exp(rng.uniform(np.log(0.25), np.log(0.8)))),
+            density_kg_m3=rng.uniform(900.0, 1400.0),
+            damping_s=float(np.exp(rng.uniform(np.log(0.003), np.log(0.05)))),
+        )
+        truth = Setup(
+            replace(known, material=material, cap_mass_kg=rng.uniform(0.02, 0.15)),
+            base_translation_m=_each(rng, 0.01),
+            base_rotation_rad=_each(rng, 0.07),
+            tool_offset_m=_each(rng, 0.008),
+            actuator_turn_rad=_each(rng, 0.17),
+            sensor_lag_s=rng.normal(0.0, LAG_PRIOR.std),
+        )
+        tasks.append(Trial(planned, truth, Setup(known), FREE_DRAWN, errors, seed * 1_000_003 + k))
+    return tasks
+
+
+def _each(rng: np.random.Generator, most: float) -> tuple[float, float, float]:
+    x, y, z = rng.uniform(-most, most, 3).tolist()
+    return x, y, z
 
 
 def read_and_identified(files: tuple[Path, ...]) -> Array:
@@ -110,7 +160,9 @@ def main() -> None:
     options.add_argument("--trials", type=int, default=200)
     options.add_argument("--seed", type=int, default=0)
     options.add_argument("--workers", type=int, nargs="+", default=[2])
-    options.add_argument("--moving", action="store_true", help="coverage of damping, density and delay in motion")
+    instead = options.add_mutually_exclusive_group()
+    instead.add_argument("--moving", action="store_true", help="coverage of damping, density and delay in motion")
+    instead.add_argument("--drawn", action="store_true", help="coverage of all parameters of arms drawn at random")
     options.add_argument("--store", type=Path, help="keep finished trials there, to resume")
     options.add_argument("--archives", type=Path, nargs="+", help="measure archives per minute with these instead")
     options.add_argument("--figure", type=Path, help="draw one identification there instead (png, pdf, svg)")
@@ -124,9 +176,11 @@ def main() -> None:
             throughput(given.archives, workers)
             continue
         began = time.perf_counter()
-        if given.moving:
-            z = np.array(spread(attempt, motions(given.trials, given.seed), workers, store=given.store))
-            found, count = Coverage(FREE_MOVING, z), 1
+        if given.moving or given.drawn:
+            free, draw_trials = (FREE_DRAWN, drawn) if given.drawn else (FREE_MOVING, motions)
+            tasks = draw_trials(given.trials, given.seed)
+            z = np.array(spread(attempt, tasks, workers, store=given.store))
+            found, count = Coverage(tuple(p.name for p in named(free, 3)), z), len(tasks[0].planned)
         else:
             found, count = (
                 coverage(planned, truth, start, FREE, given.trials, None, given.seed, workers, store=given.store),
