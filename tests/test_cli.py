@@ -182,7 +182,10 @@ def test_without_yes_and_without_a_terminal_nothing_is_armed(
     assert not (here / "data").exists()
 
 
-def test_vent_says_which_bench_it_was_and_that_it_is_simulated(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_vent_says_which_bench_it_was_and_that_it_is_simulated(
+    here: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("rig.executor.clock.hurry", lambda: None)
     bench = write_rig(here)
     registers = Registers.create(rig_file.load(bench).cards["daq"].device, outputs=2, inputs=16)
     try:

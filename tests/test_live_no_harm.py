@@ -18,7 +18,7 @@ from websockets.exceptions import InvalidStatus
 import runs
 from runs.records import Status
 
-pytestmark = pytest.mark.alone
+pytestmark = pytest.mark.real_time
 
 SERVER = "rig.live.server"
 HOLDING = """

@@ -21,7 +21,7 @@ from rig.executor.base import Nobody
 from runs.records import Status
 from runs.run import Run
 
-pytestmark = pytest.mark.alone
+pytestmark = pytest.mark.real_time
 
 SERVER = "rig.live.server"
 LIVE = ("--live", "--port", "0")

@@ -249,6 +249,7 @@ def test_an_error_in_control_is_told_by_its_name_and_leaves_the_valves_safe(
 
     monkeypatch.setattr(control, "receive", lambda: (Job(own_plan, memory.fd, os.getppid()), memory))
     monkeypatch.setattr(control, "_rehearse", fails)
+    monkeypatch.setattr(control, "become_real_time", lambda priority: [])
     monkeypatch.setattr(control, "PATIENCE_S", 0.0)
     before = signal.getsignal(signal.SIGTERM)
     try:

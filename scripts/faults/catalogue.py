@@ -248,8 +248,8 @@ PROCESSES = (
     _process(
         "all stopped, then rig vent, then on",
         Signal((CONDUCTOR, WATCHDOG, CONTROL, OBSERVER), STOP, lasts_s=3.0, then_vent=True),
-        ABORTED,
-        "silent|hung|another program|simulator stands still",
+        (*ABORTED, *INTERRUPTED),
+        "silent|hung|another program|simulator stands still|SIGTERM",
         "the time runs from the start of the program `rig vent`",
         within_s=8.0,
     ),
