@@ -38,6 +38,7 @@ SAFE_TIMEOUT_S = 2.0
 STATUS_S = 1.0
 """What a process that dies gets to give its memory back: only then its exit status is known."""
 OVERSLEPT_NS = 200_000_000
+TAKEN_OVER = "the watchdog took the bench over, and was itself gone before it could say why"
 
 STOPPED = {
     Stop.SAFE: "the run was told to stop",
@@ -131,7 +132,7 @@ class _Conductor:
             status, message = Status.ABORTED, f"{message}; {memory.message('control')}".removeprefix("; ")
             self._event(Level.FAULT, "control", memory.message("control"))
         if memory.get("fired_ns") and status is not Status.ABORTED:
-            status, message = Status.ABORTED, memory.message("watchdog") or "the watchdog took the bench over"
+            status, message = Status.ABORTED, memory.message("watchdog") or TAKEN_OVER
         safe_ns = memory.get("safe_ns") or memory.get("fired_ns")
         trouble = self._unsafe()
         if self._stood_in:
@@ -249,7 +250,7 @@ class _Conductor:
         """Which process has a fault, and what it is."""
         memory = self.memory
         if memory.get("fired_ns"):
-            return "watchdog", "the watchdog took the bench over"
+            return "watchdog", TAKEN_OVER
         if fault := self._lost():
             return fault
         if self.plant is not None and self.plant.exit_status is not None:

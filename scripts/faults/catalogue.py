@@ -99,7 +99,7 @@ ABORTED, FINISHED = (Status.ABORTED,), (Status.FINISHED,)
 RECOVERED, INTERRUPTED = (Status.RECOVERED,), (Status.INTERRUPTED,)
 GOES_ON_OR_NOT = (Status.FINISHED, Status.ABORTED)
 EITHER = (Status.ABORTED, Status.RECOVERED)
-TOLD_OF_A_PROCESS = "process died|silent|hung"
+TOLD_OF_A_PROCESS = "process died|silent|hung|itself gone"
 PRESSURE = r"sensor 1|actuator 1"
 NAN = STUCK_WHERE_IT_IS
 
