@@ -21,7 +21,7 @@ from rig.executor.base import Nobody
 from runs.records import Status
 from runs.run import Run
 
-pytestmark = pytest.mark.real_time
+pytestmark = pytest.mark.alone
 
 SERVER = "rig.live.server"
 LIVE = ("--live", "--port", "0")

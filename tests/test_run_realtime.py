@@ -46,7 +46,9 @@ def test_a_run_to_the_end_leaves_safe_valves_a_finished_archive_and_status_0(tmp
         assert run.valves_are_safe()
     archive = runs.open(run.archive())
     assert archive.status is Status.FINISHED
-    assert archive.pressure.time_s[-1] == pytest.approx(1.0, abs=0.2)
+    assert archive.pressure.protocol_s[-1] == pytest.approx(1.0)
+    # No sooner than its protocol is long; where the machine stood still at its end, later.
+    assert archive.pressure.time_s[-1] > 0.95
     assert np.all(np.diff(archive.pressure.tick) >= 1)
     assert len(archive.tip.time_s) > 15
     assert "SIMULATED" in run.output
