@@ -25,10 +25,9 @@ $(STAMP): requirements.lock pyproject.toml scripts/environment.sh
 run: $(STAMP)
 	@$(BIN)/rig run ramp-a --yes
 
-# Tests that run in real time would be disturbed by a machine that is full, and so come last: two by two, then one by one.
+# Tests that run in real time would be disturbed by others beside them, and so come last, one after the other.
 test: $(STAMP) lint
-	$(BIN)/python -m pytest -n auto --dist loadfile -m "not real_time and not alone"
-	$(BIN)/python -m pytest -n 2 --dist loadfile -m real_time
+	$(BIN)/python -m pytest -n auto --dist loadfile -m "not alone"
 	$(BIN)/python -m pytest -m alone
 
 lint: $(STAMP)

@@ -18,7 +18,7 @@ from rig.daq.base import CardError
 from rig.rig_file import load
 from tests.rig_process import PATIENCE_S, write_rig
 
-pytestmark = pytest.mark.real_time
+pytestmark = pytest.mark.alone
 
 
 @contextmanager

@@ -16,7 +16,7 @@ from rig_process import RigProcess, rig_run
 import runs
 from runs.records import Seen, Status
 
-pytestmark = pytest.mark.real_time
+pytestmark = pytest.mark.alone
 
 HELD = """
 title: Something to find under way

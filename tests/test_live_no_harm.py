@@ -18,7 +18,7 @@ from websockets.exceptions import InvalidStatus
 import runs
 from runs.records import Status
 
-pytestmark = pytest.mark.real_time
+pytestmark = pytest.mark.alone
 
 SERVER = "rig.live.server"
 HOLDING = """

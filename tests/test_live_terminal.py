@@ -18,7 +18,7 @@ import rig.rig_file
 import runs
 from rig.simulator.registers import path_of
 
-pytestmark = pytest.mark.real_time
+pytestmark = pytest.mark.alone
 
 PATIENCE_S = 150.0
 

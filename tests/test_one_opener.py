@@ -129,7 +129,7 @@ def test_a_real_card_that_claims_to_let_in_one_is_refused() -> None:
         rig.rig_file.parse(text, "rig.yaml")
 
 
-@pytest.mark.real_time
+@pytest.mark.alone
 def test_a_run_whose_control_hangs_is_made_safe_all_the_same(tmp_path: Path) -> None:
     with rig_run(tmp_path, SHORT, one_opener=True) as run:
         run.wait_until_pressurised()
@@ -141,7 +141,7 @@ def test_a_run_whose_control_hangs_is_made_safe_all_the_same(tmp_path: Path) -> 
     assert "control process hung" in archive.message
 
 
-@pytest.mark.real_time
+@pytest.mark.alone
 def test_a_run_on_such_a_card_goes_to_its_end(tmp_path: Path) -> None:
     with rig_run(tmp_path, BRIEF, one_opener=True) as run:
         assert run.end() == 0, run.output

@@ -19,7 +19,7 @@ from rig.simulator.registers import Registers
 from runs.records import Status
 from runs.recovery import recover
 
-pytestmark = pytest.mark.real_time
+pytestmark = pytest.mark.alone
 
 CONTROL, OBSERVER, WATCHDOG = "rig.executor.control", "rig.executor.observing", "rig.executor.watchdog"
 SIMULATOR = "rig.simulator.process"
