@@ -243,7 +243,7 @@ def elastica() -> None:
     if importlib.util.find_spec("elastica") is None:
         print("\nPyElastica is not installed: skipped")
         return
-    from elastica_rod import FORCE, RAMP_S, ROD, elastica_tips
+    from benchmarks.elastica_rod import FORCE, RAMP_S, ROD, elastica_tips
 
     duration, samples = 0.24, 24
     print(f"\nPyElastica: one tube, {duration} s, tip load growing over {RAMP_S} s; rms error of the tip")
