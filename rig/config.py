@@ -8,12 +8,13 @@ return SI.
 
 from __future__ import annotations
 
+import re
 from datetime import datetime
-from typing import Annotated, Literal
+from typing import Annotated, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, JsonValue, model_validator
 from pydantic.json_schema import SkipJsonSchema
 
 from protocols.validation import Fault, faults
@@ -40,6 +41,26 @@ def _moment(text: str) -> str:
     return text
 
 
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,39}")
+"""Of a rig, a card, a camera: they become parts of file names, HDF5 paths and topics."""
+_NAMED = "a name of up to 40 letters (a-z, A-Z), digits, '-' and '_', a letter or digit first"
+
+_IN_SCHEMA: dict[str, JsonValue] = {"pattern": f"^{_NAME.pattern}$"}
+
+Item = TypeVar("Item")
+
+
+def _name(text: str) -> str:
+    if not _NAME.fullmatch(text):
+        raise ValueError(_NAMED)
+    return text
+
+
+def _names(items: dict[str, Item]) -> dict[str, Item]:
+    faults(Fault((key, "its name"), _NAMED) for key in items if not _NAME.fullmatch(key))
+    return items
+
+
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False, strict=True)]
 NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False, strict=True)]
 Number = Annotated[float, Field(allow_inf_nan=False, strict=True)]
@@ -47,6 +68,10 @@ Volt = Annotated[float, Field(ge=-10, le=10, allow_inf_nan=False, strict=True)]
 Bar = Annotated[float, Field(gt=0, le=100, allow_inf_nan=False, strict=True)]
 Flag = Annotated[bool, Field(strict=True)]
 Word = Annotated[str, Field(min_length=1, pattern=r"^[^\x00-\x1f\x7f]*$")]
+Name = Annotated[str, Field(min_length=1, json_schema_extra=_IN_SCHEMA), AfterValidator(_name)]
+Named = Annotated[
+    dict[str, Item], Field(min_length=1, json_schema_extra={"propertyNames": _IN_SCHEMA}), AfterValidator(_names)
+]
 Moment = Annotated[str, AfterValidator(_moment)]
 Index = Annotated[int, Field(ge=0, strict=True)]
 Count = Annotated[int, Field(ge=1, strict=True)]
@@ -361,17 +386,17 @@ class Simulator(Section):
 class RigConfig(Section):
     """One bench."""
 
-    name: Word
+    name: Name
     description: str = ""
     calibrations: tuple[Word, ...] = Field(
         default=(), description="files of `rig calibrate`, from this file's folder: they replace what is stated here"
     )
-    cards: Annotated[dict[str, CardConfig], Field(min_length=1)]
+    cards: Named[CardConfig]
     valves: Annotated[tuple[Valve, ...], Field(min_length=1)]
     sensors: Annotated[tuple[Sensor, ...], Field(min_length=1)]
     limits: Limits
     control: Control
-    cameras: Annotated[dict[str, CameraConfig], Field(min_length=1)]
+    cameras: Named[CameraConfig]
     board: Board
     arm: Arm
     model: ModelConfig = ModelConfig()

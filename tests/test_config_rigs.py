@@ -184,6 +184,26 @@ def test_two_cards_may_form_one_rig() -> None:
     assert (problem.where, problem.suggestion) == ("cards, daq2, device", "")
 
 
+@pytest.mark.parametrize("name", ["a/b", "..", "a b", "µ", "", "x" * 41, "-a", "a.b", "a\\nb"])
+@pytest.mark.parametrize(("old", "key"), [(r"  daq: ", "cards"), (r"  front:", "cameras")])
+def test_a_card_or_camera_is_named_by_what_a_file_may_be_called_everywhere(name: str, old: str, key: str) -> None:
+    quoted = f'"{name}"'
+    written = changed((old, old.replace("daq", quoted).replace("front", quoted).replace("\\", "\\\\")))
+    problem = next(problem for problem in problems_of(written) if problem.where.endswith("its name"))
+    assert problem.where.startswith(key)
+    assert (problem.line, problem.column) == next(
+        (number, line.index(quoted) + 1) for number, line in enumerate(written.splitlines(), 1) if quoted in line
+    )
+    assert "up to 40 letters (a-z, A-Z), digits, '-' and '_'" in problem.expected
+
+
+@pytest.mark.parametrize("name", ["a/b", "../../etc", "_x", "x" * 41])
+def test_a_rig_is_named_by_what_a_file_may_be_called(name: str) -> None:
+    (problem,) = problems_of(changed(("name: mock", f"name: {name}")))
+    assert (problem.where, problem.line) == ("name", 3)
+    assert "letters" in problem.expected
+
+
 @pytest.mark.parametrize(("name", "meant"), [("mok", "mock"), ("pci1716.yml", "pci1716"), ("PCI-1716", "")])
 def test_an_unknown_rig_gets_the_names(name: str, meant: str) -> None:
     with pytest.raises(BadInput) as caught:
