@@ -71,7 +71,7 @@ def header(options: argparse.Namespace) -> RunHeader:
     )
 
 
-def record(path: Path, options: argparse.Namespace, quiet: bool = False) -> float:
+def record(path: Path, options: argparse.Namespace) -> float:
     """Write the journal in batches of one camera frame; return the CPU time that it took [s]."""
     rng = np.random.default_rng(0)
     ticks, frames = options.control_hz, CAMERA_HZ * options.cameras
@@ -82,7 +82,7 @@ def record(path: Path, options: argparse.Namespace, quiet: bool = False) -> floa
     image = np.clip(np.linspace(40, 200, 640) + rng.normal(0, 2, (480, 640)), 0, 255).astype(np.uint8)
     marks = Marks.of(np.ones((20, 2)), np.ones(2), np.ones(2), np.ones((BACKBONE_POINTS, 2)))
     began = time.process_time()
-    writer = JournalWriter(path, header(options))
+    writer = JournalWriter(path, header(options), live=True)
     for second in range(options.seconds):
         at = second + np.arange(ticks) / ticks
         samples["t_ns"], samples["protocol_s"] = at * 1e9, at
@@ -99,8 +99,6 @@ def record(path: Path, options: argparse.Namespace, quiet: bool = False) -> floa
                 data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, 90])[1].tobytes()
                 writer.picture(Picture(int(rows["t_ns"][k]), second * frames + k, "front", "jpeg", data, marks))
     writer.close(RunFooter(options.seconds * 10**9, Status.FINISHED, ""))
-    if not quiet:
-        print(f"longest fdatasync        {writer.longest_sync_s * 1e3:8.1f} ms")
     return time.process_time() - began
 
 
@@ -147,7 +145,7 @@ def main() -> None:
             print(f"{kind:24} {path.with_suffix(kind).stat().st_size / 1e6:8.1f} MB")
         if options.archives:
             small = Path(folder) / "small.mcap"
-            record(small, argparse.Namespace(**vars(options) | {"seconds": 2}), quiet=True)
+            record(small, argparse.Namespace(**vars(options) | {"seconds": 2}))
             many = Path(folder) / "many"
             folder_of(options.archives, finalise(small), many)
             timed(f"{options.archives} archives, first", lambda: catalogue(many))

@@ -62,7 +62,7 @@ def _status(error: Exception) -> int | None:
     from rig.executor.base import StartError, StoppedError
     from runs.archive import ArchiveError
     from runs.export import ExportError
-    from runs.journal import JournalError
+    from runs.disk import JournalError
 
     if isinstance(error, NoData | UnknownParameter | NotAdaptable):
         return BAD_INPUT

@@ -26,13 +26,16 @@ from rig.lock import cards_locked
 from rig.provenance import git_state, quantities, versions
 from rig.rig_file import load, parse, path_of, sources, text
 from runs.archive import ArchiveError, finalise
-from runs.journal import JournalError, JournalWriter
+from runs.disk import JournalError
+from runs.journal import JournalWriter
 from runs.records import Event, Interval, Level, Quantity, RunFooter, RunHeader, SourceFile, Status
 
 VARIANTS: tuple[Variant, ...] = get_args(Variant)
 Loaded = TypeVar("Loaded")
 Name = TypeVar("Name")
 SPARE_DISK_BYTES = 200_000_000
+TOLD_AFTER_S = 2.0
+"""What a disk gets to take the end of the record before the operator is told that he waits for it."""
 _EXPECTED = (CardError, StartError, JournalError)
 
 
@@ -187,7 +190,7 @@ def _run(request: Request, decided: Plan, audience: Audience, draw: Callable[[Pa
         # The first tick is yet to come; virtual time has no place in the calendar but its beginning.
         ahead_ns = 0 if request.fast else t_ns - time.monotonic_ns()
         about = header(request, decided, t_ns, ahead_ns)
-        journal = JournalWriter(request.folder / f"{about.run_id}.mcap", about)
+        journal = JournalWriter(request.folder / f"{about.run_id}.mcap", about, live=not request.fast)
         return journal
 
     trouble: list[str] = []
@@ -206,6 +209,9 @@ def _run(request: Request, decided: Plan, audience: Audience, draw: Callable[[Pa
     assert journal is not None
     archive = report = parameters = None
     try:
+        if not journal.settled(TOLD_AFTER_S):
+            waiting = f"waiting for the disk to take the rest of {journal.path}"
+            audience.tell(Event(time.monotonic_ns(), Level.WARNING, "conductor", waiting))
         journal.close(RunFooter(outcome.t_ns, outcome.status, outcome.message, outcome.counters))
         archive = finalise(journal.path)
     except (ArchiveError, JournalError) as error:

@@ -20,8 +20,8 @@ import h5py
 import numpy as np
 
 from runs import digest, journal, layout
+from runs.disk import ARCHIVE_TO_JOURNAL, NO_ROOM, JournalError
 from runs.groups import CHUNK_ROWS, Column, Field, Group, Pictures, Table, pieces
-from runs.journal import ARCHIVE_TO_JOURNAL, NO_ROOM
 
 SUFFIX = ".h5"
 PART = ".h5.part"
@@ -42,7 +42,7 @@ def finalise(journal_path: Path | str, archive_path: Path | str | None = None) -
     """Turn a journal into an archive and return the archive's path; the journal stays.
 
     By default the archive stands beside the journal. A journal without a footer gives an archive with status
-    `recovered`. An archive that is already there is replaced. `ArchiveError` or `runs.journal.JournalError`.
+    `recovered`. An archive that is already there is replaced. `ArchiveError` or `runs.disk.JournalError`.
     """
     source = Path(journal_path)
     target = source.with_suffix(SUFFIX) if archive_path is None else Path(archive_path)
@@ -82,7 +82,7 @@ def held(source: Path) -> Iterator[None]:
     try:
         handle = os.open(source, os.O_RDONLY | os.O_CLOEXEC)
     except OSError as fault:
-        raise journal.JournalError(f"cannot read {source}: {fault.strerror}") from fault
+        raise JournalError(f"cannot read {source}: {fault.strerror}") from fault
     try:
         try:
             fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)

@@ -1,20 +1,16 @@
 """The journal of a run: append-only, whole up to its last write whatever happens to the process.
 
 MCAP with one checked block per call, written past every buffer of the process: what a call returned from survives
-kill -9; what is older than a second survives a power cut. The first block (schemas and header) is written twice,
-because without it nothing else can be read.
+kill -9; what is older than a second survives a power cut (`runs.disk`, also for what becomes of that where a disk
+stands still). The first block (schemas and header) is written twice, because without it nothing else can be read.
 """
 
 from __future__ import annotations
 
-import errno
-import fcntl
 import mmap
 import os
 import struct
-import time
 from collections.abc import Mapping
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -25,58 +21,40 @@ from numpy.typing import NDArray
 
 from runs import blocks, messages
 from runs.blocks import Block, Damage
+from runs.disk import Appended, File, Held, JournalError
 from runs.messages import ADAPTATIONS, EVENTS, FOOTER, HEADER, MARKS, OBSERVATIONS, PICTURES, SAMPLES
 from runs.records import Event, Picture, RunFooter, RunHeader, adaptation_dtype, observation_dtype, sample_dtype
 from runs.stored import Index, StoredPictures, StoredRows
 
 SUFFIX = ".mcap"
-SYNC_S = 1.0
-RESERVE_BYTES = 32 << 20
-"""Free space that is left on the disk beyond what the archive will need."""
-ARCHIVE_TO_JOURNAL = 1.2
-"""An archive is about as large as its journal: its rows are compressed, its pictures are not."""
-
-NO_ROOM = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
-"""What the kernel says when a disk, a quota or a limit is full."""
-
-
-class JournalError(Exception):
-    """The journal cannot be written or read; the message says why."""
-
-
-class JournalFullError(JournalError):
-    """The disk is full, or nearly. What earlier calls wrote is intact, and the journal can still be closed."""
 
 
 class JournalWriter:
-    """Writes one run's journal. For one thread; the file is locked (flock) while it is open."""
+    """Writes one run's journal. For one thread; the file is locked (flock) while it is open.
 
-    def __init__(self, path: Path | str, header: RunHeader) -> None:
-        """Create the file, which must not exist, and write the header."""
+    Every call raises `JournalError` where the disk is full, broken or, in a live run, takes nothing for long.
+    """
+
+    def __init__(self, path: Path | str, header: RunHeader, *, live: bool = False) -> None:
+        """Create the file, which must not exist, and write the header.
+
+        A `live` run is never held up by a disk that stands still; any other waits for it.
+        """
         self.path = Path(path)
-        self.longest_sync_s = 0.0
         self._samples = _Rows(SAMPLES, sample_dtype(header.actuators, header.valves))
         self._observations = _Rows(OBSERVATIONS, observation_dtype(header.actuators, len(header.cameras)))
         self._adaptations = _Rows(ADAPTATIONS, adaptation_dtype(len(header.adapted)))
         self._utc_minus_t_ns = header.started_utc_ns - header.started_t_ns
         self.newest_t_ns = header.started_t_ns
-        self._size = 0
-        self._full: str | None = None
         kinds = [self._samples, self._observations, *([self._adaptations] if header.adapted else [])]
         first = block_of_header(header, {kind.channel: kind.form["row"] for kind in kinds})
-        try:
-            self._check_room(os.statvfs(self.path.parent))
-            self._fd = os.open(self.path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_APPEND | os.O_CLOEXEC, 0o644)
-        except OSError as fault:
-            raise JournalError(f"cannot create {self.path}: {fault.strerror}") from fault
-        try:
-            fcntl.flock(self._fd, fcntl.LOCK_EX)
-            self._synced_at = time.monotonic()
-            self._write(blocks.opening() + first + first)
-        except BaseException:
-            os.close(self._fd)
-            self.path.unlink(missing_ok=True)
-            raise
+        file = File(self.path, blocks.opening() + first + first)
+        self._file: Appended = Held(file) if live else file
+
+    @property
+    def standing_s(self) -> float:
+        """For how long the disk has not taken what was recorded [s]; 0 where it has."""
+        return self._file.standing_s
 
     def samples(self, rows: NDArray[np.void]) -> None:
         """Append control ticks: `sample_dtype` rows (n,)."""
@@ -97,24 +75,24 @@ class JournalWriter:
             Message(MARKS, utc_ns, messages.marks_to_bytes(picture), utc_ns, 0),
             Message(PICTURES, utc_ns, messages.picture_to_bytes(picture, utc_ns), utc_ns, 0),
         )
-        self._append(blocks.block(content, utc_ns, utc_ns))
+        self._file.append(blocks.block(content, utc_ns, utc_ns))
 
     def event(self, event: Event) -> None:
         """Append an event."""
         utc_ns = event.t_ns + self._utc_minus_t_ns
         self.newest_t_ns = max(self.newest_t_ns, event.t_ns)
         content = blocks.encode(Message(EVENTS, utc_ns, messages.to_json(event), utc_ns, 0))
-        self._append(blocks.block(content, utc_ns, utc_ns))
+        self._file.append(blocks.block(content, utc_ns, utc_ns))
+
+    def settled(self, timeout_s: float) -> bool:
+        """Wait until the disk has taken what was recorded; False where it has not by then."""
+        return self._file.settled(timeout_s)
 
     def close(self, footer: RunFooter) -> None:
         """Write how the run ended, and close. Closes the file even where the footer finds no room."""
         utc_ns = footer.t_ns + self._utc_minus_t_ns
         content = blocks.encode(Message(FOOTER, utc_ns, messages.to_json(footer), utc_ns, 0))
-        try:
-            self._write(blocks.block(content, utc_ns, utc_ns) + blocks.ending())
-            self._sync()
-        finally:
-            os.close(self._fd)
+        self._file.close(blocks.block(content, utc_ns, utc_ns) + blocks.ending())
 
     def _rows(self, kind: _Rows, rows: NDArray[np.void]) -> None:
         if len(rows) == 0:
@@ -125,50 +103,7 @@ class JournalWriter:
         content = blocks.frame_rows(rows, kind.form, kind.channel, kind.sequence, log_ns)
         kind.sequence += len(rows)
         self.newest_t_ns = max(self.newest_t_ns, int(rows["t_ns"][-1]))
-        self._append(blocks.block(content, int(log_ns[0]), int(log_ns[-1])))
-
-    def _append(self, data: bytes) -> None:
-        if self._full:
-            raise JournalFullError(self._full)
-        self._write(data)
-        if time.monotonic() - self._synced_at >= SYNC_S:
-            self._sync()
-            self._check_room(os.fstatvfs(self._fd))
-
-    def _write(self, data: bytes) -> None:
-        """Write all of it or, where there is no room, none."""
-        rest = memoryview(data)
-        try:
-            while rest:
-                rest = rest[os.write(self._fd, rest) :]
-        except OSError as fault:
-            # A disk that has turned read-only takes not even that; what is torn is told from what is whole on reading.
-            with suppress(OSError):
-                os.ftruncate(self._fd, self._size)
-            if fault.errno in NO_ROOM:
-                self._full = f"the disk with {self.path} is full ({fault.strerror}); what was recorded is intact"
-                raise JournalFullError(self._full) from fault
-            raise JournalError(f"cannot write {self.path}: {fault.strerror}") from fault
-        self._size += len(data)
-
-    def _sync(self) -> None:
-        before = time.monotonic()
-        try:
-            os.fdatasync(self._fd)
-        except OSError as fault:
-            raise JournalError(f"cannot write {self.path} to its disk: {fault.strerror}") from fault
-        self._synced_at = time.monotonic()
-        self.longest_sync_s = max(self.longest_sync_s, self._synced_at - before)
-
-    def _check_room(self, disk: os.statvfs_result) -> None:
-        """Stop while there is still room for the archive."""
-        free, needed = disk.f_bavail * disk.f_frsize, RESERVE_BYTES + ARCHIVE_TO_JOURNAL * self._size
-        if free < needed:
-            self._full = (
-                f"the disk with {self.path} is nearly full: {free / 1e6:.0f} MB free, {needed / 1e6:.0f} MB needed "
-                "to finish this run; what was recorded is intact"
-            )
-            raise JournalFullError(self._full)
+        self._file.append(blocks.block(content, int(log_ns[0]), int(log_ns[-1])))
 
 
 class _Rows:

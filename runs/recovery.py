@@ -11,7 +11,7 @@ from pathlib import Path
 
 from runs import archive, foxglove, journal
 from runs.archive import ArchiveError, StillWrittenError
-from runs.journal import JournalError
+from runs.disk import JournalError
 from runs.run import Run
 
 

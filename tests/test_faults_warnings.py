@@ -106,3 +106,13 @@ def test_a_standstill_of_the_record_is_told(vigil: Vigil) -> None:
     looks = [10**9, 10**9 + 20_000_000, 10**9 + 1_220_000_000]
     told = [event for t_ns in looks for event in vigil.looking(t_ns)]
     assert [event.message[:34] for event in told] == ["nothing was recorded for 1.20 s, w"]
+
+
+def test_a_disk_that_does_not_take_the_record_is_told_once_with_its_end(vigil: Vigil) -> None:
+    looks = [(0.0, 0.0), (1.0, 0.9), (2.5, 2.4), (3.0, 2.9), (4.0, 0.0), (5.0, 0.1)]
+    told = [event for t_s, standing_s in looks for event in vigil.disk(10**9 + round(t_s * 1e9), standing_s)]
+    assert [event.message for event in told] == [
+        "the disk has not taken the record for 2.4 s, which is kept in memory meanwhile: "
+        "is another program writing to it?; the run goes on",
+        "the disk takes the record again, after 3.90 s",
+    ]

@@ -15,7 +15,7 @@ import runs
 from protocols import BadInput
 from rig import experiment
 from rig.executor.base import Nobody, StartError
-from runs.journal import JournalError
+from runs.disk import JournalError
 from runs.records import Event, Status
 from runs.run import Run
 from runs.summary import Summary, summarise

@@ -22,9 +22,10 @@ from hypothesis import strategies as st
 from mcap.reader import make_reader
 from numpy.typing import NDArray
 
-from runs import journal, messages
+from runs import disk, journal, messages
 from runs.archive import StillWrittenError, held
-from runs.journal import JournalError, JournalFullError, JournalWriter
+from runs.disk import JournalError, JournalFullError
+from runs.journal import JournalWriter
 from runs.records import Event, Level, RunFooter, RunHeader, Status, sample_dtype
 
 WRITER = """
@@ -33,7 +34,7 @@ sys.path.insert(0, {tests!r})
 import runs_made_up as made_up
 from runs.journal import JournalWriter
 rows = made_up.samples(500.0)
-writer = JournalWriter(sys.argv[1], made_up.header())
+writer = JournalWriter(sys.argv[1], made_up.header(), live={live})
 for low in range(0, len(rows), 5):
     writer.samples(rows[low : low + 5])
     writer.picture(made_up.picture(low))
@@ -108,10 +109,10 @@ def test_a_row_is_described_for_viewers_in_the_order_of_its_bytes() -> None:
     ]
 
 
-@pytest.mark.parametrize("attempt", range(3))
-def test_kill_9_loses_nothing_that_was_written(tmp_path: Path, attempt: int) -> None:
+@pytest.mark.parametrize(("attempt", "live"), [(0, False), (1, True), (2, True)])
+def test_kill_9_loses_nothing_that_was_written(tmp_path: Path, attempt: int, live: bool) -> None:
     path = tmp_path / "killed.mcap"
-    script = WRITER.format(tests=str(Path(__file__).parent))
+    script = WRITER.format(tests=str(Path(__file__).parent), live=live)
     with subprocess.Popen([sys.executable, "-c", script, str(path)], stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
         written = int(process.stdout.readline())
@@ -237,10 +238,11 @@ def _write_until_full(writer: JournalWriter, rows: NDArray[np.void]) -> int:
     raise AssertionError("the disk never was full")
 
 
-def test_a_full_disk_raises_one_error_and_keeps_what_was_recorded(tmp_path: Path) -> None:
+@pytest.mark.parametrize("live", [False, True])
+def test_a_full_disk_raises_one_error_and_keeps_what_was_recorded(tmp_path: Path, live: bool) -> None:
     path = tmp_path / "full.mcap"
     rows = made_up.samples(10.0)
-    writer = JournalWriter(path, made_up.header())
+    writer = JournalWriter(path, made_up.header(), live=live)
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     before = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
     try:
@@ -279,10 +281,10 @@ def test_a_run_stops_while_the_disk_still_has_room_for_its_archive(
 ) -> None:
     path = tmp_path / "a.mcap"
     writer = JournalWriter(path, made_up.header())
-    monkeypatch.setattr(journal, "SYNC_S", 0.0)
+    monkeypatch.setattr(disk, "SYNC_S", 0.0)
     writer.samples(made_up.samples(0.1))
     free = os.statvfs(tmp_path)
-    monkeypatch.setattr(journal, "RESERVE_BYTES", free.f_bavail * free.f_frsize * 2)
+    monkeypatch.setattr(disk, "RESERVE_BYTES", free.f_bavail * free.f_frsize * 2)
     with pytest.raises(JournalFullError, match="nearly full"):
         writer.samples(made_up.samples(0.1))
     with pytest.raises(JournalFullError, match="nearly full"):
@@ -296,8 +298,8 @@ def test_the_room_that_is_kept_for_the_archive_grows_with_the_journal(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     writer = JournalWriter(tmp_path / "a.mcap", made_up.header())
-    monkeypatch.setattr(journal, "SYNC_S", 0.0)
-    monkeypatch.setattr(journal, "RESERVE_BYTES", 0)
+    monkeypatch.setattr(disk, "SYNC_S", 0.0)
+    monkeypatch.setattr(disk, "RESERVE_BYTES", 0)
     free = SimpleNamespace(f_frsize=1, f_bavail=200_000)
     monkeypatch.setattr(os, "fstatvfs", lambda _: free)
 
@@ -312,11 +314,14 @@ def test_the_room_that_is_kept_for_the_archive_grows_with_the_journal(
     writer.close(RunFooter(made_up.START_NS, Status.ABORTED, "the disk is nearly full"))
 
 
-def test_a_disk_that_turns_read_only_is_told_as_what_it_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("live", [False, True])
+def test_a_disk_that_turns_read_only_is_told_as_what_it_is(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, live: bool
+) -> None:
     def refused(*_: object) -> int:
         raise OSError(errno.EROFS, os.strerror(errno.EROFS))
 
-    writer = JournalWriter(tmp_path / "run.mcap", made_up.header())
+    writer = JournalWriter(tmp_path / "run.mcap", made_up.header(), live=live)
     writer.samples(made_up.samples(0.5))
     with monkeypatch.context() as readonly:
         readonly.setattr(os, "write", refused)
@@ -332,7 +337,7 @@ def test_what_is_older_than_a_second_is_on_the_disk(tmp_path: Path, monkeypatch:
     path = tmp_path / "a.mcap"
     monkeypatch.setattr(os, "fdatasync", lambda fd: synced.append(os.fstat(fd).st_size))
     clock = iter(np.arange(0.0, 1000.0, 0.3).tolist())
-    monkeypatch.setattr(journal.time, "monotonic", lambda: next(clock))
+    monkeypatch.setattr(disk.time, "monotonic", lambda: next(clock))
     writer = JournalWriter(path, made_up.header())
     for _ in range(10):
         writer.samples(made_up.samples(0.1))

@@ -28,7 +28,7 @@ from rig.executor.life import Life
 from rig.executor.memory import Layout, RunMemory, Stage, Stop
 from rig.simulator.host import Simulation
 from rig.simulator.registers import Registers
-from runs.journal import JournalError
+from runs.disk import JournalError
 from runs.records import Event, Status
 
 

@@ -57,6 +57,10 @@ class Progress:
 class Recorder(Protocol):
     """Where the rows go: the journal."""
 
+    @property
+    def standing_s(self) -> float:
+        """For how long the disk has not taken what was recorded [s]."""
+
     def samples(self, rows: NDArray[np.void]) -> None:
         """Record control ticks."""
 

@@ -195,6 +195,7 @@ class _Conductor:
             memory.beat("conductor", time.monotonic_ns())
             self._report(*self.vigil.looking(time.monotonic_ns()))
             self._drain()
+            self._report(*self.vigil.disk(time.monotonic_ns(), self.recorder.standing_s))
             if reason := self.audience.stop_requested():
                 return Status.INTERRUPTED, reason
             if self.audience.pause_toggled():
@@ -208,7 +209,7 @@ class _Conductor:
             if fault := self._fault():
                 # Who is silent is killed where he does not act: that is no news of what befell him.
                 died = self._died(fault[0])
-                # First of all: neither a slow disk nor a process that is long in dying is to be waited for.
+                # First of all: a process that is long in dying is not to be waited for.
                 self._make_safe()
                 fault = self._explained(*fault, died=died)
                 self._event(Level.FAULT, *fault)

@@ -23,6 +23,7 @@ OFF_PACE = 0.05
 """A camera that keeps its pace no better than this makes the model, which steps by the rig's, too slow or too fast."""
 STANDSTILL_S = 0.5
 STOOD_STILL_S = 0.1
+DISK_S = 2.0
 
 _SEEN = {
     Seen.NO_BOARD: "no board in the picture: light, lens cap, something before the camera?",
@@ -66,6 +67,7 @@ class Vigil:
         self._dropping, self._late, self._missing = _Trouble(0.3), _Trouble(0.3), _Trouble(0.05)
         self._off_pace, self._apart_s, self._frame_t_ns = _Trouble(0.5), self._frame_s, 0
         self._cameras = [(name, _Trouble(0.3)) for name in config.cameras] if len(config.cameras) > 1 else []
+        self._disk = _Trouble(DISK_S)
         self._looked_ns = 0
 
     def samples(self, rows: NDArray[np.void]) -> Iterator[Event]:
@@ -176,9 +178,24 @@ class Vigil:
             yield _warning(
                 t_ns,
                 "conductor",
-                f"nothing was recorded for {still_s:.2f} s, what was measured was kept meanwhile: a slow disk, "
-                "or a machine that stood still?",
+                f"nothing was recorded for {still_s:.2f} s, what was measured was kept meanwhile: "
+                "a machine that stood still?",
             )
+
+    def disk(self, t_ns: int, standing_s: float) -> Iterator[Event]:
+        """Called at every look: says when the disk has not taken the record for long, and when it does again."""
+        if standing_s > self._disk.above:
+            if not self._disk.told:
+                self._disk.told, self._disk.since_ns = True, t_ns - round(standing_s * 1e9)
+                yield _warning(
+                    t_ns,
+                    "conductor",
+                    f"the disk has not taken the record for {standing_s:.1f} s, which is kept in memory meanwhile: "
+                    "is another program writing to it?",
+                )
+        elif self._disk.told:
+            self._disk.told = False
+            yield _over(self._disk, t_ns, "conductor", "the disk takes the record again")
 
 
 def _warning(t_ns: int, source: str, message: str) -> Event:
