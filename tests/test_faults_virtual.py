@@ -14,7 +14,7 @@ from scripts.faults.trial import EARLIEST_S, PROTOCOL
 
 FAULTS = [fault for fault in CATALOGUE if fault.virtual]
 LATEST_S = 1.2
-BRIEFER = PROTOCOL.replace("duration_s: 4.2", "duration_s: 3.4")
+BRIEFER = PROTOCOL.replace("{moving_s:g}", "3.4")
 """The campaign strikes later, too; what must come of a fault takes as long here as there."""
 
 

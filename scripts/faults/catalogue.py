@@ -13,6 +13,7 @@ CONDUCTOR, CONTROL, WATCHDOG, OBSERVER, PLANT = "conductor", "control", "watchdo
 KILL, STOP = signal.SIGKILL, signal.SIGSTOP
 STUCK_WHERE_IT_IS = float("nan")
 FOR_EVER = 10**9
+MOVING_S = 4.2
 
 
 @dataclass(frozen=True)
@@ -61,6 +62,13 @@ class Margin:
     blows: Blows
 
 
+@dataclass(frozen=True)
+class DiskStands:
+    """The disk takes nothing for so long."""
+
+    lasts_s: float
+
+
 class Trick(Enum):
     """What is done to the run's surroundings."""
 
@@ -84,7 +92,7 @@ class Fault:
 
     name: str
     kind: str
-    action: Bench | Signal | Havoc | Trick | Margin
+    action: Bench | Signal | Havoc | Trick | DiskStands | Margin
     ends: tuple[Status, ...]
     says: str
     real: bool = True
@@ -93,6 +101,8 @@ class Fault:
     within_s: float = 3.0
     """How soon the valves must be safe where the run does not go on."""
     remark: str = field(default="", kw_only=True)
+    moving_s: float = field(default=MOVING_S, kw_only=True)
+    """How long the protocol keeps the valves in motion."""
 
 
 ABORTED, FINISHED = (Status.ABORTED,), (Status.FINISHED,)
@@ -221,6 +231,7 @@ PROCESSES = (
     _process("watchdog stopped", Signal((WATCHDOG,), STOP), ABORTED, "watchdog"),
     _process("conductor killed", Signal((CONDUCTOR,), KILL), RECOVERED, ""),
     _process("conductor stopped, 4 s", Signal((CONDUCTOR,), STOP, lasts_s=4.0), ABORTED, "conductor had been silent"),
+    _process("conductor stopped, 1.2 s", Signal((CONDUCTOR,), STOP, lasts_s=1.2), FINISHED, "nothing was recorded for"),
     _process("simulator killed", Signal((PLANT,), KILL), ABORTED, "simulator died|no pressure sample|camera"),
     _process("simulator stopped", Signal((PLANT,), STOP), ABORTED, "no pressure sample|camera"),
     _process("control, observer and conductor killed", Signal((CONTROL, OBSERVER, CONDUCTOR), KILL), RECOVERED, ""),
@@ -270,12 +281,19 @@ SURROUNDINGS = (
     Fault("disk full", "disk", Trick.DISK_FULL, (*ABORTED, *RECOVERED), "full"),
     Fault("file size limit reached", "disk", Trick.FILE_LIMIT, (*ABORTED, *RECOVERED), "full", virtual=False),
     Fault("folder turns read-only", "disk", Trick.FOLDER_READ_ONLY, FINISHED, "the journal is kept", virtual=False),
-    _process(
-        "disk slow: the record stands still for 1.2 s",
-        Signal((CONDUCTOR,), STOP, lasts_s=1.2),
-        FINISHED,
-        "nothing was recorded for",
-        "stood in for by stopping the conductor, which is what a blocked write does",
+    Fault(
+        "disk slow: takes nothing for 4 s", "disk", DiskStands(4.0), FINISHED, "has not taken the record", virtual=False
+    ),
+    Fault(
+        "disk slow: takes nothing for 12 s",
+        "disk",
+        DiskStands(12.0),
+        ABORTED,
+        "has taken nothing for",
+        virtual=False,
+        within_s=12.0,
+        remark="what waits in memory is written once it does",
+        moving_s=15.0,
     ),
     Fault("rig and protocol changed on disk", "files", Trick.FILES_CHANGED, FINISHED, "", remark="the run has its own"),
     Fault("clock stepped forward by a day", "clock", Trick.CLOCK_FORWARD, FINISHED, "", virtual=False),

@@ -31,18 +31,20 @@ from scripts.faults.catalogue import (
     CONDUCTOR,
     CONTROL,
     KILL,
+    MOVING_S,
     OBSERVER,
     PLANT,
     RECOVERED,
     STOP,
     WATCHDOG,
     Bench,
+    DiskStands,
     Fault,
     Havoc,
     Signal,
     Trick,
 )
-from scripts.faults.surroundings import NotHereError, SteppedClock
+from scripts.faults.surroundings import NotHereError, StandingDisk, SteppedClock
 from scripts.faults.trial import PROTOCOL, EndedBeforeError, Trial, Watched, judge, skipped
 from scripts.faults.virtual import SEEN_SAFE_V, rig_text
 
@@ -67,7 +69,7 @@ class WatchedRun:
         folder: Path,
         trick: object,
         environment: dict[str, str],
-        protocol: str = PROTOCOL,
+        protocol: str = PROTOCOL.format(moving_s=MOVING_S),
         limits: dict[str, float] | None = None,
     ) -> None:
         """Start it; `limits` are some of the rig's that are to be others."""
@@ -228,8 +230,8 @@ class Watch(threading.Thread):
 
 
 @contextmanager
-def _run(folder: Path, trick: object, environment: dict[str, str]) -> Iterator[WatchedRun]:
-    run = WatchedRun(folder, trick, environment)
+def _run(folder: Path, fault: Fault, environment: dict[str, str]) -> Iterator[WatchedRun]:
+    run = WatchedRun(folder, fault.action, environment, PROTOCOL.format(moving_s=fault.moving_s))
     try:
         yield run
     finally:
@@ -246,10 +248,14 @@ def trial(fault: Fault, folder: Path, at_s: float, seed: int) -> Trial:
         with ExitStack() as stack:
             if fault.action is Trick.DISK_FULL:
                 stack.enter_context(surroundings.small_disk(out))
-            clock = SteppedClock(folder) if fault.action in (Trick.CLOCK_FORWARD, Trick.CLOCK_BACK) else None
-            if clock is not None:
-                environment = clock.environment
-            with _run(folder, fault.action, environment) as run, ExitStack() as undo:
+            steered: SteppedClock | StandingDisk | None = None
+            if fault.action in (Trick.CLOCK_FORWARD, Trick.CLOCK_BACK):
+                steered = SteppedClock(folder)
+            elif isinstance(fault.action, DiskStands):
+                steered = StandingDisk(folder)
+            if steered is not None:
+                environment = steered.environment
+            with _run(folder, fault, environment) as run, ExitStack() as undo:
                 registers = run.wait_until_moving()
                 time.sleep(at_s)
                 if run.ended(registers):
@@ -257,7 +263,7 @@ def trial(fault: Fault, folder: Path, at_s: float, seed: int) -> Trial:
                     raise EndedBeforeError(run.said[-1500:])
                 watch = Watch(run, registers)
                 fault_ns = time.monotonic_ns()
-                fault_ns = _strike(fault, blows, run, registers, clock, undo) or fault_ns
+                fault_ns = _strike(fault, blows, run, registers, steered, undo) or fault_ns
                 safe_ns = watch.result()
                 registers.close()
                 undo.close()
@@ -296,7 +302,7 @@ def _strike(
     blows: tuple[Blow, ...],
     run: WatchedRun,
     registers: Registers,
-    clock: SteppedClock | None,
+    steered: SteppedClock | StandingDisk | None,
     undo: ExitStack,
 ) -> int | None:
     """Do it; return when the time to the safe state begins where that is later than the call."""
@@ -321,9 +327,13 @@ def _strike(
             run.rig_file.write_text("spoilt: [")
             run.protocol.write_text("spoilt: [")
         case Trick.CLOCK_FORWARD | Trick.CLOCK_BACK:
-            assert clock is not None
-            clock.require(run.members.values())
-            clock.step(surroundings.DAY_NS if fault.action is Trick.CLOCK_FORWARD else -surroundings.DAY_NS)
+            assert isinstance(steered, SteppedClock)
+            steered.require(run.members.values())
+            steered.step(surroundings.DAY_NS if fault.action is Trick.CLOCK_FORWARD else -surroundings.DAY_NS)
+        case DiskStands(lasts_s=lasts_s):
+            assert isinstance(steered, StandingDisk)
+            steered.require(run.members.values())
+            steered.stand(lasts_s)
         case Trick.TERMINAL_BLOCKED:
             run.turn_away()
             threading.Timer(8.0, run.turn_back).start()

@@ -7,6 +7,7 @@ import os
 import resource
 import shutil
 import subprocess
+import time
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -17,24 +18,13 @@ DISK_BYTES = 300_000_000
 DAY_NS = 86_400 * 10**9
 
 CLOCK_C = r"""
-#define _GNU_SOURCE
-#include <dlfcn.h>
-#include <fcntl.h>
-#include <stdint.h>
-#include <stdlib.h>
-#include <sys/mman.h>
-#include <time.h>
-
-/* The calendar clock plus what the file named by CLOCK_STEP holds, in ns; every other clock as it is. */
+/* The calendar clock plus what the word holds, in ns; every other clock as it is. */
 int clock_gettime(clockid_t clock, struct timespec *t) {
     static int (*real)(clockid_t, struct timespec *);
     static volatile int64_t *step;
     if (!real) {
         real = dlsym(RTLD_NEXT, "clock_gettime");
-        const char *path = getenv("CLOCK_STEP");
-        int file = path ? open(path, O_RDONLY) : -1;
-        void *map = file < 0 ? MAP_FAILED : mmap(0, 8, PROT_READ, MAP_SHARED, file, 0);
-        step = map == MAP_FAILED ? 0 : map;
+        step = word();
     }
     int result = real(clock, t);
     if (result == 0 && clock == CLOCK_REALTIME && step) {
@@ -43,6 +33,53 @@ int clock_gettime(clockid_t clock, struct timespec *t) {
         t->tv_nsec = ns % 1000000000LL;
     }
     return result;
+}
+"""
+DISK_C = r"""
+/* What is appended to files, and their syncs, wait until the moment [ns] that the word holds. */
+static void wait_for_the_disk(int file) {
+    static volatile int64_t *until;
+    if (!until) until = word();
+    struct stat kind;
+    if (!until || !(fcntl(file, F_GETFL) & O_APPEND) || fstat(file, &kind) || !S_ISREG(kind.st_mode)) return;
+    for (;;) {
+        struct timespec now, moment = {0, 1000000};
+        clock_gettime(CLOCK_MONOTONIC, &now);
+        if (now.tv_sec * 1000000000LL + now.tv_nsec >= *until) return;
+        nanosleep(&moment, 0);
+    }
+}
+ssize_t write(int file, const void *data, size_t size) {
+    static ssize_t (*real)(int, const void *, size_t);
+    if (!real) real = dlsym(RTLD_NEXT, "write");
+    wait_for_the_disk(file);
+    return real(file, data, size);
+}
+int fdatasync(int file) {
+    static int (*real)(int);
+    if (!real) real = dlsym(RTLD_NEXT, "fdatasync");
+    wait_for_the_disk(file);
+    return real(file);
+}
+"""
+WORD_C = r"""
+#define _GNU_SOURCE
+#include <dlfcn.h>
+#include <fcntl.h>
+#include <stdint.h>
+#include <stdlib.h>
+#include <sys/mman.h>
+#include <sys/stat.h>
+#include <time.h>
+#include <unistd.h>
+
+/* The 8 bytes of the file named in the environment, which the campaign writes. */
+static volatile int64_t *word(void) {
+    const char *path = getenv("FAULT_WORD");
+    int file = path ? open(path, O_RDONLY | O_CLOEXEC) : -1;
+    void *map = file < 0 ? MAP_FAILED : mmap(0, 8, PROT_READ, MAP_SHARED, file, 0);
+    if (file >= 0) close(file);
+    return map == MAP_FAILED ? 0 : map;
 }
 """
 
@@ -93,30 +130,51 @@ def read_only(folder: Path) -> Iterator[None]:
         _unmount(folder)
 
 
-class SteppedClock:
-    """A calendar clock that can be stepped for the processes started with `environment`."""
+class _Preloaded:
+    """A library that is loaded before libc into the processes started with `environment`, and a word that steers it."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, name: str, source: str) -> None:
         compiler = shutil.which("cc") or shutil.which("gcc")
         if compiler is None:
-            raise NotHereError("no C compiler for the clock that steps")
-        self._step = folder / "clock-step"
-        self._step.write_bytes(bytes(8))
-        source, library = folder / "clock.c", folder / "softrig-stepped-clock.so"
-        self._library = library
-        source.write_text(CLOCK_C)
-        subprocess.run([compiler, "-shared", "-fPIC", "-o", library, source, "-ldl"], check=True, capture_output=True)
-        self.environment = {"LD_PRELOAD": str(library), "CLOCK_STEP": str(self._step)}
+            raise NotHereError(f"no C compiler for the {name}")
+        self._name = name
+        file = folder / "fault-word"
+        file.write_bytes(bytes(8))
+        self._word = np.memmap(file, np.int64, "r+")
+        self._library = folder / f"softrig-{name.replace(' ', '-')}.so"
+        code = folder / "preloaded.c"
+        code.write_text(WORD_C + source)
+        command = [compiler, "-shared", "-fPIC", "-o", self._library, code, "-ldl"]
+        subprocess.run(command, check=True, capture_output=True)
+        self.environment = {"LD_PRELOAD": str(self._library), "FAULT_WORD": str(file)}
 
     def require(self, pids: Iterable[int]) -> None:
-        """See to it that these processes have this clock: a step that nobody feels would prove nothing."""
+        """See to it that these processes have it: a fault that nobody feels would prove nothing."""
         for pid in pids:
             if self._library.name not in Path(f"/proc/{pid}/maps").read_text():
-                raise RuntimeError(f"process {pid} does not have the clock that steps")
+                raise RuntimeError(f"process {pid} does not have the {self._name}")
+
+
+class SteppedClock(_Preloaded):
+    """A calendar clock that can be stepped."""
+
+    def __init__(self, folder: Path) -> None:
+        super().__init__(folder, "clock that steps", CLOCK_C)
 
     def step(self, ns: int) -> None:
         """Put the clock off by so much, at once."""
-        np.memmap(self._step, np.int64, "r+")[0] = ns
+        self._word[0] = ns
+
+
+class StandingDisk(_Preloaded):
+    """A disk that can stand still: it takes nothing that is appended to a file, and no sync of one returns."""
+
+    def __init__(self, folder: Path) -> None:
+        super().__init__(folder, "disk that stands still", DISK_C)
+
+    def stand(self, lasts_s: float) -> None:
+        """Stand still from now on for so long."""
+        self._word[0] = time.monotonic_ns() + round(lasts_s * 1e9)
 
 
 def _mount(*arguments: str) -> None:

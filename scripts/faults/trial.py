@@ -19,8 +19,8 @@ from scripts.faults.catalogue import Fault
 PROTOCOL = """
 title: Both valves in motion
 steps:
-  - ramp: {actuators: [1, 2, 3], to_bar: 0.3, duration_s: 0.6}
-  - sine: {actuators: [1, 2, 3], mean_bar: 0.3, amplitude_bar: 0.2, omega_rad_s: 4, duration_s: 4.2}
+  - ramp: {{actuators: [1, 2, 3], to_bar: 0.3, duration_s: 0.6}}
+  - sine: {{actuators: [1, 2, 3], mean_bar: 0.3, amplitude_bar: 0.2, omega_rad_s: 4, duration_s: {moving_s:g}}}
 """
 EARLIEST_S, LATEST_S = 0.2, 2.0
 """When a fault may strike, after the valves have begun to move."""

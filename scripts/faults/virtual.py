@@ -85,7 +85,7 @@ def trial(fault: Fault, folder: Path, at_s: float, seed: int) -> Trial:
     out = folder / "out"
     rig_file, protocol = folder / "rig.yaml", folder / "protocol.yaml"
     rig_file.write_text(rig_text(fault.action, f"faults-{seed}"))
-    protocol.write_text(PROTOCOL)
+    protocol.write_text(PROTOCOL.format(moving_s=fault.moving_s))
 
     class ThisPlant(StruckPlant):
         """The plant of this trial."""
