@@ -45,22 +45,32 @@ def check_screen(request: Request, plan: Plan) -> Group:
     config, trajectory = plan.config, plan.trajectory
     facts = Table(box=None, show_header=False, padding=(0, 2, 0, 0))
     facts.add_row("protocol", f"{request.protocol.name}: {request.protocol.title}")
-    facts.add_row("duration", f"{trajectory.duration_s:.1f} s, {len(trajectory.segments)} segments")
+    facts.add_row("duration", f"{trajectory.duration_s:.1f} s, {_counted(len(trajectory.segments), 'segment')}")
     if trajectory.prompts:
-        facts.add_row("operator", f"{len(trajectory.prompts)} prompts")
+        facts.add_row("operator", _counted(len(trajectory.prompts), "prompt"))
+    limits = config.limits
+    stopped_bar = limits.pressure_bar + limits.pressure_margin_bar
+    held = f"{limits.pressure_bar:g} bar in each chamber, ends above {stopped_bar:g} bar"
+    facts.add_row("limits", f"{held}; {limits.rate_bar_per_s:g} bar/s")
     facts.add_row("rig", config.name + _how_simulated(config))
     facts.add_row("model", f"{request.variant}, {config.model.mode}")
     peak = peak_bar(plan)
     table = Table(box=None, padding=(0, 2, 0, 0))
     for head in ("valve", "actuators", "output", "peak [bar]", "limit [bar]", "safe state"):
-        table.add_column(head, justify="right" if "bar" in head else "left")
+        # On a narrow terminal words may be broken; a number must not be.
+        number = "bar" in head
+        table.add_column(head, justify="right" if number else "left", overflow="fold", min_width=5 if number else None)
     for i, (valve, safe) in enumerate(zip(config.valves, safe_voltages(config), strict=True), 1):
         actuators = ", ".join(str(a) for a in valve.actuators)
         highest = max(peak[a - 1] for a in valve.actuators)
         where = f"{valve.card} AO {valve.channel}"
         state = f"{valve.safe_state} ({safe:g} V)"
-        table.add_row(str(i), actuators, where, f"{highest:.3f}", f"{config.limits.pressure_bar:.3f}", state)
+        table.add_row(str(i), actuators, where, f"{highest:.3f}", f"{limits.pressure_bar:.3f}", state)
     return Group(facts, table)
+
+
+def _counted(number: int, what: str) -> str:
+    return f"{number} {what}{'' if number == 1 else 's'}"
 
 
 def _how_simulated(config: RigConfig) -> str:
@@ -100,12 +110,14 @@ def sketch(plan: Plan, width: int, height: int = 10) -> Text:
     alike: dict[bytes, list[int]] = {}
     for actuator, column in enumerate(levels.T, 1):
         alike.setdefault(column.tobytes(), []).append(actuator)
-    top = max(float(levels.max()), 1e-9)
-    grid = [[" "] * columns for _ in range(height + 1)]
+    top = float(levels.max())
+    lines_up = height if top > 0 else 0
+    grid = [[" "] * columns for _ in range(lines_up + 1)]
     for numbers in reversed(alike.values()):
         for column, level in enumerate(levels[:, numbers[0] - 1]):
-            grid[round(height * (1 - float(level) / top))][column] = str(numbers[0])
-    lines = [f"{top * (1 - i / height):6.2f} bar {''.join(row)}" for i, row in enumerate(grid)]
+            grid[round(lines_up * (1 - float(level) / top)) if lines_up else 0][column] = str(numbers[0])
+    digits = 2 if top >= 0.1 or not lines_up else 4
+    lines = [f"{top * (1 - i / max(lines_up, 1)):6.{digits}f} bar {''.join(row)}" for i, row in enumerate(grid)]
     end = f"{plan.trajectory.duration_s:.0f} s"
     lines.append(" " * 11 + "0 s" + end.rjust(columns - 3))
     lines += [f"{numbers[0]}: actuators {', '.join(map(str, numbers))}" for numbers in alike.values() if numbers[1:]]
@@ -118,8 +130,8 @@ def confirm(screen: Console) -> bool:
         screen.print("standard input is no terminal: nobody can be asked; say --yes to arm")
         return False
     try:
-        return input("Arm the rig and run? [y/N] ").strip().lower() in ("y", "yes")
-    except EOFError:
+        return screen.input("Arm the rig and run? [y/N] ", markup=False).strip().lower() in ("y", "yes")
+    except (EOFError, UnicodeDecodeError):
         return False
 
 

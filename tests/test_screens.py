@@ -1,0 +1,94 @@
+"""The check screen and its plot as they stand on terminals of any width, and the question that arms."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from rich.console import Console, RenderableType
+
+from rig import experiment, rig_file, screens
+
+Shown = Callable[[str, str | Path, int], str]
+
+
+def drawn(what: RenderableType, columns: int) -> str:
+    """What a terminal of so many columns shows."""
+    screen = Console(file=io.StringIO(), width=columns, highlight=False, markup=False, color_system=None)
+    screen.print(what)
+    assert isinstance(screen.file, io.StringIO)
+    return screen.file.getvalue()
+
+
+def checked(protocol: str | Path, rig: str | Path, columns: int) -> str:
+    request = experiment.request(str(protocol), str(rig))
+    return drawn(screens.check_screen(request, experiment.plan(request)), columns)
+
+
+def plotted(protocol: Path, columns: int = 80) -> list[str]:
+    return drawn(screens.sketch(experiment.plan(experiment.request(str(protocol), "mock")), columns), columns).split(
+        "\n"
+    )
+
+
+def protocol_to(folder: Path, level_bar: float) -> Path:
+    file = folder / "p.yaml"
+    file.write_text(f"title: T\nsteps:\n  - ramp: {{actuators: [1], to_bar: {level_bar}, duration_s: 2}}\n")
+    return file
+
+
+@pytest.mark.parametrize("columns", [40, 60, 110])
+def test_the_check_screen_cuts_no_number_off_however_narrow_the_terminal(columns: int) -> None:
+    said = checked("ramp-a", "mock", columns)
+    assert said.count("0.650") == 1
+    assert said.count("0.700") == 2
+    assert "…" not in said
+
+
+def test_the_check_screen_says_what_the_run_is_held_to() -> None:
+    said = " ".join(checked("ramp-a", "mock", 110).split())
+    assert "limits 0.7 bar in each chamber, ends above 0.75 bar; 1 bar/s" in said
+    assert "duration 50.0 s, 14 segments" in said
+
+
+def test_the_check_screen_names_each_valves_own_card(tmp_path: Path) -> None:
+    file = tmp_path / "two.yaml"
+    first, second = "  daq: {driver: mock", "  daq2: {driver: mock, device: mock1, inputs: 0, outputs: 1}\n"
+    written = rig_file.text("mock").replace(first, second + first)
+    file.write_text(written.replace("card: daq\n    channel: 1", "card: daq2\n    channel: 0"))
+    said = checked("ramp-a", file, 110)
+    assert "daq AO 0" in said
+    assert "daq2 AO 0" in said
+
+
+def test_a_plot_of_nothing_but_0_bar_has_one_line_for_it(tmp_path: Path) -> None:
+    lines = plotted(protocol_to(tmp_path, 0))
+    assert [line for line in lines if "bar" in line] == [f"  0.00 bar {'1' * 68}"]
+
+
+def test_the_lines_of_a_plot_of_little_pressure_are_told_apart(tmp_path: Path) -> None:
+    labels = [line[:6] for line in plotted(protocol_to(tmp_path, 0.02)) if "bar" in line]
+    assert len(set(labels)) == len(labels) == 11
+
+
+class Keyboard(io.StringIO):
+    """A terminal's keyboard, on which a line has been typed."""
+
+    def isatty(self) -> bool:
+        return True
+
+
+@pytest.mark.parametrize(
+    ("typed", "armed"), [("y\n", True), ("YES\n", True), ("\n", False), ("n\n", False), ("", False)]
+)
+def test_the_question_is_asked_where_the_screen_is_and_only_yes_arms(
+    typed: str, armed: bool, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("sys.stdin", Keyboard(typed))
+    screen = screens.console(stderr=True)
+    assert screens.confirm(screen) is armed
+    said = capsys.readouterr()
+    assert "Arm the rig and run?" in said.err
+    assert not said.out
