@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -10,7 +12,7 @@ from plant_bench import mock_rig
 import rig.bench
 from rig.bench import Bench, card_setup, make_safe
 from rig.config import CardConfig, RigConfig
-from rig.daq.base import CardError, CardSetup, Scans
+from rig.daq.base import CardBusyError, CardError, CardSetup, Scans
 from rig.vent import vent
 
 
@@ -184,3 +186,17 @@ def test_a_card_that_cannot_be_opened_keeps_no_other_from_its_safe_state(
     with pytest.raises(CardError, match="card daq is not there"):
         vent(two_card_rig())
     assert cards["other"].closed
+
+
+def test_a_card_that_another_process_has_keeps_no_other_from_being_vented(
+    cards: dict[str, FakeCard], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def opened(card: CardConfig, setup: CardSetup) -> FakeCard:
+        if setup.name == "daq" and cards["other"].outputs.tolist() != [0.0]:
+            raise CardBusyError("card daq", (os.getpid(),))
+        return cards[setup.name]
+
+    monkeypatch.setattr(rig.bench, "open_card", opened)
+    monkeypatch.setattr(os, "kill", lambda pid, number: None)
+    vent(two_card_rig())
+    assert cards["daq"].outputs.tolist() == [0.0]

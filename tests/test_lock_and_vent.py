@@ -6,17 +6,20 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import rig.rig_file
+import rig.vent
 from rig import lock
-from rig.bench import open_bench
+from rig.bench import Bench, open_bench, open_outputs
 from rig.config import CardConfig, RigConfig
-from rig.daq.base import CardError
+from rig.daq.base import CardBusyError, CardError
 from rig.daq.comedi_device import _holders
 from rig.daq.kernel import Attached, Comedi
 from rig.daq.mock import MockCard
@@ -31,10 +34,30 @@ HOLD = (
     "with cards_locked(rig.rig_file.load(sys.argv[1]), 'a run that has not begun'):\n"
     "    print('held', flush=True)\n    time.sleep(60)\n"
 )
+LATE = (
+    "import signal, sys, time\nimport rig.rig_file\nfrom rig.bench import open_bench\n"
+    "from rig.lock import cards_locked\nconfig = rig.rig_file.load(sys.argv[1])\ntold = []\n"
+    "signal.signal(signal.SIGTERM, lambda *_: told.append(True))\n"
+    "with cards_locked(config, 'a run that is long in ending'):\n"
+    "    print('held', flush=True)\n    while not told:\n        time.sleep(0.01)\n"
+    "    time.sleep(0.4)\n    open_bench(config).make_safe()\n"
+)
 
 
 def text() -> str:
     return rig.rig_file.text("mock").replace("device: mock0", f"device: vented-{os.getpid()}")
+
+
+@contextmanager
+def run_that(program: str, file: Path) -> Iterator[subprocess.Popen[str]]:
+    """Another process that holds the rig's lock."""
+    with subprocess.Popen([sys.executable, "-c", program, file], stdout=subprocess.PIPE, text=True) as process:
+        try:
+            assert process.stdout is not None
+            assert process.stdout.readline() == "held\n"
+            yield process
+        finally:
+            process.kill()
 
 
 @pytest.fixture
@@ -94,9 +117,7 @@ def test_a_run_that_would_not_notice_is_told_to_end(
     """One that has not begun, that stands still, or whose valves stand vented anyway."""
     file = tmp_path / "rig.yaml"
     file.write_text(text())
-    with subprocess.Popen([sys.executable, "-c", HOLD, file], stdout=subprocess.PIPE, text=True) as process:
-        assert process.stdout is not None
-        assert process.stdout.readline() == "held\n"
+    with run_that(HOLD, file) as process:
         if still:
             process.send_signal(signal.SIGSTOP)
         vent(config)
@@ -153,3 +174,59 @@ def test_who_has_a_card_open_is_found_behind_a_link_to_it(tmp_path: Path) -> Non
     link.symlink_to(node)
     with node.open():
         assert _holders(str(link)) == (os.getpid(),)
+
+
+def test_who_has_a_card_for_a_moment_is_left_alone(
+    config: RigConfig, registers: Registers, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Another `rig vent`, or the watchdog that is making it safe: each has it for less than whoever drives it."""
+    began = time.monotonic()
+    with subprocess.Popen(["sleep", "60"]) as one, subprocess.Popen(["sleep", "60"]) as another:
+
+        def opened(config: RigConfig, card: str) -> Bench:
+            if (since := time.monotonic() - began) < 0.6:
+                holder = one.pid if since < 0.3 else another.pid
+                # Who lets go of it just now is not found any more.
+                raise CardBusyError(card, (holder,) if since > 0.05 else ())
+            return open_outputs(config, card)
+
+        monkeypatch.setattr(rig.vent, "open_outputs", opened)
+        vent(config)
+        assert one.poll() is None
+        assert another.poll() is None
+        one.kill()
+        another.kill()
+
+
+def test_a_run_whose_card_lets_in_one_process_is_told_to_end_before_one_of_its_is_killed(
+    config: RigConfig, registers: Registers, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    file = tmp_path / "rig.yaml"
+    file.write_text(text())
+    with run_that(HOLD, file) as run, subprocess.Popen(["sleep", "60"]) as control:
+
+        def opened(config: RigConfig, card: str) -> Bench:
+            if run.poll() is None:
+                raise CardBusyError(card, (control.pid,))
+            return open_outputs(config, card)
+
+        monkeypatch.setattr(rig.vent, "open_outputs", opened)
+        vent(config)
+        assert run.returncode == -signal.SIGTERM
+        assert control.poll() is None
+        control.kill()
+
+
+def test_valves_that_a_run_would_hold_stay_vented_though_it_is_long_in_ending(
+    registers: Registers, tmp_path: Path
+) -> None:
+    held = text().replace("type: flow\n", "type: flow\n    safe_state: hold\n")
+    config = rig.rig_file.parse(held, "rig.yaml")
+    file = tmp_path / "rig.yaml"
+    file.write_text(held)
+    with run_that(LATE, file) as run:
+        vent(config)
+        assert run.wait(20) == 0
+    assert registers.outputs["volts"].tolist() == [0.0, 0.0]
+    for card in config.cards.values():
+        lock_file(card).unlink(missing_ok=True)
