@@ -8,6 +8,7 @@ import sys
 from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from rich.console import Console, Group
@@ -19,8 +20,10 @@ from rig.config import PA_PER_BAR, RigConfig
 from rig.control import safe_voltages
 from rig.executor.base import Plan
 from rig.experiment import Request, Result
-from rig.finding import Finding
 from runs.records import Status
+
+if TYPE_CHECKING:
+    from rig.doctor.finding import Finding
 
 _EXIT = {Status.FINISHED: 0, Status.ABORTED: 1, Status.INTERRUPTED: 130}
 _VERDICT = {"ok": "green", "missing": "bold red", "note": "yellow"}

@@ -2,17 +2,25 @@
 
 from __future__ import annotations
 
+import errno
+import os
 import platform
+import resource
+import struct
+import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 import rig.rig_file
-from rig import doctor_cards
+from rig.config import RigConfig
 from rig.daq.base import CardError
 from rig.daq.kernel import Attached, Comedi, comedi, has_module, pci_cards
 from rig.daq.survey import Found, Lines
-from rig.finding import Finding
+from rig.doctor import cameras, cards, examine
+from rig.doctor import machine as computer
+from rig.doctor.finding import Finding
 
 RELEASE = platform.release()
 NOTHING_ATTACHED = """comedi version 0.7.76
@@ -77,17 +85,26 @@ class Machine:
 
     def survey(self, *found: Found) -> None:
         """Let a survey find so much."""
-        self._monkeypatch.setattr(doctor_cards, "survey", lambda: found)
-        self._monkeypatch.setattr("importlib.util.find_spec", lambda name: object())
+        self._monkeypatch.setattr(cards, "survey", lambda: found)
+        self._monkeypatch.setattr(cards, "device_paths", lambda: tuple(one.path for one in found))
+        self._monkeypatch.setattr(cards, "require", lambda: None)
 
     def without_pycomedi(self, *paths: str, trouble: CardError | None = None) -> None:
         """Nodes are there, the binding is not."""
-        self._monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
-        self._monkeypatch.setattr(doctor_cards, "device_paths", lambda: paths)
-        self._monkeypatch.setattr(doctor_cards, "closed", lambda path: trouble)
+        self.binding_fails(CardError("pycomedi is not installed", "run `make comedi`"))
+        self._monkeypatch.setattr(cards, "device_paths", lambda: paths)
+        self._monkeypatch.setattr(cards, "closed", lambda path: trouble)
+
+    def binding_fails(self, error: Exception) -> None:
+        """Let the import of pycomedi raise this."""
+
+        def fail() -> None:
+            raise error
+
+        self._monkeypatch.setattr(cards, "require", fail)
 
     def said(self) -> dict[str, Finding]:
-        findings = doctor_cards.cards(self.root)
+        findings = cards.cards(self.root)
         assert all(finding.remedy for finding in findings if finding.verdict != "ok")
         return {finding.topic: finding for finding in findings}
 
@@ -160,6 +177,7 @@ def test_a_kernel_without_comedi_is_told_apart(machine: Machine) -> None:
     said = machine.said()["Comedi"]
     assert "has no Comedi" in said.found
     assert "linux-image" in said.remedy
+    assert "linux-modules-extra" in said.remedy
 
 
 def test_a_driver_that_took_no_card_is_missing_one(machine: Machine) -> None:
@@ -205,9 +223,32 @@ def test_a_closed_card_is_named_by_the_kernel_and_says_which_group_to_join(machi
 
 def test_a_card_that_only_lacks_the_binding_says_so(machine: Machine) -> None:
     machine.write("proc/comedi", TWO_CARDS)
-    machine.without_pycomedi("/dev/comedi0")
+    machine.without_pycomedi("/dev/comedi0", "/dev/comedi11")
     said = machine.said()
-    assert (said["pycomedi"].verdict, said["card"].remedy) == ("note", "make comedi")
+    assert (said["pycomedi"].verdict, said["card"].remedy) == ("missing", "make comedi")
+
+
+def test_without_a_card_nobody_needs_the_binding(machine: Machine) -> None:
+    machine.without_pycomedi()
+    said = machine.said()["pycomedi"]
+    assert (said.verdict, said.found) == ("note", "pycomedi is not installed")
+    assert "make comedi" in said.remedy
+
+
+def test_a_binding_that_is_broken_is_told_from_one_that_is_not_there(machine: Machine) -> None:
+    machine.binding_fails(ValueError("numpy.dtype size changed"))
+    said = machine.said()["pycomedi"]
+    assert said.verdict == "missing"
+    assert "numpy.dtype size changed" in said.found
+    assert "make comedi" in said.remedy
+
+
+def test_a_card_that_is_attached_and_has_no_device_is_named(machine: Machine) -> None:
+    machine.write("proc/comedi", TWO_CARDS)
+    machine.survey()
+    said = machine.said()["card"]
+    assert said.verdict == "missing"
+    assert said.found == "pci1716 (driver adv_pci1710) is attached, and /dev/comedi11 does not exist"
 
 
 class OpenCard:
@@ -224,8 +265,8 @@ class OpenCard:
 
 
 def test_a_rig_whose_card_has_everything_says_how_many_outputs_are_left(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(doctor_cards, "ComediCard", OpenCard)
-    (said,) = doctor_cards.rig_cards(rig.rig_file.load("pci1716"))
+    monkeypatch.setattr(cards, "ComediCard", OpenCard)
+    (said,) = cards.rig_cards(rig.rig_file.load("pci1716"))
     assert said.verdict == "ok"
     assert "2 of 2 outputs used, none left" in said.found
 
@@ -234,21 +275,205 @@ def test_a_rig_whose_card_lacks_an_output_is_told_the_cards_own_words(monkeypatc
     def lacks(setup: object) -> OpenCard:
         raise CardError("pci1716 has 2 analogue outputs (0 to 1): there is no output 2")
 
-    monkeypatch.setattr(doctor_cards, "ComediCard", lacks)
-    (said,) = doctor_cards.rig_cards(rig.rig_file.load("pci1716"))
+    monkeypatch.setattr(cards, "ComediCard", lacks)
+    (said,) = cards.rig_cards(rig.rig_file.load("pci1716"))
     assert said.verdict == "missing"
     assert "there is no output 2" in said.found
     assert "another card" in said.remedy
 
 
 def test_a_valve_that_0_v_opens_to_the_supply_is_pointed_out(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(doctor_cards, "ComediCard", OpenCard)
+    monkeypatch.setattr(cards, "ComediCard", OpenCard)
     text = rig.rig_file.text("pci1716").replace("    dead_zone_V: 0.4\n", "    dead_zone_V: 0.4\n    fills: below\n", 1)
-    _, said = doctor_cards.rig_cards(rig.rig_file.parse(text, "rig.yaml"))
+    _, said = cards.rig_cards(rig.rig_file.parse(text, "rig.yaml"))
     assert said.topic == "rig's valve 1"
     assert "FILLS" in said.found
     assert "port 4" in said.remedy
 
 
 def test_a_mock_rig_has_no_card_to_look_at() -> None:
-    assert doctor_cards.rig_cards(rig.rig_file.load("mock")) == ()
+    assert cards.rig_cards(rig.rig_file.load("mock")) == ()
+
+
+def test_a_priority_that_only_a_part_of_a_run_could_have_is_not_enough(monkeypatch: pytest.MonkeyPatch) -> None:
+    def up_to_50(pid: int, policy: int, param: os.sched_param) -> None:
+        if param.sched_priority > 50:
+            raise PermissionError(errno.EPERM, os.strerror(errno.EPERM))
+
+    monkeypatch.setattr(os, "sched_setscheduler", up_to_50)
+    monkeypatch.setattr(resource, "getrlimit", lambda which: (50, 50))
+    said = computer.real_time()
+    assert said.verdict == "missing"
+    assert "up to priority 50, and 60 is wanted" in said.found
+    assert " - rtprio 80' to /etc/security/limits.conf" in said.remedy
+
+
+def test_memory_that_may_not_be_locked_names_the_line_to_add(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(os, "geteuid", lambda: 1000)
+    monkeypatch.setattr(resource, "getrlimit", lambda which: (8 << 20, 8 << 20))
+    monkeypatch.setattr(os, "getgroups", lambda: [0])
+    said = computer.memory_lock()
+    assert (said.verdict, said.found) == ("missing", "limited to 8192 KiB")
+    assert "'@root - memlock unlimited'" in said.remedy
+
+
+def test_a_disk_says_how_much_is_free_and_how_fast_it_is_and_keeps_nothing(tmp_path: Path) -> None:
+    said = computer.disk(tmp_path / "data" / "deep")
+    assert f"GB free at {tmp_path}" in said.found
+    assert "a megabyte" in said.found
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_slow_disk_is_missing_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(computer, "SLOW_S", 0.0)
+    said = computer.disk(tmp_path)
+    assert said.verdict == "missing"
+    assert "a megabyte took it" in said.found
+    assert "--out" in said.remedy
+
+
+def test_a_folder_that_nobody_can_write_is_said_so() -> None:
+    said = computer.disk(Path("/sys/kernel"))
+    assert said.verdict == "missing"
+    assert "/sys/kernel cannot be written: " in said.found
+    assert "--out" in said.remedy
+
+
+def test_a_file_in_the_place_of_the_folder_is_said_so(tmp_path: Path) -> None:
+    (tmp_path / "data").write_text("a file")
+    said = computer.disk(tmp_path / "data" / "today")
+    assert (said.verdict, said.found) == ("missing", f"{tmp_path / 'data'} is a file and no folder")
+
+
+def test_a_disk_that_takes_no_more_is_full_whatever_it_says_is_free(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(fd: int) -> None:
+        raise OSError(errno.EDQUOT, os.strerror(errno.EDQUOT))
+
+    monkeypatch.setattr(os, "fsync", full)
+    said = computer.disk(tmp_path)
+    assert said.verdict == "missing"
+    assert "no more is taken" in said.found
+    assert "make room" in said.remedy
+
+
+def test_a_disk_with_little_room_is_said_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(computer, "ENOUGH_BYTES", 1 << 62)
+    said = computer.disk(tmp_path)
+    assert (said.verdict, said.remedy.split(",")[0]) == ("missing", "make room")
+
+
+class Cameras:
+    """A made-up machine with video devices; what V4L2 would say of each is given."""
+
+    def __init__(self, root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.root = root
+        self._can: dict[str, int] = {}
+        (root / "dev").mkdir()
+        monkeypatch.setattr("fcntl.ioctl", self._ioctl)
+
+    def add(self, name: str, called: str, can: int) -> None:
+        (self.root / "dev" / name).touch()
+        self._can[str(self.root / "dev" / name)] = can
+        folder = self.root / "sys/class/video4linux" / name
+        folder.mkdir(parents=True)
+        (folder / "name").write_text(f"{called}\n")
+
+    def _ioctl(self, fd: int, request: int, answer: bytearray) -> int:
+        can = self._can[str(Path(f"/proc/self/fd/{fd}").readlink())]
+        answer[:] = struct.pack("<16s32s32sIII12x", b"uvcvideo", b"x", b"usb", 0x60100, 0x84A00001, can)
+        return 0
+
+
+@pytest.fixture
+def plugged(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Cameras:
+    return Cameras(tmp_path, monkeypatch)
+
+
+def with_camera(driver: str, device: str | int) -> RigConfig:
+    config = rig.rig_file.load("pci1716")
+    camera = config.cameras["front"].model_copy(update={"driver": driver, "device": device})
+    return config.model_copy(update={"cameras": {"front": camera}})
+
+
+def test_a_camera_is_told_from_the_device_that_comes_with_it_and_gives_no_pictures(plugged: Cameras) -> None:
+    plugged.add("video10", "HD Webcam", 0x04A00000)
+    plugged.add("video2", "HD Webcam", 0x04200001)
+    first, second = cameras.cameras(plugged.root)
+    assert (first.verdict, first.found) == ("ok", "/dev/video2: HD Webcam")
+    assert second.verdict == "note"
+    assert "/dev/video10: HD Webcam: gives no pictures" in second.found
+
+
+def test_a_camera_of_another_group_says_which_to_join(plugged: Cameras, monkeypatch: pytest.MonkeyPatch) -> None:
+    plugged.add("video0", "HD Webcam", 0x04200001)
+    monkeypatch.setattr(os, "access", lambda path, mode: False)
+    group = computer.group_name((plugged.root / "dev/video0").stat().st_gid)
+    (said,) = cameras.cameras(plugged.root)
+    assert (said.verdict, said.remedy) == ("missing", f"sudo adduser $USER {group}, then log in again")
+
+
+def test_no_camera_is_no_fault_unless_a_rig_wants_one(plugged: Cameras) -> None:
+    (said,) = cameras.cameras(plugged.root)
+    assert said.verdict == "note"
+    (said,) = cameras.rig_cameras(with_camera("opencv", "/dev/video0"), plugged.root)
+    assert (said.topic, said.verdict) == ("rig's camera front", "missing")
+    assert said.found == "/dev/video0 does not exist (video devices present: none)"
+
+
+@pytest.mark.parametrize("device", ["/dev/video2", 2])
+def test_a_rigs_camera_that_is_there_is_named(plugged: Cameras, device: str | int) -> None:
+    plugged.add("video2", "HD Webcam", 0x04200001)
+    (said,) = cameras.rig_cameras(with_camera("opencv", device), plugged.root)
+    assert said == Finding("rig's camera front", "ok", "/dev/video2: HD Webcam")
+
+
+def test_a_rig_that_names_the_device_without_pictures_is_told_so(plugged: Cameras) -> None:
+    plugged.add("video3", "HD Webcam", 0x04A00000)
+    (said,) = cameras.rig_cameras(with_camera("opencv", "/dev/video3"), plugged.root)
+    assert said.verdict == "missing"
+    assert "gives no pictures" in said.found
+
+
+def test_a_rigs_recording_and_a_rigs_mock_need_no_camera(plugged: Cameras, tmp_path: Path) -> None:
+    (said,) = cameras.rig_cameras(with_camera("opencv", str(tmp_path)), plugged.root)
+    assert said.verdict == "ok"
+    (said,) = cameras.rig_cameras(with_camera("opencv", str(tmp_path / "gone.mp4")), plugged.root)
+    assert (said.verdict, said.found) == ("missing", f"recording {tmp_path / 'gone.mp4'} does not exist")
+    assert not cameras.rig_cameras(rig.rig_file.load("mock"), plugged.root)
+
+
+class RealSense:
+    """As much of pyrealsense2 as lists what is plugged in; its context and its devices are itself."""
+
+    camera_info = SimpleNamespace(serial_number="serial")
+
+    def __init__(self, serial: str) -> None:
+        self._serial = serial
+
+    def context(self) -> RealSense:
+        return self
+
+    def query_devices(self) -> list[RealSense]:
+        return [self]
+
+    def get_info(self, what: str) -> str:
+        assert what == "serial"
+        return self._serial
+
+
+def test_a_rigs_realsense_is_looked_for_by_its_number(plugged: Cameras, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pyrealsense2", None)
+    (said,) = cameras.rig_cameras(with_camera("realsense", "any"), plugged.root)
+    assert (said.verdict, said.remedy) == ("missing", "pip install pyrealsense2")
+    monkeypatch.setitem(sys.modules, "pyrealsense2", RealSense("1234"))
+    assert [
+        cameras.rig_cameras(with_camera("realsense", device), plugged.root)[0].verdict
+        for device in ("any", "1234", "999")
+    ] == ["ok", "ok", "missing"]
+
+
+def test_a_rig_without_its_camera_ends_the_doctor_with_a_fault(tmp_path: Path) -> None:
+    topics = {f.topic: f.verdict for f in examine(tmp_path, with_camera("opencv", "/dev/video987"))}
+    assert topics["rig's camera front"] == "missing"

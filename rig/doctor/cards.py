@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import platform
 from collections import Counter
 from pathlib import Path
@@ -11,17 +10,17 @@ from rig.bench import card_setup
 from rig.config import RigConfig
 from rig.daq.base import CardError
 from rig.daq.comedi import ComediCard
-from rig.daq.comedi_device import closed, device_paths
+from rig.daq.comedi_device import closed, device_paths, require
 from rig.daq.kernel import Comedi, PciCard, comedi, has_module, pci_cards
 from rig.daq.survey import Found, survey
-from rig.finding import Finding
+from rig.doctor.finding import Finding
 
 ADVANTECH = "0x13fe"
 BOARDS = {"0x1710": "PCI-1710", "0x1711": "PCI-1711", "0x1713": "PCI-1713", "0x1716": "PCI-1716", "0x1731": "PCI-1731"}
 FAMILY_DRIVER = "adv_pci1710"
 OUT_OF_TREE = (
     f"the kernel's own {FAMILY_DRIVER} does not know this board: build the out-of-tree Linux-Comedi drivers "
-    f"(git clone https://github.com/Linux-Comedi/comedi; see INSTALL), then sudo modprobe {FAMILY_DRIVER} from there"
+    f"(https://github.com/Linux-Comedi/comedi; docs/hardware.md, The card's driver), then sudo modprobe {FAMILY_DRIVER}"
 )
 POWER_UP = (
     "keep the air and the valves' 24 V off until `rig vent --rig FILE` has put the outputs to the safe state; "
@@ -42,11 +41,13 @@ def cards(root: Path = Path("/")) -> tuple[Finding, ...]:
     kernel = comedi(root)
     release = platform.release()
     on_bus = pci_cards(ADVANTECH, release, root)
+    binding = _binding(kernel)
     return (
         *_boards(on_bus),
         *_drivers(kernel, on_bus, has_module("comedi", release, root)),
-        _binding(),
-        *_devices(kernel),
+        binding,
+        *_nodeless(kernel),
+        *_devices(kernel, binding.verdict == "ok"),
     )
 
 
@@ -70,7 +71,10 @@ def _drivers(kernel: Comedi | None, on_bus: tuple[PciCard, ...], available: bool
         remedy = "sudo modprobe the board's driver (for a trial without hardware: comedi_test); dry runs need none"
         if not available:
             found = f"not loaded, and kernel {platform.release()} has no Comedi"
-            remedy = "install a kernel that has it (Debian's linux-image-amd64, not -cloud); dry runs need none"
+            remedy = (
+                "install what has it: Debian's linux-image-amd64 (not -cloud), Ubuntu's "
+                "linux-modules-extra-$(uname -r); dry runs need none"
+            )
         return [Finding("Comedi", "missing" if on_bus else "note", found, remedy)]
     loaded = f"version {kernel.version}, drivers loaded: {', '.join(kernel.drivers) or 'none'}"
     if not kernel.attached:
@@ -82,14 +86,35 @@ def _drivers(kernel: Comedi | None, on_bus: tuple[PciCard, ...], available: bool
     return [Finding("Comedi", "ok", loaded)]
 
 
-def _binding() -> Finding:
-    if importlib.util.find_spec("pycomedi"):
-        return Finding("pycomedi", "ok", "installed")
-    return Finding("pycomedi", "note", "not installed", "make comedi; dry runs need none")
+def _binding(kernel: Comedi | None) -> Finding:
+    attached = kernel is not None and bool(kernel.attached)
+    try:
+        require()
+    except CardError as error:
+        return Finding("pycomedi", "missing" if attached else "note", error.what, f"{error.remedy}; dry runs need none")
+    except Exception as error:  # built against a NumPy that has gone since, it may raise anything
+        found = f"installed, and cannot be imported ({error})"
+        return Finding("pycomedi", "missing", found, "pip uninstall pycomedi, then make comedi")
+    return Finding("pycomedi", "ok", "installed")
 
 
-def _devices(kernel: Comedi | None) -> list[Finding]:
-    if importlib.util.find_spec("pycomedi"):
+def _nodeless(kernel: Comedi | None) -> list[Finding]:
+    """Cards that a driver has taken, and to which no device leads."""
+    there = device_paths()
+    return [
+        Finding(
+            "card",
+            "missing",
+            f"{card.board} (driver {card.driver}) is attached, and /dev/comedi{card.minor} does not exist",
+            "sudo udevadm trigger; into a container, hand the device",
+        )
+        for card in (kernel.attached if kernel else ())
+        if f"/dev/comedi{card.minor}" not in there
+    ]
+
+
+def _devices(kernel: Comedi | None, askable: bool) -> list[Finding]:
+    if askable:
         return [finding for found in survey() for finding in _card(found, kernel)]
     findings = []
     for path in device_paths():

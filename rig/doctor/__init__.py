@@ -1,0 +1,26 @@
+"""What this machine offers a rig, and what to do about each thing that is missing."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from rig.config import RigConfig
+from rig.doctor import cameras, cards, machine
+from rig.doctor.finding import Finding
+
+
+def examine(folder: Path, config: RigConfig | None = None) -> tuple[Finding, ...]:
+    """Look at everything that a run on hardware needs, and at what a rig of one's own does.
+
+    Writes to no device; in `folder`, where archives go, a file without a name shows how fast the disk takes it.
+    """
+    return (
+        machine.python(),
+        *cards.cards(),
+        *(cards.rig_cards(config) if config else ()),
+        *cameras.cameras(),
+        *(cameras.rig_cameras(config) if config else ()),
+        machine.real_time(),
+        machine.memory_lock(),
+        machine.disk(folder),
+    )

@@ -1,0 +1,116 @@
+"""The cameras of this machine as `rig doctor` sees them, and whether those that a rig names are there."""
+
+from __future__ import annotations
+
+import fcntl
+import importlib
+import os
+import struct
+from pathlib import Path
+from typing import Any
+
+from rig.cameras.realsense import ANY, RECORDINGS
+from rig.config import CameraConfig, RigConfig
+from rig.doctor.finding import Finding
+from rig.doctor.machine import group_name
+
+_VIDIOC_QUERYCAP = 0x80685600
+_CAPABILITIES = "<16s32s32sIII12x"
+"""V4L2's answer to it: driver, card, bus, version, what the device can do and what this node of it can."""
+_VIDEO_CAPTURE = 0x1 | 0x1000
+"""Pictures, in one plane or several."""
+_TOLD_BY_NODE = 0x80000000
+_PLUG_IN = "plug the camera in (`dmesg` says whether it was seen)"
+
+
+def cameras(root: Path = Path("/")) -> list[Finding]:
+    """Every video device: its name, whether this user may open it, and whether it is one that gives pictures."""
+    devices = _devices(root)
+    if not devices:
+        return [Finding("camera", "note", "no /dev/video*", f"{_PLUG_IN}; dry runs need none")]
+    return [_video(device, root) for device in devices]
+
+
+def rig_cameras(config: RigConfig, root: Path = Path("/")) -> list[Finding]:
+    """Whether the cameras that a rig names are there and may be opened; none is, a run may be using them."""
+    return [
+        _realsense(f"rig's camera {name}", camera) if camera.driver == "realsense" else _named(name, camera, root)
+        for name, camera in config.cameras.items()
+        if camera.driver != "mock"
+    ]
+
+
+def _devices(root: Path) -> list[Path]:
+    found = (path for path in (root / "dev").glob("video[0-9]*") if path.name[5:].isdigit())
+    return sorted(found, key=lambda path: int(path.name[5:]))
+
+
+def _video(device: Path, root: Path, topic: str = "camera") -> Finding:
+    node = device.resolve()
+    called = root / "sys/class/video4linux" / node.name / "name"
+    # As the user knows it: a made-up machine stands elsewhere.
+    shown = f"/{device.relative_to(root)}"
+    name = f"{shown}: {called.read_text().strip()}" if called.exists() else shown
+    if not os.access(device, os.R_OK | os.W_OK):
+        remedy = f"sudo adduser $USER {group_name(node.stat().st_gid)}, then log in again"
+        return Finding(topic, "missing", f"{name}: no permission", remedy)
+    if _gives_pictures(device) is False:
+        return Finding(
+            topic,
+            "note" if topic == "camera" else "missing",
+            f"{name}: gives no pictures (what a camera tells beside them, or a loopback that nobody feeds)",
+            "take another of its devices, most often the one before",
+        )
+    return Finding(topic, "ok", name)
+
+
+def _gives_pictures(device: Path) -> bool | None:
+    """What V4L2 says of a device; None where it is none of V4L2's."""
+    answer = bytearray(struct.calcsize(_CAPABILITIES))
+    try:
+        opened = os.open(device, os.O_RDWR | os.O_NONBLOCK)
+    except OSError:
+        return None
+    try:
+        fcntl.ioctl(opened, _VIDIOC_QUERYCAP, answer)
+    except OSError:
+        return None
+    finally:
+        os.close(opened)
+    *_, of_all, of_node = struct.unpack(_CAPABILITIES, answer)
+    return bool((of_node if of_all & _TOLD_BY_NODE else of_all) & _VIDEO_CAPTURE)
+
+
+def _named(name: str, camera: CameraConfig, root: Path) -> Finding:
+    from rig.cameras.recorded import is_recording  # brings OpenCV with it
+
+    topic = f"rig's camera {name}"
+    if is_recording(camera.device):
+        there = Path(str(camera.device)).exists()
+        found = f"recording {camera.device}" + ("" if there else " does not exist")
+        return Finding(
+            topic, "ok" if there else "missing", found, "" if there else "correct `device` in the rig's file"
+        )
+    path = f"/dev/video{camera.device}" if isinstance(camera.device, int) else camera.device
+    device = root / path.removeprefix("/") if path.startswith("/") else Path(path)
+    if device.exists():
+        return _video(device, root if path.startswith("/") else device.parent, topic)
+    present = ", ".join(f"/dev/{other.name}" for other in _devices(root)) or "none"
+    remedy = f"{_PLUG_IN}, or correct `device` in the rig's file; /dev/v4l/by-id has names that stay"
+    return Finding(topic, "missing", f"{path} does not exist (video devices present: {present})", remedy)
+
+
+def _realsense(topic: str, camera: CameraConfig) -> Finding:
+    wanted = str(camera.device)
+    if Path(wanted).suffix in RECORDINGS:
+        there = Path(wanted).is_file()
+        return Finding(topic, "ok" if there else "missing", f"recording {wanted}", "correct `device` in the rig's file")
+    try:
+        rs: Any = importlib.import_module("pyrealsense2")
+    except ImportError:
+        return Finding(topic, "missing", "driver realsense needs pyrealsense2", "pip install pyrealsense2")
+    serials = [device.get_info(rs.camera_info.serial_number) for device in rs.context().query_devices()]
+    if wanted in serials or (wanted == ANY and serials):
+        return Finding(topic, "ok", f"RealSense {wanted}")
+    present = ", ".join(serials) or "none"
+    return Finding(topic, "missing", f"no RealSense {wanted} (present: {present})", f"{_PLUG_IN}, or correct `device`")

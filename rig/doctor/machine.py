@@ -1,0 +1,110 @@
+"""The computer as `rig doctor` sees it: what makes a run punctual, and the disk that its archive goes to."""
+
+from __future__ import annotations
+
+import errno
+import grp
+import os
+import platform
+import resource
+import shutil
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+from rig.doctor.finding import Finding
+
+PRIORITY = 60
+"""The highest that a process of a run asks for: the watchdog's."""
+ENOUGH_BYTES = 2_000_000_000
+SLOW_S = 1.0
+"""A disk that takes longer for a megabyte holds up what a run records."""
+_MEGABYTES = 8
+
+
+def python() -> Finding:
+    """Which Python and kernel it is."""
+    return Finding("Python", "ok", f"{platform.python_version()} at {sys.executable}, kernel {platform.release()}")
+
+
+def real_time() -> Finding:
+    """Whether this user may go before every ordinary program."""
+    previous = os.sched_getscheduler(0), os.sched_getparam(0)
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
+        os.sched_setscheduler(0, *previous)
+    except PermissionError:
+        limit = resource.getrlimit(resource.RLIMIT_RTPRIO)[0]
+        found = f"SCHED_FIFO is permitted up to priority {limit}, and {PRIORITY} is wanted" if limit > 0 else ""
+        return Finding(
+            "real-time priority",
+            "missing",
+            f"{found or 'SCHED_FIFO is not permitted'}: deadlines may be missed",
+            _limits("rtprio 80"),
+        )
+    return Finding("real-time priority", "ok", "SCHED_FIFO permitted")
+
+
+def memory_lock() -> Finding:
+    """Whether this user may keep a program's memory from being swapped out."""
+    limit = resource.getrlimit(resource.RLIMIT_MEMLOCK)[0]
+    if limit == resource.RLIM_INFINITY or os.geteuid() == 0:
+        return Finding("memory lock", "ok", "permitted")
+    return Finding("memory lock", "missing", f"limited to {limit // 1024} KiB", _limits("memlock unlimited"))
+
+
+def _limits(item: str) -> str:
+    names = [group_name(number) for number in (os.getgid(), *os.getgroups())]
+    group = "iocard" if "iocard" in names else names[0]
+    return (
+        f"add the line '@{group} - {item}' to /etc/security/limits.conf and log in again "
+        "(restart, if a desktop keeps the old session)"
+    )
+
+
+def group_name(number: int) -> str:
+    """The name of a group; its number where this machine, a container, has no name for it."""
+    try:
+        return grp.getgrgid(number).gr_name
+    except KeyError:
+        return str(number)
+
+
+def disk(folder: Path) -> Finding:
+    """Whether what is recorded can be written to `folder`, or to where it would be made, and fast enough."""
+    elsewhere = "or record elsewhere: --out FOLDER"
+    existing = next(p for p in (folder.absolute(), *folder.absolute().parents) if p.exists())
+    if not existing.is_dir():
+        return Finding("disk", "missing", f"{existing} is a file and no folder", f"move it away, {elsewhere}")
+    free = shutil.disk_usage(existing).free
+    left = f"{free / 1e9:.1f} GB free at {existing}"
+    try:
+        slowest_s = _slowest_s(existing)
+    except OSError as error:
+        if error.errno in (errno.ENOSPC, errno.EDQUOT):
+            return Finding(
+                "disk", "missing", f"{left}, and no more is taken: {error.strerror}", f"make room, {elsewhere}"
+            )
+        remedy = f"let this user write there, {elsewhere}"
+        return Finding("disk", "missing", f"{existing} cannot be written: {error.strerror}", remedy)
+    if free < ENOUGH_BYTES:
+        return Finding("disk", "missing", f"{left}, too little for a day of runs", f"make room, {elsewhere}")
+    if slowest_s > SLOW_S:
+        remedy = f"end what else writes to it, {elsewhere} (a disk inside the computer, no network and no stick)"
+        return Finding("disk", "missing", f"{left}; a megabyte took it {slowest_s:.1f} s", remedy)
+    return Finding("disk", "ok", f"{left}; a megabyte takes it at most {1e3 * slowest_s:.0f} ms")
+
+
+def _slowest_s(folder: Path) -> float:
+    """The longest time in which one of some megabytes was on the disk."""
+    slowest_s, megabyte = 0.0, os.urandom(1 << 20)
+    with tempfile.TemporaryFile(dir=folder, buffering=0) as file:
+        for _ in range(_MEGABYTES):
+            began = time.monotonic()
+            file.write(megabyte)
+            os.fsync(file.fileno())
+            slowest_s = max(slowest_s, time.monotonic() - began)
+            if slowest_s > SLOW_S:
+                break
+    return slowest_s
