@@ -46,6 +46,19 @@ def with_one_opener(text: str, *, one_opener: bool) -> str:
     return text.replace("{driver: mock, ", f"{{driver: mock, one_opener: {str(one_opener).lower()}, ")
 
 
+def child_of(pid: int, module: str) -> int:
+    """The child of a process that executes a module."""
+    for stat in Path("/proc").glob("[0-9]*/stat"):
+        try:
+            parent = int(stat.read_text().rsplit(")", 1)[1].split()[1])
+            arguments = (stat.parent / "cmdline").read_bytes().split(b"\0")
+        except (OSError, IndexError):
+            continue
+        if parent == pid and module.encode() in arguments:
+            return int(stat.parent.name)
+    raise AssertionError(f"no process runs {module}")
+
+
 class RigProcess:
     """One `rig run` under test."""
 
@@ -118,15 +131,7 @@ class RigProcess:
 
     def pid_of(self, module: str) -> int:
         """The process of the run that executes a module."""
-        for stat in Path("/proc").glob("[0-9]*/stat"):
-            try:
-                parent = int(stat.read_text().rsplit(")", 1)[1].split()[1])
-                arguments = (stat.parent / "cmdline").read_bytes().split(b"\0")
-            except (OSError, IndexError):
-                continue
-            if parent == self.process.pid and module.encode() in arguments:
-                return int(stat.parent.name)
-        raise AssertionError(f"no process runs {module}")
+        return child_of(self.process.pid, module)
 
     def end(self) -> int:
         """Wait for the run to end by itself; its exit status."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import subprocess
 import sys
@@ -13,18 +14,19 @@ from pathlib import Path
 import pytest
 
 from rig import config
-from rig.bench import open_bench
 from rig.daq.base import CardError
 from rig.rig_file import load
-from tests.rig_process import PATIENCE_S, write_rig
+from rig.simulator.registers import Registers
+from rig.vent import vent
+from tests.rig_process import PATIENCE_S, child_of, write_rig
 
 pytestmark = pytest.mark.alone
 
 
 @contextmanager
-def sweeping(folder: Path) -> Iterator[tuple[subprocess.Popen[bytes], config.RigConfig]]:
+def sweeping(folder: Path, *, one_opener: bool = False) -> Iterator[tuple[subprocess.Popen[bytes], config.RigConfig]]:
     """A sweep that goes; killed at the end if it still does."""
-    rig_file = write_rig(folder)
+    rig_file = write_rig(folder, one_opener=one_opener)
     loaded = load(rig_file)
     with (folder / "log").open("w") as log:
         process = subprocess.Popen(
@@ -49,28 +51,25 @@ def _wait(true: Callable[[], bool], process: subprocess.Popen[bytes], folder: Pa
 
 
 def _outputs(loaded: config.RigConfig, above_v: float) -> bool:
-    """True once some output stands above a voltage."""
+    """True while some output stands above a voltage, read beside whoever has the card."""
+    device = next(iter(loaded.cards.values())).device
     try:
-        bench = open_bench(loaded, watchdog=True)
+        registers = Registers.attach(device)
     except CardError:
         return False
     try:
-        return bool((bench.readback() > above_v).any())
+        return bool((registers.outputs["volts"] > above_v).any())
     finally:
-        bench.close()
+        registers.close()
 
 
 def _become_safe(loaded: config.RigConfig) -> None:
-    bench = open_bench(loaded, watchdog=True)
-    try:
-        deadline = time.monotonic() + 2.5
-        while (bench.readback() > 0.01).any():
-            assert time.monotonic() < deadline, bench.readback()
-            time.sleep(0.001)
-        time.sleep(0.1)
-        assert not (bench.readback() > 0.01).any()
-    finally:
-        bench.close()
+    deadline = time.monotonic() + 2.5
+    while _outputs(loaded, 0.01):
+        assert time.monotonic() < deadline
+        time.sleep(0.001)
+    time.sleep(0.1)
+    assert not _outputs(loaded, 0.01)
 
 
 def test_killed_in_the_middle_of_a_sweep_the_watchdog_vents(tmp_path: Path) -> None:
@@ -81,9 +80,35 @@ def test_killed_in_the_middle_of_a_sweep_the_watchdog_vents(tmp_path: Path) -> N
 
 def test_ctrl_c_ends_a_sweep_with_the_valves_vented_and_no_file(tmp_path: Path) -> None:
     with sweeping(tmp_path) as (process, loaded):
-        bench = open_bench(loaded, watchdog=True)
         process.send_signal(signal.SIGINT)
         assert process.wait(PATIENCE_S) == 130
-        bench.close()
+        assert not _outputs(loaded, 0.01)
     assert "the valves are in their safe state" in (tmp_path / "log").read_text()
     assert not (tmp_path / "p.yaml").exists()
+
+
+@pytest.mark.parametrize("one_opener", [False, True])
+def test_a_sweep_that_hangs_as_soon_as_it_opens_a_valve_is_made_safe(tmp_path: Path, one_opener: bool) -> None:
+    """Where the card lets in one process at a time, by ending the command that has it."""
+    with sweeping(tmp_path, one_opener=one_opener) as (process, loaded):
+        process.send_signal(signal.SIGSTOP)
+        _become_safe(loaded)
+        process.send_signal(signal.SIGCONT)
+        assert process.wait(PATIENCE_S) == (-signal.SIGKILL if one_opener else 1)
+    assert "hung" in (tmp_path / "log").read_text()
+
+
+def test_rig_vent_ends_a_sweep_and_its_valves_stay_vented(tmp_path: Path) -> None:
+    with sweeping(tmp_path) as (process, loaded):
+        vent(loaded)
+        assert process.wait(PATIENCE_S) == 1
+        assert not _outputs(loaded, 0.01)
+    assert "another program has written to the card (`rig vent`?)" in (tmp_path / "log").read_text()
+
+
+def test_a_sweep_whose_watchdog_dies_ends_with_the_valves_vented(tmp_path: Path) -> None:
+    with sweeping(tmp_path) as (process, loaded):
+        os.kill(child_of(process.pid, "rig.executor.watchdog"), signal.SIGKILL)
+        _become_safe(loaded)
+        assert process.wait(PATIENCE_S) == 1
+    assert "the watchdog process died" in (tmp_path / "log").read_text()

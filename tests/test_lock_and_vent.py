@@ -139,7 +139,7 @@ def test_who_stood_still_in_a_tick_does_not_undo_what_was_written_meanwhile(
 ) -> None:
     memory = RunMemory.create(Layout.of(config))
     bench = open_bench(config)
-    own = control._Own(bench, memory)
+    own = control.Own(bench, memory)
     own.write(np.array([6.0, 7.0]))
     registers.outputs["volts"] = stands_v
     with pytest.raises(CardError, match="another program has written to the card"):
@@ -156,7 +156,7 @@ def test_what_a_runs_own_watchdog_has_written_is_neither_undone_nor_taken_for_an
 ) -> None:
     memory = RunMemory.create(Layout.of(config))
     bench = open_bench(config)
-    own = control._Own(bench, memory)
+    own = control.Own(bench, memory)
     own.write(np.array([6.0, 7.0]))
     for name, value in flags.items():
         memory.set(name, value)

@@ -6,7 +6,8 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -14,12 +15,14 @@ from rig_process import BRIEF, SHORT, rig_run, with_one_opener
 
 import rig.rig_file
 import runs
-from protocols import BadInput
+from protocols import BadInput, Trajectory
 from rig.bench import open_bench
 from rig.config import RigConfig
 from rig.daq.base import CardBusyError
+from rig.executor.base import Plan
+from rig.executor.child import Job, ended_within, spawn
 from rig.executor.grip import Grip
-from rig.executor.memory import Layout, RunMemory
+from rig.executor.memory import Layout, RunMemory, Stage
 from rig.executor.standin import stand_in
 from rig.simulator.registers import Registers, path_of
 from runs.records import Status
@@ -61,6 +64,13 @@ def holder(device: str, tmp_path: Path) -> Iterator[subprocess.Popen[str]]:
         assert process.stdout.readline() == "held\n"
         yield process
         process.kill()
+
+
+def until(condition: Callable[[], bool]) -> None:
+    limit = time.monotonic() + 30
+    while not condition():
+        assert time.monotonic() < limit
+        time.sleep(0.005)
 
 
 def volts(device: str) -> list[float]:
@@ -127,6 +137,39 @@ def test_a_real_card_that_claims_to_let_in_one_is_refused() -> None:
     text = rig.rig_file.text("pci1716").replace("device: /dev/comedi0", "device: /dev/comedi0, one_opener: true")
     with pytest.raises(BadInput, match="one_opener"):
         rig.rig_file.parse(text, "rig.yaml")
+
+
+def test_who_has_the_card_and_hangs_is_ended_also_where_another_process_is_watched(
+    config: RigConfig, device: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """As in a calibration, which drives the valves in the operator's own command."""
+    memory = RunMemory.create(Layout.of(config))
+    nothing = Trajectory(0.0, config.actuators, (), (), "")
+    plan = Plan(config, tmp_path / "rig.yaml", nothing, config.model.variant, 0)
+    plan.rig_file.write_text(rig_text(device))
+    watchdog = spawn("rig.executor.watchdog", Job(plan, memory.fd, os.getpid()))
+    try:
+        until(lambda: memory.stage("watchdog") is Stage.READY)
+        program = [sys.executable, "-c", HOLD, str(plan.rig_file)]
+        with (
+            subprocess.Popen(program, stdout=subprocess.PIPE) as holder,
+            subprocess.Popen(["sleep", "60"]) as watched,
+        ):
+            assert holder.stdout is not None
+            assert holder.stdout.readline() == b"held\n"
+            memory.set("holder_pid", holder.pid)
+            memory.set("control_pid", watched.pid)
+            memory.say("control", Stage.RUNNING)
+            until(lambda: bool(memory.get("fired_ns")))
+            assert volts(device) == [0.0, 0.0]
+            assert holder.wait(10) == -signal.SIGKILL
+            watched.kill()
+        assert ended_within(watchdog, 10)
+    finally:
+        watchdog.kill()
+        watchdog.wait()
+        os.close(memory.fd)
+    assert "the control process hung: the command that had the card was ended" in capfd.readouterr().err
 
 
 @pytest.mark.alone

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import gc
 import os
 import subprocess
@@ -11,21 +10,25 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+import numpy as np
+
 from protocols import Trajectory
 from rig.bench import Bench, open_bench
-from rig.calibrations.driving import Ticks, made_safe
+from rig.calibrations.driving import Driver, Ticks, made_safe
 from rig.config import RigConfig
 from rig.executor.base import Plan, StartError
-from rig.executor.child import Job, spawn
-from rig.executor.clock import become_real_time, wait_until
+from rig.executor.child import Job, ended_within, spawn
+from rig.executor.clock import Silence, become_ordinary, become_real_time, wait_until
+from rig.executor.control import WATCHDOG_SILENT_NS, Mute, Own
+from rig.executor.life import Life
 from rig.executor.memory import Layout, RunMemory, Stage, Stop
+from rig.executor.tick import Valves
 from rig.lock import cards_locked
 from rig.simulator.plant import Plant
 
 POWER_UP_NS = 100_000_000
 _READY_S = 20.0
-_REHEARSED_TICKS = 40
-"""What is imported or compiled at its first use may make these late; then the watchdog looks for hanging, too."""
+_REHEARSED_S = 0.2
 _END_S = 5.0
 
 
@@ -43,29 +46,30 @@ class VirtualTicks:
 
 
 class RealTicks:
-    """Control periods of CLOCK_MONOTONIC; each is a sign of life for the watchdog."""
+    """Control periods of CLOCK_MONOTONIC; each is a sign of life for the watchdog, whose own are looked for."""
 
-    def __init__(self, memory: RunMemory, period_ns: int) -> None:
-        self._memory, self._period_ns = memory, period_ns
+    def __init__(self, memory: RunMemory, period_ns: int, watchdog: Life) -> None:
+        self._memory, self._period_ns, self._watchdog = memory, period_ns, watchdog
+        self._silence = Silence(period_ns, WATCHDOG_SILENT_NS // 10)
         self._deadline = time.monotonic_ns()
-        self._ticks = 0
 
     def next(self) -> int:
         """Wait for the next period.
 
         Raises:
-            StartError: the watchdog has taken the bench.
+            StartError: the watchdog has taken the bench, or is not there to take it.
         """
         # Late by more than a period: what was missed is not caught up.
         self._deadline = max(self._deadline + self._period_ns, time.monotonic_ns() - self._period_ns)
         now = wait_until(self._deadline)
         self._memory.beat("control", now)
         self._memory.beat("conductor", now)
-        self._ticks += 1
-        if self._ticks == _REHEARSED_TICKS:
-            self._memory.say("control", Stage.RUNNING)
         if self._memory.get("fired_ns"):
             raise StartError(f"the watchdog took the bench over: {self._memory.message('watchdog') or 'a late tick'}")
+        if self._watchdog.over:
+            raise StartError("the watchdog process died")
+        if self._silence.look(now, self._memory.heartbeat_ns("watchdog")) > WATCHDOG_SILENT_NS:
+            raise StartError("the watchdog is silent")
         return now
 
 
@@ -87,39 +91,47 @@ def virtual(config: RigConfig, seed: int, *, moving_arm: bool = True) -> Iterato
 
 
 @contextmanager
-def real(config: RigConfig, rig_file: Path, purpose: str) -> Iterator[tuple[Bench, Ticks]]:
+def real(config: RigConfig, rig_file: Path, purpose: str) -> Iterator[tuple[Valves, Ticks]]:
     """The rig's cards, locked and armed, with the run's watchdog beside: it makes safe what this process cannot.
 
     Raises:
-        CardError: a card is in use or cannot be opened.
+        CardError: a card is in use or cannot be opened, or another program has written to it.
         StartError: the watchdog does not start.
     """
-    with cards_locked(config, purpose), _watched(config, rig_file) as memory:
+    with cards_locked(config, purpose), _watched(config, rig_file) as (memory, watchdog):
         bench = open_bench(config)
+        memory.set("holder_pid", os.getpid())
         try:
-            with made_safe(bench):
-                become_real_time(priority=50)
-                # The first scans are on their way.
-                time.sleep(POWER_UP_NS * 1e-9)
-                memory.beat("control", time.monotonic_ns())
-                memory.beat("conductor", time.monotonic_ns())
-                yield bench, RealTicks(memory, _period_ns(config))
+            bench.arm()
+            bench.start()
+            become_real_time(priority=50)
+            # The first scans are on their way.
+            time.sleep(POWER_UP_NS * 1e-9)
+            ticks = RealTicks(memory, _period_ns(config), watchdog)
+            # What is imported or compiled at its first use makes a tick late: no valve may be open then, unwatched.
+            rehearsed = Driver(config, Mute(bench), ticks, lambda: None)
+            rehearsed.regulate(np.zeros(config.actuators), _REHEARSED_S)
+            memory.say("control", Stage.RUNNING)
+            yield Own(bench, memory), ticks
         finally:
-            memory.say("control", Stage.DONE)
-            bench.close()
-            gc.enable()
-            with contextlib.suppress(OSError):
-                os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+            try:
+                bench.make_safe(vent=memory.vents)
+            finally:
+                memory.say("control", Stage.DONE)
+                bench.close()
+                gc.enable()
+                become_ordinary()
 
 
 @contextmanager
-def _watched(config: RigConfig, rig_file: Path) -> Iterator[RunMemory]:
+def _watched(config: RigConfig, rig_file: Path) -> Iterator[tuple[RunMemory, Life]]:
     """Keep the watchdog process; the one whose death it watches for lives exactly as long as this one needs it."""
     memory = RunMemory.create(Layout.of(config))
     nothing = Trajectory(0.0, config.actuators, (), (), "")
     plan = Plan(config, rig_file, nothing, config.model.variant, 0)
     watchdog = spawn("rig.executor.watchdog", Job(plan, memory.fd, os.getpid()))
-    # It ends when its input is closed: by us, or by the kernel when we die.
+    life = Life(watchdog.pid)
+    # It ends when its input is closed: by the kernel when we die.
     stand_in = subprocess.Popen(["cat"], stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, start_new_session=True)
     try:
         until = time.monotonic() + _READY_S
@@ -130,17 +142,17 @@ def _watched(config: RigConfig, rig_file: Path) -> Iterator[RunMemory]:
         if memory.stage("watchdog") == Stage.FAILED:
             raise StartError(memory.message("watchdog"))
         memory.set("control_pid", stand_in.pid)
-        yield memory
+        yield memory, life
     finally:
+        memory.set("stop", Stop.SAFE)
+        # Not by closing its input: it may have been stopped.
+        for process, patience_s in ((stand_in, 0.0), (watchdog, _END_S)):
+            if not ended_within(process, patience_s):
+                process.kill()
+                ended_within(process, _END_S)
         assert stand_in.stdin is not None
         stand_in.stdin.close()
-        stand_in.wait()
-        memory.set("stop", Stop.SAFE)
-        with contextlib.suppress(subprocess.TimeoutExpired):
-            watchdog.wait(_END_S)
-        if watchdog.poll() is None:
-            watchdog.kill()
-            watchdog.wait()
+        life.close()
 
 
 def _period_ns(config: RigConfig) -> int:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from rig import control, interlocks
 from rig.bench import Bench
 from rig.config import RigConfig
+from rig.executor.tick import Valves
 from rig.interlocks import Asked, Sample, Watch
 from rig.regulator import FLOW_FUNCTION_FLOOR, FlowSettings
 from rig.valve import ANR_PA, ATMOSPHERE_PA, flow_function
@@ -44,7 +45,7 @@ class Log:
 class Driver:
     """Drives an armed bench. Every tick goes through the run's interlocks; a trip raises and the bench is made safe."""
 
-    def __init__(self, config: RigConfig, bench: Bench, ticks: Ticks, check: Callable[[], None]) -> None:
+    def __init__(self, config: RigConfig, bench: Valves, ticks: Ticks, check: Callable[[], None]) -> None:
         """`check` is called at every tick and raises when the operator wants no more."""
         self._config, self._bench, self._ticks, self._check = config, bench, ticks, check
         self._prepared = control.prepare(config)

@@ -123,9 +123,9 @@ def run(asked: Asked) -> None:
                 with (
                     simulated(config, rig_file, asked.seed),
                     Keys() as keys,
-                    real(config, rig_file, "rig calibrate pressure") as (bench, ticks),
+                    real(config, rig_file, "rig calibrate pressure") as (held, ticks),
                 ):
-                    driver = Driver(config, bench, ticks, check)
+                    driver = Driver(config, held, ticks, check)
                     measured = _drive(asked, config, driver, _typed_gauge(keys, tell), by_gauge, tell)
         # The bench is safe: what takes time comes now.
         for actuator, pairs in sorted(measured.readings.items()):

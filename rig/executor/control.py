@@ -85,7 +85,7 @@ def _vented(job: Job, memory: RunMemory, bench: Bench) -> str:
     return venting.verdict()
 
 
-class _Mute:
+class Mute:
     """A bench whose valves do not move."""
 
     def __init__(self, bench: Bench) -> None:
@@ -95,7 +95,7 @@ class _Mute:
         """Write nothing."""
 
 
-class _Own:
+class Own:
     """A bench that is written only while the valves stand where they were put: who else writes, means it."""
 
     def __init__(self, bench: Bench, memory: RunMemory) -> None:
@@ -123,7 +123,7 @@ class _Own:
 
 def _rehearse(job: Job, bench: Bench) -> None:
     """Play some ticks with the valves left alone: what is imported or compiled at its first use is ready by then."""
-    ticker = Ticker(job.plan, _Mute(bench))
+    ticker = Ticker(job.plan, Mute(bench))
     period_s = ticker.period_ns * 1e-9
     # Without a scan a tick goes no further than that there is none.
     until = time.monotonic() + FIRST_SCAN_S
@@ -136,7 +136,7 @@ def _rehearse(job: Job, bench: Bench) -> None:
 
 def _run(job: Job, memory: RunMemory, bench: Bench, conductor: Life) -> str:
     """Loop until the protocol ends or someone asks to stop; return what went wrong, empty when nothing did."""
-    valves = _Own(bench, memory)
+    valves = Own(bench, memory)
     ticker = Ticker(job.plan, valves)
     period = ticker.period_ns
     while not (go := memory.get("go_ns")) or time.monotonic_ns() < go - LEAD_IN_NS:

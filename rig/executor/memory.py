@@ -61,6 +61,7 @@ _BOARD = np.dtype(
         ("conductor", _PROCESS),
         ("control_pid", "<i8"),
         ("watchdog_pid", "<i8"),
+        ("holder_pid", "<i8"),
         ("plant_starting", "<i8"),
         ("go_ns", "<i8"),
         ("stop", "<i8"),
@@ -129,7 +130,8 @@ def view_dtype(layout: Layout) -> np.dtype[np.void]:
 class RunMemory:
     """A view of the shared memory of one run. Whoever has the file descriptor has the memory; it needs no clean-up.
 
-    `board` is one structured row of flags, each with one writer. `samples`, `observations` and `adaptations` are rings
+    `board` is one structured row of flags, each with one writer. `holder_pid` has the cards where that is not the
+    process that is watched as control. `samples`, `observations` and `adaptations` are rings
     of the records of `runs.records`.
     """
 

@@ -9,6 +9,7 @@ import contextlib
 import os
 import select
 import signal
+import sys
 import time
 
 from rig.daq.base import CardError
@@ -43,11 +44,13 @@ def main() -> int:
     memory.beat("watchdog", time.monotonic_ns())
     memory.say("watchdog", Stage.READY)
     reason = "the watchdog failed"
+    ended = 0
     try:
         reason = _watch(memory, job.conductor_pid, grip, round(job.plan.config.limits.hung_s * 1e9))
     finally:
         if reason and not grip.shared:
-            _kill(memory.get("control_pid"))  # its end is what opens the card to others
+            ended = memory.get("holder_pid")
+            _kill(ended or memory.get("control_pid"))  # its end is what opens the card to others
         # What control has made safe is not written again: somebody may have vented since what it only holds.
         trouble = "" if not reason and memory.get("safe_ns") else _make_safe(grip, memory)
     # The register is written: what follows may take its time.
@@ -59,6 +62,9 @@ def main() -> int:
         trouble = _make_safe(grip, memory)
     said = f"{reason}; then {trouble}" if reason and trouble else reason or trouble
     memory.say("watchdog", Stage.FAILED if trouble else Stage.DONE, said)
+    if ended:
+        # Nobody else is left to tell it.
+        print(f"{said}: the command that had the card was ended, to make the valves safe", file=sys.stderr)
     grip.close()
     become_ordinary()
     return 1 if trouble else 0
