@@ -92,6 +92,24 @@ class TestBadData:
         said = complaint(bring, "0;0,1;1;2;3\n0,1;0,1;1;2;3\n")
         assert "'decimal: comma'" in said
 
+    def test_one_mistake_in_every_row_is_said_once_for_each_column(self, bring: Bring) -> None:
+        rows = "".join(f"0,{k:03d};0,1;1,5;2,5;3,5\n" for k in range(200))
+        said = complaint(bring, rows)
+        assert said.count("'decimal: comma'") == 5
+        assert "data.csv:1: column 0\n  found     0,000, and so in 199 more rows" in said
+        assert len(said.splitlines()) == 20
+
+    def test_of_many_bad_cells_of_a_column_some_are_shown_and_all_are_counted(self, bring: Bring) -> None:
+        said = complaint(bring, self.rows(*(f"{k},x{k},1,2,3" for k in range(1, 40))))
+        assert "found     x1\n" in said
+        assert "column 1\n  and 34 more rows like these" in said
+        assert "x39" not in said
+
+    def test_commas_cannot_be_decimal_and_between_the_columns(self, bring: Bring) -> None:
+        said = complaint(bring, self.rows(), SMALL.replace("header: false", "header: false, decimal: comma"))
+        assert "commas that cut each line into 5 columns" in said
+        assert "'decimal: point'" in said
+
     @settings(max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture])
     @given(text=st.text(alphabet='01.,;-e \t\n\r"|nax\0é', max_size=80) | st.binary(max_size=40))
     def test_no_text_is_more_than_a_message(self, text: str | bytes, tmp_path: Path) -> None:

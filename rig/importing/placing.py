@@ -12,7 +12,7 @@ from calibration.frames import Rigid
 from protocols.problems import Problem
 from rig.importing.columns import Columns
 from rig.importing.mapping import METRES, NEWTON_METRES, NEWTONS, BaseSensor, Mapping, Orientation, Position, Wrench
-from rig.importing.tables import MOST_PROBLEMS
+from rig.importing.tables import some
 
 UNIT = 0.01
 """A quaternion's norm may be off by this: trackers write three or four digits."""
@@ -62,11 +62,12 @@ def wrench(columns: Columns, mapping: Mapping) -> Floats:
     found = np.concatenate(
         [np.einsum("nij,nj->ni", np.broadcast_to(turn, (len(v), 3, 3)), v) for v in (force, moment)], 1
     )
-    for row in np.flatnonzero(~np.isfinite(found).all(axis=1))[:MOST_PROBLEMS]:
-        wish = "a whole wrench in every row: what pulls at the arm cannot be guessed"
-        columns.problems.append(
-            columns.table.problem(int(row), asked.force.columns[0], "nothing, or no orientation", wish)
-        )
+    table, column = columns.table, asked.force.columns[0]
+    wish = "a whole wrench in every row: what pulls at the arm cannot be guessed"
+    broken = np.flatnonzero(~np.isfinite(found).all(axis=1)).tolist()
+    columns.problems += some(
+        table, column, broken, lambda row: table.problem(row, column, "nothing, or no orientation", wish)
+    )
     return found if asked.on == "arm" else -found
 
 

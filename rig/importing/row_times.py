@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from protocols.problems import Problem
 from rig.importing.columns import Columns
 from rig.importing.mapping import SECONDS, Mapping
-from rig.importing.tables import MOST_PROBLEMS, Key
+from rig.importing.tables import Key, some
 
 LONGEST_S = 9e9
 """Times beyond this have no nanoseconds in 64 bits."""
@@ -36,9 +36,12 @@ def times(columns: Columns, mapping: Mapping) -> Times:
         return Times(np.array([0, 1], np.int64), utc=False)
     read, said = found
     problems = []
-    for row in np.flatnonzero(np.diff(read.t_ns) <= 0)[:MOST_PROBLEMS] + 1:
-        wish = f"a time after {said(row - 1)}, that of the row before"
-        problems.append(columns.table.problem(int(row), column, said(row), wish))
+    early = (np.flatnonzero(np.diff(read.t_ns) <= 0) + 1).tolist()
+
+    def not_later(row: int) -> Problem:
+        return columns.table.problem(row, column, said(row), f"a time after {said(row - 1)}, that of the row before")
+
+    problems += some(columns.table, column, early, not_later)
     if len(read.t_ns) < 2:
         problems.append(Problem(columns.table.file, 0, 0, "", f"{len(read.t_ns)} rows", "two rows at least"))
     columns.problems += problems
@@ -53,12 +56,14 @@ def _numbers(columns: Columns, column: Key, scale: float) -> tuple[Times, Said] 
     time_s = columns.scaled(column, scale)
     if time_s is None:
         return None
-    wrong = np.flatnonzero(~(np.abs(time_s) <= LONGEST_S))
-    for row in wrong[:MOST_PROBLEMS]:
+    wrong = np.flatnonzero(~(np.abs(time_s) <= LONGEST_S)).tolist()
+
+    def no_time(row: int) -> Problem:
         value = "nothing" if np.isnan(time_s[row]) else f"{time_s[row]:g} s"
-        wish = f"a time of at most {LONGEST_S:g} s"
-        columns.problems.append(columns.table.problem(int(row), column, value, wish))
-    if len(wrong):
+        return columns.table.problem(row, column, value, f"a time of at most {LONGEST_S:g} s")
+
+    columns.problems += some(columns.table, column, wrong, no_time)
+    if wrong:
         return None
     return Times(np.round(time_s * 1e9).astype(np.int64), utc=False), lambda row: f"{time_s[row]:.12g} s"
 
@@ -72,8 +77,10 @@ def _dates(columns: Columns, column: Key) -> tuple[Times, Said] | None:
     zoned = first is not None and first.tzinfo is not None
     wish = f"date and time in ISO 8601, as 2026-11-21T14:05:00.250{'+01:00' if zoned else ''}"
     wrong = [row for row, moment in enumerate(moments) if moment is None or (moment.tzinfo is not None) != zoned]
-    for row in wrong[:MOST_PROBLEMS]:
-        columns.problems.append(columns.table.problem(row, column, cells[row] or "nothing", wish))
+    table = columns.table
+    columns.problems += some(
+        table, column, wrong, lambda row: table.problem(row, column, cells[row] or "nothing", wish)
+    )
     if wrong:
         return None
     epoch = datetime(1970, 1, 1, tzinfo=UTC if zoned else None)

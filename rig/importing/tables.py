@@ -8,7 +8,7 @@ import re
 import subprocess
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -21,7 +21,8 @@ from protocols.problems import BadInput, Problem, closest
 from rig.importing.mapping import Written
 
 LARGEST_FILE = 500_000_000
-MOST_PROBLEMS = 20
+MOST_PROBLEMS = 5
+"""Rows that are named of a mistake that many have; see `some`."""
 DELIMITERS = {"semicolon": ";", "tab": "\t", "bar": "|", "comma": ",", "space": " "}
 """In the order in which they are tried: a comma may be a decimal one, a space stand in a name."""
 SNIFFED_LINES = 50
@@ -45,7 +46,7 @@ class Table(Protocol):
         """The numbers (n,) of a column, NaN where a cell says that nothing was measured.
 
         Raises:
-            BadInput: there is no such column, or it holds what is no number; every cell, up to `MOST_PROBLEMS`.
+            BadInput: there is no such column, or it holds what is no number: the first cells, and how many more.
         """
 
     def texts(self, column: Key) -> Sequence[str]:
@@ -84,10 +85,14 @@ class CsvTable:
     def numbers(self, column: Key) -> Floats:
         """See `Table`."""
         at = self._position(column)
-        rows = np.flatnonzero(np.isinf(self.cells[:, at]))[:MOST_PROBLEMS]
-        if len(rows):
-            raise BadInput([self._no_number(int(row), column, self.odd[int(row), at]) for row in rows])
-        return self.cells[:, at]
+        rows = [int(row) for row in np.flatnonzero(np.isinf(self.cells[:, at]))]
+        if not rows:
+            return self.cells[:, at]
+        cells = [self.odd[row, at] for row in rows]
+        if len(rows) > 1 and all(map(self._other_decimal, cells)):
+            said = self._no_number(rows[0], column, cells[0])
+            raise BadInput([replace(said, value=f"{said.value}, and so in {len(rows) - 1} more rows")])
+        raise BadInput(some(self, column, rows, lambda row: self._no_number(row, column, self.odd[row, at])))
 
     def texts(self, column: Key) -> Sequence[str]:
         """See `Table`."""
@@ -120,9 +125,21 @@ class CsvTable:
         if cell == _END:
             return self.problem(row, column, "the end of the row", "a number here")
         wish = f"a finite number with a decimal {'comma' if self.decimal_comma else 'point'}"
-        other = not self.decimal_comma and re.fullmatch(r"[-+]?\d*,\d+", cell)
-        suggestion = "'decimal: comma' in the mapping's file section" if other else ""
+        suggestion = "'decimal: comma' in the mapping's file section" if self._other_decimal(cell) else ""
         return self.problem(row, column, cell, wish, suggestion)
+
+    def _other_decimal(self, cell: str) -> bool:
+        """Whether a cell that is no number would be one with a decimal comma."""
+        return not self.decimal_comma and re.fullmatch(r"[-+]?\d*,\d+", cell) is not None
+
+
+def some(table: Table, column: Key, rows: Sequence[int], said: Callable[[int], Problem]) -> list[Problem]:
+    """What is said of the first of those rows of a column that have the same mistake, and how many more there are."""
+    shown = [said(int(row)) for row in rows[:MOST_PROBLEMS]]
+    if len(rows) > len(shown):
+        counted = f"and {len(rows) - len(shown)} more rows like these"
+        shown.append(Problem(table.file, 0, 0, f"column {column}", "", counted))
+    return shown
 
 
 def _read_csv(path: Path, written: Written) -> CsvTable:
@@ -159,7 +176,7 @@ def _parsed(path: Path, names: tuple[str, ...], rows: Sequence[tuple[int, list[s
             if math.isinf(value):
                 odd[row, at] = cell
     if problems:
-        raise BadInput(problems[:MOST_PROBLEMS])
+        raise BadInput(problems)
     return CsvTable(
         str(path), names, written.first_column or 0, values, odd, tuple(number for number, _ in rows), comma
     )
@@ -179,13 +196,20 @@ def _delimiter(path: Path, lines: Sequence[str], written: Written) -> str:
     """The stated delimiter, or the first that cuts every line into the same number of columns, two at least."""
     if written.delimiter is not None:
         return DELIMITERS[written.delimiter]
+    by_commas = ""
     for delimiter in DELIMITERS.values():
-        if delimiter == "," and written.decimal == "comma":
-            continue
         first = list(enumerate(lines[:SNIFFED_LINES], start=1))
         counts = {len(cells) for _, cells in _split(path, first, delimiter)}
-        if len(counts) == 1 and min(counts) > 1:
+        if len(counts) != 1 or min(counts) < 2:
+            continue
+        if delimiter != "," or written.decimal == "point":
             return delimiter
+        by_commas = f"commas that cut each line into {min(counts)} columns"
+    if by_commas:
+        wish = "another delimiter, as commas are said to be decimal; or 'delimiter: comma', where numbers are quoted"
+        raise BadInput(
+            [Problem(str(path), 0, 0, "", by_commas, wish, "'decimal: point' in the mapping's file section")]
+        )
     raise _bad(path, "no delimiter cuts all lines alike; say which it is: 'delimiter:' in the mapping's file section")
 
 
@@ -217,10 +241,10 @@ class MatTable:
         if np.iscomplexobj(values):
             raise BadInput([Problem(self.file, 0, 0, "", f"complex numbers in column {column}", "real numbers")])
         numbers = values.astype(np.float64)
-        infinite = np.flatnonzero(np.isinf(numbers))
-        if len(infinite):
+        infinite = np.flatnonzero(np.isinf(numbers)).tolist()
+        if infinite:
             wish = "a finite number, or NaN where nothing was measured"
-            raise BadInput([self.problem(row, column, str(numbers[row]), wish) for row in infinite[:MOST_PROBLEMS]])
+            raise BadInput(some(self, column, infinite, lambda row: self.problem(row, column, str(numbers[row]), wish)))
         return numbers
 
     def texts(self, column: Key) -> Sequence[str]:
