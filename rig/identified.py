@@ -157,7 +157,7 @@ def show(fit: Fit, as_json: bool, under: Under | None = None) -> None:
     screen = console()
     table = Table(box=None, padding=(0, 2, 0, 0))
     for head in ("parameter", "value", "+-", "95 %", "unit", "run"):
-        table.add_column(head, justify="left" if head in ("parameter", "unit", "run") else "right")
+        table.add_column(head, justify="left" if head in ("parameter", "unit", "run") else "right", overflow="fold")
     untold = []
     for e, held in zip(fit.estimates, fit.held, strict=True):
         if e.value is None or e.std is None or e.interval is None:
@@ -201,10 +201,7 @@ def profiled(fit: Fit) -> tuple[Profile, ...]:
 def draw_predictions(found: Sequence[Prediction], file: Path) -> Path:
     """Draw how far each predicted run is missed, before and after, over time."""
     file.parent.mkdir(parents=True, exist_ok=True)
-    try:
-        save(predictions, (9, 2.6 * len(found)), file, found)
-    except ValueError as fault:
-        raise typer.BadParameter(f"{file}: {fault}", param_hint="--figure") from fault
+    save(predictions, (9, 2.6 * len(found)), file, found)
     return file
 
 

@@ -197,7 +197,7 @@ def _further(found: ParametersFile, laid: ParametersFile) -> ParametersFile:
     )
     identified = found.identified
     counts = {len(one.geometry.actuator_angles_deg) for one in (identified, laid.identified, laid.arm)}
-    if len(counts) == 1 and not _different(identified.geometry, laid.identified.geometry):
+    if len(counts) == 1 and not different(identified.geometry, laid.identified.geometry):
         identified = identified.model_copy(update={"geometry": laid.arm.geometry})
     gain = np.divide(found.sensing.gain, laid.sensing.gain)
     sensing = found.sensing.model_copy(update={"gain": tuple(gain.tolist())})
@@ -224,7 +224,7 @@ def _check(config: RigConfig, rig: str, parameters: Parameters, variant: Variant
             f"{len(then.actuator_angles_deg)} actuators",
             f"{config.actuators}, as {rig} has",
         )
-    elif (other := _different(now, then)) and _different(now, found.arm.geometry):
+    elif (other := different(now, then)) and different(now, found.arm.geometry):
         for name in other:
             mine, theirs = (", ".join(f"{x:.6g}" for x in np.ravel(getattr(g, name))) for g in (now, then))
             refuse(("identified", "geometry", name), theirs, f"{mine}, as {rig} has: it is another arm")
@@ -237,11 +237,14 @@ def _check(config: RigConfig, rig: str, parameters: Parameters, variant: Variant
         raise BadInput(problems)
 
 
-def _different(one: Geometry, other: Geometry) -> list[str]:
-    """The fields in which two geometries of as many actuators differ; angles may differ by whole turns."""
+def different(one: Geometry, other: Geometry) -> list[str]:
+    """The fields in which two geometries differ; angles may differ by whole turns."""
     found = []
     for name in Geometry.model_fields:
         a, b = np.ravel(getattr(one, name)), np.ravel(getattr(other, name))
+        if len(a) != len(b):
+            found.append(name)
+            continue
         gap = (a - b + 180) % 360 - 180 if name == "actuator_angles_deg" else a - b
         if (np.abs(gap) > _SAME * max(1.0, np.abs(a).max())).any():
             found.append(name)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,7 +17,7 @@ from rig.arm import model_arm, true_arm
 from rig.config import RigConfig, Sensor
 from rig.listing import resolve
 from rig.optics import rigid
-from rig.parameters import recorded
+from rig.parameters import different, recorded
 from rig.rig_file import load, parse, path_of, text
 from rig.screens import console
 from runs.run import Run
@@ -55,6 +55,18 @@ def starting_rigs(first: Run, names: Sequence[str]) -> dict[str, Beginning]:
         NoData: none is named, and the archive, of an import, has none.
     """
     return {name: Beginning.named(name) for name in names} or {first.header.rig_name: Beginning.of(first)}
+
+
+def another_arm(rig: Beginning, others: Iterable[Beginning]) -> str:
+    """In what the arm of a rig differs from those of all the others, in words; nothing where it is one of them."""
+    found = ""
+    for other in others:
+        mine, theirs = rig.config.arm.geometry, other.config.arm.geometry
+        fields = different(mine, theirs)
+        if not fields:
+            return ""
+        found = found or "; ".join(f"{name} {getattr(mine, name)}, not {getattr(theirs, name)}" for name in fields)
+    return found
 
 
 def opened(names: Sequence[Path]) -> list[Run]:

@@ -168,6 +168,7 @@ def test_of_several_starts_the_likeliest_is_taken(
         (["--start", "mock", "--choose"], "neither --choose nor --paper"),
         (["--start", "nowhere"], "there is no such file"),
         (["--figure", "x.png"], "nothing is predicted"),
+        (["--rig", "mock"], "to begin the search at another rig say --start"),
         (["--until", "3", "--paper"], "neither --choose nor --paper"),
         (["--until", "1e6"], "shows no tip after"),
     ],
@@ -178,3 +179,21 @@ def test_a_figure_or_a_part_without_sense_is_refused(
     rig(bench["one"], *options, status=2)
     # A narrow terminal breaks the sentence.
     assert said in re.sub(r"[\s│]+", " ", capsys.readouterr().err)
+
+
+def test_where_results_are_to_go_is_known_to_be_wrong_before_the_search(
+    bench: dict[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("rig.identified.likeliest", lambda *_: pytest.fail("the search had begun"))
+    (tmp_path / "short.yaml").write_text(text("mock").replace("length_mm: 170", "length_mm: 140"), encoding="utf-8")
+    found = str(tmp_path / "found.yaml")
+    for options, said in (
+        (["--rig-file", found, "--rig", "nowhere"], "no rig of that name"),
+        (["--rig-file", found, "--rig", str(tmp_path / "short.yaml")], "another arm than the search begins at"),
+        (["--figure", str(tmp_path / "a.xyz"), "--until", "15"], "a name that ends with .png, .pdf or .svg"),
+        (["--report", str(tmp_path)], "a file, not a folder"),
+        (["--to", str(tmp_path / "short.yaml" / "a.yaml")], "is a file, not a folder"),
+    ):
+        rig(bench["one"], *options, status=2)
+        assert said in re.sub(r"[\s│]+", " ", capsys.readouterr().err)
+    assert not (tmp_path / "found.parameters.yaml").exists()

@@ -13,6 +13,8 @@ from rig.commands.options import Archives, AsJson
 if TYPE_CHECKING:
     from calibration.identify import Prior
 
+FIGURES = (".png", ".pdf", ".svg")
+
 
 def identify(
     archives: Archives,
@@ -100,11 +102,15 @@ def identify(
     if not (choose or bootstrap):
         _refuse("there is nothing to spread: say --bootstrap or --choose", {"--scheduler": scheduler, "--store": store})
     if rig_file is None:
-        _refuse("no rig is written: say --rig-file", {"--rig": rig})
+        said = (
+            "it is the rig that --rig-file writes the parameters into; to begin the search at another rig say --start"
+        )
+        _refuse(said, {"--rig": rig})
     elif to is None:
         to = rig_file.with_suffix(".parameters.yaml")
     if bootstrap == 1:
         _refuse("one refit has no scatter: at least two", {"--bootstrap": bootstrap})
+    _check_places({"--report": report, "--figure": figure, "--to": to, "--rig-file": rig_file})
     priors = _priors(prior or [])
     names = [name.strip() for name in free.split(",") if name.strip()]
     unseen = starting.opened(leave_out or [])
@@ -129,6 +135,9 @@ def identify(
         if begun.config.actuators != data[0].actuators:
             said = f"{name} has {begun.config.actuators} actuators, the runs have {data[0].actuators}"
             raise typer.BadParameter(said, param_hint="--start")
+    base = None if rig is None else starting.Beginning.named(rig)
+    if base is not None and (said := starting.another_arm(base, rigs.values())):
+        raise typer.BadParameter(f"{rig} has another arm than the search begins at: {said}", param_hint="--rig")
     later = identified.shown(unseen, quasi_static)
     for poses in later:
         if poses.actuators != data[0].actuators:
@@ -156,9 +165,22 @@ def identify(
         written = write(fit, to, profiles, under)
         typer.echo(written, err=json)
         if rig_file is not None:
-            base = taken if rig is None else starting.Beginning.named(rig)
-            rig_file.write_text(identified.rig_with(base, written), encoding="utf-8")
+            rig_file.parent.mkdir(parents=True, exist_ok=True)
+            rig_file.write_text(identified.rig_with(base or taken, written), encoding="utf-8")
             typer.echo(rig_file, err=json)
+
+
+def _check_places(places: Mapping[str, Path | None]) -> None:
+    """Refuse, before anything is computed, files that cannot be written where they are asked for."""
+    for option, place in places.items():
+        if place is None:
+            continue
+        if place.is_dir():
+            raise typer.BadParameter(f"{place}: name a file, not a folder", param_hint=option)
+        if (above := next(folder for folder in place.parents if folder.exists())) and not above.is_dir():
+            raise typer.BadParameter(f"{place}: {above} is a file, not a folder", param_hint=option)
+        if option == "--figure" and place.suffix.lower() not in FIGURES:
+            raise typer.BadParameter(f"{place}: a name that ends with .png, .pdf or .svg", param_hint=option)
 
 
 def _refuse(why: str, options: Mapping[str, object]) -> None:
