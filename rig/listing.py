@@ -82,7 +82,7 @@ def show(name: Path, as_json: bool) -> None:
         ("executor", header.executor),
         ("protocol", header.protocol_name),
         ("rig", header.rig_name),
-        ("model", header.model_variant),
+        ("model", header.model_variant or "-"),
         ("operator", header.operator or "-"),
         ("notes", header.notes or "-"),
         ("command", header.command),
@@ -110,7 +110,10 @@ def plain_json(value: Any) -> Any:
 
 
 def summary_table(summary: Summary, counters: Mapping[str, int]) -> Table:
-    """The numbers of a run: one row per settled step, then the whole; `counters` as the executor counted them."""
+    """The numbers of a run: one row per settled step, then the whole; `counters` as the executor counted them.
+
+    A run without a clock (virtual time, a model alone, an import) has no deadlines, and no rows about them.
+    """
     table = Table(box=None, padding=(0, 2, 0, 0), title_justify="left")
     for head in ("step", "error [mm]", "normalised [%]", "settled after [s]", "overshoot [bar]"):
         table.add_column(head, justify="left" if head == "step" else "right")
@@ -128,9 +131,10 @@ def summary_table(summary: Summary, counters: Mapping[str, int]) -> Table:
     table.add_row(Text(whole, "bold"), Text(_number(summary.error_mm.mean, 2), "bold"))
     table.add_row("largest error", _number(summary.error_mm.max, 2))
     table.add_row("frames measured", f"{summary.frames_measured} of {summary.frames}")
-    table.add_row("deadlines missed", f"{summary.missed_deadlines} of {summary.ticks}")
-    late = (summary.lateness_p50_us, summary.lateness_p99_us, summary.lateness_max_us)
-    table.add_row("lateness p50/p99/max [us]", " / ".join(_number(us, 0) for us in late))
+    if summary.lateness_max_us > 0:
+        table.add_row("deadlines missed", f"{summary.missed_deadlines} of {summary.ticks}")
+        late = (summary.lateness_p50_us, summary.lateness_p99_us, summary.lateness_max_us)
+        table.add_row("lateness p50/p99/max [us]", " / ".join(_number(us, 0) for us in late))
     if "stolen_cpu_ms" in counters:
         table.add_row("CPU time stolen by the host [ms]", str(counters["stolen_cpu_ms"]))
     for name, period_ns in counters.items():
@@ -167,7 +171,8 @@ def runs(entries: Sequence[Entry], folder: Path, as_json: bool) -> None:
         typer.echo(f"no such archives in {folder}")
         return
     table = Table(box=None, padding=(0, 2, 0, 0))
-    for head in ("run", "status", "protocol", "rig", "operator", "mean error [mm]"):
+    table.add_column("run", no_wrap=True)  # to be copied whole
+    for head in ("status", "protocol", "rig", "operator", "mean error [mm]"):
         table.add_column(head, overflow="fold")
     for entry in entries:
         rig = entry.rig + (" (simulated)" if entry.simulated else "")

@@ -36,6 +36,28 @@ def test_what_was_not_measured_is_a_dash(short: Path, capsys: pytest.CaptureFixt
     assert [line.split()[-1] for line in shown.splitlines() if "mean error" in line] == ["-"]
 
 
+def test_what_ran_without_deadlines_is_not_said_to_have_met_them(
+    short: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    made_up.write_journal(tmp_path / "timed.mcap", duration_s=0.1)
+    assert status_of("show", short) == 0
+    assert "deadlines" not in capsys.readouterr().out
+    assert status_of("show", finalise(tmp_path / "timed.mcap")) == 0
+    assert "deadlines missed" in capsys.readouterr().out
+
+
+def test_a_listed_run_can_be_named_as_it_stands(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    run_id = "20260102-030405-extension-weights-replay-12"
+    named = dataclasses.replace(
+        made_up.header(run_id), rig_name="a-bench-of-many-words", protocol_name="weights-up-and-down", operator="grace"
+    )
+    writer = JournalWriter(tmp_path / f"{run_id}.mcap", named)
+    writer.close(RunFooter(made_up.START_NS, Status.FINISHED, ""))
+    finalise(writer.path)
+    assert status_of("runs", tmp_path) == 0
+    assert run_id in capsys.readouterr().out
+
+
 def test_a_terminal_that_cannot_show_a_sign_gets_another(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     writer = JournalWriter(tmp_path / "u.mcap", dataclasses.replace(made_up.header("u"), title="Größe 腕"))
     writer.close(RunFooter(made_up.START_NS, Status.FINISHED, ""))
