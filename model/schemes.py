@@ -7,9 +7,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Literal
-
-SchemeName = Literal["bdf1", "bdf2", "bdf3", "bdf-alpha", "trapezoidal"]
 
 
 @dataclass(frozen=True)

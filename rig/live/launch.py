@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import errno
-import getpass
 import ipaddress
 import os
 import pickle
@@ -18,6 +17,7 @@ from pathlib import Path
 from protocols import BadInput, Problem
 from rig.executor.base import StartError
 from rig.executor.door import door_of
+from rig.executor.requests import user_name
 from rig.live.gate import Keys
 from rig.live.order import LINGER_S, Order
 from rig.live.visit import going
@@ -56,7 +56,7 @@ def open_page(listen: str, port: int, *, run: Path | None = None, archive: Path 
     bound = _bind(address, port)
     local = address.is_loopback
     keys = Keys()
-    order = Order(bound.fileno(), keys, getpass.getuser() if local else None, run, archive)
+    order = Order(bound.fileno(), keys, user_name() if local else None, run, archive)
     process = subprocess.Popen(
         [sys.executable, "-m", "rig.live.server"],
         stdin=subprocess.PIPE,
