@@ -8,11 +8,18 @@ venv=$1
 python=$venv/bin/python
 here=$(cd "$(dirname "$0")" && pwd)
 
+# Says why not, where it is not.
 installed() {
-    "$python" -c 'from rig.daq.comedi_device import require; require()' 2>/dev/null
+    "$python" -c '
+import sys
+from rig.daq.comedi_device import require
+try:
+    require()
+except Exception as error:
+    sys.exit(str(error))'
 }
 
-if installed; then
+if installed 2>/dev/null; then
     echo "pycomedi is installed in $venv"
     exit 0
 fi
@@ -25,7 +32,8 @@ fi
 
 missing=
 command -v cc >/dev/null 2>&1 || missing="$missing gcc libc6-dev"
-[ -e /usr/include/comedilib.h ] || [ -e /usr/local/include/comedilib.h ] || missing="$missing libcomedi-dev"
+[ -e /usr/include/comedilib.h ] || [ -e /usr/local/include/comedilib.h ] ||
+    echo '#include <comedilib.h>' | cc -E - >/dev/null 2>&1 || missing="$missing libcomedi-dev"
 headers=$("$python" -c 'import sysconfig; print(sysconfig.get_path("include"))')
 [ -e "$headers/Python.h" ] || missing="$missing $("$python" -c 'import sys; print("python%d.%d-dev" % sys.version_info[:2])')"
 if [ -n "$missing" ]; then
@@ -33,11 +41,20 @@ if [ -n "$missing" ]; then
 fi
 
 work=$(mktemp -d)
-trap 'rm -rf "$work"' EXIT INT TERM
+trap 'rm -rf "$work"' EXIT
+trap 'exit 130' INT
+trap 'exit 143' TERM
 quietly() {
     if ! "$@" >"$work/log" 2>&1; then
         cat "$work/log" >&2
         echo "make comedi failed at: $*" >&2
+        exit 1
+    fi
+}
+fetched() {
+    if ! (quietly "$@"); then
+        echo "If no package index was reached: behind a proxy set https_proxy; PIP_INDEX_URL names another index;" \
+            "offline, PIP_NO_INDEX=1 and PIP_FIND_LINKS name a folder with these packages." >&2
         exit 1
     fi
 }
@@ -46,8 +63,8 @@ echo "softrig: building pycomedi (once, half a minute)"
 numpy=$("$python" -c 'import numpy; print(numpy.__version__)')
 quietly "$python" -m venv "$work/build"
 build=$work/build/bin/python
-quietly "$build" -m pip install --disable-pip-version-check "cython<3" "numpy==$numpy" "setuptools<81" wheel
-quietly "$build" -m pip download --disable-pip-version-check --no-deps --no-binary :all: --no-build-isolation \
+fetched "$build" -m pip install --disable-pip-version-check "cython<3" "numpy==$numpy" "setuptools<81" wheel
+fetched "$build" -m pip download --disable-pip-version-check --no-deps --no-binary :all: --no-build-isolation \
     --require-hashes --dest "$work" -r "$here/requirements.txt"
 tar -xzf "$work/pycomedi-0.9.tar.gz" -C "$work"
 
@@ -60,7 +77,7 @@ fi
 quietly "$build" -m pip wheel --disable-pip-version-check --no-deps --no-build-isolation --wheel-dir "$work" "$work/pycomedi-0.9"
 quietly "$python" -m pip install --disable-pip-version-check --no-deps --force-reinstall "$work"/pycomedi-0.9-*.whl
 if ! installed; then
-    echo "pycomedi was built and cannot be imported:" >&2
-    "$python" -c 'from rig.daq.comedi_device import require; require()' >&2 || exit 1
+    echo "pycomedi was built and cannot be imported, for the reason above" >&2
+    exit 1
 fi
 echo "pycomedi is installed in $venv"
