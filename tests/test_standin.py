@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 
@@ -20,9 +21,15 @@ from rig.executor.child import Job, await_turn, conductor_of, ended_within
 from rig.executor.life import Life
 from rig.executor.memory import Layout, RunMemory, Stage, Stop
 from rig.executor.standin import Guard, stand_in
+from rig.simulator import host
 from rig.simulator.registers import Registers, path_of
 
 OPEN_V, SAFE_V = 7.0, 0.0
+HOLD_STILL = (
+    "import ctypes, sys, time\nptrace = ctypes.CDLL(None).ptrace\nptrace.argtypes = [ctypes.c_long] * 4\n"
+    "print('held' if ptrace(16, int(sys.argv[1]), 0, 0) == 0 else 'refused', flush=True)\ntime.sleep(60)\n"
+)
+"""PTRACE_ATTACH, and never a look at what became of it."""
 
 
 @pytest.fixture
@@ -53,7 +60,7 @@ def memory(config: RigConfig) -> Iterator[RunMemory]:
 @pytest.fixture
 def sleeper() -> Iterator[subprocess.Popen[bytes]]:
     """A process that does nothing, which is not to be left over."""
-    with subprocess.Popen(["sleep", "60"]) as process:
+    with subprocess.Popen(["sleep", "60"], stdout=subprocess.PIPE) as process:
         yield process
         process.kill()
 
@@ -96,6 +103,28 @@ def test_a_life_is_over_once_the_process_dies_though_nobody_has_asked_for_its_st
     assert ended_within(sleeper, 30)
     assert life.over
     assert not life.stopped
+    life.close()
+
+
+def test_who_is_held_by_a_debugger_stands_still_and_keeps_nobody_waiting_who_kills_him(
+    sleeper: subprocess.Popen[bytes], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The kernel hides the end of such a process from its parent for as long as the debugger has not asked for it."""
+    monkeypatch.setattr(host, "GONE_S", 0.2)
+    life = Life(sleeper.pid)
+    with subprocess.Popen([sys.executable, "-c", HOLD_STILL, str(sleeper.pid)], stdout=subprocess.PIPE) as debugger:
+        assert debugger.stdout is not None
+        if debugger.stdout.readline() != b"held\n":
+            pytest.skip("this machine lets no process trace another")
+        until(lambda: life.stopped)
+        assert not life.over
+        leaving = threading.Thread(target=host.Simulation(sleeper, rig.rig_file.load("mock")).close, daemon=True)
+        leaving.start()
+        leaving.join(20)
+        hung = leaving.is_alive()
+        assert life.over
+        debugger.kill()
+    assert not hung
     life.close()
 
 

@@ -30,8 +30,8 @@ class Life:
 
     @property
     def stopped(self) -> bool:
-        """True while the process lives but was stopped by a signal."""
-        return self._fields()[:1] == [b"T"]
+        """True while the process lives but was stopped, by a signal or a debugger."""
+        return self._fields()[:1] in ([b"T"], [b"t"])
 
     def _fields(self) -> list[bytes]:
         """What the kernel tells of the process after its name; nothing of one that is gone."""

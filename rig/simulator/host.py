@@ -8,7 +8,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from rig.config import RigConfig
@@ -17,6 +17,7 @@ from rig.simulator.registers import Registers
 
 READY = b"ready\n"
 LOOK_S = 0.005
+GONE_S = 2.0
 
 
 class Simulation:
@@ -42,7 +43,8 @@ class Simulation:
         more = os.read(self._process.stdout.fileno(), len(READY))
         self._said += more
         if not more:
-            raise CardError(f"the simulator did not start (exit status {self._process.wait()})")
+            self._wait()
+            raise CardError(f"the simulator did not start (exit status {self._process.returncode})")
         if not READY.startswith(self._said):
             raise CardError(f"the simulator did not start: it said {self._said!r}")
         if self._said != READY:
@@ -66,9 +68,14 @@ class Simulation:
         if self._registers is not None:
             self._registers.close()
         self._process.kill()
-        self._process.wait()
+        self._wait()
         assert self._process.stdout is not None
         self._process.stdout.close()
+
+    def _wait(self) -> None:
+        # Not for ever: the end of a process that a debugger holds is hidden until the debugger asks for it.
+        with suppress(subprocess.TimeoutExpired):
+            self._process.wait(GONE_S)
 
 
 @contextmanager
