@@ -205,6 +205,24 @@ def test_the_watchdog_writes_at_the_end_only_what_control_has_not(
     assert memory.stage("watchdog") is Stage.DONE
 
 
+@pytest.mark.parametrize(("safe_ns", "said"), [(1, ""), (0, "the conductor died or hung, and control did not stop")])
+def test_control_that_has_made_the_bench_safe_may_watch_the_air_go_though_its_conductor_is_dead(
+    memory: RunMemory, sleeper: subprocess.Popen[bytes], safe_ns: int, said: str
+) -> None:
+    memory.set("control_pid", sleeper.pid)
+    memory.set("safe_ns", safe_ns)
+    memory.say("control", Stage.RUNNING)
+
+    def end() -> None:
+        memory.say("control", Stage.DONE)
+        sleeper.kill()
+
+    ending = threading.Timer(0.4, end)
+    ending.start()
+    assert watchdog._watch(memory, dead(), None, 10**10) == said  # type: ignore[arg-type]
+    ending.join()
+
+
 def test_what_could_not_be_written_is_not_called_safe(
     config: RigConfig, memory: RunMemory, registers: Registers
 ) -> None:

@@ -13,6 +13,7 @@ import sys
 import time
 
 from rig.daq.base import CardError
+from rig.executor import venting
 from rig.executor.child import await_turn, conductor_of, leave, receive
 from rig.executor.clock import Silence, become_ordinary, become_real_time
 from rig.executor.grip import Grip
@@ -23,6 +24,8 @@ PERIOD_MS = 2
 CONDUCTOR_HUNG_NS = 2_000_000_000
 GRACE_NS = 100_000_000
 """What control gets to make the bench safe by itself after the conductor is gone."""
+VENTING_NS = round(venting.PATIENCE_S * 1e9)
+"""What it gets then to see whether the air goes."""
 OVERSLEPT_NS = 8_000_000
 """A look that comes so late says nothing of control: both may have stood still."""
 PATIENCE_S = 0.5
@@ -117,7 +120,8 @@ def _watch(memory: RunMemory, conductor_pid: int, grip: Grip, hung_ns: int) -> s
             memory.ask_to_stop(Stop.SILENT)
             if conductor >= 0 and conductor in exited:
                 poll.unregister(conductor)
-        if conductor_gone_ns and now - conductor_gone_ns > GRACE_NS:
+        grace_ns = GRACE_NS + (VENTING_NS if memory.get("safe_ns") else 0)
+        if conductor_gone_ns and now - conductor_gone_ns > grace_ns:
             return "the conductor died or hung, and control did not stop"
 
 
