@@ -172,6 +172,24 @@ def laid_over(
     return head + yaml.safe_dump(data, sort_keys=False, width=120, default_flow_style=None)
 
 
+def without(rig_yaml: str, file: str | Path, laid: str) -> str:
+    """The YAML of a rig as it was before the parameters `laid`, verbatim, were laid over it.
+
+    All but the material and the cap, which stay: whatever parameters are laid over it next bring their own.
+    """
+    parameters = recorded(laid)
+    found = parameters.found
+    nothing = Mounting(base_translation_mm=(0, 0, 0), base_rotation_deg=(0, 0, 0), tool_offset_mm=(0, 0, 0))
+    plain = found.model_copy(
+        update={
+            "arm": found.arm.model_copy(update={"geometry": found.identified.geometry}),
+            "mounting": nothing,
+            "sensing": found.sensing.model_copy(update={"gain": (1.0,) * len(found.sensing.gain)}),
+        }
+    )
+    return laid_over(rig_yaml, file, replace(parameters, found=plain), found.identified.variant, instead_of=laid)
+
+
 def over(
     rig_yaml: str, file: str | Path, parameters: Path, variant: Variant | None = None, instead_of: str = ""
 ) -> tuple[str, str]:

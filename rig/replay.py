@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import shlex
 import sys
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -18,12 +19,23 @@ from rig.cameras.base import Frame, Shot
 from rig.config import PA_PER_BAR, RigConfig, Variant
 from rig.experiment import VARIANTS, free_id
 from rig.observer import Observer
-from rig.parameters import over
+from rig.parameters import laid_over, over, recorded, without
 from rig.provenance import git_state, quantities, versions
 from runs.archive import ArchiveError, finalise
 from runs.journal import SUFFIX, JournalWriter
-from runs.records import RunFooter, sample_dtype
+from runs.records import RunFooter, SourceFile, sample_dtype
 from runs.run import Run
+
+
+@dataclass(frozen=True)
+class Bench:
+    """The rig of a replay: its YAML with all that lies over it, what it says, what it was made of, and the model."""
+
+    yaml: str
+    config: RigConfig
+    sources: tuple[SourceFile, ...]
+    parameters: str
+    variant: Variant
 
 
 def replay(
@@ -46,23 +58,9 @@ def replay(
     """
     if not len(run.frames.index):
         raise ArchiveError(f"{run.path} holds no pictures: there is nothing to replay")
-    text = run.header.rig_yaml if rig is None else rig_file.text(rig)
-    config = rig_file.parse(text, f"{run.path}: rig") if rig is None else rig_file.load(rig)
-    sources = run.header.sources if rig is None else rig_file.sources(rig)
-    if calibrations:
-        file = f"{run.path}: rig" if rig is None else rig_file.path_of(rig)
-        text, sources = rig_file.calibrated(text, file, calibrations)
-        config = rig_file.parse(text, f"{file} with calibrations")
-    chosen = variant or (_variant(run) if rig is None else config.model.variant)
-    found = run.header.parameters_yaml if rig is None else ""
-    if parameters is not None:
-        file = f"{run.path}: rig" if rig is None else rig_file.path_of(rig)
-        text, found = over(text, file, parameters, chosen, instead_of=found)
-        config = rig_file.parse(text, f"rig with {parameters}")
-    if config.actuators != run.header.actuators:
-        wish = f"a rig with {run.header.actuators} actuators, as the run had"
-        raise BadInput([Problem("--rig", 0, 0, "", f"{config.name}, which has {config.actuators}", wish)])
-    rows = np.array(list(_observed(run, config, chosen)))
+    bench = asked(run, rig, variant, parameters, calibrations)
+    config = bench.config
+    rows = np.array(list(_observed(run, config, bench.variant)))
     now = datetime.now(UTC)
     commit, diff = git_state()
     folder.mkdir(parents=True, exist_ok=True)
@@ -72,12 +70,12 @@ def replay(
         parent=run.header.run_id,
         notes=f"replayed {now:%Y-%m-%d %H:%M} UTC",
         rig_name=config.name,
-        rig_yaml=text,
-        sources=sources,
-        parameters_yaml=found,
-        model_variant=chosen,
+        rig_yaml=bench.yaml,
+        sources=bench.sources,
+        parameters_yaml=bench.parameters,
+        model_variant=bench.variant,
         cameras=tuple(config.cameras),
-        command=" ".join(sys.argv),
+        command=shlex.join(sys.argv),
         versions=versions(),
         git_commit=commit,
         git_diff=diff,
@@ -91,6 +89,40 @@ def replay(
         journal.event(event)
     journal.close(RunFooter(int(rows["t_ns"][-1]), run.status, run.message, run.timing.counters))
     return finalise(journal.path)
+
+
+def asked(
+    run: Run,
+    rig: str | None = None,
+    variant: Variant | None = None,
+    parameters: Path | None = None,
+    calibrations: Sequence[Path] = (),
+) -> Bench:
+    """What a run is to be seen with again; see `replay`.
+
+    Calibrations are of the rig without any parameters: those that the run had are lifted off it, and laid over it again
+    where no others are given.
+
+    Raises:
+        BadInput: the rig is wrong, or has another number of actuators.
+    """
+    text = run.header.rig_yaml if rig is None else rig_file.text(rig)
+    file = f"{run.path}: rig" if rig is None else str(rig_file.path_of(rig))
+    sources = run.header.sources if rig is None else rig_file.sources(rig)
+    laid = run.header.parameters_yaml if rig is None else ""
+    if calibrations:
+        text, sources = rig_file.calibrated(without(text, file, laid) if laid else text, file, calibrations)
+        if laid and parameters is None:
+            text = laid_over(text, file, recorded(laid))
+    config = rig_file.parse(text, file)
+    chosen = variant or (_variant(run) if rig is None else config.model.variant)
+    if parameters is not None:
+        text, laid = over(text, file, parameters, chosen, instead_of="" if calibrations else laid)
+        config = rig_file.parse(text, f"rig with {parameters}")
+    if config.actuators != run.header.actuators:
+        wish = f"a rig with {run.header.actuators} actuators, as the run had"
+        raise BadInput([Problem("--rig", 0, 0, "", f"{config.name}, which has {config.actuators}", wish)])
+    return Bench(text, config, sources, laid, chosen)
 
 
 def _variant(run: Run) -> Variant:

@@ -301,9 +301,9 @@ def test_faults_of_every_calibration_are_told_at_once(tmp_path: Path) -> None:
     assert {Path(problem.file).name for problem in caught.value.problems} == {"a.yaml", "b.yaml"}
 
 
-def test_a_dlt_in_the_rods_frame_places_the_camera_and_the_simulated_one_stays(tmp_path: Path) -> None:
-    before = rig_file.load("mock")
-    camera = before.cameras["front"]
+def dlt_file(folder: Path) -> Path:
+    """A DLT calibration of the mock rig's camera, from points that it would see where the rig states it."""
+    camera = rig_file.load("mock").cameras["front"]
     world = np.random.default_rng(3).uniform((-0.08, -0.05, 0.12), (0.08, 0.05, 0.24), (15, 3))
     seen = camera_in_base(camera).inverse().apply(world)
     pixels = lens_of(camera).project(seen, np.zeros(3), np.zeros(3))
@@ -311,11 +311,16 @@ def test_a_dlt_in_the_rods_frame_places_the_camera_and_the_simulated_one_stays(t
         f"{k},{1e3 * x},{1e3 * y},{1e3 * z},front,{u},{v}"
         for k, ((x, y, z), (u, v)) in enumerate(zip(world, pixels, strict=True))
     ]
-    (tmp_path / "points.csv").write_text("point,X_mm,Y_mm,Z_mm,camera,u_px,v_px\n" + "\n".join(rows))
-    done = CliRunner().invoke(
-        app, ["calibrate", "dlt", str(tmp_path / "points.csv"), "--rig", "mock", "--to", str(tmp_path / "d.yaml")]
-    )
+    points, to = folder / "points.csv", folder / "d.yaml"
+    points.write_text("point,X_mm,Y_mm,Z_mm,camera,u_px,v_px\n" + "\n".join(rows))
+    done = CliRunner().invoke(app, ["calibrate", "dlt", str(points), "--rig", "mock", "--to", str(to)])
     assert done.exit_code == 0, done.output
+    return to
+
+
+def test_a_dlt_in_the_rods_frame_places_the_camera_and_the_simulated_one_stays(tmp_path: Path) -> None:
+    camera = rig_file.load("mock").cameras["front"]
+    dlt_file(tmp_path)
     after = rig_file.load(_rig(tmp_path, "d.yaml"))
     stated, found = camera.placement, after.cameras["front"].placement
     assert found.translation_mm == pytest.approx(stated.translation_mm, abs=1e-3)

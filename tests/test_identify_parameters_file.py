@@ -7,9 +7,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import runs_made_up as made_up
 import yaml
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from test_calibration_files import dlt_file
 
 import runs
 from calibration.identify import Setup, identify
@@ -18,9 +20,13 @@ from calibration.identify.simulated import perform, plan
 from protocols import BadInput
 from rig.arm import model_arm, true_arm
 from rig.cli import main
+from rig.optics import rigid
 from rig.parameters import laid_over, read
-from rig.rig_file import load, parse, path_of, text
-from runs.records import Seen
+from rig.replay import asked
+from rig.rig_file import calibrated, load, parse, path_of, text
+from runs.archive import finalise
+from runs.journal import JournalWriter
+from runs.records import RunFooter, Seen, Status
 from runs.run import Run
 
 PROTOCOL = """title: A level
@@ -96,6 +102,34 @@ def test_run_and_replay_measure_from_the_identified_base_and_leave_the_simulated
     assert laid.simulated.tip_mm == pytest.approx(laid.tip.measured_mm, abs=3.0)
     true, still = true_arm(load("mock")), true_arm(parse(laid.header.rig_yaml, "rig"))
     assert still == true
+
+
+def test_calibrations_of_a_replay_lie_under_the_parameters_as_in_a_rigs_file(found: Path, tmp_path: Path) -> None:
+    newer = tmp_path / "newer.yaml"
+    newer.write_text(
+        found.read_text().replace("base_translation_mm: [2.0, -1.0, 3.0]", "base_translation_mm: [0, 5, 0]")
+    )
+    assert newer.read_text() != found.read_text()
+    calibration = dlt_file(tmp_path)
+    about = replace(
+        made_up.header(), rig_yaml=laid_over(text("mock"), "mock", read(found)), parameters_yaml=found.read_text()
+    )
+    journal = JournalWriter(tmp_path / "run.mcap", about)
+    journal.close(RunFooter(made_up.START_NS, Status.FINISHED, ""))
+    run = runs.open(finalise(journal.path))
+    under = calibrated(text("mock"), "mock", [calibration])[0]
+    for newly, laid in ((None, found), (newer, newer)):
+        bench = asked(run, parameters=newly, calibrations=[calibration])
+        assert bench.parameters == laid.read_text()
+        expected = parse(laid_over(under, "mock", read(laid)), "expected")
+        assert bench.config.arm == expected.arm
+        for one, other in zip(bench.config.sensors, expected.sensors, strict=True):
+            assert one.span_bar == pytest.approx(other.span_bar)
+        stands, should = (rigid(config.cameras["front"].placement) for config in (bench.config, expected))
+        assert stands.translation_m == pytest.approx(should.translation_m, abs=1e-9)
+        assert stands.rotation == pytest.approx(should.rotation, abs=1e-9)
+        built, as_it_was = true_arm(bench.config), true_arm(expected)
+        assert built == as_it_was
 
 
 def test_what_was_identified_is_found_again_in_the_rig(found: Path) -> None:
