@@ -61,8 +61,8 @@ def _status(error: Exception) -> int | None:
     from rig.daq.base import CardError
     from rig.executor.base import StartError, StoppedError
     from runs.archive import ArchiveError
-    from runs.export import ExportError
     from runs.disk import JournalError
+    from runs.export import ExportError
 
     if isinstance(error, NoData | UnknownParameter | NotAdaptable):
         return BAD_INPUT

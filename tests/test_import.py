@@ -331,13 +331,17 @@ def test_the_command_prints_archives_and_warnings(
     for name in ("one", "two"):
         (tmp_path / f"{name}.csv").write_text("0,0.1,1,2,3\n1,0.2,1,2,3\n")
     (tmp_path / "map.yaml").write_text(SMALL)
-    command = ["import", "one.csv", "two.csv", "--mapping", "map.yaml", "--note", "old"]
+    command = ["import", "one.csv", "two.csv", "--mapping", "map.yaml", "--note", "old, dry"]
+    monkeypatch.setattr("sys.argv", ["rig", *command])
     with pytest.raises(SystemExit) as left:
         main(command)
     assert left.value.code == 0
     said = capsys.readouterr()
     archives = [runs.open(tmp_path / line) for line in said.out.splitlines()]
-    assert [run.header.notes[:26] for run in archives] == ["old; imported from one.csv", "old; imported from two.csv"]
+    notes = [run.header.notes.partition(", SHA")[0] for run in archives]
+    assert notes == ["old, dry; imported from one.csv", "old, dry; imported from two.csv"]
+    # A command that is kept can be given to a shell again.
+    assert archives[0].header.command == "rig import one.csv two.csv --mapping map.yaml --note 'old, dry'"
     assert "warning: one.csv: the mapping does not say when" in said.err
     (tmp_path / "map.yaml").write_text(SMALL.replace("unit: s", "unit: h"))
     with pytest.raises(SystemExit) as left:

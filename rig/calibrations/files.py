@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import shlex
 import sys
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -70,7 +71,7 @@ def origin(note: str = "") -> dict[str, Any]:
         "softrig_calibration": 1,
         "made": datetime.now(UTC).isoformat(timespec="seconds"),
         "software": Software(versions=versions(), git_commit=commit, git_changed=bool(diff)),
-        "command": " ".join(sys.argv),
+        "command": shlex.join(sys.argv),
         "note": note,
     }
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import platform
 import re
+import shlex
 import sys
 import time
 from dataclasses import dataclass
@@ -105,7 +106,7 @@ def import_table(data: Path, mapping_file: Path, folder: Path, operator: str = "
         model_variant="",
         operator=operator,
         notes="; ".join(filter(None, (notes, f"imported from {source}"))),
-        command=" ".join(sys.argv),
+        command=shlex.join(sys.argv),
         host=platform.node(),
         versions=versions(),
         git_commit=commit,
