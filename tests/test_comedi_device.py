@@ -10,14 +10,15 @@ import subprocess
 import sys
 from importlib.util import find_spec
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rig.daq import comedi_constants
-from rig.daq.base import CardError, CardSetup
+from rig.daq import comedi_constants, comedi_device
+from rig.daq.base import CardBusyError, CardError, CardSetup
 from rig.daq.comedi import ComediCard
 from rig.daq.comedi_device import Device, Polynomial
 
@@ -113,6 +114,45 @@ def test_a_device_that_cannot_be_opened_says_why(
     monkeypatch.setattr(os, "open", fail)
     with pytest.raises(CardError, match=message):
         Device(str(tmp_path / "comedi0"))
+
+
+class RefusedError(Exception):
+    """A binding's error."""
+
+    comedi_msg = b"No such device"
+
+
+class Contested:
+    """A binding's device that another process opened first, the first time."""
+
+    opened = 0
+
+    def __init__(self, path: bytes) -> None:
+        self.path = path
+
+    def open(self) -> None:
+        Contested.opened += 1
+        raise RefusedError
+
+
+def test_a_card_that_another_process_opens_between_the_question_and_the_opening_is_called_busy(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whoever waits for such a card goes on waiting; no card attached would end it."""
+
+    def asked(path: str, flags: int) -> int:
+        if Contested.opened:
+            raise OSError(errno.EBUSY, os.strerror(errno.EBUSY))
+        return opened(path, flags)
+
+    opened = os.open
+    node = tmp_path / "comedi0"
+    node.touch()
+    binding = SimpleNamespace(PyComediError=RefusedError, Device=Contested)
+    monkeypatch.setattr(comedi_device, "_pycomedi", lambda: binding)
+    monkeypatch.setattr(os, "open", asked)
+    with pytest.raises(CardBusyError, match="one process at a time"):
+        Device(str(node))
 
 
 @needs_pycomedi

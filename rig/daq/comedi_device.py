@@ -183,12 +183,19 @@ class Device:
         """
         pc = _pycomedi()
         self.path = path
-        # Comedilib keeps no reason that could be trusted, so the kernel is asked first.
-        if (trouble := closed(path)) is not None:
-            raise trouble
-        self._device = pc.Device(os.fsencode(path))
-        with _told(path, "it exists, but no card is attached to it"):
-            self._device.open()
+        # Comedilib keeps no reason that could be trusted, so the kernel is asked first; and again where somebody may
+        # have come in between.
+        for again in (True, False):
+            if (trouble := closed(path)) is not None:
+                raise trouble
+            self._device = pc.Device(os.fsencode(path))
+            try:
+                with _told(path, "it exists, but no card is attached to it"):
+                    self._device.open()
+                break
+            except CardError:
+                if not again:
+                    raise
         try:
             with _told(path, "it cannot be asked what it is"):
                 self.driver = _text(self._device.get_driver_name())
