@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import select
 import signal
 import subprocess
 import sys
@@ -221,6 +222,30 @@ def test_control_that_has_made_the_bench_safe_may_watch_the_air_go_though_its_co
     ending.start()
     assert watchdog._watch(memory, dead(), None, 10**10) == said  # type: ignore[arg-type]
     ending.join()
+
+
+def test_a_conductor_that_dies_after_it_has_hung_costs_control_no_processor(
+    memory: RunMemory, sleeper: subprocess.Popen[bytes], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The watchdog goes before control: what wakes it again and again keeps control from ending on its own."""
+    monkeypatch.setattr(watchdog, "CONDUCTOR_HUNG_NS", 20_000_000)
+    monkeypatch.setattr(watchdog, "GRACE_NS", 400_000_000)
+    looks = 0
+
+    def counted(poll: select.poll, timeout_ms: int) -> set[int]:
+        nonlocal looks
+        looks += 1
+        if memory.get("stop"):
+            conductor.kill()
+        return exited(poll, timeout_ms)
+
+    exited = watchdog._exited
+    monkeypatch.setattr(watchdog, "_exited", counted)
+    memory.set("control_pid", sleeper.pid)
+    memory.say("control", Stage.RUNNING)
+    with subprocess.Popen(["sleep", "60"]) as conductor:
+        assert "did not stop" in watchdog._watch(memory, conductor.pid, None, 10**10)  # type: ignore[arg-type]
+    assert looks < 400
 
 
 def test_what_could_not_be_written_is_not_called_safe(

@@ -115,11 +115,12 @@ def _watch(memory: RunMemory, conductor_pid: int, grip: Grip, hung_ns: int) -> s
         conductor_silent_ns = conductors.look(now, memory.heartbeat_ns("conductor"))
         if running and silent_ns > hung_ns:
             return "the control process hung"
-        if not conductor_gone_ns and (conductor in exited or (running and conductor_silent_ns > CONDUCTOR_HUNG_NS)):
+        if conductor >= 0 and conductor in exited:
+            poll.unregister(conductor)  # it would wake this process again and again
+            conductor = -1
+        if not conductor_gone_ns and (conductor < 0 or (running and conductor_silent_ns > CONDUCTOR_HUNG_NS)):
             conductor_gone_ns = now
             memory.ask_to_stop(Stop.SILENT)
-            if conductor >= 0 and conductor in exited:
-                poll.unregister(conductor)
         grace_ns = GRACE_NS + (VENTING_NS if memory.get("safe_ns") else 0)
         if conductor_gone_ns and now - conductor_gone_ns > grace_ns:
             return "the conductor died or hung, and control did not stop"
