@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 from plant_bench import mock_rig
 
-from rig import control, experiment
+from rig import control, experiment, rig_file
 from rig.bench import Bench
+from rig.cameras import mock
+from rig.cameras.mock import MockCamera
 from rig.executor import realtime
 from rig.executor.base import Nobody, Plan
 from rig.executor.clock import Silence
@@ -17,6 +19,7 @@ from rig.executor.memory import Stage
 from rig.executor.tick import Ticker
 from rig.executor.vigil import Vigil
 from rig.simulator.plant import Plant
+from rig.simulator.pose import TipPose
 from runs.records import Level, sample_dtype
 
 MS = 1_000_000
@@ -140,3 +143,35 @@ def test_a_standstill_is_told_once_with_its_length() -> None:
     told = [event for event in vigil.samples(rows) if "stood still" in event.message]
     assert [event.level for event in told] == [Level.WARNING]
     assert "control stood still for 0.60 s" in told[0].message
+
+
+class Clock:
+    """Stands in for the module `time`: whoever sleeps on it wakes a second and a half too late."""
+
+    now_ns = 10**12
+
+    def monotonic_ns(self) -> int:
+        return self.now_ns
+
+    def sleep(self, seconds: float) -> None:
+        self.now_ns += round(seconds * 1e9) + 1_500_000_000
+
+
+def test_a_camera_whose_reader_stood_still_takes_the_newest_picture_and_blames_no_simulator(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    class Forgetful:
+        """The last second of the tip, as the mock card remembers it."""
+
+        def pose_at(self, t_ns: int) -> TipPose:
+            if t_ns < clock.now_ns - 1_100_000_000:
+                raise LookupError("forgotten")
+            return TipPose(t_ns, np.array([0.0, 0.0, 0.17]), np.eye(3))
+
+    clock = Clock()
+    monkeypatch.setattr(mock, "time", clock)
+    camera = MockCamera(rig_file.load("mock"), Forgetful())
+    exposed: list[int] = []
+    monkeypatch.setattr(camera, "develop", lambda exposure: exposed.append(exposure.t_ns))
+    camera.read(1.0)
+    assert clock.now_ns - exposed[0] < 2e9 / 30
