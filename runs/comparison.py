@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from html import escape
 from typing import Any
@@ -62,9 +63,14 @@ def by_model(runs: Sequence[Run], summaries: Sequence[Summary]) -> str:
 
 
 def by_axis(runs: Sequence[Run], summaries: Sequence[Summary]) -> str:
-    """Return the rms errors of each run in the shape of the paper's Table 5; nothing where nothing was measured."""
+    """Return the rms errors of each run in the shape of the paper's Table 5; nothing where nothing was measured.
+
+    A case is its protocol, as in the paper; where several runs had the same one and the same model, the run.
+    """
+    cases = Counter((run.header.protocol_name, run.header.model_variant) for run in runs)
+    alike = max(cases.values(), default=0) > 1
     rows = "".join(
-        f"<tr><td>{escape(run.header.protocol_name)}{_marked(s.simulated)}</td>"
+        f"<tr><td>{escape(run.header.run_id if alike else run.header.protocol_name)}{_marked(s.simulated)}</td>"
         f"<td>{escape(run.header.model_variant)}</td>"
         f"<td class=n>{plain(s.rmse_mm[2], 4)}</td><td class=n>{plain(s.rmse_mm[0], 4)}</td></tr>"
         for run, s in zip(runs, summaries, strict=True)

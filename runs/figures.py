@@ -278,6 +278,9 @@ def steps(figure: Figure, run: Run, summary: Summary) -> None:
     right.set_ylim(bottom=0)
     legend(right)
     right.grid(axis="x", visible=False)
+    if label == "step":
+        for axes in (left, right):
+            axes.xaxis.set_major_locator(MaxNLocator(integer=True))
 
 
 def coordinates(figure: Figure, run: Run, summary: Summary) -> None:

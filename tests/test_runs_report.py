@@ -12,12 +12,14 @@ from xml.etree import ElementTree as ET
 import numpy as np
 import pytest
 import runs_made_up as made_up
+from matplotlib.figure import Figure
 
 import runs
 from runs import pictures, plates, printed, report
 from runs.archive import finalise
 from runs.comparison import by_axis, by_model
 from runs.export import ExportError
+from runs.figures import steps
 from runs.journal import JournalWriter
 from runs.records import Event, Level, RunFooter, Seen, Status
 from runs.summary import summarise
@@ -271,6 +273,25 @@ def test_several_runs_are_told_in_the_shape_of_the_papers_tables(archive: Path, 
     assert cells[0] == ["\u2715", "\u2715", "17.20", one, "\u2714", "\u2714", "1.27", one]
     assert cells[1][:4] == ["stairs (simulated)", "inhomogeneous+rpe", "0.3269", "1.7349"]
     assert cells[1][4:] == ["other (simulated)", "homogeneous", "0.8019", "1.6247"]
+
+
+def test_runs_of_one_protocol_and_model_are_told_apart(archive: Path, short: Path) -> None:
+    first, second = runs.open(archive), runs.open(short)
+    found = dataclasses.replace(summarise(first), rmse_mm=(1.7, 0.1, 0.3))
+    cells = re.findall(r"<td>([^<]*)</td>", by_axis([first, second], [found] * 2))
+    assert cells[::2] == ["run (simulated)", "short (simulated)"]
+
+
+def test_steps_are_counted_in_whole_numbers(archive: Path) -> None:
+    run = runs.open(archive)
+    found = summarise(run)
+    level = found.steps[0].level_bar
+    found = dataclasses.replace(found, steps=tuple(dataclasses.replace(step, level_bar=level) for step in found.steps))
+    figure = Figure(figsize=(9, 3.6))
+    steps(figure, run, found)
+    for axes in figure.axes:
+        assert axes.get_xlabel() == "step"
+        assert (axes.get_xticks() % 1 == 0).all()
 
 
 def test_no_mean_is_over_measured_and_simulated_runs(archive: Path) -> None:
