@@ -94,7 +94,8 @@ def likeliest(
 ) -> tuple[Beginning, Fit]:
     """Identify from each rig's arm and take what makes the runs likeliest; says so where there are several."""
     columns = (TextColumn("searching"), BarColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=console(stderr=True), transient=True) as bar:
+    screen = console(stderr=True)
+    with Progress(*columns, console=screen, transient=True, disable=not screen.is_terminal) as bar:
         bar.add_task("", total=None)
         fits = {name: from_poses(rig.config, data, free, priors, starts) for name, rig in rigs.items()}
     best = max(fits, key=lambda name: fits[name].log_likelihood)
@@ -222,7 +223,9 @@ def waiting(what: str) -> Iterator[Callable[[int, int], None]]:
     columns = (TextColumn(what), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     # Fits of slow and quick models come in turns: the pace of the last seconds would tell little.
     period_s = 3600.0
-    with Progress(*columns, console=console(stderr=True), transient=True, speed_estimate_period=period_s) as bar:
+    screen = console(stderr=True)
+    quiet = not screen.is_terminal
+    with Progress(*columns, console=screen, transient=True, disable=quiet, speed_estimate_period=period_s) as bar:
         job = bar.add_task(what, total=None)
         yield lambda done, total: bar.update(job, completed=done, total=total)
 

@@ -68,7 +68,7 @@ def replay(
         run.header,
         run_id=free_id(folder, f"{run.header.run_id}-replay"),
         parent=run.header.run_id,
-        notes=f"replayed {now:%Y-%m-%d %H:%M} UTC",
+        notes="; ".join(filter(None, (run.header.notes, f"replayed {now:%Y-%m-%d %H:%M} UTC"))),
         rig_name=config.name,
         rig_yaml=bench.yaml,
         sources=bench.sources,

@@ -143,6 +143,7 @@ def test_the_rest_of_a_run_is_predicted_and_drawn(
     said = capsys.readouterr()
     before, after = map(float, re.findall(rf"from {middle_s:g} s \(left out\): rms ([\d.]+) -> ([\d.]+)", said.err)[0])
     assert after < 0.3 * before
+    assert "" not in said.err.splitlines()  # what a bar leaves behind where there is no terminal
     assert "before, rms" in picture.read_text()
 
 

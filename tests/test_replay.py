@@ -25,7 +25,9 @@ def recorded(folder: Path, encoding: str, adapt: list[str] | None = None) -> Run
     rig.write_text(f"{text}\nrecording: {{keep_every: 1, encoding: {encoding}, jpeg_quality: 95}}\n")
     protocol = protocol_file(folder, "  - ramp: {actuators: [1], to_bar: 0.4, duration_s: 2}\n")
     out = folder / encoding
-    request = experiment.request(protocol, str(rig), folder=out, fast=True, seed=3, report=False, adapt=adapt)
+    request = experiment.request(
+        protocol, str(rig), folder=out, fast=True, seed=3, report=False, adapt=adapt, notes="wet day"
+    )
     archive = experiment.run(request, experiment.plan(request), Silent()).archive
     assert archive is not None
     return runs.open(archive)
@@ -70,6 +72,7 @@ def test_a_replay_names_its_parent(lossless: Run, tmp_path: Path) -> None:
     assert again.parent == lossless.header.run_id
     assert again.run_id != lossless.header.run_id
     assert again.simulated
+    assert again.notes.startswith("wet day; replayed ")
 
 
 def test_a_rig_with_other_actuators_is_refused(lossless: Run, tmp_path: Path) -> None:
