@@ -6,7 +6,6 @@ import contextlib
 import os
 import signal
 import time
-from collections.abc import Iterator
 
 from rig.bench import Bench, cards_with_valves, open_outputs
 from rig.config import RigConfig
@@ -59,8 +58,10 @@ def _vent(config: RigConfig) -> list[str]:
         _tell_to_end(config)
         _insist(benches, REPEATED_S - NOTICED_S)
         for bench in benches:
-            with _noting(failures):
+            try:
                 bench.arm(vent=True)
+            except CardError as error:
+                failures.append(str(error))
     finally:
         for bench in benches:
             bench.close()
@@ -87,6 +88,8 @@ def _open(config: RigConfig, benches: list[Bench], failures: list[str]) -> None:
                 failures.append(str(busy))
             except CardError as error:
                 failures.append(str(error))
+            except Exception as error:  # a card must not keep the others from being vented
+                failures.append(f"card {card}: {type(error).__name__}: {error}")
             closed.remove(card)
         _insist(benches, 0.0)
         if closed:
@@ -117,11 +120,3 @@ def _insist(benches: list[Bench], seconds: float) -> None:
         if time.monotonic() >= until:
             return
         time.sleep(PAUSE_S)
-
-
-@contextlib.contextmanager
-def _noting(failures: list[str]) -> Iterator[None]:
-    try:
-        yield
-    except CardError as error:
-        failures.append(str(error))

@@ -158,6 +158,9 @@ def test_an_error_that_nobody_expected_of_a_card_keeps_no_other_from_its_safe_st
     with pytest.raises(CardError, match=f"card daq: {bug.__name__}: oddly broken"):
         make_safe(two_card_rig(), vent=False)
     assert cards["other"].outputs.tolist() == [5.0]
+    with pytest.raises(CardError, match=f"card daq: {bug.__name__}: oddly broken"):
+        vent(two_card_rig())
+    assert cards["other"].outputs.tolist() == [0.0]
 
 
 def test_a_valve_may_stand_safe_or_vented_and_nowhere_else(bench: Bench, cards: dict[str, FakeCard]) -> None:
