@@ -145,7 +145,7 @@ def _estimates(adapted: Sequence[Quantity], row: NDArray[np.void]) -> Table:
     """What the recursive estimator knows by now, beside what the run began with."""
     table = Table(box=None, padding=(0, 2, 0, 0))
     for head in ("parameter", "estimate", "+-", "began with", "+-", "unit"):
-        table.add_column(head, justify="left" if head in ("parameter", "unit") else "right")
+        table.add_column(head, justify="left" if head in ("parameter", "unit") else "right", overflow="fold")
     std = np.sqrt(np.diagonal(row["covariance"]))
     for quantity, value, deviation in zip(adapted, row["value"], std, strict=True):
         begun = f"{quantity.value[0]:.5g}", f"{quantity.uncertainty:.2g}"
@@ -155,18 +155,23 @@ def _estimates(adapted: Sequence[Quantity], row: NDArray[np.void]) -> Table:
 
 def _screen(title: str, progress: Progress) -> Group:
     parts: list[Text | Table | ProgressBar] = [Text(title, "bold")]
+    # What waits for the operator stands first: of a screen that is too long the end is cut off.
+    if progress.held:
+        parts.append(Text("PAUSED: p resumes", "bold yellow"))
+    if progress.prompt is not None:
+        parts.append(Text(f"{progress.prompt}, then press Enter", "bold yellow"))
     sample, observation = progress.sample, progress.observation
     if sample is not None:
         table = Table(box=None, padding=(0, 2, 0, 0))
         for head in ("actuator", "set-point [bar]", "measured [bar]", "difference [bar]"):
-            table.add_column(head, justify="right")
+            table.add_column(head, justify="right", overflow="fold", min_width=7)
         for i, (setpoint, measured) in enumerate(zip(sample["setpoint_pa"], sample["measured_pa"], strict=True), 1):
             table.add_row(str(i), _bar(setpoint), _bar(measured), f"{(measured - setpoint) / PA_PER_BAR:+.3f}")
         parts.append(table)
     if observation is not None:
         table = Table(box=None, padding=(0, 2, 0, 0))
         for head in ("tip", "x y z [mm]", "+- [mm]"):
-            table.add_column(head, justify="right")
+            table.add_column(head, justify="right", overflow="fold", min_width=8)
         if observation["seen"] == Seen.MEASURED:
             std = np.sqrt(np.diagonal(observation["covariance_m2"]))
             table.add_row("measured", _point(observation["measured_m"]), _point(std))
@@ -176,8 +181,6 @@ def _screen(title: str, progress: Progress) -> Group:
         table.add_row("model", _point(observation["model_m"]), "" if observation["model_ok"] else "not solved")
         table.add_row("error", Text(f"{_error_mm(progress):.2f} mm", "bold cyan"), "")
         parts.append(table)
-    if progress.adaptation is not None:
-        parts.append(_estimates(progress.adapted, progress.adaptation))
     if sample is not None:
         late = f"control late by {sample['lateness_ns'] / 1e3:.0f} us, deadlines missed {progress.missed}"
         parts.append(Text(late, "yellow" if progress.missed else "dim"))
@@ -185,8 +188,6 @@ def _screen(title: str, progress: Progress) -> Group:
     left = _clock(progress.duration_s - progress.protocol_s)
     parts.append(Text(f" {_clock(progress.protocol_s)} of {_clock(progress.duration_s)}, {left} left"))
     parts.append(Text("p pauses, Ctrl-C stops", "dim"))
-    if progress.held:
-        parts.append(Text("PAUSED: p resumes", "bold yellow"))
-    if progress.prompt is not None:
-        parts.append(Text(f"{progress.prompt}, then press Enter", "bold yellow"))
+    if progress.adaptation is not None:
+        parts.append(_estimates(progress.adapted, progress.adaptation))
     return Group(*parts)

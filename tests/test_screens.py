@@ -1,17 +1,18 @@
-"""The check screen and its plot as they stand on terminals of any width, and the question that arms."""
+"""The screens before and in a run as they stand on terminals of any size, and the question that arms."""
 
 from __future__ import annotations
 
 import io
-from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 from rich.console import Console, RenderableType
 
 from rig import experiment, rig_file, screens
-
-Shown = Callable[[str, str | Path, int], str]
+from rig.executor.base import Progress
+from rig.terminal import Terminal
+from runs.records import Quantity, Seen, adaptation_dtype, observation_dtype, sample_dtype
 
 
 def drawn(what: RenderableType, columns: int) -> str:
@@ -92,3 +93,38 @@ def test_the_question_is_asked_where_the_screen_is_and_only_yes_arms(
     said = capsys.readouterr()
     assert "Arm the rig and run?" in said.err
     assert not said.out
+
+
+def running(*, prompt: str | None = None, held: bool = False) -> Progress:
+    """A run with everything on its screen: pressures, tip, and ten parameters that are being found."""
+    sample = np.zeros(1, sample_dtype(3, 2))[0]
+    sample["setpoint_pa"], sample["measured_pa"] = (12_300.0, 45_600.0, 0.0), (12_400.0, 45_500.0, 100.0)
+    observation = np.zeros(1, observation_dtype(3))[0]
+    observation["seen"], observation["measured_m"] = Seen.MEASURED, (-0.12345, 0.00678, 0.18765)
+    adapted = tuple(Quantity("adaptation", f"parameter_{i}", (1.0,), "1", "the rig", 0.1) for i in range(10))
+    adaptation = np.zeros(1, adaptation_dtype(10))[0]
+    return Progress(1.0, 9.0, sample, observation, 0, prompt, held, adapted, adaptation)
+
+
+def live(progress: Progress, columns: int, lines: int) -> str:
+    screen = Console(
+        file=io.StringIO(), width=columns, height=lines, force_terminal=True, markup=False, color_system=None
+    )
+    assert isinstance(screen.file, io.StringIO)
+    said = screen.file
+    with Terminal(screen, lambda: None, "ramp-a on mock") as terminal:
+        terminal.show(progress)
+        return said.getvalue()  # at the end it would show even what does not fit
+
+
+@pytest.mark.parametrize(("columns", "lines"), [(80, 24), (40, 12)])
+def test_what_waits_for_the_operator_is_on_the_screen_however_little_fits(columns: int, lines: int) -> None:
+    assert "press Enter" in live(running(prompt="Hang 20 g on the tip"), columns, lines)
+    assert "PAUSED" in live(running(held=True), columns, lines)
+
+
+def test_a_narrow_terminal_cuts_no_number_of_a_run_off() -> None:
+    said = live(running(), 40, 60)
+    assert "…" not in said
+    for number in ("0.123", "0.124", "+0.001", "0.456", "-123.45", "6.78", "187.65"):
+        assert number in said
