@@ -113,7 +113,7 @@ def sketch(plan: Plan, width: int, height: int = 10) -> Text:
     alike: dict[bytes, list[int]] = {}
     for actuator, column in enumerate(levels.T, 1):
         alike.setdefault(column.tobytes(), []).append(actuator)
-    top = float(levels.max())
+    top = max(peak_bar(plan))
     lines_up = height if top > 0 else 0
     grid = [[" "] * columns for _ in range(lines_up + 1)]
     for numbers in reversed(alike.values()):

@@ -74,6 +74,12 @@ def test_the_lines_of_a_plot_of_little_pressure_are_told_apart(tmp_path: Path) -
     assert len(set(labels)) == len(labels) == 11
 
 
+def test_the_scale_of_a_plot_ends_at_the_peak_however_brief_it_is(tmp_path: Path) -> None:
+    steps = "".join(f"  - ramp: {{actuators: [1], to_bar: {level}, duration_s: 1}}\n" for level in (0.7, 0))
+    (tmp_path / "p.yaml").write_text(f"title: T\nsteps:\n{steps}  - hold: {{duration_s: 7000}}\n")
+    assert plotted(tmp_path / "p.yaml")[0].startswith("  0.70 bar")
+
+
 class Keyboard(io.StringIO):
     """A terminal's keyboard, on which a line has been typed."""
 

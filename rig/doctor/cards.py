@@ -23,7 +23,7 @@ OUT_OF_TREE = (
     f"(https://github.com/Linux-Comedi/comedi; docs/hardware.md, The card's driver), then sudo modprobe {FAMILY_DRIVER}"
 )
 POWER_UP = (
-    "keep the air and the valves' 24 V off until `rig vent --rig FILE` has put the outputs to the safe state; "
+    "keep the air and the valves' 24 V off until `rig vent --rig FILE` has put the outputs to where they vent; "
     "docs/hardware.md, Power up"
 )
 _KINDS = {
