@@ -165,6 +165,23 @@ def test_the_1716_says_where_its_driver_is(machine: Machine) -> None:
     assert "Linux-Comedi" in said.remedy
 
 
+def test_a_board_that_the_kernels_own_driver_knows_needs_a_kernel_that_has_it(machine: Machine) -> None:
+    machine.board("1710")
+    machine.write(f"lib/modules/{RELEASE}/modules.alias", "")
+    said = machine.said()["board"]
+    assert "no driver" in said.found
+    assert "linux-modules-extra" in said.remedy
+    assert "git" not in said.remedy
+
+
+def test_a_board_that_nobody_is_known_to_drive_is_not_promised_a_driver(machine: Machine) -> None:
+    machine.board("1816")
+    said = machine.said()["board"]
+    assert "Advantech board 0x1816" in said.found
+    assert "another card" in said.remedy
+    assert "modprobe" not in said.remedy
+
+
 def test_the_1716_with_the_out_of_tree_driver_installed_needs_only_modprobe(machine: Machine) -> None:
     machine.board("1716")
     aliases = ALIASES + "alias pci:v000013FEd00001716sv*sd*bc*sc*i* adv_pci1710\n"

@@ -16,11 +16,19 @@ from rig.daq.survey import Found, survey
 from rig.doctor.finding import Finding
 
 ADVANTECH = "0x13fe"
-BOARDS = {"0x1710": "PCI-1710", "0x1711": "PCI-1711", "0x1713": "PCI-1713", "0x1716": "PCI-1716", "0x1731": "PCI-1731"}
 FAMILY_DRIVER = "adv_pci1710"
+IN_KERNEL = {"0x1710": "PCI-1710", "0x1711": "PCI-1711", "0x1713": "PCI-1713", "0x1731": "PCI-1731"}
+BOARDS = {**IN_KERNEL, "0x1716": "PCI-1716"}
+WITHOUT_COMEDI = (
+    "install what has it: Debian's linux-image-amd64 (not -cloud), Ubuntu's linux-modules-extra-$(uname -r)"
+)
 OUT_OF_TREE = (
     f"the kernel's own {FAMILY_DRIVER} does not know this board: build the out-of-tree Linux-Comedi drivers "
     f"(https://github.com/Linux-Comedi/comedi; docs/hardware.md, The card's driver), then sudo modprobe {FAMILY_DRIVER}"
+)
+ELSEWHERE = (
+    "look for it among the drivers of https://github.com/Linux-Comedi/comedi; where it is not there either, "
+    "it takes another card"
 )
 POWER_UP = (
     "keep the air and the valves' 24 V off until `rig vent --rig FILE` has put the outputs to where they vent; "
@@ -62,7 +70,8 @@ def _board(card: PciCard) -> Finding:
         return Finding("board", "ok", f"{name}, driver {card.driver}")
     if card.modules:
         return Finding("board", "missing", f"{name}: its driver is not loaded", f"sudo modprobe {card.modules[0]}")
-    return Finding("board", "missing", f"{name}: this kernel has no driver for it", OUT_OF_TREE)
+    remedy = WITHOUT_COMEDI if card.device in IN_KERNEL else OUT_OF_TREE if card.device in BOARDS else ELSEWHERE
+    return Finding("board", "missing", f"{name}: this kernel has no driver for it", remedy)
 
 
 def _drivers(kernel: Comedi | None, on_bus: tuple[PciCard, ...], available: bool) -> list[Finding]:
@@ -71,10 +80,7 @@ def _drivers(kernel: Comedi | None, on_bus: tuple[PciCard, ...], available: bool
         remedy = "sudo modprobe the board's driver (for a trial without hardware: comedi_test); dry runs need none"
         if not available:
             found = f"not loaded, and kernel {platform.release()} has no Comedi"
-            remedy = (
-                "install what has it: Debian's linux-image-amd64 (not -cloud), Ubuntu's "
-                "linux-modules-extra-$(uname -r); dry runs need none"
-            )
+            remedy = f"{WITHOUT_COMEDI}; dry runs need none"
         return [Finding("Comedi", "missing" if on_bus else "note", found, remedy)]
     loaded = f"version {kernel.version}, drivers loaded: {', '.join(kernel.drivers) or 'none'}"
     if not kernel.attached:
