@@ -8,6 +8,7 @@ import signal
 import socket
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Iterator
 from contextlib import nullcontext
@@ -29,7 +30,7 @@ from rig.executor.memory import Layout, RunMemory, Stage, Stop
 from rig.simulator.host import Simulation
 from rig.simulator.registers import Registers
 from runs.disk import JournalError
-from runs.records import Event, Status
+from runs.records import Event, Picture, Status
 
 
 @pytest.fixture(scope="module")
@@ -40,6 +41,34 @@ def request_() -> experiment.Request:
 @pytest.fixture(scope="module")
 def plan(request_: experiment.Request) -> Plan:
     return experiment.plan(request_)
+
+
+HOLD_STILL = (
+    "import ctypes, sys, time\nptrace = ctypes.CDLL(None).ptrace\nptrace.argtypes = [ctypes.c_long] * 4\n"
+    "print('held' if ptrace(16, int(sys.argv[1]), 0, 0) == 0 else 'refused', flush=True)\ntime.sleep(60)\n"
+)
+"""PTRACE_ATTACH, and never a look at what became of it."""
+
+
+class Unwritten:
+    """A record that keeps nothing."""
+
+    standing_s = 0.0
+
+    def samples(self, rows: np.ndarray) -> None:  # type: ignore[type-arg]
+        """Keep nothing."""
+
+    def observations(self, rows: np.ndarray) -> None:  # type: ignore[type-arg]
+        """Keep nothing."""
+
+    def adaptations(self, rows: np.ndarray) -> None:  # type: ignore[type-arg]
+        """Keep nothing."""
+
+    def picture(self, picture: Picture) -> None:
+        """Keep nothing."""
+
+    def event(self, event: Event) -> None:
+        """Keep nothing."""
 
 
 class SlowBench:
@@ -316,6 +345,65 @@ def test_what_ended_a_run_is_told_beside_a_watchdog_that_has_to_be_killed(
     assert outcome.message.startswith(f"{ended.message}; the watchdog did not end")
     assert outcome.status is Status.ABORTED
     assert outcome.counters == ended.counters
+
+
+def test_a_run_that_was_told_to_end_while_its_conductor_stood_still_is_not_called_finished(
+    plan: Plan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The conductor had just looked whether somebody wants the run to end, and wakes when all is over."""
+    conductor = realtime._Conductor(plan, Nobody(), None)
+    conductor.recorder = Unwritten()
+
+    def stood_still() -> None:
+        conductor.memory.ask_to_stop(Stop.SILENT)
+        conductor.memory.say("control", Stage.DONE)
+
+    monkeypatch.setattr(conductor, "_fault", stood_still)
+    assert conductor._conduct() == (Status.ABORTED, realtime.STOPPED[Stop.SILENT])
+    os.close(conductor.memory.fd)
+
+
+def test_air_that_does_not_go_is_told_of_where_another_fault_ended_the_run(
+    own_plan: Plan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    conductor = realtime._Conductor(own_plan, Nobody(), None)
+    monkeypatch.setattr(conductor, "_await", lambda name: None)
+    monkeypatch.setattr(conductor, "_spawn", lambda name, module: fellow(conductor, name, ""))
+    monkeypatch.setattr(conductor, "_unsafe", lambda: "")
+
+    def conduct() -> tuple[Status, str]:
+        conductor.memory.set("safe_ns", 1)
+        conductor.memory.say("control", Stage.FAILED, "the air stays")
+        return Status.ABORTED, "the camera is gone"
+
+    monkeypatch.setattr(conductor, "_conduct", conduct)
+    outcome = conductor.run(lambda t_ns: Unwritten())
+    assert outcome.status is Status.ABORTED
+    assert outcome.message == "the camera is gone; the air stays"
+    conductor.end()
+    os.close(conductor.memory.fd)
+
+
+def test_a_debugger_that_holds_a_process_keeps_nobody_waiting_for_the_end_of_the_run(
+    plan: Plan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The kernel hides the end of such a process from its parent for as long as the debugger has not asked for it."""
+    monkeypatch.setattr(realtime, "SAFE_TIMEOUT_S", 0.1)
+    conductor = realtime._Conductor(plan, Nobody(), None)
+    held = fellow(conductor, "observer", "import time; time.sleep(60)")
+    with subprocess.Popen([sys.executable, "-c", HOLD_STILL, str(held.pid)], stdout=subprocess.PIPE) as debugger:
+        assert debugger.stdout is not None
+        if debugger.stdout.readline() != b"held\n":
+            pytest.skip("this machine lets no process trace another")
+        ending = threading.Thread(target=conductor.end, daemon=True)
+        ending.start()
+        ending.join(20)
+        hung = ending.is_alive()
+        debugger.kill()
+    ending.join(20)
+    assert not hung
+    held.wait(20)
+    os.close(conductor.memory.fd)
 
 
 @pytest.mark.parametrize(("died", "said"), [(True, " (exit status -9)"), (False, "")])

@@ -128,9 +128,10 @@ class _Conductor:
         # The last frame is still being looked at; what a page has shown is to be in the record.
         ended_within(self.crew["observer"], LAST_FRAME_S)
         self._drain()
-        if memory.stage("control") == Stage.FAILED and status is not Status.ABORTED:
-            status, message = Status.ABORTED, f"{message}; {memory.message('control')}".removeprefix("; ")
-            self._event(Level.FAULT, "control", memory.message("control"))
+        # Also where another fault has ended the run: air that does not go is to be told of.
+        if self.complaint not in message:
+            status, message = Status.ABORTED, f"{message}; {self.complaint}".removeprefix("; ")
+            self._event(Level.FAULT, "control", self.complaint)
         if memory.get("fired_ns") and status is not Status.ABORTED:
             status, message = Status.ABORTED, memory.message("watchdog") or TAKEN_OVER
         safe_ns = memory.get("safe_ns") or memory.get("fired_ns")
@@ -177,7 +178,8 @@ class _Conductor:
         for name, process in sorted(self.crew.items(), key=lambda member: member[0] == "watchdog"):
             if not ended_within(process, SAFE_TIMEOUT_S):
                 process.kill()
-                process.wait()
+                # Not for ever: the end of a process that a debugger holds is hidden until the debugger asks for it.
+                ended_within(process, STATUS_S)
                 if name == "watchdog":
                     said = "the watchdog did not end; check the valves and run `rig vent --rig` with this rig"
         for life in self.lives.values():
@@ -193,6 +195,8 @@ class _Conductor:
         shown = 0.0
         while True:
             memory.beat("conductor", time.monotonic_ns())
+            # Before it is looked at why: who stands still in between finds control done, and no reason.
+            done = memory.stage("control") == Stage.DONE
             self._report(*self.vigil.looking(time.monotonic_ns()))
             self._drain()
             self._report(*self.vigil.disk(time.monotonic_ns(), self.recorder.standing_s))
@@ -214,7 +218,7 @@ class _Conductor:
                 fault = self._explained(*fault, died=died)
                 self._event(Level.FAULT, *fault)
                 return Status.ABORTED, fault[1]
-            if memory.stage("control") == Stage.DONE:
+            if done:
                 return Status.FINISHED, ""
             self._prompt()
             if self.plant is not None:
