@@ -130,10 +130,10 @@ class File:
         """See what was written to the disk, and look whether the room still suffices."""
         try:
             os.fdatasync(self._fd)
+            self._look_for_room(os.fstatvfs(self._fd))
         except OSError as fault:
             raise JournalError(f"cannot write {self.path} to its disk: {fault.strerror}") from fault
         self._synced_at = time.monotonic()
-        self._look_for_room(os.fstatvfs(self._fd))
 
     def _look_for_room(self, disk: os.statvfs_result) -> None:
         """Stop while there is still room for the archive."""

@@ -165,3 +165,17 @@ def test_every_second_the_record_is_seen_to_the_disk(syncs: Gate, writer: Journa
         syncs.reached.clear()
         assert syncs.reached.wait(PATIENCE_S)
     writer.close(FOOTER)
+
+
+def test_a_disk_that_cannot_say_how_much_room_it_has_is_a_broken_one(
+    syncs: Gate, writer: JournalWriter, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def gone(_: int) -> os.statvfs_result:
+        raise OSError(errno.EIO, os.strerror(errno.EIO))
+
+    with monkeypatch.context() as broken:
+        broken.setattr(os, "fstatvfs", gone)
+        with pytest.raises(JournalError, match="Input/output error"):
+            record_for_ever(writer)
+    with suppress(JournalError):
+        writer.close(FOOTER)
