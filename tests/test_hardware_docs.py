@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import re
+import textwrap
 from pathlib import Path
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+import protocols
 from rig.bench import Bench
+from rig.check import check
 from rig.config import RigConfig
 from rig.daq.base import Scans
 from rig.rig_file import load, text
@@ -59,3 +62,11 @@ def test_the_bench_by_hand_shows_what_is_now_and_ends_safe(
     exec(listing, {})
     assert capsys.readouterr().out == "[2. 2. 2.] V, [2. 2. 2.] bar, valves at [5. 5.] V\n"
     assert card.stands.tolist() == [0.0, 0.0]
+
+
+def test_the_first_closed_loop_plays_on_the_papers_bench(tmp_path: Path) -> None:
+    (listing,) = re.findall(r"```yaml\n(.*?)```", PAGE.read_text(), re.DOTALL)
+    for actuators in ("[1]", "[2, 3]"):
+        (tmp_path / "first.yaml").write_text(textwrap.dedent(listing).replace("[1]", actuators))
+        protocol = protocols.load(tmp_path / "first.yaml")
+        assert not check(load("pci1716"), protocol.expand(3), protocol)
