@@ -19,7 +19,7 @@ USUAL_HOMOGENEOUS = ("youngs_modulus_pa", "rpe_per_bar", "base", "sensor_offsets
 
 
 def usual(variant: Variant) -> tuple[str, ...]:
-    """What is estimated where nothing else is said: what `rig identify` frees."""
+    """What is estimated where nothing else is said; `rig identify` frees it, too."""
     return USUAL_HOMOGENEOUS if variant.startswith("homogeneous") else USUAL
 
 

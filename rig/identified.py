@@ -111,15 +111,16 @@ def from_poses(
 ) -> Fit:
     """Identify an arm from what runs show of it, beginning at a rig's.
 
-    The sensors' accuracy, as the rig states it, is the prior of their offsets. Where a motion is to tell damping or
-    density, the sensors' delay, which passes for either, is free with a prior of 5 ms.
+    Without `free` it is what `rig run --adapt` finds, and the damping where a run moves: without it base and law would
+    answer for what a motion lags. The sensors' accuracy, as the rig states it, is the prior of their offsets. Where a
+    motion is to tell damping or density, the sensors' delay, which passes for either, is free with a prior of 5 ms.
 
     Raises:
         UnknownParameter: a name stands for no parameter, or something is known beforehand of what is not free.
     """
-    chosen = tuple(free) or usual(config.model.variant)
-    moving = any(one.moving for one in data) and {"damping_s", "density_kg_m3"} & set(chosen)
-    if moving:
+    moving = any(one.moving for one in data)
+    chosen = tuple(free) or (*usual(config.model.variant), *(("damping_s",) if moving else ()))
+    if moving and {"damping_s", "density_kg_m3"} & set(chosen):
         chosen = (*chosen, *(name for name in SENSOR_TIMES if name not in chosen))
     check_priors(priors, chosen, config.actuators)
     accuracy = max(sensor.accuracy_bar for sensor in config.sensors) * PA_PER_BAR / 2

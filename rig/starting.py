@@ -14,7 +14,7 @@ from calibration.identify.data import NoData
 from calibration.identify.document import Under
 from calibration.identify.parameters import Setup, known
 from rig.arm import model_arm, true_arm
-from rig.config import RigConfig, Sensor
+from rig.config import Geometry, RigConfig, Sensor
 from rig.listing import resolve
 from rig.optics import rigid
 from rig.parameters import different, recorded
@@ -90,13 +90,17 @@ def opened(names: Sequence[Path]) -> list[Run]:
     return list(found.values())
 
 
-def check_alike(archives: Sequence[Run]) -> None:
-    """Refuse runs whose tips, or pressures, count from different zeros; say where these are not the plain rig's.
+def check_alike(archives: Sequence[Run], one_arm: bool = False) -> None:
+    """Refuse runs of different arms, and runs whose tips, or pressures, count from different zeros.
+
+    Says where the zeros are not the plain rig's, and where rigs place a camera differently. `one_arm`: that all are of
+    one arm was said, so their rigs are not asked.
 
     Raises:
-        NoData: parameters with another mounting, or another gain, lay over the rig of some of them.
+        NoData: rigs state different geometries; or parameters with another mounting, or another gain, lay over some.
     """
     first, *others = archives
+    _check_rigs([run for run in archives if run.header.rig_yaml], one_arm)
     laid = _laid(first)
     for run in others:
         if _laid(run) != laid:
@@ -108,6 +112,33 @@ def check_alike(archives: Sequence[Run]) -> None:
         said = f"{first.header.run_id} was recorded with parameters laid over its rig: estimates of mounting and gains "
         said += "count from there, files that are written from the rig without them"
         console(stderr=True).print(said, soft_wrap=True)
+
+
+def _check_rigs(archives: Sequence[Run], one_arm: bool) -> None:
+    if not archives:
+        return
+    first, *others = archives
+    rig, geometry = rig_of(first), _geometry(first)
+    for run in others:
+        own = _geometry(run)
+        if not one_arm and (fields := different(own, geometry)):
+            said = "; ".join(f"{name} {getattr(own, name)}, not {getattr(geometry, name)}" for name in fields)
+            raise NoData(
+                f"{run.path} is of another arm than {first.path}: {said}; identify them apart, or say with --start "
+                "which rig's arm all of them are of"
+            )
+        for name, camera in rig_of(run).cameras.items():
+            known = rig.cameras.get(name)
+            if known is not None and known.placement != camera.placement:
+                said = f"{run.header.run_id}: its rig places camera {name} elsewhere than that of {first.header.run_id}"
+                console(stderr=True).print(f"{said}; the base that is found is one for both", soft_wrap=True)
+
+
+def _geometry(run: Run) -> Geometry:
+    """Of the arm as a run's rig states it without any parameters."""
+    if run.header.parameters_yaml:
+        return recorded(run.header.parameters_yaml).found.identified.geometry
+    return rig_of(run).arm.geometry
 
 
 def _laid(run: Run) -> tuple[object, ...] | None:

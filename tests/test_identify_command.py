@@ -6,14 +6,17 @@ import json
 import re
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
 from runs_made_up import header
 
 import runs
-from calibration.identify import Setup
+from calibration.identify import NoData, Poses, Setup
 from calibration.identify.simulated import Errors, perform, plan
+from rig import identified
 from rig.arm import model_arm
 from rig.cli import main
 from rig.parameters import read
@@ -26,7 +29,9 @@ HOLD_S, HZ = 3, 30
 TRUE = {"a1_per_n": 0.0079, "a2_per_n2": 0.00034, "rpe_per_bar": 0.049}
 
 
-def archive(folder: Path, name: str, pressure_bar: np.ndarray, weight_kg: np.ndarray) -> Path:
+def archive(
+    folder: Path, name: str, pressure_bar: np.ndarray, weight_kg: np.ndarray, rig_yaml: str = text("mock")
+) -> Path:
     """A run of plateaus on an arm that is softer than the mock's file says, as its archive would be."""
     arm = model_arm(load("mock"))
     truth = Setup(replace(arm, material=replace(arm.material, **TRUE)))
@@ -34,7 +39,7 @@ def archive(folder: Path, name: str, pressure_bar: np.ndarray, weight_kg: np.nda
     rng = np.random.default_rng(len(name))
     n = len(poses) * HOLD_S * HZ
     which = np.arange(n) // (HOLD_S * HZ)
-    about = replace(header(name), rig_yaml=text("mock"), intervals=(), quantities=(), control_hz=HZ, camera_hz=HZ)
+    about = replace(header(name), rig_yaml=rig_yaml, intervals=(), quantities=(), control_hz=HZ, camera_hz=HZ)
     samples, rows = np.zeros(n, sample_dtype(3, 2)), np.zeros(n, observation_dtype(3))
     samples["tick"] = rows["frame"] = np.arange(n)
     samples["t_ns"] = rows["t_ns"] = about.started_t_ns + np.arange(n) * 1_000_000_000 // HZ
@@ -198,3 +203,46 @@ def test_where_results_are_to_go_is_known_to_be_wrong_before_the_search(
         rig(bench["one"], *options, status=2)
         assert said in re.sub(r"[\s│]+", " ", capsys.readouterr().err)
     assert not (tmp_path / "found.parameters.yaml").exists()
+
+
+def test_runs_of_another_arm_are_refused_unless_one_arm_is_named(
+    bench: dict[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    short = text("mock").replace("length_mm: 170", "length_mm: 140")
+    other = str(archive(tmp_path, "other", np.array([[0.1, 0, 0], [0.3, 0, 0]]), np.zeros(2), short))
+    for asked in ([bench["one"], other], [bench["one"], "--leave-out", other]):
+        rig(*asked, status=2)
+        assert "length_mm 140.0, not 170.0" in capsys.readouterr().err
+
+    def begun(*_: object) -> None:
+        raise NoData("the search began")
+
+    monkeypatch.setattr("rig.identified.likeliest", begun)
+    rig(bench["one"], other, "--start", "mock", status=2)
+    assert "the search began" in capsys.readouterr().err
+
+
+def test_runs_whose_rigs_place_a_camera_differently_are_said_to_share_one_base(
+    bench: dict[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def begun(*_: object) -> None:
+        raise NoData("the search began")
+
+    monkeypatch.setattr("rig.identified.likeliest", begun)
+    moved = text("mock").replace("translation_mm: [0, 400, 200]", "translation_mm: [0, 401, 200]")
+    other = str(archive(tmp_path, "moved", np.array([[0.1, 0, 0], [0.3, 0, 0]]), np.zeros(2), moved))
+    rig(bench["one"], bench["two"], status=2)
+    assert "front" not in capsys.readouterr().err
+    rig(bench["one"], other, status=2)
+    assert "moved: its rig places camera front elsewhere than that of one" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("moving", "damped"), [(True, True), (False, False)])
+def test_damping_is_free_by_default_where_a_run_moves(
+    moving: bool, damped: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(identified, "identify", lambda data, start, free, *_: free)
+    free: Any = identified.from_poses(load("mock"), [cast(Poses, SimpleNamespace(moving=moving))], (), {})
+    assert ("damping_s" in free) == damped
+    assert ("sensor_lag_s" in free) == damped
+    assert {"law", "rpe_per_bar", "base", "sensor_offsets"} <= set(free)

@@ -259,7 +259,7 @@ def test_what_nobody_can_know_beforehand_is_refused(
         (["--paper", "--free", "law"], "--free: --paper does not take it"),
         (["--paper", "--choose"], "--choose: --paper does not take it"),
         (["--store", "x"], "--store: there is nothing to spread"),
-        (["--rig", "mock"], "--rig: no rig is written"),
+        (["--rig", "mock"], "--rig: it is the rig that --rig-file writes"),
         (["--bootstrap", "1"], "--bootstrap: one refit has no scatter"),
         (["--prior", "cap_mass_kg=0.05+-0.01"], "--prior cap_mass_kg: it is not free"),
         (["--prior", "cap_mas_kg=0.05+-0.01"], "did you mean cap_mass_kg"),

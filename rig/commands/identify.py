@@ -19,7 +19,11 @@ FIGURES = (".png", ".pdf", ".svg")
 def identify(
     archives: Archives,
     free: Annotated[
-        str, typer.Option(help="What is free, by commas: law, rpe_per_bar, base, tool, sensor_offsets, damping_s, ..")
+        str,
+        typer.Option(
+            help="What is free, by commas: tool, cap_mass_kg, .. Default: law, rpe_per_bar, base, sensor_offsets, and "
+            "damping_s where a run moves.",
+        ),
     ] = "",
     prior: Annotated[
         list[str] | None, typer.Option(metavar="NAME=MEAN+-STD", help="What is known beforehand; may be repeated.")
@@ -118,7 +122,7 @@ def identify(
     seen = [run for run in starting.opened(archives) if run.sha256 not in left_out]
     if not seen:
         raise typer.BadParameter("every run is left out: nothing is left to identify from", param_hint="--leave-out")
-    starting.check_alike([*seen, *unseen])
+    starting.check_alike([*seen, *unseen], one_arm=bool(start))
     if paper:
         from rig.paper import identified as by_the_paper
 
