@@ -127,7 +127,9 @@ def pressures(figure: Figure, run: Run, summary: Summary) -> None:
         return
     for i in range(p.measured_bar.shape[1]):
         colour = ACTUATORS[i % len(ACTUATORS)]
-        above.plot(*thin(p.time_s, p.measured_bar[:, i]), color=colour, label=f"actuator {i + 1}")
+        # Of many the names would not fit beside one another.
+        name = f"actuator {i + 1}" if i == 0 or p.measured_bar.shape[1] <= 6 else str(i + 1)
+        above.plot(*thin(p.time_s, p.measured_bar[:, i]), color=colour, label=name)
         difference = 1e3 * (p.measured_bar[:, i] - p.setpoint_bar[:, i])
         below.plot(*thin(p.time_s, difference), color=colour, lw=0.8)
     columns = p.setpoint_bar.T
@@ -137,7 +139,7 @@ def pressures(figure: Figure, run: Run, summary: Summary) -> None:
         above.plot(*thin(p.time_s, row), color=INK, lw=0.8, ls=(0, (4, 2)))
     above.plot([], [], color=INK, lw=0.8, ls=(0, (4, 2)), label="set-point")
     above.set_ylabel("gauge pressure [bar]")
-    legend(above)
+    legend(above, columns=p.measured_bar.shape[1] + 1)
     largest = np.nanmax(np.abs(p.measured_bar - p.setpoint_bar), initial=0) * 1e3
     below.axhspan(-1e3 * BAND_BAR, 1e3 * BAND_BAR, color=RULE, alpha=0.6, lw=0)
     below.set_ylim(-1.2 * max(min(largest, 60), 15), 1.2 * max(min(largest, 60), 15))
@@ -413,7 +415,16 @@ def legend(axes: Axes, columns: int = 6) -> None:
     """Above the plot, so that it never hides a line; none where nothing has a name."""
     if not axes.get_legend_handles_labels()[0]:
         return
-    axes.legend(loc="lower left", bbox_to_anchor=(0, 1.0), ncols=columns, borderaxespad=0.1, columnspacing=1.4)
+    # More columns than usual must share the width: the room above is that of one row.
+    beside = 1.4 * min(1.0, 6 / columns) ** 2
+    axes.legend(
+        loc="lower left",
+        bbox_to_anchor=(0, 1.0),
+        ncols=columns,
+        borderaxespad=0.1,
+        columnspacing=beside,
+        handlelength=2.0 * min(1.0, 6 / columns),
+    )
 
 
 def _nothing(*panels: Axes) -> None:

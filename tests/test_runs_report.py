@@ -9,9 +9,11 @@ from html.parser import HTMLParser
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
+import matplotlib as mpl
 import numpy as np
 import pytest
 import runs_made_up as made_up
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 import runs
@@ -19,7 +21,7 @@ from runs import pictures, plates, printed, report
 from runs.archive import finalise
 from runs.comparison import by_axis, by_model
 from runs.export import ExportError
-from runs.figures import steps
+from runs.figures import STYLE, pressures, steps
 from runs.journal import JournalWriter
 from runs.records import Event, Level, RunFooter, Seen, Status
 from runs.summary import summarise
@@ -292,6 +294,23 @@ def test_steps_are_counted_in_whole_numbers(archive: Path) -> None:
     for axes in figure.axes:
         assert axes.get_xlabel() == "step"
         assert (axes.get_xticks() % 1 == 0).all()
+
+
+@pytest.mark.parametrize("actuators", [1, 6, 12])
+def test_the_names_of_any_number_of_actuators_stand_inside_the_figure(archive: Path, actuators: int) -> None:
+    run = runs.open(archive)
+    bar = np.tile(run.pressure.setpoint_bar[:, :1], (1, actuators))
+    run.pressure = dataclasses.replace(run.pressure, setpoint_bar=bar, measured_bar=bar + 0.001)
+    figure = Figure(figsize=(9, 4.1))
+    canvas = FigureCanvasAgg(figure)
+    with mpl.rc_context(STYLE):
+        pressures(figure, run, summarise(runs.open(archive)))
+    shown = figure.axes[0].get_legend()
+    assert shown is not None
+    assert len(shown.get_texts()) == actuators + 1
+    box = shown.get_window_extent(canvas.get_renderer())
+    assert figure.bbox.x0 <= box.x0 <= box.x1 <= figure.bbox.x1
+    assert figure.bbox.y0 <= box.y0 <= box.y1 <= figure.bbox.y1
 
 
 def test_no_mean_is_over_measured_and_simulated_runs(archive: Path) -> None:
