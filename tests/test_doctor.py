@@ -245,6 +245,11 @@ def test_a_card_that_only_lacks_the_binding_says_so(machine: Machine) -> None:
     assert (said["pycomedi"].verdict, said["card"].remedy) == ("missing", "make comedi")
 
 
+def test_a_device_that_is_closed_for_no_known_reason_has_a_remedy_all_the_same(machine: Machine) -> None:
+    machine.without_pycomedi("/dev/comedi0", trouble=CardError("/dev/comedi0 cannot be opened: Is a directory"))
+    assert "dmesg" in machine.said()["card"].remedy
+
+
 def test_without_a_card_nobody_needs_the_binding(machine: Machine) -> None:
     machine.without_pycomedi()
     said = machine.said()["pycomedi"]
@@ -423,12 +428,31 @@ def test_a_camera_is_told_from_the_device_that_comes_with_it_and_gives_no_pictur
     assert "/dev/video10: HD Webcam: gives no pictures" in second.found
 
 
+def refusing(monkeypatch: pytest.MonkeyPatch, number: int) -> None:
+    def refuse(path: Path, flags: int) -> int:
+        raise OSError(number, os.strerror(number), str(path))
+
+    monkeypatch.setattr(os, "open", refuse)
+
+
 def test_a_camera_of_another_group_says_which_to_join(plugged: Cameras, monkeypatch: pytest.MonkeyPatch) -> None:
     plugged.add("video0", "HD Webcam", 0x04200001)
-    monkeypatch.setattr(os, "access", lambda path, mode: False)
+    refusing(monkeypatch, errno.EACCES)
     group = computer.group_name((plugged.root / "dev/video0").stat().st_gid)
     (said,) = cameras.cameras(plugged.root)
     assert (said.verdict, said.remedy) == ("missing", f"sudo adduser $USER {group}, then log in again")
+
+
+@pytest.mark.parametrize("number", [errno.EBUSY, errno.ENXIO])
+def test_a_camera_that_cannot_be_opened_says_why(
+    plugged: Cameras, monkeypatch: pytest.MonkeyPatch, number: int
+) -> None:
+    plugged.add("video0", "HD Webcam", 0x04200001)
+    refusing(monkeypatch, number)
+    (said,) = cameras.cameras(plugged.root)
+    assert said.verdict == "missing"
+    assert said.found == f"/dev/video0: HD Webcam: cannot be opened ({os.strerror(number)})"
+    assert said.remedy
 
 
 def test_no_camera_is_no_fault_unless_a_rig_wants_one(plugged: Cameras) -> None:
@@ -444,6 +468,15 @@ def test_a_rigs_camera_that_is_there_is_named(plugged: Cameras, device: str | in
     plugged.add("video2", "HD Webcam", 0x04200001)
     (said,) = cameras.rig_cameras(with_camera("opencv", device), plugged.root)
     assert said == Finding("rig's camera front", "ok", "/dev/video2: HD Webcam")
+
+
+def test_a_rigs_camera_may_be_named_by_what_does_not_change(plugged: Cameras) -> None:
+    plugged.add("video2", "HD Webcam", 0x04200001)
+    steady = plugged.root / "dev/v4l/by-id"
+    steady.mkdir(parents=True)
+    (steady / "usb-webcam-index0").symlink_to("../../video2")
+    (said,) = cameras.rig_cameras(with_camera("opencv", "/dev/v4l/by-id/usb-webcam-index0"), plugged.root)
+    assert said == Finding("rig's camera front", "ok", "/dev/v4l/by-id/usb-webcam-index0: HD Webcam")
 
 
 def test_a_rig_that_names_the_device_without_pictures_is_told_so(plugged: Cameras) -> None:

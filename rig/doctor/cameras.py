@@ -51,10 +51,15 @@ def _video(device: Path, root: Path, topic: str = "camera") -> Finding:
     # As the user knows it: a made-up machine stands elsewhere.
     shown = f"/{device.relative_to(root)}"
     name = f"{shown}: {called.read_text().strip()}" if called.exists() else shown
-    if not os.access(device, os.R_OK | os.W_OK):
+    try:
+        pictures = _gives_pictures(device)
+    except PermissionError:
         remedy = f"sudo adduser $USER {group_name(node.stat().st_gid)}, then log in again"
         return Finding(topic, "missing", f"{name}: no permission", remedy)
-    if _gives_pictures(device) is False:
+    except OSError as error:
+        remedy = "end the program that has it, or unplug it and plug it in again (`dmesg` says what happened)"
+        return Finding(topic, "missing", f"{name}: cannot be opened ({error.strerror})", remedy)
+    if not pictures:
         return Finding(
             topic,
             "note" if topic == "camera" else "missing",
@@ -64,17 +69,18 @@ def _video(device: Path, root: Path, topic: str = "camera") -> Finding:
     return Finding(topic, "ok", name)
 
 
-def _gives_pictures(device: Path) -> bool | None:
-    """What V4L2 says of a device; None where it is none of V4L2's."""
+def _gives_pictures(device: Path) -> bool:
+    """What V4L2 says of a device; one that is none of V4L2's is left to the camera's driver.
+
+    Raises:
+        OSError: it cannot be opened.
+    """
     answer = bytearray(struct.calcsize(_CAPABILITIES))
-    try:
-        opened = os.open(device, os.O_RDWR | os.O_NONBLOCK)
-    except OSError:
-        return None
+    opened = os.open(device, os.O_RDWR | os.O_NONBLOCK)
     try:
         fcntl.ioctl(opened, _VIDIOC_QUERYCAP, answer)
     except OSError:
-        return None
+        return True
     finally:
         os.close(opened)
     *_, of_all, of_node = struct.unpack(_CAPABILITIES, answer)
@@ -92,9 +98,9 @@ def _named(name: str, camera: CameraConfig, root: Path) -> Finding:
             topic, "ok" if there else "missing", found, "" if there else "correct `device` in the rig's file"
         )
     path = f"/dev/video{camera.device}" if isinstance(camera.device, int) else camera.device
-    device = root / path.removeprefix("/") if path.startswith("/") else Path(path)
+    device = root / Path(path).absolute().relative_to("/")
     if device.exists():
-        return _video(device, root if path.startswith("/") else device.parent, topic)
+        return _video(device, root, topic)
     present = ", ".join(f"/dev/{other.name}" for other in _devices(root)) or "none"
     remedy = f"{_PLUG_IN}, or correct `device` in the rig's file; /dev/v4l/by-id has names that stay"
     return Finding(topic, "missing", f"{path} does not exist (video devices present: {present})", remedy)

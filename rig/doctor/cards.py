@@ -30,6 +30,7 @@ ELSEWHERE = (
     "look for it among the drivers of https://github.com/Linux-Comedi/comedi; where it is not there either, "
     "it takes another card"
 )
+SEE_DMESG = "dmesg says why; docs/hardware.md, When something is wrong"
 POWER_UP = (
     "keep the air and the valves' 24 V off until `rig vent --rig FILE` has put the outputs to where they vent; "
     "docs/hardware.md, Power up"
@@ -125,7 +126,8 @@ def _devices(kernel: Comedi | None, askable: bool) -> list[Finding]:
     findings = []
     for path in device_paths():
         if (trouble := closed(path)) is not None:
-            findings.append(Finding("card", "missing", f"{_called(path, kernel)}{trouble.what}", trouble.remedy))
+            found = f"{_called(path, kernel)}{trouble.what}"
+            findings.append(Finding("card", "missing", found, trouble.remedy or SEE_DMESG))
         else:
             findings.append(
                 Finding("card", "missing", f"{_called(path, kernel)}{path} can be opened, not asked", "make comedi")
@@ -143,8 +145,8 @@ def _called(path: str, kernel: Comedi | None) -> str:
 
 def _card(found: Found, kernel: Comedi | None) -> list[Finding]:
     if found.trouble:
-        remedy = found.remedy or "dmesg says why; docs/hardware.md, When something is wrong"
-        return [Finding("card", "missing", f"{_called(found.path, kernel)}{found.trouble}", remedy)]
+        what = f"{_called(found.path, kernel)}{found.trouble}"
+        return [Finding("card", "missing", what, found.remedy or SEE_DMESG)]
     parts = Counter((kind, channels) for kind, channels in found.subdevices if kind != "unused")
     has = ", ".join(
         f"{f'{times} x ' if times > 1 else ''}{channels} {_KINDS.get(kind, kind)}"
