@@ -45,7 +45,8 @@ class Bench:
         where = {"TMPDIR": str(self.temporary), "HEADERS": str(self._headers), "CPATH": str(self._headers)}
         environment = {"PATH": os.environ["PATH"], "VERSION": "3.11.7", "REQUIRED": "not there", "DURING": "", **where}
         return subprocess.Popen(
-            ["sh", str(SCRIPT), str(self.venv)],
+            # Where the tests run in the background, Ctrl-C is ignored, and would be by what they start.
+            ["env", "--default-signal=INT", "sh", str(SCRIPT), str(self.venv)],
             env={**environment, **said},
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
