@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from rich.console import Console, Group
 from rich.live import Live
 from rich.progress_bar import ProgressBar
-from rich.table import Table
+from rich.table import Column, Table
 from rich.text import Text
 
 from rig.config import PA_PER_BAR
@@ -154,7 +154,7 @@ def _estimates(adapted: Sequence[Quantity], row: NDArray[np.void]) -> Table:
 
 
 def _screen(title: str, progress: Progress) -> Group:
-    parts: list[Text | Table | ProgressBar] = [Text(title, "bold")]
+    parts: list[Text | Table] = [Text(title, "bold")]
     # What waits for the operator stands first: of a screen that is too long the end is cut off.
     if progress.held:
         parts.append(Text("PAUSED: p resumes", "bold yellow"))
@@ -184,9 +184,11 @@ def _screen(title: str, progress: Progress) -> Group:
     if sample is not None:
         late = f"control late by {sample['lateness_ns'] / 1e3:.0f} us, deadlines missed {progress.missed}"
         parts.append(Text(late, "yellow" if progress.missed else "dim"))
-    parts.append(ProgressBar(total=progress.duration_s, completed=progress.protocol_s, width=50))
     left = _clock(progress.duration_s - progress.protocol_s)
-    parts.append(Text(f" {_clock(progress.protocol_s)} of {_clock(progress.duration_s)}, {left} left"))
+    way = Table.grid(Column(max_width=50), Column(no_wrap=True), padding=(0, 1))
+    bar = ProgressBar(total=progress.duration_s, completed=progress.protocol_s)
+    way.add_row(bar, f"{_clock(progress.protocol_s)} of {_clock(progress.duration_s)}, {left} left")
+    parts.append(way)
     parts.append(Text("p pauses, Ctrl-C stops", "dim"))
     if progress.adaptation is not None:
         parts.append(_estimates(progress.adapted, progress.adaptation))

@@ -109,7 +109,7 @@ def running(*, prompt: str | None = None, held: bool = False) -> Progress:
     observation["seen"], observation["measured_m"] = Seen.MEASURED, (-0.12345, 0.00678, 0.18765)
     adapted = tuple(Quantity("adaptation", f"parameter_{i}", (1.0,), "1", "the rig", 0.1) for i in range(10))
     adaptation = np.zeros(1, adaptation_dtype(10))[0]
-    return Progress(1.0, 9.0, sample, observation, 0, prompt, held, adapted, adaptation)
+    return Progress(8.0, 9.0, sample, observation, 0, prompt, held, adapted, adaptation)
 
 
 def live(progress: Progress, columns: int, lines: int) -> str:
@@ -132,5 +132,5 @@ def test_what_waits_for_the_operator_is_on_the_screen_however_little_fits(column
 def test_a_narrow_terminal_cuts_no_number_of_a_run_off() -> None:
     said = live(running(), 40, 60)
     assert "…" not in said
-    for number in ("0.123", "0.124", "+0.001", "0.456", "-123.45", "6.78", "187.65"):
+    for number in ("0.123", "0.124", "+0.001", "0.456", "-123.45", "6.78", "187.65", "0:08 of 0:09, 0:01 left"):
         assert number in said
