@@ -96,12 +96,15 @@ class Expectation:
         fixed = schema.get("prefixItems")
         item = self._resolved(fixed[0] if fixed else schema.get("items", {}))
         inner = self._phrase(item, unit)
+        least = schema.get("minItems", 0)
+        if fixed and ("anyOf" in item or "oneOf" in item):
+            return f"a list of {len(fixed)} items"
         if "properties" in item or "oneOf" in item:
-            return "a list ('- ' items) with at least one item" if schema.get("minItems") else "a list ('- ' items)"
+            some = "one item" if least == 1 else f"{least} items"
+            return f"a list ('- ' items) with at least {some}" if least else "a list ('- ' items)"
         plural = inner.replace("a whole number", "whole numbers", 1).replace("a number", "numbers", 1)
         if fixed:
             return f"a list of {len(fixed)} {plural}"
-        least = schema.get("minItems", 0)
         return f"a list of {plural}" + (f", at least {least}" if least else "")
 
     def _resolved(self, schema: Schema) -> Schema:

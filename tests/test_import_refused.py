@@ -88,6 +88,10 @@ class TestBadData:
         assert "no column 'cloc'" in said
         assert "did you mean clock?" in said
 
+    def test_a_tip_has_three_columns(self, bring: Bring) -> None:
+        said = complaint(bring, self.rows(), SMALL.replace("[2, 3, 4]", "[2, 3]"))
+        assert "tip, position, columns\n  found     [2, 3]\n  expected  a list of 3 items" in said
+
     def test_decimal_commas_are_recognised(self, bring: Bring) -> None:
         said = complaint(bring, "0;0,1;1;2;3\n0,1;0,1;1;2;3\n")
         assert "'decimal: comma'" in said
@@ -150,6 +154,35 @@ class TestBadData:
     def test_absolute_pressures_called_gauge_are_doubted(self, bring: Bring) -> None:
         run = bring(self.rows().replace(",0.1,", ",1.02,"), SMALL)
         assert "never falls below 1.02 bar: is it absolute?" in warnings_of(run)
+
+    @pytest.mark.parametrize(
+        ("old", "new", "said"),
+        [
+            ("column: 0, unit: s", "column: 0, unit: us", "the rows follow each other by 0.1 us"),
+            ("columns: [1], unit: bar", "columns: [1], unit: MPa", "the pressures reach 60 bar"),
+            ("columns: [1], unit: bar", "columns: [1], unit: atm", ""),
+            ("4], unit: mm", "4], unit: m", "the tip lies 1.44e+05 mm from the base: are unit"),
+            ("4], unit: mm", "4], unit: um", "the tip lies 0.144 mm from the base"),
+            ("4], unit: mm", "4], unit: in", ""),
+            ("title: Small", "title: Small\nrig: one.yaml", ""),
+            ("title: Small", "title: Small\nrig: long.yaml", "the rig's arm is 1700 mm long"),
+        ],
+    )
+    def test_units_that_give_what_no_soft_arm_has_are_doubted(
+        self, bring: Bring, tmp_path: Path, old: str, new: str, said: str
+    ) -> None:
+        own = rig_file.text("mock")
+        one = own[: own.index("  - type: flow\n    actuators: [2, 3]")] + own[own.index("sensors:") :]
+        for line in ("  - {actuator: 2, card: daq, channel: 1}\n", "  - {actuator: 3, card: daq, channel: 2}\n"):
+            one = one.replace(line, "")
+        one = one.replace("actuator_angles_deg: [0, 120, 240]", "actuator_angles_deg: [0]")
+        (tmp_path / "one.yaml").write_text(one)
+        (tmp_path / "long.yaml").write_text(one.replace("length_mm: 170", "length_mm: 1700"))
+        rows = "".join(f"{k / 10},{k},100,0,{100 + k}\n" for k in range(7))
+        mapping = "started: 2026-11-21T12:00:00Z\n" + SMALL.replace(old, new)
+        found = warnings_of(bring(rows, mapping))
+        assert said in found
+        assert said or not found
 
     def test_gauge_pressures_called_absolute_are_doubted(self, bring: Bring) -> None:
         run = bring(self.rows(), SMALL.replace("gauge", "absolute, ambient_rows: 2"))

@@ -47,6 +47,8 @@ VENTED_BAR = 0.02
 """A vented chamber's pressure does not wander farther than this within the rows that state the ambient pressure."""
 AMBIENT_BAR = (0.5, 1.1)
 """Of the places where people work."""
+CLOSEST_S, HIGHEST_BAR, TIP_M, TIP_LENGTHS = 2e-4, 50.0, (1e-3, 5.0), (0.1, 3.0)
+"""Rows, pressures and tips (from the base, or in lengths of the rig's arm) beyond these likely have another unit."""
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -69,7 +71,7 @@ def import_table(data: Path, mapping_file: Path, folder: Path, operator: str = "
         BadInput: the mapping, or the data; every problem at once.
     """
     mapping, document = load(mapping_file)
-    rig_name, rig_text = _rig(mapping, document)
+    rig_name, rig_text, length_m = _rig(mapping, document)
     columns = Columns(read_table(data, mapping.file))
     read = times(columns, mapping)
     t_ns = read.t_ns
@@ -78,6 +80,7 @@ def import_table(data: Path, mapping_file: Path, folder: Path, operator: str = "
     asked_pa, valve_v, weight_kg = _asked(columns, mapping), _valves(columns, mapping), _weight(columns, mapping)
     pull = wrench(columns, mapping)
     columns.check()
+    _doubt_units(columns, t_ns, gauge_pa, tip_m, length_m)
     started_utc_ns = _started_utc_ns(columns, mapping, document, read)
     samples = _samples(t_ns, _frames(columns, t_ns), asked_pa, gauge_pa, valve_v)
     observations = _observations(samples, tip_m, covariance_m2, weight_kg)
@@ -153,10 +156,28 @@ def _observations(
     return rows
 
 
-def _rig(mapping: Mapping, document: Document) -> tuple[str, str]:
-    """Name and YAML of the rig that the mapping names; empty where it names none."""
+def _doubt_units(columns: Columns, t_ns: Ints, gauge_pa: Floats, tip_m: Floats, length_m: float | None) -> None:
+    """Warn of numbers that a soft arm on a bench hardly has."""
+    step_s = float(np.median(np.diff(t_ns))) * 1e-9
+    if step_s < CLOSEST_S:
+        columns.warn(f"the rows follow each other by {1e6 * step_s:.3g} us: is the unit of the time right?")
+    highest_bar = float(np.nanmax(gauge_pa, initial=0.0)) / PA_PER_BAR
+    if highest_bar > HIGHEST_BAR:
+        columns.warn(f"the pressures reach {highest_bar:.3g} bar: is their unit right?")
+    seen = tip_m[np.isfinite(tip_m).all(axis=1)]
+    if not len(seen):
+        return
+    far_m = float(np.median(np.linalg.norm(seen, axis=1)))
+    nearest, farthest = TIP_M if length_m is None else (length_m * share for share in TIP_LENGTHS)
+    if not nearest <= far_m <= farthest:
+        arm = "" if length_m is None else f", and the rig's arm is {1e3 * length_m:.4g} mm long"
+        columns.warn(f"the tip lies {1e3 * far_m:.3g} mm from the base{arm}: are unit, base and frame right?")
+
+
+def _rig(mapping: Mapping, document: Document) -> tuple[str, str, float | None]:
+    """Name, YAML and arm's length [m] of the rig that the mapping names; nothing where it names none."""
     if mapping.rig is None:
-        return "", ""
+        return "", "", None
     beside = Path(document.file).parent / mapping.rig
     name = str(beside) if beside.is_file() else mapping.rig
     config = rig_file.load(name)
@@ -165,7 +186,7 @@ def _rig(mapping: Mapping, document: Document) -> tuple[str, str]:
         found = f"{mapping.rig}, which has {config.actuators} actuators"
         expected = f"a rig with {mapping.actuators} actuators, as there are pressures"
         raise BadInput([Problem(document.file, mark.line, mark.column, "rig", found, expected)])
-    return config.name, rig_file.text(name)
+    return config.name, rig_file.text(name), config.arm.geometry.length_mm * 1e-3
 
 
 def _started_utc_ns(columns: Columns, mapping: Mapping, document: Document, read: Times) -> int:
