@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import csv
+import itertools
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path, PurePath
 from typing import Any
 
@@ -157,18 +158,30 @@ def _yaml(source: Path, stem: Path) -> tuple[Path, ...]:
     """A folder with protocol, rig and the files that they name: what `rig run` needs to do it again."""
     header = Run(source).header
     folder = stem.with_name(f"{stem.name}-inputs")
+    protocol = f"{_file_name(header.protocol_name)}.yaml"
     texts = {f"{_file_name(header.rig_name)}-rig.yaml": header.rig_yaml} if header.rig_yaml else {}
-    protocol = header.protocol_yaml
+    texts[protocol] = header.protocol_yaml
+    # The folder is whole in itself: files from elsewhere come into it, those of one name beside one another.
+    inside: dict[str, str] = {}
     for file in header.protocol_files:
-        inside = _file_name(PurePath(file.name).name)
-        # The folder is whole in itself: a file from elsewhere comes into it.
-        protocol = protocol.replace(file.name, inside)
-        texts[inside] = file.text
-    texts[f"{_file_name(header.protocol_name)}.yaml"] = protocol
+        own = PurePath(_file_name(PurePath(file.name).name))
+        inside[file.name] = next(name for name in _numbered(own) if name not in texts)
+        texts[inside[file.name]] = file.text
+    if inside:
+        # The longest first: one name may stand in another, which has a folder before it.
+        known = "|".join(map(re.escape, sorted(inside, key=len, reverse=True)))
+        texts[protocol] = re.sub(known, lambda found: inside[found[0]], header.protocol_yaml)
     folder.mkdir(exist_ok=True)
     for name, text in texts.items():
         (folder / name).write_text(text, encoding="utf-8")
     return tuple(folder / name for name in texts)
+
+
+def _numbered(name: PurePath) -> Iterator[str]:
+    """A file's name, then the same with 2, 3, .. before its ending."""
+    yield name.name
+    for number in itertools.count(2):
+        yield f"{name.stem}-{number}{name.suffix}"
 
 
 def _file_name(name: str) -> str:

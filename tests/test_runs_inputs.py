@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 import hashlib
+import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import runs_made_up as made_up
 from test_run_virtual import Silent
 
 import runs
 from rig import experiment
 from rig.replay import replay
 from runs import journal
+from runs.archive import finalise
 from runs.export import export
+from runs.records import RunFooter, SourceFile, Status
 from runs.run import Run
 
 CSV = "time_s,actuator_1_bar\n0,0\n0.2,0.1\n0.4,0.1\n"
@@ -49,3 +54,20 @@ def test_a_run_can_be_done_again_when_its_files_are_gone(tmp_path: Path) -> None
     again = run_fast(tmp_path / "again", written["played.yaml"], str(written["mock-rig.yaml"]))
     np.testing.assert_array_equal(again.pressure.measured_bar, first.pressure.measured_bar)
     np.testing.assert_array_equal(again.tip.measured_mm, first.tip.measured_mm)
+
+
+def test_files_of_one_name_from_several_folders_come_out_beside_one_another(tmp_path: Path) -> None:
+    names = ("wave.csv", "a/wave.csv", "b/wave.csv", "played.yaml")
+    steps = "".join(f"  - csv: {{file: {name}, actuators: [1]}}\n" for name in names)
+    about = replace(
+        made_up.header(),
+        protocol_name="played",
+        protocol_yaml=f"title: Played\nsteps:\n{steps}",
+        protocol_files=tuple(SourceFile(name, "csv", "", f"of {name}") for name in names),
+    )
+    writer = journal.JournalWriter(tmp_path / "run.mcap", about)
+    writer.close(RunFooter(made_up.START_NS, Status.FINISHED, ""))
+    written = {path.name: path for path in export(finalise(writer.path), "yaml", tmp_path)}
+    played = re.findall(r"file: ([^,]+),", written["played.yaml"].read_text())
+    assert [written[inside].read_text() for inside in played] == [f"of {name}" for name in names]
+    assert len(written) == len(names) + 2
