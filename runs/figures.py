@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from runs.colours import ACTUATORS, INK, MEASURED, MODEL, MUTED, RULE, TRUTH
 from runs.records import Seen
-from runs.run import Run
+from runs.run import Pressure, Run
 from runs.summary import BAND_BAR, MOVED_MM, Z_95, Step, Summary, in_plane, rest_mm, settled_steps
 
 SHAPES = 12
@@ -119,32 +119,42 @@ def panels(figure: Figure, rows: int = 1, columns: int = 1, **options: Any) -> N
 
 
 def pressures(figure: Figure, run: Run, summary: Summary) -> None:
-    """Pressures against their set-points, and the difference."""
+    """Pressures against their set-points, and the difference; without set-points the pressures alone."""
     p = run.pressure
+    if len(p.time_s) and not np.isfinite(p.setpoint_bar).any():
+        alone = panels(figure)[0, 0]
+        _measured_pressures(alone, p)
+        alone.set_xlabel("time [s]")
+        legend(alone, columns=p.measured_bar.shape[1])
+        return
     above, below = panels(figure, 2, height_ratios=[3, 1.1])[:, 0]
     if len(p.time_s) == 0:
         _nothing(above, below)
         return
-    for i in range(p.measured_bar.shape[1]):
-        colour = ACTUATORS[i % len(ACTUATORS)]
-        # Of many the names would not fit beside one another.
-        name = f"actuator {i + 1}" if i == 0 or p.measured_bar.shape[1] <= 6 else str(i + 1)
-        above.plot(*thin(p.time_s, p.measured_bar[:, i]), color=colour, label=name)
-        difference = 1e3 * (p.measured_bar[:, i] - p.setpoint_bar[:, i])
-        below.plot(*thin(p.time_s, difference), color=colour, lw=0.8)
+    _measured_pressures(above, p)
     columns = p.setpoint_bar.T
     for i, row in enumerate(columns):
         if any(np.array_equal(row, other) for other in columns[:i]):
             continue
         above.plot(*thin(p.time_s, row), color=INK, lw=0.8, ls=(0, (4, 2)))
     above.plot([], [], color=INK, lw=0.8, ls=(0, (4, 2)), label="set-point")
-    above.set_ylabel("gauge pressure [bar]")
     legend(above, columns=p.measured_bar.shape[1] + 1)
-    largest = np.nanmax(np.abs(p.measured_bar - p.setpoint_bar), initial=0) * 1e3
+    difference_mbar = 1e3 * (p.measured_bar - p.setpoint_bar)
+    for i, row in enumerate(difference_mbar.T):
+        below.plot(*thin(p.time_s, row), color=ACTUATORS[i % len(ACTUATORS)], lw=0.8)
+    largest = np.nanmax(np.abs(difference_mbar), initial=0)
     below.axhspan(-1e3 * BAND_BAR, 1e3 * BAND_BAR, color=RULE, alpha=0.6, lw=0)
     below.set_ylim(-1.2 * max(min(largest, 60), 15), 1.2 * max(min(largest, 60), 15))
     below.set_ylabel("difference\n[mbar]")
     below.set_xlabel("time [s]")
+
+
+def _measured_pressures(axes: Axes, pressure: Pressure) -> None:
+    for i, row in enumerate(pressure.measured_bar.T):
+        # Of many the names would not fit beside one another.
+        name = f"actuator {i + 1}" if i == 0 or pressure.measured_bar.shape[1] <= 6 else str(i + 1)
+        axes.plot(*thin(pressure.time_s, row), color=ACTUATORS[i % len(ACTUATORS)], label=name)
+    axes.set_ylabel("gauge pressure [bar]")
 
 
 def trajectory(figure: Figure, run: Run, summary: Summary) -> None:
@@ -158,7 +168,8 @@ def trajectory(figure: Figure, run: Run, summary: Summary) -> None:
         axes.plot(*truth.T, color=TRUTH, lw=0.9, label="simulated truth")
     if summary.frames_measured:
         axes.plot(*measured.T, color=MEASURED, lw=0.9, label="measured, every frame")
-    axes.plot(*model.T, color=MODEL, lw=1.1, label="model")
+    if np.isfinite(model).any():
+        axes.plot(*model.T, color=MODEL, lw=1.1, label="model")
     dwells = settled_steps(summary.steps)
     if dwells:
         settled = project(np.array([step.measured_mm for step in dwells]))
@@ -295,7 +306,8 @@ def coordinates(figure: Figure, run: Run, summary: Summary) -> None:
             time, at, half = tip.time_s[index], tip.measured_mm[index, i], Z_95 * tip.uncertainty_mm[index, i]
             panel.fill_between(time, at - half, at + half, color=MEASURED, alpha=0.22, lw=0)
             panel.plot(time, at, color=MEASURED, lw=1.0, label="measured, 95 % band")
-        panel.plot(*thin(tip.time_s, tip.model_mm[:, i]), color=MODEL, lw=1.1, label="model")
+        if np.isfinite(tip.model_mm[:, i]).any():
+            panel.plot(*thin(tip.time_s, tip.model_mm[:, i]), color=MODEL, lw=1.1, label="model")
         panel.set_ylabel(f"{axis} [mm]")
         panel.margins(x=0.01)
     legend(axes[0])

@@ -6,6 +6,8 @@ import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
+import numpy as np
+
 from runs import estimates, figures, pictures
 from runs.run import Run
 from runs.summary import SETTLED_PART, Summary, settled_steps
@@ -32,7 +34,9 @@ def of_pictures(run: Run, summary: Summary) -> Iterator[Plate]:
 def plates(run: Run, summary: Summary) -> Iterator[Plate]:
     """Yield the figures that a run has something to show in."""
     if summary.ticks:
-        yield Plate("pressures", "Pressures and set-points", figures.pressures, (9, 4.1))
+        asked = np.isfinite(run.pressure.setpoint_bar).any()
+        title, height = ("Pressures and set-points", 4.1) if asked else ("Pressures", 3.2)
+        yield Plate("pressures", title, figures.pressures, (9, height))
     if math.isfinite(summary.plane_deg):
         caption = (
             "In the rod-base frame, drawn as the arm hangs. Circles and crosses: mean over the last "
@@ -51,7 +55,7 @@ def plates(run: Run, summary: Summary) -> Iterator[Plate]:
         yield Plate("steps", "Settled tip and error, step by step", figures.steps, (9, 3.6), caption)
     if summary.frames:
         yield Plate("tip", "Tip over time", figures.coordinates, (9, 5))
-    if summary.frames_measured:
+    if summary.frames_measured and (run.simulated or math.isfinite(summary.error_mm.mean)):
         yield Plate("error", "Error over time", figures.error, (9, 4.2 if run.simulated else 2.6))
     if run.adaptation is not None and len(run.adaptation.time_s):
         caption = (

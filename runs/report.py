@@ -105,7 +105,7 @@ def _figures(run: Run, summary: Summary) -> Iterator[str]:
     salt = run.header.run_id
     for plate in plates(run, summary):
         yield _figure(plate.title, svg(plate.draw, plate.size, salt, run, summary), plate.caption)
-    if summary.ticks and not summary.lateness_max_us:
+    if run.header.executor == "virtual time" and summary.ticks and not summary.lateness_max_us:
         yield "<h2>Timing of the control loop</h2>\n<p class=small>Not in real time: no tick is late.</p>"
 
 

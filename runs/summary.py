@@ -139,7 +139,8 @@ def summarise(run: Run) -> Summary:
     """Return the numbers of one run."""
     tip, pressure, timing = run.tip, run.pressure, run.timing
     measured = tip.seen == Seen.MEASURED
-    plane = plane_of_motion(tip.model_mm[measured] if measured.any() else tip.model_mm)
+    modelled = np.isfinite(tip.model_mm).any()
+    plane = plane_of_motion((tip.model_mm if modelled else tip.measured_mm)[measured if measured.any() else ...])
     difference = tip.measured_mm - tip.model_mm
     steps = _steps(run, measured, plane)
     moving = [step.tracking_rms_bar for step in steps if not step.dwell]

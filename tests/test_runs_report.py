@@ -244,6 +244,29 @@ def test_a_run_has_the_figures_that_it_has_data_for(archive: Path, short: Path) 
     assert [plate.name for plate in plates.plates(brief, summarise(brief))] == ["pressures", "timing"]
 
 
+def test_measurements_without_model_and_set_points_are_drawn_without_them(archive: Path) -> None:
+    run = runs.open(archive)
+    nothing = np.full_like(run.tip.model_mm, np.nan)
+    run.header = dataclasses.replace(run.header, executor="imported")
+    run.tip = dataclasses.replace(run.tip, model_mm=nothing, error_mm=nothing[:, 0])
+    run.pressure = dataclasses.replace(run.pressure, setpoint_bar=np.full_like(run.pressure.setpoint_bar, np.nan))
+    run.timing = dataclasses.replace(run.timing, lateness_us=np.zeros_like(run.timing.lateness_us))
+    run.simulated = run.backbone = None
+    found = summarise(run)
+    assert found.plane_deg == pytest.approx(0.0, abs=1.0)
+    shown = list(plates.plates(run, found))
+    assert [plate.name for plate in shown] == ["pressures", "trajectory", "tip"]
+    for plate in shown:
+        figure = Figure(figsize=plate.size)
+        plate.draw(figure, run, found)
+        for axes in figure.axes:
+            assert axes.has_data()
+            legend = axes.get_legend()
+            labels = [text.get_text() for text in legend.get_texts()] if legend else []
+            assert not [label for label in labels if "model" in label or "set-point" in label]
+    assert "Timing of the control loop" not in report.page([run])
+
+
 @pytest.mark.parametrize(("kind", "begins"), [("pdf", b"%PDF"), ("png", b"\x89PNG"), ("svg", b"<?xml")])
 def test_figures_can_be_had_as_files_for_a_paper(short: Path, tmp_path: Path, kind: str, begins: bytes) -> None:
     written = printed.write([short], tmp_path / "figures", kind)
