@@ -161,15 +161,7 @@ def trajectory(figure: Figure, run: Run, summary: Summary) -> None:
     """The tool centre point in the plane of motion, hanging down as the arm does (the paper's Fig 11)."""
     axes = panels(figure)[0, 0]
     project, name = across(run, summary)
-    every = max(len(run.tip.time_s) // (4 * POINTS), 1)
-    measured, model = project(run.tip.measured_mm[::every]), project(run.tip.model_mm[::every])
-    if run.simulated is not None:
-        truth = project(run.simulated.tip_mm[::every])
-        axes.plot(*truth.T, color=TRUTH, lw=0.9, label="simulated truth")
-    if summary.frames_measured:
-        axes.plot(*measured.T, color=MEASURED, lw=0.9, label="measured, every frame")
-    if np.isfinite(model).any():
-        axes.plot(*model.T, color=MODEL, lw=1.1, label="model")
+    _paths(axes, run, summary, project)
     dwells = settled_steps(summary.steps)
     if dwells:
         settled = project(np.array([step.measured_mm for step in dwells]))
@@ -185,6 +177,32 @@ def trajectory(figure: Figure, run: Run, summary: Summary) -> None:
     axes.set_xlabel(f"{name} [mm]")
     axes.set_ylabel("z, along the arm [mm]")
     legend(axes)
+
+
+def around(figure: Figure, run: Run, summary: Summary) -> None:
+    """The tool centre point of a motion in no plane: seen along the arm from its tip, and from the side."""
+    above, beside = panels(figure, columns=2)[0]
+    _paths(above, run, summary, lambda points: points[:, [0, 1]])
+    _paths(beside, run, summary, lambda points: points[:, [0, 2]])
+    for axes, label in ((above, "y [mm]"), (beside, "z, along the arm [mm]")):
+        axes.set_aspect("equal", adjustable="datalim")
+        axes.margins(0.08)
+        axes.set_xlabel("x [mm]")
+        axes.set_ylabel(label)
+    beside.invert_yaxis()
+    legend(above)
+
+
+def _paths(axes: Axes, run: Run, summary: Summary, project: Callable[[Floats], Floats]) -> None:
+    every = max(len(run.tip.time_s) // (4 * POINTS), 1)
+    measured, model = project(run.tip.measured_mm[::every]), project(run.tip.model_mm[::every])
+    if run.simulated is not None:
+        truth = project(run.simulated.tip_mm[::every])
+        axes.plot(*truth.T, color=TRUTH, lw=0.9, label="simulated truth")
+    if summary.frames_measured:
+        axes.plot(*measured.T, color=MEASURED, lw=0.9, label="measured, every frame")
+    if np.isfinite(model).any():
+        axes.plot(*model.T, color=MODEL, lw=1.1, label="model")
 
 
 def backbones(figure: Figure, run: Run, summary: Summary) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 
 from runs import estimates, figures, pictures
 from runs.run import Run
-from runs.summary import SETTLED_PART, Summary, settled_steps
+from runs.summary import MOVED_MM, SETTLED_PART, Summary, settled_steps
 from runs.text import plain
 
 
@@ -44,6 +44,9 @@ def plates(run: Run, summary: Summary) -> Iterator[Plate]:
         )
         size = figures.trajectory_size(run, summary)
         yield Plate("trajectory", "Tool centre point in the plane of motion", figures.trajectory, size, caption)
+    elif _wanders(run):
+        caption = "In the rod-base frame: seen along the arm from its tip, and from its side, drawn as the arm hangs."
+        yield Plate("trajectory", "Tool centre point", figures.around, (9, 4.4), caption)
     if run.backbone is not None and run.tip.model_ok.any():
         caption = "The arm as the model has it, drawn as it hangs, and where the camera saw its tip."
         yield Plate("backbones", "Backbone and measured tip", figures.backbones, (9, 4.8), caption)
@@ -71,3 +74,10 @@ def plates(run: Run, summary: Summary) -> Iterator[Plate]:
             f"{summary.missed_deadlines} deadlines missed, {summary.ring_overflows} rows lost between processes."
         )
         yield Plate("timing", "Timing of the control loop", figures.timing, (9, 2.8), caption)
+
+
+def _wanders(run: Run) -> bool:
+    """Whether the tip moves across the arm, measured or by the model."""
+    across = np.vstack((run.tip.measured_mm, run.tip.model_mm))[:, :2]
+    across = across[np.isfinite(across).all(axis=1)]
+    return len(across) > 0 and bool(np.ptp(across, axis=0).max() > MOVED_MM)

@@ -244,6 +244,27 @@ def test_a_run_has_the_figures_that_it_has_data_for(archive: Path, short: Path) 
     assert [plate.name for plate in plates.plates(brief, summarise(brief))] == ["pressures", "timing"]
 
 
+def test_a_motion_in_no_plane_is_seen_along_the_arm_and_from_its_side(archive: Path) -> None:
+    run = runs.open(archive)
+    turn = np.linspace(0, 2 * np.pi, len(run.tip.time_s))
+    circle = np.column_stack((20 * np.cos(turn), 20 * np.sin(turn), 170 + 0 * turn))
+    run.tip = dataclasses.replace(run.tip, measured_mm=circle, model_mm=circle + 1.0)
+    found = summarise(run)
+    assert np.isnan(found.plane_deg)
+    (plate,) = [plate for plate in plates.plates(run, found) if plate.name == "trajectory"]
+    figure = Figure(figsize=plate.size)
+    plate.draw(figure, run, found)
+    assert [(axes.get_xlabel(), axes.get_ylabel()) for axes in figure.axes] == [
+        ("x [mm]", "y [mm]"),
+        ("x [mm]", "z, along the arm [mm]"),
+    ]
+    for axes in figure.axes:
+        low, high = sorted(axes.get_xlim())
+        assert low < -20 < 21 < high
+    run.tip = dataclasses.replace(run.tip, measured_mm=circle[:1] + 0 * circle, model_mm=circle[:1] + 0 * circle)
+    assert "trajectory" not in [plate.name for plate in plates.plates(run, summarise(run))]
+
+
 def test_measurements_without_model_and_set_points_are_drawn_without_them(archive: Path) -> None:
     run = runs.open(archive)
     nothing = np.full_like(run.tip.model_mm, np.nan)
