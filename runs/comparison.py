@@ -36,8 +36,9 @@ def section(runs: Sequence[Run], summaries: Sequence[Summary]) -> str:
 def plates(runs: Sequence[Run]) -> tuple[Plate, ...]:
     """Return the figures that compare runs."""
     size = (9, 3.4 + 0.16 * len(runs))
+    where = "Each in its plane of motion, or over x where it keeps to none."
     return (
-        Plate("tips", "Tips in the plane of motion", tips, size, "Lines: measured. Dotted: model."),
+        Plate("tips", "Tips", tips, size, f"Lines: measured. Dotted: model. {where}"),
         Plate("errors", "Errors over the protocol", errors, size, "Measured to model."),
     )
 

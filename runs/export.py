@@ -15,7 +15,7 @@ import numpy as np
 from runs import layout
 from runs.archive import ArchiveError
 from runs.run import Run
-from runs.table import TABLES, table
+from runs.table import TABLES, segments, table
 
 SIMULATED = "simulated"
 """Column of every CSV: 1 where card, camera or arm was simulated, else 0."""
@@ -50,8 +50,7 @@ def _csv(source: Path, stem: Path) -> tuple[Path, ...]:
     written = []
     with h5py.File(source, "r") as file:
         simulated = int(file["entry/simulated"][()])
-    for group in TABLES:
-        columns = table(source, group)
+    for group, columns in (*((group, table(source, group)) for group in TABLES), ("segments", segments(source))):
         if not columns:
             continue
         path = stem.with_name(f"{stem.name}-{group}.csv")

@@ -34,6 +34,21 @@ def table(path: Path | str, group: str) -> dict[str, Column]:
     return columns
 
 
+def segments(path: Path | str) -> dict[str, Column]:
+    """Return {name: column (S,)} of the protocol's segments as they were played; empty where there are none.
+
+    `start_s` and `stop_s` are in protocol time, as `protocol_time_s` of the tables is; levels are those of the end.
+    """
+    with h5py.File(path, "r") as file:
+        node = file.get("entry/protocol")
+        if node is None or "segment" not in node or not len(node["segment"]):
+            return {}
+        columns: dict[str, Column] = {}
+        for name in ("segment", "kind", "label", "start", "stop", "level_bar"):
+            columns.update(_columns(name, node[name]))
+        return columns
+
+
 def _along_time(data: h5py.Dataset) -> bool:
     return not data.is_scale and data.dims[0][0].name.endswith("/time")
 

@@ -53,13 +53,26 @@ def test_a_run_with_as_many_rows_as_axes_is_not_confused(tmp_path: Path, rows: i
 
 def test_csv_holds_every_digit(archive: Path, tmp_path: Path) -> None:
     written = {path.name: path for path in export(archive, "csv", tmp_path / "new")}
-    assert sorted(written) == [f"20260102-run-{g}.csv" for g in ("events", "pressure", "simulator", "timing", "tip")]
+    groups = ("events", "pressure", "segments", "simulator", "timing", "tip")
+    assert sorted(written) == [f"20260102-run-{group}.csv" for group in groups]
     with written["20260102-run-tip.csv"].open(encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
     run = runs.open(archive)
     np.testing.assert_array_equal([float(row["model_x_mm"]) for row in rows], run.tip.model_mm[:, 0])
     assert rows[10]["measured_x_mm"] == ""
     assert rows[10]["seen"] == "1"
+
+
+def test_csv_tells_the_segments_that_rows_belong_to_by_protocol_time(archive: Path, tmp_path: Path) -> None:
+    written = {path.stem.rpartition("-")[2]: pd.read_csv(path) for path in export(archive, "csv", tmp_path)}
+    segments, tip = written["segments"], written["tip"]
+    assert segments["label"].tolist() == ["step 1", "step 2", "step 3"]
+    assert segments["kind"].tolist() == ["step"] * 3
+    assert segments["level_1_bar"].tolist() == pytest.approx([0.05, 0.1, 0.15])
+    second = segments.loc[1]
+    own = tip[(tip["protocol_time_s"] > second["start_s"]) & (tip["protocol_time_s"] <= second["stop_s"])]
+    assert own["protocol_time_s"].min() == pytest.approx(1.0 + 1 / 30)
+    assert len(own) == 30
 
 
 def test_csv_quotes_what_was_written_by_people(tmp_path: Path) -> None:
