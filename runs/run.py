@@ -16,7 +16,7 @@ from runs import layout
 from runs.archive import ArchiveError
 from runs.groups import PA_PER_BAR
 from runs.records import Event, Interval, Level, Quantity, RunHeader, SourceFile, Status
-from runs.table import table
+from runs.table import TABLES, segments, table
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -325,10 +325,17 @@ class Run:
             return data
 
     def to_pandas(self, group: str = "tip") -> Any:
-        """Return a group of `runs.table.TABLES` as a DataFrame over time; pandas does not come with softrig."""
-        columns = table(self.path, group)
-        time_s = columns.pop("time_s", None)
-        return _optional("pandas").DataFrame(columns, index=_optional("pandas").Index(time_s, name="time_s"))
+        """Return a group of `runs.table.TABLES` as a DataFrame over time, or the protocol's `segments` by number.
+
+        pandas does not come with softrig. `ArchiveError` where the run has no such table.
+        """
+        pandas = _optional("pandas")
+        columns = segments(self.path) if group == "segments" else table(self.path, group)
+        if not columns:
+            known = ", ".join((*TABLES, "segments"))
+            raise ArchiveError(f"{self.path} has no table '{group}'; there can be {known}")
+        first = next(iter(columns))
+        return pandas.DataFrame(columns, index=pandas.Index(columns.pop(first), name=first))
 
     def to_xarray(self, group: str = "tip") -> Any:
         """Return a group of `/entry` as a lazy Dataset; xarray and h5netcdf do not come with softrig."""

@@ -98,6 +98,11 @@ def test_a_run_becomes_a_pandas_table(archive: Path) -> None:
     tip = run.to_pandas("tip")
     np.testing.assert_array_equal(tip["model_x_mm"], run.tip.model_mm[:, 0])
     np.testing.assert_array_equal(tip.index, run.tip.time_s)
+    segments = run.to_pandas("segments")
+    assert segments.loc[2, "label"] == "step 2"
+    assert segments.index.name == "segment"
+    with pytest.raises(ArchiveError, match=r"no table 'adaptations'; there can be pressure, tip, .*, segments"):
+        run.to_pandas("adaptations")
 
 
 def test_a_run_becomes_an_xarray_dataset(archive: Path) -> None:
