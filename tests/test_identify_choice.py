@@ -10,7 +10,7 @@ import pytest
 
 import model
 from calibration.identify import NoData, Poses, Setup
-from calibration.identify.choice import Candidate, candidates, choose, compared
+from calibration.identify.choice import Candidate, candidates, choose, compared, sentence
 from calibration.identify.simulated import Errors, perform, plan
 
 RAMP = np.linspace(0.15e5, 0.65e5, 6)[:, None]
@@ -52,6 +52,18 @@ def test_a_homogeneous_arm_does_not_pay_for_softening() -> None:
     assert plain.bic > radial.bic + 10
     assert soft.bic > radial.bic - 10
     assert radial.error_m < 3e-4
+
+
+def test_a_choice_that_the_fits_to_all_runs_object_to_is_told_with_the_objection() -> None:
+    asked = [c for c in candidates(START) if c.name.endswith(("pointwise", "paper-secant"))]
+    pointwise, secant = choose(data(model.Arm.paper()), asked, workers=1).rows
+    assert "meets better" not in sentence((pointwise, secant), pointwise)
+    lucky = replace(secant, error_m=0.5 * pointwise.error_m)
+    said = sentence((pointwise, lucky), lucky)
+    assert said.startswith("inhomogeneous+rpe, paper-secant predicts runs left out best")
+    assert "All runs together inhomogeneous+rpe, pointwise meets better (BIC lower by" in said
+    nearly = replace(lucky, bic=pointwise.bic + 5)
+    assert "meets better" not in sentence((pointwise, nearly), nearly)
 
 
 def test_a_comparison_that_was_broken_off_goes_on_where_it_was_and_says_how_far_it_is(tmp_path: Path) -> None:

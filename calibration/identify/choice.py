@@ -174,7 +174,7 @@ def choose(
         for k, (candidate, found) in enumerate(zip(asked, fitted, strict=True))
     )
     best = min(rows, key=lambda row: row.error_m)
-    return Choice(rows, best, _sentence(rows, best))
+    return Choice(rows, best, sentence(rows, best))
 
 
 def compared(poses: Poses) -> Poses:
@@ -238,7 +238,8 @@ def _row(candidate: Candidate, found: Array, missed: Array) -> Row:
     )
 
 
-def _sentence(rows: Sequence[Row], best: Row) -> str:
+def sentence(rows: Sequence[Row], best: Row) -> str:
+    """What follows from a comparison in which `best` predicts runs left out best; where the whole fits object, that."""
     name = _named(rows)
     said = f"{name(best)} predicts runs left out best: {best.error_m * 1e3:.3g} mm rms"
     simpler = [r for r in rows if r.dof < best.dof]
@@ -251,7 +252,14 @@ def _sentence(rows: Sequence[Row], best: Row) -> str:
             said += f"; the data pay for the larger model (BIC lower by {worth:.0f})"
         else:
             said += f"; but the data do not pay for it (BIC {'lower' if worth > 0 else 'higher'} by {abs(worth):.0f})"
-    return said + "."
+    said += "."
+    fittest = min(rows, key=lambda row: row.bic)
+    if (better := best.bic - fittest.bic) > _WORTH and fittest not in simpler:
+        said += (
+            f" All runs together {name(fittest)} meets better (BIC lower by {better:.0f}): the runs are too few, or "
+        )
+        said += "too different, for each to be predicted from the others."
+    return said
 
 
 def _named(rows: Sequence[Row]) -> Callable[[Row], str]:
