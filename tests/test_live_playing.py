@@ -43,6 +43,7 @@ def test_an_import_without_rig_and_set_points_is_described_in_plain_json(tmp_pat
     about = json.dumps(played.about(), allow_nan=False)
     assert json.loads(about)["limit"] == 0.2
     assert played.viewer().packet() is not None
+    assert np.isnan(played.now(1.0, 1, playing=False)["mean"])  # of no error there is no mean, not one of 0 mm
 
 
 def test_a_run_cut_off_between_a_frame_and_what_it_taught_is_played_to_its_end(tmp_path: Path) -> None:

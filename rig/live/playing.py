@@ -43,7 +43,9 @@ class Playing:
         )
         tip = run.tip
         known = np.isfinite(tip.error_mm)
-        self.mean = np.cumsum(np.where(known, tip.error_mm, 0.0)) / np.maximum(np.cumsum(known), 1)
+        count = np.cumsum(known)
+        total = np.cumsum(np.where(known, tip.error_mm, 0.0))
+        self.mean = np.where(count > 0, total / np.maximum(count, 1), np.nan)
         self.track_rows = np.column_stack(
             [tip.time_s, tip.measured_mm, tip.uncertainty_mm, tip.model_mm, tip.error_mm, self.mean]
         )
