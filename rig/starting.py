@@ -100,7 +100,8 @@ def check_alike(archives: Sequence[Run], one_arm: bool = False) -> None:
         NoData: rigs state different geometries; or parameters with another mounting, or another gain, lay over some.
     """
     first, *others = archives
-    _check_rigs([run for run in archives if run.header.rig_yaml], one_arm)
+    if not one_arm:
+        _check_rigs([run for run in archives if run.header.rig_yaml])
     laid = _laid(first)
     for run in others:
         if _laid(run) != laid:
@@ -114,14 +115,14 @@ def check_alike(archives: Sequence[Run], one_arm: bool = False) -> None:
         console(stderr=True).print(said, soft_wrap=True)
 
 
-def _check_rigs(archives: Sequence[Run], one_arm: bool) -> None:
+def _check_rigs(archives: Sequence[Run]) -> None:
     if not archives:
         return
     first, *others = archives
     rig, geometry = rig_of(first), _geometry(first)
     for run in others:
         own = _geometry(run)
-        if not one_arm and (fields := different(own, geometry)):
+        if fields := different(own, geometry):
             said = "; ".join(f"{name} {getattr(own, name)}, not {getattr(geometry, name)}" for name in fields)
             raise NoData(
                 f"{run.path} is of another arm than {first.path}: {said}; identify them apart, or say with --start "
