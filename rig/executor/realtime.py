@@ -27,7 +27,7 @@ from rig.simulator.host import Simulation, started
 from runs.records import Event, Level, Status
 
 SLOW_START_S = 4.0
-START_TIMEOUT_S = 120.0
+START_TIMEOUT_S = 300.0
 """Generous: a cold compiler cache or a busy machine is not a fault."""
 LEAD_NS = 60_000_000
 START_LOOK_S = 0.005
