@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import platform
+import shlex
 import shutil
 import sys
 import time
@@ -268,7 +269,7 @@ def header(request: Request, decided: Plan, t_ns: int, ahead_ns: int = 0) -> Run
         model_variant=request.variant,
         operator=request.operator,
         notes=request.notes,
-        command=" ".join(sys.argv),
+        command=shlex.join(sys.argv),
         host=platform.node(),
         versions=versions(),
         git_commit=commit,
