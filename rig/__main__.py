@@ -2,11 +2,31 @@
 
 from __future__ import annotations
 
+import os
 import signal
+import sys
+
+
+def _stand_in_for_closed() -> None:
+    """Put the null device where standard input, output or error was closed (`rig run .. <&- >&- 2>&-`).
+
+    Else the next file that is opened, a lock or a card, gets the number that things are read from and printed to, here
+    and in every process of a run.
+    """
+    while (fd := os.open(os.devnull, os.O_RDWR)) <= 2:
+        os.set_inheritable(fd, True)
+    os.close(fd)
+    if sys.stdin is None:
+        sys.stdin = open(0, closefd=False)  # noqa: SIM115
+    if sys.stdout is None:
+        sys.stdout = open(1, "w", closefd=False)  # noqa: SIM115
+    if sys.stderr is None:
+        sys.stderr = open(2, "w", closefd=False)  # noqa: SIM115
 
 
 def main() -> None:
     """Load the command, then obey it."""
+    _stand_in_for_closed()
     # Ctrl-C while modules load would be an exception in any of them; nothing has begun, so the process may just end.
     loud = signal.getsignal(signal.SIGINT) is signal.default_int_handler
     if loud:

@@ -13,7 +13,10 @@ _MEANING = {
 
 
 class StopSignals:
-    """While entered, the stop signals only set `reason`; a second one changes nothing: the end stays orderly."""
+    """While entered, the stop signals only set `reason`; a second one changes nothing: the end stays orderly.
+
+    Nor does one that comes after the end: how the run ended is told, and is the exit status, whoever has no patience.
+    """
 
     def __init__(self) -> None:
         self.reason: str | None = None
@@ -28,7 +31,7 @@ class StopSignals:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         for number, handler in self._previous.items():
-            signal.signal(number, handler)  # type: ignore[arg-type]
+            signal.signal(number, handler if self.reason is None else signal.SIG_IGN)  # type: ignore[arg-type]
 
     def _note(self, number: int, frame: FrameType | None) -> None:
         if self.reason is None:

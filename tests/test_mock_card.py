@@ -197,6 +197,15 @@ def test_ctrl_c_of_the_terminal_does_not_take_the_card_away(mock: Mock) -> None:
     assert plant.wait(10) == 0
 
 
+def test_who_tells_the_plant_to_end_more_than_once_sees_no_traceback(mock: Mock) -> None:
+    plant = mock.plant()
+    while plant.poll() is None:
+        plant.send_signal(signal.SIGTERM)
+        time.sleep(0.0002)
+    _, said = plant.communicate()
+    assert (plant.returncode, said) == (0, "")
+
+
 @pytest.mark.parametrize("stopped_s", [0.5, 2.6])
 def test_a_plant_that_stood_still_goes_on_at_the_present_and_never_backwards(mock: Mock, stopped_s: float) -> None:
     plant = mock.plant()
