@@ -428,6 +428,18 @@ def test_a_camera_is_told_from_the_device_that_comes_with_it_and_gives_no_pictur
     assert "/dev/video10: HD Webcam: gives no pictures" in second.found
 
 
+def test_a_device_without_hardware_is_not_asked_what_it_can_do(plugged: Cameras) -> None:
+    """v4l2loopback that was asked while nobody fed it refused who was to feed it next."""
+    plugged.add("video9", "played", 0x05200000)
+    shown = plugged.root / "sys/class/video4linux/video9"
+    made_up = plugged.root / "sys/devices/virtual/video4linux/video9"
+    made_up.parent.mkdir(parents=True)
+    shown.rename(made_up)
+    shown.symlink_to(made_up)
+    (said,) = cameras.cameras(plugged.root)
+    assert (said.verdict, said.found) == ("ok", "/dev/video9: played")
+
+
 def refusing(monkeypatch: pytest.MonkeyPatch, number: int) -> None:
     def refuse(path: Path, flags: int) -> int:
         raise OSError(number, os.strerror(number), str(path))

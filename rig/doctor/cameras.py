@@ -47,12 +47,13 @@ def _devices(root: Path) -> list[Path]:
 
 def _video(device: Path, root: Path, topic: str = "camera") -> Finding:
     node = device.resolve()
-    called = root / "sys/class/video4linux" / node.name / "name"
+    known = (root / "sys/class/video4linux" / node.name).resolve()
+    called = known / "name"
     # As the user knows it: a made-up machine stands elsewhere.
     shown = f"/{device.relative_to(root)}"
     name = f"{shown}: {called.read_text().strip()}" if called.exists() else shown
     try:
-        pictures = _gives_pictures(device)
+        pictures = _gives_pictures(device, hardware="virtual" not in known.parts)
     except PermissionError:
         remedy = f"sudo adduser $USER {group_name(node.stat().st_gid)}, then log in again"
         return Finding(topic, "missing", f"{name}: no permission", remedy)
@@ -63,14 +64,17 @@ def _video(device: Path, root: Path, topic: str = "camera") -> Finding:
         return Finding(
             topic,
             "note" if topic == "camera" else "missing",
-            f"{name}: gives no pictures (what a camera tells beside them, or a loopback that nobody feeds)",
+            f"{name}: gives no pictures, only what a camera tells beside them",
             "take another of its devices, most often the one before",
         )
     return Finding(topic, "ok", name)
 
 
-def _gives_pictures(device: Path) -> bool:
+def _gives_pictures(device: Path, hardware: bool) -> bool:
     """What V4L2 says of a device; one that is none of V4L2's is left to the camera's driver.
+
+    A device without hardware is opened and not asked: v4l2loopback 0.12, asked while nobody feeds it, takes itself for
+    a device that can do nothing, and refuses who would feed it next.
 
     Raises:
         OSError: it cannot be opened.
@@ -78,6 +82,8 @@ def _gives_pictures(device: Path) -> bool:
     answer = bytearray(struct.calcsize(_CAPABILITIES))
     opened = os.open(device, os.O_RDWR | os.O_NONBLOCK)
     try:
+        if not hardware:
+            return True
         fcntl.ioctl(opened, _VIDIOC_QUERYCAP, answer)
     except OSError:
         return True
