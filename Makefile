@@ -39,7 +39,7 @@ comedi: $(STAMP)
 	@sh scripts/comedi/install.sh $(VENV)
 
 test-hardware: comedi
-	$(BIN)/python -m pytest tests/test_comedi_device.py
+	$(BIN)/python -m pytest tests/rig/hardware/test_comedi_device.py
 	@bash scripts/vm/test.sh $(VENV)
 
 strikes: comedi

@@ -20,14 +20,13 @@ import cv2
 import numpy as np
 
 import runs
-from runs import report
-from runs.archive import finalise, verify
+from runs.archive.writer import finalise, verify
 from runs.catalogue import catalogue
-from runs.journal import JournalWriter
+from runs.journal.journal import JournalWriter
 from runs.records import (
     BACKBONE_POINTS,
+    ImageAnnotations,
     Interval,
-    Marks,
     Picture,
     RunFooter,
     RunHeader,
@@ -35,6 +34,7 @@ from runs.records import (
     observation_dtype,
     sample_dtype,
 )
+from runs.report import page as report
 from runs.summary import summarise
 
 CAMERA_HZ = 30
@@ -80,7 +80,7 @@ def record(path: Path, options: argparse.Namespace) -> float:
     rows = np.zeros(frames, observation_dtype(options.channels))
     rows["covariance_m2"], rows["model_ok"] = np.eye(3) * 1e-8, 1
     image = np.clip(np.linspace(40, 200, 640) + rng.normal(0, 2, (480, 640)), 0, 255).astype(np.uint8)
-    marks = Marks.of(np.ones((20, 2)), np.ones(2), np.ones(2), np.ones((BACKBONE_POINTS, 2)))
+    marks = ImageAnnotations.of(np.ones((20, 2)), np.ones(2), np.ones(2), np.ones((BACKBONE_POINTS, 2)))
     began = time.process_time()
     writer = JournalWriter(path, header(options), live=True)
     for second in range(options.seconds):

@@ -20,11 +20,20 @@ import runs
 from calibration.identify import figures
 from calibration.identify.data import Poses
 from calibration.identify.fit import identify
+from calibration.identify.parallel_map import parallel_map
 from calibration.identify.parameters import Prior, Setup, named
-from calibration.identify.simulated import LAG_PRIOR, Coverage, Errors, Trial, attempt, coverage, perform, plan
-from calibration.identify.spread import spread
-from rig.identified import from_runs
-from runs.figures import save
+from calibration.identify.simulated_experiments import (
+    LAG_PRIOR,
+    Coverage,
+    CoverageTrial,
+    MeasurementErrors,
+    attempt,
+    coverage,
+    perform,
+    plan,
+)
+from rig.identify.estimation import from_runs
+from runs.report.figures import save
 
 Array = NDArray[np.float64]
 
@@ -53,7 +62,7 @@ def experiment() -> tuple[tuple[Poses, ...], Setup, Setup]:
     return planned, truth, start
 
 
-def motions(trials: int, seed: int) -> list[Trial]:
+def motions(trials: int, seed: int) -> list[CoverageTrial]:
     """Eight seconds of two sines each, every time of another arm: its damping, density, RPE and the sensors' delay."""
     rng = np.random.default_rng([seed, 1])
     time_s, start = np.arange(240) / 30, Setup(model.Arm.paper())
@@ -70,16 +79,16 @@ def motions(trials: int, seed: int) -> list[Trial]:
             rpe_per_bar=rng.uniform(0.048, 0.058),
         )
         truth = replace(start, arm=replace(start.arm, material=true), sensor_lag_s=rng.normal(0.0, LAG_PRIOR.std))
-        tasks.append(Trial((planned,), truth, start, FREE_MOVING, Errors(), seed * 1_000_003 + k))
+        tasks.append(CoverageTrial((planned,), truth, start, FREE_MOVING, MeasurementErrors(), seed * 1_000_003 + k))
     return tasks
 
 
-def drawn(trials: int, seed: int) -> list[Trial]:
+def drawn(trials: int, seed: int) -> list[CoverageTrial]:
     """Weights, two ramps and eight seconds of a sine, every time of an arm of which next to nothing is as in the file.
 
     Much of what is free can be exchanged, and is then held at values that are wrong.
     """
-    rng, errors = np.random.default_rng([seed, 2]), Errors((3e-5, 3e-5, 6e-5), 10.0, 300.0)
+    rng, errors = np.random.default_rng([seed, 2]), MeasurementErrors((3e-5, 3e-5, 6e-5), 10.0, 300.0)
     ramp, time_s = np.linspace(0.15e5, 0.65e5, 11)[:, None], np.arange(240) / 30
     sine = 0.35e5 + 0.25e5 * np.sin(np.pi * time_s)[:, None]
     planned = (
@@ -109,7 +118,7 @@ def drawn(trials: int, seed: int) -> list[Trial]:
             actuator_turn_rad=_each(rng, 0.17),
             sensor_lag_s=rng.normal(0.0, LAG_PRIOR.std),
         )
-        tasks.append(Trial(planned, truth, Setup(known), FREE_DRAWN, errors, seed * 1_000_003 + k))
+        tasks.append(CoverageTrial(planned, truth, Setup(known), FREE_DRAWN, errors, seed * 1_000_003 + k))
     return tasks
 
 
@@ -149,7 +158,7 @@ def throughput(files: list[Path], workers: int) -> None:
     """Print archives per minute, read and identified three at a time."""
     groups = [tuple(files[k : k + 3]) for k in range(0, len(files), 3)]
     began = time.perf_counter()
-    spread(read_and_identified, groups, workers)
+    parallel_map(read_and_identified, groups, workers)
     took = time.perf_counter() - began
     print(f"{workers} workers: {len(files)} archives in {took:.1f} s, {60 * len(files) / took:.0f} a minute")
 
@@ -179,7 +188,7 @@ def main() -> None:
         if given.moving or given.drawn:
             free, draw_trials = (FREE_DRAWN, drawn) if given.drawn else (FREE_MOVING, motions)
             tasks = draw_trials(given.trials, given.seed)
-            z = np.array(spread(attempt, tasks, workers, store=given.store))
+            z = np.array(parallel_map(attempt, tasks, workers, store=given.store))
             found, count = Coverage(tuple(p.name for p in named(free, 3)), z), len(tasks[0].planned)
         else:
             found, count = (

@@ -20,9 +20,10 @@ from pathlib import Path
 import numpy as np
 
 import runs
-from rig import experiment, rig_file
-from rig.executor.base import Nobody
-from runs.archive import verify
+from rig.config import loader
+from rig.execution.plan import NullOperator
+from rig.experiment import run as experiment
+from runs.archive.writer import verify
 from runs.records import Status
 from runs.recovery import Fate, recover
 from runs.run import Run
@@ -38,7 +39,7 @@ PATIENCE_S = 60.0
 def run_fast(folder: Path, protocol: Path) -> Path:
     """One virtual run; the same arrays every time."""
     request = experiment.request(str(protocol), "mock", folder=folder, fast=True, seed=1, report=False)
-    archive = experiment.run(request, experiment.plan(request), Nobody()).archive
+    archive = experiment.run(request, experiment.plan(request), NullOperator()).archive
     assert archive is not None
     return archive
 
@@ -107,7 +108,7 @@ def real_time(trials: int, seed: int, place: Path) -> None:
         folder = place / f"{trial}"
         folder.mkdir()
         rig = folder / "rig.yaml"
-        rig.write_text(rig_file.text("mock").replace("device: mock0", f"device: kills-{os.getpid()}-{trial}"))
+        rig.write_text(loader.text("mock").replace("device: mock0", f"device: kills-{os.getpid()}-{trial}"))
         command = [sys.executable, "-m", "rig", "run", str(protocol), "--rig", str(rig), "--out", str(folder / "out")]
         with subprocess.Popen([*command, "--yes", "--no-report"], stdout=subprocess.DEVNULL) as process:
             await_journal(folder / "out")

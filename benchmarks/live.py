@@ -16,12 +16,11 @@ from pathlib import Path
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
-
-from live_page import Stream, request, said
-from rig_process import RigProcess, rig_run
+sys.path.insert(0, str(Path(__file__).parents[1]))
 
 import runs
+from tests.support.live_page import Stream, request, said
+from tests.support.rig_process import RigProcess, rig_run
 
 HOLDING = """
 title: Something to hold

@@ -21,12 +21,12 @@ os.environ["NUMBA_DISABLE_JIT"] = "1"
 import numpy as np
 from rod import DT, path_of_sine
 
-import model.pointwise
+import model.kernels.pointwise_law
 from model import Arm
-from model.axis import place_tip
-from model.layout import LANES, OTHERS, STATE, SUMS
-from model.march import advance
-from model.problem import CLOSE
+from model.kernel_arguments import CLOSE
+from model.kernels.axis import place_tip
+from model.kernels.layout import LANES, OTHERS, STATE, SUMS
+from model.kernels.time_stepping import advance
 
 COUNTED = ("add", "multiply", "divide", "root")
 known: dict[tuple[Any, ...], Number] = {}
@@ -141,7 +141,7 @@ def count(roots: list[Number]) -> Counter[str]:
 
 def second(variant: str, nodes: int) -> dict[str, int]:
     """Steps, passes and operations of the benchmark's second."""
-    model.pointwise.math = SimpleNamespace(sqrt=root)  # type: ignore[attr-defined]
+    model.kernels.pointwise_law.math = SimpleNamespace(sqrt=root)  # type: ignore[attr-defined]
     arm = Arm.paper(variant)  # type: ignore[arg-type]
     path = path_of_sine(30)
     moving = arm.dynamics(DT, nodes=nodes)

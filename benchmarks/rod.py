@@ -22,14 +22,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from model import Arm, Loads, batch
-from model.gradient import Change, tip_gradient
-from model.gradient import statics as answers
-from model.paper import PaperRod
+from model.paper.rod import PaperRod
+from model.sensitivities import Variation, tip_gradient
+from model.sensitivities import statics as answers
 
 Array = NDArray[np.float64]
 BAR = 1e5
 DT = 1 / 30
-# Operations of one lane in one stage of RK4 with a constant stiffness, counted in the machine code of model/rod.py: a
+# Operations of one lane in one stage of RK4 with a constant stiffness, counted in the machine code of model/kernels/rod.py: a
 # multiply-add is two. 257 are the right-hand side, 52 move the state on.
 FLOP_PER_STAGE = 309
 LANES = 8
@@ -192,7 +192,7 @@ def stepping() -> None:
             line(f"{variant}, {clock} time", f"{high:.3f} ms", f"p99; median {median:.3f}, worst {most:.3f}; aim: 0.5")
 
 
-def twelve(arm: Arm, rows: Array) -> list[Change]:
+def twelve(arm: Arm, rows: Array) -> list[Variation]:
     """What an identification may ask for: changes of material, geometry, cap and each pressure."""
     step = 1e-7
     material = ("youngs_modulus_pa", "a1_per_n", "a2_per_n2", "rpe_per_bar", "shear_ratio")
@@ -205,8 +205,8 @@ def twelve(arm: Arm, rows: Array) -> list[Change]:
     first, *others = geometry.actuator_xy_m
     moved += [replace(arm, geometry=replace(geometry, actuator_xy_m=(((1 + step) * first[0], first[1]), *others)))]
     moved += [replace(arm, cap_mass_kg=(1 + step) * arm.cap_mass_kg)]
-    pressed = [Change(0.01, arm, rows + shift) for shift in 0.01 * np.eye(3)]
-    return [*(Change(step, one) for one in moved), *pressed]
+    pressed = [Variation(0.01, arm, rows + shift) for shift in 0.01 * np.eye(3)]
+    return [*(Variation(step, one) for one in moved), *pressed]
 
 
 def statics() -> None:

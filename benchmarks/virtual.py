@@ -76,35 +76,39 @@ def _duration_s(archive: Path) -> float:
 def parts(protocol: str) -> None:
     """Time the parts of a run in this process."""
     begun = time.process_time()
-    from rig import experiment, reporter, screens, terminal  # noqa: F401 - what the command imports
-    from rig.cameras.mock import MockCamera
-    from rig.executor import pictures, tick, virtual
-    from rig.observer import Observer
+    from rig.cli import run_output, terminal  # noqa: F401 - what the command imports
+    from rig.control import control_loop
+    from rig.experiment import report_process
+    from rig.experiment import run as experiment
+    from rig.hardware.cameras.mock import MockCamera
+    from rig.observation import picture_recorder
+    from rig.observation.observer import Observer
     from rig.simulator.plant import Plant
+    from rig.virtual import executor
 
     imports_s = time.process_time() - begun
     watch = Stopwatch()
-    virtual.ThreadPoolExecutor = _Beside  # type: ignore[attr-defined,assignment]
-    watch.around(virtual._VirtualRun, "__init__", "start")
-    watch.around(virtual._VirtualRun, "_tick", "the loop itself")
-    watch.around(tick.Ticker, "tick", "control")
+    executor.ThreadPoolExecutor = _Beside  # type: ignore[attr-defined,assignment]
+    watch.around(executor._VirtualRun, "__init__", "start")
+    watch.around(executor._VirtualRun, "_tick", "the loop itself")
+    watch.around(control_loop.ControlLoop, "tick", "control")
     watch.around(Plant, "advance", "plant")
     watch.around(MockCamera, "expose", "camera")
     watch.around(MockCamera, "develop", "camera")
     watch.around(Observer, "step", "observer, the rest")
     watch.around(_eyes(), "measure", "eye")
     watch.around(_companion(), "follow", "model")
-    watch.around(pictures.Album, "pictures", "pictures kept")
-    watch.around(virtual._VirtualRun, "_flush", "recording")
+    watch.around(picture_recorder.PictureRecorder, "pictures", "pictures kept")
+    watch.around(executor._VirtualRun, "_flush", "recording")
     watch.around(experiment, "finalise", "archive")
-    watch.around(reporter, "here", "report")
+    watch.around(report_process, "here", "report")
     with tempfile.TemporaryDirectory() as folder:
         request = experiment.request(protocol, "mock", folder=Path(folder), fast=True, seed=1, report=False)
         decided = experiment.plan(request)
         begun = time.process_time()
         left = experiment.run(request, decided, _Nobody())
         assert left.archive is not None
-        reporter.here(left.archive)
+        report_process.here(left.archive)
         spent = time.process_time() - begun
         result = {"imports": imports_s, **watch.spent_s}
     result["else"] = spent - sum(watch.spent_s.values())
@@ -117,15 +121,15 @@ def parts(protocol: str) -> None:
 
 
 def _eyes() -> Any:
-    from rig.eyes import Eyes
+    from rig.observation.multi_camera import MultiCameraTipEstimator
 
-    return Eyes
+    return MultiCameraTipEstimator
 
 
 def _companion() -> Any:
-    from rig.observer import _InMotion
+    from rig.observation.observer import _DynamicModel
 
-    return _InMotion
+    return _DynamicModel
 
 
 class _Beside:

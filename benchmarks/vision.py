@@ -19,14 +19,14 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.board import Board, grey
 from calibration.dlt import DLT
-from calibration.frames import Rigid
-from calibration.lens import Lens
-from calibration.multiview import board_pose
-from calibration.planar import PlaneOfMotion
-from calibration.pose import Pose
-from calibration.tracking import Tracker
+from calibration.vision.board import Board, grey
+from calibration.vision.lens import Lens
+from calibration.vision.multiview_pose import board_pose
+from calibration.vision.planar_motion import PlaneOfMotion
+from calibration.vision.pose import Pose
+from calibration.vision.tracker import Tracker
+from calibration.vision.transforms import RigidTransform
 from rig.simulator.scene import Optics, Scene
 
 if __package__:
@@ -40,7 +40,7 @@ BOARD = Board(7, 6, 0.008)
 TIP_IN_BOARD = np.array([0.0, 0.0, -0.030])
 CHI2_95_3 = 7.815
 FACING = np.diag([1.0, -1.0, -1.0])
-Draw = Callable[[Rigid, int], NDArray[np.uint8]]
+Draw = Callable[[RigidTransform, int], NDArray[np.uint8]]
 """A picture of the board's frame in the camera's, and its number."""
 
 
@@ -63,7 +63,7 @@ class Setting:
         return Lens.of(self.focal_px, self.focal_px, width / 2 + 3, height / 2 - 2, (-0.1, 0.05, 0.0003, -0.0002, 0.0))
 
     @property
-    def places(self) -> list[Rigid]:
+    def places(self) -> list[RigidTransform]:
         """The cameras in the world, whose z axis is the line of sight of a camera at 0 deg."""
         return [_place(np.deg2rad(angle), self.distance_m) for angle in self.angles_deg]
 
@@ -96,13 +96,13 @@ LOOKS = {
 PLANAR_TILT_RAD = float(np.deg2rad(5.0))
 
 
-def _place(angle: float, distance: float) -> Rigid:
+def _place(angle: float, distance: float) -> RigidTransform:
     forward = np.array([-np.sin(angle), 0.0, np.cos(angle)])
     down = np.array([0.0, 1.0, 0.0])
-    return Rigid(np.column_stack([np.cross(down, forward), down, forward]), -distance * forward)
+    return RigidTransform(np.column_stack([np.cross(down, forward), down, forward]), -distance * forward)
 
 
-def motion(setting: Setting, frames: int) -> Iterator[Rigid]:
+def motion(setting: Setting, frames: int) -> Iterator[RigidTransform]:
     """The board in the world: it swings, rolls and changes its tilt, never twice alike."""
     low, high = setting.tilt_deg
     for k in range(frames):
@@ -111,11 +111,11 @@ def motion(setting: Setting, frames: int) -> Iterator[Rigid]:
         roll = np.deg2rad(35) * np.sin(0.531 * a)
         if setting.planar:
             tilt = PLANAR_TILT_RAD
-        about = Rigid.from_vectors((0.0, 0.0, roll), (0.0, 0.0, 0.0)).rotation
-        back = Rigid.from_vectors((tilt, 0.0, 0.0), (0.0, 0.0, 0.0)).rotation
+        about = RigidTransform.from_vectors((0.0, 0.0, roll), (0.0, 0.0, 0.0)).rotation
+        back = RigidTransform.from_vectors((tilt, 0.0, 0.0), (0.0, 0.0, 0.0)).rotation
         depth = 0.0 if setting.planar else 0.01 * np.sin(0.219 * a)
         place = np.array([0.06 * np.sin(0.731 * a), 0.03 * np.cos(0.413 * a), depth])
-        yield Rigid(about @ FACING @ back, place)
+        yield RigidTransform(about @ FACING @ back, place)
 
 
 @dataclass(frozen=True)
@@ -155,14 +155,14 @@ def _known(setting: Setting) -> PlaneOfMotion | None:
     """The board moves and turns in a plane across the line of sight, to 0.1 mm and 0.05 deg."""
     if not setting.planar:
         return None
-    board_in_tip = Rigid(_tilted(PLANAR_TILT_RAD).rotation, np.zeros(3))
-    tip = Rigid(board_in_tip.rotation, -board_in_tip.rotation @ TIP_IN_BOARD)
+    board_in_tip = RigidTransform(_tilted(PLANAR_TILT_RAD).rotation, np.zeros(3))
+    tip = RigidTransform(board_in_tip.rotation, -board_in_tip.rotation @ TIP_IN_BOARD)
     through = np.array([0.0, 0.0, float((FACING @ tip.rotation @ TIP_IN_BOARD)[2])])
     return PlaneOfMotion(np.array([0.0, 0.0, 1.0]), through, 1e-4, np.deg2rad(0.05), tip, setting.places[0])
 
 
-def _tilted(angle: float) -> Rigid:
-    return Rigid.from_vectors((angle, 0.0, 0.0), (0.0, 0.0, 0.0))
+def _tilted(angle: float) -> RigidTransform:
+    return RigidTransform.from_vectors((angle, 0.0, 0.0), (0.0, 0.0, 0.0))
 
 
 def measure(setting: Setting, frames: int, draw: list[Draw]) -> Result:
@@ -191,7 +191,7 @@ def measure(setting: Setting, frames: int, draw: list[Draw]) -> Result:
 
 
 def _tip(
-    trackers: list[Tracker], cameras: list[DLT], places: list[Rigid], pictures: list[NDArray[np.uint8]]
+    trackers: list[Tracker], cameras: list[DLT], places: list[RigidTransform], pictures: list[NDArray[np.uint8]]
 ) -> tuple[Floats, Floats] | None:
     sightings = [tracker.see(grey(picture)) for tracker, picture in zip(trackers, pictures, strict=True)]
     if any(s.pose is None for s in sightings):
@@ -246,7 +246,7 @@ def speed(optics: Optics) -> None:
         place = setting.places[0]
         boards = list(motion(setting, 150))
         pictures = [draw(place.inverse() @ board, k) for k, board in enumerate(boards)]
-        nothing = draw(Rigid(np.eye(3), np.array([9.0, 0.0, 1.0])), 0)
+        nothing = draw(RigidTransform(np.eye(3), np.array([9.0, 0.0, 1.0])), 0)
         follower = Tracker(BOARD, setting.lens)
         following = _cpu_ms((follower.see, picture) for picture in pictures)
         finding = _cpu_ms((Tracker(BOARD, setting.lens).see, picture) for picture in pictures[:60])

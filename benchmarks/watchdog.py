@@ -27,8 +27,8 @@ from itertools import repeat
 from pathlib import Path
 
 from scripts.faults.catalogue import CONTROL
+from scripts.faults.fault_trial import EndedBeforeError
 from scripts.faults.realtime import WatchedRun
-from scripts.faults.trial import EndedBeforeError
 
 KINDS = {"killed": (signal.SIGKILL, 10.0), "hung": (signal.SIGSTOP, 50.0)}
 """What is done to control, and the median allowed [ms]."""

@@ -11,10 +11,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.corners import sharpen, spacing
-from calibration.coverage import Coverage, look
-from calibration.lens import Lens
+from calibration.view_coverage import ViewCoverage, view_geometry
 from calibration.views import View, views_in
+from calibration.vision.corners import sharpen, spacing
+from calibration.vision.lens import Lens
 
 Floats = NDArray[np.float64]
 Image = NDArray[np.uint8]
@@ -91,10 +91,10 @@ class CameraCalibration:
         return Lens.of(fx, fy, cx, cy, tuple(distortion))
 
     @property
-    def coverage(self) -> Coverage:
+    def coverage(self) -> ViewCoverage:
         """What the views show of picture, tilt and distance."""
         size, lens = (self.width_px, self.height_px), self.lens
-        return Coverage(size, [look(v.corners_px, self.corners, size, lens) for v in self.views])
+        return ViewCoverage(size, [view_geometry(v.corners_px, self.corners, size, lens) for v in self.views])
 
     @property
     def advice(self) -> tuple[str, ...]:

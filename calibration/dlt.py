@@ -18,8 +18,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.frames import Rigid
-from calibration.lens import Lens
+from calibration.vision.lens import Lens
+from calibration.vision.transforms import RigidTransform
 
 Floats = NDArray[np.float64]
 
@@ -51,7 +51,7 @@ class DLT:
     lens: Lens | None = None
 
     @classmethod
-    def of_camera(cls, lens: Lens, camera_in_world: Rigid) -> DLT:
+    def of_camera(cls, lens: Lens, camera_in_world: RigidTransform) -> DLT:
         """Return the coefficients of a camera whose lens and place are known, the latter to its stated uncertainty."""
         coefficients = _placed(lens, camera_in_world)
         slips = [(np.eye(3)[k] * _SLIP, np.zeros(3)) for k in range(3)]
@@ -93,7 +93,7 @@ class DLT:
         return pixels if self.lens is None else undistort(pixels, self.lens)
 
 
-def decompose(dlt: DLT) -> tuple[Lens, Rigid]:
+def decompose(dlt: DLT) -> tuple[Lens, RigidTransform]:
     """The pinhole and the camera in the world that a camera's coefficients are; its skew is left out of the lens."""
     matrix = dlt.matrix
     # RQ by QR of the reversed matrix; signs such that the focal lengths are positive.
@@ -105,16 +105,18 @@ def decompose(dlt: DLT) -> tuple[Lens, Rigid]:
         rotation = -rotation
     upper = upper / upper[2, 2]
     lens = Lens.of(upper[0, 0], upper[1, 1], upper[0, 2], upper[1, 2])
-    return lens, Rigid(np.asarray(rotation.T), dlt.centre_m)
+    return lens, RigidTransform(np.asarray(rotation.T), dlt.centre_m)
 
 
-def _placed(lens: Lens, camera_in_world: Rigid) -> Floats:
+def _placed(lens: Lens, camera_in_world: RigidTransform) -> Floats:
     world_in_camera = camera_in_world.inverse()
     return _coefficients(lens.matrix @ np.column_stack([world_in_camera.rotation, world_in_camera.translation_m]))
 
 
-def _slipped(frame: Rigid, turn_rad: Floats, shift_m: Floats) -> Rigid:
-    return Rigid(Rigid.from_vectors(turn_rad, shift_m).rotation @ frame.rotation, frame.translation_m + shift_m)
+def _slipped(frame: RigidTransform, turn_rad: Floats, shift_m: Floats) -> RigidTransform:
+    return RigidTransform(
+        RigidTransform.from_vectors(turn_rad, shift_m).rotation @ frame.rotation, frame.translation_m + shift_m
+    )
 
 
 def undistort(pixels: Floats, lens: Lens) -> Floats:
@@ -150,7 +152,7 @@ def calibrate(control_points_m: Floats, pixels: Floats, lens: Lens | None = None
 
 
 @dataclass(frozen=True)
-class Points:
+class ReconstructedPoints:
     """Reconstructed points `m` (n, 3), their covariance (n, 3, 3) [m^2] and residual rms over the cameras (n,) [px]."""
 
     m: Floats
@@ -160,7 +162,7 @@ class Points:
 
 def reconstruct(
     cameras: Sequence[DLT], pixels: Sequence[Floats], covariances: Sequence[Floats] | None = None
-) -> Points:
+) -> ReconstructedPoints:
     """Points from two or more cameras' pixels, each (n, 2), with covariances (n, 2, 2) where they are known.
 
     Linear intersection, then least squares of the residuals. The covariance holds that of the pixels and that of the
@@ -196,7 +198,7 @@ def reconstruct(
     if not np.all(np.isfinite(rest)):
         raise DLTError("the cameras' rays do not meet")
     residual = np.sqrt(np.mean(np.sum(rest**2, axis=2), axis=0))
-    return Points(points, np.asarray(np.linalg.inv(total)), np.asarray(residual))
+    return ReconstructedPoints(points, np.asarray(np.linalg.inv(total)), np.asarray(residual))
 
 
 def _meet(matrices: Sequence[Floats], seen: Floats) -> Floats:

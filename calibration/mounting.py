@@ -15,13 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from calibration.board import Board, find
 from calibration.camera import CalibrationError
-from calibration.corners import sharpen
-from calibration.frames import Rigid
-from calibration.lens import Lens
-from calibration.pose import Pose, solutions
 from calibration.views import View
+from calibration.vision.board import Board, find
+from calibration.vision.corners import sharpen
+from calibration.vision.lens import Lens
+from calibration.vision.pose import Pose, solutions
+from calibration.vision.transforms import RigidTransform
 
 Floats = NDArray[np.float64]
 
@@ -47,7 +47,7 @@ class MountedView:
 class Mounting:
     """The board in the tip frame, with covariance (6, 6) of translation [m] and rotation [rad, tip axes]."""
 
-    board_in_tip: Rigid
+    board_in_tip: RigidTransform
     covariance: Floats
     views: tuple[MountedView, ...]
     left_out: tuple[tuple[str, str, str], ...] = ()
@@ -55,7 +55,7 @@ class Mounting:
 
 
 @dataclass(frozen=True)
-class _Sight:
+class _MountingView:
     view: View
     turned: bool
     corners_px: Floats
@@ -67,8 +67,8 @@ def mount(
     turned: Sequence[View],
     board: Board,
     lens: Lens,
-    tip_in_camera: Rigid,
-    stated: Rigid,
+    tip_in_camera: RigidTransform,
+    stated: RigidTransform,
 ) -> Mounting:
     """Find the board in the tip frame.
 
@@ -88,7 +88,7 @@ def mount(
                 continue
             poses = solutions(board.corners_m, corners.px, lens, corners.covariance, corners.unexplained)
             if poses:
-                sights.append(_Sight(view, is_turned, corners.px, poses))
+                sights.append(_MountingView(view, is_turned, corners.px, poses))
             else:
                 left_out.append((view.name, "its corners give no pose", view.sha256))
     if all(sight.turned for sight in sights):
@@ -107,7 +107,9 @@ def mount(
         left_out.append((gone.view.name, why, gone.view.sha256))
 
 
-def _solve(sights: Sequence[_Sight], board: Board, lens: Lens, prior: Rigid, stated: Rigid) -> Mounting:
+def _solve(
+    sights: Sequence[_MountingView], board: Board, lens: Lens, prior: RigidTransform, stated: RigidTransform
+) -> Mounting:
     chosen = [_likely(sight, prior, stated) for sight in sights]
     first = next(pose for sight, pose in zip(sights, chosen, strict=True) if not sight.turned)
     start = prior.inverse() @ first.rigid
@@ -118,11 +120,11 @@ def _solve(sights: Sequence[_Sight], board: Board, lens: Lens, prior: Rigid, sta
     stds = np.array([max(prior.rotation_std_rad, 1e-7)] * 3 + [max(prior.translation_std_m, 1e-8)] * 3)
     points = board.corners_m
 
-    def poses(x: Floats) -> list[Rigid]:
+    def poses(x: Floats) -> list[RigidTransform]:
         # The tip moves about itself, in the camera's axes.
-        tip = Rigid(Rigid.from_vectors(stds[:3] * x[:3], (0, 0, 0)).rotation @ prior.rotation,
+        tip = RigidTransform(RigidTransform.from_vectors(stds[:3] * x[:3], (0, 0, 0)).rotation @ prior.rotation,
                     prior.translation_m + stds[3:] * x[3:6])  # fmt: skip
-        mounted = Rigid.from_vectors(x[6:9], x[9:12])
+        mounted = RigidTransform.from_vectors(x[6:9], x[9:12])
         left = iter(x[12:])
         return [tip @ _about_z(next(left) if s.turned else 0.0) @ mounted for s in sights]
 
@@ -139,17 +141,17 @@ def _solve(sights: Sequence[_Sight], board: Board, lens: Lens, prior: Rigid, sta
     squares = float(solved.fun @ solved.fun)
     scale = max(squares / max(len(solved.fun) - len(x), 1), 1.0)
     covariance = np.linalg.pinv(solved.jac.T @ solved.jac, hermitian=True) * scale
-    mounted = Rigid.from_vectors(x[6:9], x[9:12])
+    mounted = RigidTransform.from_vectors(x[6:9], x[9:12])
     # Rotation vector -> turn in the tip's axes about the board's centre.
     slope = np.zeros((6, 6))
     slope[:3, 3:] = np.eye(3)
     for k in range(3):
         step = 1e-6 * (np.arange(3) == k)
-        off = Rigid.from_vectors(x[6:9] + step, (0, 0, 0)).rotation @ mounted.rotation.T
+        off = RigidTransform.from_vectors(x[6:9] + step, (0, 0, 0)).rotation @ mounted.rotation.T
         slope[3:, k] = np.array([off[2, 1] - off[1, 2], off[0, 2] - off[2, 0], off[1, 0] - off[0, 1]]) / 2e-6
     own = slope @ covariance[6:12, 6:12] @ slope.T
     stated_std = float(np.sqrt(np.trace(own[:3, :3]) / 3)), float(np.sqrt(np.trace(own[3:, 3:]) / 3))
-    made = Rigid(mounted.rotation, mounted.translation_m, *stated_std)
+    made = RigidTransform(mounted.rotation, mounted.translation_m, *stated_std)
     left = iter(x[12:])
     views = tuple(
         MountedView(
@@ -165,7 +167,7 @@ def _solve(sights: Sequence[_Sight], board: Board, lens: Lens, prior: Rigid, sta
     return Mounting(made, np.asarray(own), views)
 
 
-def _likely(sight: _Sight, prior: Rigid, stated: Rigid) -> Pose:
+def _likely(sight: _MountingView, prior: RigidTransform, stated: RigidTransform) -> Pose:
     """The pose of a view: the better one, or where that is hardly better the one nearer to what is stated."""
     best = sight.poses[0]
     near = [pose for pose in sight.poses if pose.misfit <= _FLIP * best.misfit]
@@ -177,14 +179,14 @@ def _likely(sight: _Sight, prior: Rigid, stated: Rigid) -> Pose:
     return min(near, key=off)
 
 
-def _turn(prior: Rigid, board_in_camera: Rigid, mounted: Rigid) -> float:
+def _turn(prior: RigidTransform, board_in_camera: RigidTransform, mounted: RigidTransform) -> float:
     """Angle [rad] about the tip's z axis that brings the mounted board nearest to where it is seen."""
     r = prior.rotation.T @ board_in_camera.rotation @ mounted.rotation.T
     return float(np.arctan2(r[1, 0] - r[0, 1], r[0, 0] + r[1, 1]))
 
 
-def _about_z(angle_rad: float) -> Rigid:
-    return Rigid.from_vectors((0.0, 0.0, angle_rad), (0.0, 0.0, 0.0))
+def _about_z(angle_rad: float) -> RigidTransform:
+    return RigidTransform.from_vectors((0.0, 0.0, angle_rad), (0.0, 0.0, 0.0))
 
 
 def _angle(a: Floats, b: Floats) -> float:

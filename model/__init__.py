@@ -6,11 +6,11 @@ from model.geometry import Geometry
 from model.loads import Loads
 from model.material import Material
 from model.shape import Shape
-from model.tube import Ballooned, Stretch, Tube
+from model.tube import BallooningError, Stretch, Tube
 
 __all__ = [
     "Arm",
-    "Ballooned",
+    "BallooningError",
     "Geometry",
     "Loads",
     "Material",

@@ -11,12 +11,12 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from model import layout
 from model.arm import Arm
-from model.axis import equilibria
-from model.dynamics import Motion
-from model.problem import SOLVED, Problem
-from model.shooting import Room
+from model.dynamics import Trajectory
+from model.kernel_arguments import SOLVED, KernelArguments
+from model.kernels import layout
+from model.kernels.axis import equilibria
+from model.kernels.shooting import Workspace
 from model.statics import steps_along
 
 Array = NDArray[np.float64]
@@ -49,14 +49,14 @@ def statics(
     good = np.empty(count, dtype=np.bool_)
 
     def part(span: range) -> None:
-        room = Room.of(steps)
+        room = Workspace.of(steps)
         for start in range(span.start, span.stop, AT_ONCE):
             at = slice(start, min(start + AT_ONCE, span.stop))
             if len(given) == 1:
-                mine, problems = given, [Problem.of(given[0], rows[at])]
+                mine, problems = given, [KernelArguments.of(given[0], rows[at])]
             else:
                 mine = given[at]
-                problems = [Problem.of(arm, row[None]) for arm, row in zip(mine, rows[at], strict=True)]
+                problems = [KernelArguments.of(arm, row[None]) for arm, row in zip(mine, rows[at], strict=True)]
             loads = [problem.load(arm, None, steps) for problem, arm in zip(problems, mine, strict=True)]
             first = problems[0]
             works = layout.aligned(len(problems), len(first.prepared))
@@ -83,12 +83,12 @@ def motions(
     alpha: float = -0.2,
     nodes: int | None = None,
     workers: int | None = None,
-) -> list[Motion]:
+) -> list[Trajectory]:
     """B motions under pressure_pa (B, T + 1, N) [Pa], each starting at rest under its first row."""
     paths = np.array(pressure_pa, dtype=np.float64)
     given = [arms] if isinstance(arms, Arm) else list(arms)
     _check(given, paths, 3)
-    found: dict[int, Motion] = {}
+    found: dict[int, Trajectory] = {}
 
     def part(span: range) -> None:
         for b in span:

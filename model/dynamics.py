@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from model.axis import motion
-from model.layout import STATE, aligned
+from model.kernel_arguments import CLOSE, KernelArguments, pressures
+from model.kernels.axis import motion
+from model.kernels.layout import STATE, aligned
+from model.kernels.shooting import workspace_in, workspace_size
+from model.kernels.time_stepping import initialise_history
 from model.loads import Loads
-from model.march import settle
-from model.problem import CLOSE, Problem, pressures
 from model.schemes import Scheme
 from model.shape import Shape
-from model.shooting import room_in, room_size
 from model.statics import shape, states, steps_along
 
 if TYPE_CHECKING:
@@ -29,7 +29,7 @@ MOST_NODES = 20_000
 
 
 @dataclass(frozen=True)
-class Motion:
+class Trajectory:
     """The tip over T time steps: tip_m (T, 3), tip_rotation (T, 3, 3), ok (T,)."""
 
     tip_m: Array
@@ -86,21 +86,21 @@ class Dynamics:
     def start(self, pressure_pa: ArrayLike, loads: Loads | None = None) -> Shape:
         """Begin at rest under gauge pressures (N,) [Pa]; raises as `Arm.statics` does."""
         pressure = pressures(self._arm, pressure_pa)
-        resting = Problem.of(self._arm, pressure[None])
+        resting = KernelArguments.of(self._arm, pressure[None])
         self.begin(resting, pressure, resting.tip(loads), *resting.load(self._arm, loads, self._nodes))
         self._loads = loads
         return shape(self._arm, self._problem, self._x, ok=True)
 
-    def begin(self, resting: Problem, pressure: Array, tip: Array, load: Array, loaded: bool) -> None:
+    def begin(self, resting: KernelArguments, pressure: Array, tip: Array, load: Array, loaded: bool) -> None:
         """What `start` does, with all that hangs on the arm in the kernels' words; the arm at rest is prepared."""
         n = self._nodes
         self._x = states(resting, pressure, tip, load, loaded)
-        self._problem = Problem.of(self._arm, pressure[None], self._scheme.c0)
+        self._problem = KernelArguments.of(self._arm, pressure[None], self._scheme.c0)
         self._work = self._problem.work()
-        self._pool = aligned(room_size(n))
-        self._room = room_in(self._pool, n)
+        self._pool = aligned(workspace_size(n))
+        self._room = workspace_in(self._pool, n)
         self._trail = aligned(2, 2 * n + 2, STATE)
-        settle(self._coefficients, self._x, self._trail, resting.length_m, self._room)
+        initialise_history(self._coefficients, self._x, self._trail, resting.length_m, self._room)
         self._before = np.stack([pressure] * 3)
         self._loads, self._tip, self._load, self._loaded = None, tip, load, loaded
         self._started = True
@@ -119,7 +119,7 @@ class Dynamics:
         moved = self._advance(pressure[None])
         return shape(self._arm, self._problem, self._x, ok=bool(moved.ok[0]))
 
-    def run(self, pressure_pa: ArrayLike) -> Motion:
+    def run(self, pressure_pa: ArrayLike) -> Trajectory:
         """Advance through the rows of pressure_pa (T, N) [Pa] in one call, with the loads of the last step.
 
         What `step` does T times, without Python in between; a step that cannot be solved keeps the last good tip and
@@ -133,11 +133,11 @@ class Dynamics:
             raise ValueError(f"pressure_pa must be rows of {actuators} numbers, got shape {rows.shape}")
         return self._advance(rows)
 
-    def _advance(self, rows: Array) -> Motion:
+    def _advance(self, rows: Array) -> Trajectory:
         if self._arm.frozen and len(rows):
             if not np.isfinite(rows).all():
                 raise ValueError(NOT_FINITE)
-            self._problem = Problem.of(self._arm, rows, self._scheme.c0)
+            self._problem = KernelArguments.of(self._arm, rows, self._scheme.c0)
             self._work = self._problem.work()
         problem, count = self._problem, len(rows)
         tips, turns, good = np.empty((count, 3)), np.empty((count, 3, 3)), np.empty(count, dtype=np.bool_)
@@ -149,7 +149,7 @@ class Dynamics:
         )  # fmt: skip
         if passes < 0:
             raise ValueError(NOT_FINITE)
-        return Motion(tips, turns, good)
+        return Trajectory(tips, turns, good)
 
     def _set_loads(self, loads: Loads | None) -> None:
         self._tip = self._problem.tip(loads)

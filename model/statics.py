@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from model.axis import axis
 from model.errors import NotConverged
+from model.kernel_arguments import SOLVED, KernelArguments, pressures
+from model.kernels.axis import axis
+from model.kernels.shooting import workspace_for
+from model.kernels.time_stepping import equilibrium
 from model.loads import Loads
-from model.march import equilibrium
-from model.problem import SOLVED, Problem, pressures
 from model.shape import Shape
-from model.shooting import room_for
 
 if TYPE_CHECKING:
     from model.arm import Arm
@@ -26,7 +26,7 @@ Array = NDArray[np.float64]
 def solve(arm: Arm, pressure_pa: ArrayLike, loads: Loads | None, nodes: int | None) -> Shape:
     """Behind `Arm.statics`."""
     pressure = pressures(arm, pressure_pa)
-    problem = Problem.of(arm, pressure[None])
+    problem = KernelArguments.of(arm, pressure[None])
     x = states(problem, pressure, problem.tip(loads), *problem.load(arm, loads, steps_along(arm, nodes)))
     return shape(arm, problem, x, ok=True)
 
@@ -40,12 +40,12 @@ def steps_along(arm: Arm, nodes: int | None) -> int:
     return nodes
 
 
-def states(problem: Problem, pressure: Array, tip: Array, load: Array, loaded: bool) -> Array:
+def states(problem: KernelArguments, pressure: Array, tip: Array, load: Array, loaded: bool) -> Array:
     """States at the nodes, then their slopes, (2 N + 2, 16), of the arm at rest; raises NotConverged.
 
     tip, load and loaded: as of `Problem`.
     """
-    room = room_for(len(load) // 12)
+    room = workspace_for(len(load) // 12)
     passes = equilibrium(
         problem.work(), problem.law, problem.actuators, problem.rest[0], problem.per_pressure[0], problem.free_per_pa,
         pressure, load, loaded, tip, problem.length_m, problem.scale, room, SOLVED,
@@ -64,7 +64,7 @@ def _points(length_m: float, n: int) -> Array:
     return s
 
 
-def shape(arm: Arm, problem: Problem, x: Array, ok: bool) -> Shape:
+def shape(arm: Arm, problem: KernelArguments, x: Array, ok: bool) -> Shape:
     """The arm's axis from solved states."""
     n = len(x) // 2
     p, rotation, v, u = np.empty((n, 3)), np.empty((n, 3, 3)), np.empty((n, 3)), np.empty((n, 3))

@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 _POINTS, _WEIGHTS = np.polynomial.legendre.leggauss(12)
 
 
-class Ballooned(Exception):  # noqa: N818 - the outcome is the name
+class BallooningError(Exception):
     """No equilibrium under the load asked for. `limit` is the load [Pa or N] at which it is lost."""
 
     def __init__(self, asked: float, limit: float, unit: str) -> None:
@@ -146,20 +146,20 @@ class Tube:
             if tangent @ heading < 0:
                 tangent = -tangent
             if tangent[2] * goal < 0:
-                raise Ballooned(target, float(z[2] * unit), name)
+                raise BallooningError(target, float(z[2] * unit), name)
             heading = tangent
             moved = _correct(lack, slope, z + stride * tangent, tangent)
             if moved is None:
                 stride /= 2
                 if stride < 1e-9:
-                    raise Ballooned(target, float(z[2] * unit), name)
+                    raise BallooningError(target, float(z[2] * unit), name)
                 continue
             if (moved[2] - goal) * goal >= 0:
                 start = z + (moved - z) * (goal - z[2]) / (moved[2] - z[2])
                 start[2] = goal
                 final = _correct(lack, slope, start, np.array([0.0, 0.0, 1.0]))
                 if final is None:
-                    raise Ballooned(target, float(z[2] * unit), name)
+                    raise BallooningError(target, float(z[2] * unit), name)
                 return Stretch(float(final[0]), float(final[1]))
             z = moved
             stride = min(1.3 * stride, 0.05)

@@ -12,9 +12,9 @@ def main() -> int:
     try:
         from model import batch
         from model.arm import Arm
-        from model.compiled import cache_folder
-        from model.gradient import motion, tip_gradient
-        from model.paper import PaperRod
+        from model.kernels.jit import cache_folder
+        from model.paper.rod import PaperRod
+        from model.sensitivities import motion, tip_gradient
 
         print(f"model.warm: kernels are kept in {cache_folder()}", flush=True)
         for variant in ("homogeneous", "inhomogeneous+rpe"):

@@ -1,7 +1,7 @@
 """What the experimenter asks for: protocols in YAML, checked, and their set-points over time."""
 
 from protocols.library import Protocol, load, named
-from protocols.problems import BadInput, Problem
+from protocols.problems import BadInputError, Problem
 from protocols.trajectory import Prompt, Segment, Trajectory
 
-__all__ = ["BadInput", "Problem", "Prompt", "Protocol", "Segment", "Trajectory", "load", "named"]
+__all__ = ["BadInputError", "Problem", "Prompt", "Protocol", "Segment", "Trajectory", "load", "named"]

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import yaml
 
-from protocols.marks import Document, Reader, TooDeep, compose, shortened
-from protocols.problems import BadInput, Problem
+from protocols.problems import BadInputError, Problem
+from protocols.source_positions import Document, Reader, TooDeepError, compose, shortened
 from protocols.validation import validate
 
 __all__ = ["Document", "parse", "read", "read_text", "validate"]
@@ -26,8 +26,8 @@ def read(path: Path) -> Document:
 def read_text(path: Path, largest: int) -> str:
     """The text of a UTF-8 file of at most `largest` bytes, its lines ended by a line feed; or `BadInput`."""
 
-    def bad(expected: str, line: int = 0, column: int = 0, value: str = "") -> BadInput:
-        return BadInput([Problem(str(path), line, column, "", value, expected)])
+    def bad(expected: str, line: int = 0, column: int = 0, value: str = "") -> BadInputError:
+        return BadInputError([Problem(str(path), line, column, "", value, expected)])
 
     try:
         if path.is_dir():
@@ -59,20 +59,20 @@ def parse(text: str, file: str) -> Document:
     try:
         node = compose(text)
     except yaml.YAMLError as error:
-        raise BadInput([_syntax_problem(error, text, file)]) from None
+        raise BadInputError([_syntax_problem(error, text, file)]) from None
     except RecursionError:
-        raise BadInput([Problem(file, 0, 0, "", "", "the file is nested too deeply")]) from None
+        raise BadInputError([Problem(file, 0, 0, "", "", "the file is nested too deeply")]) from None
     if node is None or (isinstance(node, yaml.ScalarNode) and not node.value and node.style is None):
-        raise BadInput([Problem(file, 0, 0, "", "", "the file is empty")])
+        raise BadInputError([Problem(file, 0, 0, "", "", "the file is empty")])
     reader = Reader(file, text)
     data, marks = reader.value(node, ())
     if reader.too_large:
         expected = "the file is too large: with its aliases (*name) spelt out it has far too many values"
-        raise BadInput([Problem(file, 0, 0, "", "", expected)])
+        raise BadInputError([Problem(file, 0, 0, "", "", expected)])
     if not isinstance(data, dict):
         kind = "a list" if isinstance(data, list) else shortened(marks.source)
         expected = "a mapping ('key: value' lines) at the top of the file"
-        raise BadInput([Problem(file, marks.line, marks.column, "", kind, expected)])
+        raise BadInputError([Problem(file, marks.line, marks.column, "", kind, expected)])
     return Document(file, text, data, marks, tuple(reader.problems), frozenset(reader.soft))
 
 
@@ -95,7 +95,7 @@ _SYNTAX = (
 
 def _syntax_problem(error: yaml.YAMLError, text: str, file: str) -> Problem:
     """One plain sentence for what PyYAML says about the text."""
-    if isinstance(error, TooDeep):
+    if isinstance(error, TooDeepError):
         mark = error.problem_mark
         return Problem(file, mark.line + 1 if mark else 0, 0, "", "", "the file is nested too deeply")
     if isinstance(error, yaml.reader.ReaderError):

@@ -10,12 +10,12 @@ from pathlib import Path
 from typing import Any
 
 from protocols import document as yaml_document
+from protocols.csv_samples import Columns, read_samples
 from protocols.document import Document
-from protocols.expand import expand, too_long
-from protocols.marks import path_text, shortened
-from protocols.problems import BadInput, Problem
-from protocols.samples import Columns, read_samples
+from protocols.expansion import expand, too_long
+from protocols.problems import BadInputError, Problem
 from protocols.schema import Csv, ProtocolFile, Repeat, Step
+from protocols.source_positions import path_text, shortened
 from protocols.trajectory import Trajectory
 
 FOLDER = Path(__file__).parent / "library"
@@ -69,10 +69,10 @@ def load(name_or_path: str | Path) -> Protocol:
             try:
                 columns, files[step.file] = read_samples(path.parent / step.file, step.actuators)
                 samples[step.file, step.actuators] = columns
-            except BadInput as error:
+            except BadInputError as error:
                 problems += [_named_by(problem, document, here) for problem in error.problems]
     if problems:
-        raise BadInput(dict.fromkeys(problems))
+        raise BadInputError(dict.fromkeys(problems))
     return Protocol(path.stem, body.title, body.description, path, document.text, body.steps, files, document, samples)
 
 
@@ -94,7 +94,7 @@ def find(name: str, folder: Path, what: str) -> Path:
     nearby = sorted(candidates[stem] for stem in difflib.get_close_matches(given.stem, candidates))
     expected = f"there is no such file, and no {what} of that name; the names are {', '.join(names)}"
     shown = shortened(name if name.isprintable() else repr(name)) or "''"
-    raise BadInput([Problem(shown, 0, 0, "", "", expected, " or ".join(nearby))])
+    raise BadInputError([Problem(shown, 0, 0, "", "", expected, " or ".join(nearby))])
 
 
 def _leaves(steps: Sequence[Step], base: tuple[str | int, ...]) -> Iterator[tuple[tuple[str | int, ...], Any]]:

@@ -37,7 +37,7 @@ class Problem:
         return "\n".join(lines)
 
 
-class BadInput(Exception):  # noqa: N818
+class BadInputError(Exception):
     """A file, or a name, that cannot be used; `problems` has every fault found and `str()` is the full message."""
 
     def __init__(self, problems: Iterable[Problem]) -> None:

@@ -13,7 +13,7 @@ from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, model_val
 from pydantic.json_schema import SkipJsonSchema
 
 from protocols.decimals import levels_bar, uneven_stairs
-from protocols.validation import Fault, faults
+from protocols.validation import ValidationFault, faults
 
 MOST_SEGMENTS = 20_000
 LONGEST_S = 1e6
@@ -47,16 +47,16 @@ PositiveEach = Annotated[
 
 
 def _text_or_weight(value: Any) -> str:
-    return "with weight" if isinstance(value, dict | Ask) else "text"
+    return "with weight" if isinstance(value, dict | PromptStep) else "text"
 
 
-class Part(BaseModel):
+class StepPart(BaseModel):
     """A mapping of the YAML: unknown keys are errors, nothing is coerced."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
-class Motion(Part):
+class MotionStep(StepPart):
     """What the steps that move or hold pressures have in common."""
 
     label: Text | SkipJsonSchema[None] = Field(default=None, description="its name in reports")
@@ -67,29 +67,31 @@ def each(value: float | tuple[float, ...], count: int) -> tuple[float, ...]:
     return value if isinstance(value, tuple) else (value,) * count
 
 
-def _fits(actuators: Sequence[int], values: dict[str, float | tuple[float, ...] | None]) -> list[Fault]:
+def _fits(actuators: Sequence[int], values: dict[str, float | tuple[float, ...] | None]) -> list[ValidationFault]:
     found = []
     twice = sorted({number for number in actuators if list(actuators).count(number) > 1})
     if twice:
-        found.append(Fault(("actuators",), f"each actuator once; {twice[0]} is named twice"))
+        found.append(ValidationFault(("actuators",), f"each actuator once; {twice[0]} is named twice"))
     for name, value in values.items():
         if isinstance(value, tuple) and len(value) != len(actuators):
             found.append(
-                Fault((name,), f"one number, or one for each of the {len(actuators)} actuators, not {len(value)}")
+                ValidationFault(
+                    (name,), f"one number, or one for each of the {len(actuators)} actuators, not {len(value)}"
+                )
             )
     return found
 
 
-def _one_of(names: Sequence[str], given: Sequence[object]) -> list[Fault]:
+def _one_of(names: Sequence[str], given: Sequence[object]) -> list[ValidationFault]:
     present = [name for name, value in zip(names, given, strict=True) if value is not None]
     if len(present) == 1:
         return []
     if not present:
-        return [Fault((), f"needs {' or '.join(names)}")]
-    return [Fault((present[-1],), f"{' or '.join(names)}, not both")]
+        return [ValidationFault((), f"needs {' or '.join(names)}")]
+    return [ValidationFault((present[-1],), f"{' or '.join(names)}, not both")]
 
 
-class Ramp(Motion):
+class Ramp(MotionStep):
     """From where the set-points stand to `to_bar`, in `duration_s` or at `rate_bar_per_s`; linear, or smooth at both
     ends.
     """
@@ -109,7 +111,7 @@ class Ramp(Motion):
         return self
 
 
-class Staircase(Motion):
+class Staircase(MotionStep):
     """Levels from `start_bar` to `stop_bar`, both included, `step_bar` apart, each held for `dwell_s`; upwards or
     downwards. A new level is jumped to, or approached linearly in `rise_s`.
     """
@@ -126,7 +128,7 @@ class Staircase(Motion):
         found = _fits(self.actuators, {})
         uneven = uneven_stairs(self.start_bar, self.stop_bar, self.step_bar)
         if uneven:
-            found.append(Fault(("step_bar",), *uneven))
+            found.append(ValidationFault(("step_bar",), *uneven))
         faults(found)
         return self
 
@@ -135,7 +137,7 @@ class Staircase(Motion):
         return levels_bar(self.start_bar, self.stop_bar, self.step_bar)
 
 
-class Sine(Motion):
+class Sine(MotionStep):
     """mean + amplitude sin(omega t + phase), t from the start of the sinusoid. With `lead_in_s` the set-points first
     fade smoothly from where they stand into the sinusoid; without, they jump to its first value.
     """
@@ -158,22 +160,22 @@ class Sine(Motion):
         found += _one_of(("omega_rad_s", "frequency_hz"), (self.omega_rad_s, self.frequency_hz))
         found += _one_of(("duration_s", "periods"), (self.duration_s, self.periods))
         if self.phase_deg is not None and self.phase_rad is not None:
-            found.append(Fault(("phase_rad",), "phase_deg or phase_rad, not both"))
+            found.append(ValidationFault(("phase_rad",), "phase_deg or phase_rad, not both"))
         speeds = self.omega_rad_s if self.frequency_hz is None else self.frequency_hz
         if self.periods is not None and isinstance(speeds, tuple) and len(set(speeds)) > 1:
-            found.append(Fault(("periods",), "duration_s, because the frequencies differ"))
+            found.append(ValidationFault(("periods",), "duration_s, because the frequencies differ"))
         count = len(self.actuators)
         if not found:
             for mean, amplitude in zip(each(self.mean_bar, count), each(self.amplitude_bar, count), strict=True):
                 if amplitude > mean:
                     expected = f"an amplitude up to the mean ({mean:g} bar): the pressure would fall below 0"
-                    found.append(Fault(("amplitude_bar",), expected))
+                    found.append(ValidationFault(("amplitude_bar",), expected))
                     break
         faults(found)
         return self
 
 
-class Hold(Motion):
+class Hold(MotionStep):
     """Stay for `duration_s`: where the set-points stand, or, with `level_bar`, at a level jumped to at once."""
 
     duration_s: Seconds
@@ -183,12 +185,12 @@ class Hold(Motion):
     @model_validator(mode="after")
     def _check(self) -> Hold:
         if (self.actuators is None) != (self.level_bar is None):
-            faults([Fault((), "needs actuators and level_bar, or neither")])
+            faults([ValidationFault((), "needs actuators and level_bar, or neither")])
         faults(_fits(self.actuators or (), {"level_bar": self.level_bar}))
         return self
 
 
-class Csv(Motion):
+class Csv(MotionStep):
     """Set-points from a CSV file beside the protocol: a column `time_s` and a column `actuator_N_bar` for each
     actuator. Time counts from the first row. With `lead_in_s` the first values are approached smoothly.
     """
@@ -204,7 +206,7 @@ class Csv(Motion):
         return self
 
 
-class Ask(Part):
+class PromptStep(StepPart):
     """What the operator has to do; the run waits until it is confirmed. With `weight_g` the model, and a simulated
     arm, carry that weight on the end cap from then on; without, what hangs there stays.
     """
@@ -213,14 +215,14 @@ class Ask(Part):
     weight_g: Grams | SkipJsonSchema[None] = Field(default=None, description="hung on the end cap from now on")
 
 
-class Repeat(Part):
+class Repeat(StepPart):
     """Steps played several times over."""
 
     times: Annotated[int, Field(ge=1, le=MOST_SEGMENTS, strict=True)]
     steps: Annotated[tuple[Step, ...], Field(min_length=1)]
 
 
-class Step(Part):
+class Step(StepPart):
     """One step: exactly one of these."""
 
     model_config = ConfigDict(json_schema_extra={"minProperties": 1, "maxProperties": 1})
@@ -231,7 +233,9 @@ class Step(Part):
     hold: Hold | SkipJsonSchema[None] = None
     csv: Csv | SkipJsonSchema[None] = None
     prompt: (
-        Annotated[Annotated[Text, Tag("text")] | Annotated[Ask, Tag("with weight")], Discriminator(_text_or_weight)]
+        Annotated[
+            Annotated[Text, Tag("text")] | Annotated[PromptStep, Tag("with weight")], Discriminator(_text_or_weight)
+        ]
         | SkipJsonSchema[None]
     ) = Field(default=None, description="the run waits until the operator confirms")
     sequence: Annotated[tuple[Step, ...], Field(min_length=1)] | SkipJsonSchema[None] = Field(
@@ -249,14 +253,14 @@ class Step(Part):
         empty = [key for key in value if value[key] is None and key in kinds]
         rest = ", ".join(key for key in value if key not in kinds)
         if not value:
-            faults([Fault((), f"needs one of {', '.join(kinds)}")])
+            faults([ValidationFault((), f"needs one of {', '.join(kinds)}")])
         if empty and rest:
-            faults([Fault((), f"indent the lines that belong to '{empty[0]}:' further than it ({rest})")])
+            faults([ValidationFault((), f"indent the lines that belong to '{empty[0]}:' further than it ({rest})")])
         named = next((str(value[key]) for key in ("kind", "type", "step") if key in value), "")
         if named in kinds and not set(kinds) & set(value):
-            faults([Fault((), f"write the step's name as the key of all the rest: '- {named}: {{...}}'")])
+            faults([ValidationFault((), f"write the step's name as the key of all the rest: '- {named}: {{...}}'")])
         if sum(key in kinds for key in value) > 1:
-            faults([Fault((), f"write {' and '.join(value)} as separate steps, each with its own '- '")])
+            faults([ValidationFault((), f"write {' and '.join(value)} as separate steps, each with its own '- '")])
         return value
 
     @property
@@ -265,7 +269,7 @@ class Step(Part):
         return next(iter(self.model_fields_set))
 
 
-class ProtocolFile(Part):
+class ProtocolFile(StepPart):
     """A protocol: what the experimenter asks for, step after step, from 0 bar on every actuator."""
 
     title: Text

@@ -11,15 +11,15 @@ from typing import Any, TypeVar, get_args, get_origin
 from pydantic import BaseModel, TypeAdapter, ValidationError
 from pydantic_core import ErrorDetails, PydanticCustomError
 
-from protocols.describe import Expectation, unit_of
-from protocols.marks import Document, Mark, path_text, shortened
-from protocols.problems import BadInput, Problem, closest
+from protocols.expectations import Expectation, unit_of
+from protocols.problems import BadInputError, Problem, closest
+from protocols.source_positions import Document, SourcePosition, path_text, shortened
 
 Model = TypeVar("Model", bound=BaseModel)
 
 
 @dataclass(frozen=True)
-class Fault:
+class ValidationFault:
     """What a model's own check finds wrong: the path from the model to the value, and the remedy."""
 
     path: tuple[str | int, ...]
@@ -27,7 +27,7 @@ class Fault:
     suggestion: str = ""
 
 
-def faults(found: Iterable[Fault]) -> None:
+def faults(found: Iterable[ValidationFault]) -> None:
     """Raise, from inside a pydantic validator, all that was found; do nothing when nothing was."""
     listed = tuple(found)
     if listed:
@@ -38,7 +38,7 @@ def faults(found: Iterable[Fault]) -> None:
 def validate(
     model_class: type[Model],
     document: Document,
-    partial: Callable[[Mapping[str, Any]], Iterable[Fault]] | None = None,
+    partial: Callable[[Mapping[str, Any]], Iterable[ValidationFault]] | None = None,
 ) -> Model:
     """The model that the document describes, or `BadInput` with everything that is wrong with it.
 
@@ -60,7 +60,7 @@ def validate(
         said = {(problem.line, problem.column) for problem in problems}
         problems += [problem for problem in found if (problem.line, problem.column) not in said]
     if problems or model is None:
-        raise BadInput(sorted(_once(problems), key=lambda problem: (problem.line, problem.column)))
+        raise BadInputError(sorted(_once(problems), key=lambda problem: (problem.line, problem.column)))
     return model
 
 
@@ -69,7 +69,7 @@ def _refuse_other_kind(model_class: type[BaseModel], document: Document) -> None
     needed = [name for name, field in model_class.model_fields.items() if field.is_required()]
     if document.data and not any(closest(key, needed) for key in document.data):
         expected = f"{', '.join(needed)}: is this another kind of file?"
-        raise BadInput([Problem(document.file, 1, 1, "", shortened(", ".join(document.data)), expected)])
+        raise BadInputError([Problem(document.file, 1, 1, "", shortened(", ".join(document.data)), expected)])
 
 
 def _once(problems: Iterable[Problem]) -> list[Problem]:
@@ -135,7 +135,7 @@ class _Translator:
             return hasattr(value, "__len__") and len(value) >= error["ctx"]["min_length"]
         return error["type"] == "none_required"
 
-    def fault(self, base: tuple[str | int, ...], fault: Fault) -> Problem:
+    def fault(self, base: tuple[str | int, ...], fault: ValidationFault) -> Problem:
         """The problem of a fault inside the value at `base`."""
         path = (*base, *fault.path)
         mark = self._document.mark(path)
@@ -181,7 +181,7 @@ class _Translator:
         absent = [key for key in known if not self._exists((*path[:-1], key))]
         return closest(str(path[-1]), absent) or closest(str(path[-1]), known)
 
-    def _suggestion(self, path: tuple[str | int, ...], mark: Mark) -> str:
+    def _suggestion(self, path: tuple[str | int, ...], mark: SourcePosition) -> str:
         """A repair of the value that fits what the place expects."""
         schema = self._expectation.at(path, self._document.data)
         value = self._value(path)
@@ -233,13 +233,15 @@ class _Translator:
                 return None
         return data
 
-    def _problem(self, mark: Mark, path: tuple[str | int, ...], value: str, expected: str, suggestion: str) -> Problem:
+    def _problem(
+        self, mark: SourcePosition, path: tuple[str | int, ...], value: str, expected: str, suggestion: str
+    ) -> Problem:
         return Problem(
             self._document.file, mark.line, mark.column, path_text(path), shortened(value), expected, suggestion
         )
 
 
-def _key_of(mark: Mark) -> Mark:
+def _key_of(mark: SourcePosition) -> SourcePosition:
     """The mark of a value's key, or the value's own where it has none."""
     return replace(mark, line=mark.key_line, column=mark.key_column) if mark.key_line else mark
 

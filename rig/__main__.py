@@ -31,7 +31,7 @@ def main() -> None:
     loud = signal.getsignal(signal.SIGINT) is signal.default_int_handler
     if loud:
         signal.signal(signal.SIGINT, signal.SIG_DFL)
-    from rig import cli
+    from rig.cli import app as cli
 
     if loud:
         signal.signal(signal.SIGINT, signal.default_int_handler)

@@ -10,7 +10,7 @@ if TYPE_CHECKING:
 
 
 def open(path: Path | str) -> Run:
-    """Open an archive; `runs.archive.ArchiveError` where it is none. Imports HDF5 only now."""
+    """Open an archive; `runs.archive.writer.ArchiveError` where it is none. Imports HDF5 only now."""
     from runs.run import Run
 
     return Run(path)

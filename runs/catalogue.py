@@ -18,8 +18,8 @@ from typing import Any
 import h5py
 import numpy as np
 
-from runs import layout
-from runs.archive import SUFFIX
+from runs.archive import layout
+from runs.archive.writer import SUFFIX
 
 INDEX = ".catalogue.json"
 _FORM = 1

@@ -35,7 +35,7 @@ class Level(StrEnum):
     FAULT = "fault"
 
 
-class Seen(IntEnum):
+class DetectionStatus(IntEnum):
     """Why a frame has a measured tip, or has none."""
 
     MEASURED = 0
@@ -140,7 +140,7 @@ class Event:
 
 
 @dataclass(frozen=True, eq=False)
-class Marks:
+class ImageAnnotations:
     """Where things are in a picture, in its pixels (u, v): the board's corners (n, 2), the measured tip (2,), the
     model's tip (2,) and backbone (p, 2). NaN, or no corners, where there is none."""
 
@@ -150,7 +150,9 @@ class Marks:
     backbone_px: NDArray[np.float32]
 
     @classmethod
-    def of(cls, corners_px: ArrayLike, tip_px: ArrayLike, model_px: ArrayLike, backbone_px: ArrayLike) -> Marks:
+    def of(
+        cls, corners_px: ArrayLike, tip_px: ArrayLike, model_px: ArrayLike, backbone_px: ArrayLike
+    ) -> ImageAnnotations:
         """Marks from arrays of any kind of number."""
         return cls(
             corners_px=np.asarray(corners_px, np.float32).reshape(-1, 2),
@@ -160,7 +162,7 @@ class Marks:
         )
 
     @classmethod
-    def none(cls) -> Marks:
+    def none(cls) -> ImageAnnotations:
         """Nothing is known of a picture."""
         return cls.of([], [np.nan, np.nan], [np.nan, np.nan], [])
 
@@ -174,7 +176,7 @@ class Picture:
     camera: str
     encoding: str
     data: bytes
-    marks: Marks = field(default_factory=Marks.none)
+    marks: ImageAnnotations = field(default_factory=ImageAnnotations.none)
 
 
 @dataclass(frozen=True)

@@ -9,9 +9,11 @@ from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
 
-from runs import archive, foxglove, journal
-from runs.archive import ArchiveError, StillWrittenError
-from runs.disk import JournalError
+from runs.archive import writer as archive
+from runs.archive.writer import ArchiveError, StillWrittenError
+from runs.export import foxglove
+from runs.journal import journal
+from runs.journal.append_only_file import JournalError
 from runs.run import Run
 
 
@@ -32,7 +34,7 @@ class Fate(StrEnum):
 
 
 @dataclass(frozen=True)
-class Outcome:
+class RecoveryOutcome:
     """What became of one file; `archive` is the archive of a journal, where there is one."""
 
     path: Path
@@ -46,7 +48,7 @@ def orphans(folder: Path | str) -> tuple[Path, ...]:
     return tuple(path for path in _journals(Path(folder)) if not _archive_of(path).exists() and not _held(path))
 
 
-def recover(folder: Path | str) -> tuple[Outcome, ...]:
+def recover(folder: Path | str) -> tuple[RecoveryOutcome, ...]:
     """Make archives of the journals in a folder that have none, and remove what interrupted attempts left.
 
     Safe to call again, and while runs are being recorded. An archive that cannot be opened is set aside under
@@ -56,7 +58,7 @@ def recover(folder: Path | str) -> tuple[Outcome, ...]:
     return (*_leftovers(place), *(_recover(path) for path in _journals(place)))
 
 
-def _recover(path: Path) -> Outcome:
+def _recover(path: Path) -> RecoveryOutcome:
     target = _archive_of(path)
     aside = ""
     if target.exists():
@@ -66,27 +68,27 @@ def _recover(path: Path) -> Outcome:
             kept = _set_aside(target)
             aside = f"; the archive that was there cannot be opened and was kept as {kept.name}"
         else:
-            return Outcome(path, Fate.ARCHIVED, "", target)
+            return RecoveryOutcome(path, Fate.ARCHIVED, "", target)
     try:
         archive.finalise(path)
         content = journal.read(path)
     except StillWrittenError:
-        return Outcome(path, Fate.RUNNING, "its writer is alive")
+        return RecoveryOutcome(path, Fate.RUNNING, "its writer is alive")
     except (JournalError, ArchiveError) as fault:
-        return Outcome(path, Fate.UNREADABLE, str(fault) + aside)
+        return RecoveryOutcome(path, Fate.UNREADABLE, str(fault) + aside)
     rows = f"{len(content.samples)} samples, {len(content.observations)} frames, {len(content.pictures)} pictures"
     lost = f"; not readable: {'; '.join(map(str, content.damage))}" if content.damage else ""
     fate = Fate.RECOVERED if content.footer is None else Fate.FINALISED
-    return Outcome(path, fate, rows + lost + aside, target)
+    return RecoveryOutcome(path, fate, rows + lost + aside, target)
 
 
-def _leftovers(folder: Path) -> Iterator[Outcome]:
+def _leftovers(folder: Path) -> Iterator[RecoveryOutcome]:
     """Remove archives that were never finished, unless someone holds the journal or HDF5 the file."""
     for path in sorted(folder.glob(f"*{archive.PART}")):
         source = path.with_name(path.name.removesuffix(archive.PART) + journal.SUFFIX)
         if not _held(source) and not _held(path):
             path.unlink(missing_ok=True)
-            yield Outcome(path, Fate.REMOVED, "left by an interrupted finalisation")
+            yield RecoveryOutcome(path, Fate.REMOVED, "left by an interrupted finalisation")
 
 
 def _journals(folder: Path) -> list[Path]:

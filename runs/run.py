@@ -12,9 +12,9 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from runs import layout
-from runs.archive import ArchiveError
-from runs.groups import PA_PER_BAR
+from runs.archive import layout
+from runs.archive.fields import PA_PER_BAR
+from runs.archive.writer import ArchiveError
 from runs.records import Event, Interval, Level, Quantity, RunHeader, SourceFile, Status
 from runs.table import TABLES, segments, table
 
@@ -58,12 +58,12 @@ class Tip:
     moment_n_m: Floats
     """(m, 3), of the same wrench, about the measured point."""
     seen: Ints
-    """`runs.records.Seen`."""
+    """`runs.records.DetectionStatus`."""
     model_ok: NDArray[np.bool_]
     age_us: Floats
     dropped: Ints
     camera_seen: Ints
-    """(m, C), `runs.records.Seen` of each camera; the tip is measured from those that are MEASURED."""
+    """(m, C), `runs.records.DetectionStatus` of each camera; the tip is measured from those that are MEASURED."""
     camera_skew_us: Floats
     """(m, C), exposed so much after `time_s`; NaN where a camera gave no picture."""
 

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from runs.records import Interval, Seen, Status
+from runs.records import DetectionStatus, Interval, Status
 from runs.run import Run, Tip
 
 SETTLED_PART = 0.3
@@ -35,7 +35,7 @@ NAN = float("nan")
 
 
 @dataclass(frozen=True)
-class Spread:
+class Statistics:
     """Mean, 95th percentile and maximum of an error [mm]; NaN where there is none."""
 
     mean: float = NAN
@@ -44,7 +44,7 @@ class Spread:
 
 
 @dataclass(frozen=True)
-class Step:
+class StepSummary:
     """One segment of the protocol that is no prompt; what was not measured in it is NaN."""
 
     label: str
@@ -76,12 +76,12 @@ class Step:
 
 
 @dataclass(frozen=True)
-class Truth:
+class TruthSummary:
     """Measured against the simulator's own tip; only for simulated runs."""
 
-    error_mm: Spread
-    in_plane_mm: Spread
-    model_mm: Spread
+    error_mm: Statistics
+    in_plane_mm: Statistics
+    model_mm: Statistics
     """Model against truth."""
     coverage: float
     """Fraction of measured frames whose truth lies in the stated 95 % ellipsoid."""
@@ -98,13 +98,13 @@ class Summary:
     message: str
     simulated: bool
     duration_s: float
-    error_mm: Spread
-    in_plane_mm: Spread
+    error_mm: Statistics
+    in_plane_mm: Statistics
     rmse_mm: tuple[float, float, float]
     """Root mean square of measured minus model in x, y and z, as in the paper's Table 5."""
     plane_deg: float
     """Azimuth of the plane of motion in the base frame, from x; NaN where there is none."""
-    steps: tuple[Step, ...]
+    steps: tuple[StepSummary, ...]
     settled_error_mm: float
     """Mean over `settled_steps`."""
     normalised_percent: float
@@ -127,7 +127,7 @@ class Summary:
     model_failures: int
     reprojection_px: float
     """Median."""
-    truth: Truth | None
+    truth: TruthSummary | None
 
     @property
     def measured_fraction(self) -> float:
@@ -138,7 +138,7 @@ class Summary:
 def summarise(run: Run) -> Summary:
     """Return the numbers of one run."""
     tip, pressure, timing = run.tip, run.pressure, run.timing
-    measured = tip.seen == Seen.MEASURED
+    measured = tip.seen == DetectionStatus.MEASURED
     modelled = np.isfinite(tip.model_mm).any()
     plane = plane_of_motion((tip.model_mm if modelled else tip.measured_mm)[measured if measured.any() else ...])
     difference = tip.measured_mm - tip.model_mm
@@ -151,8 +151,8 @@ def summarise(run: Run) -> Summary:
         message=run.message,
         simulated=run.header.simulated,
         duration_s=run.duration_s,
-        error_mm=spread(tip.error_mm[measured]),
-        in_plane_mm=spread(in_plane(difference[measured], plane)),
+        error_mm=statistics(tip.error_mm[measured]),
+        in_plane_mm=statistics(in_plane(difference[measured], plane)),
         rmse_mm=_vector(difference[measured & np.isfinite(difference).all(axis=1)] ** 2, root=True),
         plane_deg=float(np.degrees(np.arctan2(plane[1], plane[0]))) if plane is not None else NAN,
         steps=steps,
@@ -176,7 +176,7 @@ def summarise(run: Run) -> Summary:
     )
 
 
-def settled_steps(steps: Iterable[Step]) -> tuple[Step, ...]:
+def settled_steps(steps: Iterable[StepSummary]) -> tuple[StepSummary, ...]:
     """Return the dwells that have a settled error: those under pressure or weight, or all where nothing ever is."""
     every = tuple(steps)
     loaded = [max(step.level_bar) > 0 or step.weight_g > 0 for step in every]
@@ -212,21 +212,21 @@ def rest_mm(tip: Tip, measured: NDArray[np.bool_]) -> Floats:
     return tip.measured_mm[rest].mean(axis=0) if rest.any() else np.full(3, NAN)
 
 
-def spread(errors_mm: Floats) -> Spread:
+def statistics(errors_mm: Floats) -> Statistics:
     """Return mean, 95th percentile and maximum of what is finite."""
     finite = errors_mm[np.isfinite(errors_mm)]
     if len(finite) == 0:
-        return Spread()
-    return Spread(float(finite.mean()), float(np.percentile(finite, 95)), float(finite.max()))
+        return Statistics()
+    return Statistics(float(finite.mean()), float(np.percentile(finite, 95)), float(finite.max()))
 
 
-def _steps(run: Run, measured: NDArray[np.bool_], plane: Floats | None) -> tuple[Step, ...]:
+def _steps(run: Run, measured: NDArray[np.bool_], plane: Floats | None) -> tuple[StepSummary, ...]:
     rest = rest_mm(run.tip, measured)
     played = (interval for interval in run.header.intervals if interval.kind != "prompt")
     return tuple(_step(run, interval, measured, plane, rest) for interval in played)
 
 
-def _step(run: Run, interval: Interval, measured: NDArray[np.bool_], plane: Floats | None, rest: Floats) -> Step:
+def _step(run: Run, interval: Interval, measured: NDArray[np.bool_], plane: Floats | None, rest: Floats) -> StepSummary:
     tip, pressure = run.tip, run.pressure
     settled_from = interval.stop_s - SETTLED_PART * (interval.stop_s - interval.start_s)
     # Protocol time never runs backwards, so a segment is a stretch of rows.
@@ -245,7 +245,7 @@ def _step(run: Run, interval: Interval, measured: NDArray[np.bool_], plane: Floa
     where = _vector(tip.measured_mm[frames])
     error = _mean(tip.error_mm[frames])
     travelled = float(np.linalg.norm(np.array(where) - rest))
-    return Step(
+    return StepSummary(
         label=interval.label,
         kind=interval.kind,
         start_s=interval.start_s,
@@ -284,7 +284,7 @@ def _overshoot_bar(before: Floats, after: Floats, got: Floats) -> float:
     return float(max(beyond.max(), 0.0))
 
 
-def _truth(run: Run, measured: NDArray[np.bool_], plane: Floats | None) -> Truth | None:
+def _truth(run: Run, measured: NDArray[np.bool_], plane: Floats | None) -> TruthSummary | None:
     if run.simulated is None or not measured.any():
         return None
     tip, truth = run.tip, run.simulated.tip_mm
@@ -296,10 +296,10 @@ def _truth(run: Run, measured: NDArray[np.bool_], plane: Floats | None) -> Truth
         "ni,ni->n", difference, np.linalg.solve(tip.covariance_mm2[known], difference[..., None])[..., 0]
     )
     within = (np.abs(difference) <= Z_95 * tip.uncertainty_mm[known]).mean(axis=0)
-    return Truth(
-        error_mm=spread(np.linalg.norm(difference, axis=1)),
-        in_plane_mm=spread(in_plane(difference, plane)),
-        model_mm=spread(np.linalg.norm(tip.model_mm[known] - truth[known], axis=1)),
+    return TruthSummary(
+        error_mm=statistics(np.linalg.norm(difference, axis=1)),
+        in_plane_mm=statistics(in_plane(difference, plane)),
+        model_mm=statistics(np.linalg.norm(tip.model_mm[known] - truth[known], axis=1)),
         coverage=float((distance2 <= CHI2_3_95).mean()),
         coverage_axes=(float(within[0]), float(within[1]), float(within[2])),
     )

@@ -9,7 +9,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from runs import layout
+from runs.archive import layout
 
 Column = NDArray[Any]
 TABLES = ("pressure", "tip", "adaptation", "timing", "simulator", "events")

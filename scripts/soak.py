@@ -18,9 +18,9 @@ from pathlib import Path
 import numpy as np
 import yaml
 
-import rig.rig_file
+import rig.config.loader
 import runs
-from rig import experiment
+from rig.experiment import run as experiment
 from runs.records import Level
 from runs.run import Run
 from scripts.faults.catalogue import CONDUCTOR, CONTROL
@@ -148,7 +148,7 @@ def virtual(hours: float) -> bool:
 
 def _mock(rate_hz: float) -> str:
     """The mock rig's file with its camera at another rate, few pictures of which are kept."""
-    document = yaml.safe_load(rig.rig_file.text("mock"))
+    document = yaml.safe_load(rig.config.loader.text("mock"))
     for camera in document["cameras"].values():
         camera["rate_hz"] = rate_hz
     return yaml.safe_dump({**document, "recording": {"keep_every": 30}})

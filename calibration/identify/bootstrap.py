@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from calibration.identify.data import Poses
 from calibration.identify.fit import Fit
+from calibration.identify.least_squares import Problem
+from calibration.identify.parallel_map import Progress, parallel_map
 from calibration.identify.parameters import Prior, Setup, named
-from calibration.identify.problem import Problem
-from calibration.identify.spread import Progress, spread
 
 Array = NDArray[np.float64]
 Kind = Literal["drawn", "resampled"]
@@ -90,7 +90,7 @@ def bootstrap(
         seed=0,
     )
     tasks = [replace(task, seed=seed * 1_000_003 + k) for k in range(samples)]
-    found = np.array(spread(refit, tasks, workers, scheduler, store, progress))
+    found = np.array(parallel_map(refit, tasks, workers, scheduler, store, progress))
     return Bootstrap(
         tuple(fit.estimates[i].name for i in chosen), tuple(fit.estimates[i].run for i in chosen), found[:, chosen]
     )

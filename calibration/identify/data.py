@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d
 
-from calibration.identify.smooth import curve, noise_of, smoothed
-from runs.records import Seen
+from calibration.identify.pressure_smoothing import curve, noise_of, smoothed
+from runs.records import DetectionStatus
 from runs.run import Run
 
 Array = NDArray[np.float64]
@@ -31,7 +31,7 @@ _BESIDE_FRAMES = 1.5
 _NEAR = 21
 
 
-class NoData(ValueError):  # noqa: N818 - the outcome is the name
+class NoDataError(ValueError):
     """The runs hold nothing that the question needs."""
 
 
@@ -122,7 +122,9 @@ def at_rest(run: Run, settle_s: float = SETTLE_S) -> Poses:
         if len(inside) >= FEWEST_FRAMES:
             plateaus.append(inside)
     if not plateaus:
-        raise NoData(f"{run.header.run_id}: nothing stands still for more than {settle_s:g} s with the board in sight")
+        raise NoDataError(
+            f"{run.header.run_id}: nothing stands still for more than {settle_s:g} s with the board in sight"
+        )
     covariance = np.array([tip.covariance_mm2[k].mean(axis=0) for k in plateaus]) * M_PER_MM**2
     count = np.array([len(k) for k in plateaus])
     shared = _shared_part([tip.measured_mm[k] * M_PER_MM for k in plateaus], covariance)
@@ -157,7 +159,7 @@ def in_motion(run: Run) -> Poses:
     tip = run.tip
     usable = _usable(run)
     if not usable.any():
-        raise NoData(f"{run.header.run_id}: no frame shows the tip while pressures were recorded")
+        raise NoDataError(f"{run.header.run_id}: no frame shows the tip while pressures were recorded")
     index = tip.frame - tip.frame[0]
     length = int(index[usable][-1]) + 1
     # Cameras do not always deliver at the rate that they were asked for.
@@ -205,7 +207,7 @@ def poses_of(run: Run) -> Poses:
     """What a run is best used as: its plateaus where it mostly stands still, else its motion."""
     try:
         rest = at_rest(run)
-    except NoData:
+    except NoDataError:
         return in_motion(run)
     return rest if rest.frames.sum() > 0.25 * len(run.tip.time_s) else in_motion(run)
 
@@ -225,7 +227,7 @@ def parted(poses: Poses, until_s: float) -> tuple[Poses, Poses]:
         part = replace(poses, tip_m=np.where(inside[:, None], poses.tip_m, np.nan))
         part = part if poses.moving else part.only(inside)
         if not part.seen.any():
-            raise NoData(f"{poses.run_id} shows no tip {which} {until_s:g} s")
+            raise NoDataError(f"{poses.run_id} shows no tip {which} {until_s:g} s")
         parts.append(part)
     return parts[0], replace(parts[1], run_id=f"{poses.run_id} from {until_s:g} s")
 
@@ -233,19 +235,23 @@ def parted(poses: Poses, until_s: float) -> tuple[Poses, Poses]:
 def _usable(run: Run) -> NDArray[np.bool_]:
     """Frames (M,) with a measured tip. `NoData` where an archive, of an import, lacks what gives them their weight."""
     tip = run.tip
-    usable: NDArray[np.bool_] = (tip.seen == Seen.MEASURED) & np.isfinite(tip.measured_mm).all(axis=1)
+    usable: NDArray[np.bool_] = (tip.seen == DetectionStatus.MEASURED) & np.isfinite(tip.measured_mm).all(axis=1)
     if not len(run.pressure.time_s):
-        raise NoData(f"{run.header.run_id}: no pressure was recorded")
+        raise NoDataError(f"{run.header.run_id}: no pressure was recorded")
     # Where control ended before the camera did, nobody knows what the arm felt.
     first_s, last_s = run.pressure.time_s[[0, -1]] + np.array([-1.0, 1.0]) * _BESIDE_FRAMES / run.header.camera_hz
     usable &= (tip.time_s >= first_s) & (tip.time_s <= last_s)
     covariance = tip.covariance_mm2[usable]
     if not np.isfinite(covariance).all():
-        raise NoData(f"{run.header.run_id}: the tips come without an uncertainty; state one (import: uncertainty_mm)")
+        raise NoDataError(
+            f"{run.header.run_id}: the tips come without an uncertainty; state one (import: uncertainty_mm)"
+        )
     if (np.linalg.eigvalsh(covariance)[:, 0] <= 0).any():
-        raise NoData(f"{run.header.run_id}: the tips' uncertainty is zero along an axis: no measurement is that good")
+        raise NoDataError(
+            f"{run.header.run_id}: the tips' uncertainty is zero along an axis: no measurement is that good"
+        )
     if not np.isfinite(run.pressure.measured_bar).all():
-        raise NoData(f"{run.header.run_id}: pressures are missing in some rows")
+        raise NoDataError(f"{run.header.run_id}: pressures are missing in some rows")
     return usable
 
 

@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 from scipy.stats import norm
 
 from calibration.identify.fit import NORMAL_95, Fit
+from calibration.identify.held_out_prediction import Prediction
 from calibration.identify.likelihood import whitened
-from calibration.identify.prediction import Prediction
-from calibration.identify.profile import RISE_95, Profile
-from runs.colours import ACTUATORS, INK, MEASURED, MODEL, MUTED, RULE, TRUTH
+from calibration.identify.profile_likelihood import RISE_95, Profile
+from runs.report.colours import ACTUATORS, INK, MEASURED, MODEL, MUTED, RULE, TRUTH
 
 Array = NDArray[np.float64]
 

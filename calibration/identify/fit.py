@@ -10,10 +10,10 @@ from enum import StrEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.identify.data import NoData, Poses
+from calibration.identify.data import NoDataError, Poses
+from calibration.identify.least_squares import Problem, Solution, Unknown
 from calibration.identify.likelihood import OUTLIER, drifting, whitened
 from calibration.identify.parameters import Prior, Setup, named
-from calibration.identify.problem import Problem, Solution, Unknown
 
 Array = NDArray[np.float64]
 
@@ -191,10 +191,10 @@ def identify(
         UnknownParameter: a name in `free` or `priors`.
     """
     if not any(poses.seen.any() for poses in data):
-        raise NoData("no run holds a measured tip")
+        raise NoDataError("no run holds a measured tip")
     actuators = data[0].actuators
     if any(poses.actuators != actuators for poses in data):
-        raise NoData("the runs are of arms with different numbers of actuators")
+        raise NoDataError("the runs are of arms with different numbers of actuators")
     parameters = named(free, actuators)
     priors = {p.name: prior for name, prior in (priors or {}).items() for p in named([name], actuators)}
     problem = Problem(data, start, parameters, priors, substeps=substeps)

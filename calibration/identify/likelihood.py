@@ -105,7 +105,7 @@ def discrepancy(residual_m: Sequence[Array], covariance_m2: Sequence[Array], fre
     return float(brentq(excess, 0.0, _MOST_DISCREPANCY_M, xtol=1e-9))
 
 
-def passed(poses: Poses) -> Array:
+def apply_frequency_mask(poses: Poses) -> Array:
     """How much each frequency (K // 2 + 1,) of a motion's residuals counts: 1, or 0 where pressures show but noise.
 
     A model that is driven by noise answers to what the arm never felt, and is the likelier the less it answers.
@@ -122,7 +122,7 @@ def passed(poses: Poses) -> Array:
     return out
 
 
-def through(rows: Array, gain: Array) -> Array:
+def frequency_mask(rows: Array, gain: Array) -> Array:
     """Rows (K, ..) with each of their frequencies times `gain` (K // 2 + 1,)."""
     if (gain == 1.0).all():
         return rows
@@ -142,7 +142,7 @@ def drifting(residual: Array) -> bool:
     return bool(power[: _LOWEST - 1].mean() > _DRIFT * power[_LOWEST - 1 :].mean())
 
 
-def scatter(residual: Array, slope: Array, gain: Array, seen: float, covariance: Array) -> Array:
+def score_covariance(residual: Array, slope: Array, gain: Array, seen: float, covariance: Array) -> Array:
     """How much the pull (n, n) of neighbouring entries on the unknowns scatters; slope' slope if they are independent.
 
     residual (K, 3), slope (K, 3, n): in standard deviations, after `through`. seen: part of the entries with a tip.

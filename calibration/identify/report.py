@@ -10,9 +10,9 @@ from pathlib import Path
 from calibration.identify import figures
 from calibration.identify.bootstrap import Bootstrap
 from calibration.identify.fit import Estimate, Fit
-from calibration.identify.prediction import Prediction
-from calibration.identify.profile import Profile
-from runs.figures import svg
+from calibration.identify.held_out_prediction import Prediction
+from calibration.identify.profile_likelihood import Profile
+from runs.report.figures import svg
 
 
 def write(
@@ -25,7 +25,7 @@ def write(
 ) -> Path:
     """Write the page. `truth`: the simulator's own values by parameter, where the runs were simulated."""
     known = truth or {}
-    style = resources.files("runs").joinpath("report.css").read_text(encoding="utf-8")
+    style = resources.files("runs.report").joinpath("report.css").read_text(encoding="utf-8")
     simulated = '<span class="badge simulated">simulated</span>' if known else ""
     parts = [
         f'<section class="run">\n<header class="run"><h1>Identification of an arm{simulated}</h1>\n'

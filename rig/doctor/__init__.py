@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from rig.config import RigConfig
+from rig.config.schema import RigConfig
 from rig.doctor import cameras, cards, machine
 from rig.doctor.finding import Finding
 

@@ -9,10 +9,10 @@ import struct
 from pathlib import Path
 from typing import Any
 
-from rig.cameras.realsense import ANY, RECORDINGS
-from rig.config import CameraConfig, RigConfig
+from rig.config.schema import CameraConfig, RigConfig
 from rig.doctor.finding import Finding
 from rig.doctor.machine import group_name
+from rig.hardware.cameras.realsense import ANY, RECORDINGS
 
 _VIDIOC_QUERYCAP = 0x80685600
 _CAPABILITIES = "<16s32s32sIII12x"
@@ -94,7 +94,7 @@ def _gives_pictures(device: Path, hardware: bool) -> bool:
 
 
 def _named(name: str, camera: CameraConfig, root: Path) -> Finding:
-    from rig.cameras.recorded import is_recording  # brings OpenCV with it
+    from rig.hardware.cameras.recorded import is_recording  # brings OpenCV with it
 
     topic = f"rig's camera {name}"
     if is_recording(camera.device):

@@ -6,14 +6,14 @@ import platform
 from collections import Counter
 from pathlib import Path
 
-from rig.bench import card_setup
-from rig.config import RigConfig
-from rig.daq.base import CardError
-from rig.daq.comedi import ComediCard
-from rig.daq.comedi_device import closed, device_paths, require
-from rig.daq.kernel import Comedi, PciCard, comedi, has_module, pci_cards
-from rig.daq.survey import Found, survey
+from rig.config.schema import RigConfig
 from rig.doctor.finding import Finding
+from rig.hardware.bench import card_setup
+from rig.hardware.cards.base import CardError
+from rig.hardware.cards.comedi import ComediCard
+from rig.hardware.cards.comedi_device import closed, device_paths, require
+from rig.hardware.cards.comedi_survey import ComediCardSurvey, survey
+from rig.hardware.cards.kernel_devices import ComediModule, PciCard, comedi, has_module, pci_cards
 
 ADVANTECH = "0x13fe"
 FAMILY_DRIVER = "adv_pci1710"
@@ -75,7 +75,7 @@ def _board(card: PciCard) -> Finding:
     return Finding("board", "missing", f"{name}: this kernel has no driver for it", remedy)
 
 
-def _drivers(kernel: Comedi | None, on_bus: tuple[PciCard, ...], available: bool) -> list[Finding]:
+def _drivers(kernel: ComediModule | None, on_bus: tuple[PciCard, ...], available: bool) -> list[Finding]:
     if kernel is None:
         found = "not loaded"
         remedy = "sudo modprobe the board's driver (for a trial without hardware: comedi_test); dry runs need none"
@@ -93,7 +93,7 @@ def _drivers(kernel: Comedi | None, on_bus: tuple[PciCard, ...], available: bool
     return [Finding("Comedi", "ok", loaded)]
 
 
-def _binding(kernel: Comedi | None) -> Finding:
+def _binding(kernel: ComediModule | None) -> Finding:
     attached = kernel is not None and bool(kernel.attached)
     try:
         require()
@@ -105,7 +105,7 @@ def _binding(kernel: Comedi | None) -> Finding:
     return Finding("pycomedi", "ok", "installed")
 
 
-def _nodeless(kernel: Comedi | None) -> list[Finding]:
+def _nodeless(kernel: ComediModule | None) -> list[Finding]:
     """Cards that a driver has taken, and to which no device leads."""
     there = device_paths()
     return [
@@ -120,7 +120,7 @@ def _nodeless(kernel: Comedi | None) -> list[Finding]:
     ]
 
 
-def _devices(kernel: Comedi | None, askable: bool) -> list[Finding]:
+def _devices(kernel: ComediModule | None, askable: bool) -> list[Finding]:
     if askable:
         return [finding for found in survey() for finding in _card(found, kernel)]
     findings = []
@@ -135,7 +135,7 @@ def _devices(kernel: Comedi | None, askable: bool) -> list[Finding]:
     return findings
 
 
-def _called(path: str, kernel: Comedi | None) -> str:
+def _called(path: str, kernel: ComediModule | None) -> str:
     """The kernel's name of a card that cannot be asked for its own."""
     for card in kernel.attached if kernel else ():
         if path == f"/dev/comedi{card.minor}":
@@ -143,7 +143,7 @@ def _called(path: str, kernel: Comedi | None) -> str:
     return ""
 
 
-def _card(found: Found, kernel: Comedi | None) -> list[Finding]:
+def _card(found: ComediCardSurvey, kernel: ComediModule | None) -> list[Finding]:
     if found.trouble:
         what = f"{_called(found.path, kernel)}{found.trouble}"
         return [Finding("card", "missing", what, found.remedy or SEE_DMESG)]

@@ -1,5 +1,5 @@
 """`rig import`: measurements from elsewhere, a table and a mapping that explains it, into archives like a run's."""
 
-from rig.importing.making import Imported, import_table
+from rig.importing.archive_builder import Imported, import_table
 
 __all__ = ["Imported", "import_table"]

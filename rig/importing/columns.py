@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from protocols.problems import BadInput, Problem
+from protocols.problems import BadInputError, Problem
 from rig.importing.tables import Key, Table
 
 Floats = NDArray[np.float64]
@@ -26,7 +26,7 @@ class Columns:
         """A column (n,) times `scale`; None, and a problem, where it cannot be read."""
         try:
             values = self.table.numbers(column)
-        except BadInput as bad:
+        except BadInputError as bad:
             self.problems += bad.problems
             return None
         if self._length is None:
@@ -43,7 +43,7 @@ class Columns:
         """The cells (n,) of a column as they are written; None, and a problem, where it has no such ones."""
         try:
             cells = self.table.texts(column)
-        except BadInput as bad:
+        except BadInputError as bad:
             self.problems += bad.problems
             return None
         self._length = self._length or (column, len(cells))
@@ -70,4 +70,4 @@ class Columns:
     def check(self) -> None:
         """Raise `BadInput` where there is a problem."""
         if self.problems:
-            raise BadInput(self.problems)
+            raise BadInputError(self.problems)

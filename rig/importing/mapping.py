@@ -15,9 +15,9 @@ from pydantic.json_schema import SkipJsonSchema
 
 from protocols.document import Document, read
 from protocols.document import validate as validated
-from protocols.marks import path_text
-from protocols.validation import Fault, faults
-from rig.config import Bar, Count, Flag, Index, Moment, NonNegative, Placement, Section, Triple, Word
+from protocols.source_positions import path_text
+from protocols.validation import ValidationFault, faults
+from rig.config.schema import Bar, Count, Flag, Index, Moment, NonNegative, Placement, Section, Triple, Word
 
 SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0}
 PASCALS = {
@@ -74,7 +74,7 @@ Column = Annotated[Annotated[Index, Tag("number")] | Annotated[Word, Tag("name")
 """A column by its number, or by its name."""
 
 
-class Written(Section):
+class TableFormat(Section):
     """How the file is written. Everything but `variable` and `first_column` is about CSV."""
 
     first_column: Annotated[int, Field(ge=0, le=1, strict=True)] | SkipJsonSchema[None] = Field(
@@ -123,14 +123,17 @@ class Pressures(Section):
         given = [name for name in ("ambient_rows", "ambient_bar") if getattr(self, name) is not None]
         found = _units(self.columns, self.unit)
         if self.reading == "gauge":
-            found += [Fault((name,), "nothing: gauge pressures have no ambient pressure to take off") for name in given]
+            found += [
+                ValidationFault((name,), "nothing: gauge pressures have no ambient pressure to take off")
+                for name in given
+            ]
         elif not given:
-            found.append(Fault((), "absolute pressures need ambient_rows or ambient_bar"))
+            found.append(ValidationFault((), "absolute pressures need ambient_rows or ambient_bar"))
         elif len(given) == 2:
-            found.append(Fault(("ambient_bar",), "ambient_rows or ambient_bar, not both"))
+            found.append(ValidationFault(("ambient_bar",), "ambient_rows or ambient_bar, not both"))
         if isinstance(self.ambient_bar, tuple) and len(self.ambient_bar) != len(self.columns):
             wish = f"one pressure, or one for each of the {len(self.columns)} columns, not {len(self.ambient_bar)}"
-            found.append(Fault(("ambient_bar",), wish))
+            found.append(ValidationFault(("ambient_bar",), wish))
         faults(found)
         return self
 
@@ -189,9 +192,11 @@ class Orientation(Section):
         found = []
         wanted = {"wxyz": 4, "xyzw": 4, "matrix": 9}.get(self.order, 3)
         if len(self.columns) != wanted:
-            found.append(Fault(("columns",), f"{wanted} columns for '{self.order}'"))
+            found.append(ValidationFault(("columns",), f"{wanted} columns for '{self.order}'"))
         if (wanted == 3) != (self.unit is not None):
-            found.append(Fault(("unit",), "deg or rad" if wanted == 3 else "nothing: only angles have a unit"))
+            found.append(
+                ValidationFault(("unit",), "deg or rad" if wanted == 3 else "nothing: only angles have a unit")
+            )
         faults(found)
         return self
 
@@ -221,7 +226,9 @@ class TipSensor(Section):
     @model_validator(mode="after")
     def _check(self) -> TipSensor:
         if self.offset_mm is not None and self.orientation is None:
-            faults([Fault(("offset_mm",), "an orientation beside it: the offset is along the sensor's own axes")])
+            faults(
+                [ValidationFault(("offset_mm",), "an orientation beside it: the offset is along the sensor's own axes")]
+            )
         return self
 
 
@@ -266,9 +273,9 @@ class Wrench(Section):
     def _check(self) -> Wrench:
         given = [name for name in ("aligned_rows", "rotation_deg") if getattr(self, name) is not None]
         if self.axes == "tracker":
-            faults([Fault((name,), "nothing: the wrench's axes are the tracker's") for name in given])
+            faults([ValidationFault((name,), "nothing: the wrench's axes are the tracker's") for name in given])
         elif len(given) == 2:
-            faults([Fault(("rotation_deg",), "aligned_rows or rotation_deg, not both")])
+            faults([ValidationFault(("rotation_deg",), "aligned_rows or rotation_deg, not both")])
         return self
 
 
@@ -279,7 +286,7 @@ class Mapping(Section):
     started: Moment | SkipJsonSchema[None] = Field(default=None, description="moment of the first row")
     rig: Word | SkipJsonSchema[None] = Field(default=None, description="name or file of a rig with this arm")
     simulated: Flag = Field(default=False, description="the table holds no measurements: a program computed it")
-    file: Written = Written()
+    file: TableFormat = TableFormat()
     time: TimeColumn
     pressures: Pressures
     setpoints: SetPoints | SkipJsonSchema[None] = None
@@ -308,19 +315,19 @@ class Mapping(Section):
         since = datetime.fromisoformat(self.started) - datetime(1970, 1, 1, tzinfo=UTC)
         return since // timedelta(microseconds=1) * 1000
 
-    def _faults_between(self) -> Iterator[Fault]:
+    def _faults_between(self) -> Iterator[ValidationFault]:
         if self.setpoints is not None and len(self.setpoints.columns) != self.actuators:
-            yield Fault(("setpoints", "columns"), f"as many columns as there are pressures: {self.actuators}")
+            yield ValidationFault(("setpoints", "columns"), f"as many columns as there are pressures: {self.actuators}")
         turning = self.tip is not None and self.tip.orientation is not None
         if self.wrench is not None and self.wrench.axes == "tip" and not turning:
-            yield Fault(("wrench", "axes"), "tracker, or an orientation of the tip: the wrench turns with it")
+            yield ValidationFault(("wrench", "axes"), "tracker, or an orientation of the tip: the wrench turns with it")
         if turning and self.tip is not None and self.tip.offset_mm is None and self.wrench is None:
             wish = "offset_mm or a wrench beside it: an archive keeps no orientation of the tip"
-            yield Fault(("tip", "orientation"), wish)
+            yield ValidationFault(("tip", "orientation"), wish)
         if self.base is not None and self.tip is None:
-            yield Fault(("base",), "a tip beside it: the base sensor's position is taken off the tip's")
+            yield ValidationFault(("base",), "a tip beside it: the base sensor's position is taken off the tip's")
 
-    def _faults_of_columns(self) -> Iterator[Fault]:
+    def _faults_of_columns(self) -> Iterator[ValidationFault]:
         """Columns that have two meanings, and kinds of column that the file cannot have."""
         used: dict[int | str, tuple[str | int, ...]] = {}
         for path, columns in self._groups():
@@ -329,16 +336,20 @@ class Mapping(Section):
             for column in here:
                 place = (*path, "columns", columns.index(column)) if len(columns) > 1 else (*path, "column")
                 if column in used:
-                    yield Fault(place, f"a column of its own: {column} is already used by {path_text(used[column])}")
+                    yield ValidationFault(
+                        place, f"a column of its own: {column} is already used by {path_text(used[column])}"
+                    )
                 used.setdefault(column, path)
         numbers = [column for column in used if isinstance(column, int)]
         first = self.file.first_column
         if numbers and first is None:
-            yield Fault(("file", "first_column"), "file: {first_column: 0} or 1, because columns are given by number")
+            yield ValidationFault(
+                ("file", "first_column"), "file: {first_column: 0} or 1, because columns are given by number"
+            )
         if first == 1 and 0 in numbers:
-            yield Fault(used[0], "column numbers of 1 or more, because first_column is 1")
+            yield ValidationFault(used[0], "column numbers of 1 or more, because first_column is 1")
         if not self.file.header and len(numbers) < len(used):
-            yield Fault(("file", "header"), "columns by number where the file names none")
+            yield ValidationFault(("file", "header"), "columns by number where the file names none")
 
     def _groups(self) -> Iterator[tuple[tuple[str | int, ...], tuple[int | str, ...]]]:
         yield ("time",), (self.time.column,)
@@ -364,7 +375,7 @@ def load(path: Path) -> tuple[Mapping, Document]:
     return validated(Mapping, document), document
 
 
-def _units(columns: tuple[int | str, ...], unit: str | tuple[str, ...]) -> list[Fault]:
+def _units(columns: tuple[int | str, ...], unit: str | tuple[str, ...]) -> list[ValidationFault]:
     if isinstance(unit, tuple) and len(unit) != len(columns):
-        return [Fault(("unit",), f"one unit, or one for each of the {len(columns)} columns, not {len(unit)}")]
+        return [ValidationFault(("unit",), f"one unit, or one for each of the {len(columns)} columns, not {len(unit)}")]
     return []

@@ -16,9 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protocols.document import read_text
-from protocols.marks import shortened
-from protocols.problems import BadInput, Problem, closest
-from rig.importing.mapping import Written
+from protocols.problems import BadInputError, Problem, closest
+from protocols.source_positions import shortened
+from rig.importing.mapping import TableFormat
 
 LARGEST_FILE = 500_000_000
 MOST_PROBLEMS = 5
@@ -63,7 +63,7 @@ class Table(Protocol):
         """A row as its file counts it: `line 7`, `row 7`."""
 
 
-def read(path: Path, written: Written) -> Table:
+def read(path: Path, written: TableFormat) -> Table:
     """The table in a file, MATLAB's by the ending `.mat`. `BadInput` where there is none."""
     if path.suffix.lower() in SHEETS:
         raise _bad(path, "CSV or .mat; save this sheet as CSV", shortened(path.suffix))
@@ -91,8 +91,8 @@ class CsvTable:
         cells = [self.odd[row, at] for row in rows]
         if len(rows) > 1 and all(map(self._other_decimal, cells)):
             said = self._no_number(rows[0], column, cells[0])
-            raise BadInput([replace(said, value=f"{said.value}, and so in {len(rows) - 1} more rows")])
-        raise BadInput(some(self, column, rows, lambda row: self._no_number(row, column, self.odd[row, at])))
+            raise BadInputError([replace(said, value=f"{said.value}, and so in {len(rows) - 1} more rows")])
+        raise BadInputError(some(self, column, rows, lambda row: self._no_number(row, column, self.odd[row, at])))
 
     def texts(self, column: Key) -> Sequence[str]:
         """See `Table`."""
@@ -113,12 +113,12 @@ class CsvTable:
             last = self.cells.shape[1] - 1 + self.first_column
             if column > last:
                 wish = f"a column from {self.first_column} to {last}"
-                raise BadInput([Problem(self.file, 0, 0, "", f"no column {column}", wish)])
+                raise BadInputError([Problem(self.file, 0, 0, "", f"no column {column}", wish)])
             return column - self.first_column
         if self.names.count(column) != 1:
             found = f"several columns '{column}'" if column in self.names else f"no column '{column}'"
             wish = f"one of {', '.join(self.names)}"
-            raise BadInput([Problem(self.file, 0, 0, "", found, wish, closest(column, self.names))])
+            raise BadInputError([Problem(self.file, 0, 0, "", found, wish, closest(column, self.names))])
         return self.names.index(column)
 
     def _no_number(self, row: int, column: Key, cell: str) -> Problem:
@@ -142,7 +142,7 @@ def some(table: Table, column: Key, rows: Sequence[int], said: Callable[[int], P
     return shown
 
 
-def _read_csv(path: Path, written: Written) -> CsvTable:
+def _read_csv(path: Path, written: TableFormat) -> CsvTable:
     text = read_text(path, LARGEST_FILE)
     lines = [(number, line) for number, line in enumerate(text.split("\n"), start=1) if number > written.skip_lines]
     if written.comment is not None:
@@ -158,7 +158,9 @@ def _read_csv(path: Path, written: Written) -> CsvTable:
     return _parsed(path, names, _split(path, lines[skipped:], delimiter), written)
 
 
-def _parsed(path: Path, names: tuple[str, ...], rows: Sequence[tuple[int, list[str]]], written: Written) -> CsvTable:
+def _parsed(
+    path: Path, names: tuple[str, ...], rows: Sequence[tuple[int, list[str]]], written: TableFormat
+) -> CsvTable:
     width = len(names) or len(rows[0][1])
     comma = written.decimal == "comma"
     missing = {"", *(word.strip() for word in written.missing)}
@@ -176,7 +178,7 @@ def _parsed(path: Path, names: tuple[str, ...], rows: Sequence[tuple[int, list[s
             if math.isinf(value):
                 odd[row, at] = cell
     if problems:
-        raise BadInput(problems)
+        raise BadInputError(problems)
     return CsvTable(
         str(path), names, written.first_column or 0, values, odd, tuple(number for number, _ in rows), comma
     )
@@ -192,7 +194,7 @@ def _number(cell: str, comma: bool) -> float:
         return math.inf
 
 
-def _delimiter(path: Path, lines: Sequence[str], written: Written) -> str:
+def _delimiter(path: Path, lines: Sequence[str], written: TableFormat) -> str:
     """The stated delimiter, or the first that cuts every line into the same number of columns, two at least."""
     if written.delimiter is not None:
         return DELIMITERS[written.delimiter]
@@ -207,7 +209,7 @@ def _delimiter(path: Path, lines: Sequence[str], written: Written) -> str:
         by_commas = f"commas that cut each line into {min(counts)} columns"
     if by_commas:
         wish = "another delimiter, as commas are said to be decimal; or 'delimiter: comma', where numbers are quoted"
-        raise BadInput(
+        raise BadInputError(
             [Problem(str(path), 0, 0, "", by_commas, wish, "'decimal: point' in the mapping's file section")]
         )
     raise _bad(path, "no delimiter cuts all lines alike; say which it is: 'delimiter:' in the mapping's file section")
@@ -222,7 +224,7 @@ def _split(path: Path, lines: Sequence[tuple[int, str]], delimiter: str) -> list
             rows.append((lines[reader.line_num - 1][0], cells))  # noqa: PERF401 - line_num moves with the reader
     except csv.Error as fault:
         number = lines[reader.line_num - 1][0]
-        raise BadInput([Problem(str(path), number, 0, "", "", f"this line is no CSV: {fault}")]) from None
+        raise BadInputError([Problem(str(path), number, 0, "", "", f"this line is no CSV: {fault}")]) from None
     return rows
 
 
@@ -239,19 +241,21 @@ class MatTable:
         """See `Table`."""
         values = self._values(column)
         if np.iscomplexobj(values):
-            raise BadInput([Problem(self.file, 0, 0, "", f"complex numbers in column {column}", "real numbers")])
+            raise BadInputError([Problem(self.file, 0, 0, "", f"complex numbers in column {column}", "real numbers")])
         numbers = values.astype(np.float64)
         infinite = np.flatnonzero(np.isinf(numbers)).tolist()
         if infinite:
             wish = "a finite number, or NaN where nothing was measured"
-            raise BadInput(some(self, column, infinite, lambda row: self.problem(row, column, str(numbers[row]), wish)))
+            raise BadInputError(
+                some(self, column, infinite, lambda row: self.problem(row, column, str(numbers[row]), wish))
+            )
         return numbers
 
     def texts(self, column: Key) -> Sequence[str]:
         """See `Table`."""
         self._values(column)
         wish = "dates, which only a CSV's columns can hold; or another unit in the mapping"
-        raise BadInput([Problem(self.file, 0, 0, "", f"numbers in column {column}", wish)])
+        raise BadInputError([Problem(self.file, 0, 0, "", f"numbers in column {column}", wish)])
 
     def problem(self, row: int, column: Key, value: str, expected: str, suggestion: str = "") -> Problem:
         """See `Table`."""
@@ -265,22 +269,22 @@ class MatTable:
         if isinstance(column, str):
             if column not in self.columns:
                 wish = f"one of {', '.join(self.columns)}"
-                raise BadInput(
+                raise BadInputError(
                     [Problem(self.file, 0, 0, "", f"no column '{column}'", wish, closest(column, self.columns))]
                 )
             return self.columns[column]
         if self.matrix is None:
             wish = "columns by name, or 'variable:' in the mapping's file section, naming a matrix"
             held = f"no single matrix, but {', '.join(self.columns) or 'no numbers'}"
-            raise BadInput([Problem(self.file, 0, 0, "", held, wish)])
+            raise BadInputError([Problem(self.file, 0, 0, "", held, wish)])
         at = column - self.first_column
         if at >= self.matrix.shape[1]:
             wish = f"a column from {self.first_column} to {self.matrix.shape[1] - 1 + self.first_column}"
-            raise BadInput([Problem(self.file, 0, 0, "", f"no column {column}", wish)])
+            raise BadInputError([Problem(self.file, 0, 0, "", f"no column {column}", wish)])
         return np.asarray(self.matrix[:, at])
 
 
-def _read_mat(path: Path, written: Written) -> MatTable:
+def _read_mat(path: Path, written: TableFormat) -> MatTable:
     import h5py
 
     if not path.is_file():
@@ -350,9 +354,11 @@ def _chosen(path: Path, arrays: Mapping[str, NDArray[Any]], variable: str) -> di
     fields = {name.removeprefix(f"{variable}."): a for name, a in arrays.items() if name.startswith(f"{variable}.")}
     if not fields:
         wish = f"one of {', '.join(arrays)}" if arrays else "a variable with numbers; this file has none"
-        raise BadInput([Problem(str(path), 0, 0, "", f"no variable '{variable}'", wish, closest(variable, arrays))])
+        raise BadInputError(
+            [Problem(str(path), 0, 0, "", f"no variable '{variable}'", wish, closest(variable, arrays))]
+        )
     return fields
 
 
-def _bad(path: Path, expected: str, value: str = "") -> BadInput:
-    return BadInput([Problem(str(path), 0, 0, "", value, expected)])
+def _bad(path: Path, expected: str, value: str = "") -> BadInputError:
+    return BadInputError([Problem(str(path), 0, 0, "", value, expected)])

@@ -14,19 +14,19 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from protocols import BadInput, Problem
-from rig.executor.base import StartError
-from rig.executor.door import door_of
-from rig.executor.requests import user_name
-from rig.live.gate import Keys
-from rig.live.order import LINGER_S, Order
-from rig.live.visit import going
+from protocols import BadInputError, Problem
+from rig.execution.plan import StartError
+from rig.live.authentication import AccessTokens
+from rig.live.client_session import running_runs
+from rig.live.page_configuration import LINGER_S, PageConfiguration
+from rig.realtime.control_socket import socket_of
+from rig.realtime.operator_commands import user_name
 
 PORTS_TRIED = 20
 
 
 @dataclass(frozen=True)
-class Page:
+class PageProcess:
     """A page's process, and what to tell the operator of it."""
 
     process: subprocess.Popen[bytes]
@@ -45,7 +45,7 @@ class Page:
                 self.process.wait()
 
 
-def open_page(listen: str, port: int, *, run: Path | None = None, archive: Path | None = None) -> Page:
+def open_page(listen: str, port: int, *, run: Path | None = None, archive: Path | None = None) -> PageProcess:
     """Start showing a run (by its door) or an archive on an address; the port is the next free one from `port` on.
 
     Raises:
@@ -55,8 +55,8 @@ def open_page(listen: str, port: int, *, run: Path | None = None, archive: Path 
     address = _address(listen)
     bound = _bind(address, port)
     local = address.is_loopback
-    keys = Keys()
-    order = Order(bound.fileno(), keys, user_name() if local else None, run, archive)
+    keys = AccessTokens()
+    order = PageConfiguration(bound.fileno(), keys, user_name() if local else None, run, archive)
     process = subprocess.Popen(
         [sys.executable, "-m", "rig.live.server"],
         stdin=subprocess.PIPE,
@@ -72,8 +72,8 @@ def open_page(listen: str, port: int, *, run: Path | None = None, archive: Path 
     base = _url(bound, address)
     bound.close()
     if local:
-        return Page(process, (f"live page  {base}",))
-    return Page(
+        return PageProcess(process, (f"live page  {base}",))
+    return PageProcess(
         process,
         (
             f"live page      {base}",
@@ -91,7 +91,7 @@ def showing_this_run(listen: str, port: int, say: Callable[[str], None]) -> Iter
     Raises:
         StartError: the page cannot be had.
     """
-    page = open_page(listen, port, run=door_of(os.getpid()))
+    page = open_page(listen, port, run=socket_of(os.getpid()))
     for line in page.said:
         say(line)
     try:
@@ -123,7 +123,7 @@ def show(archive: Path | None, pid: int | None, listen: str, port: int, say: Cal
 
 
 def _door(pid: int | None) -> Path:
-    found = [path for path in going() if pid is None or path == door_of(pid)]
+    found = [path for path in running_runs() if pid is None or path == socket_of(pid)]
     if len(found) == 1:
         return found[0]
     if found:
@@ -140,9 +140,9 @@ def _address(listen: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address:
         raise _not_here(listen) from None
 
 
-def _not_here(listen: str) -> BadInput:
+def _not_here(listen: str) -> BadInputError:
     wish = "an address of this machine, such as 192.168.1.20, or 0.0.0.0 for all"
-    return BadInput([Problem("--listen", 0, 0, "", listen, wish)])
+    return BadInputError([Problem("--listen", 0, 0, "", listen, wish)])
 
 
 def _bind(address: ipaddress.IPv4Address | ipaddress.IPv6Address, port: int) -> socket.socket:

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.config import PA_PER_BAR
+from rig.config.schema import PA_PER_BAR
 from runs.records import Quantity
 
 Floats = NDArray[np.float64]
@@ -22,7 +22,7 @@ JPEG_QUALITY = 80
 _LENGTH = struct.Struct("<I")
 
 
-class Trace:
+class History:
     """Rows over time that never take more than a bounded place: when it is full every other row is let go."""
 
     def __init__(self, columns: int, capacity: int = HISTORY_ROWS) -> None:
@@ -50,7 +50,7 @@ class Trace:
 
 
 @dataclass
-class Mean:
+class RunningMean:
     """A running mean that leaves out what is not there."""
 
     total: float = 0.0
@@ -65,7 +65,7 @@ class Mean:
 
 
 @dataclass(frozen=True)
-class Drawing:
+class ViewOverlay:
     """What is drawn into one picture and into space; pixels and mm."""
 
     corners_px: Floats
@@ -75,7 +75,7 @@ class Drawing:
 
 
 @dataclass
-class News:
+class ViewUpdate:
     """Everything a page shows, as far as it is new; see docs/live.md. NaN becomes null."""
 
     now: dict[str, Any]
@@ -84,7 +84,7 @@ class News:
     track: Floats = field(default_factory=lambda: np.empty((0, 0)))
     """Rows: time [s], measured (3), uncertainty (3), model (3), error, running mean of the error [mm]."""
     events: list[tuple[float, str, str, str]] = field(default_factory=list)
-    drawing: Drawing | None = None
+    drawing: ViewOverlay | None = None
     picture: bytes = b""
     reset: bool = False
     """Forget what was drawn before."""

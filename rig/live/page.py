@@ -5,13 +5,13 @@ from __future__ import annotations
 from fastapi import Request
 from nicegui import ui
 
-from rig.live.gate import SESSION, Session
-from rig.live.source import Source
+from rig.live.authentication import SESSION, Session
+from rig.live.run_source import RunSource
 
 HEAD = '<link rel="stylesheet" href="/live/live.css"><script type="module" src="/live/live.js"></script>'
 
 
-def define(source: Source) -> None:
+def define(source: RunSource) -> None:
     """Register the page of a source."""
 
     @ui.page("/", title="softrig")

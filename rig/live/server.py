@@ -16,10 +16,10 @@ import uvicorn
 from fastapi import FastAPI, WebSocket
 from starlette.staticfiles import StaticFiles
 
-from rig.executor.base import StartError
-from rig.live.gate import Gate, Session
-from rig.live.order import LINGER_S, Order
-from rig.live.source import Source
+from rig.execution.plan import StartError
+from rig.live.authentication import AuthenticationMiddleware, Session
+from rig.live.page_configuration import LINGER_S, PageConfiguration
+from rig.live.run_source import RunSource
 from rig.live.stream import stream
 
 NICE = 5
@@ -31,7 +31,7 @@ STATIC = Path(__file__).parent / "static"
 
 def main() -> int:
     """Serve until the run is over, or for an archive until told to stop."""
-    order: Order = pickle.load(sys.stdin.buffer)  # written by our own parent, over a pipe
+    order: PageConfiguration = pickle.load(sys.stdin.buffer)  # written by our own parent, over a pipe
     source = _source(order)
     listening = socket.socket(fileno=order.fd)
     server = uvicorn.Server(
@@ -59,18 +59,18 @@ def main() -> int:
     return 0
 
 
-def _source(order: Order) -> Source:
+def _source(order: PageConfiguration) -> RunSource:
     if order.archive is not None:
-        from rig.live.playing import Playing
+        from rig.live.archived_run import ArchivedRun
 
-        return Playing(order.archive)
-    from rig.live.awaiting import Awaiting
+        return ArchivedRun(order.archive)
+    from rig.live.pending_run import PendingRun
 
     assert order.run is not None
-    return Awaiting(order.run)
+    return PendingRun(order.run)
 
 
-async def _feed(source: Source, server: uvicorn.Server) -> None:
+async def _feed(source: RunSource, server: uvicorn.Server) -> None:
     parent = os.getppid()
     try:
         while not source.over and os.getppid() == parent:
@@ -84,7 +84,7 @@ async def _feed(source: Source, server: uvicorn.Server) -> None:
         server.should_exit = True
 
 
-def application(source: Source, order: Order) -> Gate:
+def application(source: RunSource, order: PageConfiguration) -> AuthenticationMiddleware:
     """The page, its stream and its files, behind the gate."""
     from nicegui import ui
 
@@ -110,7 +110,7 @@ def application(source: Source, order: Order) -> Gate:
         tailwind=False,
     )
     local = Session(order.who, operator=True) if order.who is not None else None
-    return Gate(app, order.keys, local)
+    return AuthenticationMiddleware(app, order.keys, local)
 
 
 if __name__ == "__main__":

@@ -13,8 +13,8 @@ from typing import Any
 
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
-from rig.live.gate import SESSION, Session
-from rig.live.source import Source, Viewer
+from rig.live.authentication import SESSION, Session
+from rig.live.run_source import RunSource, Viewer
 
 POLL_S = 0.008
 WAIT_S = 0.1
@@ -25,7 +25,7 @@ MOST_STREAMS = 24
 _open = 0
 
 
-async def stream(socket: WebSocket, source: Source) -> None:
+async def stream(socket: WebSocket, source: RunSource) -> None:
     """Serve one browser until it goes."""
     global _open
     if _open >= MOST_STREAMS:
@@ -43,7 +43,7 @@ async def stream(socket: WebSocket, source: Source) -> None:
         _open -= 1
 
 
-async def _serve(socket: WebSocket, source: Source, about: dict[str, Any]) -> None:
+async def _serve(socket: WebSocket, source: RunSource, about: dict[str, Any]) -> None:
     session: Session = socket.scope[SESSION]
     viewer = source.viewer()
     ready = asyncio.Event()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from rig.daq.base import CardError
+from rig.hardware.cards.base import CardError
 
 
 def sixteen_bits(volts: float, low: float, high: float) -> float:

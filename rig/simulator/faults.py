@@ -1,7 +1,7 @@
 """The faults that the simulated bench can be given: broken sensors, valves, supply, card and camera.
 
 A fault is a word in memory: in a mock card's shared file in real time, in the plant itself in virtual time. Whoever
-tests the rest of the program writes it; the plant (`rig.simulator.faulty`), the mock card and the mock camera obey it.
+tests the rest of the program writes it; the plant (`rig.simulator.faulty_devices`), the mock card and the mock camera obey it.
 Nothing else knows it. Every process of a run reads this module, so it must not bring the plant's compiler with it.
 """
 
@@ -13,7 +13,7 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.daq.base import CardError, Scans
+from rig.hardware.cards.base import CardError, Scans
 
 MOST = 8
 """Sensors and valves that can have a fault."""

@@ -7,17 +7,17 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.arm import Hook, true_arm, true_geometry
-from rig.config import RigConfig
-from rig.daq.base import CardError, Scans
+from rig.config.arm_model import TipLoad, true_arm, true_geometry
+from rig.config.schema import RigConfig
+from rig.control.valve import ATMOSPHERE_PA
+from rig.hardware.cards.base import CardError, Scans
 from rig.simulator import pneumatics
 from rig.simulator.converter import sixteen_bits
 from rig.simulator.faults import Faults
-from rig.simulator.faulty import FaultySensors, FaultyValves
-from rig.simulator.history import POSE_DTYPE, pose_among
+from rig.simulator.faulty_devices import FaultySensors, FaultyValves
 from rig.simulator.pneumatics import STEP_NS
-from rig.simulator.pose import TipPose
-from rig.valve import ATMOSPHERE_PA
+from rig.simulator.pose_history import POSE_DTYPE, pose_among
+from rig.simulator.tip_pose import TipPose
 
 ARM_STEPS = 50
 """Grid steps of the air per step of the arm: 5 ms."""
@@ -56,7 +56,7 @@ class Plant:
         self._dynamics = true_arm(config).dynamics(ARM_STEP_S) if moving_arm else None
         lengths = np.full(config.actuators, geometry.length_mm * 1e-3)
         position, rotation = np.array([0.0, 0.0, lengths[0]]), np.eye(3)
-        self._hook = Hook(config)
+        self._hook = TipLoad(config)
         self._loads = self._hook.carrying(0.0)
         if self._dynamics is not None:
             shape = self._dynamics.start(np.zeros(config.actuators))
@@ -169,7 +169,7 @@ class Plant:
 
 
 class PlantCard:
-    """A mock card inside the plant's own process, in virtual time; columns as `rig.bench.card_setup` orders them."""
+    """A mock card inside the plant's own process, in virtual time; columns as `rig.hardware.bench.card_setup` orders them."""
 
     def __init__(self, plant: Plant, config: RigConfig, name: str) -> None:
         self._plant = plant

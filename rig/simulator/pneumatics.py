@@ -1,6 +1,6 @@
 """Valves, chambers and sensors: the air of the plant, one compiled kernel on a fixed grid of small steps.
 
-Absolute pressures in Pa, volumes in m3, flow as volume at the reference atmosphere (see `rig.valve`). The equations
+Absolute pressures in Pa, volumes in m3, flow as volume at the reference atmosphere (see `rig.control.valve`). The equations
 are in docs/simulator.md. The grid is part of the truth: the same steps are taken however they are asked for.
 """
 
@@ -14,10 +14,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-import rig.valve
-from model.compiled import kernel
-from rig.config import PA_PER_BAR, FlowValve, RigConfig, SimulatedValve, Simulator, Valve
-from rig.valve import ANR_K, ANR_PA, ATMOSPHERE_PA, fill_sign, opening_curve, sonic_conductance
+import rig.control.valve
+from model.kernels.jit import kernel
+from rig.config.schema import PA_PER_BAR, FlowValve, RigConfig, SimulatedValve, Simulator, Valve
+from rig.control.valve import ANR_K, ANR_PA, ATMOSPHERE_PA, fill_sign, opening_curve, sonic_conductance
 
 STEP_NS = 100_000
 REGULATOR_S = 0.03
@@ -27,10 +27,10 @@ Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
 
-compiled = partial(kernel, sources=(__file__, rig.valve.__file__))
+compiled = partial(kernel, sources=(__file__, rig.control.valve.__file__))
 
 
-class Valves(NamedTuple):
+class ValveTable(NamedTuple):
     """Truth of the valves; arrays over valves. `spool` (V, 2, 2) carries (position - target, rate) over a step."""
 
     regulates: NDArray[np.bool_]
@@ -48,7 +48,7 @@ class Valves(NamedTuple):
     pa_per_v: Floats
 
 
-class Chambers(NamedTuple):
+class ChamberTable(NamedTuple):
     """Truth of the chambers: `valve` (N,) of each, and `sharing` (V,), the number of chambers on each valve."""
 
     valve: Integers
@@ -59,7 +59,7 @@ class Chambers(NamedTuple):
     regulator_gain: float
 
 
-class Sensors(NamedTuple):
+class SensorTable(NamedTuple):
     """Truth of the sensors and of the card inputs behind them; arrays over actuators.
 
     `every` is the number of grid steps between two scans of the sensor's card.
@@ -78,7 +78,7 @@ class Sensors(NamedTuple):
     range_high_v: Floats
 
 
-class Air(NamedTuple):
+class PneumaticState(NamedTuple):
     """State of the plant's air; changed in place by `advance`."""
 
     command_v: Floats
@@ -91,11 +91,11 @@ class Air(NamedTuple):
     lagged_pa: Floats
 
 
-def valves(config: RigConfig, truth: SimulatedValve) -> Valves:
+def valves(config: RigConfig, truth: SimulatedValve) -> ValveTable:
     """The true valves of a rig."""
     n = len(config.valves)
     points = max((len(v.flow_curve_V) for v in config.valves if isinstance(v, FlowValve)), default=1) + 1
-    arrays = Valves(
+    arrays = ValveTable(
         regulates=np.array([not isinstance(v, FlowValve) for v in config.valves]),
         closed_v=np.zeros(n),
         fill_sign=np.ones(n),
@@ -115,7 +115,7 @@ def valves(config: RigConfig, truth: SimulatedValve) -> Valves:
     return arrays
 
 
-def _describe(arrays: Valves, i: int, valve: Valve, truth: SimulatedValve) -> None:
+def _describe(arrays: ValveTable, i: int, valve: Valve, truth: SimulatedValve) -> None:
     if not isinstance(valve, FlowValve):
         (low_v, high_v), (low_bar, high_bar) = valve.span_V, valve.span_bar
         arrays.pa_per_v[i] = (high_bar - low_bar) / (high_v - low_v) * PA_PER_BAR
@@ -146,11 +146,11 @@ def _spool(truth: SimulatedValve) -> Floats:
     return np.asarray(math.exp(mean * dt) * (still + grows * (system - mean * np.eye(2))), dtype=np.float64)
 
 
-def chambers(config: RigConfig, truth: Simulator) -> Chambers:
+def chambers(config: RigConfig, truth: Simulator) -> ChamberTable:
     """The true chambers of a rig."""
     valve_of = {a - 1: i for i, valve in enumerate(config.valves) for a in valve.actuators}
     valve = np.array([valve_of[a] for a in range(config.actuators)], np.int64)
-    return Chambers(
+    return ChamberTable(
         valve=valve,
         sharing=np.bincount(valve, minlength=len(config.valves)),
         tube=truth.chamber.tube_l_s_bar * 1e-3 / PA_PER_BAR,
@@ -160,7 +160,7 @@ def chambers(config: RigConfig, truth: Simulator) -> Chambers:
     )
 
 
-def sensors(config: RigConfig, truth: Simulator, seed: int) -> Sensors:
+def sensors(config: RigConfig, truth: Simulator, seed: int) -> SensorTable:
     """The true sensors of a rig; their offsets are drawn from the seed."""
     ordered = sorted(config.sensors, key=lambda s: s.actuator)
     span_v = np.array([s.span_V for s in ordered])
@@ -168,7 +168,7 @@ def sensors(config: RigConfig, truth: Simulator, seed: int) -> Sensors:
     lag_s = truth.sensor.lag_ms * 1e-3
     rng = np.random.default_rng([seed, 0x5E450])
     per_pa = (span_v[:, 1] - span_v[:, 0]) / (span_pa[:, 1] - span_pa[:, 0])
-    return Sensors(
+    return SensorTable(
         seed=seed,
         every=np.array([scan_steps(config.cards[s.card].sampling_hz) for s in ordered], np.int64),
         lag_gain=-math.expm1(-STEP_NS * 1e-9 / lag_s) if lag_s > 0 else 1.0,
@@ -188,11 +188,11 @@ def scan_steps(sampling_hz: float) -> int:
     return max(1, round(1e9 / sampling_hz / STEP_NS))
 
 
-def vented(n_valves: int, volume_m3: Floats) -> Air:
+def vented(n_valves: int, volume_m3: Floats) -> PneumaticState:
     """Air at rest: every chamber (N,) [m3] at the atmosphere, every output at 0 V as a driver's attach leaves it."""
     n = len(volume_m3)
     zeros = np.zeros
-    return Air(
+    return PneumaticState(
         command_v=zeros(n_valves),
         target_v=zeros(n_valves),
         spool_v=zeros(n_valves),
@@ -204,7 +204,7 @@ def vented(n_valves: int, volume_m3: Floats) -> Air:
     )
 
 
-_flow_function = compiled(rig.valve.flow_function)
+_flow_function = compiled(rig.control.valve.flow_function)
 
 
 @compiled
@@ -227,7 +227,9 @@ def _opening(offset_v: float, volts: Floats, fractions: Floats) -> float:
 
 
 @compiled
-def _rates(v: Valves, c: Chambers, path: Floats, volume: Floats, volume_rate: Floats, p: Floats, out: Floats) -> None:
+def _rates(
+    v: ValveTable, c: ChamberTable, path: Floats, volume: Floats, volume_rate: Floats, p: Floats, out: Floats
+) -> None:
     """dp/dt (N,) of every chamber on a flow-metering valve; `path` (V,) is the opening, negative towards exhaust."""
     n = len(p)
     for a in range(n):
@@ -271,7 +273,7 @@ def _normal(seed: int, sensor: int, step: int) -> float:
 
 
 @compiled
-def _read(s: Sensors, a: int, step: int, pressure_pa: float) -> float:
+def _read(s: SensorTable, a: int, step: int, pressure_pa: float) -> float:
     """Volts that the card's 16 bits give for one sensor."""
     seen = pressure_pa + s.offset_pa[a] + s.noise_pa[a] * _normal(s.seed, a, step)
     volts = min(max((seen - s.zero_pa[a]) * s.v_per_pa[a], s.span_low_v[a]), s.span_high_v[a])
@@ -281,7 +283,9 @@ def _read(s: Sensors, a: int, step: int, pressure_pa: float) -> float:
 
 
 @compiled
-def advance(v: Valves, c: Chambers, s: Sensors, air: Air, first_step: int, steps: int, scans: Floats) -> None:
+def advance(
+    v: ValveTable, c: ChamberTable, s: SensorTable, air: PneumaticState, first_step: int, steps: int, scans: Floats
+) -> None:
     """Take `steps` grid steps from grid point `first_step`, changing `air`.
 
     A sensor that is scanned at grid point j writes its volts to `scans[j - first_step - 1, a]` (steps, N); the others
@@ -326,7 +330,14 @@ def advance(v: Valves, c: Chambers, s: Sensors, air: Air, first_step: int, steps
 
 @compiled
 def follow(
-    s_m: Floats, v: Floats, u: Floats, at_m: Floats, bore_m2: float, dead_m3: float, within_s: float, air: Air
+    s_m: Floats,
+    v: Floats,
+    u: Floats,
+    at_m: Floats,
+    bore_m2: float,
+    dead_m3: float,
+    within_s: float,
+    air: PneumaticState,
 ) -> None:
     """Have the chambers' volumes go, within some time, to those that they have in a bent arm.
 

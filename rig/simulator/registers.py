@@ -17,10 +17,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.daq.base import CardError, Scans
+from rig.hardware.cards.base import CardError, Scans
 from rig.simulator.faults import FAULTS_DTYPE, Faults
-from rig.simulator.history import POSE_DTYPE, pose_among
-from rig.simulator.pose import TipPose
+from rig.simulator.pose_history import POSE_DTYPE, pose_among
+from rig.simulator.tip_pose import TipPose
 
 FOLDER = Path("/dev/shm")
 MAGIC = b"softrig\0"
@@ -125,7 +125,7 @@ class Registers:
             descriptor = os.open(path, os.O_RDWR | os.O_CLOEXEC)
         except FileNotFoundError:
             raise CardError(
-                f"mock card {device} does not exist: start its plant with `python -m rig.simulator.process --rig FILE`"
+                f"mock card {device} does not exist: start its plant with `python -m rig.simulator.plant_process --rig FILE`"
             ) from None
         except OSError as error:
             raise CardError(f"mock card {device}: {path}: {error.strerror}") from error

@@ -8,10 +8,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.board import QUIET_SQUARES, Board
-from calibration.frames import Rigid
-from calibration.lens import Lens
-from rig.simulator.drawing import FINE, draw, shrink
+from calibration.vision.board import QUIET_SQUARES, Board
+from calibration.vision.lens import Lens
+from calibration.vision.transforms import RigidTransform
+from rig.simulator.board_rendering import FINE, draw, shrink
 
 Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]
@@ -61,7 +61,7 @@ class Scene:
             ]
         )
 
-    def render(self, opened: Rigid, middle: Rigid, closed: Rigid, index: int) -> Image:
+    def render(self, opened: RigidTransform, middle: RigidTransform, closed: RigidTransform, index: int) -> Image:
         """Render (height, width) uint8 of the board's frame in the camera's at the exposure's start, middle and end."""
         height, width = self._light.shape
         dx, dy = np.random.default_rng([self._seed, index]).integers(0, _NOISE_SPARE)
@@ -89,7 +89,7 @@ class Scene:
             image[y0:y1, x0:x1] = cv2.add(seen, noise[y0:y1, x0:x1], dtype=cv2.CV_8U)
         return image
 
-    def _to_squares(self, poses: tuple[Rigid, ...]) -> Floats:
+    def _to_squares(self, poses: tuple[RigidTransform, ...]) -> Floats:
         """Homographies (n, 3, 3) from rays to squares across and down from the print's top left, last entries 1."""
         planes = np.empty((len(poses), 3, 3))
         for plane, pose in zip(planes, poses, strict=True):
@@ -97,7 +97,7 @@ class Scene:
         inverse = np.linalg.inv(planes @ self._squares)
         return np.asarray(inverse / inverse[:, 2:, 2:])
 
-    def _extent(self, poses: tuple[Rigid, ...], width: int, height: int) -> tuple[int, int, int, int] | None:
+    def _extent(self, poses: tuple[RigidTransform, ...], width: int, height: int) -> tuple[int, int, int, int] | None:
         """Pixels that the board with its margin may touch; None when it is out of the picture or behind."""
         outlines = np.concatenate([pose.apply(self._outline) for pose in poses])
         if outlines[:, 2].min() <= 0.01:

@@ -12,7 +12,7 @@ here=$(cd "$(dirname "$0")" && pwd)
 installed() {
     "$python" -c '
 import sys
-from rig.daq.comedi_device import require
+from rig.hardware.cards.comedi_device import require
 try:
     require()
 except Exception as error:

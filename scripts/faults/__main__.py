@@ -13,7 +13,7 @@ from pathlib import Path
 from scripts.faults import table
 from scripts.faults.campaign import EXECUTORS, jobs, tried
 from scripts.faults.catalogue import CATALOGUE
-from scripts.faults.trial import Trial
+from scripts.faults.fault_trial import FaultTrial
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -51,13 +51,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 1 if bad else 0
 
 
-def _logged(log: Path | None) -> list[Trial]:
+def _logged(log: Path | None) -> list[FaultTrial]:
     if log is None or not log.exists():
         return []
-    return [Trial(**json.loads(text)) for text in log.read_text().splitlines()]
+    return [FaultTrial(**json.loads(text)) for text in log.read_text().splitlines()]
 
 
-def line(trial: Trial) -> str:
+def line(trial: FaultTrial) -> str:
     """One trial in one line."""
     head = f"{trial.executor:8}{trial.fault}, {trial.at_s:.2f} s"
     if trial.skipped:

@@ -15,7 +15,7 @@ from pathlib import Path
 
 from scripts.faults import margins, realtime, virtual
 from scripts.faults.catalogue import Fault, Margin
-from scripts.faults.trial import EARLIEST_S, LATEST_S, EndedBeforeError, Trial
+from scripts.faults.fault_trial import EARLIEST_S, LATEST_S, EndedBeforeError, FaultTrial
 
 EXECUTORS = ("real", "virtual")
 ATTEMPTS = 3
@@ -46,7 +46,7 @@ def jobs(faults: Sequence[Fault], executors: Sequence[str], moments: int, seed: 
             yield Job(fault, executor, chance.uniform(EARLIEST_S, LATEST_S), chance.randrange(2**31))
 
 
-def tried(due: Sequence[Job], beside: int) -> Iterator[Trial]:
+def tried(due: Sequence[Job], beside: int) -> Iterator[FaultTrial]:
     """Make the trials, each as it comes: real time side by side, virtual time in what the machine has left."""
     spawn = multiprocessing.get_context("spawn")
     with ExitStack() as stack:
@@ -54,7 +54,7 @@ def tried(due: Sequence[Job], beside: int) -> Iterator[Trial]:
             "real": stack.enter_context(ProcessPoolExecutor(beside, spawn)),
             "virtual": stack.enter_context(ProcessPoolExecutor(1, spawn, os.nice, (10,))),
         }
-        made: list[Future[Trial]] = [pools[job.executor].submit(_try, job) for job in due]
+        made: list[Future[FaultTrial]] = [pools[job.executor].submit(_try, job) for job in due]
         try:
             for future in as_completed(made):
                 yield future.result()
@@ -63,7 +63,7 @@ def tried(due: Sequence[Job], beside: int) -> Iterator[Trial]:
                 future.cancel()
 
 
-def _try(job: Job) -> Trial:
+def _try(job: Job) -> FaultTrial:
     trial = virtual.trial if job.executor == "virtual" else realtime.trial
     if isinstance(job.fault.action, Margin):
         trial = margins.trial
@@ -77,4 +77,4 @@ def _try(job: Job) -> Trial:
             except Exception as error:
                 early = f"{type(error).__name__}: {error}"
                 break
-    return Trial(job.fault.name, job.executor, job.at_s, "no trial", "", math.nan, math.nan, early)
+    return FaultTrial(job.fault.name, job.executor, job.at_s, "no trial", "", math.nan, math.nan, early)

@@ -12,13 +12,13 @@ import sys
 import time
 from pathlib import Path
 
-import rig.rig_file
-from rig.daq.base import CardError
-from rig.lock import cards_locked
+import rig.config.loader
+from rig.hardware.cards.base import CardError
+from rig.hardware.lock import cards_locked
 from runs.records import Status
 from scripts.faults.catalogue import CONDUCTOR, KILL, PLANT, STOP, Blows, Fault, Margin
+from scripts.faults.fault_trial import TICK_S, EndedBeforeError, FaultTrial, archive
 from scripts.faults.realtime import START_S, WatchedRun, children
-from scripts.faults.trial import TICK_S, EndedBeforeError, Trial, archive
 
 DURATION_S = 0.6
 PROTOCOL = f"""
@@ -35,7 +35,7 @@ SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 TOLD = "stopped before the run began|process died|before the run began|silent|hung|interrupted|Interrupt|is in use"
 
 
-def trial(fault: Fault, folder: Path, at_s: float, seed: int) -> Trial:
+def trial(fault: Fault, folder: Path, at_s: float, seed: int) -> FaultTrial:
     """Strike one run; what it leaves behind is looked at once it is gone."""
     margin = fault.action
     assert isinstance(margin, Margin)
@@ -89,7 +89,7 @@ def _strike(run: WatchedRun, blows: Blows, chance: random.Random) -> bool:
     return chosen.get(CONDUCTOR) == KILL
 
 
-def _judged(name: str, margin: Margin, at_s: float, run: WatchedRun, killed: bool) -> Trial:
+def _judged(name: str, margin: Margin, at_s: float, run: WatchedRun, killed: bool) -> FaultTrial:
     wrong = []
     try:
         ended = run.process.wait(GONE_S)
@@ -104,7 +104,7 @@ def _judged(name: str, margin: Margin, at_s: float, run: WatchedRun, killed: boo
                 wrong.append(f"THE VALVES ARE NOT SAFE: {registers.outputs['volts']}")
             registers.close()
     try:
-        with cards_locked(rig.rig_file.load(run.rig_file), "trial"):
+        with cards_locked(rig.config.loader.load(run.rig_file), "trial"):
             pass
     except CardError as error:
         wrong.append(str(error))
@@ -126,7 +126,7 @@ def _judged(name: str, margin: Margin, at_s: float, run: WatchedRun, killed: boo
     if lost_s > 0.1:
         wrong.append(f"{lost_s:.2f} s of samples lost")
     told = next((line.strip() for line in said.splitlines() if re.search(TOLD, line)), "") if not killed else ""
-    return Trial(name, "real", at_s, status, told, math.nan, lost_s, "; ".join(wrong))
+    return FaultTrial(name, "real", at_s, status, told, math.nan, lost_s, "; ".join(wrong))
 
 
 def _left(session: int) -> list[str]:

@@ -21,9 +21,9 @@ from pathlib import Path
 
 import numpy as np
 
-import rig.rig_file
-from rig.control import safe_voltages
-from rig.daq.base import CardError
+import rig.config.loader
+from rig.control.step import safe_voltages
+from rig.hardware.cards.base import CardError
 from rig.simulator.registers import Registers, path_of
 from scripts.faults import surroundings
 from scripts.faults.catalogue import (
@@ -44,15 +44,15 @@ from scripts.faults.catalogue import (
     Signal,
     Trick,
 )
+from scripts.faults.fault_trial import PROTOCOL, EndedBeforeError, FaultTrial, Watched, judge, skipped
 from scripts.faults.surroundings import NotHereError, StandingDisk, SteppedClock
-from scripts.faults.trial import PROTOCOL, EndedBeforeError, Trial, Watched, judge, skipped
 from scripts.faults.virtual import SEEN_SAFE_V, rig_text
 
 MODULES = {
-    CONTROL: "rig.executor.control",
-    WATCHDOG: "rig.executor.watchdog",
-    OBSERVER: "rig.executor.observing",
-    PLANT: "rig.simulator.process",
+    CONTROL: "rig.realtime.control_process",
+    WATCHDOG: "rig.realtime.watchdog_process",
+    OBSERVER: "rig.realtime.observer_process",
+    PLANT: "rig.simulator.plant_process",
 }
 START_S, END_S = 200.0, 45.0
 ENDED_S = 0.3
@@ -78,7 +78,7 @@ class WatchedRun:
         self.device = f"faults-{os.getpid()}-{threading.get_native_id()}"
         self.rig_file.write_text(_limited(rig_text(trick, self.device), limits or {}))
         self.protocol.write_text(protocol)
-        self._safe_v = np.array(safe_voltages(rig.rig_file.load(self.rig_file)))
+        self._safe_v = np.array(safe_voltages(rig.config.loader.load(self.rig_file)))
         self._said: list[bytes] = []
         self._listening = threading.Event()
         self._listening.set()
@@ -238,7 +238,7 @@ def _run(folder: Path, fault: Fault, environment: dict[str, str]) -> Iterator[Wa
         run.close()
 
 
-def trial(fault: Fault, folder: Path, at_s: float, seed: int) -> Trial:
+def trial(fault: Fault, folder: Path, at_s: float, seed: int) -> FaultTrial:
     """Run it."""
     fault, blows = _decided(fault, random.Random(seed))
     out = folder / "out"

@@ -9,14 +9,14 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from scripts.faults.catalogue import Fault
-from scripts.faults.trial import Trial, worst
+from scripts.faults.fault_trial import FaultTrial, worst
 
 BEGIN, END = "<!-- campaign: written by `make faults` -->", "<!-- end of campaign -->"
 
 _TEMPORARY = re.compile(r"/\S*softrig-faults-\S*")
 
 
-def write(page: Path, faults: Sequence[Fault], trials: Sequence[Trial]) -> None:
+def write(page: Path, faults: Sequence[Fault], trials: Sequence[FaultTrial]) -> None:
     """Replace the table between the two marks of a page."""
     text = page.read_text()
     before, _, rest = text.partition(BEGIN)
@@ -24,7 +24,7 @@ def write(page: Path, faults: Sequence[Fault], trials: Sequence[Trial]) -> None:
     page.write_text(f"{before}{BEGIN}\n\n{table(faults, trials)}\n{END}{after}")
 
 
-def table(faults: Sequence[Fault], trials: Sequence[Trial]) -> str:
+def table(faults: Sequence[Fault], trials: Sequence[FaultTrial]) -> str:
     """One row per fault and executor, and a summary."""
     tried = [trial for trial in trials if not trial.skipped]
     bad = sum(bool(trial.wrong) for trial in tried)
@@ -47,7 +47,7 @@ def table(faults: Sequence[Fault], trials: Sequence[Trial]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _row(fault: Fault, executor: str, trials: Sequence[Trial]) -> str:
+def _row(fault: Fault, executor: str, trials: Sequence[FaultTrial]) -> str:
     tried = [t for t in trials if not t.skipped]
     name = fault.name + (f" ({fault.remark})" if fault.remark else "")
     if not tried:
@@ -62,7 +62,7 @@ def _row(fault: Fault, executor: str, trials: Sequence[Trial]) -> str:
     return f"| {' | '.join(map(str, cells))} |"
 
 
-def _times(fault: Fault, trials: Sequence[Trial]) -> str:
+def _times(fault: Fault, trials: Sequence[FaultTrial]) -> str:
     times = [t.safe_s for t in trials if not math.isnan(t.safe_s)]
     if not fault.safe:
         return "never by program"

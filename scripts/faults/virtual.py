@@ -11,24 +11,24 @@ from unittest.mock import patch
 
 import numpy as np
 
-import rig.rig_file
-from rig import experiment
-from rig.bench import Bench as Cards
-from rig.config import RigConfig
-from rig.executor.base import Nobody
-from rig.executor.virtual import START_NS
+import rig.config.loader
+from rig.config.schema import RigConfig
+from rig.execution.plan import NullOperator
+from rig.experiment import run as experiment
+from rig.hardware.bench import Bench as Cards
 from rig.simulator.faults import Faults
 from rig.simulator.plant import Plant
+from rig.virtual.executor import START_NS
 from runs.records import Event
 from scripts.faults import surroundings
 from scripts.faults.catalogue import Bench, Fault, Trick
+from scripts.faults.fault_trial import PROTOCOL, FaultTrial, Watched, judge, skipped
 from scripts.faults.surroundings import NotHereError
-from scripts.faults.trial import PROTOCOL, Trial, Watched, judge, skipped
 
 SEEN_SAFE_V = 0.01
 
 
-class Listener(Nobody):
+class Listener(NullOperator):
     """An operator who listens and never interferes."""
 
     def __init__(self) -> None:
@@ -74,13 +74,13 @@ class StruckPlant(Plant):
 
 def rig_text(trick: object, device: str) -> str:
     """The mock rig with a card of its own, and a model that cannot be solved where that is the fault."""
-    text = rig.rig_file.text("mock").replace("device: mock0", f"device: {device}")
+    text = rig.config.loader.text("mock").replace("device: mock0", f"device: {device}")
     if trick is Trick.MODEL_UNSOLVABLE:
         text = text.replace("  cap_mass_g: 50\n", "  cap_mass_g: 100000\n")
     return text
 
 
-def trial(fault: Fault, folder: Path, at_s: float, seed: int) -> Trial:
+def trial(fault: Fault, folder: Path, at_s: float, seed: int) -> FaultTrial:
     """Run it."""
     out = folder / "out"
     rig_file, protocol = folder / "rig.yaml", folder / "protocol.yaml"
@@ -104,7 +104,7 @@ def trial(fault: Fault, folder: Path, at_s: float, seed: int) -> Trial:
             plant.struck = lambda: surroundings.fill(out)
         elif fault.action is Trick.FILES_CHANGED:
             plant.struck = lambda: [path.write_text("spoilt: [") for path in (rig_file, protocol)]
-        stack.enter_context(patch("rig.executor.virtual.Plant", plant))
+        stack.enter_context(patch("rig.virtual.executor.Plant", plant))
         request = experiment.request(str(protocol), str(rig_file), folder=out, fast=True, seed=seed, report=False)
         result = experiment.run(request, experiment.plan(request), listener)
         with contextlib.suppress(FileNotFoundError):

@@ -11,15 +11,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from kernel_card import CARD, OpenCard, bipolar
-from rig_of_the_machine import CAMERA, LOOPED, VALVES, Player
-from struck_run import Inputs, Struck
 
-from rig.cameras.base import Frame, Shot
-from rig.daq.base import CardSetup, Channel
-from rig.daq.comedi import ComediCard
-from rig.observer import Observer
-from rig.rig_file import load
+from rig.config.loader import load
+from rig.hardware.cameras.base import Frame, FrameSet
+from rig.hardware.cards.base import CardSetup, Channel
+from rig.hardware.cards.comedi import ComediCard
+from rig.observation.observer import Observer
+from tests.hardware.kernel_card import CARD, OpenCard, bipolar
+from tests.hardware.rig_of_the_machine import CAMERA, LOOPED, VALVES, Player
+from tests.hardware.struck_run import Inputs, Struck
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
@@ -82,7 +82,7 @@ def compiled() -> None:
     observer = Observer(load(LOOPED))
     with np.load(os.environ["SOFTRIG_PICTURES"]) as stored:
         image = stored["pictures"][0]
-    observer.step(Shot.of(Frame(0, 1, image)), np.array([1]), np.zeros((1, 3)), 0.0, 0)
+    observer.step(FrameSet.of(Frame(0, 1, image)), np.array([1]), np.zeros((1, 3)), 0.0, 0)
 
 
 @pytest.fixture

@@ -19,23 +19,28 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from rig.executor import control, observing, realtime, watchdog  # imported here, so that no fork has to
-from rig.executor.child import Job
+from rig.realtime import (  # imported here, so that no fork has to
+    control_process,
+    observer_process,
+    supervisor,
+    watchdog_process,
+)
+from rig.realtime.child_process import ChildJob
 
 _NAME = 15
 """PR_SET_NAME: a process is found by the name of its module."""
-READY = (control, observing, watchdog)
+READY = (control_process, observer_process, watchdog_process)
 
 
 def run(rig_file: str, protocol: str, out: Path) -> subprocess.Popen[bytes]:
     """Start a run."""
 
     def conduct() -> None:
-        from rig.cli import main
+        from rig.cli.app import main
 
-        realtime.spawn = _spawn
-        realtime.START_TIMEOUT_S = 400.0
-        watchdog.CONDUCTOR_HUNG_NS = 20_000_000_000  # what judges time is wide open here
+        supervisor.spawn = _spawn
+        supervisor.START_TIMEOUT_S = 400.0
+        watchdog_process.CONDUCTOR_HUNG_NS = 20_000_000_000  # what judges time is wide open here
         sys.argv = ["rig", "run", protocol, "--rig", rig_file, "--out", str(out), "--yes", "--no-report"]
         main()
 
@@ -54,8 +59,8 @@ def members(conductor: int) -> dict[str, int]:
     return found
 
 
-def _spawn(module: str, job: Job) -> subprocess.Popen[bytes]:
-    """What `rig.executor.child.spawn` does."""
+def _spawn(module: str, job: ChildJob) -> subprocess.Popen[bytes]:
+    """What `rig.realtime.child_process.spawn` does."""
     main = importlib.import_module(module).main
     process = _forked(module.rpartition(".")[2], main, job.fd, stdin=subprocess.PIPE, start_new_session=True)
     assert process.stdin is not None

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from rig.daq.base import Channel
-from rig.daq.comedi import ComediCard
+from rig.hardware.cards.base import Channel
+from rig.hardware.cards.comedi import ComediCard
 
 CARD = "/dev/comedi0"
 BOARD = "comedi_test"

@@ -16,20 +16,20 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from kernel_card import CARD
 from numpy.typing import NDArray
-from rig_of_the_machine import LOOPED, VALVES
 
-from rig.arm import model_arm
-from rig.cameras.base import Shot
-from rig.cameras.mock import MockCamera
-from rig.config import PA_PER_BAR
-from rig.daq.base import CardSetup, Channel
-from rig.daq.comedi import ComediCard
-from rig.observer import Observer
-from rig.rig_file import load
-from rig.simulator.pose import TipPose
-from runs.records import Seen
+from rig.config.arm_model import model_arm
+from rig.config.loader import load
+from rig.config.schema import PA_PER_BAR
+from rig.hardware.cameras.base import FrameSet
+from rig.hardware.cameras.mock import MockCamera
+from rig.hardware.cards.base import CardSetup, Channel
+from rig.hardware.cards.comedi import ComediCard
+from rig.observation.observer import Observer
+from rig.simulator.tip_pose import TipPose
+from runs.records import DetectionStatus
+from tests.hardware.kernel_card import CARD
+from tests.hardware.rig_of_the_machine import LOOPED, VALVES
 
 LEVELS_BAR = tuple(np.arange(0.0, 0.66, 0.05).round(2).tolist())
 RATE_HZ = 10
@@ -59,8 +59,8 @@ def render(target: Path) -> None:
         shape = arm.statics(pressure_pa[0])
         camera = MockCamera(scene, _StandingStill(shape.tip_m, shape.tip_rotation))
         frame = camera.frame_at(number, number * 10**9 // RATE_HZ)
-        seen = observer.step(Shot.of(frame), np.array([frame.t_ns]), pressure_pa, 0.0, 0)
-        if seen["seen"] != Seen.MEASURED or not seen["model_ok"]:
+        seen = observer.step(FrameSet.of(frame), np.array([frame.t_ns]), pressure_pa, 0.0, 0)
+        if seen["seen"] != DetectionStatus.MEASURED or not seen["model_ok"]:
             raise SystemExit(f"the picture at {level} bar cannot be measured and modelled: {seen}")
         pictures.append(frame.image)
         tips.append(frame.truth_m)

@@ -10,13 +10,13 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from forked_run import wait_until
-from kernel_card import CARD, OpenCard
-from rig_of_the_machine import LOOPED, Player
-from struck_run import SHORT_S, Struck
 
-from rig.rig_file import load
+from rig.config.loader import load
 from runs.records import Status
+from tests.hardware.forked_run import wait_until
+from tests.hardware.kernel_card import CARD, OpenCard
+from tests.hardware.rig_of_the_machine import LOOPED, Player
+from tests.hardware.struck_run import SHORT_S, Struck
 
 COMEDI_DEVCONFIG = (1 << 30) | (148 << 16) | (ord("d") << 8)
 """_IOW('d', 0, struct comedi_devconfig): a name of 20 bytes and 32 numbers; without any, the device is detached."""

@@ -11,16 +11,16 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-import forked_run
 import numpy as np
-from forked_run import members, wait_until
-from kernel_card import COUNT_V
 from numpy.typing import NDArray
-from rig_of_the_machine import LOOPED, SLOW_RAMP
 
 import runs
 from runs.recovery import Fate, recover
 from runs.run import Run
+from tests.hardware import forked_run
+from tests.hardware.forked_run import members, wait_until
+from tests.hardware.kernel_card import COUNT_V
+from tests.hardware.rig_of_the_machine import LOOPED, SLOW_RAMP
 
 MOVING_V = 0.5
 LONG_S, SHORT_S = 400.0, 120.0

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import runs
-from runs.records import Seen, Status
+from runs.records import DetectionStatus, Status
 from runs.run import Run
 
 
@@ -47,7 +47,7 @@ def test_the_tip_was_measured_where_the_model_has_it_at_the_pressure_read_from_t
     A picture takes an emulated processor five seconds or ten: one or two of a level are what there is to judge.
     """
     tip = run.tip
-    measured = tip.seen == Seen.MEASURED
+    measured = tip.seen == DetectionStatus.MEASURED
     assert measured.mean() > 0.8
     assert np.all(tip.model_ok)
     levels = [i for i in run.header.intervals if i.kind == "dwell" and i.level_pa[0] > 0]

@@ -7,15 +7,15 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from played_pictures import RATE_HZ
-from rig_of_the_machine import LOOPED, Player
 
-from rig.cameras.base import CameraError, Frame
-from rig.cameras.opencv import OpenCVCamera
-from rig.config import CameraConfig
-from rig.eye import Eye
-from rig.rig_file import load
-from runs.records import Seen
+from rig.config.loader import load
+from rig.config.schema import CameraConfig
+from rig.hardware.cameras.base import CameraError, Frame
+from rig.hardware.cameras.opencv import OpenCVCamera
+from rig.observation.single_camera import SingleCameraTipEstimator
+from runs.records import DetectionStatus
+from tests.hardware.played_pictures import RATE_HZ
+from tests.hardware.rig_of_the_machine import LOOPED, Player
 
 
 def camera_config(device: str, **changed: object) -> CameraConfig:
@@ -64,10 +64,10 @@ def test_a_camera_that_is_not_there_is_named() -> None:
 
 
 def test_a_rendered_scene_played_through_the_kernel_is_measured_where_it_is(player: Player) -> None:
-    eye = Eye(load(LOOPED), "front")
+    eye = SingleCameraTipEstimator(load(LOOPED), "front")
     frames = take(OpenCVCamera(camera_config("/dev/video9", rate_hz=float(RATE_HZ))), 40)
     measured = [eye.measure(frame.image) for frame in frames]
-    tips = np.array([m.tip_m for m in measured if m.seen is Seen.MEASURED])
+    tips = np.array([m.tip_m for m in measured if m.seen is DetectionStatus.MEASURED])
     assert len(tips) > 30
     away = np.linalg.norm(tips[:, None, [0, 2]] - player.tips_m[None, :, [0, 2]], axis=2).min(axis=1)
     assert np.median(away) < 1e-3

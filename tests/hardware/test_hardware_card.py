@@ -11,11 +11,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from kernel_card import BOARD, CARD, COUNT_V, OpenCard, bipolar
 
-from rig.daq.base import CardError, CardSetup, Channel, Scans
-from rig.daq.comedi import ComediCard
-from rig.daq.survey import Lines, survey
+from rig.hardware.cards.base import CardError, CardSetup, Channel, Scans
+from rig.hardware.cards.comedi import ComediCard
+from rig.hardware.cards.comedi_survey import SubdeviceSurvey, survey
+from tests.hardware.kernel_card import BOARD, CARD, COUNT_V, OpenCard, bipolar
 
 
 def gather(card: ComediCard, seconds: float) -> Scans:
@@ -115,8 +115,8 @@ def test_a_second_process_writes_while_the_first_samples(open_card: OpenCard) ->
     streaming.write(np.array([1.0, 1.0]))
     program = (
         "import numpy as np\n"
-        "from rig.daq.base import CardSetup, Channel\n"
-        "from rig.daq.comedi import ComediCard\n"
+        "from rig.hardware.cards.base import CardSetup, Channel\n"
+        "from rig.hardware.cards.comedi import ComediCard\n"
         f"outputs = tuple(Channel(n, -10.0, 10.0) for n in (0, 1))\n"
         f"card = ComediCard(CardSetup('daq', {CARD!r}, (), outputs, 1000.0))\n"
         "card.write(np.array([-4.0, 6.0]))\n"
@@ -233,8 +233,8 @@ def test_a_wrong_card_channel_or_range_is_named_beside_what_there_is(setup: Card
 def test_a_survey_tells_what_the_card_can_do() -> None:
     (found,) = survey()
     assert (found.path, found.board, found.driver, found.trouble) == (CARD, BOARD, BOARD, "")
-    assert found.inputs == Lines(8, 16, ((-10.0, 10.0), (-5.0, 5.0)), 1e6)
-    assert found.outputs == Lines(8, 16, ((-10.0, 10.0), (-5.0, 5.0)), None)
+    assert found.inputs == SubdeviceSurvey(8, 16, ((-10.0, 10.0), (-5.0, 5.0)), 1e6)
+    assert found.outputs == SubdeviceSurvey(8, 16, ((-10.0, 10.0), (-5.0, 5.0)), None)
     assert str(found.inputs) == (
         "8 of 16 bit (-10 to 10 V, -5 to 5 V), by its own clock up to 1000 kHz for one channel"
     )
@@ -248,9 +248,9 @@ def test_the_card_held_by_one_user_only_says_how_to_join_the_group() -> None:
     # The interpreter may lie where that user cannot look: everything is imported before.
     program = (
         "import os\n"
-        "from rig.daq.base import CardError, CardSetup\n"
-        "from rig.daq.comedi import ComediCard\n"
-        "from rig.daq.comedi_device import require\n"
+        "from rig.hardware.cards.base import CardError, CardSetup\n"
+        "from rig.hardware.cards.comedi import ComediCard\n"
+        "from rig.hardware.cards.comedi_device import require\n"
         "require()\n"
         "os.setgroups([])\nos.setgid(65534)\nos.setuid(65534)\n"
         "try:\n"

@@ -12,29 +12,29 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
-from kernel_card import CARD, COUNT_V, OpenCard, bipolar
-from rig_of_the_machine import LOOPED, VALVES
 
-import rig.rig_file
-from rig.bench import open_bench
-from rig.daq.base import CardError
-from rig.executor import clocks
-from rig.executor.memory import Layout, RunMemory
-from rig.executor.standin import stand_in
-from rig.rig_file import load
+import rig.config.loader
+from rig.config.loader import load
+from rig.hardware.bench import open_bench
+from rig.hardware.cards.base import CardError
+from rig.realtime import sampling_clocks
+from rig.realtime.failsafe import force_safe_state
+from rig.realtime.shared_state import SharedState, StateLayout
+from tests.hardware.kernel_card import CARD, COUNT_V, OpenCard, bipolar
+from tests.hardware.rig_of_the_machine import LOOPED, VALVES
 
 COMEDI_LOCK = (ord("d") << 8) | 5
 OUTPUTS = 1
 """The card's subdevice of analogue outputs."""
 HOLD = (
-    "import sys, time\nfrom rig.bench import open_bench\nfrom rig.rig_file import load\n"
+    "import sys, time\nfrom rig.hardware.bench import open_bench\nfrom rig.config.loader import load\n"
     "bench = open_bench(load(sys.argv[1]))\nprint('held', flush=True)\ntime.sleep(300)\n"
 )
 
 
 @pytest.fixture
-def memory() -> Iterator[RunMemory]:
-    memory = RunMemory.create(Layout.of(load(LOOPED)))
+def memory() -> Iterator[SharedState]:
+    memory = SharedState.create(StateLayout.of(load(LOOPED)))
     yield memory
     os.close(memory.fd)
 
@@ -58,7 +58,7 @@ def test_who_else_writes_to_the_card_is_noticed_at_the_next_look(open_card: Open
     bench.close()
 
 
-def test_who_stands_in_makes_the_card_safe_and_ends_those_who_hold_it(memory: RunMemory, open_card: OpenCard) -> None:
+def test_who_stands_in_makes_the_card_safe_and_ends_those_who_hold_it(memory: SharedState, open_card: OpenCard) -> None:
     watching = open_card((), bipolar(*VALVES))
     watching.write(np.array([5.0, 5.0, 5.0]))
     with subprocess.Popen([sys.executable, "-c", HOLD, LOOPED], stdout=subprocess.PIPE) as holder:
@@ -66,30 +66,32 @@ def test_who_stands_in_makes_the_card_safe_and_ends_those_who_hold_it(memory: Ru
         assert holder.stdout.readline() == b"held\n"
         os.kill(holder.pid, signal.SIGSTOP)
         memory.set("control_pid", holder.pid)
-        assert stand_in(load(LOOPED), memory) == ""
+        assert force_safe_state(load(LOOPED), memory) == ""
         assert holder.wait(20) == -signal.SIGKILL
     np.testing.assert_allclose(watching.readback(), [0.0, 0.0, 0.0], atol=COUNT_V)
 
 
-def test_a_card_whose_outputs_another_program_has_for_itself_is_not_armed(locked: None, memory: RunMemory) -> None:
+def test_a_card_whose_outputs_another_program_has_for_itself_is_not_armed(locked: None, memory: SharedState) -> None:
     bench = open_bench(load(LOOPED))
     with pytest.raises(CardError, match="the safe state could not be written, shut the air off by hand"):
         bench.arm()
     bench.close()
-    assert "cannot be written" in stand_in(load(LOOPED), memory)
+    assert "cannot be written" in force_safe_state(load(LOOPED), memory)
 
 
-def test_the_period_of_the_cards_own_clock_reaches_the_record(memory: RunMemory) -> None:
-    text = rig.rig_file.text(LOOPED).replace("acquisition: instruction", "acquisition: command, sampling_hz: 1234.567")
-    config = rig.rig_file.parse(text, "looped.yaml")
+def test_the_period_of_the_cards_own_clock_reaches_the_record(memory: SharedState) -> None:
+    text = rig.config.loader.text(LOOPED).replace(
+        "acquisition: instruction", "acquisition: command, sampling_hz: 1234.567"
+    )
+    config = rig.config.loader.parse(text, "looped.yaml")
     bench = open_bench(config)
     bench.start()
     until = time.monotonic() + 5
     while time.monotonic() < until:
         bench.read()
         time.sleep(0.01)
-    clocks.publish(memory, bench)
+    sampling_clocks.publish(memory, bench)
     bench.close()
-    counters = clocks.counted(memory, config)
+    counters = sampling_clocks.clock_counters(memory, config)
     assert counters["daq_scan_period_ns"] == 810_000
     assert abs(counters["daq_scan_drift_ppb"]) <= 1_000_000

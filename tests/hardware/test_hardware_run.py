@@ -8,15 +8,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from kernel_card import COUNT_V, OpenCard, bipolar
-from rig_of_the_machine import LOOPED, STEPS, VALVES, Player
 
-from rig.bench import open_bench
+from rig.config.loader import load
 from rig.doctor import examine
-from rig.rig_file import load
+from rig.hardware.bench import open_bench
+from tests.hardware.kernel_card import COUNT_V, OpenCard, bipolar
+from tests.hardware.rig_of_the_machine import LOOPED, STEPS, VALVES, Player
 
 # An emulated machine takes a minute to import what a run needs; else this is the command line.
-RIG = "import rig.executor.realtime as r; r.START_TIMEOUT_S = 400.0; from rig.cli import main; main()"
+RIG = "import rig.realtime.supervisor as r; r.START_TIMEOUT_S = 400.0; from rig.cli.app import main; main()"
 
 
 def start_run(folder: Path) -> subprocess.Popen[str]:

@@ -7,10 +7,9 @@ import subprocess
 import time
 from collections.abc import Callable
 
-from rig_of_the_machine import Player
-from struck_run import MOVING_V, SHORT_S, Struck
-
 from runs.records import Status
+from tests.hardware.rig_of_the_machine import Player
+from tests.hardware.struck_run import MOVING_V, SHORT_S, Struck
 
 
 def test_ctrl_c(struck: Struck, timed: Callable[[float], None]) -> None:

@@ -1,0 +1,181 @@
+"""The result as YAML: what to lay over a rig's file, every estimate, their covariance and the data they rest on."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+
+from calibration.identify.fit import Estimate, RunFit
+from calibration.identify.parameters import Setup
+from calibration.identify.profile_likelihood import Profile
+
+VERSION = 2
+_MM = 1e3
+# Residuals of a motion that are written out: enough to draw, few enough to read.
+_MOST_RESIDUALS = 100
+
+
+@dataclass(frozen=True)
+class Baseline:
+    """Identified parameters that lay over the rig of the runs already: what is found with it counts from there.
+
+    setup: how they mount and measure the arm. geometry: of the rig beneath them, as a document holds it; None where the
+    search did not begin at the rig with them in it.
+    """
+
+    setup: Setup
+    geometry: Mapping[str, Any] | None
+
+
+class IdentificationResult(Protocol):
+    """What a document is made of: a `Fit`, or what a recursive estimator has found. Members are those of `Fit`."""
+
+    @property
+    def setup(self) -> Setup:
+        """With what was found."""
+
+    @property
+    def start(self) -> Setup:
+        """As it was known before."""
+
+    @property
+    def estimates(self) -> Sequence[Estimate]:
+        """One for each free parameter."""
+
+    @property
+    def covariance(self) -> NDArray[np.float64]:
+        """Of the estimates (n, n)."""
+
+    @property
+    def runs(self) -> Sequence[RunFit]:
+        """The runs that were used."""
+
+    @property
+    def rms_m(self) -> float:
+        """Over all of them."""
+
+    @property
+    def discrepancy_m(self) -> float:
+        """By how much the model is off beyond the stated errors."""
+
+
+def write(
+    fit: IdentificationResult, path: Path, profiles: Sequence[Profile] = (), under: Baseline | None = None
+) -> Path:
+    """Write the fit; what was not identified is in the overlay with the value it was held at, and says so."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    told = content(fit, profiles, under)
+    # A key without a value is an error in every file that people edit: what is not known is left out.
+    told["estimates"] = [{key: x for key, x in e.items() if x is not None} for e in told["estimates"]]
+    text = yaml.safe_dump(told, sort_keys=False, width=120, default_flow_style=None)
+    head = "# Identified parameters of an arm. Lay them over a rig: --parameters FILE.\n"
+    path.write_text(head + text, encoding="utf-8")
+    return path
+
+
+def content(
+    fit: IdentificationResult, profiles: Sequence[Profile] = (), under: Baseline | None = None
+) -> dict[str, Any]:
+    """Everything of a fit that a later reader needs, in plain numbers.
+
+    What is to be laid over a rig counts from the rig without any parameters; estimates, from the one with `under`.
+    """
+    ends = {(p.name, p.run): ["open" if end is None else end for end in p.interval] for p in profiles}
+    setup = fit.setup if under is None else fit.setup.seen_without(under.setup)
+    start = fit.start.arm
+    geometry = _geometry(fit.start) if under is None or under.geometry is None else dict(under.geometry)
+    return {
+        "softrig_parameters": VERSION,
+        "identified": {"variant": start.variant, "modulus_rule": start.modulus_rule, "geometry": geometry},
+        "arm": _arm(setup),
+        "mounting": _mounting(setup),
+        "sensing": {"gain": [float(x) for x in setup.sensor_gain], "lag_s": float(setup.sensor_lag_s)},
+        **({} if under is None else {"estimates_count_from": _counted(under.setup)}),
+        "estimates": [
+            {
+                "name": e.name,
+                "unit": e.unit,
+                **({"run": e.run} if e.run else {}),
+                "verdict": e.verdict.value,
+                "value": e.value,
+                "std": e.std,
+                "interval_95": list(e.interval) if e.interval else None,
+                **({"profile_95": ends[e.name, e.run]} if (e.name, e.run) in ends else {}),
+                "used": e.used,
+                **({"exchangeable_with": list(e.partners)} if e.partners else {}),
+            }
+            for e in fit.estimates
+        ],
+        "covariance": np.asarray(fit.covariance, dtype=float).tolist(),
+        "residuals": {"rms_mm": _MM * fit.rms_m, "discrepancy_mm": _MM * fit.discrepancy_m},
+        "data": [
+            {
+                "run": run.run_id,
+                "sha256": run.source,
+                "used_as": "motion" if run.moving else "plateaus",
+                "frames": run.frames,
+                "outliers": run.outliers,
+                "rms_before_mm": _MM * run.rms_before_m,
+                "rms_mm": _MM * run.rms_m,
+                "residual_mm": _residuals(run),
+            }
+            for run in fit.runs
+        ],
+    }
+
+
+def _mounting(setup: Setup) -> dict[str, list[float]]:
+    return {
+        "base_translation_mm": [_MM * x for x in setup.base_translation_m],
+        "base_rotation_deg": [math.degrees(x) for x in setup.base_rotation_rad],
+        "tool_offset_mm": [_MM * x for x in setup.tool_offset_m],
+    }
+
+
+def _counted(setup: Setup) -> dict[str, Any]:
+    return {"mounting": _mounting(setup), "gain": [float(x) for x in setup.sensor_gain]}
+
+
+def _residuals(run: RunFit) -> list[list[float]]:
+    """Measured minus predicted [mm], to a tenth of a micrometre; of a motion a hundred rows, evenly spaced."""
+    known = run.residual_m[np.isfinite(run.residual_m).all(axis=1)]
+    chosen = np.unique(np.linspace(0, len(known) - 1, min(len(known), _MOST_RESIDUALS)).round().astype(int))
+    rows: list[list[float]] = np.round(_MM * known[chosen if run.moving else slice(None)], 4).tolist()
+    return rows
+
+
+def _arm(setup: Setup) -> dict[str, Any]:
+    arm = setup.turned_arm
+    material = arm.material
+    return {
+        "geometry": _geometry(setup),
+        "material": {
+            "youngs_modulus_pa": material.youngs_modulus_pa,
+            "a1_per_N": material.a1_per_n,
+            "a2_per_N2": material.a2_per_n2,
+            "rpe_per_bar": material.rpe_per_bar,
+            "shear_ratio": material.shear_ratio,
+            "density_kg_m3": material.density_kg_m3,
+            "damping_s": material.damping_s,
+        },
+        "cap_mass_g": 1e3 * arm.cap_mass_kg,
+    }
+
+
+def _geometry(setup: Setup) -> dict[str, Any]:
+    geometry = setup.turned_arm.geometry
+    x, y = geometry.positions_m.T
+    return {
+        "length_mm": _MM * geometry.length_m,
+        "inner_radius_mm": _MM * geometry.inner_radius_m,
+        "outer_radius_mm": _MM * geometry.outer_radius_m,
+        "circle_radius_mm": float(_MM * np.hypot(x, y).mean()),
+        "actuator_angles_deg": np.degrees(np.arctan2(y, x)).tolist(),
+    }

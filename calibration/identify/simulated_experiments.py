@@ -1,0 +1,175 @@
+"""Simulated experiments with a known truth: what a set of pressures and weights would show of an arm."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+
+from calibration.identify.data import FEWEST_FRAMES, Poses
+from calibration.identify.fit import identify
+from calibration.identify.parallel_map import Progress, parallel_map
+from calibration.identify.parameters import Prior, Setup, named
+from calibration.identify.pressure_smoothing import smoothed
+from calibration.identify.tip_predictor import FINE_SUBSTEPS, SUBSTEPS, Predictor
+
+Array = NDArray[np.float64]
+
+LAG_PRIOR = Prior(0.0, 0.005)
+# Of the pressures in each frame of a motion.
+_SAMPLES = 7
+
+
+@dataclass(frozen=True)
+class MeasurementErrors:
+    """What goes wrong in measuring: standard deviations, per axis of the tip and per sensor.
+
+    pressure_pa: of a plateau's mean, or of the mean of the samples within one frame of a motion.
+    """
+
+    tip_m: tuple[float, float, float] = (2e-4, 4e-4, 2e-4)
+    pressure_pa: float = 50.0
+    offset_pa: float = 200.0
+
+
+def plan(
+    run_id: str,
+    pressure_pa: Array,
+    weight_kg: Array | None = None,
+    period_s: float = 0.0,
+    errors: MeasurementErrors | None = None,
+) -> Poses:
+    """An experiment that has not been done: pressures (K, N), weights (K,), tips unknown."""
+    errors, k = errors or MeasurementErrors(), len(pressure_pa)
+    return Poses(
+        run_id=run_id,
+        source="simulated",
+        period_s=period_s,
+        pressure_pa=pressure_pa,
+        pressure_std_pa=np.full(pressure_pa.shape, errors.pressure_pa),
+        weight_kg=np.zeros(k) if weight_kg is None else weight_kg,
+        wrench=np.zeros((k, 6)),
+        tip_m=np.full((k, 3), np.nan),
+        covariance_m2=np.tile(np.diag(np.square(errors.tip_m)), (k, 1, 1)),
+        frames=np.full(k, 1 if period_s else FEWEST_FRAMES, np.int64),
+        time_s=np.arange(k, dtype=np.float64) * (period_s or 1.0),
+    )
+
+
+def perform(planned: Poses, truth: Setup, rng: np.random.Generator, errors: MeasurementErrors | None = None) -> Poses:
+    """Do a planned experiment on a simulated arm; its pressures are the true ones, the result's the measured ones.
+
+    A motion's true pressures go through the planned ones in a smooth curve; measured ones come as late as `truth` says
+    and are smoothed, as those of an archive.
+    """
+    errors = errors or MeasurementErrors()
+    plant = replace(truth, sensor_offset_pa=(), sensor_gain=(), sensor_lag_s=0.0)
+    offset = rng.normal(0.0, errors.offset_pa, planned.actuators) if errors.offset_pa else np.zeros(planned.actuators)
+
+    def read(pressure_pa: Array, noise_pa: float) -> Array:
+        noise = rng.normal(0.0, 1.0, pressure_pa.shape) * noise_pa
+        out: Array = pressure_pa * np.array(truth.sensor_gain) + offset + noise
+        return out
+
+    if planned.moving:
+        curve, end_s = CubicSpline(planned.time_s, planned.pressure_pa), planned.time_s[-1]
+        parts = FINE_SUBSTEPS // SUBSTEPS
+        steps_s = np.linspace(0.0, end_s, parts * (len(planned) - 1) + 1)
+        weight = np.concatenate([planned.weight_kg[:1], np.repeat(planned.weight_kg[1:], parts)])
+        fine = plan(planned.run_id, curve(steps_s), weight, steps_s[1])
+        tips = Predictor(fine)(plant)[::parts]
+        sampled_s = np.linspace(0.0, end_s, _SAMPLES * (len(planned) - 1) + 1)
+        samples = read(curve(sampled_s - truth.sensor_lag_s), errors.pressure_pa * _SAMPLES**0.5)
+        measured_pa = smoothed(samples)[0][::_SAMPLES]
+    else:
+        tips = Predictor(planned)(plant)
+        measured_pa = read(planned.pressure_pa, errors.pressure_pa)
+    return replace(
+        planned,
+        pressure_pa=measured_pa,
+        tip_m=tips + rng.standard_normal((len(planned), 3)) * np.array(errors.tip_m),
+    )
+
+
+@dataclass(frozen=True)
+class CoverageTrial:
+    """One simulated identification: what is planned, who is true, where the fit starts, what is free, and the seed."""
+
+    planned: tuple[Poses, ...]
+    truth: Setup
+    start: Setup
+    free: tuple[str, ...]
+    errors: MeasurementErrors
+    seed: int
+
+
+@dataclass(frozen=True)
+class Coverage:
+    """How often the intervals of `names` (n,) held the truth, in how many trials each was identified.
+
+    z (trials, n): errors in units of the stated standard deviation, NaN where not identified.
+    """
+
+    names: tuple[str, ...]
+    z: Array
+
+    @property
+    def share(self) -> Array:
+        """Fraction (n,) of trials whose 95 % interval holds the truth."""
+        known = np.isfinite(self.z)
+        out: Array = ((np.abs(self.z) <= 1.96) & known).sum(axis=0) / np.maximum(known.sum(axis=0), 1)
+        return out
+
+    @property
+    def overall(self) -> float:
+        """Over all parameters together."""
+        known = np.isfinite(self.z)
+        return float((np.abs(self.z[known]) <= 1.96).mean())
+
+
+def coverage(
+    planned: Sequence[Poses],
+    truth: Setup,
+    start: Setup,
+    free: Sequence[str],
+    trials: int = 200,
+    errors: MeasurementErrors | None = None,
+    seed: int = 0,
+    workers: int | None = None,
+    scheduler: str | None = None,
+    store: Path | None = None,
+    progress: Progress | None = None,
+) -> Coverage:
+    """Repeat an experiment on a simulated arm and identify it each time; the sensors' zeros are free with a prior."""
+    errors = errors or MeasurementErrors()
+    task = CoverageTrial(tuple(planned), truth, start, tuple(free), errors, 0)
+    tasks = [replace(task, seed=seed * 1_000_003 + k) for k in range(trials)]
+    found = np.array(parallel_map(attempt, tasks, workers, scheduler, store, progress))
+    return Coverage(tuple(p.name for p in named(free, planned[0].actuators)), found)
+
+
+def attempt(trial: CoverageTrial) -> Array:
+    """Errors (n,) of one trial in standard deviations, NaN where a parameter was not identified.
+
+    Free are the sensors' zeros, too, if they err; a sensor's delay is believed to be as `LAG_PRIOR` says.
+    """
+    rng = np.random.default_rng(trial.seed)
+    data = [perform(planned, trial.truth, rng, trial.errors) for planned in trial.planned]
+    free, priors = list(trial.free), {"sensor_lag_s": LAG_PRIOR}
+    if trial.errors.offset_pa:
+        free.append("sensor_offsets")
+        actuators = data[0].actuators
+        priors |= {f"sensor_{n + 1}_offset_pa": Prior(0.0, trial.errors.offset_pa) for n in range(actuators)}
+    fit = identify(data, trial.start, free, priors)
+    out = []
+    for parameter in named(trial.free, data[0].actuators):
+        estimate = fit[parameter.name]
+        if estimate.value is None or estimate.std is None:
+            out.append(np.nan)
+        else:
+            out.append((estimate.value - parameter.read(trial.truth)) / estimate.std)
+    return np.array(out)

@@ -1,0 +1,192 @@
+"""Predicted tips: what a setup makes of the pressures and weights of some poses."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+import model
+from calibration.identify.data import Poses
+from calibration.identify.parameters import Setup
+from calibration.identify.pressure_smoothing import curve
+from model import sensitivities
+from model.sensitivities import Gradients, TipWrench, Variation
+
+Array = NDArray[np.float64]
+Solved = tuple[Array, Array]
+"""Tips (K, 3) and orientations (K, 3, 3)."""
+Key = tuple[object, ...]
+
+# Time steps per camera period: at one step the time scheme's own damping would pass for the material's.
+SUBSTEPS = 2
+# Where inertia is asked for: two steps slow the arm's own oscillation, and a density came out 16 % too low.
+FINE_SUBSTEPS = 8
+_KEPT = 64
+_SENSITIVITIES = 40
+
+
+@dataclass
+class Predictor:
+    """Predicts the tips of one `Poses`; keeps the last solved shapes, because mounting and tool need no new ones."""
+
+    poses: Poses
+    substeps: int = SUBSTEPS
+    _solved: dict[Key, Solved] = field(default_factory=dict)
+
+    def __call__(self, setup: Setup) -> Array:
+        """Tips (K, 3) [m] as they would be measured; NaN where the model has no solution."""
+        key = self._key(setup)
+        found = self._solved.get(key)
+        if found is None:
+            solve = _moving if self.poses.moving else _resting
+            found = solve(setup, self._pressure(setup), self.poses, self.substeps)
+            self._solved = dict([*self._solved.items(), (key, found)][-_KEPT:])
+        return setup.measured(*found)
+
+    def _key(self, setup: Setup) -> Key:
+        # A wrench acts at the measured point, in the measurements' frame: then mounting and tool change the shape.
+        mount = (setup.base_rotation_rad, setup.tool_offset_m) if self.poses.wrench.any() else ()
+        return (
+            setup.turned_arm,
+            setup.sensor_offset_pa,
+            setup.sensor_gain,
+            setup.sensor_lag_s,
+            setup.sensor_filter_s,
+            mount,
+        )
+
+    def _pressure(self, setup: Setup) -> Array:
+        """True pressures: of poses (K, N), or of a motion's start and each of its steps (1 + (K - 1) substeps, N)."""
+        poses = self.poses
+        if not poses.moving:
+            return setup.pressure_pa(poses.pressure_pa)
+        rows_s = np.arange(len(poses), dtype=np.float64) * poses.period_s
+        count = 1 + (len(poses) - 1) * self.substeps
+        steps_s = np.arange(count, dtype=np.float64) * (poses.period_s / self.substeps)
+        course, rate = curve(rows_s, poses.pressure_pa, steps_s + setup.sensor_lag_s)
+        return setup.pressure_pa(course + setup.sensor_filter_s * rate)
+
+    def slopes(self, setup: Setup, moved: Sequence[Setup], steps: Sequence[float]) -> Array:
+        """How the tips answer (K, 3, P) to each change of the setup, per unit of its step, by the model's gradients.
+
+        moved: the setup with one change each, so small that the answer is linear in it.
+        """
+        poses, key = self.poses, self._key(setup)
+        new = [k for k, other in enumerate(moved) if self._key(other) != key]
+        repeats = self.substeps if poses.moving else 1
+        changes = [
+            Variation(steps[k], moved[k].turned_arm, self._pressure(moved[k]), _pull(moved[k], poses, repeats))
+            for k in new
+        ]
+        rows, pull = self._pressure(setup), _pull(setup, poses, repeats)
+        if poses.moving:
+            found = _swung(setup, rows, changes, poses, self.substeps, pull)
+        else:
+            found = sensitivities.statics(setup.turned_arm, rows, changes, poses.weight_kg, pull)
+        lever = found.tip_rotation @ np.array(setup.tool_offset_m)
+        base = Rotation.from_rotvec(setup.base_rotation_rad).as_matrix()
+        out = np.zeros((len(poses), 3, len(moved)))
+        out[:, :, new] = base @ (found.tip_by + np.cross(found.turn_by, lever[:, :, None], axis=1))
+        point = (found.tip_m + lever) @ base.T
+        for k, (other, step) in enumerate(zip(moved, steps, strict=True)):
+            shift, turn, tool = (
+                (np.array(getattr(other, name)) - np.array(getattr(setup, name))) / step
+                for name in ("base_translation_m", "base_rotation_rad", "tool_offset_m")
+            )
+            turn = _turned_by(np.array(setup.base_rotation_rad)) @ turn
+            out[:, :, k] += shift + np.cross(turn, point) + (found.tip_rotation @ tool) @ base.T
+        return out
+
+    def pressure_covariance(self, setup: Setup) -> Array:
+        """Covariance (K, 3, 3) [m^2] that random pressure errors lend the predictions, by the arm's statics."""
+        poses = self.poses
+        if not poses.pressure_std_pa.any():
+            return np.zeros((len(poses), 3, 3))
+        some = np.unique(np.linspace(0, len(poses) - 1, min(len(poses), _SENSITIVITIES)).round().astype(int))
+        still, step = Predictor(replace(poses.only(some), period_s=0.0)), sensitivities.PRESSURE_STEP_PA
+        zeros = setup.sensor_offset_pa + step * np.eye(poses.actuators)
+        moved = [replace(setup, sensor_offset_pa=tuple(own)) for own in zeros.tolist()]
+        slope = np.nan_to_num(still.slopes(setup, moved, [step] * len(moved))).swapaxes(1, 2)
+        nearest = np.abs(np.arange(len(poses))[:, None] - some).argmin(axis=1)
+        spread = slope[nearest] * poses.pressure_std_pa[:, :, None]
+        out: Array = np.swapaxes(spread, 1, 2) @ spread
+        return out
+
+
+def _turned_by(rotvec: Array) -> Array:
+    """How fast a rotation turns (3, 3), in the outer frame, as its rotation vector changes."""
+    angle = float(np.linalg.norm(rotvec))
+    x, y, z = rotvec
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    first, second = (
+        (0.5, 1 / 6) if angle < 1e-4 else ((1 - np.cos(angle)) / angle**2, (angle - np.sin(angle)) / angle**3)
+    )
+    out: Array = np.eye(3) + first * cross + second * cross @ cross
+    return out
+
+
+def _loads(arm: model.Arm, weight_kg: float) -> model.Loads | None:
+    if weight_kg == 0:
+        return None
+    x, y, z = arm.gravity_m_s2
+    return model.Loads(tip_force_n=(weight_kg * x, weight_kg * y, weight_kg * z))
+
+
+def _pull(setup: Setup, poses: Poses, repeats: int = 1) -> TipWrench | None:
+    """The measured wrenches as the arm feels them, at the measured point; all but the first so many times."""
+    if not poses.wrench.any():
+        return None
+    back = Rotation.from_rotvec(setup.base_rotation_rad).inv()
+    force, moment = (_held(back.apply(part), repeats) for part in (poses.wrench[:, :3], poses.wrench[:, 3:]))
+    return TipWrench(force, moment, np.array(setup.tool_offset_m))
+
+
+def _held(rows: Array, repeats: int) -> Array:
+    """Rows (K, ..) of frames as they hold in each of the time steps that lead to them."""
+    out: Array = np.concatenate([rows[:1], np.repeat(rows[1:], repeats, axis=0)])
+    return out
+
+
+def _resting(setup: Setup, pressure_pa: Array, poses: Poses, _: int) -> Solved:
+    found = sensitivities.statics(setup.turned_arm, pressure_pa, (), poses.weight_kg, _pull(setup, poses))
+    return found.tip_m, found.tip_rotation
+
+
+def _moving(setup: Setup, pressure_pa: Array, poses: Poses, substeps: int) -> Solved:
+    if not poses.wrench.any():
+        return _motion(setup.turned_arm, pressure_pa, poses, substeps)
+    found = _swung(setup, pressure_pa, (), poses, substeps, _pull(setup, poses, substeps))
+    return found.tip_m, found.tip_rotation
+
+
+def _swung(
+    setup: Setup, pressure_pa: Array, changes: Sequence[Variation], poses: Poses, substeps: int, pull: TipWrench | None
+) -> Gradients:
+    weight, dt_s = _held(poses.weight_kg, substeps), poses.period_s / substeps
+    return sensitivities.motion(setup.turned_arm, pressure_pa, dt_s, changes, weight, substeps, pull=pull)
+
+
+def _motion(arm: model.Arm, pressure_pa: Array, poses: Poses, substeps: int) -> Solved:
+    tips, turned = np.full((len(poses), 3), np.nan), np.full((len(poses), 3, 3), np.nan)
+    dynamics = arm.dynamics(poses.period_s / substeps)
+    weight = poses.weight_kg
+    try:
+        shape = dynamics.start(pressure_pa[0], _loads(arm, weight[0]))
+    except model.NotConverged:
+        return tips, turned
+    tips[0], turned[0] = shape.tip_m, shape.tip_rotation
+    changes = np.flatnonzero(np.diff(weight)) + 1
+    for start, stop in itertools.pairwise(sorted({1, *changes.tolist(), len(poses)})):
+        rows = pressure_pa[1 + (start - 1) * substeps : 1 + (stop - 1) * substeps]
+        # The first step takes up what hangs there; the others go on with it.
+        dynamics.step(rows[0], _loads(arm, weight[start]))
+        motion = dynamics.run(rows[1:])
+        good = motion.ok[substeps - 2 :: substeps]
+        tips[start:stop][good] = motion.tip_m[substeps - 2 :: substeps][good]
+        turned[start:stop][good] = motion.tip_rotation[substeps - 2 :: substeps][good]
+    return tips, turned

@@ -1,0 +1,220 @@
+"""Corners to a few hundredths of a pixel, each with its covariance: a model of the grey values round it is fitted.
+
+`cv2.cornerSubPix` interpolates between pixels, which costs up to 0.07 px that depend on where in its pixel a corner
+lies; the model is compared at the pixels themselves.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import partial
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from calibration.vision.corner_model import KNOTS, LARGEST_RADIUS_PX, LEAST_VARIANCE, TAPER_PX, edge_shape, fit
+from model.kernels.jit import kernel
+
+Floats = NDArray[np.float64]
+Image = NDArray[np.uint8]
+
+exact_kernel = partial(kernel, sources=(__file__,), fastmath=False)
+fast_kernel = partial(kernel, sources=(__file__,), fastmath=True)
+
+# The window is kept clear of the neighbouring edges: its radius as a share of their distance, bounds in px.
+_RADIUS_SHARE = 0.46
+_RADIUS_BOUNDS_PX = (2.2, LARGEST_RADIUS_PX)
+# Knots of the edges' own shape lie so many blurs apart, but not less than so many px.
+_KNOT_BLURS = 0.25
+_LEAST_KNOT_PX = 0.2
+_COARSE = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 20, 0.02)
+_START_BLUR_PX = 0.8
+# What the corners before say of the blur, against what this corner's pixels say: its squared share of the step.
+_BLUR_OPINION = 0.05
+# The same once all corners have told it: they share a lens, and the motion.
+_BLUR_CERTAIN = 1.0
+# The middle of a square that no edge's blur reaches: half its width as a share of the edges' distance.
+_MIDDLE_SHARE = 0.15
+# Of the grey values' variance beyond their noise: what the estimate of the noise may miss by chance, and how much of
+# the rest moves corners (most of a wrong edge profile is symmetric and does not).
+_TOLD_BY_CHANCE = 0.25
+_MOVES_CORNERS = 0.5
+# Where windows overlap neighbours share pixels, and with them errors.
+_BY_OVERLAP = 0.8
+# A corner whose pixels scatter so many times more than the median corner's is judged by itself.
+_ITS_OWN = 2.5
+# What is left where the picture has no noise: a pixel is a box, and the model knows only a bell.
+_SYSTEMATIC_PX = 0.003
+
+
+@dataclass(frozen=True)
+class Corners:
+    """Corners `px` (n, 2) with covariance (n, 2, 2) [px^2].
+
+    `contrast` (n,) is the step from dark to bright in grey levels, positive where the quadrant between the two edge
+    directions (along a row, down a column) is bright; `misfit` (n,) the rms of what the model leaves, in shares of
+    the step. `unexplained` is the share of the variance that is not noise of pixels but the model's own fault.
+    `carried_px` (n, 2) is the standard uncertainty that all corners share, as they do when carried to another time.
+    """
+
+    px: Floats
+    covariance: Floats
+    contrast: Floats
+    misfit: Floats
+    unexplained: float = 0.0
+    carried_px: Floats | None = None
+
+
+def spacing(corners_px: Floats, pattern: tuple[int, int]) -> float:
+    """Smallest distance [px] between neighbours in corners (n, 2) of a pattern (columns, rows)."""
+    grid = corners_px.reshape(pattern[1], pattern[0], 2)
+    across = np.linalg.norm(np.diff(grid, axis=1), axis=2).min()
+    down = np.linalg.norm(np.diff(grid, axis=0), axis=2).min()
+    return float(min(across, down))
+
+
+@exact_kernel
+def _room(grid: Floats) -> float:
+    """Smallest distance [px] between neighbouring edges of corners (rows, columns, 2).
+
+    That is less than between corners where squares look sheared.
+    """
+    least = np.inf
+    for i in range(grid.shape[0] - 1):
+        for j in range(grid.shape[1] - 1):
+            ax, ay = grid[i, j + 1, 0] - grid[i, j, 0], grid[i, j + 1, 1] - grid[i, j, 1]
+            dx, dy = grid[i + 1, j, 0] - grid[i, j, 0], grid[i + 1, j, 1] - grid[i, j, 1]
+            longer = max(math.hypot(ax, ay), math.hypot(dx, dy))
+            least = min(least, abs(ax * dy - ay * dx) / longer)
+    return least
+
+
+def sharpen(image: Image, seeds_px: Floats, pattern: tuple[int, int]) -> Corners | None:
+    """Refine corners (n, 2), known to a few pixels, of a pattern (columns, rows) in a grey picture.
+
+    None where a corner has no model: too near the border, or its surroundings are not those of a corner.
+    """
+    grid = (pattern[1], pattern[0], 2)
+    smallest, largest = _RADIUS_BOUNDS_PX
+    room = _room(seeds_px.reshape(grid))
+    radius = min(max(_RADIUS_SHARE * room, smallest), largest)
+    coarse = _coarse(image, seeds_px, math.floor(radius))
+    if coarse is None:
+        return None
+    # The first look moved the corners, so the directions are taken from where they are now.
+    normals = _edge_normals(coarse.reshape(grid))
+    usual = np.full(2, _START_BLUR_PX)
+    first = fit(image, coarse, normals, radius, np.zeros((2, KNOTS + 1)), 1.0, usual, _BLUR_OPINION)
+    if not _plausible(first.px, seeds_px, radius):
+        return None
+    # No lens blurs like a bell: what all corners' edges have in common is told from them, then taken into account.
+    blur = _median(first.blur)
+    knot = max(_KNOT_BLURS * float(blur.mean()), _LEAST_KNOT_PX)
+    normals = _edge_normals(first.px.reshape(grid))
+    shape = edge_shape(image, first.px, normals, radius, first.levels, blur, knot)
+    found = fit(image, first.px, normals, radius, shape, knot, blur, _BLUR_CERTAIN)
+    if not _plausible(found.px, seeds_px, radius):
+        return None
+    pooled, total = _uncertainty(found.variance, found.spread)
+    beyond_noise = 1 - _pixel_noise(image, found.px.reshape(grid)) / pooled
+    unexplained = _MOVES_CORNERS * max(0.0, beyond_noise - _TOLD_BY_CHANCE)
+    overlap = max(0.0, 2 * (radius + TAPER_PX / 2) / room - 1)
+    unexplained = min(max(unexplained, _BY_OVERLAP * overlap), 1.0)
+    return Corners(found.px, total, found.contrast, found.misfit, unexplained)
+
+
+def _plausible(px: Floats, seeds_px: Floats, radius: float) -> bool:
+    return bool(np.isfinite(px).all() and np.abs(px - seeds_px).max() <= radius + 1)
+
+
+@exact_kernel
+def _median(values: Floats) -> Floats:
+    """Median of each column of (n, k)."""
+    middle = np.empty(values.shape[1])
+    for k in range(values.shape[1]):
+        middle[k] = np.median(values[:, k])
+    return middle
+
+
+@exact_kernel
+def _uncertainty(variance: Floats, spread: Floats) -> tuple[float, Floats]:
+    """The grey values' variance about the fits, and the corners' covariance (n, 2, 2).
+
+    A few dozen pixels tell their own noise badly, all of the board's together well; but a corner in glare or shadow is
+    as bad as it looks.
+    """
+    pooled = np.median(variance)
+    total = np.empty_like(spread)
+    for c in range(len(variance)):
+        noise = variance[c] if variance[c] > _ITS_OWN * pooled else pooled
+        for i in range(2):
+            for j in range(2):
+                total[c, i, j] = noise * spread[c, i, j] + (_SYSTEMATIC_PX**2 if i == j else 0.0)
+    return pooled, total
+
+
+@exact_kernel
+def _pixel_noise(image: Image, grid: Floats) -> float:
+    """Variance of the grey values where nothing is to be seen: between neighbours in the middle of the squares.
+
+    `grid` are the corners (rows, columns, 2). Infinite, that is unknown, where the squares are too small to have a
+    middle.
+    """
+    half = int(_MIDDLE_SHARE * _room(grid))
+    if half < 1:
+        return np.inf
+    total, count = 0.0, 0
+    for i in range(grid.shape[0] - 1):
+        for j in range(grid.shape[1] - 1):
+            x0 = round((grid[i, j, 0] + grid[i, j + 1, 0] + grid[i + 1, j, 0] + grid[i + 1, j + 1, 0]) / 4)
+            y0 = round((grid[i, j, 1] + grid[i, j + 1, 1] + grid[i + 1, j, 1] + grid[i + 1, j + 1, 1]) / 4)
+            for y in range(y0 - half, y0 + half + 1):
+                for x in range(x0 - half, x0 + half + 1):
+                    if x < x0 + half:
+                        total += (float(image[y, x + 1]) - float(image[y, x])) ** 2
+                        count += 1
+                    if y < y0 + half:
+                        total += (float(image[y + 1, x]) - float(image[y, x])) ** 2
+                        count += 1
+    return max(total / (2 * count), LEAST_VARIANCE)
+
+
+def _coarse(image: Image, seeds_px: Floats, half: int) -> Floats | None:
+    """To a tenth of a pixel by OpenCV; None where one ran away, stood still or lies too near the border."""
+    height, width = image.shape
+    margin = half + 3
+    if seeds_px.min() < margin or np.any(seeds_px.max(axis=0) > (width - 1 - margin, height - 1 - margin)):
+        return None
+    start = seeds_px.astype(np.float32).reshape(-1, 1, 2)
+    coarse = cv2.cornerSubPix(image, start.copy(), (half, half), (-1, -1), _COARSE)
+    moved = np.abs(coarse - start).max(axis=(1, 2))
+    # Where the iteration diverges OpenCV hands back its seed, to the last bit.
+    if moved.max() > half or moved.min() == 0.0:
+        return None
+    found = np.asarray(coarse[:, 0, :], dtype=np.float64)
+    if found.min() < margin or np.any(found.max(axis=0) > (width - 1 - margin, height - 1 - margin)):
+        return None
+    return found
+
+
+@exact_kernel
+def _edge_normals(grid: Floats) -> Floats:
+    """Unit normals (n, 2, 2) of the two edges through each corner (rows, columns, 2): along the column, along the row.
+
+    Their signs are such that the first points on along the row and the second on down the column.
+    """
+    rows, columns = grid.shape[:2]
+    normals = np.empty((rows * columns, 2, 2))
+    for i in range(rows):
+        for j in range(columns):
+            left, right, up, down = max(j - 1, 0), min(j + 1, columns - 1), max(i - 1, 0), min(i + 1, rows - 1)
+            # Only directions count: a step over two squares serves as well as one over one.
+            ax, ay = grid[i, right, 0] - grid[i, left, 0], grid[i, right, 1] - grid[i, left, 1]
+            dx, dy = grid[down, j, 0] - grid[up, j, 0], grid[down, j, 1] - grid[up, j, 1]
+            side = 1.0 if ay * dx - ax * dy > 0 else -1.0
+            c = i * columns + j
+            normals[c, 0, 0], normals[c, 0, 1] = -side * dy / math.hypot(dx, dy), side * dx / math.hypot(dx, dy)
+            normals[c, 1, 0], normals[c, 1, 1] = side * ay / math.hypot(ax, ay), -side * ax / math.hypot(ax, ay)
+    return normals

@@ -1,0 +1,109 @@
+"""The pose of a board in the world, seen by several cameras at once."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from calibration.dlt import DLT, by_points, reconstruct
+from calibration.vision.corners import Corners
+from calibration.vision.pose import Pose, residual_covariance
+
+Floats = NDArray[np.float64]
+
+_STEPS = 20
+_CONVERGED = 1e-10
+
+
+def board_pose(points_m: Floats, cameras: Sequence[DLT], corners: Sequence[Corners]) -> Pose | None:
+    """Pose of the board in the world from its corners (n, 3) and what each camera saw of them.
+
+    Starts from the reconstructed points and then minimises the residuals in all pictures together. `residuals_px`
+    and `projected_px` of the result hold the cameras one after the other, undistorted. None if it does not converge.
+
+    Raises:
+        DLTError: fewer than two cameras.
+    """
+    seen = [camera.undistorted(c.px) for camera, c in zip(cameras, corners, strict=True)]
+    noise = [_undistorted_noise(camera, c) for camera, c in zip(cameras, corners, strict=True)]
+    start = reconstruct(cameras, [c.px for c in corners], noise)
+    rotation, translation = fit_rigid(points_m, start.m)
+    vector, _ = cv2.Rodrigues(rotation)
+    x = np.concatenate([np.asarray(vector, dtype=np.float64).ravel(), translation])
+    whiteners = [np.linalg.inv(np.linalg.cholesky(n)) for n in noise]
+
+    def at(values: Floats) -> tuple[Floats, Floats, Floats]:
+        projected, slope = _project(points_m, cameras, values)
+        rest = [np.einsum("nij,nj->ni", w, s - p) for w, s, p in zip(whiteners, seen, projected, strict=True)]
+        white = [np.matmul(w, d) for w, d in zip(whiteners, slope, strict=True)]
+        return np.concatenate(projected), np.concatenate(white).reshape(-1, 6), np.concatenate(rest).ravel()
+
+    projected, jacobian, residual = at(x)
+    cost = float(residual @ residual)
+    for _ in range(_STEPS):
+        trial = x + np.linalg.solve(jacobian.T @ jacobian, jacobian.T @ residual)
+        projected_new, jacobian_new, residual_new = at(trial)
+        cost_new = float(residual_new @ residual_new)
+        if not np.isfinite(cost_new):
+            return None
+        # Of pictures without noise the cost is rounding alone, and rises as often as it falls.
+        done = abs(cost - cost_new) <= _CONVERGED * max(cost, 1.0)
+        if cost_new <= cost:
+            x, projected, jacobian, residual, cost = trial, projected_new, jacobian_new, residual_new, cost_new
+        if done:
+            break
+        if cost_new > cost:
+            return None
+    else:
+        return None
+    covariance = residual_covariance(jacobian, cost, [points_m] * len(cameras), [c.unexplained for c in corners])
+    unscaled = np.linalg.inv(jacobian.T @ jacobian)
+    # The coefficients' errors shift all corners of a camera together, so no number of corners averages them out; nor
+    # those of corners that were carried to another time.
+    world = points_m @ cv2.Rodrigues(x[:3])[0].T + x[3:]
+    by_camera = np.split(jacobian, len(cameras))
+    for camera, seen_by, whitener, slope in zip(cameras, corners, whiteners, by_camera, strict=True):
+        shift = np.matmul(whitener, camera.by_coefficients(world).reshape(-1, 2, 11)).reshape(-1, 11)
+        gain = unscaled @ slope.T @ shift
+        covariance = covariance + gain @ camera.covariance @ gain.T
+        if seen_by.carried_px is not None:
+            by_carrying = unscaled @ slope.T @ np.einsum("nij,nj->ni", whitener, seen_by.carried_px).ravel()
+            covariance = covariance + np.outer(by_carrying, by_carrying)
+    return Pose(x[:3], x[3:], np.asarray(covariance), np.concatenate(seen) - projected, projected, cost)
+
+
+def _project(points: Floats, cameras: Sequence[DLT], values: Floats) -> tuple[list[Floats], list[Floats]]:
+    """Undistorted pixels (n, 2) and their derivatives (n, 2, 6) by rotation vector and translation, per camera."""
+    rotation, derivative = cv2.Rodrigues(values[:3])
+    # derivative (3, 9): row k holds d R / d r_k, flattened by rows.
+    by_rotation = np.einsum("kij,nj->nik", derivative.reshape(3, 3, 3), points)
+    moved = np.concatenate([by_rotation, np.broadcast_to(np.eye(3), (len(points), 3, 3))], axis=2)
+    world = points @ rotation.T + values[3:]
+    pixels, slopes = [], []
+    for camera in cameras:
+        pixels.append(camera.project(world))
+        slopes.append(np.asarray(by_points(camera.matrix, world) @ moved))
+    return pixels, slopes
+
+
+def _undistorted_noise(camera: DLT, corners: Corners) -> Floats:
+    """Corner covariances (n, 2, 2) carried through the removal of the distortion."""
+    step = 0.5
+    columns = [
+        (camera.undistorted(corners.px + shift) - camera.undistorted(corners.px - shift)) / (2 * step)
+        for shift in (np.array([step, 0.0]), np.array([0.0, step]))
+    ]
+    slope = np.stack(columns, axis=2)
+    return np.asarray(slope @ corners.covariance @ slope.transpose(0, 2, 1))
+
+
+def fit_rigid(points: Floats, world: Floats) -> tuple[Floats, Floats]:
+    """Rotation and translation that bring points (n, 3) nearest to their places in the world (Kabsch)."""
+    centre, place = points.mean(axis=0), world.mean(axis=0)
+    u, _, vt = np.linalg.svd((world - place).T @ (points - centre))
+    turn = np.diag([1.0, 1.0, np.linalg.det(u @ vt)])
+    rotation = u @ turn @ vt
+    return np.asarray(rotation), np.asarray(place - rotation @ centre)

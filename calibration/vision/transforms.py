@@ -1,0 +1,70 @@
+"""Named rigid transforms with their uncertainty, and how points and covariances pass through them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class RigidTransform:
+    """A frame in its parent: a point x of the frame is `rotation` x + `translation_m` in the parent.
+
+    `rotation` (3, 3), `translation_m` (3,). The standard uncertainties are per axis: of the origin [m], and of the
+    orientation [rad] about the frame's own origin.
+    """
+
+    rotation: Floats
+    translation_m: Floats
+    translation_std_m: float = 0.0
+    rotation_std_rad: float = 0.0
+
+    @classmethod
+    def from_vectors(
+        cls,
+        rotation_vector_rad: Floats | tuple[float, float, float],
+        translation_m: Floats | tuple[float, float, float],
+        translation_std_m: float = 0.0,
+        rotation_std_rad: float = 0.0,
+    ) -> RigidTransform:
+        """Build from a rotation vector (3,) [rad] and a translation (3,) [m]."""
+        rotation, _ = cv2.Rodrigues(np.asarray(rotation_vector_rad, dtype=np.float64))
+        return cls(
+            np.asarray(rotation, dtype=np.float64),
+            np.asarray(translation_m, dtype=np.float64),
+            translation_std_m,
+            rotation_std_rad,
+        )
+
+    def apply(self, points_m: Floats) -> Floats:
+        """Points (..., 3) of this frame in the parent frame."""
+        return points_m @ self.rotation.T + self.translation_m
+
+    def inverse(self) -> RigidTransform:
+        """Return the parent in this frame, without uncertainty."""
+        return RigidTransform(self.rotation.T.copy(), -self.rotation.T @ self.translation_m)
+
+    def __matmul__(self, inner: RigidTransform) -> RigidTransform:
+        """Return `inner`'s frame in this frame's parent, without uncertainty."""
+        return RigidTransform(self.rotation @ inner.rotation, self.apply(inner.translation_m))
+
+    def transport(self, point_m: Floats, covariance_m2: Floats) -> tuple[Floats, Floats]:
+        """Carry a point (3,) and its covariance (3, 3) into the parent, adding this transform's own uncertainty."""
+        arm = self.rotation @ point_m
+        covariance = self.rotation @ covariance_m2 @ self.rotation.T + self._own_covariance(arm)
+        return arm + self.translation_m, covariance
+
+    def parent_origin(self) -> tuple[Floats, Floats]:
+        """Return the parent's origin (3,) in this frame with its covariance (3, 3)."""
+        origin = -self.rotation.T @ self.translation_m
+        return origin, self._own_covariance(origin)
+
+    def _own_covariance(self, arm_m: Floats) -> Floats:
+        """Cross-product matrix [a] of the lever times its transpose is |a|^2 I - a a^T."""
+        lever = np.dot(arm_m, arm_m) * np.eye(3) - np.outer(arm_m, arm_m)
+        return np.asarray(self.translation_std_m**2 * np.eye(3) + self.rotation_std_rad**2 * lever)

@@ -1,0 +1,181 @@
+"""Kernels on top of the solver: the arm's axis, whole motions, many arms."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from model.kernels.jit import kernel
+from model.kernels.shooting import Workspace, room_within
+from model.kernels.time_stepping import advance, equilibrium, stiffen
+from model.kernels.vec3 import Triple, called, cross, inlined, leaf, plus, rotation
+
+Array = Any
+
+
+@inlined
+def _turned(d1: Triple, d2: Triple, d3: Triple, a: Triple) -> Triple:
+    """A vector of the section, whose axes are given, in the base frame."""
+    return plus(plus((a[0] * d1[0], a[0] * d1[1], a[0] * d1[2]), a[1], d2), a[2], d3)  # type: ignore[no-any-return]
+
+
+@inlined
+def _speed(x: Array, j: int):  # type: ignore[no-untyped-def]
+    """At node j the line's slope p' = R v (eq 7), and the section's axes."""
+    d1, d2, d3 = rotation((x[j, 12], x[j, 13], x[j, 14], x[j, 15]))
+    return _turned(d1, d2, d3, (x[j, 0], x[j, 1], x[j, 2])), d1, d2, d3
+
+
+@inlined
+def _bend(x: Array, j: int, d1: Triple, d2: Triple, d3: Triple) -> Triple:
+    """At node j the slope of that slope, R (v' + u x v)."""
+    slope = x.shape[0] // 2 + j
+    strain, curvature = (x[j, 0], x[j, 1], x[j, 2]), (x[j, 3], x[j, 4], x[j, 5])
+    return _turned(d1, d2, d3, plus((x[slope, 0], x[slope, 1], x[slope, 2]), 1.0, cross(curvature, strain)))  # type: ignore[no-any-return]
+
+
+@inlined
+def _reached(passed: Triple, speed: Triple, first: Triple, bend: Triple, h: float) -> Triple:
+    """Place of a node: passed holds half the first slope and all slopes in between, first and bend the ends' slopes."""
+    at = plus(plus(passed, 0.5, speed), h / 12.0, plus(first, -1.0, bend))
+    return h * at[0], h * at[1], h * at[2]
+
+
+@inlined
+def _write_axis(at: Triple, d1: Triple, d2: Triple, d3: Triple, centre: Array, p: Array, turned: Array, j: int) -> None:
+    cx, cy = centre[0], centre[1]
+    for k in range(3):
+        turned[j, k, 0], turned[j, k, 1], turned[j, k, 2] = d1[k], d2[k], d3[k]
+        p[j, k] = at[k] - d1[k] * cx - d2[k] * cy
+    p[j, 0] += cx
+    p[j, 1] += cy
+
+
+@called
+def axis(x: Array, length: float, centre: Array, p: Array, rotations: Array, v: Array, u: Array) -> None:
+    """Positions, orientations and strains of the arm's axis from the solved states of the line through the centroid.
+
+    Integrates p' = R v (eq 7) by the trapezoid corrected with end slopes, of fourth order, then moves from the centroid
+    to the axis as eq 29 does: p + centre - R centre. x (2 N + 2, 16): states, then slopes.
+    """
+    n, cx, cy = p.shape[0] - 1, centre[0], centre[1]
+    speed, d1, d2, d3 = _speed(x, 0)
+    passed, first, at = (0.5 * speed[0], 0.5 * speed[1], 0.5 * speed[2]), _bend(x, 0, d1, d2, d3), (0.0, 0.0, 0.0)
+    for j in range(n + 1):
+        if j > 0:
+            speed, d1, d2, d3 = _speed(x, j)
+            at = _reached(passed, speed, first, _bend(x, j, d1, d2, d3), length / n)
+            passed = plus(passed, 1.0, speed)
+        _write_axis(at, d1, d2, d3, centre, p, rotations, j)
+        u1, u2, u3 = x[j, 3], x[j, 4], x[j, 5]
+        v[j, 0], v[j, 1], v[j, 2] = x[j, 0] + u3 * cy, x[j, 1] - u3 * cx, x[j, 2] - u1 * cy + u2 * cx
+        u[j, 0], u[j, 1], u[j, 2] = u1, u2, u3
+
+
+@leaf
+def place_tip(x: Array, length: float, centre: Array, place: Array, turned: Array, t: int) -> None:
+    """The tip alone, into row t of place (T, 3) and turned (T, 3, 3): of all the slopes' slopes, the ends' remain."""
+    n = x.shape[0] // 2 - 1
+    speed, d1, d2, d3 = _speed(x, 0)
+    passed, first = (0.5 * speed[0], 0.5 * speed[1], 0.5 * speed[2]), _bend(x, 0, d1, d2, d3)
+    for j in range(1, n):
+        speed, _, _, _ = _speed(x, j)
+        passed = plus(passed, 1.0, speed)
+    speed, d1, d2, d3 = _speed(x, n)
+    at = _reached(passed, speed, first, _bend(x, n, d1, d2, d3), length / n)
+    _write_axis(at, d1, d2, d3, centre, place, turned, t)
+
+
+@kernel
+def motion(
+    w: Array,
+    law: int,
+    actuators: int,
+    stiffness: Array,
+    rest: Array,
+    per_pressure: Array,
+    free: float,
+    before: Array,
+    pressure: Array,
+    load: Array,
+    loaded: bool,
+    tip: Array,
+    length: float,
+    segments: int,
+    scale: Array,
+    scheme: Array,
+    trail: Array,
+    x: Array,
+    pool: Array,
+    tolerance: float,
+    centre: Array,
+    tips: Array,
+    turns: Array,
+    good: Array,
+) -> int:
+    """Advance through the rows of pressure (T, N); fills tips (T, 3), turns (T, 3, 3), good (T,).
+
+    stiffness (R, 24), rest (R, 6), per_pressure (R, 6, N): of each row's section; R is T, or 1 for the same in all.
+    pool: a room, as `shooting.room_in` takes it. Returns the number of passes, or -1, having done nothing, where a
+    pressure is not finite.
+    """
+    for t in range(pressure.shape[0]):
+        for k in range(actuators):
+            if not abs(pressure[t, k]) < np.inf:
+                return -1
+    total, sections, room = 0, stiffness.shape[0], room_within(pool, x.shape[0] // 2 - 1)
+    for t in range(pressure.shape[0]):
+        r = t % sections
+        if sections > 1:
+            stiffen(w, stiffness[r])
+        passes = advance(
+            w, law, actuators, rest[r], per_pressure[r], free, before, pressure[t], load, loaded, tip, length,
+            segments, scale, scheme, trail, x, room, tolerance,
+        )  # fmt: skip
+        good[t] = passes > 0
+        if passes > 0:
+            total += passes
+        place_tip(x, length, centre, tips, turns, t)
+    return total
+
+
+@kernel
+def equilibria(
+    works: Array,
+    law: int,
+    actuators: int,
+    stiffness: Array,
+    rest: Array,
+    per_pressure: Array,
+    free: Array,
+    pressure: Array,
+    load: Array,
+    loaded: bool,
+    tips: Array,
+    length: Array,
+    scale: Array,
+    centre: Array,
+    tolerance: float,
+    room: Workspace,
+    place: Array,
+    turned: Array,
+    good: Array,
+) -> None:
+    """One equilibrium per row of pressure (B, N); fills place, turned and good.
+
+    Each row has an arm of its own, or all have the first one; its section (stiffness, rest, per_pressure) the same.
+    """
+    for b in range(pressure.shape[0]):
+        k, r = b % works.shape[0], b % rest.shape[0]
+        stiffen(works[k], stiffness[r])
+        passes = equilibrium(
+            works[k], law, actuators, rest[r], per_pressure[r], free[k], pressure[b], load[k], loaded, tips[k],
+            length[k], scale[k], room, tolerance,
+        )  # fmt: skip
+        good[b] = passes > 0
+        if passes > 0:
+            place_tip(room.x, length[k], centre[k], place, turned, b)
+        else:
+            place[b] = np.nan
+            turned[b] = np.nan

@@ -1,0 +1,142 @@
+"""The kernel of an arm in motion: its time steps, and how its tip answers to small changes of it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from model.kernels.axis import place_tip
+from model.kernels.jit import kernel
+from model.kernels.lanes import FIRST, Lanes, apply_pressure, apply_tip_load, places
+from model.kernels.layout import LANES, STATE
+from model.kernels.shooting import Workspace
+from model.kernels.tangents import tangents
+from model.kernels.time_stepping import advance, stiffen
+from model.kernels.vec3 import inlined, leaf
+
+Array = Any
+
+
+@inlined
+def _join(row: Array, first: Array, shares: Array, arm: Array, p: int, count: int, quantities: int) -> None:
+    for c in range(quantities):
+        at = c * LANES
+        base = first[at]
+        d1, d2, d3 = first[at + 1] - base, first[at + 2] - base, first[at + 3] - base
+        d4, d5, d6 = first[at + 4] - base, first[at + 5] - base, first[at + 6] - base
+        for i in range(LANES):
+            total = row[at + i] - base + shares[0, i] * d1 + shares[1, i] * d2 + shares[2, i] * d3
+            row[at + i] = arm[c] + total + shares[3, i] * d4 + shares[4, i] * d5 + shares[5, i] * d6
+        for i in range(LANES):
+            lane = p * LANES + i
+            if lane < FIRST or lane >= FIRST + count:
+                row[at + i] = arm[c]
+
+
+@leaf
+def _combine(x: Array, segments: int, room: Lanes, states: Array, derivatives: Array) -> None:
+    """Turn the lanes, after `neighbours`, into the solved neighbours; all other lanes become the arm x."""
+    n, count = states.shape[1] - 1, room.parts.shape[0]
+    per = n // segments
+    for j in range(n + 1):
+        s = min(j // per, segments - 1)
+        for p in range(states.shape[0] - 1, -1, -1):
+            _join(states[p, j], states[0, j], room.shares[s, p], x[j], p, count, STATE)
+            _join(derivatives[p, j], derivatives[0, j], room.shares[s, p], x[n + 1 + j], p, count, 12)
+
+
+@leaf
+def _moved(x: Array, works: Array, room: Lanes, states: Array, derivatives: Array, steps: Array, by: Array) -> None:
+    """How tip and turn answer (P, 6) to each neighbour's change, after `_combine`."""
+    n = states.shape[1] - 1
+    for p in range(works.shape[0]):
+        places(works[p], states[p], derivatives[p], x[n], room.place[p])
+    for f in range(steps.shape[0]):
+        p, i = (FIRST + f) // LANES, (FIRST + f) % LANES
+        for c in range(6):
+            by[f, c] = (room.place[p, c, i] - room.place[0, c, 0]) / steps[f]
+
+
+@leaf
+def _update_history(past: Array, room: Lanes, last: int, a: float, b: float, d: float) -> None:
+    """The history (eq 26) of the next time step: a, b times the last two solutions, d times this history."""
+    half = 12 * LANES
+    for k in range(past.shape[0]):
+        for j in range(past.shape[1]):
+            x, x_before = room.states[last, k, j], room.states[1 - last, k, j]
+            slope, slope_before = room.derivatives[last, k, j], room.derivatives[1 - last, k, j]
+            for i in range(half):
+                past[k, j, i] = a * x[i] + b * x_before[i] + d * past[k, j, i]
+            for i in range(half):
+                past[k, j, half + i] = a * slope[i] + b * slope_before[i] + d * past[k, j, half + i]
+
+
+@kernel
+def dynamic_sensitivities(
+    w: Array, law: int, actuators: int, free: float, before: Array, load: Array, loaded: bool, tip: Array,
+    length: float, segments: int, scale: Array, scheme: Array, trail: Array, x: Array, solver: Workspace,
+    tolerance: float, centre: Array, stiffness: Array, rest: Array, per_pressure: Array, still_scale: Array,
+    still_works: Array, still_stiffness: Array, still_rest: Array, still_per_pressure: Array, works: Array,
+    lane_stiffness: Array, lane_rest: Array, lane_per_pressure: Array, frees: Array, ends: Array, pressure: Array,
+    hung: Array, loaded_lanes: bool, heavy: bool, past: Array, room: Lanes, steps: Array, every: int, place: Array,
+    turned: Array, by: Array, good: Array,
+) -> None:  # fmt: skip
+    """A motion from rest by BDF-alpha, and how its tip answers to each neighbour's change.
+
+    The arm as `axis.motion` takes it, at rest in x; the lanes as `press` takes them, `still_..` those of the arm at
+    rest. pressure (1 + T, W, N, 8): at rest, then step by step; sections and hung one for each of these rows, or one
+    for all. past (W, N + 1, 192): room for the lanes' history. Without neighbours the lanes rest. Of every so many
+    steps it fills place, turned, by (1 + T / every, ..) and good.
+    """
+    row, here = np.empty(actuators), tip.copy()
+    c0, c1, c2, d1 = scheme[0], scheme[1], scheme[2], scheme[4]
+    followed, now, sections = steps.shape[0] > 0, 0, stiffness.shape[0]
+    for t in range(pressure.shape[0]):
+        r, hangs = t % sections, hung[t % hung.shape[0]]
+        apply_tip_load(tip, hangs, here)
+        solved = 1
+        if t == 0 and followed:
+            apply_pressure(
+                still_works, actuators, still_stiffness[0], still_rest[0], still_per_pressure[0], frees, ends,
+                pressure[t], hangs,
+            )  # fmt: skip
+            followed = tangents(
+                still_works, law, actuators, past, load, loaded_lanes, 0.0, heavy, segments, still_scale, x, room,
+                room.states[0], room.derivatives[0],
+            )  # fmt: skip
+            _combine(x, segments, room, room.states[0], room.derivatives[0])
+            room.states[1] = room.states[0]
+            room.derivatives[1] = room.derivatives[0]
+            # An arm at rest has no rates: y^h = -c0 y.
+            _update_history(past, room, now, -c0, 0.0, 0.0)
+        if t > 0:
+            for k in range(actuators):
+                row[k] = pressure[t, 0, k, 0]
+            if sections > 1:
+                stiffen(w, stiffness[r])
+            solved = advance(
+                w, law, actuators, rest[r], per_pressure[r], free, before, row, load, loaded, here, length, segments,
+                scale, scheme, trail, x, solver, tolerance,
+            )  # fmt: skip
+            if solved > 0 and followed:
+                # y_t of the last step is c0 times its solution plus its history.
+                _update_history(past, room, now, c1 + d1 * c0, c2, d1)
+                now = 1 - now
+                apply_pressure(
+                    works, actuators, lane_stiffness[r], lane_rest[r], lane_per_pressure[r], frees, ends, pressure[t],
+                    hangs,
+                )  # fmt: skip
+                followed = tangents(
+                    works, law, actuators, past, load, loaded_lanes, c0, heavy, segments, scale, x, room,
+                    room.states[now], room.derivatives[now],
+                )  # fmt: skip
+                _combine(x, segments, room, room.states[now], room.derivatives[now])
+        if t % every == 0:
+            at = t // every
+            good[at] = solved > 0
+            place_tip(x, length, centre, place, turned, at)
+            if followed:
+                _moved(x, works, room, room.states[now], room.derivatives[now], steps, by[at])
+            else:
+                by[at] = np.nan

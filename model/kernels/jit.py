@@ -1,0 +1,107 @@
+"""Compiling the kernels, once per version of the model's sources, into a cache on disk.
+
+numba's own cache looks only at the file a kernel stands in, so a kernel whose callee changed would be served stale.
+Here the cache folder is named by a hash of all of the model's sources: another source, another folder.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import shutil
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numba
+
+# Reassociation and "no NaN" stay off: a step that went wrong must be seen as NaN, and runs must repeat bit for bit.
+_FAST = {"contract", "arcp", "nsz"}
+_KEEP_S = 30 * 86400.0
+
+
+@cache
+def cache_folder() -> Path:
+    """Where this version's compiled kernels are kept; created if missing, never inside the checkout.
+
+    $SOFTRIG_CACHE, else $XDG_CACHE_HOME/softrig, else ~/.cache/softrig, else a folder of this user in the temporary
+    directory: the first that can be written to.
+    """
+    digest = hashlib.sha256()
+    for source in sorted(Path(__file__).parents[1].rglob("*.py")):
+        digest.update(source.name.encode() + b"\0" + source.read_bytes() + b"\0")
+    name = f"kernels-{digest.hexdigest()[:16]}"
+    for parent in _candidates():
+        folder = parent / name
+        try:
+            folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+            # Compiled code is trusted code: it must not come from a folder that another user made.
+            if folder.stat().st_uid != os.getuid():
+                continue
+            with tempfile.TemporaryFile(dir=folder):
+                pass
+        except OSError:
+            continue
+        os.utime(folder)
+        _forget_old(parent, keep=name)
+        return folder
+    raise OSError("no folder to keep compiled kernels in: set SOFTRIG_CACHE to one that can be written to")
+
+
+def kernel(
+    function: Callable[..., Any],
+    sources: Sequence[str] = (),
+    fastmath: bool | set[str] = _FAST,
+    inlined: bool = False,
+    allocates: bool = True,
+    called: bool = True,
+) -> Any:
+    """Compile a function when it is first called, or take it from the cache on disk.
+
+    `sources` are the files outside this room that a kernel is made of; `fastmath` is numba's. `inlined` puts the
+    machine code into every caller, which lets a loop around it become vector instructions. A kernel that makes no
+    array says so by `allocates`: it is then spared the counting of references, an atomic operation per array and call.
+    One that only other kernels call says so by `called`: it is spared what Python would call it by, in which an inlined
+    kernel would be compiled once more. Calling it from Python then ends the process.
+    """
+    folder = cache_folder()
+    if sources:
+        digest = hashlib.sha256(b"".join(Path(source).read_bytes() for source in sources))
+        folder /= digest.hexdigest()[:16]
+    config: Any = numba.config
+    before = config.CACHE_DIR
+    config.CACHE_DIR = str(folder)
+    try:
+        options: dict[str, Any] = {"fastmath": fastmath, "forceinline": inlined, "_nrt": allocates}
+        options |= {"no_cpython_wrapper": not called, "no_cfunc_wrapper": True}
+        return numba.njit(cache=True, error_model="numpy", nogil=True, **options)(function)
+    finally:
+        config.CACHE_DIR = before
+
+
+def _candidates() -> list[Path]:
+    asked = os.environ.get("SOFTRIG_CACHE")
+    if asked:
+        return [Path(asked)]
+    folders = []
+    shared = os.environ.get("XDG_CACHE_HOME")
+    if shared:
+        folders.append(Path(shared) / "softrig")
+    home = Path(os.path.expanduser("~"))  # noqa: PTH111 - Path.home() raises where there is no home
+    if home.is_absolute() and home.is_dir():
+        folders.append(home / ".cache" / "softrig")
+    folders.append(Path(tempfile.gettempdir()) / f"softrig-{os.getuid()}")
+    return folders
+
+
+def _forget_old(parent: Path, keep: str) -> None:
+    """Remove what sources that nobody has run for a month have left behind."""
+    for folder in parent.glob("kernels-*"):
+        try:
+            if folder.name != keep and time.time() - folder.stat().st_mtime > _KEEP_S:
+                shutil.rmtree(folder, ignore_errors=True)
+        except OSError:
+            continue

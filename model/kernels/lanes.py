@@ -1,0 +1,210 @@
+"""Kernels for arms that differ a little, one in each lane: what they work in, and their way from base to tip.
+
+A lane has its own length, section, pressures, loads and past. Lanes are counted through all work arrays: 0 is the arm,
+1 to 6 move a base strain each, the neighbours follow.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+from model.kernels.layout import (
+    AXIAL,
+    CENTRE,
+    END,
+    FOURTH,
+    GATHER,
+    HANGS,
+    HISTORY,
+    LANES,
+    MORE,
+    NODE,
+    OFFSET,
+    PAST,
+    PER_TUBE,
+    PULL,
+    SLOPE,
+    STAGE,
+    STATE,
+    STRIDE,
+    THIRD,
+    TRIO,
+    aligned,
+)
+from model.kernels.rod import stage
+from model.kernels.vec3 import called, cross, inlined, leaf, plus, put, rotation, triple
+
+Array = Any
+
+FIRST = 7  # lane of the first neighbour
+OWN = ((0.0, 0.0, 0.0),) * 6  # in the place of a history that lanes share
+
+
+class Lanes(NamedTuple):
+    """The arrays that the lanes work in."""
+
+    states: Array  # (2, W, N + 1, 128) of every work array, now and a time step before
+    derivatives: Array  # the same of their slopes
+    directions: Array  # (S, 6, 16), per segment
+    triangle: Array  # (S, 6, 6)
+    along: Array  # (S, P, 6), per segment and neighbour
+    parts: Array  # (P, 16), by what each neighbour differs at a segment's start
+    shares: Array  # (S, W, 6, 8), of the moved base strains in each lane
+    matrix: Array  # (6, 6)
+    right: Array  # (P, 6)
+    place: Array  # (W, 6, 8), tip and turn of every lane
+
+    @classmethod
+    def of(cls, neighbours: int, n: int, segments: int) -> Lanes:
+        """Room for so many neighbours on n steps along the arm."""
+        works = passes(neighbours)
+        size = 2, works, n + 1, STATE * LANES
+        return cls(
+            aligned(*size), aligned(*size), aligned(segments, 6, STATE), aligned(segments, 6, 6),
+            aligned(segments, neighbours, 6), aligned(neighbours, STATE),
+            aligned(segments, works, 6, LANES), aligned(6, 6), aligned(neighbours, 6), aligned(works, 6, LANES),
+        )  # fmt: skip
+
+
+def passes(neighbours: int) -> int:
+    """Work arrays, and so passes, for so many neighbours."""
+    return -(-(FIRST + neighbours) // LANES)
+
+
+@inlined
+def _recall(w: Array, past: Array) -> None:
+    """The history at a node."""
+    for i in range(HISTORY * LANES):
+        w[PAST * LANES + i] = past[i]
+
+
+@inlined
+def _recall_between(w: Array, a: Array, b: Array) -> None:
+    """The history half-way between two nodes, as `march._between` finds it."""
+    for c in range(12):
+        for i in range(LANES):
+            at, to = c * LANES + i, (12 + c) * LANES + i
+            bent = 0.125 * w[STRIDE * LANES + i] * (a[to] - b[to])
+            w[PAST * LANES + at] = 0.5 * (a[at] + b[at]) + bent
+    for c in range(6):
+        for i in range(LANES):
+            at, to = c * LANES + i, (12 + c) * LANES + i
+            w[PAST * LANES + to] = 1.5 / w[STRIDE * LANES + i] * (b[at] - a[at]) - 0.25 * (a[to] + b[to])
+
+
+@leaf
+def integrate_lanes(
+    w: Array, law: int, actuators: int, past: Array, moving: bool, load: Array, loaded: bool, first: int, last: int,
+    states: Array, derivatives: Array,
+) -> None:  # fmt: skip
+    """Integrate the node's state, all lanes, from node `first` to node `last`, as `rod.integrate` does.
+
+    past (N + 1, 192): history of velocities, strains and all their slopes at the nodes, of every lane, looked at when
+    `moving`.
+    """
+    size, n = STATE * LANES, states.shape[0] - 1
+    for j in range(first, last + 1):
+        if j == last and last < n:
+            break
+        for i in range(size):
+            states[j, i] = w[NODE * LANES + i]
+        if moving:
+            _recall(w, past[j])
+        stage(w, law, actuators, OWN, True, load, loaded, 2 * j, NODE, STAGE, 0.5)
+        for i in range(12 * LANES):
+            derivatives[j, i] = w[SLOPE * LANES + i]
+        if j == n:
+            break
+        if moving:
+            _recall_between(w, past[j], past[j + 1])
+        stage(w, law, actuators, OWN, True, load, loaded, 2 * j + 1, STAGE, THIRD, 0.5)
+        stage(w, law, actuators, OWN, True, load, loaded, 2 * j + 1, THIRD, FOURTH, 1.0)
+        if moving:
+            _recall(w, past[j + 1])
+        stage(w, law, actuators, OWN, True, load, loaded, 2 * j + 2, FOURTH, NODE, 1.0 / 6.0)
+
+
+@leaf
+def apply_pressure(
+    works: Array, actuators: int, stiffness: Array, rest: Array, per_pressure: Array, free: Array, ends: Array,
+    pressure: Array, hung: Array,
+) -> None:  # fmt: skip
+    """Write sections, pressures (W, N, 8) and loads at the tip into the work arrays (W, size), lane by lane.
+
+    stiffness (W, 24, 8), rest (W, 6, 8), per_pressure (W, 6, N, 8), free (W, 8) and ends (W, 19, 8): as of `Problem`.
+    hung (W, 12, 8): force and moment beyond that, a part of the force that pulls elsewhere, and where.
+    """
+    first = TRIO if actuators <= 3 else MORE
+    for p in range(works.shape[0]):
+        w = works[p]
+        for c in range(24):
+            for i in range(LANES):
+                w[(AXIAL + c) * LANES + i] = stiffness[p, c, i]
+        for c in range(6):
+            for i in range(LANES):
+                total = rest[p, c, i]
+                for k in range(actuators):
+                    total += per_pressure[p, c, k, i] * pressure[p, k, i]
+                w[(OFFSET + c) * LANES + i] = total
+        for c in range(HANGS):
+            for i in range(LANES):
+                w[(END + c) * LANES + i] = ends[p, c, i]
+        for c in range(6):
+            for i in range(LANES):
+                w[(END + c) * LANES + i] += hung[p, c, i]
+                w[(PULL + c) * LANES + i] += hung[p, 6 + c, i]
+        for k in range(actuators):
+            for i in range(LANES):
+                w[(first + PER_TUBE * k + 2) * LANES + i] = free[p, i] * pressure[p, k, i]
+
+
+@called
+def apply_tip_load(tip: Array, hung: Array, here: Array) -> None:
+    """What hangs on the arm's own tip (19,) with what `press` hangs there too."""
+    for c in range(HANGS):
+        here[c] = tip[c]
+    for c in range(6):
+        here[c] += hung[0, c, 0]
+        here[HANGS - 6 + c] += hung[0, 6 + c, 0]
+
+
+@leaf
+def places(w: Array, states: Array, derivatives: Array, tip: Array, place: Array) -> None:
+    """Tip (3) and turn (3) of every lane into place (6, 8), as `axis.axis` finds the tip.
+
+    The turn is the rotation vector [rad] in the base frame by which a lane's tip is turned against the state `tip`
+    (16,), to first order.
+    """
+    n = states.shape[0] - 1
+    for i in range(9 * LANES):
+        w[GATHER * LANES + i] = 0.0
+    for j in range(n + 1):
+        for i in range(STATE * LANES):
+            w[NODE * LANES + i] = states[j, i]
+        for i in range(6 * LANES):
+            w[SLOPE * LANES + i] = derivatives[j, i]
+        for i in range(LANES):
+            q = (NODE + 12) * LANES + i
+            d1, d2, d3 = rotation((w[q], w[q + LANES], w[q + 2 * LANES], w[q + 3 * LANES]))
+            strain = triple(w, NODE, i)
+            g = plus(triple(w, SLOPE, i), 1.0, cross(triple(w, NODE + 3, i), strain))
+            at, was, turned = triple(w, GATHER, i), triple(w, GATHER + 3, i), triple(w, GATHER + 6, i)
+            speed = plus(plus((strain[0] * d1[0], strain[0] * d1[1], strain[0] * d1[2]), strain[1], d2), strain[2], d3)
+            turn = plus(plus((g[0] * d1[0], g[0] * d1[1], g[0] * d1[2]), g[1], d2), g[2], d3)
+            h = w[STRIDE * LANES + i] if j > 0 else 0.0
+            at = plus(plus(at, 0.5 * h, plus(was, 1.0, speed)), h * h / 12.0, plus(turned, -1.0, turn))
+            put(w, GATHER, i, at)
+            put(w, GATHER + 3, i, speed)
+            put(w, GATHER + 6, i, turn)
+    a0, b0, c0, e0 = tip[12], tip[13], tip[14], tip[15]
+    over = 2.0 / (a0 * a0 + b0 * b0 + c0 * c0 + e0 * e0)
+    for i in range(LANES):
+        q = (NODE + 12) * LANES + i
+        a, b, c, e = w[q], w[q + LANES], w[q + 2 * LANES], w[q + 3 * LANES]
+        d1, d2, _ = rotation((a, b, c, e))
+        cx, cy = w[CENTRE * LANES + i], w[(CENTRE + 1) * LANES + i]
+        at = plus(plus(triple(w, GATHER, i), -cx, d1), -cy, d2)
+        place[0, i], place[1, i], place[2, i] = at[0] + cx, at[1] + cy, at[2]
+        place[3, i] = over * (-a * b0 + b * a0 - c * e0 + e * c0)
+        place[4, i] = over * (-a * c0 + c * a0 - e * b0 + b * e0)
+        place[5, i] = over * (-a * e0 + e * a0 - b * c0 + c * b0)

@@ -1,0 +1,181 @@
+"""The section whose tubes each follow eq 32 at their own place (section.py derives what is summed)."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from model.kernels.layout import (
+    AXIAL,
+    CHANGES,
+    LANES,
+    MORE,
+    OFFSET,
+    OTHERS,
+    PER_TRIO,
+    PER_TUBE,
+    PULLS,
+    SECANTS,
+    SHEAR,
+    STRAINS,
+    SUMS,
+    TANGENTS,
+    TRIO,
+    TUBE,
+)
+from model.kernels.vec3 import Triple, inlined, leaf, plus, put, six, times, triple
+
+Array = Any
+
+# Eq 32 continued oddly has a kink in its secant stiffness at zero force, which no rubber has and Newton's method trips
+# over. The wall force keeps the law as it is; shear, own bending and torsion take the secant rounded over this strain.
+ROUNDING = 5e-3
+
+
+@inlined
+def _tube(strain: float, a1: float, a2: float, share: float) -> tuple[float, float, float, float]:
+    """Wall force of a strain, its derivative; rounded secant stiffness, its derivative; all times `share` (1, or 0)."""
+    root = math.sqrt(a1 * a1 + 4.0 * a2 * abs(strain))
+    rounded = math.sqrt(strain * strain + ROUNDING * ROUNDING)
+    round_root = math.sqrt(a1 * a1 + 4.0 * a2 * rounded)
+    # Roots and divisions cost more than anything else here: one division serves for four quotients.
+    far, round_far, both = a1 + root, a1 + round_root, round_root * rounded
+    plain, round_plain = root * far, both * round_far
+    inverse = share / (plain * round_plain)
+    over, round_over = inverse * round_plain, inverse * plain
+    half = both * round_over
+    return 2.0 * strain * (root * over), far * over, 2.0 * half, -4.0 * a2 * strain * round_over * half
+
+
+@inlined
+def _on(total: float, a: Triple, b: Triple) -> float:
+    """total + a . b."""
+    return total + a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@inlined
+def tubes(w: Array, i: int, v3: float, u1: float, u2: float) -> Any:
+    """What the three tubes at TRIO, of lane i, answer to the strains: as of `_tube`, each for all three."""
+    a1, a2 = w[TUBE * LANES + i], w[(TUBE + 1) * LANES + i]
+    x1, y1, free1 = triple(w, TRIO, i)
+    x2, y2, free2 = triple(w, TRIO + PER_TUBE, i)
+    x3, y3, free3 = triple(w, TRIO + 2 * PER_TUBE, i)
+    share = (TRIO + 3) * LANES + i
+    share1, share2, share3 = w[share], w[share + PER_TUBE * LANES], w[share + 2 * PER_TUBE * LANES]
+    f1, t1, k1, e1 = _tube(v3 - 1.0 + y1 * u1 - x1 * u2 - free1, a1, a2, share1)
+    f2, t2, k2, e2 = _tube(v3 - 1.0 + y2 * u1 - x2 * u2 - free2, a1, a2, share2)
+    f3, t3, k3, e3 = _tube(v3 - 1.0 + y3 * u1 - x3 * u2 - free3, a1, a2, share3)
+    return (f1, f2, f3), (t1, t2, t3), (k1, k2, k3), (e1, e2, e3)
+
+
+@inlined
+def _of_tubes(w: Array, i: int, c: int) -> Triple:
+    """Number c of each of the three tubes."""
+    at = (TRIO + c) * LANES + i
+    return w[at], w[at + PER_TUBE * LANES], w[at + 2 * PER_TUBE * LANES]
+
+
+@inlined
+def sum_tubes(w: Array, i: int, answers: Any, to: int) -> None:
+    """Sum over all tubes of lane i: wall forces, tangent and side stiffnesses, to `to`.
+
+    These are the three at TRIO, whose answers are given, on top of what stands at OTHERS.
+    """
+    f, t, k, e = answers
+    x, y, far = _of_tubes(w, i, 0), _of_tubes(w, i, 1), _of_tubes(w, i, 7)
+    xx, xy, yy = _of_tubes(w, i, 4), _of_tubes(w, i, 5), _of_tubes(w, i, 6)
+    less, g = (-x[0], -x[1], -x[2]), (e[0] * far[0], e[1] * far[1], e[2] * far[2])
+    s0, s1, s2, s3 = triple(w, OTHERS, i), triple(w, OTHERS + 3, i), triple(w, OTHERS + 6, i), triple(w, OTHERS + 9, i)
+    s4, s5, s6 = triple(w, OTHERS + 12, i), triple(w, OTHERS + 15, i), triple(w, OTHERS + 18, i)
+    put(w, to, i, (s0[0] + f[0] + f[1] + f[2], _on(s0[1], f, y), _on(s0[2], f, less)))
+    put(w, to + 3, i, (s1[0] + t[0] + t[1] + t[2], _on(s1[1], t, x), _on(s1[2], t, y)))
+    put(w, to + 6, i, (_on(s2[0], t, xx), _on(s2[1], t, xy), _on(s2[2], t, yy)))
+    put(w, to + 9, i, (s3[0] + k[0] + k[1] + k[2], _on(s3[1], k, x), _on(s3[2], k, y)))
+    put(w, to + 12, i, (_on(s4[0], k, far), s4[1] + e[0] + e[1] + e[2], _on(s4[2], e, x)))
+    put(w, to + 15, i, (_on(s5[0], e, y), _on(s5[1], e, xx), _on(s5[2], e, xy)))
+    put(w, to + 18, i, (_on(s6[0], e, yy), _on(s6[1], g, x), _on(s6[2], g, y)))
+
+
+@leaf
+def sum_others(w: Array, actuators: int) -> None:
+    """Sum over all trios but the last, all lanes, at the strains kept for it, and make the last one ready."""
+    for i in range(SUMS * LANES):
+        w[OTHERS * LANES + i] = 0.0
+    last = (actuators - 1) // 3
+    for k in range(last + 1):
+        # Copied to a constant place, or the compiler gives up on vector instructions.
+        at = (MORE + PER_TRIO * k) * LANES
+        for i in range(PER_TRIO * LANES):
+            w[TRIO * LANES + i] = w[at + i]
+        if k < last:
+            for i in range(LANES):
+                v3, u1, u2 = triple(w, STRAINS, i)
+                sum_tubes(w, i, tubes(w, i, v3, u1, u2), OTHERS)
+
+
+@inlined
+def pointwise_wrench(w: Array, i: int, c0: float, v: Triple, u: Triple, v_h: Triple, u_h: Triple):  # type: ignore[no-untyped-def]
+    """Total wrench of the strains from the tubes' sums; the blocks hold the damping time times the stiffness."""
+    v_t, u_t = plus(v_h, c0, v), plus(u_h, c0, u)
+    a = times(six(w, AXIAL, i), (v_t[2], u_t[0], u_t[1]))
+    b = times(six(w, SHEAR, i), (v_t[0], v_t[1], u_t[2]))
+    offset, pull = six(w, OFFSET, i), triple(w, PULLS, i)
+    gamma, spread = w[(TUBE + 2) * LANES + i], w[(TUBE + 3) * LANES + i]
+    k0, kx, ky = triple(w, SECANTS, i)
+    kr = w[(SECANTS + 3) * LANES + i]
+    return (
+        offset[0] + b[0] + gamma * (k0 * v[0] - ky * u[2]),
+        offset[1] + b[1] + gamma * (k0 * v[1] + kx * u[2]),
+        offset[2] + a[0] + pull[0],
+    ), (
+        offset[3] + a[1] + pull[1] + spread * k0 * u[0],
+        offset[4] + a[2] + pull[2] + spread * k0 * u[1],
+        offset[5] + b[2] + gamma * (kx * v[1] - ky * v[0] + kr * u[2]),
+    )
+
+
+@inlined
+def pointwise_slopes(w: Array, i: int, c0: float, v: Triple, u: Triple, n: Triple, m: Triple, v_h: Triple, u_h: Triple):  # type: ignore[no-untyped-def]
+    """Strain slopes whose wrench has the slopes n, m, by the tangent; v_h, u_h are the slopes of the history."""
+    a11, a12, a13, a22, a23, a33 = six(w, AXIAL, i)
+    s11, s12, s13, s22, s23, s33 = six(w, SHEAR, i)
+    # Viscous part first.
+    f3, f4, f5 = plus((n[2], m[0], m[1]), -1.0, times((a11, a12, a13, a22, a23, a33), (v_h[2], u_h[0], u_h[1])))
+    f1, f2, f6 = plus((n[0], n[1], m[2]), -1.0, times((s11, s12, s13, s22, s23, s33), (v_h[0], v_h[1], u_h[2])))
+    v1, v2 = v[0], v[1]
+    u1, u2, u3 = u
+    gamma, spread = w[(TUBE + 2) * LANES + i], w[(TUBE + 3) * LANES + i]
+    t0, tx, ty = triple(w, TANGENTS, i)
+    txx, txy, tyy = triple(w, TANGENTS + 3, i)
+    t11, t12, t13 = c0 * a11 + t0, c0 * a12 + ty, c0 * a13 - tx
+    t22, t23, t33 = c0 * a22 + tyy, c0 * a23 - txy, c0 * a33 + txx
+    k0, kx, ky = triple(w, SECANTS, i)
+    kr = w[(SECANTS + 3) * LANES + i]
+    e0, ex, ey = triple(w, CHANGES, i)
+    exx, exy, eyy = triple(w, CHANGES + 3, i)
+    b1, b2 = spread * u1, spread * u2
+    # Not symmetric: a tube's own bending stiffness follows its axial strain, not the other way round.
+    p21, p22, p23 = t12 + b1 * e0, t22 + b1 * ey + spread * k0, t23 - b1 * ex
+    p31, p32, p33 = t13 + b2 * e0, t23 + b2 * ey, t33 - b2 * ex + spread * k0
+    m11, m12, m13 = p22 * p33 - p23 * p32, p23 * p31 - p21 * p33, p21 * p32 - p22 * p31
+    s11, s12, s13 = c0 * s11 + gamma * k0, c0 * s12, c0 * s13 - gamma * ky
+    s22, s23, s33 = c0 * s22 + gamma * k0, c0 * s23 + gamma * kx, c0 * s33 + gamma * kr
+    g11, g12, g13 = s22 * s33 - s23 * s23, s13 * s23 - s12 * s33, s12 * s23 - s13 * s22
+    first, second = t11 * m11 + t12 * m12 + t13 * m13, s11 * g11 + s12 * g12 + s13 * g13
+    both = 1.0 / (first * second)
+    over = both * second
+    dv3 = over * (m11 * f3 + (t13 * p32 - t12 * p33) * f4 + (t12 * p23 - t13 * p22) * f5)
+    du1 = over * (m12 * f3 + (t11 * p33 - t13 * p31) * f4 + (t13 * p21 - t11 * p23) * f5)
+    du2 = over * (m13 * f3 + (t12 * p31 - t11 * p32) * f4 + (t11 * p22 - t12 * p21) * f5)
+    r0 = e0 * dv3 + ey * du1 - ex * du2
+    rx = ex * dv3 + exy * du1 - exx * du2
+    ry = ey * dv3 + eyy * du1 - exy * du2
+    rr = (exx + eyy + 2.0 * spread * e0) * dv3 + w[(CHANGES + 7) * LANES + i] * du1 - w[(CHANGES + 6) * LANES + i] * du2
+    f1 -= gamma * (r0 * v1 - ry * u3)
+    f2 -= gamma * (r0 * v2 + rx * u3)
+    f6 -= gamma * (rx * v2 - ry * v1 + rr * u3)
+    over = both * first
+    g22, g23, g33 = s11 * s33 - s13 * s13, s12 * s13 - s11 * s23, s11 * s22 - s12 * s12
+    return (
+        over * (g11 * f1 + g12 * f2 + g13 * f6), over * (g12 * f1 + g22 * f2 + g23 * f6), dv3,
+    ), (du1, du2, over * (g13 * f1 + g23 * f2 + g33 * f6))  # fmt: skip

@@ -1,0 +1,324 @@
+"""Right-hand side of the rod (eqs 7-13) and its integration along the arc length.
+
+Everything is written in the section's own frame, with the total wrench: what the walls carry minus what the pressure
+pushes. Its balance has no pressure term left,
+
+    n' = -u x n + rho A (q_t + w x q) - f,      m' = -u x m - v x n + rho (J w_t + w x J w) - l,
+
+which is eqs 12 and 13 with the pressure moved into the section law. Time derivatives are y_t = c0 y + y^h (eq 26).
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from model.kernels.layout import (
+    AXIAL,
+    AXIAL_INVERSE,
+    C0,
+    FOURTH,
+    INERTIA,
+    LAG,
+    LANES,
+    LINE_DENSITY,
+    LINEAR,
+    LOAD,
+    NODE,
+    OFFSET,
+    PAST,
+    POINTWISE,
+    PULLS,
+    RATE,
+    SHEAR,
+    SHEAR_INVERSE,
+    SLOPE,
+    STAGE,
+    STATE,
+    STRAINS,
+    STRIDE,
+    THIRD,
+    WEIGHT,
+    WRENCH,
+)
+from model.kernels.pointwise_law import pointwise_slopes, pointwise_wrench, sum_others, sum_tubes, tubes
+from model.kernels.vec3 import Six, Triple, cross, dot, inlined, leaf, plus, put, rotation, six, three, times, triple
+
+Array = Any
+Past = tuple[Triple, Triple, Triple, Triple, Triple, Triple]
+
+
+@inlined
+def compatibility(v: Triple, u: Triple, q: Triple, o: Triple, v_t: Triple, u_t: Triple) -> tuple[Triple, Triple]:
+    """Slopes of the velocities q, o (eq 11)."""
+    return plus(plus(v_t, 1.0, cross(o, v)), -1.0, cross(u, q)), plus(u_t, -1.0, cross(u, o))
+
+
+@inlined
+def inertia(
+    mass: float, inertias: tuple[float, float, float, float], q: Triple, o: Triple, q_t: Triple, o_t: Triple
+) -> tuple[Triple, Triple]:
+    """Force and moment per length that accelerate the rod. inertias: rho J as 11, 22, 12, 33."""
+    j11, j22, j12, j33 = inertias
+    spin = (j11 * o[0] + j12 * o[1], j12 * o[0] + j22 * o[1], j33 * o[2])
+    spun = (j11 * o_t[0] + j12 * o_t[1], j12 * o_t[0] + j22 * o_t[1], j33 * o_t[2])
+    force = plus(q_t, 1.0, cross(o, q))
+    return (mass * force[0], mass * force[1], mass * force[2]), plus(spun, 1.0, cross(o, spin))
+
+
+@inlined
+def balance(v: Triple, u: Triple, n: Triple, m: Triple, force: Triple, couple: Triple) -> tuple[Triple, Triple]:
+    """Slopes of the wrench n, m (eqs 12, 13); force and couple: of the inertia, less the load, per length."""
+    return plus(cross(n, u), 1.0, force), plus(plus(cross(m, u), 1.0, cross(n, v)), 1.0, couple)
+
+
+@inlined
+def _move(w: Array, k: int, slope: float, to: int, ahead: float) -> None:
+    """Where a slope leads: to the next stage of RK4, or to the next node. k: where the quantity stands in a state.
+
+    The next node is (second + 2 third + fourth stage - node) / 3 + h / 6 slope: RK4 without a sum to carry along.
+    """
+    node = w[NODE * LANES + k]
+    if to == NODE:
+        apart = (w[STAGE * LANES + k] - node) + w[FOURTH * LANES + k] + 2.0 * w[THIRD * LANES + k]
+        w[NODE * LANES + k] = (1.0 / 3.0) * apart + ahead * slope
+    else:
+        w[to * LANES + k] = node + ahead * slope
+
+
+@inlined
+def _move_three(w: Array, k: int, slope: Triple, to: int, ahead: float) -> None:
+    _move(w, k, slope[0], to, ahead)
+    _move(w, k + LANES, slope[1], to, ahead)
+    _move(w, k + 2 * LANES, slope[2], to, ahead)
+
+
+@inlined
+def _move_and_keep(w: Array, c: int, i: int, slope: Triple, to: int, ahead: float) -> None:
+    """The same of lane i, from quantity c on; the first stage's slopes are kept."""
+    if to == STAGE:
+        put(w, SLOPE + c, i, slope)
+    _move_three(w, c * LANES + i, slope, to, ahead)
+
+
+@inlined
+def _move_motion(w: Array, i: int, past: Past, at: int, to: int, ahead: float) -> tuple[Triple, Triple]:
+    """The same for velocities and orientation, whose slope is h u / 2 as quaternions (eq 9).
+
+    Returns what the balance of the wrench needs of them: force and couple of the inertia, less the load, per length.
+    """
+    v, u, q, o = triple(w, at, i), triple(w, at + 3, i), triple(w, at + 6, i), triple(w, at + 9, i)
+    v_h, u_h, q_h, o_h, _, _ = past
+    c0, j = w[C0 * LANES + i], INERTIA * LANES + i
+    q_s, o_s = compatibility(v, u, q, o, plus(v_h, c0, v), plus(u_h, c0, u))
+    force, couple = inertia(
+        w[LINE_DENSITY * LANES + i], (w[j], w[j + LANES], w[j + 2 * LANES], w[j + 3 * LANES]), q, o,
+        plus(q_h, c0, q), plus(o_h, c0, o),
+    )  # fmt: skip
+    h = (at + 12) * LANES + i
+    a, b, c, d = w[h], w[h + LANES], w[h + 2 * LANES], w[h + 3 * LANES]
+    _move(w, 12 * LANES + i, -0.5 * (b * u[0] + c * u[1] + d * u[2]), to, ahead)
+    h_s = (0.5 * (a * u[0] + c * u[2] - d * u[1]), 0.5 * (a * u[1] + d * u[0] - b * u[2]),
+           0.5 * (a * u[2] + b * u[1] - c * u[0]))  # fmt: skip
+    _move_three(w, 13 * LANES + i, h_s, to, ahead)
+    _move_and_keep(w, 6, i, q_s, to, ahead)
+    _move_and_keep(w, 9, i, o_s, to, ahead)
+    return plus(force, -1.0, triple(w, LOAD, i)), plus(couple, -1.0, triple(w, LOAD + 3, i))
+
+
+@inlined
+def linear_wrench(axial: Six, shear: Six, offset: Six, lag: float, v: Triple, u: Triple, v_h: Triple, u_h: Triple):  # type: ignore[no-untyped-def]
+    """Total wrench of the strains: a constant stiffness, coupled by the actuators' places (eqs 15, 16, 20).
+
+    Kelvin-Voigt damping with time tau: the blocks hold (1 + tau c0) times the stiffness, lag is tau / (1 + tau c0).
+    """
+    e, g = plus(v, lag, v_h), plus(u, lag, u_h)
+    a = times(axial, (e[2], g[0], g[1]))
+    b = times(shear, (e[0], e[1], g[2]))
+    return (offset[0] + b[0], offset[1] + b[1], offset[2] + a[0]), (
+        offset[3] + a[1],
+        offset[4] + a[2],
+        offset[5] + b[2],
+    )
+
+
+@inlined
+def linear_slopes(axial_inverse: Six, shear_inverse: Six, lag: float, n: Triple, m: Triple, v_h: Triple, u_h: Triple):  # type: ignore[no-untyped-def]
+    """Strain slopes whose wrench has the slopes n, m; v_h, u_h are the slopes of the strains' history."""
+    a = times(axial_inverse, (n[2], m[0], m[1]))
+    b = times(shear_inverse, (n[0], n[1], m[2]))
+    return plus((b[0], b[1], a[0]), -lag, v_h), plus((a[1], a[2], b[2]), -lag, u_h)
+
+
+@inlined
+def past_of(history: Array, size: int, at: int) -> Past:
+    """History of v, u, q, w that stands at `at`, and the slopes of that of v, u, `size` further on."""
+    return (
+        three(history, at), three(history, at + 3), three(history, at + 6), three(history, at + 9),
+        three(history, size + at), three(history, size + at + 3),
+    )  # fmt: skip
+
+
+@inlined
+def own_past(w: Array, i: int) -> Past:
+    """The same of one lane that has its own."""
+    return (
+        triple(w, PAST, i), triple(w, PAST + 3, i), triple(w, PAST + 6, i), triple(w, PAST + 9, i),
+        triple(w, PAST + 12, i), triple(w, PAST + 15, i),
+    )  # fmt: skip
+
+
+@inlined
+def _linear_stage(w: Array, past: Past, own: bool, at: int, to: int, ahead: float) -> None:
+    """Slopes of the state at `at`, all lanes, for a constant stiffness, and the state at `to` that follows."""
+    for i in range(LANES):
+        here = own_past(w, i) if own else past
+        v_h, u_h, _, _, v_hs, u_hs = here
+        further = ahead * w[STRIDE * LANES + i]
+        v, u, lag = triple(w, at, i), triple(w, at + 3, i), w[LAG * LANES + i]
+        n, m = linear_wrench(six(w, AXIAL, i), six(w, SHEAR, i), six(w, OFFSET, i), lag, v, u, v_h, u_h)
+        force, couple = _move_motion(w, i, here, at, to, further)
+        n_s, m_s = balance(v, u, n, m, force, couple)
+        v_s, u_s = linear_slopes(six(w, AXIAL_INVERSE, i), six(w, SHEAR_INVERSE, i), lag, n_s, m_s, v_hs, u_hs)
+        _move_and_keep(w, 0, i, v_s, to, further)
+        _move_and_keep(w, 3, i, u_s, to, further)
+
+
+@inlined
+def _sum_others_at(w: Array, actuators: int, at: int) -> None:
+    if actuators > 3:
+        for i in range(LANES):
+            put(w, STRAINS, i, triple(w, at + 2, i))
+        sum_others(w, actuators)
+
+
+@inlined
+def _pointwise_stage(w: Array, actuators: int, past: Past, own: bool, at: int, to: int, ahead: float) -> None:
+    """The same where each tube follows eq 32 at its own place.
+
+    Roots and divisions of the tubes come first: what needs none of their answers fills the wait for them.
+    """
+    _sum_others_at(w, actuators, at)
+    for i in range(LANES):
+        here = own_past(w, i) if own else past
+        v_h, u_h, _, _, v_hs, u_hs = here
+        further = ahead * w[STRIDE * LANES + i]
+        v, u, c0 = triple(w, at, i), triple(w, at + 3, i), w[C0 * LANES + i]
+        answers = tubes(w, i, v[2], u[0], u[1])
+        force, couple = _move_motion(w, i, here, at, to, further)
+        sum_tubes(w, i, answers, PULLS)
+        n, m = pointwise_wrench(w, i, c0, v, u, v_h, u_h)
+        n_s, m_s = balance(v, u, n, m, force, couple)
+        v_s, u_s = pointwise_slopes(w, i, c0, v, u, n_s, m_s, v_hs, u_hs)
+        _move_and_keep(w, 0, i, v_s, to, further)
+        _move_and_keep(w, 3, i, u_s, to, further)
+
+
+@inlined
+def _loads_in_section(w: Array, load: Array, own: bool, row: int, at: int) -> None:
+    """Turn a distributed load (force and moment per metre, base frame) into the section frame."""
+    f, couple = three(load, 6 * row), three(load, 6 * row + 3)
+    for i in range(LANES):
+        force = plus(f, 1.0, triple(w, WEIGHT, i)) if own else f
+        moment = plus(couple, 1.0, triple(w, WEIGHT + 3, i)) if own else couple
+        h = (at + 12) * LANES + i
+        d1, d2, d3 = rotation((w[h], w[h + LANES], w[h + 2 * LANES], w[h + 3 * LANES]))
+        put(w, LOAD, i, (dot(d1, force), dot(d2, force), dot(d3, force)))
+        put(w, LOAD + 3, i, (dot(d1, moment), dot(d2, moment), dot(d3, moment)))
+
+
+@inlined
+def wrench(w: Array, law: int, i: int, at: int, v_h: Triple, u_h: Triple) -> tuple[Triple, Triple]:
+    """Total wrench of one lane, whose state stands at `at`; of a pointwise section, after its tubes were summed."""
+    v, u = triple(w, at, i), triple(w, at + 3, i)
+    if law == LINEAR:
+        return linear_wrench(six(w, AXIAL, i), six(w, SHEAR, i), six(w, OFFSET, i), w[LAG * LANES + i], v, u, v_h, u_h)  # type: ignore[no-any-return]
+    return pointwise_wrench(w, i, w[C0 * LANES + i], v, u, v_h, u_h)  # type: ignore[no-any-return]
+
+
+@leaf
+def resting_wrench(w: Array, law: int, actuators: int) -> None:
+    """Total wrench at the stage, all lanes, of an arm that has no history."""
+    zero = (0.0, 0.0, 0.0)
+    if law != LINEAR:
+        _sum_others_at(w, actuators, STAGE)
+        for i in range(LANES):
+            v3, u1, u2 = triple(w, STAGE + 2, i)
+            sum_tubes(w, i, tubes(w, i, v3, u1, u2), PULLS)
+    for i in range(LANES):
+        n, m = wrench(w, LINEAR, i, STAGE, zero, zero) if law == LINEAR else wrench(w, POINTWISE, i, STAGE, zero, zero)
+        put(w, WRENCH, i, n)
+        put(w, WRENCH + 3, i, m)
+
+
+@leaf
+def strain_changes(w: Array, law: int) -> None:
+    """Static changes of the stage's strains that change its wrench by what stands at the rate, to first order.
+
+    For a pointwise section after `resting_wrench`, which leaves the tubes' sums.
+    """
+    zero = (0.0, 0.0, 0.0)
+    for i in range(LANES):
+        n, m = triple(w, RATE, i), triple(w, RATE + 3, i)
+        if law == LINEAR:
+            v_s, u_s = linear_slopes(six(w, AXIAL_INVERSE, i), six(w, SHEAR_INVERSE, i), 0.0, n, m, zero, zero)
+        else:
+            v, u = triple(w, STAGE, i), triple(w, STAGE + 3, i)
+            v_s, u_s = pointwise_slopes(w, i, 0.0, v, u, n, m, zero, zero)
+        put(w, SLOPE, i, v_s)
+        put(w, SLOPE + 3, i, u_s)
+
+
+@inlined
+def stage(
+    w: Array, law: int, actuators: int, past: Past, own: bool, load: Array, loaded: bool, row: int, at: int, to: int,
+    ahead: float,
+) -> None:  # fmt: skip
+    """One stage of RK4, all lanes: slopes of the state at `at`, and the state at `to`, `ahead` of a stride further.
+
+    past: the history that all lanes share; with `own`, each has one at PAST instead, and a weight of its own. Shared
+    numbers are read before the loops over the lanes, or these are not made of vector instructions.
+    """
+    if loaded:
+        _loads_in_section(w, load, own, row, at)
+    if law == LINEAR:
+        _linear_stage(w, past, own, at, to, ahead)
+    else:
+        _pointwise_stage(w, actuators, past, own, at, to, ahead)
+
+
+@leaf
+def integrate(
+    w: Array,
+    law: int,
+    actuators: int,
+    history: Array,
+    load: Array,
+    loaded: bool,
+    first: int,
+    last: int,
+    states: Array,
+    derivatives: Array,
+) -> None:
+    """Integrate the node's state, all lanes, from node `first` to node `last` by RK4, a stride each.
+
+    history: as of `march.advance`. load: one row of 6 per node and per mid-point, (2 N + 1) flat. states, derivatives:
+    (N + 1, 128), filled at each node but the last, unless this is the arm's tip: elsewhere, only its state is left, in
+    the work array. Of the derivatives the first twelve quantities are.
+    """
+    n, size = states.shape[0] - 1, STATE * states.shape[0]
+    for j in range(first, last + 1):
+        if j == last and last < n:
+            break
+        for i in range(STATE * LANES):
+            states[j, i] = w[NODE * LANES + i]
+        at = STATE * j
+        stage(w, law, actuators, past_of(history, size, at), False, load, loaded, 2 * j, NODE, STAGE, 0.5)
+        for i in range(12 * LANES):
+            derivatives[j, i] = w[SLOPE * LANES + i]
+        if j == n:
+            break
+        past = past_of(history, size, 2 * size + at)
+        stage(w, law, actuators, past, False, load, loaded, 2 * j + 1, STAGE, THIRD, 0.5)
+        stage(w, law, actuators, past, False, load, loaded, 2 * j + 1, THIRD, FOURTH, 1.0)
+        past = past_of(history, size, at + STATE)
+        stage(w, law, actuators, past, False, load, loaded, 2 * j + 2, FOURTH, NODE, 1.0 / 6.0)

@@ -1,0 +1,270 @@
+"""Newton's method on the rod's boundary value problem: simple or multiple shooting from the base.
+
+The rod is cut into segments, each with a guessed state at its start. One pass integrates every segment in eight lanes:
+the guess, six perturbed along directions that span what the clamped base leaves free, and one along the particular
+solution that closes the gaps between segments. The directions are made orthonormal again at every cut (Godunov, Conte),
+so growing modes, which overflow simple shooting at small time steps, cannot swamp the others. One segment is simple
+shooting.
+"""
+
+from __future__ import annotations
+
+import threading
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from model.kernels.jit import kernel
+from model.kernels.layout import END, HANGS, LANES, LINEAR, LOAD, NODE, POINTWISE, PULL, STATE, STRIDE, WRENCH, aligned
+from model.kernels.linear_algebra import orthonormalise, solve_six
+from model.kernels.rod import Past, integrate, own_past, past_of, wrench
+from model.kernels.simd import broadcast, horizontal_sum, horizontal_sum_slopes
+from model.kernels.vec3 import Triple, cross, dot, inlined, leaf, plus, put, rotation, triple
+
+Array = Any
+
+STEP = 1e-6  # of the one-sided differences, in scaled states
+LONGEST = 1.5  # of a Newton update, in scaled strains and orientations
+
+
+class Workspace(NamedTuple):
+    """The arrays that the solver works in, made once so that no step waits for memory."""
+
+    history: Array  # of the next time step, 4 x (N + 1) x 16, flat: as of `march.advance`
+    states: Array  # (N + 1, 128), all lanes
+    derivatives: Array  # the same of the slopes of strains and velocities
+    x: Array  # (2 N + 2, 16), states at the nodes, a guess that is improved, and then their slopes
+    directions: Array  # (N, 7, 16), per segment
+    triangle: Array  # (N, 6, 6)
+    along: Array  # (N, 6)
+    weights: Array  # (N, 8), of the lanes in the solution
+    reach: Array  # (N,)
+    moved: Array  # (2, 16), by how much at most, and in total, an update moves each quantity
+    matrix: Array  # (6, 6)
+    right: Array  # (6,)
+
+    @classmethod
+    def of(cls, n: int) -> Workspace:
+        """Room for n steps along the arm, in up to n segments."""
+        return workspace_in(aligned(workspace_size(n)), n)
+
+
+def workspace_size(n: int) -> int:
+    """Numbers in a room."""
+    return (6 * STATE + 2 * STATE * LANES) * (n + 1) + 22 * LANES * n + 10 * LANES
+
+
+def workspace_in(pool: Array, n: int) -> Workspace:
+    """A room in one array that holds it all; each of its own begins on a line of the cache."""
+    a = 4 * STATE * (n + 1)
+    b = a + STATE * LANES * (n + 1)
+    c = b + STATE * LANES * (n + 1)
+    d = c + 2 * STATE * (n + 1)
+    e = d + 14 * LANES * n
+    f = e + 5 * LANES * n
+    g = f + LANES * n
+    h = g + LANES * n
+    i = h + LANES * n
+    j = i + 4 * LANES
+    k = j + 5 * LANES
+    return Workspace(
+        pool[:a], pool[a:b].reshape(n + 1, STATE * LANES), pool[b:c].reshape(n + 1, STATE * LANES),
+        pool[c:d].reshape(2 * n + 2, STATE), pool[d:e].reshape(n, 7, STATE),
+        pool[e : e + 36 * n].reshape(n, 6, 6), pool[f : f + 6 * n].reshape(n, 6), pool[g:h].reshape(n, LANES),
+        pool[h : h + n], pool[i:j].reshape(2, STATE), pool[j : j + 36].reshape(6, 6), pool[k : k + 6],
+    )  # fmt: skip
+
+
+# Python hands over one array faster than a dozen.
+room_within = kernel(workspace_in, inlined=True, called=False)
+
+
+@inlined
+def _cap(w: Array, i: int, f: Triple, couple: Triple, place: Triple, c0: float, q_h: Triple, o_h: Triple) -> Any:
+    """The tip's force f and couple less what the cap's inertia takes, in the section's frame."""
+    mass, inertia = w[(END + 6) * LANES + i], triple(w, END + 7, i)
+    q, o = triple(w, NODE + 6, i), triple(w, NODE + 9, i)
+    q_t, o_t = plus(q_h, c0, q), plus(o_h, c0, o)
+    speed = plus(q, 1.0, cross(o, place))
+    f = plus(f, -mass, plus(plus(q_t, 1.0, cross(o_t, place)), 1.0, cross(o, speed)))
+    j1, j2, j3 = inertia
+    turned = (
+        j1 * o_t[0] + (j3 - j2) * o[1] * o[2],
+        j2 * o_t[1] + (j1 - j3) * o[2] * o[0],
+        j3 * o_t[2] + (j2 - j1) * o[0] * o[1],
+    )
+    return f, plus(couple, -1.0, turned)
+
+
+@leaf
+def tip_residual(w: Array, law: int, past: Past, own: bool, c0: float, heavy: bool) -> None:
+    """What the wrench at the tip, the node, lacks of what hangs on it (eqs 23-25, 28) [N, N m], in the wrench's place.
+
+    After the tip's stage, which leaves the tubes' sums; past and own as there. What hangs on the tip stands at END;
+    heavy: it resists acceleration.
+    """
+    for i in range(LANES):
+        v_h, u_h, q_h, o_h, _, _ = own_past(w, i) if own else past
+        n, m = wrench(w, LINEAR, i, NODE, v_h, u_h) if law == LINEAR else wrench(w, POINTWISE, i, NODE, v_h, u_h)
+        h = (NODE + 12) * LANES + i
+        d1, d2, d3 = rotation((w[h], w[h + LANES], w[h + 2 * LANES], w[h + 3 * LANES]))
+        force, moment, place = triple(w, END, i), triple(w, END + 3, i), triple(w, END + 10, i)
+        pull, lever = triple(w, PULL, i), triple(w, PULL + 3, i)
+        f = (dot(d1, force), dot(d2, force), dot(d3, force))
+        couple = (dot(d1, moment), dot(d2, moment), dot(d3, moment))
+        couple = plus(couple, 1.0, cross(lever, (dot(d1, pull), dot(d2, pull), dot(d3, pull))))
+        if heavy:
+            f, couple = _cap(w, i, f, couple, place, c0, q_h, o_h)
+        couple = plus(couple, 1.0, cross(place, f))
+        put(w, WRENCH, i, plus(n, -1.0, f))
+        put(w, WRENCH + 3, i, plus(m, -1.0, couple))
+
+
+@leaf
+def newton(
+    w: Array,
+    law: int,
+    actuators: int,
+    load: Array,
+    loaded: bool,
+    tip: Array,
+    c0: float,
+    length: float,
+    segments: int,
+    scale: Array,
+    room: Workspace,
+    tolerance: float,
+    most: float,
+) -> int:
+    """Solve for the states at the nodes, and their slopes, from a guess in room.x; N divides by `segments`.
+
+    The history stands in `room` too. tip (19,): what hangs there, as it stands at END. All nodes are moved along the
+    computed directions. What is left after an update is of the order of its size, in units of `scale`, times that of
+    its strains and orientations, which make the equations nonlinear: it stops when this product is below the square of
+    `tolerance`. Returns the number of passes, or -1 when `most` were not enough (no int: numba would compile this anew
+    for every constant).
+    """
+    history, states, derivatives, x = room.history, room.states, room.derivatives, room.x
+    heavy = tip[6] > 0.0 or tip[7] > 0.0 or tip[8] > 0.0 or tip[9] > 0.0
+    directions, triangle, along, weights = room.directions, room.triangle, room.along, room.weights
+    reach, moved, matrix, right = room.reach, room.moved, room.matrix, room.right
+    n = states.shape[0] - 1
+    per = n // segments
+    last = segments - 1
+    broadcast(w, STRIDE, length / n)
+    for c in range(HANGS):
+        broadcast(w, END + c, tip[c])
+    if not loaded:
+        for c in range(6):
+            broadcast(w, LOAD + c, 0.0)
+    reach[0] = 0.0
+    previous = np.inf
+    for passes in range(1, int(most) + 1):
+        for s in range(segments):
+            for c in range(STATE):
+                broadcast(w, NODE + c, x[s * per, c])
+            if s == 0:
+                for k in range(6):
+                    w[(NODE + k) * LANES + 1 + k] += STEP * scale[k]
+            else:
+                particular = 0.0
+                for c in range(STATE):
+                    particular += directions[s, 6, c] ** 2
+                reach[s] = STEP / particular**0.5 if particular > 0.0 else 0.0
+                for c in range(STATE):
+                    at, unit = (NODE + c) * LANES, scale[c]
+                    for k in range(6):
+                        w[at + 1 + k] += STEP * unit * directions[s, k, c]
+                    w[at + 7] += reach[s] * unit * directions[s, 6, c]
+            integrate(w, law, actuators, history, load, loaded, s * per, (s + 1) * per, states, derivatives)
+            if s == segments - 1:
+                break
+            for c in range(STATE):
+                at = (NODE + c) * LANES
+                for k in range(6):
+                    directions[s + 1, k, c] = (w[at + 1 + k] - w[at]) * (scale[STATE + c] / STEP)
+                carried = (w[at + 7] - w[at]) / (reach[s] * scale[c]) if reach[s] > 0.0 else 0.0
+                directions[s + 1, 6, c] = carried + (w[at] - x[(s + 1) * per, c]) / scale[c]
+            if not orthonormalise(directions[s + 1, :6], triangle[s + 1]):
+                return -1
+            for k in range(6):
+                dot = 0.0
+                for c in range(STATE):
+                    dot += directions[s + 1, k, c] * directions[s + 1, 6, c]
+                along[s + 1, k] = dot
+            for k in range(6):
+                for c in range(STATE):
+                    directions[s + 1, 6, c] -= along[s + 1, k] * directions[s + 1, k, c]
+        past = past_of(history, STATE * (n + 1), STATE * n)
+        tip_residual(w, law, past, False, c0, heavy)
+        for i in range(6):
+            at = (WRENCH + i) * LANES
+            lacking = w[at]
+            carried = (w[at + 7] - lacking) / reach[last] if reach[last] > 0.0 else 0.0
+            right[i] = -lacking - carried
+            for k in range(6):
+                matrix[i, k] = (w[at + 1 + k] - lacking) * (1.0 / STEP)
+        if not solve_six(matrix, right):
+            return -1
+        for s in range(last, -1, -1):
+            for k in range(6):
+                weights[s, k + 1] = right[k] * (1.0 / STEP)
+            weights[s, 7] = 1.0 / reach[s] if reach[s] > 0.0 else 0.0
+            # Against lane 0.
+            weights[s, 0] = 0.0
+            for i in range(1, LANES):
+                weights[s, 0] -= weights[s, i]
+            if s > 0:
+                for k in range(5, -1, -1):
+                    total = right[k] - along[s, k]
+                    for c in range(k + 1, 6):
+                        total -= triangle[s, k, c] * right[c]
+                    right[k] = total / triangle[s, k, k]
+        for c in range(STATE):
+            moved[0, c], moved[1, c] = 0.0, 0.0
+        for s in range(segments):
+            for j in range(s * per, (s + 1) * per + (1 if s == last else 0)):
+                horizontal_sum(weights, s, states, j, x, moved)
+        swift, bent, total = 0.0, 0.0, 0.0
+        for c in range(6):
+            swift = max(swift, moved[0, 6 + c] * scale[STATE + 6 + c])
+            bent = max(bent, moved[0, c] * scale[STATE + c])
+        for c in range(12, STATE):
+            bent = max(bent, moved[0, c] * scale[STATE + c])
+        for c in range(STATE):
+            total += moved[1, c]
+        largest = max(swift, bent)
+        # A maximum swallows a NaN and would call the step solved; a sum does not.
+        if not total < np.inf:
+            return -1
+        if largest > 4.0 * previous and largest > 1.0:
+            return -1
+        previous = largest
+        # Strain and orientation make the equations nonlinear; velocities may move as far as they like.
+        if bent > LONGEST:
+            damping = LONGEST / bent
+            for j in range(n + 1):
+                for c in range(STATE):
+                    x[j, c] = states[j, c * LANES] + damping * (x[j, c] - states[j, c * LANES])
+        if bent * largest < tolerance * tolerance:
+            for s in range(segments):
+                for j in range(s * per, (s + 1) * per + (1 if s == last else 0)):
+                    horizontal_sum_slopes(weights, s, derivatives, j, x, n + 1 + j, moved)
+            for c in range(12):
+                total += abs(moved[1, c])
+            return passes if total < np.inf else -1
+    return -1
+
+
+class _WorkspaceCache(threading.local):
+    room: Workspace | None = None
+
+
+_kept = _WorkspaceCache()
+
+
+def workspace_for(n: int) -> Workspace:
+    """Room for n steps, the same one at every call from one thread: what it holds must be copied out at once."""
+    if _kept.room is None or len(_kept.room.states) != n + 1:
+        _kept.room = Workspace.of(n)
+    return _kept.room

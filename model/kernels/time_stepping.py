@@ -1,0 +1,288 @@
+"""Kernels that solve the rod: one equilibrium, one time step, and the axis of what was solved."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from model.kernels.jit import kernel
+from model.kernels.layout import AXIAL, LANES, MORE, OFFSET, PER_TUBE, RATE, SLOPE, STAGE, STATE, TRIO, WRENCH
+from model.kernels.rod import resting_wrench, strain_changes
+from model.kernels.shooting import Workspace, newton
+from model.kernels.vec3 import called, cross, inlined, leaf, plus, put, three, triple
+
+Array = Any
+
+
+@leaf
+def set_pressures(w: Array, actuators: int, rest: Array, per_pressure: Array, free: float, pressure: Array) -> None:
+    """Write what the pressures [Pa] do into the parameters of all lanes; free is the RPE's strain per pascal."""
+    for c in range(6):
+        total = rest[c]
+        for k in range(actuators):
+            total += per_pressure[c, k] * pressure[k]
+        for i in range(LANES):
+            w[(OFFSET + c) * LANES + i] = total
+    first = TRIO if actuators <= 3 else MORE
+    for k in range(actuators):
+        for i in range(LANES):
+            w[(first + PER_TUBE * k + 2) * LANES + i] = free * pressure[k]
+
+
+@leaf
+def stiffen(w: Array, stiffness: Array) -> None:
+    """Write a section's stiffness blocks and their inverses (24,) into the parameters of all lanes."""
+    for c in range(24):
+        for i in range(LANES):
+            w[(AXIAL + c) * LANES + i] = stiffness[c]
+
+
+@leaf
+def uniform_guess(w: Array, law: int, actuators: int, tip: Array, scale: Array, room: Workspace) -> None:
+    """Fill x with the strains that the section would have everywhere if the tip's load did not turn with the arm."""
+    x = room.x
+    n = room.states.shape[0] - 1
+    for i in range(LANES):
+        for c in range(STATE):
+            w[(STAGE + c) * LANES + i] = 1.0 if c in (2, 12) else 0.0
+    force = three(tip, 0)
+    moment = plus(plus(three(tip, 3), 1.0, cross(three(tip, 10), force)), 1.0, cross(three(tip, 16), three(tip, 13)))
+    for _ in range(8):
+        resting_wrench(w, law, actuators)
+        for i in range(LANES):
+            put(w, RATE, i, plus(force, -1.0, triple(w, WRENCH, i)))
+            put(w, RATE + 3, i, plus(moment, -1.0, triple(w, WRENCH + 3, i)))
+        strain_changes(w, law)
+        largest = 0.0
+        for c in range(6):
+            for i in range(LANES):
+                w[(STAGE + c) * LANES + i] += w[(SLOPE + c) * LANES + i]
+            largest = max(largest, abs(w[(SLOPE + c) * LANES]) / scale[c])
+        if largest < 1e-6:
+            break
+    for c in range(STATE):
+        for j in range(n + 1):
+            x[j, c] = w[(STAGE + c) * LANES]
+
+
+@called
+def equilibrium(
+    w: Array,
+    law: int,
+    actuators: int,
+    rest: Array,
+    per_pressure: Array,
+    free: float,
+    pressure: Array,
+    load: Array,
+    loaded: bool,
+    tip: Array,
+    length: float,
+    scale: Array,
+    room: Workspace,
+    tolerance: float,
+) -> int:
+    """Solve the static rod into room.x and room.slope from scratch. Returns the number of passes, or -1.
+
+    First by simple shooting from a uniform guess; where that fails, by following the loads up from nothing.
+    """
+    for m in range(room.history.shape[0]):
+        room.history[m] = 0.0
+    set_pressures(w, actuators, rest, per_pressure, free, pressure)
+    uniform_guess(w, law, actuators, tip, scale, room)
+    n, x = room.states.shape[0] - 1, room.x
+    # One segment; a plain 1 would have numba compile Newton's method once more, for this constant.
+    passes = newton(w, law, actuators, load, loaded, tip, 0.0, length, np.int64(1), scale, room, tolerance, 20.0)
+    if passes < 0:
+        # Straight, with nothing in it and nothing on it, an arm has the strains that it has at rest.
+        for j in range(n + 1):
+            for c in range(STATE):
+                x[j, c] = 1.0 if c in (2, 12) else 0.0
+        passes = _continuation(
+            w, law, actuators, rest, per_pressure, free, pressure, pressure, load, loaded, tip, 0.0, length,
+            _divisor(n, 4), scale, room, tolerance,
+        )  # fmt: skip
+    return int(passes)
+
+
+@leaf
+def _copy(a: Array, b: Array) -> None:
+    """Rows of a to b; an assignment of whole arrays brings in code that words an error."""
+    for j in range(a.shape[0]):
+        for c in range(STATE):
+            b[j, c] = a[j, c]
+
+
+@kernel
+def _continuation(
+    w: Array,
+    law: int,
+    actuators: int,
+    rest: Array,
+    per_pressure: Array,
+    free: float,
+    last: Array,
+    pressure: Array,
+    load: Array,
+    loaded: bool,
+    tip: Array,
+    c0: float,
+    length: float,
+    segments: int,
+    scale: Array,
+    room: Workspace,
+    tolerance: float,
+) -> int:
+    """Lead the pressures from the last ones to the new ones, in strides as long as succeed.
+
+    At rest (c0 = 0) pressures and loads are led up from nothing.
+    """
+    x = room.x
+    good, some, some_load, some_tip = x.copy(), np.empty_like(pressure), load.copy(), tip.copy()
+    done, stride, total = 0.0, 0.125, 0
+    while done < 1.0:
+        share = min(1.0, done + stride)
+        for k in range(actuators):
+            begun = last[k] if c0 > 0.0 else 0.0
+            some[k] = begun + (pressure[k] - begun) * share
+        if c0 == 0.0:
+            for k in range(load.shape[0]):
+                some_load[k] = share * load[k]
+            for k in range(6):
+                some_tip[k] = share * tip[k]
+            for k in range(13, 16):
+                some_tip[k] = share * tip[k]
+        set_pressures(w, actuators, rest, per_pressure, free, some)
+        passes = newton(
+            w, law, actuators, some_load, loaded, some_tip, c0, length, segments, scale, room, tolerance, 40.0
+        )
+        if passes > 0:
+            total += passes
+            done, stride = share, 2.0 * stride
+            _copy(x, good)
+        else:
+            stride *= 0.25
+            _copy(good, x)
+            if stride < 1e-3:
+                return -1
+    return total
+
+
+@leaf
+def _divisor(n: int, wanted: int) -> int:
+    """The smallest divisor of n that is at least `wanted`."""
+    for d in range(max(1, wanted), n + 1):
+        if n % d == 0:
+            return d
+    return n
+
+
+@leaf
+def _between(history: Array, size: int, h: float) -> None:
+    """The history half-way between the nodes, by cubic Hermite: of velocities and strains, and their slopes.
+
+    The mid-point's slope from the same cubic is of fourth order too: its leading error vanishes by symmetry.
+    """
+    over = 1.5 / h
+    for m in range(size - STATE):
+        a, b = history[m], history[STATE + m]
+        a_s, b_s = history[size + m], history[size + STATE + m]
+        history[2 * size + m] = 0.5 * (a + b) + 0.125 * h * (a_s - b_s)
+        history[3 * size + m] = over * (b - a) - 0.25 * (a_s + b_s)
+
+
+@called
+def initialise_history(scheme: Array, x: Array, trail: Array, length: float, room: Workspace) -> None:
+    """The past of the first time step of an arm that has long been at rest in x: trail, and the room's history."""
+    history, share = room.history, scheme[1] + scheme[2] + scheme[3]
+    flat, past = x.reshape(x.size), trail.reshape(2, x.size)
+    for m in range(x.size):
+        history[m] = share * flat[m]
+        past[0, m] = flat[m]
+        past[1, m] = flat[m]
+    _between(history, x.size // 2, length / (room.states.shape[0] - 1))
+
+
+@inlined
+def _update_history(scheme: Array, y: Array, x: Array, trail: Array, history: Array) -> None:
+    """After a time step to y: the history y^h (eq 26) of the next step, and all the past one step back."""
+    c0, c1, c2, c3, d1 = scheme[0], scheme[1], scheme[2], scheme[3], scheme[4]
+    now, last, past = y.reshape(y.size), x.reshape(y.size), trail.reshape(2, y.size)
+    for m in range(now.size):
+        rate = c0 * now[m] + history[m]
+        history[m] = c1 * now[m] + c2 * last[m] + c3 * past[0, m] + d1 * rate
+        past[1, m] = past[0, m]
+        past[0, m] = last[m]
+        last[m] = now[m]
+
+
+@inlined
+def advance(
+    w: Array,
+    law: int,
+    actuators: int,
+    rest: Array,
+    per_pressure: Array,
+    free: float,
+    before: Array,
+    pressure: Array,
+    load: Array,
+    loaded: bool,
+    tip: Array,
+    length: float,
+    segments: int,
+    scale: Array,
+    scheme: Array,
+    trail: Array,
+    x: Array,
+    room: Workspace,
+    tolerance: float,
+) -> int:
+    """One time step. Returns the number of passes, or -1, in which case nothing but work array and room has changed.
+
+    scheme: c0, c1, c2, c3, d1. x (2 N + 2, 16): the last solution and its slopes; trail (2, 2 N + 2, 16): the two
+    before. before (3, N): the last three's pressures. The guess is extrapolated where that foretells the pressures
+    better than the last ones do. room.history: y^h at the nodes, its slopes, and the same at the mid-points, (N + 1) x
+    16 each. Where a step fails: more segments, then the pressures led from the last ones to the new ones in parts.
+    """
+    n = room.states.shape[0] - 1
+    c0, y = scheme[0], room.x
+    set_pressures(w, actuators, rest, per_pressure, free, pressure)
+    ahead, off = 0.0, 0.0
+    for k in range(actuators):
+        off += abs(pressure[k] - before[0, k])
+        ahead += abs(pressure[k] - 3.0 * (before[0, k] - before[1, k]) - before[2, k])
+    _guess(x, trail, ahead <= off, n, segments, y)
+    passes = newton(w, law, actuators, load, loaded, tip, c0, length, segments, scale, room, tolerance, 8.0)
+    if passes < 0:
+        finer = _divisor(n, max(4, 2 * segments))
+        _guess(x, trail, False, n, finer, y)
+        passes = newton(w, law, actuators, load, loaded, tip, c0, length, finer, scale, room, tolerance, 25.0)
+        if passes < 0:
+            _guess(x, trail, False, n, finer, y)
+            passes = _continuation(
+                w, law, actuators, rest, per_pressure, free, before[0], pressure, load, loaded, tip, c0, length,
+                finer, scale, room, tolerance,
+            )  # fmt: skip
+            if passes < 0:
+                return -1
+    for j in range(n + 1):
+        over = 1.0 / (y[j, 12] ** 2 + y[j, 13] ** 2 + y[j, 14] ** 2 + y[j, 15] ** 2) ** 0.5
+        for c in range(12, 16):
+            y[j, c] *= over
+    for k in range(actuators):
+        before[2, k] = before[1, k]
+        before[1, k] = before[0, k]
+        before[0, k] = pressure[k]
+    _update_history(scheme, y, x, trail, room.history)
+    _between(room.history, x.size // 2, length / n)
+    return int(passes)
+
+
+@leaf
+def _guess(x: Array, trail: Array, ahead: bool, n: int, segments: int, y: Array) -> None:
+    """Where each segment starts: the last solution, or ahead of the last three by a parabola."""
+    for j in range(0, n, n // segments):
+        for c in range(STATE):
+            y[j, c] = 3.0 * (x[j, c] - trail[0, j, c]) + trail[1, j, c] if ahead else x[j, c]

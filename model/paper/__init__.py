@@ -1,0 +1,1 @@
+"""The paper's own formulation, kept so that its results can be reproduced."""

@@ -1,0 +1,113 @@
+"""Set-points from a CSV file."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+from protocols.document import read_text
+from protocols.problems import BadInputError, Problem, closest
+from protocols.schema import HIGHEST_BAR, LONGEST_S
+from protocols.source_positions import shortened
+
+LARGEST_FILE = 20_000_000
+MOST_PROBLEMS = 20
+TIME = "time_s"
+
+
+@dataclass(frozen=True)
+class Columns:
+    """Times (n,) from the first row on [s], and one column (n,) [bar] for each actuator asked for."""
+
+    times_s: tuple[float, ...]
+    bar: tuple[tuple[float, ...], ...]
+
+
+def column_name(actuator: int) -> str:
+    """The header of an actuator's column."""
+    return f"actuator_{actuator}_bar"
+
+
+def read_samples(path: Path, actuators: tuple[int, ...]) -> tuple[Columns, str]:
+    """The columns of a CSV file and its text, or `BadInput` with line and column of everything that is wrong."""
+    text = read_text(path, LARGEST_FILE)
+    rows = text.split("\n")
+    if not rows[0].strip():
+        raise BadInputError([Problem(str(path), 1, 1, "", "nothing", _header_wish(actuators))])
+    places = _header(path, rows[0], actuators)
+    table: list[list[float]] = []
+    problems: list[Problem] = []
+    for number, row in enumerate(rows[1:], start=2):
+        if not row.strip():
+            continue
+        values = _row(path, number, row, places, problems)
+        if values is not None and table and values[0] <= table[-1][0]:
+            problems.append(
+                Problem(
+                    str(path), number, 1, TIME, f"{values[0]:g}", f"a time after {table[-1][0]:g} s, the row before"
+                )
+            )
+        if values is not None:
+            table.append(values)
+        if len(problems) >= MOST_PROBLEMS:
+            break
+    if not problems and len(table) < 2:
+        problems.append(Problem(str(path), 0, 0, "", "", "the file needs two rows of numbers at least"))
+    if problems:
+        raise BadInputError(problems)
+    columns = tuple(zip(*table, strict=True))
+    first = columns[0][0]
+    return Columns(tuple(t - first for t in columns[0]), columns[1:]), text
+
+
+def _header_wish(actuators: tuple[int, ...]) -> str:
+    return "a first line such as " + ",".join((TIME, *map(column_name, actuators)))
+
+
+def _header(path: Path, row: str, actuators: tuple[int, ...]) -> dict[str, int]:
+    """Where each wanted column is."""
+    names = _cells(row)
+    wanted = (TIME, *map(column_name, actuators))
+    other = next((mark for mark in ";\t" if mark in row and "," not in row), "")
+    if other:
+        said = "semicolons" if other == ";" else "tabs"
+        wish = "columns separated by commas, and points in decimal numbers"
+        raise BadInputError([Problem(str(path), 1, row.index(other) + 1, "", f"columns separated by {said}", wish)])
+    problems = []
+    for name in wanted:
+        if names.count(name) == 1:
+            continue
+        meant = closest(name, [n for n in names if n not in wanted])
+        column = row.rindex(name) + 1 if name in names else row.index(meant) + 1 if meant else 1
+        found = f"two columns '{name}'" if name in names else f"the column '{meant}'" if meant else shortened(row)
+        problems.append(Problem(str(path), 1, column, "", found, f"one column '{name}'"))
+    if problems:
+        raise BadInputError(problems)
+    return {name: names.index(name) for name in wanted}
+
+
+def _row(path: Path, line: int, row: str, places: dict[str, int], problems: list[Problem]) -> list[float] | None:
+    cells = _cells(row)
+    values = []
+    for name, place in places.items():
+        if place >= len(cells):
+            problems.append(Problem(str(path), line, len(row) + 1, name, "the end of the row", "a number here"))
+            return None
+        cell = cells[place]
+        column = sum(len(before) + 1 for before in row.split(",")[:place]) + 1
+        low, high = (-LONGEST_S, LONGEST_S) if name == TIME else (0.0, HIGHEST_BAR)
+        try:
+            value = math.nan if "_" in cell else float(cell)
+        except ValueError:
+            value = math.nan
+        if not low <= value <= high:
+            expected = "a number of seconds" if name == TIME else f"a number from 0 to {high:g} (bar)"
+            problems.append(Problem(str(path), line, column, name, shortened(cell) or "nothing", expected))
+            return None
+        values.append(value)
+    return values
+
+
+def _cells(row: str) -> list[str]:
+    return [cell.strip().strip('"') for cell in row.split(",")]

@@ -1,0 +1,169 @@
+"""The bench driven by hand, as it were: pressures regulated, or one valve opened by a voltage, under the interlocks."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.config.schema import RigConfig
+from rig.control import interlocks
+from rig.control import step as control
+from rig.control.control_loop import ValveOutputs
+from rig.control.interlocks import Demand, Sample, SensorState
+from rig.control.regulator import FLOW_FUNCTION_FLOOR, FlowSettings
+from rig.control.valve import ANR_PA, ATMOSPHERE_PA, flow_function
+from rig.hardware.bench import Bench
+
+Floats = NDArray[np.float64]
+
+
+class TrippedError(Exception):
+    """An interlock ended the procedure; the valves are safe."""
+
+
+class BenchClock(Protocol):
+    """The control periods, in real or virtual time."""
+
+    def next(self) -> int:
+        """Wait for the next one; its time [ns]."""
+
+
+@dataclass(frozen=True)
+class BenchLog:
+    """What the sensors said meanwhile: `time_s` (n,), `pressure_pa` (n, N) and `volts` (n, N), one row per scan."""
+
+    time_s: Floats
+    pressure_pa: Floats
+    volts: Floats
+
+
+class BenchDriver:
+    """Drives an armed bench. Every tick goes through the run's interlocks; a trip raises and the bench is made safe."""
+
+    def __init__(self, config: RigConfig, bench: ValveOutputs, ticks: BenchClock, check: Callable[[], None]) -> None:
+        """`check` is called at every tick and raises when the operator wants no more."""
+        self._config, self._bench, self._ticks, self._check = config, bench, ticks, check
+        self._prepared = control.prepare(config)
+        self._period_s = self._prepared.period_s
+        self._volts = np.full(config.actuators, np.nan)
+        self._pressure_pa = np.full(config.actuators, np.nan)
+        self._scan_t_ns = 0
+
+    @property
+    def pressure_pa(self) -> Floats:
+        """The newest pressures (N,)."""
+        return self._pressure_pa
+
+    def regulate(self, setpoint_pa: Floats, seconds: float, until: Callable[[], bool] | None = None) -> BenchLog:
+        """Hold pressures (N,) for so long, or until something is true."""
+        state = control.initial(self._prepared)
+        still = np.zeros_like(setpoint_pa)
+        rows = _Rows()
+        for now in self._period(seconds, until):
+            rows.take(*self._listen())
+            state, command = control.step(self._prepared, state, self._sample(now), setpoint_pa, still)
+            self._bench.write(command.valve_v)
+            if command.trip is not None:
+                raise TrippedError(command.trip.message)
+        return rows.log()
+
+    def let(self, valve: int, offset_v: float, seconds: float, band_pa: float = math.inf) -> BenchLog:
+        """Put one flow-metering valve at a voltage from its closed one, for so long or until its pressure has moved by
+        `band_pa`; the other valves are in their safe state.
+        """
+        told = np.array(self._prepared.safe_v)
+        settings = self._prepared.valves[valve]
+        assert isinstance(settings, FlowSettings)
+        told[valve] = settings.closed_v + settings.fill_sign * offset_v
+        chambers = list(settings.actuators)
+        watches = [SensorState() for _ in range(self._config.actuators)]
+        start: float | None = None
+        rows = _Rows()
+        before: int | None = None
+        for now in self._period(seconds, None):
+            rows.take(*self._listen())
+            sample = self._sample(now)
+            trip = interlocks.stale(self._prepared.limits, sample) or interlocks.broken(self._prepared.limits, sample)
+            if trip is None and sample.scan_t_ns != before:
+                dt = self._period_s if before is None else (sample.scan_t_ns - before) * 1e-9
+                before = sample.scan_t_ns
+                for i, watch in enumerate(watches):
+                    pressure = float(sample.pressure_pa[i])
+                    # No set-point stands: the reference goes along, and only a reading that stands still while the
+                    # valve is open is suspicious, beside level and rate.
+                    rate = _expected_pa_s(settings, offset_v, pressure) if i in chambers else 0.0
+                    asked = Demand(math.nan, pressure, rate, 0.0)
+                    watches[i], found = interlocks.step(
+                        self._prepared.limits, i, watch, dt, now, float(sample.volts[i]), pressure, asked
+                    )
+                    trip = trip or found
+            if trip is not None:
+                raise TrippedError(trip.message)
+            self._bench.write(told)
+            mean = float(sample.pressure_pa[chambers].mean())
+            start = mean if start is None else start
+            if abs(mean - start) > band_pa:
+                break
+        return rows.log()
+
+    def _period(self, seconds: float, until: Callable[[], bool] | None) -> Iterator[int]:
+        for _ in range(max(1, round(seconds / self._period_s))):
+            self._check()
+            yield self._ticks.next()
+            if until is not None and until():
+                return
+
+    def _listen(self) -> tuple[NDArray[np.int64], Floats, Floats]:
+        scans = self._bench.read()
+        if len(scans.t_ns):
+            self._scan_t_ns = int(scans.t_ns[-1])
+            self._pressure_pa, self._volts = scans.pressure_pa.mean(axis=0), scans.volts[-1]
+        return scans.t_ns, scans.pressure_pa, scans.volts
+
+    def _sample(self, now: int) -> Sample:
+        return Sample(now, self._scan_t_ns, self._volts, self._pressure_pa)
+
+
+@contextmanager
+def made_safe(bench: Bench) -> Iterator[None]:
+    """Arm the bench and sample; write the safe state whatever happens inside."""
+    try:
+        bench.arm()
+        bench.start()
+        yield
+    finally:
+        bench.make_safe()
+
+
+class _Rows:
+    def __init__(self) -> None:
+        self._t: list[NDArray[np.int64]] = []
+        self._p: list[Floats] = []
+        self._v: list[Floats] = []
+
+    def take(self, t_ns: NDArray[np.int64], pressure_pa: Floats, volts: Floats) -> None:
+        if len(t_ns):
+            self._t.append(t_ns.copy())
+            self._p.append(pressure_pa.copy())
+            self._v.append(volts.copy())
+
+    def log(self) -> BenchLog:
+        if not self._t:
+            return BenchLog(np.empty(0), np.empty((0, 0)), np.empty((0, 0)))
+        t = np.concatenate(self._t)
+        return BenchLog((t - t[0]) * 1e-9, np.concatenate(self._p), np.concatenate(self._v))
+
+
+def _expected_pa_s(s: FlowSettings, offset_v: float, pressure_pa: float) -> float:
+    """Rate of pressure that the rig's own figures promise of an open valve."""
+    fraction = float(np.interp(abs(offset_v), s.offsets_v, s.fractions))
+    chamber, supply = max(pressure_pa, 0.0) + ATMOSPHERE_PA, s.supply_pa + ATMOSPHERE_PA
+    upstream, downstream = (supply, chamber) if offset_v > 0 else (chamber, ATMOSPHERE_PA)
+    ease = max(flow_function(downstream / upstream, s.critical_ratio), FLOW_FUNCTION_FLOOR)
+    return math.copysign(fraction, offset_v) * s.conductance * upstream * ease * ANR_PA / s.volume_m3

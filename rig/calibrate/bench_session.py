@@ -1,0 +1,164 @@
+"""A bench to drive, in real time under the watchdog's eye or in virtual time with the plant in this process."""
+
+from __future__ import annotations
+
+import gc
+import os
+import subprocess
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+
+from protocols import Trajectory
+from rig.calibrate.bench_driver import BenchClock, BenchDriver, made_safe
+from rig.config.schema import RigConfig
+from rig.control.control_loop import ValveOutputs
+from rig.execution.plan import Plan, StartError
+from rig.hardware.bench import Bench, open_bench
+from rig.hardware.lock import cards_locked
+from rig.realtime.child_process import ChildJob, ended_within, spawn
+from rig.realtime.control_process import WATCHDOG_SILENT_NS, GuardedOutputs, NullOutputs
+from rig.realtime.process_monitor import ProcessMonitor
+from rig.realtime.scheduling import (
+    HeartbeatMonitor,
+    disable_realtime_scheduling,
+    enable_realtime_scheduling,
+    wait_until,
+)
+from rig.realtime.shared_state import SharedState, Stage, StateLayout, Stop
+from rig.simulator.plant import Plant
+
+POWER_UP_NS = 100_000_000
+_READY_S = 20.0
+_REHEARSED_S = 0.2
+_END_S = 5.0
+
+
+class VirtualClock:
+    """Control periods as fast as the plant goes."""
+
+    def __init__(self, plant: Plant, period_ns: int) -> None:
+        self._plant, self._period_ns, self._now = plant, period_ns, plant.t_ns
+
+    def next(self) -> int:
+        """Let the plant live through one period."""
+        self._now += self._period_ns
+        self._plant.advance(self._now)
+        return self._now
+
+
+class RealTimeClock:
+    """Control periods of CLOCK_MONOTONIC; each is a sign of life for the watchdog, whose own are looked for."""
+
+    def __init__(self, memory: SharedState, period_ns: int, watchdog: ProcessMonitor) -> None:
+        self._memory, self._period_ns, self._watchdog = memory, period_ns, watchdog
+        self._silence = HeartbeatMonitor(period_ns, WATCHDOG_SILENT_NS // 10)
+        self._deadline = time.monotonic_ns()
+
+    def next(self) -> int:
+        """Wait for the next period.
+
+        Raises:
+            StartError: the watchdog has taken the bench, or is not there to take it.
+        """
+        # Late by more than a period: what was missed is not caught up.
+        self._deadline = max(self._deadline + self._period_ns, time.monotonic_ns() - self._period_ns)
+        now = wait_until(self._deadline)
+        self._memory.beat("control", now)
+        self._memory.beat("conductor", now)
+        if self._memory.get("fired_ns"):
+            raise StartError(f"the watchdog took the bench over: {self._memory.message('watchdog') or 'a late tick'}")
+        if self._watchdog.over:
+            raise StartError("the watchdog process died")
+        if self._silence.look(now, self._memory.heartbeat_ns("watchdog")) > WATCHDOG_SILENT_NS:
+            raise StartError("the watchdog is silent")
+        return now
+
+
+@contextmanager
+def virtual(config: RigConfig, seed: int, *, moving_arm: bool = True) -> Iterator[tuple[Bench, BenchClock, Plant]]:
+    """The simulated bench in this process, armed.
+
+    Raises:
+        StartError: the rig has a card that only real time can drive.
+    """
+    real = [name for name, card in config.cards.items() if card.driver != "mock"]
+    if real:
+        raise StartError(f"virtual time needs simulated cards, and {', '.join(real)} of rig {config.name} is real")
+    plant = Plant(config, seed, t0_ns=0, moving_arm=moving_arm)
+    bench = Bench(config, {name: plant.card(name) for name in config.cards})
+    with made_safe(bench):
+        plant.advance(POWER_UP_NS)
+        yield bench, VirtualClock(plant, _period_ns(config)), plant
+
+
+@contextmanager
+def real(config: RigConfig, rig_file: Path, purpose: str) -> Iterator[tuple[ValveOutputs, BenchClock]]:
+    """The rig's cards, locked and armed, with the run's watchdog beside: it makes safe what this process cannot.
+
+    Raises:
+        CardError: a card is in use or cannot be opened, or another program has written to it.
+        StartError: the watchdog does not start.
+    """
+    with cards_locked(config, purpose), _watched(config, rig_file) as (memory, watchdog):
+        bench = open_bench(config)
+        memory.set("holder_pid", os.getpid())
+        try:
+            bench.arm()
+            bench.start()
+            enable_realtime_scheduling(priority=50)
+            # The first scans are on their way.
+            time.sleep(POWER_UP_NS * 1e-9)
+            ticks = RealTimeClock(memory, _period_ns(config), watchdog)
+            # What is imported or compiled at its first use makes a tick late: no valve may be open then, unwatched.
+            rehearsed = BenchDriver(config, NullOutputs(bench), ticks, lambda: None)
+            rehearsed.regulate(np.zeros(config.actuators), _REHEARSED_S)
+            memory.say("control", Stage.RUNNING)
+            yield GuardedOutputs(bench, memory), ticks
+        finally:
+            try:
+                bench.make_safe(vent=memory.vents)
+            finally:
+                memory.say("control", Stage.DONE)
+                bench.close()
+                gc.enable()
+                disable_realtime_scheduling()
+
+
+@contextmanager
+def _watched(config: RigConfig, rig_file: Path) -> Iterator[tuple[SharedState, ProcessMonitor]]:
+    """Keep the watchdog process; the one whose death it watches for lives exactly as long as this one needs it."""
+    memory = SharedState.create(StateLayout.of(config))
+    nothing = Trajectory(0.0, config.actuators, (), (), "")
+    plan = Plan(config, rig_file, nothing, config.model.variant, 0)
+    watchdog = spawn("rig.realtime.watchdog_process", ChildJob(plan, memory.fd, os.getpid()))
+    life = ProcessMonitor(watchdog.pid)
+    # It ends when its input is closed: by the kernel when we die.
+    stand_in = subprocess.Popen(["cat"], stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, start_new_session=True)
+    try:
+        until = time.monotonic() + _READY_S
+        while memory.stage("watchdog") not in (Stage.READY, Stage.FAILED):
+            if time.monotonic() > until or watchdog.poll() is not None:
+                raise StartError("the watchdog did not start")
+            time.sleep(0.01)
+        if memory.stage("watchdog") == Stage.FAILED:
+            raise StartError(memory.message("watchdog"))
+        memory.set("control_pid", stand_in.pid)
+        yield memory, life
+    finally:
+        memory.set("stop", Stop.SAFE)
+        # Not by closing its input: it may have been stopped.
+        for process, patience_s in ((stand_in, 0.0), (watchdog, _END_S)):
+            if not ended_within(process, patience_s):
+                process.kill()
+                ended_within(process, _END_S)
+        assert stand_in.stdin is not None
+        stand_in.stdin.close()
+        life.close()
+
+
+def _period_ns(config: RigConfig) -> int:
+    return round(1e9 / config.control.rate_hz)

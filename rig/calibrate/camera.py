@@ -1,0 +1,125 @@
+"""`rig calibrate camera`: views in, intrinsics with a picture of their residuals out."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+import typer
+
+from calibration.camera import calibrate, calibrate_views
+from calibration.views import View
+from calibration.vision.board import Board
+from rig.calibrate import file_sections, inputs, residual_figure
+from rig.calibrate.inputs import bad_input
+from rig.calibrate.view_collection import collect, pictures
+from rig.cli import calibration_output
+from rig.cli.archive_output import plain_json
+from rig.cli.keyboard import Keyboard
+from rig.cli.run_output import console
+from rig.config.calibration_files import default_path, refuse_existing, views_beside, write
+from rig.config.schema import RigConfig
+
+_PICTURE = ".png"
+
+
+@dataclass(frozen=True)
+class CameraCalibrationRequest:
+    """The command line."""
+
+    views: tuple[str, ...]
+    corners: str
+    square_mm: float
+    live: bool
+    rig: str | None
+    camera: str | None
+    count: int
+    every: int
+    to: Path | None
+    replace: bool
+    note: str
+    seed: int
+    json: bool
+
+
+def run(asked: CameraCalibrationRequest) -> None:
+    """Calibrate every camera that was named, and write a file and a picture for each.
+
+    Raises:
+        BadInput: the command line cannot be.
+        ViewsError, CalibrationError: the views do not determine a camera.
+        CameraError: a live camera gives no pictures.
+    """
+    corners, square_m = inputs.corners_of(asked.corners), inputs.square_of(asked.square_mm)
+    rig = inputs.rig_of(asked.rig)
+    screen = console(stderr=asked.json)
+    if asked.to is not None:
+        if len(asked.views) > 1:
+            raise bad_input("--to", str(asked.to), "one camera at a time; each of several gets a dated name of its own")
+        if asked.to.suffix.lower() == _PICTURE:
+            raise bad_input(
+                "--to", str(asked.to), "a name for the YAML file; the picture goes beside it with this ending"
+            )
+        refuse_existing(asked.to, asked.replace)
+        refuse_existing(asked.to.with_suffix(_PICTURE), asked.replace)
+    if asked.live:
+        if asked.views:
+            raise bad_input("--live", asked.views[0], "either views that are there or live ones")
+        if rig is None:
+            raise bad_input("--live", "", "--rig as well: whose camera is it?")
+        name = inputs.known_camera(rig, asked.camera or next(iter(rig.cameras)))
+        file = asked.to or default_path(f"camera-{name}")
+        views = _live(asked, rig, name, corners, square_m, file)
+        listed = [(name, file, calibrate_views(views, corners, square_m))]
+    else:
+        if not asked.views:
+            raise bad_input("VIEWS", "", "a folder, a video or a pattern of the board's pictures; or --live")
+        if asked.camera is not None and rig is not None:
+            inputs.known_camera(rig, asked.camera)
+        listed = [
+            (
+                s.camera,
+                asked.to or default_path(f"camera-{s.camera}"),
+                calibrate(s.views, corners, square_m, asked.every),
+            )
+            for s in inputs.sources_of(list(asked.views), rig, asked.camera)
+        ]
+    facts = {}
+    for name, file, found in listed:
+        made = write(
+            file_sections.camera_file(found, inputs.identity(rig, name, found), asked.note), file, replace=asked.replace
+        )
+        drawn = residual_figure.write(found, f"camera {name}", made.with_suffix(_PICTURE))
+        facts[name] = calibration_output.camera_facts(found, made, drawn)
+        if not asked.json:
+            calibration_output.camera(found, name, screen)
+            _finish(made, drawn, rig, name)
+    if asked.json:
+        only = next(iter(facts.values())) if len(facts) == 1 else {"cameras": facts}
+        typer.echo(json.dumps(plain_json(only), indent=2))
+
+
+def _finish(made: Path, drawn: Path, rig: RigConfig | None, name: str) -> None:
+    mock = rig is not None and name in rig.cameras and rig.cameras[name].driver == "mock"
+    typer.echo(f"{calibration_output.written(made, mock)}\n{drawn}")
+    if rig is None:
+        typer.echo("to use it, give the camera's name with NAME=VIEWS and put the file under `calibrations:` of a rig")
+
+
+def _live(
+    asked: CameraCalibrationRequest, rig: RigConfig, name: str, corners: tuple[int, int], square_m: float, file: Path
+) -> list[View]:
+    """Views from the rig's camera, kept as pictures beside the file."""
+    board = Board(corners[0] + 1, corners[1] + 1, square_m)
+    folder = views_beside(file, asked.replace)
+    typer.echo(f"views go to {folder}; Enter: enough, Ctrl-C: give up", err=True)
+    with Keyboard() as keys:
+        return collect(
+            pictures(rig, name, board, asked.seed),
+            corners,
+            asked.count,
+            folder,
+            lambda line: typer.echo(line, err=True),
+            lambda: "\n" in keys.pressed(),
+        )

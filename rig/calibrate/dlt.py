@@ -1,0 +1,445 @@
+"""`rig calibrate dlt`: coefficients and places of one or more cameras, from control points or from boards."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import typer
+from numpy.typing import NDArray
+
+from calibration import view_matching
+from calibration.camera import CalibrationError, LeftOut, calibrate_views, find_corners
+from calibration.cross_validation import CrossValidation, PointObservations, leave_out
+from calibration.dlt import DLT, DLTError, calibrate, decompose
+from calibration.dlt_bundle_adjustment import adjust
+from calibration.extrinsics import Camera, ExtrinsicCalibration, locate
+from calibration.views import View, views_in
+from calibration.vision.board import Board
+from calibration.vision.lens import Lens
+from calibration.vision.pose import refine
+from calibration.vision.transforms import RigidTransform
+from rig.calibrate import control_points, file_sections, inputs
+from rig.calibrate.inputs import bad_input
+from rig.cli import calibration_output
+from rig.cli.archive_output import plain_json
+from rig.cli.run_output import console
+from rig.config import calibration_schema
+from rig.config.calibration_files import (
+    LoadedCalibration,
+    default_path,
+    origin,
+    refuse_existing,
+    rounded,
+    sha256_of,
+    write,
+)
+from rig.config.optics import lens_of, placement_of, rigid
+from rig.config.schema import Placement, RigConfig
+
+Floats = NDArray[np.float64]
+
+_MOST_LEFT_OUT = 200
+_MM = 1e3
+_WAYS = ("control points (.csv)", "views of a board")
+_WIDEST_MM = 1e6
+
+
+@dataclass(frozen=True)
+class DLTCalibrationRequest:
+    """The command line."""
+
+    given: tuple[str, ...]
+    corners: str
+    square_mm: float
+    calibrations: tuple[Path, ...]
+    rig: str | None
+    size: str
+    points_std_mm: float
+    bundle: bool
+    world_view: str
+    base: str
+    every: int
+    to: Path | None
+    replace: bool
+    note: str
+    json: bool
+
+
+@dataclass(frozen=True)
+class DLTCalibrationResult:
+    """Every camera's coefficients and place, and what they rest on."""
+
+    sights: dict[str, PointObservations]
+    dlts: dict[str, DLT]
+    places: dict[str, tuple[RigidTransform, Floats]]
+    """Camera in the world, and the covariance (6, 6) of that: translation [m], rotation [rad]."""
+    trial: CrossValidation
+    views: tuple[calibration_schema.UsedView, ...] = ()
+    left_out: tuple[LeftOut, ...] = ()
+    world_view: str = ""
+
+
+def run(asked: DLTCalibrationRequest) -> None:
+    """Calibrate, write the file, print it.
+
+    Raises:
+        BadInput: the command line, the control points or another calibration cannot be.
+        ViewsError, CalibrationError, DLTError: what is given does not determine the coefficients.
+    """
+    if asked.to is not None:
+        refuse_existing(asked.to, asked.replace)
+    if not asked.given:
+        raise bad_input(
+            "CSV|NAME=VIEWS", "", "a CSV of control points, or folders of simultaneous views for each camera"
+        )
+    is_csv = len(asked.given) == 1 and asked.given[0].lower().endswith((".csv", ".txt"))
+    _refuse_unknown_cameras(asked, is_csv)
+    rig = inputs.rig_of(asked.rig)
+    known = inputs.camera_calibrations(list(asked.calibrations))
+    sizes: dict[str, tuple[int, int]]
+    if is_csv:
+        csv = Path(asked.given[0])
+        result, sizes = _from_points(asked, csv, rig, known)
+        used = [calibration_schema.SourceFile(name=csv.name, sha256=sha256_of(csv))]
+    else:
+        result, sizes = _from_boards(asked, rig, known)
+        used = []
+    used += [
+        calibration_schema.SourceFile(name=Path(one.source.file).name, sha256=one.sha256) for one in known.values()
+    ]
+    found = _file(asked, rig, result, sizes, tuple(used), is_csv)
+    made = write(found, asked.to or default_path("dlt"), replace=asked.replace)
+    if asked.json:
+        typer.echo(json.dumps(plain_json(_facts(result, found, made)), indent=2))
+        return
+    calibration_output.dlt(found, result.places, console())
+    typer.echo(calibration_output.written(made, any(camera.camera.driver == "mock" for camera in found.cameras)))
+
+
+def _refuse_unknown_cameras(asked: DLTCalibrationRequest, is_csv: bool) -> None:
+    """Refuse options that belong to the other way of calibrating, and would do nothing in this one."""
+    of_boards = {
+        "--corners": asked.corners,
+        "--square-mm": asked.square_mm,
+        "--world-view": asked.world_view,
+        "--base": asked.base,
+    }
+    of_points = {"--size": asked.size, "--points-std-mm": asked.points_std_mm}
+    for option, value in (of_boards if is_csv else of_points).items():
+        if value:
+            way, other = _WAYS if is_csv else _WAYS[::-1]
+            raise bad_input(option, str(value), f"no such option: it is of {other}, and {way} are given")
+
+
+def _lens(
+    name: str, rig: RigConfig | None, known: dict[str, LoadedCalibration], size: tuple[int, int], what: str
+) -> Lens | None:
+    """A camera's lens by its calibration, or as the rig states it; None where nothing is known."""
+    if name in known:
+        lens = inputs.checked_size(known[name], size, what).lens
+        return Lens.of(lens.fx_px, lens.fy_px, lens.cx_px, lens.cy_px, lens.distortion)
+    return lens_of(rig.cameras[name]) if rig is not None and name in rig.cameras else None
+
+
+def _from_points(
+    asked: DLTCalibrationRequest, csv: Path, rig: RigConfig | None, known: dict[str, LoadedCalibration]
+) -> tuple[DLTCalibrationResult, dict[str, tuple[int, int]]]:
+    seen = control_points.read(csv)
+    if not 0 <= asked.points_std_mm < _WIDEST_MM:
+        raise bad_input(
+            "--points-std-mm", f"{asked.points_std_mm:g}", "the points' standard uncertainty in mm, 0 or more"
+        )
+    sights, sizes = {}, {}
+    for name, points in seen.items():
+        sizes[name] = _size_of(asked, name, rig, known)
+        lens = _lens(name, rig, known, sizes[name], "the pictures are")
+        sights[name] = PointObservations(points.names, points.world_m, points.pixels, lens)
+    dlts = {name: _fitted(name, sight) for name, sight in sights.items()}
+    if asked.bundle and asked.points_std_mm > 0:
+        better = adjust(list(sights.values()), list(dlts.values()), asked.points_std_mm * 1e-3)
+        dlts = dict(zip(dlts, better, strict=True))
+    places = {name: _place(sight, dlts[name]) for name, sight in sights.items()}
+    names = sorted({name for sight in sights.values() for name in sight.names})
+    groups = {name: (name,) for name in names[:_MOST_LEFT_OUT]}
+    return DLTCalibrationResult(sights, dlts, places, leave_out(list(sights.values()), groups)), sizes
+
+
+def _fitted(name: str, sight: PointObservations) -> DLT:
+    try:
+        return calibrate(sight.world_m, sight.pixels, sight.lens)
+    except DLTError as error:
+        raise DLTError(f"camera {name}: {error}") from None
+
+
+def _size_of(
+    asked: DLTCalibrationRequest, name: str, rig: RigConfig | None, known: dict[str, LoadedCalibration]
+) -> tuple[int, int]:
+    """Size of a camera's pictures: as said, or as its calibration or the rig state it."""
+    if asked.size:
+        width, cross, height = asked.size.partition("x")
+        if not (cross and width.isdecimal() and height.isdecimal() and 64 <= min(int(width), int(height)) <= 16384):
+            raise bad_input("--size", asked.size, "width and height of the pictures in px, as 640x480")
+        return int(width), int(height)
+    if name in known:
+        camera = known[name].found.camera  # type: ignore[union-attr]
+        return camera.width_px, camera.height_px
+    if rig is not None and name in rig.cameras:
+        return rig.cameras[name].width_px, rig.cameras[name].height_px
+    raise bad_input("--size", "", f"the size of camera {name}'s pictures, as 640x480; or --calibration, or --rig")
+
+
+def _place(sight: PointObservations, dlt: DLT) -> tuple[RigidTransform, Floats]:
+    """Where a camera stands: by its lens and the control points, or without a lens by the coefficients alone."""
+    _, camera = decompose(dlt)
+    if sight.lens is None:
+        return camera, np.full((6, 6), np.nan)
+    inverse = camera.inverse()
+    start = np.asarray(cv2.Rodrigues(inverse.rotation)[0], np.float64).ravel(), inverse.translation_m
+    spread = np.sum(dlt.residuals_px**2) / max(dlt.residuals_px.size - 11, 1)
+    noise = np.broadcast_to(max(float(spread), 1e-6) * np.eye(2), (len(sight.pixels), 2, 2))
+    pose = refine(sight.world_m, sight.pixels, sight.lens, start, noise)
+    if pose is None:
+        return camera, np.full((6, 6), np.nan)
+    return _inverted(pose.rigid, pose.covariance)
+
+
+def _inverted(world_in_camera: RigidTransform, covariance: Floats) -> tuple[RigidTransform, Floats]:
+    """The camera in the world with covariance (6, 6), from the world before the camera (rotation vector first)."""
+    camera = world_in_camera.inverse()
+    start = np.concatenate([cv2.Rodrigues(world_in_camera.rotation)[0].ravel(), world_in_camera.translation_m])
+    slope = np.empty((6, 6))
+    for k in range(6):
+        step = 1e-6 * (np.arange(6) == k)
+        moved = RigidTransform.from_vectors((start + step)[:3], (start + step)[3:]).inverse()
+        off = moved.rotation @ camera.rotation.T
+        turn = np.array([off[2, 1] - off[1, 2], off[0, 2] - off[2, 0], off[1, 0] - off[0, 1]]) / 2
+        slope[:, k] = np.concatenate([moved.translation_m - camera.translation_m, turn]) / 1e-6
+    return camera, np.asarray(slope @ covariance @ slope.T)
+
+
+def _from_boards(
+    asked: DLTCalibrationRequest, rig: RigConfig | None, known: dict[str, LoadedCalibration]
+) -> tuple[DLTCalibrationResult, dict[str, tuple[int, int]]]:
+    corners, square_m = inputs.corners_of(asked.corners), inputs.square_of(asked.square_mm)
+    board, base = Board(corners[0] + 1, corners[1] + 1, square_m), _base(asked)
+    listed = inputs.sources_of(list(asked.given), rig)
+    cameras, sizes, hashes, left_out = _seen(asked, listed, board, rig, known)
+    together = locate(cameras, board, bundle=asked.bundle)
+    left_out += [LeftOut(key, why, _hash(hashes, key)) for key, why in together.left_out]
+    world_view = _world_view(asked, together, hashes)
+    places, boards = together.in_world(world_view, base)
+    sights, groups = {}, {key: tuple(f"{key}:{k}" for k in range(len(board.corners_m))) for key in together.boards}
+    for camera in cameras:
+        seen = together.corners_px[camera.name]
+        sights[camera.name] = PointObservations(
+            tuple(name for key in seen for name in groups[key]),
+            np.concatenate([boards[key].apply(board.corners_m) for key in seen]),
+            np.concatenate(list(seen.values())),
+            camera.lens,
+        )
+    dlts = {name: _fitted(name, sight) for name, sight in sights.items()}
+    located = {
+        name: (
+            place,
+            together.placement_covariance(name, world_view, base) if asked.bundle else np.full((6, 6), np.nan),
+        )
+        for name, place in places.items()
+    }
+    views = tuple(
+        calibration_schema.UsedView(
+            name=f"{name}:{file}",
+            sha256=sha,
+            corners=len(board.corners_m),
+            rms_px=rounded(float(np.sqrt(np.mean(np.sum(together.residuals_px[name][key] ** 2, axis=1))))),
+        )
+        for name, found in hashes.items()
+        for key, (file, sha) in found.items()
+        if key in together.residuals_px[name]
+    )
+    return (
+        DLTCalibrationResult(
+            sights, dlts, located, leave_out(list(sights.values()), groups, board), views, tuple(left_out), world_view
+        ),
+        sizes,
+    )
+
+
+Hashes = dict[str, dict[str, tuple[str, str]]]
+
+
+def _seen(
+    asked: DLTCalibrationRequest,
+    listed: tuple[inputs.CameraViews, ...],
+    board: Board,
+    rig: RigConfig | None,
+    known: dict[str, LoadedCalibration],
+) -> tuple[list[Camera], dict[str, tuple[int, int]], Hashes, list[LeftOut]]:
+    """What each camera saw, by moments; a lens that is not known is found from the same views."""
+    found: dict[str, dict[str, tuple[str, Floats]]] = {}
+    lenses, sizes, left_out = {}, {}, []
+    for source in listed:
+        name = source.camera
+        views = list(views_in(source.views, asked.every))
+        sizes[name] = views[0].image.shape[1], views[0].image.shape[0]
+        inputs.identity_sized(rig, name, sizes[name])
+        lens = _lens(name, rig, known, sizes[name], f"the views in {source.views}")
+        if lens is None:
+            made = calibrate_views(views, board.pattern, board.square_m)
+            lens = made.lens
+            sharp = [(v.name, v.sha256, v.corners_px) for v in made.views]
+            left_out += [replace_name(out, name) for out in made.skipped]
+        else:
+            sharp = []
+            for view in views:
+                corners = _corners_in(view, sizes[name], board)
+                if corners is None:
+                    why = f"no board of {board.pattern[0]}x{board.pattern[1]} inner corners found"
+                    left_out.append(LeftOut(f"{name}:{view.name}", why, view.sha256))
+                else:
+                    sharp.append((view.name, view.sha256, corners))
+        lenses[name] = lens
+        found[name] = {file: (sha, px) for file, sha, px in sharp}
+    keys = view_matching.keys({name: list(files) for name, files in found.items()})
+    hashes = {name: {keys[name][f]: (f, sha) for f, (sha, _) in files.items()} for name, files in found.items()}
+    cameras = [
+        Camera(name, lenses[name], {keys[name][f]: px for f, (_, px) in files.items()}) for name, files in found.items()
+    ]
+    return cameras, sizes, hashes, left_out
+
+
+def replace_name(out: LeftOut, camera: str) -> LeftOut:
+    """A view that was left out, with its camera's name before its own."""
+    return out._replace(name=f"{camera}:{out.name}")
+
+
+def _corners_in(view: View, size: tuple[int, int], board: Board) -> Floats | None:
+    if (view.image.shape[1], view.image.shape[0]) != size:
+        raise CalibrationError(
+            f"{view.name} is {view.image.shape[1]}x{view.image.shape[0]} and the views before it {size[0]}x{size[1]}"
+        )
+    return find_corners(view.image, board.pattern)
+
+
+def _hash(hashes: Hashes, key: str) -> str:
+    return next(found[key][1] for found in hashes.values() if key in found)
+
+
+def _world_view(asked: DLTCalibrationRequest, together: ExtrinsicCalibration, hashes: Hashes) -> str:
+    """The view whose board is the world: as said, by file name or number, or the one that most cameras saw."""
+    if not asked.world_view:
+        return max(together.boards, key=lambda key: sum(key in views for views in together.corners_px.values()))
+    for found in hashes.values():
+        for key, (file, _) in found.items():
+            if asked.world_view in (file, Path(file).stem, key) and key in together.boards:
+                return key
+    raise bad_input("--world-view", asked.world_view, f"a view that shows the board: {', '.join(together.boards)}")
+
+
+def _base(asked: DLTCalibrationRequest) -> RigidTransform:
+    """Where the world view's board stands in the rod-base frame; where nothing is said it is the world itself."""
+    if not asked.base:
+        return RigidTransform(np.eye(3), np.zeros(3))
+    parts = asked.base.replace(" ", "").split(",")
+    try:
+        x, y, z, a, b, c = (float(part) for part in parts)
+    except ValueError:
+        x = y = z = a = b = c = np.inf
+    if not all(abs(number) < _WIDEST_MM for number in (x, y, z, a, b, c)):
+        raise bad_input("--base", asked.base, "six numbers X,Y,Z,A,B,C: mm, and a rotation vector in deg")
+    return rigid(Placement(translation_mm=(x, y, z), rotation_deg=(a, b, c)))
+
+
+def _points(names: tuple[str, ...], *, boards: bool) -> tuple[str, ...]:
+    """Names of control points, or of the views whose corners they are."""
+    return tuple(dict.fromkeys(name.rpartition(":")[0] for name in names)) if boards else names
+
+
+def _section(
+    name: str, result: DLTCalibrationResult, identity: calibration_schema.CameraIdentity
+) -> calibration_schema.DLTCamera:
+    dlt, sight = result.dlts[name], result.sights[name]
+    place, covariance = result.places[name]
+    # World in mm: what multiplies a coordinate is a thousand times smaller.
+    scale = np.where(np.isin(np.arange(11), (3, 7)), 1.0, 1 / _MM)
+    units = np.array([_MM] * 3 + [np.rad2deg(1)] * 3)
+    spread = covariance * np.outer(units, units)
+    known = bool(np.all(np.isfinite(spread)))
+    std = np.sqrt(np.diag(spread)) if known else np.zeros(6)
+    placement = placement_of(
+        replace(place, translation_std_m=float(np.sqrt(np.mean(std[:3] ** 2))) / _MM,
+                rotation_std_rad=float(np.deg2rad(np.sqrt(np.mean(std[3:] ** 2)))))
+    )  # fmt: skip
+    return calibration_schema.DLTCamera(
+        camera=identity,
+        lens=None if sight.lens is None else file_sections.lens_section(sight.lens),
+        coefficients_px_mm=rounded(dlt.coefficients * scale, 10),
+        covariance=file_sections.matrix(dlt.covariance * np.outer(scale, scale)),
+        rms_px=rounded(dlt.rms_px),
+        placement=placement,
+        placement_covariance=file_sections.matrix(spread if known else np.zeros((6, 6))),
+        placement_known=known,
+        points=_points(sight.names, boards=bool(result.world_view)),
+        residuals_px=rounded(dlt.residuals_px.ravel(), 3),
+    )
+
+
+def _file(
+    asked: DLTCalibrationRequest,
+    rig: RigConfig | None,
+    result: DLTCalibrationResult,
+    sizes: dict[str, tuple[int, int]],
+    used: tuple[calibration_schema.SourceFile, ...],
+    is_csv: bool,
+) -> calibration_schema.DLTFile:
+    cameras = [_section(n, result, inputs.identity_sized(rig, n, sizes[n])) for n in result.dlts]
+    return calibration_schema.DLTFile(
+        **origin(asked.note),
+        kind="dlt",
+        world="rod base" if is_csv or asked.base else "board",
+        world_view=result.world_view,
+        board=None if is_csv else file_sections.board_section(inputs.corners_of(asked.corners), asked.square_mm * 1e-3),
+        cameras=tuple(cameras),
+        test_error=_test(result.trial, is_csv),
+        views=result.views,
+        sources=used,
+        left_out=file_sections.left_out(result.left_out),
+    )
+
+
+def _test(trial: CrossValidation, is_csv: bool) -> calibration_schema.LeaveOneOut | None:
+    mm, px, edges = trial.errors_m * _MM, trial.errors_px, trial.edges_m * _MM
+    if not (len(mm) or len(px)):
+        return None
+    return calibration_schema.LeaveOneOut(
+        method="leave one point out" if is_csv else "leave one view out",
+        points=len(mm) or len(px),
+        rms_mm=rounded(float(np.sqrt(np.mean(mm**2)))) if len(mm) else None,
+        worst_mm=rounded(float(mm.max())) if len(mm) else None,
+        rms_px=rounded(float(np.sqrt(np.mean(px**2)))) if len(px) else None,
+        square_mm=rounded(float(edges.mean()), 8) if len(edges) else None,
+        square_std_mm=rounded(float(edges.std())) if len(edges) else None,
+    )
+
+
+def _facts(result: DLTCalibrationResult, found: calibration_schema.DLTFile, made: Path) -> dict[str, object]:
+    return {
+        "file": str(made),
+        "world": found.world,
+        "world_view": found.world_view,
+        "cameras": {
+            camera.camera.name: {
+                "coefficients_px_mm": camera.coefficients_px_mm,
+                "rms_px": camera.rms_px,
+                "lens": None if camera.lens is None else camera.lens.model_dump(),
+                "placement": camera.placement.model_dump(),
+            }
+            for camera in found.cameras
+        },
+        "pairs": calibration_output.pairs(result.places),
+        "test_error": None if found.test_error is None else found.test_error.model_dump(exclude_none=True),
+        "skipped": {out.name: out.reason for out in found.left_out},
+    }

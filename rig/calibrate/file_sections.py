@@ -1,0 +1,90 @@
+"""From a result of the calibration room to its file, in the units of files."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calibration.camera import CameraCalibration, LeftOut
+from calibration.vision.lens import Lens
+from rig.config import calibration_schema
+from rig.config import schema as rigs
+from rig.config.calibration_files import origin, rounded
+from rig.config.schema import RigConfig
+from rig.hardware.cameras.identity import serial_of
+
+COVARIANCE_DIGITS = 8
+
+
+def identity_of(config: RigConfig, name: str) -> calibration_schema.CameraIdentity:
+    """A rig's camera, with its serial number where it is plugged in and tells one."""
+    camera = config.cameras[name]
+    return calibration_schema.CameraIdentity(
+        name=name,
+        driver=camera.driver,
+        device=camera.device,
+        serial=serial_of(camera),
+        width_px=camera.width_px,
+        height_px=camera.height_px,
+    )
+
+
+def unknown_camera(name: str, width_px: int, height_px: int) -> calibration_schema.CameraIdentity:
+    """A camera of which only its pictures are known."""
+    return calibration_schema.CameraIdentity(name=name, width_px=width_px, height_px=height_px)
+
+
+def card_of(config: RigConfig, name: str) -> calibration_schema.CardIdentity:
+    """A rig's card."""
+    card = config.cards[name]
+    return calibration_schema.CardIdentity(name=name, driver=card.driver, device=card.device)
+
+
+def lens_section(lens: Lens) -> rigs.Lens:
+    """A lens as files state it."""
+    m = lens.matrix
+    k1, k2, p1, p2, k3 = rounded(lens.distortion, 8)
+    fx, fy, cx, cy = rounded([m[0, 0], m[1, 1], m[0, 2], m[1, 2]], 8)
+    return rigs.Lens(fx_px=fx, fy_px=fy, cx_px=cx, cy_px=cy, distortion=(k1, k2, p1, p2, k3))
+
+
+def board_section(corners: tuple[int, int], square_m: float) -> calibration_schema.PrintedBoard:
+    """A board as files state it."""
+    (square_mm,) = rounded([square_m * 1e3], 9)
+    return calibration_schema.PrintedBoard(corners=corners, square_mm=square_mm)
+
+
+def matrix(covariance: NDArray[np.float64]) -> calibration_schema.Matrix:
+    """A covariance as files state it, exactly symmetric."""
+    even = (covariance + covariance.T) / 2
+    rows: calibration_schema.Matrix = rounded(even, COVARIANCE_DIGITS)
+    return rows
+
+
+def left_out(skipped: tuple[LeftOut, ...]) -> tuple[calibration_schema.LeftOut, ...]:
+    """Views that were not used."""
+    return tuple(calibration_schema.LeftOut(name=s.name, sha256=s.sha256, reason=s.reason) for s in skipped)
+
+
+def camera_file(
+    found: CameraCalibration, identity: calibration_schema.CameraIdentity, note: str = ""
+) -> calibration_schema.CameraFile:
+    """The file of a camera's intrinsics."""
+    return calibration_schema.CameraFile(
+        **origin(note),
+        kind="camera",
+        camera=identity,
+        board=board_section(found.corners, found.square_m),
+        lens=lens_section(found.lens),
+        covariance=matrix(found.covariance),
+        rms_px=rounded(found.rms_px),
+        coverage_percent=rounded(100 * found.coverage.share, 4),
+        views=tuple(
+            calibration_schema.UsedView(
+                name=v.name, sha256=v.sha256, corners=len(v.corners_px), rms_px=rounded(v.rms_px)
+            )
+            for v in found.views
+        ),
+        left_out=left_out(found.skipped),
+        advice=found.advice,
+    )

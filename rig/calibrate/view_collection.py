@@ -1,0 +1,101 @@
+"""Views from a live camera: the operator moves the board, is told what to do next, and good views are kept."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from calibration.camera import CalibrationError, find_corners
+from calibration.view_coverage import ViewCoverage, view_geometry
+from calibration.views import View
+from calibration.vision.board import Board, grey
+from rig.config.schema import RigConfig
+from rig.hardware.cameras.registry import open_camera
+
+Image = NDArray[np.uint8]
+
+_STILL_SHARE = 0.002
+"""Of the picture's width: corners that moved by less between two pictures were held still."""
+_TIMEOUT_S = 5.0
+_MOST_IDLE = 600
+"""Pictures in a row that brought nothing new: someone has gone."""
+
+
+def pictures(config: RigConfig, camera: str, board: Board, seed: int) -> Iterator[Image]:
+    """Pictures of a rig's camera as they come; a mock camera sees a board in simulated hands.
+
+    Raises:
+        CameraError: the camera cannot be opened, or gives none.
+    """
+    if config.cameras[camera].driver == "mock":
+        from rig.simulator.simulated_operator import shown_boards
+
+        yield from shown_boards(config, camera, board, seed)
+        return
+    opened = open_camera(config, camera)
+    try:
+        while True:
+            yield opened.read(_TIMEOUT_S).image
+    finally:
+        opened.close()
+
+
+def collect(
+    shown: Iterable[Image],
+    pattern: tuple[int, int],
+    wanted: int,
+    folder: Path,
+    tell: Callable[[str], None],
+    enough: Callable[[], bool],
+) -> list[View]:
+    """Keep still views that show something new, as PNG in `folder`, until `wanted` are there that lack nothing.
+
+    `tell` gets what happened and what to do next; `enough` is true once the operator wants no more.
+
+    Raises:
+        CalibrationError: the pictures ended, or brought nothing new for long, before there was a view.
+    """
+    kept: list[View] = []
+    coverage: ViewCoverage | None = None
+    before = None
+    said, idle = "", 0
+    for picture in shown:
+        image = grey(picture)
+        size = image.shape[1], image.shape[0]
+        coverage = coverage or ViewCoverage(size)
+        corners = find_corners(image, pattern)
+        now = None if corners is None else view_geometry(corners, pattern, size)
+        still = (
+            corners is not None
+            and before is not None
+            and float(np.abs(corners - before).max()) < max(1.0, _STILL_SHARE * size[0])
+        )
+        before = corners
+        idle += 1
+        if now is not None and still and coverage.is_new(now):
+            coverage.add(now)
+            kept.append(_keep(image, folder, len(kept) + 1))
+            idle = 0
+        advice = coverage.next_step(now)
+        line = f"{len(kept)} of {wanted} views. {advice or 'any other place, distance or tilt'}"
+        if line != said:
+            tell(line)
+            said = line
+        if (len(kept) >= wanted and not advice) or enough() or idle > _MOST_IDLE:
+            break
+    if not kept:
+        raise CalibrationError(f"no picture showed a board of {pattern[0]}x{pattern[1]} inner corners held still")
+    return kept
+
+
+def _keep(image: Image, folder: Path, number: int) -> View:
+    folder.mkdir(parents=True, exist_ok=True)
+    _, data = cv2.imencode(".png", image)
+    file = folder / f"view{number:02}.png"
+    file.write_bytes(data.tobytes())
+    return View(file.name, image, hashlib.sha256(data.tobytes()).hexdigest())

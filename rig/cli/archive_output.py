@@ -1,0 +1,182 @@
+"""What the commands about archives print."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import typer
+from rich.table import Table
+from rich.text import Text
+
+import runs as records
+from protocols.problems import BadInputError, Problem, closest
+from rig.cli import recovery_offer
+from rig.cli.run_output import console
+from runs.archive.writer import SUFFIX, ArchiveError
+from runs.catalogue import Entry
+from runs.records import Status
+from runs.recovery import Fate
+from runs.recovery import recover as recover_folder
+from runs.summary import Summary, summarise
+
+DATA = Path("data")
+"""Where commands put archives, and look for them, unless they are told."""
+_DATE = re.compile(r"\d{4}(-\d\d(-\d\d(T\d\d(:\d\d(:\d\d)?)?)?)?)?")
+
+
+def resolve(name: Path) -> Path:
+    """An archive by its path, or by its run id in the data folder.
+
+    Raises:
+        ArchiveError: there is none.
+    """
+    by_id: tuple[Path, ...] = ()
+    if name.name:
+        by_id = (name.with_name(name.name + SUFFIX), DATA / f"{name.name}{SUFFIX}")
+    try:
+        found = next((candidate for candidate in (name, *by_id) if candidate.is_file()), None)
+    except OSError as error:
+        raise ArchiveError(f"{name}: {error.strerror}") from None
+    recovery_offer.offer((found or name).parent)
+    if found is not None:
+        return found
+    raise ArchiveError(f"{name}: no such archive, here or in data/; `rig runs` lists what there is")
+
+
+def check_search(folder: Path, status: str = "", since: str = "", until: str = "") -> None:
+    """Raise `BadInput` for what no archive can match; the data folder alone may be missing: nothing was run yet."""
+    problems = []
+    if folder != DATA and not folder.is_dir():
+        problems.append(Problem("DIR", 0, 0, "", str(folder), "a folder of archives: there is none of this name"))
+    if status and status not in set(Status):
+        problems.append(Problem("--status", 0, 0, "", status, f"one of {', '.join(Status)}", closest(status, Status)))
+    for option, date in (("--since", since), ("--until", until)):
+        if date and not _DATE.fullmatch(date):
+            problems.append(Problem(option, 0, 0, "", date, "a date or its beginning, as 2026-11 or 2026-11-21T14:05"))
+    if problems:
+        raise BadInputError(problems)
+
+
+def show(name: Path, as_json: bool) -> None:
+    """One archive: how it was made and what it measured."""
+    archive = resolve(name)
+    run = records.open(archive)
+    summary = summarise(run)
+    if as_json:
+        typer.echo(json.dumps({"header": plain_json(asdict(run.header)), "summary": summary_json(archive)}, indent=2))
+        return
+    header = run.header
+    screen = console()
+    facts = Table(box=None, show_header=False, padding=(0, 2, 0, 0))
+    simulated = " (simulated)" if header.simulated else ""
+    for key, value in (
+        ("run", header.run_id + simulated),
+        ("title", header.title),
+        ("status", f"{summary.status} {summary.message}".strip()),
+        ("executor", header.executor),
+        ("protocol", header.protocol_name),
+        ("rig", header.rig_name),
+        ("model", header.model_variant or "-"),
+        ("operator", header.operator or "-"),
+        ("notes", header.notes or "-"),
+        ("command", header.command),
+        ("host", header.host),
+        ("commit", (header.git_commit or "-") + (" with uncommitted changes" if header.git_diff else "")),
+        ("versions", ", ".join(f"{name} {version}" for name, version in header.versions.items())),
+    ):
+        facts.add_row(key, value)
+    screen.print(facts)
+    screen.print(summary_table(summary, run.timing.counters))
+
+
+def summary_json(archive: Path) -> dict[str, Any]:
+    """A run's numbers as JSON has them: what is not a number is null."""
+    return plain_json(asdict(summarise(records.open(archive))))  # type: ignore[no-any-return]
+
+
+def plain_json(value: Any) -> Any:
+    """The value as JSON can say it: what is not a number is null."""
+    if isinstance(value, dict):
+        return {key: plain_json(v) for key, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain_json(v) for v in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def summary_table(summary: Summary, counters: Mapping[str, int]) -> Table:
+    """The numbers of a run: one row per settled step, then the whole; `counters` as the executor counted them.
+
+    A run without a clock (virtual time, a model alone, an import) has no deadlines, and no rows about them.
+    """
+    table = Table(box=None, padding=(0, 2, 0, 0), title_justify="left")
+    for head in ("step", "error [mm]", "normalised [%]", "settled after [s]", "overshoot [bar]"):
+        table.add_column(head, justify="left" if head == "step" else "right")
+    for step in summary.steps:
+        if step.dwell and step.frames and step.kind in ("dwell", "hold"):
+            table.add_row(
+                step.label,
+                _number(step.error_mm, 2),
+                _number(step.normalised_percent, 2),
+                _number(step.settling_s, 2),
+                _number(step.overshoot_bar, 4),
+            )
+    table.add_section()
+    whole = f"whole run{' (simulated)' if summary.simulated else ''}: mean error"
+    table.add_row(Text(whole, "bold"), Text(_number(summary.error_mm.mean, 2), "bold"))
+    table.add_row("largest error", _number(summary.error_mm.max, 2))
+    table.add_row("frames measured", f"{summary.frames_measured} of {summary.frames}")
+    if summary.lateness_max_us > 0:
+        table.add_row("deadlines missed", f"{summary.missed_deadlines} of {summary.ticks}")
+        late = (summary.lateness_p50_us, summary.lateness_p99_us, summary.lateness_max_us)
+        table.add_row("lateness p50/p99/max [us]", " / ".join(_number(us, 0) for us in late))
+    if "stolen_cpu_ms" in counters:
+        table.add_row("CPU time stolen by the host [ms]", str(counters["stolen_cpu_ms"]))
+    for name, period_ns in counters.items():
+        if (card := name.removesuffix("_scan_period_ns")) != name:
+            drift_ppm = counters.get(f"{card}_scan_drift_ppb", 0) * 1e-3
+            table.add_row(f"card {card} samples every [us]", f"{period_ns * 1e-3:.3f}")
+            table.add_row("longer by the computer's clock [ppm]", f"{drift_ppm:+.1f}")
+    return table
+
+
+def _number(value: float, digits: int) -> str:
+    """A number of a table: a dash where there is none, and a pressure that never settled took for ever."""
+    return "-" if math.isnan(value) else "never" if math.isinf(value) else f"{value:.{digits}f}"
+
+
+def recover(folder: Path) -> None:
+    """Make archives of orphaned journals, and say what became of each."""
+    check_search(folder)
+    outcomes = [o for o in recover_folder(folder) if o.fate is not Fate.ARCHIVED]
+    for outcome in outcomes:
+        typer.echo(f"{outcome.fate}  {outcome.archive or outcome.path}  {outcome.message}")
+    if not outcomes:
+        typer.echo(f"nothing to recover in {folder}")
+    if any(outcome.fate is Fate.UNREADABLE for outcome in outcomes):
+        raise typer.Exit(1)
+
+
+def runs(entries: Sequence[Entry], folder: Path, as_json: bool) -> None:
+    """The entries of a catalogue."""
+    if as_json:
+        typer.echo(json.dumps([asdict(entry) for entry in entries], indent=2))
+        return
+    if not entries:
+        typer.echo(f"no such archives in {folder}")
+        return
+    table = Table(box=None, padding=(0, 2, 0, 0))
+    table.add_column("run", no_wrap=True)  # to be copied whole
+    for head in ("status", "protocol", "rig", "operator", "mean error [mm]"):
+        table.add_column(head, overflow="fold")
+    for entry in entries:
+        rig = entry.rig + (" (simulated)" if entry.simulated else "")
+        error = "" if entry.mean_error_mm is None else f"{entry.mean_error_mm:.2f}"
+        status = entry.status or f"unreadable: {entry.problem}"
+        table.add_row(entry.run_id or entry.file, status, entry.protocol, rig, entry.operator, error)
+    console().print(table)

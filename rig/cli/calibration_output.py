@@ -1,0 +1,213 @@
+"""What the calibration commands print."""
+
+from __future__ import annotations
+
+from itertools import combinations
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from calibration.camera import PARAMETERS, CameraCalibration
+from calibration.mounting import Mounting
+from calibration.vision.transforms import RigidTransform
+from rig.config import calibration_schema
+from rig.config.optics import placement_of
+from rig.config.schema import RigConfig
+
+_WORST_SHOWN = 5
+
+
+def table(*heads: str, title: str | None = None) -> Table:
+    """A plain table: the first column is text, the others numbers."""
+    made = Table(box=None, padding=(0, 2, 0, 0), title=title, title_justify="left")
+    for k, head in enumerate(heads):
+        made.add_column(head, justify="right" if k else "left")
+    return made
+
+
+def written(made: Path, simulated: bool) -> str:
+    """Where a result lies, and whether it is one of the simulated bench."""
+    return f"{made}{' (simulated: nothing real was measured)' if simulated else ''}"
+
+
+def camera_facts(found: CameraCalibration, file: Path, picture: Path) -> dict[str, Any]:
+    """A camera's intrinsics for scripts."""
+    fx, fy, cx, cy, *distortion = (float(p) for p in found.parameters)
+    return {
+        "file": str(file),
+        "picture": str(picture),
+        "width_px": found.width_px,
+        "height_px": found.height_px,
+        "fx_px": fx,
+        "fy_px": fy,
+        "cx_px": cx,
+        "cy_px": cy,
+        "distortion": distortion,
+        "standard_uncertainty": dict(zip(PARAMETERS, map(float, found.std), strict=True)),
+        "rms_px": found.rms_px,
+        "coverage": found.coverage.share,
+        "views": {view.name: {"rms_px": view.rms_px, "sha256": view.sha256} for view in found.views},
+        "skipped": {view.name: view.reason for view in found.skipped},
+        "advice": found.advice,
+    }
+
+
+def camera(found: CameraCalibration, name: str, screen: Console) -> None:
+    """A camera's intrinsics, how well they fit, and what would make them better."""
+    values = table("parameter", "value", "+-")
+    for parameter, value, std in zip(PARAMETERS, found.parameters, found.std, strict=True):
+        values.add_row(parameter, f"{value:.5f}" if abs(value) < 10 else f"{value:.2f}", f"{std:.2g}")
+    screen.print(
+        f"{name}: {len(found.views)} views of {found.width_px}x{found.height_px}, rms {found.rms_px:.3f} px, "
+        f"{found.coverage.share:.0%} of the picture covered",
+        soft_wrap=True,
+    )
+    screen.print(values)
+    views = table("view", "rms [px]")
+    for view in found.views:
+        views.add_row(view.name, f"{view.rms_px:.3f}")
+    screen.print(views)
+    for left in found.skipped:
+        screen.print(Text(f"not used: {left.name}: {left.reason}", "yellow"), soft_wrap=True)
+    for line in found.advice:
+        screen.print(Text(line, "yellow"), soft_wrap=True)
+
+
+def pairs(places: dict[str, tuple[RigidTransform, NDArray[np.float64]]]) -> list[dict[str, Any]]:
+    """How each pair of cameras stands: distance of the centres and angle between the lines of sight."""
+    found: list[dict[str, Any]] = []
+    for (a, (one, _)), (b, (other, _)) in combinations(places.items(), 2):
+        turn = np.clip(float(one.rotation[:, 2] @ other.rotation[:, 2]), -1, 1)
+        found.append(
+            {
+                "cameras": [a, b],
+                "baseline_mm": float(np.linalg.norm(one.translation_m - other.translation_m)) * 1e3,
+                "angle_deg": float(np.degrees(np.arccos(turn))),
+            }
+        )
+    return found
+
+
+def dlt(
+    found: calibration_schema.DLTFile, places: dict[str, tuple[RigidTransform, NDArray[np.float64]]], screen: Console
+) -> None:
+    """Coefficients, places, residuals and test error of a DLT."""
+    values = table("", *(c.camera.name for c in found.cameras), title="coefficients (world in mm, undistorted px)")
+    for k in range(11):
+        cells = (f"{c.coefficients_px_mm[k]:.6g} +- {c.covariance[k][k] ** 0.5:.1g}" for c in found.cameras)
+        values.add_row(f"L{k + 1}", *cells)
+    values.add_row("rms [px]", *(f"{c.rms_px:.3f}" for c in found.cameras))
+    values.add_row("points", *(str(len(c.residuals_px) // 2) for c in found.cameras))
+    screen.print(values)
+    world = found.world if found.world == "rod base" else f"the board of view {found.world_view}"
+    stands = table("camera", "x [mm]", "y [mm]", "z [mm]", "+- [mm]", "+- [deg]", title=f"places in {world}")
+    for c in found.cameras:
+        p = c.placement
+        known = (f"{p.translation_std_mm:.2g}", f"{p.rotation_std_deg:.2g}") if c.placement_known else ("?", "?")
+        stands.add_row(c.camera.name, *(f"{v:.3f}" for v in p.translation_mm), *known)
+    screen.print(stands)
+    for pair in pairs(places):
+        names = " - ".join(pair["cameras"])
+        screen.print(f"{names}: baseline {pair['baseline_mm']:.3f} mm, {pair['angle_deg']:.2f} deg", soft_wrap=True)
+    screen.print(_worst_points(found))
+    if found.test_error is not None:
+        screen.print(_test_words(found), soft_wrap=True)
+    for left in found.left_out:
+        screen.print(Text(f"not used: {left.name}: {left.reason}", "yellow"), soft_wrap=True)
+
+
+def _worst_points(found: calibration_schema.DLTFile) -> Table:
+    every: list[tuple[str, str, float]] = []
+    for c in found.cameras:
+        sizes = np.linalg.norm(np.reshape(c.residuals_px, (-1, 2)), axis=1)
+        each = len(sizes) // len(c.points)
+        names = c.points if each == 1 else tuple(f"{view}:{k}" for view in c.points for k in range(each))
+        every += [(c.camera.name, name, float(size)) for name, size in zip(names, sizes, strict=True)]
+    every.sort(key=lambda item: -item[2])
+    shown = every if len(every) <= 4 * _WORST_SHOWN else every[:_WORST_SHOWN]
+    title = "residuals" if len(shown) == len(every) else f"largest of {len(every)} residuals (all are in the file)"
+    made = table("point", "camera", "residual [px]", title=title)
+    for camera, point, px in shown:
+        made.add_row(point, camera, f"{px:.3f}")
+    return made
+
+
+def _test_words(found: calibration_schema.DLTFile) -> str:
+    test = found.test_error
+    assert test is not None
+    if test.rms_mm is None:
+        return f"test ({test.method}): {test.points} points, rms {test.rms_px:.3f} px"
+    words = f"test ({test.method}): {test.points} points, rms {test.rms_mm:.4f} mm, worst {test.worst_mm:.4f} mm"
+    if test.square_mm is not None and found.board is not None:
+        words += f"; square by triangulation {test.square_mm:.4f} +- {test.square_std_mm:.4f} mm"
+        words += f" ({found.board.square_mm:g} stated)"
+    return words
+
+
+def tool(found: Mounting, stated: RigidTransform, screen: Console) -> None:
+    """Where the board is on the tip, beside what the rig states."""
+    std = np.sqrt(np.diag(found.covariance))
+    now, before = placement_of(found.board_in_tip), placement_of(stated)
+    values = table("board in the tip frame", "found", "+-", "the rig's file", title=f"{len(found.views)} views")
+    for k, axis in enumerate("xyz"):
+        values.add_row(f"{axis} [mm]", f"{now.translation_mm[k]:.3f}", f"{std[k] * 1e3:.2g}",
+                       f"{before.translation_mm[k]:.3f}")  # fmt: skip
+    for k, axis in enumerate("xyz"):
+        values.add_row(f"rotation {axis} [deg]", f"{now.rotation_deg[k]:.3f}", f"{np.rad2deg(std[3 + k]):.2g}",
+                       f"{before.rotation_deg[k]:.3f}")  # fmt: skip
+    screen.print(values)
+    views = table("view", "turned [deg]", "off [mm]", "off [deg]")
+    for v in found.views:
+        views.add_row(v.name, f"{np.rad2deg(v.angle_rad):.2f}", f"{v.residual_m * 1e3:.3f}",
+                      f"{np.rad2deg(v.residual_rad):.3f}")  # fmt: skip
+    screen.print(views)
+    for name, why, _ in found.left_out:
+        screen.print(Text(f"not used: {name}: {why}", "yellow"), soft_wrap=True)
+    if not any(v.turned for v in found.views):
+        line = "no views of the turned cap: the offset from the axis rests on the camera's place alone"
+        screen.print(Text(line, "yellow"), soft_wrap=True)
+
+
+def pressure(
+    sensors: tuple[calibration_schema.SensorCalibration, ...],
+    valves: tuple[calibration_schema.ValveCalibration, ...],
+    config: RigConfig,
+    screen: Console,
+) -> None:
+    """Scales and valves, beside what the rig states."""
+    if sensors:
+        made = table("sensor", "bar per V", "+-", "offset [bar]", "+-", "rms [bar]", "the rig's file")
+        for s in sensors:
+            stated = next(c for c in config.sensors if c.actuator == s.actuator)
+            scale = (stated.span_bar[1] - stated.span_bar[0]) / (stated.span_V[1] - stated.span_V[0])
+            made.add_row(
+                str(s.actuator), f"{s.scale_bar_per_V:.5f}", f"{s.covariance[1][1] ** 0.5:.1g}", f"{s.offset_bar:.4f}",
+                f"{s.covariance[0][0] ** 0.5:.1g}", f"{s.rms_bar:.4f}",
+                f"{scale:.5f}, {stated.span_bar[0] - scale * stated.span_V[0]:.4f}",
+            )  # fmt: skip
+        screen.print(made)
+    for v in valves:
+        before = config.valves[v.valve - 1]
+        made = table(f"valve {v.valve}", "found", "+-", "the rig's file")
+        stated_of = before.model_dump()
+        for key, std in (("closed_V", v.closed_std_V), ("dead_zone_V", v.dead_zone_std_V), ("hysteresis_V", None),
+                         ("leakage_l_min", v.leakage_std_l_min), ("full_flow_l_min", None)):  # fmt: skip
+            stated_text = f"{stated_of[key]:g}" if key in stated_of else ""
+            made.add_row(key, f"{getattr(v, key):.4g}", "" if std is None else f"{std:.2g}", stated_text)
+        screen.print(made)
+        curve = table("V from closed", "l/min at 6 -> 5 bar", "+-")
+        for volts, share, std_share in zip(v.flow_curve_V, v.flow_curve_percent, v.flow_curve_std_percent, strict=True):
+            beyond = "" if volts <= v.measured_to_V + 1e-9 else "  (the rig's curve, scaled)"
+            scale = v.full_flow_l_min / 100
+            curve.add_row(f"{volts:.3f}", f"{share * scale:.3f}", f"{std_share * scale:.2g}{beyond}")
+        screen.print(curve)
+        screen.print(
+            f"every flow rests on {v.volume_ml:g} +- {v.volume_std_ml:g} ml of air: "
+            f"{v.volume_std_ml / v.volume_ml:.0%} more uncertainty, the same for all",
+            soft_wrap=True,
+        )

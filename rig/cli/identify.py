@@ -1,0 +1,214 @@
+"""`rig identify`: from archives to the parameters of an arm."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from rig.cli.options import Archives, AsJson
+
+if TYPE_CHECKING:
+    from calibration.identify import Prior
+
+FIGURES = (".png", ".pdf", ".svg")
+
+
+def identify(
+    archives: Archives,
+    free: Annotated[
+        str,
+        typer.Option(
+            help="What is free, by commas: tool, cap_mass_kg, .. Default: law, rpe_per_bar, base, sensor_offsets, and "
+            "damping_s where a run moves.",
+        ),
+    ] = "",
+    prior: Annotated[
+        list[str] | None, typer.Option(metavar="NAME=MEAN+-STD", help="What is known beforehand; may be repeated.")
+    ] = None,
+    start: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="RIG",
+            help="Rig to start from, a name or a file, instead of the first run's; of several the likeliest wins.",
+        ),
+    ] = None,
+    starts: Annotated[int, typer.Option(help="Starting points of the search.", min=1)] = 1,
+    bootstrap: Annotated[int, typer.Option(metavar="N", help="Refit N times for a second opinion on +-.", min=0)] = 0,
+    scheduler: Annotated[
+        str | None,
+        typer.Option(metavar="tcp://HOST:PORT", help="Dask scheduler for refits and --choose; default: all cores."),
+    ] = None,
+    store: Annotated[Path | None, typer.Option(metavar="DIR", help="Keep what is done there, to resume.")] = None,
+    profile: Annotated[bool, typer.Option("--profile", help="Profile likelihood of every shared parameter.")] = False,
+    leave_out: Annotated[
+        list[Path] | None,
+        typer.Option("--leave-out", "--predict", metavar="RUN", help="Predict this run, unseen; may be repeated."),
+    ] = None,
+    until: Annotated[
+        float | None,
+        typer.Option(metavar="S", help="Identify from each run's first S seconds, and predict the rest of it.", min=0),
+    ] = None,
+    quasi_static: Annotated[
+        bool, typer.Option("--quasi-static", help="Take every frame as an equilibrium, as of slow imported motions.")
+    ] = False,
+    every: Annotated[
+        int,
+        typer.Option(
+            metavar="N", help="Of --quasi-static, identify from every Nth frame: neighbours tell the same.", min=1
+        ),
+    ] = 1,
+    choose: Annotated[
+        bool, typer.Option("--choose", help="Compare the paper's models by predicting each run from the others.")
+    ] = False,
+    paper: Annotated[
+        bool, typer.Option("--paper", help="The paper's own identification, from its two extension experiments.")
+    ] = False,
+    report: Annotated[Path | None, typer.Option(metavar="FILE", help="Write a report page (HTML).")] = None,
+    figure: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Draw what was predicted, before and after (png, pdf, svg).")
+    ] = None,
+    to: Annotated[Path | None, typer.Option("--to", metavar="FILE", help="Write the parameters (YAML).")] = None,
+    rig: Annotated[
+        str | None, typer.Option("--rig", help="Rig that --rig-file starts from; default: the one that the search did.")
+    ] = None,
+    rig_file: Annotated[
+        Path | None, typer.Option("--rig-file", metavar="FILE", help="Write the rig with the parameters in it.")
+    ] = None,
+    json: AsJson = False,
+) -> None:
+    """Find an arm's parameters from runs, with error bars, or say that the runs do not tell them."""
+    import numpy as np
+
+    from calibration.identify import parted
+    from calibration.identify.held_out_prediction import predict
+    from calibration.identify.parameters_document import write
+    from rig.identify import estimation, initial_setup
+
+    whole = {
+        "--start": start, "--starts": starts > 1, "--bootstrap": bootstrap, "--profile": profile,
+        "--leave-out": leave_out, "--until": until is not None, "--every": every > 1, "--report": report,
+        "--figure": figure, "--to": to, "--rig-file": rig_file,
+    }  # fmt: skip
+    shared = {
+        "--free": free, "--prior": prior, "--quasi-static": quasi_static, "--scheduler": scheduler, "--store": store,
+    }  # fmt: skip
+    if choose or paper:
+        _refuse("neither --choose nor --paper takes it", whole)
+    if paper:
+        _refuse("--paper does not take it", {**shared, "--choose": choose})
+    if not quasi_static:
+        _refuse("only frames taken as equilibria can be left out: say --quasi-static", {"--every": every > 1})
+    if until is None and not leave_out:
+        _refuse("nothing is predicted: say --leave-out or --until", {"--figure": figure})
+    if not (choose or bootstrap):
+        _refuse("there is nothing to spread: say --bootstrap or --choose", {"--scheduler": scheduler, "--store": store})
+    if rig_file is None:
+        said = (
+            "it is the rig that --rig-file writes the parameters into; to begin the search at another rig say --start"
+        )
+        _refuse(said, {"--rig": rig})
+    elif to is None:
+        to = rig_file.with_suffix(".parameters.yaml")
+    if bootstrap == 1:
+        _refuse("one refit has no scatter: at least two", {"--bootstrap": bootstrap})
+    _check_places({"--report": report, "--figure": figure, "--to": to, "--rig-file": rig_file})
+    priors = _priors(prior or [])
+    names = [name.strip() for name in free.split(",") if name.strip()]
+    unseen = initial_setup.opened(leave_out or [])
+    left_out = {run.sha256 for run in unseen}
+    seen = [run for run in initial_setup.opened(archives) if run.sha256 not in left_out]
+    if not seen:
+        raise typer.BadParameter("every run is left out: nothing is left to identify from", param_hint="--leave-out")
+    initial_setup.check_alike([*seen, *unseen], one_arm=bool(start))
+    if paper:
+        from rig.reproduce import identification as by_the_paper
+
+        by_the_paper.show(seen, json)
+        return
+    if choose:
+        from rig.identify import model_comparison
+
+        model_comparison.comparison_lines(seen, names, priors, quasi_static, json, scheduler, store)
+        return
+    rigs = initial_setup.starting_rigs(seen[0], start or [])
+    data = estimation.shown(seen, quasi_static)
+    for name, begun in rigs.items():
+        if begun.config.actuators != data[0].actuators:
+            said = f"{name} has {begun.config.actuators} actuators, the runs have {data[0].actuators}"
+            raise typer.BadParameter(said, param_hint="--start")
+    base = None if rig is None else initial_setup.InitialSetup.named(rig)
+    if base is not None and (said := initial_setup.another_arm(base, rigs.values())):
+        raise typer.BadParameter(f"{rig} has another arm than the search begins at: {said}", param_hint="--rig")
+    later = estimation.shown(unseen, quasi_static)
+    for poses in later:
+        if poses.actuators != data[0].actuators:
+            said = f"{poses.run_id} is of {poses.actuators} actuators, the others are of {data[0].actuators}"
+            raise typer.BadParameter(said, param_hint="--leave-out")
+    if until is not None:
+        parts = [parted(poses, until) for poses in data]
+        data, later = [part[0] for part in parts], [part[1] for part in parts] + later
+    data = [poses.only(np.arange(0, len(poses), every)) for poses in data]
+    taken, fit = estimation.likeliest(rigs, data, names, priors, starts)
+    under = initial_setup.baseline_geometry(seen[0], fit.start, begun_there=not start)
+    estimation.show(fit, json, under)
+    predictions = [predict(fit, poses) for poses in later]
+    estimation.told(predictions)
+    profiles = estimation.profiled(fit) if profile else ()
+    refits = estimation.second_opinion(fit, bootstrap, scheduler, store) if bootstrap else None
+    if figure is not None:
+        typer.echo(estimation.draw_predictions(predictions, figure), err=json)
+    if report is not None:
+        from calibration.identify.report import write as write_report
+
+        truth = initial_setup.truth_of(seen[0])
+        typer.echo(write_report(fit, report, profiles, refits, predictions, truth), err=json)
+    if to is not None:
+        written = write(fit, to, profiles, under)
+        typer.echo(written, err=json)
+        if rig_file is not None:
+            rig_file.parent.mkdir(parents=True, exist_ok=True)
+            rig_file.write_text(estimation.rig_with(base or taken, written), encoding="utf-8")
+            typer.echo(rig_file, err=json)
+
+
+def _check_places(places: Mapping[str, Path | None]) -> None:
+    """Refuse, before anything is computed, files that cannot be written where they are asked for."""
+    for option, place in places.items():
+        if place is None:
+            continue
+        if place.is_dir():
+            raise typer.BadParameter(f"{place}: name a file, not a folder", param_hint=option)
+        if (above := next(folder for folder in place.parents if folder.exists())) and not above.is_dir():
+            raise typer.BadParameter(f"{place}: {above} is a file, not a folder", param_hint=option)
+        if option == "--figure" and place.suffix.lower() not in FIGURES:
+            raise typer.BadParameter(f"{place}: a name that ends with .png, .pdf or .svg", param_hint=option)
+
+
+def _refuse(why: str, options: Mapping[str, object]) -> None:
+    """Say of the options that were given why they cannot be."""
+    if given := [name for name, value in options.items() if value]:
+        raise typer.BadParameter(why, param_hint=", ".join(given))
+
+
+def _priors(items: Sequence[str]) -> dict[str, Prior]:
+    """What is known beforehand, by name, from NAME=MEAN+-STD."""
+    from calibration.identify import Prior
+
+    priors: dict[str, Prior] = {}
+    for item in items:
+        name, _, numbers = item.partition("=")
+        mean, _, std = numbers.partition("+-")
+        if name in priors:
+            raise typer.BadParameter(f"{name} is given twice", param_hint="--prior")
+        try:
+            known = float(mean), float(std)
+        except ValueError as fault:
+            raise typer.BadParameter(f"'{item}' is not of the form NAME=MEAN+-STD", param_hint="--prior") from fault
+        try:
+            priors[name] = Prior(*known)
+        except ValueError as fault:
+            raise typer.BadParameter(f"'{item}': {fault}", param_hint="--prior") from fault
+    return priors

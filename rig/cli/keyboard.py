@@ -1,0 +1,61 @@
+"""Single keys from the terminal, without waiting for Enter and without stopping the program in the background."""
+
+from __future__ import annotations
+
+import os
+import select
+import sys
+import termios
+import tty
+from types import TracebackType
+from typing import Any
+
+
+class Keyboard:
+    """While entered, keys arrive one by one; where standard input is no terminal there are none.
+
+    Only the foreground process may touch the terminal: a program in the background that tries is stopped by the
+    kernel, and a stopped run is an aborted one.
+    """
+
+    def __init__(self) -> None:
+        self.ended = False
+        """True once standard input has ended: nobody is there to press anything."""
+        self._before: list[Any] | None = None
+
+    def __enter__(self) -> Keyboard:
+        if self._foreground():
+            self._before = termios.tcgetattr(sys.stdin)
+            tty.setcbreak(sys.stdin, termios.TCSANOW)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._before is not None and self._foreground():
+            termios.tcsetattr(sys.stdin, termios.TCSANOW, self._before)
+
+    def pressed(self) -> str:
+        """What was typed since the last call; from a pipe or a file, what it holds."""
+        if self.ended or not self._readable():
+            return ""
+        try:
+            data = os.read(sys.stdin.fileno(), 256)
+        except OSError:  # the terminal has gone
+            data = b""
+        self.ended = not data
+        return data.decode(errors="replace")
+
+    def _readable(self) -> bool:
+        try:
+            return (not os.isatty(sys.stdin.fileno()) or self._foreground()) and bool(
+                select.select([sys.stdin], [], [], 0)[0]
+            )
+        except (OSError, ValueError):
+            return False
+
+    def _foreground(self) -> bool:
+        try:
+            return os.tcgetpgrp(sys.stdin.fileno()) == os.getpgrp()
+        except (OSError, ValueError):
+            return False

@@ -1,0 +1,100 @@
+"""`rig reproduce`: the paper's results beside ours."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from rig.cli.options import AsJson
+
+
+class Result(StrEnum):
+    """What of the paper."""
+
+    MODULUS = "modulus"
+    TABLE3 = "table3"
+    TABLE4 = "table4"
+    TABLE5 = "table5"
+    FIG9 = "fig9"
+    FIG10 = "fig10"
+    FIG11 = "fig11"
+    FIG12 = "fig12"
+    FIG13 = "fig13"
+    FIG14 = "fig14"
+    ALL = "all"
+
+
+def reproduce(
+    what: Annotated[Result, typer.Argument(help="The printed E (5.2.2), a table, a figure, or all of them.")],
+    out: Annotated[
+        Path, typer.Option("--out", metavar="DIR", help="Folder of the figures and the page.", file_okay=False)
+    ] = Path("data/paper"),
+    runs: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="DIR",
+            help="Archives of the paper's six protocols; what is missing is simulated there. Default: --out/runs.",
+            file_okay=False,
+        ),
+    ] = None,
+    json: AsJson = False,
+) -> None:
+    """Compute a result of the paper again, beside the printed one, and say why they differ."""
+    import json as writer
+
+    from rig.cli import reproduction_output
+    from rig.cli.run_output import console
+    from rig.reproduce.comparison import PaperComparison, PaperFigure
+
+    screen, told = console(stderr=json), console(stderr=True)
+    everything = what is Result.ALL
+    found: dict[str, object] = {}
+    rows: list[PaperComparison] = []
+    drawings: list[PaperFigure] = []
+    remarks: list[str] = []
+    if what is Result.MODULUS or everything:
+        from calibration.identify.paper_identification import published_modulus
+
+        modulus = published_modulus()
+        found["modulus"] = asdict(modulus)
+        remarks.append(f"E of 5.2.2: {modulus.explanation}")
+        screen.print(f"{remarks[-1]}\n", soft_wrap=True)
+    if what is Result.TABLE3 or everything:
+        from rig.reproduce.table3 import table3, verdict
+
+        rules = table3()
+        said = verdict(rules)
+        found["table3"] = {"rows": [asdict(row) for row in rules], "verdict": said}
+        remarks.append(f"Table 3, by the printed numbers alone: {said}")
+        screen.print(reproduction_output.table3(rules))
+        screen.print(f"{said}\n", soft_wrap=True)
+    if what is Result.TABLE4 or everything:
+        from rig.reproduce.table4 import drawing, run_times, table4
+
+        methods = table4(told=lambda line: told.print(line))
+        found["table4"] = [asdict(method) for method in methods]
+        rows += run_times(methods)
+        drawings.append(drawing(methods))
+        screen.print("Table 4: run times per simulated second, stability, errors against a converged reference")
+        screen.print(reproduction_output.table4(methods))
+    from rig.reproduce.all_results import NEEDS, results
+
+    wanted = tuple(NEEDS) if everything else (what.value,) if what.value in NEEDS else ()
+    # What Table 3 says by the print alone needs no experiment, unless there are archives to hold it against.
+    if wanted and not (what is Result.TABLE3 and runs is None):
+        came = results(wanted, runs or out / "runs", everything, lambda line: told.print(line))
+        rows += came.rows
+        drawings += came.drawings
+        found["compared"] = [asdict(row) for row in came.rows]
+        screen.print(reproduction_output.compared(came.rows))
+    if drawings:
+        from rig.reproduce.page import write
+
+        page = write(out, rows, drawings, remarks)
+        screen.print(f"page and figures  {page}", soft_wrap=True)
+    if json:
+        typer.echo(writer.dumps(found, indent=2))

@@ -1,0 +1,53 @@
+"""What `rig reproduce` shows on the terminal."""
+
+from __future__ import annotations
+
+from rich.table import Table
+
+from rig.reproduce.comparison import PaperComparison
+from rig.reproduce.table3 import PRINTED, Table3Row
+from rig.reproduce.table4 import HORIZON_S, Table4Row
+
+
+def table3(rows: tuple[Table3Row, ...]) -> Table:
+    """Distances of the homogeneous models from the inhomogeneous one, under each rule and reading."""
+    table = Table(box=None, padding=(0, 2, 0, 0), title="Table 3: mean distance from the inhomogeneous model [%]")
+    for head in ("rule for E_i", "reading of the error", "no RPE", "with RPE", "possible"):
+        table.add_column(head)
+    table.add_row("printed", "", f"{PRINTED[0]:.2f}", f"{PRINTED[1]:.2f}", "")
+    for row in rows:
+        possible = "yes" if row.possible else "no"
+        table.add_row(row.rule, row.reading, f"{row.homogeneous:.2f}", f"{row.radial:.2f}", possible)
+    return table
+
+
+def compared(rows: tuple[PaperComparison, ...]) -> Table:
+    """Results of the paper beside what came out here."""
+    table = Table(box=None, padding=(0, 2, 0, 0))
+    for head in ("item", "what", "paper", "here", "by", "why different"):
+        table.add_column(head, overflow="fold")
+    for row in rows:
+        table.add_row(row.item, row.what, row.paper, row.here, row.origin, row.why)
+    return table
+
+
+def table4(rows: tuple[Table4Row, ...]) -> Table:
+    """The paper's Table 4 beside what is computed here; times are per simulated second."""
+    table = Table(box=None, padding=(0, 2, 0, 0))
+    for head in ("along the arm", "N", "in time", "paper [s]", "its method [s]", "ours [ms]", "holds for [s]"):
+        table.add_column(head, justify="left" if head in ("along the arm", "in time") else "right", no_wrap=True)
+    for head in ("error [mm]", "ours [mm]"):
+        table.add_column(head, justify="right")
+    for row in rows:
+        table.add_row(
+            row.space,
+            str(row.steps),
+            row.scheme,
+            "unstable" if row.printed_s is None else f"{row.printed_s:.4f}",
+            f"{row.faithful_s:.4f}",
+            f"{row.ours_s * 1e3:.3f}",
+            f"{row.held_s:.1f}" if row.held_s < HORIZON_S else f"> {HORIZON_S:g}",
+            f"{row.error_mm:.4f}",
+            f"{row.ours_error_mm:.4f}",
+        )
+    return table

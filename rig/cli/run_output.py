@@ -1,0 +1,204 @@
+"""What the terminal shows before and after a run."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from contextlib import suppress
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from rich.console import Console, Group
+from rich.table import Table
+from rich.text import Text
+
+from rig.config.schema import PA_PER_BAR, RigConfig
+from rig.control.step import safe_voltages
+from rig.execution.plan import Plan
+from rig.experiment.preflight import peak_pa
+from rig.experiment.run import RunRequest, RunResult
+from runs.records import Status
+
+if TYPE_CHECKING:
+    from rig.doctor.finding import Finding
+
+_EXIT = {Status.FINISHED: 0, Status.ABORTED: 1, Status.INTERRUPTED: 130}
+_VERDICT = {"ok": "green", "missing": "bold red", "note": "yellow"}
+_STATUS = {Status.FINISHED: "bold green", Status.ABORTED: "bold red", Status.INTERRUPTED: "bold yellow"}
+
+
+def console(stderr: bool = False) -> Console:
+    """The console of every screen; wide enough for its tables where the output is a file."""
+    plain = Console(highlight=False, markup=False, stderr=stderr)
+    return plain if plain.is_terminal else Console(highlight=False, markup=False, stderr=stderr, width=110)
+
+
+def title(request: RunRequest) -> str:
+    """One line that names a run."""
+    how = "virtual time" if request.fast else "real time"
+    marked = " (simulated)" if request.config.simulated else ""
+    return f"{request.protocol.name} on {request.config.name}{marked}, {how}, model {request.variant}"
+
+
+def check_screen(request: RunRequest, plan: Plan) -> Group:
+    """What is about to happen: limits, peak pressure, valves, duration."""
+    config, trajectory = plan.config, plan.trajectory
+    facts = Table(box=None, show_header=False, padding=(0, 2, 0, 0))
+    facts.add_row("protocol", f"{request.protocol.name}: {request.protocol.title}")
+    facts.add_row("duration", f"{trajectory.duration_s:.1f} s, {_counted(len(trajectory.segments), 'segment')}")
+    if trajectory.prompts:
+        facts.add_row("operator", _counted(len(trajectory.prompts), "prompt"))
+    limits = config.limits
+    stopped_bar = limits.pressure_bar + limits.pressure_margin_bar
+    held = f"{limits.pressure_bar:g} bar in each chamber, ends above {stopped_bar:g} bar"
+    facts.add_row("limits", f"{held}; {limits.rate_bar_per_s:g} bar/s")
+    facts.add_row("rig", config.name + _how_simulated(config))
+    facts.add_row("model", f"{request.variant}, {config.model.mode}")
+    peak = peak_bar(plan)
+    table = Table(box=None, padding=(0, 2, 0, 0))
+    for head in ("valve", "actuators", "output", "peak [bar]", "limit [bar]", "safe state"):
+        # On a narrow terminal words may be broken; a number must not be.
+        number = "bar" in head
+        table.add_column(head, justify="right" if number else "left", overflow="fold", min_width=5 if number else None)
+    for i, (valve, safe) in enumerate(zip(config.valves, safe_voltages(config), strict=True), 1):
+        actuators = ", ".join(str(a) for a in valve.actuators)
+        highest = max(peak[a - 1] for a in valve.actuators)
+        where = f"{valve.card} AO {valve.channel}"
+        state = f"{valve.safe_state} ({safe:g} V)"
+        table.add_row(str(i), actuators, where, f"{highest:.3f}", f"{limits.pressure_bar:.3f}", state)
+    return Group(facts, table)
+
+
+def _counted(number: int, what: str) -> str:
+    return f"{number} {what}{'' if number == 1 else 's'}"
+
+
+def _how_simulated(config: RigConfig) -> str:
+    real = [name for name, card in config.cards.items() if card.driver != "mock"]
+    if real:
+        return f" (SIMULATED in part: card {', '.join(real)} is real)" if config.simulated else ""
+    return " (SIMULATED: no hardware is touched)"
+
+
+def peak_bar(plan: Plan) -> list[float]:
+    """Highest set-point of each actuator [bar]."""
+    return [pa / PA_PER_BAR for pa in peak_pa(plan.trajectory)]
+
+
+def check_json(request: RunRequest, plan: Plan) -> str:
+    """The check screen for scripts."""
+    return json.dumps(
+        {
+            "protocol": request.protocol.name,
+            "rig": request.config.name,
+            "simulated": request.config.simulated,
+            "duration_s": plan.trajectory.duration_s,
+            "segments": len(plan.trajectory.segments),
+            "prompts": len(plan.trajectory.prompts),
+            "peak_bar": peak_bar(plan),
+            "limit_bar": request.config.limits.pressure_bar,
+        },
+        indent=2,
+    )
+
+
+def sketch(plan: Plan, width: int, height: int = 10) -> Text:
+    """The set-points over time as a small plot of characters; actuators that move alike share a mark."""
+    columns = max(20, min(width, 110) - 12)
+    times = np.linspace(0.0, plan.trajectory.duration_s, columns)
+    levels = plan.trajectory.sample(times) / PA_PER_BAR
+    alike: dict[bytes, list[int]] = {}
+    for actuator, column in enumerate(levels.T, 1):
+        alike.setdefault(column.tobytes(), []).append(actuator)
+    top = max(peak_bar(plan))
+    lines_up = height if top > 0 else 0
+    grid = [[" "] * columns for _ in range(lines_up + 1)]
+    for numbers in reversed(alike.values()):
+        for column, level in enumerate(levels[:, numbers[0] - 1]):
+            grid[round(lines_up * (1 - float(level) / top)) if lines_up else 0][column] = str(numbers[0])
+    digits = 2 if top >= 0.1 or not lines_up else 4
+    lines = [f"{top * (1 - i / max(lines_up, 1)):6.{digits}f} bar {''.join(row)}" for i, row in enumerate(grid)]
+    end = f"{plan.trajectory.duration_s:.0f} s"
+    lines.append(" " * 11 + "0 s" + end.rjust(columns - 3))
+    lines += [f"{numbers[0]}: actuators {', '.join(map(str, numbers))}" for numbers in alike.values() if numbers[1:]]
+    return Text("\n".join(lines), no_wrap=True, overflow="crop")
+
+
+def confirm(screen: Console) -> bool:
+    """Ask for the key that arms the rig."""
+    if not sys.stdin.isatty():
+        screen.print("standard input is no terminal: nobody can be asked; say --yes to arm")
+        return False
+    try:
+        return screen.input("Arm the rig and run? [y/N] ", markup=False).strip().lower() in ("y", "yes")
+    except (EOFError, UnicodeDecodeError):
+        return False
+
+
+def last_screen(screen: Console, result: RunResult) -> None:
+    """How the run ended, what it measured, and where it lies. A terminal that has gone changes none of it."""
+    outcome = result.outcome
+    ending = f"{outcome.status}: {outcome.message}" if outcome.message else str(outcome.status)
+    parts: list[Text | Table | str] = [Text(ending, _STATUS[outcome.status])]
+    if result.archive is not None:
+        from rig.cli.archive_output import summary_table
+        from runs.run import Run
+        from runs.summary import summarise
+
+        run = Run(result.archive)
+        parts += [summary_table(summarise(run), run.timing.counters), f"archive  {result.archive}"]
+    if result.report is not None:
+        parts.append(f"report   {result.report}")
+    if result.parameters is not None:
+        parts.append(f"adapted  {result.parameters}  (use them: --parameters FILE)")
+    parts += [Text(trouble, "bold red") for trouble in result.trouble]
+    try:
+        for part in parts:
+            screen.print(part, soft_wrap=not isinstance(part, Table))
+    except (OSError, SystemExit):  # the latter is rich's answer to a pipe that nobody reads any more
+        # What its stream still holds would be tried again at the program's end, whose exit status is the run's.
+        with suppress(OSError), Path(os.devnull).open("w") as nowhere:
+            os.dup2(nowhere.fileno(), screen.file.fileno())
+
+
+def result_json(result: RunResult) -> str:
+    """How the run ended, for scripts."""
+    from rig.cli.archive_output import summary_json
+
+    return json.dumps(
+        {
+            "status": str(result.outcome.status),
+            "message": result.outcome.message,
+            "archive": str(result.archive) if result.archive else None,
+            "report": str(result.report) if result.report else None,
+            "parameters": str(result.parameters) if result.parameters else None,
+            "trouble": result.trouble,
+            "counters": result.outcome.counters,
+            "summary": summary_json(result.archive) if result.archive else None,
+        },
+        indent=2,
+    )
+
+
+def exit_status(result: RunResult) -> int:
+    """0 finished, 1 aborted or not archived, 130 interrupted."""
+    return _EXIT[result.outcome.status] or (1 if result.trouble else 0)
+
+
+def findings_table(findings: tuple[Finding, ...]) -> Table:
+    """What `rig doctor` found."""
+    table = Table(box=None, padding=(0, 2, 0, 0))
+    for head in ("", "topic", "found", "what to do"):
+        table.add_column(head, overflow="fold")
+    for finding in findings:
+        remedy = "" if finding.verdict == "ok" else finding.remedy
+        table.add_row(Text(finding.verdict, _VERDICT[finding.verdict]), finding.topic, finding.found, remedy)
+    return table
+
+
+def findings_json(findings: tuple[Finding, ...]) -> str:
+    """What `rig doctor` found, for scripts."""
+    return json.dumps([asdict(finding) for finding in findings], indent=2)

@@ -1,0 +1,1 @@
+"""The rig file: its schema, consistency checks, loader and overlays."""

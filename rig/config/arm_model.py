@@ -1,0 +1,90 @@
+"""The rig's arm as a model: the one it is believed to be, and the simulator's true one."""
+
+from __future__ import annotations
+
+import numpy as np
+
+import model
+from rig.config.schema import Geometry, Material, RigConfig, Variant
+
+GRAVITY_M_S2 = 9.81
+
+
+def model_arm(config: RigConfig, variant: Variant | None = None) -> model.Arm:
+    """The arm as the rig's file describes it; `variant` other than the file's on request."""
+    arm = config.arm
+    return _arm(config, arm.geometry, arm.material, arm.cap_mass_g, variant or config.model.variant)
+
+
+def true_arm(config: RigConfig) -> model.Arm:
+    """The arm that hangs in the simulator.
+
+    Raises:
+        ValueError: the rig has no simulator.
+    """
+    if config.simulator is None:
+        raise ValueError(f"rig {config.name} has no simulator section")
+    truth = config.simulator
+    return _arm(config, true_geometry(config), truth.material, truth.cap_mass_g, "inhomogeneous+rpe")
+
+
+def true_geometry(config: RigConfig) -> Geometry:
+    """The geometry of the arm that hangs in the simulator; the stated one where nothing else is said."""
+    truth = config.simulator
+    return config.arm.geometry if truth is None or truth.geometry is None else truth.geometry
+
+
+def model_geometry(geometry: Geometry) -> model.Geometry:
+    """The YAML's geometry in SI."""
+    return model.Geometry.on_circle(
+        geometry.length_mm * 1e-3,
+        geometry.inner_radius_mm * 1e-3,
+        geometry.outer_radius_mm * 1e-3,
+        geometry.circle_radius_mm * 1e-3,
+        geometry.actuator_angles_deg,
+    )
+
+
+def model_material(material: Material) -> model.Material:
+    """The YAML's material."""
+    return model.Material(
+        youngs_modulus_pa=material.youngs_modulus_pa,
+        a1_per_n=material.a1_per_N,
+        a2_per_n2=material.a2_per_N2,
+        rpe_per_bar=material.rpe_per_bar,
+        shear_ratio=material.shear_ratio,
+        density_kg_m3=material.density_kg_m3,
+        damping_s=material.damping_s,
+    )
+
+
+class TipLoad:
+    """What hangs on the end cap, as the load of a model; the same weight gives the same object."""
+
+    def __init__(self, config: RigConfig) -> None:
+        self._gravity_m_s2 = np.array(gravity_m_s2(config))
+        self._loads: dict[float, model.Loads | None] = {0.0: None}
+
+    def carrying(self, weight_kg: float) -> model.Loads | None:
+        """A dead load of so many kilograms at the tip; None for nothing."""
+        if weight_kg not in self._loads:
+            self._loads[weight_kg] = model.Loads(tip_force_n=weight_kg * self._gravity_m_s2)
+        return self._loads[weight_kg]
+
+
+def gravity_m_s2(config: RigConfig) -> tuple[float, float, float]:
+    """Gravity in the rod-base frame."""
+    direction = np.array(config.arm.gravity_direction)
+    x, y, z = GRAVITY_M_S2 * direction / np.linalg.norm(direction)
+    return float(x), float(y), float(z)
+
+
+def _arm(config: RigConfig, geometry: Geometry, material: Material, cap_mass_g: float, variant: Variant) -> model.Arm:
+    return model.Arm(
+        model_geometry(geometry),
+        model_material(material),
+        variant=variant,
+        cap_mass_kg=cap_mass_g * 1e-3,
+        gravity_m_s2=gravity_m_s2(config),
+        rod_weight=config.arm.gravity_on_rod,
+    )

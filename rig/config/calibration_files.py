@@ -1,0 +1,148 @@
+"""Calibration files on disk: read with every fault at its line, written with their origin, never over another."""
+
+from __future__ import annotations
+
+import hashlib
+import shlex
+import sys
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from protocols import BadInputError, Problem, document
+from protocols.document import Document
+from protocols.problems import closest
+from rig.config.calibration_schema import KINDS, AnyFile, CalibrationFile, Software
+from rig.experiment.provenance import git_state, versions
+
+SUFFIX = ".yaml"
+_VIEWS = "-views"
+LARGEST = 2_000_000
+"""Residuals of many cameras and views make a long file."""
+
+
+@dataclass(frozen=True)
+class LoadedCalibration:
+    """A calibration file that was read: what it says, and its text, verbatim."""
+
+    found: AnyFile
+    source: Document
+
+    @property
+    def sha256(self) -> str:
+        """Of the text."""
+        return hashlib.sha256(self.source.text.encode()).hexdigest()
+
+    def problem(self, path: tuple[str | int, ...], value: object, expected: str) -> Problem:
+        """A fault of one of the file's values."""
+        mark = self.source.mark(path)
+        where = ", ".join(str(step) for step in path)
+        return Problem(self.source.file, mark.line, mark.column, where, str(value), expected)
+
+
+def read(path: Path) -> LoadedCalibration:
+    """Read a calibration file of any kind; `BadInput` with everything that is wrong with it."""
+    return parse(document.parse(document.read_text(path, LARGEST), str(path)))
+
+
+def parse(source: Document) -> LoadedCalibration:
+    """The calibration that a document holds; see `read`."""
+    kind = source.data.get("kind")
+    model = KINDS.get(kind) if isinstance(kind, str) else None
+    if model is None:
+        mark = source.mark(("kind",))
+        known = f"one of {', '.join(KINDS)}: a file that `rig calibrate` wrote"
+        if "kind" not in source.data:
+            raise BadInputError([Problem(source.file, 0, 0, "kind", "", f"is missing: {known}")])
+        raise BadInputError(
+            [Problem(source.file, mark.line, mark.column, "kind", mark.source, known, closest(str(kind), KINDS))]
+        )
+    found: AnyFile = document.validate(model, source)
+    return LoadedCalibration(found, source)
+
+
+def origin(note: str = "") -> dict[str, Any]:
+    """What every new file says of itself: format, date, software, command line."""
+    commit, diff = git_state()
+    return {
+        "softrig_calibration": 1,
+        "made": datetime.now(UTC).isoformat(timespec="seconds"),
+        "software": Software(versions=versions(), git_commit=commit, git_changed=bool(diff)),
+        "command": shlex.join(sys.argv),
+        "note": note,
+    }
+
+
+def text_of(found: CalibrationFile) -> str:
+    """A calibration as YAML."""
+    data = found.model_dump(mode="json", exclude_none=True)
+    first = {key: data.pop(key) for key in ("softrig_calibration", "kind", "made")}
+    head = "# A calibration by softrig. Name it under `calibrations:` in a rig's file to use it.\n"
+    return head + yaml.safe_dump({**first, **data}, sort_keys=False, width=120, default_flow_style=None)
+
+
+def default_path(stem: str, folder: Path = Path()) -> Path:
+    """Where a new file goes when nothing is said: named after what was calibrated and the day, beside no other."""
+    dated = f"{stem}-{datetime.now():%Y-%m-%d}"
+    name, n = dated, 1
+    # Pictures and views that lie beside a file carry its name.
+    while any((folder / f"{name}{end}").exists() for end in (SUFFIX, ".png", _VIEWS)):
+        n += 1
+        name = f"{dated}-{n}"
+    return folder / f"{name}{SUFFIX}"
+
+
+def refuse_existing(path: Path, replace: bool) -> None:
+    """Raise `BadInput` where a file would be lost that nobody said may be; ask before a long calibration."""
+    if path.is_dir():
+        raise BadInputError([Problem("--to", 0, 0, "", str(path), "a file, not a folder")])
+    if path.exists() and not replace:
+        raise BadInputError(
+            [Problem("--to", 0, 0, "", str(path), "a file that does not exist yet; --replace writes over this one")]
+        )
+
+
+def views_beside(path: Path, replace: bool) -> Path:
+    """The folder beside a calibration file for the pictures that are taken for it.
+
+    Raises:
+        BadInput: it is there already, and nobody said that its pictures may be lost.
+    """
+    folder = path.with_name(f"{path.stem}{_VIEWS}")
+    if folder.exists() and not replace:
+        wish = f"a name without views beside it; --replace writes over those in {folder}"
+        raise BadInputError([Problem("--to", 0, 0, "", str(path), wish)])
+    return folder
+
+
+def write(found: CalibrationFile, path: Path, *, replace: bool = False) -> Path:
+    """Write a calibration file; it is read back first, so that what stands on disk is known to be right.
+
+    Raises:
+        BadInput: the file exists and `replace` is not said.
+    """
+    refuse_existing(path, replace)
+    text = text_of(found)
+    parse(document.parse(text, str(path)))
+    path.parent.mkdir(parents=True, exist_ok=True)
+    part = path.with_name(f".{path.name}.part")
+    part.write_text(text, encoding="utf-8")
+    part.replace(path)
+    return path
+
+
+def sha256_of(path: Path) -> str:
+    """Of a file's bytes."""
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def rounded(values: Any, digits: int = 6) -> Any:
+    """Numbers to so many significant digits, as nested tuples: a file is read by people, too."""
+    if hasattr(values, "tolist"):
+        values = values.tolist()
+    if isinstance(values, list | tuple):
+        return tuple(rounded(value, digits) for value in values)
+    return float(f"{float(values):.{digits}g}")

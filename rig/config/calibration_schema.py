@@ -1,0 +1,320 @@
+"""The calibration file: what each of its four kinds holds, with the unit of every number in its key."""
+
+# ruff: noqa: N815 - volts keep their capital, as in V and mV
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field, model_validator
+
+from protocols.validation import ValidationFault, faults
+from rig.config.consistency import curve
+from rig.config.schema import (
+    ActuatorNumber,
+    Count,
+    Index,
+    Lens,
+    Moment,
+    NonNegative,
+    Number,
+    Placement,
+    Positive,
+    Section,
+    Volt,
+    VoltSpan,
+    Word,
+)
+
+Row = tuple[Number, ...]
+Matrix = tuple[Row, ...]
+Sha256 = Annotated[str, Field(pattern="^[0-9a-f]{64}$", description="SHA-256, 64 hexadecimal digits")]
+
+
+class Software(Section):
+    """What made the file; `git_changed` says that the checkout differed from the commit."""
+
+    versions: dict[str, str]
+    git_commit: str = ""
+    git_changed: Annotated[bool, Field(strict=True)] = False
+
+
+class CameraIdentity(Section):
+    """Which camera, and at which resolution; driver, device and serial number as far as they were known."""
+
+    name: Word
+    driver: Word | None = None
+    device: Word | Index | None = None
+    serial: Word | None = None
+    width_px: Annotated[int, Field(ge=64, le=16384, strict=True)]
+    height_px: Annotated[int, Field(ge=64, le=16384, strict=True)]
+
+
+class CardIdentity(Section):
+    """Which data-acquisition card."""
+
+    name: Word
+    driver: Word
+    device: Word
+
+
+class PrintedBoard(Section):
+    """The checkerboard that was shown: inner corners across and down, and the edge of a square."""
+
+    corners: tuple[Count, Count]
+    square_mm: Positive
+
+
+class UsedView(Section):
+    """One picture that was used, and what of its corners the result does not explain."""
+
+    name: Word
+    sha256: Sha256
+    corners: Count
+    rms_px: NonNegative
+
+
+class LeftOut(Section):
+    """One picture that was not used, and why."""
+
+    name: Word
+    sha256: Sha256
+    reason: Word
+
+
+class SourceFile(Section):
+    """A file that was used: control points, or another calibration."""
+
+    name: Word
+    sha256: Sha256
+
+
+class CalibrationFile(Section):
+    """What every calibration file says of itself."""
+
+    softrig_calibration: Literal[1] = Field(description="version of this format")
+    made: Moment
+    software: Software
+    command: str = ""
+    note: str = ""
+
+
+class CameraFile(CalibrationFile):
+    """`rig calibrate camera`: intrinsics and distortion."""
+
+    kind: Literal["camera"]
+    camera: CameraIdentity
+    board: PrintedBoard
+    lens: Lens
+    covariance: Annotated[Matrix, Field(description="of fx, fy, cx, cy [px], k1, k2, p1, p2, k3")]
+    rms_px: NonNegative
+    coverage_percent: Annotated[float, Field(ge=0, le=100, strict=True)]
+    views: Annotated[tuple[UsedView, ...], Field(min_length=1)]
+    left_out: tuple[LeftOut, ...] = ()
+    advice: tuple[Word, ...] = ()
+
+    @model_validator(mode="after")
+    def _check(self) -> CameraFile:
+        found = _square(self.covariance, 9, ("covariance",))
+        for key, centre, size in (
+            ("cx_px", self.lens.cx_px, self.camera.width_px),
+            ("cy_px", self.lens.cy_px, self.camera.height_px),
+        ):
+            if not 0 < centre < size:
+                found.append(ValidationFault(("lens", key), f"a centre inside the picture, 0 to {size} px"))
+        faults(found)
+        return self
+
+
+class DLTCamera(Section):
+    """One camera's 11 coefficients (world in mm, pixels without distortion) and its place in the world."""
+
+    camera: CameraIdentity
+    lens: Lens | None = Field(default=None, description="taken out first; none where the pixels were used as they are")
+    coefficients_px_mm: Annotated[tuple[Number, ...], Field(min_length=11, max_length=11)]
+    covariance: Annotated[Matrix, Field(description="of the coefficients")]
+    rms_px: NonNegative
+    placement: Placement = Field(description="the camera in the world")
+    placement_covariance: Annotated[Matrix, Field(description="of translation [mm] and rotation vector [deg]")]
+    placement_known: Annotated[
+        bool, Field(strict=True, description="whether the place's uncertainty could be told")
+    ] = True
+    points: Annotated[
+        tuple[Word, ...],
+        Field(min_length=1, description="control points; or views of a board, each for all its corners in their order"),
+    ]
+    residuals_px: Annotated[
+        tuple[Number, ...], Field(min_length=2, description="u, v of one point after the other, measured - projected")
+    ]
+
+    @model_validator(mode="after")
+    def _check(self) -> DLTCamera:
+        found = _square(self.covariance, 11, ("covariance",))
+        faults(found + _square(self.placement_covariance, 6, ("placement_covariance",)))
+        return self
+
+
+class LeaveOneOut(Section):
+    """What points that were left out, each in turn, tell of the calibration; square of boards only."""
+
+    method: Literal["leave one point out", "leave one view out"]
+    points: Count
+    rms_mm: NonNegative | None = None
+    worst_mm: NonNegative | None = None
+    rms_px: NonNegative | None = None
+    square_mm: Positive | None = None
+    square_std_mm: NonNegative | None = None
+
+
+class DLTFile(CalibrationFile):
+    """`rig calibrate dlt`: one or more cameras in one world frame."""
+
+    kind: Literal["dlt"]
+    world: Literal["rod base", "board"] = Field(description="the frame of the control points")
+    world_view: str = Field(default="", description="view whose board is the world's frame")
+    board: PrintedBoard | None = None
+    cameras: Annotated[tuple[DLTCamera, ...], Field(min_length=1)]
+    test_error: LeaveOneOut | None = None
+    views: tuple[UsedView, ...] = ()
+    sources: tuple[SourceFile, ...] = ()
+    left_out: tuple[LeftOut, ...] = ()
+
+
+class ToolView(Section):
+    """One picture of the board on the tip, and how far the found axis and place miss it."""
+
+    name: Word
+    sha256: Sha256
+    pose: Literal["straight", "turned"]
+    turned_deg: Number
+    residual_mm: NonNegative
+    residual_deg: NonNegative
+
+
+class ToolFile(CalibrationFile):
+    """`rig calibrate tool`: the board in the tip frame, whose z axis is the arm's central axis."""
+
+    kind: Literal["tool"]
+    camera: CameraIdentity
+    board: PrintedBoard
+    placement: Placement
+    covariance: Annotated[Matrix, Field(description="of translation [mm] and rotation vector [deg]")]
+    views: Annotated[tuple[ToolView, ...], Field(min_length=1)]
+    left_out: tuple[LeftOut, ...] = ()
+
+    @model_validator(mode="after")
+    def _check(self) -> ToolFile:
+        faults(_square(self.covariance, 6, ("covariance",)))
+        return self
+
+
+class GaugeLevel(Section):
+    """One pressure at which sensor and gauge were read."""
+
+    volts_V: Number
+    gauge_bar: Number
+    residual_bar: Number
+
+
+class SensorCalibration(Section):
+    """One sensor: pressure = offset_bar + scale_bar_per_V times the voltage."""
+
+    actuator: ActuatorNumber
+    card: CardIdentity
+    channel: Index
+    span_V: VoltSpan
+    scale_bar_per_V: Number
+    offset_bar: Number
+    covariance: Annotated[Matrix, Field(description="of offset_bar and scale_bar_per_V")]
+    rms_bar: NonNegative
+    levels: Annotated[tuple[GaugeLevel, ...], Field(min_length=2)]
+
+    @model_validator(mode="after")
+    def _check(self) -> SensorCalibration:
+        found = _square(self.covariance, 2, ("covariance",))
+        if self.scale_bar_per_V == 0:
+            found.append(ValidationFault(("scale_bar_per_V",), "a scale other than 0"))
+        faults(found)
+        return self
+
+
+class FlowPoint(Section):
+    """One voltage from closed_V of the sweep: the opening that the pressure's rate showed, negative towards exhaust."""
+
+    offset_V: Number
+    flow_l_min: Number
+    std_l_min: NonNegative
+    residual_l_min: Number
+
+
+class ValveCalibration(Section):
+    """One flow-metering valve, as a sweep of its voltage found it.
+
+    Flows are those at 6 -> 5 bar, as data sheets state them. Every flow is proportional to `volume_ml`, whose
+    uncertainty is not in the others; beyond `measured_to_V` the curve is the rig's, scaled to join.
+    """
+
+    valve: Count
+    card: CardIdentity
+    channel: Index
+    closed_V: Volt
+    closed_std_V: NonNegative
+    dead_zone_V: NonNegative
+    dead_zone_std_V: NonNegative
+    hysteresis_V: NonNegative
+    leakage_l_min: NonNegative
+    leakage_std_l_min: NonNegative
+    full_flow_l_min: Positive
+    flow_curve_V: Annotated[tuple[NonNegative, ...], Field(min_length=2)]
+    flow_curve_percent: Annotated[tuple[NonNegative, ...], Field(min_length=2)]
+    flow_curve_std_percent: Annotated[tuple[NonNegative, ...], Field(min_length=2)]
+    measured_to_V: NonNegative
+    volume_ml: Positive
+    volume_std_ml: NonNegative
+    supply_bar: Positive
+    rms_l_min: NonNegative
+    points: Annotated[tuple[FlowPoint, ...], Field(min_length=2)]
+
+    @model_validator(mode="after")
+    def _check(self) -> ValveCalibration:
+        found, std = list(curve(self)), self.flow_curve_std_percent
+        if len(std) != len(self.flow_curve_V):
+            wish = f"{len(self.flow_curve_V)} values, as many as flow_curve_V has, not {len(std)}"
+            found.append(ValidationFault(("flow_curve_std_percent",), wish))
+        faults(found)
+        return self
+
+
+class PressureFile(CalibrationFile):
+    """`rig calibrate pressure`: sensors against a reference gauge, valves by a sweep."""
+
+    kind: Literal["pressure"]
+    gauge: str = Field(default="", description="name and number of the reference gauge")
+    gauge_std_bar: NonNegative = 0.0
+    sensors: tuple[SensorCalibration, ...] = ()
+    valves: tuple[ValveCalibration, ...] = ()
+    sources: tuple[SourceFile, ...] = ()
+
+
+AnyFile = CameraFile | DLTFile | ToolFile | PressureFile
+KINDS: dict[str, type[CameraFile] | type[DLTFile] | type[ToolFile] | type[PressureFile]] = {
+    "camera": CameraFile,
+    "dlt": DLTFile,
+    "tool": ToolFile,
+    "pressure": PressureFile,
+}
+
+
+def _square(matrix: Matrix, size: int, path: tuple[str, ...]) -> list[ValidationFault]:
+    """Faults of a covariance: its shape, its symmetry, its diagonal."""
+    if len(matrix) != size or any(len(row) != size for row in matrix):
+        return [ValidationFault(path, f"{size} rows of {size} numbers")]
+    found = [ValidationFault((*path, i, i), "a variance: 0 or more") for i in range(size) if matrix[i][i] < 0]
+    for i in range(size):
+        for j in range(i):
+            a, b = matrix[i][j], matrix[j][i]
+            if abs(a - b) > 1e-6 * max(abs(a), abs(b), 1e-300):
+                found.append(
+                    ValidationFault((*path, i, j), f"{b:g}, as row {j + 1}, column {i + 1}: a covariance is symmetric")
+                )
+    return found

@@ -1,0 +1,266 @@
+"""Faults between the parts of a rig's YAML: each part may be right by itself and the rig still be wrong.
+
+The checks take what is valid by itself, with None in the place of what is not, so that one mistyped number hides no
+other fault.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from protocols.problems import closest
+from protocols.validation import ValidationFault
+
+if TYPE_CHECKING:
+    from rig.config.calibration_schema import ValveCalibration
+    from rig.config.schema import Arm, CameraConfig, CardConfig, Control, FlowValve, Limits, Sensor, Simulator, Valve
+
+    Cards = Mapping[str, CardConfig | None]
+    Cameras = Mapping[str, CameraConfig | None]
+    Valves = Sequence[Valve | None]
+    Sensors = Sequence[Sensor | None]
+
+
+def check(parts: Mapping[str, Any]) -> list[ValidationFault]:
+    """Every fault between the parts of a rig; `parts` are the fields of `RigConfig` that are there."""
+    checks: tuple[tuple[Callable[..., Iterator[ValidationFault]], tuple[str, ...]], ...] = (
+        (_valve_channels, ("cards", "valves")),
+        (_sensor_channels, ("cards", "sensors")),
+        (_actuators, ("arm", "valves", "sensors")),
+        (_valves, ("valves",)),
+        (_sensors, ("sensors",)),
+        (_reach, ("limits", "valves", "sensors")),
+        (_rates, ("cards", "cameras", "control", "limits")),
+        (_cards, ("cards",)),
+        (_cameras, ("cameras",)),
+        (_least_cameras, ("cameras", "limits")),
+        (_arm, ("arm",)),
+        (_simulator, ("cards", "cameras", "simulator")),
+    )
+    return [
+        fault
+        for function, names in checks
+        if all(name in parts for name in names)
+        for fault in function(*(parts[name] for name in names))
+    ]
+
+
+Item = TypeVar("Item")
+
+
+def _numbered(items: Sequence[Item | None]) -> list[tuple[int, Item]]:
+    return [(index, item) for index, item in enumerate(items) if item is not None]
+
+
+def _valves_of(valves: Valves) -> list[tuple[int, Valve]]:
+    return [(index, valve) for index, valve in enumerate(valves) if valve is not None]
+
+
+def _named(items: Mapping[str, Item | None]) -> list[tuple[str, Item]]:
+    return [(name, item) for name, item in items.items() if item is not None]
+
+
+def _channels(
+    cards: Cards, users: Sequence[Any], key: str, kind: str, have: Callable[[CardConfig], int]
+) -> Iterator[ValidationFault]:
+    taken: dict[tuple[str, int], int] = {}
+    for index, user in _numbered(users):
+        if user.card not in cards:
+            yield ValidationFault(
+                (key, index, "card"), f"one of the cards: {', '.join(cards)}", closest(user.card, cards)
+            )
+            continue
+        card = cards[user.card]
+        if card is not None and user.channel >= have(card):
+            count, wanted = have(card), sum(other.card == user.card for _, other in _numbered(users))
+            expected = {0: "another card", 1: "channel 0"}.get(count, f"a channel from 0 to {count - 1}")
+            expected += f": card '{user.card}' has {count or 'no'} {kind} channel{'' if count == 1 else 's'}"
+            if wanted > count:
+                expected += f", and this rig needs {wanted}"
+            yield ValidationFault((key, index, "channel"), expected)
+        elif (user.card, user.channel) in taken:
+            first = taken[user.card, user.channel] + 1
+            yield ValidationFault((key, index, "channel"), f"a channel of its own: {key} #{first} has this one")
+        else:
+            taken[user.card, user.channel] = index
+
+
+def _valve_channels(cards: Cards, valves: Valves) -> Iterator[ValidationFault]:
+    yield from _channels(cards, valves, "valves", "AO", lambda card: card.outputs)
+
+
+def _sensor_channels(cards: Cards, sensors: Sensors) -> Iterator[ValidationFault]:
+    yield from _channels(cards, sensors, "sensors", "AI", lambda card: card.inputs)
+
+
+def _actuators(arm: Arm, valves: Valves, sensors: Sensors) -> Iterator[ValidationFault]:
+    """Every actuator has one valve and one sensor."""
+    count = len(arm.geometry.actuator_angles_deg)
+    drives: list[tuple[int, tuple[str | int, ...]]] = [
+        (number, ("valves", i, "actuators", j))
+        for i, valve in _valves_of(valves)
+        for j, number in enumerate(valve.actuators)
+    ]
+    senses: list[tuple[int, tuple[str | int, ...]]] = [
+        (sensor.actuator, ("sensors", i, "actuator")) for i, sensor in _numbered(sensors)
+    ]
+    for users, one, all_of in ((drives, "valve", "valves"), (senses, "sensor", "sensors")):
+        seen: set[int] = set()
+        for number, path in users:
+            if number > count:
+                yield ValidationFault(
+                    path, f"an actuator from 1 to {count}: the arm has {count} (arm, geometry, actuator_angles_deg)"
+                )
+            elif number in seen:
+                yield ValidationFault(path, f"each actuator with one {one}: actuator {number} has one already")
+            seen.add(number)
+        complete = None not in (valves if one == "valve" else sensors)
+        for number in sorted(set(range(1, count + 1)) - seen) if complete else ():
+            yield ValidationFault((all_of,), f"a {one} for every actuator: actuator {number} has none")
+
+
+def _valves(valves: Valves) -> Iterator[ValidationFault]:
+    for index, valve in _valves_of(valves):
+        here: tuple[str | int, ...] = ("valves", index)
+        low, high = valve.range_V
+        if valve.type == "flow":
+            if not low < valve.closed_V < high:
+                yield ValidationFault((*here, "closed_V"), f"a voltage inside range_V, {low:g} to {high:g} V")
+            yield from curve(valve, here)
+        elif valve.span_V[0] < low or valve.span_V[1] > high:
+            yield ValidationFault((*here, "span_V"), f"a span inside range_V, {low:g} to {high:g} V")
+
+
+def curve(valve: FlowValve | ValveCalibration, here: tuple[str | int, ...] = ()) -> Iterator[ValidationFault]:
+    """Faults of a flow curve, as a rig states it or a sweep has found it; `here` leads to the valve."""
+    volts, percent = valve.flow_curve_V, valve.flow_curve_percent
+    if len(volts) != len(percent):
+        expected = f"{len(volts)} values, as many as flow_curve_V has, not {len(percent)}"
+        yield ValidationFault((*here, "flow_curve_percent"), expected)
+    for name, values in (("flow_curve_V", volts), ("flow_curve_percent", percent)):
+        if values[0] != 0:
+            yield ValidationFault((*here, name, 0), "0: the curve begins at the closed valve")
+        for i, (a, b) in enumerate(itertools.pairwise(values)):
+            if b <= a:
+                yield ValidationFault((*here, name, i + 1), f"more than the value before, {a:g}: the curve must rise")
+    if percent[-1] > 100:
+        yield ValidationFault((*here, "flow_curve_percent", len(percent) - 1), "at most 100 (% of full flow)")
+    if valve.dead_zone_V >= volts[-1]:
+        yield ValidationFault((*here, "dead_zone_V"), f"less than the end of flow_curve_V, {volts[-1]:g} V")
+
+
+def _sensors(sensors: Sensors) -> Iterator[ValidationFault]:
+    for index, sensor in _numbered(sensors):
+        low, high = sensor.range_V
+        if sensor.span_V[0] < low or sensor.span_V[1] > high:
+            yield ValidationFault(("sensors", index, "span_V"), f"a span inside range_V, {low:g} to {high:g} V")
+
+
+def _reach(limits: Limits, valves: Valves, sensors: Sensors) -> Iterator[ValidationFault]:
+    """Valves and sensors cover the pressures that the limits allow."""
+    for index, valve in _valves_of(valves):
+        if valve.type == "flow" and valve.supply_bar <= limits.pressure_bar:
+            expected = f"more than limits, pressure_bar ({limits.pressure_bar:g} bar): the valve cannot fill that far"
+            yield ValidationFault(("valves", index, "supply_bar"), expected)
+        elif valve.type == "pressure" and not valve.span_bar[0] <= 0 < limits.pressure_bar <= valve.span_bar[1]:
+            expected = f"a span from 0 to limits, pressure_bar ({limits.pressure_bar:g} bar) at least"
+            yield ValidationFault(("valves", index, "span_bar"), expected)
+    highest = limits.pressure_bar + limits.pressure_margin_bar
+    for index, sensor in _numbered(sensors):
+        # A calibrated sensor may begin a little above 0: what lies below reads as that little.
+        if not sensor.span_bar[0] <= limits.pressure_margin_bar < highest <= sensor.span_bar[1]:
+            expected = f"a span from 0 to the limit with its margin ({highest:g} bar) at least"
+            yield ValidationFault(("sensors", index, "span_bar"), expected)
+
+
+def _rates(cards: Cards, cameras: Cameras, control: Control, limits: Limits) -> Iterator[ValidationFault]:
+    for name, card in _named(cards):
+        if card.sampling_hz < control.rate_hz:
+            expected = f"at least control, rate_hz ({control.rate_hz:g} Hz): each control step needs a sample"
+            yield ValidationFault(("cards", name, "sampling_hz"), expected)
+    if control.bandwidth_hz > control.rate_hz / 4:
+        yield ValidationFault(("control", "bandwidth_hz"), f"at most a quarter of rate_hz, {control.rate_hz / 4:g} Hz")
+    if limits.stale_s < 2 / control.rate_hz:
+        yield ValidationFault(("limits", "stale_s"), f"at least two control steps, {2 / control.rate_hz:g} s")
+    if limits.hung_s < 3 / control.rate_hz:
+        yield ValidationFault(("limits", "hung_s"), f"at least three control steps, {3 / control.rate_hz:g} s")
+    for name, camera in _named(cameras):
+        if limits.no_tip_s < 2 / camera.rate_hz:
+            yield ValidationFault(
+                ("limits", "no_tip_s"), f"at least two frames of camera '{name}', {2 / camera.rate_hz:g} s"
+            )
+
+
+def _twice(section: str, devices: Mapping[str, tuple[str, str | int]]) -> Iterator[ValidationFault]:
+    taken: dict[tuple[str, str | int], str] = {}
+    for name, device in devices.items():
+        if device in taken:
+            yield ValidationFault((section, name, "device"), f"a device of its own: '{taken[device]}' has this one")
+        taken.setdefault(device, name)
+
+
+def _cards(cards: Cards) -> Iterator[ValidationFault]:
+    yield from _twice("cards", {name: (card.driver, card.device) for name, card in _named(cards)})
+
+
+def _cameras(cameras: Cameras) -> Iterator[ValidationFault]:
+    yield from _twice("cameras", {name: (camera.driver, camera.device) for name, camera in _named(cameras)})
+    rates = {name: camera.rate_hz for name, camera in _named(cameras)}
+    for name, camera in _named(cameras):
+        here: tuple[str | int, ...] = ("cameras", name)
+        first = next(iter(rates))
+        if camera.rate_hz != rates[first]:
+            yield ValidationFault(
+                (*here, "rate_hz"), f"the rate of camera '{first}', {rates[first]:g} Hz: they see together"
+            )
+        if camera.planar_motion is not None and not any(camera.planar_motion.normal):
+            yield ValidationFault((*here, "planar_motion", "normal"), "a direction, such as [0, 1, 0]")
+        longest = 1000 / camera.rate_hz
+        if camera.exposure_ms > longest:
+            yield ValidationFault(
+                (*here, "exposure_ms"), f"at most the time between frames, {longest:g} ms at {camera.rate_hz:g} Hz"
+            )
+        for key, centre, size in (
+            ("cx_px", camera.lens.cx_px, camera.width_px),
+            ("cy_px", camera.lens.cy_px, camera.height_px),
+        ):
+            if not 0 < centre < size:
+                expected = (
+                    f"a centre inside the picture, 0 to {size} px: was the lens calibrated at another resolution?"
+                )
+                yield ValidationFault((*here, "lens", key), expected)
+
+
+def _least_cameras(cameras: Cameras, limits: Limits) -> Iterator[ValidationFault]:
+    if limits.least_cameras > len(cameras):
+        yield ValidationFault(("limits", "least_cameras"), f"at most {len(cameras)}: so many cameras has this rig")
+
+
+def _arm(arm: Arm) -> Iterator[ValidationFault]:
+    geometry = arm.geometry
+    here = ("arm", "geometry")
+    if geometry.inner_radius_mm >= geometry.outer_radius_mm:
+        yield ValidationFault((*here, "inner_radius_mm"), f"less than outer_radius_mm, {geometry.outer_radius_mm:g} mm")
+    for (i, a), (j, b) in itertools.combinations(enumerate(geometry.actuator_angles_deg), 2):
+        apart = 2 * geometry.circle_radius_mm * abs(math.sin(math.radians(a - b) / 2))
+        if apart < 2 * geometry.outer_radius_mm * (1 - 1e-6):
+            expected = f"room for the tubes: actuators {i + 1} and {j + 1} are {apart:.3g} mm apart, "
+            yield ValidationFault((*here, "actuator_angles_deg", j), expected + "less than 2 outer_radius_mm")
+    if not any(arm.gravity_direction):
+        yield ValidationFault(
+            ("arm", "gravity_direction"), "a direction, such as [0, 0, 1]; for no weight set the masses to 0"
+        )
+
+
+def _simulator(cards: Cards, cameras: Cameras, simulator: Simulator | None) -> Iterator[ValidationFault]:
+    mocks = [f"cards, {name}" for name, card in _named(cards) if card.driver == "mock"]
+    mocks += [f"cameras, {name}" for name, camera in _named(cameras) if camera.driver == "mock"]
+    if mocks and simulator is None:
+        yield ValidationFault(
+            ("simulator",), f"is missing: a mock device ({mocks[0]}) needs the block that says what it simulates"
+        )
+    if simulator is not None and not mocks and None not in (*cards.values(), *cameras.values()):
+        yield ValidationFault(("simulator",), "no such block, because no device of this rig is a mock")

@@ -1,0 +1,1 @@
+"""The control cycle as pure step functions, without a clock."""

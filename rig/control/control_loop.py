@@ -1,0 +1,117 @@
+"""One control tick: scans in, set-point, regulator, volts out, row recorded. Both executors run exactly this."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.control import step as control
+from rig.control.protocol_position import ProtocolPosition, advance, skip
+from rig.execution.plan import Plan
+from rig.hardware.bench import BenchScans
+from runs.records import sample_dtype
+
+STOOD_STILL_NS = 20_000_000
+LONGEST_MEAN_PERIODS = 2
+EXCUSED_NS = 100_000_000
+"""What a card, or its simulator, gets to deliver the scans of a time in which this process stood still."""
+
+
+class ValveOutputs(Protocol):
+    """What a tick needs of a bench."""
+
+    def read(self) -> BenchScans:
+        """Scans since the last call."""
+
+    def write(self, valve_v: NDArray[np.float64]) -> None:
+        """Set every valve [V]."""
+
+
+class ControlLoop:
+    """The state of the control loop between ticks. It knows no clock: the time comes in."""
+
+    def __init__(self, plan: Plan, bench: ValveOutputs) -> None:
+        config = plan.config
+        self.period_ns = round(1e9 / config.control.rate_hz)
+        self.position = ProtocolPosition()
+        self._bench = bench
+        self._trajectory = plan.trajectory
+        self._prompts_s = tuple(prompt.at_s for prompt in plan.trajectory.prompts)
+        self._starts_s = tuple(segment.start_s for segment in plan.trajectory.segments)
+        self._prepared = control.prepare(config)
+        self._state = control.initial(self._prepared)
+        self._row = np.zeros((), sample_dtype(config.actuators, len(config.valves)))
+        self.lost = 0
+        """Scans that the cards have dropped."""
+        self._scan_t_ns = 0
+        self._excuse_ns = self._excused_until_ns = 0
+        self._pressure_pa: NDArray[np.float64] = np.full(config.actuators, np.nan)
+        self._volts: NDArray[np.float64] = np.full(config.actuators, np.nan)
+
+    @property
+    def finished(self) -> bool:
+        """True once the protocol is played to its end."""
+        return self.position.protocol_s >= self._trajectory.duration_s
+
+    def _stood_still(self, now_ns: int, behind_ns: int) -> int:
+        """For how long the loop stood still within the last moments, 0 where it is punctual."""
+        if behind_ns > STOOD_STILL_NS:
+            self._excuse_ns, self._excused_until_ns = behind_ns, now_ns + EXCUSED_NS
+        return self._excuse_ns if now_ns < self._excused_until_ns else 0
+
+    def skip(self) -> None:
+        """Go on with the next segment at the next tick."""
+        self.position = skip(self.position, self._starts_s, self._trajectory.duration_s, self._prompts_s)
+
+    def listen(self) -> int:
+        """Take the scans that have come since the last call; return how many."""
+        scans = self._bench.read()
+        self.lost += scans.lost
+        if len(scans.t_ns):
+            self._scan_t_ns = int(scans.t_ns[-1])
+            pressure_pa = scans.pressure_pa
+            if scans.t_ns[0] < self._scan_t_ns - LONGEST_MEAN_PERIODS * self.period_ns:
+                # A mean over a time in which nobody looked is where the pressure was and not where it is.
+                pressure_pa = pressure_pa[scans.t_ns > self._scan_t_ns - self.period_ns]
+            # What NumPy's mean computes, in half its time.
+            self._pressure_pa = np.add.reduce(pressure_pa) / len(pressure_pa)
+            self._volts = scans.volts[-1]
+        return len(scans.t_ns)
+
+    def tick(
+        self, number: int, now_ns: int, periods: int, answered: int, held: bool, lateness_ns: int, missed: int
+    ) -> tuple[NDArray[np.void], str | None]:
+        """Do one tick; return its row (reused: copy it to keep it) and why the run must stop, None where it need not.
+
+        `periods` is how many control periods have passed since the last tick: more than one after a missed deadline.
+        """
+        taken = self.listen()
+        if number > 0:
+            dt_s = periods * self.period_ns * 1e-9
+            self.position = advance(self.position, dt_s, self._prompts_s, answered, held)
+        protocol_s = min(self.position.protocol_s, self._trajectory.duration_s)
+        still = held or self.position.waiting
+        setpoint_pa = self._trajectory.setpoint_pa(protocol_s)
+        rate_pa_s = np.zeros_like(setpoint_pa) if still else self._trajectory.rate_pa_s(protocol_s)
+        sample = control.Sample(
+            t_ns=now_ns,
+            scan_t_ns=self._scan_t_ns,
+            volts=self._volts,
+            pressure_pa=self._pressure_pa,
+            stood_still_ns=self._stood_still(now_ns, lateness_ns + missed * self.period_ns),
+        )
+        self._state, command = control.step(self._prepared, self._state, sample, setpoint_pa, rate_pa_s)
+        self._bench.write(command.valve_v)
+        row = self._row
+        row["t_ns"] = self._scan_t_ns
+        row["tick"] = number
+        row["protocol_s"] = protocol_s
+        row["setpoint_pa"] = setpoint_pa
+        row["measured_pa"] = self._pressure_pa
+        row["valve_v"] = command.valve_v
+        row["scans"] = taken
+        row["missed"] = missed
+        row["lateness_ns"] = lateness_ns
+        return row, None if command.trip is None else command.trip.message

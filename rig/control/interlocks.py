@@ -1,0 +1,258 @@
+"""The conditions under which a run is stopped: a pure step function over what the sensors say.
+
+Each condition is explained in docs/control.md. Pressures are gauge; messages speak bar.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.config.schema import PA_PER_BAR, FlowValve, RigConfig, Sensor
+
+RATE_FILTER_S = 0.02
+"""Time constant of the measured rate: short against a dangerous rise, long against one noisy sample."""
+
+SIXTEEN_BITS = 65_535
+
+NOISE_SHARE = 0.5
+"""A reading that moved by less than this share of the sensor's accuracy may have been moved by noise alone."""
+
+EVIDENCE = 2.0
+"""A still reading is suspicious once the valve should have moved it by this many times the sensor's accuracy."""
+
+
+class Sample(NamedTuple):
+    """What one control tick knows.
+
+    `t_ns` is the time of the tick, `scan_t_ns` that of the newest scan (0 before the first); `volts` (N,) and
+    `pressure_pa` (N,) come from the scans since the last tick, or repeat the last ones when there were none.
+    `stood_still_ns` is for how long, just now, this program could not look.
+    """
+
+    t_ns: int
+    scan_t_ns: int
+    volts: NDArray[np.float64]
+    pressure_pa: NDArray[np.float64]
+    stood_still_ns: int = 0
+
+
+@dataclass(frozen=True)
+class Trip:
+    """Why a run was stopped. `value` and `limit` are in `unit`; all three are in the message too."""
+
+    t_ns: int
+    source: str
+    message: str
+    value: float
+    limit: float
+    unit: str
+
+
+@dataclass(frozen=True)
+class SensorSettings:
+    """One sensor as the interlocks see it.
+
+    `ceiling_v` is a saturated input, `count_v` one count of 16 bits. `response_s` is how long the pressure may take to
+    follow a moving reference: no time at all where the sensor steers a flow-metering valve, for without it that valve
+    goes on filling.
+    """
+
+    low_v: float
+    high_v: float
+    ceiling_v: float
+    count_v: float
+    accuracy_pa: float
+    response_s: float
+
+
+@dataclass(frozen=True)
+class Settings:
+    """The rig's limits in SI."""
+
+    sensors: tuple[SensorSettings, ...]
+    pressure_pa: float
+    rate_pa_s: float
+    tracking_pa: float
+    tracking_s: float
+    frozen_s: float
+    stale_s: float
+
+
+class SensorState(NamedTuple):
+    """State of one actuator's interlocks after a step; a named tuple, because a tick makes six of them.
+
+    The anchor is the last reading that differed from the one before it by a count; `expected_pa` is by how much the
+    valve should have moved the pressure since. `left_*` belong to the last reading that differed from the one before
+    it by more than any noise.
+    """
+
+    pressure_pa: float = math.nan
+    rate_pa_s: float = 0.0
+    anchor_v: float = math.nan
+    anchor_s: float = 0.0
+    anchor_integral_pa_s: float = 0.0
+    expected_pa: float = 0.0
+    left_pa: float = math.nan
+    left_reference_pa: float = math.nan
+    left_s: float = 0.0
+    setpoint_pa: float = math.nan
+    still_s: float = 0.0
+    astray_s: float = 0.0
+
+
+class Demand(NamedTuple):
+    """What the regulator of one actuator wants: see `rig.control.regulator.RegulatorState`."""
+
+    setpoint_pa: float
+    reference_pa: float
+    rate_pa_s: float
+    integral_pa_s: float
+
+
+def settings(config: RigConfig) -> Settings:
+    """The rig's limits and sensors, in SI, sensors in the order of the actuators."""
+    limits = config.limits
+    sensors = sorted(config.sensors, key=lambda sensor: sensor.actuator)
+    steering = {a for valve in config.valves if isinstance(valve, FlowValve) for a in valve.actuators}
+    return Settings(
+        sensors=tuple(_sensor(s, 0.0 if s.actuator in steering else limits.frozen_s) for s in sensors),
+        pressure_pa=(limits.pressure_bar + limits.pressure_margin_bar) * PA_PER_BAR,
+        rate_pa_s=(limits.rate_bar_per_s + limits.rate_margin_bar_per_s) * PA_PER_BAR,
+        tracking_pa=limits.tracking_bar * PA_PER_BAR,
+        tracking_s=limits.tracking_s,
+        frozen_s=limits.frozen_s,
+        stale_s=limits.stale_s,
+    )
+
+
+def _sensor(sensor: Sensor, response_s: float) -> SensorSettings:
+    low, high = sorted(sensor.span_V)
+    count = (sensor.range_V[1] - sensor.range_V[0]) / SIXTEEN_BITS
+    return SensorSettings(
+        low_v=low - sensor.margin_V,
+        high_v=high + sensor.margin_V,
+        ceiling_v=sensor.range_V[1] - count,
+        count_v=count,
+        accuracy_pa=sensor.accuracy_bar * PA_PER_BAR,
+        response_s=response_s,
+    )
+
+
+def stale(s: Settings, sample: Sample) -> Trip | None:
+    """Trip when the newest scan is too old to steer by.
+
+    A computer that stood still as a whole (its host took the processor away) has made every scan old; it gets the
+    time to read what the card has taken meanwhile.
+    """
+    age_s = (sample.t_ns - sample.scan_t_ns) * 1e-9
+    if age_s - sample.stood_still_ns * 1e-9 <= s.stale_s:
+        return None
+    limit = f"(limit {s.stale_s * 1e3:.0f} ms)"
+    message = f"no pressure sample for {age_s * 1e3:.0f} ms {limit}" if sample.scan_t_ns else "no pressure sample yet"
+    return Trip(sample.t_ns, "stale samples", message, age_s, s.stale_s, "s")
+
+
+def broken(s: Settings, sample: Sample) -> Trip | None:
+    """Trip when a voltage is no pressure at all: outside the sensor's span, or at the end of the card's range."""
+    for i, (sensor, volts) in enumerate(zip(s.sensors, sample.volts.tolist(), strict=True)):
+        if sensor.low_v <= volts <= sensor.high_v and volts < sensor.ceiling_v:
+            continue
+        limit = sensor.low_v if volts < sensor.low_v else min(sensor.high_v, sensor.ceiling_v)
+        message = (
+            f"sensor {i + 1} reads {volts:.3f} V, outside its span of {sensor.low_v:.2f} to "
+            f"{min(sensor.high_v, sensor.ceiling_v):.2f} V: sensor or wire broken"
+        )
+        return Trip(sample.t_ns, f"sensor {i + 1}", message, volts, limit, "V")
+    return None
+
+
+def reset(watch: SensorState, pressure_pa: float) -> SensorState:
+    """Forget what was asked of a pressure and not reached: nobody steered it. Where it is and how fast stays known."""
+    return watch._replace(left_pa=pressure_pa, left_reference_pa=pressure_pa, left_s=0.0, still_s=0.0, astray_s=0.0)
+
+
+def step(
+    s: Settings, i: int, watch: SensorState, dt_s: float, t_ns: int, volts: float, pressure_pa: float, asked: Demand
+) -> tuple[SensorState, Trip | None]:
+    """Judge a new reading of actuator `i`, `dt_s` after the last; `asked` is what its valve was doing meanwhile."""
+    if math.isnan(watch.pressure_pa):
+        watch = SensorState(
+            pressure_pa=pressure_pa,
+            anchor_v=volts,
+            left_pa=pressure_pa,
+            left_reference_pa=asked.reference_pa,
+            setpoint_pa=asked.setpoint_pa,
+        )
+    watch = _moved(s, i, watch, dt_s, volts, pressure_pa, asked)
+    return watch, _judge(s, i, watch, t_ns, asked)
+
+
+def _moved(
+    s: Settings, i: int, watch: SensorState, dt: float, volts: float, pressure: float, asked: Demand
+) -> SensorState:
+    slope = (pressure - watch.pressure_pa) / dt
+    rate = watch.rate_pa_s + (slope - watch.rate_pa_s) * dt / (RATE_FILTER_S + dt)
+    if abs(volts - watch.anchor_v) >= s.sensors[i].count_v:
+        anchor, still, expected, held = volts, 0.0, 0.0, asked.integral_pa_s
+    else:
+        anchor, still, held = watch.anchor_v, watch.anchor_s + dt, watch.anchor_integral_pa_s
+        # A chamber cannot be emptied below the atmosphere, whatever the valve does.
+        expected = max(watch.expected_pa + (asked.rate_pa_s - held) * dt, -max(pressure, 0.0))
+    left, left_reference, left_s = watch.left_pa, watch.left_reference_pa, watch.left_s + dt
+    if abs(pressure - left) > NOISE_SHARE * s.sensors[i].accuracy_pa:
+        left, left_reference, left_s = pressure, asked.reference_pa, 0.0
+    settled = asked.setpoint_pa == watch.setpoint_pa
+    astray = abs(asked.reference_pa - pressure) > s.tracking_pa
+    # By position: names would cost as much as everything above.
+    return SensorState(
+        pressure,
+        rate,
+        anchor,
+        still,
+        held,
+        expected,
+        left,
+        left_reference,
+        left_s,
+        asked.setpoint_pa,
+        watch.still_s + dt if settled else 0.0,
+        watch.astray_s + dt if astray else 0.0,
+    )
+
+
+def _judge(s: Settings, i: int, w: SensorState, t_ns: int, asked: Demand) -> Trip | None:
+    name = f"actuator {i + 1}"
+    if not w.pressure_pa <= s.pressure_pa:
+        return _trip_bar(t_ns, "over-pressure", f"{name} is at", w.pressure_pa, s.pressure_pa)
+    if abs(w.rate_pa_s) > s.rate_pa_s:
+        return _trip_bar(t_ns, "pressure rate", f"{name} changes by", w.rate_pa_s, s.rate_pa_s, "bar/s")
+    sensor = s.sensors[i]
+    expected = abs(w.expected_pa)
+    if w.anchor_s >= s.frozen_s and expected > EVIDENCE * sensor.accuracy_pa:
+        message = (
+            f"sensor {i + 1} has not moved by one count for {w.anchor_s:.3f} s (limit {s.frozen_s:.3f} s) while its "
+            f"valve asked for {expected / PA_PER_BAR:.3f} bar: the sensor is frozen, or there is no air"
+        )
+        return Trip(t_ns, f"sensor {i + 1}", message, w.anchor_s, s.frozen_s, "s")
+    led = asked.reference_pa - w.left_reference_pa
+    if abs(led) > s.tracking_pa and w.left_s > sensor.response_s:
+        message = f"sensor {i + 1} stays at {w.pressure_pa / PA_PER_BAR:.3f} bar: frozen, or no air, though led by"
+        return _trip_bar(t_ns, f"sensor {i + 1}", message, led, s.tracking_pa)
+    error = w.pressure_pa - asked.setpoint_pa
+    if w.still_s >= s.tracking_s and abs(error) > s.tracking_pa:
+        return _trip_bar(t_ns, "tracking", f"{name} is off its standing set-point by", error, s.tracking_pa)
+    if w.astray_s >= s.tracking_s:
+        error = w.pressure_pa - asked.reference_pa
+        message = f"{name} has strayed from its moving set-point for {w.astray_s:.2f} s, now by"
+        return _trip_bar(t_ns, "tracking", message, error, s.tracking_pa)
+    return None
+
+
+def _trip_bar(t_ns: int, source: str, what: str, value: float, limit: float, unit: str = "bar") -> Trip:
+    value, limit = value / PA_PER_BAR, limit / PA_PER_BAR
+    return Trip(t_ns, source, f"{what} {value:.3f} {unit} (limit {limit:.3f} {unit})", value, limit, unit)

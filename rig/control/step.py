@@ -1,0 +1,164 @@
+"""One control tick: interlocks first, then every valve's regulator. A pure step function without a clock."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.config.schema import RigConfig
+from rig.control import interlocks, regulator
+from rig.control.interlocks import Demand, Sample, SensorState, Trip
+from rig.control.regulator import RegulatorState
+from rig.control.valve import vent_v
+
+__all__ = ["Command", "Sample", "Settings", "State", "Trip", "initial", "prepare", "safe_voltages", "step"]
+
+BLIND_PERIODS = 3.0
+"""After so long without a scan a flow-metering valve is closed: what it lets through is no longer seen."""
+
+SHORTEST_STEP_PERIODS, LONGEST_STEP_PERIODS = 0.25, 4.0
+"""Time between newest scans is taken as no less and no more: the filters are made for a steady rate."""
+
+
+@dataclass(frozen=True)
+class Settings:
+    """A rig prepared for stepping."""
+
+    period_s: float
+    safe_v: tuple[float, ...]
+    closed_v: tuple[float | None, ...]
+    """The voltage that shuts each valve; None for one that holds its pressure by itself."""
+    valves: tuple[regulator.Settings, ...]
+    valve_of: tuple[int, ...]
+    """Index of the valve of each actuator."""
+    limits: interlocks.Settings
+
+
+REJOIN_S = 0.1
+"""How long scans may keep coming late after a standstill, as a card or its simulator catches up."""
+
+
+class State(NamedTuple):
+    """What one tick hands to the next. Once `trip` is set every command is the safe one.
+
+    `rejoined_ns` is when the last standstill ended after which the interlocks gave the pressures time to come back.
+    """
+
+    scan_t_ns: int | None
+    valves: tuple[RegulatorState, ...]
+    watches: tuple[SensorState, ...]
+    trip: Trip | None = None
+    rejoined_ns: int | None = None
+
+
+class Command(NamedTuple):
+    """Valve voltages (V,) to write now, and the trip that made them the safe ones."""
+
+    valve_v: NDArray[np.float64]
+    trip: Trip | None
+
+
+def safe_voltages(config: RigConfig, *, vent: bool = False) -> tuple[float, ...]:
+    """The voltage of each valve that leaves the arm safe: vented, or held where the rig says so and nobody vents."""
+    voltages = []
+    for valve in config.valves:
+        if valve.type == "flow":
+            voltages.append(vent_v(valve) if vent or valve.safe_state == "vent" else valve.closed_V)
+        else:
+            (low_v, high_v), (low_bar, high_bar) = valve.span_V, valve.span_bar
+            zero = low_v - low_bar * (high_v - low_v) / (high_bar - low_bar)
+            voltages.append(min(max(zero, min(low_v, high_v)), max(low_v, high_v)))
+    return tuple(voltages)
+
+
+def prepare(config: RigConfig) -> Settings:
+    """Turn a rig into numbers once, so that a tick does not have to."""
+    valve_of = {a: v for v, valve in enumerate(config.valves) for a in valve.actuators}
+    return Settings(
+        period_s=1.0 / config.control.rate_hz,
+        safe_v=safe_voltages(config),
+        closed_v=tuple(valve.closed_V if valve.type == "flow" else None for valve in config.valves),
+        valves=tuple(regulator.settings(valve, config) for valve in config.valves),
+        valve_of=tuple(valve_of[a + 1] for a in range(config.actuators)),
+        limits=interlocks.settings(config),
+    )
+
+
+def initial(settings: Settings) -> State:
+    """The state before the first sample."""
+    return State(None, (RegulatorState(),) * len(settings.valves), (SensorState(),) * len(settings.valve_of))
+
+
+def step(
+    settings: Settings,
+    state: State,
+    sample: Sample,
+    setpoint_pa: NDArray[np.float64],
+    rate_pa_s: NDArray[np.float64],
+) -> tuple[State, Command]:
+    """Take a sample, the set-points (N,) [Pa] and their rates of change (N,) [Pa/s]; give the valve voltages.
+
+    Without a new scan the valves keep their voltages for three periods; then those that meter flow are closed, and in
+    the end the samples count as stale. After a standstill of this program each reference begins anew at the measured
+    pressure, from where it is led back within the rate limit.
+    """
+    if state.trip is None:
+        state = _step(settings, state, sample, setpoint_pa.tolist(), rate_pa_s.tolist())
+    if state.trip is not None:
+        return state, Command(np.array(settings.safe_v), state.trip)
+    blind = sample.t_ns - sample.scan_t_ns > BLIND_PERIODS * settings.period_s * 1e9
+    voltages = []
+    for valve, safe, closed in zip(state.valves, settings.safe_v, settings.closed_v, strict=True):
+        voltage = safe if math.isnan(valve.valve_v) else valve.valve_v
+        voltages.append(closed if blind and closed is not None else voltage)
+    return state, Command(np.array(voltages), None)
+
+
+def _step(settings: Settings, state: State, sample: Sample, setpoint: list[float], rate: list[float]) -> State:
+    limits = settings.limits
+    trip = interlocks.stale(limits, sample)
+    if trip is not None or sample.scan_t_ns == state.scan_t_ns:
+        return state._replace(trip=trip)
+    trip = interlocks.broken(limits, sample)
+    if trip is not None:
+        return state._replace(trip=trip)
+    passed = settings.period_s if state.scan_t_ns is None else (sample.scan_t_ns - state.scan_t_ns) * 1e-9
+    dt = min(max(passed, SHORTEST_STEP_PERIODS * settings.period_s), LONGEST_STEP_PERIODS * settings.period_s)
+
+    pressure, volts = sample.pressure_pa.tolist(), sample.volts.tolist()
+    if sample.stood_still_ns and passed >= LONGEST_STEP_PERIODS * settings.period_s:
+        state = _rejoin(limits, state, sample.t_ns, pressure)
+    watches = []
+    for i, watch in enumerate(state.watches):
+        valve = state.valves[settings.valve_of[i]]
+        reference = pressure[i] if math.isnan(valve.reference_pa) else valve.reference_pa
+        asked = Demand(setpoint[i], reference, valve.asked_pa_s, valve.integral_pa_s)
+        moved, tripped = interlocks.step(limits, i, watch, max(dt, passed), sample.t_ns, volts[i], pressure[i], asked)
+        watches.append(moved)
+        trip = trip or tripped
+    valves = []
+    for s, valve in zip(settings.valves, state.valves, strict=True):
+        # One valve, several chambers: they share the air, so their mean is what the valve can steer.
+        n = len(s.actuators)
+        mean = sum(pressure[a] for a in s.actuators) / n
+        target = sum(setpoint[a] for a in s.actuators) / n
+        slope = sum(rate[a] for a in s.actuators) / n
+        valves.append(regulator.step(s, valve, dt, mean, target, slope))
+    return State(sample.scan_t_ns, tuple(valves), tuple(watches), trip, state.rejoined_ns)
+
+
+def _rejoin(limits: interlocks.Settings, state: State, t_ns: int, pressure: list[float]) -> State:
+    """Begin anew from where the valves, which nobody steered, have let the pressures go.
+
+    The interlocks give the time of a step to come back; a machine that stands still again and again gets it once.
+    """
+    state = state._replace(valves=tuple(valve._replace(reference_pa=math.nan) for valve in state.valves))
+    since_s = math.inf if state.rejoined_ns is None else (t_ns - state.rejoined_ns) * 1e-9
+    if REJOIN_S < since_s < 2 * limits.tracking_s:
+        return state
+    watches = tuple(interlocks.reset(watch, pa) for watch, pa in zip(state.watches, pressure, strict=True))
+    return state._replace(watches=watches, rejoined_ns=t_ns if since_s > REJOIN_S else state.rejoined_ns)

@@ -1,0 +1,1 @@
+"""One run from request to archive, and what is computed from runs again."""

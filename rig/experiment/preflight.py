@@ -1,0 +1,132 @@
+"""The second stage: may this rig play this trajectory? Every objection points to the line of the step it is about."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+from protocols import Problem, Protocol, Segment, Trajectory
+from rig.config.schema import PA_PER_BAR, RigConfig
+
+COMMANDED_JUMPS = {"dwell", "hold"}
+"""Segments that may begin with a jump, because a jump is what they say."""
+
+JUMP_PA = 500.0
+"""A change at a seam up to this is no jump; half the accuracy of the paper's sensors."""
+
+TINY_PA = 1e-3
+"""Below this two pressures are the same number."""
+
+
+def check(
+    config: RigConfig, trajectory: Trajectory, protocol: Protocol | None = None, rig_file: Path | None = None
+) -> tuple[Problem, ...]:
+    """All that forbids to play `trajectory` on the rig: level, rate, jumps, duration, and valves that are shared.
+
+    `protocol` and `rig_file` make the places fuller: the step's path, and the file that states the limit.
+    """
+    judge = _PreflightCheck(config, trajectory, protocol, f" in {rig_file.name}" if rig_file else "")
+    return judge.verdict()
+
+
+def peak_pa(trajectory: Trajectory) -> list[float]:
+    """The highest set-point of each actuator [Pa]."""
+    highest = zip(*([high for _, high, _ in _extremes(segment)] for segment in trajectory.segments), strict=True)
+    return [max(levels) for levels in highest]
+
+
+class _PreflightCheck:
+    def __init__(self, config: RigConfig, trajectory: Trajectory, protocol: Protocol | None, rig: str) -> None:
+        self._config = config
+        self._trajectory = trajectory
+        self._protocol = protocol
+        self._rig = rig
+
+    def verdict(self) -> tuple[Problem, ...]:
+        have, want = self._config.actuators, self._trajectory.actuators
+        if have != want:
+            expected = f"a trajectory for the {have} actuators of the rig"
+            return (Problem(self._trajectory.source, 0, 0, "", f"one for {want}", expected),)
+        worst: dict[tuple[int, str], tuple[float, Problem]] = {}
+        before = (0.0,) * have
+        for segment in self._trajectory.segments:
+            for rule, excess, problem in self._objections(segment, before):
+                key = (segment.line, rule)
+                if key not in worst or excess > worst[key][0]:
+                    worst[key] = (excess, problem)
+            before = segment.level_pa
+        problems = [problem for _, problem in worst.values()]
+        return tuple(sorted((*self._duration(), *problems), key=lambda problem: problem.line))
+
+    def _duration(self) -> Iterator[Problem]:
+        longest, takes = self._config.limits.duration_s, self._trajectory.duration_s
+        if takes > longest:
+            expected = f"at most {longest:g} s (limits, duration_s{self._rig})"
+            yield Problem(self._trajectory.source, 0, 0, "the whole protocol", f"{takes:.6g} s", expected)
+
+    def _objections(self, segment: Segment, before: tuple[float, ...]) -> Iterator[tuple[str, float, Problem]]:
+        """Rule broken, by how much, and the problem."""
+        limits = self._config.limits
+        highest = limits.pressure_bar * PA_PER_BAR
+        fastest = limits.rate_bar_per_s * PA_PER_BAR
+        levels = _extremes(segment)
+        for index, (low, high, slope) in enumerate(levels):
+            who = f"actuator {index + 1}"
+            if high > highest + TINY_PA:
+                expected = f"at most {limits.pressure_bar:g} bar (limits, pressure_bar{self._rig})"
+                yield "level", high - highest, self._problem(segment, f"{who} at {_bar(high)}", expected)
+            if low < -TINY_PA:
+                yield "below", -low, self._problem(segment, f"{who} at {_bar(low)}", "gauge pressures of 0 or more")
+            if slope > fastest * (1 + 1e-9):
+                expected = f"at most {limits.rate_bar_per_s:g} bar/s (limits, rate_bar_per_s{self._rig})"
+                yield "rate", slope - fastest, self._problem(segment, f"{who} at {_bar(slope)}/s", expected)
+        first = segment.level_at(segment.start_s)
+        for index, (old, new) in enumerate(zip(before, first, strict=True)):
+            jump = abs(new - old)
+            if segment.kind not in COMMANDED_JUMPS and jump > JUMP_PA:
+                found = f"actuator {index + 1} jumps from {_bar(old)} to {_bar(new)}"
+                wish = "a start where the set-point stands; give this step lead_in_s, or put a ramp before it"
+                yield "jump", jump, self._problem(segment, found, wish)
+        yield from self._shared(segment)
+
+    def _shared(self, segment: Segment) -> Iterator[tuple[str, float, Problem]]:
+        """Actuators on one valve can only be at one pressure."""
+        for number, valve in enumerate(self._config.valves, start=1):
+            if not set(valve.actuators) & set(segment.actuators):
+                continue
+            for t_s in _knots(segment):
+                level = segment.level_at(segment.start_s + t_s)
+                asked = [level[actuator - 1] for actuator in valve.actuators]
+                apart = max(asked) - min(asked)
+                if apart > TINY_PA:
+                    names = " and ".join(str(actuator) for actuator in valve.actuators)
+                    found = f"{' and '.join(_bar(pa) for pa in asked)} for actuators {names}"
+                    expected = f"the same pressure: valves #{number}{self._rig} drives them together"
+                    yield f"valve {number}", apart, self._problem(segment, found, expected)
+
+    def _problem(self, segment: Segment, value: str, expected: str) -> Problem:
+        where, column = self._protocol.step_at(segment.line) if self._protocol else (segment.kind, 0)
+        if not where.endswith(segment.label):
+            where += f" ({segment.label})"
+        return Problem(self._trajectory.source, segment.line, column, where, value, expected)
+
+
+def _knots(segment: Segment) -> tuple[float, ...]:
+    """Times from the segment's start at which levels and rates have their extremes."""
+    duration_s = segment.stop_s - segment.start_s
+    times = {t_s for _, wave in segment.waves for t_s in wave.knots(duration_s)}
+    return tuple(sorted(times | {0.0, duration_s}))
+
+
+def _extremes(segment: Segment) -> list[tuple[float, float, float]]:
+    """Lowest and highest level [Pa] and the steepest slope [Pa/s] of each actuator."""
+    found = [(level, level, 0.0) for level in segment.level_pa]
+    for index, wave in segment.waves:
+        knots = wave.knots(segment.stop_s - segment.start_s)
+        values = [wave.at(t_s) for t_s in knots]
+        found[index] = (min(values), max(values), max(abs(wave.slope(t_s)) for t_s in knots))
+    return found
+
+
+def _bar(pa: float) -> str:
+    return f"{pa / PA_PER_BAR:.4g} bar"

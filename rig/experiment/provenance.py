@@ -1,0 +1,86 @@
+"""Where a run comes from: versions, git state, host, and every number that it used."""
+
+from __future__ import annotations
+
+import platform
+import subprocess
+from importlib import metadata
+from pathlib import Path
+
+from rig.config.schema import RigConfig
+from runs.records import Quantity
+
+_PACKAGES = ("softrig", "numpy", "scipy", "numba", "opencv-python-headless", "h5py", "mcap", "pydantic", "pycomedi")
+_ROOT = Path(__file__).resolve().parents[2]
+
+
+def versions() -> dict[str, str]:
+    """Versions of Python, of the kernel and of the packages that shape a result; absent packages are left out."""
+    found = {"python": platform.python_version(), "kernel": f"{platform.system()} {platform.release()}"}
+    for name in _PACKAGES:
+        try:
+            found[name] = metadata.version(name)
+        except metadata.PackageNotFoundError:
+            continue
+    return found
+
+
+def git_state() -> tuple[str, str]:
+    """Commit and uncommitted difference of the checkout that the program runs from; empty outside a checkout."""
+    return _git("rev-parse", "HEAD").strip(), _git("diff", "HEAD")
+
+
+def _git(*arguments: str) -> str:
+    try:
+        done = subprocess.run(
+            ["git", "-C", str(_ROOT), *arguments],
+            capture_output=True,
+            text=True,
+            errors="replace",
+            timeout=10,
+            check=False,
+        )
+    except (OSError, subprocess.TimeoutExpired):
+        return ""
+    return done.stdout if done.returncode == 0 else ""
+
+
+def quantities(config: RigConfig) -> tuple[Quantity, ...]:
+    """Every number of the rig that shapes a measured or a modelled tip."""
+    source = f"rig {config.name}"
+    found: list[Quantity] = []
+
+    def add(room: str, name: str, unit: str, *value: float, uncertainty: float = float("nan")) -> None:
+        found.append(Quantity(room, name, tuple(float(v) for v in value), unit, source, uncertainty))
+
+    arm, geometry, material = config.arm, config.arm.geometry, config.arm.material
+    add("model", "length", "mm", geometry.length_mm)
+    add("model", "inner_radius", "mm", geometry.inner_radius_mm)
+    add("model", "outer_radius", "mm", geometry.outer_radius_mm)
+    add("model", "circle_radius", "mm", geometry.circle_radius_mm)
+    add("model", "actuator_angles", "deg", *geometry.actuator_angles_deg)
+    add("model", "youngs_modulus", "Pa", material.youngs_modulus_pa)
+    add("model", "a1", "1/N", material.a1_per_N)
+    add("model", "a2", "1/N2", material.a2_per_N2)
+    add("model", "rpe", "1/bar", material.rpe_per_bar)
+    add("model", "shear_ratio", "1", material.shear_ratio)
+    add("model", "density", "kg/m3", material.density_kg_m3)
+    add("model", "damping", "s", material.damping_s)
+    add("model", "cap_mass", "g", arm.cap_mass_g)
+    add("model", "gravity_direction", "1", *arm.gravity_direction)
+    for sensor in config.sensors:
+        scale = (sensor.span_bar[1] - sensor.span_bar[0]) / (sensor.span_V[1] - sensor.span_V[0])
+        add("calibration", f"sensor_{sensor.actuator}_scale", "bar/V", scale)
+        offset = sensor.span_bar[0] - scale * sensor.span_V[0]
+        add("calibration", f"sensor_{sensor.actuator}_offset", "bar", offset, uncertainty=sensor.accuracy_bar)
+    for name, camera in config.cameras.items():
+        lens, place = camera.lens, camera.placement
+        add("calibration", f"{name}_lens", "px", lens.fx_px, lens.fy_px, lens.cx_px, lens.cy_px)
+        add("calibration", f"{name}_distortion", "1", *lens.distortion)
+        add("calibration", f"{name}_translation", "mm", *place.translation_mm, uncertainty=place.translation_std_mm)
+        add("calibration", f"{name}_rotation", "deg", *place.rotation_deg, uncertainty=place.rotation_std_deg)
+    tool = config.board.placement
+    add("calibration", "board_square", "mm", config.board.square_mm)
+    add("calibration", "board_translation", "mm", *tool.translation_mm, uncertainty=tool.translation_std_mm)
+    add("calibration", "board_rotation", "deg", *tool.rotation_deg, uncertainty=tool.rotation_std_deg)
+    return tuple(found)

@@ -1,0 +1,194 @@
+"""Vision and model once more, from a run's stored pictures and pressures, into an archive that names its parent."""
+
+from __future__ import annotations
+
+import shlex
+import sys
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from protocols import BadInputError, Problem
+from rig.config import loader
+from rig.config.parameters_overlay import baseline, over, overlay, recorded
+from rig.config.schema import PA_PER_BAR, RigConfig, Variant
+from rig.experiment.provenance import git_state, quantities, versions
+from rig.experiment.run import VARIANTS, free_id
+from rig.hardware.cameras.base import Frame, FrameSet
+from rig.observation.observer import Observer
+from runs.archive.writer import ArchiveError, finalise
+from runs.journal.journal import SUFFIX, JournalWriter
+from runs.records import RunFooter, SourceFile, sample_dtype
+from runs.run import Run
+
+
+@dataclass(frozen=True)
+class ReplayRig:
+    """The rig of a replay: its YAML with all that lies over it, what it says, what it was made of, and the model."""
+
+    yaml: str
+    config: RigConfig
+    sources: tuple[SourceFile, ...]
+    parameters: str
+    variant: Variant
+
+
+def replay(
+    run: Run,
+    folder: Path,
+    rig: str | None = None,
+    variant: Variant | None = None,
+    parameters: Path | None = None,
+    calibrations: Sequence[Path] = (),
+) -> Path:
+    """Observe a run's pictures again and return the new archive's path.
+
+    `rig` names a rig, or a file, with other calibration, model or material; by default the run's own. `parameters` is
+    a file of identified ones to lay over it, `calibrations` are files of `rig calibrate`. Frames that were
+    not stored are not observed; the model steps over them as over dropped frames.
+
+    Raises:
+        ArchiveError: the run kept no pictures.
+        BadInput: the rig is wrong, or has another number of actuators.
+    """
+    if not len(run.frames.index):
+        raise ArchiveError(f"{run.path} holds no pictures: there is nothing to replay")
+    bench = replay_settings(run, rig, variant, parameters, calibrations)
+    config = bench.config
+    rows = np.array(list(_observed(run, config, bench.variant)))
+    now = datetime.now(UTC)
+    commit, diff = git_state()
+    folder.mkdir(parents=True, exist_ok=True)
+    header = replace(
+        run.header,
+        run_id=free_id(folder, f"{run.header.run_id}-replay"),
+        parent=run.header.run_id,
+        notes="; ".join(filter(None, (run.header.notes, f"replayed {now:%Y-%m-%d %H:%M} UTC"))),
+        rig_name=config.name,
+        rig_yaml=bench.yaml,
+        sources=bench.sources,
+        parameters_yaml=bench.parameters,
+        model_variant=bench.variant,
+        cameras=tuple(config.cameras),
+        command=shlex.join(sys.argv),
+        versions=versions(),
+        git_commit=commit,
+        git_diff=diff,
+        quantities=quantities(config),
+        adapted=(),
+    )
+    journal = JournalWriter(folder / f"{header.run_id}{SUFFIX}", header)
+    journal.samples(_samples(run))
+    journal.observations(rows)
+    for event in run.events:
+        journal.event(event)
+    journal.close(RunFooter(int(rows["t_ns"][-1]), run.status, run.message, run.timing.counters))
+    return finalise(journal.path)
+
+
+def replay_settings(
+    run: Run,
+    rig: str | None = None,
+    variant: Variant | None = None,
+    parameters: Path | None = None,
+    calibrations: Sequence[Path] = (),
+) -> ReplayRig:
+    """What a run is to be seen with again; see `replay`.
+
+    Calibrations are of the rig without any parameters: those that the run had are lifted off it, and laid over it again
+    where no others are given.
+
+    Raises:
+        BadInput: the rig is wrong, or has another number of actuators.
+    """
+    text = run.header.rig_yaml if rig is None else loader.text(rig)
+    file = f"{run.path}: rig" if rig is None else str(loader.path_of(rig))
+    sources = run.header.sources if rig is None else loader.sources(rig)
+    laid = run.header.parameters_yaml if rig is None else ""
+    if calibrations:
+        text, sources = loader.calibrated(baseline(text, file, laid) if laid else text, file, calibrations)
+        if laid and parameters is None:
+            text = overlay(text, file, recorded(laid))
+    config = loader.parse(text, file)
+    chosen = variant or (_variant(run) if rig is None else config.model.variant)
+    if parameters is not None:
+        text, laid = over(text, file, parameters, chosen, instead_of="" if calibrations else laid)
+        config = loader.parse(text, f"rig with {parameters}")
+    if config.actuators != run.header.actuators:
+        wish = f"a rig with {run.header.actuators} actuators, as the run had"
+        raise BadInputError([Problem("--rig", 0, 0, "", f"{config.name}, which has {config.actuators}", wish)])
+    return ReplayRig(text, config, sources, laid, chosen)
+
+
+def _variant(run: Run) -> Variant:
+    return next(v for v in VARIANTS if v == run.header.model_variant)
+
+
+def _observed(run: Run, config: RigConfig, variant: Variant) -> Iterator[NDArray[np.void]]:
+    """The rows of the stored frames, in their order."""
+    observer = Observer(config, variant)
+    tip = run.tip
+    clock = run.header.started_t_ns
+    ticks_ns = _nanoseconds(run.pressure.time_s, clock)
+    measured_pa = run.pressure.measured_bar * PA_PER_BAR
+    truth_mm = run.simulated.tip_mm if run.simulated is not None else np.full((len(tip.frame), 3), np.nan)
+    row_of = {int(frame): row for row, frame in enumerate(tip.frame)}
+    camera_of = _cameras(run, config)
+    pictures: dict[int, list[int]] = {}
+    for k, (index, name) in enumerate(zip(run.frames.index, run.frames.camera, strict=True)):
+        if int(index) in row_of and name in camera_of:
+            pictures.setdefault(int(index), []).append(k)
+    seen = 0
+    before = None
+    for index, of_shot in pictures.items():
+        row = row_of[index]
+        frames: list[Frame | None] = [None] * len(config.cameras)
+        for k in of_shot:
+            t_ns = int(_nanoseconds(run.frames.time_s[k], clock))
+            image = cv2.imdecode(np.frombuffer(run.picture(k), np.uint8), cv2.IMREAD_UNCHANGED)
+            truth_m = truth_mm[row] * 1e-3
+            frames[camera_of[run.frames.camera[k]]] = Frame(index, t_ns, np.asarray(image, np.uint8), truth_m)
+        shot = FrameSet(index, tuple(frames))
+        until = min(int(np.searchsorted(ticks_ns, shot.t_ns, side="left")) + 1, len(ticks_ns))
+        dropped = 0 if before is None else index - before - 1
+        before = index
+        yield observer.step(
+            shot,
+            ticks_ns[seen:until],
+            measured_pa[seen:until],
+            float(tip.protocol_s[row]),
+            dropped,
+            float(tip.weight_g[row]) * 1e-3,
+        )
+        seen = until
+
+
+def _cameras(run: Run, config: RigConfig) -> dict[str, int]:
+    """Which of the rig's cameras took the run's pictures: by name, or in their order where no name is the same."""
+    names = list(config.cameras)
+    if set(names).isdisjoint(run.header.cameras):
+        return dict(zip(run.header.cameras, range(len(names)), strict=False))
+    return {name: names.index(name) for name in run.header.cameras if name in names}
+
+
+def _samples(run: Run) -> NDArray[np.void]:
+    """The run's control ticks, as they were recorded."""
+    pressure = run.pressure
+    rows = np.zeros(len(pressure.time_s), sample_dtype(run.header.actuators, run.header.valves))
+    rows["t_ns"] = _nanoseconds(pressure.time_s, run.header.started_t_ns)
+    rows["tick"], rows["protocol_s"], rows["scans"] = pressure.tick, pressure.protocol_s, pressure.scans
+    rows["setpoint_pa"] = pressure.setpoint_bar * PA_PER_BAR
+    rows["measured_pa"] = pressure.measured_bar * PA_PER_BAR
+    rows["valve_v"] = pressure.valve_v
+    rows["lateness_ns"] = np.round(run.timing.lateness_us * 1e3)
+    rows["missed"] = run.timing.overruns
+    return rows
+
+
+def _nanoseconds(time_s: NDArray[np.float64] | float, clock_ns: int) -> NDArray[np.int64]:
+    return np.round(np.asarray(time_s) * 1e9).astype(np.int64) + clock_ns

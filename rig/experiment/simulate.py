@@ -1,0 +1,80 @@
+"""The model alone, driven by a protocol's set-points, into an archive of the same layout as a run's."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+import model
+from rig.config.arm_model import TipLoad, model_arm
+from rig.execution.plan import Plan
+from rig.experiment.run import RunRequest, header
+from rig.observation.overlay import backbone
+from runs.archive.writer import finalise
+from runs.journal.journal import JournalWriter
+from runs.records import DetectionStatus, RunFooter, Status, observation_dtype, sample_dtype
+
+_Solve = Callable[[NDArray[np.float64], model.Loads | None], model.Shape]
+
+
+def simulate(request: RunRequest, plan: Plan, static: bool) -> Path:
+    """Write what the model says the tip does when the chambers follow the set-points exactly.
+
+    What prompts hang on the end cap hangs on the model. The rows carry no measured tip (`Seen.NO_FRAME`); the measured
+    pressures are the set-points, and the archive says that it is a simulation. Time steps are the camera's. After one
+    that cannot be solved the model begins anew at rest.
+    """
+    config, trajectory = plan.config, plan.trajectory
+    rate_hz = next(iter(config.cameras.values())).rate_hz
+    dt_s = 1.0 / rate_hz
+    steps = int(trajectory.duration_s * rate_hz) + 1
+    pressures = trajectory.sample(np.arange(steps) * dt_s)
+    arm = model_arm(config, plan.variant)
+    dynamics = None if static else arm.dynamics(dt_s)
+
+    samples = np.zeros(steps, sample_dtype(config.actuators, len(config.valves)))
+    samples["tick"] = np.arange(steps)
+    samples["t_ns"] = np.round(np.arange(steps) * dt_s * 1e9)
+    samples["protocol_s"] = np.arange(steps) * dt_s
+    samples["setpoint_pa"] = samples["measured_pa"] = pressures
+    samples["valve_v"] = np.nan
+    rows = np.zeros(steps, observation_dtype(config.actuators, len(config.cameras)))
+    rows["t_ns"], rows["frame"], rows["protocol_s"] = samples["t_ns"], samples["tick"], samples["protocol_s"]
+    rows["seen"] = rows["camera_seen"] = DetectionStatus.NO_FRAME
+    rows["pressure_pa"] = pressures
+    for field in ("measured_m", "covariance_m2", "truth_m", "reprojection_px", "camera_skew_s"):
+        rows[field] = np.nan
+    hook, shape, tip_m = TipLoad(config), None, np.full(3, np.nan)
+    for row, pressure in zip(rows, pressures, strict=True):
+        row["weight_kg"] = weight_kg = trajectory.weight_kg(float(row["protocol_s"]))
+        if dynamics is None:
+            solve: _Solve = arm.statics
+        else:
+            solve = dynamics.start if shape is None else dynamics.step
+        shape = _solved(solve, pressure, hook.carrying(weight_kg))
+        if shape is not None:
+            tip_m = shape.tip_m
+        row["model_m"], row["backbone_m"], row["model_ok"] = tip_m, backbone(shape), shape is not None
+
+    title = f"{request.protocol.title} (model alone, {'static' if static else 'dynamic'})"
+    about = replace(header(request, plan, 0), title=title, executor="model alone", simulated=True, control_hz=rate_hz)
+    request.folder.mkdir(parents=True, exist_ok=True)
+    journal = JournalWriter(request.folder / f"{about.run_id}.mcap", about)
+    journal.samples(samples)
+    journal.observations(rows)
+    unsolved = int(steps - rows["model_ok"].sum())
+    message = f"{unsolved} of {steps} steps could not be solved" if unsolved else ""
+    journal.close(RunFooter(int(samples["t_ns"][-1]), Status.FINISHED, message))
+    return finalise(journal.path)
+
+
+def _solved(solve: _Solve, pressure_pa: NDArray[np.float64], loads: model.Loads | None) -> model.Shape | None:
+    try:
+        shape = solve(pressure_pa, loads)
+    except model.NotConverged:
+        return None
+    return shape if shape.ok else None

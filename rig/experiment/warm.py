@@ -1,0 +1,41 @@
+"""`python -m rig.experiment.warm`: compile everything that a run would otherwise wait for; part of the installation."""
+
+from __future__ import annotations
+
+import sys
+
+from model import warm as model_warm
+from runs.records import DetectionStatus
+
+WARMING_NS = 100_000_000
+
+
+def main() -> int:
+    """Compile the rod's and the plant's kernels into the cache on disk; the exit status."""
+    if status := model_warm.main():
+        return status
+    import numpy as np
+
+    from rig.config.loader import load
+    from rig.hardware.cameras.base import FrameSet
+    from rig.hardware.cameras.mock import MockCamera
+    from rig.observation.observer import Observer
+    from rig.simulator.plant import Plant
+
+    config = load("mock")
+    plant = Plant(config, seed=0, t0_ns=0)
+    plant.advance(WARMING_NS)
+    camera, observer = MockCamera(config, plant), Observer(config)
+    pressure_pa = np.zeros((1, config.actuators))
+    for index in range(3):
+        t_ns = WARMING_NS // 2 + index
+        row = observer.step(FrameSet.of(camera.frame_at(index, t_ns)), np.array([t_ns]), pressure_pa, 0.0)
+    if row["seen"] != DetectionStatus.MEASURED:
+        print("rig.experiment.warm: failed: the simulated camera did not see the board", file=sys.stderr)
+        return 1
+    print("rig.experiment.warm: simulator and vision are ready")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,1 @@
+"""Cameras: the protocol they obey, OpenCV, RealSense, recordings, and the mock."""

@@ -1,0 +1,69 @@
+"""The protocol a camera obeys."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+class CameraError(Exception):
+    """The camera could not be opened or has gone; the message says what to do about it."""
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One picture, stamped at the middle of its exposure.
+
+    `image` is (height, width) uint8 grey or (height, width, 3) uint8 BGR; `index` counts the camera's own frames, so
+    that a gap is a dropped frame; `truth_m` is the simulator's tool centre point in the rod-base frame, None on a
+    real camera.
+    """
+
+    index: int
+    t_ns: int
+    image: NDArray[np.uint8]
+    truth_m: NDArray[np.float64] | None = None
+
+
+@dataclass(frozen=True)
+class FrameSet:
+    """What the rig's cameras saw at one time: a frame of each in the rig's order, None for one that gave none.
+
+    The first frame that is there gives the time; `index` counts shots, so that a gap is a dropped one.
+    """
+
+    index: int
+    frames: tuple[Frame | None, ...]
+
+    @classmethod
+    def of(cls, frame: Frame) -> FrameSet:
+        """The shot of a rig with one camera."""
+        return cls(frame.index, (frame,))
+
+    @property
+    def leader(self) -> int:
+        """Number of the camera whose frame gives the time."""
+        return next(k for k, frame in enumerate(self.frames) if frame is not None)
+
+    @property
+    def lead(self) -> Frame:
+        """The frame that gives the time."""
+        return next(frame for frame in self.frames if frame is not None)
+
+    @property
+    def t_ns(self) -> int:
+        """Middle of the leading frame's exposure."""
+        return self.lead.t_ns
+
+
+class Camera(Protocol):
+    """An open camera."""
+
+    def read(self, timeout_s: float) -> Frame:
+        """Return the newest frame, waiting for one that was not returned before; `CameraError` after the time-out."""
+
+    def close(self) -> None:
+        """Release the device."""

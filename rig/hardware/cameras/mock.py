@@ -1,0 +1,145 @@
+"""The mock camera: pictures of the simulated tip, paced in real time or taken at a given time."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calibration.vision.transforms import RigidTransform
+from rig.config.optics import board_in_tip, board_of, camera_in_base, lens_of, rigid
+from rig.config.schema import RigConfig
+from rig.hardware.cameras.base import CameraError, Frame
+from rig.simulator.faults import CameraFault, Faults
+from rig.simulator.scene import Optics, Scene
+from rig.simulator.tip_pose import PoseSource, TipPose
+
+DROPPED = 9
+"""Pictures that a camera which drops pictures drops at a time."""
+_OTHER_NOISE = 1_000_003
+"""Between the seeds of a rig's cameras: each has its own noise."""
+
+
+@dataclass(frozen=True)
+class Exposure:
+    """What a picture will show: the board before the camera at the exposure's beginning, middle and end."""
+
+    index: int
+    t_ns: int
+    opened: RigidTransform
+    middle: RigidTransform
+    closed: RigidTransform
+    truth_m: NDArray[np.float64]
+    fault: CameraFault
+
+
+class MockCamera:
+    """A camera that looks at the simulator's tip.
+
+    In real time `read` exposes on a fixed grid of CLOCK_MONOTONIC: frame n is the n-th period after the camera was
+    opened, and a reader that comes late skips periods, which shows as a gap in the index. In virtual time the caller
+    asks for `frame_at`.
+    """
+
+    def __init__(
+        self,
+        config: RigConfig,
+        source: PoseSource,
+        name: str | None = None,
+        seed: int = 0,
+        faults: Faults | None = None,
+    ) -> None:
+        """Look with the camera called `name` (the only one when None) at the tip that `source` knows."""
+        config = config.as_built
+        if config.simulator is None:
+            raise CameraError("the mock camera needs the rig's 'simulator' section: it says what the picture shows")
+        name = name or next(iter(config.cameras))
+        chosen = config.cameras[name]
+        self._number = list(config.cameras).index(name) + 1
+        self._source = source
+        self._exposure_ns = round(chosen.exposure_ms * 1e6)
+        self._period_ns = round(1e9 / chosen.rate_hz)
+        truth = config.simulator.scene
+        optics = Optics(truth.blur_px, truth.noise_grey, truth.lighting)
+        size = (chosen.width_px, chosen.height_px)
+        self._scene = Scene(board_of(config), lens_of(chosen), size, optics, seed + _OTHER_NOISE * (self._number - 1))
+        simulator = config.simulator
+        self._base = rigid(simulator.base)
+        self._base_in_camera = (camera_in_base(chosen) @ rigid(simulator.error_of(name))).inverse() @ self._base
+        self._board_in_tip = board_in_tip(config) if simulator.board is None else rigid(simulator.board)
+        self._start_ns = time.monotonic_ns() + self._exposure_ns
+        self._index = -1
+        self._faults = faults if faults is not None else Faults()
+        self._last: NDArray[np.uint8] | None = None
+
+    def frame_at(self, index: int, t_ns: int) -> Frame:
+        """Frame `index` with its mid-exposure at `t_ns`; the same arguments and seed give the same picture."""
+        return self.develop(self.expose(index, t_ns))
+
+    def expose(self, index: int, t_ns: int) -> Exposure:
+        """What frame `index` will show; takes microseconds, and needs the source only now and only up to `t_ns`.
+
+        The motion of the exposure's second half is that of the first.
+
+        Raises:
+            CameraError: the camera gives no pictures.
+        """
+        if self._faults.camera(self._number) in (CameraFault.UNPLUGGED, CameraFault.SILENT):
+            raise CameraError("the camera gives no more pictures: is it plugged in?")
+        before = self._source.pose_at(t_ns - self._exposure_ns // 2)
+        pose = self._source.pose_at(t_ns)
+        opened, middle = self._board_before_camera(before), self._board_before_camera(pose)
+        # Turning on by the same angle again: R_middle R_opened^T R_middle.
+        closed = RigidTransform(
+            middle.rotation @ opened.rotation.T @ middle.rotation, 2 * middle.translation_m - opened.translation_m
+        )
+        truth_m = self._base.apply(np.array(pose.position_m, dtype=np.float64))
+        return Exposure(index, t_ns, opened, middle, closed, truth_m, self._faults.camera(self._number))
+
+    def develop(self, exposure: Exposure) -> Frame:
+        """The picture of an exposure; in their order, by one thread, which need not be the one that exposed."""
+        image = self._scene.render(exposure.opened, exposure.middle, exposure.closed, exposure.index)
+        return Frame(exposure.index, exposure.t_ns, self._seen(exposure, image), exposure.truth_m)
+
+    def read(self, timeout_s: float) -> Frame:
+        """Wait for the next exposure to end, then return its picture."""
+        now = time.monotonic_ns()
+        if self._faults.camera(self._number) is CameraFault.SILENT:
+            time.sleep(timeout_s)
+        # The newest exposure that is over when nothing was read for long, else the one after the last.
+        takes_ns = self._exposure_ns // 2 + self._faults.camera_delay_ns(self._number)
+        ended = (now - takes_ns - self._start_ns) // self._period_ns
+        step = 1 if self._faults.camera(self._number) is not CameraFault.DROPPING else DROPPED + 1
+        self._index = max(self._index + step, ended)
+        t_ns = self._start_ns + self._index * self._period_ns
+        wait_s = (t_ns + takes_ns - now) * 1e-9
+        if wait_s > timeout_s:
+            time.sleep(timeout_s)
+            self._index -= 1
+            raise CameraError(f"no picture within {timeout_s:g} s: the camera delivers one every {self._period_ns} ns")
+        if wait_s > 0:
+            time.sleep(wait_s)
+        try:
+            return self.frame_at(self._index, t_ns)
+        except LookupError as error:
+            if time.monotonic_ns() - takes_ns < t_ns + self._period_ns:
+                raise CameraError(f"the simulator stands still: {error}") from error
+            # Who stood still meanwhile takes the newest, as one who comes late does.
+            return self.read(timeout_s)
+
+    def close(self) -> None:
+        """Nothing to release."""
+
+    def _seen(self, exposure: Exposure, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        fault = exposure.fault
+        if fault is CameraFault.BLACK:
+            return np.zeros_like(image)
+        repeats = fault is CameraFault.FROZEN or (fault is CameraFault.DUPLICATED and exposure.index % 2 == 1)
+        if not repeats or self._last is None:
+            self._last = image
+        return self._last
+
+    def _board_before_camera(self, pose: TipPose) -> RigidTransform:
+        return self._base_in_camera @ RigidTransform(pose.rotation, pose.position_m) @ self._board_in_tip

@@ -1,0 +1,201 @@
+"""The rig's cameras as one: a frame of each that were taken together, paired by their times.
+
+One camera is read as it is. Of several each has a thread that reads it; a shot is led by the first camera that gives
+pictures, and has of the others the frame nearest in time, at most half a period away.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from collections.abc import Sequence
+
+from rig.config.schema import RigConfig
+from rig.hardware.cameras.base import Camera, CameraError, Frame, FrameSet
+from rig.hardware.cameras.registry import open_camera
+
+KEPT = 4
+"""Frames of one camera that wait for those of the others."""
+PATIENCE = 1.5
+"""Periods that a frame waits for those of the other cameras, whose pictures may take longer to come."""
+STALL_PERIODS = 2.0
+"""Where nobody looked for longer than that the process stood still, and the cameras cannot be blamed for it."""
+RETRY_S = 0.1
+POLL_S = 0.5
+
+
+class CameraSynchroniser:
+    """All cameras of a rig, open."""
+
+    def __init__(self, config: RigConfig, seed: int) -> None:
+        """Open every camera.
+
+        Raises:
+            CameraError: one of them cannot be opened.
+        """
+        self._names = list(config.cameras)
+        self._least = config.limits.least_cameras
+        self._period_ns = round(1e9 / next(iter(config.cameras.values())).rate_hz)
+        self._cameras: list[Camera] = []
+        self._readers: list[_Reader] = []
+        self._changed = threading.Condition()
+        self._looked_ns = time.monotonic_ns()
+        self._leader = 0
+        self._offset: int | None = None
+        self._last: tuple[int, int] | None = None
+        try:
+            for name in config.cameras:
+                self._cameras.append(open_camera(config, name, seed))
+        except BaseException:
+            self.close()
+            raise
+        if len(self._cameras) > 1:
+            self._readers = [_Reader(camera, self._changed) for camera in self._cameras]
+
+    def await_all(self, timeout_s: float) -> None:
+        """Wait until every camera has given a picture.
+
+        Raises:
+            CameraError: one has not.
+        """
+        with self._changed:
+            self._changed.wait_for(lambda: all(r.newest_ns for r in self._readers), timeout_s)
+            for name, reader in zip(self._names, self._readers, strict=False):
+                if not reader.newest_ns:
+                    why = reader.failure or f"no picture within {timeout_s:g} s"
+                    raise CameraError(f"camera {name}: {why}")
+
+    def read(self, timeout_s: float) -> FrameSet:
+        """Return the newest shot, waiting for one that was not returned before.
+
+        Raises:
+            CameraError: fewer cameras than `least_cameras` have given a picture within `timeout_s`.
+        """
+        if not self._readers:
+            return FrameSet.of(self._cameras[0].read(timeout_s))
+        until = time.monotonic() + timeout_s
+        with self._changed:
+            while True:
+                self._forgive()
+                self._check(timeout_s)
+                shot = self._pair()
+                if shot is not None:
+                    return shot
+                if time.monotonic() > until:
+                    raise CameraError(f"no camera gave a picture within {timeout_s:g} s")
+                # Also woken while nothing comes: a wait for a late camera ends by the clock.
+                self._changed.wait(self._period_ns * 0.1e-9)
+
+    def close(self) -> None:
+        """Release every camera."""
+        for reader in self._readers:
+            reader.stop()
+        for camera in self._cameras:
+            camera.close()
+
+    def _forgive(self) -> None:
+        """Not count as silence of the cameras what this process did not live through."""
+        before, self._looked_ns = self._looked_ns, time.monotonic_ns()
+        stood_ns = self._looked_ns - before - round(STALL_PERIODS * self._period_ns)
+        if stood_ns > 0:
+            for reader in self._readers:
+                reader.arrived_ns = min(reader.arrived_ns + stood_ns, self._looked_ns)
+
+    def _check(self, timeout_s: float) -> None:
+        now = time.monotonic_ns()
+        lost = [k for k, r in enumerate(self._readers) if now - r.arrived_ns > timeout_s * 1e9]
+        if len(self._readers) - len(lost) < self._least:
+            said = "; ".join(
+                f"camera {self._names[k]}: {self._readers[k].failure or f'no picture within {timeout_s:g} s'}"
+                for k in lost
+            )
+            raise CameraError(said)
+
+    def _pair(self) -> FrameSet | None:
+        """The next shot; None while there is none.
+
+        It is the newest whose frames have all come, or that has waited for them as long as it may.
+        """
+        now, period = time.monotonic_ns(), self._period_ns
+        silent = [now - reader.arrived_ns > 2 * period for reader in self._readers]
+        leader = next((k for k, quiet in enumerate(silent) if not quiet), None)
+        if leader is None:
+            return None
+        # A camera that leads anew may have pictures older than what was shot with the one before it.
+        after_ns = -1 if self._last is None else self._last[1] + period // 2
+        for lead, arrived_ns in reversed(self._readers[leader].waiting):
+            if lead.t_ns <= after_ns:
+                return None
+            frames, complete = self._fellows(leader, lead, silent)
+            if complete or now - arrived_ns > PATIENCE * period:
+                break
+        else:
+            return None
+        for reader, frame in zip(self._readers, frames, strict=True):
+            until_ns = frame.t_ns if frame is not None else lead.t_ns - period
+            while reader.waiting and reader.waiting[0][0].t_ns <= until_ns:
+                reader.waiting.popleft()
+        return FrameSet(self._number(leader, lead), tuple(frames))
+
+    def _fellows(self, leader: int, lead: Frame, silent: Sequence[bool]) -> tuple[list[Frame | None], bool]:
+        """Every camera's frame that goes with the leading one, and whether none of those missing may still come."""
+        frames: list[Frame | None] = [None] * len(self._readers)
+        frames[leader], complete = lead, True
+        for k, reader in enumerate(self._readers):
+            # Those before it are silent, or they would lead.
+            if k <= leader:
+                continue
+            nearest = min(reader.waiting, key=lambda w: abs(w[0].t_ns - lead.t_ns), default=None)
+            if nearest is not None and abs(nearest[0].t_ns - lead.t_ns) <= self._period_ns // 2:
+                frames[k] = nearest[0]
+            elif not silent[k] and reader.newest_ns < lead.t_ns:
+                complete = False
+        return frames, complete
+
+    def _number(self, leader: int, lead: Frame) -> int:
+        """Number of the shot: the leading camera's own count, carried on where another one leads."""
+        if self._offset is None or leader != self._leader:
+            self._offset, self._leader = 0 if self._last is None else self._carried(lead) - lead.index, leader
+        index = lead.index + self._offset
+        self._last = index, lead.t_ns
+        return index
+
+    def _carried(self, lead: Frame) -> int:
+        assert self._last is not None
+        index, t_ns = self._last
+        return index + max(1, round((lead.t_ns - t_ns) / self._period_ns))
+
+
+class _Reader:
+    """Reads one camera as fast as it delivers, for as long as the rig is open; one that fails is asked again."""
+
+    def __init__(self, camera: Camera, changed: threading.Condition) -> None:
+        self.waiting: deque[tuple[Frame, int]] = deque(maxlen=KEPT)
+        """Frames not yet part of a shot, with the times of their arrival."""
+        self.newest_ns = 0
+        self.arrived_ns = time.monotonic_ns()
+        self.failure = ""
+        self._camera, self._changed = camera, changed
+        self._stopped = False
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread.start()
+
+    def stop(self) -> None:
+        """End the thread, which may still wait for a picture."""
+        self._stopped = True
+        self._thread.join(2 * POLL_S)
+
+    def _run(self) -> None:
+        while not self._stopped:
+            try:
+                frame = self._camera.read(POLL_S)
+            except CameraError as error:
+                self.failure = str(error)
+                time.sleep(RETRY_S)
+                continue
+            with self._changed:
+                self.failure = ""
+                self.newest_ns, self.arrived_ns = frame.t_ns, time.monotonic_ns()
+                self.waiting.append((frame, self.arrived_ns))
+                self._changed.notify_all()

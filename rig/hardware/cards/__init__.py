@@ -1,0 +1,1 @@
+"""Data-acquisition cards: the protocol they obey, Comedi, and the mock."""

@@ -1,0 +1,299 @@
+"""A card driven by Comedi: inputs by an endless command or by instruction, outputs by instruction."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import os
+import time
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.hardware.cards.base import CardError, CardSetup, Channel, Scans
+from rig.hardware.cards.comedi_device import Device, Line, Subdevice, Timing, device_paths
+from rig.hardware.cards.comedi_timing import channel_lists, timings
+from rig.hardware.cards.scan_clock import ScanClock
+
+_CHUNK = 65536
+_NEAR_ENOUGH = 0.05
+"""How far the card's rate may lie from the one that the rig asks for."""
+
+
+class ComediCard:
+    """An open Comedi card.
+
+    Opening touches neither inputs nor outputs, so that a second process (the watchdog) may hold the card too and write
+    its outputs while the first one samples.
+
+    Where the card can, `start` gives an endless command: the card samples by its own clock and `read` returns what
+    has come since. Where it cannot, or the rig says `acquisition: instruction`, each `read` takes one scan.
+    """
+
+    def __init__(self, setup: CardSetup) -> None:
+        """Open the card and look up every channel and range that the rig wants of it.
+
+        Raises:
+            CardError: there is no such card, or it lacks a channel or a range; the message says what it has.
+        """
+        self._setup = setup
+        self._device = _find(setup.device)
+        self._sampler: _Commanded | _Instructed | None = None
+        try:
+            self._inputs = self._lines(self._device.inputs, setup.inputs, "input", differential=setup.differential)
+            self._outputs = self._lines(self._device.outputs, setup.outputs, "output")
+        except BaseException:
+            self._device.close()
+            raise
+        self._written = np.full(len(self._outputs), math.nan)
+
+    def _lines(
+        self, subdevice: Subdevice | None, channels: tuple[Channel, ...], word: str, *, differential: bool = False
+    ) -> tuple[Line, ...]:
+        if not channels:
+            return ()
+        if subdevice is None:
+            raise CardError(f"{self.description} has no analogue {word}s")
+        if differential and not subdevice.differential:
+            raise CardError(f"{self.description} has no differential {word}s: set `reference: ground`, and wire it so")
+        lines = []
+        for channel in channels:
+            if channel.number >= subdevice.channels:
+                raise CardError(
+                    f"{self.description} has {subdevice.channels} analogue {word}s (0 to {subdevice.channels - 1}): "
+                    f"there is no {word} {channel.number}"
+                )
+            index = self._range(subdevice, channel)
+            lines.append(subdevice.line(channel.number, index, differential=differential))
+        return tuple(lines)
+
+    def _range(self, subdevice: Subdevice, channel: Channel) -> int:
+        """Index of the narrowest range that holds the channel's."""
+        ranges = subdevice.ranges(channel.number)
+        holding = [
+            (high - low, i) for i, (low, high) in enumerate(ranges) if low <= channel.low_v and high >= channel.high_v
+        ]
+        if not holding:
+            has = ", ".join(f"{low:g} to {high:g} V" for low, high in ranges)
+            raise CardError(
+                f"{self.description}: {subdevice.word} {channel.number} has no range that holds "
+                f"{channel.low_v:g} to {channel.high_v:g} V; it has {has}"
+            )
+        return min(holding)[1]
+
+    @property
+    def description(self) -> str:
+        """Board, driver and device, for people."""
+        return f"{self._device.board} (driver {self._device.driver}, {self._device.path})"
+
+    @property
+    def outputs_there(self) -> int:
+        """How many analogue outputs the card has, used or not."""
+        return self._device.outputs.channels if self._device.outputs else 0
+
+    @property
+    def period_ns(self) -> float | None:
+        """From one scan to the next as the driver rounded it; None where the card does not sample by its own clock."""
+        return self._sampler.period_ns if isinstance(self._sampler, _Commanded) else None
+
+    @property
+    def drift_ppm(self) -> float | None:
+        """How much longer that period is by the computer's clock; None where there is none."""
+        return self._sampler.drift_ppm if isinstance(self._sampler, _Commanded) else None
+
+    def start(self) -> None:
+        """Begin sampling the inputs, from now on.
+
+        Raises:
+            CardError: the card cannot sample so, or samples for another process.
+        """
+        self._stop()
+        subdevice, setup = self._device.inputs, self._setup
+        if subdevice is None or not self._inputs:
+            return
+        if setup.acquisition == "command" and not subdevice.can_command:
+            raise CardError(
+                f"{self.description} cannot sample by its own clock: set `acquisition: auto` for card {setup.name}"
+            )
+        if subdevice.can_command and setup.acquisition != "instruction":
+            self._sampler = _Commanded(self._device, subdevice, setup, self._inputs)
+        else:
+            self._sampler = _Instructed(self._inputs)
+
+    def read(self) -> Scans:
+        """Scans since the last call; none before `start`. After an overrun sampling goes on, and `lost` tells."""
+        if self._sampler is None:
+            return Scans(np.empty(0, np.int64), np.empty((0, len(self._inputs))))
+        return self._sampler.read()
+
+    def write(self, volts: NDArray[np.float64]) -> None:
+        """Set the outputs, each clipped to its range; one that fails does not keep the others from theirs."""
+        if not np.all(np.isfinite(volts)):
+            raise CardError(f"{self.description}: an output was asked for {volts.tolist()} V; nothing was written")
+        failures = []
+        for i, (line, channel, value) in enumerate(zip(self._outputs, self._setup.outputs, volts, strict=True)):
+            inside = np.clip(value, channel.low_v, channel.high_v)
+            raw = int(np.clip(np.rint(line.from_volts(inside)), 0, line.max_raw))
+            try:
+                line.write(raw)
+                self._written[i] = line.to_volts(raw)
+            except CardError as error:
+                failures.append(str(error))
+        if failures:
+            raise CardError("; ".join(failures))
+
+    def readback(self) -> NDArray[np.float64]:
+        """What the driver holds the outputs at; where it cannot tell, what was written last, else NaN.
+
+        Before its first write a driver tells raw 0, which is 0 V only in a range that begins there.
+        """
+        volts = self._written.copy()
+        for i, line in enumerate(self._outputs):
+            with contextlib.suppress(CardError):
+                volts[i] = line.to_volts(line.read())
+        return volts
+
+    def close(self) -> None:
+        """Stop sampling and release the device; the outputs keep their voltages."""
+        with contextlib.suppress(CardError):
+            self._stop()
+        self._device.close()
+
+    def _stop(self) -> None:
+        sampler, self._sampler = self._sampler, None
+        if isinstance(sampler, _Commanded):
+            sampler.stop()
+
+
+class _Instructed:
+    """Inputs by instruction: one scan per read."""
+
+    def __init__(self, lines: tuple[Line, ...]) -> None:
+        self._lines = lines
+
+    def read(self) -> Scans:
+        before = time.monotonic_ns()
+        raw = [line.read() for line in self._lines]
+        t_ns = (before + time.monotonic_ns()) // 2
+        volts = np.array([[line.to_volts(r) for line, r in zip(self._lines, raw, strict=True)]], np.float64)
+        return Scans(np.array([t_ns], np.int64), volts)
+
+
+class _Commanded:
+    """Inputs by an endless command."""
+
+    def __init__(self, device: Device, subdevice: Subdevice, setup: CardSetup, lines: tuple[Line, ...]) -> None:
+        self._device = device
+        self._subdevice = subdevice
+        self._lines = lines
+        timing, sampled = _prepare(device, subdevice, setup, lines)
+        self.period_ns = float(timing.period_ns(len(sampled)))
+        self._columns = [sampled.index(channel.number) for channel in setup.inputs]
+        self._scan_bytes = subdevice.raw_dtype.itemsize * len(sampled)
+        self._sampled = len(sampled)
+        self._rest = b""
+        self._clock = ScanClock(self.period_ns, time.monotonic_ns())
+        subdevice.command()
+
+    @property
+    def drift_ppm(self) -> float:
+        return self._clock.drift_ppm
+
+    def read(self) -> Scans:
+        data, broken = self._drain()
+        now_ns = time.monotonic_ns()
+        whole = len(data) // self._scan_bytes * self._scan_bytes
+        self._rest = data[whole:]
+        raw = np.frombuffer(data[:whole], self._subdevice.raw_dtype).reshape(-1, self._sampled)
+        volts = np.empty((len(raw), len(self._lines)))
+        for column, (line, source) in enumerate(zip(self._lines, self._columns, strict=True)):
+            volts[:, column] = line.to_volts(raw[:, source])
+        t_ns = self._clock.stamp(len(raw), now_ns)
+        return Scans(t_ns, volts, self._restart() if broken else 0)
+
+    def _drain(self) -> tuple[bytes, bool]:
+        """Every byte that is there, and whether the command has broken off (buffer or FIFO overrun)."""
+        chunks = [self._rest]
+        while True:
+            try:
+                chunk = os.read(self._device.fileno, _CHUNK)
+            except BlockingIOError:
+                return b"".join(chunks), False
+            except BrokenPipeError:
+                return b"".join(chunks), True
+            except OSError as error:
+                raise CardError(
+                    f"{self._device.path} no longer delivers samples ({error.strerror}): the card or its driver is gone"
+                ) from None
+            if not chunk:
+                return b"".join(chunks), True
+            chunks.append(chunk)
+            if len(chunk) < _CHUNK:
+                return b"".join(chunks), False
+
+    def _restart(self) -> int:
+        self._rest = b""
+        start_ns = time.monotonic_ns()
+        self._subdevice.command()
+        return self._clock.restart(start_ns)
+
+    def stop(self) -> None:
+        self._subdevice.cancel()
+
+
+def _prepare(
+    device: Device, subdevice: Subdevice, setup: CardSetup, lines: tuple[Line, ...]
+) -> tuple[Timing, tuple[int, ...]]:
+    """Prepare the first command that the driver accepts near the wanted rate: its timing and the channels in a scan."""
+    wanted_ns = round(1e9 / setup.sampling_hz)
+    scan_begin, convert = subdevice.triggers()
+    by_channel = {channel.number: line for channel, line in zip(setup.inputs, lines, strict=True)}
+    offered: list[float] = []
+    for channels in channel_lists(tuple(c.number for c in setup.inputs), differential=setup.differential):
+        in_scan: list[Line] = []
+        for number in channels:
+            # A channel that is only passed by borrows the range of the one before it: the amplifier need not switch.
+            in_scan.append(
+                by_channel.get(number)
+                or subdevice.line(number, in_scan[-1].range_index, differential=setup.differential)
+            )
+        for timing in timings(scan_begin, convert, len(channels), wanted_ns):
+            rounded = subdevice.prepare(in_scan, timing)
+            if rounded is None:
+                continue
+            period_ns = rounded.period_ns(len(channels))
+            if abs(period_ns / wanted_ns - 1) <= _NEAR_ENOUGH:
+                return rounded, channels
+            offered.append(1e9 / period_ns)
+    rates = f"; near it the card has {', '.join(f'{hz:.4g} Hz' for hz in sorted(set(offered)))}" if offered else ""
+    raise CardError(
+        f"{device.path} cannot sample channels {[c.number for c in setup.inputs]} at {setup.sampling_hz:g} Hz{rates}. "
+        "Change `sampling_hz`, or set `acquisition: instruction` for the card"
+    )
+
+
+def _find(device: str) -> Device:
+    """Open a card by its path, or by its board's name."""
+    if device.startswith("/"):
+        return Device(device)
+    seen, closed, found = [], [], []
+    for path in device_paths():
+        try:
+            candidate = Device(path)
+        except CardError as error:
+            closed.append(str(error))
+            continue
+        seen.append(f"{candidate.board} at {path}")
+        if candidate.board.casefold() == device.casefold():
+            found.append(candidate)
+        else:
+            candidate.close()
+    if len(found) == 1:
+        return found[0]
+    for extra in found:
+        extra.close()
+    if found:
+        paths = " and ".join(extra.path for extra in found)
+        raise CardError(f"{len(found)} boards are called {device} ({paths}): name the one you mean by its path")
+    there = "; ".join([*seen, *closed]) or "none: load the card's driver (`rig doctor` says which)"
+    raise CardError(f"there is no board called {device}. Boards present: {there}")

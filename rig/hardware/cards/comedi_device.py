@@ -1,0 +1,359 @@
+"""One open Comedi device in plain Python and NumPy types: the only module that knows pycomedi.
+
+Another binding could replace it: what `rig.hardware.cards.comedi` uses are the public names below. Failures are `CardError`.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import grp
+import os
+import pwd
+import sys
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from enum import IntFlag
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from rig.hardware.cards import comedi_constants
+from rig.hardware.cards.base import CardBusyError, CardError
+
+_ROUNDINGS = 8
+"""How often a driver may round a command before it must be content."""
+
+
+class Trigger(IntFlag):
+    """What starts a scan or a conversion."""
+
+    NOW = comedi_constants.TRIG_NOW
+    FOLLOW = comedi_constants.TRIG_FOLLOW
+    TIMER = comedi_constants.TRIG_TIMER
+
+
+@dataclass(frozen=True)
+class Timing:
+    """The triggers of an input command: every `scan_ns` a scan begins, every `convert_ns` a conversion in it."""
+
+    scan_begin: Trigger
+    scan_ns: int
+    convert: Trigger
+    convert_ns: int
+
+    def period_ns(self, channels: int) -> int:
+        """From one scan to the next."""
+        return self.scan_ns if self.scan_begin == Trigger.TIMER else self.convert_ns * channels
+
+
+@dataclass(frozen=True)
+class Polynomial:
+    """A calibration polynomial: sum of coefficients[k] (x - origin)**k."""
+
+    coefficients: tuple[float, ...]
+    origin: float
+
+    def __call__(self, x: ArrayLike) -> NDArray[np.float64]:
+        """Evaluate elementwise."""
+        centred = np.asarray(x, np.float64) - self.origin
+        y = np.full_like(centred, self.coefficients[-1])
+        for c in self.coefficients[-2::-1]:
+            y = y * centred + c
+        return y
+
+
+class Line:
+    """One analogue channel in one range: raw numbers in and out, and the polynomials to volts and back."""
+
+    def __init__(self, channel: Any, path: str, what: str) -> None:
+        """`channel` is pycomedi's; `what` names it in messages."""
+        self._channel = channel
+        self._path = path
+        self._what = what
+        self.range_index = int(channel.range.value)
+        self.max_raw = int(channel.get_maxdata())
+        with _told(path, f"{what}: no calibration"):
+            converter = channel.get_converter()
+        self.to_volts = Polynomial(
+            tuple(converter.get_to_physical_coefficients().tolist()), converter.get_to_physical_expansion_origin()
+        )
+        self.from_volts = Polynomial(
+            tuple(converter.get_from_physical_coefficients().tolist()), converter.get_from_physical_expansion_origin()
+        )
+
+    @property
+    def chanspec(self) -> int:
+        """Channel, range and reference as one number, for a command."""
+        return int(self._channel.chanspec().value)
+
+    def read(self) -> int:
+        """One conversion, or what an output was last told."""
+        with _told(self._path, f"{self._what} cannot be read"):
+            return int(self._channel.data_read())
+
+    def write(self, raw: int) -> None:
+        """Set an output."""
+        with _told(self._path, f"{self._what} cannot be written"):
+            self._channel.data_write(raw)
+
+
+class Subdevice:
+    """The analogue inputs or the analogue outputs of a card."""
+
+    def __init__(self, subdevice: Any, path: str, word: str, *, streams: bool) -> None:
+        """`subdevice` is pycomedi's; `word` is `input` or `output`."""
+        self._subdevice = subdevice
+        self._path = path
+        self.word = word
+        self.channels = int(subdevice.get_n_channels())
+        flags = subdevice.get_flags()
+        self.differential = bool(flags.diff)
+        self.can_command = streams and bool(flags.cmd_read)
+        self.raw_dtype: np.dtype[Any] = np.dtype(subdevice.get_dtype())
+
+    def ranges(self, channel: int) -> tuple[tuple[float, float], ...]:
+        """Voltage ranges of a channel, by their index; NaN where a range is not in volts."""
+        pc = _pycomedi()
+        own = self._subdevice.channel(channel).ranges()
+        return tuple((r.min, r.max) if r.unit == pc.UNIT.volt else (float("nan"), float("nan")) for r in own)
+
+    def line(self, channel: int, range_index: int, *, differential: bool = False) -> Line:
+        """A channel in the range of that index."""
+        pc = _pycomedi()
+        what = f"{self.word} {channel}"
+        with _told(self._path, what):
+            own = self._subdevice.channel(
+                channel,
+                factory=pc.AnalogChannel,
+                range=range_index,
+                aref=pc.AREF.diff if differential else pc.AREF.ground,
+            )
+        return Line(own, self._path, what)
+
+    def triggers(self) -> tuple[Trigger, Trigger]:
+        """The triggers that the card has for the begin of a scan and for a conversion."""
+        with _told(self._path, "its command abilities cannot be read"):
+            mask = self._subdevice.get_cmd_src_mask()
+        return _triggers(mask.scan_begin_src), _triggers(mask.convert_src)
+
+    def prepare(self, lines: Sequence[Line], timing: Timing) -> Timing | None:
+        """Set up an endless command over `lines`; the timing that the driver rounded it to, None where it refuses."""
+        pc = _pycomedi()
+        cmd = pc.Command()
+        cmd.subdev = self._subdevice.index
+        # Without it some drivers deliver nothing before the card's FIFO is half full: 512 samples late on a 171x.
+        cmd.flags = comedi_constants.CMDF_WAKE_EOS
+        cmd.start_src, cmd.start_arg = comedi_constants.TRIG_NOW, 0
+        cmd.scan_begin_src, cmd.scan_begin_arg = int(timing.scan_begin), timing.scan_ns
+        cmd.convert_src, cmd.convert_arg = int(timing.convert), timing.convert_ns
+        cmd.scan_end_src, cmd.scan_end_arg = comedi_constants.TRIG_COUNT, len(lines)
+        cmd.stop_src, cmd.stop_arg = comedi_constants.TRIG_NONE, 0
+        cmd.chanlist = [line.chanspec for line in lines]
+        self._subdevice.cmd = cmd
+        for _ in range(_ROUNDINGS):
+            fault = self._subdevice.command_test()
+            if fault is None:
+                return Timing(timing.scan_begin, cmd.scan_begin_arg, timing.convert, cmd.convert_arg)
+            if not fault.startswith("*_arg"):
+                return None
+        return None
+
+    def command(self) -> None:
+        """Start the prepared command; its samples are read from the device's file descriptor."""
+        with _told(self._path, "sampling cannot be started; it may be sampling for another process already"):
+            self._subdevice.command()
+
+    def cancel(self) -> None:
+        """Stop the command."""
+        with _told(self._path, "sampling cannot be stopped"):
+            self._subdevice.cancel()
+
+
+class Device:
+    """An open card. `inputs` and `outputs` are None where it has none."""
+
+    def __init__(self, path: str) -> None:
+        """Open /dev/comediN.
+
+        Raises:
+            CardError: it cannot be opened; the message says why and what to do.
+        """
+        pc = _pycomedi()
+        self.path = path
+        # Comedilib keeps no reason that could be trusted, so the kernel is asked first; and again where somebody may
+        # have come in between.
+        for again in (True, False):
+            if (trouble := closed(path)) is not None:
+                raise trouble
+            self._device = pc.Device(os.fsencode(path))
+            try:
+                with _told(path, "it exists, but no card is attached to it"):
+                    self._device.open()
+                break
+            except CardError:
+                if not again:
+                    raise
+        try:
+            with _told(path, "it cannot be asked what it is"):
+                self.driver = _text(self._device.get_driver_name())
+                self.board = _text(self._device.get_board_name())
+                self.subdevices = tuple((s.get_type().name, int(s.get_n_channels())) for s in self._device.subdevices())
+                """What the card has: Comedi's short name of the kind (`ai`, `dio`, ...), and how many channels."""
+                self.inputs = self._analogue(pc.SUBDEVICE_TYPE.ai, "input")
+                self.outputs = self._analogue(pc.SUBDEVICE_TYPE.ao, "output")
+            os.set_blocking(self.fileno, False)
+        except BaseException:
+            self.close()
+            raise
+
+    def _analogue(self, kind: Any, word: str) -> Subdevice | None:
+        pc = _pycomedi()
+        found = [s for s in self._device.subdevices(factory=pc.StreamingSubdevice) if s.get_type() == kind]
+        if not found:
+            return None
+        try:
+            streaming = self._device.get_read_subdevice().index
+        except pc.PyComediError:
+            streaming = -1
+        first = next((s for s in found if s.index == streaming), found[0])
+        return Subdevice(first, self.path, word, streams=first.index == streaming)
+
+    @property
+    def fileno(self) -> int:
+        """File descriptor that the samples of a command are read from; it does not block."""
+        return int(self._device.fileno())
+
+    def close(self) -> None:
+        """Release the device."""
+        # Not by comedi_close: pycomedi's file object has closed the descriptor by then, and the number may already be
+        # another thread's file. What leaks is comedilib's description of the card, some kilobytes.
+        self._device.file.close()
+
+
+def device_paths() -> tuple[str, ...]:
+    """The Comedi devices of this machine."""
+    return tuple(sorted(str(p) for p in Path("/dev").glob("comedi[0-9]*") if p.name[6:].isdigit()))
+
+
+def require() -> None:
+    """Import pycomedi.
+
+    Raises:
+        CardError: it is not installed.
+    """
+    _pycomedi()
+
+
+class _Names:
+    """What is used of pycomedi."""
+
+    def __init__(self) -> None:
+        # pycomedi imports a module `comedi`; it gets ours, and other programs' stays what it was.
+        before = sys.modules.get("comedi")
+        sys.modules["comedi"] = comedi_constants
+        try:
+            from pycomedi import PyComediError
+            from pycomedi.channel import AnalogChannel
+            from pycomedi.command import Command
+            from pycomedi.constant import AREF, SUBDEVICE_TYPE, UNIT
+            from pycomedi.device import Device as PyComediDevice
+            from pycomedi.subdevice import StreamingSubdevice
+        except ImportError as error:
+            raise CardError(f"pycomedi is not installed ({error})", "run `make comedi` in softrig's folder") from None
+        finally:
+            if before is None:
+                del sys.modules["comedi"]
+            else:
+                sys.modules["comedi"] = before
+        self.PyComediError = PyComediError
+        self.AnalogChannel = AnalogChannel
+        self.Command = Command
+        self.AREF = AREF
+        self.SUBDEVICE_TYPE = SUBDEVICE_TYPE
+        self.UNIT = UNIT
+        self.Device = PyComediDevice
+        self.StreamingSubdevice = StreamingSubdevice
+
+
+_names: _Names | None = None
+
+
+def _pycomedi() -> _Names:
+    global _names
+    if _names is None:
+        _names = _Names()
+    return _names
+
+
+@contextlib.contextmanager
+def _told(path: str, what: str) -> Iterator[None]:
+    """Turn pycomedi's error into a `CardError` that names the device and what was tried."""
+    try:
+        yield
+    except _pycomedi().PyComediError as error:
+        reason = _text(error.comedi_msg) if error.comedi_msg else str(error)
+        raise CardError(f"{path}: {what} ({reason})") from None
+
+
+def _text(value: object) -> str:
+    return value.decode(errors="replace") if isinstance(value, bytes) else str(value)
+
+
+def _triggers(flags: Any) -> Trigger:
+    chosen = Trigger(0)
+    for trigger, present in ((Trigger.NOW, flags.now), (Trigger.FOLLOW, flags.follow), (Trigger.TIMER, flags.timer)):
+        if present:
+            chosen |= trigger
+    return chosen
+
+
+def closed(path: str) -> CardError | None:
+    """Why the kernel does not let this process open a device, and what to do; None where it does."""
+    try:
+        os.close(os.open(path, os.O_RDWR))
+    except OSError as error:
+        return _why_closed(path, error)
+    return None
+
+
+def _why_closed(path: str, error: OSError) -> CardError:
+    if error.errno == errno.ENOENT:
+        present = ", ".join(device_paths()) or "none"
+        return CardError(
+            f"{path} does not exist (Comedi devices present: {present})",
+            "load the card's driver, for example `sudo modprobe adv_pci1710`; `rig doctor` says which one it is",
+        )
+    if error.errno in (errno.EACCES, errno.EPERM):
+        return CardError(f"no permission to open {path}", _how_to_join(Path(path).stat().st_gid))
+    if error.errno == errno.EBUSY:
+        return CardBusyError(path, _holders(path))
+    if error.errno in (errno.ENXIO, errno.ENODEV):
+        return CardError(
+            f"{path} exists, but no card is attached to it", "load the card's driver (`rig doctor` says which)"
+        )
+    return CardError(f"{path} cannot be opened: {error.strerror}")
+
+
+def _how_to_join(group: int) -> str:
+    try:
+        owner, user = grp.getgrgid(group), pwd.getpwuid(os.getuid()).pw_name
+    except KeyError:
+        return f"its group {group}, or this user, has no name on this machine (a container?): add the group to the user"
+    if owner.gr_name == "root":
+        return "install libcomedi0, whose udev rule opens it to the group iocard"
+    if user in owner.gr_mem:
+        return f"you are in its group {owner.gr_name} since after you logged in: log in again"
+    return f"`sudo adduser $USER {owner.gr_name}`, then log in again"
+
+
+def _holders(path: str) -> tuple[int, ...]:
+    """Processes that have the device open, as far as this user may see them."""
+    pids, node = set(), os.path.realpath(path)
+    for link in Path("/proc").glob("[0-9]*/fd/*"):
+        with contextlib.suppress(OSError):
+            if str(link.readlink()) == node:
+                pids.add(int(link.parts[2]))
+    return tuple(sorted(pids))

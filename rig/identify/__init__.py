@@ -1,0 +1,1 @@
+"""`rig identify`: from archives and a rig to an estimation and its report."""

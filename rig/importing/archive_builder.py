@@ -1,0 +1,330 @@
+"""Foreign measurements, a table and its mapping, into an archive of the same layout as a run's."""
+
+from __future__ import annotations
+
+import hashlib
+import platform
+import re
+import shlex
+import sys
+import time
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from protocols.problems import BadInputError, Problem
+from protocols.source_positions import Document
+from rig.config import loader
+from rig.config.schema import PA_PER_BAR
+from rig.experiment.provenance import git_state, versions
+from rig.experiment.run import free_id
+from rig.importing.columns import Columns
+from rig.importing.mapping import KILOGRAMS, PASCALS, VOLTS, Mapping, PressureUnit, load
+from rig.importing.tables import read as read_table
+from rig.importing.timestamps import RowTimes, times
+from rig.importing.tracker_frames import placed, wrench
+from runs.archive.writer import finalise
+from runs.export.exporters import SIMULATED
+from runs.journal.journal import SUFFIX, JournalWriter
+from runs.records import (
+    DetectionStatus,
+    Event,
+    Level,
+    Quantity,
+    RunFooter,
+    RunHeader,
+    Status,
+    observation_dtype,
+    sample_dtype,
+)
+
+EVEN = 0.25
+"""Time steps are even when each is a whole number of periods, but for this part of one."""
+VENTED_BAR = 0.02
+"""A vented chamber's pressure does not wander farther than this within the rows that state the ambient pressure."""
+AMBIENT_BAR = (0.5, 1.1)
+"""Of the places where people work."""
+CLOSEST_S, HIGHEST_BAR, TIP_M, TIP_LENGTHS = 2e-4, 50.0, (1e-3, 5.0), (0.1, 3.0)
+"""Rows, pressures and tips (from the base, or in lengths of the rig's arm) beyond these likely have another unit."""
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Imported:
+    """What an import made: the archive, and the warnings that it carries as events."""
+
+    archive: Path
+    warnings: tuple[str, ...]
+
+
+def import_table(data: Path, mapping_file: Path, folder: Path, operator: str = "", notes: str = "") -> Imported:
+    """Write the archive of a foreign table.
+
+    What is wrong but leaves the data usable becomes a warning, an event of the archive.
+
+    Raises:
+        BadInput: the mapping, or the data; every problem at once.
+    """
+    mapping, document = load(mapping_file)
+    rig_name, rig_text, length_m = _rig(mapping, document)
+    columns = Columns(read_table(data, mapping.file))
+    read = times(columns, mapping)
+    t_ns = read.t_ns
+    gauge_pa, ambient_pa = _pressures(columns, mapping)
+    tip_m, covariance_m2 = placed(columns, mapping)
+    asked_pa, valve_v, weight_kg = _asked(columns, mapping), _valves(columns, mapping), _weight(columns, mapping)
+    pull = wrench(columns, mapping)
+    columns.check()
+    _doubt_units(columns, t_ns, gauge_pa, tip_m, length_m)
+    started_utc_ns = _started_utc_ns(columns, mapping, document, read)
+    samples = _samples(t_ns, _frames(columns, t_ns), asked_pa, gauge_pa, valve_v)
+    observations = _observations(samples, tip_m, covariance_m2, weight_kg)
+    observations["force_n"], observations["moment_n_m"] = pull[:, :3], pull[:, 3:]
+
+    now = datetime.now(UTC)
+    commit, diff = git_state()
+    folder.mkdir(parents=True, exist_ok=True)
+    source = f"{data.name}, SHA-256 {hashlib.sha256(data.read_bytes()).hexdigest()}"
+    rate_hz = 1e9 / float(np.median(np.diff(t_ns)))
+    header = RunHeader(
+        run_id=free_id(folder, f"{now.astimezone():%Y%m%d-%H%M%S}-{_word(data.stem)}"),
+        title=mapping.title,
+        started_utc_ns=started_utc_ns,
+        started_t_ns=int(t_ns[0]),
+        protocol_name=f"import {mapping_file.stem}",
+        # What a protocol is to a run the mapping is to an import: what made the archive what it is.
+        protocol_yaml=document.text,
+        rig_name=rig_name,
+        rig_yaml=rig_text,
+        actuators=mapping.actuators,
+        valves=valve_v.shape[1],
+        executor="imported",
+        simulated=_simulated(columns, mapping),
+        seed=None,
+        model_variant="",
+        operator=operator,
+        notes="; ".join(filter(None, (notes, f"imported from {source}"))),
+        command=shlex.join(sys.argv),
+        host=platform.node(),
+        versions=versions(),
+        git_commit=commit,
+        git_diff=diff,
+        quantities=_quantities(mapping, mapping_file, ambient_pa),
+        control_hz=rate_hz,
+        camera_hz=rate_hz,
+    )
+    made_of = f"{len(t_ns)} rows from {source}, by mapping {mapping_file.name}"
+    journal = JournalWriter(folder / f"{header.run_id}{SUFFIX}", header)
+    journal.samples(samples)
+    journal.observations(observations)
+    journal.event(Event(header.started_t_ns, Level.INFO, "import", made_of))
+    for warning in columns.warnings:
+        journal.event(Event(header.started_t_ns, Level.WARNING, "import", warning))
+    journal.close(RunFooter(int(t_ns[-1]), Status.FINISHED, ""))
+    return Imported(finalise(journal.path), tuple(columns.warnings))
+
+
+def _samples(t_ns: Ints, frame: Ints, asked_pa: Floats, gauge_pa: Floats, valve_v: Floats) -> NDArray[np.void]:
+    """One tick per row (n,), never late."""
+    samples = np.zeros(len(t_ns), sample_dtype(gauge_pa.shape[1], valve_v.shape[1]))
+    samples["t_ns"], samples["tick"], samples["scans"] = t_ns, frame, 1
+    samples["protocol_s"] = (t_ns - t_ns[0]) * 1e-9
+    samples["setpoint_pa"], samples["measured_pa"], samples["valve_v"] = asked_pa, gauge_pa, valve_v
+    return samples
+
+
+def _observations(
+    samples: NDArray[np.void], tip_m: Floats, covariance_m2: Floats, weight_kg: Floats
+) -> NDArray[np.void]:
+    """One frame per row (n,), without a model."""
+    rows = np.zeros(len(samples), observation_dtype(samples["measured_pa"].shape[1]))
+    rows["t_ns"], rows["frame"], rows["protocol_s"] = samples["t_ns"], samples["tick"], samples["protocol_s"]
+    rows["dropped"] = np.diff(samples["tick"], prepend=-1) - 1
+    rows["pressure_pa"], rows["weight_kg"] = samples["measured_pa"], weight_kg
+    rows["measured_m"], rows["covariance_m2"] = tip_m, covariance_m2
+    unseen = ~np.isfinite(rows["measured_m"]).all(axis=1)
+    rows["seen"] = np.where(unseen, DetectionStatus.NO_FRAME, DetectionStatus.MEASURED)
+    rows["camera_seen"] = rows["seen"][:, None]
+    rows["measured_m"][unseen] = rows["covariance_m2"][unseen] = np.nan
+    for field in ("model_m", "truth_m", "reprojection_px", "backbone_m"):
+        rows[field] = np.nan
+    return rows
+
+
+def _doubt_units(columns: Columns, t_ns: Ints, gauge_pa: Floats, tip_m: Floats, length_m: float | None) -> None:
+    """Warn of numbers that a soft arm on a bench hardly has."""
+    step_s = float(np.median(np.diff(t_ns))) * 1e-9
+    if step_s < CLOSEST_S:
+        columns.warn(f"the rows follow each other by {1e6 * step_s:.3g} us: is the unit of the time right?")
+    highest_bar = float(np.nanmax(gauge_pa, initial=0.0)) / PA_PER_BAR
+    if highest_bar > HIGHEST_BAR:
+        columns.warn(f"the pressures reach {highest_bar:.3g} bar: is their unit right?")
+    seen = tip_m[np.isfinite(tip_m).all(axis=1)]
+    if not len(seen):
+        return
+    far_m = float(np.median(np.linalg.norm(seen, axis=1)))
+    nearest, farthest = TIP_M if length_m is None else (length_m * share for share in TIP_LENGTHS)
+    if not nearest <= far_m <= farthest:
+        arm = "" if length_m is None else f", and the rig's arm is {1e3 * length_m:.4g} mm long"
+        columns.warn(f"the tip lies {1e3 * far_m:.3g} mm from the base{arm}: are unit, base and frame right?")
+
+
+def _rig(mapping: Mapping, document: Document) -> tuple[str, str, float | None]:
+    """Name, YAML and arm's length [m] of the rig that the mapping names; nothing where it names none."""
+    if mapping.rig is None:
+        return "", "", None
+    beside = Path(document.file).parent / mapping.rig
+    name = str(beside) if beside.is_file() else mapping.rig
+    config = loader.load(name)
+    if config.actuators != mapping.actuators:
+        mark = document.mark(("rig",))
+        found = f"{mapping.rig}, which has {config.actuators} actuators"
+        expected = f"a rig with {mapping.actuators} actuators, as there are pressures"
+        raise BadInputError([Problem(document.file, mark.line, mark.column, "rig", found, expected)])
+    return config.name, loader.text(name), config.arm.geometry.length_mm * 1e-3
+
+
+def _started_utc_ns(columns: Columns, mapping: Mapping, document: Document, read: RowTimes) -> int:
+    """Moment of the first row, since 1970: as the mapping states it or the rows themselves do."""
+    stated = mapping.started_utc_ns
+    if read.utc and stated is not None:
+        mark = document.mark(("started",))
+        wish = "no such key: the times themselves are dates with their distance from UTC"
+        raise BadInputError([Problem(document.file, mark.line, mark.column, "started", mark.source, wish)])
+    if read.utc:
+        return int(read.t_ns[0])
+    if stated is None:
+        columns.warn("the mapping does not say when the measurement began: start_time is that of the import")
+        return time.time_ns()
+    return stated
+
+
+def _simulated(columns: Columns, mapping: Mapping) -> bool:
+    """Whether nothing was measured: the mapping says so, or the column does with which `rig export` marks its rows."""
+    if mapping.simulated:
+        return True
+    try:
+        marked = (columns.table.numbers(SIMULATED) > 0).any()
+    except BadInputError:
+        return False
+    if marked:
+        columns.warn(f"column {SIMULATED} says that these rows were not measured: the archive says so, too")
+    return bool(marked)
+
+
+def _frames(columns: Columns, t_ns: Ints) -> Ints:
+    """Numbers of the rows (n,), which leave out those that are missing from even time steps."""
+    steps = np.diff(t_ns) / np.median(np.diff(t_ns))
+    whole = np.round(steps).astype(np.int64)
+    if (np.abs(steps - whole) > EVEN).any() or (whole < 1).any():
+        low, high = np.diff(t_ns).min() * 1e-9, np.diff(t_ns).max() * 1e-9
+        columns.warn(f"the time steps are uneven, from {low:.6g} to {high:.6g} s: rows are numbered one by one")
+        return np.arange(len(t_ns))
+    if len(gaps := np.flatnonzero(whole > 1)):
+        where = columns.table.place(int(gaps[0]))
+        columns.warn(f"{int((whole - 1).sum())} rows are missing from even time steps, the first after {where}")
+    return np.concatenate([[0], np.cumsum(whole)])
+
+
+def _pressures(columns: Columns, mapping: Mapping) -> tuple[Floats, Floats]:
+    """Gauge pressures (n, N) and what was taken off the columns (N,) [Pa]."""
+    asked = mapping.pressures
+    raw_pa = _scaled(columns, asked.columns, asked.unit)
+    for column, values in zip(asked.columns, raw_pa.T, strict=True):
+        columns.warn_missing(values, f"the pressure of column {column}")
+    off_pa = np.zeros(mapping.actuators)
+    if columns.problems:
+        return raw_pa, off_pa
+    if asked.reading == "gauge":
+        for column, values in zip(asked.columns, raw_pa.T, strict=True):
+            if np.nanmin(values, initial=np.inf) / PA_PER_BAR > AMBIENT_BAR[0]:
+                lowest = f"{np.nanmin(values) / PA_PER_BAR:.3g} bar"
+                columns.warn(f"column {column} never falls below {lowest}: is it absolute? The mapping says gauge")
+        return raw_pa, off_pa
+    if asked.ambient_bar is not None:
+        off_pa[:] = np.array(asked.ambient_bar) * PA_PER_BAR
+    elif asked.ambient_rows is not None:
+        off_pa = _vented(columns, mapping, raw_pa, asked.ambient_rows)
+    for column, ambient in zip(asked.columns, off_pa / PA_PER_BAR, strict=True):
+        if not AMBIENT_BAR[0] <= ambient <= AMBIENT_BAR[1]:
+            columns.warn(f"the ambient pressure taken off column {column} is {ambient:.4g} bar: is it really absolute?")
+    return raw_pa - off_pa, off_pa
+
+
+def _vented(columns: Columns, mapping: Mapping, raw_pa: Floats, rows: int) -> Floats:
+    """Each column's mean (N,) [Pa] over the first rows."""
+    first = raw_pa[:rows]
+    if len(first) < rows:
+        wish = f"at least the {rows} rows that ambient_rows names"
+        columns.problems.append(Problem(columns.table.file, 0, 0, "", f"{len(first)} rows", wish))
+        return np.zeros(mapping.actuators)
+    known = np.isfinite(first)
+    means = np.zeros(mapping.actuators)
+    for n, column in enumerate(mapping.pressures.columns):
+        if not known[:, n].any():
+            wish = f"a pressure in the first {rows} rows, for the ambient pressure"
+            columns.problems.append(columns.table.problem(0, column, "nothing", wish))
+            continue
+        values = first[known[:, n], n]
+        means[n] = values.mean()
+        if (spread := float(np.ptp(values)) / PA_PER_BAR) > VENTED_BAR:
+            columns.warn(
+                f"column {column} moves by {spread:.3g} bar within the first {rows} rows, whose mean is taken for the "
+                "ambient pressure"
+            )
+    return means
+
+
+def _asked(columns: Columns, mapping: Mapping) -> Floats:
+    """Set-points (n, N) [Pa], or NaN where the file has none."""
+    if mapping.setpoints is None:
+        return np.full((1, mapping.actuators), np.nan)
+    return _scaled(columns, mapping.setpoints.columns, mapping.setpoints.unit)
+
+
+def _valves(columns: Columns, mapping: Mapping) -> Floats:
+    """Voltages (n, V), or one row of none."""
+    if mapping.valves is None:
+        return np.empty((1, 0))
+    return columns.several(mapping.valves.columns, [VOLTS[mapping.valves.unit]] * len(mapping.valves.columns))
+
+
+def _weight(columns: Columns, mapping: Mapping) -> Floats:
+    """Weights (n,) [kg]; where the file has none, nothing was hung."""
+    if mapping.weight is None:
+        return np.zeros(1)
+    weight = columns.several((mapping.weight.column,), (KILOGRAMS[mapping.weight.unit],))[:, 0]
+    columns.warn_missing(weight, "the weight")
+    return weight
+
+
+def _scaled(columns: Columns, keys: tuple[int | str, ...], unit: PressureUnit | tuple[PressureUnit, ...]) -> Floats:
+    units = unit if isinstance(unit, tuple) else (unit,) * len(keys)
+    return columns.several(keys, [PASCALS[word] for word in units])
+
+
+def _quantities(mapping: Mapping, file: Path, ambient_pa: Floats) -> tuple[Quantity, ...]:
+    """Every number that the import used."""
+    source = f"mapping {file.name}"
+    pressures, place = mapping.pressures, mapping.frame
+    found = [
+        Quantity("calibration", "frame_translation", place.translation_mm, "mm", source, place.translation_std_mm),
+        Quantity("calibration", "frame_rotation", place.rotation_deg, "deg", source, place.rotation_std_deg),
+    ]
+    if pressures.reading == "absolute":
+        how = f"mean of the first {pressures.ambient_rows} rows" if pressures.ambient_rows else source
+        ambient = tuple(float(p) / PA_PER_BAR for p in ambient_pa)
+        found.append(Quantity("calibration", "ambient_pressure", ambient, "bar", how))
+    if mapping.tip is not None and mapping.tip.offset_mm is not None:
+        found.append(Quantity("calibration", "tip_offset", mapping.tip.offset_mm, "mm", source))
+    return tuple(found)
+
+
+def _word(text: str) -> str:
+    """A file's name as a run id can carry it."""
+    return re.sub(r"[^\w-]+", "-", text).strip("-") or "data"

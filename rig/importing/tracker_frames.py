@@ -1,0 +1,252 @@
+"""Where a foreign tracker saw the tip, carried into the rod-base frame."""
+
+from __future__ import annotations
+
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from calibration.vision.transforms import RigidTransform
+from protocols.problems import Problem
+from rig.importing.columns import Columns
+from rig.importing.mapping import METRES, NEWTON_METRES, NEWTONS, BaseSensor, Mapping, Orientation, Position, Wrench
+from rig.importing.tables import some
+
+UNIT = 0.01
+"""A quaternion's norm may be off by this: trackers write three or four digits."""
+QUIET_N = 0.2
+"""A force that nothing exerts does not wander farther than this."""
+STANDING_DEG = 2.0
+"""Nor does a tip that stands still turn farther than this."""
+LONGEST_LEVER_M = 1.0
+"""A wrench at a tip has no longer lever than this."""
+
+Floats = NDArray[np.float64]
+
+
+def wrench(columns: Columns, mapping: Mapping) -> Floats:
+    """Force [N] and moment [N m] on the arm at the tool centre point (n, 6), along the axes of the rod base.
+
+    One row of zeros where the mapping names none; a row that lacks part of its wrench is a problem.
+    """
+    asked = mapping.wrench
+    if asked is None:
+        return np.zeros((1, 6))
+    force = columns.several(asked.force.columns, (NEWTONS[asked.force.unit],) * 3)
+    moment = np.zeros_like(force)
+    if asked.moment is not None:
+        moment = columns.several(asked.moment.columns, (NEWTON_METRES[asked.moment.unit],) * 3)
+    turn = np.eye(3)[None]
+    if asked.axes == "tip":
+        assert mapping.tip is not None
+        assert mapping.tip.orientation is not None
+        turn = _matrices(columns, mapping.tip.orientation, "tip")
+    base = None
+    if mapping.base is not None and mapping.base.orientation is not None and mapping.base.orientation.use == "turn":
+        base = _base_turn(columns, mapping.base)
+    if columns.problems:
+        return np.zeros((1, 6))
+    if asked.zero_rows is not None:
+        force, moment = _zeroed(columns, asked, force, moment)
+    _doubt_lever(columns, force, moment)
+    moment = moment + np.cross(np.array(asked.at_mm) * 1e-3, force)
+    frame = RigidTransform.from_vectors(np.radians(mapping.frame.rotation_deg), (0.0, 0.0, 0.0)).rotation
+    turn = turn if base is None else base @ turn
+    if asked.rotation_deg is not None:
+        turn = turn @ Rotation.from_rotvec(asked.rotation_deg, degrees=True).as_matrix()
+    if asked.aligned_rows is not None:
+        turn = turn @ _at_first(columns, turn, asked.aligned_rows).T
+    turn = frame @ turn
+    found = np.concatenate(
+        [np.einsum("nij,nj->ni", np.broadcast_to(turn, (len(v), 3, 3)), v) for v in (force, moment)], 1
+    )
+    table, column = columns.table, asked.force.columns[0]
+    wish = "a whole wrench in every row: what pulls at the arm cannot be guessed"
+    broken = np.flatnonzero(~np.isfinite(found).all(axis=1)).tolist()
+    columns.problems += some(
+        table, column, broken, lambda row: table.problem(row, column, "nothing, or no orientation", wish)
+    )
+    return found if asked.on == "arm" else -found
+
+
+def _zeroed(columns: Columns, asked: Wrench, force: Floats, moment: Floats) -> tuple[Floats, Floats]:
+    """Force and moment (n, 3) without their means over the first rows, in which nothing pulls."""
+    rows = asked.zero_rows
+    first = np.concatenate([force, moment], 1)[:rows]
+    if len(first) < (rows or 0) or not np.isfinite(first).any(axis=0).all():
+        wish = f"a wrench in the first {rows} rows, as zero_rows says"
+        columns.problems.append(columns.table.problem(0, asked.force.columns[0], f"{len(first)} rows", wish))
+        return force, moment
+    if (spread := float(np.ptp(first[:, :3], axis=0).max())) > QUIET_N:
+        said = (
+            f"the force moves by {spread:.3g} N within the first {rows} rows, whose mean is taken for nothing pulling"
+        )
+        columns.warn(said)
+    means = np.nanmean(first, axis=0)
+    return force - means[:3], moment - means[3:]
+
+
+def _at_first(columns: Columns, turn: Floats, rows: int) -> Floats:
+    """Mean rotation (3, 3) of the first of some rotations (n, 3, 3)."""
+    known = np.isfinite(turn[:rows]).all(axis=(1, 2))
+    if not known.any():
+        columns.problems.append(
+            Problem(columns.table.file, 0, 0, "", "no orientation", f"one in the first {rows} rows")
+        )
+        return np.eye(3)
+    first = Rotation.from_matrix(turn[:rows][known])
+    mean = first.mean()
+    if (spread := float(np.degrees((first * mean.inv()).magnitude().max()))) > STANDING_DEG:
+        columns.warn(f"the tip turns by {spread:.2g} degrees within the first {rows} rows, which align the wrench")
+    return np.asarray(mean.as_matrix())
+
+
+def _doubt_lever(columns: Columns, force: Floats, moment: Floats) -> None:
+    """Warn of moments (n, 3) that no arm's length makes of the forces (n, 3): one of the units is another."""
+    pull, turning = (float(np.nanmax(np.abs(v), initial=0.0)) for v in (force, moment))
+    if turning > LONGEST_LEVER_M * pull > 0:
+        said = f"the moment reaches {turning:.3g} N m where the force stays below {pull:.3g} N: are their units right?"
+        columns.warn(said)
+
+
+def placed(columns: Columns, mapping: Mapping) -> tuple[Floats, Floats]:
+    """Tips (n, 3) [m] in the rod-base frame with their covariances (n, 3, 3); NaN where there are none.
+
+    tip + R_tip offset - base, turned by the base's inverse orientation where that is used, then by the mapping's
+    frame. A broken orientation that is needed is a problem, one that is not is a warning.
+    """
+    nothing = np.full((1, 3), np.nan), np.full((1, 3, 3), np.nan)
+    if mapping.tip is None:
+        return nothing
+    tip_m = _position(columns, mapping.tip.position, "tip")
+    offset, turn = None, None
+    if mapping.tip.orientation is not None and mapping.tip.offset_mm is not None:
+        offset = _matrices(columns, mapping.tip.orientation, "tip") @ (np.array(mapping.tip.offset_mm) * 1e-3)
+    if mapping.base is not None:
+        base_m = _position(columns, mapping.base.position, "base")
+        turn = _base_turn(columns, mapping.base)
+    if columns.problems:
+        return nothing
+    variance = _variance(mapping.tip.uncertainty_mm)
+    if offset is not None:
+        tip_m = tip_m + offset
+    if mapping.base is not None:
+        tip_m = tip_m - base_m
+        if mapping.base.uncertainty_mm is not None:
+            variance = variance + _variance(mapping.base.uncertainty_mm)
+    covariance = np.broadcast_to(np.diag(variance), (len(tip_m), 3, 3))
+    if turn is not None:
+        tip_m = np.einsum("nij,nj->ni", turn, tip_m)
+        covariance = turn @ covariance @ turn.transpose(0, 2, 1)
+    return _framed(mapping, tip_m, covariance)
+
+
+def _framed(mapping: Mapping, tip_m: Floats, covariance: Floats) -> tuple[Floats, Floats]:
+    frame = RigidTransform.from_vectors(
+        np.radians(mapping.frame.rotation_deg),
+        np.array(mapping.frame.translation_mm) * 1e-3,
+        mapping.frame.translation_std_mm * 1e-3,
+        float(np.radians(mapping.frame.rotation_std_deg)),
+    )
+    carried = [frame.transport(point, spread) for point, spread in zip(tip_m, covariance, strict=True)]
+    return np.array([point for point, _ in carried]), np.array([spread for _, spread in carried])
+
+
+def _base_turn(columns: Columns, base: BaseSensor) -> Floats | None:
+    """Rotations (n, 3, 3) from the tracker's axes to the base sensor's; None where they are not to be used."""
+    if base.orientation is None:
+        return None
+    if base.orientation.use == "turn":
+        return _matrices(columns, base.orientation, "base").transpose(0, 2, 1)
+    fault = _fault(columns, base.orientation, _turns(columns, base.orientation, "base"), "base")
+    if fault:
+        columns.warn(f"{fault}; it is not used, as the mapping says")
+    return None
+
+
+def _position(columns: Columns, position: Position, whose: str) -> Floats:
+    units = position.unit if isinstance(position.unit, tuple) else (position.unit,) * 3
+    values = columns.several(position.columns, [METRES[unit] for unit in units])
+    columns.warn_missing(values, f"the {whose}'s position")
+    return values
+
+
+def _variance(uncertainty_mm: float | tuple[float, ...] | None) -> Floats:
+    """Variances (3,) [m^2]."""
+    if uncertainty_mm is None:
+        return np.full(3, np.nan)
+    return np.broadcast_to(np.square(np.array(uncertainty_mm) * 1e-3), 3)
+
+
+def _turns(columns: Columns, orientation: Orientation, whose: str) -> Floats:
+    """What the columns hold (n, 4), (n, 3) or (n, 9), in the order of the mapping; angles in radians."""
+    scale = np.pi / 180 if orientation.unit == "deg" else 1.0
+    values = columns.several(orientation.columns, (scale,) * len(orientation.columns))
+    columns.warn_missing(values, f"the {whose}'s orientation")
+    return values
+
+
+def _matrices(columns: Columns, orientation: Orientation, whose: str) -> Floats:
+    """Rotations (n, 3, 3) from the sensor's axes to the tracker's, NaN where one is missing; a fault is a problem."""
+    values = _turns(columns, orientation, whose)
+    if fault := _fault(columns, orientation, values, whose):
+        wish = "rotation matrices" if orientation.order == "matrix" else "unit quaternions"
+        if whose == "base":
+            wish += "; with 'use: ignore' in the mapping's base orientation it stays out of the frame change"
+        columns.problems.append(Problem(columns.table.file, 0, 0, "", fault, wish))
+    known = np.isfinite(values).all(axis=1)
+    if len(orientation.columns) > 3:
+        known &= (values != 0).any(axis=1)
+    matrices = np.full((len(values), 3, 3), np.nan)
+    matrices[known] = _rotation(orientation.order, values[known])
+    return matrices
+
+
+def _rotation(order: str, values: Floats) -> Floats:
+    """Matrices (n, 3, 3) of what a mapping's order says that the values are."""
+    if order == "matrix":
+        return values.reshape(-1, 3, 3)
+    if order == "vector":
+        return np.asarray(Rotation.from_rotvec(values).as_matrix())
+    if len(order) == 3:
+        return np.asarray(Rotation.from_euler(order, values).as_matrix())
+    return np.asarray(Rotation.from_quat(values[:, [1, 2, 3, 0]] if order == "wxyz" else values).as_matrix())
+
+
+def _fault(columns: Columns, orientation: Orientation, values: Floats, whose: str) -> str:
+    """What makes the quaternions (n, 4) no rotations, or an empty text. A repeated component alone is a warning:
+    rotations about a diagonal have one.
+    """
+    known = np.flatnonzero(np.isfinite(values).all(axis=1))
+    if orientation.order == "matrix":
+        return _no_rotation(columns, values, known, whose)
+    if orientation.unit is not None:
+        return ""
+    norms = np.linalg.norm(values[known], axis=1)
+    off = known[np.abs(norms - 1) > UNIT]
+    echoes = []
+    for i, j in combinations(range(4), 2):
+        same = len(known) > 1 and (values[known, i] == values[known, j]).all() and (values[known, i] != 0).all()
+        if same and (len(off) or np.ptp(values[known, i]) > 0):
+            names = [f"{orientation.order[k]} (column {orientation.columns[k]})" for k in (j, i)]
+            echoes.append(f"component {names[0]} repeats {names[1]} in every row")
+    if not len(off):
+        if echoes:
+            columns.warn(f"{whose} orientation: {', '.join(echoes)}")
+        return ""
+    where = f"in {len(off)} of {len(values)} rows, the first in {columns.table.place(int(off[0]))}"
+    said = f"its norm lies between {norms.min():.4g} and {norms.max():.4g} instead of at 1, {where}"
+    return f"the {whose}'s orientation is no rotation: " + "; ".join([said, *echoes])
+
+
+def _no_rotation(columns: Columns, values: Floats, known: NDArray[np.intp], whose: str) -> str:
+    """What makes the matrices (n, 9) no rotations, or an empty text."""
+    matrices = values[known].reshape(-1, 3, 3)
+    apart = np.abs(matrices @ matrices.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2))
+    off = known[(apart > 2 * UNIT) | (np.linalg.det(matrices) < 0)]
+    if not len(off):
+        return ""
+    where = f"in {len(off)} of {len(values)} rows, the first in {columns.table.place(int(off[0]))}"
+    return f"the {whose}'s orientation is no rotation: its rows are not at right angles and of length 1, {where}"

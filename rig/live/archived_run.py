@@ -1,0 +1,259 @@
+"""An archive, as the page shows it: every browser plays it at its own place and speed."""
+
+from __future__ import annotations
+
+import math
+import time
+from functools import cached_property, lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+import model
+from protocols import BadInputError
+from rig.config.arm_model import TipLoad, model_arm
+from rig.config.loader import parse
+from rig.config.schema import PA_PER_BAR, RigConfig
+from rig.live.packets import ViewOverlay, ViewUpdate, estimates
+from rig.observation.overlay import OverlayProjector
+from rig.realtime.shared_state import LINE_POINTS
+from runs.records import DetectionStatus
+from runs.run import Run
+
+HISTORY_ROWS = 1500
+PACKET_S = 1 / 30
+FASTEST = 100.0
+MM_PER_M = 1e3
+KG_PER_G = 1e-3
+Floats = NDArray[np.float64]
+
+
+class ArchivedRun:
+    """The source for an archive."""
+
+    live = False
+    over = False
+
+    def __init__(self, path: Path) -> None:
+        self.run = run = Run(path)
+        self.pressure_rows = np.column_stack(
+            [run.pressure.time_s, run.pressure.setpoint_bar, run.pressure.measured_bar]
+        )
+        tip = run.tip
+        known = np.isfinite(tip.error_mm)
+        count = np.cumsum(known)
+        total = np.cumsum(np.where(known, tip.error_mm, 0.0))
+        self.mean = np.where(count > 0, total / np.maximum(count, 1), np.nan)
+        self.track_rows = np.column_stack(
+            [tip.time_s, tip.measured_mm, tip.uncertainty_mm, tip.model_mm, tip.error_mm, self.mean]
+        )
+        start_ns = run.header.started_t_ns
+        self.events = [((e.t_ns - start_ns) * 1e-9, str(e.level), e.source, e.message) for e in run.events]
+        ends = [times[-1] for times in (run.pressure.time_s, tip.time_s) if len(times)]
+        self.end_s = float(max(ends, default=0.0))
+        self.duration_s = max((i.stop_s for i in run.header.intervals), default=self.end_s)
+        if len(tip.time_s):
+            self.drawing(0, 0 if len(run.frames.index) else -1)  # what is compiled at its first use is ready by then
+
+    def about(self) -> dict[str, Any]:
+        """What does not change."""
+        header = self.run.header
+        return {
+            "title": self.run.path.stem,
+            "live": False,
+            "simulated": header.simulated,
+            "variant": header.model_variant,
+            "actuators": header.actuators,
+            "camera": None,
+            "duration": self.duration_s,
+            "limit": self._config.limits.pressure_bar
+            if self._config
+            else float(np.nanmax(self.pressure_rows[:, 1:], initial=0.0)),
+            "length": self._config.arm.geometry.length_mm if self._config else 170.0,
+            "end": self.end_s,
+        }
+
+    def viewer(self) -> ArchivedRunViewer:
+        """One more browser's view."""
+        return ArchivedRunViewer(self)
+
+    def update(self) -> None:
+        """Nothing changes in an archive."""
+
+    @cached_property
+    def _config(self) -> RigConfig | None:
+        """The rig as the archive tells it; None for one that this version cannot read."""
+        try:
+            return parse(self.run.header.rig_yaml, self.run.path)
+        except BadInputError:
+            return None
+
+    @cached_property
+    def _arm(self) -> model.Arm | None:
+        return model_arm(self._config) if self._config else None
+
+    @cached_property
+    def _hook(self) -> TipLoad:
+        assert self._config is not None
+        return TipLoad(self._config)
+
+    def drawing(self, frame: int, picture: int) -> ViewOverlay | None:
+        """What is drawn for row `frame` of the tip: the arm as it would stand at rest, and a picture's marks."""
+        if self._config is None or frame < 0:
+            return None
+        lines_mm = MM_PER_M * self._sketcher.lines(self._shape(frame))
+        if picture < 0:
+            return ViewOverlay(np.empty((0, 2)), np.full(2, np.nan), np.full(2, np.nan), lines_mm)
+        kept = self.run.frames
+        corners = kept.corners_px[picture]
+        return ViewOverlay(
+            corners_px=corners[np.isfinite(corners).all(axis=1)],
+            tip_px=kept.tip_px[picture],
+            model_px=kept.model_px[picture],
+            lines_mm=lines_mm,
+        )
+
+    def picture_at(self, t_s: float) -> int:
+        """The newest kept picture of the leading camera at a time; -1 where there is none."""
+        times_s, rows = self._leading
+        before = int(np.searchsorted(times_s, t_s, side="right"))
+        return int(rows[before - 1]) if before else -1
+
+    @cached_property
+    def _leading(self) -> tuple[Floats, NDArray[np.int64]]:
+        """Times and rows of the pictures to show: of those taken together the first."""
+        rows = np.unique(self.run.frames.index, return_index=True)[1]
+        return self.run.frames.time_s[rows], rows
+
+    @cached_property
+    def _sketcher(self) -> OverlayProjector:
+        assert self._config is not None
+        return OverlayProjector(self._config, next(iter(self._config.cameras)), LINE_POINTS)
+
+    @lru_cache(maxsize=256)  # noqa: B019 - one source lives as long as its process
+    def _shape(self, frame: int) -> model.Shape | None:
+        pressure = self.run.tip.pressure_bar[frame] * PA_PER_BAR
+        if self._arm is None or not np.all(np.isfinite(pressure)):
+            return None
+        try:
+            return self._arm.statics(pressure, self._hook.carrying(float(self.run.tip.weight_g[frame]) * KG_PER_G))
+        except model.NotConverged:
+            return None
+
+    def now(self, t_s: float, frame: int, playing: bool) -> dict[str, Any]:
+        """The numbers at a time."""
+        run, pressure = self.run, self.run.pressure
+        tick = int(np.searchsorted(pressure.time_s, t_s, side="right")) - 1
+        now: dict[str, Any] = {
+            "state": "playing" if playing else "stopped",
+            "t": t_s,
+            "ended": "",
+            "prompt": None,
+            "protocol": 0.0,
+            "left": self.duration_s,
+            "missed": int(run.timing.overruns[: tick + 1].sum()),
+            "dropped": int(run.tip.dropped[: frame + 1].sum()),
+        }
+        if tick >= 0:
+            protocol_s = float(pressure.protocol_s[tick])
+            recent = run.timing.lateness_us[max(0, tick - 200) : tick + 1]
+            now |= {
+                "protocol": protocol_s,
+                "left": self.duration_s - protocol_s,
+                "setpoint": pressure.setpoint_bar[tick],
+                "measured": pressure.measured_bar[tick],
+                "late": float(run.timing.lateness_us[tick]),
+                "lateMax": float(recent.max()),
+                **self._segment(protocol_s),
+            }
+        if frame >= 0:
+            tip = run.tip
+            now |= {
+                "frame": int(tip.frame[frame]),
+                "seen": DetectionStatus(int(tip.seen[frame])).name.lower().replace("_", " "),
+                "modelOk": bool(tip.model_ok[frame]),
+                "error": float(tip.error_mm[frame]),
+                "mean": float(self.mean[frame]),
+                "reprojection": float(tip.reprojection_px[frame]),
+            }
+            if (found := run.adaptation) is not None:
+                # A run that was cut off may have a frame without what it taught.
+                row = int(np.searchsorted(found.time_s, tip.time_s[frame], side="right")) - 1
+                if row >= 0:
+                    now["estimates"] = estimates(run.header.adapted, found.value[row], found.uncertainty[row])
+        return now
+
+    def _segment(self, protocol_s: float) -> dict[str, Any]:
+        for interval in self.run.header.intervals:
+            if interval.start_s <= protocol_s < interval.stop_s:
+                return {"segment": interval.label or interval.kind, "segmentLeft": interval.stop_s - protocol_s}
+        return {"segment": "", "segmentLeft": 0.0}
+
+
+class ArchivedRunViewer:
+    """One browser's place in an archive."""
+
+    def __init__(self, source: ArchivedRun) -> None:
+        self._source = source
+        self._t_s = 0.0
+        self._speed = 1.0
+        self._playing = True
+        self._last = time.monotonic()
+        self._shown_s = -math.inf
+        self._picture = -1
+        self._stale = True
+
+    def packet(self) -> bytes | None:
+        """The next moment; None while it is not time for it, or while nothing moves."""
+        now = time.monotonic()
+        if not self._stale and (not self._playing or now - self._last < PACKET_S):
+            return None
+        source = self._source
+        if self._playing:
+            self._t_s = min(self._t_s + (now - self._last) * self._speed, source.end_s)
+        self._last = now
+        if self._t_s >= source.end_s:
+            self._playing = False
+        reset = self._t_s < self._shown_s or self._shown_s == -math.inf
+        since = -math.inf if reset else self._shown_s
+        frame = int(np.searchsorted(source.run.tip.time_s, self._t_s, side="right")) - 1
+        picture = source.picture_at(self._t_s)
+        news = ViewUpdate(
+            source.now(self._t_s, frame, self._playing),
+            pressure=_between(source.pressure_rows, since, self._t_s),
+            track=_between(source.track_rows, since, self._t_s),
+            events=[event for event in source.events if since < event[0] <= self._t_s],
+            drawing=source.drawing(frame, picture),
+            reset=reset,
+        )
+        if picture >= 0 and news.drawing is not None:
+            news.picture = source.run.picture(picture)
+        self._shown_s, self._stale = self._t_s, False
+        return news.encoded()
+
+    def asked(self, message: dict[str, Any], who: str) -> dict[str, Any] | None:
+        """Go to a place, at a speed, or stand still."""
+        seek, speed, play = message.get("seek"), message.get("speed"), message.get("play")
+        self._last = time.monotonic()
+        if isinstance(seek, int | float) and math.isfinite(seek):
+            self._t_s = min(max(float(seek), 0.0), self._source.end_s)
+            self._stale = True
+        if isinstance(speed, int | float) and 0 < speed <= FASTEST:
+            self._speed = float(speed)
+        if isinstance(play, bool):
+            self._playing, self._stale = play, True
+            if play and self._t_s >= self._source.end_s:
+                self._t_s = 0.0
+        return None
+
+    def close(self) -> None:
+        """Nothing is kept."""
+
+
+def _between(rows: Floats, after_s: float, until_s: float) -> Floats:
+    """Rows with after < time <= until, no more than a chart can show."""
+    first, last = np.searchsorted(rows[:, 0], [after_s, until_s], side="right")
+    chosen = rows[first:last]
+    return chosen[:: max(1, math.ceil(len(chosen) / HISTORY_ROWS))]

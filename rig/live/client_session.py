@@ -1,0 +1,110 @@
+"""A visit at the door of a run: finds it, gets its memory read-only, and passes wishes on."""
+
+from __future__ import annotations
+
+import json
+import os
+import pickle
+import socket
+import struct
+from pathlib import Path
+from typing import Any
+
+from rig.execution.plan import Plan, StartError
+from rig.realtime.control_socket import PACKET_BYTES, socket_paths
+from rig.realtime.shared_state import SharedState, StateLayout
+
+TIMEOUT_S = 5.0
+
+
+def connect(path: Path) -> socket.socket | None:
+    """A connection to the run behind a door; None when nobody is there any more."""
+    visitor = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    # Connecting to a busy door waits only on a blocking socket; this is how such a wait is bounded.
+    visitor.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, struct.pack("ll", round(TIMEOUT_S), 0))
+    try:
+        visitor.connect(os.fspath(path))
+    except OSError:
+        visitor.close()
+        return None
+    visitor.settimeout(TIMEOUT_S)
+    return visitor
+
+
+def running_runs() -> list[Path]:
+    """The doors of the runs that go, of this user."""
+    found = []
+    for path in sorted(socket_paths().glob("run-*")):
+        if visitor := connect(path):
+            visitor.close()
+            found.append(path)
+    return found
+
+
+class ClientSession:
+    """An attached view of a run: its `plan` and its `memory`, which cannot be written through it."""
+
+    def __init__(self, path: Path) -> None:
+        """Attach.
+
+        Raises:
+            StartError: the run has ended, or does not answer.
+        """
+        door = connect(path)
+        if door is None:
+            raise StartError(f"no run is going at {path}")
+        self._path = path
+        self._door = door
+        try:
+            door.send(b'{"do": "attach"}')
+            _, fds, _, _ = socket.recv_fds(door, PACKET_BYTES, 2)
+            memory_fd, plan_fd = fds
+        except (OSError, ValueError) as error:
+            door.close()
+            raise StartError(f"the run at {path} does not answer: {error}") from error
+        with os.fdopen(plan_fd, "rb") as file:
+            file.seek(0)
+            self.plan: Plan = pickle.load(file)  # from our own user's run, through a folder that is his alone
+        self.memory = SharedState(memory_fd, StateLayout.of(self.plan.config, len(self.plan.adapted)), readonly=True)
+        door.setblocking(False)
+        self.over = False
+
+    def watch(self) -> None:
+        """Say that somebody looks; to be repeated."""
+        try:
+            self._door.send(b'{"do": "watch"}')
+        except BlockingIOError:
+            pass
+        except OSError:
+            self.over = True
+
+    def ask(self, do: str, who: str) -> dict[str, Any]:
+        """Pass a wish on and wait for the answer: `done` and what was `said`. May be called from any thread."""
+        door = connect(self._path)
+        if door is None:
+            return {"done": False, "said": "the run has ended"}
+        with door:
+            try:
+                door.send(json.dumps({"do": do, "who": who}).encode())
+                if answer := door.recv(PACKET_BYTES):
+                    told: dict[str, Any] = json.loads(answer)
+                    return told
+            except TimeoutError:
+                return {"done": False, "said": "the run did not answer"}
+            except OSError:
+                pass
+        return {"done": False, "said": "the run has ended"}
+
+    def look(self) -> None:
+        """Notice the run's end."""
+        try:
+            self.over = self.over or not self._door.recv(PACKET_BYTES, socket.MSG_PEEK)
+        except BlockingIOError:
+            pass
+        except OSError:
+            self.over = True
+
+    def close(self) -> None:
+        """Leave."""
+        self._door.close()
+        os.close(self.memory.fd)

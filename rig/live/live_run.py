@@ -1,0 +1,261 @@
+"""A run that goes, as the page shows it: reads the shared memory, keeps a thinned past, never touches a file."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.live.client_session import ClientSession
+from rig.live.packets import MM, History, RunningMean, ViewOverlay, ViewUpdate, bar, estimates, jpeg, track_row
+from rig.realtime.operator_commands import Command
+from rig.realtime.shared_state import Stage
+from runs.records import DetectionStatus, Event
+
+EVERY_TICK = 10
+"""Control ticks per row of the pressure chart."""
+EVENTS_KEPT = 500
+WATCH_EVERY_S = 1.0
+IDLE_PACKET_S = 0.2
+"""A packet is due after so long even when the camera shows nothing new."""
+LATENESS_WINDOW = 200
+"""Ticks over which the greatest lateness is shown."""
+FAR = float("-inf")
+
+
+class LiveRun:
+    """The source for a run that goes."""
+
+    live = True
+
+    def __init__(self, visit: ClientSession) -> None:
+        config = visit.plan.config
+        self.visit = visit
+        self.viewers = 0
+        self.pressure = History(1 + 2 * config.actuators)
+        self.track = History(12)
+        self.events: list[Event] = []
+        self.events_let_go = 0
+        self.ended = ""
+        self.start_ns = 0
+        self.sample: NDArray[np.void] | None = None
+        self.observations: dict[int, tuple[NDArray[np.void], float]] = {}
+        self.adaptation: NDArray[np.void] | None = None
+        self.missed = self.dropped = self.ticks = 0
+        self.view: tuple[NDArray[np.void], NDArray[np.uint8]] | None = None
+        self._lateness = np.zeros(LATENESS_WINDOW)
+        self._mean = RunningMean()
+        self._picture: tuple[int, bytes] = (-1, b"")
+        self._watched = 0.0
+
+    @property
+    def over(self) -> bool:
+        """True once the run has ended."""
+        return bool(self.ended)
+
+    def about(self) -> dict[str, Any]:
+        """What does not change during the run."""
+        plan = self.visit.plan
+        camera = next(iter(plan.config.cameras.values()))
+        return {
+            "title": f"{Path(plan.trajectory.source).stem} on {plan.config.name}",
+            "live": True,
+            "simulated": plan.config.simulated,
+            "variant": plan.variant,
+            "actuators": plan.config.actuators,
+            "camera": [camera.width_px, camera.height_px],
+            "duration": plan.trajectory.duration_s,
+            "limit": plan.config.limits.pressure_bar,
+            "length": plan.config.arm.geometry.length_mm,
+        }
+
+    def viewer(self) -> LiveRunViewer:
+        """The view of one more browser."""
+        self.viewers += 1
+        return LiveRunViewer(self)
+
+    def update(self) -> None:
+        """Take in what the run has written since the last call."""
+        if self.over:
+            return
+        memory = self.visit.memory
+        self.visit.look()
+        now = time.monotonic()
+        if self.viewers and now - self._watched > WATCH_EVERY_S:
+            self._watched = now
+            self.visit.watch()
+        self.start_ns = memory.get("go_ns")
+        self._take_samples(memory.samples.read())
+        for row in memory.observations.read():
+            self._take_observation(row)
+        for row in memory.adaptations.read()[-1:]:
+            self.adaptation = row
+        self.events += memory.read_events()
+        spare = len(self.events) - EVENTS_KEPT
+        if spare > 0:
+            del self.events[:spare]
+            self.events_let_go += spare
+        after = -1 if self.view is None else int(self.view[0]["number"])
+        self.view = memory.newest_view(after) or self.view
+        if self.visit.over:
+            said = memory.message("conductor") if memory.stage("conductor") is Stage.DONE else ""
+            self.ended = said or "the conductor died; the watchdog makes the valves safe"
+
+    def seconds(self, t_ns: int) -> float:
+        """Time since the start of the run."""
+        return (t_ns - self.start_ns) * 1e-9 if self.start_ns else 0.0
+
+    @property
+    def lateness_max_us(self) -> float:
+        """Greatest lateness of the last second."""
+        return float(self._lateness.max()) * 1e-3
+
+    def picture(self) -> bytes:
+        """The newest picture, encoded once for all browsers."""
+        if self.view is None:
+            return b""
+        number = int(self.view[0]["number"])
+        if self._picture[0] != number:
+            self._picture = number, jpeg(self.view[1])
+        return self._picture[1]
+
+    def _take_samples(self, rows: NDArray[np.void]) -> None:
+        for row in rows:
+            self._lateness[self.ticks % LATENESS_WINDOW] = row["lateness_ns"]
+            if self.ticks % EVERY_TICK == 0:
+                t_s = self.seconds(int(row["t_ns"]))
+                self.pressure.add(np.concatenate([[t_s], bar(row["setpoint_pa"]), bar(row["measured_pa"])]))
+            self.ticks += 1
+        if len(rows):
+            self.sample = rows[-1]
+            self.missed += int(rows["missed"].sum())
+
+    def _take_observation(self, row: NDArray[np.void]) -> None:
+        error = MM * float(np.linalg.norm(row["measured_m"] - row["model_m"]))
+        mean = self._mean.add(error)
+        self.dropped += int(row["dropped"])
+        self.observations[int(row["frame"])] = row, mean
+        if len(self.observations) > 16:
+            del self.observations[next(iter(self.observations))]
+        std_mm = MM * np.sqrt(np.diagonal(row["covariance_m2"]))
+        measured, model = MM * row["measured_m"], MM * row["model_m"]
+        self.track.add(track_row(self.seconds(int(row["t_ns"])), measured, std_mm, model, error, mean))
+
+
+class LiveRunViewer:
+    """One browser's view of a run."""
+
+    def __init__(self, source: LiveRun) -> None:
+        self._source = source
+        self._pressure_s = self._track_s = FAR
+        self._events = 0
+        self._shown = -1
+        self._frame = -1
+        self._sent = 0.0
+        self._told_end = False
+
+    def packet(self) -> bytes | None:
+        """What is new; None when nothing is."""
+        source = self._source
+        frame = next(reversed(source.observations), -1)
+        number = -1 if source.view is None else int(source.view[0]["number"])
+        fresh = number > self._shown or (frame > self._frame and number < 0)
+        due = time.monotonic() - self._sent > IDLE_PACKET_S and not source.over
+        if not (fresh or due or (source.over and not self._told_end)):
+            return None
+        self._told_end = source.over
+        news = ViewUpdate(self._now())
+        news.pressure, news.track = source.pressure.after(self._pressure_s), source.track.after(self._track_s)
+        if len(news.pressure):
+            self._pressure_s = float(news.pressure[-1, 0])
+        if len(news.track):
+            self._track_s = float(news.track[-1, 0])
+        new = source.events[max(0, self._events - source.events_let_go) :]
+        self._events = source.events_let_go + len(source.events)
+        news.events = [(round(source.seconds(e.t_ns), 3), str(e.level), e.source, e.message) for e in new]
+        if number > self._shown and source.view is not None:
+            view = source.view[0]
+            news.drawing = ViewOverlay(
+                view["corners_px"][: int(view["found"])], view["tip_px"], view["model_px"], MM * view["lines_m"]
+            )
+            news.picture = source.picture()
+        self._shown, self._frame, self._sent = number, frame, time.monotonic()
+        return news.encoded()
+
+    def asked(self, message: dict[str, Any], who: str) -> dict[str, Any] | None:
+        """Pass an action on to the conductor."""
+        do = message.get("do")
+        if do not in set(Command):
+            return None
+        return {"do": do, **self._source.visit.ask(str(do), f"{who} (live page)")}
+
+    def close(self) -> None:
+        """The browser has gone."""
+        self._source.viewers -= 1
+
+    def _now(self) -> dict[str, Any]:
+        source = self._source
+        memory, plan = source.visit.memory, source.visit.plan
+        protocol_s = float(memory.board["protocol_s"][0])
+        segment = plan.trajectory.segment_at(protocol_s)
+        waiting = memory.get("waiting")
+        now: dict[str, Any] = {
+            "state": self._state(waiting),
+            "protocol": protocol_s,
+            "left": plan.trajectory.duration_s - protocol_s,
+            "segment": segment.label or segment.kind,
+            "segmentLeft": max(0.0, segment.stop_s - protocol_s),
+            "prompt": plan.trajectory.prompts[waiting].message if waiting >= 0 else None,
+            "ended": source.ended,
+            "missed": source.missed,
+            "dropped": source.dropped,
+            "lateMax": source.lateness_max_us,
+        }
+        if source.sample is not None:
+            now |= {
+                "t": source.seconds(int(source.sample["t_ns"])),
+                "setpoint": bar(source.sample["setpoint_pa"]),
+                "measured": bar(source.sample["measured_pa"]),
+                "late": float(source.sample["lateness_ns"]) * 1e-3,
+            }
+        if source.adaptation is not None:
+            row = source.adaptation
+            std = np.sqrt(np.diagonal(row["covariance"]))
+            now["estimates"] = estimates(plan.adapted, row["value"], std)
+        if source.observations:
+            now |= self._tip()
+        return now
+
+    def _tip(self) -> dict[str, Any]:
+        source = self._source
+        newest = next(reversed(source.observations))
+        frame = newest if source.view is None else int(source.view[0]["frame"])
+        row, mean = source.observations.get(frame, source.observations[newest])
+        return {
+            "frame": int(row["frame"]),
+            "seen": DetectionStatus(int(row["seen"])).name.lower().replace("_", " "),
+            "tip": MM * row["measured_m"],
+            "std": MM * np.sqrt(np.diagonal(row["covariance_m2"])),
+            "model": MM * row["model_m"],
+            "modelOk": bool(row["model_ok"]),
+            "error": MM * float(np.linalg.norm(row["measured_m"] - row["model_m"])),
+            "mean": mean,
+            "reprojection": float(row["reprojection_px"]),
+            "age": (time.monotonic_ns() - int(row["t_ns"])) * 1e-6,
+            "sent": time.time() * 1e3,
+        }
+
+    def _state(self, waiting: int) -> str:
+        memory = self._source.visit.memory
+        if self._source.over:
+            return "ended"
+        if not memory.get("go_ns") or self._source.sample is None:
+            return "starting"
+        if memory.get("stop"):
+            return "stopping"
+        if memory.get("held"):
+            return "paused"
+        return "waiting" if waiting >= 0 else "running"

@@ -1,0 +1,185 @@
+"""Per frame: picture -> measured tip, measured pressures -> modelled tip, side by side in one row."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Protocol
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+import model
+from rig.config.arm_model import TipLoad, model_arm
+from rig.config.schema import RigConfig, Variant
+from rig.hardware.cameras.base import FrameSet
+from rig.observation.multi_camera import MultiCameraTipEstimator
+from rig.observation.overlay import backbone
+from rig.observation.single_camera import Measurement
+from runs.records import observation_dtype
+
+if TYPE_CHECKING:
+    from rig.observation.online_estimation import OnlineEstimation
+
+Floats = NDArray[np.float64]
+Times = NDArray[np.int64]
+
+# Catching up on more lost frames than this costs more time than it is worth: the model starts anew at rest.
+_MOST_STEPS = 10
+_HISTORY_NS = 1_000_000_000
+
+
+class _LiveModel(Protocol):
+    """The model in one of its modes."""
+
+    def follow(self, shot: FrameSet, pressures: Pressures, loads: model.Loads | None) -> model.Shape | None:
+        """Shape of the arm at the shot's time; None where it cannot be solved."""
+
+
+class Pressures:
+    """The measured pressures of the last second, interpolated."""
+
+    def __init__(self, actuators: int) -> None:
+        self._t_ns: Times = np.empty(0, np.int64)
+        self._pa: Floats = np.empty((0, actuators))
+
+    def extend(self, t_ns: Times, pa: Floats) -> None:
+        """Append samples `t_ns` (k,), `pa` (k, N); such as are not newer than the last known are ignored."""
+        if self._t_ns.size:
+            new = t_ns > self._t_ns[-1]
+            t_ns, pa = t_ns[new], pa[new]
+        if t_ns.size:
+            keep = self._t_ns > t_ns[-1] - _HISTORY_NS
+            self._t_ns = np.concatenate([self._t_ns[keep], t_ns])
+            self._pa = np.concatenate([self._pa[keep], pa])
+
+    def at(self, t_ns: int) -> Floats:
+        """Pressures (N,) [Pa] at a time, the nearest sample beyond the ends; NaN when nothing was measured yet."""
+        if not self._t_ns.size:
+            return np.full(self._pa.shape[1], np.nan)
+        after = int(np.searchsorted(self._t_ns, t_ns))
+        if after == 0 or after == len(self._t_ns):
+            return np.array(self._pa[min(after, len(self._t_ns) - 1)])
+        # Differences of times: nanoseconds since boot do not fit a float exactly.
+        before_ns = int(self._t_ns[after - 1])
+        share = (t_ns - before_ns) / (int(self._t_ns[after]) - before_ns)
+        return np.array(self._pa[after - 1] + share * (self._pa[after] - self._pa[after - 1]))
+
+
+class _StaticModel:
+    """Statics at every frame."""
+
+    def __init__(self, arm: model.Arm) -> None:
+        self._arm = arm
+
+    def follow(self, shot: FrameSet, pressures: Pressures, loads: model.Loads | None) -> model.Shape | None:
+        return _rest(self._arm.statics, pressures.at(shot.t_ns), loads)
+
+
+class _DynamicModel:
+    """Dynamics in steps of the camera's period: as many as periods have passed since the last frame."""
+
+    def __init__(self, arm: model.Arm, period_s: float) -> None:
+        self._dynamics = arm.dynamics(period_s)
+        self._last: tuple[int, int] | None = None
+
+    def follow(self, shot: FrameSet, pressures: Pressures, loads: model.Loads | None) -> model.Shape | None:
+        last, self._last = self._last, None
+        steps = shot.index - last[0] if last is not None else 0
+        if last is None or not 0 < steps <= _MOST_STEPS:
+            shape = _rest(self._dynamics.start, pressures.at(shot.t_ns), loads)
+        else:
+            shape = None
+            for k in range(1, steps + 1):
+                pressure = pressures.at(last[1] + (shot.t_ns - last[1]) * k // steps)
+                shape = self._dynamics.step(pressure, loads) if np.all(np.isfinite(pressure)) else None
+                if shape is None or not shape.ok:
+                    # The next frame starts anew at rest: a history with a hole is no history.
+                    return None
+        if shape is not None:
+            self._last = shot.index, shot.t_ns
+        return shape
+
+
+def _rest(solve: _Solve, pressure: Floats, loads: model.Loads | None) -> model.Shape | None:
+    if not np.all(np.isfinite(pressure)):
+        return None
+    try:
+        shape = solve(pressure, loads)
+    except model.NotConverged:
+        return None
+    return shape if shape.ok else None
+
+
+class _Solve(Protocol):
+    def __call__(self, pressure_pa: Floats, loads: model.Loads | None, /) -> model.Shape: ...
+
+
+class Observer:
+    """Turns shots, in their order, into rows of `runs.records.observation_dtype`. Knows no clock."""
+
+    def __init__(self, config: RigConfig, variant: Variant | None = None, adapt: Sequence[str] = ()) -> None:
+        """`variant` of the model (the rig's when None).
+
+        `adapt` names the parameters that a recursive estimator finds meanwhile; the model's tip is then by these.
+        """
+        # The pictures are small: a second thread gains nothing here and costs the control process its core.
+        cv2.setNumThreads(1)
+        self._eyes = MultiCameraTipEstimator(config)
+        rate_hz = next(iter(config.cameras.values())).rate_hz
+        arm = model_arm(config, variant)
+        self._model: _LiveModel = (
+            _StaticModel(arm) if config.model.mode == "static" else _DynamicModel(arm, 1 / rate_hz)
+        )
+        self._hook = TipLoad(config)
+        self._pressures = Pressures(config.actuators)
+        self._dtype = observation_dtype(config.actuators, len(config.cameras))
+        self._model_m = np.full(3, np.nan)
+        self.measurement: Measurement | None = None
+        """Of the last shot, as `shape` is the model's; for those who draw them."""
+        self.shape: model.Shape | None = None
+        self.adaptation: NDArray[np.void] | None = None
+        """What the estimator made of the last shot; None without one."""
+        self._adapting: OnlineEstimation | None = None
+        if adapt:
+            from rig.observation.online_estimation import OnlineEstimation
+
+            self._adapting = OnlineEstimation(config, variant, adapt)
+
+    def step(
+        self,
+        shot: FrameSet,
+        sample_t_ns: Times,
+        sample_pa: Floats,
+        protocol_s: float,
+        dropped: int = 0,
+        weight_kg: float = 0.0,
+    ) -> NDArray[np.void]:
+        """Observe one shot with the samples (k,), (k, N) that came since the last; return a row, shape ().
+
+        `weight_kg` is what the operator has hung on the end cap.
+
+        `age_ns` is left at zero for whoever has a clock.
+        """
+        self._pressures.extend(np.asarray(sample_t_ns, dtype=np.int64), np.asarray(sample_pa, dtype=np.float64))
+        seen = self._eyes.measure(shot)
+        shape = self._model.follow(shot, self._pressures, self._hook.carrying(weight_kg))
+        self.measurement, self.shape = seen, shape
+        if shape is not None:
+            self._model_m = np.array(shape.tip_m, dtype=np.float64)
+        row = np.zeros((), self._dtype)
+        row["t_ns"], row["frame"] = shot.t_ns, shot.index
+        row["protocol_s"], row["dropped"] = protocol_s, dropped
+        row["seen"], row["model_ok"] = seen.seen, shape is not None
+        row["pressure_pa"] = self._pressures.at(shot.t_ns)
+        row["weight_kg"] = weight_kg
+        row["measured_m"], row["covariance_m2"] = seen.tip_m, seen.covariance_m2
+        row["reprojection_px"] = seen.reprojection_px
+        row["model_m"] = self._model_m
+        row["backbone_m"] = backbone(shape)
+        row["truth_m"] = np.nan if shot.lead.truth_m is None else shot.lead.truth_m
+        row["camera_seen"] = seen.cameras
+        row["camera_skew_s"] = [np.nan if f is None else (f.t_ns - shot.t_ns) * 1e-9 for f in shot.frames]
+        if self._adapting is not None:
+            self.adaptation = self._adapting.step(row)
+        return row

@@ -1,0 +1,100 @@
+"""What there is to draw of one frame: the board and both tips in the picture, the arm's lines in space."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+import model
+from rig.config.optics import camera_in_base, lens_of
+from rig.config.schema import RigConfig
+from rig.observation.single_camera import Measurement
+from runs.records import BACKBONE_POINTS, ImageAnnotations
+
+Floats = NDArray[np.float64]
+_NOWHERE = np.zeros(3)
+
+
+@dataclass(frozen=True)
+class Overlay:
+    """Pixels of the corners (n, 2) and of the measured and the model's tip (2,); NaN where there is none.
+
+    `lines_m` (1 + N, points, 3): the arm's axis and its N actuators' in the rod-base frame.
+    """
+
+    corners_px: Floats
+    tip_px: Floats
+    model_px: Floats
+    lines_m: Floats
+
+
+class OverlayProjector:
+    """Draws for one camera of a rig."""
+
+    def __init__(self, config: RigConfig, camera: str, points: int) -> None:
+        """`points` along each line."""
+        self._lens = lens_of(config.cameras[camera])
+        self._base_in_camera = camera_in_base(config.cameras[camera]).inverse()
+        self._points = points
+        self._lines = 1 + config.actuators
+
+    def sketch(self, measurement: Measurement, shape: model.Shape | None) -> Overlay:
+        """Sketch a frame from what was measured in it and the arm's modelled shape, None where it was not solved."""
+        corners = measurement.corners_px
+        return Overlay(
+            corners_px=np.empty((0, 2)) if corners is None else corners,
+            tip_px=self.pixel(measurement.tip_m),
+            model_px=self.pixel(np.full(3, np.nan) if shape is None else shape.tip_m),
+            lines_m=self.lines(shape),
+        )
+
+    def marks(self, corners_px: Floats | None, tip_m: Floats, shape: model.Shape | None) -> ImageAnnotations:
+        """What is kept with a picture that is kept: where the board's corners, the tips and the backbone are in it."""
+        line = backbone(shape)
+        points = self.pixels(np.vstack([tip_m, np.full(3, np.nan) if shape is None else shape.tip_m, line]))
+        return ImageAnnotations.of(
+            np.empty((0, 2)) if corners_px is None else corners_px, points[0], points[1], points[2:]
+        )
+
+    def pixel(self, point_m: Floats) -> Floats:
+        """Where a point (3,) of the rod-base frame is in the picture (2,); NaN for one behind the camera."""
+        pixel: Floats = self.pixels(point_m[None])[0]
+        return pixel
+
+    def pixels(self, points_m: Floats) -> Floats:
+        """Where points (n, 3) of the rod-base frame are in the picture (n, 2); NaN for those behind the camera."""
+        seen = self._base_in_camera.apply(points_m)
+        before = seen[:, 2] > 0
+        pixels = np.full((len(seen), 2), np.nan)
+        if before.any():
+            pixels[before] = self._lens.project(seen[before], _NOWHERE, _NOWHERE)
+        return pixels
+
+    def lines(self, shape: model.Shape | None) -> Floats:
+        """The arm's axis and actuators (1 + N, points, 3) [m]; NaN for no shape."""
+        if shape is None:
+            return np.full((self._lines, self._points, 3), np.nan)
+        at = np.linspace(0, len(shape.s_m) - 1, self._points).round().astype(int)
+        axis, rotation = shape.p_m[at], shape.rotation[at]
+        offsets = np.column_stack([shape.actuator_xy_m, np.zeros(len(shape.actuator_xy_m))])
+        actuators = axis + np.einsum("sij,aj->asi", rotation, offsets)
+        return np.concatenate([axis[None], actuators])
+
+
+def backbone(shape: model.Shape | None) -> Floats:
+    """The arm's centre line (BACKBONE_POINTS, 3) [m], evenly spaced along the arm at rest; NaN for no shape."""
+    if shape is None:
+        return np.full((BACKBONE_POINTS, 3), np.nan)
+    at = _evenly(float(shape.s_m[0]), float(shape.s_m[-1]))
+    line = np.empty((BACKBONE_POINTS, 3))
+    for axis in range(3):
+        line[:, axis] = np.interp(at, shape.s_m, shape.p_m[:, axis])
+    return line
+
+
+@lru_cache(maxsize=8)
+def _evenly(first_m: float, last_m: float) -> Floats:
+    return np.linspace(first_m, last_m, BACKBONE_POINTS)

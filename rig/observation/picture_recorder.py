@@ -1,0 +1,64 @@
+"""The camera pictures that are kept: which ones, encoded, with what was seen in them."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.config.schema import Recording, RigConfig
+from rig.hardware.cameras.base import FrameSet
+from rig.observation.observer import Observer
+from rig.observation.overlay import OverlayProjector
+from runs.records import DetectionStatus, Picture
+
+
+class PictureRecorder:
+    """Keeps every so many shots, and the one in which the board is lost."""
+
+    def __init__(self, config: RigConfig) -> None:
+        self._recording = config.recording
+        self._sketchers = {name: OverlayProjector(config, name, points=2) for name in config.cameras}
+        self._lost = False
+        self._last_loss: int | None = None
+
+    def pictures(self, shot: FrameSet, observer: Observer) -> list[Picture]:
+        """Return the pictures to keep of the shot that the observer has just observed."""
+        measurement = observer.measurement
+        if measurement is None or not self._keeps(shot.index, measurement.seen):
+            return []
+        corners = measurement.board_px or (None,) * len(shot.frames)
+        return [
+            Picture(
+                t_ns=frame.t_ns,
+                frame=shot.index,
+                camera=name,
+                encoding=self._recording.encoding,
+                data=encode(frame.image, self._recording),
+                marks=sketcher.marks(board, measurement.tip_m, observer.shape),
+            )
+            for (name, sketcher), frame, board in zip(self._sketchers.items(), shot.frames, corners, strict=True)
+            if frame is not None
+        ]
+
+    def _keeps(self, index: int, seen: DetectionStatus) -> bool:
+        """Losses that follow one another closely are kept no oftener than other pictures."""
+        every = self._recording.keep_every
+        lost, self._lost = not self._lost and seen is not DetectionStatus.MEASURED, seen is not DetectionStatus.MEASURED
+        if index % every == 0:
+            return True
+        if lost and (self._last_loss is None or index - self._last_loss >= every):
+            self._last_loss = index
+            return True
+        return False
+
+
+def encode(image: NDArray[np.uint8], recording: Recording) -> bytes:
+    """Compress one picture as the rig asks for."""
+    if recording.encoding == "png":
+        ok, data = cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 1])
+    else:
+        ok, data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, recording.jpeg_quality])
+    if not ok:
+        raise ValueError(f"a picture of shape {image.shape} could not be encoded as {recording.encoding}")
+    return data.tobytes()

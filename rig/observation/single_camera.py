@@ -1,0 +1,61 @@
+"""One camera's eye: picture in, measured tip with its uncertainty out, or the reason why there is none."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calibration.vision.tcp import tip_in_base
+from calibration.vision.tracker import Detection, Tracker
+from rig.config.optics import board_in_tip, board_of, camera_in_base, lens_of, plane_of
+from rig.config.schema import RigConfig
+from runs.records import DetectionStatus
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """The tip (3,) [m] in the rod-base frame with covariance (3, 3); NaN and no corners unless `seen` is MEASURED.
+
+    `corners_px` are those in the picture of the first camera that has one. `cameras` is what each of the rig's cameras
+    saw: the tip was measured from those that are MEASURED.
+    """
+
+    seen: DetectionStatus
+    tip_m: Floats
+    covariance_m2: Floats
+    reprojection_px: float
+    corners_px: Floats | None
+    cameras: tuple[DetectionStatus, ...]
+    board_px: tuple[Floats | None, ...] = ()
+    """The corners in each camera's picture."""
+
+    @classmethod
+    def none(cls, seen: DetectionStatus, cameras: tuple[DetectionStatus, ...]) -> Measurement:
+        """Nothing was measured, and why."""
+        return cls(seen, np.full(3, np.nan), np.full((3, 3), np.nan), float("nan"), None, cameras)
+
+
+class SingleCameraTipEstimator:
+    """Measures the tip in one camera's pictures, in the order they were taken: it follows the board."""
+
+    def __init__(self, config: RigConfig, camera_name: str) -> None:
+        camera = config.cameras[camera_name]
+        self.tracker = Tracker(board_of(config), lens_of(camera), plane_of(config, camera))
+        self._board_in_tip = board_in_tip(config)
+        self._camera_in_base = camera_in_base(camera)
+
+    def measure(self, image: NDArray[np.uint8]) -> Measurement:
+        """Measure the tip in the next picture, (height, width) grey or (height, width, 3) BGR."""
+        return self.judge(self.tracker.see(image))
+
+    def judge(self, sighting: Detection) -> Measurement:
+        """The tip by what this camera alone has seen."""
+        if sighting.pose is None or sighting.corners is None:
+            return Measurement.none(sighting.seen, (sighting.seen,))
+        tip, covariance = tip_in_base(sighting.pose, self._board_in_tip, self._camera_in_base)
+        seen, pose = sighting.seen, sighting.pose
+        return Measurement(seen, tip, covariance, pose.reprojection_px, sighting.corners.px, (seen,))

@@ -1,0 +1,195 @@
+"""The control process: the 200 Hz loop from pressures to valves."""
+
+from __future__ import annotations
+
+import contextlib
+import signal
+import time
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.control.control_loop import ControlLoop
+from rig.hardware.bench import Bench, open_bench
+from rig.hardware.cards.base import CardError
+from rig.realtime import sampling_clocks
+from rig.realtime.child_process import ChildJob, await_turn, leave, receive, supervisor_monitor
+from rig.realtime.process_monitor import ProcessMonitor
+from rig.realtime.scheduling import (
+    HeartbeatMonitor,
+    disable_realtime_scheduling,
+    enable_realtime_scheduling,
+    wait_until,
+)
+from rig.realtime.shared_state import SharedState, Stage, Stop
+from rig.realtime.vent_verification import PATIENCE_S, VentVerification
+
+WATCHDOG_SILENT_NS = 1_000_000_000
+LEAD_IN_NS = 5_000_000
+REHEARSED_TICKS = 10
+FIRST_SCAN_S = 0.2
+CLOCKS_TOLD_EVERY = 200
+
+
+def main() -> int:
+    """Arm, run, make safe; the valves are safe before anything is said."""
+    job, memory = receive()
+    signal.signal(signal.SIGTERM, lambda *_: memory.ask_to_stop(Stop.TERMINATED))
+    conductor = supervisor_monitor(job)
+    # The watchdog has the cards first: of one that lets in one process it must know that.
+    if not await_turn(memory, conductor, lambda: memory.stage("watchdog") is Stage.READY):
+        memory.say("control", Stage.DONE)
+        return 0
+    memory.beat("control", time.monotonic_ns())
+    try:
+        bench = open_bench(job.plan.config)
+    except CardError as error:
+        memory.say("control", Stage.FAILED, str(error))
+        return 1
+    fault = ""
+    crash: Exception | None = None
+    try:
+        bench.arm()
+        bench.start()
+        _warm_up(job, bench)
+        sampling_clocks.publish(memory, bench)
+        warnings = enable_realtime_scheduling(priority=50)
+        memory.say("control", Stage.READY, "; ".join(warnings))
+        fault = _run(job, memory, bench, conductor)
+    except CardError as error:
+        fault = str(error)
+    except Exception as error:
+        crash, fault = error, f"the control process failed: {type(error).__name__}: {error}"
+    finally:
+        try:
+            bench.make_safe(vent=memory.vents)
+            memory.set("safe_ns", time.monotonic_ns())
+        except CardError as error:
+            fault = f"{fault}; then {error}".removeprefix("; then ")
+        else:
+            if trouble := _verify_venting(job, memory, bench):
+                fault = f"{fault}; then {trouble}".removeprefix("; then ")
+    memory.say("control", Stage.FAILED if fault else Stage.DONE, fault)
+    bench.close()
+    disable_realtime_scheduling()
+    if crash is not None:
+        raise crash  # where in the program; nothing waits for who reads it
+    return 1 if fault else 0
+
+
+def _verify_venting(job: ChildJob, memory: SharedState, bench: Bench) -> str:
+    """Watch the air go; what keeps it, empty when nothing does."""
+    venting = VentVerification(job.plan.config, bench, vent=memory.vents)
+    until = time.monotonic() + PATIENCE_S
+    with contextlib.suppress(CardError):
+        while time.monotonic() < until and not memory.get("fired_ns"):
+            memory.beat("control", time.monotonic_ns())
+            if venting.done():
+                return ""
+            time.sleep(0.005)
+    return venting.verdict()
+
+
+class NullOutputs:
+    """A bench whose valves do not move."""
+
+    def __init__(self, bench: Bench) -> None:
+        self.read = bench.read
+
+    def write(self, valve_v: NDArray[np.float64]) -> None:
+        """Write nothing."""
+
+
+class GuardedOutputs:
+    """A bench that is written only while the valves stand where they were put: who else writes, means it."""
+
+    def __init__(self, bench: Bench, memory: SharedState) -> None:
+        self.read = bench.read
+        self._bench, self._memory = bench, memory
+
+    def write(self, valve_v: NDArray[np.float64]) -> None:
+        """Set every valve; raises as `undisturbed`."""
+        # Looked at this late: a process that stood still in the middle of a tick must not undo what was done meanwhile.
+        if self.undisturbed():
+            self._bench.write(valve_v)
+
+    def undisturbed(self) -> bool:
+        """True where the valves stand where they were put; False where this run's own watchdog has moved them.
+
+        Raises:
+            CardError: somebody else has; where that was to vent, the run ends vented.
+        """
+        disturbance = self._bench.disturbance()
+        if disturbance and not (self._memory.vents or self._memory.get("fired_ns")):
+            self._memory.set("vented", self._bench.vented)
+            raise CardError(disturbance)
+        return not disturbance
+
+
+def _warm_up(job: ChildJob, bench: Bench) -> None:
+    """Play some ticks with the valves left alone: what is imported or compiled at its first use is ready by then."""
+    ticker = ControlLoop(job.plan, NullOutputs(bench))
+    period_s = ticker.period_ns * 1e-9
+    # Without a scan a tick goes no further than that there is none.
+    until = time.monotonic() + FIRST_SCAN_S
+    while not ticker.listen() and time.monotonic() < until:
+        time.sleep(period_s)
+    for number in range(REHEARSED_TICKS):
+        ticker.tick(number, time.monotonic_ns(), 1, 0, False, 0, 0)
+        time.sleep(period_s)
+
+
+def _run(job: ChildJob, memory: SharedState, bench: Bench, conductor: ProcessMonitor) -> str:
+    """Loop until the protocol ends or someone asks to stop; return what went wrong, empty when nothing did."""
+    valves = GuardedOutputs(bench, memory)
+    ticker = ControlLoop(job.plan, valves)
+    period = ticker.period_ns
+    while not (go := memory.get("go_ns")) or time.monotonic_ns() < go - LEAD_IN_NS:
+        ticker.listen()
+        memory.beat("control", time.monotonic_ns())
+        time.sleep(0.002)
+        if memory.get("stop") != Stop.NONE:
+            return ""
+        if conductor.over:
+            return "the conductor died before the run began"
+    memory.beat("control", time.monotonic_ns())
+    memory.say("control", Stage.RUNNING, memory.message("control"))
+    tick = skipped = skips = 0
+    watchdogs = HeartbeatMonitor(period, WATCHDOG_SILENT_NS // 10)
+    while True:
+        deadline = go + tick * period
+        now = wait_until(deadline)
+        if memory.get("stop") != Stop.NONE:
+            valves.undisturbed()  # `rig vent` asks to stop, too: what it did is to be told, and to stay
+            return ""
+        if memory.get("fired_ns"):
+            return "the watchdog took the bench over"
+        if conductor.over:
+            return "the conductor died"
+        if watchdogs.look(now, memory.heartbeat_ns("watchdog")) > WATCHDOG_SILENT_NS:
+            return "the watchdog is silent"
+        while skips < memory.get("skips"):
+            skips += 1
+            ticker.skip()
+        row, trip = ticker.tick(
+            tick, now, 1 + skipped, memory.get("answered"), bool(memory.get("held")), now - deadline, skipped
+        )
+        memory.samples.push(row)
+        memory.set("lost_scans", ticker.lost)
+        if tick % CLOCKS_TOLD_EVERY == 0:
+            sampling_clocks.publish(memory, bench)
+        memory.set("protocol_s", ticker.position.protocol_s)
+        memory.set("waiting", ticker.position.prompts_passed if ticker.position.waiting else -1)
+        memory.beat("control", now)
+        if trip is not None:
+            return trip
+        if ticker.finished:
+            return ""
+        # A deadline is missed when its tick had not begun before the next one was due.
+        following = max(tick + 1, (time.monotonic_ns() - go) // period)
+        skipped = following - tick - 1
+        tick = following
+
+
+if __name__ == "__main__":
+    leave(main())

@@ -1,0 +1,112 @@
+"""The safe state written by whoever is left, when control and the watchdog, whose duty it is, no longer can."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import threading
+import time
+
+from rig.config.schema import RigConfig
+from rig.hardware.bench import make_safe
+from rig.hardware.cards.base import CardError
+from rig.hardware.cards.registry import card_type
+from rig.realtime.child_process import ChildJob, supervisor_monitor
+from rig.realtime.process_monitor import ProcessMonitor
+from rig.realtime.shared_state import SharedState, Stage, Stop
+
+SILENT_NS = 200_000_000
+"""Control and watchdog give a sign of life every few milliseconds; who is silent for so long does not act."""
+CONDUCTOR_SILENT_NS = 500_000_000
+LOOK_S = 0.02
+LOOKS = 25
+"""What the others get to make the bench safe, where they are silent and may yet wake, before the observer does."""
+FREED_S = 0.5
+
+
+def is_safe(memory: SharedState) -> bool:
+    """True once somebody has written the safe state, or has said why it cannot be."""
+    ended = (Stage.DONE, Stage.FAILED)
+    written = memory.get("safe_ns") or memory.get("fired_ns")
+    return bool(written) or any(memory.stage(name) in ended for name in ("control", "watchdog"))
+
+
+class FailsafeThread:
+    """What the observer does for the bench: it makes it safe once nobody else is left who could.
+
+    A thread, so that neither a picture that is long in coming nor one that is long looked at holds it up.
+    """
+
+    def __init__(self, job: ChildJob, memory: SharedState) -> None:
+        self._config, self._memory = job.plan.config, memory
+        self._conductor = supervisor_monitor(job)
+        self._lives: dict[str, ProcessMonitor] = {}
+        self._looks = 0
+        self._thread = threading.Thread(target=self._stand_guard, name="guard", daemon=True)
+        self._thread.start()
+
+    def outlast(self) -> None:
+        """Return once the bench is safe, by whomever, or nothing more can be done for it."""
+        self._thread.join()
+
+    def _stand_guard(self) -> None:
+        for card in self._config.cards.values():
+            with contextlib.suppress(CardError):
+                card_type(card)  # no time to load it when it is needed
+        while not is_safe(self._memory):
+            if self._left_alone():
+                self._memory.ask_to_stop(Stop.SILENT)
+                force_safe_state(self._config, self._memory)
+                return
+            time.sleep(LOOK_S)
+
+    def _left_alone(self) -> bool:
+        """The dead need no waiting for. A machine that stood still as a whole makes everybody look silent: those who
+        wake with it get the time to act; and before the first tick no valve has been moved by anybody.
+        """
+        memory, now = self._memory, time.monotonic_ns()
+        orphaned = self._conductor.over
+        if orphaned and self._dead("control") and self._dead("watchdog"):
+            return True
+        silent_ns = min(now - memory.heartbeat_ns(name) for name in ("control", "watchdog"))
+        forsaken = orphaned or now - memory.heartbeat_ns("conductor") > CONDUCTOR_SILENT_NS
+        alone = memory.get("go_ns") and forsaken and silent_ns > SILENT_NS
+        self._looks = self._looks + 1 if alone else 0
+        return self._looks > LOOKS
+
+    def _dead(self, name: str) -> bool:
+        """True where a process has died, or was never started by a conductor that is dead."""
+        pid = self._memory.get(f"{name}_pid")
+        if pid and name not in self._lives:
+            self._lives[name] = ProcessMonitor(pid)
+        return not pid or self._lives[name].over
+
+
+def force_safe_state(config: RigConfig, memory: SharedState) -> str:
+    """Write the safe state, end control and the watchdog, which may only sleep, and write it again.
+
+    Returns what kept it from being written, empty when nothing did.
+    """
+    _write(config, memory)
+    for name in ("control_pid", "watchdog_pid"):
+        if pid := memory.get(name):
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(pid, signal.SIGKILL)
+    time.sleep(0.005)
+    # A card that lets in one process is free only once who had it is gone, which takes as long as its memory is large;
+    # and who was killed may have written once more before it died.
+    until = time.monotonic() + FREED_S
+    while (trouble := _write(config, memory)) and time.monotonic() < until:
+        time.sleep(0.005)
+    # Not before: who is told that the bench is safe looks no further.
+    memory.set("safe_ns", 0 if trouble else time.monotonic_ns())
+    return trouble
+
+
+def _write(config: RigConfig, memory: SharedState) -> str:
+    try:
+        make_safe(config, vent=memory.vents)
+    except CardError as error:
+        return str(error)
+    return ""

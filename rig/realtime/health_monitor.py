@@ -1,0 +1,206 @@
+"""What an operator is warned of while a run goes on: the tip is not measured, the model is not solved, data are lost.
+
+None of it moves a valve, so none of it stops the run: the record says which rows are affected, the operator decides.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.config.schema import RigConfig
+from runs.records import DetectionStatus, Event, Level
+
+MEMORY_S = 1.0
+"""A trouble is judged by its share of about the last second."""
+CLEARED = 0.2
+"""A trouble is over once its share has fallen to this part of what it was announced at."""
+LATE_S = 0.25
+OFF_PACE = 0.05
+"""A camera that keeps its pace no better than this makes the model, which steps by the rig's, too slow or too fast."""
+STANDSTILL_S = 0.5
+STOOD_STILL_S = 0.1
+DISK_S = 2.0
+
+_SEEN = {
+    DetectionStatus.NO_BOARD: "no board in the picture: light, lens cap, something before the camera?",
+    DetectionStatus.AMBIGUOUS: "the board cannot be told from its half turn, or is cut off",
+    DetectionStatus.POOR_FIT: "the board's corners do not fit a plane board",
+    DetectionStatus.NO_FRAME: "the camera repeats the same picture bit for bit: it is frozen, or delivers old pictures",
+    DetectionStatus.DISAGREE: "the cameras contradict each other: was one moved, or is its calibration another's?",
+}
+
+
+@dataclass
+class _Condition:
+    """One thing that may go wrong for a while. `above` is the share of rows at which it is worth a warning."""
+
+    above: float
+    share: float = 0.0
+    since_ns: int = 0
+    told: bool = False
+
+    def judge(self, t_ns: int, period_s: float, part: float) -> bool | None:
+        """Take one row, of which `part` (0 to 1) is affected; True when a trouble begins, False when it is over."""
+        if self.share < self.above * CLEARED:
+            self.since_ns = t_ns
+        self.share += (part - self.share) * min(1.0, period_s / MEMORY_S)
+        if not self.told and self.share > self.above:
+            self.told = True
+            return True
+        if self.told and self.share < self.above * CLEARED:
+            self.told = False
+            return False
+        return None
+
+
+class HealthMonitor:
+    """Looks through what is recorded and says when something begins to be wrong, and when it is over."""
+
+    def __init__(self, config: RigConfig) -> None:
+        self._tick_s = 1 / config.control.rate_hz
+        self._frame_s = 1 / next(iter(config.cameras.values())).rate_hz
+        self._unmeasured, self._unsolved = _Condition(0.3), _Condition(0.3)
+        self._dropping, self._late, self._missing = _Condition(0.3), _Condition(0.3), _Condition(0.05)
+        self._off_pace, self._apart_s, self._frame_t_ns = _Condition(0.5), self._frame_s, 0
+        self._cameras = [(name, _Condition(0.3)) for name in config.cameras] if len(config.cameras) > 1 else []
+        self._disk = _Condition(DISK_S)
+        self._looked_ns = 0
+
+    def samples(self, rows: NDArray[np.void]) -> Iterator[Event]:
+        """Control ticks (n,) of `runs.records.sample_dtype`, in their order."""
+        for row in rows:
+            missed, t_ns = int(row["missed"]), int(row["t_ns"])
+            if row["lateness_ns"] > STOOD_STILL_S * 1e9:
+                yield _warning(
+                    t_ns,
+                    "control",
+                    f"control stood still for {row['lateness_ns'] * 1e-9:.2f} s, the valves at their last voltages; "
+                    "the pressures are led back to their set-points within the rate limit",
+                )
+            trouble = self._missing
+            match trouble.judge(t_ns, self._tick_s * (missed + 1), missed / (missed + 1)):
+                case True:
+                    yield _warning(
+                        t_ns, "control", f"{trouble.share:.0%} of the deadlines are missed: the machine is too busy"
+                    )
+                case False:
+                    yield _over(trouble, t_ns, "control", "deadlines are met again")
+
+    def observations(self, rows: NDArray[np.void]) -> Iterator[Event]:
+        """Camera frames (n,) of `runs.records.observation_dtype`, in their order."""
+        for row in rows:
+            t_ns, seen, dropped = int(row["t_ns"]), DetectionStatus(int(row["seen"])), int(row["dropped"])
+            judged = (
+                (
+                    self._unmeasured,
+                    float(seen is not DetectionStatus.MEASURED),
+                    f"the tip is not measured: {_SEEN.get(seen, seen.name)}",
+                    "the tip is measured again",
+                ),
+                (
+                    self._unsolved,
+                    float(not row["model_ok"]),
+                    "the model cannot be solved for these pressures: its tip is the last good one",
+                    "the model is solved again",
+                ),
+                (
+                    self._dropping,
+                    dropped / (dropped + 1),
+                    "the camera drops pictures",
+                    "the camera delivers every picture again",
+                ),
+                (
+                    self._late,
+                    float(row["age_ns"] > LATE_S * 1e9),
+                    f"pictures are {row['age_ns'] * 1e-9:.2f} s old when they are measured",
+                    "pictures come in time again",
+                ),
+            )
+            for trouble, part, wrong, well in judged:
+                match trouble.judge(t_ns, self._frame_s * (dropped + 1), part):
+                    case True:
+                        yield _warning(t_ns, "observer", wrong)
+                    case False:
+                        yield _over(trouble, t_ns, "observer", well)
+            yield from self._paced(t_ns, dropped)
+            if self._cameras:
+                yield from self._blind(row)
+
+    def _paced(self, t_ns: int, dropped: int) -> Iterator[Event]:
+        """Whether pictures come as the rig says: a driver may grant another rate than it is asked for."""
+        before_ns, self._frame_t_ns = self._frame_t_ns, t_ns
+        if dropped or not before_ns:
+            return
+        apart_s = (t_ns - before_ns) * 1e-9
+        self._apart_s += (apart_s - self._apart_s) * min(1.0, apart_s / MEMORY_S)
+        off = abs(self._apart_s / self._frame_s - 1) > OFF_PACE
+        match self._off_pace.judge(t_ns, self._frame_s, float(off)):
+            case True:
+                yield _warning(
+                    t_ns,
+                    "observer",
+                    f"the camera gives {1 / self._apart_s:.1f} pictures a second and the rig says "
+                    f"{1 / self._frame_s:g}, by which the model steps: set `rate_hz` to what the camera can do",
+                )
+            case False:
+                yield _over(self._off_pace, t_ns, "observer", "the camera keeps its pace again")
+
+    def _blind(self, row: NDArray[np.void]) -> Iterator[Event]:
+        """Of several cameras, one that adds nothing: the tip is then measured by the others."""
+        t_ns, dropped = int(row["t_ns"]), int(row["dropped"])
+        for (name, trouble), seen, skew in zip(self._cameras, row["camera_seen"], row["camera_skew_s"], strict=True):
+            match trouble.judge(t_ns, self._frame_s * (dropped + 1), float(seen != DetectionStatus.MEASURED)):
+                case True:
+                    if np.isnan(skew):
+                        why = "gives no pictures"
+                    elif seen == DetectionStatus.NO_FRAME:
+                        why = "adds nothing: its pictures repeat, or too many are dropped to tell how the board moves"
+                    else:
+                        why = f"adds nothing: {_SEEN.get(DetectionStatus(seen), DetectionStatus(seen).name)}"
+                    yield _warning(t_ns, "observer", f"camera {name} {why}; the tip is measured without it")
+                case False:
+                    yield _over(trouble, t_ns, "observer", f"camera {name} sees the board again")
+
+    def lost(self, t_ns: int, scans: int) -> Iterator[Event]:
+        """Scans that the cards have dropped since the last call."""
+        if scans:
+            yield _warning(t_ns, "card", f"{scans} scans were lost: the card's buffer overran")
+
+    def looking(self, t_ns: int) -> Iterator[Event]:
+        """Called at every look: says when nothing was recorded or shown for long."""
+        before, self._looked_ns = self._looked_ns, t_ns
+        still_s = (t_ns - before) * 1e-9
+        if before and still_s > STANDSTILL_S:
+            yield _warning(
+                t_ns,
+                "conductor",
+                f"nothing was recorded for {still_s:.2f} s, what was measured was kept meanwhile: "
+                "a machine that stood still?",
+            )
+
+    def disk(self, t_ns: int, standing_s: float) -> Iterator[Event]:
+        """Called at every look: says when the disk has not taken the record for long, and when it does again."""
+        if standing_s > self._disk.above:
+            if not self._disk.told:
+                self._disk.told, self._disk.since_ns = True, t_ns - round(standing_s * 1e9)
+                yield _warning(
+                    t_ns,
+                    "conductor",
+                    f"the disk has not taken the record for {standing_s:.1f} s, which is kept in memory meanwhile: "
+                    "is another program writing to it?",
+                )
+        elif self._disk.told:
+            self._disk.told = False
+            yield _over(self._disk, t_ns, "conductor", "the disk takes the record again")
+
+
+def _warning(t_ns: int, source: str, message: str) -> Event:
+    return Event(t_ns, Level.WARNING, source, f"{message}; the run goes on")
+
+
+def _over(trouble: _Condition, t_ns: int, source: str, message: str) -> Event:
+    return Event(t_ns, Level.INFO, source, f"{message}, after {(t_ns - trouble.since_ns) * 1e-9:.2f} s")

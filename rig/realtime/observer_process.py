@@ -1,0 +1,109 @@
+"""The observer process: camera, vision and model, at the camera's pace."""
+
+from __future__ import annotations
+
+import signal
+import time
+from dataclasses import replace
+
+import numpy as np
+
+from rig.hardware.cameras.base import CameraError, FrameSet
+from rig.hardware.cameras.synchroniser import CameraSynchroniser
+from rig.observation.observer import Observer
+from rig.observation.picture_recorder import PictureRecorder
+from rig.realtime.child_process import ChildJob, await_turn, leave, receive, supervisor_monitor
+from rig.realtime.failsafe import FailsafeThread
+from rig.realtime.preview import PreviewPublisher
+from rig.realtime.shared_state import SharedState, Stage, Stop
+
+REHEARSED_FRAMES = 3
+FIRST_PICTURE_S = 5.0
+HISTORY = 400
+"""Control ticks handed to the model with each frame: two seconds at 200 Hz."""
+
+
+def main() -> int:
+    """Observe until told to stop; stay until the bench is safe."""
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    job, memory = receive()
+    guard = FailsafeThread(job, memory)
+    try:
+        _observe(job, memory)
+    except CameraError as error:
+        memory.say("observer", Stage.FAILED, str(error))
+        return 1
+    except Exception as error:
+        memory.say("observer", Stage.FAILED, f"the observer process failed: {type(error).__name__}: {error}")
+        raise
+    finally:
+        guard.outlast()
+    memory.say("observer", Stage.DONE)
+    return 0
+
+
+def _observe(job: ChildJob, memory: SharedState) -> None:
+    config = job.plan.config
+    observer = _observer(job)
+    show = PreviewPublisher(config, memory)
+    album, names = PictureRecorder(config), list(config.cameras)
+    conductor = supervisor_monitor(job)
+    if not await_turn(memory, conductor, lambda: not memory.get("plant_starting")):
+        return
+    cameras = CameraSynchroniser(config, job.plan.seed)
+    try:
+        # A camera that shows nothing is found before the run is armed.
+        cameras.await_all(FIRST_PICTURE_S)
+        _warm_up(job, [cameras.read(FIRST_PICTURE_S) for _ in range(REHEARSED_FRAMES)])
+        memory.say("observer", Stage.READY)
+        previous: int | None = None
+        while memory.get("stop") == Stop.NONE and not conductor.over:
+            memory.beat("observer", time.monotonic_ns())
+            try:
+                shot = cameras.read(config.limits.no_tip_s)
+            except CameraError:
+                if memory.get("stop") != Stop.NONE:
+                    break
+                raise
+            go = memory.get("go_ns")
+            if not go or shot.t_ns < go:
+                continue
+            dropped = 0 if previous is None else max(0, shot.index - previous - 1)
+            previous = shot.index
+            _record(job, observer, memory, shot, dropped)
+            show.shot(shot, observer)
+            for picture in album.pictures(shot, observer):
+                memory.push_picture(picture, names.index(picture.camera))
+    finally:
+        cameras.close()
+
+
+def _observer(job: ChildJob) -> Observer:
+    return Observer(job.plan.config, job.plan.variant, [quantity.name for quantity in job.plan.adapted])
+
+
+def _warm_up(job: ChildJob, shots: list[FrameSet]) -> None:
+    """Observe some shots with an observer of their own: what is compiled at its first use is ready by then."""
+    config = job.plan.config
+    observer = _observer(job)
+    for index, shot in enumerate(shots):
+        times = np.array([shot.t_ns])
+        observer.step(replace(shot, index=index), times, np.zeros((1, config.actuators)), 0.0)
+
+
+def _record(job: ChildJob, observer: Observer, memory: SharedState, shot: FrameSet, dropped: int) -> None:
+    ticks = memory.samples.last(HISTORY)
+    if not len(ticks):
+        return
+    latest = ticks[max(0, int(ticks["t_ns"].searchsorted(shot.t_ns, side="right")) - 1)]
+    protocol_s = float(latest["protocol_s"])
+    weight_kg = job.plan.trajectory.weight_kg(protocol_s)
+    row = observer.step(shot, ticks["t_ns"], ticks["measured_pa"], protocol_s, dropped, weight_kg)
+    row["age_ns"] = time.monotonic_ns() - shot.t_ns
+    memory.observations.push(row)
+    if observer.adaptation is not None:
+        memory.adaptations.push(observer.adaptation)
+
+
+if __name__ == "__main__":
+    leave(main())

@@ -1,0 +1,40 @@
+"""Publishing camera frames to those who watch: nothing is computed or copied while nobody does."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+
+from rig.config.schema import RigConfig
+from rig.hardware.cameras.base import FrameSet
+from rig.observation.observer import Observer
+from rig.observation.overlay import OverlayProjector
+from rig.realtime.shared_state import LINE_POINTS, SharedState, view_dtype
+
+WATCHED_NS = 3_000_000_000
+"""A page says about once a second that it is there."""
+
+
+class PreviewPublisher:
+    """The observer's shop window."""
+
+    def __init__(self, config: RigConfig, memory: SharedState) -> None:
+        self._memory = memory
+        self._sketchers = [OverlayProjector(config, name, LINE_POINTS) for name in config.cameras]
+        self._row = np.zeros((), view_dtype(memory.layout))
+
+    def shot(self, shot: FrameSet, observer: Observer) -> None:
+        """Publish the leading frame of the shot that the observer has just observed, if somebody watches."""
+        watched = time.monotonic_ns() - self._memory.get("watched_ns") <= WATCHED_NS
+        if not watched or observer.measurement is None:
+            return
+        frame = shot.lead
+        sketch = self._sketchers[shot.leader].sketch(observer.measurement, observer.shape)
+        row = self._row
+        row["t_ns"], row["frame"] = shot.t_ns, shot.index
+        row["shape"] = (*frame.image.shape, 1)[:3]
+        row["found"] = len(sketch.corners_px)
+        row["corners_px"][: len(sketch.corners_px)] = sketch.corners_px
+        row["tip_px"], row["model_px"], row["lines_m"] = sketch.tip_px, sketch.model_px, sketch.lines_m
+        self._memory.push_view(row, frame.image)

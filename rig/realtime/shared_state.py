@@ -1,0 +1,287 @@
+"""The memory that the processes of one run share: a board of flags, the rings, the picture slots.
+
+The rings of events and views are for those who watch; nothing of the record depends on them.
+"""
+
+from __future__ import annotations
+
+import itertools
+import mmap
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.config.schema import RigConfig
+from rig.realtime.ring import RingBuffer, ring_bytes
+from runs.journal.messages import marks_from_bytes, marks_to_bytes
+from runs.records import Event, Level, Picture, adaptation_dtype, observation_dtype, sample_dtype
+
+SAMPLES = 4096
+OBSERVATIONS = 1024
+PICTURES = 32
+MESSAGE_BYTES = 480
+EVENTS = 256
+VIEWS = 4
+CLOCKS = 8
+"""Cards whose sampling clocks are told."""
+LINE_POINTS = 16
+"""Points of a line that is drawn of the arm: its axis or an actuator's."""
+
+
+class Stage(IntEnum):
+    """How far a process is."""
+
+    STARTING = 0
+    READY = 1
+    RUNNING = 2
+    DONE = 3
+    FAILED = 4
+
+
+class Stop(IntEnum):
+    """Asks every process to end with the valves safe, and says who asks."""
+
+    NONE = 0
+    SAFE = 1
+    SILENT = 2
+    TERMINATED = 3
+    VENT = 4
+
+
+_PROCESS = np.dtype([("stage", "<i8"), ("heartbeat_ns", "<i8"), ("message", f"S{MESSAGE_BYTES}")], align=True)
+_BOARD = np.dtype(
+    [
+        ("control", _PROCESS),
+        ("observer", _PROCESS),
+        ("watchdog", _PROCESS),
+        ("conductor", _PROCESS),
+        ("control_pid", "<i8"),
+        ("watchdog_pid", "<i8"),
+        ("holder_pid", "<i8"),
+        ("plant_starting", "<i8"),
+        ("go_ns", "<i8"),
+        ("stop", "<i8"),
+        ("vented", "<i8"),
+        ("held", "<i8"),
+        ("skips", "<i8"),
+        ("watched_ns", "<i8"),
+        ("answered", "<i8"),
+        ("waiting", "<i8"),
+        ("protocol_s", "<f8"),
+        ("safe_ns", "<i8"),
+        ("fired_ns", "<i8"),
+        ("lost_scans", "<i8"),
+        ("scan_period_ns", "<f8", (CLOCKS,)),
+        ("scan_drift_ppm", "<f8", (CLOCKS,)),
+    ],
+    align=True,
+)
+_EVENT = np.dtype([("t_ns", "<i8"), ("level", "S8"), ("source", "S32"), ("message", f"S{MESSAGE_BYTES}")])
+_SAID = ("source", "message")
+_PICTURE = np.dtype(
+    [("t_ns", "<i8"), ("frame", "<i8"), ("camera", "<i8"), ("slot", "<i8"), ("size", "<i8"), ("marks", "<i8")]
+)
+
+
+@dataclass(frozen=True)
+class StateLayout:
+    """Sizes that every process computes alike from the rig."""
+
+    actuators: int
+    valves: int
+    picture_bytes: int
+    corners: int
+    cameras: int = 1
+    adapted: int = 0
+
+    @classmethod
+    def of(cls, config: RigConfig, adapted: int = 0) -> StateLayout:
+        """The layout for one rig and so many adapted parameters. A picture slot holds the largest camera's frame."""
+        largest = max((c.width_px * c.height_px for c in config.cameras.values()), default=0)
+        corners = (config.board.squares_x - 1) * (config.board.squares_y - 1)
+        return cls(config.actuators, len(config.valves), largest * 3 + 4096, corners, len(config.cameras), adapted)
+
+
+def view_dtype(layout: StateLayout) -> np.dtype[np.void]:
+    """What a page draws of one camera frame, besides what is recorded.
+
+    Pixels (u, v) of the board's corners (the first `found` count), of the measured tip and of the model's, NaN where
+    there is none; `lines_m` the arm's axis and its actuators' in the rod-base frame; `shape` that of the picture.
+    """
+    return np.dtype(
+        [
+            ("number", "<i8"),
+            ("t_ns", "<i8"),
+            ("frame", "<i8"),
+            ("shape", "<i4", (3,)),
+            ("found", "<i4"),
+            ("corners_px", "<f4", (layout.corners, 2)),
+            ("tip_px", "<f4", (2,)),
+            ("model_px", "<f4", (2,)),
+            ("lines_m", "<f4", (1 + layout.actuators, LINE_POINTS, 3)),
+        ]
+    )
+
+
+class SharedState:
+    """A view of the shared memory of one run. Whoever has the file descriptor has the memory; it needs no clean-up.
+
+    `board` is one structured row of flags, each with one writer. `holder_pid` has the cards where that is not the
+    process that is watched as control. `samples`, `observations` and `adaptations` are rings
+    of the records of `runs.records`.
+    """
+
+    def __init__(self, fd: int, layout: StateLayout, *, readonly: bool = False) -> None:
+        """Map the memory; `readonly` for those who watch: writing is then impossible, not just forbidden."""
+        self.fd = fd
+        self.layout = layout
+        sample = sample_dtype(layout.actuators, layout.valves)
+        observation = observation_dtype(layout.actuators, layout.cameras)
+        sizes = (
+            -(-_BOARD.itemsize // 64) * 64,
+            ring_bytes(sample, SAMPLES),
+            ring_bytes(observation, OBSERVATIONS),
+            ring_bytes(_PICTURE, PICTURES),
+            layout.picture_bytes * PICTURES,
+            ring_bytes(_EVENT, EVENTS),
+            ring_bytes(view_dtype(layout), VIEWS),
+            layout.picture_bytes * VIEWS,
+            ring_bytes(adaptation_dtype(layout.adapted), OBSERVATIONS),
+        )
+        edges = [0, *np.cumsum(sizes).tolist()]
+        if os.fstat(fd).st_size == 0:
+            os.ftruncate(fd, edges[-1])
+        access = mmap.ACCESS_READ if readonly else mmap.ACCESS_WRITE
+        view = memoryview(mmap.mmap(fd, edges[-1], access=access))
+        parts = [view[a:b] for a, b in itertools.pairwise(edges)]
+        self.board: NDArray[np.void] = np.frombuffer(parts[0], _BOARD, 1)
+        self.samples: RingBuffer[np.void] = RingBuffer(parts[1], sample, SAMPLES)
+        self.observations: RingBuffer[np.void] = RingBuffer(parts[2], observation, OBSERVATIONS)
+        self._pictures: RingBuffer[np.void] = RingBuffer(parts[3], _PICTURE, PICTURES)
+        self._slots = parts[4]
+        self._events: RingBuffer[np.void] = RingBuffer(parts[5], _EVENT, EVENTS)
+        self._views: RingBuffer[np.void] = RingBuffer(parts[6], view_dtype(layout), VIEWS)
+        self._shown = parts[7]
+        self.adaptations: RingBuffer[np.void] = RingBuffer(parts[8], adaptation_dtype(layout.adapted), OBSERVATIONS)
+
+    @classmethod
+    def create(cls, layout: StateLayout) -> SharedState:
+        """Make the memory of a new run, all zero."""
+        memory = cls(os.memfd_create("softrig", 0), layout)
+        memory.set("waiting", -1)
+        return memory
+
+    def get(self, field: str) -> int:
+        """Read one integer flag."""
+        return int(self.board[field][0])
+
+    def set(self, field: str, value: float) -> None:
+        """Write one flag."""
+        self.board[field][0] = value
+
+    def ask_to_stop(self, why: Stop) -> None:
+        """Ask every process to end with the valves safe. Who asks first is told of; to vent wins over all else."""
+        if why is Stop.VENT or self.get("stop") == Stop.NONE:
+            self.set("stop", why)
+
+    @property
+    def vents(self) -> bool:
+        """True where the safe state is the vented one, also of valves that would be held."""
+        return self.get("stop") == Stop.VENT or bool(self.get("vented"))
+
+    def stage(self, process: str) -> Stage:
+        """How far a process is."""
+        return Stage(int(self.board[process]["stage"][0]))
+
+    def message(self, process: str) -> str:
+        """What a process last said."""
+        return bytes(self.board[process]["message"][0]).decode(errors="replace")
+
+    def say(self, process: str, stage: Stage, message: str = "") -> None:
+        """Publish a process's stage; the message is there before the stage that it explains."""
+        row = self.board[process]
+        row["message"][0] = message.encode()[:MESSAGE_BYTES]
+        row["stage"][0] = stage
+
+    def beat(self, process: str, t_ns: int) -> None:
+        """Publish a sign of life."""
+        self.board[process]["heartbeat_ns"][0] = t_ns
+
+    def heartbeat_ns(self, process: str) -> int:
+        """When a process last gave a sign of life."""
+        return int(self.board[process]["heartbeat_ns"][0])
+
+    def push_picture(self, picture: Picture, camera: int = 0) -> bool:
+        """Store one encoded picture of the `camera`-th camera with its marks; False where it is larger than a slot."""
+        marks = marks_to_bytes(picture)
+        size = len(picture.data)
+        if size + len(marks) > self.layout.picture_bytes:
+            return False
+        slot = self._pictures.written % PICTURES
+        start = slot * self.layout.picture_bytes
+        self._slots[start : start + size + len(marks)] = picture.data + marks
+        self._pictures.push(np.array((picture.t_ns, picture.frame, camera, slot, size, len(marks)), _PICTURE))
+        return True
+
+    def read_pictures(self, cameras: Sequence[str], encoding: str) -> list[Picture]:
+        """Return the pictures stored since the last call; `cameras` are their names, in the rig's order."""
+        pictures = []
+        rows = self._pictures.read()
+        for number, row in enumerate(rows, self._pictures.taken - len(rows)):
+            start = int(row["slot"]) * self.layout.picture_bytes
+            end = start + int(row["size"])
+            data, seen = bytes(self._slots[start:end]), bytes(self._slots[end : end + int(row["marks"])])
+            # Whoever stood still in between has copied another picture's bytes: that slot is being filled anew.
+            if self._pictures.written - number >= PICTURES:
+                self._pictures.lost += 1
+                continue
+            _, _, marks = marks_from_bytes(seen)
+            camera = cameras[int(row["camera"])]
+            pictures.append(Picture(int(row["t_ns"]), int(row["frame"]), camera, encoding, data, marks))
+        return pictures
+
+    @property
+    def pictures_lost(self) -> int:
+        """Pictures overwritten before this reader came for them."""
+        return self._pictures.lost
+
+    def push_event(self, event: Event) -> None:
+        """Publish an event to those who watch."""
+        row = np.zeros((), _EVENT)
+        row["t_ns"], row["level"], row["source"] = event.t_ns, event.level.encode(), event.source.encode()[:32]
+        row["message"] = event.message.encode()[:MESSAGE_BYTES]
+        self._events.push(row)
+
+    def read_events(self) -> list[Event]:
+        """Return the events published since the last call."""
+        return [
+            Event(int(row["t_ns"]), Level(row["level"].decode()), *(row[n].decode(errors="replace") for n in _SAID))
+            for row in self._events.read()
+        ]
+
+    def push_view(self, view: NDArray[np.void], image: NDArray[np.uint8]) -> None:
+        """Publish a frame to those who watch: a row of `view_dtype`, whose number is set here, and its picture."""
+        number = self._views.written
+        pixels = np.ascontiguousarray(image).tobytes()
+        if len(pixels) > self.layout.picture_bytes:
+            return
+        start = number % VIEWS * self.layout.picture_bytes
+        self._shown[start : start + len(pixels)] = pixels
+        view["number"] = number
+        self._views.push(view)
+
+    def newest_view(self, after: int = -1) -> tuple[NDArray[np.void], NDArray[np.uint8]] | None:
+        """Return the newest frame with a number above `after`; None when there is none, or it was overwritten."""
+        if self._views.written <= after + 1:
+            return None
+        rows = self._views.last(1)
+        if not len(rows) or int(rows["number"][0]) <= after:
+            return None
+        number, shape = int(rows["number"][0]), rows["shape"][0]
+        start = number % VIEWS * self.layout.picture_bytes
+        image = np.frombuffer(self._shown[start : start + int(shape.prod())], np.uint8).reshape(shape).copy()
+        return (rows[0], image) if self._views.written - number < VIEWS else None

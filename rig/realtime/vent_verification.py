@@ -1,0 +1,50 @@
+"""After the safe state is written: does the air go? A valve that is stuck or plumbed the wrong way obeys no voltage."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.config.schema import PA_PER_BAR, RigConfig
+from rig.hardware.bench import Bench
+
+PATIENCE_S = 1.0
+"""A chamber vents in a few tenths of a second."""
+VENTED_PA = 0.1 * PA_PER_BAR
+
+
+class VentVerification:
+    """Watches the pressures of the chambers whose valves were told to vent: all of them where the run was vented."""
+
+    def __init__(self, config: RigConfig, bench: Bench, *, vent: bool = False) -> None:
+        self._bench = bench
+        venting = [a - 1 for valve in config.valves if vent or valve.safe_state == "vent" for a in valve.actuators]
+        self._venting: NDArray[np.int64] = np.array(sorted(venting), np.int64)
+        self._pressure_pa: NDArray[np.float64] | None = None
+
+    def done(self) -> bool:
+        """Look at the newest scans; True once every chamber is empty.
+
+        Raises:
+            CardError: the card cannot be read.
+        """
+        scans = self._bench.read()
+        if len(scans.t_ns):
+            self._pressure_pa = scans.pressure_pa[-1, self._venting]
+        return self._pressure_pa is not None and bool(np.all(self._pressure_pa < VENTED_PA))
+
+    def verdict(self) -> str:
+        """Which chambers are not empty, and what to do; empty where all are, or nothing is known."""
+        if self._pressure_pa is None:
+            return ""
+        full = [
+            f"actuator {a + 1} at {p / PA_PER_BAR:.2f} bar"
+            for a, p in zip(self._venting.tolist(), self._pressure_pa.tolist(), strict=True)
+            if p >= VENTED_PA
+        ]
+        if not full:
+            return ""
+        return (
+            f"{', '.join(full)} {PATIENCE_S:g} s after the valves were told to vent: a valve is stuck or its ports are "
+            "the wrong way round, or a sensor is broken; shut the air off by hand"
+        )

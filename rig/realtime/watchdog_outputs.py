@@ -1,0 +1,50 @@
+"""The watchdog's way to the cards, also to those that let in one process at a time."""
+
+from __future__ import annotations
+
+from rig.config.schema import RigConfig
+from rig.hardware.bench import Bench, make_safe, open_bench
+from rig.hardware.cards.base import CardBusyError
+
+
+class WatchdogOutputs:
+    """Cards that are held open for writing; where one lets in one process only, they are opened when they are needed.
+
+    The one process is control then: the cards can be written once it is dead.
+    """
+
+    def __init__(self, config: RigConfig) -> None:
+        """Try whether the cards can be held beside another process; control must not have them yet.
+
+        Raises:
+            CardError: a card cannot be opened at all.
+        """
+        self._config = config
+        bench = open_bench(config, watchdog=True)
+        self._bench: Bench | None = bench
+        try:
+            open_bench(config, watchdog=True).close()
+        except CardBusyError:
+            bench.close()
+            self._bench = None
+
+    @property
+    def shared(self) -> bool:
+        """True where the cards can be written while control has them."""
+        return self._bench is not None
+
+    def make_safe(self, *, vent: bool) -> None:
+        """Write the safe state.
+
+        Raises:
+            CardError: a card cannot be opened or written.
+        """
+        if self._bench is not None:
+            self._bench.make_safe(vent=vent)
+            return
+        make_safe(self._config, vent=vent)
+
+    def close(self) -> None:
+        """Release the cards; the outputs keep their voltages."""
+        if self._bench is not None:
+            self._bench.close()

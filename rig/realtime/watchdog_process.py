@@ -1,0 +1,150 @@
+"""The watchdog process: its own handle on the cards, and the safe state when control dies or hangs.
+
+It depends on nothing but the shared memory and the cards: not on the conductor, the camera, the disk or the page.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import select
+import signal
+import sys
+import time
+
+from rig.hardware.cards.base import CardError
+from rig.realtime import vent_verification
+from rig.realtime.child_process import await_turn, leave, receive, supervisor_monitor
+from rig.realtime.process_monitor import ProcessMonitor
+from rig.realtime.scheduling import HeartbeatMonitor, disable_realtime_scheduling, enable_realtime_scheduling
+from rig.realtime.shared_state import SharedState, Stage, Stop
+from rig.realtime.watchdog_outputs import WatchdogOutputs
+
+PERIOD_MS = 2
+CONDUCTOR_HUNG_NS = 2_000_000_000
+GRACE_NS = 100_000_000
+"""What control gets to make the bench safe by itself after the conductor is gone."""
+VENTING_NS = round(vent_verification.PATIENCE_S * 1e9)
+"""What it gets then to see whether the air goes."""
+OVERSLEPT_NS = 8_000_000
+"""A look that comes so late says nothing of control: both may have stood still."""
+PATIENCE_S = 0.5
+
+
+def main() -> int:
+    """Watch until control has exited, then leave the bench safe where control has not."""
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    job, memory = receive()
+    if not await_turn(memory, supervisor_monitor(job), lambda: not memory.get("plant_starting")):
+        memory.say("watchdog", Stage.DONE)
+        return 0
+    try:
+        grip = WatchdogOutputs(job.plan.config)
+    except CardError as error:
+        memory.say("watchdog", Stage.FAILED, str(error))
+        return 1
+    enable_realtime_scheduling(priority=60)
+    memory.beat("watchdog", time.monotonic_ns())
+    memory.say("watchdog", Stage.READY)
+    reason = "the watchdog failed"
+    ended = 0
+    try:
+        reason = _watch(memory, job.conductor_pid, grip, round(job.plan.config.limits.hung_s * 1e9))
+    finally:
+        if reason and not grip.shared:
+            ended = memory.get("holder_pid")
+            _kill(ended or memory.get("control_pid"))  # its end is what opens the card to others
+        # What control has made safe is not written again: somebody may have vented since what it only holds.
+        trouble = "" if not reason and memory.get("safe_ns") else _make_safe(grip, memory)
+    # The register is written: what follows may take its time.
+    if reason:
+        memory.set("fired_ns", time.monotonic_ns())
+        _kill(memory.get("control_pid"))
+        time.sleep(0.005)
+        # A control process that was only slow may have written once more before it died.
+        trouble = _make_safe(grip, memory)
+    said = f"{reason}; then {trouble}" if reason and trouble else reason or trouble
+    memory.say("watchdog", Stage.FAILED if trouble else Stage.DONE, said)
+    if ended:
+        # Nobody else is left to tell it.
+        print(f"{said}: the command that had the card was ended, to make the valves safe", file=sys.stderr)
+    grip.close()
+    disable_realtime_scheduling()
+    return 1 if trouble else 0
+
+
+def _make_safe(grip: WatchdogOutputs, memory: SharedState, patience_s: float = PATIENCE_S) -> str:
+    """Write the safe state; a card that refuses is asked again for a while. What kept it, empty when nothing did."""
+    until = time.monotonic() + patience_s
+    while True:
+        try:
+            grip.make_safe(vent=memory.vents)
+        except CardError as error:
+            if time.monotonic() > until:
+                return str(error)
+            time.sleep(0.002)
+        else:
+            return ""
+
+
+def _watch(memory: SharedState, conductor_pid: int, grip: WatchdogOutputs, hung_ns: int) -> str:
+    """Return why the safe state is due, empty when control has made the bench safe by itself."""
+    poll = select.poll()
+    conductor = _watched(poll, conductor_pid)
+    while not (control_pid := memory.get("control_pid")):
+        memory.beat("watchdog", time.monotonic_ns())
+        if conductor in _exited(poll, PERIOD_MS) or memory.get("stop") != Stop.NONE:
+            return ""
+    control = _watched(poll, control_pid)
+    life = ProcessMonitor(control_pid)
+    conductor_gone_ns = 0
+    vented = False
+    silence, conductors = (HeartbeatMonitor(PERIOD_MS * 1_000_000, OVERSLEPT_NS) for _ in range(2))
+    while True:
+        exited = _exited(poll, PERIOD_MS)
+        now = time.monotonic_ns()
+        memory.beat("watchdog", now)
+        if control in exited or life.over:
+            return "" if memory.stage("control") in (Stage.DONE, Stage.FAILED) else "the control process died"
+        if not vented and memory.vents:
+            # At once, whatever control is busy with; control does the same at its next tick.
+            _make_safe(grip, memory, patience_s=0.0)
+            vented = True
+        running = memory.stage("control") == Stage.RUNNING
+        silent_ns = silence.look(now, memory.heartbeat_ns("control"))
+        conductor_silent_ns = conductors.look(now, memory.heartbeat_ns("conductor"))
+        if running and silent_ns > hung_ns:
+            return "the control process hung"
+        if conductor >= 0 and conductor in exited:
+            poll.unregister(conductor)  # it would wake this process again and again
+            conductor = -1
+        if not conductor_gone_ns and (conductor < 0 or (running and conductor_silent_ns > CONDUCTOR_HUNG_NS)):
+            conductor_gone_ns = now
+            memory.ask_to_stop(Stop.SILENT)
+        grace_ns = GRACE_NS + (VENTING_NS if memory.get("safe_ns") else 0)
+        if conductor_gone_ns and now - conductor_gone_ns > grace_ns:
+            return "the conductor died or hung, and control did not stop"
+
+
+def _watched(poll: select.poll, pid: int) -> int:
+    """Register a process for its exit; its descriptor, or -1 when it is gone already."""
+    try:
+        fd = os.pidfd_open(pid)
+    except ProcessLookupError:
+        return -1
+    poll.register(fd, select.POLLIN)
+    return fd
+
+
+def _exited(poll: select.poll, timeout_ms: int) -> set[int]:
+    """Descriptors of the processes that have exited; -1 stands for one that was gone before it was watched."""
+    return {-1} | {fd for fd, _ in poll.poll(timeout_ms)}
+
+
+def _kill(pid: int) -> None:
+    with contextlib.suppress(ProcessLookupError):
+        os.kill(pid, signal.SIGKILL)
+
+
+if __name__ == "__main__":
+    leave(main())

@@ -1,0 +1,60 @@
+"""Which result of the paper needs which experiments, and all of them in one go."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+from rig.reproduce import elongation, motion, positions
+from rig.reproduce.comparison import PaperComparison, PaperFigure
+from rig.reproduce.experiments import PROTOCOLS, gathered
+
+NEEDS = {
+    "fig9": PROTOCOLS[:2],
+    "fig10": PROTOCOLS[:2],
+    "table3": PROTOCOLS[2:4],
+    "fig11": PROTOCOLS[2:4],
+    "fig12": PROTOCOLS[2:4],
+    "fig13": PROTOCOLS[2:4],
+    "table5": PROTOCOLS[4:],
+    "fig14": PROTOCOLS[4:],
+}
+Told = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class ReproductionResults:
+    """What came out."""
+
+    rows: tuple[PaperComparison, ...]
+    drawings: tuple[PaperFigure, ...]
+
+
+def results(
+    items: Iterable[str], folder: Path, errors_of_methods: bool, told: Told = lambda _: None
+) -> ReproductionResults:
+    """Some of `NEEDS`, from the archives of a folder; what is missing there is simulated into it.
+
+    errors_of_methods: also hold every method of Table 4 against the sinusoids.
+    """
+    wanted = set(items)
+    names = tuple(name for name in PROTOCOLS if any(name in NEEDS[item] for item in wanted))
+    runs = gathered(folder, names, told=told)
+    rows: list[PaperComparison] = []
+    drawn: list[PaperFigure] = []
+    if wanted & {"fig9", "fig10"}:
+        grown = elongation.Elongations(runs)
+        rows += elongation.compared(grown)
+        drawn += elongation.drawings(grown)
+    if wanted & {"table3", "fig11", "fig12", "fig13"}:
+        rested = positions.RestPositions(runs)
+        rows += positions.compared(rested)
+        drawn += positions.drawings(rested)
+    if wanted & {"table5", "fig14"}:
+        moved = motion.motions(runs)
+        rows += motion.compared(moved)
+        if errors_of_methods:
+            rows += motion.table4(moved, told=told)
+        drawn += motion.drawings(moved)
+    return ReproductionResults(tuple(rows), tuple(one for one in drawn if one.name.replace("fig0", "fig") in wanted))

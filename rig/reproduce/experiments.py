@@ -1,0 +1,60 @@
+"""The paper's six experiments: archives that are there already, or runs of a simulated rig in virtual time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from rig.execution.plan import NullOperator, StartError
+from rig.experiment import run as experiment
+from rig.reproduce.comparison import Origin
+from runs.archive.writer import ArchiveError
+from runs.records import Status
+from runs.run import Run
+
+PROTOCOLS = ("extension-weights", "extension-pressure", "ramp-a", "ramp-b", "sine-1", "sine-2")
+
+
+def gathered(
+    folder: Path, protocols: tuple[str, ...] = PROTOCOLS, seed: int = 0, told: Callable[[str], None] = lambda _: None
+) -> dict[str, Run]:
+    """The newest finished archive of each protocol in a folder; what is missing is run on the mock rig into it.
+
+    told: called with a line before each run.
+
+    Raises:
+        StartError: a simulated run did not finish.
+    """
+    found = _archives(folder)
+    for name in protocols:
+        if name not in found:
+            told(f"simulating {name} on the mock rig")
+            found[name] = _simulated(folder, name, seed)
+    return {name: found[name] for name in protocols}
+
+
+def origin(*runs: Run) -> Origin:
+    """Whether all of some runs were measured: what rests on a simulated one is simulated."""
+    return "simulated" if any(run.header.simulated for run in runs) else "measured"
+
+
+def _archives(folder: Path) -> dict[str, Run]:
+    found = {}
+    for path in sorted(folder.glob("*.h5")):
+        try:
+            run = Run(path)
+            header = run.header
+            known = header.protocol_name in PROTOCOLS and not header.parent and run.status is Status.FINISHED
+        except ArchiveError:
+            continue
+        if known and header.executor in ("real time", "virtual time"):  # the model alone measures nothing
+            found[run.header.protocol_name] = run
+    return found
+
+
+def _simulated(folder: Path, name: str, seed: int) -> Run:
+    asked = experiment.request(name, "mock", folder=folder, fast=True, seed=seed, report=False)
+    result = experiment.run(asked, experiment.plan(asked), NullOperator())
+    if result.archive is None or result.outcome.status is not Status.FINISHED:
+        raise StartError(f"{name} could not be simulated: {result.outcome.message}")
+    return Run(result.archive)

@@ -1,0 +1,65 @@
+"""All of it in one folder: a page that holds everything it shows, and each figure as PNG and PDF."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from html import escape
+from importlib import resources
+from pathlib import Path
+
+from rig.reproduce.comparison import PaperComparison, PaperFigure
+from runs.report.figures import save, svg
+
+_STYLE = (
+    "table.paper td, table.paper th { vertical-align: top; } table.paper td:nth-child(6) { min-width: 18em; } "
+    "table.paper td:first-child { white-space: nowrap; }"
+)
+_LONG = "Table 4"
+
+
+def write(
+    folder: Path, rows: Sequence[PaperComparison], drawings: Sequence[PaperFigure], remarks: Sequence[str]
+) -> Path:
+    """Write `paper.html` and the figures; return the page."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for drawing in drawings:
+        for kind in ("png", "pdf"):
+            save(drawing.draw, drawing.size, folder / f"{drawing.name}.{kind}", *drawing.about)
+    page = folder / "paper.html"
+    page.write_text(_page(rows, drawings, remarks), encoding="utf-8")
+    return page
+
+
+def _page(rows: Sequence[PaperComparison], drawings: Sequence[PaperFigure], remarks: Sequence[str]) -> str:
+    style = resources.files("runs.report").joinpath("report.css").read_text(encoding="utf-8")
+    figures = "\n".join(
+        f"<h2>{escape(d.title)}</h2>\n<figure>{svg(d.draw, d.size, d.name, *d.about)}"
+        f"<figcaption>{escape(d.caption)}</figcaption></figure>"
+        for d in drawings
+    )
+    simulated = any(row.origin == "simulated" for row in rows)
+    note = (
+        '<p class="note"><b>Lines marked <i>simulated</i> are of the mock rig.</b> They show that the experiment and '
+        "its evaluation work; they measure nothing of the paper's arm.</p>"
+        if simulated
+        else ""
+    )
+    told = "".join(f"<p>{escape(remark)}</p>" for remark in remarks)
+    return (
+        f'<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n<title>The paper again</title>\n'
+        f"<style>\n{style}\n{_STYLE}</style>\n</head>\n<body>\n<section class=run>\n"
+        "<header class=run><h1>The paper again</h1><p class=sub>Pourghasemi Hanza and Ghafarirad, Mechanics of fiber "
+        "reinforced soft manipulators based on inhomogeneous Cosserat rod theory, section by section</p></header>\n"
+        f"{note}\n<h2>Side by side</h2>\n{_table(rows)}\n{told}\n{figures}\n</section>\n</body>\n</html>\n"
+    )
+
+
+def _table(rows: Sequence[PaperComparison]) -> str:
+    head = "".join(f"<th>{name}</th>" for name in ("item", "what", "paper", "here", "by", "why different"))
+    body = "".join(
+        "<tr>"
+        + "".join(f"<td>{escape(cell)}</td>" for cell in (row.item, row.what, row.paper, row.here, row.origin, row.why))
+        + "</tr>"
+        for row in sorted(rows, key=lambda row: row.item == _LONG)  # its many lines would hide the others
+    )
+    return f'<div class="scroll"><table class="paper"><tr>{head}</tr>{body}</table></div>'

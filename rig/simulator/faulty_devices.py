@@ -1,0 +1,96 @@
+"""Valves, supply and sensors of the plant as they are with the faults that they have been given."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.control.valve import ATMOSPHERE_PA, sonic_conductance
+from rig.simulator.faults import MOST, Faults, SensorFault, ValveFault
+from rig.simulator.pneumatics import SensorTable, ValveTable
+
+
+class FaultyValves:
+    """The plant's valves and supply with the faults that they have."""
+
+    def __init__(self, faults: Faults, valves: ValveTable) -> None:
+        self._faults = faults
+        self._valves = valves
+        self._sound = ValveTable._make(array.copy() for array in valves)
+        self._held_v: dict[int, float] = {}
+        self._touched = False
+
+    def apply(self, outputs_v: NDArray[np.float64], spool_v: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Give the valves their faults; return the voltages (V,) that they feel when told `outputs_v`."""
+        if not self._faults.active:
+            if self._touched:
+                self._mend()
+            return outputs_v
+        self._mend()
+        self._touched = True
+        row, felt = self._faults.row[0], outputs_v.copy()
+        if row["supply_lost"]:
+            self._valves.supply_pa[:] = ATMOSPHERE_PA
+        for i in range(min(MOST, len(outputs_v))):
+            fault, value = ValveFault(int(row["valve"][i])), float(row["valve_value"][i])
+            if fault is ValveFault.STUCK:
+                self._held_v.setdefault(i, float(spool_v[i]) if np.isnan(value) else value)
+                felt[i] = self._held_v[i]
+            else:
+                self._held_v.pop(i, None)
+            if fault is ValveFault.LEAKING:
+                self._valves.leak[i] = sonic_conductance(value, float(self._sound.critical_ratio[i]))
+            elif fault is ValveFault.REVERSED:
+                self._valves.fill_sign[i] = -self._sound.fill_sign[i]
+        return felt
+
+    def _mend(self) -> None:
+        for array, sound in zip(self._valves, self._sound, strict=True):
+            array[...] = sound
+        self._touched = False
+
+
+class FaultySensors:
+    """The plant's pressure sensors with the faults that they have."""
+
+    def __init__(self, faults: Faults, sensors: SensorTable) -> None:
+        self._faults = faults
+        self._sensors = sensors
+        self._held_v: dict[int, float] = {}
+
+    def apply(self, first_step: int, scans: NDArray[np.float64]) -> None:
+        """Change the volts (steps, N) of a stretch of the grid that begins after `first_step` to what is seen."""
+        if not self._faults.active:
+            self._held_v.clear()
+            return
+        sensors = self._sensors
+        for a in range(min(MOST, scans.shape[1])):
+            fault = SensorFault(int(self._faults.row["sensor"][0, a]))
+            if fault is not SensorFault.FROZEN:
+                self._held_v.pop(a, None)
+            rows = slice(-(first_step + 1) % int(sensors.every[a]), None, int(sensors.every[a]))
+            volts = scans[rows, a]
+            if len(volts) == 0 or fault is SensorFault.NONE:
+                continue
+            if fault is SensorFault.FROZEN:
+                scans[rows, a] = self._held_v.setdefault(a, float(volts[0]))
+            else:
+                scans[rows, a] = self._wrong(fault, a, first_step, volts)
+
+    def _wrong(self, fault: SensorFault, a: int, step: int, volts: NDArray[np.float64]) -> NDArray[np.float64]:
+        sensors = self._sensors
+        low, high = float(sensors.range_low_v[a]), float(sensors.range_high_v[a])
+        by_v = float(self._faults.row["sensor_pa"][0, a]) * float(sensors.v_per_pa[a])
+        match fault:
+            case SensorFault.OPEN:
+                # An input that hangs in the air is charged by the multiplexer until it saturates.
+                return np.full_like(volts, high)
+            case SensorFault.SHORT:
+                return np.full_like(volts, min(max(0.0, low), high))
+            case SensorFault.NOISY:
+                noise = np.random.default_rng([sensors.seed, a, step]).standard_normal(len(volts))
+                return np.clip(volts + by_v * noise, low, high)
+            case SensorFault.OFFSET:
+                return np.clip(volts + by_v, low, high)
+            case _:
+                return volts

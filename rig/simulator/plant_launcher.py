@@ -1,0 +1,115 @@
+"""Starts the plant process of a rig with mock devices, and stops it again."""
+
+from __future__ import annotations
+
+import os
+import select
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from rig.config.schema import RigConfig
+from rig.hardware.cards.base import CardError
+from rig.simulator.registers import Registers
+
+READY = b"ready\n"
+LOOK_S = 0.005
+GONE_S = 2.0
+
+
+class Simulation:
+    """A running plant, as the conductor sees it."""
+
+    def __init__(self, process: subprocess.Popen[bytes], config: RigConfig) -> None:
+        self._process = process
+        self._config = config
+        self._said = b""
+        self._registers: Registers | None = None
+
+    def ready(self) -> bool:
+        """True once its cards are there; does not wait.
+
+        Raises:
+            CardError: the plant did not start.
+        """
+        assert self._process.stdout is not None
+        if self._said == READY:
+            return True
+        if not select.select([self._process.stdout], [], [], 0)[0]:
+            return False
+        more = os.read(self._process.stdout.fileno(), len(READY))
+        self._said += more
+        if not more:
+            self._wait()
+            raise CardError(f"the simulator did not start (exit status {self._process.returncode})")
+        if not READY.startswith(self._said):
+            raise CardError(f"the simulator did not start: it said {self._said!r}")
+        if self._said != READY:
+            return False
+        mocks = [card.device for card in self._config.cards.values() if card.driver == "mock"]
+        self._registers = Registers.attach(mocks[0]) if mocks else None
+        return True
+
+    def hang(self, weight_kg: float) -> None:
+        """Do what a prompt asks of the operator: hang a weight on the end cap."""
+        if self._registers is not None:
+            self._registers.hang(weight_kg)
+
+    @property
+    def exit_status(self) -> int | None:
+        """The plant's exit status once it has died, None while it lives."""
+        return self._process.poll()
+
+    def close(self) -> None:
+        """End it, also where it stands still; it leaves nothing undone."""
+        if self._registers is not None:
+            self._registers.close()
+        self._process.kill()
+        self._wait()
+        assert self._process.stdout is not None
+        self._process.stdout.close()
+
+    def _wait(self) -> None:
+        # Not for ever: the end of a process that a debugger holds is hidden until the debugger asks for it.
+        with suppress(subprocess.TimeoutExpired):
+            self._process.wait(GONE_S)
+
+
+@contextmanager
+def started(config: RigConfig, rig_file: Path, seed: int) -> Iterator[Simulation | None]:
+    """Start the plant behind the rig's mock devices and keep it until the end; None for a rig that has none.
+
+    Its cards are there once it is `ready`.
+    """
+    if not config.simulated:
+        yield None
+        return
+    command = [sys.executable, "-m", "rig.simulator.plant_process", "--rig", str(rig_file), "--seed", str(seed)]
+    process = subprocess.Popen(
+        [*command, "--parent", str(os.getpid())],
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        bufsize=0,
+        start_new_session=True,
+    )
+    simulation = Simulation(process, config)
+    try:
+        yield simulation
+    finally:
+        simulation.close()
+
+
+@contextmanager
+def simulated(config: RigConfig, rig_file: Path, seed: int) -> Iterator[Simulation | None]:
+    """Keep the plant running behind the rig's mock devices; None for a rig that has none.
+
+    Raises:
+        CardError: the plant did not start.
+    """
+    with started(config, rig_file, seed) as simulation:
+        while simulation is not None and not simulation.ready():
+            time.sleep(LOOK_S)
+        yield simulation

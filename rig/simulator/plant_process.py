@@ -1,0 +1,179 @@
+"""The plant in real time: `python -m rig.simulator.plant_process --rig FILE --seed N [--parent PID]`.
+
+One shared file per mock card (see `rig.simulator.registers`). Prints `ready` once scans are being taken. With
+`--parent` it ends by itself some seconds after that process has gone, so that a card outlives the death of those who
+use it for as long as it takes to make it safe; without, it runs until SIGTERM or Ctrl-C.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import gc
+import os
+import select
+import signal
+import sys
+import time
+from collections.abc import Sequence
+from operator import itemgetter
+
+import numpy as np
+
+import rig.config.loader
+from protocols import BadInputError
+from rig.config.schema import RigConfig
+from rig.hardware.cards.base import CardError
+from rig.simulator.faults import Faults
+from rig.simulator.plant import Plant, PlantCard
+from rig.simulator.registers import Registers
+
+POLL_S = 0.002
+LONGEST_STRETCH_NS = 20_000_000
+"""A plant that is late catches up in stretches, so that what it has done so far can be read."""
+GIVE_UP_NS = 2_000_000_000
+"""A plant that is later than this (a stopped process, a sleeping laptop) lets the time go instead."""
+OUTLIVE_PARENT_S = 3.0
+PRIORITY = 20
+
+
+class _SimulatedCard:
+    """One mock card: its part of the plant, and its file."""
+
+    def __init__(self, config: RigConfig, name: str, plant: Plant) -> None:
+        card = config.cards[name]
+        self._card: PlantCard = plant.card(name)
+        self._inputs = card.inputs
+        sensors = sorted((s for s in config.sensors if s.card == name), key=lambda s: s.actuator)
+        self._columns = [s.channel for s in sensors]
+        self._channels = [v.channel for v in config.valves if v.card == name]
+        self._registers = Registers.create(card.device, card.outputs, card.inputs)
+        self.faults = self._registers.faults
+        self._card.faults = Faults()  # the mock card in the run's processes obeys the word; this one only samples
+        self._written = self._registers.outputs["written_ns"]
+        self._volts = self._registers.outputs["volts"]
+        self._poses = 0
+        self._card.start()
+
+    def newest_write_ns(self) -> int:
+        """When an output was written last."""
+        return int(self._written.max()) if len(self._written) else 0
+
+    def take_outputs(self) -> None:
+        """Let the plant's valves feel the registers."""
+        self._card.write(self._volts[self._channels])
+
+    def hung_kg(self) -> float:
+        """What the operator has hung on the end cap."""
+        return float(self._registers.header["hung_kg"][0])
+
+    def publish(self, plant: Plant) -> None:
+        """Put what the plant has done into the rings."""
+        scans = self._card.read()
+        if len(scans.t_ns):
+            volts = np.zeros((len(scans.t_ns), self._inputs))
+            volts[:, self._columns] = scans.volts
+            self._registers.push_scans(scans.t_ns, volts)
+        poses = plant.poses_since(self._poses)
+        if len(poses):
+            self._registers.push_poses(poses)
+            self._poses = int(poses["index"][-1]) + 1
+        self._registers.header["plant_t_ns"][0] = plant.t_ns
+
+
+def run(config: RigConfig, seed: int, parent: int | None) -> None:
+    """Run the plant until it is told to end.
+
+    Raises:
+        CardError: a mock device is taken, or the rig cannot be simulated.
+    """
+    t0_ns = time.monotonic_ns()
+    plant = Plant(config, seed, t0_ns)
+    plant.advance(t0_ns + LONGEST_STRETCH_NS)  # compiles what is not in the cache yet
+    devices = [_SimulatedCard(config, name, plant) for name, card in config.cards.items() if card.driver == "mock"]
+    if devices:
+        plant.faults.row = devices[0].faults.row
+    _catch_up(plant, devices)
+    poll = select.poll()
+    if parent is not None:
+        try:
+            poll.register(os.pidfd_open(parent), select.POLLIN)
+        except ProcessLookupError:
+            return
+    gc.collect()
+    gc.freeze()
+    _raise_priority()
+    print("ready", flush=True)
+    alone_since: float | None = None
+    look_ns = 0
+    while alone_since is None or time.monotonic() - alone_since < OUTLIVE_PARENT_S:
+        time.sleep(POLL_S)
+        now = time.monotonic_ns()
+        _catch_up(plant, devices)
+        if now >= look_ns:
+            look_ns = now + 200_000_000
+            if alone_since is None and poll.poll(0):
+                alone_since = time.monotonic()
+
+
+def _raise_priority() -> None:
+    """Stand in for hardware, which no other process can keep waiting: real-time priority below control's, if allowed.
+
+    A plant that cannot keep up even so is held back by the kernel's own limit for real-time processes.
+    """
+    with contextlib.suppress(OSError):
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
+
+
+def _catch_up(plant: Plant, devices: Sequence[_SimulatedCard]) -> None:
+    """Bring the plant to the present, with every output from the time on at which it was written."""
+    now = time.monotonic_ns()
+    if now - plant.t_ns > GIVE_UP_NS:
+        plant.skip(now)
+    while plant.t_ns + LONGEST_STRETCH_NS < now:
+        _simulate(plant, devices, plant.t_ns + LONGEST_STRETCH_NS)
+    _simulate(plant, devices, now)
+
+
+def _simulate(plant: Plant, devices: Sequence[_SimulatedCard], until_ns: int) -> None:
+    if devices:
+        plant.hang(devices[0].hung_kg())
+    for written_ns, device in sorted(((d.newest_write_ns(), d) for d in devices), key=itemgetter(0)):
+        if written_ns <= until_ns:
+            plant.advance(written_ns)
+            device.take_outputs()
+    plant.advance(until_ns)
+    for device in devices:
+        device.publish(plant)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Parse the command line and run; the exit status."""
+    parser = argparse.ArgumentParser(
+        prog="python -m rig.simulator.plant_process", description="The plant in real time."
+    )
+    parser.add_argument("--rig", required=True, help="name or file of the rig")
+    parser.add_argument("--seed", type=int, required=True)
+    parser.add_argument("--parent", type=int, help="end some seconds after this process has gone")
+    options = parser.parse_args(arguments)
+    signal.signal(signal.SIGTERM, _leave)
+    signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    # Ctrl-C goes to every process of the terminal; the card must outlive those who make it safe.
+    signal.signal(signal.SIGINT, _leave if options.parent is None else signal.SIG_IGN)
+    try:
+        run(rig.config.loader.load(options.rig), options.seed, options.parent)
+    except (BadInputError, CardError) as error:
+        print(error, file=sys.stderr)
+        return 2
+    return 0
+
+
+def _leave(*_: object) -> None:
+    # Once: another one in the middle of the interpreter's end would be a traceback there.
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    raise SystemExit(0)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

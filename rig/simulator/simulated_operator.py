@@ -1,0 +1,83 @@
+"""A simulated operator's hands: the calibration board held before the mock camera, and the end cap turned."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calibration.vision.board import Board
+from calibration.vision.transforms import RigidTransform
+from rig.config.arm_model import true_arm
+from rig.config.optics import lens_of
+from rig.config.schema import RigConfig
+from rig.hardware.cameras.mock import MockCamera
+from rig.simulator.scene import Optics, Scene
+from rig.simulator.tip_pose import TipPose
+
+Image = NDArray[np.uint8]
+Floats = NDArray[np.float64]
+
+_FACING = np.diag([1.0, -1.0, -1.0])
+_MOST_LEAN_DEG = 32.0
+_FILLS = (0.3, 0.55)
+_HELD_FRAMES = 3
+_TREMBLE_M = 2e-5
+_TURN_STD_DEG = 1.5
+
+
+def shown_boards(config: RigConfig, camera: str, board: Board, seed: int) -> Iterator[Image]:
+    """Pictures of a board that is held all over the picture, near and far, leaning every way; each held for a while."""
+    assert config.simulator is not None
+    chosen, truth = config.as_built.cameras[camera], config.simulator.scene
+    lens, size = lens_of(chosen), (chosen.width_px, chosen.height_px)
+    scene = Scene(board, lens, size, Optics(truth.blur_px, truth.noise_grey, truth.lighting), seed)
+    rng = np.random.default_rng([seed, 0xCA11])
+    extent = np.array(board.pattern) * board.square_m
+    index = 0
+    while True:
+        # The board's place in the picture first: its outline must lie inside.
+        fills = rng.uniform(*_FILLS)
+        distance = chosen.lens.fx_px * float(extent.max()) / (fills * chosen.width_px)
+        lean = RigidTransform.from_vectors(
+            np.deg2rad(rng.uniform(-_MOST_LEAN_DEG, _MOST_LEAN_DEG, 3)), (0, 0, 0)
+        ).rotation
+        margin = (1.3 * extent / 2 / distance * (lens.matrix[0, 0], lens.matrix[1, 1])).max()
+        u, v = (rng.uniform(min(margin, s / 2), max(s - margin, s / 2)) for s in size)
+        ray = lens.rays(np.array([[u, v]]))[0]
+        for _ in range(_HELD_FRAMES):
+            place = distance * np.array([*ray, 1.0]) + rng.normal(0, _TREMBLE_M, 3)
+            pose = RigidTransform(lean @ _FACING, place)
+            yield scene.render(pose, pose, pose, index)
+            index += 1
+
+
+class TurnedTip:
+    """A source of tip poses: the arm at rest, its end cap turned about the central axis by hand."""
+
+    def __init__(self, config: RigConfig) -> None:
+        shape = true_arm(config.as_built).statics(np.zeros(config.actuators))
+        self._position_m, self._rotation = shape.tip_m, shape.tip_rotation
+        self.turned_deg = 0.0
+
+    def pose_at(self, t_ns: int) -> TipPose:
+        """The pose, at any time."""
+        turn = RigidTransform.from_vectors((0.0, 0.0, np.deg2rad(self.turned_deg)), (0, 0, 0)).rotation
+        return TipPose(t_ns, self._position_m, np.asarray(self._rotation @ turn))
+
+
+class CapTurner:
+    """The mock camera's view of a cap that is turned as asked, about as well as hands do it."""
+
+    def __init__(self, config: RigConfig, camera: str, seed: int) -> None:
+        self._tip = TurnedTip(config)
+        self._camera = MockCamera(config, self._tip, camera, seed)
+        self._rng = np.random.default_rng([seed, 0x7001])
+        self._index = 0
+
+    def picture(self, turned_deg: float) -> Image:
+        """A picture with the cap turned by about so much; exactly straight where 0 is asked."""
+        self._tip.turned_deg = turned_deg + (self._rng.normal(0, _TURN_STD_DEG) if turned_deg else 0.0)
+        self._index += 1
+        return self._camera.frame_at(self._index, 10_000_000_000 + self._index).image

@@ -1,0 +1,1 @@
+"""The virtual-time executor: the whole run in one process."""

@@ -1,0 +1,267 @@
+"""Virtual time: the whole run in one process, as fast as it goes, the same arrays bit for bit from the same seed."""
+
+from __future__ import annotations
+
+import gc
+import time
+from collections import deque
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import suppress
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.control.control_loop import ControlLoop
+from rig.execution.plan import OpenRecord, OperatorInterface, Outcome, Plan, Progress, Recorder, StartError
+from rig.hardware.bench import Bench
+from rig.hardware.cameras.base import CameraError, FrameSet
+from rig.hardware.cameras.mock import Exposure, MockCamera
+from rig.hardware.cards.base import CardError
+from rig.observation.observer import Observer
+from rig.observation.picture_recorder import PictureRecorder
+from rig.realtime.health_monitor import HealthMonitor
+from rig.realtime.vent_verification import PATIENCE_S, VentVerification
+from rig.simulator.plant import Plant
+from runs.records import Event, Level, Picture, Status, adaptation_dtype, observation_dtype, sample_dtype
+
+START_NS = 100_000_000
+"""Virtual time between power-up and the first tick, so that the first tick has scans."""
+BATCH_TICKS = 20
+HISTORY_TICKS = 400
+FRAMES_IN_FLIGHT = 6
+"""Frames that may still be looked at while control goes on; a fixed number, so that runs repeat bit for bit."""
+SHOW_S = 0.1
+
+_Look = tuple[NDArray[np.void], NDArray[np.void] | None, list[Picture]]
+"""A row of observations, what the estimator made of it, and the pictures that are kept."""
+
+
+def run(plan: Plan, open_record: OpenRecord, audience: OperatorInterface) -> Outcome:
+    """Run one plan in virtual time; return once the (simulated) valves are safe.
+
+    Raises:
+        StartError: the rig has a device that only real time can drive.
+    """
+    config = plan.config
+    real = [name for name, card in config.cards.items() if card.driver != "mock"]
+    real += [name for name, camera in config.cameras.items() if camera.driver != "mock"]
+    if real:
+        raise StartError(f"virtual time needs a simulated rig, and {', '.join(real)} of rig {config.name} is real")
+    virtual = _VirtualRun(plan, audience)
+    gc.freeze()  # what was imported need not be searched for garbage again and again
+    try:
+        return virtual.run(open_record)
+    finally:
+        gc.unfreeze()
+
+
+class _VirtualRun:
+    def __init__(self, plan: Plan, audience: OperatorInterface) -> None:
+        config = plan.config
+        self._plan = plan
+        self._audience = audience
+        self._plant = Plant(config, plan.seed, t0_ns=0)
+        self._bench = Bench(config, {name: self._plant.card(name) for name in config.cards})
+        self._cameras = {
+            name: MockCamera(config, self._plant, name, plan.seed, self._plant.faults) for name in config.cameras
+        }
+        skew_ms = config.simulator.scene.skew_ms if config.simulator else 0.0
+        self._skews_ns = [round(k * skew_ms * 1e6) for k in range(len(self._cameras))]
+        self._album = PictureRecorder(config)
+        self._observer = Observer(config, plan.variant, [quantity.name for quantity in plan.adapted])
+        # Drawing and seeing release the interpreter's lock: a thread of their own lets control go on meanwhile.
+        self._looker = ThreadPoolExecutor(1, thread_name_prefix="observer")
+        self._looking: deque[Future[_Look]] = deque()
+        self._ticker = ControlLoop(plan, self._bench)
+        self._vigil = HealthMonitor(config)
+        self._lost_scans = 0
+        self._frame_ns = round(1e9 / next(iter(config.cameras.values())).rate_hz)
+        self._frame = 0
+        self._answered = 0
+        self._unseen = 0
+        self._samples = _Rows(sample_dtype(config.actuators, len(config.valves)))
+        self._observations = _Rows(observation_dtype(config.actuators, len(config.cameras)))
+        self._adaptations = _Rows(adaptation_dtype(len(plan.adapted)))
+        self._shown = 0.0
+        self._recorder: Recorder
+
+    def run(self, open_record: OpenRecord) -> Outcome:
+        """Arm, tick until something ends the run, make safe."""
+        self._bench.arm()
+        self._bench.start()
+        self._plant.advance(START_NS)
+        self._recorder = open_record(START_NS)
+        self._tell(START_NS, Level.INFO, "control", "armed: the safe state was written and read back")
+        tick = 0
+        now = START_NS
+        try:
+            while True:
+                now = START_NS + tick * self._ticker.period_ns
+                ending = self._tick(tick, now)
+                if ending is not None:
+                    break
+                tick += 1
+        except (CardError, CameraError) as error:
+            self._tell(now, Level.FAULT, "observer" if isinstance(error, CameraError) else "control", str(error))
+            ending = Status.ABORTED, str(error)
+        finally:
+            unsafe = self._make_safe()
+            self._looker.shutdown()
+        self._flush(in_flight=0)
+        unsafe = unsafe or self._vented(now)
+        if unsafe:
+            self._tell(now, Level.FAULT, "control", unsafe)
+            ending = Status.ABORTED, f"{ending[1]}; then {unsafe}".removeprefix("; then ")
+        else:
+            self._tell(now, Level.INFO, "control", "the valves are in their safe state")
+        return Outcome(*ending, now, {"missed_deadlines": 0, "dropped_frames": 0, "lost_scans": self._lost_scans})
+
+    def _vented(self, now: int) -> str:
+        """Watch the air go; what keeps it, empty when nothing does."""
+        venting = VentVerification(self._plan.config, self._bench)
+        with suppress(CardError):
+            for waited in range(0, round(PATIENCE_S * 1e9), self._ticker.period_ns):
+                self._plant.advance(now + waited)
+                if venting.done():
+                    return ""
+        return venting.verdict()
+
+    def _make_safe(self) -> str:
+        """Write the safe state; what kept it from being written, empty when nothing did."""
+        try:
+            self._bench.make_safe()
+        except CardError as error:
+            return str(error)
+        return ""
+
+    def _tick(self, tick: int, now: int) -> tuple[Status, str] | None:
+        """Do one tick and the frames that fall into it; return how the run ends, None while it goes on."""
+        self._plant.hang(self._plan.trajectory.weight_kg(self._ticker.position.protocol_s))
+        self._plant.advance(now)
+        row, trip = self._ticker.tick(tick, now, 1, self._answered, False, 0, 0)
+        self._samples.add(row)
+        self._unseen = min(self._unseen + 1, HISTORY_TICKS)
+        # A frame is looked at once the samples on both sides of it are there, and the last camera has exposed.
+        while (t_ns := START_NS + (self._frame + 1) * self._frame_ns) + self._skews_ns[-1] <= now:
+            self._frame += 1
+            self._observe(self._frame, t_ns, float(row["protocol_s"]))
+        if trip is not None:
+            self._tell(now, Level.FAULT, "control", trip)
+            return Status.ABORTED, trip
+        if self._ticker.finished:
+            return Status.FINISHED, ""
+        if self._ticker.position.waiting and self._answered == self._ticker.position.prompts_passed:
+            message = self._plan.trajectory.prompts[self._answered].message
+            self._answered += 1
+            self._tell(now, Level.INFO, "operator", f"done (virtual time answers by itself): {message}")
+        if tick % BATCH_TICKS == BATCH_TICKS - 1:
+            self._flush()
+            if time.monotonic() - self._shown > SHOW_S:
+                self._shown = time.monotonic()
+                if reason := self._audience.stop_requested():
+                    return Status.INTERRUPTED, reason
+                self._audience.show(self._progress(row))
+        return None
+
+    def _observe(self, frame: int, t_ns: int, protocol_s: float) -> None:
+        """Hand a frame to the thread that looks: what it sees is decided here, so that nothing hangs on its pace."""
+        exposures: list[Exposure | None] = []
+        failures = []
+        for camera, skew_ns in zip(self._cameras.values(), self._skews_ns, strict=True):
+            try:
+                exposures.append(camera.expose(frame, t_ns + skew_ns))
+            except CameraError as error:
+                exposures.append(None)
+                failures.append(error)
+        if len(exposures) - len(failures) < self._plan.config.limits.least_cameras:
+            raise failures[0]
+        ticks, self._unseen = self._samples.recent(self._unseen), 0
+        weight_kg = self._plan.trajectory.weight_kg(protocol_s)
+        self._looking.append(
+            self._looker.submit(
+                self._look, frame, exposures, ticks["t_ns"].copy(), ticks["measured_pa"].copy(), protocol_s, weight_kg
+            )
+        )
+
+    def _look(
+        self,
+        index: int,
+        exposures: list[Exposure | None],
+        t_ns: NDArray[np.int64],
+        measured_pa: NDArray[np.float64],
+        protocol_s: float,
+        weight_kg: float,
+    ) -> _Look:
+        frames = {
+            name: None if exposure is None else camera.develop(exposure)
+            for (name, camera), exposure in zip(self._cameras.items(), exposures, strict=True)
+        }
+        shot = FrameSet(index, tuple(frames.values()))
+        row = self._observer.step(shot, t_ns, measured_pa, protocol_s, 0, weight_kg)
+        return row, self._observer.adaptation, self._album.pictures(shot, self._observer)
+
+    def _flush(self, in_flight: int = FRAMES_IN_FLIGHT) -> None:
+        while len(self._looking) > in_flight:
+            row, adaptation, pictures = self._looking.popleft().result()
+            self._observations.add(row)
+            if adaptation is not None:
+                self._adaptations.add(adaptation)
+            for picture in pictures:
+                self._recorder.picture(picture)
+        samples, observations = self._samples.take(), self._observations.take()
+        self._recorder.samples(samples)
+        self._recorder.observations(observations)
+        self._recorder.adaptations(self._adaptations.take())
+        lost, self._lost_scans = self._ticker.lost - self._lost_scans, self._ticker.lost
+        for event in (
+            *self._vigil.samples(samples),
+            *self._vigil.observations(observations),
+            *self._vigil.lost(self._plant.t_ns, lost),
+        ):
+            self._report(event)
+
+    def _progress(self, row: NDArray[np.void]) -> Progress:
+        last, estimate = self._observations.recent(1), self._adaptations.recent(1)
+        return Progress(
+            protocol_s=self._ticker.position.protocol_s,
+            duration_s=self._plan.trajectory.duration_s,
+            sample=row,
+            observation=last[0] if len(last) else None,
+            missed=0,
+            prompt=None,
+            adapted=self._plan.adapted,
+            adaptation=estimate[0] if len(estimate) else None,
+        )
+
+    def _tell(self, t_ns: int, level: Level, source: str, message: str) -> None:
+        self._report(Event(t_ns, level, source, message))
+
+    def _report(self, event: Event) -> None:
+        self._recorder.event(event)
+        self._audience.tell(event)
+
+
+class _Rows:
+    """Rows of a run, the recent ones kept for looking back, the new ones handed out once for the record."""
+
+    def __init__(self, dtype: np.dtype[np.void]) -> None:
+        self._rows = np.zeros(2 * HISTORY_TICKS, dtype)
+        self._filled = 0
+        self._taken = 0
+
+    def add(self, row: NDArray[np.void] | np.void) -> None:
+        if self._filled == len(self._rows):
+            drop = min(self._taken, HISTORY_TICKS)
+            self._rows[: self._filled - drop] = self._rows[drop : self._filled].copy()
+            self._filled -= drop
+            self._taken -= drop
+        self._rows[self._filled] = row
+        self._filled += 1
+
+    def take(self) -> NDArray[np.void]:
+        rows = self._rows[self._taken : self._filled]
+        self._taken = self._filled
+        return rows
+
+    def recent(self, n: int) -> NDArray[np.void]:
+        return self._rows[max(0, self._filled - n) : self._filled]

@@ -1,0 +1,1 @@
+"""The archive of a run: a journal turned into NeXus HDF5."""

@@ -1,0 +1,125 @@
+"""Where a run comes from, as groups of its archive: protocol, rig, files, versions, and every number that was used."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from runs.archive.fields import PA_PER_BAR, Field, Group, named
+from runs.journal.journal import Journal
+from runs.records import Interval, Quantity
+
+
+def protocol(journal: Journal) -> Group:
+    """The protocol: its text, and every segment as it was expanded."""
+    header = journal.header
+    intervals: tuple[Interval, ...] = header.intervals
+    level = np.full((len(intervals), header.actuators), np.nan)
+    for row, interval in zip(level, intervals, strict=True):
+        known = interval.level_pa[: header.actuators]
+        row[: len(known)] = known
+    by = ("segment",)
+    return Group(
+        "entry/protocol",
+        "NXcollection",
+        (
+            Field("name", header.protocol_name),
+            Field("yaml", header.protocol_yaml, about="the protocol, verbatim"),
+            Field("segment", np.arange(1, len(intervals) + 1), about="number of the segment, in the order played"),
+            Field("actuator", np.arange(1, header.actuators + 1)),
+            Field("start", np.array([i.start_s for i in intervals], float), "s", "in protocol time", by),
+            Field("stop", np.array([i.stop_s for i in intervals], float), "s", "in protocol time", by),
+            Field("kind", [i.kind for i in intervals], scales=by),
+            Field("label", [i.label for i in intervals], scales=by),
+            Field("level_bar", level / PA_PER_BAR, "bar", "set-points at the end of the segment", (*by, "actuator")),
+        ),
+    )
+
+
+def rig(journal: Journal) -> Group:
+    """The rig as it was used."""
+    header = journal.header
+    return Group(
+        "entry/rig",
+        "NXcollection",
+        (
+            Field("name", header.rig_name),
+            Field("yaml", header.rig_yaml, about="the rig as it was used, verbatim"),
+            Field("parameters", header.parameters_yaml, about="identified parameters laid over the rig, verbatim"),
+        ),
+    )
+
+
+def protocol_files(journal: Journal) -> Group | None:
+    """The files that the protocol plays; None where it plays none."""
+    files = journal.header.protocol_files
+    if not files:
+        return None
+    by = ("name",)
+    return Group(
+        "entry/protocol_files",
+        "NXcollection",
+        (
+            Field("name", [f.name for f in files], about="as the protocol names it"),
+            Field("kind", [f.kind for f in files], scales=by),
+            Field("sha256", [f.sha256 for f in files], about="of the text", scales=by),
+            Field("text", [f.text for f in files], about="verbatim", scales=by),
+        ),
+        about="what the protocol plays",
+    )
+
+
+def sources(journal: Journal) -> Group | None:
+    """The rig's own file and the calibrations that it names; None where it names none."""
+    files = journal.header.sources
+    if not files:
+        return None
+    by = ("name",)
+    return Group(
+        "entry/calibration_files",
+        "NXcollection",
+        (
+            Field("name", [f.name for f in files]),
+            Field("kind", [f.kind for f in files], about="rig, camera, dlt, tool or pressure", scales=by),
+            Field("sha256", [f.sha256 for f in files], about="of the text", scales=by),
+            Field("yaml", [f.text for f in files], about="verbatim", scales=by),
+        ),
+        about="what the rig as it was used was made of",
+    )
+
+
+def versions(journal: Journal) -> Group:
+    """Of the program, its libraries and the system."""
+    fields = (Field(name, version) for name, version in sorted(journal.header.versions.items()))
+    return Group("entry/versions", "NXcollection", named(fields), about="of the program, its libraries and the system")
+
+
+def git(journal: Journal) -> Group:
+    """The state of the program's own checkout."""
+    fields = (
+        Field("commit", journal.header.git_commit),
+        Field("diff", journal.header.git_diff, about="what was not committed"),
+    )
+    return Group("entry/git", "NXcollection", fields, about="the program's own source")
+
+
+def quantities(journal: Journal, room: str, about: str) -> Group:
+    """Every number of a room (`calibration` or `model`) that was used; vectors with scales that label them."""
+    variant = [Field("variant", journal.header.model_variant)] if room == "model" else []
+    numbers = [_number(q) for q in journal.header.quantities if q.room == room]
+    lengths = sorted({len(q.value) for q in numbers if isinstance(q.value, np.ndarray)})
+    scales = [Field(f"component_{n}", np.arange(1, n + 1), about=f"labels vectors of {n}") for n in lengths]
+    fields = variant + scales + numbers
+    return Group(f"entry/{room}", "NXcollection", named(fields), about=about)
+
+
+def _number(quantity: Quantity) -> Field:
+    value = np.array(quantity.value, float)
+    single = len(value) == 1
+    return Field(
+        quantity.name,
+        float(value[0]) if single else value,
+        quantity.unit,
+        scales=() if single else (f"component_{len(value)}",),
+        source=quantity.source,
+        uncertainty=quantity.uncertainty,
+    )

@@ -1,0 +1,247 @@
+"""The archive of a run: a journal turned into NeXus HDF5, whole or not at all.
+
+Written under a temporary name, read back and compared with what was meant, then renamed. Rows and pictures go from the
+journal into the archive some thousand at a time: a long run needs no more memory than a short one.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import io
+import math
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+
+from runs.archive import checksum, layout
+from runs.archive.fields import CHUNK_ROWS, Column, Field, Group, Pictures, Table, pieces
+from runs.journal import journal
+from runs.journal.append_only_file import ARCHIVE_TO_JOURNAL, NO_ROOM, JournalError
+
+SUFFIX = ".h5"
+PART = ".h5.part"
+"""End of the name while the archive is being written."""
+_MARGIN_BYTES = 4 << 20
+_SMALLEST_COMPRESSED = 512
+
+
+class ArchiveError(Exception):
+    """The archive could not be written or is not one; the message says why. The journal is as it was."""
+
+
+class StillWrittenError(ArchiveError):
+    """The journal is held by a process that writes it."""
+
+
+def finalise(journal_path: Path | str, archive_path: Path | str | None = None) -> Path:
+    """Turn a journal into an archive and return the archive's path; the journal stays.
+
+    By default the archive stands beside the journal. A journal without a footer gives an archive with status
+    `recovered`. An archive that is already there is replaced. `ArchiveError` or `runs.journal.append_only_file.JournalError`.
+    """
+    source = Path(journal_path)
+    target = source.with_suffix(SUFFIX) if archive_path is None else Path(archive_path)
+    with held(source):
+        content = journal.read(source)
+        write(content, target, _MARGIN_BYTES + int(ARCHIVE_TO_JOURNAL * source.stat().st_size))
+    return target
+
+
+def write(content: journal.Journal, target: Path, most_bytes: int) -> None:
+    """Write an archive of at most this size under a temporary name, check it, and give it its name."""
+    part = target.with_name(target.name.removesuffix(SUFFIX) + PART)
+    try:
+        _take_room(part, most_bytes)
+        meant = _write(part, target.name, layout.groups(content))
+        with h5py.File(part, "r+") as file:
+            found = checksum.of_file(file)
+            if found.parts != meant:
+                raise ArchiveError(f"{part}: what was read back is not what was written; is the disk sound?")
+            file.attrs.modify("content_sha256", found.sha256)
+        _sync(part)
+        part.replace(target)
+        _sync(target.parent)
+    except (OSError, RuntimeError, ValueError) as fault:
+        # HDF5 tells of its troubles as any of these, some only when the file is closed.
+        with suppress(OSError):
+            part.unlink(missing_ok=True)
+        number = fault.errno if isinstance(fault, OSError) else None
+        full = number in NO_ROOM or any(os.strerror(code) in str(fault) for code in NO_ROOM)
+        reason = "the disk is full" if full else str(fault)
+        raise ArchiveError(f"cannot write {target}: {reason}; the journal holds everything") from fault
+
+
+@contextmanager
+def held(source: Path) -> Iterator[None]:
+    """Hold a journal, so that it is finalised once at a time; `StillWrittenError` while its writer lives."""
+    try:
+        handle = os.open(source, os.O_RDONLY | os.O_CLOEXEC)
+    except OSError as fault:
+        raise JournalError(f"cannot read {source}: {fault.strerror}") from fault
+    try:
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as fault:
+            raise StillWrittenError(f"{source} is being written by another process") from fault
+        yield
+    finally:
+        os.close(handle)
+
+
+def verify(path: Path | str) -> bool:
+    """Tell whether the content of an archive is what its own SHA-256 says."""
+    try:
+        with h5py.File(path, "r") as file:
+            return bool(checksum.of_file(file).sha256 == file.attrs["content_sha256"])
+    except (OSError, KeyError, ValueError, RuntimeError) as fault:
+        raise ArchiveError(f"{path} is not an archive that can be read: {fault}") from fault
+
+
+def _take_room(part: Path, size: int) -> None:
+    """Make an empty HDF5 file that holds room for this size; what it does not use it gives back when it is closed.
+
+    Raises `OSError` where there is no room: a process whose HDF5 meets a full disk says so with tracebacks, or crashes.
+    """
+    empty = io.BytesIO()
+    h5py.File(empty, "w").close()
+    handle = os.open(part, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC, 0o644)
+    try:
+        os.posix_fallocate(handle, 0, size)
+        os.pwrite(handle, empty.getbuffer(), 0)
+    finally:
+        os.close(handle)
+
+
+def _write(part: Path, name: str, groups: tuple[Group, ...]) -> dict[str, int]:
+    """Write every group and return, for each dataset, the CRC-32 of what was meant."""
+    # Without a cache of chunks for each of the datasets that are open at once: whole chunks are written.
+    with h5py.File(part, "r+", rdcc_nbytes=0) as file:
+        written: list[_Dataset] = []
+        for group in groups:
+            node = file.require_group(group.path)
+            node.attrs["NX_class"] = group.nx_class
+            if group.about:
+                node.attrs["comment"] = group.about
+            if group.default:
+                node.attrs["default"] = group.default
+            if group.signal:
+                node.attrs["signal"] = group.signal
+                node.attrs["axes"] = list(group.axes)
+            written += [_Dataset(node, item) for item in group.fields]
+            _attach(node, group)
+        _fill(written)
+        file.attrs.update(
+            NX_class="NXroot",
+            default="entry",
+            creator="softrig",
+            layout_version=layout.VERSION,
+            file_name=name,
+            file_time=datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ"),
+            HDF5_Version=h5py.version.hdf5_version,
+            h5py_version=h5py.version.version,
+            content_sha256="0" * 64,
+        )
+        return {dataset.path: dataset.crc for dataset in written}
+
+
+class _Dataset:
+    """One dataset of an archive, and the checksum of what is meant by it."""
+
+    def __init__(self, node: h5py.Group, item: Field | Pictures) -> None:
+        value = item.data if isinstance(item, Pictures) else item.value
+        self.column = value if isinstance(value, Column) else None
+        now: Any = value.of(value.table[:0]) if isinstance(value, Column) else value
+        shape: tuple[int, ...] = (len(value.table),) if isinstance(value, Column) else np.shape(now)
+        storage: dict[str, Any] = {}
+        attributes: dict[str, Any] = {"description": item.about}
+        kind: Any
+        if isinstance(item, Pictures):
+            self._kind, kind = "bytes", h5py.vlen_dtype(np.uint8)
+        else:
+            attributes = {"units": item.units, **attributes, "source": item.source}
+            if item.uncertainty is not None:
+                attributes["uncertainty"] = item.uncertainty
+            if isinstance(now, str | list):
+                self._kind, kind = "str", h5py.string_dtype()
+            else:
+                numbers = np.asarray(now)
+                self._kind, kind = checksum.kind_of(numbers), numbers.dtype
+                shape = (*shape[:1], *numbers.shape[1:])
+                storage = _storage(shape, kind.itemsize)
+        self._node = node.create_dataset(item.name, shape, kind, **storage)
+        self.path = self._node.name.lstrip("/")
+        for name, attribute in attributes.items():
+            if attribute != "":
+                self._node.attrs[name] = attribute
+        self._part = checksum.ChecksumPart(self._kind, shape)
+        if self.column is None:
+            self.put(0, now)
+
+    @property
+    def crc(self) -> int:
+        """CRC-32 of what was put."""
+        return self._part.crc
+
+    def put(self, low: int, values: Any) -> None:
+        """Write the rows from `low` on, or the one value that there is."""
+        single = self._node.shape == ()
+        rows = () if single else slice(low, low + len(values))
+        if self._kind == "bytes":
+            for index, data in enumerate(values, low):
+                self._node[index] = np.frombuffer(data, np.uint8)
+            self._part.add(values)
+        elif self._kind == "str":
+            # HDF5 ends a text at its first NUL.
+            words = [word.replace("\0", "\N{SYMBOL FOR NULL}") for word in ([values] if single else values)]
+            if words:
+                self._node[rows] = words[0] if single else np.array(words, dtype=object)
+            self._part.add(word.encode() for word in words)
+        else:
+            numbers = np.asarray(values)
+            if numbers.size:
+                self._node[rows] = numbers
+            self._part.add(checksum.little(numbers))
+
+
+def _fill(datasets: list[_Dataset]) -> None:
+    """Write what is made of rows: each table is gone through once, a chunk of every dataset at a time."""
+    tables: dict[int, tuple[Table, list[tuple[_Dataset, Column]]]] = {}
+    for dataset in datasets:
+        if (column := dataset.column) is not None:
+            tables.setdefault(id(column.table), (column.table, []))[1].append((dataset, column))
+    for table, columns in tables.values():
+        for number, rows in enumerate(pieces(table)):
+            for dataset, column in columns:
+                dataset.put(number * CHUNK_ROWS, column.of(rows))
+
+
+def _attach(node: h5py.Group, group: Group) -> None:
+    """Make the dimension scales of a group, and attach them."""
+    named = {scale for item in group.fields for scale in item.scales}
+    for name in sorted(named):
+        node[name].make_scale(name)
+    for item in group.fields:
+        for dimension, name in enumerate(item.scales):
+            node[item.name].dims[dimension].attach_scale(node[name])
+
+
+def _storage(shape: tuple[int, ...], item_bytes: int) -> dict[str, Any]:
+    """Compress what is worth it, with the one filter that every HDF5 reader has."""
+    if not shape or math.prod(shape) * item_bytes < _SMALLEST_COMPRESSED:
+        return {}
+    chunks = (min(shape[0], CHUNK_ROWS), *shape[1:])
+    return {"chunks": chunks, "compression": "gzip", "compression_opts": 1, "shuffle": True}
+
+
+def _sync(path: Path) -> None:
+    handle = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)

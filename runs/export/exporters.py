@@ -1,0 +1,198 @@
+"""An archive for other programs: CSV, MATLAB, netCDF and MCAP; and, as YAML, what it was made from."""
+
+from __future__ import annotations
+
+import csv
+import itertools
+import re
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path, PurePath
+from typing import Any
+
+import h5py
+import numpy as np
+
+from runs.archive import layout
+from runs.archive.writer import ArchiveError
+from runs.run import Run
+from runs.table import TABLES, segments, table
+
+SIMULATED = "simulated"
+"""Column of every CSV: 1 where card, camera or arm was simulated, else 0."""
+
+
+class ExportError(Exception):
+    """The export could not be written; the message says why."""
+
+
+def export(archive: Path | str, to: str, folder: Path | str | None = None) -> tuple[Path, ...]:
+    """Write an archive in another format (`csv`, `mat`, `nc`, `mcap` or `yaml`) and return what was written.
+
+    By default beside the archive. `ArchiveError` where there is no archive, `ExportError` otherwise.
+    """
+    if to not in FORMATS:
+        raise ExportError(f"cannot export to {to!r}; there are {', '.join(FORMATS)}")
+    source = Run(archive).path
+    place = source.parent if folder is None else Path(folder)
+    try:
+        place.mkdir(parents=True, exist_ok=True)
+        return FORMATS[to](source, place / source.stem)
+    except OSError as fault:
+        raise ExportError(f"cannot write to {place}: {fault.strerror or fault}") from fault
+
+
+def _csv(source: Path, stem: Path) -> tuple[Path, ...]:
+    """One file for each table; numbers with all their digits, nothing where nothing was measured.
+
+    The last column says of every row whether it was simulated: it stays with rows that are cut out or joined to
+    others', and every reader takes it.
+    """
+    written = []
+    with h5py.File(source, "r") as file:
+        simulated = int(file["entry/simulated"][()])
+    for group, columns in (*((group, table(source, group)) for group in TABLES), ("segments", segments(source))):
+        if not columns:
+            continue
+        path = stem.with_name(f"{stem.name}-{group}.csv")
+        with path.open("w", newline="", encoding="utf-8") as file:
+            lines = csv.writer(file)
+            lines.writerow([*columns, SIMULATED])
+            rows = zip(*(_cells(column) for column in columns.values()), strict=True)
+            lines.writerows((*row, simulated) for row in rows)
+        written.append(path)
+    return tuple(written)
+
+
+def _cells(column: np.ndarray[Any, Any]) -> list[Any]:
+    if column.dtype.kind == "f":
+        return ["" if value != value else repr(value) for value in column.tolist()]
+    return list(column.tolist())
+
+
+def _mat(source: Path, stem: Path) -> tuple[Path, ...]:
+    """One MATLAB 5 file with a struct for each group."""
+    from scipy.io import savemat
+
+    path = stem.with_name(f"{stem.name}.mat")
+    with h5py.File(source, "r") as file:
+        content = _struct(file["entry"])
+    try:
+        with path.open("wb") as target:
+            savemat(target, {"run": content}, long_field_names=True, do_compression=True, oned_as="column")
+    except ValueError as fault:
+        path.unlink(missing_ok=True)
+        raise ExportError(f"MATLAB's format cannot hold this run ({fault}); MATLAB's h5read opens {source}") from fault
+    return (path,)
+
+
+def _struct(group: h5py.Group) -> dict[str, Any]:
+    content: dict[str, Any] = {}
+    for name, node in group.items():
+        if isinstance(node, h5py.Group):
+            content[_identifier(name, content)] = _struct(node)
+        elif h5py.check_string_dtype(node.dtype):
+            content[_identifier(name, content)] = node.asstr()[()]
+        elif not h5py.check_vlen_dtype(node.dtype):
+            content[_identifier(name, content)] = node[()]
+    return content
+
+
+def _identifier(name: str, taken: Mapping[str, Any]) -> str:
+    """Return a name for MATLAB and netCDF: letters, digits and underscores, a letter first, at most 63, none twice."""
+    plain = re.sub(r"\W", "_", name, flags=re.ASCII)
+    plain = (plain if plain[:1].isalpha() else f"x{plain}")[:60]
+    result, number = plain, 1
+    while result in taken:
+        number += 1
+        result = f"{plain}_{number}"
+    return result
+
+
+def _nc(source: Path, stem: Path) -> tuple[Path, ...]:
+    """One netCDF classic file: `tip_measured_x_mm (tip_time_s)` and so on, what describes the run as attributes."""
+    from scipy.io import netcdf_file
+
+    path = stem.with_name(f"{stem.name}.nc")
+    header = Run(source).header
+    with netcdf_file(path, "w", version=2) as file:
+        # A text of its own is written as ASCII, which what people write need not be.
+        texts = {"title": header.title, "run_id": header.run_id, "model": header.model_variant}
+        for name, text in (texts | {"protocol": header.protocol_yaml, "rig": header.rig_yaml}).items():
+            setattr(file, name, text.encode())
+        file.simulated = int(header.simulated)
+        for group in TABLES:
+            columns = {name: c for name, c in table(source, group).items() if c.dtype.kind in "fiu"}
+            if not columns or len(columns["time_s"]) == 0:
+                continue
+            dimension = f"{group}_time_s"
+            file.createDimension(dimension, len(columns["time_s"]))
+            for name, column in columns.items():
+                data = _classic(column)
+                known = _identifier(f"{group}_{name}", file.variables)
+                variable = file.createVariable(known, data.dtype, (dimension,))
+                variable[:] = data
+                if (unit := name.rpartition("_")[2]) in (*layout.UNITS, "s"):
+                    variable.units = unit
+    return (path,)
+
+
+def _classic(column: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
+    """Return a column in a type that netCDF classic has: it knows no integers of 64 bits."""
+    if column.dtype.kind == "f" or column.dtype.itemsize <= 4:
+        return column
+    small = column.astype(np.int32)
+    return small if (small == column).all() else column.astype(np.float64)
+
+
+def _mcap(source: Path, stem: Path) -> tuple[Path, ...]:
+    """One MCAP file; the journal beside the archive has that ending already."""
+    from runs.export.foxglove import SUFFIX, write
+
+    path = stem.with_name(f"{stem.name}{SUFFIX}")
+    write(Run(source), path)
+    return (path,)
+
+
+def _yaml(source: Path, stem: Path) -> tuple[Path, ...]:
+    """A folder with protocol, rig and the files that they name: what `rig run` needs to do it again."""
+    header = Run(source).header
+    folder = stem.with_name(f"{stem.name}-inputs")
+    protocol = f"{_file_name(header.protocol_name)}.yaml"
+    texts = {f"{_file_name(header.rig_name)}-rig.yaml": header.rig_yaml} if header.rig_yaml else {}
+    texts[protocol] = header.protocol_yaml
+    # The folder is whole in itself: files from elsewhere come into it, those of one name beside one another.
+    inside: dict[str, str] = {}
+    for file in header.protocol_files:
+        own = PurePath(_file_name(PurePath(file.name).name))
+        inside[file.name] = next(name for name in _numbered(own) if name not in texts)
+        texts[inside[file.name]] = file.text
+    if inside:
+        # The longest first: one name may stand in another, which has a folder before it.
+        known = "|".join(map(re.escape, sorted(inside, key=len, reverse=True)))
+        texts[protocol] = re.sub(known, lambda found: inside[found[0]], header.protocol_yaml)
+    folder.mkdir(exist_ok=True)
+    for name, text in texts.items():
+        (folder / name).write_text(text, encoding="utf-8")
+    return tuple(folder / name for name in texts)
+
+
+def _numbered(name: PurePath) -> Iterator[str]:
+    """A file's name, then the same with 2, 3, .. before its ending."""
+    yield name.name
+    for number in itertools.count(2):
+        yield f"{name.stem}-{number}{name.suffix}"
+
+
+def _file_name(name: str) -> str:
+    return re.sub(r"[^\w.+-]", "_", name).lstrip(".") or "unnamed"
+
+
+FORMATS: dict[str, Callable[[Path, Path], tuple[Path, ...]]] = {
+    "csv": _csv,
+    "mat": _mat,
+    "nc": _nc,
+    "mcap": _mcap,
+    "yaml": _yaml,
+}
+
+__all__ = ["FORMATS", "ArchiveError", "ExportError", "export"]

@@ -1,0 +1,1 @@
+"""The journal of a running experiment: append-only, readable after any crash."""

@@ -1,0 +1,240 @@
+"""The journal of a run: append-only, whole up to its last write whatever happens to the process.
+
+MCAP with one checked block per call, written past every buffer of the process: what a call returned from survives
+kill -9; what is older than a second survives a power cut (`runs.journal.append_only_file`, also for what becomes of that where a disk
+stands still). The first block (schemas and header) is written twice, because without it nothing else can be read.
+"""
+
+from __future__ import annotations
+
+import mmap
+import os
+import struct
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from mcap.opcode import Opcode
+from mcap.records import Channel, Message, Schema
+from numpy.typing import NDArray
+
+from runs.journal import mcap_records, messages
+from runs.journal.append_only_file import AppendOnlyFile, DiskFile, JournalError, MemoryFile
+from runs.journal.mcap_records import Block, Damage
+from runs.journal.messages import ADAPTATIONS, EVENTS, FOOTER, HEADER, MARKS, OBSERVATIONS, PICTURES, SAMPLES
+from runs.journal.stored_rows import Index, StoredPictures, StoredRows
+from runs.records import Event, Picture, RunFooter, RunHeader, adaptation_dtype, observation_dtype, sample_dtype
+
+SUFFIX = ".mcap"
+
+
+class JournalWriter:
+    """Writes one run's journal. For one thread; the file is locked (flock) while it is open.
+
+    Every call raises `JournalError` where the disk is full, broken or, in a live run, takes nothing for long.
+    """
+
+    def __init__(self, path: Path | str, header: RunHeader, *, live: bool = False) -> None:
+        """Create the file, which must not exist, and write the header.
+
+        A `live` run is never held up by a disk that stands still; any other waits for it.
+        """
+        self.path = Path(path)
+        self._samples = _Rows(SAMPLES, sample_dtype(header.actuators, header.valves))
+        self._observations = _Rows(OBSERVATIONS, observation_dtype(header.actuators, len(header.cameras)))
+        self._adaptations = _Rows(ADAPTATIONS, adaptation_dtype(len(header.adapted)))
+        self._utc_minus_t_ns = header.started_utc_ns - header.started_t_ns
+        self.newest_t_ns = header.started_t_ns
+        kinds = [self._samples, self._observations, *([self._adaptations] if header.adapted else [])]
+        first = block_of_header(header, {kind.channel: kind.form["row"] for kind in kinds})
+        file = DiskFile(self.path, mcap_records.opening() + first + first)
+        self._file: AppendOnlyFile = MemoryFile(file) if live else file
+
+    @property
+    def standing_s(self) -> float:
+        """For how long the disk has not taken what was recorded [s]; 0 where it has."""
+        return self._file.standing_s
+
+    def samples(self, rows: NDArray[np.void]) -> None:
+        """Append control ticks: `sample_dtype` rows (n,)."""
+        self._rows(self._samples, rows)
+
+    def observations(self, rows: NDArray[np.void]) -> None:
+        """Append camera frames: `observation_dtype` rows (n,)."""
+        self._rows(self._observations, rows)
+
+    def adaptations(self, rows: NDArray[np.void]) -> None:
+        """Append what the recursive estimator found: `adaptation_dtype` rows (n,)."""
+        self._rows(self._adaptations, rows)
+
+    def picture(self, picture: Picture) -> None:
+        """Append an encoded picture and what was seen in it, both or neither."""
+        utc_ns = picture.t_ns + self._utc_minus_t_ns
+        content = mcap_records.encode(
+            Message(MARKS, utc_ns, messages.marks_to_bytes(picture), utc_ns, 0),
+            Message(PICTURES, utc_ns, messages.picture_to_bytes(picture, utc_ns), utc_ns, 0),
+        )
+        self._file.append(mcap_records.block(content, utc_ns, utc_ns))
+
+    def event(self, event: Event) -> None:
+        """Append an event."""
+        utc_ns = event.t_ns + self._utc_minus_t_ns
+        self.newest_t_ns = max(self.newest_t_ns, event.t_ns)
+        content = mcap_records.encode(Message(EVENTS, utc_ns, messages.to_json(event), utc_ns, 0))
+        self._file.append(mcap_records.block(content, utc_ns, utc_ns))
+
+    def settled(self, timeout_s: float) -> bool:
+        """Wait until the disk has taken what was recorded; False where it has not by then."""
+        return self._file.settled(timeout_s)
+
+    def close(self, footer: RunFooter) -> None:
+        """Write how the run ended, and close. Closes the file even where the footer finds no room."""
+        utc_ns = footer.t_ns + self._utc_minus_t_ns
+        content = mcap_records.encode(Message(FOOTER, utc_ns, messages.to_json(footer), utc_ns, 0))
+        self._file.close(mcap_records.block(content, utc_ns, utc_ns) + mcap_records.ending())
+
+    def _rows(self, kind: _Rows, rows: NDArray[np.void]) -> None:
+        if len(rows) == 0:
+            return
+        if rows.dtype != kind.form["row"]:
+            raise TypeError(f"rows of {rows.dtype}, expected {kind.form['row']}")
+        log_ns = rows["t_ns"] + self._utc_minus_t_ns
+        content = mcap_records.frame_rows(rows, kind.form, kind.channel, kind.sequence, log_ns)
+        kind.sequence += len(rows)
+        self.newest_t_ns = max(self.newest_t_ns, int(rows["t_ns"][-1]))
+        self._file.append(mcap_records.block(content, int(log_ns[0]), int(log_ns[-1])))
+
+
+class _Rows:
+    """How one kind of row is framed, and how many there were."""
+
+    def __init__(self, channel: int, row: np.dtype[np.void]) -> None:
+        self.channel = channel
+        self.form = mcap_records.framed(row)
+        self.sequence = 0
+
+
+def block_of_header(header: RunHeader, rows: Mapping[int, np.dtype[np.void]]) -> bytes:
+    """Return the first block of a journal: schemas, channels (with the rows of each that has any) and the header."""
+    json: tuple[str, bytes, str, dict[str, str]] = ("jsonschema", b'{"type": "object"}', "json", {})
+    kinds = {
+        HEADER: json,
+        FOOTER: json,
+        EVENTS: json,
+        PICTURES: ("ros1msg", messages.PICTURE_DEFINITION.encode(), "ros1", {}),
+        MARKS: ("ros1msg", messages.MARKS_DEFINITION.encode(), "ros1", {}),
+    }
+    for channel, row in rows.items():
+        definition = messages.row_definition(row).encode()
+        kinds[channel] = ("ros1msg", definition, "ros1", {"dtype": messages.dtype_to_json(row)})
+    names = {PICTURES: "sensor_msgs/CompressedImage"}
+    records: list[Schema | Channel | Message] = []
+    for channel, (schema_encoding, definition, encoding, metadata) in kinds.items():
+        topic = messages.TOPICS[channel]
+        name = names.get(channel, f"softrig{topic}")
+        records.append(Schema(channel, definition, schema_encoding, name))
+        records.append(Channel(channel, topic, encoding, metadata, channel))
+    utc_ns = header.started_utc_ns
+    records.append(Message(HEADER, utc_ns, messages.to_json(header), utc_ns, 0))
+    return mcap_records.block(mcap_records.encode(*records), utc_ns, utc_ns)
+
+
+@dataclass(frozen=True)
+class Journal:
+    """What a journal holds. `footer` is None where the run was cut off; `damage` is what could not be read.
+
+    Rows and pictures stay in the file until a slice of them is taken.
+    """
+
+    header: RunHeader
+    footer: RunFooter | None
+    samples: StoredRows
+    observations: StoredRows
+    adaptations: StoredRows
+    events: tuple[Event, ...]
+    pictures: StoredPictures
+    damage: tuple[Damage, ...]
+
+
+def read(path: Path | str) -> Journal:
+    """Read what can be read of a journal, whole or not; `JournalError` where not even the header can."""
+    try:
+        with Path(path).open("rb") as file:
+            empty = os.fstat(file.fileno()).st_size == 0
+            data = memoryview(b"" if empty else mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ))
+    except OSError as fault:
+        raise JournalError(f"cannot read {path}: {fault.strerror}") from fault
+    contents = _Contents(data)
+    for piece in mcap_records.scan(data):
+        if isinstance(piece, Damage):
+            contents.damage.append(piece)
+            continue
+        try:
+            contents.take(piece)
+        except (ValueError, KeyError, TypeError, struct.error, RecursionError) as fault:
+            size = len(piece.content)
+            contents.damage.append(Damage(piece.offset, size, f"not understood ({type(fault).__name__})"))
+    if contents.header is None:
+        raise JournalError(f"{path} is not a journal, or its header is lost")
+    return contents.journal(contents.header)
+
+
+class _Contents:
+    """Collects the contents of a journal block by block."""
+
+    def __init__(self, data: memoryview) -> None:
+        self.header: RunHeader | None = None
+        self.footer: RunFooter | None = None
+        self.data = data
+        self.stored: dict[int, np.dtype[np.void]] = {}
+        self.rows = {channel: Index() for channel in (SAMPLES, OBSERVATIONS, ADAPTATIONS)}
+        self.events: list[Event] = []
+        self.pictures = StoredPictures(data)
+        self.damage: list[Damage] = []
+
+    def take(self, piece: Block) -> None:
+        for channel, stored in self.stored.items():
+            form = mcap_records.framed(stored)
+            if rows := mcap_records.framed_rows(piece.content, form, channel):
+                self.rows[channel].add(piece.begin + (form.itemsize - stored.itemsize), rows)
+                return
+        for opcode, position, body in piece.records():
+            if opcode == Opcode.CHANNEL:
+                self._channel(mcap_records.decode_channel(body))
+            elif opcode == Opcode.MESSAGE:
+                channel, _, payload = mcap_records.decode_message(body)
+                self._message(channel, position, payload)
+
+    def _channel(self, channel: Channel) -> None:
+        if "dtype" in channel.metadata:
+            # The first block stands twice; rows of one channel are all of one dtype.
+            self.stored.setdefault(channel.id, messages.dtype_from_json(channel.metadata["dtype"]))
+
+    def _message(self, channel: int, position: int, payload: memoryview) -> None:
+        if channel == HEADER:
+            self.header = messages.from_json(RunHeader, payload.tobytes())
+            self.pictures.utc_minus_t_ns = self.header.started_utc_ns - self.header.started_t_ns
+        elif channel == FOOTER:
+            self.footer = messages.from_json(RunFooter, payload.tobytes())
+        elif channel == EVENTS:
+            self.events.append(messages.from_json(Event, payload.tobytes()))
+        elif channel == MARKS:
+            self.pictures.mark(position)
+        elif channel == PICTURES:
+            self.pictures.picture(position)
+
+    def journal(self, header: RunHeader) -> Journal:
+        def rows(channel: int, kind: np.dtype[np.void]) -> StoredRows:
+            return StoredRows(self.data, self.stored.get(channel, kind), kind, self.rows[channel])
+
+        return Journal(
+            header=header,
+            footer=self.footer,
+            samples=rows(SAMPLES, sample_dtype(header.actuators, header.valves)),
+            observations=rows(OBSERVATIONS, observation_dtype(header.actuators, len(header.cameras))),
+            adaptations=rows(ADAPTATIONS, adaptation_dtype(len(header.adapted))),
+            events=tuple(self.events),
+            pictures=self.pictures,
+            damage=tuple(self.damage),
+        )

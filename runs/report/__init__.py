@@ -1,0 +1,1 @@
+"""The report of a run or several: figures and one HTML page."""

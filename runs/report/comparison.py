@@ -1,0 +1,163 @@
+"""Several runs side by side: the tables of their errors, and their tips and errors overlaid."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from html import escape
+from typing import Any
+
+from matplotlib.figure import Figure
+
+from runs.report.colours import RUNS
+from runs.report.figure_specifications import FigureSpecification
+from runs.report.figures import POINTS, across, legend, svg, thin
+from runs.report.numbers import plain, three
+from runs.run import Run
+from runs.summary import Summary
+
+STYLES = ("-", (0, (6, 1.5)), (0, (6, 1.5, 1, 1.5)))
+
+
+def section(runs: Sequence[Run], summaries: Sequence[Summary]) -> str:
+    """Return the part of a report that compares its runs."""
+    salt = "/".join(run.header.run_id for run in runs)
+    shown = "".join(
+        f"<h2>{plate.title}</h2>\n<figure>{svg(plate.draw, plate.size, salt, runs, summaries)}"
+        f"<figcaption>{plate.caption}</figcaption></figure>\n"
+        for plate in plates(runs)
+    )
+    head = f'<header class="run"><h1>{len(runs)} runs</h1></header>'
+    papers = f'<div class="beside">{by_model(runs, summaries)}{by_axis(runs, summaries)}</div>\n'
+    return f'<section class="run">\n{head}\n{table(runs, summaries)}{papers}{shown}</section>\n'
+
+
+def plates(runs: Sequence[Run]) -> tuple[FigureSpecification, ...]:
+    """Return the figures that compare runs."""
+    size = (9, 3.4 + 0.16 * len(runs))
+    where = "Each in its plane of motion, or over x where it keeps to none."
+    return (
+        FigureSpecification("tips", "Tips", tips, size, f"Lines: measured. Dotted: model. {where}"),
+        FigureSpecification("errors", "Errors over the protocol", errors, size, "Measured to model."),
+    )
+
+
+def by_model(runs: Sequence[Run], summaries: Sequence[Summary]) -> str:
+    """Return the mean normalised error of each model in the shape of the paper's Table 3; nothing without one.
+
+    What was simulated has rows of its own: no mean is over both.
+    """
+    known: dict[tuple[str, bool], list[float]] = {}
+    for run, summary in zip(runs, summaries, strict=True):
+        if math.isfinite(summary.normalised_percent):
+            known.setdefault((run.header.model_variant, summary.simulated), []).append(summary.normalised_percent)
+    rows = "".join(
+        f"<tr><td>{_tick(model.startswith('inhomogeneous'))}</td><td>{_tick(model.endswith('+rpe'))}</td>"
+        f"<td class=n>{plain(sum(errors) / len(errors), 2)}</td><td class=n>{len(errors)}{_marked(simulated)}</td></tr>"
+        for (model, simulated), errors in sorted(known.items())
+    )
+    head = "<th>inhomogeneity</th><th>radial pressure effect</th><th class=n>|error| [%]</th><th class=n>runs</th>"
+    title = "<h2>Normalised error by model</h2>"
+    caption = "<p class=small>As the paper's Table 3: the mean over the settled steps of all runs.</p>"
+    return f"<div>{title}\n<table><tr>{head}</tr>{rows}</table>{caption}</div>" if rows else ""
+
+
+def by_axis(runs: Sequence[Run], summaries: Sequence[Summary]) -> str:
+    """Return the rms errors of each run in the shape of the paper's Table 5; nothing where nothing was measured.
+
+    A case is its protocol, as in the paper; where several runs had the same one and the same model, the run.
+    """
+    cases = Counter((run.header.protocol_name, run.header.model_variant) for run in runs)
+    alike = max(cases.values(), default=0) > 1
+    rows = "".join(
+        f"<tr><td>{escape(run.header.run_id if alike else run.header.protocol_name)}{_marked(s.simulated)}</td>"
+        f"<td>{escape(run.header.model_variant)}</td>"
+        f"<td class=n>{plain(s.rmse_mm[2], 4)}</td><td class=n>{plain(s.rmse_mm[0], 4)}</td></tr>"
+        for run, s in zip(runs, summaries, strict=True)
+        if math.isfinite(s.rmse_mm[0])
+    )
+    head = "<th>case</th><th>model</th><th class=n>z [mm]</th><th class=n>x [mm]</th>"
+    title = "<h2>Root mean square error by direction</h2>"
+    caption = "<p class=small>As the paper's Table 5: over every frame.</p>"
+    return f"<div>{title}\n<table><tr>{head}</tr>{rows}</table>{caption}</div>" if rows else ""
+
+
+def _marked(simulated: bool) -> str:
+    return " (simulated)" if simulated else ""
+
+
+def _tick(yes: bool) -> str:
+    return "\N{HEAVY CHECK MARK}" if yes else "\N{MULTIPLICATION X}"
+
+
+def table(runs: Sequence[Run], summaries: Sequence[Summary]) -> str:
+    """Return the errors of each run."""
+    names = (
+        "run",
+        "model",
+        "status",
+        "mean error<br>[mm]",
+        "settled<br>[mm]",
+        "normalised<br>[%]",
+        "rms x, y, z<br>[mm]",
+        "largest<br>[mm]",
+        "measured<br>[%]",
+    )
+    head = "".join(f"<th{'' if i < 3 else ' class=n'}>{name}</th>" for i, name in enumerate(names))
+    rows = "".join(_row(run, summary) for run, summary in zip(runs, summaries, strict=True))
+    return f'<div class="scroll"><table><tr>{head}</tr>{rows}</table></div>\n'
+
+
+def _row(run: Run, s: Summary) -> str:
+    header = run.header
+    words = (f"{escape(header.run_id)}{_marked(s.simulated)}", escape(header.model_variant), escape(s.status))
+    numbers = (
+        plain(s.error_mm.mean, 2),
+        plain(s.settled_error_mm, 2),
+        plain(s.normalised_percent, 2),
+        three(s.rmse_mm, 2),
+        plain(s.error_mm.max, 2),
+        plain(100 * s.measured_fraction, 1),
+    )
+    cells = "".join(f"<td>{word}</td>" for word in words) + "".join(f"<td class=n>{n}</td>" for n in numbers)
+    return f"<tr>{cells}</tr>"
+
+
+def tips(figure: Figure, runs: Sequence[Run], summaries: Sequence[Summary]) -> None:
+    """Measured and modelled tips of every run."""
+    axes = figure.subplots()
+    names = set()
+    for run, summary, colour, style in _coloured(runs, summaries):
+        project, name = across(run, summary)
+        names.add(name)
+        every = max(len(run.tip.time_s) // (4 * POINTS), 1)
+        if summary.frames_measured:
+            axes.plot(*project(run.tip.measured_mm[::every]).T, color=colour, ls=style, lw=1.2, label=run.header.run_id)
+        else:
+            axes.plot([], [], color=colour, ls=style, label=run.header.run_id)
+        axes.plot(*project(run.tip.model_mm[::every]).T, color=colour, lw=0.9, ls=":")
+    axes.set_aspect("equal", adjustable="datalim")
+    axes.invert_yaxis()
+    axes.set_xlabel(f"{' / '.join(sorted(names))} [mm]")
+    axes.set_ylabel("z, along the arm [mm]")
+    legend(axes, columns=2)
+
+
+def errors(figure: Figure, runs: Sequence[Run], summaries: Sequence[Summary]) -> None:
+    """Error of every run over protocol time, so that runs that waited differently still lie on one another."""
+    axes = figure.subplots()
+    for run, summary, colour, style in _coloured(runs, summaries):
+        if summary.frames_measured:
+            line = thin(run.tip.protocol_s, run.tip.error_mm)
+            axes.plot(*line, color=colour, ls=style, lw=1.0, label=run.header.run_id)
+    axes.set_xlabel("protocol time [s]")
+    axes.set_ylabel("error [mm]")
+    axes.set_ylim(bottom=0)
+    legend(axes, columns=2)
+
+
+def _coloured(runs: Sequence[Run], summaries: Sequence[Summary]) -> Iterator[tuple[Run, Summary, str, Any]]:
+    """Yield each run with its colour and line: every pair is another, up to three times the colours."""
+    for i, (run, summary) in enumerate(zip(runs, summaries, strict=True)):
+        yield run, summary, RUNS[i % len(RUNS)], STYLES[i // len(RUNS) % len(STYLES)]

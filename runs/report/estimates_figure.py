@@ -1,0 +1,54 @@
+"""The figure of parameters estimated beside a run: over time, with their bands."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from runs.report import figures
+from runs.report.colours import INK, MEASURED, MUTED
+from runs.run import Adaptation, Run
+from runs.summary import Z_95, Summary
+
+COLUMNS = 3
+
+
+def size(adaptation: Adaptation) -> tuple[float, float]:
+    """Size of the figure in inches."""
+    return 9.0, 0.5 + 1.45 * (1 + math.ceil(len(adaptation.parameter) / COLUMNS))
+
+
+def draw(figure: Figure, run: Run, summary: Summary) -> None:
+    """The live error with and without the estimates, and each estimate with its 95 % band and where it began."""
+    a = run.adaptation
+    assert a is not None
+    rows = math.ceil(len(a.parameter) / COLUMNS)
+    grid = figure.add_gridspec(1 + rows, COLUMNS)
+    above = figure.add_subplot(grid[0, :])
+    # A run that was cut off may have a frame without what it taught.
+    _, of_tip, of_estimate = np.intersect1d(run.tip.frame, a.frame, return_indices=True)
+    without = np.linalg.norm(run.tip.measured_mm[of_tip] - a.start_model_mm[of_estimate], axis=1)
+    above.plot(
+        *figures.thin(run.tip.time_s[of_tip], without), color=MUTED, lw=0.9, label="with the parameters as they were"
+    )
+    above.plot(*figures.thin(run.tip.time_s, run.tip.error_mm), color=MEASURED, lw=1.0, label="live error")
+    above.set_ylabel("error [mm]")
+    above.set_ylim(bottom=0)
+    above.margins(x=0.01)
+    figures.legend(above)
+    for k, (name, unit) in enumerate(zip(a.parameter, a.unit, strict=True)):
+        panel = figure.add_subplot(grid[1 + k // COLUMNS, k % COLUMNS])
+        index = figures.kept(a.value[:, k])
+        time, value, half = a.time_s[index], a.value[index, k], Z_95 * a.uncertainty[index, k]
+        panel.axhline(a.start[k], color=INK, lw=0.8, ls=(0, (4, 2)))
+        panel.fill_between(time, value - half, value + half, color=MEASURED, alpha=0.2, lw=0)
+        panel.plot(time, value, color=MEASURED)
+        panel.set_title(f"{name} [{unit}]", fontsize=8.5)
+        panel.margins(x=0.01)
+        panel.ticklabel_format(axis="y", style="sci", scilimits=(-2, 4), useMathText=True)
+        panel.yaxis.get_offset_text().set_fontsize(7.5)
+        panel.tick_params(labelsize=7.5)
+        if k + COLUMNS >= len(a.parameter):
+            panel.set_xlabel("time [s]")

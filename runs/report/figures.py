@@ -1,0 +1,462 @@
+"""The figures of a report, as SVG: one function per figure, from a run and its summary."""
+
+from __future__ import annotations
+
+import io
+import re
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_svg import FigureCanvasSVG
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
+from numpy.typing import NDArray
+
+from runs.records import DetectionStatus
+from runs.report.colours import ACTUATORS, INK, MEASURED, MODEL, MUTED, RULE, TRUTH
+from runs.run import Pressure, Run
+from runs.summary import BAND_BAR, MOVED_MM, Z_95, StepSummary, Summary, in_plane, rest_mm, settled_steps
+
+SHAPES = 12
+POINTS = 900
+"""Points drawn of a long line; their extremes are kept."""
+
+STYLE: dict[Any, Any] = {
+    "svg.fonttype": "none",
+    "font.family": "DejaVu Sans",
+    "font.size": 9,
+    "figure.facecolor": "none",
+    "axes.facecolor": "none",
+    "axes.edgecolor": MUTED,
+    "axes.labelcolor": INK,
+    "axes.linewidth": 0.7,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "axes.titlesize": 9.5,
+    "axes.titlelocation": "left",
+    "axes.titlepad": 7,
+    "grid.color": RULE,
+    "grid.linewidth": 0.6,
+    "xtick.color": MUTED,
+    "ytick.color": MUTED,
+    "xtick.labelcolor": INK,
+    "ytick.labelcolor": INK,
+    "xtick.major.width": 0.7,
+    "ytick.major.width": 0.7,
+    "legend.frameon": False,
+    "legend.fontsize": 8.5,
+    "lines.linewidth": 1.3,
+    "lines.solid_joinstyle": "round",
+    "figure.constrained_layout.use": True,
+    "figure.constrained_layout.h_pad": 0.06,
+}
+_ROOM_IN = (0.85, 0.1, 0.46, 0.28)
+"""Left, right, below and above of a figure's panels, for labels and legends; `_BETWEEN_IN` beside and below each."""
+_BETWEEN_IN = (0.75, 0.3)
+_FONTS = "Inter, 'Helvetica Neue', Helvetica, Arial, 'DejaVu Sans', sans-serif"
+
+_PATHS, _DIGITS = re.compile(r' d="[^"]*"'), re.compile(r"(?<=\.\d)\d+")
+"""A tenth of a point is as fine as a page shows."""
+
+Floats = NDArray[np.float64]
+
+
+def svg(draw: Callable[..., None], size: tuple[float, float], salt: str, *about: object) -> str:
+    """Return a figure of a size in inches as an SVG element that can stand inside HTML.
+
+    `draw` is called with the figure and `about`. The `salt` keeps the drawing's ids apart from others on the page.
+    """
+    with mpl.rc_context({**STYLE, "svg.hashsalt": f"{salt}/{draw.__name__}"}):
+        figure = Figure(figsize=size)
+        canvas = FigureCanvasSVG(figure)
+        draw(figure, *about)
+        text = io.StringIO()
+        # Not figure.savefig: it draws everything twice.
+        canvas.print_svg(text, metadata={"Date": None, "Creator": None})  # type: ignore[no-untyped-call]
+    drawing = text.getvalue()
+    drawing = _PATHS.sub(lambda path: _DIGITS.sub("", path[0]), drawing[drawing.index("<svg") :])
+    return drawing.replace("'DejaVu Sans'", _FONTS)
+
+
+def save(draw: Callable[..., None], size: tuple[float, float], path: Path, *about: object, mark: str = "") -> None:
+    """Write a figure to a file; its kind is that of the name. `draw` is called with the figure and `about`.
+
+    The `mark` goes into a corner: what must not be forgotten of a figure that is shown without its page.
+    """
+    with mpl.rc_context({**STYLE, "figure.facecolor": "white", "axes.facecolor": "white", "pdf.fonttype": 42}):
+        figure = Figure(figsize=size)
+        draw(figure, *about)
+        figure.text(0.998, 0.004, mark, ha="right", va="bottom", fontsize=7, color=MUTED)
+        figure.savefig(path, dpi=200)
+
+
+def panels(figure: Figure, rows: int = 1, columns: int = 1, **options: Any) -> NDArray[Any]:
+    """Return axes (rows, columns) with fixed room round them: to measure every label takes as long as to draw."""
+    figure.set_layout_engine("none")
+    width, height = figure.get_size_inches()
+    left, right, below, above = _ROOM_IN
+    beside, between = _BETWEEN_IN
+    across = (width - left - right - (columns - 1) * beside) / columns
+    down = (height - below - above - (rows - 1) * between) / rows
+    room = {
+        "left": left / width,
+        "right": 1 - right / width,
+        "bottom": below / height,
+        "top": 1 - above / height,
+        "wspace": beside / across,
+        "hspace": between / down,
+    }
+    axes: NDArray[Any] = figure.subplots(rows, columns, sharex=columns == 1, squeeze=False, gridspec_kw=room, **options)
+    return axes
+
+
+def pressures(figure: Figure, run: Run, summary: Summary) -> None:
+    """Pressures against their set-points, and the difference; without set-points the pressures alone."""
+    p = run.pressure
+    if len(p.time_s) and not np.isfinite(p.setpoint_bar).any():
+        alone = panels(figure)[0, 0]
+        _measured_pressures(alone, p)
+        alone.set_xlabel("time [s]")
+        legend(alone, columns=p.measured_bar.shape[1])
+        return
+    above, below = panels(figure, 2, height_ratios=[3, 1.1])[:, 0]
+    if len(p.time_s) == 0:
+        _nothing(above, below)
+        return
+    _measured_pressures(above, p)
+    columns = p.setpoint_bar.T
+    for i, row in enumerate(columns):
+        if any(np.array_equal(row, other) for other in columns[:i]):
+            continue
+        above.plot(*thin(p.time_s, row), color=INK, lw=0.8, ls=(0, (4, 2)))
+    above.plot([], [], color=INK, lw=0.8, ls=(0, (4, 2)), label="set-point")
+    legend(above, columns=p.measured_bar.shape[1] + 1)
+    difference_mbar = 1e3 * (p.measured_bar - p.setpoint_bar)
+    for i, row in enumerate(difference_mbar.T):
+        below.plot(*thin(p.time_s, row), color=ACTUATORS[i % len(ACTUATORS)], lw=0.8)
+    largest = np.nanmax(np.abs(difference_mbar), initial=0)
+    below.axhspan(-1e3 * BAND_BAR, 1e3 * BAND_BAR, color=RULE, alpha=0.6, lw=0)
+    below.set_ylim(-1.2 * max(min(largest, 60), 15), 1.2 * max(min(largest, 60), 15))
+    below.set_ylabel("difference\n[mbar]")
+    below.set_xlabel("time [s]")
+
+
+def _measured_pressures(axes: Axes, pressure: Pressure) -> None:
+    for i, row in enumerate(pressure.measured_bar.T):
+        # Of many the names would not fit beside one another.
+        name = f"actuator {i + 1}" if i == 0 or pressure.measured_bar.shape[1] <= 6 else str(i + 1)
+        axes.plot(*thin(pressure.time_s, row), color=ACTUATORS[i % len(ACTUATORS)], label=name)
+    axes.set_ylabel("gauge pressure [bar]")
+
+
+def trajectory(figure: Figure, run: Run, summary: Summary) -> None:
+    """The tool centre point in the plane of motion, hanging down as the arm does (the paper's Fig 11)."""
+    axes = panels(figure)[0, 0]
+    project, name = across(run, summary)
+    _paths(axes, run, summary, project)
+    dwells = settled_steps(summary.steps)
+    if dwells:
+        settled = project(np.array([step.measured_mm for step in dwells]))
+        at = project(np.array([step.model_mm for step in dwells]))
+        axes.plot(*settled.T, "o", ms=6, mfc="white", mec=MEASURED, mew=1.3, label="measured, settled")
+        axes.plot(*at.T, "x", ms=5.5, color=MODEL, mew=1.4, label="model, settled")
+        for step, (x, z) in _labelled(dwells, settled):
+            text = f"{max(step.level_bar):.2f}" if max(step.level_bar) > 0 else f"{step.weight_g:.0f} g"
+            axes.annotate(text, (x, z), (0, 9), textcoords="offset points", ha="center", fontsize=7.5, color=MUTED)
+    axes.set_aspect("equal", adjustable="datalim")
+    axes.margins(0.05, 0.25)
+    axes.invert_yaxis()
+    axes.set_xlabel(f"{name} [mm]")
+    axes.set_ylabel("z, along the arm [mm]")
+    legend(axes)
+
+
+def around(figure: Figure, run: Run, summary: Summary) -> None:
+    """The tool centre point of a motion in no plane: seen along the arm from its tip, and from the side."""
+    above, beside = panels(figure, columns=2)[0]
+    _paths(above, run, summary, lambda points: points[:, [0, 1]])
+    _paths(beside, run, summary, lambda points: points[:, [0, 2]])
+    for axes, label in ((above, "y [mm]"), (beside, "z, along the arm [mm]")):
+        axes.set_aspect("equal", adjustable="datalim")
+        axes.margins(0.08)
+        axes.set_xlabel("x [mm]")
+        axes.set_ylabel(label)
+    beside.invert_yaxis()
+    legend(above)
+
+
+def _paths(axes: Axes, run: Run, summary: Summary, project: Callable[[Floats], Floats]) -> None:
+    every = max(len(run.tip.time_s) // (4 * POINTS), 1)
+    measured, model = project(run.tip.measured_mm[::every]), project(run.tip.model_mm[::every])
+    if run.simulated is not None:
+        truth = project(run.simulated.tip_mm[::every])
+        axes.plot(*truth.T, color=TRUTH, lw=0.9, label="simulated truth")
+    if summary.frames_measured:
+        axes.plot(*measured.T, color=MEASURED, lw=0.9, label="measured, every frame")
+    if np.isfinite(model).any():
+        axes.plot(*model.T, color=MODEL, lw=1.1, label="model")
+
+
+def backbones(figure: Figure, run: Run, summary: Summary) -> None:
+    """The model's backbone and the measured tip at the end of each step, or at even times (the paper's Fig 12)."""
+    whole, near = figure.subplots(1, 2, width_ratios=[1, 1.5])
+    project, name = across(run, summary)
+    assert run.backbone is not None
+    rows, values, label = _shapes(run, summary)
+    low, high = min(values), max(values)
+    # The palest colours would be lost on white.
+    scale = ScalarMappable(Normalize(low, high + 0.12 * (high - low or 1.0)), "viridis")
+    colours = scale.to_rgba(np.array(values))
+    model, measured = project(run.tip.model_mm[rows]), project(run.tip.measured_mm[rows])
+    for axes in (whole, near):
+        for row, colour in zip(rows, colours, strict=True):
+            axes.plot(*project(run.backbone.model_mm[row].astype(float)).T, color=colour, lw=1.4)
+        axes.plot(*model.T, "x", ms=5, mew=1.3, color=MODEL, label="model's tip", zorder=4)
+        if np.isfinite(measured).any():
+            axes.plot(*measured.T, "o", ms=6.5, mfc="none", mec=MEASURED, mew=1.3, label="measured tip", zorder=5)
+        axes.set_xlabel(f"{name} [mm]")
+    ends = np.vstack((model, measured[np.isfinite(measured).all(axis=1)]))
+    margin = 0.08 * max(float(np.ptp(ends, axis=0).max()), 5.0)
+    near.set_xlim(ends[:, 0].min() - margin, ends[:, 0].max() + margin)
+    low_z, high_z = ends[:, 1].min() - margin, ends[:, 1].max() + margin
+    near.set_ylim(high_z, min(low_z, high_z - 0.6 * (np.ptp(ends[:, 0]) + 2 * margin)))
+    near.set_aspect("equal", adjustable="box", anchor="W")
+    whole.set_aspect("equal", adjustable="datalim")
+    whole.invert_yaxis()
+    whole.set_ylabel("z, along the arm [mm]")
+    legend(near)
+    if len(rows) > 1:
+        bar = figure.colorbar(scale, ax=near, label=label, aspect=30, pad=0.02, boundaries=np.linspace(low, high, 256))
+        bar.outline.set_visible(False)
+        bar.locator = MaxNLocator(6)
+        bar.update_ticks()
+
+
+def _shapes(run: Run, summary: Summary) -> tuple[list[int], list[float], str]:
+    """Return the rows whose backbones are drawn, with a number for each and what it is."""
+    tip = run.tip
+    ends: dict[int, float] = {}
+    dwells = settled_steps(summary.steps) or tuple(step for step in summary.steps if step.dwell)
+    by_weight = len({round(max(step.level_bar), 6) for step in dwells}) < len({s.weight_g for s in dwells})
+    for step in dwells:
+        within = np.flatnonzero((tip.protocol_s >= step.start_s) & (tip.protocol_s < step.stop_s) & tip.model_ok)
+        if len(within):
+            ends[int(within[-1])] = step.weight_g if by_weight else max(step.level_bar)
+    if len(ends) > 1:
+        return [*ends], [*ends.values()], "weight [g]" if by_weight else "pressure [bar]"
+    solved = np.flatnonzero(tip.model_ok)
+    rows = np.unique(solved[np.linspace(0, len(solved) - 1, SHAPES).round().astype(int)]).tolist()
+    return rows, tip.time_s[rows].tolist(), "time [s]"
+
+
+def trajectory_size(run: Run, summary: Summary) -> tuple[float, float]:
+    """Return the size of the trajectory's figure: as flat as the motion is."""
+    project, _ = across(run, summary)
+    points = project(np.vstack((run.tip.measured_mm, run.tip.model_mm)))
+    points = points[np.isfinite(points).all(axis=1)]
+    wide, high = np.ptp(points, axis=0) if len(points) else (1.0, 1.0)
+    return 9.0, float(np.clip(1.2 + 8 * 1.5 * high / max(wide, 1e-9), 2.4, 5.5))
+
+
+def steps(figure: Figure, run: Run, summary: Summary) -> None:
+    """Settled tip of each step, and its error normalised (the paper's Fig 13)."""
+    dwells = settled_steps(summary.steps)
+    left, right = panels(figure, columns=2)[0]
+    project, name = across(run, summary)
+    where, label = _abscissa(dwells)
+    measured = project(np.array([step.measured_mm for step in dwells]))
+    model = project(np.array([step.model_mm for step in dwells]))
+    rest = project(rest_mm(run.tip, run.tip.seen == DetectionStatus.MEASURED)[None])[0]
+    sigma = np.array([step.uncertainty_mm for step in dwells])
+    origin = rest if np.isfinite(rest).all() else np.zeros(2)
+    for column, (colour, axis) in enumerate(((MEASURED, name), (ACTUATORS[3], "z"))):
+        left.errorbar(
+            where,
+            measured[:, column] - origin[column],
+            Z_95 * sigma[:, 0 if column == 0 else 2],
+            fmt="o",
+            ms=5,
+            mfc="white",
+            mew=1.3,
+            color=colour,
+            label=axis,
+        )
+        left.plot(where, model[:, column] - origin[column], color=colour, lw=1.1)
+    left.plot([], [], color=MUTED, lw=1.1, label="model")
+    left.set_xlabel(label)
+    left.set_ylabel("from rest [mm]" if origin.any() else "in the base frame [mm]")
+    legend(left)
+    difference = np.abs(measured - model)
+    travelled = np.linalg.norm(measured - rest, axis=1)
+    normalised = (travelled > MOVED_MM).any()
+    scale = 100 / np.where(travelled > MOVED_MM, travelled, np.nan) if normalised else np.ones(len(dwells))
+    width = 0.38 * (float(np.diff(np.sort(where)).min()) if len(where) > 1 else 1.0)
+    right.bar(where - width / 2, difference[:, 0] * scale, width, color=MEASURED, label=name)
+    right.bar(where + width / 2, difference[:, 1] * scale, width, color=ACTUATORS[3], label="z")
+    right.plot(
+        where, np.linalg.norm(difference, axis=1) * scale, "D", ms=4, color=INK, mfc="white", label="in the plane"
+    )
+    right.set_xlabel(label)
+    right.set_ylabel("|error| / distance from rest [%]" if normalised else "|error| [mm]")
+    right.set_ylim(bottom=0)
+    legend(right)
+    right.grid(axis="x", visible=False)
+    if label == "step":
+        for axes in (left, right):
+            axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+
+
+def coordinates(figure: Figure, run: Run, summary: Summary) -> None:
+    """The tip over time with the measurement's 95 % band (the paper's Fig 14)."""
+    tip = run.tip
+    axes = panels(figure, 3)[:, 0]
+    for i, (axis, panel) in enumerate(zip("xyz", axes, strict=True)):
+        if summary.frames_measured:
+            index = kept(tip.measured_mm[:, i])
+            time, at, half = tip.time_s[index], tip.measured_mm[index, i], Z_95 * tip.uncertainty_mm[index, i]
+            panel.fill_between(time, at - half, at + half, color=MEASURED, alpha=0.22, lw=0)
+            panel.plot(time, at, color=MEASURED, lw=1.0, label="measured, 95 % band")
+        if np.isfinite(tip.model_mm[:, i]).any():
+            panel.plot(*thin(tip.time_s, tip.model_mm[:, i]), color=MODEL, lw=1.1, label="model")
+        panel.set_ylabel(f"{axis} [mm]")
+        panel.margins(x=0.01)
+    legend(axes[0])
+    axes[-1].set_xlabel("time [s]")
+
+
+def error(figure: Figure, run: Run, summary: Summary) -> None:
+    """Error over time; for a simulated run also measured and model against the truth."""
+    tip = run.tip
+    measured = tip.seen == DetectionStatus.MEASURED
+    stacked = panels(figure, 2 if run.simulated is not None else 1)[:, 0]
+    above = stacked[0]
+    above.plot(*thin(tip.time_s, tip.error_mm), color=MEASURED, lw=1.0, label="measured to model, 3-D")
+    if np.isfinite(summary.plane_deg):
+        flat = in_plane(tip.measured_mm - tip.model_mm, _plane(summary))
+        above.plot(*thin(tip.time_s, flat), color=MODEL, lw=1.0, label="in the plane")
+    lost = np.unique(np.round(tip.time_s[~measured], 1 if len(tip.time_s) > POINTS else 3))
+    above.plot(lost, np.zeros(len(lost)), "|", color=INK, ms=7, label="nothing measured" if len(lost) else None)
+    above.set_ylabel("error [mm]")
+    above.set_ylim(bottom=0)
+    legend(above)
+    if run.simulated is not None:
+        below = stacked[1]
+        truth = run.simulated.tip_mm
+        sigma = Z_95 * np.sqrt((tip.uncertainty_mm**2).sum(axis=1))
+        band = thin(tip.time_s, sigma)
+        below.fill_between(*band, color=MEASURED, alpha=0.18, lw=0, label="stated 95 %, all axes")
+        distance = np.linalg.norm(tip.measured_mm - truth, axis=1)
+        below.plot(*thin(tip.time_s, distance), color=MEASURED, lw=0.9, label="measured to simulated truth")
+        off = np.linalg.norm(tip.model_mm - truth, axis=1)
+        below.plot(*thin(tip.time_s, off), color=MODEL, lw=1.1, label="model to simulated truth")
+        below.set_ylabel("distance [mm]")
+        below.set_ylim(bottom=0)
+        legend(below)
+    stacked[-1].set_xlabel("time [s]")
+    stacked[-1].margins(x=0.01)
+
+
+def timing(figure: Figure, run: Run, summary: Summary) -> None:
+    """How late the control ticks began: over time, and how often."""
+    t = run.timing
+    left, right = figure.subplots(1, 2, width_ratios=[1.6, 1], sharey=True)
+    if len(t.time_s) == 0:
+        _nothing(left, right)
+        return
+    lateness = np.maximum(t.lateness_us, 0.01)
+    left.plot(*thin(t.time_s, lateness), ",", color=MEASURED)
+    left.plot(*thin(t.time_s, lateness), color=MEASURED, lw=0.35, alpha=0.6)
+    missed = t.overruns > 0
+    left.plot(t.time_s[missed], lateness[missed], "v", ms=5, color=MODEL, label="deadline missed")
+    left.set_yscale("log")
+    left.set_xlabel("time [s]")
+    left.set_ylabel("lateness [us]")
+    if missed.any():
+        left.legend(loc="upper right")
+    low, high = np.log10(lateness.min()), np.log10(max(lateness.max(), lateness.min() * 1.5))
+    right.hist(lateness, bins=list(np.logspace(low, high, 50)), orientation="horizontal", color=MEASURED, log=True)
+    for value, name in ((summary.lateness_p50_us, "50 %"), (summary.lateness_p99_us, "99 %")):
+        right.axhline(max(value, 0.01), color=INK, lw=0.8, ls=(0, (4, 2)))
+        right.annotate(name, (1, max(value, 0.01)), (-2, 2), ("axes fraction", "data"), "offset points", ha="right")
+    right.set_xlabel("ticks")
+
+
+def across(run: Run, summary: Summary) -> tuple[Callable[[Floats], Floats], str]:
+    """Return what projects points (n, 3) on the plane of motion (n, 2), and the name of the first coordinate."""
+    plane = _plane(summary)
+    name = "x"
+    if abs(plane[0]) < np.cos(np.radians(10)):
+        name = "y" if abs(plane[1]) > np.cos(np.radians(10)) else f"along {summary.plane_deg:.0f}°"
+    return (lambda points: np.column_stack((points[:, :2] @ plane, points[:, 2]))), name
+
+
+def _plane(summary: Summary) -> Floats:
+    angle = np.radians(summary.plane_deg if np.isfinite(summary.plane_deg) else 0.0)
+    return np.array([np.cos(angle), np.sin(angle)])
+
+
+def _abscissa(dwells: Sequence[StepSummary]) -> tuple[Floats, str]:
+    """Return where steps stand: at their pressures or weights where each has its own, else at their numbers."""
+    choices = (("pressure [bar]", [max(s.level_bar) for s in dwells]), ("weight [g]", [s.weight_g for s in dwells]))
+    for label, values in choices:
+        if len(set(np.round(values, 6))) == len(values):
+            return np.array(values), label
+    return np.arange(1.0, len(dwells) + 1), "step"
+
+
+def _labelled(dwells: Sequence[StepSummary], settled: Floats) -> list[tuple[StepSummary, Floats]]:
+    """Return the steps whose labels fit: first, last, and those far enough from the one before."""
+    chosen: list[tuple[StepSummary, Floats]] = []
+    reach = max(float(np.ptp(settled, axis=0).max()), 1e-9)
+    for step, at in zip(dwells, settled, strict=True):
+        if all(np.linalg.norm(at - other) > 0.06 * reach for _, other in chosen):
+            chosen.append((step, at))
+    return chosen
+
+
+def thin(x: Floats, y: Floats) -> tuple[Floats, Floats]:
+    """Return a line with fewer points that looks the same: the extremes of each stretch."""
+    index = kept(y)
+    return x[index], y[index]
+
+
+def kept(y: Floats) -> NDArray[np.intp]:
+    """Return which points of a line are drawn: all of a short one, else the extremes of each stretch."""
+    stretch = len(y) // POINTS * 2
+    if stretch < 4:
+        return np.arange(len(y))
+    whole = len(y) // stretch * stretch
+    blocks = y[:whole].reshape(-1, stretch)
+    first = np.arange(0, whole, stretch)
+    lowest = np.where(np.isnan(blocks), np.inf, blocks).argmin(axis=1)
+    highest = np.where(np.isnan(blocks), -np.inf, blocks).argmax(axis=1)
+    return np.append(np.unique(np.column_stack((first, first + lowest, first + highest))), len(y) - 1)
+
+
+def legend(axes: Axes, columns: int = 6) -> None:
+    """Above the plot, so that it never hides a line; none where nothing has a name."""
+    if not axes.get_legend_handles_labels()[0]:
+        return
+    # More columns than usual must share the width: the room above is that of one row.
+    beside = 1.4 * min(1.0, 6 / columns) ** 2
+    axes.legend(
+        loc="lower left",
+        bbox_to_anchor=(0, 1.0),
+        ncols=columns,
+        borderaxespad=0.1,
+        columnspacing=beside,
+        handlelength=2.0 * min(1.0, 6 / columns),
+    )
+
+
+def _nothing(*panels: Axes) -> None:
+    for panel in panels:
+        panel.annotate("nothing was recorded", (0.5, 0.5), xycoords="axes fraction", ha="center", color=MUTED)

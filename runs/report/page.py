@@ -1,0 +1,201 @@
+"""The report: one HTML file that holds everything it shows, for one run or several."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Iterator, Sequence
+from html import escape
+from importlib import resources
+from pathlib import Path
+
+from runs.archive import layout
+from runs.report import comparison, pictures
+from runs.report.figure_specifications import figure_specifications
+from runs.report.figures import svg
+from runs.report.numbers import DASH, plain, three, with_unit
+from runs.run import Run
+from runs.summary import BAND_BAR, Summary, summarise
+
+SUFFIX = ".html"
+
+
+def write(paths: Path | str | Sequence[Path | str], out_html: Path | str | None = None) -> Path:
+    """Write the report of one archive or several and return its path; by default beside the first archive."""
+    chosen = [Path(paths)] if isinstance(paths, str | os.PathLike) else [Path(path) for path in paths]
+    runs = [Run(path) for path in chosen]
+    target = chosen[0].with_suffix(SUFFIX) if out_html is None else Path(out_html)
+    target.parent.mkdir(parents=True, exist_ok=True)
+    part = target.with_name(target.name + ".part")
+    part.write_text(page(runs), encoding="utf-8")
+    part.replace(target)
+    return target
+
+
+def page(runs: Sequence[Run]) -> str:
+    """Return the whole HTML text."""
+    style = resources.files("runs.report").joinpath("report.css").read_text(encoding="utf-8")
+    title = escape(runs[0].header.title if len(runs) == 1 else f"{len(runs)} runs")
+    summaries = [summarise(run) for run in runs]
+    several = comparison.section(runs, summaries) if len(runs) > 1 else ""
+    body = several + "\n".join(_run(run, summary) for run, summary in zip(runs, summaries, strict=True))
+    return (
+        f'<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n<title>{title}</title>\n'
+        f'<meta name="viewport" content="width=device-width, initial-scale=1">\n<style>\n{style}</style>\n</head>\n'
+        f"<body>\n{body}\n<footer>Made by softrig from the archive; nothing in this page is loaded from elsewhere."
+        "</footer>\n</body>\n</html>\n"
+    )
+
+
+def _run(run: Run, summary: Summary) -> str:
+    header = run.header
+    badges = f'<span class="badge {summary.status}">{summary.status}</span>'
+    if summary.simulated:
+        badges += '<span class="badge simulated">simulated</span>'
+    began = layout.utc(header.started_utc_ns)[:19].replace("T", " ")
+    parts = [
+        f'<section class="run">\n<header class="run"><h1>{escape(header.title)}{badges}</h1>\n'
+        f'<p class="sub">{escape(header.run_id)} · {began} UTC · {run.duration_s:.1f} s · {escape(header.executor)}'
+        f"{' · ' + escape(header.operator) if header.operator else ''}</p></header>",
+    ]
+    if summary.simulated:
+        parts.append(
+            '<p class="note"><b>This run was simulated.</b> Card, camera or arm were those of the simulator; '
+            "nothing here was measured on a real manipulator.</p>"
+        )
+    if summary.frames and not summary.frames_measured:
+        parts.append('<p class="note">No tip was measured in this run: what is shown of it is the model alone.</p>')
+    if summary.message:
+        parts.append(f'<p class="note fault"><b>{escape(str(summary.status))}:</b> {escape(summary.message)}</p>')
+    if header.notes:
+        parts.append(f"<p>{escape(header.notes)}</p>")
+    parts += [_tiles(summary), *_figures(run, summary), _steps(summary), pictures.section(run, summary), _events(run)]
+    parts += [_provenance(run), "</section>"]
+    return "\n".join(part for part in parts if part)
+
+
+def _tiles(s: Summary) -> str:
+    tiles = [
+        (with_unit(s.error_mm.mean, "mm", 2), "mean error, measured to model (3-D)"),
+        (with_unit(s.in_plane_mm.mean, "mm", 2), "mean error in the plane of motion"),
+        (f"{plain(s.rmse_mm[0], 2)} / {plain(s.rmse_mm[2], 2)} <small>mm</small>", "rms error in x / in z"),
+        (with_unit(s.settled_error_mm, "mm", 2), "mean settled error of the steps"),
+        (with_unit(s.settling_s, "s", 2), f"longest settling within {BAND_BAR * 1e3:.0f} mbar"),
+        (with_unit(s.overshoot_bar * 1e3, "mbar", 1), "largest overshoot"),
+        (with_unit(s.tracking_rms_bar * 1e3, "mbar", 1), "rms tracking, moving set-points"),
+        (
+            f"{s.missed_deadlines} <small>of {s.ticks}</small>" if s.lateness_max_us else DASH,
+            "control deadlines missed",
+        ),
+        (with_unit(s.lateness_p99_us or math.nan, "us", 1), "lateness, 99 % of the ticks below"),
+        (with_unit(100 * s.measured_fraction, "%", 1), f"frames measured of {s.frames}; {s.frames_dropped} dropped"),
+    ]
+    if s.truth is not None:
+        tiles += [
+            (with_unit(s.truth.error_mm.mean, "mm", 2), "mean measured to simulated truth"),
+            (with_unit(s.truth.in_plane_mm.mean, "mm", 2), "the same in the plane of motion"),
+            (with_unit(100 * s.truth.coverage, "%", 1), "frames whose truth lies in the stated 95 %"),
+        ]
+    shown = (
+        f'<div class="tile"><b>{value}</b><span>{label}</span></div>' for value, label in tiles if DASH not in value
+    )
+    return f'<div class="tiles">{"".join(shown)}</div>'
+
+
+def _figures(run: Run, summary: Summary) -> Iterator[str]:
+    salt = run.header.run_id
+    for plate in figure_specifications(run, summary):
+        yield _figure(plate.title, svg(plate.draw, plate.size, salt, run, summary), plate.caption)
+    if run.header.executor == "virtual time" and summary.ticks and not summary.lateness_max_us:
+        yield "<h2>Timing of the control loop</h2>\n<p class=small>Not in real time: no tick is late.</p>"
+
+
+def _figure(title: str, drawing: str, caption: str) -> str:
+    below = f"<figcaption>{caption}</figcaption>" if caption else ""
+    drawing = drawing.replace("<svg", f'<svg role="img" aria-label="{escape(title)}"', 1)
+    return f"<h2>{title}</h2>\n<figure>{drawing}{below}</figure>"
+
+
+def _steps(summary: Summary) -> str:
+    """Return the table of the segments, without the columns that would say nothing."""
+    columns: dict[str, list[str]] = {
+        "weight<br>[g]": [plain(s.weight_g, 0) if s.weight_g > 0 else "" for s in summary.steps],
+        "set-points<br>[bar]": ["&ensp;".join(plain(level, 2) for level in s.level_bar) for s in summary.steps],
+        "measured x, y, z<br>[mm]": [three(s.measured_mm, 1) if s.dwell else "" for s in summary.steps],
+        "model x, y, z<br>[mm]": [three(s.model_mm, 1) if s.dwell else "" for s in summary.steps],
+        "error<br>[mm]": [plain(s.error_mm, 2) for s in summary.steps],
+        "in plane<br>[mm]": [plain(s.in_plane_mm, 2) for s in summary.steps],
+        "normalised<br>[%]": [plain(s.normalised_percent, 2) if s.dwell else "" for s in summary.steps],
+        "settling<br>[s]": [plain(s.settling_s, 2) if s.dwell else "" for s in summary.steps],
+        "overshoot<br>[mbar]": [plain(s.overshoot_bar * 1e3, 1) if s.dwell else "" for s in summary.steps],
+        "tracking rms<br>[mbar]": [plain(s.tracking_rms_bar * 1e3, 1) for s in summary.steps],
+    }
+    shown = {name: cells for name, cells in columns.items() if any(cell not in ("", DASH) for cell in cells)}
+    if not summary.steps:
+        return ""
+    head = "<th>segment</th>" + "".join(f"<th class=n>{name}</th>" for name in shown)
+    rows = "".join(
+        f"<tr><td>{escape(step.label)}</td>{''.join(f'<td class=n>{cells[i]}</td>' for cells in shown.values())}</tr>"
+        for i, step in enumerate(summary.steps)
+    )
+    note = "<p class=small>Dwells: mean over their last part. Other segments: mean over the whole.</p>"
+    return f'<h2>Segments</h2>\n<div class="scroll"><table><tr>{head}</tr>{rows}</table></div>\n{note}'
+
+
+def _events(run: Run) -> str:
+    start = run.header.started_t_ns
+    rows = "".join(
+        f'<tr><td class=n>{(e.t_ns - start) / 1e9:.3f}</td><td class="{e.level}">{e.level}</td>'
+        f"<td>{escape(e.source)}</td><td>{escape(e.message)}</td></tr>"
+        for e in run.events
+    )
+    head = "<tr><th class=n>time [s]</th><th>level</th><th>source</th><th>message</th></tr>"
+    return f"<h2>Events</h2>\n<table>{head}{rows}</table>" if rows else ""
+
+
+def _provenance(run: Run) -> str:
+    header = run.header
+    commit = header.git_commit + (", with changes that were not committed" if header.git_diff else "")
+    facts = {
+        "run": header.run_id,
+        "protocol": header.protocol_name,
+        "rig": header.rig_name,
+        "model": header.model_variant,
+        "executor": header.executor + (f", seed {header.seed}" if header.seed is not None else ""),
+        "operator": header.operator,
+        "command": header.command,
+        "host": header.host,
+        "versions": ", ".join(f"{name} {version}" for name, version in sorted(header.versions.items())),
+        "git": commit if header.git_commit else "",
+        "archive": run.path.name,
+        "SHA-256": run.sha256,
+        "counted": ", ".join(f"{name.replace('_', ' ')} {n}" for name, n in run.timing.counters.items()),
+    }
+    rows = "".join(f"<tr><th>{name}</th><td>{escape(value)}</td></tr>" for name, value in facts.items() if value)
+    parts = [f'<h2>How it was made</h2>\n<table class="facts">{rows}</table>', _quantities(run)]
+    verbatim = {
+        "Protocol": header.protocol_yaml,
+        "Rig": header.rig_yaml,
+        "Identified parameters": header.parameters_yaml,
+        "Git diff": header.git_diff,
+    }
+    for name, text in verbatim.items():
+        if text:
+            parts.append(f"<details><summary>{name}, verbatim</summary><pre>{escape(text)}</pre></details>")
+    return "\n".join(part for part in parts if part)
+
+
+def _quantities(run: Run) -> str:
+    rows = "".join(
+        _row(q.room, q.name, ", ".join(f"{v:.6g}" for v in q.value), q.unit, plain(q.uncertainty, 3), q.source)
+        for q in run.header.quantities
+    )
+    if not rows:
+        return ""
+    names = ("of", "name", "value", "unit", "standard uncertainty", "source")
+    head = "".join(f"<th>{name}</th>" for name in names)
+    return f"<details><summary>Numbers that were used</summary><table><tr>{head}</tr>{rows}</table></details>"
+
+
+def _row(*cells: str) -> str:
+    return f"<tr>{''.join(f'<td>{escape(cell)}</td>' for cell in cells)}</tr>"

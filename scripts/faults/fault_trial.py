@@ -1,0 +1,140 @@
+"""What a trial is, and how its archive is judged: the same for both executors."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+import runs
+from runs.archive.writer import ArchiveError
+from runs.recovery import recover
+from runs.run import Run
+from scripts.faults.catalogue import Fault
+
+PROTOCOL = """
+title: Both valves in motion
+steps:
+  - ramp: {{actuators: [1, 2, 3], to_bar: 0.3, duration_s: 0.6}}
+  - sine: {{actuators: [1, 2, 3], mean_bar: 0.3, amplitude_bar: 0.2, omega_rad_s: 4, duration_s: {moving_s:g}}}
+"""
+EARLIEST_S, LATEST_S = 0.2, 2.0
+"""When a fault may strike, after the valves have begun to move."""
+TICK_S = 0.005
+
+
+@dataclass(frozen=True)
+class FaultTrial:
+    """What came of one fault at one moment. `wrong` is what was not as it must be, empty when all was.
+
+    `safe_s` is the time from the fault to the safe state, not a number where the run went on to its end.
+    """
+
+    fault: str
+    executor: str
+    at_s: float
+    status: str
+    told: str
+    safe_s: float
+    lost_s: float
+    wrong: str
+    skipped: str = ""
+
+
+class EndedBeforeError(Exception):
+    """The run ended by itself before the fault could strike; the message says what it told."""
+
+
+@dataclass(frozen=True)
+class Watched:
+    """What was seen from outside: monotonic or virtual times [ns]; `safe_ns` when the valves became safe for good."""
+
+    fault_ns: int
+    safe_ns: int | None
+    said: str
+    """Everything the operator was told on the terminal."""
+
+
+def judge(fault: Fault, executor: str, at_s: float, watched: Watched, folder: Path) -> FaultTrial:
+    """Compare what came of a trial with what has to; recovers the journal where the run could not."""
+    wrong = []
+    run = archive(folder)
+    status, said = "no archive", watched.said
+    lost_s = math.nan
+    if run is None:
+        wrong.append("no archive, and none could be recovered")
+    else:
+        status = str(run.status)
+        said = "\n".join((*(event.message for event in run.events), run.message, said))
+        if run.status not in fault.ends:
+            wrong.append(f"status {status} ({run.message})")
+        lost_s = _lost_s(run, watched)
+        if lost_s > 0.1:
+            wrong.append(f"{lost_s:.2f} s of samples lost")
+    found = re.search(fault.says, said)
+    told = _sentence(said, found) if found and fault.says else ""
+    if not found:
+        heard = f"{run.message if run else ''} | {said[-600:]}"
+        wrong.append(f"the operator was not told: nothing like '{fault.says}' in {heard!r}")
+    if "Traceback" in said:
+        wrong.append(f"a traceback: {said[-800:]}")
+    if fault.safe and watched.safe_ns is None:
+        wrong.append("THE VALVES ARE NOT SAFE")
+    ended_itself = run is not None and status == "finished"
+    safe_s = math.nan
+    if watched.safe_ns is not None and not ended_itself:
+        safe_s = (watched.safe_ns - watched.fault_ns) * 1e-9
+        if safe_s > fault.within_s:
+            wrong.append(f"safe only after {safe_s:.1f} s")
+    return FaultTrial(fault.name, executor, at_s, status, told, safe_s, lost_s, "; ".join(wrong))
+
+
+def skipped(fault: Fault, executor: str, at_s: float, why: str) -> FaultTrial:
+    """A trial that this machine does not allow."""
+    return FaultTrial(fault.name, executor, at_s, "", "", math.nan, math.nan, "", why)
+
+
+def worst(values: Sequence[float]) -> float:
+    """The largest value; not a number where there is none."""
+    known = [value for value in values if not math.isnan(value)]
+    return max(known) if known else math.nan
+
+
+def archive(folder: Path) -> Run | None:
+    """What a run has left in a folder, or what its journal is good for; None where nothing is."""
+    if not list(folder.glob("*.h5")):
+        recover(folder)
+    for path in folder.glob("*.h5"):
+        try:
+            return runs.open(path)
+        except ArchiveError:
+            continue
+    return None
+
+
+def _lost_s(run: Run, watched: Watched) -> float:
+    """Time in which control worked, or should have, of which no sample is in the archive.
+
+    A deadline that control missed is no lost sample: the archive counts it, and its scans are in the next row.
+    """
+    pressure, timing = run.pressure, run.timing
+    if not len(pressure.tick):
+        return math.inf
+    holes = np.diff(pressure.tick) - 1 - timing.overruns[1:]
+    lost_s = float(np.clip(holes, 0, None).sum()) * TICK_S
+    last_ns = run.header.started_t_ns + round(float(pressure.time_s[-1]) * 1e9)
+    until_ns = watched.fault_ns
+    if str(run.status) == "aborted" and watched.safe_ns is not None:
+        # From the last sample to the fault only: after it, control may have been stopped.
+        until_ns = min(watched.fault_ns, watched.safe_ns)
+    return lost_s + max(0.0, (until_ns - last_ns) * 1e-9 - 2 * TICK_S)
+
+
+def _sentence(said: str, found: re.Match[str]) -> str:
+    start = said.rfind("\n", 0, found.start()) + 1
+    end = said.find("\n", found.end())
+    return said[start : end if end >= 0 else None].strip()

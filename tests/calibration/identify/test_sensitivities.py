@@ -1,0 +1,109 @@
+"""The slopes that an identification climbs by are those of what it predicts."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import model
+from calibration.identify import Poses, Setup, named
+from calibration.identify.least_squares import Problem
+from calibration.identify.simulated_experiments import plan
+from calibration.identify.tip_predictor import Predictor
+from model.arm import ModulusRule
+
+BAR = 1e5
+FREE = ("law", "rpe_per_bar", "density_kg_m3", "damping_s", "cap_mass_kg", "length_m", "base", "tool_z_m",
+        "actuator_1_turn_rad", "sensor_gains", "sensor_offsets")  # fmt: skip
+RESTING = plan("rest", np.array([[0.3, 0.1, 0.5], [0.55, 0.2, 0.05], [0.0, 0.0, 0.0]]) * BAR, np.array([0.0, 0.3, 0.1]))
+MOVING = plan(
+    "motion", np.stack([0.3 + 0.2 * np.sin(0.3 * np.arange(7)), 0.1 + np.zeros(7), np.zeros(7)], axis=1) * BAR,
+    period_s=1 / 30,
+)  # fmt: skip
+
+
+def start() -> Setup:
+    arm = replace(model.Arm.paper(), rod_weight=True)
+    return Setup(replace(arm, material=replace(arm.material, damping_s=0.01)), tool_offset_m=(0.0, 0.01, 0.03))
+
+
+def differences(problem: Problem, z: NDArray[np.float64], i: int, run: int) -> NDArray[np.float64]:
+    """Derivative of a run's predicted tips by central differences of three sizes, extrapolated."""
+
+    def tips(by: float) -> NDArray[np.float64]:
+        there = z.copy()
+        there[i] += by
+        return problem.predicted(there)[run]
+
+    one, two, four = ((tips(h) - tips(-h)) / (2 * h) for h in (2e-3, 4e-3, 8e-3))
+    return (64 * one - 20 * two + four) / 45
+
+
+def test_slopes_are_those_of_whole_predictions_at_rest_and_in_motion(monkeypatch: pytest.MonkeyPatch) -> None:
+    # What Newton's method leaves of a step differs from one parameter to the next: here it leaves nothing.
+    monkeypatch.setattr("model.dynamics.CLOSE", 1e-7)
+    problem = Problem([RESTING, MOVING], start(), named(FREE, 3))
+    z = np.random.default_rng(4).uniform(-0.05, 0.05, len(problem.unknowns))
+    found = problem.slopes(z, range(len(z)))
+    for i, unknown in enumerate(problem.unknowns):
+        for run, tolerance in ((0, 2e-7), (1, 2e-6)):
+            expected = differences(problem, z, i, run)
+            assert found[run][:, :, i] == pytest.approx(expected, rel=1e-4, abs=tolerance), unknown
+
+
+def test_slopes_at_a_bound_look_inwards() -> None:
+    material = replace(start().arm.material, shear_ratio=5.0)
+    problem = Problem(
+        [RESTING], replace(start(), arm=replace(start().arm, material=material)), named(["shear_ratio"], 3)
+    )
+    z = np.zeros(1)
+    inside = problem.predicted(z - 2e-3)[0], problem.predicted(z - 1e-3)[0], problem.predicted(z)[0]
+    expected = (3 * inside[2] - 4 * inside[1] + inside[0]) / 2e-3
+    found = problem.slopes(z, [0])[0][:, :, 0]
+    assert np.abs(found).max() > 1e-6
+    assert found == pytest.approx(expected, rel=1e-2, abs=1e-7)
+
+
+PULLED = replace(
+    MOVING, wrench=np.array([[0.3, -0.2, 0.4, 0.004, -0.002, 0.003]]) * np.cos(0.2 * np.arange(7))[:, None]
+)
+
+
+@pytest.mark.parametrize(
+    ("poses", "rule", "free"),
+    [
+        (MOVING, "secant", ("law",)),
+        (PULLED, "pointwise", ("law", "tool_x_m", "base_rx_rad")),
+        (PULLED, "secant", ("law",)),
+    ],
+)
+def test_slopes_in_motion_are_those_of_whole_predictions_for_frozen_moduli_and_under_a_wrench(
+    monkeypatch: pytest.MonkeyPatch, poses: Poses, rule: ModulusRule, free: tuple[str, ...]
+) -> None:
+    monkeypatch.setattr("model.dynamics.CLOSE", 1e-7)
+    problem = Problem([poses], replace(start(), arm=replace(start().arm, modulus_rule=rule)), named(free, 3))
+    z = np.zeros(len(problem.unknowns))
+    found = problem.slopes(z, range(len(z)))[0]
+    assert np.abs(found).max(axis=(0, 1)).min() > 1e-4
+    for i in range(len(z)):
+        assert found[:, :, i] == pytest.approx(differences(problem, z, i, 0), rel=1e-4, abs=2e-6)
+
+
+def test_a_slow_motion_under_a_wrench_is_a_row_of_equilibria() -> None:
+    slow = Predictor(replace(PULLED, period_s=30.0))(start())
+    still = Predictor(replace(PULLED, period_s=0.0))(start())
+    assert np.linalg.norm(slow - Predictor(MOVING)(start()), axis=1).min() > 1e-3
+    assert slow == pytest.approx(still, abs=1e-5)
+
+
+def test_noise_of_pressures_counts_at_the_measured_point_under_what_pulls_there() -> None:
+    turned = replace(start(), base_rotation_rad=(0.0, 0.0, 1.5), tool_offset_m=(0.0, 0.0, 0.2))
+    poses = replace(PULLED, period_s=0.0, pressure_std_pa=np.full((7, 3), 30.0))
+    often = poses.only(np.repeat(np.arange(7), 1000))
+    noise = 30.0 * np.random.default_rng(2).standard_normal((7000, 3))
+    tips = Predictor(replace(often, pressure_pa=often.pressure_pa + noise))(turned).reshape(7, 1000, 3)
+    for found, seen in zip(Predictor(poses).pressure_covariance(turned), tips, strict=True):
+        assert np.linalg.norm(np.cov(seen.T) - found) < 0.15 * np.linalg.norm(found)

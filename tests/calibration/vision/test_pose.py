@@ -1,0 +1,123 @@
+"""The pose's covariance is honest, and transforms carry it as they must."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from calibration.vision.pose import refine, solutions
+from calibration.vision.tcp import tip_in_base
+from calibration.vision.transforms import RigidTransform
+from tests.support.vision_bench import BOARD, LENS, facing
+
+angles = st.tuples(*[st.floats(-3, 3)] * 3)
+places = st.tuples(*[st.floats(-2, 2)] * 3)
+
+
+@settings(max_examples=60)
+@given(angles, places, angles, places, places)
+def test_transforms_compose_and_invert(
+    a: tuple[float, float, float],
+    s: tuple[float, float, float],
+    b: tuple[float, float, float],
+    t: tuple[float, float, float],
+    x: tuple[float, float, float],
+) -> None:
+    outer, inner, point = RigidTransform.from_vectors(a, s), RigidTransform.from_vectors(b, t), np.array(x)
+    assert np.allclose((outer @ inner).apply(point), outer.apply(inner.apply(point)), atol=1e-12)
+    assert np.allclose(outer.inverse().apply(outer.apply(point)), point, atol=1e-12)
+    origin, _ = outer.parent_origin()
+    assert np.allclose(outer.apply(origin), 0, atol=1e-12)
+
+
+def test_an_uncertain_transform_scatters_points_as_its_covariance_says() -> None:
+    rng = np.random.default_rng(1)
+    frame = RigidTransform.from_vectors((0.3, -0.8, 1.1), (0.1, 0.2, 0.3), 0.002, np.deg2rad(0.5))
+    point = np.array([0.05, -0.2, 0.4])
+    _, covariance = frame.transport(point, np.zeros((3, 3)))
+    samples = []
+    for _ in range(4000):
+        slip = RigidTransform.from_vectors(rng.normal(0, frame.rotation_std_rad, 3), (0.0, 0.0, 0.0)).rotation
+        samples.append(slip @ frame.rotation @ point + frame.translation_m + rng.normal(0, 0.002, 3))
+    assert np.allclose(np.cov(np.array(samples).T), covariance, atol=0.08 * np.trace(covariance))
+
+
+@pytest.mark.parametrize("tilt_deg", [5, 25, 40])
+def test_the_poses_covariance_holds_the_truth_as_often_as_it_says(tilt_deg: float) -> None:
+    rng = np.random.default_rng(int(tilt_deg))
+    std, held, trials = 0.05, 0, 400
+    tip = np.array([0.0, 0.035, -0.02])
+    for _ in range(trials):
+        truth = facing(rng.uniform(-0.05, 0.05), rng.uniform(-0.03, 0.03), tilt_deg=tilt_deg, roll_deg=30)
+        vector = _vector(truth)
+        exact = LENS.project(BOARD.corners_m, vector, truth.translation_m)
+        pose = refine(
+            BOARD.corners_m,
+            exact + rng.normal(0, std, exact.shape),
+            LENS,
+            (vector, truth.translation_m),
+            np.broadcast_to(std**2 * np.eye(2), (len(exact), 2, 2)),
+        )
+        assert pose is not None
+        point, covariance = pose.point(tip)
+        error = point - truth.apply(tip)
+        held += float(error @ np.linalg.solve(covariance, error)) < 7.815
+    assert 0.91 <= held / trials <= 0.985
+
+
+def _vector(pose: RigidTransform) -> np.ndarray:
+    vector, _ = cv2.Rodrigues(pose.rotation)
+    return np.asarray(vector, dtype=np.float64).ravel()
+
+
+def test_a_plane_has_two_poses_and_the_better_one_comes_first() -> None:
+    truth = facing(0.02, -0.01, tilt_deg=30)
+    exact = LENS.project(BOARD.corners_m, _vector(truth), truth.translation_m)
+    found = solutions(BOARD.corners_m, exact, LENS)
+    better, worse = found
+    assert better.misfit < 1e-6
+    assert np.allclose(better.translation_m, truth.translation_m, atol=1e-7)
+    assert worse.misfit > 100
+
+
+def test_a_start_far_off_converges_or_is_refused_and_never_ends_behind_the_camera() -> None:
+    truth = facing()
+    exact = LENS.project(BOARD.corners_m, _vector(truth), truth.translation_m)
+    rng = np.random.default_rng(7)
+    for _ in range(50):
+        start = (rng.uniform(-3, 3, 3), rng.uniform((-0.3, -0.3, 0.05), (0.3, 0.3, 1.0)))
+        pose = refine(BOARD.corners_m, exact, LENS, start)
+        assert pose is None or pose.translation_m[2] > 0
+
+
+def test_the_tip_in_the_base_is_the_tip_whatever_the_places_of_board_and_camera() -> None:
+    tip_in_base_true = RigidTransform.from_vectors((0.1, 0.5, -0.2), (0.04, 0.001, 0.172))
+    board_in_tip = RigidTransform.from_vectors((-1.0, 0.1, 0.2), (0.001, 0.002, 0.035))
+    camera_in_base = RigidTransform.from_vectors((1.5, 0.02, -0.03), (0.01, 0.4, 0.2))
+    seen = camera_in_base.inverse() @ tip_in_base_true @ board_in_tip
+    exact = LENS.project(BOARD.corners_m, _vector(seen), seen.translation_m)
+    pose = refine(BOARD.corners_m, exact, LENS, (_vector(seen), seen.translation_m))
+    assert pose is not None
+    tip, covariance = tip_in_base(pose, board_in_tip, camera_in_base)
+    assert np.allclose(tip, tip_in_base_true.translation_m, atol=1e-8)
+    loose = RigidTransform(camera_in_base.rotation, camera_in_base.translation_m, 1e-3, np.deg2rad(0.1))
+    _, wider = tip_in_base(pose, board_in_tip, loose)
+    assert np.all(np.linalg.eigvalsh(wider - covariance) > 0.9e-6)
+
+
+def test_what_is_uncertain_of_the_boards_place_turns_with_the_tip() -> None:
+    tip = RigidTransform.from_vectors((0.1, 0.5, -0.2), (0.04, 0.001, 0.172))
+    board = RigidTransform.from_vectors((-1.0, 0.1, 0.2), (0.001, 0.002, 0.035))
+    camera = RigidTransform.from_vectors((1.5, 0.02, -0.03), (0.01, 0.4, 0.2))
+    seen = camera.inverse() @ tip @ board
+    exact = LENS.project(BOARD.corners_m, _vector(seen), seen.translation_m)
+    pose = refine(BOARD.corners_m, exact, LENS, (_vector(seen), seen.translation_m))
+    assert pose is not None
+    loose = RigidTransform(board.rotation, board.translation_m, 1e-3, 0.02)
+    adds = tip_in_base(pose, loose, camera)[1] - tip_in_base(pose, board, camera)[1]
+    lever = tip.rotation @ board.translation_m
+    expected = 1e-6 * np.eye(3) + 0.02**2 * (lever @ lever * np.eye(3) - np.outer(lever, lever))
+    assert adds == pytest.approx(expected, abs=1e-12)

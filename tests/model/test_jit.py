@@ -1,0 +1,96 @@
+"""Compiled kernels: kept on disk, never stale, ready after `python -m model.warm`, loaded only when used."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import model
+
+ROOT = Path(model.__file__).parent.parent
+
+SMALL_KERNELS = """
+from model.compiled import kernel
+
+@kernel
+def value():
+    return {value}
+"""
+CALLER = """
+from model.compiled import kernel
+from model.small import value
+
+@kernel
+def twice():
+    return 2 * value()
+"""
+
+
+def python(code: str, folder: Path, cache: Path) -> str:
+    environment = {**os.environ, "SOFTRIG_CACHE": str(cache), "PYTHONPATH": str(folder)}
+    done = subprocess.run(
+        [sys.executable, "-W", "error", "-c", code],
+        env=environment,
+        cwd=folder,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout.strip()
+
+
+def test_a_changed_callee_in_another_file_is_never_served_stale(tmp_path: Path) -> None:
+    # numba's own cache would return 2: it looks only at the caller's file.
+    package = tmp_path / "model"
+    package.mkdir()
+    shutil.copy(ROOT / "model" / "compiled.py", package)
+    (package / "__init__.py").write_text("")
+    (package / "caller.py").write_text(CALLER)
+    for value in (1, 5):
+        (package / "small.py").write_text(SMALL_KERNELS.format(value=value))
+        assert python("from model.caller import twice; print(twice())", tmp_path, tmp_path / "cache") == str(2 * value)
+
+
+def test_what_was_compiled_is_found_again_and_no_compiler_runs(tmp_path: Path) -> None:
+    package = tmp_path / "model"
+    package.mkdir()
+    shutil.copy(ROOT / "model" / "compiled.py", package)
+    (package / "__init__.py").write_text("")
+    (package / "caller.py").write_text(CALLER)
+    (package / "small.py").write_text(SMALL_KERNELS.format(value=3))
+    code = "from model.caller import twice; print(twice(), sum(twice.stats.cache_hits.values()))"
+    assert python(code, tmp_path, tmp_path / "cache") == "6 0"
+    assert python(code, tmp_path, tmp_path / "cache") == "6 1"
+
+
+def test_the_cache_leaves_other_users_of_numba_alone(tmp_path: Path) -> None:
+    code = "import numba; b = numba.config.CACHE_DIR; import model.kernels.linear_algebra; print(numba.config.CACHE_DIR == b)"
+    assert python(code, ROOT, tmp_path) == "True"
+
+
+def test_importing_the_model_loads_neither_numba_nor_scipy(tmp_path: Path) -> None:
+    code = "import sys, model; print([m for m in ('numba', 'scipy', 'matplotlib') if m in sys.modules])"
+    assert python(code, ROOT, tmp_path) == "[]"
+
+
+def test_warming_up_says_where_the_kernels_are(tmp_path: Path) -> None:
+    done = subprocess.run([sys.executable, "-m", "model.warm"], cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert "kernels-" in done.stdout
+    assert "ready" in done.stdout
+
+
+def test_warming_up_fails_loudly_when_there_is_nowhere_to_keep_them(tmp_path: Path) -> None:
+    blocked = tmp_path / "file"
+    blocked.write_text("not a folder")
+    environment = {**os.environ, "SOFTRIG_CACHE": str(blocked)}
+    done = subprocess.run(
+        [sys.executable, "-m", "model.warm"], cwd=ROOT, env=environment, capture_output=True, text=True, check=False
+    )
+    assert done.returncode != 0
+    assert "SOFTRIG_CACHE" in done.stderr
+    assert "Traceback" not in done.stderr

@@ -1,0 +1,50 @@
+"""The examples of the guides work as printed."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from protocols.document import parse, validate
+from protocols.expansion import expand
+from protocols.schema import ProtocolFile
+from rig.config.loader import text
+from rig.config.schema import RigConfig
+
+DOCS = Path(__file__).parents[2] / "docs"
+
+
+def examples(guide: str) -> list[str]:
+    return re.findall(r"```yaml\n(.*?)```", (DOCS / guide).read_text(encoding="utf-8"), flags=re.DOTALL)
+
+
+@pytest.mark.parametrize("example", examples("protocols.md"))
+def test_protocol_examples_expand(example: str) -> None:
+    document = parse(example, "protocols.md")
+    assert expand(validate(ProtocolFile, document).steps, 3, document, {}).duration_s > 0
+
+
+@pytest.mark.parametrize("example", examples("rig-yaml.md"))
+def test_rig_examples_fit_into_a_rig(example: str) -> None:
+    section = parse(example, "rig-yaml.md").data
+    base = parse(text("pci1716"), "pci1716.yaml").data
+    for name, values in section.items():
+        # An example may show one of several valves or sensors.
+        if isinstance(values, list):
+            base[name] = [*values, *base.get(name, [])[len(values) :]]
+        else:
+            base[name] = values
+    assert RigConfig.model_validate(base)
+
+
+@pytest.mark.parametrize("guide", ["protocols.md", "rig-yaml.md"])
+def test_every_key_of_the_schema_is_in_the_guide(guide: str) -> None:
+    written = (DOCS / guide).read_text(encoding="utf-8")
+    model = ProtocolFile if guide == "protocols.md" else RigConfig
+    schema = model.model_json_schema()
+    parts = {name: part for name, part in schema["$defs"].items() if not name.startswith(("Simulat", "Built"))}
+    keys = {key for part in (schema, *parts.values()) for key in part.get("properties", {})}
+    told = set(re.findall(r"\w+", written))
+    assert keys - told - {"description"} == set()

@@ -1,0 +1,126 @@
+"""The control periods of a calibration in real time, and the watchdog beside them."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import threading
+import time
+from collections import deque
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import rig.config.loader
+from rig.calibrate import bench_session
+from rig.calibrate.bench_session import RealTimeClock, real
+from rig.execution.plan import StartError
+from rig.hardware.cards.base import CardError
+from rig.hardware.lock import lock_file
+from rig.realtime.process_monitor import ProcessMonitor
+from rig.realtime.shared_state import SharedState, StateLayout
+from rig.simulator.registers import Registers
+
+PERIOD_NS = 2_000_000
+
+
+@pytest.fixture
+def memory() -> Iterator[SharedState]:
+    memory = SharedState.create(StateLayout.of(rig.config.loader.load("mock")))
+    yield memory
+    os.close(memory.fd)
+
+
+@pytest.fixture
+def watchdog() -> Iterator[subprocess.Popen[bytes]]:
+    """A process that lives."""
+    with subprocess.Popen(["sleep", "60"]) as process:
+        yield process
+        process.kill()
+
+
+def test_every_period_is_a_sign_of_life_and_a_dead_watchdog_ends_the_drive(
+    memory: SharedState, watchdog: subprocess.Popen[bytes]
+) -> None:
+    ticks = RealTimeClock(memory, PERIOD_NS, ProcessMonitor(watchdog.pid))
+    before, now = ticks.next(), ticks.next()
+    assert now > before
+    assert memory.heartbeat_ns("control") == memory.heartbeat_ns("conductor") == now
+    watchdog.kill()
+    watchdog.wait()
+    with pytest.raises(StartError, match="the watchdog process died"):
+        ticks.next()
+
+
+def test_a_watchdog_that_gives_no_sign_of_life_ends_the_drive(
+    memory: SharedState, watchdog: subprocess.Popen[bytes], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(bench_session, "WATCHDOG_SILENT_NS", 100 * PERIOD_NS)
+    ticks = RealTimeClock(memory, PERIOD_NS, ProcessMonitor(watchdog.pid))
+    for _ in range(20):
+        memory.beat("watchdog", time.monotonic_ns())
+        ticks.next()
+    with pytest.raises(StartError, match="the watchdog is silent"):
+        deque((ticks.next() for _ in range(10_000)), maxlen=0)
+
+
+def test_who_is_told_that_the_watchdog_took_over_is_told_why(
+    memory: SharedState, watchdog: subprocess.Popen[bytes]
+) -> None:
+    ticks = RealTimeClock(memory, PERIOD_NS, ProcessMonitor(watchdog.pid))
+    memory.board["watchdog"]["message"] = b"the control process hung"
+    memory.set("fired_ns", 1)
+    with pytest.raises(StartError, match="took the bench over: the control process hung"):
+        ticks.next()
+
+
+@pytest.fixture
+def empty() -> Iterator[Registers]:
+    """A mock card that samples chambers without pressure, whatever its valves do."""
+    registers = Registers.create(f"clocked-{os.getpid()}", 2, 8)
+    ended = threading.Event()
+
+    def sample() -> None:
+        while not ended.wait(0.002):
+            registers.push_scans(np.array([time.monotonic_ns()]), np.zeros((1, 8)))
+
+    sampling = threading.Thread(target=sample)
+    sampling.start()
+    yield registers
+    ended.set()
+    sampling.join()
+    path = registers.path
+    registers.close()
+    path.unlink()
+
+
+def test_valves_that_a_drive_would_hold_stay_vented_where_another_program_has_vented_them(
+    empty: Registers, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(bench_session, "become_real_time", lambda priority: None)
+    text = rig.config.loader.text("mock").replace("device: mock0", f"device: clocked-{os.getpid()}", 1)
+    text = text.replace("type: flow\n", "type: flow\n    safe_state: hold\n").replace("stale_s: 0.1", "stale_s: 5")
+    file = tmp_path / "rig.yaml"
+    file.write_text(text.replace("  no_tip_s: 1.0\n", "  no_tip_s: 1.0\n  hung_s: 5\n"))
+    config = rig.config.loader.load(file)
+    told = np.array([6.0, 7.0])
+    stood = []
+
+    def drive() -> None:
+        with real(config, file, "a test") as (valves, ticks):
+            stood.append(empty.outputs["volts"].tolist())
+            valves.write(told)
+            ticks.next()
+            valves.write(told)
+            stood.append(empty.outputs["volts"].tolist())
+            empty.outputs["volts"] = 0.0
+            valves.write(told)
+
+    with pytest.raises(CardError, match="another program has written to the card"):
+        drive()
+    assert stood == [pytest.approx([5.0, 5.0], abs=1e-3), pytest.approx(told.tolist(), abs=1e-3)]
+    assert empty.outputs["volts"].tolist() == [0.0, 0.0]
+    for card in config.cards.values():
+        lock_file(card).unlink(missing_ok=True)

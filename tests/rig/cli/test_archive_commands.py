@@ -1,0 +1,78 @@
+"""What the commands about archives print where there is little to print, or nowhere to write it."""
+
+from __future__ import annotations
+
+import dataclasses
+import io
+import sys
+from pathlib import Path
+
+import pytest
+
+import tests.support.synthetic_runs as made_up
+from rig.cli.app import main
+from runs.archive.writer import finalise
+from runs.journal.journal import JournalWriter
+from runs.records import RunFooter, Status
+
+
+def status_of(*words: object) -> object:
+    with pytest.raises(SystemExit) as ended:
+        main([str(word) for word in words])
+    return ended.value.code
+
+
+@pytest.fixture
+def short(tmp_path: Path) -> Path:
+    """A run so short that no frame was seen and no pressure settled."""
+    made_up.write_journal(tmp_path / "short.mcap", duration_s=0.0, pictures=0)
+    return finalise(tmp_path / "short.mcap")
+
+
+def test_what_was_not_measured_is_a_dash(short: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert status_of("show", short) == 0
+    shown = capsys.readouterr().out
+    assert "nan" not in shown
+    assert [line.split()[-1] for line in shown.splitlines() if "mean error" in line] == ["-"]
+
+
+def test_what_ran_without_deadlines_is_not_said_to_have_met_them(
+    short: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    made_up.write_journal(tmp_path / "timed.mcap", duration_s=0.1)
+    assert status_of("show", short) == 0
+    assert "deadlines" not in capsys.readouterr().out
+    assert status_of("show", finalise(tmp_path / "timed.mcap")) == 0
+    assert "deadlines missed" in capsys.readouterr().out
+
+
+def test_a_listed_run_can_be_named_as_it_stands(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    run_id = "20260102-030405-extension-weights-replay-12"
+    named = dataclasses.replace(
+        made_up.header(run_id), rig_name="a-bench-of-many-words", protocol_name="weights-up-and-down", operator="grace"
+    )
+    writer = JournalWriter(tmp_path / f"{run_id}.mcap", named)
+    writer.close(RunFooter(made_up.START_NS, Status.FINISHED, ""))
+    finalise(writer.path)
+    assert status_of("runs", tmp_path) == 0
+    assert run_id in capsys.readouterr().out
+
+
+def test_a_terminal_that_cannot_show_a_sign_gets_another(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    writer = JournalWriter(tmp_path / "u.mcap", dataclasses.replace(made_up.header("u"), title="Größe 腕"))
+    writer.close(RunFooter(made_up.START_NS, Status.FINISHED, ""))
+    archive, plain = finalise(writer.path), io.TextIOWrapper(io.BytesIO(), "latin-1")
+    monkeypatch.setattr(sys, "stdout", plain)
+    assert status_of("show", archive) == 0
+    plain.seek(0)
+    assert "Größe ?" in plain.read()
+
+
+def test_a_report_goes_into_a_new_folder(short: Path, tmp_path: Path) -> None:
+    assert status_of("report", short, "--to", tmp_path / "new" / "folder" / "a.html") == 0
+    assert (tmp_path / "new" / "folder" / "a.html").read_text(encoding="utf-8").startswith("<!doctype html>")
+
+
+def test_what_the_system_refuses_is_named_without_its_number(short: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert status_of("report", short, "--to", "/proc/nowhere/a.html") == 1
+    assert capsys.readouterr().err == "/proc/nowhere: No such file or directory\n"

@@ -1,0 +1,314 @@
+"""The `rig` command: what it prints, what it returns, and that no error of the user's is a traceback."""
+
+from __future__ import annotations
+
+import io
+import json
+import signal
+import subprocess
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import runs
+from rig.cli.app import main
+from rig.config import loader
+from rig.simulator.registers import Registers
+from runs.records import DetectionStatus
+from tests.support.rig_process import write_rig
+from tests.support.shared_data import shared_data
+
+SHORT = "title: Short\nsteps:\n  - ramp: {actuators: [1], to_bar: 0.3, duration_s: 1}\n"
+
+
+def rig(arguments: Sequence[str | Path], cwd: Path) -> subprocess.CompletedProcess[str]:
+    """Run the command as a user would."""
+    return subprocess.run(
+        [sys.executable, "-m", "rig", *map(str, arguments)],
+        capture_output=True,
+        text=True,
+        cwd=cwd,
+        stdin=subprocess.DEVNULL,
+        check=False,
+        timeout=120,
+    )
+
+
+@pytest.fixture
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """An empty folder to stand in."""
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def inside(*arguments: str | Path) -> int:
+    """Run the command in this process, which spares its start; what it does not catch reaches the test."""
+    with pytest.raises(SystemExit) as left:
+        main([*map(str, arguments)])
+    assert isinstance(left.value.code, int)
+    return left.value.code
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with one short virtual run in data/."""
+    folder = tmp_path_factory.mktemp("recorded")
+    (folder / "short.yaml").write_text(SHORT)
+    done = rig(["run", "short.yaml", "--fast", "--yes", "--operator", "ada", "--note", "first"], folder)
+    assert done.returncode == 0, done.stderr
+    (folder / "said.txt").write_text(done.stdout)
+    return folder
+
+
+def test_a_run_leaves_an_archive_and_a_report_in_the_data_folder(recorded: Path) -> None:
+    (archive,) = (recorded / "data").glob("*.h5")
+    assert archive.with_suffix(".html").stat().st_size > 10_000
+    run = runs.open(archive)
+    assert run.header.operator == "ada"
+    assert run.header.notes == "first"
+    assert run.header.protocol_yaml == SHORT
+
+
+def test_the_last_screen_says_how_it_ended_and_where_it_lies(recorded: Path) -> None:
+    said = (recorded / "said.txt").read_text()
+    assert "finished" in said
+    assert "archive  data/" in said
+    assert "whole run (simulated): mean error" in said
+
+
+def test_help_does_not_import_the_heavy_rooms(tmp_path: Path) -> None:
+    program = (
+        "import sys, rig.cli.app\n"
+        "try: rig.cli.app.main(['--help'])\n"
+        "except SystemExit: pass\n"
+        "heavy = {'numpy', 'numba', 'cv2', 'h5py', 'scipy', 'matplotlib', 'pydantic'} & set(sys.modules)\n"
+        "sys.exit(', '.join(heavy) or 0)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+
+
+def test_ctrl_c_while_modules_load_ends_it_without_a_word() -> None:
+    interrupted_in_an_import = (
+        "import os, signal, sys\n"
+        "class Finder:\n"
+        "    def find_spec(self, name, path=None, target=None):\n"
+        "        if name == 'typer': os.kill(os.getpid(), signal.SIGINT)\n"
+        "sys.meta_path.insert(0, Finder())\n"
+        "from rig.__main__ import main\n"
+        "main()\n"
+    )
+    command = [sys.executable, "-c", interrupted_in_an_import]
+    ended = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert (ended.returncode, ended.stdout, ended.stderr) == (-signal.SIGINT, "", "")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["run", "ramp-z", "--fast", "--yes"], "ramp-a"),
+        (["run", "ramp-a", "--rig", "mook", "--fast", "--yes"], "mock"),
+        (["run", "ramp-a", "--model", "homogenous", "--fast", "--yes"], "homogeneous"),
+        (["run", "missing.yaml", "--fast", "--yes"], "missing.yaml"),
+        (["check", "/"], "/"),
+        (["show", "no-such-run"], "no-such-run"),
+        (["report", "no-such-run"], "no-such-run"),
+        (["export", "no-such-run"], "no-such-run"),
+        (["calibrate", "camera", "nowhere", "--corners", "9x6", "--square-mm", "25"], "nowhere"),
+        (["calibrate", "camera", ".", "--corners", "9", "--square-mm", "25"], "9x6"),
+        (["run", "ramp-a", "--seed", "-1", "--fast", "--yes"], "seed"),
+        (["run", "ramp-a", "--fast", "--yes", "--listen", "0.0.0.0"], "--live"),
+        (["show", "."], "no such archive"),
+        (["show", "/"], "no such archive"),
+        (["live", "here", "--pid", "1"], "--pid"),
+        (["show", "x" * 300], "File name too long"),
+        (["report", "no-such-run", "--to", "other.h5"], "ends with .html"),
+        (["report", "no-such-run", "--to", "."], "ends with .html"),
+        (["runs", "nowhere"], "a folder of archives"),
+        (["recover", "nowhere"], "a folder of archives"),
+        (["runs", "--since", "yesterday", "--status", "finsihed"], "did you mean finished?"),
+    ],
+)
+def test_bad_input_gives_one_message_and_status_2(
+    here: Path, arguments: list[str], said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert inside(*arguments) == 2
+    assert said in capsys.readouterr().err
+    assert not list(here.iterdir())
+
+
+def test_a_process_of_its_own_says_the_same_without_a_traceback(tmp_path: Path) -> None:
+    done = rig(["run", "ramp-z", "--fast", "--yes"], tmp_path)
+    assert done.returncode == 2, done.stderr
+    assert "ramp-a" in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_an_address_of_another_machine_is_bad_input(recorded: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (archive,) = (recorded / "data").glob("*.h5")
+    for address in ("lab", "192.0.2.1"):
+        assert inside("live", archive, "--listen", address) == 2
+        assert f"found     {address}" in capsys.readouterr().err
+
+
+def test_the_page_is_not_opened_on_what_is_no_archive(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (here / "notes.h5").write_text("no archive")
+    assert inside("live", "notes.h5", "--port", "0") == 2
+    said = capsys.readouterr()
+    assert "not an archive of softrig" in said.err
+    assert "live page" not in said.out
+
+
+def test_what_is_wrong_with_the_protocol_and_the_rig_is_said_at_once(
+    here: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (here / "p.yaml").write_text("title: x\nsteps: 3\n")
+    (here / "r.yaml").write_text("name: 3\n")
+    assert inside("check", "p.yaml", "--rig", "r.yaml") == 2
+    said = capsys.readouterr().err
+    assert "p.yaml:2" in said
+    assert "r.yaml:1" in said
+
+
+def test_without_yes_and_without_a_terminal_nothing_is_armed(
+    here: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("sys.stdin", io.StringIO("y\n"))
+    assert inside("run", "ramp-a", "--fast") == 2
+    assert "--yes" in capsys.readouterr().out
+    assert not (here / "data").exists()
+
+
+def test_vent_says_which_bench_it_was_and_that_it_is_simulated(
+    here: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("rig.realtime.scheduling.raise_priority", lambda: None)
+    bench = write_rig(here)
+    registers = Registers.create(loader.load(bench).cards["daq"].device, outputs=2, inputs=16)
+    try:
+        assert inside("vent", "--rig", bench) == 0
+    finally:
+        registers.path.unlink()
+    assert "every chamber of rig mock is open to the exhaust (simulated" in capsys.readouterr().out
+
+
+def test_a_data_folder_that_cannot_be_written_is_said_so(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (here / "data").write_text("a file")
+    assert inside("run", "ramp-a", "--fast", "--yes") in (1, 2)
+    assert "data" in capsys.readouterr().err
+
+
+def test_check_prints_the_peak_pressure_and_the_limit_without_touching_anything(
+    here: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert inside("check", "ramp-b", "--json") == 0
+    facts = json.loads(capsys.readouterr().out)
+    assert facts["peak_bar"] == pytest.approx([0, 0.65, 0.65])
+    assert facts["limit_bar"] >= 0.65
+    assert not list(here.iterdir())
+
+
+def test_a_real_card_beside_a_simulated_camera_is_not_called_untouched(
+    here: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    mixed = loader.text("mock").replace("daq: {driver: mock, device: mock0", "daq: {driver: comedi, device: pci1716")
+    (here / "mixed.yaml").write_text(mixed)
+    assert inside("check", "ramp-a", "--rig", "mixed.yaml") == 0
+    assert "SIMULATED in part: card daq is real" in capsys.readouterr().out
+
+
+@pytest.mark.usefixtures("here")
+def test_doctor_names_what_is_missing_and_what_to_do(capsys: pytest.CaptureFixture[str]) -> None:
+    inside("doctor", "--json")
+    findings = json.loads(capsys.readouterr().out)
+    assert {"Python", "board", "pycomedi", "camera", "real-time priority", "disk"} <= {f["topic"] for f in findings}
+    assert all(f["remedy"] for f in findings if f["verdict"] != "ok")
+
+
+def test_show_prints_how_a_run_was_made(
+    recorded: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(recorded)
+    (archive,) = (recorded / "data").glob("*.h5")
+    assert inside("show", archive.stem) == 0
+    shown = capsys.readouterr().out
+    for fact in (archive.stem, "simulated", "ada", "short", "virtual time", "mean error"):
+        assert fact in shown
+    inside("show", archive, "--json")
+    facts = json.loads(capsys.readouterr().out)
+    assert facts["header"]["operator"] == "ada"
+
+
+def test_runs_lists_archives_and_filters_them(
+    recorded: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(recorded)
+    for options, found in (((), 1), (("--text", "nobody"), 0)):
+        assert inside("runs", "--json", *options) == 0
+        assert len(json.loads(capsys.readouterr().out)) == found
+
+
+def test_export_writes_tables_with_the_unit_in_every_header(recorded: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(recorded)
+    (archive,) = (recorded / "data").glob("*.h5")
+    assert inside("export", archive.stem, "--to", "csv", "--out", "tables") == 0
+    (pressure,) = (recorded / "tables").glob("*-pressure.csv")
+    head = pressure.read_text().splitlines()[0].split(",")
+    assert "time_s" in head
+    assert any(name.startswith("measured") and name.endswith("bar") for name in head)
+
+
+@pytest.mark.usefixtures("here")
+def test_calibrate_camera_gives_the_published_focal_length_of_real_views(capsys: pytest.CaptureFixture[str]) -> None:
+    views = shared_data("chessboard")
+    assert inside("calibrate", "camera", views, "--corners", "9x6", "--square-mm", "25", "--json") == 0
+    facts = json.loads(capsys.readouterr().out)
+    assert facts["fx_px"] == pytest.approx(535.92, rel=0.01)
+    assert facts["rms_px"] < 0.3
+
+
+def test_recover_makes_an_archive_of_an_orphaned_journal(
+    recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (journal,) = (recorded / "data").glob("*.mcap")
+    data = journal.read_bytes()
+    (tmp_path / "orphan.mcap").write_bytes(data[: len(data) // 2])
+    assert inside("recover", tmp_path) == 0
+    assert "recovered" in capsys.readouterr().out
+    assert len(runs.open(tmp_path / "orphan.h5").pressure.time_s) > 10
+    assert inside("recover", tmp_path) == 0
+    assert "nothing to recover" in capsys.readouterr().out
+
+
+def test_simulate_leaves_the_models_tip_alone_in_the_same_layout(
+    here: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (here / "short.yaml").write_text(SHORT)
+    assert inside("simulate", "short.yaml", "--model", "homogeneous", "--static", "--out", "out") == 0
+    archive = here / capsys.readouterr().out.strip()
+    assert inside("replay", archive) == 2
+    assert "holds no pictures" in capsys.readouterr().err
+    run = runs.open(archive)
+    assert np.all(run.tip.seen == DetectionStatus.NO_FRAME)
+    assert np.all(np.isnan(run.tip.measured_mm))
+    assert run.tip.model_mm[0, 0] == pytest.approx(0.0, abs=1e-6)
+    assert run.tip.model_mm[-1, 0] < -10.0
+
+
+@pytest.mark.parametrize("gone", ["openpty", "pipe"])
+def test_a_terminal_that_has_gone_changes_nothing_of_how_a_run_ended(gone: str) -> None:
+    program = (
+        "import os, sys\n"
+        f"outer, inner = os.{gone}()\n"
+        "os.dup2(inner, 1)\nos.close(inner)\nos.close(outer)\n"
+        "from rig import screens\nfrom rig.execution.plan import Outcome\nfrom rig.experiment.run import Result\n"
+        "from runs.records import Status\n"
+        "result = Result(Outcome(Status.INTERRUPTED, 'the terminal was closed', 0), None, None)\n"
+        "screens.last_screen(screens.console(), result)\n"
+        "sys.exit(screens.exit_status(result))\n"
+    )
+    done = subprocess.run([sys.executable, "-c", program], stderr=subprocess.PIPE, text=True, check=False)
+    assert (done.returncode, done.stderr) == (130, "")

@@ -1,0 +1,138 @@
+"""The screens before and in a run as they stand on terminals of any size, and the question that arms."""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rich.console import Console, RenderableType
+
+from rig.cli import run_output
+from rig.cli.terminal import Terminal
+from rig.config import loader
+from rig.execution.plan import Progress
+from rig.experiment import run as experiment
+from runs.records import DetectionStatus, Quantity, adaptation_dtype, observation_dtype, sample_dtype
+
+
+def drawn(what: RenderableType, columns: int) -> str:
+    """What a terminal of so many columns shows."""
+    screen = Console(file=io.StringIO(), width=columns, highlight=False, markup=False, color_system=None)
+    screen.print(what)
+    assert isinstance(screen.file, io.StringIO)
+    return screen.file.getvalue()
+
+
+def checked(protocol: str | Path, rig: str | Path, columns: int) -> str:
+    request = experiment.request(str(protocol), str(rig))
+    return drawn(run_output.check_screen(request, experiment.plan(request)), columns)
+
+
+def plotted(protocol: Path, columns: int = 80) -> list[str]:
+    return drawn(run_output.sketch(experiment.plan(experiment.request(str(protocol), "mock")), columns), columns).split(
+        "\n"
+    )
+
+
+def protocol_to(folder: Path, level_bar: float) -> Path:
+    file = folder / "p.yaml"
+    file.write_text(f"title: T\nsteps:\n  - ramp: {{actuators: [1], to_bar: {level_bar}, duration_s: 2}}\n")
+    return file
+
+
+@pytest.mark.parametrize("columns", [40, 60, 110])
+def test_the_check_screen_cuts_no_number_off_however_narrow_the_terminal(columns: int) -> None:
+    said = checked("ramp-a", "mock", columns)
+    assert said.count("0.650") == 1
+    assert said.count("0.700") == 2
+    assert "…" not in said
+
+
+def test_the_check_screen_says_what_the_run_is_held_to() -> None:
+    said = " ".join(checked("ramp-a", "mock", 110).split())
+    assert "limits 0.7 bar in each chamber, ends above 0.75 bar; 1 bar/s" in said
+    assert "duration 50.0 s, 14 segments" in said
+
+
+def test_the_check_screen_names_each_valves_own_card(tmp_path: Path) -> None:
+    file = tmp_path / "two.yaml"
+    first, second = "  daq: {driver: mock", "  daq2: {driver: mock, device: mock1, inputs: 0, outputs: 1}\n"
+    written = loader.text("mock").replace(first, second + first)
+    file.write_text(written.replace("card: daq\n    channel: 1", "card: daq2\n    channel: 0"))
+    said = checked("ramp-a", file, 110)
+    assert "daq AO 0" in said
+    assert "daq2 AO 0" in said
+
+
+def test_a_plot_of_nothing_but_0_bar_has_one_line_for_it(tmp_path: Path) -> None:
+    lines = plotted(protocol_to(tmp_path, 0))
+    assert [line for line in lines if "bar" in line] == [f"  0.00 bar {'1' * 68}"]
+
+
+def test_the_lines_of_a_plot_of_little_pressure_are_told_apart(tmp_path: Path) -> None:
+    labels = [line[:6] for line in plotted(protocol_to(tmp_path, 0.02)) if "bar" in line]
+    assert len(set(labels)) == len(labels) == 11
+
+
+def test_the_scale_of_a_plot_ends_at_the_peak_however_brief_it_is(tmp_path: Path) -> None:
+    steps = "".join(f"  - ramp: {{actuators: [1], to_bar: {level}, duration_s: 1}}\n" for level in (0.7, 0))
+    (tmp_path / "p.yaml").write_text(f"title: T\nsteps:\n{steps}  - hold: {{duration_s: 7000}}\n")
+    assert plotted(tmp_path / "p.yaml")[0].startswith("  0.70 bar")
+
+
+class Keyboard(io.StringIO):
+    """A terminal's keyboard, on which a line has been typed."""
+
+    def isatty(self) -> bool:
+        return True
+
+
+@pytest.mark.parametrize(
+    ("typed", "armed"), [("y\n", True), ("YES\n", True), ("\n", False), ("n\n", False), ("", False)]
+)
+def test_the_question_is_asked_where_the_screen_is_and_only_yes_arms(
+    typed: str, armed: bool, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("sys.stdin", Keyboard(typed))
+    screen = run_output.console(stderr=True)
+    assert run_output.confirm(screen) is armed
+    said = capsys.readouterr()
+    assert "Arm the rig and run?" in said.err
+    assert not said.out
+
+
+def running(*, prompt: str | None = None, held: bool = False) -> Progress:
+    """A run with everything on its screen: pressures, tip, and ten parameters that are being found."""
+    sample = np.zeros(1, sample_dtype(3, 2))[0]
+    sample["setpoint_pa"], sample["measured_pa"] = (12_300.0, 45_600.0, 0.0), (12_400.0, 45_500.0, 100.0)
+    observation = np.zeros(1, observation_dtype(3))[0]
+    observation["seen"], observation["measured_m"] = DetectionStatus.MEASURED, (-0.12345, 0.00678, 0.18765)
+    adapted = tuple(Quantity("adaptation", f"parameter_{i}", (1.0,), "1", "the rig", 0.1) for i in range(10))
+    adaptation = np.zeros(1, adaptation_dtype(10))[0]
+    return Progress(8.0, 9.0, sample, observation, 0, prompt, held, adapted, adaptation)
+
+
+def live(progress: Progress, columns: int, lines: int) -> str:
+    screen = Console(
+        file=io.StringIO(), width=columns, height=lines, force_terminal=True, markup=False, color_system=None
+    )
+    assert isinstance(screen.file, io.StringIO)
+    said = screen.file
+    with Terminal(screen, lambda: None, "ramp-a on mock") as terminal:
+        terminal.show(progress)
+        return said.getvalue()  # at the end it would show even what does not fit
+
+
+@pytest.mark.parametrize(("columns", "lines"), [(80, 24), (40, 12)])
+def test_what_waits_for_the_operator_is_on_the_screen_however_little_fits(columns: int, lines: int) -> None:
+    assert "press Enter" in live(running(prompt="Hang 20 g on the tip"), columns, lines)
+    assert "PAUSED" in live(running(held=True), columns, lines)
+
+
+def test_a_narrow_terminal_cuts_no_number_of_a_run_off() -> None:
+    said = live(running(), 40, 60)
+    assert "…" not in said
+    for number in ("0.123", "0.124", "+0.001", "0.456", "-123.45", "6.78", "187.65", "0:08 of 0:09, 0:01 left"):
+        assert number in said

@@ -1,0 +1,285 @@
+"""Each interlock trips on what it is for, on nothing else, and a trip latches."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rig.control import step as control
+from tests.support.plant_bench import mock_rig
+
+TICK_NS = 5_000_000
+RIG = mock_rig()
+SETTINGS = control.prepare(RIG)
+REGULATING: dict[str, object] = {
+    "valves__0": {"type": "pressure", "actuators": [1], "card": "daq", "channel": 0, "span_bar": [0.0, 2.0]}
+}
+
+
+class Loop:
+    """Feeds made-up readings to the control step, tick by tick."""
+
+    def __init__(self, settings: control.Settings = SETTINGS) -> None:
+        self.settings, self.state, self.t_ns = settings, control.initial(settings), 1_000_000_000
+        self.rng = np.random.default_rng(0)
+
+    def tick(
+        self,
+        bar: tuple[float, float, float],
+        setpoint: tuple[float, float, float],
+        *,
+        volts: object = None,
+        scan: bool = True,
+        stood_still_ns: int = 0,
+    ) -> control.Command:
+        self.t_ns += TICK_NS
+        if scan:
+            self.scan_t_ns = self.t_ns
+            pressure = np.array(bar) + 1e-3 * self.rng.standard_normal(3)
+            self.pressure, self.volts = pressure * 1e5, pressure.copy() if volts is None else np.array(volts)
+        sample = control.Sample(self.t_ns, self.scan_t_ns, self.volts, self.pressure, stood_still_ns)
+        self.state, command = control.step(self.settings, self.state, sample, np.array(setpoint) * 1e5, np.zeros(3))
+        return command
+
+    def hold(self, bar: float, ticks: int = 300) -> control.Command:
+        for _ in range(ticks):
+            command = self.tick((bar, 0.0, 0.0), (bar, 0.0, 0.0))
+            assert command.trip is None
+        return command
+
+
+def test_a_steady_bench_does_not_trip() -> None:
+    loop = Loop()
+    loop.hold(0.0)
+    Loop().hold(0.4)
+
+
+def test_over_pressure_trips_with_value_limit_and_unit() -> None:
+    loop = Loop()
+    loop.hold(0.7)
+    for bar in np.arange(0.7, 0.8, 0.005):
+        command = loop.tick((float(bar), 0, 0), (0.7, 0, 0))
+        if command.trip:
+            break
+    trip = command.trip
+    assert trip is not None
+    assert trip.source == "over-pressure"
+    assert trip.value == pytest.approx(0.755, abs=0.006)
+    assert trip.limit == pytest.approx(0.75)
+    assert trip.unit == "bar"
+    assert f"actuator 1 is at {trip.value:.3f} bar (limit 0.750 bar)" == trip.message
+
+
+def test_a_pressure_that_rises_too_fast_trips_before_it_is_too_high() -> None:
+    loop = Loop()
+    loop.hold(0.2)
+    bar = 0.2
+    while not (command := loop.tick((bar, 0, 0), (0.2, 0, 0))).trip:
+        bar += 10.0 * 0.005
+    assert command.trip.source == "pressure rate"
+    assert command.trip.unit == "bar/s"
+    assert bar < 0.4
+
+
+def test_a_pressure_that_falls_too_fast_trips() -> None:
+    loop = Loop()
+    loop.hold(0.6)
+    bar = 0.6
+    while not (command := loop.tick((bar, 0, 0), (0.6, 0, 0))).trip:
+        bar -= 10.0 * 0.005
+    assert command.trip.value < -2.0
+
+
+@pytest.mark.parametrize("volts", [-0.2, 10.0, 10.2, float("nan")])
+def test_a_voltage_that_is_no_pressure_trips_at_once(volts: float) -> None:
+    loop = Loop()
+    loop.hold(0.3)
+    command = loop.tick((0.3, 0, 0), (0.3, 0, 0), volts=(0.3, volts, 0.0))
+    assert command.trip is not None
+    assert command.trip.source == "sensor 2"
+    assert "sensor or wire broken" in command.trip.message
+
+
+def test_without_scans_the_valves_wait_then_close_and_then_the_run_stops() -> None:
+    loop = Loop()
+    before = loop.hold(0.3)
+    for tick in range(1, round(RIG.limits.stale_s / 0.005) + 1):
+        command = loop.tick((0, 0, 0), (0.35, 0, 0), scan=False)
+        assert command.trip is None
+        np.testing.assert_array_equal(command.valve_v, before.valve_v if tick <= 3 else [5.0, 5.0])
+    command = loop.tick((0, 0, 0), (0.35, 0, 0), scan=False)
+    assert command.trip is not None
+    assert command.trip.message == "no pressure sample for 105 ms (limit 100 ms)"
+
+
+def test_a_computer_that_stood_still_gets_the_time_to_read_what_the_card_has_taken_meanwhile() -> None:
+    loop = Loop()
+    loop.hold(0.3)
+    still_ns = 300_000_000
+    loop.t_ns += still_ns
+    for _ in range(round(RIG.limits.stale_s / 0.005)):
+        command = loop.tick((0, 0, 0), (0.3, 0, 0), scan=False, stood_still_ns=still_ns)
+        assert command.trip is None
+        np.testing.assert_array_equal(command.valve_v, [5.0, 5.0])
+    assert loop.tick((0, 0, 0), (0.3, 0, 0), scan=False, stood_still_ns=still_ns).trip is not None
+
+
+def test_a_pressure_that_has_moved_at_its_rate_while_the_computer_stood_still_is_no_fast_one() -> None:
+    loop = Loop()
+    loop.hold(0.3)
+    loop.t_ns += 300_000_000
+    assert loop.tick((0.6, 0, 0), (0.6, 0, 0), stood_still_ns=300_000_000).trip is None
+
+
+def test_a_short_gap_in_the_scans_is_survived() -> None:
+    loop = Loop()
+    loop.hold(0.3)
+    for _ in range(8):
+        loop.tick((0, 0, 0), (0.3, 0, 0), scan=False)
+    command = loop.hold(0.3, 10)
+    assert not np.array_equal(command.valve_v, [5.0, 5.0])
+
+
+def test_without_any_scan_there_is_no_run() -> None:
+    nothing = np.full(3, np.nan)
+    sample = control.Sample(1_000_000_000, 0, nothing, nothing)
+    _, command = control.step(SETTINGS, control.initial(SETTINGS), sample, np.zeros(3), np.zeros(3))
+    assert command.trip is not None
+    assert command.trip.message == "no pressure sample yet"
+
+
+def test_an_error_at_a_standing_set_point_trips_only_after_the_time_allowed() -> None:
+    loop = Loop()
+    loop.hold(0.3, 100)
+    ticks = 0
+    while not (command := loop.tick((0.3, min(0.003 * ticks, 0.08), 0.0), (0.3, 0, 0))).trip:
+        ticks += 1
+    assert command.trip.source == "tracking"
+    assert "actuator 2" in command.trip.message
+    assert ticks * 0.005 == pytest.approx(RIG.limits.tracking_s - 0.5, abs=0.02)
+
+
+def test_an_error_during_a_step_of_the_set_point_is_none() -> None:
+    loop = Loop()
+    loop.hold(0.3)
+    bar = 0.3
+    for _ in range(200):
+        bar += (0.5 - bar) * 0.05
+        assert loop.tick((bar, 0, 0), (0.5, 0, 0)).trip is None
+
+
+def test_a_moving_set_point_that_is_not_followed_trips() -> None:
+    loop = Loop()
+    loop.hold(0.3)
+    t = 0.0
+    while not (command := loop.tick((0.3 + 0.02 * np.sin(9 * t), 0, 0), (0.3 + 0.25 * np.sin(t), 0, 0))).trip:
+        t += 0.005
+    assert command.trip.source in ("tracking", "sensor 1")
+    assert t < 2.0
+
+
+def test_a_reading_that_does_not_move_by_a_count_is_frozen_after_the_time_allowed() -> None:
+    loop = Loop()
+    loop.hold(0.3)
+    ticks = 0
+    while not (command := loop.tick((0.3, 0, 0), (0.34, 0, 0), volts=(0.3, 0.0, 0.0))).trip:
+        ticks += 1
+    assert command.trip.message.startswith("sensor 1 has not moved by one count")
+    assert ticks * 0.005 == pytest.approx(RIG.limits.frozen_s, abs=0.02)
+
+
+@pytest.mark.parametrize(
+    ("valve", "allowed_s"), [({}, 0.0), (REGULATING, RIG.limits.frozen_s)], ids=["flow", "pressure"]
+)
+def test_a_pressure_that_stays_where_it_is_led_away_from_is_no_sensors_fault_before_a_regulating_valve_may_answer(
+    valve: dict[str, object], allowed_s: float
+) -> None:
+    loop = Loop(control.prepare(mock_rig(**valve)))
+    loop.hold(0.3)
+    for bar in np.arange(0.3, 0.4, 0.006):
+        assert loop.tick((float(bar), 0, 0), (float(bar), 0, 0)).trip is None
+    ticks = 0
+    while not (command := loop.tick((float(bar), 0, 0), (0.6, 0, 0))).trip:
+        ticks += 1
+    assert command.trip.message.startswith("sensor 1 stays at")
+    # Until the reference, at 1 bar/s, is 0.05 bar away.
+    assert ticks * 0.005 == pytest.approx(max(allowed_s, 0.05), abs=0.03)
+
+
+def test_a_still_reading_of_a_vented_chamber_is_no_frozen_sensor() -> None:
+    loop = Loop()
+    for _ in range(1000):
+        assert loop.tick((0, 0, 0), (0, 0, 0), volts=(0.0, 0.0, 0.003)).trip is None
+
+
+def test_a_trip_latches_with_the_safe_voltages() -> None:
+    loop = Loop()
+    loop.hold(0.3)
+    first = loop.tick((0.3, 0, 0), (0.3, 0, 0), volts=(10.0, 0, 0)).trip
+    for _ in range(10):
+        command = loop.tick((0.3, 0, 0), (0.3, 0, 0))
+        assert command.trip is first
+        np.testing.assert_array_equal(command.valve_v, control.safe_voltages(RIG))
+
+
+def test_a_valve_of_two_chambers_steers_the_mean_of_both() -> None:
+    """They share its air: what is read of one and asked of one counts half."""
+    for bar, setpoint, rate in (
+        ((0.0, 0.3, 0.3), (0.0, 0.301, 0.301), (0.0, 0.2, 0.2)),
+        ((0.0, 0.31, 0.29), (0.0, 0.2995, 0.3025), (0.0, 0.1, 0.3)),
+    ):
+        sample = control.Sample(10**9, 10**9, np.array(bar), np.array(bar) * 1e5)
+        asked, slope = np.array(setpoint) * 1e5, np.array(rate) * 1e5
+        state, command = control.step(SETTINGS, control.initial(SETTINGS), sample, asked, slope)
+        assert command.trip is None
+        # From 0.3 bar it goes on at 0.2 bar/s, which is where the set-points are.
+        second = state.valves[1]
+        assert second.reference_pa == pytest.approx(0.301e5)
+        assert second.asked_pa_s == pytest.approx(0.2e5 + SETTINGS.valves[1].gain_per_s * 100.0)  # type: ignore[union-attr]
+
+
+@pytest.mark.parametrize(
+    ("changes", "safe_v"),
+    [
+        ({}, (0.0, 0.0)),
+        ({"valves__0__fills": "below"}, (10.0, 0.0)),
+        ({"valves__0__safe_state": "hold"}, (5.0, 0.0)),
+        (
+            {
+                "valves__1": {
+                    "type": "pressure",
+                    "actuators": [2, 3],
+                    "card": "daq",
+                    "channel": 1,
+                    "span_V": [2.0, 10.0],
+                    "span_bar": [-1.0, 1.0],
+                }
+            },
+            (0.0, 6.0),
+        ),
+    ],
+    ids=["vent", "vent a valve that fills below", "hold", "no pressure from a regulator"],
+)
+def test_safe_voltages_follow_the_valve(changes: dict[str, object], safe_v: tuple[float, ...]) -> None:
+    assert control.safe_voltages(mock_rig(**changes)) == pytest.approx(safe_v)
+
+
+@given(
+    st.lists(
+        st.tuples(
+            st.floats(-0.3, 2.0), st.floats(0.0, 0.7), st.floats(-1.0, 1.0), st.integers(0, 40), st.floats(-1.0, 11.0)
+        ),
+        max_size=30,
+    )
+)
+def test_whatever_the_readings_every_command_lies_in_the_valves_range(
+    ticks: list[tuple[float, float, float, int, float]],
+) -> None:
+    state, t_ns = control.initial(SETTINGS), 0
+    for bar, setpoint, rate, late_ms, volts in ticks:
+        t_ns += 5_000_000 + late_ms * 1_000_000
+        sample = control.Sample(t_ns, t_ns, np.array([bar, bar, volts]), np.array([bar, bar, volts]) * 1e5)
+        state, command = control.step(SETTINGS, state, sample, np.full(3, setpoint * 1e5), np.full(3, rate * 1e5))
+        assert np.all((command.valve_v >= 0.0) & (command.valve_v <= 10.0))

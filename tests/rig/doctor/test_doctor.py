@@ -1,0 +1,545 @@
+"""What `rig doctor` says of cards, on made-up machines: a bus, a kernel, /proc/comedi, and what a survey would find."""
+
+from __future__ import annotations
+
+import errno
+import os
+import platform
+import resource
+import struct
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+import rig.config.loader
+from rig.config.schema import RigConfig
+from rig.doctor import cameras, cards, examine
+from rig.doctor import machine as computer
+from rig.doctor.finding import Finding
+from rig.hardware.cards.base import CardError
+from rig.hardware.cards.comedi_survey import ComediCardSurvey, SubdeviceSurvey
+from rig.hardware.cards.kernel_devices import AttachedDevice, ComediModule, comedi, has_module, pci_cards
+
+RELEASE = platform.release()
+NOTHING_ATTACHED = """comedi version 0.7.76
+format string: "%2d: %-20s %-20s %4d", i, driver_name, board_name, n_subdevices
+no devices
+adv_pci1710:
+ pci1710
+ pci1710hg
+ pci1711
+ pci1713
+ pci1731
+"""
+TWO_CARDS = """comedi version 0.7.76
+format string: "%2d: %-20s %-20s %4d", i, driver_name, board_name, n_subdevices
+ 0: comedi_test          comedi_test             3
+11: adv_pci1710          pci1716                 5
+adv_pci1710:
+ pci1716
+comedi_test:
+ comedi_test
+"""
+ALIASES = """# Aliases extracted from modules themselves.
+alias pci:v000013FEd00001710sv*sd*bc*sc*i* adv_pci1710
+alias pci:v000013FEd00001711sv*sd*bc*sc*i* adv_pci1710
+alias usb:v0CF3p9271d*dc*dsc*dp*ic*isc*ip*in* ath9k_htc
+"""
+CARD = ComediCardSurvey(
+    "/dev/comedi11",
+    "pci1716",
+    "adv_pci1710",
+    (("ai", 16), ("ao", 2), ("di", 16), ("do", 16), ("counter", 1)),
+    SubdeviceSurvey(16, 16, ((-10.0, 10.0), (0.0, 10.0)), 250_000.0),
+    SubdeviceSurvey(2, 16, ((0.0, 5.0), (0.0, 10.0)), None),
+)
+
+
+class Machine:
+    """A root folder with what the doctor reads of it."""
+
+    def __init__(self, root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.root = root
+        self._monkeypatch = monkeypatch
+        self.survey()
+        self.write(f"lib/modules/{RELEASE}/modules.dep", "kernel/drivers/comedi/comedi.ko.xz:\n")
+        self.write(f"lib/modules/{RELEASE}/modules.alias", ALIASES)
+
+    def write(self, path: str, text: str) -> None:
+        file = self.root / path
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_text(text)
+
+    def board(self, device: str, driver: str = "") -> None:
+        """Put an Advantech board into a slot."""
+        slot = f"sys/bus/pci/devices/0000:03:0{device[-1]}.0"
+        self.write(f"{slot}/vendor", "0x13fe\n")
+        self.write(f"{slot}/device", f"0x{device}\n")
+        self.write(f"{slot}/modalias", f"pci:v000013FEd0000{device}sv000013FEsd0000{device}bc11sc80i00\n")
+        if driver:
+            there = self.root / "sys/bus/pci/drivers" / driver
+            there.mkdir(parents=True)
+            (self.root / slot / "driver").symlink_to(there)
+
+    def survey(self, *found: ComediCardSurvey) -> None:
+        """Let a survey find so much."""
+        self._monkeypatch.setattr(cards, "survey", lambda: found)
+        self._monkeypatch.setattr(cards, "device_paths", lambda: tuple(one.path for one in found))
+        self._monkeypatch.setattr(cards, "require", lambda: None)
+
+    def without_pycomedi(self, *paths: str, trouble: CardError | None = None) -> None:
+        """Nodes are there, the binding is not."""
+        self.binding_fails(CardError("pycomedi is not installed", "run `make comedi`"))
+        self._monkeypatch.setattr(cards, "device_paths", lambda: paths)
+        self._monkeypatch.setattr(cards, "closed", lambda path: trouble)
+
+    def binding_fails(self, error: Exception) -> None:
+        """Let the import of pycomedi raise this."""
+
+        def fail() -> None:
+            raise error
+
+        self._monkeypatch.setattr(cards, "require", fail)
+
+    def said(self) -> dict[str, Finding]:
+        findings = cards.cards(self.root)
+        assert all(finding.remedy for finding in findings if finding.verdict != "ok")
+        return {finding.topic: finding for finding in findings}
+
+
+@pytest.fixture
+def machine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Machine:
+    return Machine(tmp_path, monkeypatch)
+
+
+def test_proc_comedi_is_read_for_the_cards_attached_and_the_drivers_loaded(machine: Machine) -> None:
+    machine.write("proc/comedi", TWO_CARDS)
+    cards = (AttachedDevice(0, "comedi_test", "comedi_test"), AttachedDevice(11, "adv_pci1710", "pci1716"))
+    assert comedi(machine.root) == ComediModule("0.7.76", cards, ("adv_pci1710", "comedi_test"))
+    machine.write("proc/comedi", NOTHING_ATTACHED)
+    assert comedi(machine.root) == ComediModule("0.7.76", (), ("adv_pci1710",))
+
+
+def test_an_empty_proc_comedi_is_no_comedi(machine: Machine) -> None:
+    machine.write("proc/comedi", "")
+    assert comedi(machine.root) is None
+
+
+def test_the_bus_tells_each_board_its_driver_and_the_modules_that_would_take_it(machine: Machine) -> None:
+    machine.board("1710")
+    machine.board("1713", driver="adv_pci1710")
+    first, second = pci_cards("0x13fe", RELEASE, machine.root)
+    assert (first.device, first.driver, first.modules) == ("0x1710", "", ("adv_pci1710",))
+    assert (second.device, second.driver) == ("0x1713", "adv_pci1710")
+    assert pci_cards("0x8086", RELEASE, machine.root) == ()
+
+
+def test_a_module_is_found_whether_it_is_packed_or_not(machine: Machine) -> None:
+    for packing in ("", ".xz", ".zst"):
+        machine.write(f"lib/modules/{RELEASE}/modules.dep", f"updates/comedi.ko{packing}: updates/pcmcia.ko\n")
+        assert has_module("comedi", RELEASE, machine.root)
+    assert not has_module("omedi", RELEASE, machine.root)
+
+
+def test_comedi_that_is_not_loaded_is_loaded_by_modprobe(machine: Machine) -> None:
+    said = machine.said()["Comedi"]
+    assert (said.verdict, said.found) == ("note", "not loaded")
+    assert "sudo modprobe" in said.remedy
+
+
+def test_a_board_whose_driver_is_not_loaded_names_it(machine: Machine) -> None:
+    machine.board("1711")
+    said = machine.said()
+    assert said["board"].verdict == "missing"
+    assert said["board"].remedy == "sudo modprobe adv_pci1710"
+    assert said["Comedi"].verdict == "missing"
+
+
+def test_the_1716_says_where_its_driver_is(machine: Machine) -> None:
+    machine.board("1716")
+    said = machine.said()["board"]
+    assert "PCI-1716" in said.found
+    assert "no driver" in said.found
+    assert "Linux-Comedi" in said.remedy
+
+
+def test_a_board_that_the_kernels_own_driver_knows_needs_a_kernel_that_has_it(machine: Machine) -> None:
+    machine.board("1710")
+    machine.write(f"lib/modules/{RELEASE}/modules.alias", "")
+    said = machine.said()["board"]
+    assert "no driver" in said.found
+    assert "linux-modules-extra" in said.remedy
+    assert "git" not in said.remedy
+
+
+def test_a_board_that_nobody_is_known_to_drive_is_not_promised_a_driver(machine: Machine) -> None:
+    machine.board("1816")
+    said = machine.said()["board"]
+    assert "Advantech board 0x1816" in said.found
+    assert "another card" in said.remedy
+    assert "modprobe" not in said.remedy
+
+
+def test_the_1716_with_the_out_of_tree_driver_installed_needs_only_modprobe(machine: Machine) -> None:
+    machine.board("1716")
+    aliases = ALIASES + "alias pci:v000013FEd00001716sv*sd*bc*sc*i* adv_pci1710\n"
+    machine.write(f"lib/modules/{RELEASE}/modules.alias", aliases)
+    assert machine.said()["board"].remedy == "sudo modprobe adv_pci1710"
+
+
+def test_a_kernel_without_comedi_is_told_apart(machine: Machine) -> None:
+    machine.write(f"lib/modules/{RELEASE}/modules.dep", "kernel/fs/ext4/ext4.ko:\n")
+    said = machine.said()["Comedi"]
+    assert "has no Comedi" in said.found
+    assert "linux-image" in said.remedy
+    assert "linux-modules-extra" in said.remedy
+
+
+def test_a_driver_that_took_no_card_is_missing_one(machine: Machine) -> None:
+    machine.write("proc/comedi", NOTHING_ATTACHED)
+    said = machine.said()["Comedi"]
+    assert said.verdict == "missing"
+    assert "no card is attached" in said.found
+
+
+def test_a_card_tells_what_it_is_and_can_do_and_in_which_order_to_power_up(machine: Machine) -> None:
+    machine.write("proc/comedi", TWO_CARDS)
+    machine.survey(CARD)
+    said = machine.said()
+    assert said["Comedi"].verdict == "ok"
+    assert said["card"].found == (
+        "/dev/comedi11: pci1716, driver adv_pci1710; "
+        "16 analogue in, 2 analogue out, 16 digital in, 16 digital out, 1 counter"
+    )
+    assert "up to 250 kHz" in said["card inputs"].found
+    assert "2 of 16 bit (0 to 5 V, 0 to 10 V)" in said["card outputs"].found
+    assert "0 V" in said["power-up"].found
+    assert "rig vent" in said["power-up"].remedy
+
+
+def test_a_card_without_a_clock_or_without_outputs_says_so(machine: Machine) -> None:
+    machine.survey(
+        ComediCardSurvey("/dev/comedi0", "x", "y", (("ai", 8),), SubdeviceSurvey(8, 12, ((0.0, 5.0),), None), None)
+    )
+    said = machine.said()
+    assert (said["card inputs"].verdict, said["card outputs"].verdict) == ("note", "missing")
+    assert "power-up" not in said
+
+
+def test_a_closed_card_is_named_by_the_kernel_and_says_which_group_to_join(machine: Machine) -> None:
+    machine.write("proc/comedi", TWO_CARDS)
+    trouble = CardError("no permission to open /dev/comedi11", "`sudo adduser $USER iocard`, then log in again")
+    machine.survey(ComediCardSurvey("/dev/comedi11", trouble=trouble.what, remedy=trouble.remedy))
+    expected = Finding(
+        "card", "missing", "pci1716 (driver adv_pci1710): no permission to open /dev/comedi11", trouble.remedy
+    )
+    assert machine.said()["card"] == expected
+    machine.without_pycomedi("/dev/comedi11", trouble=trouble)
+    assert machine.said()["card"] == expected
+
+
+def test_a_card_that_only_lacks_the_binding_says_so(machine: Machine) -> None:
+    machine.write("proc/comedi", TWO_CARDS)
+    machine.without_pycomedi("/dev/comedi0", "/dev/comedi11")
+    said = machine.said()
+    assert (said["pycomedi"].verdict, said["card"].remedy) == ("missing", "make comedi")
+
+
+def test_a_device_that_is_closed_for_no_known_reason_has_a_remedy_all_the_same(machine: Machine) -> None:
+    machine.without_pycomedi("/dev/comedi0", trouble=CardError("/dev/comedi0 cannot be opened: Is a directory"))
+    assert "dmesg" in machine.said()["card"].remedy
+
+
+def test_without_a_card_nobody_needs_the_binding(machine: Machine) -> None:
+    machine.without_pycomedi()
+    said = machine.said()["pycomedi"]
+    assert (said.verdict, said.found) == ("note", "pycomedi is not installed")
+    assert "make comedi" in said.remedy
+
+
+def test_a_binding_that_is_broken_is_told_from_one_that_is_not_there(machine: Machine) -> None:
+    machine.binding_fails(ValueError("numpy.dtype size changed"))
+    said = machine.said()["pycomedi"]
+    assert said.verdict == "missing"
+    assert "numpy.dtype size changed" in said.found
+    assert "make comedi" in said.remedy
+
+
+def test_a_card_that_is_attached_and_has_no_device_is_named(machine: Machine) -> None:
+    machine.write("proc/comedi", TWO_CARDS)
+    machine.survey()
+    said = machine.said()["card"]
+    assert said.verdict == "missing"
+    assert said.found == "pci1716 (driver adv_pci1710) is attached, and /dev/comedi11 does not exist"
+
+
+class OpenCard:
+    """A card of two outputs that has all that a rig wants."""
+
+    description = "pci1716 (driver adv_pci1710, /dev/comedi11)"
+    outputs_there = 2
+
+    def __init__(self, setup: object) -> None:
+        self.setup = setup
+
+    def close(self) -> None:
+        """Nothing to release."""
+
+
+def test_a_rig_whose_card_has_everything_says_how_many_outputs_are_left(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cards, "ComediCard", OpenCard)
+    (said,) = cards.rig_cards(rig.config.loader.load("pci1716"))
+    assert said.verdict == "ok"
+    assert "2 of 2 outputs used, none left" in said.found
+
+
+def test_a_rig_whose_card_lacks_an_output_is_told_the_cards_own_words(monkeypatch: pytest.MonkeyPatch) -> None:
+    def lacks(setup: object) -> OpenCard:
+        raise CardError("pci1716 has 2 analogue outputs (0 to 1): there is no output 2")
+
+    monkeypatch.setattr(cards, "ComediCard", lacks)
+    (said,) = cards.rig_cards(rig.config.loader.load("pci1716"))
+    assert said.verdict == "missing"
+    assert "there is no output 2" in said.found
+    assert "another card" in said.remedy
+
+
+def test_a_valve_that_0_v_opens_to_the_supply_is_pointed_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cards, "ComediCard", OpenCard)
+    text = rig.config.loader.text("pci1716").replace(
+        "    dead_zone_V: 0.4\n", "    dead_zone_V: 0.4\n    fills: below\n", 1
+    )
+    _, said = cards.rig_cards(rig.config.loader.parse(text, "rig.yaml"))
+    assert said.topic == "rig's valve 1"
+    assert "FILLS" in said.found
+    assert "port 4" in said.remedy
+
+
+def test_a_mock_rig_has_no_card_to_look_at() -> None:
+    assert cards.rig_cards(rig.config.loader.load("mock")) == ()
+
+
+def test_a_priority_that_only_a_part_of_a_run_could_have_is_not_enough(monkeypatch: pytest.MonkeyPatch) -> None:
+    def up_to_50(pid: int, policy: int, param: os.sched_param) -> None:
+        if param.sched_priority > 50:
+            raise PermissionError(errno.EPERM, os.strerror(errno.EPERM))
+
+    monkeypatch.setattr(os, "sched_setscheduler", up_to_50)
+    monkeypatch.setattr(resource, "getrlimit", lambda which: (50, 50))
+    said = computer.real_time()
+    assert said.verdict == "missing"
+    assert "up to priority 50, and 60 is wanted" in said.found
+    assert " - rtprio 80' to /etc/security/limits.conf" in said.remedy
+
+
+def test_memory_that_may_not_be_locked_names_the_line_to_add(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(os, "geteuid", lambda: 1000)
+    monkeypatch.setattr(resource, "getrlimit", lambda which: (8 << 20, 8 << 20))
+    monkeypatch.setattr(os, "getgroups", lambda: [0])
+    said = computer.memory_lock()
+    assert (said.verdict, said.found) == ("missing", "limited to 8192 KiB")
+    assert "'@root - memlock unlimited'" in said.remedy
+
+
+def test_a_disk_says_how_much_is_free_and_how_fast_it_is_and_keeps_nothing(tmp_path: Path) -> None:
+    said = computer.disk(tmp_path / "data" / "deep")
+    assert f"GB free at {tmp_path}" in said.found
+    assert "a megabyte" in said.found
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_slow_disk_is_missing_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(computer, "SLOW_S", 0.0)
+    said = computer.disk(tmp_path)
+    assert said.verdict == "missing"
+    assert "a megabyte took it" in said.found
+    assert "--out" in said.remedy
+
+
+def test_a_folder_that_nobody_can_write_is_said_so() -> None:
+    said = computer.disk(Path("/sys/kernel"))
+    assert said.verdict == "missing"
+    assert "/sys/kernel cannot be written: " in said.found
+    assert "--out" in said.remedy
+
+
+def test_a_file_in_the_place_of_the_folder_is_said_so(tmp_path: Path) -> None:
+    (tmp_path / "data").write_text("a file")
+    said = computer.disk(tmp_path / "data" / "today")
+    assert (said.verdict, said.found) == ("missing", f"{tmp_path / 'data'} is a file and no folder")
+
+
+def test_a_disk_that_takes_no_more_is_full_whatever_it_says_is_free(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(fd: int) -> None:
+        raise OSError(errno.EDQUOT, os.strerror(errno.EDQUOT))
+
+    monkeypatch.setattr(os, "fsync", full)
+    said = computer.disk(tmp_path)
+    assert said.verdict == "missing"
+    assert "no more is taken" in said.found
+    assert "make room" in said.remedy
+
+
+def test_a_disk_with_little_room_is_said_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(computer, "ENOUGH_BYTES", 1 << 62)
+    said = computer.disk(tmp_path)
+    assert (said.verdict, said.remedy.split(",")[0]) == ("missing", "make room")
+
+
+class Cameras:
+    """A made-up machine with video devices; what V4L2 would say of each is given."""
+
+    def __init__(self, root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.root = root
+        self._can: dict[str, int] = {}
+        (root / "dev").mkdir()
+        monkeypatch.setattr("fcntl.ioctl", self._ioctl)
+
+    def add(self, name: str, called: str, can: int) -> None:
+        (self.root / "dev" / name).touch()
+        self._can[str(self.root / "dev" / name)] = can
+        folder = self.root / "sys/class/video4linux" / name
+        folder.mkdir(parents=True)
+        (folder / "name").write_text(f"{called}\n")
+
+    def _ioctl(self, fd: int, request: int, answer: bytearray) -> int:
+        can = self._can[str(Path(f"/proc/self/fd/{fd}").readlink())]
+        answer[:] = struct.pack("<16s32s32sIII12x", b"uvcvideo", b"x", b"usb", 0x60100, 0x84A00001, can)
+        return 0
+
+
+@pytest.fixture
+def plugged(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Cameras:
+    return Cameras(tmp_path, monkeypatch)
+
+
+def with_camera(driver: str, device: str | int) -> RigConfig:
+    config = rig.config.loader.load("pci1716")
+    camera = config.cameras["front"].model_copy(update={"driver": driver, "device": device})
+    return config.model_copy(update={"cameras": {"front": camera}})
+
+
+def test_a_camera_is_told_from_the_device_that_comes_with_it_and_gives_no_pictures(plugged: Cameras) -> None:
+    plugged.add("video10", "HD Webcam", 0x04A00000)
+    plugged.add("video2", "HD Webcam", 0x04200001)
+    first, second = cameras.cameras(plugged.root)
+    assert (first.verdict, first.found) == ("ok", "/dev/video2: HD Webcam")
+    assert second.verdict == "note"
+    assert "/dev/video10: HD Webcam: gives no pictures" in second.found
+
+
+def test_a_device_without_hardware_is_not_asked_what_it_can_do(plugged: Cameras) -> None:
+    """v4l2loopback that was asked while nobody fed it refused who was to feed it next."""
+    plugged.add("video9", "played", 0x05200000)
+    shown = plugged.root / "sys/class/video4linux/video9"
+    made_up = plugged.root / "sys/devices/virtual/video4linux/video9"
+    made_up.parent.mkdir(parents=True)
+    shown.rename(made_up)
+    shown.symlink_to(made_up)
+    (said,) = cameras.cameras(plugged.root)
+    assert (said.verdict, said.found) == ("ok", "/dev/video9: played")
+
+
+def refusing(monkeypatch: pytest.MonkeyPatch, number: int) -> None:
+    def refuse(path: Path, flags: int) -> int:
+        raise OSError(number, os.strerror(number), str(path))
+
+    monkeypatch.setattr(os, "open", refuse)
+
+
+def test_a_camera_of_another_group_says_which_to_join(plugged: Cameras, monkeypatch: pytest.MonkeyPatch) -> None:
+    plugged.add("video0", "HD Webcam", 0x04200001)
+    refusing(monkeypatch, errno.EACCES)
+    group = computer.group_name((plugged.root / "dev/video0").stat().st_gid)
+    (said,) = cameras.cameras(plugged.root)
+    assert (said.verdict, said.remedy) == ("missing", f"sudo adduser $USER {group}, then log in again")
+
+
+@pytest.mark.parametrize("number", [errno.EBUSY, errno.ENXIO])
+def test_a_camera_that_cannot_be_opened_says_why(
+    plugged: Cameras, monkeypatch: pytest.MonkeyPatch, number: int
+) -> None:
+    plugged.add("video0", "HD Webcam", 0x04200001)
+    refusing(monkeypatch, number)
+    (said,) = cameras.cameras(plugged.root)
+    assert said.verdict == "missing"
+    assert said.found == f"/dev/video0: HD Webcam: cannot be opened ({os.strerror(number)})"
+    assert said.remedy
+
+
+def test_no_camera_is_no_fault_unless_a_rig_wants_one(plugged: Cameras) -> None:
+    (said,) = cameras.cameras(plugged.root)
+    assert said.verdict == "note"
+    (said,) = cameras.rig_cameras(with_camera("opencv", "/dev/video0"), plugged.root)
+    assert (said.topic, said.verdict) == ("rig's camera front", "missing")
+    assert said.found == "/dev/video0 does not exist (video devices present: none)"
+
+
+@pytest.mark.parametrize("device", ["/dev/video2", 2])
+def test_a_rigs_camera_that_is_there_is_named(plugged: Cameras, device: str | int) -> None:
+    plugged.add("video2", "HD Webcam", 0x04200001)
+    (said,) = cameras.rig_cameras(with_camera("opencv", device), plugged.root)
+    assert said == Finding("rig's camera front", "ok", "/dev/video2: HD Webcam")
+
+
+def test_a_rigs_camera_may_be_named_by_what_does_not_change(plugged: Cameras) -> None:
+    plugged.add("video2", "HD Webcam", 0x04200001)
+    steady = plugged.root / "dev/v4l/by-id"
+    steady.mkdir(parents=True)
+    (steady / "usb-webcam-index0").symlink_to("../../video2")
+    (said,) = cameras.rig_cameras(with_camera("opencv", "/dev/v4l/by-id/usb-webcam-index0"), plugged.root)
+    assert said == Finding("rig's camera front", "ok", "/dev/v4l/by-id/usb-webcam-index0: HD Webcam")
+
+
+def test_a_rig_that_names_the_device_without_pictures_is_told_so(plugged: Cameras) -> None:
+    plugged.add("video3", "HD Webcam", 0x04A00000)
+    (said,) = cameras.rig_cameras(with_camera("opencv", "/dev/video3"), plugged.root)
+    assert said.verdict == "missing"
+    assert "gives no pictures" in said.found
+
+
+def test_a_rigs_recording_and_a_rigs_mock_need_no_camera(plugged: Cameras, tmp_path: Path) -> None:
+    (said,) = cameras.rig_cameras(with_camera("opencv", str(tmp_path)), plugged.root)
+    assert said.verdict == "ok"
+    (said,) = cameras.rig_cameras(with_camera("opencv", str(tmp_path / "gone.mp4")), plugged.root)
+    assert (said.verdict, said.found) == ("missing", f"recording {tmp_path / 'gone.mp4'} does not exist")
+    assert not cameras.rig_cameras(rig.config.loader.load("mock"), plugged.root)
+
+
+class RealSense:
+    """As much of pyrealsense2 as lists what is plugged in; its context and its devices are itself."""
+
+    camera_info = SimpleNamespace(serial_number="serial")
+
+    def __init__(self, serial: str) -> None:
+        self._serial = serial
+
+    def context(self) -> RealSense:
+        return self
+
+    def query_devices(self) -> list[RealSense]:
+        return [self]
+
+    def get_info(self, what: str) -> str:
+        assert what == "serial"
+        return self._serial
+
+
+def test_a_rigs_realsense_is_looked_for_by_its_number(plugged: Cameras, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pyrealsense2", None)
+    (said,) = cameras.rig_cameras(with_camera("realsense", "any"), plugged.root)
+    assert (said.verdict, said.remedy) == ("missing", "pip install pyrealsense2")
+    monkeypatch.setitem(sys.modules, "pyrealsense2", RealSense("1234"))
+    assert [
+        cameras.rig_cameras(with_camera("realsense", device), plugged.root)[0].verdict
+        for device in ("any", "1234", "999")
+    ] == ["ok", "ok", "missing"]
+
+
+def test_a_rig_without_its_camera_ends_the_doctor_with_a_fault(tmp_path: Path) -> None:
+    topics = {f.topic: f.verdict for f in examine(tmp_path, with_camera("opencv", "/dev/video987"))}
+    assert topics["rig's camera front"] == "missing"

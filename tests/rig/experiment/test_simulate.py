@@ -1,0 +1,53 @@
+"""`rig simulate`: the model alone carries what prompts hang on it, and says which steps it could not solve."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import runs
+from rig.config.arm_model import TipLoad, model_arm
+from rig.config.loader import load, text
+from rig.experiment import run as experiment
+from rig.experiment.simulate import simulate
+from runs.run import Run
+
+WEIGHED = """
+title: A weight
+steps:
+  - hold: {duration_s: 0.2}
+  - prompt: {message: Hang it., weight_g: 800}
+  - hold: {duration_s: 0.2}
+"""
+
+
+def simulated(folder: Path, rig: str = "mock", static: bool = True) -> Run:
+    (folder / "weight.yaml").write_text(WEIGHED)
+    request = experiment.request(str(folder / "weight.yaml"), rig, folder=folder)
+    return runs.open(simulate(request, experiment.plan(request), static))
+
+
+def test_a_prompts_weight_stretches_the_arm(tmp_path: Path) -> None:
+    tip = simulated(tmp_path).tip
+    assert tip.weight_g[0] == 0
+    assert tip.weight_g[-1] == 800
+    config = load("mock")
+    alone = model_arm(config).statics(np.zeros(3), TipLoad(config).carrying(0.8)).tip_m
+    np.testing.assert_allclose(tip.model_mm[-1], 1e3 * alone, atol=1e-6)
+    assert tip.model_mm[-1, 2] > tip.model_mm[0, 2] + 2
+
+
+@pytest.mark.parametrize("static", [True, False])
+def test_what_has_no_equilibrium_is_flagged_and_the_others_stay(tmp_path: Path, static: bool) -> None:
+    weak = (
+        text("mock").replace("cap_mass_g: 50\n", "cap_mass_g: 0\n").replace("a2_per_N2: 0.00031962", "a2_per_N2: 100")
+    )
+    (tmp_path / "weak.yaml").write_text(weak)
+    run = simulated(tmp_path, str(tmp_path / "weak.yaml"), static)
+    tip, carries_nothing = run.tip, run.tip.weight_g == 0
+    assert not tip.model_ok[-1]
+    assert tip.model_ok[carries_nothing].all()
+    np.testing.assert_allclose(tip.model_mm, np.broadcast_to([0.0, 0.0, 170.0], tip.model_mm.shape), atol=1e-6)
+    assert f"of {len(tip.model_ok)} steps could not be solved" in run.message

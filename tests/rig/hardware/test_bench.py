@@ -1,0 +1,205 @@
+"""Several cards as one rig: columns, pairing of clocks, and the safe state."""
+
+from __future__ import annotations
+
+import os
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import rig.hardware.bench
+from rig.config.schema import CardConfig, RigConfig
+from rig.hardware.bench import Bench, card_setup, make_safe
+from rig.hardware.cards.base import CardBusyError, CardError, CardSetup, Scans
+from rig.hardware.vent import vent
+from tests.support.plant_bench import mock_rig
+
+
+class FakeCard:
+    """A card whose scans are put in by hand and whose outputs may fail or not obey."""
+
+    def __init__(self, setup: CardSetup) -> None:
+        self.setup = setup
+        self.next = Scans(np.empty(0, np.int64), np.empty((0, len(setup.inputs))))
+        self.outputs = np.full(len(setup.outputs), np.nan)
+        self.broken = self.deaf = self.started = self.closed = False
+
+    def start(self) -> None:
+        self.started = True
+
+    def feed(self, t_ns: list[int], volts: list[list[float]], lost: int = 0) -> None:
+        self.next = Scans(np.array(t_ns, np.int64), np.array(volts).reshape(len(t_ns), -1), lost)
+
+    def read(self) -> Scans:
+        scans, self.next = self.next, Scans(np.empty(0, np.int64), np.empty((0, len(self.setup.inputs))))
+        return scans
+
+    def write(self, volts: NDArray[np.float64]) -> None:
+        if self.broken:
+            raise CardError("no answer")
+        if not self.deaf:
+            self.outputs = volts.copy()
+
+    def readback(self) -> NDArray[np.float64]:
+        return self.outputs
+
+    def close(self) -> None:
+        self.closed = True
+
+
+def two_card_rig() -> RigConfig:
+    """Actuator 2's sensor and the second valve hang on a card of their own; sensors are listed out of order."""
+    config = mock_rig(
+        cards__other={"driver": "mock", "device": "mock1", "outputs": 2, "inputs": 8},
+        valves__1__card="other",
+        valves__1__safe_state="hold",
+    )
+    first, second, third = config.sensors
+    moved = second.model_copy(update={"card": "other", "channel": 5})
+    return config.model_copy(update={"sensors": (third, moved, first)})
+
+
+@pytest.fixture
+def cards() -> dict[str, FakeCard]:
+    config = two_card_rig()
+    return {name: FakeCard(card_setup(config, name)) for name in config.cards}
+
+
+@pytest.fixture
+def bench(cards: dict[str, FakeCard]) -> Bench:
+    return Bench(two_card_rig(), cards)
+
+
+def test_a_card_is_asked_for_its_channels_in_the_order_of_actuators_and_valves(cards: dict[str, FakeCard]) -> None:
+    assert [c.number for c in cards["daq"].setup.inputs] == [0, 2]
+    assert [c.number for c in cards["other"].setup.inputs] == [5]
+    assert [c.number for c in cards["daq"].setup.outputs] == [0]
+    assert [c.number for c in cards["other"].setup.outputs] == [1]
+
+
+def test_columns_come_in_the_order_of_the_actuators_and_in_pascal(bench: Bench, cards: dict[str, FakeCard]) -> None:
+    cards["other"].feed([0, 10], [[0.2], [0.2]])
+    cards["daq"].feed([5], [[0.1, 0.3]])
+    scans = bench.read()
+    np.testing.assert_allclose(scans.volts, [[0.1, 0.2, 0.3]])
+    np.testing.assert_allclose(scans.pressure_pa, [[0.1e5, 0.2e5, 0.3e5]])
+
+
+def test_cards_with_clocks_of_their_own_are_paired_without_losing_a_scan(
+    bench: Bench, cards: dict[str, FakeCard]
+) -> None:
+    cards["daq"].feed([10, 20, 30, 40], [[1, 1], [2, 2], [3, 3], [4, 4]])
+    cards["other"].feed([8, 18, 29], [[8], [18], [29]])
+    first = bench.read()
+    assert first.t_ns.tolist() == [10, 20]
+    assert first.volts[:, 1].tolist() == [8, 18]
+    cards["other"].feed([41], [[41]], lost=3)
+    second = bench.read()
+    assert second.t_ns.tolist() == [30, 40]
+    assert second.volts.tolist() == [[3, 29, 3], [4, 29, 4]]
+    assert second.lost == 3
+
+
+def test_a_card_that_falls_silent_makes_the_samples_stop(bench: Bench, cards: dict[str, FakeCard]) -> None:
+    cards["daq"].feed([10, 20], [[1, 1], [2, 2]])
+    assert len(bench.read().t_ns) == 0
+
+
+def test_every_card_is_made_safe_even_if_another_fails(bench: Bench, cards: dict[str, FakeCard]) -> None:
+    cards["daq"].broken = True
+    with pytest.raises(CardError, match="card daq: no answer"):
+        bench.make_safe()
+    assert cards["other"].outputs.tolist() == [5.0]
+
+
+def test_arming_writes_the_safe_state_and_believes_only_what_it_reads_back(
+    bench: Bench, cards: dict[str, FakeCard]
+) -> None:
+    bench.arm()
+    assert bench.readback().tolist() == [0.0, 5.0]
+    cards["other"].outputs = np.array([4.0])
+    cards["other"].deaf = True
+    with pytest.raises(CardError, match=r"valve 2 \(card other, output 1\) was told 5.000 V but stands at 4.000 V"):
+        bench.arm()
+
+
+def test_valves_are_written_to_their_own_cards(bench: Bench, cards: dict[str, FakeCard]) -> None:
+    bench.write(np.array([6.0, 7.0]))
+    assert cards["daq"].outputs.tolist() == [6.0]
+    assert cards["other"].outputs.tolist() == [7.0]
+
+
+def test_starting_and_closing_reach_every_card(bench: Bench, cards: dict[str, FakeCard]) -> None:
+    bench.start()
+    bench.close()
+    assert all(card.started and card.closed for card in cards.values())
+
+
+def test_valves_of_one_card_are_made_safe_by_it_alone(cards: dict[str, FakeCard]) -> None:
+    bench = Bench(two_card_rig(), {"other": cards["other"]})
+    bench.arm()
+    assert cards["other"].outputs.tolist() == [5.0]
+    bench.arm(vent=True)
+    assert cards["other"].outputs.tolist() == [0.0]
+    assert np.isnan(cards["daq"].outputs).all()
+
+
+@pytest.mark.parametrize("bug", [ValueError, OSError])
+def test_an_error_that_nobody_expected_of_a_card_keeps_no_other_from_its_safe_state(
+    bug: type[Exception], cards: dict[str, FakeCard], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def opened(card: CardConfig, setup: CardSetup) -> FakeCard:
+        if setup.name == "daq":
+            raise bug("oddly broken")
+        return cards[setup.name]
+
+    monkeypatch.setattr(rig.hardware.bench, "open_card", opened)
+    with pytest.raises(CardError, match=f"card daq: {bug.__name__}: oddly broken"):
+        make_safe(two_card_rig(), vent=False)
+    assert cards["other"].outputs.tolist() == [5.0]
+    with pytest.raises(CardError, match=f"card daq: {bug.__name__}: oddly broken"):
+        vent(two_card_rig())
+    assert cards["other"].outputs.tolist() == [0.0]
+
+
+def test_a_valve_may_stand_safe_or_vented_and_nowhere_else(bench: Bench, cards: dict[str, FakeCard]) -> None:
+    bench.arm()
+    assert bench.astray() == ""
+    bench.arm(vent=True)
+    assert bench.astray() == ""
+    cards["other"].outputs = np.array([7.0])
+    assert bench.astray() == "valve 2 stands at 7.000 V"
+    cards["other"].outputs = np.array([np.nan])
+    assert bench.astray() == ""
+
+
+def test_a_card_that_cannot_be_opened_keeps_no_other_from_its_safe_state(
+    cards: dict[str, FakeCard], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def opened(card: CardConfig, setup: CardSetup) -> FakeCard:
+        if setup.name == "daq":
+            raise CardError("card daq is not there")
+        return cards[setup.name]
+
+    monkeypatch.setattr(rig.hardware.bench, "open_card", opened)
+    with pytest.raises(CardError, match="card daq is not there"):
+        make_safe(two_card_rig(), vent=True)
+    assert cards["other"].outputs.tolist() == [0.0]
+    with pytest.raises(CardError, match="card daq is not there"):
+        vent(two_card_rig())
+    assert cards["other"].closed
+
+
+def test_a_card_that_another_process_has_keeps_no_other_from_being_vented(
+    cards: dict[str, FakeCard], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def opened(card: CardConfig, setup: CardSetup) -> FakeCard:
+        if setup.name == "daq" and cards["other"].outputs.tolist() != [0.0]:
+            raise CardBusyError("card daq", (os.getpid(),))
+        return cards[setup.name]
+
+    monkeypatch.setattr(rig.hardware.bench, "open_card", opened)
+    monkeypatch.setattr(os, "kill", lambda pid, number: None)
+    vent(two_card_rig())
+    assert cards["daq"].outputs.tolist() == [0.0]

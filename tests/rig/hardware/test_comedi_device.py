@@ -1,0 +1,163 @@
+"""The seam to pycomedi, as far as it can be tried without a card."""
+
+from __future__ import annotations
+
+import errno
+import os
+import re
+import shutil
+import subprocess
+import sys
+from importlib.util import find_spec
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rig.hardware.cards import comedi_constants, comedi_device
+from rig.hardware.cards.base import CardBusyError, CardError, CardSetup
+from rig.hardware.cards.comedi import ComediCard
+from rig.hardware.cards.comedi_device import Device, Polynomial
+
+HEADERS = [folder for folder in ("/usr/include", "/usr/local/include") if Path(folder, "comedilib.h").exists()]
+NOT_IN_THE_HEADER = {"TRIG_CONFIG", "COMEDI_CB_EOS", "COMEDI_CB_EOA", "COMEDI_CB_ERROR", "COMEDI_CB_OVERFLOW"}
+numbers = st.floats(-1e3, 1e3)
+
+
+@given(st.lists(numbers, min_size=1, max_size=4), numbers, st.lists(numbers, min_size=1, max_size=5))
+def test_a_calibration_polynomial_is_evaluated_about_its_origin(
+    coefficients: list[float], origin: float, x: list[float]
+) -> None:
+    expected = [sum(c * (value - origin) ** k for k, c in enumerate(coefficients)) for value in x]
+    np.testing.assert_allclose(Polynomial(tuple(coefficients), origin)(x), expected, rtol=1e-9, atol=1e-3)
+
+
+@pytest.mark.skipif(
+    not HEADERS or not shutil.which("cc"), reason="comedi.h or a C compiler is not here: libcomedi-dev, gcc"
+)
+def test_the_constants_are_those_of_comedi_h(tmp_path: Path) -> None:
+    ours = {
+        name: value
+        for name, value in vars(comedi_constants).items()
+        if re.fullmatch(r"[A-Z]+_\w+", name) and name not in NOT_IN_THE_HEADER
+    }
+    lines = "".join(f'printf("{name} %u\\n", (unsigned int){name});' for name in ours)
+    source, program = tmp_path / "print.c", tmp_path / "print"
+    source.write_text(f"#include <stdio.h>\n#include <comedilib.h>\nint main(void) {{ {lines} return 0; }}\n")
+    subprocess.run(["cc", f"-I{HEADERS[0]}", "-o", program, source], check=True)
+    said = subprocess.run([program], capture_output=True, text=True, check=True).stdout
+    theirs = {name: int(value) for name, value in (line.split() for line in said.splitlines())}
+    assert theirs == ours
+    assert len(theirs) > 80
+
+
+def test_without_pycomedi_the_message_says_how_to_get_it() -> None:
+    program = (
+        "import sys\nsys.modules['pycomedi'] = None\n"
+        "from rig.hardware.cards.base import CardError, CardSetup\nfrom rig.hardware.cards.comedi import ComediCard\n"
+        "try:\n    ComediCard(CardSetup('daq', '/dev/comedi0', (), (), 1000.0))\n"
+        "except CardError as error:\n    print(error)\n"
+    )
+    said = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True).stdout
+    assert "pycomedi is not installed" in said
+    assert "make comedi" in said
+
+
+needs_pycomedi = pytest.mark.skipif(not find_spec("pycomedi"), reason="pycomedi is not installed: make comedi")
+
+
+@needs_pycomedi
+def test_importing_pycomedi_leaves_another_comedi_module_alone() -> None:
+    program = (
+        "import sys, types\nother = types.ModuleType('comedi')\nsys.modules['comedi'] = other\n"
+        "from rig.hardware.cards.comedi_device import require\nrequire()\n"
+        "assert sys.modules['comedi'] is other\n"
+    )
+    subprocess.run([sys.executable, "-W", "error", "-c", program], check=True)
+
+
+@needs_pycomedi
+def test_a_card_that_lets_one_process_in_names_the_process_that_has_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    node = tmp_path / "comedi0"
+    node.touch()
+
+    def busy(path: str, flags: int) -> int:
+        raise OSError(errno.EBUSY, os.strerror(errno.EBUSY))
+
+    with node.open() as held:
+        assert held.readable()
+        monkeypatch.setattr(os, "open", busy)
+        with pytest.raises(CardError, match=rf"one process at a time.* by process {os.getpid()}: end that process"):
+            Device(str(node))
+
+
+@needs_pycomedi
+@pytest.mark.parametrize(
+    ("code", "message"),
+    [
+        (errno.ENODEV, "no card is attached to it"),
+        (errno.ENXIO, "no card is attached to it"),
+        (errno.EIO, "cannot be opened: Input/output error"),
+    ],
+)
+def test_a_device_that_cannot_be_opened_says_why(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, code: int, message: str
+) -> None:
+    def fail(path: str, flags: int) -> int:
+        raise OSError(code, os.strerror(code))
+
+    monkeypatch.setattr(os, "open", fail)
+    with pytest.raises(CardError, match=message):
+        Device(str(tmp_path / "comedi0"))
+
+
+class RefusedError(Exception):
+    """A binding's error."""
+
+    comedi_msg = b"No such device"
+
+
+class Contested:
+    """A binding's device that another process opened first, the first time."""
+
+    opened = 0
+
+    def __init__(self, path: bytes) -> None:
+        self.path = path
+
+    def open(self) -> None:
+        Contested.opened += 1
+        raise RefusedError
+
+
+def test_a_card_that_another_process_opens_between_the_question_and_the_opening_is_called_busy(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whoever waits for such a card goes on waiting; no card attached would end it."""
+
+    def asked(path: str, flags: int) -> int:
+        if Contested.opened:
+            raise OSError(errno.EBUSY, os.strerror(errno.EBUSY))
+        return opened(path, flags)
+
+    opened = os.open
+    node = tmp_path / "comedi0"
+    node.touch()
+    binding = SimpleNamespace(PyComediError=RefusedError, Device=Contested)
+    monkeypatch.setattr(comedi_device, "_pycomedi", lambda: binding)
+    monkeypatch.setattr(os, "open", asked)
+    with pytest.raises(CardBusyError, match="one process at a time"):
+        Device(str(node))
+
+
+@needs_pycomedi
+def test_a_file_that_is_no_comedi_device_is_told_so(tmp_path: Path) -> None:
+    file = tmp_path / "comedi0"
+    file.touch()
+    with pytest.raises(CardError, match="no card is attached to it"):
+        ComediCard(CardSetup("daq", str(file), (), (), 1000.0))

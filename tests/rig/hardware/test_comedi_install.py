@@ -1,0 +1,106 @@
+"""`make comedi`, with a made-up Python in the environment: what it says, and that it leaves nothing behind."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import subprocess
+import time
+from pathlib import Path
+
+import pytest
+
+SCRIPT = Path(__file__).parents[3] / "scripts" / "comedi" / "install.sh"
+PYTHON = """#!/bin/sh
+case "$*" in
+*require*) echo "$REQUIRED" >&2; [ -z "$REQUIRED" ] ;;
+*version_info*-dev* | *"%d.%d-dev"*) echo python3.11-dev ;;
+*version_info*) [ "$VERSION" != 3.13.1 ] ;;
+--version) echo "Python $VERSION" ;;
+*sysconfig*) echo "$HEADERS" ;;
+*numpy.__version__*) echo 2.0.0 ;;
+"-m venv "*) mkdir -p "$3/bin" && cp "$0" "$3/bin/python" ;;
+*"pip install"*) echo "ERROR: no matching distribution found for cython<3" >&2; $DURING; exit 1 ;;
+esac
+"""
+
+
+class Bench:
+    """A folder with a blank in its name, and in it an environment, headers and a place for temporary files."""
+
+    def __init__(self, folder: Path) -> None:
+        root = folder / "a bench"
+        self.venv, self.temporary, self._headers = root / ".venv", root / "tmp", root / "include"
+        (self.venv / "bin").mkdir(parents=True)
+        self.temporary.mkdir()
+        self._headers.mkdir()
+        for header in ("Python.h", "comedilib.h"):
+            (self._headers / header).touch()
+        python = self.venv / "bin" / "python"
+        python.write_text(PYTHON)
+        python.chmod(0o755)
+
+    def start(self, **said: str) -> subprocess.Popen[str]:
+        where = {"TMPDIR": str(self.temporary), "HEADERS": str(self._headers), "CPATH": str(self._headers)}
+        environment = {"PATH": os.environ["PATH"], "VERSION": "3.11.7", "REQUIRED": "not there", "DURING": "", **where}
+        return subprocess.Popen(
+            # Where the tests run in the background, Ctrl-C is ignored, and would be by what they start.
+            ["env", "--default-signal=INT", "sh", str(SCRIPT), str(self.venv)],
+            env={**environment, **said},
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            start_new_session=True,
+        )
+
+    def install(self, **said: str) -> tuple[int, str, str]:
+        process = self.start(**said)
+        out, err = process.communicate(timeout=30)
+        assert not list(self.temporary.iterdir())
+        return process.returncode, out, err
+
+
+@pytest.fixture
+def bench(tmp_path: Path) -> Bench:
+    if shutil.which("cc") is None:
+        pytest.skip("no C compiler on this machine")
+    return Bench(tmp_path)
+
+
+def test_what_is_installed_is_left_alone(bench: Bench) -> None:
+    status, said, _ = bench.install(REQUIRED="")
+    assert (status, said) == (0, f"pycomedi is installed in {bench.venv}\n")
+
+
+def test_a_python_that_is_too_new_is_said_so_before_anything_is_fetched(bench: Bench) -> None:
+    status, said, wrong = bench.install(VERSION="3.13.1")
+    assert (status, said) == (2, "")
+    assert "does not build on Python 3.13.1" in wrong
+    assert "PYTHON=python3.12 make comedi" in wrong
+
+
+def test_headers_that_are_missing_are_named_by_their_packages(bench: Bench) -> None:
+    status, _, wrong = bench.install(HEADERS="/nowhere")
+    assert status == 2
+    assert "sudo apt-get install python3.11-dev" in wrong
+
+
+def test_a_machine_that_reaches_no_package_index_is_told_how_to_reach_one(bench: Bench) -> None:
+    status, _, wrong = bench.install()
+    assert status == 1
+    assert "no matching distribution" in wrong
+    for way in ("https_proxy", "PIP_INDEX_URL", "PIP_FIND_LINKS"):
+        assert way in wrong.splitlines()[-1]
+
+
+def test_ctrl_c_ends_it_without_a_trace(bench: Bench) -> None:
+    process = bench.start(DURING="sleep 30")
+    until = time.monotonic() + 20
+    while not list(bench.temporary.glob("*/log")) and time.monotonic() < until:
+        time.sleep(0.02)
+    os.killpg(process.pid, signal.SIGINT)
+    _, wrong = process.communicate(timeout=20)
+    assert process.returncode == 130
+    assert not wrong
+    assert not list(bench.temporary.iterdir())

@@ -1,0 +1,232 @@
+"""One run per card by whatever name it is called, and `rig vent` whatever that run is doing."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import rig.config.loader
+import rig.hardware.vent
+from rig.config.schema import CardConfig, RigConfig
+from rig.hardware import lock
+from rig.hardware.bench import Bench, open_bench, open_outputs
+from rig.hardware.cards.base import CardBusyError, CardError
+from rig.hardware.cards.comedi_device import _holders
+from rig.hardware.cards.kernel_devices import AttachedDevice, ComediModule
+from rig.hardware.cards.mock import MockCard
+from rig.hardware.lock import cards_locked, holders, lock_file
+from rig.hardware.vent import vent
+from rig.realtime import control_process as control
+from rig.realtime.shared_state import SharedState, StateLayout, Stop
+from rig.simulator.registers import Registers
+
+HOLD = (
+    "import sys, time\nimport rig.config.loader\nfrom rig.hardware.lock import cards_locked\n"
+    "with cards_locked(rig.config.loader.load(sys.argv[1]), 'a run that has not begun'):\n"
+    "    print('held', flush=True)\n    time.sleep(60)\n"
+)
+LATE = (
+    "import signal, sys, time\nimport rig.config.loader\nfrom rig.hardware.bench import open_bench\n"
+    "from rig.hardware.lock import cards_locked\nconfig = rig.config.loader.load(sys.argv[1])\ntold = []\n"
+    "signal.signal(signal.SIGTERM, lambda *_: told.append(True))\n"
+    "with cards_locked(config, 'a run that is long in ending'):\n"
+    "    print('held', flush=True)\n    while not told:\n        time.sleep(0.01)\n"
+    "    time.sleep(0.4)\n    open_bench(config).make_safe()\n"
+)
+
+
+def text() -> str:
+    return rig.config.loader.text("mock").replace("device: mock0", f"device: vented-{os.getpid()}")
+
+
+@contextmanager
+def run_that(program: str, file: Path) -> Iterator[subprocess.Popen[str]]:
+    """Another process that holds the rig's lock."""
+    with subprocess.Popen([sys.executable, "-c", program, file], stdout=subprocess.PIPE, text=True) as process:
+        try:
+            assert process.stdout is not None
+            assert process.stdout.readline() == "held\n"
+            yield process
+        finally:
+            process.kill()
+
+
+@pytest.fixture
+def registers() -> Iterator[Registers]:
+    registers = Registers.create(f"vented-{os.getpid()}", 2, 8)
+    yield registers
+    path = registers.path
+    registers.close()
+    path.unlink()
+
+
+@pytest.fixture
+def config(registers: Registers) -> Iterator[RigConfig]:
+    config = rig.config.loader.parse(text(), "rig.yaml")
+    yield config
+    for card in config.cards.values():
+        lock_file(card).unlink(missing_ok=True)
+
+
+def comedi_card(device: str) -> CardConfig:
+    return CardConfig(driver="comedi", device=device, inputs=1, outputs=1)
+
+
+def test_a_card_has_one_lock_by_its_node_a_link_to_it_and_its_boards_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    boards = (AttachedDevice(0, "adv_pci1710", "pci1716"), AttachedDevice(1, "comedi_test", "comedi_test"))
+    monkeypatch.setattr(lock, "comedi", lambda: ComediModule("0.7.76", boards, ()))
+    link = tmp_path / "card"
+    link.symlink_to("/dev/comedi0")
+    node = lock_file(comedi_card("/dev/comedi0"))
+    assert lock_file(comedi_card(str(link))) == node
+    assert lock_file(comedi_card("PCI1716")) == node
+    assert lock_file(comedi_card("comedi_test")) == lock_file(comedi_card("/dev/comedi1"))
+    assert lock_file(comedi_card("another")) != node
+
+
+def test_the_lock_lies_in_the_same_place_wherever_a_program_keeps_its_temporary_files(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    before = lock_file(comedi_card("/dev/comedi0"))
+    monkeypatch.setattr(lock.tempfile, "tempdir", str(tmp_path))
+    assert lock_file(comedi_card("/dev/comedi0")) == before
+
+
+def test_who_holds_a_lock_is_known_while_he_does(config: RigConfig) -> None:
+    assert holders(config) == ()
+    with cards_locked(config, "a test"):
+        assert holders(config) == (os.getpid(),)
+    assert holders(config) == ()
+
+
+@pytest.mark.parametrize("still", [False, True], ids=["awake", "standing still"])
+def test_a_run_that_would_not_notice_is_told_to_end(
+    still: bool, config: RigConfig, registers: Registers, tmp_path: Path
+) -> None:
+    """One that has not begun, that stands still, or whose valves stand vented anyway."""
+    file = tmp_path / "rig.yaml"
+    file.write_text(text())
+    with run_that(HOLD, file) as process:
+        if still:
+            process.send_signal(signal.SIGSTOP)
+        vent(config)
+        process.send_signal(signal.SIGCONT)
+        assert process.wait(20) == -signal.SIGTERM
+
+
+def test_valves_that_do_not_stay_where_they_are_told_are_not_called_vented(
+    config: RigConfig, registers: Registers, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(MockCard, "readback", lambda card: np.array([0.0, 7.0]))
+    with pytest.raises(CardError, match=r"valve 2 .* was told 0\.000 V but stands at 7\.000 V"):
+        vent(config)
+
+
+@pytest.mark.parametrize(("stands_v", "vented"), [(0.0, True), (3.0, False)])
+def test_who_stood_still_in_a_tick_does_not_undo_what_was_written_meanwhile(
+    config: RigConfig, registers: Registers, stands_v: float, vented: bool
+) -> None:
+    memory = SharedState.create(StateLayout.of(config))
+    bench = open_bench(config)
+    own = control.GuardedOutputs(bench, memory)
+    own.write(np.array([6.0, 7.0]))
+    registers.outputs["volts"] = stands_v
+    with pytest.raises(CardError, match="another program has written to the card"):
+        own.write(np.array([6.0, 7.0]))
+    assert registers.outputs["volts"].tolist() == [stands_v] * 2
+    assert memory.vents is vented
+    bench.close()
+    os.close(memory.fd)
+
+
+@pytest.mark.parametrize("flags", [{"stop": Stop.VENT}, {"fired_ns": 1}])
+def test_what_a_runs_own_watchdog_has_written_is_neither_undone_nor_taken_for_another_programs(
+    config: RigConfig, registers: Registers, flags: dict[str, int]
+) -> None:
+    memory = SharedState.create(StateLayout.of(config))
+    bench = open_bench(config)
+    own = control.GuardedOutputs(bench, memory)
+    own.write(np.array([6.0, 7.0]))
+    for name, value in flags.items():
+        memory.set(name, value)
+    registers.outputs["volts"] = 0.0
+    own.write(np.array([6.0, 7.0]))
+    assert registers.outputs["volts"].tolist() == [0.0, 0.0]
+    assert not own.undisturbed()
+    bench.close()
+    os.close(memory.fd)
+
+
+def test_who_has_a_card_open_is_found_behind_a_link_to_it(tmp_path: Path) -> None:
+    node, link = tmp_path / "comedi0", tmp_path / "card"
+    node.touch()
+    link.symlink_to(node)
+    with node.open():
+        assert _holders(str(link)) == (os.getpid(),)
+
+
+def test_who_has_a_card_for_a_moment_is_left_alone(
+    config: RigConfig, registers: Registers, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Another `rig vent`, or the watchdog that is making it safe: each has it for less than whoever drives it."""
+    began = time.monotonic()
+    with subprocess.Popen(["sleep", "60"]) as one, subprocess.Popen(["sleep", "60"]) as another:
+
+        def opened(config: RigConfig, card: str) -> Bench:
+            if (since := time.monotonic() - began) < 0.6:
+                holder = one.pid if since < 0.3 else another.pid
+                # Who lets go of it just now is not found any more.
+                raise CardBusyError(card, (holder,) if since > 0.05 else ())
+            return open_outputs(config, card)
+
+        monkeypatch.setattr(rig.hardware.vent, "open_outputs", opened)
+        vent(config)
+        assert one.poll() is None
+        assert another.poll() is None
+        one.kill()
+        another.kill()
+
+
+def test_a_run_whose_card_lets_in_one_process_is_told_to_end_before_one_of_its_is_killed(
+    config: RigConfig, registers: Registers, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    file = tmp_path / "rig.yaml"
+    file.write_text(text())
+    with run_that(HOLD, file) as run, subprocess.Popen(["sleep", "60"]) as control:
+
+        def opened(config: RigConfig, card: str) -> Bench:
+            if run.poll() is None:
+                raise CardBusyError(card, (control.pid,))
+            return open_outputs(config, card)
+
+        monkeypatch.setattr(rig.hardware.vent, "open_outputs", opened)
+        vent(config)
+        assert run.returncode == -signal.SIGTERM
+        assert control.poll() is None
+        control.kill()
+
+
+def test_valves_that_a_run_would_hold_stay_vented_though_it_is_long_in_ending(
+    registers: Registers, tmp_path: Path
+) -> None:
+    held = text().replace("type: flow\n", "type: flow\n    safe_state: hold\n")
+    config = rig.config.loader.parse(held, "rig.yaml")
+    file = tmp_path / "rig.yaml"
+    file.write_text(held)
+    with run_that(LATE, file) as run:
+        vent(config)
+        assert run.wait(20) == 0
+    assert registers.outputs["volts"].tolist() == [0.0, 0.0]
+    for card in config.cards.values():
+        lock_file(card).unlink(missing_ok=True)

@@ -1,0 +1,77 @@
+"""The rendered camera behaves like one: a steady clock, gaps when the reader is late, and a known truth."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+import pytest
+
+import rig.config.loader
+import rig.config.schema
+from rig.hardware.cameras.base import CameraError
+from rig.hardware.cameras.mock import MockCamera
+from rig.simulator.tip_pose import TipPose
+from tests.support.vision_bench import FRAME_NS, Sweep
+
+pytestmark = pytest.mark.alone
+
+
+@pytest.fixture(scope="module")
+def config() -> rig.config.schema.RigConfig:
+    return rig.config.loader.load("mock")
+
+
+def test_a_frame_in_virtual_time_is_repeatable_and_knows_the_truth(config: rig.config.schema.RigConfig) -> None:
+    one, other = MockCamera(config, Sweep(), seed=3), MockCamera(config, Sweep(), seed=3)
+    for k in (0, 1, 5):
+        a, b = one.frame_at(k, k * FRAME_NS), other.frame_at(k, k * FRAME_NS)
+        assert np.array_equal(a.image, b.image)
+        assert (a.index, a.t_ns) == (k, k * FRAME_NS)
+        assert a.truth_m is not None
+        assert np.array_equal(a.truth_m, Sweep().pose_at(a.t_ns).position_m)
+
+
+def test_real_time_frames_lie_on_the_cameras_grid_and_follow_one_another(config: rig.config.schema.RigConfig) -> None:
+    camera = MockCamera(config, Sweep(), seed=3)
+    camera.read(1.0)  # compiles or loads the renderer
+    frames = [camera.read(1.0) for _ in range(4)]
+    period = round(1e9 / config.cameras["front"].rate_hz)
+    steps = np.diff([f.t_ns for f in frames])
+    gaps = np.diff([f.index for f in frames])
+    assert np.array_equal(steps, gaps * period)
+    assert np.all(gaps >= 1)
+    assert frames[-1].t_ns < time.monotonic_ns()
+
+
+def test_a_late_reader_sees_a_gap_and_never_an_old_picture(config: rig.config.schema.RigConfig) -> None:
+    camera = MockCamera(config, Sweep(), seed=3)
+    first = camera.read(1.0)
+    time.sleep(0.2)
+    before = time.monotonic_ns()
+    second = camera.read(1.0)
+    assert second.index - first.index >= 5
+    assert second.t_ns > before - 1.6e9 / 30
+
+
+def test_a_camera_slower_than_the_time_out_says_so(config: rig.config.schema.RigConfig) -> None:
+    slow = config.model_copy(update={"cameras": {"front": config.cameras["front"].model_copy(update={"rate_hz": 5.0})}})
+    camera = MockCamera(slow, Sweep(), seed=3)
+    # Built at the start of an exposure, a period before the next.
+    camera.read(3.0)
+    with pytest.raises(CameraError, match="no picture within"):
+        camera.read(0.02)
+
+
+def test_a_dead_simulator_is_a_camera_error(config: rig.config.schema.RigConfig) -> None:
+    class Dead:
+        def pose_at(self, t_ns: int) -> TipPose:
+            raise LookupError("no pose")
+
+    with pytest.raises(CameraError, match="stands still"):
+        MockCamera(config, Dead()).read(1.0)
+
+
+def test_a_rig_without_a_simulator_has_no_rendered_camera(config: rig.config.schema.RigConfig) -> None:
+    with pytest.raises(CameraError, match="simulator"):
+        MockCamera(config.model_copy(update={"simulator": None}), Sweep())

@@ -1,0 +1,191 @@
+"""A card that lets in one process at a time: it is made safe by who comes after the one that has it."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+import rig.config.loader
+import runs
+from protocols import BadInputError, Trajectory
+from rig.config.schema import RigConfig
+from rig.execution.plan import Plan
+from rig.hardware.bench import open_bench
+from rig.hardware.cards.base import CardBusyError
+from rig.realtime.child_process import ChildJob, ended_within, spawn
+from rig.realtime.failsafe import force_safe_state
+from rig.realtime.shared_state import SharedState, Stage, StateLayout
+from rig.realtime.watchdog_outputs import WatchdogOutputs
+from rig.simulator.registers import Registers, path_of
+from runs.records import Status
+from tests.support.rig_process import BRIEF, SHORT, rig_run, with_one_opener
+
+HOLD = (
+    "import sys, time\nimport rig.config.loader\nfrom rig.hardware.bench import open_bench\n"
+    "bench = open_bench(rig.config.loader.load(sys.argv[1]))\nprint('held', flush=True)\ntime.sleep(60)\n"
+)
+
+
+def rig_text(device: str, *, one_opener: bool = True) -> str:
+    text = rig.config.loader.text("mock").replace("device: mock0", f"device: {device}")
+    return with_one_opener(text, one_opener=one_opener)
+
+
+@pytest.fixture
+def device() -> Iterator[str]:
+    name = f"door-{os.getpid()}"
+    registers = Registers.create(name, 2, 8)
+    registers.outputs["volts"] = 7.0
+    yield name
+    registers.close()
+    path_of(name).unlink()
+    path_of(name).with_suffix(".door").unlink(missing_ok=True)
+
+
+@pytest.fixture
+def config(device: str) -> RigConfig:
+    return rig.config.loader.parse(rig_text(device), "rig.yaml")
+
+
+@pytest.fixture
+def holder(device: str, tmp_path: Path) -> Iterator[subprocess.Popen[str]]:
+    """Another process that has the card, and keeps it."""
+    file = tmp_path / "rig.yaml"
+    file.write_text(rig_text(device))
+    with subprocess.Popen([sys.executable, "-c", HOLD, file], stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "held\n"
+        yield process
+        process.kill()
+
+
+def until(condition: Callable[[], bool]) -> None:
+    limit = time.monotonic() + 30
+    while not condition():
+        assert time.monotonic() < limit
+        time.sleep(0.005)
+
+
+def volts(device: str) -> list[float]:
+    registers = Registers.attach(device)
+    stand: list[float] = registers.outputs["volts"].tolist()
+    registers.close()
+    return stand
+
+
+def test_the_second_opener_is_told_who_has_the_card(config: RigConfig) -> None:
+    first = open_bench(config)
+    with pytest.raises(CardBusyError, match=f"one process at a time and is open already by process {os.getpid()}"):
+        open_bench(config, watchdog=True)
+    first.close()
+    open_bench(config).close()
+
+
+def test_the_watchdog_lets_go_of_a_card_that_lets_in_one_and_opens_it_when_it_must_write(
+    config: RigConfig, device: str
+) -> None:
+    grip = WatchdogOutputs(config)
+    assert not grip.shared
+    control = open_bench(config)
+    with pytest.raises(CardBusyError):
+        grip.make_safe(vent=False)
+    control.close()
+    grip.make_safe(vent=False)
+    assert volts(device) == [0.0, 0.0]
+    grip.close()
+
+
+def test_the_watchdog_keeps_hold_of_any_other_card(device: str) -> None:
+    config = rig.config.loader.parse(rig_text(device, one_opener=False), "rig.yaml")
+    grip = WatchdogOutputs(config)
+    assert grip.shared
+    control = open_bench(config)
+    grip.make_safe(vent=False)
+    assert volts(device) == [0.0, 0.0]
+    control.close()
+    grip.close()
+
+
+def test_who_stands_in_ends_the_process_that_has_the_card(
+    config: RigConfig, device: str, holder: subprocess.Popen[str]
+) -> None:
+    memory = SharedState.create(StateLayout.of(config))
+    memory.set("control_pid", holder.pid)
+    assert force_safe_state(config, memory) == ""
+    assert volts(device) == [0.0, 0.0]
+    assert memory.get("safe_ns")
+    os.close(memory.fd)
+
+
+def test_rig_vent_ends_the_process_that_has_the_card(
+    config: RigConfig, device: str, holder: subprocess.Popen[str], tmp_path: Path
+) -> None:
+    command = [sys.executable, "-m", "rig", "vent", "--rig", str(tmp_path / "rig.yaml")]
+    subprocess.run(command, check=True, capture_output=True)
+    assert volts(device) == [0.0, 0.0]
+    assert holder.wait(10) == -signal.SIGKILL
+
+
+def test_a_real_card_that_claims_to_let_in_one_is_refused() -> None:
+    text = rig.config.loader.text("pci1716").replace("device: /dev/comedi0", "device: /dev/comedi0, one_opener: true")
+    with pytest.raises(BadInputError, match="one_opener"):
+        rig.config.loader.parse(text, "rig.yaml")
+
+
+def test_who_has_the_card_and_hangs_is_ended_also_where_another_process_is_watched(
+    config: RigConfig, device: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """As in a calibration, which drives the valves in the operator's own command."""
+    memory = SharedState.create(StateLayout.of(config))
+    nothing = Trajectory(0.0, config.actuators, (), (), "")
+    plan = Plan(config, tmp_path / "rig.yaml", nothing, config.model.variant, 0)
+    plan.rig_file.write_text(rig_text(device))
+    watchdog = spawn("rig.realtime.watchdog_process", ChildJob(plan, memory.fd, os.getpid()))
+    try:
+        until(lambda: memory.stage("watchdog") is Stage.READY)
+        program = [sys.executable, "-c", HOLD, str(plan.rig_file)]
+        with (
+            subprocess.Popen(program, stdout=subprocess.PIPE) as holder,
+            subprocess.Popen(["sleep", "60"]) as watched,
+        ):
+            assert holder.stdout is not None
+            assert holder.stdout.readline() == b"held\n"
+            memory.set("holder_pid", holder.pid)
+            memory.set("control_pid", watched.pid)
+            memory.say("control", Stage.RUNNING)
+            until(lambda: bool(memory.get("fired_ns")))
+            assert volts(device) == [0.0, 0.0]
+            assert holder.wait(10) == -signal.SIGKILL
+            watched.kill()
+        assert ended_within(watchdog, 10)
+    finally:
+        watchdog.kill()
+        watchdog.wait()
+        os.close(memory.fd)
+    assert "the control process hung: the command that had the card was ended" in capfd.readouterr().err
+
+
+@pytest.mark.alone
+def test_a_run_whose_control_hangs_is_made_safe_all_the_same(tmp_path: Path) -> None:
+    with rig_run(tmp_path, SHORT, one_opener=True) as run:
+        run.wait_until_pressurised()
+        os.kill(run.pid_of("rig.realtime.control_process"), signal.SIGSTOP)
+        run.wait_until_safe(2.0)
+        assert run.end() == 1, run.output
+    archive = runs.open(run.archive())
+    assert archive.status is Status.ABORTED
+    assert "control process hung" in archive.message
+
+
+@pytest.mark.alone
+def test_a_run_on_such_a_card_goes_to_its_end(tmp_path: Path) -> None:
+    with rig_run(tmp_path, BRIEF, one_opener=True) as run:
+        assert run.end() == 0, run.output
+    assert runs.open(run.archive()).status is Status.FINISHED

@@ -1,0 +1,250 @@
+"""`rig identify` from the command line: report, profiles, runs left out, model choice, the paper's own numbers."""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
+
+import numpy as np
+import pytest
+
+import runs
+from calibration.identify import NoDataError, Poses, Setup
+from calibration.identify.simulated_experiments import MeasurementErrors, perform, plan
+from rig.cli.app import main
+from rig.config.arm_model import model_arm
+from rig.config.loader import load, text
+from rig.config.parameters_overlay import read
+from rig.identify import estimation
+from runs.archive.writer import finalise
+from runs.journal.journal import JournalWriter
+from runs.records import DetectionStatus, RunFooter, Status, observation_dtype, sample_dtype
+from tests.support.synthetic_runs import header
+
+HOLD_S, HZ = 3, 30
+TRUE = {"a1_per_n": 0.0079, "a2_per_n2": 0.00034, "rpe_per_bar": 0.049}
+
+
+def archive(
+    folder: Path, name: str, pressure_bar: np.ndarray, weight_kg: np.ndarray, rig_yaml: str = text("mock")
+) -> Path:
+    """A run of plateaus on an arm that is softer than the mock's file says, as its archive would be."""
+    arm = model_arm(load("mock"))
+    truth = Setup(replace(arm, material=replace(arm.material, **TRUE)))
+    poses = perform(
+        plan(name, pressure_bar * 1e5, weight_kg), truth, np.random.default_rng(2), MeasurementErrors((0, 0, 0), 0, 0)
+    )
+    rng = np.random.default_rng(len(name))
+    n = len(poses) * HOLD_S * HZ
+    which = np.arange(n) // (HOLD_S * HZ)
+    about = replace(header(name), rig_yaml=rig_yaml, intervals=(), quantities=(), control_hz=HZ, camera_hz=HZ)
+    samples, rows = np.zeros(n, sample_dtype(3, 2)), np.zeros(n, observation_dtype(3))
+    samples["tick"] = rows["frame"] = np.arange(n)
+    samples["t_ns"] = rows["t_ns"] = about.started_t_ns + np.arange(n) * 1_000_000_000 // HZ
+    samples["protocol_s"] = rows["protocol_s"] = np.arange(n) / HZ
+    samples["setpoint_pa"], samples["scans"] = poses.pressure_pa[which], 1
+    samples["measured_pa"] = rows["pressure_pa"] = poses.pressure_pa[which] + rng.normal(0, 30, (n, 3))
+    rows["weight_kg"], rows["seen"] = weight_kg[which], DetectionStatus.MEASURED
+    rows["measured_m"] = poses.tip_m[which] + rng.normal(0, 1e-4, (n, 3))
+    rows["covariance_m2"] = np.eye(3) * 1e-8
+    journal = JournalWriter(folder / f"{name}.mcap", about)
+    journal.samples(samples)
+    journal.observations(rows)
+    journal.close(RunFooter(int(rows["t_ns"][-1]), Status.FINISHED, ""))
+    return finalise(journal.path)
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+    folder = tmp_path_factory.mktemp("bench")
+    ramp, none = np.linspace(0.0, 0.6, 7)[:, None], np.zeros(7)
+    made = {
+        "weights": archive(folder, "weights", np.zeros((7, 3)), np.linspace(0, 1.2, 7)),
+        "extension": archive(folder, "extension", ramp * np.ones(3), none),
+        "one": archive(folder, "one", ramp * np.array([1.0, 0, 0]), none),
+        "two": archive(folder, "two", ramp * np.array([0, 1.0, 1.0]), none),
+    }
+    return {name: str(path) for name, path in made.items()}
+
+
+def rig(*arguments: str, status: int = 0) -> None:
+    with pytest.raises(SystemExit) as left:
+        main(["identify", *arguments])
+    assert left.value.code == status
+
+
+def test_the_report_holds_everything_and_loads_nothing(
+    bench: dict[str, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    page, found = tmp_path / "page.html", tmp_path / "arm.yaml"
+    options = ["--free", "law,rpe_per_bar,damping_s", "--profile", "--leave-out", bench["two"]]
+    rig(*bench.values(), *options, "--report", str(page), "--to", str(found), "--starts", "2")
+    html, said = page.read_text(), capsys.readouterr()
+    for heading in (
+        "Parameters",
+        "Intervals",
+        "Residuals",
+        "quantiles",
+        "Correlations",
+        "Profiles",
+        "left out",
+        "ended",
+    ):
+        assert re.search(f"<h2>[^<]*{heading}", html), heading
+    assert "These runs were simulated" in html
+    assert not re.search(r"(src|href)=\"http", html)
+    assert runs.open(bench["one"]).sha256 in html
+    # The run that was left out is predicted, not fitted.
+    assert "two (left out)" in said.err
+    before, after = map(float, re.findall(r"two \(left out\): rms ([\d.]+) -> ([\d.]+)", said.err)[0])
+    assert after < 0.1 * before
+    assert "damping_s: 95 % by profile flat" in said.err
+    assert "left open by the data: +1.00 damping_s" in said.out
+    ends = {e.name: e.profile_95 for e in read(found).found.estimates}
+    assert ends["damping_s"] == ("open", "open")
+    low, high = ends["a1_per_n"] or ("open", "open")
+    assert isinstance(low, float)
+    assert isinstance(high, float)
+    assert low < high
+
+
+def test_choose_ends_with_a_table_like_the_papers_and_a_sentence(
+    bench: dict[str, str], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # On one core the work stays in this process: others would take longer to start than so small a comparison does.
+    monkeypatch.setattr("os.cpu_count", lambda: 1)
+    rig(bench["weights"], bench["one"], bench["two"], "--choose", "--free", "base_z_m", "--json")
+    found = json.loads(capsys.readouterr().out)
+    assert found["best"] == "inhomogeneous+rpe, pointwise"
+    assert "predicts runs left out best" in found["sentence"]
+    assert {(row["inhomogeneous"], row["radial_effect"]) for row in found["rows"]} == {(0, 0), (0, 1), (1, 1)}
+
+
+def test_paper_gives_what_section_5_2_gives(bench: dict[str, str], capsys: pytest.CaptureFixture[str]) -> None:
+    rig(bench["weights"], bench["extension"], "--paper", "--json")
+    found = json.loads(capsys.readouterr().out)
+    assert float(found["a1 of eq 32"]["r2"]) > 0.999
+    assert float(found["a2 of eq 32"]["value"]) == pytest.approx(TRUE["a2_per_n2"], rel=0.15)
+    free_strain = float(found["a of eq 30, push on the caps taken off"]["value"])
+    assert free_strain == pytest.approx(TRUE["rpe_per_bar"], rel=0.25)
+    assert float(found["mu of eqs 1-6"]["value"]) > 1e4
+    assert "290.5 kPa" in found["published"]
+
+
+def test_paper_says_what_it_lacks(bench: dict[str, str], capsys: pytest.CaptureFixture[str]) -> None:
+    rig(bench["one"], "--paper", status=2)
+    assert "under weights" in capsys.readouterr().err
+
+
+def test_the_rest_of_a_run_is_predicted_and_drawn(
+    bench: dict[str, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    middle_s = runs.open(bench["one"]).duration_s / 2
+    picture = tmp_path / "predicted.svg"
+    told = ["--until", f"{middle_s:g}", "--figure", str(picture)]
+    rig(bench["one"], "--free", "law,rpe_per_bar", *told)
+    said = capsys.readouterr()
+    before, after = map(float, re.findall(rf"from {middle_s:g} s \(left out\): rms ([\d.]+) -> ([\d.]+)", said.err)[0])
+    assert after < 0.3 * before
+    assert "" not in said.err.splitlines()  # what a bar leaves behind where there is no terminal
+    assert "before, rms" in picture.read_text()
+
+
+def test_of_several_starts_the_likeliest_is_taken(
+    bench: dict[str, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    upright = tmp_path / "upright.yaml"
+    upright.write_text(
+        text("mock").replace("  cap_mass_g: 50\n\n", "  cap_mass_g: 50\n  gravity_direction: [0, 0, -1]\n\n")
+    )
+    rig(bench["weights"], bench["one"], "--free", "law,rpe_per_bar", "--start", str(upright), "--start", "mock")
+    said = capsys.readouterr()
+    found = {name: float(x) for name, x in re.findall(r"from (\S+): log likelihood (-?[\d.]+)", said.err)}
+    assert found["mock"] > found[str(upright)] + 100
+    assert re.findall(r"from (\S+): .*, taken", said.err) == ["mock"]
+    assert re.search(rf"a1_per_n +{TRUE['a1_per_n']:.5f}"[:-1], said.out)
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--every", "2"], "say --quasi-static"),
+        (["--start", "mock", "--choose"], "neither --choose nor --paper"),
+        (["--start", "nowhere"], "there is no such file"),
+        (["--figure", "x.png"], "nothing is predicted"),
+        (["--rig", "mock"], "to begin the search at another rig say --start"),
+        (["--until", "3", "--paper"], "neither --choose nor --paper"),
+        (["--until", "1e6"], "shows no tip after"),
+    ],
+)
+def test_a_figure_or_a_part_without_sense_is_refused(
+    bench: dict[str, str], options: list[str], said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rig(bench["one"], *options, status=2)
+    # A narrow terminal breaks the sentence.
+    assert said in re.sub(r"[\s│]+", " ", capsys.readouterr().err)
+
+
+def test_where_results_are_to_go_is_known_to_be_wrong_before_the_search(
+    bench: dict[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("rig.identify.estimation.likeliest", lambda *_: pytest.fail("the search had begun"))
+    (tmp_path / "short.yaml").write_text(text("mock").replace("length_mm: 170", "length_mm: 140"), encoding="utf-8")
+    found = str(tmp_path / "found.yaml")
+    for options, said in (
+        (["--rig-file", found, "--rig", "nowhere"], "no rig of that name"),
+        (["--rig-file", found, "--rig", str(tmp_path / "short.yaml")], "another arm than the search begins at"),
+        (["--figure", str(tmp_path / "a.xyz"), "--until", "15"], "a name that ends with .png, .pdf or .svg"),
+        (["--report", str(tmp_path)], "a file, not a folder"),
+        (["--to", str(tmp_path / "short.yaml" / "a.yaml")], "is a file, not a folder"),
+    ):
+        rig(bench["one"], *options, status=2)
+        assert said in re.sub(r"[\s│]+", " ", capsys.readouterr().err)
+    assert not (tmp_path / "found.parameters.yaml").exists()
+
+
+def test_runs_of_another_arm_are_refused_unless_one_arm_is_named(
+    bench: dict[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    short = text("mock").replace("length_mm: 170", "length_mm: 140")
+    other = str(archive(tmp_path, "other", np.array([[0.1, 0, 0], [0.3, 0, 0]]), np.zeros(2), short))
+    for asked in ([bench["one"], other], [bench["one"], "--leave-out", other]):
+        rig(*asked, status=2)
+        assert "length_mm 140.0, not 170.0" in capsys.readouterr().err
+
+    def begun(*_: object) -> None:
+        raise NoDataError("the search began")
+
+    monkeypatch.setattr("rig.identify.estimation.likeliest", begun)
+    rig(bench["one"], other, "--start", "mock", status=2)
+    assert "the search began" in capsys.readouterr().err
+
+
+def test_runs_whose_rigs_place_a_camera_differently_are_said_to_share_one_base(
+    bench: dict[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def begun(*_: object) -> None:
+        raise NoDataError("the search began")
+
+    monkeypatch.setattr("rig.identify.estimation.likeliest", begun)
+    moved = text("mock").replace("translation_mm: [0, 400, 200]", "translation_mm: [0, 401, 200]")
+    other = str(archive(tmp_path, "moved", np.array([[0.1, 0, 0], [0.3, 0, 0]]), np.zeros(2), moved))
+    rig(bench["one"], bench["two"], status=2)
+    assert "front" not in capsys.readouterr().err
+    rig(bench["one"], other, status=2)
+    assert "moved: its rig places camera front elsewhere than that of one" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("moving", "damped"), [(True, True), (False, False)])
+def test_damping_is_free_by_default_where_a_run_moves(
+    moving: bool, damped: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(estimation, "identify", lambda data, start, free, *_: free)
+    free: Any = estimation.from_poses(load("mock"), [cast(Poses, SimpleNamespace(moving=moving))], (), {})
+    assert ("damping_s" in free) == damped
+    assert ("sensor_lag_s" in free) == damped
+    assert {"law", "rpe_per_bar", "base", "sensor_offsets"} <= set(free)

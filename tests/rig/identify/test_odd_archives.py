@@ -1,0 +1,275 @@
+"""Archives that no good run leaves, and archives that do not belong together: a fit, or one sentence, never a guess."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+
+import runs
+from calibration.identify import Setup, in_motion
+from calibration.identify.simulated_experiments import MeasurementErrors, plan
+from calibration.identify.tip_predictor import Predictor
+from rig.cli.app import main
+from rig.config.arm_model import model_arm
+from rig.config.loader import load, parse, path_of, text
+from rig.config.parameters_overlay import overlay, read
+from rig.identify.initial_setup import truth_of
+from runs.archive.writer import finalise
+from runs.journal.journal import JournalWriter
+from runs.records import DetectionStatus, RunFooter, RunHeader, Status, observation_dtype, sample_dtype
+from tests.support.synthetic_runs import header
+
+HZ, TICK_HZ = 15, 60
+MILLISECOND = 1_000_000
+
+
+def about(name: str, **changes: Any) -> RunHeader:
+    plain = {"rig_yaml": text("mock"), "intervals": (), "quantities": (), "control_hz": TICK_HZ, "camera_hz": HZ}
+    return replace(header(name), **{**plain, **changes})
+
+
+def archive(
+    folder: Path,
+    name: str = "odd",
+    frames: int = 45,
+    ticks: int = 180,
+    seen: DetectionStatus = DetectionStatus.MEASURED,
+    swing_pa: float = 1.5e4,
+    std_m: tuple[float, float, float] = (1e-4, 1e-4, 1e-4),
+    status: Status = Status.FINISHED,
+    actuators: int = 3,
+    **changes: Any,
+) -> Path:
+    """An arm of the mock's file that swings for three seconds, as its archive would be."""
+    rng = np.random.default_rng(frames + ticks)
+    who = about(name, actuators=actuators, **changes)
+    samples, rows = np.zeros(ticks, sample_dtype(actuators, 2)), np.zeros(frames, observation_dtype(actuators))
+
+    def course(time_s: np.ndarray) -> np.ndarray:
+        return 3e4 + swing_pa * np.sin(3.0 * time_s)[:, None] * np.eye(actuators)[0]
+
+    sampled_s, frame_s = np.arange(ticks) / TICK_HZ, np.arange(1, frames + 1) / HZ
+    samples["tick"], samples["scans"] = np.arange(ticks), 1
+    samples["t_ns"] = who.started_t_ns + np.round(sampled_s * 1e9).astype(np.int64)
+    samples["setpoint_pa"] = course(sampled_s)
+    samples["measured_pa"] = samples["setpoint_pa"] + (rng.normal(0, 20, (ticks, actuators)) if swing_pa else 0.0)
+    rows["frame"], rows["seen"] = np.arange(1, frames + 1), seen
+    rows["t_ns"] = who.started_t_ns + np.round(frame_s * 1e9).astype(np.int64)
+    samples["protocol_s"], rows["protocol_s"] = sampled_s, frame_s
+    rows["covariance_m2"] = np.diag(np.square(std_m))
+    if frames and actuators == 3:
+        planned = plan("swing", course(frame_s), period_s=1 / HZ, errors=MeasurementErrors())
+        rows["measured_m"] = Predictor(planned)(Setup(model_arm(load("mock")))) + rng.normal(0, 1e-4, (frames, 3))
+    if seen is not DetectionStatus.MEASURED:
+        rows["measured_m"] = np.nan
+    journal = JournalWriter(folder / f"{name}.mcap", who)
+    journal.samples(samples)
+    journal.observations(rows)
+    journal.close(RunFooter(who.started_t_ns + 3_000 * MILLISECOND, status, ""))
+    return finalise(journal.path)
+
+
+def identify(capsys: pytest.CaptureFixture[str], *arguments: str | Path, status: int) -> str:
+    with pytest.raises(SystemExit) as left:
+        main(["identify", *map(str, arguments)])
+    said = capsys.readouterr()
+    assert left.value.code == status, said
+    # A narrow terminal breaks the sentence.
+    return re.sub(r"[\s│]+", " ", said.out + said.err)
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"frames": 0}, "no frame shows the tip"),
+        ({"seen": DetectionStatus.NO_BOARD}, "no frame shows the tip"),
+        ({"ticks": 0}, "no pressure was recorded"),
+        ({"std_m": (1e-4, 0.0, 1e-4)}, "uncertainty is zero along an axis"),
+        ({"rig_yaml": ""}, "holds no rig"),
+    ],
+)
+def test_an_archive_that_tells_nothing_is_refused_in_one_sentence(
+    tmp_path: Path, changes: dict[str, Any], said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    told = identify(capsys, archive(tmp_path, **changes), "--free", "law", status=2)
+    assert said in told
+    assert "odd" in told
+    assert "Traceback" not in told
+
+
+@pytest.mark.parametrize(
+    "changes", [{"frames": 1}, {"frames": 2}, {"ticks": 1}, {"swing_pa": 0.0}, {"status": Status.ABORTED}]
+)
+def test_an_archive_that_tells_little_gives_verdicts_or_wide_bars(
+    tmp_path: Path, changes: dict[str, Any], capsys: pytest.CaptureFixture[str]
+) -> None:
+    told = identify(capsys, archive(tmp_path, **changes), "--free", "law,damping_s", status=0)
+    assert "a1_per_n" in told
+
+
+def test_frames_after_the_last_pressure_do_not_count(tmp_path: Path) -> None:
+    run = runs.open(archive(tmp_path, ticks=60))
+    poses = in_motion(run)
+    assert (poses.time_s[poses.seen] < 1 + 2 / HZ).all()
+    assert poses.seen.sum() > 10
+
+
+def test_a_camera_slower_than_asked_does_not_change_the_arms_time(tmp_path: Path) -> None:
+    run = runs.open(archive(tmp_path, camera_hz=30.0))
+    assert in_motion(run).period_s == pytest.approx(1 / HZ, rel=1e-6)
+
+
+def test_a_run_that_is_named_twice_counts_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    path = archive(tmp_path)
+    once = identify(capsys, path, "--free", "a1_per_n", status=0)
+    twice = identify(capsys, path, path.name, "--free", "a1_per_n", status=0)
+    assert "odd.h5 is named twice and counts once" in twice
+    assert once in twice
+    assert "nothing is left" in identify(capsys, path, "--leave-out", path.name, status=2)
+
+
+def test_a_run_and_its_replay_are_one_experiment(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    run, replay = archive(tmp_path), archive(tmp_path, "again", frames=30, parent="odd")
+    other = archive(tmp_path, "other", frames=31, started_utc_ns=1)
+    told = identify(capsys, run, other, replay, "--free", "law", status=2)
+    assert "odd.h5 and" in told
+    assert "are of one run" in told
+
+
+def with_parameters(folder: Path, capsys: pytest.CaptureFixture[str]) -> tuple[Path, Path, Path]:
+    """A run of the mock's rig, parameters of it that move and turn what they found, and a run that was given these."""
+    plain, file = archive(folder, "plain", started_utc_ns=1), folder / "first.yaml"
+    identify(capsys, plain, "--free", "a1_per_n", "--to", file, status=0)
+    found = yaml.safe_load(file.read_text())
+    found["mounting"] |= {"base_translation_mm": [3.0, 0.0, 1.0], "base_rotation_deg": [0.0, 0.0, 90.0]}
+    found["mounting"]["tool_offset_mm"], found["sensing"]["gain"] = [0.0, 1.0, 0.0], [1.02, 1.0, 1.0]
+    found["arm"]["geometry"]["actuator_angles_deg"][0] += 0.5
+    file.write_text(yaml.safe_dump(found, sort_keys=False))
+    laid = overlay(text("mock"), path_of("mock"), read(file))
+    moved = archive(folder, "moved", started_utc_ns=2, rig_yaml=laid, parameters_yaml=file.read_text())
+    return plain, file, moved
+
+
+def test_runs_that_count_from_different_bases_are_not_mixed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    plain, _, moved = with_parameters(tmp_path, capsys)
+    told = identify(capsys, plain, moved, "--free", "law", status=2)
+    assert "different parameters laid over their rig" in told
+
+
+def test_what_is_found_with_parameters_laid_over_a_rig_is_for_the_rig_without_them(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    _, first, moved = with_parameters(tmp_path, capsys)
+    file, rig = tmp_path / "second.yaml", tmp_path / "rig.yaml"
+    told = identify(capsys, moved, "--free", "a1_per_n,base_x_m", "--to", file, "--rig-file", rig, status=0)
+    assert "count from there" in told
+    second = read(file).found
+    shift = 1e3 * next(e.used for e in second.estimates if e.name == "base_x_m")
+    assert abs(shift) > 1e-3
+    # The base that the first parameters turned by a quarter: its x is the plain rig's y.
+    assert second.mounting.base_translation_mm == pytest.approx((3.0, shift, 1.0), abs=1e-9)
+    assert second.mounting.base_rotation_deg == pytest.approx((0.0, 0.0, 90.0))
+    assert (second.mounting.tool_offset_mm, second.sensing.gain) == ((0.0, 1.0, 0.0), (1.02, 1.0, 1.0))
+    assert second.estimates_count_from is not None
+    assert second.estimates_count_from.mounting == read(first).found.mounting
+
+    plain = text("mock"), path_of("mock")
+    wanted = parse(overlay(*plain, read(file)), "wanted")
+    again = overlay(overlay(*plain, read(first)), "laid", read(file), instead_of=first.read_text())
+    for other in (parse(rig.read_text(), "written"), parse(again, "again")):
+        assert other.arm == wanted.arm
+        for name, camera in wanted.cameras.items():
+            placed = other.cameras[name].placement
+            assert placed.translation_mm == pytest.approx(camera.placement.translation_mm, abs=1e-9)
+            assert placed.rotation_deg == pytest.approx(camera.placement.rotation_deg, abs=1e-9)
+        assert other.board.placement.translation_mm == pytest.approx(wanted.board.placement.translation_mm)
+        for one, sensor in zip(other.sensors, wanted.sensors, strict=True):
+            assert one.span_bar == pytest.approx(sensor.span_bar)
+
+
+def test_a_run_of_another_arm_is_not_predicted(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    two = archive(tmp_path, "two", actuators=2, started_utc_ns=2)
+    told = identify(capsys, archive(tmp_path), "--free", "law", "--leave-out", two, status=2)
+    assert "two is of 2 actuators, the others are of 3" in told
+
+
+def test_a_chamber_does_not_grow_through_its_wall(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    thin = text("mock").replace("outer_radius_mm: 14", "outer_radius_mm: 9.6")
+    told = identify(capsys, archive(tmp_path, rig_yaml=thin), "--free", "inner_radius_m", status=0)
+    assert "inner_radius_m" in told
+
+
+def test_the_rig_that_is_written_is_the_runs_own(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    own = text("mock").replace("name: mock", "name: ours").replace("keep_every: 3", "keep_every: 7")
+    found = tmp_path / "deep" / "found.yaml"
+    identify(capsys, archive(tmp_path, rig_yaml=own), "--free", "law", "--rig-file", found, status=0)
+    assert load(str(found)).name == "ours"
+
+
+def test_the_simulators_truth_is_told_of_what_is_mounted_otherwise_than_stated(tmp_path: Path) -> None:
+    rig = yaml.safe_load(text("mock"))
+    simulator, board = rig["simulator"], rig["board"]["placement"]
+    simulator["geometry"] = {**rig["arm"]["geometry"], "actuator_angles_deg": [5, 120, 237]}
+    simulator["board"] = {**board, "translation_mm": np.add(board["translation_mm"], (1, 2, 3)).tolist()}
+    simulator["base"] = {"translation_mm": [4, 5, 6]}
+    simulator["built"] = {"lenses": {"front": rig["cameras"]["front"]["lens"]}, "valves": rig["valves"],
+                          "sensors": [{**s, "span_bar": [0, 8]} for s in rig["sensors"]]}  # fmt: skip
+    truth = truth_of(runs.open(archive(tmp_path, rig_yaml=yaml.safe_dump(rig))))
+    assert [truth[f"actuator_{n}_turn_rad"] for n in (1, 2, 3)] == pytest.approx(np.radians([5, 0, -3]))
+    assert [truth[f"tool_{axis}_m"] for axis in "xyz"] == pytest.approx([1e-3, 2e-3, 3e-3])
+    assert [truth[f"base_{axis}_m"] for axis in "xyz"] == pytest.approx([4e-3, 5e-3, 6e-3])
+    assert truth["sensor_1_gain"] == pytest.approx(10 / 8)
+    simulator["camera_error"] = {"translation_mm": [1, 0, 0]}
+    shaken = truth_of(runs.open(archive(tmp_path, "shaken", rig_yaml=yaml.safe_dump(rig))))
+    assert "base_x_m" not in shaken
+    assert shaken["a1_per_n"] == truth["a1_per_n"]
+
+
+@pytest.mark.parametrize(
+    ("prior", "said"),
+    [
+        ("law=1e300+-1e300", "a1_per_n cannot be 1e+300 1/N; it lies between 1e-06 and 10 1/N"),
+        ("law=0.01+-1e300", "a1_per_n cannot be +-1e+300 1/N; a deviation lies between 1e-08 and 10 1/N"),
+        ("rpe_per_bar=0.05+-1e-300", "rpe_per_bar cannot be +-1e-300 1/bar"),
+    ],
+)
+@pytest.mark.parametrize("asked", [(), ("--choose",)])
+def test_what_nobody_can_know_beforehand_is_refused(
+    tmp_path: Path, prior: str, said: str, asked: tuple[str, ...], capsys: pytest.CaptureFixture[str]
+) -> None:
+    first, other = archive(tmp_path), archive(tmp_path, "other", frames=31, started_utc_ns=1)
+    told = identify(capsys, first, other, "--free", "law,rpe_per_bar", "--prior", prior, *asked, status=2)
+    assert said in told
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--choose", "--leave-out", "RUN"], "--leave-out: neither --choose nor --paper takes it"),
+        (["--choose", "--to", "x.yaml", "--profile"], "--profile, --to: neither --choose nor --paper takes it"),
+        (["--paper", "--free", "law"], "--free: --paper does not take it"),
+        (["--paper", "--choose"], "--choose: --paper does not take it"),
+        (["--store", "x"], "--store: there is nothing to spread"),
+        (["--rig", "mock"], "--rig: it is the rig that --rig-file writes"),
+        (["--bootstrap", "1"], "--bootstrap: one refit has no scatter"),
+        (["--prior", "cap_mass_kg=0.05+-0.01"], "--prior cap_mass_kg: it is not free"),
+        (["--prior", "cap_mas_kg=0.05+-0.01"], "did you mean cap_mass_kg"),
+        (["--prior", "law=1+-0"], "a positive deviation"),
+        (["--prior", "law=1+-1", "--prior", "law=2+-1"], "law is given twice"),
+    ],
+)
+def test_what_would_change_nothing_is_refused(
+    tmp_path: Path, options: list[str], said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = str(archive(tmp_path))
+    told = identify(capsys, path, *(path if word == "RUN" else word for word in options), status=2)
+    assert said in told

@@ -1,0 +1,54 @@
+"""What the page draws when it plays an archive."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import tests.support.synthetic_runs as made_up
+from rig.cli.app import main
+from rig.live.archived_run import ArchivedRun
+from runs.archive.writer import finalise
+from tests.support.import_bench import SMALL, imported_in
+
+WEIGHED = """
+title: A weight
+steps:
+  - hold: {duration_s: 0.5}
+  - prompt: {message: Hang it., weight_g: 800}
+  - hold: {duration_s: 1.5}
+"""
+
+
+def test_the_arm_is_drawn_with_the_weight_that_hung_on_it(tmp_path: Path) -> None:
+    (tmp_path / "weight.yaml").write_text(WEIGHED)
+    with pytest.raises(SystemExit):
+        main(["run", str(tmp_path / "weight.yaml"), "--fast", "--yes", "--no-report", "--out", str(tmp_path)])
+    played = ArchivedRun(next(tmp_path.glob("*.h5")))
+    tip = played.run.tip
+    assert tip.weight_g[-1] == 800
+    for frame in (0, len(tip.frame) - 1):
+        drawing = played.drawing(frame, -1)
+        assert drawing is not None
+        # The archive's model still swings a little where the weight has just been hung.
+        assert np.linalg.norm(drawing.lines_mm[0, -1] - tip.model_mm[frame]) < 1.0
+
+
+def test_an_import_without_rig_and_set_points_is_described_in_plain_json(tmp_path: Path) -> None:
+    made = imported_in(tmp_path, "0,0.1,1,2,3\n1,0.2,1,2,3\n", SMALL)
+    played = ArchivedRun(made.archive)
+    about = json.dumps(played.about(), allow_nan=False)
+    assert json.loads(about)["limit"] == 0.2
+    assert played.viewer().packet() is not None
+    assert np.isnan(played.now(1.0, 1, playing=False)["mean"])  # of no error there is no mean, not one of 0 mm
+
+
+def test_a_run_cut_off_between_a_frame_and_what_it_taught_is_played_to_its_end(tmp_path: Path) -> None:
+    played = ArchivedRun(finalise(made_up.write_cut_off_while_adapting(tmp_path / "adapting.mcap")))
+    last = len(played.run.tip.frame) - 1
+    shown = played.now(played.end_s, last, playing=False)
+    assert shown["estimates"] == [["shear_ratio", "", "0.4", "0.1", "0.4"]]
+    assert "estimates" not in played.now(0.0, -1, playing=False)

@@ -1,0 +1,81 @@
+"""`rig live` from another shell: a page attached to a run that goes already, a run that adapts among them."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import runs
+from runs.records import DetectionStatus, Status
+from tests.support.live_page import Stream, request, said
+from tests.support.rig_process import RigProcess, rig_run
+
+pytestmark = pytest.mark.alone
+
+HELD = """
+title: Something to find under way
+steps:
+  - ramp: {actuators: [1], to_bar: 0.3, duration_s: 1}
+  - hold: {duration_s: 100}
+"""
+PATIENCE_S = 60.0
+
+
+@contextmanager
+def attached(run: RigProcess, log: Path) -> Iterator[Stream]:
+    """A `rig live` of its own, given nothing but the run's process; a viewer of its page."""
+    command = [sys.executable, "-m", "rig", "live", "--pid", str(run.process.pid), "--port", "0"]
+    with log.open("w") as file:
+        live = subprocess.Popen(
+            command, stdin=subprocess.DEVNULL, stdout=file, stderr=subprocess.STDOUT, start_new_session=True
+        )
+    try:
+        url = said(log.read_text, "live page")
+        request(url)
+        with Stream(url) as stream:
+            yield stream
+    finally:
+        live.terminate()
+        live.wait(PATIENCE_S)
+
+
+def test_a_page_comes_and_goes_while_an_adapting_run_goes_on(tmp_path: Path) -> None:
+    with rig_run(tmp_path, HELD, "--adapt", "--free", "law,rpe_per_bar") as run:
+        run.wait_until_pressurised()
+        with attached(run, tmp_path / "first.log") as stream:
+            first = stream.until("running")
+            later = stream.packet()[0]["now"]
+        assert later["frame"] > first["frame"]
+        assert run.process.poll() is None, "the run ended with the page"
+        with attached(run, tmp_path / "second.log") as stream:
+            last = stream.until("running")
+            assert last["frame"] > later["frame"]
+            stream.act("stop")
+            run.wait_until_safe(10.0)
+            assert run.end() == 130, run.output
+    archive = runs.open(run.archive())
+    assert archive.status is Status.INTERRUPTED
+    assert "(live page)" in next(event.message for event in archive.events if event.source == "operator")
+    adaptation = archive.adaptation
+    assert adaptation is not None
+    assert [row[0] for row in last["estimates"]] == list(adaptation.parameter)
+    # Beside the run, in real time: the estimator has worked on every picture that vision has.
+    measured = archive.tip.frame[archive.tip.seen == DetectionStatus.MEASURED]
+    assert set(measured.tolist()) <= set(adaptation.frame.tolist())
+    shown = [float(row[2]) for row in last["estimates"]]
+    assert np.isclose(adaptation.value, shown, rtol=1e-4, atol=0).all(axis=1).any()
+
+
+def test_where_no_run_goes_there_is_one_sentence() -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "rig", "live", "--pid", "1", "--port", "0"], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 1
+    assert "process 1 conducts no run of yours" in done.stderr
+    assert "Traceback" not in done.stderr

@@ -1,0 +1,241 @@
+"""What an operator asks for is done by the conductor: pause, resume, skip, answers; and by nobody else."""
+
+from __future__ import annotations
+
+import json
+import os
+import socket
+import threading
+from collections.abc import Iterator
+from contextlib import closing
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rig.control.protocol_position import ProtocolPosition, skip
+from rig.execution.plan import StartError
+from rig.experiment import run as experiment
+from rig.live.client_session import ClientSession, connect, running_runs
+from rig.realtime.control_socket import ControlSocket, socket_paths
+from rig.realtime.operator_commands import Command, CommandHandler, CommandResult, OperatorCommand
+from rig.realtime.shared_state import SharedState, StateLayout, Stop, view_dtype
+from runs.records import Event, Level, Status
+
+RISING = st.lists(st.floats(0.0, 100.0), max_size=6).map(sorted)
+
+
+@given(at_s=st.floats(0.0, 100.0), starts=RISING, prompts=RISING, passed=st.integers(0, 6))
+def test_a_skip_goes_forward_to_a_segments_start_or_to_the_end(
+    at_s: float, starts: list[float], prompts: list[float], passed: int
+) -> None:
+    moved = skip(ProtocolPosition(at_s, passed), starts, 200.0, prompts)
+    assert moved.protocol_s > at_s
+    assert moved.protocol_s in (*starts, 200.0)
+    assert not any(at_s < start < moved.protocol_s for start in starts)
+    assert moved.prompts_passed >= passed
+    assert not moved.waiting
+
+
+def test_a_skip_at_a_prompt_takes_it_as_done_and_the_next_one_still_waits() -> None:
+    assert skip(ProtocolPosition(1.0, 0, waiting=True), (0.0, 1.0, 2.0), 3.0, (1.0, 2.0)) == ProtocolPosition(2.0, 1)
+
+
+@pytest.fixture(scope="module")
+def plan() -> experiment.Plan:
+    """A protocol with prompts, on the mock rig."""
+    return experiment.plan(experiment.request("extension-weights", "mock"))
+
+
+@pytest.fixture
+def memory(plan: experiment.Plan) -> SharedState:
+    """The memory of a run that has not begun."""
+    return SharedState.create(StateLayout.of(plan.config))
+
+
+def test_pause_and_resume_set_the_flag_that_control_obeys_and_are_refused_twice(
+    plan: experiment.Plan, memory: SharedState
+) -> None:
+    desk = CommandHandler(memory, plan.trajectory)
+    assert desk.carry_out(OperatorCommand(Command.PAUSE, "ada")).done
+    assert memory.get("held") == 1
+    assert not desk.carry_out(OperatorCommand(Command.PAUSE, "ada")).done
+    answer = desk.carry_out(OperatorCommand(Command.RESUME, "ada (live page)"))
+    assert (answer.done, memory.get("held")) == (True, 0)
+    assert "ada (live page)" in answer.said
+    assert not desk.carry_out(OperatorCommand(Command.RESUME, "ada")).done
+
+
+def test_a_paused_run_holds_its_pressures_whoever_wants_to_skip(plan: experiment.Plan, memory: SharedState) -> None:
+    desk = CommandHandler(memory, plan.trajectory)
+    desk.carry_out(OperatorCommand(Command.PAUSE, "ada"))
+    answer = desk.carry_out(OperatorCommand(Command.SKIP, "bob"))
+    assert (answer.done, memory.get("skips")) == (False, 0)
+    assert "resume" in answer.said
+    desk.carry_out(OperatorCommand(Command.RESUME, "ada"))
+    assert desk.carry_out(OperatorCommand(Command.SKIP, "bob")).done
+    assert memory.get("skips") == 1
+
+
+@pytest.mark.parametrize(("action", "stop"), [(Command.STOP, Stop.SAFE), (Command.VENT, Stop.VENT)])
+def test_stop_and_vent_end_the_run_and_say_who(
+    plan: experiment.Plan, memory: SharedState, action: Command, stop: Stop
+) -> None:
+    desk = CommandHandler(memory, plan.trajectory)
+    desk.carry_out(OperatorCommand(action, "ada"))
+    assert memory.get("stop") == stop
+    assert desk.ending is not None
+    status, message = desk.ending
+    assert status is Status.INTERRUPTED
+    assert "ada" in message
+
+
+def test_a_vent_wins_over_a_stop_that_came_first_but_not_the_other_way_round(
+    plan: experiment.Plan, memory: SharedState
+) -> None:
+    desk = CommandHandler(memory, plan.trajectory)
+    for action in (Command.STOP, Command.VENT, Command.STOP):
+        desk.carry_out(OperatorCommand(action, "ada"))
+    assert memory.get("stop") == Stop.VENT
+
+
+def test_an_answer_is_taken_once_and_only_while_a_prompt_waits(plan: experiment.Plan, memory: SharedState) -> None:
+    desk = CommandHandler(memory, plan.trajectory)
+    assert not desk.carry_out(OperatorCommand(Command.ANSWER, "ada")).done
+    memory.set("waiting", 0)
+    assert desk.carry_out(OperatorCommand(Command.ANSWER, "ada")).done
+    assert memory.get("answered") == 1
+    assert not desk.carry_out(OperatorCommand(Command.ANSWER, "ada")).done
+
+
+class Conducted:
+    """A door that is attended in a thread, and what came through it."""
+
+    def __init__(self, plan: experiment.Plan, memory: SharedState) -> None:
+        self.door = ControlSocket(plan, memory)
+        self.asked: list[OperatorCommand] = []
+        self._ended = threading.Event()
+        self._thread = threading.Thread(target=self._attend)
+        self._thread.start()
+
+    def _attend(self) -> None:
+        while not self._ended.is_set():
+            self.door.attend(0.01, self._carry_out)
+
+    def _carry_out(self, request: OperatorCommand) -> CommandResult:
+        self.asked.append(request)
+        return CommandResult(True, f"{request.action} by {request.who}")
+
+    def close(self) -> None:
+        """Shut the door."""
+        self._ended.set()
+        self._thread.join()
+        self.door.close()
+
+
+@pytest.fixture
+def conducted(
+    plan: experiment.Plan, memory: SharedState, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> Iterator[Conducted]:
+    """A run's door, in a folder of its own."""
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    conducted = Conducted(plan, memory)
+    yield conducted
+    conducted.close()
+
+
+def test_a_visitor_sees_the_run_and_cannot_write_to_it(conducted: Conducted, memory: SharedState) -> None:
+    assert running_runs() == [conducted.door.path]
+    visit = ClientSession(conducted.door.path)
+    memory.set("held", 1)
+    assert visit.memory.get("held") == 1
+    assert visit.plan.config.name == "mock"
+    with pytest.raises(ValueError, match="read-only"):
+        visit.memory.set("held", 0)
+    with pytest.raises(OSError, match="Bad file descriptor"):
+        os.write(visit.memory.fd, b"x")
+    visit.close()
+
+
+def test_wishes_are_passed_on_with_who_has_them(conducted: Conducted, memory: SharedState) -> None:
+    visit = ClientSession(conducted.door.path)
+    assert visit.ask("pause", "ada (live page)") == {"done": True, "said": "pause by ada (live page)"}
+    assert conducted.asked == [OperatorCommand(Command.PAUSE, "ada (live page)")]
+    visit.watch()
+    visit.ask("resume", "ada")
+    assert memory.get("watched_ns") > 0
+    visit.close()
+
+
+@pytest.mark.parametrize(
+    "packet", [b"{", b"[]", b'{"do": "fly"}', b"null", b"\xff", b'{"do": ["stop"]}', b"1" * 4096, b"[" * 4096]
+)
+def test_nonsense_is_shown_out_and_the_door_stays_open(conducted: Conducted, packet: bytes) -> None:
+    visitor = connect(conducted.door.path)
+    assert visitor is not None
+    visitor.send(packet)
+    assert visitor.recv(100) == b""
+    visitor.close()
+    assert conducted.asked == []
+    with closing(ClientSession(conducted.door.path)) as visit:
+        assert visit.ask("pause", "ada")["done"]
+
+
+def test_visitors_beyond_the_most_are_shown_out_and_those_inside_are_still_served(conducted: Conducted) -> None:
+    visit = ClientSession(conducted.door.path)
+    others = [connect(conducted.door.path) for _ in range(60)]
+    visit.watch()
+    for other in others:
+        if other is not None:
+            other.close()
+    assert visit.ask("pause", "ada")["done"]
+    visit.close()
+
+
+def test_a_visitor_who_never_takes_his_answers_does_not_hold_the_conductor_up(conducted: Conducted) -> None:
+    rude = connect(conducted.door.path)
+    assert rude is not None
+    rude.setblocking(False)
+    try:
+        for _ in range(5000):
+            rude.send(json.dumps({"do": "pause", "who": "x" * 80}).encode())
+    except (BlockingIOError, BrokenPipeError, ConnectionResetError):
+        pass
+    with closing(ClientSession(conducted.door.path)) as visit:
+        assert visit.ask("resume", "ada")["done"]
+    rude.close()
+
+
+def test_a_door_that_a_dead_run_left_is_no_run(conducted: Conducted, tmp_path: Path) -> None:
+    left = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    left.bind(str(socket_paths() / "run-1"))
+    left.close()
+    assert running_runs() == [conducted.door.path]
+    with pytest.raises(StartError, match="no run is going"):
+        ClientSession(socket_paths() / "run-1")
+
+
+def test_a_folder_that_others_can_enter_is_not_used(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    (tmp_path / "softrig").mkdir(mode=0o755)
+    (tmp_path / "softrig").chmod(0o755)
+    with pytest.raises(PermissionError, match="alone"):
+        socket_paths()
+
+
+def test_events_and_views_reach_a_reader_whole(memory: SharedState) -> None:
+    event = Event(7, Level.WARNING, "operator", "paused by ada: Grüße")
+    memory.push_event(event)
+    assert memory.read_events() == [event]
+    assert memory.newest_view() is None
+    row = np.zeros((), view_dtype(memory.layout))
+    for n in range(6):
+        row["frame"], row["shape"] = n, (4, 5, 1)
+        memory.push_view(row, np.full((4, 5), n, np.uint8))
+    seen = memory.newest_view()
+    assert seen is not None
+    assert int(seen[0]["frame"]) == 5
+    assert np.all(seen[1] == 5)
+    assert memory.newest_view(after=int(seen[0]["number"])) is None

@@ -1,0 +1,243 @@
+"""The page in a real browser: a run watched from start to end, paused, resumed, skipped and stopped."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import runs
+from rig.execution.plan import NullOperator
+from rig.experiment import run as experiment
+from runs.records import Status
+from runs.run import Run
+from tests.support.browser import Browser, Tab, browsing
+from tests.support.live_page import open_files, reachable, request, said
+from tests.support.rig_process import RigProcess, rig_run
+
+pytestmark = pytest.mark.alone
+
+SERVER = "rig.live.server"
+LIVE = ("--live", "--port", "0")
+WATCHED = """
+title: Something to watch
+steps:
+  - ramp: {actuators: [1], to_bar: 0.3, duration_s: 4}
+  - hold: {duration_s: 2}
+"""
+HANDLED = """
+title: Something to handle
+steps:
+  - ramp: {actuators: [1], to_bar: 0.3, duration_s: 1}
+  - hold: {duration_s: 100}
+  - ramp: {actuators: [1], to_bar: 0.2, duration_s: 20}
+"""
+NOTE = """(() => {
+  window.noted = [];
+  new MutationObserver(() => {
+    const n = window.softrig.now;
+    if (n.error === null || n.error === undefined) return;
+    window.noted.push([n.frame, document.getElementById("error").textContent,
+                       document.getElementById("error").dataset.frame]);
+  }).observe(document.getElementById("error"), { childList: true, characterData: true, subtree: true });
+  return true;
+})()"""
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    """One browser for all; every test has a tab with cookies of its own."""
+    with browsing() as found:
+        yield found
+
+
+def watch(browser: Browser, run: RigProcess) -> Tab:
+    """A tab that shows a run."""
+    tab = browser.tab()
+    url = said(lambda: run.output, "live page")
+    request(url)
+    tab.go(url)
+    tab.until("window.softrig && window.softrig.packets > 2")
+    return tab
+
+
+def test_a_run_is_watched_to_its_end_and_the_numbers_are_the_archives(browser: Browser, tmp_path: Path) -> None:
+    with rig_run(tmp_path, WATCHED, *LIVE) as run:
+        tab = watch(browser, run)
+        tab.value(NOTE)
+        tab.until("window.softrig.latency.length > 3")
+        tab.until("document.getElementById('state').textContent === 'ended'")
+        noted = tab.value("window.noted")
+        mean = tab.value("window.softrig.now.mean")
+        banner = tab.value("document.getElementById('banner').textContent")
+        assert run.end() == 0, run.output
+    assert tab.troubles == []
+    assert [u for u in tab.requested if not u.startswith(("http://127.0.0.1:", "data:", "blob:"))] == []
+    assert "finished" in banner
+    archive = runs.open(run.archive())
+    error = dict(zip(archive.tip.frame.tolist(), archive.tip.error_mm.tolist(), strict=True))
+    assert len(noted) > 5
+    for frame, text, marked in noted:
+        assert marked == str(frame)
+        assert float(text) == pytest.approx(error[frame], abs=0.0051)
+    assert mean == pytest.approx(float(np.nanmean(archive.tip.error_mm)), abs=1e-3)
+
+
+def test_pause_resume_skip_and_stop_from_the_page(browser: Browser, tmp_path: Path) -> None:
+    with rig_run(tmp_path, HANDLED, *LIVE) as run:
+        tab = watch(browser, run)
+        tab.until("window.softrig.now.protocol > 1.5")
+        tab.click("#pause")
+        tab.until("window.softrig.now.state === 'paused'")
+        tab.until("document.getElementById('pause').textContent.includes('Resume')")
+        held = tab.value("window.softrig.now")
+        tab.until(f"window.softrig.now.t > {held['t'] + 0.5}")
+        later = tab.value("window.softrig.now")
+        assert later["protocol"] == held["protocol"]
+        assert later["frame"] > held["frame"]  # vision and model keep running
+        tab.click("#pause")
+        tab.until("window.softrig.now.state === 'running'")
+        tab.click("#skip")
+        tab.until("window.softrig.now.protocol >= 101")
+        tab.until("window.softrig.now.measured[0] < 0.295")
+        tab.click("#stop")
+        run.wait_until_safe(10.0)
+        tab.until("document.getElementById('state').textContent === 'ended'")
+        assert run.end() == 130, run.output
+    assert tab.troubles == []
+    archive = runs.open(run.archive())
+    assert archive.status is Status.INTERRUPTED
+    told = [event.message for event in archive.events if event.source == "operator"]
+    for line, verb in zip(told, ("paused", "resumed", "skipped", "stopped"), strict=True):
+        assert verb in line
+        assert "(live page)" in line
+    assert "stopped by" in archive.message
+
+
+def test_vent_ends_the_run_at_once_with_every_valve_vented(browser: Browser, tmp_path: Path) -> None:
+    with rig_run(tmp_path, HANDLED, *LIVE) as run:
+        tab = watch(browser, run)
+        run.wait_until_pressurised()
+        tab.click("#vent")
+        run.wait_until_safe(10.0)
+        assert run.end() == 130, run.output
+    assert "vented by" in runs.open(run.archive()).message
+
+
+@pytest.fixture(scope="module")
+def archive(tmp_path_factory: pytest.TempPathFactory) -> Run:
+    """A short run in virtual time."""
+    folder = tmp_path_factory.mktemp("archive")
+    (folder / "short.yaml").write_text(WATCHED)
+    asked = experiment.request(str(folder / "short.yaml"), "mock", folder=folder, fast=True, report=False)
+    result = experiment.run(asked, experiment.plan(asked), NullOperator())
+    assert result.archive is not None
+    return runs.open(result.archive)
+
+
+@contextmanager
+def playing(archive: Run, folder: Path, *options: str) -> Iterator[tuple[str, int]]:
+    """A `rig live ARCHIVE`: what it prints, and the process of its page."""
+    log = folder / "live.log"
+    with log.open("w") as file:
+        process = subprocess.Popen(
+            [sys.executable, "-m", "rig", "live", str(archive.path), "--port", "0", *options],
+            stdin=subprocess.DEVNULL,
+            stdout=file,
+            stderr=subprocess.STDOUT,
+            start_new_session=True,
+        )
+    try:
+        said(log.read_text, "live page")
+        yield log.read_text(), child_of(process.pid)
+    finally:
+        process.terminate()
+        process.wait()
+
+
+def child_of(parent: int) -> int:
+    """The one child of a process."""
+    deadline = time.monotonic() + 10
+    while time.monotonic() < deadline:
+        children = Path(f"/proc/{parent}/task/{parent}/children").read_text().split()
+        if children:
+            return int(children[0])
+        time.sleep(0.02)
+    raise AssertionError("it has no child")
+
+
+def test_an_archive_is_played_with_slider_and_speed(browser: Browser, archive: Run, tmp_path: Path) -> None:
+    with playing(archive, tmp_path) as (output, _):
+        tab = browser.tab()
+        url = said(lambda: output, "live page")
+        request(url)
+        tab.go(url)
+        tab.until("window.softrig && window.softrig.packets > 2 && window.softrig.now.state === 'playing'")
+        tab.click("#play")
+        tab.until("window.softrig.now.state === 'stopped'")
+        tab.value(
+            "(() => { const e = document.getElementById('place'); e.value = 4.5;"
+            " e.dispatchEvent(new Event('input')); e.dispatchEvent(new Event('change')); })()"
+        )
+        tab.until("Math.abs(window.softrig.now.t - 4.5) < 0.02")
+        now = tab.value("window.softrig.now")
+        row = int(np.searchsorted(archive.tip.time_s, 4.5, side="right")) - 1
+        assert now["frame"] == archive.tip.frame[row]
+        assert now["error"] == pytest.approx(archive.tip.error_mm[row], abs=1e-4)
+        tick = int(np.searchsorted(archive.pressure.time_s, now["t"], side="right")) - 1
+        assert now["measured"] == pytest.approx(archive.pressure.measured_bar[tick].tolist(), abs=1e-4)
+        tab.value(
+            "(() => { const e = document.getElementById('speed'); e.value = '20';"
+            " e.dispatchEvent(new Event('change')); })()"
+        )
+        tab.click("#play")
+        tab.until("window.softrig.now.t > 5.9 && window.softrig.now.state === 'stopped'", 15)
+        assert tab.troubles == []
+
+
+def test_beyond_this_machine_a_wrong_token_is_refused_and_a_right_one_enters(
+    browser: Browser, archive: Run, tmp_path: Path
+) -> None:
+    with playing(archive, tmp_path, "--listen", "0.0.0.0") as (output, _):
+        operator = said(lambda: output, "operator link")
+        page, token = reachable(operator), operator.partition("#")[2]
+        assert request(page)[0] == 401
+        tab = browser.tab()
+        tab.go(f"{page}#wrong-token")
+        tab.until("document.getElementById('token')?.value === 'wrong-token'")
+        assert tab.value("location.hash") == ""
+        tab.value("document.querySelector('form').submit()")
+        tab.until("document.getElementById('said')?.textContent.includes('opens nothing')")
+        assert tab.value("document.getElementById('softrig') === null")
+        tab.go(f"{page}#{token}")
+        tab.until(f"document.getElementById('token')?.value === {token!r}")
+        tab.value("document.getElementById('name').value = 'ada'")
+        tab.value("document.querySelector('form').submit()")
+        tab.until("window.softrig && window.softrig.packets > 2")
+        assert tab.value("document.getElementById('who').textContent") == "ada"
+        assert tab.value("document.cookie") == ""
+        assert not [url for url in tab.requested if token in url.partition("#")[0]]
+
+
+def test_reloads_leak_nothing(browser: Browser, archive: Run, tmp_path: Path) -> None:
+    with playing(archive, tmp_path) as (output, pid):
+        tab = browser.tab()
+        url = said(lambda: output, "live page")
+        request(url)
+        counts = []
+        for _ in range(6):
+            tab.go(url)
+            tab.until("window.softrig && window.softrig.packets > 1")
+            counts.append(open_files(pid))
+        tab.go("about:blank")
+        deadline = time.monotonic() + 20
+        while open_files(pid) > counts[0]:
+            assert time.monotonic() < deadline, (counts, open_files(pid))
+            time.sleep(0.2)
+        assert tab.troubles == []

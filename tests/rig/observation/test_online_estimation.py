@@ -1,0 +1,179 @@
+"""`rig run --adapt`: the live error shrinks, the estimates are as good as they say, and no valve knows of it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+
+import model
+from calibration.identify.parameters import Setup, named
+from rig.cli.app import main
+from rig.config import parameters_overlay as parameter_files
+from rig.config.arm_model import model_arm, true_arm
+from rig.config.loader import load
+from rig.observation.online_estimation import USUAL, OnlineEstimation, adapted
+from runs.records import DetectionStatus, observation_dtype
+from runs.report.figure_specifications import figure_specifications
+from runs.run import Run
+from runs.summary import summarise
+
+PERIOD_S = 2 * np.pi
+ONE_PERIOD = """
+title: Somewhat more than one period of sine-1
+steps:
+  - sine:
+      {actuators: [1], mean_bar: 0.35, amplitude_bar: 0.25, omega_rad_s: 1, phase_deg: 240, periods: 1.4, lead_in_s: 3}
+"""
+COVARIANCE = np.diag(np.square([0.06e-3, 0.35e-3, 0.08e-3]))
+
+
+def ran(folder: Path, seed: int, *more: str) -> Run:
+    protocol = folder / "one-period.yaml"
+    protocol.write_text(ONE_PERIOD)
+    out = folder / f"out-{seed}-{len(more)}"
+    with pytest.raises(SystemExit) as left:
+        main(["run", str(protocol), "--fast", "--yes", "--no-report", "--seed", str(seed), "--out", str(out), *more])
+    assert left.value.code == 0
+    return Run(next(out.glob("*.h5")))
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory: pytest.TempPathFactory) -> list[Run]:
+    return [ran(tmp_path_factory.mktemp("adapt"), seed, "--adapt") for seed in (3,)]
+
+
+def test_the_live_error_is_at_least_halved_after_one_period(runs: list[Run]) -> None:
+    for run in runs:
+        assert run.adaptation is not None
+        after = run.tip.time_s > 3 + PERIOD_S
+        without = np.linalg.norm(run.tip.measured_mm - run.adaptation.start_model_mm, axis=1)
+        assert run.tip.error_mm[after].mean() < 0.5 * without[after].mean()
+
+
+def test_estimates_are_within_their_own_bounds_of_the_simulated_arm(runs: list[Run]) -> None:
+    truth = Setup(true_arm(load("mock")))
+    for run in runs:
+        found = run.adaptation
+        assert found is not None
+        for k, parameter in enumerate(named(found.parameter, 3)):
+            if not parameter.per_run:
+                assert abs(found.value[-1, k] - parameter.read(truth)) < 1.96 * found.uncertainty[-1, k], parameter.name
+        # What a sine tells is known better than before it; the archive keeps how that came about.
+        a2 = found.parameter.index("a2_per_n2")
+        assert found.uncertainty[-1, a2] < 0.3 * found.uncertainty[0, a2]
+        assert (np.diff(found.uncertainty[:, a2]) < 1e-12).all()
+        assert np.allclose(np.sqrt(np.diagonal(found.covariance[-1])), found.uncertainty[-1])
+
+
+def test_what_is_found_can_be_used_for_the_next_run(runs: list[Run], tmp_path: Path) -> None:
+    file = runs[0].path.with_suffix(".parameters.yaml")
+    found = parameter_files.read(file).found
+    assert [e.name for e in found.estimates] == [parameter.name for parameter in named(USUAL, 3)]
+    assert found.data[0].run == runs[0].header.run_id
+    again = ran(tmp_path, 3, "--parameters", str(file))
+    without = np.linalg.norm(runs[0].tip.measured_mm - runs[0].adaptation.start_model_mm, axis=1)  # type: ignore[union-attr]
+    assert again.tip.error_mm.mean() < 0.5 * without.mean()
+    assert again.adaptation is None
+
+
+def test_the_valves_do_what_they_do_without_it(runs: list[Run], tmp_path: Path) -> None:
+    plain = ran(tmp_path, 3)
+    assert np.array_equal(plain.pressure.valve_v, runs[0].pressure.valve_v)
+    assert np.allclose(plain.tip.model_mm, runs[0].adaptation.start_model_mm)  # type: ignore[union-attr]
+
+
+def test_the_report_draws_every_estimate_with_its_95_percent_band(runs: list[Run]) -> None:
+    summary, found = summarise(runs[0]), runs[0].adaptation
+    assert found is not None
+    (plate,) = (plate for plate in figure_specifications(runs[0], summary) if plate.name == "adaptation")
+    figure = Figure(plate.size)
+    plate.draw(figure, runs[0], summary)
+    panels = {axes.get_title(): axes for axes in figure.axes if axes.get_title()}
+    assert list(panels) == [f"{name} [{unit}]" for name, unit in zip(found.parameter, found.unit, strict=True)]
+    for k, panel in enumerate(panels.values()):
+        (band,) = panel.collections
+        corners = band.get_paths()[0].vertices
+        last = corners[corners[:, 0] == found.time_s[-1], 1]
+        half = 1.96 * found.uncertainty[-1, k]
+        assert np.ptp(last) == pytest.approx(2 * half, rel=1e-4)
+        assert (last.min() + last.max()) / 2 == pytest.approx(found.value[-1, k], abs=1e-6 * half)
+
+
+def test_over_twenty_arms_drawn_from_the_prior_the_bounds_hold_what_they_say() -> None:
+    z = np.array([_normalised_errors(seed) for seed in range(20)])
+    # 20 arms, 12 parameters each: few lie outside 95 %, and the errors are not far smaller than stated either.
+    assert 0.90 < (np.abs(z) < 1.96).mean() <= 0.99
+    assert 0.5 < np.sqrt((z**2).mean()) < 1.2
+
+
+def _normalised_errors(seed: int, rate_hz: float = 6.0) -> np.ndarray:
+    """Errors of the estimates in their own standard deviations, after one period on an arm drawn from the prior."""
+    config, rng = load("mock"), np.random.default_rng(seed)
+    truth, parameters = Setup(true_arm(config)), named(USUAL, 3)
+    for parameter, start in zip(parameters, adapted(config, None, USUAL), strict=True):
+        truth = parameter.write(truth, rng.normal(start.value[0], start.uncertainty))
+    real, believed = truth.arm.dynamics(1 / rate_hz), model_arm(config).dynamics(1 / rate_hz)
+    adapting = OnlineEstimation(config, None, USUAL)
+    for k, t in enumerate(np.arange(0, 3 + PERIOD_S, 1 / rate_hz)):
+        level = (0.35 + 0.25 * np.sin(max(t - 3, 0) + 4 * np.pi / 3)) * min(t / 3, 1) * 1e5
+        pressure = np.array([level, 0.0, 0.0])
+        read = pressure + np.array(truth.sensor_offset_pa) + rng.normal(0, 50, 3)
+        shape = _moved(real, pressure, k)
+        row = np.zeros((), observation_dtype(3))
+        row["frame"], row["seen"], row["model_ok"], row["pressure_pa"] = k, DetectionStatus.MEASURED, 1, read
+        row["measured_m"] = truth.measured(shape.tip_m[None], shape.tip_rotation[None])[0]
+        row["measured_m"] += rng.multivariate_normal(np.zeros(3), COVARIANCE)
+        row["covariance_m2"], row["model_m"] = COVARIANCE, _moved(believed, read, k).tip_m
+        last = adapting.step(row)
+    error = last["value"] - np.array([parameter.read(truth) for parameter in parameters])
+    return np.asarray(error / np.sqrt(np.diagonal(last["covariance"])))
+
+
+def _moved(dynamics: model.Dynamics, pressure: np.ndarray, k: int) -> model.Shape:
+    return dynamics.start(pressure) if k == 0 else dynamics.step(pressure)
+
+
+def test_a_frame_without_a_tip_predicts_and_changes_nothing() -> None:
+    config = load("mock")
+    adapting = OnlineEstimation(config, None, ["law"])
+    row = np.zeros((), observation_dtype(3))
+    row["model_ok"], row["pressure_pa"] = 1, (3e4, 0, 0)
+    row["model_m"] = model_arm(config).statics([3e4, 0, 0]).tip_m
+    row["measured_m"] = row["covariance_m2"] = np.nan
+    before = row["model_m"].copy()
+    done = adapting.step(row)
+    assert done["used"] == 0
+    assert np.allclose(row["model_m"], before, atol=1e-9)
+    assert np.allclose(done["value"], [q.value[0] for q in adapted(config, None, ["law"])])
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--adapt", "--free", "a1_per_m"], "did you mean"),
+        (["--adapt", "--free", "law,damping_s"], "shows only in how the arm moves"),
+        (["--free", "law"], "--adapt"),
+    ],
+)
+def test_a_wrong_question_gets_one_sentence(
+    options: list[str], said: str, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    with pytest.raises(SystemExit) as left:
+        main(["run", "sine-1", "--fast", "--yes", "--out", str(tmp_path), *options])
+    assert left.value.code == 2
+    told = capsys.readouterr().err
+    assert said in told
+    assert "Traceback" not in told
+
+
+def test_scripts_are_told_where_the_parameters_lie(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    protocol = tmp_path / "short.yaml"
+    protocol.write_text("title: short\nsteps:\n  - hold: {duration_s: 1}\n")
+    options = ["--fast", "--yes", "--no-report", "--json", "--adapt", "--free", "law", "--out", str(tmp_path)]
+    with pytest.raises(SystemExit):
+        main(["run", str(protocol), *options])
+    assert Path(json.loads(capsys.readouterr().out)["parameters"]).exists()

@@ -1,0 +1,285 @@
+"""Who is left makes the bench safe: at once where the others are dead, patiently where they only stand still."""
+
+from __future__ import annotations
+
+import os
+import select
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+
+import pytest
+
+import rig.config.loader
+from protocols import Trajectory
+from rig.config.schema import RigConfig
+from rig.execution.plan import Plan
+from rig.realtime import watchdog_process
+from rig.realtime.child_process import ChildJob, await_turn, ended_within, supervisor_monitor
+from rig.realtime.failsafe import FailsafeThread, force_safe_state
+from rig.realtime.process_monitor import ProcessMonitor
+from rig.realtime.shared_state import SharedState, Stage, StateLayout, Stop
+from rig.simulator import plant_launcher
+from rig.simulator.registers import Registers, path_of
+
+OPEN_V, SAFE_V = 7.0, 0.0
+HOLD_STILL = (
+    "import ctypes, sys, time\nptrace = ctypes.CDLL(None).ptrace\nptrace.argtypes = [ctypes.c_long] * 4\n"
+    "print('held' if ptrace(16, int(sys.argv[1]), 0, 0) == 0 else 'refused', flush=True)\ntime.sleep(60)\n"
+)
+"""PTRACE_ATTACH, and never a look at what became of it."""
+
+
+@pytest.fixture
+def registers() -> Iterator[Registers]:
+    """A mock card whose valves are open, and nobody behind it."""
+    registers = Registers.create(f"guarded-{os.getpid()}", 2, 8)
+    registers.outputs["volts"] = OPEN_V
+    yield registers
+    path = registers.path
+    registers.close()
+    path.unlink()
+
+
+@pytest.fixture
+def config(registers: Registers) -> RigConfig:
+    text = rig.config.loader.text("mock").replace("device: mock0", f"device: guarded-{os.getpid()}")
+    return rig.config.loader.parse(text, "rig.yaml")
+
+
+@pytest.fixture
+def memory(config: RigConfig) -> Iterator[SharedState]:
+    memory = SharedState.create(StateLayout.of(config))
+    memory.beat("conductor", time.monotonic_ns())
+    yield memory
+    os.close(memory.fd)
+
+
+@pytest.fixture
+def sleeper() -> Iterator[subprocess.Popen[bytes]]:
+    """A process that does nothing, which is not to be left over."""
+    with subprocess.Popen(["sleep", "60"], stdout=subprocess.PIPE) as process:
+        yield process
+        process.kill()
+
+
+def dead() -> int:
+    """The number of a process that has been."""
+    process = subprocess.Popen(["true"])
+    process.wait()
+    return process.pid
+
+
+def job(config: RigConfig, memory: SharedState, conductor: int) -> ChildJob:
+    nothing = Trajectory(0.0, config.actuators, (), (), "")
+    return ChildJob(Plan(config, path_of("none"), nothing, config.model.variant, 0), memory.fd, conductor)
+
+
+def until(condition: Callable[[], bool]) -> None:
+    limit = time.monotonic() + 30
+    while not condition():
+        assert time.monotonic() < limit
+        time.sleep(0.005)
+
+
+def volts(registers: Registers) -> list[float]:
+    stand: list[float] = registers.outputs["volts"].tolist()
+    return stand
+
+
+def test_a_life_is_over_once_the_process_dies_though_nobody_has_asked_for_its_status(
+    sleeper: subprocess.Popen[bytes],
+) -> None:
+    life = ProcessMonitor(sleeper.pid)
+    assert not life.over
+    assert not life.stopped
+    sleeper.send_signal(signal.SIGSTOP)
+    until(lambda: life.stopped)
+    assert not life.over
+    sleeper.kill()
+    until(lambda: life.over)
+    assert ended_within(sleeper, 30)
+    assert life.over
+    assert not life.stopped
+    life.close()
+
+
+def test_who_is_held_by_a_debugger_stands_still_and_keeps_nobody_waiting_who_kills_him(
+    sleeper: subprocess.Popen[bytes], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The kernel hides the end of such a process from its parent for as long as the debugger has not asked for it."""
+    monkeypatch.setattr(plant_launcher, "GONE_S", 0.2)
+    life = ProcessMonitor(sleeper.pid)
+    with subprocess.Popen([sys.executable, "-c", HOLD_STILL, str(sleeper.pid)], stdout=subprocess.PIPE) as debugger:
+        assert debugger.stdout is not None
+        if debugger.stdout.readline() != b"held\n":
+            pytest.skip("this machine lets no process trace another")
+        until(lambda: life.stopped)
+        assert not life.over
+        leaving = threading.Thread(
+            target=plant_launcher.Simulation(sleeper, rig.config.loader.load("mock")).close, daemon=True
+        )
+        leaving.start()
+        leaving.join(20)
+        hung = leaving.is_alive()
+        assert life.over
+        debugger.kill()
+    assert not hung
+    life.close()
+
+
+def test_one_who_never_was_is_over() -> None:
+    assert ProcessMonitor(dead()).over
+
+
+def test_where_all_others_are_dead_the_bench_is_made_safe_at_once(
+    config: RigConfig, memory: SharedState, registers: Registers
+) -> None:
+    memory.set("control_pid", dead())
+    memory.set("watchdog_pid", dead())
+    guard = FailsafeThread(job(config, memory, dead()), memory)
+    guard.outlast()
+    assert volts(registers) == [SAFE_V, SAFE_V]
+    assert memory.get("safe_ns")
+    assert memory.get("stop") == Stop.SILENT
+
+
+def test_nobody_stands_in_while_the_watchdog_lives_and_somebody_does_once_it_is_killed(
+    config: RigConfig, memory: SharedState, registers: Registers, sleeper: subprocess.Popen[bytes]
+) -> None:
+    memory.set("control_pid", dead())
+    memory.set("watchdog_pid", sleeper.pid)
+    guard = FailsafeThread(job(config, memory, dead()), memory)
+    time.sleep(0.2)
+    assert volts(registers) == [OPEN_V, OPEN_V]
+    sleeper.kill()
+    guard.outlast()
+    assert volts(registers) == [SAFE_V, SAFE_V]
+
+
+def test_those_who_stand_still_with_the_valves_open_are_stood_in_for_and_ended(
+    config: RigConfig, memory: SharedState, registers: Registers, sleeper: subprocess.Popen[bytes]
+) -> None:
+    memory.set("control_pid", sleeper.pid)
+    memory.set("go_ns", 1)
+    guard = FailsafeThread(job(config, memory, os.getppid()), memory)
+    guard.outlast()
+    assert volts(registers) == [SAFE_V, SAFE_V]
+    assert ended_within(sleeper, 30)
+
+
+def test_those_who_stand_still_before_the_first_tick_are_left_to_wake(
+    config: RigConfig, memory: SharedState, registers: Registers, sleeper: subprocess.Popen[bytes]
+) -> None:
+    memory.beat("conductor", 1)
+    memory.set("control_pid", sleeper.pid)
+    guard = FailsafeThread(job(config, memory, os.getppid()), memory)
+    time.sleep(0.9)
+    assert volts(registers) == [OPEN_V, OPEN_V]
+    assert sleeper.poll() is None
+    memory.say("control", Stage.DONE)
+    guard.outlast()
+
+
+@pytest.mark.parametrize(("safe_ns", "left_v"), [(1, OPEN_V), (0, SAFE_V)])
+def test_the_watchdog_writes_at_the_end_only_what_control_has_not(
+    config: RigConfig,
+    memory: SharedState,
+    registers: Registers,
+    monkeypatch: pytest.MonkeyPatch,
+    safe_ns: int,
+    left_v: float,
+) -> None:
+    """Who vents, by another program, what control only holds, means it."""
+    memory.set("control_pid", dead())
+    memory.say("control", Stage.DONE)
+    memory.set("safe_ns", safe_ns)
+    monkeypatch.setattr(watchdog_process, "receive", lambda: (job(config, memory, os.getppid()), memory))
+    monkeypatch.setattr(watchdog_process, "become_real_time", lambda priority: None)
+    before = signal.getsignal(signal.SIGTERM)
+    try:
+        assert watchdog_process.main() == 0
+    finally:
+        signal.signal(signal.SIGTERM, before)
+    assert volts(registers) == [left_v, left_v]
+    assert memory.stage("watchdog") is Stage.DONE
+
+
+@pytest.mark.parametrize(("safe_ns", "said"), [(1, ""), (0, "the conductor died or hung, and control did not stop")])
+def test_control_that_has_made_the_bench_safe_may_watch_the_air_go_though_its_conductor_is_dead(
+    memory: SharedState, sleeper: subprocess.Popen[bytes], safe_ns: int, said: str
+) -> None:
+    memory.set("control_pid", sleeper.pid)
+    memory.set("safe_ns", safe_ns)
+    memory.say("control", Stage.RUNNING)
+
+    def end() -> None:
+        memory.say("control", Stage.DONE)
+        sleeper.kill()
+
+    ending = threading.Timer(0.4, end)
+    ending.start()
+    assert watchdog_process._watch(memory, dead(), None, 10**10) == said  # type: ignore[arg-type]
+    ending.join()
+
+
+def test_a_conductor_that_dies_after_it_has_hung_costs_control_no_processor(
+    memory: SharedState, sleeper: subprocess.Popen[bytes], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The watchdog goes before control: what wakes it again and again keeps control from ending on its own."""
+    monkeypatch.setattr(watchdog_process, "CONDUCTOR_HUNG_NS", 20_000_000)
+    monkeypatch.setattr(watchdog_process, "GRACE_NS", 400_000_000)
+    looks = 0
+
+    def counted(poll: select.poll, timeout_ms: int) -> set[int]:
+        nonlocal looks
+        looks += 1
+        if memory.get("stop"):
+            conductor.kill()
+        return exited(poll, timeout_ms)
+
+    exited = watchdog_process._exited
+    monkeypatch.setattr(watchdog_process, "_exited", counted)
+    memory.set("control_pid", sleeper.pid)
+    memory.say("control", Stage.RUNNING)
+    with subprocess.Popen(["sleep", "60"]) as conductor:
+        assert "did not stop" in watchdog_process._watch(memory, conductor.pid, None, 10**10)  # type: ignore[arg-type]
+    assert looks < 400
+
+
+def test_what_could_not_be_written_is_not_called_safe(
+    config: RigConfig, memory: SharedState, registers: Registers
+) -> None:
+    registers.faults.inject(failing_writes=10**9)
+    assert "could not be written" in force_safe_state(config, memory)
+    assert not memory.get("safe_ns")
+    assert volts(registers) == [OPEN_V, OPEN_V]
+
+
+def test_who_asked_first_to_stop_is_told_of_and_to_vent_wins_over_all(memory: SharedState) -> None:
+    for asked, told in (
+        (Stop.TERMINATED, Stop.TERMINATED),
+        (Stop.SAFE, Stop.TERMINATED),
+        (Stop.VENT, Stop.VENT),
+        (Stop.SILENT, Stop.VENT),
+    ):
+        memory.ask_to_stop(asked)
+        assert memory.get("stop") == told
+
+
+def test_a_turn_is_waited_for_and_comes_no_more_once_the_run_is_over(config: RigConfig, memory: SharedState) -> None:
+    conductor = supervisor_monitor(job(config, memory, os.getppid()))
+    looks = iter((False, False, True))
+    assert await_turn(memory, conductor, lambda: next(looks))
+    assert not await_turn(memory, supervisor_monitor(job(config, memory, dead())), lambda: False)
+    memory.ask_to_stop(Stop.SAFE)
+    assert not await_turn(memory, conductor, lambda: False)
+
+
+def test_who_drives_or_guards_a_mock_card_need_not_load_the_plants_compiler() -> None:
+    program = "import sys, rig.realtime.supervisor, rig.realtime.control_process, rig.realtime.watchdog_process, rig.hardware.cards.mock\n"
+    program += "assert 'numba' not in sys.modules"
+    subprocess.run([sys.executable, "-c", program], check=True)

@@ -1,0 +1,219 @@
+"""A run in real time ends safe, with a readable archive and a plain message, however it ends."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import runs
+from rig.simulator.faults import CameraFault, ValveFault
+from rig.simulator.registers import Registers
+from runs.records import Status
+from runs.recovery import recover
+from tests.support.rig_process import BRIEF, SHORT, RigProcess, rig_run
+
+pytestmark = pytest.mark.alone
+
+CONTROL, OBSERVER, WATCHDOG = (
+    "rig.realtime.control_process",
+    "rig.realtime.observer_process",
+    "rig.realtime.watchdog_process",
+)
+SIMULATOR = "rig.simulator.plant_process"
+
+
+def vent(run: RigProcess) -> None:
+    """`rig vent` from another shell; fails where it does."""
+    command = [sys.executable, "-m", "rig", "vent", "--rig", str(run.rig_file)]
+    subprocess.run(command, check=True, capture_output=True)
+
+
+def recover_one(run: RigProcess) -> None:
+    """Make the archive of a killed run; fails where its journal gives none with what was recorded."""
+    (outcome,) = recover(run.out)
+    assert outcome.archive is not None
+    archive = runs.open(outcome.archive)
+    assert archive.status is Status.RECOVERED
+    assert len(archive.pressure.time_s) > 25
+
+
+def test_a_run_to_the_end_leaves_safe_valves_a_finished_archive_and_status_0(tmp_path: Path) -> None:
+    with rig_run(tmp_path, BRIEF) as run:
+        assert run.end() == 0, run.output
+        assert run.valves_are_safe()
+    archive = runs.open(run.archive())
+    assert archive.status is Status.FINISHED
+    assert archive.pressure.protocol_s[-1] == pytest.approx(1.0)
+    # No sooner than its protocol is long; where the machine stood still at its end, later.
+    assert archive.pressure.time_s[-1] > 0.95
+    assert np.all(np.diff(archive.pressure.tick) >= 1)
+    assert len(archive.tip.time_s) > 15
+    assert "SIMULATED" in run.output
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_makes_the_valves_safe_finalises_the_archive_and_gives_status_130(
+    tmp_path: Path, number: signal.Signals
+) -> None:
+    with rig_run(tmp_path) as run:
+        run.wait_until_pressurised()
+        run.process.send_signal(number)
+        run.wait_until_safe()
+        assert run.end() == 130, run.output
+    archive = runs.open(run.archive())
+    assert archive.status is Status.INTERRUPTED
+    assert len(archive.pressure.time_s) > 25
+    assert number.name in run.output or "Ctrl-C" in run.output
+
+
+def test_a_signal_before_the_run_begins_leaves_safe_valves_and_status_130(tmp_path: Path) -> None:
+    with rig_run(tmp_path) as run:
+        run.wait_until_started()
+        run.process.send_signal(signal.SIGINT)
+        assert run.end() == 130, run.output
+        assert run.valves_are_safe()
+        assert not list(run.out.glob("*.h5"))
+        assert "Traceback" not in run.output
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
+@pytest.mark.parametrize("module", [CONTROL, WATCHDOG, OBSERVER])
+def test_a_lost_or_hung_process_aborts_the_run_with_the_valves_safe(
+    tmp_path: Path, module: str, number: signal.Signals
+) -> None:
+    with rig_run(tmp_path) as run:
+        run.wait_until_pressurised()
+        os.kill(run.pid_of(module), number)
+        run.wait_until_safe()
+        assert run.end() == 1, run.output
+        assert run.valves_are_safe()
+    archive = runs.open(run.archive())
+    assert archive.status is Status.ABORTED
+    name = {CONTROL: "control", WATCHDOG: "watchdog", OBSERVER: "observer"}[module]
+    assert name in archive.message
+    assert archive.message in run.output
+
+
+def test_a_dead_simulator_counts_as_a_dead_card(tmp_path: Path) -> None:
+    with rig_run(tmp_path) as run:
+        run.wait_until_pressurised()
+        os.kill(run.pid_of(SIMULATOR), signal.SIGKILL)
+        run.wait_until_safe()
+        assert run.end() == 1, run.output
+    assert runs.open(run.archive()).status is Status.ABORTED
+
+
+@pytest.mark.parametrize("others", [(CONTROL, OBSERVER), (WATCHDOG,)], ids=["watchdog left", "control left"])
+def test_who_outlives_the_conductor_makes_the_valves_safe_and_its_journal_can_be_recovered(
+    tmp_path: Path, others: tuple[str, ...]
+) -> None:
+    with rig_run(tmp_path) as run:
+        run.wait_until_pressurised()
+        victims = [run.pid_of(module) for module in others]
+        for pid in (run.process.pid, *victims):
+            os.kill(pid, signal.SIGKILL)
+        run.wait_until_safe()
+    recover_one(run)
+
+
+@pytest.mark.parametrize("how", ["camera lost, too", "just told to stop"])
+def test_the_last_one_left_makes_the_valves_safe_whatever_else_it_has_to_do(tmp_path: Path, how: str) -> None:
+    with rig_run(tmp_path) as run:
+        run.wait_until_pressurised()
+        victims = [run.pid_of(module) for module in (CONTROL, WATCHDOG)]
+        if how == "just told to stop":
+            os.kill(run.process.pid, signal.SIGINT)
+        else:
+            registers = Registers.attach(run.device)
+            registers.faults.inject(camera=CameraFault.UNPLUGGED)
+            registers.close()
+        for pid in (*victims, run.process.pid):
+            os.kill(pid, signal.SIGKILL)
+        run.wait_until_safe()
+    recover_one(run)
+
+
+def test_a_hung_conductor_makes_the_valves_safe_and_the_run_aborted_once_it_wakes(tmp_path: Path) -> None:
+    with rig_run(tmp_path) as run:
+        run.wait_until_pressurised()
+        run.process.send_signal(signal.SIGSTOP)
+        run.wait_until_safe()
+        run.process.send_signal(signal.SIGCONT)
+        assert run.end() == 1, run.output
+    assert runs.open(run.archive()).status is Status.ABORTED
+
+
+def test_a_killed_conductor_leaves_safe_valves_no_process_and_a_journal_that_can_be_recovered(tmp_path: Path) -> None:
+    with rig_run(tmp_path) as run:
+        run.wait_until_pressurised()
+        pids = [run.pid_of(module) for module in (CONTROL, OBSERVER, WATCHDOG, SIMULATOR)]
+        run.process.kill()
+        run.wait_until_safe()
+        deadline = time.monotonic() + 15
+        while any(Path(f"/proc/{pid}").exists() for pid in pids):
+            assert time.monotonic() < deadline, [pid for pid in pids if Path(f"/proc/{pid}").exists()]
+            time.sleep(0.05)
+    recover_one(run)
+
+
+def test_a_second_run_is_refused_and_told_by_whom_and_rig_vent_ends_the_first(tmp_path: Path) -> None:
+    with rig_run(tmp_path) as run:
+        run.wait_until_pressurised()
+        second = subprocess.run(
+            [sys.executable, "-m", "rig", "run", "ramp-a", "--rig", str(run.rig_file), "--yes"],
+            capture_output=True,
+            text=True,
+            cwd=tmp_path,
+            check=False,
+        )
+        assert second.returncode == 1
+        assert f"process {run.process.pid}" in second.stderr
+        assert "Traceback" not in second.stderr
+        assert not run.valves_are_safe()
+        vent(run)
+        run.wait_until_safe(1.0)
+        assert run.end() == 1, run.output
+    archive = runs.open(run.archive())
+    assert archive.status is Status.ABORTED
+    assert "another program has written to the card" in archive.message
+
+
+def test_rig_vent_makes_the_valves_safe_while_a_run_hangs(tmp_path: Path) -> None:
+    with rig_run(tmp_path) as run:
+        run.wait_until_pressurised()
+        pids = [run.process.pid, run.pid_of(WATCHDOG), run.pid_of(CONTROL)]
+        for pid in pids:
+            os.kill(pid, signal.SIGSTOP)
+        vent(run)
+        run.wait_until_safe(1.0)
+        for pid in pids:
+            os.kill(pid, signal.SIGCONT)
+
+
+def test_rig_vent_keeps_a_run_that_starts_from_beginning(tmp_path: Path) -> None:
+    with rig_run(tmp_path) as run:
+        run.wait_until_started()
+        os.kill(run.pid_of(OBSERVER), signal.SIGSTOP)  # it is waited for
+        vent(run)
+        assert run.end() == 130, run.output
+        assert run.valves_are_safe()
+        assert "before the run began" in run.output
+
+
+def test_an_over_pressure_stops_the_run(tmp_path: Path) -> None:
+    with rig_run(tmp_path, SHORT) as run:
+        run.wait_until_pressurised()
+        # The valve of actuator 1 sticks as far open as it goes, whatever it is told.
+        registers = Registers.attach(run.device)
+        registers.faults.inject(valve_1=ValveFault.STUCK, valve_value_1=10.0)
+        registers.close()
+        assert run.end() == 1, run.output
+        run.wait_until_safe()
+    assert "bar" in runs.open(run.archive()).message

@@ -1,0 +1,99 @@
+"""A run in real time on a disk that stands still: it goes on, says so, and ends with everything recorded."""
+
+from __future__ import annotations
+
+import os
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+import runs
+from rig.execution.plan import NullOperator, OpenRecord, OperatorInterface, Outcome, Plan
+from rig.experiment import run as experiment
+from rig.realtime import health_monitor, supervisor
+from rig.realtime.shared_state import Stage
+from runs.records import Event, Level, Status
+
+PATIENCE_S = 30.0
+
+
+class Listener(NullOperator):
+    """Keeps what it is told, and lets the disk go on once it is told of it."""
+
+    def __init__(self, disk: threading.Event, awaited: str) -> None:
+        self.told: list[str] = []
+        self._disk, self._awaited = disk, awaited
+
+    def tell(self, event: Event) -> None:
+        self.told.append(event.message)
+        if self._awaited in event.message:
+            self._disk.set()
+
+
+@pytest.fixture
+def disk(monkeypatch: pytest.MonkeyPatch) -> Iterator[threading.Event]:
+    """Takes what is appended while it is set."""
+    takes, write = threading.Event(), os.write
+
+    def waiting(file: int, data: bytes) -> int:
+        assert takes.wait(PATIENCE_S), "nobody let the disk go on"
+        return write(file, data)
+
+    takes.set()
+    monkeypatch.setattr(os, "write", waiting)
+    yield takes
+    takes.set()
+
+
+@pytest.fixture
+def request_(tmp_path: Path) -> experiment.RunRequest:
+    return experiment.request("ramp-a", "mock", folder=tmp_path, report=False)
+
+
+def test_the_operator_is_told_that_the_run_waits_for_its_disk_and_the_archive_is_whole(
+    request_: experiment.RunRequest, disk: threading.Event, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def ended_on_a_disk_that_stands(plan: Plan, open_record: OpenRecord, audience: OperatorInterface) -> Outcome:
+        record = open_record(time.monotonic_ns())
+        disk.clear()
+        record.event(Event(time.monotonic_ns(), Level.INFO, "control", "the valves are in their safe state"))
+        return Outcome(Status.FINISHED, "", time.monotonic_ns())
+
+    monkeypatch.setattr(supervisor, "run", ended_on_a_disk_that_stands)
+    monkeypatch.setattr(experiment, "TOLD_AFTER_S", 0.0)
+    listener = Listener(disk, "waiting for the disk")
+    result = experiment.run(request_, experiment.plan(request_), listener)
+    assert result.archive is not None
+    assert listener.told == [f"waiting for the disk to take the rest of {result.archive.with_suffix('.mcap')}"]
+    archive = runs.open(result.archive)
+    assert archive.status is Status.FINISHED
+    assert [event.message for event in archive.events] == ["the valves are in their safe state"]
+
+
+def test_the_conductor_warns_and_goes_on(
+    request_: experiment.RunRequest, disk: threading.Event, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(health_monitor, "DISK_S", 0.0)
+    listener = Listener(disk, "has not taken the record")
+
+    def conducted(plan: Plan, open_record: OpenRecord, audience: OperatorInterface) -> Outcome:
+        conductor = supervisor._Supervisor(plan, audience, None)
+        conductor.recorder = open_record(time.monotonic_ns())
+        disk.clear()
+        conductor.recorder.event(Event(time.monotonic_ns(), Level.INFO, "control", "armed"))
+        conductor.memory.say("control", Stage.DONE)
+        status, message = conductor._conduct()
+        os.close(conductor.memory.fd)
+        return Outcome(status, message, time.monotonic_ns())
+
+    monkeypatch.setattr(supervisor, "run", conducted)
+    result = experiment.run(request_, experiment.plan(request_), listener)
+    assert result.outcome.status is Status.FINISHED
+    assert result.archive is not None
+    events = runs.open(result.archive).events
+    assert [event.level for event in events] == [Level.INFO, Level.WARNING]
+    assert events[1].message in listener.told
+    assert "has not taken the record" in events[1].message

@@ -1,0 +1,179 @@
+"""A machine that stands still as a whole is nobody's fault, and what the valves did meanwhile is led back slowly."""
+
+from __future__ import annotations
+
+import os
+
+import numpy as np
+import pytest
+
+from rig.config import loader
+from rig.control import step as control
+from rig.control.control_loop import ControlLoop
+from rig.execution.plan import NullOperator, Plan
+from rig.experiment import run as experiment
+from rig.hardware.bench import Bench
+from rig.hardware.cameras import mock
+from rig.hardware.cameras.mock import MockCamera
+from rig.realtime import supervisor
+from rig.realtime.health_monitor import HealthMonitor
+from rig.realtime.scheduling import HeartbeatMonitor
+from rig.realtime.shared_state import Stage
+from rig.simulator.plant import Plant
+from rig.simulator.tip_pose import TipPose
+from runs.records import Level, sample_dtype
+from tests.support.plant_bench import mock_rig
+
+MS = 1_000_000
+TICK_NS = 5 * MS
+BEGIN_NS = 100 * MS
+MOVING = """
+title: Both valves in motion
+steps:
+  - ramp: {actuators: [1, 2, 3], to_bar: 0.3, duration_s: 0.6}
+  - sine: {actuators: [1, 2, 3], mean_bar: 0.3, amplitude_bar: 0.2, omega_rad_s: 4, duration_s: 2.2}
+"""
+
+
+@pytest.fixture(scope="module")
+def moving(tmp_path_factory: pytest.TempPathFactory) -> Plan:
+    folder = tmp_path_factory.mktemp("moving")
+    (folder / "moving.yaml").write_text(MOVING)
+    return experiment.plan(experiment.request(str(folder / "moving.yaml"), "mock", folder=folder, fast=True, seed=1))
+
+
+@pytest.mark.parametrize("at_s", [0.3, 0.9])
+@pytest.mark.parametrize("still_s", [0.2, 0.6])
+def test_after_a_standstill_the_pressures_are_led_back_within_the_rate_limit(
+    moving: Plan, still_s: float, at_s: float
+) -> None:
+    """The plant goes on meanwhile with the valves as they stood, as a real one does."""
+    plant = Plant(moving.config, 1, 0, moving_arm=False)
+    bench = Bench(moving.config, {name: plant.card(name) for name in moving.config.cards})
+    bench.arm()
+    bench.start()
+    ticker = ControlLoop(moving, bench)
+    still, standing = round(still_s * 1e9) // TICK_NS, round(at_s * 1e9) // TICK_NS
+    number = skipped = 0
+    while not ticker.finished:
+        late_ns = still * TICK_NS if number == standing else 0
+        now = BEGIN_NS + number * TICK_NS + late_ns
+        plant.advance(now)
+        row, trip = ticker.tick(number, now, 1 + skipped, 0, False, late_ns, skipped)
+        assert trip is None
+        skipped = still if number == standing else 0
+        number += 1 + skipped
+    np.testing.assert_allclose(row["measured_pa"], row["setpoint_pa"], atol=1000)
+
+
+def test_a_stuck_pressure_is_found_on_a_machine_that_stands_still_again_and_again() -> None:
+    rig = mock_rig()
+    settings = control.prepare(rig)
+    state = control.initial(settings)
+    rng = np.random.default_rng(0)
+    for n in range(1000):
+        t_ns = 10**9 + n * 40 * MS
+        bar = np.array([0.2, 0.0, 0.0]) + 1e-3 * rng.standard_normal(3)
+        sample = control.Sample(t_ns, t_ns, bar, bar * 1e5, 35 * MS)
+        state, command = control.step(settings, state, sample, np.array([0.4e5, 0, 0]), np.zeros(3))
+        if command.trip is not None:
+            break
+    assert command.trip is not None
+    assert n * 0.04 < 4 * rig.limits.tracking_s
+
+
+class TestSilence:
+    """Looks every 2 ms at a process that is hung after 25 ms."""
+
+    @staticmethod
+    def looked(until_ns: int, heartbeat_ns: int, every_ns: int = 2 * MS) -> tuple[HeartbeatMonitor, int]:
+        """Somebody who has looked at one heartbeat until then, and what the last look said."""
+        silence, said = HeartbeatMonitor(2 * MS, 8 * MS), 0
+        for now in range(heartbeat_ns, until_ns + 1, every_ns):
+            said = silence.look(now, heartbeat_ns)
+        return silence, said
+
+    def test_a_hung_process_is_silent_since_its_last_sign_of_life(self) -> None:
+        assert self.looked(1026 * MS, 1000 * MS)[1] == pytest.approx(26 * MS, abs=2 * MS)
+
+    def test_one_that_was_not_watched_meanwhile_is_not_blamed_for_it(self) -> None:
+        silence, _ = self.looked(1004 * MS, 1000 * MS)
+        assert silence.look(2004 * MS, 1000 * MS) < 8 * MS
+        assert silence.look(2006 * MS, 2005 * MS) < 2 * MS
+
+    def test_a_sign_of_life_from_just_before_the_standstill_is_not_old(self) -> None:
+        silence, _ = self.looked(1004 * MS, 1000 * MS)
+        assert silence.look(2004 * MS, 1005 * MS) <= 2 * MS
+
+    def test_one_that_hangs_through_a_standstill_is_found_soon_after_it(self) -> None:
+        silence, _ = self.looked(1004 * MS, 1000 * MS)
+        looks = [silence.look(now, 1000 * MS) for now in range(2004 * MS, 2030 * MS, 2 * MS)]
+        assert looks[-1] > 25 * MS
+
+    def test_one_that_hangs_on_a_busy_machine_is_found(self) -> None:
+        assert self.looked(1060 * MS, 1000 * MS, every_ns=12 * MS)[1] > 25 * MS
+
+
+def test_the_conductor_blames_nobody_for_a_standstill_and_somebody_who_stays_silent_after_it(
+    moving: Plan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    conductor = supervisor._Supervisor(moving, NullOperator(), None)
+    memory, now = conductor.memory, 10**9
+    memory.say("control", Stage.RUNNING)
+    monkeypatch.setattr(supervisor.time, "monotonic_ns", lambda: now)
+    try:
+        for name in ("observer", "control", "watchdog"):
+            memory.beat(name, now)
+        for still_ns in (5 * MS, 1500 * MS, *(20 * MS for _ in range(20))):
+            now += still_ns
+            assert conductor._fault() is None
+        for _ in range(20):
+            now += 20 * MS
+            memory.beat("watchdog", now)
+            if (fault := conductor._fault()) is not None:
+                break
+        assert fault == ("control", "the control process has been silent for 0.5 s")
+    finally:
+        os.close(memory.fd)
+
+
+def test_a_standstill_is_told_once_with_its_length() -> None:
+    vigil = HealthMonitor(mock_rig())
+    rows = np.zeros(3, sample_dtype(3, 2))
+    rows["t_ns"] = np.array([0, 5, 610]) * MS
+    rows["lateness_ns"][1], rows["missed"][2] = 600 * MS, 120
+    told = [event for event in vigil.samples(rows) if "stood still" in event.message]
+    assert [event.level for event in told] == [Level.WARNING]
+    assert "control stood still for 0.60 s" in told[0].message
+
+
+class Clock:
+    """Stands in for the module `time`: whoever sleeps on it wakes a second and a half too late."""
+
+    now_ns = 10**12
+
+    def monotonic_ns(self) -> int:
+        return self.now_ns
+
+    def sleep(self, seconds: float) -> None:
+        self.now_ns += round(seconds * 1e9) + 1_500_000_000
+
+
+def test_a_camera_whose_reader_stood_still_takes_the_newest_picture_and_blames_no_simulator(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    class Forgetful:
+        """The last second of the tip, as the mock card remembers it."""
+
+        def pose_at(self, t_ns: int) -> TipPose:
+            if t_ns < clock.now_ns - 1_100_000_000:
+                raise LookupError("forgotten")
+            return TipPose(t_ns, np.array([0.0, 0.0, 0.17]), np.eye(3))
+
+    clock = Clock()
+    monkeypatch.setattr(mock, "time", clock)
+    camera = MockCamera(loader.load("mock"), Forgetful())
+    exposed: list[int] = []
+    monkeypatch.setattr(camera, "develop", lambda exposure: exposed.append(exposure.t_ns))
+    camera.read(1.0)
+    assert clock.now_ns - exposed[0] < 2e9 / 30

@@ -1,0 +1,458 @@
+"""How a run in real time begins: rehearsed on scans, anchored in the calendar at its first tick, refused plainly."""
+
+from __future__ import annotations
+
+import os
+import pickle
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import nullcontext
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rig.control import regulator
+from rig.execution.plan import NullOperator, Outcome, Plan, StartError
+from rig.experiment import run as experiment
+from rig.hardware.bench import BenchScans
+from rig.hardware.cards.base import CardError
+from rig.realtime import child_process, control_process, supervisor
+from rig.realtime.child_process import ChildJob
+from rig.realtime.control_socket import ControlSocket, socket_of, socket_paths
+from rig.realtime.process_monitor import ProcessMonitor
+from rig.realtime.shared_state import SharedState, Stage, StateLayout, Stop
+from rig.simulator.plant_launcher import Simulation
+from rig.simulator.registers import Registers
+from runs.journal.append_only_file import JournalError
+from runs.records import Event, Picture, Status
+
+
+@pytest.fixture(scope="module")
+def request_() -> experiment.RunRequest:
+    return experiment.request("ramp-a", "mock")
+
+
+@pytest.fixture(scope="module")
+def plan(request_: experiment.RunRequest) -> Plan:
+    return experiment.plan(request_)
+
+
+HOLD_STILL = (
+    "import ctypes, sys, time\nptrace = ctypes.CDLL(None).ptrace\nptrace.argtypes = [ctypes.c_long] * 4\n"
+    "print('held' if ptrace(16, int(sys.argv[1]), 0, 0) == 0 else 'refused', flush=True)\ntime.sleep(60)\n"
+)
+"""PTRACE_ATTACH, and never a look at what became of it."""
+
+
+class Unwritten:
+    """A record that keeps nothing."""
+
+    standing_s = 0.0
+
+    def samples(self, rows: np.ndarray) -> None:  # type: ignore[type-arg]
+        """Keep nothing."""
+
+    def observations(self, rows: np.ndarray) -> None:  # type: ignore[type-arg]
+        """Keep nothing."""
+
+    def adaptations(self, rows: np.ndarray) -> None:  # type: ignore[type-arg]
+        """Keep nothing."""
+
+    def picture(self, picture: Picture) -> None:
+        """Keep nothing."""
+
+    def event(self, event: Event) -> None:
+        """Keep nothing."""
+
+
+class SlowBench:
+    """A bench whose first scans take their time."""
+
+    def __init__(self, actuators: int) -> None:
+        self._actuators = actuators
+        self._looks = 0
+
+    def read(self) -> BenchScans:
+        self._looks += 1
+        n = 5 if self._looks > 3 else 0
+        t_ns = time.monotonic_ns() - np.arange(n, dtype=np.int64)[::-1] * 1_000_000
+        return BenchScans(t_ns, np.full((n, self._actuators), 0.1), np.full((n, self._actuators), 1e4), 0)
+
+    def write(self, valve_v: np.ndarray) -> None:  # type: ignore[type-arg]
+        raise AssertionError("a rehearsal moves no valve")
+
+
+def test_what_a_tick_does_is_rehearsed_though_the_first_scans_take_their_time(
+    plan: Plan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    steps = []
+
+    def counted(*arguments: object) -> object:
+        steps.append(arguments)
+        return step(*arguments)  # type: ignore[arg-type]
+
+    step = regulator.step
+    monkeypatch.setattr(regulator, "step", counted)
+    control_process._warm_up(ChildJob(plan, -1, os.getpid()), SlowBench(plan.config.actuators))  # type: ignore[arg-type]
+    assert len(steps) > len(plan.config.valves)
+
+
+def test_the_calendars_anchor_is_that_of_the_first_tick_and_not_of_the_journals_beginning(
+    request_: experiment.RunRequest, plan: Plan
+) -> None:
+    before_ns = time.time_ns()
+    about = experiment.header(request_, plan, t_ns=5, ahead_ns=10**12)
+    assert about.started_t_ns == 5
+    assert before_ns <= about.started_utc_ns - 10**12 <= time.time_ns()
+
+
+def fellow(conductor: supervisor._Supervisor, name: str, program: str) -> subprocess.Popen[bytes]:
+    process = subprocess.Popen([sys.executable, "-c", program])
+    conductor.crew[name], conductor.lives[name] = process, ProcessMonitor(process.pid)
+    return process
+
+
+def test_a_process_that_dies_while_another_is_waited_for_ends_the_start(plan: Plan) -> None:
+    conductor = supervisor._Supervisor(plan, NullOperator(), None)
+    fellow(conductor, "watchdog", "import time; time.sleep(60)")
+    fellow(conductor, "observer", "import sys; sys.exit(3)")
+    with pytest.raises(StartError, match=r"the observer process died while it started \(exit status 3\)"):
+        conductor._await("watchdog")
+    conductor.crew["watchdog"].kill()
+    assert conductor.end() == ""
+    os.close(conductor.memory.fd)
+
+
+def test_what_a_process_said_before_it_left_is_told_and_not_that_it_has_left(plan: Plan) -> None:
+    conductor = supervisor._Supervisor(plan, NullOperator(), None)
+    fellow(conductor, "watchdog", "").wait()
+    conductor.memory.say("watchdog", Stage.FAILED, "the card is not there")
+    with pytest.raises(StartError, match="the card is not there"):
+        conductor._await("watchdog")
+    assert conductor.end() == ""
+    os.close(conductor.memory.fd)
+
+
+def test_a_run_whose_control_was_told_to_end_before_its_turn_is_not_called_armed(plan: Plan) -> None:
+    conductor = supervisor._Supervisor(plan, NullOperator(), None)
+    conductor.memory.ask_to_stop(Stop.TERMINATED)
+    conductor.memory.say("control", Stage.DONE)
+    with pytest.raises(StartError, match="before the run began, the control process was told to terminate"):
+        conductor._await("control")
+    os.close(conductor.memory.fd)
+
+
+def test_who_has_not_had_his_turn_is_not_waited_for(plan: Plan, monkeypatch: pytest.MonkeyPatch) -> None:
+    conductor = supervisor._Supervisor(plan, NullOperator(), None)
+    loading = [fellow(conductor, name, "import time; time.sleep(5)") for name in ("watchdog", "control")]
+    conductor.memory.set("plant_starting", 1)
+    monkeypatch.setattr(supervisor, "SAFE_TIMEOUT_S", 60.0)
+    assert conductor.end() == ""
+    assert [process.returncode for process in loading] == [-signal.SIGKILL] * 2
+    os.close(conductor.memory.fd)
+
+
+def test_valves_that_nobody_is_left_to_make_safe_are_told_of_though_the_run_did_not_begin(
+    plan: Plan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    conductor = supervisor._Supervisor(plan, NullOperator(), None)
+    for name in ("watchdog", "control"):
+        fellow(conductor, name, "").wait()
+    conductor.memory.beat("control", 1)
+    monkeypatch.setattr(supervisor, "stand_in", lambda *_: "no answer")
+    assert conductor.end() == "the safe state could not be written, shut the air off by hand: no answer"
+    os.close(conductor.memory.fd)
+
+
+@pytest.mark.parametrize(
+    ("program", "said"),
+    [("import sys; sys.exit(7)", "exit status 7"), ("print('hello', flush=True); input()", "it said b'hello")],
+)
+def test_a_simulator_that_does_not_start_is_told_of(plan: Plan, program: str, said: str, tmp_path: Path) -> None:
+    process = subprocess.Popen(
+        [sys.executable, "-c", program], stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
+    )
+    simulation = Simulation(process, plan.config)
+
+    def wait() -> None:
+        limit = time.monotonic() + 30
+        while time.monotonic() < limit and not simulation.ready():
+            time.sleep(0.01)
+
+    with pytest.raises(CardError, match=said):
+        wait()
+    simulation.close()
+    assert process.stdin is not None
+    process.stdin.close()
+
+
+def test_a_job_larger_than_a_pipe_is_there_at_once_though_the_child_is_long_in_loading(
+    plan: Plan, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    loading = tmp_path / "loading"
+    loading.write_text("#!/bin/sh\nexec sleep 20\n")
+    loading.chmod(0o700)
+    monkeypatch.setattr(child_process.sys, "executable", str(loading))
+    long = replace(plan, trajectory=replace(plan.trajectory, source="x" * 1_000_000))
+    memory = SharedState.create(StateLayout.of(plan.config))
+    process = child_process.spawn("rig.realtime.control_process", ChildJob(long, memory.fd, os.getpid()))
+    assert process.poll() is None
+    with Path(f"/proc/{process.pid}/fd/0").open("rb") as told:
+        assert pickle.load(told).plan.trajectory.source == long.trajectory.source
+    process.kill()
+    process.wait()
+    os.close(memory.fd)
+
+
+@pytest.mark.parametrize("name", ["watchdog", "control", "observer"])
+def test_who_is_told_to_stop_before_his_turn_takes_his_job_and_leaves(plan: Plan, name: str) -> None:
+    memory = SharedState.create(StateLayout.of(plan.config))
+    memory.set("plant_starting", 1)
+    memory.ask_to_stop(Stop.SAFE)
+    process = child_process.spawn(f"rig.realtime.{name}_process", ChildJob(plan, memory.fd, os.getpid()))
+    memory.say("control" if name == "observer" else "observer", Stage.DONE)  # the observer stays until all is safe
+    assert process.wait(60) == 0
+    assert memory.stage(name) is Stage.DONE
+    assert not memory.heartbeat_ns(name)
+    os.close(memory.fd)
+
+
+def test_control_that_stands_still_before_its_first_tick_ends_the_run(
+    plan: Plan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    conductor = supervisor._Supervisor(plan, NullOperator(), None)
+    memory, now = conductor.memory, 10**9
+    monkeypatch.setattr(supervisor.time, "monotonic_ns", lambda: now)
+    for name in ("control", "watchdog"):
+        memory.say(name, Stage.READY)
+    memory.beat("control", now)
+    faults = []
+    for _ in range(50):
+        now += 20_000_000
+        for name in ("observer", "watchdog"):
+            memory.beat(name, now)
+        faults.append(conductor._fault())
+    assert faults[0] is None
+    assert faults[-1] is not None
+    assert faults[-1][0] == "control"
+    os.close(memory.fd)
+
+
+@pytest.fixture
+def registers() -> Iterator[Registers]:
+    """A mock card whose valves are open, and nobody behind it."""
+    registers = Registers.create(f"started-{os.getpid()}", 2, 8)
+    registers.outputs["volts"] = 7.0
+    yield registers
+    path = registers.path
+    registers.close()
+    path.unlink()
+
+
+@pytest.fixture
+def own_plan(plan: Plan, registers: Registers) -> Plan:
+    """A plan for that card."""
+    cards = {
+        name: card.model_copy(update={"device": f"started-{os.getpid()}"}) for name, card in plan.config.cards.items()
+    }
+    return replace(plan, config=plan.config.model_copy(update={"cards": cards}))
+
+
+def test_an_error_in_control_is_told_by_its_name_and_leaves_the_valves_safe(
+    own_plan: Plan, registers: Registers, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    memory = SharedState.create(StateLayout.of(own_plan.config))
+    memory.say("watchdog", Stage.READY)
+
+    def fails(*_: object) -> None:
+        registers.outputs["volts"] = 7.0
+        raise ZeroDivisionError("of a rehearsal")
+
+    monkeypatch.setattr(control_process, "receive", lambda: (ChildJob(own_plan, memory.fd, os.getppid()), memory))
+    monkeypatch.setattr(control_process, "_warm_up", fails)
+    monkeypatch.setattr(control_process, "become_real_time", lambda priority: [])
+    monkeypatch.setattr(control_process, "PATIENCE_S", 0.0)
+    before = signal.getsignal(signal.SIGTERM)
+    try:
+        with pytest.raises(ZeroDivisionError):
+            control_process.main()
+    finally:
+        signal.signal(signal.SIGTERM, before)
+    assert registers.outputs["volts"].tolist() == [0.0, 0.0]
+    assert memory.get("safe_ns")
+    assert memory.stage("control") is Stage.FAILED
+    assert memory.message("control") == "the control process failed: ZeroDivisionError: of a rehearsal"
+    os.close(memory.fd)
+
+
+def test_valves_that_do_not_stand_safe_at_the_end_are_not_called_safe_though_it_was_written(
+    own_plan: Plan, registers: Registers
+) -> None:
+    conductor = supervisor._Supervisor(own_plan, NullOperator(), None)
+    conductor.memory.set("safe_ns", 1)
+    assert conductor._unsafe() == ""
+    assert "valve 1 stands at 7.000 V" in conductor._stood_in
+    assert registers.outputs["volts"].tolist() == [0.0, 0.0]
+    registers.outputs["volts"] = 7.0
+    registers.faults.inject(failing_writes=10**9)
+    said = conductor._unsafe()
+    assert "shut the air off by hand" in said
+    assert "valve 1 stands at 7.000 V" in said
+    os.close(conductor.memory.fd)
+
+
+def test_the_doors_of_killed_runs_are_cleared_away_and_those_of_others_stay(
+    plan: Plan, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    memory = SharedState.create(StateLayout.of(plan.config))
+    with (
+        socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as left,
+        socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as going,
+    ):
+        left.bind(os.fspath(socket_of(1)))
+        going.bind(os.fspath(socket_of(2)))
+        going.listen()
+        left.close()
+        door = ControlSocket(plan, memory)
+        assert sorted(socket_paths().iterdir()) == sorted([socket_of(2), door.path])
+        door.close()
+    os.close(memory.fd)
+
+
+def test_what_ended_a_run_is_told_beside_a_watchdog_that_has_to_be_killed(
+    plan: Plan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One that stands still has not ended when the run has."""
+    ended = Outcome(Status.ABORTED, "the watchdog process has been silent for 1.2 s", 5, {"missed_deadlines": 3})
+
+    def conduct(conductor: supervisor._Supervisor, _: object) -> Outcome:
+        fellow(conductor, "watchdog", "import time; time.sleep(60)")
+        return ended
+
+    monkeypatch.setattr(supervisor, "started", lambda *_: nullcontext())
+    monkeypatch.setattr(supervisor, "SAFE_TIMEOUT_S", 0.1)
+    monkeypatch.setattr(supervisor._Supervisor, "run", conduct)
+    outcome = supervisor.run(plan, lambda _: None, NullOperator())  # type: ignore[arg-type, return-value]
+    assert outcome.message.startswith(f"{ended.message}; the watchdog did not end")
+    assert outcome.status is Status.ABORTED
+    assert outcome.counters == ended.counters
+
+
+def test_a_run_that_was_told_to_end_while_its_conductor_stood_still_is_not_called_finished(
+    plan: Plan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The conductor had just looked whether somebody wants the run to end, and wakes when all is over."""
+    conductor = supervisor._Supervisor(plan, NullOperator(), None)
+    conductor.recorder = Unwritten()
+
+    def stood_still() -> None:
+        conductor.memory.ask_to_stop(Stop.SILENT)
+        conductor.memory.say("control", Stage.DONE)
+
+    monkeypatch.setattr(conductor, "_fault", stood_still)
+    assert conductor._conduct() == (Status.ABORTED, supervisor.STOPPED[Stop.SILENT])
+    os.close(conductor.memory.fd)
+
+
+def test_air_that_does_not_go_is_told_of_where_another_fault_ended_the_run(
+    own_plan: Plan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    conductor = supervisor._Supervisor(own_plan, NullOperator(), None)
+    monkeypatch.setattr(conductor, "_await", lambda name: None)
+    monkeypatch.setattr(conductor, "_spawn", lambda name, module: fellow(conductor, name, ""))
+    monkeypatch.setattr(conductor, "_unsafe", lambda: "")
+
+    def conduct() -> tuple[Status, str]:
+        conductor.memory.set("safe_ns", 1)
+        conductor.memory.say("control", Stage.FAILED, "the air stays")
+        return Status.ABORTED, "the camera is gone"
+
+    monkeypatch.setattr(conductor, "_conduct", conduct)
+    outcome = conductor.run(lambda t_ns: Unwritten())
+    assert outcome.status is Status.ABORTED
+    assert outcome.message == "the camera is gone; the air stays"
+    conductor.end()
+    os.close(conductor.memory.fd)
+
+
+def test_a_debugger_that_holds_a_process_keeps_nobody_waiting_for_the_end_of_the_run(
+    plan: Plan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The kernel hides the end of such a process from its parent for as long as the debugger has not asked for it."""
+    monkeypatch.setattr(supervisor, "SAFE_TIMEOUT_S", 0.1)
+    conductor = supervisor._Supervisor(plan, NullOperator(), None)
+    held = fellow(conductor, "observer", "import time; time.sleep(60)")
+    with subprocess.Popen([sys.executable, "-c", HOLD_STILL, str(held.pid)], stdout=subprocess.PIPE) as debugger:
+        assert debugger.stdout is not None
+        if debugger.stdout.readline() != b"held\n":
+            pytest.skip("this machine lets no process trace another")
+        ending = threading.Thread(target=conductor.end, daemon=True)
+        ending.start()
+        ending.join(20)
+        hung = ending.is_alive()
+        debugger.kill()
+    ending.join(20)
+    assert not hung
+    held.wait(20)
+    os.close(conductor.memory.fd)
+
+
+@pytest.mark.parametrize(("died", "said"), [(True, " (exit status -9)"), (False, "")])
+def test_the_exit_status_of_who_was_killed_for_being_silent_is_not_told(plan: Plan, died: bool, said: str) -> None:
+    conductor = supervisor._Supervisor(plan, NullOperator(), None)
+    fellow(conductor, "control", "import time; time.sleep(60)").kill()
+    assert conductor._explained("control", "a fault", died=died) == ("control", f"a fault{said}")
+    assert conductor.end() == ""
+    os.close(conductor.memory.fd)
+
+
+def test_a_process_that_was_stopped_while_it_starts_is_told_of(plan: Plan, monkeypatch: pytest.MonkeyPatch) -> None:
+    class Hearer(NullOperator):
+        told = ""
+
+        def tell(self, event: Event) -> None:
+            self.told = event.message
+
+    hearer = Hearer()
+    conductor = supervisor._Supervisor(plan, hearer, None)
+    still = fellow(conductor, "observer", "import time; time.sleep(60)")
+    still.send_signal(signal.SIGSTOP)
+    while not conductor.lives["observer"].stopped:
+        time.sleep(0.005)
+    monkeypatch.setattr(supervisor, "SLOW_START_S", 0.0)
+    monkeypatch.setattr(supervisor, "START_TIMEOUT_S", 0.1)
+    with pytest.raises(StartError, match="the observer process was not ready"):
+        conductor._await("observer")
+    assert hearer.told == "waiting for the observer process: it was stopped"
+    still.kill()
+    assert conductor.end() == ""
+    os.close(conductor.memory.fd)
+
+
+@pytest.mark.parametrize(
+    ("error", "told"),
+    [
+        (JournalError("the disk is full"), "the disk is full; the air stays"),
+        (StartError("the air stays"), "the air stays"),
+    ],
+)
+def test_air_that_does_not_go_is_told_of_whatever_ends_a_run(
+    plan: Plan, monkeypatch: pytest.MonkeyPatch, error: Exception, told: str
+) -> None:
+    def conduct(conductor: supervisor._Supervisor, _: object) -> Outcome:
+        conductor.memory.say("control", Stage.FAILED, "the air stays")
+        raise error
+
+    monkeypatch.setattr(supervisor, "started", lambda *_: nullcontext())
+    monkeypatch.setattr(supervisor._Supervisor, "run", conduct)
+    with pytest.raises((CardError, StartError)) as raised:
+        supervisor.run(plan, lambda _: None, NullOperator())  # type: ignore[arg-type, return-value]
+    assert str(raised.value) == told

@@ -1,0 +1,216 @@
+"""Virtual time: the whole experiment in one process, the same from the same seed, honest about being simulated."""
+
+from __future__ import annotations
+
+import resource
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import protocols
+import runs
+from protocols import BadInputError
+from rig.execution.plan import NullOperator, StartError
+from rig.experiment import run as experiment
+from runs.journal.append_only_file import JournalError
+from runs.records import Event, Status
+from runs.run import Run
+from runs.summary import Summary, summarise
+
+
+class Silent(NullOperator):
+    """Watches and never stops; remembers the events."""
+
+    def __init__(self, stop_after: int = 10**9) -> None:
+        self.events: list[Event] = []
+        self._polls_left = stop_after
+
+    def tell(self, event: Event) -> None:
+        """Remember."""
+        self.events.append(event)
+
+    def stop_requested(self) -> str | None:
+        """After some polls."""
+        self._polls_left -= 1
+        return "enough" if self._polls_left < 0 else None
+
+
+def run_fast(folder: Path, protocol: str, seed: int = 1, stop_after: int = 10**9) -> Run:
+    request = experiment.request(protocol, "mock", folder=folder, fast=True, seed=seed, report=False)
+    result = experiment.run(request, experiment.plan(request), Silent(stop_after))
+    assert result.archive is not None
+    return runs.open(result.archive)
+
+
+def protocol_file(folder: Path, steps: str) -> str:
+    path = folder / "protocol.yaml"
+    path.write_text(f"title: For a test\nsteps:\n{steps}")
+    return str(path)
+
+
+@pytest.fixture(scope="module")
+def ramp_a(tmp_path_factory: pytest.TempPathFactory) -> Run:
+    """The paper's staircase on actuator 1, each level held for half as long, once for every test that looks at it."""
+    folder = tmp_path_factory.mktemp("ramp-a")
+    (folder / "ramp-a.yaml").write_text(protocols.load("ramp-a").text.replace("dwell_s: 4", "dwell_s: 2"))
+    return run_fast(folder, str(folder / "ramp-a.yaml"))
+
+
+@pytest.fixture(scope="module")
+def ramp_a_summary(ramp_a: Run) -> Summary:
+    """Its numbers."""
+    return summarise(ramp_a)
+
+
+def test_the_staircase_plays_its_eleven_levels(ramp_a_summary: Summary) -> None:
+    dwells = [step for step in ramp_a_summary.steps if step.kind == "dwell"]
+    assert [step.level_bar[0] for step in dwells] == pytest.approx(np.linspace(0.15, 0.65, 11))
+
+
+def test_every_step_settles_within_half_a_second_with_less_than_ten_millibar_of_overshoot(
+    ramp_a_summary: Summary,
+) -> None:
+    dwells = [step for step in ramp_a_summary.steps if step.kind == "dwell"]
+    # Into the first level it climbs from rest; the other ten are steps.
+    steps = [step for step in dwells if np.isfinite(step.overshoot_bar)]
+    assert len(steps) >= 10
+    for step in steps:
+        assert step.settling_s < 0.5, step.label
+        assert step.overshoot_bar < 0.01, step.label
+
+
+def test_the_measured_tip_is_within_a_millimetre_of_the_truth_in_the_plane_of_motion(
+    ramp_a: Run, ramp_a_summary: Summary
+) -> None:
+    assert ramp_a.simulated is not None
+    off = ramp_a.tip.measured_mm - ramp_a.simulated.tip_mm
+    assert np.nanmax(np.hypot(off[:, 0], off[:, 2])) < 1.0
+    assert ramp_a_summary.measured_fraction > 0.99
+
+
+def test_the_stated_95_percent_interval_holds_the_truth_in_90_to_99_percent_of_frames(ramp_a_summary: Summary) -> None:
+    assert ramp_a_summary.truth is not None
+    assert 0.90 <= ramp_a_summary.truth.coverage <= 0.99
+
+
+def test_the_live_error_is_that_of_an_arm_whose_parameters_are_off_not_zero_and_not_large(
+    ramp_a_summary: Summary,
+) -> None:
+    assert 0.2 < ramp_a_summary.error_mm.mean < 5.0
+
+
+def test_the_archive_says_that_it_is_simulated(ramp_a: Run) -> None:
+    assert ramp_a.header.simulated
+    assert ramp_a.header.executor == "virtual time"
+    assert ramp_a.header.seed == 1
+
+
+def test_the_archive_names_every_number_that_the_model_used(ramp_a: Run) -> None:
+    named = {q.name: q for q in ramp_a.header.quantities}
+    assert named["rpe"].value == (0.05324473,)
+    assert named["youngs_modulus"].unit == "Pa"
+
+
+def test_the_sinusoid_is_tracked_within_ten_millibar_rms(tmp_path: Path) -> None:
+    (tmp_path / "sine-2.yaml").write_text(protocols.load("sine-2").text.replace("periods: 4", "periods: 1"))
+    run = run_fast(tmp_path, str(tmp_path / "sine-2.yaml"))
+    (sine,) = [s for s in run.header.intervals if s.kind == "sine"]
+    pressure = run.pressure
+    during = (pressure.protocol_s >= sine.start_s) & (pressure.protocol_s < sine.stop_s)
+    error = (pressure.measured_bar - pressure.setpoint_bar)[during][:, 1:]
+    assert np.sqrt(np.mean(error**2)) < 0.01
+
+
+def test_the_same_seed_gives_the_same_arrays_bit_for_bit(tmp_path: Path) -> None:
+    protocol = protocol_file(tmp_path, "  - ramp: {actuators: [1], to_bar: 0.4, duration_s: 2}\n")
+    one, two, other = (run_fast(tmp_path / str(n), protocol, seed) for n, seed in enumerate((7, 7, 8)))
+    for room in ("pressure", "tip", "timing"):
+        first, second = getattr(one, room), getattr(two, room)
+        for name in first.__dataclass_fields__:
+            np.testing.assert_array_equal(getattr(first, name), getattr(second, name), err_msg=f"{room}.{name}")
+    for k in range(len(one.frames.index)):
+        assert one.picture(k) == two.picture(k)
+    assert not np.array_equal(one.pressure.measured_bar, other.pressure.measured_bar)
+
+
+def test_a_stop_request_ends_in_an_interrupted_archive(tmp_path: Path) -> None:
+    protocol = protocol_file(tmp_path, "  - hold: {duration_s: 600}\n")
+    run = run_fast(tmp_path, protocol, stop_after=2)
+    assert run.status is Status.INTERRUPTED
+    assert run.message == "enough"
+
+
+def test_prompts_are_answered_by_themselves_and_said_so(tmp_path: Path) -> None:
+    protocol = protocol_file(
+        tmp_path, "  - hold: {duration_s: 0.5}\n  - prompt: Hang 100 g\n  - hold: {duration_s: 0.5}\n"
+    )
+    run = run_fast(tmp_path, protocol)
+    assert run.status is Status.FINISHED
+    assert any("Hang 100 g" in event.message and "virtual time" in event.message for event in run.events)
+
+
+def test_a_hung_weight_stretches_the_simulated_arm_and_the_model_knows_it(tmp_path: Path) -> None:
+    steps = "  - hold: {duration_s: 1}\n  - prompt: {message: Hang 1 kg, weight_g: 1000}\n  - hold: {duration_s: 3}\n"
+    run = run_fast(tmp_path, protocol_file(tmp_path, steps))
+    before, after = run.tip.protocol_s < 0.9, run.tip.protocol_s > 3.0
+    assert set(run.tip.weight_g[before]) == {0.0}
+    assert set(run.tip.weight_g[after]) == {1000.0}
+    stretch_mm = run.tip.measured_mm[after, 2].mean() - run.tip.measured_mm[before, 2].mean()
+    # Eq 32 for a third of 9.81 N, from the 0.16 N of the cap's share: 170 mm x 0.0277 with the paper's constants.
+    assert stretch_mm == pytest.approx(4.7, rel=0.1)
+    assert run.tip.error_mm[after].mean() < 0.5
+
+
+def test_a_level_above_the_limit_is_refused_before_anything_starts(tmp_path: Path) -> None:
+    protocol = protocol_file(tmp_path, "  - ramp: {actuators: [1], to_bar: 0.8, duration_s: 2}\n")
+    request = experiment.request(protocol, "mock", folder=tmp_path / "out", fast=True)
+    with pytest.raises(BadInputError, match=r"protocol\.yaml:3"):
+        experiment.plan(request)
+    assert not (tmp_path / "out").exists()
+
+
+def test_virtual_time_refuses_a_real_rig(tmp_path: Path) -> None:
+    request = experiment.request("ramp-a", "pci1716", folder=tmp_path, fast=True)
+    with pytest.raises(StartError, match="simulated rig"):
+        experiment.run(request, experiment.plan(request), Silent())
+    assert not list(tmp_path.glob("*.h5"))
+
+
+@contextmanager
+def limited_files() -> Iterator[Callable[[int], None]]:
+    """What is given sets how large a file may become: a disk that takes no more."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    try:
+        yield lambda size: resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+
+def test_a_record_that_cannot_be_begun_is_refused_plainly(tmp_path: Path) -> None:
+    request = experiment.request("sine-1", "mock", folder=tmp_path, fast=True, report=False)
+    decided = experiment.plan(request)
+    with limited_files() as at_most:
+        at_most(0)
+        with pytest.raises(JournalError, match="is full"):
+            experiment.run(request, decided, NullOperator())
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_run_that_its_disk_ends_ends_by_its_own_clock(tmp_path: Path) -> None:
+    request = experiment.request("sine-1", "mock", folder=tmp_path, fast=True, report=False)
+    decided = experiment.plan(request)
+
+    class Filling(NullOperator):
+        def tell(self, event: Event) -> None:
+            (journal,) = tmp_path.glob("*.mcap")
+            at_most(journal.stat().st_size + 50_000)
+
+    with limited_files() as at_most:
+        result = experiment.run(request, decided, Filling())
+    assert result.outcome.status is Status.ABORTED
+    assert "the record could not be written" in result.outcome.message
+    assert result.trouble
+    assert 0 < result.outcome.t_ns * 1e-9 < decided.trajectory.duration_s

@@ -1,0 +1,181 @@
+"""A disk that stands still: a live run goes on, what it recorded waits in memory and is in the file in the end."""
+
+from __future__ import annotations
+
+import errno
+import os
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from pathlib import Path
+
+import pytest
+
+import tests.support.synthetic_runs as made_up
+from runs.journal import append_only_file, journal
+from runs.journal.append_only_file import JournalError
+from runs.journal.journal import JournalWriter
+from runs.records import RunFooter, Status
+
+PATIENCE_S = 30.0
+
+
+class Gate:
+    """A call of the kernel that does not return while the gate is shut."""
+
+    def __init__(self, call: Callable[..., int | None]) -> None:
+        self._call = call
+        self.reached = threading.Event()
+        self.open = threading.Event()
+        self.open.set()
+        self.fault: OSError | None = None
+
+    def __call__(self, *arguments: object) -> int | None:
+        self.reached.set()
+        assert self.open.wait(PATIENCE_S), "nobody opened the gate"
+        if self.fault is not None:
+            raise self.fault
+        return self._call(*arguments)
+
+    def shut(self) -> None:
+        self.open.clear()
+        self.reached.clear()
+
+
+@pytest.fixture
+def writes(monkeypatch: pytest.MonkeyPatch) -> Iterator[Gate]:
+    gate = Gate(os.write)
+    monkeypatch.setattr(os, "write", gate)
+    yield gate
+    gate.open.set()
+
+
+@pytest.fixture
+def syncs(monkeypatch: pytest.MonkeyPatch) -> Iterator[Gate]:
+    gate = Gate(os.fdatasync)
+    monkeypatch.setattr(os, "fdatasync", gate)
+    monkeypatch.setattr(append_only_file, "SYNC_S", 0.01)
+    yield gate
+    gate.open.set()
+
+
+@pytest.fixture
+def writer(tmp_path: Path) -> JournalWriter:
+    return JournalWriter(tmp_path / "a.mcap", made_up.header(), live=True)
+
+
+FOOTER = RunFooter(made_up.START_NS, Status.FINISHED, "")
+ROWS = made_up.samples(1.0)
+
+
+def record(writer: JournalWriter) -> None:
+    for low in range(0, len(ROWS), 20):
+        writer.samples(ROWS[low : low + 20])
+
+
+def record_for_ever(writer: JournalWriter) -> None:
+    while True:
+        record(writer)
+
+
+def test_what_a_disk_does_not_take_is_written_once_it_does(writer: JournalWriter, writes: Gate) -> None:
+    writes.shut()
+    record(writer)
+    assert len(journal.read(writer.path).samples) == 0
+    assert writer.standing_s > 0
+    writes.open.set()
+    assert writer.settled(PATIENCE_S)
+    assert journal.read(writer.path).samples[:].tobytes() == ROWS.tobytes(), "before it is closed"
+    assert writer.standing_s == 0
+    writer.close(FOOTER)
+    content = journal.read(writer.path)
+    assert content.footer == FOOTER
+    assert content.samples[:].tobytes() == ROWS.tobytes()
+
+
+def test_what_is_written_survives_though_a_sync_stands_still(syncs: Gate, writer: JournalWriter) -> None:
+    syncs.shut()
+    assert syncs.reached.wait(PATIENCE_S)
+    record(writer)
+    assert journal.read(writer.path).samples[:].tobytes() == ROWS.tobytes()
+    assert writer.standing_s > 0
+    assert not writer.settled(0.01)
+    syncs.open.set()
+    writer.close(FOOTER)
+
+
+def test_a_sync_that_stands_still_never_ends_a_run(
+    syncs: Gate, writer: JournalWriter, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(append_only_file, "HELD_S", 0.0)
+    syncs.shut()
+    assert syncs.reached.wait(PATIENCE_S)
+    record(writer)
+    syncs.open.set()
+    writer.close(FOOTER)
+
+
+@pytest.mark.parametrize(("limit", "allowed"), [("HELD_S", 0.0), ("HELD_BYTES", 1000)])
+def test_a_disk_that_takes_nothing_for_too_long_ends_the_run_and_loses_nothing_of_it(
+    writer: JournalWriter, writes: Gate, monkeypatch: pytest.MonkeyPatch, limit: str, allowed: float
+) -> None:
+    monkeypatch.setattr(append_only_file, limit, allowed)
+    writes.shut()
+    with pytest.raises(JournalError, match=r"the disk with .*a\.mcap has taken nothing for .* s; .* MB wait in memory"):
+        record(writer)
+    writes.open.set()
+    writer.close(FOOTER)
+    content = journal.read(writer.path)
+    assert content.footer == FOOTER
+    assert content.samples[:].tobytes() == ROWS[:20].tobytes()
+
+
+@pytest.mark.parametrize("failing", ["writes", "syncs"])
+def test_what_fails_after_a_call_has_returned_is_told_at_the_next(
+    writes: Gate, syncs: Gate, writer: JournalWriter, failing: str
+) -> None:
+    gate = {"writes": writes, "syncs": syncs}[failing]
+    gate.shut()
+    gate.fault = OSError(errno.EIO, os.strerror(errno.EIO))
+    writer.samples(ROWS[:20])
+    assert gate.reached.wait(PATIENCE_S)
+    gate.open.set()
+    with pytest.raises(JournalError, match=r"cannot write .*Input/output error"):
+        record_for_ever(writer)
+    gate.fault = None
+    with suppress(JournalError):  # syncs go on meanwhile, and one more of them may have failed
+        writer.close(FOOTER)
+    assert journal.read(writer.path).footer == FOOTER
+
+
+def test_what_fails_after_the_last_call_is_told_by_the_close(writer: JournalWriter, writes: Gate) -> None:
+    writes.shut()
+    writer.samples(ROWS[:20])
+    writes.fault = OSError(errno.EIO, os.strerror(errno.EIO))
+    writes.open.set()
+    assert writer.settled(PATIENCE_S)
+    writes.fault = None
+    with pytest.raises(JournalError, match="Input/output error"):
+        writer.close(FOOTER)
+    assert journal.read(writer.path).footer == FOOTER
+
+
+def test_every_second_the_record_is_seen_to_the_disk(syncs: Gate, writer: JournalWriter) -> None:
+    for _ in range(3):
+        syncs.reached.clear()
+        assert syncs.reached.wait(PATIENCE_S)
+    writer.close(FOOTER)
+
+
+def test_a_disk_that_cannot_say_how_much_room_it_has_is_a_broken_one(
+    syncs: Gate, writer: JournalWriter, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def gone(_: int) -> os.statvfs_result:
+        raise OSError(errno.EIO, os.strerror(errno.EIO))
+
+    with monkeypatch.context() as broken:
+        broken.setattr(os, "fstatvfs", gone)
+        with pytest.raises(JournalError, match="Input/output error"):
+            record_for_ever(writer)
+    with suppress(JournalError):
+        writer.close(FOOTER)

@@ -1,0 +1,380 @@
+"""The report: one file, whole in itself, honest about what was simulated."""
+
+from __future__ import annotations
+
+import base64
+import dataclasses
+import re
+from html.parser import HTMLParser
+from pathlib import Path
+from xml.etree import ElementTree as ET
+
+import matplotlib as mpl
+import numpy as np
+import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+import runs
+import tests.support.synthetic_runs as made_up
+from runs.archive.writer import finalise
+from runs.export.exporters import ExportError
+from runs.journal.journal import JournalWriter
+from runs.records import DetectionStatus, Event, Level, RunFooter, Status
+from runs.report import figure_export, figure_specifications, pictures
+from runs.report import page as report
+from runs.report.comparison import by_axis, by_model
+from runs.report.figures import STYLE, pressures, steps
+from runs.summary import summarise
+
+VOID = {"meta", "img", "br", "input", "link"}
+
+
+class Page(HTMLParser):
+    """Checks that every element is closed, and collects what would be loaded."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.loaded: list[str] = []
+        self.text: list[str] = []
+        self.feed(text)
+        assert self.open == []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        if tag not in VOID:
+            self.open.append(tag)
+        self.loaded += [value or "" for name, value in attrs if name in ("src", "href", "xlink:href", "data")]
+
+    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.loaded += [value or "" for name, value in attrs if name in ("src", "href", "xlink:href", "data")]
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        self.text.append(data)
+
+
+@pytest.fixture(scope="module")
+def archive(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("report") / "run.mcap"
+    made_up.write_journal(path)
+    return finalise(path)
+
+
+@pytest.fixture(scope="module")
+def short(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run so short that no camera frame was seen."""
+    path = tmp_path_factory.mktemp("report") / "short.mcap"
+    made_up.write_journal(path, duration_s=0.03)
+    return finalise(path)
+
+
+@pytest.fixture(scope="module")
+def text(archive: Path) -> str:
+    return report.write(archive).read_text(encoding="utf-8")
+
+
+def test_it_stands_beside_the_archive(archive: Path, text: str) -> None:
+    assert archive.with_suffix(".html").exists()
+    assert not list(archive.parent.glob("*.part"))
+    assert text.startswith("<!doctype html>")
+
+
+def test_nothing_is_loaded_from_elsewhere(text: str) -> None:
+    page = Page(text)
+    assert [src for src in page.loaded if not src.startswith(("data:", "#"))] == []
+    assert "url(http" not in text
+    assert "@import" not in text
+    assert "<script" not in text
+
+
+def test_every_figure_is_a_sound_drawing_with_ids_of_its_own(text: str) -> None:
+    drawings = re.findall(r"<svg(?! viewBox).*?</svg>", text, re.DOTALL)
+    assert len(drawings) == 7
+    ids: list[str] = []
+    for drawing in drawings:
+        root = ET.fromstring(drawing)
+        assert root.attrib["aria-label"]
+        ids += re.findall(r'<(?:clipPath|path) id="([^"]+)"', drawing)
+    assert len(ids) == len(set(ids)), "figures on one page share their ids"
+
+
+def test_it_says_what_was_simulated(text: str, tmp_path: Path) -> None:
+    assert "This run was simulated." in text
+    made_up.write_journal(tmp_path / "real.mcap", duration_s=0.1, simulated=False)
+    real = report.write(finalise(tmp_path / "real.mcap")).read_text(encoding="utf-8")
+    assert "simulated" not in re.sub(r"<style>.*?</style>", "", real, flags=re.DOTALL)
+
+
+def test_it_tells_how_the_run_was_made(archive: Path, text: str) -> None:
+    shown = " ".join(Page(text).text)
+    for said in ("finished", "A. Tester", "rig run stairs --fast", "0123abc", "seed 7", "numpy", "# µ and ° survive"):
+        assert said in shown
+    assert runs.open(archive).sha256 in shown
+    assert "289142" in shown
+
+
+def test_the_pictures_are_inside(text: str) -> None:
+    data = re.findall(r'href="data:image/jpeg;base64,([^"]+)"', text)
+    stored = [made_up.picture(index).data for index in range(5)]
+    assert data
+    assert all(base64.b64decode(encoded) in stored for encoded in data)
+
+
+def test_what_was_seen_is_drawn_into_the_pictures(archive: Path, text: str) -> None:
+    drawn = re.findall(r'<circle cx="([\d.]+)" cy="([\d.]+)"', text)
+    for k in (moment.k for moment in pictures.moments(runs.open(archive), summarise(runs.open(archive)))):
+        marks = made_up.marks(k)
+        for u, v in (*marks.corners_px, *([marks.tip_px] if len(marks.corners_px) else [])):
+            assert (f"{u:.2f}", f"{v:.2f}") in drawn
+
+
+def test_pictures_show_the_ends_of_steps_the_largest_error_and_where_the_board_was_lost(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    header = made_up.header("run", 4.0)
+    writer = JournalWriter(path, header)
+    rows = made_up.observations(4.0)
+    rows["seen"][90:100], rows["measured_m"][90:100] = DetectionStatus.NO_BOARD, np.nan
+    rows["model_m"][50] += 0.004
+    writer.samples(made_up.samples(4.0))
+    writer.observations(rows)
+    for index in range(40):
+        shown = made_up.picture(index)
+        writer.picture(
+            dataclasses.replace(shown, t_ns=int(rows["t_ns"][3 * index]), frame=int(rows["frame"][3 * index]))
+        )
+    writer.close(RunFooter(made_up.START_NS + 4 * 10**9, Status.FINISHED, ""))
+    run = runs.open(finalise(path))
+    chosen = {moment.why: int(run.frames.index[moment.k]) for moment in pictures.moments(run, summarise(run))}
+    assert chosen == {
+        "end of step 1": 28,
+        f"near the largest error ({np.nanmax(run.tip.error_mm):.2f} mm)": 52,
+        "end of step 2": 58,
+        "end of step 3": 88,
+        "nothing measured (no board)": 91,
+        "end of step 4": 118,
+    }
+
+
+def test_a_run_with_several_cameras_shows_every_view_of_a_moment(tmp_path: Path) -> None:
+    path = tmp_path / "two.mcap"
+    writer = JournalWriter(path, made_up.header("two", 1.0))
+    writer.observations(made_up.observations(1.0))
+    for index in range(5):
+        for camera in ("front", "side"):
+            writer.picture(dataclasses.replace(made_up.picture(index), camera=camera))
+    writer.close(RunFooter(made_up.START_NS + 10**9, Status.FINISHED, ""))
+    run = runs.open(finalise(path))
+    chosen = [moment.k for moment in pictures.moments(run, summarise(run))]
+    assert [run.frames.camera[k] for k in chosen] == ["front", "side"] * (len(chosen) // 2)
+    Page(report.page([run]))
+
+
+def test_the_same_archive_gives_the_same_report(archive: Path, text: str) -> None:
+    assert report.page([runs.open(archive)]) == text
+
+
+def test_what_the_operator_writes_is_shown_and_not_run(tmp_path: Path) -> None:
+    path = tmp_path / "odd.mcap"
+    bad = '<script>alert("x")</script>&amp;'
+    header = dataclasses.replace(
+        made_up.header("odd"), title=bad, notes=bad, operator=bad, protocol_yaml=bad, git_diff=bad, host=bad
+    )
+    writer = JournalWriter(path, header)
+    writer.event(Event(made_up.START_NS, Level.FAULT, bad, bad))
+    writer.close(RunFooter(made_up.START_NS, Status.ABORTED, bad))
+    text = report.write(finalise(path)).read_text(encoding="utf-8")
+    assert "<script" not in text
+    assert bad in "".join(Page(text).text)
+
+
+@pytest.mark.parametrize("seconds", [0.0, 0.05])
+def test_a_run_of_any_length_has_a_report(tmp_path: Path, seconds: float) -> None:
+    made_up.write_journal(tmp_path / "a.mcap", duration_s=seconds)
+    Page(report.write(finalise(tmp_path / "a.mcap")).read_text(encoding="utf-8"))
+
+
+def test_a_run_that_never_saw_its_tip_has_a_report(tmp_path: Path) -> None:
+    path = tmp_path / "blind.mcap"
+    rows = made_up.observations(3.0)
+    rows["seen"] = DetectionStatus.NO_BOARD
+    rows["measured_m"] = rows["covariance_m2"] = np.nan
+    writer = JournalWriter(path, made_up.header("blind"))
+    writer.observations(rows)
+    writer.close(RunFooter(made_up.START_NS, Status.FINISHED, ""))
+    Page(report.write(finalise(path)).read_text(encoding="utf-8"))
+
+
+def test_a_run_cut_off_between_a_frame_and_what_it_taught_has_a_report(tmp_path: Path) -> None:
+    path = made_up.write_cut_off_while_adapting(tmp_path / "adapting.mcap")
+    page = Page(report.write(finalise(path)).read_text(encoding="utf-8"))
+    assert "Parameters estimated beside the run" in "".join(page.text)
+
+
+def test_a_long_run_is_drawn_with_few_points_and_keeps_its_extremes(tmp_path: Path) -> None:
+    from runs.report.figures import POINTS, thin
+
+    x = np.arange(200_000) / 200
+    y = np.sin(x)
+    y[123_456], y[7] = 9.0, -9.0
+    few_x, few_y = thin(x, y)
+    assert len(few_x) <= 2 * POINTS
+    assert (few_y.max(), few_y.min()) == (9.0, -9.0)
+    assert (few_x[0], few_x[-1]) == (x[0], x[-1])
+    assert (np.diff(few_x) > 0).all()
+
+
+def test_several_runs_stand_side_by_side(short: Path, tmp_path: Path) -> None:
+    made_up.write_journal(tmp_path / "second.mcap", duration_s=0.2, simulated=False)
+    out = report.write([short, finalise(tmp_path / "second.mcap")], tmp_path / "both.html")
+    text = out.read_text(encoding="utf-8")
+    page = Page(text)
+    assert "2 runs" in page.text
+    assert {"short", "second"} <= set(page.text)
+    ids = re.findall(r'<(?:clipPath|path) id="([^"]+)"', text)
+    assert len(ids) == len(set(ids))
+    assert "nothing here was measured" in text
+
+
+def test_a_run_has_the_figures_that_it_has_data_for(archive: Path, short: Path) -> None:
+    run, brief = runs.open(archive), runs.open(short)
+    everything = ["pressures", "trajectory", "backbones", "steps", "tip", "error", "timing"]
+    assert [plate.name for plate in figure_specifications.figure_specifications(run, summarise(run))] == everything
+    assert [plate.name for plate in figure_specifications.figure_specifications(brief, summarise(brief))] == [
+        "pressures",
+        "timing",
+    ]
+
+
+def test_a_motion_in_no_plane_is_seen_along_the_arm_and_from_its_side(archive: Path) -> None:
+    run = runs.open(archive)
+    turn = np.linspace(0, 2 * np.pi, len(run.tip.time_s))
+    circle = np.column_stack((20 * np.cos(turn), 20 * np.sin(turn), 170 + 0 * turn))
+    run.tip = dataclasses.replace(run.tip, measured_mm=circle, model_mm=circle + 1.0)
+    found = summarise(run)
+    assert np.isnan(found.plane_deg)
+    (plate,) = [
+        plate for plate in figure_specifications.figure_specifications(run, found) if plate.name == "trajectory"
+    ]
+    figure = Figure(figsize=plate.size)
+    plate.draw(figure, run, found)
+    assert [(axes.get_xlabel(), axes.get_ylabel()) for axes in figure.axes] == [
+        ("x [mm]", "y [mm]"),
+        ("x [mm]", "z, along the arm [mm]"),
+    ]
+    for axes in figure.axes:
+        low, high = sorted(axes.get_xlim())
+        assert low < -20 < 21 < high
+    run.tip = dataclasses.replace(run.tip, measured_mm=circle[:1] + 0 * circle, model_mm=circle[:1] + 0 * circle)
+    assert "trajectory" not in [
+        plate.name for plate in figure_specifications.figure_specifications(run, summarise(run))
+    ]
+
+
+def test_measurements_without_model_and_set_points_are_drawn_without_them(archive: Path) -> None:
+    run = runs.open(archive)
+    nothing = np.full_like(run.tip.model_mm, np.nan)
+    run.header = dataclasses.replace(run.header, executor="imported")
+    run.tip = dataclasses.replace(run.tip, model_mm=nothing, error_mm=nothing[:, 0])
+    run.pressure = dataclasses.replace(run.pressure, setpoint_bar=np.full_like(run.pressure.setpoint_bar, np.nan))
+    run.timing = dataclasses.replace(run.timing, lateness_us=np.zeros_like(run.timing.lateness_us))
+    run.simulated = run.backbone = None
+    found = summarise(run)
+    assert found.plane_deg == pytest.approx(0.0, abs=1.0)
+    shown = list(figure_specifications.figure_specifications(run, found))
+    assert [plate.name for plate in shown] == ["pressures", "trajectory", "tip"]
+    for plate in shown:
+        figure = Figure(figsize=plate.size)
+        plate.draw(figure, run, found)
+        for axes in figure.axes:
+            assert axes.has_data()
+            legend = axes.get_legend()
+            labels = [text.get_text() for text in legend.get_texts()] if legend else []
+            assert not [label for label in labels if "model" in label or "set-point" in label]
+    assert "Timing of the control loop" not in report.page([run])
+
+
+@pytest.mark.parametrize(("kind", "begins"), [("pdf", b"%PDF"), ("png", b"\x89PNG"), ("svg", b"<?xml")])
+def test_figures_can_be_had_as_files_for_a_paper(short: Path, tmp_path: Path, kind: str, begins: bytes) -> None:
+    written = figure_export.write([short], tmp_path / "figures", kind)
+    assert [path.name for path in written] == [f"short-{name}.{kind}" for name in ("pressures", "timing", "pictures")]
+    assert all(path.read_bytes().startswith(begins) for path in written)
+
+
+def test_a_figure_of_a_simulated_run_says_so_where_it_stands_alone(short: Path, tmp_path: Path) -> None:
+    assert runs.open(short).header.simulated
+    for path in figure_export.write([short], tmp_path, "svg"):
+        assert ">simulated</text>" in path.read_text(encoding="utf-8")
+
+
+def test_figures_of_an_unknown_kind_are_refused(archive: Path, tmp_path: Path) -> None:
+    with pytest.raises(ExportError, match="there are pdf, png, svg"):
+        figure_export.write([archive], tmp_path, "doc")
+
+
+def test_several_runs_are_told_in_the_shape_of_the_papers_tables(archive: Path, tmp_path: Path) -> None:
+    made_up.write_journal(tmp_path / "other.mcap", pictures=0)
+    chosen = [runs.open(archive), runs.open(finalise(tmp_path / "other.mcap"))]
+    chosen[1].header = dataclasses.replace(chosen[1].header, model_variant="homogeneous", protocol_name="other")
+    summaries = [
+        dataclasses.replace(summarise(run), normalised_percent=percent, rmse_mm=rmse)
+        for run, percent, rmse in zip(chosen, (1.27, 17.2), ((1.7349, 0.1, 0.3269), (1.6247, 0.1, 0.8019)), strict=True)
+    ]
+    cells = [re.findall(r"<td[^>]*>([^<]*)</td>", table(chosen, summaries)) for table in (by_model, by_axis)]
+    one = "1 (simulated)"
+    assert cells[0] == ["\u2715", "\u2715", "17.20", one, "\u2714", "\u2714", "1.27", one]
+    assert cells[1][:4] == ["stairs (simulated)", "inhomogeneous+rpe", "0.3269", "1.7349"]
+    assert cells[1][4:] == ["other (simulated)", "homogeneous", "0.8019", "1.6247"]
+
+
+def test_runs_of_one_protocol_and_model_are_told_apart(archive: Path, short: Path) -> None:
+    first, second = runs.open(archive), runs.open(short)
+    found = dataclasses.replace(summarise(first), rmse_mm=(1.7, 0.1, 0.3))
+    cells = re.findall(r"<td>([^<]*)</td>", by_axis([first, second], [found] * 2))
+    assert cells[::2] == ["run (simulated)", "short (simulated)"]
+
+
+def test_steps_are_counted_in_whole_numbers(archive: Path) -> None:
+    run = runs.open(archive)
+    found = summarise(run)
+    level = found.steps[0].level_bar
+    found = dataclasses.replace(found, steps=tuple(dataclasses.replace(step, level_bar=level) for step in found.steps))
+    figure = Figure(figsize=(9, 3.6))
+    steps(figure, run, found)
+    for axes in figure.axes:
+        assert axes.get_xlabel() == "step"
+        assert (axes.get_xticks() % 1 == 0).all()
+
+
+@pytest.mark.parametrize("actuators", [1, 6, 12])
+def test_the_names_of_any_number_of_actuators_stand_inside_the_figure(archive: Path, actuators: int) -> None:
+    run = runs.open(archive)
+    bar = np.tile(run.pressure.setpoint_bar[:, :1], (1, actuators))
+    run.pressure = dataclasses.replace(run.pressure, setpoint_bar=bar, measured_bar=bar + 0.001)
+    figure = Figure(figsize=(9, 4.1))
+    canvas = FigureCanvasAgg(figure)
+    with mpl.rc_context(STYLE):
+        pressures(figure, run, summarise(runs.open(archive)))
+    shown = figure.axes[0].get_legend()
+    assert shown is not None
+    assert len(shown.get_texts()) == actuators + 1
+    box = shown.get_window_extent(canvas.get_renderer())
+    assert figure.bbox.x0 <= box.x0 <= box.x1 <= figure.bbox.x1
+    assert figure.bbox.y0 <= box.y0 <= box.y1 <= figure.bbox.y1
+
+
+def test_no_mean_is_over_measured_and_simulated_runs(archive: Path) -> None:
+    run = runs.open(archive)
+    simulated, measured = (
+        dataclasses.replace(summarise(run), normalised_percent=percent, simulated=mark)
+        for percent, mark in ((2.0, True), (4.0, False))
+    )
+    cells = re.findall(r"<td class=n>([^<]*)</td>", by_model([run] * 3, [simulated, measured, measured]))
+    assert cells == ["4.00", "2", "2.00", "1 (simulated)"]
+
+
+def test_several_runs_have_figures_that_compare_them(short: Path, tmp_path: Path) -> None:
+    written = {path.stem for path in figure_export.write([short, short], tmp_path, "svg")}
+    assert {"compared-tips", "compared-errors"} <= written

@@ -1,0 +1,73 @@
+"""What a run was made from comes back out of its archive, and makes the same run again."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+import runs
+import tests.support.synthetic_runs as made_up
+from rig.experiment import run as experiment
+from rig.experiment.replay import replay
+from runs.archive.writer import finalise
+from runs.export.exporters import export
+from runs.journal import journal
+from runs.records import RunFooter, SourceFile, Status
+from runs.run import Run
+from tests.rig.virtual.test_run import Silent
+
+CSV = "time_s,actuator_1_bar\n0,0\n0.2,0.1\n0.4,0.1\n"
+
+
+def run_fast(folder: Path, protocol: Path, rig: str = "mock") -> Run:
+    request = experiment.request(str(protocol), rig, folder=folder, fast=True, seed=1, report=False)
+    archive = experiment.run(request, experiment.plan(request), Silent()).archive
+    assert archive is not None
+    return runs.open(archive)
+
+
+def test_a_run_can_be_done_again_when_its_files_are_gone(tmp_path: Path) -> None:
+    source = tmp_path / "away" / "protocols"
+    source.mkdir(parents=True)
+    protocol, csv = source / "played.yaml", source.parent / "samples.csv"
+    protocol.write_text("title: Played\nsteps:\n  - csv: {file: ../samples.csv, actuators: [1]}\n")
+    csv.write_text(CSV)
+    first = run_fast(tmp_path / "first", protocol)
+    text = protocol.read_text()
+    protocol.unlink()
+    csv.unlink()
+
+    (stored,) = first.header.protocol_files
+    assert (stored.name, stored.text) == ("../samples.csv", CSV)
+    assert stored.sha256 == hashlib.sha256(CSV.encode()).hexdigest()
+    assert first.header.protocol_yaml == text
+    recorded = journal.read(first.path.with_suffix(".mcap")).header
+    assert recorded.protocol_files == first.header.protocol_files
+    assert runs.open(replay(first, tmp_path)).header.protocol_files == first.header.protocol_files
+
+    written = {path.name: path for path in export(first.path, "yaml", tmp_path)}
+    assert set(written) == {"played.yaml", "samples.csv", "mock-rig.yaml"}
+    again = run_fast(tmp_path / "again", written["played.yaml"], str(written["mock-rig.yaml"]))
+    np.testing.assert_array_equal(again.pressure.measured_bar, first.pressure.measured_bar)
+    np.testing.assert_array_equal(again.tip.measured_mm, first.tip.measured_mm)
+
+
+def test_files_of_one_name_from_several_folders_come_out_beside_one_another(tmp_path: Path) -> None:
+    names = ("wave.csv", "a/wave.csv", "b/wave.csv", "played.yaml")
+    steps = "".join(f"  - csv: {{file: {name}, actuators: [1]}}\n" for name in names)
+    about = replace(
+        made_up.header(),
+        protocol_name="played",
+        protocol_yaml=f"title: Played\nsteps:\n{steps}",
+        protocol_files=tuple(SourceFile(name, "csv", "", f"of {name}") for name in names),
+    )
+    writer = journal.JournalWriter(tmp_path / "run.mcap", about)
+    writer.close(RunFooter(made_up.START_NS, Status.FINISHED, ""))
+    written = {path.name: path for path in export(finalise(writer.path), "yaml", tmp_path)}
+    played = re.findall(r"file: ([^,]+),", written["played.yaml"].read_text())
+    assert [written[inside].read_text() for inside in played] == [f"of {name}" for name in names]
+    assert len(written) == len(names) + 2

@@ -1,0 +1,66 @@
+"""Whoever looks at a folder is told of runs that were cut off; of a run that goes on nothing is said."""
+
+from __future__ import annotations
+
+import os
+import pty
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import tests.support.synthetic_runs as made_up
+from rig.cli.app import main
+from rig.cli.recovery_offer import offer
+from runs.records import RunFooter, Status
+from tests.runs.test_recovery import orphan
+
+PATIENCE_S = 120
+
+
+def rig(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "rig", *arguments]
+    env = os.environ | {"PYTHONPATH": str(Path(__file__).parents[2])}
+    return subprocess.run(command, cwd=cwd, env=env, capture_output=True, text=True, timeout=PATIENCE_S, check=True)
+
+
+def test_every_look_at_the_folder_tells_of_a_run_that_was_cut_off_and_says_it_beside_the_output(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "data"
+    folder.mkdir()
+    orphan(folder / "cut.mcap")
+    listed = rig("runs", "--json", cwd=tmp_path)
+    assert listed.stderr.splitlines() == [
+        "a run was cut off (cut.mcap): `rig recover data` makes archives of what was recorded"
+    ]
+    assert listed.stdout == "[]\n"
+    monkeypatch.chdir(tmp_path)
+    for command in (["recover"], ["show", "cut"]):
+        capfd.readouterr()
+        with pytest.raises(SystemExit) as left:
+            main(command)
+        assert left.value.code == 0
+    assert capfd.readouterr().err == ""
+
+
+def test_a_run_that_goes_on_is_no_orphan(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    writer = made_up.write_journal(tmp_path / "going.mcap", footer=False)
+    offer(tmp_path)
+    writer.close(RunFooter(made_up.START_NS, Status.FINISHED, ""))
+    assert capfd.readouterr().err == ""
+
+
+def test_at_a_terminal_the_recovery_is_one_key_away(tmp_path: Path) -> None:
+    orphan(tmp_path / "cut.mcap")
+    ours, theirs = pty.openpty()
+    env = os.environ | {"PYTHONPATH": str(Path(__file__).parents[2])}
+    command = [sys.executable, "-m", "rig", "runs", str(tmp_path)]
+    with subprocess.Popen(command, stdin=theirs, stdout=subprocess.PIPE, stderr=theirs, env=env) as process:
+        os.write(ours, b"y\n")
+        said, _ = process.communicate(timeout=PATIENCE_S)
+    os.close(ours)
+    os.close(theirs)
+    assert (tmp_path / "cut.h5").exists()
+    assert b"recovered" in said

@@ -1,0 +1,61 @@
+"""Makes the picture of the live page: `python tests/support/live_picture.py docs/images/live.png [--dark]`.
+
+Runs a protocol on a simulated rig, watches it in a headless Chromium and takes a screenshot in the middle of it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+from tests.support.browser import browsing
+from tests.support.live_page import request, said
+from tests.support.rig_process import write_rig
+
+
+def main() -> None:
+    """Make the picture."""
+    arguments = argparse.ArgumentParser(description=__doc__)
+    arguments.add_argument("picture", type=Path)
+    arguments.add_argument("--dark", action="store_true")
+    arguments.add_argument("--seconds", type=float, default=13.0, help="how far into the run")
+    wanted = arguments.parse_args()
+    command = [sys.executable, "-m", "rig", "run", "sine-1"]
+    with tempfile.TemporaryDirectory() as name, browsing() as browser:
+        folder = Path(name)
+        log = folder / "log"
+        with log.open("w") as file:
+            run = subprocess.Popen(
+                [
+                    *command,
+                    "--rig",
+                    str(write_rig(folder)),
+                    "--out",
+                    name,
+                    "--yes",
+                    "--no-report",
+                    "--live",
+                    "--port",
+                    "0",
+                ],
+                stdin=subprocess.DEVNULL,
+                stdout=file,
+                stderr=subprocess.STDOUT,
+            )
+        url = said(log.read_text, "live page")
+        request(url)
+        tab = browser.tab()
+        tab.size(1440, 1000)
+        tab.dark(wanted.dark)
+        tab.go(url)
+        tab.until(f"window.softrig && window.softrig.now && window.softrig.now.t > {wanted.seconds}", 120.0)
+        tab.screenshot(wanted.picture)
+        run.terminate()
+        run.wait()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,171 @@
+"""A `rig run` in a process of its own, on a mock card of its own, for tests to watch, stop and kill."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+
+from rig.config import loader
+from rig.simulator.registers import Registers, path_of
+
+SHORT = """
+title: A short climb
+steps:
+  - ramp: {actuators: [1, 2, 3], to_bar: 0.3, duration_s: 1}
+  - hold: {duration_s: 20}
+"""
+BRIEF = """
+title: A brief climb
+steps:
+  - ramp: {actuators: [1], to_bar: 0.2, duration_s: 0.6}
+  - hold: {duration_s: 0.4}
+"""
+PATIENCE_S = 60.0
+
+
+def write_rig(folder: Path, *, one_opener: bool = False, like: str = "mock") -> Path:
+    """A copy of a mock rig with a card of its own, which may let in one process only."""
+    device = f"test-{os.getpid()}-{abs(hash(str(folder))) % 10**8}"
+    text = with_one_opener(loader.text(like).replace("device: mock0", f"device: {device}"), one_opener=one_opener)
+    path = folder / "rig.yaml"
+    path.write_text(text)
+    return path
+
+
+def with_one_opener(text: str, *, one_opener: bool) -> str:
+    """The mock rig with a card that lets in one process at a time, or any number."""
+    assert text.count("{driver: mock, ") == 1
+    return text.replace("{driver: mock, ", f"{{driver: mock, one_opener: {str(one_opener).lower()}, ")
+
+
+def child_of(pid: int, module: str) -> int:
+    """The child of a process that executes a module."""
+    for stat in Path("/proc").glob("[0-9]*/stat"):
+        try:
+            parent = int(stat.read_text().rsplit(")", 1)[1].split()[1])
+            arguments = (stat.parent / "cmdline").read_bytes().split(b"\0")
+        except (OSError, IndexError):
+            continue
+        if parent == pid and module.encode() in arguments:
+            return int(stat.parent.name)
+    raise AssertionError(f"no process runs {module}")
+
+
+class RigProcess:
+    """One `rig run` under test."""
+
+    def __init__(
+        self, folder: Path, protocol: str, *options: str, one_opener: bool = False, like: str = "mock"
+    ) -> None:
+        self.folder = folder
+        self.out = folder / "out"
+        self.rig_file = write_rig(folder, one_opener=one_opener, like=like)
+        self.config = loader.load(self.rig_file)
+        (folder / "protocol.yaml").write_text(protocol)
+        self._log = (folder / "log").open("w+")
+        command = [sys.executable, "-m", "rig", "run", str(folder / "protocol.yaml"), "--rig", str(self.rig_file)]
+        self.process = subprocess.Popen(
+            [*command, "--out", str(self.out), "--yes", "--no-report", *options],
+            stdin=subprocess.DEVNULL,
+            stdout=self._log,
+            stderr=subprocess.STDOUT,
+            start_new_session=True,
+        )
+
+    @property
+    def device(self) -> str:
+        """The mock card's name."""
+        return next(iter(self.config.cards.values())).device
+
+    @property
+    def output(self) -> str:
+        """Everything printed so far."""
+        return (self.folder / "log").read_text()
+
+    def valve_v(self) -> np.ndarray:  # type: ignore[type-arg]
+        """What the card's outputs stand at, read from outside the run."""
+        registers = Registers.attach(self.device)
+        volts = registers.outputs["volts"].copy()
+        registers.close()
+        return volts
+
+    def valves_are_safe(self) -> bool:
+        """True while every output stands where its valve vents."""
+        return bool(np.all(self.valve_v() < 0.01))
+
+    def wait_until_started(self) -> None:
+        """Return once the run has checked its input and begins to start its processes."""
+        deadline = time.monotonic() + PATIENCE_S
+        while not path_of(self.device).exists():
+            assert self.process.poll() is None, self.output
+            assert time.monotonic() < deadline, self.output
+            time.sleep(0.005)
+
+    def wait_until_pressurised(self) -> None:
+        """Return once the run drives the valves."""
+        deadline = time.monotonic() + PATIENCE_S
+        while time.monotonic() < deadline:
+            assert self.process.poll() is None, self.output
+            if path_of(self.device).exists() and bool(np.any(self.valve_v() > 4.0)):
+                time.sleep(0.3)
+                return
+            time.sleep(0.02)
+        raise AssertionError(f"the run never drove a valve:\n{self.output}")
+
+    def wait_until_safe(self, seconds: float = 5.0) -> None:
+        """Return once the valves are safe and stay so."""
+        deadline = time.monotonic() + seconds
+        while not self.valves_are_safe():
+            assert time.monotonic() < deadline, f"valves at {self.valve_v()} V:\n{self.output}"
+            time.sleep(0.001)
+        time.sleep(0.2)
+        assert self.valves_are_safe()
+
+    def pid_of(self, module: str) -> int:
+        """The process of the run that executes a module."""
+        return child_of(self.process.pid, module)
+
+    def end(self) -> int:
+        """Wait for the run to end by itself; its exit status."""
+        return self.process.wait(PATIENCE_S)
+
+    def close(self) -> None:
+        """Let go of the log."""
+        self._log.close()
+
+    def archive(self) -> Path:
+        """The one archive that the run left."""
+        (found,) = self.out.glob("*.h5")
+        return found
+
+
+@contextmanager
+def rig_run(
+    folder: Path, protocol: str = SHORT, *options: str, one_opener: bool = False, like: str = "mock"
+) -> Iterator[RigProcess]:
+    """Start a run; leave nothing of it behind."""
+    run = RigProcess(folder, protocol, *options, one_opener=one_opener, like=like)
+    try:
+        yield run
+    finally:
+        for module in (
+            "rig.realtime.watchdog_process",
+            "rig.realtime.control_process",
+            "rig.realtime.observer_process",
+        ):
+            try:
+                os.kill(run.pid_of(module), signal.SIGCONT)
+            except (AssertionError, ProcessLookupError):
+                continue
+        run.process.kill()
+        run.process.wait()
+        run.close()
+        path_of(run.device).unlink(missing_ok=True)
