@@ -29,8 +29,8 @@ from model.sensitivities import statics as answers
 Array = NDArray[np.float64]
 BAR = 1e5
 DT = 1 / 30
-# Operations of one lane in one stage of RK4 with a constant stiffness, counted in the machine code of model/kernels/rod.py: a
-# multiply-add is two. 257 are the right-hand side, 52 move the state on.
+# Operations of one lane in one stage of RK4 with a constant stiffness, counted in the machine code of
+# model/kernels/rod.py: a multiply-add is two. 257 are the right-hand side, 52 move the state on.
 FLOP_PER_STAGE = 309
 LANES = 8
 

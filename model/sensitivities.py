@@ -1,7 +1,7 @@
-"""How the tip answers to whatever may change a little: exact gradients, for identification.
+"""Exact gradients of the tip by parameters and pressures, for identification.
 
-By the implicit function theorem (model/kernels/tangents.py): neighbours of a solved arm are integrated beside it, no further
-Newton iterations.
+By the implicit function theorem (model/kernels/tangents.py): tangent vectors of a solved arm are integrated beside it,
+without further Newton iterations.
 """
 
 from __future__ import annotations

@@ -101,7 +101,7 @@ def run(asked: CameraCalibrationRequest) -> None:
 
 
 def _finish(made: Path, drawn: Path, rig: RigConfig | None, name: str) -> None:
-    mock = rig is not None and name in rig.cameras and rig.cameras[name].driver == "mock"
+    mock = rig is not None and name in rig.cameras and rig.cameras[name].simulated
     typer.echo(f"{calibration_output.written(made, mock)}\n{drawn}")
     if rig is None:
         typer.echo("to use it, give the camera's name with NAME=VIEWS and put the file under `calibrations:` of a rig")

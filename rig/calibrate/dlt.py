@@ -37,6 +37,7 @@ from rig.config.calibration_files import (
     sha256_of,
     write,
 )
+from rig.config.drivers import CAMERA_DRIVERS
 from rig.config.optics import lens_of, placement_of, rigid
 from rig.config.schema import Placement, RigConfig
 
@@ -117,7 +118,11 @@ def run(asked: DLTCalibrationRequest) -> None:
         typer.echo(json.dumps(plain_json(_facts(result, found, made)), indent=2))
         return
     calibration_output.dlt(found, result.places, console())
-    typer.echo(calibration_output.written(made, any(camera.camera.driver == "mock" for camera in found.cameras)))
+    typer.echo(
+        calibration_output.written(
+            made, any(CAMERA_DRIVERS.simulates(camera.camera.driver) for camera in found.cameras)
+        )
+    )
 
 
 def _refuse_unknown_cameras(asked: DLTCalibrationRequest, is_csv: bool) -> None:

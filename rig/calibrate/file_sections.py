@@ -11,7 +11,7 @@ from rig.config import calibration_schema
 from rig.config import schema as rigs
 from rig.config.calibration_files import origin, rounded
 from rig.config.schema import RigConfig
-from rig.hardware.cameras.identity import serial_of
+from rig.hardware.cameras.registry import serial_of
 
 COVARIANCE_DIGITS = 8
 

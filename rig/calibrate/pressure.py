@@ -156,7 +156,7 @@ def run(asked: PressureCalibrationRequest) -> None:
         typer.echo(json.dumps(plain_json(facts), indent=2))
         return
     calibration_output.pressure(sensors, valves, config, screen)
-    typer.echo(calibration_output.written(made, any(card.driver == "mock" for card in config.cards.values())))
+    typer.echo(calibration_output.written(made, any(card.simulated for card in config.cards.values())))
 
 
 @dataclass(frozen=True)

@@ -88,7 +88,7 @@ def run(asked: ToolCalibrationRequest) -> None:
         typer.echo(json.dumps(plain_json(_facts(found, made)), indent=2))
         return
     calibration_output.tool(found, board_in_tip(config), console())
-    typer.echo(calibration_output.written(made, config.cameras[name].driver == "mock"))
+    typer.echo(calibration_output.written(made, config.cameras[name].simulated))
 
 
 def tip_in_camera(config: RigConfig, name: str, std_m: float, std_rad: float) -> RigidTransform:
@@ -145,7 +145,7 @@ def _live(config: RigConfig, name: str, seed: int, folder: Path) -> tuple[list[V
     take: Callable[[float], Image]
     ask: Callable[[str], None]
     close: Callable[[], None] = _nothing
-    if config.cameras[name].driver == "mock":
+    if config.cameras[name].simulated:
         from rig.simulator.simulated_operator import CapTurner
 
         take, ask = (

@@ -223,7 +223,7 @@ def vent(rig: RigName = "mock") -> None:
 
     config = load(rig)
     vent_rig(config)
-    mock = all(card.driver == "mock" for card in config.cards.values())
+    mock = all(card.simulated for card in config.cards.values())
     simulated = " (simulated: no hardware was touched; name yours with --rig)" if mock else ""
     typer.echo(f"every chamber of rig {config.name} is open to the exhaust{simulated}")
 

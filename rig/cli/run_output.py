@@ -77,7 +77,7 @@ def _counted(number: int, what: str) -> str:
 
 
 def _how_simulated(config: RigConfig) -> str:
-    real = [name for name, card in config.cards.items() if card.driver != "mock"]
+    real = [name for name, card in config.cards.items() if not card.simulated]
     if real:
         return f" (SIMULATED in part: card {', '.join(real)} is real)" if config.simulated else ""
     return " (SIMULATED: no hardware is touched)"

@@ -226,7 +226,7 @@ def _other_camera(
         if has is not None and has != wants:
             yield calibration.problem((*here, key), has, f"{wants}, as {where}: this is another camera's calibration")
     if identity.serial is not None:
-        from rig.hardware.cameras.identity import serial_of
+        from rig.hardware.cameras.registry import serial_of
 
         serial = serial_of(camera)
         if serial is not None and serial != identity.serial:

@@ -1,4 +1,7 @@
-"""JSON Schemas of every YAML that people write, for editors: `python -m rig.config.json_schemas docs/schemas` writes them."""
+"""JSON Schemas, for editors, of every YAML that people write.
+
+`python -m rig.config.json_schemas docs/schemas` writes them.
+"""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""A rig's file, read: its YAML with the calibrations that it names, as a `RigConfig`.
+"""Loads a rig file, with the calibrations that it names, as a `RigConfig`.
 
-`rig.config.calibration_overlay` is imported where a rig names calibrations: it brings OpenCV with it, and `rig vent` of a
-rig without any must not wait for that.
+`rig.config.calibration_overlay` is imported only where a rig names calibrations: it loads OpenCV, for which `rig vent`
+of a rig without calibrations must not wait.
 """
 
 from __future__ import annotations

@@ -19,6 +19,7 @@ from pydantic.json_schema import SkipJsonSchema
 
 from protocols.validation import ValidationFault, faults
 from rig.config import consistency
+from rig.config.drivers import CAMERA_DRIVERS, CARD_DRIVERS
 
 PA_PER_BAR = 1e5
 
@@ -96,7 +97,7 @@ class Section(BaseModel):
 class CardConfig(Section):
     """One data-acquisition card."""
 
-    driver: Literal["comedi", "mock"]
+    driver: Annotated[str, Field(json_schema_extra=CARD_DRIVERS.extend_schema), AfterValidator(CARD_DRIVERS.check)]
     device: Word = Field(description="/dev/comedi0, a board name, or the mock card's name")
     sampling_hz: Positive = Field(default=1000.0, le=20_000)
     outputs: Index = Field(description="AO channels that the card has")
@@ -107,9 +108,14 @@ class CardConfig(Section):
     reference: Literal["ground", "differential"] = Field(default="ground", description="how the inputs are wired")
     one_opener: bool = Field(default=False, description="mock only: let one process in at a time, as some drivers do")
 
+    @property
+    def simulated(self) -> bool:
+        """True for a card that is no hardware."""
+        return CARD_DRIVERS[self.driver].simulated
+
     @model_validator(mode="after")
     def _one_opener_is_the_mocks(self) -> CardConfig:
-        if self.one_opener and self.driver != "mock":
+        if self.one_opener and not self.simulated:
             faults([ValidationFault(("one_opener",), "nothing: of a real card it is found out")])
         return self
 
@@ -232,7 +238,7 @@ class PlanarMotion(Section):
 class CameraConfig(Section):
     """One camera. `placement` is the camera (x right, y down, z forward) in the rod-base frame."""
 
-    driver: Literal["opencv", "realsense", "mock"]
+    driver: Annotated[str, Field(json_schema_extra=CAMERA_DRIVERS.extend_schema), AfterValidator(CAMERA_DRIVERS.check)]
     device: Word | Index
     width_px: Annotated[int, Field(ge=64, le=16384, strict=True)]
     height_px: Annotated[int, Field(ge=64, le=16384, strict=True)]
@@ -249,6 +255,11 @@ class CameraConfig(Section):
     planar_motion: PlanarMotion | SkipJsonSchema[None] = Field(
         default=None, description="the tip moves in a known plane: depth and tilt are no longer this camera's alone"
     )
+
+    @property
+    def simulated(self) -> bool:
+        """True for a camera that is no hardware."""
+        return CAMERA_DRIVERS[self.driver].simulated
 
 
 class Board(Section):
@@ -415,9 +426,9 @@ class RigConfig(Section):
 
     @property
     def simulated(self) -> bool:
-        """True when any device of the rig is the mock's."""
-        cards = any(card.driver == "mock" for card in self.cards.values())
-        return cards or any(camera.driver == "mock" for camera in self.cameras.values())
+        """True when any device of the rig is simulated."""
+        cards = any(card.simulated for card in self.cards.values())
+        return cards or any(camera.simulated for camera in self.cameras.values())
 
     @property
     def as_built(self) -> RigConfig:

@@ -36,7 +36,7 @@ def rig_cameras(config: RigConfig, root: Path = Path("/")) -> list[Finding]:
     return [
         _realsense(f"rig's camera {name}", camera) if camera.driver == "realsense" else _named(name, camera, root)
         for name, camera in config.cameras.items()
-        if camera.driver != "mock"
+        if not camera.simulated
     ]
 
 

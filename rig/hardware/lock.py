@@ -25,7 +25,7 @@ def lock_file(card: CardConfig) -> Path:
 
     A mock card is its user's alone, as the file behind it is.
     """
-    device = f"{os.getuid()}-{card.device}" if card.driver == "mock" else _node(card.device)
+    device = f"{os.getuid()}-{card.device}" if card.simulated else _node(card.device)
     name = "".join(c if c.isalnum() else "-" for c in f"{card.driver}-{device}")
     return (FOLDER if FOLDER.is_dir() else Path(tempfile.gettempdir())) / f"softrig-{name}.lock"
 

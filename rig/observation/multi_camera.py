@@ -47,10 +47,10 @@ class _PreviousEstimate:
 
 
 class MultiCameraTipEstimator:
-    """Measures the tip in the shots of the rig's cameras, in their order.
+    """Measures the tip in the frame sets of the rig's cameras, in their order.
 
-    Two or more pictures with the board give one pose in the world (`calibration.vision.multiview_pose`); where only one has it,
-    the tip is what that camera alone measures.
+    Two or more pictures with the board give one pose in the world (`calibration.vision.multiview_pose`). Where only
+    one camera sees the board, that camera alone measures the tip.
     """
 
     def __init__(self, config: RigConfig) -> None:

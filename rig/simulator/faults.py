@@ -1,8 +1,8 @@
 """The faults that the simulated bench can be given: broken sensors, valves, supply, card and camera.
 
-A fault is a word in memory: in a mock card's shared file in real time, in the plant itself in virtual time. Whoever
-tests the rest of the program writes it; the plant (`rig.simulator.faulty_devices`), the mock card and the mock camera obey it.
-Nothing else knows it. Every process of a run reads this module, so it must not bring the plant's compiler with it.
+A fault is a word in memory: in a mock card's shared file in real time, in the plant itself in virtual time. Tests
+write it; the plant (`rig.simulator.faulty_devices`), the mock card and the mock camera obey it. Nothing else knows it.
+Every process of a run imports this module, so it must not import the compiler.
 """
 
 from __future__ import annotations

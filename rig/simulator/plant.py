@@ -72,9 +72,7 @@ class Plant:
         self._faulty_sensors = FaultySensors(self.faults, self._sensors)
         self._outputs_v: NDArray[np.float64] = np.zeros(len(config.valves))
         self._air = pneumatics.vented(len(config.valves), self._dead_m3 + self._bore_m2 * lengths)
-        self._cards = {
-            name: PlantCard(self, config, name) for name, card in config.cards.items() if card.driver == "mock"
-        }
+        self._cards = {name: PlantCard(self, config, name) for name, card in config.cards.items() if card.simulated}
 
     @property
     def t_ns(self) -> int:
@@ -169,7 +167,10 @@ class Plant:
 
 
 class PlantCard:
-    """A mock card inside the plant's own process, in virtual time; columns as `rig.hardware.bench.card_setup` orders them."""
+    """A mock card inside the plant's own process, in virtual time.
+
+    Columns are in the order of `rig.hardware.bench.card_setup`.
+    """
 
     def __init__(self, plant: Plant, config: RigConfig, name: str) -> None:
         self._plant = plant

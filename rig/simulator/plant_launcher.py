@@ -49,7 +49,7 @@ class Simulation:
             raise CardError(f"the simulator did not start: it said {self._said!r}")
         if self._said != READY:
             return False
-        mocks = [card.device for card in self._config.cards.values() if card.driver == "mock"]
+        mocks = [card.device for card in self._config.cards.values() if card.simulated]
         self._registers = Registers.attach(mocks[0]) if mocks else None
         return True
 

@@ -90,7 +90,7 @@ def run(config: RigConfig, seed: int, parent: int | None) -> None:
     t0_ns = time.monotonic_ns()
     plant = Plant(config, seed, t0_ns)
     plant.advance(t0_ns + LONGEST_STRETCH_NS)  # compiles what is not in the cache yet
-    devices = [_SimulatedCard(config, name, plant) for name, card in config.cards.items() if card.driver == "mock"]
+    devices = [_SimulatedCard(config, name, plant) for name, card in config.cards.items() if card.simulated]
     if devices:
         plant.faults.row = devices[0].faults.row
     _catch_up(plant, devices)

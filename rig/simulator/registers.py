@@ -125,7 +125,8 @@ class Registers:
             descriptor = os.open(path, os.O_RDWR | os.O_CLOEXEC)
         except FileNotFoundError:
             raise CardError(
-                f"mock card {device} does not exist: start its plant with `python -m rig.simulator.plant_process --rig FILE`"
+                f"mock card {device} does not exist: "
+                "start its plant with `python -m rig.simulator.plant_process --rig FILE`"
             ) from None
         except OSError as error:
             raise CardError(f"mock card {device}: {path}: {error.strerror}") from error

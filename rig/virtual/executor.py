@@ -43,8 +43,8 @@ def run(plan: Plan, open_record: OpenRecord, audience: OperatorInterface) -> Out
         StartError: the rig has a device that only real time can drive.
     """
     config = plan.config
-    real = [name for name, card in config.cards.items() if card.driver != "mock"]
-    real += [name for name, camera in config.cameras.items() if camera.driver != "mock"]
+    real = [name for name, card in config.cards.items() if not card.simulated]
+    real += [name for name, camera in config.cameras.items() if not camera.simulated]
     if real:
         raise StartError(f"virtual time needs a simulated rig, and {', '.join(real)} of rig {config.name} is real")
     virtual = _VirtualRun(plan, audience)

@@ -43,7 +43,7 @@ def finalise(journal_path: Path | str, archive_path: Path | str | None = None) -
     """Turn a journal into an archive and return the archive's path; the journal stays.
 
     By default the archive stands beside the journal. A journal without a footer gives an archive with status
-    `recovered`. An archive that is already there is replaced. `ArchiveError` or `runs.journal.append_only_file.JournalError`.
+    `recovered`. An existing archive is replaced. Raises `ArchiveError` or `JournalError`.
     """
     source = Path(journal_path)
     target = source.with_suffix(SUFFIX) if archive_path is None else Path(archive_path)

@@ -1,8 +1,8 @@
 """The journal of a run: append-only, whole up to its last write whatever happens to the process.
 
 MCAP with one checked block per call, written past every buffer of the process: what a call returned from survives
-kill -9; what is older than a second survives a power cut (`runs.journal.append_only_file`, also for what becomes of that where a disk
-stands still). The first block (schemas and header) is written twice, because without it nothing else can be read.
+kill -9; what is older than a second survives a power cut (`runs.journal.append_only_file`, which also describes a
+stalled disk). The first block (schemas and header) is written twice, because without it nothing else can be read.
 """
 
 from __future__ import annotations

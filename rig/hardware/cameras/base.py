@@ -8,6 +8,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.config.schema import CameraConfig, RigConfig
+
 
 class CameraError(Exception):
     """The camera could not be opened or has gone; the message says what to do about it."""
@@ -57,6 +59,16 @@ class FrameSet:
     def t_ns(self) -> int:
         """Middle of the leading frame's exposure."""
         return self.lead.t_ns
+
+
+class CameraDriver(Protocol):
+    """What a camera driver provides."""
+
+    def open(self, config: RigConfig, name: str, seed: int) -> Camera:
+        """Open the camera that the rig calls `name`; `seed` is for simulated ones. Raises CameraError."""
+
+    def serial(self, camera: CameraConfig) -> str | None:
+        """Serial number of the camera as it is plugged in now; None where it has none or is not there."""
 
 
 class Camera(Protocol):

@@ -1,24 +1,15 @@
-"""Which camera is plugged in: the serial number that the system or the driver tells."""
+"""The serial number of a V4L2 camera, as the kernel reports it."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
-from rig.config.schema import CameraConfig
-
-_VIDEO = Path("/sys/class/video4linux")
+VIDEO_DEVICES = Path("/sys/class/video4linux")
 
 
-def serial_of(camera: CameraConfig, devices: Path = _VIDEO) -> str | None:
-    """Serial number of a rig's camera as it is plugged in now; None where none can be told.
-
-    A RealSense is opened by its serial number. A V4L2 camera's is that of its USB device.
-    """
-    if camera.driver == "realsense":
-        return str(camera.device)
-    if camera.driver != "opencv":
-        return None
-    name = f"video{camera.device}" if isinstance(camera.device, int) else Path(camera.device).resolve().name
+def v4l2_serial(device: str | int, devices: Path = VIDEO_DEVICES) -> str | None:
+    """Serial number of the USB device behind a V4L2 camera; None where there is none or it has none."""
+    name = f"video{device}" if isinstance(device, int) else Path(device).resolve().name
     node = devices / name / "device"
     if not node.exists():
         return None

@@ -10,9 +10,11 @@ from numpy.typing import NDArray
 
 from calibration.vision.transforms import RigidTransform
 from rig.config.optics import board_in_tip, board_of, camera_in_base, lens_of, rigid
-from rig.config.schema import RigConfig
+from rig.config.schema import CameraConfig, RigConfig
 from rig.hardware.cameras.base import CameraError, Frame
+from rig.hardware.cards.base import CardError
 from rig.simulator.faults import CameraFault, Faults
+from rig.simulator.registers import Registers
 from rig.simulator.scene import Optics, Scene
 from rig.simulator.tip_pose import PoseSource, TipPose
 
@@ -33,6 +35,34 @@ class Exposure:
     closed: RigidTransform
     truth_m: NDArray[np.float64]
     fault: CameraFault
+
+
+def driver() -> type[MockCameraDriver]:
+    """The driver `mock`."""
+    return MockCameraDriver
+
+
+class MockCameraDriver:
+    """Opens the mock camera in front of the plant that runs behind the rig's mock card, from any process."""
+
+    def open(self, config: RigConfig, name: str, seed: int) -> MockCamera:
+        """Open a camera of the rig.
+
+        Raises:
+            CameraError: the rig has no mock card, or its plant does not run.
+        """
+        devices = [card.device for card in config.cards.values() if card.simulated]
+        if not devices:
+            raise CameraError(f"camera {name} is a mock, and the rig has no mock card whose plant it could look at")
+        try:
+            registers = Registers.attach(devices[0])
+            return MockCamera(config, registers, name, seed, registers.faults)
+        except CardError as error:
+            raise CameraError(f"camera {name}: {error}") from error
+
+    def serial(self, camera: CameraConfig) -> str | None:
+        """A mock camera has no serial number."""
+        return None
 
 
 class MockCamera:

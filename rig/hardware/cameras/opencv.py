@@ -10,8 +10,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.config.schema import CameraConfig
-from rig.hardware.cameras.base import CameraError, Frame
+from rig.config.schema import CameraConfig, RigConfig
+from rig.hardware.cameras.base import Camera, CameraError, Frame
+from rig.hardware.cameras.identity import v4l2_serial
+from rig.hardware.cameras.recorded import RecordedCamera, is_recording
 
 # V4L2's auto_exposure menu, as OpenCV passes it through.
 _MANUAL_EXPOSURE = 1
@@ -19,6 +21,24 @@ _MANUAL_EXPOSURE = 1
 _EXPOSURE_UNIT_MS = 0.1
 # A stamp further from the time of arrival than this is on another clock.
 _SAME_CLOCK_S = 2.0
+
+
+def driver() -> type[OpenCVDriver]:
+    """The driver `opencv`."""
+    return OpenCVDriver
+
+
+class OpenCVDriver:
+    """Opens V4L2 devices, and recordings: a folder of pictures or a video file."""
+
+    def open(self, config: RigConfig, name: str, seed: int) -> Camera:
+        """Open a camera of the rig. Raises CameraError."""
+        camera = config.cameras[name]
+        return RecordedCamera(camera) if is_recording(camera.device) else OpenCVCamera(camera)
+
+    def serial(self, camera: CameraConfig) -> str | None:
+        """Serial number of the USB camera behind the device."""
+        return v4l2_serial(camera.device)
 
 
 class OpenCVCamera:

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from rig.config.schema import CameraConfig
+from rig.config.schema import CameraConfig, RigConfig
 from rig.hardware.cameras.base import CameraError, Frame
 
 RECORDINGS = frozenset({".bag", ".db3"})
@@ -21,6 +21,23 @@ ANY = "any"
 
 # The colour sensor counts exposure in units of 100 us.
 _EXPOSURE_UNIT_MS = 0.1
+
+
+def driver() -> type[RealSenseDriver]:
+    """The driver `realsense`."""
+    return RealSenseDriver
+
+
+class RealSenseDriver:
+    """Opens RealSense cameras, which the rig file names by serial number."""
+
+    def open(self, config: RigConfig, name: str, seed: int) -> RealSenseCamera:
+        """Open a camera of the rig. Raises CameraError."""
+        return RealSenseCamera(config.cameras[name])
+
+    def serial(self, camera: CameraConfig) -> str | None:
+        """The serial number by which the rig file names the camera."""
+        return str(camera.device)
 
 
 class RealSenseCamera:

@@ -1,44 +1,27 @@
-"""Cameras: the protocol they obey, OpenCV's, RealSense, and the rendered one."""
+"""Opening a rig's cameras by the drivers that the rig file names."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from rig.config.drivers import CAMERA_DRIVERS
+from rig.config.schema import CameraConfig, RigConfig
+from rig.hardware.cameras.base import Camera, CameraDriver
 
-from rig.hardware.cameras.base import Camera, CameraError
 
-if TYPE_CHECKING:
-    from rig.config.schema import RigConfig
+def camera_driver(camera: CameraConfig) -> CameraDriver:
+    """The driver of a camera, loaded."""
+    driver: CameraDriver = CAMERA_DRIVERS[camera.driver].load()()
+    return driver
 
 
 def open_camera(config: RigConfig, name: str, seed: int = 0) -> Camera:
-    """Open the rig's camera `name` with the driver it names; a driver is imported only when it is used.
-
-    The mock camera looks at the plant that runs behind the rig's mock card, from any process.
+    """Open the rig's camera `name`; `seed` is for simulated cameras.
 
     Raises:
         CameraError: the camera cannot be opened.
     """
-    camera = config.cameras[name]
-    if camera.driver == "mock":
-        from rig.hardware.cameras.mock import MockCamera
-        from rig.hardware.cards.base import CardError
-        from rig.simulator.registers import Registers
+    return camera_driver(config.cameras[name]).open(config, name, seed)
 
-        devices = [card.device for card in config.cards.values() if card.driver == "mock"]
-        if not devices:
-            raise CameraError(f"camera {name} is a mock, and the rig has no mock card whose plant it could look at")
-        try:
-            registers = Registers.attach(devices[0])
-            return MockCamera(config, registers, name, seed, registers.faults)
-        except CardError as error:
-            raise CameraError(f"camera {name}: {error}") from error
-    if camera.driver == "opencv":
-        from rig.hardware.cameras.opencv import OpenCVCamera
-        from rig.hardware.cameras.recorded import RecordedCamera, is_recording
 
-        if is_recording(camera.device):
-            return RecordedCamera(camera)
-        return OpenCVCamera(camera)
-    from rig.hardware.cameras.realsense import RealSenseCamera
-
-    return RealSenseCamera(camera)
+def serial_of(camera: CameraConfig) -> str | None:
+    """Serial number of a rig's camera as it is plugged in now; None where it has none or is not there."""
+    return camera_driver(camera).serial(camera)

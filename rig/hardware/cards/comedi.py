@@ -11,13 +11,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.hardware.cards.base import CardError, CardSetup, Channel, Scans
-from rig.hardware.cards.comedi_device import Device, Line, Subdevice, Timing, device_paths
+from rig.hardware.cards.comedi_device import Device, Line, Subdevice, Timing, device_paths, require
 from rig.hardware.cards.comedi_timing import channel_lists, timings
 from rig.hardware.cards.scan_clock import ScanClock
 
 _CHUNK = 65536
 _NEAR_ENOUGH = 0.05
 """How far the card's rate may lie from the one that the rig asks for."""
+
+
+def driver() -> type[ComediCard]:
+    """The driver `comedi`. Raises CardError where pycomedi is not installed."""
+    require()
+    return ComediCard
 
 
 class ComediCard:

@@ -1,6 +1,6 @@
 """One open Comedi device in plain Python and NumPy types: the only module that knows pycomedi.
 
-Another binding could replace it: what `rig.hardware.cards.comedi` uses are the public names below. Failures are `CardError`.
+Another binding can replace it: `rig.hardware.cards.comedi` uses only the public names below. Failures are `CardError`.
 """
 
 from __future__ import annotations

@@ -14,6 +14,11 @@ from rig.simulator.converter import sixteen_bits
 from rig.simulator.registers import Registers, path_of
 
 
+def driver() -> type[MockCard]:
+    """The driver `mock`."""
+    return MockCard
+
+
 class MockCard:
     """A card whose sampling clock, inputs and valves live in the process `rig.simulator.plant_process`.
 

@@ -1,28 +1,21 @@
-"""Data-acquisition cards: the protocol they obey, Comedi, and the mock."""
+"""Opening a rig's cards by the drivers that the rig file names."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 
+from rig.config.drivers import CARD_DRIVERS
 from rig.config.schema import CardConfig
 from rig.hardware.cards.base import Card, CardSetup
 
 
 def card_type(card: CardConfig) -> Callable[[CardSetup], Card]:
-    """What opens a card with the driver that the rig names; a driver is loaded only when it is used.
+    """What opens a card; loading a driver takes time, so a process that must act at once calls this beforehand.
 
     Raises:
         CardError: the driver cannot be loaded.
     """
-    if card.driver == "comedi":
-        from rig.hardware.cards.comedi import ComediCard
-        from rig.hardware.cards.comedi_device import require
-
-        require()
-        return ComediCard
-    from rig.hardware.cards.mock import MockCard
-
-    return MockCard
+    return CARD_DRIVERS[card.driver].load()
 
 
 def open_card(card: CardConfig, setup: CardSetup) -> Card:

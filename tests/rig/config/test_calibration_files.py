@@ -19,7 +19,8 @@ from rig.cli.app import app
 from rig.config import calibration_files, calibration_schema, loader
 from rig.config.calibration_files import parse, read, text_of, write
 from rig.config.optics import camera_in_base, lens_of, rigid
-from rig.config.schema import Lens, Placement, RigConfig
+from rig.config.schema import Lens, Placement
+from rig.hardware.cameras.identity import v4l2_serial
 
 SHA = "0" * 63 + "a"
 finite = st.floats(-1e6, 1e6, allow_nan=False)
@@ -89,7 +90,9 @@ def camera_files(draw: st.DrawFn) -> calibration_schema.CameraFile:
         lens=lens,
         rms_px=draw(positive),
         views=tuple(
-            calibration_schema.UsedView(name=draw(text), sha256=SHA, corners=draw(st.integers(1, 999)), rms_px=draw(positive))
+            calibration_schema.UsedView(
+                name=draw(text), sha256=SHA, corners=draw(st.integers(1, 999)), rms_px=draw(positive)
+            )
             for _ in range(draw(st.integers(1, 4)))
         ),
         advice=tuple(draw(st.lists(text, max_size=2))),
@@ -276,23 +279,19 @@ def test_a_calibration_of_something_else_is_refused_with_its_line(
 
 def test_a_camera_with_another_serial_number_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     write(camera_file(camera=_identity(serial="A1")), tmp_path / "c.yaml")
-    monkeypatch.setattr("rig.hardware.cameras.identity.serial_of", lambda camera: "B2")
+    monkeypatch.setattr("rig.hardware.cameras.registry.serial_of", lambda camera: "B2")
     with pytest.raises(BadInputError, match="B2, the serial number of the camera that is plugged in"):
         loader.load(_rig(tmp_path, "c.yaml"))
 
 
 def test_the_serial_number_is_that_of_the_usb_device(tmp_path: Path) -> None:
-    from rig.hardware.cameras.identity import serial_of
-
     usb = tmp_path / "usb1" / "1-2"
     (usb / "1-2:1.0").mkdir(parents=True)
     (usb / "serial").write_text("SN-77\n")
     (tmp_path / "video3").mkdir()
     (tmp_path / "video3" / "device").symlink_to(usb / "1-2:1.0")
-    front: RigConfig = loader.load("mock")
-    camera = front.cameras["front"].model_copy(update={"driver": "opencv", "device": "/dev/video3"})
-    assert serial_of(camera, tmp_path) == "SN-77"
-    assert serial_of(camera.model_copy(update={"device": 4}), tmp_path) is None
+    assert v4l2_serial("/dev/video3", tmp_path) == "SN-77"
+    assert v4l2_serial(4, tmp_path) is None
 
 
 def test_two_calibrations_of_one_thing_are_refused(tmp_path: Path) -> None:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import difflib
 import re
+import sys
+import types
 from pathlib import Path
 
 import pytest
@@ -13,8 +15,11 @@ from hypothesis import strategies as st
 from protocols import BadInputError, Problem
 from protocols.document import parse, validate
 from rig.config import consistency
+from rig.config.drivers import CAMERA_DRIVERS, CARD_DRIVERS, Driver, DriverRegistry
 from rig.config.loader import load, path_of, text
 from rig.config.schema import RigConfig
+from rig.hardware.cards.base import CardSetup
+from rig.hardware.cards.registry import open_card
 
 MOCK = text("mock")
 
@@ -254,3 +259,35 @@ def test_the_looped_rig_sees_the_mock_rigs_scene_with_the_same_camera() -> None:
     assert looped.cameras["front"].lens == mock.cameras["front"].lens
     assert looped.cameras["front"].placement == mock.cameras["front"].placement
     assert looped.board == mock.board
+
+
+@pytest.mark.parametrize(
+    ("written", "typo", "names"),
+    [("driver: mock, device: mock0", "comedy", CARD_DRIVERS), ("driver: mock\n", "opencvv", CAMERA_DRIVERS)],
+)
+def test_an_unknown_driver_is_an_error_that_names_the_registered_ones(
+    written: str, typo: str, names: DriverRegistry
+) -> None:
+    assert written in MOCK
+    changed = MOCK.replace(written, written.replace("mock", typo, 1), 1)
+    with pytest.raises(BadInputError) as refused:
+        rig_of(changed)
+    message = str(refused.value)
+    assert f"one of {', '.join(names)}" in message
+    assert typo in message
+
+
+def test_a_registered_driver_is_opened_without_a_change_elsewhere(monkeypatch: pytest.MonkeyPatch) -> None:
+    module = types.ModuleType("bench_card")
+    opened: list[CardSetup] = []
+    module.driver = lambda: opened.append  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, "bench_card", module)
+    monkeypatch.setattr(CARD_DRIVERS, "_drivers", dict(CARD_DRIVERS._drivers))
+    CARD_DRIVERS.register(Driver("bench", "bench_card"))
+    with pytest.raises(ValueError, match="registered already"):
+        CARD_DRIVERS.register(Driver("bench", "bench_card"))
+    card = load("mock").cards["daq"].model_copy(update={"driver": "bench"})
+    setup = CardSetup("daq", "b0", (), (), 1000.0)
+    open_card(card, setup)
+    assert opened == [setup]
+    assert not card.simulated
