@@ -9,7 +9,11 @@ import typer
 
 from rig.cli.options import AsJson, Fast, Note, RigName, Seed, Yes
 
-app = typer.Typer(no_args_is_help=True, help="Calibrate cameras, DLT, tool and pressures; each leaves a dated file.")
+app = typer.Typer(
+    no_args_is_help=True,
+    rich_markup_mode=None,
+    help="Calibrate cameras, DLT, tool and pressures; each leaves a dated file.",
+)
 
 Corners = Annotated[str, typer.Option(help="Inner corners of the board, as 9x6.")]
 SquareMm = Annotated[float, typer.Option(help="Edge of a square [mm].")]
@@ -96,6 +100,7 @@ def camera(
 ) -> None:
     """Find cameras' intrinsics and distortion from views of a checkerboard."""
     from rig.calibrate import camera as procedure
+    from rig.config.loader import chosen_rig
 
     procedure.run(
         procedure.CameraCalibrationRequest(
@@ -103,7 +108,7 @@ def camera(
             corners=corners,
             square_mm=square_mm,
             live=live,
-            rig=rig,
+            rig=chosen_rig(rig).name if live else rig,
             camera=camera,
             count=count,
             every=every,
@@ -118,7 +123,7 @@ def camera(
 
 @app.command()
 def tool(
-    rig: RigName = "mock",
+    rig: RigName = None,
     camera: Annotated[str | None, typer.Option(help="Name of the camera in the rig's file.")] = None,
     straight: Annotated[Path | None, typer.Option(metavar="VIEWS", help="Views of the vented, straight arm.")] = None,
     turned: Annotated[
@@ -135,10 +140,11 @@ def tool(
 ) -> None:
     """Find the board's offset from the arm's central axis and its rotation."""
     from rig.calibrate import tool as procedure
+    from rig.config.loader import chosen_rig
 
     procedure.run(
         procedure.ToolCalibrationRequest(
-            rig=rig,
+            rig=chosen_rig(rig).name,
             camera=camera,
             straight=straight,
             turned=turned,
@@ -156,7 +162,7 @@ def tool(
 
 @app.command()
 def pressure(
-    rig: RigName = "mock",
+    rig: RigName = None,
     readings: Annotated[
         Path | None, typer.Option(metavar="CSV", help="Readings that are there: actuator,volts_V,gauge_bar.")
     ] = None,
@@ -176,10 +182,11 @@ def pressure(
 ) -> None:
     """Find the sensors' scales against a gauge, and the valves' dead zone and flow curve by a sweep."""
     from rig.calibrate import pressure as procedure
+    from rig.config.loader import chosen_rig
 
     procedure.run(
         procedure.PressureCalibrationRequest(
-            rig=rig,
+            rig=chosen_rig(rig).name,
             readings=readings,
             sensors=sensors,
             valves=valves,

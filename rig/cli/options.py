@@ -8,7 +8,22 @@ from typing import Annotated
 import typer
 
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON, for scripts.")]
-RigName = Annotated[str, typer.Option("--rig", metavar="NAME|FILE", help="Name or file of the rig.")]
+RigName = Annotated[
+    str | None,
+    typer.Option(
+        "--rig",
+        metavar="NAME|FILE",
+        help="Name or file of the rig. Default: $SOFTRIG_RIG, else ./softrig.yaml, else mock.",
+    ),
+]
+VentedRig = Annotated[
+    str | None,
+    typer.Option(
+        "--rig",
+        metavar="NAME|FILE",
+        help="Name or file of the rig. Default: $SOFTRIG_RIG, else ./softrig.yaml, else what runs now.",
+    ),
+]
 Variant = Annotated[
     str | None, typer.Option("--model", help="homogeneous, homogeneous+rpe or inhomogeneous+rpe; default: the rig's.")
 ]
