@@ -28,7 +28,7 @@ from rig.cli.run_output import confirm, console
 from rig.cli.signals import StopSignals
 from rig.config import calibration_schema
 from rig.config.arm_model import model_arm
-from rig.config.calibration_files import default_path, origin, refuse_existing, rounded, sha256_of, write
+from rig.config.calibration_files import default_path, origin, rounded, sha256_of, write
 from rig.config.loader import load, path_of
 from rig.config.schema import PA_PER_BAR, FlowValve, RigConfig
 from rig.control.interlocks import settings as interlock_settings
@@ -36,6 +36,7 @@ from rig.control.valve import ATMOSPHERE_PA, fill_sign
 from rig.execution.plan import StoppedError
 from rig.simulator.plant import Plant
 from rig.simulator.plant_launcher import simulated
+from runs.overwriting import refuse_existing
 
 Floats = NDArray[np.float64]
 Gauge = Callable[[BenchDriver, int], float]
@@ -89,7 +90,7 @@ def run(asked: PressureCalibrationRequest) -> None:
     """
     config = load(asked.rig)
     if asked.to is not None:
-        refuse_existing(asked.to, asked.replace)
+        refuse_existing([asked.to], replace=asked.replace)
     if not 0 < asked.gauge_std_bar < 1:
         raise bad_input(
             "--gauge-std-bar", f"{asked.gauge_std_bar:g}", "the gauge's standard uncertainty in bar, more than 0"

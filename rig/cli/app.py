@@ -203,6 +203,7 @@ def check(protocol: ProtocolName, rig: RigName = None, json: AsJson = False) -> 
         console = run_output.console()
         console.print(run_output.check_screen(request, decided))
         console.print(run_output.sketch(decided, console.width))
+        console.print(run_output.verdict(request), soft_wrap=True)
 
 
 @app.command()

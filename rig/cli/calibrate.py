@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from rig.cli.options import AsJson, Fast, Note, RigName, Seed, Yes
+from rig.cli.options import AsJson, Fast, Note, Replace, RigName, Seed, Yes
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -20,7 +20,6 @@ SquareMm = Annotated[float, typer.Option(help="Edge of a square [mm].")]
 Every = Annotated[int, typer.Option(help="Of a video, every so many frames.", min=1)]
 RigFile = Annotated[str | None, typer.Option("--rig", help="Rig whose cameras these are: name or file.")]
 To = Annotated[Path | None, typer.Option("--to", metavar="FILE", help="Where the result goes; default: a dated name.")]
-Replace = Annotated[bool, typer.Option("--replace", help="Write over an existing file.")]
 
 
 @app.callback()

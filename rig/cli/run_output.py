@@ -83,6 +83,11 @@ def _how_simulated(config: RigConfig) -> str:
     return " (SIMULATED: no hardware is touched)"
 
 
+def verdict(request: RunRequest) -> Text:
+    """Of a request that has passed every check: that nothing is wrong with it."""
+    return Text(f"nothing is wrong: rig {request.config.name} can run {request.protocol.name}", "bold green")
+
+
 def peak_bar(plan: Plan) -> list[float]:
     """Highest set-point of each actuator [bar]."""
     return [pa / PA_PER_BAR for pa in peak_pa(plan.trajectory)]
