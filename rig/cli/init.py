@@ -16,30 +16,31 @@ EXPLAINED = {
     "name": "The rig's name. It appears in reports, file names and archives. Letters, digits, '-' and '_'.",
     "description": "One line for people.",
     "calibrations": "Files that `rig calibrate` has written. They replace what is stated below.",
-    "cards": "Data-acquisition cards. The name before the braces is yours; valves and sensors refer to it. `outputs` "
-    "and `inputs` are the analogue channels that the card has. Drivers: comedi (a real card) and mock "
-    "(simulated).",
-    "valves": "One valve for each actuator; a valve may drive several. `type: flow` meters flow and needs the program's "
-    "pressure regulator; `type: pressure` is a regulator that takes a set-point voltage. `closed_V` is where "
-    "all ports are shut (5 V by default). `safe_state` says what happens when a run ends: vent (default) or "
-    "hold.",
-    "sensors": "One pressure sensor for each actuator. Gauge pressure is linear in voltage from `span_V` to `span_bar`; "
-    "both are 0 to 10 by default.",
-    "limits": "What no protocol may ask for and no sample may show. A run that leaves them ends, and the valves go to "
-    "their safe state. `pressure_bar` is the highest pressure that the arm may see: set it before the first "
-    "run.",
-    "control": "The pressure regulator: its rate, the closed loop's bandwidth, the integration time, and the volume of "
-    "one chamber with its tube.",
-    "cameras": "Cameras that see the board at the arm's tip. `lens` comes from `rig calibrate camera`. `placement` is "
-    "the camera (x right, y down, z forward) in the rod-base frame, `rotation_deg` a rotation vector. "
-    "Drivers: opencv, realsense, mock.",
-    "board": "The checkerboard on the end cap: its squares, not its inner corners. `placement` is its centre in the "
-    "tip frame; `rig calibrate tool` finds it.",
+    "cards": "Data-acquisition cards. The name before the braces is yours; valves and sensors refer to "
+    "it. `outputs` and `inputs` are the analogue channels that the card has. Drivers: comedi (a "
+    "real card) and mock (simulated).",
+    "valves": "One valve for each actuator; a valve may drive several. `type: flow` meters flow and needs "
+    "the program's pressure regulator; `type: pressure` is a regulator that takes a set-point "
+    "voltage. `closed_V` is where all ports are shut (5 V by default). `safe_state` says what "
+    "happens when a run ends: vent (default) or hold.",
+    "sensors": "One pressure sensor for each actuator. Gauge pressure is linear in voltage from `span_V` "
+    "to `span_bar`; both are 0 to 10 by default.",
+    "limits": "What no protocol may ask for and no sample may show. A run that leaves them ends, and the "
+    "valves go to their safe state. `pressure_bar` is the highest pressure that the arm may "
+    "see: set it before the first run.",
+    "control": "The pressure regulator: its rate, the closed loop's bandwidth, the integration time, and "
+    "the volume of one chamber with its tube.",
+    "cameras": "Cameras that see the board at the arm's tip. `lens` comes from `rig calibrate camera`. "
+    "`placement` is the camera (x right, y down, z forward) in the rod-base frame, "
+    "`rotation_deg` a rotation vector. Drivers: opencv, realsense, mock.",
+    "board": "The checkerboard on the end cap: its squares, not its inner corners. `placement` is its "
+    "centre in the tip frame; `rig calibrate tool` finds it.",
     "arm": "The manipulator: geometry as built, material from `rig identify`, mass of the end cap.",
     "model": "The model that runs beside the rig, and whether it is static or dynamic.",
     "recording": "Which pictures are kept, and how.",
-    "simulator": "What stands behind the mock devices: the true valves, chambers, sensors and material. Its numbers differ "
-    "from the model's on purpose. A rig without a mock device has no such section.",
+    "simulator": "What stands behind the mock devices: the true valves, chambers, sensors and material. Its "
+    "numbers differ from the model's on purpose. A rig without a mock device has no such "
+    "section.",
 }
 """Of each section of a rig file, what it is for."""
 
