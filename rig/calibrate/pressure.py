@@ -53,6 +53,7 @@ KICK_V, KICK_S = 0.06, 0.02
 """Further out for a moment, so that the spool then comes from outside."""
 FASTEST_SHARE = 0.6
 """Of the rate at which the interlock trips: the sweep goes no further."""
+VACUUM_BAR = -ATMOSPHERE_PA / PA_PER_BAR
 _LEAST_ROWS = 8
 _CLIPPED_V = 0.004
 _LARGEST_ML = 1e5
@@ -407,6 +408,9 @@ def _from_readings(
     for line, row in control_points.table(path, ("actuator", "volts_V", "gauge_bar")):
         volts = control_points.number(path, line, "volts_V", row["volts_V"], problems)
         gauge = control_points.number(path, line, "gauge_bar", row["gauge_bar"], problems)
+        if gauge < VACUUM_BAR:
+            wish = f"a gauge pressure above vacuum, {VACUUM_BAR:.3f} bar or more"
+            problems.append(Problem(str(path), line, 0, "gauge_bar", row["gauge_bar"], wish))
         text = row["actuator"]
         if not (text.isdecimal() and int(text) in known):
             told = f"an actuator of rig {config.name}: {', '.join(map(str, sorted(known)))}"

@@ -162,9 +162,14 @@ def test_reproduce_writes_over_its_own_page_alone(tmp_path: Path) -> None:
 
 def test_of_several_files_none_is_written_where_one_may_not_be(tmp_path: Path) -> None:
     (tmp_path / "b").write_text("mine")
-    with pytest.raises(WouldOverwrite, match="b exists"), staged(tmp_path) as stage:
-        (stage / "a").write_text("new")
-        (stage / "b").write_text("new")
+
+    def write() -> None:
+        with staged(tmp_path) as stage:
+            (stage / "a").write_text("new")
+            (stage / "b").write_text("new")
+
+    with pytest.raises(WouldOverwrite, match="b exists"):
+        write()
     assert [path.name for path in tmp_path.iterdir()] == ["b"]
 
 
