@@ -25,8 +25,8 @@ CLOSE = 2.5e-3  # in motion, where the next step corrects
 
 VACUUM_PA = -101_325.0
 HIGHEST_PA = 1e8
-ROUND_BAR = 10.0
-"""Round numbers up to this are bar; a measured pressure near zero has more digits."""
+LEAST_BAR, MOST_BAR = 0.01, 10.0
+"""Numbers from here to there with at most three decimals are bar; a measured pressure near zero has more digits."""
 
 
 @dataclass(frozen=True)
@@ -194,7 +194,9 @@ def refuse_other_units(pressure_pa: Array) -> None:
     highest = float(np.abs(pressure_pa).max(initial=0.0))
     if highest > HIGHEST_PA:
         raise ValueError(f"pressures of {highest:g} Pa, expected at most {HIGHEST_PA:g} Pa: was bar converted twice?")
-    if 0 < highest <= ROUND_BAR and np.all(np.abs(pressure_pa - np.round(pressure_pa, 3)) < 1e-12):
+    used = np.abs(pressure_pa[pressure_pa != 0])
+    rounded = np.all(np.abs(used - np.round(used, 3)) < 1e-12)
+    if len(used) and rounded and np.all((used >= LEAST_BAR) & (used <= MOST_BAR)) and np.any(used % 1):
         raise ValueError(f"pressures are in pascal, and {pressure_pa.tolist()} look like bar: multiply by 1e5")
 
 
