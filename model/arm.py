@@ -121,15 +121,23 @@ class Arm:
         share: Array = handed / np.maximum(1, passive.sum(axis=-1, keepdims=True))
         return np.where(passive, share, push)
 
-    def statics(self, pressure_pa: ArrayLike, loads: Loads | None = None, nodes: int | None = None) -> Shape:
+    def statics(
+        self, pressure_pa: ArrayLike, loads: Loads | None = None, nodes: int | None = None, *, doubt_units: bool = True
+    ) -> Shape:
         """The shape at rest under gauge pressures (N,) [Pa].
 
         nodes: steps along the arm (RK4); by default 20, or ten for each width of its length where it is slender, which
         leaves an error below 1e-8 m at the paper's pressures (docs/model.md says where not). Raises ValueError for
         pressures or loads that are not finite or of the wrong shape, NotConverged when no equilibrium is found.
+
+        doubt_units: also raise ValueError for pressures that are plausible only in another unit; False for measured
+        ones, which may be anything.
         """
+        from model.kernel_arguments import pressures, refuse_other_units
         from model.statics import solve
 
+        if doubt_units:
+            refuse_other_units(pressures(self, pressure_pa))
         return solve(self, pressure_pa, loads, nodes)
 
     def dynamics(

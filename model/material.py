@@ -5,6 +5,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+SOFTEST_PA = 1e3
+"""Softer than any solid that an arm is made of."""
+
 
 @dataclass(frozen=True)
 class Material:
@@ -36,6 +39,11 @@ class Material:
         for name, value in positive.items():
             if not (math.isfinite(value) and value > 0):
                 raise ValueError(f"{name} must be positive and finite, got {value}")
+        if self.youngs_modulus_pa < SOFTEST_PA:
+            raise ValueError(
+                f"youngs_modulus_pa is in pascal, expected {SOFTEST_PA:g} or more, got {self.youngs_modulus_pa:g}: "
+                "is it in kPa or MPa?"
+            )
         for name, value in (("a2_per_n2", self.a2_per_n2), ("damping_s", self.damping_s)):
             if not (math.isfinite(value) and value >= 0):
                 raise ValueError(f"{name} must be zero or positive and finite, got {value}")

@@ -18,8 +18,9 @@ from rig.cli import calibration_output
 from rig.cli.archive_output import plain_json
 from rig.cli.keyboard import Keyboard
 from rig.cli.run_output import console
-from rig.config.calibration_files import default_path, refuse_existing, views_beside, write
+from rig.config.calibration_files import default_path, views_beside, write
 from rig.config.schema import RigConfig
+from runs.overwriting import refuse_existing
 
 _PICTURE = ".png"
 
@@ -61,8 +62,8 @@ def run(asked: CameraCalibrationRequest) -> None:
             raise bad_input(
                 "--to", str(asked.to), "a name for the YAML file; the picture goes beside it with this ending"
             )
-        refuse_existing(asked.to, asked.replace)
-        refuse_existing(asked.to.with_suffix(_PICTURE), asked.replace)
+        refuse_existing([asked.to], replace=asked.replace)
+        refuse_existing([asked.to.with_suffix(_PICTURE)], replace=asked.replace)
     if asked.live:
         if asked.views:
             raise bad_input("--live", asked.views[0], "either views that are there or live ones")

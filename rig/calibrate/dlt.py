@@ -28,18 +28,11 @@ from rig.cli import calibration_output
 from rig.cli.archive_output import plain_json
 from rig.cli.run_output import console
 from rig.config import calibration_schema
-from rig.config.calibration_files import (
-    LoadedCalibration,
-    default_path,
-    origin,
-    refuse_existing,
-    rounded,
-    sha256_of,
-    write,
-)
+from rig.config.calibration_files import LoadedCalibration, default_path, origin, rounded, sha256_of, write
 from rig.config.drivers import CAMERA_DRIVERS
 from rig.config.optics import lens_of, placement_of, rigid
 from rig.config.schema import Placement, RigConfig
+from runs.overwriting import refuse_existing
 
 Floats = NDArray[np.float64]
 
@@ -92,7 +85,7 @@ def run(asked: DLTCalibrationRequest) -> None:
         ViewsError, CalibrationError, DLTError: what is given does not determine the coefficients.
     """
     if asked.to is not None:
-        refuse_existing(asked.to, asked.replace)
+        refuse_existing([asked.to], replace=asked.replace)
     if not asked.given:
         raise bad_input(
             "CSV|NAME=VIEWS", "", "a CSV of control points, or folders of simultaneous views for each camera"

@@ -28,7 +28,7 @@ from rig.cli.run_output import confirm, console
 from rig.cli.signals import StopSignals
 from rig.config import calibration_schema
 from rig.config.arm_model import model_arm
-from rig.config.calibration_files import default_path, origin, refuse_existing, rounded, sha256_of, write
+from rig.config.calibration_files import default_path, origin, rounded, sha256_of, write
 from rig.config.loader import load, path_of
 from rig.config.schema import PA_PER_BAR, FlowValve, RigConfig
 from rig.control.interlocks import settings as interlock_settings
@@ -36,6 +36,7 @@ from rig.control.valve import ATMOSPHERE_PA, fill_sign
 from rig.execution.plan import StoppedError
 from rig.simulator.plant import Plant
 from rig.simulator.plant_launcher import simulated
+from runs.overwriting import refuse_existing
 
 Floats = NDArray[np.float64]
 Gauge = Callable[[BenchDriver, int], float]
@@ -52,6 +53,7 @@ KICK_V, KICK_S = 0.06, 0.02
 """Further out for a moment, so that the spool then comes from outside."""
 FASTEST_SHARE = 0.6
 """Of the rate at which the interlock trips: the sweep goes no further."""
+VACUUM_BAR = -ATMOSPHERE_PA / PA_PER_BAR
 _LEAST_ROWS = 8
 _CLIPPED_V = 0.004
 _LARGEST_ML = 1e5
@@ -89,7 +91,7 @@ def run(asked: PressureCalibrationRequest) -> None:
     """
     config = load(asked.rig)
     if asked.to is not None:
-        refuse_existing(asked.to, asked.replace)
+        refuse_existing([asked.to], replace=asked.replace)
     if not 0 < asked.gauge_std_bar < 1:
         raise bad_input(
             "--gauge-std-bar", f"{asked.gauge_std_bar:g}", "the gauge's standard uncertainty in bar, more than 0"
@@ -406,6 +408,9 @@ def _from_readings(
     for line, row in control_points.table(path, ("actuator", "volts_V", "gauge_bar")):
         volts = control_points.number(path, line, "volts_V", row["volts_V"], problems)
         gauge = control_points.number(path, line, "gauge_bar", row["gauge_bar"], problems)
+        if gauge < VACUUM_BAR:
+            wish = f"a gauge pressure above vacuum, {VACUUM_BAR:.3f} bar or more"
+            problems.append(Problem(str(path), line, 0, "gauge_bar", row["gauge_bar"], wish))
         text = row["actuator"]
         if not (text.isdecimal() and int(text) in known):
             told = f"an actuator of rig {config.name}: {', '.join(map(str, sorted(known)))}"

@@ -25,11 +25,12 @@ from rig.cli.archive_output import plain_json
 from rig.cli.run_output import console
 from rig.config import calibration_schema
 from rig.config.arm_model import model_arm
-from rig.config.calibration_files import default_path, origin, refuse_existing, rounded, views_beside, write
+from rig.config.calibration_files import default_path, origin, rounded, views_beside, write
 from rig.config.loader import load
 from rig.config.optics import board_in_tip, board_of, camera_in_base, lens_of, placement_of
 from rig.config.schema import RigConfig
 from rig.hardware.cameras.registry import open_camera
+from runs.overwriting import refuse_existing
 
 STRAIGHT_VIEWS = 5
 TURNS_DEG = (-25.0, -15.0, -8.0, 8.0, 15.0, 25.0)
@@ -67,7 +68,7 @@ def run(asked: ToolCalibrationRequest) -> None:
     config = load(asked.rig)
     name = inputs.known_camera(config, asked.camera or next(iter(config.cameras)))
     if asked.to is not None:
-        refuse_existing(asked.to, asked.replace)
+        refuse_existing([asked.to], replace=asked.replace)
     for option, value in (("--tip-std-mm", asked.tip_std_mm), ("--tip-std-deg", asked.tip_std_deg)):
         if not 0 < value < 100:
             raise bad_input(option, f"{value:g}", "more than 0")

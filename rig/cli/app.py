@@ -12,8 +12,8 @@ from typing import Annotated, Any, NoReturn
 import typer
 from typer.core import TyperGroup
 
-from rig.cli import archives, calibrate, identify, reproduce
-from rig.cli.options import AsJson, Fast, Folder, Note, Operator, Parameters, RigName, Seed, Variant, Yes
+from rig.cli import archives, calibrate, identify, init, reproduce
+from rig.cli.options import AsJson, Fast, Folder, Note, Operator, Parameters, RigName, Seed, Variant, VentedRig, Yes
 
 DONE, FAULT, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 GARBAGE_OBJECTS = 50_000
@@ -63,10 +63,11 @@ def _status(error: Exception) -> int | None:
     from runs.archive.writer import ArchiveError
     from runs.export.exporters import ExportError
     from runs.journal.append_only_file import JournalError
+    from runs.overwriting import WouldOverwrite
 
     if isinstance(error, NoDataError | UnknownParameter | NotEstimableError):
         return BAD_INPUT
-    if isinstance(error, ArchiveError | ExportError | CalibrationError | DLTError | ViewsError):
+    if isinstance(error, ArchiveError | ExportError | CalibrationError | DLTError | ViewsError | WouldOverwrite):
         return BAD_INPUT
     if isinstance(error, StoppedError):
         return INTERRUPTED
@@ -87,8 +88,26 @@ app = typer.Typer(
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
-    help="Run a soft-robotics experiment: valves, pressures, camera, Cosserat rod model, archive.",
+    rich_markup_mode=None,  # a unit in square brackets is no markup
 )
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        from importlib.metadata import version
+
+        typer.echo(f"softrig {version('softrig')}")
+        raise typer.Exit(DONE)
+
+
+@app.callback()
+def program(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version and exit.")
+    ] = False,
+) -> None:
+    """Run a soft-robotics experiment: valves, pressures, camera, Cosserat rod model, archive."""
+
 
 LOCAL, LIVE_PORT = "127.0.0.1", 8090
 Listen = Annotated[str, typer.Option(metavar="ADDRESS", help="Serve the page beyond this machine; asks for a token.")]
@@ -99,7 +118,7 @@ ProtocolName = Annotated[str, typer.Argument(metavar="NAME|FILE", help="Named pr
 @app.command()
 def run(
     protocol: ProtocolName,
-    rig: RigName = "mock",
+    rig: RigName = None,
     fast: Fast = False,
     seed: Seed = 0,
     out: Folder = Path("data"),
@@ -122,6 +141,7 @@ def run(
     from rig.cli import recovery_offer, run_output
     from rig.cli.signals import StopSignals
     from rig.cli.terminal import Terminal
+    from rig.config.loader import chosen_rig
     from rig.experiment import run as experiment
 
     if live and fast:
@@ -134,7 +154,7 @@ def run(
         _fail("--free says what --adapt finds; say --adapt, too", BAD_INPUT)
     request = experiment.request(
         protocol,
-        rig,
+        chosen_rig(rig),
         adapt=[name.strip() for name in free.split(",") if name.strip()] if adapt else None,
         folder=out,
         fast=fast,
@@ -169,12 +189,13 @@ def run(
 
 
 @app.command()
-def check(protocol: ProtocolName, rig: RigName = "mock", json: AsJson = False) -> None:
+def check(protocol: ProtocolName, rig: RigName = None, json: AsJson = False) -> None:
     """Check a protocol against a rig, without touching hardware."""
     from rig.cli import run_output
+    from rig.config.loader import chosen_rig
     from rig.experiment import run as experiment
 
-    request = experiment.request(protocol, rig)
+    request = experiment.request(protocol, chosen_rig(rig))
     decided = experiment.plan(request)
     if json:
         typer.echo(run_output.check_json(request, decided))
@@ -182,6 +203,7 @@ def check(protocol: ProtocolName, rig: RigName = "mock", json: AsJson = False) -
         console = run_output.console()
         console.print(run_output.check_screen(request, decided))
         console.print(run_output.sketch(decided, console.width))
+        console.print(run_output.verdict(request), soft_wrap=True)
 
 
 @app.command()
@@ -195,16 +217,23 @@ def protocols() -> None:
 
 @app.command()
 def doctor(
-    rig: Annotated[str, typer.Option(help="A rig of yours, by name or file: are its cards as it wants them?")] = "",
+    rig: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME|FILE",
+            help="Check the cards of this rig, too. Default: $SOFTRIG_RIG, else ./softrig.yaml, else none.",
+        ),
+    ] = None,
     out: Folder = Path("data"),
     json: AsJson = False,
 ) -> None:
     """Say what this machine offers a rig, and what to do about what is missing."""
     from rig.cli import run_output
-    from rig.config.loader import load
+    from rig.config.loader import load, named_rig
     from rig.doctor import examine
 
-    findings = examine(out, load(rig) if rig else None)
+    chosen = named_rig(rig)
+    findings = examine(out, load(chosen.name) if chosen else None)
     if json:
         typer.echo(run_output.findings_json(findings))
     else:
@@ -213,35 +242,34 @@ def doctor(
 
 
 @app.command()
-def vent(rig: RigName = "mock") -> None:
-    """Vent every chamber of a rig, whoever uses it; a run that goes ends."""
+def vent(rig: VentedRig = None) -> None:
+    """Vent every chamber of a rig, whoever uses it; a running experiment ends.
+
+    Where no rig is named, vents the rigs of this user's running experiments.
+    """
     from rig.realtime.scheduling import raise_priority
 
     raise_priority()  # before what takes long to import: a busy machine must not keep the valves waiting
-    from rig.config.loader import load
-    from rig.hardware.vent import vent as vent_rig
+    from rig.cli.vent import vent as vent_rigs
 
-    config = load(rig)
-    vent_rig(config)
-    mock = all(card.simulated for card in config.cards.values())
-    simulated = " (simulated: no hardware was touched; name yours with --rig)" if mock else ""
-    typer.echo(f"every chamber of rig {config.name} is open to the exhaust{simulated}")
+    vent_rigs(rig)
 
 
 @app.command()
 def simulate(
     protocol: ProtocolName,
-    rig: RigName = "mock",
+    rig: RigName = None,
     model: Variant = None,
     parameters: Parameters = None,
     static: Annotated[bool, typer.Option("--static", help="Statics at every set-point instead of dynamics.")] = False,
     out: Folder = Path("data"),
 ) -> None:
     """Run the model alone, driven by the protocol's set-points; leaves an archive of the same layout."""
+    from rig.config.loader import chosen_rig
     from rig.experiment import run as experiment
     from rig.experiment.simulate import simulate as run_model
 
-    request = experiment.request(protocol, rig, folder=out, variant=model, parameters=parameters)
+    request = experiment.request(protocol, chosen_rig(rig), folder=out, variant=model, parameters=parameters)
     typer.echo(run_model(request, experiment.plan(request), static))
 
 
@@ -271,6 +299,7 @@ for command in (archives.runs, archives.show, archives.report, archives.export, 
 app.command("import")(archives.import_)
 app.command()(identify.identify)
 app.command()(reproduce.reproduce)
+app.command()(init.init)
 app.add_typer(calibrate.app, name="calibrate")
 
 

@@ -19,7 +19,7 @@ from protocols.problems import BadInputError, Problem, closest
 from rig.cli import recovery_offer
 from rig.cli.run_output import console
 from runs.archive.writer import SUFFIX, ArchiveError
-from runs.catalogue import Entry
+from runs.catalogue import Entry, catalogue
 from runs.records import Status
 from runs.recovery import Fate
 from runs.recovery import recover as recover_folder
@@ -27,14 +27,16 @@ from runs.summary import Summary, summarise
 
 DATA = Path("data")
 """Where commands put archives, and look for them, unless they are told."""
+LAST = "last"
+MOST_SHOWN = 5
 _DATE = re.compile(r"\d{4}(-\d\d(-\d\d(T\d\d(:\d\d(:\d\d)?)?)?)?)?")
 
 
 def resolve(name: Path) -> Path:
-    """An archive by its path, or by its run id in the data folder.
+    """An archive by its path, by its run id or a unique part of one in the data folder, or by `last`: the newest there.
 
     Raises:
-        ArchiveError: there is none.
+        ArchiveError: there is none, or several runs have that part in their id.
     """
     by_id: tuple[Path, ...] = ()
     if name.name:
@@ -46,7 +48,24 @@ def resolve(name: Path) -> Path:
     recovery_offer.offer((found or name).parent)
     if found is not None:
         return found
+    if len(name.parts) == 1 and (found := _in_data(name.name)) is not None:
+        return found
     raise ArchiveError(f"{name}: no such archive, here or in data/; `rig runs` lists what there is")
+
+
+def _in_data(part: str) -> Path | None:
+    """The run of the data folder that is meant by `last` or by a part of its id; None where there is none."""
+    if part == LAST:
+        entries = [entry for entry in catalogue(DATA) if not entry.problem]
+        return DATA / entries[0].file if entries else None
+    try:
+        stems = sorted(path.stem for path in DATA.iterdir() if path.suffix == SUFFIX and part in path.stem)
+    except OSError:
+        return None
+    if len(stems) > 1:
+        shown = ", ".join(stems[:MOST_SHOWN]) + (", .." if len(stems) > MOST_SHOWN else "")
+        raise ArchiveError(f"{part}: {len(stems)} runs in data/ have this in their id: {shown}; give more of it")
+    return DATA / f"{stems[0]}{SUFFIX}" if stems else None
 
 
 def check_search(folder: Path, status: str = "", since: str = "", until: str = "") -> None:

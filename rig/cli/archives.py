@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from rig.cli.options import Archive, Archives, AsJson, Folder, Note, Operator, Parameters
+from rig.cli.options import Archive, Archives, AsJson, Folder, Note, Operator, Parameters, Replace
 
 
 def runs(
@@ -55,20 +55,21 @@ def report(
     figures: Annotated[
         str | None, typer.Option("--figures", metavar="KIND", help="Instead, each figure as a file: pdf, png or svg.")
     ] = None,
+    replace: Replace = False,
 ) -> None:
     """Write the report of one run, or of several side by side."""
     from protocols.problems import BadInputError, Problem
     from rig.cli.archive_output import resolve
     from runs.report import figure_export
-    from runs.report.page import write
+    from runs.report.page import default_path, write
 
     if figures is None and to is not None and (to.suffix.lower() != ".html" or to.is_dir()):
         raise BadInputError([Problem("--to", 0, 0, "", str(to), "a file whose name ends with .html")])
     found = [resolve(archive) for archive in archives]
     if figures is None:
-        typer.echo(write(found, to or found[0].with_suffix(".html")))
+        typer.echo(write(found, to, replace=replace))
         return
-    for path in figure_export.write(found, to or found[0].with_name(f"{found[0].stem}-figures"), figures):
+    for path in figure_export.write(found, to or default_path(found, "-figures"), figures, replace=replace):
         typer.echo(path)
 
 
@@ -97,12 +98,13 @@ def export(
     archive: Archive,
     to: Annotated[str, typer.Option("--to", help="csv, mat, nc, mcap, or yaml: what it was made from.")] = "csv",
     out: Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Default: beside the archive.")] = None,
+    replace: Replace = False,
 ) -> None:
     """Write an archive in another format."""
     from rig.cli.archive_output import resolve
     from runs.export.exporters import export as write
 
-    for path in write(resolve(archive), to, out):
+    for path in write(resolve(archive), to, out, replace=replace):
         typer.echo(path)
 
 

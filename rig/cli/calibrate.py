@@ -7,16 +7,19 @@ from typing import Annotated
 
 import typer
 
-from rig.cli.options import AsJson, Fast, Note, RigName, Seed, Yes
+from rig.cli.options import AsJson, Fast, Note, Replace, RigName, Seed, Yes
 
-app = typer.Typer(no_args_is_help=True, help="Calibrate cameras, DLT, tool and pressures; each leaves a dated file.")
+app = typer.Typer(
+    no_args_is_help=True,
+    rich_markup_mode=None,
+    help="Calibrate cameras, DLT, tool and pressures; each leaves a dated file.",
+)
 
 Corners = Annotated[str, typer.Option(help="Inner corners of the board, as 9x6.")]
 SquareMm = Annotated[float, typer.Option(help="Edge of a square [mm].")]
 Every = Annotated[int, typer.Option(help="Of a video, every so many frames.", min=1)]
 RigFile = Annotated[str | None, typer.Option("--rig", help="Rig whose cameras these are: name or file.")]
 To = Annotated[Path | None, typer.Option("--to", metavar="FILE", help="Where the result goes; default: a dated name.")]
-Replace = Annotated[bool, typer.Option("--replace", help="Write over an existing file.")]
 
 
 @app.callback()
@@ -96,6 +99,7 @@ def camera(
 ) -> None:
     """Find cameras' intrinsics and distortion from views of a checkerboard."""
     from rig.calibrate import camera as procedure
+    from rig.config.loader import chosen_rig
 
     procedure.run(
         procedure.CameraCalibrationRequest(
@@ -103,7 +107,7 @@ def camera(
             corners=corners,
             square_mm=square_mm,
             live=live,
-            rig=rig,
+            rig=chosen_rig(rig).name if live else rig,
             camera=camera,
             count=count,
             every=every,
@@ -118,7 +122,7 @@ def camera(
 
 @app.command()
 def tool(
-    rig: RigName = "mock",
+    rig: RigName = None,
     camera: Annotated[str | None, typer.Option(help="Name of the camera in the rig's file.")] = None,
     straight: Annotated[Path | None, typer.Option(metavar="VIEWS", help="Views of the vented, straight arm.")] = None,
     turned: Annotated[
@@ -135,10 +139,11 @@ def tool(
 ) -> None:
     """Find the board's offset from the arm's central axis and its rotation."""
     from rig.calibrate import tool as procedure
+    from rig.config.loader import chosen_rig
 
     procedure.run(
         procedure.ToolCalibrationRequest(
-            rig=rig,
+            rig=chosen_rig(rig).name,
             camera=camera,
             straight=straight,
             turned=turned,
@@ -156,7 +161,7 @@ def tool(
 
 @app.command()
 def pressure(
-    rig: RigName = "mock",
+    rig: RigName = None,
     readings: Annotated[
         Path | None, typer.Option(metavar="CSV", help="Readings that are there: actuator,volts_V,gauge_bar.")
     ] = None,
@@ -176,10 +181,11 @@ def pressure(
 ) -> None:
     """Find the sensors' scales against a gauge, and the valves' dead zone and flow curve by a sweep."""
     from rig.calibrate import pressure as procedure
+    from rig.config.loader import chosen_rig
 
     procedure.run(
         procedure.PressureCalibrationRequest(
-            rig=rig,
+            rig=chosen_rig(rig).name,
             readings=readings,
             sensors=sensors,
             valves=valves,

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from rig.cli.options import Archives, AsJson
+from rig.cli.options import Archives, AsJson, Replace
 
 if TYPE_CHECKING:
     from calibration.identify import Prior
@@ -77,6 +77,7 @@ def identify(
     rig_file: Annotated[
         Path | None, typer.Option("--rig-file", metavar="FILE", help="Write the rig with the parameters in it.")
     ] = None,
+    replace: Replace = False,
     json: AsJson = False,
 ) -> None:
     """Find an arm's parameters from runs, with error bars, or say that the runs do not tell them."""
@@ -114,7 +115,7 @@ def identify(
         to = rig_file.with_suffix(".parameters.yaml")
     if bootstrap == 1:
         _refuse("one refit has no scatter: at least two", {"--bootstrap": bootstrap})
-    _check_places({"--report": report, "--figure": figure, "--to": to, "--rig-file": rig_file})
+    _check_places({"--report": report, "--figure": figure, "--to": to, "--rig-file": rig_file}, replace)
     priors = _priors(prior or [])
     names = [name.strip() for name in free.split(",") if name.strip()]
     unseen = initial_setup.opened(leave_out or [])
@@ -174,8 +175,10 @@ def identify(
             typer.echo(rig_file, err=json)
 
 
-def _check_places(places: Mapping[str, Path | None]) -> None:
-    """Refuse, before anything is computed, files that cannot be written where they are asked for."""
+def _check_places(places: Mapping[str, Path | None], replace: bool) -> None:
+    """Refuse, before anything is computed, files that cannot be written or exist; `replace` allows the latter."""
+    from runs.overwriting import refuse_existing
+
     for option, place in places.items():
         if place is None:
             continue
@@ -185,6 +188,7 @@ def _check_places(places: Mapping[str, Path | None]) -> None:
             raise typer.BadParameter(f"{place}: {above} is a file, not a folder", param_hint=option)
         if option == "--figure" and place.suffix.lower() not in FIGURES:
             raise typer.BadParameter(f"{place}: a name that ends with .png, .pdf or .svg", param_hint=option)
+        refuse_existing([place], replace=replace)
 
 
 def _refuse(why: str, options: Mapping[str, object]) -> None:

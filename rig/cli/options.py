@@ -8,7 +8,22 @@ from typing import Annotated
 import typer
 
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON, for scripts.")]
-RigName = Annotated[str, typer.Option("--rig", metavar="NAME|FILE", help="Name or file of the rig.")]
+RigName = Annotated[
+    str | None,
+    typer.Option(
+        "--rig",
+        metavar="NAME|FILE",
+        help="Name or file of the rig. Default: $SOFTRIG_RIG, else ./softrig.yaml, else mock.",
+    ),
+]
+VentedRig = Annotated[
+    str | None,
+    typer.Option(
+        "--rig",
+        metavar="NAME|FILE",
+        help="Name or file of the rig. Default: $SOFTRIG_RIG, else ./softrig.yaml, else what runs now.",
+    ),
+]
 Variant = Annotated[
     str | None, typer.Option("--model", help="homogeneous, homogeneous+rpe or inhomogeneous+rpe; default: the rig's.")
 ]
@@ -17,10 +32,12 @@ Seed = Annotated[int, typer.Option(help="Seed of the simulator.", min=0)]
 Yes = Annotated[bool, typer.Option("--yes", help="Arm without asking.")]
 Operator = Annotated[str, typer.Option(help="By whom; goes into the archive.")]
 Note = Annotated[str, typer.Option(help="A remark; goes into what is written.")]
-Archive = Annotated[Path, typer.Argument(metavar="RUN", help="Archive, or its run id in the data folder.")]
-Archives = Annotated[list[Path], typer.Argument(metavar="RUN..", help="Archives, or run ids in the data folder.")]
+_RUN = "Archive, run id or a unique part of one, or last: the newest run in data/."
+Archive = Annotated[Path, typer.Argument(metavar="RUN", help=_RUN)]
+Archives = Annotated[list[Path], typer.Argument(metavar="RUN..", help=_RUN)]
 Parameters = Annotated[
     Path | None,
     typer.Option("--parameters", metavar="FILE", help="Identified parameters, to lay over the rig.", dir_okay=False),
 ]
 Folder = Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder of the archives.", file_okay=False)]
+Replace = Annotated[bool, typer.Option("--replace", help="Write over existing files.")]

@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from rig.cli.options import AsJson
+from rig.cli.options import AsJson, Replace
 
 
 class Result(StrEnum):
@@ -41,6 +41,7 @@ def reproduce(
             file_okay=False,
         ),
     ] = None,
+    replace: Replace = False,
     json: AsJson = False,
 ) -> None:
     """Compute a result of the paper again, beside the printed one, and say why they differ."""
@@ -94,7 +95,7 @@ def reproduce(
     if drawings:
         from rig.reproduce.page import write
 
-        page = write(out, rows, drawings, remarks)
+        page = write(out, rows, drawings, remarks, replace=replace)
         screen.print(f"page and figures  {page}", soft_wrap=True)
     if json:
         typer.echo(writer.dumps(found, indent=2))

@@ -55,7 +55,7 @@ def check_screen(request: RunRequest, plan: Plan) -> Group:
     stopped_bar = limits.pressure_bar + limits.pressure_margin_bar
     held = f"{limits.pressure_bar:g} bar in each chamber, ends above {stopped_bar:g} bar"
     facts.add_row("limits", f"{held}; {limits.rate_bar_per_s:g} bar/s")
-    facts.add_row("rig", config.name + _how_simulated(config))
+    facts.add_row("rig", f"{config.name}{_how_simulated(config)}, chosen by {request.rig_source}")
     facts.add_row("model", f"{request.variant}, {config.model.mode}")
     peak = peak_bar(plan)
     table = Table(box=None, padding=(0, 2, 0, 0))
@@ -83,6 +83,11 @@ def _how_simulated(config: RigConfig) -> str:
     return " (SIMULATED: no hardware is touched)"
 
 
+def verdict(request: RunRequest) -> Text:
+    """Of a request that has passed every check: that nothing is wrong with it."""
+    return Text(f"nothing is wrong: rig {request.config.name} can run {request.protocol.name}", "bold green")
+
+
 def peak_bar(plan: Plan) -> list[float]:
     """Highest set-point of each actuator [bar]."""
     return [pa / PA_PER_BAR for pa in peak_pa(plan.trajectory)]
@@ -94,6 +99,7 @@ def check_json(request: RunRequest, plan: Plan) -> str:
         {
             "protocol": request.protocol.name,
             "rig": request.config.name,
+            "rig_source": str(request.rig_source),
             "simulated": request.config.simulated,
             "duration_s": plan.trajectory.duration_s,
             "segments": len(plan.trajectory.segments),

@@ -17,6 +17,7 @@ from protocols.document import Document
 from protocols.problems import closest
 from rig.config.calibration_schema import KINDS, AnyFile, CalibrationFile, Software
 from rig.experiment.provenance import git_state, versions
+from runs.overwriting import refuse_existing
 
 SUFFIX = ".yaml"
 _VIEWS = "-views"
@@ -95,16 +96,6 @@ def default_path(stem: str, folder: Path = Path()) -> Path:
     return folder / f"{name}{SUFFIX}"
 
 
-def refuse_existing(path: Path, replace: bool) -> None:
-    """Raise `BadInput` where a file would be lost that nobody said may be; ask before a long calibration."""
-    if path.is_dir():
-        raise BadInputError([Problem("--to", 0, 0, "", str(path), "a file, not a folder")])
-    if path.exists() and not replace:
-        raise BadInputError(
-            [Problem("--to", 0, 0, "", str(path), "a file that does not exist yet; --replace writes over this one")]
-        )
-
-
 def views_beside(path: Path, replace: bool) -> Path:
     """The folder beside a calibration file for the pictures that are taken for it.
 
@@ -122,9 +113,9 @@ def write(found: CalibrationFile, path: Path, *, replace: bool = False) -> Path:
     """Write a calibration file; it is read back first, so that what stands on disk is known to be right.
 
     Raises:
-        BadInput: the file exists and `replace` is not said.
+        WouldOverwrite: the file exists, and `replace` is False.
     """
-    refuse_existing(path, replace)
+    refuse_existing([path], replace=replace)
     text = text_of(found)
     parse(document.parse(text, str(path)))
     path.parent.mkdir(parents=True, exist_ok=True)

@@ -24,6 +24,12 @@ if TYPE_CHECKING:
     Sensors = Sequence[Sensor | None]
 
 
+CENTRE_SHARE = 0.25
+"""A principal point farther from the middle of the picture, as a share of its size, belongs to another resolution."""
+FOCAL_SHARES = (0.1, 50.0)
+"""Focal lengths as shares of the picture's size: views of 157 down to 1.1 degrees."""
+
+
 def check(parts: Mapping[str, Any]) -> list[ValidationFault]:
     """Every fault between the parts of a rig; `parts` are the fields of `RigConfig` that are there."""
     checks: tuple[tuple[Callable[..., Iterator[ValidationFault]], tuple[str, ...]], ...] = (
@@ -227,10 +233,17 @@ def _cameras(cameras: Cameras) -> Iterator[ValidationFault]:
             ("cx_px", camera.lens.cx_px, camera.width_px),
             ("cy_px", camera.lens.cy_px, camera.height_px),
         ):
-            if not 0 < centre < size:
+            low, high = size * (0.5 - CENTRE_SHARE), size * (0.5 + CENTRE_SHARE)
+            if not low <= centre <= high:
                 expected = (
-                    f"a centre inside the picture, 0 to {size} px: was the lens calibrated at another resolution?"
+                    f"a centre near the middle of the picture, {low:g} to {high:g} px of {size} px: was the lens "
                 )
+                yield ValidationFault((*here, "lens", key), expected + "calibrated at another resolution?")
+        for key, focal in (("fx_px", camera.lens.fx_px), ("fy_px", camera.lens.fy_px)):
+            size = camera.width_px if key == "fx_px" else camera.height_px
+            low, high = size * FOCAL_SHARES[0], size * FOCAL_SHARES[1]
+            if not low <= focal <= high:
+                expected = f"a focal length in pixels, {low:g} to {high:g} px for a picture of {size} px: is it in mm?"
                 yield ValidationFault((*here, "lens", key), expected)
 
 

@@ -6,16 +6,66 @@ of a rig without calibrations must not wait.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from enum import StrEnum
 from pathlib import Path
 
-from protocols import document
+from protocols import BadInputError, document
 from protocols.library import find
 from rig.config import consistency
 from rig.config.schema import RigConfig
 from runs.records import SourceFile
 
 FOLDER = Path(__file__).parents[1] / "rigs"
+DEFAULT = "mock"
+VARIABLE = "SOFTRIG_RIG"
+HERE = Path("softrig.yaml")
+
+
+class Source(StrEnum):
+    """Where the name of a rig comes from, in order of precedence."""
+
+    OPTION = "--rig"
+    ENVIRONMENT = VARIABLE
+    FOLDER = f"{HERE} in this folder"
+    DEFAULT = "default"
+
+
+@dataclass(frozen=True)
+class RigChoice:
+    """A rig's name or file, and what chose it."""
+
+    name: str
+    source: Source
+
+
+def named_rig(option: str | None) -> RigChoice | None:
+    """The rig that a command uses: `--rig`, else the variable SOFTRIG_RIG, else softrig.yaml here, else None.
+
+    Raises:
+        BadInput: the variable names no rig.
+    """
+    if option is not None:
+        return RigChoice(option, Source.OPTION)
+    if name := os.environ.get(VARIABLE, ""):
+        try:
+            path_of(name)
+        except BadInputError as bad:
+            raise BadInputError(
+                replace(p, where=f"{VARIABLE}: {p.where}".removesuffix(": ")) for p in bad.problems
+            ) from None
+        return RigChoice(name, Source.ENVIRONMENT)
+    # A broken link, too: somebody meant a rig, and the simulated one must not stand in for it.
+    if os.path.lexists(HERE):
+        return RigChoice(os.fspath(HERE), Source.FOLDER)
+    return None
+
+
+def chosen_rig(option: str | None) -> RigChoice:
+    """The rig that a command uses, the simulated one where nothing names any; `BadInput` as for `named_rig`."""
+    return named_rig(option) or RigChoice(DEFAULT, Source.DEFAULT)
 
 
 def path_of(name_or_path: str | Path) -> Path:

@@ -67,6 +67,10 @@ NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False, strict=True)]
 Number = Annotated[float, Field(allow_inf_nan=False, strict=True)]
 Volt = Annotated[float, Field(ge=-10, le=10, allow_inf_nan=False, strict=True)]
 Bar = Annotated[float, Field(gt=0, le=100, allow_inf_nan=False, strict=True)]
+LengthMm = Annotated[float, Field(ge=0.01, le=10_000, allow_inf_nan=False, strict=True)]
+MassG = Annotated[float, Field(ge=0, le=5_000, allow_inf_nan=False, strict=True)]
+ModulusPa = Annotated[float, Field(ge=1e3, le=1e10, allow_inf_nan=False, strict=True)]
+"""A modulus in kPa or MPa lies below."""
 Flag = Annotated[bool, Field(strict=True)]
 Word = Annotated[str, Field(min_length=1, pattern=r"^[^\x00-\x1f\x7f]*$")]
 Name = Annotated[str, Field(min_length=1, json_schema_extra=_IN_SCHEMA), AfterValidator(_name)]
@@ -182,7 +186,9 @@ class Sensor(Section):
 class Limits(Section):
     """What no protocol may ask for and no sample may show."""
 
-    pressure_bar: Bar = Field(description="highest set-point and, with its margin, highest pressure")
+    pressure_bar: Annotated[float, Field(gt=0, le=10, allow_inf_nan=False, strict=True)] = Field(
+        description="highest set-point and, with its margin, highest pressure"
+    )
     pressure_margin_bar: NonNegative = 0.05
     rate_bar_per_s: Positive = Field(description="fastest set-point change of a continuous segment")
     rate_margin_bar_per_s: NonNegative = Field(default=1.0, description="with it, fastest change a sensor may show")
@@ -282,23 +288,29 @@ class Board(Section):
 class Geometry(Section):
     """The arm's Table 1: actuators on a circle, in degrees from the base frame's x axis."""
 
-    length_mm: Positive
-    inner_radius_mm: Positive
-    outer_radius_mm: Positive
-    circle_radius_mm: Positive = Field(description="b / sqrt 3")
+    length_mm: LengthMm
+    inner_radius_mm: LengthMm
+    outer_radius_mm: LengthMm
+    circle_radius_mm: LengthMm = Field(description="b / sqrt 3")
     actuator_angles_deg: Annotated[tuple[Number, ...], Field(min_length=1)]
 
 
 class Material(Section):
     """Eqs 16, 30, 32 and the identified gamma."""
 
-    youngs_modulus_pa: Positive = Field(description="homogeneous section")
-    a1_per_N: Positive = Field(description="eq 32")
-    a2_per_N2: NonNegative = Field(description="eq 32")
-    rpe_per_bar: Number = Field(description="a of eq 30")
-    shear_ratio: Positive = Field(description="gamma = G / E")
-    density_kg_m3: Positive = 1080.0
-    damping_s: NonNegative = Field(default=0.0, description="Kelvin-Voigt retardation time")
+    youngs_modulus_pa: ModulusPa = Field(description="homogeneous section")
+    a1_per_N: Annotated[float, Field(gt=0, le=10, allow_inf_nan=False, strict=True)] = Field(description="eq 32")
+    a2_per_N2: Annotated[float, Field(ge=0, le=1_000, allow_inf_nan=False, strict=True)] = Field(description="eq 32")
+    rpe_per_bar: Annotated[float, Field(ge=-10, le=10, allow_inf_nan=False, strict=True)] = Field(
+        description="a of eq 30"
+    )
+    shear_ratio: Annotated[float, Field(ge=0.01, le=100, allow_inf_nan=False, strict=True)] = Field(
+        description="gamma = G / E"
+    )
+    density_kg_m3: Annotated[float, Field(ge=1, le=25_000, allow_inf_nan=False, strict=True)] = 1080.0
+    damping_s: Annotated[float, Field(ge=0, le=10, allow_inf_nan=False, strict=True)] = Field(
+        default=0.0, description="Kelvin-Voigt retardation time"
+    )
 
 
 class Arm(Section):
@@ -306,7 +318,7 @@ class Arm(Section):
 
     geometry: Geometry
     material: Material
-    cap_mass_g: NonNegative = 50.0
+    cap_mass_g: MassG = 50.0
     gravity_direction: Triple = (0.0, 0.0, 1.0)
     gravity_on_rod: Flag = False
 
@@ -379,7 +391,7 @@ class Simulator(Section):
     sensor: SimulatedSensor
     scene: SimulatedScene
     material: Material
-    cap_mass_g: NonNegative
+    cap_mass_g: MassG
     camera_error: Placement = Field(default=Placement(), description="true camera placement beyond the stated one")
     camera_errors: dict[str, Placement] = Field(default={}, description="the same for the cameras that are named")
     built: Built | SkipJsonSchema[None] = Field(default=None, description="true parts; default: those stated")

@@ -18,7 +18,7 @@ from typing import TypeVar, get_args
 import protocols
 from protocols import BadInputError, Problem, Protocol, Trajectory
 from protocols.problems import closest
-from rig.config.loader import load, parse, path_of, sources, text
+from rig.config.loader import RigChoice, Source, load, parse, path_of, sources, text
 from rig.config.schema import RigConfig, Variant
 from rig.execution.plan import OperatorInterface, Outcome, Plan, StartError
 from rig.experiment import report_process
@@ -59,6 +59,7 @@ class RunRequest:
     sources: tuple[SourceFile, ...] = ()
     parameters_text: str = ""
     """The file of identified parameters that lies over the rig, verbatim; `rig_text` has them in it."""
+    rig_source: Source = Source.OPTION
 
 
 @dataclass(frozen=True)
@@ -76,7 +77,7 @@ class RunResult:
 
 def request(
     protocol: str,
-    rig: str,
+    rig: str | RigChoice,
     *,
     folder: Path = Path("data"),
     fast: bool = False,
@@ -97,6 +98,8 @@ def request(
         UnknownParameter, NotAdaptable: of those names, one stands for no parameter or cannot be found that way.
         BadInput: any of them is wrong; every problem at once.
     """
+    source = rig.source if isinstance(rig, RigChoice) else Source.OPTION
+    rig = rig.name if isinstance(rig, RigChoice) else rig
     problems: list[Problem] = []
     asked = _collecting(problems, protocols.load, protocol)
     config = _collecting(problems, load, rig)
@@ -131,6 +134,7 @@ def request(
         adapted=adapted,
         sources=sources(rig),
         parameters_text=parameters_text,
+        rig_source=source,
     )
 
 
@@ -192,6 +196,10 @@ def _run(request: RunRequest, decided: Plan, audience: OperatorInterface, draw: 
         ahead_ns = 0 if request.fast else t_ns - time.monotonic_ns()
         about = header(request, decided, t_ns, ahead_ns)
         journal = JournalWriter(request.folder / f"{about.run_id}.mcap", about, live=not request.fast)
+        if request.rig_source in (Source.ENVIRONMENT, Source.FOLDER):
+            # The command, which the record has, does not tell.
+            said = f"the rig is {request.rig_file.absolute()}, chosen by {request.rig_source}"
+            journal.event(Event(t_ns, Level.INFO, "conductor", said))
         return journal
 
     trouble: list[str] = []

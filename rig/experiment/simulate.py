@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -52,7 +53,7 @@ def simulate(request: RunRequest, plan: Plan, static: bool) -> Path:
     for row, pressure in zip(rows, pressures, strict=True):
         row["weight_kg"] = weight_kg = trajectory.weight_kg(float(row["protocol_s"]))
         if dynamics is None:
-            solve: _Solve = arm.statics
+            solve: _Solve = partial(arm.statics, doubt_units=False)
         else:
             solve = dynamics.start if shape is None else dynamics.step
         shape = _solved(solve, pressure, hook.carrying(weight_kg))

@@ -1,104 +1,259 @@
-"""One run per card: an advisory lock that names its owner and that the kernel releases when the owner dies."""
+"""One run per card: the kernel keeps the locks and releases those of a process that dies.
+
+A simulated card belongs to one user; its lock is a file in that user's runtime folder. A real card is shared by the
+users who may open its device node, so the node itself is locked as well: nobody else can hold or forge that lock.
+Who holds a lock is read from the kernel's table, never from a file's content.
+"""
 
 from __future__ import annotations
 
-import contextlib
+import errno
 import fcntl
+import json
 import os
-import re
-import tempfile
+import pwd
+import stat
+import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 
 from rig.config.schema import CardConfig, RigConfig
-from rig.hardware.cards.base import CardError
+from rig.hardware.cards.base import CardBusyError, CardError
 from rig.hardware.cards.kernel_devices import comedi
+from rig.hardware.runtime_folder import open_private, runtime_folder, subfolder
 
-FOLDER = Path("/tmp")
-"""Where every program of the machine finds the locks, whatever folder it keeps its own temporary files in."""
+LOCKS = Path("/proc/locks")
+_RECORDS = "rigs"
+_MOST_BYTES = 1_000_000
+_COMMAND_LENGTH = 120
+
+
+@dataclass(frozen=True)
+class RunningRig:
+    """A rig whose cards a process of this user holds."""
+
+    pid: int
+    purpose: str
+    config: RigConfig
 
 
 def lock_file(card: CardConfig) -> Path:
-    """Where the lock of a card lies: one place, by whatever name a rig calls the card.
+    """This user's lock file of a card: one, by whatever name a rig calls the card.
 
-    A mock card is its user's alone, as the file behind it is.
+    Raises:
+        OSError: this user's runtime folder cannot be made.
     """
-    device = f"{os.getuid()}-{card.device}" if card.simulated else _node(card.device)
+    device = card.device if card.simulated else os.fspath(device_node(card))
     name = "".join(c if c.isalnum() else "-" for c in f"{card.driver}-{device}")
-    return (FOLDER if FOLDER.is_dir() else Path(tempfile.gettempdir())) / f"softrig-{name}.lock"
+    return runtime_folder() / f"{name}.lock"
 
 
-def _node(device: str) -> str:
+def device_node(card: CardConfig) -> Path:
     """The device node behind a symbolic link or a board's name; the name itself where it stands for no one card."""
-    if device.startswith("/"):
-        return os.path.realpath(device)
+    if card.device.startswith("/"):
+        return Path(os.path.realpath(card.device))
     known = comedi()
-    minors = [card.minor for card in known.attached if card.board.casefold() == device.casefold()] if known else []
-    return f"/dev/comedi{minors[0]}" if len(minors) == 1 else device
+    minors = [c.minor for c in known.attached if c.board.casefold() == card.device.casefold()] if known else []
+    return Path(f"/dev/comedi{minors[0]}" if len(minors) == 1 else card.device)
 
 
 def holders(config: RigConfig) -> tuple[int, ...]:
-    """Processes that hold a card of the rig, as far as this user may see them."""
-    found = []
+    """Processes, of any user, that hold the lock of a card of the rig, as far as this process can see them."""
+    files = set()
+    for path in (place for card in config.cards.values() for place in _places(card)):
+        with suppress(OSError):
+            files.add(_identity(path.stat()))
+    return tuple(sorted({pid for pid, file in _locks() if file in files}))
+
+
+def held_by_unseen(config: RigConfig) -> bool:
+    """True where a card is locked by a process that this one cannot see, as from another container."""
+    if holders(config):
+        return False
     for card in config.cards.values():
-        path = lock_file(card)
-        with contextlib.suppress(OSError):
-            named = re.match(r"process (\d+),", path.read_text(errors="replace"))
-            # What is written there may be left over; who holds the lock has the file open.
-            if named and _has_open(int(named[1]), path):
-                found.append(int(named[1]))
-    return tuple(found)
-
-
-def _has_open(pid: int, path: Path) -> bool:
-    for link in Path(f"/proc/{pid}/fd").iterdir():
-        with contextlib.suppress(OSError):
-            if link.samefile(path):
-                return True
+        for path in _places(card):
+            try:
+                descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
+            except OSError:
+                continue
+            try:
+                fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
+            except BlockingIOError:
+                # The lock may have been taken since the table was read.
+                if not holders(config):
+                    return True
+            finally:
+                os.close(descriptor)
     return False
+
+
+def described(pid: int) -> str:
+    """A process for people: its number, user, command and start, from the kernel."""
+    try:
+        folder = Path(f"/proc/{pid}")
+        uid = folder.stat().st_uid
+        command = (folder / "cmdline").read_bytes().rstrip(b"\0").replace(b"\0", b" ").decode(errors="replace")
+        ticks = int((folder / "stat").read_text(errors="replace").rsplit(")", 1)[1].split()[19])
+    except (OSError, IndexError, ValueError):
+        return f"process {pid}"
+    age_s = time.clock_gettime(time.CLOCK_BOOTTIME) - ticks / os.sysconf("SC_CLK_TCK")
+    since = datetime.fromtimestamp(time.time() - age_s).astimezone().isoformat(timespec="seconds")
+    try:
+        user = pwd.getpwuid(uid).pw_name
+    except KeyError:
+        user = str(uid)
+    shown = "".join(c if c.isprintable() else "?" for c in command[:_COMMAND_LENGTH])
+    return f"process {pid} of user {user} ({shown}), since {since}"
 
 
 @contextmanager
 def cards_locked(config: RigConfig, purpose: str) -> Iterator[None]:
-    """Hold every card of the rig.
+    """Hold every card of the rig; `running_rigs` finds it meanwhile.
 
     Raises:
         CardError: another run holds one; the message says who and since when.
     """
     held: list[int] = []
+    record: Path | None = None
     try:
         for name, card in sorted(config.cards.items()):
-            path = lock_file(card)
-            try:
-                fd = _open(path)
-            except OSError as error:
-                raise CardError(f"{path}: the lock of card '{name}' cannot be opened: {error.strerror}") from error
-            held.append(fd)
-            try:
-                fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError:
-                owner = os.pread(fd, 500, 0).decode(errors="replace").strip() or "unknown"
-                raise CardError(
-                    f"card '{name}' ({card.device}) is in use by another run: {owner}. "
-                    "Wait for it to end, stop it, or make everything safe with `rig vent --rig` and this rig."
-                ) from None
-            os.ftruncate(fd, 0)
-            since = datetime.now().astimezone().isoformat(timespec="seconds")
-            os.pwrite(fd, f"process {os.getpid()}, {purpose}, since {since}\n".encode(), 0)
+            _lock(name, card, config, held)
+        record = _recorded(config, purpose)
         yield
     finally:
-        for fd in held:
-            os.close(fd)
+        if record is not None:
+            with suppress(OSError):
+                record.unlink()
+        for descriptor in held:
+            os.close(descriptor)
 
 
-def _open(path: Path) -> int:
-    """Open a lock for any user; O_CREAT on another user's file in a sticky folder is refused by the kernel."""
+def running_rigs() -> tuple[RunningRig, ...]:
+    """The rigs whose cards processes of this user hold now."""
+    found = []
     try:
-        return os.open(path, os.O_RDWR | os.O_CLOEXEC)
-    except FileNotFoundError:
-        fd = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
-        with contextlib.suppress(PermissionError):
-            os.fchmod(fd, 0o666)
-        return fd
+        records = sorted(subfolder(_RECORDS).glob("*.json"))
+    except OSError:
+        return ()
+    for record in records:
+        with suppress(OSError, ValueError, KeyError, TypeError):
+            pid = int(record.stem)
+            descriptor = open_private(record, os.O_RDONLY)
+            with os.fdopen(descriptor, "rb") as file:
+                said = json.loads(file.read(_MOST_BYTES))
+            running = RunningRig(pid, str(said["purpose"]), RigConfig.model_validate_json(json.dumps(said["rig"])))
+            if pid in holders(running.config):
+                found.append(running)
+    return tuple(found)
+
+
+def locked_devices() -> tuple[tuple[Path, int], ...]:
+    """Comedi device nodes of this machine that a process, of any user, holds the lock of."""
+    nodes = {}
+    for path in sorted(Path("/dev").glob("comedi[0-9]*")):
+        with suppress(OSError):
+            nodes[_identity(path.stat())] = path
+    return tuple((nodes[file], pid) for pid, file in _locks() if file in nodes)
+
+
+def _places(card: CardConfig) -> tuple[Path, ...]:
+    """Every file that is locked for a card."""
+    places = []
+    with suppress(OSError):
+        places.append(lock_file(card))
+    if card.driver != "mock":
+        places.append(device_node(card))
+    return tuple(places)
+
+
+def _lock(name: str, card: CardConfig, config: RigConfig, held: list[int]) -> None:
+    """Lock one card; what must stay open for it goes to `held`."""
+    try:
+        path = lock_file(card)
+        held.append(open_private(path, os.O_RDWR | os.O_CREAT))
+    except OSError as error:
+        raise CardError(f"the lock of card '{name}' cannot be opened: {_reason(error)}") from error
+    _take(held[-1], name, card, config)
+    node = device_node(card)
+    # A board's name that stands for no one card is refused when the card is opened.
+    if card.driver == "mock" or not node.is_absolute():
+        return
+    descriptor = _open_node(name, node)
+    held.append(descriptor)
+    _take(descriptor, name, card, config)
+    try:
+        os.close(_open_node(name, node))
+    except CardBusyError:
+        # A driver that lets in one process at a time excludes others by itself, and would exclude this run's control.
+        held.remove(descriptor)
+        os.close(descriptor)
+
+
+def _open_node(name: str, node: Path) -> int:
+    try:
+        descriptor = os.open(node, os.O_RDWR | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
+    except OSError as error:
+        from rig.hardware.cards.comedi_device import why_closed
+
+        if error.errno == errno.EBUSY:
+            raise why_closed(os.fspath(node), error) from None
+        trouble = why_closed(os.fspath(node), error)
+        raise CardError(f"card '{name}': {trouble.what}", trouble.remedy) from None
+    if not stat.S_ISCHR(os.fstat(descriptor).st_mode):
+        os.close(descriptor)
+        raise CardError(f"card '{name}': {node} is not a device node")
+    return descriptor
+
+
+def _take(descriptor: int, name: str, card: CardConfig, config: RigConfig) -> None:
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        others = [pid for pid in holders(config) if pid != os.getpid()]
+        by = ", ".join(map(described, others)) or "a process that this one cannot see"
+        raise CardError(
+            f"card '{name}' ({card.device}) is in use by another run: {by}. "
+            "Wait for it to end, stop it, or make everything safe with `rig vent --rig` and this rig."
+        ) from None
+
+
+def _recorded(config: RigConfig, purpose: str) -> Path | None:
+    """Write what `running_rigs` reads; None where it cannot be written, which must keep no run from beginning."""
+    with suppress(OSError):
+        folder = subfolder(_RECORDS)
+        for old in folder.glob("*.json"):
+            if not Path("/proc", old.stem).exists():
+                old.unlink(missing_ok=True)  # its process was killed
+        path = folder / f"{os.getpid()}.json"
+        path.unlink(missing_ok=True)
+        with os.fdopen(open_private(path, os.O_RDWR | os.O_CREAT | os.O_EXCL), "w", encoding="utf-8") as file:
+            json.dump({"purpose": purpose, "rig": config.model_dump(mode="json", exclude_none=True)}, file)
+        return path
+    return None
+
+
+def _locks() -> Iterator[tuple[int, tuple[int, int, int]]]:
+    """Holder and file (major, minor, inode) of every flock in the kernel's table."""
+    try:
+        lines = LOCKS.read_text().splitlines()
+    except OSError:
+        return
+    for line in lines:
+        words = line.split()
+        # A line with an arrow is a process that waits.
+        if len(words) < 6 or words[1] != "FLOCK":
+            continue
+        with suppress(ValueError):
+            major, minor, inode = words[5].split(":")
+            yield int(words[4]), (int(major, 16), int(minor, 16), int(inode))
+
+
+def _identity(about: os.stat_result) -> tuple[int, int, int]:
+    return os.major(about.st_dev), os.minor(about.st_dev), about.st_ino
+
+
+def _reason(error: OSError) -> str:
+    return f"{error.filename}: {error.strerror}" if error.strerror else str(error)

@@ -11,7 +11,7 @@ from rig.config.schema import RigConfig
 from rig.control.step import safe_voltages
 from rig.hardware.bench import Bench, cards_with_valves, open_outputs
 from rig.hardware.cards.base import CardBusyError, CardError
-from rig.hardware.lock import holders
+from rig.hardware.lock import described, held_by_unseen, holders
 
 REPEATED_S = 0.25
 NOTICED_S = 0.1
@@ -22,6 +22,7 @@ PATIENCE_S = 0.5
 FREED_S = 2.0
 ENDED_S = 3.0
 LOOK_S = 0.02
+_STOP_IT = "it may move the valves again; shut the air off, and stop it as its user or as root"
 
 
 def vent(config: RigConfig) -> None:
@@ -33,29 +34,43 @@ def vent(config: RigConfig) -> None:
     still has the card after that is killed. Where valves would be held the run's end is waited for.
 
     Raises:
-        CardError: a card cannot be opened or written, or an output does not stay where it was told to; the others
-            are vented all the same.
+        CardError: a card cannot be opened or written, an output does not stay where it was told to, or a process that
+            holds the rig goes on and cannot be told to end; the other cards are vented all the same.
     """
-    run_goes = bool(holders(config))
-    failures = _vent(config)
-    if run_goes and safe_voltages(config) != safe_voltages(config, vent=True):
+    running = bool(holders(config))
+    untold: set[int] = set()
+    failures = _vent(config, untold)
+    if running and safe_voltages(config) != safe_voltages(config, vent=True):
         # Who comes after a process that was killed knows nothing of this, and writes what is held.
-        until = time.monotonic() + ENDED_S
-        while holders(config) and time.monotonic() < until:
-            time.sleep(LOOK_S)
-        failures = _vent(config)
+        _wait_for_end(config, set(holders(config)))
+        failures = _vent(config, untold)
+    if staying := _wait_for_end(config, untold):
+        failures += [f"{described(pid)} goes on and cannot be told to end: {_STOP_IT}" for pid in staying]
+    elif held_by_unseen(config):
+        failures.append(f"a process that this one cannot see, as in a container, holds the rig: {_STOP_IT}")
     if failures:
         raise CardError("; ".join(failures))
 
 
-def _vent(config: RigConfig) -> list[str]:
-    """Vent for a while; what kept a card from it, and which outputs do not stand where they were told."""
+def _wait_for_end(config: RigConfig, pids: set[int]) -> set[int]:
+    """Wait for a while until these processes let go of the rig; those that have not."""
+    until = time.monotonic() + ENDED_S
+    while (staying := pids & set(holders(config))) and time.monotonic() < until:
+        time.sleep(LOOK_S)
+    return staying
+
+
+def _vent(config: RigConfig, untold: set[int]) -> list[str]:
+    """Vent for a while; what kept a card from it, and which outputs do not stand where they were told.
+
+    Holders that may not be told to end are added to `untold`.
+    """
     benches: list[Bench] = []
     failures: list[str] = []
     try:
-        _open(config, benches, failures)
+        _open(config, benches, failures, untold)
         _insist(benches, NOTICED_S)
-        _tell_to_end(config)
+        untold |= _tell_to_end(config)
         _insist(benches, REPEATED_S - NOTICED_S)
         for bench in benches:
             try:
@@ -68,7 +83,7 @@ def _vent(config: RigConfig) -> list[str]:
     return failures
 
 
-def _open(config: RigConfig, benches: list[Bench], failures: list[str]) -> None:
+def _open(config: RigConfig, benches: list[Bench], failures: list[str], untold: set[int]) -> None:
     """Open every card and vent it as soon as it is open: one that is gone, or in use, keeps no other waiting."""
     began = time.monotonic()
     seen: dict[int, float] = {}
@@ -82,7 +97,7 @@ def _open(config: RigConfig, benches: list[Bench], failures: list[str]) -> None:
                 if time.monotonic() - began < FREED_S:
                     if not told:
                         told = True
-                        _tell_to_end(config)
+                        untold |= _tell_to_end(config)
                     _end_who_stay(busy.holders, seen)
                     continue
                 failures.append(str(busy))
@@ -105,10 +120,17 @@ def _end_who_stay(holders: tuple[int, ...], seen: dict[int, float]) -> None:
                 os.kill(holder, signal.SIGKILL)
 
 
-def _tell_to_end(config: RigConfig) -> None:
+def _tell_to_end(config: RigConfig) -> set[int]:
+    """Send SIGTERM to whoever holds the rig; those that this user may not signal."""
+    refused = set()
     for holder in holders(config):
-        with contextlib.suppress(ProcessLookupError, PermissionError):
+        try:
             os.kill(holder, signal.SIGTERM)
+        except ProcessLookupError:
+            continue
+        except PermissionError:
+            refused.add(holder)
+    return refused
 
 
 def _insist(benches: list[Bench], seconds: float) -> None:

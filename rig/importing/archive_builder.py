@@ -19,6 +19,7 @@ from protocols.problems import BadInputError, Problem
 from protocols.source_positions import Document
 from rig.config import loader
 from rig.config.schema import PA_PER_BAR
+from rig.control.valve import ATMOSPHERE_PA
 from rig.experiment.provenance import git_state, versions
 from rig.experiment.run import free_id
 from rig.importing.columns import Columns
@@ -60,6 +61,10 @@ class Imported:
 
     archive: Path
     warnings: tuple[str, ...]
+
+
+NOISE_PA = 5e3
+"""A sensor may show so much less than there is."""
 
 
 def import_table(data: Path, mapping_file: Path, folder: Path, operator: str = "", notes: str = "") -> Imported:
@@ -237,6 +242,12 @@ def _pressures(columns: Columns, mapping: Mapping) -> tuple[Floats, Floats]:
     raw_pa = _scaled(columns, asked.columns, asked.unit)
     for column, values in zip(asked.columns, raw_pa.T, strict=True):
         columns.warn_missing(values, f"the pressure of column {column}")
+        lowest_pa = -NOISE_PA if asked.reading == "absolute" else -ATMOSPHERE_PA - NOISE_PA
+        if len(rows := np.flatnonzero(values < lowest_pa)):
+            found = f"{values[rows[0]] / PA_PER_BAR:.4g} bar, {asked.reading}"
+            wish = f"a pressure above vacuum, {lowest_pa / PA_PER_BAR:.3g} bar or more: are unit and reading right?"
+            where = f"column {column}, {columns.table.place(int(rows[0]))}"
+            columns.problems.append(Problem(columns.table.file, 0, 0, where, found, wish))
     off_pa = np.zeros(mapping.actuators)
     if columns.problems:
         return raw_pa, off_pa

@@ -138,7 +138,9 @@ class ArchivedRun:
         if self._arm is None or not np.all(np.isfinite(pressure)):
             return None
         try:
-            return self._arm.statics(pressure, self._hook.carrying(float(self.run.tip.weight_g[frame]) * KG_PER_G))
+            return self._arm.statics(
+                pressure, self._hook.carrying(float(self.run.tip.weight_g[frame]) * KG_PER_G), doubt_units=False
+            )
         except model.NotConverged:
             return None
 

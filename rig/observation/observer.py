@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from typing import TYPE_CHECKING, Protocol
 
 import cv2
@@ -73,7 +74,7 @@ class _StaticModel:
         self._arm = arm
 
     def follow(self, shot: FrameSet, pressures: Pressures, loads: model.Loads | None) -> model.Shape | None:
-        return _rest(self._arm.statics, pressures.at(shot.t_ns), loads)
+        return _rest(partial(self._arm.statics, doubt_units=False), pressures.at(shot.t_ns), loads)
 
 
 class _DynamicModel:

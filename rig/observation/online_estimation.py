@@ -85,7 +85,9 @@ class OnlineEstimation:
         if not seen["model_ok"]:
             return nothing
         try:
-            rest = self._arm.statics(seen["pressure_pa"], self._hook.carrying(float(seen["weight_kg"])))
+            rest = self._arm.statics(
+                seen["pressure_pa"], self._hook.carrying(float(seen["weight_kg"])), doubt_units=False
+            )
         except (model.NotConverged, ValueError):
             return nothing
         moved: NDArray[np.float64] = seen["model_m"] - rest.tip_m

@@ -15,12 +15,12 @@ import pickle
 import select
 import socket
 import struct
-import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
 
 from rig.execution.plan import Plan
+from rig.hardware.runtime_folder import subfolder
 from rig.realtime.operator_commands import Command, CommandResult, OperatorCommand
 from rig.realtime.shared_state import SharedState
 
@@ -34,18 +34,12 @@ CarryOut = Callable[[OperatorCommand], CommandResult]
 
 
 def socket_paths() -> Path:
-    """The folder of the sockets of this user's runs; made when it is missing.
+    """The folder of the control sockets of this user's runs; made when it is missing.
 
     Raises:
-        OSError: it cannot be made, or is not this user's alone.
+        OSError: it cannot be made, or is open to other users.
     """
-    home = os.environ.get("XDG_RUNTIME_DIR", "")
-    folder = Path(home, "softrig") if home else Path(tempfile.gettempdir(), f"softrig-{os.getuid()}")
-    folder.mkdir(mode=0o700, exist_ok=True)
-    about = folder.lstat()
-    if about.st_uid != os.getuid() or about.st_mode & 0o077 or folder.is_symlink():
-        raise PermissionError(f"{folder} is not a folder of this user alone")
-    return folder
+    return subfolder("sockets")
 
 
 def socket_of(pid: int) -> Path:

@@ -8,6 +8,7 @@ from importlib import resources
 from pathlib import Path
 
 from rig.reproduce.comparison import PaperComparison, PaperFigure
+from runs.overwriting import staged
 from runs.report.figures import save, svg
 
 _STYLE = (
@@ -15,18 +16,30 @@ _STYLE = (
     "table.paper td:first-child { white-space: nowrap; }"
 )
 _LONG = "Table 4"
+_MARK = '<meta name="softrig-reproduce" content="paper">'
 
 
 def write(
-    folder: Path, rows: Sequence[PaperComparison], drawings: Sequence[PaperFigure], remarks: Sequence[str]
+    folder: Path,
+    rows: Sequence[PaperComparison],
+    drawings: Sequence[PaperFigure],
+    remarks: Sequence[str],
+    *,
+    replace: bool = False,
 ) -> Path:
-    """Write `paper.html` and the figures; return the page."""
-    folder.mkdir(parents=True, exist_ok=True)
-    for drawing in drawings:
-        for kind in ("png", "pdf"):
-            save(drawing.draw, drawing.size, folder / f"{drawing.name}.{kind}", *drawing.about)
+    """Write `paper.html` and the figures; return the page. A folder that has such a page is written again.
+
+    Raises:
+        WouldOverwrite: a file exists in another folder, and `replace` is False.
+        OSError: a file cannot be written.
+    """
     page = folder / "paper.html"
-    page.write_text(_page(rows, drawings, remarks), encoding="utf-8")
+    ours = page.is_file() and _MARK in page.read_text(encoding="utf-8", errors="replace")
+    with staged(folder, replace=replace, made=lambda _: ours) as stage:
+        for drawing in drawings:
+            for kind in ("png", "pdf"):
+                save(drawing.draw, drawing.size, stage / f"{drawing.name}.{kind}", *drawing.about)
+        (stage / page.name).write_text(_page(rows, drawings, remarks), encoding="utf-8")
     return page
 
 
@@ -46,7 +59,7 @@ def _page(rows: Sequence[PaperComparison], drawings: Sequence[PaperFigure], rema
     )
     told = "".join(f"<p>{escape(remark)}</p>" for remark in remarks)
     return (
-        f'<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n<title>The paper again</title>\n'
+        f'<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n{_MARK}\n<title>The paper again</title>\n'
         f"<style>\n{style}\n{_STYLE}</style>\n</head>\n<body>\n<section class=run>\n"
         "<header class=run><h1>The paper again</h1><p class=sub>Pourghasemi Hanza and Ghafarirad, Mechanics of fiber "
         "reinforced soft manipulators based on inhomogeneous Cosserat rod theory, section by section</p></header>\n"

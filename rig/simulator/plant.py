@@ -7,6 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from model import NotConverged
 from rig.config.arm_model import TipLoad, true_arm, true_geometry
 from rig.config.schema import RigConfig
 from rig.control.valve import ATMOSPHERE_PA
@@ -43,7 +44,7 @@ class Plant:
         `faults` is the word that gives the bench its faults; without it the bench has one of its own.
 
         Raises:
-            CardError: the rig has no simulator section.
+            CardError: the rig has no simulator section, or its arm has no equilibrium without pressure.
         """
         config = config.as_built
         if config.simulator is None:
@@ -59,7 +60,13 @@ class Plant:
         self._hook = TipLoad(config)
         self._loads = self._hook.carrying(0.0)
         if self._dynamics is not None:
-            shape = self._dynamics.start(np.zeros(config.actuators))
+            try:
+                shape = self._dynamics.start(np.zeros(config.actuators))
+            except NotConverged as error:
+                raise CardError(
+                    f"rig {config.name}: the simulated arm cannot carry its own weight and cap ({error})",
+                    "look at material, geometry and cap_mass_g of its simulator section",
+                ) from error
             lengths, position, rotation = shape.actuator_lengths_m, shape.tip_m, shape.tip_rotation
         self._poses = np.zeros(2 * REMEMBERED_POSES, POSE_DTYPE)
         self._kept = 0

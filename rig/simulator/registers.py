@@ -18,11 +18,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.hardware.cards.base import CardError, Scans
+from rig.hardware.runtime_folder import open_private, runtime_folder
 from rig.simulator.faults import FAULTS_DTYPE, Faults
 from rig.simulator.pose_history import POSE_DTYPE, pose_among
 from rig.simulator.tip_pose import TipPose
 
-FOLDER = Path("/dev/shm")
 MAGIC = b"softrig\0"
 VERSION = 1
 SCAN_ROWS = 4096
@@ -57,8 +57,15 @@ def scan_dtype(inputs: int) -> np.dtype[np.void]:
 
 
 def path_of(device: str) -> Path:
-    """The file of a mock device of this user."""
-    return FOLDER / f"softrig-{os.getuid()}-{device.replace('/', '_')}"
+    """The file of a mock device of this user, in a folder that no other user can enter.
+
+    Raises:
+        CardError: that folder cannot be made.
+    """
+    try:
+        return runtime_folder() / f"card-{device.replace('/', '_')}"
+    except OSError as error:
+        raise CardError(f"mock card {device}: {error}") from error
 
 
 class Registers:
@@ -103,7 +110,7 @@ class Registers:
             header["plant_pid"] = os.getpid()
             os.pwrite(descriptor, header.tobytes(), 0)
         except OSError as error:
-            raise CardError(f"mock card {device}: {path}: {error.strerror}") from error
+            raise CardError(f"mock card {device}: {path}: {error.strerror or error}") from error
         registers = cls(descriptor, path)
         registers._scans["index"] = -1
         registers._poses["index"] = -1
@@ -122,14 +129,14 @@ class Registers:
         """
         path = path_of(device)
         try:
-            descriptor = os.open(path, os.O_RDWR | os.O_CLOEXEC)
+            descriptor = open_private(path)
         except FileNotFoundError:
             raise CardError(
                 f"mock card {device} does not exist: "
                 "start its plant with `python -m rig.simulator.plant_process --rig FILE`"
             ) from None
         except OSError as error:
-            raise CardError(f"mock card {device}: {path}: {error.strerror}") from error
+            raise CardError(f"mock card {device}: {path}: {error.strerror or error}") from error
         until = time.monotonic() + SETTLING_S
         while not _sound(descriptor) and time.monotonic() < until:
             time.sleep(0.01)  # its plant may be making it just now
@@ -231,7 +238,7 @@ def _offsets(outputs: int, inputs: int) -> tuple[int, int, int, int]:
 
 
 def _locked(path: Path, patience_s: float) -> int:
-    descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+    descriptor = open_private(path, os.O_RDWR | os.O_CREAT)
     until = time.monotonic() + patience_s
     while True:
         try:

@@ -14,6 +14,7 @@ import numpy as np
 
 from runs.archive import layout
 from runs.archive.writer import ArchiveError
+from runs.overwriting import staged
 from runs.run import Run
 from runs.table import TABLES, segments, table
 
@@ -25,18 +26,26 @@ class ExportError(Exception):
     """The export could not be written; the message says why."""
 
 
-def export(archive: Path | str, to: str, folder: Path | str | None = None) -> tuple[Path, ...]:
+def export(
+    archive: Path | str, to: str, folder: Path | str | None = None, *, replace: bool = False
+) -> tuple[Path, ...]:
     """Write an archive in another format (`csv`, `mat`, `nc`, `mcap` or `yaml`) and return what was written.
 
-    By default beside the archive. `ArchiveError` where there is no archive, `ExportError` otherwise.
+    By default beside the archive.
+
+    Raises:
+        ArchiveError: there is no archive.
+        WouldOverwrite: a file exists, and `replace` is False.
+        ExportError: the files cannot be written.
     """
     if to not in FORMATS:
         raise ExportError(f"cannot export to {to!r}; there are {', '.join(FORMATS)}")
     source = Run(archive).path
     place = source.parent if folder is None else Path(folder)
     try:
-        place.mkdir(parents=True, exist_ok=True)
-        return FORMATS[to](source, place / source.stem)
+        with staged(place, replace=replace) as stage:
+            written = FORMATS[to](source, stage / source.stem)
+        return tuple(place / file.relative_to(stage) for file in written)
     except OSError as fault:
         raise ExportError(f"cannot write to {place}: {fault.strerror or fault}") from fault
 

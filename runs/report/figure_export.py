@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from runs.export.exporters import ExportError
+from runs.overwriting import staged
 from runs.report import comparison, figures
 from runs.report.figure_specifications import figure_specifications, of_pictures
 from runs.run import Run
@@ -15,28 +16,39 @@ KINDS = ("pdf", "png", "svg")
 _MARK = "simulated"
 
 
-def write(archives: Sequence[Path | str], folder: Path | str, kind: str = "pdf") -> tuple[Path, ...]:
+def write(
+    archives: Sequence[Path | str], folder: Path | str, kind: str = "pdf", *, replace: bool = False
+) -> tuple[Path, ...]:
     """Write each figure of each run as `<run>-<figure>.pdf` (or png, svg) for a paper; return the files.
 
     Of several runs also those that compare them, `compared-<figure>.pdf`. What was simulated says so in its corner.
+
+    Raises:
+        WouldOverwrite: a file exists, and `replace` is False.
+        ExportError: there is no such kind, or the files cannot be written.
     """
     if kind not in KINDS:
         raise ExportError(f"no figures as {kind!r}; there are {', '.join(KINDS)}")
     runs, place = [Run(archive) for archive in archives], Path(folder)
-    summaries = [summarise(run) for run in runs]
     try:
-        place.mkdir(parents=True, exist_ok=True)
-        written = []
-        for run, summary in zip(runs, summaries, strict=True):
-            for plate in (*figure_specifications(run, summary), *of_pictures(run, summary)):
-                path = place / f"{run.path.stem}-{plate.name}.{kind}"
-                figures.save(plate.draw, plate.size, path, run, summary, mark=_MARK * summary.simulated)
-                written.append(path)
-        mark = _MARK * any(summary.simulated for summary in summaries)
-        for plate in comparison.plates(runs) if len(runs) > 1 else ():
-            path = place / f"compared-{plate.name}.{kind}"
-            figures.save(plate.draw, plate.size, path, runs, summaries, mark=mark)
-            written.append(path)
+        with staged(place, replace=replace) as stage:
+            names = _write(runs, stage, kind)
     except OSError as fault:
         raise ExportError(f"cannot write to {place}: {fault.strerror or fault}") from fault
-    return tuple(written)
+    return tuple(place / name for name in names)
+
+
+def _write(runs: Sequence[Run], folder: Path, kind: str) -> list[str]:
+    """Draw every figure into a folder; the names of the files."""
+    names = []
+    summaries = [summarise(run) for run in runs]
+    for run, summary in zip(runs, summaries, strict=True):
+        for plate in (*figure_specifications(run, summary), *of_pictures(run, summary)):
+            names.append(f"{run.path.stem}-{plate.name}.{kind}")
+            mark = _MARK * summary.simulated
+            figures.save(plate.draw, plate.size, folder / names[-1], run, summary, mark=mark)
+    mark = _MARK * any(summary.simulated for summary in summaries)
+    for plate in comparison.plates(runs) if len(runs) > 1 else ():
+        names.append(f"compared-{plate.name}.{kind}")
+        figures.save(plate.draw, plate.size, folder / names[-1], runs, summaries, mark=mark)
+    return names

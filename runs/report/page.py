@@ -10,6 +10,7 @@ from importlib import resources
 from pathlib import Path
 
 from runs.archive import layout
+from runs.overwriting import refuse_existing
 from runs.report import comparison, pictures
 from runs.report.figure_specifications import figure_specifications
 from runs.report.figures import svg
@@ -18,18 +19,54 @@ from runs.run import Run
 from runs.summary import BAND_BAR, Summary, summarise
 
 SUFFIX = ".html"
+_HEAD_BYTES = 100_000
 
 
-def write(paths: Path | str | Sequence[Path | str], out_html: Path | str | None = None) -> Path:
-    """Write the report of one archive or several and return its path; by default beside the first archive."""
+def write(
+    paths: Path | str | Sequence[Path | str], out_html: Path | str | None = None, *, replace: bool = False
+) -> Path:
+    """Write the report of one archive or several and return its path; by default `default_path`.
+
+    An earlier report of the same runs is written again.
+
+    Raises:
+        WouldOverwrite: there is another file, and `replace` is False.
+        OSError: it cannot be written.
+    """
     chosen = [Path(paths)] if isinstance(paths, str | os.PathLike) else [Path(path) for path in paths]
+    target = default_path(chosen) if out_html is None else Path(out_html)
     runs = [Run(path) for path in chosen]
-    target = chosen[0].with_suffix(SUFFIX) if out_html is None else Path(out_html)
+    mark = _mark(runs)
+    refuse_existing([target], replace=replace, made=lambda file: mark in _head(file))
     target.parent.mkdir(parents=True, exist_ok=True)
     part = target.with_name(target.name + ".part")
     part.write_text(page(runs), encoding="utf-8")
     part.replace(target)
     return target
+
+
+def default_path(archives: Sequence[Path], suffix: str = SUFFIX) -> Path:
+    """Beside the first archive: the name of the run, or of a comparison, after both runs or the first and a number."""
+    first, *others = archives
+    name = first.stem
+    if len(others) == 1:
+        name += f"-and-{others[0].stem}"
+    elif others:
+        name += f"-and-{len(others)}-others"
+    return first.with_name(name + suffix)
+
+
+def _mark(runs: Sequence[Run]) -> str:
+    """What tells a report of these runs from every other file."""
+    return f'<meta name="softrig-report" content="{escape(" ".join(run.header.run_id for run in runs))}">'
+
+
+def _head(file: Path) -> str:
+    try:
+        with file.open("rb") as opened:
+            return opened.read(_HEAD_BYTES).decode("utf-8", errors="replace")
+    except OSError:
+        return ""
 
 
 def page(runs: Sequence[Run]) -> str:
@@ -40,7 +77,7 @@ def page(runs: Sequence[Run]) -> str:
     several = comparison.section(runs, summaries) if len(runs) > 1 else ""
     body = several + "\n".join(_run(run, summary) for run, summary in zip(runs, summaries, strict=True))
     return (
-        f'<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n<title>{title}</title>\n'
+        f'<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n{_mark(runs)}\n<title>{title}</title>\n'
         f'<meta name="viewport" content="width=device-width, initial-scale=1">\n<style>\n{style}</style>\n</head>\n'
         f"<body>\n{body}\n<footer>Made by softrig from the archive; nothing in this page is loaded from elsewhere."
         "</footer>\n</body>\n</html>\n"

@@ -5,13 +5,14 @@ from __future__ import annotations
 import re
 import shlex
 from collections.abc import Iterator
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import pytest
 import typer
 
-from rig.cli.app import app
+from rig.cli.app import app, main
 
 ROOT = Path(__file__).parents[2]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
@@ -30,6 +31,16 @@ def code(text: str) -> Iterator[str]:
     for block in re.findall(r"```\w*\n(.*?)```", text, re.DOTALL):
         yield from block.replace("\\\n", " ").splitlines()
     yield from re.findall(r"`([^`\n]+)`", re.sub(r"```.*?```", "", text, flags=re.DOTALL))
+
+
+def shell_commands(text: str) -> Iterator[list[str]]:
+    """The `rig` commands of the fenced shell blocks, as words; lines that go on are one, comments are left out."""
+    for language, block in re.findall(r"^ *```(\w*)\n(.*?)^ *```", text, re.DOTALL | re.MULTILINE):
+        for line in block.replace("\\\n", " ").splitlines():
+            for part in re.split(r"; do |; ", line) if language in ("", "sh") and "rig " in line else ():
+                words = shlex.split(part, comments=True)
+                if words[:1] == ["rig"]:
+                    yield words[1:]
 
 
 def slug(heading: str) -> str:
@@ -77,3 +88,62 @@ def test_every_target_and_program_that_is_shown_exists(page: Path) -> None:
         for module in re.findall(rf"python -m ((?:{ROOMS})[\w.]*)", words):
             there = ROOT / module.replace(".", "/")
             assert there.with_suffix(".py").exists() or (there / "__main__.py").exists(), words
+
+
+def test_every_shell_command_can_be_pasted(page: Path) -> None:
+    """It parses as it stands, and has no word that the reader must replace."""
+    for words in shell_commands(page.read_text()):
+        said = " ".join(words)
+        for word in words:
+            assert ".." not in word, said
+            assert not re.fullmatch(r"<.*>|[A-Z][A-Z0-9_]+(\.\w+)?|[A-Z]", word), said
+        command, rest = RIG, list(words)
+        while hasattr(command, "commands"):
+            command = command.commands[rest.pop(0)]
+        command.make_context(words[0], rest)
+
+
+def test_shell_commands_that_need_nothing_run_as_they_stand(
+    page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.delenv("SOFTRIG_RIG", raising=False)
+    monkeypatch.chdir(tmp_path)
+    for words in shell_commands(page.read_text()):
+        if words[0] in ("protocols", "check", "init", "runs") and "--rig" not in words:
+            with pytest.raises(SystemExit) as left:
+                main(list(words))
+            assert left.value.code == 0, capsys.readouterr().err
+
+
+def commands(command: Any, name: str = "rig") -> Iterator[tuple[str, Any]]:
+    """Every command of the tree with its full name."""
+    yield name, command
+    for word, below in getattr(command, "commands", {}).items():
+        yield from commands(below, f"{name} {word}")
+
+
+def test_help_shows_every_option_with_its_brackets() -> None:
+    bracketed = 0
+    for name, command in commands(RIG):
+        context = typer.Context(command, info_name=name, terminal_width=200, max_content_width=200)
+        shown = " ".join(command.get_help(context).split())
+        for option in command.params:
+            for told in re.findall(r"\[[^]]*\]", getattr(option, "help", None) or ""):
+                assert told in shown, (name, option.name)
+                bracketed += 1
+        assert command.rich_markup_mode is None, name
+    assert bracketed >= 5
+
+
+def test_the_version_is_that_of_the_package(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as left:
+        main(["--version"])
+    assert left.value.code == 0
+    assert capsys.readouterr().out == f"softrig {version('softrig')}\n"
+
+
+def test_check_says_that_nothing_is_wrong(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as left:
+        main(["check", "ramp-a", "--rig", "mock"])
+    assert left.value.code == 0
+    assert capsys.readouterr().out.splitlines()[-1] == "nothing is wrong: rig mock can run ramp-a"

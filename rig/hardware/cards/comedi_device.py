@@ -315,11 +315,12 @@ def closed(path: str) -> CardError | None:
     try:
         os.close(os.open(path, os.O_RDWR))
     except OSError as error:
-        return _why_closed(path, error)
+        return why_closed(path, error)
     return None
 
 
-def _why_closed(path: str, error: OSError) -> CardError:
+def why_closed(path: str, error: OSError) -> CardError:
+    """What kept a device from being opened, and what to do."""
     if error.errno == errno.ENOENT:
         present = ", ".join(device_paths()) or "none"
         return CardError(

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.hardware.cards.base import CardBusyError, CardError, CardSetup, Scans
+from rig.hardware.runtime_folder import open_private
 from rig.simulator.converter import sixteen_bits
 from rig.simulator.registers import Registers, path_of
 
@@ -90,13 +91,16 @@ class MockCard:
 def _only_opener(device: str) -> int:
     """Be the only process in a device for as long as the descriptor is open; the kernel closes it for the dead."""
     door = path_of(device).with_suffix(".door")
-    descriptor = os.open(door, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+    try:
+        descriptor = open_private(door, os.O_RDWR | os.O_CREAT)
+    except OSError as error:
+        raise CardError(f"mock card {device}: {door}: {error.strerror or error}") from error
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
-        holder = os.pread(descriptor, 20, 0).decode()
+        holder = os.pread(descriptor, 20, 0).decode(errors="replace")
         os.close(descriptor)
-        raise CardBusyError(f"mock card {device}", (int(holder),) if holder else ()) from None
+        raise CardBusyError(f"mock card {device}", (int(holder),) if holder.isdecimal() else ()) from None
     os.ftruncate(descriptor, 0)
     os.pwrite(descriptor, str(os.getpid()).encode(), 0)
     return descriptor

@@ -86,7 +86,7 @@ FAULTS = [
     (("type: flow", "type: flwo"), "valves #1, type", "one of flow, pressure"),
     (("- type: flow\n    ", "- "), "valves #1, type", "is missing"),
     (("type: flow", "type: pressure\n    span_bar: [0, 0.5]"), "valves #1, dead_zone_V", "one of type, actuators"),
-    (("pressure_bar: 0.7", "pressure_bar: 70000"), "limits, pressure_bar", "up to 100 (bar)"),
+    (("pressure_bar: 0.7", "pressure_bar: 70000"), "limits, pressure_bar", "up to 10 (bar)"),
     (("stale_s: [0-9.]+", "stale_s: 0.005"), "limits, stale_s", "at least two control steps"),
     (("no_tip_s: [0-9.]+", "no_tip_s: 1.0\n  hung_s: 0.01"), "limits, hung_s", "at least three control steps"),
     (("sampling_hz: 1000", "sampling_hz: 100"), "cards, daq, sampling_hz", "each control step needs a sample"),

@@ -88,18 +88,20 @@ def test_a_card_has_one_lock_by_its_node_a_link_to_it_and_its_boards_name(
     monkeypatch.setattr(lock, "comedi", lambda: ComediModule("0.7.76", boards, ()))
     link = tmp_path / "card"
     link.symlink_to("/dev/comedi0")
-    node = lock_file(comedi_card("/dev/comedi0"))
-    assert lock_file(comedi_card(str(link))) == node
-    assert lock_file(comedi_card("PCI1716")) == node
-    assert lock_file(comedi_card("comedi_test")) == lock_file(comedi_card("/dev/comedi1"))
-    assert lock_file(comedi_card("another")) != node
+    for place in (lock_file, lock.device_node):
+        node = place(comedi_card("/dev/comedi0"))
+        assert place(comedi_card(str(link))) == node
+        assert place(comedi_card("PCI1716")) == node
+        assert place(comedi_card("comedi_test")) == place(comedi_card("/dev/comedi1"))
+        assert place(comedi_card("another")) != node
 
 
-def test_the_lock_lies_in_the_same_place_wherever_a_program_keeps_its_temporary_files(
+def test_the_lock_lies_in_the_same_place_whatever_the_environment_says(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     before = lock_file(comedi_card("/dev/comedi0"))
-    monkeypatch.setattr(lock.tempfile, "tempdir", str(tmp_path))
+    for name in ("TMPDIR", "XDG_RUNTIME_DIR", "HOME"):
+        monkeypatch.setenv(name, str(tmp_path))
     assert lock_file(comedi_card("/dev/comedi0")) == before
 
 

@@ -18,6 +18,7 @@ from hypothesis import strategies as st
 from rig.control.protocol_position import ProtocolPosition, skip
 from rig.execution.plan import StartError
 from rig.experiment import run as experiment
+from rig.hardware import runtime_folder
 from rig.live.client_session import ClientSession, connect, running_runs
 from rig.realtime.control_socket import ControlSocket, socket_paths
 from rig.realtime.operator_commands import Command, CommandHandler, CommandResult, OperatorCommand
@@ -140,7 +141,7 @@ def conducted(
     plan: experiment.Plan, memory: SharedState, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> Iterator[Conducted]:
     """A run's door, in a folder of its own."""
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    monkeypatch.setattr(runtime_folder, "BASE", tmp_path)
     conducted = Conducted(plan, memory)
     yield conducted
     conducted.close()
@@ -218,10 +219,9 @@ def test_a_door_that_a_dead_run_left_is_no_run(conducted: Conducted, tmp_path: P
 
 
 def test_a_folder_that_others_can_enter_is_not_used(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
-    (tmp_path / "softrig").mkdir(mode=0o755)
-    (tmp_path / "softrig").chmod(0o755)
-    with pytest.raises(PermissionError, match="alone"):
+    monkeypatch.setattr(runtime_folder, "BASE", tmp_path)
+    socket_paths().chmod(0o755)
+    with pytest.raises(PermissionError, match="only this user can enter"):
         socket_paths()
 
 

@@ -21,6 +21,7 @@ import pytest
 from rig.control import regulator
 from rig.execution.plan import NullOperator, Outcome, Plan, StartError
 from rig.experiment import run as experiment
+from rig.hardware import runtime_folder
 from rig.hardware.bench import BenchScans
 from rig.hardware.cards.base import CardError
 from rig.realtime import child_process, control_process, supervisor
@@ -311,7 +312,7 @@ def test_valves_that_do_not_stand_safe_at_the_end_are_not_called_safe_though_it_
 def test_the_doors_of_killed_runs_are_cleared_away_and_those_of_others_stay(
     plan: Plan, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    monkeypatch.setattr(runtime_folder, "BASE", tmp_path)
     memory = SharedState.create(StateLayout.of(plan.config))
     with (
         socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as left,

@@ -1,0 +1,92 @@
+"""`rig init`: a rig file to start from, in which every section says what it is for."""
+
+from __future__ import annotations
+
+import re
+import textwrap
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from rig.cli.options import Replace
+
+EXPLAINED = {
+    "name": "The rig's name. It appears in reports, file names and archives. Letters, digits, '-' and '_'.",
+    "description": "One line for people.",
+    "calibrations": "Files that `rig calibrate` has written. They replace what is stated below.",
+    "cards": "Data-acquisition cards. The name before the braces is yours; valves and sensors refer to "
+    "it. `outputs` and `inputs` are the analogue channels that the card has. Drivers: comedi (a "
+    "real card) and mock (simulated).",
+    "valves": "One valve for each actuator; a valve may drive several. `type: flow` meters flow and needs "
+    "the program's pressure regulator; `type: pressure` is a regulator that takes a set-point "
+    "voltage. `closed_V` is where all ports are shut (5 V by default). `safe_state` says what "
+    "happens when a run ends: vent (default) or hold.",
+    "sensors": "One pressure sensor for each actuator. Gauge pressure is linear in voltage from `span_V` "
+    "to `span_bar`; both are 0 to 10 by default.",
+    "limits": "What no protocol may ask for and no sample may show. A run that leaves them ends, and the "
+    "valves go to their safe state. `pressure_bar` is the highest pressure that the arm may "
+    "see: set it before the first run.",
+    "control": "The pressure regulator: its rate, the closed loop's bandwidth, the integration time, and "
+    "the volume of one chamber with its tube.",
+    "cameras": "Cameras that see the board at the arm's tip. `lens` comes from `rig calibrate camera`. "
+    "`placement` is the camera (x right, y down, z forward) in the rod-base frame, "
+    "`rotation_deg` a rotation vector. Drivers: opencv, realsense, mock.",
+    "board": "The checkerboard on the end cap: its squares, not its inner corners. `placement` is its "
+    "centre in the tip frame; `rig calibrate tool` finds it.",
+    "arm": "The manipulator: geometry as built, material from `rig identify`, mass of the end cap.",
+    "model": "The model that runs beside the rig, and whether it is static or dynamic.",
+    "recording": "Which pictures are kept, and how.",
+    "simulator": "What stands behind the mock devices: the true valves, chambers, sensors and material. Its "
+    "numbers differ from the model's on purpose. A rig without a mock device has no such "
+    "section.",
+}
+"""Of each section of a rig file, what it is for."""
+
+_HEAD = """\
+# The rig: what this bench consists of. Every key has its unit in its name; docs/rig-yaml.md explains each.
+# `rig` commands in this folder use this file, unless --rig or the variable SOFTRIG_RIG names another.
+# Change it, then run: rig check ramp-a
+"""
+_WIDTH = 110
+_SECTION = re.compile(r"([a-z_]+):")
+
+
+class Template(StrEnum):
+    """Rigs that come with the program."""
+
+    MOCK = "mock"
+    MOCK_STEREO = "mock-stereo"
+    PCI1716 = "pci1716"
+
+
+def commented(text: str) -> str:
+    """A rig's YAML with every section explained, and without the comments at its head."""
+    lines = text.splitlines()
+    while lines and (lines[0].startswith("#") or not lines[0]):
+        lines.pop(0)
+    out = [_HEAD]
+    for line in lines:
+        if (section := _SECTION.match(line)) and section[1] in EXPLAINED:
+            if not out[-1].startswith("#") and section[1] != "description":
+                out.append("")
+            out += [f"# {part}" for part in textwrap.wrap(EXPLAINED[section[1]], _WIDTH)]
+        out.append(line)
+    return re.sub(r"\n{3,}", "\n\n", "\n".join(out)) + "\n"
+
+
+def init(
+    like: Annotated[Template, typer.Option(help="The rig that comes nearest to yours.")] = Template.MOCK,
+    to: Annotated[Path, typer.Option("--to", metavar="FILE", help="The file to write.")] = Path("softrig.yaml"),
+    replace: Replace = False,
+) -> None:
+    """Write a commented rig file to start from."""
+    from rig.config.loader import path_of
+    from runs.overwriting import refuse_existing
+
+    refuse_existing([to], replace=replace)
+    text = commented(path_of(like).read_text(encoding="utf-8"))
+    to.parent.mkdir(parents=True, exist_ok=True)
+    to.write_text(text, encoding="utf-8")
+    typer.echo(to)

@@ -1,0 +1,50 @@
+"""`rig vent`: from a rig's name, or from the experiments that run, to vented chambers."""
+
+from __future__ import annotations
+
+import typer
+
+from rig.config.loader import load, named_rig
+from rig.config.schema import RigConfig
+from rig.hardware.cards.base import CardError
+from rig.hardware.lock import described, locked_devices, running_rigs
+from rig.hardware.vent import vent as vent_rig
+
+NOTHING = "nothing to vent: --rig, SOFTRIG_RIG or softrig.yaml here names no rig, and no experiment of this user runs"
+
+
+def vent(option: str | None) -> None:
+    """Vent the rig that is named, or else every rig that a running experiment of this user holds.
+
+    Raises:
+        BadInput: the rig that is named.
+        CardError: a rig cannot be vented or stay so; the others are.
+        typer.Exit: status 2, there is nothing to vent.
+    """
+    if (chosen := named_rig(option)) is not None:
+        config = load(chosen.name)
+        vent_rig(config)
+        typer.echo(f"{_vented(config)}; rig chosen by {chosen.source}")
+        return
+    running = running_rigs()
+    if not running:
+        typer.echo(NOTHING, err=True)
+        for node, pid in locked_devices():
+            typer.echo(f"{node} is held by {described(pid)}: name its rig with --rig", err=True)
+        raise typer.Exit(2)
+    failures = []
+    for held in running:
+        try:
+            vent_rig(held.config)
+        except CardError as error:
+            failures.append(f"rig {held.config.name}: {error}")
+        else:
+            typer.echo(f"{_vented(held.config)}; it was held by process {held.pid}, {held.purpose}")
+    if failures:
+        raise CardError("; ".join(failures))
+
+
+def _vented(config: RigConfig) -> str:
+    mock = all(card.driver == "mock" for card in config.cards.values())
+    simulated = " (simulated: no hardware was touched)" if mock else ""
+    return f"every chamber of rig {config.name} is open to the exhaust{simulated}"

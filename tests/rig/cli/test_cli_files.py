@@ -1,0 +1,178 @@
+"""Which run a name means, and that no command writes over a file that it did not make for the same purpose."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import pytest
+
+import tests.support.synthetic_runs as made_up
+from rig.cli.app import main
+from rig.cli.archive_output import resolve
+from runs.archive.writer import ArchiveError, finalise
+from runs.export.exporters import FORMATS, export
+from runs.journal.journal import JournalWriter
+from runs.overwriting import WouldOverwrite, staged
+from runs.records import RunFooter, Status
+from runs.report import figure_export
+from runs.report import page as report
+
+FIRST, SECOND = "20260102-030405-ramp-a", "20260103-030405-sine-1"
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("made") / "data"
+    folder.mkdir()
+    for day, run_id in enumerate((SECOND, FIRST)):
+        header = made_up.header(run_id, 1.0)
+        # The one that sorts first by name began last.
+        object.__setattr__(header, "started_utc_ns", header.started_utc_ns + day * 86_400_000_000_000)
+        writer = JournalWriter(folder / f"{run_id}.mcap", header)
+        writer.samples(made_up.samples(1.0))
+        writer.observations(made_up.observations(1.0))
+        writer.close(RunFooter(header.started_t_ns + 10**9, Status.FINISHED, ""))
+        finalise(folder / f"{run_id}.mcap")
+    return folder
+
+
+@pytest.fixture
+def data(made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A data folder with two runs, below the current one."""
+    shutil.copytree(made, tmp_path / "data")
+    monkeypatch.chdir(tmp_path)
+    return Path("data")
+
+
+def inside(*arguments: str | Path) -> int:
+    with pytest.raises(SystemExit) as left:
+        main([*map(str, arguments)])
+    assert isinstance(left.value.code, int)
+    return left.value.code
+
+
+@pytest.mark.parametrize(
+    ("name", "run"),
+    [
+        ("last", FIRST),
+        ("ramp-a", FIRST),
+        ("20260103", SECOND),
+        (FIRST, FIRST),
+        (f"data/{SECOND}", SECOND),
+        (f"data/{SECOND}.h5", SECOND),
+    ],
+)
+def test_a_run_is_named_by_its_path_its_id_a_unique_part_of_it_or_last(data: Path, name: str, run: str) -> None:
+    assert resolve(Path(name)) == data / f"{run}.h5"
+
+
+def test_a_part_that_several_runs_have_in_their_id_is_refused_and_names_them(data: Path) -> None:
+    with pytest.raises(ArchiveError, match=rf"2 runs .*{FIRST}, {SECOND}"):
+        resolve(Path("030405"))
+    with pytest.raises(ArchiveError, match="no such archive"):
+        resolve(Path("ramp-b"))
+    with pytest.raises(ArchiveError, match="no such archive"):
+        resolve(Path("elsewhere/ramp-a"))
+    (data / "ramp-a.h5").write_bytes((data / f"{SECOND}.h5").read_bytes())
+    assert resolve(Path("ramp-a")) == data / "ramp-a.h5"
+
+
+def test_last_of_an_empty_folder_is_no_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    for name in ("last", "20260102"):
+        with pytest.raises(ArchiveError, match="no such archive"):
+            resolve(Path(name))
+
+
+def test_a_comparison_leaves_the_reports_of_its_runs_alone(data: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert inside("report", "last") == 0
+    own = (data / f"{FIRST}.html").read_bytes()
+    assert inside("report", "ramp-a", "sine-1") == 0
+    assert (data / f"{FIRST}.html").read_bytes() == own
+    assert (data / f"{FIRST}-and-{SECOND}.html").exists()
+    capsys.readouterr()
+    # The same again is the same purpose.
+    assert inside("report", "last") == 0
+    assert inside("report", "ramp-a", "sine-1") == 0
+
+
+def test_a_report_is_not_written_over_another_page(data: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    Path("notes.html").write_text("mine")
+    assert inside("report", "last", "--to", "notes.html") == 2
+    said = capsys.readouterr().err
+    assert "notes.html exists" in said
+    assert "--replace" in said
+    assert Path("notes.html").read_text() == "mine"
+    assert inside("report", "sine-1", "--to", "one.html") == 0
+    assert inside("report", "ramp-a", "--to", "one.html") == 2
+    assert inside("report", "ramp-a", "--to", "one.html", "--replace") == 0
+
+
+@pytest.mark.parametrize("form", FORMATS)
+def test_an_export_is_written_over_no_file_without_consent(data: Path, form: str) -> None:
+    archive = data / f"{FIRST}.h5"
+    written = export(archive, form)
+    for file in written:
+        file.write_text("mine")
+    with pytest.raises(WouldOverwrite, match="--replace"):
+        export(archive, form)
+    assert all(file.read_text() == "mine" for file in written)
+    assert {path.name for path in export(archive, form, replace=True)} == {path.name for path in written}
+    assert all(file.read_bytes() != b"mine" for file in written)
+    assert not list(data.glob(".writing-*"))
+    assert inside("export", archive, "--to", form) == 2
+
+
+def test_figures_are_written_over_no_file_without_consent(data: Path) -> None:
+    folder = Path("figures")
+    folder.mkdir()
+    (folder / f"{FIRST}-error.svg").write_text("mine")
+    names = {path.name for path in figure_export.write([data / f"{FIRST}.h5"], Path("other"), "svg")}
+    (folder / sorted(names)[0]).write_text("mine")
+    with pytest.raises(WouldOverwrite):
+        figure_export.write([data / f"{FIRST}.h5"], folder, "svg")
+    assert (folder / sorted(names)[0]).read_text() == "mine"
+    figure_export.write([data / f"{FIRST}.h5"], folder, "svg", replace=True)
+    assert (folder / sorted(names)[0]).read_text() != "mine"
+
+
+@pytest.mark.parametrize("option", ["--to", "--report", "--figure", "--rig-file"])
+def test_identify_refuses_an_existing_file_before_it_computes(
+    data: Path, option: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = Path("mine.png" if option == "--figure" else "mine.yaml")
+    file.write_text("mine")
+    assert inside("identify", "last", "--leave-out", "sine-1", option, file) == 2
+    assert f"{file} exists" in capsys.readouterr().err
+    assert file.read_text() == "mine"
+
+
+def test_reproduce_writes_over_its_own_page_alone(tmp_path: Path) -> None:
+    from rig.reproduce.page import write
+
+    assert write(tmp_path / "paper", [], [], ["said"]) == write(tmp_path / "paper", [], [], ["again"])
+    (tmp_path / "paper.html").write_text("mine")
+    with pytest.raises(WouldOverwrite):
+        write(tmp_path, [], [], ["said"])
+    assert (tmp_path / "paper.html").read_text() == "mine"
+    write(tmp_path, [], [], ["said"], replace=True)
+    assert "said" in (tmp_path / "paper.html").read_text()
+
+
+def test_of_several_files_none_is_written_where_one_may_not_be(tmp_path: Path) -> None:
+    (tmp_path / "b").write_text("mine")
+
+    def write() -> None:
+        with staged(tmp_path) as stage:
+            (stage / "a").write_text("new")
+            (stage / "b").write_text("new")
+
+    with pytest.raises(WouldOverwrite, match="b exists"):
+        write()
+    assert [path.name for path in tmp_path.iterdir()] == ["b"]
+
+
+def test_a_comparison_of_many_runs_has_a_name_that_fits(data: Path) -> None:
+    many = [data / f"{FIRST}.h5", data / f"{SECOND}.h5", data / "third.h5"]
+    assert report.default_path(many).name == f"{FIRST}-and-2-others.html"

@@ -1,0 +1,214 @@
+"""Which rig a command uses, what `rig vent` does without one, and the file that `rig init` writes."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+import yaml
+
+import rig.cli.vent
+import rig.hardware.vent
+import runs
+from rig.cli.app import main
+from rig.cli.init import EXPLAINED, Template, commented
+from rig.config import loader
+from rig.config.loader import Source, chosen_rig, named_rig
+from rig.config.schema import RigConfig
+from rig.hardware import runtime_folder
+from rig.hardware.cards.base import CardError
+from rig.hardware.lock import cards_locked
+from rig.realtime import scheduling
+from rig.simulator.registers import Registers
+
+BRIEF = "title: Brief\nsteps:\n  - ramp: {actuators: [1], to_bar: 0.1, duration_s: 0.3}\n"
+
+
+@pytest.fixture(autouse=True)
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """An empty folder to stand in, no variable, no running experiment."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv("SOFTRIG_RIG", raising=False)
+    monkeypatch.setattr(scheduling, "raise_priority", lambda: None)  # this process keeps its priority
+    (tmp_path / "shared").mkdir(mode=0o700)
+    monkeypatch.setattr(runtime_folder, "BASE", tmp_path / "shared")
+    return tmp_path
+
+
+def inside(*arguments: str | Path) -> int:
+    with pytest.raises(SystemExit) as left:
+        main([*map(str, arguments)])
+    assert isinstance(left.value.code, int)
+    return left.value.code
+
+
+def write_rig(file: str, name: str) -> None:
+    Path(file).write_text(loader.text("mock").replace("name: mock\n", f"name: {name}\n"))
+
+
+def test_the_rig_comes_from_the_option_the_variable_the_folder_and_then_the_default(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    assert named_rig(None) is None
+    assert chosen_rig(None) == loader.RigChoice("mock", Source.DEFAULT)
+    write_rig("softrig.yaml", "folder")
+    assert chosen_rig(None) == loader.RigChoice("softrig.yaml", Source.FOLDER)
+    monkeypatch.setenv("SOFTRIG_RIG", "mock-stereo")
+    assert chosen_rig(None) == loader.RigChoice("mock-stereo", Source.ENVIRONMENT)
+    assert chosen_rig("pci1716") == loader.RigChoice("pci1716", Source.OPTION)
+    monkeypatch.setenv("SOFTRIG_RIG", "")
+    assert chosen_rig(None).source is Source.FOLDER
+
+
+@pytest.mark.parametrize("source", [Source.ENVIRONMENT, Source.FOLDER, Source.DEFAULT])
+def test_screen_and_record_say_what_chose_the_rig(
+    source: Source, here: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    if source is Source.ENVIRONMENT:
+        write_rig("bench.yaml", "chosen")
+        monkeypatch.setenv("SOFTRIG_RIG", "bench.yaml")
+    elif source is Source.FOLDER:
+        write_rig("softrig.yaml", "chosen")
+    (here / "brief.yaml").write_text(BRIEF)
+    assert inside("run", "brief.yaml", "--fast", "--yes", "--no-report") == 0
+    assert f"chosen by {source}" in capsys.readouterr().out
+    (archive,) = Path("data").glob("*.h5")
+    run = runs.open(archive)
+    assert run.header.rig_name == ("mock" if source is Source.DEFAULT else "chosen")
+    said = [event.message for event in run.events if "chosen by" in event.message]
+    assert len(said) == (0 if source is Source.DEFAULT else 1)
+    assert all(str(source) in line and str(here) in line for line in said)
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("check", "ramp-a"),
+        ("run", "ramp-a", "--fast", "--yes"),
+        ("simulate", "ramp-a"),
+        ("vent",),
+        ("doctor",),
+        ("calibrate", "tool", "--live"),
+        ("calibrate", "pressure", "--fast", "--yes"),
+        ("calibrate", "camera", "--live", "--corners", "6x5", "--square-mm", "8"),
+    ],
+    ids=" ".join,
+)
+def test_a_rig_that_the_folder_or_the_variable_names_wrongly_is_not_replaced_by_the_simulated_one(
+    arguments: tuple[str, ...], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    Path("softrig.yaml").symlink_to("gone.yaml")
+    assert inside(*arguments) == 2
+    assert "softrig.yaml" in capsys.readouterr().err
+    monkeypatch.setenv("SOFTRIG_RIG", "mook")
+    assert inside(*arguments) == 2
+    said = capsys.readouterr().err
+    assert "mook: SOFTRIG_RIG" in said
+    assert "did you mean mock?" in said
+
+
+def test_vent_without_a_rig_and_with_nothing_running_says_so_and_returns_2(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert inside("vent") == 2
+    said = capsys.readouterr()
+    assert "nothing to vent" in said.err
+    assert said.out == ""
+
+
+@pytest.fixture
+def two_cards() -> Iterator[list[tuple[RigConfig, Registers]]]:
+    made = []
+    for number in (1, 2):
+        text = loader.text("mock").replace("name: mock\n", f"name: bench{number}\n")
+        device = f"chosen-{os.getpid()}-{number}"
+        registers = Registers.create(device, 2, 8)
+        registers.outputs["volts"] = 7.0
+        made.append((loader.parse(text.replace("device: mock0", f"device: {device}"), "rig.yaml"), registers))
+    yield made
+    for _, registers in made:
+        registers.close()
+
+
+def test_vent_without_a_rig_vents_those_that_run_and_no_other(
+    two_cards: list[tuple[RigConfig, Registers]],
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    (running, first), (_, second) = two_cards
+    monkeypatch.setattr(rig.hardware.vent.os, "kill", lambda pid, number: None)
+    with cards_locked(running, "protocol ramp-a"):
+        assert inside("vent") == 0
+    said = capsys.readouterr().out
+    assert "every chamber of rig bench1 is open to the exhaust" in said
+    assert "protocol ramp-a" in said
+    assert first.outputs["volts"].tolist() == [0.0, 0.0]
+    assert second.outputs["volts"].tolist() == [7.0, 7.0]
+
+
+def test_a_running_rig_that_cannot_be_vented_keeps_no_other_from_it(
+    two_cards: list[tuple[RigConfig, Registers]],
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    (one, _), (other, registers) = two_cards
+    monkeypatch.setattr(rig.hardware.vent.os, "kill", lambda pid, number: None)
+
+    def vented(config: RigConfig) -> None:
+        if config.name == one.name:
+            raise CardError("the card is gone")
+        rig.hardware.vent.vent(config)
+
+    monkeypatch.setattr(rig.cli.vent, "vent_rig", vented)
+    with cards_locked(one, "one"), cards_locked(other, "other"):
+        # Both are of this process, and the later record names the rig that is found.
+        assert inside("vent") == 0
+    assert registers.outputs["volts"].tolist() == [0.0, 0.0]
+    with cards_locked(one, "one"):
+        assert inside("vent") == 1
+    assert "rig bench1: the card is gone" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("like", Template)
+def test_init_writes_a_rig_that_says_of_every_section_what_it_is_for(
+    like: Template, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert inside("init", "--like", like) == 0
+    text = Path("softrig.yaml").read_text()
+    assert loader.load("softrig.yaml") == loader.load(like)
+    sections = yaml.safe_load(text)
+    assert sections.keys() <= EXPLAINED.keys()
+    lines = text.splitlines()
+    for section in sections:
+        at = next(i for i, line in enumerate(lines) if line.startswith(f"{section}:"))
+        assert lines[at - 1].startswith("# "), section
+    assert max(map(len, lines)) <= 120
+    capsys.readouterr()
+    assert inside("check", "ramp-a", "--json") == 0
+    assert json.loads(capsys.readouterr().out)["rig_source"] == str(Source.FOLDER)
+
+
+def test_init_explains_every_section_that_a_rig_can_have() -> None:
+    assert EXPLAINED.keys() == RigConfig.model_fields.keys()
+    assert set(Template) == {path.stem for path in loader.FOLDER.glob("*.yaml")}
+    assert "docs/schemas" not in commented(loader.text("mock"))
+
+
+@pytest.mark.parametrize("kind", ["file", "broken link"])
+def test_init_writes_over_nothing_without_consent(kind: str, capsys: pytest.CaptureFixture[str]) -> None:
+    if kind == "file":
+        Path("softrig.yaml").write_text("mine")
+    else:
+        Path("softrig.yaml").symlink_to("elsewhere")
+    assert inside("init") == 2
+    said = capsys.readouterr().err
+    assert "softrig.yaml exists" in said
+    assert "--replace" in said
+    assert not Path("elsewhere").exists()
+    if kind == "file":
+        assert Path("softrig.yaml").read_text() == "mine"
+        assert inside("init", "--replace") == 0
+        assert loader.load("softrig.yaml").name == "mock"

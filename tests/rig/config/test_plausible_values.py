@@ -1,0 +1,113 @@
+"""Values that no arm has are refused with their line; what passes the check runs or ends with a sentence."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+
+import numpy as np
+import pytest
+import yaml
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from model import Arm, Material
+from protocols import BadInputError
+from rig.config import loader
+from rig.hardware.cards.base import CardError
+from rig.simulator.plant import Plant
+
+MOCK = loader.text("mock")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "where", "expected"),
+    [
+        ("cap_mass_g: 52", "cap_mass_g: 52000", "simulator, cap_mass_g", "0 to 5000 (g)"),
+        ("youngs_modulus_pa: 289142.05", "youngs_modulus_pa: 0.289", "youngs_modulus_pa", "1000 to 1"),
+        ("length_mm: 170", "length_mm: 170000", "length_mm", "0.01 to 10000 (mm)"),
+        ("pressure_bar: 0.7", "pressure_bar: 70", "limits, pressure_bar", "up to 10 (bar)"),
+        ("cx_px: 320", "cx_px: 100", "lens, cx_px", "160 to 480 px"),
+        ("cy_px: 240", "cy_px: 470", "lens, cy_px", "120 to 360 px"),
+        ("fx_px: 620", "fx_px: 4.2", "lens, fx_px", "64 to 32000 px"),
+    ],
+)
+def test_a_value_that_no_arm_has_is_refused_with_its_line_and_range(
+    old: str, new: str, where: str, expected: str
+) -> None:
+    assert old in MOCK
+    text = MOCK.replace(old, new, 1)
+    with pytest.raises(BadInputError) as refused:
+        loader.parse(text, "rig.yaml")
+    problem = refused.value.problems[0]
+    assert where in problem.where
+    assert expected in problem.expected
+    assert new.split(": ")[1] in text.splitlines()[problem.line - 1]
+
+
+def test_a_simulated_arm_that_cannot_stand_is_told_of_in_a_sentence() -> None:
+    text = MOCK.replace("cap_mass_g: 52", "cap_mass_g: 5000").replace("a1_per_N: 0.00765", "a1_per_N: 5")
+    with pytest.raises(CardError, match="cannot carry its own weight"):
+        Plant(loader.parse(text, "rig.yaml"), 0, 0)
+
+
+@pytest.mark.parametrize(
+    ("pressure", "said"),
+    [
+        ([0.65, 0.0, 0.0], "look like bar"),
+        (np.array([0.65, 0.3, 0.3]), "look like bar"),
+        ([-2e5, 0.0, 0.0], "below vacuum"),
+        ([6.5e9, 0.0, 0.0], "converted twice"),
+    ],
+)
+def test_pressures_in_another_unit_are_refused(pressure: list[float], said: str) -> None:
+    with pytest.raises(ValueError, match=said):
+        Arm.paper().statics(pressure)
+    if said != "converted twice":
+        assert Arm.paper().statics(pressure, doubt_units=False).ok
+
+
+@pytest.mark.parametrize("pressure", [[0, 0, 0], [65000.0, 0, 0], [0.0, 0.123456, 3.2], [15.26, 0, 0], [-3.0, 0, 0]])
+def test_pressures_in_pascal_are_taken_however_small(pressure: list[float]) -> None:
+    assert Arm.paper().statics(pressure).ok
+
+
+def test_a_modulus_in_another_unit_is_refused() -> None:
+    with pytest.raises(ValueError, match="kPa or MPa"):
+        Material(0.289, 0.0074, 0.0003, 0.05, 0.41)
+
+
+def _numbers(node: object, path: tuple[str | int, ...] = ()) -> list[tuple[str | int, ...]]:
+    """Paths of every number of a part of a YAML."""
+    if isinstance(node, dict):
+        return [found for key, child in node.items() for found in _numbers(child, (*path, key))]
+    if isinstance(node, list):
+        return [found for i, child in enumerate(node) for found in _numbers(child, (*path, i))]
+    return [path] if isinstance(node, int | float) and not isinstance(node, bool) else []
+
+
+RIG = yaml.safe_load(MOCK)
+PLACES = [path for part in ("simulator", "arm", "valves", "control", "limits") for path in _numbers(RIG[part], (part,))]
+
+
+@settings(max_examples=40, suppress_health_check=list(HealthCheck), deadline=None)
+@given(
+    st.lists(st.tuples(st.sampled_from(PLACES), st.sampled_from((0, 1e-6, 1e-3, 0.1, 10, 1e3, 1e6, -1))), max_size=3),
+    st.floats(0.0, 10.0),
+)
+def test_what_passes_the_check_runs_or_ends_with_a_sentence(
+    changes: list[tuple[tuple[str | int, ...], float]], volts: float
+) -> None:
+    changed = yaml.safe_load(MOCK)
+    for path, factor in changes:
+        node = changed
+        for key in path[:-1]:
+            node = node[key]
+        node[path[-1]] = float(f"{node[path[-1]] * factor:.6g}") if factor % 1 else node[path[-1]] * int(factor)
+    try:
+        config = loader.parse(yaml.safe_dump(changed), "rig.yaml")
+    except BadInputError:
+        return
+    with suppress(CardError):
+        plant = Plant(config, 0, 0)
+        plant.card("daq").write(np.full(len(config.valves), volts))
+        plant.advance(60_000_000)
