@@ -53,7 +53,7 @@ def _text_or_weight(value: Any) -> str:
 class StepPart(BaseModel):
     """A mapping of the YAML: unknown keys are errors, nothing is coerced."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, defer_build=True)
 
 
 class MotionStep(StepPart):

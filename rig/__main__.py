@@ -27,6 +27,8 @@ def _stand_in_for_closed() -> None:
 def main() -> None:
     """Load the command, then obey it."""
     _stand_in_for_closed()
+    # Pydantic would look for plugins in every installed distribution, here and in every process of a run.
+    os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
     # Ctrl-C while modules load would be an exception in any of them; nothing has begun, so the process may just end.
     loud = signal.getsignal(signal.SIGINT) is signal.default_int_handler
     if loud:

@@ -45,6 +45,6 @@ def vent(option: str | None) -> None:
 
 
 def _vented(config: RigConfig) -> str:
-    mock = all(card.driver == "mock" for card in config.cards.values())
+    mock = all(card.simulated for card in config.cards.values())
     simulated = " (simulated: no hardware was touched)" if mock else ""
     return f"every chamber of rig {config.name} is open to the exhaust{simulated}"

@@ -68,15 +68,32 @@ def chosen_rig(option: str | None) -> RigChoice:
     return named_rig(option) or RigChoice(DEFAULT, Source.DEFAULT)
 
 
+@dataclass(frozen=True)
+class RigFile:
+    """A rig's file, read once: its text with the calibrations that it names in it, and what that text says.
+
+    `sources` are the file and its calibrations, verbatim; empty where it names none.
+    """
+
+    text: str
+    config: RigConfig
+    sources: tuple[SourceFile, ...]
+
+
 def path_of(name_or_path: str | Path) -> Path:
     """The file of a rig, by the name of one that comes with the program or by its path; `BadInput` if there is none."""
     return find(str(name_or_path), FOLDER, "rig")
 
 
+def read(name_or_path: str | Path) -> RigFile:
+    """The rig of that name, or in that file; `BadInput` with everything that is wrong with it."""
+    return _with_calibrations(document.read(path_of(name_or_path)))
+
+
 def text(name_or_path: str | Path) -> str:
     """The rig's YAML: verbatim, or with the calibrations in it that it names. `BadInput` where one does not fit."""
     source = document.read(path_of(name_or_path))
-    return _with_calibrations(source)[0] if source.data.get("calibrations") else source.text
+    return _with_calibrations(source).text if source.data.get("calibrations") else source.text
 
 
 def sources(name_or_path: str | Path) -> tuple[SourceFile, ...]:
@@ -90,20 +107,20 @@ def sources(name_or_path: str | Path) -> tuple[SourceFile, ...]:
 
 
 def load(name_or_path: str | Path) -> RigConfig:
-    """The rig of that name, or in that file; `BadInput` with everything that is wrong with it."""
-    return _with_calibrations(document.read(path_of(name_or_path)))[1]
+    """The rig of that name, or in that file; `BadInput` as for `read`."""
+    return read(name_or_path).config
 
 
 def parse(text: str, file: str | Path) -> RigConfig:
-    """The rig that a YAML text describes; `file` is what its faults are reported of. `BadInput` as for `load`."""
-    return _with_calibrations(document.parse(text, str(file)))[1]
+    """The rig that a YAML text describes; `file` is what its faults are reported of. `BadInput` as for `read`."""
+    return _with_calibrations(document.parse(text, str(file))).config
 
 
 def calibrated(text: str, file: str | Path, files: Sequence[Path]) -> tuple[str, tuple[SourceFile, ...]]:
     """A rig's YAML with calibration files in it besides those that it names, and what it was made of.
 
     Raises:
-        BadInput: one of them is wrong or does not fit; see `load`.
+        BadInput: one of them is wrong or does not fit; see `read`.
     """
     from rig.config import calibration_overlay
 
@@ -115,12 +132,16 @@ def calibrated(text: str, file: str | Path, files: Sequence[Path]) -> tuple[str,
     )
 
 
-def _with_calibrations(source: document.Document) -> tuple[str, RigConfig]:
-    """A rig's YAML and what it says, with the calibrations that it names in both."""
+def _with_calibrations(source: document.Document) -> RigFile:
     config = document.validate(RigConfig, source, consistency.check)
     if not config.calibrations:
-        return source.text, config
+        return RigFile(source.text, config, ())
     from rig.config import calibration_overlay
 
-    folded = calibration_overlay.with_calibrations(source.text, config, calibration_overlay.read_all(source))
-    return folded, document.validate(RigConfig, document.parse(folded, source.file), consistency.check)
+    calibrations = calibration_overlay.read_all(source)
+    folded = calibration_overlay.with_calibrations(source.text, config, calibrations)
+    return RigFile(
+        folded,
+        document.validate(RigConfig, document.parse(folded, source.file), consistency.check),
+        calibration_overlay.sources(source, calibrations),
+    )

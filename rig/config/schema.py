@@ -95,7 +95,7 @@ VoltSpan = Annotated[tuple[Volt, Volt], AfterValidator(_rising)]
 class Section(BaseModel):
     """A mapping of the YAML: unknown keys are errors, values are never coerced from text."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, defer_build=True)
 
 
 class CardConfig(Section):

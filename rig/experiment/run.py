@@ -13,12 +13,12 @@ from contextlib import nullcontext, suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
-from typing import TypeVar, get_args
+from typing import TYPE_CHECKING, TypeVar, get_args
 
 import protocols
 from protocols import BadInputError, Problem, Protocol, Trajectory
 from protocols.problems import closest
-from rig.config.loader import RigChoice, Source, load, parse, path_of, sources, text
+from rig.config.loader import RigChoice, Source, parse, path_of, read
 from rig.config.schema import RigConfig, Variant
 from rig.execution.plan import OperatorInterface, Outcome, Plan, StartError
 from rig.experiment import report_process
@@ -26,10 +26,11 @@ from rig.experiment.preflight import check
 from rig.experiment.provenance import git_state, quantities, versions
 from rig.hardware.cards.base import CardError
 from rig.hardware.lock import cards_locked
-from runs.archive.writer import ArchiveError, finalise
 from runs.journal.append_only_file import JournalError
-from runs.journal.journal import JournalWriter
 from runs.records import Event, Interval, Level, Quantity, RunFooter, RunHeader, SourceFile, Status
+
+if TYPE_CHECKING:
+    from runs.journal.journal import JournalWriter
 
 VARIANTS: tuple[Variant, ...] = get_args(Variant)
 Loaded = TypeVar("Loaded")
@@ -102,11 +103,11 @@ def request(
     rig = rig.name if isinstance(rig, RigChoice) else rig
     problems: list[Problem] = []
     asked = _collecting(problems, protocols.load, protocol)
-    config = _collecting(problems, load, rig)
+    rig_read = _collecting(problems, read, rig)
     chosen = _collecting(problems, variant_named, variant)
-    if problems or asked is None or config is None:
+    if problems or asked is None or rig_read is None:
         raise BadInputError(problems)
-    rig_text, parameters_text = text(rig), ""
+    config, rig_text, parameters_text = rig_read.config, rig_read.text, ""
     if parameters is not None:
         from rig.config.parameters_overlay import over
 
@@ -132,7 +133,7 @@ def request(
         notes=notes,
         report=report,
         adapted=adapted,
-        sources=sources(rig),
+        sources=rig_read.sources,
         parameters_text=parameters_text,
         rig_source=source,
     )
@@ -183,6 +184,10 @@ def _run(request: RunRequest, decided: Plan, audience: OperatorInterface, draw: 
         from rig.virtual.executor import run as execute
     else:
         from rig.realtime.supervisor import run as execute
+    # HDF5 and MCAP are for runs alone: `rig check` imports neither.
+    from runs.archive.writer import ArchiveError, finalise
+    from runs.journal.journal import JournalWriter
+
     request.folder.mkdir(parents=True, exist_ok=True)
     if (free := shutil.disk_usage(request.folder).free) < SPARE_DISK_BYTES:
         raise StartError(

@@ -164,7 +164,7 @@ def _places(card: CardConfig) -> tuple[Path, ...]:
     places = []
     with suppress(OSError):
         places.append(lock_file(card))
-    if card.driver != "mock":
+    if not card.simulated:
         places.append(device_node(card))
     return tuple(places)
 
@@ -179,7 +179,7 @@ def _lock(name: str, card: CardConfig, config: RigConfig, held: list[int]) -> No
     _take(held[-1], name, card, config)
     node = device_node(card)
     # A board's name that stands for no one card is refused when the card is opened.
-    if card.driver == "mock" or not node.is_absolute():
+    if card.simulated or not node.is_absolute():
         return
     descriptor = _open_node(name, node)
     held.append(descriptor)

@@ -69,7 +69,9 @@ class _VirtualRun:
         self._skews_ns = [round(k * skew_ms * 1e6) for k in range(len(self._cameras))]
         self._album = PictureRecorder(config)
         self._observer = Observer(config, plan.variant, [quantity.name for quantity in plan.adapted])
-        # Drawing and seeing release the interpreter's lock: a thread of their own lets control go on meanwhile.
+        # Drawing and measuring release the interpreter's lock: control, drawing and measuring run side by side, each in
+        # one thread and in the order of the frames.
+        self._developer = ThreadPoolExecutor(1, thread_name_prefix="camera")
         self._looker = ThreadPoolExecutor(1, thread_name_prefix="observer")
         self._looking: deque[Future[_Look]] = deque()
         self._ticker = ControlLoop(plan, self._bench)
@@ -106,6 +108,7 @@ class _VirtualRun:
             ending = Status.ABORTED, str(error)
         finally:
             unsafe = self._make_safe()
+            self._developer.shutdown()
             self._looker.shutdown()
         self._flush(in_flight=0)
         unsafe = unsafe or self._vented(now)
@@ -177,26 +180,29 @@ class _VirtualRun:
             raise failures[0]
         ticks, self._unseen = self._samples.recent(self._unseen), 0
         weight_kg = self._plan.trajectory.weight_kg(protocol_s)
+        shot = self._developer.submit(self._develop, frame, exposures)
         self._looking.append(
             self._looker.submit(
-                self._look, frame, exposures, ticks["t_ns"].copy(), ticks["measured_pa"].copy(), protocol_s, weight_kg
+                self._look, shot, ticks["t_ns"].copy(), ticks["measured_pa"].copy(), protocol_s, weight_kg
             )
         )
 
+    def _develop(self, index: int, exposures: list[Exposure | None]) -> FrameSet:
+        frames = (
+            None if exposure is None else camera.develop(exposure)
+            for camera, exposure in zip(self._cameras.values(), exposures, strict=True)
+        )
+        return FrameSet(index, tuple(frames))
+
     def _look(
         self,
-        index: int,
-        exposures: list[Exposure | None],
+        developed: Future[FrameSet],
         t_ns: NDArray[np.int64],
         measured_pa: NDArray[np.float64],
         protocol_s: float,
         weight_kg: float,
     ) -> _Look:
-        frames = {
-            name: None if exposure is None else camera.develop(exposure)
-            for (name, camera), exposure in zip(self._cameras.items(), exposures, strict=True)
-        }
-        shot = FrameSet(index, tuple(frames.values()))
+        shot = developed.result()
         row = self._observer.step(shot, t_ns, measured_pa, protocol_s, 0, weight_kg)
         return row, self._observer.adaptation, self._album.pictures(shot, self._observer)
 

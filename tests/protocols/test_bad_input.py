@@ -11,11 +11,12 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 import protocols
-from protocols import BadInputError, Problem
+from protocols import BadInputError, Problem, source_positions
 from protocols.document import parse, read, validate
 from protocols.expansion import expand, too_long
 from protocols.schema import ProtocolFile
 
+ROOT = Path(__file__).parents[1]
 STAIRS = "{actuators: [1], start_bar: 0.15, stop_bar: 0.65, step_bar: 0.05, dwell_s: 4}"
 
 
@@ -344,3 +345,27 @@ KEYS = ("ramp", "staircase", "sine", "hold", "csv", "prompt", "sequence", "repea
 def test_any_value_for_a_step_is_taken_or_refused_with_a_message(kind: str, body: object) -> None:
     error = refusal(yaml.safe_dump({"title": "t", "steps": [{kind: body}]}, allow_unicode=True))
     assert error is None or error.problems
+
+
+def _tree(node: yaml.Node, text: str) -> object:
+    """Everything of a node that the program looks at."""
+    start = node.start_mark
+    source = " ".join(text[start.index : node.end_mark.index].split())
+    about = type(node), node.tag, start.line, start.column, source
+    if isinstance(node, yaml.ScalarNode):
+        return *about, node.value, node.style
+    if isinstance(node, yaml.SequenceNode):
+        return *about, [_tree(item, text) for item in node.value]
+    assert isinstance(node, yaml.MappingNode)
+    return *about, [(_tree(key, text), _tree(value, text)) for key, value in node.value]
+
+
+@pytest.mark.parametrize("path", sorted(ROOT.glob("rig/rigs/*.yaml")) + sorted(ROOT.glob("protocols/library/*.yaml")))
+def test_libyaml_and_pyyaml_read_a_file_alike(path: Path) -> None:
+    text = path.read_text()
+    quick = source_positions.compose(text)
+    # A tab in a comment is a sign that the two take differently elsewhere: PyYAML's own reader is used for it.
+    slow = source_positions.compose(text + "#\t")
+    assert quick is not None
+    assert slow is not None
+    assert _tree(quick, text) == _tree(slow, text)

@@ -91,6 +91,18 @@ def test_help_does_not_import_the_heavy_rooms(tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
 
 
+def test_a_check_imports_nothing_that_only_a_run_needs(tmp_path: Path) -> None:
+    program = (
+        "import sys, rig.cli.app\n"
+        "try: rig.cli.app.main(['check', 'ramp-a'])\n"
+        "except SystemExit: pass\n"
+        "heavy = {'numba', 'cv2', 'h5py', 'mcap', 'scipy', 'matplotlib'} & set(sys.modules)\n"
+        "sys.exit(', '.join(heavy) or 0)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+
+
 def test_ctrl_c_while_modules_load_ends_it_without_a_word() -> None:
     interrupted_in_an_import = (
         "import os, signal, sys\n"
