@@ -14,7 +14,7 @@ from rig.hardware.cameras.mock import MockCamera
 from rig.simulator.tip_pose import TipPose
 from tests.support.vision_bench import FRAME_NS, Sweep
 
-pytestmark = pytest.mark.alone
+pytestmark = pytest.mark.realtime
 
 
 @pytest.fixture(scope="module")

@@ -22,7 +22,7 @@ from rig.simulator import registers
 from rig.simulator.registers import Registers, path_of
 from tests.support.plant_bench import MOCK, mock_rig
 
-pytestmark = pytest.mark.alone
+pytestmark = pytest.mark.realtime
 
 COMMAND = [sys.executable, "-m", "rig.simulator.plant_process"]
 

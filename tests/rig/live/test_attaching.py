@@ -16,7 +16,7 @@ from runs.records import DetectionStatus, Status
 from tests.support.live_page import Stream, request, said
 from tests.support.rig_process import RigProcess, rig_run
 
-pytestmark = pytest.mark.alone
+pytestmark = pytest.mark.realtime
 
 HELD = """
 title: Something to find under way
