@@ -6,11 +6,14 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
+# Without compiled bytecode every process of a run or of a test compiles its sources again: seconds each.
+unexport PYTHONDONTWRITEBYTECODE
+
 help:
 	@echo "make run    run protocol ramp-a on the mock rig, in real time"
 	@echo "make test   run the tests, formatter, linter and type checker"
 	@echo "make test-realtime  run what needs a quiet machine: experiments in real time, and the page in Chromium"
-	@echo "make fuzz   search for inputs that break a property, at random and for longer (half an hour)"
+	@echo "make fuzz   search for inputs that break a property, at random and for longer"
 	@echo "make lint   only the formatter, linter and type checker"
 	@echo "make comedi build and install the binding to Comedi cards"
 	@echo "make test-hardware  drive a card and a camera of a real kernel, in a virtual machine"
