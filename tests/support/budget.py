@@ -6,7 +6,7 @@ from hypothesis import HealthCheck, settings
 
 USUAL = 100
 """Examples of a property test that states no number, in `make test`."""
-FUZZ_FACTOR = 10
+FUZZ_FACTOR = 30
 """How many times as many `make fuzz` tries."""
 
 
