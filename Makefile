@@ -1,14 +1,19 @@
 # The two commands: `make run` (the paper's experiment on the mock rig) and `make test`.
 .DEFAULT_GOAL := help
-.PHONY: help run test test-hardware strikes faults soak comedi lint lock clean
+.PHONY: help run test test-realtime test-hardware fuzz strikes faults soak comedi lint lock clean
 
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
+# Without compiled bytecode every process of a run or of a test compiles its sources again: seconds each.
+unexport PYTHONDONTWRITEBYTECODE
+
 help:
 	@echo "make run    run protocol ramp-a on the mock rig, in real time"
 	@echo "make test   run the tests, formatter, linter and type checker"
+	@echo "make test-realtime  run what needs a quiet machine: experiments in real time, and the page in Chromium"
+	@echo "make fuzz   search for inputs that break a property, at random and for longer"
 	@echo "make lint   only the formatter, linter and type checker"
 	@echo "make comedi build and install the binding to Comedi cards"
 	@echo "make test-hardware  drive a card and a camera of a real kernel, in a virtual machine"
@@ -25,10 +30,16 @@ $(STAMP): requirements.lock pyproject.toml scripts/environment.sh
 run: $(STAMP)
 	@$(BIN)/rig run ramp-a --yes
 
-# Tests that run in real time would be disturbed by others beside them, and so come last, one after the other.
 test: $(STAMP) lint
-	$(BIN)/python -m pytest -n auto --dist loadfile -m "not alone"
-	$(BIN)/python -m pytest -m alone
+	$(BIN)/python -m pytest -n auto --dist loadfile -m "not realtime and not fuzz"
+
+# Tests that run in real time would disturb each other, and so run one after the other.
+test-realtime: $(STAMP)
+	$(BIN)/python -m pytest -m realtime
+
+# Each run draws new examples. A failure is printed as a decorator that repeats it, and repeated first by the next run.
+fuzz: $(STAMP)
+	$(BIN)/python -m pytest -n auto --dist worksteal --hypothesis-profile=fuzz -m "(hypothesis or fuzz) and not realtime"
 
 lint: $(STAMP)
 	$(BIN)/ruff format --check .

@@ -5,10 +5,24 @@ from collections.abc import Iterator
 
 import pytest
 from hypothesis import settings
+from hypothesis.internal.conjecture import providers
 
-# Machines are shared and noisy: how long an example takes says nothing about the code.
-settings.register_profile("softrig", deadline=None)
+from tests.support.budget import register_profiles
+
+register_profiles()
 settings.load_profile("softrig")
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_configure() -> None:
+    """Examples of `make test` depend on nothing but the test.
+
+    Hypothesis also draws constants from the source of every module that is imported by then: other examples in another
+    order of tests, and in a checkout below a folder called tests.
+    """
+    if settings.default is not None and settings.default.derandomize:
+        none = providers.Constants()
+        providers._get_local_constants = lambda: none
 
 
 @pytest.fixture(autouse=True)

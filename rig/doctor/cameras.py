@@ -12,7 +12,7 @@ from typing import Any
 from rig.config.schema import CameraConfig, RigConfig
 from rig.doctor.finding import Finding
 from rig.doctor.machine import group_name
-from rig.hardware.cameras.realsense import ANY, RECORDINGS
+from rig.hardware.cameras.realsense import ANY, RECORDINGS, why_unusable
 
 _VIDIOC_QUERYCAP = 0x80685600
 _CAPABILITIES = "<16s32s32sIII12x"
@@ -119,8 +119,9 @@ def _realsense(topic: str, camera: CameraConfig) -> Finding:
         return Finding(topic, "ok" if there else "missing", f"recording {wanted}", "correct `device` in the rig's file")
     try:
         rs: Any = importlib.import_module("pyrealsense2")
-    except ImportError:
-        return Finding(topic, "missing", "driver realsense needs pyrealsense2", "pip install pyrealsense2")
+    except ImportError as why:
+        found, remedy = why_unusable(why)
+        return Finding(topic, "missing", found, remedy)
     serials = [device.get_info(rs.camera_info.serial_number) for device in rs.context().query_devices()]
     if wanted in serials or (wanted == ANY and serials):
         return Finding(topic, "ok", f"RealSense {wanted}")

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from calibration.dlt import DLT, DLTError, calibrate, reconstruct
@@ -14,6 +14,7 @@ from calibration.vision.corners import Corners
 from calibration.vision.lens import Lens
 from calibration.vision.multiview_pose import board_pose
 from calibration.vision.transforms import RigidTransform
+from tests.support.budget import examples
 from tests.support.vision_bench import BOARD
 
 LENS = Lens.of(900, 905, 322, 238, (-0.12, 0.08, 0.0004, -0.0003, 0.0))
@@ -37,7 +38,7 @@ def _cloud(rng: np.random.Generator, count: int) -> np.ndarray:
     return rng.uniform(-0.1, 0.1, (count, 3))
 
 
-@settings(max_examples=40, deadline=None)
+@examples(40)
 @given(seed=st.integers(0, 2**32 - 1), angle=st.floats(-80, 80), count=st.integers(6, 40))
 def test_exact_pixels_give_the_exact_coefficients(seed: int, angle: float, count: int) -> None:
     points = _cloud(np.random.default_rng(seed), count)

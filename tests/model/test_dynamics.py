@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.integrate import simpson
@@ -15,6 +15,7 @@ from scipy.optimize import brentq
 
 from model import Arm, Loads
 from model.schemes import Scheme
+from tests.support.budget import examples
 
 BAR = 1e5
 variants = ("homogeneous", "homogeneous+rpe", "inhomogeneous+rpe")
@@ -264,7 +265,7 @@ def test_a_step_that_cannot_be_solved_says_so_and_the_run_goes_on() -> None:
     assert np.abs(after.tip_m - good.tip_m).max() < 1e-9
 
 
-@settings(max_examples=15, deadline=None)
+@examples(15)
 @given(st.lists(st.tuples(*[st.floats(-1e6, 1e6)] * 3), min_size=1, max_size=6), st.sampled_from(variants))
 def test_every_step_is_finite_whatever_is_asked(pressures: list[tuple[float, ...]], variant: str) -> None:
     dynamics = Arm.paper(variant).dynamics(0.01)

@@ -8,13 +8,14 @@ from itertools import combinations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from model import Arm, Geometry, Loads, Material
 from model.arm import ModulusRule
 from model.paper.rod import NeutralSection, PaperRod
 from model.schemes import Scheme
+from tests.support.budget import examples
 
 BAR = 1e5
 FROZEN: tuple[ModulusRule, ...] = ("secant", "tangent", "paper-secant", "paper-tangent")
@@ -52,7 +53,7 @@ def test_the_schemes_have_the_coefficients_of_table_2(name: str, alpha: float, p
 @pytest.mark.parametrize("rule", ["paper-secant", "paper-tangent"])
 @pytest.mark.parametrize("bar", [(0.65, 0, 0), (0, 0.5, 0.5), (0, 0, 0)])
 @given(noise=st.tuples(*[st.floats(-0.01, 0.01)] * 3))
-@settings(max_examples=20, deadline=None)
+@examples(20)
 def test_a_passive_tube_stays_passive_under_the_sensors_noise(
     rule: ModulusRule, bar: tuple[float, ...], noise: tuple[float, ...]
 ) -> None:
@@ -83,7 +84,7 @@ def test_both_formulations_agree_at_rest(rule: ModulusRule, solver: str, rpe_as:
     assert np.abs(printed.u - ours.u).max() < 1e-6
 
 
-@settings(max_examples=15, deadline=None)
+@examples(15)
 @given(st.tuples(*[st.floats(0, 0.65)] * 3), st.tuples(*[st.floats(-0.5, 0.5)] * 3))
 def test_both_formulations_agree_under_any_end_load(bar: tuple[float, ...], force: tuple[float, ...]) -> None:
     # Erratum: eq 25 forgets the external wrench that eq 28 has.

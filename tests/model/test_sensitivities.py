@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import example, given, settings
+from hypothesis import example, given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
@@ -17,6 +17,7 @@ from calibration.identify.simulated_experiments import plan
 from calibration.identify.tip_predictor import Predictor
 from model import Arm, Geometry, Loads, sensitivities
 from model.sensitivities import TipWrench, Variation, tip_gradient
+from tests.support.budget import examples
 
 Array = NDArray[np.float64]
 BAR = 1e5
@@ -97,7 +98,7 @@ def test_in_motion_every_parameters_slope_is_that_of_whole_predictions(
 pressed = st.tuples(*[st.floats(0.03, 0.6)] * 3)
 
 
-@settings(max_examples=12, deadline=None)
+@examples(12)
 # A pull of next to nothing is met, though its moments have no digits.
 @example((0.5, 0.5, 0.5), "linear", 0.25, (0.0, 0.0, 0.0), 0.0, (0.0, 0.0, 5e-324))
 @given(

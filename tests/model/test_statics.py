@@ -7,12 +7,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, reject, settings
+from hypothesis import given, reject
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
 from model import Arm, Geometry, Loads, Material, NotConverged
+from tests.support.budget import examples
 
 BAR = 1e5
 pressure = st.floats(0.0, 0.65)
@@ -86,7 +87,7 @@ def test_the_default_steps_suffice_for_slender_arms_too(length_m: float) -> None
     assert np.abs(arm.statics(p).tip_m - fine).max() < 3e-8
 
 
-@settings(max_examples=25, deadline=None)
+@examples(25)
 @given(three_pressures, st.floats(-math.pi, math.pi), st.sampled_from(variants))
 def test_a_turned_arm_has_a_turned_tip(bar: tuple[float, ...], turn: float, variant: str) -> None:
     arm = Arm.paper(variant)
@@ -96,7 +97,7 @@ def test_a_turned_arm_has_a_turned_tip(bar: tuple[float, ...], turn: float, vari
     assert np.abs(turned.statics(p).tip_m - about_z(turn) @ arm.statics(p).tip_m).max() < 1e-9
 
 
-@settings(max_examples=25, deadline=None)
+@examples(25)
 @given(
     st.lists(st.tuples(st.floats(-0.04, 0.04), st.floats(-0.04, 0.04), pressure), min_size=1, max_size=7),
     st.floats(-math.pi, math.pi), st.floats(0.04, 0.4), st.sampled_from(variants),
@@ -119,7 +120,7 @@ def test_any_arm_and_its_loads_turned_have_a_turned_tip(
     assert np.abs(tips[1] - q @ tips[0]).max() < 1e-8
 
 
-@settings(max_examples=25, deadline=None)
+@examples(25)
 @given(three_pressures, st.permutations([0, 1, 2]), st.sampled_from(variants))
 def test_the_actuators_names_do_not_matter(bar: tuple[float, ...], order: list[int], variant: str) -> None:
     arm = Arm.paper(variant)
@@ -131,7 +132,7 @@ def test_the_actuators_names_do_not_matter(bar: tuple[float, ...], order: list[i
     assert one.actuator_lengths_m[order] == pytest.approx(other.actuator_lengths_m, abs=1e-10)
 
 
-@settings(max_examples=25, deadline=None)
+@examples(25)
 @given(three_pressures, st.sampled_from(variants))
 def test_a_third_of_a_turn_is_a_change_of_names(bar: tuple[float, ...], variant: str) -> None:
     arm = Arm.paper(variant)
@@ -244,7 +245,7 @@ def test_a_moment_at_the_tip_or_along_the_arm_bends_it_by_the_book() -> None:
     assert spread.tip_m[0] == pytest.approx(1e-3 * 0.17**3 / (3 * bending), rel=1e-6)
 
 
-@settings(max_examples=15, deadline=None)
+@examples(15)
 @given(three_pressures, st.tuples(*[st.floats(-2, 2)] * 3), st.tuples(*[st.floats(-0.05, 0.05)] * 3))
 def test_a_force_beside_the_axis_has_the_moment_of_its_lever_where_the_tip_has_turned_to(
     bar: tuple[float, ...], force: tuple[float, ...], point: tuple[float, ...]
@@ -270,7 +271,7 @@ def test_its_own_weight_stretches_a_hanging_arm() -> None:
     assert arm.statics((0, 0, 0)).tip_m[2] == pytest.approx(0.17 * (1 + weight / (2 * stiffness)), rel=1e-10)
 
 
-@settings(max_examples=20, deadline=None)
+@examples(20)
 @given(three_pressures, st.tuples(*[st.floats(-1, 1)] * 3), st.sampled_from(variants))
 def test_the_base_carries_what_hangs_on_the_arm(bar: tuple[float, ...], force: tuple[float, ...], variant: str) -> None:
     # Global balance: total wrench at the base, from the solved strain there, against every load outside.
@@ -293,7 +294,7 @@ def test_the_base_carries_what_hangs_on_the_arm(bar: tuple[float, ...], force: t
     assert wrench[3:] == pytest.approx(np.cross(shape.tip_m, tip_load) + along, abs=1e-4)
 
 
-@settings(max_examples=30, deadline=None)
+@examples(30)
 @given(st.tuples(*[st.floats(-1e3, 1e3)] * 3), st.tuples(*[st.floats(-1e3, 1e3)] * 3), st.sampled_from(variants))
 def test_any_pressure_and_load_give_a_finite_shape_or_an_error(
     bar: tuple[float, ...], force: tuple[float, ...], variant: str

@@ -8,11 +8,12 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import quad
 
 from model import BallooningError, Stretch, Tube
+from tests.support.budget import examples
 
 # Table 1 and the constants that give the printed a and eq 32.
 PAPER = Tube(0.0095, 0.0125, 0.014, 82e3, 1.1e6, 3.0)
@@ -51,7 +52,7 @@ def test_without_fibres_the_outer_layer_bears_as_much_as_it_has_rubber() -> None
     assert BARE.shear_modulus_pa * (stretch - stretch**-2) * area == pytest.approx(20.0, rel=1e-9)
 
 
-@settings(max_examples=25, deadline=None)
+@examples(25)
 @given(st.floats(0.05, 0.45), st.floats(0, 60), st.floats(0.2e6, 5e6))
 def test_a_found_state_balances_the_printed_integrals(bar: float, angle: float, fibre: float) -> None:
     tube = replace(PAPER, fibre_angle_deg=angle, fibre_modulus_pa=fibre)
@@ -97,7 +98,7 @@ def test_a_found_state_balances_the_printed_integrals(bar: float, angle: float, 
     assert over(axial_integrand) == pytest.approx(0.0, abs=1e-6 * mu * area)
 
 
-@settings(max_examples=20, deadline=None)
+@examples(20)
 @given(st.floats(0.3e6, 5e6), st.floats(0, 80))
 def test_no_load_leaves_it_as_it_is_and_loads_and_states_are_inverse(fibre: float, angle: float) -> None:
     tube = replace(PAPER, fibre_modulus_pa=fibre, fibre_angle_deg=angle)

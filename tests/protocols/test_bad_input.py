@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 import yaml
-from hypothesis import example, given, settings
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 import protocols
@@ -15,6 +15,7 @@ from protocols import BadInputError, Problem, source_positions
 from protocols.document import parse, read, validate
 from protocols.expansion import expand, too_long
 from protocols.schema import ProtocolFile
+from tests.support.budget import examples
 
 ROOT = Path(__file__).parents[1]
 STAIRS = "{actuators: [1], start_bar: 0.15, stop_bar: 0.65, step_bar: 0.05, dwell_s: 4}"
@@ -317,7 +318,7 @@ def refusal(text: str) -> BadInputError | None:
     return None
 
 
-@settings(max_examples=120, deadline=None)
+@examples(120)
 @given(at=st.integers(0, len(GOOD)), cut=st.integers(0, 30), scrap=st.sampled_from(SCRAPS) | st.text(max_size=4))
 @example(at=0, cut=0, scrap="")
 def test_any_mutation_of_a_good_protocol_is_taken_or_refused_with_a_message(at: int, cut: int, scrap: str) -> None:
@@ -325,7 +326,7 @@ def test_any_mutation_of_a_good_protocol_is_taken_or_refused_with_a_message(at: 
     assert error is None or (error.problems and str(error).startswith("p.yaml"))
 
 
-@settings(max_examples=80, deadline=None)
+@examples(80)
 @given(st.text(max_size=60))
 def test_any_text_is_taken_or_refused_with_a_message(text: str) -> None:
     with pytest.raises(BadInputError):
@@ -340,7 +341,7 @@ VALUES = st.recursive(
 KEYS = ("ramp", "staircase", "sine", "hold", "csv", "prompt", "sequence", "repeat")
 
 
-@settings(max_examples=80, deadline=None)
+@examples(80)
 @given(kind=st.sampled_from(KEYS), body=VALUES)
 def test_any_value_for_a_step_is_taken_or_refused_with_a_message(kind: str, body: object) -> None:
     error = refusal(yaml.safe_dump({"title": "t", "steps": [{kind: body}]}, allow_unicode=True))

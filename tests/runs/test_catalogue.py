@@ -9,7 +9,7 @@ import shutil
 from pathlib import Path
 
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, given
 from hypothesis import strategies as st
 
 import tests.support.synthetic_runs as made_up
@@ -18,6 +18,7 @@ from runs.archive.writer import finalise
 from runs.catalogue import INDEX, Entry, catalogue, search
 from runs.journal.journal import JournalWriter
 from runs.records import RunFooter, RunHeader, Status
+from tests.support.budget import examples
 
 
 def make(folder: Path, run_id: str, **fields: object) -> Path:
@@ -72,7 +73,7 @@ def test_it_follows_the_folder(folder: Path) -> None:
     assert names(catalogue(folder)) == ["third", "third", "fourth"]
 
 
-@settings(max_examples=30, suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
+@examples(30, HealthCheck.function_scoped_fixture)
 @given(rubbish=st.binary(max_size=200) | st.sampled_from([b"{}", b"[]", b"null", b'{"form": 1, "files": 3}']))
 def test_any_rubbish_in_the_index_heals(tmp_path_factory: pytest.TempPathFactory, rubbish: bytes) -> None:
     folder = tmp_path_factory.getbasetemp() / "heals"

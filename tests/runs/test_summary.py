@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy.stats import chi2, norm
@@ -183,7 +183,6 @@ def test_segments_after_the_end_of_an_aborted_run_are_empty(tmp_path: Path) -> N
     assert found.message == "over-pressure"
 
 
-@settings(deadline=None)
 @given(angle=st.floats(-np.pi, np.pi), length=st.floats(3, 200))
 def test_the_plane_of_motion_is_found_at_any_azimuth(angle: float, length: float) -> None:
     along = np.linspace(0, length, 50)
@@ -200,7 +199,6 @@ def test_there_is_no_plane_of_motion_in_a_circle_or_an_extension() -> None:
     assert plane_of_motion(np.full((5, 3), np.nan)) is None
 
 
-@settings(deadline=None)
 @given(arrays(float, st.integers(0, 30), elements=st.floats(0, 1e6) | st.just(np.nan)))
 def test_a_spread_is_ordered(errors: np.ndarray) -> None:
     found = statistics(errors)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import base64
 import itertools
 import json
-import os
 import shutil
 import subprocess
 import tempfile
@@ -15,8 +14,9 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
-import pytest
 from websockets.sync.client import ClientConnection, connect
+
+from tests.support.absent import absent
 
 PATIENCE_S = 150.0
 GOODBYE_S = 0.5
@@ -40,10 +40,7 @@ def chromium() -> str:
     """The browser; skips where it is missing, fails where CI is set."""
     found = shutil.which("chromium") or shutil.which("chromium-browser")
     if found is None:
-        reason = "Chromium is missing: sudo apt-get install chromium"
-        if os.environ.get("CI"):
-            pytest.fail(reason)
-        pytest.skip(reason)
+        absent("Chromium is missing: sudo apt-get install chromium")
     return found
 
 

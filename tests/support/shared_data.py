@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
-import pytest
+from tests.support.absent import absent
 
 SHARED = Path(__file__).resolve().parents[3] / "shared"
 
@@ -14,8 +13,5 @@ def shared_data(*parts: str) -> Path:
     """A data file kept beside the checkout; skips where it is missing, fails where CI is set."""
     path = SHARED.joinpath("data", *parts)
     if not path.exists():
-        reason = f"{path} is not here: this test needs the data folder beside the checkout"
-        if os.environ.get("CI"):
-            pytest.fail(reason)
-        pytest.skip(reason)
+        absent(f"{path} is not here: this test needs the data folder beside the checkout")
     return path

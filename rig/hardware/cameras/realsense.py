@@ -40,6 +40,14 @@ class RealSenseDriver:
         return str(camera.device)
 
 
+def why_unusable(error: ImportError) -> tuple[str, str]:
+    """Why `import pyrealsense2` failed, and the remedy."""
+    if isinstance(error, ModuleNotFoundError):
+        return "driver realsense needs pyrealsense2", "pip install pyrealsense2"
+    # The package holds librealsense, but not the library of the system that librealsense needs.
+    return f"pyrealsense2 cannot be loaded ({error})", "sudo apt-get install libusb-1.0-0"
+
+
 class RealSenseCamera:
     """A RealSense's colour stream. The camera's own frame number is the index, so that a gap is a lost picture."""
 
@@ -47,8 +55,8 @@ class RealSenseCamera:
         """Open `camera.device`: a serial number, `any`, or a recording (.bag, .db3)."""
         try:
             self._rs: Any = importlib.import_module("pyrealsense2")
-        except ImportError:
-            raise CameraError("driver realsense needs the package pyrealsense2: pip install pyrealsense2") from None
+        except ImportError as why:
+            raise CameraError("{}: {}".format(*why_unusable(why))) from None
         rs, self._camera = self._rs, camera
         self._half_exposure_ns = round(camera.exposure_ms * 5e5)
         device = str(camera.device)

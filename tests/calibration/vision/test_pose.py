@@ -5,19 +5,20 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from calibration.vision.pose import refine, solutions
 from calibration.vision.tcp import tip_in_base
 from calibration.vision.transforms import RigidTransform
+from tests.support.budget import examples
 from tests.support.vision_bench import BOARD, LENS, facing
 
 angles = st.tuples(*[st.floats(-3, 3)] * 3)
 places = st.tuples(*[st.floats(-2, 2)] * 3)
 
 
-@settings(max_examples=60)
+@examples(60)
 @given(angles, places, angles, places, places)
 def test_transforms_compose_and_invert(
     a: tuple[float, float, float],

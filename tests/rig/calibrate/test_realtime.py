@@ -20,7 +20,7 @@ from rig.hardware.vent import vent
 from rig.simulator.registers import Registers
 from tests.support.rig_process import PATIENCE_S, child_of, write_rig
 
-pytestmark = pytest.mark.alone
+pytestmark = pytest.mark.realtime
 
 
 @contextmanager

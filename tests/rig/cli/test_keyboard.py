@@ -18,7 +18,7 @@ import runs
 from rig.simulator.registers import path_of
 from tests.support.rig_process import SHORT, write_rig
 
-pytestmark = pytest.mark.alone
+pytestmark = pytest.mark.realtime
 
 PATIENCE_S = 150.0
 

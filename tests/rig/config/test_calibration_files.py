@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from typer.testing import CliRunner
 
@@ -21,6 +21,7 @@ from rig.config.calibration_files import parse, read, text_of, write
 from rig.config.optics import camera_in_base, lens_of, rigid
 from rig.config.schema import Lens, Placement
 from rig.hardware.cameras.identity import v4l2_serial
+from tests.support.budget import examples
 
 SHA = "0" * 63 + "a"
 finite = st.floats(-1e6, 1e6, allow_nan=False)
@@ -99,7 +100,7 @@ def camera_files(draw: st.DrawFn) -> calibration_schema.CameraFile:
     )  # fmt: skip
 
 
-@settings(max_examples=20)
+@examples(20)
 @given(found=camera_files())
 def test_what_is_written_is_read_back_the_same(found: calibration_schema.CameraFile) -> None:
     again = parse(document.parse(text_of(found), "c.yaml"))
@@ -120,7 +121,7 @@ LEAVES = [
 ]
 
 
-@settings(max_examples=25)
+@examples(25)
 @given(leaf=st.sampled_from(LEAVES), junk=st.sampled_from([[], {"a": 1}, ".nan", "many", [1, 2], None]))
 def test_every_malformed_value_is_named_with_its_file_and_line(leaf: tuple[str | int, ...], junk: Any) -> None:
     data = yaml.safe_load(text_of(camera_file()))

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, given
 from hypothesis import strategies as st
 
 import runs
@@ -28,6 +28,7 @@ from runs.journal.journal import JournalWriter
 from runs.records import DetectionStatus, RunFooter, Status
 from runs.run import Run
 from tests.rig.config.test_calibration_files import dlt_file
+from tests.support.budget import examples
 
 PROTOCOL = """title: A level
 steps:
@@ -195,7 +196,7 @@ def test_what_is_malformed_is_named_by_file_and_line(
     assert said in message
 
 
-@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@examples(40, HealthCheck.function_scoped_fixture)
 @given(st.text(max_size=60))
 def test_any_other_text_is_refused_in_words(tmp_path: Path, anything: str) -> None:
     file = tmp_path / "any.yaml"

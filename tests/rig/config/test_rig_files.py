@@ -9,7 +9,7 @@ import types
 from pathlib import Path
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from protocols import BadInputError, Problem
@@ -20,6 +20,7 @@ from rig.config.loader import load, path_of, text
 from rig.config.schema import RigConfig
 from rig.hardware.cards.base import CardSetup
 from rig.hardware.cards.registry import open_card
+from tests.support.budget import examples
 
 MOCK = text("mock")
 
@@ -226,7 +227,7 @@ def test_a_real_file_is_read_by_its_path(tmp_path: Path) -> None:
 WORDS = ["", "-1", "x", "[]", "{}", "~", ".nan", "1e9", "yes", "'1'", "[1, 2]", "{a: 1}", "10000000", "1.5", "*curve"]
 
 
-@settings(max_examples=40, deadline=None)
+@examples(40)
 @given(line=st.integers(0, MOCK.count("\n")), word=st.sampled_from(WORDS))
 def test_any_other_value_in_a_line_is_taken_or_refused_with_a_message(line: int, word: str) -> None:
     lines = MOCK.splitlines()
@@ -241,7 +242,7 @@ def test_any_other_value_in_a_line_is_taken_or_refused_with_a_message(line: int,
     assert str(refused).startswith("rig.yaml")
 
 
-@settings(max_examples=20, deadline=None)
+@examples(20)
 @given(at=st.integers(0, len(MOCK)), cut=st.integers(1, 200))
 def test_a_rig_with_a_piece_cut_out_is_taken_or_refused_with_a_message(at: int, cut: int) -> None:
     try:

@@ -337,6 +337,7 @@ def test_a_priority_that_only_a_part_of_a_run_could_have_is_not_enough(monkeypat
 def test_memory_that_may_not_be_locked_names_the_line_to_add(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(os, "geteuid", lambda: 1000)
     monkeypatch.setattr(resource, "getrlimit", lambda which: (8 << 20, 8 << 20))
+    monkeypatch.setattr(os, "getgid", lambda: 0)
     monkeypatch.setattr(os, "getgroups", lambda: [0])
     said = computer.memory_lock()
     assert (said.verdict, said.found) == ("missing", "limited to 8192 KiB")

@@ -14,8 +14,6 @@ from rig.hardware.cameras.mock import MockCamera
 from rig.simulator.tip_pose import TipPose
 from tests.support.vision_bench import FRAME_NS, Sweep
 
-pytestmark = pytest.mark.alone
-
 
 @pytest.fixture(scope="module")
 def config() -> rig.config.schema.RigConfig:
@@ -32,6 +30,7 @@ def test_a_frame_in_virtual_time_is_repeatable_and_knows_the_truth(config: rig.c
         assert np.array_equal(a.truth_m, Sweep().pose_at(a.t_ns).position_m)
 
 
+@pytest.mark.realtime
 def test_real_time_frames_lie_on_the_cameras_grid_and_follow_one_another(config: rig.config.schema.RigConfig) -> None:
     camera = MockCamera(config, Sweep(), seed=3)
     camera.read(1.0)  # compiles or loads the renderer
@@ -44,6 +43,7 @@ def test_real_time_frames_lie_on_the_cameras_grid_and_follow_one_another(config:
     assert frames[-1].t_ns < time.monotonic_ns()
 
 
+@pytest.mark.realtime
 def test_a_late_reader_sees_a_gap_and_never_an_old_picture(config: rig.config.schema.RigConfig) -> None:
     camera = MockCamera(config, Sweep(), seed=3)
     first = camera.read(1.0)
@@ -54,6 +54,7 @@ def test_a_late_reader_sees_a_gap_and_never_an_old_picture(config: rig.config.sc
     assert second.t_ns > before - 1.6e9 / 30
 
 
+@pytest.mark.realtime
 def test_a_camera_slower_than_the_time_out_says_so(config: rig.config.schema.RigConfig) -> None:
     slow = config.model_copy(update={"cameras": {"front": config.cameras["front"].model_copy(update={"rate_hz": 5.0})}})
     camera = MockCamera(slow, Sweep(), seed=3)

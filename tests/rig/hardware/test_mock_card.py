@@ -22,8 +22,6 @@ from rig.simulator import registers
 from rig.simulator.registers import Registers, path_of
 from tests.support.plant_bench import MOCK, mock_rig
 
-pytestmark = pytest.mark.alone
-
 COMMAND = [sys.executable, "-m", "rig.simulator.plant_process"]
 
 
@@ -94,6 +92,7 @@ def test_a_file_that_is_no_card_is_refused(mock: Mock) -> None:
         mock.card()
 
 
+@pytest.mark.realtime
 def test_a_running_plant_gives_every_scan_once_at_its_clocks_pace(mock: Mock) -> None:
     mock.plant()
     card = mock.card()
@@ -113,6 +112,7 @@ def test_a_running_plant_gives_every_scan_once_at_its_clocks_pace(mock: Mock) ->
     np.testing.assert_allclose(codes, np.round(codes), atol=1e-6)
 
 
+@pytest.mark.realtime
 def test_the_valve_feels_the_register_and_the_sensor_the_valve(mock: Mock) -> None:
     mock.plant()
     bench = mock.bench()
@@ -129,6 +129,7 @@ def test_the_valve_feels_the_register_and_the_sensor_the_valve(mock: Mock) -> No
     until("the tip moved", lambda: Registers.attach(mock.device).pose_at(time.monotonic_ns()).position_m[0] < -1e-3)
 
 
+@pytest.mark.realtime
 def test_a_new_plant_finds_the_outputs_at_zero_as_after_a_drivers_attach(mock: Mock) -> None:
     first = mock.plant()
     card = mock.card()
@@ -142,6 +143,7 @@ def test_a_new_plant_finds_the_outputs_at_zero_as_after_a_drivers_attach(mock: M
     until("scans of the new plant", lambda: len(card.read().t_ns) > 0)
 
 
+@pytest.mark.realtime
 def test_outputs_are_registers_that_take_writes_while_the_plant_is_dead(mock: Mock) -> None:
     plant = mock.plant()
     card, watcher = mock.card(), Registers.attach(mock.device)
@@ -155,6 +157,7 @@ def test_outputs_are_registers_that_take_writes_while_the_plant_is_dead(mock: Mo
     np.testing.assert_allclose(mock.card().readback(), [0.0, 5.0], atol=1e-4)
 
 
+@pytest.mark.realtime
 def test_the_file_can_be_read_by_what_the_documentation_says_alone(mock: Mock) -> None:
     mock.plant()
     mock.card().write(np.array([6.0, 4.0]))
@@ -174,6 +177,7 @@ def test_a_second_plant_behind_the_same_card_is_refused(mock: Mock, monkeypatch:
         Registers.create(mock.device, 2, 16, patience_s=0.1)
 
 
+@pytest.mark.realtime
 def test_the_plant_ends_some_seconds_after_its_parent(mock: Mock) -> None:
     parent = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(60)"])
     plant = mock.plant("--parent", str(parent.pid))
@@ -187,6 +191,7 @@ def test_the_plant_ends_some_seconds_after_its_parent(mock: Mock) -> None:
     assert plant.wait(10) == 0
 
 
+@pytest.mark.realtime
 def test_ctrl_c_of_the_terminal_does_not_take_the_card_away(mock: Mock) -> None:
     plant = mock.plant("--parent", str(os.getpid()))
     plant.send_signal(signal.SIGINT)
@@ -197,6 +202,7 @@ def test_ctrl_c_of_the_terminal_does_not_take_the_card_away(mock: Mock) -> None:
     assert plant.wait(10) == 0
 
 
+@pytest.mark.realtime
 def test_who_tells_the_plant_to_end_more_than_once_sees_no_traceback(mock: Mock) -> None:
     plant = mock.plant()
     while plant.poll() is None:
@@ -206,6 +212,7 @@ def test_who_tells_the_plant_to_end_more_than_once_sees_no_traceback(mock: Mock)
     assert (plant.returncode, said) == (0, "")
 
 
+@pytest.mark.realtime
 @pytest.mark.parametrize("stopped_s", [0.5, 2.6])
 def test_a_plant_that_stood_still_goes_on_at_the_present_and_never_backwards(mock: Mock, stopped_s: float) -> None:
     plant = mock.plant()

@@ -172,7 +172,7 @@ def test_who_has_the_card_and_hangs_is_ended_also_where_another_process_is_watch
     assert "the control process hung: the command that had the card was ended" in capfd.readouterr().err
 
 
-@pytest.mark.alone
+@pytest.mark.realtime
 def test_a_run_whose_control_hangs_is_made_safe_all_the_same(tmp_path: Path) -> None:
     with rig_run(tmp_path, SHORT, one_opener=True) as run:
         run.wait_until_pressurised()
@@ -184,7 +184,7 @@ def test_a_run_whose_control_hangs_is_made_safe_all_the_same(tmp_path: Path) -> 
     assert "control process hung" in archive.message
 
 
-@pytest.mark.alone
+@pytest.mark.realtime
 def test_a_run_on_such_a_card_goes_to_its_end(tmp_path: Path) -> None:
     with rig_run(tmp_path, BRIEF, one_opener=True) as run:
         assert run.end() == 0, run.output

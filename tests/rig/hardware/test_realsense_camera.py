@@ -15,11 +15,22 @@ import rig.config.loader
 import rig.config.schema
 from rig.hardware.cameras.base import CameraError
 from rig.hardware.cameras.realsense import RealSenseCamera
+from tests.support.absent import absent
 
 
 def _camera(device: str) -> rig.config.schema.CameraConfig:
     config = rig.config.loader.load("mock").cameras["front"]
     return config.model_copy(update={"driver": "realsense", "device": device})
+
+
+def _librealsense() -> Any:
+    """The library; skips where it or what it needs is missing."""
+    try:
+        return importlib.import_module("pyrealsense2")
+    except ModuleNotFoundError:
+        pytest.skip("the optional package pyrealsense2 is not installed")
+    except (ImportError, OSError) as why:
+        absent(f"pyrealsense2 cannot be loaded ({why}): sudo apt-get install libusb-1.0-0")
 
 
 def _record(rs: Any, file: Path, pictures: list[np.ndarray]) -> None:
@@ -47,7 +58,7 @@ def _record(rs: Any, file: Path, pictures: list[np.ndarray]) -> None:
 
 
 def test_a_recording_plays_with_the_cameras_own_frame_numbers(tmp_path: Path) -> None:
-    rs = pytest.importorskip("pyrealsense2", reason="the optional package pyrealsense2 is not installed")
+    rs = _librealsense()
     pictures = [np.full((480, 640, 3), (10 * k, 5, 200), np.uint8) for k in range(12)]
     file = tmp_path / "run.db3"
     _record(rs, file, pictures)
@@ -61,20 +72,32 @@ def test_a_recording_plays_with_the_cameras_own_frame_numbers(tmp_path: Path) ->
         assert np.array_equal(frame.image, pictures[frame.index - 10])
 
 
-def test_without_the_package_the_message_names_it(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(
+    ("error", "remedy"),
+    [
+        (ModuleNotFoundError("No module named 'pyrealsense2'"), "pip install pyrealsense2"),
+        (
+            ImportError("libusb-1.0.so.0: cannot open shared object file"),
+            "libusb-1.0.so.0.*apt-get install libusb-1.0-0",
+        ),
+    ],
+)
+def test_without_the_package_or_its_library_the_message_names_it(
+    error: ImportError, remedy: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     real = importlib.import_module
 
     def none(name: str, package: str | None = None) -> Any:
         if name == "pyrealsense2":
-            raise ImportError(name)
+            raise error
         return real(name, package)
 
     monkeypatch.setattr(importlib, "import_module", none)
-    with pytest.raises(CameraError, match="pip install pyrealsense2"):
+    with pytest.raises(CameraError, match=remedy):
         RealSenseCamera(_camera("any"))
 
 
 def test_a_recording_that_is_not_there_is_named() -> None:
-    pytest.importorskip("pyrealsense2", reason="the optional package pyrealsense2 is not installed")
+    _librealsense()
     with pytest.raises(CameraError, match=r"gone\.db3 does not exist"):
         RealSenseCamera(_camera("/tmp/gone.db3"))

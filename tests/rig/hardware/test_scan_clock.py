@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from rig.hardware.cards.scan_clock import ScanClock
+from tests.support.budget import examples
 
 PERIOD_NS = 1_000_000.0
 TICK_NS = 5_000_000
@@ -28,7 +29,7 @@ def play(clock: ScanClock, start_ns: int, true_period_ns: float, ticks: int, rng
     return errors
 
 
-@settings(max_examples=4, deadline=None)
+@examples(4)
 @given(ppm=st.floats(-200, 200), seed=st.integers(0, 2**32 - 1))
 def test_five_minutes_of_drift_stay_below_a_period(ppm: float, seed: int) -> None:
     clock = ScanClock(PERIOD_NS, 10**12)
@@ -46,7 +47,7 @@ def test_without_drift_the_times_are_start_plus_index_times_period() -> None:
     )
 
 
-@settings(max_examples=50, deadline=None)
+@examples(50)
 @given(
     reads=st.lists(st.tuples(st.integers(0, 50), st.integers(0, 10**10)), min_size=1, max_size=40),
     period_ns=st.floats(1e4, 1e8),

@@ -8,7 +8,7 @@ from typing import ClassVar
 import h5py
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.io import savemat
@@ -23,6 +23,7 @@ from runs.export.exporters import export
 from runs.records import DetectionStatus, Status
 from runs.report.page import write
 from runs.run import Run
+from tests.support.budget import examples
 from tests.support.import_bench import BENCH, BENCH_CSV, SMALL, Bring, complaint, imported_in, warnings_of
 from tests.support.shared_data import shared_data
 
@@ -152,7 +153,7 @@ class TestAnotherLayout:
         assert np.isnan(run.tip.uncertainty_mm[2]).all()
         assert "the tip's position is missing in 1 of 3 rows, the first in line 9" in warnings_of(run)
 
-    @settings(max_examples=12, suppress_health_check=[HealthCheck.function_scoped_fixture])
+    @examples(12, HealthCheck.function_scoped_fixture)
     @given(data=st.data())
     def test_what_is_written_as_csv_arrives_as_it_was(self, data: st.DataObject, tmp_path: Path) -> None:
         n, actuators = data.draw(st.integers(2, 12)), data.draw(st.integers(1, 4))

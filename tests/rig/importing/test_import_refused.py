@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, given
 from hypothesis import strategies as st
 
 import runs
@@ -18,6 +18,7 @@ from rig.identify import estimation
 from runs.records import DetectionStatus
 from runs.report.page import write
 from runs.run import Run
+from tests.support.budget import examples
 from tests.support.import_bench import BENCH, BENCH_CSV, SMALL, Bring, complaint, imported_in, warnings_of
 
 
@@ -115,7 +116,7 @@ class TestBadData:
         assert "commas that cut each line into 5 columns" in said
         assert "'decimal: point'" in said
 
-    @settings(max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture])
+    @examples(40, HealthCheck.function_scoped_fixture)
     @given(text=st.text(alphabet='01.,;-e \t\n\r"|nax\0é', max_size=80) | st.binary(max_size=40))
     def test_no_text_is_more_than_a_message(self, text: str | bytes, tmp_path: Path) -> None:
         (tmp_path / "any.csv").write_bytes(text.encode() if isinstance(text, str) else text)

@@ -16,8 +16,6 @@ from runs.records import DetectionStatus, Status
 from tests.support.live_page import Stream, request, said
 from tests.support.rig_process import RigProcess, rig_run
 
-pytestmark = pytest.mark.alone
-
 HELD = """
 title: Something to find under way
 steps:
@@ -45,6 +43,7 @@ def attached(run: RigProcess, log: Path) -> Iterator[Stream]:
         live.wait(PATIENCE_S)
 
 
+@pytest.mark.realtime
 def test_a_page_comes_and_goes_while_an_adapting_run_goes_on(tmp_path: Path) -> None:
     with rig_run(tmp_path, HELD, "--adapt", "--free", "law,rpe_per_bar") as run:
         run.wait_until_pressurised()

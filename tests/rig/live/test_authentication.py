@@ -7,10 +7,11 @@ import logging
 from typing import Any
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from rig.live.authentication import COOKIE, SESSION, AccessTokens, AuthenticationMiddleware, Session
+from tests.support.budget import examples
 
 HOST = "192.168.1.20:8090"
 SECRET = b"the page and its data"
@@ -125,7 +126,7 @@ def test_the_cookie_is_kept_from_scripts_and_other_sites_and_holds_no_token(
     assert token not in cookie
 
 
-@settings(max_examples=30, deadline=None)
+@examples(30)
 @given(st.text(max_size=60))
 def test_no_other_token_or_cookie_opens_anything(guess: str) -> None:
     keys = AccessTokens()

@@ -18,7 +18,7 @@ from runs.records import Status
 from tests.support.live_page import Stream, reachable, request, said
 from tests.support.rig_process import rig_run
 
-pytestmark = pytest.mark.alone
+pytestmark = pytest.mark.realtime
 
 SERVER = "rig.live.server"
 HOLDING = """

@@ -21,7 +21,7 @@ from tests.support.browser import Browser, Tab, browsing
 from tests.support.live_page import open_files, reachable, request, said
 from tests.support.rig_process import RigProcess, rig_run
 
-pytestmark = pytest.mark.alone
+pytestmark = pytest.mark.realtime
 
 SERVER = "rig.live.server"
 LIVE = ("--live", "--port", "0")

@@ -12,7 +12,7 @@ from runs.records import Status
 from scripts.faults import realtime
 from scripts.faults.catalogue import CATALOGUE, CONTROL, FOR_EVER, KILL
 
-pytestmark = pytest.mark.alone
+pytestmark = pytest.mark.realtime
 
 SOME = ("all but the observer stopped, 4 s", "terminal blocked (Ctrl-S, a full pipe)")
 

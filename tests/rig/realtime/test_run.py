@@ -19,7 +19,7 @@ from runs.records import Status
 from runs.recovery import recover
 from tests.support.rig_process import BRIEF, SHORT, RigProcess, rig_run
 
-pytestmark = pytest.mark.alone
+pytestmark = pytest.mark.realtime
 
 CONTROL, OBSERVER, WATCHDOG = (
     "rig.realtime.control_process",

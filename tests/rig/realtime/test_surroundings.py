@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 import rig.config.loader
@@ -22,6 +22,7 @@ from rig.control import step as control
 from rig.hardware.bench import Bench
 from rig.simulator.plant import Plant
 from scripts.faults.surroundings import DAY_NS, SteppedClock
+from tests.support.budget import examples
 
 ROOM = Path(rig.config.schema.__file__).parent
 CALENDAR = {("time", "time"), ("time", "time_ns"), ("datetime", "now"), ("datetime", "utcnow"), ("datetime", "today")}
@@ -74,7 +75,7 @@ def test_nothing_that_runs_asks_the_calendar_clock() -> None:
                 assert (node.value.id, node.attr) not in CALENDAR, f"{path}:{node.lineno}"
 
 
-@settings(max_examples=12, deadline=None)
+@examples(12)
 @given(st.floats(0.8, 100.0), st.floats(0.0, 1000.0), st.integers(0, 2**31))
 def test_no_set_point_whatever_can_raise_a_chamber_above_the_limit(bar: float, bar_per_s: float, seed: int) -> None:
     """The check before the run refuses such set-points; here they come all the same."""

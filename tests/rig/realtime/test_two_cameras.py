@@ -20,7 +20,7 @@ from runs.records import DetectionStatus, Status
 from tests.support.rig_process import rig_run
 from tests.support.vision_bench import FRAME_NS
 
-pytestmark = pytest.mark.alone
+pytestmark = pytest.mark.realtime
 
 HOLD = """
 title: Two cameras, each lost for a while

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
@@ -14,6 +14,7 @@ from rig.config.schema import RigConfig
 from rig.hardware.bench import Bench
 from rig.hardware.cards.base import CardError
 from rig.simulator.plant import FIFO_SCANS, Plant
+from tests.support.budget import examples
 from tests.support.plant_bench import Floats, mock_rig
 
 ATM = 101_325.0
@@ -213,7 +214,7 @@ def test_another_seed_is_another_noise_and_another_offset() -> None:
     assert not np.array_equal(volts[0], volts[1])
 
 
-@settings(max_examples=15, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@examples(15)
 @given(st.lists(st.integers(1, 30_000_000), min_size=1, max_size=30), st.booleans())
 def test_how_time_is_cut_into_calls_does_not_change_a_bit(cuts: list[int], moving_arm: bool) -> None:
     def run(stops: list[int]) -> tuple[Floats, Floats, Floats]:

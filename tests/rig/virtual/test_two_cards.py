@@ -84,7 +84,7 @@ def stand_v(device: str) -> list[float]:
     return volts
 
 
-@pytest.mark.alone
+@pytest.mark.realtime
 def test_a_run_in_real_time_on_two_cards_goes_to_its_end(tmp_path: Path) -> None:
     with two_card_run(tmp_path, BRIEF) as (run, devices):
         assert run.end() == 0, run.output
@@ -92,7 +92,7 @@ def test_a_run_in_real_time_on_two_cards_goes_to_its_end(tmp_path: Path) -> None
     assert runs.open(run.archive()).status is Status.FINISHED
 
 
-@pytest.mark.alone
+@pytest.mark.realtime
 @pytest.mark.parametrize("one_opener", [False, True])
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
 def test_both_cards_are_made_safe_where_control_is_killed_or_hangs(

@@ -16,7 +16,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, given
 from hypothesis import strategies as st
 from mcap.reader import make_reader
 from numpy.typing import NDArray
@@ -27,6 +27,7 @@ from runs.journal import append_only_file, journal, messages
 from runs.journal.append_only_file import JournalError, JournalFullError
 from runs.journal.journal import JournalWriter
 from runs.records import Event, Level, RunFooter, RunHeader, Status, sample_dtype
+from tests.support.budget import examples
 
 WRITER = """
 import sys
@@ -129,7 +130,7 @@ def test_kill_9_loses_nothing_that_was_written(tmp_path: Path, attempt: int, liv
     assert all(bytes(p.data) == made_up.picture(p.frame // 3).data for p in content.pictures[:])
 
 
-@settings(deadline=None, max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@examples(60, HealthCheck.function_scoped_fixture)
 @given(part=st.floats(0, 1))
 def test_a_journal_cut_anywhere_gives_what_stands_before_the_cut(tmp_path: Path, whole: Path, part: float) -> None:
     data = whole.read_bytes()
@@ -142,7 +143,7 @@ def test_a_journal_cut_anywhere_gives_what_stands_before_the_cut(tmp_path: Path,
     assert content.samples[:].tobytes() == made_up.samples(1.0)[: len(content.samples)].tobytes()
 
 
-@settings(deadline=None, max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@examples(150, HealthCheck.function_scoped_fixture)
 @given(part=st.floats(0, 1, exclude_max=True), bit=st.integers(0, 7))
 def test_a_flipped_bit_costs_one_block_and_is_reported(tmp_path: Path, whole: Path, part: float, bit: int) -> None:
     data = bytearray(whole.read_bytes())
@@ -155,7 +156,7 @@ def test_a_flipped_bit_costs_one_block_and_is_reported(tmp_path: Path, whole: Pa
     assert content.damage or not lost
 
 
-@settings(deadline=None, max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@examples(60, HealthCheck.function_scoped_fixture)
 @given(part=st.floats(0, 1), rubbish=st.binary(min_size=1, max_size=400), replace=st.booleans())
 def test_rubbish_in_the_middle_does_not_hide_what_follows(
     tmp_path: Path, whole: Path, part: float, rubbish: bytes, replace: bool
@@ -168,7 +169,7 @@ def test_rubbish_in_the_middle_does_not_hide_what_follows(
     assert len(content.samples) >= 200 - 40
 
 
-@settings(deadline=None, max_examples=100, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@examples(100, HealthCheck.function_scoped_fixture)
 @given(rubbish=st.binary(max_size=3000))
 def test_rubbish_is_refused_in_one_sentence(tmp_path: Path, rubbish: bytes) -> None:
     with pytest.raises(JournalError, match="is not a journal, or its header is lost"):
@@ -347,7 +348,6 @@ def test_what_is_older_than_a_second_is_on_the_disk(tmp_path: Path, monkeypatch:
     assert synced[-1] == path.stat().st_size
 
 
-@settings(deadline=None)
 @given(
     st.builds(
         RunFooter,
@@ -361,7 +361,6 @@ def test_a_footer_survives_its_encoding(footer: RunFooter) -> None:
     assert messages.from_json(RunFooter, messages.to_json(footer)) == footer
 
 
-@settings(deadline=None)
 @given(text=st.text(), value=st.tuples(st.floats(allow_subnormal=True)), uncertainty=st.floats())
 def test_a_header_survives_its_encoding(text: str, value: tuple[float, ...], uncertainty: float) -> None:
     plain = made_up.header()
