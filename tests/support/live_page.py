@@ -51,11 +51,19 @@ def request(url: str, method: str = "GET", body: dict[str, str] | None = None, *
             connection.close()
 
 
+def enter(link: str, name: str = "") -> str:
+    """The cookie of a session that the token of a link opens; empty for a token that opens nothing."""
+    place = urlsplit(link)
+    return request(f"http://{place.netloc}/login", "POST", {"token": place.fragment, "name": name})[1]
+
+
 class Stream:
-    """One viewer of a page, as its browser would be."""
+    """One viewer of a page, as its browser would be; with a link and no cookie it logs in first."""
 
     def __init__(self, url: str, cookie: str = "", origin: str | None = None) -> None:
         place = urlsplit(url)
+        if not cookie and place.fragment:
+            cookie = enter(url)
         headers = {"Cookie": cookie} if cookie else {}
         self._left = ExitStack()
         opening = connect(
