@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import socket
 import subprocess
 import sys
@@ -103,6 +104,18 @@ def test_streams_without_a_token_are_refused_and_guests_take_no_operators_place(
         assert refused == 6
         with Stream(page.operator) as operator:
             assert operator.packet()[0]["now"]
+
+
+@pytest.mark.parametrize(
+    "said", ['{"do": ["vent"]}', '{"do": "pause"}', "{", "[]", "1" * 2000, '{"seek": "x"}', b"\x00\xff", ""], ids=str
+)
+def test_a_malformed_message_is_refused_and_the_stream_goes_on(page: Links, said: str | bytes) -> None:
+    with Stream(page.operator) as stream:
+        stream.socket.send(said)
+        answer = json.loads(stream.socket.recv(PATIENCE_S))["answer"]
+        assert answer["done"] is False
+        assert answer["said"].startswith("refused: ")
+        assert stream.packet()[0]["now"]
 
 
 def test_connections_of_a_guest_take_no_operators_place(page: Links) -> None:
