@@ -75,9 +75,8 @@ def open_page(listen: str, port: int, *, run: Path | None = None, archive: Path 
         return PageProcess(
             process,
             (
-                f"live page   {base}#{keys.operator}",
+                f"live page   {base}#{keys.operator}  (keep it to yourself: it can act)",
                 f"guest link  {base}#{keys.guest}  (view only)",
-                "whoever has the first link can pause, stop and vent; the second one only shows",
             ),
         )
     return PageProcess(
