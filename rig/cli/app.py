@@ -110,7 +110,9 @@ def program(
 
 
 LOCAL, LIVE_PORT = "127.0.0.1", 8090
-Listen = Annotated[str, typer.Option(metavar="ADDRESS", help="Serve the page beyond this machine; asks for a token.")]
+Listen = Annotated[
+    str, typer.Option(metavar="ADDRESS", help="Address of this machine to serve the page on, for others to reach.")
+]
 Port = Annotated[int, typer.Option(help="First port to try for the page; 0 for any that is free.", min=0, max=65535)]
 ProtocolName = Annotated[str, typer.Argument(metavar="NAME|FILE", help="Named protocol, or a YAML file.")]
 

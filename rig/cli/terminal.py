@@ -5,13 +5,17 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from dataclasses import dataclass
+from enum import IntEnum
 from types import TracebackType
 from typing import IO, TextIO, cast
 
 import numpy as np
 from numpy.typing import NDArray
-from rich.console import Console, Group
+from rich.columns import Columns
+from rich.console import Console, ConsoleOptions, Group, RenderableType, RenderResult
 from rich.live import Live
+from rich.measure import Measurement
 from rich.progress_bar import ProgressBar
 from rich.table import Column, Table
 from rich.text import Text
@@ -23,6 +27,60 @@ from rig.execution.plan import Progress
 from runs.records import DetectionStatus, Event, Level, Quantity
 
 LINE_EVERY_S = 2.0
+UNBOUNDED = 1000
+
+
+class Keep(IntEnum):
+    """What a screen that is too small shortens first, least important first."""
+
+    HINT = 0
+    TIMING = 1
+    ESTIMATES = 2
+    PRESSURES = 3
+    TIP = 4
+    TITLE = 5
+    ALL = 6
+
+
+@dataclass(frozen=True)
+class Block:
+    """One part of the screen in its forms, the longest first."""
+
+    forms: tuple[RenderableType, ...]
+    keep: Keep = Keep.ALL
+
+
+class Fitted:
+    """Blocks below one another, shortened until they fit the terminal; no form is used that is wider than it."""
+
+    def __init__(self, blocks: Sequence[Block]) -> None:
+        self._blocks = blocks
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        """Render the chosen forms."""
+        forms = [_wide_enough(console, options, block.forms) for block in self._blocks]
+        heights = [[len(console.render_lines(form, options)) for form in row] for row in forms]
+        chosen = [0] * len(forms)
+        while sum(row[i] for row, i in zip(heights, chosen, strict=True)) >= options.size.height:
+            shorter = [n for n, row in enumerate(forms) if chosen[n] + 1 < len(row)]
+            if not shorter:
+                break
+            # Every block gives up its longest form before one of them gives up its second.
+            chosen[min(shorter, key=lambda n: (chosen[n], self._blocks[n].keep))] += 1
+        for row, i in zip(forms, chosen, strict=True):
+            yield row[i]
+
+
+def _wide_enough(
+    console: Console, options: ConsoleOptions, forms: tuple[RenderableType, ...]
+) -> tuple[RenderableType, ...]:
+    """The forms that break nothing which is to stay whole; the last one in any case."""
+    unbounded = options.update_width(UNBOUNDED)  # a measurement never exceeds the width it is taken for
+    fits = [f for f in forms[:-1] if Measurement.get(console, unbounded, f).minimum <= options.max_width]
+    return (*fits, forms[-1])
+
+
+NOTHING = Group()
 _STYLE = {Level.INFO: "dim", Level.WARNING: "yellow", Level.FAULT: "bold red"}
 
 
@@ -141,55 +199,92 @@ def _line(progress: Progress) -> str:
     return " | ".join(parts)
 
 
-def _estimates(adapted: Sequence[Quantity], row: NDArray[np.void]) -> Table:
-    """What the recursive estimator knows by now, beside what the run began with."""
-    table = Table(box=None, padding=(0, 2, 0, 0))
-    for head in ("parameter", "estimate", "+-", "began with", "+-", "unit"):
-        table.add_column(head, justify="left" if head in ("parameter", "unit") else "right", overflow="fold")
-    std = np.sqrt(np.diagonal(row["covariance"]))
-    for quantity, value, deviation in zip(adapted, row["value"], std, strict=True):
-        begun = f"{quantity.value[0]:.5g}", f"{quantity.uncertainty:.2g}"
-        table.add_row(quantity.name, f"{value:.5g}", f"{deviation:.2g}", *begun, quantity.unit)
+def _screen(title: str, progress: Progress) -> Fitted:
+    """Everything about a run, each part with its shorter forms."""
+    sample, observation = progress.sample, progress.observation
+    blocks = [Block((Text(title, "bold"), NOTHING), Keep.TITLE)]
+    # What waits for the operator stands first: of a screen that is too long the end is cut off.
+    if progress.held:
+        blocks.append(Block((Text("PAUSED: p resumes", "bold yellow"),)))
+    if progress.prompt is not None:
+        blocks.append(Block((Text(f"{progress.prompt}, then press Enter", "bold yellow"),)))
+    if sample is not None:
+        blocks.append(Block((_pressures(sample), _pressures_short(sample)), Keep.PRESSURES))
+    if observation is not None:
+        error = Text(f"error {_error_mm(progress):.2f} mm", "bold cyan")
+        short = Text.assemble(error, ("" if observation["model_ok"] else ", model not solved", "yellow"))
+        short = Text.assemble(short, f", tip {_tip(observation)}")
+        blocks.append(Block((_positions(progress, observation), short, error), Keep.TIP))
+    if sample is not None:
+        late = f"control late by {sample['lateness_ns'] / 1e3:.0f} us, deadlines missed {progress.missed}"
+        blocks.append(Block((Text(late, "yellow" if progress.missed else "dim"), NOTHING), Keep.TIMING))
+    clock = f"{_clock(progress.protocol_s)} of {_clock(progress.duration_s)}"
+    left = f"{clock}, {_clock(progress.duration_s - progress.protocol_s)} left"
+    way = Table.grid(Column(max_width=50), Column(no_wrap=True), padding=(0, 1))
+    way.add_row(ProgressBar(total=progress.duration_s, completed=progress.protocol_s), left)
+    blocks.append(Block((way, Text(left))))
+    blocks.append(Block((Text("p pauses, Ctrl-C stops", "dim"), NOTHING), Keep.HINT))
+    if progress.adaptation is not None:
+        found = _estimates(progress.adapted, progress.adaptation)
+        blocks.append(Block((*found, Text("the estimates need a larger terminal", "yellow")), Keep.ESTIMATES))
+    return Fitted(blocks)
+
+
+def _pressures(sample: NDArray[np.void]) -> Table:
+    table = Table(box=None, padding=(0, 1, 0, 0))
+    for head in ("actuator", "set-point [bar]", "measured [bar]", "difference [bar]"):
+        table.add_column(head, justify="right", overflow="fold", min_width=7)
+    for i, (setpoint, measured) in enumerate(zip(sample["setpoint_pa"], sample["measured_pa"], strict=True), 1):
+        table.add_row(str(i), _bar(setpoint), _bar(measured), f"{(measured - setpoint) / PA_PER_BAR:+.3f}")
     return table
 
 
-def _screen(title: str, progress: Progress) -> Group:
-    parts: list[Text | Table] = [Text(title, "bold")]
-    # What waits for the operator stands first: of a screen that is too long the end is cut off.
-    if progress.held:
-        parts.append(Text("PAUSED: p resumes", "bold yellow"))
-    if progress.prompt is not None:
-        parts.append(Text(f"{progress.prompt}, then press Enter", "bold yellow"))
-    sample, observation = progress.sample, progress.observation
-    if sample is not None:
-        table = Table(box=None, padding=(0, 2, 0, 0))
-        for head in ("actuator", "set-point [bar]", "measured [bar]", "difference [bar]"):
-            table.add_column(head, justify="right", overflow="fold", min_width=7)
-        for i, (setpoint, measured) in enumerate(zip(sample["setpoint_pa"], sample["measured_pa"], strict=True), 1):
-            table.add_row(str(i), _bar(setpoint), _bar(measured), f"{(measured - setpoint) / PA_PER_BAR:+.3f}")
-        parts.append(table)
-    if observation is not None:
-        table = Table(box=None, padding=(0, 2, 0, 0))
-        for head in ("tip", "x y z [mm]", "+- [mm]"):
-            table.add_column(head, justify="right", overflow="fold", min_width=8)
-        if observation["seen"] == DetectionStatus.MEASURED:
-            std = np.sqrt(np.diagonal(observation["covariance_m2"]))
-            table.add_row("measured", _point(observation["measured_m"]), _point(std))
-        else:
-            reason = DetectionStatus(int(observation["seen"])).name.lower().replace("_", " ")
-            table.add_row("measured", Text(f"none: {reason}", "yellow"), "")
-        table.add_row("model", _point(observation["model_m"]), "" if observation["model_ok"] else "not solved")
-        table.add_row("error", Text(f"{_error_mm(progress):.2f} mm", "bold cyan"), "")
-        parts.append(table)
-    if sample is not None:
-        late = f"control late by {sample['lateness_ns'] / 1e3:.0f} us, deadlines missed {progress.missed}"
-        parts.append(Text(late, "yellow" if progress.missed else "dim"))
-    left = _clock(progress.duration_s - progress.protocol_s)
-    way = Table.grid(Column(max_width=50), Column(no_wrap=True), padding=(0, 1))
-    bar = ProgressBar(total=progress.duration_s, completed=progress.protocol_s)
-    way.add_row(bar, f"{_clock(progress.protocol_s)} of {_clock(progress.duration_s)}, {left} left")
-    parts.append(way)
-    parts.append(Text("p pauses, Ctrl-C stops", "dim"))
-    if progress.adaptation is not None:
-        parts.append(_estimates(progress.adapted, progress.adaptation))
-    return Group(*parts)
+def _pressures_short(sample: NDArray[np.void]) -> Group:
+    pairs = zip(sample["setpoint_pa"], sample["measured_pa"], strict=True)
+    cells = [f"{i}: {_bar(s).strip()} / {_bar(m).strip()}" for i, (s, m) in enumerate(pairs, 1)]
+    return Group(Text("actuator: set-point / measured [bar]", "bold"), _cells(cells))
+
+
+def _positions(progress: Progress, observation: NDArray[np.void]) -> Table:
+    table = Table(box=None, padding=(0, 2, 0, 0))
+    for head in ("tip", "x y z [mm]", "+- [mm]"):
+        table.add_column(head, justify="right", overflow="fold", min_width=8)
+    if observation["seen"] == DetectionStatus.MEASURED:
+        std = np.sqrt(np.diagonal(observation["covariance_m2"]))
+        table.add_row("measured", _point(observation["measured_m"]), _point(std))
+    else:
+        table.add_row("measured", Text(f"none: {_unseen(observation)}", "yellow"), "")
+    table.add_row("model", _point(observation["model_m"]), "" if observation["model_ok"] else "not solved")
+    table.add_row("error", Text(f"{_error_mm(progress):.2f} mm", "bold cyan"), "")
+    return table
+
+
+def _tip(observation: NDArray[np.void]) -> str:
+    if observation["seen"] != DetectionStatus.MEASURED:
+        return f"not measured: {_unseen(observation)}"
+    return f"{' '.join(_point(observation['measured_m']).split())} mm"
+
+
+def _unseen(observation: NDArray[np.void]) -> str:
+    return DetectionStatus(int(observation["seen"])).name.lower().replace("_", " ")
+
+
+def _estimates(adapted: Sequence[Quantity], row: NDArray[np.void]) -> tuple[RenderableType, RenderableType]:
+    """What the recursive estimator knows by now: beside what the run began with, and alone."""
+    table = Table(box=None, padding=(0, 2, 0, 0))
+    for head in ("parameter", "estimate", "+-", "began with", "+-", "unit"):
+        # Half a number looks like another one: only names may be folded.
+        table.add_column(head, justify="left" if head in ("parameter", "unit") else "right", no_wrap=True)
+    table.columns[0].no_wrap, table.columns[0].overflow = False, "fold"
+    std = np.sqrt(np.diagonal(row["covariance"]))
+    cells = []
+    for quantity, value, deviation in zip(adapted, row["value"], std, strict=True):
+        begun = f"{quantity.value[0]:.5g}", f"{quantity.uncertainty:.2g}"
+        table.add_row(quantity.name, f"{value:.5g}", f"{deviation:.2g}", *begun, quantity.unit)
+        cells.append(f"{quantity.name} {value:.5g} +- {deviation:.2g} {quantity.unit}".rstrip())
+    return table, Group(Text("estimates", "bold"), _cells(cells))
+
+
+def _cells(texts: Sequence[str]) -> Columns:
+    """Short texts side by side, as many as fit; one that is wider than the terminal is broken between words."""
+    return Columns([Text(text) for text in texts], padding=(0, 3))

@@ -16,6 +16,7 @@ from protocols import BadInputError
 from rig.config.arm_model import TipLoad, model_arm
 from rig.config.loader import parse
 from rig.config.schema import PA_PER_BAR, RigConfig
+from rig.live.messages import Message
 from rig.live.packets import ViewOverlay, ViewUpdate, estimates
 from rig.observation.overlay import OverlayProjector
 from rig.realtime.shared_state import LINE_POINTS
@@ -24,7 +25,6 @@ from runs.run import Run
 
 HISTORY_ROWS = 1500
 PACKET_S = 1 / 30
-FASTEST = 100.0
 MM_PER_M = 1e3
 KG_PER_G = 1e-3
 Floats = NDArray[np.float64]
@@ -235,18 +235,19 @@ class ArchivedRunViewer:
         self._shown_s, self._stale = self._t_s, False
         return news.encoded()
 
-    def asked(self, message: dict[str, Any], who: str) -> dict[str, Any] | None:
-        """Go to a place, at a speed, or stand still."""
-        seek, speed, play = message.get("seek"), message.get("speed"), message.get("play")
+    def asked(self, message: Message, who: str) -> dict[str, Any] | None:
+        """Go to a time, change the speed, play or stop."""
+        if message.do is not None:
+            return {"done": False, "said": f"refused: an archive has no run to {message.do}"}
         self._last = time.monotonic()
-        if isinstance(seek, int | float) and math.isfinite(seek):
-            self._t_s = min(max(float(seek), 0.0), self._source.end_s)
+        if message.seek is not None:
+            self._t_s = min(max(message.seek, 0.0), self._source.end_s)
             self._stale = True
-        if isinstance(speed, int | float) and 0 < speed <= FASTEST:
-            self._speed = float(speed)
-        if isinstance(play, bool):
-            self._playing, self._stale = play, True
-            if play and self._t_s >= self._source.end_s:
+        if message.speed is not None:
+            self._speed = message.speed
+        if message.play is not None:
+            self._playing, self._stale = message.play, True
+            if message.play and self._t_s >= self._source.end_s:
                 self._t_s = 0.0
         return None
 

@@ -1,14 +1,17 @@
-"""Who may enter the page: tokens, sessions, and no request that another site has made the browser send.
+"""Authentication before the page: tokens, sessions, and no request that another site has made the browser send.
 
-On this machine alone everybody is the operator, and only the names of this machine are answered to (a foreign name
-that points here is somebody else's site). Beyond it nothing but the login page is given to one without a session:
-a one-time token opens the operator's, a guest token a view-only one. Tokens travel in the body of a POST and, in a
-link, behind the #, which browsers keep to themselves; they are in no URL and in no log.
+A request without a session gets the login page and nothing else, on the loopback interface too: every account of this
+machine can connect there. The operator's token opens an operator's session, the guest token a view-only one. Tokens
+travel in the body of a POST and, in a link, behind the #, which browsers keep to themselves; they are in no request
+line, in no log and in no process's arguments.
+
+A page on the loopback interface answers to the names of this machine only (a foreign name that points here is another
+site's), and its operator is the account that started it: its token, shown to that account alone, may be used again.
+A token that leaves the machine opens one session, whose user states his name.
 """
 
 from __future__ import annotations
 
-import asyncio
 import hmac
 import ipaddress
 import secrets
@@ -19,11 +22,11 @@ from urllib.parse import parse_qs
 
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from rig.live.admission import CONNECTION, Rank
+from rig.realtime.control_socket import printable
+
 COOKIE = "softrig"
 LOGIN_BYTES = 2048
-LOGIN_S = 5.0
-WRONG_TOKEN_S = 0.5
-WAITING_LOGINS = 16
 MOST_SESSIONS = 64
 SESSION = "softrig.session"
 """Where the session is found in a request's scope."""
@@ -44,7 +47,7 @@ _HEADERS = [
 
 @dataclass(frozen=True)
 class Session:
-    """Who looks, and whether he may act."""
+    """The name of the user, and whether the session may act."""
 
     who: str
     operator: bool
@@ -52,26 +55,31 @@ class Session:
 
 @dataclass
 class AccessTokens:
-    """The tokens of one page and the sessions that they have opened."""
+    """The tokens of one page and the sessions that they have opened.
+
+    `owner` is the account that started a page on the loopback interface; None for a page beyond this machine.
+    """
+
+    owner: str | None = None
 
     operator: str = field(default_factory=lambda: secrets.token_urlsafe(24), repr=False)
     guest: str = field(default_factory=lambda: secrets.token_urlsafe(24), repr=False)
     _sessions: dict[str, Session] = field(default_factory=dict, repr=False)
 
     def open(self, token: str, who: str) -> str | None:
-        """The cookie of a new session; None for a token that opens nothing. The operator's token opens once."""
+        """The cookie of a new session; None for a token that opens nothing."""
         given = token.strip().encode()
         is_operator = hmac.compare_digest(given, self.operator.encode()) and bool(self.operator)
         is_guest = hmac.compare_digest(given, self.guest.encode())
         if not (is_operator or is_guest):
             return None
-        if is_operator:
+        if is_operator and self.owner is None:
             self.operator = ""
         cookie = secrets.token_urlsafe(32)
         if len(self._sessions) >= MOST_SESSIONS:
             guest = next((key for key, session in self._sessions.items() if not session.operator), None)
             self._sessions.pop(guest or next(iter(self._sessions)))
-        name = " ".join(who.split())[:40]
+        name = self.owner if is_operator and self.owner else printable(who)
         self._sessions[cookie] = Session(name or ("operator" if is_operator else "guest"), is_operator)
         return cookie
 
@@ -81,13 +89,12 @@ class AccessTokens:
 
 
 class AuthenticationMiddleware:
-    """Stands before the whole application. `local` is the session of everybody on this machine, None with tokens."""
+    """Stands before the whole application. `port` tells the cookies of this machine's pages apart."""
 
-    def __init__(self, app: ASGIApp, keys: AccessTokens, local: Session | None) -> None:
+    def __init__(self, app: ASGIApp, keys: AccessTokens, port: int) -> None:
         self._app = app
         self._keys = keys
-        self._local = local
-        self._logins = asyncio.Semaphore(WAITING_LOGINS)
+        self._cookie = f"{COOKIE}-{port}"
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Let a request pass, or answer it here."""
@@ -98,20 +105,22 @@ class AuthenticationMiddleware:
         if refusal := self._foreign(scope, headers):
             await _refuse(scope, receive, send, 403, refusal)
         elif (session := self._session(headers)) is not None:
+            if connection := scope.get("state", {}).get(CONNECTION):
+                connection.raise_to(Rank.OPERATOR if session.operator else Rank.GUEST)
             await self._app({**scope, SESSION: session}, receive, _with_headers(send))
-        elif scope["type"] == "http" and scope["path"] == "/login" and self._local is None:
+        elif scope["type"] == "http" and scope["path"] == "/login":
             await self._login(scope, receive, send)
         elif scope["type"] == "http" and scope["method"] == "GET" and scope["path"] == "/login.js":
             await _page(send, 200, "text/javascript", "login.js")
         elif scope["type"] == "http" and scope["method"] == "GET" and "text/html" in headers.get("accept", ""):
-            await _page(send, 401, "text/html; charset=utf-8", "login.html")
+            await self._form(send, 401)
         else:
             await _refuse(scope, receive, send, 401, "log in first")
 
     def _foreign(self, scope: Scope, headers: dict[str, str]) -> str | None:
         """Why a request does not come from this page."""
         host = headers.get("host", "")
-        if self._local is not None and not _is_local(host):
+        if self._keys.owner is not None and not _is_local(host):
             return "this page answers to the names of its own machine only"
         origin = headers.get("origin")
         if origin is not None and origin not in (f"http://{host}", f"https://{host}"):
@@ -123,33 +132,31 @@ class AuthenticationMiddleware:
         return None
 
     def _session(self, headers: dict[str, str]) -> Session | None:
-        if self._local is not None:
-            return self._local
         try:
-            morsel = SimpleCookie(headers.get("cookie", "")).get(COOKIE)
+            morsel = SimpleCookie(headers.get("cookie", "")).get(self._cookie)
         except CookieError:
             return None
         return self._keys.session(morsel.value) if morsel is not None else None
 
     async def _login(self, scope: Scope, receive: Receive, send: Send) -> None:
         if scope["method"] != "POST":
-            await _page(send, 200, "text/html; charset=utf-8", "login.html")
+            await self._form(send, 200)
             return
-        if self._logins.locked():
-            await _refuse(scope, receive, send, 429, "too many logins at a time")
+        form = parse_qs((await _body(receive)).decode("utf-8", "replace"))
+        cookie = self._keys.open(form.get("token", [""])[0], form.get("name", [""])[0])
+        if cookie is None:
+            await self._form(send, 403, b"wrong")
             return
-        async with self._logins:
-            form = parse_qs((await _body(receive)).decode("utf-8", "replace"))
-            cookie = self._keys.open(form.get("token", [""])[0], form.get("name", [""])[0])
-            if cookie is None:
-                await asyncio.sleep(WRONG_TOKEN_S)
-                await _page(send, 403, "text/html; charset=utf-8", "login.html", b"wrong")
-                return
         where = [
             (b"location", b"/"),
-            (b"set-cookie", f"{COOKIE}={cookie}; Path=/; HttpOnly; SameSite=Strict".encode()),
+            (b"set-cookie", f"{self._cookie}={cookie}; Path=/; HttpOnly; SameSite=Strict".encode()),
         ]
         await _answer(send, 303, where, b"")
+
+    async def _form(self, send: Send, status: int, mark: bytes = b"") -> None:
+        """The login page. On the loopback interface it asks for no name: the account is known."""
+        named = b"" if self._keys.owner is None else b"hidden"
+        await _page(send, status, "text/html; charset=utf-8", "login.html", mark=mark, named=named)
 
 
 def _is_local(host: str) -> bool:
@@ -163,16 +170,13 @@ def _is_local(host: str) -> bool:
 
 async def _body(receive: Receive) -> bytes:
     data = b""
-    try:
-        async with asyncio.timeout(LOGIN_S):
-            while len(data) <= LOGIN_BYTES:
-                message = await receive()
-                data += bytes(message.get("body", b""))
-                if not message.get("more_body", False):
-                    break
-    except TimeoutError:
-        return b""
-    return data if len(data) <= LOGIN_BYTES else b""
+    # For how long the rest is waited for is the admission control's to say.
+    while len(data) <= LOGIN_BYTES:
+        message = await receive()
+        data += bytes(message.get("body", b""))
+        if not message.get("more_body", False):
+            return data if len(data) <= LOGIN_BYTES else b""
+    return b""
 
 
 async def _refuse(scope: Scope, receive: Receive, send: Send, status: int, reason: str) -> None:
@@ -183,14 +187,17 @@ async def _refuse(scope: Scope, receive: Receive, send: Send, status: int, reaso
         await _answer(send, status, [(b"content-type", b"text/plain; charset=utf-8")], reason.encode())
 
 
-async def _page(send: Send, status: int, kind: str, name: str, mark: bytes = b"") -> None:
-    body = files("rig.live").joinpath("static", name).read_bytes().replace(b"{{mark}}", mark)
+async def _page(send: Send, status: int, kind: str, name: str, **marks: bytes) -> None:
+    body = files("rig.live").joinpath("static", name).read_bytes()
+    for mark, value in marks.items():
+        body = body.replace(b"{{%s}}" % mark.encode(), value)
     await _answer(send, status, [(b"content-type", kind.encode())], body)
 
 
 async def _answer(send: Send, status: int, headers: list[tuple[bytes, bytes]], body: bytes) -> None:
     length = (b"content-length", str(len(body)).encode())
-    fixed = [*_HEADERS, (b"cache-control", b"no-store"), length]
+    # Whoever has no session keeps no place between requests.
+    fixed = [*_HEADERS, (b"cache-control", b"no-store"), (b"connection", b"close"), length]
     await send({"type": "http.response.start", "status": status, "headers": [*headers, *fixed]})
     await send({"type": "http.response.body", "body": body})
 

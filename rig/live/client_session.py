@@ -78,14 +78,17 @@ class ClientSession:
         except OSError:
             self.over = True
 
-    def ask(self, do: str, who: str) -> dict[str, Any]:
-        """Pass a wish on and wait for the answer: `done` and what was `said`. May be called from any thread."""
+    def ask(self, do: str, who: str, via: str = "live page") -> dict[str, Any]:
+        """Ask for an action and wait for the answer, `done` and `said`. May be called from any thread.
+
+        `who` is a person, `via` the program in use; the record adds the account that this process runs under.
+        """
         door = connect(self._path)
         if door is None:
             return {"done": False, "said": "the run has ended"}
         with door:
             try:
-                door.send(json.dumps({"do": do, "who": who}).encode())
+                door.send(json.dumps({"do": do, "who": who, "via": via}).encode())
                 if answer := door.recv(PACKET_BYTES):
                     told: dict[str, Any] = json.loads(answer)
                     return told

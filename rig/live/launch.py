@@ -55,8 +55,8 @@ def open_page(listen: str, port: int, *, run: Path | None = None, archive: Path 
     address = _address(listen)
     bound = _bind(address, port)
     local = address.is_loopback
-    keys = AccessTokens()
-    order = PageConfiguration(bound.fileno(), keys, user_name() if local else None, run, archive)
+    keys = AccessTokens(user_name() if local else None)
+    order = PageConfiguration(bound.fileno(), keys, run, archive)
     process = subprocess.Popen(
         [sys.executable, "-m", "rig.live.server"],
         stdin=subprocess.PIPE,
@@ -72,7 +72,13 @@ def open_page(listen: str, port: int, *, run: Path | None = None, archive: Path 
     base = _url(bound, address)
     bound.close()
     if local:
-        return PageProcess(process, (f"live page  {base}",))
+        return PageProcess(
+            process,
+            (
+                f"live page   {base}#{keys.operator}  (keep it to yourself: it can act)",
+                f"guest link  {base}#{keys.guest}  (view only)",
+            ),
+        )
     return PageProcess(
         process,
         (

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.live.client_session import ClientSession
+from rig.live.messages import Message
 from rig.live.packets import MM, History, RunningMean, ViewOverlay, ViewUpdate, bar, estimates, jpeg, track_row
-from rig.realtime.operator_commands import Command
 from rig.realtime.shared_state import Stage
 from runs.records import DetectionStatus, Event
 
@@ -185,12 +185,11 @@ class LiveRunViewer:
         self._shown, self._frame, self._sent = number, frame, time.monotonic()
         return news.encoded()
 
-    def asked(self, message: dict[str, Any], who: str) -> dict[str, Any] | None:
+    def asked(self, message: Message, who: str) -> dict[str, Any] | None:
         """Pass an action on to the conductor."""
-        do = message.get("do")
-        if do not in set(Command):
-            return None
-        return {"do": do, **self._source.visit.ask(str(do), f"{who} (live page)")}
+        if message.do is None:
+            return {"done": False, "said": "refused: seek, speed and play are for archives"}
+        return {"do": message.do, **self._source.visit.ask(message.do, who)}
 
     def close(self) -> None:
         """The browser has gone."""

@@ -13,13 +13,9 @@ LINGER_S = 3.0
 
 @dataclass(frozen=True)
 class PageConfiguration:
-    """What to show on which listening socket. `run` is the door of a run, `archive` a file; one of them is None.
-
-    `who` is the operator on this machine, None where everybody needs a token of `keys`.
-    """
+    """What to show on which listening socket. `run` is the door of a run, `archive` a file; one of them is None."""
 
     fd: int
     keys: AccessTokens
-    who: str | None
     run: Path | None = None
     archive: Path | None = None

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Any, Protocol
 
+from rig.live.messages import Message
+
 
 class Viewer(Protocol):
     """One browser's view of a source. Nothing is kept for one that does not ask."""
@@ -11,8 +13,8 @@ class Viewer(Protocol):
     def packet(self) -> bytes | None:
         """What is new since the last call, None when nothing is."""
 
-    def asked(self, message: dict[str, Any], who: str) -> dict[str, Any] | None:
-        """Do what an operator asks for; what to answer him, None for nothing."""
+    def asked(self, message: Message, who: str) -> dict[str, Any] | None:
+        """Do what somebody asks for; the answer, `done` and `said`, None for nothing."""
 
     def close(self) -> None:
         """The browser has gone."""

@@ -17,7 +17,8 @@ from fastapi import FastAPI, WebSocket
 from starlette.staticfiles import StaticFiles
 
 from rig.execution.plan import StartError
-from rig.live.authentication import AuthenticationMiddleware, Session
+from rig.live.admission import ACCEPTED_AT_ONCE, Admission, http_protocol
+from rig.live.authentication import AuthenticationMiddleware
 from rig.live.page_configuration import LINGER_S, PageConfiguration
 from rig.live.run_source import RunSource
 from rig.live.stream import stream
@@ -25,7 +26,8 @@ from rig.live.stream import stream
 NICE = 5
 """Behind the observer and the conductor, but not so far that a busy machine starves it."""
 UPDATE_S = 0.008
-MOST_CONNECTIONS = 256
+QUEUE = 1024
+"""Connections that the kernel keeps for a busy page."""
 STATIC = Path(__file__).parent / "static"
 
 
@@ -36,11 +38,13 @@ def main() -> int:
     listening = socket.socket(fileno=order.fd)
     server = uvicorn.Server(
         uvicorn.Config(
-            application(source, order),
+            application(source, order, listening.getsockname()[1]),
+            http=http_protocol(Admission()),
+            backlog=ACCEPTED_AT_ONCE,
+            proxy_headers=False,
             log_level="error",
             access_log=False,
             server_header=False,
-            limit_concurrency=MOST_CONNECTIONS,
             ws_max_size=65536,
             ws_max_queue=8,
             timeout_keep_alive=5,
@@ -51,7 +55,7 @@ def main() -> int:
     os.nice(NICE)  # from here on: what was imported so far was waited for
 
     async def serve() -> None:
-        feeding = asyncio.create_task(_feed(source, server))
+        feeding = asyncio.create_task(_feed(source, server, listening))
         await server.serve(sockets=[listening])
         feeding.cancel()
 
@@ -70,8 +74,12 @@ def _source(order: PageConfiguration) -> RunSource:
     return PendingRun(order.run)
 
 
-async def _feed(source: RunSource, server: uvicorn.Server) -> None:
+async def _feed(source: RunSource, server: uvicorn.Server, listening: socket.socket) -> None:
     parent = os.getppid()
+    while not server.started:
+        await asyncio.sleep(UPDATE_S)
+    # asyncio takes one number for how many it accepts at once and for the kernel's queue; the queue may be longer.
+    listening.listen(QUEUE)
     try:
         while not source.over and os.getppid() == parent:
             source.update()
@@ -84,7 +92,7 @@ async def _feed(source: RunSource, server: uvicorn.Server) -> None:
         server.should_exit = True
 
 
-def application(source: RunSource, order: PageConfiguration) -> AuthenticationMiddleware:
+def application(source: RunSource, order: PageConfiguration, port: int) -> AuthenticationMiddleware:
     """The page, its stream and its files, behind the gate."""
     from nicegui import ui
 
@@ -109,8 +117,7 @@ def application(source: RunSource, order: PageConfiguration) -> AuthenticationMi
         show_welcome_message=False,
         tailwind=False,
     )
-    local = Session(order.who, operator=True) if order.who is not None else None
-    return AuthenticationMiddleware(app, order.keys, local)
+    return AuthenticationMiddleware(app, order.keys, port)
 
 
 if __name__ == "__main__":

@@ -1,7 +1,8 @@
 """The stream to one browser: it says when it is ready for more, so a slow or stalled one costs nothing.
 
-The browser sends JSON objects: `{"more": 1}` asks for the next packet, `{"do": ...}` for an action or, with an
-archive, for a place and speed. Packets go out as binary messages (see `rig.live.packets`), answers as text.
+What the browser sends is in `rig.live.messages`; what is none of these is refused with a sentence and changes nothing.
+Packets go out as binary messages (see `rig.live.packets`), answers as text. Guests share a number of streams;
+an operator's are limited by his connections alone.
 """
 
 from __future__ import annotations
@@ -14,37 +15,38 @@ from typing import Any
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from rig.live.authentication import SESSION, Session
+from rig.live.messages import Message, MessageError, parse
 from rig.live.run_source import RunSource, Viewer
 
 POLL_S = 0.008
 WAIT_S = 0.1
 LEAST_PERIOD_S = 0.02
-MESSAGE_BYTES = 1024
-MOST_STREAMS = 24
+MOST_GUESTS = 24
 
-_open = 0
+_guests = 0
 
 
 async def stream(socket: WebSocket, source: RunSource) -> None:
     """Serve one browser until it goes."""
-    global _open
-    if _open >= MOST_STREAMS:
+    global _guests
+    session: Session = socket.scope[SESSION]
+    guest = not session.operator
+    if guest and _guests >= MOST_GUESTS:
         await socket.close(1013)
         return
-    _open += 1
+    _guests += guest
     try:
         await socket.accept()
         while (about := source.about()) is None:
             await asyncio.sleep(WAIT_S)
-        await _serve(socket, source, about)
+        await _serve(socket, source, session, about)
     except (WebSocketDisconnect, RuntimeError):
         pass
     finally:
-        _open -= 1
+        _guests -= guest
 
 
-async def _serve(socket: WebSocket, source: RunSource, about: dict[str, Any]) -> None:
-    session: Session = socket.scope[SESSION]
+async def _serve(socket: WebSocket, source: RunSource, session: Session, about: dict[str, Any]) -> None:
     viewer = source.viewer()
     ready = asyncio.Event()
     lock = asyncio.Lock()
@@ -70,19 +72,20 @@ async def _listen(
     acting: bool,
 ) -> None:
     while True:
-        text = await socket.receive_text()
-        message = _parsed(text)
-        if message is None:
-            await socket.close(1007)
-            return
-        if "more" in message:
-            ready.set()
-            continue
-        if acting and not session.operator:
-            answer: dict[str, Any] | None = {"done": False, "said": "guests may look, not touch"}
+        answer: dict[str, Any] | None
+        try:
+            message = await _message(socket)
+        except MessageError as error:
+            answer = {"done": False, "said": str(error)}
         else:
-            # The answer may take a moment when the conductor is busy; other browsers do not wait for it.
-            answer = await asyncio.to_thread(viewer.asked, message, session.who)
+            if message.more is not None:
+                ready.set()
+                continue
+            if acting and not session.operator:
+                answer = {"done": False, "said": "refused: this is a view-only session"}
+            else:
+                # The answer may take a moment when the conductor is busy; other browsers do not wait for it.
+                answer = await asyncio.to_thread(viewer.asked, message, session.who)
         if answer is not None:
             async with lock:
                 await socket.send_text(json.dumps({"answer": answer}))
@@ -101,11 +104,10 @@ async def _send(socket: WebSocket, viewer: Viewer, ready: asyncio.Event, lock: a
         await asyncio.sleep(LEAST_PERIOD_S)
 
 
-def _parsed(text: str) -> dict[str, Any] | None:
-    if len(text) > MESSAGE_BYTES:
-        return None
-    try:
-        message = json.loads(text)
-    except ValueError:
-        return None
-    return message if isinstance(message, dict) else None
+async def _message(socket: WebSocket) -> Message:
+    received = await socket.receive()
+    if received["type"] == "websocket.disconnect":
+        raise WebSocketDisconnect(received.get("code", 1000))
+    if (text := received.get("text")) is None:
+        raise MessageError("refused: messages are text, not binary")
+    return parse(text)

@@ -1,8 +1,10 @@
-"""The conductor's door: a local socket where a page of the same user gets a view of the run and leaves wishes.
+"""The conductor's control socket: a page of the same user reads the run's data there and asks for actions.
 
 Packets are JSON objects. `{"do": "attach"}` is answered with two file descriptors: the run's memory, read-only, and a
-pickle of its plan. `{"do": "watch"}` says that somebody looks. Any other `do` is an `Action`, with `who`.
-The door never waits for a visitor: one who does not take his answer is shown out.
+pickle of its plan. `{"do": "watch"}` reports that a viewer is present. Any other `do` is an `Action`; `via` names the
+program that asks, `who` the person who uses it, if known. The record names the account behind the connection, which
+the kernel reports (SO_PEERCRED), whatever `who` says. Only the run's own user and root are let in.
+The conductor never waits for a client: one that does not read its answer, or sends no valid packet, is disconnected.
 """
 
 from __future__ import annotations
@@ -18,16 +20,18 @@ import struct
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 from rig.execution.plan import Plan
 from rig.hardware.runtime_folder import subfolder
-from rig.realtime.operator_commands import Command, CommandResult, OperatorCommand
+from rig.realtime.operator_commands import Command, CommandResult, OperatorCommand, user_name
 from rig.realtime.shared_state import SharedState
 
 PACKET_BYTES = 4096
 MOST_VISITORS = 32
 MOST_PACKETS = 32
 """Packets taken from one visitor at a time, so that a flood cannot hold the conductor up."""
+MOST_NAME = 40
 _PEER = struct.Struct("3i")
 
 CarryOut = Callable[[OperatorCommand], CommandResult]
@@ -107,8 +111,7 @@ class ControlSocket:
         with contextlib.suppress(OSError):
             visitor, _ = self._socket.accept()
             visitor.setblocking(False)
-            _, uid, _ = _PEER.unpack(visitor.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _PEER.size))
-            if uid in (0, os.getuid()) and len(self._visitors) < MOST_VISITORS:
+            if _uid(visitor) in (0, os.getuid()) and len(self._visitors) < MOST_VISITORS:
                 self._visitors.append(visitor)
                 return visitor
             visitor.close()
@@ -128,12 +131,34 @@ class ControlSocket:
             return False
         return True
 
-    def _answer(self, visitor: socket.socket, wish: dict[str, object], carry_out: CarryOut) -> None:
+    def _answer(self, visitor: socket.socket, wish: dict[str, Any], carry_out: CarryOut) -> None:
         do = wish.get("do")
         if do == "watch":
             self._memory.set("watched_ns", time.monotonic_ns())
         elif do == "attach":
             socket.send_fds(visitor, [b'{"done": true, "said": ""}'], [self._view_fd, self._plan_fd])
+        elif not isinstance(do, str):
+            raise TypeError("an action is a word")
         else:
-            answer = carry_out(OperatorCommand(Command(str(do)), str(wish.get("who", ""))[:80]))
+            answer = carry_out(OperatorCommand(Command(do), _named(_uid(visitor), wish.get("who"), wish.get("via"))))
             visitor.send(json.dumps({"done": answer.done, "said": answer.said}).encode())
+
+
+def _uid(visitor: socket.socket) -> int:
+    """The user id behind a connection."""
+    _, uid, _ = _PEER.unpack(visitor.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _PEER.size))
+    return int(uid)
+
+
+def _named(uid: int, who: object, via: object) -> str:
+    """Who acts, for the record: `ada (live page)`; with a name that somebody else gave, `eve (live page of ada)`."""
+    account = user_name(uid)
+    program = printable(via) or "control socket"
+    person = printable(who)
+    return f"{account} ({program})" if person in ("", account) else f"{person} ({program} of {account})"
+
+
+def printable(name: object) -> str:
+    """A short name on one line, without control characters and bidirectional marks; empty for what is no text."""
+    shown = "".join(c for c in name if c.isprintable()) if isinstance(name, str) else ""
+    return " ".join(shown.split())[:MOST_NAME]

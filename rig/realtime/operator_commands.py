@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import getpass
 import os
+import pwd
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -25,7 +25,7 @@ class Command(StrEnum):
 
 @dataclass(frozen=True)
 class OperatorCommand:
-    """One wish, and who has it: `ada (live page)`."""
+    """One action, and who asks for it: `ada (live page)`."""
 
     action: Command
     who: str
@@ -39,12 +39,16 @@ class CommandResult:
     said: str
 
 
-def user_name() -> str:
-    """Who acts; a number where the machine has no name for this user, as in a container."""
+def user_name(uid: int | None = None) -> str:
+    """The account with a user id, this process's own if left out; `user 1234` where the machine has no name for it.
+
+    The kernel's id decides: variables such as LOGNAME and USER can say anything.
+    """
+    uid = os.getuid() if uid is None else uid
     try:
-        return getpass.getuser()
-    except (KeyError, OSError):
-        return f"user {os.getuid()}"
+        return pwd.getpwuid(uid).pw_name
+    except KeyError:
+        return f"user {uid}"
 
 
 class CommandHandler:

@@ -15,6 +15,8 @@ from urllib.parse import urlencode, urlsplit
 
 from websockets.sync.client import ClientConnection, connect
 
+from tests.support.browser import Browser, Tab
+
 PATIENCE_S = 150.0
 
 
@@ -51,11 +53,30 @@ def request(url: str, method: str = "GET", body: dict[str, str] | None = None, *
             connection.close()
 
 
+def enter(link: str, name: str = "") -> str:
+    """The cookie of a session that the token of a link opens; empty for a token that opens nothing."""
+    place = urlsplit(link)
+    return request(f"http://{place.netloc}/login", "POST", {"token": place.fragment, "name": name})[1]
+
+
+def open_tab(browser: Browser, link: str) -> Tab:
+    """A tab that shows what is behind a link, with a session that the link's token has opened by itself."""
+    request(link)
+    tab = browser.tab()
+    tab.go(link)
+    tab.until("window.softrig && window.softrig.packets > 0")
+    # The browser notes that its first request had no session yet.
+    tab.troubles[:] = [trouble for trouble in tab.troubles if not ("401" in trouble and trouble.endswith(link))]
+    return tab
+
+
 class Stream:
-    """One viewer of a page, as its browser would be."""
+    """One viewer of a page, as its browser would be; with a link and no cookie it logs in first."""
 
     def __init__(self, url: str, cookie: str = "", origin: str | None = None) -> None:
         place = urlsplit(url)
+        if not cookie and place.fragment:
+            cookie = enter(url)
         headers = {"Cookie": cookie} if cookie else {}
         self._left = ExitStack()
         opening = connect(

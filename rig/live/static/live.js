@@ -194,6 +194,7 @@ function wire() {
 }
 
 async function start() {
+  history.replaceState(null, "", location.pathname); // a token in the address has done its work
   while (!at("softrig") || !(charts = Charts.find())) await new Promise((done) => setTimeout(done, 20));
   arm = new ArmView(at("arm-view"), pressureColour);
   picture = new PictureView(at("picture"));

@@ -103,14 +103,24 @@ def test_the_question_is_asked_where_the_screen_is_and_only_yes_arms(
     assert not said.out
 
 
-def running(*, prompt: str | None = None, held: bool = False) -> Progress:
-    """A run with everything on its screen: pressures, tip, and ten parameters that are being found."""
-    sample = np.zeros(1, sample_dtype(3, 2))[0]
-    sample["setpoint_pa"], sample["measured_pa"] = (12_300.0, 45_600.0, 0.0), (12_400.0, 45_500.0, 100.0)
-    observation = np.zeros(1, observation_dtype(3))[0]
-    observation["seen"], observation["measured_m"] = DetectionStatus.MEASURED, (-0.12345, 0.00678, 0.18765)
-    adapted = tuple(Quantity("adaptation", f"parameter_{i}", (1.0,), "1", "the rig", 0.1) for i in range(10))
-    adaptation = np.zeros(1, adaptation_dtype(10))[0]
+def running(
+    *,
+    prompt: str | None = None,
+    held: bool = False,
+    actuators: int = 3,
+    estimates: int = 10,
+    seen: DetectionStatus = DetectionStatus.MEASURED,
+) -> Progress:
+    """A run with everything on its screen: pressures, tip, and parameters that are being found."""
+    sample = np.zeros(1, sample_dtype(actuators, 2))[0]
+    sample["setpoint_pa"][:3], sample["measured_pa"][:3] = (12_300.0, 45_600.0, 0.0), (12_400.0, 45_500.0, 100.0)
+    sample["measured_pa"][3:] = 70_000.0 + 100 * np.arange(actuators - 3)
+    observation = np.zeros(1, observation_dtype(actuators))[0]
+    observation["seen"], observation["measured_m"] = seen, (-0.12345, 0.00678, 0.18765)
+    adapted = tuple(Quantity("adaptation", f"parameter_{i}", (1.0,), "1/bar", "the rig", 0.1) for i in range(estimates))
+    adaptation = np.zeros(1, adaptation_dtype(estimates))[0]
+    adaptation["value"] = -0.0012345 - 1e-7 * np.arange(estimates)
+    adaptation["covariance"] = 1.21e-8 * np.eye(estimates)
     return Progress(8.0, 9.0, sample, observation, 0, prompt, held, adapted, adaptation)
 
 
@@ -136,3 +146,41 @@ def test_a_narrow_terminal_cuts_no_number_of_a_run_off() -> None:
     assert "…" not in said
     for number in ("0.123", "0.124", "+0.001", "0.456", "-123.45", "6.78", "187.65", "0:08 of 0:09, 0:01 left"):
         assert number in said
+
+
+PROMPT = "Hang the weight of 200 g on the hook at the tip and wait until it no longer swings"
+
+
+@pytest.mark.parametrize(("columns", "lines"), [(80, 24), (60, 20)])
+@pytest.mark.parametrize("seen", [DetectionStatus.MEASURED, DetectionStatus.NO_BOARD])
+@pytest.mark.parametrize("held", [False, True])
+def test_a_small_terminal_shows_every_number_of_an_adapting_run_with_six_actuators(
+    columns: int, lines: int, seen: DetectionStatus, held: bool
+) -> None:
+    screen = live(running(prompt=PROMPT, held=held, actuators=6, estimates=9, seen=seen), columns, lines)
+    assert len(screen.rstrip("\n").split("\n")) < lines
+    assert max(len(line) for line in screen.replace("\x1b[?25l", "").split("\n")) <= columns
+    said = " ".join(screen.split())
+    assert f"{PROMPT}, then press Enter" in said
+    assert ("PAUSED" in said) is held
+    for number in ("0.123", "0.124", "0.456", "0.455", "0.700", "0.701", "0.702", "0:08 of 0:09, 0:01 left"):
+        assert number in said
+    error_mm = 1e3 * float(np.linalg.norm((-0.12345, 0.00678, 0.18765)))
+    assert f"{error_mm:.2f} mm" in said
+    assert ("-123.45" in said) is (seen is DetectionStatus.MEASURED)
+    for i in range(9):
+        assert f"parameter_{i} {-0.0012345 - 1e-7 * i:.5g} +- 0.00011 1/bar" in said
+
+
+def test_where_nothing_has_to_give_way_the_screen_has_everything() -> None:
+    screen = live(running(actuators=6, estimates=3), 80, 40)
+    for words in ("ramp-a on mock", "difference [bar]", "began with", "control late by", "p pauses"):
+        assert words in screen
+
+
+@pytest.mark.parametrize(("lines", "gone"), [(20, "p pauses"), (19, "control late by"), (18, "began with")])
+def test_the_least_important_lines_are_dropped_first(lines: int, gone: str) -> None:
+    order = ["p pauses", "control late by", "began with", "difference [bar]"]
+    kept = [words for words in order if words in live(running(actuators=6, estimates=4), 80, lines)]
+    assert gone not in kept
+    assert kept == order[len(order) - len(kept) :]

@@ -14,6 +14,7 @@ from rig.live.authentication import COOKIE, SESSION, AccessTokens, Authenticatio
 from tests.support.budget import examples
 
 HOST = "192.168.1.20:8090"
+PORT = 8090
 SECRET = b"the page and its data"
 
 
@@ -86,7 +87,7 @@ def keys() -> AccessTokens:
 @pytest.fixture
 def gate(keys: AccessTokens) -> AuthenticationMiddleware:
     """The gate of a page that listens beyond this machine."""
-    return AuthenticationMiddleware(_inside, keys, None)
+    return AuthenticationMiddleware(_inside, keys, PORT)
 
 
 @pytest.mark.parametrize("path", ["/", "/live/live.js", "/live/stream", "/_nicegui/3/static/nicegui.js", "/login/.."])
@@ -167,8 +168,8 @@ def test_what_another_site_makes_the_browser_fetch_is_refused(
 
 
 @pytest.mark.parametrize("host", ["evil.example:8090", "127.0.0.1.evil.example", "", "[::2]:8090", "192.168.1.20"])
-def test_on_this_machine_a_foreign_name_is_refused(keys: AccessTokens, host: str) -> None:
-    local = AuthenticationMiddleware(_inside, keys, Session("ada", operator=True))
+def test_on_this_machine_a_foreign_name_is_refused(host: str) -> None:
+    local = AuthenticationMiddleware(_inside, AccessTokens("ada"), PORT)
     assert ask(local, host=host).status == 403
     assert not ask(local, kind="websocket", host=host).accepted
 
@@ -176,9 +177,43 @@ def test_on_this_machine_a_foreign_name_is_refused(keys: AccessTokens, host: str
 @pytest.mark.parametrize(
     "host", ["127.0.0.1:8090", "127.0.0.2:8090", "localhost:8090", "LOCALHOST", "[::1]:8090", "[::1]"]
 )
-def test_on_this_machine_everybody_is_the_operator(keys: AccessTokens, host: str) -> None:
-    local = AuthenticationMiddleware(_inside, keys, Session("ada", operator=True))
-    assert ask(local, host=host).body == SECRET + b"ada"
+def test_on_this_machine_too_nothing_is_given_without_a_session(host: str) -> None:
+    local = AuthenticationMiddleware(_inside, AccessTokens("ada"), PORT)
+    assert ask(local, host=host).status == 401
+    assert SECRET not in ask(local, host=host, cookie=f"{COOKIE}-{PORT}=guessed").body
+    assert not ask(local, "/live/stream", kind="websocket", host=host).accepted
+
+
+def test_on_this_machine_the_token_opens_again_and_its_owner_is_who_acts() -> None:
+    keys = AccessTokens("ada")
+    local = AuthenticationMiddleware(_inside, keys, PORT)
+    for claimed in ("ada", "eve"):
+        body = f"token={keys.operator}&name={claimed}".encode()
+        cookie = ask(local, "/login", method="POST", body=body, host="127.0.0.1:8090").cookie
+        assert ask(local, host="127.0.0.1:8090", cookie=cookie).body == SECRET + b"ada"
+
+
+def test_the_pages_of_two_ports_keep_their_sessions_apart() -> None:
+    names = set()
+    for port in (8090, 8091):
+        keys = AccessTokens("ada")
+        names.add(login(AuthenticationMiddleware(_inside, keys, port), keys.operator).status)
+        cookie = ask(
+            AuthenticationMiddleware(_inside, keys, port),
+            "/login",
+            method="POST",
+            body=b"token=" + keys.operator.encode(),
+            host="localhost",
+        ).cookie
+        names.add(cookie.partition("=")[0])
+    assert names == {403, f"{COOKIE}-8090", f"{COOKIE}-8091"}
+
+
+def test_a_name_brings_no_control_characters_and_bidirectional_marks_into_the_record() -> None:
+    keys = AccessTokens()
+    cookie = keys.open(keys.operator, "\x1b[2Jada\u202e eve\n ")
+    assert cookie is not None
+    assert keys.session(cookie) == Session("[2Jada eve", operator=True)
 
 
 def test_every_answer_forbids_frames_and_foreign_scripts(gate: AuthenticationMiddleware, keys: AccessTokens) -> None:

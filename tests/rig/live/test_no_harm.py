@@ -14,8 +14,9 @@ import pytest
 from websockets.exceptions import InvalidStatus
 
 import runs
+from rig.realtime.operator_commands import user_name
 from runs.records import Status
-from tests.support.live_page import Stream, reachable, request, said
+from tests.support.live_page import PATIENCE_S, Stream, reachable, request, said
 from tests.support.rig_process import rig_run
 
 pytestmark = pytest.mark.realtime
@@ -47,6 +48,8 @@ def test_only_a_session_gets_data_and_only_an_operators_acts(tmp_path: Path) -> 
         for do in ("pause", "stop", "vent", "skip"):
             assert not looking.act(do)["done"]
         assert looking.packet()[0]["now"]["state"] == "running"
+        acting.socket.send('{"do": ["vent"]}')
+        assert "refused" in str(acting.socket.recv(PATIENCE_S))
         assert acting.act("pause")["done"]
         assert looking.until("paused")["prompt"] is None
         assert acting.act("stop")["done"]
@@ -54,7 +57,7 @@ def test_only_a_session_gets_data_and_only_an_operators_acts(tmp_path: Path) -> 
         assert run.end() == 130, run.output
         tokens = [link.partition("#")[2] for link in (operator_link, guest_link)]
     archive = runs.open(run.archive())
-    assert [e.message for e in archive.events if "ada (live page)" in e.message]
+    assert [e.message for e in archive.events if f"ada (live page of {user_name()})" in e.message]
     assert not [e.message for e in archive.events if "eve" in e.message]
     assert all(token.encode() not in run.archive().read_bytes() for token in tokens)
 

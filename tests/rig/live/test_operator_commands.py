@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import json
 import os
+import pwd
 import socket
+import subprocess
+import sys
 import threading
 from collections.abc import Iterator
 from contextlib import closing
@@ -21,10 +24,21 @@ from rig.experiment import run as experiment
 from rig.hardware import runtime_folder
 from rig.live.client_session import ClientSession, connect, running_runs
 from rig.realtime.control_socket import ControlSocket, socket_paths
-from rig.realtime.operator_commands import Command, CommandHandler, CommandResult, OperatorCommand
+from rig.realtime.operator_commands import Command, CommandHandler, CommandResult, OperatorCommand, user_name
 from rig.realtime.shared_state import SharedState, StateLayout, Stop, view_dtype
 from runs.records import Event, Level, Status
 
+_KNOCK_AS_NOBODY = """
+import os, socket, sys
+os.setgroups([]); os.setgid(65534); os.setuid(65534)
+visitor = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+visitor.connect(sys.argv[1])
+try:
+    visitor.send(b'{"do": "vent"}')
+    print("no data" if not visitor.recv(4096) else "answered")
+except OSError:
+    print("refused")
+"""
 RISING = st.lists(st.floats(0.0, 100.0), max_size=6).map(sorted)
 
 
@@ -162,8 +176,9 @@ def test_a_visitor_sees_the_run_and_cannot_write_to_it(conducted: Conducted, mem
 
 def test_wishes_are_passed_on_with_who_has_them(conducted: Conducted, memory: SharedState) -> None:
     visit = ClientSession(conducted.door.path)
-    assert visit.ask("pause", "ada (live page)") == {"done": True, "said": "pause by ada (live page)"}
-    assert conducted.asked == [OperatorCommand(Command.PAUSE, "ada (live page)")]
+    me = user_name()
+    assert visit.ask("pause", me) == {"done": True, "said": f"pause by {me} (live page)"}
+    assert conducted.asked == [OperatorCommand(Command.PAUSE, f"{me} (live page)")]
     visit.watch()
     visit.ask("resume", "ada")
     assert memory.get("watched_ns") > 0
@@ -171,7 +186,19 @@ def test_wishes_are_passed_on_with_who_has_them(conducted: Conducted, memory: Sh
 
 
 @pytest.mark.parametrize(
-    "packet", [b"{", b"[]", b'{"do": "fly"}', b"null", b"\xff", b'{"do": ["stop"]}', b"1" * 4096, b"[" * 4096]
+    "packet",
+    [
+        b"{",
+        b"[]",
+        b'{"do": "fly"}',
+        b"null",
+        b"\xff",
+        b'{"do": ["stop"]}',
+        b'{"do": 1}',
+        b'{"do": null}',
+        b"1" * 4096,
+        b"[" * 4096,
+    ],
 )
 def test_nonsense_is_shown_out_and_the_door_stays_open(conducted: Conducted, packet: bytes) -> None:
     visitor = connect(conducted.door.path)
@@ -182,6 +209,59 @@ def test_nonsense_is_shown_out_and_the_door_stays_open(conducted: Conducted, pac
     assert conducted.asked == []
     with closing(ClientSession(conducted.door.path)) as visit:
         assert visit.ask("pause", "ada")["done"]
+
+
+@pytest.mark.parametrize("who", ["eve", "\x1b[31meve\u202e", " eve\n"])
+def test_the_record_names_the_account_behind_the_connection_whatever_it_says(conducted: Conducted, who: str) -> None:
+    with closing(ClientSession(conducted.door.path)) as visit:
+        visit.ask("pause", who)
+        visit.ask("resume", "", via="")
+    named = "[31meve" if "[" in who else "eve"
+    assert [request.who for request in conducted.asked] == [
+        f"{named} (live page of {user_name()})",
+        f"{user_name()} (control socket)",
+    ]
+
+
+def test_the_account_is_the_kernels_not_the_environments(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("LOGNAME", "USER", "LNAME", "USERNAME"):
+        monkeypatch.setenv(name, "eve")
+    assert user_name() == pwd.getpwuid(os.getuid()).pw_name
+    assert user_name(2**31 - 5) == f"user {2**31 - 5}"
+
+
+@pytest.mark.skipif(os.getuid() != 0, reason="only root can become another user")
+def test_another_account_is_not_let_in(conducted: Conducted) -> None:
+    # Even where it could reach the socket: it does so here by a descriptor of the folder.
+    conducted.door.path.parent.chmod(0o755)
+    conducted.door.path.chmod(0o777)
+    folder = os.open(conducted.door.path.parent, os.O_PATH)
+    try:
+        done = subprocess.run(
+            [sys.executable, "-c", _KNOCK_AS_NOBODY, f"/proc/self/fd/{folder}/{conducted.door.path.name}"],
+            capture_output=True,
+            text=True,
+            check=True,
+            pass_fds=[folder],
+        )
+    finally:
+        os.close(folder)
+    assert done.stdout.strip() in ("refused", "no data"), done.stderr
+    assert conducted.asked == []
+
+
+def test_a_runtime_folder_of_another_user_is_left_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_RUNTIME_DIR", "/proc/1/nowhere")
+    monkeypatch.setattr("tempfile.gettempdir", lambda: str(tmp_path))
+    assert socket_paths() == tmp_path / f"softrig-{os.getuid()}"
+
+
+def test_a_link_in_place_of_the_folder_is_not_followed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    (tmp_path / "elsewhere").mkdir(mode=0o700)
+    (tmp_path / "softrig").symlink_to(tmp_path / "elsewhere")
+    with pytest.raises(PermissionError, match="alone"):
+        socket_paths()
 
 
 def test_visitors_beyond_the_most_are_shown_out_and_those_inside_are_still_served(conducted: Conducted) -> None:

@@ -18,7 +18,7 @@ from rig.experiment import run as experiment
 from runs.records import Status
 from runs.run import Run
 from tests.support.browser import Browser, Tab, browsing
-from tests.support.live_page import open_files, reachable, request, said
+from tests.support.live_page import open_files, open_tab, reachable, request, said
 from tests.support.rig_process import RigProcess, rig_run
 
 pytestmark = pytest.mark.realtime
@@ -59,11 +59,8 @@ def browser() -> Iterator[Browser]:
 
 def watch(browser: Browser, run: RigProcess) -> Tab:
     """A tab that shows a run."""
-    tab = browser.tab()
-    url = said(lambda: run.output, "live page")
-    request(url)
-    tab.go(url)
-    tab.until("window.softrig && window.softrig.packets > 2")
+    tab = open_tab(browser, said(lambda: run.output, "live page"))
+    tab.until("window.softrig.packets > 2")
     return tab
 
 
@@ -174,11 +171,9 @@ def child_of(parent: int) -> int:
 
 def test_an_archive_is_played_with_slider_and_speed(browser: Browser, archive: Run, tmp_path: Path) -> None:
     with playing(archive, tmp_path) as (output, _):
-        tab = browser.tab()
-        url = said(lambda: output, "live page")
-        request(url)
-        tab.go(url)
-        tab.until("window.softrig && window.softrig.packets > 2 && window.softrig.now.state === 'playing'")
+        tab = open_tab(browser, said(lambda: output, "live page"))
+        tab.until("window.softrig.packets > 2 && window.softrig.now.state === 'playing'")
+        assert tab.value("location.hash + document.cookie") == ""
         tab.click("#play")
         tab.until("window.softrig.now.state === 'stopped'")
         tab.value(
@@ -227,9 +222,8 @@ def test_beyond_this_machine_a_wrong_token_is_refused_and_a_right_one_enters(
 
 def test_reloads_leak_nothing(browser: Browser, archive: Run, tmp_path: Path) -> None:
     with playing(archive, tmp_path) as (output, pid):
-        tab = browser.tab()
         url = said(lambda: output, "live page")
-        request(url)
+        tab = open_tab(browser, url)
         counts = []
         for _ in range(6):
             tab.go(url)

@@ -1,0 +1,55 @@
+"""What a browser sends on the stream: JSON objects that ask for one thing each. Nothing else is acted on."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError, model_validator
+
+from rig.realtime.operator_commands import Command
+
+FASTEST = 100.0
+MOST_CHARACTERS = 1024
+MOST_REASON = 200
+ASKS = ("more", "do", "seek", "speed", "play")
+
+
+class MessageError(ValueError):
+    """A message that says nothing valid; its text is the sentence for whoever sent it."""
+
+
+class Message(BaseModel):
+    """One wish. Exactly one field is set: `more` asks for the next packet, `do` for an action on a running experiment,
+    `seek` [s], `speed` (times real time) and `play` move in an archive."""
+
+    model_config = ConfigDict(strict=True, extra="forbid", frozen=True)
+
+    more: Literal[1] | None = None
+    do: Command | None = None
+    seek: FiniteFloat | None = None
+    speed: Annotated[FiniteFloat, Field(gt=0, le=FASTEST)] | None = None
+    play: bool | None = None
+
+    @model_validator(mode="after")
+    def _one_wish(self) -> Message:
+        if sum(getattr(self, name) is not None for name in ASKS) != 1:
+            raise ValueError(f"expected exactly one of {', '.join(ASKS)}")
+        return self
+
+
+def parse(text: str) -> Message:
+    """Read a message.
+
+    Raises:
+        MessageError: it is too long, no JSON object, or asks for nothing that there is.
+    """
+    if len(text) > MOST_CHARACTERS:
+        raise MessageError(f"refused: a message has at most {MOST_CHARACTERS} characters")
+    try:
+        return Message.model_validate_json(text)
+    except ValidationError as error:
+        first = error.errors(include_url=False, include_context=False)[0]
+        reason = first["msg"].removeprefix("Value error, ")
+        if first["loc"]:
+            reason = f"{first['loc'][0]!a}: {reason}, not {first['input']!a}"
+        raise MessageError(f"refused: {reason[:MOST_REASON]}") from None

@@ -1,0 +1,157 @@
+"""A page that shows a run which stands still, with numbers as wide as they get: `python tests/support/live_shown.py 6 --adapt`.
+
+Prints the page's link. What is real: server, page, stream and browser; what is made up: the run's numbers.
+"""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import socket
+import sys
+from typing import Any
+
+import numpy as np
+import uvicorn
+
+from rig.live.authentication import AccessTokens
+from rig.live.messages import Message
+from rig.live.packets import ViewOverlay, ViewUpdate, jpeg
+from rig.live.page_configuration import PageConfiguration
+from rig.live.server import application
+
+NAMES = (
+    "law",
+    "bending",
+    "shear_ratio",
+    "rpe_per_bar",
+    "bulk_stiffness",
+    "damping_s",
+    "azimuth",
+    "base_x",
+    "base_tilt",
+)
+EVENTS = [
+    (0.0, "info", "control", "armed"),
+    (
+        12.3,
+        "warning",
+        "camera",
+        "the tip is not measured: the camera repeats the same picture bit for bit: it is frozen",
+    ),
+    (
+        13.4,
+        "fault",
+        "limits",
+        "actuator 6 at 0.7512 bar, above the limit of 0.7500 bar: the valves are in their safe state",
+    ),
+]
+
+
+class Shown:
+    """A source whose every browser sees the same moment."""
+
+    live = True
+    over = False
+
+    def __init__(self, actuators: int, adapt: bool, prompt: str) -> None:
+        self.actuators = actuators
+        seconds = np.arange(0.0, 60.0, 0.5)
+        pressures = 0.6123 + 0.05 * np.sin(seconds[:, None] + np.arange(2 * actuators))
+        track = np.column_stack([seconds, *(100 * np.sin(seconds + i) for i in range(11))])
+        now: dict[str, Any] = {
+            "state": "waiting" if prompt else "running",
+            "t": 59.5,
+            "protocol": 3723.4,
+            "left": 5999.6,
+            "segment": "sine of actuators 1 to 6 about 0.35 bar, amplitude 0.30 bar, 0.5 Hz",
+            "segmentLeft": 1234.5,
+            "prompt": prompt or None,
+            "ended": "",
+            "missed": 123,
+            "dropped": 4567,
+            "lateMax": 12345.6,
+            "late": 1234.5,
+            "setpoint": np.linspace(0.6123, 0.7, actuators),
+            "measured": np.linspace(0.6234, 0.7123, actuators),
+            "frame": 12345,
+            "seen": "too few corners",
+            "error": 123.456,
+            "mean": 12.345,
+            "modelOk": False,
+            "reprojection": 12.345,
+            "age": 123.4,
+        }
+        if adapt:
+            now["estimates"] = [[name, "1/bar", "-0.0012345", "0.00012", "-0.0012346"] for name in NAMES]
+        lines = np.linspace((0, 0, 0), (120, 30, 180), 20)[None] + np.zeros((actuators + 1, 1, 1))
+        drawing = ViewOverlay(np.full((20, 2), 50.0), np.array([90.0, 90.0]), np.array([95.0, 95.0]), lines)
+        picture = jpeg(np.full((480, 640), 160, np.uint8))
+        self.packet = ViewUpdate(now, pressures_of(seconds, pressures), track, list(EVENTS), drawing, picture).encoded()
+
+    def about(self) -> dict[str, Any]:
+        """What a run with as many actuators says of itself."""
+        return {
+            "title": "extension-weights on a-rig-with-a-long-name",
+            "live": True,
+            "simulated": True,
+            "variant": "coupled",
+            "actuators": self.actuators,
+            "camera": [640, 480],
+            "duration": 9723.0,
+            "limit": 0.7,
+            "length": 170.0,
+        }
+
+    def viewer(self) -> Moment:
+        """One more browser."""
+        return Moment(self.packet)
+
+    def update(self) -> None:
+        """Nothing changes."""
+
+
+class Moment:
+    """One browser's view: the one packet."""
+
+    def __init__(self, packet: bytes) -> None:
+        self._packet: bytes | None = packet
+
+    def packet(self) -> bytes | None:
+        """The packet, once."""
+        packet, self._packet = self._packet, None
+        return packet
+
+    def asked(self, message: Message, who: str) -> dict[str, Any]:
+        """Say who wants what."""
+        return {"done": True, "said": f"{message.do} by {who} (live page) at protocol time 3723.40 s"}
+
+    def close(self) -> None:
+        """Nothing is kept."""
+
+
+def pressures_of(seconds: np.ndarray, pressures: np.ndarray) -> np.ndarray:  # type: ignore[type-arg]
+    """Rows of the pressure chart."""
+    return np.column_stack([seconds, pressures])
+
+
+def main() -> None:
+    """Serve until killed."""
+    arguments = argparse.ArgumentParser(description=__doc__)
+    arguments.add_argument("actuators", type=int)
+    arguments.add_argument("--adapt", action="store_true")
+    arguments.add_argument("--prompt", default="")
+    wanted = arguments.parse_args()
+    keys = AccessTokens("ada-lovelace")
+    listening = socket.create_server(("127.0.0.1", 0))
+    port = listening.getsockname()[1]
+    app = application(
+        Shown(wanted.actuators, wanted.adapt, wanted.prompt), PageConfiguration(listening.fileno(), keys), port
+    )
+    server = uvicorn.Server(uvicorn.Config(app, log_level="error"))
+    print(f"live page   http://127.0.0.1:{port}/#{keys.operator}", flush=True)
+    asyncio.run(server.serve(sockets=[listening]))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
