@@ -26,6 +26,8 @@ from rig.experiment.preflight import check
 from rig.experiment.provenance import git_state, quantities, versions
 from rig.hardware.cards.base import CardError
 from rig.hardware.lock import cards_locked
+from rig.realtime.scheduling import obtainable
+from rig.realtime.timing_limits import timing_limits
 from runs.archive.writer import ArchiveError, finalise
 from runs.journal.append_only_file import JournalError
 from runs.journal.journal import JournalWriter
@@ -185,13 +187,16 @@ def _run(request: RunRequest, decided: Plan, audience: OperatorInterface, draw: 
             f"{request.folder}: only {free / 1e6:.0f} MB free, a run wants {SPARE_DISK_BYTES / 1e6:.0f} MB"
         )
     journal: JournalWriter | None = None
+    patience_s = timing_limits(decided.config, obtainable()).disk_s
 
     def armed(t_ns: int) -> JournalWriter:
         nonlocal journal
         # The first tick is yet to come; virtual time has no place in the calendar but its beginning.
         ahead_ns = 0 if request.fast else t_ns - time.monotonic_ns()
         about = header(request, decided, t_ns, ahead_ns)
-        journal = JournalWriter(request.folder / f"{about.run_id}.mcap", about, live=not request.fast)
+        journal = JournalWriter(
+            request.folder / f"{about.run_id}.mcap", about, live=not request.fast, patience_s=patience_s
+        )
         return journal
 
     trouble: list[str] = []

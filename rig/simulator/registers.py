@@ -142,6 +142,11 @@ class Registers:
         self.outputs["volts"][output] = volts
         self.outputs["written_ns"][output] = t_ns
 
+    @property
+    def plant_t_ns(self) -> int:
+        """The time that the plant has reached."""
+        return int(self.header["plant_t_ns"][0])
+
     def hang(self, weight_kg: float) -> None:
         """Hang a weight on the simulated end cap; the plant takes it from here."""
         self.header["hung_kg"][0] = weight_kg

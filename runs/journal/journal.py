@@ -20,7 +20,7 @@ from mcap.records import Channel, Message, Schema
 from numpy.typing import NDArray
 
 from runs.journal import mcap_records, messages
-from runs.journal.append_only_file import AppendOnlyFile, DiskFile, JournalError, MemoryFile
+from runs.journal.append_only_file import HELD_S, AppendOnlyFile, DiskFile, JournalError, MemoryFile
 from runs.journal.mcap_records import Block, Damage
 from runs.journal.messages import ADAPTATIONS, EVENTS, FOOTER, HEADER, MARKS, OBSERVATIONS, PICTURES, SAMPLES
 from runs.journal.stored_rows import Index, StoredPictures, StoredRows
@@ -35,10 +35,10 @@ class JournalWriter:
     Every call raises `JournalError` where the disk is full, broken or, in a live run, takes nothing for long.
     """
 
-    def __init__(self, path: Path | str, header: RunHeader, *, live: bool = False) -> None:
+    def __init__(self, path: Path | str, header: RunHeader, *, live: bool = False, patience_s: float = HELD_S) -> None:
         """Create the file, which must not exist, and write the header.
 
-        A `live` run is never held up by a disk that stands still; any other waits for it.
+        A `live` run is never held up by a disk that stalls for less than `patience_s`; any other waits for it.
         """
         self.path = Path(path)
         self._samples = _Rows(SAMPLES, sample_dtype(header.actuators, header.valves))
@@ -49,7 +49,7 @@ class JournalWriter:
         kinds = [self._samples, self._observations, *([self._adaptations] if header.adapted else [])]
         first = block_of_header(header, {kind.channel: kind.form["row"] for kind in kinds})
         file = DiskFile(self.path, mcap_records.opening() + first + first)
-        self._file: AppendOnlyFile = MemoryFile(file) if live else file
+        self._file: AppendOnlyFile = MemoryFile(file, patience_s) if live else file
 
     @property
     def standing_s(self) -> float:
