@@ -81,7 +81,9 @@ def run(plan: Plan, open_record: OpenRecord, audience: OperatorInterface) -> Out
 
 
 class _Supervisor:
-    def __init__(self, plan: Plan, audience: OperatorInterface, plant: Simulation | None, expected: Scheduling) -> None:
+    def __init__(
+        self, plan: Plan, audience: OperatorInterface, plant: Simulation | None, expected: Scheduling = Scheduling.NONE
+    ) -> None:
         self.plan = plan
         self.plant = plant
         self.timing = timing_limits(plan.config, expected)
