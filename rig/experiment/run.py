@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import platform
+import resource
 import shlex
 import shutil
 import sys
@@ -37,6 +38,8 @@ VARIANTS: tuple[Variant, ...] = get_args(Variant)
 Loaded = TypeVar("Loaded")
 Name = TypeVar("Name")
 SPARE_DISK_BYTES = 200_000_000
+ADDRESS_SPACE_BYTES = 1_200_000_000
+"""What the largest process of a run maps, with its libraries; most of it is never touched."""
 TOLD_AFTER_S = 2.0
 """What a disk gets to take the end of the record before the operator is told that he waits for it."""
 _EXPECTED = (CardError, StartError, JournalError)
@@ -171,6 +174,12 @@ def run(request: RunRequest, decided: Plan, audience: OperatorInterface) -> RunR
     Raises:
         CardError, StartError, JournalError: the run could not begin; the valves are safe and there is no archive.
     """
+    address_space = resource.getrlimit(resource.RLIMIT_AS)[0]
+    if address_space != resource.RLIM_INFINITY and address_space < ADDRESS_SPACE_BYTES:
+        raise StartError(
+            f"the address space of a process is limited to {address_space / 1e6:.0f} MB (ulimit -v), "
+            f"a run wants {ADDRESS_SPACE_BYTES / 1e6:.0f} MB"
+        )
     # In real time nothing is loaded beside the control loop.
     with report_process.waiting() if request.fast and request.report else nullcontext(report_process.here) as draw:
         return _run(request, decided, audience, draw)

@@ -191,6 +191,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     signal.signal(signal.SIGINT, _leave if options.parent is None else signal.SIG_IGN)
     try:
         run(rig.config.loader.load(options.rig), options.seed, options.parent, waits_ns)
+    except BrokenPipeError:
+        # Who wanted the plant died while it loaded: there is nobody to be told.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
     except (BadInputError, CardError) as error:
         print(error, file=sys.stderr)
         return 2

@@ -8,6 +8,7 @@ The rings have one writer, the plant. Each row carries its own index, and the co
 from __future__ import annotations
 
 import contextlib
+import errno
 import fcntl
 import mmap
 import os
@@ -95,7 +96,8 @@ class Registers:
                 path.unlink()
                 os.close(descriptor)
                 descriptor = _locked(path, patience_s)
-            os.ftruncate(descriptor, size)
+            # Not by ftruncate: a page that the file system has no room for would end the process when it is touched.
+            os.posix_fallocate(descriptor, 0, size)
             header = np.zeros(1, HEADER_DTYPE)
             header["magic"], header["version"] = MAGIC, VERSION
             header["outputs"], header["inputs"] = outputs, inputs
@@ -103,6 +105,8 @@ class Registers:
             header["plant_pid"] = os.getpid()
             os.pwrite(descriptor, header.tobytes(), 0)
         except OSError as error:
+            if error.errno == errno.ENOSPC:
+                path.unlink(missing_ok=True)
             raise CardError(f"mock card {device}: {path}: {error.strerror}") from error
         registers = cls(descriptor, path)
         registers._scans["index"] = -1
