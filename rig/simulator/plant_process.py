@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import ctypes
 import gc
 import os
 import select
@@ -36,6 +37,7 @@ GIVE_UP_NS = 2_000_000_000
 """A plant that is later than this (a stopped process, a sleeping laptop) lets the time go instead."""
 OUTLIVE_PARENT_S = 3.0
 PRIORITY = 20
+_PR_SET_PDEATHSIG = 1
 SAFE_TOLERANCE_V = 0.01
 
 
@@ -99,6 +101,9 @@ def run(config: RigConfig, seed: int, parent: int | None, waits_ns: int | None =
     Raises:
         CardError: a mock device is taken, or the rig cannot be simulated.
     """
+    if parent == os.getppid():
+        # Nobody needs a plant that only loads, which may take minutes where its kernels are compiled.
+        _die_with_parent(signal.SIGKILL)
     t0_ns = time.monotonic_ns()
     plant = Plant(config, seed, t0_ns)
     plant.advance(t0_ns + LONGEST_STRETCH_NS)  # compiles what is not in the cache yet
@@ -114,6 +119,7 @@ def run(config: RigConfig, seed: int, parent: int | None, waits_ns: int | None =
             return
     gc.collect()
     gc.freeze()
+    _die_with_parent(0)
     _raise_priority()
     print("ready", flush=True)
     alone_since: float | None = None
@@ -129,6 +135,11 @@ def run(config: RigConfig, seed: int, parent: int | None, waits_ns: int | None =
             look_ns = now + 200_000_000
             if alone_since is None and poll.poll(0):
                 alone_since = time.monotonic()
+
+
+def _die_with_parent(number: int) -> None:
+    """Have the kernel send a signal to this process when its parent dies; 0 for none."""
+    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, number)
 
 
 def _raise_priority() -> None:
