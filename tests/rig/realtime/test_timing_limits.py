@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -139,3 +142,22 @@ def test_skipped_time_of_the_plant_moves_no_pressure() -> None:
     plant.skip(2000 * MS)
     assert plant.t_ns >= 1990 * MS
     np.testing.assert_array_equal(plant.pressure_pa, before)
+
+
+def test_a_process_without_real_time_priority_asks_for_short_slices_and_keeps_its_priority() -> None:
+    program = (
+        "import os\nfrom rig.realtime import clock\nos.nice(5)\nclock._request_short_slice()\n"
+        "print(os.getpriority(os.PRIO_PROCESS, 0), os.sched_getscheduler(0))\n"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert done.stdout == f"5 {os.SCHED_OTHER}\n"
+
+
+def test_what_can_be_obtained_is_what_a_process_is_granted() -> None:
+    program = (
+        "from rig.realtime import clock\nexpected = clock.obtainable()\n"
+        "print(int(expected), int(clock.become_real_time(clock.CONTROL_PRIORITY)))\n"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    expected, granted = done.stdout.split()
+    assert expected == granted
