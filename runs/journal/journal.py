@@ -20,7 +20,7 @@ from mcap.records import Channel, Message, Schema
 from numpy.typing import NDArray
 
 from runs.journal import mcap_records, messages
-from runs.journal.append_only_file import HELD_S, AppendOnlyFile, DiskFile, JournalError, MemoryFile
+from runs.journal.append_only_file import AppendOnlyFile, DiskFile, JournalError, MemoryFile
 from runs.journal.mcap_records import Block, Damage
 from runs.journal.messages import ADAPTATIONS, EVENTS, FOOTER, HEADER, MARKS, OBSERVATIONS, PICTURES, SAMPLES
 from runs.journal.stored_rows import Index, StoredPictures, StoredRows
@@ -35,10 +35,12 @@ class JournalWriter:
     Every call raises `JournalError` where the disk is full, broken or, in a live run, takes nothing for long.
     """
 
-    def __init__(self, path: Path | str, header: RunHeader, *, live: bool = False, patience_s: float = HELD_S) -> None:
+    def __init__(
+        self, path: Path | str, header: RunHeader, *, live: bool = False, patience_s: float | None = None
+    ) -> None:
         """Create the file, which must not exist, and write the header.
 
-        A `live` run is never held up by a disk that stalls for less than `patience_s`; any other waits for it.
+        A `live` run is not held up by a disk that stalls for less than `patience_s`, 10 s by default; any other waits.
         """
         self.path = Path(path)
         self._samples = _Rows(SAMPLES, sample_dtype(header.actuators, header.valves))
