@@ -5,12 +5,15 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from io import StringIO
 from pathlib import Path
 
 import numpy as np
 import pytest
+from rich.console import Console
 
 import rig.config.loader
+from rig.cli import run_output
 from rig.config.schema import RigConfig
 from rig.control import step as control
 from rig.control.control_loop import ControlLoop
@@ -161,3 +164,17 @@ def test_what_can_be_obtained_is_what_a_process_is_granted() -> None:
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
     expected, granted = done.stdout.split()
     assert expected == granted
+
+
+def test_what_a_real_bench_cannot_promise_is_said_before_it_is_armed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    request = experiment.request("ramp-a", "pci1716", folder=tmp_path, fast=False, seed=0)
+    decided = experiment.plan(request)
+    for granted, promised in ((Scheduling.NONE, False), (REAL_TIME, True)):
+        monkeypatch.setattr(run_output, "obtainable", lambda granted=granted: granted)
+        console = Console(width=400, file=StringIO(), markup=False)
+        console.print(run_output.check_screen(request, decided))
+        said = console.file.getvalue()  # type: ignore[attr-defined]
+        assert ("no reaction time can be promised" not in said) is promised
+        assert ("rtprio" not in said) is promised
