@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 from rig.config.schema import RigConfig
+from rig.control.step import BLIND_PERIODS
 from rig.realtime.scheduling import REAL_TIME, Scheduling, refusals
 
 MS = 1_000_000
@@ -103,7 +104,7 @@ def timing_limits(config: RigConfig, granted: Scheduling) -> TimingLimits:
         vented_s=10.0,
         ending_s=20.0,
         simulator_ns=2 * silent_ns,
-        simulation_waits_ns=25 * MS,
+        simulation_waits_ns=round(BLIND_PERIODS / config.control.rate_hz * 1e9),
     )
 
 
