@@ -109,7 +109,18 @@ def real_time(trials: int, seed: int, place: Path) -> None:
         folder.mkdir()
         rig = folder / "rig.yaml"
         rig.write_text(loader.text("mock").replace("device: mock0", f"device: kills-{os.getpid()}-{trial}"))
-        command = [sys.executable, "-m", "rig", "run", str(protocol), "--rig", str(rig), "--out", str(folder / "out")]
+        command = [
+            sys.executable,
+            "-P",
+            "-m",
+            "rig",
+            "run",
+            str(protocol),
+            "--rig",
+            str(rig),
+            "--out",
+            str(folder / "out"),
+        ]
         with subprocess.Popen([*command, "--yes", "--no-report"], stdout=subprocess.DEVNULL) as process:
             await_journal(folder / "out")
             time.sleep(0.3 + chance.uniform(0, 2))

@@ -55,7 +55,20 @@ def whole(protocol: str, times: int) -> None:
     for _ in range(times):
         with tempfile.TemporaryDirectory() as folder:
             before, begun = os.times(), time.perf_counter()
-            command = [sys.executable, "-m", "rig", "run", protocol, "--fast", "--seed", "1", "--yes", "--out", folder]
+            command = [
+                sys.executable,
+                "-P",
+                "-m",
+                "rig",
+                "run",
+                protocol,
+                "--fast",
+                "--seed",
+                "1",
+                "--yes",
+                "--out",
+                folder,
+            ]
             subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
             walls.append(time.perf_counter() - begun)
             after = os.times()

@@ -10,6 +10,7 @@ import pickle
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -89,7 +90,7 @@ def _on_cores(
     missing, deaths = list(left), 0
     while missing:
         # Spawned, not forked: threads of the parent (a live page, BLAS) do not survive a fork.
-        with ProcessPoolExecutor(workers, multiprocessing.get_context("spawn")) as pool:
+        with _safe_path(), ProcessPoolExecutor(workers, multiprocessing.get_context("spawn")) as pool:
             futures = {pool.submit(work, tasks[k]): k for k in missing}
             try:
                 for future in as_completed(futures):
@@ -102,6 +103,23 @@ def _on_cores(
                     raise WorkersDieError(
                         f"worker processes died {deaths} times; {len(missing)} tasks are left"
                     ) from broken
+
+
+@contextmanager
+def _safe_path() -> Iterator[None]:
+    """Keep the Python processes that are started meanwhile from importing modules of the current folder.
+
+    A spawned process is started with `-c`, which looks there first; there is no place for `-P` among its arguments.
+    """
+    before = os.environ.get("PYTHONSAFEPATH")
+    os.environ["PYTHONSAFEPATH"] = "1"
+    try:
+        yield
+    finally:
+        if before is None:
+            del os.environ["PYTHONSAFEPATH"]
+        else:
+            os.environ["PYTHONSAFEPATH"] = before
 
 
 def _on_cluster(

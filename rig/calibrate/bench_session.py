@@ -20,15 +20,17 @@ from rig.execution.plan import Plan, StartError
 from rig.hardware.bench import Bench, open_bench
 from rig.hardware.lock import cards_locked
 from rig.realtime.child_process import ChildJob, ended_within, spawn
-from rig.realtime.control_process import WATCHDOG_SILENT_NS, GuardedOutputs, NullOutputs
+from rig.realtime.control_process import GuardedOutputs, NullOutputs
 from rig.realtime.process_monitor import ProcessMonitor
 from rig.realtime.scheduling import (
+    CONTROL_PRIORITY,
     HeartbeatMonitor,
     disable_realtime_scheduling,
     enable_realtime_scheduling,
     wait_until,
 )
 from rig.realtime.shared_state import SharedState, Stage, StateLayout, Stop
+from rig.realtime.timing_limits import TimingLimits, timing_limits
 from rig.simulator.plant import Plant
 
 POWER_UP_NS = 100_000_000
@@ -53,9 +55,10 @@ class VirtualClock:
 class RealTimeClock:
     """Control periods of CLOCK_MONOTONIC; each is a sign of life for the watchdog, whose own are looked for."""
 
-    def __init__(self, memory: SharedState, period_ns: int, watchdog: ProcessMonitor) -> None:
+    def __init__(self, memory: SharedState, period_ns: int, watchdog: ProcessMonitor, timing: TimingLimits) -> None:
         self._memory, self._period_ns, self._watchdog = memory, period_ns, watchdog
-        self._silence = HeartbeatMonitor(period_ns, WATCHDOG_SILENT_NS // 10)
+        self._silent_ns = timing.watchdog_silent_ns
+        self._silence = HeartbeatMonitor(period_ns, self._silent_ns // 10)
         self._deadline = time.monotonic_ns()
 
     def next(self) -> int:
@@ -73,7 +76,7 @@ class RealTimeClock:
             raise StartError(f"the watchdog took the bench over: {self._memory.message('watchdog') or 'a late tick'}")
         if self._watchdog.over:
             raise StartError("the watchdog process died")
-        if self._silence.look(now, self._memory.heartbeat_ns("watchdog")) > WATCHDOG_SILENT_NS:
+        if self._silence.look(now, self._memory.heartbeat_ns("watchdog")) > self._silent_ns:
             raise StartError("the watchdog is silent")
         return now
 
@@ -109,10 +112,10 @@ def real(config: RigConfig, rig_file: Path, purpose: str) -> Iterator[tuple[Valv
         try:
             bench.arm()
             bench.start()
-            enable_realtime_scheduling(priority=50)
+            memory.set("control_granted", enable_realtime_scheduling(CONTROL_PRIORITY))
             # The first scans are on their way.
             time.sleep(POWER_UP_NS * 1e-9)
-            ticks = RealTimeClock(memory, _period_ns(config), watchdog)
+            ticks = RealTimeClock(memory, _period_ns(config), watchdog, timing_limits(config, memory.granted))
             # What is imported or compiled at its first use makes a tick late: no valve may be open then, unwatched.
             rehearsed = BenchDriver(config, NullOutputs(bench), ticks, lambda: None)
             rehearsed.regulate(np.zeros(config.actuators), _REHEARSED_S)

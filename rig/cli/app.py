@@ -41,6 +41,8 @@ def _said(error: Exception) -> str:
     """An error in words: the system's without its number."""
     if isinstance(error, OSError) and error.strerror:
         return f"{error.filename}: {error.strerror}" if isinstance(error.filename, str) else error.strerror
+    if isinstance(error, MemoryError):
+        return f"not enough memory: {error}" if str(error) else "not enough memory"
     return str(error)
 
 
@@ -50,6 +52,15 @@ def _status(error: Exception) -> int | None:
 
     if isinstance(error, BadInputError):
         return BAD_INPUT  # the usual one: said before the rooms of all the others are imported
+    from rig.execution.plan import StartError, StoppedError
+    from rig.hardware.cameras.base import CameraError
+    from rig.hardware.cards.base import CardError
+    from runs.journal.append_only_file import JournalError
+
+    if isinstance(error, StoppedError):
+        return INTERRUPTED
+    if isinstance(error, CardError | CameraError | StartError | JournalError | OSError | MemoryError):
+        return FAULT  # where memory is short, what follows cannot be imported
     from calibration.camera import CalibrationError
     from calibration.dlt import DLTError
     from calibration.identify import NoDataError, UnknownParameter
@@ -57,23 +68,15 @@ def _status(error: Exception) -> int | None:
     from calibration.identify.recursive_estimator import NotEstimableError
     from calibration.views import ViewsError
     from rig.calibrate.bench_driver import TrippedError
-    from rig.execution.plan import StartError, StoppedError
-    from rig.hardware.cameras.base import CameraError
-    from rig.hardware.cards.base import CardError
     from runs.archive.writer import ArchiveError
     from runs.export.exporters import ExportError
-    from runs.journal.append_only_file import JournalError
     from runs.overwriting import WouldOverwrite
 
     if isinstance(error, NoDataError | UnknownParameter | NotEstimableError):
         return BAD_INPUT
     if isinstance(error, ArchiveError | ExportError | CalibrationError | DLTError | ViewsError | WouldOverwrite):
         return BAD_INPUT
-    if isinstance(error, StoppedError):
-        return INTERRUPTED
-    if isinstance(error, NoClusterError | WorkersDieError):
-        return FAULT
-    if isinstance(error, CardError | CameraError | StartError | TrippedError | JournalError | OSError):
+    if isinstance(error, NoClusterError | WorkersDieError | TrippedError):
         return FAULT
     return None
 

@@ -20,6 +20,8 @@ from rig.control.step import safe_voltages
 from rig.execution.plan import Plan
 from rig.experiment.preflight import peak_pa
 from rig.experiment.run import RunRequest, RunResult
+from rig.realtime.scheduling import obtainable
+from rig.realtime.timing_limits import remedies, stated, valves_at_stake
 from runs.records import Status
 
 if TYPE_CHECKING:
@@ -57,6 +59,11 @@ def check_screen(request: RunRequest, plan: Plan) -> Group:
     facts.add_row("limits", f"{held}; {limits.rate_bar_per_s:g} bar/s")
     facts.add_row("rig", f"{config.name}{_how_simulated(config)}, chosen by {request.rig_source}")
     facts.add_row("model", f"{request.variant}, {config.model.mode}")
+    if not request.fast:
+        granted = obtainable()
+        facts.add_row("timing", stated(config, granted))
+        if valves_at_stake(config) and (refused := remedies(granted)):
+            facts.add_row("", refused)
     peak = peak_bar(plan)
     table = Table(box=None, padding=(0, 2, 0, 0))
     for head in ("valve", "actuators", "output", "peak [bar]", "limit [bar]", "safe state"):

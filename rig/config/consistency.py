@@ -191,7 +191,7 @@ def _rates(cards: Cards, cameras: Cameras, control: Control, limits: Limits) -> 
         yield ValidationFault(("control", "bandwidth_hz"), f"at most a quarter of rate_hz, {control.rate_hz / 4:g} Hz")
     if limits.stale_s < 2 / control.rate_hz:
         yield ValidationFault(("limits", "stale_s"), f"at least two control steps, {2 / control.rate_hz:g} s")
-    if limits.hung_s < 3 / control.rate_hz:
+    if limits.hung_s is not None and limits.hung_s < 3 / control.rate_hz:
         yield ValidationFault(("limits", "hung_s"), f"at least three control steps, {3 / control.rate_hz:g} s")
     for name, camera in _named(cameras):
         if limits.no_tip_s < 2 / camera.rate_hz:

@@ -198,8 +198,9 @@ class Limits(Section):
     stale_s: Positive = Field(description="longest time without a sample")
     no_tip_s: Positive = Field(description="longest time without a camera frame")
     least_cameras: Count = Field(default=1, description="cameras that must deliver; with fewer the run ends")
-    hung_s: Positive = Field(
-        default=0.03, description="longest silence of control before the watchdog takes the valves"
+    hung_s: Positive | SkipJsonSchema[None] = Field(
+        default=None,
+        description="longest silence of control before the watchdog takes the valves; default: by what is at stake",
     )
     duration_s: Positive = 4 * 3600.0
 

@@ -32,11 +32,14 @@ class ValveOutputs(Protocol):
 class ControlLoop:
     """The state of the control loop between ticks. It knows no clock: the time comes in."""
 
-    def __init__(self, plan: Plan, bench: ValveOutputs) -> None:
+    def __init__(self, plan: Plan, bench: ValveOutputs, *, time_may_stop: bool = False) -> None:
+        """`time_may_stop`: the bench is a simulation, whose time stands still while it or this process is delayed."""
         config = plan.config
         self.period_ns = round(1e9 / config.control.rate_hz)
         self.position = ProtocolPosition()
         self._bench = bench
+        self._time_may_stop = time_may_stop
+        self._simulator_late_ns = 0
         self._trajectory = plan.trajectory
         self._prompts_s = tuple(prompt.at_s for prompt in plan.trajectory.prompts)
         self._starts_s = tuple(segment.start_s for segment in plan.trajectory.segments)
@@ -57,6 +60,8 @@ class ControlLoop:
 
     def _stood_still(self, now_ns: int, behind_ns: int) -> int:
         """For how long the loop stood still within the last moments, 0 where it is punctual."""
+        if self._time_may_stop:
+            behind_ns = max(behind_ns, self._simulator_late_ns)
         if behind_ns > STOOD_STILL_NS:
             self._excuse_ns, self._excused_until_ns = behind_ns, now_ns + EXCUSED_NS
         return self._excuse_ns if now_ns < self._excused_until_ns else 0
@@ -69,6 +74,7 @@ class ControlLoop:
         """Take the scans that have come since the last call; return how many."""
         scans = self._bench.read()
         self.lost += scans.lost
+        self._simulator_late_ns = scans.late_ns
         if len(scans.t_ns):
             self._scan_t_ns = int(scans.t_ns[-1])
             pressure_pa = scans.pressure_pa
@@ -101,6 +107,7 @@ class ControlLoop:
             volts=self._volts,
             pressure_pa=self._pressure_pa,
             stood_still_ns=self._stood_still(now_ns, lateness_ns + missed * self.period_ns),
+            time_stopped=self._time_may_stop,
         )
         self._state, command = control.step(self._prepared, self._state, sample, setpoint_pa, rate_pa_s)
         self._bench.write(command.valve_v)

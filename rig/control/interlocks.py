@@ -31,7 +31,8 @@ class Sample(NamedTuple):
 
     `t_ns` is the time of the tick, `scan_t_ns` that of the newest scan (0 before the first); `volts` (N,) and
     `pressure_pa` (N,) come from the scans since the last tick, or repeat the last ones when there were none.
-    `stood_still_ns` is for how long, just now, this program could not look.
+    `stood_still_ns` is for how long, just now, this program could not look. `time_stopped`: the bench is a simulation,
+    and its time stood still meanwhile.
     """
 
     t_ns: int
@@ -39,6 +40,7 @@ class Sample(NamedTuple):
     volts: NDArray[np.float64]
     pressure_pa: NDArray[np.float64]
     stood_still_ns: int = 0
+    time_stopped: bool = False
 
 
 @dataclass(frozen=True)
@@ -177,9 +179,20 @@ def reset(watch: SensorState, pressure_pa: float) -> SensorState:
 
 
 def step(
-    s: Settings, i: int, watch: SensorState, dt_s: float, t_ns: int, volts: float, pressure_pa: float, asked: Demand
+    s: Settings,
+    i: int,
+    watch: SensorState,
+    dt_s: float,
+    t_ns: int,
+    volts: float,
+    pressure_pa: float,
+    asked: Demand,
+    counted_s: float | None = None,
 ) -> tuple[SensorState, Trip | None]:
-    """Judge a new reading of actuator `i`, `dt_s` after the last; `asked` is what its valve was doing meanwhile."""
+    """Judge a new reading of actuator `i`, `dt_s` after the last; `asked` is what its valve was doing meanwhile.
+
+    `counted_s` is the part of `dt_s` that the bench lived through; all of it unless its time stood still.
+    """
     if math.isnan(watch.pressure_pa):
         watch = SensorState(
             pressure_pa=pressure_pa,
@@ -188,22 +201,22 @@ def step(
             left_reference_pa=asked.reference_pa,
             setpoint_pa=asked.setpoint_pa,
         )
-    watch = _moved(s, i, watch, dt_s, volts, pressure_pa, asked)
+    watch = _moved(s, i, watch, dt_s, volts, pressure_pa, asked, dt_s if counted_s is None else counted_s)
     return watch, _judge(s, i, watch, t_ns, asked)
 
 
 def _moved(
-    s: Settings, i: int, watch: SensorState, dt: float, volts: float, pressure: float, asked: Demand
+    s: Settings, i: int, watch: SensorState, dt: float, volts: float, pressure: float, asked: Demand, counted: float
 ) -> SensorState:
     slope = (pressure - watch.pressure_pa) / dt
     rate = watch.rate_pa_s + (slope - watch.rate_pa_s) * dt / (RATE_FILTER_S + dt)
     if abs(volts - watch.anchor_v) >= s.sensors[i].count_v:
         anchor, still, expected, held = volts, 0.0, 0.0, asked.integral_pa_s
     else:
-        anchor, still, held = watch.anchor_v, watch.anchor_s + dt, watch.anchor_integral_pa_s
+        anchor, still, held = watch.anchor_v, watch.anchor_s + counted, watch.anchor_integral_pa_s
         # A chamber cannot be emptied below the atmosphere, whatever the valve does.
-        expected = max(watch.expected_pa + (asked.rate_pa_s - held) * dt, -max(pressure, 0.0))
-    left, left_reference, left_s = watch.left_pa, watch.left_reference_pa, watch.left_s + dt
+        expected = max(watch.expected_pa + (asked.rate_pa_s - held) * counted, -max(pressure, 0.0))
+    left, left_reference, left_s = watch.left_pa, watch.left_reference_pa, watch.left_s + counted
     if abs(pressure - left) > NOISE_SHARE * s.sensors[i].accuracy_pa:
         left, left_reference, left_s = pressure, asked.reference_pa, 0.0
     settled = asked.setpoint_pa == watch.setpoint_pa
@@ -220,8 +233,8 @@ def _moved(
         left_reference,
         left_s,
         asked.setpoint_pa,
-        watch.still_s + dt if settled else 0.0,
-        watch.astray_s + dt if astray else 0.0,
+        watch.still_s + counted if settled else 0.0,
+        watch.astray_s + counted if astray else 0.0,
     )
 
 

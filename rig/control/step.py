@@ -130,14 +130,18 @@ def _step(settings: Settings, state: State, sample: Sample, setpoint: list[float
     dt = min(max(passed, SHORTEST_STEP_PERIODS * settings.period_s), LONGEST_STEP_PERIODS * settings.period_s)
 
     pressure, volts = sample.pressure_pa.tolist(), sample.volts.tolist()
+    lived = max(dt, passed)
     if sample.stood_still_ns and passed >= LONGEST_STEP_PERIODS * settings.period_s:
-        state = _rejoin(limits, state, sample.t_ns, pressure)
+        state = _rejoin(limits, state, sample.t_ns, pressure, every_time=sample.time_stopped)
+        lived = dt if sample.time_stopped else lived
     watches = []
     for i, watch in enumerate(state.watches):
         valve = state.valves[settings.valve_of[i]]
         reference = pressure[i] if math.isnan(valve.reference_pa) else valve.reference_pa
         asked = Demand(setpoint[i], reference, valve.asked_pa_s, valve.integral_pa_s)
-        moved, tripped = interlocks.step(limits, i, watch, max(dt, passed), sample.t_ns, volts[i], pressure[i], asked)
+        moved, tripped = interlocks.step(
+            limits, i, watch, max(dt, passed), sample.t_ns, volts[i], pressure[i], asked, lived
+        )
         watches.append(moved)
         trip = trip or tripped
     valves = []
@@ -151,14 +155,15 @@ def _step(settings: Settings, state: State, sample: Sample, setpoint: list[float
     return State(sample.scan_t_ns, tuple(valves), tuple(watches), trip, state.rejoined_ns)
 
 
-def _rejoin(limits: interlocks.Settings, state: State, t_ns: int, pressure: list[float]) -> State:
+def _rejoin(limits: interlocks.Settings, state: State, t_ns: int, pressure: list[float], *, every_time: bool) -> State:
     """Begin anew from where the valves, which nobody steered, have let the pressures go.
 
-    The interlocks give the time of a step to come back; a machine that stands still again and again gets it once.
+    The interlocks give the time of a step to come back; a machine that stands still again and again gets it once,
+    unless `every_time` the bench's own time stood still, too.
     """
     state = state._replace(valves=tuple(valve._replace(reference_pa=math.nan) for valve in state.valves))
     since_s = math.inf if state.rejoined_ns is None else (t_ns - state.rejoined_ns) * 1e-9
-    if REJOIN_S < since_s < 2 * limits.tracking_s:
+    if not every_time and REJOIN_S < since_s < 2 * limits.tracking_s:
         return state
     watches = tuple(interlocks.reset(watch, pa) for watch, pa in zip(state.watches, pressure, strict=True))
     return state._replace(watches=watches, rejoined_ns=t_ns if since_s > REJOIN_S else state.rejoined_ns)

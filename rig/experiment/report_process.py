@@ -19,7 +19,7 @@ def waiting() -> Iterator[Callable[[Path], Path]]:
     process = None
     with suppress(OSError):
         process = subprocess.Popen(
-            [sys.executable, "-m", "rig.experiment.report_process"],
+            [sys.executable, "-P", "-m", "rig.experiment.report_process"],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import platform
+import resource
 import shlex
 import shutil
 import sys
@@ -26,6 +27,8 @@ from rig.experiment.preflight import check
 from rig.experiment.provenance import git_state, quantities, versions
 from rig.hardware.cards.base import CardError
 from rig.hardware.lock import cards_locked
+from rig.realtime.scheduling import obtainable
+from rig.realtime.timing_limits import timing_limits
 from runs.journal.append_only_file import JournalError
 from runs.records import Event, Interval, Level, Quantity, RunFooter, RunHeader, SourceFile, Status
 
@@ -36,6 +39,8 @@ VARIANTS: tuple[Variant, ...] = get_args(Variant)
 Loaded = TypeVar("Loaded")
 Name = TypeVar("Name")
 SPARE_DISK_BYTES = 200_000_000
+ADDRESS_SPACE_BYTES = 1_200_000_000
+"""What the largest process of a run maps, with its libraries; most of it is never touched."""
 TOLD_AFTER_S = 2.0
 """What a disk gets to take the end of the record before the operator is told that he waits for it."""
 _EXPECTED = (CardError, StartError, JournalError)
@@ -174,6 +179,12 @@ def run(request: RunRequest, decided: Plan, audience: OperatorInterface) -> RunR
     Raises:
         CardError, StartError, JournalError: the run could not begin; the valves are safe and there is no archive.
     """
+    address_space = resource.getrlimit(resource.RLIMIT_AS)[0]
+    if address_space != resource.RLIM_INFINITY and address_space < ADDRESS_SPACE_BYTES:
+        raise StartError(
+            f"the address space of a process is limited to {address_space / 1e6:.0f} MB (ulimit -v), "
+            f"a run wants {ADDRESS_SPACE_BYTES / 1e6:.0f} MB"
+        )
     # In real time nothing is loaded beside the control loop.
     with report_process.waiting() if request.fast and request.report else nullcontext(report_process.here) as draw:
         return _run(request, decided, audience, draw)
@@ -194,13 +205,16 @@ def _run(request: RunRequest, decided: Plan, audience: OperatorInterface, draw: 
             f"{request.folder}: only {free / 1e6:.0f} MB free, a run wants {SPARE_DISK_BYTES / 1e6:.0f} MB"
         )
     journal: JournalWriter | None = None
+    patience_s = timing_limits(decided.config, obtainable()).disk_s
 
     def armed(t_ns: int) -> JournalWriter:
         nonlocal journal
         # The first tick is yet to come; virtual time has no place in the calendar but its beginning.
         ahead_ns = 0 if request.fast else t_ns - time.monotonic_ns()
         about = header(request, decided, t_ns, ahead_ns)
-        journal = JournalWriter(request.folder / f"{about.run_id}.mcap", about, live=not request.fast)
+        journal = JournalWriter(
+            request.folder / f"{about.run_id}.mcap", about, live=not request.fast, patience_s=patience_s
+        )
         if request.rig_source in (Source.ENVIRONMENT, Source.FOLDER):
             # The command, which the record has, does not tell.
             said = f"the rig is {request.rig_file.absolute()}, chosen by {request.rig_source}"

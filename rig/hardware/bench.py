@@ -26,13 +26,14 @@ UNSAFE = "the safe state could not be written, shut the air off by hand"
 class BenchScans:
     """Scans of all sensors, oldest first: `t_ns` (n,), `volts` and gauge `pressure_pa` (n, N) in actuator order.
 
-    `lost` counts the scans that the cards dropped since the last read.
+    `lost` counts the scans that the cards dropped since the last read; `late_ns` is by how much a simulator is behind.
     """
 
     t_ns: NDArray[np.int64]
     volts: NDArray[np.float64]
     pressure_pa: NDArray[np.float64]
     lost: int
+    late_ns: int = 0
 
 
 def card_setup(config: RigConfig, name: str) -> CardSetup:
@@ -100,9 +101,10 @@ class Bench:
         if len(self._inputs) == 1:
             (name,) = self._inputs
             only = self._cards[name].read()
-            return BenchScans(only.t_ns, only.volts, self._pressure_pa(only.volts), only.lost)
+            return BenchScans(only.t_ns, only.volts, self._pressure_pa(only.volts), only.lost, only.late_ns)
         scans = {name: self._pending[name].with_new(self._cards[name].read()) for name in self._inputs}
         lost = sum(s.lost for s in scans.values())
+        late_ns = max(s.late_ns for s in scans.values())
         first, *others = scans
         t_ns = scans[first].t_ns
         if others:
@@ -116,7 +118,7 @@ class Bench:
             # The first card's rows are used up; the others keep the one that the next row may still need.
             until = int(t_ns[-1]) if len(t_ns) else -1
             self._pending[name].keep(s, until, inclusive=name != first)
-        return BenchScans(t_ns, volts, self._pressure_pa(volts), lost)
+        return BenchScans(t_ns, volts, self._pressure_pa(volts), lost, late_ns)
 
     def _pressure_pa(self, volts: NDArray[np.float64]) -> NDArray[np.float64]:
         pressure: NDArray[np.float64] = volts * self._pa_per_v + self._pa_at_0_v
@@ -314,7 +316,9 @@ class _Pending:
         old = self._scans
         if len(old.t_ns) == 0:
             return new
-        return Scans(np.concatenate([old.t_ns, new.t_ns]), np.concatenate([old.volts, new.volts]), new.lost)
+        return Scans(
+            np.concatenate([old.t_ns, new.t_ns]), np.concatenate([old.volts, new.volts]), new.lost, new.late_ns
+        )
 
     def keep(self, scans: Scans, until_ns: int, *, inclusive: bool) -> None:
         used = int(np.searchsorted(scans.t_ns, until_ns, side="right"))

@@ -58,7 +58,7 @@ def open_page(listen: str, port: int, *, run: Path | None = None, archive: Path 
     keys = AccessTokens(user_name() if local else None)
     order = PageConfiguration(bound.fileno(), keys, run, archive)
     process = subprocess.Popen(
-        [sys.executable, "-m", "rig.live.server"],
+        [sys.executable, "-P", "-m", "rig.live.server"],
         stdin=subprocess.PIPE,
         pass_fds=[bound.fileno()],
         start_new_session=True,

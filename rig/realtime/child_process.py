@@ -40,7 +40,7 @@ def spawn(module: str, job: ChildJob) -> subprocess.Popen[bytes]:
         pickle.dump(job, told)
         told.seek(0)
         return subprocess.Popen(
-            [sys.executable, "-X", "faulthandler", "-m", module],
+            [sys.executable, "-P", "-X", "faulthandler", "-m", module],
             stdin=told,
             pass_fds=[job.fd],
             start_new_session=True,

@@ -16,15 +16,16 @@ from rig.realtime import sampling_clocks
 from rig.realtime.child_process import ChildJob, await_turn, leave, receive, supervisor_monitor
 from rig.realtime.process_monitor import ProcessMonitor
 from rig.realtime.scheduling import (
+    CONTROL_PRIORITY,
     HeartbeatMonitor,
     disable_realtime_scheduling,
     enable_realtime_scheduling,
     wait_until,
 )
 from rig.realtime.shared_state import SharedState, Stage, Stop
-from rig.realtime.vent_verification import PATIENCE_S, VentVerification
+from rig.realtime.timing_limits import timing_limits
+from rig.realtime.vent_verification import VentVerification
 
-WATCHDOG_SILENT_NS = 1_000_000_000
 LEAD_IN_NS = 5_000_000
 REHEARSED_TICKS = 10
 FIRST_SCAN_S = 0.2
@@ -53,8 +54,8 @@ def main() -> int:
         bench.start()
         _warm_up(job, bench)
         sampling_clocks.publish(memory, bench)
-        warnings = enable_realtime_scheduling(priority=50)
-        memory.say("control", Stage.READY, "; ".join(warnings))
+        memory.set("control_granted", enable_realtime_scheduling(CONTROL_PRIORITY))
+        memory.say("control", Stage.READY)
         fault = _run(job, memory, bench, conductor)
     except CardError as error:
         fault = str(error)
@@ -79,8 +80,9 @@ def main() -> int:
 
 def _verify_venting(job: ChildJob, memory: SharedState, bench: Bench) -> str:
     """Watch the air go; what keeps it, empty when nothing does."""
-    venting = VentVerification(job.plan.config, bench, vent=memory.vents)
-    until = time.monotonic() + PATIENCE_S
+    patience_s = timing_limits(job.plan.config, memory.granted).vented_s
+    venting = VentVerification(job.plan.config, bench, vent=memory.vents, patience_s=patience_s)
+    until = time.monotonic() + patience_s
     with contextlib.suppress(CardError):
         while time.monotonic() < until and not memory.get("fired_ns"):
             memory.beat("control", time.monotonic_ns())
@@ -142,7 +144,8 @@ def _warm_up(job: ChildJob, bench: Bench) -> None:
 def _run(job: ChildJob, memory: SharedState, bench: Bench, conductor: ProcessMonitor) -> str:
     """Loop until the protocol ends or someone asks to stop; return what went wrong, empty when nothing did."""
     valves = GuardedOutputs(bench, memory)
-    ticker = ControlLoop(job.plan, valves)
+    timing = timing_limits(job.plan.config, memory.granted)
+    ticker = ControlLoop(job.plan, valves, time_may_stop=timing.simulator_ns is not None)
     period = ticker.period_ns
     while not (go := memory.get("go_ns")) or time.monotonic_ns() < go - LEAD_IN_NS:
         ticker.listen()
@@ -153,9 +156,9 @@ def _run(job: ChildJob, memory: SharedState, bench: Bench, conductor: ProcessMon
         if conductor.over:
             return "the conductor died before the run began"
     memory.beat("control", time.monotonic_ns())
-    memory.say("control", Stage.RUNNING, memory.message("control"))
+    memory.say("control", Stage.RUNNING)
     tick = skipped = skips = 0
-    watchdogs = HeartbeatMonitor(period, WATCHDOG_SILENT_NS // 10)
+    watchdogs = HeartbeatMonitor(period, timing.watchdog_silent_ns // 10)
     while True:
         deadline = go + tick * period
         now = wait_until(deadline)
@@ -166,7 +169,7 @@ def _run(job: ChildJob, memory: SharedState, bench: Bench, conductor: ProcessMon
             return "the watchdog took the bench over"
         if conductor.over:
             return "the conductor died"
-        if watchdogs.look(now, memory.heartbeat_ns("watchdog")) > WATCHDOG_SILENT_NS:
+        if watchdogs.look(now, memory.heartbeat_ns("watchdog")) > timing.watchdog_silent_ns:
             return "the watchdog is silent"
         while skips < memory.get("skips"):
             skips += 1

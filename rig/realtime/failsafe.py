@@ -15,13 +15,9 @@ from rig.hardware.cards.registry import card_type
 from rig.realtime.child_process import ChildJob, supervisor_monitor
 from rig.realtime.process_monitor import ProcessMonitor
 from rig.realtime.shared_state import SharedState, Stage, Stop
+from rig.realtime.timing_limits import timing_limits
 
-SILENT_NS = 200_000_000
-"""Control and watchdog give a sign of life every few milliseconds; who is silent for so long does not act."""
-CONDUCTOR_SILENT_NS = 500_000_000
 LOOK_S = 0.02
-LOOKS = 25
-"""What the others get to make the bench safe, where they are silent and may yet wake, before the observer does."""
 FREED_S = 0.5
 
 
@@ -66,14 +62,15 @@ class FailsafeThread:
         wake with it get the time to act; and before the first tick no valve has been moved by anybody.
         """
         memory, now = self._memory, time.monotonic_ns()
+        timing = timing_limits(self._config, memory.granted)
         orphaned = self._conductor.over
         if orphaned and self._dead("control") and self._dead("watchdog"):
             return True
         silent_ns = min(now - memory.heartbeat_ns(name) for name in ("control", "watchdog"))
-        forsaken = orphaned or now - memory.heartbeat_ns("conductor") > CONDUCTOR_SILENT_NS
-        alone = memory.get("go_ns") and forsaken and silent_ns > SILENT_NS
+        forsaken = orphaned or now - memory.heartbeat_ns("conductor") > timing.failsafe_supervisor_ns
+        alone = memory.get("go_ns") and forsaken and silent_ns > timing.failsafe_silent_ns
         self._looks = self._looks + 1 if alone else 0
-        return self._looks > LOOKS
+        return self._looks > timing.failsafe_looks
 
     def _dead(self, name: str) -> bool:
         """True where a process has died, or was never started by a conductor that is dead."""

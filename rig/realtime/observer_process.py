@@ -16,6 +16,7 @@ from rig.realtime.child_process import ChildJob, await_turn, leave, receive, sup
 from rig.realtime.failsafe import FailsafeThread
 from rig.realtime.preview import PreviewPublisher
 from rig.realtime.shared_state import SharedState, Stage, Stop
+from rig.realtime.timing_limits import timing_limits
 
 REHEARSED_FRAMES = 3
 FIRST_PICTURE_S = 5.0
@@ -44,6 +45,7 @@ def main() -> int:
 
 def _observe(job: ChildJob, memory: SharedState) -> None:
     config = job.plan.config
+    frame_s = timing_limits(config, memory.granted).frame_s
     observer = _observer(job)
     show = PreviewPublisher(config, memory)
     album, names = PictureRecorder(config), list(config.cameras)
@@ -53,14 +55,14 @@ def _observe(job: ChildJob, memory: SharedState) -> None:
     cameras = CameraSynchroniser(config, job.plan.seed)
     try:
         # A camera that shows nothing is found before the run is armed.
-        cameras.await_all(FIRST_PICTURE_S)
+        cameras.await_all(max(FIRST_PICTURE_S, frame_s))
         _warm_up(job, [cameras.read(FIRST_PICTURE_S) for _ in range(REHEARSED_FRAMES)])
         memory.say("observer", Stage.READY)
         previous: int | None = None
         while memory.get("stop") == Stop.NONE and not conductor.over:
             memory.beat("observer", time.monotonic_ns())
             try:
-                shot = cameras.read(config.limits.no_tip_s)
+                shot = cameras.read(frame_s)
             except CameraError:
                 if memory.get("stop") != Stop.NONE:
                     break

@@ -6,33 +6,118 @@ import contextlib
 import ctypes
 import gc
 import os
+import platform
+import resource
+import struct
 import time
+from enum import IntFlag
 from pathlib import Path
 
 SPIN_NS = 400_000
 _MCL_CURRENT_AND_FUTURE = 3
+_CAP_IPC_LOCK = 14
+SLICE_NS = 100_000
+"""The shortest time slice that the kernel grants."""
+_SCHED_SETATTR = {"x86_64": 314, "aarch64": 274}
+_ATTRIBUTES_BYTES = 48
+WATCHDOG_PRIORITY, CONTROL_PRIORITY = 60, 50
 
 
-def enable_realtime_scheduling(priority: int) -> list[str]:
-    """Ask for SCHED_FIFO and locked memory, and freeze the garbage collector; return what was refused, as sentences."""
-    refused = []
+class Scheduling(IntFlag):
+    """What the kernel has granted to a process: SCHED_FIFO, and memory that is never paged out (mlockall)."""
+
+    NONE = 0
+    FIFO = 1
+    LOCKED = 2
+
+
+REAL_TIME = Scheduling.FIFO | Scheduling.LOCKED
+
+
+def enable_realtime_scheduling(priority: int) -> Scheduling:
+    """Ask for SCHED_FIFO and locked memory, and freeze the garbage collector; return what was granted."""
+    granted = Scheduling.NONE
     # The priority comes last: locking memory takes a tenth of a second, in which no other run may lose the processor.
     gc.collect()
     gc.freeze()
     gc.disable()
-    if ctypes.CDLL(None, use_errno=True).mlockall(_MCL_CURRENT_AND_FUTURE) != 0:
+    _raise_soft_limits()
+    if ctypes.CDLL(None, use_errno=True).mlockall(_MCL_CURRENT_AND_FUTURE) == 0:
+        granted |= Scheduling.LOCKED
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
+    except (OSError, AttributeError):
+        _request_short_slice()
+        return granted
+    return granted | Scheduling.FIFO
+
+
+def _request_short_slice() -> None:
+    """Ask the ordinary scheduler (EEVDF, Linux 6.12 or later) to run this process soon after it wakes.
+
+    A process that asks for short time slices has early virtual deadlines, at an unchanged share of the processor. This
+    needs no privilege; older kernels ignore it. The C library has no function for the system call.
+    """
+    number = _SCHED_SETATTR.get(platform.machine())
+    if number is None:
+        return
+    nice = os.getpriority(os.PRIO_PROCESS, 0)
+    attributes = struct.pack("=IIQiIQQQ", _ATTRIBUTES_BYTES, os.SCHED_OTHER, 0, nice, 0, SLICE_NS, 0, 0)
+    ctypes.CDLL(None).syscall(number, 0, ctypes.create_string_buffer(attributes), 0)
+
+
+def obtainable() -> Scheduling:
+    """What a process started by this one will be granted.
+
+    The priority is tried, in this thread and for an instant. Locked memory is not, which would take a tenth of a
+    second: it is granted to a process with CAP_IPC_LOCK or without a limit.
+    """
+    granted = Scheduling.NONE
+    _raise_soft_limits()
+    memlock = resource.getrlimit(resource.RLIMIT_MEMLOCK)[0]
+    if memlock == resource.RLIM_INFINITY or _capable(_CAP_IPC_LOCK):
+        granted |= Scheduling.LOCKED
+    try:
+        previous = os.sched_getscheduler(0), os.sched_getparam(0)
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(WATCHDOG_PRIORITY))
+        os.sched_setscheduler(0, *previous)
+    except (OSError, AttributeError):
+        return granted
+    return granted | Scheduling.FIFO
+
+
+def refusals(granted: Scheduling) -> list[str]:
+    """What was not granted, and the line that allows it."""
+    refused = []
+    if Scheduling.LOCKED not in granted:
         refused.append(
             "memory is not locked (mlockall): allow it with '@yourgroup - memlock unlimited' "
             "in /etc/security/limits.conf and log in again"
         )
-    try:
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
-    except (OSError, AttributeError):
+    if Scheduling.FIFO not in granted:
         refused.append(
             "no real-time priority (SCHED_FIFO): deadlines may be missed; "
             "allow it with a line '@yourgroup - rtprio 80' in /etc/security/limits.conf and log in again"
         )
     return refused
+
+
+def _raise_soft_limits() -> None:
+    """Use what the administrator allows: a soft limit below the hard one needs no privilege to be raised."""
+    for limit in (resource.RLIMIT_MEMLOCK, resource.RLIMIT_RTPRIO):
+        soft, hard = resource.getrlimit(limit)
+        if soft != hard:
+            with contextlib.suppress(OSError, ValueError):
+                resource.setrlimit(limit, (hard, hard))
+
+
+def _capable(capability: int) -> bool:
+    """True where the effective capabilities of this process contain one."""
+    with contextlib.suppress(OSError, ValueError):
+        for line in Path("/proc/self/status").read_text().splitlines():
+            if line.startswith("CapEff:"):
+                return bool(int(line.split()[1], 16) >> capability & 1)
+    return False
 
 
 def raise_priority() -> None:

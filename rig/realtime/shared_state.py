@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from rig.config.schema import RigConfig
 from rig.realtime.ring import RingBuffer, ring_bytes
+from rig.realtime.scheduling import Scheduling
 from runs.journal.messages import marks_from_bytes, marks_to_bytes
 from runs.records import Event, Level, Picture, adaptation_dtype, observation_dtype, sample_dtype
 
@@ -61,6 +62,8 @@ _BOARD = np.dtype(
         ("conductor", _PROCESS),
         ("control_pid", "<i8"),
         ("watchdog_pid", "<i8"),
+        ("control_granted", "<i8"),
+        ("watchdog_granted", "<i8"),
         ("holder_pid", "<i8"),
         ("plant_starting", "<i8"),
         ("go_ns", "<i8"),
@@ -192,6 +195,11 @@ class SharedState:
     def vents(self) -> bool:
         """True where the safe state is the vented one, also of valves that would be held."""
         return self.get("stop") == Stop.VENT or bool(self.get("vented"))
+
+    @property
+    def granted(self) -> Scheduling:
+        """The scheduling that both control and the watchdog were granted; none before they have said so."""
+        return Scheduling(self.get("control_granted") & self.get("watchdog_granted"))
 
     def stage(self, process: str) -> Stage:
         """How far a process is."""

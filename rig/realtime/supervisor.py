@@ -26,12 +26,13 @@ from rig.hardware.cards.registry import card_type
 from rig.realtime import sampling_clocks
 from rig.realtime.child_process import ChildJob, ended_within, spawn
 from rig.realtime.control_socket import ControlSocket
-from rig.realtime.failsafe import SILENT_NS, force_safe_state
+from rig.realtime.failsafe import force_safe_state
 from rig.realtime.health_monitor import HealthMonitor
 from rig.realtime.operator_commands import Command, CommandHandler, CommandResult, OperatorCommand, user_name
 from rig.realtime.process_monitor import ProcessMonitor
-from rig.realtime.scheduling import HeartbeatMonitor, stolen_ms
+from rig.realtime.scheduling import REAL_TIME, HeartbeatMonitor, Scheduling, obtainable, stolen_ms
 from rig.realtime.shared_state import SharedState, Stage, StateLayout, Stop
+from rig.realtime.timing_limits import Profile, remedies, stated, timing_limits
 from rig.simulator.plant_launcher import Simulation, started
 from runs.records import Event, Level, Status
 
@@ -43,7 +44,6 @@ START_LOOK_S = 0.005
 DRAIN_S = 0.02
 SHOW_S = 0.1
 LAST_FRAME_S = 0.5
-SAFE_TIMEOUT_S = 2.0
 STATUS_S = 1.0
 """What a process that dies gets to give its memory back: only then its exit status is known."""
 OVERSLEPT_NS = 200_000_000
@@ -63,8 +63,10 @@ def run(plan: Plan, open_record: OpenRecord, audience: OperatorInterface) -> Out
     Raises:
         CardError, StartError: a device or a process did not come up.
     """
-    with started(plan.config, plan.rig_file, plan.seed) as plant:
-        conductor = _Supervisor(plan, audience, plant)
+    expected = obtainable()
+    waits_ns = timing_limits(plan.config, expected).simulation_waits_ns
+    with started(plan.config, plan.rig_file, plan.seed, waits_ns) as plant:
+        conductor = _Supervisor(plan, audience, plant, expected)
         try:
             outcome = conductor.run(open_record)
         except BaseException as error:
@@ -79,9 +81,12 @@ def run(plan: Plan, open_record: OpenRecord, audience: OperatorInterface) -> Out
 
 
 class _Supervisor:
-    def __init__(self, plan: Plan, audience: OperatorInterface, plant: Simulation | None) -> None:
+    def __init__(
+        self, plan: Plan, audience: OperatorInterface, plant: Simulation | None, expected: Scheduling = Scheduling.NONE
+    ) -> None:
         self.plan = plan
         self.plant = plant
+        self.timing = timing_limits(plan.config, expected)
         self.recorder: Recorder
         self.audience = audience
         self.memory = SharedState.create(StateLayout.of(plan.config, len(plan.adapted)))
@@ -118,14 +123,14 @@ class _Supervisor:
         memory.set("plant_starting", False)
         for name in self.crew:
             self._await(name)
+        self.timing = timing_limits(self.plan.config, memory.granted)
         stolen = stolen_ms()
         go = time.monotonic_ns() + LEAD_NS
         self.recorder = open_record(go)
         self._event(Level.INFO, "control", "armed: the safe state was written and read back")
         for sentence in sampling_clocks.descriptions(memory, self.plan.config):
             self._event(Level.INFO, "card", sentence)
-        if warning := memory.message("control"):
-            self._event(Level.WARNING, "control", warning)
+        self._tell_timing()
         if trouble:
             self._event(Level.WARNING, "conductor", trouble)
         memory.beat("conductor", time.monotonic_ns())
@@ -167,6 +172,15 @@ class _Supervisor:
         memory.say("conductor", Stage.DONE, f"{status}: {message}".removesuffix(": "))
         return Outcome(status, message, safe_ns or time.monotonic_ns(), counters)
 
+    def _tell_timing(self) -> None:
+        """Record what scheduling was granted and what counts as hung under it."""
+        granted = self.memory.granted
+        if refused := remedies(granted):
+            self._event(Level.WARNING, "control", refused)
+        level = Level.WARNING if self.timing.profile is Profile.ORDINARY else Level.INFO
+        if self.timing.profile is not Profile.STRICT or REAL_TIME not in granted:
+            self._event(level, "supervisor", stated(self.plan.config, granted))
+
     @property
     def complaint(self) -> str:
         """What control has failed by: air that does not go is to be told of, whatever else ends a run."""
@@ -185,7 +199,7 @@ class _Supervisor:
         said = ""
         # The watchdog goes last: it is the one that writes the safe state when the others cannot.
         for name, process in sorted(self.crew.items(), key=lambda member: member[0] == "watchdog"):
-            if not ended_within(process, SAFE_TIMEOUT_S):
+            if not ended_within(process, self.timing.ending_s):
                 process.kill()
                 # Not for ever: the end of a process that a debugger holds is hidden until the debugger asks for it.
                 ended_within(process, STATUS_S)
@@ -270,12 +284,21 @@ class _Supervisor:
         if self.plant is not None and self.plant.exit_status is not None:
             return "simulator", f"the simulator died (exit status {self.plant.exit_status})"
         now = time.monotonic_ns()
-        patience_s = {"observer": 2 * self.plan.config.limits.no_tip_s, "control": 0.5, "watchdog": 1.2}
+        timing = self.timing
+        patience_s = {
+            "observer": timing.supervised_observer_s,
+            "control": timing.supervised_control_s,
+            "watchdog": timing.supervised_watchdog_s,
+        }
         silent_s = {name: self.silences[name].look(now, memory.heartbeat_ns(name)) * 1e-9 for name in patience_s}
         ended = memory.stage("control") in (Stage.DONE, Stage.FAILED)
         for name in ("observer",) if ended else patience_s:
             if silent_s[name] > patience_s[name]:
                 return name, f"the {name} process has been silent for {silent_s[name]:.1f} s"
+        if self.plant is not None and timing.simulator_ns is not None and not ended:
+            late_ns = self.plant.late_ns(now)
+            if late_ns > timing.simulator_ns:
+                return "simulator", f"the simulator has stalled for {late_ns * 1e-9:.1f} s"
         return None
 
     def _lost(self) -> tuple[str, str] | None:
@@ -292,7 +315,7 @@ class _Supervisor:
         """A fault with what is known of it once the valves are safe."""
         if self.memory.get("fired_ns"):
             # What the watchdog saw comes first: what others complain of may follow from it. It explains at its end.
-            ended_within(self.crew["watchdog"], SAFE_TIMEOUT_S)
+            ended_within(self.crew["watchdog"], self.timing.ending_s)
             return "watchdog", self.memory.message("watchdog") or message
         return source, message + (self._exit_status(source) if died else "")
 
@@ -360,7 +383,7 @@ class _Supervisor:
         """Ask control for the safe state and wait until it, or who stands in for it, has written it; once is enough."""
         memory = self.memory
         memory.ask_to_stop(Stop.SAFE)
-        deadline = time.monotonic() + SAFE_TIMEOUT_S
+        deadline = time.monotonic() + self.timing.ending_s
         while time.monotonic() < deadline and not self._stood_in:
             memory.beat("conductor", time.monotonic_ns())
             if memory.stage("control") in (Stage.DONE, Stage.FAILED) or memory.get("fired_ns"):
@@ -380,7 +403,7 @@ class _Supervisor:
         self._judged = True
         if not self.memory.get("safe_ns"):
             # It says at its very end whether its last write has succeeded.
-            ended_within(self.crew["watchdog"], SAFE_TIMEOUT_S)
+            ended_within(self.crew["watchdog"], self.timing.ending_s)
         if self._written():
             off = unsafe_output(self.plan.config)
             if not off:
@@ -401,7 +424,10 @@ class _Supervisor:
 
     def _gone(self, name: str) -> bool:
         """True when a process has died or gives no sign of life."""
-        return self.lives[name].over or time.monotonic_ns() - self.memory.heartbeat_ns(name) > SILENT_NS
+        return (
+            self.lives[name].over
+            or time.monotonic_ns() - self.memory.heartbeat_ns(name) > self.timing.failsafe_silent_ns
+        )
 
     def _spawn(self, name: str, module: str) -> None:
         process = spawn(module, ChildJob(self.plan, self.memory.fd, os.getpid()))

@@ -9,14 +9,16 @@ from rig.config.schema import PA_PER_BAR, RigConfig
 from rig.hardware.bench import Bench
 
 PATIENCE_S = 1.0
-"""A chamber vents in a few tenths of a second."""
+"""A chamber vents in a few tenths of a second; the default."""
 VENTED_PA = 0.1 * PA_PER_BAR
 
 
 class VentVerification:
     """Watches the pressures of the chambers whose valves were told to vent: all of them where the run was vented."""
 
-    def __init__(self, config: RigConfig, bench: Bench, *, vent: bool = False) -> None:
+    def __init__(self, config: RigConfig, bench: Bench, *, vent: bool = False, patience_s: float = PATIENCE_S) -> None:
+        """`patience_s` is how long the caller looks; it is part of the verdict."""
+        self._patience_s = patience_s
         self._bench = bench
         venting = [a - 1 for valve in config.valves if vent or valve.safe_state == "vent" for a in valve.actuators]
         self._venting: NDArray[np.int64] = np.array(sorted(venting), np.int64)
@@ -45,6 +47,6 @@ class VentVerification:
         if not full:
             return ""
         return (
-            f"{', '.join(full)} {PATIENCE_S:g} s after the valves were told to vent: a valve is stuck or its ports are "
-            "the wrong way round, or a sensor is broken; shut the air off by hand"
+            f"{', '.join(full)} {self._patience_s:g} s after the valves were told to vent: a valve is stuck or its "
+            "ports are the wrong way round, or a sensor is broken; shut the air off by hand"
         )

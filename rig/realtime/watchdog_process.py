@@ -11,23 +11,22 @@ import select
 import signal
 import sys
 import time
+from collections.abc import Callable
 
 from rig.hardware.cards.base import CardError
-from rig.realtime import vent_verification
 from rig.realtime.child_process import await_turn, leave, receive, supervisor_monitor
 from rig.realtime.process_monitor import ProcessMonitor
-from rig.realtime.scheduling import HeartbeatMonitor, disable_realtime_scheduling, enable_realtime_scheduling
+from rig.realtime.scheduling import (
+    WATCHDOG_PRIORITY,
+    HeartbeatMonitor,
+    disable_realtime_scheduling,
+    enable_realtime_scheduling,
+)
 from rig.realtime.shared_state import SharedState, Stage, Stop
+from rig.realtime.timing_limits import TimingLimits, timing_limits
 from rig.realtime.watchdog_outputs import WatchdogOutputs
 
 PERIOD_MS = 2
-CONDUCTOR_HUNG_NS = 2_000_000_000
-GRACE_NS = 100_000_000
-"""What control gets to make the bench safe by itself after the conductor is gone."""
-VENTING_NS = round(vent_verification.PATIENCE_S * 1e9)
-"""What it gets then to see whether the air goes."""
-OVERSLEPT_NS = 8_000_000
-"""A look that comes so late says nothing of control: both may have stood still."""
 PATIENCE_S = 0.5
 
 
@@ -43,13 +42,13 @@ def main() -> int:
     except CardError as error:
         memory.say("watchdog", Stage.FAILED, str(error))
         return 1
-    enable_realtime_scheduling(priority=60)
+    memory.set("watchdog_granted", enable_realtime_scheduling(WATCHDOG_PRIORITY))
     memory.beat("watchdog", time.monotonic_ns())
     memory.say("watchdog", Stage.READY)
     reason = "the watchdog failed"
     ended = 0
     try:
-        reason = _watch(memory, job.conductor_pid, grip, round(job.plan.config.limits.hung_s * 1e9))
+        reason = _watch(memory, job.conductor_pid, grip, lambda: timing_limits(job.plan.config, memory.granted))
     finally:
         if reason and not grip.shared:
             ended = memory.get("holder_pid")
@@ -87,8 +86,11 @@ def _make_safe(grip: WatchdogOutputs, memory: SharedState, patience_s: float = P
             return ""
 
 
-def _watch(memory: SharedState, conductor_pid: int, grip: WatchdogOutputs, hung_ns: int) -> str:
-    """Return why the safe state is due, empty when control has made the bench safe by itself."""
+def _watch(memory: SharedState, conductor_pid: int, grip: WatchdogOutputs, decide: Callable[[], TimingLimits]) -> str:
+    """Return why the safe state is due, empty when control has made the bench safe by itself.
+
+    `decide` gives the limits; they are final once control is running, because its scheduling is known then.
+    """
     poll = select.poll()
     conductor = _watched(poll, conductor_pid)
     while not (control_pid := memory.get("control_pid")):
@@ -99,7 +101,8 @@ def _watch(memory: SharedState, conductor_pid: int, grip: WatchdogOutputs, hung_
     life = ProcessMonitor(control_pid)
     conductor_gone_ns = 0
     vented = False
-    silence, conductors = (HeartbeatMonitor(PERIOD_MS * 1_000_000, OVERSLEPT_NS) for _ in range(2))
+    timing, final = decide(), False
+    silence, conductors = _heartbeat_monitors(timing)
     while True:
         exited = _exited(poll, PERIOD_MS)
         now = time.monotonic_ns()
@@ -111,19 +114,28 @@ def _watch(memory: SharedState, conductor_pid: int, grip: WatchdogOutputs, hung_
             _make_safe(grip, memory, patience_s=0.0)
             vented = True
         running = memory.stage("control") == Stage.RUNNING
+        if running and not final:
+            timing, final = decide(), True
+            silence, conductors = _heartbeat_monitors(timing)
         silent_ns = silence.look(now, memory.heartbeat_ns("control"))
         conductor_silent_ns = conductors.look(now, memory.heartbeat_ns("conductor"))
-        if running and silent_ns > hung_ns:
+        if running and silent_ns > timing.control_hung_ns:
             return "the control process hung"
         if conductor >= 0 and conductor in exited:
             poll.unregister(conductor)  # it would wake this process again and again
             conductor = -1
-        if not conductor_gone_ns and (conductor < 0 or (running and conductor_silent_ns > CONDUCTOR_HUNG_NS)):
+        if not conductor_gone_ns and (conductor < 0 or (running and conductor_silent_ns > timing.supervisor_silent_ns)):
             conductor_gone_ns = now
             memory.ask_to_stop(Stop.SILENT)
-        grace_ns = GRACE_NS + (VENTING_NS if memory.get("safe_ns") else 0)
+        grace_ns = timing.grace_ns + (round(timing.vented_s * 1e9) if memory.get("safe_ns") else 0)
         if conductor_gone_ns and now - conductor_gone_ns > grace_ns:
             return "the conductor died or hung, and control did not stop"
+
+
+def _heartbeat_monitors(timing: TimingLimits) -> tuple[HeartbeatMonitor, HeartbeatMonitor]:
+    """One for control, one for the supervisor."""
+    first, second = (HeartbeatMonitor(PERIOD_MS * 1_000_000, timing.late_look_ns) for _ in range(2))
+    return first, second
 
 
 def _watched(poll: select.poll, pid: int) -> int:

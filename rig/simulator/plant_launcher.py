@@ -53,6 +53,10 @@ class Simulation:
         self._registers = Registers.attach(mocks[0]) if mocks else None
         return True
 
+    def late_ns(self, now_ns: int) -> int:
+        """By how much the plant is behind a time on CLOCK_MONOTONIC."""
+        return 0 if self._registers is None else now_ns - self._registers.plant_t_ns
+
     def hang(self, weight_kg: float) -> None:
         """Do what a prompt asks of the operator: hang a weight on the end cap."""
         if self._registers is not None:
@@ -79,15 +83,17 @@ class Simulation:
 
 
 @contextmanager
-def started(config: RigConfig, rig_file: Path, seed: int) -> Iterator[Simulation | None]:
+def started(config: RigConfig, rig_file: Path, seed: int, waits_ns: int | None = None) -> Iterator[Simulation | None]:
     """Start the plant behind the rig's mock devices and keep it until the end; None for a rig that has none.
 
-    Its cards are there once it is `ready`.
+    Its cards are there once it is `ready`. With `waits_ns` its time stops while open valves are not written for longer.
     """
     if not config.simulated:
         yield None
         return
-    command = [sys.executable, "-m", "rig.simulator.plant_process", "--rig", str(rig_file), "--seed", str(seed)]
+    command = [sys.executable, "-P", "-m", "rig.simulator.plant_process", "--rig", str(rig_file), "--seed", str(seed)]
+    if waits_ns is not None:
+        command += ["--waits-ms", f"{waits_ns * 1e-6:g}"]
     process = subprocess.Popen(
         [*command, "--parent", str(os.getpid())],
         stdin=subprocess.DEVNULL,

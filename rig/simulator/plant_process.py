@@ -1,4 +1,4 @@
-"""The plant in real time: `python -m rig.simulator.plant_process --rig FILE --seed N [--parent PID]`.
+"""The plant in real time: `python -m rig.simulator.plant_process --rig FILE --seed N [--parent PID] [--waits-ms MS]`.
 
 One shared file per mock card (see `rig.simulator.registers`). Prints `ready` once scans are being taken. With
 `--parent` it ends by itself some seconds after that process has gone, so that a card outlives the death of those who
@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import ctypes
 import gc
 import os
 import select
@@ -23,6 +24,7 @@ import numpy as np
 import rig.config.loader
 from protocols import BadInputError
 from rig.config.schema import RigConfig
+from rig.control.step import safe_voltages
 from rig.hardware.cards.base import CardError
 from rig.simulator.faults import Faults
 from rig.simulator.plant import Plant, PlantCard
@@ -35,6 +37,8 @@ GIVE_UP_NS = 2_000_000_000
 """A plant that is later than this (a stopped process, a sleeping laptop) lets the time go instead."""
 OUTLIVE_PARENT_S = 3.0
 PRIORITY = 20
+_PR_SET_PDEATHSIG = 1
+SAFE_TOLERANCE_V = 0.01
 
 
 class _SimulatedCard:
@@ -47,6 +51,8 @@ class _SimulatedCard:
         sensors = sorted((s for s in config.sensors if s.card == name), key=lambda s: s.actuator)
         self._columns = [s.channel for s in sensors]
         self._channels = [v.channel for v in config.valves if v.card == name]
+        valves = [i for i, v in enumerate(config.valves) if v.card == name]
+        self._safe_v = np.array([[safe_voltages(config, vent=vent)[i] for i in valves] for vent in (False, True)])
         self._registers = Registers.create(card.device, card.outputs, card.inputs)
         self.faults = self._registers.faults
         self._card.faults = Faults()  # the mock card in the run's processes obeys the word; this one only samples
@@ -58,6 +64,11 @@ class _SimulatedCard:
     def newest_write_ns(self) -> int:
         """When an output was written last."""
         return int(self._written.max()) if len(self._written) else 0
+
+    def driven(self) -> bool:
+        """True while a valve is neither safe nor vented."""
+        off = np.abs(self._volts[self._channels] - self._safe_v) > SAFE_TOLERANCE_V
+        return bool(off.all(axis=0).any())
 
     def take_outputs(self) -> None:
         """Let the plant's valves feel the registers."""
@@ -81,12 +92,18 @@ class _SimulatedCard:
         self._registers.header["plant_t_ns"][0] = plant.t_ns
 
 
-def run(config: RigConfig, seed: int, parent: int | None) -> None:
+def run(config: RigConfig, seed: int, parent: int | None, waits_ns: int | None = None) -> None:
     """Run the plant until it is told to end.
+
+    With `waits_ns` the time of the plant stops while a valve that is open has not been written for longer, or while
+    the plant itself is later than this: a delay of the computer is then no event on the bench.
 
     Raises:
         CardError: a mock device is taken, or the rig cannot be simulated.
     """
+    if parent == os.getppid():
+        # Nobody needs a plant that only loads, which may take minutes where its kernels are compiled.
+        _die_with_parent(signal.SIGKILL)
     t0_ns = time.monotonic_ns()
     plant = Plant(config, seed, t0_ns)
     plant.advance(t0_ns + LONGEST_STRETCH_NS)  # compiles what is not in the cache yet
@@ -102,6 +119,7 @@ def run(config: RigConfig, seed: int, parent: int | None) -> None:
             return
     gc.collect()
     gc.freeze()
+    _die_with_parent(0)
     _raise_priority()
     print("ready", flush=True)
     alone_since: float | None = None
@@ -109,11 +127,19 @@ def run(config: RigConfig, seed: int, parent: int | None) -> None:
     while alone_since is None or time.monotonic() - alone_since < OUTLIVE_PARENT_S:
         time.sleep(POLL_S)
         now = time.monotonic_ns()
-        _catch_up(plant, devices)
+        if waits_ns is None:
+            _catch_up(plant, devices)
+        else:
+            _wait_or_catch_up(plant, devices, waits_ns)
         if now >= look_ns:
             look_ns = now + 200_000_000
             if alone_since is None and poll.poll(0):
                 alone_since = time.monotonic()
+
+
+def _die_with_parent(number: int) -> None:
+    """Have the kernel send a signal to this process when its parent dies; 0 for none."""
+    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, number)
 
 
 def _raise_priority() -> None:
@@ -132,6 +158,18 @@ def _catch_up(plant: Plant, devices: Sequence[_SimulatedCard]) -> None:
         plant.skip(now)
     while plant.t_ns + LONGEST_STRETCH_NS < now:
         _simulate(plant, devices, plant.t_ns + LONGEST_STRETCH_NS)
+    _simulate(plant, devices, now)
+
+
+def _wait_or_catch_up(plant: Plant, devices: Sequence[_SimulatedCard], waits_ns: int) -> None:
+    """As `_catch_up`, but the plant lives through no time in which it or whoever drives its valves was delayed."""
+    now = time.monotonic_ns()
+    steered_ns = max((device.newest_write_ns() for device in devices if device.driven()), default=now) + waits_ns
+    if steered_ns < now:
+        _simulate(plant, devices, steered_ns)
+        return
+    if now - plant.t_ns > waits_ns:
+        plant.skip(now)
     _simulate(plant, devices, now)
 
 
@@ -155,13 +193,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--rig", required=True, help="name or file of the rig")
     parser.add_argument("--seed", type=int, required=True)
     parser.add_argument("--parent", type=int, help="end some seconds after this process has gone")
+    parser.add_argument("--waits-ms", type=float, help="stop the plant's time while open valves are not written")
     options = parser.parse_args(arguments)
+    waits_ns = None if options.waits_ms is None else round(options.waits_ms * 1e6)
     signal.signal(signal.SIGTERM, _leave)
     signal.signal(signal.SIGHUP, signal.SIG_IGN)
     # Ctrl-C goes to every process of the terminal; the card must outlive those who make it safe.
     signal.signal(signal.SIGINT, _leave if options.parent is None else signal.SIG_IGN)
     try:
-        run(rig.config.loader.load(options.rig), options.seed, options.parent)
+        run(rig.config.loader.load(options.rig), options.seed, options.parent, waits_ns)
+    except BrokenPipeError:
+        # Who wanted the plant died while it loaded: there is nobody to be told.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
     except (BadInputError, CardError) as error:
         print(error, file=sys.stderr)
         return 2

@@ -8,6 +8,7 @@ The rings have one writer, the plant. Each row carries its own index, and the co
 from __future__ import annotations
 
 import contextlib
+import errno
 import fcntl
 import mmap
 import os
@@ -102,7 +103,8 @@ class Registers:
                 path.unlink()
                 os.close(descriptor)
                 descriptor = _locked(path, patience_s)
-            os.ftruncate(descriptor, size)
+            # Not by ftruncate: a page that the file system has no room for would end the process when it is touched.
+            os.posix_fallocate(descriptor, 0, size)
             header = np.zeros(1, HEADER_DTYPE)
             header["magic"], header["version"] = MAGIC, VERSION
             header["outputs"], header["inputs"] = outputs, inputs
@@ -110,6 +112,8 @@ class Registers:
             header["plant_pid"] = os.getpid()
             os.pwrite(descriptor, header.tobytes(), 0)
         except OSError as error:
+            if error.errno == errno.ENOSPC:
+                path.unlink(missing_ok=True)
             raise CardError(f"mock card {device}: {path}: {error.strerror or error}") from error
         registers = cls(descriptor, path)
         registers._scans["index"] = -1
@@ -149,6 +153,11 @@ class Registers:
         """Set one output register and the time of the write."""
         self.outputs["volts"][output] = volts
         self.outputs["written_ns"][output] = t_ns
+
+    @property
+    def plant_t_ns(self) -> int:
+        """The time that the plant has reached."""
+        return int(self.header["plant_t_ns"][0])
 
     def hang(self, weight_kg: float) -> None:
         """Hang a weight on the simulated end cap; the plant takes it from here."""

@@ -153,8 +153,10 @@ class MemoryFile:
     survives kill -9 wherever the disk does not stand still.
     """
 
-    def __init__(self, file: DiskFile) -> None:
+    def __init__(self, file: DiskFile, patience_s: float | None = None) -> None:
+        """`patience_s` is for how long the disk may take nothing; `HELD_S` where it is None."""
         self._file = file
+        self._patience_s = patience_s
         self._changed = threading.Condition()
         self._outstanding: deque[tuple[float, bytes]] = deque()
         """When each piece came; the first is the one that is being written."""
@@ -214,7 +216,7 @@ class MemoryFile:
         if not self._outstanding:
             return
         held_s = time.monotonic() - self._outstanding[0][0]
-        if held_s > HELD_S or self._bytes > HELD_BYTES:
+        if held_s > (HELD_S if self._patience_s is None else self._patience_s) or self._bytes > HELD_BYTES:
             raise JournalError(
                 f"the disk with {self._file.path} has taken nothing for {held_s:.1f} s; "
                 f"{self._bytes / 1e6:.1f} MB wait in memory until it does"

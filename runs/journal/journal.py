@@ -35,10 +35,12 @@ class JournalWriter:
     Every call raises `JournalError` where the disk is full, broken or, in a live run, takes nothing for long.
     """
 
-    def __init__(self, path: Path | str, header: RunHeader, *, live: bool = False) -> None:
+    def __init__(
+        self, path: Path | str, header: RunHeader, *, live: bool = False, patience_s: float | None = None
+    ) -> None:
         """Create the file, which must not exist, and write the header.
 
-        A `live` run is never held up by a disk that stands still; any other waits for it.
+        A `live` run is not held up by a disk that stalls for less than `patience_s`, 10 s by default; any other waits.
         """
         self.path = Path(path)
         self._samples = _Rows(SAMPLES, sample_dtype(header.actuators, header.valves))
@@ -49,7 +51,7 @@ class JournalWriter:
         kinds = [self._samples, self._observations, *([self._adaptations] if header.adapted else [])]
         first = block_of_header(header, {kind.channel: kind.form["row"] for kind in kinds})
         file = DiskFile(self.path, mcap_records.opening() + first + first)
-        self._file: AppendOnlyFile = MemoryFile(file) if live else file
+        self._file: AppendOnlyFile = MemoryFile(file, patience_s) if live else file
 
     @property
     def standing_s(self) -> float:

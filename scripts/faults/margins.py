@@ -69,7 +69,7 @@ def _wait(run: WatchedRun, margin: Margin, born: int) -> None:
 def _strike(run: WatchedRun, blows: Blows, chance: random.Random) -> bool:
     """Do it; true where the conductor was killed, who alone tells anything."""
     if blows is Blows.VENT:
-        vent = [sys.executable, "-m", "rig", "vent", "--rig", str(run.rig_file)]
+        vent = [sys.executable, "-P", "-m", "rig", "vent", "--rig", str(run.rig_file)]
         subprocess.run(vent, check=False, capture_output=True)
         return False
     if blows is Blows.ASKED:

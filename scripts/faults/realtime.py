@@ -82,7 +82,7 @@ class WatchedRun:
         self._said: list[bytes] = []
         self._listening = threading.Event()
         self._listening.set()
-        command = [sys.executable, "-m", "rig", "run", str(self.protocol), "--rig", str(self.rig_file)]
+        command = [sys.executable, "-P", "-m", "rig", "run", str(self.protocol), "--rig", str(self.rig_file)]
         command += ["--out", str(self.out), "--yes", "--no-report"]
         on_screen = trick in (Trick.TERMINAL_BLOCKED, Trick.TERMINAL_LOST)
         self.screen, inner = os.openpty() if on_screen else os.pipe()
@@ -349,7 +349,7 @@ def _signal(action: Signal, run: WatchedRun) -> int | None:
             return None
         if action.then_vent:
             begun = time.monotonic_ns()
-            command = [sys.executable, "-m", "rig", "vent", "--rig", str(run.rig_file)]
+            command = [sys.executable, "-P", "-m", "rig", "vent", "--rig", str(run.rig_file)]
             subprocess.run(command, check=True, capture_output=True)
             time.sleep(action.lasts_s)
             run.signal(action.processes, signal.SIGCONT)

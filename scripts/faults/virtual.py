@@ -16,6 +16,7 @@ from rig.config.schema import RigConfig
 from rig.execution.plan import NullOperator
 from rig.experiment import run as experiment
 from rig.hardware.bench import Bench as Cards
+from rig.realtime.timing_limits import STRICT_HUNG_S
 from rig.simulator.faults import Faults
 from rig.simulator.plant import Plant
 from rig.virtual.executor import START_NS
@@ -75,6 +76,8 @@ class StruckPlant(Plant):
 def rig_text(trick: object, device: str) -> str:
     """The mock rig with a card of its own, and a model that cannot be solved where that is the fault."""
     text = rig.config.loader.text("mock").replace("device: mock0", f"device: {device}")
+    # Stated, so that the simulated bench is supervised as strictly as a real one.
+    text = text.replace("\nlimits:\n", f"\nlimits:\n  hung_s: {STRICT_HUNG_S:g}\n")
     if trick is Trick.MODEL_UNSOLVABLE:
         text = text.replace("  cap_mass_g: 50\n", "  cap_mass_g: 100000\n")
     return text

@@ -1,4 +1,4 @@
-"""A page that shows a run which stands still, with numbers as wide as they get: `python tests/support/live_shown.py 6 --adapt`.
+"""A page that shows a stalled run, with numbers as wide as they get: `python tests/support/live_shown.py 6 --adapt`.
 
 Prints the page's link. What is real: server, page, stream and browser; what is made up: the run's numbers.
 """

@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from rig.config import loader
+from rig.realtime.timing_limits import STRICT_HUNG_S
 from rig.simulator.registers import Registers, path_of
 
 SHORT = """
@@ -31,13 +32,22 @@ steps:
 PATIENCE_S = 60.0
 
 
-def write_rig(folder: Path, *, one_opener: bool = False, like: str = "mock") -> Path:
-    """A copy of a mock rig with a card of its own, which may let in one process only."""
+def write_rig(folder: Path, *, one_opener: bool = False, like: str = "mock", supervised: bool = True) -> Path:
+    """A copy of a mock rig with a card of its own, which may let in one process only.
+
+    `supervised`: as strictly as a real bench.
+    """
     device = f"test-{os.getpid()}-{abs(hash(str(folder))) % 10**8}"
     text = with_one_opener(loader.text(like).replace("device: mock0", f"device: {device}"), one_opener=one_opener)
     path = folder / "rig.yaml"
-    path.write_text(text)
+    path.write_text(strict(text) if supervised else text)
     return path
+
+
+def strict(text: str) -> str:
+    """A rig whose mock bench is supervised as a real one: it states `hung_s`."""
+    assert text.count("\nlimits:\n") == 1
+    return text.replace("\nlimits:\n", f"\nlimits:\n  hung_s: {STRICT_HUNG_S:g}\n")
 
 
 def with_one_opener(text: str, *, one_opener: bool) -> str:
@@ -63,11 +73,17 @@ class RigProcess:
     """One `rig run` under test."""
 
     def __init__(
-        self, folder: Path, protocol: str, *options: str, one_opener: bool = False, like: str = "mock"
+        self,
+        folder: Path,
+        protocol: str,
+        *options: str,
+        one_opener: bool = False,
+        like: str = "mock",
+        supervised: bool = True,
     ) -> None:
         self.folder = folder
         self.out = folder / "out"
-        self.rig_file = write_rig(folder, one_opener=one_opener, like=like)
+        self.rig_file = write_rig(folder, one_opener=one_opener, like=like, supervised=supervised)
         self.config = loader.load(self.rig_file)
         (folder / "protocol.yaml").write_text(protocol)
         self._log = (folder / "log").open("w+")
@@ -149,10 +165,15 @@ class RigProcess:
 
 @contextmanager
 def rig_run(
-    folder: Path, protocol: str = SHORT, *options: str, one_opener: bool = False, like: str = "mock"
+    folder: Path,
+    protocol: str = SHORT,
+    *options: str,
+    one_opener: bool = False,
+    like: str = "mock",
+    supervised: bool = True,
 ) -> Iterator[RigProcess]:
     """Start a run; leave nothing of it behind."""
-    run = RigProcess(folder, protocol, *options, one_opener=one_opener, like=like)
+    run = RigProcess(folder, protocol, *options, one_opener=one_opener, like=like, supervised=supervised)
     try:
         yield run
     finally:

@@ -60,11 +60,15 @@ class CardSetup:
 
 @dataclass(frozen=True)
 class Scans:
-    """Input scans taken since the last read: `t_ns` (n,) and `volts` (n, inputs), oldest first; `lost` by overrun."""
+    """Input scans taken since the last read: `t_ns` (n,) and `volts` (n, inputs), oldest first; `lost` by overrun.
+
+    `late_ns`: by how much the process that simulates the card is behind the clock; 0 for hardware.
+    """
 
     t_ns: NDArray[np.int64]
     volts: NDArray[np.float64]
     lost: int = 0
+    late_ns: int = 0
 
 
 @runtime_checkable

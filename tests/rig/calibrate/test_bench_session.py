@@ -8,6 +8,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -20,10 +21,13 @@ from rig.execution.plan import StartError
 from rig.hardware.cards.base import CardError
 from rig.hardware.lock import lock_file
 from rig.realtime.process_monitor import ProcessMonitor
+from rig.realtime.scheduling import Scheduling
 from rig.realtime.shared_state import SharedState, StateLayout
+from rig.realtime.timing_limits import Profile, TimingLimits
 from rig.simulator.registers import Registers
 
 PERIOD_NS = 2_000_000
+TIMING = TimingLimits(Profile.STRICT, control_hung_ns=30_000_000)
 
 
 @pytest.fixture
@@ -44,7 +48,7 @@ def watchdog() -> Iterator[subprocess.Popen[bytes]]:
 def test_every_period_is_a_sign_of_life_and_a_dead_watchdog_ends_the_drive(
     memory: SharedState, watchdog: subprocess.Popen[bytes]
 ) -> None:
-    ticks = RealTimeClock(memory, PERIOD_NS, ProcessMonitor(watchdog.pid))
+    ticks = RealTimeClock(memory, PERIOD_NS, ProcessMonitor(watchdog.pid), TIMING)
     before, now = ticks.next(), ticks.next()
     assert now > before
     assert memory.heartbeat_ns("control") == memory.heartbeat_ns("conductor") == now
@@ -55,10 +59,11 @@ def test_every_period_is_a_sign_of_life_and_a_dead_watchdog_ends_the_drive(
 
 
 def test_a_watchdog_that_gives_no_sign_of_life_ends_the_drive(
-    memory: SharedState, watchdog: subprocess.Popen[bytes], monkeypatch: pytest.MonkeyPatch
+    memory: SharedState, watchdog: subprocess.Popen[bytes]
 ) -> None:
-    monkeypatch.setattr(bench_session, "WATCHDOG_SILENT_NS", 100 * PERIOD_NS)
-    ticks = RealTimeClock(memory, PERIOD_NS, ProcessMonitor(watchdog.pid))
+    ticks = RealTimeClock(
+        memory, PERIOD_NS, ProcessMonitor(watchdog.pid), replace(TIMING, watchdog_silent_ns=100 * PERIOD_NS)
+    )
     for _ in range(20):
         memory.beat("watchdog", time.monotonic_ns())
         ticks.next()
@@ -69,7 +74,7 @@ def test_a_watchdog_that_gives_no_sign_of_life_ends_the_drive(
 def test_who_is_told_that_the_watchdog_took_over_is_told_why(
     memory: SharedState, watchdog: subprocess.Popen[bytes]
 ) -> None:
-    ticks = RealTimeClock(memory, PERIOD_NS, ProcessMonitor(watchdog.pid))
+    ticks = RealTimeClock(memory, PERIOD_NS, ProcessMonitor(watchdog.pid), TIMING)
     memory.board["watchdog"]["message"] = b"the control process hung"
     memory.set("fired_ns", 1)
     with pytest.raises(StartError, match="took the bench over: the control process hung"):
@@ -99,7 +104,7 @@ def empty() -> Iterator[Registers]:
 def test_valves_that_a_drive_would_hold_stay_vented_where_another_program_has_vented_them(
     empty: Registers, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(bench_session, "become_real_time", lambda priority: None)
+    monkeypatch.setattr(bench_session, "become_real_time", lambda priority: Scheduling.NONE)
     text = rig.config.loader.text("mock").replace("device: mock0", f"device: clocked-{os.getpid()}", 1)
     text = text.replace("type: flow\n", "type: flow\n    safe_state: hold\n").replace("stale_s: 0.1", "stale_s: 5")
     file = tmp_path / "rig.yaml"

@@ -192,6 +192,26 @@ def test_the_plant_ends_some_seconds_after_its_parent(mock: Mock) -> None:
 
 
 @pytest.mark.realtime
+def test_the_time_of_a_plant_that_waits_stops_while_nobody_drives_its_open_valves(mock: Mock) -> None:
+    mock.plant("--waits-ms", "25")
+    registers = Registers.attach(mock.device)
+    late_s = lambda: (time.monotonic_ns() - registers.plant_t_ns) * 1e-9  # noqa: E731
+    until("the plant keeps up while its valves are safe", lambda: late_s() < 0.02)
+    began_ns = time.monotonic_ns()
+    for output in range(2):
+        registers.write(output, 7.0, began_ns)
+    until("its time stands still", lambda: late_s() > 0.3)
+    assert registers.plant_t_ns - began_ns < 26_000_000
+    registers.write(0, 7.0, time.monotonic_ns())
+    until("its time goes on with the next write", lambda: registers.plant_t_ns > began_ns + 300_000_000)
+    until("and stands still again", lambda: late_s() > 0.3)
+    for output in range(2):
+        registers.write(output, 0.0, time.monotonic_ns())
+    until("the plant keeps up once its valves are safe", lambda: late_s() < 0.02)
+    registers.close()
+
+
+@pytest.mark.realtime
 def test_ctrl_c_of_the_terminal_does_not_take_the_card_away(mock: Mock) -> None:
     plant = mock.plant("--parent", str(os.getpid()))
     plant.send_signal(signal.SIGINT)

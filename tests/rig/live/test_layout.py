@@ -13,7 +13,7 @@ import pytest
 from tests.support.browser import Browser, Tab, browsing
 from tests.support.live_page import open_tab, said
 
-pytestmark = pytest.mark.alone
+pytestmark = pytest.mark.realtime
 
 SHOWN = Path(__file__).parent / "live_shown.py"
 SIZES = ((390, 844), (768, 1024), (1280, 800), (1440, 1000))

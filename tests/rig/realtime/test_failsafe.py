@@ -10,6 +10,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 
 import pytest
 
@@ -21,11 +22,15 @@ from rig.realtime import watchdog_process
 from rig.realtime.child_process import ChildJob, await_turn, ended_within, supervisor_monitor
 from rig.realtime.failsafe import FailsafeThread, force_safe_state
 from rig.realtime.process_monitor import ProcessMonitor
+from rig.realtime.scheduling import Scheduling
 from rig.realtime.shared_state import SharedState, Stage, StateLayout, Stop
+from rig.realtime.timing_limits import Profile, TimingLimits
 from rig.simulator import plant_launcher
 from rig.simulator.registers import Registers, path_of
+from tests.support.rig_process import strict
 
 OPEN_V, SAFE_V = 7.0, 0.0
+LENIENT = TimingLimits(Profile.STRICT, control_hung_ns=10**10)
 HOLD_STILL = (
     "import ctypes, sys, time\nptrace = ctypes.CDLL(None).ptrace\nptrace.argtypes = [ctypes.c_long] * 4\n"
     "print('held' if ptrace(16, int(sys.argv[1]), 0, 0) == 0 else 'refused', flush=True)\ntime.sleep(60)\n"
@@ -46,7 +51,7 @@ def registers() -> Iterator[Registers]:
 
 @pytest.fixture
 def config(registers: Registers) -> RigConfig:
-    text = rig.config.loader.text("mock").replace("device: mock0", f"device: guarded-{os.getpid()}")
+    text = strict(rig.config.loader.text("mock")).replace("device: mock0", f"device: guarded-{os.getpid()}")
     return rig.config.loader.parse(text, "rig.yaml")
 
 
@@ -198,7 +203,7 @@ def test_the_watchdog_writes_at_the_end_only_what_control_has_not(
     memory.say("control", Stage.DONE)
     memory.set("safe_ns", safe_ns)
     monkeypatch.setattr(watchdog_process, "receive", lambda: (job(config, memory, os.getppid()), memory))
-    monkeypatch.setattr(watchdog_process, "become_real_time", lambda priority: None)
+    monkeypatch.setattr(watchdog_process, "become_real_time", lambda priority: Scheduling.NONE)
     before = signal.getsignal(signal.SIGTERM)
     try:
         assert watchdog_process.main() == 0
@@ -222,7 +227,7 @@ def test_control_that_has_made_the_bench_safe_may_watch_the_air_go_though_its_co
 
     ending = threading.Timer(0.4, end)
     ending.start()
-    assert watchdog_process._watch(memory, dead(), None, 10**10) == said  # type: ignore[arg-type]
+    assert watchdog_process._watch(memory, dead(), None, lambda: LENIENT) == said  # type: ignore[arg-type]
     ending.join()
 
 
@@ -230,8 +235,7 @@ def test_a_conductor_that_dies_after_it_has_hung_costs_control_no_processor(
     memory: SharedState, sleeper: subprocess.Popen[bytes], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The watchdog goes before control: what wakes it again and again keeps control from ending on its own."""
-    monkeypatch.setattr(watchdog_process, "CONDUCTOR_HUNG_NS", 20_000_000)
-    monkeypatch.setattr(watchdog_process, "GRACE_NS", 400_000_000)
+    timing = replace(LENIENT, supervisor_silent_ns=20_000_000, grace_ns=400_000_000)
     looks = 0
 
     def counted(poll: select.poll, timeout_ms: int) -> set[int]:
@@ -246,7 +250,7 @@ def test_a_conductor_that_dies_after_it_has_hung_costs_control_no_processor(
     memory.set("control_pid", sleeper.pid)
     memory.say("control", Stage.RUNNING)
     with subprocess.Popen(["sleep", "60"]) as conductor:
-        assert "did not stop" in watchdog_process._watch(memory, conductor.pid, None, 10**10)  # type: ignore[arg-type]
+        assert "did not stop" in watchdog_process._watch(memory, conductor.pid, None, lambda: timing)  # type: ignore[arg-type]
     assert looks < 400
 
 

@@ -217,3 +217,30 @@ def test_an_over_pressure_stops_the_run(tmp_path: Path) -> None:
         assert run.end() == 1, run.output
         run.wait_until_safe()
     assert "bar" in runs.open(run.archive()).message
+
+
+@pytest.mark.parametrize("modules", [(CONTROL,), (WATCHDOG,), (SIMULATOR,), (CONTROL, SIMULATOR)], ids=str)
+def test_a_delay_of_any_process_is_no_fault_of_a_simulated_bench(tmp_path: Path, modules: tuple[str, ...]) -> None:
+    """As a busy machine or its host delays them; the valves are driven while it happens."""
+    with rig_run(tmp_path, BRIEF, supervised=False) as run:
+        run.wait_until_pressurised()
+        pids = [run.pid_of(module) for module in modules]
+        for pid in pids:
+            os.kill(pid, signal.SIGSTOP)
+        time.sleep(1.5)
+        for pid in pids:
+            os.kill(pid, signal.SIGCONT)
+        assert run.end() == 0, run.output
+    archive = runs.open(run.archive())
+    assert archive.status is Status.FINISHED
+    assert any("simulated bench" in event.message for event in archive.events)
+    assert "simulated bench" in run.output
+
+
+def test_a_simulator_that_stalls_for_good_ends_a_run_of_a_simulated_bench(tmp_path: Path) -> None:
+    with rig_run(tmp_path, supervised=False) as run:
+        run.wait_until_pressurised()
+        os.kill(run.pid_of(SIMULATOR), signal.SIGSTOP)
+        run.wait_until_safe(40.0)
+        assert run.end() == 1, run.output
+    assert "the simulator has stalled" in runs.open(run.archive()).message

@@ -19,6 +19,7 @@ from rig.realtime import supervisor
 from rig.realtime.health_monitor import HealthMonitor
 from rig.realtime.scheduling import HeartbeatMonitor
 from rig.realtime.shared_state import Stage
+from rig.realtime.timing_limits import Profile, TimingLimits
 from rig.simulator.plant import Plant
 from rig.simulator.tip_pose import TipPose
 from runs.records import Level, sample_dtype
@@ -118,6 +119,7 @@ def test_the_conductor_blames_nobody_for_a_standstill_and_somebody_who_stays_sil
     moving: Plan, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     conductor = supervisor._Supervisor(moving, NullOperator(), None)
+    conductor.timing = TimingLimits(Profile.STRICT, control_hung_ns=30 * MS)
     memory, now = conductor.memory, 10**9
     memory.say("control", Stage.RUNNING)
     monkeypatch.setattr(supervisor.time, "monotonic_ns", lambda: now)

@@ -28,7 +28,9 @@ from rig.realtime import child_process, control_process, supervisor
 from rig.realtime.child_process import ChildJob
 from rig.realtime.control_socket import ControlSocket, socket_of, socket_paths
 from rig.realtime.process_monitor import ProcessMonitor
+from rig.realtime.scheduling import Scheduling
 from rig.realtime.shared_state import SharedState, Stage, StateLayout, Stop
+from rig.realtime.timing_limits import Profile, TimingLimits
 from rig.simulator.plant_launcher import Simulation
 from rig.simulator.registers import Registers
 from runs.journal.append_only_file import JournalError
@@ -150,11 +152,11 @@ def test_a_run_whose_control_was_told_to_end_before_its_turn_is_not_called_armed
     os.close(conductor.memory.fd)
 
 
-def test_who_has_not_had_his_turn_is_not_waited_for(plan: Plan, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_who_has_not_had_his_turn_is_not_waited_for(plan: Plan) -> None:
     conductor = supervisor._Supervisor(plan, NullOperator(), None)
     loading = [fellow(conductor, name, "import time; time.sleep(5)") for name in ("watchdog", "control")]
     conductor.memory.set("plant_starting", 1)
-    monkeypatch.setattr(supervisor, "SAFE_TIMEOUT_S", 60.0)
+    conductor.timing = replace(conductor.timing, ending_s=60.0)
     assert conductor.end() == ""
     assert [process.returncode for process in loading] == [-signal.SIGKILL] * 2
     os.close(conductor.memory.fd)
@@ -229,6 +231,7 @@ def test_control_that_stands_still_before_its_first_tick_ends_the_run(
     plan: Plan, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     conductor = supervisor._Supervisor(plan, NullOperator(), None)
+    conductor.timing = TimingLimits(Profile.STRICT, control_hung_ns=30_000_000)
     memory, now = conductor.memory, 10**9
     monkeypatch.setattr(supervisor.time, "monotonic_ns", lambda: now)
     for name in ("control", "watchdog"):
@@ -278,8 +281,8 @@ def test_an_error_in_control_is_told_by_its_name_and_leaves_the_valves_safe(
 
     monkeypatch.setattr(control_process, "receive", lambda: (ChildJob(own_plan, memory.fd, os.getppid()), memory))
     monkeypatch.setattr(control_process, "_warm_up", fails)
-    monkeypatch.setattr(control_process, "become_real_time", lambda priority: [])
-    monkeypatch.setattr(control_process, "PATIENCE_S", 0.0)
+    monkeypatch.setattr(control_process, "become_real_time", lambda priority: Scheduling.NONE)
+    monkeypatch.setattr(control_process, "_verify_venting", lambda *_: "")
     before = signal.getsignal(signal.SIGTERM)
     try:
         with pytest.raises(ZeroDivisionError):
@@ -335,11 +338,11 @@ def test_what_ended_a_run_is_told_beside_a_watchdog_that_has_to_be_killed(
     ended = Outcome(Status.ABORTED, "the watchdog process has been silent for 1.2 s", 5, {"missed_deadlines": 3})
 
     def conduct(conductor: supervisor._Supervisor, _: object) -> Outcome:
+        conductor.timing = replace(conductor.timing, ending_s=0.1)
         fellow(conductor, "watchdog", "import time; time.sleep(60)")
         return ended
 
     monkeypatch.setattr(supervisor, "started", lambda *_: nullcontext())
-    monkeypatch.setattr(supervisor, "SAFE_TIMEOUT_S", 0.1)
     monkeypatch.setattr(supervisor._Supervisor, "run", conduct)
     outcome = supervisor.run(plan, lambda _: None, NullOperator())  # type: ignore[arg-type, return-value]
     assert outcome.message.startswith(f"{ended.message}; the watchdog did not end")
@@ -384,12 +387,10 @@ def test_air_that_does_not_go_is_told_of_where_another_fault_ended_the_run(
     os.close(conductor.memory.fd)
 
 
-def test_a_debugger_that_holds_a_process_keeps_nobody_waiting_for_the_end_of_the_run(
-    plan: Plan, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_debugger_that_holds_a_process_keeps_nobody_waiting_for_the_end_of_the_run(plan: Plan) -> None:
     """The kernel hides the end of such a process from its parent for as long as the debugger has not asked for it."""
-    monkeypatch.setattr(supervisor, "SAFE_TIMEOUT_S", 0.1)
     conductor = supervisor._Supervisor(plan, NullOperator(), None)
+    conductor.timing = replace(conductor.timing, ending_s=0.1)
     held = fellow(conductor, "observer", "import time; time.sleep(60)")
     with subprocess.Popen([sys.executable, "-c", HOLD_STILL, str(held.pid)], stdout=subprocess.PIPE) as debugger:
         assert debugger.stdout is not None

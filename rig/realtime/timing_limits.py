@@ -1,0 +1,130 @@
+"""How long each process of a run may be silent: decided here, from what is at stake and what scheduling was granted.
+
+See docs/reliability.md, "What counts as hung". Every threshold in wall-clock time that can end a real-time run because
+the machine is slow is a field of `TimingLimits`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+from rig.config.schema import RigConfig
+from rig.control.step import BLIND_PERIODS
+from rig.realtime.scheduling import REAL_TIME, Scheduling, refusals
+
+MS = 1_000_000
+STRICT_HUNG_S = 0.03
+"""Six control periods at 200 Hz: longer than any lateness measured under SCHED_FIFO with locked memory."""
+ORDINARY_HUNG_S = 0.1
+"""The longest silence allowed where real valves are driven at ordinary priority; see `timing_limits`."""
+SIMULATED_HUNG_S = 5.0
+"""Longer than any delay that compilers, downloads and disk writes beside a run have caused."""
+
+
+class Profile(StrEnum):
+    """Which set of limits applies."""
+
+    STRICT = "strict"
+    ORDINARY = "ordinary priority"
+    SIMULATED = "simulated bench"
+
+
+@dataclass(frozen=True)
+class TimingLimits:
+    """Thresholds of the processes that watch each other, in real time.
+
+    `late_look_ns`: a watchdog whose own look comes so late proves nothing about control. `grace_ns` is what control
+    gets to make the bench safe once the supervisor is gone. `failsafe_*` belong to the observer's failsafe thread.
+    `supervised_*` are the supervisor's. `frame_s` is the longest wait for a picture, `disk_s` for the disk, `vented_s`
+    for the air to go. `ending_s` is what each process gets to end. `simulator_ns` is by how much the simulator may be
+    late, `simulation_waits_ns` how long it goes on without a write to an open valve; both None where simulated hardware
+    is treated as real hardware.
+    """
+
+    profile: Profile
+    control_hung_ns: int
+    late_look_ns: int = 8 * MS
+    watchdog_silent_ns: int = 1000 * MS
+    supervisor_silent_ns: int = 2000 * MS
+    grace_ns: int = 100 * MS
+    failsafe_silent_ns: int = 200 * MS
+    failsafe_supervisor_ns: int = 500 * MS
+    failsafe_looks: int = 25
+    supervised_control_s: float = 0.5
+    supervised_watchdog_s: float = 1.2
+    frame_s: float = 1.0
+    disk_s: float = 10.0
+    vented_s: float = 1.0
+    ending_s: float = 2.0
+    simulator_ns: int | None = None
+    simulation_waits_ns: int | None = None
+
+    @property
+    def supervised_observer_s(self) -> float:
+        """The supervisor's patience with the observer, which gives a sign of life once a picture."""
+        return 2 * self.frame_s
+
+
+def valves_at_stake(config: RigConfig) -> bool:
+    """True where a card of the rig is real hardware."""
+    return any(card.driver != "mock" for card in config.cards.values())
+
+
+def timing_limits(config: RigConfig, granted: Scheduling) -> TimingLimits:
+    """The limits of one run; `granted` is what both control and the watchdog were granted.
+
+    `limits.hung_s` in the rig file is obeyed, with all other limits strict. Without it: strict where real valves are
+    driven with SCHED_FIFO and locked memory. Real valves at ordinary priority: control may be silent for as long as the
+    rig allows the newest sample to be old (`stale_s`), at most 0.1 s; a valve then keeps its last voltage no longer
+    than the rig's own limit for steering blind. Simulated valves: seconds, because nothing is at stake.
+    """
+    limits = config.limits
+    strict_ns = round((limits.hung_s or STRICT_HUNG_S) * 1e9)
+    if limits.hung_s is not None or (valves_at_stake(config) and REAL_TIME in granted):
+        return TimingLimits(Profile.STRICT, strict_ns, frame_s=limits.no_tip_s)
+    if valves_at_stake(config):
+        hung_s = max(STRICT_HUNG_S, min(limits.stale_s, ORDINARY_HUNG_S))
+        return TimingLimits(Profile.ORDINARY, round(hung_s * 1e9), frame_s=limits.no_tip_s)
+    real_cameras = any(camera.driver != "mock" for camera in config.cameras.values())
+    silent_ns = round(SIMULATED_HUNG_S * 1e9)
+    return TimingLimits(
+        Profile.SIMULATED,
+        control_hung_ns=silent_ns,
+        late_look_ns=50 * MS,
+        watchdog_silent_ns=2 * silent_ns,
+        supervisor_silent_ns=2 * silent_ns,
+        grace_ns=silent_ns,
+        failsafe_silent_ns=2 * silent_ns,
+        failsafe_supervisor_ns=3 * silent_ns,
+        supervised_control_s=2 * SIMULATED_HUNG_S,
+        supervised_watchdog_s=2 * SIMULATED_HUNG_S,
+        frame_s=limits.no_tip_s if real_cameras else max(limits.no_tip_s, 2 * SIMULATED_HUNG_S),
+        disk_s=60.0,
+        vented_s=10.0,
+        ending_s=20.0,
+        simulator_ns=2 * silent_ns,
+        simulation_waits_ns=round(BLIND_PERIODS / config.control.rate_hz * 1e9),
+    )
+
+
+def stated(config: RigConfig, granted: Scheduling) -> str:
+    """One sentence for the operator: when control counts as hung on this bench, and what cannot be promised."""
+    timing = timing_limits(config, granted)
+    hung_s = timing.control_hung_ns * 1e-9
+    if timing.profile is Profile.SIMULATED:
+        return (
+            f"simulated bench, no valve at stake: a process counts as hung after {hung_s:g} s, not {STRICT_HUNG_S:g} s"
+        )
+    reaction = f"the watchdog takes the valves {hung_s * 1e3:.0f} ms after control hangs"
+    if REAL_TIME in granted:
+        return reaction
+    return (
+        f"{reaction}, but on a busy machine later by an unknown time: without real-time scheduling no reaction time "
+        f"can be promised, and control may count as hung though it only waits for a processor"
+    )
+
+
+def remedies(granted: Scheduling) -> str:
+    """What was refused and how to obtain it; empty where all was granted."""
+    return "; ".join(refusals(granted))

@@ -1,0 +1,71 @@
+"""Where memory is short, or a start is cut off, there is one sentence, an exit status, and nothing left over."""
+
+from __future__ import annotations
+
+import os
+import resource
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from rig.hardware.cards.base import CardError
+from rig.simulator import registers
+from scripts.faults import surroundings
+from scripts.faults.surroundings import NotHereError
+from tests.support.rig_process import BRIEF, child_of, rig_run
+
+LIMIT_BYTES = 600_000 * 1024
+SIMULATOR = "rig.simulator.plant_process"
+
+
+@pytest.mark.parametrize("how", [(), ("--fast",)], ids=["real time", "virtual time"])
+def test_a_run_with_too_little_address_space_is_refused_in_one_sentence(tmp_path: Path, how: tuple[str, ...]) -> None:
+    (tmp_path / "brief.yaml").write_text(BRIEF)
+    done = subprocess.run(
+        [sys.executable, "-m", "rig", "run", str(tmp_path / "brief.yaml"), "--yes", "--out", str(tmp_path), *how],
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_AS, (LIMIT_BYTES, LIMIT_BYTES)),
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 1
+    assert done.stderr == ("the address space of a process is limited to 614 MB (ulimit -v), a run wants 1200 MB\n"), (
+        done.stderr
+    )
+
+
+def test_a_mock_card_for_which_there_is_no_room_is_refused_and_leaves_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(registers, "FOLDER", tmp_path)
+    try:
+        with surroundings.small_disk(tmp_path):
+            surroundings.fill(tmp_path)
+            with pytest.raises(CardError, match="No space left on device"):
+                registers.Registers.create("roomy", 2, 8)
+            assert not registers.path_of("roomy").exists()
+    except NotHereError as why:
+        pytest.skip(str(why))
+
+
+@pytest.mark.realtime
+def test_a_conductor_killed_while_the_simulator_loads_leaves_no_traceback_and_no_process(tmp_path: Path) -> None:
+    with rig_run(tmp_path, BRIEF) as run:
+        deadline = time.monotonic() + 60
+        plant = 0
+        while not plant:
+            assert time.monotonic() < deadline, run.output
+            try:
+                plant = child_of(run.process.pid, SIMULATOR)
+            except AssertionError:
+                time.sleep(0.005)
+        os.kill(run.process.pid, signal.SIGKILL)
+        run.process.wait()
+        while Path(f"/proc/{plant}").exists():
+            assert time.monotonic() < deadline, run.output
+            time.sleep(0.02)
+        assert "Traceback" not in run.output
