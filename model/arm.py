@@ -121,16 +121,23 @@ class Arm:
         share: Array = handed / np.maximum(1, passive.sum(axis=-1, keepdims=True))
         return np.where(passive, share, push)
 
-    def statics(self, pressure_pa: ArrayLike, loads: Loads | None = None, nodes: int | None = None) -> Shape:
-        """The shape at rest under gauge pressures (N,) [Pa].
+    def statics(
+        self,
+        pressure_pa: ArrayLike,
+        loads: Loads | None = None,
+        nodes: int | None = None,
+        allow_unstable: bool = False,
+    ) -> Shape:
+        """The stable shape at rest under gauge pressures (N,) [Pa].
 
         nodes: steps along the arm (RK4); by default 20, or ten for each width of its length where it is slender, which
         leaves an error below 1e-8 m at the paper's pressures (docs/model.md says where not). Raises ValueError for
-        pressures or loads that are not finite or of the wrong shape, NotConverged when no equilibrium is found.
+        pressures or loads that are not finite or of the wrong shape, NotConverged when no equilibrium is found, and its
+        subclass Unstable when only an unstable one is; with allow_unstable this one is returned, with `stable` False.
         """
         from model.statics import solve
 
-        return solve(self, pressure_pa, loads, nodes)
+        return solve(self, pressure_pa, loads, nodes, allow_unstable)
 
     def dynamics(
         self,
