@@ -17,7 +17,7 @@ class NotConverged(Exception):  # noqa: N818 - the outcome is the name
 
 
 class Unstable(NotConverged):
-    """Only an unstable equilibrium was found: the arm buckles or snaps away from it. The message names the pressures."""
+    """Only an unstable equilibrium was found, which the arm buckles or snaps away from."""
 
     @classmethod
     def at(cls, pressure_pa: NDArray[np.float64]) -> Unstable:

@@ -254,7 +254,7 @@ def _eliminate(k: Array, last: int) -> int:
 
 @leaf
 def _points(w: Array, x: Array, first: int, h: float) -> None:
-    """Strains at the Gauss points of four steps from `first` on, by cubics through the nodes, into the stage's lanes."""
+    """Strains at the Gauss points of four steps from `first` on, by cubics through the nodes, in the stage's lanes."""
     n = x.shape[0] // 2 - 1
     for i in range(LANES):
         j = min(first + i // 2, n - 1)

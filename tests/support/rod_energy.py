@@ -21,20 +21,7 @@ SHIFT = np.tile([1e-5] * 3 + [1e-3] * 3, 2)  # [m], [rad]
 
 
 def smallest_variation(arm: Arm, pressure_pa: Array, loads: Loads, shape: Shape) -> float:
-    """Smallest eigenvalue of the energy's Hessian, over that of the unloaded arm in bending, about (pi / 2 L)^2 B.
-
-    Rotations count by the length of the arm.
-    """
-    loaded = _eigenvalue(arm, pressure_pa, loads, shape)
-    straight = np.zeros_like(shape.p_m)
-    straight[:, 2] = shape.s_m
-    upright, still = np.tile(np.eye(3), (len(straight), 1, 1)), np.tile([0.0, 0.0, 1.0], (len(straight), 1))
-    unloaded = Shape(shape.s_m, straight, upright, still, 0 * still, True, shape.actuator_xy_m)
-    bare = Arm(arm.geometry, arm.material, arm.variant, cap_mass_kg=0.0, modulus_rule=arm.modulus_rule)
-    return loaded / _eigenvalue(bare, 0 * pressure_pa, Loads(), unloaded)
-
-
-def _eigenvalue(arm: Arm, pressure_pa: Array, loads: Loads, shape: Shape) -> float:
+    """Smallest eigenvalue [J] of the energy's Hessian; displacements count by the length of the arm."""
     count = len(shape.s_m) - 1
     blocks = _element_hessians(arm, pressure_pa, shape)
     blocks[-1, 6:, 6:] += _tip_hessian(arm, loads, shape)
@@ -62,32 +49,34 @@ def _element_hessians(arm: Arm, pressure_pa: Array, shape: Shape) -> Array:
     """Hessians (E, 12, 12) of the elements' energies, by central differences."""
     ends = shape.p_m[:-1], shape.rotation[:-1], shape.p_m[1:], shape.rotation[1:]
     steps = np.diff(shape.s_m)
-    v, u = _strains(*ends, steps)
-    wrench, tangent = _section(arm, pressure_pa, v, u)
-
-    def energy(moved: Array) -> Array:
-        near, far = Rotation.from_rotvec(moved[3:6]).as_matrix(), Rotation.from_rotvec(moved[9:]).as_matrix()
-        strain = np.concatenate(
-            _strains(ends[0] + moved[:3], ends[1] @ near, ends[2] + moved[6:9], ends[3] @ far, steps), axis=1
-        )
-        more = strain - np.concatenate([v, u], axis=1)
-        # About the solution the energy of a section is known by its wrench and its tangent.
-        out: Array = steps * ((wrench * more).sum(axis=1) + 0.5 * np.einsum("ei,eij,ej->e", more, tangent, more))
-        return out
-
-    hessian = np.empty((len(steps), UNKNOWNS, UNKNOWNS))
+    here = _strains(*ends, steps)
+    wrench, tangent = _section(arm, pressure_pa, here)
+    pairs = list(itertools.combinations_with_replacement(range(UNKNOWNS), 2))
     unit = np.diag(SHIFT)
-    for r, c in itertools.combinations_with_replacement(range(UNKNOWNS), 2):
-        a, b = unit[r], unit[c]
-        second = energy(a + b) - energy(a - b) - energy(b - a) + energy(-a - b)
+    moved = np.array([a * unit[r] + b * unit[c] for a in (1, -1) for b in (1, -1) for r, c in pairs])
+
+    near, far = (Rotation.from_rotvec(moved[:, at : at + 3]).as_matrix()[:, None] for at in (3, 9))
+    strains = _strains(
+        ends[0] + moved[:, None, :3], ends[1] @ near, ends[2] + moved[:, None, 6:9], ends[3] @ far, steps
+    )
+    more = strains - here
+    # About the solution the energy of a section is known by its wrench and its tangent.
+    energy = steps * (np.einsum("ei,mei->me", wrench, more) + 0.5 * np.einsum("mei,eij,mej->me", more, tangent, more))
+    both, ahead, behind, back = energy.reshape(4, len(pairs), len(steps))
+    hessian = np.empty((len(steps), UNKNOWNS, UNKNOWNS))
+    for k, (r, c) in enumerate(pairs):
+        second = (both[k] - ahead[k]) - (behind[k] - back[k])
         hessian[:, r, c] = hessian[:, c, r] = second / (4 * SHIFT[r] * SHIFT[c])
     return hessian
 
 
-def _strains(p: Array, turned: Array, p_next: Array, turned_next: Array, steps: Array) -> tuple[Array, Array]:
-    between = Rotation.from_matrix(turned.transpose(0, 2, 1) @ turned_next).as_rotvec()
-    middle = turned @ Rotation.from_rotvec(0.5 * between).as_matrix()
-    return np.einsum("eij,ei->ej", middle, p_next - p) / steps[:, None], between / steps[:, None]
+def _strains(p: Array, turned: Array, p_next: Array, turned_next: Array, steps: Array) -> Array:
+    """Strains v, u (.., 6) of elements between cross-sections at p (.., 3), turned (.., 3, 3)."""
+    across = np.swapaxes(turned, -1, -2) @ turned_next
+    between = Rotation.from_matrix(across.reshape(-1, 3, 3)).as_rotvec()
+    half = Rotation.from_rotvec(0.5 * between).as_matrix().reshape(across.shape)
+    v = np.einsum("...ij,...i->...j", turned @ half, p_next - p)
+    return np.concatenate([v, between.reshape(v.shape)], axis=-1) / steps[:, None]
 
 
 def wrench_of(arm: Arm, pressure_pa: Array, strains: Array) -> Array:
@@ -111,9 +100,9 @@ def wrench_of(arm: Arm, pressure_pa: Array, strains: Array) -> Array:
     return wrench
 
 
-def _section(arm: Arm, pressure_pa: Array, v: Array, u: Array) -> tuple[Array, Array]:
-    """Wrench (E, 6) and symmetric tangent (E, 6, 6) of the sections."""
-    strains, tangent = np.concatenate([v, u], axis=1), np.empty((len(v), 6, 6))
+def _section(arm: Arm, pressure_pa: Array, strains: Array) -> tuple[Array, Array]:
+    """Wrench (E, 6) and symmetric tangent (E, 6, 6) of sections with strains (E, 6)."""
+    tangent = np.empty((len(strains), 6, 6))
     for c, step in enumerate([1e-6] * 3 + [1e-4] * 3):
         more = step * np.eye(6)[c]
         ahead, back = wrench_of(arm, pressure_pa, strains + more), wrench_of(arm, pressure_pa, strains - more)
