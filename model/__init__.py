@@ -1,7 +1,7 @@
 """The science of the paper: Cosserat rods with pressure as an eigenstrain. No I/O, no clock."""
 
 from model.arm import Arm
-from model.errors import NotConverged
+from model.errors import NotConverged, Unstable
 from model.geometry import Geometry
 from model.loads import Loads
 from model.material import Material
@@ -18,4 +18,5 @@ __all__ = [
     "Shape",
     "Stretch",
     "Tube",
+    "Unstable",
 ]

@@ -122,23 +122,33 @@ class Arm:
         return np.where(passive, share, push)
 
     def statics(
-        self, pressure_pa: ArrayLike, loads: Loads | None = None, nodes: int | None = None, *, doubt_units: bool = True
+        self,
+        pressure_pa: ArrayLike,
+        loads: Loads | None = None,
+        nodes: int | None = None,
+        *,
+        allow_unstable: bool = False,
+        doubt_units: bool = True,
     ) -> Shape:
-        """The shape at rest under gauge pressures (N,) [Pa].
+        """The stable shape at rest under gauge pressures (N,) [Pa].
 
         nodes: steps along the arm (RK4); by default 20, or ten for each width of its length where it is slender, which
-        leaves an error below 1e-8 m at the paper's pressures (docs/model.md says where not). Raises ValueError for
-        pressures or loads that are not finite or of the wrong shape, NotConverged when no equilibrium is found.
+        leaves an error below 1e-8 m at the paper's pressures (docs/explanation/model.md says where not).
 
-        doubt_units: also raise ValueError for pressures that are plausible only in another unit; False for measured
-        ones, which may be anything.
+        doubt_units: refuse pressures that are plausible only in another unit; False for measured pressures, which may
+        have any value.
+
+        Raises:
+            ValueError: pressures or loads that are not finite, of the wrong shape, or of another unit.
+            NotConverged: no equilibrium is found.
+            Unstable: only an unstable equilibrium is found; with `allow_unstable` it is returned, `stable` False.
         """
         from model.kernel_arguments import pressures, refuse_other_units
         from model.statics import solve
 
         if doubt_units:
             refuse_other_units(pressures(self, pressure_pa))
-        return solve(self, pressure_pa, loads, nodes)
+        return solve(self, pressure_pa, loads, nodes, allow_unstable)
 
     def dynamics(
         self,

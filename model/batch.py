@@ -25,11 +25,15 @@ AT_ONCE = 1024  # arms prepared for the kernels, each in an array of its own
 
 @dataclass(frozen=True)
 class Tips:
-    """Tips of B arms at rest: tip_m (B, 3), tip_rotation (B, 3, 3), ok (B,); NaN where no equilibrium was found."""
+    """Tips of B arms at rest: tip_m (B, 3), tip_rotation (B, 3, 3), ok (B,).
+
+    NaN where no stable equilibrium was found; unstable (B,) where an unstable one was.
+    """
 
     tip_m: Array
     tip_rotation: Array
     ok: NDArray[np.bool_]
+    unstable: NDArray[np.bool_]
 
 
 def statics(
@@ -46,7 +50,7 @@ def statics(
     steps = max(steps_along(arm, nodes) for arm in given)
     count = len(rows)
     place, turned = np.empty((count, 3)), np.empty((count, 3, 3))
-    good = np.empty(count, dtype=np.bool_)
+    good, unstable = np.empty(count, dtype=np.bool_), np.empty(count, dtype=np.bool_)
 
     def part(span: range) -> None:
         room = Workspace.of(steps)
@@ -68,11 +72,11 @@ def statics(
                 rows[at], np.array([load for load, _ in loads]), any(loaded for _, loaded in loads),
                 np.array([p.cap for p in problems]),
                 np.array([p.length_m for p in problems]), np.array([p.scale for p in problems]),
-                np.array([p.centre_m for p in problems]), SOLVED, room, place[at], turned[at], good[at],
+                np.array([p.centre_m for p in problems]), SOLVED, room, place[at], turned[at], good[at], unstable[at],
             )  # fmt: skip
 
     spread(part, count, workers)
-    return Tips(place, turned, good)
+    return Tips(place, turned, good, unstable)
 
 
 def motions(

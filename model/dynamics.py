@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from model.errors import Unstable
 from model.kernel_arguments import CLOSE, KernelArguments, pressures
 from model.kernels.axis import motion
 from model.kernels.layout import STATE, aligned
@@ -89,12 +90,14 @@ class Dynamics:
         resting = KernelArguments.of(self._arm, pressure[None])
         self.begin(resting, pressure, resting.tip(loads), *resting.load(self._arm, loads, self._nodes))
         self._loads = loads
-        return shape(self._arm, self._problem, self._x, ok=True)
+        return shape(self._arm, self._problem, self._x, ok=True, stable=True)
 
     def begin(self, resting: KernelArguments, pressure: Array, tip: Array, load: Array, loaded: bool) -> None:
         """What `start` does, with all that hangs on the arm in the kernels' words; the arm at rest is prepared."""
         n = self._nodes
-        self._x = states(resting, pressure, tip, load, loaded)
+        self._x, stable = states(resting, pressure, tip, load, loaded)
+        if not stable:
+            raise Unstable.at(pressure)
         self._problem = KernelArguments.of(self._arm, pressure[None], self._scheme.c0)
         self._work = self._problem.work()
         self._pool = aligned(workspace_size(n))

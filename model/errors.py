@@ -14,3 +14,13 @@ class NotConverged(Exception):  # noqa: N818 - the outcome is the name
         """Under these pressures (N,)."""
         bar = ", ".join(f"{value / 1e5:.4g}" for value in pressure_pa)
         return cls(f"no equilibrium found at {bar} bar: a pressure or load may be far outside the arm's range")
+
+
+class Unstable(NotConverged):
+    """Only an unstable equilibrium was found, which the arm buckles or snaps away from."""
+
+    @classmethod
+    def at(cls, pressure_pa: NDArray[np.float64]) -> Unstable:
+        """Under these pressures (N,)."""
+        bar = ", ".join(f"{value / 1e5:.4g}" for value in pressure_pa)
+        return cls(f"no stable equilibrium found at {bar} bar: the arm buckles or snaps under these loads")

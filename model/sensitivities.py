@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from model.batch import spread
-from model.errors import NotConverged
+from model.errors import NotConverged, Unstable
 from model.kernel_arguments import SOLVED, KernelArguments, pressures
 from model.kernels import layout
 from model.kernels.dynamic_sensitivities import dynamic_sensitivities
@@ -80,7 +80,7 @@ class Gradients:
     """K tips and how they answer to P changes, per unit of each change's step.
 
     tip_m (K, 3), tip_rotation (K, 3, 3), ok (K,). tip_by (K, 3, P) [m]; turn_by (K, 3, P) [rad]: rotation vector in
-    the base frame. NaN where there is no solution.
+    the base frame. NaN where there is no stable solution; unstable (K,) where an unstable equilibrium was found.
     """
 
     tip_m: Array
@@ -88,6 +88,7 @@ class Gradients:
     ok: NDArray[np.bool_]
     tip_by: Array
     turn_by: Array
+    unstable: NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
@@ -114,7 +115,7 @@ def tip_gradient(arm: Arm, pressure_pa: ArrayLike, loads: Loads | None = None, n
     rows = pressure[:, None] + _shifts(len(names), len(pressure))
     found = _solve(stack, rows, hung, nodes, _kept.lanes(len(stack.steps), nodes))
     if not found.ok[0]:
-        raise NotConverged.at(pressure)
+        raise (Unstable if found.unstable[0] else NotConverged).at(pressure)
     by = found.tip_by[0]
     return TipGradient(found.tip_m[0], dict(zip(names, by.T, strict=False)), by[:, len(names) :])
 
@@ -149,7 +150,7 @@ def statics(
     each = [parts[start] for start in sorted(parts)]
     return Gradients(
         *(np.concatenate([getattr(one, name) for one in each]) for name in ("tip_m", "tip_rotation", "ok")),
-        *(np.concatenate([getattr(one, name) for one in each]) for name in ("tip_by", "turn_by")),
+        *(np.concatenate([getattr(one, name) for one in each]) for name in ("tip_by", "turn_by", "unstable")),
     )
 
 
@@ -176,6 +177,7 @@ def motion(
     count, neighbours = 1 + (len(rows) - 1) // every, len(changes)
     place, turned = np.full((count, 3), np.nan), np.full((count, 3, 3), np.nan)
     by, good = np.full((count, neighbours, 6), np.nan), np.zeros(count, dtype=np.bool_)
+    unstable = np.zeros(count, dtype=np.bool_)
     dynamics = arm.dynamics(dt_s, nodes=nodes)
     n = dynamics.nodes
     still = _Stack.of(arm, changes, n, rows[:1])
@@ -183,8 +185,9 @@ def motion(
     apply_tip_load(still.first.cap, hung[0], here)
     try:
         dynamics.begin(still.first, rows[0], here, still.load, still.loaded)
-    except NotConverged:
-        return _gradients(place, turned, good, by)
+    except NotConverged as fault:
+        unstable[0] = isinstance(fault, Unstable)
+        return _gradients(place, turned, good, by, unstable)
     swinging = _Stack.of(arm, changes, n, rows, dynamics.c0)
     dynamic_sensitivities(
         *dynamics.arguments(), swinging.first.stiffness, swinging.first.rest, swinging.first.per_pressure,
@@ -196,12 +199,14 @@ def motion(
     )  # fmt: skip
     lost = ~good
     place[lost], turned[lost], by[lost] = np.nan, np.nan, np.nan
-    return _gradients(place, turned, good, by)
+    return _gradients(place, turned, good, by, unstable)
 
 
-def _gradients(place: Array, turned: Array, good: NDArray[np.bool_], by: Array) -> Gradients:
+def _gradients(
+    place: Array, turned: Array, good: NDArray[np.bool_], by: Array, unstable: NDArray[np.bool_]
+) -> Gradients:
     answers = by.transpose(0, 2, 1)
-    return Gradients(place, turned, good, answers[:, :3], answers[:, 3:])
+    return Gradients(place, turned, good, answers[:, :3], answers[:, 3:], unstable)
 
 
 def _rows(arm: Arm, pressure_pa: ArrayLike) -> Array:
@@ -382,11 +387,11 @@ def _solve(stack: _Stack, rows: Array, hung: Array, nodes: int, room: Lanes) -> 
     """For pressures (K, W, N, 8); the stack's work arrays are written to."""
     count, first, neighbours = len(rows), stack.first, len(stack.steps)
     place, turned, by = np.empty((count, 3)), np.empty((count, 3, 3)), np.empty((count, neighbours, 6))
-    good = np.empty(count, dtype=np.bool_)
+    good, unstable = np.empty(count, dtype=np.bool_), np.empty(count, dtype=np.bool_)
     static_sensitivities(
         stack.work, stack.works, first.law, first.actuators, first.stiffness, first.rest, first.per_pressure,
         first.free_per_pa, stack.stiffness, stack.rest, stack.per_pressure, stack.frees, stack.ends, rows, hung,
         stack.load, stack.loaded, stack.loaded_lanes, stack.heavy, first.cap, first.length_m, first.scale,
-        first.centre_m, SOLVED, workspace_for(nodes), room, stack.steps, place, turned, by, good,
+        first.centre_m, SOLVED, workspace_for(nodes), room, stack.steps, place, turned, by, good, unstable,
     )  # fmt: skip
-    return _gradients(place, turned, good, by)
+    return _gradients(place, turned, good, by, unstable)

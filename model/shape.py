@@ -16,7 +16,8 @@ class Shape:
 
     s_m (n,): arc length at rest. p_m (n, 3): position. rotation (n, 3, 3): section frame to base frame. v (n, 3): shear
     and stretch. u (n, 3) [1/m]: curvature and twist, both in the section frame. ok: False when this is the last good
-    shape because the asked one could not be solved.
+    shape because the asked one could not be solved. stable: whether an arm at rest is a minimum of its potential
+    energy; None where this is not decided, as in motion.
     """
 
     s_m: Array
@@ -26,6 +27,7 @@ class Shape:
     u: Array
     ok: bool
     actuator_xy_m: Array = field(repr=False)
+    stable: bool | None = None
 
     @property
     def tip_m(self) -> Array:

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from model.errors import NotConverged
+from model.equilibrium import UNSTABLE, equilibrium
+from model.errors import NotConverged, Unstable
 from model.kernel_arguments import SOLVED, KernelArguments, pressures
 from model.kernels.axis import axis
 from model.kernels.shooting import workspace_for
-from model.kernels.time_stepping import equilibrium
 from model.loads import Loads
 from model.shape import Shape
 
@@ -23,12 +23,17 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 
-def solve(arm: Arm, pressure_pa: ArrayLike, loads: Loads | None, nodes: int | None) -> Shape:
+def solve(
+    arm: Arm, pressure_pa: ArrayLike, loads: Loads | None, nodes: int | None, allow_unstable: bool = False
+) -> Shape:
     """Behind `Arm.statics`."""
     pressure = pressures(arm, pressure_pa)
     problem = KernelArguments.of(arm, pressure[None])
-    x = states(problem, pressure, problem.tip(loads), *problem.load(arm, loads, steps_along(arm, nodes)))
-    return shape(arm, problem, x, ok=True)
+    load, loaded = problem.load(arm, loads, steps_along(arm, nodes))
+    x, stable = states(problem, pressure, problem.tip(loads), load, loaded)
+    if not (stable or allow_unstable):
+        raise Unstable.at(pressure)
+    return shape(arm, problem, x, ok=True, stable=stable)
 
 
 def steps_along(arm: Arm, nodes: int | None) -> int:
@@ -40,8 +45,10 @@ def steps_along(arm: Arm, nodes: int | None) -> int:
     return nodes
 
 
-def states(problem: KernelArguments, pressure: Array, tip: Array, load: Array, loaded: bool) -> Array:
-    """States at the nodes, then their slopes, (2 N + 2, 16), of the arm at rest; raises NotConverged.
+def states(problem: KernelArguments, pressure: Array, tip: Array, load: Array, loaded: bool) -> tuple[Array, bool]:
+    """States at the nodes, then their slopes, (2 N + 2, 16), of the arm at rest, and whether it is stable.
+
+    Raises NotConverged where not even an unstable equilibrium is found.
 
     tip, load and loaded: as of `Problem`.
     """
@@ -50,10 +57,9 @@ def states(problem: KernelArguments, pressure: Array, tip: Array, load: Array, l
         problem.work(), problem.law, problem.actuators, problem.rest[0], problem.per_pressure[0], problem.free_per_pa,
         pressure, load, loaded, tip, problem.length_m, problem.scale, room, SOLVED,
     )  # fmt: skip
-    if passes < 0:
+    if passes < 0 and passes != UNSTABLE:
         raise NotConverged.at(pressure)
-    x: Array = room.x.copy()
-    return x
+    return room.x.copy(), passes != UNSTABLE
 
 
 @lru_cache(maxsize=32)
@@ -64,9 +70,9 @@ def _points(length_m: float, n: int) -> Array:
     return s
 
 
-def shape(arm: Arm, problem: KernelArguments, x: Array, ok: bool) -> Shape:
+def shape(arm: Arm, problem: KernelArguments, x: Array, ok: bool, stable: bool | None = None) -> Shape:
     """The arm's axis from solved states."""
     n = len(x) // 2
     p, rotation, v, u = np.empty((n, 3)), np.empty((n, 3, 3)), np.empty((n, 3)), np.empty((n, 3))
     axis(x, problem.length_m, problem.centre_m, p, rotation, v, u)
-    return Shape(_points(problem.length_m, n), p, rotation, v, u, ok, arm.geometry.positions_m)
+    return Shape(_points(problem.length_m, n), p, rotation, v, u, ok, arm.geometry.positions_m, stable)

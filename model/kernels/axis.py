@@ -6,9 +6,10 @@ from typing import Any
 
 import numpy as np
 
+from model.equilibrium import UNSTABLE, equilibrium
 from model.kernels.jit import kernel
 from model.kernels.shooting import Workspace, room_within
-from model.kernels.time_stepping import advance, equilibrium, stiffen
+from model.kernels.time_stepping import advance, stiffen
 from model.kernels.vec3 import Triple, called, cross, inlined, leaf, plus, rotation
 
 Array = Any
@@ -161,8 +162,9 @@ def equilibria(
     place: Array,
     turned: Array,
     good: Array,
+    unstable: Array,
 ) -> None:
-    """One equilibrium per row of pressure (B, N); fills place, turned and good.
+    """One equilibrium per row of pressure (B, N); fills place, turned, good and unstable.
 
     Each row has an arm of its own, or all have the first one; its section (stiffness, rest, per_pressure) the same.
     """
@@ -173,7 +175,7 @@ def equilibria(
             works[k], law, actuators, rest[r], per_pressure[r], free[k], pressure[b], load[k], loaded, tips[k],
             length[k], scale[k], room, tolerance,
         )  # fmt: skip
-        good[b] = passes > 0
+        good[b], unstable[b] = passes > 0, passes == UNSTABLE
         if passes > 0:
             place_tip(room.x, length[k], centre[k], place, turned, b)
         else:

@@ -135,14 +135,16 @@ def newton(
     room: Workspace,
     tolerance: float,
     most: float,
+    longest: float,
 ) -> int:
     """Solve for the states at the nodes, and their slopes, from a guess in room.x; N divides by `segments`.
 
     The history stands in `room` too. tip (19,): what hangs there, as it stands at END. All nodes are moved along the
     computed directions. What is left after an update is of the order of its size, in units of `scale`, times that of
     its strains and orientations, which make the equations nonlinear: it stops when this product is below the square of
-    `tolerance`. Returns the number of passes, or -1 when `most` were not enough (no int: numba would compile this anew
-    for every constant).
+    `tolerance`. An update of strains and orientations longer than LONGEST is shortened to that; one longer than
+    `longest` is refused. Returns the number of passes, or -1 when `most` were not enough (no int: numba would compile
+    this anew for every constant) or an update was refused.
     """
     history, states, derivatives, x = room.history, room.states, room.derivatives, room.x
     heavy = tip[6] > 0.0 or tip[7] > 0.0 or tip[8] > 0.0 or tip[9] > 0.0
@@ -237,7 +239,7 @@ def newton(
         # A maximum swallows a NaN and would call the step solved; a sum does not.
         if not total < np.inf:
             return -1
-        if largest > 4.0 * previous and largest > 1.0:
+        if (largest > 4.0 * previous and largest > 1.0) or bent > longest:
             return -1
         previous = largest
         # Strain and orientation make the equations nonlinear; velocities may move as far as they like.

@@ -6,13 +6,14 @@ from typing import Any
 
 import numpy as np
 
+from model.equilibrium import UNSTABLE, equilibrium
 from model.kernels.axis import place_tip
 from model.kernels.jit import kernel
 from model.kernels.lanes import FIRST, Lanes, apply_pressure, apply_tip_load, places
 from model.kernels.layout import LANES
 from model.kernels.shooting import Workspace
 from model.kernels.tangents import tangents
-from model.kernels.time_stepping import equilibrium, stiffen
+from model.kernels.time_stepping import stiffen
 from model.kernels.vec3 import leaf
 
 Array = Any
@@ -39,13 +40,13 @@ def static_sensitivities(
     free: float, lane_stiffness: Array, lane_rest: Array, lane_per_pressure: Array, frees: Array, ends: Array,
     pressure: Array, hung: Array, load: Array, loaded: bool, loaded_lanes: bool, heavy: bool, tip: Array,
     length: float, scale: Array, centre: Array, tolerance: float, solver: Workspace, room: Lanes, steps: Array,
-    place: Array, turned: Array, by: Array, good: Array,
+    place: Array, turned: Array, by: Array, good: Array, unstable: Array,
 ) -> None:  # fmt: skip
     """One equilibrium per row of pressure (K, W, N, 8), and how its tip answers to each neighbour's change.
 
     The arm: work (size,), its sections stiffness (R, 24), rest (R, 6), per_pressure (R, 6, N), tip (19,). The lanes:
     works (W, size) and as `press` takes them, of the sections and of hung one for each row or one for all. Fills
-    place (K, 3), turned (K, 3, 3), by (K, P, 6) and good (K,).
+    place (K, 3), turned (K, 3, 3), by (K, P, 6), good and unstable (K,).
     """
     row, here = np.empty(actuators), tip.copy()
     nothing = np.zeros((works.shape[0], 1, 1))
@@ -61,7 +62,7 @@ def static_sensitivities(
             work, law, actuators, rest[r], per_pressure[r], free, row, load, loaded, here, length, scale, solver,
             tolerance,
         )  # fmt: skip
-        good[t] = solved > 0
+        good[t], unstable[t] = solved > 0, solved == UNSTABLE
         if solved > 0:
             place_tip(solver.x, length, centre, place, turned, t)
             if steps.shape[0] > 0:

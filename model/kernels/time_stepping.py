@@ -1,4 +1,4 @@
-"""Kernels that solve the rod: one equilibrium, one time step, and the axis of what was solved."""
+"""Kernels that solve the rod in motion, one time step after the other, and what equilibria share with them."""
 
 from __future__ import annotations
 
@@ -7,10 +7,9 @@ from typing import Any
 import numpy as np
 
 from model.kernels.jit import kernel
-from model.kernels.layout import AXIAL, LANES, MORE, OFFSET, PER_TUBE, RATE, SLOPE, STAGE, STATE, TRIO, WRENCH
-from model.kernels.rod import resting_wrench, strain_changes
+from model.kernels.layout import AXIAL, LANES, MORE, OFFSET, PER_TUBE, STATE, TRIO
 from model.kernels.shooting import Workspace, newton
-from model.kernels.vec3 import called, cross, inlined, leaf, plus, put, three, triple
+from model.kernels.vec3 import called, inlined, leaf
 
 Array = Any
 
@@ -39,75 +38,7 @@ def stiffen(w: Array, stiffness: Array) -> None:
 
 
 @leaf
-def uniform_guess(w: Array, law: int, actuators: int, tip: Array, scale: Array, room: Workspace) -> None:
-    """Fill x with the strains that the section would have everywhere if the tip's load did not turn with the arm."""
-    x = room.x
-    n = room.states.shape[0] - 1
-    for i in range(LANES):
-        for c in range(STATE):
-            w[(STAGE + c) * LANES + i] = 1.0 if c in (2, 12) else 0.0
-    force = three(tip, 0)
-    moment = plus(plus(three(tip, 3), 1.0, cross(three(tip, 10), force)), 1.0, cross(three(tip, 16), three(tip, 13)))
-    for _ in range(8):
-        resting_wrench(w, law, actuators)
-        for i in range(LANES):
-            put(w, RATE, i, plus(force, -1.0, triple(w, WRENCH, i)))
-            put(w, RATE + 3, i, plus(moment, -1.0, triple(w, WRENCH + 3, i)))
-        strain_changes(w, law)
-        largest = 0.0
-        for c in range(6):
-            for i in range(LANES):
-                w[(STAGE + c) * LANES + i] += w[(SLOPE + c) * LANES + i]
-            largest = max(largest, abs(w[(SLOPE + c) * LANES]) / scale[c])
-        if largest < 1e-6:
-            break
-    for c in range(STATE):
-        for j in range(n + 1):
-            x[j, c] = w[(STAGE + c) * LANES]
-
-
-@called
-def equilibrium(
-    w: Array,
-    law: int,
-    actuators: int,
-    rest: Array,
-    per_pressure: Array,
-    free: float,
-    pressure: Array,
-    load: Array,
-    loaded: bool,
-    tip: Array,
-    length: float,
-    scale: Array,
-    room: Workspace,
-    tolerance: float,
-) -> int:
-    """Solve the static rod into room.x and room.slope from scratch. Returns the number of passes, or -1.
-
-    First by simple shooting from a uniform guess; where that fails, by following the loads up from nothing.
-    """
-    for m in range(room.history.shape[0]):
-        room.history[m] = 0.0
-    set_pressures(w, actuators, rest, per_pressure, free, pressure)
-    uniform_guess(w, law, actuators, tip, scale, room)
-    n, x = room.states.shape[0] - 1, room.x
-    # One segment; a plain 1 would have numba compile Newton's method once more, for this constant.
-    passes = newton(w, law, actuators, load, loaded, tip, 0.0, length, np.int64(1), scale, room, tolerance, 20.0)
-    if passes < 0:
-        # Straight, with nothing in it and nothing on it, an arm has the strains that it has at rest.
-        for j in range(n + 1):
-            for c in range(STATE):
-                x[j, c] = 1.0 if c in (2, 12) else 0.0
-        passes = _continuation(
-            w, law, actuators, rest, per_pressure, free, pressure, pressure, load, loaded, tip, 0.0, length,
-            _divisor(n, 4), scale, room, tolerance,
-        )  # fmt: skip
-    return int(passes)
-
-
-@leaf
-def _copy(a: Array, b: Array) -> None:
+def copy_rows(a: Array, b: Array) -> None:
     """Rows of a to b; an assignment of whole arrays brings in code that words an error."""
     for j in range(a.shape[0]):
         for c in range(STATE):
@@ -134,43 +65,32 @@ def _continuation(
     room: Workspace,
     tolerance: float,
 ) -> int:
-    """Lead the pressures from the last ones to the new ones, in strides as long as succeed.
-
-    At rest (c0 = 0) pressures and loads are led up from nothing.
-    """
+    """Lead the pressures from the last ones to the new ones, in strides as long as succeed."""
     x = room.x
-    good, some, some_load, some_tip = x.copy(), np.empty_like(pressure), load.copy(), tip.copy()
+    good, some = x.copy(), np.empty_like(pressure)
     done, stride, total = 0.0, 0.125, 0
     while done < 1.0:
         share = min(1.0, done + stride)
         for k in range(actuators):
-            begun = last[k] if c0 > 0.0 else 0.0
-            some[k] = begun + (pressure[k] - begun) * share
-        if c0 == 0.0:
-            for k in range(load.shape[0]):
-                some_load[k] = share * load[k]
-            for k in range(6):
-                some_tip[k] = share * tip[k]
-            for k in range(13, 16):
-                some_tip[k] = share * tip[k]
+            some[k] = last[k] + (pressure[k] - last[k]) * share
         set_pressures(w, actuators, rest, per_pressure, free, some)
         passes = newton(
-            w, law, actuators, some_load, loaded, some_tip, c0, length, segments, scale, room, tolerance, 40.0
+            w, law, actuators, load, loaded, tip, c0, length, segments, scale, room, tolerance, 40.0, np.inf
         )
         if passes > 0:
             total += passes
             done, stride = share, 2.0 * stride
-            _copy(x, good)
+            copy_rows(x, good)
         else:
             stride *= 0.25
-            _copy(good, x)
+            copy_rows(good, x)
             if stride < 1e-3:
                 return -1
     return total
 
 
 @leaf
-def _divisor(n: int, wanted: int) -> int:
+def divisor(n: int, wanted: int) -> int:
     """The smallest divisor of n that is at least `wanted`."""
     for d in range(max(1, wanted), n + 1):
         if n % d == 0:
@@ -179,7 +99,7 @@ def _divisor(n: int, wanted: int) -> int:
 
 
 @leaf
-def _between(history: Array, size: int, h: float) -> None:
+def between(history: Array, size: int, h: float) -> None:
     """The history half-way between the nodes, by cubic Hermite: of velocities and strains, and their slopes.
 
     The mid-point's slope from the same cubic is of fourth order too: its leading error vanishes by symmetry.
@@ -201,7 +121,7 @@ def initialise_history(scheme: Array, x: Array, trail: Array, length: float, roo
         history[m] = share * flat[m]
         past[0, m] = flat[m]
         past[1, m] = flat[m]
-    _between(history, x.size // 2, length / (room.states.shape[0] - 1))
+    between(history, x.size // 2, length / (room.states.shape[0] - 1))
 
 
 @inlined
@@ -254,11 +174,11 @@ def advance(
         off += abs(pressure[k] - before[0, k])
         ahead += abs(pressure[k] - 3.0 * (before[0, k] - before[1, k]) - before[2, k])
     _guess(x, trail, ahead <= off, n, segments, y)
-    passes = newton(w, law, actuators, load, loaded, tip, c0, length, segments, scale, room, tolerance, 8.0)
+    passes = newton(w, law, actuators, load, loaded, tip, c0, length, segments, scale, room, tolerance, 8.0, np.inf)
     if passes < 0:
-        finer = _divisor(n, max(4, 2 * segments))
+        finer = divisor(n, max(4, 2 * segments))
         _guess(x, trail, False, n, finer, y)
-        passes = newton(w, law, actuators, load, loaded, tip, c0, length, finer, scale, room, tolerance, 25.0)
+        passes = newton(w, law, actuators, load, loaded, tip, c0, length, finer, scale, room, tolerance, 25.0, np.inf)
         if passes < 0:
             _guess(x, trail, False, n, finer, y)
             passes = _continuation(
@@ -276,7 +196,7 @@ def advance(
         before[1, k] = before[0, k]
         before[0, k] = pressure[k]
     _update_history(scheme, y, x, trail, room.history)
-    _between(room.history, x.size // 2, length / n)
+    between(room.history, x.size // 2, length / n)
     return int(passes)
 
 

@@ -1,0 +1,319 @@
+"""Kernels that decide whether an arm at rest is stable: the sign of the potential energy's second variation.
+
+With xi the displacement and theta the rotation of a section, both in its own frame, and n, m the total wrench,
+
+    gamma = xi' + u x xi + v x theta,      kappa = theta' + u x theta,
+    d2E = int (gamma, kappa) K (gamma, kappa) - 2 gamma . (n x theta) - kappa . (m x theta)
+              + (n . v) |theta|^2 - (n . theta) (v . theta) ds  +  the tip's levers.
+
+docs/model.md derives it. K is the symmetric part of the section's tangent. Two tests follow from it: an inequality that
+settles the ordinary arm at no cost, and the exact count of negative directions.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from model.kernels.jit import kernel
+from model.kernels.layout import AXIAL, CHANGES, LANES, LINEAR, SECANTS, SHEAR, STAGE, TANGENTS, TUBE, WRENCH
+from model.kernels.rod import resting_wrench
+from model.kernels.vec3 import dot, inlined, leaf, rotation, three, triple
+
+Array = Any
+
+NODE_UNKNOWNS = 6
+STRAINED = 9  # gamma, kappa and theta
+ELEMENT = 18  # unknowns of an element: near node, middle, far node
+GAUSS = 1.0 / math.sqrt(3.0)
+# The inequality holds between the nodes too if it holds at them with the wrenches larger by this.
+MARGIN = 1.1
+# Share of the axial stiffness that the inequality leaves to stretch; the rest bounds its coupling with bending.
+LEFT = 0.125
+# A direction counts as negative below this share of the softest bending stiffness: rounding and the elements' error.
+NEUTRAL = 1e-7
+
+
+@inlined
+def _blocks(w: Array, law: int, i: int):  # type: ignore[no-untyped-def]
+    """Of lane i, after `resting_wrench`: axial block 11, 12, 13, 22, 23, 33, and shear block 11, 13, 23, 33.
+
+    The parts of the tangent that are symmetric anyway.
+    """
+    if law == LINEAR:
+        a, s = AXIAL * LANES + i, SHEAR * LANES + i
+        return (
+            w[a], w[a + LANES], w[a + 2 * LANES], w[a + 3 * LANES], w[a + 4 * LANES], w[a + 5 * LANES],
+            w[s], w[s + 2 * LANES], w[s + 4 * LANES], w[s + 5 * LANES],
+        )  # fmt: skip
+    gamma, spread = w[(TUBE + 2) * LANES + i], w[(TUBE + 3) * LANES + i]
+    t0, tx, ty = triple(w, TANGENTS, i)
+    txx, txy, tyy = triple(w, TANGENTS + 3, i)
+    k0, kx, ky = triple(w, SECANTS, i)
+    return (
+        t0, ty, -tx, tyy + spread * k0, -txy, txx + spread * k0,
+        gamma * k0, -gamma * ky, gamma * kx, gamma * w[(SECANTS + 3) * LANES + i],
+    )  # fmt: skip
+
+
+@inlined
+def _least(w: Array, law: int, i: int):  # type: ignore[no-untyped-def]
+    """Numbers a, b with (gamma, kappa) K (gamma, kappa) >= a |gamma|^2 + b |kappa|^2, but for `_beside`."""
+    a11, a12, a13, a22, a23, a33, s11, s13, s23, s33 = _blocks(w, law, i)
+    over = 1.0 / (1.0 - LEFT)
+    apart = math.sqrt((a22 - a33) * (a22 - a33) + 4.0 * a23 * a23)
+    bending = 0.5 * (a22 + a33 - apart) - over * (a12 * a12 + a13 * a13) / a11
+    torsion = s33 - over * (s13 * s13 + s23 * s23) / s11
+    return LEFT * min(a11, s11), min(bending, torsion)
+
+
+@inlined
+def _beside(w: Array, i: int):  # type: ignore[no-untyped-def]
+    """Of a pointwise section, what its own bending and shear, which follow the axial strain, take away at most.
+
+    Factors of |gamma|^2, |gamma| |kappa| and |kappa|^2.
+    """
+    gamma, spread = w[(TUBE + 2) * LANES + i], w[(TUBE + 3) * LANES + i]
+    v1, v2, _ = triple(w, STAGE, i)
+    u1, u2, u3 = triple(w, STAGE + 3, i)
+    e0, ex, ey = triple(w, CHANGES, i)
+    exx, exy, eyy = triple(w, CHANGES + 3, i)
+    far = abs(w[(CHANGES + 6) * LANES + i]) + abs(w[(CHANGES + 7) * LANES + i])
+    once, twice, turn = abs(ex) + abs(ey), abs(exx) + abs(exy) + abs(eyy), abs(exx + eyy + 2.0 * spread * e0)
+    bent, sheared, twisted = spread * (abs(u1) + abs(u2)), gamma * (abs(v1) + abs(v2)), gamma * abs(u3)
+    return (
+        sheared * abs(e0) + 2.0 * twisted * once,
+        bent * abs(e0) + 2.0 * sheared * once + twisted * (2.0 * twice + turn),
+        bent * once + sheared * twice + twisted * far,
+    )
+
+
+@leaf
+def surely_stable(w: Array, law: int, actuators: int, x: Array, length: float, tip: Array) -> bool:
+    """Whether an inequality shows the solved arm x to be stable. False decides nothing.
+
+    |theta|' <= |kappa| and theta = 0 at the base give int |theta|^2 <= (2 L / pi)^2 int |kappa|^2. With bounds on K and
+    on the wrenches, the second variation is then at least a quadratic form of two numbers.
+    """
+    n = x.shape[0] // 2 - 1
+    stiff, bending, mixed = np.inf, np.inf, 0.0
+    force, moment, pressed = 0.0, 0.0, 0.0
+    for first in range(0, n + 1, LANES):
+        for i in range(LANES):
+            j = min(first + i, n)
+            for c in range(6):
+                w[(STAGE + c) * LANES + i] = x[j, c]
+        resting_wrench(w, law, actuators)
+        for i in range(LANES):
+            v, f, m = triple(w, STAGE, i), triple(w, WRENCH, i), triple(w, WRENCH + 3, i)
+            size = math.sqrt(dot(f, f))
+            force, moment = max(force, size), max(moment, dot(m, m))
+            pressed = max(pressed, 0.5 * (size * math.sqrt(dot(v, v)) - dot(f, v)))
+            if law != LINEAR:
+                a, b = _least(w, law, i)
+                less, between, least = _beside(w, i)
+                stiff, bending, mixed = min(stiff, a - less), min(bending, b - least), max(mixed, between)
+    if law == LINEAR:
+        stiff, bending = _least(w, law, 0)
+    place, lever, pull = three(tip, 10), three(tip, 16), three(tip, 13)
+    ends = math.sqrt(dot(three(tip, 0), three(tip, 0)) * dot(place, place)) + math.sqrt(
+        dot(lever, lever) * dot(pull, pull)
+    )
+    reach = 2.0 * length / math.pi
+    bending -= MARGIN * (reach * (math.sqrt(moment) + reach * pressed) + length * ends)
+    between = MARGIN * force * reach + 0.5 * mixed
+    return bool(stiff > 0.0 and bending > 0.0 and stiff * bending > between * between)
+
+
+@leaf
+def _fill_tangent(w: Array, law: int, i: int, h: Array) -> None:
+    """Symmetric part of the tangent of lane i over (gamma, kappa), into h (9, 9)."""
+    for r in range(6):
+        for c in range(6):
+            h[r, c] = 0.0
+    a11, a12, a13, a22, a23, a33, s11, s13, s23, s33 = _blocks(w, law, i)
+    h[0, 0], h[1, 1], h[5, 5] = s11, s11, s33
+    h[0, 5], h[1, 5] = s13, s23
+    if law == LINEAR:
+        h[0, 1], h[1, 1] = w[(SHEAR + 1) * LANES + i], w[(SHEAR + 3) * LANES + i]
+    h[2, 2], h[2, 3], h[2, 4], h[3, 3], h[3, 4], h[4, 4] = a11, a12, a13, a22, a23, a33
+    if law != LINEAR:
+        gamma, spread = w[(TUBE + 2) * LANES + i], w[(TUBE + 3) * LANES + i]
+        v1, v2, _ = triple(w, STAGE, i)
+        u1, u2, u3 = triple(w, STAGE + 3, i)
+        e0, ex, ey = triple(w, CHANGES, i)
+        exx, exy, eyy = triple(w, CHANGES + 3, i)
+        rrx, rry = w[(CHANGES + 6) * LANES + i], w[(CHANGES + 7) * LANES + i]
+        sums, by_x, by_y = (e0, ey, -ex), (ex, exy, -exx), (ey, eyy, -exy)
+        turns = (exx + eyy + 2.0 * spread * e0, rry, -rrx)
+        for k in range(3):
+            # Half of what stands on one side of the diagonal only.
+            c = 2 + k
+            h[0, c] += 0.5 * gamma * (sums[k] * v1 - by_y[k] * u3)
+            h[1, c] += 0.5 * gamma * (sums[k] * v2 + by_x[k] * u3)
+            h[c, 5] += 0.5 * gamma * (by_x[k] * v2 - by_y[k] * v1 + turns[k] * u3)
+            h[min(3, c), max(3, c)] += (1.0 if c == 3 else 0.5) * spread * u1 * sums[k]
+            h[min(4, c), max(4, c)] += (1.0 if c == 4 else 0.5) * spread * u2 * sums[k]
+    for r in range(6):
+        for c in range(r):
+            h[r, c] = h[c, r]
+
+
+@leaf
+def _fill_spin(h: Array, row: int, share: float, a: tuple[float, float, float]) -> None:
+    """-share times the matrix of a x theta, beside the diagonal."""
+    for r in range(3):
+        h[row + r, 6 + r] = 0.0
+    h[row, 7], h[row, 8] = share * a[2], -share * a[1]
+    h[row + 1, 6], h[row + 1, 8] = -share * a[2], share * a[0]
+    h[row + 2, 6], h[row + 2, 7] = share * a[1], -share * a[0]
+    for r in range(3):
+        for c in range(3):
+            h[6 + c, row + r] = h[row + r, 6 + c]
+
+
+@inlined
+def _sway(a: tuple[float, float, float], b: tuple[float, float, float], d: Array, at: int) -> None:
+    """Add (a . b) |theta|^2 - (a . theta) (b . theta) to a matrix from row and column `at` on."""
+    for r in range(3):
+        d[at + r, at + r] += dot(a, b)
+        for c in range(3):
+            d[at + r, at + c] -= 0.5 * (a[r] * b[c] + a[c] * b[r])
+
+
+@leaf
+def _fill(w: Array, law: int, actuators: int, i: int, h: Array) -> None:
+    """The second variation's integrand at lane i over (gamma, kappa, theta), h (9, 9)."""
+    _fill_tangent(w, law, i, h)
+    v, n, m = triple(w, STAGE, i), triple(w, WRENCH, i), triple(w, WRENCH + 3, i)
+    _fill_spin(h, 0, 1.0, n)
+    _fill_spin(h, 3, 0.5, m)
+    for r in range(3):
+        for c in range(3):
+            h[6 + r, 6 + c] = 0.0
+    _sway(n, v, h, 6)
+
+
+@leaf
+def _add_point(w: Array, i: int, at: float, step: float, h: Array, b: Array, hb: Array, k: Array) -> None:
+    """Add a Gauss point of lane i, `at` in [-1, 1] of an element of length `step`, to its matrix k (18, 18)."""
+    v, u = triple(w, STAGE, i), triple(w, STAGE + 3, i)
+    share, over = 0.5 * step, 2.0 / step
+    for node in range(3):
+        value = 1.0 - at * at if node == 1 else 0.5 * at * (at + (node - 1.0))
+        slope = over * (-2.0 * at if node == 1 else at + 0.5 * (node - 1.0))
+        for r in range(STRAINED):
+            for c in range(NODE_UNKNOWNS):
+                b[node, r, c] = 0.0
+        for r in range(3):
+            one, two = (r + 1) % 3, (r + 2) % 3
+            for column in (0, 3):
+                b[node, column + r, column + r] = slope
+                b[node, column + r, column + one] = -value * u[two]
+                b[node, column + r, column + two] = value * u[one]
+            b[node, r, 3 + one] = -value * v[two]
+            b[node, r, 3 + two] = value * v[one]
+            b[node, 6 + r, 3 + r] = value
+    for right in range(3):
+        for r in range(STRAINED):
+            for c in range(NODE_UNKNOWNS):
+                total = 0.0
+                for q in range(STRAINED):
+                    total += h[r, q] * b[right, q, c]
+                hb[r, c] = share * total
+        for left in range(right, 3):
+            for q in range(STRAINED):
+                for r in range(NODE_UNKNOWNS):
+                    value = b[left, q, r]
+                    for c in range(NODE_UNKNOWNS):
+                        k[NODE_UNKNOWNS * left + r, NODE_UNKNOWNS * right + c] += value * hb[q, c]
+
+
+@leaf
+def _eliminate(k: Array, last: int) -> int:
+    """Eliminate the unknowns from the last down to `last` from a symmetric matrix, of which the lower half is read.
+
+    Returns how many pivots were not positive: negative directions, by Sylvester's law of inertia.
+    """
+    negative = 0
+    for p in range(ELEMENT - 1, last - 1, -1):
+        pivot = k[p, p]
+        if not pivot > 0.0:
+            negative += 1
+            if pivot == 0.0:
+                pivot = -1e-300
+        over = 1.0 / pivot
+        for r in range(p):
+            share = k[p, r] * over
+            for c in range(r + 1):
+                k[r, c] -= share * k[p, c]
+    return negative
+
+
+@leaf
+def _points(w: Array, x: Array, first: int, h: float) -> None:
+    """Strains at the Gauss points of four steps from `first` on, by cubics through the nodes, in the stage's lanes."""
+    n = x.shape[0] // 2 - 1
+    for i in range(LANES):
+        j = min(first + i // 2, n - 1)
+        t = 0.5 * (1.0 + (GAUSS if i % 2 else -GAUSS))
+        back = 1.0 - t
+        for c in range(6):
+            a, b, a_s, b_s = x[j, c], x[j + 1, c], x[n + 1 + j, c], x[n + 2 + j, c]
+            ends = back * back * (1.0 + 2.0 * t) * a + t * t * (3.0 - 2.0 * t) * b
+            w[(STAGE + c) * LANES + i] = ends + h * t * back * (back * a_s - t * b_s)
+
+
+@kernel
+def negative_directions(w: Array, law: int, actuators: int, x: Array, length: float, tip: Array) -> int:
+    """How many independent directions lower the potential energy of the solved arm x (2 N + 2, 16): 0 is stable.
+
+    The inertia of the second variation in quadratic elements, one a step, with two Gauss points each. Eliminated from
+    the tip to the base, a negative pivot is a conjugate point of the arm's part beyond.
+    """
+    n = x.shape[0] // 2 - 1
+    step, negative = length / n, 0
+    h, b, hb = (
+        np.zeros((STRAINED, STRAINED)),
+        np.empty((3, STRAINED, NODE_UNKNOWNS)),
+        np.empty((STRAINED, NODE_UNKNOWNS)),
+    )
+    k, held = np.zeros((ELEMENT, ELEMENT)), np.zeros((NODE_UNKNOWNS, NODE_UNKNOWNS))
+    d1, d2, d3 = rotation((x[n, 12], x[n, 13], x[n, 14], x[n, 15]))
+    force, pull = three(tip, 0), three(tip, 13)
+    _sway((dot(d1, force), dot(d2, force), dot(d3, force)), three(tip, 10), held, 3)
+    _sway((dot(d1, pull), dot(d2, pull), dot(d3, pull)), three(tip, 16), held, 3)
+    first = LANES // 2 * ((n - 1) // (LANES // 2))
+    for begin in range(first, -1, -(LANES // 2)):
+        _points(w, x, begin, step)
+        resting_wrench(w, law, actuators)
+        for e in range(min(begin + LANES // 2, n) - 1, begin - 1, -1):
+            for r in range(ELEMENT):
+                for c in range(ELEMENT):
+                    k[r, c] = 0.0
+            for r in range(NODE_UNKNOWNS):
+                for c in range(NODE_UNKNOWNS):
+                    k[2 * NODE_UNKNOWNS + r, 2 * NODE_UNKNOWNS + c] = held[r, c]
+            for g in range(2):
+                i = 2 * (e - begin) + g
+                _fill(w, law, actuators, i, h)
+                soft = NEUTRAL * min(h[3, 3], min(h[4, 4], h[5, 5])) * (0.5 * math.pi / length) ** 2
+                for r in range(6, STRAINED):
+                    h[r, r] -= soft
+                _add_point(w, i, GAUSS if g else -GAUSS, step, h, b, hb, k)
+            negative += _eliminate(k, NODE_UNKNOWNS)
+            for r in range(NODE_UNKNOWNS):
+                for c in range(r + 1):
+                    held[r, c] = k[r, c]
+                    held[c, r] = k[r, c]
+    return negative
+
+
+@kernel
+def is_stable(w: Array, law: int, actuators: int, x: Array, length: float, tip: Array) -> bool:
+    """Whether the solved arm x is stable: by the inequality if that suffices."""
+    if surely_stable(w, law, actuators, x, length, tip):
+        return True
+    return bool(negative_directions(w, law, actuators, x, length, tip) == 0)
