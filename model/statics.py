@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from model.equilibrium import UNSTABLE, equilibrium
 from model.errors import NotConverged, Unstable
 from model.kernel_arguments import SOLVED, KernelArguments, pressures
 from model.kernels.axis import axis
+from model.kernels.equilibrium import UNSTABLE, equilibrium
 from model.kernels.shooting import workspace_for
 from model.loads import Loads
 from model.shape import Shape

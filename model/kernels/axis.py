@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from model.equilibrium import UNSTABLE, equilibrium
+from model.kernels.equilibrium import UNSTABLE, equilibrium
 from model.kernels.jit import kernel
 from model.kernels.shooting import Workspace, room_within
 from model.kernels.time_stepping import advance, stiffen

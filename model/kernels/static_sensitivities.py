@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from model.equilibrium import UNSTABLE, equilibrium
 from model.kernels.axis import place_tip
+from model.kernels.equilibrium import UNSTABLE, equilibrium
 from model.kernels.jit import kernel
 from model.kernels.lanes import FIRST, Lanes, apply_pressure, apply_tip_load, places
 from model.kernels.layout import LANES

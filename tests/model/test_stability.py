@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from model import Arm, Geometry, Loads, Material, NotConverged, Unstable, batch, sensitivities
 from model.kernel_arguments import KernelArguments
 from model.kernels.layout import LANES, OFFSET
-from model.stability import negative_directions
+from model.kernels.stability import negative_directions
 from tests.support.rod_energy import smallest_variation
 
 Array = NDArray[np.float64]

@@ -1,6 +1,6 @@
 """Kernels that find an arm at rest: from a guess, by following the loads up, or by letting it swing until it rests.
 
-An equilibrium counts as found only if it is stable (model/stability.py).
+An equilibrium counts as found only if it is stable (model/kernels/stability.py).
 """
 
 from __future__ import annotations
@@ -15,9 +15,9 @@ from model.kernels.layout import C0, LAG, LANES, LINE_DENSITY, RATE, SHEAR_INVER
 from model.kernels.rod import resting_wrench, strain_changes
 from model.kernels.shooting import LONGEST, Workspace, newton
 from model.kernels.simd import broadcast
+from model.kernels.stability import is_stable
 from model.kernels.time_stepping import between, copy_rows, divisor, set_pressures
 from model.kernels.vec3 import called, cross, leaf, plus, put, three, triple
-from model.stability import is_stable
 
 Array = Any
 
@@ -201,8 +201,8 @@ def _followed(
 
 @kernel
 def _let_go(
-    w: Array, law: int, actuators: int, load: Array, loaded: bool, tip: Array, length: float, scale: Array, room: Workspace,
-    tolerance: float,
+    w: Array, law: int, actuators: int, load: Array, loaded: bool, tip: Array, length: float, scale: Array,
+    room: Workspace, tolerance: float,
 ) -> int:  # fmt: skip
     """Let the arm in room.x go under all that acts on it, by backward Euler, until it rests in a stable equilibrium.
 
