@@ -9,11 +9,11 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path, PurePath
 from typing import Any
 
-import h5py
 import numpy as np
 
 from runs.archive import layout
-from runs.archive.writer import ArchiveError
+from runs.archive.checked import ArchiveError, opened
+from runs.archive.schema import BYTES
 from runs.run import Run
 from runs.table import TABLES, segments, table
 
@@ -48,8 +48,8 @@ def _csv(source: Path, stem: Path) -> tuple[Path, ...]:
     others', and every reader takes it.
     """
     written = []
-    with h5py.File(source, "r") as file:
-        simulated = int(file["entry/simulated"][()])
+    with opened(source) as archive:
+        simulated = int(archive.value("entry/simulated"))
     for group, columns in (*((group, table(source, group)) for group in TABLES), ("segments", segments(source))):
         if not columns:
             continue
@@ -74,8 +74,7 @@ def _mat(source: Path, stem: Path) -> tuple[Path, ...]:
     from scipy.io import savemat
 
     path = stem.with_name(f"{stem.name}.mat")
-    with h5py.File(source, "r") as file:
-        content = _struct(file["entry"])
+    content = _struct(source)
     try:
         with path.open("wb") as target:
             savemat(target, {"run": content}, long_field_names=True, do_compression=True, oned_as="column")
@@ -85,16 +84,22 @@ def _mat(source: Path, stem: Path) -> tuple[Path, ...]:
     return (path,)
 
 
-def _struct(group: h5py.Group) -> dict[str, Any]:
-    content: dict[str, Any] = {}
-    for name, node in group.items():
-        if isinstance(node, h5py.Group):
-            content[_identifier(name, content)] = _struct(node)
-        elif h5py.check_string_dtype(node.dtype):
-            content[_identifier(name, content)] = node.asstr()[()]
-        elif not h5py.check_vlen_dtype(node.dtype):
-            content[_identifier(name, content)] = node[()]
-    return content
+def _struct(source: Path) -> dict[str, Any]:
+    """Return the archive as a struct of structs; without the pictures, which MATLAB's format has no type for."""
+    entry: dict[str, Any] = {}
+    with opened(source) as archive:
+        for group in archive.groups():
+            content = entry
+            for name in group.split("/")[1:]:
+                content = content.setdefault(_identifier(name, {}), {})
+            for name, field in archive.fields(group).items():
+                if field.kind == BYTES:
+                    continue
+                value = archive.value(field.path)
+                content[_identifier(name, content)] = (
+                    np.array(value, dtype=object) if isinstance(value, list) else value
+                )
+    return entry
 
 
 def _identifier(name: str, taken: Mapping[str, Any]) -> str:
