@@ -288,7 +288,7 @@ def _truth(run: Run, measured: NDArray[np.bool_], plane: Floats | None) -> Truth
     if run.simulated is None or not measured.any():
         return None
     tip, truth = run.tip, run.simulated.tip_mm
-    known = measured & np.isfinite(truth).all(axis=1)
+    known = measured & np.isfinite(truth).all(axis=1) & _has_ellipsoid(tip.covariance_mm2)
     if not known.any():
         return None
     difference = tip.measured_mm[known] - truth[known]
@@ -303,6 +303,14 @@ def _truth(run: Run, measured: NDArray[np.bool_], plane: Floats | None) -> Truth
         coverage=float((distance2 <= CHI2_3_95).mean()),
         coverage_axes=(float(within[0]), float(within[1]), float(within[2])),
     )
+
+
+def _has_ellipsoid(covariance: Floats) -> NDArray[np.bool_]:
+    """Tell which covariances (n, 3, 3) are those of a Gaussian: finite, and positive definite."""
+    finite = np.isfinite(covariance).all(axis=(1, 2))
+    smallest = np.linalg.eigvalsh(np.where(finite[:, None, None], covariance, 0.0))[:, 0]
+    largest = np.abs(covariance).max(axis=(1, 2), initial=0.0)
+    return np.asarray(finite & (smallest > np.finfo(float).eps * np.where(finite, largest, 0.0)))
 
 
 def _vector(values: Floats, root: bool = False) -> tuple[float, float, float]:

@@ -18,6 +18,7 @@ from rich.text import Text
 
 from rig.cli.keyboard import Keyboard
 from rig.cli.nonblocking_writer import NonBlockingWriter
+from rig.cli.printable import printable
 from rig.config.schema import PA_PER_BAR
 from rig.execution.plan import Progress
 from runs.records import DetectionStatus, Event, Level, Quantity
@@ -78,7 +79,9 @@ class Terminal:
         """Show an event; it stays on the screen."""
         with suppress(OSError):
             self._console.print(
-                Text(f"{event.source}: {event.message}", _STYLE[event.level]), soft_wrap=True, highlight=False
+                Text(printable(f"{event.source}: {event.message}"), _STYLE[event.level]),
+                soft_wrap=True,
+                highlight=False,
             )
 
     def answered(self) -> bool:
@@ -154,12 +157,12 @@ def _estimates(adapted: Sequence[Quantity], row: NDArray[np.void]) -> Table:
 
 
 def _screen(title: str, progress: Progress) -> Group:
-    parts: list[Text | Table] = [Text(title, "bold")]
+    parts: list[Text | Table] = [Text(printable(title), "bold")]
     # What waits for the operator stands first: of a screen that is too long the end is cut off.
     if progress.held:
         parts.append(Text("PAUSED: p resumes", "bold yellow"))
     if progress.prompt is not None:
-        parts.append(Text(f"{progress.prompt}, then press Enter", "bold yellow"))
+        parts.append(Text(f"{printable(progress.prompt)}, then press Enter", "bold yellow"))
     sample, observation = progress.sample, progress.observation
     if sample is not None:
         table = Table(box=None, padding=(0, 2, 0, 0))

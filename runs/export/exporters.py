@@ -17,6 +17,8 @@ from runs.archive.schema import BYTES
 from runs.run import Run
 from runs.table import TABLES, segments, table
 
+_FORMULAS = ("=", "+", "-", "@", "\t", "\r", "\n")
+"""Begin what a spreadsheet evaluates; the last three it leaves out and looks at what comes next."""
 SIMULATED = "simulated"
 """Column of every CSV: 1 where card, camera or arm was simulated, else 0."""
 
@@ -50,13 +52,15 @@ def _csv(source: Path, stem: Path) -> tuple[Path, ...]:
     written = []
     with opened(source) as archive:
         simulated = int(archive.value("entry/simulated"))
-    for group, columns in (*((group, table(source, group)) for group in TABLES), ("segments", segments(source))):
+    # All is read before anything is written: a damaged archive leaves no half of its tables.
+    tables = [*((group, table(source, group)) for group in TABLES), ("segments", segments(source))]
+    for group, columns in tables:
         if not columns:
             continue
         path = stem.with_name(f"{stem.name}-{group}.csv")
         with path.open("w", newline="", encoding="utf-8") as file:
             lines = csv.writer(file)
-            lines.writerow([*columns, SIMULATED])
+            lines.writerow([*map(_plain_text, columns), SIMULATED])
             rows = zip(*(_cells(column) for column in columns.values()), strict=True)
             lines.writerows((*row, simulated) for row in rows)
         written.append(path)
@@ -66,7 +70,14 @@ def _csv(source: Path, stem: Path) -> tuple[Path, ...]:
 def _cells(column: np.ndarray[Any, Any]) -> list[Any]:
     if column.dtype.kind == "f":
         return ["" if value != value else repr(value) for value in column.tolist()]
+    if column.dtype.kind == "O":
+        return [_plain_text(value) for value in column.tolist()]
     return list(column.tolist())
+
+
+def _plain_text(text: str) -> str:
+    """Return a text that no spreadsheet takes for a formula, as OWASP advises: with an apostrophe before it."""
+    return f"'{text}" if text.startswith(_FORMULAS) else text
 
 
 def _mat(source: Path, stem: Path) -> tuple[Path, ...]:
