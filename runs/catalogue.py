@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pydantic import TypeAdapter
 
 from runs.archive.checked import ArchiveError, opened_in_part
 from runs.archive.writer import SUFFIX
@@ -53,6 +54,9 @@ class Entry:
     """None where no tip was measured."""
     max_error_mm: float | None = None
     problem: str = ""
+
+
+_ENTRY = TypeAdapter(Entry)
 
 
 def catalogue(folder: Path | str) -> tuple[Entry, ...]:
@@ -144,7 +148,9 @@ def _load(path: Path) -> dict[str, _Known]:
         if index["form"] == _FORM:
             known = {}
             for name, (size, time, fields) in index["files"].items():
-                known[name] = _Known((size, time), Entry(**fields))
+                entry = _ENTRY.validate_python(fields, strict=True)
+                if entry.file == name:
+                    known[name] = _Known((size, time), entry)
             return known
     return {}
 
