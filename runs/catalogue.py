@@ -13,7 +13,6 @@ from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from pydantic import TypeAdapter
@@ -56,7 +55,15 @@ class Entry:
     problem: str = ""
 
 
-_ENTRY = TypeAdapter(Entry)
+@dataclass(frozen=True)
+class _Index:
+    """What the index's file holds: for each archive its size, its time [ns] and its entry."""
+
+    form: int
+    files: dict[str, tuple[int, int, Entry]]
+
+
+_INDEX = TypeAdapter(_Index)
 
 
 def catalogue(folder: Path | str) -> tuple[Entry, ...]:
@@ -143,15 +150,14 @@ def _read(path: Path) -> Entry:
 
 
 def _load(path: Path) -> dict[str, _Known]:
-    with suppress(OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
-        index: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-        if index["form"] == _FORM:
-            known = {}
-            for name, (size, time, fields) in index["files"].items():
-                entry = _ENTRY.validate_python(fields, strict=True)
-                if entry.file == name:
-                    known[name] = _Known((size, time), entry)
-            return known
+    with suppress(OSError, ValueError, RecursionError):
+        index = _INDEX.validate_json(path.read_bytes(), strict=True)
+        if index.form == _FORM:
+            return {
+                name: _Known((size, time), entry)
+                for name, (size, time, entry) in index.files.items()
+                if entry.file == name
+            }
     return {}
 
 

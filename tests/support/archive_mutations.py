@@ -84,8 +84,10 @@ def of(file: h5py.File, random: Random, wanted: Callable[[h5py.Dataset], bool]) 
 
 def replaced(file: h5py.File, path: str, **options: Any) -> h5py.Dataset:
     """Another dataset in the place of one, with its attributes where they can be kept."""
-    kept = {name: file[path].attrs[name] for name in ("units", "description") if name in file[path].attrs}
-    del file[path]
+    kept = {}
+    if path in file:
+        kept = {name: file[path].attrs[name] for name in ("units", "description") if name in file[path].attrs}
+        del file[path]
     node = file.create_dataset(path, **options)
     node.attrs.update(kept)
     return node
@@ -273,13 +275,14 @@ def huge(file: h5py.File, random: Random) -> str:
         length = file[one].shape[0]
         paths = [path for path in datasets(file) if path.startswith(f"{group}/") and file[path].shape[:1] == (length,)]
     for path in paths:
-        shape, kind = (rows, *file[path].shape[1:]), file[path].dtype
+        inner, kind = file[path].shape[1:], file[path].dtype
+        shape = (rows, *inner)
         fill: dict[str, Any] = {} if kind.kind == "O" else {"fillvalue": 1}
         chunks = (1000, *shape[1:]) if random.random() < 0.8 else None
         try:
             replaced(file, path, shape=shape, dtype=kind, chunks=chunks, **fill)
         except (ValueError, OSError, MemoryError):
-            replaced(file, path, shape=(1, *shape[1:]), dtype=kind)
+            replaced(file, path, shape=(1, *inner), dtype=kind)
     return f"{paths}: {rows}"
 
 
