@@ -13,17 +13,22 @@ from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
 
-import h5py
 import numpy as np
+from pydantic import TypeAdapter
 
-from runs.archive import layout
+from runs.archive.checked import ArchiveError, opened_in_part
 from runs.archive.writer import SUFFIX
 
 INDEX = ".catalogue.json"
 _FORM = 1
 """Raised when `Entry` changes."""
+_TEXTS = ("run_id", "title", "start_time", "status", "executor", "operator", "notes")
+_READ = (
+    *(f"entry/{name}" for name in (*_TEXTS, "duration", "simulated", "protocol/name", "rig/name", "model/variant")),
+    "entry/tip/time",
+    "entry/tip/error_mm",
+)
 
 
 @dataclass(frozen=True)
@@ -48,6 +53,17 @@ class Entry:
     """None where no tip was measured."""
     max_error_mm: float | None = None
     problem: str = ""
+
+
+@dataclass(frozen=True)
+class _Index:
+    """What the index's file holds: for each archive its size, its time [ns] and its entry."""
+
+    form: int
+    files: dict[str, tuple[int, int, Entry]]
+
+
+_INDEX = TypeAdapter(_Index)
 
 
 def catalogue(folder: Path | str) -> tuple[Entry, ...]:
@@ -114,37 +130,34 @@ def _archives(folder: Path) -> list[tuple[str, tuple[int, int]]]:
 def _read(path: Path) -> Entry:
     """Return what the catalogue says of an archive, without reading more of it than that."""
     try:
-        with h5py.File(path, "r") as file:
-            if int(file.attrs["layout_version"]) > layout.VERSION:
-                return Entry(path.name, problem="made by a newer softrig")
-            entry = file["entry"]
-            error = entry["tip/error_mm"][()]
-            error = error[np.isfinite(error)]
-            names = ("run_id", "title", "start_time", "status", "executor", "operator", "notes")
+        with opened_in_part(path, _READ) as archive:
+            error = archive.value("entry/tip/error_mm")
+            known = error[np.isfinite(error)]
             return Entry(
                 file=path.name,
-                **{name: entry[name].asstr()[()] for name in names},
-                protocol=entry["protocol/name"].asstr()[()],
-                rig=entry["rig/name"].asstr()[()],
-                model=entry["model/variant"].asstr()[()],
-                duration_s=float(entry["duration"][()]),
-                simulated=bool(entry["simulated"][()]),
-                frames=len(entry["tip/error_mm"]),
-                mean_error_mm=float(error.mean()) if len(error) else None,
-                max_error_mm=float(error.max()) if len(error) else None,
+                **{name: archive.value(f"entry/{name}") for name in _TEXTS},
+                protocol=archive.value("entry/protocol/name"),
+                rig=archive.value("entry/rig/name"),
+                model=archive.value("entry/model/variant"),
+                duration_s=float(archive.value("entry/duration")),
+                simulated=bool(archive.value("entry/simulated")),
+                frames=len(error),
+                mean_error_mm=float(known.mean()) if len(known) else None,
+                max_error_mm=float(known.max()) if len(known) else None,
             )
-    except (OSError, KeyError, ValueError, TypeError, RuntimeError) as fault:
-        return Entry(path.name, problem=f"not an archive of softrig ({fault})")
+    except ArchiveError as fault:
+        return Entry(path.name, problem=str(fault))
 
 
 def _load(path: Path) -> dict[str, _Known]:
-    with suppress(OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
-        index: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-        if index["form"] == _FORM:
-            known = {}
-            for name, (size, time, fields) in index["files"].items():
-                known[name] = _Known((size, time), Entry(**fields))
-            return known
+    with suppress(OSError, ValueError, RecursionError):
+        index = _INDEX.validate_json(path.read_bytes(), strict=True)
+        if index.form == _FORM:
+            return {
+                name: _Known((size, time), entry)
+                for name, (size, time, entry) in index.files.items()
+                if entry.file == name
+            }
     return {}
 
 

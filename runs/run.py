@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from runs.archive import layout
+from runs.archive.checked import ArchiveError, content_sha256, opened
 from runs.archive.fields import PA_PER_BAR
-from runs.archive.writer import ArchiveError
 from runs.records import Event, Interval, Level, Quantity, RunHeader, SourceFile, Status
 from runs.table import TABLES, segments, table
 
@@ -140,14 +139,7 @@ class Run:
 
     def __init__(self, path: Path | str) -> None:
         self.path = Path(path)
-        try:
-            with h5py.File(self.path, "r") as file:
-                version = int(file.attrs["layout_version"])
-                self.sha256 = str(file.attrs["content_sha256"])
-        except (OSError, KeyError, RuntimeError) as fault:
-            raise ArchiveError(f"{self.path}: {_why(self.path, fault)}") from fault
-        if version > layout.VERSION:
-            raise ArchiveError(f"{self.path} has layout {version}; this softrig knows up to {layout.VERSION}")
+        self.sha256 = content_sha256(self.path)
 
     def __repr__(self) -> str:
         return f"Run({str(self.path)!r})"
@@ -320,8 +312,8 @@ class Run:
 
     def picture(self, k: int) -> bytes:
         """Return the k-th kept picture as it was encoded."""
-        with h5py.File(self.path, "r") as file:
-            data: bytes = file["entry/frames/image"][k].tobytes()
+        with opened(self.path) as archive:
+            data: bytes = archive.row("entry/frames/image", k).tobytes()
             return data
 
     def to_pandas(self, group: str = "tip") -> Any:
@@ -345,57 +337,24 @@ class Run:
             self.path, group=f"entry/{group}", engine="h5netcdf", drop_variables=drop
         )
 
-    def _group(self, path: str, without: str = "", only: str = "") -> _Fields:
+    def _group(self, path: str, without: str = "") -> dict[str, Any]:
         """Return the datasets of a group by name: arrays, texts and numbers; nothing where the group is missing."""
-        fields = _Fields(f"{self.path}: {path}")
-        try:
-            with h5py.File(self.path, "r") as file:
-                for name, node in file[path].items() if path in file else ():
-                    if isinstance(node, h5py.Dataset) and name != without and only in ("", name):
-                        fields[name] = _value(node)
-        except (OSError, RuntimeError, ValueError) as fault:
-            raise ArchiveError(f"{self.path}: cannot read {path} ({fault})") from fault
-        return fields
+        with opened(self.path) as archive:
+            return archive.values(path, without)
 
     @cached_property
     def _cameras(self) -> tuple[str, ...]:
-        names = self._group("entry/tip", only="camera")["camera"]
-        return tuple(names)
+        with opened(self.path) as archive:
+            return tuple(archive.value("entry/tip/camera"))
 
-    def _quantities(self, room: str) -> tuple[Quantity, ...]:
-        with h5py.File(self.path, "r") as file:
-            return tuple(
-                Quantity(
-                    room=room,
-                    name=name,
-                    value=tuple(float(v) for v in np.atleast_1d(node[()])),
-                    unit=str(node.attrs.get("units", "")),
-                    source=str(node.attrs.get("source", "")),
-                    uncertainty=float(node.attrs.get("uncertainty", np.nan)),
-                )
-                for name, node in file[f"entry/{room}"].items()
-                if h5py.check_string_dtype(node.dtype) is None and not node.is_scale
-            )
-
-
-class _Fields(dict[str, Any]):
-    """The datasets of a group; what is missing is said in one sentence."""
-
-    def __init__(self, where: str) -> None:
-        super().__init__()
-        self._where = where
-
-    def __missing__(self, name: str) -> Any:
-        raise ArchiveError(f"{self._where} has no {name}; was it made by another version of softrig?")
-
-
-def _why(path: Path, fault: Exception) -> str:
-    """What keeps a file from being read as an archive; HDF5 says of every other file that its signature is missing."""
-    if isinstance(fault, FileNotFoundError):
-        return "no such file"
-    if isinstance(fault, IsADirectoryError | PermissionError) or h5py.is_hdf5(path):
-        return f"not an archive of softrig ({fault})"
-    return "not an archive of softrig: it is no HDF5 file"
+    def _quantities(self, room: str) -> Iterator[Quantity]:
+        with opened(self.path) as archive:
+            for name, field in archive.fields(f"entry/{room}").items():
+                # Scales are integers, the variant a text.
+                if field.kind == "f8":
+                    value = tuple(float(v) for v in np.atleast_1d(archive.value(field.path)))
+                    unit, source, uncertainty = archive.about(field.path)
+                    yield Quantity(room, name, value, unit, source, uncertainty)
 
 
 def _optional(package: str) -> Any:
@@ -403,13 +362,6 @@ def _optional(package: str) -> Any:
         return import_module(package)
     except ImportError as fault:
         raise ArchiveError(f"{package} is not installed; `pip install {package}` brings it") from fault
-
-
-def _value(node: h5py.Dataset) -> Any:
-    if h5py.check_string_dtype(node.dtype) is None:
-        return node[()]
-    values = node.asstr()[()]
-    return values if isinstance(values, str) else list(values)
 
 
 def _adapted(g: dict[str, Any]) -> tuple[Quantity, ...]:

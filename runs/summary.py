@@ -121,8 +121,11 @@ class Summary:
     lateness_p99_us: float
     lateness_max_us: float
     frames: int
+    """Recorded, whether or not a tip was measured."""
     frames_measured: int
     frames_dropped: int
+    frames_expected: int
+    """Recorded and dropped."""
     ring_overflows: int
     model_failures: int
     reprojection_px: float
@@ -131,8 +134,8 @@ class Summary:
 
     @property
     def measured_fraction(self) -> float:
-        """Frames with a measured tip over all frames."""
-        return self.frames_measured / self.frames if self.frames else NAN
+        """Frames with a measured tip over those expected."""
+        return self.frames_measured / self.frames_expected if self.frames_expected else NAN
 
 
 def summarise(run: Run) -> Summary:
@@ -169,6 +172,7 @@ def summarise(run: Run) -> Summary:
         frames=len(tip.time_s),
         frames_measured=int(measured.sum()),
         frames_dropped=timing.dropped_frames,
+        frames_expected=len(tip.time_s) + timing.dropped_frames,
         ring_overflows=timing.ring_overflows,
         model_failures=int((~tip.model_ok).sum()),
         reprojection_px=_percentile(tip.reprojection_px[measured], 50),
@@ -288,7 +292,7 @@ def _truth(run: Run, measured: NDArray[np.bool_], plane: Floats | None) -> Truth
     if run.simulated is None or not measured.any():
         return None
     tip, truth = run.tip, run.simulated.tip_mm
-    known = measured & np.isfinite(truth).all(axis=1)
+    known = measured & np.isfinite(truth).all(axis=1) & _has_ellipsoid(tip.covariance_mm2)
     if not known.any():
         return None
     difference = tip.measured_mm[known] - truth[known]
@@ -303,6 +307,14 @@ def _truth(run: Run, measured: NDArray[np.bool_], plane: Floats | None) -> Truth
         coverage=float((distance2 <= CHI2_3_95).mean()),
         coverage_axes=(float(within[0]), float(within[1]), float(within[2])),
     )
+
+
+def _has_ellipsoid(covariance: Floats) -> NDArray[np.bool_]:
+    """Tell which covariances (n, 3, 3) are those of a Gaussian: finite, and positive definite."""
+    finite: NDArray[np.bool_] = np.asarray(np.isfinite(covariance).all(axis=(1, 2)))
+    smallest = np.linalg.eigvalsh(np.where(finite[:, None, None], covariance, 0.0))[:, 0]
+    largest = np.abs(covariance).max(axis=(1, 2), initial=0.0)
+    return np.asarray(finite & (smallest > np.finfo(float).eps * np.where(finite, largest, 0.0)))
 
 
 def _vector(values: Floats, root: bool = False) -> tuple[float, float, float]:

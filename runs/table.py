@@ -5,11 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
 from numpy.typing import NDArray
 
 from runs.archive import layout
+from runs.archive.checked import Contents, opened
+from runs.archive.schema import TEXT
 
 Column = NDArray[Any]
 TABLES = ("pressure", "tip", "adaptation", "timing", "simulator", "events")
@@ -22,15 +23,15 @@ def table(path: Path | str, group: str) -> dict[str, Column]:
     A field of several columns becomes one for each actuator, valve or axis: `measured_bar` (N, 3) gives
     `measured_1_bar`, `measured_2_bar` and `measured_3_bar`; `measured_mm` (M, 3) gives `measured_x_mm` and so on.
     """
-    with h5py.File(path, "r") as file:
-        node = file.get(f"entry/{group}")
-        if node is None:
+    with opened(path) as archive:
+        fields = archive.fields(f"entry/{group}")
+        if not fields:
             return {}
-        rows = node["time"].shape
-        columns = {"time_s": node["time"][()]}
-        for name, data in node.items():
-            if isinstance(data, h5py.Dataset) and data.shape[:1] == rows and data.ndim < 3 and _along_time(data):
-                columns.update(_columns(name, data))
+        columns = {"time_s": archive.value(f"entry/{group}/time")}
+        # In the order of their names, as HDF5 lists them.
+        for name in sorted(fields):
+            if fields[name].scales[:1] == ("time",) and len(fields[name].scales) < 3:
+                columns.update(_columns(archive, f"entry/{group}", name))
     return columns
 
 
@@ -39,27 +40,24 @@ def segments(path: Path | str) -> dict[str, Column]:
 
     `start_s` and `stop_s` are in protocol time, as `protocol_time_s` of the tables is; levels are those of the end.
     """
-    with h5py.File(path, "r") as file:
-        node = file.get("entry/protocol")
-        if node is None or "segment" not in node or not len(node["segment"]):
+    with opened(path) as archive:
+        if not len(archive.value("entry/protocol/segment")):
             return {}
         columns: dict[str, Column] = {}
         for name in ("segment", "kind", "label", "start", "stop", "level_bar"):
-            columns.update(_columns(name, node[name]))
+            columns.update(_columns(archive, "entry/protocol", name))
         return columns
 
 
-def _along_time(data: h5py.Dataset) -> bool:
-    return not data.is_scale and data.dims[0][0].name.endswith("/time")
-
-
-def _columns(name: str, data: h5py.Dataset) -> dict[str, Column]:
-    values = data.asstr()[()] if h5py.check_string_dtype(data.dtype) else data[()]
+def _columns(archive: Contents, group: str, name: str) -> dict[str, Column]:
+    field = archive.fields(group)[name]
+    values = archive.value(f"{group}/{name}")
+    if field.kind == TEXT:
+        values = np.array(values, dtype=object)
     plain, unit = layout.split_unit(name)
-    unit = unit or str(data.attrs.get("units", ""))
+    unit = unit or field.units
     end = f"_{unit}" if unit else ""
-    if values.ndim == 1:
+    if len(field.dimensions) == 1:
         return {f"{plain}{end}": values}
-    labels = data.dims[1][0]
-    names = labels.asstr()[()] if h5py.check_string_dtype(labels.dtype) else labels[()]
-    return {f"{plain}_{label}{end}": np.ascontiguousarray(values[:, i]) for i, label in enumerate(names)}
+    labels = archive.value(f"{group}/{field.scales[1]}")
+    return {f"{plain}_{label}{end}": np.ascontiguousarray(values[:, i]) for i, label in enumerate(labels)}

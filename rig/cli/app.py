@@ -14,6 +14,7 @@ from typer.core import TyperGroup
 
 from rig.cli import archives, calibrate, identify, init, reproduce
 from rig.cli.options import AsJson, Fast, Folder, Note, Operator, Parameters, RigName, Seed, Variant, VentedRig, Yes
+from rig.cli.printable import printable_streams
 
 DONE, FAULT, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 GARBAGE_OBJECTS = 50_000
@@ -91,6 +92,7 @@ app = typer.Typer(
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
+    context_settings={"color": True},  # what looks like colour is shown by PrintableStream, not cut out
     rich_markup_mode=None,  # a unit in square brackets is no markup
 )
 
@@ -317,7 +319,8 @@ def main(arguments: list[str] | None = None) -> None:
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")
     try:
-        app(arguments)
+        with printable_streams():
+            app(arguments)
     except BrokenPipeError:
         # The reader of our output has gone (`rig runs | head`): that is his decision and no error.
         sys.stderr.close()

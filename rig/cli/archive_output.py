@@ -129,27 +129,27 @@ def plain_json(value: Any) -> Any:
 
 
 def summary_table(summary: Summary, counters: Mapping[str, int]) -> Table:
-    """The numbers of a run: one row per settled step, then the whole; `counters` as the executor counted them.
+    """The numbers of a run: one row per segment, then the whole; `counters` as the executor counted them.
 
     A run without a clock (virtual time, a model alone, an import) has no deadlines, and no rows about them.
     """
     table = Table(box=None, padding=(0, 2, 0, 0), title_justify="left")
-    for head in ("step", "error [mm]", "normalised [%]", "settled after [s]", "overshoot [bar]"):
-        table.add_column(head, justify="left" if head == "step" else "right")
+    for head in ("segment", "error [mm]", "normalised [%]", "settled after [s]", "overshoot [bar]"):
+        table.add_column(head, justify="left" if head == "segment" else "right")
     for step in summary.steps:
-        if step.dwell and step.frames and step.kind in ("dwell", "hold"):
-            table.add_row(
-                step.label,
-                _number(step.error_mm, 2),
-                _number(step.normalised_percent, 2),
-                _number(step.settling_s, 2),
-                _number(step.overshoot_bar, 4),
-            )
+        table.add_row(
+            step.label or step.kind,
+            _number(step.error_mm, 2),
+            _number(step.normalised_percent, 2),
+            _number(step.settling_s, 2),
+            _number(step.overshoot_bar, 4),
+        )
     table.add_section()
     whole = f"whole run{' (simulated)' if summary.simulated else ''}: mean error"
     table.add_row(Text(whole, "bold"), Text(_number(summary.error_mm.mean, 2), "bold"))
     table.add_row("largest error", _number(summary.error_mm.max, 2))
-    table.add_row("frames measured", f"{summary.frames_measured} of {summary.frames}")
+    table.add_row("frames measured", f"{summary.frames_measured} of {summary.frames_expected}")
+    table.add_row("frames dropped", str(summary.frames_dropped))
     if summary.lateness_max_us > 0:
         table.add_row("deadlines missed", f"{summary.missed_deadlines} of {summary.ticks}")
         late = (summary.lateness_p50_us, summary.lateness_p99_us, summary.lateness_max_us)

@@ -5,16 +5,19 @@ from __future__ import annotations
 import json
 import os
 import sys
+from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from rich.console import Console, Group
+from rich.console import Console, ConsoleOptions, Group, RenderableType
+from rich.segment import Segment
 from rich.table import Table
 from rich.text import Text
 
+from rig.cli.printable import printable
 from rig.config.schema import PA_PER_BAR, RigConfig
 from rig.control.step import safe_voltages
 from rig.execution.plan import Plan
@@ -32,10 +35,26 @@ _VERDICT = {"ok": "green", "missing": "bold red", "note": "yellow"}
 _STATUS = {Status.FINISHED: "bold green", Status.ABORTED: "bold red", Status.INTERRUPTED: "bold yellow"}
 
 
+class PrintableConsole(Console):
+    """Shows control characters and marks of direction, and takes nothing for markup or the name of an emoji."""
+
+    def __init__(self, stderr: bool = False, width: int | None = None) -> None:
+        super().__init__(highlight=False, markup=False, emoji=False, stderr=stderr, width=width)
+
+    def render_str(self, text: str, **options: Any) -> Text:
+        """Make a text of a string before it is laid out, so that columns are as wide as what is shown."""
+        return super().render_str(printable(text), **options)
+
+    def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterator[Segment]:
+        """Render anything; its own control codes stay."""
+        for part in super().render(renderable, options):
+            yield part if part.control else part._replace(text=printable(part.text))
+
+
 def console(stderr: bool = False) -> Console:
     """The console of every screen; wide enough for its tables where the output is a file."""
-    plain = Console(highlight=False, markup=False, stderr=stderr)
-    return plain if plain.is_terminal else Console(highlight=False, markup=False, stderr=stderr, width=110)
+    plain = PrintableConsole(stderr)
+    return plain if plain.is_terminal else PrintableConsole(stderr, 110)
 
 
 def title(request: RunRequest) -> str:
@@ -155,7 +174,7 @@ def last_screen(screen: Console, result: RunResult) -> None:
     """How the run ended, what it measured, and where it lies. A terminal that has gone changes none of it."""
     outcome = result.outcome
     ending = f"{outcome.status}: {outcome.message}" if outcome.message else str(outcome.status)
-    parts: list[Text | Table | str] = [Text(ending, _STATUS[outcome.status])]
+    parts: list[Text | Table | str] = [Text(printable(ending), _STATUS[outcome.status])]
     if result.archive is not None:
         from rig.cli.archive_output import summary_table
         from runs.run import Run
@@ -167,7 +186,7 @@ def last_screen(screen: Console, result: RunResult) -> None:
         parts.append(f"report   {result.report}")
     if result.parameters is not None:
         parts.append(f"adapted  {result.parameters}  (use them: --parameters FILE)")
-    parts += [Text(trouble, "bold red") for trouble in result.trouble]
+    parts += [Text(printable(trouble), "bold red") for trouble in result.trouble]
     try:
         for part in parts:
             screen.print(part, soft_wrap=not isinstance(part, Table))

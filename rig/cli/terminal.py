@@ -22,6 +22,7 @@ from rich.text import Text
 
 from rig.cli.keyboard import Keyboard
 from rig.cli.nonblocking_writer import NonBlockingWriter
+from rig.cli.printable import printable
 from rig.config.schema import PA_PER_BAR
 from rig.execution.plan import Progress
 from runs.records import DetectionStatus, Event, Level, Quantity
@@ -136,7 +137,9 @@ class Terminal:
         """Show an event; it stays on the screen."""
         with suppress(OSError):
             self._console.print(
-                Text(f"{event.source}: {event.message}", _STYLE[event.level]), soft_wrap=True, highlight=False
+                Text(printable(f"{event.source}: {event.message}"), _STYLE[event.level]),
+                soft_wrap=True,
+                highlight=False,
             )
 
     def answered(self) -> bool:
@@ -202,12 +205,12 @@ def _line(progress: Progress) -> str:
 def _screen(title: str, progress: Progress) -> Fitted:
     """Everything about a run, each part with its shorter forms."""
     sample, observation = progress.sample, progress.observation
-    blocks = [Block((Text(title, "bold"), NOTHING), Keep.TITLE)]
+    blocks = [Block((Text(printable(title), "bold"), NOTHING), Keep.TITLE)]
     # What waits for the operator stands first: of a screen that is too long the end is cut off.
     if progress.held:
         blocks.append(Block((Text("PAUSED: p resumes", "bold yellow"),)))
     if progress.prompt is not None:
-        blocks.append(Block((Text(f"{progress.prompt}, then press Enter", "bold yellow"),)))
+        blocks.append(Block((Text(f"{printable(progress.prompt)}, then press Enter", "bold yellow"),)))
     if sample is not None:
         blocks.append(Block((_pressures(sample), _pressures_short(sample)), Keep.PRESSURES))
     if observation is not None:

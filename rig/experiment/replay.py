@@ -126,7 +126,19 @@ def replay_settings(
 
 
 def _variant(run: Run) -> Variant:
-    return next(v for v in VARIANTS if v == run.header.model_variant)
+    name = run.header.model_variant
+    if (known := next((v for v in VARIANTS if v == name), None)) is None:
+        raise ArchiveError(f"{run.path}: entry/model/variant: found {name!r}, expected one of {', '.join(VARIANTS)}")
+    return known
+
+
+def _picture(run: Run, k: int) -> NDArray[np.uint8]:
+    data = np.frombuffer(run.picture(k), np.uint8)
+    # OpenCV raises where there are no bytes, and returns nothing where they are no picture.
+    image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if len(data) else None
+    if image is None:
+        raise ArchiveError(f"{run.path}: entry/frames/image[{k}]: found {len(data)} bytes, expected a JPEG or PNG")
+    return np.asarray(image, np.uint8)
 
 
 def _observed(run: Run, config: RigConfig, variant: Variant) -> Iterator[NDArray[np.void]]:
@@ -150,9 +162,8 @@ def _observed(run: Run, config: RigConfig, variant: Variant) -> Iterator[NDArray
         frames: list[Frame | None] = [None] * len(config.cameras)
         for k in of_shot:
             t_ns = int(_nanoseconds(run.frames.time_s[k], clock))
-            image = cv2.imdecode(np.frombuffer(run.picture(k), np.uint8), cv2.IMREAD_UNCHANGED)
             truth_m = truth_mm[row] * 1e-3
-            frames[camera_of[run.frames.camera[k]]] = Frame(index, t_ns, np.asarray(image, np.uint8), truth_m)
+            frames[camera_of[run.frames.camera[k]]] = Frame(index, t_ns, _picture(run, k), truth_m)
         shot = FrameSet(index, tuple(frames))
         until = min(int(np.searchsorted(ticks_ns, shot.t_ns, side="left")) + 1, len(ticks_ns))
         dropped = 0 if before is None else index - before - 1

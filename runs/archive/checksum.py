@@ -43,9 +43,9 @@ class ChecksumPart:
         self.crc = zlib.crc32(data, self.crc)
 
 
-def kind_of(values: NDArray[np.generic] | h5py.Dataset) -> str:
+def kind_of(dtype: np.dtype[Any]) -> str:
     """Return the kind of numbers, whatever their order of bytes."""
-    return str(values.dtype.str[1:])
+    return str(dtype.str[1:])
 
 
 def little(values: NDArray[np.generic]) -> NDArray[np.generic]:
@@ -53,18 +53,23 @@ def little(values: NDArray[np.generic]) -> NDArray[np.generic]:
     return values.astype(values.dtype.newbyteorder("<"), copy=False)
 
 
-def of_file(file: h5py.File) -> Checksum:
-    """Return the digest of what an open archive holds, read some rows at a time."""
-    paths: list[str] = []
+def paths(file: h5py.File) -> list[str]:
+    """Return the paths of every dataset of an open file, in order."""
+    found: list[str] = []
 
     def visit(path: str, node: Any) -> None:
         if isinstance(node, h5py.Dataset):
-            paths.append(path)
+            found.append(path)
 
     file.visititems(visit)
+    return sorted(found)
+
+
+def of_file(file: h5py.File) -> Checksum:
+    """Return the digest of what an open archive holds, read some rows at a time."""
     whole = hashlib.sha256()
     parts: dict[str, int] = {}
-    for path in sorted(paths):
+    for path in paths(file):
         # One dataset is open at a time: each has a cache of its own.
         node = file[path]
         kind, pieces = _read(node)
@@ -86,7 +91,7 @@ def _read(node: h5py.Dataset) -> tuple[str, Iterator[Values]]:
         return "bytes", ([node[index].tobytes()] for index in range(len(node)))
     rows = node.chunks[0] if node.chunks else _ROWS
     pieces = (np.asarray(values) for values in _slices(node, node.shape, rows))
-    return kind_of(node), (little(values) for values in pieces)
+    return kind_of(node.dtype), (little(values) for values in pieces)
 
 
 def _slices(node: Any, shape: tuple[int, ...], rows: int = _ROWS) -> Iterator[Any]:

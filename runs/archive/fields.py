@@ -13,6 +13,13 @@ PA_PER_BAR = 1e5
 CHUNK_ROWS = 16384
 """Rows of a chunk of a dataset, and rows that are held at once."""
 
+LARGEST = 1e12
+"""Numbers are at most as large as this in their units, unless their field says otherwise; none is infinite."""
+LARGEST_S = 1e9
+"""The same of times in seconds: 30 years."""
+LARGEST_NS = 1 << 62
+"""The same of clocks in nanoseconds, so that a time can be added."""
+
 Value = NDArray[np.generic] | np.generic | str | int | float | list[str]
 
 
@@ -39,7 +46,11 @@ class Column:
 
 @dataclass(frozen=True)
 class Field:
-    """One dataset. `scales` names the dataset of the same group that labels each dimension."""
+    """One dataset. `scales` names the dataset of the same group that labels each dimension.
+
+    The last four are what a reader may rely on. `any_length`: a scale whose length is the run's own, as that of the
+    cameras' names. `finite`: no value is NaN. `limits`: smallest and largest value. `among`: all values that there are.
+    """
 
     name: str
     value: Value | Column
@@ -48,6 +59,10 @@ class Field:
     scales: tuple[str, ...] = ()
     source: str = ""
     uncertainty: float | None = None
+    any_length: bool = False
+    finite: bool = False
+    limits: tuple[float, float] | None = None
+    among: tuple[str | int, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -62,7 +77,7 @@ class Pictures:
 
 @dataclass(frozen=True)
 class Group:
-    """One group below the file's root."""
+    """One group below the file's root. `open`: the run names its fields, as it does the counters."""
 
     path: str
     nx_class: str
@@ -71,6 +86,7 @@ class Group:
     axes: tuple[str, ...] = ()
     about: str = ""
     default: str = ""
+    open: bool = False
 
 
 def named(fields: Iterable[Field]) -> tuple[Field, ...]:

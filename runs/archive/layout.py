@@ -13,7 +13,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runs.archive import provenance
-from runs.archive.fields import PA_PER_BAR, Column, Field, Group, Pictures, Table, named, pieces
+from runs.archive.fields import (
+    LARGEST,
+    LARGEST_NS,
+    LARGEST_S,
+    PA_PER_BAR,
+    Column,
+    Field,
+    Group,
+    Pictures,
+    Table,
+    named,
+    pieces,
+)
 from runs.journal.journal import Journal
 from runs.records import BACKBONE_POINTS, DetectionStatus, Event, Level, Status
 
@@ -21,9 +33,14 @@ VERSION = 1
 """Raised when a field moves or changes its meaning; readers refuse what is newer than they are."""
 
 MM_PER_M = 1e3
+MOST_CHANNELS = 4096
+"""Actuators, or valves, of the largest rig that an archive can be of."""
 UNITS = ("bar", "V", "mm", "mm2", "px", "us", "g", "N", "Nm")
 """Units that end the name of a column."""
 AXES = ("x", "y", "z")
+SECONDS = (-LARGEST_S, LARGEST_S)
+CLOCK = (0, LARGEST_NS)
+COUNT = (0, LARGEST)
 COVARIANCE = ("xx", "xy", "xz", "yy", "yz", "zz")
 _UPPER = (np.array([0, 0, 0, 1, 1, 2]), np.array([0, 1, 2, 1, 2, 2]))
 
@@ -91,12 +108,13 @@ def _seconds(journal: Journal, t_ns: NDArray[np.int64]) -> NDArray[np.float64]:
 
 
 def _time(journal: Journal, rows: Table, about: str) -> Field:
-    return Field("time", Column(rows, lambda r: _seconds(journal, r["t_ns"])), "s", f"{about}, since start_time")
+    seconds = Column(rows, lambda r: _seconds(journal, r["t_ns"]))
+    return Field("time", seconds, "s", f"{about}, since start_time", finite=True, limits=SECONDS)
 
 
 def _protocol_time(rows: Table) -> Field:
     about = "position in the protocol; stands still while the run waits for the operator"
-    return Field("protocol_time", _plain(rows, "protocol_s"), "s", about, ("time",))
+    return Field("protocol_time", _plain(rows, "protocol_s"), "s", about, ("time",), limits=SECONDS)
 
 
 def _scaled(rows: Table, name: str, factor: float) -> Column:
@@ -128,21 +146,26 @@ def _entry(journal: Journal) -> Group:
         Field("title", header.title),
         Field("start_time", utc(header.started_utc_ns)),
         Field("end_time", utc(header.started_utc_ns + end_ns - header.started_t_ns)),
-        Field("duration", (end_ns - header.started_t_ns) / 1e9, "s"),
+        Field("duration", (end_ns - header.started_t_ns) / 1e9, "s", finite=True, limits=SECONDS),
         Field("run_id", header.run_id),
-        Field("status", str(ended), about="finished, interrupted, aborted or recovered"),
+        Field("status", str(ended), about="finished, interrupted, aborted or recovered", among=tuple(Status)),
         Field("message", message, about="why the run ended as it did"),
-        Field("simulated", np.int8(header.simulated), about="1 where the card, the camera or the arm was simulated"),
+        Field(
+            "simulated",
+            np.int8(header.simulated),
+            about="1 where the card, the camera or the arm was simulated",
+            among=(0, 1),
+        ),
         Field("executor", header.executor),
         Field("parent", header.parent, about="run that this replay was made from; empty for a run"),
         Field("operator", header.operator),
         Field("notes", header.notes),
         Field("command", header.command, about="the command line"),
         Field("host", header.host),
-        Field("start_utc", np.int64(header.started_utc_ns), "ns", "start_time since 1970, exactly"),
-        Field("start_clock", np.int64(header.started_t_ns), "ns", "start_time on the run's own clock"),
-        Field("actuators", np.int32(header.actuators)),
-        Field("valves", np.int32(header.valves)),
+        Field("start_utc", np.int64(header.started_utc_ns), "ns", "start_time since 1970, exactly", limits=CLOCK),
+        Field("start_clock", np.int64(header.started_t_ns), "ns", "start_time on the run's own clock", limits=CLOCK),
+        Field("actuators", np.int32(header.actuators), limits=(0, MOST_CHANNELS)),
+        Field("valves", np.int32(header.valves), limits=(0, MOST_CHANNELS)),
     ]
     if header.seed is not None:
         fields.append(Field("seed", np.int64(header.seed), about="of everything random in the simulator"))
@@ -187,7 +210,7 @@ def _tip(journal: Journal) -> Group:
             Field("axis", list(AXES), about="of the rod-base frame"),
             Field("component", list(COVARIANCE)),
             Field("actuator", np.arange(1, journal.header.actuators + 1)),
-            Field("camera", list(journal.header.cameras), about="names in the rig's YAML"),
+            Field("camera", list(journal.header.cameras), about="names in the rig's YAML", any_length=True),
             _protocol_time(rows),
             Field(
                 "measured_mm",
@@ -224,12 +247,16 @@ def _tip(journal: Journal) -> Group:
                 per_axis,
             ),
             Field("pressure_bar", _in_bar(rows, "pressure_pa"), "bar", "given to the model", ("time", "actuator")),
-            Field("seen", _plain(rows, "seen"), about=seen, scales=by),
+            Field("seen", _plain(rows, "seen"), about=seen, scales=by, among=tuple(DetectionStatus)),
             Field("model_ok", _plain(rows, "model_ok"), about="0 where the model could not solve the step", scales=by),
             Field("age_us", _in_us(rows, "age_ns"), "us", "from exposure to result", by),
-            Field("dropped", _plain(rows, "dropped"), about="frames lost before this one", scales=by),
+            Field("dropped", _plain(rows, "dropped"), about="frames lost before this one", scales=by, limits=COUNT),
             Field(
-                "camera_seen", _plain(rows, "camera_seen"), about=f"by each camera: {seen}", scales=("time", "camera")
+                "camera_seen",
+                _plain(rows, "camera_seen"),
+                about=f"by each camera: {seen}",
+                scales=("time", "camera"),
+                among=tuple(DetectionStatus),
             ),
             Field(
                 "camera_skew_us", _scaled(rows, "camera_skew_s", 1e6), "us", "exposed after time", ("time", "camera")
@@ -253,7 +280,9 @@ def _adaptation(journal: Journal) -> Group | None:
         "NXdata",
         (
             _time(journal, rows, "middle of the exposure"),
-            Field("parameter", [q.name for q in adapted], about="what is estimated while the run goes on"),
+            Field(
+                "parameter", [q.name for q in adapted], about="what is estimated while the run goes on", any_length=True
+            ),
             Field("axis", list(AXES), about="of the rod-base frame"),
             Field("unit", [q.unit for q in adapted], about="of value, uncertainty and start", scales=by),
             Field("start", np.array([q.value[0] for q in adapted], float), about="value before the run", scales=by),
@@ -310,8 +339,8 @@ def _timing(journal: Journal) -> Group:
             _time(journal, rows, "when the newest scan of the tick was taken"),
             Field("lateness_us", _in_us(rows, "lateness_ns"), "us", "how late the control tick began", ("time",)),
             Field("overruns", _plain(rows, "missed"), about="deadlines missed since the last tick", scales=("time",)),
-            Field("dropped_frames", np.int64(dropped), about="camera frames lost"),
-            Field("ring_overflows", np.int64(overflows), about="rows lost in shared memory"),
+            Field("dropped_frames", np.int64(dropped), about="camera frames lost", limits=COUNT),
+            Field("ring_overflows", np.int64(overflows), about="rows lost in shared memory", limits=COUNT),
             Field("control_rate", journal.header.control_hz, "Hz", "asked for"),
             Field("camera_rate", journal.header.camera_hz, "Hz", "asked for"),
         ),
@@ -327,7 +356,9 @@ def _counted(journal: Journal) -> dict[str, int]:
 def _counters(journal: Journal) -> Group:
     counters = _counted(journal)
     fields = (Field(name, np.int64(count)) for name, count in sorted(counters.items()))
-    return Group("entry/timing/counters", "NXcollection", named(fields), about="as the executor counted them")
+    return Group(
+        "entry/timing/counters", "NXcollection", named(fields), about="as the executor counted them", open=True
+    )
 
 
 def _frames(journal: Journal) -> Group:
@@ -348,7 +379,7 @@ def _frames(journal: Journal) -> Group:
         "entry/frames",
         "NXcollection",
         (
-            Field("time", seconds, "s", "middle of the exposure, since start_time"),
+            Field("time", seconds, "s", "middle of the exposure, since start_time", finite=True, limits=SECONDS),
             Field("index", index, about="as tip/frame", scales=by),
             Field("camera", Column(pictures, lambda some: [p.camera for p in some]), scales=by),
             Field(
@@ -361,8 +392,8 @@ def _frames(journal: Journal) -> Group:
                 "the encoded picture, byte for byte",
             ),
             Field("pixel", ["u", "v"], about="to the right, down; 0 in the middle of the first pixel"),
-            Field("corner", np.arange(1, pictures.corners + 1), about="of the board, row by row"),
-            Field("point", np.arange(1, pictures.backbone + 1), about="from the base to the tip"),
+            Field("corner", np.arange(1, pictures.corners + 1), about="of the board, row by row", any_length=True),
+            Field("point", np.arange(1, pictures.backbone + 1), about="from the base to the tip", any_length=True),
             Field(
                 "corners_px",
                 points("corners_px", pictures.corners),
@@ -411,8 +442,22 @@ def _events(journal: Journal) -> Group:
         "entry/events",
         "NXcollection",
         (
-            Field("time", seconds, "s", "when it happened, since start_time"),
-            Field("level", [str(e.level) for e in events], about="info, warning or fault", scales=by),
+            Field(
+                "time",
+                seconds,
+                "s",
+                "when it happened, since start_time",
+                any_length=True,
+                finite=True,
+                limits=SECONDS,
+            ),
+            Field(
+                "level",
+                [str(e.level) for e in events],
+                about="info, warning or fault",
+                scales=by,
+                among=tuple(Level),
+            ),
             Field("source", [e.source for e in events], scales=by),
             Field("message", [e.message for e in events], scales=by),
         ),

@@ -24,7 +24,12 @@ def protocol(journal: Journal) -> Group:
         (
             Field("name", header.protocol_name),
             Field("yaml", header.protocol_yaml, about="the protocol, verbatim"),
-            Field("segment", np.arange(1, len(intervals) + 1), about="number of the segment, in the order played"),
+            Field(
+                "segment",
+                np.arange(1, len(intervals) + 1),
+                about="number of the segment, in the order played",
+                any_length=True,
+            ),
             Field("actuator", np.arange(1, header.actuators + 1)),
             Field("start", np.array([i.start_s for i in intervals], float), "s", "in protocol time", by),
             Field("stop", np.array([i.stop_s for i in intervals], float), "s", "in protocol time", by),
@@ -59,7 +64,7 @@ def protocol_files(journal: Journal) -> Group | None:
         "entry/protocol_files",
         "NXcollection",
         (
-            Field("name", [f.name for f in files], about="as the protocol names it"),
+            Field("name", [f.name for f in files], about="as the protocol names it", any_length=True),
             Field("kind", [f.kind for f in files], scales=by),
             Field("sha256", [f.sha256 for f in files], about="of the text", scales=by),
             Field("text", [f.text for f in files], about="verbatim", scales=by),
@@ -78,7 +83,7 @@ def sources(journal: Journal) -> Group | None:
         "entry/calibration_files",
         "NXcollection",
         (
-            Field("name", [f.name for f in files]),
+            Field("name", [f.name for f in files], any_length=True),
             Field("kind", [f.kind for f in files], about="rig, camera, dlt, tool or pressure", scales=by),
             Field("sha256", [f.sha256 for f in files], about="of the text", scales=by),
             Field("yaml", [f.text for f in files], about="verbatim", scales=by),
@@ -90,7 +95,9 @@ def sources(journal: Journal) -> Group | None:
 def versions(journal: Journal) -> Group:
     """Of the program, its libraries and the system."""
     fields = (Field(name, version) for name, version in sorted(journal.header.versions.items()))
-    return Group("entry/versions", "NXcollection", named(fields), about="of the program, its libraries and the system")
+    return Group(
+        "entry/versions", "NXcollection", named(fields), about="of the program, its libraries and the system", open=True
+    )
 
 
 def git(journal: Journal) -> Group:
@@ -109,7 +116,7 @@ def quantities(journal: Journal, room: str, about: str) -> Group:
     lengths = sorted({len(q.value) for q in numbers if isinstance(q.value, np.ndarray)})
     scales = [Field(f"component_{n}", np.arange(1, n + 1), about=f"labels vectors of {n}") for n in lengths]
     fields = variant + scales + numbers
-    return Group(f"entry/{room}", "NXcollection", named(fields), about=about)
+    return Group(f"entry/{room}", "NXcollection", named(fields), about=about, open=True)
 
 
 def _number(quantity: Quantity) -> Field:

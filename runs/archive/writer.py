@@ -20,6 +20,8 @@ import h5py
 import numpy as np
 
 from runs.archive import checksum, layout
+from runs.archive.checked import ArchiveError as ArchiveError
+from runs.archive.checked import content_sha256, digest_of
 from runs.archive.fields import CHUNK_ROWS, Column, Field, Group, Pictures, Table, pieces
 from runs.journal import journal
 from runs.journal.append_only_file import ARCHIVE_TO_JOURNAL, NO_ROOM, JournalError
@@ -29,10 +31,6 @@ PART = ".h5.part"
 """End of the name while the archive is being written."""
 _MARGIN_BYTES = 4 << 20
 _SMALLEST_COMPRESSED = 512
-
-
-class ArchiveError(Exception):
-    """The archive could not be written or is not one; the message says why. The journal is as it was."""
 
 
 class StillWrittenError(ArchiveError):
@@ -95,12 +93,8 @@ def held(source: Path) -> Iterator[None]:
 
 
 def verify(path: Path | str) -> bool:
-    """Tell whether the content of an archive is what its own SHA-256 says."""
-    try:
-        with h5py.File(path, "r") as file:
-            return bool(checksum.of_file(file).sha256 == file.attrs["content_sha256"])
-    except (OSError, KeyError, ValueError, RuntimeError) as fault:
-        raise ArchiveError(f"{path} is not an archive that can be read: {fault}") from fault
+    """Tell whether the content of an archive is what its own SHA-256 says; `ArchiveError` where it cannot be read."""
+    return digest_of(path) == content_sha256(path)
 
 
 def _take_room(part: Path, size: int) -> None:
@@ -171,7 +165,7 @@ class _Dataset:
                 self._kind, kind = "str", h5py.string_dtype()
             else:
                 numbers = np.asarray(now)
-                self._kind, kind = checksum.kind_of(numbers), numbers.dtype
+                self._kind, kind = checksum.kind_of(numbers.dtype), numbers.dtype
                 shape = (*shape[:1], *numbers.shape[1:])
                 storage = _storage(shape, kind.itemsize)
         self._node = node.create_dataset(item.name, shape, kind, **storage)

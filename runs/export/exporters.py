@@ -9,15 +9,17 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path, PurePath
 from typing import Any
 
-import h5py
 import numpy as np
 
 from runs.archive import layout
-from runs.archive.writer import ArchiveError
+from runs.archive.checked import ArchiveError, opened
+from runs.archive.schema import BYTES
 from runs.overwriting import staged
 from runs.run import Run
 from runs.table import TABLES, segments, table
 
+_FORMULAS = ("=", "+", "-", "@", "\t", "\r", "\n")
+"""Begin what a spreadsheet evaluates; the last three it leaves out and looks at what comes next."""
 SIMULATED = "simulated"
 """Column of every CSV: 1 where card, camera or arm was simulated, else 0."""
 
@@ -57,15 +59,17 @@ def _csv(source: Path, stem: Path) -> tuple[Path, ...]:
     others', and every reader takes it.
     """
     written = []
-    with h5py.File(source, "r") as file:
-        simulated = int(file["entry/simulated"][()])
-    for group, columns in (*((group, table(source, group)) for group in TABLES), ("segments", segments(source))):
+    with opened(source) as archive:
+        simulated = int(archive.value("entry/simulated"))
+    # All is read before anything is written: a damaged archive leaves no half of its tables.
+    tables = [*((group, table(source, group)) for group in TABLES), ("segments", segments(source))]
+    for group, columns in tables:
         if not columns:
             continue
         path = stem.with_name(f"{stem.name}-{group}.csv")
         with path.open("w", newline="", encoding="utf-8") as file:
             lines = csv.writer(file)
-            lines.writerow([*columns, SIMULATED])
+            lines.writerow([*map(_plain_text, columns), SIMULATED])
             rows = zip(*(_cells(column) for column in columns.values()), strict=True)
             lines.writerows((*row, simulated) for row in rows)
         written.append(path)
@@ -75,7 +79,14 @@ def _csv(source: Path, stem: Path) -> tuple[Path, ...]:
 def _cells(column: np.ndarray[Any, Any]) -> list[Any]:
     if column.dtype.kind == "f":
         return ["" if value != value else repr(value) for value in column.tolist()]
+    if column.dtype.kind == "O":
+        return [_plain_text(value) for value in column.tolist()]
     return list(column.tolist())
+
+
+def _plain_text(text: str) -> str:
+    """Return a text that no spreadsheet takes for a formula, as OWASP advises: with an apostrophe before it."""
+    return f"'{text}" if text.startswith(_FORMULAS) else text
 
 
 def _mat(source: Path, stem: Path) -> tuple[Path, ...]:
@@ -83,8 +94,7 @@ def _mat(source: Path, stem: Path) -> tuple[Path, ...]:
     from scipy.io import savemat
 
     path = stem.with_name(f"{stem.name}.mat")
-    with h5py.File(source, "r") as file:
-        content = _struct(file["entry"])
+    content = _struct(source)
     try:
         with path.open("wb") as target:
             savemat(target, {"run": content}, long_field_names=True, do_compression=True, oned_as="column")
@@ -94,16 +104,22 @@ def _mat(source: Path, stem: Path) -> tuple[Path, ...]:
     return (path,)
 
 
-def _struct(group: h5py.Group) -> dict[str, Any]:
-    content: dict[str, Any] = {}
-    for name, node in group.items():
-        if isinstance(node, h5py.Group):
-            content[_identifier(name, content)] = _struct(node)
-        elif h5py.check_string_dtype(node.dtype):
-            content[_identifier(name, content)] = node.asstr()[()]
-        elif not h5py.check_vlen_dtype(node.dtype):
-            content[_identifier(name, content)] = node[()]
-    return content
+def _struct(source: Path) -> dict[str, Any]:
+    """Return the archive as a struct of structs; without the pictures, which MATLAB's format has no type for."""
+    entry: dict[str, Any] = {}
+    with opened(source) as archive:
+        for group in archive.groups():
+            content = entry
+            for name in group.split("/")[1:]:
+                content = content.setdefault(_identifier(name, {}), {})
+            for name, field in archive.fields(group).items():
+                if field.kind == BYTES:
+                    continue
+                value = archive.value(field.path)
+                content[_identifier(name, content)] = (
+                    np.array(value, dtype=object) if isinstance(value, list) else value
+                )
+    return entry
 
 
 def _identifier(name: str, taken: Mapping[str, Any]) -> str:

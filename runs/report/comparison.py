@@ -12,7 +12,8 @@ from matplotlib.figure import Figure
 
 from runs.report.colours import RUNS
 from runs.report.figure_specifications import FigureSpecification
-from runs.report.figures import POINTS, across, legend, svg, thin
+from runs.report.figures import across, legend, strided, svg, thin
+from runs.report.gaps import tip_with_gaps
 from runs.report.numbers import plain, three
 from runs.run import Run
 from runs.summary import Summary
@@ -131,12 +132,13 @@ def tips(figure: Figure, runs: Sequence[Run], summaries: Sequence[Summary]) -> N
     for run, summary, colour, style in _coloured(runs, summaries):
         project, name = across(run, summary)
         names.add(name)
-        every = max(len(run.tip.time_s) // (4 * POINTS), 1)
+        tip, _ = tip_with_gaps(run.tip)
+        measured, model = (points[strided(points)] for points in (tip.measured_mm, tip.model_mm))
         if summary.frames_measured:
-            axes.plot(*project(run.tip.measured_mm[::every]).T, color=colour, ls=style, lw=1.2, label=run.header.run_id)
+            axes.plot(*project(measured).T, color=colour, ls=style, lw=1.2, label=run.header.run_id)
         else:
             axes.plot([], [], color=colour, ls=style, label=run.header.run_id)
-        axes.plot(*project(run.tip.model_mm[::every]).T, color=colour, lw=0.9, ls=":")
+        axes.plot(*project(model).T, color=colour, lw=0.9, ls=":")
     axes.set_aspect("equal", adjustable="datalim")
     axes.invert_yaxis()
     axes.set_xlabel(f"{' / '.join(sorted(names))} [mm]")
@@ -149,7 +151,8 @@ def errors(figure: Figure, runs: Sequence[Run], summaries: Sequence[Summary]) ->
     axes = figure.subplots()
     for run, summary, colour, style in _coloured(runs, summaries):
         if summary.frames_measured:
-            line = thin(run.tip.protocol_s, run.tip.error_mm)
+            tip, _ = tip_with_gaps(run.tip)
+            line = thin(tip.protocol_s, tip.error_mm)
             axes.plot(*line, color=colour, ls=style, lw=1.0, label=run.header.run_id)
     axes.set_xlabel("protocol time [s]")
     axes.set_ylabel("error [mm]")

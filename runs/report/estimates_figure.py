@@ -9,6 +9,7 @@ from matplotlib.figure import Figure
 
 from runs.report import figures
 from runs.report.colours import INK, MEASURED, MUTED
+from runs.report.gaps import tip_with_gaps, with_gaps
 from runs.run import Adaptation, Run
 from runs.summary import Z_95, Summary
 
@@ -28,12 +29,13 @@ def draw(figure: Figure, run: Run, summary: Summary) -> None:
     grid = figure.add_gridspec(1 + rows, COLUMNS)
     above = figure.add_subplot(grid[0, :])
     # A run that was cut off may have a frame without what it taught.
+    tip, gaps = tip_with_gaps(run.tip)
     _, of_tip, of_estimate = np.intersect1d(run.tip.frame, a.frame, return_indices=True)
-    without = np.linalg.norm(run.tip.measured_mm[of_tip] - a.start_model_mm[of_estimate], axis=1)
-    above.plot(
-        *figures.thin(run.tip.time_s[of_tip], without), color=MUTED, lw=0.9, label="with the parameters as they were"
-    )
-    above.plot(*figures.thin(run.tip.time_s, run.tip.error_mm), color=MEASURED, lw=1.0, label="live error")
+    start_mm = np.full_like(run.tip.measured_mm, np.nan)
+    start_mm[of_tip] = a.start_model_mm[of_estimate]
+    without = np.linalg.norm(tip.measured_mm - with_gaps(start_mm, gaps), axis=1)
+    above.plot(*figures.thin(tip.time_s, without), color=MUTED, lw=0.9, label="with the parameters as they were")
+    above.plot(*figures.thin(tip.time_s, tip.error_mm), color=MEASURED, lw=1.0, label="live error")
     above.set_ylabel("error [mm]")
     above.set_ylim(bottom=0)
     above.margins(x=0.01)
@@ -45,7 +47,7 @@ def draw(figure: Figure, run: Run, summary: Summary) -> None:
         panel.axhline(a.start[k], color=INK, lw=0.8, ls=(0, (4, 2)))
         panel.fill_between(time, value - half, value + half, color=MEASURED, alpha=0.2, lw=0)
         panel.plot(time, value, color=MEASURED)
-        panel.set_title(f"{name} [{unit}]", fontsize=8.5)
+        panel.set_title(f"{name} [{unit}]", fontsize=8.5, parse_math=False)
         panel.margins(x=0.01)
         panel.ticklabel_format(axis="y", style="sci", scilimits=(-2, 4), useMathText=True)
         panel.yaxis.get_offset_text().set_fontsize(7.5)

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from runs.records import DetectionStatus
 from runs.report.colours import ACTUATORS, INK, MEASURED, MODEL, MUTED, RULE, TRUTH
+from runs.report.gaps import pressure_with_gaps, tip_with_gaps, with_gaps
 from runs.run import Pressure, Run
 from runs.summary import BAND_BAR, MOVED_MM, Z_95, StepSummary, Summary, in_plane, rest_mm, settled_steps
 
@@ -120,7 +121,7 @@ def panels(figure: Figure, rows: int = 1, columns: int = 1, **options: Any) -> N
 
 def pressures(figure: Figure, run: Run, summary: Summary) -> None:
     """Pressures against their set-points, and the difference; without set-points the pressures alone."""
-    p = run.pressure
+    p = pressure_with_gaps(run.pressure)
     if len(p.time_s) and not np.isfinite(p.setpoint_bar).any():
         alone = panels(figure)[0, 0]
         _measured_pressures(alone, p)
@@ -134,7 +135,7 @@ def pressures(figure: Figure, run: Run, summary: Summary) -> None:
     _measured_pressures(above, p)
     columns = p.setpoint_bar.T
     for i, row in enumerate(columns):
-        if any(np.array_equal(row, other) for other in columns[:i]):
+        if any(np.array_equal(row, other, equal_nan=True) for other in columns[:i]):
             continue
         above.plot(*thin(p.time_s, row), color=INK, lw=0.8, ls=(0, (4, 2)))
     above.plot([], [], color=INK, lw=0.8, ls=(0, (4, 2)), label="set-point")
@@ -194,10 +195,11 @@ def around(figure: Figure, run: Run, summary: Summary) -> None:
 
 
 def _paths(axes: Axes, run: Run, summary: Summary, project: Callable[[Floats], Floats]) -> None:
-    every = max(len(run.tip.time_s) // (4 * POINTS), 1)
-    measured, model = project(run.tip.measured_mm[::every]), project(run.tip.model_mm[::every])
+    tip, gaps = tip_with_gaps(run.tip)
+    measured, model = (project(points[strided(points)]) for points in (tip.measured_mm, tip.model_mm))
     if run.simulated is not None:
-        truth = project(run.simulated.tip_mm[::every])
+        points = with_gaps(run.simulated.tip_mm, gaps)
+        truth = project(points[strided(points)])
         axes.plot(*truth.T, color=TRUTH, lw=0.9, label="simulated truth")
     if summary.frames_measured:
         axes.plot(*measured.T, color=MEASURED, lw=0.9, label="measured, every frame")
@@ -316,7 +318,7 @@ def steps(figure: Figure, run: Run, summary: Summary) -> None:
 
 def coordinates(figure: Figure, run: Run, summary: Summary) -> None:
     """The tip over time with the measurement's 95 % band (the paper's Fig 14)."""
-    tip = run.tip
+    tip, _ = tip_with_gaps(run.tip)
     axes = panels(figure, 3)[:, 0]
     for i, (axis, panel) in enumerate(zip("xyz", axes, strict=True)):
         if summary.frames_measured:
@@ -334,7 +336,7 @@ def coordinates(figure: Figure, run: Run, summary: Summary) -> None:
 
 def error(figure: Figure, run: Run, summary: Summary) -> None:
     """Error over time; for a simulated run also measured and model against the truth."""
-    tip = run.tip
+    tip, gaps = tip_with_gaps(run.tip)
     measured = tip.seen == DetectionStatus.MEASURED
     stacked = panels(figure, 2 if run.simulated is not None else 1)[:, 0]
     above = stacked[0]
@@ -349,7 +351,7 @@ def error(figure: Figure, run: Run, summary: Summary) -> None:
     legend(above)
     if run.simulated is not None:
         below = stacked[1]
-        truth = run.simulated.tip_mm
+        truth = with_gaps(run.simulated.tip_mm, gaps)
         sigma = Z_95 * np.sqrt((tip.uncertainty_mm**2).sum(axis=1))
         band = thin(tip.time_s, sigma)
         below.fill_between(*band, color=MEASURED, alpha=0.18, lw=0, label="stated 95 %, all axes")
@@ -428,8 +430,15 @@ def thin(x: Floats, y: Floats) -> tuple[Floats, Floats]:
     return x[index], y[index]
 
 
+def strided(points: Floats) -> NDArray[np.intp]:
+    """Return which points (n, d) of a path are drawn: evenly chosen ones, and every gap."""
+    chosen: NDArray[np.bool_] = np.asarray(~np.isfinite(points).all(axis=1))
+    chosen[:: max(len(points) // (4 * POINTS), 1)] = True
+    return np.flatnonzero(chosen)
+
+
 def kept(y: Floats) -> NDArray[np.intp]:
-    """Return which points of a line are drawn: all of a short one, else the extremes of each stretch."""
+    """Return which points of a line are drawn: all of a short one, else the extremes and a gap of each stretch."""
     stretch = len(y) // POINTS * 2
     if stretch < 4:
         return np.arange(len(y))
@@ -438,7 +447,9 @@ def kept(y: Floats) -> NDArray[np.intp]:
     first = np.arange(0, whole, stretch)
     lowest = np.where(np.isnan(blocks), np.inf, blocks).argmin(axis=1)
     highest = np.where(np.isnan(blocks), -np.inf, blocks).argmax(axis=1)
-    return np.append(np.unique(np.column_stack((first, first + lowest, first + highest))), len(y) - 1)
+    # Where nothing is missing this is the first point again.
+    missing = np.isnan(blocks).argmax(axis=1)
+    return np.append(np.unique(np.column_stack((first, first + lowest, first + highest, first + missing))), len(y) - 1)
 
 
 def legend(axes: Axes, columns: int = 6) -> None:
@@ -447,7 +458,7 @@ def legend(axes: Axes, columns: int = 6) -> None:
         return
     # More columns than usual must share the width: the room above is that of one row.
     beside = 1.4 * min(1.0, 6 / columns) ** 2
-    axes.legend(
+    names = axes.legend(
         loc="lower left",
         bbox_to_anchor=(0, 1.0),
         ncols=columns,
@@ -455,6 +466,8 @@ def legend(axes: Axes, columns: int = 6) -> None:
         columnspacing=beside,
         handlelength=2.0 * min(1.0, 6 / columns),
     )
+    for name in names.get_texts():
+        name.set_parse_math(False)  # a dollar in the name of a run begins no formula
 
 
 def _nothing(*panels: Axes) -> None:

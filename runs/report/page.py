@@ -125,7 +125,10 @@ def _tiles(s: Summary) -> str:
             "control deadlines missed",
         ),
         (with_unit(s.lateness_p99_us or math.nan, "us", 1), "lateness, 99 % of the ticks below"),
-        (with_unit(100 * s.measured_fraction, "%", 1), f"frames measured of {s.frames}; {s.frames_dropped} dropped"),
+        (
+            with_unit(100 * s.measured_fraction, "%", 1),
+            f"frames measured of {s.frames_expected} expected; {s.frames_dropped} dropped",
+        ),
     ]
     if s.truth is not None:
         tiles += [

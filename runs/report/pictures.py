@@ -125,7 +125,7 @@ def grid(figure: Figure, run: Run, summary: Summary) -> None:
         panel.plot(*frames.model_px[k], "x", ms=5, mew=1.4, color=MODEL, path_effects=edge)
         panel.set_xlim(part.left - 0.5, part.left + part.width - 0.5)
         panel.set_ylim(part.top + part.height - 0.5, part.top - 0.5)
-        panel.set_title("\n".join(textwrap.wrap(caption(run, moment), 42)), fontsize=7.5)
+        panel.set_title("\n".join(textwrap.wrap(caption(run, moment), 42)), fontsize=7.5, parse_math=False)
 
 
 def grid_size(run: Run, summary: Summary) -> tuple[float, float]:
@@ -136,7 +136,9 @@ def grid_size(run: Run, summary: Summary) -> tuple[float, float]:
 
 def decoded(run: Run, k: int) -> NDArray[np.uint8]:
     """Return the k-th kept picture (height, width) grey or (height, width, 3) RGB."""
-    image = cv2.imdecode(np.frombuffer(run.picture(k), np.uint8), cv2.IMREAD_UNCHANGED)
+    data = np.frombuffer(run.picture(k), np.uint8)
+    # OpenCV raises where there are no bytes, and returns nothing where they are no picture.
+    image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if len(data) else None
     if image is None:
         return np.zeros((1, 1), np.uint8)
     plain_image = np.asarray(image, np.uint8)

@@ -93,6 +93,39 @@ def test_an_index_with_odd_entries_heals(folder: Path) -> None:
     assert catalogue(folder) == right
 
 
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [
+        ("title", 7),
+        ("start_time", None),
+        ("duration_s", "long"),
+        ("simulated", "no"),
+        ("frames", 1.5),
+        ("mean_error_mm", "small"),
+        ("operator", ["a"]),
+        ("problem", {}),
+        ("file", "second.h5"),
+        ("notes", "\ud800"),
+    ],
+)
+def test_an_index_with_values_of_another_type_heals(folder: Path, field: str, value: object) -> None:
+    right = catalogue(folder)
+    index = json.loads((folder / INDEX).read_text())
+    index["files"]["first.h5"][2][field] = value
+    (folder / INDEX).write_text(json.dumps(index))
+    assert catalogue(folder) == right
+    assert json.loads((folder / INDEX).read_text())["files"]["first.h5"][2][field] != value
+
+
+@pytest.mark.parametrize("entry", [None, 3, [], [1, 2], [1, 2, None], ["a", {}, {}], {"a": 1}])
+def test_an_index_with_entries_of_another_shape_heals(folder: Path, entry: object) -> None:
+    right = catalogue(folder)
+    index = json.loads((folder / INDEX).read_text())
+    index["files"]["first.h5"] = entry
+    (folder / INDEX).write_text(json.dumps(index))
+    assert catalogue(folder) == right
+
+
 def test_a_folder_that_cannot_be_written_is_listed_all_the_same(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse(*_: object, **__: object) -> int:
         raise PermissionError(13, "Permission denied")

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import cv2
+import h5py
 import numpy as np
 import pytest
 
@@ -16,6 +18,7 @@ from rig.config.optics import board_of
 from rig.experiment import run as experiment
 from rig.experiment.replay import replay
 from rig.observation.overlay import OverlayProjector
+from runs.archive.writer import ArchiveError
 from runs.run import Run
 from tests.rig.virtual.test_run import Silent, protocol_file
 
@@ -108,3 +111,24 @@ def test_another_variant_moves_the_model_and_not_the_measurement(lossless: Run, 
     assert again.header.model_variant == "homogeneous"
     np.testing.assert_allclose(again.tip.measured_mm, lossless.tip.measured_mm, atol=1e-9)
     assert np.abs(again.tip.model_mm - lossless.tip.model_mm).max() > 1.0
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "said"),
+    [
+        ("entry/model/variant", "rigid", r"entry/model/variant: found 'rigid', expected one of"),
+        ("entry/frames/image", b"", r"entry/frames/image\[0\]: found 0 bytes, expected a JPEG or PNG"),
+        ("entry/frames/image", b"no picture", r"entry/frames/image\[0\]: found 10 bytes, expected a JPEG or PNG"),
+    ],
+)
+def test_what_cannot_be_replayed_is_named(
+    lossless: Run, tmp_path: Path, path: str, value: str | bytes, said: str
+) -> None:
+    copy = Path(shutil.copy(lossless.path, tmp_path / "copy.h5"))
+    with h5py.File(copy, "r+") as file:
+        if isinstance(value, bytes):
+            file[path][0] = np.frombuffer(value, np.uint8)
+        else:
+            file[path][()] = value
+    with pytest.raises(ArchiveError, match=rf"copy\.h5: {said}"):
+        replay(Run(copy), tmp_path)

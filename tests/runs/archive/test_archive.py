@@ -336,8 +336,8 @@ def test_a_field_that_is_missing_is_named(path: Path, tmp_path: Path) -> None:
     copy = Path(shutil.copy(path, tmp_path / "copy.h5"))
     with h5py.File(copy, "r+") as file:
         del file["entry/tip/model_mm"]
-    with pytest.raises(ArchiveError, match="entry/tip has no model_mm"):
-        runs.open(copy).tip  # noqa: B018
+    with pytest.raises(ArchiveError, match=r"copy\.h5: entry/tip/model_mm: found nothing, expected 64-bit floats"):
+        runs.open(copy)
 
 
 def test_an_archive_damaged_on_the_disk_is_refused_in_one_sentence(path: Path, tmp_path: Path) -> None:
@@ -347,9 +347,9 @@ def test_an_archive_damaged_on_the_disk_is_refused_in_one_sentence(path: Path, t
     with copy.open("r+b") as file:
         file.seek(chunk.byte_offset + 20)
         file.write(bytes(200))
-    with pytest.raises(ArchiveError, match="cannot read entry/tip"):
+    with pytest.raises(ArchiveError, match=r"copy\.h5: entry/tip/model_mm: cannot be read"):
         runs.open(copy).tip  # noqa: B018
-    with pytest.raises(ArchiveError, match="not an archive that can be read"):
+    with pytest.raises(ArchiveError, match=r"copy\.h5: cannot be read"):
         verify(copy)
 
 
@@ -357,7 +357,7 @@ def test_a_newer_layout_is_refused(path: Path, tmp_path: Path) -> None:
     copy = Path(shutil.copy(path, tmp_path / "copy.h5"))
     with h5py.File(copy, "r+") as file:
         file.attrs["layout_version"] = layout.VERSION + 1
-    with pytest.raises(ArchiveError, match="knows up to"):
+    with pytest.raises(ArchiveError, match="found layout 2, expected at most 1: a newer softrig made it"):
         runs.open(copy)
 
 

@@ -1,0 +1,204 @@
+"""What an archive must hold, derived from the layout that archives are written by.
+
+The layout is asked for the groups of two made-up journals: one that has everything, and one that has only what every
+run has. What both have is required; what only the first has may be missing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from functools import cache
+from typing import Any
+
+import h5py
+import numpy as np
+
+from runs.archive import checksum, layout
+from runs.archive.fields import LARGEST, Column, Field, Group, Pictures
+from runs.journal.journal import Journal
+from runs.journal.stored_rows import Index, StoredPictures, StoredRows
+from runs.records import (
+    Interval,
+    Quantity,
+    RunFooter,
+    RunHeader,
+    SourceFile,
+    Status,
+    adaptation_dtype,
+    observation_dtype,
+    sample_dtype,
+)
+
+TEXT, BYTES = "text", "bytes"
+_NAMES = {"f4": "32-bit floats", "f8": "64-bit floats", TEXT: "text", BYTES: "bytes, each row of its own length"}
+
+Dimension = int | str
+"""A fixed length, or the path of the dataset whose length it is."""
+
+
+@dataclass(frozen=True)
+class Expected:
+    """One dataset: `kind` is that of its numbers as `digest.kind_of` has it, `TEXT` or `BYTES`."""
+
+    path: str
+    kind: str
+    dimensions: tuple[Dimension, ...]
+    required: bool
+    units: str = ""
+    scales: tuple[str, ...] = ()
+    finite: bool = False
+    limits: tuple[float, float] | None = None
+    among: tuple[str | int, ...] = ()
+
+    @property
+    def name(self) -> str:
+        """Name in its group."""
+        return self.path.rpartition("/")[2]
+
+
+@dataclass(frozen=True)
+class GroupSchema:
+    """One group: its datasets by name and, where the run names them, what each other one may be like."""
+
+    path: str
+    required: bool
+    datasets: Mapping[str, Expected]
+    alike: tuple[Expected, ...] = field(default=())
+
+
+def kind_of(dtype: Any) -> str:
+    """Return the kind of a dataset by its dtype: that of numbers, `TEXT` or `BYTES`; empty for any other."""
+    if (text := h5py.check_string_dtype(dtype)) is not None:
+        return TEXT if text.length is None else ""
+    if (base := h5py.check_vlen_dtype(dtype)) is not None:
+        return BYTES if base == np.uint8 else ""
+    return checksum.kind_of(dtype) if dtype.kind in "iuf" and dtype.subdtype is None else ""
+
+
+def name_of(kind: str) -> str:
+    """Return a kind in words."""
+    return _NAMES.get(kind, f"{8 * int(kind[1:])}-bit integers" if kind[:1] in ("i", "u") else kind)
+
+
+@cache
+def schema(actuators: int, valves: int) -> tuple[GroupSchema, ...]:
+    """Return every group that the archive of a rig with so many actuators and valves can have, outer ones first."""
+    everything = layout.groups(_journal(actuators, valves, everything=True))
+    least = {group.path: group for group in layout.groups(_journal(actuators, valves, everything=False))}
+    first_of: dict[int, str] = {}
+    return tuple(sorted((_group(group, least.get(group.path), first_of) for group in everything), key=_depth))
+
+
+def _depth(group: GroupSchema) -> int:
+    return group.path.count("/")
+
+
+def _group(group: Group, least: Group | None, first_of: dict[int, str]) -> GroupSchema:
+    always = {item.name for item in least.fields} if least is not None else set()
+    known = {
+        one.name: one
+        for one in _datasets(group, always if least is not None else {i.name for i in group.fields}, first_of)
+    }
+    if not group.open:
+        return GroupSchema(group.path, least is not None, known)
+    alike = tuple(one for one in known.values() if one.name not in always)
+    return GroupSchema(group.path, least is not None, {n: one for n, one in known.items() if n in always}, alike)
+
+
+def _datasets(group: Group, required: set[str], first_of: dict[int, str]) -> Iterator[Expected]:
+    """Go through the datasets of a group; `first_of` has, for each table, the path of a dataset with its rows."""
+    own: dict[str, Dimension] = {}
+    for item in group.fields:
+        path = f"{group.path}/{item.name}"
+        value = item.data if isinstance(item, Pictures) else item.value
+        if isinstance(value, Column):
+            own[item.name] = first_of.setdefault(id(value.table), path)
+        elif np.ndim(value):
+            own[item.name] = path if group.open or _any_length(item) else len(np.asarray(value))
+    for item in group.fields:
+        path = f"{group.path}/{item.name}"
+        names = item.scales or ((item.name,) if item.name in own else ())
+        dimensions = tuple(own[name] if not group.open else own[item.name] for name in names)
+        if isinstance(item, Pictures):
+            yield Expected(path, BYTES, dimensions, item.name in required, scales=item.scales)
+            continue
+        kind = _kind(item)
+        limits = item.limits or ((-LARGEST, LARGEST) if kind[0] == "f" and not group.open else None)
+        fixed = dimensions and isinstance(dimensions[0], int) and kind[0] != "f"
+        yield Expected(
+            path=path,
+            kind=kind,
+            dimensions=dimensions,
+            required=item.name in required,
+            units=item.units,
+            scales=item.scales,
+            finite=item.finite,
+            limits=limits,
+            among=tuple(item.value) if fixed and isinstance(item.value, list | np.ndarray) else item.among,
+        )
+
+
+def _any_length(item: Field | Pictures) -> bool:
+    return isinstance(item, Field) and item.any_length
+
+
+def _kind(item: Field) -> str:
+    value: Any = item.value.of(item.value.table[:0]) if isinstance(item.value, Column) else item.value
+    return TEXT if isinstance(value, str | list) else checksum.kind_of(np.asarray(value).dtype)
+
+
+def _journal(actuators: int, valves: int, *, everything: bool) -> Journal:
+    """Return a journal that gives an archive all of its groups and fields, or only those that every archive has."""
+    adapted = (Quantity("adaptation", "parameter", (0.0,), "", "", 0.0),)
+    files = (SourceFile.of("file", "kind", ""),)
+    quantities = tuple(
+        Quantity(room, name, value, "", "") for room in ("calibration", "model") for name, value in _QUANTITIES.items()
+    )
+    header = RunHeader(
+        run_id="",
+        title="",
+        started_utc_ns=0,
+        started_t_ns=0,
+        protocol_name="",
+        protocol_yaml="",
+        rig_name="",
+        rig_yaml="",
+        actuators=actuators,
+        valves=valves,
+        executor="",
+        simulated=everything,
+        seed=0 if everything else None,
+        model_variant="",
+        operator="",
+        notes="",
+        command="",
+        host="",
+        versions={"library": ""} if everything else {},
+        intervals=(Interval(0.0, 0.0, "", "", ()),),
+        quantities=quantities if everything else (),
+        protocol_files=files if everything else (),
+        sources=files if everything else (),
+        adapted=adapted if everything else (),
+    )
+    rows = 1 if everything else 0
+    return Journal(
+        header=header,
+        footer=RunFooter(0, Status.FINISHED, "", {"counter": 0} if everything else {}),
+        samples=_rows(sample_dtype(actuators, valves), 0),
+        observations=_rows(observation_dtype(actuators, len(header.cameras)), rows),
+        adaptations=_rows(adaptation_dtype(len(header.adapted)), 0),
+        events=(),
+        pictures=StoredPictures(memoryview(b"")),
+        damage=(),
+    )
+
+
+_QUANTITIES = {"number": (0.0,), "vector": (0.0, 0.0)}
+
+
+def _rows(kind: np.dtype[np.void], count: int) -> StoredRows:
+    index = Index()
+    if count:
+        index.add(0, count)
+    return StoredRows(memoryview(bytes(count * kind.itemsize)), kind, kind, index)

@@ -1,0 +1,136 @@
+"""What is printed: control characters, marks of direction and markup of others are shown, never obeyed."""
+
+from __future__ import annotations
+
+import csv
+import os
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from rich.text import Text
+
+import tests.support.synthetic_runs as made_up
+from rig.cli.printable import printable
+from rig.cli.run_output import PrintableConsole
+from runs.archive.writer import finalise
+from runs.journal.journal import JournalWriter
+from runs.records import Event, Level, RunFooter, Status
+
+ODD = "\x1b[31mred\x1b[0m \u202egnp\u202c \x07 \x9b1m [bold]b[/bold] [/x] :bomb: =1"
+SHOWN = r"\x1b[31mred\x1b[0m \u202egnp\u202c \x07 \x9b1m [bold]b[/bold] [/x] :bomb: =1"
+RAW = ("\x1b", "\x07", "\x9b", "\u202e", "\u202c")
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a run whose every text is odd, and with a file that is no archive."""
+    place = tmp_path_factory.mktemp("odd")
+    texts = dict.fromkeys(("title", "operator", "notes", "protocol_name", "rig_name", "model_variant", "host"), ODD)
+    writer = JournalWriter(place / "odd.mcap", replace(made_up.header("odd"), **texts, command=ODD))
+    writer.samples(made_up.samples(3.0))
+    writer.observations(made_up.observations(3.0))
+    writer.event(Event(made_up.START_NS, Level.WARNING, ODD, f"={ODD}"))
+    writer.event(Event(made_up.START_NS, Level.WARNING, "-1+1", "@sum"))
+    writer.close(RunFooter(made_up.START_NS + 3_000_000_000, Status.ABORTED, ODD))
+    finalise(writer.path)
+    (place / "\x1b[2J.h5").write_bytes(b"none")
+    return place
+
+
+def rig(folder: Path, *arguments: str) -> str:
+    """What `rig` prints, in a process of its own."""
+    command = [sys.executable, "-m", "rig", *arguments]
+    done = subprocess.run(
+        command, cwd=folder, capture_output=True, check=False, env={**os.environ, "PYTHONIOENCODING": "utf-8"}
+    )
+    assert b"Traceback" not in done.stderr
+    return (done.stdout + done.stderr).decode()
+
+
+@pytest.mark.parametrize(
+    ("text", "shown"),
+    [
+        ("plain µ ° 臂 \U0001f9be", "plain µ ° 臂 \U0001f9be"),
+        ("a\nb\tc", "a\nb\tc"),
+        ("می\u200cخواهم", "می\u200cخواهم"),
+        ("\u00a0", "\u00a0"),
+        ("\x00\r\x7f\x85", r"\x00\r\x7f\x85"),
+        ("\u2066\u200f\ufeff\u2028", r"\u2066\u200f\ufeff\u2028"),
+        ("\udcff\ud800", r"\xff\ud800"),
+        (ODD, SHOWN),
+    ],
+)
+def test_what_a_terminal_would_obey_is_shown(text: str, shown: str) -> None:
+    assert printable(text) == shown
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [("runs", "."), ("show", "odd.h5"), ("show", "\x1b[2J.h5"), ("show", "no\x1b[2Jne"), ("runs", "\x1b[m")],
+)
+def test_nothing_of_an_archive_reaches_the_terminal_raw(folder: Path, arguments: tuple[str, ...]) -> None:
+    said = rig(folder, *arguments)
+    assert not any(sign in said for sign in RAW)
+    assert r"\x1b[" in said
+
+
+def test_every_text_of_an_archive_is_shown_as_it_is(folder: Path) -> None:
+    said = rig(folder, "show", "odd.h5").replace("\n", " ")
+    assert r"\x1b[31mred\x1b[0m \u202egnp\u202c \x07 \x9b1m [bold]b[/bold] [/x] :bomb:" in said
+
+
+@pytest.mark.parametrize(
+    "arguments", [("check", "odd.yaml"), ("check", "bad.yaml"), ("run", "odd.yaml", "--fast", "--note", ODD, "--yes")]
+)
+def test_nothing_of_a_protocol_reaches_the_terminal_raw(tmp_path: Path, arguments: tuple[str, ...]) -> None:
+    steps = "steps:\n  - hold: {duration_s: 0.1}\n"
+    title = r"\e[31mred \u202egnp [bold] [/x]"
+    (tmp_path / "odd.yaml").write_text(f'title: "{title}"\n{steps}')
+    (tmp_path / "bad.yaml").write_text(f'title: a\n"{title}": "{title}"\n{steps}')
+    said = rig(tmp_path, *arguments, *(("--operator", ODD) if arguments[0] == "run" else ()))
+    assert not any(sign in said for sign in RAW)
+    assert arguments[0] == "run" or r"\x1b[31mred \u202egnp" in said
+
+
+def test_a_console_shows_what_a_text_of_its_own_holds(capsys: pytest.CaptureFixture[str]) -> None:
+    PrintableConsole(width=200).print(Text("a\x1b[2Jb\u202ec", "bold"))
+    assert capsys.readouterr().out == "a\\x1b[2Jb\\u202ec\n"
+
+
+def test_a_report_holds_no_markup_of_others(tmp_path: Path) -> None:
+    word = "<script>alert(1)</script>&'\"$\\frac{$"
+    names = ("title", "operator", "notes", "protocol_name", "rig_name", "model_variant", "host", "command", "git_diff")
+    header = replace(made_up.header("run"), **dict.fromkeys(names, word), versions={word: word}, cameras=(word,))
+    header = replace(
+        header,
+        intervals=tuple(replace(one, label=word, kind="step") for one in header.intervals),
+        quantities=tuple(replace(one, name=word, unit=word, source=word) for one in header.quantities),
+    )
+    writer = JournalWriter(tmp_path / "run.mcap", header)
+    writer.samples(made_up.samples(3.0))
+    writer.observations(made_up.observations(3.0))
+    writer.event(Event(made_up.START_NS, Level.INFO, word, word))
+    writer.picture(replace(made_up.picture(1), camera=word, encoding="jpeg"))
+    writer.close(RunFooter(made_up.START_NS + 3_000_000_000, Status.ABORTED, word, {word: 1}))
+    path = finalise(writer.path)
+    other = Path(path.with_name("other.h5"))
+    other.write_bytes(path.read_bytes())
+    from runs.report.page import write
+
+    for archives in ([path], [path, other]):
+        page = write(archives, tmp_path / "page.html").read_text()
+        assert "<script" not in page
+        assert "&lt;script&gt;" in page
+
+
+def test_texts_in_a_csv_are_no_formulas(folder: Path, tmp_path: Path) -> None:
+    rig(folder, "export", "odd.h5", "--to", "csv", "--out", str(tmp_path))
+    with (tmp_path / "odd-events.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert rows[0]["message"] == f"'={ODD}"
+    assert (rows[1]["source"], rows[1]["message"]) == ("'-1+1", "'@sum")
+    with (tmp_path / "odd-tip.csv").open(newline="") as file:
+        assert float(next(csv.DictReader(file))["measured_x_mm"]) < 0

@@ -1,0 +1,514 @@
+"""Ways to damage an archive: through HDF5, dataset by dataset, and byte by byte."""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+
+Random = np.random.Generator
+Mutation = Callable[[h5py.File, Random], str]
+"""Damages an open archive and says how."""
+
+TEXTS = (
+    "",
+    "\x1b[31mred\x1b[0m",
+    "\u202egnp.exe\u202c",
+    "<script>alert(1)</script>",
+    "[bold red]markup[/] [/nothing]",
+    "$\\frac{$",
+    "=1+1",
+    "../../etc/passwd",
+    "a\nb\r\nc\td",
+    "x" * 100_000,
+    "name: [unclosed",
+    "&a [*a, *a]",
+    "\u00b5 \U0001f9be",
+    "finished",
+)
+RAW_TEXTS = (b"\xff\xfe", b"caf\xe9", b"\xed\xa0\x80", b"\xc0\x80")
+NUMBERS = (np.nan, np.inf, -np.inf, 0.0, -1.0, 1e300, -1e300, 1e-320, 1e13, 9.2e18, 2**31 - 1, -(2**31))
+TYPES: tuple[Any, ...] = (
+    "i1",
+    "u1",
+    "<i2",
+    ">i4",
+    "<i8",
+    "<u8",
+    "<f2",
+    "<f4",
+    ">f8",
+    "?",
+    "c16",
+    "S7",
+    np.dtype([("a", "i4"), ("b", "f8")]),
+    np.dtype(("f8", (2,))),
+    h5py.string_dtype(),
+    h5py.string_dtype(length=5),
+    h5py.vlen_dtype(np.float64),
+    h5py.vlen_dtype(np.uint8),
+    h5py.ref_dtype,
+    h5py.regionref_dtype,
+    h5py.enum_dtype({"a": 0, "b": 1}, basetype="i4"),
+    h5py.opaque_dtype(np.dtype("V8")),
+)
+
+
+def datasets(file: h5py.File) -> list[str]:
+    found: list[str] = []
+    file.visititems(lambda name, node: found.append(name) if isinstance(node, h5py.Dataset) else None)
+    return found
+
+
+def groups(file: h5py.File) -> list[str]:
+    found: list[str] = []
+    file.visititems(lambda name, node: found.append(name) if isinstance(node, h5py.Group) else None)
+    return found
+
+
+def chosen(file: h5py.File, random: Random) -> str:
+    return str(random.choice(datasets(file)))
+
+
+def is_text(node: h5py.Dataset) -> bool:
+    return h5py.check_string_dtype(node.dtype) is not None
+
+
+def of(file: h5py.File, random: Random, wanted: Callable[[h5py.Dataset], bool]) -> str:
+    return str(random.choice([name for name in datasets(file) if wanted(file[name])]))
+
+
+def replaced(file: h5py.File, path: str, **options: Any) -> h5py.Dataset:
+    """Another dataset in the place of one, with its attributes where they can be kept."""
+    kept = {}
+    if path in file:
+        kept = {name: file[path].attrs[name] for name in ("units", "description") if name in file[path].attrs}
+        del file[path]
+    node = file.create_dataset(path, **options)
+    node.attrs.update(kept)
+    return node
+
+
+def deleted_dataset(file: h5py.File, random: Random) -> str:
+    path = chosen(file, random)
+    del file[path]
+    return path
+
+
+def deleted_group(file: h5py.File, random: Random) -> str:
+    path = str(random.choice(groups(file)))
+    del file[path]
+    return path
+
+
+def renamed(file: h5py.File, random: Random) -> str:
+    path = str(random.choice([*datasets(file), *groups(file)]))
+    file.move(path, f"{path}_{random.choice(['x', 'mm', 'bar'])}")
+    return path
+
+
+def exchanged(file: h5py.File, random: Random) -> str:
+    one, other = random.choice(datasets(file), 2, replace=False)
+    file.move(one, "parked")
+    file.move(other, one)
+    file.move("parked", other)
+    return f"{one} <-> {other}"
+
+
+def group_for_dataset(file: h5py.File, random: Random) -> str:
+    path = chosen(file, random)
+    del file[path]
+    file.create_group(path)["inner"] = 1.0
+    return path
+
+
+def dataset_for_group(file: h5py.File, random: Random) -> str:
+    path = str(random.choice(groups(file)))
+    del file[path]
+    file[path] = [1.0, 2.0]
+    return path
+
+
+def type_for_dataset(file: h5py.File, random: Random) -> str:
+    path = chosen(file, random)
+    del file[path]
+    file[path] = np.dtype("f8")
+    return path
+
+
+def other_type(file: h5py.File, random: Random) -> str:
+    path = chosen(file, random)
+    kind = TYPES[random.integers(len(TYPES))]
+    shape = file[path].shape
+    replaced(file, path, shape=shape, dtype=kind)
+    return f"{path}: {kind}"
+
+
+def other_type_written(file: h5py.File, random: Random) -> str:
+    """The same numbers in another type, with every value stored."""
+    path = of(file, random, lambda node: not is_text(node) and node.dtype.kind in "iuf")
+    kind = str(random.choice(["f2", "f4", "f8", ">f8", "i1", "i4", "i8", ">i8", "u8"]))
+    with np.errstate(all="ignore"):
+        replaced(file, path, data=np.asarray(file[path][()]).astype(kind))
+    return f"{path}: {kind}"
+
+
+def other_shape(file: h5py.File, random: Random) -> str:
+    path = of(file, random, lambda node: not is_text(node) and node.dtype.kind in "iuf")
+    data = np.asarray(file[path][()])
+    shapes: list[Any] = [data[None], data.ravel()[:0], np.asarray(data.flat[0] if data.size else 0, data.dtype)]
+    if data.ndim:
+        shapes += [data[:-1], np.concatenate((data, data[-1:])), data.T, data[..., None], data[::2], data[:1]]
+    if data.ndim > 1:
+        shapes += [data[:, :-1], data.reshape(-1)]
+    found = shapes[random.integers(len(shapes))]
+    replaced(file, path, data=found)
+    return f"{path}: {data.shape} -> {np.shape(found)}"
+
+
+def other_length_of_texts(file: h5py.File, random: Random) -> str:
+    path = of(file, random, lambda node: is_text(node) and node.ndim == 1)
+    words = list(file[path].asstr()[()])
+    found = [words[:-1], [*words, "more"], [], words * 3][random.integers(4)]
+    replaced(file, path, data=np.array(found, dtype=object), dtype=h5py.string_dtype())
+    return f"{path}: {len(words)} -> {len(found)}"
+
+
+def numbers(file: h5py.File, random: Random) -> str:
+    path = of(file, random, lambda node: not is_text(node) and node.dtype.kind in "iuf" and node.size)
+    value = NUMBERS[random.integers(len(NUMBERS))]
+    data = np.asarray(file[path][()])
+    with np.errstate(all="ignore"):
+        number = np.asarray(value).astype(data.dtype)
+    if data.ndim and random.random() < 0.6:
+        data[tuple(random.integers(data.shape))] = number
+    else:
+        data = np.full_like(data, number)
+    file[path][...] = data
+    return f"{path}: {value}"
+
+
+def shuffled(file: h5py.File, random: Random) -> str:
+    path = of(file, random, lambda node: not is_text(node) and node.dtype.kind in "iuf" and node.ndim and node.size)
+    data = np.asarray(file[path][()])
+    random.shuffle(data)
+    file[path][...] = data
+    return path
+
+
+def texts(file: h5py.File, random: Random) -> str:
+    path = of(file, random, lambda node: is_text(node) and node.size)
+    word = TEXTS[random.integers(len(TEXTS))]
+    if file[path].ndim and random.random() < 0.6:
+        file[path][int(random.integers(len(file[path])))] = word
+    else:
+        file[path][...] = word
+    return f"{path}: {word[:20]!r}"
+
+
+def texts_that_are_none(file: h5py.File, random: Random) -> str:
+    path = of(file, random, lambda node: is_text(node) and node.size)
+    word = RAW_TEXTS[random.integers(len(RAW_TEXTS))]
+    shape = file[path].shape
+    node = replaced(file, path, shape=shape, dtype=h5py.string_dtype())
+    node[...] = word
+    return f"{path}: {word!r}"
+
+
+def soft_link(file: h5py.File, random: Random) -> str:
+    path = str(random.choice([*datasets(file), *groups(file)]))
+    target = str(random.choice(["/nowhere", f"/{path}", "/entry/tip/time", "/entry", "/"]))
+    del file[path]
+    file[path] = h5py.SoftLink(target)
+    return f"{path} -> {target}"
+
+
+def external_link(file: h5py.File, random: Random) -> str:
+    path = str(random.choice([*datasets(file), *groups(file)]))
+    target = str(random.choice(["/nowhere.h5", "other.h5", "/dev/zero", "/proc/self/mem"]))
+    del file[path]
+    file[path] = h5py.ExternalLink(target, "/")
+    return f"{path} -> {target}"
+
+
+def cycle(file: h5py.File, random: Random) -> str:
+    path = str(random.choice(groups(file)))
+    file[f"{path}/again"] = file["entry"]
+    return path
+
+
+def hard_link(file: h5py.File, random: Random) -> str:
+    one, other = random.choice(datasets(file), 2, replace=False)
+    del file[one]
+    file[one] = file[other]
+    return f"{one} = {other}"
+
+
+def virtual(file: h5py.File, random: Random) -> str:
+    path = of(file, random, lambda node: not is_text(node) and node.dtype.kind in "iuf" and node.ndim)
+    shape, kind = file[path].shape, file[path].dtype
+    del file[path]
+    layout = h5py.VirtualLayout(shape, kind)
+    layout[...] = h5py.VirtualSource(str(random.choice(["other.h5", "."])), "/entry/tip/time", shape)
+    file.create_virtual_dataset(path, layout)
+    return path
+
+
+def stored_outside(file: h5py.File, random: Random) -> str:
+    path = of(file, random, lambda node: not is_text(node) and node.dtype.kind in "iuf" and node.ndim)
+    shape, kind = file[path].shape, file[path].dtype
+    replaced(file, path, shape=shape, dtype=kind, external=[("/etc/passwd", 0, h5py.h5f.UNLIMITED)])
+    return path
+
+
+def huge(file: h5py.File, random: Random) -> str:
+    """Many rows that are declared and not stored, in one dataset or in a whole group."""
+    rows = int(random.choice([2_000_000_000, 40_000_000_000, 2**62]))
+    one = of(file, random, lambda node: not is_text(node) and node.dtype.kind in "iuf" and node.ndim)
+    group = one.rpartition("/")[0]
+    paths = [one]
+    if random.random() < 0.5:
+        length = file[one].shape[0]
+        paths = [path for path in datasets(file) if path.startswith(f"{group}/") and file[path].shape[:1] == (length,)]
+    for path in paths:
+        inner, kind = file[path].shape[1:], file[path].dtype
+        shape = (rows, *inner)
+        fill: dict[str, Any] = {} if kind.kind == "O" else {"fillvalue": 1}
+        chunks = (1000, *shape[1:]) if random.random() < 0.8 else None
+        try:
+            replaced(file, path, shape=shape, dtype=kind, chunks=chunks, **fill)
+        except (ValueError, OSError, MemoryError):
+            replaced(file, path, shape=(1, *inner), dtype=kind)
+    return f"{paths}: {rows}"
+
+
+def bomb(file: h5py.File, random: Random) -> str:
+    """Zeros that are compressed to almost nothing, stored in full."""
+    path = of(file, random, lambda node: not is_text(node) and node.dtype.kind in "iuf" and node.ndim)
+    rows, kind = 1_000_000, file[path].dtype
+    shape = (int(random.choice([20, 2000])) * rows, *file[path].shape[1:])
+    chunk = (rows, *shape[1:])
+    node = replaced(file, path, shape=shape, dtype=kind, chunks=chunk, compression=9)
+    packed = zlib.compress(bytes(rows * int(np.prod(shape[1:])) * kind.itemsize), 9)
+    for low in range(0, shape[0], rows):
+        node.id.write_direct_chunk((low, *(0 for _ in shape[1:])), packed)
+    return f"{path}: {shape}"
+
+
+def large_chunk(file: h5py.File, random: Random) -> str:
+    path = of(
+        file, random, lambda node: not is_text(node) and node.dtype.kind in "iuf" and node.ndim == 1 and node.size
+    )
+    data = np.asarray(file[path][()])
+    node = replaced(
+        file, path, shape=data.shape, dtype=data.dtype, maxshape=(None,), chunks=(20_000_000,), compression="gzip"
+    )
+    node[...] = data
+    return path
+
+
+def other_filter(file: h5py.File, random: Random) -> str:
+    path = of(file, random, lambda node: not is_text(node) and node.dtype.kind in "iuf" and node.ndim and node.size)
+    data = np.asarray(file[path][()])
+    options = [{"compression": "lzf"}, {"scaleoffset": 3}, {"fletcher32": True}, {"chunks": True}]
+    option: Any = options[random.integers(len(options))]
+    replaced(file, path, data=data, **option)
+    return f"{path}: {option}"
+
+
+def no_space(file: h5py.File, random: Random) -> str:
+    path = chosen(file, random)
+    kind = file[path].dtype
+    del file[path]
+    file[path] = h5py.Empty(kind if kind.kind in "iuf" else "f8")
+    return path
+
+
+def attribute(file: h5py.File, random: Random) -> str:
+    """An attribute of another type, of the file, a group or a dataset."""
+    node = file[str(random.choice(["/", *groups(file), *datasets(file)]))]
+    usual = ["units", "source", "uncertainty", "NX_class", "default", "signal", "axes", "CLASS", "NAME"]
+    names = sorted({*node.attrs, *(["DIMENSION_LIST", "REFERENCE_LIST"] if "DIMENSION_LIST" in node.attrs else usual)})
+    name = str(random.choice(names))
+    values: list[Any] = [
+        "a text",
+        "",
+        b"\xff\xfe",
+        7,
+        2**63,
+        np.nan,
+        np.inf,
+        [1.0, 2.0],
+        np.array(["a", "b"], dtype=h5py.string_dtype()),
+        np.void(b"opaque"),
+        h5py.Empty("f8"),
+        file["entry"].ref,
+        "x" * 60_000,
+        np.zeros(3, [("a", "i4"), ("b", "f8")]),
+    ]
+    k = int(random.integers(len(values) + 1))
+    if name in node.attrs:
+        del node.attrs[name]
+    if k < len(values):
+        node.attrs[name] = values[k]
+    return f"{node.name}@{name}: {'deleted' if k == len(values) else str(values[k])[:20]}"
+
+
+def text_for_dimension_list(file: h5py.File, random: Random) -> str:
+    path = of(file, random, lambda node: "DIMENSION_LIST" in node.attrs)
+    del file[path].attrs["DIMENSION_LIST"]
+    file[path].attrs["DIMENSION_LIST"] = "time"
+    return path
+
+
+def names_of_the_run(file: h5py.File, random: Random) -> str:
+    """Names in the groups whose fields the run names."""
+    group = str(random.choice(["calibration", "model", "versions", "timing/counters"]))
+    names = ["\x1b[31m", "\u202eabc", "<b>", "a" * 5000, "$x$", "=1", "component_9", "[red]"]
+    name = names[random.integers(len(names))]
+    raw = random.random() < 0.2
+    kinds: list[Any] = [1.5, 7, "text", [1.0, 2.0], [[1.0]], np.nan, np.inf, h5py.Empty("f8"), True]
+    value = kinds[random.integers(len(kinds))]
+    parent = file[f"entry/{group}"]
+    if raw:
+        space = h5py.h5s.create(h5py.h5s.SCALAR)
+        h5py.h5d.create(parent.id, b"caf\xe9", h5py.h5t.IEEE_F64LE, space)
+        return f"{group}: a name that is no UTF-8"
+    parent[name] = value
+    return f"{group}/{name[:20]}: {value}"
+
+
+def many_names(file: h5py.File, random: Random) -> str:
+    group = str(random.choice(["calibration", "versions"]))
+    for number in range(3000):
+        file[f"entry/{group}/many{number}"] = "1" if group == "versions" else 1.0
+    return group
+
+
+def more(file: h5py.File, random: Random) -> str:
+    """Datasets that no archive has; readers ignore them."""
+    group = str(random.choice([*groups(file), "/"]))
+    values: list[Any] = ["text", [1.0], np.zeros(2, [("a", "i4")]), h5py.Empty("f8"), h5py.SoftLink("/nowhere")]
+    file[f"{group}/more"] = values[random.integers(len(values))]
+    return group
+
+
+def picture(file: h5py.File, random: Random) -> str:
+    images = file["entry/frames/image"]
+    if len(images) == 0:
+        return "no pictures"
+    k = int(random.integers(len(images)))
+    data = bytearray(images[k].tobytes())
+    found = [b"", b"no picture", bytes(data[: len(data) // 2]), bytes(random.bytes(300)), bytes(data[::-1])]
+    images[k] = np.frombuffer(found[random.integers(len(found))], np.uint8)
+    return f"picture {k}"
+
+
+def version(file: h5py.File, random: Random) -> str:
+    values: list[Any] = [0, -1, 2, 2**62, "1", 1.5, np.nan, [1, 1], h5py.Empty("i8"), b"\xff"]
+    name = str(random.choice(["layout_version", "content_sha256"]))
+    k = int(random.integers(len(values)))
+    del file.attrs[name]
+    file.attrs[name] = values[k]
+    return f"@{name}: {values[k]}"
+
+
+def channels(file: h5py.File, random: Random) -> str:
+    name = str(random.choice(["actuators", "valves"]))
+    value = int(random.choice([-1, 0, 1, 4, 4096, 5000, 2**31 - 1]))
+    file[f"entry/{name}"][()] = value
+    return f"{name}: {value}"
+
+
+STRUCTURE: tuple[Mutation, ...] = (
+    deleted_dataset,
+    deleted_group,
+    renamed,
+    exchanged,
+    group_for_dataset,
+    dataset_for_group,
+    type_for_dataset,
+    other_type,
+    other_type_written,
+    other_shape,
+    other_length_of_texts,
+    numbers,
+    shuffled,
+    texts,
+    texts_that_are_none,
+    soft_link,
+    external_link,
+    cycle,
+    hard_link,
+    virtual,
+    stored_outside,
+    huge,
+    bomb,
+    large_chunk,
+    other_filter,
+    no_space,
+    attribute,
+    text_for_dimension_list,
+    names_of_the_run,
+    many_names,
+    more,
+    picture,
+    version,
+    channels,
+)
+
+
+def flipped(data: bytearray, random: Random) -> str:
+    """Single bits, most of them in the first part, where HDF5 keeps much of the structure."""
+    places = random.integers(len(data), size=int(random.integers(1, 20)))
+    for place in places:
+        data[place] ^= 1 << int(random.integers(8))
+    return f"{len(places)} bits"
+
+
+def overwritten(data: bytearray, random: Random) -> str:
+    """A stretch of zeros, ones or noise."""
+    size = int(random.integers(1, 600))
+    place = int(random.integers(max(1, len(data) - size)))
+    data[place : place + size] = [bytes(size), b"\xff" * size, random.bytes(size)][random.integers(3)]
+    return f"{size} bytes at {place}"
+
+
+def truncated(data: bytearray, random: Random) -> str:
+    """The end is missing."""
+    size = int(random.integers(len(data)))
+    del data[size:]
+    return f"{size} bytes are left"
+
+
+def moved(data: bytearray, random: Random) -> str:
+    """Some bytes are missing or twice there."""
+    size = int(random.integers(1, 64))
+    place = int(random.integers(max(1, len(data) - size)))
+    if random.random() < 0.5:
+        del data[place : place + size]
+        return f"{size} bytes are missing at {place}"
+    data[place:place] = data[place : place + size]
+    return f"{size} bytes are twice at {place}"
+
+
+BYTES: tuple[Callable[[bytearray, Random], str], ...] = (flipped, overwritten, truncated, moved)
+
+
+def mutant(source: Path, target: Path, seed: int, mutations: tuple[Callable[..., str], ...] = STRUCTURE + BYTES) -> str:
+    """Write a damaged copy of an archive and say what was done; the same for the same seed."""
+    random = np.random.default_rng(seed)
+    mutate = mutations[int(random.integers(len(mutations)))]
+    data = bytearray(source.read_bytes())
+    if mutate in BYTES:
+        said = mutate(data, random)
+        target.write_bytes(data)
+    else:
+        target.write_bytes(data)
+        with h5py.File(target, "r+") as file:
+            said = mutate(file, random)
+    return f"{mutate.__name__}: {said}"
