@@ -125,7 +125,7 @@ class Arm:
         """The shape at rest under gauge pressures (N,) [Pa].
 
         nodes: steps along the arm (RK4); by default 20, or ten for each width of its length where it is slender, which
-        leaves an error below 1e-8 m at the paper's pressures (docs/model.md says where not). Raises ValueError for
+        leaves an error below 1e-8 m at the paper's pressures (docs/explanation/model.md, Limits). Raises ValueError for
         pressures or loads that are not finite or of the wrong shape, NotConverged when no equilibrium is found.
         """
         from model.statics import solve
