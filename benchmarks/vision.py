@@ -1,4 +1,4 @@
-"""Accuracy and speed of the tip measurement on rendered scenes with known truth: the table of docs/validation/vision.md.
+"""Accuracy and speed of the tip measurement on rendered scenes: the tables of docs/validation/vision.md.
 
     python benchmarks/vision.py [accuracy] [--frames 2000] [--only two]
     python benchmarks/vision.py coverage [--frames 2000]     how often the stated ellipsoid holds the truth
