@@ -18,7 +18,7 @@ help:
 	@echo "make comedi build and install the binding to Comedi cards"
 	@echo "make test-hardware  drive a card and a camera of a real kernel, in a virtual machine"
 	@echo "make strikes  two more faults in that virtual machine (five minutes)"
-	@echo "make faults  every way a run can fail, at random moments; writes docs/reliability.md (hours)"
+	@echo "make faults  every way a run can fail, at random moments; writes docs/validation/reliability.md (hours)"
 	@echo "make soak    an hour in real time and a day in virtual time, watched for leaks (hours)"
 	@echo "make lock   resolve the dependencies anew into requirements.lock"
 	@echo "make clean  remove the environment and every cache"
@@ -57,7 +57,7 @@ strikes: comedi
 	@bash scripts/vm/test.sh $(VENV) tests/hardware/strikes.py
 
 faults: $(STAMP)
-	$(BIN)/python -m scripts.faults --write docs/reliability.md
+	$(BIN)/python -m scripts.faults --write docs/validation/reliability.md
 	$(BIN)/python -m benchmarks.watchdog
 
 soak: $(STAMP)

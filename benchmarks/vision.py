@@ -1,4 +1,4 @@
-"""How well the tip is measured, and how fast: the table of docs/vision.md, on rendered scenes with known truth.
+"""Accuracy and speed of the tip measurement on rendered scenes: the tables of docs/validation/vision.md.
 
     python benchmarks/vision.py [accuracy] [--frames 2000] [--only two]
     python benchmarks/vision.py coverage [--frames 2000]     how often the stated ellipsoid holds the truth

@@ -1,6 +1,7 @@
 """The paper's own method, so that the paper can be reproduced: the neutral axis as the rod's line, and plain shooting.
 
-Where a printed formula contradicts the others, the default is the one that follows from them (docs/paper.md lists all);
+Where a printed formula contradicts the others, the default is the one that follows from them (docs/explanation/paper.md
+lists all);
 `as_printed` brings a printed one back.
 """
 

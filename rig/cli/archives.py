@@ -111,7 +111,8 @@ def export(
 def import_(
     data: Annotated[list[Path], typer.Argument(metavar="DATA..", help="CSV or .mat files.", dir_okay=False)],
     mapping: Annotated[
-        Path, typer.Option("--mapping", metavar="FILE", help="YAML: which column is what; docs/import.md.")
+        Path,
+        typer.Option("--mapping", metavar="FILE", help="YAML: which column is what; docs/reference/import-mapping.md"),
     ],
     out: Folder = Path("data"),
     operator: Operator = "",

@@ -1,6 +1,6 @@
 """The conditions under which a run is stopped: a pure step function over what the sensors say.
 
-Each condition is explained in docs/control.md. Pressures are gauge; messages speak bar.
+Each condition is explained in docs/explanation/control.md. Pressures are gauge; messages speak bar.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """One valve's voltage from its set-point and its measured pressure: a pure step function.
 
-The physics and the reasons for the terms are in docs/control.md. Pressures are gauge, SI throughout.
+The physics and the reasons for the terms are in docs/explanation/control.md. Pressures are gauge, SI throughout.
 """
 
 from __future__ import annotations

@@ -24,16 +24,17 @@ WITHOUT_COMEDI = (
 )
 OUT_OF_TREE = (
     f"the kernel's own {FAMILY_DRIVER} does not know this board: build the out-of-tree Linux-Comedi drivers "
-    f"(https://github.com/Linux-Comedi/comedi; docs/hardware.md, The card's driver), then sudo modprobe {FAMILY_DRIVER}"
+    "(https://github.com/Linux-Comedi/comedi; docs/how-to/set-up-the-computer.md, The card's driver), "
+    f"then sudo modprobe {FAMILY_DRIVER}"
 )
 ELSEWHERE = (
     "look for it among the drivers of https://github.com/Linux-Comedi/comedi; where it is not there either, "
     "it takes another card"
 )
-SEE_DMESG = "dmesg says why; docs/hardware.md, When something is wrong"
+SEE_DMESG = "dmesg says why; docs/how-to/troubleshoot-a-bench.md"
 POWER_UP = (
     "keep the air and the valves' 24 V off until `rig vent --rig FILE` has put the outputs to where they vent; "
-    "docs/hardware.md, Power up"
+    "docs/how-to/build-a-bench.md, Power up, power down"
 )
 _KINDS = {
     "ai": "analogue in",

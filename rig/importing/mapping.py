@@ -1,6 +1,6 @@
 """The mapping of an import: a YAML that says what the columns of a foreign table are.
 
-`docs/import.md` says the same for those who write one.
+`docs/reference/import-mapping.md` says the same for those who write one.
 """
 
 from __future__ import annotations

@@ -76,7 +76,7 @@ class ViewOverlay:
 
 @dataclass
 class ViewUpdate:
-    """Everything a page shows, as far as it is new; see docs/live.md. NaN becomes null."""
+    """Everything a page shows, as far as it is new; see docs/reference/live-stream.md. NaN becomes null."""
 
     now: dict[str, Any]
     pressure: Floats = field(default_factory=lambda: np.empty((0, 0)))

@@ -1,4 +1,6 @@
-"""The file in shared memory that is a mock card: outputs, scans and the tip's pose. Layout: docs/simulator.md.
+"""The file in shared memory that is a mock card: outputs, scans and the tip's pose.
+
+docs/reference/simulator-file.md has the layout.
 
 The outputs are registers: one 8-byte word each, written without any lock, so that a process which dies or stands
 still in the middle of a write keeps nobody else from writing, and the last write wins, as on a real card.

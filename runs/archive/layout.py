@@ -1,6 +1,6 @@
 """What stands where in an archive: a journal as NeXus groups and fields, in bar, mm and us.
 
-`docs/archive.md` says the same for readers.
+`docs/reference/archive.md` says the same for readers.
 """
 
 from __future__ import annotations

@@ -32,11 +32,11 @@ def table(faults: Sequence[Fault], trials: Sequence[FaultTrial]) -> str:
     silent = sum("not told" in trial.wrong for trial in tried)
     lines = [
         f"{len(tried)} trials of {len({t.fault for t in tried})} faults at random moments: "
-        f"**{unsafe} left unsafe where a program can help, {silent} silent, {bad} in any way not as they must be**; "
+        f"**{unsafe} left unsafe where a program can help, {silent} not reported, {bad} failed**; "
         f"at most {1e3 * worst([t.lost_s for t in tried]):.0f} ms of samples lost.",
         "",
-        "| fault | executor | trials | safe after, median (worst) | samples lost | archive | as it must | "
-        "what the operator is told |",
+        "| fault | executor | trials | safe after, median (worst) | samples lost | archive | passed | "
+        "message to the operator |",
         "|---|---|---|---|---|---|---|---|",
     ]
     for fault in faults:

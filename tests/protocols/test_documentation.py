@@ -13,7 +13,7 @@ from protocols.schema import ProtocolFile
 from rig.config.loader import text
 from rig.config.schema import RigConfig
 
-DOCS = Path(__file__).parents[2] / "docs"
+DOCS = Path(__file__).parents[2] / "docs" / "reference"
 
 
 def examples(guide: str) -> list[str]:
@@ -26,9 +26,9 @@ def test_protocol_examples_expand(example: str) -> None:
     assert expand(validate(ProtocolFile, document).steps, 3, document, {}).duration_s > 0
 
 
-@pytest.mark.parametrize("example", examples("rig-yaml.md"))
+@pytest.mark.parametrize("example", examples("rig-file.md"))
 def test_rig_examples_fit_into_a_rig(example: str) -> None:
-    section = parse(example, "rig-yaml.md").data
+    section = parse(example, "rig-file.md").data
     base = parse(text("pci1716"), "pci1716.yaml").data
     for name, values in section.items():
         # An example may show one of several valves or sensors.
@@ -39,7 +39,7 @@ def test_rig_examples_fit_into_a_rig(example: str) -> None:
     assert RigConfig.model_validate(base)
 
 
-@pytest.mark.parametrize("guide", ["protocols.md", "rig-yaml.md"])
+@pytest.mark.parametrize("guide", ["protocols.md", "rig-file.md"])
 def test_every_key_of_the_schema_is_in_the_guide(guide: str) -> None:
     written = (DOCS / guide).read_text(encoding="utf-8")
     model = ProtocolFile if guide == "protocols.md" else RigConfig

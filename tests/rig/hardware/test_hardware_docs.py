@@ -1,4 +1,4 @@
-"""What docs/hardware.md lets the reader type by hand does what the page says."""
+"""What docs/how-to/commission-a-bench.md lets the reader type by hand does what the page says."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from rig.experiment.preflight import check
 from rig.hardware.bench import Bench
 from rig.hardware.cards.base import Scans
 
-PAGE = Path(__file__).parents[3] / "docs" / "hardware.md"
+PAGE = Path(__file__).parents[3] / "docs" / "how-to" / "commission-a-bench.md"
 
 
 class Card:

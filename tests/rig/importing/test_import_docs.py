@@ -1,4 +1,4 @@
-"""docs/import.md names every key and unit of a mapping, and its examples are mappings."""
+"""docs/reference/import-mapping.md names every key and unit of a mapping, and its examples are mappings."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ EXAMPLE = ROOT / "docs" / "examples" / "stiff-flop.yaml"
 
 
 class TestDocumentation:
-    PAGE = (ROOT / "docs" / "import.md").read_text(encoding="utf-8")
+    PAGE = (ROOT / "docs" / "reference" / "import-mapping.md").read_text(encoding="utf-8")
 
     def test_its_mappings_are_mappings(self, tmp_path: Path) -> None:
         blocks = re.findall(r"```yaml\n(.*?)```", self.PAGE, re.DOTALL)

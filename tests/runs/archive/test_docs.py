@@ -1,4 +1,4 @@
-"""docs/archive.md names every field of an archive, with its size and unit, and no other."""
+"""docs/reference/archive.md names every field of an archive, with its size and unit, and no other."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from runs.archive.writer import finalise
 from runs.journal.journal import JournalWriter
 from runs.records import BACKBONE_POINTS, Quantity, RunFooter, Status, adaptation_dtype, observation_dtype, sample_dtype
 
-PAGE = Path(__file__).parents[3] / "docs" / "archive.md"
+PAGE = Path(__file__).parents[3] / "docs" / "reference" / "archive.md"
 SIZES = {"N": 13, "M": 7, "K": 12, "Q": 20, "L": BACKBONE_POINTS, "E": 1, "S": 4, "A": 5, "V": 8, "C": 9, "P": 10} | {
     str(n): n for n in (2, 3, 6)
 }
