@@ -6,8 +6,8 @@ With xi the displacement and theta the rotation of a section, both in its own fr
     d2E = int (gamma, kappa) K (gamma, kappa) - 2 gamma . (n x theta) - kappa . (m x theta)
               + (n . v) |theta|^2 - (n . theta) (v . theta) ds  +  the tip's levers.
 
-docs/model.md derives it. K is the symmetric part of the section's tangent. Two tests follow from it: an inequality that
-settles the ordinary arm at no cost, and the exact count of negative directions.
+docs/explanation/model.md derives it. K is the symmetric part of the section's tangent. Two tests follow from it: an
+inequality that settles the ordinary arm at no cost, and the exact count of negative directions.
 """
 
 from __future__ import annotations

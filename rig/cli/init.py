@@ -45,7 +45,7 @@ EXPLAINED = {
 """Of each section of a rig file, what it is for."""
 
 _HEAD = """\
-# The rig: what this bench consists of. Every key has its unit in its name; docs/rig-yaml.md explains each.
+# The rig: what this bench consists of. Every key has its unit in its name; docs/reference/rig-file.md explains each.
 # `rig` commands in this folder use this file, unless --rig or the variable SOFTRIG_RIG names another.
 # Change it, then run: rig check ramp-a
 """

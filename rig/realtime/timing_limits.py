@@ -1,7 +1,7 @@
 """How long each process of a run may be silent: decided here, from what is at stake and what scheduling was granted.
 
-See docs/reliability.md, "What counts as hung". Every threshold in wall-clock time that can end a real-time run because
-the machine is slow is a field of `TimingLimits`.
+See docs/explanation/processes-and-safety.md, "What counts as hung". Every threshold in wall-clock time that can end a
+real-time run because the machine is slow is a field of `TimingLimits`.
 """
 
 from __future__ import annotations

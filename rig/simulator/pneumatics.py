@@ -1,7 +1,8 @@
 """Valves, chambers and sensors: the air of the plant, one compiled kernel on a fixed grid of small steps.
 
 Absolute pressures in Pa, volumes in m3, flow as volume at the reference atmosphere (see `rig.control.valve`). The
-equations are in docs/explanation/simulator.md. The grid is part of the truth: the same steps are taken however they are requested.
+equations are in docs/explanation/simulator.md. The grid is part of the truth: the same steps are taken however they
+are requested.
 """
 
 from __future__ import annotations
