@@ -12,7 +12,7 @@ Made = Callable[[Path], bool]
 """Tells of an existing file whether the same command made it for the same purpose: then it may be written again."""
 
 
-class WouldOverwrite(Exception):  # noqa: N818
+class WouldOverwriteError(FileExistsError):
     """A file that exists would be lost; the message names it and the option that allows that."""
 
 
@@ -28,14 +28,14 @@ def refuse_existing(
     `replace` is the user's consent, which `option` gives.
 
     Raises:
-        WouldOverwrite: a file exists and may not be replaced, or is a folder.
+        WouldOverwriteError: a file exists and may not be replaced, or is a folder.
     """
     for file in files:
         if file.is_dir():
-            raise WouldOverwrite(f"{file} is a folder: name a file")
+            raise WouldOverwriteError(f"{file} is a folder: name a file")
         # A broken link, too: what it points to would be made.
         if os.path.lexists(file) and not replace and not made(file):
-            raise WouldOverwrite(f"{file} exists: name another file, or say {option} to write over it")
+            raise WouldOverwriteError(f"{file} exists: name another file, or say {option} to write over it")
 
 
 @contextmanager
@@ -43,7 +43,7 @@ def staged(folder: Path, *, replace: bool = False, made: Made = lambda _: False)
     """A temporary folder whose files move to `folder` at the end; none does where one may not be replaced.
 
     Raises:
-        WouldOverwrite: as `refuse_existing`.
+        WouldOverwriteError: as `refuse_existing`.
         OSError: the folder cannot be written.
     """
     folder.mkdir(parents=True, exist_ok=True)

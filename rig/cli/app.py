@@ -53,6 +53,10 @@ def _status(error: Exception) -> int | None:
 
     if isinstance(error, BadInputError):
         return BAD_INPUT  # the usual one: said before the rooms of all the others are imported
+    from runs.overwriting import WouldOverwriteError
+
+    if isinstance(error, WouldOverwriteError):
+        return BAD_INPUT  # also an OSError, which is a fault
     from rig.execution.plan import StartError, StoppedError
     from rig.hardware.cameras.base import CameraError
     from rig.hardware.cards.base import CardError
@@ -71,11 +75,10 @@ def _status(error: Exception) -> int | None:
     from rig.calibrate.bench_driver import TrippedError
     from runs.archive.writer import ArchiveError
     from runs.export.exporters import ExportError
-    from runs.overwriting import WouldOverwrite
 
     if isinstance(error, NoDataError | UnknownParameter | NotEstimableError):
         return BAD_INPUT
-    if isinstance(error, ArchiveError | ExportError | CalibrationError | DLTError | ViewsError | WouldOverwrite):
+    if isinstance(error, ArchiveError | ExportError | CalibrationError | DLTError | ViewsError):
         return BAD_INPUT
     if isinstance(error, NoClusterError | WorkersDieError | TrippedError):
         return FAULT

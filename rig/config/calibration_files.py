@@ -113,7 +113,7 @@ def write(found: CalibrationFile, path: Path, *, replace: bool = False) -> Path:
     """Write a calibration file; it is read back first, so that what stands on disk is known to be right.
 
     Raises:
-        WouldOverwrite: the file exists, and `replace` is False.
+        WouldOverwriteError: the file exists, and `replace` is False.
     """
     refuse_existing([path], replace=replace)
     text = text_of(found)

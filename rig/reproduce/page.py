@@ -30,7 +30,7 @@ def write(
     """Write `paper.html` and the figures; return the page. A folder that has such a page is written again.
 
     Raises:
-        WouldOverwrite: a file exists in another folder, and `replace` is False.
+        WouldOverwriteError: a file exists in another folder, and `replace` is False.
         OSError: a file cannot be written.
     """
     page = folder / "paper.html"

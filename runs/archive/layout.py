@@ -40,6 +40,8 @@ UNITS = ("bar", "V", "mm", "mm2", "px", "us", "g", "N", "Nm")
 AXES = ("x", "y", "z")
 SECONDS = (-LARGEST_S, LARGEST_S)
 CLOCK = (0, LARGEST_NS)
+OWN_CLOCK = (-LARGEST_NS, LARGEST_NS)
+"""Imported data may count from any zero."""
 COUNT = (0, LARGEST)
 COVARIANCE = ("xx", "xy", "xz", "yy", "yz", "zz")
 _UPPER = (np.array([0, 0, 0, 1, 1, 2]), np.array([0, 1, 2, 1, 2, 2]))
@@ -163,7 +165,9 @@ def _entry(journal: Journal) -> Group:
         Field("command", header.command, about="the command line"),
         Field("host", header.host),
         Field("start_utc", np.int64(header.started_utc_ns), "ns", "start_time since 1970, exactly", limits=CLOCK),
-        Field("start_clock", np.int64(header.started_t_ns), "ns", "start_time on the run's own clock", limits=CLOCK),
+        Field(
+            "start_clock", np.int64(header.started_t_ns), "ns", "start_time on the run's own clock", limits=OWN_CLOCK
+        ),
         Field("actuators", np.int32(header.actuators), limits=(0, MOST_CHANNELS)),
         Field("valves", np.int32(header.valves), limits=(0, MOST_CHANNELS)),
     ]

@@ -37,7 +37,7 @@ def export(
 
     Raises:
         ArchiveError: there is no archive.
-        WouldOverwrite: a file exists, and `replace` is False.
+        WouldOverwriteError: a file exists, and `replace` is False.
         ExportError: the files cannot be written.
     """
     if to not in FORMATS:

@@ -24,7 +24,7 @@ def write(
     Of several runs also those that compare them, `compared-<figure>.pdf`. What was simulated says so in its corner.
 
     Raises:
-        WouldOverwrite: a file exists, and `replace` is False.
+        WouldOverwriteError: a file exists, and `replace` is False.
         ExportError: there is no such kind, or the files cannot be written.
     """
     if kind not in KINDS:

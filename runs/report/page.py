@@ -30,7 +30,7 @@ def write(
     An earlier report of the same runs is written again.
 
     Raises:
-        WouldOverwrite: there is another file, and `replace` is False.
+        WouldOverwriteError: there is another file, and `replace` is False.
         OSError: it cannot be written.
     """
     chosen = [Path(paths)] if isinstance(paths, str | os.PathLike) else [Path(path) for path in paths]

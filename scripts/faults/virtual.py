@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import re
 from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
@@ -79,7 +80,8 @@ def rig_text(trick: object, device: str) -> str:
     # Stated, so that the simulated bench is supervised as strictly as a real one.
     text = text.replace("\nlimits:\n", f"\nlimits:\n  hung_s: {STRICT_HUNG_S:g}\n")
     if trick is Trick.MODEL_UNSOLVABLE:
-        text = text.replace("  cap_mass_g: 50\n", "  cap_mass_g: 100000\n")
+        text = text.replace("  cap_mass_g: 50\n", "  cap_mass_g: 5000\n")
+        text = re.sub(r"a1_per_N: [\d.]+", "a1_per_N: 10.0", text, count=1)
     return text
 
 

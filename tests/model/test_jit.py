@@ -13,14 +13,14 @@ import model
 ROOT = Path(model.__file__).parent.parent
 
 SMALL_KERNELS = """
-from model.compiled import kernel
+from model.kernels.jit import kernel
 
 @kernel
 def value():
     return {value}
 """
 CALLER = """
-from model.compiled import kernel
+from model.kernels.jit import kernel
 from model.small import value
 
 @kernel
@@ -43,24 +43,28 @@ def python(code: str, folder: Path, cache: Path) -> str:
     return done.stdout.strip()
 
 
+def model_with_a_caller(folder: Path) -> Path:
+    """A room `model` of one kernel that calls another, compiled by the project's own module."""
+    package = folder / "model"
+    kernels = package / "kernels"
+    kernels.mkdir(parents=True)
+    shutil.copy(ROOT / "model" / "kernels" / "jit.py", kernels)
+    for room in (package, kernels):
+        (room / "__init__.py").write_text("")
+    (package / "caller.py").write_text(CALLER)
+    return package
+
+
 def test_a_changed_callee_in_another_file_is_never_served_stale(tmp_path: Path) -> None:
     # numba's own cache would return 2: it looks only at the caller's file.
-    package = tmp_path / "model"
-    package.mkdir()
-    shutil.copy(ROOT / "model" / "compiled.py", package)
-    (package / "__init__.py").write_text("")
-    (package / "caller.py").write_text(CALLER)
+    package = model_with_a_caller(tmp_path)
     for value in (1, 5):
         (package / "small.py").write_text(SMALL_KERNELS.format(value=value))
         assert python("from model.caller import twice; print(twice())", tmp_path, tmp_path / "cache") == str(2 * value)
 
 
 def test_what_was_compiled_is_found_again_and_no_compiler_runs(tmp_path: Path) -> None:
-    package = tmp_path / "model"
-    package.mkdir()
-    shutil.copy(ROOT / "model" / "compiled.py", package)
-    (package / "__init__.py").write_text("")
-    (package / "caller.py").write_text(CALLER)
+    package = model_with_a_caller(tmp_path)
     (package / "small.py").write_text(SMALL_KERNELS.format(value=3))
     code = "from model.caller import twice; print(twice(), sum(twice.stats.cache_hits.values()))"
     assert python(code, tmp_path, tmp_path / "cache") == "6 0"

@@ -11,12 +11,12 @@ import pytest
 
 from tests.support.budget import FUZZ_FACTOR
 
-TESTS = Path(__file__).parent
+ROOT = Path(__file__).parents[2]
 PROPERTY = """
 from pathlib import Path
 
 import pytest
-from budget import examples
+from tests.support.budget import examples
 from hypothesis import given, reproduce_failure
 from hypothesis import strategies as st
 
@@ -55,15 +55,14 @@ def pytest_in(folder: Path, *options: str) -> str:
         "_hypothesis_pytestplugin",
         *options,
     ]
-    env = os.environ | {"PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1"}
+    env = os.environ | {"PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1", "PYTHONPATH": str(ROOT)}
     return subprocess.run(command, cwd=folder, env=env, capture_output=True, text=True, check=False).stdout
 
 
 def draw(folder: Path, *options: str, constants: str = "") -> tuple[set[str], str]:
     """The examples that a session tries in a folder, and what it prints."""
     folder.mkdir(parents=True)
-    for name in ("budget.py", "conftest.py"):
-        (folder / name).write_bytes((TESTS / name).read_bytes())
+    (folder / "conftest.py").write_bytes((ROOT / "tests" / "conftest.py").read_bytes())
     (folder / "constants.py").write_text(constants)
     (folder / "test_it.py").write_text(("import constants\n" if constants else "") + PROPERTY)
     (folder / "pytest.ini").write_text('[pytest]\nmarkers =\n  fuzz: only in make fuzz\naddopts = -m "not fuzz"\n')

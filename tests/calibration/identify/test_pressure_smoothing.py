@@ -111,7 +111,7 @@ def test_the_density_found_on_slow_sines_is_not_that_of_the_noise(monkeypatch: p
 
     # Even from the samples as they are: frequencies at which they show but noise do not count.
     assert abs(found()) < 3
-    monkeypatch.setattr(least_squares, "passed", lambda poses: np.ones(len(poses) // 2 + 1))
+    monkeypatch.setattr(least_squares, "apply_frequency_mask", lambda poses: np.ones(len(poses) // 2 + 1))
     assert found() < -4
 
 

@@ -13,7 +13,7 @@ from rig.cli.archive_output import resolve
 from runs.archive.writer import ArchiveError, finalise
 from runs.export.exporters import FORMATS, export
 from runs.journal.journal import JournalWriter
-from runs.overwriting import WouldOverwrite, staged
+from runs.overwriting import WouldOverwriteError, staged
 from runs.records import RunFooter, Status
 from runs.report import figure_export
 from runs.report import page as report
@@ -115,7 +115,7 @@ def test_an_export_is_written_over_no_file_without_consent(data: Path, form: str
     written = export(archive, form)
     for file in written:
         file.write_text("mine")
-    with pytest.raises(WouldOverwrite, match="--replace"):
+    with pytest.raises(WouldOverwriteError, match="--replace"):
         export(archive, form)
     assert all(file.read_text() == "mine" for file in written)
     assert {path.name for path in export(archive, form, replace=True)} == {path.name for path in written}
@@ -130,7 +130,7 @@ def test_figures_are_written_over_no_file_without_consent(data: Path) -> None:
     (folder / f"{FIRST}-error.svg").write_text("mine")
     names = {path.name for path in figure_export.write([data / f"{FIRST}.h5"], Path("other"), "svg")}
     (folder / sorted(names)[0]).write_text("mine")
-    with pytest.raises(WouldOverwrite):
+    with pytest.raises(WouldOverwriteError):
         figure_export.write([data / f"{FIRST}.h5"], folder, "svg")
     assert (folder / sorted(names)[0]).read_text() == "mine"
     figure_export.write([data / f"{FIRST}.h5"], folder, "svg", replace=True)
@@ -153,7 +153,7 @@ def test_reproduce_writes_over_its_own_page_alone(tmp_path: Path) -> None:
 
     assert write(tmp_path / "paper", [], [], ["said"]) == write(tmp_path / "paper", [], [], ["again"])
     (tmp_path / "paper.html").write_text("mine")
-    with pytest.raises(WouldOverwrite):
+    with pytest.raises(WouldOverwriteError):
         write(tmp_path, [], [], ["said"])
     assert (tmp_path / "paper.html").read_text() == "mine"
     write(tmp_path, [], [], ["said"], replace=True)
@@ -168,7 +168,7 @@ def test_of_several_files_none_is_written_where_one_may_not_be(tmp_path: Path) -
             (stage / "a").write_text("new")
             (stage / "b").write_text("new")
 
-    with pytest.raises(WouldOverwrite, match="b exists"):
+    with pytest.raises(WouldOverwriteError, match="b exists"):
         write()
     assert [path.name for path in tmp_path.iterdir()] == ["b"]
 

@@ -218,8 +218,9 @@ def test_the_message_names_who_holds_a_card_from_the_kernels_knowledge(shared: P
 
 
 HOLD = (
-    "import os, sys, time\nfrom pathlib import Path\nimport rig.config.loader\nfrom rig.daq import runtime_folder\n"
-    "from rig.hardware.lock import cards_locked\nruntime_folder.BASE = Path(sys.argv[2])\n"
+    "import os, sys, time\nfrom pathlib import Path\nimport rig.config.loader\n"
+    "from rig.hardware import runtime_folder\nfrom rig.hardware.lock import cards_locked\n"
+    "runtime_folder.BASE = Path(sys.argv[2])\n"
     "uid = int(sys.argv[3])\n"
     "config = rig.config.loader.load(sys.argv[1])\n"
     "os.setgroups([]) if uid != os.getuid() else None\nos.setuid(uid)\n"

@@ -160,7 +160,8 @@ class TestAnotherLayout:
         number = st.floats(-1e3, 1e3, allow_nan=False).map(lambda x: round(x, 6))
         steps_us = data.draw(st.lists(st.integers(1, 10_000_000), min_size=n, max_size=n))
         t_us = data.draw(st.integers(-(10**9), 10**9)) + np.cumsum(steps_us)
-        kpa = np.array(data.draw(st.lists(number, min_size=n * actuators, max_size=n * actuators))).reshape(n, -1)
+        gauge = st.floats(-100, 1e3, allow_nan=False).map(lambda x: round(x, 6))
+        kpa = np.array(data.draw(st.lists(gauge, min_size=n * actuators, max_size=n * actuators))).reshape(n, -1)
         mm = np.array(data.draw(st.lists(number, min_size=3 * n, max_size=3 * n))).reshape(n, 3)
         table = {"t": t_us, **{f"p{i}": kpa[:, i] for i in range(actuators)}, **dict(zip("xyz", mm.T, strict=True))}
         order = data.draw(st.permutations(list(table)))

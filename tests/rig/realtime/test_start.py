@@ -169,7 +169,7 @@ def test_valves_that_nobody_is_left_to_make_safe_are_told_of_though_the_run_did_
     for name in ("watchdog", "control"):
         fellow(conductor, name, "").wait()
     conductor.memory.beat("control", 1)
-    monkeypatch.setattr(supervisor, "stand_in", lambda *_: "no answer")
+    monkeypatch.setattr(supervisor, "force_safe_state", lambda *_: "no answer")
     assert conductor.end() == "the safe state could not be written, shut the air off by hand: no answer"
     os.close(conductor.memory.fd)
 
@@ -281,7 +281,7 @@ def test_an_error_in_control_is_told_by_its_name_and_leaves_the_valves_safe(
 
     monkeypatch.setattr(control_process, "receive", lambda: (ChildJob(own_plan, memory.fd, os.getppid()), memory))
     monkeypatch.setattr(control_process, "_warm_up", fails)
-    monkeypatch.setattr(control_process, "become_real_time", lambda priority: Scheduling.NONE)
+    monkeypatch.setattr(control_process, "enable_realtime_scheduling", lambda priority: Scheduling.NONE)
     monkeypatch.setattr(control_process, "_verify_venting", lambda *_: "")
     before = signal.getsignal(signal.SIGTERM)
     try:

@@ -29,7 +29,7 @@ from scripts.faults.surroundings import NotHereError
 N, M, K = 600, 90, 5
 FULL = """
 import resource, signal, sys
-from runs.archive import ArchiveError, finalise
+from runs.archive.writer import ArchiveError, finalise
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
 resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[2]), resource.RLIM_INFINITY))
 try:
@@ -250,7 +250,7 @@ def test_a_changed_number_is_noticed(path: Path, tmp_path: Path) -> None:
 def test_content_that_reads_back_differently_gets_no_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     source = tmp_path / "run.mcap"
     made_up.write_journal(source)
-    monkeypatch.setattr(archive.digest, "of_file", lambda file: archive.digest.Digest("0" * 64, {}))
+    monkeypatch.setattr(archive.checksum, "of_file", lambda file: archive.checksum.Checksum("0" * 64, {}))
     with pytest.raises(ArchiveError, match="read back"):
         finalise(source)
     assert not source.with_suffix(".h5").exists()

@@ -26,7 +26,7 @@ from runs.journal.journal import JournalWriter
 from runs.records import Quantity, RunFooter, SourceFile, Status, adaptation_dtype
 from tests.support.rig_process import BRIEF
 
-TESTS = Path(__file__).parent
+ROOT = Path(__file__).parents[3]
 PATIENCE_S = 300.0
 SEARCHED = 1200
 """Archives that a search damages."""
@@ -99,8 +99,8 @@ class Readers:
             self._process = None
 
     def _start(self) -> subprocess.Popen[str]:
-        program = [sys.executable, str(TESTS / "archive_readers.py")]
-        environment = {**os.environ, "COLUMNS": "200"}
+        program = [sys.executable, "-m", "tests.support.archive_readers"]
+        environment = {**os.environ, "COLUMNS": "200", "PYTHONPATH": str(ROOT)}
         return subprocess.Popen(
             program, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, cwd=self._folder, env=environment
         )

@@ -33,7 +33,7 @@ WRITER = """
 import sys
 sys.path.insert(0, {tests!r})
 from tests.support import synthetic_runs as made_up
-from runs.journal import JournalWriter
+from runs.journal.journal import JournalWriter
 rows = made_up.samples(500.0)
 writer = JournalWriter(sys.argv[1], made_up.header(), live={live})
 for low in range(0, len(rows), 5):
