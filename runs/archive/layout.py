@@ -165,9 +165,7 @@ def _entry(journal: Journal) -> Group:
         Field("command", header.command, about="the command line"),
         Field("host", header.host),
         Field("start_utc", np.int64(header.started_utc_ns), "ns", "start_time since 1970, exactly", limits=CLOCK),
-        Field(
-            "start_clock", np.int64(header.started_t_ns), "ns", "start_time on the own clock", limits=OWN_CLOCK
-        ),
+        Field("start_clock", np.int64(header.started_t_ns), "ns", "start_time on the own clock", limits=OWN_CLOCK),
         Field("actuators", np.int32(header.actuators), limits=(0, MOST_CHANNELS)),
         Field("valves", np.int32(header.valves), limits=(0, MOST_CHANNELS)),
     ]
