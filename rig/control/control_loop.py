@@ -13,7 +13,7 @@ from rig.execution.plan import Plan
 from rig.hardware.bench import BenchScans
 from runs.records import sample_dtype
 
-STOOD_STILL_NS = 20_000_000
+STALLED_NS = 20_000_000
 LONGEST_MEAN_PERIODS = 2
 EXCUSED_NS = 100_000_000
 """What a card, or its simulator, gets to deliver the scans of a time in which this process stood still."""
@@ -58,11 +58,11 @@ class ControlLoop:
         """True once the protocol is played to its end."""
         return self.position.protocol_s >= self._trajectory.duration_s
 
-    def _stood_still(self, now_ns: int, behind_ns: int) -> int:
+    def _stalled_ns(self, now_ns: int, behind_ns: int) -> int:
         """For how long the loop stood still within the last moments, 0 where it is punctual."""
         if self._time_may_stop:
             behind_ns = max(behind_ns, self._simulator_late_ns)
-        if behind_ns > STOOD_STILL_NS:
+        if behind_ns > STALLED_NS:
             self._excuse_ns, self._excused_until_ns = behind_ns, now_ns + EXCUSED_NS
         return self._excuse_ns if now_ns < self._excused_until_ns else 0
 
@@ -70,7 +70,7 @@ class ControlLoop:
         """Go on with the next segment at the next tick."""
         self.position = skip(self.position, self._starts_s, self._trajectory.duration_s, self._prompts_s)
 
-    def listen(self) -> int:
+    def read_scans(self) -> int:
         """Take the scans that have come since the last call; return how many."""
         scans = self._bench.read()
         self.lost += scans.lost
@@ -86,14 +86,14 @@ class ControlLoop:
             self._volts = scans.volts[-1]
         return len(scans.t_ns)
 
-    def tick(
+    def cycle(
         self, number: int, now_ns: int, periods: int, answered: int, held: bool, lateness_ns: int, missed: int
     ) -> tuple[NDArray[np.void], str | None]:
         """Do one tick; return its row (reused: copy it to keep it) and why the run must stop, None where it need not.
 
         `periods` is how many control periods have passed since the last tick: more than one after a missed deadline.
         """
-        taken = self.listen()
+        taken = self.read_scans()
         if number > 0:
             dt_s = periods * self.period_ns * 1e-9
             self.position = advance(self.position, dt_s, self._prompts_s, answered, held)
@@ -106,7 +106,7 @@ class ControlLoop:
             scan_t_ns=self._scan_t_ns,
             volts=self._volts,
             pressure_pa=self._pressure_pa,
-            stood_still_ns=self._stood_still(now_ns, lateness_ns + missed * self.period_ns),
+            stalled_ns=self._stalled_ns(now_ns, lateness_ns + missed * self.period_ns),
             time_stopped=self._time_may_stop,
         )
         self._state, command = control.step(self._prepared, self._state, sample, setpoint_pa, rate_pa_s)

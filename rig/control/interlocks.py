@@ -31,7 +31,7 @@ class Sample(NamedTuple):
 
     `t_ns` is the time of the tick, `scan_t_ns` that of the newest scan (0 before the first); `volts` (N,) and
     `pressure_pa` (N,) come from the scans since the last tick, or repeat the last ones when there were none.
-    `stood_still_ns` is for how long, just now, this program could not look. `time_stopped`: the bench is a simulation,
+    `stalled_ns` is for how long, just now, this program could not look. `time_stopped`: the bench is a simulation,
     and its time stood still meanwhile.
     """
 
@@ -39,7 +39,7 @@ class Sample(NamedTuple):
     scan_t_ns: int
     volts: NDArray[np.float64]
     pressure_pa: NDArray[np.float64]
-    stood_still_ns: int = 0
+    stalled_ns: int = 0
     time_stopped: bool = False
 
 
@@ -104,7 +104,7 @@ class SensorState(NamedTuple):
     left_s: float = 0.0
     setpoint_pa: float = math.nan
     still_s: float = 0.0
-    astray_s: float = 0.0
+    off_reference_s: float = 0.0
 
 
 class Demand(NamedTuple):
@@ -152,7 +152,7 @@ def stale(s: Settings, sample: Sample) -> Trip | None:
     time to read what the card has taken meanwhile.
     """
     age_s = (sample.t_ns - sample.scan_t_ns) * 1e-9
-    if age_s - sample.stood_still_ns * 1e-9 <= s.stale_s:
+    if age_s - sample.stalled_ns * 1e-9 <= s.stale_s:
         return None
     limit = f"(limit {s.stale_s * 1e3:.0f} ms)"
     message = f"no pressure sample for {age_s * 1e3:.0f} ms {limit}" if sample.scan_t_ns else "no pressure sample yet"
@@ -175,7 +175,9 @@ def broken(s: Settings, sample: Sample) -> Trip | None:
 
 def reset(watch: SensorState, pressure_pa: float) -> SensorState:
     """Forget what was asked of a pressure and not reached: nobody steered it. Where it is and how fast stays known."""
-    return watch._replace(left_pa=pressure_pa, left_reference_pa=pressure_pa, left_s=0.0, still_s=0.0, astray_s=0.0)
+    return watch._replace(
+        left_pa=pressure_pa, left_reference_pa=pressure_pa, left_s=0.0, still_s=0.0, off_reference_s=0.0
+    )
 
 
 def step(
@@ -220,7 +222,7 @@ def _moved(
     if abs(pressure - left) > NOISE_SHARE * s.sensors[i].accuracy_pa:
         left, left_reference, left_s = pressure, asked.reference_pa, 0.0
     settled = asked.setpoint_pa == watch.setpoint_pa
-    astray = abs(asked.reference_pa - pressure) > s.tracking_pa
+    off_reference = abs(asked.reference_pa - pressure) > s.tracking_pa
     # By position: names would cost as much as everything above.
     return SensorState(
         pressure,
@@ -234,7 +236,7 @@ def _moved(
         left_s,
         asked.setpoint_pa,
         watch.still_s + counted if settled else 0.0,
-        watch.astray_s + counted if astray else 0.0,
+        watch.off_reference_s + counted if off_reference else 0.0,
     )
 
 
@@ -259,9 +261,9 @@ def _judge(s: Settings, i: int, w: SensorState, t_ns: int, asked: Demand) -> Tri
     error = w.pressure_pa - asked.setpoint_pa
     if w.still_s >= s.tracking_s and abs(error) > s.tracking_pa:
         return _trip_bar(t_ns, "tracking", f"{name} is off its standing set-point by", error, s.tracking_pa)
-    if w.astray_s >= s.tracking_s:
+    if w.off_reference_s >= s.tracking_s:
         error = w.pressure_pa - asked.reference_pa
-        message = f"{name} has strayed from its moving set-point for {w.astray_s:.2f} s, now by"
+        message = f"{name} has strayed from its moving set-point for {w.off_reference_s:.2f} s, now by"
         return _trip_bar(t_ns, "tracking", message, error, s.tracking_pa)
     return None
 

@@ -131,7 +131,7 @@ def _step(settings: Settings, state: State, sample: Sample, setpoint: list[float
 
     pressure, volts = sample.pressure_pa.tolist(), sample.volts.tolist()
     lived = max(dt, passed)
-    if sample.stood_still_ns and passed >= LONGEST_STEP_PERIODS * settings.period_s:
+    if sample.stalled_ns and passed >= LONGEST_STEP_PERIODS * settings.period_s:
         state = _rejoin(limits, state, sample.t_ns, pressure, every_time=sample.time_stopped)
         lived = dt if sample.time_stopped else lived
     watches = []

@@ -83,7 +83,7 @@ class OperatorInterface(Protocol):
     def show(self, progress: Progress) -> None:
         """Called some ten times a second with what there is to see."""
 
-    def tell(self, event: Event) -> None:
+    def report(self, event: Event) -> None:
         """Called at every event."""
 
     def answered(self) -> bool:
@@ -102,7 +102,7 @@ class NullOperator:
     def show(self, progress: Progress) -> None:
         """Look away."""
 
-    def tell(self, event: Event) -> None:
+    def report(self, event: Event) -> None:
         """Forget."""
 
     def answered(self) -> bool:

@@ -132,7 +132,7 @@ class Bench:
                 self._cards[name].write(valve_v[column])
         self._told_v = valve_v.copy()
 
-    def disturbance(self) -> str:
+    def external_write(self) -> str:
         """Say which valve does not stand where `write` put it last: who else writes, means it. Empty while none is.
 
         Raises:
@@ -162,7 +162,7 @@ class Bench:
         off = np.abs(stands - self._told_v) > self._tolerance_v
         return bool(np.all(np.abs(stands - self._vent_voltages)[off] <= self._tolerance_v[off]))
 
-    def astray(self) -> str:
+    def unsafe_output(self) -> str:
         """Say which valve stands neither safe nor vented; empty where none does, or the cards cannot tell.
 
         Raises:
@@ -281,7 +281,7 @@ def unsafe_output(config: RigConfig) -> str:
     """
     for name in cards_with_valves(config):
         with suppress(CardError), closing(open_outputs(config, name)) as bench:
-            if off := bench.astray():
+            if off := bench.unsafe_output():
                 return off
     return ""
 

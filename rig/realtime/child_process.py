@@ -26,14 +26,14 @@ class ChildJob:
 
     plan: Plan
     fd: int
-    conductor_pid: int
+    supervisor_pid: int
 
 
 def spawn(module: str, job: ChildJob) -> subprocess.Popen[bytes]:
     """Start `python -m module` with a job.
 
-    The child gets a session of its own, so that Ctrl-C at the terminal reaches only the conductor: who stops what,
-    and in which order, is the conductor's decision. A child that crashes in compiled code says where, on stderr.
+    The child gets a session of its own, so that Ctrl-C at the terminal reaches only the supervisor: who stops what,
+    and in which order, is the supervisor's decision. A child that crashes in compiled code says where, on stderr.
     """
     # Not by a pipe: one that is full waits for a child that may be long in loading, or stand still.
     with os.fdopen(os.memfd_create("softrig-job"), "w+b") as told:
@@ -66,28 +66,28 @@ def receive() -> tuple[ChildJob, SharedState]:
 
 
 def leave(status: int) -> NoReturn:
-    """In the child: end, and spare the conductor, who waits, the taking apart of an interpreter that is not needed."""
+    """In the child: end, and spare the supervisor, who waits, the taking apart of an interpreter that is not needed."""
     sys.stdout.flush()
     sys.stderr.flush()
     os._exit(status)
 
 
 def supervisor_monitor(job: ChildJob) -> ProcessMonitor:
-    """In the child: the life of its conductor."""
-    life = ProcessMonitor(job.conductor_pid)
-    if os.getppid() != job.conductor_pid:
+    """In the child: the life of its supervisor."""
+    monitor = ProcessMonitor(job.supervisor_pid)
+    if os.getppid() != job.supervisor_pid:
         # Gone already; the number may be somebody else's by now.
-        life.close()
-    return life
+        monitor.close()
+    return monitor
 
 
-def await_turn(memory: SharedState, conductor: ProcessMonitor, come: Callable[[], bool]) -> bool:
+def await_turn(memory: SharedState, supervisor: ProcessMonitor, come: Callable[[], bool]) -> bool:
     """Wait until this process may touch the devices; False when the run is over before it began.
 
     What a process has to load takes longer than all else in a start: all load at once, and then come in their order.
     """
     while not come():
-        if memory.get("stop") != Stop.NONE or conductor.over:
+        if memory.stop_request != Stop.NONE or supervisor.exited:
             return False
         time.sleep(TURN_S)
     return True

@@ -1,10 +1,10 @@
-"""The conductor's control socket: a page of the same user reads the run's data there and asks for actions.
+"""The supervisor's control socket: a page of the same user reads the run's data there and asks for actions.
 
 Packets are JSON objects. `{"do": "attach"}` is answered with two file descriptors: the run's memory, read-only, and a
 pickle of its plan. `{"do": "watch"}` reports that a viewer is present. Any other `do` is an `Action`; `via` names the
 program that asks, `who` the person who uses it, if known. The record names the account behind the connection, which
 the kernel reports (SO_PEERCRED), whatever `who` says. Only the run's own user and root are let in.
-The conductor never waits for a client: one that does not read its answer, or sends no valid packet, is disconnected.
+The supervisor never waits for a client: one that does not read its answer, or sends no valid packet, is disconnected.
 """
 
 from __future__ import annotations
@@ -30,11 +30,11 @@ from rig.realtime.shared_state import SharedState
 PACKET_BYTES = 4096
 MOST_VISITORS = 32
 MOST_PACKETS = 32
-"""Packets taken from one visitor at a time, so that a flood cannot hold the conductor up."""
+"""Packets taken from one visitor at a time, so that a flood cannot hold the supervisor up."""
 MOST_NAME = 40
 _PEER = struct.Struct("3i")
 
-CarryOut = Callable[[OperatorCommand], CommandResult]
+HandleCommand = Callable[[OperatorCommand], CommandResult]
 
 
 def socket_paths() -> Path:
@@ -86,13 +86,13 @@ class ControlSocket:
             pickle.dump(plan, file)
         fcntl.fcntl(self._plan_fd, fcntl.F_ADD_SEALS, fcntl.F_SEAL_WRITE | fcntl.F_SEAL_SHRINK | fcntl.F_SEAL_GROW)
 
-    def attend(self, timeout_s: float, carry_out: CarryOut) -> None:
+    def serve(self, timeout_s: float, handle: HandleCommand) -> None:
         """Wait for at most `timeout_s`, less when somebody wants something, and give him what he wants."""
         ready, _, _ = select.select([*self._visitors, self._socket], [], [], timeout_s)
         for end in ready:
             # Who has just come in often wants something already.
             visitor = self._let_in() if end is self._socket else end
-            if visitor is not None and not self._serve(visitor, carry_out):
+            if visitor is not None and not self._read_packets(visitor, handle):
                 self._visitors.remove(visitor)
                 visitor.close()
 
@@ -117,31 +117,31 @@ class ControlSocket:
             visitor.close()
         return None
 
-    def _serve(self, visitor: socket.socket, carry_out: CarryOut) -> bool:
+    def _read_packets(self, visitor: socket.socket, handle: HandleCommand) -> bool:
         """Answer what lies there; False when the visitor has gone or has to."""
         try:
             for _ in range(MOST_PACKETS):
                 packet = visitor.recv(PACKET_BYTES)
                 if not packet:
                     return False
-                self._answer(visitor, json.loads(packet), carry_out)
+                self._answer(visitor, json.loads(packet), handle)
         except BlockingIOError:
             return True
         except (OSError, ValueError, TypeError, AttributeError, RecursionError):
             return False
         return True
 
-    def _answer(self, visitor: socket.socket, wish: dict[str, Any], carry_out: CarryOut) -> None:
+    def _answer(self, visitor: socket.socket, wish: dict[str, Any], handle: HandleCommand) -> None:
         do = wish.get("do")
         if do == "watch":
-            self._memory.set("watched_ns", time.monotonic_ns())
+            self._memory.viewer_ns = time.monotonic_ns()
         elif do == "attach":
             socket.send_fds(visitor, [b'{"done": true, "said": ""}'], [self._view_fd, self._plan_fd])
         elif not isinstance(do, str):
             raise TypeError("an action is a word")
         else:
-            answer = carry_out(OperatorCommand(Command(do), _named(_uid(visitor), wish.get("who"), wish.get("via"))))
-            visitor.send(json.dumps({"done": answer.done, "said": answer.said}).encode())
+            answer = handle(OperatorCommand(Command(do), _named(_uid(visitor), wish.get("who"), wish.get("via"))))
+            visitor.send(json.dumps({"done": answer.accepted, "said": answer.message}).encode())
 
 
 def _uid(visitor: socket.socket) -> int:

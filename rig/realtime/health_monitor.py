@@ -177,7 +177,7 @@ class HealthMonitor:
         if before and still_s > STANDSTILL_S:
             yield _warning(
                 t_ns,
-                "conductor",
+                "supervisor",
                 f"nothing was recorded for {still_s:.2f} s, what was measured was kept meanwhile: "
                 "a machine that stood still?",
             )
@@ -189,13 +189,13 @@ class HealthMonitor:
                 self._disk.told, self._disk.since_ns = True, t_ns - round(standing_s * 1e9)
                 yield _warning(
                     t_ns,
-                    "conductor",
+                    "supervisor",
                     f"the disk has not taken the record for {standing_s:.1f} s, which is kept in memory meanwhile: "
                     "is another program writing to it?",
                 )
         elif self._disk.told:
             self._disk.told = False
-            yield _over(self._disk, t_ns, "conductor", "the disk takes the record again")
+            yield _over(self._disk, t_ns, "supervisor", "the disk takes the record again")
 
 
 def _warning(t_ns: int, source: str, message: str) -> Event:

@@ -26,7 +26,7 @@ class PreviewPublisher:
 
     def shot(self, shot: FrameSet, observer: Observer) -> None:
         """Publish the leading frame of the shot that the observer has just observed, if somebody watches."""
-        watched = time.monotonic_ns() - self._memory.get("watched_ns") <= WATCHED_NS
+        watched = time.monotonic_ns() - self._memory.viewer_ns <= WATCHED_NS
         if not watched or observer.measurement is None:
             return
         frame = shot.lead

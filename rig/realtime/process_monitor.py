@@ -23,7 +23,7 @@ class ProcessMonitor:
             self._stat = -1
 
     @property
-    def over(self) -> bool:
+    def exited(self) -> bool:
         """True as soon as the process begins to die."""
         fields = self._fields()
         return not fields or bool(int(fields[_FLAGS]) & _PF_EXITING)

@@ -1,4 +1,4 @@
-"""The cards' own sampling clocks on their way into the record: control publishes them, the conductor counts them."""
+"""The cards' own sampling clocks on their way into the record: control publishes them, the supervisor counts them."""
 
 from __future__ import annotations
 

@@ -157,7 +157,7 @@ class HeartbeatMonitor:
         self._silent_ns = 0
         self._late = False
 
-    def look(self, now_ns: int, heartbeat_ns: int) -> int:
+    def silent_ns(self, now_ns: int, heartbeat_ns: int) -> int:
         """Return the silence [ns] at a look; `heartbeat_ns` is when the last sign of life was given."""
         since, self._looked_ns = now_ns - (self._looked_ns or now_ns), now_ns
         late = since >= self._overslept_ns

@@ -8,9 +8,10 @@ from __future__ import annotations
 import itertools
 import mmap
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +21,8 @@ from rig.realtime.ring import RingBuffer, ring_bytes
 from rig.realtime.scheduling import Scheduling
 from runs.journal.messages import marks_from_bytes, marks_to_bytes
 from runs.records import Event, Level, Picture, adaptation_dtype, observation_dtype, sample_dtype
+
+T = TypeVar("T", bound=float)
 
 SAMPLES = 4096
 OBSERVATIONS = 1024
@@ -59,24 +62,24 @@ _BOARD = np.dtype(
         ("control", _PROCESS),
         ("observer", _PROCESS),
         ("watchdog", _PROCESS),
-        ("conductor", _PROCESS),
+        ("supervisor", _PROCESS),
         ("control_pid", "<i8"),
         ("watchdog_pid", "<i8"),
         ("control_granted", "<i8"),
         ("watchdog_granted", "<i8"),
-        ("holder_pid", "<i8"),
-        ("plant_starting", "<i8"),
-        ("go_ns", "<i8"),
-        ("stop", "<i8"),
+        ("card_holder_pid", "<i8"),
+        ("simulator_starting", "<i8"),
+        ("start_ns", "<i8"),
+        ("stop_request", "<i8"),
         ("vented", "<i8"),
-        ("held", "<i8"),
+        ("paused", "<i8"),
         ("skips", "<i8"),
-        ("watched_ns", "<i8"),
-        ("answered", "<i8"),
-        ("waiting", "<i8"),
+        ("viewer_ns", "<i8"),
+        ("prompts_answered", "<i8"),
+        ("waiting_prompt", "<i8"),
         ("protocol_s", "<f8"),
         ("safe_ns", "<i8"),
-        ("fired_ns", "<i8"),
+        ("watchdog_trip_ns", "<i8"),
         ("lost_scans", "<i8"),
         ("scan_period_ns", "<f8", (CLOCKS,)),
         ("scan_drift_ppm", "<f8", (CLOCKS,)),
@@ -130,13 +133,58 @@ def view_dtype(layout: StateLayout) -> np.dtype[np.void]:
     )
 
 
-class SharedState:
-    """A view of the shared memory of one run. Whoever has the file descriptor has the memory; it needs no clean-up.
+class _BoardField(Generic[T]):
+    """A typed property of `SharedState` over the field of the same name of its board."""
 
-    `board` is one structured row of flags, each with one writer. `holder_pid` has the cards where that is not the
-    process that is watched as control. `samples`, `observations` and `adaptations` are rings
-    of the records of `runs.records`.
+    def __init__(self, kind: Callable[[Any], T]) -> None:
+        """`kind` makes the value of type T from the stored number."""
+        self._kind = kind
+
+    def __set_name__(self, owner: type[SharedState], name: str) -> None:
+        self._name = name
+
+    def __get__(self, state: SharedState, owner: type[SharedState]) -> T:
+        return self._kind(state.board[self._name].item())
+
+    def __set__(self, state: SharedState, value: T) -> None:
+        state.board[self._name][0] = value
+
+
+class SharedState:
+    """A view of the shared memory of one run. It exists as long as a process holds its file descriptor.
+
+    `board` is one structured row of flags; each flag has one writer and is read and written through the property of
+    the same name. Times are CLOCK_MONOTONIC [ns], 0 before the event; a process id is 0 before the process exists.
+    `samples`, `observations` and `adaptations` are rings of the records of `runs.records`.
+
+    A write through a read-only mapping raises ValueError.
     """
+
+    control_pid = _BoardField(int)
+    watchdog_pid = _BoardField(int)
+    card_holder_pid = _BoardField(int)
+    """The process that has the cards open, where that is not the process that the watchdog monitors as control."""
+    control_granted = _BoardField(Scheduling)
+    watchdog_granted = _BoardField(Scheduling)
+    simulator_starting = _BoardField(bool)
+    start_ns = _BoardField(int)
+    stop_request = _BoardField(Stop)
+    vented = _BoardField(bool)
+    """True after another program has vented valves that the safe state would hold."""
+    paused = _BoardField(bool)
+    skips = _BoardField(int)
+    """Requests to skip the rest of a segment, since the start."""
+    viewer_ns = _BoardField(int)
+    """When a viewer last requested data."""
+    prompts_answered = _BoardField(int)
+    waiting_prompt = _BoardField(int)
+    """Index of the prompt that the protocol waits for; -1 when it waits for none."""
+    protocol_s = _BoardField(float)
+    safe_ns = _BoardField(int)
+    """When the safe state was written by another process than the watchdog."""
+    watchdog_trip_ns = _BoardField(int)
+    """When the watchdog wrote the safe state because control had died or hung."""
+    lost_scans = _BoardField(int)
 
     def __init__(self, fd: int, layout: StateLayout, *, readonly: bool = False) -> None:
         """Map the memory; `readonly` for those who watch: writing is then impossible, not just forbidden."""
@@ -175,31 +223,23 @@ class SharedState:
     def create(cls, layout: StateLayout) -> SharedState:
         """Make the memory of a new run, all zero."""
         memory = cls(os.memfd_create("softrig", 0), layout)
-        memory.set("waiting", -1)
+        memory.waiting_prompt = -1
         return memory
 
-    def get(self, field: str) -> int:
-        """Read one integer flag."""
-        return int(self.board[field][0])
-
-    def set(self, field: str, value: float) -> None:
-        """Write one flag."""
-        self.board[field][0] = value
-
-    def ask_to_stop(self, why: Stop) -> None:
-        """Ask every process to end with the valves safe. Who asks first is told of; to vent wins over all else."""
-        if why is Stop.VENT or self.get("stop") == Stop.NONE:
-            self.set("stop", why)
+    def request_stop(self, reason: Stop) -> None:
+        """Request that every process ends with the valves safe. The first stop reason is kept; VENT overrides it."""
+        if reason is Stop.VENT or self.stop_request is Stop.NONE:
+            self.stop_request = reason
 
     @property
     def vents(self) -> bool:
-        """True where the safe state is the vented one, also of valves that would be held."""
-        return self.get("stop") == Stop.VENT or bool(self.get("vented"))
+        """True where the safe state vents every valve, also those that the rig holds."""
+        return self.stop_request is Stop.VENT or self.vented
 
     @property
     def granted(self) -> Scheduling:
-        """The scheduling that both control and the watchdog were granted; none before they have said so."""
-        return Scheduling(self.get("control_granted") & self.get("watchdog_granted"))
+        """The scheduling that both control and the watchdog were granted; none before both have published theirs."""
+        return self.control_granted & self.watchdog_granted
 
     def stage(self, process: str) -> Stage:
         """How far a process is."""
@@ -209,13 +249,13 @@ class SharedState:
         """What a process last said."""
         return bytes(self.board[process]["message"][0]).decode(errors="replace")
 
-    def say(self, process: str, stage: Stage, message: str = "") -> None:
+    def publish_stage(self, process: str, stage: Stage, message: str = "") -> None:
         """Publish a process's stage; the message is there before the stage that it explains."""
         row = self.board[process]
         row["message"][0] = message.encode()[:MESSAGE_BYTES]
         row["stage"][0] = stage
 
-    def beat(self, process: str, t_ns: int) -> None:
+    def heartbeat(self, process: str, t_ns: int) -> None:
         """Publish a sign of life."""
         self.board[process]["heartbeat_ns"][0] = t_ns
 

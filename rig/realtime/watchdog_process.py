@@ -1,6 +1,6 @@
 """The watchdog process: its own handle on the cards, and the safe state when control dies or hangs.
 
-It depends on nothing but the shared memory and the cards: not on the conductor, the camera, the disk or the page.
+It depends on nothing but the shared memory and the cards: not on the supervisor, the camera, the disk or the page.
 """
 
 from __future__ import annotations
@@ -34,36 +34,36 @@ def main() -> int:
     """Watch until control has exited, then leave the bench safe where control has not."""
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
     job, memory = receive()
-    if not await_turn(memory, supervisor_monitor(job), lambda: not memory.get("plant_starting")):
-        memory.say("watchdog", Stage.DONE)
+    if not await_turn(memory, supervisor_monitor(job), lambda: not memory.simulator_starting):
+        memory.publish_stage("watchdog", Stage.DONE)
         return 0
     try:
         grip = WatchdogOutputs(job.plan.config)
     except CardError as error:
-        memory.say("watchdog", Stage.FAILED, str(error))
+        memory.publish_stage("watchdog", Stage.FAILED, str(error))
         return 1
-    memory.set("watchdog_granted", enable_realtime_scheduling(WATCHDOG_PRIORITY))
-    memory.beat("watchdog", time.monotonic_ns())
-    memory.say("watchdog", Stage.READY)
+    memory.watchdog_granted = enable_realtime_scheduling(WATCHDOG_PRIORITY)
+    memory.heartbeat("watchdog", time.monotonic_ns())
+    memory.publish_stage("watchdog", Stage.READY)
     reason = "the watchdog failed"
     ended = 0
     try:
-        reason = _watch(memory, job.conductor_pid, grip, lambda: timing_limits(job.plan.config, memory.granted))
+        reason = _watch(memory, job.supervisor_pid, grip, lambda: timing_limits(job.plan.config, memory.granted))
     finally:
         if reason and not grip.shared:
-            ended = memory.get("holder_pid")
-            _kill(ended or memory.get("control_pid"))  # its end is what opens the card to others
+            ended = memory.card_holder_pid
+            _kill(ended or memory.control_pid)  # its end is what opens the card to others
         # What control has made safe is not written again: somebody may have vented since what it only holds.
-        trouble = "" if not reason and memory.get("safe_ns") else _make_safe(grip, memory)
+        trouble = "" if not reason and memory.safe_ns else _make_safe(grip, memory)
     # The register is written: what follows may take its time.
     if reason:
-        memory.set("fired_ns", time.monotonic_ns())
-        _kill(memory.get("control_pid"))
+        memory.watchdog_trip_ns = time.monotonic_ns()
+        _kill(memory.control_pid)
         time.sleep(0.005)
         # A control process that was only slow may have written once more before it died.
         trouble = _make_safe(grip, memory)
     said = f"{reason}; then {trouble}" if reason and trouble else reason or trouble
-    memory.say("watchdog", Stage.FAILED if trouble else Stage.DONE, said)
+    memory.publish_stage("watchdog", Stage.FAILED if trouble else Stage.DONE, said)
     if ended:
         # Nobody else is left to tell it.
         print(f"{said}: the command that had the card was ended, to make the valves safe", file=sys.stderr)
@@ -86,28 +86,28 @@ def _make_safe(grip: WatchdogOutputs, memory: SharedState, patience_s: float = P
             return ""
 
 
-def _watch(memory: SharedState, conductor_pid: int, grip: WatchdogOutputs, decide: Callable[[], TimingLimits]) -> str:
+def _watch(memory: SharedState, supervisor_pid: int, grip: WatchdogOutputs, decide: Callable[[], TimingLimits]) -> str:
     """Return why the safe state is due, empty when control has made the bench safe by itself.
 
     `decide` gives the limits; they are final once control is running, because its scheduling is known then.
     """
     poll = select.poll()
-    conductor = _watched(poll, conductor_pid)
-    while not (control_pid := memory.get("control_pid")):
-        memory.beat("watchdog", time.monotonic_ns())
-        if conductor in _exited(poll, PERIOD_MS) or memory.get("stop") != Stop.NONE:
+    supervisor = _watched(poll, supervisor_pid)
+    while not (control_pid := memory.control_pid):
+        memory.heartbeat("watchdog", time.monotonic_ns())
+        if supervisor in _exited(poll, PERIOD_MS) or memory.stop_request != Stop.NONE:
             return ""
     control = _watched(poll, control_pid)
-    life = ProcessMonitor(control_pid)
-    conductor_gone_ns = 0
+    monitor = ProcessMonitor(control_pid)
+    supervisor_gone_ns = 0
     vented = False
     timing, final = decide(), False
-    silence, conductors = _heartbeat_monitors(timing)
+    silence, supervisors = _heartbeat_monitors(timing)
     while True:
         exited = _exited(poll, PERIOD_MS)
         now = time.monotonic_ns()
-        memory.beat("watchdog", now)
-        if control in exited or life.over:
+        memory.heartbeat("watchdog", now)
+        if control in exited or monitor.exited:
             return "" if memory.stage("control") in (Stage.DONE, Stage.FAILED) else "the control process died"
         if not vented and memory.vents:
             # At once, whatever control is busy with; control does the same at its next tick.
@@ -116,20 +116,22 @@ def _watch(memory: SharedState, conductor_pid: int, grip: WatchdogOutputs, decid
         running = memory.stage("control") == Stage.RUNNING
         if running and not final:
             timing, final = decide(), True
-            silence, conductors = _heartbeat_monitors(timing)
-        silent_ns = silence.look(now, memory.heartbeat_ns("control"))
-        conductor_silent_ns = conductors.look(now, memory.heartbeat_ns("conductor"))
+            silence, supervisors = _heartbeat_monitors(timing)
+        silent_ns = silence.silent_ns(now, memory.heartbeat_ns("control"))
+        supervisor_silent_ns = supervisors.silent_ns(now, memory.heartbeat_ns("supervisor"))
         if running and silent_ns > timing.control_hung_ns:
             return "the control process hung"
-        if conductor >= 0 and conductor in exited:
-            poll.unregister(conductor)  # it would wake this process again and again
-            conductor = -1
-        if not conductor_gone_ns and (conductor < 0 or (running and conductor_silent_ns > timing.supervisor_silent_ns)):
-            conductor_gone_ns = now
-            memory.ask_to_stop(Stop.SILENT)
-        grace_ns = timing.grace_ns + (round(timing.vented_s * 1e9) if memory.get("safe_ns") else 0)
-        if conductor_gone_ns and now - conductor_gone_ns > grace_ns:
-            return "the conductor died or hung, and control did not stop"
+        if supervisor >= 0 and supervisor in exited:
+            poll.unregister(supervisor)  # it would wake this process again and again
+            supervisor = -1
+        if not supervisor_gone_ns and (
+            supervisor < 0 or (running and supervisor_silent_ns > timing.supervisor_silent_ns)
+        ):
+            supervisor_gone_ns = now
+            memory.request_stop(Stop.SILENT)
+        grace_ns = timing.grace_ns + (round(timing.vented_s * 1e9) if memory.safe_ns else 0)
+        if supervisor_gone_ns and now - supervisor_gone_ns > grace_ns:
+            return "the supervisor died or hung, and control did not stop"
 
 
 def _heartbeat_monitors(timing: TimingLimits) -> tuple[HeartbeatMonitor, HeartbeatMonitor]:

@@ -21,7 +21,7 @@ GONE_S = 2.0
 
 
 class Simulation:
-    """A running plant, as the conductor sees it."""
+    """A running plant, as the supervisor sees it."""
 
     def __init__(self, process: subprocess.Popen[bytes], config: RigConfig) -> None:
         self._process = process

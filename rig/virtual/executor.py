@@ -36,7 +36,7 @@ _Look = tuple[NDArray[np.void], NDArray[np.void] | None, list[Picture]]
 """A row of observations, what the estimator made of it, and the pictures that are kept."""
 
 
-def run(plan: Plan, open_record: OpenRecord, audience: OperatorInterface) -> Outcome:
+def run(plan: Plan, open_record: OpenRecord, operator: OperatorInterface) -> Outcome:
     """Run one plan in virtual time; return once the (simulated) valves are safe.
 
     Raises:
@@ -47,7 +47,7 @@ def run(plan: Plan, open_record: OpenRecord, audience: OperatorInterface) -> Out
     real += [name for name, camera in config.cameras.items() if not camera.simulated]
     if real:
         raise StartError(f"virtual time needs a simulated rig, and {', '.join(real)} of rig {config.name} is real")
-    virtual = _VirtualRun(plan, audience)
+    virtual = _VirtualRun(plan, operator)
     gc.freeze()  # what was imported need not be searched for garbage again and again
     try:
         return virtual.run(open_record)
@@ -56,10 +56,10 @@ def run(plan: Plan, open_record: OpenRecord, audience: OperatorInterface) -> Out
 
 
 class _VirtualRun:
-    def __init__(self, plan: Plan, audience: OperatorInterface) -> None:
+    def __init__(self, plan: Plan, operator: OperatorInterface) -> None:
         config = plan.config
         self._plan = plan
-        self._audience = audience
+        self._operator = operator
         self._plant = Plant(config, plan.seed, t0_ns=0)
         self._bench = Bench(config, {name: self._plant.card(name) for name in config.cards})
         self._cameras = {
@@ -74,7 +74,7 @@ class _VirtualRun:
         self._developer = ThreadPoolExecutor(1, thread_name_prefix="camera")
         self._looker = ThreadPoolExecutor(1, thread_name_prefix="observer")
         self._looking: deque[Future[_Look]] = deque()
-        self._ticker = ControlLoop(plan, self._bench)
+        self._loop = ControlLoop(plan, self._bench)
         self._vigil = HealthMonitor(config)
         self._lost_scans = 0
         self._frame_ns = round(1e9 / next(iter(config.cameras.values())).rate_hz)
@@ -98,7 +98,7 @@ class _VirtualRun:
         now = START_NS
         try:
             while True:
-                now = START_NS + tick * self._ticker.period_ns
+                now = START_NS + tick * self._loop.period_ns
                 ending = self._tick(tick, now)
                 if ending is not None:
                     break
@@ -123,7 +123,7 @@ class _VirtualRun:
         """Watch the air go; what keeps it, empty when nothing does."""
         venting = VentVerification(self._plan.config, self._bench)
         with suppress(CardError):
-            for waited in range(0, round(PATIENCE_S * 1e9), self._ticker.period_ns):
+            for waited in range(0, round(PATIENCE_S * 1e9), self._loop.period_ns):
                 self._plant.advance(now + waited)
                 if venting.done():
                     return ""
@@ -139,9 +139,9 @@ class _VirtualRun:
 
     def _tick(self, tick: int, now: int) -> tuple[Status, str] | None:
         """Do one tick and the frames that fall into it; return how the run ends, None while it goes on."""
-        self._plant.hang(self._plan.trajectory.weight_kg(self._ticker.position.protocol_s))
+        self._plant.hang(self._plan.trajectory.weight_kg(self._loop.position.protocol_s))
         self._plant.advance(now)
-        row, trip = self._ticker.tick(tick, now, 1, self._answered, False, 0, 0)
+        row, trip = self._loop.cycle(tick, now, 1, self._answered, False, 0, 0)
         self._samples.add(row)
         self._unseen = min(self._unseen + 1, HISTORY_TICKS)
         # A frame is looked at once the samples on both sides of it are there, and the last camera has exposed.
@@ -151,9 +151,9 @@ class _VirtualRun:
         if trip is not None:
             self._tell(now, Level.FAULT, "control", trip)
             return Status.ABORTED, trip
-        if self._ticker.finished:
+        if self._loop.finished:
             return Status.FINISHED, ""
-        if self._ticker.position.waiting and self._answered == self._ticker.position.prompts_passed:
+        if self._loop.position.waiting and self._answered == self._loop.position.prompts_passed:
             message = self._plan.trajectory.prompts[self._answered].message
             self._answered += 1
             self._tell(now, Level.INFO, "operator", f"done (virtual time answers by itself): {message}")
@@ -161,9 +161,9 @@ class _VirtualRun:
             self._flush()
             if time.monotonic() - self._shown > SHOW_S:
                 self._shown = time.monotonic()
-                if reason := self._audience.stop_requested():
+                if reason := self._operator.stop_requested():
                     return Status.INTERRUPTED, reason
-                self._audience.show(self._progress(row))
+                self._operator.show(self._progress(row))
         return None
 
     def _observe(self, frame: int, t_ns: int, protocol_s: float) -> None:
@@ -218,7 +218,7 @@ class _VirtualRun:
         self._recorder.samples(samples)
         self._recorder.observations(observations)
         self._recorder.adaptations(self._adaptations.take())
-        lost, self._lost_scans = self._ticker.lost - self._lost_scans, self._ticker.lost
+        lost, self._lost_scans = self._loop.lost - self._lost_scans, self._loop.lost
         for event in (
             *self._vigil.samples(samples),
             *self._vigil.observations(observations),
@@ -229,7 +229,7 @@ class _VirtualRun:
     def _progress(self, row: NDArray[np.void]) -> Progress:
         last, estimate = self._observations.recent(1), self._adaptations.recent(1)
         return Progress(
-            protocol_s=self._ticker.position.protocol_s,
+            protocol_s=self._loop.position.protocol_s,
             duration_s=self._plan.trajectory.duration_s,
             sample=row,
             observation=last[0] if len(last) else None,
@@ -244,7 +244,7 @@ class _VirtualRun:
 
     def _report(self, event: Event) -> None:
         self._recorder.event(event)
-        self._audience.tell(event)
+        self._operator.report(event)
 
 
 class _Rows:

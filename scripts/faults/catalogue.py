@@ -9,7 +9,7 @@ from enum import Enum
 from rig.simulator.faults import CameraFault, SensorFault, ValveFault
 from runs.records import Status
 
-CONDUCTOR, CONTROL, WATCHDOG, OBSERVER, PLANT = "conductor", "control", "watchdog", "observer", "plant"
+SUPERVISOR, CONTROL, WATCHDOG, OBSERVER, PLANT = "supervisor", "control", "watchdog", "observer", "plant"
 KILL, STOP = signal.SIGKILL, signal.SIGSTOP
 STUCK_WHERE_IT_IS = float("nan")
 FOR_EVER = 10**9
@@ -229,27 +229,31 @@ PROCESSES = (
     ),
     _process("watchdog killed", Signal((WATCHDOG,), KILL), ABORTED, "watchdog process died"),
     _process("watchdog stopped", Signal((WATCHDOG,), STOP), ABORTED, "watchdog"),
-    _process("conductor killed", Signal((CONDUCTOR,), KILL), RECOVERED, ""),
-    _process("conductor stopped, 4 s", Signal((CONDUCTOR,), STOP, lasts_s=4.0), ABORTED, "conductor had been silent"),
-    _process("conductor stopped, 1.2 s", Signal((CONDUCTOR,), STOP, lasts_s=1.2), FINISHED, "nothing was recorded for"),
+    _process("supervisor killed", Signal((SUPERVISOR,), KILL), RECOVERED, ""),
+    _process(
+        "supervisor stopped, 4 s", Signal((SUPERVISOR,), STOP, lasts_s=4.0), ABORTED, "supervisor had been silent"
+    ),
+    _process(
+        "supervisor stopped, 1.2 s", Signal((SUPERVISOR,), STOP, lasts_s=1.2), FINISHED, "nothing was recorded for"
+    ),
     _process("simulator killed", Signal((PLANT,), KILL), ABORTED, "simulator died|no pressure sample|camera"),
     _process("simulator stopped", Signal((PLANT,), STOP), ABORTED, "no pressure sample|camera"),
-    _process("control, observer and conductor killed", Signal((CONTROL, OBSERVER, CONDUCTOR), KILL), RECOVERED, ""),
+    _process("control, observer and supervisor killed", Signal((CONTROL, OBSERVER, SUPERVISOR), KILL), RECOVERED, ""),
     _process(
-        "control, observer and conductor stopped, 4 s",
-        Signal((CONTROL, OBSERVER, CONDUCTOR), STOP, lasts_s=4.0),
+        "control, observer and supervisor stopped, 4 s",
+        Signal((CONTROL, OBSERVER, SUPERVISOR), STOP, lasts_s=4.0),
         ABORTED,
         "hung",
     ),
     _process("control and watchdog killed", Signal((CONTROL, WATCHDOG), KILL), ABORTED, "process died"),
     _process("control and watchdog stopped", Signal((CONTROL, WATCHDOG), STOP), ABORTED, "silent"),
-    _process("watchdog and conductor killed", Signal((WATCHDOG, CONDUCTOR), KILL), RECOVERED, ""),
-    _process("all but the observer killed", Signal((CONTROL, WATCHDOG, CONDUCTOR), KILL), RECOVERED, ""),
+    _process("watchdog and supervisor killed", Signal((WATCHDOG, SUPERVISOR), KILL), RECOVERED, ""),
+    _process("all but the observer killed", Signal((CONTROL, WATCHDOG, SUPERVISOR), KILL), RECOVERED, ""),
     _process(
         "all but the observer stopped, 4 s",
-        Signal((CONTROL, WATCHDOG, CONDUCTOR), STOP, lasts_s=4.0),
+        Signal((CONTROL, WATCHDOG, SUPERVISOR), STOP, lasts_s=4.0),
         ABORTED,
-        "conductor had been silent",
+        "supervisor had been silent",
     ),
     _process("one to three of the four killed, in any order", Havoc((KILL,)), EITHER, TOLD_OF_A_PROCESS),
     _process("one to three of the four stopped, in any order", Havoc((STOP,)), EITHER, TOLD_OF_A_PROCESS),
@@ -258,14 +262,14 @@ PROCESSES = (
     ),
     _process(
         "all stopped, then rig vent, then on",
-        Signal((CONDUCTOR, WATCHDOG, CONTROL, OBSERVER), STOP, lasts_s=3.0, then_vent=True),
+        Signal((SUPERVISOR, WATCHDOG, CONTROL, OBSERVER), STOP, lasts_s=3.0, then_vent=True),
         (*ABORTED, *INTERRUPTED),
         "silent|hung|another program|simulator stands still|SIGTERM",
         "the time runs from the start of the program `rig vent`",
         within_s=8.0,
     ),
 )
-ALL_FIVE = (CONDUCTOR, WATCHDOG, CONTROL, OBSERVER, PLANT)
+ALL_FIVE = (SUPERVISOR, WATCHDOG, CONTROL, OBSERVER, PLANT)
 SURROUNDINGS = (
     *(
         _process(

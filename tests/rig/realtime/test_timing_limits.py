@@ -112,8 +112,8 @@ def test_scans_that_are_old_because_the_simulator_is_late_stop_no_run_of_a_simul
     plan = experiment.plan(experiment.request(str(tmp_path / "short.yaml"), "mock", folder=tmp_path, fast=True, seed=1))
     config, now = plan.config, 10**10
     for may_stop in (False, True):
-        ticker, first = ControlLoop(plan, Late(), time_may_stop=may_stop), True
-        _, trip = ticker.tick(0, now, 1, 0, False, 0, 0)
+        loop, first = ControlLoop(plan, Late(), time_may_stop=may_stop), True
+        _, trip = loop.cycle(0, now, 1, 0, False, 0, 0)
         assert (trip is None) is may_stop
 
 
