@@ -104,7 +104,7 @@ def empty() -> Iterator[Registers]:
 def test_valves_that_a_drive_would_hold_stay_vented_where_another_program_has_vented_them(
     empty: Registers, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(bench_session, "become_real_time", lambda priority: Scheduling.NONE)
+    monkeypatch.setattr(bench_session, "enable_realtime_scheduling", lambda priority: Scheduling.NONE)
     text = rig.config.loader.text("mock").replace("device: mock0", f"device: clocked-{os.getpid()}", 1)
     text = text.replace("type: flow\n", "type: flow\n    safe_state: hold\n").replace("stale_s: 0.1", "stale_s: 5")
     file = tmp_path / "rig.yaml"

@@ -203,7 +203,7 @@ def test_the_watchdog_writes_at_the_end_only_what_control_has_not(
     memory.publish_stage("control", Stage.DONE)
     memory.safe_ns = safe_ns
     monkeypatch.setattr(watchdog_process, "receive", lambda: (job(config, memory, os.getppid()), memory))
-    monkeypatch.setattr(watchdog_process, "become_real_time", lambda priority: Scheduling.NONE)
+    monkeypatch.setattr(watchdog_process, "enable_realtime_scheduling", lambda priority: Scheduling.NONE)
     before = signal.getsignal(signal.SIGTERM)
     try:
         assert watchdog_process.main() == 0

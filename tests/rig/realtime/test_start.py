@@ -282,7 +282,7 @@ def test_an_error_in_control_is_told_by_its_name_and_leaves_the_valves_safe(
 
     monkeypatch.setattr(control_process, "receive", lambda: (ChildJob(own_plan, memory.fd, os.getppid()), memory))
     monkeypatch.setattr(control_process, "_warm_up", fails)
-    monkeypatch.setattr(control_process, "become_real_time", lambda priority: Scheduling.NONE)
+    monkeypatch.setattr(control_process, "enable_realtime_scheduling", lambda priority: Scheduling.NONE)
     monkeypatch.setattr(control_process, "_verify_venting", lambda *_: "")
     before = signal.getsignal(signal.SIGTERM)
     try:

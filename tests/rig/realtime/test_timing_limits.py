@@ -149,7 +149,7 @@ def test_skipped_time_of_the_plant_moves_no_pressure() -> None:
 
 def test_a_process_without_real_time_priority_asks_for_short_slices_and_keeps_its_priority() -> None:
     program = (
-        "import os\nfrom rig.realtime import clock\nos.nice(5)\nclock._request_short_slice()\n"
+        "import os\nfrom rig.realtime import scheduling\nos.nice(5)\nscheduling._request_short_slice()\n"
         "print(os.getpriority(os.PRIO_PROCESS, 0), os.sched_getscheduler(0))\n"
     )
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
@@ -158,8 +158,8 @@ def test_a_process_without_real_time_priority_asks_for_short_slices_and_keeps_it
 
 def test_what_can_be_obtained_is_what_a_process_is_granted() -> None:
     program = (
-        "from rig.realtime import clock\nexpected = clock.obtainable()\n"
-        "print(int(expected), int(clock.become_real_time(clock.CONTROL_PRIORITY)))\n"
+        "from rig.realtime import scheduling\nexpected = scheduling.obtainable()\n"
+        "print(int(expected), int(scheduling.enable_realtime_scheduling(scheduling.CONTROL_PRIORITY)))\n"
     )
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
     expected, granted = done.stdout.split()
