@@ -1,4 +1,4 @@
-"""The observer process: camera, vision and model, at the camera's pace."""
+"""The observer process: camera, vision and model, at the camera rate."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ from rig.realtime.timing_limits import timing_limits
 REHEARSED_FRAMES = 3
 FIRST_PICTURE_S = 5.0
 HISTORY = 400
-"""Control ticks handed to the model with each frame: two seconds at 200 Hz."""
+"""Control cycles passed to the model with each frame: two seconds at 200 Hz."""
 
 
 def main() -> int:
-    """Observe until told to stop; stay until the bench is safe."""
+    """Observe until a stop is requested; end once the bench is safe."""
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
     job, memory = receive()
-    guard = FailsafeThread(job, memory)
+    failsafe = FailsafeThread(job, memory)
     try:
         _observe(job, memory)
     except CameraError as error:
@@ -38,7 +38,7 @@ def main() -> int:
         memory.publish_stage("observer", Stage.FAILED, f"the observer process failed: {type(error).__name__}: {error}")
         raise
     finally:
-        guard.outlast()
+        failsafe.join()
     memory.publish_stage("observer", Stage.DONE)
     return 0
 
@@ -54,7 +54,7 @@ def _observe(job: ChildJob, memory: SharedState) -> None:
         return
     cameras = CameraSynchroniser(config, job.plan.seed)
     try:
-        # A camera that shows nothing is found before the run is armed.
+        # A camera without pictures is detected before the run is armed.
         cameras.await_all(max(FIRST_PICTURE_S, frame_s))
         _warm_up(job, [cameras.read(FIRST_PICTURE_S) for _ in range(REHEARSED_FRAMES)])
         memory.publish_stage("observer", Stage.READY)
@@ -85,7 +85,7 @@ def _observer(job: ChildJob) -> Observer:
 
 
 def _warm_up(job: ChildJob, shots: list[FrameSet]) -> None:
-    """Observe some shots with an observer of their own: what is compiled at its first use is ready by then."""
+    """Observe some frame sets with a separate observer, so that imports and compilation are done before the start."""
     config = job.plan.config
     observer = _observer(job)
     for index, shot in enumerate(shots):

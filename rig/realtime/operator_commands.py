@@ -1,4 +1,4 @@
-"""What an operator may ask of a run that goes, and how the run answers."""
+"""Commands of the operator to a running experiment, and their results."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from runs.records import Status
 
 
 class Command(StrEnum):
-    """Something an operator can ask for."""
+    """A command of the operator."""
 
     PAUSE = "pause"
     RESUME = "resume"
@@ -25,7 +25,7 @@ class Command(StrEnum):
 
 @dataclass(frozen=True)
 class OperatorCommand:
-    """One action, and who asks for it: `ada (live page)`."""
+    """One command and its sender, such as `ada (live page)`."""
 
     action: Command
     who: str
@@ -33,16 +33,16 @@ class OperatorCommand:
 
 @dataclass(frozen=True)
 class CommandResult:
-    """What became of a wish: `said` is a sentence for the record, or the reason why nothing was done."""
+    """Result of a command; `message` is the sentence for the record, or the reason of a refusal."""
 
     accepted: bool
     message: str
 
 
 def user_name(uid: int | None = None) -> str:
-    """The account with a user id, this process's own if left out; `user 1234` where the machine has no name for it.
+    """Account name of a user id, by default of this process; `user 1234` if the machine has no name for it.
 
-    The kernel's id decides: variables such as LOGNAME and USER can say anything.
+    The id comes from the kernel: variables such as LOGNAME and USER are not reliable.
     """
     uid = os.getuid() if uid is None else uid
     try:
@@ -52,7 +52,7 @@ def user_name(uid: int | None = None) -> str:
 
 
 class CommandHandler:
-    """Carries wishes out: sets the flags that control obeys at its next tick. What it says comes after what it does."""
+    """Executes commands: sets the flags that control reads in its next cycle, then returns the result."""
 
     def __init__(self, memory: SharedState, trajectory: Trajectory) -> None:
         self._memory = memory
@@ -60,7 +60,7 @@ class CommandHandler:
         self.ending: tuple[Status, str] | None = None
 
     def handle(self, request: OperatorCommand) -> CommandResult:
-        """Do one thing, or say why not."""
+        """Execute one command, or return why it is refused."""
         match request.action:
             case Command.VENT:
                 self._memory.request_stop(Stop.VENT)
@@ -90,7 +90,7 @@ class CommandHandler:
 
     def _skip(self, who: str) -> CommandResult:
         if self._memory.paused:
-            # Whoever pauses counts on the pressures to stay as they are.
+            # A paused run keeps its pressures.
             return CommandResult(False, "the run is paused and holds its pressures; resume it, then skip")
         at_s = self._protocol_s
         self._memory.skips = self._memory.skips + 1

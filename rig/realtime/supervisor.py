@@ -1,4 +1,4 @@
-"""The supervisor of a real-time run: starts the processes, records what they write, and ends the run in order."""
+"""The supervisor of a real-time run: starts the processes, records their data and ends the run in order."""
 
 from __future__ import annotations
 
@@ -38,22 +38,22 @@ from runs.records import Event, Level, Status
 
 SLOW_START_S = 4.0
 START_TIMEOUT_S = 300.0
-"""Generous: a cold compiler cache or a busy machine is not a fault."""
+"""Long, because a cold compiler cache or a busy machine is not a fault."""
 LEAD_NS = 60_000_000
 START_LOOK_S = 0.005
 DRAIN_S = 0.02
 SHOW_S = 0.1
 LAST_FRAME_S = 0.5
 STATUS_S = 1.0
-"""What a process that dies gets to give its memory back: only then its exit status is known."""
+"""Time for an exiting process to release its memory: its exit status is known only then."""
 OVERSLEPT_NS = 200_000_000
-TAKEN_OVER = "the watchdog took the bench over, and was itself gone before it could say why"
+TAKEN_OVER = "the watchdog took the bench over, and exited before it could report why"
 
 STOPPED = {
-    Stop.SAFE: "the run was told to stop",
-    Stop.SILENT: "the supervisor had been silent, and the others were told to make the bench safe",
-    Stop.TERMINATED: "the control process was told to terminate",
-    Stop.VENT: "the run was told to vent",
+    Stop.SAFE: "a stop of the run was requested",
+    Stop.SILENT: "the supervisor had been silent, and the other processes were requested to make the bench safe",
+    Stop.TERMINATED: "the control process received SIGTERM",
+    Stop.VENT: "venting was requested",
 }
 
 
@@ -61,7 +61,7 @@ def run(plan: Plan, open_record: OpenRecord, operator: OperatorInterface) -> Out
     """Run one plan in real time; return once the valves are safe and every process has ended.
 
     Raises:
-        CardError, StartError: a device or a process did not come up.
+        CardError, StartError: a device or a process did not start.
     """
     expected = obtainable()
     waits_ns = timing_limits(plan.config, expected).simulation_waits_ns
@@ -98,7 +98,7 @@ class _Supervisor:
         self._judged = False
         self.health_monitor = HealthMonitor(plan.config)
         self.lost_scans = 0
-        # After a stall of the whole machine every process gets the time to send a heartbeat.
+        # After a stall of the whole machine every process gets time to send a heartbeat.
         self.heartbeat_monitors = {
             name: HeartbeatMonitor(round(DRAIN_S * 1e9), OVERSLEPT_NS) for name in ("observer", "control", "watchdog")
         }
@@ -110,7 +110,7 @@ class _Supervisor:
         self._shown_prompt = -1
 
     def run(self, open_record: OpenRecord) -> Outcome:
-        """Start, conduct, end."""
+        """Start the processes, supervise the run, end it."""
         memory = self.memory
         trouble = self._open_control_socket()
         memory.heartbeat("supervisor", time.monotonic_ns())
@@ -118,7 +118,7 @@ class _Supervisor:
         for name in ("watchdog", "control", "observer"):
             self._spawn(name, f"rig.realtime.{name}_process")
         for card in self.plan.config.cards.values():
-            card_type(card)  # no time to load it when it is needed
+            card_type(card)  # loaded in advance: an emergency leaves no time for imports
         self._await("simulator")
         memory.simulator_starting = False
         for name in self.children:
@@ -130,7 +130,7 @@ class _Supervisor:
         self._event(Level.INFO, "control", "armed: the safe state was written and read back")
         for sentence in sampling_clocks.descriptions(memory, self.plan.config):
             self._event(Level.INFO, "card", sentence)
-        self._tell_timing()
+        self._report_timing()
         if trouble:
             self._event(Level.WARNING, "supervisor", trouble)
         memory.heartbeat("supervisor", time.monotonic_ns())
@@ -139,10 +139,10 @@ class _Supervisor:
             status, message = self._supervise()
         finally:
             self._make_safe()
-        # The last frame is still being looked at; what a page has shown is to be in the record.
+        # The last frame is still being measured, and the live page may have shown it already: it belongs in the record.
         ended_within(self.children["observer"], LAST_FRAME_S)
         self._drain()
-        # Also where another fault has ended the run: air that does not go is to be told of.
+        # Also after another fault: a chamber that does not vent is always reported.
         if self.control_failure not in message:
             status, message = Status.ABORTED, f"{message}; {self.control_failure}".removeprefix("; ")
             self._event(Level.FAULT, "control", self.control_failure)
@@ -172,8 +172,8 @@ class _Supervisor:
         memory.publish_stage("supervisor", Stage.DONE, f"{status}: {message}".removesuffix(": "))
         return Outcome(status, message, safe_ns or time.monotonic_ns(), counters)
 
-    def _tell_timing(self) -> None:
-        """Record what scheduling was granted and what counts as hung under it."""
+    def _report_timing(self) -> None:
+        """Record the granted scheduling and the resulting time limits."""
         granted = self.memory.granted
         if refused := remedies(granted):
             self._event(Level.WARNING, "control", refused)
@@ -183,31 +183,31 @@ class _Supervisor:
 
     @property
     def control_failure(self) -> str:
-        """What control has failed by: air that does not go is to be told of, whatever else ends a run."""
+        """Message of a failed control process, such as a chamber that does not vent; else empty."""
         return self.memory.message("control") if self.memory.stage("control") is Stage.FAILED else ""
 
     def end(self) -> str:
-        """Leave no process behind; may be called at any time. Returns what is wrong with the valves then."""
+        """End every child process; may be called at any time. Returns what is wrong with the valves, else empty."""
         memory = self.memory
         memory.request_stop(Stop.SAFE)
         if self.control_socket is not None:
             self.control_socket.close()
         if memory.simulator_starting:
-            # Nobody has had his turn: they only load, and would look up when they are done.
+            # No child has opened a device yet; while they load they do not check for a stop request.
             for process in self.children.values():
                 process.kill()
         message = ""
-        # The watchdog goes last: it is the one that writes the safe state when the others cannot.
+        # The watchdog ends last: it writes the safe state when the others cannot.
         for name, process in sorted(self.children.items(), key=lambda member: member[0] == "watchdog"):
             if not ended_within(process, self.timing.ending_s):
                 process.kill()
-                # Not for ever: the end of a process that a debugger holds is hidden until the debugger asks for it.
+                # A time-out, because the exit of a traced process is hidden until its debugger collects it.
                 ended_within(process, STATUS_S)
                 if name == "watchdog":
                     message = "the watchdog did not end; check the valves and run `rig vent --rig` with this rig"
         for monitor in self.monitors.values():
             monitor.close()
-        # Control gives a sign of life before it touches a card; before that nobody has moved a valve.
+        # Control sends its first heartbeat before it opens a card; before that no valve has moved.
         if not self._judged and memory.heartbeat_ns("control") and not self._written():
             trouble = force_safe_state(self.plan.config, memory)
             return trouble if not trouble or UNSAFE in trouble else f"{UNSAFE}: {trouble}"
@@ -218,7 +218,7 @@ class _Supervisor:
         shown = 0.0
         while True:
             memory.heartbeat("supervisor", time.monotonic_ns())
-            # Before it is looked at why: who stands still in between finds control done, and no reason.
+            # Read before the reasons: after a stall in between, control would be done without a reason.
             done = memory.stage("control") == Stage.DONE
             self._report(*self.health_monitor.looking(time.monotonic_ns()))
             self._drain()
@@ -234,9 +234,9 @@ class _Supervisor:
                 self._event(Level.FAULT, "supervisor", STOPPED[stop])
                 return Status.ABORTED, STOPPED[stop]
             if fault := self._fault():
-                # Who is silent is killed where he does not act: that is no news of what befell him.
+                # Evaluated before a silent process is killed: its exit status would not show the cause.
                 died = self._died(fault[0])
-                # First of all: a process that is long in dying is not to be waited for.
+                # First of all, because the exit of a process may take long.
                 self._make_safe()
                 fault = self._explained(*fault, died=died)
                 self._event(Level.FAULT, *fault)
@@ -252,7 +252,7 @@ class _Supervisor:
             self._serve(DRAIN_S)
 
     def _open_control_socket(self) -> str:
-        """Let pages attach to this run; what keeps them out, empty when nothing does."""
+        """Open the control socket; return why pages cannot attach, else empty."""
         try:
             self.control_socket = ControlSocket(self.plan, self.memory)
         except OSError as error:
@@ -266,7 +266,7 @@ class _Supervisor:
             self.control_socket.serve(timeout_s, self._handle)
 
     def _handle(self, request: OperatorCommand) -> CommandResult:
-        """Do what an operator asks for, then record it."""
+        """Execute a command of an operator, then record it."""
         if not self.memory.start_ns and request.action not in (Command.STOP, Command.VENT):
             return CommandResult(False, "the run has not begun")
         answer = self.command_handler.handle(request)
@@ -275,7 +275,7 @@ class _Supervisor:
         return answer
 
     def _fault(self) -> tuple[str, str] | None:
-        """Which process has a fault, and what it is."""
+        """A process with a fault, and the fault; None if there is none."""
         memory = self.memory
         if memory.watchdog_trip_ns:
             return "watchdog", TAKEN_OVER
@@ -304,7 +304,7 @@ class _Supervisor:
         return None
 
     def _lost(self) -> tuple[str, str] | None:
-        """Which process has failed or died."""
+        """A process that has failed or died, and the message; None if there is none."""
         for name, monitor in self.monitors.items():
             exited, stage = monitor.exited, self.memory.stage(name)
             if stage is Stage.FAILED:
@@ -314,23 +314,23 @@ class _Supervisor:
         return None
 
     def _explained(self, source: str, message: str, *, died: bool) -> tuple[str, str]:
-        """A fault with what is known of it once the valves are safe."""
+        """The source and message of a fault, completed once the valves are safe."""
         if self.memory.watchdog_trip_ns:
-            # What the watchdog saw comes first: what others complain of may follow from it. It explains at its end.
+            # The reason of the watchdog comes first: other faults may follow from it. It is published at its end.
             ended_within(self.children["watchdog"], self.timing.ending_s)
             return "watchdog", self.memory.message("watchdog") or message
         return source, message + (self._exit_status(source) if died else "")
 
     def _died(self, name: str) -> bool:
-        """True for a process that has died without a word."""
+        """True for a process that has exited without a message."""
         return name in self.monitors and self.monitors[name].exited and self.memory.stage(name) <= Stage.RUNNING
 
     def _exit_status(self, name: str) -> str:
-        """That of a process that has died."""
+        """Exit status of a process that has died, as a suffix of its message."""
         return f" (exit status {self.children[name].returncode})" if ended_within(self.children[name], STATUS_S) else ""
 
     def _drain(self) -> None:
-        """Move everything that the processes have written into the record."""
+        """Record everything that the processes have written since the last call."""
         samples = self.memory.samples.read()
         if len(samples):
             self.recorder.samples(samples)
@@ -382,7 +382,7 @@ class _Supervisor:
         )
 
     def _make_safe(self) -> None:
-        """Ask control for the safe state and wait until it, or who stands in for it, has written it; once is enough."""
+        """Request the safe state and wait until control or the watchdog has written it; otherwise write it."""
         memory = self.memory
         memory.request_stop(Stop.SAFE)
         deadline = time.monotonic() + self.timing.ending_s
@@ -401,10 +401,10 @@ class _Supervisor:
             self._failsafe_message = f"neither control nor the watchdog acts, and the supervisor failed: {trouble}"
 
     def _unsafe(self) -> str:
-        """What kept everybody from writing the safe state; empty when somebody has."""
+        """Why no process has written the safe state; empty if one has."""
         self._judged = True
         if not self.memory.safe_ns:
-            # It says at its very end whether its last write has succeeded.
+            # The watchdog publishes at its end whether its last write has succeeded.
             ended_within(self.children["watchdog"], self.timing.ending_s)
         if self._written():
             off = unsafe_output(self.plan.config)
@@ -425,11 +425,11 @@ class _Supervisor:
         return message if UNSAFE in message else f"{UNSAFE}: neither control nor the watchdog has reported that it was"
 
     def _written(self) -> bool:
-        """True where somebody has written the safe state, and nothing was written after it."""
+        """True if a process has written the safe state and nothing was written after it."""
         return bool(self.memory.safe_ns) or self.memory.stage("watchdog") is Stage.DONE
 
     def _gone(self, name: str) -> bool:
-        """True when a process has died or has no recent heartbeat."""
+        """True if a process has died or has no recent heartbeat."""
         return (
             self.monitors[name].exited
             or time.monotonic_ns() - self.memory.heartbeat_ns(name) > self.timing.failsafe_silent_ns
@@ -449,26 +449,26 @@ class _Supervisor:
         return self.memory.stage(name) is not Stage.STARTING
 
     def _await(self, name: str) -> None:
-        """Wait for one of those that start; whatever befalls any of them meanwhile ends the run before it begins."""
+        """Wait until a starting process is ready; a fault of any of them ends the run before it begins."""
         started = time.monotonic()
-        told = False
+        reported = False
         while not self._ready(name):
             self.memory.heartbeat("supervisor", time.monotonic_ns())
-            self._refuse()
+            self._check_start()
             waited = time.monotonic() - started
-            if waited > SLOW_START_S and not told:
-                told = True
-                still = name in self.monitors and self.monitors[name].stopped
-                why = "it was stopped" if still else "after a new version it compiles its kernels once"
+            if waited > SLOW_START_S and not reported:
+                reported = True
+                stopped = name in self.monitors and self.monitors[name].stopped
+                why = "it was stopped" if stopped else "after a new version it compiles its kernels once"
                 message = f"waiting for the {name} process: {why}"
                 self.operator.report(Event(time.monotonic_ns(), Level.INFO, "supervisor", message))
             if waited > START_TIMEOUT_S:
                 raise StartError(f"the {name} process was not ready within {START_TIMEOUT_S:.0f} s")
             self._serve(START_LOOK_S)
-        self._refuse()
+        self._check_start()
 
-    def _refuse(self) -> None:
-        """Raise where the run must not begin: somebody wants it to end, or one of those that start is lost."""
+    def _check_start(self) -> None:
+        """Raise if the run must not begin: a stop was requested, or a starting process has failed."""
         reason = self.operator.stop_requested() or (self.command_handler.ending and self.command_handler.ending[1])
         if reason:
             raise StoppedError(f"stopped before the run began: {reason}")

@@ -169,7 +169,7 @@ def test_who_has_the_card_and_hangs_is_ended_also_where_another_process_is_watch
         watchdog.kill()
         watchdog.wait()
         os.close(memory.fd)
-    assert "the control process hung: the command that had the card was ended" in capfd.readouterr().err
+    assert "the control process hung: the command that held the card was ended" in capfd.readouterr().err
 
 
 @pytest.mark.realtime

@@ -145,8 +145,8 @@ def test_where_all_others_are_dead_the_bench_is_made_safe_at_once(
 ) -> None:
     memory.control_pid = dead()
     memory.watchdog_pid = dead()
-    guard = FailsafeThread(job(config, memory, dead()), memory)
-    guard.outlast()
+    failsafe = FailsafeThread(job(config, memory, dead()), memory)
+    failsafe.join()
     assert volts(registers) == [SAFE_V, SAFE_V]
     assert memory.safe_ns
     assert memory.stop_request == Stop.SILENT
@@ -157,11 +157,11 @@ def test_nobody_stands_in_while_the_watchdog_lives_and_somebody_does_once_it_is_
 ) -> None:
     memory.control_pid = dead()
     memory.watchdog_pid = sleeper.pid
-    guard = FailsafeThread(job(config, memory, dead()), memory)
+    failsafe = FailsafeThread(job(config, memory, dead()), memory)
     time.sleep(0.2)
     assert volts(registers) == [OPEN_V, OPEN_V]
     sleeper.kill()
-    guard.outlast()
+    failsafe.join()
     assert volts(registers) == [SAFE_V, SAFE_V]
 
 
@@ -170,8 +170,8 @@ def test_those_who_stand_still_with_the_valves_open_are_stood_in_for_and_ended(
 ) -> None:
     memory.control_pid = sleeper.pid
     memory.start_ns = 1
-    guard = FailsafeThread(job(config, memory, os.getppid()), memory)
-    guard.outlast()
+    failsafe = FailsafeThread(job(config, memory, os.getppid()), memory)
+    failsafe.join()
     assert volts(registers) == [SAFE_V, SAFE_V]
     assert ended_within(sleeper, 30)
 
@@ -181,12 +181,12 @@ def test_those_who_stand_still_before_the_first_tick_are_left_to_wake(
 ) -> None:
     memory.heartbeat("supervisor", 1)
     memory.control_pid = sleeper.pid
-    guard = FailsafeThread(job(config, memory, os.getppid()), memory)
+    failsafe = FailsafeThread(job(config, memory, os.getppid()), memory)
     time.sleep(0.9)
     assert volts(registers) == [OPEN_V, OPEN_V]
     assert sleeper.poll() is None
     memory.publish_stage("control", Stage.DONE)
-    guard.outlast()
+    failsafe.join()
 
 
 @pytest.mark.parametrize(("safe_ns", "left_v"), [(1, OPEN_V), (0, SAFE_V)])

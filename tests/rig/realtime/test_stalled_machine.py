@@ -144,9 +144,9 @@ def test_a_standstill_is_told_once_with_its_length() -> None:
     rows = np.zeros(3, sample_dtype(3, 2))
     rows["t_ns"] = np.array([0, 5, 610]) * MS
     rows["lateness_ns"][1], rows["missed"][2] = 600 * MS, 120
-    told = [event for event in vigil.samples(rows) if "stood still" in event.message]
+    told = [event for event in vigil.samples(rows) if "stalled" in event.message]
     assert [event.level for event in told] == [Level.WARNING]
-    assert "control stood still for 0.60 s" in told[0].message
+    assert "control stalled for 0.60 s" in told[0].message
 
 
 class Clock:

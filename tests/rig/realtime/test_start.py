@@ -147,7 +147,7 @@ def test_a_run_whose_control_was_told_to_end_before_its_turn_is_not_called_armed
     parent = supervisor._Supervisor(plan, NullOperator(), None)
     parent.memory.request_stop(Stop.TERMINATED)
     parent.memory.publish_stage("control", Stage.DONE)
-    with pytest.raises(StartError, match="before the run began, the control process was told to terminate"):
+    with pytest.raises(StartError, match="before the run began, the control process received SIGTERM"):
         parent._await("control")
     os.close(parent.memory.fd)
 
