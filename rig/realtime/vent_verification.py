@@ -47,6 +47,6 @@ class VentVerification:
         if not full:
             return ""
         return (
-            f"{', '.join(full)} {self._patience_s:g} s after the valves were commanded to vent: a valve is stuck or its "
-            "ports are the wrong way round, or a sensor is broken; shut the air off by hand"
+            f"{', '.join(full)} {self._patience_s:g} s after the valves were commanded to vent: a valve is stuck or "
+            "its ports are the wrong way round, or a sensor is broken; shut the air off by hand"
         )
