@@ -69,8 +69,8 @@ class _VirtualRun:
         self._skews_ns = [round(k * skew_ms * 1e6) for k in range(len(self._cameras))]
         self._album = PictureRecorder(config)
         self._observer = Observer(config, plan.variant, [quantity.name for quantity in plan.adapted])
-        # Rendering and measuring release the interpreter lock: they run in parallel with control, each in one thread and
-        # in the order of the frames.
+        # Rendering and measuring release the interpreter lock: each runs in its own thread beside control, in the order
+        # of the frames.
         self._renderer = ThreadPoolExecutor(1, thread_name_prefix="camera")
         self._observer_thread = ThreadPoolExecutor(1, thread_name_prefix="observer")
         self._in_flight: deque[Future[_Look]] = deque()

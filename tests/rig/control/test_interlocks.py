@@ -114,7 +114,7 @@ def test_without_scans_the_valves_wait_then_close_and_then_the_run_stops() -> No
     assert command.trip.message == "no pressure sample for 105 ms (limit 100 ms)"
 
 
-def test_a_computer_that_stood_still_gets_the_time_to_read_what_the_card_has_taken_meanwhile() -> None:
+def test_a_computer_that_stalled_gets_the_time_to_read_what_the_card_has_taken_meanwhile() -> None:
     loop = Loop()
     loop.hold(0.3)
     still_ns = 300_000_000
@@ -126,7 +126,7 @@ def test_a_computer_that_stood_still_gets_the_time_to_read_what_the_card_has_tak
     assert loop.cycle((0, 0, 0), (0.3, 0, 0), scan=False, stalled_ns=still_ns).trip is not None
 
 
-def test_a_pressure_that_has_moved_at_its_rate_while_the_computer_stood_still_is_no_fast_one() -> None:
+def test_a_pressure_that_has_moved_at_its_rate_while_the_computer_stalled_is_no_fast_one() -> None:
     loop = Loop()
     loop.hold(0.3)
     loop.t_ns += 300_000_000

@@ -136,7 +136,7 @@ def test_valves_that_do_not_stay_where_they_are_told_are_not_called_vented(
 
 
 @pytest.mark.parametrize(("stands_v", "vented"), [(0.0, True), (3.0, False)])
-def test_who_stood_still_in_a_tick_does_not_undo_what_was_written_meanwhile(
+def test_who_stalled_in_a_tick_does_not_undo_what_was_written_meanwhile(
     config: RigConfig, registers: Registers, stands_v: float, vented: bool
 ) -> None:
     memory = SharedState.create(StateLayout.of(config))

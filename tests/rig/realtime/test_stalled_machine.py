@@ -1,4 +1,4 @@
-"""A machine that stands still as a whole is nobody's fault, and what the valves did meanwhile is led back slowly."""
+"""A stall of the whole machine is no fault of a process; afterwards the pressures return within the rate limit."""
 
 from __future__ import annotations
 
@@ -161,7 +161,7 @@ class Clock:
         self.now_ns += round(seconds * 1e9) + 1_500_000_000
 
 
-def test_a_camera_whose_reader_stood_still_takes_the_newest_picture_and_blames_no_simulator(
+def test_a_camera_whose_reader_stalled_takes_the_newest_picture_and_blames_no_simulator(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     class Forgetful:

@@ -351,18 +351,18 @@ def test_what_ended_a_run_is_told_beside_a_watchdog_that_has_to_be_killed(
     assert outcome.counters == ended.counters
 
 
-def test_a_run_that_was_told_to_end_while_its_supervisor_stood_still_is_not_called_finished(
+def test_a_run_that_was_told_to_end_while_its_supervisor_stalled_is_not_called_finished(
     plan: Plan, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The supervisor had just looked whether somebody wants the run to end, and wakes when all is over."""
     parent = supervisor._Supervisor(plan, NullOperator(), None)
     parent.recorder = Unwritten()
 
-    def stood_still() -> None:
+    def stalled() -> None:
         parent.memory.request_stop(Stop.SILENT)
         parent.memory.publish_stage("control", Stage.DONE)
 
-    monkeypatch.setattr(parent, "_fault", stood_still)
+    monkeypatch.setattr(parent, "_fault", stalled)
     assert parent._supervise() == (Status.ABORTED, supervisor.STOPPED[Stop.SILENT])
     os.close(parent.memory.fd)
 

@@ -117,7 +117,7 @@ def test_scans_that_are_old_because_the_simulator_is_late_stop_no_run_of_a_simul
         assert (trip is None) is may_stop
 
 
-def test_time_in_which_a_simulated_bench_stood_still_counts_towards_no_limit() -> None:
+def test_time_in_which_a_simulated_bench_stalled_counts_towards_no_limit() -> None:
     """A set-point is stepped, and all of the machine is delayed by far more than `tracking_s`, again and again."""
     config = mock_rig()
     settings = control.prepare(config)
