@@ -82,7 +82,7 @@ def mock(tmp_path: Path) -> Iterator[Mock]:
 
 
 def test_without_a_plant_the_card_does_not_exist(mock: Mock) -> None:
-    with pytest.raises(CardError, match=r"start its plant with `python -m rig\.simulator\.process"):
+    with pytest.raises(CardError, match=r"start its plant with `python -m rig\.simulator\.plant_process"):
         mock.card()
 
 

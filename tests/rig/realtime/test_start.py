@@ -169,7 +169,7 @@ def test_valves_that_nobody_is_left_to_make_safe_are_told_of_though_the_run_did_
     for name in ("watchdog", "control"):
         fellow(parent, name, "").wait()
     parent.memory.heartbeat("control", 1)
-    monkeypatch.setattr(supervisor, "stand_in", lambda *_: "no answer")
+    monkeypatch.setattr(supervisor, "force_safe_state", lambda *_: "no answer")
     assert parent.end() == "the safe state could not be written, shut the air off by hand: no answer"
     os.close(parent.memory.fd)
 
@@ -324,7 +324,7 @@ def test_the_doors_of_killed_runs_are_cleared_away_and_those_of_others_stay(
     ):
         left.bind(os.fspath(socket_of(1)))
         going.bind(os.fspath(socket_of(2)))
-        going.read_scans()
+        going.listen()
         left.close()
         door = ControlSocket(plan, memory)
         assert sorted(socket_paths().iterdir()) == sorted([socket_of(2), door.path])
