@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 
+from rig.hardware import runtime_folder
 from rig.hardware.cards.base import CardError
 from rig.simulator import registers
 from scripts.faults import surroundings
@@ -41,9 +42,10 @@ def test_a_run_with_too_little_address_space_is_refused_in_one_sentence(tmp_path
 def test_a_mock_card_for_which_there_is_no_room_is_refused_and_leaves_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(registers, "FOLDER", tmp_path)
+    monkeypatch.setattr(runtime_folder, "BASE", tmp_path)
     try:
         with surroundings.small_disk(tmp_path):
+            runtime_folder.runtime_folder()
             surroundings.fill(tmp_path)
             with pytest.raises(CardError, match="No space left on device"):
                 registers.Registers.create("roomy", 2, 8)
