@@ -176,7 +176,7 @@ def test_valves_that_nobody_is_left_to_make_safe_are_told_of_though_the_run_did_
 
 @pytest.mark.parametrize(
     ("program", "said"),
-    [("import sys; sys.exit(7)", "exit status 7"), ("print('hello', flush=True); input()", "it said b'hello")],
+    [("import sys; sys.exit(7)", "exit status 7"), ("print('hello', flush=True); input()", "its output is b'hello")],
 )
 def test_a_simulator_that_does_not_start_is_told_of(plan: Plan, program: str, said: str, tmp_path: Path) -> None:
     process = subprocess.Popen(
