@@ -140,11 +140,11 @@ def test_the_supervisor_blames_nobody_for_a_standstill_and_somebody_who_stays_si
 
 
 def test_a_standstill_is_told_once_with_its_length() -> None:
-    vigil = HealthMonitor(mock_rig())
+    monitor = HealthMonitor(mock_rig())
     rows = np.zeros(3, sample_dtype(3, 2))
     rows["t_ns"] = np.array([0, 5, 610]) * MS
     rows["lateness_ns"][1], rows["missed"][2] = 600 * MS, 120
-    told = [event for event in vigil.samples(rows) if "stalled" in event.message]
+    told = [event for event in monitor.samples(rows) if "stalled" in event.message]
     assert [event.level for event in told] == [Level.WARNING]
     assert "control stalled for 0.60 s" in told[0].message
 
