@@ -1,7 +1,7 @@
 """Kill -9 the process that records a run, again and again at random moments, and see what is left.
 
 `python -m benchmarks.kills` kills virtual runs, each in a process of its own, and holds what was recovered against the
-same run left alone: every row must be the same. With `--real-time` it kills the conductor of `rig run` and prints how
+same run left alone: every row must be the same. With `--real-time` it kills the supervisor of `rig run` and prints how
 much older than the kill the last recorded sample is.
 """
 
@@ -99,7 +99,7 @@ def virtual(trials: int, seed: int, place: Path) -> None:
 
 
 def real_time(trials: int, seed: int, place: Path) -> None:
-    """Kill the conductor of `rig run`."""
+    """Kill the supervisor of `rig run`."""
     chance = random.Random(seed)
     protocol = place / "protocol.yaml"
     protocol.write_text(PROTOCOL % 60)
@@ -132,7 +132,7 @@ def real_time(trials: int, seed: int, place: Path) -> None:
         assert run.status is Status.RECOVERED
     ages_ms = np.array(ages_s) * 1e3
     print(
-        f"{trials} conductors killed: the last recorded sample was {np.median(ages_ms):.0f} ms old in the median, "
+        f"{trials} supervisors killed: the last recorded sample was {np.median(ages_ms):.0f} ms old in the median, "
         f"{ages_ms.max():.0f} ms at most"
     )
 

@@ -168,7 +168,7 @@ class _Nobody:
     def show(self, progress: object) -> None:
         """Look away."""
 
-    def tell(self, event: object) -> None:
+    def report(self, event: object) -> None:
         """Forget."""
 
     def answered(self) -> bool:

@@ -23,7 +23,7 @@ import runs
 from rig.experiment import run as experiment
 from runs.records import Level
 from runs.run import Run
-from scripts.faults.catalogue import CONDUCTOR, CONTROL
+from scripts.faults.catalogue import CONTROL, SUPERVISOR
 from scripts.faults.realtime import WatchedRun, lives
 from scripts.faults.virtual import Listener
 
@@ -98,7 +98,7 @@ def real(duration_s: float, stolen_s: float | None) -> bool:
             grown = {name: Growth() for name in run.members}
             finalising, reading = Growth(), Growth()
             while run.process.poll() is None:
-                # The conductor makes the archive when the others have gone, and then reads it for its last screen.
+                # The supervisor makes the archive when the others have gone, and then reads it for its last screen.
                 if lives(run.members[CONTROL]):
                     for name, growth in grown.items():
                         growth.look(run.members[name])
@@ -110,10 +110,10 @@ def real(duration_s: float, stolen_s: float | None) -> bool:
             run.close()
         (archive,) = run.out.glob("*.h5")
         verdicts = [growth.verdict(name) for name, growth in grown.items()]
-        verdicts.append(finalising.peak("while finalising", grown[CONDUCTOR], FINALISING_MB))
+        verdicts.append(finalising.peak("while finalising", grown[SUPERVISOR], FINALISING_MB))
         verdicts.append(
             reading.peak(
-                "while its last screen is made", grown[CONDUCTOR], max(FINALISING_MB, READING_MB * duration_s / HOUR_S)
+                "while its last screen is made", grown[SUPERVISOR], max(FINALISING_MB, READING_MB * duration_s / HOUR_S)
             )
         )
         return _report(f"{duration_s:.0f} s in real time", verdicts, runs.open(archive))

@@ -70,13 +70,13 @@ class RealTimeClock:
         # Late by more than a period: what was missed is not caught up.
         self._deadline = max(self._deadline + self._period_ns, time.monotonic_ns() - self._period_ns)
         now = wait_until(self._deadline)
-        self._memory.beat("control", now)
-        self._memory.beat("conductor", now)
-        if self._memory.get("fired_ns"):
+        self._memory.heartbeat("control", now)
+        self._memory.heartbeat("supervisor", now)
+        if self._memory.watchdog_trip_ns:
             raise StartError(f"the watchdog took the bench over: {self._memory.message('watchdog') or 'a late tick'}")
-        if self._watchdog.over:
+        if self._watchdog.exited:
             raise StartError("the watchdog process died")
-        if self._silence.look(now, self._memory.heartbeat_ns("watchdog")) > self._silent_ns:
+        if self._silence.silent_ns(now, self._memory.heartbeat_ns("watchdog")) > self._silent_ns:
             raise StartError("the watchdog is silent")
         return now
 
@@ -108,24 +108,24 @@ def real(config: RigConfig, rig_file: Path, purpose: str) -> Iterator[tuple[Valv
     """
     with cards_locked(config, purpose), _watched(config, rig_file) as (memory, watchdog):
         bench = open_bench(config)
-        memory.set("holder_pid", os.getpid())
+        memory.card_holder_pid = os.getpid()
         try:
             bench.arm()
             bench.start()
-            memory.set("control_granted", enable_realtime_scheduling(CONTROL_PRIORITY))
+            memory.control_granted = enable_realtime_scheduling(CONTROL_PRIORITY)
             # The first scans are on their way.
             time.sleep(POWER_UP_NS * 1e-9)
             ticks = RealTimeClock(memory, _period_ns(config), watchdog, timing_limits(config, memory.granted))
             # What is imported or compiled at its first use makes a tick late: no valve may be open then, unwatched.
             rehearsed = BenchDriver(config, NullOutputs(bench), ticks, lambda: None)
             rehearsed.regulate(np.zeros(config.actuators), _REHEARSED_S)
-            memory.say("control", Stage.RUNNING)
+            memory.publish_stage("control", Stage.RUNNING)
             yield GuardedOutputs(bench, memory), ticks
         finally:
             try:
                 bench.make_safe(vent=memory.vents)
             finally:
-                memory.say("control", Stage.DONE)
+                memory.publish_stage("control", Stage.DONE)
                 bench.close()
                 gc.enable()
                 disable_realtime_scheduling()
@@ -149,10 +149,10 @@ def _watched(config: RigConfig, rig_file: Path) -> Iterator[tuple[SharedState, P
             time.sleep(0.01)
         if memory.stage("watchdog") == Stage.FAILED:
             raise StartError(memory.message("watchdog"))
-        memory.set("control_pid", stand_in.pid)
+        memory.control_pid = stand_in.pid
         yield memory, life
     finally:
-        memory.set("stop", Stop.SAFE)
+        memory.stop_request = Stop.SAFE
         # Not by closing its input: it may have been stopped.
         for process, patience_s in ((stand_in, 0.0), (watchdog, _END_S)):
             if not ended_within(process, patience_s):

@@ -133,7 +133,7 @@ class Terminal:
                 self._line_at = time.monotonic()
                 self._console.print(_line(progress), soft_wrap=True, highlight=False)
 
-    def tell(self, event: Event) -> None:
+    def report(self, event: Event) -> None:
         """Show an event; it stays on the screen."""
         with suppress(OSError):
             self._console.print(

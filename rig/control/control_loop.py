@@ -1,4 +1,7 @@
-"""One control tick: scans in, set-point, regulator, volts out, row recorded. Both executors run exactly this."""
+"""The control loop: one cycle reads scans, steps the regulators, writes the valves and returns the row to record.
+
+The real-time and the virtual executor use the same code.
+"""
 
 from __future__ import annotations
 
@@ -13,14 +16,14 @@ from rig.execution.plan import Plan
 from rig.hardware.bench import BenchScans
 from runs.records import sample_dtype
 
-STOOD_STILL_NS = 20_000_000
+STALLED_NS = 20_000_000
 LONGEST_MEAN_PERIODS = 2
 EXCUSED_NS = 100_000_000
-"""What a card, or its simulator, gets to deliver the scans of a time in which this process stood still."""
+"""Time for a card or its simulator to deliver the scans of a stall of this process."""
 
 
 class ValveOutputs(Protocol):
-    """What a tick needs of a bench."""
+    """What a control cycle needs of a bench."""
 
     def read(self) -> BenchScans:
         """Scans since the last call."""
@@ -30,10 +33,10 @@ class ValveOutputs(Protocol):
 
 
 class ControlLoop:
-    """The state of the control loop between ticks. It knows no clock: the time comes in."""
+    """The state of the control loop between cycles. It reads no clock: the caller passes the time."""
 
     def __init__(self, plan: Plan, bench: ValveOutputs, *, time_may_stop: bool = False) -> None:
-        """`time_may_stop`: the bench is a simulation, whose time stands still while it or this process is delayed."""
+        """`time_may_stop`: the bench is a simulation whose time stops while it or this process is delayed."""
         config = plan.config
         self.period_ns = round(1e9 / config.control.rate_hz)
         self.position = ProtocolPosition()
@@ -55,23 +58,23 @@ class ControlLoop:
 
     @property
     def finished(self) -> bool:
-        """True once the protocol is played to its end."""
+        """True once the protocol has reached its end."""
         return self.position.protocol_s >= self._trajectory.duration_s
 
-    def _stood_still(self, now_ns: int, behind_ns: int) -> int:
-        """For how long the loop stood still within the last moments, 0 where it is punctual."""
+    def _stalled_ns(self, now_ns: int, behind_ns: int) -> int:
+        """Duration [ns] of a stall of the loop within the last EXCUSED_NS; 0 if there was none."""
         if self._time_may_stop:
             behind_ns = max(behind_ns, self._simulator_late_ns)
-        if behind_ns > STOOD_STILL_NS:
+        if behind_ns > STALLED_NS:
             self._excuse_ns, self._excused_until_ns = behind_ns, now_ns + EXCUSED_NS
         return self._excuse_ns if now_ns < self._excused_until_ns else 0
 
     def skip(self) -> None:
-        """Go on with the next segment at the next tick."""
+        """Continue with the next segment in the next cycle."""
         self.position = skip(self.position, self._starts_s, self._trajectory.duration_s, self._prompts_s)
 
-    def listen(self) -> int:
-        """Take the scans that have come since the last call; return how many."""
+    def read_scans(self) -> int:
+        """Read the scans since the last call; return their number."""
         scans = self._bench.read()
         self.lost += scans.lost
         self._simulator_late_ns = scans.late_ns
@@ -79,21 +82,21 @@ class ControlLoop:
             self._scan_t_ns = int(scans.t_ns[-1])
             pressure_pa = scans.pressure_pa
             if scans.t_ns[0] < self._scan_t_ns - LONGEST_MEAN_PERIODS * self.period_ns:
-                # A mean over a time in which nobody looked is where the pressure was and not where it is.
+                # After a gap, a mean over all scans would be an old pressure: only the last period counts.
                 pressure_pa = pressure_pa[scans.t_ns > self._scan_t_ns - self.period_ns]
-            # What NumPy's mean computes, in half its time.
+            # The result of NumPy's mean in half the time.
             self._pressure_pa = np.add.reduce(pressure_pa) / len(pressure_pa)
             self._volts = scans.volts[-1]
         return len(scans.t_ns)
 
-    def tick(
+    def cycle(
         self, number: int, now_ns: int, periods: int, answered: int, held: bool, lateness_ns: int, missed: int
     ) -> tuple[NDArray[np.void], str | None]:
-        """Do one tick; return its row (reused: copy it to keep it) and why the run must stop, None where it need not.
+        """Run one cycle; return its row (reused: copy it to keep it) and why the run must stop, else None.
 
-        `periods` is how many control periods have passed since the last tick: more than one after a missed deadline.
+        `periods` is the number of control periods since the last cycle: more than one after a missed deadline.
         """
-        taken = self.listen()
+        taken = self.read_scans()
         if number > 0:
             dt_s = periods * self.period_ns * 1e-9
             self.position = advance(self.position, dt_s, self._prompts_s, answered, held)
@@ -106,7 +109,7 @@ class ControlLoop:
             scan_t_ns=self._scan_t_ns,
             volts=self._volts,
             pressure_pa=self._pressure_pa,
-            stood_still_ns=self._stood_still(now_ns, lateness_ns + missed * self.period_ns),
+            stalled_ns=self._stalled_ns(now_ns, lateness_ns + missed * self.period_ns),
             time_stopped=self._time_may_stop,
         )
         self._state, command = control.step(self._prepared, self._state, sample, setpoint_pa, rate_pa_s)

@@ -1,6 +1,6 @@
-"""The conditions under which a run is stopped: a pure step function over what the sensors say.
+"""Interlocks, the conditions that stop a run: a pure step function of the sensor readings.
 
-Each condition is explained in docs/explanation/control.md. Pressures are gauge; messages speak bar.
+Each condition is explained in docs/explanation/control.md. Pressures are gauge; messages use bar.
 """
 
 from __future__ import annotations
@@ -15,37 +15,37 @@ from numpy.typing import NDArray
 from rig.config.schema import PA_PER_BAR, FlowValve, RigConfig, Sensor
 
 RATE_FILTER_S = 0.02
-"""Time constant of the measured rate: short against a dangerous rise, long against one noisy sample."""
+"""Time constant of the measured rate: shorter than a dangerous rise, longer than one noisy sample."""
 
 SIXTEEN_BITS = 65_535
 
 NOISE_SHARE = 0.5
-"""A reading that moved by less than this share of the sensor's accuracy may have been moved by noise alone."""
+"""A change of a reading below this share of the sensor's accuracy may be noise."""
 
 EVIDENCE = 2.0
-"""A still reading is suspicious once the valve should have moved it by this many times the sensor's accuracy."""
+"""A constant reading counts as frozen once the valve should have moved it by this multiple of the accuracy."""
 
 
 class Sample(NamedTuple):
-    """What one control tick knows.
+    """Input of one control cycle.
 
-    `t_ns` is the time of the tick, `scan_t_ns` that of the newest scan (0 before the first); `volts` (N,) and
-    `pressure_pa` (N,) come from the scans since the last tick, or repeat the last ones when there were none.
-    `stood_still_ns` is for how long, just now, this program could not look. `time_stopped`: the bench is a simulation,
-    and its time stood still meanwhile.
+    `t_ns` is the time of the cycle, `scan_t_ns` that of the newest scan (0 before the first); `volts` (N,) and
+    `pressure_pa` (N,) come from the scans since the last cycle, or repeat the last values if there were none.
+    `stalled_ns`: duration of a stall of this program just now, else 0. `time_stopped`: the bench is a simulation whose
+    time stopped during the stall.
     """
 
     t_ns: int
     scan_t_ns: int
     volts: NDArray[np.float64]
     pressure_pa: NDArray[np.float64]
-    stood_still_ns: int = 0
+    stalled_ns: int = 0
     time_stopped: bool = False
 
 
 @dataclass(frozen=True)
 class Trip:
-    """Why a run was stopped. `value` and `limit` are in `unit`; all three are in the message too."""
+    """The reason to stop a run. `value` and `limit` are in `unit`; the message contains all three."""
 
     t_ns: int
     source: str
@@ -57,11 +57,11 @@ class Trip:
 
 @dataclass(frozen=True)
 class SensorSettings:
-    """One sensor as the interlocks see it.
+    """Limits of one sensor.
 
     `ceiling_v` is a saturated input, `count_v` one count of 16 bits. `response_s` is how long the pressure may take to
-    follow a moving reference: no time at all where the sensor steers a flow-metering valve, for without it that valve
-    goes on filling.
+    follow a moving reference: zero if the sensor controls a flow-metering valve, which would otherwise continue to
+    fill.
     """
 
     low_v: float
@@ -86,11 +86,11 @@ class Settings:
 
 
 class SensorState(NamedTuple):
-    """State of one actuator's interlocks after a step; a named tuple, because a tick makes six of them.
+    """State of one actuator's interlocks after a step; a named tuple for speed, six per cycle.
 
-    The anchor is the last reading that differed from the one before it by a count; `expected_pa` is by how much the
-    valve should have moved the pressure since. `left_*` belong to the last reading that differed from the one before
-    it by more than any noise.
+    The anchor is the last reading that differed from the one before it by a count; `expected_pa` is the
+    pressure change that the valve should have caused since. `left_*` belong to the last reading that differed from the
+    one before it by more than noise.
     """
 
     pressure_pa: float = math.nan
@@ -104,11 +104,11 @@ class SensorState(NamedTuple):
     left_s: float = 0.0
     setpoint_pa: float = math.nan
     still_s: float = 0.0
-    astray_s: float = 0.0
+    off_reference_s: float = 0.0
 
 
 class Demand(NamedTuple):
-    """What the regulator of one actuator wants: see `rig.control.regulator.RegulatorState`."""
+    """The demand of one actuator's regulator: see `rig.control.regulator.RegulatorState`."""
 
     setpoint_pa: float
     reference_pa: float
@@ -146,13 +146,13 @@ def _sensor(sensor: Sensor, response_s: float) -> SensorSettings:
 
 
 def stale(s: Settings, sample: Sample) -> Trip | None:
-    """Trip when the newest scan is too old to steer by.
+    """Trip when the newest scan is older than the limit `stale_s`.
 
-    A computer that stood still as a whole (its host took the processor away) has made every scan old; it gets the
-    time to read what the card has taken meanwhile.
+    The duration of a stall of the whole computer (its host took the processor away) does not count, so that the scans
+    of the stall can be read first.
     """
     age_s = (sample.t_ns - sample.scan_t_ns) * 1e-9
-    if age_s - sample.stood_still_ns * 1e-9 <= s.stale_s:
+    if age_s - sample.stalled_ns * 1e-9 <= s.stale_s:
         return None
     limit = f"(limit {s.stale_s * 1e3:.0f} ms)"
     message = f"no pressure sample for {age_s * 1e3:.0f} ms {limit}" if sample.scan_t_ns else "no pressure sample yet"
@@ -160,7 +160,7 @@ def stale(s: Settings, sample: Sample) -> Trip | None:
 
 
 def broken(s: Settings, sample: Sample) -> Trip | None:
-    """Trip when a voltage is no pressure at all: outside the sensor's span, or at the end of the card's range."""
+    """Trip when a voltage is not a pressure: outside the sensor's span, or at the end of the card's range."""
     for i, (sensor, volts) in enumerate(zip(s.sensors, sample.volts.tolist(), strict=True)):
         if sensor.low_v <= volts <= sensor.high_v and volts < sensor.ceiling_v:
             continue
@@ -174,8 +174,10 @@ def broken(s: Settings, sample: Sample) -> Trip | None:
 
 
 def reset(watch: SensorState, pressure_pa: float) -> SensorState:
-    """Forget what was asked of a pressure and not reached: nobody steered it. Where it is and how fast stays known."""
-    return watch._replace(left_pa=pressure_pa, left_reference_pa=pressure_pa, left_s=0.0, still_s=0.0, astray_s=0.0)
+    """Restart the tracking timers after a stall without control; the pressure and its rate are kept."""
+    return watch._replace(
+        left_pa=pressure_pa, left_reference_pa=pressure_pa, left_s=0.0, still_s=0.0, off_reference_s=0.0
+    )
 
 
 def step(
@@ -189,9 +191,9 @@ def step(
     asked: Demand,
     counted_s: float | None = None,
 ) -> tuple[SensorState, Trip | None]:
-    """Judge a new reading of actuator `i`, `dt_s` after the last; `asked` is what its valve was doing meanwhile.
+    """Check a new reading of actuator `i`, `dt_s` after the last; `asked` is the demand on its valve in between.
 
-    `counted_s` is the part of `dt_s` that the bench lived through; all of it unless its time stood still.
+    `counted_s` is the part of `dt_s` that counts for the timers: all of it unless the time of a simulation stopped.
     """
     if math.isnan(watch.pressure_pa):
         watch = SensorState(
@@ -220,8 +222,8 @@ def _moved(
     if abs(pressure - left) > NOISE_SHARE * s.sensors[i].accuracy_pa:
         left, left_reference, left_s = pressure, asked.reference_pa, 0.0
     settled = asked.setpoint_pa == watch.setpoint_pa
-    astray = abs(asked.reference_pa - pressure) > s.tracking_pa
-    # By position: names would cost as much as everything above.
+    off_reference = abs(asked.reference_pa - pressure) > s.tracking_pa
+    # Positional, because keyword arguments would double the time of this function.
     return SensorState(
         pressure,
         rate,
@@ -234,7 +236,7 @@ def _moved(
         left_s,
         asked.setpoint_pa,
         watch.still_s + counted if settled else 0.0,
-        watch.astray_s + counted if astray else 0.0,
+        watch.off_reference_s + counted if off_reference else 0.0,
     )
 
 
@@ -259,9 +261,9 @@ def _judge(s: Settings, i: int, w: SensorState, t_ns: int, asked: Demand) -> Tri
     error = w.pressure_pa - asked.setpoint_pa
     if w.still_s >= s.tracking_s and abs(error) > s.tracking_pa:
         return _trip_bar(t_ns, "tracking", f"{name} is off its standing set-point by", error, s.tracking_pa)
-    if w.astray_s >= s.tracking_s:
+    if w.off_reference_s >= s.tracking_s:
         error = w.pressure_pa - asked.reference_pa
-        message = f"{name} has strayed from its moving set-point for {w.astray_s:.2f} s, now by"
+        message = f"{name} has strayed from its moving set-point for {w.off_reference_s:.2f} s, now by"
         return _trip_bar(t_ns, "tracking", message, error, s.tracking_pa)
     return None
 

@@ -1,4 +1,4 @@
-"""Where in the protocol a run is: protocol time runs with the clock, stands still for prompts and pauses, and skips."""
+"""The protocol clock: protocol time follows the clock, stops for prompts and pauses, and jumps at a skip."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class ProtocolPosition:
-    """Position in the protocol: its time and how many prompts lie behind it; `waiting` for the operator or not."""
+    """Position in the protocol: protocol time, number of passed prompts, and whether it waits for the operator."""
 
     protocol_s: float = 0.0
     prompts_passed: int = 0
@@ -18,9 +18,9 @@ class ProtocolPosition:
 def advance(
     position: ProtocolPosition, dt_s: float, prompts_s: Sequence[float], answered: int, held: bool
 ) -> ProtocolPosition:
-    """Move on by `dt_s`, stopping at the next unanswered prompt.
+    """Advance by `dt_s`, at most to the next unanswered prompt.
 
-    `prompts_s` are the prompts' times in ascending order, `answered` how many of them the operator has answered,
+    `prompts_s` are the prompts' times in ascending order, `answered` is the number of answered prompts,
     `held` whether the run is paused.
     """
     if held:
@@ -37,9 +37,9 @@ def advance(
 def skip(
     position: ProtocolPosition, starts_s: Sequence[float], end_s: float, prompts_s: Sequence[float]
 ) -> ProtocolPosition:
-    """Set protocol time forward to the next of the segments' starts (ascending), or to the end after the last.
+    """Advance protocol time to the next start of a segment (`starts_s` ascending), or to the end after the last one.
 
-    A prompt that waits, or that lies in what is skipped, is taken as done; one at the new place still waits.
+    A waiting prompt and prompts in the skipped part count as answered; a prompt at the new position still waits.
     """
     target = next((start for start in starts_s if start > position.protocol_s), end_s)
     behind = sum(at_s < target for at_s in prompts_s)

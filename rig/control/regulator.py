@@ -1,4 +1,4 @@
-"""One valve's voltage from its set-point and its measured pressure: a pure step function.
+"""The pressure regulator of one valve: a pure step function from set-point and measured pressure to voltage.
 
 The physics and the reasons for the terms are in docs/explanation/control.md. Pressures are gauge, SI throughout.
 """
@@ -14,24 +14,24 @@ from rig.config.schema import PA_PER_BAR, FlowValve, PressureValve, RigConfig
 from rig.control.valve import ANR_PA, ATMOSPHERE_PA, fill_sign, flow_function, opening_curve, sonic_conductance, vent_v
 
 REFERENCE_SHARE = 0.5
-"""Bandwidth of the set-point filter as a share of the loop's: a step is led in slower than disturbances are fought."""
+"""Bandwidth of the set-point filter as a share of the loop's: it is slower than the disturbance rejection."""
 
 SOFT_FRACTION = 0.005
-"""Openings below it cross the dead zone linearly instead of jumping, so that sensor noise does not hammer the spool."""
+"""Smaller openings cross the dead zone linearly instead of with a jump, so that noise does not wear the spool."""
 
 FLOW_FUNCTION_FLOOR = 0.15
-"""Below it the driving pressure is too small to divide by; the chamber is then within about 0.01 bar of the port."""
+"""Lower bound of the flow function as a divisor; reached when the chamber is within about 0.01 bar of the port."""
 
 LARGEST_LEAK = 0.15
-"""Bound of the integral as a fraction of the full choked flow from the supply: data sheets promise at most 0.07."""
+"""Bound of the integral as a fraction of the full choked flow from the supply: data sheets specify at most 0.07."""
 
 VENTED_PA = 500.0
-"""A reference below it asks for an empty chamber: the valve is opened to the exhaust and nothing is regulated."""
+"""A lower reference means an empty chamber: the valve is opened to the exhaust without regulation."""
 
 
 @dataclass(frozen=True)
 class FlowSettings:
-    """A flow-metering valve as the regulator sees it."""
+    """Regulator settings of a flow-metering valve."""
 
     actuators: tuple[int, ...]
     rate_limit_pa_s: float
@@ -53,7 +53,7 @@ class FlowSettings:
 
 @dataclass(frozen=True)
 class PressureSettings:
-    """A valve that regulates by itself and takes its set-point as a voltage."""
+    """Regulator settings of a valve with its own pressure regulator, whose set-point is a voltage."""
 
     actuators: tuple[int, ...]
     rate_limit_pa_s: float
@@ -68,10 +68,10 @@ Settings = FlowSettings | PressureSettings
 
 
 class RegulatorState(NamedTuple):
-    """State of one regulator after a step; `valve_v` is what the valve shall get.
+    """State of one regulator after a step; `valve_v` is the voltage to write.
 
     `reference_pa` is the set-point after the rate limit, `asked_pa_s` the rate of pressure change that the voltage
-    should cause, `integral_pa_s` the part of it that holds against leakage. `reference_pa` is NaN before the first
+    should cause, `integral_pa_s` its part that compensates leakage. `reference_pa` is NaN before the first
     step, which starts it at the measured pressure.
     """
 
@@ -82,7 +82,7 @@ class RegulatorState(NamedTuple):
 
 
 def settings(valve: FlowValve | PressureValve, config: RigConfig) -> Settings:
-    """Everything of the rig that one valve's regulator needs, in SI."""
+    """The regulator settings of one valve of the rig, in SI."""
     actuators = tuple(a - 1 for a in valve.actuators)
     rate_limit = config.limits.rate_bar_per_s * PA_PER_BAR
     gain = 2 * math.pi * config.control.bandwidth_hz
@@ -131,7 +131,7 @@ def step(
 
 
 def _follow(reference: float, setpoint: float, rate: float, bandwidth: float, limit: float, dt: float) -> float:
-    """Set-point filter: exact for what moves at its stated rate, first order within the rate limit for a step."""
+    """Set-point filter: exact for a ramp at its stated rate, first order within the rate limit for a step."""
     carried = reference + rate * dt
     wanted = carried + (setpoint - carried) * (1.0 - math.exp(-bandwidth * dt))
     return min(max(wanted, reference - limit * dt), reference + limit * dt)

@@ -1,4 +1,4 @@
-"""One control tick: interlocks first, then every valve's regulator. A pure step function without a clock."""
+"""One control step: the interlocks, then the regulator of every valve. A pure step function without a clock."""
 
 from __future__ import annotations
 
@@ -18,20 +18,20 @@ from rig.control.valve import vent_v
 __all__ = ["Command", "Sample", "Settings", "State", "Trip", "initial", "prepare", "safe_voltages", "step"]
 
 BLIND_PERIODS = 3.0
-"""After so long without a scan a flow-metering valve is closed: what it lets through is no longer seen."""
+"""Periods without a scan after which a flow-metering valve is closed, because its flow is no longer measured."""
 
 SHORTEST_STEP_PERIODS, LONGEST_STEP_PERIODS = 0.25, 4.0
-"""Time between newest scans is taken as no less and no more: the filters are made for a steady rate."""
+"""Bounds of the time step between newest scans: the filters are designed for a steady rate."""
 
 
 @dataclass(frozen=True)
 class Settings:
-    """A rig prepared for stepping."""
+    """The settings of a rig in SI."""
 
     period_s: float
     safe_v: tuple[float, ...]
     closed_v: tuple[float | None, ...]
-    """The voltage that shuts each valve; None for one that holds its pressure by itself."""
+    """The voltage that closes each valve; None for a valve with its own pressure regulator."""
     valves: tuple[regulator.Settings, ...]
     valve_of: tuple[int, ...]
     """Index of the valve of each actuator."""
@@ -39,13 +39,13 @@ class Settings:
 
 
 REJOIN_S = 0.1
-"""How long scans may keep coming late after a standstill, as a card or its simulator catches up."""
+"""How long scans may be late after a stall, while a card or its simulator catches up."""
 
 
 class State(NamedTuple):
-    """What one tick hands to the next. Once `trip` is set every command is the safe one.
+    """State between control steps. Once `trip` is set every command is the safe one.
 
-    `rejoined_ns` is when the last standstill ended after which the interlocks gave the pressures time to come back.
+    `rejoined_ns` is the end of the last stall after which the timers of the interlocks were reset.
     """
 
     scan_t_ns: int | None
@@ -56,14 +56,14 @@ class State(NamedTuple):
 
 
 class Command(NamedTuple):
-    """Valve voltages (V,) to write now, and the trip that made them the safe ones."""
+    """Valve voltages (V,) to write now, and the trip if they are the safe voltages."""
 
     valve_v: NDArray[np.float64]
     trip: Trip | None
 
 
 def safe_voltages(config: RigConfig, *, vent: bool = False) -> tuple[float, ...]:
-    """The voltage of each valve that leaves the arm safe: vented, or held where the rig says so and nobody vents."""
+    """The safe voltage of each valve: vented, or held where the rig file says so and `vent` is false."""
     voltages = []
     for valve in config.valves:
         if valve.type == "flow":
@@ -76,7 +76,7 @@ def safe_voltages(config: RigConfig, *, vent: bool = False) -> tuple[float, ...]
 
 
 def prepare(config: RigConfig) -> Settings:
-    """Turn a rig into numbers once, so that a tick does not have to."""
+    """Convert a rig to settings in SI, once per run."""
     valve_of = {a: v for v, valve in enumerate(config.valves) for a in valve.actuators}
     return Settings(
         period_s=1.0 / config.control.rate_hz,
@@ -100,11 +100,11 @@ def step(
     setpoint_pa: NDArray[np.float64],
     rate_pa_s: NDArray[np.float64],
 ) -> tuple[State, Command]:
-    """Take a sample, the set-points (N,) [Pa] and their rates of change (N,) [Pa/s]; give the valve voltages.
+    """Return the valve voltages for a sample, the set-points (N,) [Pa] and their rates of change (N,) [Pa/s].
 
-    Without a new scan the valves keep their voltages for three periods; then those that meter flow are closed, and in
-    the end the samples count as stale. After a standstill of this program each reference begins anew at the measured
-    pressure, from where it is led back within the rate limit.
+    Without a new scan the valves keep their voltages for three periods; then flow-metering valves are closed, and
+    finally the samples count as stale. After a stall of this program each reference restarts at the measured pressure
+    and returns to the set-point within the rate limit.
     """
     if state.trip is None:
         state = _step(settings, state, sample, setpoint_pa.tolist(), rate_pa_s.tolist())
@@ -130,23 +130,23 @@ def _step(settings: Settings, state: State, sample: Sample, setpoint: list[float
     dt = min(max(passed, SHORTEST_STEP_PERIODS * settings.period_s), LONGEST_STEP_PERIODS * settings.period_s)
 
     pressure, volts = sample.pressure_pa.tolist(), sample.volts.tolist()
-    lived = max(dt, passed)
-    if sample.stood_still_ns and passed >= LONGEST_STEP_PERIODS * settings.period_s:
+    counted = max(dt, passed)
+    if sample.stalled_ns and passed >= LONGEST_STEP_PERIODS * settings.period_s:
         state = _rejoin(limits, state, sample.t_ns, pressure, every_time=sample.time_stopped)
-        lived = dt if sample.time_stopped else lived
+        counted = dt if sample.time_stopped else counted
     watches = []
     for i, watch in enumerate(state.watches):
         valve = state.valves[settings.valve_of[i]]
         reference = pressure[i] if math.isnan(valve.reference_pa) else valve.reference_pa
-        asked = Demand(setpoint[i], reference, valve.asked_pa_s, valve.integral_pa_s)
+        demand = Demand(setpoint[i], reference, valve.asked_pa_s, valve.integral_pa_s)
         moved, tripped = interlocks.step(
-            limits, i, watch, max(dt, passed), sample.t_ns, volts[i], pressure[i], asked, lived
+            limits, i, watch, max(dt, passed), sample.t_ns, volts[i], pressure[i], demand, counted
         )
         watches.append(moved)
         trip = trip or tripped
     valves = []
     for s, valve in zip(settings.valves, state.valves, strict=True):
-        # One valve, several chambers: they share the air, so their mean is what the valve can steer.
+        # Several chambers on one valve share the air: the valve controls their mean.
         n = len(s.actuators)
         mean = sum(pressure[a] for a in s.actuators) / n
         target = sum(setpoint[a] for a in s.actuators) / n
@@ -156,10 +156,10 @@ def _step(settings: Settings, state: State, sample: Sample, setpoint: list[float
 
 
 def _rejoin(limits: interlocks.Settings, state: State, t_ns: int, pressure: list[float], *, every_time: bool) -> State:
-    """Begin anew from where the valves, which nobody steered, have let the pressures go.
+    """Restart the references at the measured pressures after a stall.
 
-    The interlocks give the time of a step to come back; a machine that stands still again and again gets it once,
-    unless `every_time` the bench's own time stood still, too.
+    The timers of the interlocks are reset, too, but not again within twice the tracking time, so that a machine that
+    stalls repeatedly still trips. With `every_time` (the time of the simulation stopped, too) they are always reset.
     """
     state = state._replace(valves=tuple(valve._replace(reference_pa=math.nan) for valve in state.valves))
     since_s = math.inf if state.rejoined_ns is None else (t_ns - state.rejoined_ns) * 1e-9

@@ -1,8 +1,8 @@
-"""What a flow-metering valve lets through: ISO 6358 and the data sheet's curve.
+"""Flow through a flow-metering valve: ISO 6358 and the curve of the data sheet.
 
-Flow is counted as the volume the air would have at the reference atmosphere of ISO 8778 (ANR: 1 bar, 20 °C), so a
+Flow is the volume of the air at the reference atmosphere of ISO 8778 (ANR: 1 bar, 20 °C), so a
 sonic conductance C is in m3/(s Pa) and a chamber at that temperature obeys  V dp/dt = ANR_PA * flow.
-Plain floats in, plain floats out: the regulator calls these as they are, the simulator compiles them.
+The functions take and return plain floats: the regulator calls them directly, the simulator compiles them.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ ATMOSPHERE_PA = 101_325.0
 ANR_PA = 1e5
 ANR_K = 293.15
 LAMINAR_RATIO = 0.995
-"""Above it ISO 6358's ellipse, whose slope is infinite at equal pressures, is replaced by a straight line to zero."""
+"""Above this ratio a straight line to zero replaces the ellipse of ISO 6358, whose slope at ratio 1 is infinite."""
 
 _DATA_SHEET_UPSTREAM_PA = 6e5 + ATMOSPHERE_PA
 _DATA_SHEET_DOWNSTREAM_PA = 5e5 + ATMOSPHERE_PA
@@ -24,7 +24,7 @@ _DATA_SHEET_DOWNSTREAM_PA = 5e5 + ATMOSPHERE_PA
 def flow_function(ratio: float, critical_ratio: float) -> float:
     """Flow divided by its choked value, for a ratio of downstream to upstream absolute pressure (ISO 6358-1).
 
-    Zero for ratios of one and more: the caller sorts the two pressures.
+    Zero for ratios of one and more: the caller orders the two pressures.
     """
     if ratio <= critical_ratio:
         return 1.0
@@ -38,7 +38,7 @@ def flow_function(ratio: float, critical_ratio: float) -> float:
 
 
 def sonic_conductance(flow_l_min: float, critical_ratio: float) -> float:
-    """Sonic conductance [m3/(s Pa)] of a flow that a data sheet states at 6 -> 5 bar gauge."""
+    """Sonic conductance [m3/(s Pa)] from the flow of a data sheet at 6 -> 5 bar gauge."""
     ratio = _DATA_SHEET_DOWNSTREAM_PA / _DATA_SHEET_UPSTREAM_PA
     return flow_l_min / 60_000.0 / (_DATA_SHEET_UPSTREAM_PA * flow_function(ratio, critical_ratio))
 
@@ -46,8 +46,8 @@ def sonic_conductance(flow_l_min: float, critical_ratio: float) -> float:
 def opening_curve(valve: FlowValve, dead_zone_v: float) -> tuple[tuple[float, ...], tuple[float, ...]]:
     """Volts from closed and the fraction of the full flow they open, both increasing, starting at the dead zone's edge.
 
-    With the dead zone the rig states, this is the data sheet's curve with its soft foot cut off at the dead zone. Any
-    other dead zone moves the whole curve along the voltage axis, as a spool with another overlap would.
+    With the dead zone of the rig file, this is the curve of the data sheet without its part below the dead zone.
+    Another dead zone shifts the whole curve along the voltage axis, like a spool with another overlap.
     """
     shift = dead_zone_v - valve.dead_zone_V
     pairs = [
@@ -64,5 +64,5 @@ def fill_sign(valve: FlowValve) -> float:
 
 
 def vent_v(valve: FlowValve) -> float:
-    """The voltage that opens the chamber to the exhaust as far as it goes."""
+    """The voltage that opens the valve to the exhaust completely."""
     return valve.range_V[0] if valve.fills == "above" else valve.range_V[1]

@@ -1,4 +1,4 @@
-"""What both executors are given and what they give back."""
+"""Inputs, results and interfaces of both executors."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from runs.records import Event, Picture, Quantity, Status
 
 @dataclass(frozen=True)
 class Plan:
-    """One run, decided: nothing in it changes once it is armed."""
+    """The plan of one run; immutable."""
 
     config: RigConfig
     rig_file: Path
@@ -25,12 +25,12 @@ class Plan:
     variant: Variant
     seed: int
     adapted: tuple[Quantity, ...] = ()
-    """What the recursive estimator estimates beside the run; nothing by default."""
+    """Quantities that the recursive estimator estimates during the run; none by default."""
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """How a run ended. The valves were in their safe state before this existed."""
+    """How a run ended; it is created after the valves are in their safe state."""
 
     status: Status
     message: str
@@ -40,7 +40,7 @@ class Outcome:
 
 @dataclass(frozen=True)
 class Progress:
-    """What there is to see now; `sample` and `observation` are the newest rows, None before the first."""
+    """Progress for the display; `sample` and `observation` are the newest rows, None before the first."""
 
     protocol_s: float
     duration_s: float
@@ -55,11 +55,11 @@ class Progress:
 
 
 class Recorder(Protocol):
-    """Where the rows go: the journal."""
+    """Recorder of the rows: the journal."""
 
     @property
     def standing_s(self) -> float:
-        """For how long the disk has not taken what was recorded [s]."""
+        """For how long writes to the disk have been blocked [s]."""
 
     def samples(self, rows: NDArray[np.void]) -> None:
         """Record control ticks."""
@@ -68,58 +68,58 @@ class Recorder(Protocol):
         """Record camera frames."""
 
     def adaptations(self, rows: NDArray[np.void]) -> None:
-        """Record what the recursive estimator found."""
+        """Record rows of the recursive estimator."""
 
     def picture(self, picture: Picture) -> None:
         """Record a camera picture."""
 
     def event(self, event: Event) -> None:
-        """Record something that happened."""
+        """Record an event."""
 
 
 class OperatorInterface(Protocol):
-    """Who watches and answers: the terminal, a script."""
+    """The operator's side of a run: the terminal or a script."""
 
     def show(self, progress: Progress) -> None:
-        """Called some ten times a second with what there is to see."""
+        """Show the progress; called about ten times a second."""
 
-    def tell(self, event: Event) -> None:
-        """Called at every event."""
+    def report(self, event: Event) -> None:
+        """Report an event; called for every event."""
 
     def answered(self) -> bool:
         """True once when the operator has answered the prompt that is shown."""
 
     def stop_requested(self) -> str | None:
-        """Why the operator wants the run to stop, None while he does not."""
+        """The reason of a stop request of the operator; None if there is none."""
 
     def pause_toggled(self) -> bool:
-        """True once when the operator has asked for a pause, or for its end."""
+        """True once per request of the operator to pause or to resume."""
 
 
 class NullOperator:
-    """An audience that looks away and never acts: a script's."""
+    """Null operator interface: shows nothing and requests nothing."""
 
     def show(self, progress: Progress) -> None:
-        """Look away."""
+        """Ignore the progress."""
 
-    def tell(self, event: Event) -> None:
-        """Forget."""
+    def report(self, event: Event) -> None:
+        """Ignore the event."""
 
     def answered(self) -> bool:
-        """Never."""
+        """No request."""
         return False
 
     def stop_requested(self) -> str | None:
-        """Never."""
+        """No request."""
         return None
 
     def pause_toggled(self) -> bool:
-        """Never."""
+        """No request."""
         return False
 
 
 class StartError(Exception):
-    """The run could not begin; the valves are safe and nothing was recorded."""
+    """The run could not start; the valves are safe and nothing was recorded."""
 
 
 class StoppedError(StartError):
@@ -127,4 +127,4 @@ class StoppedError(StartError):
 
 
 OpenRecord = Callable[[int], Recorder]
-"""Called with the start time [ns] once everything is armed, before the first tick: opens the journal."""
+"""Called with the start time [ns] once everything is armed, before the first cycle: opens the journal."""

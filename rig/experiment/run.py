@@ -173,7 +173,7 @@ def plan(request: RunRequest) -> Plan:
     return Plan(request.config, request.rig_file, trajectory, request.variant, request.seed, request.adapted)
 
 
-def run(request: RunRequest, decided: Plan, audience: OperatorInterface) -> RunResult:
+def run(request: RunRequest, decided: Plan, operator: OperatorInterface) -> RunResult:
     """Run a plan and leave an archive, however the run ends.
 
     Raises:
@@ -187,10 +187,10 @@ def run(request: RunRequest, decided: Plan, audience: OperatorInterface) -> RunR
         )
     # In real time nothing is loaded beside the control loop.
     with report_process.waiting() if request.fast and request.report else nullcontext(report_process.here) as draw:
-        return _run(request, decided, audience, draw)
+        return _run(request, decided, operator, draw)
 
 
-def _run(request: RunRequest, decided: Plan, audience: OperatorInterface, draw: Callable[[Path], Path]) -> RunResult:
+def _run(request: RunRequest, decided: Plan, operator: OperatorInterface, draw: Callable[[Path], Path]) -> RunResult:
     if request.fast:
         from rig.virtual.executor import run as execute
     else:
@@ -218,13 +218,13 @@ def _run(request: RunRequest, decided: Plan, audience: OperatorInterface, draw: 
         if request.rig_source in (Source.ENVIRONMENT, Source.FOLDER):
             # The command, which the record has, does not tell.
             said = f"the rig is {request.rig_file.absolute()}, chosen by {request.rig_source}"
-            journal.event(Event(t_ns, Level.INFO, "conductor", said))
+            journal.event(Event(t_ns, Level.INFO, "supervisor", said))
         return journal
 
     trouble: list[str] = []
     with nullcontext() if request.fast else cards_locked(decided.config, f"protocol {request.protocol.name}"):
         try:
-            outcome = execute(decided, armed, audience)
+            outcome = execute(decided, armed, operator)
         except Exception as error:
             if journal is None:
                 raise
@@ -233,13 +233,13 @@ def _run(request: RunRequest, decided: Plan, audience: OperatorInterface, draw: 
             outcome = Outcome(Status.ABORTED, _told(error), ended_ns)
             with suppress(JournalError):
                 if not isinstance(error, _EXPECTED):
-                    journal.event(Event(ended_ns, Level.FAULT, "conductor", traceback.format_exc()))
+                    journal.event(Event(ended_ns, Level.FAULT, "supervisor", traceback.format_exc()))
     assert journal is not None
     archive = report = parameters = None
     try:
         if not journal.settled(TOLD_AFTER_S):
             waiting = f"waiting for the disk to take the rest of {journal.path}"
-            audience.tell(Event(time.monotonic_ns(), Level.WARNING, "conductor", waiting))
+            operator.report(Event(time.monotonic_ns(), Level.WARNING, "supervisor", waiting))
         journal.close(RunFooter(outcome.t_ns, outcome.status, outcome.message, outcome.counters))
         archive = finalise(journal.path)
     except (ArchiveError, JournalError) as error:

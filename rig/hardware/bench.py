@@ -16,17 +16,17 @@ from rig.hardware.cards.registry import open_card
 
 READBACK_TOLERANCE = 1 / 2000
 """Of the output's range: two counts of a 12-bit card."""
-INSISTENCE = 10
-"""How often a safe state is written before the card counts as dead."""
+WRITE_ATTEMPTS = 10
+"""Attempts to write a safe state before the card counts as failed."""
 UNSAFE = "the safe state could not be written, shut the air off by hand"
-"""How what must be told then begins."""
+"""Begin of the message of a failed safe state."""
 
 
 @dataclass(frozen=True)
 class BenchScans:
     """Scans of all sensors, oldest first: `t_ns` (n,), `volts` and gauge `pressure_pa` (n, N) in actuator order.
 
-    `lost` counts the scans that the cards dropped since the last read; `late_ns` is by how much a simulator is behind.
+    `lost` counts the scans that the cards dropped since the last read; `late_ns` is the delay of a simulator.
     """
 
     t_ns: NDArray[np.int64]
@@ -37,7 +37,7 @@ class BenchScans:
 
 
 def card_setup(config: RigConfig, name: str) -> CardSetup:
-    """What the rig wants of one of its cards: sensors in actuator order, valves in the rig's order."""
+    """The setup of one card of the rig: sensors in actuator order, valves in the order of the rig file."""
     card = config.cards[name]
     sensors = sorted((s for s in config.sensors if s.card == name), key=lambda s: s.actuator)
     valves = [v for v in config.valves if v.card == name]
@@ -57,10 +57,10 @@ class Bench:
     """The open cards of a rig. Methods may raise `CardError`."""
 
     def __init__(self, config: RigConfig, cards: Mapping[str, Card]) -> None:
-        """`cards` are open, by their names in the rig, set up as `card_setup` says; who only writes may have some."""
+        """`cards` are open, by their names in the rig, set up by `card_setup`; a part of them suffices for writing."""
         self._cards = dict(cards)
         self._sensors = sorted(config.sensors, key=lambda s: s.actuator)
-        # A sensor is linear in voltage: two of its points say it all.
+        # A sensor is linear in voltage: two points define it.
         at_0, at_1 = ([float(s.pressure_pa(np.array(v))) for s in self._sensors] for v in (0.0, 1.0))
         self._pa_at_0_v = np.array(at_0)
         self._pa_per_v = np.array(at_1) - self._pa_at_0_v
@@ -78,7 +78,7 @@ class Bench:
 
     @property
     def card_names(self) -> tuple[str, ...]:
-        """The cards, in the rig's order."""
+        """Names of the cards in the order of the rig file."""
         return tuple(self._cards)
 
     def clock(self, card: str) -> tuple[float, float] | None:
@@ -96,7 +96,7 @@ class Bench:
     def read(self) -> BenchScans:
         """Scans since the last read. Cards with clocks of their own are paired at the times of the first one.
 
-        A row exists only once every card has a scan as late: a card that falls silent makes the samples stale.
+        A row is returned once every card has a scan at or after its time: a silent card makes the samples stale.
         """
         if len(self._inputs) == 1:
             (name,) = self._inputs
@@ -115,7 +115,7 @@ class Bench:
         for name, s in scans.items():
             rows = np.searchsorted(s.t_ns, t_ns, side="right") - 1
             volts[:, self._inputs[name]] = s.volts[rows]
-            # The first card's rows are used up; the others keep the one that the next row may still need.
+            # The first card's rows are consumed; the others keep the row that the next call may need.
             until = int(t_ns[-1]) if len(t_ns) else -1
             self._pending[name].keep(s, until, inclusive=name != first)
         return BenchScans(t_ns, volts, self._pressure_pa(volts), lost, late_ns)
@@ -132,8 +132,8 @@ class Bench:
                 self._cards[name].write(valve_v[column])
         self._told_v = valve_v.copy()
 
-    def disturbance(self) -> str:
-        """Say which valve does not stand where `write` put it last: who else writes, means it. Empty while none is.
+    def external_write(self) -> str:
+        """Message about a valve that another program has moved since the last `write`; empty if there is none.
 
         Raises:
             CardError: a card cannot be read back.
@@ -151,7 +151,7 @@ class Bench:
 
     @property
     def vented(self) -> bool:
-        """True where every valve that does not stand where `write` put it stands vented.
+        """True if every valve that another program has moved since the last `write` is vented.
 
         Raises:
             CardError: a card cannot be read back.
@@ -162,8 +162,8 @@ class Bench:
         off = np.abs(stands - self._told_v) > self._tolerance_v
         return bool(np.all(np.abs(stands - self._vent_voltages)[off] <= self._tolerance_v[off]))
 
-    def astray(self) -> str:
-        """Say which valve stands neither safe nor vented; empty where none does, or the cards cannot tell.
+    def unsafe_output(self) -> str:
+        """Message about a valve that is neither safe nor vented; empty if there is none or the cards have no read-back.
 
         Raises:
             CardError: a card cannot be read back.
@@ -176,7 +176,7 @@ class Bench:
         return ""
 
     def readback(self) -> NDArray[np.float64]:
-        """The voltages (V,) that the outputs stand at, as far as the cards can tell."""
+        """The output voltages (V,), NaN where a card has no read-back."""
         volts = np.full(len(self._valves), np.nan)
         for name, column in self._outputs.items():
             if column:
@@ -184,9 +184,9 @@ class Bench:
         return volts
 
     def make_safe(self, *, vent: bool = False) -> None:
-        """Write the safe voltages to every card, whatever the others do; `vent` empties what would be held, too.
+        """Write the safe voltages to every card, also if another card fails; `vent` also vents held valves.
 
-        A write that fails is tried again at once, some times.
+        A failed write is repeated at once, at most WRITE_ATTEMPTS times.
 
         Raises:
             CardError: one or more cards could not be written; it names each.
@@ -203,7 +203,7 @@ class Bench:
         """Write the safe voltages as `make_safe` does, read them back and compare.
 
         Raises:
-            CardError: an output does not stand where it was told to.
+            CardError: the read-back of an output differs from the written voltage.
         """
         self.make_safe(vent=vent)
         stands = self.readback()
@@ -223,7 +223,7 @@ class Bench:
 
 
 def open_bench(config: RigConfig, *, watchdog: bool = False) -> Bench:
-    """Open every card of the rig. A watchdog only writes: it asks for no inputs, which control may hold for itself.
+    """Open every card of the rig; for a `watchdog` without inputs, which control may use exclusively.
 
     Raises:
         CardError: a card cannot be opened.
@@ -240,7 +240,7 @@ def open_bench(config: RigConfig, *, watchdog: bool = False) -> Bench:
 
 
 def open_outputs(config: RigConfig, card: str) -> Bench:
-    """Open one card of the rig, to write its valves alone.
+    """Open one card of the rig for its outputs only.
 
     Raises:
         CardError: it cannot be opened.
@@ -249,12 +249,12 @@ def open_outputs(config: RigConfig, card: str) -> Bench:
 
 
 def cards_with_valves(config: RigConfig) -> tuple[str, ...]:
-    """The cards that have anything to make safe."""
+    """Names of the cards that drive valves."""
     return tuple(name for name in config.cards if any(valve.card == name for valve in config.valves))
 
 
 def make_safe(config: RigConfig, *, vent: bool) -> None:
-    """Write the safe state to every card of a rig by handles that are opened for it; one that fails stops no other.
+    """Open every card of a rig and write its safe state, also if another card fails.
 
     Raises:
         CardError: one or more cannot be opened or written.
@@ -275,13 +275,13 @@ def make_safe(config: RigConfig, *, vent: bool) -> None:
 
 
 def unsafe_output(config: RigConfig) -> str:
-    """Say, by handles that are opened for it, which valve stands neither safe nor vented.
+    """Open every card and return a message about a valve that is neither safe nor vented.
 
-    Empty where none does, or where a card cannot be opened or cannot tell.
+    Empty if there is none, or if a card cannot be opened or has no read-back.
     """
     for name in cards_with_valves(config):
         with suppress(CardError), closing(open_outputs(config, name)) as bench:
-            if off := bench.astray():
+            if off := bench.unsafe_output():
                 return off
     return ""
 
@@ -291,12 +291,12 @@ def _output_voltages(config: RigConfig, name: str) -> Card:
 
 
 def _retry(card: Card, volts: NDArray[np.float64]) -> str:
-    """Write until it is written; what kept it from being written, empty when nothing did."""
+    """Write with retries; return the reason of the failure, empty on success."""
     failure = ""
-    for _ in range(INSISTENCE):
+    for _ in range(WRITE_ATTEMPTS):
         try:
             card.write(volts)
-        except Exception as error:  # a card must not keep the others from their safe state
+        except Exception as error:  # one card must not prevent the safe state of the others
             failure = str(error)
         else:
             return ""
@@ -307,7 +307,7 @@ _NEVER = np.iinfo(np.int64).max
 
 
 class _Pending:
-    """Scans of one card that wait for those of the others."""
+    """Scans of one card that wait for scans of the other cards."""
 
     def __init__(self, inputs: int) -> None:
         self._scans = Scans(np.empty(0, np.int64), np.empty((0, inputs)))

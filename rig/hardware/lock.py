@@ -1,8 +1,8 @@
-"""One run per card: the kernel keeps the locks and releases those of a process that dies.
+"""Locks of the cards: one run per card; the kernel releases the locks of a dead process.
 
 A simulated card belongs to one user; its lock is a file in that user's runtime folder. A real card is shared by the
-users who may open its device node, so the node itself is locked as well: nobody else can hold or forge that lock.
-Who holds a lock is read from the kernel's table, never from a file's content.
+users who may open its device node, so the node itself is locked as well: other users cannot forge that lock.
+The holder of a lock is read from the kernel's table, never from the content of a file.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class RunningRig:
 
 
 def lock_file(card: CardConfig) -> Path:
-    """This user's lock file of a card: one, by whatever name a rig calls the card.
+    """This user's lock file of a card; the same file for every name of the card.
 
     Raises:
         OSError: this user's runtime folder cannot be made.
@@ -52,7 +52,7 @@ def lock_file(card: CardConfig) -> Path:
 
 
 def device_node(card: CardConfig) -> Path:
-    """The device node behind a symbolic link or a board's name; the name itself where it stands for no one card."""
+    """The device node behind a symbolic link or a board's name; the name itself if it does not identify one card."""
     if card.device.startswith("/"):
         return Path(os.path.realpath(card.device))
     known = comedi()
@@ -70,7 +70,7 @@ def holders(config: RigConfig) -> tuple[int, ...]:
 
 
 def held_by_unseen(config: RigConfig) -> bool:
-    """True where a card is locked by a process that this one cannot see, as from another container."""
+    """True if a card is locked by a process that this one cannot see, such as one in another container."""
     if holders(config):
         return False
     for card in config.cards.values():
@@ -91,7 +91,7 @@ def held_by_unseen(config: RigConfig) -> bool:
 
 
 def described(pid: int) -> str:
-    """A process for people: its number, user, command and start, from the kernel."""
+    """Description of a process from the kernel's data: id, user, command and start time."""
     try:
         folder = Path(f"/proc/{pid}")
         uid = folder.stat().st_uid
@@ -111,10 +111,10 @@ def described(pid: int) -> str:
 
 @contextmanager
 def cards_locked(config: RigConfig, purpose: str) -> Iterator[None]:
-    """Hold every card of the rig; `running_rigs` finds it meanwhile.
+    """Lock every card of the rig and register it for `running_rigs`.
 
     Raises:
-        CardError: another run holds one; the message says who and since when.
+        CardError: another run holds a card; the message names the process and its start time.
     """
     held: list[int] = []
     record: Path | None = None
@@ -132,7 +132,7 @@ def cards_locked(config: RigConfig, purpose: str) -> Iterator[None]:
 
 
 def running_rigs() -> tuple[RunningRig, ...]:
-    """The rigs whose cards processes of this user hold now."""
+    """The rigs whose cards are held by processes of this user."""
     found = []
     try:
         records = sorted(subfolder(_RECORDS).glob("*.json"))
@@ -151,7 +151,7 @@ def running_rigs() -> tuple[RunningRig, ...]:
 
 
 def locked_devices() -> tuple[tuple[Path, int], ...]:
-    """Comedi device nodes of this machine that a process, of any user, holds the lock of."""
+    """Comedi device nodes that are locked by a process of any user, with its id."""
     nodes = {}
     for path in sorted(Path("/dev").glob("comedi[0-9]*")):
         with suppress(OSError):
@@ -160,7 +160,7 @@ def locked_devices() -> tuple[tuple[Path, int], ...]:
 
 
 def _places(card: CardConfig) -> tuple[Path, ...]:
-    """Every file that is locked for a card."""
+    """Files that are locked for a card."""
     places = []
     with suppress(OSError):
         places.append(lock_file(card))
@@ -170,7 +170,7 @@ def _places(card: CardConfig) -> tuple[Path, ...]:
 
 
 def _lock(name: str, card: CardConfig, config: RigConfig, held: list[int]) -> None:
-    """Lock one card; what must stay open for it goes to `held`."""
+    """Lock one card; the descriptors that must stay open are added to `held`."""
     try:
         path = lock_file(card)
         held.append(open_private(path, os.O_RDWR | os.O_CREAT))
@@ -178,7 +178,7 @@ def _lock(name: str, card: CardConfig, config: RigConfig, held: list[int]) -> No
         raise CardError(f"the lock of card '{name}' cannot be opened: {_reason(error)}") from error
     _take(held[-1], name, card, config)
     node = device_node(card)
-    # A board's name that stands for no one card is refused when the card is opened.
+    # A board name that does not identify one card is refused when the card is opened.
     if card.simulated or not node.is_absolute():
         return
     descriptor = _open_node(name, node)
@@ -187,7 +187,7 @@ def _lock(name: str, card: CardConfig, config: RigConfig, held: list[int]) -> No
     try:
         os.close(_open_node(name, node))
     except CardBusyError:
-        # A driver that lets in one process at a time excludes others by itself, and would exclude this run's control.
+        # A driver that allows one process only excludes others by itself; the open node would exclude control, too.
         held.remove(descriptor)
         os.close(descriptor)
 
@@ -221,7 +221,7 @@ def _take(descriptor: int, name: str, card: CardConfig, config: RigConfig) -> No
 
 
 def _recorded(config: RigConfig, purpose: str) -> Path | None:
-    """Write what `running_rigs` reads; None where it cannot be written, which must keep no run from beginning."""
+    """Write the file that `running_rigs` reads; None if it cannot be written, which does not prevent a run."""
     with suppress(OSError):
         folder = subfolder(_RECORDS)
         for old in folder.glob("*.json"):
@@ -243,7 +243,7 @@ def _locks() -> Iterator[tuple[int, tuple[int, int, int]]]:
         return
     for line in lines:
         words = line.split()
-        # A line with an arrow is a process that waits.
+        # A line with an arrow is a waiting process.
         if len(words) < 6 or words[1] != "FLOCK":
             continue
         with suppress(ValueError):

@@ -1,4 +1,4 @@
-"""Venting a rig from outside, whatever its run is doing."""
+"""Vents a rig from another process, in every state of its run."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from rig.hardware.lock import described, held_by_unseen, holders
 
 REPEATED_S = 0.25
 NOTICED_S = 0.1
-"""A run that goes finds its valves moved at its next tick, and says so; who has not by then is told."""
+"""Time for a run to detect the external write in its next cycle; after it the holders of the rig get SIGTERM."""
 PAUSE_S = 0.002
 PATIENCE_S = 0.5
-"""A watchdog that is making the card safe has it for a moment only, another `rig vent` for a quarter of a second."""
+"""How long a process may keep the card: a watchdog needs a moment, another `rig vent` 0.25 s."""
 FREED_S = 2.0
 ENDED_S = 3.0
 LOOK_S = 0.02
@@ -26,25 +26,25 @@ _STOP_IT = "it may move the valves again; shut the air off, and stop it as its u
 
 
 def vent(config: RigConfig) -> None:
-    """Write the vented state to every card, again and again for a while: longer than any control period.
+    """Write the vented state to every card repeatedly, for longer than a control period.
 
-    A run that goes finds its valves where it did not put them, and ends. One that has just looked writes once more,
-    and is overwritten. One that has not begun, that stands still, or whose valves stand there anyway, is told to end
-    (SIGTERM). One that has a card that lets in one process at a time is told to end at once, and the process that
-    still has the card after that is killed. Where valves would be held the run's end is waited for.
+    A running experiment detects the external write and ends; a write of its current cycle is overwritten. A run that
+    has not begun, has stalled, or whose valves are vented already, gets SIGTERM. A run with a card that allows one
+    process only gets SIGTERM at once, and a process that still has the card after that is killed. If the safe state
+    holds valves, the end of the run is awaited.
 
     Raises:
-        CardError: a card cannot be opened or written, an output does not stay where it was told to, or a process that
-            holds the rig goes on and cannot be told to end; the other cards are vented all the same.
+        CardError: a card cannot be opened or written, an output does not keep its voltage, or a process that holds the
+            rig continues and cannot be signalled; the other cards are vented nevertheless.
     """
     running = bool(holders(config))
-    untold: set[int] = set()
-    failures = _vent(config, untold)
+    unsignalled: set[int] = set()
+    failures = _vent(config, unsignalled)
     if running and safe_voltages(config) != safe_voltages(config, vent=True):
-        # Who comes after a process that was killed knows nothing of this, and writes what is held.
+        # After a killed process the watchdog writes the safe state, which holds valves.
         _wait_for_end(config, set(holders(config)))
-        failures = _vent(config, untold)
-    if staying := _wait_for_end(config, untold):
+        failures = _vent(config, unsignalled)
+    if staying := _wait_for_end(config, unsignalled):
         failures += [f"{described(pid)} goes on and cannot be told to end: {_STOP_IT}" for pid in staying]
     elif held_by_unseen(config):
         failures.append(f"a process that this one cannot see, as in a container, holds the rig: {_STOP_IT}")
@@ -53,25 +53,25 @@ def vent(config: RigConfig) -> None:
 
 
 def _wait_for_end(config: RigConfig, pids: set[int]) -> set[int]:
-    """Wait for a while until these processes let go of the rig; those that have not."""
+    """Wait until these processes release the rig, with a time-out; return those that have not."""
     until = time.monotonic() + ENDED_S
     while (staying := pids & set(holders(config))) and time.monotonic() < until:
         time.sleep(LOOK_S)
     return staying
 
 
-def _vent(config: RigConfig, untold: set[int]) -> list[str]:
-    """Vent for a while; what kept a card from it, and which outputs do not stand where they were told.
+def _vent(config: RigConfig, unsignalled: set[int]) -> list[str]:
+    """Vent for REPEATED_S; return the failures of cards and outputs.
 
-    Holders that may not be told to end are added to `untold`.
+    Holders that this user may not signal are added to `unsignalled`.
     """
     benches: list[Bench] = []
     failures: list[str] = []
     try:
-        _open(config, benches, failures, untold)
-        _insist(benches, NOTICED_S)
-        untold |= _tell_to_end(config)
-        _insist(benches, REPEATED_S - NOTICED_S)
+        _open(config, benches, failures, unsignalled)
+        _vent_repeatedly(benches, NOTICED_S)
+        unsignalled |= _request_end(config)
+        _vent_repeatedly(benches, REPEATED_S - NOTICED_S)
         for bench in benches:
             try:
                 bench.arm(vent=True)
@@ -83,11 +83,11 @@ def _vent(config: RigConfig, untold: set[int]) -> list[str]:
     return failures
 
 
-def _open(config: RigConfig, benches: list[Bench], failures: list[str], untold: set[int]) -> None:
-    """Open every card and vent it as soon as it is open: one that is gone, or in use, keeps no other waiting."""
+def _open(config: RigConfig, benches: list[Bench], failures: list[str], unsignalled: set[int]) -> None:
+    """Open every card and vent it at once; a card that is missing or in use does not delay the others."""
     began = time.monotonic()
     seen: dict[int, float] = {}
-    told = False
+    requested = False
     closed = list(cards_with_valves(config))
     while closed:
         for card in tuple(closed):
@@ -95,10 +95,10 @@ def _open(config: RigConfig, benches: list[Bench], failures: list[str], untold: 
                 benches.append(open_outputs(config, card))
             except CardBusyError as busy:
                 if time.monotonic() - began < FREED_S:
-                    if not told:
-                        told = True
-                        untold |= _tell_to_end(config)
-                    _end_who_stay(busy.holders, seen)
+                    if not requested:
+                        requested = True
+                        unsignalled |= _request_end(config)
+                    _kill_overdue(busy.holders, seen)
                     continue
                 failures.append(str(busy))
             except CardError as error:
@@ -106,13 +106,13 @@ def _open(config: RigConfig, benches: list[Bench], failures: list[str], untold: 
             except Exception as error:  # a card must not keep the others from being vented
                 failures.append(f"card {card}: {type(error).__name__}: {error}")
             closed.remove(card)
-        _insist(benches, 0.0)
+        _vent_repeatedly(benches, 0.0)
         if closed:
             time.sleep(PAUSE_S)
 
 
-def _end_who_stay(holders: tuple[int, ...], seen: dict[int, float]) -> None:
-    """Kill who has had a card for too long; `seen` is since when. Nobody is seen who has just let go of it."""
+def _kill_overdue(holders: tuple[int, ...], seen: dict[int, float]) -> None:
+    """Kill processes that have kept a card longer than PATIENCE_S; `seen` maps holders to the time of first sight."""
     now = time.monotonic()
     for holder in holders:
         if now - seen.setdefault(holder, now) > PATIENCE_S:
@@ -120,8 +120,8 @@ def _end_who_stay(holders: tuple[int, ...], seen: dict[int, float]) -> None:
                 os.kill(holder, signal.SIGKILL)
 
 
-def _tell_to_end(config: RigConfig) -> set[int]:
-    """Send SIGTERM to whoever holds the rig; those that this user may not signal."""
+def _request_end(config: RigConfig) -> set[int]:
+    """Send SIGTERM to the holders of the rig; return those that this user may not signal."""
     refused = set()
     for holder in holders(config):
         try:
@@ -133,11 +133,11 @@ def _tell_to_end(config: RigConfig) -> set[int]:
     return refused
 
 
-def _insist(benches: list[Bench], seconds: float) -> None:
+def _vent_repeatedly(benches: list[Bench], seconds: float) -> None:
     until = time.monotonic() + seconds
     while True:
         for bench in benches:
-            with contextlib.suppress(CardError):  # the last write tells
+            with contextlib.suppress(CardError):  # the final `arm` reports failures
                 bench.make_safe(vent=True)
         if time.monotonic() >= until:
             return

@@ -87,7 +87,7 @@ class LiveRun:
         if self.viewers and now - self._watched > WATCH_EVERY_S:
             self._watched = now
             self.visit.watch()
-        self.start_ns = memory.get("go_ns")
+        self.start_ns = memory.start_ns
         self._take_samples(memory.samples.read())
         for row in memory.observations.read():
             self._take_observation(row)
@@ -101,8 +101,8 @@ class LiveRun:
         after = -1 if self.view is None else int(self.view[0]["number"])
         self.view = memory.newest_view(after) or self.view
         if self.visit.over:
-            said = memory.message("conductor") if memory.stage("conductor") is Stage.DONE else ""
-            self.ended = said or "the conductor died; the watchdog makes the valves safe"
+            said = memory.message("supervisor") if memory.stage("supervisor") is Stage.DONE else ""
+            self.ended = said or "the supervisor died; the watchdog makes the valves safe"
 
     def seconds(self, t_ns: int) -> float:
         """Time since the start of the run."""
@@ -186,7 +186,7 @@ class LiveRunViewer:
         return news.encoded()
 
     def asked(self, message: Message, who: str) -> dict[str, Any] | None:
-        """Pass an action on to the conductor."""
+        """Pass an action on to the supervisor."""
         if message.do is None:
             return {"done": False, "said": "refused: seek, speed and play are for archives"}
         return {"do": message.do, **self._source.visit.ask(message.do, who)}
@@ -198,9 +198,9 @@ class LiveRunViewer:
     def _now(self) -> dict[str, Any]:
         source = self._source
         memory, plan = source.visit.memory, source.visit.plan
-        protocol_s = float(memory.board["protocol_s"][0])
+        protocol_s = memory.protocol_s
         segment = plan.trajectory.segment_at(protocol_s)
-        waiting = memory.get("waiting")
+        waiting = memory.waiting_prompt
         now: dict[str, Any] = {
             "state": self._state(waiting),
             "protocol": protocol_s,
@@ -251,10 +251,10 @@ class LiveRunViewer:
         memory = self._source.visit.memory
         if self._source.over:
             return "ended"
-        if not memory.get("go_ns") or self._source.sample is None:
+        if not memory.start_ns or self._source.sample is None:
             return "starting"
-        if memory.get("stop"):
+        if memory.stop_request:
             return "stopping"
-        if memory.get("held"):
+        if memory.paused:
             return "paused"
         return "waiting" if waiting >= 0 else "running"

@@ -24,7 +24,7 @@ from rig.live.run_source import RunSource
 from rig.live.stream import stream
 
 NICE = 5
-"""Behind the observer and the conductor, but not so far that a busy machine starves it."""
+"""Behind the observer and the supervisor, but not so far that a busy machine starves it."""
 UPDATE_S = 0.008
 QUEUE = 1024
 """Connections that the kernel keeps for a busy page."""

@@ -84,7 +84,7 @@ async def _listen(
             if acting and not session.operator:
                 answer = {"done": False, "said": "refused: this is a view-only session"}
             else:
-                # The answer may take a moment when the conductor is busy; other browsers do not wait for it.
+                # The answer may take a moment when the supervisor is busy; other browsers do not wait for it.
                 answer = await asyncio.to_thread(viewer.asked, message, session.who)
         if answer is not None:
             async with lock:

@@ -1,4 +1,4 @@
-"""Starting the processes of a run: a module, a job, the shared memory, and each one's turn to touch the devices."""
+"""Starts the child processes of a run: module, job, shared memory, and the order in which they open the devices."""
 
 from __future__ import annotations
 
@@ -22,33 +22,33 @@ TURN_S = 0.002
 
 @dataclass(frozen=True)
 class ChildJob:
-    """What a process is told on its standard input."""
+    """The job of a child process, passed on its standard input."""
 
     plan: Plan
     fd: int
-    conductor_pid: int
+    supervisor_pid: int
 
 
 def spawn(module: str, job: ChildJob) -> subprocess.Popen[bytes]:
     """Start `python -m module` with a job.
 
-    The child gets a session of its own, so that Ctrl-C at the terminal reaches only the conductor: who stops what,
-    and in which order, is the conductor's decision. A child that crashes in compiled code says where, on stderr.
+    The child gets its own session, so that Ctrl-C at the terminal reaches only the supervisor, which decides the order
+    in which processes stop. A crash in compiled code prints its location on stderr (faulthandler).
     """
-    # Not by a pipe: one that is full waits for a child that may be long in loading, or stand still.
-    with os.fdopen(os.memfd_create("softrig-job"), "w+b") as told:
-        pickle.dump(job, told)
-        told.seek(0)
+    # Not a pipe: a full pipe would block until the child, which may load slowly or stall, has read it.
+    with os.fdopen(os.memfd_create("softrig-job"), "w+b") as file:
+        pickle.dump(job, file)
+        file.seek(0)
         return subprocess.Popen(
             [sys.executable, "-P", "-X", "faulthandler", "-m", module],
-            stdin=told,
+            stdin=file,
             pass_fds=[job.fd],
             start_new_session=True,
         )
 
 
 def ended_within(process: subprocess.Popen[bytes], timeout_s: float) -> bool:
-    """Wait for a process; True once it has ended. `Popen.wait` looks only every twentieth of a second."""
+    """Wait for a process; True once it has ended. `Popen.wait` polls only every 50 ms."""
     if process.poll() is None:
         exit_fd = os.pidfd_open(process.pid)
         try:
@@ -61,33 +61,33 @@ def ended_within(process: subprocess.Popen[bytes], timeout_s: float) -> bool:
 def receive() -> tuple[ChildJob, SharedState]:
     """In the child: the job and the shared memory."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    job: ChildJob = pickle.load(sys.stdin.buffer)  # written by our own parent
+    job: ChildJob = pickle.load(sys.stdin.buffer)  # written by the parent process
     return job, SharedState(job.fd, StateLayout.of(job.plan.config, len(job.plan.adapted)))
 
 
 def leave(status: int) -> NoReturn:
-    """In the child: end, and spare the conductor, who waits, the taking apart of an interpreter that is not needed."""
+    """In the child: exit without interpreter shutdown, for which the supervisor would wait."""
     sys.stdout.flush()
     sys.stderr.flush()
     os._exit(status)
 
 
 def supervisor_monitor(job: ChildJob) -> ProcessMonitor:
-    """In the child: the life of its conductor."""
-    life = ProcessMonitor(job.conductor_pid)
-    if os.getppid() != job.conductor_pid:
-        # Gone already; the number may be somebody else's by now.
-        life.close()
-    return life
+    """In the child: the monitor of its supervisor."""
+    monitor = ProcessMonitor(job.supervisor_pid)
+    if os.getppid() != job.supervisor_pid:
+        # The supervisor has exited; its process id may be reused.
+        monitor.close()
+    return monitor
 
 
-def await_turn(memory: SharedState, conductor: ProcessMonitor, come: Callable[[], bool]) -> bool:
-    """Wait until this process may touch the devices; False when the run is over before it began.
+def await_turn(memory: SharedState, supervisor: ProcessMonitor, ready: Callable[[], bool]) -> bool:
+    """Wait until this process may open the devices; False if the run ends before that.
 
-    What a process has to load takes longer than all else in a start: all load at once, and then come in their order.
+    Loading takes longest in a start, so all processes load in parallel and then open the devices in a fixed order.
     """
-    while not come():
-        if memory.get("stop") != Stop.NONE or conductor.over:
+    while not ready():
+        if memory.stop_request != Stop.NONE or supervisor.exited:
             return False
         time.sleep(TURN_S)
     return True

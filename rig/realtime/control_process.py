@@ -27,25 +27,25 @@ from rig.realtime.timing_limits import timing_limits
 from rig.realtime.vent_verification import VentVerification
 
 LEAD_IN_NS = 5_000_000
-REHEARSED_TICKS = 10
+WARM_UP_CYCLES = 10
 FIRST_SCAN_S = 0.2
-CLOCKS_TOLD_EVERY = 200
+CLOCKS_PUBLISHED_EVERY = 200
 
 
 def main() -> int:
-    """Arm, run, make safe; the valves are safe before anything is said."""
+    """Arm, run, write the safe state; the valves are safe before anything is reported."""
     job, memory = receive()
-    signal.signal(signal.SIGTERM, lambda *_: memory.ask_to_stop(Stop.TERMINATED))
-    conductor = supervisor_monitor(job)
-    # The watchdog has the cards first: of one that lets in one process it must know that.
-    if not await_turn(memory, conductor, lambda: memory.stage("watchdog") is Stage.READY):
-        memory.say("control", Stage.DONE)
+    signal.signal(signal.SIGTERM, lambda *_: memory.request_stop(Stop.TERMINATED))
+    supervisor = supervisor_monitor(job)
+    # The watchdog opens the cards first, to find out whether a card allows one process only.
+    if not await_turn(memory, supervisor, lambda: memory.stage("watchdog") is Stage.READY):
+        memory.publish_stage("control", Stage.DONE)
         return 0
-    memory.beat("control", time.monotonic_ns())
+    memory.heartbeat("control", time.monotonic_ns())
     try:
         bench = open_bench(job.plan.config)
     except CardError as error:
-        memory.say("control", Stage.FAILED, str(error))
+        memory.publish_stage("control", Stage.FAILED, str(error))
         return 1
     fault = ""
     crash: Exception | None = None
@@ -54,9 +54,9 @@ def main() -> int:
         bench.start()
         _warm_up(job, bench)
         sampling_clocks.publish(memory, bench)
-        memory.set("control_granted", enable_realtime_scheduling(CONTROL_PRIORITY))
-        memory.say("control", Stage.READY)
-        fault = _run(job, memory, bench, conductor)
+        memory.control_granted = enable_realtime_scheduling(CONTROL_PRIORITY)
+        memory.publish_stage("control", Stage.READY)
+        fault = _run(job, memory, bench, supervisor)
     except CardError as error:
         fault = str(error)
     except Exception as error:
@@ -64,28 +64,28 @@ def main() -> int:
     finally:
         try:
             bench.make_safe(vent=memory.vents)
-            memory.set("safe_ns", time.monotonic_ns())
+            memory.safe_ns = time.monotonic_ns()
         except CardError as error:
             fault = f"{fault}; then {error}".removeprefix("; then ")
         else:
             if trouble := _verify_venting(job, memory, bench):
                 fault = f"{fault}; then {trouble}".removeprefix("; then ")
-    memory.say("control", Stage.FAILED if fault else Stage.DONE, fault)
+    memory.publish_stage("control", Stage.FAILED if fault else Stage.DONE, fault)
     bench.close()
     disable_realtime_scheduling()
     if crash is not None:
-        raise crash  # where in the program; nothing waits for who reads it
+        raise crash  # for its traceback; no process waits for it
     return 1 if fault else 0
 
 
 def _verify_venting(job: ChildJob, memory: SharedState, bench: Bench) -> str:
-    """Watch the air go; what keeps it, empty when nothing does."""
+    """Check that the chambers vent; return what does not vent, else empty."""
     patience_s = timing_limits(job.plan.config, memory.granted).vented_s
     venting = VentVerification(job.plan.config, bench, vent=memory.vents, patience_s=patience_s)
     until = time.monotonic() + patience_s
     with contextlib.suppress(CardError):
-        while time.monotonic() < until and not memory.get("fired_ns"):
-            memory.beat("control", time.monotonic_ns())
+        while time.monotonic() < until and not memory.watchdog_trip_ns:
+            memory.heartbeat("control", time.monotonic_ns())
             if venting.done():
                 return ""
             time.sleep(0.005)
@@ -93,7 +93,7 @@ def _verify_venting(job: ChildJob, memory: SharedState, bench: Bench) -> str:
 
 
 class NullOutputs:
-    """A bench whose valves do not move."""
+    """Outputs of a bench that ignore every write."""
 
     def __init__(self, bench: Bench) -> None:
         self.read = bench.read
@@ -103,7 +103,10 @@ class NullOutputs:
 
 
 class GuardedOutputs:
-    """A bench that is written only while the valves stand where they were put: who else writes, means it."""
+    """Outputs of a bench that are written only while no other program has written to them.
+
+    Another program that writes to the card, such as `rig vent`, has priority.
+    """
 
     def __init__(self, bench: Bench, memory: SharedState) -> None:
         self.read = bench.read
@@ -111,84 +114,82 @@ class GuardedOutputs:
 
     def write(self, valve_v: NDArray[np.float64]) -> None:
         """Set every valve; raises as `undisturbed`."""
-        # Looked at this late: a process that stood still in the middle of a tick must not undo what was done meanwhile.
+        # Checked immediately before the write: a process that stalled within a cycle must not undo external writes.
         if self.undisturbed():
             self._bench.write(valve_v)
 
     def undisturbed(self) -> bool:
-        """True where the valves stand where they were put; False where this run's own watchdog has moved them.
+        """True if the valves stand where this run has put them; False if its own watchdog has moved them.
 
         Raises:
-            CardError: somebody else has; where that was to vent, the run ends vented.
+            CardError: another program has moved them; if that vented them, the run ends vented.
         """
-        disturbance = self._bench.disturbance()
-        if disturbance and not (self._memory.vents or self._memory.get("fired_ns")):
-            self._memory.set("vented", self._bench.vented)
-            raise CardError(disturbance)
-        return not disturbance
+        external_write = self._bench.external_write()
+        if external_write and not (self._memory.vents or self._memory.watchdog_trip_ns):
+            self._memory.vented = self._bench.vented
+            raise CardError(external_write)
+        return not external_write
 
 
 def _warm_up(job: ChildJob, bench: Bench) -> None:
-    """Play some ticks with the valves left alone: what is imported or compiled at its first use is ready by then."""
-    ticker = ControlLoop(job.plan, NullOutputs(bench))
-    period_s = ticker.period_ns * 1e-9
-    # Without a scan a tick goes no further than that there is none.
+    """Run some cycles without writing to the valves, so that imports and compilation are done before the start."""
+    loop = ControlLoop(job.plan, NullOutputs(bench))
+    period_s = loop.period_ns * 1e-9
+    # A cycle without a scan would end at the check for stale samples.
     until = time.monotonic() + FIRST_SCAN_S
-    while not ticker.listen() and time.monotonic() < until:
+    while not loop.read_scans() and time.monotonic() < until:
         time.sleep(period_s)
-    for number in range(REHEARSED_TICKS):
-        ticker.tick(number, time.monotonic_ns(), 1, 0, False, 0, 0)
+    for number in range(WARM_UP_CYCLES):
+        loop.cycle(number, time.monotonic_ns(), 1, 0, False, 0, 0)
         time.sleep(period_s)
 
 
-def _run(job: ChildJob, memory: SharedState, bench: Bench, conductor: ProcessMonitor) -> str:
-    """Loop until the protocol ends or someone asks to stop; return what went wrong, empty when nothing did."""
+def _run(job: ChildJob, memory: SharedState, bench: Bench, supervisor: ProcessMonitor) -> str:
+    """Run the loop until the protocol ends or a stop is requested; return the fault, empty if there is none."""
     valves = GuardedOutputs(bench, memory)
     timing = timing_limits(job.plan.config, memory.granted)
-    ticker = ControlLoop(job.plan, valves, time_may_stop=timing.simulator_ns is not None)
-    period = ticker.period_ns
-    while not (go := memory.get("go_ns")) or time.monotonic_ns() < go - LEAD_IN_NS:
-        ticker.listen()
-        memory.beat("control", time.monotonic_ns())
+    loop = ControlLoop(job.plan, valves, time_may_stop=timing.simulator_ns is not None)
+    period = loop.period_ns
+    while not (go := memory.start_ns) or time.monotonic_ns() < go - LEAD_IN_NS:
+        loop.read_scans()
+        memory.heartbeat("control", time.monotonic_ns())
         time.sleep(0.002)
-        if memory.get("stop") != Stop.NONE:
+        if memory.stop_request != Stop.NONE:
             return ""
-        if conductor.over:
-            return "the conductor died before the run began"
-    memory.beat("control", time.monotonic_ns())
-    memory.say("control", Stage.RUNNING)
+        if supervisor.exited:
+            return "the supervisor died before the run began"
+    memory.heartbeat("control", time.monotonic_ns())
+    memory.publish_stage("control", Stage.RUNNING)
     tick = skipped = skips = 0
     watchdogs = HeartbeatMonitor(period, timing.watchdog_silent_ns // 10)
     while True:
         deadline = go + tick * period
         now = wait_until(deadline)
-        if memory.get("stop") != Stop.NONE:
-            valves.undisturbed()  # `rig vent` asks to stop, too: what it did is to be told, and to stay
+        if memory.stop_request != Stop.NONE:
+            valves.undisturbed()  # `rig vent` requests a stop, too: its writes are reported and kept
             return ""
-        if memory.get("fired_ns"):
+        if memory.watchdog_trip_ns:
             return "the watchdog took the bench over"
-        if conductor.over:
-            return "the conductor died"
-        if watchdogs.look(now, memory.heartbeat_ns("watchdog")) > timing.watchdog_silent_ns:
+        if supervisor.exited:
+            return "the supervisor died"
+        if watchdogs.silent_ns(now, memory.heartbeat_ns("watchdog")) > timing.watchdog_silent_ns:
             return "the watchdog is silent"
-        while skips < memory.get("skips"):
+        while skips < memory.skips:
             skips += 1
-            ticker.skip()
-        row, trip = ticker.tick(
-            tick, now, 1 + skipped, memory.get("answered"), bool(memory.get("held")), now - deadline, skipped
-        )
+            loop.skip()
+        row, trip = loop.cycle(tick, now, 1 + skipped, memory.prompts_answered, memory.paused, now - deadline, skipped)
         memory.samples.push(row)
-        memory.set("lost_scans", ticker.lost)
-        if tick % CLOCKS_TOLD_EVERY == 0:
+        memory.lost_scans = loop.lost
+        if tick % CLOCKS_PUBLISHED_EVERY == 0:
             sampling_clocks.publish(memory, bench)
-        memory.set("protocol_s", ticker.position.protocol_s)
-        memory.set("waiting", ticker.position.prompts_passed if ticker.position.waiting else -1)
-        memory.beat("control", now)
+        memory.protocol_s = loop.position.protocol_s
+        memory.waiting_prompt = loop.position.prompts_passed if loop.position.waiting else -1
+        memory.heartbeat("control", now)
         if trip is not None:
             return trip
-        if ticker.finished:
+        if loop.finished:
             return ""
-        # A deadline is missed when its tick had not begun before the next one was due.
+        # A deadline is missed if its cycle has not begun before the next one is due.
         following = max(tick + 1, (time.monotonic_ns() - go) // period)
         skipped = following - tick - 1
         tick = following

@@ -1,10 +1,10 @@
-"""The conductor's control socket: a page of the same user reads the run's data there and asks for actions.
+"""The supervisor's control socket: clients of the same user read the data of the run and send commands.
 
 Packets are JSON objects. `{"do": "attach"}` is answered with two file descriptors: the run's memory, read-only, and a
-pickle of its plan. `{"do": "watch"}` reports that a viewer is present. Any other `do` is an `Action`; `via` names the
-program that asks, `who` the person who uses it, if known. The record names the account behind the connection, which
-the kernel reports (SO_PEERCRED), whatever `who` says. Only the run's own user and root are let in.
-The conductor never waits for a client: one that does not read its answer, or sends no valid packet, is disconnected.
+pickle of its plan. `{"do": "watch"}` reports that a viewer is present. Any other `do` is a `Command`; `via` names the
+client program, `who` its user, if known. The record names the account of the connection, which the kernel reports
+(SO_PEERCRED), whatever `who` contains. Only the user of the run and root may connect.
+The supervisor never waits for a client: one that does not read its answer, or sends no valid packet, is disconnected.
 """
 
 from __future__ import annotations
@@ -28,35 +28,35 @@ from rig.realtime.operator_commands import Command, CommandResult, OperatorComma
 from rig.realtime.shared_state import SharedState
 
 PACKET_BYTES = 4096
-MOST_VISITORS = 32
-MOST_PACKETS = 32
-"""Packets taken from one visitor at a time, so that a flood cannot hold the conductor up."""
-MOST_NAME = 40
+MAX_CLIENTS = 32
+MAX_PACKETS = 32
+"""Packets read from one client at a time, so that a flood of packets cannot delay the supervisor."""
+MAX_NAME = 40
 _PEER = struct.Struct("3i")
 
-CarryOut = Callable[[OperatorCommand], CommandResult]
+HandleCommand = Callable[[OperatorCommand], CommandResult]
 
 
 def socket_paths() -> Path:
-    """The folder of the control sockets of this user's runs; made when it is missing.
+    """Folder of the control sockets of this user's runs; created if it is missing.
 
     Raises:
-        OSError: it cannot be made, or is open to other users.
+        OSError: it cannot be created, or other users can enter it.
     """
     return subfolder("sockets")
 
 
 def socket_of(pid: int) -> Path:
-    """Where the run conducted by a process is to be asked."""
+    """Control socket of the run whose supervisor has this process id."""
     return socket_paths() / f"run-{pid}"
 
 
-def _clear_away() -> None:
-    """Remove the doors that killed runs have left: nobody answers there."""
+def _remove_stale_sockets() -> None:
+    """Remove the sockets of killed runs, which refuse every connection."""
     for path in socket_paths().glob("run-*"):
-        with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET | socket.SOCK_NONBLOCK) as visitor:
+        with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET | socket.SOCK_NONBLOCK) as client:
             try:
-                visitor.connect(os.fspath(path))
+                client.connect(os.fspath(path))
             except ConnectionRefusedError:
                 path.unlink(missing_ok=True)
             except OSError:
@@ -64,94 +64,94 @@ def _clear_away() -> None:
 
 
 class ControlSocket:
-    """The open door of one run. `close` may be called more than once."""
+    """The listening control socket of one run. `close` may be called more than once."""
 
     def __init__(self, plan: Plan, memory: SharedState) -> None:
-        """Open it.
+        """Create and bind the socket.
 
         Raises:
-            OSError: the socket cannot be made.
+            OSError: the socket cannot be created.
         """
         self._memory = memory
-        self._visitors: list[socket.socket] = []
+        self._clients: list[socket.socket] = []
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET | socket.SOCK_NONBLOCK)
-        _clear_away()
+        _remove_stale_sockets()
         self.path = socket_of(os.getpid())
         self.path.unlink(missing_ok=True)
         self._socket.bind(os.fspath(self.path))
-        self._socket.listen(MOST_VISITORS)
+        self._socket.listen(MAX_CLIENTS)
         self._view_fd = os.open(f"/proc/self/fd/{memory.fd}", os.O_RDONLY | os.O_CLOEXEC)
         self._plan_fd = os.memfd_create("softrig-plan", os.MFD_CLOEXEC | os.MFD_ALLOW_SEALING)
         with os.fdopen(os.dup(self._plan_fd), "wb") as file:
             pickle.dump(plan, file)
         fcntl.fcntl(self._plan_fd, fcntl.F_ADD_SEALS, fcntl.F_SEAL_WRITE | fcntl.F_SEAL_SHRINK | fcntl.F_SEAL_GROW)
 
-    def attend(self, timeout_s: float, carry_out: CarryOut) -> None:
-        """Wait for at most `timeout_s`, less when somebody wants something, and give him what he wants."""
-        ready, _, _ = select.select([*self._visitors, self._socket], [], [], timeout_s)
+    def serve(self, timeout_s: float, handle: HandleCommand) -> None:
+        """Wait at most `timeout_s` for packets of clients, and answer them."""
+        ready, _, _ = select.select([*self._clients, self._socket], [], [], timeout_s)
         for end in ready:
-            # Who has just come in often wants something already.
-            visitor = self._let_in() if end is self._socket else end
-            if visitor is not None and not self._serve(visitor, carry_out):
-                self._visitors.remove(visitor)
-                visitor.close()
+            # A new client has often sent its first packet already.
+            client = self._accept() if end is self._socket else end
+            if client is not None and not self._read_packets(client, handle):
+                self._clients.remove(client)
+                client.close()
 
     def close(self) -> None:
-        """Shut the door; visitors see the connection end."""
+        """Close the socket and every connection."""
         self.path.unlink(missing_ok=True)
-        for end in (self._socket, *self._visitors):
+        for end in (self._socket, *self._clients):
             end.close()
-        self._visitors.clear()
+        self._clients.clear()
         for fd in (self._view_fd, self._plan_fd):
             if fd >= 0:
                 os.close(fd)
         self._view_fd = self._plan_fd = -1
 
-    def _let_in(self) -> socket.socket | None:
+    def _accept(self) -> socket.socket | None:
         with contextlib.suppress(OSError):
-            visitor, _ = self._socket.accept()
-            visitor.setblocking(False)
-            if _uid(visitor) in (0, os.getuid()) and len(self._visitors) < MOST_VISITORS:
-                self._visitors.append(visitor)
-                return visitor
-            visitor.close()
+            client, _ = self._socket.accept()
+            client.setblocking(False)
+            if _uid(client) in (0, os.getuid()) and len(self._clients) < MAX_CLIENTS:
+                self._clients.append(client)
+                return client
+            client.close()
         return None
 
-    def _serve(self, visitor: socket.socket, carry_out: CarryOut) -> bool:
-        """Answer what lies there; False when the visitor has gone or has to."""
+    def _read_packets(self, client: socket.socket, handle: HandleCommand) -> bool:
+        """Answer the waiting packets; False if the client has disconnected or must be disconnected."""
         try:
-            for _ in range(MOST_PACKETS):
-                packet = visitor.recv(PACKET_BYTES)
+            for _ in range(MAX_PACKETS):
+                packet = client.recv(PACKET_BYTES)
                 if not packet:
                     return False
-                self._answer(visitor, json.loads(packet), carry_out)
+                self._answer(client, json.loads(packet), handle)
         except BlockingIOError:
             return True
         except (OSError, ValueError, TypeError, AttributeError, RecursionError):
             return False
         return True
 
-    def _answer(self, visitor: socket.socket, wish: dict[str, Any], carry_out: CarryOut) -> None:
-        do = wish.get("do")
+    def _answer(self, client: socket.socket, packet: dict[str, Any], handle: HandleCommand) -> None:
+        do = packet.get("do")
         if do == "watch":
-            self._memory.set("watched_ns", time.monotonic_ns())
+            self._memory.viewer_ns = time.monotonic_ns()
         elif do == "attach":
-            socket.send_fds(visitor, [b'{"done": true, "said": ""}'], [self._view_fd, self._plan_fd])
+            socket.send_fds(client, [b'{"done": true, "said": ""}'], [self._view_fd, self._plan_fd])
         elif not isinstance(do, str):
-            raise TypeError("an action is a word")
+            raise TypeError("a command is a string")
         else:
-            answer = carry_out(OperatorCommand(Command(do), _named(_uid(visitor), wish.get("who"), wish.get("via"))))
-            visitor.send(json.dumps({"done": answer.done, "said": answer.said}).encode())
+            answer = handle(OperatorCommand(Command(do), _named(_uid(client), packet.get("who"), packet.get("via"))))
+            client.send(json.dumps({"done": answer.accepted, "said": answer.message}).encode())
 
 
-def _uid(visitor: socket.socket) -> int:
+def _uid(client: socket.socket) -> int:
     """The user id behind a connection."""
-    _, uid, _ = _PEER.unpack(visitor.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _PEER.size))
+    _, uid, _ = _PEER.unpack(client.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _PEER.size))
     return int(uid)
 
 
 def _named(uid: int, who: object, via: object) -> str:
-    """Who acts, for the record: `ada (live page)`; with a name that somebody else gave, `eve (live page of ada)`."""
+    """Sender for the record: `ada (live page)`; if the client states another name, `eve (live page of ada)`."""
     account = user_name(uid)
     program = printable(via) or "control socket"
     person = printable(who)
@@ -159,6 +159,6 @@ def _named(uid: int, who: object, via: object) -> str:
 
 
 def printable(name: object) -> str:
-    """A short name on one line, without control characters and bidirectional marks; empty for what is no text."""
+    """A short name on one line, without control characters and bidirectional marks; empty if it is not a string."""
     shown = "".join(c for c in name if c.isprintable()) if isinstance(name, str) else ""
-    return " ".join(shown.split())[:MOST_NAME]
+    return " ".join(shown.split())[:MAX_NAME]

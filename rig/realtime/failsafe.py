@@ -1,4 +1,4 @@
-"""The safe state written by whoever is left, when control and the watchdog, whose duty it is, no longer can."""
+"""The failsafe of last resort: writes the safe state when neither control nor the watchdog can."""
 
 from __future__ import annotations
 
@@ -22,82 +22,83 @@ FREED_S = 0.5
 
 
 def is_safe(memory: SharedState) -> bool:
-    """True once somebody has written the safe state, or has said why it cannot be."""
+    """True once a process has written the safe state, or has reported why it cannot."""
     ended = (Stage.DONE, Stage.FAILED)
-    written = memory.get("safe_ns") or memory.get("fired_ns")
+    written = memory.safe_ns or memory.watchdog_trip_ns
     return bool(written) or any(memory.stage(name) in ended for name in ("control", "watchdog"))
 
 
 class FailsafeThread:
-    """What the observer does for the bench: it makes it safe once nobody else is left who could.
+    """Thread of the observer that writes the safe state when no other process can.
 
-    A thread, so that neither a picture that is long in coming nor one that is long looked at holds it up.
+    A thread, so that neither a late picture nor slow image processing delays it.
     """
 
     def __init__(self, job: ChildJob, memory: SharedState) -> None:
         self._config, self._memory = job.plan.config, memory
-        self._conductor = supervisor_monitor(job)
-        self._lives: dict[str, ProcessMonitor] = {}
+        self._supervisor = supervisor_monitor(job)
+        self._monitors: dict[str, ProcessMonitor] = {}
         self._looks = 0
-        self._thread = threading.Thread(target=self._stand_guard, name="guard", daemon=True)
+        self._thread = threading.Thread(target=self._watch, name="failsafe", daemon=True)
         self._thread.start()
 
-    def outlast(self) -> None:
-        """Return once the bench is safe, by whomever, or nothing more can be done for it."""
+    def join(self) -> None:
+        """Return once the bench is safe, or nothing more can be done."""
         self._thread.join()
 
-    def _stand_guard(self) -> None:
+    def _watch(self) -> None:
         for card in self._config.cards.values():
             with contextlib.suppress(CardError):
-                card_type(card)  # no time to load it when it is needed
+                card_type(card)  # loaded in advance: an emergency leaves no time for imports
         while not is_safe(self._memory):
-            if self._left_alone():
-                self._memory.ask_to_stop(Stop.SILENT)
+            if self._is_last():
+                self._memory.request_stop(Stop.SILENT)
                 force_safe_state(self._config, self._memory)
                 return
             time.sleep(LOOK_S)
 
-    def _left_alone(self) -> bool:
-        """The dead need no waiting for. A machine that stood still as a whole makes everybody look silent: those who
-        wake with it get the time to act; and before the first tick no valve has been moved by anybody.
+    def _is_last(self) -> bool:
+        """True where neither the supervisor nor control nor the watchdog can write the safe state.
+
+        Dead processes count at once. Silent ones count after several consecutive checks: a stall of the whole machine
+        makes every process look silent, and those that resume need time to act. Before the start no valve is open.
         """
         memory, now = self._memory, time.monotonic_ns()
         timing = timing_limits(self._config, memory.granted)
-        orphaned = self._conductor.over
-        if orphaned and self._dead("control") and self._dead("watchdog"):
+        orphaned = self._supervisor.exited
+        if orphaned and self._dead("control", memory.control_pid) and self._dead("watchdog", memory.watchdog_pid):
             return True
         silent_ns = min(now - memory.heartbeat_ns(name) for name in ("control", "watchdog"))
-        forsaken = orphaned or now - memory.heartbeat_ns("conductor") > timing.failsafe_supervisor_ns
-        alone = memory.get("go_ns") and forsaken and silent_ns > timing.failsafe_silent_ns
+        forsaken = orphaned or now - memory.heartbeat_ns("supervisor") > timing.failsafe_supervisor_ns
+        alone = memory.start_ns and forsaken and silent_ns > timing.failsafe_silent_ns
         self._looks = self._looks + 1 if alone else 0
         return self._looks > timing.failsafe_looks
 
-    def _dead(self, name: str) -> bool:
-        """True where a process has died, or was never started by a conductor that is dead."""
-        pid = self._memory.get(f"{name}_pid")
-        if pid and name not in self._lives:
-            self._lives[name] = ProcessMonitor(pid)
-        return not pid or self._lives[name].over
+    def _dead(self, name: str, pid: int) -> bool:
+        """True where a process has died, or a dead supervisor has never started it (`pid` 0)."""
+        if pid and name not in self._monitors:
+            self._monitors[name] = ProcessMonitor(pid)
+        return not pid or self._monitors[name].exited
 
 
 def force_safe_state(config: RigConfig, memory: SharedState) -> str:
-    """Write the safe state, end control and the watchdog, which may only sleep, and write it again.
+    """Write the safe state, kill control and the watchdog, which may only be suspended, and write it again.
 
-    Returns what kept it from being written, empty when nothing did.
+    Returns why it could not be written; empty on success.
     """
     _write(config, memory)
-    for name in ("control_pid", "watchdog_pid"):
-        if pid := memory.get(name):
+    for pid in (memory.control_pid, memory.watchdog_pid):
+        if pid:
             with contextlib.suppress(ProcessLookupError):
                 os.kill(pid, signal.SIGKILL)
     time.sleep(0.005)
-    # A card that lets in one process is free only once who had it is gone, which takes as long as its memory is large;
-    # and who was killed may have written once more before it died.
+    # A card with exclusive access is free only once its process has released its memory; and a killed process may have
+    # written once more before it died.
     until = time.monotonic() + FREED_S
     while (trouble := _write(config, memory)) and time.monotonic() < until:
         time.sleep(0.005)
-    # Not before: who is told that the bench is safe looks no further.
-    memory.set("safe_ns", 0 if trouble else time.monotonic_ns())
+    # Set only after the second write: other processes stop checking when it is set.
+    memory.safe_ns = 0 if trouble else time.monotonic_ns()
     return trouble
 
 

@@ -1,6 +1,6 @@
-"""What an operator is warned of while a run goes on: the tip is not measured, the model is not solved, data are lost.
+"""Health monitor: warnings to the operator during a run, such as an unmeasured tip, an unsolved model or lost data.
 
-None of it moves a valve, so none of it stops the run: the record says which rows are affected, the operator decides.
+No such condition moves a valve, so none stops the run: the record marks the affected rows and the operator decides.
 """
 
 from __future__ import annotations
@@ -15,14 +15,14 @@ from rig.config.schema import RigConfig
 from runs.records import DetectionStatus, Event, Level
 
 MEMORY_S = 1.0
-"""A trouble is judged by its share of about the last second."""
+"""Time constant of the share of affected rows."""
 CLEARED = 0.2
-"""A trouble is over once its share has fallen to this part of what it was announced at."""
+"""A condition ends once its share falls below this part of its threshold (hysteresis)."""
 LATE_S = 0.25
 OFF_PACE = 0.05
-"""A camera that keeps its pace no better than this makes the model, which steps by the rig's, too slow or too fast."""
-STANDSTILL_S = 0.5
-STOOD_STILL_S = 0.1
+"""Largest relative error of the camera rate: the time step of the model follows the rate in the rig file."""
+STALL_S = 0.5
+CONTROL_STALL_S = 0.1
 DISK_S = 2.0
 
 _SEEN = {
@@ -36,29 +36,29 @@ _SEEN = {
 
 @dataclass
 class _Condition:
-    """One thing that may go wrong for a while. `above` is the share of rows at which it is worth a warning."""
+    """One condition with hysteresis; `above` is the share of affected rows that triggers a warning."""
 
     above: float
     share: float = 0.0
     since_ns: int = 0
-    told: bool = False
+    reported: bool = False
 
     def judge(self, t_ns: int, period_s: float, part: float) -> bool | None:
-        """Take one row, of which `part` (0 to 1) is affected; True when a trouble begins, False when it is over."""
+        """Take one row, of which `part` (0 to 1) is affected; True when the condition begins, False when it ends."""
         if self.share < self.above * CLEARED:
             self.since_ns = t_ns
         self.share += (part - self.share) * min(1.0, period_s / MEMORY_S)
-        if not self.told and self.share > self.above:
-            self.told = True
+        if not self.reported and self.share > self.above:
+            self.reported = True
             return True
-        if self.told and self.share < self.above * CLEARED:
-            self.told = False
+        if self.reported and self.share < self.above * CLEARED:
+            self.reported = False
             return False
         return None
 
 
 class HealthMonitor:
-    """Looks through what is recorded and says when something begins to be wrong, and when it is over."""
+    """Monitors the recorded rows and reports when a condition begins and when it ends."""
 
     def __init__(self, config: RigConfig) -> None:
         self._tick_s = 1 / config.control.rate_hz
@@ -71,15 +71,15 @@ class HealthMonitor:
         self._looked_ns = 0
 
     def samples(self, rows: NDArray[np.void]) -> Iterator[Event]:
-        """Control ticks (n,) of `runs.records.sample_dtype`, in their order."""
+        """Events of control cycles (n,) of `runs.records.sample_dtype`, in order of time."""
         for row in rows:
             missed, t_ns = int(row["missed"]), int(row["t_ns"])
-            if row["lateness_ns"] > STOOD_STILL_S * 1e9:
+            if row["lateness_ns"] > CONTROL_STALL_S * 1e9:
                 yield _warning(
                     t_ns,
                     "control",
-                    f"control stood still for {row['lateness_ns'] * 1e-9:.2f} s, the valves at their last voltages; "
-                    "the pressures are led back to their set-points within the rate limit",
+                    f"control stalled for {row['lateness_ns'] * 1e-9:.2f} s, the valves at their last voltages; "
+                    "the pressures return to their set-points within the rate limit",
                 )
             trouble = self._missing
             match trouble.judge(t_ns, self._tick_s * (missed + 1), missed / (missed + 1)):
@@ -91,7 +91,7 @@ class HealthMonitor:
                     yield _over(trouble, t_ns, "control", "deadlines are met again")
 
     def observations(self, rows: NDArray[np.void]) -> Iterator[Event]:
-        """Camera frames (n,) of `runs.records.observation_dtype`, in their order."""
+        """Events of camera frames (n,) of `runs.records.observation_dtype`, in order of time."""
         for row in rows:
             t_ns, seen, dropped = int(row["t_ns"]), DetectionStatus(int(row["seen"])), int(row["dropped"])
             judged = (
@@ -131,7 +131,7 @@ class HealthMonitor:
                 yield from self._blind(row)
 
     def _paced(self, t_ns: int, dropped: int) -> Iterator[Event]:
-        """Whether pictures come as the rig says: a driver may grant another rate than it is asked for."""
+        """Check the camera rate: a driver may set another rate than requested."""
         before_ns, self._frame_t_ns = self._frame_t_ns, t_ns
         if dropped or not before_ns:
             return
@@ -150,7 +150,7 @@ class HealthMonitor:
                 yield _over(self._off_pace, t_ns, "observer", "the camera keeps its pace again")
 
     def _blind(self, row: NDArray[np.void]) -> Iterator[Event]:
-        """Of several cameras, one that adds nothing: the tip is then measured by the others."""
+        """Report a camera that contributes nothing: the tip is then measured by the others."""
         t_ns, dropped = int(row["t_ns"]), int(row["dropped"])
         for (name, trouble), seen, skew in zip(self._cameras, row["camera_seen"], row["camera_skew_s"], strict=True):
             match trouble.judge(t_ns, self._frame_s * (dropped + 1), float(seen != DetectionStatus.MEASURED)):
@@ -166,36 +166,35 @@ class HealthMonitor:
                     yield _over(trouble, t_ns, "observer", f"camera {name} sees the board again")
 
     def lost(self, t_ns: int, scans: int) -> Iterator[Event]:
-        """Scans that the cards have dropped since the last call."""
+        """Event of scans that the cards have dropped since the last call."""
         if scans:
             yield _warning(t_ns, "card", f"{scans} scans were lost: the card's buffer overran")
 
     def looking(self, t_ns: int) -> Iterator[Event]:
-        """Called at every look: says when nothing was recorded or shown for long."""
+        """Report when the last call was long ago; called in every cycle of the supervisor."""
         before, self._looked_ns = self._looked_ns, t_ns
         still_s = (t_ns - before) * 1e-9
-        if before and still_s > STANDSTILL_S:
+        if before and still_s > STALL_S:
             yield _warning(
                 t_ns,
-                "conductor",
-                f"nothing was recorded for {still_s:.2f} s, what was measured was kept meanwhile: "
-                "a machine that stood still?",
+                "supervisor",
+                f"nothing was recorded for {still_s:.2f} s, all measurements were kept: the machine may have stalled",
             )
 
     def disk(self, t_ns: int, standing_s: float) -> Iterator[Event]:
-        """Called at every look: says when the disk has not taken the record for long, and when it does again."""
+        """Report when writes to the disk have been blocked for long, and when they continue; called in every cycle."""
         if standing_s > self._disk.above:
-            if not self._disk.told:
-                self._disk.told, self._disk.since_ns = True, t_ns - round(standing_s * 1e9)
+            if not self._disk.reported:
+                self._disk.reported, self._disk.since_ns = True, t_ns - round(standing_s * 1e9)
                 yield _warning(
                     t_ns,
-                    "conductor",
+                    "supervisor",
                     f"the disk has not taken the record for {standing_s:.1f} s, which is kept in memory meanwhile: "
                     "is another program writing to it?",
                 )
-        elif self._disk.told:
-            self._disk.told = False
-            yield _over(self._disk, t_ns, "conductor", "the disk takes the record again")
+        elif self._disk.reported:
+            self._disk.reported = False
+            yield _over(self._disk, t_ns, "supervisor", "the disk takes the record again")
 
 
 def _warning(t_ns: int, source: str, message: str) -> Event:

@@ -1,4 +1,4 @@
-"""The observer process: camera, vision and model, at the camera's pace."""
+"""The observer process: camera, vision and model, at the camera rate."""
 
 from __future__ import annotations
 
@@ -21,25 +21,25 @@ from rig.realtime.timing_limits import timing_limits
 REHEARSED_FRAMES = 3
 FIRST_PICTURE_S = 5.0
 HISTORY = 400
-"""Control ticks handed to the model with each frame: two seconds at 200 Hz."""
+"""Control cycles passed to the model with each frame: two seconds at 200 Hz."""
 
 
 def main() -> int:
-    """Observe until told to stop; stay until the bench is safe."""
+    """Observe until a stop is requested; end once the bench is safe."""
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
     job, memory = receive()
-    guard = FailsafeThread(job, memory)
+    failsafe = FailsafeThread(job, memory)
     try:
         _observe(job, memory)
     except CameraError as error:
-        memory.say("observer", Stage.FAILED, str(error))
+        memory.publish_stage("observer", Stage.FAILED, str(error))
         return 1
     except Exception as error:
-        memory.say("observer", Stage.FAILED, f"the observer process failed: {type(error).__name__}: {error}")
+        memory.publish_stage("observer", Stage.FAILED, f"the observer process failed: {type(error).__name__}: {error}")
         raise
     finally:
-        guard.outlast()
-    memory.say("observer", Stage.DONE)
+        failsafe.join()
+    memory.publish_stage("observer", Stage.DONE)
     return 0
 
 
@@ -49,25 +49,25 @@ def _observe(job: ChildJob, memory: SharedState) -> None:
     observer = _observer(job)
     show = PreviewPublisher(config, memory)
     album, names = PictureRecorder(config), list(config.cameras)
-    conductor = supervisor_monitor(job)
-    if not await_turn(memory, conductor, lambda: not memory.get("plant_starting")):
+    supervisor = supervisor_monitor(job)
+    if not await_turn(memory, supervisor, lambda: not memory.simulator_starting):
         return
     cameras = CameraSynchroniser(config, job.plan.seed)
     try:
-        # A camera that shows nothing is found before the run is armed.
+        # A camera without pictures is detected before the run is armed.
         cameras.await_all(max(FIRST_PICTURE_S, frame_s))
         _warm_up(job, [cameras.read(FIRST_PICTURE_S) for _ in range(REHEARSED_FRAMES)])
-        memory.say("observer", Stage.READY)
+        memory.publish_stage("observer", Stage.READY)
         previous: int | None = None
-        while memory.get("stop") == Stop.NONE and not conductor.over:
-            memory.beat("observer", time.monotonic_ns())
+        while memory.stop_request == Stop.NONE and not supervisor.exited:
+            memory.heartbeat("observer", time.monotonic_ns())
             try:
                 shot = cameras.read(frame_s)
             except CameraError:
-                if memory.get("stop") != Stop.NONE:
+                if memory.stop_request != Stop.NONE:
                     break
                 raise
-            go = memory.get("go_ns")
+            go = memory.start_ns
             if not go or shot.t_ns < go:
                 continue
             dropped = 0 if previous is None else max(0, shot.index - previous - 1)
@@ -85,7 +85,7 @@ def _observer(job: ChildJob) -> Observer:
 
 
 def _warm_up(job: ChildJob, shots: list[FrameSet]) -> None:
-    """Observe some shots with an observer of their own: what is compiled at its first use is ready by then."""
+    """Observe some frame sets with a separate observer, so that imports and compilation are done before the start."""
     config = job.plan.config
     observer = _observer(job)
     for index, shot in enumerate(shots):

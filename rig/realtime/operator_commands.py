@@ -1,4 +1,4 @@
-"""What an operator may ask of a run that goes, and how the run answers."""
+"""Commands of the operator to a running experiment, and their results."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from runs.records import Status
 
 
 class Command(StrEnum):
-    """Something an operator can ask for."""
+    """A command of the operator."""
 
     PAUSE = "pause"
     RESUME = "resume"
@@ -25,7 +25,7 @@ class Command(StrEnum):
 
 @dataclass(frozen=True)
 class OperatorCommand:
-    """One action, and who asks for it: `ada (live page)`."""
+    """One command and its sender, such as `ada (live page)`."""
 
     action: Command
     who: str
@@ -33,16 +33,16 @@ class OperatorCommand:
 
 @dataclass(frozen=True)
 class CommandResult:
-    """What became of a wish: `said` is a sentence for the record, or the reason why nothing was done."""
+    """Result of a command; `message` is the sentence for the record, or the reason of a refusal."""
 
-    done: bool
-    said: str
+    accepted: bool
+    message: str
 
 
 def user_name(uid: int | None = None) -> str:
-    """The account with a user id, this process's own if left out; `user 1234` where the machine has no name for it.
+    """Account name of a user id, by default of this process; `user 1234` if the machine has no name for it.
 
-    The kernel's id decides: variables such as LOGNAME and USER can say anything.
+    The id comes from the kernel: variables such as LOGNAME and USER are not reliable.
     """
     uid = os.getuid() if uid is None else uid
     try:
@@ -52,21 +52,21 @@ def user_name(uid: int | None = None) -> str:
 
 
 class CommandHandler:
-    """Carries wishes out: sets the flags that control obeys at its next tick. What it says comes after what it does."""
+    """Executes commands: sets the flags that control reads in its next cycle, then returns the result."""
 
     def __init__(self, memory: SharedState, trajectory: Trajectory) -> None:
         self._memory = memory
         self._trajectory = trajectory
         self.ending: tuple[Status, str] | None = None
 
-    def carry_out(self, request: OperatorCommand) -> CommandResult:
-        """Do one thing, or say why not."""
+    def handle(self, request: OperatorCommand) -> CommandResult:
+        """Execute one command, or return why it is refused."""
         match request.action:
             case Command.VENT:
-                self._memory.ask_to_stop(Stop.VENT)
+                self._memory.request_stop(Stop.VENT)
                 return self._end(f"vented by {request.who}")
             case Command.STOP:
-                self._memory.ask_to_stop(Stop.SAFE)
+                self._memory.request_stop(Stop.SAFE)
                 return self._end(f"stopped by {request.who}")
             case Command.PAUSE | Command.RESUME:
                 return self._hold(request.action is Command.PAUSE, request.who)
@@ -80,32 +80,32 @@ class CommandHandler:
             self.ending = Status.INTERRUPTED, sentence
         return CommandResult(True, sentence)
 
-    def _hold(self, held: bool, who: str) -> CommandResult:
-        if bool(self._memory.get("held")) == held:
-            return CommandResult(False, "the run is paused already" if held else "the run is not paused")
-        self._memory.set("held", held)
+    def _hold(self, paused: bool, who: str) -> CommandResult:
+        if self._memory.paused == paused:
+            return CommandResult(False, "the run is paused already" if paused else "the run is not paused")
+        self._memory.paused = paused
         return CommandResult(
-            True, f"{'paused' if held else 'resumed'} by {who} at protocol time {self._protocol_s:.2f} s"
+            True, f"{'paused' if paused else 'resumed'} by {who} at protocol time {self._protocol_s:.2f} s"
         )
 
     def _skip(self, who: str) -> CommandResult:
-        if self._memory.get("held"):
-            # Whoever pauses counts on the pressures to stay as they are.
+        if self._memory.paused:
+            # A paused run keeps its pressures.
             return CommandResult(False, "the run is paused and holds its pressures; resume it, then skip")
         at_s = self._protocol_s
-        self._memory.set("skips", self._memory.get("skips") + 1)
+        self._memory.skips = self._memory.skips + 1
         segment = self._trajectory.segment_at(at_s)
         return CommandResult(
             True, f"rest of '{segment.label or segment.kind}' skipped by {who} at protocol time {at_s:.2f} s"
         )
 
     def _answer(self, who: str) -> CommandResult:
-        waiting = self._memory.get("waiting")
-        if waiting < 0 or self._memory.get("answered") > waiting:
+        waiting = self._memory.waiting_prompt
+        if waiting < 0 or self._memory.prompts_answered > waiting:
             return CommandResult(False, "no prompt waits for an answer")
-        self._memory.set("answered", waiting + 1)
+        self._memory.prompts_answered = waiting + 1
         return CommandResult(True, f"done, says {who}: {self._trajectory.prompts[waiting].message}")
 
     @property
     def _protocol_s(self) -> float:
-        return float(self._memory.board["protocol_s"][0])
+        return self._memory.protocol_s

@@ -1,4 +1,4 @@
-"""Publishing camera frames to those who watch: nothing is computed or copied while nobody does."""
+"""Publishes camera frames to viewers; without a viewer nothing is computed or copied."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from rig.observation.overlay import OverlayProjector
 from rig.realtime.shared_state import LINE_POINTS, SharedState, view_dtype
 
 WATCHED_NS = 3_000_000_000
-"""A page says about once a second that it is there."""
+"""A viewer reports its presence about once a second."""
 
 
 class PreviewPublisher:
-    """The observer's shop window."""
+    """Publishes frames with their overlay through the shared memory."""
 
     def __init__(self, config: RigConfig, memory: SharedState) -> None:
         self._memory = memory
@@ -25,8 +25,8 @@ class PreviewPublisher:
         self._row = np.zeros((), view_dtype(memory.layout))
 
     def shot(self, shot: FrameSet, observer: Observer) -> None:
-        """Publish the leading frame of the shot that the observer has just observed, if somebody watches."""
-        watched = time.monotonic_ns() - self._memory.get("watched_ns") <= WATCHED_NS
+        """Publish the leading frame of the shot that the observer has just observed, if there is a viewer."""
+        watched = time.monotonic_ns() - self._memory.viewer_ns <= WATCHED_NS
         if not watched or observer.measurement is None:
             return
         frame = shot.lead

@@ -1,4 +1,4 @@
-"""A ring of structured rows in shared memory: one writer, any number of readers, no locks."""
+"""Lock-free ring buffer of structured rows in shared memory, with one writer and any number of readers."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ COUNT_BYTES = 64  # one cache line, so that the count does not share one with th
 
 
 def ring_bytes(dtype: np.dtype[np.void], capacity: int) -> int:
-    """Bytes that a ring takes, rounded up to a cache line."""
+    """Size of a ring in bytes, rounded up to a cache line."""
     return COUNT_BYTES + -(-dtype.itemsize * capacity // 64) * 64
 
 
 class RingBuffer(Generic[Row]):
-    """A view of a ring. The count of rows ever written is published after the row it counts.
+    """A view of a ring buffer. The count of written rows is published after the row itself.
 
     Each reader keeps its own cursor; rows that were overwritten before they were read are counted as lost.
     """
@@ -58,10 +58,10 @@ class RingBuffer(Generic[Row]):
 
     def _copy(self, first: int) -> tuple[NDArray[np.void], int]:
         stop = self.written
-        # The slot that the writer is filling now may be the oldest one: it is never handed out.
+        # The writer may be filling the oldest slot now: it is never returned.
         first = max(first, stop - self._capacity + 1)
         rows = self._rows[np.arange(first, stop) % self._capacity]
-        # The writer may have lapped the oldest rows while they were copied.
+        # The writer may have overwritten the oldest rows while they were copied.
         safe = self.written - self._capacity + 1
         if safe > first:
             rows, first = rows[safe - first :], safe

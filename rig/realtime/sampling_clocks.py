@@ -1,4 +1,4 @@
-"""The cards' own sampling clocks on their way into the record: control publishes them, the conductor counts them."""
+"""The sampling clocks of the cards: control publishes them, the supervisor records them as counters."""
 
 from __future__ import annotations
 
@@ -8,17 +8,17 @@ from rig.realtime.shared_state import CLOCKS, SharedState
 
 
 def publish(memory: SharedState, bench: Bench) -> None:
-    """Say how every card's clock goes; of a rig with more than CLOCKS cards, the first ones'."""
+    """Publish period and drift of the clock of each card, of at most CLOCKS cards."""
     for number, name in list(enumerate(bench.card_names))[:CLOCKS]:
         if (clock := bench.clock(name)) is not None:
             memory.board["scan_period_ns"][0, number], memory.board["scan_drift_ppm"][0, number] = clock
 
 
 def clock_counters(memory: SharedState, config: RigConfig) -> dict[str, int]:
-    """What the record keeps of each card that samples by its own clock, under names that begin with the card's.
+    """Counters of each card with its own sampling clock; their names begin with the name of the card.
 
-    `scan_period_ns` is the period as the driver rounded it; `scan_drift_ppb` how much longer it is by the computer's
-    clock, in parts per thousand million, as learnt by the end.
+    `scan_period_ns` is the period as rounded by the driver; `scan_drift_ppb` its estimated relative error by the
+    computer's clock in parts per billion (1e-9).
     """
     counters = {}
     for name, period_ns, drift_ppm in _clocks(memory, config):
@@ -28,7 +28,7 @@ def clock_counters(memory: SharedState, config: RigConfig) -> dict[str, int]:
 
 
 def descriptions(memory: SharedState, config: RigConfig) -> list[str]:
-    """A sentence for each card that samples by its own clock."""
+    """A sentence for each card with its own sampling clock."""
     return [
         f"card {name} samples by its own clock every {period_ns * 1e-3:.3f} us "
         f"(asked for: {1e6 / config.cards[name].sampling_hz:.3f} us)"

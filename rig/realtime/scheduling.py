@@ -1,4 +1,4 @@
-"""Real-time privileges, punctual waiting, and how the machine behaved meanwhile."""
+"""Real-time scheduling, precise waiting, heartbeat monitors and stolen CPU time."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ WATCHDOG_PRIORITY, CONTROL_PRIORITY = 60, 50
 
 
 class Scheduling(IntFlag):
-    """What the kernel has granted to a process: SCHED_FIFO, and memory that is never paged out (mlockall)."""
+    """What the kernel has granted to a process: SCHED_FIFO, and locked memory (mlockall)."""
 
     NONE = 0
     FIFO = 1
@@ -35,9 +35,9 @@ REAL_TIME = Scheduling.FIFO | Scheduling.LOCKED
 
 
 def enable_realtime_scheduling(priority: int) -> Scheduling:
-    """Ask for SCHED_FIFO and locked memory, and freeze the garbage collector; return what was granted."""
+    """Request SCHED_FIFO and locked memory, and freeze the garbage collector; return what was granted."""
     granted = Scheduling.NONE
-    # The priority comes last: locking memory takes a tenth of a second, in which no other run may lose the processor.
+    # The priority comes last: locking memory takes 0.1 s, during which another run must not lose the processor.
     gc.collect()
     gc.freeze()
     gc.disable()
@@ -53,10 +53,10 @@ def enable_realtime_scheduling(priority: int) -> Scheduling:
 
 
 def _request_short_slice() -> None:
-    """Ask the ordinary scheduler (EEVDF, Linux 6.12 or later) to run this process soon after it wakes.
+    """Request short time slices of the ordinary scheduler (EEVDF, Linux 6.12 or later).
 
-    A process that asks for short time slices has early virtual deadlines, at an unchanged share of the processor. This
-    needs no privilege; older kernels ignore it. The C library has no function for the system call.
+    A process with short time slices has early virtual deadlines and runs soon after it wakes, at an unchanged share of
+    the processor. This needs no privilege; older kernels ignore it. The C library has no function for sched_setattr.
     """
     number = _SCHED_SETATTR.get(platform.machine())
     if number is None:
@@ -67,10 +67,10 @@ def _request_short_slice() -> None:
 
 
 def obtainable() -> Scheduling:
-    """What a process started by this one will be granted.
+    """The scheduling that a child process will be granted.
 
-    The priority is tried, in this thread and for an instant. Locked memory is not, which would take a tenth of a
-    second: it is granted to a process with CAP_IPC_LOCK or without a limit.
+    The priority is set and reset in this thread. Locking memory would take 0.1 s and is not tried: it is granted to a
+    process with CAP_IPC_LOCK or without a limit.
     """
     granted = Scheduling.NONE
     _raise_soft_limits()
@@ -87,7 +87,7 @@ def obtainable() -> Scheduling:
 
 
 def refusals(granted: Scheduling) -> list[str]:
-    """What was not granted, and the line that allows it."""
+    """What was not granted, and the configuration line that allows it."""
     refused = []
     if Scheduling.LOCKED not in granted:
         refused.append(
@@ -103,7 +103,7 @@ def refusals(granted: Scheduling) -> list[str]:
 
 
 def _raise_soft_limits() -> None:
-    """Use what the administrator allows: a soft limit below the hard one needs no privilege to be raised."""
+    """Raise the soft limits to the hard limits, which needs no privilege."""
     for limit in (resource.RLIMIT_MEMLOCK, resource.RLIMIT_RTPRIO):
         soft, hard = resource.getrlimit(limit)
         if soft != hard:
@@ -121,13 +121,13 @@ def _capable(capability: int) -> bool:
 
 
 def raise_priority() -> None:
-    """Go before every ordinary program from now on, if that is allowed, and after all that are punctual."""
+    """Set a low SCHED_FIFO priority, if allowed: above ordinary processes, below control and watchdog."""
     with contextlib.suppress(OSError, AttributeError):
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(10))
 
 
 def disable_realtime_scheduling() -> None:
-    """Give the priority back before the end: what locked memory takes to be given back is nobody's deadline."""
+    """Return to ordinary scheduling before the exit, because releasing locked memory is slow and not urgent."""
     with contextlib.suppress(OSError, AttributeError):
         os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
 
@@ -143,22 +143,21 @@ def wait_until(deadline_ns: int) -> int:
 
 
 class HeartbeatMonitor:
-    """For how long a process has given no sign of life, counting only the time in which somebody watched.
+    """Measures how long a process has sent no heartbeat, without counting stalls of the whole machine.
 
-    A look that comes late by itself proves nothing of the other one: the machine may have stood still as a whole. It
-    counts as one period, and the other goes on being watched from there. Late looks one after the other are a machine
-    that is merely busy, and count in full.
+    If the monitor itself is sampled late, the machine may have stalled: a single late interval counts as one period.
+    Consecutive late intervals mean a busy machine and count in full.
     """
 
     def __init__(self, period_ns: int, overslept_ns: int) -> None:
-        """Looks are due every `period_ns`; those farther apart than `overslept_ns` count as late."""
+        """It is sampled every `period_ns`; a sample at least `overslept_ns` after the previous one counts as late."""
         self._period_ns, self._overslept_ns = period_ns, overslept_ns
         self._looked_ns = self._heartbeat_ns = 0
         self._silent_ns = 0
         self._late = False
 
-    def look(self, now_ns: int, heartbeat_ns: int) -> int:
-        """Return the silence [ns] at a look; `heartbeat_ns` is when the last sign of life was given."""
+    def silent_ns(self, now_ns: int, heartbeat_ns: int) -> int:
+        """Sample the monitor: return the silence [ns]; `heartbeat_ns` is the time of the last heartbeat."""
         since, self._looked_ns = now_ns - (self._looked_ns or now_ns), now_ns
         late = since >= self._overslept_ns
         watched = self._period_ns if late and not self._late else since
@@ -172,7 +171,7 @@ class HeartbeatMonitor:
 
 
 def stolen_ms() -> int:
-    """CPU time that the hypervisor took from this machine since boot, all cores, in ms; 0 where it is not told."""
+    """CPU time that the hypervisor took from this machine since boot, all cores [ms]; 0 if it is not reported."""
     try:
         fields = Path("/proc/stat").read_text().split("\n", 1)[0].split()
         return int(fields[8]) * 1000 // os.sysconf("SC_CLK_TCK")

@@ -1,6 +1,6 @@
-"""The memory that the processes of one run share: a board of flags, the rings, the picture slots.
+"""The shared memory of the processes of one run: a row of flags, the ring buffers and the picture slots.
 
-The rings of events and views are for those who watch; nothing of the record depends on them.
+The rings of events and views serve viewers; the record does not depend on them.
 """
 
 from __future__ import annotations
@@ -8,9 +8,10 @@ from __future__ import annotations
 import itertools
 import mmap
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +22,8 @@ from rig.realtime.scheduling import Scheduling
 from runs.journal.messages import marks_from_bytes, marks_to_bytes
 from runs.records import Event, Level, Picture, adaptation_dtype, observation_dtype, sample_dtype
 
+T = TypeVar("T", bound=float)
+
 SAMPLES = 4096
 OBSERVATIONS = 1024
 PICTURES = 32
@@ -28,13 +31,13 @@ MESSAGE_BYTES = 480
 EVENTS = 256
 VIEWS = 4
 CLOCKS = 8
-"""Cards whose sampling clocks are told."""
+"""Number of cards whose sampling clocks are published."""
 LINE_POINTS = 16
-"""Points of a line that is drawn of the arm: its axis or an actuator's."""
+"""Points of a line of the overlay: the axis of the arm or of an actuator."""
 
 
 class Stage(IntEnum):
-    """How far a process is."""
+    """Stage of a process."""
 
     STARTING = 0
     READY = 1
@@ -44,7 +47,7 @@ class Stage(IntEnum):
 
 
 class Stop(IntEnum):
-    """Asks every process to end with the valves safe, and says who asks."""
+    """Reason to end every process with the valves safe; SILENT: the supervisor sent no heartbeat."""
 
     NONE = 0
     SAFE = 1
@@ -59,24 +62,24 @@ _BOARD = np.dtype(
         ("control", _PROCESS),
         ("observer", _PROCESS),
         ("watchdog", _PROCESS),
-        ("conductor", _PROCESS),
+        ("supervisor", _PROCESS),
         ("control_pid", "<i8"),
         ("watchdog_pid", "<i8"),
         ("control_granted", "<i8"),
         ("watchdog_granted", "<i8"),
-        ("holder_pid", "<i8"),
-        ("plant_starting", "<i8"),
-        ("go_ns", "<i8"),
-        ("stop", "<i8"),
+        ("card_holder_pid", "<i8"),
+        ("simulator_starting", "<i8"),
+        ("start_ns", "<i8"),
+        ("stop_request", "<i8"),
         ("vented", "<i8"),
-        ("held", "<i8"),
+        ("paused", "<i8"),
         ("skips", "<i8"),
-        ("watched_ns", "<i8"),
-        ("answered", "<i8"),
-        ("waiting", "<i8"),
+        ("viewer_ns", "<i8"),
+        ("prompts_answered", "<i8"),
+        ("waiting_prompt", "<i8"),
         ("protocol_s", "<f8"),
         ("safe_ns", "<i8"),
-        ("fired_ns", "<i8"),
+        ("watchdog_trip_ns", "<i8"),
         ("lost_scans", "<i8"),
         ("scan_period_ns", "<f8", (CLOCKS,)),
         ("scan_drift_ppm", "<f8", (CLOCKS,)),
@@ -84,7 +87,7 @@ _BOARD = np.dtype(
     align=True,
 )
 _EVENT = np.dtype([("t_ns", "<i8"), ("level", "S8"), ("source", "S32"), ("message", f"S{MESSAGE_BYTES}")])
-_SAID = ("source", "message")
+_TEXT_FIELDS = ("source", "message")
 _PICTURE = np.dtype(
     [("t_ns", "<i8"), ("frame", "<i8"), ("camera", "<i8"), ("slot", "<i8"), ("size", "<i8"), ("marks", "<i8")]
 )
@@ -92,7 +95,7 @@ _PICTURE = np.dtype(
 
 @dataclass(frozen=True)
 class StateLayout:
-    """Sizes that every process computes alike from the rig."""
+    """Sizes of the shared memory, computed from the rig by every process."""
 
     actuators: int
     valves: int
@@ -103,17 +106,17 @@ class StateLayout:
 
     @classmethod
     def of(cls, config: RigConfig, adapted: int = 0) -> StateLayout:
-        """The layout for one rig and so many adapted parameters. A picture slot holds the largest camera's frame."""
+        """The layout for one rig and `adapted` estimated parameters. A picture slot holds the largest camera frame."""
         largest = max((c.width_px * c.height_px for c in config.cameras.values()), default=0)
         corners = (config.board.squares_x - 1) * (config.board.squares_y - 1)
         return cls(config.actuators, len(config.valves), largest * 3 + 4096, corners, len(config.cameras), adapted)
 
 
 def view_dtype(layout: StateLayout) -> np.dtype[np.void]:
-    """What a page draws of one camera frame, besides what is recorded.
+    """Row type of the live view of one camera frame, with its overlay.
 
-    Pixels (u, v) of the board's corners (the first `found` count), of the measured tip and of the model's, NaN where
-    there is none; `lines_m` the arm's axis and its actuators' in the rod-base frame; `shape` that of the picture.
+    Pixels (u, v) of the board's corners (the first `found` are valid), of the measured tip and of the model's tip, NaN
+    where there is none; `lines_m`: axes of the arm and of its actuators in the rod-base frame; `shape`: of the picture.
     """
     return np.dtype(
         [
@@ -130,16 +133,61 @@ def view_dtype(layout: StateLayout) -> np.dtype[np.void]:
     )
 
 
-class SharedState:
-    """A view of the shared memory of one run. Whoever has the file descriptor has the memory; it needs no clean-up.
+class _BoardField(Generic[T]):
+    """A typed property of `SharedState` over the field of the same name of its board."""
 
-    `board` is one structured row of flags, each with one writer. `holder_pid` has the cards where that is not the
-    process that is watched as control. `samples`, `observations` and `adaptations` are rings
-    of the records of `runs.records`.
+    def __init__(self, kind: Callable[[Any], T]) -> None:
+        """`kind` makes the value of type T from the stored number."""
+        self._kind = kind
+
+    def __set_name__(self, owner: type[SharedState], name: str) -> None:
+        self._name = name
+
+    def __get__(self, state: SharedState, owner: type[SharedState]) -> T:
+        return self._kind(state.board[self._name].item())
+
+    def __set__(self, state: SharedState, value: T) -> None:
+        state.board[self._name][0] = value
+
+
+class SharedState:
+    """A view of the shared memory of one run. It exists as long as a process holds its file descriptor.
+
+    `board` is one structured row of flags; each flag has one writer and is read and written through the property of
+    the same name. Times are CLOCK_MONOTONIC [ns], 0 before the event; a process id is 0 before the process exists.
+    `samples`, `observations` and `adaptations` are rings of the records of `runs.records`.
+
+    A write through a read-only mapping raises ValueError.
     """
 
+    control_pid = _BoardField(int)
+    watchdog_pid = _BoardField(int)
+    card_holder_pid = _BoardField(int)
+    """The process that has the cards open, where that is not the process that the watchdog monitors as control."""
+    control_granted = _BoardField(Scheduling)
+    watchdog_granted = _BoardField(Scheduling)
+    simulator_starting = _BoardField(bool)
+    start_ns = _BoardField(int)
+    stop_request = _BoardField(Stop)
+    vented = _BoardField(bool)
+    """True after another program has vented valves that the safe state would hold."""
+    paused = _BoardField(bool)
+    skips = _BoardField(int)
+    """Requests to skip the rest of a segment, since the start."""
+    viewer_ns = _BoardField(int)
+    """When a viewer last requested data."""
+    prompts_answered = _BoardField(int)
+    waiting_prompt = _BoardField(int)
+    """Index of the prompt that the protocol waits for; -1 when it waits for none."""
+    protocol_s = _BoardField(float)
+    safe_ns = _BoardField(int)
+    """When the safe state was written by another process than the watchdog."""
+    watchdog_trip_ns = _BoardField(int)
+    """When the watchdog wrote the safe state because control had died or hung."""
+    lost_scans = _BoardField(int)
+
     def __init__(self, fd: int, layout: StateLayout, *, readonly: bool = False) -> None:
-        """Map the memory; `readonly` for those who watch: writing is then impossible, not just forbidden."""
+        """Map the memory; with `readonly` (viewers) the mapping itself is read-only."""
         self.fd = fd
         self.layout = layout
         sample = sample_dtype(layout.actuators, layout.valves)
@@ -173,58 +221,50 @@ class SharedState:
 
     @classmethod
     def create(cls, layout: StateLayout) -> SharedState:
-        """Make the memory of a new run, all zero."""
+        """Create the memory of a new run, all zero; no prompt is waiting."""
         memory = cls(os.memfd_create("softrig", 0), layout)
-        memory.set("waiting", -1)
+        memory.waiting_prompt = -1
         return memory
 
-    def get(self, field: str) -> int:
-        """Read one integer flag."""
-        return int(self.board[field][0])
-
-    def set(self, field: str, value: float) -> None:
-        """Write one flag."""
-        self.board[field][0] = value
-
-    def ask_to_stop(self, why: Stop) -> None:
-        """Ask every process to end with the valves safe. Who asks first is told of; to vent wins over all else."""
-        if why is Stop.VENT or self.get("stop") == Stop.NONE:
-            self.set("stop", why)
+    def request_stop(self, reason: Stop) -> None:
+        """Request that every process ends with the valves safe. The first stop reason is kept; VENT overrides it."""
+        if reason is Stop.VENT or self.stop_request is Stop.NONE:
+            self.stop_request = reason
 
     @property
     def vents(self) -> bool:
-        """True where the safe state is the vented one, also of valves that would be held."""
-        return self.get("stop") == Stop.VENT or bool(self.get("vented"))
+        """True where the safe state vents every valve, also those that the rig holds."""
+        return self.stop_request is Stop.VENT or self.vented
 
     @property
     def granted(self) -> Scheduling:
-        """The scheduling that both control and the watchdog were granted; none before they have said so."""
-        return Scheduling(self.get("control_granted") & self.get("watchdog_granted"))
+        """The scheduling that both control and the watchdog were granted; none before both have published theirs."""
+        return self.control_granted & self.watchdog_granted
 
     def stage(self, process: str) -> Stage:
-        """How far a process is."""
+        """Stage of a process."""
         return Stage(int(self.board[process]["stage"][0]))
 
     def message(self, process: str) -> str:
-        """What a process last said."""
+        """The last message of a process."""
         return bytes(self.board[process]["message"][0]).decode(errors="replace")
 
-    def say(self, process: str, stage: Stage, message: str = "") -> None:
-        """Publish a process's stage; the message is there before the stage that it explains."""
+    def publish_stage(self, process: str, stage: Stage, message: str = "") -> None:
+        """Publish a process's stage; the message is written before the stage that it explains."""
         row = self.board[process]
         row["message"][0] = message.encode()[:MESSAGE_BYTES]
         row["stage"][0] = stage
 
-    def beat(self, process: str, t_ns: int) -> None:
-        """Publish a sign of life."""
+    def heartbeat(self, process: str, t_ns: int) -> None:
+        """Publish a heartbeat."""
         self.board[process]["heartbeat_ns"][0] = t_ns
 
     def heartbeat_ns(self, process: str) -> int:
-        """When a process last gave a sign of life."""
+        """Time of the last heartbeat of a process."""
         return int(self.board[process]["heartbeat_ns"][0])
 
     def push_picture(self, picture: Picture, camera: int = 0) -> bool:
-        """Store one encoded picture of the `camera`-th camera with its marks; False where it is larger than a slot."""
+        """Store one encoded picture of the `camera`-th camera with its marks; False if it is larger than a slot."""
         marks = marks_to_bytes(picture)
         size = len(picture.data)
         if size + len(marks) > self.layout.picture_bytes:
@@ -243,7 +283,7 @@ class SharedState:
             start = int(row["slot"]) * self.layout.picture_bytes
             end = start + int(row["size"])
             data, seen = bytes(self._slots[start:end]), bytes(self._slots[end : end + int(row["marks"])])
-            # Whoever stood still in between has copied another picture's bytes: that slot is being filled anew.
+            # After a stall of this reader the writer may have overwritten the slot while it was copied.
             if self._pictures.written - number >= PICTURES:
                 self._pictures.lost += 1
                 continue
@@ -254,11 +294,11 @@ class SharedState:
 
     @property
     def pictures_lost(self) -> int:
-        """Pictures overwritten before this reader came for them."""
+        """Pictures overwritten before this reader took them."""
         return self._pictures.lost
 
     def push_event(self, event: Event) -> None:
-        """Publish an event to those who watch."""
+        """Publish an event to viewers."""
         row = np.zeros((), _EVENT)
         row["t_ns"], row["level"], row["source"] = event.t_ns, event.level.encode(), event.source.encode()[:32]
         row["message"] = event.message.encode()[:MESSAGE_BYTES]
@@ -267,12 +307,14 @@ class SharedState:
     def read_events(self) -> list[Event]:
         """Return the events published since the last call."""
         return [
-            Event(int(row["t_ns"]), Level(row["level"].decode()), *(row[n].decode(errors="replace") for n in _SAID))
+            Event(
+                int(row["t_ns"]), Level(row["level"].decode()), *(row[n].decode(errors="replace") for n in _TEXT_FIELDS)
+            )
             for row in self._events.read()
         ]
 
     def push_view(self, view: NDArray[np.void], image: NDArray[np.uint8]) -> None:
-        """Publish a frame to those who watch: a row of `view_dtype`, whose number is set here, and its picture."""
+        """Publish a frame to viewers: a row of `view_dtype`, whose number is set here, and its picture."""
         number = self._views.written
         pixels = np.ascontiguousarray(image).tobytes()
         if len(pixels) > self.layout.picture_bytes:
@@ -283,7 +325,7 @@ class SharedState:
         self._views.push(view)
 
     def newest_view(self, after: int = -1) -> tuple[NDArray[np.void], NDArray[np.uint8]] | None:
-        """Return the newest frame with a number above `after`; None when there is none, or it was overwritten."""
+        """Return the newest frame with a number above `after`; None if there is none or it was overwritten."""
         if self._views.written <= after + 1:
             return None
         rows = self._views.last(1)

@@ -1,4 +1,4 @@
-"""How long each process of a run may be silent: decided here, from what is at stake and what scheduling was granted.
+"""Time limits of the processes of a run, derived from the hardware and the granted scheduling.
 
 See docs/explanation/processes-and-safety.md, "What counts as hung". Every threshold in wall-clock time that can end a
 real-time run because the machine is slow is a field of `TimingLimits`.
@@ -17,13 +17,13 @@ MS = 1_000_000
 STRICT_HUNG_S = 0.03
 """Six control periods at 200 Hz: longer than any lateness measured under SCHED_FIFO with locked memory."""
 ORDINARY_HUNG_S = 0.1
-"""The longest silence allowed where real valves are driven at ordinary priority; see `timing_limits`."""
+"""The longest silence allowed for real valves at ordinary priority; see `timing_limits`."""
 SIMULATED_HUNG_S = 5.0
-"""Longer than any delay that compilers, downloads and disk writes beside a run have caused."""
+"""Longer than any measured delay by compilers, downloads and disk writes beside a run."""
 
 
 class Profile(StrEnum):
-    """Which set of limits applies."""
+    """The set of limits that applies."""
 
     STRICT = "strict"
     ORDINARY = "ordinary priority"
@@ -32,14 +32,13 @@ class Profile(StrEnum):
 
 @dataclass(frozen=True)
 class TimingLimits:
-    """Thresholds of the processes that watch each other, in real time.
+    """Thresholds of the processes that monitor each other, in real time.
 
-    `late_look_ns`: a watchdog whose own look comes so late proves nothing about control. `grace_ns` is what control
-    gets to make the bench safe once the supervisor is gone. `failsafe_*` belong to the observer's failsafe thread.
-    `supervised_*` are the supervisor's. `frame_s` is the longest wait for a picture, `disk_s` for the disk, `vented_s`
-    for the air to go. `ending_s` is what each process gets to end. `simulator_ns` is by how much the simulator may be
-    late, `simulation_waits_ns` how long it goes on without a write to an open valve; both None where simulated hardware
-    is treated as real hardware.
+    `late_look_ns`: a watchdog interval that counts as late (see `HeartbeatMonitor`). `grace_ns`: time for control to
+    write the safe state after the supervisor has gone. `failsafe_*`: the observer's failsafe thread. `supervised_*`:
+    the supervisor. `frame_s`, `disk_s`, `vented_s`: longest wait for a picture, for the disk, for a chamber to vent.
+    `ending_s`: time for each process to exit. `simulator_ns`: largest delay of the simulator; `simulation_waits_ns`:
+    how long it continues without a write to an open valve; both None if simulated hardware is treated as real hardware.
     """
 
     profile: Profile
@@ -62,22 +61,21 @@ class TimingLimits:
 
     @property
     def supervised_observer_s(self) -> float:
-        """The supervisor's patience with the observer, which gives a sign of life once a picture."""
+        """Longest silence of the observer, which sends one heartbeat per picture."""
         return 2 * self.frame_s
 
 
 def valves_at_stake(config: RigConfig) -> bool:
-    """True where a card of the rig is real hardware."""
+    """True if a card of the rig is real hardware."""
     return any(card.driver != "mock" for card in config.cards.values())
 
 
 def timing_limits(config: RigConfig, granted: Scheduling) -> TimingLimits:
     """The limits of one run; `granted` is what both control and the watchdog were granted.
 
-    `limits.hung_s` in the rig file is obeyed, with all other limits strict. Without it: strict where real valves are
-    driven with SCHED_FIFO and locked memory. Real valves at ordinary priority: control may be silent for as long as the
-    rig allows the newest sample to be old (`stale_s`), at most 0.1 s; a valve then keeps its last voltage no longer
-    than the rig's own limit for steering blind. Simulated valves: seconds, because nothing is at stake.
+    `limits.hung_s` of the rig file applies with all other limits strict. Without it: strict for real valves with
+    SCHED_FIFO and locked memory. Real valves at ordinary priority: control may be silent for the rig's limit of the age
+    of the newest sample (`stale_s`), at most 0.1 s. Simulated valves: seconds, because no hardware can be damaged.
     """
     limits = config.limits
     strict_ns = round((limits.hung_s or STRICT_HUNG_S) * 1e9)
@@ -109,7 +107,7 @@ def timing_limits(config: RigConfig, granted: Scheduling) -> TimingLimits:
 
 
 def stated(config: RigConfig, granted: Scheduling) -> str:
-    """One sentence for the operator: when control counts as hung on this bench, and what cannot be promised."""
+    """One sentence for the operator: when control counts as hung on this bench, and which guarantees are missing."""
     timing = timing_limits(config, granted)
     hung_s = timing.control_hung_ns * 1e-9
     if timing.profile is Profile.SIMULATED:
@@ -126,5 +124,5 @@ def stated(config: RigConfig, granted: Scheduling) -> str:
 
 
 def remedies(granted: Scheduling) -> str:
-    """What was refused and how to obtain it; empty where all was granted."""
+    """What was refused and how to obtain it; empty if all was granted."""
     return "; ".join(refusals(granted))

@@ -1,4 +1,4 @@
-"""After the safe state is written: does the air go? A valve that is stuck or plumbed the wrong way obeys no voltage."""
+"""Vent verification: checks by the sensors that the chambers vent after the safe state is written."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ from rig.config.schema import PA_PER_BAR, RigConfig
 from rig.hardware.bench import Bench
 
 PATIENCE_S = 1.0
-"""A chamber vents in a few tenths of a second; the default."""
+"""Default time limit; a chamber vents in a few tenths of a second."""
 VENTED_PA = 0.1 * PA_PER_BAR
 
 
 class VentVerification:
-    """Watches the pressures of the chambers whose valves were told to vent: all of them where the run was vented."""
+    """Checks the pressures of the chambers whose safe state is vented; with `vent`, of all chambers."""
 
     def __init__(self, config: RigConfig, bench: Bench, *, vent: bool = False, patience_s: float = PATIENCE_S) -> None:
-        """`patience_s` is how long the caller looks; it is part of the verdict."""
+        """`patience_s` is how long the caller waits; it is part of the message."""
         self._patience_s = patience_s
         self._bench = bench
         venting = [a - 1 for valve in config.valves if vent or valve.safe_state == "vent" for a in valve.actuators]
@@ -25,7 +25,7 @@ class VentVerification:
         self._pressure_pa: NDArray[np.float64] | None = None
 
     def done(self) -> bool:
-        """Look at the newest scans; True once every chamber is empty.
+        """Read the newest scans; True once every chamber is empty.
 
         Raises:
             CardError: the card cannot be read.
@@ -36,7 +36,7 @@ class VentVerification:
         return self._pressure_pa is not None and bool(np.all(self._pressure_pa < VENTED_PA))
 
     def verdict(self) -> str:
-        """Which chambers are not empty, and what to do; empty where all are, or nothing is known."""
+        """Message about chambers that are not empty; empty if all are empty or there is no scan."""
         if self._pressure_pa is None:
             return ""
         full = [
@@ -47,6 +47,6 @@ class VentVerification:
         if not full:
             return ""
         return (
-            f"{', '.join(full)} {self._patience_s:g} s after the valves were told to vent: a valve is stuck or its "
-            "ports are the wrong way round, or a sensor is broken; shut the air off by hand"
+            f"{', '.join(full)} {self._patience_s:g} s after the valves were commanded to vent: a valve is stuck or "
+            "its ports are the wrong way round, or a sensor is broken; shut the air off by hand"
         )

@@ -1,4 +1,4 @@
-"""The watchdog's way to the cards, also to those that let in one process at a time."""
+"""The outputs of the cards for the watchdog, also of cards that allow one process only."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from rig.hardware.cards.base import CardBusyError
 
 
 class WatchdogOutputs:
-    """Cards that are held open for writing; where one lets in one process only, they are opened when they are needed.
+    """Cards that are open for writing; if a card allows one process only, they are opened when they are needed.
 
-    The one process is control then: the cards can be written once it is dead.
+    Such a card is open in control, so the watchdog can write only once control is dead.
     """
 
     def __init__(self, config: RigConfig) -> None:
-        """Try whether the cards can be held beside another process; control must not have them yet.
+        """Test whether two processes can open the cards at once; control must not have opened them yet.
 
         Raises:
             CardError: a card cannot be opened at all.
@@ -30,7 +30,7 @@ class WatchdogOutputs:
 
     @property
     def shared(self) -> bool:
-        """True where the cards can be written while control has them."""
+        """True if the cards can be written while control has them open."""
         return self._bench is not None
 
     def make_safe(self, *, vent: bool) -> None:

@@ -8,7 +8,7 @@ from rig.hardware.cards.base import CardError
 
 
 def sixteen_bits(volts: float, low: float, high: float) -> float:
-    """What a 16-bit output of a range gives when asked for a voltage.
+    """The voltage of a 16-bit output of a range for a requested voltage.
 
     Raises:
         CardError: the voltage is not a number.

@@ -1,8 +1,8 @@
-"""The faults that the simulated bench can be given: broken sensors, valves, supply, card and camera.
+"""Fault injection of the simulated bench: faults of sensors, valves, supply, card and camera.
 
-A fault is a word in memory: in a mock card's shared file in real time, in the plant itself in virtual time. Tests
-write it; the plant (`rig.simulator.faulty_devices`), the mock card and the mock camera obey it. Nothing else knows it.
-Every process of a run imports this module, so it must not import the compiler.
+The faults are one structured row: in the shared file of a mock card in real time, in the plant in virtual time. Tests
+write it; the plant (`rig.simulator.faulty_devices`), the mock card and the mock camera apply it; no other module uses
+it. Every process of a run imports this module, so it must not import the compiler.
 """
 
 from __future__ import annotations
@@ -38,14 +38,14 @@ FAULTS_DTYPE = np.dtype(
 )
 """`active` is set after the others; `failing_reads`, `failing_writes` and `lost_scans` count down. Pressures are gauge.
 
-`sensor_pa` is the noise's standard deviation or the offset; `valve_value` the voltage at which a valve is stuck (not a
-number: where it is), or the flow that it leaks [l/min at 6 -> 5 bar]. `camera_number` is the camera that has the fault,
-1 for the rig's first; all have it where it is 0.
+`sensor_pa` is the standard deviation of the noise or the offset; `valve_value` the voltage at which a valve is stuck
+(NaN: its present one), or its leakage [l/min at 6 -> 5 bar]. `camera_number` is the camera with the fault, 1 for the
+first of the rig, 0 for all.
 """
 
 
 class SensorFault(IntEnum):
-    """What is wrong with a pressure sensor."""
+    """Fault of a pressure sensor."""
 
     NONE = 0
     OPEN = 1
@@ -56,7 +56,7 @@ class SensorFault(IntEnum):
 
 
 class ValveFault(IntEnum):
-    """What is wrong with a valve."""
+    """Fault of a valve."""
 
     NONE = 0
     STUCK = 1
@@ -65,7 +65,7 @@ class ValveFault(IntEnum):
 
 
 class CameraFault(IntEnum):
-    """What is wrong with the camera."""
+    """Fault of a camera."""
 
     NONE = 0
     UNPLUGGED = 1
@@ -78,10 +78,10 @@ class CameraFault(IntEnum):
 
 
 class Faults:
-    """A view of the fault word of one bench: `row` is an array (1,) of FAULTS_DTYPE."""
+    """A view of the faults of one bench: `row` is an array (1,) of FAULTS_DTYPE."""
 
     def __init__(self, row: NDArray[np.void] | None = None) -> None:
-        """Look at a word in shared memory, or at one of its own."""
+        """Use a row in shared memory, or a new one."""
         self.row: NDArray[np.void] = np.zeros(1, FAULTS_DTYPE) if row is None else row
 
     @property
@@ -96,11 +96,11 @@ class Faults:
         return CameraFault(int(self.row["camera"][0]))
 
     def camera_delay_ns(self, number: int) -> int:
-        """How much later than it should a picture arrives."""
+        """Delay of a picture of a camera [ns]."""
         return int(self.row["camera_delay_ns"][0]) if self.camera(number) is CameraFault.LATE else 0
 
     def inject(self, **words: float) -> None:
-        """Set words by name, `sensor_2` being the second of `sensor`; they take effect together."""
+        """Set fields by name, `sensor_2` being the second of `sensor`; they take effect together."""
         for name, value in words.items():
             stem, _, number = name.rpartition("_")
             if number.isdigit():
@@ -110,12 +110,12 @@ class Faults:
         self.row["active"][0] = 1
 
     def clear(self) -> None:
-        """Mend everything."""
+        """Remove all faults."""
         self.row["active"][0] = 0
         self.row[:] = np.zeros(1, FAULTS_DTYPE)
 
     def before_read(self, device: str, *, waits: bool) -> None:
-        """What happens when the card is read; `waits` where time is real.
+        """Apply the faults of a read of the card; `waits` in real time only.
 
         Raises:
             CardError: this read fails.
@@ -129,7 +129,7 @@ class Faults:
             raise CardError(f"mock card {device}: the inputs cannot be read: Input/output error")
 
     def before_write(self, device: str) -> None:
-        """What happens when the card is written.
+        """Apply the faults of a write to the card.
 
         Raises:
             CardError: this write fails.
@@ -139,7 +139,7 @@ class Faults:
             raise CardError(f"mock card {device}: the outputs cannot be written: Input/output error")
 
     def of_scans(self, scans: Scans) -> Scans:
-        """What is left of the scans that were read."""
+        """The scans that remain after the faults."""
         if not self.active:
             return scans
         if self.row["silent"][0]:

@@ -1,4 +1,4 @@
-"""Valves, supply and sensors of the plant as they are with the faults that they have been given."""
+"""Applies injected faults to the valves, the supply and the sensors of the plant."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from rig.simulator.pneumatics import SensorTable, ValveTable
 
 
 class FaultyValves:
-    """The plant's valves and supply with the faults that they have."""
+    """The valves and the supply of the plant with their faults."""
 
     def __init__(self, faults: Faults, valves: ValveTable) -> None:
         self._faults = faults
@@ -21,7 +21,7 @@ class FaultyValves:
         self._touched = False
 
     def apply(self, outputs_v: NDArray[np.float64], spool_v: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Give the valves their faults; return the voltages (V,) that they feel when told `outputs_v`."""
+        """Apply the faults to the valves; return their effective voltages (V,) for the outputs `outputs_v`."""
         if not self._faults.active:
             if self._touched:
                 self._mend()
@@ -51,7 +51,7 @@ class FaultyValves:
 
 
 class FaultySensors:
-    """The plant's pressure sensors with the faults that they have."""
+    """The pressure sensors of the plant with their faults."""
 
     def __init__(self, faults: Faults, sensors: SensorTable) -> None:
         self._faults = faults
@@ -59,7 +59,7 @@ class FaultySensors:
         self._held_v: dict[int, float] = {}
 
     def apply(self, first_step: int, scans: NDArray[np.float64]) -> None:
-        """Change the volts (steps, N) of a stretch of the grid that begins after `first_step` to what is seen."""
+        """Apply the faults to the volts (steps, N) of the grid steps after `first_step`, in place."""
         if not self._faults.active:
             self._held_v.clear()
             return
@@ -83,7 +83,7 @@ class FaultySensors:
         by_v = float(self._faults.row["sensor_pa"][0, a]) * float(sensors.v_per_pa[a])
         match fault:
             case SensorFault.OPEN:
-                # An input that hangs in the air is charged by the multiplexer until it saturates.
+                # The multiplexer charges an open input until it saturates.
                 return np.full_like(volts, high)
             case SensorFault.SHORT:
                 return np.full_like(volts, min(max(0.0, low), high))

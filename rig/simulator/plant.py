@@ -126,7 +126,7 @@ class Plant:
                 self._move_arm()
 
     def skip(self, t_ns: int) -> None:
-        """Let the clock run to about `t_ns` while the plant stands still: whole steps of the arm, no scans."""
+        """Advance the clock to about `t_ns` without simulation: whole steps of the arm, no scans."""
         first = self._step // ARM_STEPS + 1
         self._step += max(0, (t_ns - self.t_ns) // (ARM_STEPS * STEP_NS)) * ARM_STEPS
         standing = self._poses[self._kept - 1].copy()

@@ -1,4 +1,4 @@
-"""Starts the plant process of a rig with mock devices, and stops it again."""
+"""Starts and stops the plant process of a rig with mock devices."""
 
 from __future__ import annotations
 
@@ -21,44 +21,44 @@ GONE_S = 2.0
 
 
 class Simulation:
-    """A running plant, as the conductor sees it."""
+    """A running plant process, for the supervisor."""
 
     def __init__(self, process: subprocess.Popen[bytes], config: RigConfig) -> None:
         self._process = process
         self._config = config
-        self._said = b""
+        self._output = b""
         self._registers: Registers | None = None
 
     def ready(self) -> bool:
-        """True once its cards are there; does not wait.
+        """True once its cards exist; does not wait.
 
         Raises:
             CardError: the plant did not start.
         """
         assert self._process.stdout is not None
-        if self._said == READY:
+        if self._output == READY:
             return True
         if not select.select([self._process.stdout], [], [], 0)[0]:
             return False
         more = os.read(self._process.stdout.fileno(), len(READY))
-        self._said += more
+        self._output += more
         if not more:
             self._wait()
             raise CardError(f"the simulator did not start (exit status {self._process.returncode})")
-        if not READY.startswith(self._said):
-            raise CardError(f"the simulator did not start: it said {self._said!r}")
-        if self._said != READY:
+        if not READY.startswith(self._output):
+            raise CardError(f"the simulator did not start: its output is {self._output!r}")
+        if self._output != READY:
             return False
         mocks = [card.device for card in self._config.cards.values() if card.simulated]
         self._registers = Registers.attach(mocks[0]) if mocks else None
         return True
 
     def late_ns(self, now_ns: int) -> int:
-        """By how much the plant is behind a time on CLOCK_MONOTONIC."""
+        """Delay [ns] of the plant behind a time of CLOCK_MONOTONIC."""
         return 0 if self._registers is None else now_ns - self._registers.plant_t_ns
 
     def hang(self, weight_kg: float) -> None:
-        """Do what a prompt asks of the operator: hang a weight on the end cap."""
+        """Hang a weight on the end cap, as a prompt requests from the operator."""
         if self._registers is not None:
             self._registers.hang(weight_kg)
 
@@ -68,7 +68,7 @@ class Simulation:
         return self._process.poll()
 
     def close(self) -> None:
-        """End it, also where it stands still; it leaves nothing undone."""
+        """Kill the process, also a stopped one; it needs no clean-up."""
         if self._registers is not None:
             self._registers.close()
         self._process.kill()
@@ -77,16 +77,16 @@ class Simulation:
         self._process.stdout.close()
 
     def _wait(self) -> None:
-        # Not for ever: the end of a process that a debugger holds is hidden until the debugger asks for it.
+        # A time-out, because the exit of a traced process is hidden until its debugger collects it.
         with suppress(subprocess.TimeoutExpired):
             self._process.wait(GONE_S)
 
 
 @contextmanager
 def started(config: RigConfig, rig_file: Path, seed: int, waits_ns: int | None = None) -> Iterator[Simulation | None]:
-    """Start the plant behind the rig's mock devices and keep it until the end; None for a rig that has none.
+    """Run the plant of the rig's mock devices within the context; None for a rig without mock devices.
 
-    Its cards are there once it is `ready`. With `waits_ns` its time stops while open valves are not written for longer.
+    Its cards exist once it is `ready`. With `waits_ns` its time stops while open valves are not written for longer.
     """
     if not config.simulated:
         yield None
@@ -110,7 +110,7 @@ def started(config: RigConfig, rig_file: Path, seed: int, waits_ns: int | None =
 
 @contextmanager
 def simulated(config: RigConfig, rig_file: Path, seed: int) -> Iterator[Simulation | None]:
-    """Keep the plant running behind the rig's mock devices; None for a rig that has none.
+    """Run the plant of the rig's mock devices, ready; None for a rig without mock devices.
 
     Raises:
         CardError: the plant did not start.

@@ -1,8 +1,8 @@
 """The plant in real time: `python -m rig.simulator.plant_process --rig FILE --seed N [--parent PID] [--waits-ms MS]`.
 
 One shared file per mock card (see `rig.simulator.registers`). Prints `ready` once scans are being taken. With
-`--parent` it ends by itself some seconds after that process has gone, so that a card outlives the death of those who
-use it for as long as it takes to make it safe; without, it runs until SIGTERM or Ctrl-C.
+`--parent` it ends some seconds after that process has exited, so that its cards exist until they are made safe;
+without, it runs until SIGTERM or Ctrl-C.
 """
 
 from __future__ import annotations
@@ -32,9 +32,9 @@ from rig.simulator.registers import Registers
 
 POLL_S = 0.002
 LONGEST_STRETCH_NS = 20_000_000
-"""A plant that is late catches up in stretches, so that what it has done so far can be read."""
+"""Longest step of a late plant that catches up, so that its data can be read in between."""
 GIVE_UP_NS = 2_000_000_000
-"""A plant that is later than this (a stopped process, a sleeping laptop) lets the time go instead."""
+"""A plant with a longer delay (a stopped process, a sleeping laptop) skips the time instead."""
 OUTLIVE_PARENT_S = 3.0
 PRIORITY = 20
 _PR_SET_PDEATHSIG = 1
@@ -42,7 +42,7 @@ SAFE_TOLERANCE_V = 0.01
 
 
 class _SimulatedCard:
-    """One mock card: its part of the plant, and its file."""
+    """One mock card: its part of the plant and its shared file."""
 
     def __init__(self, config: RigConfig, name: str, plant: Plant) -> None:
         card = config.cards[name]
@@ -55,31 +55,31 @@ class _SimulatedCard:
         self._safe_v = np.array([[safe_voltages(config, vent=vent)[i] for i in valves] for vent in (False, True)])
         self._registers = Registers.create(card.device, card.outputs, card.inputs)
         self.faults = self._registers.faults
-        self._card.faults = Faults()  # the mock card in the run's processes obeys the word; this one only samples
+        self._card.faults = Faults()  # faults act in the mock card of the run's processes; this one only samples
         self._written = self._registers.outputs["written_ns"]
         self._volts = self._registers.outputs["volts"]
         self._poses = 0
         self._card.start()
 
     def newest_write_ns(self) -> int:
-        """When an output was written last."""
+        """Time of the last write to an output."""
         return int(self._written.max()) if len(self._written) else 0
 
     def driven(self) -> bool:
-        """True while a valve is neither safe nor vented."""
+        """True while the valves are neither safe nor vented."""
         off = np.abs(self._volts[self._channels] - self._safe_v) > SAFE_TOLERANCE_V
         return bool(off.all(axis=0).any())
 
     def take_outputs(self) -> None:
-        """Let the plant's valves feel the registers."""
+        """Pass the registers of the outputs to the valves of the plant."""
         self._card.write(self._volts[self._channels])
 
     def hung_kg(self) -> float:
-        """What the operator has hung on the end cap."""
+        """Mass of the weight on the end cap [kg]."""
         return float(self._registers.header["hung_kg"][0])
 
     def publish(self, plant: Plant) -> None:
-        """Put what the plant has done into the rings."""
+        """Publish the new scans and poses of the plant in the rings."""
         scans = self._card.read()
         if len(scans.t_ns):
             volts = np.zeros((len(scans.t_ns), self._inputs))
@@ -93,20 +93,20 @@ class _SimulatedCard:
 
 
 def run(config: RigConfig, seed: int, parent: int | None, waits_ns: int | None = None) -> None:
-    """Run the plant until it is told to end.
+    """Run the plant until it is terminated.
 
-    With `waits_ns` the time of the plant stops while a valve that is open has not been written for longer, or while
-    the plant itself is later than this: a delay of the computer is then no event on the bench.
+    With `waits_ns` the time of the plant stops while an open valve has not been written for longer, or while the plant
+    itself has a longer delay: a delay of the computer then has no effect on the bench.
 
     Raises:
         CardError: a mock device is taken, or the rig cannot be simulated.
     """
     if parent == os.getppid():
-        # Nobody needs a plant that only loads, which may take minutes where its kernels are compiled.
+        # Loading may take minutes while kernels are compiled; it must not outlive the parent.
         _die_with_parent(signal.SIGKILL)
     t0_ns = time.monotonic_ns()
     plant = Plant(config, seed, t0_ns)
-    plant.advance(t0_ns + LONGEST_STRETCH_NS)  # compiles what is not in the cache yet
+    plant.advance(t0_ns + LONGEST_STRETCH_NS)  # compiles kernels that are not cached
     devices = [_SimulatedCard(config, name, plant) for name, card in config.cards.items() if card.simulated]
     if devices:
         plant.faults.row = devices[0].faults.row
@@ -143,16 +143,16 @@ def _die_with_parent(number: int) -> None:
 
 
 def _raise_priority() -> None:
-    """Stand in for hardware, which no other process can keep waiting: real-time priority below control's, if allowed.
+    """Request real-time priority below that of control, because other processes cannot delay hardware.
 
-    A plant that cannot keep up even so is held back by the kernel's own limit for real-time processes.
+    The kernel's limit for real-time processes bounds an overloaded plant.
     """
     with contextlib.suppress(OSError):
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
 
 
 def _catch_up(plant: Plant, devices: Sequence[_SimulatedCard]) -> None:
-    """Bring the plant to the present, with every output from the time on at which it was written."""
+    """Advance the plant to the present; each output takes effect at the time of its write."""
     now = time.monotonic_ns()
     if now - plant.t_ns > GIVE_UP_NS:
         plant.skip(now)
@@ -162,7 +162,7 @@ def _catch_up(plant: Plant, devices: Sequence[_SimulatedCard]) -> None:
 
 
 def _wait_or_catch_up(plant: Plant, devices: Sequence[_SimulatedCard], waits_ns: int) -> None:
-    """As `_catch_up`, but the plant lives through no time in which it or whoever drives its valves was delayed."""
+    """As `_catch_up`, but without the time in which the plant or the process that drives its valves was delayed."""
     now = time.monotonic_ns()
     steered_ns = max((device.newest_write_ns() for device in devices if device.driven()), default=now) + waits_ns
     if steered_ns < now:
@@ -198,12 +198,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     waits_ns = None if options.waits_ms is None else round(options.waits_ms * 1e6)
     signal.signal(signal.SIGTERM, _leave)
     signal.signal(signal.SIGHUP, signal.SIG_IGN)
-    # Ctrl-C goes to every process of the terminal; the card must outlive those who make it safe.
+    # Ctrl-C goes to every process of the terminal; the cards must exist until they are made safe.
     signal.signal(signal.SIGINT, _leave if options.parent is None else signal.SIG_IGN)
     try:
         run(rig.config.loader.load(options.rig), options.seed, options.parent, waits_ns)
     except BrokenPipeError:
-        # Who wanted the plant died while it loaded: there is nobody to be told.
+        # The parent died while the plant loaded.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except (BadInputError, CardError) as error:
@@ -213,7 +213,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _leave(*_: object) -> None:
-    # Once: another one in the middle of the interpreter's end would be a traceback there.
+    # Ignored from now on: a second signal during interpreter shutdown would print a traceback.
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     raise SystemExit(0)

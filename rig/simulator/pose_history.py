@@ -1,4 +1,4 @@
-"""The tip's recent past, and the pose between two of its entries."""
+"""Recent poses of the tip, and interpolation between them."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from rig.simulator.tip_pose import TipPose
 
 FURTHEST_AHEAD_NS = 20_000_000
-"""How far beyond the newest entry the motion is carried on; later times get the pose of then."""
+"""Longest extrapolation beyond the newest entry; later times get the pose at that limit."""
 
 POSE_DTYPE = np.dtype(
     [("index", "<i8"), ("t_ns", "<i8"), ("position_m", "<f8", (3,)), ("rotation", "<f8", (3, 3))], align=True
@@ -16,7 +16,7 @@ POSE_DTYPE = np.dtype(
 
 
 def pose_among(entries: NDArray[np.void], t_ns: int) -> TipPose:
-    """The pose at a time from entries (n,) of POSE_DTYPE, oldest first, n at least 1.
+    """Interpolate the pose at a time from entries (n,) of POSE_DTYPE, oldest first, n at least 1.
 
     Before the first entry of all (index 0) the arm was at rest in it.
 

@@ -31,7 +31,7 @@ VERSION = 1
 SCAN_ROWS = 4096
 POSE_ROWS = 512
 SPARE_ROWS = 256
-"""Rows that a reader leaves alone because the plant may overwrite them while they are being copied."""
+"""Rows that a reader does not use because the plant may overwrite them while they are copied."""
 RECENT_POSES = 220
 FAULTS_AT = 1024
 SETTLING_S = 0.5
@@ -75,7 +75,7 @@ class Registers:
     """One mapped file; arrays are views into it."""
 
     def __init__(self, descriptor: int, path: Path) -> None:
-        """Map an open file that `create` or `attach` has found to be sound; the map keeps its lock."""
+        """Map an open file that `create` or `attach` has validated; the map keeps its lock."""
         self.path = path
         self._map = mmap.mmap(descriptor, 0)
         os.close(descriptor)
@@ -145,7 +145,7 @@ class Registers:
             raise CardError(f"mock card {device}: {path}: {error.strerror or error}") from error
         until = time.monotonic() + SETTLING_S
         while not _sound(descriptor) and time.monotonic() < until:
-            time.sleep(0.01)  # its plant may be making it just now
+            time.sleep(0.01)  # its plant may be creating it now
         if not _sound(descriptor):
             os.close(descriptor)
             raise CardError(f"mock card {device}: {path} was not made by this version of softrig: remove it")
@@ -158,11 +158,11 @@ class Registers:
 
     @property
     def plant_t_ns(self) -> int:
-        """The time that the plant has reached."""
+        """Present time of the plant."""
         return int(self.header["plant_t_ns"][0])
 
     def hang(self, weight_kg: float) -> None:
-        """Hang a weight on the simulated end cap; the plant takes it from here."""
+        """Hang a weight on the simulated end cap; the plant reads it from this register."""
         self.header["hung_kg"][0] = weight_kg
 
     def push_scans(self, t_ns: NDArray[np.int64], volts: NDArray[np.float64]) -> None:
@@ -186,19 +186,19 @@ class Registers:
 
     @property
     def scans_written(self) -> int:
-        """How many scans there have been since the plant began."""
+        """Number of scans since the plant started."""
         return int(self.header["scans"][0])
 
     def scans_since(self, first: int, columns: list[int]) -> tuple[Scans, int]:
         """Scans from index `first` on, in the given columns, and the index to go on from."""
         written = self.scans_written
         if written < first:
-            # A new plant has begun to count from zero.
+            # A new plant counts from zero.
             first = 0
         begin = max(first, written - (SCAN_ROWS - SPARE_ROWS))
         index = np.arange(begin, written)
         rows = self._scans[index % SCAN_ROWS]
-        # Looked at again after the copy: the plant marks a row before it overwrites it.
+        # Checked again after the copy: the plant marks a row before it overwrites it.
         whole = (rows["index"] == index) & (self._scans["index"][index % SCAN_ROWS] == index)
         rows = rows[whole]
         lost = begin - first + int(len(index) - np.count_nonzero(whole))
@@ -219,9 +219,9 @@ class Registers:
         return pose_among(rows, t_ns)
 
     def close(self) -> None:
-        """Let go of the file; the registers keep their values."""
+        """Close the file; the registers keep their values."""
         del self.header, self.faults, self.outputs, self._scans, self._poses
-        with contextlib.suppress(BufferError):  # someone still looks at a view: then the map goes with the last one
+        with contextlib.suppress(BufferError):  # a view still exists: the map is released with the last view
             self._map.close()
 
 

@@ -1,4 +1,4 @@
-"""A simulated operator's hands: the calibration board held before the mock camera, and the end cap turned."""
+"""A simulated operator: holds the calibration board before the mock camera and turns the end cap."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _TURN_STD_DEG = 1.5
 
 
 def shown_boards(config: RigConfig, camera: str, board: Board, seed: int) -> Iterator[Image]:
-    """Pictures of a board that is held all over the picture, near and far, leaning every way; each held for a while."""
+    """Pictures of a hand-held board at varied positions, distances and tilts, each held for a while."""
     assert config.simulator is not None
     chosen, truth = config.as_built.cameras[camera], config.simulator.scene
     lens, size = lens_of(chosen), (chosen.width_px, chosen.height_px)
@@ -37,7 +37,7 @@ def shown_boards(config: RigConfig, camera: str, board: Board, seed: int) -> Ite
     extent = np.array(board.pattern) * board.square_m
     index = 0
     while True:
-        # The board's place in the picture first: its outline must lie inside.
+        # The position in the picture is chosen first: the outline must lie inside.
         fills = rng.uniform(*_FILLS)
         distance = chosen.lens.fx_px * float(extent.max()) / (fills * chosen.width_px)
         lean = RigidTransform.from_vectors(
@@ -68,7 +68,7 @@ class TurnedTip:
 
 
 class CapTurner:
-    """The mock camera's view of a cap that is turned as asked, about as well as hands do it."""
+    """Pictures of the mock camera while the cap is turned by hand, with a random error of the angle."""
 
     def __init__(self, config: RigConfig, camera: str, seed: int) -> None:
         self._tip = TurnedTip(config)
@@ -77,7 +77,7 @@ class CapTurner:
         self._index = 0
 
     def picture(self, turned_deg: float) -> Image:
-        """A picture with the cap turned by about so much; exactly straight where 0 is asked."""
+        """A picture with the cap turned by about the requested angle; exactly straight for 0."""
         self._tip.turned_deg = turned_deg + (self._rng.normal(0, _TURN_STD_DEG) if turned_deg else 0.0)
         self._index += 1
         return self._camera.frame_at(self._index, 10_000_000_000 + self._index).image

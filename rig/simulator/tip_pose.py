@@ -1,4 +1,4 @@
-"""Where the simulated tip is: what the scene needs of the plant."""
+"""The pose of the simulated tip, which the scene reads from the plant."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class TipPose:
 
 
 class PoseSource(Protocol):
-    """Anything that knows the tip's recent past."""
+    """A source of recent tip poses."""
 
     def pose_at(self, t_ns: int) -> TipPose:
         """Return the pose at a time within the last second, interpolated."""

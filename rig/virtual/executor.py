@@ -1,4 +1,4 @@
-"""Virtual time: the whole run in one process, as fast as it goes, the same arrays bit for bit from the same seed."""
+"""Executor in virtual time: the whole run in one process, bit-for-bit reproducible from its seed."""
 
 from __future__ import annotations
 
@@ -25,18 +25,18 @@ from rig.simulator.plant import Plant
 from runs.records import Event, Level, Picture, Status, adaptation_dtype, observation_dtype, sample_dtype
 
 START_NS = 100_000_000
-"""Virtual time between power-up and the first tick, so that the first tick has scans."""
+"""Virtual time between power-up and the first cycle, so that the first cycle has scans."""
 BATCH_TICKS = 20
 HISTORY_TICKS = 400
 FRAMES_IN_FLIGHT = 6
-"""Frames that may still be looked at while control goes on; a fixed number, so that runs repeat bit for bit."""
+"""Frames in processing while control continues; a fixed number, so that runs are reproducible bit for bit."""
 SHOW_S = 0.1
 
 _Look = tuple[NDArray[np.void], NDArray[np.void] | None, list[Picture]]
-"""A row of observations, what the estimator made of it, and the pictures that are kept."""
+"""A row of observations, the row of the estimator if there is one, and the pictures to record."""
 
 
-def run(plan: Plan, open_record: OpenRecord, audience: OperatorInterface) -> Outcome:
+def run(plan: Plan, open_record: OpenRecord, operator: OperatorInterface) -> Outcome:
     """Run one plan in virtual time; return once the (simulated) valves are safe.
 
     Raises:
@@ -47,8 +47,8 @@ def run(plan: Plan, open_record: OpenRecord, audience: OperatorInterface) -> Out
     real += [name for name, camera in config.cameras.items() if not camera.simulated]
     if real:
         raise StartError(f"virtual time needs a simulated rig, and {', '.join(real)} of rig {config.name} is real")
-    virtual = _VirtualRun(plan, audience)
-    gc.freeze()  # what was imported need not be searched for garbage again and again
+    virtual = _VirtualRun(plan, operator)
+    gc.freeze()  # imported objects are not scanned by the garbage collector
     try:
         return virtual.run(open_record)
     finally:
@@ -56,10 +56,10 @@ def run(plan: Plan, open_record: OpenRecord, audience: OperatorInterface) -> Out
 
 
 class _VirtualRun:
-    def __init__(self, plan: Plan, audience: OperatorInterface) -> None:
+    def __init__(self, plan: Plan, operator: OperatorInterface) -> None:
         config = plan.config
         self._plan = plan
-        self._audience = audience
+        self._operator = operator
         self._plant = Plant(config, plan.seed, t0_ns=0)
         self._bench = Bench(config, {name: self._plant.card(name) for name in config.cards})
         self._cameras = {
@@ -69,13 +69,13 @@ class _VirtualRun:
         self._skews_ns = [round(k * skew_ms * 1e6) for k in range(len(self._cameras))]
         self._album = PictureRecorder(config)
         self._observer = Observer(config, plan.variant, [quantity.name for quantity in plan.adapted])
-        # Drawing and measuring release the interpreter's lock: control, drawing and measuring run side by side, each in
-        # one thread and in the order of the frames.
-        self._developer = ThreadPoolExecutor(1, thread_name_prefix="camera")
-        self._looker = ThreadPoolExecutor(1, thread_name_prefix="observer")
-        self._looking: deque[Future[_Look]] = deque()
-        self._ticker = ControlLoop(plan, self._bench)
-        self._vigil = HealthMonitor(config)
+        # Rendering and measuring release the interpreter lock: each runs in its own thread beside control, in the order
+        # of the frames.
+        self._renderer = ThreadPoolExecutor(1, thread_name_prefix="camera")
+        self._observer_thread = ThreadPoolExecutor(1, thread_name_prefix="observer")
+        self._in_flight: deque[Future[_Look]] = deque()
+        self._loop = ControlLoop(plan, self._bench)
+        self._health_monitor = HealthMonitor(config)
         self._lost_scans = 0
         self._frame_ns = round(1e9 / next(iter(config.cameras.values())).rate_hz)
         self._frame = 0
@@ -88,86 +88,86 @@ class _VirtualRun:
         self._recorder: Recorder
 
     def run(self, open_record: OpenRecord) -> Outcome:
-        """Arm, tick until something ends the run, make safe."""
+        """Arm, run cycles until the run ends, write the safe state."""
         self._bench.arm()
         self._bench.start()
         self._plant.advance(START_NS)
         self._recorder = open_record(START_NS)
-        self._tell(START_NS, Level.INFO, "control", "armed: the safe state was written and read back")
+        self._event(START_NS, Level.INFO, "control", "armed: the safe state was written and read back")
         tick = 0
         now = START_NS
         try:
             while True:
-                now = START_NS + tick * self._ticker.period_ns
-                ending = self._tick(tick, now)
+                now = START_NS + tick * self._loop.period_ns
+                ending = self._cycle(tick, now)
                 if ending is not None:
                     break
                 tick += 1
         except (CardError, CameraError) as error:
-            self._tell(now, Level.FAULT, "observer" if isinstance(error, CameraError) else "control", str(error))
+            self._event(now, Level.FAULT, "observer" if isinstance(error, CameraError) else "control", str(error))
             ending = Status.ABORTED, str(error)
         finally:
             unsafe = self._make_safe()
-            self._developer.shutdown()
-            self._looker.shutdown()
+            self._renderer.shutdown()
+            self._observer_thread.shutdown()
         self._flush(in_flight=0)
         unsafe = unsafe or self._vented(now)
         if unsafe:
-            self._tell(now, Level.FAULT, "control", unsafe)
+            self._event(now, Level.FAULT, "control", unsafe)
             ending = Status.ABORTED, f"{ending[1]}; then {unsafe}".removeprefix("; then ")
         else:
-            self._tell(now, Level.INFO, "control", "the valves are in their safe state")
+            self._event(now, Level.INFO, "control", "the valves are in their safe state")
         return Outcome(*ending, now, {"missed_deadlines": 0, "dropped_frames": 0, "lost_scans": self._lost_scans})
 
     def _vented(self, now: int) -> str:
-        """Watch the air go; what keeps it, empty when nothing does."""
+        """Check that the chambers vent; return what does not vent, else empty."""
         venting = VentVerification(self._plan.config, self._bench)
         with suppress(CardError):
-            for waited in range(0, round(PATIENCE_S * 1e9), self._ticker.period_ns):
+            for waited in range(0, round(PATIENCE_S * 1e9), self._loop.period_ns):
                 self._plant.advance(now + waited)
                 if venting.done():
                     return ""
         return venting.verdict()
 
     def _make_safe(self) -> str:
-        """Write the safe state; what kept it from being written, empty when nothing did."""
+        """Write the safe state; return the reason of a failure, else empty."""
         try:
             self._bench.make_safe()
         except CardError as error:
             return str(error)
         return ""
 
-    def _tick(self, tick: int, now: int) -> tuple[Status, str] | None:
-        """Do one tick and the frames that fall into it; return how the run ends, None while it goes on."""
-        self._plant.hang(self._plan.trajectory.weight_kg(self._ticker.position.protocol_s))
+    def _cycle(self, tick: int, now: int) -> tuple[Status, str] | None:
+        """Run one cycle and its frames; return how the run ends, None while it continues."""
+        self._plant.hang(self._plan.trajectory.weight_kg(self._loop.position.protocol_s))
         self._plant.advance(now)
-        row, trip = self._ticker.tick(tick, now, 1, self._answered, False, 0, 0)
+        row, trip = self._loop.cycle(tick, now, 1, self._answered, False, 0, 0)
         self._samples.add(row)
         self._unseen = min(self._unseen + 1, HISTORY_TICKS)
-        # A frame is looked at once the samples on both sides of it are there, and the last camera has exposed.
+        # A frame is processed once there are samples before and after it, and the last camera has exposed.
         while (t_ns := START_NS + (self._frame + 1) * self._frame_ns) + self._skews_ns[-1] <= now:
             self._frame += 1
             self._observe(self._frame, t_ns, float(row["protocol_s"]))
         if trip is not None:
-            self._tell(now, Level.FAULT, "control", trip)
+            self._event(now, Level.FAULT, "control", trip)
             return Status.ABORTED, trip
-        if self._ticker.finished:
+        if self._loop.finished:
             return Status.FINISHED, ""
-        if self._ticker.position.waiting and self._answered == self._ticker.position.prompts_passed:
+        if self._loop.position.waiting and self._answered == self._loop.position.prompts_passed:
             message = self._plan.trajectory.prompts[self._answered].message
             self._answered += 1
-            self._tell(now, Level.INFO, "operator", f"done (virtual time answers by itself): {message}")
+            self._event(now, Level.INFO, "operator", f"done (virtual time answers by itself): {message}")
         if tick % BATCH_TICKS == BATCH_TICKS - 1:
             self._flush()
             if time.monotonic() - self._shown > SHOW_S:
                 self._shown = time.monotonic()
-                if reason := self._audience.stop_requested():
+                if reason := self._operator.stop_requested():
                     return Status.INTERRUPTED, reason
-                self._audience.show(self._progress(row))
+                self._operator.show(self._progress(row))
         return None
 
     def _observe(self, frame: int, t_ns: int, protocol_s: float) -> None:
-        """Hand a frame to the thread that looks: what it sees is decided here, so that nothing hangs on its pace."""
+        """Expose a frame here, in the order of cycles, and pass it to the threads that render and measure it."""
         exposures: list[Exposure | None] = []
         failures = []
         for camera, skew_ns in zip(self._cameras.values(), self._skews_ns, strict=True):
@@ -180,9 +180,9 @@ class _VirtualRun:
             raise failures[0]
         ticks, self._unseen = self._samples.recent(self._unseen), 0
         weight_kg = self._plan.trajectory.weight_kg(protocol_s)
-        shot = self._developer.submit(self._develop, frame, exposures)
-        self._looking.append(
-            self._looker.submit(
+        shot = self._renderer.submit(self._develop, frame, exposures)
+        self._in_flight.append(
+            self._observer_thread.submit(
                 self._look, shot, ticks["t_ns"].copy(), ticks["measured_pa"].copy(), protocol_s, weight_kg
             )
         )
@@ -207,8 +207,8 @@ class _VirtualRun:
         return row, self._observer.adaptation, self._album.pictures(shot, self._observer)
 
     def _flush(self, in_flight: int = FRAMES_IN_FLIGHT) -> None:
-        while len(self._looking) > in_flight:
-            row, adaptation, pictures = self._looking.popleft().result()
+        while len(self._in_flight) > in_flight:
+            row, adaptation, pictures = self._in_flight.popleft().result()
             self._observations.add(row)
             if adaptation is not None:
                 self._adaptations.add(adaptation)
@@ -218,18 +218,18 @@ class _VirtualRun:
         self._recorder.samples(samples)
         self._recorder.observations(observations)
         self._recorder.adaptations(self._adaptations.take())
-        lost, self._lost_scans = self._ticker.lost - self._lost_scans, self._ticker.lost
+        lost, self._lost_scans = self._loop.lost - self._lost_scans, self._loop.lost
         for event in (
-            *self._vigil.samples(samples),
-            *self._vigil.observations(observations),
-            *self._vigil.lost(self._plant.t_ns, lost),
+            *self._health_monitor.samples(samples),
+            *self._health_monitor.observations(observations),
+            *self._health_monitor.lost(self._plant.t_ns, lost),
         ):
             self._report(event)
 
     def _progress(self, row: NDArray[np.void]) -> Progress:
         last, estimate = self._observations.recent(1), self._adaptations.recent(1)
         return Progress(
-            protocol_s=self._ticker.position.protocol_s,
+            protocol_s=self._loop.position.protocol_s,
             duration_s=self._plan.trajectory.duration_s,
             sample=row,
             observation=last[0] if len(last) else None,
@@ -239,16 +239,16 @@ class _VirtualRun:
             adaptation=estimate[0] if len(estimate) else None,
         )
 
-    def _tell(self, t_ns: int, level: Level, source: str, message: str) -> None:
+    def _event(self, t_ns: int, level: Level, source: str, message: str) -> None:
         self._report(Event(t_ns, level, source, message))
 
     def _report(self, event: Event) -> None:
         self._recorder.event(event)
-        self._audience.tell(event)
+        self._operator.report(event)
 
 
 class _Rows:
-    """Rows of a run, the recent ones kept for looking back, the new ones handed out once for the record."""
+    """Rows of a run: keeps the recent ones, and returns new ones once for the record."""
 
     def __init__(self, dtype: np.dtype[np.void]) -> None:
         self._rows = np.zeros(2 * HISTORY_TICKS, dtype)

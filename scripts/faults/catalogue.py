@@ -1,4 +1,4 @@
-"""The faults of the campaign, by name: what is done to a run, and what has to come of it."""
+"""The faults of the campaign by name: the action on a run, and the expected result."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from enum import Enum
 from rig.simulator.faults import CameraFault, SensorFault, ValveFault
 from runs.records import Status
 
-CONDUCTOR, CONTROL, WATCHDOG, OBSERVER, PLANT = "conductor", "control", "watchdog", "observer", "plant"
+SUPERVISOR, CONTROL, WATCHDOG, OBSERVER, PLANT = "supervisor", "control", "watchdog", "observer", "plant"
 KILL, STOP = signal.SIGKILL, signal.SIGSTOP
 STUCK_WHERE_IT_IS = float("nan")
 FOR_EVER = 10**9
@@ -25,21 +25,21 @@ class Bench:
 
 @dataclass(frozen=True)
 class Signal:
-    """A signal to processes of the run, all at once. Stopped ones go on after `lasts_s`, after the run where None."""
+    """A signal to processes of the run, all at once. They continue after `lasts_s`, or after the run if None."""
 
     processes: tuple[str, ...]
     number: signal.Signals
     lasts_s: float | None = None
     times: int = 1
     then_vent: bool = False
-    """`rig vent` while they stand still."""
+    """Run `rig vent` while they are stopped."""
 
 
 @dataclass(frozen=True)
 class Havoc:
     """One to three of the four processes that can make the valves safe, one after the other in any order.
 
-    Each gets one of `numbers`; those that are stopped go on after `lasts_s`.
+    Each gets one of `numbers`; stopped processes continue after `lasts_s`.
     """
 
     numbers: tuple[signal.Signals, ...]
@@ -47,7 +47,7 @@ class Havoc:
 
 
 class Blows(Enum):
-    """What a run gets at one of its margins."""
+    """Actions on a run while it starts or ends."""
 
     KILLED_OR_STOPPED = "one to three of its processes killed or stopped"
     ASKED = "Ctrl-C, SIGTERM or SIGHUP, one to three of them"
@@ -56,7 +56,7 @@ class Blows(Enum):
 
 @dataclass(frozen=True)
 class Margin:
-    """A run that is struck while it starts, or while it ends: its valves are safe and its archive is not yet made."""
+    """An action while the run starts, or while it ends: the valves are safe and the archive is not yet written."""
 
     ending: bool
     blows: Blows
@@ -64,13 +64,13 @@ class Margin:
 
 @dataclass(frozen=True)
 class DiskStands:
-    """The disk takes nothing for so long."""
+    """The disk blocks for `lasts_s`."""
 
     lasts_s: float
 
 
 class Trick(Enum):
-    """What is done to the run's surroundings."""
+    """Faults of the environment of the run."""
 
     DISK_FULL = "disk full"
     FILE_LIMIT = "file limit"
@@ -85,7 +85,7 @@ class Trick(Enum):
 
 @dataclass(frozen=True)
 class Fault:
-    """One fault. `says` is a pattern of what the operator must be told; `safe` false where no program can help.
+    """One fault. `says` is a pattern of the message to the operator; `safe` is false if no program can help.
 
     `ends` are the statuses that the archive may have.
     """
@@ -99,17 +99,17 @@ class Fault:
     virtual: bool = True
     safe: bool = True
     within_s: float = 3.0
-    """How soon the valves must be safe where the run does not go on."""
+    """Time limit for safe valves if the run ends."""
     remark: str = field(default="", kw_only=True)
     moving_s: float = field(default=MOVING_S, kw_only=True)
-    """How long the protocol keeps the valves in motion."""
+    """How long the protocol moves the valves."""
 
 
 ABORTED, FINISHED = (Status.ABORTED,), (Status.FINISHED,)
 RECOVERED, INTERRUPTED = (Status.RECOVERED,), (Status.INTERRUPTED,)
 GOES_ON_OR_NOT = (Status.FINISHED, Status.ABORTED)
 EITHER = (Status.ABORTED, Status.RECOVERED)
-TOLD_OF_A_PROCESS = "process died|silent|hung|itself gone"
+PROCESS_FAULT = "process died|silent|hung|exited before"
 PRESSURE = r"sensor 1|actuator 1"
 NAN = STUCK_WHERE_IT_IS
 
@@ -174,7 +174,7 @@ CARD = (
         ABORTED,
         "safe state could not be written",
         safe=False,
-        remark="no program can help; the operator is told to shut the air off",
+        remark="no program can help; the message asks the operator to shut the air off",
     ),
     Fault(
         "card reads slowly, 12 ms",
@@ -229,52 +229,54 @@ PROCESSES = (
     ),
     _process("watchdog killed", Signal((WATCHDOG,), KILL), ABORTED, "watchdog process died"),
     _process("watchdog stopped", Signal((WATCHDOG,), STOP), ABORTED, "watchdog"),
-    _process("conductor killed", Signal((CONDUCTOR,), KILL), RECOVERED, ""),
-    _process("conductor stopped, 4 s", Signal((CONDUCTOR,), STOP, lasts_s=4.0), ABORTED, "conductor had been silent"),
-    _process("conductor stopped, 1.2 s", Signal((CONDUCTOR,), STOP, lasts_s=1.2), FINISHED, "nothing was recorded for"),
+    _process("supervisor killed", Signal((SUPERVISOR,), KILL), RECOVERED, ""),
+    _process(
+        "supervisor stopped, 4 s", Signal((SUPERVISOR,), STOP, lasts_s=4.0), ABORTED, "supervisor had been silent"
+    ),
+    _process(
+        "supervisor stopped, 1.2 s", Signal((SUPERVISOR,), STOP, lasts_s=1.2), FINISHED, "nothing was recorded for"
+    ),
     _process("simulator killed", Signal((PLANT,), KILL), ABORTED, "simulator died|no pressure sample|camera"),
     _process("simulator stopped", Signal((PLANT,), STOP), ABORTED, "no pressure sample|camera"),
-    _process("control, observer and conductor killed", Signal((CONTROL, OBSERVER, CONDUCTOR), KILL), RECOVERED, ""),
+    _process("control, observer and supervisor killed", Signal((CONTROL, OBSERVER, SUPERVISOR), KILL), RECOVERED, ""),
     _process(
-        "control, observer and conductor stopped, 4 s",
-        Signal((CONTROL, OBSERVER, CONDUCTOR), STOP, lasts_s=4.0),
+        "control, observer and supervisor stopped, 4 s",
+        Signal((CONTROL, OBSERVER, SUPERVISOR), STOP, lasts_s=4.0),
         ABORTED,
         "hung",
     ),
     _process("control and watchdog killed", Signal((CONTROL, WATCHDOG), KILL), ABORTED, "process died"),
     _process("control and watchdog stopped", Signal((CONTROL, WATCHDOG), STOP), ABORTED, "silent"),
-    _process("watchdog and conductor killed", Signal((WATCHDOG, CONDUCTOR), KILL), RECOVERED, ""),
-    _process("all but the observer killed", Signal((CONTROL, WATCHDOG, CONDUCTOR), KILL), RECOVERED, ""),
+    _process("watchdog and supervisor killed", Signal((WATCHDOG, SUPERVISOR), KILL), RECOVERED, ""),
+    _process("all but the observer killed", Signal((CONTROL, WATCHDOG, SUPERVISOR), KILL), RECOVERED, ""),
     _process(
         "all but the observer stopped, 4 s",
-        Signal((CONTROL, WATCHDOG, CONDUCTOR), STOP, lasts_s=4.0),
+        Signal((CONTROL, WATCHDOG, SUPERVISOR), STOP, lasts_s=4.0),
         ABORTED,
-        "conductor had been silent",
+        "supervisor had been silent",
     ),
-    _process("one to three of the four killed, in any order", Havoc((KILL,)), EITHER, TOLD_OF_A_PROCESS),
-    _process("one to three of the four stopped, in any order", Havoc((STOP,)), EITHER, TOLD_OF_A_PROCESS),
-    _process(
-        "one to three of the four killed or stopped, in any order", Havoc((KILL, STOP)), EITHER, TOLD_OF_A_PROCESS
-    ),
+    _process("one to three of the four killed, in any order", Havoc((KILL,)), EITHER, PROCESS_FAULT),
+    _process("one to three of the four stopped, in any order", Havoc((STOP,)), EITHER, PROCESS_FAULT),
+    _process("one to three of the four killed or stopped, in any order", Havoc((KILL, STOP)), EITHER, PROCESS_FAULT),
     _process(
         "all stopped, then rig vent, then on",
-        Signal((CONDUCTOR, WATCHDOG, CONTROL, OBSERVER), STOP, lasts_s=3.0, then_vent=True),
+        Signal((SUPERVISOR, WATCHDOG, CONTROL, OBSERVER), STOP, lasts_s=3.0, then_vent=True),
         (*ABORTED, *INTERRUPTED),
-        "silent|hung|another program|simulator stands still|SIGTERM",
+        "silent|hung|another program|simulator has stalled|SIGTERM",
         "the time runs from the start of the program `rig vent`",
         within_s=8.0,
     ),
 )
-ALL_FIVE = (CONDUCTOR, WATCHDOG, CONTROL, OBSERVER, PLANT)
+ALL_FIVE = (SUPERVISOR, WATCHDOG, CONTROL, OBSERVER, PLANT)
 SURROUNDINGS = (
     *(
         _process(
-            f"machine stands still, {lasts_s:g} s",
+            f"machine stalls, {lasts_s:g} s",
             Signal(ALL_FIVE, STOP, lasts_s=lasts_s),
             GOES_ON_OR_NOT,
             "of the deadlines are missed",
-            "every process is stopped, as by a host that takes the processor away; goes on, or is stopped "
-            "where the pressures have strayed meanwhile",
+            "every process is stopped, as by a host that takes the processor away; continues, or is stopped "
+            "if the pressures have left their references",
         )
         for lasts_s in (0.15, 0.6)
     ),

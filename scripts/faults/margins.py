@@ -16,7 +16,7 @@ import rig.config.loader
 from rig.hardware.cards.base import CardError
 from rig.hardware.lock import cards_locked
 from runs.records import Status
-from scripts.faults.catalogue import CONDUCTOR, KILL, PLANT, STOP, Blows, Fault, Margin
+from scripts.faults.catalogue import KILL, PLANT, STOP, SUPERVISOR, Blows, Fault, Margin
 from scripts.faults.fault_trial import TICK_S, EndedBeforeError, FaultTrial, archive
 from scripts.faults.realtime import START_S, WatchedRun, children
 
@@ -46,7 +46,7 @@ def trial(fault: Fault, folder: Path, at_s: float, seed: int) -> FaultTrial:
         time.sleep(chance.uniform(0.0, STRUCK_S))
         if run.process.poll() is not None:
             raise EndedBeforeError(run.said[-1500:])
-        run.members = {CONDUCTOR: run.process.pid} | children(run.process.pid)
+        run.members = {SUPERVISOR: run.process.pid} | children(run.process.pid)
         killed = _strike(run, margin.blows, chance)
         return _judged(fault.name, margin, at_s, run, killed)
     finally:
@@ -67,14 +67,14 @@ def _wait(run: WatchedRun, margin: Margin, born: int) -> None:
 
 
 def _strike(run: WatchedRun, blows: Blows, chance: random.Random) -> bool:
-    """Do it; true where the conductor was killed, who alone tells anything."""
+    """Do it; true where the supervisor was killed, who alone tells anything."""
     if blows is Blows.VENT:
         vent = [sys.executable, "-P", "-m", "rig", "vent", "--rig", str(run.rig_file)]
         subprocess.run(vent, check=False, capture_output=True)
         return False
     if blows is Blows.ASKED:
         for _ in range(chance.randint(1, 3)):
-            run.signal((CONDUCTOR,), chance.choice(SIGNALS))
+            run.signal((SUPERVISOR,), chance.choice(SIGNALS))
             time.sleep(chance.uniform(0.0, 0.1))
         return False
     there = [name for name in run.members if name != PLANT]
@@ -86,7 +86,7 @@ def _strike(run: WatchedRun, blows: Blows, chance: random.Random) -> bool:
     if stopped:
         time.sleep(STOPPED_S)
         run.signal(stopped, signal.SIGCONT)
-    return chosen.get(CONDUCTOR) == KILL
+    return chosen.get(SUPERVISOR) == KILL
 
 
 def _judged(name: str, margin: Margin, at_s: float, run: WatchedRun, killed: bool) -> FaultTrial:

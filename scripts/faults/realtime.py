@@ -28,7 +28,6 @@ from rig.simulator.registers import Registers, path_of
 from scripts.faults import surroundings
 from scripts.faults.catalogue import (
     ABORTED,
-    CONDUCTOR,
     CONTROL,
     KILL,
     MOVING_S,
@@ -36,6 +35,7 @@ from scripts.faults.catalogue import (
     PLANT,
     RECOVERED,
     STOP,
+    SUPERVISOR,
     WATCHDOG,
     Bench,
     DiskStands,
@@ -143,7 +143,7 @@ class WatchedRun:
             registers = self.attached()
             if registers is not None:
                 if np.any(registers.outputs["volts"] > MOVING_V):
-                    self.members = {CONDUCTOR: self.process.pid} | children(self.process.pid)
+                    self.members = {SUPERVISOR: self.process.pid} | children(self.process.pid)
                     return registers
                 registers.close()
             time.sleep(0.02)
@@ -286,13 +286,13 @@ class Blow:
 
 
 def _decided(fault: Fault, chance: random.Random) -> tuple[Fault, tuple[Blow, ...]]:
-    """The blows of a havoc, and the fault with what must come of them: a conductor that is dead tells nothing."""
+    """The blows of a havoc, and the fault with what must come of them: a supervisor that is dead tells nothing."""
     if not isinstance(fault.action, Havoc):
         return fault, ()
-    four = (CONTROL, WATCHDOG, CONDUCTOR, OBSERVER)
+    four = (CONTROL, WATCHDOG, SUPERVISOR, OBSERVER)
     chosen = chance.sample(four, chance.randint(1, len(four) - 1))
     blows = tuple(Blow(name, chance.choice(fault.action.numbers), chance.uniform(0, 0.05)) for name in chosen)
-    if any(blow.process == CONDUCTOR and blow.number == KILL for blow in blows):
+    if any(blow.process == SUPERVISOR and blow.number == KILL for blow in blows):
         return replace(fault, ends=RECOVERED, says=""), blows
     return replace(fault, ends=ABORTED), blows
 

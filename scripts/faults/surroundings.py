@@ -167,13 +167,13 @@ class SteppedClock(_Preloaded):
 
 
 class StandingDisk(_Preloaded):
-    """A disk that can stand still: it takes nothing that is appended to a file, and no sync of one returns."""
+    """A disk that can block: no data are appended to a file, and no sync returns."""
 
     def __init__(self, folder: Path) -> None:
-        super().__init__(folder, "disk that stands still", DISK_C)
+        super().__init__(folder, "blocked disk", DISK_C)
 
     def stand(self, lasts_s: float) -> None:
-        """Stand still from now on for so long."""
+        """Block from now on for `lasts_s`."""
         self._word[0] = time.monotonic_ns() + round(lasts_s * 1e9)
 
 

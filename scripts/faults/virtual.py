@@ -36,7 +36,7 @@ class Listener(NullOperator):
     def __init__(self) -> None:
         self.said: list[str] = []
 
-    def tell(self, event: Event) -> None:
+    def report(self, event: Event) -> None:
         """Remember."""
         self.said.append(event.message)
 

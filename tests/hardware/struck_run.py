@@ -76,7 +76,7 @@ class Struck:
         return runs.open(path)
 
     def recovered(self) -> Run:
-        """What is made of the journal that a killed conductor left, when no process of the run is left."""
+        """What is made of the journal that a killed supervisor left, when no process of the run is left."""
         self.wait_for_the_others()
         (outcome,) = recover(self.out)
         assert outcome.fate is Fate.RECOVERED, outcome.message

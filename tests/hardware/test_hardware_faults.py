@@ -51,10 +51,10 @@ def locked() -> Iterator[None]:
 def test_who_else_writes_to_the_card_is_noticed_at_the_next_look(open_card: OpenCard) -> None:
     bench = open_bench(load(LOOPED))
     bench.write(np.array([1.0, 2.0, 3.0]))
-    assert bench.disturbance() == ""
+    assert bench.external_write() == ""
     other = open_card((), bipolar(VALVES[1]))
     other.write(np.array([7.0]))
-    assert "valve 2 stands at 7.000 V and not at the 2.000 V that it was told" in bench.disturbance()
+    assert "valve 2 stands at 7.000 V and not at the 2.000 V that it was told" in bench.external_write()
     bench.close()
 
 
@@ -65,7 +65,7 @@ def test_who_stands_in_makes_the_card_safe_and_ends_those_who_hold_it(memory: Sh
         assert holder.stdout is not None
         assert holder.stdout.readline() == b"held\n"
         os.kill(holder.pid, signal.SIGSTOP)
-        memory.set("control_pid", holder.pid)
+        memory.control_pid = holder.pid
         assert force_safe_state(load(LOOPED), memory) == ""
         assert holder.wait(20) == -signal.SIGKILL
     np.testing.assert_allclose(watching.readback(), [0.0, 0.0, 0.0], atol=COUNT_V)

@@ -13,14 +13,14 @@ from tests.hardware.struck_run import MOVING_V, SHORT_S, Struck
 
 
 def test_ctrl_c(struck: Struck, timed: Callable[[float], None]) -> None:
-    timed(struck.until_safe_ms(struck.strike(signal.SIGINT, "conductor")))
+    timed(struck.until_safe_ms(struck.strike(signal.SIGINT, "supervisor")))
     assert "by the operator (Ctrl-C)" in struck.said()
     assert struck.process.returncode == 130
     assert struck.archive().status is Status.INTERRUPTED
 
 
-def test_the_conductor_killed(struck: Struck, timed: Callable[[float], None]) -> None:
-    timed(struck.until_safe_ms(struck.strike(signal.SIGKILL, "conductor")))
+def test_the_supervisor_killed(struck: Struck, timed: Callable[[float], None]) -> None:
+    timed(struck.until_safe_ms(struck.strike(signal.SIGKILL, "supervisor")))
     assert struck.process.wait(SHORT_S) == -signal.SIGKILL
     assert struck.recovered().status is not Status.FINISHED
 
@@ -41,8 +41,8 @@ def test_the_observer_killed(struck: Struck, timed: Callable[[float], None]) -> 
     assert struck.archive().status is Status.ABORTED
 
 
-def test_conductor_and_control_killed_together(struck: Struck, timed: Callable[[float], None]) -> None:
-    timed(struck.until_safe_ms(struck.strike(signal.SIGKILL, "conductor", "control")))
+def test_supervisor_and_control_killed_together(struck: Struck, timed: Callable[[float], None]) -> None:
+    timed(struck.until_safe_ms(struck.strike(signal.SIGKILL, "supervisor", "control")))
     assert struck.process.wait(SHORT_S) == -signal.SIGKILL
     assert struck.recovered().pressure.measured_bar[:, 0].max() * 10 > MOVING_V
 
@@ -58,7 +58,7 @@ def test_pictures_that_stand_still_for_a_second_then_a_driver_that_is_unloaded_t
     assert "in use" in refused.stderr
     time.sleep(1.0)
     assert not struck.over(), struck.said()
-    timed(struck.until_safe_ms(struck.strike(signal.SIGTERM, "conductor")))
+    timed(struck.until_safe_ms(struck.strike(signal.SIGTERM, "supervisor")))
     assert "SIGTERM" in struck.said()
     assert struck.process.returncode == 130
     assert struck.archive().status is Status.INTERRUPTED

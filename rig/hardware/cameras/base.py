@@ -1,4 +1,4 @@
-"""The protocol a camera obeys."""
+"""The camera interface."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from rig.config.schema import CameraConfig, RigConfig
 
 
 class CameraError(Exception):
-    """The camera could not be opened or has gone; the message says what to do about it."""
+    """The camera could not be opened or has failed; the message contains the remedy."""
 
 
 @dataclass(frozen=True)
@@ -32,9 +32,9 @@ class Frame:
 
 @dataclass(frozen=True)
 class FrameSet:
-    """What the rig's cameras saw at one time: a frame of each in the rig's order, None for one that gave none.
+    """One frame of each camera at one time, in the order of the rig file; None for a camera without a frame.
 
-    The first frame that is there gives the time; `index` counts shots, so that a gap is a dropped one.
+    The first frame present gives the time; `index` counts frame sets, so that a gap is a dropped one.
     """
 
     index: int
@@ -42,7 +42,7 @@ class FrameSet:
 
     @classmethod
     def of(cls, frame: Frame) -> FrameSet:
-        """The shot of a rig with one camera."""
+        """The frame set of a rig with one camera."""
         return cls(frame.index, (frame,))
 
     @property
@@ -62,10 +62,10 @@ class FrameSet:
 
 
 class CameraDriver(Protocol):
-    """What a camera driver provides."""
+    """The interface of a camera driver."""
 
     def open(self, config: RigConfig, name: str, seed: int) -> Camera:
-        """Open the camera that the rig calls `name`; `seed` is for simulated ones. Raises CameraError."""
+        """Open the camera `name` of the rig; `seed` is for simulated cameras. Raises CameraError."""
 
     def serial(self, camera: CameraConfig) -> str | None:
         """Serial number of the camera as it is plugged in now; None where it has none or is not there."""

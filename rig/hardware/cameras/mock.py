@@ -1,4 +1,4 @@
-"""The mock camera: pictures of the simulated tip, paced in real time or taken at a given time."""
+"""The mock camera: pictures of the simulated tip, in real time or at a given time."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from rig.simulator.scene import Optics, Scene
 from rig.simulator.tip_pose import PoseSource, TipPose
 
 DROPPED = 9
-"""Pictures that a camera which drops pictures drops at a time."""
+"""Number of consecutive pictures that the fault DROPPING drops."""
 _OTHER_NOISE = 1_000_003
-"""Between the seeds of a rig's cameras: each has its own noise."""
+"""Difference between the seeds of the cameras of a rig, so that each has its own noise."""
 
 
 @dataclass(frozen=True)
 class Exposure:
-    """What a picture will show: the board before the camera at the exposure's beginning, middle and end."""
+    """Input of rendering: the board in the camera frame at the begin, the middle and the end of the exposure."""
 
     index: int
     t_ns: int
@@ -43,7 +43,7 @@ def driver() -> type[MockCameraDriver]:
 
 
 class MockCameraDriver:
-    """Opens the mock camera in front of the plant that runs behind the rig's mock card, from any process."""
+    """Opens the mock camera of the plant behind the rig's mock card, from any process."""
 
     def open(self, config: RigConfig, name: str, seed: int) -> MockCamera:
         """Open a camera of the rig.
@@ -66,11 +66,11 @@ class MockCameraDriver:
 
 
 class MockCamera:
-    """A camera that looks at the simulator's tip.
+    """A camera that observes the tip of the simulator.
 
     In real time `read` exposes on a fixed grid of CLOCK_MONOTONIC: frame n is the n-th period after the camera was
-    opened, and a reader that comes late skips periods, which shows as a gap in the index. In virtual time the caller
-    asks for `frame_at`.
+    opened, and a late reader skips periods, which causes a gap in the index. In virtual time the caller uses
+    `frame_at`.
     """
 
     def __init__(
@@ -81,7 +81,7 @@ class MockCamera:
         seed: int = 0,
         faults: Faults | None = None,
     ) -> None:
-        """Look with the camera called `name` (the only one when None) at the tip that `source` knows."""
+        """Open the camera `name` (None: the only one) with the tip poses of `source`."""
         config = config.as_built
         if config.simulator is None:
             raise CameraError("the mock camera needs the rig's 'simulator' section: it says what the picture shows")
@@ -109,9 +109,9 @@ class MockCamera:
         return self.develop(self.expose(index, t_ns))
 
     def expose(self, index: int, t_ns: int) -> Exposure:
-        """What frame `index` will show; takes microseconds, and needs the source only now and only up to `t_ns`.
+        """The exposure of frame `index`; takes microseconds and uses the poses of the source up to `t_ns`.
 
-        The motion of the exposure's second half is that of the first.
+        The motion in the second half of the exposure is extrapolated from the first half.
 
         Raises:
             CameraError: the camera gives no pictures.
@@ -121,7 +121,7 @@ class MockCamera:
         before = self._source.pose_at(t_ns - self._exposure_ns // 2)
         pose = self._source.pose_at(t_ns)
         opened, middle = self._board_before_camera(before), self._board_before_camera(pose)
-        # Turning on by the same angle again: R_middle R_opened^T R_middle.
+        # The rotation continues by the same angle: R_middle R_opened^T R_middle.
         closed = RigidTransform(
             middle.rotation @ opened.rotation.T @ middle.rotation, 2 * middle.translation_m - opened.translation_m
         )
@@ -129,7 +129,7 @@ class MockCamera:
         return Exposure(index, t_ns, opened, middle, closed, truth_m, self._faults.camera(self._number))
 
     def develop(self, exposure: Exposure) -> Frame:
-        """The picture of an exposure; in their order, by one thread, which need not be the one that exposed."""
+        """Render the picture of an exposure; called by one thread in the order of the exposures."""
         image = self._scene.render(exposure.opened, exposure.middle, exposure.closed, exposure.index)
         return Frame(exposure.index, exposure.t_ns, self._seen(exposure, image), exposure.truth_m)
 
@@ -138,7 +138,7 @@ class MockCamera:
         now = time.monotonic_ns()
         if self._faults.camera(self._number) is CameraFault.SILENT:
             time.sleep(timeout_s)
-        # The newest exposure that is over when nothing was read for long, else the one after the last.
+        # The newest finished exposure after a long gap, else the one after the last.
         takes_ns = self._exposure_ns // 2 + self._faults.camera_delay_ns(self._number)
         ended = (now - takes_ns - self._start_ns) // self._period_ns
         step = 1 if self._faults.camera(self._number) is not CameraFault.DROPPING else DROPPED + 1
@@ -155,8 +155,8 @@ class MockCamera:
             return self.frame_at(self._index, t_ns)
         except LookupError as error:
             if time.monotonic_ns() - takes_ns < t_ns + self._period_ns:
-                raise CameraError(f"the simulator stands still: {error}") from error
-            # Who stood still meanwhile takes the newest, as one who comes late does.
+                raise CameraError(f"the simulator has stalled: {error}") from error
+            # After a stall of this process the newest picture is taken, as by a late reader.
             return self.read(timeout_s)
 
     def close(self) -> None:

@@ -1,4 +1,4 @@
-"""Recorded pictures as a camera: a folder of images, or a video, at the rate the rig's file states."""
+"""Recorded pictures as a camera: a folder of images or a video, at the rate of the rig file."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from rig.hardware.cameras.base import CameraError, Frame
 
 
 def is_recording(device: str | int) -> bool:
-    """Tell whether a camera's device is a folder or a video file rather than a device."""
+    """True if the device of a camera is a folder of pictures or a video file."""
     if isinstance(device, int):
         return False
     path = Path(device)
@@ -19,7 +19,7 @@ def is_recording(device: str | int) -> bool:
 
 
 class RecordedCamera:
-    """Plays every picture once, in order, paced by CLOCK_MONOTONIC; a late reader gets the next one, none is lost."""
+    """Plays every picture once, in order, paced by CLOCK_MONOTONIC; a late reader loses none."""
 
     def __init__(self, camera: CameraConfig) -> None:
         """Open the folder or video at `camera.device`; its pictures must have the rig's size."""
@@ -31,7 +31,7 @@ class RecordedCamera:
         self._start_ns = time.monotonic_ns()
 
     def read(self, timeout_s: float) -> Frame:
-        """Return the next picture when its time has come."""
+        """Wait for the time of the next picture and return it."""
         view = self._next
         if view is None:
             raise CameraError(f"recording {self._camera.device} has ended after {self._index + 1} pictures")

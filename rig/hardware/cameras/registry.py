@@ -1,4 +1,4 @@
-"""Opening a rig's cameras by the drivers that the rig file names."""
+"""Opens the cameras of a rig by the drivers of the rig file."""
 
 from __future__ import annotations
 

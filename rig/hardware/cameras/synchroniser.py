@@ -1,7 +1,7 @@
-"""The rig's cameras as one: a frame of each that were taken together, paired by their times.
+"""Camera synchroniser: combines the frames of all cameras of a rig into frame sets, paired by their times.
 
-One camera is read as it is. Of several each has a thread that reads it; a shot is led by the first camera that gives
-pictures, and has of the others the frame nearest in time, at most half a period away.
+A single camera is read directly. Of several cameras each is read by its own thread; the first camera that delivers
+pictures leads, and each other camera contributes its frame nearest in time, at most half a period away.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ from rig.hardware.cameras.base import Camera, CameraError, Frame, FrameSet
 from rig.hardware.cameras.registry import open_camera
 
 KEPT = 4
-"""Frames of one camera that wait for those of the others."""
+"""Buffered frames per camera."""
 PATIENCE = 1.5
-"""Periods that a frame waits for those of the other cameras, whose pictures may take longer to come."""
+"""Periods that a frame waits for frames of the other cameras, which may arrive later."""
 STALL_PERIODS = 2.0
-"""Where nobody looked for longer than that the process stood still, and the cameras cannot be blamed for it."""
+"""A longer gap between two reads is a stall of this process, which does not count as silence of the cameras."""
 RETRY_S = 0.1
 POLL_S = 0.5
 
@@ -57,7 +57,7 @@ class CameraSynchroniser:
         """Wait until every camera has given a picture.
 
         Raises:
-            CameraError: one has not.
+            CameraError: a camera has not.
         """
         with self._changed:
             self._changed.wait_for(lambda: all(r.newest_ns for r in self._readers), timeout_s)
@@ -67,7 +67,7 @@ class CameraSynchroniser:
                     raise CameraError(f"camera {name}: {why}")
 
     def read(self, timeout_s: float) -> FrameSet:
-        """Return the newest shot, waiting for one that was not returned before.
+        """Return the newest frame set, waiting for one that was not returned before.
 
         Raises:
             CameraError: fewer cameras than `least_cameras` have given a picture within `timeout_s`.
@@ -77,14 +77,14 @@ class CameraSynchroniser:
         until = time.monotonic() + timeout_s
         with self._changed:
             while True:
-                self._forgive()
+                self._exclude_stall()
                 self._check(timeout_s)
                 shot = self._pair()
                 if shot is not None:
                     return shot
                 if time.monotonic() > until:
                     raise CameraError(f"no camera gave a picture within {timeout_s:g} s")
-                # Also woken while nothing comes: a wait for a late camera ends by the clock.
+                # With a time-out: the wait for a late camera ends by the clock.
                 self._changed.wait(self._period_ns * 0.1e-9)
 
     def close(self) -> None:
@@ -94,13 +94,13 @@ class CameraSynchroniser:
         for camera in self._cameras:
             camera.close()
 
-    def _forgive(self) -> None:
-        """Not count as silence of the cameras what this process did not live through."""
+    def _exclude_stall(self) -> None:
+        """Exclude a stall of this process from the silence of the cameras."""
         before, self._looked_ns = self._looked_ns, time.monotonic_ns()
-        stood_ns = self._looked_ns - before - round(STALL_PERIODS * self._period_ns)
-        if stood_ns > 0:
+        stall_ns = self._looked_ns - before - round(STALL_PERIODS * self._period_ns)
+        if stall_ns > 0:
             for reader in self._readers:
-                reader.arrived_ns = min(reader.arrived_ns + stood_ns, self._looked_ns)
+                reader.arrived_ns = min(reader.arrived_ns + stall_ns, self._looked_ns)
 
     def _check(self, timeout_s: float) -> None:
         now = time.monotonic_ns()
@@ -113,21 +113,21 @@ class CameraSynchroniser:
             raise CameraError(said)
 
     def _pair(self) -> FrameSet | None:
-        """The next shot; None while there is none.
+        """The next frame set; None while there is none.
 
-        It is the newest whose frames have all come, or that has waited for them as long as it may.
+        It is the newest one that is complete or has waited for the longest time allowed.
         """
         now, period = time.monotonic_ns(), self._period_ns
         silent = [now - reader.arrived_ns > 2 * period for reader in self._readers]
         leader = next((k for k, quiet in enumerate(silent) if not quiet), None)
         if leader is None:
             return None
-        # A camera that leads anew may have pictures older than what was shot with the one before it.
+        # A new leading camera may have pictures older than the last frame set of the previous one.
         after_ns = -1 if self._last is None else self._last[1] + period // 2
         for lead, arrived_ns in reversed(self._readers[leader].waiting):
             if lead.t_ns <= after_ns:
                 return None
-            frames, complete = self._fellows(leader, lead, silent)
+            frames, complete = self._matching_frames(leader, lead, silent)
             if complete or now - arrived_ns > PATIENCE * period:
                 break
         else:
@@ -138,12 +138,12 @@ class CameraSynchroniser:
                 reader.waiting.popleft()
         return FrameSet(self._number(leader, lead), tuple(frames))
 
-    def _fellows(self, leader: int, lead: Frame, silent: Sequence[bool]) -> tuple[list[Frame | None], bool]:
-        """Every camera's frame that goes with the leading one, and whether none of those missing may still come."""
+    def _matching_frames(self, leader: int, lead: Frame, silent: Sequence[bool]) -> tuple[list[Frame | None], bool]:
+        """The frame of each camera that matches the leading one, and whether no missing frame can still arrive."""
         frames: list[Frame | None] = [None] * len(self._readers)
         frames[leader], complete = lead, True
         for k, reader in enumerate(self._readers):
-            # Those before it are silent, or they would lead.
+            # Cameras before the leading one are silent.
             if k <= leader:
                 continue
             nearest = min(reader.waiting, key=lambda w: abs(w[0].t_ns - lead.t_ns), default=None)
@@ -154,7 +154,7 @@ class CameraSynchroniser:
         return frames, complete
 
     def _number(self, leader: int, lead: Frame) -> int:
-        """Number of the shot: the leading camera's own count, carried on where another one leads."""
+        """Number of the frame set: the count of the leading camera, continued when another camera leads."""
         if self._offset is None or leader != self._leader:
             self._offset, self._leader = 0 if self._last is None else self._carried(lead) - lead.index, leader
         index = lead.index + self._offset
@@ -168,11 +168,11 @@ class CameraSynchroniser:
 
 
 class _Reader:
-    """Reads one camera as fast as it delivers, for as long as the rig is open; one that fails is asked again."""
+    """Thread that reads one camera continuously and retries after a failure."""
 
     def __init__(self, camera: Camera, changed: threading.Condition) -> None:
         self.waiting: deque[tuple[Frame, int]] = deque(maxlen=KEPT)
-        """Frames not yet part of a shot, with the times of their arrival."""
+        """Frames that are not yet part of a frame set, with their times of arrival."""
         self.newest_ns = 0
         self.arrived_ns = time.monotonic_ns()
         self.failure = ""

@@ -1,6 +1,6 @@
-"""The protocol a data-acquisition card obeys.
+"""The interface of a data-acquisition card.
 
-Cards speak volts. Which volt is which bar is the rig's business (`rig.config.schema`), not the card's.
+Cards use volts; the conversion to pressure belongs to the rig (`rig.config.schema`).
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 
 class CardError(Exception):
-    """The card could not be opened, read or written: `what` is wrong, and the `remedy` where there is one."""
+    """The card could not be opened, read or written: `what` is wrong, and the `remedy` if there is one."""
 
     def __init__(self, what: str, remedy: str = "") -> None:
         super().__init__(f"{what}: {remedy}" if remedy else what)
@@ -22,7 +22,7 @@ class CardError(Exception):
 
 
 class CardBusyError(CardError):
-    """Another process has the card, which lets in one at a time; `holders` are those that this user may see."""
+    """Another process has opened a card that allows one process only; `holders` are those visible to this user."""
 
     def __init__(self, what: str, holders: tuple[int, ...]) -> None:
         by = f" by process {', '.join(map(str, holders))}" if holders else ""
@@ -41,11 +41,11 @@ class Channel:
 
 @dataclass(frozen=True)
 class CardSetup:
-    """What a rig wants of one card. `inputs` and `outputs` give the order of the columns below.
+    """The setup of one card. `inputs` and `outputs` define the order of the columns.
 
     `acquisition` says whether the inputs are sampled by the card's clock (`command`), one scan per read
-    (`instruction`), or by the best that the card has (`auto`). `one_opener` makes the mock let in one process at a
-    time; of a real card that is found out.
+    (`instruction`), or by the best mode of the card (`auto`). `one_opener` restricts the mock card to one process
+    at a time; for a real card this is detected.
     """
 
     name: str
@@ -62,7 +62,7 @@ class CardSetup:
 class Scans:
     """Input scans taken since the last read: `t_ns` (n,) and `volts` (n, inputs), oldest first; `lost` by overrun.
 
-    `late_ns`: by how much the process that simulates the card is behind the clock; 0 for hardware.
+    `late_ns`: by how much the process that simulates the card is behind CLOCK_MONOTONIC; 0 for hardware.
     """
 
     t_ns: NDArray[np.int64]
@@ -73,15 +73,15 @@ class Scans:
 
 @runtime_checkable
 class Clocked(Protocol):
-    """A card that may sample by a clock of its own."""
+    """A card that may have its own sampling clock."""
 
     @property
     def period_ns(self) -> float | None:
-        """From one scan to the next as the driver rounded it; None where the card does not sample by its own clock."""
+        """Scan period as rounded by the driver; None if the card does not sample by its own clock."""
 
     @property
     def drift_ppm(self) -> float | None:
-        """How much longer that period is by the computer's clock; None where there is none."""
+        """Relative error of that period by the computer's clock [ppm]; None if there is none."""
 
 
 class Card(Protocol):
@@ -97,7 +97,7 @@ class Card(Protocol):
         """Set the outputs, in the order of `CardSetup.outputs`."""
 
     def readback(self) -> NDArray[np.float64]:
-        """Return the voltages that the outputs stand at, as far as the card can tell."""
+        """Return the output voltages, NaN where the card has no read-back."""
 
     def close(self) -> None:
         """Stop sampling and release the device. The outputs keep their voltages."""

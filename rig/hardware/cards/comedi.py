@@ -17,7 +17,7 @@ from rig.hardware.cards.scan_clock import ScanClock
 
 _CHUNK = 65536
 _NEAR_ENOUGH = 0.05
-"""How far the card's rate may lie from the one that the rig asks for."""
+"""Largest deviation of the card's rate from the requested rate."""
 
 
 def driver() -> type[ComediCard]:
@@ -37,7 +37,7 @@ class ComediCard:
     """
 
     def __init__(self, setup: CardSetup) -> None:
-        """Open the card and look up every channel and range that the rig wants of it.
+        """Open the card and find every channel and range that the rig uses.
 
         Raises:
             CardError: there is no such card, or it lacks a channel or a range; the message says what it has.
@@ -74,7 +74,7 @@ class ComediCard:
         return tuple(lines)
 
     def _range(self, subdevice: Subdevice, channel: Channel) -> int:
-        """Index of the narrowest range that holds the channel's."""
+        """Index of the narrowest range that contains the range of the channel."""
         ranges = subdevice.ranges(channel.number)
         holding = [
             (high - low, i) for i, (low, high) in enumerate(ranges) if low <= channel.low_v and high >= channel.high_v
@@ -89,22 +89,22 @@ class ComediCard:
 
     @property
     def description(self) -> str:
-        """Board, driver and device, for people."""
+        """Board, driver and device, for messages."""
         return f"{self._device.board} (driver {self._device.driver}, {self._device.path})"
 
     @property
     def outputs_there(self) -> int:
-        """How many analogue outputs the card has, used or not."""
+        """Number of analogue outputs of the card."""
         return self._device.outputs.channels if self._device.outputs else 0
 
     @property
     def period_ns(self) -> float | None:
-        """From one scan to the next as the driver rounded it; None where the card does not sample by its own clock."""
+        """Scan period as rounded by the driver; None if the card does not sample by its own clock."""
         return self._sampler.period_ns if isinstance(self._sampler, _Commanded) else None
 
     @property
     def drift_ppm(self) -> float | None:
-        """How much longer that period is by the computer's clock; None where there is none."""
+        """Relative error of that period by the computer's clock [ppm]; None if there is none."""
         return self._sampler.drift_ppm if isinstance(self._sampler, _Commanded) else None
 
     def start(self) -> None:
@@ -127,13 +127,13 @@ class ComediCard:
             self._sampler = _Instructed(self._inputs)
 
     def read(self) -> Scans:
-        """Scans since the last call; none before `start`. After an overrun sampling goes on, and `lost` tells."""
+        """Scans since the last call; none before `start`. After an overrun sampling continues, and `lost` counts."""
         if self._sampler is None:
             return Scans(np.empty(0, np.int64), np.empty((0, len(self._inputs))))
         return self._sampler.read()
 
     def write(self, volts: NDArray[np.float64]) -> None:
-        """Set the outputs, each clipped to its range; one that fails does not keep the others from theirs."""
+        """Set the outputs, each clipped to its range, also if another output fails."""
         if not np.all(np.isfinite(volts)):
             raise CardError(f"{self.description}: an output was asked for {volts.tolist()} V; nothing was written")
         failures = []
@@ -149,7 +149,7 @@ class ComediCard:
             raise CardError("; ".join(failures))
 
     def readback(self) -> NDArray[np.float64]:
-        """What the driver holds the outputs at; where it cannot tell, what was written last, else NaN.
+        """The output voltages from the driver; without read-back the last written ones, else NaN.
 
         Before its first write a driver tells raw 0, which is 0 V only in a range that begins there.
         """
@@ -218,7 +218,7 @@ class _Commanded:
         return Scans(t_ns, volts, self._restart() if broken else 0)
 
     def _drain(self) -> tuple[bytes, bool]:
-        """Every byte that is there, and whether the command has broken off (buffer or FIFO overrun)."""
+        """All available bytes, and whether the command has been aborted (buffer or FIFO overrun)."""
         chunks = [self._rest]
         while True:
             try:
@@ -250,7 +250,7 @@ class _Commanded:
 def _prepare(
     device: Device, subdevice: Subdevice, setup: CardSetup, lines: tuple[Line, ...]
 ) -> tuple[Timing, tuple[int, ...]]:
-    """Prepare the first command that the driver accepts near the wanted rate: its timing and the channels in a scan."""
+    """Prepare the first command that the driver accepts near the requested rate: its timing and its channels."""
     wanted_ns = round(1e9 / setup.sampling_hz)
     scan_begin, convert = subdevice.triggers()
     by_channel = {channel.number: line for channel, line in zip(setup.inputs, lines, strict=True)}
@@ -258,7 +258,7 @@ def _prepare(
     for channels in channel_lists(tuple(c.number for c in setup.inputs), differential=setup.differential):
         in_scan: list[Line] = []
         for number in channels:
-            # A channel that is only passed by borrows the range of the one before it: the amplifier need not switch.
+            # An unused channel in the list gets the range of the previous one, so that the amplifier need not switch.
             in_scan.append(
                 by_channel.get(number)
                 or subdevice.line(number, in_scan[-1].range_index, differential=setup.differential)
@@ -279,7 +279,7 @@ def _prepare(
 
 
 def _find(device: str) -> Device:
-    """Open a card by its path, or by its board's name."""
+    """Open a card by its path or by the name of its board."""
     if device.startswith("/"):
         return Device(device)
     seen, closed, found = [], [], []

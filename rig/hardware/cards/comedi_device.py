@@ -1,4 +1,4 @@
-"""One open Comedi device in plain Python and NumPy types: the only module that knows pycomedi.
+"""One open Comedi device in plain Python and NumPy types: the only module that uses pycomedi.
 
 Another binding can replace it: `rig.hardware.cards.comedi` uses only the public names below. Failures are `CardError`.
 """
@@ -24,7 +24,7 @@ from rig.hardware.cards import comedi_constants
 from rig.hardware.cards.base import CardBusyError, CardError
 
 _ROUNDINGS = 8
-"""How often a driver may round a command before it must be content."""
+"""Number of times that a driver may round a command before it must accept it."""
 
 
 class Trigger(IntFlag):
@@ -45,7 +45,7 @@ class Timing:
     convert_ns: int
 
     def period_ns(self, channels: int) -> int:
-        """From one scan to the next."""
+        """Scan period."""
         return self.scan_ns if self.scan_begin == Trigger.TIMER else self.convert_ns * channels
 
 
@@ -90,7 +90,7 @@ class Line:
         return int(self._channel.chanspec().value)
 
     def read(self) -> int:
-        """One conversion, or what an output was last told."""
+        """One conversion of an input, or the last value of an output."""
         with _told(self._path, f"{self._what} cannot be read"):
             return int(self._channel.data_read())
 
@@ -144,7 +144,7 @@ class Subdevice:
         pc = _pycomedi()
         cmd = pc.Command()
         cmd.subdev = self._subdevice.index
-        # Without it some drivers deliver nothing before the card's FIFO is half full: 512 samples late on a 171x.
+        # Without it some drivers deliver samples only once the FIFO is half full: 512 samples late on a 171x.
         cmd.flags = comedi_constants.CMDF_WAKE_EOS
         cmd.start_src, cmd.start_arg = comedi_constants.TRIG_NOW, 0
         cmd.scan_begin_src, cmd.scan_begin_arg = int(timing.scan_begin), timing.scan_ns
@@ -248,7 +248,7 @@ def require() -> None:
 
 
 class _Names:
-    """What is used of pycomedi."""
+    """The parts of pycomedi that are used."""
 
     def __init__(self) -> None:
         # pycomedi imports a module `comedi`; it gets ours, and other programs' stays what it was.
@@ -311,7 +311,7 @@ def _triggers(flags: Any) -> Trigger:
 
 
 def closed(path: str) -> CardError | None:
-    """Why the kernel does not let this process open a device, and what to do; None where it does."""
+    """Why the kernel refuses to open a device, and the remedy; None if it does not."""
     try:
         os.close(os.open(path, os.O_RDWR))
     except OSError as error:
@@ -320,7 +320,7 @@ def closed(path: str) -> CardError | None:
 
 
 def why_closed(path: str, error: OSError) -> CardError:
-    """What kept a device from being opened, and what to do."""
+    """Why a device cannot be opened, and the remedy."""
     if error.errno == errno.ENOENT:
         present = ", ".join(device_paths()) or "none"
         return CardError(
@@ -351,7 +351,7 @@ def _how_to_join(group: int) -> str:
 
 
 def _holders(path: str) -> tuple[int, ...]:
-    """Processes that have the device open, as far as this user may see them."""
+    """Processes that have the device open and are visible to this user."""
     pids, node = set(), os.path.realpath(path)
     for link in Path("/proc").glob("[0-9]*/fd/*"):
         with contextlib.suppress(OSError):

@@ -1,4 +1,4 @@
-"""What Comedi cards this machine has, and what each can do. Looks only: nothing is sampled or written."""
+"""Lists the Comedi cards of this machine and their properties, without sampling or writing."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class SubdeviceSurvey:
     fastest_hz: float | None
 
     def __str__(self) -> str:
-        """One line for people."""
+        """Description in one line."""
         ranges = ", ".join(f"{low:g} to {high:g} V" for low, high in self.ranges_v)
         own_clock = self.fastest_hz is not None
         rate = f", by its own clock up to {(self.fastest_hz or 0) / 1e3:.4g} kHz for one channel" if own_clock else ""
@@ -31,7 +31,7 @@ class SubdeviceSurvey:
 
 @dataclass(frozen=True)
 class ComediCardSurvey:
-    """One device node: the card behind it, or `trouble`, why it cannot be asked, with what to do about it.
+    """One device node: its card, or `trouble`, why it cannot be queried, with the remedy.
 
     `subdevices` are what the card has, in its order: Comedi's short name of the kind, and how many channels.
     """
@@ -47,7 +47,7 @@ class ComediCardSurvey:
 
 
 def survey() -> tuple[ComediCardSurvey, ...]:
-    """Look at every Comedi device; one that cannot be opened is in the list with its trouble."""
+    """Query every Comedi device; one that cannot be opened is listed with its trouble."""
     return tuple(_look(path) for path in device_paths())
 
 

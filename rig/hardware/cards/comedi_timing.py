@@ -1,4 +1,4 @@
-"""Which triggers an endless input command can run on: a choice over what a card has."""
+"""Selects the triggers of a continuous input command from those that a card supports."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from rig.hardware.cards.comedi_device import Timing, Trigger
 
 
 def timings(scan_begin: Trigger, convert: Trigger, channels: int, period_ns: int) -> tuple[Timing, ...]:
-    """The ways to sample `channels` every `period_ns` that a card with these triggers may have, the best first.
+    """Candidate timings to sample `channels` every `period_ns` with the triggers of a card, the best first.
 
     Best is a card that converts all channels at once; then one with a clock for scans beside that for conversions;
     then one that converts without pause, as the 171x family does (scan_begin FOLLOW, convert TIMER).
@@ -16,7 +16,7 @@ def timings(scan_begin: Trigger, convert: Trigger, channels: int, period_ns: int
         if Trigger.NOW in convert:
             found.append(Timing(Trigger.TIMER, period_ns, Trigger.NOW, 0))
         if Trigger.TIMER in convert:
-            # Half of the period: close together in time, yet with room for the multiplexer to settle.
+            # Half of the period: close together in time, with time for the multiplexer to settle.
             found.append(Timing(Trigger.TIMER, period_ns, Trigger.TIMER, period_ns // (2 * channels)))
     if Trigger.FOLLOW in scan_begin and Trigger.TIMER in convert:
         found.append(Timing(Trigger.FOLLOW, 0, Trigger.TIMER, period_ns // channels))

@@ -1,4 +1,4 @@
-"""What the kernel says of data-acquisition cards: the PCI bus, its drivers, /proc/comedi. No device is opened."""
+"""Data-acquisition cards from the kernel: PCI bus, drivers, /proc/comedi. No device is opened."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ _ATTACHED = re.compile(r"\s*(?P<minor>\d+): (?P<driver>\S+)\s+(?P<board>.+?)\s+(
 
 @dataclass(frozen=True)
 class AttachedDevice:
-    """A card that a driver has taken; its node is /dev/comedi`minor`."""
+    """A card that is attached to a driver; its node is /dev/comedi`minor`."""
 
     minor: int
     driver: str
@@ -30,7 +30,7 @@ class ComediModule:
 
 @dataclass(frozen=True)
 class PciCard:
-    """A card on the PCI bus. `driver` has it; `modules` are those of this kernel that would take it."""
+    """A card on the PCI bus, its `driver`, and the `modules` of this kernel that support it."""
 
     slot: str
     vendor: str
@@ -50,7 +50,7 @@ def comedi(root: Path = Path("/")) -> ComediModule | None:
         for line in lines
         if (found := _ATTACHED.fullmatch(line))
     )
-    # A driver's name stands alone on a line that ends with a colon, its boards follow, each behind a blank.
+    # The name of a driver is a line that ends with a colon; its boards follow, each after a blank.
     drivers = tuple(line[:-1] for line in lines if re.fullmatch(r"\S+:", line))
     return ComediModule(first.removeprefix("comedi version "), attached, drivers)
 

@@ -1,4 +1,4 @@
-"""The mock card, seen from any process: it reads and writes the shared file behind which the plant runs."""
+"""The mock card: reads and writes the shared file of the plant, from any process."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def driver() -> type[MockCard]:
 class MockCard:
     """A card whose sampling clock, inputs and valves live in the process `rig.simulator.plant_process`.
 
-    Writing and reading back work while the plant stands still or is dead: they are registers.
+    Writing and read-back access registers, so they also work while the plant has stalled or is dead.
     """
 
     def __init__(self, setup: CardSetup) -> None:
@@ -34,11 +34,11 @@ class MockCard:
             CardError: it does not exist or lacks a channel.
         """
         self._device = setup.device
-        self._door = _only_opener(setup.device) if setup.one_opener else -1
+        self._exclusive_lock = _lock_exclusively(setup.device) if setup.one_opener else -1
         try:
             self._registers = Registers.attach(setup.device)
         except CardError:
-            self._leave()
+            self._unlock()
             raise
         self._inputs = [channel.number for channel in setup.inputs]
         self._outputs = setup.outputs
@@ -62,13 +62,13 @@ class MockCard:
         if self._next is None:
             return Scans(np.empty(0, np.int64), np.empty((0, len(self._inputs))))
         self._registers.faults.before_read(self._device, waits=True)
-        # Before the scans: what the plant publishes in between only makes it look later than it is.
+        # Read before the scans: data published in between can only increase the delay.
         late_ns = max(0, time.monotonic_ns() - self._registers.plant_t_ns)
         scans, self._next = self._registers.scans_since(self._next, self._inputs)
         return replace(self._registers.faults.of_scans(scans), late_ns=late_ns)
 
     def write(self, volts: NDArray[np.float64]) -> None:
-        """Set the outputs, as near as 16 bits come."""
+        """Set the outputs with a resolution of 16 bits."""
         self._registers.faults.before_write(self._device)
         values = [sixteen_bits(v, c.low_v, c.high_v) for v, c in zip(volts.tolist(), self._outputs, strict=True)]
         now = time.monotonic_ns()
@@ -76,28 +76,28 @@ class MockCard:
             self._registers.write(channel.number, value, now)
 
     def readback(self) -> NDArray[np.float64]:
-        """The voltages that the outputs stand at."""
+        """The output voltages."""
         volts: NDArray[np.float64] = self._registers.outputs["volts"][[c.number for c in self._outputs]]
         return volts
 
     def close(self) -> None:
-        """Let go of the device; the outputs keep their voltages."""
+        """Release the device; the outputs keep their voltages."""
         self._registers.close()
-        self._leave()
+        self._unlock()
 
-    def _leave(self) -> None:
-        if self._door >= 0:
-            os.close(self._door)
-            self._door = -1
+    def _unlock(self) -> None:
+        if self._exclusive_lock >= 0:
+            os.close(self._exclusive_lock)
+            self._exclusive_lock = -1
 
 
-def _only_opener(device: str) -> int:
-    """Be the only process in a device for as long as the descriptor is open; the kernel closes it for the dead."""
-    door = path_of(device).with_suffix(".door")
+def _lock_exclusively(device: str) -> int:
+    """Lock a device for this process until the descriptor is closed, by the kernel if the process dies."""
+    lock = path_of(device).with_suffix(".door")
     try:
-        descriptor = open_private(door, os.O_RDWR | os.O_CREAT)
+        descriptor = open_private(lock, os.O_RDWR | os.O_CREAT)
     except OSError as error:
-        raise CardError(f"mock card {device}: {door}: {error.strerror or error}") from error
+        raise CardError(f"mock card {device}: {lock}: {error.strerror or error}") from error
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:

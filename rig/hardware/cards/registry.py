@@ -1,4 +1,4 @@
-"""Opening a rig's cards by the drivers that the rig file names."""
+"""Opens the cards of a rig by the drivers of the rig file."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from rig.hardware.cards.base import Card, CardSetup
 
 
 def card_type(card: CardConfig) -> Callable[[CardSetup], Card]:
-    """What opens a card; loading a driver takes time, so a process that must act at once calls this beforehand.
+    """The driver of a card; loading it takes time, so a process that must react at once calls this beforehand.
 
     Raises:
         CardError: the driver cannot be loaded.

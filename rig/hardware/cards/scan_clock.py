@@ -1,4 +1,4 @@
-"""When each scan was taken: a card's scan counter as a clock, kept in step with CLOCK_MONOTONIC."""
+"""Scan times from the scan counter of a card, synchronised with CLOCK_MONOTONIC (phase-locked loop)."""
 
 from __future__ import annotations
 
@@ -9,20 +9,19 @@ _WINDOW_NS = 2_000_000_000
 _PHASE_GAIN = 0.5
 _RATE_GAIN = 0.1
 _LARGEST = 1e-3
-"""No crystal is further off; it keeps the times increasing whatever the delays do."""
+"""Bound of the relative rate error, above that of any crystal; it keeps the times increasing."""
 
 
 class ScanClock:
     """Time of scan i = start + (i + 1) * period, the period corrected for the drift between the two crystals.
 
-    The anchor is the moment just before the command was given: a pacer ticks for the first time one period later, so
-    the anchor is uncertain by less than a period. Scans reach the program late by an unknown, varying delay, but never
-    early; the shortest delay in each two seconds is that of an idle machine, and what it drifts by is the difference
-    between the crystals (20-100 ppm: uncorrected, 0.1 s in twenty minutes).
+    The anchor is the time just before the command: the first scan comes one period later, so the anchor is uncertain by
+    less than a period. Scans reach the program with an unknown, varying delay, never early; the drift of the shortest
+    delay in each two seconds is the difference between the crystals (20-100 ppm: uncorrected, 0.1 s in 20 minutes).
     """
 
     def __init__(self, period_ns: float, start_ns: int) -> None:
-        """`period_ns` is what the driver says, `start_ns` the moment just before the command."""
+        """`period_ns` is the period of the driver, `start_ns` the time just before the command."""
         self._period_ns = period_ns
         self._rate = 0.0
         self._last_ns = float(start_ns)
@@ -36,11 +35,11 @@ class ScanClock:
 
     @property
     def drift_ppm(self) -> float:
-        """How much longer the card's period is than the driver says, by CLOCK_MONOTONIC, in parts per million."""
+        """Relative error of the driver's period by CLOCK_MONOTONIC [ppm]; positive if the true period is longer."""
         return self._rate * 1e6
 
     def stamp(self, scans: int, now_ns: int) -> NDArray[np.int64]:
-        """Times of the next `scans` scans, which were there at `now_ns`."""
+        """Times of the next `scans` scans, which were available at `now_ns`."""
         step = self._period_ns * (1 + float(np.clip(self._rate + self._phase_rate, -_LARGEST, _LARGEST)))
         times = self._last_ns + step * np.arange(1, scans + 1)
         if scans:
@@ -61,7 +60,7 @@ class ScanClock:
         self._shortest_ns = np.inf
 
     def restart(self, start_ns: int) -> int:
-        """Anchor anew after a command that broke off; return how many scans were never taken."""
+        """Set a new anchor after an aborted command; return the number of scans that were not taken."""
         lost = max(0, int((start_ns - self._last_ns) // self._period_ns))
         self._last_ns = max(float(start_ns), self._last_ns)
         self._begin(start_ns)

@@ -51,7 +51,7 @@ def test_every_period_is_a_sign_of_life_and_a_dead_watchdog_ends_the_drive(
     ticks = RealTimeClock(memory, PERIOD_NS, ProcessMonitor(watchdog.pid), TIMING)
     before, now = ticks.next(), ticks.next()
     assert now > before
-    assert memory.heartbeat_ns("control") == memory.heartbeat_ns("conductor") == now
+    assert memory.heartbeat_ns("control") == memory.heartbeat_ns("supervisor") == now
     watchdog.kill()
     watchdog.wait()
     with pytest.raises(StartError, match="the watchdog process died"):
@@ -65,7 +65,7 @@ def test_a_watchdog_that_gives_no_sign_of_life_ends_the_drive(
         memory, PERIOD_NS, ProcessMonitor(watchdog.pid), replace(TIMING, watchdog_silent_ns=100 * PERIOD_NS)
     )
     for _ in range(20):
-        memory.beat("watchdog", time.monotonic_ns())
+        memory.heartbeat("watchdog", time.monotonic_ns())
         ticks.next()
     with pytest.raises(StartError, match="the watchdog is silent"):
         deque((ticks.next() for _ in range(10_000)), maxlen=0)
@@ -76,7 +76,7 @@ def test_who_is_told_that_the_watchdog_took_over_is_told_why(
 ) -> None:
     ticks = RealTimeClock(memory, PERIOD_NS, ProcessMonitor(watchdog.pid), TIMING)
     memory.board["watchdog"]["message"] = b"the control process hung"
-    memory.set("fired_ns", 1)
+    memory.watchdog_trip_ns = 1
     with pytest.raises(StartError, match="took the bench over: the control process hung"):
         ticks.next()
 

@@ -25,27 +25,27 @@ class Loop:
         self.settings, self.state, self.t_ns = settings, control.initial(settings), 1_000_000_000
         self.rng = np.random.default_rng(0)
 
-    def tick(
+    def cycle(
         self,
         bar: tuple[float, float, float],
         setpoint: tuple[float, float, float],
         *,
         volts: object = None,
         scan: bool = True,
-        stood_still_ns: int = 0,
+        stalled_ns: int = 0,
     ) -> control.Command:
         self.t_ns += TICK_NS
         if scan:
             self.scan_t_ns = self.t_ns
             pressure = np.array(bar) + 1e-3 * self.rng.standard_normal(3)
             self.pressure, self.volts = pressure * 1e5, pressure.copy() if volts is None else np.array(volts)
-        sample = control.Sample(self.t_ns, self.scan_t_ns, self.volts, self.pressure, stood_still_ns)
+        sample = control.Sample(self.t_ns, self.scan_t_ns, self.volts, self.pressure, stalled_ns)
         self.state, command = control.step(self.settings, self.state, sample, np.array(setpoint) * 1e5, np.zeros(3))
         return command
 
     def hold(self, bar: float, ticks: int = 300) -> control.Command:
         for _ in range(ticks):
-            command = self.tick((bar, 0.0, 0.0), (bar, 0.0, 0.0))
+            command = self.cycle((bar, 0.0, 0.0), (bar, 0.0, 0.0))
             assert command.trip is None
         return command
 
@@ -60,7 +60,7 @@ def test_over_pressure_trips_with_value_limit_and_unit() -> None:
     loop = Loop()
     loop.hold(0.7)
     for bar in np.arange(0.7, 0.8, 0.005):
-        command = loop.tick((float(bar), 0, 0), (0.7, 0, 0))
+        command = loop.cycle((float(bar), 0, 0), (0.7, 0, 0))
         if command.trip:
             break
     trip = command.trip
@@ -76,7 +76,7 @@ def test_a_pressure_that_rises_too_fast_trips_before_it_is_too_high() -> None:
     loop = Loop()
     loop.hold(0.2)
     bar = 0.2
-    while not (command := loop.tick((bar, 0, 0), (0.2, 0, 0))).trip:
+    while not (command := loop.cycle((bar, 0, 0), (0.2, 0, 0))).trip:
         bar += 10.0 * 0.005
     assert command.trip.source == "pressure rate"
     assert command.trip.unit == "bar/s"
@@ -87,7 +87,7 @@ def test_a_pressure_that_falls_too_fast_trips() -> None:
     loop = Loop()
     loop.hold(0.6)
     bar = 0.6
-    while not (command := loop.tick((bar, 0, 0), (0.6, 0, 0))).trip:
+    while not (command := loop.cycle((bar, 0, 0), (0.6, 0, 0))).trip:
         bar -= 10.0 * 0.005
     assert command.trip.value < -2.0
 
@@ -96,7 +96,7 @@ def test_a_pressure_that_falls_too_fast_trips() -> None:
 def test_a_voltage_that_is_no_pressure_trips_at_once(volts: float) -> None:
     loop = Loop()
     loop.hold(0.3)
-    command = loop.tick((0.3, 0, 0), (0.3, 0, 0), volts=(0.3, volts, 0.0))
+    command = loop.cycle((0.3, 0, 0), (0.3, 0, 0), volts=(0.3, volts, 0.0))
     assert command.trip is not None
     assert command.trip.source == "sensor 2"
     assert "sensor or wire broken" in command.trip.message
@@ -106,38 +106,38 @@ def test_without_scans_the_valves_wait_then_close_and_then_the_run_stops() -> No
     loop = Loop()
     before = loop.hold(0.3)
     for tick in range(1, round(RIG.limits.stale_s / 0.005) + 1):
-        command = loop.tick((0, 0, 0), (0.35, 0, 0), scan=False)
+        command = loop.cycle((0, 0, 0), (0.35, 0, 0), scan=False)
         assert command.trip is None
         np.testing.assert_array_equal(command.valve_v, before.valve_v if tick <= 3 else [5.0, 5.0])
-    command = loop.tick((0, 0, 0), (0.35, 0, 0), scan=False)
+    command = loop.cycle((0, 0, 0), (0.35, 0, 0), scan=False)
     assert command.trip is not None
     assert command.trip.message == "no pressure sample for 105 ms (limit 100 ms)"
 
 
-def test_a_computer_that_stood_still_gets_the_time_to_read_what_the_card_has_taken_meanwhile() -> None:
+def test_a_computer_that_stalled_gets_the_time_to_read_what_the_card_has_taken_meanwhile() -> None:
     loop = Loop()
     loop.hold(0.3)
     still_ns = 300_000_000
     loop.t_ns += still_ns
     for _ in range(round(RIG.limits.stale_s / 0.005)):
-        command = loop.tick((0, 0, 0), (0.3, 0, 0), scan=False, stood_still_ns=still_ns)
+        command = loop.cycle((0, 0, 0), (0.3, 0, 0), scan=False, stalled_ns=still_ns)
         assert command.trip is None
         np.testing.assert_array_equal(command.valve_v, [5.0, 5.0])
-    assert loop.tick((0, 0, 0), (0.3, 0, 0), scan=False, stood_still_ns=still_ns).trip is not None
+    assert loop.cycle((0, 0, 0), (0.3, 0, 0), scan=False, stalled_ns=still_ns).trip is not None
 
 
-def test_a_pressure_that_has_moved_at_its_rate_while_the_computer_stood_still_is_no_fast_one() -> None:
+def test_a_pressure_that_has_moved_at_its_rate_while_the_computer_stalled_is_no_fast_one() -> None:
     loop = Loop()
     loop.hold(0.3)
     loop.t_ns += 300_000_000
-    assert loop.tick((0.6, 0, 0), (0.6, 0, 0), stood_still_ns=300_000_000).trip is None
+    assert loop.cycle((0.6, 0, 0), (0.6, 0, 0), stalled_ns=300_000_000).trip is None
 
 
 def test_a_short_gap_in_the_scans_is_survived() -> None:
     loop = Loop()
     loop.hold(0.3)
     for _ in range(8):
-        loop.tick((0, 0, 0), (0.3, 0, 0), scan=False)
+        loop.cycle((0, 0, 0), (0.3, 0, 0), scan=False)
     command = loop.hold(0.3, 10)
     assert not np.array_equal(command.valve_v, [5.0, 5.0])
 
@@ -154,7 +154,7 @@ def test_an_error_at_a_standing_set_point_trips_only_after_the_time_allowed() ->
     loop = Loop()
     loop.hold(0.3, 100)
     ticks = 0
-    while not (command := loop.tick((0.3, min(0.003 * ticks, 0.08), 0.0), (0.3, 0, 0))).trip:
+    while not (command := loop.cycle((0.3, min(0.003 * ticks, 0.08), 0.0), (0.3, 0, 0))).trip:
         ticks += 1
     assert command.trip.source == "tracking"
     assert "actuator 2" in command.trip.message
@@ -167,14 +167,14 @@ def test_an_error_during_a_step_of_the_set_point_is_none() -> None:
     bar = 0.3
     for _ in range(200):
         bar += (0.5 - bar) * 0.05
-        assert loop.tick((bar, 0, 0), (0.5, 0, 0)).trip is None
+        assert loop.cycle((bar, 0, 0), (0.5, 0, 0)).trip is None
 
 
 def test_a_moving_set_point_that_is_not_followed_trips() -> None:
     loop = Loop()
     loop.hold(0.3)
     t = 0.0
-    while not (command := loop.tick((0.3 + 0.02 * np.sin(9 * t), 0, 0), (0.3 + 0.25 * np.sin(t), 0, 0))).trip:
+    while not (command := loop.cycle((0.3 + 0.02 * np.sin(9 * t), 0, 0), (0.3 + 0.25 * np.sin(t), 0, 0))).trip:
         t += 0.005
     assert command.trip.source in ("tracking", "sensor 1")
     assert t < 2.0
@@ -184,7 +184,7 @@ def test_a_reading_that_does_not_move_by_a_count_is_frozen_after_the_time_allowe
     loop = Loop()
     loop.hold(0.3)
     ticks = 0
-    while not (command := loop.tick((0.3, 0, 0), (0.34, 0, 0), volts=(0.3, 0.0, 0.0))).trip:
+    while not (command := loop.cycle((0.3, 0, 0), (0.34, 0, 0), volts=(0.3, 0.0, 0.0))).trip:
         ticks += 1
     assert command.trip.message.startswith("sensor 1 has not moved by one count")
     assert ticks * 0.005 == pytest.approx(RIG.limits.frozen_s, abs=0.02)
@@ -199,9 +199,9 @@ def test_a_pressure_that_stays_where_it_is_led_away_from_is_no_sensors_fault_bef
     loop = Loop(control.prepare(mock_rig(**valve)))
     loop.hold(0.3)
     for bar in np.arange(0.3, 0.4, 0.006):
-        assert loop.tick((float(bar), 0, 0), (float(bar), 0, 0)).trip is None
+        assert loop.cycle((float(bar), 0, 0), (float(bar), 0, 0)).trip is None
     ticks = 0
-    while not (command := loop.tick((float(bar), 0, 0), (0.6, 0, 0))).trip:
+    while not (command := loop.cycle((float(bar), 0, 0), (0.6, 0, 0))).trip:
         ticks += 1
     assert command.trip.message.startswith("sensor 1 stays at")
     # Until the reference, at 1 bar/s, is 0.05 bar away.
@@ -211,15 +211,15 @@ def test_a_pressure_that_stays_where_it_is_led_away_from_is_no_sensors_fault_bef
 def test_a_still_reading_of_a_vented_chamber_is_no_frozen_sensor() -> None:
     loop = Loop()
     for _ in range(1000):
-        assert loop.tick((0, 0, 0), (0, 0, 0), volts=(0.0, 0.0, 0.003)).trip is None
+        assert loop.cycle((0, 0, 0), (0, 0, 0), volts=(0.0, 0.0, 0.003)).trip is None
 
 
 def test_a_trip_latches_with_the_safe_voltages() -> None:
     loop = Loop()
     loop.hold(0.3)
-    first = loop.tick((0.3, 0, 0), (0.3, 0, 0), volts=(10.0, 0, 0)).trip
+    first = loop.cycle((0.3, 0, 0), (0.3, 0, 0), volts=(10.0, 0, 0)).trip
     for _ in range(10):
-        command = loop.tick((0.3, 0, 0), (0.3, 0, 0))
+        command = loop.cycle((0.3, 0, 0), (0.3, 0, 0))
         assert command.trip is first
         np.testing.assert_array_equal(command.valve_v, control.safe_voltages(RIG))
 

@@ -1,4 +1,4 @@
-"""Protocol time runs with the clock, and stands still for prompts and pauses."""
+"""Protocol time follows the clock and stops for prompts and pauses."""
 
 from hypothesis import given
 from hypothesis import strategies as st

@@ -165,13 +165,13 @@ def test_an_error_that_nobody_expected_of_a_card_keeps_no_other_from_its_safe_st
 
 def test_a_valve_may_stand_safe_or_vented_and_nowhere_else(bench: Bench, cards: dict[str, FakeCard]) -> None:
     bench.arm()
-    assert bench.astray() == ""
+    assert bench.unsafe_output() == ""
     bench.arm(vent=True)
-    assert bench.astray() == ""
+    assert bench.unsafe_output() == ""
     cards["other"].outputs = np.array([7.0])
-    assert bench.astray() == "valve 2 stands at 7.000 V"
+    assert bench.unsafe_output() == "valve 2 stands at 7.000 V"
     cards["other"].outputs = np.array([np.nan])
-    assert bench.astray() == ""
+    assert bench.unsafe_output() == ""
 
 
 def test_a_card_that_cannot_be_opened_keeps_no_other_from_its_safe_state(

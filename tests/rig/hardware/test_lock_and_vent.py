@@ -136,7 +136,7 @@ def test_valves_that_do_not_stay_where_they_are_told_are_not_called_vented(
 
 
 @pytest.mark.parametrize(("stands_v", "vented"), [(0.0, True), (3.0, False)])
-def test_who_stood_still_in_a_tick_does_not_undo_what_was_written_meanwhile(
+def test_who_stalled_in_a_tick_does_not_undo_what_was_written_meanwhile(
     config: RigConfig, registers: Registers, stands_v: float, vented: bool
 ) -> None:
     memory = SharedState.create(StateLayout.of(config))
@@ -152,7 +152,7 @@ def test_who_stood_still_in_a_tick_does_not_undo_what_was_written_meanwhile(
     os.close(memory.fd)
 
 
-@pytest.mark.parametrize("flags", [{"stop": Stop.VENT}, {"fired_ns": 1}])
+@pytest.mark.parametrize("flags", [{"stop_request": Stop.VENT}, {"watchdog_trip_ns": 1}])
 def test_what_a_runs_own_watchdog_has_written_is_neither_undone_nor_taken_for_another_programs(
     config: RigConfig, registers: Registers, flags: dict[str, int]
 ) -> None:
@@ -161,7 +161,7 @@ def test_what_a_runs_own_watchdog_has_written_is_neither_undone_nor_taken_for_an
     own = control.GuardedOutputs(bench, memory)
     own.write(np.array([6.0, 7.0]))
     for name, value in flags.items():
-        memory.set(name, value)
+        setattr(memory, name, value)
     registers.outputs["volts"] = 0.0
     own.write(np.array([6.0, 7.0]))
     assert registers.outputs["volts"].tolist() == [0.0, 0.0]

@@ -69,7 +69,7 @@ def test_a_dead_simulator_is_a_camera_error(config: rig.config.schema.RigConfig)
         def pose_at(self, t_ns: int) -> TipPose:
             raise LookupError("no pose")
 
-    with pytest.raises(CameraError, match="stands still"):
+    with pytest.raises(CameraError, match="has stalled"):
         MockCamera(config, Dead()).read(1.0)
 
 

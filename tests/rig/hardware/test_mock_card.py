@@ -234,7 +234,7 @@ def test_who_tells_the_plant_to_end_more_than_once_sees_no_traceback(mock: Mock)
 
 @pytest.mark.realtime
 @pytest.mark.parametrize("stopped_s", [0.5, 2.6])
-def test_a_plant_that_stood_still_goes_on_at_the_present_and_never_backwards(mock: Mock, stopped_s: float) -> None:
+def test_a_plant_that_stalled_goes_on_at_the_present_and_never_backwards(mock: Mock, stopped_s: float) -> None:
     plant = mock.plant()
     card = mock.card()
     card.start()

@@ -117,10 +117,10 @@ def test_who_stands_in_ends_the_process_that_has_the_card(
     config: RigConfig, device: str, holder: subprocess.Popen[str]
 ) -> None:
     memory = SharedState.create(StateLayout.of(config))
-    memory.set("control_pid", holder.pid)
+    memory.control_pid = holder.pid
     assert force_safe_state(config, memory) == ""
     assert volts(device) == [0.0, 0.0]
-    assert memory.get("safe_ns")
+    assert memory.safe_ns
     os.close(memory.fd)
 
 
@@ -157,10 +157,10 @@ def test_who_has_the_card_and_hangs_is_ended_also_where_another_process_is_watch
         ):
             assert holder.stdout is not None
             assert holder.stdout.readline() == b"held\n"
-            memory.set("holder_pid", holder.pid)
-            memory.set("control_pid", watched.pid)
-            memory.say("control", Stage.RUNNING)
-            until(lambda: bool(memory.get("fired_ns")))
+            memory.card_holder_pid = holder.pid
+            memory.control_pid = watched.pid
+            memory.publish_stage("control", Stage.RUNNING)
+            until(lambda: bool(memory.watchdog_trip_ns))
             assert volts(device) == [0.0, 0.0]
             assert holder.wait(10) == -signal.SIGKILL
             watched.kill()
@@ -169,7 +169,7 @@ def test_who_has_the_card_and_hangs_is_ended_also_where_another_process_is_watch
         watchdog.kill()
         watchdog.wait()
         os.close(memory.fd)
-    assert "the control process hung: the command that had the card was ended" in capfd.readouterr().err
+    assert "the control process hung: the command that held the card was ended" in capfd.readouterr().err
 
 
 @pytest.mark.realtime

@@ -1,4 +1,4 @@
-"""What an operator asks for is done by the conductor: pause, resume, skip, answers; and by nobody else."""
+"""What an operator asks for is done by the supervisor: pause, resume, skip, answers; and by nobody else."""
 
 from __future__ import annotations
 
@@ -73,36 +73,36 @@ def memory(plan: experiment.Plan) -> SharedState:
 def test_pause_and_resume_set_the_flag_that_control_obeys_and_are_refused_twice(
     plan: experiment.Plan, memory: SharedState
 ) -> None:
-    desk = CommandHandler(memory, plan.trajectory)
-    assert desk.carry_out(OperatorCommand(Command.PAUSE, "ada")).done
-    assert memory.get("held") == 1
-    assert not desk.carry_out(OperatorCommand(Command.PAUSE, "ada")).done
-    answer = desk.carry_out(OperatorCommand(Command.RESUME, "ada (live page)"))
-    assert (answer.done, memory.get("held")) == (True, 0)
-    assert "ada (live page)" in answer.said
-    assert not desk.carry_out(OperatorCommand(Command.RESUME, "ada")).done
+    handler = CommandHandler(memory, plan.trajectory)
+    assert handler.handle(OperatorCommand(Command.PAUSE, "ada")).accepted
+    assert memory.paused == 1
+    assert not handler.handle(OperatorCommand(Command.PAUSE, "ada")).accepted
+    answer = handler.handle(OperatorCommand(Command.RESUME, "ada (live page)"))
+    assert (answer.accepted, memory.paused) == (True, 0)
+    assert "ada (live page)" in answer.message
+    assert not handler.handle(OperatorCommand(Command.RESUME, "ada")).accepted
 
 
 def test_a_paused_run_holds_its_pressures_whoever_wants_to_skip(plan: experiment.Plan, memory: SharedState) -> None:
-    desk = CommandHandler(memory, plan.trajectory)
-    desk.carry_out(OperatorCommand(Command.PAUSE, "ada"))
-    answer = desk.carry_out(OperatorCommand(Command.SKIP, "bob"))
-    assert (answer.done, memory.get("skips")) == (False, 0)
-    assert "resume" in answer.said
-    desk.carry_out(OperatorCommand(Command.RESUME, "ada"))
-    assert desk.carry_out(OperatorCommand(Command.SKIP, "bob")).done
-    assert memory.get("skips") == 1
+    handler = CommandHandler(memory, plan.trajectory)
+    handler.handle(OperatorCommand(Command.PAUSE, "ada"))
+    answer = handler.handle(OperatorCommand(Command.SKIP, "bob"))
+    assert (answer.accepted, memory.skips) == (False, 0)
+    assert "resume" in answer.message
+    handler.handle(OperatorCommand(Command.RESUME, "ada"))
+    assert handler.handle(OperatorCommand(Command.SKIP, "bob")).accepted
+    assert memory.skips == 1
 
 
 @pytest.mark.parametrize(("action", "stop"), [(Command.STOP, Stop.SAFE), (Command.VENT, Stop.VENT)])
 def test_stop_and_vent_end_the_run_and_say_who(
     plan: experiment.Plan, memory: SharedState, action: Command, stop: Stop
 ) -> None:
-    desk = CommandHandler(memory, plan.trajectory)
-    desk.carry_out(OperatorCommand(action, "ada"))
-    assert memory.get("stop") == stop
-    assert desk.ending is not None
-    status, message = desk.ending
+    handler = CommandHandler(memory, plan.trajectory)
+    handler.handle(OperatorCommand(action, "ada"))
+    assert memory.stop_request == stop
+    assert handler.ending is not None
+    status, message = handler.ending
     assert status is Status.INTERRUPTED
     assert "ada" in message
 
@@ -110,26 +110,26 @@ def test_stop_and_vent_end_the_run_and_say_who(
 def test_a_vent_wins_over_a_stop_that_came_first_but_not_the_other_way_round(
     plan: experiment.Plan, memory: SharedState
 ) -> None:
-    desk = CommandHandler(memory, plan.trajectory)
+    handler = CommandHandler(memory, plan.trajectory)
     for action in (Command.STOP, Command.VENT, Command.STOP):
-        desk.carry_out(OperatorCommand(action, "ada"))
-    assert memory.get("stop") == Stop.VENT
+        handler.handle(OperatorCommand(action, "ada"))
+    assert memory.stop_request == Stop.VENT
 
 
 def test_an_answer_is_taken_once_and_only_while_a_prompt_waits(plan: experiment.Plan, memory: SharedState) -> None:
-    desk = CommandHandler(memory, plan.trajectory)
-    assert not desk.carry_out(OperatorCommand(Command.ANSWER, "ada")).done
-    memory.set("waiting", 0)
-    assert desk.carry_out(OperatorCommand(Command.ANSWER, "ada")).done
-    assert memory.get("answered") == 1
-    assert not desk.carry_out(OperatorCommand(Command.ANSWER, "ada")).done
+    handler = CommandHandler(memory, plan.trajectory)
+    assert not handler.handle(OperatorCommand(Command.ANSWER, "ada")).accepted
+    memory.waiting_prompt = 0
+    assert handler.handle(OperatorCommand(Command.ANSWER, "ada")).accepted
+    assert memory.prompts_answered == 1
+    assert not handler.handle(OperatorCommand(Command.ANSWER, "ada")).accepted
 
 
-class Conducted:
+class ServedRun:
     """A door that is attended in a thread, and what came through it."""
 
     def __init__(self, plan: experiment.Plan, memory: SharedState) -> None:
-        self.door = ControlSocket(plan, memory)
+        self.socket = ControlSocket(plan, memory)
         self.asked: list[OperatorCommand] = []
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._attend)
@@ -137,9 +137,9 @@ class Conducted:
 
     def _attend(self) -> None:
         while not self._ended.is_set():
-            self.door.attend(0.01, self._carry_out)
+            self.socket.serve(0.01, self._handle)
 
-    def _carry_out(self, request: OperatorCommand) -> CommandResult:
+    def _handle(self, request: OperatorCommand) -> CommandResult:
         self.asked.append(request)
         return CommandResult(True, f"{request.action} by {request.who}")
 
@@ -147,41 +147,41 @@ class Conducted:
         """Shut the door."""
         self._ended.set()
         self._thread.join()
-        self.door.close()
+        self.socket.close()
 
 
 @pytest.fixture
-def conducted(
+def served(
     plan: experiment.Plan, memory: SharedState, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> Iterator[Conducted]:
+) -> Iterator[ServedRun]:
     """A run's door, in a folder of its own."""
     monkeypatch.setattr(runtime_folder, "BASE", tmp_path)
-    conducted = Conducted(plan, memory)
-    yield conducted
-    conducted.close()
+    served = ServedRun(plan, memory)
+    yield served
+    served.close()
 
 
-def test_a_visitor_sees_the_run_and_cannot_write_to_it(conducted: Conducted, memory: SharedState) -> None:
-    assert running_runs() == [conducted.door.path]
-    visit = ClientSession(conducted.door.path)
-    memory.set("held", 1)
-    assert visit.memory.get("held") == 1
+def test_a_visitor_sees_the_run_and_cannot_write_to_it(served: ServedRun, memory: SharedState) -> None:
+    assert running_runs() == [served.socket.path]
+    visit = ClientSession(served.socket.path)
+    memory.paused = 1
+    assert visit.memory.paused == 1
     assert visit.plan.config.name == "mock"
     with pytest.raises(ValueError, match="read-only"):
-        visit.memory.set("held", 0)
+        visit.memory.paused = 0
     with pytest.raises(OSError, match="Bad file descriptor"):
         os.write(visit.memory.fd, b"x")
     visit.close()
 
 
-def test_wishes_are_passed_on_with_who_has_them(conducted: Conducted, memory: SharedState) -> None:
-    visit = ClientSession(conducted.door.path)
+def test_wishes_are_passed_on_with_who_has_them(served: ServedRun, memory: SharedState) -> None:
+    visit = ClientSession(served.socket.path)
     me = user_name()
     assert visit.ask("pause", me) == {"done": True, "said": f"pause by {me} (live page)"}
-    assert conducted.asked == [OperatorCommand(Command.PAUSE, f"{me} (live page)")]
+    assert served.asked == [OperatorCommand(Command.PAUSE, f"{me} (live page)")]
     visit.watch()
     visit.ask("resume", "ada")
-    assert memory.get("watched_ns") > 0
+    assert memory.viewer_ns > 0
     visit.close()
 
 
@@ -200,24 +200,24 @@ def test_wishes_are_passed_on_with_who_has_them(conducted: Conducted, memory: Sh
         b"[" * 4096,
     ],
 )
-def test_nonsense_is_shown_out_and_the_door_stays_open(conducted: Conducted, packet: bytes) -> None:
-    visitor = connect(conducted.door.path)
+def test_nonsense_is_shown_out_and_the_door_stays_open(served: ServedRun, packet: bytes) -> None:
+    visitor = connect(served.socket.path)
     assert visitor is not None
     visitor.send(packet)
     assert visitor.recv(100) == b""
     visitor.close()
-    assert conducted.asked == []
-    with closing(ClientSession(conducted.door.path)) as visit:
+    assert served.asked == []
+    with closing(ClientSession(served.socket.path)) as visit:
         assert visit.ask("pause", "ada")["done"]
 
 
 @pytest.mark.parametrize("who", ["eve", "\x1b[31meve\u202e", " eve\n"])
-def test_the_record_names_the_account_behind_the_connection_whatever_it_says(conducted: Conducted, who: str) -> None:
-    with closing(ClientSession(conducted.door.path)) as visit:
+def test_the_record_names_the_account_behind_the_connection_whatever_it_says(served: ServedRun, who: str) -> None:
+    with closing(ClientSession(served.socket.path)) as visit:
         visit.ask("pause", who)
         visit.ask("resume", "", via="")
     named = "[31meve" if "[" in who else "eve"
-    assert [request.who for request in conducted.asked] == [
+    assert [request.who for request in served.asked] == [
         f"{named} (live page of {user_name()})",
         f"{user_name()} (control socket)",
     ]
@@ -231,14 +231,14 @@ def test_the_account_is_the_kernels_not_the_environments(monkeypatch: pytest.Mon
 
 
 @pytest.mark.skipif(os.getuid() != 0, reason="only root can become another user")
-def test_another_account_is_not_let_in(conducted: Conducted) -> None:
+def test_another_account_is_not_let_in(served: ServedRun) -> None:
     # Even where it could reach the socket: it does so here by a descriptor of the folder.
-    conducted.door.path.parent.chmod(0o755)
-    conducted.door.path.chmod(0o777)
-    folder = os.open(conducted.door.path.parent, os.O_PATH)
+    served.socket.path.parent.chmod(0o755)
+    served.socket.path.chmod(0o777)
+    folder = os.open(served.socket.path.parent, os.O_PATH)
     try:
         done = subprocess.run(
-            [sys.executable, "-c", _KNOCK_AS_NOBODY, f"/proc/self/fd/{folder}/{conducted.door.path.name}"],
+            [sys.executable, "-c", _KNOCK_AS_NOBODY, f"/proc/self/fd/{folder}/{served.socket.path.name}"],
             capture_output=True,
             text=True,
             check=True,
@@ -247,12 +247,12 @@ def test_another_account_is_not_let_in(conducted: Conducted) -> None:
     finally:
         os.close(folder)
     assert done.stdout.strip() in ("refused", "no data"), done.stderr
-    assert conducted.asked == []
+    assert served.asked == []
 
 
-def test_visitors_beyond_the_most_are_shown_out_and_those_inside_are_still_served(conducted: Conducted) -> None:
-    visit = ClientSession(conducted.door.path)
-    others = [connect(conducted.door.path) for _ in range(60)]
+def test_visitors_beyond_the_most_are_shown_out_and_those_inside_are_still_served(served: ServedRun) -> None:
+    visit = ClientSession(served.socket.path)
+    others = [connect(served.socket.path) for _ in range(60)]
     visit.watch()
     for other in others:
         if other is not None:
@@ -261,8 +261,8 @@ def test_visitors_beyond_the_most_are_shown_out_and_those_inside_are_still_serve
     visit.close()
 
 
-def test_a_visitor_who_never_takes_his_answers_does_not_hold_the_conductor_up(conducted: Conducted) -> None:
-    rude = connect(conducted.door.path)
+def test_a_visitor_who_never_takes_his_answers_does_not_hold_the_supervisor_up(served: ServedRun) -> None:
+    rude = connect(served.socket.path)
     assert rude is not None
     rude.setblocking(False)
     try:
@@ -270,16 +270,16 @@ def test_a_visitor_who_never_takes_his_answers_does_not_hold_the_conductor_up(co
             rude.send(json.dumps({"do": "pause", "who": "x" * 80}).encode())
     except (BlockingIOError, BrokenPipeError, ConnectionResetError):
         pass
-    with closing(ClientSession(conducted.door.path)) as visit:
+    with closing(ClientSession(served.socket.path)) as visit:
         assert visit.ask("resume", "ada")["done"]
     rude.close()
 
 
-def test_a_door_that_a_dead_run_left_is_no_run(conducted: Conducted, tmp_path: Path) -> None:
+def test_a_door_that_a_dead_run_left_is_no_run(served: ServedRun, tmp_path: Path) -> None:
     left = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     left.bind(str(socket_paths() / "run-1"))
     left.close()
-    assert running_runs() == [conducted.door.path]
+    assert running_runs() == [served.socket.path]
     with pytest.raises(StartError, match="no run is going"):
         ClientSession(socket_paths() / "run-1")
 

@@ -58,7 +58,7 @@ def config(registers: Registers) -> RigConfig:
 @pytest.fixture
 def memory(config: RigConfig) -> Iterator[SharedState]:
     memory = SharedState.create(StateLayout.of(config))
-    memory.beat("conductor", time.monotonic_ns())
+    memory.heartbeat("supervisor", time.monotonic_ns())
     yield memory
     os.close(memory.fd)
 
@@ -78,9 +78,9 @@ def dead() -> int:
     return process.pid
 
 
-def job(config: RigConfig, memory: SharedState, conductor: int) -> ChildJob:
+def job(config: RigConfig, memory: SharedState, supervisor: int) -> ChildJob:
     nothing = Trajectory(0.0, config.actuators, (), (), "")
-    return ChildJob(Plan(config, path_of("none"), nothing, config.model.variant, 0), memory.fd, conductor)
+    return ChildJob(Plan(config, path_of("none"), nothing, config.model.variant, 0), memory.fd, supervisor)
 
 
 def until(condition: Callable[[], bool]) -> None:
@@ -98,18 +98,18 @@ def volts(registers: Registers) -> list[float]:
 def test_a_life_is_over_once_the_process_dies_though_nobody_has_asked_for_its_status(
     sleeper: subprocess.Popen[bytes],
 ) -> None:
-    life = ProcessMonitor(sleeper.pid)
-    assert not life.over
-    assert not life.stopped
+    monitor = ProcessMonitor(sleeper.pid)
+    assert not monitor.exited
+    assert not monitor.stopped
     sleeper.send_signal(signal.SIGSTOP)
-    until(lambda: life.stopped)
-    assert not life.over
+    until(lambda: monitor.stopped)
+    assert not monitor.exited
     sleeper.kill()
-    until(lambda: life.over)
+    until(lambda: monitor.exited)
     assert ended_within(sleeper, 30)
-    assert life.over
-    assert not life.stopped
-    life.close()
+    assert monitor.exited
+    assert not monitor.stopped
+    monitor.close()
 
 
 def test_who_is_held_by_a_debugger_stands_still_and_keeps_nobody_waiting_who_kills_him(
@@ -117,61 +117,61 @@ def test_who_is_held_by_a_debugger_stands_still_and_keeps_nobody_waiting_who_kil
 ) -> None:
     """The kernel hides the end of such a process from its parent for as long as the debugger has not asked for it."""
     monkeypatch.setattr(plant_launcher, "GONE_S", 0.2)
-    life = ProcessMonitor(sleeper.pid)
+    monitor = ProcessMonitor(sleeper.pid)
     with subprocess.Popen([sys.executable, "-c", HOLD_STILL, str(sleeper.pid)], stdout=subprocess.PIPE) as debugger:
         assert debugger.stdout is not None
         if debugger.stdout.readline() != b"held\n":
             pytest.skip("this machine lets no process trace another")
-        until(lambda: life.stopped)
-        assert not life.over
+        until(lambda: monitor.stopped)
+        assert not monitor.exited
         leaving = threading.Thread(
             target=plant_launcher.Simulation(sleeper, rig.config.loader.load("mock")).close, daemon=True
         )
         leaving.start()
         leaving.join(20)
         hung = leaving.is_alive()
-        assert life.over
+        assert monitor.exited
         debugger.kill()
     assert not hung
-    life.close()
+    monitor.close()
 
 
 def test_one_who_never_was_is_over() -> None:
-    assert ProcessMonitor(dead()).over
+    assert ProcessMonitor(dead()).exited
 
 
 def test_where_all_others_are_dead_the_bench_is_made_safe_at_once(
     config: RigConfig, memory: SharedState, registers: Registers
 ) -> None:
-    memory.set("control_pid", dead())
-    memory.set("watchdog_pid", dead())
-    guard = FailsafeThread(job(config, memory, dead()), memory)
-    guard.outlast()
+    memory.control_pid = dead()
+    memory.watchdog_pid = dead()
+    failsafe = FailsafeThread(job(config, memory, dead()), memory)
+    failsafe.join()
     assert volts(registers) == [SAFE_V, SAFE_V]
-    assert memory.get("safe_ns")
-    assert memory.get("stop") == Stop.SILENT
+    assert memory.safe_ns
+    assert memory.stop_request == Stop.SILENT
 
 
 def test_nobody_stands_in_while_the_watchdog_lives_and_somebody_does_once_it_is_killed(
     config: RigConfig, memory: SharedState, registers: Registers, sleeper: subprocess.Popen[bytes]
 ) -> None:
-    memory.set("control_pid", dead())
-    memory.set("watchdog_pid", sleeper.pid)
-    guard = FailsafeThread(job(config, memory, dead()), memory)
+    memory.control_pid = dead()
+    memory.watchdog_pid = sleeper.pid
+    failsafe = FailsafeThread(job(config, memory, dead()), memory)
     time.sleep(0.2)
     assert volts(registers) == [OPEN_V, OPEN_V]
     sleeper.kill()
-    guard.outlast()
+    failsafe.join()
     assert volts(registers) == [SAFE_V, SAFE_V]
 
 
 def test_those_who_stand_still_with_the_valves_open_are_stood_in_for_and_ended(
     config: RigConfig, memory: SharedState, registers: Registers, sleeper: subprocess.Popen[bytes]
 ) -> None:
-    memory.set("control_pid", sleeper.pid)
-    memory.set("go_ns", 1)
-    guard = FailsafeThread(job(config, memory, os.getppid()), memory)
-    guard.outlast()
+    memory.control_pid = sleeper.pid
+    memory.start_ns = 1
+    failsafe = FailsafeThread(job(config, memory, os.getppid()), memory)
+    failsafe.join()
     assert volts(registers) == [SAFE_V, SAFE_V]
     assert ended_within(sleeper, 30)
 
@@ -179,14 +179,14 @@ def test_those_who_stand_still_with_the_valves_open_are_stood_in_for_and_ended(
 def test_those_who_stand_still_before_the_first_tick_are_left_to_wake(
     config: RigConfig, memory: SharedState, registers: Registers, sleeper: subprocess.Popen[bytes]
 ) -> None:
-    memory.beat("conductor", 1)
-    memory.set("control_pid", sleeper.pid)
-    guard = FailsafeThread(job(config, memory, os.getppid()), memory)
+    memory.heartbeat("supervisor", 1)
+    memory.control_pid = sleeper.pid
+    failsafe = FailsafeThread(job(config, memory, os.getppid()), memory)
     time.sleep(0.9)
     assert volts(registers) == [OPEN_V, OPEN_V]
     assert sleeper.poll() is None
-    memory.say("control", Stage.DONE)
-    guard.outlast()
+    memory.publish_stage("control", Stage.DONE)
+    failsafe.join()
 
 
 @pytest.mark.parametrize(("safe_ns", "left_v"), [(1, OPEN_V), (0, SAFE_V)])
@@ -199,9 +199,9 @@ def test_the_watchdog_writes_at_the_end_only_what_control_has_not(
     left_v: float,
 ) -> None:
     """Who vents, by another program, what control only holds, means it."""
-    memory.set("control_pid", dead())
-    memory.say("control", Stage.DONE)
-    memory.set("safe_ns", safe_ns)
+    memory.control_pid = dead()
+    memory.publish_stage("control", Stage.DONE)
+    memory.safe_ns = safe_ns
     monkeypatch.setattr(watchdog_process, "receive", lambda: (job(config, memory, os.getppid()), memory))
     monkeypatch.setattr(watchdog_process, "enable_realtime_scheduling", lambda priority: Scheduling.NONE)
     before = signal.getsignal(signal.SIGTERM)
@@ -213,16 +213,16 @@ def test_the_watchdog_writes_at_the_end_only_what_control_has_not(
     assert memory.stage("watchdog") is Stage.DONE
 
 
-@pytest.mark.parametrize(("safe_ns", "said"), [(1, ""), (0, "the conductor died or hung, and control did not stop")])
-def test_control_that_has_made_the_bench_safe_may_watch_the_air_go_though_its_conductor_is_dead(
+@pytest.mark.parametrize(("safe_ns", "said"), [(1, ""), (0, "the supervisor died or hung, and control did not stop")])
+def test_control_that_has_made_the_bench_safe_may_watch_the_air_go_though_its_supervisor_is_dead(
     memory: SharedState, sleeper: subprocess.Popen[bytes], safe_ns: int, said: str
 ) -> None:
-    memory.set("control_pid", sleeper.pid)
-    memory.set("safe_ns", safe_ns)
-    memory.say("control", Stage.RUNNING)
+    memory.control_pid = sleeper.pid
+    memory.safe_ns = safe_ns
+    memory.publish_stage("control", Stage.RUNNING)
 
     def end() -> None:
-        memory.say("control", Stage.DONE)
+        memory.publish_stage("control", Stage.DONE)
         sleeper.kill()
 
     ending = threading.Timer(0.4, end)
@@ -231,7 +231,7 @@ def test_control_that_has_made_the_bench_safe_may_watch_the_air_go_though_its_co
     ending.join()
 
 
-def test_a_conductor_that_dies_after_it_has_hung_costs_control_no_processor(
+def test_a_supervisor_that_dies_after_it_has_hung_costs_control_no_processor(
     memory: SharedState, sleeper: subprocess.Popen[bytes], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The watchdog goes before control: what wakes it again and again keeps control from ending on its own."""
@@ -241,16 +241,16 @@ def test_a_conductor_that_dies_after_it_has_hung_costs_control_no_processor(
     def counted(poll: select.poll, timeout_ms: int) -> set[int]:
         nonlocal looks
         looks += 1
-        if memory.get("stop"):
-            conductor.kill()
+        if memory.stop_request:
+            supervisor.kill()
         return exited(poll, timeout_ms)
 
     exited = watchdog_process._exited
     monkeypatch.setattr(watchdog_process, "_exited", counted)
-    memory.set("control_pid", sleeper.pid)
-    memory.say("control", Stage.RUNNING)
-    with subprocess.Popen(["sleep", "60"]) as conductor:
-        assert "did not stop" in watchdog_process._watch(memory, conductor.pid, None, lambda: timing)  # type: ignore[arg-type]
+    memory.control_pid = sleeper.pid
+    memory.publish_stage("control", Stage.RUNNING)
+    with subprocess.Popen(["sleep", "60"]) as supervisor:
+        assert "did not stop" in watchdog_process._watch(memory, supervisor.pid, None, lambda: timing)  # type: ignore[arg-type]
     assert looks < 400
 
 
@@ -259,7 +259,7 @@ def test_what_could_not_be_written_is_not_called_safe(
 ) -> None:
     registers.faults.inject(failing_writes=10**9)
     assert "could not be written" in force_safe_state(config, memory)
-    assert not memory.get("safe_ns")
+    assert not memory.safe_ns
     assert volts(registers) == [OPEN_V, OPEN_V]
 
 
@@ -270,17 +270,17 @@ def test_who_asked_first_to_stop_is_told_of_and_to_vent_wins_over_all(memory: Sh
         (Stop.VENT, Stop.VENT),
         (Stop.SILENT, Stop.VENT),
     ):
-        memory.ask_to_stop(asked)
-        assert memory.get("stop") == told
+        memory.request_stop(asked)
+        assert memory.stop_request == told
 
 
 def test_a_turn_is_waited_for_and_comes_no_more_once_the_run_is_over(config: RigConfig, memory: SharedState) -> None:
-    conductor = supervisor_monitor(job(config, memory, os.getppid()))
+    supervisor = supervisor_monitor(job(config, memory, os.getppid()))
     looks = iter((False, False, True))
-    assert await_turn(memory, conductor, lambda: next(looks))
+    assert await_turn(memory, supervisor, lambda: next(looks))
     assert not await_turn(memory, supervisor_monitor(job(config, memory, dead())), lambda: False)
-    memory.ask_to_stop(Stop.SAFE)
-    assert not await_turn(memory, conductor, lambda: False)
+    memory.request_stop(Stop.SAFE)
+    assert not await_turn(memory, supervisor, lambda: False)
 
 
 def test_who_drives_or_guards_a_mock_card_need_not_load_the_plants_compiler() -> None:

@@ -13,7 +13,7 @@ FRAME_NS, TICK_NS = 33_333_333, 5_000_000
 
 
 @pytest.fixture
-def vigil() -> HealthMonitor:
+def monitor() -> HealthMonitor:
     return HealthMonitor(rig.config.loader.load("mock"))
 
 
@@ -30,13 +30,13 @@ def levels(events: list[Event]) -> list[Level]:
     return [event.level for event in events]
 
 
-def test_a_good_run_is_told_nothing(vigil: HealthMonitor) -> None:
-    assert list(vigil.observations(frames(300))) == []
+def test_a_good_run_is_told_nothing(monitor: HealthMonitor) -> None:
+    assert list(monitor.observations(frames(300))) == []
 
 
-def test_one_bad_frame_in_ten_is_told_nothing(vigil: HealthMonitor) -> None:
+def test_one_bad_frame_in_ten_is_told_nothing(monitor: HealthMonitor) -> None:
     seen = np.where(np.arange(300) % 10 == 0, DetectionStatus.NO_BOARD, DetectionStatus.MEASURED)
-    assert list(vigil.observations(frames(300, seen=seen))) == []
+    assert list(monitor.observations(frames(300, seen=seen))) == []
 
 
 @pytest.mark.parametrize(
@@ -50,67 +50,67 @@ def test_one_bad_frame_in_ten_is_told_nothing(vigil: HealthMonitor) -> None:
     ],
 )
 def test_a_trouble_is_told_once_when_it_begins_and_once_when_it_is_over(
-    vigil: HealthMonitor, trouble: dict[str, object], says: str
+    monitor: HealthMonitor, trouble: dict[str, object], says: str
 ) -> None:
-    (begun,) = vigil.observations(frames(90, **trouble))
+    (begun,) = monitor.observations(frames(90, **trouble))
     assert (begun.level, says in begun.message) == (Level.WARNING, True)
     assert begun.message.endswith("the run goes on")
-    (over,) = vigil.observations(frames(300, 90))
+    (over,) = monitor.observations(frames(300, 90))
     assert over.level is Level.INFO
     assert "after" in over.message
 
 
 @pytest.mark.parametrize("pace", [0.8, 1.2])
-def test_a_camera_that_grants_another_rate_than_the_rig_says_is_told_of(vigil: HealthMonitor, pace: float) -> None:
+def test_a_camera_that_grants_another_rate_than_the_rig_says_is_told_of(monitor: HealthMonitor, pace: float) -> None:
     rows = frames(150)
     rows["t_ns"] = 10**9 + np.arange(150) * round(pace * FRAME_NS)
-    (told,) = vigil.observations(rows)
+    (told,) = monitor.observations(rows)
     assert told.level is Level.WARNING
     assert "pictures a second and the rig says 30" in told.message
 
 
-def test_a_camera_whose_pictures_are_stamped_unevenly_keeps_its_pace(vigil: HealthMonitor) -> None:
+def test_a_camera_whose_pictures_are_stamped_unevenly_keeps_its_pace(monitor: HealthMonitor) -> None:
     rows = frames(300)
     rows["t_ns"] += np.random.default_rng(0).integers(-8_000_000, 8_000_000, 300)
-    assert list(vigil.observations(rows)) == []
+    assert list(monitor.observations(rows)) == []
 
 
-def test_missed_deadlines_and_lost_scans_are_told(vigil: HealthMonitor) -> None:
+def test_missed_deadlines_and_lost_scans_are_told(monitor: HealthMonitor) -> None:
     rows = np.zeros(400, sample_dtype(3, 2))
     rows["t_ns"] = 10**9 + np.arange(400) * 3 * TICK_NS
     rows["missed"] = 2
-    (told,) = vigil.samples(rows)
+    (told,) = monitor.samples(rows)
     assert "deadlines" in told.message
-    assert list(vigil.lost(0, 0)) == []
-    assert levels(list(vigil.lost(0, 5))) == [Level.WARNING]
+    assert list(monitor.lost(0, 0)) == []
+    assert levels(list(monitor.lost(0, 5))) == [Level.WARNING]
 
 
-def test_a_tenth_of_the_deadlines_missed_in_a_second_is_told_while_the_run_goes_on(vigil: HealthMonitor) -> None:
+def test_a_tenth_of_the_deadlines_missed_in_a_second_is_told_while_the_run_goes_on(monitor: HealthMonitor) -> None:
     """A control process that is stopped for 12 ms again and again; the operator is told now, not at the end."""
     rows = np.zeros(200, sample_dtype(3, 2))
     rows["missed"][::10] = 1
     rows["t_ns"] = 10**9 + np.cumsum(1 + rows["missed"]) * TICK_NS
-    (told,) = vigil.samples(rows)
+    (told,) = monitor.samples(rows)
     assert "of the deadlines are missed" in told.message
     assert told.t_ns < 10**9 + 1_000_000_000
 
 
-def test_a_single_missed_deadline_is_told_nothing(vigil: HealthMonitor) -> None:
+def test_a_single_missed_deadline_is_told_nothing(monitor: HealthMonitor) -> None:
     rows = np.zeros(400, sample_dtype(3, 2))
     rows["t_ns"] = 10**9 + np.arange(400) * TICK_NS
     rows["missed"][200] = 2
-    assert list(vigil.samples(rows)) == []
+    assert list(monitor.samples(rows)) == []
 
 
-def test_a_standstill_of_the_record_is_told(vigil: HealthMonitor) -> None:
+def test_a_standstill_of_the_record_is_told(monitor: HealthMonitor) -> None:
     looks = [10**9, 10**9 + 20_000_000, 10**9 + 1_220_000_000]
-    told = [event for t_ns in looks for event in vigil.looking(t_ns)]
-    assert [event.message[:34] for event in told] == ["nothing was recorded for 1.20 s, w"]
+    told = [event for t_ns in looks for event in monitor.looking(t_ns)]
+    assert [event.message[:32] for event in told] == ["nothing was recorded for 1.20 s,"]
 
 
-def test_a_disk_that_does_not_take_the_record_is_told_once_with_its_end(vigil: HealthMonitor) -> None:
+def test_a_disk_that_does_not_take_the_record_is_told_once_with_its_end(monitor: HealthMonitor) -> None:
     looks = [(0.0, 0.0), (1.0, 0.9), (2.5, 2.4), (3.0, 2.9), (4.0, 0.0), (5.0, 0.1)]
-    told = [event for t_s, standing_s in looks for event in vigil.disk(10**9 + round(t_s * 1e9), standing_s)]
+    told = [event for t_s, standing_s in looks for event in monitor.disk(10**9 + round(t_s * 1e9), standing_s)]
     assert [event.message for event in told] == [
         "the disk has not taken the record for 2.4 s, which is kept in memory meanwhile: "
         "is another program writing to it?; the run goes on",

@@ -111,7 +111,7 @@ def test_a_dead_simulator_counts_as_a_dead_card(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("others", [(CONTROL, OBSERVER), (WATCHDOG,)], ids=["watchdog left", "control left"])
-def test_who_outlives_the_conductor_makes_the_valves_safe_and_its_journal_can_be_recovered(
+def test_who_outlives_the_supervisor_makes_the_valves_safe_and_its_journal_can_be_recovered(
     tmp_path: Path, others: tuple[str, ...]
 ) -> None:
     with rig_run(tmp_path) as run:
@@ -140,7 +140,7 @@ def test_the_last_one_left_makes_the_valves_safe_whatever_else_it_has_to_do(tmp_
     recover_one(run)
 
 
-def test_a_hung_conductor_makes_the_valves_safe_and_the_run_aborted_once_it_wakes(tmp_path: Path) -> None:
+def test_a_hung_supervisor_makes_the_valves_safe_and_the_run_aborted_once_it_wakes(tmp_path: Path) -> None:
     with rig_run(tmp_path) as run:
         run.wait_until_pressurised()
         run.process.send_signal(signal.SIGSTOP)
@@ -150,7 +150,7 @@ def test_a_hung_conductor_makes_the_valves_safe_and_the_run_aborted_once_it_wake
     assert runs.open(run.archive()).status is Status.ABORTED
 
 
-def test_a_killed_conductor_leaves_safe_valves_no_process_and_a_journal_that_can_be_recovered(tmp_path: Path) -> None:
+def test_a_killed_supervisor_leaves_safe_valves_no_process_and_a_journal_that_can_be_recovered(tmp_path: Path) -> None:
     with rig_run(tmp_path) as run:
         run.wait_until_pressurised()
         pids = [run.pid_of(module) for module in (CONTROL, OBSERVER, WATCHDOG, SIMULATOR)]

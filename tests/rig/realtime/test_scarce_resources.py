@@ -45,6 +45,7 @@ def test_a_mock_card_for_which_there_is_no_room_is_refused_and_leaves_nothing(
     monkeypatch.setattr(runtime_folder, "BASE", tmp_path)
     try:
         with surroundings.small_disk(tmp_path):
+            runtime_folder.runtime_folder()
             surroundings.fill(tmp_path)
             with pytest.raises(CardError, match="No space left on device"):
                 registers.Registers.create("roomy", 2, 8)
@@ -54,7 +55,7 @@ def test_a_mock_card_for_which_there_is_no_room_is_refused_and_leaves_nothing(
 
 
 @pytest.mark.realtime
-def test_a_conductor_killed_while_the_simulator_loads_leaves_no_traceback_and_no_process(tmp_path: Path) -> None:
+def test_a_supervisor_killed_while_the_simulator_loads_leaves_no_traceback_and_no_process(tmp_path: Path) -> None:
     with rig_run(tmp_path, BRIEF) as run:
         deadline = time.monotonic() + 60
         plant = 0

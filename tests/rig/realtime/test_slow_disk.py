@@ -27,7 +27,7 @@ class Listener(NullOperator):
         self.told: list[str] = []
         self._disk, self._awaited = disk, awaited
 
-    def tell(self, event: Event) -> None:
+    def report(self, event: Event) -> None:
         self.told.append(event.message)
         if self._awaited in event.message:
             self._disk.set()
@@ -56,7 +56,7 @@ def request_(tmp_path: Path) -> experiment.RunRequest:
 def test_the_operator_is_told_that_the_run_waits_for_its_disk_and_the_archive_is_whole(
     request_: experiment.RunRequest, disk: threading.Event, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def ended_on_a_disk_that_stands(plan: Plan, open_record: OpenRecord, audience: OperatorInterface) -> Outcome:
+    def ended_on_a_disk_that_stands(plan: Plan, open_record: OpenRecord, operator: OperatorInterface) -> Outcome:
         record = open_record(time.monotonic_ns())
         disk.clear()
         record.event(Event(time.monotonic_ns(), Level.INFO, "control", "the valves are in their safe state"))
@@ -73,23 +73,23 @@ def test_the_operator_is_told_that_the_run_waits_for_its_disk_and_the_archive_is
     assert [event.message for event in archive.events] == ["the valves are in their safe state"]
 
 
-def test_the_conductor_warns_and_goes_on(
+def test_the_supervisor_warns_and_goes_on(
     request_: experiment.RunRequest, disk: threading.Event, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(health_monitor, "DISK_S", 0.0)
     listener = Listener(disk, "has not taken the record")
 
-    def conducted(plan: Plan, open_record: OpenRecord, audience: OperatorInterface) -> Outcome:
-        conductor = supervisor._Supervisor(plan, audience, None)
-        conductor.recorder = open_record(time.monotonic_ns())
+    def supervised(plan: Plan, open_record: OpenRecord, operator: OperatorInterface) -> Outcome:
+        parent = supervisor._Supervisor(plan, operator, None)
+        parent.recorder = open_record(time.monotonic_ns())
         disk.clear()
-        conductor.recorder.event(Event(time.monotonic_ns(), Level.INFO, "control", "armed"))
-        conductor.memory.say("control", Stage.DONE)
-        status, message = conductor._conduct()
-        os.close(conductor.memory.fd)
+        parent.recorder.event(Event(time.monotonic_ns(), Level.INFO, "control", "armed"))
+        parent.memory.publish_stage("control", Stage.DONE)
+        status, message = parent._supervise()
+        os.close(parent.memory.fd)
         return Outcome(status, message, time.monotonic_ns())
 
-    monkeypatch.setattr(supervisor, "run", conducted)
+    monkeypatch.setattr(supervisor, "run", supervised)
     result = experiment.run(request_, experiment.plan(request_), listener)
     assert result.outcome.status is Status.FINISHED
     assert result.archive is not None

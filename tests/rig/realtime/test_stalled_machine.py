@@ -1,4 +1,4 @@
-"""A machine that stands still as a whole is nobody's fault, and what the valves did meanwhile is led back slowly."""
+"""A stall of the whole machine is no fault of a process; afterwards the pressures return within the rate limit."""
 
 from __future__ import annotations
 
@@ -53,14 +53,14 @@ def test_after_a_standstill_the_pressures_are_led_back_within_the_rate_limit(
     bench = Bench(moving.config, {name: plant.card(name) for name in moving.config.cards})
     bench.arm()
     bench.start()
-    ticker = ControlLoop(moving, bench)
+    loop = ControlLoop(moving, bench)
     still, standing = round(still_s * 1e9) // TICK_NS, round(at_s * 1e9) // TICK_NS
     number = skipped = 0
-    while not ticker.finished:
+    while not loop.finished:
         late_ns = still * TICK_NS if number == standing else 0
         now = BEGIN_NS + number * TICK_NS + late_ns
         plant.advance(now)
-        row, trip = ticker.tick(number, now, 1 + skipped, 0, False, late_ns, skipped)
+        row, trip = loop.cycle(number, now, 1 + skipped, 0, False, late_ns, skipped)
         assert trip is None
         skipped = still if number == standing else 0
         number += 1 + skipped
@@ -91,7 +91,7 @@ class TestSilence:
         """Somebody who has looked at one heartbeat until then, and what the last look said."""
         silence, said = HeartbeatMonitor(2 * MS, 8 * MS), 0
         for now in range(heartbeat_ns, until_ns + 1, every_ns):
-            said = silence.look(now, heartbeat_ns)
+            said = silence.silent_ns(now, heartbeat_ns)
         return silence, said
 
     def test_a_hung_process_is_silent_since_its_last_sign_of_life(self) -> None:
@@ -99,40 +99,40 @@ class TestSilence:
 
     def test_one_that_was_not_watched_meanwhile_is_not_blamed_for_it(self) -> None:
         silence, _ = self.looked(1004 * MS, 1000 * MS)
-        assert silence.look(2004 * MS, 1000 * MS) < 8 * MS
-        assert silence.look(2006 * MS, 2005 * MS) < 2 * MS
+        assert silence.silent_ns(2004 * MS, 1000 * MS) < 8 * MS
+        assert silence.silent_ns(2006 * MS, 2005 * MS) < 2 * MS
 
     def test_a_sign_of_life_from_just_before_the_standstill_is_not_old(self) -> None:
         silence, _ = self.looked(1004 * MS, 1000 * MS)
-        assert silence.look(2004 * MS, 1005 * MS) <= 2 * MS
+        assert silence.silent_ns(2004 * MS, 1005 * MS) <= 2 * MS
 
     def test_one_that_hangs_through_a_standstill_is_found_soon_after_it(self) -> None:
         silence, _ = self.looked(1004 * MS, 1000 * MS)
-        looks = [silence.look(now, 1000 * MS) for now in range(2004 * MS, 2030 * MS, 2 * MS)]
+        looks = [silence.silent_ns(now, 1000 * MS) for now in range(2004 * MS, 2030 * MS, 2 * MS)]
         assert looks[-1] > 25 * MS
 
     def test_one_that_hangs_on_a_busy_machine_is_found(self) -> None:
         assert self.looked(1060 * MS, 1000 * MS, every_ns=12 * MS)[1] > 25 * MS
 
 
-def test_the_conductor_blames_nobody_for_a_standstill_and_somebody_who_stays_silent_after_it(
+def test_the_supervisor_blames_nobody_for_a_standstill_and_somebody_who_stays_silent_after_it(
     moving: Plan, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    conductor = supervisor._Supervisor(moving, NullOperator(), None)
-    conductor.timing = TimingLimits(Profile.STRICT, control_hung_ns=30 * MS)
-    memory, now = conductor.memory, 10**9
-    memory.say("control", Stage.RUNNING)
+    parent = supervisor._Supervisor(moving, NullOperator(), None)
+    parent.timing = TimingLimits(Profile.STRICT, control_hung_ns=30 * MS)
+    memory, now = parent.memory, 10**9
+    memory.publish_stage("control", Stage.RUNNING)
     monkeypatch.setattr(supervisor.time, "monotonic_ns", lambda: now)
     try:
         for name in ("observer", "control", "watchdog"):
-            memory.beat(name, now)
+            memory.heartbeat(name, now)
         for still_ns in (5 * MS, 1500 * MS, *(20 * MS for _ in range(20))):
             now += still_ns
-            assert conductor._fault() is None
+            assert parent._fault() is None
         for _ in range(20):
             now += 20 * MS
-            memory.beat("watchdog", now)
-            if (fault := conductor._fault()) is not None:
+            memory.heartbeat("watchdog", now)
+            if (fault := parent._fault()) is not None:
                 break
         assert fault == ("control", "the control process has been silent for 0.5 s")
     finally:
@@ -140,13 +140,13 @@ def test_the_conductor_blames_nobody_for_a_standstill_and_somebody_who_stays_sil
 
 
 def test_a_standstill_is_told_once_with_its_length() -> None:
-    vigil = HealthMonitor(mock_rig())
+    monitor = HealthMonitor(mock_rig())
     rows = np.zeros(3, sample_dtype(3, 2))
     rows["t_ns"] = np.array([0, 5, 610]) * MS
     rows["lateness_ns"][1], rows["missed"][2] = 600 * MS, 120
-    told = [event for event in vigil.samples(rows) if "stood still" in event.message]
+    told = [event for event in monitor.samples(rows) if "stalled" in event.message]
     assert [event.level for event in told] == [Level.WARNING]
-    assert "control stood still for 0.60 s" in told[0].message
+    assert "control stalled for 0.60 s" in told[0].message
 
 
 class Clock:
@@ -161,7 +161,7 @@ class Clock:
         self.now_ns += round(seconds * 1e9) + 1_500_000_000
 
 
-def test_a_camera_whose_reader_stood_still_takes_the_newest_picture_and_blames_no_simulator(
+def test_a_camera_whose_reader_stalled_takes_the_newest_picture_and_blames_no_simulator(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     class Forgetful:

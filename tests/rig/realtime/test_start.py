@@ -116,67 +116,67 @@ def test_the_calendars_anchor_is_that_of_the_first_tick_and_not_of_the_journals_
     assert before_ns <= about.started_utc_ns - 10**12 <= time.time_ns()
 
 
-def fellow(conductor: supervisor._Supervisor, name: str, program: str) -> subprocess.Popen[bytes]:
+def fellow(parent: supervisor._Supervisor, name: str, program: str) -> subprocess.Popen[bytes]:
     process = subprocess.Popen([sys.executable, "-c", program])
-    conductor.crew[name], conductor.lives[name] = process, ProcessMonitor(process.pid)
+    parent.children[name], parent.monitors[name] = process, ProcessMonitor(process.pid)
     return process
 
 
 def test_a_process_that_dies_while_another_is_waited_for_ends_the_start(plan: Plan) -> None:
-    conductor = supervisor._Supervisor(plan, NullOperator(), None)
-    fellow(conductor, "watchdog", "import time; time.sleep(60)")
-    fellow(conductor, "observer", "import sys; sys.exit(3)")
+    parent = supervisor._Supervisor(plan, NullOperator(), None)
+    fellow(parent, "watchdog", "import time; time.sleep(60)")
+    fellow(parent, "observer", "import sys; sys.exit(3)")
     with pytest.raises(StartError, match=r"the observer process died while it started \(exit status 3\)"):
-        conductor._await("watchdog")
-    conductor.crew["watchdog"].kill()
-    assert conductor.end() == ""
-    os.close(conductor.memory.fd)
+        parent._await("watchdog")
+    parent.children["watchdog"].kill()
+    assert parent.end() == ""
+    os.close(parent.memory.fd)
 
 
 def test_what_a_process_said_before_it_left_is_told_and_not_that_it_has_left(plan: Plan) -> None:
-    conductor = supervisor._Supervisor(plan, NullOperator(), None)
-    fellow(conductor, "watchdog", "").wait()
-    conductor.memory.say("watchdog", Stage.FAILED, "the card is not there")
+    parent = supervisor._Supervisor(plan, NullOperator(), None)
+    fellow(parent, "watchdog", "").wait()
+    parent.memory.publish_stage("watchdog", Stage.FAILED, "the card is not there")
     with pytest.raises(StartError, match="the card is not there"):
-        conductor._await("watchdog")
-    assert conductor.end() == ""
-    os.close(conductor.memory.fd)
+        parent._await("watchdog")
+    assert parent.end() == ""
+    os.close(parent.memory.fd)
 
 
 def test_a_run_whose_control_was_told_to_end_before_its_turn_is_not_called_armed(plan: Plan) -> None:
-    conductor = supervisor._Supervisor(plan, NullOperator(), None)
-    conductor.memory.ask_to_stop(Stop.TERMINATED)
-    conductor.memory.say("control", Stage.DONE)
-    with pytest.raises(StartError, match="before the run began, the control process was told to terminate"):
-        conductor._await("control")
-    os.close(conductor.memory.fd)
+    parent = supervisor._Supervisor(plan, NullOperator(), None)
+    parent.memory.request_stop(Stop.TERMINATED)
+    parent.memory.publish_stage("control", Stage.DONE)
+    with pytest.raises(StartError, match="before the run began, the control process received SIGTERM"):
+        parent._await("control")
+    os.close(parent.memory.fd)
 
 
 def test_who_has_not_had_his_turn_is_not_waited_for(plan: Plan) -> None:
-    conductor = supervisor._Supervisor(plan, NullOperator(), None)
-    loading = [fellow(conductor, name, "import time; time.sleep(5)") for name in ("watchdog", "control")]
-    conductor.memory.set("plant_starting", 1)
-    conductor.timing = replace(conductor.timing, ending_s=60.0)
-    assert conductor.end() == ""
+    parent = supervisor._Supervisor(plan, NullOperator(), None)
+    loading = [fellow(parent, name, "import time; time.sleep(5)") for name in ("watchdog", "control")]
+    parent.memory.simulator_starting = 1
+    parent.timing = replace(parent.timing, ending_s=60.0)
+    assert parent.end() == ""
     assert [process.returncode for process in loading] == [-signal.SIGKILL] * 2
-    os.close(conductor.memory.fd)
+    os.close(parent.memory.fd)
 
 
 def test_valves_that_nobody_is_left_to_make_safe_are_told_of_though_the_run_did_not_begin(
     plan: Plan, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    conductor = supervisor._Supervisor(plan, NullOperator(), None)
+    parent = supervisor._Supervisor(plan, NullOperator(), None)
     for name in ("watchdog", "control"):
-        fellow(conductor, name, "").wait()
-    conductor.memory.beat("control", 1)
+        fellow(parent, name, "").wait()
+    parent.memory.heartbeat("control", 1)
     monkeypatch.setattr(supervisor, "force_safe_state", lambda *_: "no answer")
-    assert conductor.end() == "the safe state could not be written, shut the air off by hand: no answer"
-    os.close(conductor.memory.fd)
+    assert parent.end() == "the safe state could not be written, shut the air off by hand: no answer"
+    os.close(parent.memory.fd)
 
 
 @pytest.mark.parametrize(
     ("program", "said"),
-    [("import sys; sys.exit(7)", "exit status 7"), ("print('hello', flush=True); input()", "it said b'hello")],
+    [("import sys; sys.exit(7)", "exit status 7"), ("print('hello', flush=True); input()", "its output is b'hello")],
 )
 def test_a_simulator_that_does_not_start_is_told_of(plan: Plan, program: str, said: str, tmp_path: Path) -> None:
     process = subprocess.Popen(
@@ -217,10 +217,11 @@ def test_a_job_larger_than_a_pipe_is_there_at_once_though_the_child_is_long_in_l
 @pytest.mark.parametrize("name", ["watchdog", "control", "observer"])
 def test_who_is_told_to_stop_before_his_turn_takes_his_job_and_leaves(plan: Plan, name: str) -> None:
     memory = SharedState.create(StateLayout.of(plan.config))
-    memory.set("plant_starting", 1)
-    memory.ask_to_stop(Stop.SAFE)
+    memory.simulator_starting = 1
+    memory.request_stop(Stop.SAFE)
     process = child_process.spawn(f"rig.realtime.{name}_process", ChildJob(plan, memory.fd, os.getpid()))
-    memory.say("control" if name == "observer" else "observer", Stage.DONE)  # the observer stays until all is safe
+    # The observer waits until the bench is safe.
+    memory.publish_stage("control" if name == "observer" else "observer", Stage.DONE)
     assert process.wait(60) == 0
     assert memory.stage(name) is Stage.DONE
     assert not memory.heartbeat_ns(name)
@@ -230,19 +231,19 @@ def test_who_is_told_to_stop_before_his_turn_takes_his_job_and_leaves(plan: Plan
 def test_control_that_stands_still_before_its_first_tick_ends_the_run(
     plan: Plan, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    conductor = supervisor._Supervisor(plan, NullOperator(), None)
-    conductor.timing = TimingLimits(Profile.STRICT, control_hung_ns=30_000_000)
-    memory, now = conductor.memory, 10**9
+    parent = supervisor._Supervisor(plan, NullOperator(), None)
+    parent.timing = TimingLimits(Profile.STRICT, control_hung_ns=30_000_000)
+    memory, now = parent.memory, 10**9
     monkeypatch.setattr(supervisor.time, "monotonic_ns", lambda: now)
     for name in ("control", "watchdog"):
-        memory.say(name, Stage.READY)
-    memory.beat("control", now)
+        memory.publish_stage(name, Stage.READY)
+    memory.heartbeat("control", now)
     faults = []
     for _ in range(50):
         now += 20_000_000
         for name in ("observer", "watchdog"):
-            memory.beat(name, now)
-        faults.append(conductor._fault())
+            memory.heartbeat(name, now)
+        faults.append(parent._fault())
     assert faults[0] is None
     assert faults[-1] is not None
     assert faults[-1][0] == "control"
@@ -273,7 +274,7 @@ def test_an_error_in_control_is_told_by_its_name_and_leaves_the_valves_safe(
     own_plan: Plan, registers: Registers, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     memory = SharedState.create(StateLayout.of(own_plan.config))
-    memory.say("watchdog", Stage.READY)
+    memory.publish_stage("watchdog", Stage.READY)
 
     def fails(*_: object) -> None:
         registers.outputs["volts"] = 7.0
@@ -290,7 +291,7 @@ def test_an_error_in_control_is_told_by_its_name_and_leaves_the_valves_safe(
     finally:
         signal.signal(signal.SIGTERM, before)
     assert registers.outputs["volts"].tolist() == [0.0, 0.0]
-    assert memory.get("safe_ns")
+    assert memory.safe_ns
     assert memory.stage("control") is Stage.FAILED
     assert memory.message("control") == "the control process failed: ZeroDivisionError: of a rehearsal"
     os.close(memory.fd)
@@ -299,17 +300,17 @@ def test_an_error_in_control_is_told_by_its_name_and_leaves_the_valves_safe(
 def test_valves_that_do_not_stand_safe_at_the_end_are_not_called_safe_though_it_was_written(
     own_plan: Plan, registers: Registers
 ) -> None:
-    conductor = supervisor._Supervisor(own_plan, NullOperator(), None)
-    conductor.memory.set("safe_ns", 1)
-    assert conductor._unsafe() == ""
-    assert "valve 1 stands at 7.000 V" in conductor._stood_in
+    parent = supervisor._Supervisor(own_plan, NullOperator(), None)
+    parent.memory.safe_ns = 1
+    assert parent._unsafe() == ""
+    assert "valve 1 stands at 7.000 V" in parent._failsafe_message
     assert registers.outputs["volts"].tolist() == [0.0, 0.0]
     registers.outputs["volts"] = 7.0
     registers.faults.inject(failing_writes=10**9)
-    said = conductor._unsafe()
+    said = parent._unsafe()
     assert "shut the air off by hand" in said
     assert "valve 1 stands at 7.000 V" in said
-    os.close(conductor.memory.fd)
+    os.close(parent.memory.fd)
 
 
 def test_the_doors_of_killed_runs_are_cleared_away_and_those_of_others_stay(
@@ -337,66 +338,66 @@ def test_what_ended_a_run_is_told_beside_a_watchdog_that_has_to_be_killed(
     """One that stands still has not ended when the run has."""
     ended = Outcome(Status.ABORTED, "the watchdog process has been silent for 1.2 s", 5, {"missed_deadlines": 3})
 
-    def conduct(conductor: supervisor._Supervisor, _: object) -> Outcome:
-        conductor.timing = replace(conductor.timing, ending_s=0.1)
-        fellow(conductor, "watchdog", "import time; time.sleep(60)")
+    def supervise(parent: supervisor._Supervisor, _: object) -> Outcome:
+        parent.timing = replace(parent.timing, ending_s=0.1)
+        fellow(parent, "watchdog", "import time; time.sleep(60)")
         return ended
 
     monkeypatch.setattr(supervisor, "started", lambda *_: nullcontext())
-    monkeypatch.setattr(supervisor._Supervisor, "run", conduct)
+    monkeypatch.setattr(supervisor._Supervisor, "run", supervise)
     outcome = supervisor.run(plan, lambda _: None, NullOperator())  # type: ignore[arg-type, return-value]
     assert outcome.message.startswith(f"{ended.message}; the watchdog did not end")
     assert outcome.status is Status.ABORTED
     assert outcome.counters == ended.counters
 
 
-def test_a_run_that_was_told_to_end_while_its_conductor_stood_still_is_not_called_finished(
+def test_a_run_that_was_told_to_end_while_its_supervisor_stalled_is_not_called_finished(
     plan: Plan, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The conductor had just looked whether somebody wants the run to end, and wakes when all is over."""
-    conductor = supervisor._Supervisor(plan, NullOperator(), None)
-    conductor.recorder = Unwritten()
+    """The supervisor had just looked whether somebody wants the run to end, and wakes when all is over."""
+    parent = supervisor._Supervisor(plan, NullOperator(), None)
+    parent.recorder = Unwritten()
 
-    def stood_still() -> None:
-        conductor.memory.ask_to_stop(Stop.SILENT)
-        conductor.memory.say("control", Stage.DONE)
+    def stalled() -> None:
+        parent.memory.request_stop(Stop.SILENT)
+        parent.memory.publish_stage("control", Stage.DONE)
 
-    monkeypatch.setattr(conductor, "_fault", stood_still)
-    assert conductor._conduct() == (Status.ABORTED, supervisor.STOPPED[Stop.SILENT])
-    os.close(conductor.memory.fd)
+    monkeypatch.setattr(parent, "_fault", stalled)
+    assert parent._supervise() == (Status.ABORTED, supervisor.STOPPED[Stop.SILENT])
+    os.close(parent.memory.fd)
 
 
 def test_air_that_does_not_go_is_told_of_where_another_fault_ended_the_run(
     own_plan: Plan, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    conductor = supervisor._Supervisor(own_plan, NullOperator(), None)
-    monkeypatch.setattr(conductor, "_await", lambda name: None)
-    monkeypatch.setattr(conductor, "_spawn", lambda name, module: fellow(conductor, name, ""))
-    monkeypatch.setattr(conductor, "_unsafe", lambda: "")
+    parent = supervisor._Supervisor(own_plan, NullOperator(), None)
+    monkeypatch.setattr(parent, "_await", lambda name: None)
+    monkeypatch.setattr(parent, "_spawn", lambda name, module: fellow(parent, name, ""))
+    monkeypatch.setattr(parent, "_unsafe", lambda: "")
 
-    def conduct() -> tuple[Status, str]:
-        conductor.memory.set("safe_ns", 1)
-        conductor.memory.say("control", Stage.FAILED, "the air stays")
+    def supervise() -> tuple[Status, str]:
+        parent.memory.safe_ns = 1
+        parent.memory.publish_stage("control", Stage.FAILED, "the air stays")
         return Status.ABORTED, "the camera is gone"
 
-    monkeypatch.setattr(conductor, "_conduct", conduct)
-    outcome = conductor.run(lambda t_ns: Unwritten())
+    monkeypatch.setattr(parent, "_supervise", supervise)
+    outcome = parent.run(lambda t_ns: Unwritten())
     assert outcome.status is Status.ABORTED
     assert outcome.message == "the camera is gone; the air stays"
-    conductor.end()
-    os.close(conductor.memory.fd)
+    parent.end()
+    os.close(parent.memory.fd)
 
 
 def test_a_debugger_that_holds_a_process_keeps_nobody_waiting_for_the_end_of_the_run(plan: Plan) -> None:
     """The kernel hides the end of such a process from its parent for as long as the debugger has not asked for it."""
-    conductor = supervisor._Supervisor(plan, NullOperator(), None)
-    conductor.timing = replace(conductor.timing, ending_s=0.1)
-    held = fellow(conductor, "observer", "import time; time.sleep(60)")
+    parent = supervisor._Supervisor(plan, NullOperator(), None)
+    parent.timing = replace(parent.timing, ending_s=0.1)
+    held = fellow(parent, "observer", "import time; time.sleep(60)")
     with subprocess.Popen([sys.executable, "-c", HOLD_STILL, str(held.pid)], stdout=subprocess.PIPE) as debugger:
         assert debugger.stdout is not None
         if debugger.stdout.readline() != b"held\n":
             pytest.skip("this machine lets no process trace another")
-        ending = threading.Thread(target=conductor.end, daemon=True)
+        ending = threading.Thread(target=parent.end, daemon=True)
         ending.start()
         ending.join(20)
         hung = ending.is_alive()
@@ -404,39 +405,39 @@ def test_a_debugger_that_holds_a_process_keeps_nobody_waiting_for_the_end_of_the
     ending.join(20)
     assert not hung
     held.wait(20)
-    os.close(conductor.memory.fd)
+    os.close(parent.memory.fd)
 
 
 @pytest.mark.parametrize(("died", "said"), [(True, " (exit status -9)"), (False, "")])
 def test_the_exit_status_of_who_was_killed_for_being_silent_is_not_told(plan: Plan, died: bool, said: str) -> None:
-    conductor = supervisor._Supervisor(plan, NullOperator(), None)
-    fellow(conductor, "control", "import time; time.sleep(60)").kill()
-    assert conductor._explained("control", "a fault", died=died) == ("control", f"a fault{said}")
-    assert conductor.end() == ""
-    os.close(conductor.memory.fd)
+    parent = supervisor._Supervisor(plan, NullOperator(), None)
+    fellow(parent, "control", "import time; time.sleep(60)").kill()
+    assert parent._explained("control", "a fault", died=died) == ("control", f"a fault{said}")
+    assert parent.end() == ""
+    os.close(parent.memory.fd)
 
 
 def test_a_process_that_was_stopped_while_it_starts_is_told_of(plan: Plan, monkeypatch: pytest.MonkeyPatch) -> None:
     class Hearer(NullOperator):
         told = ""
 
-        def tell(self, event: Event) -> None:
+        def report(self, event: Event) -> None:
             self.told = event.message
 
     hearer = Hearer()
-    conductor = supervisor._Supervisor(plan, hearer, None)
-    still = fellow(conductor, "observer", "import time; time.sleep(60)")
+    parent = supervisor._Supervisor(plan, hearer, None)
+    still = fellow(parent, "observer", "import time; time.sleep(60)")
     still.send_signal(signal.SIGSTOP)
-    while not conductor.lives["observer"].stopped:
+    while not parent.monitors["observer"].stopped:
         time.sleep(0.005)
     monkeypatch.setattr(supervisor, "SLOW_START_S", 0.0)
     monkeypatch.setattr(supervisor, "START_TIMEOUT_S", 0.1)
     with pytest.raises(StartError, match="the observer process was not ready"):
-        conductor._await("observer")
+        parent._await("observer")
     assert hearer.told == "waiting for the observer process: it was stopped"
     still.kill()
-    assert conductor.end() == ""
-    os.close(conductor.memory.fd)
+    assert parent.end() == ""
+    os.close(parent.memory.fd)
 
 
 @pytest.mark.parametrize(
@@ -449,12 +450,12 @@ def test_a_process_that_was_stopped_while_it_starts_is_told_of(plan: Plan, monke
 def test_air_that_does_not_go_is_told_of_whatever_ends_a_run(
     plan: Plan, monkeypatch: pytest.MonkeyPatch, error: Exception, told: str
 ) -> None:
-    def conduct(conductor: supervisor._Supervisor, _: object) -> Outcome:
-        conductor.memory.say("control", Stage.FAILED, "the air stays")
+    def supervise(parent: supervisor._Supervisor, _: object) -> Outcome:
+        parent.memory.publish_stage("control", Stage.FAILED, "the air stays")
         raise error
 
     monkeypatch.setattr(supervisor, "started", lambda *_: nullcontext())
-    monkeypatch.setattr(supervisor._Supervisor, "run", conduct)
+    monkeypatch.setattr(supervisor._Supervisor, "run", supervise)
     with pytest.raises((CardError, StartError)) as raised:
         supervisor.run(plan, lambda _: None, NullOperator())  # type: ignore[arg-type, return-value]
     assert str(raised.value) == told

@@ -112,12 +112,12 @@ def test_scans_that_are_old_because_the_simulator_is_late_stop_no_run_of_a_simul
     plan = experiment.plan(experiment.request(str(tmp_path / "short.yaml"), "mock", folder=tmp_path, fast=True, seed=1))
     config, now = plan.config, 10**10
     for may_stop in (False, True):
-        ticker, first = ControlLoop(plan, Late(), time_may_stop=may_stop), True
-        _, trip = ticker.tick(0, now, 1, 0, False, 0, 0)
+        loop, first = ControlLoop(plan, Late(), time_may_stop=may_stop), True
+        _, trip = loop.cycle(0, now, 1, 0, False, 0, 0)
         assert (trip is None) is may_stop
 
 
-def test_time_in_which_a_simulated_bench_stood_still_counts_towards_no_limit() -> None:
+def test_time_in_which_a_simulated_bench_stalled_counts_towards_no_limit() -> None:
     """A set-point is stepped, and all of the machine is delayed by far more than `tracking_s`, again and again."""
     config = mock_rig()
     settings = control.prepare(config)

@@ -89,7 +89,7 @@ def test_a_camera_that_comes_back_with_old_pictures_does_not_turn_the_time_back(
     assert np.all(np.diff([shot.index for shot in shots]) > 0)
 
 
-def test_a_process_that_stood_still_does_not_blame_its_cameras(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_process_that_stalled_does_not_blame_its_cameras(monkeypatch: pytest.MonkeyPatch) -> None:
     start_ns = time.monotonic_ns()
     cameras = opened(monkeypatch, Paced(start_ns), Paced(start_ns))
     try:

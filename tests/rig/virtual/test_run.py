@@ -28,7 +28,7 @@ class Silent(NullOperator):
         self.events: list[Event] = []
         self._polls_left = stop_after
 
-    def tell(self, event: Event) -> None:
+    def report(self, event: Event) -> None:
         """Remember."""
         self.events.append(event)
 
@@ -204,7 +204,7 @@ def test_a_run_that_its_disk_ends_ends_by_its_own_clock(tmp_path: Path) -> None:
     decided = experiment.plan(request)
 
     class Filling(NullOperator):
-        def tell(self, event: Event) -> None:
+        def report(self, event: Event) -> None:
             (journal,) = tmp_path.glob("*.mcap")
             at_most(journal.stat().st_size + 50_000)
 
