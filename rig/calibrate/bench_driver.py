@@ -77,10 +77,10 @@ class BenchDriver:
         """Put one flow-metering valve at a voltage from its closed one, for so long or until its pressure has moved by
         `band_pa`; the other valves are in their safe state.
         """
-        told = np.array(self._prepared.safe_v)
+        command_v = np.array(self._prepared.safe_v)
         settings = self._prepared.valves[valve]
         assert isinstance(settings, FlowSettings)
-        told[valve] = settings.closed_v + settings.fill_sign * offset_v
+        command_v[valve] = settings.closed_v + settings.fill_sign * offset_v
         chambers = list(settings.actuators)
         watches = [SensorState() for _ in range(self._config.actuators)]
         start: float | None = None
@@ -98,14 +98,14 @@ class BenchDriver:
                     # No set-point stands: the reference goes along, and only a reading that stands still while the
                     # valve is open is suspicious, beside level and rate.
                     rate = _expected_pa_s(settings, offset_v, pressure) if i in chambers else 0.0
-                    asked = Demand(math.nan, pressure, rate, 0.0)
+                    request = Demand(math.nan, pressure, rate, 0.0)
                     watches[i], found = interlocks.step(
-                        self._prepared.limits, i, watch, dt, now, float(sample.volts[i]), pressure, asked
+                        self._prepared.limits, i, watch, dt, now, float(sample.volts[i]), pressure, request
                     )
                     trip = trip or found
             if trip is not None:
                 raise TrippedError(trip.message)
-            self._bench.write(told)
+            self._bench.write(command_v)
             mean = float(sample.pressure_pa[chambers].mean())
             start = mean if start is None else start
             if abs(mean - start) > band_pa:

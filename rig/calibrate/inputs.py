@@ -123,6 +123,6 @@ def checked_size(one: LoadedCalibration, size: tuple[int, int], what: str) -> ca
     camera = one.found.camera
     for key, has, wants in (("width_px", camera.width_px, size[0]), ("height_px", camera.height_px, size[1])):
         if has != wants:
-            wish = f"{wants}, as {what}: a calibration holds at its own resolution only"
-            raise BadInputError([one.problem(("camera", key), has, wish)])
+            expected = f"{wants}, as {what}: a calibration holds at its own resolution only"
+            raise BadInputError([one.problem(("camera", key), has, expected)])
     return one.found

@@ -118,16 +118,16 @@ def identify(
     _check_places({"--report": report, "--figure": figure, "--to": to, "--rig-file": rig_file}, replace)
     priors = _priors(prior or [])
     names = [name.strip() for name in free.split(",") if name.strip()]
-    unseen = initial_setup.opened(leave_out or [])
+    unseen = initial_setup.open_archives(leave_out or [])
     left_out = {run.sha256 for run in unseen}
-    seen = [run for run in initial_setup.opened(archives) if run.sha256 not in left_out]
+    seen = [run for run in initial_setup.open_archives(archives) if run.sha256 not in left_out]
     if not seen:
         raise typer.BadParameter("every run is left out: nothing is left to identify from", param_hint="--leave-out")
     initial_setup.check_alike([*seen, *unseen], one_arm=bool(start))
     if paper:
         from rig.reproduce import identification as by_the_paper
 
-        by_the_paper.show(seen, json)
+        by_the_paper.print_estimates(seen, json)
         return
     if choose:
         from rig.identify import model_comparison
@@ -135,15 +135,15 @@ def identify(
         model_comparison.comparison_lines(seen, names, priors, quasi_static, json, scheduler, store)
         return
     rigs = initial_setup.starting_rigs(seen[0], start or [])
-    data = estimation.shown(seen, quasi_static)
+    data = estimation.read_poses(seen, quasi_static)
     for name, begun in rigs.items():
         if begun.config.actuators != data[0].actuators:
             said = f"{name} has {begun.config.actuators} actuators, the runs have {data[0].actuators}"
             raise typer.BadParameter(said, param_hint="--start")
     base = None if rig is None else initial_setup.InitialSetup.named(rig)
-    if base is not None and (said := initial_setup.another_arm(base, rigs.values())):
+    if base is not None and (said := initial_setup.geometry_differences(base, rigs.values())):
         raise typer.BadParameter(f"{rig} has another arm than the search begins at: {said}", param_hint="--rig")
-    later = estimation.shown(unseen, quasi_static)
+    later = estimation.read_poses(unseen, quasi_static)
     for poses in later:
         if poses.actuators != data[0].actuators:
             said = f"{poses.run_id} is of {poses.actuators} actuators, the others are of {data[0].actuators}"
@@ -152,13 +152,13 @@ def identify(
         parts = [parted(poses, until) for poses in data]
         data, later = [part[0] for part in parts], [part[1] for part in parts] + later
     data = [poses.only(np.arange(0, len(poses), every)) for poses in data]
-    taken, fit = estimation.likeliest(rigs, data, names, priors, starts)
-    under = initial_setup.baseline_geometry(seen[0], fit.start, begun_there=not start)
-    estimation.show(fit, json, under)
+    taken, fit = estimation.most_likely_fit(rigs, data, names, priors, starts)
+    under = initial_setup.baseline_geometry(seen[0], fit.start, from_recorded_rig=not start)
+    estimation.print_estimates(fit, json, under)
     predictions = [predict(fit, poses) for poses in later]
-    estimation.told(predictions)
-    profiles = estimation.profiled(fit) if profile else ()
-    refits = estimation.second_opinion(fit, bootstrap, scheduler, store) if bootstrap else None
+    estimation.print_prediction_errors(predictions)
+    profiles = estimation.profile_likelihoods(fit) if profile else ()
+    refits = estimation.bootstrap_errors(fit, bootstrap, scheduler, store) if bootstrap else None
     if figure is not None:
         typer.echo(estimation.draw_predictions(predictions, figure), err=json)
     if report is not None:

@@ -186,7 +186,7 @@ def last_screen(screen: Console, result: RunResult) -> None:
         parts.append(f"report   {result.report}")
     if result.parameters is not None:
         parts.append(f"adapted  {result.parameters}  (use them: --parameters FILE)")
-    parts += [Text(printable(trouble), "bold red") for trouble in result.trouble]
+    parts += [Text(printable(warning), "bold red") for warning in result.warnings]
     try:
         for part in parts:
             screen.print(part, soft_wrap=not isinstance(part, Table))
@@ -207,7 +207,7 @@ def result_json(result: RunResult) -> str:
             "archive": str(result.archive) if result.archive else None,
             "report": str(result.report) if result.report else None,
             "parameters": str(result.parameters) if result.parameters else None,
-            "trouble": result.trouble,
+            "trouble": result.warnings,
             "counters": result.outcome.counters,
             "summary": summary_json(result.archive) if result.archive else None,
         },
@@ -217,7 +217,7 @@ def result_json(result: RunResult) -> str:
 
 def exit_status(result: RunResult) -> int:
     """0 finished, 1 aborted or not archived, 130 interrupted."""
-    return _EXIT[result.outcome.status] or (1 if result.trouble else 0)
+    return _EXIT[result.outcome.status] or (1 if result.warnings else 0)
 
 
 def findings_table(findings: tuple[Finding, ...]) -> Table:

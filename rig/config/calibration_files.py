@@ -104,8 +104,8 @@ def views_beside(path: Path, replace: bool) -> Path:
     """
     folder = path.with_name(f"{path.stem}{_VIEWS}")
     if folder.exists() and not replace:
-        wish = f"a name without views beside it; --replace writes over those in {folder}"
-        raise BadInputError([Problem("--to", 0, 0, "", str(path), wish)])
+        expected = f"a name without views beside it; --replace writes over those in {folder}"
+        raise BadInputError([Problem("--to", 0, 0, "", str(path), expected)])
     return folder
 
 

@@ -53,8 +53,8 @@ def read_all(source: Document) -> tuple[LoadedCalibration, ...]:
             if path.is_file():
                 problems += bad.problems
             else:
-                wish = "a calibration file: there is none of this name, seen from the rig's folder"
-                problems.append(Problem(source.file, mark.line, mark.column, "calibrations", mark.source, wish))
+                expected = "a calibration file: there is none of this name, seen from the rig's folder"
+                problems.append(Problem(source.file, mark.line, mark.column, "calibrations", mark.source, expected))
     if problems:
         raise BadInputError(problems)
     return tuple(found)
@@ -159,8 +159,8 @@ def _twice(calibrations: Sequence[LoadedCalibration]) -> Faults:
     for calibration in calibrations:
         for path, key, subject in _subjects(calibration):
             if key in taken:
-                wish = f"each thing calibrated by one file: {subject} is in {taken[key]}, too"
-                yield calibration.problem(path, calibration.source.mark(path).source, wish)
+                expected = f"each thing calibrated by one file: {subject} is in {taken[key]}, too"
+                yield calibration.problem(path, calibration.source.mark(path).source, expected)
             taken.setdefault(key, calibration.source.file)
 
 
@@ -191,17 +191,17 @@ def _unfit(config: RigConfig, calibration: LoadedCalibration) -> Faults:
         for i, item in enumerate(found.cameras):
             yield from _other_camera(config, calibration, ("cameras", i, "camera"), item.camera)
         if found.world != "rod base":
-            wish = "rod base: the rig's cameras stand in that frame; calibrate with control points in it, or --base"
-            yield calibration.problem(("world",), found.world, wish)
+            expected = "rod base: the rig's cameras stand in that frame; calibrate with control points in it, or --base"
+            yield calibration.problem(("world",), found.world, expected)
     elif isinstance(found, ToolFile):
         yield from _other_camera(config, calibration, ("camera",), found.camera)
         have = (config.board.squares_x - 1, config.board.squares_y - 1)
         if tuple(found.board.corners) != have:
-            told = f"{have[0]}x{have[1]} inner corners, as the board of rig {config.name}"
-            yield calibration.problem(("board", "corners"), "x".join(map(str, found.board.corners)), told)
+            expected = f"{have[0]}x{have[1]} inner corners, as the board of rig {config.name}"
+            yield calibration.problem(("board", "corners"), "x".join(map(str, found.board.corners)), expected)
         if abs(found.board.square_mm - config.board.square_mm) > 1e-3 * config.board.square_mm:
-            told = f"{config.board.square_mm:g}, as the board of rig {config.name}"
-            yield calibration.problem(("board", "square_mm"), found.board.square_mm, told)
+            expected = f"{config.board.square_mm:g}, as the board of rig {config.name}"
+            yield calibration.problem(("board", "square_mm"), found.board.square_mm, expected)
     else:
         yield from _other_bench(config, calibration, found)
 
@@ -210,8 +210,8 @@ def _other_camera(
     config: RigConfig, calibration: LoadedCalibration, here: tuple[str | int, ...], identity: CameraIdentity
 ) -> Faults:
     if identity.name not in config.cameras:
-        wish = f"a camera of rig {config.name}: {', '.join(config.cameras)}"
-        problem = calibration.problem((*here, "name"), identity.name, wish)
+        expected = f"a camera of rig {config.name}: {', '.join(config.cameras)}"
+        problem = calibration.problem((*here, "name"), identity.name, expected)
         yield Problem(**{**problem.__dict__, "suggestion": closest(identity.name, config.cameras)})
         return
     camera = config.cameras[identity.name]
@@ -219,8 +219,8 @@ def _other_camera(
     for key in ("width_px", "height_px"):
         has, wants = getattr(identity, key), getattr(camera, key)
         if has != wants:
-            wish = f"{wants}, as {where}: a calibration holds at its own resolution only"
-            yield calibration.problem((*here, key), has, wish)
+            expected = f"{wants}, as {where}: a calibration holds at its own resolution only"
+            yield calibration.problem((*here, key), has, expected)
     for key in ("driver", "device"):
         has, wants = getattr(identity, key), getattr(camera, key)
         if has is not None and has != wants:
@@ -230,8 +230,8 @@ def _other_camera(
 
         serial = serial_of(camera)
         if serial is not None and serial != identity.serial:
-            wish = f"{serial}, the serial number of the camera that is plugged in for {where}"
-            yield calibration.problem((*here, "serial"), identity.serial, wish)
+            expected = f"{serial}, the serial number of the camera that is plugged in for {where}"
+            yield calibration.problem((*here, "serial"), identity.serial, expected)
 
 
 def _other_lens(config: RigConfig, calibration: LoadedCalibration, calibrations: Sequence[LoadedCalibration]) -> Faults:
@@ -247,9 +247,9 @@ def _other_lens(config: RigConfig, calibration: LoadedCalibration, calibrations:
         used = lenses.get(name, config.cameras[name].lens)
         mine, theirs = (np.array([v.fx_px, v.fy_px, v.cx_px, v.cy_px, *v.distortion]) for v in (item.lens, used))
         if not np.allclose(mine, theirs, rtol=1e-5, atol=1e-7):
-            wish = f"{used.fx_px:g} and so on, the lens of camera {name} in rig {config.name}: the place was found "
-            wish += "through another lens; name that lens's calibration, too"
-            yield calibration.problem(("cameras", i, "lens"), f"fx_px {item.lens.fx_px:g}", wish)
+            expected = f"{used.fx_px:g} and so on, the lens of camera {name} in rig {config.name}: the place was found "
+            expected += "through another lens; name that lens's calibration, too"
+            yield calibration.problem(("cameras", i, "lens"), f"fx_px {item.lens.fx_px:g}", expected)
 
 
 def _other_bench(config: RigConfig, calibration: LoadedCalibration, found: PressureFile) -> Faults:
@@ -262,8 +262,8 @@ def _other_bench(config: RigConfig, calibration: LoadedCalibration, found: Press
         sensor = sensors[scale.actuator]
         yield from _other_channel(config, calibration, here, scale, sensor, f"the sensor of actuator {scale.actuator}")
         if tuple(scale.span_V) != tuple(sensor.span_V):
-            told = f"{list(sensor.span_V)}, as the sensor of rig {config.name}"
-            yield calibration.problem((*here, "span_V"), list(scale.span_V), told)
+            expected = f"{list(sensor.span_V)}, as the sensor of rig {config.name}"
+            yield calibration.problem((*here, "span_V"), list(scale.span_V), expected)
     for i, sweep in enumerate(found.valves):
         here = ("valves", i)
         if sweep.valve > len(config.valves):
@@ -271,13 +271,13 @@ def _other_bench(config: RigConfig, calibration: LoadedCalibration, found: Press
             continue
         valve = config.valves[sweep.valve - 1]
         if not isinstance(valve, FlowValve):
-            wish = f"a valve that meters flow; valve {sweep.valve} of rig {config.name} regulates by itself"
-            yield calibration.problem((*here, "valve"), sweep.valve, wish)
+            expected = f"a valve that meters flow; valve {sweep.valve} of rig {config.name} regulates by itself"
+            yield calibration.problem((*here, "valve"), sweep.valve, expected)
             continue
         yield from _other_channel(config, calibration, here, sweep, valve, f"valve {sweep.valve}")
         if not valve.range_V[0] < sweep.closed_V < valve.range_V[1]:
-            told = f"a voltage inside range_V of the valve, {valve.range_V[0]:g} to {valve.range_V[1]:g} V"
-            yield calibration.problem((*here, "closed_V"), sweep.closed_V, told)
+            expected = f"a voltage inside range_V of the valve, {valve.range_V[0]:g} to {valve.range_V[1]:g} V"
+            yield calibration.problem((*here, "closed_V"), sweep.closed_V, expected)
 
 
 def _other_channel(
@@ -293,8 +293,8 @@ def _other_channel(
     for key in ("name", "driver", "device"):
         has, wants = getattr(part.card, key), getattr(identity, key)
         if has != wants:
-            told = f"{wants}, the card of {what} in rig {config.name}: this was measured through another card"
-            yield calibration.problem((*here, "card", key), has, told)
+            expected = f"{wants}, the card of {what} in rig {config.name}: this was measured through another card"
+            yield calibration.problem((*here, "card", key), has, expected)
     if part.channel != stated.channel:
-        told = f"{stated.channel}, the channel of {what} in rig {config.name}"
-        yield calibration.problem((*here, "channel"), part.channel, told)
+        expected = f"{stated.channel}, the channel of {what} in rig {config.name}"
+        yield calibration.problem((*here, "channel"), part.channel, expected)

@@ -158,12 +158,12 @@ def overlay(
     """
     config = parse(rig_yaml, file)
     if instead_of:
-        parameters = replace(parameters, found=_further(parameters.found, recorded(instead_of).found))
+        parameters = replace(parameters, found=_relative_to_overlay(parameters.found, recorded(instead_of).found))
     found = parameters.found
     _check(config, Path(file).name, parameters, variant)
     data = yaml.safe_load(rig_yaml)
-    _apply(data, found.model_dump(mode="json", include={"arm"}))
-    _apply(data, {"model": {"variant": found.identified.variant}})
+    _merge(data, found.model_dump(mode="json", include={"arm"}))
+    _merge(data, {"model": {"variant": found.identified.variant}})
     _scale(data, config, found.sensing)
     _mount(data, config, found.mounting)
     if config.simulator is not None and config.simulator.geometry is None:
@@ -172,12 +172,12 @@ def overlay(
     return head + yaml.safe_dump(data, sort_keys=False, width=120, default_flow_style=None)
 
 
-def baseline(rig_yaml: str, file: str | Path, laid: str) -> str:
+def without_parameters(rig_yaml: str, file: str | Path, applied: str) -> str:
     """The YAML of a rig as it was before the parameters `laid`, verbatim, were laid over it.
 
     All but the material and the cap, which stay: whatever parameters are laid over it next bring their own.
     """
-    parameters = recorded(laid)
+    parameters = recorded(applied)
     found = parameters.found
     nothing = Mounting(base_translation_mm=(0, 0, 0), base_rotation_deg=(0, 0, 0), tool_offset_mm=(0, 0, 0))
     plain = found.model_copy(
@@ -187,10 +187,10 @@ def baseline(rig_yaml: str, file: str | Path, laid: str) -> str:
             "sensing": found.sensing.model_copy(update={"gain": (1.0,) * len(found.sensing.gain)}),
         }
     )
-    return overlay(rig_yaml, file, replace(parameters, found=plain), found.identified.variant, instead_of=laid)
+    return overlay(rig_yaml, file, replace(parameters, found=plain), found.identified.variant, instead_of=applied)
 
 
-def over(
+def overlay_file(
     rig_yaml: str, file: str | Path, parameters: Path, variant: Variant | None = None, instead_of: str = ""
 ) -> tuple[str, str]:
     """`laid_over` with the parameters in a file; returns the file's text, too, as it is to be recorded."""
@@ -202,22 +202,22 @@ def _validated(source: document.Document) -> Parameters:
     return Parameters(document.validate(ParametersFile, source), source)
 
 
-def _further(found: ParametersFile, laid: ParametersFile) -> ParametersFile:
+def _relative_to_overlay(found: ParametersFile, applied: ParametersFile) -> ParametersFile:
     """Parameters of a rig as they count from the same rig with `laid` over it."""
-    if len(found.sensing.gain) != len(laid.sensing.gain):
+    if len(found.sensing.gain) != len(applied.sensing.gain):
         return found
-    base = placement_of(_base(laid.mounting).inverse() @ _base(found.mounting))
-    tool = np.subtract(found.mounting.tool_offset_mm, laid.mounting.tool_offset_mm)
+    base = placement_of(_base(applied.mounting).inverse() @ _base(found.mounting))
+    tool = np.subtract(found.mounting.tool_offset_mm, applied.mounting.tool_offset_mm)
     mounting = Mounting(
         base_translation_mm=base.translation_mm,
         base_rotation_deg=base.rotation_deg,
         tool_offset_mm=tuple(tool.tolist()),
     )
     identified = found.identified
-    counts = {len(one.geometry.actuator_angles_deg) for one in (identified, laid.identified, laid.arm)}
-    if len(counts) == 1 and not different(identified.geometry, laid.identified.geometry):
-        identified = identified.model_copy(update={"geometry": laid.arm.geometry})
-    gain = np.divide(found.sensing.gain, laid.sensing.gain)
+    counts = {len(one.geometry.actuator_angles_deg) for one in (identified, applied.identified, applied.arm)}
+    if len(counts) == 1 and not differing_fields(identified.geometry, applied.identified.geometry):
+        identified = identified.model_copy(update={"geometry": applied.arm.geometry})
+    gain = np.divide(found.sensing.gain, applied.sensing.gain)
     sensing = found.sensing.model_copy(update={"gain": tuple(gain.tolist())})
     return found.model_copy(update={"identified": identified, "mounting": mounting, "sensing": sensing})
 
@@ -231,10 +231,10 @@ def _check(config: RigConfig, rig: str, parameters: Parameters, variant: Variant
         mark = source.mark(where)
         problems.append(Problem(source.file, mark.line, mark.column, ".".join(where), value, expected))
 
-    asked = variant or config.model.variant
-    if found.identified.variant != asked:
+    required = variant or config.model.variant
+    if found.identified.variant != required:
         by = "that was asked for" if variant else f"of {rig}"
-        refuse(("identified", "variant"), found.identified.variant, f"{asked}, the model {by}; another with --model")
+        refuse(("identified", "variant"), found.identified.variant, f"{required}, the model {by}; another with --model")
     now, then = config.arm.geometry, found.identified.geometry
     if len(then.actuator_angles_deg) != config.actuators:
         refuse(
@@ -242,7 +242,7 @@ def _check(config: RigConfig, rig: str, parameters: Parameters, variant: Variant
             f"{len(then.actuator_angles_deg)} actuators",
             f"{config.actuators}, as {rig} has",
         )
-    elif (other := different(now, then)) and different(now, found.arm.geometry):
+    elif (other := differing_fields(now, then)) and differing_fields(now, found.arm.geometry):
         for name in other:
             mine, theirs = (", ".join(f"{x:.6g}" for x in np.ravel(getattr(g, name))) for g in (now, then))
             refuse(("identified", "geometry", name), theirs, f"{mine}, as {rig} has: it is another arm")
@@ -255,7 +255,7 @@ def _check(config: RigConfig, rig: str, parameters: Parameters, variant: Variant
         raise BadInputError(problems)
 
 
-def different(one: Geometry, other: Geometry) -> list[str]:
+def differing_fields(one: Geometry, other: Geometry) -> list[str]:
     """The fields in which two geometries differ; angles may differ by whole turns."""
     found = []
     for name in Geometry.model_fields:
@@ -269,12 +269,12 @@ def different(one: Geometry, other: Geometry) -> list[str]:
     return found
 
 
-def _apply(under: dict[str, Any], over: Mapping[str, Any]) -> None:
-    for key, value in over.items():
+def _merge(target: dict[str, Any], overlay_file: Mapping[str, Any]) -> None:
+    for key, value in overlay_file.items():
         if isinstance(value, Mapping):
-            _apply(under.setdefault(key, {}), value)
+            _merge(target.setdefault(key, {}), value)
         else:
-            under[key] = value
+            target[key] = value
 
 
 def _scale(data: dict[str, Any], config: RigConfig, sensing: Sensing) -> None:

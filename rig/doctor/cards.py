@@ -126,9 +126,9 @@ def _devices(kernel: ComediModule | None, askable: bool) -> list[Finding]:
         return [finding for found in survey() for finding in _card(found, kernel)]
     findings = []
     for path in device_paths():
-        if (trouble := closed(path)) is not None:
-            found = f"{_called(path, kernel)}{trouble.what}"
-            findings.append(Finding("card", "missing", found, trouble.remedy or SEE_DMESG))
+        if (fault := closed(path)) is not None:
+            found = f"{_called(path, kernel)}{fault.what}"
+            findings.append(Finding("card", "missing", found, fault.remedy or SEE_DMESG))
         else:
             findings.append(
                 Finding("card", "missing", f"{_called(path, kernel)}{path} can be opened, not asked", "make comedi")

@@ -85,8 +85,8 @@ class _PreflightCheck:
             jump = abs(new - old)
             if segment.kind not in COMMANDED_JUMPS and jump > JUMP_PA:
                 found = f"actuator {index + 1} jumps from {_bar(old)} to {_bar(new)}"
-                wish = "a start where the set-point stands; give this step lead_in_s, or put a ramp before it"
-                yield "jump", jump, self._problem(segment, found, wish)
+                expected = "a start where the set-point stands; give this step lead_in_s, or put a ramp before it"
+                yield "jump", jump, self._problem(segment, found, expected)
         yield from self._shared(segment)
 
     def _shared(self, segment: Segment) -> Iterator[tuple[str, float, Problem]]:
@@ -96,11 +96,11 @@ class _PreflightCheck:
                 continue
             for t_s in _knots(segment):
                 level = segment.level_at(segment.start_s + t_s)
-                asked = [level[actuator - 1] for actuator in valve.actuators]
-                apart = max(asked) - min(asked)
+                setpoints_pa = [level[actuator - 1] for actuator in valve.actuators]
+                apart = max(setpoints_pa) - min(setpoints_pa)
                 if apart > TINY_PA:
                     names = " and ".join(str(actuator) for actuator in valve.actuators)
-                    found = f"{' and '.join(_bar(pa) for pa in asked)} for actuators {names}"
+                    found = f"{' and '.join(_bar(pa) for pa in setpoints_pa)} for actuators {names}"
                     expected = f"the same pressure: valves #{number}{self._rig} drives them together"
                     yield f"valve {number}", apart, self._problem(segment, found, expected)
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from protocols import BadInputError, Problem
 from rig.config import loader
-from rig.config.parameters_overlay import baseline, over, overlay, recorded
+from rig.config.parameters_overlay import overlay, overlay_file, recorded, without_parameters
 from rig.config.schema import PA_PER_BAR, RigConfig, Variant
 from rig.experiment.provenance import git_state, quantities, versions
 from rig.experiment.run import VARIANTS, free_id
@@ -109,20 +109,24 @@ def replay_settings(
     text = run.header.rig_yaml if rig is None else loader.text(rig)
     file = f"{run.path}: rig" if rig is None else str(loader.path_of(rig))
     sources = run.header.sources if rig is None else loader.sources(rig)
-    laid = run.header.parameters_yaml if rig is None else ""
+    parameters_yaml = run.header.parameters_yaml if rig is None else ""
     if calibrations:
-        text, sources = loader.calibrated(baseline(text, file, laid) if laid else text, file, calibrations)
-        if laid and parameters is None:
-            text = overlay(text, file, recorded(laid))
+        text, sources = loader.calibrated(
+            without_parameters(text, file, parameters_yaml) if parameters_yaml else text, file, calibrations
+        )
+        if parameters_yaml and parameters is None:
+            text = overlay(text, file, recorded(parameters_yaml))
     config = loader.parse(text, file)
     chosen = variant or (_variant(run) if rig is None else config.model.variant)
     if parameters is not None:
-        text, laid = over(text, file, parameters, chosen, instead_of="" if calibrations else laid)
+        text, parameters_yaml = overlay_file(
+            text, file, parameters, chosen, instead_of="" if calibrations else parameters_yaml
+        )
         config = loader.parse(text, f"rig with {parameters}")
     if config.actuators != run.header.actuators:
-        wish = f"a rig with {run.header.actuators} actuators, as the run had"
-        raise BadInputError([Problem("--rig", 0, 0, "", f"{config.name}, which has {config.actuators}", wish)])
-    return ReplayRig(text, config, sources, laid, chosen)
+        expected = f"a rig with {run.header.actuators} actuators, as the run had"
+        raise BadInputError([Problem("--rig", 0, 0, "", f"{config.name}, which has {config.actuators}", expected)])
+    return ReplayRig(text, config, sources, parameters_yaml, chosen)
 
 
 def _variant(run: Run) -> Variant:

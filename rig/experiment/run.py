@@ -41,7 +41,7 @@ Name = TypeVar("Name")
 SPARE_DISK_BYTES = 200_000_000
 ADDRESS_SPACE_BYTES = 1_200_000_000
 """What the largest process of a run maps, with its libraries; most of it is never touched."""
-TOLD_AFTER_S = 2.0
+DISK_WARNING_AFTER_S = 2.0
 """What a disk gets to take the end of the record before the operator is told that he waits for it."""
 _EXPECTED = (CardError, StartError, JournalError)
 
@@ -77,7 +77,7 @@ class RunResult:
     report: Path | None
     parameters: Path | None = None
     """What the recursive estimator found, where one ran."""
-    trouble: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
     """What went wrong after the run itself: the archive or the report could not be written."""
 
 
@@ -107,26 +107,25 @@ def request(
     source = rig.source if isinstance(rig, RigChoice) else Source.OPTION
     rig = rig.name if isinstance(rig, RigChoice) else rig
     problems: list[Problem] = []
-    asked = _collecting(problems, protocols.load, protocol)
+    loaded_protocol = _collecting(problems, protocols.load, protocol)
     rig_read = _collecting(problems, read, rig)
     chosen = _collecting(problems, variant_named, variant)
-    if problems or asked is None or rig_read is None:
+    if problems or loaded_protocol is None or rig_read is None:
         raise BadInputError(problems)
     config, rig_text, parameters_text = rig_read.config, rig_read.text, ""
     if parameters is not None:
-        from rig.config.parameters_overlay import over
+        from rig.config.parameters_overlay import overlay_file
 
-        rig_text, parameters_text = over(rig_text, path_of(rig), parameters, chosen)
+        rig_text, parameters_text = overlay_file(rig_text, path_of(rig), parameters, chosen)
         config = parse(rig_text, f"{path_of(rig)} with {parameters}")
     adapted: tuple[Quantity, ...] = ()
     if adapt is not None:
-        from rig.observation.online_estimation import adapted as estimated
-        from rig.observation.online_estimation import usual
+        from rig.observation.online_estimation import default_parameters, estimated_quantities
 
         variant_used = chosen or config.model.variant
-        adapted = estimated(config, variant_used, adapt or usual(variant_used))
+        adapted = estimated_quantities(config, variant_used, adapt or default_parameters(variant_used))
     return RunRequest(
-        protocol=asked,
+        protocol=loaded_protocol,
         config=config,
         rig_file=path_of(rig),
         rig_text=rig_text,
@@ -173,7 +172,7 @@ def plan(request: RunRequest) -> Plan:
     return Plan(request.config, request.rig_file, trajectory, request.variant, request.seed, request.adapted)
 
 
-def run(request: RunRequest, decided: Plan, audience: OperatorInterface) -> RunResult:
+def run(request: RunRequest, decided: Plan, operator: OperatorInterface) -> RunResult:
     """Run a plan and leave an archive, however the run ends.
 
     Raises:
@@ -187,10 +186,10 @@ def run(request: RunRequest, decided: Plan, audience: OperatorInterface) -> RunR
         )
     # In real time nothing is loaded beside the control loop.
     with report_process.waiting() if request.fast and request.report else nullcontext(report_process.here) as draw:
-        return _run(request, decided, audience, draw)
+        return _run(request, decided, operator, draw)
 
 
-def _run(request: RunRequest, decided: Plan, audience: OperatorInterface, draw: Callable[[Path], Path]) -> RunResult:
+def _run(request: RunRequest, decided: Plan, operator: OperatorInterface, draw: Callable[[Path], Path]) -> RunResult:
     if request.fast:
         from rig.virtual.executor import run as execute
     else:
@@ -221,43 +220,43 @@ def _run(request: RunRequest, decided: Plan, audience: OperatorInterface, draw: 
             journal.event(Event(t_ns, Level.INFO, "conductor", said))
         return journal
 
-    trouble: list[str] = []
+    warnings: list[str] = []
     with nullcontext() if request.fast else cards_locked(decided.config, f"protocol {request.protocol.name}"):
         try:
-            outcome = execute(decided, armed, audience)
+            outcome = execute(decided, armed, operator)
         except Exception as error:
             if journal is None:
                 raise
             # Virtual time is known by what was recorded last.
             ended_ns = journal.newest_t_ns if request.fast else time.monotonic_ns()
-            outcome = Outcome(Status.ABORTED, _told(error), ended_ns)
+            outcome = Outcome(Status.ABORTED, _abort_message(error), ended_ns)
             with suppress(JournalError):
                 if not isinstance(error, _EXPECTED):
                     journal.event(Event(ended_ns, Level.FAULT, "conductor", traceback.format_exc()))
     assert journal is not None
     archive = report = parameters = None
     try:
-        if not journal.settled(TOLD_AFTER_S):
+        if not journal.settled(DISK_WARNING_AFTER_S):
             waiting = f"waiting for the disk to take the rest of {journal.path}"
-            audience.tell(Event(time.monotonic_ns(), Level.WARNING, "conductor", waiting))
+            operator.tell(Event(time.monotonic_ns(), Level.WARNING, "conductor", waiting))
         journal.close(RunFooter(outcome.t_ns, outcome.status, outcome.message, outcome.counters))
         archive = finalise(journal.path)
     except (ArchiveError, JournalError) as error:
-        trouble.append(f"{error}; the journal is kept: {journal.path}; run `rig recover {request.folder}` later")
+        warnings.append(f"{error}; the journal is kept: {journal.path}; run `rig recover {request.folder}` later")
     if archive is not None and request.report:
         try:
             report = draw(archive)
         except OSError as error:
-            trouble.append(f"no report: {error}; run `rig report {archive}` later")
+            warnings.append(f"no report: {error}; run `rig report {archive}` later")
     if archive is not None and decided.adapted:
         try:
             parameters = _parameters(archive)
         except OSError as error:
-            trouble.append(f"the adapted parameters could not be written: {error}; they are in {archive}")
-    return RunResult(outcome, archive, report, parameters, tuple(trouble))
+            warnings.append(f"the adapted parameters could not be written: {error}; they are in {archive}")
+    return RunResult(outcome, archive, report, parameters, tuple(warnings))
 
 
-def _told(error: Exception) -> str:
+def _abort_message(error: Exception) -> str:
     """What the operator is told of what ended a run."""
     if isinstance(error, JournalError):
         return f"the record could not be written: {error}"

@@ -34,7 +34,7 @@ from rig.config.parameters_overlay import overlay
 from rig.config.parameters_overlay import read as read_parameters
 from rig.config.schema import PA_PER_BAR, RigConfig
 from rig.identify.initial_setup import InitialSetup, rig_of
-from rig.observation.online_estimation import usual
+from rig.observation.online_estimation import default_parameters
 from runs.report.figures import save
 from runs.run import Run
 
@@ -51,7 +51,7 @@ def rig_with(rig: InitialSetup, parameters: Path) -> str:
         BadInput: the parameter file, or that they do not belong together.
     """
     found = read_parameters(parameters)
-    return overlay(rig.yaml, rig.file, found, found.found.identified.variant, rig.laid)
+    return overlay(rig.yaml, rig.file, found, found.found.identified.variant, rig.parameters_yaml)
 
 
 def poses(run: Run, quasi_static: bool = False) -> Poses:
@@ -59,7 +59,7 @@ def poses(run: Run, quasi_static: bool = False) -> Poses:
     return as_if_at_rest(run) if quasi_static else poses_of(run)
 
 
-def shown(archives: Sequence[Run], quasi_static: bool = False) -> list[Poses]:
+def read_poses(archives: Sequence[Run], quasi_static: bool = False) -> list[Poses]:
     """What identification takes from some runs.
 
     Raises:
@@ -68,7 +68,7 @@ def shown(archives: Sequence[Run], quasi_static: bool = False) -> list[Poses]:
     found: list[Poses] = []
     if not archives:
         return found
-    with waiting("reading") as progress:
+    with progress_bar("reading") as progress:
         for run in archives:
             found.append(poses(run, quasi_static))
             progress(len(found), len(archives))
@@ -82,10 +82,10 @@ def from_runs(archives: Sequence[Run], free: Sequence[str], priors: Mapping[str,
         NoData: no rig, or nothing in a run that can be used.
     """
     config = rig_of(archives[0])
-    return from_poses(config, shown(archives), free, priors)
+    return from_poses(config, read_poses(archives), free, priors)
 
 
-def likeliest(
+def most_likely_fit(
     rigs: Mapping[str, InitialSetup],
     data: Sequence[Poses],
     free: Sequence[str],
@@ -119,7 +119,7 @@ def from_poses(
         UnknownParameter: a name stands for no parameter, or something is known beforehand of what is not free.
     """
     moving = any(one.moving for one in data)
-    chosen = tuple(free) or (*usual(config.model.variant), *(("damping_s",) if moving else ()))
+    chosen = tuple(free) or (*default_parameters(config.model.variant), *(("damping_s",) if moving else ()))
     if moving and {"damping_s", "density_kg_m3"} & set(chosen):
         chosen = (*chosen, *(name for name in SENSOR_TIMES if name not in chosen))
     check_priors(priors, chosen, config.actuators)
@@ -151,7 +151,7 @@ def check_priors(priors: Mapping[str, Prior], free: Sequence[str], actuators: in
             raise typer.BadParameter(f"{one.name} cannot be {said}", param_hint="--prior")
 
 
-def show(fit: Fit, as_json: bool, under: Baseline | None = None) -> None:
+def print_estimates(fit: Fit, as_json: bool, under: Baseline | None = None) -> None:
     """Estimates with their error bars or verdicts, and how well each run is met."""
     if as_json:
         typer.echo(json.dumps(plain_json(content(fit, under=under)), indent=2))
@@ -164,8 +164,8 @@ def show(fit: Fit, as_json: bool, under: Baseline | None = None) -> None:
     for e, held in zip(fit.estimates, fit.held, strict=True):
         if e.value is None or e.std is None or e.interval is None:
             others = f" ({', '.join(e.partners)})" if e.partners else ""
-            told = f"{e.name} {e.run}".strip()
-            untold.append(f"{told}: {e.verdict.value}{others}; {'held at' if held else 'used'} {e.used:.5g} {e.unit}")
+            label = f"{e.name} {e.run}".strip()
+            untold.append(f"{label}: {e.verdict.value}{others}; {'held at' if held else 'used'} {e.used:.5g} {e.unit}")
         else:
             low, high = e.interval
             table.add_row(e.name, f"{e.value:.6g}", f"{e.std:.2g}", f"{low:.5g} .. {high:.5g}", e.unit, e.run)
@@ -188,10 +188,10 @@ def show(fit: Fit, as_json: bool, under: Baseline | None = None) -> None:
         screen.print(Text("the search ended before it had converged", "yellow"))
 
 
-def profiled(fit: Fit) -> tuple[Profile, ...]:
+def profile_likelihoods(fit: Fit) -> tuple[Profile, ...]:
     """Profile likelihoods, with a progress bar on the error stream; prints their intervals."""
     screen = console(stderr=True)
-    with waiting("profiles") as progress:
+    with progress_bar("profiles") as progress:
         found = profiles(fit, progress=progress)
     for one in found:
         ends = " .. ".join("open" if end is None else f"{end:.5g}" for end in one.interval)
@@ -207,7 +207,7 @@ def draw_predictions(found: Sequence[Prediction], file: Path) -> Path:
     return file
 
 
-def told(found: Sequence[Prediction]) -> None:
+def print_prediction_errors(found: Sequence[Prediction]) -> None:
     """How well runs that were left out are predicted."""
     for one in found:
         how = ", under its measured wrench" if one.pulled else ""
@@ -219,7 +219,7 @@ def told(found: Sequence[Prediction]) -> None:
 
 
 @contextmanager
-def waiting(what: str) -> Iterator[Callable[[int, int], None]]:
+def progress_bar(what: str) -> Iterator[Callable[[int, int], None]]:
     """A progress bar on the error stream, with the time left; call what it gives with (done, all)."""
     columns = (TextColumn(what), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     # Fits of slow and quick models come in turns: the pace of the last seconds would tell little.
@@ -231,10 +231,10 @@ def waiting(what: str) -> Iterator[Callable[[int, int], None]]:
         yield lambda done, total: bar.update(job, completed=done, total=total)
 
 
-def second_opinion(fit: Fit, samples: int, scheduler: str | None, store: Path | None) -> Bootstrap:
+def bootstrap_errors(fit: Fit, samples: int, scheduler: str | None, store: Path | None) -> Bootstrap:
     """Bootstrap error bars beside those of the likelihood, with a progress bar on the error stream."""
     screen = console(stderr=True)
-    with waiting("refitting") as progress:
+    with progress_bar("refitting") as progress:
         found = bootstrap(fit, samples, scheduler=scheduler, store=store, progress=progress)
     bars = {(e.name, e.run): e.std for e in fit.estimates}
     for name, run, std in zip(found.names, found.runs, found.std, strict=True):

@@ -18,7 +18,7 @@ from rig.cli.run_output import console
 from rig.config.arm_model import model_arm, true_arm
 from rig.config.loader import load, parse, path_of, text
 from rig.config.optics import rigid
-from rig.config.parameters_overlay import different, recorded
+from rig.config.parameters_overlay import differing_fields, recorded
 from rig.config.schema import Geometry, RigConfig, Sensor
 from runs.run import Run
 
@@ -30,7 +30,7 @@ class InitialSetup:
     yaml: str
     file: str
     config: RigConfig
-    laid: str = ""
+    parameters_yaml: str = ""
 
     @classmethod
     def named(cls, name: str) -> InitialSetup:
@@ -57,19 +57,19 @@ def starting_rigs(first: Run, names: Sequence[str]) -> dict[str, InitialSetup]:
     return {name: InitialSetup.named(name) for name in names} or {first.header.rig_name: InitialSetup.of(first)}
 
 
-def another_arm(rig: InitialSetup, others: Iterable[InitialSetup]) -> str:
+def geometry_differences(rig: InitialSetup, others: Iterable[InitialSetup]) -> str:
     """In what the arm of a rig differs from those of all the others, in words; nothing where it is one of them."""
     found = ""
     for other in others:
         mine, theirs = rig.config.arm.geometry, other.config.arm.geometry
-        fields = different(mine, theirs)
+        fields = differing_fields(mine, theirs)
         if not fields:
             return ""
         found = found or "; ".join(f"{name} {getattr(mine, name)}, not {getattr(theirs, name)}" for name in fields)
     return found
 
 
-def opened(names: Sequence[Path]) -> list[Run]:
+def open_archives(names: Sequence[Path]) -> list[Run]:
     """The archives of these names, each once; says of what is named twice that it counts once.
 
     Raises:
@@ -102,14 +102,14 @@ def check_alike(archives: Sequence[Run], one_arm: bool = False) -> None:
     first, *others = archives
     if not one_arm:
         _check_rigs([run for run in archives if run.header.rig_yaml])
-    laid = _laid(first)
+    parameters_yaml = _recorded_overlay(first)
     for run in others:
-        if _laid(run) != laid:
+        if _recorded_overlay(run) != parameters_yaml:
             raise NoDataError(
                 f"{first.path} and {run.path} were recorded with different parameters laid over their rig: their tips "
                 "and pressures do not count from the same; identify them apart"
             )
-    if laid is not None:
+    if parameters_yaml is not None:
         said = f"{first.header.run_id} was recorded with parameters laid over its rig: estimates of mounting and gains "
         said += "count from there, files that are written from the rig without them"
         console(stderr=True).print(said, soft_wrap=True)
@@ -122,7 +122,7 @@ def _check_rigs(archives: Sequence[Run]) -> None:
     rig, geometry = rig_of(first), _geometry(first)
     for run in others:
         own = _geometry(run)
-        if fields := different(own, geometry):
+        if fields := differing_fields(own, geometry):
             said = "; ".join(f"{name} {getattr(own, name)}, not {getattr(geometry, name)}" for name in fields)
             raise NoDataError(
                 f"{run.path} is of another arm than {first.path}: {said}; identify them apart, or say with --start "
@@ -142,7 +142,7 @@ def _geometry(run: Run) -> Geometry:
     return rig_of(run).arm.geometry
 
 
-def _laid(run: Run) -> tuple[object, ...] | None:
+def _recorded_overlay(run: Run) -> tuple[object, ...] | None:
     """What the parameters over a run's rig changed of how it measures; None for nothing."""
     if not run.header.parameters_yaml:
         return None
@@ -174,7 +174,7 @@ def setup_of(run: Run) -> Setup:
     return Setup(model_arm(rig_of(run)))
 
 
-def baseline_geometry(run: Run, start: Setup, begun_there: bool = True) -> Baseline | None:
+def baseline_geometry(run: Run, start: Setup, from_recorded_rig: bool = True) -> Baseline | None:
     """The parameters that lay over a run's rig; None where none did. `begun_there`: `start` is that rig's arm."""
     if not run.header.parameters_yaml:
         return None
@@ -187,7 +187,7 @@ def baseline_geometry(run: Run, start: Setup, begun_there: bool = True) -> Basel
         tool_offset_m=_triple(np.multiply(mounting.tool_offset_mm, 1e-3)),
         sensor_gain=found.sensing.gain,
     )
-    return Baseline(setup, found.identified.geometry.model_dump(mode="json") if begun_there else None)
+    return Baseline(setup, found.identified.geometry.model_dump(mode="json") if from_recorded_rig else None)
 
 
 def truth_of(run: Run) -> dict[str, float]:

@@ -13,7 +13,7 @@ from calibration.identify.model_comparison import ComparisonRow, ModelComparison
 from calibration.identify.parameters import Prior
 from rig.cli.archive_output import plain_json
 from rig.cli.run_output import console
-from rig.identify.estimation import check_priors, shown, waiting
+from rig.identify.estimation import check_priors, progress_bar, read_poses
 from rig.identify.initial_setup import setup_of
 from runs.run import Run
 
@@ -36,12 +36,12 @@ def comparison_lines(
         UnknownParameter: a name stands for no parameter, or something is known beforehand of what no model has free.
     """
     start = setup_of(archives[0])
-    every = shown(archives, quasi_static)
+    every = read_poses(archives, quasi_static)
     data = [compared(one) for one in every]
     moving = any(one.moving for one in data)
     asked = candidates(start, free or ("base",), moving)
     check_priors(priors, [name for one in asked for name in one.free], start.arm.geometry.actuators)
-    with waiting("fitting") as progress:
+    with progress_bar("fitting") as progress:
         found = choose(data, asked, priors, scheduler=scheduler, store=store, progress=progress)
     if as_json:
         typer.echo(json.dumps(plain_json(_facts(found)), indent=2))

@@ -199,8 +199,8 @@ def _started_utc_ns(columns: Columns, mapping: Mapping, document: Document, read
     stated = mapping.started_utc_ns
     if read.utc and stated is not None:
         mark = document.mark(("started",))
-        wish = "no such key: the times themselves are dates with their distance from UTC"
-        raise BadInputError([Problem(document.file, mark.line, mark.column, "started", mark.source, wish)])
+        expected = "no such key: the times themselves are dates with their distance from UTC"
+        raise BadInputError([Problem(document.file, mark.line, mark.column, "started", mark.source, expected)])
     if read.utc:
         return int(read.t_ns[0])
     if stated is None:
@@ -238,30 +238,30 @@ def _frames(columns: Columns, t_ns: Ints) -> Ints:
 
 def _pressures(columns: Columns, mapping: Mapping) -> tuple[Floats, Floats]:
     """Gauge pressures (n, N) and what was taken off the columns (N,) [Pa]."""
-    asked = mapping.pressures
-    raw_pa = _scaled(columns, asked.columns, asked.unit)
-    for column, values in zip(asked.columns, raw_pa.T, strict=True):
+    pressures = mapping.pressures
+    raw_pa = _scaled(columns, pressures.columns, pressures.unit)
+    for column, values in zip(pressures.columns, raw_pa.T, strict=True):
         columns.warn_missing(values, f"the pressure of column {column}")
-        lowest_pa = -NOISE_PA if asked.reading == "absolute" else -ATMOSPHERE_PA - NOISE_PA
+        lowest_pa = -NOISE_PA if pressures.reading == "absolute" else -ATMOSPHERE_PA - NOISE_PA
         if len(rows := np.flatnonzero(values < lowest_pa)):
-            found = f"{values[rows[0]] / PA_PER_BAR:.4g} bar, {asked.reading}"
-            wish = f"a pressure above vacuum, {lowest_pa / PA_PER_BAR:.3g} bar or more: are unit and reading right?"
+            found = f"{values[rows[0]] / PA_PER_BAR:.4g} bar, {pressures.reading}"
+            expected = f"a pressure above vacuum, {lowest_pa / PA_PER_BAR:.3g} bar or more: are unit and reading right?"
             where = f"column {column}, {columns.table.place(int(rows[0]))}"
-            columns.problems.append(Problem(columns.table.file, 0, 0, where, found, wish))
+            columns.problems.append(Problem(columns.table.file, 0, 0, where, found, expected))
     off_pa = np.zeros(mapping.actuators)
     if columns.problems:
         return raw_pa, off_pa
-    if asked.reading == "gauge":
-        for column, values in zip(asked.columns, raw_pa.T, strict=True):
+    if pressures.reading == "gauge":
+        for column, values in zip(pressures.columns, raw_pa.T, strict=True):
             if np.nanmin(values, initial=np.inf) / PA_PER_BAR > AMBIENT_BAR[0]:
                 lowest = f"{np.nanmin(values) / PA_PER_BAR:.3g} bar"
                 columns.warn(f"column {column} never falls below {lowest}: is it absolute? The mapping says gauge")
         return raw_pa, off_pa
-    if asked.ambient_bar is not None:
-        off_pa[:] = np.array(asked.ambient_bar) * PA_PER_BAR
-    elif asked.ambient_rows is not None:
-        off_pa = _vented(columns, mapping, raw_pa, asked.ambient_rows)
-    for column, ambient in zip(asked.columns, off_pa / PA_PER_BAR, strict=True):
+    if pressures.ambient_bar is not None:
+        off_pa[:] = np.array(pressures.ambient_bar) * PA_PER_BAR
+    elif pressures.ambient_rows is not None:
+        off_pa = _vented(columns, mapping, raw_pa, pressures.ambient_rows)
+    for column, ambient in zip(pressures.columns, off_pa / PA_PER_BAR, strict=True):
         if not AMBIENT_BAR[0] <= ambient <= AMBIENT_BAR[1]:
             columns.warn(f"the ambient pressure taken off column {column} is {ambient:.4g} bar: is it really absolute?")
     return raw_pa - off_pa, off_pa
@@ -271,15 +271,15 @@ def _vented(columns: Columns, mapping: Mapping, raw_pa: Floats, rows: int) -> Fl
     """Each column's mean (N,) [Pa] over the first rows."""
     first = raw_pa[:rows]
     if len(first) < rows:
-        wish = f"at least the {rows} rows that ambient_rows names"
-        columns.problems.append(Problem(columns.table.file, 0, 0, "", f"{len(first)} rows", wish))
+        expected = f"at least the {rows} rows that ambient_rows names"
+        columns.problems.append(Problem(columns.table.file, 0, 0, "", f"{len(first)} rows", expected))
         return np.zeros(mapping.actuators)
     known = np.isfinite(first)
     means = np.zeros(mapping.actuators)
     for n, column in enumerate(mapping.pressures.columns):
         if not known[:, n].any():
-            wish = f"a pressure in the first {rows} rows, for the ambient pressure"
-            columns.problems.append(columns.table.problem(0, column, "nothing", wish))
+            expected = f"a pressure in the first {rows} rows, for the ambient pressure"
+            columns.problems.append(columns.table.problem(0, column, "nothing", expected))
             continue
         values = first[known[:, n], n]
         means[n] = values.mean()

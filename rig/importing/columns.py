@@ -33,9 +33,9 @@ class Columns:
             self._length = (column, len(values))
         first, length = self._length
         if len(values) != length:
-            wish = f"{length} rows, as in column {first}"
+            expected = f"{length} rows, as in column {first}"
             found = f"{len(values)} rows in column {column}"
-            self.problems.append(Problem(self.table.file, 0, 0, "", found, wish))
+            self.problems.append(Problem(self.table.file, 0, 0, "", found, expected))
             return None
         return values * scale
 

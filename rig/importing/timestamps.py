@@ -75,11 +75,11 @@ def _dates(columns: Columns, column: Key) -> tuple[RowTimes, Said] | None:
     moments = [_moment(cell) for cell in cells]
     first = next((moment for moment in moments if moment is not None), None)
     zoned = first is not None and first.tzinfo is not None
-    wish = f"date and time in ISO 8601, as 2026-11-21T14:05:00.250{'+01:00' if zoned else ''}"
+    expected = f"date and time in ISO 8601, as 2026-11-21T14:05:00.250{'+01:00' if zoned else ''}"
     wrong = [row for row, moment in enumerate(moments) if moment is None or (moment.tzinfo is not None) != zoned]
     table = columns.table
     columns.problems += some(
-        table, column, wrong, lambda row: table.problem(row, column, cells[row] or "nothing", wish)
+        table, column, wrong, lambda row: table.problem(row, column, cells[row] or "nothing", expected)
     )
     if wrong:
         return None

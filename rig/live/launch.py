@@ -147,8 +147,8 @@ def _address(listen: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address:
 
 
 def _not_here(listen: str) -> BadInputError:
-    wish = "an address of this machine, such as 192.168.1.20, or 0.0.0.0 for all"
-    return BadInputError([Problem("--listen", 0, 0, "", listen, wish)])
+    expected = "an address of this machine, such as 192.168.1.20, or 0.0.0.0 for all"
+    return BadInputError([Problem("--listen", 0, 0, "", listen, expected)])
 
 
 def _bind(address: ipaddress.IPv4Address | ipaddress.IPv6Address, port: int) -> socket.socket:

@@ -31,7 +31,7 @@ _EQUAL_PA = 5e3
 Line = tuple[str, str, str, str, str]
 
 
-def show(archives: Sequence[Run], as_json: bool) -> None:
+def print_estimates(archives: Sequence[Run], as_json: bool) -> None:
     """Print E, a1, a2, the free strain, mu and R_m with their R^2, and gamma where a run bends the arm.
 
     Raises:

@@ -21,6 +21,7 @@ from rig.config.calibration_files import parse, read, text_of, write
 from rig.config.optics import camera_in_base, lens_of, rigid
 from rig.config.schema import Lens, Placement
 from rig.hardware.cameras.identity import v4l2_serial
+from runs.overwriting import WouldOverwrite
 from tests.support.budget import examples
 
 SHA = "0" * 63 + "a"
@@ -173,7 +174,7 @@ def test_a_file_says_when_by_what_and_from_which_source_it_was_made() -> None:
 
 def test_a_file_is_not_written_over_unless_that_is_said(tmp_path: Path) -> None:
     path = write(camera_file(), tmp_path / "c.yaml")
-    with pytest.raises(BadInputError, match="--replace"):
+    with pytest.raises(WouldOverwrite, match="--replace"):
         write(camera_file(note="second"), path)
     assert read(path).found.note == ""
     write(camera_file(note="second"), path, replace=True)
