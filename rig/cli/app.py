@@ -180,9 +180,9 @@ def run(
         _fail("not armed", BAD_INPUT)
     page: AbstractContextManager[None] = nullcontext()
     if live:
-        from rig.live.launch import showing_this_run
+        from rig.live.launch import live_page_of_this_run
 
-        page = showing_this_run(listen, port, lambda line: console.print(line, soft_wrap=True))
+        page = live_page_of_this_run(listen, port, lambda line: console.print(line, soft_wrap=True))
     with (
         page,
         StopSignals() as signals,

@@ -58,9 +58,9 @@ def replay(
     """
     if not len(run.frames.index):
         raise ArchiveError(f"{run.path} holds no pictures: there is nothing to replay")
-    bench = replay_settings(run, rig, variant, parameters, calibrations)
-    config = bench.config
-    rows = np.array(list(_observed(run, config, bench.variant)))
+    settings = replay_settings(run, rig, variant, parameters, calibrations)
+    config = settings.config
+    rows = np.array(list(_observed(run, config, settings.variant)))
     now = datetime.now(UTC)
     commit, diff = git_state()
     folder.mkdir(parents=True, exist_ok=True)
@@ -70,10 +70,10 @@ def replay(
         parent=run.header.run_id,
         notes="; ".join(filter(None, (run.header.notes, f"replayed {now:%Y-%m-%d %H:%M} UTC"))),
         rig_name=config.name,
-        rig_yaml=bench.yaml,
-        sources=bench.sources,
-        parameters_yaml=bench.parameters,
-        model_variant=bench.variant,
+        rig_yaml=settings.yaml,
+        sources=settings.sources,
+        parameters_yaml=settings.parameters,
+        model_variant=settings.variant,
         cameras=tuple(config.cameras),
         command=shlex.join(sys.argv),
         versions=versions(),
@@ -161,19 +161,19 @@ def _observed(run: Run, config: RigConfig, variant: Variant) -> Iterator[NDArray
             pictures.setdefault(int(index), []).append(k)
     seen = 0
     before = None
-    for index, of_shot in pictures.items():
+    for index, picture_indices in pictures.items():
         row = row_of[index]
         frames: list[Frame | None] = [None] * len(config.cameras)
-        for k in of_shot:
+        for k in picture_indices:
             t_ns = int(_nanoseconds(run.frames.time_s[k], clock))
             truth_m = truth_mm[row] * 1e-3
             frames[camera_of[run.frames.camera[k]]] = Frame(index, t_ns, _picture(run, k), truth_m)
-        shot = FrameSet(index, tuple(frames))
-        until = min(int(np.searchsorted(ticks_ns, shot.t_ns, side="left")) + 1, len(ticks_ns))
+        frame_set = FrameSet(index, tuple(frames))
+        until = min(int(np.searchsorted(ticks_ns, frame_set.t_ns, side="left")) + 1, len(ticks_ns))
         dropped = 0 if before is None else index - before - 1
         before = index
         yield observer.step(
-            shot,
+            frame_set,
             ticks_ns[seen:until],
             measured_pa[seen:until],
             float(tip.protocol_s[row]),

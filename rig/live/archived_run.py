@@ -34,7 +34,7 @@ class ArchivedRun:
     """The source for an archive."""
 
     live = False
-    over = False
+    finished = False
 
     def __init__(self, path: Path) -> None:
         self.run = run = Run(path)
@@ -55,7 +55,7 @@ class ArchivedRun:
         self.end_s = float(max(ends, default=0.0))
         self.duration_s = max((i.stop_s for i in run.header.intervals), default=self.end_s)
         if len(tip.time_s):
-            self.drawing(0, 0 if len(run.frames.index) else -1)  # what is compiled at its first use is ready by then
+            self.overlay(0, 0 if len(run.frames.index) else -1)  # what is compiled at its first use is ready by then
 
     def about(self) -> dict[str, Any]:
         """What does not change."""
@@ -95,15 +95,15 @@ class ArchivedRun:
         return model_arm(self._config) if self._config else None
 
     @cached_property
-    def _hook(self) -> TipLoad:
+    def _tip_load(self) -> TipLoad:
         assert self._config is not None
         return TipLoad(self._config)
 
-    def drawing(self, frame: int, picture: int) -> ViewOverlay | None:
+    def overlay(self, frame: int, picture: int) -> ViewOverlay | None:
         """What is drawn for row `frame` of the tip: the arm as it would stand at rest, and a picture's marks."""
         if self._config is None or frame < 0:
             return None
-        lines_mm = MM_PER_M * self._sketcher.lines(self._shape(frame))
+        lines_mm = MM_PER_M * self._projector.lines(self._shape(frame))
         if picture < 0:
             return ViewOverlay(np.empty((0, 2)), np.full(2, np.nan), np.full(2, np.nan), lines_mm)
         kept = self.run.frames
@@ -128,7 +128,7 @@ class ArchivedRun:
         return self.run.frames.time_s[rows], rows
 
     @cached_property
-    def _sketcher(self) -> OverlayProjector:
+    def _projector(self) -> OverlayProjector:
         assert self._config is not None
         return OverlayProjector(self._config, next(iter(self._config.cameras)), LINE_POINTS)
 
@@ -139,7 +139,7 @@ class ArchivedRun:
             return None
         try:
             return self._arm.statics(
-                pressure, self._hook.carrying(float(self.run.tip.weight_g[frame]) * KG_PER_G), doubt_units=False
+                pressure, self._tip_load.carrying(float(self.run.tip.weight_g[frame]) * KG_PER_G), doubt_units=False
             )
         except model.NotConverged:
             return None
@@ -222,20 +222,20 @@ class ArchivedRunViewer:
         since = -math.inf if reset else self._shown_s
         frame = int(np.searchsorted(source.run.tip.time_s, self._t_s, side="right")) - 1
         picture = source.picture_at(self._t_s)
-        news = ViewUpdate(
+        update = ViewUpdate(
             source.now(self._t_s, frame, self._playing),
             pressure=_between(source.pressure_rows, since, self._t_s),
             track=_between(source.track_rows, since, self._t_s),
             events=[event for event in source.events if since < event[0] <= self._t_s],
-            drawing=source.drawing(frame, picture),
+            overlay=source.overlay(frame, picture),
             reset=reset,
         )
-        if picture >= 0 and news.drawing is not None:
-            news.picture = source.run.picture(picture)
+        if picture >= 0 and update.overlay is not None:
+            update.picture = source.run.picture(picture)
         self._shown_s, self._stale = self._t_s, False
-        return news.encoded()
+        return update.encoded()
 
-    def asked(self, message: Message, who: str) -> dict[str, Any] | None:
+    def handle(self, message: Message, who: str) -> dict[str, Any] | None:
         """Go to a time, change the speed, play or stop."""
         if message.do is not None:
             return {"done": False, "said": f"refused: an archive has no run to {message.do}"}

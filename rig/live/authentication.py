@@ -91,9 +91,9 @@ class AccessTokens:
 class AuthenticationMiddleware:
     """Stands before the whole application. `port` tells the cookies of this machine's pages apart."""
 
-    def __init__(self, app: ASGIApp, keys: AccessTokens, port: int) -> None:
+    def __init__(self, app: ASGIApp, tokens: AccessTokens, port: int) -> None:
         self._app = app
-        self._keys = keys
+        self._tokens = tokens
         self._cookie = f"{COOKIE}-{port}"
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -120,7 +120,7 @@ class AuthenticationMiddleware:
     def _foreign(self, scope: Scope, headers: dict[str, str]) -> str | None:
         """Why a request does not come from this page."""
         host = headers.get("host", "")
-        if self._keys.owner is not None and not _is_local(host):
+        if self._tokens.owner is not None and not _is_local(host):
             return "this page answers to the names of its own machine only"
         origin = headers.get("origin")
         if origin is not None and origin not in (f"http://{host}", f"https://{host}"):
@@ -136,14 +136,14 @@ class AuthenticationMiddleware:
             morsel = SimpleCookie(headers.get("cookie", "")).get(self._cookie)
         except CookieError:
             return None
-        return self._keys.session(morsel.value) if morsel is not None else None
+        return self._tokens.session(morsel.value) if morsel is not None else None
 
     async def _login(self, scope: Scope, receive: Receive, send: Send) -> None:
         if scope["method"] != "POST":
             await self._form(send, 200)
             return
         form = parse_qs((await _body(receive)).decode("utf-8", "replace"))
-        cookie = self._keys.open(form.get("token", [""])[0], form.get("name", [""])[0])
+        cookie = self._tokens.open(form.get("token", [""])[0], form.get("name", [""])[0])
         if cookie is None:
             await self._form(send, 403, b"wrong")
             return
@@ -155,7 +155,7 @@ class AuthenticationMiddleware:
 
     async def _form(self, send: Send, status: int, mark: bytes = b"") -> None:
         """The login page. On the loopback interface it asks for no name: the account is known."""
-        named = b"" if self._keys.owner is None else b"hidden"
+        named = b"" if self._tokens.owner is None else b"hidden"
         await _page(send, status, "text/html; charset=utf-8", "login.html", mark=mark, named=named)
 
 

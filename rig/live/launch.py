@@ -30,7 +30,7 @@ class PageProcess:
     """A page's process, and what to tell the operator of it."""
 
     process: subprocess.Popen[bytes]
-    said: tuple[str, ...]
+    lines: tuple[str, ...]
 
     def close(self, patience_s: float = 0.0) -> None:
         """End it, after it had some time to end by itself."""
@@ -55,8 +55,8 @@ def open_page(listen: str, port: int, *, run: Path | None = None, archive: Path 
     address = _address(listen)
     bound = _bind(address, port)
     local = address.is_loopback
-    keys = AccessTokens(user_name() if local else None)
-    order = PageConfiguration(bound.fileno(), keys, run, archive)
+    tokens = AccessTokens(user_name() if local else None)
+    configuration = PageConfiguration(bound.fileno(), tokens, run, archive)
     process = subprocess.Popen(
         [sys.executable, "-P", "-m", "rig.live.server"],
         stdin=subprocess.PIPE,
@@ -65,7 +65,7 @@ def open_page(listen: str, port: int, *, run: Path | None = None, archive: Path 
     )
     assert process.stdin is not None
     try:
-        pickle.dump(order, process.stdin)
+        pickle.dump(configuration, process.stdin)
         process.stdin.close()
     except BrokenPipeError:
         raise StartError(f"the page did not start (exit status {process.wait()})") from None
@@ -75,30 +75,30 @@ def open_page(listen: str, port: int, *, run: Path | None = None, archive: Path 
         return PageProcess(
             process,
             (
-                f"live page   {base}#{keys.operator}  (keep it to yourself: it can act)",
-                f"guest link  {base}#{keys.guest}  (view only)",
+                f"live page   {base}#{tokens.operator}  (keep it to yourself: it can act)",
+                f"guest link  {base}#{tokens.guest}  (view only)",
             ),
         )
     return PageProcess(
         process,
         (
             f"live page      {base}",
-            f"operator link  {base}#{keys.operator}  (opens once)",
-            f"guest link     {base}#{keys.guest}  (view only)",
+            f"operator link  {base}#{tokens.operator}  (opens once)",
+            f"guest link     {base}#{tokens.guest}  (view only)",
             "the connection is not encrypted: use it on a network that you trust, or through an SSH tunnel",
         ),
     )
 
 
 @contextmanager
-def showing_this_run(listen: str, port: int, say: Callable[[str], None]) -> Iterator[None]:
+def live_page_of_this_run(listen: str, port: int, say: Callable[[str], None]) -> Iterator[None]:
     """Keep a page beside the run that this process is about to conduct.
 
     Raises:
         StartError: the page cannot be had.
     """
     page = open_page(listen, port, run=socket_of(os.getpid()))
-    for line in page.said:
+    for line in page.lines:
         say(line)
     try:
         yield
@@ -117,8 +117,8 @@ def show(archive: Path | None, pid: int | None, listen: str, port: int, say: Cal
         from runs.run import Run
 
         Run(archive)  # what is none is said here, not by the page's process
-    page = open_page(listen, port, run=None if archive else _door(pid), archive=archive)
-    for line in page.said:
+    page = open_page(listen, port, run=None if archive else _socket_path(pid), archive=archive)
+    for line in page.lines:
         say(line)
     try:
         return page.process.wait()
@@ -128,7 +128,7 @@ def show(archive: Path | None, pid: int | None, listen: str, port: int, say: Cal
         page.close()
 
 
-def _door(pid: int | None) -> Path:
+def _socket_path(pid: int | None) -> Path:
     found = [path for path in running_runs() if pid is None or path == socket_of(pid)]
     if len(found) == 1:
         return found[0]

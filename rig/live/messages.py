@@ -11,7 +11,7 @@ from rig.realtime.operator_commands import Command
 FASTEST = 100.0
 MOST_CHARACTERS = 1024
 MOST_REASON = 200
-ASKS = ("more", "do", "seek", "speed", "play")
+FIELDS = ("more", "do", "seek", "speed", "play")
 
 
 class MessageError(ValueError):
@@ -31,9 +31,9 @@ class Message(BaseModel):
     play: bool | None = None
 
     @model_validator(mode="after")
-    def _one_wish(self) -> Message:
-        if sum(getattr(self, name) is not None for name in ASKS) != 1:
-            raise ValueError(f"expected exactly one of {', '.join(ASKS)}")
+    def _one_field(self) -> Message:
+        if sum(getattr(self, name) is not None for name in FIELDS) != 1:
+            raise ValueError(f"expected exactly one of {', '.join(FIELDS)}")
         return self
 
 

@@ -84,7 +84,7 @@ class ViewUpdate:
     track: Floats = field(default_factory=lambda: np.empty((0, 0)))
     """Rows: time [s], measured (3), uncertainty (3), model (3), error, running mean of the error [mm]."""
     events: list[tuple[float, str, str, str]] = field(default_factory=list)
-    drawing: ViewOverlay | None = None
+    overlay: ViewOverlay | None = None
     picture: bytes = b""
     reset: bool = False
     """Forget what was drawn before."""
@@ -98,12 +98,12 @@ class ViewUpdate:
             "events": self.events,
             "reset": self.reset,
         }
-        if self.drawing is not None:
+        if self.overlay is not None:
             body["drawing"] = {
-                "corners": rounded(self.drawing.corners_px, 1),
-                "tip": rounded(self.drawing.tip_px, 1),
-                "model": rounded(self.drawing.model_px, 1),
-                "lines": rounded(self.drawing.lines_mm, 1),
+                "corners": rounded(self.overlay.corners_px, 1),
+                "tip": rounded(self.overlay.tip_px, 1),
+                "model": rounded(self.overlay.model_px, 1),
+                "lines": rounded(self.overlay.lines_mm, 1),
             }
         head = json.dumps(body, allow_nan=False, separators=(",", ":")).encode()
         return _LENGTH.pack(len(head)) + head + self.picture

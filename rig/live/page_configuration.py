@@ -16,6 +16,6 @@ class PageConfiguration:
     """What to show on which listening socket. `run` is the door of a run, `archive` a file; one of them is None."""
 
     fd: int
-    keys: AccessTokens
+    tokens: AccessTokens
     run: Path | None = None
     archive: Path | None = None

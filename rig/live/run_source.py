@@ -13,7 +13,7 @@ class Viewer(Protocol):
     def packet(self) -> bytes | None:
         """What is new since the last call, None when nothing is."""
 
-    def asked(self, message: Message, who: str) -> dict[str, Any] | None:
+    def handle(self, message: Message, who: str) -> dict[str, Any] | None:
         """Do what somebody asks for; the answer, `done` and `said`, None for nothing."""
 
     def close(self) -> None:
@@ -26,7 +26,7 @@ class RunSource(Protocol):
     live: bool
 
     @property
-    def over(self) -> bool:
+    def finished(self) -> bool:
         """True when there will be nothing new any more."""
 
     def about(self) -> dict[str, Any] | None:

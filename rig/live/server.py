@@ -33,12 +33,12 @@ STATIC = Path(__file__).parent / "static"
 
 def main() -> int:
     """Serve until the run is over, or for an archive until told to stop."""
-    order: PageConfiguration = pickle.load(sys.stdin.buffer)  # written by our own parent, over a pipe
-    source = _source(order)
-    listening = socket.socket(fileno=order.fd)
+    configuration: PageConfiguration = pickle.load(sys.stdin.buffer)  # written by our own parent, over a pipe
+    source = _source(configuration)
+    listening = socket.socket(fileno=configuration.fd)
     server = uvicorn.Server(
         uvicorn.Config(
-            application(source, order, listening.getsockname()[1]),
+            application(source, configuration, listening.getsockname()[1]),
             http=http_protocol(Admission()),
             backlog=ACCEPTED_AT_ONCE,
             proxy_headers=False,
@@ -63,15 +63,15 @@ def main() -> int:
     return 0
 
 
-def _source(order: PageConfiguration) -> RunSource:
-    if order.archive is not None:
+def _source(configuration: PageConfiguration) -> RunSource:
+    if configuration.archive is not None:
         from rig.live.archived_run import ArchivedRun
 
-        return ArchivedRun(order.archive)
+        return ArchivedRun(configuration.archive)
     from rig.live.pending_run import PendingRun
 
-    assert order.run is not None
-    return PendingRun(order.run)
+    assert configuration.run is not None
+    return PendingRun(configuration.run)
 
 
 async def _feed(source: RunSource, server: uvicorn.Server, listening: socket.socket) -> None:
@@ -81,10 +81,10 @@ async def _feed(source: RunSource, server: uvicorn.Server, listening: socket.soc
     # asyncio takes one number for how many it accepts at once and for the kernel's queue; the queue may be longer.
     listening.listen(QUEUE)
     try:
-        while not source.over and os.getppid() == parent:
+        while not source.finished and os.getppid() == parent:
             source.update()
             await asyncio.sleep(UPDATE_S)
-        if source.over:
+        if source.finished:
             await asyncio.sleep(LINGER_S)
     except StartError as error:
         print(f"the live page ends: {error}", file=sys.stderr)
@@ -92,7 +92,7 @@ async def _feed(source: RunSource, server: uvicorn.Server, listening: socket.soc
         server.should_exit = True
 
 
-def application(source: RunSource, order: PageConfiguration, port: int) -> AuthenticationMiddleware:
+def application(source: RunSource, configuration: PageConfiguration, port: int) -> AuthenticationMiddleware:
     """The page, its stream and its files, behind the gate."""
     from nicegui import ui
 
@@ -117,7 +117,7 @@ def application(source: RunSource, order: PageConfiguration, port: int) -> Authe
         show_welcome_message=False,
         tailwind=False,
     )
-    return AuthenticationMiddleware(app, order.keys, port)
+    return AuthenticationMiddleware(app, configuration.tokens, port)
 
 
 if __name__ == "__main__":

@@ -85,7 +85,7 @@ async def _listen(
                 answer = {"done": False, "said": "refused: this is a view-only session"}
             else:
                 # The answer may take a moment when the conductor is busy; other browsers do not wait for it.
-                answer = await asyncio.to_thread(viewer.asked, message, session.who)
+                answer = await asyncio.to_thread(viewer.handle, message, session.who)
         if answer is not None:
             async with lock:
                 await socket.send_text(json.dumps({"answer": answer}))

@@ -33,7 +33,7 @@ _HISTORY_NS = 1_000_000_000
 class _LiveModel(Protocol):
     """The model in one of its modes."""
 
-    def follow(self, shot: FrameSet, pressures: Pressures, loads: model.Loads | None) -> model.Shape | None:
+    def follow(self, frame_set: FrameSet, pressures: Pressures, loads: model.Loads | None) -> model.Shape | None:
         """Shape of the arm at the shot's time; None where it cannot be solved."""
 
 
@@ -73,8 +73,8 @@ class _StaticModel:
     def __init__(self, arm: model.Arm) -> None:
         self._arm = arm
 
-    def follow(self, shot: FrameSet, pressures: Pressures, loads: model.Loads | None) -> model.Shape | None:
-        return _rest(partial(self._arm.statics, doubt_units=False), pressures.at(shot.t_ns), loads)
+    def follow(self, frame_set: FrameSet, pressures: Pressures, loads: model.Loads | None) -> model.Shape | None:
+        return _rest(partial(self._arm.statics, doubt_units=False), pressures.at(frame_set.t_ns), loads)
 
 
 class _DynamicModel:
@@ -84,21 +84,21 @@ class _DynamicModel:
         self._dynamics = arm.dynamics(period_s)
         self._last: tuple[int, int] | None = None
 
-    def follow(self, shot: FrameSet, pressures: Pressures, loads: model.Loads | None) -> model.Shape | None:
+    def follow(self, frame_set: FrameSet, pressures: Pressures, loads: model.Loads | None) -> model.Shape | None:
         last, self._last = self._last, None
-        steps = shot.index - last[0] if last is not None else 0
+        steps = frame_set.index - last[0] if last is not None else 0
         if last is None or not 0 < steps <= _MOST_STEPS:
-            shape = _rest(self._dynamics.start, pressures.at(shot.t_ns), loads)
+            shape = _rest(self._dynamics.start, pressures.at(frame_set.t_ns), loads)
         else:
             shape = None
             for k in range(1, steps + 1):
-                pressure = pressures.at(last[1] + (shot.t_ns - last[1]) * k // steps)
+                pressure = pressures.at(last[1] + (frame_set.t_ns - last[1]) * k // steps)
                 shape = self._dynamics.step(pressure, loads) if np.all(np.isfinite(pressure)) else None
                 if shape is None or not shape.ok:
                     # The next frame starts anew at rest: a history with a hole is no history.
                     return None
         if shape is not None:
-            self._last = shot.index, shot.t_ns
+            self._last = frame_set.index, frame_set.t_ns
         return shape
 
 
@@ -126,13 +126,13 @@ class Observer:
         """
         # The pictures are small: a second thread gains nothing here and costs the control process its core.
         cv2.setNumThreads(1)
-        self._eyes = MultiCameraTipEstimator(config)
+        self._tip_estimator = MultiCameraTipEstimator(config)
         rate_hz = next(iter(config.cameras.values())).rate_hz
         arm = model_arm(config, variant)
         self._model: _LiveModel = (
             _StaticModel(arm) if config.model.mode == "static" else _DynamicModel(arm, 1 / rate_hz)
         )
-        self._hook = TipLoad(config)
+        self._tip_load = TipLoad(config)
         self._pressures = Pressures(config.actuators)
         self._dtype = observation_dtype(config.actuators, len(config.cameras))
         self._model_m = np.full(3, np.nan)
@@ -149,7 +149,7 @@ class Observer:
 
     def step(
         self,
-        shot: FrameSet,
+        frame_set: FrameSet,
         sample_t_ns: Times,
         sample_pa: Floats,
         protocol_s: float,
@@ -163,24 +163,24 @@ class Observer:
         `age_ns` is left at zero for whoever has a clock.
         """
         self._pressures.extend(np.asarray(sample_t_ns, dtype=np.int64), np.asarray(sample_pa, dtype=np.float64))
-        seen = self._eyes.measure(shot)
-        shape = self._model.follow(shot, self._pressures, self._hook.carrying(weight_kg))
+        seen = self._tip_estimator.measure(frame_set)
+        shape = self._model.follow(frame_set, self._pressures, self._tip_load.carrying(weight_kg))
         self.measurement, self.shape = seen, shape
         if shape is not None:
             self._model_m = np.array(shape.tip_m, dtype=np.float64)
         row = np.zeros((), self._dtype)
-        row["t_ns"], row["frame"] = shot.t_ns, shot.index
+        row["t_ns"], row["frame"] = frame_set.t_ns, frame_set.index
         row["protocol_s"], row["dropped"] = protocol_s, dropped
         row["seen"], row["model_ok"] = seen.seen, shape is not None
-        row["pressure_pa"] = self._pressures.at(shot.t_ns)
+        row["pressure_pa"] = self._pressures.at(frame_set.t_ns)
         row["weight_kg"] = weight_kg
         row["measured_m"], row["covariance_m2"] = seen.tip_m, seen.covariance_m2
         row["reprojection_px"] = seen.reprojection_px
         row["model_m"] = self._model_m
         row["backbone_m"] = backbone(shape)
-        row["truth_m"] = np.nan if shot.lead.truth_m is None else shot.lead.truth_m
+        row["truth_m"] = np.nan if frame_set.lead.truth_m is None else frame_set.lead.truth_m
         row["camera_seen"] = seen.cameras
-        row["camera_skew_s"] = [np.nan if f is None else (f.t_ns - shot.t_ns) * 1e-9 for f in shot.frames]
+        row["camera_skew_s"] = [np.nan if f is None else (f.t_ns - frame_set.t_ns) * 1e-9 for f in frame_set.frames]
         if self._adapting is not None:
             self.adaptation = self._adapting.step(row)
         return row

@@ -41,7 +41,7 @@ class OverlayProjector:
         self._points = points
         self._lines = 1 + config.actuators
 
-    def sketch(self, measurement: Measurement, shape: model.Shape | None) -> Overlay:
+    def project(self, measurement: Measurement, shape: model.Shape | None) -> Overlay:
         """Sketch a frame from what was measured in it and the arm's modelled shape, None where it was not solved."""
         corners = measurement.corners_px
         return Overlay(
@@ -51,7 +51,7 @@ class OverlayProjector:
             lines_m=self.lines(shape),
         )
 
-    def marks(self, corners_px: Floats | None, tip_m: Floats, shape: model.Shape | None) -> ImageAnnotations:
+    def annotations(self, corners_px: Floats | None, tip_m: Floats, shape: model.Shape | None) -> ImageAnnotations:
         """What is kept with a picture that is kept: where the board's corners, the tips and the backbone are in it."""
         line = backbone(shape)
         points = self.pixels(np.vstack([tip_m, np.full(3, np.nan) if shape is None else shape.tip_m, line]))

@@ -18,26 +18,26 @@ class PictureRecorder:
 
     def __init__(self, config: RigConfig) -> None:
         self._recording = config.recording
-        self._sketchers = {name: OverlayProjector(config, name, points=2) for name in config.cameras}
+        self._projectors = {name: OverlayProjector(config, name, points=2) for name in config.cameras}
         self._lost = False
         self._last_loss: int | None = None
 
-    def pictures(self, shot: FrameSet, observer: Observer) -> list[Picture]:
+    def pictures(self, frame_set: FrameSet, observer: Observer) -> list[Picture]:
         """Return the pictures to keep of the shot that the observer has just observed."""
         measurement = observer.measurement
-        if measurement is None or not self._keeps(shot.index, measurement.seen):
+        if measurement is None or not self._keeps(frame_set.index, measurement.seen):
             return []
-        corners = measurement.board_px or (None,) * len(shot.frames)
+        corners = measurement.board_px or (None,) * len(frame_set.frames)
         return [
             Picture(
                 t_ns=frame.t_ns,
-                frame=shot.index,
+                frame=frame_set.index,
                 camera=name,
                 encoding=self._recording.encoding,
                 data=encode(frame.image, self._recording),
-                marks=sketcher.marks(board, measurement.tip_m, observer.shape),
+                marks=projector.annotations(board, measurement.tip_m, observer.shape),
             )
-            for (name, sketcher), frame, board in zip(self._sketchers.items(), shot.frames, corners, strict=True)
+            for (name, projector), frame, board in zip(self._projectors.items(), frame_set.frames, corners, strict=True)
             if frame is not None
         ]
 

@@ -50,12 +50,12 @@ class SingleCameraTipEstimator:
 
     def measure(self, image: NDArray[np.uint8]) -> Measurement:
         """Measure the tip in the next picture, (height, width) grey or (height, width, 3) BGR."""
-        return self.judge(self.tracker.see(image))
+        return self.measurement_of(self.tracker.see(image))
 
-    def judge(self, sighting: Detection) -> Measurement:
+    def measurement_of(self, detection: Detection) -> Measurement:
         """The tip by what this camera alone has seen."""
-        if sighting.pose is None or sighting.corners is None:
-            return Measurement.none(sighting.seen, (sighting.seen,))
-        tip, covariance = tip_in_base(sighting.pose, self._board_in_tip, self._camera_in_base)
-        seen, pose = sighting.seen, sighting.pose
-        return Measurement(seen, tip, covariance, pose.reprojection_px, sighting.corners.px, (seen,))
+        if detection.pose is None or detection.corners is None:
+            return Measurement.none(detection.seen, (detection.seen,))
+        tip, covariance = tip_in_base(detection.pose, self._board_in_tip, self._camera_in_base)
+        seen, pose = detection.seen, detection.pose
+        return Measurement(seen, tip, covariance, pose.reprojection_px, detection.corners.px, (seen,))

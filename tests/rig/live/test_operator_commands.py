@@ -163,26 +163,26 @@ def conducted(
 
 def test_a_visitor_sees_the_run_and_cannot_write_to_it(conducted: Conducted, memory: SharedState) -> None:
     assert running_runs() == [conducted.door.path]
-    visit = ClientSession(conducted.door.path)
+    session = ClientSession(conducted.door.path)
     memory.set("held", 1)
-    assert visit.memory.get("held") == 1
-    assert visit.plan.config.name == "mock"
+    assert session.memory.get("held") == 1
+    assert session.plan.config.name == "mock"
     with pytest.raises(ValueError, match="read-only"):
-        visit.memory.set("held", 0)
+        session.memory.set("held", 0)
     with pytest.raises(OSError, match="Bad file descriptor"):
-        os.write(visit.memory.fd, b"x")
-    visit.close()
+        os.write(session.memory.fd, b"x")
+    session.close()
 
 
 def test_wishes_are_passed_on_with_who_has_them(conducted: Conducted, memory: SharedState) -> None:
-    visit = ClientSession(conducted.door.path)
+    session = ClientSession(conducted.door.path)
     me = user_name()
-    assert visit.ask("pause", me) == {"done": True, "said": f"pause by {me} (live page)"}
+    assert session.request("pause", me) == {"done": True, "said": f"pause by {me} (live page)"}
     assert conducted.asked == [OperatorCommand(Command.PAUSE, f"{me} (live page)")]
-    visit.watch()
-    visit.ask("resume", "ada")
+    session.watch()
+    session.request("resume", "ada")
     assert memory.get("watched_ns") > 0
-    visit.close()
+    session.close()
 
 
 @pytest.mark.parametrize(
@@ -207,15 +207,15 @@ def test_nonsense_is_shown_out_and_the_door_stays_open(conducted: Conducted, pac
     assert visitor.recv(100) == b""
     visitor.close()
     assert conducted.asked == []
-    with closing(ClientSession(conducted.door.path)) as visit:
-        assert visit.ask("pause", "ada")["done"]
+    with closing(ClientSession(conducted.door.path)) as session:
+        assert session.request("pause", "ada")["done"]
 
 
 @pytest.mark.parametrize("who", ["eve", "\x1b[31meve\u202e", " eve\n"])
 def test_the_record_names_the_account_behind_the_connection_whatever_it_says(conducted: Conducted, who: str) -> None:
-    with closing(ClientSession(conducted.door.path)) as visit:
-        visit.ask("pause", who)
-        visit.ask("resume", "", via="")
+    with closing(ClientSession(conducted.door.path)) as session:
+        session.request("pause", who)
+        session.request("resume", "", via="")
     named = "[31meve" if "[" in who else "eve"
     assert [request.who for request in conducted.asked] == [
         f"{named} (live page of {user_name()})",
@@ -265,14 +265,14 @@ def test_a_link_in_place_of_the_folder_is_not_followed(tmp_path: Path, monkeypat
 
 
 def test_visitors_beyond_the_most_are_shown_out_and_those_inside_are_still_served(conducted: Conducted) -> None:
-    visit = ClientSession(conducted.door.path)
+    session = ClientSession(conducted.door.path)
     others = [connect(conducted.door.path) for _ in range(60)]
-    visit.watch()
+    session.watch()
     for other in others:
         if other is not None:
             other.close()
-    assert visit.ask("pause", "ada")["done"]
-    visit.close()
+    assert session.request("pause", "ada")["done"]
+    session.close()
 
 
 def test_a_visitor_who_never_takes_his_answers_does_not_hold_the_conductor_up(conducted: Conducted) -> None:
@@ -284,8 +284,8 @@ def test_a_visitor_who_never_takes_his_answers_does_not_hold_the_conductor_up(co
             rude.send(json.dumps({"do": "pause", "who": "x" * 80}).encode())
     except (BlockingIOError, BrokenPipeError, ConnectionResetError):
         pass
-    with closing(ClientSession(conducted.door.path)) as visit:
-        assert visit.ask("resume", "ada")["done"]
+    with closing(ClientSession(conducted.door.path)) as session:
+        assert session.request("resume", "ada")["done"]
     rude.close()
 
 
