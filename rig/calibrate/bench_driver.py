@@ -98,9 +98,9 @@ class BenchDriver:
                     # No set-point stands: the reference goes along, and only a reading that stands still while the
                     # valve is open is suspicious, beside level and rate.
                     rate = _expected_pa_s(settings, offset_v, pressure) if i in chambers else 0.0
-                    request = Demand(math.nan, pressure, rate, 0.0)
+                    demand = Demand(math.nan, pressure, rate, 0.0)
                     watches[i], found = interlocks.step(
-                        self._prepared.limits, i, watch, dt, now, float(sample.volts[i]), pressure, request
+                        self._prepared.limits, i, watch, dt, now, float(sample.volts[i]), pressure, demand
                     )
                     trip = trip or found
             if trip is not None:

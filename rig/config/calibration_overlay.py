@@ -1,6 +1,6 @@
-"""Calibration files laid into a rig's YAML: what they found takes the place of what the rig's file states.
+"""Overlay of calibration files on a rig's YAML: calibrated values replace the stated ones.
 
-The simulator goes on as it was built: what the rig stated before is kept for it under `simulator, built`.
+The simulator keeps the values that the rig stated before, under `simulator, built`.
 """
 
 from __future__ import annotations
@@ -35,14 +35,14 @@ Faults = Iterator[Problem]
 
 
 def named_in(source: Document) -> tuple[tuple[tuple[str | int, ...], Path], ...]:
-    """The calibration files that a rig's YAML names, each with its place there; paths are relative to the rig's."""
+    """Return the calibration files that a rig's YAML names, with their YAML paths; files are relative to the rig's."""
     listed = source.data.get("calibrations") or ()
     folder = Path(source.file).parent
     return tuple((("calibrations", i), folder / str(name)) for i, name in enumerate(listed))
 
 
 def read_all(source: Document) -> tuple[LoadedCalibration, ...]:
-    """Read every calibration file that a rig's YAML names; `BadInput` with all that is wrong with any of them."""
+    """Read every calibration file that a rig's YAML names; raise `BadInputError` with the problems of all of them."""
     found: list[LoadedCalibration] = []
     problems: list[Problem] = []
     for place, path in named_in(source):
@@ -53,7 +53,7 @@ def read_all(source: Document) -> tuple[LoadedCalibration, ...]:
             if path.is_file():
                 problems += bad.problems
             else:
-                expected = "a calibration file: there is none of this name, seen from the rig's folder"
+                expected = "a calibration file: this file does not exist in the rig's folder"
                 problems.append(Problem(source.file, mark.line, mark.column, "calibrations", mark.source, expected))
     if problems:
         raise BadInputError(problems)
@@ -61,7 +61,7 @@ def read_all(source: Document) -> tuple[LoadedCalibration, ...]:
 
 
 def read_files(paths: Sequence[Path]) -> tuple[LoadedCalibration, ...]:
-    """Read calibration files; `BadInput` with all that is wrong with any of them."""
+    """Read calibration files; raise `BadInputError` with the problems of all of them."""
     found: list[LoadedCalibration] = []
     problems: list[Problem] = []
     for path in paths:
@@ -75,7 +75,7 @@ def read_files(paths: Sequence[Path]) -> tuple[LoadedCalibration, ...]:
 
 
 def sources(rig: Document, calibrations: Sequence[LoadedCalibration]) -> tuple[SourceFile, ...]:
-    """The rig's file and its calibrations, as an archive keeps them."""
+    """Return the rig's file and its calibrations as the archive stores them."""
     own = hashlib.sha256(rig.text.encode()).hexdigest()
     return (
         SourceFile(Path(rig.file).name, "rig", own, rig.text),
@@ -84,10 +84,10 @@ def sources(rig: Document, calibrations: Sequence[LoadedCalibration]) -> tuple[S
 
 
 def with_calibrations(text: str, config: RigConfig, calibrations: Sequence[LoadedCalibration]) -> str:
-    """The rig's YAML `text`, which `config` describes, with calibrations in it.
+    """Return the rig's YAML `text` with the calibrations applied; `config` is its parsed form.
 
     Raises:
-        BadInput: one is of another camera, resolution, board or card, or two are of the same thing.
+        BadInputError: a calibration has another camera, resolution, board or card; or two have the same subject.
     """
     problems = [*_twice(calibrations)]
     for calibration in calibrations:
@@ -118,7 +118,7 @@ def with_calibrations(text: str, config: RigConfig, calibrations: Sequence[Loade
 
 
 def as_stated(config: RigConfig) -> dict[str, Any]:
-    """What a simulator is built of, as the rig states it now."""
+    """Return the stated lenses, valves and sensors, from which the simulator is built."""
     return {
         "lenses": {name: camera.lens.model_dump(mode="json") for name, camera in config.cameras.items()},
         "valves": [valve.model_dump(mode="json") for valve in config.valves],
@@ -128,7 +128,7 @@ def as_stated(config: RigConfig) -> dict[str, Any]:
 
 def _place_camera(data: dict[str, Any], config: RigConfig, name: str, found: Placement) -> None:
     if config.simulator is not None:
-        # The camera stands where it stood: what the rig states moves, so the simulated error takes up the difference.
+        # The true camera pose stays: the stated placement changes, so the simulated error absorbs the difference.
         stands = rigid(config.cameras[name].placement) @ rigid(config.simulator.error_of(name))
         errors = data["simulator"].setdefault("camera_errors", {})
         errors[name] = placement_of(rigid(found).inverse() @ stands).model_dump(mode="json")
@@ -165,7 +165,7 @@ def _twice(calibrations: Sequence[LoadedCalibration]) -> Faults:
 
 
 def _subjects(calibration: LoadedCalibration) -> Iterator[tuple[tuple[str | int, ...], tuple[str, object], str]]:
-    """What a file calibrates: where it says so, a key, words."""
+    """Yield each subject of a file: its YAML path, a unique key, a description."""
     found = calibration.found
     if isinstance(found, CameraFile):
         yield ("camera", "name"), ("lens", found.camera.name), f"the lens of camera '{found.camera.name}'"
@@ -183,7 +183,7 @@ def _subjects(calibration: LoadedCalibration) -> Iterator[tuple[tuple[str | int,
 
 
 def _unfit(config: RigConfig, calibration: LoadedCalibration) -> Faults:
-    """Why a calibration is none of this rig."""
+    """Yield the reasons why a calibration does not belong to the rig."""
     found = calibration.found
     if isinstance(found, CameraFile):
         yield from _other_camera(config, calibration, ("camera",), found.camera)
@@ -235,7 +235,7 @@ def _other_camera(
 
 
 def _other_lens(config: RigConfig, calibration: LoadedCalibration, calibrations: Sequence[LoadedCalibration]) -> Faults:
-    """A camera's place was found through a lens, and holds with that one only."""
+    """A camera placement is valid only with the lens that it was calibrated with."""
     found = calibration.found
     if not isinstance(found, DLTFile):
         return

@@ -1,4 +1,4 @@
-"""A file of identified parameters, laid over a rig."""
+"""Overlay of a file of identified parameters on a rig."""
 
 from __future__ import annotations
 
@@ -32,15 +32,15 @@ from rig.config.schema import (
 )
 
 _SAME = 1e-6
-"""Lengths and angles are the same within this part of them."""
+"""Relative tolerance for equal lengths and angles."""
 
 
 End = Number | Literal["open"]
-"""Of an interval by profile likelihood: 'open' where the data set it none."""
+"""End of a profile-likelihood interval; 'open' where the data do not bound it."""
 
 
 class Origin(Section):
-    """What was identified: the arm as it was known before, and the model that describes it."""
+    """The model variant and the arm's geometry before identification."""
 
     variant: Variant
     modulus_rule: Literal["pointwise"] = Field(description="how each E_i is found; a rig runs none but this")
@@ -48,7 +48,7 @@ class Origin(Section):
 
 
 class IdentifiedArm(Section):
-    """The arm with what was found."""
+    """The identified arm."""
 
     geometry: Geometry
     material: Material
@@ -56,7 +56,7 @@ class IdentifiedArm(Section):
 
 
 class Mounting(Section):
-    """The rod base in the frame of the measured tips, and the measured point in the tip frame."""
+    """Pose of the rod base in the frame of the measured tips, and the measured point in the tip frame."""
 
     base_translation_mm: Triple
     base_rotation_deg: Triple
@@ -64,14 +64,14 @@ class Mounting(Section):
 
 
 class Sensing(Section):
-    """Reading over true pressure of each sensor, and how much later than the camera they are."""
+    """Gain of each sensor (reading over true pressure), and their lag behind the camera."""
 
     gain: tuple[Positive, ...]
     lag_s: Number
 
 
 class Estimate(Section):
-    """One parameter that was free."""
+    """One estimated parameter."""
 
     name: Word
     unit: str
@@ -86,14 +86,14 @@ class Estimate(Section):
 
 
 class Residuals(Section):
-    """Measured minus predicted over all runs, and what of it no stated error explains."""
+    """Residuals over all runs, and the model discrepancy beyond the stated errors."""
 
     rms_mm: NonNegative
     discrepancy_mm: NonNegative
 
 
 class Data(Section):
-    """One run that was used: its archive's id and hash, and how it was met."""
+    """One run of the data: its archive's id and hash, and its residuals."""
 
     run: Word
     sha256: str
@@ -106,14 +106,14 @@ class Data(Section):
 
 
 class CountedFrom(Section):
-    """What lay over the rig of the runs already, from where their estimates count."""
+    """The overlay of the runs' rig, to which the estimates are relative."""
 
     mounting: Mounting
     gain: tuple[Positive, ...]
 
 
 class ParametersFile(Section):
-    """What `rig identify --to FILE` writes and `--parameters FILE` takes."""
+    """The file that `rig identify --to FILE` writes and `--parameters FILE` reads."""
 
     softrig_parameters: Literal[2] = Field(description="version of this format")
     identified: Origin
@@ -129,32 +129,32 @@ class ParametersFile(Section):
 
 @dataclass(frozen=True)
 class Parameters:
-    """A parameter file: what it says, and its text, verbatim."""
+    """A parsed parameter file and its source text."""
 
     found: ParametersFile
     source: document.Document
 
 
 def read(path: Path) -> Parameters:
-    """Read a parameter file; `BadInput` with everything that is wrong with it."""
+    """Read a parameter file; raise `BadInputError` with every problem."""
     return _validated(document.read(path))
 
 
 def recorded(text: str) -> Parameters:
-    """The parameters that an archive keeps, of their text."""
+    """Parse the parameters that an archive stores as text."""
     return _validated(document.parse(text, "the recorded parameters"))
 
 
 def overlay(
     rig_yaml: str, file: str | Path, parameters: Parameters, variant: Variant | None = None, instead_of: str = ""
 ) -> str:
-    """The YAML of a rig with identified parameters in it; `file` is where the rig's YAML comes from.
+    """Return a rig's YAML with identified parameters applied; `file` is the source of the rig's YAML.
 
-    `variant` is the model that was asked for; without it, the rig's own. What hangs in a simulator stays as it was.
-    `instead_of` are the parameters that the rig has in it already, verbatim.
+    `variant` is the requested model variant; by default the rig's own. The simulator's true values do not change.
+    `instead_of` is the text of the parameters that the rig's YAML contains already.
 
     Raises:
-        BadInput: the rig is wrong; or the parameters are of another arm, or of another model.
+        BadInputError: the rig is invalid; or the parameters belong to another arm or model variant.
     """
     config = parse(rig_yaml, file)
     if instead_of:
@@ -173,9 +173,9 @@ def overlay(
 
 
 def without_parameters(rig_yaml: str, file: str | Path, applied: str) -> str:
-    """The YAML of a rig as it was before the parameters `laid`, verbatim, were laid over it.
+    """Return a rig's YAML without the overlay of the parameters whose text is `applied`.
 
-    All but the material and the cap, which stay: whatever parameters are laid over it next bring their own.
+    Material and cap mass stay: the next overlay replaces them.
     """
     parameters = recorded(applied)
     found = parameters.found
@@ -193,7 +193,7 @@ def without_parameters(rig_yaml: str, file: str | Path, applied: str) -> str:
 def overlay_file(
     rig_yaml: str, file: str | Path, parameters: Path, variant: Variant | None = None, instead_of: str = ""
 ) -> tuple[str, str]:
-    """`laid_over` with the parameters in a file; returns the file's text, too, as it is to be recorded."""
+    """Apply a parameter file as `overlay` does; return the YAML and the file's text."""
     found = read(parameters)
     return overlay(rig_yaml, file, found, variant, instead_of), found.source.text
 
@@ -203,7 +203,7 @@ def _validated(source: document.Document) -> Parameters:
 
 
 def _relative_to_overlay(found: ParametersFile, applied: ParametersFile) -> ParametersFile:
-    """Parameters of a rig as they count from the same rig with `laid` over it."""
+    """Express parameters relative to the same rig with the overlay `applied`."""
     if len(found.sensing.gain) != len(applied.sensing.gain):
         return found
     base = placement_of(_base(applied.mounting).inverse() @ _base(found.mounting))
@@ -223,7 +223,7 @@ def _relative_to_overlay(found: ParametersFile, applied: ParametersFile) -> Para
 
 
 def _check(config: RigConfig, rig: str, parameters: Parameters, variant: Variant | None) -> None:
-    """Refuse what was identified on another arm or for another model; every problem at once."""
+    """Refuse parameters of another arm or model variant; report every problem at once."""
     found, source = parameters.found, parameters.source
     problems = []
 
@@ -233,7 +233,7 @@ def _check(config: RigConfig, rig: str, parameters: Parameters, variant: Variant
 
     required = variant or config.model.variant
     if found.identified.variant != required:
-        by = "that was asked for" if variant else f"of {rig}"
+        by = "that --model names" if variant else f"of {rig}"
         refuse(("identified", "variant"), found.identified.variant, f"{required}, the model {by}; another with --model")
     now, then = config.arm.geometry, found.identified.geometry
     if len(then.actuator_angles_deg) != config.actuators:
@@ -256,7 +256,7 @@ def _check(config: RigConfig, rig: str, parameters: Parameters, variant: Variant
 
 
 def differing_fields(one: Geometry, other: Geometry) -> list[str]:
-    """The fields in which two geometries differ; angles may differ by whole turns."""
+    """Return the fields in which two geometries differ; angles are compared modulo 360 degrees."""
     found = []
     for name in Geometry.model_fields:
         a, b = np.ravel(getattr(one, name)), np.ravel(getattr(other, name))
@@ -278,7 +278,7 @@ def _merge(target: dict[str, Any], overlay_file: Mapping[str, Any]) -> None:
 
 
 def _scale(data: dict[str, Any], config: RigConfig, sensing: Sensing) -> None:
-    """Take what the sensors read too much off their scales."""
+    """Divide the sensors' pressure spans by their gains."""
     if all(gain == 1 for gain in sensing.gain):
         return
     if config.simulator is not None and config.simulator.built is None:
@@ -303,11 +303,11 @@ def _mount(data: dict[str, Any], config: RigConfig, mounting: Mounting) -> None:
 
 
 def _base(mounting: Mounting) -> RigidTransform:
-    """The rod base in the frame of the measured tips."""
+    """Return the rod base in the frame of the measured tips."""
     return rigid(Placement(translation_mm=mounting.base_translation_mm, rotation_deg=mounting.base_rotation_deg))
 
 
 def _place(data: dict[str, Any], key: str, known: Placement, back: RigidTransform) -> None:
-    """Carry a placement from one rod base to another; how well it is known stays."""
+    """Transform a placement from one rod-base frame to another; its uncertainty stays."""
     moved = placement_of(back @ rigid(known)).model_dump(mode="json", include={"translation_mm", "rotation_deg"})
     data[key] = {**known.model_dump(mode="json"), **moved}

@@ -1,4 +1,4 @@
-"""A visit at the door of a run: finds it, gets its memory read-only, and passes wishes on."""
+"""Client of a run's control socket: attaches to the shared memory read-only and sends operator commands."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ TIMEOUT_S = 5.0
 
 
 def connect(path: Path) -> socket.socket | None:
-    """A connection to the run behind a door; None when nobody is there any more."""
+    """Connect to a run's control socket; return None where no process listens."""
     client = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-    # Connecting to a busy door waits only on a blocking socket; this is how such a wait is bounded.
+    # Only a blocking connect waits for a busy listener; SO_SNDTIMEO limits the wait.
     client.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, struct.pack("ll", round(TIMEOUT_S), 0))
     try:
         client.connect(os.fspath(path))
@@ -32,7 +32,7 @@ def connect(path: Path) -> socket.socket | None:
 
 
 def running_runs() -> list[Path]:
-    """The doors of the runs that go, of this user."""
+    """Return the control sockets of this user's running experiments."""
     found = []
     for path in sorted(socket_paths().glob("run-*")):
         if client := connect(path):
@@ -42,7 +42,7 @@ def running_runs() -> list[Path]:
 
 
 class ClientSession:
-    """An attached view of a run: its `plan` and its `memory`, which cannot be written through it."""
+    """A session with a run: its `plan` and its `memory`, mapped read-only."""
 
     def __init__(self, path: Path) -> None:
         """Attach.
@@ -52,7 +52,7 @@ class ClientSession:
         """
         connection = connect(path)
         if connection is None:
-            raise StartError(f"no run is going at {path}")
+            raise StartError(f"no run is active at {path}")
         self._path = path
         self._connection = connection
         try:
@@ -64,13 +64,13 @@ class ClientSession:
             raise StartError(f"the run at {path} does not answer: {error}") from error
         with os.fdopen(plan_fd, "rb") as file:
             file.seek(0)
-            self.plan: Plan = pickle.load(file)  # from our own user's run, through a folder that is his alone
+            self.plan: Plan = pickle.load(file)  # written by a run of this user, in a folder of mode 0700
         self.memory = SharedState(memory_fd, StateLayout.of(self.plan.config, len(self.plan.adapted)), readonly=True)
         connection.setblocking(False)
         self.ended = False
 
     def watch(self) -> None:
-        """Say that somebody looks; to be repeated."""
+        """Tell the run that a viewer is present; repeat about once a second."""
         try:
             self._connection.send(b'{"do": "watch"}')
         except BlockingIOError:
@@ -79,9 +79,9 @@ class ClientSession:
             self.ended = True
 
     def request(self, do: str, who: str, via: str = "live page") -> dict[str, Any]:
-        """Ask for an action and wait for the answer, `done` and `said`. May be called from any thread.
+        """Send an operator command and wait for the reply, `done` and `said`. Thread-safe.
 
-        `who` is a person, `via` the program in use; the record adds the account that this process runs under.
+        `who` names the operator, `via` the program; the record adds the account of this process.
         """
         connection = connect(self._path)
         if connection is None:
@@ -99,7 +99,7 @@ class ClientSession:
         return {"done": False, "said": "the run has ended"}
 
     def check_ended(self) -> None:
-        """Notice the run's end."""
+        """Set `ended` when the run has closed the connection."""
         try:
             self.ended = self.ended or not self._connection.recv(PACKET_BYTES, socket.MSG_PEEK)
         except BlockingIOError:
@@ -108,6 +108,6 @@ class ClientSession:
             self.ended = True
 
     def close(self) -> None:
-        """Leave."""
+        """Close the connection and the memory."""
         self._connection.close()
         os.close(self.memory.fd)

@@ -1,4 +1,4 @@
-"""A run that goes, as the page shows it: reads the shared memory, keeps a thinned past, never touches a file."""
+"""The source for a running experiment. It reads the shared memory and keeps a decimated history; it uses no files."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ from rig.realtime.shared_state import Stage
 from runs.records import DetectionStatus, Event
 
 CHART_DECIMATION = 10
-"""Control ticks per row of the pressure chart."""
+"""Control cycles per row of the pressure chart."""
 EVENTS_KEPT = 500
 WATCH_EVERY_S = 1.0
 IDLE_PACKET_S = 0.2
-"""A packet is due after so long even when the camera shows nothing new."""
+"""A packet is due after this time even without a new camera frame."""
 LATENESS_WINDOW = 200
-"""Ticks over which the greatest lateness is shown."""
+"""Control cycles over which the maximum lateness is shown."""
 FAR = float("-inf")
 
 
 class LiveRun:
-    """The source for a run that goes."""
+    """Data of a running experiment in the form that the page needs."""
 
     live = True
 
@@ -57,7 +57,7 @@ class LiveRun:
         return bool(self.ended)
 
     def about(self) -> dict[str, Any]:
-        """What does not change during the run."""
+        """Return the constant properties of the run."""
         plan = self.session.plan
         camera = next(iter(plan.config.cameras.values()))
         return {
@@ -73,12 +73,12 @@ class LiveRun:
         }
 
     def viewer(self) -> LiveRunViewer:
-        """The view of one more browser."""
+        """Return a view for one more browser."""
         self.viewers += 1
         return LiveRunViewer(self)
 
     def update(self) -> None:
-        """Take in what the run has written since the last call."""
+        """Read the data that the run has written since the last call."""
         if self.finished:
             return
         memory = self.session.memory
@@ -110,7 +110,7 @@ class LiveRun:
 
     @property
     def lateness_max_us(self) -> float:
-        """Greatest lateness of the last second."""
+        """Maximum lateness of the last second."""
         return float(self._lateness.max()) * 1e-3
 
     def picture(self) -> bytes:
@@ -158,7 +158,7 @@ class LiveRunViewer:
         self._end_sent = False
 
     def packet(self) -> bytes | None:
-        """What is new; None when nothing is."""
+        """Return the new data; None where there is none."""
         source = self._source
         frame = next(reversed(source.observations), -1)
         number = -1 if source.view is None else int(source.view[0]["number"])
@@ -186,13 +186,13 @@ class LiveRunViewer:
         return update.encoded()
 
     def handle(self, message: Message, who: str) -> dict[str, Any] | None:
-        """Pass an action on to the conductor."""
+        """Send an operator command to the supervisor."""
         if message.do is None:
             return {"done": False, "said": "refused: seek, speed and play are for archives"}
         return {"do": message.do, **self._source.session.request(message.do, who)}
 
     def close(self) -> None:
-        """The browser has gone."""
+        """Unregister the browser."""
         self._source.viewers -= 1
 
     def _now(self) -> dict[str, Any]:

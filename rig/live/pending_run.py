@@ -1,4 +1,4 @@
-"""A run that is about to begin: the page is up before it, and shows it as soon as its door opens."""
+"""The source for a run that is starting: the page connects as soon as the control socket exists."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ CONNECT_EVERY_S = 0.1
 
 
 class PendingRun:
-    """The source for a run whose door may still be shut: simulators and compilers can take their time."""
+    """Waits for a run's control socket, then delegates to `LiveRun`; simulation and compilation may delay the start."""
 
     live = True
 
@@ -30,21 +30,21 @@ class PendingRun:
         return self._live_run is not None and self._live_run.finished
 
     def about(self) -> dict[str, Any] | None:
-        """What does not change; None while the run has not begun."""
+        """Return the constant properties; None before the run starts."""
         return None if self._live_run is None else self._live_run.about()
 
     def viewer(self) -> Viewer:
-        """The view of one more browser.
+        """Return a view for one more browser.
 
         Raises:
-            StartError: the run has not begun.
+            StartError: the run has not started.
         """
         if self._live_run is None:
-            raise StartError("the run has not begun")
+            raise StartError("the run has not started")
         return self._live_run.viewer()
 
     def update(self) -> None:
-        """Knock, or pass on what the run has written."""
+        """Try to connect, or read new data."""
         if self._live_run is not None:
             self._live_run.update()
             return

@@ -1,6 +1,6 @@
-"""The page's process: `python -m rig.live.server`, told on its standard input what to show and to whom.
+"""The page's process: `python -m rig.live.server`; it reads its configuration from standard input.
 
-It runs beside the run in the normal scheduling class and politely; it can die or hang without the run noticing.
+It runs in the normal scheduling class with a positive nice value; its failure does not affect the run.
 """
 
 from __future__ import annotations
@@ -24,15 +24,15 @@ from rig.live.run_source import RunSource
 from rig.live.stream import stream
 
 NICE = 5
-"""Behind the observer and the conductor, but not so far that a busy machine starves it."""
+"""Lower priority than observer and supervisor, but high enough for a busy machine."""
 UPDATE_S = 0.008
 QUEUE = 1024
-"""Connections that the kernel keeps for a busy page."""
+"""Listen backlog of the kernel."""
 STATIC = Path(__file__).parent / "static"
 
 
 def main() -> int:
-    """Serve until the run is over, or for an archive until told to stop."""
+    """Serve until the run ends, or for an archive until a signal arrives."""
     configuration: PageConfiguration = pickle.load(sys.stdin.buffer)  # written by our own parent, over a pipe
     source = _source(configuration)
     listening = socket.socket(fileno=configuration.fd)
@@ -52,7 +52,7 @@ def main() -> int:
         )
     )
 
-    os.nice(NICE)  # from here on: what was imported so far was waited for
+    os.nice(NICE)  # after the imports, for which the user waits
 
     async def serve() -> None:
         feeding = asyncio.create_task(_feed(source, server, listening))
@@ -78,7 +78,7 @@ async def _feed(source: RunSource, server: uvicorn.Server, listening: socket.soc
     parent = os.getppid()
     while not server.started:
         await asyncio.sleep(UPDATE_S)
-    # asyncio takes one number for how many it accepts at once and for the kernel's queue; the queue may be longer.
+    # asyncio uses one number for connections per pass and for the backlog; the backlog may be longer.
     listening.listen(QUEUE)
     try:
         while not source.finished and os.getppid() == parent:
@@ -93,7 +93,7 @@ async def _feed(source: RunSource, server: uvicorn.Server, listening: socket.soc
 
 
 def application(source: RunSource, configuration: PageConfiguration, port: int) -> AuthenticationMiddleware:
-    """The page, its stream and its files, behind the gate."""
+    """Return the page, its stream and its static files behind the authentication middleware."""
     from nicegui import ui
 
     from rig.live import page

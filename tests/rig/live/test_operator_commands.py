@@ -294,7 +294,7 @@ def test_a_door_that_a_dead_run_left_is_no_run(conducted: Conducted, tmp_path: P
     left.bind(str(socket_paths() / "run-1"))
     left.close()
     assert running_runs() == [conducted.door.path]
-    with pytest.raises(StartError, match="no run is going"):
+    with pytest.raises(StartError, match="no run is active"):
         ClientSession(socket_paths() / "run-1")
 
 
