@@ -1,4 +1,4 @@
-"""`rig reproduce`: the paper's results beside ours."""
+"""`rig reproduce`: the paper's results beside computed ones."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from rig.cli.options import AsJson, Replace
 
 
 class Result(StrEnum):
-    """What of the paper."""
+    """Results of the paper that can be reproduced."""
 
     MODULUS = "modulus"
     TABLE3 = "table3"
@@ -44,7 +44,7 @@ def reproduce(
     replace: Replace = False,
     json: AsJson = False,
 ) -> None:
-    """Compute a result of the paper again, beside the printed one, and say why they differ."""
+    """Compute a result of the paper beside the printed one, and explain the difference."""
     import json as writer
 
     from rig.cli import reproduction_output
@@ -85,7 +85,7 @@ def reproduce(
     from rig.reproduce.all_results import NEEDS, results
 
     wanted = tuple(NEEDS) if everything else (what.value,) if what.value in NEEDS else ()
-    # What Table 3 says by the print alone needs no experiment, unless there are archives to hold it against.
+    # The analysis of the printed Table 3 needs no experiment unless archives are given.
     if wanted and not (what is Result.TABLE3 and runs is None):
         reproduced = results(wanted, runs or out / "runs", everything, lambda line: progress.print(line))
         rows += reproduced.rows

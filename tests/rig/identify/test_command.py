@@ -173,11 +173,11 @@ def test_of_several_starts_the_likeliest_is_taken(
     ("options", "said"),
     [
         (["--every", "2"], "say --quasi-static"),
-        (["--start", "mock", "--choose"], "neither --choose nor --paper"),
+        (["--start", "mock", "--choose"], "not valid with --choose or --paper"),
         (["--start", "nowhere"], "there is no such file"),
         (["--figure", "x.png"], "nothing is predicted"),
         (["--rig", "mock"], "to begin the search at another rig say --start"),
-        (["--until", "3", "--paper"], "neither --choose nor --paper"),
+        (["--until", "3", "--paper"], "not valid with --choose or --paper"),
         (["--until", "1e6"], "shows no tip after"),
     ],
 )
@@ -197,7 +197,7 @@ def test_where_results_are_to_go_is_known_to_be_wrong_before_the_search(
     found = str(tmp_path / "found.yaml")
     for options, said in (
         (["--rig-file", found, "--rig", "nowhere"], "no rig of that name"),
-        (["--rig-file", found, "--rig", str(tmp_path / "short.yaml")], "another arm than the search begins at"),
+        (["--rig-file", found, "--rig", str(tmp_path / "short.yaml")], "another arm than the initial rig"),
         (["--figure", str(tmp_path / "a.xyz"), "--until", "15"], "a name that ends with .png, .pdf or .svg"),
         (["--report", str(tmp_path)], "a file, not a folder"),
         (["--to", str(tmp_path / "short.yaml" / "a.yaml")], "is a file, not a folder"),
