@@ -1,4 +1,4 @@
-"""Vision and model once more, from a run's stored pictures and pressures, into an archive that names its parent."""
+"""Replay: run vision and model on a run's stored pictures and pressures; write an archive that names its parent."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from runs.run import Run
 
 @dataclass(frozen=True)
 class ReplayRig:
-    """The rig of a replay: its YAML with all that lies over it, what it says, what it was made of, and the model."""
+    """The rig of a replay: YAML with all overlays, configuration, sources, parameters and model variant."""
 
     yaml: str
     config: RigConfig
@@ -46,15 +46,15 @@ def replay(
     parameters: Path | None = None,
     calibrations: Sequence[Path] = (),
 ) -> Path:
-    """Observe a run's pictures again and return the new archive's path.
+    """Process a run's pictures again and return the new archive's path.
 
-    `rig` names a rig, or a file, with other calibration, model or material; by default the run's own. `parameters` is
-    a file of identified ones to lay over it, `calibrations` are files of `rig calibrate`. Frames that were
-    not stored are not observed; the model steps over them as over dropped frames.
+    `rig` is a name or file with other calibration, model or material; by default the run's own. `parameters` is a file
+    of identified parameters, `calibrations` are files of `rig calibrate`. The model treats frames that were not stored
+    as dropped frames.
 
     Raises:
-        ArchiveError: the run kept no pictures.
-        BadInput: the rig is wrong, or has another number of actuators.
+        ArchiveError: the run has no pictures.
+        BadInputError: the rig is invalid, or has another number of actuators.
     """
     if not len(run.frames.index):
         raise ArchiveError(f"{run.path} holds no pictures: there is nothing to replay")
@@ -98,13 +98,13 @@ def replay_settings(
     parameters: Path | None = None,
     calibrations: Sequence[Path] = (),
 ) -> ReplayRig:
-    """What a run is to be seen with again; see `replay`.
+    """Return the rig, sources and model variant of a replay; see `replay`.
 
-    Calibrations are of the rig without any parameters: those that the run had are lifted off it, and laid over it again
-    where no others are given.
+    Calibrations apply to the rig without identified parameters: the run's parameters are removed first, and applied
+    again unless others are given.
 
     Raises:
-        BadInput: the rig is wrong, or has another number of actuators.
+        BadInputError: the rig is invalid, or has another number of actuators.
     """
     text = run.header.rig_yaml if rig is None else loader.text(rig)
     file = f"{run.path}: rig" if rig is None else str(loader.path_of(rig))
@@ -138,7 +138,7 @@ def _variant(run: Run) -> Variant:
 
 def _picture(run: Run, k: int) -> NDArray[np.uint8]:
     data = np.frombuffer(run.picture(k), np.uint8)
-    # OpenCV raises where there are no bytes, and returns nothing where they are no picture.
+    # OpenCV raises for an empty buffer and returns None for an invalid picture.
     image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if len(data) else None
     if image is None:
         raise ArchiveError(f"{run.path}: entry/frames/image[{k}]: found {len(data)} bytes, expected a JPEG or PNG")
@@ -146,7 +146,7 @@ def _picture(run: Run, k: int) -> NDArray[np.uint8]:
 
 
 def _observed(run: Run, config: RigConfig, variant: Variant) -> Iterator[NDArray[np.void]]:
-    """The rows of the stored frames, in their order."""
+    """Yield the observations of the stored frames in order."""
     observer = Observer(config, variant)
     tip = run.tip
     clock = run.header.started_t_ns
@@ -184,7 +184,7 @@ def _observed(run: Run, config: RigConfig, variant: Variant) -> Iterator[NDArray
 
 
 def _cameras(run: Run, config: RigConfig) -> dict[str, int]:
-    """Which of the rig's cameras took the run's pictures: by name, or in their order where no name is the same."""
+    """Map the run's cameras to the rig's: by name, or by order where no name matches."""
     names = list(config.cameras)
     if set(names).isdisjoint(run.header.cameras):
         return dict(zip(run.header.cameras, range(len(names)), strict=False))
@@ -192,7 +192,7 @@ def _cameras(run: Run, config: RigConfig) -> dict[str, int]:
 
 
 def _samples(run: Run) -> NDArray[np.void]:
-    """The run's control ticks, as they were recorded."""
+    """Return the run's recorded control cycles."""
     pressure = run.pressure
     rows = np.zeros(len(pressure.time_s), sample_dtype(run.header.actuators, run.header.valves))
     rows["t_ns"] = _nanoseconds(pressure.time_s, run.header.started_t_ns)

@@ -1,4 +1,4 @@
-"""Per frame: picture -> measured tip, measured pressures -> modelled tip, side by side in one row."""
+"""Observer: for each frame set, the tip measured by vision and the tip modelled from the measured pressures."""
 
 from __future__ import annotations
 
@@ -25,27 +25,27 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 Times = NDArray[np.int64]
 
-# Catching up on more lost frames than this costs more time than it is worth: the model starts anew at rest.
+# After more dropped frames than this the model restarts from the static solution instead of catching up.
 _MOST_STEPS = 10
 _HISTORY_NS = 1_000_000_000
 
 
 class _LiveModel(Protocol):
-    """The model in one of its modes."""
+    """The live model, static or dynamic."""
 
     def follow(self, frame_set: FrameSet, pressures: Pressures, loads: model.Loads | None) -> model.Shape | None:
-        """Shape of the arm at the shot's time; None where it cannot be solved."""
+        """Return the arm's shape at the time of the frame set; None without convergence."""
 
 
 class Pressures:
-    """The measured pressures of the last second, interpolated."""
+    """Linear interpolation of the pressures of the last second."""
 
     def __init__(self, actuators: int) -> None:
         self._t_ns: Times = np.empty(0, np.int64)
         self._pa: Floats = np.empty((0, actuators))
 
     def extend(self, t_ns: Times, pa: Floats) -> None:
-        """Append samples `t_ns` (k,), `pa` (k, N); such as are not newer than the last known are ignored."""
+        """Append samples `t_ns` (k,), `pa` (k, N); samples that are not newer than the last are ignored."""
         if self._t_ns.size:
             new = t_ns > self._t_ns[-1]
             t_ns, pa = t_ns[new], pa[new]
@@ -55,13 +55,13 @@ class Pressures:
             self._pa = np.concatenate([self._pa[keep], pa])
 
     def at(self, t_ns: int) -> Floats:
-        """Pressures (N,) [Pa] at a time, the nearest sample beyond the ends; NaN when nothing was measured yet."""
+        """Return pressures (N,) [Pa] at a time, the nearest sample beyond the ends; NaN before the first."""
         if not self._t_ns.size:
             return np.full(self._pa.shape[1], np.nan)
         after = int(np.searchsorted(self._t_ns, t_ns))
         if after == 0 or after == len(self._t_ns):
             return np.array(self._pa[min(after, len(self._t_ns) - 1)])
-        # Differences of times: nanoseconds since boot do not fit a float exactly.
+        # Subtract in int64: a float64 cannot represent nanoseconds since boot exactly.
         before_ns = int(self._t_ns[after - 1])
         share = (t_ns - before_ns) / (int(self._t_ns[after]) - before_ns)
         return np.array(self._pa[after - 1] + share * (self._pa[after] - self._pa[after - 1]))
@@ -95,7 +95,7 @@ class _DynamicModel:
                 pressure = pressures.at(last[1] + (frame_set.t_ns - last[1]) * k // steps)
                 shape = self._dynamics.step(pressure, loads) if np.all(np.isfinite(pressure)) else None
                 if shape is None or not shape.ok:
-                    # The next frame starts anew at rest: a history with a hole is no history.
+                    # The next frame restarts from statics, because the history has a gap.
                     return None
         if shape is not None:
             self._last = frame_set.index, frame_set.t_ns
@@ -117,14 +117,14 @@ class _Solve(Protocol):
 
 
 class Observer:
-    """Turns shots, in their order, into rows of `runs.records.observation_dtype`. Knows no clock."""
+    """Converts frame sets, in order, to rows of `runs.records.observation_dtype`. It uses no clock."""
 
     def __init__(self, config: RigConfig, variant: Variant | None = None, adapt: Sequence[str] = ()) -> None:
         """`variant` of the model (the rig's when None).
 
-        `adapt` names the parameters that a recursive estimator finds meanwhile; the model's tip is then by these.
+        `adapt` names the parameters of the recursive estimator, which then predicts the model's tip.
         """
-        # The pictures are small: a second thread gains nothing here and costs the control process its core.
+        # The pictures are small; a second thread only takes CPU time from the control process.
         cv2.setNumThreads(1)
         self._tip_estimator = MultiCameraTipEstimator(config)
         rate_hz = next(iter(config.cameras.values())).rate_hz
@@ -137,10 +137,10 @@ class Observer:
         self._dtype = observation_dtype(config.actuators, len(config.cameras))
         self._model_m = np.full(3, np.nan)
         self.measurement: Measurement | None = None
-        """Of the last shot, as `shape` is the model's; for those who draw them."""
+        """Measurement of the last frame set; `shape` is the model's. For overlays."""
         self.shape: model.Shape | None = None
         self.adaptation: NDArray[np.void] | None = None
-        """What the estimator made of the last shot; None without one."""
+        """Row of the estimator for the last frame set; None without an estimator."""
         self._adapting: OnlineEstimation | None = None
         if adapt:
             from rig.observation.online_estimation import OnlineEstimation
@@ -156,11 +156,9 @@ class Observer:
         dropped: int = 0,
         weight_kg: float = 0.0,
     ) -> NDArray[np.void]:
-        """Observe one shot with the samples (k,), (k, N) that came since the last; return a row, shape ().
+        """Process one frame set with the samples (k,), (k, N) since the last one; return a row ().
 
-        `weight_kg` is what the operator has hung on the end cap.
-
-        `age_ns` is left at zero for whoever has a clock.
+        `weight_kg` is the weight on the end cap. `age_ns` stays zero; the caller sets it.
         """
         self._pressures.extend(np.asarray(sample_t_ns, dtype=np.int64), np.asarray(sample_pa, dtype=np.float64))
         seen = self._tip_estimator.measure(frame_set)

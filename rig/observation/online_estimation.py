@@ -1,4 +1,4 @@
-"""The recursive estimator beside the observer: each measured tip corrects the model's parameters a little."""
+"""Online estimation: the recursive estimator updates the model's parameters with each measured tip."""
 
 from __future__ import annotations
 
@@ -19,15 +19,17 @@ DEFAULT_PARAMETERS_HOMOGENEOUS = ("youngs_modulus_pa", "rpe_per_bar", "base", "s
 
 
 def default_parameters(variant: Variant) -> tuple[str, ...]:
-    """What is estimated where nothing else is said; `rig identify` frees it, too."""
+    """Return the default free parameters, also those of `rig identify`."""
     return DEFAULT_PARAMETERS_HOMOGENEOUS if variant.startswith("homogeneous") else DEFAULT_PARAMETERS
 
 
 def recursive_estimator(config: RigConfig, variant: Variant | None, parameters: Sequence[str]) -> RecursiveEstimator:
-    """The estimator of a rig's arm, begun at the rig's own numbers; half a sensor's accuracy is what its zero may be.
+    """Return the estimator of a rig's arm with the rig's values as initial estimates.
+
+    The prior of a sensor's offset has half its accuracy as standard deviation.
 
     Raises:
-        UnknownParameter, NotAdaptable: a parameter is none, or cannot be estimated frame by frame.
+        UnknownParameter, NotEstimableError: a name is unknown, or cannot be estimated recursively.
     """
     zeros = {
         f"sensor_{sensor.actuator}_offset_pa": Prior(0.0, sensor.accuracy_bar * PA_PER_BAR / 2)
@@ -37,7 +39,7 @@ def recursive_estimator(config: RigConfig, variant: Variant | None, parameters: 
 
 
 def estimated_quantities(config: RigConfig, variant: Variant | None, parameters: Sequence[str]) -> tuple[Quantity, ...]:
-    """What will be estimated: names, units, starting values and how well they are known. Raises as `adapter` does."""
+    """Return names, units, initial values and standard deviations; raises as `recursive_estimator` does."""
     estimator = recursive_estimator(config, variant, parameters)
     columns = zip(estimator.names, estimator.values, estimator.units, estimator.std, strict=True)
     return tuple(
@@ -47,7 +49,7 @@ def estimated_quantities(config: RigConfig, variant: Variant | None, parameters:
 
 
 class OnlineEstimation:
-    """Follows the observer frame by frame. Knows no clock, and nothing of it reaches the valves."""
+    """Updates the estimates frame by frame. It uses no clock and is not part of the control loop."""
 
     def __init__(self, config: RigConfig, variant: Variant | None, parameters: Sequence[str]) -> None:
         self._estimator = recursive_estimator(config, variant, parameters)
@@ -57,10 +59,10 @@ class OnlineEstimation:
         self._predicted_m = np.full(3, np.nan)
 
     def step(self, observation: NDArray[np.void]) -> NDArray[np.void]:
-        """Use one row of observations (); return the row of `runs.records.adaptation_dtype` to it.
+        """Update with one observation (); return a row of `runs.records.adaptation_dtype`.
 
-        The model's tip in `seen` becomes that of the estimates before this frame. What motion adds to the tip is taken
-        from the running model, whose parameters stay as they are.
+        The model's tip in `observation` is replaced by the prediction with the prior estimates. The dynamic part of the
+        tip comes from the running model, whose parameters are constant.
         """
         row = self._row.copy()
         row["t_ns"], row["frame"], row["start_model_m"] = (
@@ -84,7 +86,7 @@ class OnlineEstimation:
         return row
 
     def _motion_m(self, observation: NDArray[np.void]) -> NDArray[np.float64]:
-        """By how much the running model's tip differs from its own at rest; NaN where it has none."""
+        """Return the difference of the running model's tip from its static tip; NaN without a solution."""
         nothing = np.full(3, np.nan)
         if not observation["model_ok"]:
             return nothing
