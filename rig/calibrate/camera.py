@@ -1,4 +1,4 @@
-"""`rig calibrate camera`: views in, intrinsics with a picture of their residuals out."""
+"""`rig calibrate camera`: intrinsics from views of a board, with a figure of the residuals."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _PICTURE = ".png"
 
 @dataclass(frozen=True)
 class CameraCalibrationRequest:
-    """The command line."""
+    """Options of the command."""
 
     views: tuple[str, ...]
     corners: str
@@ -45,12 +45,12 @@ class CameraCalibrationRequest:
 
 
 def run(request: CameraCalibrationRequest) -> None:
-    """Calibrate every camera that was named, and write a file and a picture for each.
+    """Calibrate every named camera; write a file and a figure for each.
 
     Raises:
-        BadInput: the command line cannot be.
+        BadInputError: the command line is invalid.
         ViewsError, CalibrationError: the views do not determine a camera.
-        CameraError: a live camera gives no pictures.
+        CameraError: a live camera delivers no pictures.
     """
     corners, square_m = inputs.corners_of(request.corners), inputs.square_of(request.square_mm)
     rig = inputs.rig_of(request.rig)

@@ -1,4 +1,4 @@
-"""`rig calibrate dlt`: coefficients and places of one or more cameras, from control points or from boards."""
+"""`rig calibrate dlt`: DLT coefficients and poses of cameras, from control points or from boards."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ _WIDEST_MM = 1e6
 
 @dataclass(frozen=True)
 class DLTCalibrationRequest:
-    """The command line."""
+    """Options of the command."""
 
     given: tuple[str, ...]
     corners: str
@@ -65,7 +65,7 @@ class DLTCalibrationRequest:
 
 @dataclass(frozen=True)
 class DLTCalibrationResult:
-    """Every camera's coefficients and place, and what they rest on."""
+    """Coefficients and pose of every camera, with the data of the fit."""
 
     observations: dict[str, PointObservations]
     dlts: dict[str, DLT]
@@ -81,8 +81,8 @@ def run(request: DLTCalibrationRequest) -> None:
     """Calibrate, write the file, print it.
 
     Raises:
-        BadInput: the command line, the control points or another calibration cannot be.
-        ViewsError, CalibrationError, DLTError: what is given does not determine the coefficients.
+        BadInputError: the command line, the control points or another calibration are invalid.
+        ViewsError, CalibrationError, DLTError: the data do not determine the coefficients.
     """
     if request.to is not None:
         refuse_existing([request.to], replace=request.replace)
@@ -119,7 +119,7 @@ def run(request: DLTCalibrationRequest) -> None:
 
 
 def _refuse_unknown_cameras(request: DLTCalibrationRequest, is_csv: bool) -> None:
-    """Refuse options that belong to the other way of calibrating, and would do nothing in this one."""
+    """Refuse options that apply only to the other form of input."""
     of_boards = {
         "--corners": request.corners,
         "--square-mm": request.square_mm,
@@ -176,7 +176,7 @@ def _fitted(name: str, observation: PointObservations) -> DLT:
 def _size_of(
     request: DLTCalibrationRequest, name: str, rig: RigConfig | None, known: dict[str, LoadedCalibration]
 ) -> tuple[int, int]:
-    """Size of a camera's pictures: as said, or as its calibration or the rig state it."""
+    """Return the size of a camera's pictures: from --size, its calibration or the rig."""
     if request.size:
         width, cross, height = request.size.partition("x")
         if not (cross and width.isdecimal() and height.isdecimal() and 64 <= min(int(width), int(height)) <= 16384):
@@ -334,7 +334,7 @@ def _hash(hashes: Hashes, key: str) -> str:
 
 
 def _world_view(request: DLTCalibrationRequest, extrinsics: ExtrinsicCalibration, hashes: Hashes) -> str:
-    """The view whose board is the world: as said, by file name or number, or the one that most cameras saw."""
+    """Return the view that defines the world: from --world-view, by default the one that most cameras see."""
     if not request.world_view:
         return max(extrinsics.boards, key=lambda key: sum(key in views for views in extrinsics.corners_px.values()))
     for found in hashes.values():
@@ -345,7 +345,7 @@ def _world_view(request: DLTCalibrationRequest, extrinsics: ExtrinsicCalibration
 
 
 def _base(request: DLTCalibrationRequest) -> RigidTransform:
-    """Where the world view's board stands in the rod-base frame; where nothing is said it is the world itself."""
+    """Return the pose of the world view's board in the rod-base frame; the identity by default."""
     if not request.base:
         return RigidTransform(np.eye(3), np.zeros(3))
     parts = request.base.replace(" ", "").split(",")

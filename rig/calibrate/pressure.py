@@ -1,4 +1,4 @@
-"""`rig calibrate pressure`: sensors against a reference gauge, valves by a sweep of their voltage."""
+"""`rig calibrate pressure`: sensors against a reference gauge, valves by a voltage sweep."""
 
 from __future__ import annotations
 
@@ -40,10 +40,10 @@ from runs.overwriting import refuse_existing
 
 Floats = NDArray[np.float64]
 Gauge = Callable[[BenchDriver, int], float]
-"""Reads the reference gauge [Pa] at the chamber of an actuator (from 0), while the driver goes on."""
+"""Reads the reference gauge [Pa] at the chamber of an actuator (from 0) while the driver regulates."""
 
 LEVELS = (0.15, 0.35, 0.55, 0.75, 0.95)
-"""Of the highest set-point."""
+"""Levels as shares of the highest set-point."""
 SETTLE_S, AVERAGE_S = 1.2, 0.5
 FILL_FROM, VENT_FROM, BAND = 0.25, 0.75, 0.14
 """Pressures at which a sweep opens the valve, and how far it lets them move; of the highest set-point."""
@@ -61,7 +61,7 @@ _LARGEST_ML = 1e5
 
 @dataclass(frozen=True)
 class PressureCalibrationRequest:
-    """The command line."""
+    """Options of the command."""
 
     rig: str
     readings: Path | None
@@ -84,10 +84,10 @@ def run(request: PressureCalibrationRequest) -> None:
     """Calibrate, write the file, print it.
 
     Raises:
-        BadInput: the command line, the rig or the readings cannot be.
+        BadInputError: the command line, the rig or the readings are invalid.
         CardError, StartError: the bench cannot be driven.
-        TrippedError: an interlock ended it; StoppedError: the operator did. The valves are safe.
-        CalibrationError: what was measured tells nothing.
+        TrippedError: an interlock tripped; StoppedError: the operator stopped it. The valves are safe.
+        CalibrationError: the measurements do not determine the parameters.
     """
     config = load(request.rig)
     if request.to is not None:
@@ -163,7 +163,7 @@ def run(request: PressureCalibrationRequest) -> None:
 
 @dataclass(frozen=True)
 class PressureMeasurements:
-    """What the bench showed: volts and gauge [Pa] at each level by actuator, and rates by the valve's index."""
+    """Measurements: volts and gauge [Pa] at each level by actuator, and rates by the valve's index."""
 
     readings: dict[int, list[tuple[float, float]]]
     rates: dict[int, list[PressureRate]]
@@ -358,7 +358,7 @@ def _valve_section(
 
 
 def _true_gauge(plant: Plant, request: PressureCalibrationRequest, tell: Callable[[str], None]) -> Gauge:
-    """In virtual time the gauge is simulated, too: the true pressure, as uncertain as the gauge is said to be."""
+    """Return a simulated gauge: the true pressure plus noise of the gauge's stated uncertainty."""
     rng = np.random.default_rng([request.seed, 0x6A06E])
 
     def read(_: BenchDriver, actuator: int) -> float:
@@ -370,7 +370,7 @@ def _true_gauge(plant: Plant, request: PressureCalibrationRequest, tell: Callabl
 
 
 def _typed_gauge(keys: Keyboard, tell: Callable[[str], None]) -> Gauge:
-    """The operator types what the gauge shows, in bar; the pressures are held meanwhile."""
+    """Return a gauge that the operator reads and types in bar while the pressures are held."""
     typed = ""
 
     def read(driver: BenchDriver, actuator: int) -> float:
@@ -387,13 +387,13 @@ def _typed_gauge(keys: Keyboard, tell: Callable[[str], None]) -> Gauge:
 
             driver.regulate(level, 1.0, entered)
             if keys.ended and "\n" not in typed:
-                raise StoppedError("nobody types the gauge's readings: standard input has ended; use --readings")
+                raise StoppedError("no gauge readings: standard input has ended; use --readings")
             if "\n" in typed or "\r" in typed:
                 line, _, typed = typed.replace("\r", "\n").partition("\n")
                 try:
                     return float(line.strip().replace(",", ".")) * PA_PER_BAR
                 except ValueError:
-                    tell(f"'{line.strip()}' is no number; the reading in bar, such as 0.352")
+                    tell(f"'{line.strip()}' is not a number; type the reading in bar, such as 0.352")
 
     return read
 

@@ -1,4 +1,4 @@
-"""`rig calibrate tool`: the board on the tip, from views of the straight arm and of its cap turned."""
+"""`rig calibrate tool`: the board's pose in the tip frame, from views of the straight arm and of the turned cap."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ Image = NDArray[np.uint8]
 
 @dataclass(frozen=True)
 class ToolCalibrationRequest:
-    """The command line."""
+    """Options of the command."""
 
     rig: str
     camera: str | None
@@ -61,9 +61,9 @@ def run(request: ToolCalibrationRequest) -> None:
     """Calibrate, write the file, print it.
 
     Raises:
-        BadInput: the command line or the rig cannot be.
-        ViewsError, CalibrationError: the views do not tell the board's place.
-        CameraError: a live camera gives no pictures.
+        BadInputError: the command line or the rig is invalid.
+        ViewsError, CalibrationError: the views do not determine the board's pose.
+        CameraError: a live camera delivers no pictures.
     """
     config = load(request.rig)
     name = inputs.known_camera(config, request.camera or next(iter(config.cameras)))

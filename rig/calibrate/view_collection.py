@@ -1,4 +1,4 @@
-"""Views from a live camera: the operator moves the board, is told what to do next, and good views are kept."""
+"""Collect views from a live camera: the operator moves the board by instructions; good views are stored."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ from rig.hardware.cameras.registry import open_camera
 Image = NDArray[np.uint8]
 
 _STILL_SHARE = 0.002
-"""Of the picture's width: corners that moved by less between two pictures were held still."""
+"""Largest corner motion between two pictures of a board at rest, as a share of the width."""
 _TIMEOUT_S = 5.0
 _MOST_IDLE = 600
-"""Pictures in a row that brought nothing new: someone has gone."""
+"""Pictures without a new view after which the collection ends."""
 
 
 def pictures(config: RigConfig, camera: str, board: Board, seed: int) -> Iterator[Image]:

@@ -1,4 +1,4 @@
-"""Foreign measurements, a table and its mapping, into an archive of the same layout as a run's."""
+"""Build an archive with the layout of a run's from a foreign table and its mapping."""
 
 from __future__ import annotations
 
@@ -43,13 +43,13 @@ from runs.records import (
 )
 
 EVEN = 0.25
-"""Time steps are even when each is a whole number of periods, but for this part of one."""
+"""Tolerance for even time steps, as a part of the period."""
 VENTED_BAR = 0.02
-"""A vented chamber's pressure does not wander farther than this within the rows that state the ambient pressure."""
+"""Largest variation of a vented chamber's pressure in the rows that define the ambient pressure."""
 AMBIENT_BAR = (0.5, 1.1)
-"""Of the places where people work."""
+"""Plausible ambient pressures."""
 CLOSEST_S, HIGHEST_BAR, TIP_M, TIP_LENGTHS = 2e-4, 50.0, (1e-3, 5.0), (0.1, 3.0)
-"""Rows, pressures and tips (from the base, or in lengths of the rig's arm) beyond these likely have another unit."""
+"""Beyond these values rows, pressures or tips (from the base, or in arm lengths) likely have another unit."""
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -57,23 +57,23 @@ Ints = NDArray[np.int64]
 
 @dataclass(frozen=True)
 class Imported:
-    """What an import made: the archive, and the warnings that it carries as events."""
+    """Result of an import: the archive, and its warnings, which it stores as events."""
 
     archive: Path
     warnings: tuple[str, ...]
 
 
 NOISE_PA = 5e3
-"""A sensor may show so much less than there is."""
+"""Tolerance for sensor noise below the lowest pressure."""
 
 
 def import_table(data: Path, mapping_file: Path, folder: Path, operator: str = "", notes: str = "") -> Imported:
     """Write the archive of a foreign table.
 
-    What is wrong but leaves the data usable becomes a warning, an event of the archive.
+    A fault that leaves the data usable becomes a warning, stored as an event of the archive.
 
     Raises:
-        BadInput: the mapping, or the data; every problem at once.
+        BadInputError: every problem of the mapping and the data.
     """
     mapping, document = load(mapping_file)
     rig_name, rig_text, length_m = _rig(mapping, document)
@@ -102,7 +102,7 @@ def import_table(data: Path, mapping_file: Path, folder: Path, operator: str = "
         started_utc_ns=started_utc_ns,
         started_t_ns=int(t_ns[0]),
         protocol_name=f"import {mapping_file.stem}",
-        # What a protocol is to a run the mapping is to an import: what made the archive what it is.
+        # The mapping takes the place of the protocol.
         protocol_yaml=document.text,
         rig_name=rig_name,
         rig_yaml=rig_text,
@@ -162,7 +162,7 @@ def _observations(
 
 
 def _doubt_units(columns: Columns, t_ns: Ints, gauge_pa: Floats, tip_m: Floats, length_m: float | None) -> None:
-    """Warn of numbers that a soft arm on a bench hardly has."""
+    """Warn of values that are implausible for a soft arm."""
     step_s = float(np.median(np.diff(t_ns))) * 1e-9
     if step_s < CLOSEST_S:
         columns.warn(f"the rows follow each other by {1e6 * step_s:.3g} us: is the unit of the time right?")
@@ -237,7 +237,7 @@ def _frames(columns: Columns, t_ns: Ints) -> Ints:
 
 
 def _pressures(columns: Columns, mapping: Mapping) -> tuple[Floats, Floats]:
-    """Gauge pressures (n, N) and what was taken off the columns (N,) [Pa]."""
+    """Return gauge pressures (n, N) and the subtracted ambient pressures (N,) [Pa]."""
     pressures = mapping.pressures
     raw_pa = _scaled(columns, pressures.columns, pressures.unit)
     for column, values in zip(pressures.columns, raw_pa.T, strict=True):
@@ -285,7 +285,7 @@ def _vented(columns: Columns, mapping: Mapping, raw_pa: Floats, rows: int) -> Fl
         means[n] = values.mean()
         if (spread := float(np.ptp(values)) / PA_PER_BAR) > VENTED_BAR:
             columns.warn(
-                f"column {column} moves by {spread:.3g} bar within the first {rows} rows, whose mean is taken for the "
+                f"column {column} moves by {spread:.3g} bar within the first {rows} rows, whose mean is used as the "
                 "ambient pressure"
             )
     return means
@@ -306,7 +306,7 @@ def _valves(columns: Columns, mapping: Mapping) -> Floats:
 
 
 def _weight(columns: Columns, mapping: Mapping) -> Floats:
-    """Weights (n,) [kg]; where the file has none, nothing was hung."""
+    """Return weights (n,) [kg]; zero where the file has none."""
     if mapping.weight is None:
         return np.zeros(1)
     weight = columns.several((mapping.weight.column,), (KILOGRAMS[mapping.weight.unit],))[:, 0]

@@ -1,4 +1,4 @@
-"""A foreign table, CSV or MATLAB, read column by column into numbers; what is no number is named by its place."""
+"""Read a foreign table, CSV or MATLAB, by column; errors name the place of each invalid cell."""
 
 from __future__ import annotations
 
@@ -129,12 +129,12 @@ class CsvTable:
         return self.problem(row, column, cell, expected, suggestion)
 
     def _other_decimal(self, cell: str) -> bool:
-        """Whether a cell that is no number would be one with a decimal comma."""
+        """Return whether an invalid cell is a number with a decimal comma."""
         return not self.decimal_comma and re.fullmatch(r"[-+]?\d*,\d+", cell) is not None
 
 
 def some(table: Table, column: Key, rows: Sequence[int], problem_at: Callable[[int], Problem]) -> list[Problem]:
-    """What is said of the first of those rows of a column that have the same mistake, and how many more there are."""
+    """Return the problems of the first rows with the same fault, and the number of the others."""
     problems = [problem_at(int(row)) for row in rows[:MOST_PROBLEMS]]
     if len(rows) > len(problems):
         counted = f"and {len(rows) - len(problems)} more rows like these"
@@ -226,7 +226,7 @@ def _split(path: Path, lines: Sequence[tuple[int, str]], delimiter: str) -> list
             rows.append((lines[reader.line_num - 1][0], cells))  # noqa: PERF401 - line_num moves with the reader
     except csv.Error as fault:
         number = lines[reader.line_num - 1][0]
-        raise BadInputError([Problem(str(path), number, 0, "", "", f"this line is no CSV: {fault}")]) from None
+        raise BadInputError([Problem(str(path), number, 0, "", "", f"this line is not valid CSV: {fault}")]) from None
     return rows
 
 

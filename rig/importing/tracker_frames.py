@@ -1,4 +1,4 @@
-"""Where a foreign tracker saw the tip, carried into the rod-base frame."""
+"""Transform tips and wrenches of a foreign tracker to the rod-base frame."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from rig.importing.tables import some
 UNIT = 0.01
 """A quaternion's norm may be off by this: trackers write three or four digits."""
 QUIET_N = 0.2
-"""A force that nothing exerts does not wander farther than this."""
+"""Largest variation of the force reading without load."""
 STANDING_DEG = 2.0
-"""Nor does a tip that stands still turn farther than this."""
+"""Largest rotation of a tip at rest."""
 LONGEST_LEVER_M = 1.0
 """A wrench at a tip has no longer lever than this."""
 
@@ -81,7 +81,7 @@ def _zeroed(columns: Columns, wrench: Wrench, force: Floats, moment: Floats) -> 
         return force, moment
     if (spread := float(np.ptp(first[:, :3], axis=0).max())) > QUIET_N:
         warning = (
-            f"the force moves by {spread:.3g} N within the first {rows} rows, whose mean is taken for nothing pulling"
+            f"the force moves by {spread:.3g} N within the first {rows} rows, whose mean is used as the no-load reading"
         )
         columns.warn(warning)
     means = np.nanmean(first, axis=0)

@@ -1,4 +1,4 @@
-"""Which result of the paper needs which experiments, and all of them in one go."""
+"""Map the paper's results to their experiments, and compute several results."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ ProgressReporter = Callable[[str], None]
 
 @dataclass(frozen=True)
 class ReproductionResults:
-    """What came out."""
+    """Computed results."""
 
     rows: tuple[PaperComparison, ...]
     drawings: tuple[PaperFigure, ...]

@@ -1,4 +1,4 @@
-"""The paper's six experiments: archives that are there already, or runs of a simulated rig in virtual time."""
+"""The paper's six experiments: existing archives, or simulated runs in virtual time."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ PROTOCOLS = ("extension-weights", "extension-pressure", "ramp-a", "ramp-b", "sin
 def gathered(
     folder: Path, protocols: tuple[str, ...] = PROTOCOLS, seed: int = 0, report: Callable[[str], None] = lambda _: None
 ) -> dict[str, Run]:
-    """The newest finished archive of each protocol in a folder; what is missing is run on the mock rig into it.
+    """The newest finished archive of each protocol in a folder; missing ones are simulated on the mock rig.
 
     report: called with a line before each run.
 

@@ -1,4 +1,4 @@
-"""All of it in one folder: a page that holds everything it shows, and each figure as PNG and PDF."""
+"""Write the comparison: a self-contained page, and each figure as PNG and PDF."""
 
 from __future__ import annotations
 

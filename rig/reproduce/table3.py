@@ -55,7 +55,7 @@ def _length(v: Array) -> Array:
 
 
 def _way(tip: Array, length_m: float) -> Array:
-    """How far tips (K, 3) are from where the straight arm's is."""
+    """Return the distances of tips (K, 3) from the straight arm's tip."""
     return _length(tip - np.array([0.0, 0.0, length_m]))
 
 
@@ -84,7 +84,7 @@ ERROR_DEFINITIONS = (
 
 
 def table3(arm: model.Arm | None = None) -> tuple[Table3Row, ...]:
-    """Every rule under every reading, by the printed parameters unless another arm is given."""
+    """Evaluate every rule with every error definition, for the paper's arm unless another is given."""
     paper = arm or model.Arm.paper()
     plain, radial = _tips(paper, "homogeneous"), _tips(paper, "homogeneous+rpe")
     rows = []
@@ -95,7 +95,7 @@ def table3(arm: model.Arm | None = None) -> tuple[Table3Row, ...]:
 
 
 def verdict(rows: tuple[Table3Row, ...]) -> str:
-    """What follows, in words."""
+    """Return the conclusion as text."""
     possible = [row for row in rows if row.possible]
     if possible:
         return "Table 3 can come from " + "; ".join(f"{row.rule}, {row.reading}" for row in possible)

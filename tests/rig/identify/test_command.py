@@ -165,7 +165,7 @@ def test_of_several_starts_the_likeliest_is_taken(
     said = capsys.readouterr()
     found = {name: float(x) for name, x in re.findall(r"from (\S+): log likelihood (-?[\d.]+)", said.err)}
     assert found["mock"] > found[str(upright)] + 100
-    assert re.findall(r"from (\S+): .*, taken", said.err) == ["mock"]
+    assert re.findall(r"from (\S+): .*, chosen", said.err) == ["mock"]
     assert re.search(rf"a1_per_n +{TRUE['a1_per_n']:.5f}"[:-1], said.out)
 
 

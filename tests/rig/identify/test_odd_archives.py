@@ -162,7 +162,7 @@ def with_parameters(folder: Path, capsys: pytest.CaptureFixture[str]) -> tuple[P
 def test_runs_that_count_from_different_bases_are_not_mixed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     plain, _, moved = with_parameters(tmp_path, capsys)
     told = identify(capsys, plain, moved, "--free", "law", status=2)
-    assert "different parameters laid over their rig" in told
+    assert "different parameters applied to their rigs" in told
 
 
 def test_what_is_found_with_parameters_laid_over_a_rig_is_for_the_rig_without_them(
@@ -171,7 +171,7 @@ def test_what_is_found_with_parameters_laid_over_a_rig_is_for_the_rig_without_th
     _, first, moved = with_parameters(tmp_path, capsys)
     file, rig = tmp_path / "second.yaml", tmp_path / "rig.yaml"
     told = identify(capsys, moved, "--free", "a1_per_n,base_x_m", "--to", file, "--rig-file", rig, status=0)
-    assert "count from there" in told
+    assert "relative to them" in told
     second = read(file).found
     shift = 1e3 * next(e.used for e in second.estimates if e.name == "base_x_m")
     assert abs(shift) > 1e-3
