@@ -172,7 +172,7 @@ def test_of_several_starts_the_likeliest_is_taken(
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        (["--every", "2"], "say --quasi-static"),
+        (["--every", "2"], "needs --quasi-static"),
         (["--start", "mock", "--choose"], "not valid with --choose or --paper"),
         (["--start", "nowhere"], "there is no such file"),
         (["--figure", "x.png"], "nothing is predicted"),
