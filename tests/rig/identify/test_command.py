@@ -176,7 +176,7 @@ def test_of_several_starts_the_likeliest_is_taken(
         (["--start", "mock", "--choose"], "not valid with --choose or --paper"),
         (["--start", "nowhere"], "there is no such file"),
         (["--figure", "x.png"], "nothing is predicted"),
-        (["--rig", "mock"], "to begin the search at another rig say --start"),
+        (["--rig", "mock"], "needs --rig-file"),
         (["--until", "3", "--paper"], "not valid with --choose or --paper"),
         (["--until", "1e6"], "shows no tip after"),
     ],
