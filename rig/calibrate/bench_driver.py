@@ -1,4 +1,4 @@
-"""The bench driven by hand, as it were: pressures regulated, or one valve opened by a voltage, under the interlocks."""
+"""Bench driver for calibration: regulates pressures or opens one valve by a voltage, with the run's interlocks."""
 
 from __future__ import annotations
 
@@ -31,12 +31,12 @@ class BenchClock(Protocol):
     """The control periods, in real or virtual time."""
 
     def next(self) -> int:
-        """Wait for the next one; its time [ns]."""
+        """Wait for the next control period; return its time [ns]."""
 
 
 @dataclass(frozen=True)
 class BenchLog:
-    """What the sensors said meanwhile: `time_s` (n,), `pressure_pa` (n, N) and `volts` (n, N), one row per scan."""
+    """Logged samples: `time_s` (n,), `pressure_pa` (n, N) and `volts` (n, N), one row per scan."""
 
     time_s: Floats
     pressure_pa: Floats
@@ -61,7 +61,7 @@ class BenchDriver:
         return self._pressure_pa
 
     def regulate(self, setpoint_pa: Floats, seconds: float, until: Callable[[], bool] | None = None) -> BenchLog:
-        """Hold pressures (N,) for so long, or until something is true."""
+        """Regulate pressures (N,) for `seconds`, or until `until` returns True."""
         state = control.initial(self._prepared)
         still = np.zeros_like(setpoint_pa)
         rows = _Rows()
@@ -74,13 +74,13 @@ class BenchDriver:
         return rows.log()
 
     def let(self, valve: int, offset_v: float, seconds: float, band_pa: float = math.inf) -> BenchLog:
-        """Put one flow-metering valve at a voltage from its closed one, for so long or until its pressure has moved by
-        `band_pa`; the other valves are in their safe state.
+        """Open one flow-metering valve to an offset from its closed voltage, for `seconds` or until the pressure
+        changes by `band_pa`; the other valves are in their safe state.
         """
-        told = np.array(self._prepared.safe_v)
+        command_v = np.array(self._prepared.safe_v)
         settings = self._prepared.valves[valve]
         assert isinstance(settings, FlowSettings)
-        told[valve] = settings.closed_v + settings.fill_sign * offset_v
+        command_v[valve] = settings.closed_v + settings.fill_sign * offset_v
         chambers = list(settings.actuators)
         watches = [SensorState() for _ in range(self._config.actuators)]
         start: float | None = None
@@ -95,17 +95,16 @@ class BenchDriver:
                 before = sample.scan_t_ns
                 for i, watch in enumerate(watches):
                     pressure = float(sample.pressure_pa[i])
-                    # No set-point stands: the reference goes along, and only a reading that stands still while the
-                    # valve is open is suspicious, beside level and rate.
+                    # The reference follows the reading, so only level, rate and a frozen reading can trip.
                     rate = _expected_pa_s(settings, offset_v, pressure) if i in chambers else 0.0
-                    asked = Demand(math.nan, pressure, rate, 0.0)
+                    demand = Demand(math.nan, pressure, rate, 0.0)
                     watches[i], found = interlocks.step(
-                        self._prepared.limits, i, watch, dt, now, float(sample.volts[i]), pressure, asked
+                        self._prepared.limits, i, watch, dt, now, float(sample.volts[i]), pressure, demand
                     )
                     trip = trip or found
             if trip is not None:
                 raise TrippedError(trip.message)
-            self._bench.write(told)
+            self._bench.write(command_v)
             mean = float(sample.pressure_pa[chambers].mean())
             start = mean if start is None else start
             if abs(mean - start) > band_pa:
@@ -161,7 +160,7 @@ class _Rows:
 
 
 def _expected_pa_s(s: FlowSettings, offset_v: float, pressure_pa: float) -> float:
-    """Rate of pressure that the rig's own figures promise of an open valve."""
+    """Return the pressure rate of an open valve that the rig's parameters predict."""
     fraction = float(np.interp(abs(offset_v), s.offsets_v, s.fractions))
     chamber, supply = max(pressure_pa, 0.0) + ATMOSPHERE_PA, s.supply_pa + ATMOSPHERE_PA
     upstream, downstream = (supply, chamber) if offset_v > 0 else (chamber, ATMOSPHERE_PA)

@@ -1,4 +1,4 @@
-"""A bench to drive, in real time under the watchdog's eye or in virtual time with the plant in this process."""
+"""Bench session for calibration: in real time with the watchdog, or in virtual time with the plant in this process."""
 
 from __future__ import annotations
 
@@ -40,20 +40,20 @@ _END_S = 5.0
 
 
 class VirtualClock:
-    """Control periods as fast as the plant goes."""
+    """Control periods in virtual time."""
 
     def __init__(self, plant: Plant, period_ns: int) -> None:
         self._plant, self._period_ns, self._now = plant, period_ns, plant.t_ns
 
     def next(self) -> int:
-        """Let the plant live through one period."""
+        """Advance the plant by one period."""
         self._now += self._period_ns
         self._plant.advance(self._now)
         return self._now
 
 
 class RealTimeClock:
-    """Control periods of CLOCK_MONOTONIC; each is a sign of life for the watchdog, whose own are looked for."""
+    """Control periods of CLOCK_MONOTONIC; each sends a heartbeat to the watchdog and checks the watchdog's."""
 
     def __init__(self, memory: SharedState, period_ns: int, watchdog: ProcessMonitor, timing: TimingLimits) -> None:
         self._memory, self._period_ns, self._watchdog = memory, period_ns, watchdog
@@ -65,9 +65,9 @@ class RealTimeClock:
         """Wait for the next period.
 
         Raises:
-            StartError: the watchdog has taken the bench, or is not there to take it.
+            StartError: the watchdog has tripped, has died or is silent.
         """
-        # Late by more than a period: what was missed is not caught up.
+        # After a delay of more than a period, missed periods are skipped.
         self._deadline = max(self._deadline + self._period_ns, time.monotonic_ns() - self._period_ns)
         now = wait_until(self._deadline)
         self._memory.heartbeat("control", now)

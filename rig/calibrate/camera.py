@@ -1,4 +1,4 @@
-"""`rig calibrate camera`: views in, intrinsics with a picture of their residuals out."""
+"""`rig calibrate camera`: intrinsics from views of a board, with a figure of the residuals."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _PICTURE = ".png"
 
 @dataclass(frozen=True)
 class CameraCalibrationRequest:
-    """The command line."""
+    """Options of the command."""
 
     views: tuple[str, ...]
     corners: str
@@ -44,59 +44,63 @@ class CameraCalibrationRequest:
     json: bool
 
 
-def run(asked: CameraCalibrationRequest) -> None:
-    """Calibrate every camera that was named, and write a file and a picture for each.
+def run(request: CameraCalibrationRequest) -> None:
+    """Calibrate every named camera; write a file and a figure for each.
 
     Raises:
-        BadInput: the command line cannot be.
+        BadInputError: the command line is invalid.
         ViewsError, CalibrationError: the views do not determine a camera.
-        CameraError: a live camera gives no pictures.
+        CameraError: a live camera delivers no pictures.
     """
-    corners, square_m = inputs.corners_of(asked.corners), inputs.square_of(asked.square_mm)
-    rig = inputs.rig_of(asked.rig)
-    screen = console(stderr=asked.json)
-    if asked.to is not None:
-        if len(asked.views) > 1:
-            raise bad_input("--to", str(asked.to), "one camera at a time; each of several gets a dated name of its own")
-        if asked.to.suffix.lower() == _PICTURE:
+    corners, square_m = inputs.corners_of(request.corners), inputs.square_of(request.square_mm)
+    rig = inputs.rig_of(request.rig)
+    screen = console(stderr=request.json)
+    if request.to is not None:
+        if len(request.views) > 1:
             raise bad_input(
-                "--to", str(asked.to), "a name for the YAML file; the picture goes beside it with this ending"
+                "--to", str(request.to), "one camera at a time; each of several gets a dated name of its own"
             )
-        refuse_existing([asked.to], replace=asked.replace)
-        refuse_existing([asked.to.with_suffix(_PICTURE)], replace=asked.replace)
-    if asked.live:
-        if asked.views:
-            raise bad_input("--live", asked.views[0], "either views that are there or live ones")
+        if request.to.suffix.lower() == _PICTURE:
+            raise bad_input(
+                "--to", str(request.to), "a name for the YAML file; the picture goes beside it with this ending"
+            )
+        refuse_existing([request.to], replace=request.replace)
+        refuse_existing([request.to.with_suffix(_PICTURE)], replace=request.replace)
+    if request.live:
+        if request.views:
+            raise bad_input("--live", request.views[0], "either views that are there or live ones")
         if rig is None:
             raise bad_input("--live", "", "--rig as well: whose camera is it?")
-        name = inputs.known_camera(rig, asked.camera or next(iter(rig.cameras)))
-        file = asked.to or default_path(f"camera-{name}")
-        views = _live(asked, rig, name, corners, square_m, file)
+        name = inputs.known_camera(rig, request.camera or next(iter(rig.cameras)))
+        file = request.to or default_path(f"camera-{name}")
+        views = _live(request, rig, name, corners, square_m, file)
         listed = [(name, file, calibrate_views(views, corners, square_m))]
     else:
-        if not asked.views:
+        if not request.views:
             raise bad_input("VIEWS", "", "a folder, a video or a pattern of the board's pictures; or --live")
-        if asked.camera is not None and rig is not None:
-            inputs.known_camera(rig, asked.camera)
+        if request.camera is not None and rig is not None:
+            inputs.known_camera(rig, request.camera)
         listed = [
             (
                 s.camera,
-                asked.to or default_path(f"camera-{s.camera}"),
-                calibrate(s.views, corners, square_m, asked.every),
+                request.to or default_path(f"camera-{s.camera}"),
+                calibrate(s.views, corners, square_m, request.every),
             )
-            for s in inputs.sources_of(list(asked.views), rig, asked.camera)
+            for s in inputs.sources_of(list(request.views), rig, request.camera)
         ]
     facts = {}
     for name, file, found in listed:
         made = write(
-            file_sections.camera_file(found, inputs.identity(rig, name, found), asked.note), file, replace=asked.replace
+            file_sections.camera_file(found, inputs.identity(rig, name, found), request.note),
+            file,
+            replace=request.replace,
         )
         drawn = residual_figure.write(found, f"camera {name}", made.with_suffix(_PICTURE))
         facts[name] = calibration_output.camera_facts(found, made, drawn)
-        if not asked.json:
+        if not request.json:
             calibration_output.camera(found, name, screen)
             _finish(made, drawn, rig, name)
-    if asked.json:
+    if request.json:
         only = next(iter(facts.values())) if len(facts) == 1 else {"cameras": facts}
         typer.echo(json.dumps(plain_json(only), indent=2))
 
@@ -109,17 +113,17 @@ def _finish(made: Path, drawn: Path, rig: RigConfig | None, name: str) -> None:
 
 
 def _live(
-    asked: CameraCalibrationRequest, rig: RigConfig, name: str, corners: tuple[int, int], square_m: float, file: Path
+    request: CameraCalibrationRequest, rig: RigConfig, name: str, corners: tuple[int, int], square_m: float, file: Path
 ) -> list[View]:
     """Views from the rig's camera, kept as pictures beside the file."""
     board = Board(corners[0] + 1, corners[1] + 1, square_m)
-    folder = views_beside(file, asked.replace)
+    folder = views_beside(file, request.replace)
     typer.echo(f"views go to {folder}; Enter: enough, Ctrl-C: give up", err=True)
     with Keyboard() as keys:
         return collect(
-            pictures(rig, name, board, asked.seed),
+            pictures(rig, name, board, request.seed),
             corners,
-            asked.count,
+            request.count,
             folder,
             lambda line: typer.echo(line, err=True),
             lambda: "\n" in keys.pressed(),

@@ -45,10 +45,10 @@ def read(path: Path) -> dict[str, ObservedPoints]:
             if not row[name]
         ]
         if known.setdefault(point, place) != place:
-            told = ", ".join(f"{x:g}" for x in known[point])
+            conflict = ", ".join(f"{x:g}" for x in known[point])
             problems.append(
                 Problem(str(path), line, 0, "X_mm, Y_mm, Z_mm", ", ".join(f"{x:g}" for x in place),
-                        f"{told}, as point {point} stands in a row above")
+                        f"{conflict}, as point {point} stands in a row above")
             )  # fmt: skip
         if point in found.setdefault(camera, {}):
             problems.append(Problem(str(path), line, 0, "point", point, f"each point once for camera {camera}"))
@@ -71,8 +71,8 @@ def table(path: Path, columns: tuple[str, ...]) -> list[tuple[int, dict[str, str
     try:
         rows = [(reader.line_num, row) for row in reader if row and not row[0].lstrip().startswith("#")]
     except csv.Error as fault:
-        wish = f"a line of CSV ({fault})"
-        raise BadInputError([Problem(str(path), reader.line_num, 0, "", "", wish)]) from None
+        expected = f"a line of CSV ({fault})"
+        raise BadInputError([Problem(str(path), reader.line_num, 0, "", "", expected)]) from None
     if not rows:
         raise BadInputError(
             [Problem(str(path), 0, 0, "", "", f"the file is empty: a header {','.join(columns)} and rows")]

@@ -1,4 +1,4 @@
-"""`rig calibrate dlt`: coefficients and places of one or more cameras, from control points or from boards."""
+"""`rig calibrate dlt`: DLT coefficients and poses of cameras, from control points or from boards."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ _WIDEST_MM = 1e6
 
 @dataclass(frozen=True)
 class DLTCalibrationRequest:
-    """The command line."""
+    """Options of the command."""
 
     given: tuple[str, ...]
     corners: str
@@ -65,9 +65,9 @@ class DLTCalibrationRequest:
 
 @dataclass(frozen=True)
 class DLTCalibrationResult:
-    """Every camera's coefficients and place, and what they rest on."""
+    """Coefficients and pose of every camera, with the data of the fit."""
 
-    sights: dict[str, PointObservations]
+    observations: dict[str, PointObservations]
     dlts: dict[str, DLT]
     places: dict[str, tuple[RigidTransform, Floats]]
     """Camera in the world, and the covariance (6, 6) of that: translation [m], rotation [rad]."""
@@ -77,37 +77,37 @@ class DLTCalibrationResult:
     world_view: str = ""
 
 
-def run(asked: DLTCalibrationRequest) -> None:
+def run(request: DLTCalibrationRequest) -> None:
     """Calibrate, write the file, print it.
 
     Raises:
-        BadInput: the command line, the control points or another calibration cannot be.
-        ViewsError, CalibrationError, DLTError: what is given does not determine the coefficients.
+        BadInputError: the command line, the control points or another calibration are invalid.
+        ViewsError, CalibrationError, DLTError: the data do not determine the coefficients.
     """
-    if asked.to is not None:
-        refuse_existing([asked.to], replace=asked.replace)
-    if not asked.given:
+    if request.to is not None:
+        refuse_existing([request.to], replace=request.replace)
+    if not request.given:
         raise bad_input(
             "CSV|NAME=VIEWS", "", "a CSV of control points, or folders of simultaneous views for each camera"
         )
-    is_csv = len(asked.given) == 1 and asked.given[0].lower().endswith((".csv", ".txt"))
-    _refuse_unknown_cameras(asked, is_csv)
-    rig = inputs.rig_of(asked.rig)
-    known = inputs.camera_calibrations(list(asked.calibrations))
+    is_csv = len(request.given) == 1 and request.given[0].lower().endswith((".csv", ".txt"))
+    _refuse_unknown_cameras(request, is_csv)
+    rig = inputs.rig_of(request.rig)
+    known = inputs.camera_calibrations(list(request.calibrations))
     sizes: dict[str, tuple[int, int]]
     if is_csv:
-        csv = Path(asked.given[0])
-        result, sizes = _from_points(asked, csv, rig, known)
+        csv = Path(request.given[0])
+        result, sizes = _from_points(request, csv, rig, known)
         used = [calibration_schema.SourceFile(name=csv.name, sha256=sha256_of(csv))]
     else:
-        result, sizes = _from_boards(asked, rig, known)
+        result, sizes = _from_boards(request, rig, known)
         used = []
     used += [
         calibration_schema.SourceFile(name=Path(one.source.file).name, sha256=one.sha256) for one in known.values()
     ]
-    found = _file(asked, rig, result, sizes, tuple(used), is_csv)
-    made = write(found, asked.to or default_path("dlt"), replace=asked.replace)
-    if asked.json:
+    found = _file(request, rig, result, sizes, tuple(used), is_csv)
+    made = write(found, request.to or default_path("dlt"), replace=request.replace)
+    if request.json:
         typer.echo(json.dumps(plain_json(_facts(result, found, made)), indent=2))
         return
     calibration_output.dlt(found, result.places, console())
@@ -118,19 +118,19 @@ def run(asked: DLTCalibrationRequest) -> None:
     )
 
 
-def _refuse_unknown_cameras(asked: DLTCalibrationRequest, is_csv: bool) -> None:
-    """Refuse options that belong to the other way of calibrating, and would do nothing in this one."""
+def _refuse_unknown_cameras(request: DLTCalibrationRequest, is_csv: bool) -> None:
+    """Refuse options that apply only to the other form of input."""
     of_boards = {
-        "--corners": asked.corners,
-        "--square-mm": asked.square_mm,
-        "--world-view": asked.world_view,
-        "--base": asked.base,
+        "--corners": request.corners,
+        "--square-mm": request.square_mm,
+        "--world-view": request.world_view,
+        "--base": request.base,
     }
-    of_points = {"--size": asked.size, "--points-std-mm": asked.points_std_mm}
+    of_points = {"--size": request.size, "--points-std-mm": request.points_std_mm}
     for option, value in (of_boards if is_csv else of_points).items():
         if value:
-            way, other = _WAYS if is_csv else _WAYS[::-1]
-            raise bad_input(option, str(value), f"no such option: it is of {other}, and {way} are given")
+            form, other = _WAYS if is_csv else _WAYS[::-1]
+            raise bad_input(option, str(value), f"no such option: it is of {other}, and {form} are given")
 
 
 def _lens(
@@ -144,43 +144,43 @@ def _lens(
 
 
 def _from_points(
-    asked: DLTCalibrationRequest, csv: Path, rig: RigConfig | None, known: dict[str, LoadedCalibration]
+    request: DLTCalibrationRequest, csv: Path, rig: RigConfig | None, known: dict[str, LoadedCalibration]
 ) -> tuple[DLTCalibrationResult, dict[str, tuple[int, int]]]:
     seen = control_points.read(csv)
-    if not 0 <= asked.points_std_mm < _WIDEST_MM:
+    if not 0 <= request.points_std_mm < _WIDEST_MM:
         raise bad_input(
-            "--points-std-mm", f"{asked.points_std_mm:g}", "the points' standard uncertainty in mm, 0 or more"
+            "--points-std-mm", f"{request.points_std_mm:g}", "the points' standard uncertainty in mm, 0 or more"
         )
-    sights, sizes = {}, {}
+    observations, sizes = {}, {}
     for name, points in seen.items():
-        sizes[name] = _size_of(asked, name, rig, known)
+        sizes[name] = _size_of(request, name, rig, known)
         lens = _lens(name, rig, known, sizes[name], "the pictures are")
-        sights[name] = PointObservations(points.names, points.world_m, points.pixels, lens)
-    dlts = {name: _fitted(name, sight) for name, sight in sights.items()}
-    if asked.bundle and asked.points_std_mm > 0:
-        better = adjust(list(sights.values()), list(dlts.values()), asked.points_std_mm * 1e-3)
+        observations[name] = PointObservations(points.names, points.world_m, points.pixels, lens)
+    dlts = {name: _fitted(name, observation) for name, observation in observations.items()}
+    if request.bundle and request.points_std_mm > 0:
+        better = adjust(list(observations.values()), list(dlts.values()), request.points_std_mm * 1e-3)
         dlts = dict(zip(dlts, better, strict=True))
-    places = {name: _place(sight, dlts[name]) for name, sight in sights.items()}
-    names = sorted({name for sight in sights.values() for name in sight.names})
+    places = {name: _place(observation, dlts[name]) for name, observation in observations.items()}
+    names = sorted({name for observation in observations.values() for name in observation.names})
     groups = {name: (name,) for name in names[:_MOST_LEFT_OUT]}
-    return DLTCalibrationResult(sights, dlts, places, leave_out(list(sights.values()), groups)), sizes
+    return DLTCalibrationResult(observations, dlts, places, leave_out(list(observations.values()), groups)), sizes
 
 
-def _fitted(name: str, sight: PointObservations) -> DLT:
+def _fitted(name: str, observation: PointObservations) -> DLT:
     try:
-        return calibrate(sight.world_m, sight.pixels, sight.lens)
+        return calibrate(observation.world_m, observation.pixels, observation.lens)
     except DLTError as error:
         raise DLTError(f"camera {name}: {error}") from None
 
 
 def _size_of(
-    asked: DLTCalibrationRequest, name: str, rig: RigConfig | None, known: dict[str, LoadedCalibration]
+    request: DLTCalibrationRequest, name: str, rig: RigConfig | None, known: dict[str, LoadedCalibration]
 ) -> tuple[int, int]:
-    """Size of a camera's pictures: as said, or as its calibration or the rig state it."""
-    if asked.size:
-        width, cross, height = asked.size.partition("x")
+    """Return the size of a camera's pictures: from --size, its calibration or the rig."""
+    if request.size:
+        width, cross, height = request.size.partition("x")
         if not (cross and width.isdecimal() and height.isdecimal() and 64 <= min(int(width), int(height)) <= 16384):
-            raise bad_input("--size", asked.size, "width and height of the pictures in px, as 640x480")
+            raise bad_input("--size", request.size, "width and height of the pictures in px, as 640x480")
         return int(width), int(height)
     if name in known:
         camera = known[name].found.camera  # type: ignore[union-attr]
@@ -190,16 +190,16 @@ def _size_of(
     raise bad_input("--size", "", f"the size of camera {name}'s pictures, as 640x480; or --calibration, or --rig")
 
 
-def _place(sight: PointObservations, dlt: DLT) -> tuple[RigidTransform, Floats]:
+def _place(observation: PointObservations, dlt: DLT) -> tuple[RigidTransform, Floats]:
     """Where a camera stands: by its lens and the control points, or without a lens by the coefficients alone."""
     _, camera = decompose(dlt)
-    if sight.lens is None:
+    if observation.lens is None:
         return camera, np.full((6, 6), np.nan)
     inverse = camera.inverse()
     start = np.asarray(cv2.Rodrigues(inverse.rotation)[0], np.float64).ravel(), inverse.translation_m
     spread = np.sum(dlt.residuals_px**2) / max(dlt.residuals_px.size - 11, 1)
-    noise = np.broadcast_to(max(float(spread), 1e-6) * np.eye(2), (len(sight.pixels), 2, 2))
-    pose = refine(sight.world_m, sight.pixels, sight.lens, start, noise)
+    noise = np.broadcast_to(max(float(spread), 1e-6) * np.eye(2), (len(observation.pixels), 2, 2))
+    pose = refine(observation.world_m, observation.pixels, observation.lens, start, noise)
     if pose is None:
         return camera, np.full((6, 6), np.nan)
     return _inverted(pose.rigid, pose.covariance)
@@ -220,30 +220,31 @@ def _inverted(world_in_camera: RigidTransform, covariance: Floats) -> tuple[Rigi
 
 
 def _from_boards(
-    asked: DLTCalibrationRequest, rig: RigConfig | None, known: dict[str, LoadedCalibration]
+    request: DLTCalibrationRequest, rig: RigConfig | None, known: dict[str, LoadedCalibration]
 ) -> tuple[DLTCalibrationResult, dict[str, tuple[int, int]]]:
-    corners, square_m = inputs.corners_of(asked.corners), inputs.square_of(asked.square_mm)
-    board, base = Board(corners[0] + 1, corners[1] + 1, square_m), _base(asked)
-    listed = inputs.sources_of(list(asked.given), rig)
-    cameras, sizes, hashes, left_out = _seen(asked, listed, board, rig, known)
-    together = locate(cameras, board, bundle=asked.bundle)
-    left_out += [LeftOut(key, why, _hash(hashes, key)) for key, why in together.left_out]
-    world_view = _world_view(asked, together, hashes)
-    places, boards = together.in_world(world_view, base)
-    sights, groups = {}, {key: tuple(f"{key}:{k}" for k in range(len(board.corners_m))) for key in together.boards}
+    corners, square_m = inputs.corners_of(request.corners), inputs.square_of(request.square_mm)
+    board, base = Board(corners[0] + 1, corners[1] + 1, square_m), _base(request)
+    listed = inputs.sources_of(list(request.given), rig)
+    cameras, sizes, hashes, left_out = _seen(request, listed, board, rig, known)
+    extrinsics = locate(cameras, board, bundle=request.bundle)
+    left_out += [LeftOut(key, why, _hash(hashes, key)) for key, why in extrinsics.left_out]
+    world_view = _world_view(request, extrinsics, hashes)
+    places, boards = extrinsics.in_world(world_view, base)
+    observations = {}
+    groups = {key: tuple(f"{key}:{k}" for k in range(len(board.corners_m))) for key in extrinsics.boards}
     for camera in cameras:
-        seen = together.corners_px[camera.name]
-        sights[camera.name] = PointObservations(
+        seen = extrinsics.corners_px[camera.name]
+        observations[camera.name] = PointObservations(
             tuple(name for key in seen for name in groups[key]),
             np.concatenate([boards[key].apply(board.corners_m) for key in seen]),
             np.concatenate(list(seen.values())),
             camera.lens,
         )
-    dlts = {name: _fitted(name, sight) for name, sight in sights.items()}
+    dlts = {name: _fitted(name, observation) for name, observation in observations.items()}
     located = {
         name: (
             place,
-            together.placement_covariance(name, world_view, base) if asked.bundle else np.full((6, 6), np.nan),
+            extrinsics.placement_covariance(name, world_view, base) if request.bundle else np.full((6, 6), np.nan),
         )
         for name, place in places.items()
     }
@@ -252,15 +253,21 @@ def _from_boards(
             name=f"{name}:{file}",
             sha256=sha,
             corners=len(board.corners_m),
-            rms_px=rounded(float(np.sqrt(np.mean(np.sum(together.residuals_px[name][key] ** 2, axis=1))))),
+            rms_px=rounded(float(np.sqrt(np.mean(np.sum(extrinsics.residuals_px[name][key] ** 2, axis=1))))),
         )
         for name, found in hashes.items()
         for key, (file, sha) in found.items()
-        if key in together.residuals_px[name]
+        if key in extrinsics.residuals_px[name]
     )
     return (
         DLTCalibrationResult(
-            sights, dlts, located, leave_out(list(sights.values()), groups, board), views, tuple(left_out), world_view
+            observations,
+            dlts,
+            located,
+            leave_out(list(observations.values()), groups, board),
+            views,
+            tuple(left_out),
+            world_view,
         ),
         sizes,
     )
@@ -270,7 +277,7 @@ Hashes = dict[str, dict[str, tuple[str, str]]]
 
 
 def _seen(
-    asked: DLTCalibrationRequest,
+    request: DLTCalibrationRequest,
     listed: tuple[inputs.CameraViews, ...],
     board: Board,
     rig: RigConfig | None,
@@ -281,7 +288,7 @@ def _seen(
     lenses, sizes, left_out = {}, {}, []
     for source in listed:
         name = source.camera
-        views = list(views_in(source.views, asked.every))
+        views = list(views_in(source.views, request.every))
         sizes[name] = views[0].image.shape[1], views[0].image.shape[0]
         inputs.identity_sized(rig, name, sizes[name])
         lens = _lens(name, rig, known, sizes[name], f"the views in {source.views}")
@@ -326,28 +333,28 @@ def _hash(hashes: Hashes, key: str) -> str:
     return next(found[key][1] for found in hashes.values() if key in found)
 
 
-def _world_view(asked: DLTCalibrationRequest, together: ExtrinsicCalibration, hashes: Hashes) -> str:
-    """The view whose board is the world: as said, by file name or number, or the one that most cameras saw."""
-    if not asked.world_view:
-        return max(together.boards, key=lambda key: sum(key in views for views in together.corners_px.values()))
+def _world_view(request: DLTCalibrationRequest, extrinsics: ExtrinsicCalibration, hashes: Hashes) -> str:
+    """Return the view that defines the world: from --world-view, by default the one that most cameras see."""
+    if not request.world_view:
+        return max(extrinsics.boards, key=lambda key: sum(key in views for views in extrinsics.corners_px.values()))
     for found in hashes.values():
         for key, (file, _) in found.items():
-            if asked.world_view in (file, Path(file).stem, key) and key in together.boards:
+            if request.world_view in (file, Path(file).stem, key) and key in extrinsics.boards:
                 return key
-    raise bad_input("--world-view", asked.world_view, f"a view that shows the board: {', '.join(together.boards)}")
+    raise bad_input("--world-view", request.world_view, f"a view that shows the board: {', '.join(extrinsics.boards)}")
 
 
-def _base(asked: DLTCalibrationRequest) -> RigidTransform:
-    """Where the world view's board stands in the rod-base frame; where nothing is said it is the world itself."""
-    if not asked.base:
+def _base(request: DLTCalibrationRequest) -> RigidTransform:
+    """Return the pose of the world view's board in the rod-base frame; the identity by default."""
+    if not request.base:
         return RigidTransform(np.eye(3), np.zeros(3))
-    parts = asked.base.replace(" ", "").split(",")
+    parts = request.base.replace(" ", "").split(",")
     try:
         x, y, z, a, b, c = (float(part) for part in parts)
     except ValueError:
         x = y = z = a = b = c = np.inf
     if not all(abs(number) < _WIDEST_MM for number in (x, y, z, a, b, c)):
-        raise bad_input("--base", asked.base, "six numbers X,Y,Z,A,B,C: mm, and a rotation vector in deg")
+        raise bad_input("--base", request.base, "six numbers X,Y,Z,A,B,C: mm, and a rotation vector in deg")
     return rigid(Placement(translation_mm=(x, y, z), rotation_deg=(a, b, c)))
 
 
@@ -359,7 +366,7 @@ def _points(names: tuple[str, ...], *, boards: bool) -> tuple[str, ...]:
 def _section(
     name: str, result: DLTCalibrationResult, identity: calibration_schema.CameraIdentity
 ) -> calibration_schema.DLTCamera:
-    dlt, sight = result.dlts[name], result.sights[name]
+    dlt, observation = result.dlts[name], result.observations[name]
     place, covariance = result.places[name]
     # World in mm: what multiplies a coordinate is a thousand times smaller.
     scale = np.where(np.isin(np.arange(11), (3, 7)), 1.0, 1 / _MM)
@@ -373,20 +380,20 @@ def _section(
     )  # fmt: skip
     return calibration_schema.DLTCamera(
         camera=identity,
-        lens=None if sight.lens is None else file_sections.lens_section(sight.lens),
+        lens=None if observation.lens is None else file_sections.lens_section(observation.lens),
         coefficients_px_mm=rounded(dlt.coefficients * scale, 10),
         covariance=file_sections.matrix(dlt.covariance * np.outer(scale, scale)),
         rms_px=rounded(dlt.rms_px),
         placement=placement,
         placement_covariance=file_sections.matrix(spread if known else np.zeros((6, 6))),
         placement_known=known,
-        points=_points(sight.names, boards=bool(result.world_view)),
+        points=_points(observation.names, boards=bool(result.world_view)),
         residuals_px=rounded(dlt.residuals_px.ravel(), 3),
     )
 
 
 def _file(
-    asked: DLTCalibrationRequest,
+    request: DLTCalibrationRequest,
     rig: RigConfig | None,
     result: DLTCalibrationResult,
     sizes: dict[str, tuple[int, int]],
@@ -395,11 +402,13 @@ def _file(
 ) -> calibration_schema.DLTFile:
     cameras = [_section(n, result, inputs.identity_sized(rig, n, sizes[n])) for n in result.dlts]
     return calibration_schema.DLTFile(
-        **origin(asked.note),
+        **origin(request.note),
         kind="dlt",
-        world="rod base" if is_csv or asked.base else "board",
+        world="rod base" if is_csv or request.base else "board",
         world_view=result.world_view,
-        board=None if is_csv else file_sections.board_section(inputs.corners_of(asked.corners), asked.square_mm * 1e-3),
+        board=None
+        if is_csv
+        else file_sections.board_section(inputs.corners_of(request.corners), request.square_mm * 1e-3),
         cameras=tuple(cameras),
         test_error=_test(result.trial, is_csv),
         views=result.views,

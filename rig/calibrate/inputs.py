@@ -1,4 +1,4 @@
-"""What the calibration commands are given: cameras with their pictures, boards, other calibrations."""
+"""Inputs of the calibration commands: cameras with their pictures, boards, other calibrations."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class CameraViews:
 
 
 def bad_input(option: str, value: str, expected: str, suggestion: str = "") -> BadInputError:
-    """One thing on the command line that cannot be."""
+    """Return the error of an invalid option."""
     return BadInputError([Problem(option, 0, 0, "", value, expected, suggestion)])
 
 
@@ -49,7 +49,7 @@ def square_of(square_mm: float) -> float:
 
 
 def sources_of(arguments: list[str], rig: RigConfig | None, camera: str | None = None) -> tuple[CameraViews, ...]:
-    """Cameras from arguments such as FOLDER or NAME=FOLDER; a name that is not said is the folder's."""
+    """Cameras from arguments such as FOLDER or NAME=FOLDER; the default name is the folder's."""
     found = []
     for argument in arguments:
         name, equals, path = argument.partition("=")
@@ -84,7 +84,7 @@ def rig_of(name: str | None) -> RigConfig | None:
 
 
 def identity(rig: RigConfig | None, name: str, found: CameraCalibration) -> calibration_schema.CameraIdentity:
-    """Who the camera of some views is; refused where its pictures are not of the rig's size."""
+    """Return the identity of the camera of the views; refuse pictures of another size than the rig's."""
     return identity_sized(rig, name, (found.width_px, found.height_px))
 
 
@@ -123,6 +123,6 @@ def checked_size(one: LoadedCalibration, size: tuple[int, int], what: str) -> ca
     camera = one.found.camera
     for key, has, wants in (("width_px", camera.width_px, size[0]), ("height_px", camera.height_px, size[1])):
         if has != wants:
-            wish = f"{wants}, as {what}: a calibration holds at its own resolution only"
-            raise BadInputError([one.problem(("camera", key), has, wish)])
+            expected = f"{wants}, as {what}: a calibration holds at its own resolution only"
+            raise BadInputError([one.problem(("camera", key), has, expected)])
     return one.found

@@ -1,4 +1,4 @@
-"""`rig calibrate pressure`: sensors against a reference gauge, valves by a sweep of their voltage."""
+"""`rig calibrate pressure`: sensors against a reference gauge, valves by a voltage sweep."""
 
 from __future__ import annotations
 
@@ -40,10 +40,10 @@ from runs.overwriting import refuse_existing
 
 Floats = NDArray[np.float64]
 Gauge = Callable[[BenchDriver, int], float]
-"""Reads the reference gauge [Pa] at the chamber of an actuator (from 0), while the driver goes on."""
+"""Reads the reference gauge [Pa] at the chamber of an actuator (from 0) while the driver regulates."""
 
 LEVELS = (0.15, 0.35, 0.55, 0.75, 0.95)
-"""Of the highest set-point."""
+"""Levels as shares of the highest set-point."""
 SETTLE_S, AVERAGE_S = 1.2, 0.5
 FILL_FROM, VENT_FROM, BAND = 0.25, 0.75, 0.14
 """Pressures at which a sweep opens the valve, and how far it lets them move; of the highest set-point."""
@@ -61,7 +61,7 @@ _LARGEST_ML = 1e5
 
 @dataclass(frozen=True)
 class PressureCalibrationRequest:
-    """The command line."""
+    """Options of the command."""
 
     rig: str
     readings: Path | None
@@ -80,35 +80,35 @@ class PressureCalibrationRequest:
     json: bool
 
 
-def run(asked: PressureCalibrationRequest) -> None:
+def run(request: PressureCalibrationRequest) -> None:
     """Calibrate, write the file, print it.
 
     Raises:
-        BadInput: the command line, the rig or the readings cannot be.
+        BadInputError: the command line, the rig or the readings are invalid.
         CardError, StartError: the bench cannot be driven.
-        TrippedError: an interlock ended it; StoppedError: the operator did. The valves are safe.
-        CalibrationError: what was measured tells nothing.
+        TrippedError: an interlock tripped; StoppedError: the operator stopped it. The valves are safe.
+        CalibrationError: the measurements do not determine the parameters.
     """
-    config = load(asked.rig)
-    if asked.to is not None:
-        refuse_existing([asked.to], replace=asked.replace)
-    if not 0 < asked.gauge_std_bar < 1:
+    config = load(request.rig)
+    if request.to is not None:
+        refuse_existing([request.to], replace=request.replace)
+    if not 0 < request.gauge_std_bar < 1:
         raise bad_input(
-            "--gauge-std-bar", f"{asked.gauge_std_bar:g}", "the gauge's standard uncertainty in bar, more than 0"
+            "--gauge-std-bar", f"{request.gauge_std_bar:g}", "the gauge's standard uncertainty in bar, more than 0"
         )
-    for option, value in (("--volume-ml", asked.volume_ml), ("--volume-std-ml", asked.volume_std_ml)):
+    for option, value in (("--volume-ml", request.volume_ml), ("--volume-std-ml", request.volume_std_ml)):
         if value is not None and not 0 < value < _LARGEST_ML:
             raise bad_input(option, f"{value:g}", f"millilitres, more than 0 and less than {_LARGEST_ML:g}")
     sensors: tuple[calibration_schema.SensorCalibration, ...] = ()
     valves: tuple[calibration_schema.ValveCalibration, ...] = ()
     used: tuple[calibration_schema.SourceFile, ...] = ()
-    screen = console(stderr=asked.json)
-    if asked.readings is not None:
-        sensors = _from_readings(config, asked.readings, asked.gauge_std_bar)
-        used = (calibration_schema.SourceFile(name=asked.readings.name, sha256=sha256_of(asked.readings)),)
-    by_gauge = asked.sensors and asked.readings is None
-    if by_gauge or asked.valves:
-        if not asked.yes and not confirm(screen):
+    screen = console(stderr=request.json)
+    if request.readings is not None:
+        sensors = _from_readings(config, request.readings, request.gauge_std_bar)
+        used = (calibration_schema.SourceFile(name=request.readings.name, sha256=sha256_of(request.readings)),)
+    by_gauge = request.sensors and request.readings is None
+    if by_gauge or request.valves:
+        if not request.yes and not confirm(screen):
             raise bad_input("--yes", "", "consent: pressures will rise; not armed")
 
         def tell(line: str) -> None:
@@ -120,36 +120,36 @@ def run(asked: PressureCalibrationRequest) -> None:
                 if signals.reason:
                     raise StoppedError(f"stopped {signals.reason}; the valves are in their safe state")
 
-            if asked.fast:
-                with virtual(config, asked.seed) as (bench, ticks, plant):
+            if request.fast:
+                with virtual(config, request.seed) as (bench, ticks, plant):
                     driver = BenchDriver(config, bench, ticks, check)
-                    measured = _drive(asked, config, driver, _true_gauge(plant, asked, tell), by_gauge, tell)
+                    measured = _drive(request, config, driver, _true_gauge(plant, request, tell), by_gauge, tell)
             else:
-                rig_file = path_of(asked.rig)
+                rig_file = path_of(request.rig)
                 with (
-                    simulated(config, rig_file, asked.seed),
+                    simulated(config, rig_file, request.seed),
                     Keyboard() as keys,
                     real(config, rig_file, "rig calibrate pressure") as (held, ticks),
                 ):
                     driver = BenchDriver(config, held, ticks, check)
-                    measured = _drive(asked, config, driver, _typed_gauge(keys, tell), by_gauge, tell)
+                    measured = _drive(request, config, driver, _typed_gauge(keys, tell), by_gauge, tell)
         # The bench is safe: what takes time comes now.
         for actuator, pairs in sorted(measured.readings.items()):
-            sensors += (sensor_section(config, actuator, np.array(pairs), asked.gauge_std_bar),)
-        volume_ml = asked.volume_ml or config.control.volume_ml
-        std_ml = asked.volume_std_ml if asked.volume_std_ml is not None else 0.1 * volume_ml
+            sensors += (sensor_section(config, actuator, np.array(pairs), request.gauge_std_bar),)
+        volume_ml = request.volume_ml or config.control.volume_ml
+        std_ml = request.volume_std_ml if request.volume_std_ml is not None else 0.1 * volume_ml
         valves = tuple(valve_section(config, i, rates, volume_ml, std_ml) for i, rates in measured.rates.items())
     if not (sensors or valves):
         raise bad_input("--no-sensors", "", "something to calibrate: sensors, or a valve that meters flow")
     made = write(
         calibration_schema.PressureFile(
-            **origin(asked.note), kind="pressure", gauge=asked.gauge, gauge_std_bar=asked.gauge_std_bar,
+            **origin(request.note), kind="pressure", gauge=request.gauge, gauge_std_bar=request.gauge_std_bar,
             sensors=sensors, valves=valves, sources=used,
         ),
-        asked.to or default_path(f"pressure-{config.name}"),
-        replace=asked.replace,
+        request.to or default_path(f"pressure-{config.name}"),
+        replace=request.replace,
     )  # fmt: skip
-    if asked.json:
+    if request.json:
         facts = {
             "file": str(made),
             "sensors": [s.model_dump(mode="json") for s in sensors],
@@ -163,14 +163,14 @@ def run(asked: PressureCalibrationRequest) -> None:
 
 @dataclass(frozen=True)
 class PressureMeasurements:
-    """What the bench showed: volts and gauge [Pa] at each level by actuator, and rates by the valve's index."""
+    """Measurements: volts and gauge [Pa] at each level by actuator, and rates by the valve's index."""
 
     readings: dict[int, list[tuple[float, float]]]
     rates: dict[int, list[PressureRate]]
 
 
 def _drive(
-    asked: PressureCalibrationRequest,
+    request: PressureCalibrationRequest,
     config: RigConfig,
     driver: BenchDriver,
     gauge: Gauge,
@@ -179,7 +179,7 @@ def _drive(
 ) -> PressureMeasurements:
     readings = read_gauge(config, driver, gauge, tell) if by_gauge else {}
     rates = {}
-    for index, valve in enumerate(config.valves) if asked.valves else ():
+    for index, valve in enumerate(config.valves) if request.valves else ():
         if isinstance(valve, FlowValve):
             tell(f"valve {index + 1}: sweep of its voltage")
             rates[index] = sweep(config, driver, index)
@@ -357,12 +357,12 @@ def _valve_section(
     )
 
 
-def _true_gauge(plant: Plant, asked: PressureCalibrationRequest, tell: Callable[[str], None]) -> Gauge:
-    """In virtual time the gauge is simulated, too: the true pressure, as uncertain as the gauge is said to be."""
-    rng = np.random.default_rng([asked.seed, 0x6A06E])
+def _true_gauge(plant: Plant, request: PressureCalibrationRequest, tell: Callable[[str], None]) -> Gauge:
+    """Return a simulated gauge: the true pressure plus noise of the gauge's stated uncertainty."""
+    rng = np.random.default_rng([request.seed, 0x6A06E])
 
     def read(_: BenchDriver, actuator: int) -> float:
-        value = float(plant.pressure_pa[actuator]) + rng.normal(0, asked.gauge_std_bar * PA_PER_BAR)
+        value = float(plant.pressure_pa[actuator]) + rng.normal(0, request.gauge_std_bar * PA_PER_BAR)
         tell(f"(simulated gauge) {value / PA_PER_BAR:.4f} bar")
         return value
 
@@ -370,7 +370,7 @@ def _true_gauge(plant: Plant, asked: PressureCalibrationRequest, tell: Callable[
 
 
 def _typed_gauge(keys: Keyboard, tell: Callable[[str], None]) -> Gauge:
-    """The operator types what the gauge shows, in bar; the pressures are held meanwhile."""
+    """Return a gauge that the operator reads and types in bar while the pressures are held."""
     typed = ""
 
     def read(driver: BenchDriver, actuator: int) -> float:
@@ -387,13 +387,13 @@ def _typed_gauge(keys: Keyboard, tell: Callable[[str], None]) -> Gauge:
 
             driver.regulate(level, 1.0, entered)
             if keys.ended and "\n" not in typed:
-                raise StoppedError("nobody types the gauge's readings: standard input has ended; use --readings")
+                raise StoppedError("no gauge readings: standard input has ended; use --readings")
             if "\n" in typed or "\r" in typed:
                 line, _, typed = typed.replace("\r", "\n").partition("\n")
                 try:
                     return float(line.strip().replace(",", ".")) * PA_PER_BAR
                 except ValueError:
-                    tell(f"'{line.strip()}' is no number; the reading in bar, such as 0.352")
+                    tell(f"'{line.strip()}' is not a number; type the reading in bar, such as 0.352")
 
     return read
 
@@ -409,12 +409,12 @@ def _from_readings(
         volts = control_points.number(path, line, "volts_V", row["volts_V"], problems)
         gauge = control_points.number(path, line, "gauge_bar", row["gauge_bar"], problems)
         if gauge < VACUUM_BAR:
-            wish = f"a gauge pressure above vacuum, {VACUUM_BAR:.3f} bar or more"
-            problems.append(Problem(str(path), line, 0, "gauge_bar", row["gauge_bar"], wish))
+            expected = f"a gauge pressure above vacuum, {VACUUM_BAR:.3f} bar or more"
+            problems.append(Problem(str(path), line, 0, "gauge_bar", row["gauge_bar"], expected))
         text = row["actuator"]
         if not (text.isdecimal() and int(text) in known):
-            told = f"an actuator of rig {config.name}: {', '.join(map(str, sorted(known)))}"
-            problems.append(Problem(str(path), line, 0, "actuator", text or "nothing", told))
+            expected = f"an actuator of rig {config.name}: {', '.join(map(str, sorted(known)))}"
+            problems.append(Problem(str(path), line, 0, "actuator", text or "nothing", expected))
             continue
         found.setdefault(int(text), []).append((volts, gauge * PA_PER_BAR))
     if problems:

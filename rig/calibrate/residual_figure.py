@@ -42,9 +42,9 @@ def _residuals(axes, found: CameraCalibration) -> None:  # type: ignore[no-untyp
     length = np.linalg.norm(residuals, axis=1)
     usual = max(float(np.percentile(length, 95)), 1e-6)
     # One, two or five times a power of ten: a scale that can be read off.
-    wish = _LONGEST_SHARE * found.width_px / usual
-    power = 10 ** np.floor(np.log10(wish))
-    scale = max(k * power for k in (1, 2, 5) if k * power <= wish)
+    largest = _LONGEST_SHARE * found.width_px / usual
+    power = 10 ** np.floor(np.log10(largest))
+    scale = max(k * power for k in (1, 2, 5) if k * power <= largest)
     axes.quiver(
         *corners.T, *(residuals * scale).T, length, angles="xy", scale_units="xy", scale=1, width=0.0015, cmap="viridis"
     )

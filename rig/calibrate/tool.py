@@ -1,4 +1,4 @@
-"""`rig calibrate tool`: the board on the tip, from views of the straight arm and of its cap turned."""
+"""`rig calibrate tool`: the board's pose in the tip frame, from views of the straight arm and of the turned cap."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ Image = NDArray[np.uint8]
 
 @dataclass(frozen=True)
 class ToolCalibrationRequest:
-    """The command line."""
+    """Options of the command."""
 
     rig: str
     camera: str | None
@@ -57,35 +57,35 @@ class ToolCalibrationRequest:
     json: bool
 
 
-def run(asked: ToolCalibrationRequest) -> None:
+def run(request: ToolCalibrationRequest) -> None:
     """Calibrate, write the file, print it.
 
     Raises:
-        BadInput: the command line or the rig cannot be.
-        ViewsError, CalibrationError: the views do not tell the board's place.
-        CameraError: a live camera gives no pictures.
+        BadInputError: the command line or the rig is invalid.
+        ViewsError, CalibrationError: the views do not determine the board's pose.
+        CameraError: a live camera delivers no pictures.
     """
-    config = load(asked.rig)
-    name = inputs.known_camera(config, asked.camera or next(iter(config.cameras)))
-    if asked.to is not None:
-        refuse_existing([asked.to], replace=asked.replace)
-    for option, value in (("--tip-std-mm", asked.tip_std_mm), ("--tip-std-deg", asked.tip_std_deg)):
+    config = load(request.rig)
+    name = inputs.known_camera(config, request.camera or next(iter(config.cameras)))
+    if request.to is not None:
+        refuse_existing([request.to], replace=request.replace)
+    for option, value in (("--tip-std-mm", request.tip_std_mm), ("--tip-std-deg", request.tip_std_deg)):
         if not 0 < value < 100:
             raise bad_input(option, f"{value:g}", "more than 0")
-    file = asked.to or default_path(f"tool-{name}")
-    if asked.live:
-        if asked.straight is not None or asked.turned is not None:
+    file = request.to or default_path(f"tool-{name}")
+    if request.live:
+        if request.straight is not None or request.turned is not None:
             raise bad_input("--live", "", "either views that are there or live ones")
-        straight, turned = _live(config, name, asked.seed, views_beside(file, asked.replace))
+        straight, turned = _live(config, name, request.seed, views_beside(file, request.replace))
     else:
-        if asked.straight is None:
+        if request.straight is None:
             raise bad_input("--straight", "", "views of the straight arm; or --live")
-        straight = _views(config, name, asked.straight)
-        turned = [] if asked.turned is None else _views(config, name, asked.turned)
-    tip = tip_in_camera(config, name, asked.tip_std_mm * 1e-3, float(np.deg2rad(asked.tip_std_deg)))
+        straight = _views(config, name, request.straight)
+        turned = [] if request.turned is None else _views(config, name, request.turned)
+    tip = tip_in_camera(config, name, request.tip_std_mm * 1e-3, float(np.deg2rad(request.tip_std_deg)))
     found = mount(straight, turned, board_of(config), lens_of(config.cameras[name]), tip, board_in_tip(config))
-    made = write(tool_file(config, name, found, asked.note), file, replace=asked.replace)
-    if asked.json:
+    made = write(tool_file(config, name, found, request.note), file, replace=request.replace)
+    if request.json:
         typer.echo(json.dumps(plain_json(_facts(found, made)), indent=2))
         return
     calibration_output.tool(found, board_in_tip(config), console())

@@ -1,8 +1,8 @@
-"""From rates of pressure at many valve voltages to the valve: middle, dead zone, hysteresis, leakage, flow curve.
+"""Fit a valve to pressure rates at many voltages: closed voltage, dead zone, hysteresis, leakage, flow curve.
 
-A chamber of volume V whose pressure rises at a rate lets in q = V dp/dt / p0 of air, counted at the reference
-atmosphere. What ISO 6358 makes of q and the two pressures is the opening, here as the flow that a data sheet would
-state, at 6 -> 5 bar. Leakage is what flows with the valve closed.
+The inflow of a chamber of volume V is q = V dp/dt / p0 at the reference atmosphere p0. ISO 6358 relates q and both
+pressures to a conductance, given here as the flow at 6 -> 5 bar, as in data sheets. Leakage is the flow through the
+closed valve.
 """
 
 from __future__ import annotations
@@ -92,7 +92,7 @@ def fit(valve: FlowValve, sign: float, rates: Sequence[PressureRate], volumes_m3
             mine = (np.sign(offset) == side) & (outward == way)
             edges[side, way] = _edge(np.abs(offset[mine]), side * flow[mine], std[mine], valve.full_flow_l_min)
     fills, vents = ((edges[s, True][0] + edges[s, False][0]) / 2 for s in (1, -1))
-    # Two ways on either side: four opinions of two edges.
+    # Two directions on each side give four estimates of two edges.
     spread = float(np.sqrt(np.mean([e[1] ** 2 for e in edges.values()]) / 2 + _LEAST_EDGE_STD_V**2))
     middle, dead = (fills - vents) / 2, (fills + vents) / 2
     hysteresis = float(np.mean([edges[s, True][0] - edges[s, False][0] for s in (1, -1)]))
@@ -120,7 +120,7 @@ def fit(valve: FlowValve, sign: float, rates: Sequence[PressureRate], volumes_m3
 
 
 class _Flow(NamedTuple):
-    """A rate as the flow [m3/s, reference atmosphere] into the chambers, and its standard uncertainty."""
+    """Convert a rate to the flow into the chambers [m3/s, reference atmosphere] with its standard uncertainty."""
 
     of: PressureRate
     flow: float

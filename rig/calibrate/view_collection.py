@@ -1,4 +1,4 @@
-"""Views from a live camera: the operator moves the board, is told what to do next, and good views are kept."""
+"""Collect views from a live camera: the operator moves the board by instructions; good views are stored."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ from rig.hardware.cameras.registry import open_camera
 Image = NDArray[np.uint8]
 
 _STILL_SHARE = 0.002
-"""Of the picture's width: corners that moved by less between two pictures were held still."""
+"""Largest corner motion between two pictures of a board at rest, as a share of the width."""
 _TIMEOUT_S = 5.0
 _MOST_IDLE = 600
-"""Pictures in a row that brought nothing new: someone has gone."""
+"""Pictures without a new view after which the collection ends."""
 
 
 def pictures(config: RigConfig, camera: str, board: Board, seed: int) -> Iterator[Image]:
@@ -46,7 +46,7 @@ def pictures(config: RigConfig, camera: str, board: Board, seed: int) -> Iterato
 
 
 def collect(
-    shown: Iterable[Image],
+    source: Iterable[Image],
     pattern: tuple[int, int],
     wanted: int,
     folder: Path,
@@ -63,8 +63,8 @@ def collect(
     kept: list[View] = []
     coverage: ViewCoverage | None = None
     before = None
-    said, idle = "", 0
-    for picture in shown:
+    last_line, idle = "", 0
+    for picture in source:
         image = grey(picture)
         size = image.shape[1], image.shape[0]
         coverage = coverage or ViewCoverage(size)
@@ -83,9 +83,9 @@ def collect(
             idle = 0
         advice = coverage.next_step(now)
         line = f"{len(kept)} of {wanted} views. {advice or 'any other place, distance or tilt'}"
-        if line != said:
+        if line != last_line:
             tell(line)
-            said = line
+            last_line = line
         if (len(kept) >= wanted and not advice) or enough() or idle > _MOST_IDLE:
             break
     if not kept:

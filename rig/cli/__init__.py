@@ -1,1 +1,1 @@
-"""The `rig` commands by subject; each module is thin and imports the heavy rooms where it uses them."""
+"""The `rig` commands by subject; each module is thin and imports heavy packages inside the commands."""

@@ -1,4 +1,4 @@
-"""The `rig` command: parses, calls, prints. Heavy modules are imported where they are used."""
+"""The `rig` command line. Heavy modules are imported inside the commands."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ GARBAGE_OBJECTS = 50_000
 
 
 class PlainErrors(TyperGroup):
-    """Turns the errors a user can cause into one message and an exit status, never a traceback."""
+    """Command group that prints expected errors as one message with an exit status, without a traceback."""
 
     def invoke(self, ctx: Any) -> Any:
         """Run a command."""
@@ -35,11 +35,11 @@ class PlainErrors(TyperGroup):
             status = _status(error)
             if status is None:
                 raise
-            _fail(_said(error), status)
+            _fail(_message(error), status)
 
 
-def _said(error: Exception) -> str:
-    """An error in words: the system's without its number."""
+def _message(error: Exception) -> str:
+    """Return the message of an error; of an OSError without its number."""
     if isinstance(error, OSError) and error.strerror:
         return f"{error.filename}: {error.strerror}" if isinstance(error.filename, str) else error.strerror
     if isinstance(error, MemoryError):
@@ -48,11 +48,11 @@ def _said(error: Exception) -> str:
 
 
 def _status(error: Exception) -> int | None:
-    """Exit status of an expected error; None for one that is a bug."""
+    """Return the exit status of an expected error; None for an unexpected one."""
     from protocols import BadInputError
 
     if isinstance(error, BadInputError):
-        return BAD_INPUT  # the usual one: said before the rooms of all the others are imported
+        return BAD_INPUT  # the most frequent one: no further import needed
     from runs.overwriting import WouldOverwriteError
 
     if isinstance(error, WouldOverwriteError):
@@ -65,7 +65,7 @@ def _status(error: Exception) -> int | None:
     if isinstance(error, StoppedError):
         return INTERRUPTED
     if isinstance(error, CardError | CameraError | StartError | JournalError | OSError | MemoryError):
-        return FAULT  # where memory is short, what follows cannot be imported
+        return FAULT  # without memory the imports below fail
     from calibration.camera import CalibrationError
     from calibration.dlt import DLTError
     from calibration.identify import NoDataError, UnknownParameter
@@ -95,8 +95,8 @@ app = typer.Typer(
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
-    context_settings={"color": True},  # what looks like colour is shown by PrintableStream, not cut out
-    rich_markup_mode=None,  # a unit in square brackets is no markup
+    context_settings={"color": True},  # PrintableStream escapes control sequences instead of click removing them
+    rich_markup_mode=None,  # units in square brackets are not markup
 )
 
 
@@ -118,10 +118,8 @@ def program(
 
 
 LOCAL, LIVE_PORT = "127.0.0.1", 8090
-Listen = Annotated[
-    str, typer.Option(metavar="ADDRESS", help="Address of this machine to serve the page on, for others to reach.")
-]
-Port = Annotated[int, typer.Option(help="First port to try for the page; 0 for any that is free.", min=0, max=65535)]
+Listen = Annotated[str, typer.Option(metavar="ADDRESS", help="Address of this machine on which to serve the page.")]
+Port = Annotated[int, typer.Option(help="First port to try for the page; 0: any free port.", min=0, max=65535)]
 ProtocolName = Annotated[str, typer.Argument(metavar="NAME|FILE", help="Named protocol, or a YAML file.")]
 
 
@@ -139,10 +137,12 @@ def run(
     yes: Yes = False,
     report: Annotated[bool, typer.Option(help="Write the HTML report.")] = True,
     adapt: Annotated[
-        bool, typer.Option("--adapt", help="Find the arm's parameters meanwhile; never controls.")
+        bool, typer.Option("--adapt", help="Estimate the arm's parameters online; not used for control.")
     ] = False,
-    free: Annotated[str, typer.Option(help="What --adapt finds, by commas, as for rig identify.")] = "",
-    live: Annotated[bool, typer.Option("--live", help="Show the run in the browser, too.")] = False,
+    free: Annotated[
+        str, typer.Option(help="Parameters that --adapt estimates, separated by commas, as for rig identify.")
+    ] = "",
+    live: Annotated[bool, typer.Option("--live", help="Also show the run in the browser.")] = False,
     listen: Listen = LOCAL,
     port: Port = LIVE_PORT,
     json: AsJson = False,
@@ -155,13 +155,11 @@ def run(
     from rig.experiment import run as experiment
 
     if live and fast:
-        _fail(
-            "--live shows a run in real time; leave out --fast, or play the archive afterwards: rig live RUN", BAD_INPUT
-        )
+        _fail("--live needs real time: omit --fast, or play the archive afterwards: rig live RUN", BAD_INPUT)
     if not live and (listen, port) != (LOCAL, LIVE_PORT):
-        _fail("--listen and --port say where --live shows the run; say --live, too", BAD_INPUT)
+        _fail("--listen and --port need --live", BAD_INPUT)
     if free and not adapt:
-        _fail("--free says what --adapt finds; say --adapt, too", BAD_INPUT)
+        _fail("--free needs --adapt", BAD_INPUT)
     request = experiment.request(
         protocol,
         chosen_rig(rig),
@@ -183,9 +181,9 @@ def run(
         _fail("not armed", BAD_INPUT)
     page: AbstractContextManager[None] = nullcontext()
     if live:
-        from rig.live.launch import showing_this_run
+        from rig.live.launch import live_page_of_this_run
 
-        page = showing_this_run(listen, port, lambda line: console.print(line, soft_wrap=True))
+        page = live_page_of_this_run(listen, port, lambda line: console.print(line, soft_wrap=True))
     with (
         page,
         StopSignals() as signals,
@@ -231,13 +229,13 @@ def doctor(
         str | None,
         typer.Option(
             metavar="NAME|FILE",
-            help="Check the cards of this rig, too. Default: $SOFTRIG_RIG, else ./softrig.yaml, else none.",
+            help="Also check the cards of this rig. Default: $SOFTRIG_RIG, else ./softrig.yaml, else none.",
         ),
     ] = None,
     out: Folder = Path("data"),
     json: AsJson = False,
 ) -> None:
-    """Say what this machine offers a rig, and what to do about what is missing."""
+    """Check this machine for a rig, and name a remedy for each missing part."""
     from rig.cli import run_output
     from rig.config.loader import load, named_rig
     from rig.doctor import examine
@@ -253,13 +251,13 @@ def doctor(
 
 @app.command()
 def vent(rig: VentedRig = None) -> None:
-    """Vent every chamber of a rig, whoever uses it; a running experiment ends.
+    """Vent every chamber of a rig, even if another process uses it; a running experiment ends.
 
-    Where no rig is named, vents the rigs of this user's running experiments.
+    Without a rig, vent the rigs of this user's running experiments.
     """
     from rig.realtime.scheduling import raise_priority
 
-    raise_priority()  # before what takes long to import: a busy machine must not keep the valves waiting
+    raise_priority()  # before the slow imports, so that a busy machine does not delay the valves
     from rig.cli.vent import vent as vent_rigs
 
     vent_rigs(rig)
@@ -271,7 +269,9 @@ def simulate(
     rig: RigName = None,
     model: Variant = None,
     parameters: Parameters = None,
-    static: Annotated[bool, typer.Option("--static", help="Statics at every set-point instead of dynamics.")] = False,
+    static: Annotated[
+        bool, typer.Option("--static", help="Solve statics at every set-point instead of dynamics.")
+    ] = False,
     out: Folder = Path("data"),
 ) -> None:
     """Run the model alone, driven by the protocol's set-points; leaves an archive of the same layout."""
@@ -286,19 +286,19 @@ def simulate(
 @app.command()
 def live(
     archive: Annotated[
-        Path | None, typer.Argument(metavar="[RUN]", help="Archive to play; without it, the run that goes.")
+        Path | None, typer.Argument(metavar="[RUN]", help="Archive to play; default: the running experiment.")
     ] = None,
-    pid: Annotated[int | None, typer.Option(help="Process of the run to watch, where several go.")] = None,
+    pid: Annotated[int | None, typer.Option(help="Process of the experiment to watch, if several run.")] = None,
     listen: Listen = LOCAL,
     port: Port = LIVE_PORT,
 ) -> None:
-    """Show a run that goes in the browser, or play an archive."""
+    """Show a running experiment in the browser, or play an archive."""
     from rig.cli import run_output
     from rig.cli.archive_output import resolve
     from rig.live.launch import show
 
     if archive is not None and pid is not None:
-        _fail("--pid names a run that goes; leave it out to play an archive", BAD_INPUT)
+        _fail("--pid names a running experiment; omit it to play an archive", BAD_INPUT)
     console = run_output.console()
     found = None if archive is None else resolve(archive)
     raise typer.Exit(show(found, pid, listen, port, lambda line: console.print(line, soft_wrap=True)))
@@ -315,9 +315,9 @@ app.add_typer(calibrate.app, name="calibrate")
 
 def main(arguments: list[str] | None = None) -> None:
     """Entry point."""
-    # Imports, runs and reports make many objects and little cyclic garbage: looking for it less often saves a tenth.
+    # Imports, runs and reports create many objects and little cyclic garbage: rarer collection saves 10 % of the time.
     gc.set_threshold(GARBAGE_OBJECTS, 20, 20)
-    # A sign that the terminal cannot show (a µ, where it is not UTF-8) must end nothing, a run least of all.
+    # A character that the terminal cannot encode (a µ, without UTF-8) must not end a run.
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")
@@ -325,6 +325,6 @@ def main(arguments: list[str] | None = None) -> None:
         with printable_streams():
             app(arguments)
     except BrokenPipeError:
-        # The reader of our output has gone (`rig runs | head`): that is his decision and no error.
+        # The reader closed the pipe (`rig runs | head`); this is not an error.
         sys.stderr.close()
         sys.exit(FAULT)

@@ -1,4 +1,4 @@
-"""What the commands about archives print."""
+"""Output of the archive commands."""
 
 from __future__ import annotations
 
@@ -26,17 +26,17 @@ from runs.recovery import recover as recover_folder
 from runs.summary import Summary, summarise
 
 DATA = Path("data")
-"""Where commands put archives, and look for them, unless they are told."""
+"""Default folder of archives."""
 LAST = "last"
 MOST_SHOWN = 5
 _DATE = re.compile(r"\d{4}(-\d\d(-\d\d(T\d\d(:\d\d(:\d\d)?)?)?)?)?")
 
 
 def resolve(name: Path) -> Path:
-    """An archive by its path, by its run id or a unique part of one in the data folder, or by `last`: the newest there.
+    """Find an archive by path, by a run id or a unique part of one in the data folder, or by `last` (the newest).
 
     Raises:
-        ArchiveError: there is none, or several runs have that part in their id.
+        ArchiveError: no archive matches, or several do.
     """
     by_id: tuple[Path, ...] = ()
     if name.name:
@@ -54,7 +54,7 @@ def resolve(name: Path) -> Path:
 
 
 def _in_data(part: str) -> Path | None:
-    """The run of the data folder that is meant by `last` or by a part of its id; None where there is none."""
+    """Return the archive in the data folder for `last` or a part of a run id; None where there is none."""
     if part == LAST:
         entries = [entry for entry in catalogue(DATA) if not entry.problem]
         return DATA / entries[0].file if entries else None
@@ -69,10 +69,10 @@ def _in_data(part: str) -> Path | None:
 
 
 def check_search(folder: Path, status: str = "", since: str = "", until: str = "") -> None:
-    """Raise `BadInput` for what no archive can match; the data folder alone may be missing: nothing was run yet."""
+    """Raise `BadInputError` for a filter that no archive can match; only the default folder may be missing."""
     problems = []
     if folder != DATA and not folder.is_dir():
-        problems.append(Problem("DIR", 0, 0, "", str(folder), "a folder of archives: there is none of this name"))
+        problems.append(Problem("DIR", 0, 0, "", str(folder), "a folder of archives: this folder does not exist"))
     if status and status not in set(Status):
         problems.append(Problem("--status", 0, 0, "", status, f"one of {', '.join(Status)}", closest(status, Status)))
     for option, date in (("--since", since), ("--until", until)):
@@ -83,7 +83,7 @@ def check_search(folder: Path, status: str = "", since: str = "", until: str = "
 
 
 def show(name: Path, as_json: bool) -> None:
-    """One archive: how it was made and what it measured."""
+    """Print the provenance and the summary of an archive."""
     archive = resolve(name)
     run = records.open(archive)
     summary = summarise(run)
@@ -115,12 +115,12 @@ def show(name: Path, as_json: bool) -> None:
 
 
 def summary_json(archive: Path) -> dict[str, Any]:
-    """A run's numbers as JSON has them: what is not a number is null."""
+    """Return a run's summary for JSON, with null for NaN and infinity."""
     return plain_json(asdict(summarise(records.open(archive))))  # type: ignore[no-any-return]
 
 
 def plain_json(value: Any) -> Any:
-    """The value as JSON can say it: what is not a number is null."""
+    """Convert a value for JSON, with null for NaN and infinity."""
     if isinstance(value, dict):
         return {key: plain_json(v) for key, v in value.items()}
     if isinstance(value, list | tuple):
@@ -129,9 +129,9 @@ def plain_json(value: Any) -> Any:
 
 
 def summary_table(summary: Summary, counters: Mapping[str, int]) -> Table:
-    """The numbers of a run: one row per segment, then the whole; `counters` as the executor counted them.
+    """Return a run's summary: one row per segment, then the whole run; `counters` are the executor's.
 
-    A run without a clock (virtual time, a model alone, an import) has no deadlines, and no rows about them.
+    A run in virtual time, a model run and an import have no deadlines, hence no rows about them.
     """
     table = Table(box=None, padding=(0, 2, 0, 0), title_justify="left")
     for head in ("segment", "error [mm]", "normalised [%]", "settled after [s]", "overshoot [bar]"):
@@ -165,12 +165,12 @@ def summary_table(summary: Summary, counters: Mapping[str, int]) -> Table:
 
 
 def _number(value: float, digits: int) -> str:
-    """A number of a table: a dash where there is none, and a pressure that never settled took for ever."""
+    """Format a number of a table: a dash for NaN, `never` for an infinite settling time."""
     return "-" if math.isnan(value) else "never" if math.isinf(value) else f"{value:.{digits}f}"
 
 
 def recover(folder: Path) -> None:
-    """Make archives of orphaned journals, and say what became of each."""
+    """Recover orphaned journals and print the outcome of each."""
     check_search(folder)
     outcomes = [o for o in recover_folder(folder) if o.fate is not Fate.ARCHIVED]
     for outcome in outcomes:
@@ -182,7 +182,7 @@ def recover(folder: Path) -> None:
 
 
 def runs(entries: Sequence[Entry], folder: Path, as_json: bool) -> None:
-    """The entries of a catalogue."""
+    """Print the entries of a catalogue."""
     if as_json:
         typer.echo(json.dumps([asdict(entry) for entry in entries], indent=2))
         return
@@ -190,7 +190,7 @@ def runs(entries: Sequence[Entry], folder: Path, as_json: bool) -> None:
         typer.echo(f"no such archives in {folder}")
         return
     table = Table(box=None, padding=(0, 2, 0, 0))
-    table.add_column("run", no_wrap=True)  # to be copied whole
+    table.add_column("run", no_wrap=True)  # so that it can be copied whole
     for head in ("status", "protocol", "rig", "operator", "mean error [mm]"):
         table.add_column(head, overflow="fold")
     for entry in entries:

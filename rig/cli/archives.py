@@ -1,4 +1,4 @@
-"""Commands about what runs have left behind."""
+"""Commands on archives."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def runs(
     protocol: Annotated[str, typer.Option(help="Part of the protocol's name.")] = "",
     operator: Annotated[str, typer.Option(help="Part of the operator's name.")] = "",
     since: Annotated[str, typer.Option(help="From this date on, as 2026-11 or 2026-11-21.")] = "",
-    until: Annotated[str, typer.Option(help="Up to this date, which is included.")] = "",
+    until: Annotated[str, typer.Option(help="Up to and including this date.")] = "",
     error_above_mm: Annotated[float | None, typer.Option(help="Only those with a larger mean error.")] = None,
     json: AsJson = False,
 ) -> None:
@@ -41,7 +41,7 @@ def runs(
 
 
 def show(archive: Archive, json: AsJson = False) -> None:
-    """Say what an archive holds and how it was made."""
+    """Show the contents and the provenance of an archive."""
     from rig.cli import archive_output
 
     archive_output.show(archive, json)
@@ -79,7 +79,7 @@ def replay(
     model: Annotated[str | None, typer.Option("--model", help="Another variant of the model.")] = None,
     parameters: Parameters = None,
     calibration: Annotated[
-        list[Path] | None, typer.Option(metavar="FILE", help="A file of `rig calibrate`, to lay over the rig.")
+        list[Path] | None, typer.Option(metavar="FILE", help="A file of `rig calibrate`, to apply to the rig.")
     ] = None,
     out: Folder = Path("data"),
 ) -> None:
@@ -118,7 +118,7 @@ def import_(
     operator: Operator = "",
     note: Note = "",
 ) -> None:
-    """Make archives of measurements from elsewhere."""
+    """Convert foreign measurements to archives."""
     from rig.importing import import_table
 
     for file in data:

@@ -1,4 +1,4 @@
-"""`rig calibrate`: from pictures and gauges to numbers."""
+"""`rig calibrate`: commands for cameras, DLT, tool and pressures."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ from rig.cli.options import AsJson, Fast, Note, Replace, RigName, Seed, Yes
 app = typer.Typer(
     no_args_is_help=True,
     rich_markup_mode=None,
-    help="Calibrate cameras, DLT, tool and pressures; each leaves a dated file.",
+    help="Calibrate cameras, DLT, tool and pressures; each writes a dated file.",
 )
 
 Corners = Annotated[str, typer.Option(help="Inner corners of the board, as 9x6.")]
 SquareMm = Annotated[float, typer.Option(help="Edge of a square [mm].")]
-Every = Annotated[int, typer.Option(help="Of a video, every so many frames.", min=1)]
+Every = Annotated[int, typer.Option(help="Use every Nth frame of a video.", min=1)]
 RigFile = Annotated[str | None, typer.Option("--rig", help="Rig whose cameras these are: name or file.")]
-To = Annotated[Path | None, typer.Option("--to", metavar="FILE", help="Where the result goes; default: a dated name.")]
+To = Annotated[Path | None, typer.Option("--to", metavar="FILE", help="Output file; default: a dated name.")]
 
 
 @app.callback()
 def group() -> None:
-    """Calibrate what the rig measures with."""
+    """Calibrate the rig's sensors."""
 
 
 @app.command()
@@ -38,15 +38,20 @@ def dlt(
     corners: Corners = "",
     square_mm: SquareMm = 0.0,
     calibration: Annotated[
-        list[Path] | None, typer.Option(metavar="FILE", help="A camera's calibration, to take its lens out.")
+        list[Path] | None, typer.Option(metavar="FILE", help="A camera's calibration, to remove its lens distortion.")
     ] = None,
     rig: RigFile = None,
-    size: Annotated[str, typer.Option(help="Size of the pictures, as 640x480, where nothing else tells it.")] = "",
-    points_std_mm: Annotated[float, typer.Option(help="Uncertainty of the control points, for the bundle.")] = 0.0,
-    bundle: Annotated[bool, typer.Option(help="Refine everything together.")] = True,
-    world_view: Annotated[str, typer.Option(help="View whose board is the world.")] = "",
+    size: Annotated[str, typer.Option(help="Size of the pictures, as 640x480, if no other option gives it.")] = "",
+    points_std_mm: Annotated[
+        float, typer.Option(help="Standard uncertainty of the control points, for the bundle adjustment.")
+    ] = 0.0,
+    bundle: Annotated[bool, typer.Option(help="Refine by bundle adjustment.")] = True,
+    world_view: Annotated[str, typer.Option(help="View whose board defines the world frame.")] = "",
     base: Annotated[
-        str, typer.Option(metavar="X,Y,Z,A,B,C", help="That board in the rod-base frame: mm, rotation vector in deg.")
+        str,
+        typer.Option(
+            metavar="X,Y,Z,A,B,C", help="Pose of that board in the rod-base frame: mm, rotation vector in deg."
+        ),
     ] = "",
     every: Every = 1,
     to: To = None,
@@ -54,7 +59,7 @@ def dlt(
     note: Note = "",
     json: AsJson = False,
 ) -> None:
-    """Find cameras' 11 coefficients and places, from control points or from views of a board."""
+    """Find cameras' 11 DLT coefficients and poses, from control points or from views of a board."""
     from rig.calibrate import dlt as procedure
 
     procedure.run(
@@ -129,8 +134,12 @@ def tool(
         Path | None, typer.Option(metavar="VIEWS", help="Views with the end cap turned about the arm's axis.")
     ] = None,
     live: Annotated[bool, typer.Option("--live", help="Take the views from the rig's camera now.")] = False,
-    tip_std_mm: Annotated[float, typer.Option(help="How well the straight arm's tip is known, in place [mm].")] = 0.1,
-    tip_std_deg: Annotated[float, typer.Option(help="The same in direction [deg].")] = 0.2,
+    tip_std_mm: Annotated[
+        float, typer.Option(help="Standard uncertainty of the straight arm's tip position [mm].")
+    ] = 0.1,
+    tip_std_deg: Annotated[
+        float, typer.Option(help="Standard uncertainty of the straight arm's tip direction [deg].")
+    ] = 0.2,
     to: To = None,
     replace: Replace = False,
     note: Note = "",
@@ -163,15 +172,17 @@ def tool(
 def pressure(
     rig: RigName = None,
     readings: Annotated[
-        Path | None, typer.Option(metavar="CSV", help="Readings that are there: actuator,volts_V,gauge_bar.")
+        Path | None, typer.Option(metavar="CSV", help="Existing readings: actuator,volts_V,gauge_bar.")
     ] = None,
     sensors: Annotated[bool, typer.Option(help="Scale the sensors against the gauge.")] = True,
     valves: Annotated[bool, typer.Option(help="Sweep the valves that meter flow.")] = True,
     fast: Fast = False,
-    gauge: Annotated[str, typer.Option(help="Name and number of the gauge; goes into the file.")] = "",
+    gauge: Annotated[str, typer.Option(help="Name and number of the gauge; stored in the file.")] = "",
     gauge_std_bar: Annotated[float, typer.Option(help="Standard uncertainty of the gauge [bar].")] = 0.002,
     volume_ml: Annotated[float | None, typer.Option(help="One chamber with its tube [ml]; default: the rig's.")] = None,
-    volume_std_ml: Annotated[float | None, typer.Option(help="How well that is known [ml]; default: a tenth.")] = None,
+    volume_std_ml: Annotated[
+        float | None, typer.Option(help="Standard uncertainty of that volume [ml]; default: a tenth.")
+    ] = None,
     to: To = None,
     replace: Replace = False,
     note: Note = "",

@@ -58,7 +58,7 @@ def camera_facts(found: CameraCalibration, file: Path, picture: Path) -> dict[st
 
 
 def camera(found: CameraCalibration, name: str, screen: Console) -> None:
-    """A camera's intrinsics, how well they fit, and what would make them better."""
+    """Print a camera's intrinsics, their residuals, and advice for better views."""
     values = table("parameter", "value", "+-")
     for parameter, value, std in zip(PARAMETERS, found.parameters, found.std, strict=True):
         values.add_row(parameter, f"{value:.5f}" if abs(value) < 10 else f"{value:.2f}", f"{std:.2g}")
@@ -79,7 +79,7 @@ def camera(found: CameraCalibration, name: str, screen: Console) -> None:
 
 
 def pairs(places: dict[str, tuple[RigidTransform, NDArray[np.float64]]]) -> list[dict[str, Any]]:
-    """How each pair of cameras stands: distance of the centres and angle between the lines of sight."""
+    """Return the baseline and the angle between the optical axes of each pair of cameras."""
     found: list[dict[str, Any]] = []
     for (a, (one, _)), (b, (other, _)) in combinations(places.items(), 2):
         turn = np.clip(float(one.rotation[:, 2] @ other.rotation[:, 2]), -1, 1)
@@ -96,7 +96,7 @@ def pairs(places: dict[str, tuple[RigidTransform, NDArray[np.float64]]]) -> list
 def dlt(
     found: calibration_schema.DLTFile, places: dict[str, tuple[RigidTransform, NDArray[np.float64]]], screen: Console
 ) -> None:
-    """Coefficients, places, residuals and test error of a DLT."""
+    """Print coefficients, poses, residuals and cross-validation error of a DLT."""
     values = table("", *(c.camera.name for c in found.cameras), title="coefficients (world in mm, undistorted px)")
     for k in range(11):
         cells = (f"{c.coefficients_px_mm[k]:.6g} +- {c.covariance[k][k] ** 0.5:.1g}" for c in found.cameras)
@@ -105,12 +105,12 @@ def dlt(
     values.add_row("points", *(str(len(c.residuals_px) // 2) for c in found.cameras))
     screen.print(values)
     world = found.world if found.world == "rod base" else f"the board of view {found.world_view}"
-    stands = table("camera", "x [mm]", "y [mm]", "z [mm]", "+- [mm]", "+- [deg]", title=f"places in {world}")
+    poses = table("camera", "x [mm]", "y [mm]", "z [mm]", "+- [mm]", "+- [deg]", title=f"places in {world}")
     for c in found.cameras:
         p = c.placement
         known = (f"{p.translation_std_mm:.2g}", f"{p.rotation_std_deg:.2g}") if c.placement_known else ("?", "?")
-        stands.add_row(c.camera.name, *(f"{v:.3f}" for v in p.translation_mm), *known)
-    screen.print(stands)
+        poses.add_row(c.camera.name, *(f"{v:.3f}" for v in p.translation_mm), *known)
+    screen.print(poses)
     for pair in pairs(places):
         names = " - ".join(pair["cameras"])
         screen.print(f"{names}: baseline {pair['baseline_mm']:.3f} mm, {pair['angle_deg']:.2f} deg", soft_wrap=True)
@@ -150,7 +150,7 @@ def _test_words(found: calibration_schema.DLTFile) -> str:
 
 
 def tool(found: Mounting, stated: RigidTransform, screen: Console) -> None:
-    """Where the board is on the tip, beside what the rig states."""
+    """Print the board's pose in the tip frame beside the stated one."""
     std = np.sqrt(np.diag(found.covariance))
     now, before = placement_of(found.board_in_tip), placement_of(stated)
     values = table("board in the tip frame", "found", "+-", "the rig's file", title=f"{len(found.views)} views")
@@ -179,7 +179,7 @@ def pressure(
     config: RigConfig,
     screen: Console,
 ) -> None:
-    """Scales and valves, beside what the rig states."""
+    """Print sensor scales and valve parameters beside the stated ones."""
     if sensors:
         made = table("sensor", "bar per V", "+-", "offset [bar]", "+-", "rms [bar]", "the rig's file")
         for s in sensors:

@@ -21,66 +21,68 @@ def identify(
     free: Annotated[
         str,
         typer.Option(
-            help="What is free, by commas: tool, cap_mass_kg, .. Default: law, rpe_per_bar, base, sensor_offsets, and "
-            "damping_s where a run moves.",
+            help="Free parameters, separated by commas: tool, cap_mass_kg, .. Default: law, rpe_per_bar, base, "
+            "sensor_offsets, and damping_s for dynamic runs.",
         ),
     ] = "",
     prior: Annotated[
-        list[str] | None, typer.Option(metavar="NAME=MEAN+-STD", help="What is known beforehand; may be repeated.")
+        list[str] | None, typer.Option(metavar="NAME=MEAN+-STD", help="Prior of a parameter; may be repeated.")
     ] = None,
     start: Annotated[
         list[str] | None,
         typer.Option(
             metavar="RIG",
-            help="Rig to start from, a name or a file, instead of the first run's; of several the likeliest wins.",
+            help="Initial rig, by name or file; default: the first run's. Of several, the likeliest is used.",
         ),
     ] = None,
     starts: Annotated[int, typer.Option(help="Starting points of the search.", min=1)] = 1,
-    bootstrap: Annotated[int, typer.Option(metavar="N", help="Refit N times for a second opinion on +-.", min=0)] = 0,
+    bootstrap: Annotated[int, typer.Option(metavar="N", help="Bootstrap errors from N refits.", min=0)] = 0,
     scheduler: Annotated[
         str | None,
         typer.Option(metavar="tcp://HOST:PORT", help="Dask scheduler for refits and --choose; default: all cores."),
     ] = None,
-    store: Annotated[Path | None, typer.Option(metavar="DIR", help="Keep what is done there, to resume.")] = None,
-    profile: Annotated[bool, typer.Option("--profile", help="Profile likelihood of every shared parameter.")] = False,
+    store: Annotated[Path | None, typer.Option(metavar="DIR", help="Store finished refits there, to resume.")] = None,
+    profile: Annotated[
+        bool, typer.Option("--profile", help="Profile-likelihood intervals of every shared parameter.")
+    ] = False,
     leave_out: Annotated[
         list[Path] | None,
-        typer.Option("--leave-out", "--predict", metavar="RUN", help="Predict this run, unseen; may be repeated."),
+        typer.Option(
+            "--leave-out", "--predict", metavar="RUN", help="Hold this run out and predict it; may be repeated."
+        ),
     ] = None,
     until: Annotated[
         float | None,
-        typer.Option(metavar="S", help="Identify from each run's first S seconds, and predict the rest of it.", min=0),
+        typer.Option(metavar="S", help="Identify from each run's first S seconds, and predict the rest.", min=0),
     ] = None,
     quasi_static: Annotated[
-        bool, typer.Option("--quasi-static", help="Take every frame as an equilibrium, as of slow imported motions.")
+        bool, typer.Option("--quasi-static", help="Take every frame as an equilibrium, for slow imported motions.")
     ] = False,
     every: Annotated[
         int,
-        typer.Option(
-            metavar="N", help="Of --quasi-static, identify from every Nth frame: neighbours tell the same.", min=1
-        ),
+        typer.Option(metavar="N", help="With --quasi-static, identify from every Nth frame.", min=1),
     ] = 1,
     choose: Annotated[
-        bool, typer.Option("--choose", help="Compare the paper's models by predicting each run from the others.")
+        bool, typer.Option("--choose", help="Compare the paper's models by cross-validation over runs.")
     ] = False,
     paper: Annotated[
         bool, typer.Option("--paper", help="The paper's own identification, from its two extension experiments.")
     ] = False,
     report: Annotated[Path | None, typer.Option(metavar="FILE", help="Write a report page (HTML).")] = None,
     figure: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Draw what was predicted, before and after (png, pdf, svg).")
+        Path | None, typer.Option(metavar="FILE", help="Draw the predictions before and after (png, pdf, svg).")
     ] = None,
     to: Annotated[Path | None, typer.Option("--to", metavar="FILE", help="Write the parameters (YAML).")] = None,
     rig: Annotated[
-        str | None, typer.Option("--rig", help="Rig that --rig-file starts from; default: the one that the search did.")
+        str | None, typer.Option("--rig", help="Rig to which --rig-file adds the parameters; default: the initial rig.")
     ] = None,
     rig_file: Annotated[
-        Path | None, typer.Option("--rig-file", metavar="FILE", help="Write the rig with the parameters in it.")
+        Path | None, typer.Option("--rig-file", metavar="FILE", help="Write the rig with the parameters applied.")
     ] = None,
     replace: Replace = False,
     json: AsJson = False,
 ) -> None:
-    """Find an arm's parameters from runs, with error bars, or say that the runs do not tell them."""
+    """Identify an arm's parameters from runs, with error bars, or report them as not identifiable."""
     import numpy as np
 
     from calibration.identify import parted
@@ -97,37 +99,34 @@ def identify(
         "--free": free, "--prior": prior, "--quasi-static": quasi_static, "--scheduler": scheduler, "--store": store,
     }  # fmt: skip
     if choose or paper:
-        _refuse("neither --choose nor --paper takes it", whole)
+        _refuse("not valid with --choose or --paper", whole)
     if paper:
-        _refuse("--paper does not take it", {**shared, "--choose": choose})
+        _refuse("not valid with --paper", {**shared, "--choose": choose})
     if not quasi_static:
-        _refuse("only frames taken as equilibria can be left out: say --quasi-static", {"--every": every > 1})
+        _refuse("needs --quasi-static", {"--every": every > 1})
     if until is None and not leave_out:
-        _refuse("nothing is predicted: say --leave-out or --until", {"--figure": figure})
+        _refuse("nothing is predicted: add --leave-out or --until", {"--figure": figure})
     if not (choose or bootstrap):
-        _refuse("there is nothing to spread: say --bootstrap or --choose", {"--scheduler": scheduler, "--store": store})
+        _refuse("nothing runs in parallel: add --bootstrap or --choose", {"--scheduler": scheduler, "--store": store})
     if rig_file is None:
-        said = (
-            "it is the rig that --rig-file writes the parameters into; to begin the search at another rig say --start"
-        )
-        _refuse(said, {"--rig": rig})
+        _refuse("needs --rig-file; --start sets the initial rig of the search", {"--rig": rig})
     elif to is None:
         to = rig_file.with_suffix(".parameters.yaml")
     if bootstrap == 1:
-        _refuse("one refit has no scatter: at least two", {"--bootstrap": bootstrap})
+        _refuse("at least two refits are needed", {"--bootstrap": bootstrap})
     _check_places({"--report": report, "--figure": figure, "--to": to, "--rig-file": rig_file}, replace)
     priors = _priors(prior or [])
     names = [name.strip() for name in free.split(",") if name.strip()]
-    unseen = initial_setup.opened(leave_out or [])
+    unseen = initial_setup.open_archives(leave_out or [])
     left_out = {run.sha256 for run in unseen}
-    seen = [run for run in initial_setup.opened(archives) if run.sha256 not in left_out]
+    seen = [run for run in initial_setup.open_archives(archives) if run.sha256 not in left_out]
     if not seen:
         raise typer.BadParameter("every run is left out: nothing is left to identify from", param_hint="--leave-out")
     initial_setup.check_alike([*seen, *unseen], one_arm=bool(start))
     if paper:
         from rig.reproduce import identification as by_the_paper
 
-        by_the_paper.show(seen, json)
+        by_the_paper.print_estimates(seen, json)
         return
     if choose:
         from rig.identify import model_comparison
@@ -135,30 +134,30 @@ def identify(
         model_comparison.comparison_lines(seen, names, priors, quasi_static, json, scheduler, store)
         return
     rigs = initial_setup.starting_rigs(seen[0], start or [])
-    data = estimation.shown(seen, quasi_static)
-    for name, begun in rigs.items():
-        if begun.config.actuators != data[0].actuators:
-            said = f"{name} has {begun.config.actuators} actuators, the runs have {data[0].actuators}"
-            raise typer.BadParameter(said, param_hint="--start")
+    data = estimation.read_poses(seen, quasi_static)
+    for name, initial in rigs.items():
+        if initial.config.actuators != data[0].actuators:
+            reason = f"{name} has {initial.config.actuators} actuators, the runs have {data[0].actuators}"
+            raise typer.BadParameter(reason, param_hint="--start")
     base = None if rig is None else initial_setup.InitialSetup.named(rig)
-    if base is not None and (said := initial_setup.another_arm(base, rigs.values())):
-        raise typer.BadParameter(f"{rig} has another arm than the search begins at: {said}", param_hint="--rig")
-    later = estimation.shown(unseen, quasi_static)
+    if base is not None and (differences := initial_setup.geometry_differences(base, rigs.values())):
+        raise typer.BadParameter(f"{rig} has another arm than the initial rig: {differences}", param_hint="--rig")
+    later = estimation.read_poses(unseen, quasi_static)
     for poses in later:
         if poses.actuators != data[0].actuators:
-            said = f"{poses.run_id} is of {poses.actuators} actuators, the others are of {data[0].actuators}"
-            raise typer.BadParameter(said, param_hint="--leave-out")
+            reason = f"{poses.run_id} is of {poses.actuators} actuators, the others are of {data[0].actuators}"
+            raise typer.BadParameter(reason, param_hint="--leave-out")
     if until is not None:
         parts = [parted(poses, until) for poses in data]
         data, later = [part[0] for part in parts], [part[1] for part in parts] + later
     data = [poses.only(np.arange(0, len(poses), every)) for poses in data]
-    taken, fit = estimation.likeliest(rigs, data, names, priors, starts)
-    under = initial_setup.baseline_geometry(seen[0], fit.start, begun_there=not start)
-    estimation.show(fit, json, under)
+    chosen_rig, fit = estimation.most_likely_fit(rigs, data, names, priors, starts)
+    under = initial_setup.baseline_geometry(seen[0], fit.start, from_recorded_rig=not start)
+    estimation.print_estimates(fit, json, under)
     predictions = [predict(fit, poses) for poses in later]
-    estimation.told(predictions)
-    profiles = estimation.profiled(fit) if profile else ()
-    refits = estimation.second_opinion(fit, bootstrap, scheduler, store) if bootstrap else None
+    estimation.print_prediction_errors(predictions)
+    profiles = estimation.profile_likelihoods(fit) if profile else ()
+    refits = estimation.bootstrap_errors(fit, bootstrap, scheduler, store) if bootstrap else None
     if figure is not None:
         typer.echo(estimation.draw_predictions(predictions, figure), err=json)
     if report is not None:
@@ -171,12 +170,12 @@ def identify(
         typer.echo(written, err=json)
         if rig_file is not None:
             rig_file.parent.mkdir(parents=True, exist_ok=True)
-            rig_file.write_text(estimation.rig_with(base or taken, written), encoding="utf-8")
+            rig_file.write_text(estimation.rig_with(base or chosen_rig, written), encoding="utf-8")
             typer.echo(rig_file, err=json)
 
 
 def _check_places(places: Mapping[str, Path | None], replace: bool) -> None:
-    """Refuse, before anything is computed, files that cannot be written or exist; `replace` allows the latter."""
+    """Refuse output files that cannot be written or, without `replace`, that exist; before any computation."""
     from runs.overwriting import refuse_existing
 
     for option, place in places.items():
@@ -192,13 +191,13 @@ def _check_places(places: Mapping[str, Path | None], replace: bool) -> None:
 
 
 def _refuse(why: str, options: Mapping[str, object]) -> None:
-    """Say of the options that were given why they cannot be."""
+    """Raise an error for those of the options that are set."""
     if given := [name for name, value in options.items() if value]:
         raise typer.BadParameter(why, param_hint=", ".join(given))
 
 
 def _priors(items: Sequence[str]) -> dict[str, Prior]:
-    """What is known beforehand, by name, from NAME=MEAN+-STD."""
+    """Parse priors of the form NAME=MEAN+-STD; return them by name."""
     from calibration.identify import Prior
 
     priors: dict[str, Prior] = {}

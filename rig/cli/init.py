@@ -1,4 +1,4 @@
-"""`rig init`: a rig file to start from, in which every section says what it is for."""
+"""`rig init`: write a rig file with a comment for each section."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ EXPLAINED = {
     "happens when a run ends: vent (default) or hold.",
     "sensors": "One pressure sensor for each actuator. Gauge pressure is linear in voltage from `span_V` "
     "to `span_bar`; both are 0 to 10 by default.",
-    "limits": "What no protocol may ask for and no sample may show. A run that leaves them ends, and the "
+    "limits": "Limits of set-points and samples. A run that violates one ends, and the "
     "valves go to their safe state. `pressure_bar` is the highest pressure that the arm may "
     "see: set it before the first run.",
     "control": "The pressure regulator: its rate, the closed loop's bandwidth, the integration time, and "
@@ -37,12 +37,12 @@ EXPLAINED = {
     "centre in the tip frame; `rig calibrate tool` finds it.",
     "arm": "The manipulator: geometry as built, material from `rig identify`, mass of the end cap.",
     "model": "The model that runs beside the rig, and whether it is static or dynamic.",
-    "recording": "Which pictures are kept, and how.",
-    "simulator": "What stands behind the mock devices: the true valves, chambers, sensors and material. Its "
-    "numbers differ from the model's on purpose. A rig without a mock device has no such "
+    "recording": "Which pictures are stored, and their encoding.",
+    "simulator": "The plant behind the mock devices: the true valves, chambers, sensors and material. Its "
+    "numbers intentionally differ from the model's. A rig without a mock device has no such "
     "section.",
 }
-"""Of each section of a rig file, what it is for."""
+"""Comment of each section of a rig file."""
 
 _HEAD = """\
 # The rig: what this bench consists of. Every key has its unit in its name; docs/reference/rig-file.md explains each.
@@ -54,7 +54,7 @@ _SECTION = re.compile(r"([a-z_]+):")
 
 
 class Template(StrEnum):
-    """Rigs that come with the program."""
+    """Bundled rigs."""
 
     MOCK = "mock"
     MOCK_STEREO = "mock-stereo"
@@ -62,7 +62,7 @@ class Template(StrEnum):
 
 
 def commented(text: str) -> str:
-    """A rig's YAML with every section explained, and without the comments at its head."""
+    """Return a rig's YAML with a comment for every section, without its leading comments."""
     lines = text.splitlines()
     while lines and (lines[0].startswith("#") or not lines[0]):
         lines.pop(0)
@@ -77,7 +77,7 @@ def commented(text: str) -> str:
 
 
 def init(
-    like: Annotated[Template, typer.Option(help="The rig that comes nearest to yours.")] = Template.MOCK,
+    like: Annotated[Template, typer.Option(help="Bundled rig to start from.")] = Template.MOCK,
     to: Annotated[Path, typer.Option("--to", metavar="FILE", help="The file to write.")] = Path("softrig.yaml"),
     replace: Replace = False,
 ) -> None:

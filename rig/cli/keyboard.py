@@ -12,7 +12,7 @@ from typing import Any
 
 
 class Keyboard:
-    """While entered, keys arrive one by one; where standard input is no terminal there are none.
+    """Context manager for single keys; without a terminal, standard input is read as it arrives.
 
     Only the foreground process may touch the terminal: a program in the background that tries is stopped by the
     kernel, and a stopped run is an aborted one.
@@ -20,7 +20,7 @@ class Keyboard:
 
     def __init__(self) -> None:
         self.ended = False
-        """True once standard input has ended: nobody is there to press anything."""
+        """True once standard input has ended."""
         self._before: list[Any] | None = None
 
     def __enter__(self) -> Keyboard:
@@ -36,12 +36,12 @@ class Keyboard:
             termios.tcsetattr(sys.stdin, termios.TCSANOW, self._before)
 
     def pressed(self) -> str:
-        """What was typed since the last call; from a pipe or a file, what it holds."""
+        """Return the characters since the last call."""
         if self.ended or not self._readable():
             return ""
         try:
             data = os.read(sys.stdin.fileno(), 256)
-        except OSError:  # the terminal has gone
+        except OSError:  # the terminal was closed
             data = b""
         self.ended = not data
         return data.decode(errors="replace")

@@ -1,4 +1,4 @@
-"""A text stream that never keeps its writer waiting: what a blocked terminal does not take is dropped."""
+"""A non-blocking text stream: output that a blocked terminal does not accept is dropped."""
 
 from __future__ import annotations
 
@@ -8,69 +8,69 @@ from collections import deque
 from typing import TextIO
 
 MOST_BYTES = 1 << 18
-LAST_WORDS_S = 1.0
+CLOSE_TIMEOUT_S = 1.0
 
 
 class NonBlockingWriter:
-    """Stands before a stream. A thread of its own waits for the reader (Ctrl-S, a full pipe, a terminal that hangs)."""
+    """Buffers a stream. A thread of its own writes, so only it blocks on Ctrl-S, a full pipe or a hung terminal."""
 
     def __init__(self, stream: TextIO) -> None:
-        """Write to what is behind `stream` from now on, until `close`."""
+        """Write to the file of `stream` until `close`."""
         stream.flush()
         self.encoding = stream.encoding
         self._stream = stream
         self._fd = stream.fileno()
-        self._waiting: deque[bytes] = deque()
+        self._queue: deque[bytes] = deque()
         self._bytes = 0
-        self._some = threading.Condition()
+        self._ready = threading.Condition()
         self._open = True
-        self._thread = threading.Thread(target=self._pour, name="outlet", daemon=True)
+        self._thread = threading.Thread(target=self._write_queue, name="writer", daemon=True)
         self._thread.start()
 
     def write(self, text: str) -> int:
-        """Take a text; never waits."""
+        """Queue a text without blocking."""
         data = text.encode(self.encoding, "replace")
-        with self._some:
+        with self._ready:
             if self._open and self._bytes + len(data) <= MOST_BYTES:
-                self._waiting.append(data)
+                self._queue.append(data)
                 self._bytes += len(data)
-                self._some.notify()
+                self._ready.notify()
         return len(text)
 
     def flush(self) -> None:
-        """Nothing is held back, and nothing is waited for."""
+        """Do nothing: the thread writes at once."""
 
     def isatty(self) -> bool:
-        """As the stream behind it."""
+        """Delegate to the underlying stream."""
         return self._stream.isatty()
 
     def fileno(self) -> int:
-        """As the stream behind it."""
+        """Delegate to the underlying stream."""
         return self._fd
 
     def close(self) -> None:
-        """Wait a moment for what is still to be written, then give up."""
-        with self._some:
+        """Wait up to `CLOSE_TIMEOUT_S` for queued output, then stop."""
+        with self._ready:
             self._open = False
-            self._some.notify()
-        self._thread.join(LAST_WORDS_S)
+            self._ready.notify()
+        self._thread.join(CLOSE_TIMEOUT_S)
 
-    def _pour(self) -> None:
+    def _write_queue(self) -> None:
         while True:
-            with self._some:
-                while not self._waiting and self._open:
-                    self._some.wait()
-                if not self._waiting:
+            with self._ready:
+                while not self._queue and self._open:
+                    self._ready.wait()
+                if not self._queue:
                     return
-                data = self._waiting.popleft()
+                data = self._queue.popleft()
             try:
                 while data:
                     data = data[os.write(self._fd, data) :]
             except OSError:
-                # The terminal has gone: nobody will ever read this, or anything after it.
-                with self._some:
+                # The terminal was closed: discard the remaining output.
+                with self._ready:
                     self._open = False
-                    self._waiting.clear()
+                    self._queue.clear()
                 return
-            with self._some:
-                self._bytes = sum(map(len, self._waiting))
+            with self._ready:
+                self._bytes = sum(map(len, self._queue))

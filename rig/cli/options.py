@@ -21,7 +21,7 @@ VentedRig = Annotated[
     typer.Option(
         "--rig",
         metavar="NAME|FILE",
-        help="Name or file of the rig. Default: $SOFTRIG_RIG, else ./softrig.yaml, else what runs now.",
+        help="Name or file of the rig. Default: $SOFTRIG_RIG, else ./softrig.yaml, else the running experiments.",
     ),
 ]
 Variant = Annotated[
@@ -30,14 +30,14 @@ Variant = Annotated[
 Fast = Annotated[bool, typer.Option("--fast", help="Virtual time; simulated rigs only.")]
 Seed = Annotated[int, typer.Option(help="Seed of the simulator.", min=0)]
 Yes = Annotated[bool, typer.Option("--yes", help="Arm without asking.")]
-Operator = Annotated[str, typer.Option(help="By whom; goes into the archive.")]
-Note = Annotated[str, typer.Option(help="A remark; goes into what is written.")]
+Operator = Annotated[str, typer.Option(help="Name of the operator; stored in the archive.")]
+Note = Annotated[str, typer.Option(help="A remark; stored in the output file.")]
 _RUN = "Archive, run id or a unique part of one, or last: the newest run in data/."
 Archive = Annotated[Path, typer.Argument(metavar="RUN", help=_RUN)]
 Archives = Annotated[list[Path], typer.Argument(metavar="RUN..", help=_RUN)]
 Parameters = Annotated[
     Path | None,
-    typer.Option("--parameters", metavar="FILE", help="Identified parameters, to lay over the rig.", dir_okay=False),
+    typer.Option("--parameters", metavar="FILE", help="Identified parameters, to apply to the rig.", dir_okay=False),
 ]
 Folder = Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder of the archives.", file_okay=False)]
-Replace = Annotated[bool, typer.Option("--replace", help="Write over existing files.")]
+Replace = Annotated[bool, typer.Option("--replace", help="Replace existing files.")]

@@ -1,7 +1,7 @@
-"""What goes to a terminal: control characters and marks of direction are shown, never obeyed.
+"""Escape control characters and bidirectional marks in terminal output.
 
-Titles, notes, archives and file names come from anywhere. Control characters in them could change the terminal's
-colours, move its cursor, or show a name backwards. `rig.cli.app.main` puts a `PrintableStream` over the standard
+Titles, notes, archives and file names are untrusted. Control characters in them could change the terminal's colours,
+move its cursor, or reverse a name. `rig.cli.app.main` puts a `PrintableStream` over the standard
 streams; the console of every screen (`rig.cli.run_output.console`) bypasses it and escapes the characters itself.
 """
 
@@ -15,7 +15,7 @@ from contextlib import contextmanager
 from typing import TextIO
 
 _KEPT = "\n\t\u200c\u200d"
-"""Lines, columns, and the joiners that Persian, Hindi and emoji are written with."""
+"""Newline, tab, and the joiners of Persian, Hindi and emoji."""
 
 
 def printable(text: str) -> str:
@@ -26,23 +26,23 @@ def printable(text: str) -> str:
 
 
 def _shown(sign: str) -> str:
-    # The spaces of languages are not printable to Python, which means the plain one only.
+    # str.isprintable accepts no space but U+0020.
     if sign.isprintable() or sign in _KEPT or unicodedata.category(sign) == "Zs":
         return sign
     if "\udc80" <= sign <= "\udcff":
-        return f"\\x{ord(sign) - 0xDC00:02x}"  # a byte of a file name that is no UTF-8
+        return f"\\x{ord(sign) - 0xDC00:02x}"  # a byte of a file name that is not UTF-8
     return sign.encode("unicode_escape", "surrogatepass").decode("ascii")
 
 
 class PrintableStream(io.TextIOBase):
-    """A stream of text over another. Consoles write to the other, which `rich_proxied_file` tells them."""
+    """A text stream that escapes and forwards. Consoles bypass it through `rich_proxied_file`."""
 
     def __init__(self, stream: TextIO) -> None:
         super().__init__()
         self.rich_proxied_file = stream
 
     def write(self, text: str) -> int:
-        """Write a text, printable."""
+        """Write a text with its control characters escaped."""
         if not isinstance(text, str):
             raise TypeError(f"a text is written, not {type(text).__name__}")
         self.rich_proxied_file.write(printable(text))
@@ -53,7 +53,7 @@ class PrintableStream(io.TextIOBase):
         self.rich_proxied_file.flush()
 
     def close(self) -> None:
-        """Leave the stream below open: it is not this one's."""
+        """Leave the underlying stream open."""
 
     def isatty(self) -> bool:
         """Tell whether the stream below is a terminal."""
@@ -65,24 +65,24 @@ class PrintableStream(io.TextIOBase):
 
     @property
     def encoding(self) -> str:  # type: ignore[override]
-        """Of the stream below."""
+        """Delegate to the underlying stream."""
         return self.rich_proxied_file.encoding
 
     @property
     def errors(self) -> str | None:  # type: ignore[override]
-        """Of the stream below."""
+        """Delegate to the underlying stream."""
         return self.rich_proxied_file.errors
 
 
 @contextmanager
 def printable_streams() -> Iterator[None]:
-    """Lay a `PrintableStream` over standard output and standard error."""
+    """Replace standard output and standard error by a `PrintableStream` each."""
     out, err = sys.stdout, sys.stderr
-    over = PrintableStream(out), PrintableStream(err)
-    sys.stdout, sys.stderr = over
+    wrapped = PrintableStream(out), PrintableStream(err)
+    sys.stdout, sys.stderr = wrapped
     try:
         yield
     finally:
-        # A stream whose reader has gone was replaced by the command-line library, and stays so.
-        sys.stdout = out if sys.stdout is over[0] else sys.stdout
-        sys.stderr = err if sys.stderr is over[1] else sys.stderr
+        # click replaces a stream whose pipe is closed; that replacement stays.
+        sys.stdout = out if sys.stdout is wrapped[0] else sys.stdout
+        sys.stderr = err if sys.stderr is wrapped[1] else sys.stderr

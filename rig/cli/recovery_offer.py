@@ -1,4 +1,4 @@
-"""Telling of runs that were cut off, and offering to make archives of their journals; a run that goes on is no such."""
+"""Report interrupted runs and offer to recover their journals; a running experiment does not count."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ _NAMED = 3
 
 @cache
 def offer(folder: Path, ask: bool = True) -> None:
-    """Say once, in one line on the error output, which journals of a folder have no archive; on a terminal, ask.
+    """Report once, on standard error, the journals of a folder without an archive; on a terminal, offer recovery.
 
-    `ask` is False where the operator has said that nobody is to be asked.
+    `ask` is False after --yes.
     """
     from runs.recovery import Fate, orphans, recover
 

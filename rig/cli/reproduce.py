@@ -1,4 +1,4 @@
-"""`rig reproduce`: the paper's results beside ours."""
+"""`rig reproduce`: the paper's results beside computed ones."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from rig.cli.options import AsJson, Replace
 
 
 class Result(StrEnum):
-    """What of the paper."""
+    """Results of the paper that can be reproduced."""
 
     MODULUS = "modulus"
     TABLE3 = "table3"
@@ -44,14 +44,14 @@ def reproduce(
     replace: Replace = False,
     json: AsJson = False,
 ) -> None:
-    """Compute a result of the paper again, beside the printed one, and say why they differ."""
+    """Compute a result of the paper beside the printed one, and explain the difference."""
     import json as writer
 
     from rig.cli import reproduction_output
     from rig.cli.run_output import console
     from rig.reproduce.comparison import PaperComparison, PaperFigure
 
-    screen, told = console(stderr=json), console(stderr=True)
+    screen, progress = console(stderr=json), console(stderr=True)
     everything = what is Result.ALL
     found: dict[str, object] = {}
     rows: list[PaperComparison] = []
@@ -68,15 +68,15 @@ def reproduce(
         from rig.reproduce.table3 import table3, verdict
 
         rules = table3()
-        said = verdict(rules)
-        found["table3"] = {"rows": [asdict(row) for row in rules], "verdict": said}
-        remarks.append(f"Table 3, by the printed numbers alone: {said}")
+        conclusion = verdict(rules)
+        found["table3"] = {"rows": [asdict(row) for row in rules], "verdict": conclusion}
+        remarks.append(f"Table 3, by the printed numbers alone: {conclusion}")
         screen.print(reproduction_output.table3(rules))
-        screen.print(f"{said}\n", soft_wrap=True)
+        screen.print(f"{conclusion}\n", soft_wrap=True)
     if what is Result.TABLE4 or everything:
         from rig.reproduce.table4 import drawing, run_times, table4
 
-        methods = table4(told=lambda line: told.print(line))
+        methods = table4(report=lambda line: progress.print(line))
         found["table4"] = [asdict(method) for method in methods]
         rows += run_times(methods)
         drawings.append(drawing(methods))
@@ -85,13 +85,13 @@ def reproduce(
     from rig.reproduce.all_results import NEEDS, results
 
     wanted = tuple(NEEDS) if everything else (what.value,) if what.value in NEEDS else ()
-    # What Table 3 says by the print alone needs no experiment, unless there are archives to hold it against.
+    # The analysis of the printed Table 3 needs no experiment unless archives are given.
     if wanted and not (what is Result.TABLE3 and runs is None):
-        came = results(wanted, runs or out / "runs", everything, lambda line: told.print(line))
-        rows += came.rows
-        drawings += came.drawings
-        found["compared"] = [asdict(row) for row in came.rows]
-        screen.print(reproduction_output.compared(came.rows))
+        reproduced = results(wanted, runs or out / "runs", everything, lambda line: progress.print(line))
+        rows += reproduced.rows
+        drawings += reproduced.drawings
+        found["compared"] = [asdict(row) for row in reproduced.rows]
+        screen.print(reproduction_output.compared(reproduced.rows))
     if drawings:
         from rig.reproduce.page import write
 

@@ -1,4 +1,4 @@
-"""What `rig reproduce` shows on the terminal."""
+"""Output of `rig reproduce`."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from rig.reproduce.table4 import HORIZON_S, Table4Row
 
 
 def table3(rows: tuple[Table3Row, ...]) -> Table:
-    """Distances of the homogeneous models from the inhomogeneous one, under each rule and reading."""
+    """Return distances of the homogeneous models from the inhomogeneous one, for each rule and error definition."""
     table = Table(box=None, padding=(0, 2, 0, 0), title="Table 3: mean distance from the inhomogeneous model [%]")
     for head in ("rule for E_i", "reading of the error", "no RPE", "with RPE", "possible"):
         table.add_column(head)
@@ -22,7 +22,7 @@ def table3(rows: tuple[Table3Row, ...]) -> Table:
 
 
 def compared(rows: tuple[PaperComparison, ...]) -> Table:
-    """Results of the paper beside what came out here."""
+    """Return the paper's results beside the computed ones."""
     table = Table(box=None, padding=(0, 2, 0, 0))
     for head in ("item", "what", "paper", "here", "by", "why different"):
         table.add_column(head, overflow="fold")
@@ -32,7 +32,7 @@ def compared(rows: tuple[PaperComparison, ...]) -> Table:
 
 
 def table4(rows: tuple[Table4Row, ...]) -> Table:
-    """The paper's Table 4 beside what is computed here; times are per simulated second."""
+    """Return the paper's Table 4 beside computed values; times are per simulated second."""
     table = Table(box=None, padding=(0, 2, 0, 0))
     for head in ("along the arm", "N", "in time", "paper [s]", "its method [s]", "ours [ms]", "holds for [s]"):
         table.add_column(head, justify="left" if head in ("along the arm", "in time") else "right", no_wrap=True)

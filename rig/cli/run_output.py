@@ -1,4 +1,4 @@
-"""What the terminal shows before and after a run."""
+"""Terminal output before and after a run."""
 
 from __future__ import annotations
 
@@ -36,36 +36,36 @@ _STATUS = {Status.FINISHED: "bold green", Status.ABORTED: "bold red", Status.INT
 
 
 class PrintableConsole(Console):
-    """Shows control characters and marks of direction, and takes nothing for markup or the name of an emoji."""
+    """A console that escapes control characters and bidirectional marks, and interprets no markup or emoji codes."""
 
     def __init__(self, stderr: bool = False, width: int | None = None) -> None:
         super().__init__(highlight=False, markup=False, emoji=False, stderr=stderr, width=width)
 
     def render_str(self, text: str, **options: Any) -> Text:
-        """Make a text of a string before it is laid out, so that columns are as wide as what is shown."""
+        """Escape a string before the layout, so that column widths match the output."""
         return super().render_str(printable(text), **options)
 
     def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterator[Segment]:
-        """Render anything; its own control codes stay."""
+        """Render anything; control codes of the console itself stay."""
         for part in super().render(renderable, options):
             yield part if part.control else part._replace(text=printable(part.text))
 
 
 def console(stderr: bool = False) -> Console:
-    """The console of every screen; wide enough for its tables where the output is a file."""
+    """Return the console of every screen; output to a file is 110 columns wide."""
     plain = PrintableConsole(stderr)
     return plain if plain.is_terminal else PrintableConsole(stderr, 110)
 
 
 def title(request: RunRequest) -> str:
-    """One line that names a run."""
+    """Return a one-line title of a run."""
     how = "virtual time" if request.fast else "real time"
     marked = " (simulated)" if request.config.simulated else ""
     return f"{request.protocol.name} on {request.config.name}{marked}, {how}, model {request.variant}"
 
 
 def check_screen(request: RunRequest, plan: Plan) -> Group:
-    """What is about to happen: limits, peak pressure, valves, duration."""
+    """Return the check screen: limits, peak pressure, valves, duration."""
     config, trajectory = plan.config, plan.trajectory
     facts = Table(box=None, show_header=False, padding=(0, 2, 0, 0))
     facts.add_row("protocol", f"{request.protocol.name}: {request.protocol.title}")
@@ -86,7 +86,7 @@ def check_screen(request: RunRequest, plan: Plan) -> Group:
     peak = peak_bar(plan)
     table = Table(box=None, padding=(0, 2, 0, 0))
     for head in ("valve", "actuators", "output", "peak [bar]", "limit [bar]", "safe state"):
-        # On a narrow terminal words may be broken; a number must not be.
+        # On a narrow terminal words may wrap; a number must not.
         number = "bar" in head
         table.add_column(head, justify="right" if number else "left", overflow="fold", min_width=5 if number else None)
     for i, (valve, safe) in enumerate(zip(config.valves, safe_voltages(config), strict=True), 1):
@@ -110,17 +110,17 @@ def _how_simulated(config: RigConfig) -> str:
 
 
 def verdict(request: RunRequest) -> Text:
-    """Of a request that has passed every check: that nothing is wrong with it."""
+    """Return the verdict on a request that has passed every check."""
     return Text(f"nothing is wrong: rig {request.config.name} can run {request.protocol.name}", "bold green")
 
 
 def peak_bar(plan: Plan) -> list[float]:
-    """Highest set-point of each actuator [bar]."""
+    """Return the highest set-point of each actuator [bar]."""
     return [pa / PA_PER_BAR for pa in peak_pa(plan.trajectory)]
 
 
 def check_json(request: RunRequest, plan: Plan) -> str:
-    """The check screen for scripts."""
+    """Return the check screen as JSON."""
     return json.dumps(
         {
             "protocol": request.protocol.name,
@@ -138,7 +138,7 @@ def check_json(request: RunRequest, plan: Plan) -> str:
 
 
 def sketch(plan: Plan, width: int, height: int = 10) -> Text:
-    """The set-points over time as a small plot of characters; actuators that move alike share a mark."""
+    """Plot the set-points over time as text; actuators with equal set-points share a symbol."""
     columns = max(20, min(width, 110) - 12)
     times = np.linspace(0.0, plan.trajectory.duration_s, columns)
     levels = plan.trajectory.sample(times) / PA_PER_BAR
@@ -160,9 +160,9 @@ def sketch(plan: Plan, width: int, height: int = 10) -> Text:
 
 
 def confirm(screen: Console) -> bool:
-    """Ask for the key that arms the rig."""
+    """Ask the operator to arm the rig."""
     if not sys.stdin.isatty():
-        screen.print("standard input is no terminal: nobody can be asked; say --yes to arm")
+        screen.print("standard input is not a terminal: use --yes to arm without confirmation")
         return False
     try:
         return screen.input("Arm the rig and run? [y/N] ", markup=False).strip().lower() in ("y", "yes")
@@ -171,7 +171,7 @@ def confirm(screen: Console) -> bool:
 
 
 def last_screen(screen: Console, result: RunResult) -> None:
-    """How the run ended, what it measured, and where it lies. A terminal that has gone changes none of it."""
+    """Print how the run ended, its summary and its files. A closed terminal raises no error."""
     outcome = result.outcome
     ending = f"{outcome.status}: {outcome.message}" if outcome.message else str(outcome.status)
     parts: list[Text | Table | str] = [Text(printable(ending), _STATUS[outcome.status])]
@@ -186,18 +186,18 @@ def last_screen(screen: Console, result: RunResult) -> None:
         parts.append(f"report   {result.report}")
     if result.parameters is not None:
         parts.append(f"adapted  {result.parameters}  (use them: --parameters FILE)")
-    parts += [Text(printable(trouble), "bold red") for trouble in result.trouble]
+    parts += [Text(printable(warning), "bold red") for warning in result.warnings]
     try:
         for part in parts:
             screen.print(part, soft_wrap=not isinstance(part, Table))
-    except (OSError, SystemExit):  # the latter is rich's answer to a pipe that nobody reads any more
-        # What its stream still holds would be tried again at the program's end, whose exit status is the run's.
+    except (OSError, SystemExit):  # rich raises SystemExit for a closed pipe
+        # Otherwise the interpreter flushes the stream again at exit and changes the exit status.
         with suppress(OSError), Path(os.devnull).open("w") as nowhere:
             os.dup2(nowhere.fileno(), screen.file.fileno())
 
 
 def result_json(result: RunResult) -> str:
-    """How the run ended, for scripts."""
+    """Return the result of a run as JSON."""
     from rig.cli.archive_output import summary_json
 
     return json.dumps(
@@ -207,7 +207,7 @@ def result_json(result: RunResult) -> str:
             "archive": str(result.archive) if result.archive else None,
             "report": str(result.report) if result.report else None,
             "parameters": str(result.parameters) if result.parameters else None,
-            "trouble": result.trouble,
+            "trouble": result.warnings,
             "counters": result.outcome.counters,
             "summary": summary_json(result.archive) if result.archive else None,
         },
@@ -216,12 +216,12 @@ def result_json(result: RunResult) -> str:
 
 
 def exit_status(result: RunResult) -> int:
-    """0 finished, 1 aborted or not archived, 130 interrupted."""
-    return _EXIT[result.outcome.status] or (1 if result.trouble else 0)
+    """Return the exit status: 0 finished, 1 aborted or not archived, 130 interrupted."""
+    return _EXIT[result.outcome.status] or (1 if result.warnings else 0)
 
 
 def findings_table(findings: tuple[Finding, ...]) -> Table:
-    """What `rig doctor` found."""
+    """Return the findings of `rig doctor` as a table."""
     table = Table(box=None, padding=(0, 2, 0, 0))
     for head in ("", "topic", "found", "what to do"):
         table.add_column(head, overflow="fold")
@@ -232,5 +232,5 @@ def findings_table(findings: tuple[Finding, ...]) -> Table:
 
 
 def findings_json(findings: tuple[Finding, ...]) -> str:
-    """What `rig doctor` found, for scripts."""
+    """Return the findings of `rig doctor` as JSON."""
     return json.dumps([asdict(finding) for finding in findings], indent=2)

@@ -1,4 +1,4 @@
-"""SIGINT, SIGTERM and SIGHUP as a request that the run polls, never as an exception in the middle of something."""
+"""SIGINT, SIGTERM and SIGHUP as a stop request that the run polls, instead of an asynchronous exception."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ _MEANING = {
 
 
 class StopSignals:
-    """While entered, the stop signals only set `reason`; a second one changes nothing: the end stays orderly.
+    """While entered, stop signals only set `reason`. A second signal is ignored, so that the run ends in order.
 
-    Nor does one that comes after the end: how the run ended is told, and is the exit status, whoever has no patience.
+    After a stop request, later signals stay ignored, so that the result is printed and the exit status is the run's.
     """
 
     def __init__(self) -> None:

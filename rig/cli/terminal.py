@@ -1,4 +1,4 @@
-"""The run in the terminal: a live table where there is a screen, plain lines where there is none."""
+"""The run in the terminal: a live table on a terminal, plain lines elsewhere."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ UNBOUNDED = 1000
 
 
 class Keep(IntEnum):
-    """What a screen that is too small shortens first, least important first."""
+    """Priority of a block on a small screen; the lowest is shortened first."""
 
     HINT = 0
     TIMING = 1
@@ -45,14 +45,14 @@ class Keep(IntEnum):
 
 @dataclass(frozen=True)
 class Block:
-    """One part of the screen in its forms, the longest first."""
+    """One part of the screen in several forms, the longest first."""
 
     forms: tuple[RenderableType, ...]
     keep: Keep = Keep.ALL
 
 
 class Fitted:
-    """Blocks below one another, shortened until they fit the terminal; no form is used that is wider than it."""
+    """A column of blocks, shortened to the height of the terminal; forms wider than the terminal are excluded."""
 
     def __init__(self, blocks: Sequence[Block]) -> None:
         self._blocks = blocks
@@ -66,7 +66,7 @@ class Fitted:
             shorter = [n for n, row in enumerate(forms) if chosen[n] + 1 < len(row)]
             if not shorter:
                 break
-            # Every block gives up its longest form before one of them gives up its second.
+            # Every block uses its second form before any block uses its third.
             chosen[min(shorter, key=lambda n: (chosen[n], self._blocks[n].keep))] += 1
         for row, i in zip(forms, chosen, strict=True):
             yield row[i]
@@ -75,8 +75,8 @@ class Fitted:
 def _wide_enough(
     console: Console, options: ConsoleOptions, forms: tuple[RenderableType, ...]
 ) -> tuple[RenderableType, ...]:
-    """The forms that break nothing which is to stay whole; the last one in any case."""
-    unbounded = options.update_width(UNBOUNDED)  # a measurement never exceeds the width it is taken for
+    """Return the forms that fit the width without wrapping; the last one always."""
+    unbounded = options.update_width(UNBOUNDED)  # a measurement never exceeds its width limit
     fits = [f for f in forms[:-1] if Measurement.get(console, unbounded, f).minimum <= options.max_width]
     return (*fits, forms[-1])
 
@@ -86,7 +86,7 @@ _STYLE = {Level.INFO: "dim", Level.WARNING: "yellow", Level.FAULT: "bold red"}
 
 
 class Terminal:
-    """Shows a run and takes the operator's answers. A terminal that has gone never stops a run."""
+    """Shows a run and reads the operator's answers. A closed terminal does not stop a run."""
 
     def __init__(self, console: Console, stop_reason: Callable[[], str | None], title: str) -> None:
         self._console = console
@@ -95,18 +95,18 @@ class Terminal:
         self._live = Live(console=console, auto_refresh=False, transient=True) if console.is_terminal else None
         self._line_at = -LINE_EVERY_S
         self._keys = Keyboard()
-        self._outlet: NonBlockingWriter | None = None
+        self._writer: NonBlockingWriter | None = None
         self._typed = ""
         self._prompted = False
         self._no_operator = False
 
     def __enter__(self) -> Terminal:
         self._keys.__enter__()
-        # Whoever reads the terminal may stop reading; the run has no time to wait for him.
+        # The terminal may block; the run must not wait for it.
         with suppress(OSError, ValueError):
             self._stream = cast(TextIO, self._console.file)
-            self._outlet = NonBlockingWriter(self._stream)
-            self._console.file = cast(IO[str], self._outlet)
+            self._writer = NonBlockingWriter(self._stream)
+            self._console.file = cast(IO[str], self._writer)
         if self._live is not None:
             self._live.start()
         return self
@@ -117,15 +117,15 @@ class Terminal:
         if self._live is not None:
             with suppress(OSError):
                 self._live.stop()
-        if self._outlet is not None:
+        if self._writer is not None:
             self._console.file = self._stream
-            self._outlet.close()
+            self._writer.close()
         self._keys.__exit__(kind, error, trace)
 
     def show(self, progress: Progress) -> None:
-        """Show where the run stands."""
+        """Show the progress of the run."""
         if self._live is not None and progress.prompt is None:
-            self._typed = self._typed.replace("\n", "")  # Enter answers the prompt that is shown, never one to come
+            self._typed = self._typed.replace("\n", "")  # Enter answers the current prompt only, not a later one
         with suppress(OSError):
             if self._live is not None:
                 self._live.update(_screen(self._title, progress), refresh=True)
@@ -145,16 +145,16 @@ class Terminal:
     def answered(self) -> bool:
         """True once the operator has pressed Enter."""
         self._prompted = True
-        answered = self._taken("\n")
+        answered = self._consume("\n")
         self._no_operator = self._keys.ended and not answered
         return answered
 
     def pause_toggled(self) -> bool:
         """True once the operator has pressed p."""
-        return self._taken("p")
+        return self._consume("p")
 
-    def _taken(self, key: str) -> bool:
-        """Take one stroke of a key out of what was typed; a pipe is read only once a prompt asks for an answer."""
+    def _consume(self, key: str) -> bool:
+        """Remove one occurrence of a key from the input; a pipe is read only after the first prompt."""
         if self._live is not None or self._prompted:
             self._typed += self._keys.pressed()
         before, found, after = self._typed.partition(key)
@@ -163,7 +163,7 @@ class Terminal:
         return bool(found)
 
     def stop_requested(self) -> str | None:
-        """Why the run is to stop."""
+        """Return the reason to stop; None where there is none."""
         if self._no_operator:
             return "a prompt waits for an operator, and standard input has ended"
         return self._stop_reason()
@@ -203,10 +203,10 @@ def _line(progress: Progress) -> str:
 
 
 def _screen(title: str, progress: Progress) -> Fitted:
-    """Everything about a run, each part with its shorter forms."""
+    """Return the screen of a run, each part with its shorter forms."""
     sample, observation = progress.sample, progress.observation
     blocks = [Block((Text(printable(title), "bold"), NOTHING), Keep.TITLE)]
-    # What waits for the operator stands first: of a screen that is too long the end is cut off.
+    # Prompts come first, because the end of a screen that is too long is cut off.
     if progress.held:
         blocks.append(Block((Text("PAUSED: p resumes", "bold yellow"),)))
     if progress.prompt is not None:
@@ -273,21 +273,21 @@ def _unseen(observation: NDArray[np.void]) -> str:
 
 
 def _estimates(adapted: Sequence[Quantity], row: NDArray[np.void]) -> tuple[RenderableType, RenderableType]:
-    """What the recursive estimator knows by now: beside what the run began with, and alone."""
+    """Return the current estimates in two forms: beside their initial values, and alone."""
     table = Table(box=None, padding=(0, 2, 0, 0))
     for head in ("parameter", "estimate", "+-", "began with", "+-", "unit"):
-        # Half a number looks like another one: only names may be folded.
+        # Only names may wrap, because a wrapped number can be misread.
         table.add_column(head, justify="left" if head in ("parameter", "unit") else "right", no_wrap=True)
     table.columns[0].no_wrap, table.columns[0].overflow = False, "fold"
     std = np.sqrt(np.diagonal(row["covariance"]))
     cells = []
     for quantity, value, deviation in zip(adapted, row["value"], std, strict=True):
-        begun = f"{quantity.value[0]:.5g}", f"{quantity.uncertainty:.2g}"
-        table.add_row(quantity.name, f"{value:.5g}", f"{deviation:.2g}", *begun, quantity.unit)
+        initial = f"{quantity.value[0]:.5g}", f"{quantity.uncertainty:.2g}"
+        table.add_row(quantity.name, f"{value:.5g}", f"{deviation:.2g}", *initial, quantity.unit)
         cells.append(f"{quantity.name} {value:.5g} +- {deviation:.2g} {quantity.unit}".rstrip())
     return table, Group(Text("estimates", "bold"), _cells(cells))
 
 
 def _cells(texts: Sequence[str]) -> Columns:
-    """Short texts side by side, as many as fit; one that is wider than the terminal is broken between words."""
+    """Return short texts in columns; a text wider than the terminal wraps between words."""
     return Columns([Text(text) for text in texts], padding=(0, 3))

@@ -1,4 +1,4 @@
-"""`rig vent`: from a rig's name, or from the experiments that run, to vented chambers."""
+"""`rig vent`: vent a named rig, or the rigs of running experiments."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ NOTHING = "nothing to vent: --rig, SOFTRIG_RIG or softrig.yaml here names no rig
 
 
 def vent(option: str | None) -> None:
-    """Vent the rig that is named, or else every rig that a running experiment of this user holds.
+    """Vent the named rig, or else every rig of this user's running experiments.
 
     Raises:
-        BadInput: the rig that is named.
-        CardError: a rig cannot be vented or stay so; the others are.
+        BadInputError: the named rig is invalid.
+        CardError: a rig cannot be vented or does not stay vented; the other rigs are vented.
         typer.Exit: status 2, there is nothing to vent.
     """
     if (chosen := named_rig(option)) is not None:

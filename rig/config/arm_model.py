@@ -1,4 +1,4 @@
-"""The rig's arm as a model: the one it is believed to be, and the simulator's true one."""
+"""The rod model of a rig's arm: with the stated parameters, and with the simulator's true ones."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ GRAVITY_M_S2 = 9.81
 
 
 def model_arm(config: RigConfig, variant: Variant | None = None) -> model.Arm:
-    """The arm as the rig's file describes it; `variant` other than the file's on request."""
+    """Return the arm with the rig's stated parameters; `variant` overrides the rig's model variant."""
     arm = config.arm
     return _arm(config, arm.geometry, arm.material, arm.cap_mass_g, variant or config.model.variant)
 
 
 def true_arm(config: RigConfig) -> model.Arm:
-    """The arm that hangs in the simulator.
+    """Return the arm with the simulator's true parameters.
 
     Raises:
         ValueError: the rig has no simulator.
@@ -29,13 +29,13 @@ def true_arm(config: RigConfig) -> model.Arm:
 
 
 def true_geometry(config: RigConfig) -> Geometry:
-    """The geometry of the arm that hangs in the simulator; the stated one where nothing else is said."""
+    """Return the simulated arm's geometry; by default the stated one."""
     truth = config.simulator
     return config.arm.geometry if truth is None or truth.geometry is None else truth.geometry
 
 
 def model_geometry(geometry: Geometry) -> model.Geometry:
-    """The YAML's geometry in SI."""
+    """Convert the geometry of the YAML to SI."""
     return model.Geometry.on_circle(
         geometry.length_mm * 1e-3,
         geometry.inner_radius_mm * 1e-3,
@@ -46,7 +46,7 @@ def model_geometry(geometry: Geometry) -> model.Geometry:
 
 
 def model_material(material: Material) -> model.Material:
-    """The YAML's material."""
+    """Convert the material of the YAML."""
     return model.Material(
         youngs_modulus_pa=material.youngs_modulus_pa,
         a1_per_n=material.a1_per_N,
@@ -59,21 +59,21 @@ def model_material(material: Material) -> model.Material:
 
 
 class TipLoad:
-    """What hangs on the end cap, as the load of a model; the same weight gives the same object."""
+    """Dead loads at the end cap as loads of the model; the same weight gives the same object."""
 
     def __init__(self, config: RigConfig) -> None:
         self._gravity_m_s2 = np.array(gravity_m_s2(config))
         self._loads: dict[float, model.Loads | None] = {0.0: None}
 
     def carrying(self, weight_kg: float) -> model.Loads | None:
-        """A dead load of so many kilograms at the tip; None for nothing."""
+        """Return the load of a weight [kg] at the tip; None for zero."""
         if weight_kg not in self._loads:
             self._loads[weight_kg] = model.Loads(tip_force_n=weight_kg * self._gravity_m_s2)
         return self._loads[weight_kg]
 
 
 def gravity_m_s2(config: RigConfig) -> tuple[float, float, float]:
-    """Gravity in the rod-base frame."""
+    """Return gravity [m/s^2] in the rod-base frame."""
     direction = np.array(config.arm.gravity_direction)
     x, y, z = GRAVITY_M_S2 * direction / np.linalg.norm(direction)
     return float(x), float(y), float(z)

@@ -1,4 +1,4 @@
-"""Calibration files on disk: read with every fault at its line, written with their origin, never over another."""
+"""Read and write calibration files. Reading reports every fault with its line; writing replaces no file unasked."""
 
 from __future__ import annotations
 
@@ -22,35 +22,39 @@ from runs.overwriting import refuse_existing
 SUFFIX = ".yaml"
 _VIEWS = "-views"
 LARGEST = 2_000_000
-"""Residuals of many cameras and views make a long file."""
+"""Largest file [bytes]. Residuals of many cameras and views make a long file."""
 
 
 @dataclass(frozen=True)
 class LoadedCalibration:
-    """A calibration file that was read: what it says, and its text, verbatim."""
+    """A parsed calibration file and its source text."""
 
     found: AnyFile
     source: Document
 
     @property
     def sha256(self) -> str:
-        """Of the text."""
+        """Checksum of the text."""
         return hashlib.sha256(self.source.text.encode()).hexdigest()
 
     def problem(self, path: tuple[str | int, ...], value: object, expected: str) -> Problem:
-        """A fault of one of the file's values."""
+        """Return the problem of one value of the file."""
         mark = self.source.mark(path)
         where = ", ".join(str(step) for step in path)
         return Problem(self.source.file, mark.line, mark.column, where, str(value), expected)
 
 
 def read(path: Path) -> LoadedCalibration:
-    """Read a calibration file of any kind; `BadInput` with everything that is wrong with it."""
+    """Read a calibration file of any kind.
+
+    Raises:
+        BadInputError: every problem of the file.
+    """
     return parse(document.parse(document.read_text(path, LARGEST), str(path)))
 
 
 def parse(source: Document) -> LoadedCalibration:
-    """The calibration that a document holds; see `read`."""
+    """Parse the calibration in a document; raises as `read` does."""
     kind = source.data.get("kind")
     model = KINDS.get(kind) if isinstance(kind, str) else None
     if model is None:
@@ -66,7 +70,7 @@ def parse(source: Document) -> LoadedCalibration:
 
 
 def origin(note: str = "") -> dict[str, Any]:
-    """What every new file says of itself: format, date, software, command line."""
+    """Return the header of a new file: format, date, software, command line."""
     commit, diff = git_state()
     return {
         "softrig_calibration": 1,
@@ -78,7 +82,7 @@ def origin(note: str = "") -> dict[str, Any]:
 
 
 def text_of(found: CalibrationFile) -> str:
-    """A calibration as YAML."""
+    """Serialise a calibration as YAML."""
     data = found.model_dump(mode="json", exclude_none=True)
     first = {key: data.pop(key) for key in ("softrig_calibration", "kind", "made")}
     head = "# A calibration by softrig. Name it under `calibrations:` in a rig's file to use it.\n"
@@ -86,10 +90,10 @@ def text_of(found: CalibrationFile) -> str:
 
 
 def default_path(stem: str, folder: Path = Path()) -> Path:
-    """Where a new file goes when nothing is said: named after what was calibrated and the day, beside no other."""
+    """Return the default path of a new file: subject and date, with a number where files of that name exist."""
     dated = f"{stem}-{datetime.now():%Y-%m-%d}"
     name, n = dated, 1
-    # Pictures and views that lie beside a file carry its name.
+    # The pictures and views beside a file have the same stem.
     while any((folder / f"{name}{end}").exists() for end in (SUFFIX, ".png", _VIEWS)):
         n += 1
         name = f"{dated}-{n}"
@@ -97,20 +101,20 @@ def default_path(stem: str, folder: Path = Path()) -> Path:
 
 
 def views_beside(path: Path, replace: bool) -> Path:
-    """The folder beside a calibration file for the pictures that are taken for it.
+    """Return the folder beside a calibration file for its pictures.
 
     Raises:
-        BadInput: it is there already, and nobody said that its pictures may be lost.
+        BadInputError: the folder exists and `replace` is False.
     """
     folder = path.with_name(f"{path.stem}{_VIEWS}")
     if folder.exists() and not replace:
-        wish = f"a name without views beside it; --replace writes over those in {folder}"
-        raise BadInputError([Problem("--to", 0, 0, "", str(path), wish)])
+        expected = f"a name without views beside it; --replace writes over those in {folder}"
+        raise BadInputError([Problem("--to", 0, 0, "", str(path), expected)])
     return folder
 
 
 def write(found: CalibrationFile, path: Path, *, replace: bool = False) -> Path:
-    """Write a calibration file; it is read back first, so that what stands on disk is known to be right.
+    """Write a calibration file. The text is parsed before it is written, so that no invalid file reaches the disk.
 
     Raises:
         WouldOverwriteError: the file exists, and `replace` is False.
@@ -126,12 +130,12 @@ def write(found: CalibrationFile, path: Path, *, replace: bool = False) -> Path:
 
 
 def sha256_of(path: Path) -> str:
-    """Of a file's bytes."""
+    """Return the SHA-256 of a file."""
     return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 def rounded(values: Any, digits: int = 6) -> Any:
-    """Numbers to so many significant digits, as nested tuples: a file is read by people, too."""
+    """Round numbers to `digits` significant digits; return nested tuples."""
     if hasattr(values, "tolist"):
         values = values.tolist()
     if isinstance(values, list | tuple):

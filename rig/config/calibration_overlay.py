@@ -1,6 +1,6 @@
-"""Calibration files laid into a rig's YAML: what they found takes the place of what the rig's file states.
+"""Overlay of calibration files on a rig's YAML: calibrated values replace the stated ones.
 
-The simulator goes on as it was built: what the rig stated before is kept for it under `simulator, built`.
+The simulator keeps the values that the rig stated before, under `simulator, built`.
 """
 
 from __future__ import annotations
@@ -35,14 +35,14 @@ Faults = Iterator[Problem]
 
 
 def named_in(source: Document) -> tuple[tuple[tuple[str | int, ...], Path], ...]:
-    """The calibration files that a rig's YAML names, each with its place there; paths are relative to the rig's."""
+    """Return the calibration files that a rig's YAML names, with their YAML paths; files are relative to the rig's."""
     listed = source.data.get("calibrations") or ()
     folder = Path(source.file).parent
     return tuple((("calibrations", i), folder / str(name)) for i, name in enumerate(listed))
 
 
 def read_all(source: Document) -> tuple[LoadedCalibration, ...]:
-    """Read every calibration file that a rig's YAML names; `BadInput` with all that is wrong with any of them."""
+    """Read every calibration file that a rig's YAML names; raise `BadInputError` with the problems of all of them."""
     found: list[LoadedCalibration] = []
     problems: list[Problem] = []
     for place, path in named_in(source):
@@ -53,15 +53,15 @@ def read_all(source: Document) -> tuple[LoadedCalibration, ...]:
             if path.is_file():
                 problems += bad.problems
             else:
-                wish = "a calibration file: there is none of this name, seen from the rig's folder"
-                problems.append(Problem(source.file, mark.line, mark.column, "calibrations", mark.source, wish))
+                expected = "a calibration file: this file does not exist in the rig's folder"
+                problems.append(Problem(source.file, mark.line, mark.column, "calibrations", mark.source, expected))
     if problems:
         raise BadInputError(problems)
     return tuple(found)
 
 
 def read_files(paths: Sequence[Path]) -> tuple[LoadedCalibration, ...]:
-    """Read calibration files; `BadInput` with all that is wrong with any of them."""
+    """Read calibration files; raise `BadInputError` with the problems of all of them."""
     found: list[LoadedCalibration] = []
     problems: list[Problem] = []
     for path in paths:
@@ -75,7 +75,7 @@ def read_files(paths: Sequence[Path]) -> tuple[LoadedCalibration, ...]:
 
 
 def sources(rig: Document, calibrations: Sequence[LoadedCalibration]) -> tuple[SourceFile, ...]:
-    """The rig's file and its calibrations, as an archive keeps them."""
+    """Return the rig's file and its calibrations as the archive stores them."""
     own = hashlib.sha256(rig.text.encode()).hexdigest()
     return (
         SourceFile(Path(rig.file).name, "rig", own, rig.text),
@@ -84,10 +84,10 @@ def sources(rig: Document, calibrations: Sequence[LoadedCalibration]) -> tuple[S
 
 
 def with_calibrations(text: str, config: RigConfig, calibrations: Sequence[LoadedCalibration]) -> str:
-    """The rig's YAML `text`, which `config` describes, with calibrations in it.
+    """Return the rig's YAML `text` with the calibrations applied; `config` is its parsed form.
 
     Raises:
-        BadInput: one is of another camera, resolution, board or card, or two are of the same thing.
+        BadInputError: a calibration has another camera, resolution, board or card; or two have the same subject.
     """
     problems = [*_twice(calibrations)]
     for calibration in calibrations:
@@ -118,7 +118,7 @@ def with_calibrations(text: str, config: RigConfig, calibrations: Sequence[Loade
 
 
 def as_stated(config: RigConfig) -> dict[str, Any]:
-    """What a simulator is built of, as the rig states it now."""
+    """Return the stated lenses, valves and sensors, from which the simulator is built."""
     return {
         "lenses": {name: camera.lens.model_dump(mode="json") for name, camera in config.cameras.items()},
         "valves": [valve.model_dump(mode="json") for valve in config.valves],
@@ -128,7 +128,7 @@ def as_stated(config: RigConfig) -> dict[str, Any]:
 
 def _place_camera(data: dict[str, Any], config: RigConfig, name: str, found: Placement) -> None:
     if config.simulator is not None:
-        # The camera stands where it stood: what the rig states moves, so the simulated error takes up the difference.
+        # The true camera pose stays: the stated placement changes, so the simulated error absorbs the difference.
         stands = rigid(config.cameras[name].placement) @ rigid(config.simulator.error_of(name))
         errors = data["simulator"].setdefault("camera_errors", {})
         errors[name] = placement_of(rigid(found).inverse() @ stands).model_dump(mode="json")
@@ -159,13 +159,13 @@ def _twice(calibrations: Sequence[LoadedCalibration]) -> Faults:
     for calibration in calibrations:
         for path, key, subject in _subjects(calibration):
             if key in taken:
-                wish = f"each thing calibrated by one file: {subject} is in {taken[key]}, too"
-                yield calibration.problem(path, calibration.source.mark(path).source, wish)
+                expected = f"each thing calibrated by one file: {subject} is in {taken[key]}, too"
+                yield calibration.problem(path, calibration.source.mark(path).source, expected)
             taken.setdefault(key, calibration.source.file)
 
 
 def _subjects(calibration: LoadedCalibration) -> Iterator[tuple[tuple[str | int, ...], tuple[str, object], str]]:
-    """What a file calibrates: where it says so, a key, words."""
+    """Yield each subject of a file: its YAML path, a unique key, a description."""
     found = calibration.found
     if isinstance(found, CameraFile):
         yield ("camera", "name"), ("lens", found.camera.name), f"the lens of camera '{found.camera.name}'"
@@ -183,7 +183,7 @@ def _subjects(calibration: LoadedCalibration) -> Iterator[tuple[tuple[str | int,
 
 
 def _unfit(config: RigConfig, calibration: LoadedCalibration) -> Faults:
-    """Why a calibration is none of this rig."""
+    """Yield the reasons why a calibration does not belong to the rig."""
     found = calibration.found
     if isinstance(found, CameraFile):
         yield from _other_camera(config, calibration, ("camera",), found.camera)
@@ -191,17 +191,17 @@ def _unfit(config: RigConfig, calibration: LoadedCalibration) -> Faults:
         for i, item in enumerate(found.cameras):
             yield from _other_camera(config, calibration, ("cameras", i, "camera"), item.camera)
         if found.world != "rod base":
-            wish = "rod base: the rig's cameras stand in that frame; calibrate with control points in it, or --base"
-            yield calibration.problem(("world",), found.world, wish)
+            expected = "rod base: the rig's cameras stand in that frame; calibrate with control points in it, or --base"
+            yield calibration.problem(("world",), found.world, expected)
     elif isinstance(found, ToolFile):
         yield from _other_camera(config, calibration, ("camera",), found.camera)
         have = (config.board.squares_x - 1, config.board.squares_y - 1)
         if tuple(found.board.corners) != have:
-            told = f"{have[0]}x{have[1]} inner corners, as the board of rig {config.name}"
-            yield calibration.problem(("board", "corners"), "x".join(map(str, found.board.corners)), told)
+            expected = f"{have[0]}x{have[1]} inner corners, as the board of rig {config.name}"
+            yield calibration.problem(("board", "corners"), "x".join(map(str, found.board.corners)), expected)
         if abs(found.board.square_mm - config.board.square_mm) > 1e-3 * config.board.square_mm:
-            told = f"{config.board.square_mm:g}, as the board of rig {config.name}"
-            yield calibration.problem(("board", "square_mm"), found.board.square_mm, told)
+            expected = f"{config.board.square_mm:g}, as the board of rig {config.name}"
+            yield calibration.problem(("board", "square_mm"), found.board.square_mm, expected)
     else:
         yield from _other_bench(config, calibration, found)
 
@@ -210,8 +210,8 @@ def _other_camera(
     config: RigConfig, calibration: LoadedCalibration, here: tuple[str | int, ...], identity: CameraIdentity
 ) -> Faults:
     if identity.name not in config.cameras:
-        wish = f"a camera of rig {config.name}: {', '.join(config.cameras)}"
-        problem = calibration.problem((*here, "name"), identity.name, wish)
+        expected = f"a camera of rig {config.name}: {', '.join(config.cameras)}"
+        problem = calibration.problem((*here, "name"), identity.name, expected)
         yield Problem(**{**problem.__dict__, "suggestion": closest(identity.name, config.cameras)})
         return
     camera = config.cameras[identity.name]
@@ -219,8 +219,8 @@ def _other_camera(
     for key in ("width_px", "height_px"):
         has, wants = getattr(identity, key), getattr(camera, key)
         if has != wants:
-            wish = f"{wants}, as {where}: a calibration holds at its own resolution only"
-            yield calibration.problem((*here, key), has, wish)
+            expected = f"{wants}, as {where}: a calibration holds at its own resolution only"
+            yield calibration.problem((*here, key), has, expected)
     for key in ("driver", "device"):
         has, wants = getattr(identity, key), getattr(camera, key)
         if has is not None and has != wants:
@@ -230,12 +230,12 @@ def _other_camera(
 
         serial = serial_of(camera)
         if serial is not None and serial != identity.serial:
-            wish = f"{serial}, the serial number of the camera that is plugged in for {where}"
-            yield calibration.problem((*here, "serial"), identity.serial, wish)
+            expected = f"{serial}, the serial number of the camera that is plugged in for {where}"
+            yield calibration.problem((*here, "serial"), identity.serial, expected)
 
 
 def _other_lens(config: RigConfig, calibration: LoadedCalibration, calibrations: Sequence[LoadedCalibration]) -> Faults:
-    """A camera's place was found through a lens, and holds with that one only."""
+    """A camera placement is valid only with the lens that it was calibrated with."""
     found = calibration.found
     if not isinstance(found, DLTFile):
         return
@@ -247,9 +247,9 @@ def _other_lens(config: RigConfig, calibration: LoadedCalibration, calibrations:
         used = lenses.get(name, config.cameras[name].lens)
         mine, theirs = (np.array([v.fx_px, v.fy_px, v.cx_px, v.cy_px, *v.distortion]) for v in (item.lens, used))
         if not np.allclose(mine, theirs, rtol=1e-5, atol=1e-7):
-            wish = f"{used.fx_px:g} and so on, the lens of camera {name} in rig {config.name}: the place was found "
-            wish += "through another lens; name that lens's calibration, too"
-            yield calibration.problem(("cameras", i, "lens"), f"fx_px {item.lens.fx_px:g}", wish)
+            expected = f"{used.fx_px:g} and so on, the lens of camera {name} in rig {config.name}: the place was found "
+            expected += "through another lens; name that lens's calibration, too"
+            yield calibration.problem(("cameras", i, "lens"), f"fx_px {item.lens.fx_px:g}", expected)
 
 
 def _other_bench(config: RigConfig, calibration: LoadedCalibration, found: PressureFile) -> Faults:
@@ -262,8 +262,8 @@ def _other_bench(config: RigConfig, calibration: LoadedCalibration, found: Press
         sensor = sensors[scale.actuator]
         yield from _other_channel(config, calibration, here, scale, sensor, f"the sensor of actuator {scale.actuator}")
         if tuple(scale.span_V) != tuple(sensor.span_V):
-            told = f"{list(sensor.span_V)}, as the sensor of rig {config.name}"
-            yield calibration.problem((*here, "span_V"), list(scale.span_V), told)
+            expected = f"{list(sensor.span_V)}, as the sensor of rig {config.name}"
+            yield calibration.problem((*here, "span_V"), list(scale.span_V), expected)
     for i, sweep in enumerate(found.valves):
         here = ("valves", i)
         if sweep.valve > len(config.valves):
@@ -271,13 +271,13 @@ def _other_bench(config: RigConfig, calibration: LoadedCalibration, found: Press
             continue
         valve = config.valves[sweep.valve - 1]
         if not isinstance(valve, FlowValve):
-            wish = f"a valve that meters flow; valve {sweep.valve} of rig {config.name} regulates by itself"
-            yield calibration.problem((*here, "valve"), sweep.valve, wish)
+            expected = f"a valve that meters flow; valve {sweep.valve} of rig {config.name} regulates by itself"
+            yield calibration.problem((*here, "valve"), sweep.valve, expected)
             continue
         yield from _other_channel(config, calibration, here, sweep, valve, f"valve {sweep.valve}")
         if not valve.range_V[0] < sweep.closed_V < valve.range_V[1]:
-            told = f"a voltage inside range_V of the valve, {valve.range_V[0]:g} to {valve.range_V[1]:g} V"
-            yield calibration.problem((*here, "closed_V"), sweep.closed_V, told)
+            expected = f"a voltage inside range_V of the valve, {valve.range_V[0]:g} to {valve.range_V[1]:g} V"
+            yield calibration.problem((*here, "closed_V"), sweep.closed_V, expected)
 
 
 def _other_channel(
@@ -293,8 +293,8 @@ def _other_channel(
     for key in ("name", "driver", "device"):
         has, wants = getattr(part.card, key), getattr(identity, key)
         if has != wants:
-            told = f"{wants}, the card of {what} in rig {config.name}: this was measured through another card"
-            yield calibration.problem((*here, "card", key), has, told)
+            expected = f"{wants}, the card of {what} in rig {config.name}: this was measured through another card"
+            yield calibration.problem((*here, "card", key), has, expected)
     if part.channel != stated.channel:
-        told = f"{stated.channel}, the channel of {what} in rig {config.name}"
-        yield calibration.problem((*here, "channel"), part.channel, told)
+        expected = f"{stated.channel}, the channel of {what} in rig {config.name}"
+        yield calibration.problem((*here, "channel"), part.channel, expected)

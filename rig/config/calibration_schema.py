@@ -279,8 +279,8 @@ class ValveCalibration(Section):
     def _check(self) -> ValveCalibration:
         found, std = list(curve(self)), self.flow_curve_std_percent
         if len(std) != len(self.flow_curve_V):
-            wish = f"{len(self.flow_curve_V)} values, as many as flow_curve_V has, not {len(std)}"
-            found.append(ValidationFault(("flow_curve_std_percent",), wish))
+            expected = f"{len(self.flow_curve_V)} values, as many as flow_curve_V has, not {len(std)}"
+            found.append(ValidationFault(("flow_curve_std_percent",), expected))
         faults(found)
         return self
 

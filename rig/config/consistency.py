@@ -1,7 +1,6 @@
-"""Faults between the parts of a rig's YAML: each part may be right by itself and the rig still be wrong.
+"""Consistency checks between the sections of a rig's YAML, each of which is valid by itself.
 
-The checks take what is valid by itself, with None in the place of what is not, so that one mistyped number hides no
-other fault.
+An invalid section is passed as None, so that one mistyped number hides no other fault.
 """
 
 from __future__ import annotations
@@ -31,7 +30,7 @@ FOCAL_SHARES = (0.1, 50.0)
 
 
 def check(parts: Mapping[str, Any]) -> list[ValidationFault]:
-    """Every fault between the parts of a rig; `parts` are the fields of `RigConfig` that are there."""
+    """Return every inconsistency; `parts` are the present fields of `RigConfig`."""
     checks: tuple[tuple[Callable[..., Iterator[ValidationFault]], tuple[str, ...]], ...] = (
         (_valve_channels, ("cards", "valves")),
         (_sensor_channels, ("cards", "sensors")),
@@ -103,7 +102,7 @@ def _sensor_channels(cards: Cards, sensors: Sensors) -> Iterator[ValidationFault
 
 
 def _actuators(arm: Arm, valves: Valves, sensors: Sensors) -> Iterator[ValidationFault]:
-    """Every actuator has one valve and one sensor."""
+    """Check that every actuator has one valve and one sensor."""
     count = len(arm.geometry.actuator_angles_deg)
     drives: list[tuple[int, tuple[str | int, ...]]] = [
         (number, ("valves", i, "actuators", j))
@@ -141,7 +140,7 @@ def _valves(valves: Valves) -> Iterator[ValidationFault]:
 
 
 def curve(valve: FlowValve | ValveCalibration, here: tuple[str | int, ...] = ()) -> Iterator[ValidationFault]:
-    """Faults of a flow curve, as a rig states it or a sweep has found it; `here` leads to the valve."""
+    """Yield the faults of a stated or calibrated flow curve; `here` is the YAML path of the valve."""
     volts, percent = valve.flow_curve_V, valve.flow_curve_percent
     if len(volts) != len(percent):
         expected = f"{len(volts)} values, as many as flow_curve_V has, not {len(percent)}"
@@ -166,7 +165,7 @@ def _sensors(sensors: Sensors) -> Iterator[ValidationFault]:
 
 
 def _reach(limits: Limits, valves: Valves, sensors: Sensors) -> Iterator[ValidationFault]:
-    """Valves and sensors cover the pressures that the limits allow."""
+    """Check that valves and sensors cover the permitted pressures."""
     for index, valve in _valves_of(valves):
         if valve.type == "flow" and valve.supply_bar <= limits.pressure_bar:
             expected = f"more than limits, pressure_bar ({limits.pressure_bar:g} bar): the valve cannot fill that far"
@@ -176,7 +175,7 @@ def _reach(limits: Limits, valves: Valves, sensors: Sensors) -> Iterator[Validat
             yield ValidationFault(("valves", index, "span_bar"), expected)
     highest = limits.pressure_bar + limits.pressure_margin_bar
     for index, sensor in _numbered(sensors):
-        # A calibrated sensor may begin a little above 0: what lies below reads as that little.
+        # A calibrated span may start slightly above 0; lower pressures read as its lower end.
         if not sensor.span_bar[0] <= limits.pressure_margin_bar < highest <= sensor.span_bar[1]:
             expected = f"a span from 0 to the limit with its margin ({highest:g} bar) at least"
             yield ValidationFault(("sensors", index, "span_bar"), expected)

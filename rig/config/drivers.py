@@ -1,7 +1,7 @@
-"""The registered drivers of cards and cameras: a name, where the code is, and whether the device is simulated.
+"""Registry of card and camera drivers: name, module, and whether the device is simulated.
 
-A driver is registered by one line here. Its module has a function `driver()` that loads what the driver needs and
-returns what opens a device; it runs only when a rig uses the driver.
+One line here registers a driver. The function `driver()` of its module imports the dependencies and returns the
+function that opens a device; it runs only when a rig uses the driver.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ class Driver:
     simulated: bool = False
 
     def load(self) -> Callable[..., Any]:
-        """Return what opens a device. Raises what the driver's own `driver()` raises."""
+        """Return the function that opens a device; raises what `driver()` of the module raises."""
         opener: Callable[..., Any] = importlib.import_module(self.module).driver()
         return opener
 
@@ -44,13 +44,17 @@ class DriverRegistry(Mapping[str, Driver]):
         return len(self._drivers)
 
     def register(self, driver: Driver) -> None:
-        """Add a driver. Raises ValueError where the name is taken."""
+        """Add a driver.
+
+        Raises:
+            ValueError: the name is registered already.
+        """
         if driver.name in self._drivers:
             raise ValueError(f"a driver named {driver.name} is registered already")
         self._drivers[driver.name] = driver
 
     def simulates(self, name: str | None) -> bool:
-        """True for the name of a registered driver whose devices are no hardware."""
+        """Return True for a registered driver of simulated devices."""
         return name in self._drivers and self._drivers[name].simulated
 
     def check(self, name: str) -> str:
@@ -60,7 +64,7 @@ class DriverRegistry(Mapping[str, Driver]):
         return name
 
     def extend_schema(self, schema: dict[str, Any]) -> None:
-        """Name the drivers in a JSON schema, which is also what an error message quotes."""
+        """Add the drivers' names to a JSON schema; error messages quote them."""
         schema["enum"] = list(self._drivers)
 
 

@@ -1,7 +1,7 @@
-"""Loads a rig file, with the calibrations that it names, as a `RigConfig`.
+"""Load a rig file with its calibrations as a `RigConfig`.
 
-`rig.config.calibration_overlay` is imported only where a rig names calibrations: it loads OpenCV, for which `rig vent`
-of a rig without calibrations must not wait.
+`rig.config.calibration_overlay` imports OpenCV. It is imported only for rigs with calibrations, because `rig vent` must
+start quickly.
 """
 
 from __future__ import annotations
@@ -35,17 +35,17 @@ class Source(StrEnum):
 
 @dataclass(frozen=True)
 class RigChoice:
-    """A rig's name or file, and what chose it."""
+    """A rig's name or file, and the source of the choice."""
 
     name: str
     source: Source
 
 
 def named_rig(option: str | None) -> RigChoice | None:
-    """The rig that a command uses: `--rig`, else the variable SOFTRIG_RIG, else softrig.yaml here, else None.
+    """Return the rig of a command: `--rig`, else the variable SOFTRIG_RIG, else ./softrig.yaml, else None.
 
     Raises:
-        BadInput: the variable names no rig.
+        BadInputError: the variable names an unknown rig.
     """
     if option is not None:
         return RigChoice(option, Source.OPTION)
@@ -57,20 +57,20 @@ def named_rig(option: str | None) -> RigChoice | None:
                 replace(p, where=f"{VARIABLE}: {p.where}".removesuffix(": ")) for p in bad.problems
             ) from None
         return RigChoice(name, Source.ENVIRONMENT)
-    # A broken link, too: somebody meant a rig, and the simulated one must not stand in for it.
+    # A broken link also counts: it must raise an error instead of selecting the simulated rig.
     if os.path.lexists(HERE):
         return RigChoice(os.fspath(HERE), Source.FOLDER)
     return None
 
 
 def chosen_rig(option: str | None) -> RigChoice:
-    """The rig that a command uses, the simulated one where nothing names any; `BadInput` as for `named_rig`."""
+    """Return the rig of a command, by default the simulated one; raises as `named_rig` does."""
     return named_rig(option) or RigChoice(DEFAULT, Source.DEFAULT)
 
 
 @dataclass(frozen=True)
 class RigFile:
-    """A rig's file, read once: its text with the calibrations that it names in it, and what that text says.
+    """A parsed rig file: its text with the calibrations applied, and the configuration.
 
     `sources` are the file and its calibrations, verbatim; empty where it names none.
     """
@@ -81,23 +81,23 @@ class RigFile:
 
 
 def path_of(name_or_path: str | Path) -> Path:
-    """The file of a rig, by the name of one that comes with the program or by its path; `BadInput` if there is none."""
+    """Return the path of a rig, by the name of a bundled one or by path; raise `BadInputError` if there is none."""
     return find(str(name_or_path), FOLDER, "rig")
 
 
 def read(name_or_path: str | Path) -> RigFile:
-    """The rig of that name, or in that file; `BadInput` with everything that is wrong with it."""
+    """Read a rig by name or path; raise `BadInputError` with every problem."""
     return _with_calibrations(document.read(path_of(name_or_path)))
 
 
 def text(name_or_path: str | Path) -> str:
-    """The rig's YAML: verbatim, or with the calibrations in it that it names. `BadInput` where one does not fit."""
+    """Return the rig's YAML: verbatim, or with its calibrations applied; raises as `read` does."""
     source = document.read(path_of(name_or_path))
     return _with_calibrations(source).text if source.data.get("calibrations") else source.text
 
 
 def sources(name_or_path: str | Path) -> tuple[SourceFile, ...]:
-    """A rig's file and the calibrations that it names, verbatim; nothing where it names none."""
+    """Return a rig's file and its calibrations, verbatim; empty where it names none."""
     source = document.read(path_of(name_or_path))
     if not source.data.get("calibrations"):
         return ()
@@ -107,20 +107,20 @@ def sources(name_or_path: str | Path) -> tuple[SourceFile, ...]:
 
 
 def load(name_or_path: str | Path) -> RigConfig:
-    """The rig of that name, or in that file; `BadInput` as for `read`."""
+    """Return the configuration of a rig, by name or path; raises as `read` does."""
     return read(name_or_path).config
 
 
 def parse(text: str, file: str | Path) -> RigConfig:
-    """The rig that a YAML text describes; `file` is what its faults are reported of. `BadInput` as for `read`."""
+    """Parse the YAML text of a rig; error messages name `file`. Raises as `read` does."""
     return _with_calibrations(document.parse(text, str(file))).config
 
 
 def calibrated(text: str, file: str | Path, files: Sequence[Path]) -> tuple[str, tuple[SourceFile, ...]]:
-    """A rig's YAML with calibration files in it besides those that it names, and what it was made of.
+    """Apply calibration files to a rig's YAML, after those that it names; return the YAML and its sources.
 
     Raises:
-        BadInput: one of them is wrong or does not fit; see `read`.
+        BadInputError: a file is invalid or belongs to another rig; see `read`.
     """
     from rig.config import calibration_overlay
 

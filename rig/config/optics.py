@@ -1,4 +1,4 @@
-"""What the rig's YAML says of cameras and board, in the terms of the calibration room."""
+"""Convert the cameras and the board of a rig's YAML to the types of the calibration package."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from rig.config.schema import CameraConfig, Placement, RigConfig
 
 
 def rigid(placement: Placement) -> RigidTransform:
-    """A placement as a transform into its parent frame."""
+    """Convert a placement to the rigid transform into its parent frame."""
     return RigidTransform.from_vectors(
         np.deg2rad(placement.rotation_deg),
         np.asarray(placement.translation_mm) * 1e-3,
@@ -23,7 +23,7 @@ def rigid(placement: Placement) -> RigidTransform:
 
 
 def placement_of(found: RigidTransform) -> Placement:
-    """A transform as the rig's file states it."""
+    """Convert a rigid transform to a placement of the rig's file."""
     x, y, z = (float(v) for v in found.translation_m * 1e3)
     vector, _ = cv2.Rodrigues(found.rotation)
     a, b, c = (float(v) for v in np.rad2deg(np.asarray(vector, dtype=np.float64)).ravel())
@@ -36,18 +36,18 @@ def placement_of(found: RigidTransform) -> Placement:
 
 
 def lens_of(camera: CameraConfig) -> Lens:
-    """The camera's intrinsics."""
+    """Return the camera's intrinsics."""
     lens = camera.lens
     return Lens.of(lens.fx_px, lens.fy_px, lens.cx_px, lens.cy_px, lens.distortion)
 
 
 def camera_in_base(camera: CameraConfig) -> RigidTransform:
-    """The camera in the rod-base frame."""
+    """Return the camera's pose in the rod-base frame."""
     return rigid(camera.placement)
 
 
 def plane_of(config: RigConfig, camera: CameraConfig) -> PlaneOfMotion | None:
-    """The plane that the tip keeps to, where the camera may take that for granted."""
+    """Return the plane of the tip's motion; None where the camera makes no such assumption."""
     plane = camera.planar_motion
     if plane is None:
         return None
@@ -63,11 +63,11 @@ def plane_of(config: RigConfig, camera: CameraConfig) -> PlaneOfMotion | None:
 
 
 def board_of(config: RigConfig) -> Board:
-    """The checkerboard."""
+    """Return the checkerboard."""
     board = config.board
     return Board(board.squares_x, board.squares_y, board.square_mm * 1e-3)
 
 
 def board_in_tip(config: RigConfig) -> RigidTransform:
-    """The board in the tip frame."""
+    """Return the board's pose in the tip frame."""
     return rigid(config.board.placement)

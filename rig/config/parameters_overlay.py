@@ -1,4 +1,4 @@
-"""A file of identified parameters, laid over a rig."""
+"""Overlay of a file of identified parameters on a rig."""
 
 from __future__ import annotations
 
@@ -32,15 +32,15 @@ from rig.config.schema import (
 )
 
 _SAME = 1e-6
-"""Lengths and angles are the same within this part of them."""
+"""Relative tolerance for equal lengths and angles."""
 
 
 End = Number | Literal["open"]
-"""Of an interval by profile likelihood: 'open' where the data set it none."""
+"""End of a profile-likelihood interval; 'open' where the data do not bound it."""
 
 
 class Origin(Section):
-    """What was identified: the arm as it was known before, and the model that describes it."""
+    """The model variant and the arm's geometry before identification."""
 
     variant: Variant
     modulus_rule: Literal["pointwise"] = Field(description="how each E_i is found; a rig runs none but this")
@@ -48,7 +48,7 @@ class Origin(Section):
 
 
 class IdentifiedArm(Section):
-    """The arm with what was found."""
+    """The identified arm."""
 
     geometry: Geometry
     material: Material
@@ -56,7 +56,7 @@ class IdentifiedArm(Section):
 
 
 class Mounting(Section):
-    """The rod base in the frame of the measured tips, and the measured point in the tip frame."""
+    """Pose of the rod base in the frame of the measured tips, and the measured point in the tip frame."""
 
     base_translation_mm: Triple
     base_rotation_deg: Triple
@@ -64,14 +64,14 @@ class Mounting(Section):
 
 
 class Sensing(Section):
-    """Reading over true pressure of each sensor, and how much later than the camera they are."""
+    """Gain of each sensor (reading over true pressure), and their lag behind the camera."""
 
     gain: tuple[Positive, ...]
     lag_s: Number
 
 
 class Estimate(Section):
-    """One parameter that was free."""
+    """One estimated parameter."""
 
     name: Word
     unit: str
@@ -86,14 +86,14 @@ class Estimate(Section):
 
 
 class Residuals(Section):
-    """Measured minus predicted over all runs, and what of it no stated error explains."""
+    """Residuals over all runs, and the model discrepancy beyond the stated errors."""
 
     rms_mm: NonNegative
     discrepancy_mm: NonNegative
 
 
 class Data(Section):
-    """One run that was used: its archive's id and hash, and how it was met."""
+    """One run of the data: its archive's id and hash, and its residuals."""
 
     run: Word
     sha256: str
@@ -106,14 +106,14 @@ class Data(Section):
 
 
 class CountedFrom(Section):
-    """What lay over the rig of the runs already, from where their estimates count."""
+    """The overlay of the runs' rig, to which the estimates are relative."""
 
     mounting: Mounting
     gain: tuple[Positive, ...]
 
 
 class ParametersFile(Section):
-    """What `rig identify --to FILE` writes and `--parameters FILE` takes."""
+    """The file that `rig identify --to FILE` writes and `--parameters FILE` reads."""
 
     softrig_parameters: Literal[2] = Field(description="version of this format")
     identified: Origin
@@ -129,41 +129,41 @@ class ParametersFile(Section):
 
 @dataclass(frozen=True)
 class Parameters:
-    """A parameter file: what it says, and its text, verbatim."""
+    """A parsed parameter file and its source text."""
 
     found: ParametersFile
     source: document.Document
 
 
 def read(path: Path) -> Parameters:
-    """Read a parameter file; `BadInput` with everything that is wrong with it."""
+    """Read a parameter file; raise `BadInputError` with every problem."""
     return _validated(document.read(path))
 
 
 def recorded(text: str) -> Parameters:
-    """The parameters that an archive keeps, of their text."""
+    """Parse the parameters that an archive stores as text."""
     return _validated(document.parse(text, "the recorded parameters"))
 
 
 def overlay(
     rig_yaml: str, file: str | Path, parameters: Parameters, variant: Variant | None = None, instead_of: str = ""
 ) -> str:
-    """The YAML of a rig with identified parameters in it; `file` is where the rig's YAML comes from.
+    """Return a rig's YAML with identified parameters applied; `file` is the source of the rig's YAML.
 
-    `variant` is the model that was asked for; without it, the rig's own. What hangs in a simulator stays as it was.
-    `instead_of` are the parameters that the rig has in it already, verbatim.
+    `variant` is the requested model variant; by default the rig's own. The simulator's true values do not change.
+    `instead_of` is the text of the parameters that the rig's YAML contains already.
 
     Raises:
-        BadInput: the rig is wrong; or the parameters are of another arm, or of another model.
+        BadInputError: the rig is invalid; or the parameters belong to another arm or model variant.
     """
     config = parse(rig_yaml, file)
     if instead_of:
-        parameters = replace(parameters, found=_further(parameters.found, recorded(instead_of).found))
+        parameters = replace(parameters, found=_relative_to_overlay(parameters.found, recorded(instead_of).found))
     found = parameters.found
     _check(config, Path(file).name, parameters, variant)
     data = yaml.safe_load(rig_yaml)
-    _apply(data, found.model_dump(mode="json", include={"arm"}))
-    _apply(data, {"model": {"variant": found.identified.variant}})
+    _merge(data, found.model_dump(mode="json", include={"arm"}))
+    _merge(data, {"model": {"variant": found.identified.variant}})
     _scale(data, config, found.sensing)
     _mount(data, config, found.mounting)
     if config.simulator is not None and config.simulator.geometry is None:
@@ -172,12 +172,12 @@ def overlay(
     return head + yaml.safe_dump(data, sort_keys=False, width=120, default_flow_style=None)
 
 
-def baseline(rig_yaml: str, file: str | Path, laid: str) -> str:
-    """The YAML of a rig as it was before the parameters `laid`, verbatim, were laid over it.
+def without_parameters(rig_yaml: str, file: str | Path, applied: str) -> str:
+    """Return a rig's YAML without the overlay of the parameters whose text is `applied`.
 
-    All but the material and the cap, which stay: whatever parameters are laid over it next bring their own.
+    Material and cap mass stay: the next overlay replaces them.
     """
-    parameters = recorded(laid)
+    parameters = recorded(applied)
     found = parameters.found
     nothing = Mounting(base_translation_mm=(0, 0, 0), base_rotation_deg=(0, 0, 0), tool_offset_mm=(0, 0, 0))
     plain = found.model_copy(
@@ -187,13 +187,13 @@ def baseline(rig_yaml: str, file: str | Path, laid: str) -> str:
             "sensing": found.sensing.model_copy(update={"gain": (1.0,) * len(found.sensing.gain)}),
         }
     )
-    return overlay(rig_yaml, file, replace(parameters, found=plain), found.identified.variant, instead_of=laid)
+    return overlay(rig_yaml, file, replace(parameters, found=plain), found.identified.variant, instead_of=applied)
 
 
-def over(
+def overlay_file(
     rig_yaml: str, file: str | Path, parameters: Path, variant: Variant | None = None, instead_of: str = ""
 ) -> tuple[str, str]:
-    """`laid_over` with the parameters in a file; returns the file's text, too, as it is to be recorded."""
+    """Apply a parameter file as `overlay` does; return the YAML and the file's text."""
     found = read(parameters)
     return overlay(rig_yaml, file, found, variant, instead_of), found.source.text
 
@@ -202,28 +202,28 @@ def _validated(source: document.Document) -> Parameters:
     return Parameters(document.validate(ParametersFile, source), source)
 
 
-def _further(found: ParametersFile, laid: ParametersFile) -> ParametersFile:
-    """Parameters of a rig as they count from the same rig with `laid` over it."""
-    if len(found.sensing.gain) != len(laid.sensing.gain):
+def _relative_to_overlay(found: ParametersFile, applied: ParametersFile) -> ParametersFile:
+    """Express parameters relative to the same rig with the overlay `applied`."""
+    if len(found.sensing.gain) != len(applied.sensing.gain):
         return found
-    base = placement_of(_base(laid.mounting).inverse() @ _base(found.mounting))
-    tool = np.subtract(found.mounting.tool_offset_mm, laid.mounting.tool_offset_mm)
+    base = placement_of(_base(applied.mounting).inverse() @ _base(found.mounting))
+    tool = np.subtract(found.mounting.tool_offset_mm, applied.mounting.tool_offset_mm)
     mounting = Mounting(
         base_translation_mm=base.translation_mm,
         base_rotation_deg=base.rotation_deg,
         tool_offset_mm=tuple(tool.tolist()),
     )
     identified = found.identified
-    counts = {len(one.geometry.actuator_angles_deg) for one in (identified, laid.identified, laid.arm)}
-    if len(counts) == 1 and not different(identified.geometry, laid.identified.geometry):
-        identified = identified.model_copy(update={"geometry": laid.arm.geometry})
-    gain = np.divide(found.sensing.gain, laid.sensing.gain)
+    counts = {len(one.geometry.actuator_angles_deg) for one in (identified, applied.identified, applied.arm)}
+    if len(counts) == 1 and not differing_fields(identified.geometry, applied.identified.geometry):
+        identified = identified.model_copy(update={"geometry": applied.arm.geometry})
+    gain = np.divide(found.sensing.gain, applied.sensing.gain)
     sensing = found.sensing.model_copy(update={"gain": tuple(gain.tolist())})
     return found.model_copy(update={"identified": identified, "mounting": mounting, "sensing": sensing})
 
 
 def _check(config: RigConfig, rig: str, parameters: Parameters, variant: Variant | None) -> None:
-    """Refuse what was identified on another arm or for another model; every problem at once."""
+    """Refuse parameters of another arm or model variant; report every problem at once."""
     found, source = parameters.found, parameters.source
     problems = []
 
@@ -231,10 +231,10 @@ def _check(config: RigConfig, rig: str, parameters: Parameters, variant: Variant
         mark = source.mark(where)
         problems.append(Problem(source.file, mark.line, mark.column, ".".join(where), value, expected))
 
-    asked = variant or config.model.variant
-    if found.identified.variant != asked:
-        by = "that was asked for" if variant else f"of {rig}"
-        refuse(("identified", "variant"), found.identified.variant, f"{asked}, the model {by}; another with --model")
+    required = variant or config.model.variant
+    if found.identified.variant != required:
+        by = "that --model names" if variant else f"of {rig}"
+        refuse(("identified", "variant"), found.identified.variant, f"{required}, the model {by}; another with --model")
     now, then = config.arm.geometry, found.identified.geometry
     if len(then.actuator_angles_deg) != config.actuators:
         refuse(
@@ -242,7 +242,7 @@ def _check(config: RigConfig, rig: str, parameters: Parameters, variant: Variant
             f"{len(then.actuator_angles_deg)} actuators",
             f"{config.actuators}, as {rig} has",
         )
-    elif (other := different(now, then)) and different(now, found.arm.geometry):
+    elif (other := differing_fields(now, then)) and differing_fields(now, found.arm.geometry):
         for name in other:
             mine, theirs = (", ".join(f"{x:.6g}" for x in np.ravel(getattr(g, name))) for g in (now, then))
             refuse(("identified", "geometry", name), theirs, f"{mine}, as {rig} has: it is another arm")
@@ -255,8 +255,8 @@ def _check(config: RigConfig, rig: str, parameters: Parameters, variant: Variant
         raise BadInputError(problems)
 
 
-def different(one: Geometry, other: Geometry) -> list[str]:
-    """The fields in which two geometries differ; angles may differ by whole turns."""
+def differing_fields(one: Geometry, other: Geometry) -> list[str]:
+    """Return the fields in which two geometries differ; angles are compared modulo 360 degrees."""
     found = []
     for name in Geometry.model_fields:
         a, b = np.ravel(getattr(one, name)), np.ravel(getattr(other, name))
@@ -269,16 +269,16 @@ def different(one: Geometry, other: Geometry) -> list[str]:
     return found
 
 
-def _apply(under: dict[str, Any], over: Mapping[str, Any]) -> None:
-    for key, value in over.items():
+def _merge(target: dict[str, Any], overlay_file: Mapping[str, Any]) -> None:
+    for key, value in overlay_file.items():
         if isinstance(value, Mapping):
-            _apply(under.setdefault(key, {}), value)
+            _merge(target.setdefault(key, {}), value)
         else:
-            under[key] = value
+            target[key] = value
 
 
 def _scale(data: dict[str, Any], config: RigConfig, sensing: Sensing) -> None:
-    """Take what the sensors read too much off their scales."""
+    """Divide the sensors' pressure spans by their gains."""
     if all(gain == 1 for gain in sensing.gain):
         return
     if config.simulator is not None and config.simulator.built is None:
@@ -303,11 +303,11 @@ def _mount(data: dict[str, Any], config: RigConfig, mounting: Mounting) -> None:
 
 
 def _base(mounting: Mounting) -> RigidTransform:
-    """The rod base in the frame of the measured tips."""
+    """Return the rod base in the frame of the measured tips."""
     return rigid(Placement(translation_mm=mounting.base_translation_mm, rotation_deg=mounting.base_rotation_deg))
 
 
 def _place(data: dict[str, Any], key: str, known: Placement, back: RigidTransform) -> None:
-    """Carry a placement from one rod base to another; how well it is known stays."""
+    """Transform a placement from one rod-base frame to another; its uncertainty stays."""
     moved = placement_of(back @ rigid(known)).model_dump(mode="json", include={"translation_mm", "rotation_deg"})
     data[key] = {**known.model_dump(mode="json"), **moved}

@@ -1,7 +1,6 @@
-"""rig.yaml -> RigConfig: what the bench consists of.
+"""Schema of the rig file.
 
-YAML speaks bar, mm, degrees and volts, with the unit in each key; the properties and methods that other rooms use
-return SI.
+The YAML uses bar, mm, degrees and volts, with the unit in each key; properties and methods return SI units.
 """
 
 # ruff: noqa: N815 - volts keep their capital, as in V and mV
@@ -43,7 +42,7 @@ def _moment(text: str) -> str:
 
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,39}")
-"""Of a rig, a card, a camera: they become parts of file names, HDF5 paths and topics."""
+"""Names of rigs, cards and cameras; they become parts of file names, HDF5 paths and topics."""
 _NAMED = "a name of up to 40 letters (a-z, A-Z), digits, '-' and '_', a letter or digit first"
 
 _IN_SCHEMA: dict[str, JsonValue] = {"pattern": f"^{_NAME.pattern}$"}
@@ -70,7 +69,7 @@ Bar = Annotated[float, Field(gt=0, le=100, allow_inf_nan=False, strict=True)]
 LengthMm = Annotated[float, Field(ge=0.01, le=10_000, allow_inf_nan=False, strict=True)]
 MassG = Annotated[float, Field(ge=0, le=5_000, allow_inf_nan=False, strict=True)]
 ModulusPa = Annotated[float, Field(ge=1e3, le=1e10, allow_inf_nan=False, strict=True)]
-"""A modulus in kPa or MPa lies below."""
+"""The lower bound rejects a modulus in kPa or MPa."""
 Flag = Annotated[bool, Field(strict=True)]
 Word = Annotated[str, Field(min_length=1, pattern=r"^[^\x00-\x1f\x7f]*$")]
 Name = Annotated[str, Field(min_length=1, json_schema_extra=_IN_SCHEMA), AfterValidator(_name)]
@@ -114,7 +113,7 @@ class CardConfig(Section):
 
     @property
     def simulated(self) -> bool:
-        """True for a card that is no hardware."""
+        """True for a simulated card."""
         return CARD_DRIVERS[self.driver].simulated
 
     @model_validator(mode="after")
@@ -184,7 +183,7 @@ class Sensor(Section):
 
 
 class Limits(Section):
-    """What no protocol may ask for and no sample may show."""
+    """Limits of set-points and measured values."""
 
     pressure_bar: Annotated[float, Field(gt=0, le=10, allow_inf_nan=False, strict=True)] = Field(
         description="highest set-point and, with its margin, highest pressure"
@@ -265,7 +264,7 @@ class CameraConfig(Section):
 
     @property
     def simulated(self) -> bool:
-        """True for a camera that is no hardware."""
+        """True for a simulated camera."""
         return CAMERA_DRIVERS[self.driver].simulated
 
 
@@ -332,7 +331,7 @@ class ModelConfig(Section):
 
 
 class Recording(Section):
-    """What of the pictures is kept."""
+    """Which camera frames are stored, and their encoding."""
 
     keep_every: Count = 3
     encoding: Literal["jpeg", "png"] = "jpeg"
@@ -340,7 +339,7 @@ class Recording(Section):
 
 
 class SimulatedValve(Section):
-    """Truth of every flow-metering valve."""
+    """True parameters of every flow-metering valve."""
 
     spool_hz: Positive
     spool_damping: Positive = 0.7
@@ -351,7 +350,7 @@ class SimulatedValve(Section):
 
 
 class SimulatedChamber(Section):
-    """Truth of every chamber."""
+    """True parameters of every chamber."""
 
     dead_volume_ml: NonNegative
     tube_l_s_bar: Positive = Field(default=0.5, description="sonic conductance of the tube from valve to chamber")
@@ -360,7 +359,7 @@ class SimulatedChamber(Section):
 
 
 class SimulatedSensor(Section):
-    """Truth of every pressure sensor."""
+    """True parameters of every pressure sensor."""
 
     noise_bar: NonNegative
     offset_bar: NonNegative = Field(default=0.0, description="standard deviation of the sensors' offsets")
@@ -368,7 +367,7 @@ class SimulatedSensor(Section):
 
 
 class SimulatedScene(Section):
-    """Truth of the picture."""
+    """True parameters of the image."""
 
     blur_px: NonNegative
     noise_grey: NonNegative
@@ -377,7 +376,7 @@ class SimulatedScene(Section):
 
 
 class Built(Section):
-    """What the simulator is built of where a calibration has changed what the rig states."""
+    """True parts of the simulator, where a calibration replaced the stated ones."""
 
     lenses: dict[str, Lens]
     valves: tuple[Valve, ...]
@@ -385,7 +384,7 @@ class Built(Section):
 
 
 class Simulator(Section):
-    """The plant behind the mocks. Its parameters differ from the model's on purpose."""
+    """The simulated plant of the mock devices. Its parameters intentionally differ from the model's."""
 
     valve: SimulatedValve
     chamber: SimulatedChamber
@@ -403,7 +402,7 @@ class Simulator(Section):
     )
 
     def error_of(self, camera: str) -> Placement:
-        """True placement of a camera beyond the stated one."""
+        """Return the offset of a camera's true placement from the stated one."""
         return self.camera_errors.get(camera, self.camera_error)
 
 
@@ -445,7 +444,7 @@ class RigConfig(Section):
 
     @property
     def as_built(self) -> RigConfig:
-        """The rig that its simulator is: calibrations change what is believed, not what is there."""
+        """The rig with the simulator's true parts: calibrations change the stated values only."""
         built = None if self.simulator is None else self.simulator.built
         if built is None:
             return self

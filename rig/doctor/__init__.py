@@ -1,4 +1,4 @@
-"""What this machine offers a rig, and what to do about each thing that is missing."""
+"""`rig doctor`: checks of the machine and the rig, with a remedy for each missing part."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from rig.doctor.finding import Finding
 
 
 def examine(folder: Path, config: RigConfig | None = None) -> tuple[Finding, ...]:
-    """Look at everything that a run on hardware needs, and at what a rig of one's own does.
+    """Check everything that a run on hardware needs, and the devices of a rig.
 
     Writes to no device; in `folder`, where archives go, a file without a name shows how fast the disk takes it.
     """

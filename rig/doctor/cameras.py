@@ -1,4 +1,4 @@
-"""The cameras of this machine as `rig doctor` sees them, and whether those that a rig names are there."""
+"""Checks of the machine's cameras and of those that a rig names."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _PLUG_IN = "plug the camera in (`dmesg` says whether it was seen)"
 
 
 def cameras(root: Path = Path("/")) -> list[Finding]:
-    """Every video device: its name, whether this user may open it, and whether it is one that gives pictures."""
+    """Check every video device: its name, the permission, and whether it captures pictures."""
     devices = _devices(root)
     if not devices:
         return [Finding("camera", "note", "no /dev/video*", f"{_PLUG_IN}; dry runs need none")]

@@ -1,4 +1,4 @@
-"""The cards of this machine as `rig doctor` sees them: what each is and can do, and what keeps it from being used."""
+"""Checks of the machine's cards: board, driver, device, channels, and the reason why one cannot be used."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ _KINDS = {
 
 
 def cards(root: Path = Path("/")) -> tuple[Finding, ...]:
-    """Every card, from the bus to its channels. Opens devices to ask what they are; samples and writes nothing."""
+    """Check every card from the PCI bus to its channels. Opens devices to query them; reads and writes no channel."""
     kernel = comedi(root)
     release = platform.release()
     on_bus = pci_cards(ADVANTECH, release, root)
@@ -100,14 +100,14 @@ def _binding(kernel: ComediModule | None) -> Finding:
         require()
     except CardError as error:
         return Finding("pycomedi", "missing" if attached else "note", error.what, f"{error.remedy}; dry runs need none")
-    except Exception as error:  # built against a NumPy that has gone since, it may raise anything
+    except Exception as error:  # a build against another NumPy may raise any exception
         found = f"installed, and cannot be imported ({error})"
         return Finding("pycomedi", "missing", found, "pip uninstall pycomedi, then make comedi")
     return Finding("pycomedi", "ok", "installed")
 
 
 def _nodeless(kernel: ComediModule | None) -> list[Finding]:
-    """Cards that a driver has taken, and to which no device leads."""
+    """Return attached cards without a device node."""
     there = device_paths()
     return [
         Finding(
@@ -121,14 +121,14 @@ def _nodeless(kernel: ComediModule | None) -> list[Finding]:
     ]
 
 
-def _devices(kernel: ComediModule | None, askable: bool) -> list[Finding]:
-    if askable:
+def _devices(kernel: ComediModule | None, queryable: bool) -> list[Finding]:
+    if queryable:
         return [finding for found in survey() for finding in _card(found, kernel)]
     findings = []
     for path in device_paths():
-        if (trouble := closed(path)) is not None:
-            found = f"{_called(path, kernel)}{trouble.what}"
-            findings.append(Finding("card", "missing", found, trouble.remedy or SEE_DMESG))
+        if (fault := closed(path)) is not None:
+            found = f"{_called(path, kernel)}{fault.what}"
+            findings.append(Finding("card", "missing", found, fault.remedy or SEE_DMESG))
         else:
             findings.append(
                 Finding("card", "missing", f"{_called(path, kernel)}{path} can be opened, not asked", "make comedi")
@@ -137,7 +137,7 @@ def _devices(kernel: ComediModule | None, askable: bool) -> list[Finding]:
 
 
 def _called(path: str, kernel: ComediModule | None) -> str:
-    """The kernel's name of a card that cannot be asked for its own."""
+    """Return the kernel's name of a card that cannot be queried."""
     for card in kernel.attached if kernel else ():
         if path == f"/dev/comedi{card.minor}":
             return f"{card.board} (driver {card.driver}): "
@@ -171,7 +171,7 @@ def _card(found: ComediCardSurvey, kernel: ComediModule | None) -> list[Finding]
 
 
 def rig_cards(config: RigConfig) -> tuple[Finding, ...]:
-    """Whether the cards that a rig names are there, have all that it wants of them, and what 0 V does to its valves."""
+    """Check the rig's cards, their channels and ranges, and the effect of 0 V on its valves."""
     findings = []
     for name, card in config.cards.items():
         if card.driver != "comedi":

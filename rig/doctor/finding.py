@@ -1,4 +1,4 @@
-"""What `rig doctor` says of one thing that it looked at."""
+"""A finding of `rig doctor`."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Literal
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing looked at: what was found, and the remedy where something is missing."""
+    """One check: its result, and the remedy for a missing part."""
 
     topic: str
     verdict: Literal["ok", "missing", "note"]

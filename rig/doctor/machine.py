@@ -1,4 +1,4 @@
-"""The computer as `rig doctor` sees it: what makes a run punctual, and the disk that its archive goes to."""
+"""Checks of the computer: real-time priority, memory lock, and the disk for archives."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ from pathlib import Path
 from rig.doctor.finding import Finding
 
 PRIORITY = 60
-"""The highest that a process of a run asks for: the watchdog's."""
+"""The highest priority that a run uses: the watchdog's."""
 ENOUGH_BYTES = 2_000_000_000
 SLOW_S = 1.0
-"""A disk that takes longer for a megabyte holds up what a run records."""
+"""Longest acceptable time to write one megabyte."""
 _MEGABYTES = 8
 
 
 def python() -> Finding:
-    """Which Python and kernel it is."""
+    """Return the versions of Python and the kernel."""
     return Finding("Python", "ok", f"{platform.python_version()} at {sys.executable}, kernel {platform.release()}")
 
 
 def real_time() -> Finding:
-    """Whether this user may go before every ordinary program."""
+    """Check that this user may use SCHED_FIFO."""
     previous = os.sched_getscheduler(0), os.sched_getparam(0)
     try:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
@@ -47,7 +47,7 @@ def real_time() -> Finding:
 
 
 def memory_lock() -> Finding:
-    """Whether this user may keep a program's memory from being swapped out."""
+    """Check that this user may lock memory."""
     limit = resource.getrlimit(resource.RLIMIT_MEMLOCK)[0]
     if limit == resource.RLIM_INFINITY or os.geteuid() == 0:
         return Finding("memory lock", "ok", "permitted")
@@ -64,7 +64,7 @@ def _limits(item: str) -> str:
 
 
 def group_name(number: int) -> str:
-    """The name of a group; its number where this machine, a container, has no name for it."""
+    """Return the name of a group; its number where it has no name, as in a container."""
     try:
         return grp.getgrgid(number).gr_name
     except KeyError:
@@ -72,7 +72,7 @@ def group_name(number: int) -> str:
 
 
 def disk(folder: Path) -> Finding:
-    """Whether what is recorded can be written to `folder`, or to where it would be made, and fast enough."""
+    """Check that `folder`, or its nearest existing parent, is writable and fast enough."""
     elsewhere = "or record elsewhere: --out FOLDER"
     existing = next(p for p in (folder.absolute(), *folder.absolute().parents) if p.exists())
     if not existing.is_dir():
@@ -97,7 +97,7 @@ def disk(folder: Path) -> Finding:
 
 
 def _slowest_s(folder: Path) -> float:
-    """The longest time in which one of some megabytes was on the disk."""
+    """Return the longest time to write and sync one of several megabytes."""
     slowest_s, megabyte = 0.0, os.urandom(1 << 20)
     with tempfile.TemporaryFile(dir=folder, buffering=0) as file:
         for _ in range(_MEGABYTES):

@@ -1,4 +1,4 @@
-"""What a run with the recursive estimator leaves besides its archive: the parameters, as `rig identify` writes them."""
+"""Write the parameters of the recursive estimator after a run, in the format of `rig identify`."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from runs.run import Adaptation, Run
 
 SUFFIX = ".parameters.yaml"
 _UNDECIDED = 0.5
-"""An error bar of this share of what was plausible says that the run has not decided."""
+"""A standard deviation above this share of the plausible span makes a parameter undecided."""
 _ONLY_PRIOR = 0.95
 
 
@@ -37,12 +37,12 @@ class OnlineResult:
 
     @property
     def rms_m(self) -> float:
-        """Of the live error, from the run's beginning on."""
+        """RMS of the live error over the whole run."""
         return self.runs[0].rms_m
 
 
 def write_parameters(run: Run) -> Path | None:
-    """Write what a run has found beside its archive; None where it did not look, or saw no tip."""
+    """Write a run's estimates beside its archive; return None without an estimator or a measured tip."""
     adaptation = run.adaptation
     if adaptation is None or not adaptation.used.any():
         return None
@@ -51,7 +51,7 @@ def write_parameters(run: Run) -> Path | None:
 
 
 def found(run: Run, adaptation: Adaptation) -> OnlineResult:
-    """The estimates after the last frame, and how the run was met while they were being found."""
+    """Return the estimates after the last frame, and the residuals of the run during estimation."""
     config = parse(run.header.rig_yaml, f"{run.path}: the rig's YAML")
     start = Setup(model_arm(config, variant_named(run.header.model_variant)))
     parameters = named(adaptation.parameter, config.actuators)

@@ -1,4 +1,4 @@
-"""The second stage: may this rig play this trajectory? Every objection points to the line of the step it is about."""
+"""Preflight check of a trajectory against a rig's limits; every problem names the line of its protocol step."""
 
 from __future__ import annotations
 
@@ -9,28 +9,28 @@ from protocols import Problem, Protocol, Segment, Trajectory
 from rig.config.schema import PA_PER_BAR, RigConfig
 
 COMMANDED_JUMPS = {"dwell", "hold"}
-"""Segments that may begin with a jump, because a jump is what they say."""
+"""Segment kinds that may start with a step of the set-point."""
 
 JUMP_PA = 500.0
-"""A change at a seam up to this is no jump; half the accuracy of the paper's sensors."""
+"""Largest change between segments that is not a jump; half the accuracy of the paper's sensors."""
 
 TINY_PA = 1e-3
-"""Below this two pressures are the same number."""
+"""Tolerance for equal pressures."""
 
 
 def check(
     config: RigConfig, trajectory: Trajectory, protocol: Protocol | None = None, rig_file: Path | None = None
 ) -> tuple[Problem, ...]:
-    """All that forbids to play `trajectory` on the rig: level, rate, jumps, duration, and valves that are shared.
+    """Return every violation by `trajectory`: level, rate, jumps, duration, and shared valves.
 
-    `protocol` and `rig_file` make the places fuller: the step's path, and the file that states the limit.
+    `protocol` and `rig_file` add details to the messages: the step's path, and the file that states the limit.
     """
     judge = _PreflightCheck(config, trajectory, protocol, f" in {rig_file.name}" if rig_file else "")
     return judge.verdict()
 
 
 def peak_pa(trajectory: Trajectory) -> list[float]:
-    """The highest set-point of each actuator [Pa]."""
+    """Return the highest set-point of each actuator [Pa]."""
     highest = zip(*([high for _, high, _ in _extremes(segment)] for segment in trajectory.segments), strict=True)
     return [max(levels) for levels in highest]
 
@@ -50,7 +50,7 @@ class _PreflightCheck:
         worst: dict[tuple[int, str], tuple[float, Problem]] = {}
         before = (0.0,) * have
         for segment in self._trajectory.segments:
-            for rule, excess, problem in self._objections(segment, before):
+            for rule, excess, problem in self._violations(segment, before):
                 key = (segment.line, rule)
                 if key not in worst or excess > worst[key][0]:
                     worst[key] = (excess, problem)
@@ -64,8 +64,8 @@ class _PreflightCheck:
             expected = f"at most {longest:g} s (limits, duration_s{self._rig})"
             yield Problem(self._trajectory.source, 0, 0, "the whole protocol", f"{takes:.6g} s", expected)
 
-    def _objections(self, segment: Segment, before: tuple[float, ...]) -> Iterator[tuple[str, float, Problem]]:
-        """Rule broken, by how much, and the problem."""
+    def _violations(self, segment: Segment, before: tuple[float, ...]) -> Iterator[tuple[str, float, Problem]]:
+        """Yield each violated rule, the excess, and the problem."""
         limits = self._config.limits
         highest = limits.pressure_bar * PA_PER_BAR
         fastest = limits.rate_bar_per_s * PA_PER_BAR
@@ -85,22 +85,22 @@ class _PreflightCheck:
             jump = abs(new - old)
             if segment.kind not in COMMANDED_JUMPS and jump > JUMP_PA:
                 found = f"actuator {index + 1} jumps from {_bar(old)} to {_bar(new)}"
-                wish = "a start where the set-point stands; give this step lead_in_s, or put a ramp before it"
-                yield "jump", jump, self._problem(segment, found, wish)
+                expected = "a start where the set-point stands; give this step lead_in_s, or put a ramp before it"
+                yield "jump", jump, self._problem(segment, found, expected)
         yield from self._shared(segment)
 
     def _shared(self, segment: Segment) -> Iterator[tuple[str, float, Problem]]:
-        """Actuators on one valve can only be at one pressure."""
+        """Check that the set-points of actuators on one valve are equal."""
         for number, valve in enumerate(self._config.valves, start=1):
             if not set(valve.actuators) & set(segment.actuators):
                 continue
             for t_s in _knots(segment):
                 level = segment.level_at(segment.start_s + t_s)
-                asked = [level[actuator - 1] for actuator in valve.actuators]
-                apart = max(asked) - min(asked)
+                setpoints_pa = [level[actuator - 1] for actuator in valve.actuators]
+                apart = max(setpoints_pa) - min(setpoints_pa)
                 if apart > TINY_PA:
                     names = " and ".join(str(actuator) for actuator in valve.actuators)
-                    found = f"{' and '.join(_bar(pa) for pa in asked)} for actuators {names}"
+                    found = f"{' and '.join(_bar(pa) for pa in setpoints_pa)} for actuators {names}"
                     expected = f"the same pressure: valves #{number}{self._rig} drives them together"
                     yield f"valve {number}", apart, self._problem(segment, found, expected)
 
@@ -112,14 +112,14 @@ class _PreflightCheck:
 
 
 def _knots(segment: Segment) -> tuple[float, ...]:
-    """Times from the segment's start at which levels and rates have their extremes."""
+    """Return the times from the segment's start at which levels and rates are extreme."""
     duration_s = segment.stop_s - segment.start_s
     times = {t_s for _, wave in segment.waves for t_s in wave.knots(duration_s)}
     return tuple(sorted(times | {0.0, duration_s}))
 
 
 def _extremes(segment: Segment) -> list[tuple[float, float, float]]:
-    """Lowest and highest level [Pa] and the steepest slope [Pa/s] of each actuator."""
+    """Return the lowest and highest level [Pa] and the steepest slope [Pa/s] of each actuator."""
     found = [(level, level, 0.0) for level in segment.level_pa]
     for index, wave in segment.waves:
         knots = wave.knots(segment.stop_s - segment.start_s)

@@ -1,4 +1,4 @@
-"""Where a run comes from: versions, git state, host, and every number that it used."""
+"""Provenance of a run: versions, git state, and every parameter."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Vision and model once more, from a run's stored pictures and pressures, into an archive that names its parent."""
+"""Replay: run vision and model on a run's stored pictures and pressures; write an archive that names its parent."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from protocols import BadInputError, Problem
 from rig.config import loader
-from rig.config.parameters_overlay import baseline, over, overlay, recorded
+from rig.config.parameters_overlay import overlay, overlay_file, recorded, without_parameters
 from rig.config.schema import PA_PER_BAR, RigConfig, Variant
 from rig.experiment.provenance import git_state, quantities, versions
 from rig.experiment.run import VARIANTS, free_id
@@ -29,7 +29,7 @@ from runs.run import Run
 
 @dataclass(frozen=True)
 class ReplayRig:
-    """The rig of a replay: its YAML with all that lies over it, what it says, what it was made of, and the model."""
+    """The rig of a replay: YAML with all overlays, configuration, sources, parameters and model variant."""
 
     yaml: str
     config: RigConfig
@@ -46,21 +46,21 @@ def replay(
     parameters: Path | None = None,
     calibrations: Sequence[Path] = (),
 ) -> Path:
-    """Observe a run's pictures again and return the new archive's path.
+    """Process a run's pictures again and return the new archive's path.
 
-    `rig` names a rig, or a file, with other calibration, model or material; by default the run's own. `parameters` is
-    a file of identified ones to lay over it, `calibrations` are files of `rig calibrate`. Frames that were
-    not stored are not observed; the model steps over them as over dropped frames.
+    `rig` is a name or file with other calibration, model or material; by default the run's own. `parameters` is a file
+    of identified parameters, `calibrations` are files of `rig calibrate`. The model treats frames that were not stored
+    as dropped frames.
 
     Raises:
-        ArchiveError: the run kept no pictures.
-        BadInput: the rig is wrong, or has another number of actuators.
+        ArchiveError: the run has no pictures.
+        BadInputError: the rig is invalid, or has another number of actuators.
     """
     if not len(run.frames.index):
         raise ArchiveError(f"{run.path} holds no pictures: there is nothing to replay")
-    bench = replay_settings(run, rig, variant, parameters, calibrations)
-    config = bench.config
-    rows = np.array(list(_observed(run, config, bench.variant)))
+    settings = replay_settings(run, rig, variant, parameters, calibrations)
+    config = settings.config
+    rows = np.array(list(_observed(run, config, settings.variant)))
     now = datetime.now(UTC)
     commit, diff = git_state()
     folder.mkdir(parents=True, exist_ok=True)
@@ -70,10 +70,10 @@ def replay(
         parent=run.header.run_id,
         notes="; ".join(filter(None, (run.header.notes, f"replayed {now:%Y-%m-%d %H:%M} UTC"))),
         rig_name=config.name,
-        rig_yaml=bench.yaml,
-        sources=bench.sources,
-        parameters_yaml=bench.parameters,
-        model_variant=bench.variant,
+        rig_yaml=settings.yaml,
+        sources=settings.sources,
+        parameters_yaml=settings.parameters,
+        model_variant=settings.variant,
         cameras=tuple(config.cameras),
         command=shlex.join(sys.argv),
         versions=versions(),
@@ -98,31 +98,35 @@ def replay_settings(
     parameters: Path | None = None,
     calibrations: Sequence[Path] = (),
 ) -> ReplayRig:
-    """What a run is to be seen with again; see `replay`.
+    """Return the rig, sources and model variant of a replay; see `replay`.
 
-    Calibrations are of the rig without any parameters: those that the run had are lifted off it, and laid over it again
-    where no others are given.
+    Calibrations apply to the rig without identified parameters: the run's parameters are removed first, and applied
+    again unless others are given.
 
     Raises:
-        BadInput: the rig is wrong, or has another number of actuators.
+        BadInputError: the rig is invalid, or has another number of actuators.
     """
     text = run.header.rig_yaml if rig is None else loader.text(rig)
     file = f"{run.path}: rig" if rig is None else str(loader.path_of(rig))
     sources = run.header.sources if rig is None else loader.sources(rig)
-    laid = run.header.parameters_yaml if rig is None else ""
+    parameters_yaml = run.header.parameters_yaml if rig is None else ""
     if calibrations:
-        text, sources = loader.calibrated(baseline(text, file, laid) if laid else text, file, calibrations)
-        if laid and parameters is None:
-            text = overlay(text, file, recorded(laid))
+        text, sources = loader.calibrated(
+            without_parameters(text, file, parameters_yaml) if parameters_yaml else text, file, calibrations
+        )
+        if parameters_yaml and parameters is None:
+            text = overlay(text, file, recorded(parameters_yaml))
     config = loader.parse(text, file)
     chosen = variant or (_variant(run) if rig is None else config.model.variant)
     if parameters is not None:
-        text, laid = over(text, file, parameters, chosen, instead_of="" if calibrations else laid)
+        text, parameters_yaml = overlay_file(
+            text, file, parameters, chosen, instead_of="" if calibrations else parameters_yaml
+        )
         config = loader.parse(text, f"rig with {parameters}")
     if config.actuators != run.header.actuators:
-        wish = f"a rig with {run.header.actuators} actuators, as the run had"
-        raise BadInputError([Problem("--rig", 0, 0, "", f"{config.name}, which has {config.actuators}", wish)])
-    return ReplayRig(text, config, sources, laid, chosen)
+        expected = f"a rig with {run.header.actuators} actuators, as the run had"
+        raise BadInputError([Problem("--rig", 0, 0, "", f"{config.name}, which has {config.actuators}", expected)])
+    return ReplayRig(text, config, sources, parameters_yaml, chosen)
 
 
 def _variant(run: Run) -> Variant:
@@ -134,7 +138,7 @@ def _variant(run: Run) -> Variant:
 
 def _picture(run: Run, k: int) -> NDArray[np.uint8]:
     data = np.frombuffer(run.picture(k), np.uint8)
-    # OpenCV raises where there are no bytes, and returns nothing where they are no picture.
+    # OpenCV raises for an empty buffer and returns None for an invalid picture.
     image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if len(data) else None
     if image is None:
         raise ArchiveError(f"{run.path}: entry/frames/image[{k}]: found {len(data)} bytes, expected a JPEG or PNG")
@@ -142,7 +146,7 @@ def _picture(run: Run, k: int) -> NDArray[np.uint8]:
 
 
 def _observed(run: Run, config: RigConfig, variant: Variant) -> Iterator[NDArray[np.void]]:
-    """The rows of the stored frames, in their order."""
+    """Yield the observations of the stored frames in order."""
     observer = Observer(config, variant)
     tip = run.tip
     clock = run.header.started_t_ns
@@ -157,19 +161,19 @@ def _observed(run: Run, config: RigConfig, variant: Variant) -> Iterator[NDArray
             pictures.setdefault(int(index), []).append(k)
     seen = 0
     before = None
-    for index, of_shot in pictures.items():
+    for index, picture_indices in pictures.items():
         row = row_of[index]
         frames: list[Frame | None] = [None] * len(config.cameras)
-        for k in of_shot:
+        for k in picture_indices:
             t_ns = int(_nanoseconds(run.frames.time_s[k], clock))
             truth_m = truth_mm[row] * 1e-3
             frames[camera_of[run.frames.camera[k]]] = Frame(index, t_ns, _picture(run, k), truth_m)
-        shot = FrameSet(index, tuple(frames))
-        until = min(int(np.searchsorted(ticks_ns, shot.t_ns, side="left")) + 1, len(ticks_ns))
+        frame_set = FrameSet(index, tuple(frames))
+        until = min(int(np.searchsorted(ticks_ns, frame_set.t_ns, side="left")) + 1, len(ticks_ns))
         dropped = 0 if before is None else index - before - 1
         before = index
         yield observer.step(
-            shot,
+            frame_set,
             ticks_ns[seen:until],
             measured_pa[seen:until],
             float(tip.protocol_s[row]),
@@ -180,7 +184,7 @@ def _observed(run: Run, config: RigConfig, variant: Variant) -> Iterator[NDArray
 
 
 def _cameras(run: Run, config: RigConfig) -> dict[str, int]:
-    """Which of the rig's cameras took the run's pictures: by name, or in their order where no name is the same."""
+    """Map the run's cameras to the rig's: by name, or by order where no name matches."""
     names = list(config.cameras)
     if set(names).isdisjoint(run.header.cameras):
         return dict(zip(run.header.cameras, range(len(names)), strict=False))
@@ -188,7 +192,7 @@ def _cameras(run: Run, config: RigConfig) -> dict[str, int]:
 
 
 def _samples(run: Run) -> NDArray[np.void]:
-    """The run's control ticks, as they were recorded."""
+    """Return the run's recorded control cycles."""
     pressure = run.pressure
     rows = np.zeros(len(pressure.time_s), sample_dtype(run.header.actuators, run.header.valves))
     rows["t_ns"] = _nanoseconds(pressure.time_s, run.header.started_t_ns)

@@ -1,4 +1,4 @@
-"""The report at a run's end, drawn by a process of its own that loads its libraries while the run goes on."""
+"""Report process: imports its libraries during the run and writes the report at the end."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from pathlib import Path
 
 @contextmanager
 def waiting() -> Iterator[Callable[[Path], Path]]:
-    """Have a process ready; what is given draws the report of one archive beside it and returns its path.
+    """Start the report process; yield a function that writes the report of one archive and returns its path.
 
-    What goes wrong in that process goes wrong once more in this one, and is raised from here.
+    After a failure of that process this one writes the report, and raises its error.
     """
     process = None
     with suppress(OSError):
@@ -42,14 +42,14 @@ def waiting() -> Iterator[Callable[[Path], Path]]:
 
 
 def here(archive: Path) -> Path:
-    """Draw the report in this process."""
+    """Write the report in this process."""
     from runs.report.page import write
 
     return write([archive])
 
 
 def main() -> int:
-    """In that process: load, wait for an archive, draw; nothing where its end comes first."""
+    """Report process: import, wait for an archive, write its report; exit at end of input."""
     import runs.report.page  # noqa: F401
 
     if archive := sys.stdin.buffer.read():

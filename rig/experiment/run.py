@@ -40,15 +40,15 @@ Loaded = TypeVar("Loaded")
 Name = TypeVar("Name")
 SPARE_DISK_BYTES = 200_000_000
 ADDRESS_SPACE_BYTES = 1_200_000_000
-"""What the largest process of a run maps, with its libraries; most of it is never touched."""
-TOLD_AFTER_S = 2.0
-"""What a disk gets to take the end of the record before the operator is told that he waits for it."""
+"""Address space of the largest process of a run with its libraries; most of it is never resident."""
+DISK_WARNING_AFTER_S = 2.0
+"""Time for the disk to store the end of the journal before the operator sees a warning."""
 _EXPECTED = (CardError, StartError, JournalError)
 
 
 @dataclass(frozen=True)
 class RunRequest:
-    """What the operator asked for."""
+    """The operator's request for a run."""
 
     protocol: Protocol
     config: RigConfig
@@ -64,21 +64,21 @@ class RunRequest:
     adapted: tuple[Quantity, ...] = ()
     sources: tuple[SourceFile, ...] = ()
     parameters_text: str = ""
-    """The file of identified parameters that lies over the rig, verbatim; `rig_text` has them in it."""
+    """Text of the identified parameters that `rig_text` contains."""
     rig_source: Source = Source.OPTION
 
 
 @dataclass(frozen=True)
 class RunResult:
-    """What a run left behind; `archive` is None when it never began, `report` when none was made."""
+    """Files of a run; `archive` is None when it did not start, `report` when none was written."""
 
     outcome: Outcome
     archive: Path | None
     report: Path | None
     parameters: Path | None = None
-    """What the recursive estimator found, where one ran."""
-    trouble: tuple[str, ...] = ()
-    """What went wrong after the run itself: the archive or the report could not be written."""
+    """The parameters that the recursive estimator identified, if one ran."""
+    warnings: tuple[str, ...] = ()
+    """Errors after the run: the archive, the report or the parameters could not be written."""
 
 
 def request(
@@ -97,36 +97,35 @@ def request(
 ) -> RunRequest:
     """Load a protocol and a rig by name or file, with a file of identified `parameters` over the rig.
 
-    `adapt` names the parameters that a recursive estimator finds beside the run: the usual ones where it is empty,
-    none where it is None.
+    `adapt` names the parameters that a recursive estimator identifies online: the default ones when empty, none
+    when None.
 
     Raises:
-        UnknownParameter, NotAdaptable: of those names, one stands for no parameter or cannot be found that way.
-        BadInput: any of them is wrong; every problem at once.
+        UnknownParameter, NotEstimableError: a name is unknown or cannot be estimated online.
+        BadInputError: every problem of protocol, rig and parameters.
     """
     source = rig.source if isinstance(rig, RigChoice) else Source.OPTION
     rig = rig.name if isinstance(rig, RigChoice) else rig
     problems: list[Problem] = []
-    asked = _collecting(problems, protocols.load, protocol)
+    loaded_protocol = _collecting(problems, protocols.load, protocol)
     rig_read = _collecting(problems, read, rig)
     chosen = _collecting(problems, variant_named, variant)
-    if problems or asked is None or rig_read is None:
+    if problems or loaded_protocol is None or rig_read is None:
         raise BadInputError(problems)
     config, rig_text, parameters_text = rig_read.config, rig_read.text, ""
     if parameters is not None:
-        from rig.config.parameters_overlay import over
+        from rig.config.parameters_overlay import overlay_file
 
-        rig_text, parameters_text = over(rig_text, path_of(rig), parameters, chosen)
+        rig_text, parameters_text = overlay_file(rig_text, path_of(rig), parameters, chosen)
         config = parse(rig_text, f"{path_of(rig)} with {parameters}")
     adapted: tuple[Quantity, ...] = ()
     if adapt is not None:
-        from rig.observation.online_estimation import adapted as estimated
-        from rig.observation.online_estimation import usual
+        from rig.observation.online_estimation import default_parameters, estimated_quantities
 
         variant_used = chosen or config.model.variant
-        adapted = estimated(config, variant_used, adapt or usual(variant_used))
+        adapted = estimated_quantities(config, variant_used, adapt or default_parameters(variant_used))
     return RunRequest(
-        protocol=asked,
+        protocol=loaded_protocol,
         config=config,
         rig_file=path_of(rig),
         rig_text=rig_text,
@@ -145,7 +144,7 @@ def request(
 
 
 def variant_named(name: str | None) -> Variant | None:
-    """The model variant of that name, None for none; `BadInput` where there is no such variant."""
+    """Return the model variant of a name, None for None; raise `BadInputError` for an unknown one."""
     chosen = next((known for known in VARIANTS if known == name), None)
     if name is not None and chosen is None:
         expected = f"one of {', '.join(VARIANTS)}"
@@ -165,7 +164,7 @@ def plan(request: RunRequest) -> Plan:
     """Expand and check a request without touching any device.
 
     Raises:
-        BadInput: a limit is violated, or the rig cannot run the protocol; every problem at once.
+        BadInputError: every violated limit, or the reasons why the rig cannot run the protocol.
     """
     trajectory = request.protocol.expand(request.config.actuators)
     if problems := check(request.config, trajectory, request.protocol, request.rig_file):
@@ -174,18 +173,18 @@ def plan(request: RunRequest) -> Plan:
 
 
 def run(request: RunRequest, decided: Plan, operator: OperatorInterface) -> RunResult:
-    """Run a plan and leave an archive, however the run ends.
+    """Run a plan and write an archive, whatever ends the run.
 
     Raises:
-        CardError, StartError, JournalError: the run could not begin; the valves are safe and there is no archive.
+        CardError, StartError, JournalError: the run did not start; the valves are safe and no archive exists.
     """
     address_space = resource.getrlimit(resource.RLIMIT_AS)[0]
     if address_space != resource.RLIM_INFINITY and address_space < ADDRESS_SPACE_BYTES:
         raise StartError(
             f"the address space of a process is limited to {address_space / 1e6:.0f} MB (ulimit -v), "
-            f"a run wants {ADDRESS_SPACE_BYTES / 1e6:.0f} MB"
+            f"a run needs {ADDRESS_SPACE_BYTES / 1e6:.0f} MB"
         )
-    # In real time nothing is loaded beside the control loop.
+    # In real time nothing is imported beside the control loop.
     with report_process.waiting() if request.fast and request.report else nullcontext(report_process.here) as draw:
         return _run(request, decided, operator, draw)
 
@@ -195,70 +194,70 @@ def _run(request: RunRequest, decided: Plan, operator: OperatorInterface, draw: 
         from rig.virtual.executor import run as execute
     else:
         from rig.realtime.supervisor import run as execute
-    # HDF5 and MCAP are for runs alone: `rig check` imports neither.
+    # Imported here, because `rig check` needs neither HDF5 nor MCAP.
     from runs.archive.writer import ArchiveError, finalise
     from runs.journal.journal import JournalWriter
 
     request.folder.mkdir(parents=True, exist_ok=True)
     if (free := shutil.disk_usage(request.folder).free) < SPARE_DISK_BYTES:
         raise StartError(
-            f"{request.folder}: only {free / 1e6:.0f} MB free, a run wants {SPARE_DISK_BYTES / 1e6:.0f} MB"
+            f"{request.folder}: only {free / 1e6:.0f} MB free, a run needs {SPARE_DISK_BYTES / 1e6:.0f} MB"
         )
     journal: JournalWriter | None = None
     patience_s = timing_limits(decided.config, obtainable()).disk_s
 
     def armed(t_ns: int) -> JournalWriter:
         nonlocal journal
-        # The first tick is yet to come; virtual time has no place in the calendar but its beginning.
+        # The first control cycle lies in the future; virtual time starts now.
         ahead_ns = 0 if request.fast else t_ns - time.monotonic_ns()
         about = header(request, decided, t_ns, ahead_ns)
         journal = JournalWriter(
             request.folder / f"{about.run_id}.mcap", about, live=not request.fast, patience_s=patience_s
         )
         if request.rig_source in (Source.ENVIRONMENT, Source.FOLDER):
-            # The command, which the record has, does not tell.
-            said = f"the rig is {request.rig_file.absolute()}, chosen by {request.rig_source}"
-            journal.event(Event(t_ns, Level.INFO, "supervisor", said))
+            # The recorded command does not contain the rig.
+            message = f"the rig is {request.rig_file.absolute()}, chosen by {request.rig_source}"
+            journal.event(Event(t_ns, Level.INFO, "supervisor", message))
         return journal
 
-    trouble: list[str] = []
+    warnings: list[str] = []
     with nullcontext() if request.fast else cards_locked(decided.config, f"protocol {request.protocol.name}"):
         try:
             outcome = execute(decided, armed, operator)
         except Exception as error:
             if journal is None:
                 raise
-            # Virtual time is known by what was recorded last.
+            # In virtual time the newest record gives the time.
             ended_ns = journal.newest_t_ns if request.fast else time.monotonic_ns()
-            outcome = Outcome(Status.ABORTED, _told(error), ended_ns)
+            outcome = Outcome(Status.ABORTED, _abort_message(error), ended_ns)
             with suppress(JournalError):
                 if not isinstance(error, _EXPECTED):
                     journal.event(Event(ended_ns, Level.FAULT, "supervisor", traceback.format_exc()))
     assert journal is not None
     archive = report = parameters = None
     try:
-        if not journal.settled(TOLD_AFTER_S):
+        if not journal.settled(DISK_WARNING_AFTER_S):
             waiting = f"waiting for the disk to take the rest of {journal.path}"
             operator.report(Event(time.monotonic_ns(), Level.WARNING, "supervisor", waiting))
         journal.close(RunFooter(outcome.t_ns, outcome.status, outcome.message, outcome.counters))
         archive = finalise(journal.path)
     except (ArchiveError, JournalError) as error:
-        trouble.append(f"{error}; the journal is kept: {journal.path}; run `rig recover {request.folder}` later")
+        warnings.append(f"{error}; the journal is kept: {journal.path}; run `rig recover {request.folder}` later")
     if archive is not None and request.report:
         try:
             report = draw(archive)
         except OSError as error:
-            trouble.append(f"no report: {error}; run `rig report {archive}` later")
+            warnings.append(f"no report: {error}; run `rig report {archive}` later")
     if archive is not None and decided.adapted:
         try:
             parameters = _parameters(archive)
         except OSError as error:
-            trouble.append(f"the adapted parameters could not be written: {error}; they are in {archive}")
-    return RunResult(outcome, archive, report, parameters, tuple(trouble))
+            warnings.append(f"the adapted parameters could not be written: {error}; they are in {archive}")
+    return RunResult(outcome, archive, report, parameters, tuple(warnings))
 
 
-def _told(error: Exception) -> str:
-    """What the operator is told of what ended a run."""
+def _abort_message(error: Exception) -> str:
+    """Return the message of the error that ended a run."""
     if isinstance(error, JournalError):
         return f"the record could not be written: {error}"
     return str(error) if isinstance(error, _EXPECTED) else f"{type(error).__name__}: {error}"
@@ -272,7 +271,7 @@ def _parameters(archive: Path) -> Path | None:
 
 
 def header(request: RunRequest, decided: Plan, t_ns: int, ahead_ns: int = 0) -> RunHeader:
-    """Everything known about a run before its first sample, which is due at `t_ns`, so long from now."""
+    """Return the header of a run whose first sample is due at `t_ns`, `ahead_ns` from now."""
     now = datetime.now(UTC) + timedelta(microseconds=ahead_ns / 1e3)
     commit, diff = git_state()
     config, protocol = request.config, request.protocol
@@ -317,7 +316,7 @@ def _intervals(trajectory: Trajectory) -> tuple[Interval, ...]:
 
 
 def free_id(folder: Path, stem: str) -> str:
-    """A run id that no file of the folder has: two runs can begin within one second."""
+    """Return a run id that is unique in the folder; two runs can start within one second."""
     candidate, n = stem, 1
     while any(folder.glob(f"{candidate}.*")):
         n += 1

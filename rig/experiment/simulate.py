@@ -1,4 +1,4 @@
-"""The model alone, driven by a protocol's set-points, into an archive of the same layout as a run's."""
+"""Run the model alone on a protocol's set-points; write an archive of the same layout as a run's."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ _Solve = Callable[[NDArray[np.float64], model.Loads | None], model.Shape]
 
 
 def simulate(request: RunRequest, plan: Plan, static: bool) -> Path:
-    """Write what the model says the tip does when the chambers follow the set-points exactly.
+    """Simulate the tip for chambers that follow the set-points exactly; return the archive.
 
-    What prompts hang on the end cap hangs on the model. The rows carry no measured tip (`Seen.NO_FRAME`); the measured
-    pressures are the set-points, and the archive says that it is a simulation. Time steps are the camera's. After one
-    that cannot be solved the model begins anew at rest.
+    Weights of the protocol's prompts load the model. The rows have no measured tip (`DetectionStatus.NO_FRAME`); the
+    measured pressures are the set-points, and the archive is marked as simulated. Time steps are the camera's. After a
+    step without convergence the model restarts from the static solution.
     """
     config, trajectory = plan.config, plan.trajectory
     rate_hz = next(iter(config.cameras.values())).rate_hz
@@ -49,14 +49,14 @@ def simulate(request: RunRequest, plan: Plan, static: bool) -> Path:
     rows["pressure_pa"] = pressures
     for field in ("measured_m", "covariance_m2", "truth_m", "reprojection_px", "camera_skew_s"):
         rows[field] = np.nan
-    hook, shape, tip_m = TipLoad(config), None, np.full(3, np.nan)
+    tip_load, shape, tip_m = TipLoad(config), None, np.full(3, np.nan)
     for row, pressure in zip(rows, pressures, strict=True):
         row["weight_kg"] = weight_kg = trajectory.weight_kg(float(row["protocol_s"]))
         if dynamics is None:
             solve: _Solve = partial(arm.statics, doubt_units=False)
         else:
             solve = dynamics.start if shape is None else dynamics.step
-        shape = _solved(solve, pressure, hook.carrying(weight_kg))
+        shape = _solved(solve, pressure, tip_load.carrying(weight_kg))
         if shape is not None:
             tip_m = shape.tip_m
         row["model_m"], row["backbone_m"], row["model_ok"] = tip_m, backbone(shape), shape is not None

@@ -1,4 +1,4 @@
-"""`python -m rig.experiment.warm`: compile everything that a run would otherwise wait for; part of the installation."""
+"""`python -m rig.experiment.warm`: precompile the kernels; part of the installation."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What an identification starts from: archives, a rig, and for simulated runs the truth that it should find."""
+"""Inputs of an identification: archives, the initial rig, and the true parameters of simulated runs."""
 
 from __future__ import annotations
 
@@ -18,63 +18,63 @@ from rig.cli.run_output import console
 from rig.config.arm_model import model_arm, true_arm
 from rig.config.loader import load, parse, path_of, text
 from rig.config.optics import rigid
-from rig.config.parameters_overlay import different, recorded
+from rig.config.parameters_overlay import differing_fields, recorded
 from rig.config.schema import Geometry, RigConfig, Sensor
 from runs.run import Run
 
 
 @dataclass(frozen=True)
 class InitialSetup:
-    """A rig that a search begins at: its YAML, where that is from, what it says, and the parameters laid over it."""
+    """An initial rig: its YAML, the file of that, the configuration, and the text of the applied parameters."""
 
     yaml: str
     file: str
     config: RigConfig
-    laid: str = ""
+    parameters_yaml: str = ""
 
     @classmethod
     def named(cls, name: str) -> InitialSetup:
-        """The rig of that name, or in that file; `BadInput` as `rig_file.load`."""
+        """Return the rig of a name or file; raises as `rig.config.loader.load` does."""
         return cls(text(name), str(path_of(name)), load(name))
 
     @classmethod
     def of(cls, run: Run) -> InitialSetup:
-        """The rig of a run as it was used.
+        """Return the rig of a run.
 
         Raises:
-            NoData: the archive, of an import, names none.
+            NoDataError: the archive is an import without a rig.
         """
         return cls(run.header.rig_yaml, f"{run.path}: the rig's YAML", rig_of(run), run.header.parameters_yaml)
 
 
 def starting_rigs(first: Run, names: Sequence[str]) -> dict[str, InitialSetup]:
-    """The rigs that the search starts from, by name or file: those that are named, or else the first run's own.
+    """Return the initial rigs by name: the named ones, or else the first run's own.
 
     Raises:
-        BadInput: a rig that is named.
-        NoData: none is named, and the archive, of an import, has none.
+        BadInputError: a named rig is invalid.
+        NoDataError: no rig is named, and the archive is an import without one.
     """
     return {name: InitialSetup.named(name) for name in names} or {first.header.rig_name: InitialSetup.of(first)}
 
 
-def another_arm(rig: InitialSetup, others: Iterable[InitialSetup]) -> str:
-    """In what the arm of a rig differs from those of all the others, in words; nothing where it is one of them."""
+def geometry_differences(rig: InitialSetup, others: Iterable[InitialSetup]) -> str:
+    """Return the differences of a rig's arm from the others'; empty where one of them is the same."""
     found = ""
     for other in others:
         mine, theirs = rig.config.arm.geometry, other.config.arm.geometry
-        fields = different(mine, theirs)
+        fields = differing_fields(mine, theirs)
         if not fields:
             return ""
         found = found or "; ".join(f"{name} {getattr(mine, name)}, not {getattr(theirs, name)}" for name in fields)
     return found
 
 
-def opened(names: Sequence[Path]) -> list[Run]:
-    """The archives of these names, each once; says of what is named twice that it counts once.
+def open_archives(names: Sequence[Path]) -> list[Run]:
+    """Open archives, each once; print a note for a duplicate.
 
     Raises:
-        ArchiveError: there is none of a name.
-        NoData: two of them, a run and its replay, show the same motion.
+        ArchiveError: an archive does not exist.
+        NoDataError: two archives, such as a run and its replay, contain the same motion.
     """
     found: dict[str, Run] = {}
     shown: dict[tuple[str, int], Run] = {}
@@ -91,28 +91,30 @@ def opened(names: Sequence[Path]) -> list[Run]:
 
 
 def check_alike(archives: Sequence[Run], one_arm: bool = False) -> None:
-    """Refuse runs of different arms, and runs whose tips, or pressures, count from different zeros.
+    """Refuse runs of different arms, and runs whose tips or pressures have different reference frames or gains.
 
-    Says where the zeros are not the plain rig's, and where rigs place a camera differently. `one_arm`: that all are of
-    one arm was said, so their rigs are not asked.
+    Print a note if parameters were applied to the runs' rig, or if rigs place a camera differently. With `one_arm` the
+    rigs' geometries are not compared.
 
     Raises:
-        NoData: rigs state different geometries; or parameters with another mounting, or another gain, lay over some.
+        NoDataError: the rigs have different geometries, or overlays with different mountings or gains.
     """
     first, *others = archives
     if not one_arm:
         _check_rigs([run for run in archives if run.header.rig_yaml])
-    laid = _laid(first)
+    overlay = _recorded_overlay(first)
     for run in others:
-        if _laid(run) != laid:
+        if _recorded_overlay(run) != overlay:
             raise NoDataError(
-                f"{first.path} and {run.path} were recorded with different parameters laid over their rig: their tips "
-                "and pressures do not count from the same; identify them apart"
+                f"{first.path} and {run.path} were recorded with different parameters applied to their rigs: "
+                "their tips and pressures have different references; identify them separately"
             )
-    if laid is not None:
-        said = f"{first.header.run_id} was recorded with parameters laid over its rig: estimates of mounting and gains "
-        said += "count from there, files that are written from the rig without them"
-        console(stderr=True).print(said, soft_wrap=True)
+    if overlay is not None:
+        note = (
+            f"{first.header.run_id} was recorded with parameters applied to its rig: printed estimates of mounting and "
+        )
+        note += "gains are relative to them; written files are relative to the rig without them"
+        console(stderr=True).print(note, soft_wrap=True)
 
 
 def _check_rigs(archives: Sequence[Run]) -> None:
@@ -122,28 +124,28 @@ def _check_rigs(archives: Sequence[Run]) -> None:
     rig, geometry = rig_of(first), _geometry(first)
     for run in others:
         own = _geometry(run)
-        if fields := different(own, geometry):
-            said = "; ".join(f"{name} {getattr(own, name)}, not {getattr(geometry, name)}" for name in fields)
+        if fields := differing_fields(own, geometry):
+            differences = "; ".join(f"{name} {getattr(own, name)}, not {getattr(geometry, name)}" for name in fields)
             raise NoDataError(
-                f"{run.path} is of another arm than {first.path}: {said}; identify them apart, or say with --start "
-                "which rig's arm all of them are of"
+                f"{run.path} is of another arm than {first.path}: {differences}; identify them separately, "
+                "or name one rig for all of them with --start"
             )
         for name, camera in rig_of(run).cameras.items():
             known = rig.cameras.get(name)
             if known is not None and known.placement != camera.placement:
-                said = f"{run.header.run_id}: its rig places camera {name} elsewhere than that of {first.header.run_id}"
-                console(stderr=True).print(f"{said}; the base that is found is one for both", soft_wrap=True)
+                note = f"{run.header.run_id}: its rig places camera {name} elsewhere than that of {first.header.run_id}"
+                console(stderr=True).print(f"{note}; one base is estimated for both", soft_wrap=True)
 
 
 def _geometry(run: Run) -> Geometry:
-    """Of the arm as a run's rig states it without any parameters."""
+    """Return the geometry of a run's rig without identified parameters."""
     if run.header.parameters_yaml:
         return recorded(run.header.parameters_yaml).found.identified.geometry
     return rig_of(run).arm.geometry
 
 
-def _laid(run: Run) -> tuple[object, ...] | None:
-    """What the parameters over a run's rig changed of how it measures; None for nothing."""
+def _recorded_overlay(run: Run) -> tuple[object, ...] | None:
+    """Return the mounting and gains of a run's overlay; None where it has no effect on the measurements."""
     if not run.header.parameters_yaml:
         return None
     found = recorded(run.header.parameters_yaml).found
@@ -153,10 +155,10 @@ def _laid(run: Run) -> tuple[object, ...] | None:
 
 
 def rig_of(run: Run) -> RigConfig:
-    """The rig of a run as it was used.
+    """Return the rig of a run.
 
     Raises:
-        NoData: the archive, of an import, names none.
+        NoDataError: the archive is an import without a rig.
     """
     if not run.header.rig_yaml:
         raise NoDataError(
@@ -166,16 +168,16 @@ def rig_of(run: Run) -> RigConfig:
 
 
 def setup_of(run: Run) -> Setup:
-    """The arm as the run's rig states it.
+    """Return the initial parameters of a run's rig.
 
     Raises:
-        NoData: the archive, of an import, names no rig.
+        NoDataError: the archive is an import without a rig.
     """
     return Setup(model_arm(rig_of(run)))
 
 
-def baseline_geometry(run: Run, start: Setup, begun_there: bool = True) -> Baseline | None:
-    """The parameters that lay over a run's rig; None where none did. `begun_there`: `start` is that rig's arm."""
+def baseline_geometry(run: Run, start: Setup, from_recorded_rig: bool = True) -> Baseline | None:
+    """Return the parameters of a run's overlay; None without one. `from_recorded_rig`: `start` is that rig's arm."""
     if not run.header.parameters_yaml:
         return None
     found = recorded(run.header.parameters_yaml).found
@@ -187,11 +189,11 @@ def baseline_geometry(run: Run, start: Setup, begun_there: bool = True) -> Basel
         tool_offset_m=_triple(np.multiply(mounting.tool_offset_mm, 1e-3)),
         sensor_gain=found.sensing.gain,
     )
-    return Baseline(setup, found.identified.geometry.model_dump(mode="json") if begun_there else None)
+    return Baseline(setup, found.identified.geometry.model_dump(mode="json") if from_recorded_rig else None)
 
 
 def truth_of(run: Run) -> dict[str, float]:
-    """The simulator's own value of every parameter of a simulated run's arm, by name; nothing for a real one."""
+    """Return the true parameters of a simulated run by name; empty for a real run."""
     if not run.header.simulated or not run.header.rig_yaml:
         return {}
     config = rig_of(run)
@@ -216,7 +218,7 @@ def truth_of(run: Run) -> dict[str, float]:
     )
     shown = {name: one.read(setup) for name, one in known(config.actuators).items() if not one.per_run}
     if any(any((*error.translation_mm, *error.rotation_deg)) for error in map(simulator.error_of, config.cameras)):
-        # Cameras that stand elsewhere than stated move the frame of the measurements, too.
+        # Camera placement errors also change the frame of the measurements.
         shown = {name: value for name, value in shown.items() if not name.startswith(("base_", "tool_"))}
     return shown
 

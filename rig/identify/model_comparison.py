@@ -1,4 +1,4 @@
-"""`rig identify --choose`: was the larger model worth it? A table in the shape of the paper's Table 3."""
+"""`rig identify --choose`: model comparison in the form of the paper's Table 3."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from calibration.identify.model_comparison import ComparisonRow, ModelComparison
 from calibration.identify.parameters import Prior
 from rig.cli.archive_output import plain_json
 from rig.cli.run_output import console
-from rig.identify.estimation import check_priors, shown, waiting
+from rig.identify.estimation import check_priors, progress_bar, read_poses
 from rig.identify.initial_setup import setup_of
 from runs.run import Run
 
@@ -27,22 +27,22 @@ def comparison_lines(
     scheduler: str | None = None,
     store: Path | None = None,
 ) -> None:
-    """Compare the models on some runs and print the table and the sentence that follows from it.
+    """Compare the models on several runs by cross-validation; print the table and the conclusion.
 
-    `free`: what is free in every model beside its own law; by default the pose of the base. scheduler, store: as for
-    the bootstrap.
+    `free`: parameters that are free in every model beside its law; by default the pose of the base. scheduler, store:
+    as for the bootstrap.
 
     Raises:
-        UnknownParameter: a name stands for no parameter, or something is known beforehand of what no model has free.
+        UnknownParameter: a name is unknown, or a prior belongs to a parameter that is free in no model.
     """
     start = setup_of(archives[0])
-    every = shown(archives, quasi_static)
+    every = read_poses(archives, quasi_static)
     data = [compared(one) for one in every]
     moving = any(one.moving for one in data)
-    asked = candidates(start, free or ("base",), moving)
-    check_priors(priors, [name for one in asked for name in one.free], start.arm.geometry.actuators)
-    with waiting("fitting") as progress:
-        found = choose(data, asked, priors, scheduler=scheduler, store=store, progress=progress)
+    models_to_fit = candidates(start, free or ("base",), moving)
+    check_priors(priors, [name for one in models_to_fit for name in one.free], start.arm.geometry.actuators)
+    with progress_bar("fitting") as progress:
+        found = choose(data, models_to_fit, priors, scheduler=scheduler, store=store, progress=progress)
     if as_json:
         typer.echo(json.dumps(plain_json(_facts(found)), indent=2))
         return
@@ -74,7 +74,7 @@ def comparison_lines(
 
 
 def _damping(row: ComparisonRow) -> str:
-    """Whether the row's model is damped, and how much, if the data say."""
+    """Return the damping of a row's model as text."""
     if not row.candidate.damping:
         return "no"
     return "yes, undecided" if row.damping_s is None else f"yes, {1e3 * row.damping_s:.1f} ms"

@@ -1,4 +1,4 @@
-"""`rig import`: measurements from elsewhere, a table and a mapping that explains it, into archives like a run's."""
+"""`rig import`: convert a table of foreign measurements, with a mapping of its columns, to an archive."""
 
 from rig.importing.archive_builder import Imported, import_table
 

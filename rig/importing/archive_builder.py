@@ -1,4 +1,4 @@
-"""Foreign measurements, a table and its mapping, into an archive of the same layout as a run's."""
+"""Build an archive with the layout of a run's from a foreign table and its mapping."""
 
 from __future__ import annotations
 
@@ -43,13 +43,13 @@ from runs.records import (
 )
 
 EVEN = 0.25
-"""Time steps are even when each is a whole number of periods, but for this part of one."""
+"""Tolerance for even time steps, as a part of the period."""
 VENTED_BAR = 0.02
-"""A vented chamber's pressure does not wander farther than this within the rows that state the ambient pressure."""
+"""Largest variation of a vented chamber's pressure in the rows that define the ambient pressure."""
 AMBIENT_BAR = (0.5, 1.1)
-"""Of the places where people work."""
+"""Plausible ambient pressures."""
 CLOSEST_S, HIGHEST_BAR, TIP_M, TIP_LENGTHS = 2e-4, 50.0, (1e-3, 5.0), (0.1, 3.0)
-"""Rows, pressures and tips (from the base, or in lengths of the rig's arm) beyond these likely have another unit."""
+"""Beyond these values rows, pressures or tips (from the base, or in arm lengths) likely have another unit."""
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -57,23 +57,23 @@ Ints = NDArray[np.int64]
 
 @dataclass(frozen=True)
 class Imported:
-    """What an import made: the archive, and the warnings that it carries as events."""
+    """Result of an import: the archive, and its warnings, which it stores as events."""
 
     archive: Path
     warnings: tuple[str, ...]
 
 
 NOISE_PA = 5e3
-"""A sensor may show so much less than there is."""
+"""Tolerance for sensor noise below the lowest pressure."""
 
 
 def import_table(data: Path, mapping_file: Path, folder: Path, operator: str = "", notes: str = "") -> Imported:
     """Write the archive of a foreign table.
 
-    What is wrong but leaves the data usable becomes a warning, an event of the archive.
+    A fault that leaves the data usable becomes a warning, stored as an event of the archive.
 
     Raises:
-        BadInput: the mapping, or the data; every problem at once.
+        BadInputError: every problem of the mapping and the data.
     """
     mapping, document = load(mapping_file)
     rig_name, rig_text, length_m = _rig(mapping, document)
@@ -102,7 +102,7 @@ def import_table(data: Path, mapping_file: Path, folder: Path, operator: str = "
         started_utc_ns=started_utc_ns,
         started_t_ns=int(t_ns[0]),
         protocol_name=f"import {mapping_file.stem}",
-        # What a protocol is to a run the mapping is to an import: what made the archive what it is.
+        # The mapping takes the place of the protocol.
         protocol_yaml=document.text,
         rig_name=rig_name,
         rig_yaml=rig_text,
@@ -162,7 +162,7 @@ def _observations(
 
 
 def _doubt_units(columns: Columns, t_ns: Ints, gauge_pa: Floats, tip_m: Floats, length_m: float | None) -> None:
-    """Warn of numbers that a soft arm on a bench hardly has."""
+    """Warn of values that are implausible for a soft arm."""
     step_s = float(np.median(np.diff(t_ns))) * 1e-9
     if step_s < CLOSEST_S:
         columns.warn(f"the rows follow each other by {1e6 * step_s:.3g} us: is the unit of the time right?")
@@ -199,8 +199,8 @@ def _started_utc_ns(columns: Columns, mapping: Mapping, document: Document, read
     stated = mapping.started_utc_ns
     if read.utc and stated is not None:
         mark = document.mark(("started",))
-        wish = "no such key: the times themselves are dates with their distance from UTC"
-        raise BadInputError([Problem(document.file, mark.line, mark.column, "started", mark.source, wish)])
+        expected = "no such key: the times themselves are dates with their distance from UTC"
+        raise BadInputError([Problem(document.file, mark.line, mark.column, "started", mark.source, expected)])
     if read.utc:
         return int(read.t_ns[0])
     if stated is None:
@@ -237,31 +237,31 @@ def _frames(columns: Columns, t_ns: Ints) -> Ints:
 
 
 def _pressures(columns: Columns, mapping: Mapping) -> tuple[Floats, Floats]:
-    """Gauge pressures (n, N) and what was taken off the columns (N,) [Pa]."""
-    asked = mapping.pressures
-    raw_pa = _scaled(columns, asked.columns, asked.unit)
-    for column, values in zip(asked.columns, raw_pa.T, strict=True):
+    """Return gauge pressures (n, N) and the subtracted ambient pressures (N,) [Pa]."""
+    pressures = mapping.pressures
+    raw_pa = _scaled(columns, pressures.columns, pressures.unit)
+    for column, values in zip(pressures.columns, raw_pa.T, strict=True):
         columns.warn_missing(values, f"the pressure of column {column}")
-        lowest_pa = -NOISE_PA if asked.reading == "absolute" else -ATMOSPHERE_PA - NOISE_PA
+        lowest_pa = -NOISE_PA if pressures.reading == "absolute" else -ATMOSPHERE_PA - NOISE_PA
         if len(rows := np.flatnonzero(values < lowest_pa)):
-            found = f"{values[rows[0]] / PA_PER_BAR:.4g} bar, {asked.reading}"
-            wish = f"a pressure above vacuum, {lowest_pa / PA_PER_BAR:.3g} bar or more: are unit and reading right?"
+            found = f"{values[rows[0]] / PA_PER_BAR:.4g} bar, {pressures.reading}"
+            expected = f"a pressure above vacuum, {lowest_pa / PA_PER_BAR:.3g} bar or more: are unit and reading right?"
             where = f"column {column}, {columns.table.place(int(rows[0]))}"
-            columns.problems.append(Problem(columns.table.file, 0, 0, where, found, wish))
+            columns.problems.append(Problem(columns.table.file, 0, 0, where, found, expected))
     off_pa = np.zeros(mapping.actuators)
     if columns.problems:
         return raw_pa, off_pa
-    if asked.reading == "gauge":
-        for column, values in zip(asked.columns, raw_pa.T, strict=True):
+    if pressures.reading == "gauge":
+        for column, values in zip(pressures.columns, raw_pa.T, strict=True):
             if np.nanmin(values, initial=np.inf) / PA_PER_BAR > AMBIENT_BAR[0]:
                 lowest = f"{np.nanmin(values) / PA_PER_BAR:.3g} bar"
                 columns.warn(f"column {column} never falls below {lowest}: is it absolute? The mapping says gauge")
         return raw_pa, off_pa
-    if asked.ambient_bar is not None:
-        off_pa[:] = np.array(asked.ambient_bar) * PA_PER_BAR
-    elif asked.ambient_rows is not None:
-        off_pa = _vented(columns, mapping, raw_pa, asked.ambient_rows)
-    for column, ambient in zip(asked.columns, off_pa / PA_PER_BAR, strict=True):
+    if pressures.ambient_bar is not None:
+        off_pa[:] = np.array(pressures.ambient_bar) * PA_PER_BAR
+    elif pressures.ambient_rows is not None:
+        off_pa = _vented(columns, mapping, raw_pa, pressures.ambient_rows)
+    for column, ambient in zip(pressures.columns, off_pa / PA_PER_BAR, strict=True):
         if not AMBIENT_BAR[0] <= ambient <= AMBIENT_BAR[1]:
             columns.warn(f"the ambient pressure taken off column {column} is {ambient:.4g} bar: is it really absolute?")
     return raw_pa - off_pa, off_pa
@@ -271,21 +271,21 @@ def _vented(columns: Columns, mapping: Mapping, raw_pa: Floats, rows: int) -> Fl
     """Each column's mean (N,) [Pa] over the first rows."""
     first = raw_pa[:rows]
     if len(first) < rows:
-        wish = f"at least the {rows} rows that ambient_rows names"
-        columns.problems.append(Problem(columns.table.file, 0, 0, "", f"{len(first)} rows", wish))
+        expected = f"at least the {rows} rows that ambient_rows names"
+        columns.problems.append(Problem(columns.table.file, 0, 0, "", f"{len(first)} rows", expected))
         return np.zeros(mapping.actuators)
     known = np.isfinite(first)
     means = np.zeros(mapping.actuators)
     for n, column in enumerate(mapping.pressures.columns):
         if not known[:, n].any():
-            wish = f"a pressure in the first {rows} rows, for the ambient pressure"
-            columns.problems.append(columns.table.problem(0, column, "nothing", wish))
+            expected = f"a pressure in the first {rows} rows, for the ambient pressure"
+            columns.problems.append(columns.table.problem(0, column, "nothing", expected))
             continue
         values = first[known[:, n], n]
         means[n] = values.mean()
         if (spread := float(np.ptp(values)) / PA_PER_BAR) > VENTED_BAR:
             columns.warn(
-                f"column {column} moves by {spread:.3g} bar within the first {rows} rows, whose mean is taken for the "
+                f"column {column} moves by {spread:.3g} bar within the first {rows} rows, whose mean is used as the "
                 "ambient pressure"
             )
     return means
@@ -306,7 +306,7 @@ def _valves(columns: Columns, mapping: Mapping) -> Floats:
 
 
 def _weight(columns: Columns, mapping: Mapping) -> Floats:
-    """Weights (n,) [kg]; where the file has none, nothing was hung."""
+    """Return weights (n,) [kg]; zero where the file has none."""
     if mapping.weight is None:
         return np.zeros(1)
     weight = columns.several((mapping.weight.column,), (KILOGRAMS[mapping.weight.unit],))[:, 0]

@@ -1,4 +1,4 @@
-"""The columns of a foreign table, taken one by one, with everything that is wrong with them collected on the way."""
+"""Read columns of a foreign table and collect their problems and warnings."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Floats = NDArray[np.float64]
 
 
 class Columns:
-    """Takes columns from a table; faults gather in `problems`, doubts in `warnings`."""
+    """Reads columns of a table; collects errors in `problems` and doubts in `warnings`."""
 
     def __init__(self, table: Table) -> None:
         self.table = table
@@ -23,7 +23,7 @@ class Columns:
         self._length: tuple[Key, int] | None = None
 
     def scaled(self, column: Key, scale: float) -> Floats | None:
-        """A column (n,) times `scale`; None, and a problem, where it cannot be read."""
+        """Return a column (n,) times `scale`; None, and a problem, where it cannot be read."""
         try:
             values = self.table.numbers(column)
         except BadInputError as bad:
@@ -33,9 +33,9 @@ class Columns:
             self._length = (column, len(values))
         first, length = self._length
         if len(values) != length:
-            wish = f"{length} rows, as in column {first}"
+            expected = f"{length} rows, as in column {first}"
             found = f"{len(values)} rows in column {column}"
-            self.problems.append(Problem(self.table.file, 0, 0, "", found, wish))
+            self.problems.append(Problem(self.table.file, 0, 0, "", found, expected))
             return None
         return values * scale
 
@@ -57,11 +57,11 @@ class Columns:
         return np.column_stack([np.full(length, np.nan) if values is None else values for values in found])
 
     def warn(self, message: str) -> None:
-        """Note what is doubtful."""
+        """Add a warning."""
         self.warnings.append(message)
 
     def warn_missing(self, values: Floats, what: str) -> None:
-        """Note that some of the values (n,) or (n, k) are missing."""
+        """Warn if some of the values (n,) or (n, k) are missing."""
         rows = np.flatnonzero(~np.isfinite(values if values.ndim == 1 else values.sum(axis=1)))
         if len(rows):
             where = self.table.place(int(rows[0]))

@@ -132,8 +132,8 @@ class Pressures(Section):
         elif len(given) == 2:
             found.append(ValidationFault(("ambient_bar",), "ambient_rows or ambient_bar, not both"))
         if isinstance(self.ambient_bar, tuple) and len(self.ambient_bar) != len(self.columns):
-            wish = f"one pressure, or one for each of the {len(self.columns)} columns, not {len(self.ambient_bar)}"
-            found.append(ValidationFault(("ambient_bar",), wish))
+            expected = f"one pressure, or one for each of the {len(self.columns)} columns, not {len(self.ambient_bar)}"
+            found.append(ValidationFault(("ambient_bar",), expected))
         faults(found)
         return self
 
@@ -322,8 +322,8 @@ class Mapping(Section):
         if self.wrench is not None and self.wrench.axes == "tip" and not turning:
             yield ValidationFault(("wrench", "axes"), "tracker, or an orientation of the tip: the wrench turns with it")
         if turning and self.tip is not None and self.tip.offset_mm is None and self.wrench is None:
-            wish = "offset_mm or a wrench beside it: an archive keeps no orientation of the tip"
-            yield ValidationFault(("tip", "orientation"), wish)
+            expected = "offset_mm or a wrench beside it: an archive keeps no orientation of the tip"
+            yield ValidationFault(("tip", "orientation"), expected)
         if self.base is not None and self.tip is None:
             yield ValidationFault(("base",), "a tip beside it: the base sensor's position is taken off the tip's")
 

@@ -1,4 +1,4 @@
-"""A foreign table, CSV or MATLAB, read column by column into numbers; what is no number is named by its place."""
+"""Read a foreign table, CSV or MATLAB, by column; errors name the place of each invalid cell."""
 
 from __future__ import annotations
 
@@ -90,8 +90,8 @@ class CsvTable:
             return self.cells[:, at]
         cells = [self.odd[row, at] for row in rows]
         if len(rows) > 1 and all(map(self._other_decimal, cells)):
-            said = self._no_number(rows[0], column, cells[0])
-            raise BadInputError([replace(said, value=f"{said.value}, and so in {len(rows) - 1} more rows")])
+            problem_at = self._no_number(rows[0], column, cells[0])
+            raise BadInputError([replace(problem_at, value=f"{problem_at.value}, and so in {len(rows) - 1} more rows")])
         raise BadInputError(some(self, column, rows, lambda row: self._no_number(row, column, self.odd[row, at])))
 
     def texts(self, column: Key) -> Sequence[str]:
@@ -112,34 +112,34 @@ class CsvTable:
         if isinstance(column, int):
             last = self.cells.shape[1] - 1 + self.first_column
             if column > last:
-                wish = f"a column from {self.first_column} to {last}"
-                raise BadInputError([Problem(self.file, 0, 0, "", f"no column {column}", wish)])
+                expected = f"a column from {self.first_column} to {last}"
+                raise BadInputError([Problem(self.file, 0, 0, "", f"no column {column}", expected)])
             return column - self.first_column
         if self.names.count(column) != 1:
             found = f"several columns '{column}'" if column in self.names else f"no column '{column}'"
-            wish = f"one of {', '.join(self.names)}"
-            raise BadInputError([Problem(self.file, 0, 0, "", found, wish, closest(column, self.names))])
+            expected = f"one of {', '.join(self.names)}"
+            raise BadInputError([Problem(self.file, 0, 0, "", found, expected, closest(column, self.names))])
         return self.names.index(column)
 
     def _no_number(self, row: int, column: Key, cell: str) -> Problem:
         if cell == _END:
             return self.problem(row, column, "the end of the row", "a number here")
-        wish = f"a finite number with a decimal {'comma' if self.decimal_comma else 'point'}"
+        expected = f"a finite number with a decimal {'comma' if self.decimal_comma else 'point'}"
         suggestion = "'decimal: comma' in the mapping's file section" if self._other_decimal(cell) else ""
-        return self.problem(row, column, cell, wish, suggestion)
+        return self.problem(row, column, cell, expected, suggestion)
 
     def _other_decimal(self, cell: str) -> bool:
-        """Whether a cell that is no number would be one with a decimal comma."""
+        """Return whether an invalid cell is a number with a decimal comma."""
         return not self.decimal_comma and re.fullmatch(r"[-+]?\d*,\d+", cell) is not None
 
 
-def some(table: Table, column: Key, rows: Sequence[int], said: Callable[[int], Problem]) -> list[Problem]:
-    """What is said of the first of those rows of a column that have the same mistake, and how many more there are."""
-    shown = [said(int(row)) for row in rows[:MOST_PROBLEMS]]
-    if len(rows) > len(shown):
-        counted = f"and {len(rows) - len(shown)} more rows like these"
-        shown.append(Problem(table.file, 0, 0, f"column {column}", "", counted))
-    return shown
+def some(table: Table, column: Key, rows: Sequence[int], problem_at: Callable[[int], Problem]) -> list[Problem]:
+    """Return the problems of the first rows with the same fault, and the number of the others."""
+    problems = [problem_at(int(row)) for row in rows[:MOST_PROBLEMS]]
+    if len(rows) > len(problems):
+        counted = f"and {len(rows) - len(problems)} more rows like these"
+        problems.append(Problem(table.file, 0, 0, f"column {column}", "", counted))
+    return problems
 
 
 def _read_csv(path: Path, written: TableFormat) -> CsvTable:
@@ -169,8 +169,8 @@ def _parsed(
     problems: list[Problem] = []
     for row, (number, cells) in enumerate(rows):
         if any(cell.strip() for cell in cells[width:]):
-            wish = f"{width} columns, as in the first line"
-            problems.append(Problem(str(path), number, 0, "", f"{len(cells)} columns", wish))
+            expected = f"{width} columns, as in the first line"
+            problems.append(Problem(str(path), number, 0, "", f"{len(cells)} columns", expected))
         for at in range(width):
             cell = cells[at].strip() if at < len(cells) else _END
             value = math.nan if cell in missing else _number(cell, comma)
@@ -208,9 +208,11 @@ def _delimiter(path: Path, lines: Sequence[str], written: TableFormat) -> str:
             return delimiter
         by_commas = f"commas that cut each line into {min(counts)} columns"
     if by_commas:
-        wish = "another delimiter, as commas are said to be decimal; or 'delimiter: comma', where numbers are quoted"
+        expected = (
+            "another delimiter, as commas are said to be decimal; or 'delimiter: comma', where numbers are quoted"
+        )
         raise BadInputError(
-            [Problem(str(path), 0, 0, "", by_commas, wish, "'decimal: point' in the mapping's file section")]
+            [Problem(str(path), 0, 0, "", by_commas, expected, "'decimal: point' in the mapping's file section")]
         )
     raise _bad(path, "no delimiter cuts all lines alike; say which it is: 'delimiter:' in the mapping's file section")
 
@@ -224,7 +226,7 @@ def _split(path: Path, lines: Sequence[tuple[int, str]], delimiter: str) -> list
             rows.append((lines[reader.line_num - 1][0], cells))  # noqa: PERF401 - line_num moves with the reader
     except csv.Error as fault:
         number = lines[reader.line_num - 1][0]
-        raise BadInputError([Problem(str(path), number, 0, "", "", f"this line is no CSV: {fault}")]) from None
+        raise BadInputError([Problem(str(path), number, 0, "", "", f"this line is not valid CSV: {fault}")]) from None
     return rows
 
 
@@ -245,17 +247,17 @@ class MatTable:
         numbers = values.astype(np.float64)
         infinite = np.flatnonzero(np.isinf(numbers)).tolist()
         if infinite:
-            wish = "a finite number, or NaN where nothing was measured"
+            expected = "a finite number, or NaN where nothing was measured"
             raise BadInputError(
-                some(self, column, infinite, lambda row: self.problem(row, column, str(numbers[row]), wish))
+                some(self, column, infinite, lambda row: self.problem(row, column, str(numbers[row]), expected))
             )
         return numbers
 
     def texts(self, column: Key) -> Sequence[str]:
         """See `Table`."""
         self._values(column)
-        wish = "dates, which only a CSV's columns can hold; or another unit in the mapping"
-        raise BadInputError([Problem(self.file, 0, 0, "", f"numbers in column {column}", wish)])
+        expected = "dates, which only a CSV's columns can hold; or another unit in the mapping"
+        raise BadInputError([Problem(self.file, 0, 0, "", f"numbers in column {column}", expected)])
 
     def problem(self, row: int, column: Key, value: str, expected: str, suggestion: str = "") -> Problem:
         """See `Table`."""
@@ -268,19 +270,19 @@ class MatTable:
     def _values(self, column: Key) -> NDArray[Any]:
         if isinstance(column, str):
             if column not in self.columns:
-                wish = f"one of {', '.join(self.columns)}"
+                expected = f"one of {', '.join(self.columns)}"
                 raise BadInputError(
-                    [Problem(self.file, 0, 0, "", f"no column '{column}'", wish, closest(column, self.columns))]
+                    [Problem(self.file, 0, 0, "", f"no column '{column}'", expected, closest(column, self.columns))]
                 )
             return self.columns[column]
         if self.matrix is None:
-            wish = "columns by name, or 'variable:' in the mapping's file section, naming a matrix"
+            expected = "columns by name, or 'variable:' in the mapping's file section, naming a matrix"
             held = f"no single matrix, but {', '.join(self.columns) or 'no numbers'}"
-            raise BadInputError([Problem(self.file, 0, 0, "", held, wish)])
+            raise BadInputError([Problem(self.file, 0, 0, "", held, expected)])
         at = column - self.first_column
         if at >= self.matrix.shape[1]:
-            wish = f"a column from {self.first_column} to {self.matrix.shape[1] - 1 + self.first_column}"
-            raise BadInputError([Problem(self.file, 0, 0, "", f"no column {column}", wish)])
+            expected = f"a column from {self.first_column} to {self.matrix.shape[1] - 1 + self.first_column}"
+            raise BadInputError([Problem(self.file, 0, 0, "", f"no column {column}", expected)])
         return np.asarray(self.matrix[:, at])
 
 
@@ -353,9 +355,9 @@ def _chosen(path: Path, arrays: Mapping[str, NDArray[Any]], variable: str) -> di
         return {variable: arrays[variable]}
     fields = {name.removeprefix(f"{variable}."): a for name, a in arrays.items() if name.startswith(f"{variable}.")}
     if not fields:
-        wish = f"one of {', '.join(arrays)}" if arrays else "a variable with numbers; this file has none"
+        expected = f"one of {', '.join(arrays)}" if arrays else "a variable with numbers; this file has none"
         raise BadInputError(
-            [Problem(str(path), 0, 0, "", f"no variable '{variable}'", wish, closest(variable, arrays))]
+            [Problem(str(path), 0, 0, "", f"no variable '{variable}'", expected, closest(variable, arrays))]
         )
     return fields
 

@@ -1,4 +1,4 @@
-"""When each row of a foreign table was taken: a column of numbers in a unit of time, or of dates in ISO 8601."""
+"""Time of each row of a foreign table: a column of numbers in a unit of time, or of dates in ISO 8601."""
 
 from __future__ import annotations
 
@@ -34,12 +34,14 @@ def times(columns: Columns, mapping: Mapping) -> RowTimes:
     found = _dates(columns, column) if unit == "iso" else _numbers(columns, column, SECONDS[unit])
     if found is None:
         return RowTimes(np.array([0, 1], np.int64), utc=False)
-    read, said = found
+    read, row_text = found
     problems = []
     early = (np.flatnonzero(np.diff(read.t_ns) <= 0) + 1).tolist()
 
     def not_later(row: int) -> Problem:
-        return columns.table.problem(row, column, said(row), f"a time after {said(row - 1)}, that of the row before")
+        return columns.table.problem(
+            row, column, row_text(row), f"a time after {row_text(row - 1)}, that of the row before"
+        )
 
     problems += some(columns.table, column, early, not_later)
     if len(read.t_ns) < 2:
@@ -48,11 +50,11 @@ def times(columns: Columns, mapping: Mapping) -> RowTimes:
     return read
 
 
-Said = Callable[[int], str]
+RowText = Callable[[int], str]
 """A row's time in words."""
 
 
-def _numbers(columns: Columns, column: Key, scale: float) -> tuple[RowTimes, Said] | None:
+def _numbers(columns: Columns, column: Key, scale: float) -> tuple[RowTimes, RowText] | None:
     time_s = columns.scaled(column, scale)
     if time_s is None:
         return None
@@ -68,18 +70,18 @@ def _numbers(columns: Columns, column: Key, scale: float) -> tuple[RowTimes, Sai
     return RowTimes(np.round(time_s * 1e9).astype(np.int64), utc=False), lambda row: f"{time_s[row]:.12g} s"
 
 
-def _dates(columns: Columns, column: Key) -> tuple[RowTimes, Said] | None:
+def _dates(columns: Columns, column: Key) -> tuple[RowTimes, RowText] | None:
     cells = columns.texts(column)
     if cells is None:
         return None
     moments = [_moment(cell) for cell in cells]
     first = next((moment for moment in moments if moment is not None), None)
     zoned = first is not None and first.tzinfo is not None
-    wish = f"date and time in ISO 8601, as 2026-11-21T14:05:00.250{'+01:00' if zoned else ''}"
+    expected = f"date and time in ISO 8601, as 2026-11-21T14:05:00.250{'+01:00' if zoned else ''}"
     wrong = [row for row, moment in enumerate(moments) if moment is None or (moment.tzinfo is not None) != zoned]
     table = columns.table
     columns.problems += some(
-        table, column, wrong, lambda row: table.problem(row, column, cells[row] or "nothing", wish)
+        table, column, wrong, lambda row: table.problem(row, column, cells[row] or "nothing", expected)
     )
     if wrong:
         return None

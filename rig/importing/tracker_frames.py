@@ -1,4 +1,4 @@
-"""Where a foreign tracker saw the tip, carried into the rod-base frame."""
+"""Transform tips and wrenches of a foreign tracker to the rod-base frame."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from rig.importing.tables import some
 UNIT = 0.01
 """A quaternion's norm may be off by this: trackers write three or four digits."""
 QUIET_N = 0.2
-"""A force that nothing exerts does not wander farther than this."""
+"""Largest variation of the force reading without load."""
 STANDING_DEG = 2.0
-"""Nor does a tip that stands still turn farther than this."""
+"""Largest rotation of a tip at rest."""
 LONGEST_LEVER_M = 1.0
 """A wrench at a tip has no longer lever than this."""
 
@@ -31,15 +31,15 @@ def wrench(columns: Columns, mapping: Mapping) -> Floats:
 
     One row of zeros where the mapping names none; a row that lacks part of its wrench is a problem.
     """
-    asked = mapping.wrench
-    if asked is None:
+    wrench = mapping.wrench
+    if wrench is None:
         return np.zeros((1, 6))
-    force = columns.several(asked.force.columns, (NEWTONS[asked.force.unit],) * 3)
+    force = columns.several(wrench.force.columns, (NEWTONS[wrench.force.unit],) * 3)
     moment = np.zeros_like(force)
-    if asked.moment is not None:
-        moment = columns.several(asked.moment.columns, (NEWTON_METRES[asked.moment.unit],) * 3)
+    if wrench.moment is not None:
+        moment = columns.several(wrench.moment.columns, (NEWTON_METRES[wrench.moment.unit],) * 3)
     turn = np.eye(3)[None]
-    if asked.axes == "tip":
+    if wrench.axes == "tip":
         assert mapping.tip is not None
         assert mapping.tip.orientation is not None
         turn = _matrices(columns, mapping.tip.orientation, "tip")
@@ -48,42 +48,42 @@ def wrench(columns: Columns, mapping: Mapping) -> Floats:
         base = _base_turn(columns, mapping.base)
     if columns.problems:
         return np.zeros((1, 6))
-    if asked.zero_rows is not None:
-        force, moment = _zeroed(columns, asked, force, moment)
+    if wrench.zero_rows is not None:
+        force, moment = _zeroed(columns, wrench, force, moment)
     _doubt_lever(columns, force, moment)
-    moment = moment + np.cross(np.array(asked.at_mm) * 1e-3, force)
+    moment = moment + np.cross(np.array(wrench.at_mm) * 1e-3, force)
     frame = RigidTransform.from_vectors(np.radians(mapping.frame.rotation_deg), (0.0, 0.0, 0.0)).rotation
     turn = turn if base is None else base @ turn
-    if asked.rotation_deg is not None:
-        turn = turn @ Rotation.from_rotvec(asked.rotation_deg, degrees=True).as_matrix()
-    if asked.aligned_rows is not None:
-        turn = turn @ _at_first(columns, turn, asked.aligned_rows).T
+    if wrench.rotation_deg is not None:
+        turn = turn @ Rotation.from_rotvec(wrench.rotation_deg, degrees=True).as_matrix()
+    if wrench.aligned_rows is not None:
+        turn = turn @ _at_first(columns, turn, wrench.aligned_rows).T
     turn = frame @ turn
     found = np.concatenate(
         [np.einsum("nij,nj->ni", np.broadcast_to(turn, (len(v), 3, 3)), v) for v in (force, moment)], 1
     )
-    table, column = columns.table, asked.force.columns[0]
-    wish = "a whole wrench in every row: what pulls at the arm cannot be guessed"
+    table, column = columns.table, wrench.force.columns[0]
+    expected = "a whole wrench in every row: what pulls at the arm cannot be guessed"
     broken = np.flatnonzero(~np.isfinite(found).all(axis=1)).tolist()
     columns.problems += some(
-        table, column, broken, lambda row: table.problem(row, column, "nothing, or no orientation", wish)
+        table, column, broken, lambda row: table.problem(row, column, "nothing, or no orientation", expected)
     )
-    return found if asked.on == "arm" else -found
+    return found if wrench.on == "arm" else -found
 
 
-def _zeroed(columns: Columns, asked: Wrench, force: Floats, moment: Floats) -> tuple[Floats, Floats]:
+def _zeroed(columns: Columns, wrench: Wrench, force: Floats, moment: Floats) -> tuple[Floats, Floats]:
     """Force and moment (n, 3) without their means over the first rows, in which nothing pulls."""
-    rows = asked.zero_rows
+    rows = wrench.zero_rows
     first = np.concatenate([force, moment], 1)[:rows]
     if len(first) < (rows or 0) or not np.isfinite(first).any(axis=0).all():
-        wish = f"a wrench in the first {rows} rows, as zero_rows says"
-        columns.problems.append(columns.table.problem(0, asked.force.columns[0], f"{len(first)} rows", wish))
+        expected = f"a wrench in the first {rows} rows, as zero_rows says"
+        columns.problems.append(columns.table.problem(0, wrench.force.columns[0], f"{len(first)} rows", expected))
         return force, moment
     if (spread := float(np.ptp(first[:, :3], axis=0).max())) > QUIET_N:
-        said = (
-            f"the force moves by {spread:.3g} N within the first {rows} rows, whose mean is taken for nothing pulling"
+        warning = (
+            f"the force moves by {spread:.3g} N within the first {rows} rows, whose mean is used as the no-load reading"
         )
-        columns.warn(said)
+        columns.warn(warning)
     means = np.nanmean(first, axis=0)
     return force - means[:3], moment - means[3:]
 
@@ -107,8 +107,10 @@ def _doubt_lever(columns: Columns, force: Floats, moment: Floats) -> None:
     """Warn of moments (n, 3) that no arm's length makes of the forces (n, 3): one of the units is another."""
     pull, turning = (float(np.nanmax(np.abs(v), initial=0.0)) for v in (force, moment))
     if turning > LONGEST_LEVER_M * pull > 0:
-        said = f"the moment reaches {turning:.3g} N m where the force stays below {pull:.3g} N: are their units right?"
-        columns.warn(said)
+        warning = (
+            f"the moment reaches {turning:.3g} N m where the force stays below {pull:.3g} N: are their units right?"
+        )
+        columns.warn(warning)
 
 
 def placed(columns: Columns, mapping: Mapping) -> tuple[Floats, Floats]:
@@ -192,10 +194,10 @@ def _matrices(columns: Columns, orientation: Orientation, whose: str) -> Floats:
     """Rotations (n, 3, 3) from the sensor's axes to the tracker's, NaN where one is missing; a fault is a problem."""
     values = _turns(columns, orientation, whose)
     if fault := _fault(columns, orientation, values, whose):
-        wish = "rotation matrices" if orientation.order == "matrix" else "unit quaternions"
+        expected = "rotation matrices" if orientation.order == "matrix" else "unit quaternions"
         if whose == "base":
-            wish += "; with 'use: ignore' in the mapping's base orientation it stays out of the frame change"
-        columns.problems.append(Problem(columns.table.file, 0, 0, "", fault, wish))
+            expected += "; with 'use: ignore' in the mapping's base orientation it stays out of the frame change"
+        columns.problems.append(Problem(columns.table.file, 0, 0, "", fault, expected))
     known = np.isfinite(values).all(axis=1)
     if len(orientation.columns) > 3:
         known &= (values != 0).any(axis=1)
@@ -237,8 +239,8 @@ def _fault(columns: Columns, orientation: Orientation, values: Floats, whose: st
             columns.warn(f"{whose} orientation: {', '.join(echoes)}")
         return ""
     where = f"in {len(off)} of {len(values)} rows, the first in {columns.table.place(int(off[0]))}"
-    said = f"its norm lies between {norms.min():.4g} and {norms.max():.4g} instead of at 1, {where}"
-    return f"the {whose}'s orientation is no rotation: " + "; ".join([said, *echoes])
+    warning = f"its norm lies between {norms.min():.4g} and {norms.max():.4g} instead of at 1, {where}"
+    return f"the {whose}'s orientation is no rotation: " + "; ".join([warning, *echoes])
 
 
 def _no_rotation(columns: Columns, values: Floats, known: NDArray[np.intp], whose: str) -> str:

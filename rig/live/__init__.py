@@ -1,4 +1,4 @@
-"""The page in the browser: watch, pause and stop a run, or play an archive. It is a process of its own.
+"""The live page: watch, pause and stop a run in the browser, or play an archive. It runs in its own process.
 
 See docs/how-to/watch-in-the-browser.md.
 """

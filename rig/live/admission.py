@@ -1,10 +1,9 @@
-"""Admission control: which connections the page keeps when more come than it has places for.
+"""Admission control: which connections the page keeps when more arrive than it accepts.
 
-uvicorn's `limit_concurrency` counts all connections alike and has no time limit for a request's head, so whoever opens
-enough of them shuts the page for everybody. Here a connection is counted by what its requests have shown: no session,
-a guest's, an operator's. Each kind has places of its own, so strangers take none of an operator's. A full kind gives
-up the oldest connection of the address that has most of them. A connection without a session is closed after
-`STRANGER_S`, whatever it is doing: sending a head or a form byte by byte, or not reading its answer.
+uvicorn's `limit_concurrency` counts all connections alike and has no time limit for a request's head, so one
+client can exhaust it. Here each connection has a rank: no session, guest, operator. Each rank has its own limit, so
+unauthenticated connections never displace an operator's. A full rank closes the oldest connection of the address with
+most connections. A connection without a session is closed after `STRANGER_S`, even in the middle of a request.
 """
 
 from __future__ import annotations
@@ -17,15 +16,15 @@ from typing import cast
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 ACCEPTED_AT_ONCE = 16
-"""Connections accepted in one pass of the event loop. A connection is read one pass after it is taken in. At most 34
-others have been taken in by then, fewer than strangers have places: its first request is always read."""
+"""Connections accepted in one pass of the event loop. A connection is read one pass after it is accepted. At most 34
+others are accepted by then, fewer than the limit of strangers: its first request is always read."""
 STRANGER_S = 10.0
 CONNECTION = "softrig.connection"
-"""Where the connection is found in a request's `state`."""
+"""Key of the connection in a request's `state`."""
 
 
 class Rank(Enum):
-    """What a connection has shown; the value orders them."""
+    """Authentication rank of a connection, in ascending order."""
 
     STRANGER = 0
     GUEST = 1
@@ -47,7 +46,7 @@ class Connection:
         self.rank = Rank.STRANGER
 
     def raise_to(self, rank: Rank) -> None:
-        """Count it as the higher of its rank and this one."""
+        """Raise the rank to `rank` if that is higher."""
         if rank.value > self.rank.value:
             self.rank = rank
             self._admission.make_room(rank)
@@ -62,7 +61,7 @@ class Admission:
         self._open: list[Connection] = []
 
     def enter(self, transport: asyncio.Transport) -> Connection:
-        """Take in a new connection."""
+        """Register a new connection."""
         connection = Connection(self, transport)
         self._open.append(connection)
         self.make_room(Rank.STRANGER)
@@ -70,8 +69,8 @@ class Admission:
         return connection
 
     def make_room(self, rank: Rank) -> None:
-        """Close connections of a rank until it has no more than its places."""
-        # A websocket's protocol replaces the one that was told of the connection: its end shows in the transport.
+        """Close connections of a rank until it is within its limit."""
+        # The websocket protocol replaces the HTTP protocol, so only the transport reports the end of the connection.
         self._open = [c for c in self._open if not c.transport.is_closing()]
         members = [c for c in self._open if c.rank is rank]
         while len(members) > self._places[rank]:
@@ -87,7 +86,7 @@ class Admission:
 
 
 def http_protocol(admission: Admission) -> type[asyncio.Protocol]:
-    """uvicorn's HTTP/1.1 protocol, with each connection known to the admission control and named in `state`."""
+    """Return uvicorn's HTTP/1.1 protocol with each connection registered and stored in `state`."""
 
     class Admitted(H11Protocol):
         def connection_made(self, transport: asyncio.BaseTransport) -> None:

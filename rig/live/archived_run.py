@@ -1,4 +1,4 @@
-"""An archive, as the page shows it: every browser plays it at its own place and speed."""
+"""The source for an archive. Every browser has its own position and speed."""
 
 from __future__ import annotations
 
@@ -31,10 +31,10 @@ Floats = NDArray[np.float64]
 
 
 class ArchivedRun:
-    """The source for an archive."""
+    """Archive data in the form that the page needs."""
 
     live = False
-    over = False
+    finished = False
 
     def __init__(self, path: Path) -> None:
         self.run = run = Run(path)
@@ -55,10 +55,10 @@ class ArchivedRun:
         self.end_s = float(max(ends, default=0.0))
         self.duration_s = max((i.stop_s for i in run.header.intervals), default=self.end_s)
         if len(tip.time_s):
-            self.drawing(0, 0 if len(run.frames.index) else -1)  # what is compiled at its first use is ready by then
+            self.overlay(0, 0 if len(run.frames.index) else -1)  # compile the kernels before the first request
 
     def about(self) -> dict[str, Any]:
-        """What does not change."""
+        """Return the constant properties of the run."""
         header = self.run.header
         return {
             "title": self.run.path.stem,
@@ -76,7 +76,7 @@ class ArchivedRun:
         }
 
     def viewer(self) -> ArchivedRunViewer:
-        """One more browser's view."""
+        """Return a view for one more browser."""
         return ArchivedRunViewer(self)
 
     def update(self) -> None:
@@ -84,7 +84,7 @@ class ArchivedRun:
 
     @cached_property
     def _config(self) -> RigConfig | None:
-        """The rig as the archive tells it; None for one that this version cannot read."""
+        """The archived rig; None where this version cannot parse it."""
         try:
             return parse(self.run.header.rig_yaml, self.run.path)
         except BadInputError:
@@ -95,15 +95,15 @@ class ArchivedRun:
         return model_arm(self._config) if self._config else None
 
     @cached_property
-    def _hook(self) -> TipLoad:
+    def _tip_load(self) -> TipLoad:
         assert self._config is not None
         return TipLoad(self._config)
 
-    def drawing(self, frame: int, picture: int) -> ViewOverlay | None:
-        """What is drawn for row `frame` of the tip: the arm as it would stand at rest, and a picture's marks."""
+    def overlay(self, frame: int, picture: int) -> ViewOverlay | None:
+        """Return the overlay of row `frame` of the tip: the static shape and a picture's annotations."""
         if self._config is None or frame < 0:
             return None
-        lines_mm = MM_PER_M * self._sketcher.lines(self._shape(frame))
+        lines_mm = MM_PER_M * self._projector.lines(self._shape(frame))
         if picture < 0:
             return ViewOverlay(np.empty((0, 2)), np.full(2, np.nan), np.full(2, np.nan), lines_mm)
         kept = self.run.frames
@@ -116,19 +116,19 @@ class ArchivedRun:
         )
 
     def picture_at(self, t_s: float) -> int:
-        """The newest kept picture of the leading camera at a time; -1 where there is none."""
+        """Return the newest stored picture of the leading camera at a time; -1 where there is none."""
         times_s, rows = self._leading
         before = int(np.searchsorted(times_s, t_s, side="right"))
         return int(rows[before - 1]) if before else -1
 
     @cached_property
     def _leading(self) -> tuple[Floats, NDArray[np.int64]]:
-        """Times and rows of the pictures to show: of those taken together the first."""
+        """Times and rows of the pictures to show: the first of each frame set."""
         rows = np.unique(self.run.frames.index, return_index=True)[1]
         return self.run.frames.time_s[rows], rows
 
     @cached_property
-    def _sketcher(self) -> OverlayProjector:
+    def _projector(self) -> OverlayProjector:
         assert self._config is not None
         return OverlayProjector(self._config, next(iter(self._config.cameras)), LINE_POINTS)
 
@@ -139,13 +139,13 @@ class ArchivedRun:
             return None
         try:
             return self._arm.statics(
-                pressure, self._hook.carrying(float(self.run.tip.weight_g[frame]) * KG_PER_G), doubt_units=False
+                pressure, self._tip_load.carrying(float(self.run.tip.weight_g[frame]) * KG_PER_G), doubt_units=False
             )
         except model.NotConverged:
             return None
 
     def now(self, t_s: float, frame: int, playing: bool) -> dict[str, Any]:
-        """The numbers at a time."""
+        """Return the numbers at a time."""
         run, pressure = self.run, self.run.pressure
         tick = int(np.searchsorted(pressure.time_s, t_s, side="right")) - 1
         now: dict[str, Any] = {
@@ -181,7 +181,7 @@ class ArchivedRun:
                 "reprojection": float(tip.reprojection_px[frame]),
             }
             if (found := run.adaptation) is not None:
-                # A run that was cut off may have a frame without what it taught.
+                # An interrupted run may lack the estimates of its last frame.
                 row = int(np.searchsorted(found.time_s, tip.time_s[frame], side="right")) - 1
                 if row >= 0:
                     now["estimates"] = estimates(run.header.adapted, found.value[row], found.uncertainty[row])
@@ -195,7 +195,7 @@ class ArchivedRun:
 
 
 class ArchivedRunViewer:
-    """One browser's place in an archive."""
+    """One browser's playback of an archive."""
 
     def __init__(self, source: ArchivedRun) -> None:
         self._source = source
@@ -208,7 +208,7 @@ class ArchivedRunViewer:
         self._stale = True
 
     def packet(self) -> bytes | None:
-        """The next moment; None while it is not time for it, or while nothing moves."""
+        """Return the next packet; None while it is not due or playback is stopped."""
         now = time.monotonic()
         if not self._stale and (not self._playing or now - self._last < PACKET_S):
             return None
@@ -222,21 +222,21 @@ class ArchivedRunViewer:
         since = -math.inf if reset else self._shown_s
         frame = int(np.searchsorted(source.run.tip.time_s, self._t_s, side="right")) - 1
         picture = source.picture_at(self._t_s)
-        news = ViewUpdate(
+        update = ViewUpdate(
             source.now(self._t_s, frame, self._playing),
             pressure=_between(source.pressure_rows, since, self._t_s),
             track=_between(source.track_rows, since, self._t_s),
             events=[event for event in source.events if since < event[0] <= self._t_s],
-            drawing=source.drawing(frame, picture),
+            overlay=source.overlay(frame, picture),
             reset=reset,
         )
-        if picture >= 0 and news.drawing is not None:
-            news.picture = source.run.picture(picture)
+        if picture >= 0 and update.overlay is not None:
+            update.picture = source.run.picture(picture)
         self._shown_s, self._stale = self._t_s, False
-        return news.encoded()
+        return update.encoded()
 
-    def asked(self, message: Message, who: str) -> dict[str, Any] | None:
-        """Go to a time, change the speed, play or stop."""
+    def handle(self, message: Message, who: str) -> dict[str, Any] | None:
+        """Seek, change the speed, play or stop."""
         if message.do is not None:
             return {"done": False, "said": f"refused: an archive has no run to {message.do}"}
         self._last = time.monotonic()
@@ -252,11 +252,11 @@ class ArchivedRunViewer:
         return None
 
     def close(self) -> None:
-        """Nothing is kept."""
+        """Release nothing."""
 
 
 def _between(rows: Floats, after_s: float, until_s: float) -> Floats:
-    """Rows with after < time <= until, no more than a chart can show."""
+    """Return rows with after < time <= until, decimated to `HISTORY_ROWS`."""
     first, last = np.searchsorted(rows[:, 0], [after_s, until_s], side="right")
     chosen = rows[first:last]
     return chosen[:: max(1, math.ceil(len(chosen) / HISTORY_ROWS))]

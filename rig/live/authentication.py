@@ -1,13 +1,13 @@
-"""Authentication before the page: tokens, sessions, and no request that another site has made the browser send.
+"""Authentication middleware: tokens, sessions, and protection against cross-site requests.
 
-A request without a session gets the login page and nothing else, on the loopback interface too: every account of this
-machine can connect there. The operator's token opens an operator's session, the guest token a view-only one. Tokens
-travel in the body of a POST and, in a link, behind the #, which browsers keep to themselves; they are in no request
-line, in no log and in no process's arguments.
+A request without a session gets only the login page, on the loopback interface too, because every account of the
+machine can connect there. The operator token opens an operator session, the guest token a view-only one. Tokens travel
+in the body of a POST and in the fragment of a link (after #), which browsers do not send; they appear in no request
+line, log or process argument.
 
-A page on the loopback interface answers to the names of this machine only (a foreign name that points here is another
-site's), and its operator is the account that started it: its token, shown to that account alone, may be used again.
-A token that leaves the machine opens one session, whose user states his name.
+A page on the loopback interface accepts only host names of this machine (against DNS rebinding). Its operator is the
+account that started it, and its operator token is reusable. The operator token of any other page opens one session;
+its user states a name.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ COOKIE = "softrig"
 LOGIN_BYTES = 2048
 MOST_SESSIONS = 64
 SESSION = "softrig.session"
-"""Where the session is found in a request's scope."""
+"""Key of the session in a request's scope."""
 
 _POLICY = (
     "default-src 'self'; script-src 'self' 'unsafe-inline' 'unsafe-eval'; style-src 'self' 'unsafe-inline'; "
@@ -39,7 +39,7 @@ _POLICY = (
 _HEADERS = [
     (b"content-security-policy", _POLICY.encode()),
     (b"x-content-type-options", b"nosniff"),
-    (b"referrer-policy", b"same-origin"),  # with none at all, browsers post with an origin of null
+    (b"referrer-policy", b"same-origin"),  # with no-referrer, browsers post with a null origin
     (b"cross-origin-resource-policy", b"same-origin"),
     (b"cross-origin-opener-policy", b"same-origin"),
 ]
@@ -47,7 +47,7 @@ _HEADERS = [
 
 @dataclass(frozen=True)
 class Session:
-    """The name of the user, and whether the session may act."""
+    """Name of the user, and whether the session may send commands."""
 
     who: str
     operator: bool
@@ -67,7 +67,7 @@ class AccessTokens:
     _sessions: dict[str, Session] = field(default_factory=dict, repr=False)
 
     def open(self, token: str, who: str) -> str | None:
-        """The cookie of a new session; None for a token that opens nothing."""
+        """Open a session and return its cookie; None for an invalid token."""
         given = token.strip().encode()
         is_operator = hmac.compare_digest(given, self.operator.encode()) and bool(self.operator)
         is_guest = hmac.compare_digest(given, self.guest.encode())
@@ -84,20 +84,20 @@ class AccessTokens:
         return cookie
 
     def session(self, cookie: str) -> Session | None:
-        """The session that a cookie stands for."""
+        """Return the session of a cookie; None for an unknown one."""
         return self._sessions.get(cookie)
 
 
 class AuthenticationMiddleware:
-    """Stands before the whole application. `port` tells the cookies of this machine's pages apart."""
+    """Authenticates every request to the application. `port` distinguishes cookies of pages on one machine."""
 
-    def __init__(self, app: ASGIApp, keys: AccessTokens, port: int) -> None:
+    def __init__(self, app: ASGIApp, tokens: AccessTokens, port: int) -> None:
         self._app = app
-        self._keys = keys
+        self._tokens = tokens
         self._cookie = f"{COOKIE}-{port}"
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Let a request pass, or answer it here."""
+        """Forward an authenticated request; answer any other."""
         if scope["type"] == "lifespan":
             await self._app(scope, receive, send)
             return
@@ -118,9 +118,9 @@ class AuthenticationMiddleware:
             await _refuse(scope, receive, send, 401, "log in first")
 
     def _foreign(self, scope: Scope, headers: dict[str, str]) -> str | None:
-        """Why a request does not come from this page."""
+        """Return the reason why a request is cross-site; None where it is not."""
         host = headers.get("host", "")
-        if self._keys.owner is not None and not _is_local(host):
+        if self._tokens.owner is not None and not _is_local(host):
             return "this page answers to the names of its own machine only"
         origin = headers.get("origin")
         if origin is not None and origin not in (f"http://{host}", f"https://{host}"):
@@ -136,14 +136,14 @@ class AuthenticationMiddleware:
             morsel = SimpleCookie(headers.get("cookie", "")).get(self._cookie)
         except CookieError:
             return None
-        return self._keys.session(morsel.value) if morsel is not None else None
+        return self._tokens.session(morsel.value) if morsel is not None else None
 
     async def _login(self, scope: Scope, receive: Receive, send: Send) -> None:
         if scope["method"] != "POST":
             await self._form(send, 200)
             return
         form = parse_qs((await _body(receive)).decode("utf-8", "replace"))
-        cookie = self._keys.open(form.get("token", [""])[0], form.get("name", [""])[0])
+        cookie = self._tokens.open(form.get("token", [""])[0], form.get("name", [""])[0])
         if cookie is None:
             await self._form(send, 403, b"wrong")
             return
@@ -154,13 +154,13 @@ class AuthenticationMiddleware:
         await _answer(send, 303, where, b"")
 
     async def _form(self, send: Send, status: int, mark: bytes = b"") -> None:
-        """The login page. On the loopback interface it asks for no name: the account is known."""
-        named = b"" if self._keys.owner is None else b"hidden"
+        """Send the login page. On the loopback interface it asks for no name, because the account is known."""
+        named = b"" if self._tokens.owner is None else b"hidden"
         await _page(send, status, "text/html; charset=utf-8", "login.html", mark=mark, named=named)
 
 
 def _is_local(host: str) -> bool:
-    """Whether a Host header names this machine: an address cannot be made to point elsewhere, a name can."""
+    """Return whether a Host header is localhost or a loopback address; other names may be rebound by DNS."""
     name = host.lower() if host.endswith("]") else host.lower().rpartition(":")[0] or host.lower()
     try:
         return name == "localhost" or ipaddress.ip_address(name.removeprefix("[").removesuffix("]")).is_loopback
@@ -170,7 +170,7 @@ def _is_local(host: str) -> bool:
 
 async def _body(receive: Receive) -> bytes:
     data = b""
-    # For how long the rest is waited for is the admission control's to say.
+    # The admission control limits the waiting time.
     while len(data) <= LOGIN_BYTES:
         message = await receive()
         data += bytes(message.get("body", b""))
@@ -196,7 +196,7 @@ async def _page(send: Send, status: int, kind: str, name: str, **marks: bytes) -
 
 async def _answer(send: Send, status: int, headers: list[tuple[bytes, bytes]], body: bytes) -> None:
     length = (b"content-length", str(len(body)).encode())
-    # Whoever has no session keeps no place between requests.
+    # Connections without a session close after each answer.
     fixed = [*_HEADERS, (b"cache-control", b"no-store"), (b"connection", b"close"), length]
     await send({"type": "http.response.start", "status": status, "headers": [*headers, *fixed]})
     await send({"type": "http.response.body", "body": body})

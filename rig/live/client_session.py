@@ -1,4 +1,4 @@
-"""A visit at the door of a run: finds it, gets its memory read-only, and passes wishes on."""
+"""Client of a run's control socket: attaches to the shared memory read-only and sends operator commands."""
 
 from __future__ import annotations
 
@@ -18,31 +18,31 @@ TIMEOUT_S = 5.0
 
 
 def connect(path: Path) -> socket.socket | None:
-    """A connection to the run behind a door; None when nobody is there any more."""
-    visitor = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-    # Connecting to a busy door waits only on a blocking socket; this is how such a wait is bounded.
-    visitor.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, struct.pack("ll", round(TIMEOUT_S), 0))
+    """Connect to a run's control socket; return None where no process listens."""
+    client = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    # Only a blocking connect waits for a busy listener; SO_SNDTIMEO limits the wait.
+    client.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, struct.pack("ll", round(TIMEOUT_S), 0))
     try:
-        visitor.connect(os.fspath(path))
+        client.connect(os.fspath(path))
     except OSError:
-        visitor.close()
+        client.close()
         return None
-    visitor.settimeout(TIMEOUT_S)
-    return visitor
+    client.settimeout(TIMEOUT_S)
+    return client
 
 
 def running_runs() -> list[Path]:
-    """The doors of the runs that go, of this user."""
+    """Return the control sockets of this user's running experiments."""
     found = []
     for path in sorted(socket_paths().glob("run-*")):
-        if visitor := connect(path):
-            visitor.close()
+        if client := connect(path):
+            client.close()
             found.append(path)
     return found
 
 
 class ClientSession:
-    """An attached view of a run: its `plan` and its `memory`, which cannot be written through it."""
+    """A session with a run: its `plan` and its `memory`, mapped read-only."""
 
     def __init__(self, path: Path) -> None:
         """Attach.
@@ -50,64 +50,64 @@ class ClientSession:
         Raises:
             StartError: the run has ended, or does not answer.
         """
-        door = connect(path)
-        if door is None:
-            raise StartError(f"no run is going at {path}")
+        connection = connect(path)
+        if connection is None:
+            raise StartError(f"no run is active at {path}")
         self._path = path
-        self._door = door
+        self._connection = connection
         try:
-            door.send(b'{"do": "attach"}')
-            _, fds, _, _ = socket.recv_fds(door, PACKET_BYTES, 2)
+            connection.send(b'{"do": "attach"}')
+            _, fds, _, _ = socket.recv_fds(connection, PACKET_BYTES, 2)
             memory_fd, plan_fd = fds
         except (OSError, ValueError) as error:
-            door.close()
+            connection.close()
             raise StartError(f"the run at {path} does not answer: {error}") from error
         with os.fdopen(plan_fd, "rb") as file:
             file.seek(0)
-            self.plan: Plan = pickle.load(file)  # from our own user's run, through a folder that is his alone
+            self.plan: Plan = pickle.load(file)  # written by a run of this user, in a folder of mode 0700
         self.memory = SharedState(memory_fd, StateLayout.of(self.plan.config, len(self.plan.adapted)), readonly=True)
-        door.setblocking(False)
-        self.over = False
+        connection.setblocking(False)
+        self.ended = False
 
     def watch(self) -> None:
-        """Say that somebody looks; to be repeated."""
+        """Tell the run that a viewer is present; repeat about once a second."""
         try:
-            self._door.send(b'{"do": "watch"}')
+            self._connection.send(b'{"do": "watch"}')
         except BlockingIOError:
             pass
         except OSError:
-            self.over = True
+            self.ended = True
 
-    def ask(self, do: str, who: str, via: str = "live page") -> dict[str, Any]:
-        """Ask for an action and wait for the answer, `done` and `said`. May be called from any thread.
+    def request(self, do: str, who: str, via: str = "live page") -> dict[str, Any]:
+        """Send an operator command and wait for the reply, `done` and `said`. Thread-safe.
 
-        `who` is a person, `via` the program in use; the record adds the account that this process runs under.
+        `who` names the operator, `via` the program; the record adds the account of this process.
         """
-        door = connect(self._path)
-        if door is None:
+        connection = connect(self._path)
+        if connection is None:
             return {"done": False, "said": "the run has ended"}
-        with door:
+        with connection:
             try:
-                door.send(json.dumps({"do": do, "who": who, "via": via}).encode())
-                if answer := door.recv(PACKET_BYTES):
-                    told: dict[str, Any] = json.loads(answer)
-                    return told
+                connection.send(json.dumps({"do": do, "who": who, "via": via}).encode())
+                if answer := connection.recv(PACKET_BYTES):
+                    reply: dict[str, Any] = json.loads(answer)
+                    return reply
             except TimeoutError:
                 return {"done": False, "said": "the run did not answer"}
             except OSError:
                 pass
         return {"done": False, "said": "the run has ended"}
 
-    def look(self) -> None:
-        """Notice the run's end."""
+    def check_ended(self) -> None:
+        """Set `ended` when the run has closed the connection."""
         try:
-            self.over = self.over or not self._door.recv(PACKET_BYTES, socket.MSG_PEEK)
+            self.ended = self.ended or not self._connection.recv(PACKET_BYTES, socket.MSG_PEEK)
         except BlockingIOError:
             pass
         except OSError:
-            self.over = True
+            self.ended = True
 
     def close(self) -> None:
-        """Leave."""
-        self._door.close()
+        """Close the connection and the memory."""
+        self._connection.close()
         os.close(self.memory.fd)

@@ -1,4 +1,4 @@
-"""Starting the page's process from the command line: the address, the tokens, the links."""
+"""Start the page's process: bind the address, create the tokens, return the links."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ PORTS_TRIED = 20
 
 @dataclass(frozen=True)
 class PageProcess:
-    """A page's process, and what to tell the operator of it."""
+    """A page's process, and the lines to print for the operator."""
 
     process: subprocess.Popen[bytes]
-    said: tuple[str, ...]
+    lines: tuple[str, ...]
 
     def close(self, patience_s: float = 0.0) -> None:
-        """End it, after it had some time to end by itself."""
+        """Wait `patience_s` for the process to exit, then terminate it."""
         try:
             self.process.wait(patience_s)
         except subprocess.TimeoutExpired:
@@ -46,17 +46,17 @@ class PageProcess:
 
 
 def open_page(listen: str, port: int, *, run: Path | None = None, archive: Path | None = None) -> PageProcess:
-    """Start showing a run (by its door) or an archive on an address; the port is the next free one from `port` on.
+    """Start the page for a run (by its control socket) or an archive; use the first free port from `port` on.
 
     Raises:
-        BadInput: the address is not one of this machine.
+        BadInputError: the address is not one of this machine.
         StartError: no port is free.
     """
     address = _address(listen)
     bound = _bind(address, port)
     local = address.is_loopback
-    keys = AccessTokens(user_name() if local else None)
-    order = PageConfiguration(bound.fileno(), keys, run, archive)
+    tokens = AccessTokens(user_name() if local else None)
+    configuration = PageConfiguration(bound.fileno(), tokens, run, archive)
     process = subprocess.Popen(
         [sys.executable, "-P", "-m", "rig.live.server"],
         stdin=subprocess.PIPE,
@@ -65,7 +65,7 @@ def open_page(listen: str, port: int, *, run: Path | None = None, archive: Path 
     )
     assert process.stdin is not None
     try:
-        pickle.dump(order, process.stdin)
+        pickle.dump(configuration, process.stdin)
         process.stdin.close()
     except BrokenPipeError:
         raise StartError(f"the page did not start (exit status {process.wait()})") from None
@@ -75,30 +75,30 @@ def open_page(listen: str, port: int, *, run: Path | None = None, archive: Path 
         return PageProcess(
             process,
             (
-                f"live page   {base}#{keys.operator}  (keep it to yourself: it can act)",
-                f"guest link  {base}#{keys.guest}  (view only)",
+                f"live page   {base}#{tokens.operator}  (keep it secret: it permits commands)",
+                f"guest link  {base}#{tokens.guest}  (view only)",
             ),
         )
     return PageProcess(
         process,
         (
             f"live page      {base}",
-            f"operator link  {base}#{keys.operator}  (opens once)",
-            f"guest link     {base}#{keys.guest}  (view only)",
-            "the connection is not encrypted: use it on a network that you trust, or through an SSH tunnel",
+            f"operator link  {base}#{tokens.operator}  (opens once)",
+            f"guest link     {base}#{tokens.guest}  (view only)",
+            "the connection is not encrypted: use it on a trusted network or through an SSH tunnel",
         ),
     )
 
 
 @contextmanager
-def showing_this_run(listen: str, port: int, say: Callable[[str], None]) -> Iterator[None]:
-    """Keep a page beside the run that this process is about to conduct.
+def live_page_of_this_run(listen: str, port: int, say: Callable[[str], None]) -> Iterator[None]:
+    """Serve a page for the run that this process is about to start.
 
     Raises:
-        StartError: the page cannot be had.
+        StartError: the page cannot start.
     """
     page = open_page(listen, port, run=socket_of(os.getpid()))
-    for line in page.said:
+    for line in page.lines:
         say(line)
     try:
         yield
@@ -107,18 +107,18 @@ def showing_this_run(listen: str, port: int, say: Callable[[str], None]) -> Iter
 
 
 def show(archive: Path | None, pid: int | None, listen: str, port: int, say: Callable[[str], None]) -> int:
-    """Show an archive, or a run that goes, until it is over or Ctrl-C is pressed; the exit status.
+    """Show an archive or a running experiment until it ends or Ctrl-C is pressed; return the exit status.
 
     Raises:
         ArchiveError: the file is no archive.
-        StartError: there is nothing to show, or the page cannot be had.
+        StartError: no experiment is running, or the page cannot start.
     """
     if archive is not None:
         from runs.run import Run
 
-        Run(archive)  # what is none is said here, not by the page's process
-    page = open_page(listen, port, run=None if archive else _door(pid), archive=archive)
-    for line in page.said:
+        Run(archive)  # report an invalid file here, not in the page's process
+    page = open_page(listen, port, run=None if archive else _socket_path(pid), archive=archive)
+    for line in page.lines:
         say(line)
     try:
         return page.process.wait()
@@ -128,14 +128,14 @@ def show(archive: Path | None, pid: int | None, listen: str, port: int, say: Cal
         page.close()
 
 
-def _door(pid: int | None) -> Path:
+def _socket_path(pid: int | None) -> Path:
     found = [path for path in running_runs() if pid is None or path == socket_of(pid)]
     if len(found) == 1:
         return found[0]
     if found:
         pids = ", ".join(path.name.removeprefix("run-") for path in found)
-        raise StartError(f"several runs are going; choose one by its process: --pid with one of {pids}")
-    which = "no run of yours is going" if pid is None else f"process {pid} conducts no run of yours"
+        raise StartError(f"several experiments are running; choose one by its process: --pid with one of {pids}")
+    which = "no experiment of yours is running" if pid is None else f"process {pid} runs no experiment of yours"
     raise StartError(f"{which}; start one with `rig run .. --live`, or name an archive to play")
 
 
@@ -147,8 +147,8 @@ def _address(listen: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address:
 
 
 def _not_here(listen: str) -> BadInputError:
-    wish = "an address of this machine, such as 192.168.1.20, or 0.0.0.0 for all"
-    return BadInputError([Problem("--listen", 0, 0, "", listen, wish)])
+    expected = "an address of this machine, such as 192.168.1.20, or 0.0.0.0 for all"
+    return BadInputError([Problem("--listen", 0, 0, "", listen, expected)])
 
 
 def _bind(address: ipaddress.IPv4Address | ipaddress.IPv6Address, port: int) -> socket.socket:

@@ -1,4 +1,4 @@
-"""A run that goes, as the page shows it: reads the shared memory, keeps a thinned past, never touches a file."""
+"""The source for a running experiment. It reads the shared memory and keeps a decimated history; it uses no files."""
 
 from __future__ import annotations
 
@@ -15,30 +15,30 @@ from rig.live.packets import MM, History, RunningMean, ViewOverlay, ViewUpdate, 
 from rig.realtime.shared_state import Stage
 from runs.records import DetectionStatus, Event
 
-EVERY_TICK = 10
-"""Control ticks per row of the pressure chart."""
+CHART_DECIMATION = 10
+"""Control cycles per row of the pressure chart."""
 EVENTS_KEPT = 500
 WATCH_EVERY_S = 1.0
 IDLE_PACKET_S = 0.2
-"""A packet is due after so long even when the camera shows nothing new."""
+"""A packet is due after this time even without a new camera frame."""
 LATENESS_WINDOW = 200
-"""Ticks over which the greatest lateness is shown."""
+"""Control cycles over which the maximum lateness is shown."""
 FAR = float("-inf")
 
 
 class LiveRun:
-    """The source for a run that goes."""
+    """Data of a running experiment in the form that the page needs."""
 
     live = True
 
-    def __init__(self, visit: ClientSession) -> None:
-        config = visit.plan.config
-        self.visit = visit
+    def __init__(self, session: ClientSession) -> None:
+        config = session.plan.config
+        self.session = session
         self.viewers = 0
         self.pressure = History(1 + 2 * config.actuators)
         self.track = History(12)
         self.events: list[Event] = []
-        self.events_let_go = 0
+        self.events_dropped = 0
         self.ended = ""
         self.start_ns = 0
         self.sample: NDArray[np.void] | None = None
@@ -52,13 +52,13 @@ class LiveRun:
         self._watched = 0.0
 
     @property
-    def over(self) -> bool:
+    def finished(self) -> bool:
         """True once the run has ended."""
         return bool(self.ended)
 
     def about(self) -> dict[str, Any]:
-        """What does not change during the run."""
-        plan = self.visit.plan
+        """Return the constant properties of the run."""
+        plan = self.session.plan
         camera = next(iter(plan.config.cameras.values()))
         return {
             "title": f"{Path(plan.trajectory.source).stem} on {plan.config.name}",
@@ -73,20 +73,20 @@ class LiveRun:
         }
 
     def viewer(self) -> LiveRunViewer:
-        """The view of one more browser."""
+        """Return a view for one more browser."""
         self.viewers += 1
         return LiveRunViewer(self)
 
     def update(self) -> None:
-        """Take in what the run has written since the last call."""
-        if self.over:
+        """Read the data that the run has written since the last call."""
+        if self.finished:
             return
-        memory = self.visit.memory
-        self.visit.look()
+        memory = self.session.memory
+        self.session.check_ended()
         now = time.monotonic()
         if self.viewers and now - self._watched > WATCH_EVERY_S:
             self._watched = now
-            self.visit.watch()
+            self.session.watch()
         self.start_ns = memory.start_ns
         self._take_samples(memory.samples.read())
         for row in memory.observations.read():
@@ -97,12 +97,12 @@ class LiveRun:
         spare = len(self.events) - EVENTS_KEPT
         if spare > 0:
             del self.events[:spare]
-            self.events_let_go += spare
+            self.events_dropped += spare
         after = -1 if self.view is None else int(self.view[0]["number"])
         self.view = memory.newest_view(after) or self.view
-        if self.visit.over:
-            said = memory.message("supervisor") if memory.stage("supervisor") is Stage.DONE else ""
-            self.ended = said or "the supervisor died; the watchdog makes the valves safe"
+        if self.session.ended:
+            message = memory.message("supervisor") if memory.stage("supervisor") is Stage.DONE else ""
+            self.ended = message or "the supervisor died; the watchdog makes the valves safe"
 
     def seconds(self, t_ns: int) -> float:
         """Time since the start of the run."""
@@ -110,7 +110,7 @@ class LiveRun:
 
     @property
     def lateness_max_us(self) -> float:
-        """Greatest lateness of the last second."""
+        """Maximum lateness of the last second."""
         return float(self._lateness.max()) * 1e-3
 
     def picture(self) -> bytes:
@@ -125,7 +125,7 @@ class LiveRun:
     def _take_samples(self, rows: NDArray[np.void]) -> None:
         for row in rows:
             self._lateness[self.ticks % LATENESS_WINDOW] = row["lateness_ns"]
-            if self.ticks % EVERY_TICK == 0:
+            if self.ticks % CHART_DECIMATION == 0:
                 t_s = self.seconds(int(row["t_ns"]))
                 self.pressure.add(np.concatenate([[t_s], bar(row["setpoint_pa"]), bar(row["measured_pa"])]))
             self.ticks += 1
@@ -155,49 +155,49 @@ class LiveRunViewer:
         self._shown = -1
         self._frame = -1
         self._sent = 0.0
-        self._told_end = False
+        self._end_sent = False
 
     def packet(self) -> bytes | None:
-        """What is new; None when nothing is."""
+        """Return the new data; None where there is none."""
         source = self._source
         frame = next(reversed(source.observations), -1)
         number = -1 if source.view is None else int(source.view[0]["number"])
         fresh = number > self._shown or (frame > self._frame and number < 0)
-        due = time.monotonic() - self._sent > IDLE_PACKET_S and not source.over
-        if not (fresh or due or (source.over and not self._told_end)):
+        due = time.monotonic() - self._sent > IDLE_PACKET_S and not source.finished
+        if not (fresh or due or (source.finished and not self._end_sent)):
             return None
-        self._told_end = source.over
-        news = ViewUpdate(self._now())
-        news.pressure, news.track = source.pressure.after(self._pressure_s), source.track.after(self._track_s)
-        if len(news.pressure):
-            self._pressure_s = float(news.pressure[-1, 0])
-        if len(news.track):
-            self._track_s = float(news.track[-1, 0])
-        new = source.events[max(0, self._events - source.events_let_go) :]
-        self._events = source.events_let_go + len(source.events)
-        news.events = [(round(source.seconds(e.t_ns), 3), str(e.level), e.source, e.message) for e in new]
+        self._end_sent = source.finished
+        update = ViewUpdate(self._now())
+        update.pressure, update.track = source.pressure.after(self._pressure_s), source.track.after(self._track_s)
+        if len(update.pressure):
+            self._pressure_s = float(update.pressure[-1, 0])
+        if len(update.track):
+            self._track_s = float(update.track[-1, 0])
+        new = source.events[max(0, self._events - source.events_dropped) :]
+        self._events = source.events_dropped + len(source.events)
+        update.events = [(round(source.seconds(e.t_ns), 3), str(e.level), e.source, e.message) for e in new]
         if number > self._shown and source.view is not None:
             view = source.view[0]
-            news.drawing = ViewOverlay(
+            update.overlay = ViewOverlay(
                 view["corners_px"][: int(view["found"])], view["tip_px"], view["model_px"], MM * view["lines_m"]
             )
-            news.picture = source.picture()
+            update.picture = source.picture()
         self._shown, self._frame, self._sent = number, frame, time.monotonic()
-        return news.encoded()
+        return update.encoded()
 
-    def asked(self, message: Message, who: str) -> dict[str, Any] | None:
-        """Pass an action on to the supervisor."""
+    def handle(self, message: Message, who: str) -> dict[str, Any] | None:
+        """Send an operator command to the supervisor."""
         if message.do is None:
             return {"done": False, "said": "refused: seek, speed and play are for archives"}
-        return {"do": message.do, **self._source.visit.ask(message.do, who)}
+        return {"do": message.do, **self._source.session.request(message.do, who)}
 
     def close(self) -> None:
-        """The browser has gone."""
+        """Unregister the browser."""
         self._source.viewers -= 1
 
     def _now(self) -> dict[str, Any]:
         source = self._source
-        memory, plan = source.visit.memory, source.visit.plan
+        memory, plan = source.session.memory, source.session.plan
         protocol_s = memory.protocol_s
         segment = plan.trajectory.segment_at(protocol_s)
         waiting = memory.waiting_prompt
@@ -248,8 +248,8 @@ class LiveRunViewer:
         }
 
     def _state(self, waiting: int) -> str:
-        memory = self._source.visit.memory
-        if self._source.over:
+        memory = self._source.session.memory
+        if self._source.finished:
             return "ended"
         if not memory.start_ns or self._source.sample is None:
             return "starting"

@@ -1,4 +1,4 @@
-"""What a browser sends on the stream: JSON objects that ask for one thing each. Nothing else is acted on."""
+"""Messages of a browser: JSON objects with exactly one field each. Any other message is refused."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from rig.realtime.operator_commands import Command
 FASTEST = 100.0
 MOST_CHARACTERS = 1024
 MOST_REASON = 200
-ASKS = ("more", "do", "seek", "speed", "play")
+FIELDS = ("more", "do", "seek", "speed", "play")
 
 
 class MessageError(ValueError):
-    """A message that says nothing valid; its text is the sentence for whoever sent it."""
+    """An invalid message; the text is the answer to its sender."""
 
 
 class Message(BaseModel):
-    """One wish. Exactly one field is set: `more` asks for the next packet, `do` for an action on a running experiment,
-    `seek` [s], `speed` (times real time) and `play` move in an archive."""
+    """One message. Exactly one field is set: `more` requests the next packet, `do` an action on a running experiment;
+    `seek` [s], `speed` (times real time) and `play` control the playback of an archive."""
 
     model_config = ConfigDict(strict=True, extra="forbid", frozen=True)
 
@@ -31,9 +31,9 @@ class Message(BaseModel):
     play: bool | None = None
 
     @model_validator(mode="after")
-    def _one_wish(self) -> Message:
-        if sum(getattr(self, name) is not None for name in ASKS) != 1:
-            raise ValueError(f"expected exactly one of {', '.join(ASKS)}")
+    def _one_field(self) -> Message:
+        if sum(getattr(self, name) is not None for name in FIELDS) != 1:
+            raise ValueError(f"expected exactly one of {', '.join(FIELDS)}")
         return self
 
 
@@ -41,7 +41,7 @@ def parse(text: str) -> Message:
     """Read a message.
 
     Raises:
-        MessageError: it is too long, no JSON object, or asks for nothing that there is.
+        MessageError: the message is too long, not a JSON object, or has an invalid field.
     """
     if len(text) > MOST_CHARACTERS:
         raise MessageError(f"refused: a message has at most {MOST_CHARACTERS} characters")

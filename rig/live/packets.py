@@ -1,4 +1,4 @@
-"""What is sent to a browser: one packet of numbers and, behind them, the picture. Bar and mm from here on."""
+"""Packets to a browser: numbers as JSON, followed by the picture. Units are bar and mm."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _LENGTH = struct.Struct("<I")
 
 
 class History:
-    """Rows over time that never take more than a bounded place: when it is full every other row is let go."""
+    """A time series of bounded size: when it is full, every other row is dropped."""
 
     def __init__(self, columns: int, capacity: int = HISTORY_ROWS) -> None:
         self._rows = np.empty((capacity, columns))
@@ -51,13 +51,13 @@ class History:
 
 @dataclass
 class RunningMean:
-    """A running mean that leaves out what is not there."""
+    """A running mean over finite values."""
 
     total: float = 0.0
     count: int = 0
 
     def add(self, value: float) -> float:
-        """Take a value in; the mean so far, NaN before the first."""
+        """Add a value; return the mean so far, NaN before the first."""
         if np.isfinite(value):
             self.total += value
             self.count += 1
@@ -66,7 +66,7 @@ class RunningMean:
 
 @dataclass(frozen=True)
 class ViewOverlay:
-    """What is drawn into one picture and into space; pixels and mm."""
+    """Overlay of one picture [px] and lines in space [mm]."""
 
     corners_px: Floats
     tip_px: Floats
@@ -76,7 +76,7 @@ class ViewOverlay:
 
 @dataclass
 class ViewUpdate:
-    """Everything a page shows, as far as it is new; see docs/reference/live-stream.md. NaN becomes null."""
+    """New data for a page; see docs/reference/live-stream.md. NaN becomes null."""
 
     now: dict[str, Any]
     pressure: Floats = field(default_factory=lambda: np.empty((0, 0)))
@@ -84,13 +84,13 @@ class ViewUpdate:
     track: Floats = field(default_factory=lambda: np.empty((0, 0)))
     """Rows: time [s], measured (3), uncertainty (3), model (3), error, running mean of the error [mm]."""
     events: list[tuple[float, str, str, str]] = field(default_factory=list)
-    drawing: ViewOverlay | None = None
+    overlay: ViewOverlay | None = None
     picture: bytes = b""
     reset: bool = False
-    """Forget what was drawn before."""
+    """Clear the charts first."""
 
     def encoded(self) -> bytes:
-        """The packet: length of the JSON, the JSON, the JPEG."""
+        """Return the packet: length of the JSON, the JSON, the JPEG."""
         body: dict[str, Any] = {
             "now": {name: plain(value) for name, value in self.now.items()},
             "pressure": rounded(self.pressure, 4),
@@ -98,19 +98,19 @@ class ViewUpdate:
             "events": self.events,
             "reset": self.reset,
         }
-        if self.drawing is not None:
+        if self.overlay is not None:
             body["drawing"] = {
-                "corners": rounded(self.drawing.corners_px, 1),
-                "tip": rounded(self.drawing.tip_px, 1),
-                "model": rounded(self.drawing.model_px, 1),
-                "lines": rounded(self.drawing.lines_mm, 1),
+                "corners": rounded(self.overlay.corners_px, 1),
+                "tip": rounded(self.overlay.tip_px, 1),
+                "model": rounded(self.overlay.model_px, 1),
+                "lines": rounded(self.overlay.lines_mm, 1),
             }
         head = json.dumps(body, allow_nan=False, separators=(",", ":")).encode()
         return _LENGTH.pack(len(head)) + head + self.picture
 
 
 def plain(value: Any) -> Any:
-    """A value as JSON has it: arrays as lists of four decimals, NaN as null."""
+    """Convert a value for JSON: arrays to lists of four decimals, NaN to null."""
     if isinstance(value, np.ndarray):
         return rounded(value, 4)
     if isinstance(value, float):
@@ -119,7 +119,7 @@ def plain(value: Any) -> Any:
 
 
 def rounded(values: NDArray[Any], digits: int) -> list[Any]:
-    """Nested lists; NaN as None."""
+    """Convert to nested lists with None for NaN."""
     finite = np.isfinite(values)
     if finite.all():
         listed: list[Any] = np.round(values.astype(np.float64), digits).tolist()
@@ -131,12 +131,12 @@ def rounded(values: NDArray[Any], digits: int) -> list[Any]:
 
 
 def track_row(t_s: float, measured_mm: Floats, std_mm: Floats, model_mm: Floats, error: float, mean: float) -> Floats:
-    """One row of `News.track`."""
+    """Return one row of `ViewUpdate.track`."""
     return np.concatenate([[t_s], measured_mm, std_mm, model_mm, [error, mean]])
 
 
 def estimates(adapted: Sequence[Quantity], value: Floats, std: Floats) -> list[list[Any]]:
-    """Rows of `now.estimates`: name, unit, estimate, its deviation, what the run began with; each a text."""
+    """Return the rows of `now.estimates` as text: name, unit, estimate, standard deviation, initial value."""
     return [
         [q.name, q.unit, f"{x:.5g}", f"{s:.2g}", f"{q.value[0]:.5g}"]
         for q, x, s in zip(adapted, value, std, strict=True)
@@ -144,11 +144,11 @@ def estimates(adapted: Sequence[Quantity], value: Floats, std: Floats) -> list[l
 
 
 def bar(pascal: Floats) -> Floats:
-    """Pressures in bar."""
+    """Convert pressures to bar."""
     return np.asarray(pascal, dtype=np.float64) / PA_PER_BAR
 
 
 def jpeg(image: NDArray[np.uint8]) -> bytes:
-    """A picture for the page; nothing of the record depends on its quality."""
+    """Encode a picture for the page; the archive does not use it."""
     _, data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
     return data.tobytes()

@@ -1,4 +1,4 @@
-"""The page as NiceGUI lays it out; `static/live.js` fills it from the stream."""
+"""Layout of the page with NiceGUI; `static/live.js` fills it from the stream."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the page's process is told when it starts."""
+"""Configuration of the page's process."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from pathlib import Path
 from rig.live.authentication import AccessTokens
 
 LINGER_S = 3.0
-"""What browsers get after the end of a run to fetch the last packet."""
+"""Time after the end of a run in which browsers can fetch the last packet."""
 
 
 @dataclass(frozen=True)
 class PageConfiguration:
-    """What to show on which listening socket. `run` is the door of a run, `archive` a file; one of them is None."""
+    """Listening socket `fd` and the source: `run` is a control socket, `archive` a file; one of them is None."""
 
     fd: int
-    keys: AccessTokens
+    tokens: AccessTokens
     run: Path | None = None
     archive: Path | None = None

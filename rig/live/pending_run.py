@@ -1,4 +1,4 @@
-"""A run that is about to begin: the page is up before it, and shows it as soon as its door opens."""
+"""The source for a run that is starting: the page connects as soon as the control socket exists."""
 
 from __future__ import annotations
 
@@ -11,47 +11,47 @@ from rig.live.client_session import ClientSession, connect
 from rig.live.live_run import LiveRun
 from rig.live.run_source import Viewer
 
-KNOCK_EVERY_S = 0.1
+CONNECT_EVERY_S = 0.1
 
 
 class PendingRun:
-    """The source for a run whose door may still be shut: simulators and compilers can take their time."""
+    """Waits for a run's control socket, then delegates to `LiveRun`; simulation and compilation may delay the start."""
 
     live = True
 
-    def __init__(self, door: Path) -> None:
-        self._door = door
-        self._watching: LiveRun | None = None
-        self._knocked = 0.0
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._live_run: LiveRun | None = None
+        self._last_attempt_s = 0.0
 
     @property
-    def over(self) -> bool:
+    def finished(self) -> bool:
         """True once the run has ended."""
-        return self._watching is not None and self._watching.over
+        return self._live_run is not None and self._live_run.finished
 
     def about(self) -> dict[str, Any] | None:
-        """What does not change; None while the run has not begun."""
-        return None if self._watching is None else self._watching.about()
+        """Return the constant properties; None before the run starts."""
+        return None if self._live_run is None else self._live_run.about()
 
     def viewer(self) -> Viewer:
-        """The view of one more browser.
+        """Return a view for one more browser.
 
         Raises:
-            StartError: the run has not begun.
+            StartError: the run has not started.
         """
-        if self._watching is None:
-            raise StartError("the run has not begun")
-        return self._watching.viewer()
+        if self._live_run is None:
+            raise StartError("the run has not started")
+        return self._live_run.viewer()
 
     def update(self) -> None:
-        """Knock, or pass on what the run has written."""
-        if self._watching is not None:
-            self._watching.update()
+        """Try to connect, or read new data."""
+        if self._live_run is not None:
+            self._live_run.update()
             return
         now = time.monotonic()
-        if now - self._knocked < KNOCK_EVERY_S:
+        if now - self._last_attempt_s < CONNECT_EVERY_S:
             return
-        self._knocked = now
-        if door := connect(self._door):
-            door.close()
-            self._watching = LiveRun(ClientSession(self._door))
+        self._last_attempt_s = now
+        if path := connect(self._path):
+            path.close()
+            self._live_run = LiveRun(ClientSession(self._path))

@@ -1,4 +1,4 @@
-"""What a page can show: a run that goes, or an archive."""
+"""Interface of the page's data sources: a running experiment or an archive."""
 
 from __future__ import annotations
 
@@ -8,32 +8,32 @@ from rig.live.messages import Message
 
 
 class Viewer(Protocol):
-    """One browser's view of a source. Nothing is kept for one that does not ask."""
+    """One browser's view of a source; it buffers no packets."""
 
     def packet(self) -> bytes | None:
-        """What is new since the last call, None when nothing is."""
+        """Return the data since the last call; None where there is none."""
 
-    def asked(self, message: Message, who: str) -> dict[str, Any] | None:
-        """Do what somebody asks for; the answer, `done` and `said`, None for nothing."""
+    def handle(self, message: Message, who: str) -> dict[str, Any] | None:
+        """Execute a message; return the answer, `done` and `said`, or None."""
 
     def close(self) -> None:
-        """The browser has gone."""
+        """Unregister the browser."""
 
 
 class RunSource(Protocol):
-    """Where the packets come from. `live`: what is asked of it acts on a rig, and is the operator's alone."""
+    """Source of packets. `live`: messages act on a rig, so only the operator may send them."""
 
     live: bool
 
     @property
-    def over(self) -> bool:
-        """True when there will be nothing new any more."""
+    def finished(self) -> bool:
+        """True once no more data will come."""
 
     def about(self) -> dict[str, Any] | None:
-        """What does not change: title, actuators, duration, limits; None while there is nothing to show yet."""
+        """Return the constant properties: title, actuators, duration, limits; None before the run starts."""
 
     def viewer(self) -> Viewer:
-        """The view of one more browser."""
+        """Return a view for one more browser."""
 
     def update(self) -> None:
-        """Called some hundred times a second."""
+        """Read new data; called about a hundred times a second."""

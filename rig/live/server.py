@@ -1,6 +1,6 @@
-"""The page's process: `python -m rig.live.server`, told on its standard input what to show and to whom.
+"""The page's process: `python -m rig.live.server`; it reads its configuration from standard input.
 
-It runs beside the run in the normal scheduling class and politely; it can die or hang without the run noticing.
+It runs in the normal scheduling class with a positive nice value; its failure does not affect the run.
 """
 
 from __future__ import annotations
@@ -24,21 +24,21 @@ from rig.live.run_source import RunSource
 from rig.live.stream import stream
 
 NICE = 5
-"""Behind the observer and the supervisor, but not so far that a busy machine starves it."""
+"""Lower priority than observer and supervisor, but high enough for a busy machine."""
 UPDATE_S = 0.008
 QUEUE = 1024
-"""Connections that the kernel keeps for a busy page."""
+"""Listen backlog of the kernel."""
 STATIC = Path(__file__).parent / "static"
 
 
 def main() -> int:
-    """Serve until the run is over, or for an archive until told to stop."""
-    order: PageConfiguration = pickle.load(sys.stdin.buffer)  # written by our own parent, over a pipe
-    source = _source(order)
-    listening = socket.socket(fileno=order.fd)
+    """Serve until the run ends, or for an archive until a signal arrives."""
+    configuration: PageConfiguration = pickle.load(sys.stdin.buffer)  # written by our own parent, over a pipe
+    source = _source(configuration)
+    listening = socket.socket(fileno=configuration.fd)
     server = uvicorn.Server(
         uvicorn.Config(
-            application(source, order, listening.getsockname()[1]),
+            application(source, configuration, listening.getsockname()[1]),
             http=http_protocol(Admission()),
             backlog=ACCEPTED_AT_ONCE,
             proxy_headers=False,
@@ -52,7 +52,7 @@ def main() -> int:
         )
     )
 
-    os.nice(NICE)  # from here on: what was imported so far was waited for
+    os.nice(NICE)  # after the imports, for which the user waits
 
     async def serve() -> None:
         feeding = asyncio.create_task(_feed(source, server, listening))
@@ -63,28 +63,28 @@ def main() -> int:
     return 0
 
 
-def _source(order: PageConfiguration) -> RunSource:
-    if order.archive is not None:
+def _source(configuration: PageConfiguration) -> RunSource:
+    if configuration.archive is not None:
         from rig.live.archived_run import ArchivedRun
 
-        return ArchivedRun(order.archive)
+        return ArchivedRun(configuration.archive)
     from rig.live.pending_run import PendingRun
 
-    assert order.run is not None
-    return PendingRun(order.run)
+    assert configuration.run is not None
+    return PendingRun(configuration.run)
 
 
 async def _feed(source: RunSource, server: uvicorn.Server, listening: socket.socket) -> None:
     parent = os.getppid()
     while not server.started:
         await asyncio.sleep(UPDATE_S)
-    # asyncio takes one number for how many it accepts at once and for the kernel's queue; the queue may be longer.
+    # asyncio uses one number for connections per pass and for the backlog; the backlog may be longer.
     listening.listen(QUEUE)
     try:
-        while not source.over and os.getppid() == parent:
+        while not source.finished and os.getppid() == parent:
             source.update()
             await asyncio.sleep(UPDATE_S)
-        if source.over:
+        if source.finished:
             await asyncio.sleep(LINGER_S)
     except StartError as error:
         print(f"the live page ends: {error}", file=sys.stderr)
@@ -92,8 +92,8 @@ async def _feed(source: RunSource, server: uvicorn.Server, listening: socket.soc
         server.should_exit = True
 
 
-def application(source: RunSource, order: PageConfiguration, port: int) -> AuthenticationMiddleware:
-    """The page, its stream and its files, behind the gate."""
+def application(source: RunSource, configuration: PageConfiguration, port: int) -> AuthenticationMiddleware:
+    """Return the page, its stream and its static files behind the authentication middleware."""
     from nicegui import ui
 
     from rig.live import page
@@ -117,7 +117,7 @@ def application(source: RunSource, order: PageConfiguration, port: int) -> Authe
         show_welcome_message=False,
         tailwind=False,
     )
-    return AuthenticationMiddleware(app, order.keys, port)
+    return AuthenticationMiddleware(app, configuration.tokens, port)
 
 
 if __name__ == "__main__":

@@ -1,8 +1,8 @@
-"""The stream to one browser: it says when it is ready for more, so a slow or stalled one costs nothing.
+"""The websocket stream to one browser. The browser requests each packet, so a slow or stalled one causes no backlog.
 
-What the browser sends is in `rig.live.messages`; what is none of these is refused with a sentence and changes nothing.
-Packets go out as binary messages (see `rig.live.packets`), answers as text. Guests share a number of streams;
-an operator's are limited by his connections alone.
+`rig.live.messages` defines the browser's messages; any other message is refused. Packets are binary messages (see
+`rig.live.packets`), answers are text. Guests share a limited number of streams; an operator's streams are limited by
+their connections only.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _guests = 0
 
 
 async def stream(socket: WebSocket, source: RunSource) -> None:
-    """Serve one browser until it goes."""
+    """Serve one browser until it disconnects."""
     global _guests
     session: Session = socket.scope[SESSION]
     guest = not session.operator
@@ -84,8 +84,8 @@ async def _listen(
             if acting and not session.operator:
                 answer = {"done": False, "said": "refused: this is a view-only session"}
             else:
-                # The answer may take a moment when the supervisor is busy; other browsers do not wait for it.
-                answer = await asyncio.to_thread(viewer.asked, message, session.who)
+                # A busy supervisor may answer late; other browsers must not wait.
+                answer = await asyncio.to_thread(viewer.handle, message, session.who)
         if answer is not None:
             async with lock:
                 await socket.send_text(json.dumps({"answer": answer}))

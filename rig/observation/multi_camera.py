@@ -1,4 +1,4 @@
-"""All cameras' eyes: pictures taken together in, the tip measured from all that see the board out."""
+"""Multi-camera tip estimator: simultaneous pictures in, the tip from all cameras that see the board out."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ from runs.records import DetectionStatus
 
 Floats = NDArray[np.float64]
 
-_GLIMPSE_ROWS = 16
-"""Every so many rows of a picture are compared with the last one's: a sensor's noise never repeats."""
-# Exposures closer together than this are one.
+_SAMPLED_ROWS = 16
+"""Row step for the comparison with the previous picture; sensor noise never repeats exactly."""
+# Exposures closer than this count as simultaneous.
 _SIMULTANEOUS_NS = 100_000
 # Speeds are told from pictures no further apart than so many periods. One camera's is right but for this share;
 # corners' but for this share of its greatest change between the last pictures, as long as they have moved alike.
@@ -38,7 +38,7 @@ _PLACE_STDS = 3.0
 
 @dataclass(frozen=True)
 class _PreviousEstimate:
-    """Where something was: corners in a picture [px], or the tip [m]; its speed [1/ns] and the change of that."""
+    """Previous position: corners [px] or the tip [m]; its speed [1/ns] and the change of the speed."""
 
     t_ns: int
     place: Floats
@@ -47,57 +47,57 @@ class _PreviousEstimate:
 
 
 class MultiCameraTipEstimator:
-    """Measures the tip in the frame sets of the rig's cameras, in their order.
+    """Measures the tip in the rig's frame sets, in order.
 
     Two or more pictures with the board give one pose in the world (`calibration.vision.multiview_pose`). Where only
     one camera sees the board, that camera alone measures the tip.
     """
 
     def __init__(self, config: RigConfig) -> None:
-        self._eyes = [SingleCameraTipEstimator(config, name) for name in config.cameras]
-        self._glimpses: list[NDArray[np.uint8] | None] = [None] * len(self._eyes)
-        self._corners_past: list[_PreviousEstimate | None] = [None] * len(self._eyes)
-        self._tip_past: _PreviousEstimate | None = None
+        self._estimators = [SingleCameraTipEstimator(config, name) for name in config.cameras]
+        self._previous_rows: list[NDArray[np.uint8] | None] = [None] * len(self._estimators)
+        self._previous_corners: list[_PreviousEstimate | None] = [None] * len(self._estimators)
+        self._previous_tip: _PreviousEstimate | None = None
         self._recent_ns = _RECENT_PERIODS * max(1e9 / camera.rate_hz for camera in config.cameras.values())
         self._points_m = board_of(config).corners_m
         self._board_in_tip = board_in_tip(config)
-        # The world's origin is the straight arm's tip, which lies before every camera that can see the board.
+        # The world origin is the straight arm's tip, which is in front of every camera that sees the board.
         self._world_in_base = RigidTransform(np.eye(3), np.array([0.0, 0.0, config.arm.geometry.length_mm * 1e-3]))
         self._places = [self._in_world(camera_in_base(camera)) for camera in config.cameras.values()]
         self._dlts = (
             [DLT.of_camera(lens_of(c), p) for c, p in zip(config.cameras.values(), self._places, strict=True)]
-            if len(self._eyes) > 1
+            if len(self._estimators) > 1
             else []
         )
 
-    def measure(self, shot: FrameSet) -> Measurement:
-        """Measure the tip in the next shot, at the time of its leading frame."""
-        sightings = [self._look(k, frame) for k, frame in enumerate(shot.frames)]
-        found = self._together(shot, sightings) or self._alone(shot, sightings)
+    def measure(self, frame_set: FrameSet) -> Measurement:
+        """Measure the tip in the next frame set, at the time of its leading frame."""
+        detections = [self._detect(k, frame) for k, frame in enumerate(frame_set.frames)]
+        found = self._measure_jointly(frame_set, detections) or self._measure_alone(frame_set, detections)
         if found.seen is DetectionStatus.MEASURED:
-            self._tip_past = _PreviousEstimate(shot.t_ns, found.tip_m)
-        leading = sightings[shot.leader].corners
-        shown = leading.px if found.seen is DetectionStatus.MEASURED and leading is not None else None
-        board = tuple(None if sighting.corners is None else sighting.corners.px for sighting in sightings)
-        return replace(found, corners_px=shown, board_px=board)
+            self._previous_tip = _PreviousEstimate(frame_set.t_ns, found.tip_m)
+        leading = detections[frame_set.leader].corners
+        leading_px = leading.px if found.seen is DetectionStatus.MEASURED and leading is not None else None
+        board = tuple(None if detection.corners is None else detection.corners.px for detection in detections)
+        return replace(found, corners_px=leading_px, board_px=board)
 
-    def _look(self, k: int, frame: Frame | None) -> Detection:
-        """What camera `k` saw; nothing in a picture that is the last one once more, because that camera hangs."""
+    def _detect(self, k: int, frame: Frame | None) -> Detection:
+        """Detect the board in camera `k`; a repeated picture counts as no frame, because the camera is frozen."""
         if frame is None:
             return Detection(DetectionStatus.NO_FRAME)
-        before, glimpse = self._glimpses[k], frame.image[::_GLIMPSE_ROWS].copy()
-        self._glimpses[k] = glimpse
-        # A picture all black or white has no noise to tell by.
-        if before is not None and np.array_equal(before, glimpse) and before.min() != before.max():
+        before, sampled_rows = self._previous_rows[k], frame.image[::_SAMPLED_ROWS].copy()
+        self._previous_rows[k] = sampled_rows
+        # A uniformly black or white picture has no noise to compare.
+        if before is not None and np.array_equal(before, sampled_rows) and before.min() != before.max():
             return Detection(DetectionStatus.NO_FRAME)
-        return self._eyes[k].tracker.see(frame.image)
+        return self._estimators[k].tracker.see(frame.image)
 
-    def _together(self, shot: FrameSet, sightings: Sequence[Detection]) -> Measurement | None:
-        """The tip by all cameras that have the board; None where that is not two of them."""
+    def _measure_jointly(self, frame_set: FrameSet, detections: Sequence[Detection]) -> Measurement | None:
+        """Measure the tip from all cameras that see the board; None with fewer than two."""
         corners = {
             k: moved
-            for k, (frame, sighting) in enumerate(zip(shot.frames, sightings, strict=True))
-            if frame is not None and (moved := self._at(shot.t_ns, k, frame.t_ns, sighting)) is not None
+            for k, (frame, detection) in enumerate(zip(frame_set.frames, detections, strict=True))
+            if frame is not None and (moved := self._at(frame_set.t_ns, k, frame.t_ns, detection)) is not None
         }
         if len(corners) < 2:
             return None
@@ -107,40 +107,44 @@ class MultiCameraTipEstimator:
         except (DLTError, np.linalg.LinAlgError):
             pose = None
         seen = tuple(
-            DetectionStatus.MEASURED if k in corners else _unused(sighting.seen) for k, sighting in enumerate(sightings)
+            DetectionStatus.MEASURED if k in corners else _unused(detection.seen)
+            for k, detection in enumerate(detections)
         )
         allowed = _WORST_PX + _PLACE_STDS * max(self._place_std_px(camera) for camera in cameras)
         if pose is None or pose.reprojection_px > allowed:
-            apart = tuple(DetectionStatus.DISAGREE if s is DetectionStatus.MEASURED else s for s in seen)
-            return Measurement.none(DetectionStatus.DISAGREE, apart)
+            statuses = tuple(DetectionStatus.DISAGREE if s is DetectionStatus.MEASURED else s for s in seen)
+            return Measurement.none(DetectionStatus.DISAGREE, statuses)
         for k in corners:
-            self._eyes[k].tracker.agree(sightings[k], self._places[k].inverse() @ pose.rigid)
+            self._estimators[k].tracker.agree(detections[k], self._places[k].inverse() @ pose.rigid)
         tip, covariance = tip_in_base(pose, self._board_in_tip, self._world_in_base)
         return Measurement(DetectionStatus.MEASURED, tip, covariance, pose.reprojection_px, None, seen)
 
-    def _alone(self, shot: FrameSet, sightings: Sequence[Detection]) -> Measurement:
-        """The tip by the first camera that measures it by itself."""
-        seen = tuple(sighting.seen for sighting in sightings)
+    def _measure_alone(self, frame_set: FrameSet, detections: Sequence[Detection]) -> Measurement:
+        """Measure the tip from the first camera that can do so alone."""
+        seen = tuple(detection.seen for detection in detections)
         if DetectionStatus.MEASURED not in seen:
             reason = next((s for s in seen if s is not DetectionStatus.NO_FRAME), DetectionStatus.NO_FRAME)
             return Measurement.none(reason, seen)
         k = seen.index(DetectionStatus.MEASURED)
-        found = self._eyes[k].judge(sightings[k])
-        frame = shot.frames[k]
+        found = self._estimators[k].measurement_of(detections[k])
+        frame = frame_set.frames[k]
         assert frame is not None
-        skew_ns = frame.t_ns - shot.t_ns
+        skew_ns = frame.t_ns - frame_set.t_ns
         tip = found.tip_m - self._velocity(frame.t_ns, found.tip_m) * skew_ns
         covariance = found.covariance_m2 + self._of_skew(frame.t_ns, found.tip_m, skew_ns)
         used = tuple(s if j == k else _unused(s) for j, s in enumerate(seen))
         return replace(found, tip_m=tip, covariance_m2=covariance, cameras=used)
 
-    def _at(self, t_ns: int, k: int, taken_ns: int, sighting: Detection) -> Corners | None:
-        """Camera `k`'s corners carried to time `t_ns` by their own speed; None where there are none, or no speed."""
-        corners = sighting.corners
+    def _at(self, t_ns: int, k: int, taken_ns: int, detection: Detection) -> Corners | None:
+        """Extrapolate camera `k`'s corners to time `t_ns`; None without corners or a speed."""
+        corners = detection.corners
         if corners is None:
             return None
-        before, now = self._corners_past[k], _after(self._corners_past[k], taken_ns, corners.px, self._recent_ns)
-        self._corners_past[k] = now
+        before, now = (
+            self._previous_corners[k],
+            _after(self._previous_corners[k], taken_ns, corners.px, self._recent_ns),
+        )
+        self._previous_corners[k] = now
         if abs(t_ns - taken_ns) <= _SIMULTANEOUS_NS:
             return corners
         if now.speed is None or now.change is None:
@@ -151,31 +155,31 @@ class MultiCameraTipEstimator:
         return replace(corners, px=corners.px + now.speed * by_ns, carried_px=_CHANGE_SHARE * greatest * by_ns)
 
     def _velocity(self, t_ns: int, tip_m: Floats) -> Floats:
-        """Of the tip [m/ns]; none where it was not measured lately."""
-        before = self._tip_past
+        """Return the tip's velocity [m/ns]; zero without a recent measurement."""
+        before = self._previous_tip
         if before is None or not 0 < t_ns - before.t_ns < self._recent_ns:
             return np.zeros(3)
         return (tip_m - before.place) / (t_ns - before.t_ns)
 
     def _of_skew(self, t_ns: int, tip_m: Floats, skew_ns: int) -> Floats:
-        """Covariance (3, 3) that a tip has because it was carried over a time by an uncertain speed."""
+        """Return the covariance (3, 3) that the extrapolation over a camera skew adds."""
         if abs(skew_ns) <= _SIMULTANEOUS_NS:
             return np.zeros((3, 3))
-        way = self._velocity(t_ns, tip_m) * (skew_ns * _SPEED_SHARE)
-        return np.outer(way, way)
+        displacement_m = self._velocity(t_ns, tip_m) * (skew_ns * _SPEED_SHARE)
+        return np.outer(displacement_m, displacement_m)
 
     def _in_world(self, camera: RigidTransform) -> RigidTransform:
         moved = self._world_in_base.inverse() @ camera
         return replace(moved, translation_std_m=camera.translation_std_m, rotation_std_rad=camera.rotation_std_rad)
 
     def _place_std_px(self, camera: DLT) -> float:
-        """How far a camera's uncertain place moves its picture [px]."""
+        """Return the standard deviation of the projection due to the camera's pose uncertainty [px]."""
         slope = camera.by_coefficients(self._points_m)
         return float(np.sqrt(np.trace(slope @ camera.covariance @ slope.T) / len(self._points_m)))
 
 
 def _after(before: _PreviousEstimate | None, t_ns: int, px: Floats, recent_ns: float) -> _PreviousEstimate:
-    """Corners at a time, their speed and its change by what they were before; a first speed may be all wrong."""
+    """Return corners at a time with speed and its change; the change of a first speed is the speed itself."""
     if before is None or not 0 < t_ns - before.t_ns < recent_ns:
         return _PreviousEstimate(t_ns, px)
     speed = (px - before.place) / (t_ns - before.t_ns)
@@ -183,5 +187,5 @@ def _after(before: _PreviousEstimate | None, t_ns: int, px: Floats, recent_ns: f
 
 
 def _unused(seen: DetectionStatus) -> DetectionStatus:
-    """What is said of a camera that the tip was not measured from."""
+    """Return the status of a camera that did not contribute to the tip."""
     return DetectionStatus.NO_FRAME if seen is DetectionStatus.MEASURED else seen

@@ -1,4 +1,4 @@
-"""Per frame: picture -> measured tip, measured pressures -> modelled tip, side by side in one row."""
+"""Observer: for each frame set, the tip measured by vision and the tip modelled from the measured pressures."""
 
 from __future__ import annotations
 
@@ -25,27 +25,27 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 Times = NDArray[np.int64]
 
-# Catching up on more lost frames than this costs more time than it is worth: the model starts anew at rest.
+# After more dropped frames than this the model restarts from the static solution instead of catching up.
 _MOST_STEPS = 10
 _HISTORY_NS = 1_000_000_000
 
 
 class _LiveModel(Protocol):
-    """The model in one of its modes."""
+    """The live model, static or dynamic."""
 
-    def follow(self, shot: FrameSet, pressures: Pressures, loads: model.Loads | None) -> model.Shape | None:
-        """Shape of the arm at the shot's time; None where it cannot be solved."""
+    def follow(self, frame_set: FrameSet, pressures: Pressures, loads: model.Loads | None) -> model.Shape | None:
+        """Return the arm's shape at the time of the frame set; None without convergence."""
 
 
 class Pressures:
-    """The measured pressures of the last second, interpolated."""
+    """Linear interpolation of the pressures of the last second."""
 
     def __init__(self, actuators: int) -> None:
         self._t_ns: Times = np.empty(0, np.int64)
         self._pa: Floats = np.empty((0, actuators))
 
     def extend(self, t_ns: Times, pa: Floats) -> None:
-        """Append samples `t_ns` (k,), `pa` (k, N); such as are not newer than the last known are ignored."""
+        """Append samples `t_ns` (k,), `pa` (k, N); samples that are not newer than the last are ignored."""
         if self._t_ns.size:
             new = t_ns > self._t_ns[-1]
             t_ns, pa = t_ns[new], pa[new]
@@ -55,13 +55,13 @@ class Pressures:
             self._pa = np.concatenate([self._pa[keep], pa])
 
     def at(self, t_ns: int) -> Floats:
-        """Pressures (N,) [Pa] at a time, the nearest sample beyond the ends; NaN when nothing was measured yet."""
+        """Return pressures (N,) [Pa] at a time, the nearest sample beyond the ends; NaN before the first."""
         if not self._t_ns.size:
             return np.full(self._pa.shape[1], np.nan)
         after = int(np.searchsorted(self._t_ns, t_ns))
         if after == 0 or after == len(self._t_ns):
             return np.array(self._pa[min(after, len(self._t_ns) - 1)])
-        # Differences of times: nanoseconds since boot do not fit a float exactly.
+        # Subtract in int64: a float64 cannot represent nanoseconds since boot exactly.
         before_ns = int(self._t_ns[after - 1])
         share = (t_ns - before_ns) / (int(self._t_ns[after]) - before_ns)
         return np.array(self._pa[after - 1] + share * (self._pa[after] - self._pa[after - 1]))
@@ -73,8 +73,8 @@ class _StaticModel:
     def __init__(self, arm: model.Arm) -> None:
         self._arm = arm
 
-    def follow(self, shot: FrameSet, pressures: Pressures, loads: model.Loads | None) -> model.Shape | None:
-        return _rest(partial(self._arm.statics, doubt_units=False), pressures.at(shot.t_ns), loads)
+    def follow(self, frame_set: FrameSet, pressures: Pressures, loads: model.Loads | None) -> model.Shape | None:
+        return _rest(partial(self._arm.statics, doubt_units=False), pressures.at(frame_set.t_ns), loads)
 
 
 class _DynamicModel:
@@ -84,21 +84,21 @@ class _DynamicModel:
         self._dynamics = arm.dynamics(period_s)
         self._last: tuple[int, int] | None = None
 
-    def follow(self, shot: FrameSet, pressures: Pressures, loads: model.Loads | None) -> model.Shape | None:
+    def follow(self, frame_set: FrameSet, pressures: Pressures, loads: model.Loads | None) -> model.Shape | None:
         last, self._last = self._last, None
-        steps = shot.index - last[0] if last is not None else 0
+        steps = frame_set.index - last[0] if last is not None else 0
         if last is None or not 0 < steps <= _MOST_STEPS:
-            shape = _rest(self._dynamics.start, pressures.at(shot.t_ns), loads)
+            shape = _rest(self._dynamics.start, pressures.at(frame_set.t_ns), loads)
         else:
             shape = None
             for k in range(1, steps + 1):
-                pressure = pressures.at(last[1] + (shot.t_ns - last[1]) * k // steps)
+                pressure = pressures.at(last[1] + (frame_set.t_ns - last[1]) * k // steps)
                 shape = self._dynamics.step(pressure, loads) if np.all(np.isfinite(pressure)) else None
                 if shape is None or not shape.ok:
-                    # The next frame starts anew at rest: a history with a hole is no history.
+                    # The next frame restarts from statics, because the history has a gap.
                     return None
         if shape is not None:
-            self._last = shot.index, shot.t_ns
+            self._last = frame_set.index, frame_set.t_ns
         return shape
 
 
@@ -117,30 +117,30 @@ class _Solve(Protocol):
 
 
 class Observer:
-    """Turns shots, in their order, into rows of `runs.records.observation_dtype`. Knows no clock."""
+    """Converts frame sets, in order, to rows of `runs.records.observation_dtype`. It uses no clock."""
 
     def __init__(self, config: RigConfig, variant: Variant | None = None, adapt: Sequence[str] = ()) -> None:
         """`variant` of the model (the rig's when None).
 
-        `adapt` names the parameters that a recursive estimator finds meanwhile; the model's tip is then by these.
+        `adapt` names the parameters of the recursive estimator, which then predicts the model's tip.
         """
-        # The pictures are small: a second thread gains nothing here and costs the control process its core.
+        # The pictures are small; a second thread only takes CPU time from the control process.
         cv2.setNumThreads(1)
-        self._eyes = MultiCameraTipEstimator(config)
+        self._tip_estimator = MultiCameraTipEstimator(config)
         rate_hz = next(iter(config.cameras.values())).rate_hz
         arm = model_arm(config, variant)
         self._model: _LiveModel = (
             _StaticModel(arm) if config.model.mode == "static" else _DynamicModel(arm, 1 / rate_hz)
         )
-        self._hook = TipLoad(config)
+        self._tip_load = TipLoad(config)
         self._pressures = Pressures(config.actuators)
         self._dtype = observation_dtype(config.actuators, len(config.cameras))
         self._model_m = np.full(3, np.nan)
         self.measurement: Measurement | None = None
-        """Of the last shot, as `shape` is the model's; for those who draw them."""
+        """Measurement of the last frame set; `shape` is the model's. For overlays."""
         self.shape: model.Shape | None = None
         self.adaptation: NDArray[np.void] | None = None
-        """What the estimator made of the last shot; None without one."""
+        """Row of the estimator for the last frame set; None without an estimator."""
         self._adapting: OnlineEstimation | None = None
         if adapt:
             from rig.observation.online_estimation import OnlineEstimation
@@ -149,38 +149,36 @@ class Observer:
 
     def step(
         self,
-        shot: FrameSet,
+        frame_set: FrameSet,
         sample_t_ns: Times,
         sample_pa: Floats,
         protocol_s: float,
         dropped: int = 0,
         weight_kg: float = 0.0,
     ) -> NDArray[np.void]:
-        """Observe one shot with the samples (k,), (k, N) that came since the last; return a row, shape ().
+        """Process one frame set with the samples (k,), (k, N) since the last one; return a row ().
 
-        `weight_kg` is what the operator has hung on the end cap.
-
-        `age_ns` is left at zero for whoever has a clock.
+        `weight_kg` is the weight on the end cap. `age_ns` stays zero; the caller sets it.
         """
         self._pressures.extend(np.asarray(sample_t_ns, dtype=np.int64), np.asarray(sample_pa, dtype=np.float64))
-        seen = self._eyes.measure(shot)
-        shape = self._model.follow(shot, self._pressures, self._hook.carrying(weight_kg))
+        seen = self._tip_estimator.measure(frame_set)
+        shape = self._model.follow(frame_set, self._pressures, self._tip_load.carrying(weight_kg))
         self.measurement, self.shape = seen, shape
         if shape is not None:
             self._model_m = np.array(shape.tip_m, dtype=np.float64)
         row = np.zeros((), self._dtype)
-        row["t_ns"], row["frame"] = shot.t_ns, shot.index
+        row["t_ns"], row["frame"] = frame_set.t_ns, frame_set.index
         row["protocol_s"], row["dropped"] = protocol_s, dropped
         row["seen"], row["model_ok"] = seen.seen, shape is not None
-        row["pressure_pa"] = self._pressures.at(shot.t_ns)
+        row["pressure_pa"] = self._pressures.at(frame_set.t_ns)
         row["weight_kg"] = weight_kg
         row["measured_m"], row["covariance_m2"] = seen.tip_m, seen.covariance_m2
         row["reprojection_px"] = seen.reprojection_px
         row["model_m"] = self._model_m
         row["backbone_m"] = backbone(shape)
-        row["truth_m"] = np.nan if shot.lead.truth_m is None else shot.lead.truth_m
+        row["truth_m"] = np.nan if frame_set.lead.truth_m is None else frame_set.lead.truth_m
         row["camera_seen"] = seen.cameras
-        row["camera_skew_s"] = [np.nan if f is None else (f.t_ns - shot.t_ns) * 1e-9 for f in shot.frames]
+        row["camera_skew_s"] = [np.nan if f is None else (f.t_ns - frame_set.t_ns) * 1e-9 for f in frame_set.frames]
         if self._adapting is not None:
             self.adaptation = self._adapting.step(row)
         return row

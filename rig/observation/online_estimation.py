@@ -1,4 +1,4 @@
-"""The recursive estimator beside the observer: each measured tip corrects the model's parameters a little."""
+"""Online estimation: the recursive estimator updates the model's parameters with each measured tip."""
 
 from __future__ import annotations
 
@@ -14,20 +14,22 @@ from rig.config.arm_model import TipLoad, model_arm
 from rig.config.schema import PA_PER_BAR, RigConfig, Variant
 from runs.records import Quantity, adaptation_dtype
 
-USUAL = ("law", "rpe_per_bar", "base", "sensor_offsets")
-USUAL_HOMOGENEOUS = ("youngs_modulus_pa", "rpe_per_bar", "base", "sensor_offsets")
+DEFAULT_PARAMETERS = ("law", "rpe_per_bar", "base", "sensor_offsets")
+DEFAULT_PARAMETERS_HOMOGENEOUS = ("youngs_modulus_pa", "rpe_per_bar", "base", "sensor_offsets")
 
 
-def usual(variant: Variant) -> tuple[str, ...]:
-    """What is estimated where nothing else is said; `rig identify` frees it, too."""
-    return USUAL_HOMOGENEOUS if variant.startswith("homogeneous") else USUAL
+def default_parameters(variant: Variant) -> tuple[str, ...]:
+    """Return the default free parameters, also those of `rig identify`."""
+    return DEFAULT_PARAMETERS_HOMOGENEOUS if variant.startswith("homogeneous") else DEFAULT_PARAMETERS
 
 
-def adapter(config: RigConfig, variant: Variant | None, parameters: Sequence[str]) -> RecursiveEstimator:
-    """The estimator of a rig's arm, begun at the rig's own numbers; half a sensor's accuracy is what its zero may be.
+def recursive_estimator(config: RigConfig, variant: Variant | None, parameters: Sequence[str]) -> RecursiveEstimator:
+    """Return the estimator of a rig's arm with the rig's values as initial estimates.
+
+    The prior of a sensor's offset has half its accuracy as standard deviation.
 
     Raises:
-        UnknownParameter, NotAdaptable: a parameter is none, or cannot be estimated frame by frame.
+        UnknownParameter, NotEstimableError: a name is unknown, or cannot be estimated recursively.
     """
     zeros = {
         f"sensor_{sensor.actuator}_offset_pa": Prior(0.0, sensor.accuracy_bar * PA_PER_BAR / 2)
@@ -36,10 +38,10 @@ def adapter(config: RigConfig, variant: Variant | None, parameters: Sequence[str
     return RecursiveEstimator(Setup(model_arm(config, variant)), parameters, zeros)
 
 
-def adapted(config: RigConfig, variant: Variant | None, parameters: Sequence[str]) -> tuple[Quantity, ...]:
-    """What will be estimated: names, units, starting values and how well they are known. Raises as `adapter` does."""
-    begun = adapter(config, variant, parameters)
-    columns = zip(begun.names, begun.values, begun.units, begun.std, strict=True)
+def estimated_quantities(config: RigConfig, variant: Variant | None, parameters: Sequence[str]) -> tuple[Quantity, ...]:
+    """Return names, units, initial values and standard deviations; raises as `recursive_estimator` does."""
+    estimator = recursive_estimator(config, variant, parameters)
+    columns = zip(estimator.names, estimator.values, estimator.units, estimator.std, strict=True)
     return tuple(
         Quantity("adaptation", name, (float(value),), unit, f"rig {config.name}", float(std))
         for name, value, unit, std in columns
@@ -47,48 +49,52 @@ def adapted(config: RigConfig, variant: Variant | None, parameters: Sequence[str
 
 
 class OnlineEstimation:
-    """Follows the observer frame by frame. Knows no clock, and nothing of it reaches the valves."""
+    """Updates the estimates frame by frame. It uses no clock and is not part of the control loop."""
 
     def __init__(self, config: RigConfig, variant: Variant | None, parameters: Sequence[str]) -> None:
-        self._adapter = adapter(config, variant, parameters)
+        self._estimator = recursive_estimator(config, variant, parameters)
         self._arm = model_arm(config, variant)
-        self._hook = TipLoad(config)
-        self._row = np.zeros((), adaptation_dtype(len(self._adapter.names)))
+        self._tip_load = TipLoad(config)
+        self._row = np.zeros((), adaptation_dtype(len(self._estimator.names)))
         self._predicted_m = np.full(3, np.nan)
 
-    def step(self, seen: NDArray[np.void]) -> NDArray[np.void]:
-        """Use one row of observations (); return the row of `runs.records.adaptation_dtype` to it.
+    def step(self, observation: NDArray[np.void]) -> NDArray[np.void]:
+        """Update with one observation (); return a row of `runs.records.adaptation_dtype`.
 
-        The model's tip in `seen` becomes that of the estimates before this frame. What motion adds to the tip is taken
-        from the running model, whose parameters stay as they are.
+        The model's tip in `observation` is replaced by the prediction with the prior estimates. The dynamic part of the
+        tip comes from the running model, whose parameters are constant.
         """
         row = self._row.copy()
-        row["t_ns"], row["frame"], row["start_model_m"] = seen["t_ns"], seen["frame"], seen["model_m"]
-        done = self._adapter.step(
-            seen["pressure_pa"],
-            seen["measured_m"],
-            seen["covariance_m2"],
-            self._motion_m(seen),
-            float(seen["weight_kg"]),
+        row["t_ns"], row["frame"], row["start_model_m"] = (
+            observation["t_ns"],
+            observation["frame"],
+            observation["model_m"],
         )
-        solved = bool(np.isfinite(done.predicted_m).all())
+        update = self._estimator.step(
+            observation["pressure_pa"],
+            observation["measured_m"],
+            observation["covariance_m2"],
+            self._motion_m(observation),
+            float(observation["weight_kg"]),
+        )
+        solved = bool(np.isfinite(update.predicted_m).all())
         if solved:
-            self._predicted_m = done.predicted_m
-        seen["model_m"], seen["model_ok"] = self._predicted_m, solved
-        row["used"] = int(done.used) + int(done.damped)
-        row["value"], row["covariance"] = self._adapter.values, self._adapter.covariance
+            self._predicted_m = update.predicted_m
+        observation["model_m"], observation["model_ok"] = self._predicted_m, solved
+        row["used"] = int(update.used) + int(update.damped)
+        row["value"], row["covariance"] = self._estimator.values, self._estimator.covariance
         return row
 
-    def _motion_m(self, seen: NDArray[np.void]) -> NDArray[np.float64]:
-        """By how much the running model's tip differs from its own at rest; NaN where it has none."""
+    def _motion_m(self, observation: NDArray[np.void]) -> NDArray[np.float64]:
+        """Return the difference of the running model's tip from its static tip; NaN without a solution."""
         nothing = np.full(3, np.nan)
-        if not seen["model_ok"]:
+        if not observation["model_ok"]:
             return nothing
         try:
             rest = self._arm.statics(
-                seen["pressure_pa"], self._hook.carrying(float(seen["weight_kg"])), doubt_units=False
+                observation["pressure_pa"], self._tip_load.carrying(float(observation["weight_kg"])), doubt_units=False
             )
         except (model.NotConverged, ValueError):
             return nothing
-        moved: NDArray[np.float64] = seen["model_m"] - rest.tip_m
+        moved: NDArray[np.float64] = observation["model_m"] - rest.tip_m
         return moved

@@ -1,4 +1,4 @@
-"""What there is to draw of one frame: the board and both tips in the picture, the arm's lines in space."""
+"""Overlay of one frame: the board and both tips in the picture, the arm's lines in space."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class Overlay:
 
 
 class OverlayProjector:
-    """Draws for one camera of a rig."""
+    """Projects measurements and the arm into one camera of a rig."""
 
     def __init__(self, config: RigConfig, camera: str, points: int) -> None:
         """`points` along each line."""
@@ -41,8 +41,8 @@ class OverlayProjector:
         self._points = points
         self._lines = 1 + config.actuators
 
-    def sketch(self, measurement: Measurement, shape: model.Shape | None) -> Overlay:
-        """Sketch a frame from what was measured in it and the arm's modelled shape, None where it was not solved."""
+    def project(self, measurement: Measurement, shape: model.Shape | None) -> Overlay:
+        """Return the overlay of a frame from its measurement and the modelled shape (None without convergence)."""
         corners = measurement.corners_px
         return Overlay(
             corners_px=np.empty((0, 2)) if corners is None else corners,
@@ -51,8 +51,8 @@ class OverlayProjector:
             lines_m=self.lines(shape),
         )
 
-    def marks(self, corners_px: Floats | None, tip_m: Floats, shape: model.Shape | None) -> ImageAnnotations:
-        """What is kept with a picture that is kept: where the board's corners, the tips and the backbone are in it."""
+    def annotations(self, corners_px: Floats | None, tip_m: Floats, shape: model.Shape | None) -> ImageAnnotations:
+        """Return the annotations of a stored picture: the board's corners, both tips and the backbone."""
         line = backbone(shape)
         points = self.pixels(np.vstack([tip_m, np.full(3, np.nan) if shape is None else shape.tip_m, line]))
         return ImageAnnotations.of(
@@ -60,21 +60,21 @@ class OverlayProjector:
         )
 
     def pixel(self, point_m: Floats) -> Floats:
-        """Where a point (3,) of the rod-base frame is in the picture (2,); NaN for one behind the camera."""
+        """Project a point (3,) of the rod-base frame to the picture (2,); NaN behind the camera."""
         pixel: Floats = self.pixels(point_m[None])[0]
         return pixel
 
     def pixels(self, points_m: Floats) -> Floats:
-        """Where points (n, 3) of the rod-base frame are in the picture (n, 2); NaN for those behind the camera."""
-        seen = self._base_in_camera.apply(points_m)
-        before = seen[:, 2] > 0
-        pixels = np.full((len(seen), 2), np.nan)
-        if before.any():
-            pixels[before] = self._lens.project(seen[before], _NOWHERE, _NOWHERE)
+        """Project points (n, 3) of the rod-base frame to the picture (n, 2); NaN behind the camera."""
+        in_camera = self._base_in_camera.apply(points_m)
+        visible = in_camera[:, 2] > 0
+        pixels = np.full((len(in_camera), 2), np.nan)
+        if visible.any():
+            pixels[visible] = self._lens.project(in_camera[visible], _NOWHERE, _NOWHERE)
         return pixels
 
     def lines(self, shape: model.Shape | None) -> Floats:
-        """The arm's axis and actuators (1 + N, points, 3) [m]; NaN for no shape."""
+        """Return the arm's axis and actuators (1 + N, points, 3) [m]; NaN without a shape."""
         if shape is None:
             return np.full((self._lines, self._points, 3), np.nan)
         at = np.linspace(0, len(shape.s_m) - 1, self._points).round().astype(int)
@@ -85,7 +85,7 @@ class OverlayProjector:
 
 
 def backbone(shape: model.Shape | None) -> Floats:
-    """The arm's centre line (BACKBONE_POINTS, 3) [m], evenly spaced along the arm at rest; NaN for no shape."""
+    """Return the arm's centre line (BACKBONE_POINTS, 3) [m], evenly spaced in rest length; NaN without a shape."""
     if shape is None:
         return np.full((BACKBONE_POINTS, 3), np.nan)
     at = _evenly(float(shape.s_m[0]), float(shape.s_m[-1]))

@@ -1,4 +1,4 @@
-"""The camera pictures that are kept: which ones, encoded, with what was seen in them."""
+"""Selection and encoding of the camera pictures to store, with image annotations."""
 
 from __future__ import annotations
 
@@ -14,35 +14,35 @@ from runs.records import DetectionStatus, Picture
 
 
 class PictureRecorder:
-    """Keeps every so many shots, and the one in which the board is lost."""
+    """Stores every `keep_every`th frame set, and the one in which the board is lost."""
 
     def __init__(self, config: RigConfig) -> None:
         self._recording = config.recording
-        self._sketchers = {name: OverlayProjector(config, name, points=2) for name in config.cameras}
+        self._projectors = {name: OverlayProjector(config, name, points=2) for name in config.cameras}
         self._lost = False
         self._last_loss: int | None = None
 
-    def pictures(self, shot: FrameSet, observer: Observer) -> list[Picture]:
-        """Return the pictures to keep of the shot that the observer has just observed."""
+    def pictures(self, frame_set: FrameSet, observer: Observer) -> list[Picture]:
+        """Return the pictures to store of the frame set that the observer has just processed."""
         measurement = observer.measurement
-        if measurement is None or not self._keeps(shot.index, measurement.seen):
+        if measurement is None or not self._keeps(frame_set.index, measurement.seen):
             return []
-        corners = measurement.board_px or (None,) * len(shot.frames)
+        corners = measurement.board_px or (None,) * len(frame_set.frames)
         return [
             Picture(
                 t_ns=frame.t_ns,
-                frame=shot.index,
+                frame=frame_set.index,
                 camera=name,
                 encoding=self._recording.encoding,
                 data=encode(frame.image, self._recording),
-                marks=sketcher.marks(board, measurement.tip_m, observer.shape),
+                marks=projector.annotations(board, measurement.tip_m, observer.shape),
             )
-            for (name, sketcher), frame, board in zip(self._sketchers.items(), shot.frames, corners, strict=True)
+            for (name, projector), frame, board in zip(self._projectors.items(), frame_set.frames, corners, strict=True)
             if frame is not None
         ]
 
     def _keeps(self, index: int, seen: DetectionStatus) -> bool:
-        """Losses that follow one another closely are kept no oftener than other pictures."""
+        """Return whether to store a frame set; pictures of losses are stored at most every `keep_every` frames."""
         every = self._recording.keep_every
         lost, self._lost = not self._lost and seen is not DetectionStatus.MEASURED, seen is not DetectionStatus.MEASURED
         if index % every == 0:
@@ -54,7 +54,7 @@ class PictureRecorder:
 
 
 def encode(image: NDArray[np.uint8], recording: Recording) -> bytes:
-    """Compress one picture as the rig asks for."""
+    """Compress one picture as the rig configures."""
     if recording.encoding == "png":
         ok, data = cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 1])
     else:

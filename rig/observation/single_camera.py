@@ -1,4 +1,4 @@
-"""One camera's eye: picture in, measured tip with its uncertainty out, or the reason why there is none."""
+"""Single-camera tip estimator: picture in, tip with covariance out, or the reason why there is none."""
 
 from __future__ import annotations
 
@@ -35,12 +35,12 @@ class Measurement:
 
     @classmethod
     def none(cls, seen: DetectionStatus, cameras: tuple[DetectionStatus, ...]) -> Measurement:
-        """Nothing was measured, and why."""
+        """Return a measurement without a tip, with the reason."""
         return cls(seen, np.full(3, np.nan), np.full((3, 3), np.nan), float("nan"), None, cameras)
 
 
 class SingleCameraTipEstimator:
-    """Measures the tip in one camera's pictures, in the order they were taken: it follows the board."""
+    """Measures the tip in one camera's pictures, in order, by tracking the board."""
 
     def __init__(self, config: RigConfig, camera_name: str) -> None:
         camera = config.cameras[camera_name]
@@ -50,12 +50,12 @@ class SingleCameraTipEstimator:
 
     def measure(self, image: NDArray[np.uint8]) -> Measurement:
         """Measure the tip in the next picture, (height, width) grey or (height, width, 3) BGR."""
-        return self.judge(self.tracker.see(image))
+        return self.measurement_of(self.tracker.see(image))
 
-    def judge(self, sighting: Detection) -> Measurement:
-        """The tip by what this camera alone has seen."""
-        if sighting.pose is None or sighting.corners is None:
-            return Measurement.none(sighting.seen, (sighting.seen,))
-        tip, covariance = tip_in_base(sighting.pose, self._board_in_tip, self._camera_in_base)
-        seen, pose = sighting.seen, sighting.pose
-        return Measurement(seen, tip, covariance, pose.reprojection_px, sighting.corners.px, (seen,))
+    def measurement_of(self, detection: Detection) -> Measurement:
+        """Return the tip from this camera's detection alone."""
+        if detection.pose is None or detection.corners is None:
+            return Measurement.none(detection.seen, (detection.seen,))
+        tip, covariance = tip_in_base(detection.pose, self._board_in_tip, self._camera_in_base)
+        seen, pose = detection.seen, detection.pose
+        return Measurement(seen, tip, covariance, pose.reprojection_px, detection.corners.px, (seen,))

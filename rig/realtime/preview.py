@@ -21,7 +21,7 @@ class PreviewPublisher:
 
     def __init__(self, config: RigConfig, memory: SharedState) -> None:
         self._memory = memory
-        self._sketchers = [OverlayProjector(config, name, LINE_POINTS) for name in config.cameras]
+        self._projectors = [OverlayProjector(config, name, LINE_POINTS) for name in config.cameras]
         self._row = np.zeros((), view_dtype(memory.layout))
 
     def shot(self, shot: FrameSet, observer: Observer) -> None:
@@ -30,11 +30,11 @@ class PreviewPublisher:
         if not watched or observer.measurement is None:
             return
         frame = shot.lead
-        sketch = self._sketchers[shot.leader].sketch(observer.measurement, observer.shape)
+        overlay = self._projectors[shot.leader].project(observer.measurement, observer.shape)
         row = self._row
         row["t_ns"], row["frame"] = shot.t_ns, shot.index
         row["shape"] = (*frame.image.shape, 1)[:3]
-        row["found"] = len(sketch.corners_px)
-        row["corners_px"][: len(sketch.corners_px)] = sketch.corners_px
-        row["tip_px"], row["model_px"], row["lines_m"] = sketch.tip_px, sketch.model_px, sketch.lines_m
+        row["found"] = len(overlay.corners_px)
+        row["corners_px"][: len(overlay.corners_px)] = overlay.corners_px
+        row["tip_px"], row["model_px"], row["lines_m"] = overlay.tip_px, overlay.model_px, overlay.lines_m
         self._memory.push_view(row, frame.image)

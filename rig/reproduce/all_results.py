@@ -1,4 +1,4 @@
-"""Which result of the paper needs which experiments, and all of them in one go."""
+"""Map the paper's results to their experiments, and compute several results."""
 
 from __future__ import annotations
 
@@ -20,19 +20,19 @@ NEEDS = {
     "table5": PROTOCOLS[4:],
     "fig14": PROTOCOLS[4:],
 }
-Told = Callable[[str], None]
+ProgressReporter = Callable[[str], None]
 
 
 @dataclass(frozen=True)
 class ReproductionResults:
-    """What came out."""
+    """Computed results."""
 
     rows: tuple[PaperComparison, ...]
     drawings: tuple[PaperFigure, ...]
 
 
 def results(
-    items: Iterable[str], folder: Path, errors_of_methods: bool, told: Told = lambda _: None
+    items: Iterable[str], folder: Path, errors_of_methods: bool, report: ProgressReporter = lambda _: None
 ) -> ReproductionResults:
     """Some of `NEEDS`, from the archives of a folder; what is missing there is simulated into it.
 
@@ -40,7 +40,7 @@ def results(
     """
     wanted = set(items)
     names = tuple(name for name in PROTOCOLS if any(name in NEEDS[item] for item in wanted))
-    runs = gathered(folder, names, told=told)
+    runs = gathered(folder, names, report=report)
     rows: list[PaperComparison] = []
     drawn: list[PaperFigure] = []
     if wanted & {"fig9", "fig10"}:
@@ -55,6 +55,6 @@ def results(
         moved = motion.motions(runs)
         rows += motion.compared(moved)
         if errors_of_methods:
-            rows += motion.table4(moved, told=told)
+            rows += motion.table4(moved, report=report)
         drawn += motion.drawings(moved)
     return ReproductionResults(tuple(rows), tuple(one for one in drawn if one.name.replace("fig0", "fig") in wanted))

@@ -1,4 +1,4 @@
-"""One result beside the paper's: what it printed, what comes out here, and why the two differ."""
+"""Comparison of a result with the paper's: printed value, computed value, reason of the difference."""
 
 from __future__ import annotations
 

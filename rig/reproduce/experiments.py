@@ -1,4 +1,4 @@
-"""The paper's six experiments: archives that are there already, or runs of a simulated rig in virtual time."""
+"""The paper's six experiments: existing archives, or simulated runs in virtual time."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ PROTOCOLS = ("extension-weights", "extension-pressure", "ramp-a", "ramp-b", "sin
 
 
 def gathered(
-    folder: Path, protocols: tuple[str, ...] = PROTOCOLS, seed: int = 0, told: Callable[[str], None] = lambda _: None
+    folder: Path, protocols: tuple[str, ...] = PROTOCOLS, seed: int = 0, report: Callable[[str], None] = lambda _: None
 ) -> dict[str, Run]:
-    """The newest finished archive of each protocol in a folder; what is missing is run on the mock rig into it.
+    """The newest finished archive of each protocol in a folder; missing ones are simulated on the mock rig.
 
-    told: called with a line before each run.
+    report: called with a line before each run.
 
     Raises:
         StartError: a simulated run did not finish.
@@ -28,7 +28,7 @@ def gathered(
     found = _archives(folder)
     for name in protocols:
         if name not in found:
-            told(f"simulating {name} on the mock rig")
+            report(f"simulating {name} on the mock rig")
             found[name] = _simulated(folder, name, seed)
     return {name: found[name] for name in protocols}
 
@@ -53,8 +53,8 @@ def _archives(folder: Path) -> dict[str, Run]:
 
 
 def _simulated(folder: Path, name: str, seed: int) -> Run:
-    asked = experiment.request(name, "mock", folder=folder, fast=True, seed=seed, report=False)
-    result = experiment.run(asked, experiment.plan(asked), NullOperator())
+    request = experiment.request(name, "mock", folder=folder, fast=True, seed=seed, report=False)
+    result = experiment.run(request, experiment.plan(request), NullOperator())
     if result.archive is None or result.outcome.status is not Status.FINISHED:
         raise StartError(f"{name} could not be simulated: {result.outcome.message}")
     return Run(result.archive)

@@ -31,11 +31,11 @@ _EQUAL_PA = 5e3
 Line = tuple[str, str, str, str, str]
 
 
-def show(archives: Sequence[Run], as_json: bool) -> None:
+def print_estimates(archives: Sequence[Run], as_json: bool) -> None:
     """Print E, a1, a2, the free strain, mu and R_m with their R^2, and gamma where a run bends the arm.
 
     Raises:
-        NoData: no run hangs weights on the arm, or it does not stand still.
+        NoDataError: no run has weights on the arm, or the arm is not at rest.
     """
     weights, pressures, bending = _sorted(archives)
     geometry = setup_of(archives[0]).arm.geometry

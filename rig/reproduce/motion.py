@@ -94,7 +94,7 @@ def compared(cases: tuple[SinusoidalRun, SinusoidalRun]) -> Iterator[PaperCompar
 def table4(
     cases: tuple[SinusoidalRun, SinusoidalRun],
     steps_along: tuple[int, ...] = (50, 200),
-    told: Callable[[str], None] = lambda _: None,
+    report: Callable[[str], None] = lambda _: None,
 ) -> Iterator[PaperComparison]:
     """The error columns of Table 4: every method against the experiment, over one second."""
     how = origin(*(case.run for case in cases))
@@ -102,7 +102,7 @@ def table4(
     for space in spaces:
         for steps in steps_along:
             for (label, scheme, alpha), printed in zip(SCHEMES, TABLE4_MM[space, steps], strict=True):
-                told(f"Table 4: {space} N = {steps}, {label}")
+                report(f"Table 4: {space} N = {steps}, {label}")
                 pairs = [case.rmse_mm(case.second, case.by_method(space, scheme, alpha, steps)) for case in cases]
                 here = float(np.mean(pairs))
                 why = (

@@ -1,4 +1,4 @@
-"""All of it in one folder: a page that holds everything it shows, and each figure as PNG and PDF."""
+"""Write the comparison: a self-contained page, and each figure as PNG and PDF."""
 
 from __future__ import annotations
 
@@ -57,13 +57,13 @@ def _page(rows: Sequence[PaperComparison], drawings: Sequence[PaperFigure], rema
         if simulated
         else ""
     )
-    told = "".join(f"<p>{escape(remark)}</p>" for remark in remarks)
+    paragraphs = "".join(f"<p>{escape(remark)}</p>" for remark in remarks)
     return (
         f'<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n{_MARK}\n<title>The paper again</title>\n'
         f"<style>\n{style}\n{_STYLE}</style>\n</head>\n<body>\n<section class=run>\n"
         "<header class=run><h1>The paper again</h1><p class=sub>Pourghasemi Hanza and Ghafarirad, Mechanics of fiber "
         "reinforced soft manipulators based on inhomogeneous Cosserat rod theory, section by section</p></header>\n"
-        f"{note}\n<h2>Side by side</h2>\n{_table(rows)}\n{told}\n{figures}\n</section>\n</body>\n</html>\n"
+        f"{note}\n<h2>Side by side</h2>\n{_table(rows)}\n{paragraphs}\n{figures}\n</section>\n</body>\n</html>\n"
     )
 
 

@@ -16,7 +16,7 @@ from rig.config.loader import parse
 from rig.config.schema import PA_PER_BAR
 from rig.reproduce.comparison import PaperComparison, PaperFigure
 from rig.reproduce.experiments import origin
-from rig.reproduce.table3 import PRINTED, READINGS
+from rig.reproduce.table3 import ERROR_DEFINITIONS, PRINTED
 from runs.report.colours import ACTUATORS, INK, MEASURED, MODEL, MUTED
 from runs.report.figures import legend
 from runs.run import Run
@@ -54,11 +54,12 @@ class RestPositions:
             self.arm = replace(arm, variant="inhomogeneous+rpe")
 
     def error_percent(self, variant: Variant, reading: int = 0) -> float:
-        """Mean normalised error over both cases, in a reading of `rig.reproduce.table3.READINGS`."""
-        error = READINGS[reading].error
+        """Mean normalised error over both cases, by a definition of `rig.reproduce.table3.ERROR_DEFINITIONS`."""
+        error = ERROR_DEFINITIONS[reading].error
         pairs = zip(self.tips_m[variant], self.measured_m, strict=True)
         rest_m = self.arm.geometry.length_m
-        return float(100 * np.concatenate([error(tip - seen, seen, rest_m) for tip, seen in pairs]).mean())
+        errors = [error(tip - measured_m, measured_m, rest_m) for tip, measured_m in pairs]
+        return float(100 * np.concatenate(errors).mean())
 
 
 def compared(data: RestPositions) -> Iterator[PaperComparison]:
@@ -71,8 +72,8 @@ def compared(data: RestPositions) -> Iterator[PaperComparison]:
             "Table 3", f"mean error, {name} [%]", f"{printed:.2f}", f"{here:.2f}", data.origin,
             f"{why}; normalised by the tip's way from rest, as the print does not say by what",
         )  # fmt: skip
-    for case, seen in zip("ab", data.measured_m, strict=True):
-        x, _, z = 1e3 * seen[-1]
+    for case, measured_m in zip("ab", data.measured_m, strict=True):
+        x, _, z = 1e3 * measured_m[-1]
         yield PaperComparison(
             "Fig 11", f"case ({case}), tip at 0.65 bar: x, z [mm]", "", f"{x:.1f}, {z:.1f}", data.origin,
             "the paper's points are not published",
@@ -98,10 +99,10 @@ def drawings(data: RestPositions) -> Iterator[PaperFigure]:
 def fig11(figure: Figure, data: RestPositions) -> None:
     """Measured tips in the plane."""
     axes = figure.subplots()
-    for case, colour, seen, pressure in zip(
+    for case, colour, measured_m, pressure in zip(
         "ab", (MEASURED, ACTUATORS[3]), data.measured_m, data.pressure_pa, strict=True
     ):
-        x, z = 1e3 * seen[:, 0], 1e3 * seen[:, 2]
+        x, z = 1e3 * measured_m[:, 0], 1e3 * measured_m[:, 2]
         axes.plot(x, z, "-o", color=colour, ms=5, mfc="white", mew=1.2, lw=0.9, label=f"case ({case})")
         for k in (0, -1):
             label = f"{pressure[k].max() / PA_PER_BAR:.2f} bar"
@@ -118,11 +119,11 @@ def fig11(figure: Figure, data: RestPositions) -> None:
 def fig12(figure: Figure, data: RestPositions) -> None:
     """The arm at every level."""
     axes = figure.subplots()
-    for pressures, seen in zip(data.pressure_pa, data.measured_m, strict=True):
+    for pressures, measured_m in zip(data.pressure_pa, data.measured_m, strict=True):
         for pressure in pressures:
             line = 1e3 * data.arm.statics(pressure, doubt_units=False).p_m
             axes.plot(line[:, 0], line[:, 2], color=MODEL, lw=0.9, alpha=0.75)
-        axes.plot(1e3 * seen[:, 0], 1e3 * seen[:, 2], "o", ms=4.5, mfc="white", mec=MEASURED, mew=1.2)
+        axes.plot(1e3 * measured_m[:, 0], 1e3 * measured_m[:, 2], "o", ms=4.5, mfc="white", mec=MEASURED, mew=1.2)
     axes.plot([], [], color=MODEL, label="model")
     axes.plot([], [], "o", ms=4.5, mfc="white", mec=MEASURED, label=f"tip, {data.origin}")
     axes.set_aspect("equal")
@@ -135,16 +136,16 @@ def fig12(figure: Figure, data: RestPositions) -> None:
 def fig13(figure: Figure, data: RestPositions) -> None:
     """Left the tips, right the errors; a row for each case."""
     panels = figure.subplots(2, 2, width_ratios=[1.25, 1])
-    for (left, right), case, seen, pressure in zip(panels, "ab", data.measured_m, data.pressure_pa, strict=True):
+    for (left, right), case, measured_m, pressure in zip(panels, "ab", data.measured_m, data.pressure_pa, strict=True):
         k = "ab".index(case)
         bar = pressure.max(axis=1) / PA_PER_BAR
-        way = np.linalg.norm(seen - np.array([0, 0, data.arm.geometry.length_m]), axis=1)
-        left.plot(1e3 * seen[:, 0], 1e3 * seen[:, 2], "o", ms=5, mfc="white", mec=INK, label=data.origin)
+        excursion_m = np.linalg.norm(measured_m - np.array([0, 0, data.arm.geometry.length_m]), axis=1)
+        left.plot(1e3 * measured_m[:, 0], 1e3 * measured_m[:, 2], "o", ms=5, mfc="white", mec=INK, label=data.origin)
         for variant, name, colour, mark in MODELS:
             tip = data.tips_m[variant][k]
             left.plot(1e3 * tip[:, 0], 1e3 * tip[:, 2], "-" + mark, color=colour, ms=4, lw=0.8, label=name)
             for axis, ls in ((0, "-"), (2, "--")):
-                error = 100 * np.abs(tip - seen)[:, axis] / way
+                error = 100 * np.abs(tip - measured_m)[:, axis] / excursion_m
                 right.plot(bar, error, ls=ls, marker=mark, color=colour, ms=3.5, lw=1.0)
         left.invert_yaxis()
         left.set_ylabel("z [mm]")

@@ -26,7 +26,7 @@ CASES = ((1.0, 0.0, 0.0), (0.0, 1.0, 1.0))
 
 
 @dataclass(frozen=True)
-class PossibleReading:
+class ErrorDefinition:
     """One meaning of 'normalised error': residuals and measured tips (K, 3), length at rest [m] to errors (K,)."""
 
     name: str
@@ -55,7 +55,7 @@ def _length(v: Array) -> Array:
 
 
 def _way(tip: Array, length_m: float) -> Array:
-    """How far tips (K, 3) are from where the straight arm's is."""
+    """Return the distances of tips (K, 3) from the straight arm's tip."""
     return _length(tip - np.array([0.0, 0.0, length_m]))
 
 
@@ -69,46 +69,46 @@ def _ranges(gap: Array, tip: Array, _: float) -> Array:
     return out
 
 
-READINGS = (
-    PossibleReading("distance over the tip's excursion", lambda gap, tip, rest: _length(gap) / _way(tip, rest)),
-    PossibleReading("distance over the largest excursion", lambda gap, tip, rest: _length(gap) / _way(tip, rest).max()),
-    PossibleReading("distance over the arm's length", lambda gap, tip, rest: _length(gap) / rest),
-    PossibleReading(
+ERROR_DEFINITIONS = (
+    ErrorDefinition("distance over the tip's excursion", lambda gap, tip, rest: _length(gap) / _way(tip, rest)),
+    ErrorDefinition("distance over the largest excursion", lambda gap, tip, rest: _length(gap) / _way(tip, rest).max()),
+    ErrorDefinition("distance over the arm's length", lambda gap, tip, rest: _length(gap) / rest),
+    ErrorDefinition(
         "distance over the tip's distance from the base", lambda gap, tip, rest: _length(gap) / _length(tip)
     ),
-    PossibleReading("x over x", lambda gap, tip, rest: np.abs(gap[:, 0] / tip[:, 0])),
-    PossibleReading("x over its largest value", lambda gap, tip, rest: np.abs(gap[:, 0]) / np.abs(tip[:, 0]).max()),
-    PossibleReading("mean of x over x and z over z", _own_axes),
-    PossibleReading("mean of x and z over their ranges", _ranges),
+    ErrorDefinition("x over x", lambda gap, tip, rest: np.abs(gap[:, 0] / tip[:, 0])),
+    ErrorDefinition("x over its largest value", lambda gap, tip, rest: np.abs(gap[:, 0]) / np.abs(tip[:, 0]).max()),
+    ErrorDefinition("mean of x over x and z over z", _own_axes),
+    ErrorDefinition("mean of x and z over their ranges", _ranges),
 )
 
 
 def table3(arm: model.Arm | None = None) -> tuple[Table3Row, ...]:
-    """Every rule under every reading, by the printed parameters unless another arm is given."""
+    """Evaluate every rule with every error definition, for the paper's arm unless another is given."""
     paper = arm or model.Arm.paper()
     plain, radial = _tips(paper, "homogeneous"), _tips(paper, "homogeneous+rpe")
     rows = []
     for rule in get_args(ModulusRule):
         best = _tips(replace(paper, modulus_rule=rule), "inhomogeneous+rpe")
-        rows += [_row(rule, reading, paper.geometry.length_m, plain, radial, best) for reading in READINGS]
+        rows += [_row(rule, reading, paper.geometry.length_m, plain, radial, best) for reading in ERROR_DEFINITIONS]
     return tuple(rows)
 
 
 def verdict(rows: tuple[Table3Row, ...]) -> str:
-    """What follows, in words."""
+    """Return the conclusion as text."""
     possible = [row for row in rows if row.possible]
     if possible:
         return "Table 3 can come from " + "; ".join(f"{row.rule}, {row.reading}" for row in possible)
     nearest = min(rows, key=lambda row: max(abs(row.homogeneous - PRINTED[0]), abs(row.radial - PRINTED[1])))
-    open_readings = dict.fromkeys(row.reading for row in rows if row.between_possible)
-    if not open_readings:
+    open_definitions = dict.fromkeys(row.reading for row in rows if row.between_possible)
+    if not open_definitions:
         return (
             "no rule for E_i can give Table 3 with these parameters: the two homogeneous models must lie at least "
             "11.71 apart, and under no reading of the error they do"
         )
     return (
         "none of the rules for E_i gives Table 3. The two homogeneous models must lie at least 11.71 apart, which "
-        f"leaves these readings of the error: {', '.join(open_readings)}. Nearest comes {nearest.rule} with "
+        f"leaves these readings of the error: {', '.join(open_definitions)}. Nearest comes {nearest.rule} with "
         f"'{nearest.reading}': {nearest.homogeneous:.2f} and {nearest.radial:.2f} against 17.20 and 5.49, of which "
         "1.27 may be the experiment's; under these readings the model with radial effect alone is too far off."
     )
@@ -121,7 +121,7 @@ def _tips(arm: model.Arm, variant: Variant) -> list[Array]:
 
 def _row(
     rule: ModulusRule,
-    reading: PossibleReading,
+    reading: ErrorDefinition,
     length_m: float,
     plain: list[Array],
     radial: list[Array],

@@ -72,12 +72,12 @@ def table4(
     horizon_s: float = HORIZON_S,
     steps_along: tuple[int, ...] = (50, 200),
     noise_bar: float = 0.001,
-    told: Callable[[str], None] = lambda _: None,
+    report: Callable[[str], None] = lambda _: None,
 ) -> tuple[Table4Row, ...]:
     """Run the paper's grid: 2 spatial methods x 7 schemes x N steps along the arm; homogeneous section with RPE.
 
     Stability is tried at the first N over the horizon, with sensor noise on the pressures, for the growth of a neutral
-    scheme needs something to grow from. told: called with a line before each method.
+    scheme needs something to grow from. report: called with a line before each method.
     """
     arm = Arm.paper("homogeneous+rpe")
     times = FRAME_S * np.arange(1, round(max(horizon_s, 1.0) / FRAME_S) + 1, dtype=np.float64)
@@ -95,7 +95,7 @@ def table4(
     for space in spaces:
         for steps in steps_along:
             for (label, scheme, alpha), printed in zip(SCHEMES, PRINTED_S.get((space, steps), UNPRINTED), strict=True):
-                told(f"{space} N = {steps}, {label}")
+                report(f"{space} N = {steps}, {label}")
                 rod = PaperRod(arm, FRAME_S, scheme, alpha, space=space, steps=steps)
                 rod.start(start)
                 began = time.perf_counter()

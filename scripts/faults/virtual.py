@@ -114,5 +114,5 @@ def trial(fault: Fault, folder: Path, at_s: float, seed: int) -> FaultTrial:
         result = experiment.run(request, experiment.plan(request), listener)
         with contextlib.suppress(FileNotFoundError):
             (out / "filler").unlink()
-        said = "\n".join((*listener.said, result.outcome.message, *result.trouble, ""))
+        said = "\n".join((*listener.said, result.outcome.message, *result.warnings, ""))
         return judge(fault, "virtual", at_s, Watched(plant.strike_ns, plant.made.safe_ns, said), out)

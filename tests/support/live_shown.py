@@ -52,7 +52,7 @@ class Shown:
     """A source whose every browser sees the same moment."""
 
     live = True
-    over = False
+    finished = False
 
     def __init__(self, actuators: int, adapt: bool, prompt: str) -> None:
         self.actuators = actuators
@@ -122,7 +122,7 @@ class Moment:
         packet, self._packet = self._packet, None
         return packet
 
-    def asked(self, message: Message, who: str) -> dict[str, Any]:
+    def handle(self, message: Message, who: str) -> dict[str, Any]:
         """Say who wants what."""
         return {"done": True, "said": f"{message.do} by {who} (live page) at protocol time 3723.40 s"}
 

@@ -175,7 +175,7 @@ def test_parameters_of_another_model_are_refused(
     said = capsys.readouterr().err
     assert "arm.yaml:" in said
     assert "inhomogeneous+rpe" in said
-    assert "homogeneous, the model that was asked for" in said
+    assert "homogeneous, the model that --model names" in said
 
 
 @pytest.mark.parametrize(

@@ -165,19 +165,19 @@ def test_of_several_starts_the_likeliest_is_taken(
     said = capsys.readouterr()
     found = {name: float(x) for name, x in re.findall(r"from (\S+): log likelihood (-?[\d.]+)", said.err)}
     assert found["mock"] > found[str(upright)] + 100
-    assert re.findall(r"from (\S+): .*, taken", said.err) == ["mock"]
+    assert re.findall(r"from (\S+): .*, chosen", said.err) == ["mock"]
     assert re.search(rf"a1_per_n +{TRUE['a1_per_n']:.5f}"[:-1], said.out)
 
 
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        (["--every", "2"], "say --quasi-static"),
-        (["--start", "mock", "--choose"], "neither --choose nor --paper"),
+        (["--every", "2"], "needs --quasi-static"),
+        (["--start", "mock", "--choose"], "not valid with --choose or --paper"),
         (["--start", "nowhere"], "there is no such file"),
         (["--figure", "x.png"], "nothing is predicted"),
-        (["--rig", "mock"], "to begin the search at another rig say --start"),
-        (["--until", "3", "--paper"], "neither --choose nor --paper"),
+        (["--rig", "mock"], "needs --rig-file"),
+        (["--until", "3", "--paper"], "not valid with --choose or --paper"),
         (["--until", "1e6"], "shows no tip after"),
     ],
 )
@@ -192,12 +192,12 @@ def test_a_figure_or_a_part_without_sense_is_refused(
 def test_where_results_are_to_go_is_known_to_be_wrong_before_the_search(
     bench: dict[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("rig.identify.estimation.likeliest", lambda *_: pytest.fail("the search had begun"))
+    monkeypatch.setattr("rig.identify.estimation.most_likely_fit", lambda *_: pytest.fail("the search had begun"))
     (tmp_path / "short.yaml").write_text(text("mock").replace("length_mm: 170", "length_mm: 140"), encoding="utf-8")
     found = str(tmp_path / "found.yaml")
     for options, said in (
         (["--rig-file", found, "--rig", "nowhere"], "no rig of that name"),
-        (["--rig-file", found, "--rig", str(tmp_path / "short.yaml")], "another arm than the search begins at"),
+        (["--rig-file", found, "--rig", str(tmp_path / "short.yaml")], "another arm than the initial rig"),
         (["--figure", str(tmp_path / "a.xyz"), "--until", "15"], "a name that ends with .png, .pdf or .svg"),
         (["--report", str(tmp_path)], "a file, not a folder"),
         (["--to", str(tmp_path / "short.yaml" / "a.yaml")], "is a file, not a folder"),
@@ -219,7 +219,7 @@ def test_runs_of_another_arm_are_refused_unless_one_arm_is_named(
     def begun(*_: object) -> None:
         raise NoDataError("the search began")
 
-    monkeypatch.setattr("rig.identify.estimation.likeliest", begun)
+    monkeypatch.setattr("rig.identify.estimation.most_likely_fit", begun)
     rig(bench["one"], other, "--start", "mock", status=2)
     assert "the search began" in capsys.readouterr().err
 
@@ -230,7 +230,7 @@ def test_runs_whose_rigs_place_a_camera_differently_are_said_to_share_one_base(
     def begun(*_: object) -> None:
         raise NoDataError("the search began")
 
-    monkeypatch.setattr("rig.identify.estimation.likeliest", begun)
+    monkeypatch.setattr("rig.identify.estimation.most_likely_fit", begun)
     moved = text("mock").replace("translation_mm: [0, 400, 200]", "translation_mm: [0, 401, 200]")
     other = str(archive(tmp_path, "moved", np.array([[0.1, 0, 0], [0.3, 0, 0]]), np.zeros(2), moved))
     rig(bench["one"], bench["two"], status=2)

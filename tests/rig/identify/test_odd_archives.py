@@ -162,7 +162,7 @@ def with_parameters(folder: Path, capsys: pytest.CaptureFixture[str]) -> tuple[P
 def test_runs_that_count_from_different_bases_are_not_mixed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     plain, _, moved = with_parameters(tmp_path, capsys)
     told = identify(capsys, plain, moved, "--free", "law", status=2)
-    assert "different parameters laid over their rig" in told
+    assert "different parameters applied to their rigs" in told
 
 
 def test_what_is_found_with_parameters_laid_over_a_rig_is_for_the_rig_without_them(
@@ -171,7 +171,7 @@ def test_what_is_found_with_parameters_laid_over_a_rig_is_for_the_rig_without_th
     _, first, moved = with_parameters(tmp_path, capsys)
     file, rig = tmp_path / "second.yaml", tmp_path / "rig.yaml"
     told = identify(capsys, moved, "--free", "a1_per_n,base_x_m", "--to", file, "--rig-file", rig, status=0)
-    assert "count from there" in told
+    assert "relative to them" in told
     second = read(file).found
     shift = 1e3 * next(e.used for e in second.estimates if e.name == "base_x_m")
     assert abs(shift) > 1e-3
@@ -254,13 +254,13 @@ def test_what_nobody_can_know_beforehand_is_refused(
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        (["--choose", "--leave-out", "RUN"], "--leave-out: neither --choose nor --paper takes it"),
-        (["--choose", "--to", "x.yaml", "--profile"], "--profile, --to: neither --choose nor --paper takes it"),
-        (["--paper", "--free", "law"], "--free: --paper does not take it"),
-        (["--paper", "--choose"], "--choose: --paper does not take it"),
-        (["--store", "x"], "--store: there is nothing to spread"),
-        (["--rig", "mock"], "--rig: it is the rig that --rig-file writes"),
-        (["--bootstrap", "1"], "--bootstrap: one refit has no scatter"),
+        (["--choose", "--leave-out", "RUN"], "--leave-out: not valid with --choose or --paper"),
+        (["--choose", "--to", "x.yaml", "--profile"], "--profile, --to: not valid with --choose or --paper"),
+        (["--paper", "--free", "law"], "--free: not valid with --paper"),
+        (["--paper", "--choose"], "--choose: not valid with --paper"),
+        (["--store", "x"], "--store: nothing runs in parallel"),
+        (["--rig", "mock"], "--rig: needs --rig-file"),
+        (["--bootstrap", "1"], "--bootstrap: at least two refits are needed"),
         (["--prior", "cap_mass_kg=0.05+-0.01"], "--prior cap_mass_kg: it is not free"),
         (["--prior", "cap_mas_kg=0.05+-0.01"], "did you mean cap_mass_kg"),
         (["--prior", "law=1+-0"], "a positive deviation"),

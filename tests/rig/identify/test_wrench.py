@@ -176,6 +176,6 @@ def test_a_wrench_that_cannot_be_placed_is_refused(table: Path, tmp_path: Path, 
 def test_a_wrench_that_is_doubtful_is_imported_with_a_warning(table: Path, tmp_path: Path) -> None:
     said = warnings_of(bring(table, HEAD + CELL.replace("N mm", "N m").replace("rows: 4", "rows: 20"), tmp_path))
     assert "are their units right?" in said
-    assert "whose mean is taken for nothing pulling" in said
+    assert "whose mean is used as the no-load reading" in said
     assert "degrees within the first 20 rows" in said
     assert warnings_of(bring(table, HEAD + CELL, tmp_path)).count("\n") == 0

@@ -31,10 +31,10 @@ def test_the_arm_is_drawn_with_the_weight_that_hung_on_it(tmp_path: Path) -> Non
     tip = played.run.tip
     assert tip.weight_g[-1] == 800
     for frame in (0, len(tip.frame) - 1):
-        drawing = played.drawing(frame, -1)
-        assert drawing is not None
+        overlay = played.overlay(frame, -1)
+        assert overlay is not None
         # The archive's model still swings a little where the weight has just been hung.
-        assert np.linalg.norm(drawing.lines_mm[0, -1] - tip.model_mm[frame]) < 1.0
+        assert np.linalg.norm(overlay.lines_mm[0, -1] - tip.model_mm[frame]) < 1.0
 
 
 def test_an_import_without_rig_and_set_points_is_described_in_plain_json(tmp_path: Path) -> None:

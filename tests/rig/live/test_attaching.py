@@ -76,5 +76,5 @@ def test_where_no_run_goes_there_is_one_sentence() -> None:
         [sys.executable, "-m", "rig", "live", "--pid", "1", "--port", "0"], capture_output=True, text=True, check=False
     )
     assert done.returncode == 1
-    assert "process 1 conducts no run of yours" in done.stderr
+    assert "process 1 runs no experiment of yours" in done.stderr
     assert "Traceback" not in done.stderr

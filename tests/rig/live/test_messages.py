@@ -9,15 +9,15 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from rig.live.messages import ASKS, FASTEST, MOST_CHARACTERS, MOST_REASON, Message, MessageError, parse
+from rig.live.messages import FASTEST, FIELDS, MOST_CHARACTERS, MOST_REASON, Message, MessageError, parse
 from rig.realtime.operator_commands import Command
 
 JSON = st.recursive(
     st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=20) | st.sampled_from(list(Command)),
-    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.sampled_from(ASKS) | st.text(max_size=5), inner),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.sampled_from(FIELDS) | st.text(max_size=5), inner),
     max_leaves=8,
 )
-NEARLY_VALID = st.dictionaries(st.sampled_from((*ASKS, "who")), JSON, min_size=1, max_size=2)
+NEARLY_VALID = st.dictionaries(st.sampled_from((*FIELDS, "who")), JSON, min_size=1, max_size=2)
 
 
 @given((JSON | NEARLY_VALID).map(json.dumps) | st.text(max_size=2 * MOST_CHARACTERS))
@@ -40,7 +40,7 @@ def test_any_text_is_one_valid_wish_or_refused_with_a_short_sentence(text: str) 
 
 def valid(message: Message, text: str) -> None:
     """Check that a message says what its text does, and that every value is one that there is."""
-    said = {name: value for name in ASKS if (value := getattr(message, name)) is not None}
+    said = {name: value for name in FIELDS if (value := getattr(message, name)) is not None}
     assert len(said) == 1
     assert json.loads(text).items() >= said.items()
     assert message.do is None or message.do in set(Command)

@@ -163,26 +163,26 @@ def served(
 
 def test_a_visitor_sees_the_run_and_cannot_write_to_it(served: ServedRun, memory: SharedState) -> None:
     assert running_runs() == [served.socket.path]
-    visit = ClientSession(served.socket.path)
+    session = ClientSession(served.socket.path)
     memory.paused = 1
-    assert visit.memory.paused == 1
-    assert visit.plan.config.name == "mock"
+    assert session.memory.paused == 1
+    assert session.plan.config.name == "mock"
     with pytest.raises(ValueError, match="read-only"):
-        visit.memory.paused = 0
+        session.memory.paused = 0
     with pytest.raises(OSError, match="Bad file descriptor"):
-        os.write(visit.memory.fd, b"x")
-    visit.close()
+        os.write(session.memory.fd, b"x")
+    session.close()
 
 
 def test_wishes_are_passed_on_with_who_has_them(served: ServedRun, memory: SharedState) -> None:
-    visit = ClientSession(served.socket.path)
+    session = ClientSession(served.socket.path)
     me = user_name()
-    assert visit.ask("pause", me) == {"done": True, "said": f"pause by {me} (live page)"}
+    assert session.request("pause", me) == {"done": True, "said": f"pause by {me} (live page)"}
     assert served.asked == [OperatorCommand(Command.PAUSE, f"{me} (live page)")]
-    visit.watch()
-    visit.ask("resume", "ada")
+    session.watch()
+    session.request("resume", "ada")
     assert memory.viewer_ns > 0
-    visit.close()
+    session.close()
 
 
 @pytest.mark.parametrize(
@@ -207,15 +207,15 @@ def test_nonsense_is_shown_out_and_the_door_stays_open(served: ServedRun, packet
     assert visitor.recv(100) == b""
     visitor.close()
     assert served.asked == []
-    with closing(ClientSession(served.socket.path)) as visit:
-        assert visit.ask("pause", "ada")["done"]
+    with closing(ClientSession(served.socket.path)) as session:
+        assert session.request("pause", "ada")["done"]
 
 
 @pytest.mark.parametrize("who", ["eve", "\x1b[31meve\u202e", " eve\n"])
 def test_the_record_names_the_account_behind_the_connection_whatever_it_says(served: ServedRun, who: str) -> None:
-    with closing(ClientSession(served.socket.path)) as visit:
-        visit.ask("pause", who)
-        visit.ask("resume", "", via="")
+    with closing(ClientSession(served.socket.path)) as session:
+        session.request("pause", who)
+        session.request("resume", "", via="")
     named = "[31meve" if "[" in who else "eve"
     assert [request.who for request in served.asked] == [
         f"{named} (live page of {user_name()})",
@@ -250,15 +250,29 @@ def test_another_account_is_not_let_in(served: ServedRun) -> None:
     assert served.asked == []
 
 
+def test_a_runtime_folder_of_another_user_is_left_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_RUNTIME_DIR", "/proc/1/nowhere")
+    monkeypatch.setattr("tempfile.gettempdir", lambda: str(tmp_path))
+    assert socket_paths() == tmp_path / f"softrig-{os.getuid()}"
+
+
+def test_a_link_in_place_of_the_folder_is_not_followed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    (tmp_path / "elsewhere").mkdir(mode=0o700)
+    (tmp_path / "softrig").symlink_to(tmp_path / "elsewhere")
+    with pytest.raises(PermissionError, match="alone"):
+        socket_paths()
+
+
 def test_visitors_beyond_the_most_are_shown_out_and_those_inside_are_still_served(served: ServedRun) -> None:
-    visit = ClientSession(served.socket.path)
+    session = ClientSession(served.socket.path)
     others = [connect(served.socket.path) for _ in range(60)]
-    visit.watch()
+    session.watch()
     for other in others:
         if other is not None:
             other.close()
-    assert visit.ask("pause", "ada")["done"]
-    visit.close()
+    assert session.request("pause", "ada")["done"]
+    session.close()
 
 
 def test_a_visitor_who_never_takes_his_answers_does_not_hold_the_supervisor_up(served: ServedRun) -> None:
@@ -270,8 +284,8 @@ def test_a_visitor_who_never_takes_his_answers_does_not_hold_the_supervisor_up(s
             rude.send(json.dumps({"do": "pause", "who": "x" * 80}).encode())
     except (BlockingIOError, BrokenPipeError, ConnectionResetError):
         pass
-    with closing(ClientSession(served.socket.path)) as visit:
-        assert visit.ask("resume", "ada")["done"]
+    with closing(ClientSession(served.socket.path)) as session:
+        assert session.request("resume", "ada")["done"]
     rude.close()
 
 
@@ -280,7 +294,7 @@ def test_a_door_that_a_dead_run_left_is_no_run(served: ServedRun, tmp_path: Path
     left.bind(str(socket_paths() / "run-1"))
     left.close()
     assert running_runs() == [served.socket.path]
-    with pytest.raises(StartError, match="no run is going"):
+    with pytest.raises(StartError, match="no run is active"):
         ClientSession(socket_paths() / "run-1")
 
 

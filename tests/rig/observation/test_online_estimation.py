@@ -15,7 +15,7 @@ from rig.cli.app import main
 from rig.config import parameters_overlay as parameter_files
 from rig.config.arm_model import model_arm, true_arm
 from rig.config.loader import load
-from rig.observation.online_estimation import USUAL, OnlineEstimation, adapted
+from rig.observation.online_estimation import DEFAULT_PARAMETERS, OnlineEstimation, estimated_quantities
 from runs.records import DetectionStatus, observation_dtype
 from runs.report.figure_specifications import figure_specifications
 from runs.run import Run
@@ -72,7 +72,7 @@ def test_estimates_are_within_their_own_bounds_of_the_simulated_arm(runs: list[R
 def test_what_is_found_can_be_used_for_the_next_run(runs: list[Run], tmp_path: Path) -> None:
     file = runs[0].path.with_suffix(".parameters.yaml")
     found = parameter_files.read(file).found
-    assert [e.name for e in found.estimates] == [parameter.name for parameter in named(USUAL, 3)]
+    assert [e.name for e in found.estimates] == [parameter.name for parameter in named(DEFAULT_PARAMETERS, 3)]
     assert found.data[0].run == runs[0].header.run_id
     again = ran(tmp_path, 3, "--parameters", str(file))
     without = np.linalg.norm(runs[0].tip.measured_mm - runs[0].adaptation.start_model_mm, axis=1)  # type: ignore[union-attr]
@@ -113,11 +113,11 @@ def test_over_twenty_arms_drawn_from_the_prior_the_bounds_hold_what_they_say() -
 def _normalised_errors(seed: int, rate_hz: float = 6.0) -> np.ndarray:
     """Errors of the estimates in their own standard deviations, after one period on an arm drawn from the prior."""
     config, rng = load("mock"), np.random.default_rng(seed)
-    truth, parameters = Setup(true_arm(config)), named(USUAL, 3)
-    for parameter, start in zip(parameters, adapted(config, None, USUAL), strict=True):
+    truth, parameters = Setup(true_arm(config)), named(DEFAULT_PARAMETERS, 3)
+    for parameter, start in zip(parameters, estimated_quantities(config, None, DEFAULT_PARAMETERS), strict=True):
         truth = parameter.write(truth, rng.normal(start.value[0], start.uncertainty))
     real, believed = truth.arm.dynamics(1 / rate_hz), model_arm(config).dynamics(1 / rate_hz)
-    adapting = OnlineEstimation(config, None, USUAL)
+    adapting = OnlineEstimation(config, None, DEFAULT_PARAMETERS)
     for k, t in enumerate(np.arange(0, 3 + PERIOD_S, 1 / rate_hz)):
         level = (0.35 + 0.25 * np.sin(max(t - 3, 0) + 4 * np.pi / 3)) * min(t / 3, 1) * 1e5
         pressure = np.array([level, 0.0, 0.0])
@@ -148,7 +148,7 @@ def test_a_frame_without_a_tip_predicts_and_changes_nothing() -> None:
     done = adapting.step(row)
     assert done["used"] == 0
     assert np.allclose(row["model_m"], before, atol=1e-9)
-    assert np.allclose(done["value"], [q.value[0] for q in adapted(config, None, ["law"])])
+    assert np.allclose(done["value"], [q.value[0] for q in estimated_quantities(config, None, ["law"])])
 
 
 @pytest.mark.parametrize(

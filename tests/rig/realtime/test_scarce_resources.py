@@ -34,7 +34,7 @@ def test_a_run_with_too_little_address_space_is_refused_in_one_sentence(tmp_path
         check=False,
     )
     assert done.returncode == 1
-    assert done.stderr == ("the address space of a process is limited to 614 MB (ulimit -v), a run wants 1200 MB\n"), (
+    assert done.stderr == ("the address space of a process is limited to 614 MB (ulimit -v), a run needs 1200 MB\n"), (
         done.stderr
     )
 

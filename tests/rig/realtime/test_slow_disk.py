@@ -63,7 +63,7 @@ def test_the_operator_is_told_that_the_run_waits_for_its_disk_and_the_archive_is
         return Outcome(Status.FINISHED, "", time.monotonic_ns())
 
     monkeypatch.setattr(supervisor, "run", ended_on_a_disk_that_stands)
-    monkeypatch.setattr(experiment, "TOLD_AFTER_S", 0.0)
+    monkeypatch.setattr(experiment, "DISK_WARNING_AFTER_S", 0.0)
     listener = Listener(disk, "waiting for the disk")
     result = experiment.run(request_, experiment.plan(request_), listener)
     assert result.archive is not None

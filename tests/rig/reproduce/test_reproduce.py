@@ -15,7 +15,7 @@ from rig.reproduce import motion
 from rig.reproduce.comparison import PaperComparison
 from rig.reproduce.experiments import origin
 from rig.reproduce.page import write
-from rig.reproduce.table3 import READINGS
+from rig.reproduce.table3 import ERROR_DEFINITIONS
 from runs.archive.writer import finalise
 from tests.support.synthetic_runs import write_journal
 
@@ -101,6 +101,6 @@ def test_what_rests_on_one_simulated_run_is_called_simulated(tmp_path: Path) -> 
 def test_an_error_is_normalised_by_the_way_of_the_arm_that_it_is_of() -> None:
     gap, rest_m = np.full((2, 3), [1e-3, 0, 0]), 0.25
     tip = np.array([[0.03, 0.0, rest_m - 0.04], [0.06, 0.0, rest_m - 0.08]])
-    over = {reading.name: float(reading.error(gap, tip, rest_m)[0]) for reading in READINGS}
+    over = {reading.name: float(reading.error(gap, tip, rest_m)[0]) for reading in ERROR_DEFINITIONS}
     assert over["distance over the tip's excursion"] == pytest.approx(1 / 50)
     assert over["distance over the arm's length"] == pytest.approx(1 / 250)

@@ -9,7 +9,7 @@ import pytest
 
 import model
 from rig.cli.app import main
-from rig.reproduce.table3 import PRINTED, READINGS, table3, verdict
+from rig.reproduce.table3 import ERROR_DEFINITIONS, PRINTED, table3, verdict
 
 
 def test_what_section_6_calls_15_93_and_11_71_percent_are_differences_of_table_3_in_points() -> None:
@@ -20,7 +20,7 @@ def test_what_section_6_calls_15_93_and_11_71_percent_are_differences_of_table_3
 
 def test_no_rule_gives_table_3_with_the_printed_parameters() -> None:
     rows = table3()
-    assert len(rows) == 5 * len(READINGS)
+    assert len(rows) == 5 * len(ERROR_DEFINITIONS)
     assert not any(row.possible for row in rows)
     said = verdict(rows)
     assert "none of the rules" in said
@@ -52,7 +52,7 @@ def test_rig_reproduce_puts_the_papers_figures_beside_ours(capsys: pytest.Captur
         main(["reproduce", "table3", "--json"])
     assert left.value.code == 0
     found = json.loads(capsys.readouterr().out)
-    assert len(found["table3"]["rows"]) == 5 * len(READINGS)
+    assert len(found["table3"]["rows"]) == 5 * len(ERROR_DEFINITIONS)
     with pytest.raises(SystemExit):
         main(["reproduce", "modulus"])
     assert "290.5 kPa" in " ".join(capsys.readouterr().out.split())

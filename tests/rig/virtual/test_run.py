@@ -212,5 +212,5 @@ def test_a_run_that_its_disk_ends_ends_by_its_own_clock(tmp_path: Path) -> None:
         result = experiment.run(request, decided, Filling())
     assert result.outcome.status is Status.ABORTED
     assert "the record could not be written" in result.outcome.message
-    assert result.trouble
+    assert result.warnings
     assert 0 < result.outcome.t_ns * 1e-9 < decided.trajectory.duration_s

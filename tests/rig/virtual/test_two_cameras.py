@@ -86,10 +86,10 @@ def test_played_back_the_page_shows_one_camera_all_the_time_with_its_own_marks(s
     shown = [played.picture_at(t_s) for t_s in np.linspace(0.5, stereo.tip.time_s[-1], 60)]
     assert len(set(shown)) > 20
     assert {stereo.frames.camera[k] for k in shown} == {"left"}
-    drawing = played.drawing(len(stereo.tip.time_s) - 1, shown[-1])
-    assert drawing is not None
-    assert np.array_equal(drawing.corners_px, stereo.frames.corners_px[shown[-1]])
-    assert np.array_equal(drawing.tip_px, stereo.frames.tip_px[shown[-1]])
+    overlay = played.overlay(len(stereo.tip.time_s) - 1, shown[-1])
+    assert overlay is not None
+    assert np.array_equal(overlay.corners_px, stereo.frames.corners_px[shown[-1]])
+    assert np.array_equal(overlay.tip_px, stereo.frames.tip_px[shown[-1]])
 
 
 def test_a_replay_measures_again_with_both(stereo: Run, tmp_path: Path) -> None:
