@@ -56,15 +56,15 @@ class Setup:
         )
         return replace(self.arm, geometry=replace(self.arm.geometry, actuator_xy_m=turned))
 
-    def seen_without(self, laid: Setup) -> Setup:
-        """The same arm as a rig without `laid` measures it, where this is how a rig with `laid` in it does."""
-        turn = Rotation.from_rotvec(laid.base_rotation_rad)
+    def without_baseline(self, baseline: Setup) -> Setup:
+        """The same arm as a rig without `baseline` measures it, where this is how a rig with `baseline` in it does."""
+        turn = Rotation.from_rotvec(baseline.base_rotation_rad)
         return replace(
             self,
-            base_translation_m=_three(turn.apply(self.base_translation_m) + laid.base_translation_m),
+            base_translation_m=_three(turn.apply(self.base_translation_m) + baseline.base_translation_m),
             base_rotation_rad=_three((turn * Rotation.from_rotvec(self.base_rotation_rad)).as_rotvec()),
-            tool_offset_m=_three(np.add(self.tool_offset_m, laid.tool_offset_m)),
-            sensor_gain=tuple(np.multiply(self.sensor_gain, laid.sensor_gain).tolist()),
+            tool_offset_m=_three(np.add(self.tool_offset_m, baseline.tool_offset_m)),
+            sensor_gain=tuple(np.multiply(self.sensor_gain, baseline.sensor_gain).tolist()),
         )
 
     def pressure_pa(self, measured_pa: Array) -> Array:

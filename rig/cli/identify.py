@@ -83,7 +83,7 @@ def identify(
     """Find an arm's parameters from runs, with error bars, or say that the runs do not tell them."""
     import numpy as np
 
-    from calibration.identify import parted
+    from calibration.identify import split_at
     from calibration.identify.held_out_prediction import predict
     from calibration.identify.parameters_document import write
     from rig.identify import estimation, initial_setup
@@ -149,7 +149,7 @@ def identify(
             said = f"{poses.run_id} is of {poses.actuators} actuators, the others are of {data[0].actuators}"
             raise typer.BadParameter(said, param_hint="--leave-out")
     if until is not None:
-        parts = [parted(poses, until) for poses in data]
+        parts = [split_at(poses, until) for poses in data]
         data, later = [part[0] for part in parts], [part[1] for part in parts] + later
     data = [poses.only(np.arange(0, len(poses), every)) for poses in data]
     taken, fit = estimation.likeliest(rigs, data, names, priors, starts)

@@ -47,7 +47,7 @@ def write_parameters(run: Run) -> Path | None:
     if adaptation is None or not adaptation.used.any():
         return None
     estimated = found(run, adaptation)
-    return write(estimated, run.path.with_suffix(SUFFIX), under=baseline_geometry(run, estimated.start))
+    return write(estimated, run.path.with_suffix(SUFFIX), baseline=baseline_geometry(run, estimated.start))
 
 
 def found(run: Run, adaptation: Adaptation) -> OnlineResult:
@@ -96,5 +96,5 @@ def _estimate(parameter: Parameter, adaptation: Adaptation, k: int, start: Setup
         interval=(value - NORMAL_95 * std, value + NORMAL_95 * std) if known else None,
         verdict=verdict,
         partners=(),
-        loose_std=std,
+        joint_std=std,
     )

@@ -20,7 +20,7 @@ from rich.table import Table
 from rich.text import Text
 
 from calibration.identify.bootstrap import Bootstrap, bootstrap
-from calibration.identify.data import Poses, as_if_at_rest, poses_of
+from calibration.identify.data import Poses, poses_of, quasi_static_poses
 from calibration.identify.figures import predictions
 from calibration.identify.fit import Fit, identify
 from calibration.identify.held_out_prediction import Prediction
@@ -56,7 +56,7 @@ def rig_with(rig: InitialSetup, parameters: Path) -> str:
 
 def poses(run: Run, quasi_static: bool = False) -> Poses:
     """What identification takes from a run: plateaus or motion, or every frame as an equilibrium."""
-    return as_if_at_rest(run) if quasi_static else poses_of(run)
+    return quasi_static_poses(run) if quasi_static else poses_of(run)
 
 
 def shown(archives: Sequence[Run], quasi_static: bool = False) -> list[Poses]:
@@ -154,18 +154,18 @@ def check_priors(priors: Mapping[str, Prior], free: Sequence[str], actuators: in
 def show(fit: Fit, as_json: bool, under: Baseline | None = None) -> None:
     """Estimates with their error bars or verdicts, and how well each run is met."""
     if as_json:
-        typer.echo(json.dumps(plain_json(content(fit, under=under)), indent=2))
+        typer.echo(json.dumps(plain_json(content(fit, baseline=under)), indent=2))
         return
     screen = console()
     table = Table(box=None, padding=(0, 2, 0, 0))
     for head in ("parameter", "value", "+-", "95 %", "unit", "run"):
         table.add_column(head, justify="left" if head in ("parameter", "unit", "run") else "right", overflow="fold")
     untold = []
-    for e, held in zip(fit.estimates, fit.held, strict=True):
+    for e, fixed in zip(fit.estimates, fit.fixed, strict=True):
         if e.value is None or e.std is None or e.interval is None:
             others = f" ({', '.join(e.partners)})" if e.partners else ""
             told = f"{e.name} {e.run}".strip()
-            untold.append(f"{told}: {e.verdict.value}{others}; {'held at' if held else 'used'} {e.used:.5g} {e.unit}")
+            untold.append(f"{told}: {e.verdict.value}{others}; {'held at' if fixed else 'used'} {e.used:.5g} {e.unit}")
         else:
             low, high = e.interval
             table.add_row(e.name, f"{e.value:.6g}", f"{e.std:.2g}", f"{low:.5g} .. {high:.5g}", e.unit, e.run)
@@ -210,11 +210,11 @@ def draw_predictions(found: Sequence[Prediction], file: Path) -> Path:
 def told(found: Sequence[Prediction]) -> None:
     """How well runs that were left out are predicted."""
     for one in found:
-        how = ", under its measured wrench" if one.pulled else ""
+        how = ", under its measured wrench" if one.under_wrench else ""
         said = f"rms {1e3 * one.rms_before_m:.3f} -> {1e3 * one.rms_m:.3f} mm, "
-        said += f"mean {1e3 * one.mean_m:.3f} mm, 95 % below {1e3 * one.most_m:.3f} mm"
-        if one.lost:
-            said += f"; {one.lost} of {len(one.error_m)} frames have no prediction and do not count"
+        said += f"mean {1e3 * one.mean_m:.3f} mm, 95 % below {1e3 * one.p95_m:.3f} mm"
+        if one.unsolved:
+            said += f"; {one.unsolved} of {len(one.error_m)} frames have no prediction and do not count"
         console(stderr=True).print(f"{one.run_id} (left out{how}): {said}", soft_wrap=True)
 
 

@@ -9,7 +9,7 @@ import pytest
 
 import model
 from calibration.identify import Prior, Setup, identify, least_squares
-from calibration.identify.pressure_smoothing import curve, noise_of, smoothed
+from calibration.identify.pressure_smoothing import curve, noise_std, smoothed
 from calibration.identify.simulated_experiments import MeasurementErrors, plan
 from calibration.identify.tip_predictor import FINE_SUBSTEPS, SUBSTEPS, Predictor
 
@@ -27,7 +27,7 @@ def test_noise_of_a_smooth_course_is_found_and_taken_off() -> None:
     time_s = np.arange(0, 12, 1 / TICK_HZ)
     truth = sine(time_s)
     samples = truth + NOISE_PA * np.random.default_rng(5).standard_normal(truth.shape)
-    assert noise_of(samples) == pytest.approx(np.full(3, NOISE_PA), rel=0.1)
+    assert noise_std(samples) == pytest.approx(np.full(3, NOISE_PA), rel=0.1)
     found, deviation = smoothed(samples)
     error = np.sqrt(((found - truth) ** 2).mean(axis=0))
     assert (error < 0.36 * NOISE_PA).all()

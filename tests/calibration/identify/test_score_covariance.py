@@ -123,7 +123,7 @@ def test_frequencies_at_which_pressures_show_but_noise_do_not_count() -> None:
     errors = MeasurementErrors(pressure_pa=50.0)
 
     def gain(pressure_pa: np.ndarray) -> np.ndarray:
-        return apply_frequency_mask(plan("motion", pressure_pa + noise, period_s=1 / CAMERA_HZ, errors=errors))
+        return frequency_mask(plan("motion", pressure_pa + noise, period_s=1 / CAMERA_HZ, errors=errors))
 
     hz = np.fft.rfftfreq(FRAMES, 1 / CAMERA_HZ)
     sine = gain(2e4 * np.sin(2 * np.pi * time_s)[:, None] * np.ones(3))
@@ -132,6 +132,6 @@ def test_frequencies_at_which_pressures_show_but_noise_do_not_count() -> None:
     # A jump shows at every frequency.
     assert (gain(3e4 * (np.floor(time_s) % 2)[:, None] * np.ones(3))[hz < 10] == 1).all()
     rows = np.stack([np.sin(2 * np.pi * time_s), np.sin(2 * np.pi * 8 * time_s)], axis=1)
-    left = frequency_mask(rows, sine)
+    left = apply_frequency_mask(rows, sine)
     assert left[:, 0] == pytest.approx(rows[:, 0], abs=1e-9)
     assert np.abs(left[:, 1]).max() < 1e-9
