@@ -33,7 +33,7 @@ from calibration.identify.simulated_experiments import (
     run_trial,
 )
 from rig.identify.estimation import from_runs
-from runs.report.figures import save
+from runs.report.drawing import save
 
 Array = NDArray[np.float64]
 

@@ -72,8 +72,8 @@ def bootstrap(
     """Refit `samples` times.
 
     'drawn' is the parametric bootstrap: data from the fitted model with the stated covariances. 'resampled' is the
-    block bootstrap: plateaus, or seconds of motion, with replacement; it needs a dozen of them at least. The other arguments
-    are those of `parallel_map`.
+    block bootstrap: plateaus, or seconds of motion, with replacement; it needs at least a dozen of them. The other
+    arguments are those of `parallel_map`.
     """
     chosen = [i for i, e in enumerate(fit.estimates) if e.identified]
     fixed = tuple(i for i, is_fixed in enumerate(fit.fixed) if is_fixed)

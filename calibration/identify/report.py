@@ -12,7 +12,7 @@ from calibration.identify.bootstrap import Bootstrap
 from calibration.identify.fit import Estimate, Fit
 from calibration.identify.held_out_prediction import Prediction
 from calibration.identify.profile_likelihood import Profile
-from runs.report.figures import svg
+from runs.report.drawing import svg
 
 
 def write(

@@ -58,7 +58,7 @@ class Recorder(Protocol):
     """Where the rows go: the journal."""
 
     @property
-    def standing_s(self) -> float:
+    def stalled_s(self) -> float:
         """For how long the disk has not taken what was recorded [s]."""
 
     def samples(self, rows: NDArray[np.void]) -> None:

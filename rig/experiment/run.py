@@ -237,7 +237,7 @@ def _run(request: RunRequest, decided: Plan, audience: OperatorInterface, draw: 
     assert journal is not None
     archive = report = parameters = None
     try:
-        if not journal.settled(TOLD_AFTER_S):
+        if not journal.wait_until_synced(TOLD_AFTER_S):
             waiting = f"waiting for the disk to take the rest of {journal.path}"
             audience.tell(Event(time.monotonic_ns(), Level.WARNING, "conductor", waiting))
         journal.close(RunFooter(outcome.t_ns, outcome.status, outcome.message, outcome.counters))

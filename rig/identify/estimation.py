@@ -35,7 +35,7 @@ from rig.config.parameters_overlay import read as read_parameters
 from rig.config.schema import PA_PER_BAR, RigConfig
 from rig.identify.initial_setup import InitialSetup, rig_of
 from rig.observation.online_estimation import usual
-from runs.report.figures import save
+from runs.report.drawing import save
 from runs.run import Run
 
 # A prior surer than this part of a parameter's span would drown in rounding what runs tell of the others.

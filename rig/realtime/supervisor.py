@@ -222,7 +222,7 @@ class _Supervisor:
             done = memory.stage("control") == Stage.DONE
             self._report(*self.vigil.looking(time.monotonic_ns()))
             self._drain()
-            self._report(*self.vigil.disk(time.monotonic_ns(), self.recorder.standing_s))
+            self._report(*self.vigil.disk(time.monotonic_ns(), self.recorder.stalled_s))
             if reason := self.audience.stop_requested():
                 return Status.INTERRUPTED, reason
             if self.audience.pause_toggled():

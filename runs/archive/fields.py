@@ -31,7 +31,7 @@ class Table(Protocol):
     def __getitem__(self, part: slice) -> Any: ...
 
 
-def pieces(table: Table) -> Iterator[Any]:
+def row_chunks(table: Table) -> Iterator[Any]:
     """Go through a table, as many rows at a time as a chunk of a dataset holds."""
     return (table[low : low + CHUNK_ROWS] for low in range(0, len(table), CHUNK_ROWS))
 

@@ -24,7 +24,7 @@ from runs.archive.fields import (
     Pictures,
     Table,
     named,
-    pieces,
+    row_chunks,
 )
 from runs.journal.journal import Journal
 from runs.records import BACKBONE_POINTS, DetectionStatus, Event, Level, Status
@@ -135,7 +135,7 @@ def _plain(rows: Table, name: str) -> Column:
 
 def _some(rows: Table, name: str) -> bool:
     """Tell whether any number of a column is finite."""
-    return any(bool(np.isfinite(piece[name]).any()) for piece in pieces(rows))
+    return any(bool(np.isfinite(chunk[name]).any()) for chunk in row_chunks(rows))
 
 
 def _entry(journal: Journal) -> Group:
@@ -331,7 +331,7 @@ def _backbone(journal: Journal) -> Group | None:
 def _timing(journal: Journal) -> Group:
     rows = journal.samples
     overflows = sum(count for name, count in _counted(journal).items() if name.endswith("ring_overflows"))
-    dropped = sum(int(piece["dropped"].sum()) for piece in pieces(journal.observations))
+    dropped = sum(int(chunk["dropped"].sum()) for chunk in row_chunks(journal.observations))
     return Group(
         "entry/timing",
         "NXdata",

@@ -22,7 +22,7 @@ import numpy as np
 from runs.archive import checksum, layout
 from runs.archive.checked import ArchiveError as ArchiveError
 from runs.archive.checked import content_sha256, digest_of
-from runs.archive.fields import CHUNK_ROWS, Column, Field, Group, Pictures, Table, pieces
+from runs.archive.fields import CHUNK_ROWS, Column, Field, Group, Pictures, Table, row_chunks
 from runs.journal import journal
 from runs.journal.append_only_file import ARCHIVE_TO_JOURNAL, NO_ROOM, JournalError
 
@@ -210,7 +210,7 @@ def _fill(datasets: list[_Dataset]) -> None:
         if (column := dataset.column) is not None:
             tables.setdefault(id(column.table), (column.table, []))[1].append((dataset, column))
     for table, columns in tables.values():
-        for number, rows in enumerate(pieces(table)):
+        for number, rows in enumerate(row_chunks(table)):
             for dataset, column in columns:
                 dataset.put(number * CHUNK_ROWS, column.of(rows))
 

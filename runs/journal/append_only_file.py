@@ -1,4 +1,4 @@
-"""A file that only grows: each piece is in it whole or not at all, and what is older than a second is on the disk."""
+"""A file that only grows: each data is in it whole or not at all, and what is older than a second is on the disk."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ RESERVE_BYTES = 32 << 20
 ARCHIVE_TO_JOURNAL = 1.2
 """An archive is about as large as its journal: its rows are compressed, its pictures are not."""
 
-USUAL_S = 0.05
-"""A disk that stands still takes longer than this for one piece; its caller is then not held up any more."""
-HELD_S = 10.0
-HELD_BYTES = 64 << 20
+WRITE_WAIT_S = 0.05
+"""A disk that stands still takes longer than this for one data; its caller is then not held up any more."""
+BUFFER_S = 10.0
+BUFFER_BYTES = 64 << 20
 """How long, and how much of it, what the disk does not take is kept in memory."""
 
 NO_ROOM = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
@@ -41,26 +41,26 @@ class AppendOnlyFile(Protocol):
     """Where a journal's pieces go."""
 
     @property
-    def standing_s(self) -> float:
+    def stalled_s(self) -> float:
         """For how long the disk has not done what it was asked for; 0 where nothing is outstanding."""
 
-    def append(self, piece: bytes) -> None:
-        """Add a piece to the file."""
+    def append(self, data: bytes) -> None:
+        """Add a data to the file."""
 
-    def settled(self, timeout_s: float) -> bool:
+    def wait_until_synced(self, timeout_s: float) -> bool:
         """Wait until the disk has done what it was asked for; False where it has not by then."""
 
     def close(self, last: bytes) -> None:
-        """Add the last piece, see it to the disk, and close the file, whatever goes wrong."""
+        """Add the last data, see it to the disk, and close the file, whatever goes wrong."""
 
 
 class DiskFile:
     """Appends in the caller's own thread. The file is locked (flock) while it is open."""
 
-    standing_s = 0.0
+    stalled_s = 0.0
 
     def __init__(self, path: Path, first: bytes) -> None:
-        """Create the file, which must not exist, with its first piece.
+        """Create the file, which must not exist, with its first data.
 
         Raises:
             JournalError: it cannot be created; nothing is left of it.
@@ -70,7 +70,7 @@ class DiskFile:
         """Why no more is taken, empty while there is room."""
         self._size = 0
         try:
-            self._look_for_room(os.statvfs(path.parent))
+            self._check_free_space(os.statvfs(path.parent))
             if self.full:
                 raise JournalFullError(self.full)
             self._fd = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_APPEND | os.O_CLOEXEC, 0o644)
@@ -85,15 +85,15 @@ class DiskFile:
             path.unlink(missing_ok=True)
             raise
 
-    def append(self, piece: bytes) -> None:
+    def append(self, data: bytes) -> None:
         """Write it; once a second, sync."""
         self.refuse_if_full()
-        self.write(piece)
+        self.write(data)
         if time.monotonic() - self._synced_at >= SYNC_S:
             self.sync()
             self.refuse_if_full()
 
-    def settled(self, timeout_s: float) -> bool:
+    def wait_until_synced(self, timeout_s: float) -> bool:
         """Nothing is ever outstanding."""
         return True
 
@@ -110,9 +110,9 @@ class DiskFile:
         if self.full:
             raise JournalFullError(self.full)
 
-    def write(self, piece: bytes) -> None:
+    def write(self, data: bytes) -> None:
         """Write all of it or, where there is no room, none."""
-        rest = memoryview(piece)
+        rest = memoryview(data)
         try:
             while rest:
                 rest = rest[os.write(self._fd, rest) :]
@@ -124,18 +124,18 @@ class DiskFile:
                 self.full = f"the disk with {self.path} is full ({fault.strerror}); what was recorded is intact"
                 raise JournalFullError(self.full) from fault
             raise JournalError(f"cannot write {self.path}: {fault.strerror}") from fault
-        self._size += len(piece)
+        self._size += len(data)
 
     def sync(self) -> None:
         """See what was written to the disk, and look whether the room still suffices."""
         try:
             os.fdatasync(self._fd)
-            self._look_for_room(os.fstatvfs(self._fd))
+            self._check_free_space(os.fstatvfs(self._fd))
         except OSError as fault:
             raise JournalError(f"cannot write {self.path} to its disk: {fault.strerror}") from fault
         self._synced_at = time.monotonic()
 
-    def _look_for_room(self, disk: os.statvfs_result) -> None:
+    def _check_free_space(self, disk: os.statvfs_result) -> None:
         """Stop while there is still room for the archive."""
         free, needed = disk.f_bavail * disk.f_frsize, RESERVE_BYTES + ARCHIVE_TO_JOURNAL * self._size
         if free < needed:
@@ -145,21 +145,21 @@ class DiskFile:
             )
 
 
-class MemoryFile:
+class BufferedFile:
     """Appends to a `File` without ever waiting for its disk: what that does not take is kept in memory meanwhile.
 
     Two threads, because a disk may take what is written, into the kernel's memory, long before a sync returns. A call
-    that finds nothing outstanding waits the usual moment until its piece is written, so that what it returned from
+    that finds nothing outstanding waits the idle moment until its data is written, so that what it returned from
     survives kill -9 wherever the disk does not stand still.
     """
 
     def __init__(self, file: DiskFile, patience_s: float | None = None) -> None:
-        """`patience_s` is for how long the disk may take nothing; `HELD_S` where it is None."""
+        """`patience_s` is for how long the disk may take nothing; `BUFFER_S` where it is None."""
         self._file = file
         self._patience_s = patience_s
         self._changed = threading.Condition()
         self._outstanding: deque[tuple[float, bytes]] = deque()
-        """When each piece came; the first is the one that is being written."""
+        """When each data came; the first is the one that is being written."""
         self._bytes = 0
         self._syncing_since: float | None = None
         self._fault: JournalError | None = None
@@ -169,7 +169,7 @@ class MemoryFile:
             thread.start()
 
     @property
-    def standing_s(self) -> float:
+    def stalled_s(self) -> float:
         """For how long the disk has not done the oldest of what it was asked for; 0 where nothing is outstanding."""
         with self._changed:
             since = [] if self._syncing_since is None else [self._syncing_since]
@@ -177,19 +177,19 @@ class MemoryFile:
                 since.append(self._outstanding[0][0])
         return time.monotonic() - min(since) if since else 0.0
 
-    def append(self, piece: bytes) -> None:
+    def append(self, data: bytes) -> None:
         """Hand it over; what has gone wrong since the last call is raised by this one."""
         with self._changed:
-            self._refuse()
-            usual = not self._outstanding
-            self._outstanding.append((time.monotonic(), piece))
-            self._bytes += len(piece)
+            self._raise_fault()
+            idle = not self._outstanding
+            self._outstanding.append((time.monotonic(), data))
+            self._bytes += len(data)
             self._changed.notify_all()
-            if usual:
-                self._changed.wait_for(lambda: not self._outstanding, USUAL_S)
-                self._refuse()
+            if idle:
+                self._changed.wait_for(lambda: not self._outstanding, WRITE_WAIT_S)
+                self._raise_fault()
 
-    def settled(self, timeout_s: float) -> bool:
+    def wait_until_synced(self, timeout_s: float) -> bool:
         """Wait for the disk."""
         with self._changed:
             return self._changed.wait_for(
@@ -207,7 +207,7 @@ class MemoryFile:
         if self._fault is not None:
             raise self._fault
 
-    def _refuse(self) -> None:
+    def _raise_fault(self) -> None:
         """Raise where the file or its disk takes no more."""
         if self._fault is not None:
             fault, self._fault = self._fault, None
@@ -215,10 +215,10 @@ class MemoryFile:
         self._file.refuse_if_full()
         if not self._outstanding:
             return
-        held_s = time.monotonic() - self._outstanding[0][0]
-        if held_s > (HELD_S if self._patience_s is None else self._patience_s) or self._bytes > HELD_BYTES:
+        stalled_s = time.monotonic() - self._outstanding[0][0]
+        if stalled_s > (BUFFER_S if self._patience_s is None else self._patience_s) or self._bytes > BUFFER_BYTES:
             raise JournalError(
-                f"the disk with {self._file.path} has taken nothing for {held_s:.1f} s; "
+                f"the disk with {self._file.path} has taken nothing for {stalled_s:.1f} s; "
                 f"{self._bytes / 1e6:.1f} MB wait in memory until it does"
             )
 
@@ -228,8 +228,8 @@ class MemoryFile:
                 self._changed.wait_for(lambda: bool(self._outstanding) or self._closing.is_set())
                 if not self._outstanding:
                     return
-                _, piece = self._outstanding[0]
-            written = self._tried(self._file.write, piece)
+                _, data = self._outstanding[0]
+            written = self._attempt(self._file.write, data)
             with self._changed:
                 for _ in range(1 if written else len(self._outstanding)):
                     self._bytes -= len(self._outstanding.popleft()[1])
@@ -239,12 +239,12 @@ class MemoryFile:
         while not self._closing.wait(SYNC_S):
             with self._changed:
                 self._syncing_since = time.monotonic()
-            self._tried(self._file.sync)
+            self._attempt(self._file.sync)
             with self._changed:
                 self._syncing_since = None
                 self._changed.notify_all()
 
-    def _tried(self, step: Callable[..., None], *arguments: bytes) -> bool:
+    def _attempt(self, step: Callable[..., None], *arguments: bytes) -> bool:
         """Do it; keep what goes wrong for the next call."""
         try:
             step(*arguments)

@@ -20,7 +20,7 @@ from mcap.records import Channel, Message, Schema
 from numpy.typing import NDArray
 
 from runs.journal import mcap_records, messages
-from runs.journal.append_only_file import AppendOnlyFile, DiskFile, JournalError, MemoryFile
+from runs.journal.append_only_file import AppendOnlyFile, BufferedFile, DiskFile, JournalError
 from runs.journal.mcap_records import Block, Damage
 from runs.journal.messages import ADAPTATIONS, EVENTS, FOOTER, HEADER, MARKS, OBSERVATIONS, PICTURES, SAMPLES
 from runs.journal.stored_rows import Index, StoredPictures, StoredRows
@@ -51,12 +51,12 @@ class JournalWriter:
         kinds = [self._samples, self._observations, *([self._adaptations] if header.adapted else [])]
         first = block_of_header(header, {kind.channel: kind.form["row"] for kind in kinds})
         file = DiskFile(self.path, mcap_records.opening() + first + first)
-        self._file: AppendOnlyFile = MemoryFile(file, patience_s) if live else file
+        self._file: AppendOnlyFile = BufferedFile(file, patience_s) if live else file
 
     @property
-    def standing_s(self) -> float:
+    def stalled_s(self) -> float:
         """For how long the disk has not taken what was recorded [s]; 0 where it has."""
-        return self._file.standing_s
+        return self._file.stalled_s
 
     def samples(self, rows: NDArray[np.void]) -> None:
         """Append control ticks: `sample_dtype` rows (n,)."""
@@ -86,9 +86,9 @@ class JournalWriter:
         content = mcap_records.encode(Message(EVENTS, utc_ns, messages.to_json(event), utc_ns, 0))
         self._file.append(mcap_records.block(content, utc_ns, utc_ns))
 
-    def settled(self, timeout_s: float) -> bool:
+    def wait_until_synced(self, timeout_s: float) -> bool:
         """Wait until the disk has taken what was recorded; False where it has not by then."""
-        return self._file.settled(timeout_s)
+        return self._file.wait_until_synced(timeout_s)
 
     def close(self, footer: RunFooter) -> None:
         """Write how the run ended, and close. Closes the file even where the footer finds no room."""

@@ -82,11 +82,11 @@ def test_what_a_disk_does_not_take_is_written_once_it_does(writer: JournalWriter
     writes.shut()
     record(writer)
     assert len(journal.read(writer.path).samples) == 0
-    assert writer.standing_s > 0
+    assert writer.stalled_s > 0
     writes.open.set()
-    assert writer.settled(PATIENCE_S)
+    assert writer.wait_until_synced(PATIENCE_S)
     assert journal.read(writer.path).samples[:].tobytes() == ROWS.tobytes(), "before it is closed"
-    assert writer.standing_s == 0
+    assert writer.stalled_s == 0
     writer.close(FOOTER)
     content = journal.read(writer.path)
     assert content.footer == FOOTER
@@ -98,8 +98,8 @@ def test_what_is_written_survives_though_a_sync_stands_still(syncs: Gate, writer
     assert syncs.reached.wait(PATIENCE_S)
     record(writer)
     assert journal.read(writer.path).samples[:].tobytes() == ROWS.tobytes()
-    assert writer.standing_s > 0
-    assert not writer.settled(0.01)
+    assert writer.stalled_s > 0
+    assert not writer.wait_until_synced(0.01)
     syncs.open.set()
     writer.close(FOOTER)
 
@@ -107,7 +107,7 @@ def test_what_is_written_survives_though_a_sync_stands_still(syncs: Gate, writer
 def test_a_sync_that_stands_still_never_ends_a_run(
     syncs: Gate, writer: JournalWriter, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(append_only_file, "HELD_S", 0.0)
+    monkeypatch.setattr(append_only_file, "BUFFER_S", 0.0)
     syncs.shut()
     assert syncs.reached.wait(PATIENCE_S)
     record(writer)
@@ -115,7 +115,7 @@ def test_a_sync_that_stands_still_never_ends_a_run(
     writer.close(FOOTER)
 
 
-@pytest.mark.parametrize(("limit", "allowed"), [("HELD_S", 0.0), ("HELD_BYTES", 1000)])
+@pytest.mark.parametrize(("limit", "allowed"), [("BUFFER_S", 0.0), ("BUFFER_BYTES", 1000)])
 def test_a_disk_that_takes_nothing_for_too_long_ends_the_run_and_loses_nothing_of_it(
     writer: JournalWriter, writes: Gate, monkeypatch: pytest.MonkeyPatch, limit: str, allowed: float
 ) -> None:
@@ -153,7 +153,7 @@ def test_what_fails_after_the_last_call_is_told_by_the_close(writer: JournalWrit
     writer.samples(ROWS[:20])
     writes.fault = OSError(errno.EIO, os.strerror(errno.EIO))
     writes.open.set()
-    assert writer.settled(PATIENCE_S)
+    assert writer.wait_until_synced(PATIENCE_S)
     writes.fault = None
     with pytest.raises(JournalError, match="Input/output error"):
         writer.close(FOOTER)

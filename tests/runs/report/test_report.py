@@ -24,7 +24,8 @@ from runs.records import DetectionStatus, Event, Level, RunFooter, Status
 from runs.report import figure_export, figure_specifications, pictures
 from runs.report import page as report
 from runs.report.comparison import by_axis, by_model
-from runs.report.figures import STYLE, pressures, steps
+from runs.report.drawing import STYLE
+from runs.report.figures import pressures, steps
 from runs.summary import summarise
 
 VOID = {"meta", "img", "br", "input", "link"}
@@ -214,12 +215,12 @@ def test_a_run_cut_off_between_a_frame_and_what_it_taught_has_a_report(tmp_path:
 
 
 def test_a_long_run_is_drawn_with_few_points_and_keeps_its_extremes(tmp_path: Path) -> None:
-    from runs.report.figures import POINTS, thin
+    from runs.report.drawing import POINTS, decimated
 
     x = np.arange(200_000) / 200
     y = np.sin(x)
     y[123_456], y[7] = 9.0, -9.0
-    few_x, few_y = thin(x, y)
+    few_x, few_y = decimated(x, y)
     assert len(few_x) <= 2 * POINTS
     assert (few_y.max(), few_y.min()) == (9.0, -9.0)
     assert (few_x[0], few_x[-1]) == (x[0], x[-1])
@@ -241,8 +242,8 @@ def test_several_runs_stand_side_by_side(short: Path, tmp_path: Path) -> None:
 def test_a_run_has_the_figures_that_it_has_data_for(archive: Path, short: Path) -> None:
     run, brief = runs.open(archive), runs.open(short)
     everything = ["pressures", "trajectory", "backbones", "steps", "tip", "error", "timing"]
-    assert [plate.name for plate in figure_specifications.figure_specifications(run, summarise(run))] == everything
-    assert [plate.name for plate in figure_specifications.figure_specifications(brief, summarise(brief))] == [
+    assert [figure.name for figure in figure_specifications.figure_specifications(run, summarise(run))] == everything
+    assert [figure.name for figure in figure_specifications.figure_specifications(brief, summarise(brief))] == [
         "pressures",
         "timing",
     ]
@@ -255,11 +256,11 @@ def test_a_motion_in_no_plane_is_seen_along_the_arm_and_from_its_side(archive: P
     run.tip = dataclasses.replace(run.tip, measured_mm=circle, model_mm=circle + 1.0)
     found = summarise(run)
     assert np.isnan(found.plane_deg)
-    (plate,) = [
-        plate for plate in figure_specifications.figure_specifications(run, found) if plate.name == "trajectory"
+    (figure,) = [
+        figure for figure in figure_specifications.figure_specifications(run, found) if figure.name == "trajectory"
     ]
-    figure = Figure(figsize=plate.size)
-    plate.draw(figure, run, found)
+    figure = Figure(figsize=figure.size)
+    figure.draw(figure, run, found)
     assert [(axes.get_xlabel(), axes.get_ylabel()) for axes in figure.axes] == [
         ("x [mm]", "y [mm]"),
         ("x [mm]", "z, along the arm [mm]"),
@@ -269,7 +270,7 @@ def test_a_motion_in_no_plane_is_seen_along_the_arm_and_from_its_side(archive: P
         assert low < -20 < 21 < high
     run.tip = dataclasses.replace(run.tip, measured_mm=circle[:1] + 0 * circle, model_mm=circle[:1] + 0 * circle)
     assert "trajectory" not in [
-        plate.name for plate in figure_specifications.figure_specifications(run, summarise(run))
+        figure.name for figure in figure_specifications.figure_specifications(run, summarise(run))
     ]
 
 
@@ -284,10 +285,10 @@ def test_measurements_without_model_and_set_points_are_drawn_without_them(archiv
     found = summarise(run)
     assert found.plane_deg == pytest.approx(0.0, abs=1.0)
     shown = list(figure_specifications.figure_specifications(run, found))
-    assert [plate.name for plate in shown] == ["pressures", "trajectory", "tip"]
-    for plate in shown:
-        figure = Figure(figsize=plate.size)
-        plate.draw(figure, run, found)
+    assert [figure.name for figure in shown] == ["pressures", "trajectory", "tip"]
+    for figure in shown:
+        figure = Figure(figsize=figure.size)
+        figure.draw(figure, run, found)
         for axes in figure.axes:
             assert axes.has_data()
             legend = axes.get_legend()
