@@ -1,4 +1,4 @@
-"""A file that only grows: each data is in it whole or not at all, and what is older than a second is on the disk."""
+"""Append-only file: every append is atomic, and is synced to the disk within about a second."""
 
 from __future__ import annotations
 
@@ -15,59 +15,59 @@ from typing import Protocol
 
 SYNC_S = 1.0
 RESERVE_BYTES = 32 << 20
-"""Free space that is left on the disk beyond what the archive will need."""
+"""Free disk space to leave in addition to the space for the archive."""
 ARCHIVE_TO_JOURNAL = 1.2
 """An archive is about as large as its journal: its rows are compressed, its pictures are not."""
 
 WRITE_WAIT_S = 0.05
-"""A disk that stands still takes longer than this for one data; its caller is then not held up any more."""
+"""Longest time for which `append` waits for the write; on a stalled disk it then returns."""
 BUFFER_S = 10.0
 BUFFER_BYTES = 64 << 20
-"""How long, and how much of it, what the disk does not take is kept in memory."""
+"""Limits in time and size of the buffer in memory while the disk is stalled."""
 
 NO_ROOM = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
-"""What the kernel says when a disk, a quota or a limit is full."""
+"""Errors of the kernel for a full disk, quota or file size limit."""
 
 
 class JournalError(Exception):
-    """The journal cannot be written or read; the message says why."""
+    """The journal cannot be written or read; the message has the reason."""
 
 
 class JournalFullError(JournalError):
-    """The disk is full, or nearly. What earlier calls wrote is intact, and the journal can still be closed."""
+    """The disk is full, or nearly. Earlier records are intact, and the journal can still be closed."""
 
 
 class AppendOnlyFile(Protocol):
-    """Where a journal's pieces go."""
+    """Destination of the journal's blocks."""
 
     @property
     def stalled_s(self) -> float:
-        """For how long the disk has not done what it was asked for; 0 where nothing is outstanding."""
+        """Age [s] of the oldest unfinished write or sync; 0 if there is none."""
 
     def append(self, data: bytes) -> None:
-        """Add a data to the file."""
+        """Append a block to the file."""
 
     def wait_until_synced(self, timeout_s: float) -> bool:
-        """Wait until the disk has done what it was asked for; False where it has not by then."""
+        """Wait until all writes and syncs are done; False on timeout."""
 
     def close(self, last: bytes) -> None:
-        """Add the last data, see it to the disk, and close the file, whatever goes wrong."""
+        """Append the last block, sync, and close the file in any case."""
 
 
 class DiskFile:
-    """Appends in the caller's own thread. The file is locked (flock) while it is open."""
+    """Appends in the thread of the caller. The file is locked (flock) while it is open."""
 
     stalled_s = 0.0
 
     def __init__(self, path: Path, first: bytes) -> None:
-        """Create the file, which must not exist, with its first data.
+        """Create the file, which must not exist, with its first block.
 
         Raises:
             JournalError: it cannot be created; nothing is left of it.
         """
         self.path = path
         self.full = ""
-        """Why no more is taken, empty while there is room."""
+        """Reason why no more is accepted; empty while there is space."""
         self._size = 0
         try:
             self._check_free_space(os.statvfs(path.parent))
@@ -94,11 +94,11 @@ class DiskFile:
             self.refuse_if_full()
 
     def wait_until_synced(self, timeout_s: float) -> bool:
-        """Nothing is ever outstanding."""
+        """True: writes are synchronous."""
         return True
 
     def close(self, last: bytes) -> None:
-        """Write it even where the room is nearly used up: that is what it was left for."""
+        """Write the last block also into the reserved space, and close."""
         try:
             self.write(last)
             self.sync()
@@ -106,18 +106,18 @@ class DiskFile:
             os.close(self._fd)
 
     def refuse_if_full(self) -> None:
-        """Raise where there is no room."""
+        """Raise if the disk is full."""
         if self.full:
             raise JournalFullError(self.full)
 
     def write(self, data: bytes) -> None:
-        """Write all of it or, where there is no room, none."""
+        """Write all of it or, if there is no space, nothing."""
         rest = memoryview(data)
         try:
             while rest:
                 rest = rest[os.write(self._fd, rest) :]
         except OSError as fault:
-            # A disk that has turned read-only takes not even that; what is torn is told from what is whole on reading.
+            # Truncation fails on a disk that turned read-only; the reader detects a torn block by its checksum.
             with suppress(OSError):
                 os.ftruncate(self._fd, self._size)
             if fault.errno in NO_ROOM:
@@ -127,7 +127,7 @@ class DiskFile:
         self._size += len(data)
 
     def sync(self) -> None:
-        """See what was written to the disk, and look whether the room still suffices."""
+        """Sync to the disk and check the free space."""
         try:
             os.fdatasync(self._fd)
             self._check_free_space(os.fstatvfs(self._fd))
@@ -136,7 +136,7 @@ class DiskFile:
         self._synced_at = time.monotonic()
 
     def _check_free_space(self, disk: os.statvfs_result) -> None:
-        """Stop while there is still room for the archive."""
+        """Set `full` while there is still space for the archive."""
         free, needed = disk.f_bavail * disk.f_frsize, RESERVE_BYTES + ARCHIVE_TO_JOURNAL * self._size
         if free < needed:
             self.full = (
@@ -146,20 +146,19 @@ class DiskFile:
 
 
 class BufferedFile:
-    """Appends to a `File` without ever waiting for its disk: what that does not take is kept in memory meanwhile.
+    """Appends to a `DiskFile` through a buffer in memory, so that a stalled disk does not block the caller.
 
-    Two threads, because a disk may take what is written, into the kernel's memory, long before a sync returns. A call
-    that finds nothing outstanding waits the idle moment until its data is written, so that what it returned from
-    survives kill -9 wherever the disk does not stand still.
+    Writes and syncs have a thread each, because a write into the page cache returns long before a sync. If the buffer
+    is empty, `append` waits up to `WRITE_WAIT_S` for its write, so that its data survive kill -9 if the disk works.
     """
 
     def __init__(self, file: DiskFile, patience_s: float | None = None) -> None:
-        """`patience_s` is for how long the disk may take nothing; `BUFFER_S` where it is None."""
+        """`patience_s` is the longest accepted stall of the disk; None for `BUFFER_S`."""
         self._file = file
         self._patience_s = patience_s
         self._changed = threading.Condition()
         self._outstanding: deque[tuple[float, bytes]] = deque()
-        """When each data came; the first is the one that is being written."""
+        """Time and content of each block; the first is being written."""
         self._bytes = 0
         self._syncing_since: float | None = None
         self._fault: JournalError | None = None
@@ -170,7 +169,7 @@ class BufferedFile:
 
     @property
     def stalled_s(self) -> float:
-        """For how long the disk has not done the oldest of what it was asked for; 0 where nothing is outstanding."""
+        """Age [s] of the oldest unfinished write or sync; 0 if there is none."""
         with self._changed:
             since = [] if self._syncing_since is None else [self._syncing_since]
             if self._outstanding:
@@ -178,7 +177,7 @@ class BufferedFile:
         return time.monotonic() - min(since) if since else 0.0
 
     def append(self, data: bytes) -> None:
-        """Hand it over; what has gone wrong since the last call is raised by this one."""
+        """Buffer a block; raises the error of an earlier write or sync."""
         with self._changed:
             self._raise_fault()
             idle = not self._outstanding
@@ -197,7 +196,7 @@ class BufferedFile:
             )
 
     def close(self, last: bytes) -> None:
-        """Wait for the disk as long as it takes, then close; raise what no call has raised yet."""
+        """Wait for the disk without limit, then close; raises a pending error."""
         self._closing.set()
         with self._changed:
             self._changed.notify_all()
@@ -208,7 +207,7 @@ class BufferedFile:
             raise self._fault
 
     def _raise_fault(self) -> None:
-        """Raise where the file or its disk takes no more."""
+        """Raise a pending error, or if the disk is full or stalled for too long."""
         if self._fault is not None:
             fault, self._fault = self._fault, None
             raise fault
@@ -245,7 +244,7 @@ class BufferedFile:
                 self._changed.notify_all()
 
     def _attempt(self, step: Callable[..., None], *arguments: bytes) -> bool:
-        """Do it; keep what goes wrong for the next call."""
+        """Run a step; store its error for the next call."""
         try:
             step(*arguments)
         except JournalError as fault:
