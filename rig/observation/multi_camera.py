@@ -90,7 +90,7 @@ class MultiCameraTipEstimator:
         # A picture all black or white has no noise to tell by.
         if before is not None and np.array_equal(before, glimpse) and before.min() != before.max():
             return Detection(DetectionStatus.NO_FRAME)
-        return self._eyes[k].tracker.see(frame.image)
+        return self._eyes[k].tracker.detect(frame.image)
 
     def _together(self, shot: FrameSet, sightings: Sequence[Detection]) -> Measurement | None:
         """The tip by all cameras that have the board; None where that is not two of them."""
@@ -107,20 +107,21 @@ class MultiCameraTipEstimator:
         except (DLTError, np.linalg.LinAlgError):
             pose = None
         seen = tuple(
-            DetectionStatus.MEASURED if k in corners else _unused(sighting.seen) for k, sighting in enumerate(sightings)
+            DetectionStatus.MEASURED if k in corners else _unused(sighting.status)
+            for k, sighting in enumerate(sightings)
         )
         allowed = _WORST_PX + _PLACE_STDS * max(self._place_std_px(camera) for camera in cameras)
         if pose is None or pose.reprojection_px > allowed:
             apart = tuple(DetectionStatus.DISAGREE if s is DetectionStatus.MEASURED else s for s in seen)
             return Measurement.none(DetectionStatus.DISAGREE, apart)
         for k in corners:
-            self._eyes[k].tracker.agree(sightings[k], self._places[k].inverse() @ pose.rigid)
+            self._eyes[k].tracker.correct_flip(sightings[k], self._places[k].inverse() @ pose.rigid)
         tip, covariance = tip_in_base(pose, self._board_in_tip, self._world_in_base)
         return Measurement(DetectionStatus.MEASURED, tip, covariance, pose.reprojection_px, None, seen)
 
     def _alone(self, shot: FrameSet, sightings: Sequence[Detection]) -> Measurement:
         """The tip by the first camera that measures it by itself."""
-        seen = tuple(sighting.seen for sighting in sightings)
+        seen = tuple(sighting.status for sighting in sightings)
         if DetectionStatus.MEASURED not in seen:
             reason = next((s for s in seen if s is not DetectionStatus.NO_FRAME), DetectionStatus.NO_FRAME)
             return Measurement.none(reason, seen)

@@ -50,12 +50,12 @@ class SingleCameraTipEstimator:
 
     def measure(self, image: NDArray[np.uint8]) -> Measurement:
         """Measure the tip in the next picture, (height, width) grey or (height, width, 3) BGR."""
-        return self.judge(self.tracker.see(image))
+        return self.judge(self.tracker.detect(image))
 
     def judge(self, sighting: Detection) -> Measurement:
         """The tip by what this camera alone has seen."""
         if sighting.pose is None or sighting.corners is None:
-            return Measurement.none(sighting.seen, (sighting.seen,))
+            return Measurement.none(sighting.status, (sighting.status,))
         tip, covariance = tip_in_base(sighting.pose, self._board_in_tip, self._camera_in_base)
-        seen, pose = sighting.seen, sighting.pose
+        seen, pose = sighting.status, sighting.pose
         return Measurement(seen, tip, covariance, pose.reprojection_px, sighting.corners.px, (seen,))
