@@ -54,7 +54,7 @@ def test_a_homogeneous_arm_does_not_pay_for_softening() -> None:
     assert radial.error_m < 3e-4
 
 
-def test_a_choice_that_the_fits_to_all_runs_object_to_is_told_with_the_objection() -> None:
+def test_the_conclusion_warns_if_the_bic_prefers_another_model() -> None:
     asked = [c for c in candidates(START) if c.name.endswith(("pointwise", "paper-secant"))]
     pointwise, secant = compare_models(data(model.Arm.paper()), asked, workers=1).rows
     assert "meets better" not in sentence((pointwise, secant), pointwise)
@@ -66,7 +66,7 @@ def test_a_choice_that_the_fits_to_all_runs_object_to_is_told_with_the_objection
     assert "meets better" not in sentence((pointwise, nearly), nearly)
 
 
-def test_a_comparison_that_was_broken_off_goes_on_where_it_was_and_says_how_far_it_is(tmp_path: Path) -> None:
+def test_an_interrupted_comparison_resumes_from_its_stored_results(tmp_path: Path) -> None:
     made, asked, steps = data(model.Arm.paper()), some()[:1], []
 
     def stop(done: int, total: int) -> None:
@@ -85,7 +85,7 @@ def test_a_comparison_that_was_broken_off_goes_on_where_it_was_and_says_how_far_
     assert resumed == compare_models(made, asked, workers=1)
 
 
-def test_a_damping_that_only_the_run_left_out_could_tell_does_not_leak_into_its_prediction() -> None:
+def test_damping_of_a_held_out_run_does_not_leak_into_its_prediction() -> None:
     arm = model.Arm.paper()
     damped = replace(arm, material=replace(arm.material, damping_s=0.06))
     sine = (0.35e5 + 0.15e5 * np.sin(np.arange(60)[:, None] / 5)) * np.array([1.0, 0, 0])
@@ -98,7 +98,7 @@ def test_a_damping_that_only_the_run_left_out_could_tell_does_not_leak_into_its_
     assert found.error_m > 5e-4
 
 
-def test_of_very_many_frames_some_are_compared() -> None:
+def test_long_runs_are_compared_by_a_part_of_their_frames() -> None:
     still, moving = plan("still", np.zeros((1000, 3))), plan("moving", np.zeros((5000, 3)), period_s=1 / 30)
     assert len(compared(still)) == 300
     assert compared(still).time_s[[0, -1]].tolist() == still.time_s[[0, -1]].tolist()
@@ -121,7 +121,7 @@ def test_the_candidates_are_the_papers_models_and_rules() -> None:
 
 @pytest.mark.parametrize("free", [(), ("base", "damping_s")])
 @pytest.mark.parametrize("damping_s", [0.0, 0.02])
-def test_where_runs_move_every_model_is_compared_with_and_without_damping(
+def test_with_moving_runs_every_model_is_compared_with_and_without_damping(
     damping_s: float, free: tuple[str, ...]
 ) -> None:
     arm = model.Arm.paper()

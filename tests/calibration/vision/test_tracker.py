@@ -55,7 +55,7 @@ def test_a_moving_board_is_followed() -> None:
 
 
 @pytest.mark.parametrize("slip", [(0, 1), (1, 0), (1, 1), (0, 2), (2, 0), (-1, 1), (0, -2)])
-def test_a_grid_beside_the_print_is_refused_though_it_fits(slip: tuple[int, int]) -> None:
+def test_a_grid_shifted_by_a_square_is_refused(slip: tuple[int, int]) -> None:
     """A larger print of the same squares offers the same corners one square further: reprojection cannot tell."""
     right = facing()
     slipped = RigidTransform(right.rotation, right.apply(np.array([slip[0] * 0.008, slip[1] * 0.008, 0.0])))
@@ -75,7 +75,7 @@ def test_the_tracker_does_not_slip_when_the_board_jumps_by_a_square() -> None:
         assert _off_mm(sighting.pose.rigid, pose) < 0.5
 
 
-def test_a_board_that_leaves_and_comes_back_is_lost_and_found() -> None:
+def test_a_board_that_leaves_and_returns_is_detected_again() -> None:
     view, tracker = scene(), Tracker(BOARD, LENS)
     assert tracker.detect(still(facing(), 0, view)).status is DetectionStatus.MEASURED
     for k in range(1, 4):
@@ -149,7 +149,7 @@ def test_a_cornerless_picture_that_leaves_every_seed_in_place_is_not_a_perfect_f
     assert tracker.detect(np.full((480, 640), 90, np.uint8)).status is DetectionStatus.NO_BOARD
 
 
-def test_corners_that_fit_better_than_any_picture_can_show_are_not_believed(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_corners_with_an_impossibly_small_residual_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     pose, found = facing(), tracking.sharpen
 
     def too_good(image: np.ndarray, seeds: np.ndarray, pattern: tuple[int, int]) -> tracking.Corners:
@@ -194,7 +194,7 @@ def _two_boards() -> np.ndarray:
     return np.ascontiguousarray(np.hstack([left[:, :320], right[:, 320:]]))
 
 
-def test_of_two_boards_in_view_none_is_guessed() -> None:
+def test_with_two_boards_in_view_none_is_measured() -> None:
     assert find(still(facing(-0.07)), BOARD) is not None
     assert find(_two_boards(), BOARD) is None
     assert Tracker(BOARD, LENS).detect(_two_boards()).status is DetectionStatus.NO_BOARD
@@ -230,7 +230,7 @@ def test_clutter_round_the_board_does_not_hide_it(seed: int) -> None:
     assert _off_mm(sighting.pose.rigid, pose) < 0.5
 
 
-def test_a_flip_that_was_followed_wrongly_is_righted_when_the_picture_shows_it() -> None:
+def test_a_wrong_flip_is_corrected_when_the_picture_resolves_it() -> None:
     """Head-on either side fits; once the board tilts, only one does."""
     view, tracker = scene(), Tracker(BOARD, LENS)
     for k, tilt in enumerate(np.linspace(25, -25, 40)):

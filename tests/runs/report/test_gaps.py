@@ -104,7 +104,7 @@ def test_no_pressure_bridges_lost_ticks(run: Run) -> None:
     assert not is_bridged(lines(figure)["actuator 1"], 1.4999, 1.9999)
 
 
-def test_a_gap_survives_thinning() -> None:
+def test_a_gap_survives_decimation() -> None:
     y = np.sin(np.linspace(0, 9, 20 * POINTS))
     y[7777] = np.nan
     assert 7777 in decimated_indices(y)
