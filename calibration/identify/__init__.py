@@ -1,8 +1,9 @@
 """From archives to parameters of an arm, with error bars."""
 
 from calibration.identify.data import NoDataError, Poses, at_rest, in_motion, poses_of, quasi_static_poses, split_at
-from calibration.identify.fit import Estimate, Fit, RunFit, Verdict, identify
+from calibration.identify.fit import identify
 from calibration.identify.parameters import Parameter, Prior, Setup, UnknownParameter, known, named
+from calibration.identify.results import Estimate, Fit, RunFit, Verdict
 
 __all__ = [
     "Estimate",

@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.identify.data import Poses
-from calibration.identify.fit import Fit
 from calibration.identify.least_squares import Problem
 from calibration.identify.parallel_map import Progress, parallel_map
 from calibration.identify.parameters import Prior, Setup, named
+from calibration.identify.results import Fit
 
 Array = NDArray[np.float64]
 Kind = Literal["drawn", "resampled"]

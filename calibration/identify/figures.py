@@ -9,10 +9,10 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from scipy.stats import norm
 
-from calibration.identify.fit import NORMAL_95, Fit
 from calibration.identify.held_out_prediction import Prediction
 from calibration.identify.likelihood import whitened
 from calibration.identify.profile_likelihood import RISE_95, Profile
+from calibration.identify.results import NORMAL_95, Fit
 from runs.report.colours import ACTUATORS, INK, MEASURED, MODEL, MUTED, RULE, TRUTH
 
 Array = NDArray[np.float64]

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.identify.data import Poses
-from calibration.identify.fit import Fit, rms
 from calibration.identify.parameters import Setup, known
+from calibration.identify.results import Fit, rms
 from calibration.identify.tip_predictor import Predictor
 
 Array = NDArray[np.float64]

@@ -12,9 +12,9 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from calibration.identify.fit import Estimate, RunFit
 from calibration.identify.parameters import Setup
 from calibration.identify.profile_likelihood import Profile
+from calibration.identify.results import Estimate, RunFit
 
 VERSION = 2
 _MM = 1e3

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from calibration.identify.fit import Estimate, Fit
+from calibration.identify.results import Estimate, Fit
 
 Array = NDArray[np.float64]
 

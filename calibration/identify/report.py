@@ -9,9 +9,9 @@ from pathlib import Path
 
 from calibration.identify import figures
 from calibration.identify.bootstrap import Bootstrap
-from calibration.identify.fit import Estimate, Fit
 from calibration.identify.held_out_prediction import Prediction
 from calibration.identify.profile_likelihood import Profile
+from calibration.identify.results import Estimate, Fit
 from runs.report.drawing import svg
 
 

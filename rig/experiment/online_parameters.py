@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.identify.fit import NORMAL_95, Estimate, RunFit, Verdict
 from calibration.identify.parameters import Parameter, Setup, named
 from calibration.identify.parameters_document import write
+from calibration.identify.results import NORMAL_95, Estimate, RunFit, Verdict
 from rig.config.arm_model import model_arm
 from rig.config.loader import parse
 from rig.experiment.run import variant_named

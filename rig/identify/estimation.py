@@ -22,11 +22,12 @@ from rich.text import Text
 from calibration.identify.bootstrap import Bootstrap, bootstrap
 from calibration.identify.data import Poses, poses_of, quasi_static_poses
 from calibration.identify.figures import predictions
-from calibration.identify.fit import Fit, identify
+from calibration.identify.fit import identify
 from calibration.identify.held_out_prediction import Prediction
 from calibration.identify.parameters import Prior, Setup, UnknownParameter, named
 from calibration.identify.parameters_document import Baseline, content
 from calibration.identify.profile_likelihood import Profile, profiles
+from calibration.identify.results import Fit
 from rig.cli.archive_output import plain_json
 from rig.cli.run_output import console
 from rig.config.arm_model import model_arm

@@ -9,8 +9,8 @@ import pytest
 
 import model
 from calibration.identify import Poses, Setup, identify
-from calibration.identify.fit import NORMAL_95
 from calibration.identify.likelihood import apply_frequency_mask, drifting, frequency_mask, score_covariance
+from calibration.identify.results import NORMAL_95
 from calibration.identify.simulated_experiments import MeasurementErrors, plan
 from calibration.identify.tip_predictor import Predictor
 
