@@ -159,7 +159,7 @@ def calibrate_views(views: Iterable[View], corners: tuple[int, int], square_m: f
 def find_corners(image: Image, corners: tuple[int, int]) -> Floats | None:
     """Corners (n, 2) of any checkerboard in a grey picture, to sub-pixel, in rows as seen from the print's front.
 
-    Which end comes first is told by the colours where one count is odd and the other even, the first square between
+    The colours determine which end comes first where one count is odd and the other even, the first square between
     corners being the dark one; on other boards it is left open.
     """
     seeds = _seeds(image, corners)

@@ -128,8 +128,8 @@ def undistort(pixels: Floats, lens: Lens) -> Floats:
 def calibrate(control_points_m: Floats, pixels: Floats, lens: Lens | None = None, std_px: float | None = None) -> DLT:
     """Coefficients from control points (n, 3) [m] and where the camera saw them (n, 2) [px].
 
-    `lens` is taken out first. `std_px` is the standard uncertainty of one pixel coordinate; when None it is told from
-    the residuals.
+    `lens` is taken out first. `std_px` is the standard uncertainty of one pixel coordinate; if None it is
+    estimated from the residuals.
 
     Raises:
         DLTError: fewer than six points, points in a plane, or the origin lies beside the camera.

@@ -97,7 +97,7 @@ def perform(planned: Poses, truth: Setup, rng: np.random.Generator, errors: Meas
 
 @dataclass(frozen=True)
 class CoverageTrial:
-    """One simulated identification: what is planned, who is true, where the fit starts, what is free, and the seed."""
+    """One simulated identification: planned runs, true and starting setup, free parameters, and the seed."""
 
     planned: tuple[Poses, ...]
     truth: Setup

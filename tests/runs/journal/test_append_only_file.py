@@ -1,4 +1,4 @@
-"""A disk that stands still: a live run goes on, what it recorded waits in memory and is in the file in the end."""
+"""A stalled disk: a live run continues, its data are buffered in memory and written at the end."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class Gate:
 
     def __call__(self, *arguments: object) -> int | None:
         self.reached.set()
-        assert self.open.wait(PATIENCE_S), "nobody opened the gate"
+        assert self.open.wait(PATIENCE_S), "the gate was not opened"
         if self.fault is not None:
             raise self.fault
         return self._call(*arguments)
