@@ -256,11 +256,11 @@ def test_a_spatial_motion_is_drawn_from_two_sides(archive: Path) -> None:
     run.tip = dataclasses.replace(run.tip, measured_mm=circle, model_mm=circle + 1.0)
     found = summarise(run)
     assert np.isnan(found.plane_deg)
-    (figure,) = [
-        figure for figure in figure_specifications.figure_specifications(run, found) if figure.name == "trajectory"
+    (specification,) = [
+        one for one in figure_specifications.figure_specifications(run, found) if one.name == "trajectory"
     ]
-    figure = Figure(figsize=figure.size)
-    figure.draw(figure, run, found)
+    figure = Figure(figsize=specification.size)
+    specification.draw(figure, run, found)
     assert [(axes.get_xlabel(), axes.get_ylabel()) for axes in figure.axes] == [
         ("x [mm]", "y [mm]"),
         ("x [mm]", "z, along the arm [mm]"),
