@@ -286,9 +286,9 @@ def test_measurements_without_model_and_set_points_are_drawn_without_them(archiv
     assert found.plane_deg == pytest.approx(0.0, abs=1.0)
     shown = list(figure_specifications.figure_specifications(run, found))
     assert [figure.name for figure in shown] == ["pressures", "trajectory", "tip"]
-    for figure in shown:
-        figure = Figure(figsize=figure.size)
-        figure.draw(figure, run, found)
+    for specification in shown:
+        figure = Figure(figsize=specification.size)
+        specification.draw(figure, run, found)
         for axes in figure.axes:
             assert axes.has_data()
             legend = axes.get_legend()
