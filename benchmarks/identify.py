@@ -27,13 +27,13 @@ from calibration.identify.simulated_experiments import (
     Coverage,
     CoverageTrial,
     MeasurementErrors,
-    attempt,
     coverage,
     perform,
     plan,
+    run_trial,
 )
 from rig.identify.estimation import from_runs
-from runs.report.figures import save
+from runs.report.drawing import save
 
 Array = NDArray[np.float64]
 
@@ -188,7 +188,7 @@ def main() -> None:
         if given.moving or given.drawn:
             free, draw_trials = (FREE_DRAWN, drawn) if given.drawn else (FREE_MOVING, motions)
             tasks = draw_trials(given.trials, given.seed)
-            z = np.array(parallel_map(attempt, tasks, workers, store=given.store))
+            z = np.array(parallel_map(run_trial, tasks, workers, store=given.store))
             found, count = Coverage(tuple(p.name for p in named(free, 3)), z), len(tasks[0].planned)
         else:
             found, count = (

@@ -55,7 +55,7 @@ def ended_by(action: str) -> float:
 
 
 def paused() -> list[float]:
-    """Milliseconds from asking for a pause to a protocol that stands still in the shared memory."""
+    """Milliseconds from the request of a pause to a paused protocol in the shared memory."""
     took = []
     with tempfile.TemporaryDirectory() as folder, rig_run(Path(folder), HOLDING, "--live", "--port", "0") as run:
         with Stream(page_of(run)) as viewer:
@@ -119,7 +119,7 @@ def main() -> None:
         times = sorted(ended_by(action) for _ in range(ROUNDS))
         print(f"{action}: valves safe after {statistics.median(times):.1f} ms median, {times[-1]:.1f} ms at most")
     times = sorted(paused())
-    print(f"pause: protocol stands still after {statistics.median(times):.1f} ms median, {times[-1]:.1f} ms at most")
+    print(f"pause: protocol paused after {statistics.median(times):.1f} ms median, {times[-1]:.1f} ms at most")
     for viewers, stalled in ((0, 0), (1, 0), (5, 1)):
         missed, p99, most, rate = watched(viewers, stalled)
         print(

@@ -2,7 +2,7 @@
 
 Runs the kernels' own Python source on numbers that remember where they come from. Counted are additions,
 multiplications, divisions and square roots (one each; a fused multiply-add is two) that the tips, the carried state or
-a decision rest on. So an operation done twice counts once, and a lane or a quantity that nobody uses counts nothing;
+a decision rest on. So an operation done twice counts once, and a lane or a quantity that is not used counts nothing;
 neither do products with the constant 1, nor what follows from constants alone. Prints a line of JSON.
 """
 

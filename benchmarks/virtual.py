@@ -2,7 +2,7 @@
 
     python benchmarks/virtual.py [--protocol ramp-a] [--times 3] [--parts]
 
-The command is run as a process of its own and timed from outside, several times; best and median are told. With
+The command is run as a process of its own and timed from outside, several times; best and median are reported. With
 `--parts` it is run once more in this process with a stopwatch at every part. Processor time is printed beside: on a
 busy machine it is the steadier of the two. Frames are drawn in one thread and measured in another beside control, and
 the report's process loads its libraries meanwhile, so the parts add up to more than the run.

@@ -193,7 +193,7 @@ def measure(setting: Setting, frames: int, draw: list[Draw]) -> Result:
 def _tip(
     trackers: list[Tracker], cameras: list[DLT], places: list[RigidTransform], pictures: list[NDArray[np.uint8]]
 ) -> tuple[Floats, Floats] | None:
-    sightings = [tracker.see(grey(picture)) for tracker, picture in zip(trackers, pictures, strict=True)]
+    sightings = [tracker.detect(grey(picture)) for tracker, picture in zip(trackers, pictures, strict=True)]
     if any(s.pose is None for s in sightings):
         return None
     if len(places) == 1:

@@ -23,7 +23,7 @@ _FLAGS = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
 _SUBPIX = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 60, 1e-4)
 _CONVERGED = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 200, 1e-10)
 _LEAST_VIEWS = 4
-# A view whose rms is so many times the median's shows a corner that was mistaken, or a board that moved.
+# Outlier threshold of a view's rms relative to the median: a wrong corner, or a moved board.
 _OUTLYING = 3.0
 # Boards are sought in pictures of at most this width: corners need no more, and they are sharpened in the whole one.
 _WIDTH_PX = 1000
@@ -34,7 +34,7 @@ PARAMETERS = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
 
 
 class CalibrationError(Exception):
-    """The views do not determine the camera; the message says what is missing."""
+    """The views do not determine the camera; the message states what is missing."""
 
 
 class LeftOut(NamedTuple):
@@ -92,13 +92,13 @@ class CameraCalibration:
 
     @property
     def coverage(self) -> ViewCoverage:
-        """What the views show of picture, tilt and distance."""
+        """Coverage of picture, tilt and distance by the views."""
         size, lens = (self.width_px, self.height_px), self.lens
         return ViewCoverage(size, [view_geometry(v.corners_px, self.corners, size, lens) for v in self.views])
 
     @property
     def advice(self) -> tuple[str, ...]:
-        """What would make the calibration better, in plain words; empty when it is good enough."""
+        """Advice for a better calibration; empty if it is good enough."""
         wants = self.coverage.advice()
         if self.rms_px > _LARGE_PX:
             wants += (f"the residuals are large ({self.rms_px:.2f} px): is the board flat, and the lens no fisheye?",)
@@ -143,7 +143,7 @@ def calibrate_views(views: Iterable[View], corners: tuple[int, int], square_m: f
             "board evenly"
         )
     result = _solve(found, size, corners, square_m, skipped)
-    # The worst view draws the others with it: one at a time, and each is judged by what is left.
+    # Remove one outlier at a time, because the worst view also raises the residuals of the others.
     while len(result.views) > _LEAST_VIEWS:
         usual = float(np.median([v.rms_px for v in result.views]))
         worst = max(range(len(found)), key=lambda k: result.views[k].rms_px)
@@ -159,7 +159,7 @@ def calibrate_views(views: Iterable[View], corners: tuple[int, int], square_m: f
 def find_corners(image: Image, corners: tuple[int, int]) -> Floats | None:
     """Corners (n, 2) of any checkerboard in a grey picture, to sub-pixel, in rows as seen from the print's front.
 
-    Which end comes first is told by the colours where one count is odd and the other even, the first square between
+    The colours determine which end comes first where one count is odd and the other even, the first square between
     corners being the dark one; on other boards it is left open.
     """
     seeds = _seeds(image, corners)
@@ -194,7 +194,7 @@ def _seeds(image: Image, corners: tuple[int, int]) -> Floats | None:
 
 
 def _in_order(image: Image, grid: Floats) -> Floats:
-    """Corners (rows, columns, 2) turned as the colours say."""
+    """Corners (rows, columns, 2) in the order that the colours determine."""
     along, down = grid[0, -1] - grid[0, 0], grid[-1, 0] - grid[0, 0]
     if along[0] * down[1] - along[1] * down[0] < 0:  # seen from the front, rows run clockwise before columns
         grid = grid[::-1]

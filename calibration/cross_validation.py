@@ -1,4 +1,4 @@
-"""What a DLT calibration is worth: points, or whole views, are left out in turn and reconstructed from the rest."""
+"""Cross-validation of a DLT calibration: held-out points, or views, are reconstructed from the others."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _LEAST_STAYING = 8
 
 @dataclass(frozen=True)
 class PointObservations:
-    """What one camera saw of control points: names, `world_m` (n, 3), `pixels` (n, 2), and its lens if known."""
+    """Observations of control points by one camera: names, `world_m` (n, 3), `pixels` (n, 2), and its lens if known."""
 
     names: tuple[str, ...]
     world_m: Floats
@@ -30,7 +30,7 @@ class PointObservations:
 
 @dataclass(frozen=True)
 class CrossValidation:
-    """Errors of what was left out: distances [m], or pixels where only one camera looks; `edges_m` of boards."""
+    """Errors of the held-out points: distances [m], or pixels with only one camera; `edges_m` of boards."""
 
     errors_m: Floats
     errors_px: Floats

@@ -34,7 +34,7 @@ _SLIP = 1e-6
 
 
 class DLTError(Exception):
-    """The points do not determine what was asked for; the message says why."""
+    """The points do not determine the result; the message has the reason."""
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ class DLT:
 
     @classmethod
     def of_camera(cls, lens: Lens, camera_in_world: RigidTransform) -> DLT:
-        """Return the coefficients of a camera whose lens and place are known, the latter to its stated uncertainty."""
+        """Return the coefficients of a camera from its lens and its pose, with the uncertainty of the pose."""
         coefficients = _placed(lens, camera_in_world)
         slips = [(np.eye(3)[k] * _SLIP, np.zeros(3)) for k in range(3)]
         slips += [(np.zeros(3), np.eye(3)[k] * _SLIP) for k in range(3)]
@@ -76,7 +76,7 @@ class DLT:
 
     @property
     def centre_m(self) -> Floats:
-        """Where the camera stands (3,): the point that the matrix maps to nothing."""
+        """Projection centre (3,): the null space of the matrix."""
         matrix = self.matrix
         return np.asarray(-np.linalg.solve(matrix[:, :3], matrix[:, 3]))
 
@@ -89,12 +89,12 @@ class DLT:
         return _by_coefficients(self.matrix, points_m)
 
     def undistorted(self, pixels: Floats) -> Floats:
-        """Measured pixels (n, 2) with the lens's distortion taken out."""
+        """Undistorted measured pixels (n, 2)."""
         return pixels if self.lens is None else undistort(pixels, self.lens)
 
 
 def decompose(dlt: DLT) -> tuple[Lens, RigidTransform]:
-    """The pinhole and the camera in the world that a camera's coefficients are; its skew is left out of the lens."""
+    """Decompose coefficients into intrinsics and camera pose (RQ decomposition); the lens has no skew."""
     matrix = dlt.matrix
     # RQ by QR of the reversed matrix; signs such that the focal lengths are positive.
     q, r = np.linalg.qr(np.flipud(matrix[:, :3]).T)
@@ -120,7 +120,7 @@ def _slipped(frame: RigidTransform, turn_rad: Floats, shift_m: Floats) -> RigidT
 
 
 def undistort(pixels: Floats, lens: Lens) -> Floats:
-    """Where pixels (n, 2) would lie if the lens had no distortion."""
+    """Remove the lens distortion from pixels (n, 2)."""
     matrix = lens.matrix
     return lens.rays(pixels) @ matrix[:2, :2].T + matrix[:2, 2]
 
@@ -128,8 +128,8 @@ def undistort(pixels: Floats, lens: Lens) -> Floats:
 def calibrate(control_points_m: Floats, pixels: Floats, lens: Lens | None = None, std_px: float | None = None) -> DLT:
     """Coefficients from control points (n, 3) [m] and where the camera saw them (n, 2) [px].
 
-    `lens` is taken out first. `std_px` is the standard uncertainty of one pixel coordinate; when None it is told from
-    the residuals.
+    `lens` is taken out first. `std_px` is the standard uncertainty of one pixel coordinate; if None it is
+    estimated from the residuals.
 
     Raises:
         DLTError: fewer than six points, points in a plane, or the origin lies beside the camera.
@@ -185,7 +185,7 @@ def reconstruct(
         total, right = np.zeros((count, 3, 3)), np.zeros((count, 3))
         for camera, matrix, uv, cov in zip(cameras, matrices, seen, noise, strict=True):
             slope = by_points(matrix, points)
-            # What the coefficients' own uncertainty adds to this camera's pixels.
+            # Covariance of this camera's pixels by the uncertainty of its coefficients.
             by_own = camera.by_coefficients(points).reshape(count, 2, 11)
             weighted = slope.transpose(0, 2, 1) @ np.linalg.inv(cov + by_own @ camera.covariance @ by_own.mT)
             total += weighted @ slope
@@ -224,7 +224,7 @@ def _check(points: Floats, pixels: Floats) -> None:
 
 
 def _normaliser(points: Floats) -> Floats:
-    """Hartley's similarity: centroid to the origin, mean distance from it to sqrt(dimension)."""
+    """Hartley normalisation: centroid at the origin, mean distance sqrt(dimension)."""
     dimension = points.shape[1]
     centre = points.mean(axis=0)
     scale = np.sqrt(dimension) / np.mean(np.linalg.norm(points - centre, axis=1))
@@ -234,7 +234,7 @@ def _normaliser(points: Floats) -> Floats:
 
 
 def _linear(points: Floats, pixels: Floats) -> Floats:
-    """Projection matrix (3, 4), up to scale, by the singular vector of the normalised equations."""
+    """Projection matrix (3, 4), up to scale, by DLT: singular vector of the normalised equations."""
     to_points, to_pixels = _normaliser(points), _normaliser(pixels)
     world = np.column_stack([points, np.ones(len(points))]) @ to_points.T
     image = np.column_stack([pixels, np.ones(len(pixels))]) @ to_pixels.T
@@ -290,7 +290,7 @@ def _refine(coefficients: Floats, points: Floats, pixels: Floats) -> tuple[Float
     residual, slope = at(coefficients)
     cost, damping = float(residual @ residual), 1e-6
     for _ in range(_STEPS):
-        # The coefficients differ by orders of magnitude: columns are brought to one length before solving.
+        # Scale the columns to unit length: the coefficients differ by orders of magnitude.
         length = np.linalg.norm(slope, axis=0)
         scaled = slope / length
         step = np.linalg.solve(scaled.T @ scaled + damping * np.eye(11), scaled.T @ residual) / length

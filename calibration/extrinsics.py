@@ -1,4 +1,4 @@
-"""Cameras that saw one board at the same moments: where they stand to each other, and where the board was each time."""
+"""Extrinsic calibration of several cameras from simultaneous views of a board (bundle adjustment)."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ class ExtrinsicCalibration:
         return float(np.sqrt(np.mean(np.sum(rest**2, axis=1))))
 
     def view_rms_px(self, view: str) -> float:
-        """The same of one view, over the cameras that saw it."""
+        """Root mean square distance of one view over its cameras."""
         rest = np.concatenate([views[view] for views in self.residuals_px.values() if view in views])
         return float(np.sqrt(np.mean(np.sum(rest**2, axis=1))))
 
@@ -97,7 +97,7 @@ class ExtrinsicCalibration:
 
 
 def locate(cameras: Sequence[Camera], board: Board, *, bundle: bool = True) -> ExtrinsicCalibration:
-    """Find cameras and boards from simultaneous views; with `bundle`, all residuals are made least together.
+    """Find cameras and boards from simultaneous views; with `bundle`, by bundle adjustment.
 
     On a board that looks the same upside down the corners' order is chosen so that the cameras agree.
 
@@ -125,7 +125,7 @@ def locate(cameras: Sequence[Camera], board: Board, *, bundle: bool = True) -> E
 
 @dataclass(frozen=True)
 class _BoardView:
-    """One possible pose of the board before a camera, with the corners in the order that belongs to it."""
+    """One possible pose of the board in a camera frame, with the corners in the matching order."""
 
     pose: RigidTransform
     corners_px: Floats
@@ -133,7 +133,7 @@ class _BoardView:
 
 
 def _poses(board: Board, lens: Lens, corners_px: Floats) -> list[_BoardView]:
-    """Every pose that the picture allows: both sides of the planar flip, and every way the board may be turned."""
+    """Every possible pose: both sides of the planar flip and every symmetry of the board."""
     columns, rows = board.pattern
     grid = corners_px.reshape(rows, columns, 2)
     turns = [grid]
@@ -146,7 +146,7 @@ def _poses(board: Board, lens: Lens, corners_px: Floats) -> list[_BoardView]:
         px = np.ascontiguousarray(turned.reshape(-1, 2))
         found += [_BoardView(pose.rigid, px, pose.misfit) for pose in solutions(board.corners_m, px, lens)]
     best = min((seen.misfit for seen in found), default=0.0)
-    # The other side of a flip is kept only while it explains the picture nearly as well.
+    # Keep the other side of a flip only if it fits nearly as well.
     return [seen for seen in found if seen.misfit <= 2 * best + 30]
 
 
@@ -210,7 +210,7 @@ def _agree(
 
 
 def _distance(a: RigidTransform, b: RigidTransform) -> float:
-    """How far two relative poses are apart: angle [rad] plus translation as a share of its length."""
+    """Distance of two relative poses: angle [rad] plus relative translation."""
     turn = float(np.arccos(np.clip((np.sum(a.rotation * b.rotation) - 1) / 2, -1, 1)))
     length = max(float(np.linalg.norm(a.translation_m)), 1e-3)
     return turn + float(np.linalg.norm(a.translation_m - b.translation_m)) / length

@@ -26,7 +26,7 @@ from calibration.vision.transforms import RigidTransform
 Floats = NDArray[np.float64]
 
 _LEAST_STD_PX = 0.01
-# The other side of the planar flip is believed only where the picture hardly decides.
+# The other side of the planar flip is used only if it fits nearly as well.
 _FLIP = 1.5
 _OUTLYING = 4.0
 
@@ -168,7 +168,7 @@ def _solve(
 
 
 def _likely(sight: _MountingView, prior: RigidTransform, stated: RigidTransform) -> Pose:
-    """The pose of a view: the better one, or where that is hardly better the one nearer to what is stated."""
+    """The pose of a view: the better one, or of two similar ones the one nearer to the stated mounting."""
     best = sight.poses[0]
     near = [pose for pose in sight.poses if pose.misfit <= _FLIP * best.misfit]
 
@@ -180,7 +180,7 @@ def _likely(sight: _MountingView, prior: RigidTransform, stated: RigidTransform)
 
 
 def _turn(prior: RigidTransform, board_in_camera: RigidTransform, mounted: RigidTransform) -> float:
-    """Angle [rad] about the tip's z axis that brings the mounted board nearest to where it is seen."""
+    """Angle [rad] about the tip's z axis that aligns the mounted board with its measured pose."""
     r = prior.rotation.T @ board_in_camera.rotation @ mounted.rotation.T
     return float(np.arctan2(r[1, 0] - r[0, 1], r[0, 0] + r[1, 1]))
 

@@ -1,4 +1,4 @@
-"""Which views of a board a camera calibration has, which it still wants, and what to do next to get them."""
+"""Coverage of a camera calibration by its views, and advice for the next view."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _TURNS = ("turn its left edge towards the camera", "turn its right edge towards 
           "lean its top towards the camera", "lean its bottom towards the camera")  # fmt: skip
 ENOUGH_TILT_DEG = 15.0
 ENOUGH_VIEWS = 10
-# The board should fill so much of the picture's width or height in some view: a small board tells little.
+# Fraction of the picture's width or height that the board should fill in some view.
 _NEAR = 0.4
 _ENOUGH_REGIONS = 7
 _MOVES = (("up", "down"), ("left", "right"))
@@ -62,7 +62,7 @@ def view_geometry(
 
 
 class ViewCoverage:
-    """What the views so far show of picture, tilt and distance."""
+    """Coverage of picture, tilt and distance by the views."""
 
     def __init__(self, size: tuple[int, int], looks: Sequence[ViewGeometry] = ()) -> None:
         """`size` is (width, height) [px]."""
@@ -70,12 +70,12 @@ class ViewCoverage:
         self._looks: list[ViewGeometry] = list(looks)
 
     def add(self, view: ViewGeometry) -> None:
-        """Count a view."""
+        """Add a view."""
         self._looks.append(view)
 
     @property
     def views(self) -> int:
-        """How many there are."""
+        """Number of views."""
         return len(self._looks)
 
     def is_new(self, view: ViewGeometry) -> bool:
@@ -116,7 +116,7 @@ class ViewCoverage:
         return max((float((np.ptp(v.corners_px, axis=0) / self._size).max()) for v in self._looks), default=0.0)
 
     def advice(self) -> tuple[str, ...]:
-        """What more views would help, in plain words; empty when these are enough."""
+        """Advice for more views; empty if the coverage is complete."""
         wants = []
         if self.views < ENOUGH_VIEWS:
             wants.append(f"take at least {ENOUGH_VIEWS} views; {self.views} could be used")
@@ -137,7 +137,7 @@ class ViewCoverage:
         return tuple(wants)
 
     def next_step(self, now: ViewGeometry | None) -> str:
-        """What to do with the board now, so that the next view tells most; empty when every want is met."""
+        """Advice for the next view; empty if the coverage is complete."""
         regions, tilts = self.missing_regions(), self.missing_tilts()
         if now is None:
             return "hold the whole board into the picture, evenly lit"

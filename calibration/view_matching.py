@@ -1,4 +1,4 @@
-"""Which pictures of several cameras belong to one moment: told by the numbers in their names."""
+"""Matches simultaneous pictures of several cameras by the numbers in their names."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def keys(names: Mapping[str, Sequence[str]]) -> dict[str, dict[str, str]]:
     every camera has as many pictures.
 
     Raises:
-        CalibrationError: nothing tells which belong together.
+        CalibrationError: the names do not match.
     """
     if len(names) == 1:
         return {camera: {name: name for name in listed} for camera, listed in names.items()}

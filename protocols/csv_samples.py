@@ -18,7 +18,7 @@ TIME = "time_s"
 
 @dataclass(frozen=True)
 class Columns:
-    """Times (n,) from the first row on [s], and one column (n,) [bar] for each actuator asked for."""
+    """Times (n,) from the first row on [s], and one column (n,) [bar] for each requested actuator."""
 
     times_s: tuple[float, ...]
     bar: tuple[tuple[float, ...], ...]
@@ -69,11 +69,13 @@ def _header(path: Path, row: str, actuators: tuple[int, ...]) -> dict[str, int]:
     """Where each wanted column is."""
     names = _cells(row)
     wanted = (TIME, *map(column_name, actuators))
-    other = next((mark for mark in ";\t" if mark in row and "," not in row), "")
+    other = next((separator for separator in ";\t" if separator in row and "," not in row), "")
     if other:
-        said = "semicolons" if other == ";" else "tabs"
+        separators = "semicolons" if other == ";" else "tabs"
         wish = "columns separated by commas, and points in decimal numbers"
-        raise BadInputError([Problem(str(path), 1, row.index(other) + 1, "", f"columns separated by {said}", wish)])
+        raise BadInputError(
+            [Problem(str(path), 1, row.index(other) + 1, "", f"columns separated by {separators}", wish)]
+        )
     problems = []
     for name in wanted:
         if names.count(name) == 1:

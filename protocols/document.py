@@ -1,7 +1,4 @@
-"""A YAML file as a document: read, decoded, parsed, or refused with one plain sentence.
-
-With `validate` it is the one door for every YAML of the program.
-"""
+"""Reads, decodes and parses YAML files. The program reads all YAML through this module and `validate`."""
 
 from __future__ import annotations
 
@@ -19,12 +16,12 @@ LARGEST_FILE = 200_000
 
 
 def read(path: Path) -> Document:
-    """The document in a file. Raises `BadInput` when it is no YAML mapping at all; lesser faults stay in it."""
+    """The document in a file; `BadInputError` if it is not a YAML mapping, else the problems are in the document."""
     return parse(read_text(path, LARGEST_FILE), str(path))
 
 
 def read_text(path: Path, largest: int) -> str:
-    """The text of a UTF-8 file of at most `largest` bytes, its lines ended by a line feed; or `BadInput`."""
+    """The text of a UTF-8 file of at most `largest` bytes, its lines ended by a line feed; or `BadInputError`."""
 
     def bad(expected: str, line: int = 0, column: int = 0, value: str = "") -> BadInputError:
         return BadInputError([Problem(str(path), line, column, "", value, expected)])
@@ -55,7 +52,7 @@ def read_text(path: Path, largest: int) -> str:
 
 
 def parse(text: str, file: str) -> Document:
-    """The document in `text`; `file` is the name that its problems carry."""
+    """The document in `text`; `file` is its name in messages."""
     try:
         node = compose(text)
     except yaml.YAMLError as error:
@@ -65,15 +62,15 @@ def parse(text: str, file: str) -> Document:
     if node is None or (isinstance(node, yaml.ScalarNode) and not node.value and node.style is None):
         raise BadInputError([Problem(file, 0, 0, "", "", "the file is empty")])
     reader = Reader(file, text)
-    data, marks = reader.value(node, ())
+    data, positions = reader.value(node, ())
     if reader.too_large:
         expected = "the file is too large: with its aliases (*name) spelt out it has far too many values"
         raise BadInputError([Problem(file, 0, 0, "", "", expected)])
     if not isinstance(data, dict):
-        kind = "a list" if isinstance(data, list) else shortened(marks.source)
+        kind = "a list" if isinstance(data, list) else shortened(positions.source)
         expected = "a mapping ('key: value' lines) at the top of the file"
-        raise BadInputError([Problem(file, marks.line, marks.column, "", kind, expected)])
-    return Document(file, text, data, marks, tuple(reader.problems), frozenset(reader.soft))
+        raise BadInputError([Problem(file, positions.line, positions.column, "", kind, expected)])
+    return Document(file, text, data, positions, tuple(reader.problems), frozenset(reader.replaceable))
 
 
 _SYNTAX = (
@@ -94,7 +91,7 @@ _SYNTAX = (
 
 
 def _syntax_problem(error: yaml.YAMLError, text: str, file: str) -> Problem:
-    """One plain sentence for what PyYAML says about the text."""
+    """Translate an error message of PyYAML."""
     if isinstance(error, TooDeepError):
         mark = error.problem_mark
         return Problem(file, mark.line + 1 if mark else 0, 0, "", "", "the file is nested too deeply")
@@ -105,15 +102,15 @@ def _syntax_problem(error: yaml.YAMLError, text: str, file: str) -> Problem:
         return Problem(file, line, column, "", found, "text without control characters: is this a YAML file?")
     if not isinstance(error, yaml.MarkedYAMLError) or error.problem_mark is None:
         return Problem(file, 0, 0, "", "", f"YAML cannot read this: {error}")
-    said = error.problem or error.context or ""
+    message = error.problem or error.context or ""
     mark = error.problem_mark
-    if "unexpected end of stream" in said or (said.startswith("expected ','") and error.context_mark is not None):
+    if "unexpected end of stream" in message or (message.startswith("expected ','") and error.context_mark is not None):
         mark = error.context_mark or mark
     rows = text.split("\n")
     row = rows[mark.line] if mark.line < len(rows) else ""
     character = row[mark.column : mark.column + 1]
     expected = next(
-        (words for key, words, only in _SYNTAX if key in said and (not only or character == only)),
-        f"YAML cannot read this: {said}",
+        (words for key, words, only in _SYNTAX if key in message and (not only or character == only)),
+        f"YAML cannot read this: {message}",
     )
     return Problem(file, mark.line + 1, mark.column + 1, "", shortened(row.strip()) or "the end of the file", expected)

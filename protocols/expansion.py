@@ -1,4 +1,4 @@
-"""Steps -> Trajectory: every repeat unrolled, every level in Pa, every segment with the line it comes from."""
+"""Expands protocol steps to a trajectory: repeats unrolled, levels in Pa, segments with their source line."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from protocols.trajectory import Prompt, Segment, Trajectory
 from protocols.waveforms import Fade, Line, Samples, Sinusoid, Smooth, Waveform
 
 PROMPT_S = 0.1
-"""A prompt's own segment: the set-points stand, so that nothing moves before the operator's answer."""
+"""Duration of a prompt's segment, in which the set-points are constant."""
 
 Path = tuple[str | int, ...]
 
 
 def too_long(steps: Sequence[Step], document: Document) -> list[Problem]:
-    """Problems of steps that would unroll to more segments than any experiment has; found without unrolling."""
+    """Problems of steps that expand to more than `MOST_SEGMENTS` segments; found without expanding them."""
     found: list[Problem] = []
     _count(steps, ("steps",), document, found)
     return found
@@ -52,7 +52,7 @@ def _count(steps: Sequence[Step], base: Path, document: Document, found: list[Pr
 def expand(
     steps: Sequence[Step], actuators: int, document: Document, samples: Mapping[tuple[str, tuple[int, ...]], Columns]
 ) -> Trajectory:
-    """The trajectory for a rig with so many actuators, or `BadInput` where a step names one that the rig lacks."""
+    """The trajectory for a rig with so many actuators, or `BadInputError` if a step names an unknown one."""
     expander = _Expander(actuators, document, samples)
     expander.play(steps, ("steps",))
     if expander.problems:
@@ -95,7 +95,7 @@ class _Expander:
             elif isinstance(body, tuple):
                 self.play(body, here)
             elif not self._lacking(body, here):
-                self._players[kind](body, self._document.mark(here).key_line)
+                self._players[kind](body, self._document.position(here).key_line)
 
     def _lacking(self, body: Any, here: Path) -> bool:
         lacking = False
@@ -224,7 +224,11 @@ def _levels_text(bar: float | tuple[float, ...]) -> str:
 
 
 def _problem(document: Document, path: Path, expected: str, value: str | None = None) -> Problem:
-    mark = document.mark(path)
-    line, column = (mark.key_line, mark.key_column) if value == "" and mark.key_line else (mark.line, mark.column)
-    found = mark.source if value is None else value
+    position = document.position(path)
+    line, column = (
+        (position.key_line, position.key_column)
+        if value == "" and position.key_line
+        else (position.line, position.column)
+    )
+    found = position.source if value is None else value
     return Problem(document.file, line, column, path_text(path), found, expected)

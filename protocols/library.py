@@ -1,4 +1,4 @@
-"""Finding and loading protocols, the named ones and the user's own."""
+"""Finds and loads protocols, those of the library and those of the user."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ MOST_NEIGHBOURS = 200
 class Protocol:
     """A checked protocol: its name, title and description, the file it is from and that file's verbatim text.
 
-    `files` are the texts of the CSV files that it plays, by the names that it gives them.
+    `files` are the texts of its CSV files, by their names in the protocol.
     """
 
     name: str
@@ -40,15 +40,15 @@ class Protocol:
     _samples: dict[tuple[str, tuple[int, ...]], Columns] = field(repr=False)
 
     def expand(self, actuators: int) -> Trajectory:
-        """The set-points over time for a rig with so many actuators; `BadInput` where the rig has too few."""
+        """The set-points over time for a rig with so many actuators; `BadInputError` if it has too few."""
         return expand(self.steps, actuators, self._document, self._samples)
 
     def step_at(self, line: int) -> tuple[str, int]:
         """The path in words and the column of the step that a segment's `line` points to."""
-        paths = [path for path, _ in _leaves(self.steps, ("steps",)) if self._document.mark(path).key_line == line]
+        paths = [path for path, _ in _leaves(self.steps, ("steps",)) if self._document.position(path).key_line == line]
         if len(paths) != 1:
             return "steps", 0
-        return path_text(paths[0]), self._document.mark(paths[0]).key_column
+        return path_text(paths[0]), self._document.position(paths[0]).key_column
 
 
 def named() -> tuple[tuple[str, str], ...]:
@@ -57,7 +57,7 @@ def named() -> tuple[tuple[str, str], ...]:
 
 
 def load(name_or_path: str | Path) -> Protocol:
-    """The protocol of that name, or in that file; `BadInput` with everything that is wrong with it."""
+    """The protocol of that name or in that file; `BadInputError` with all problems."""
     path = find(str(name_or_path), FOLDER, "protocol")
     document = yaml_document.read(path)
     body = yaml_document.validate(ProtocolFile, document)
@@ -77,7 +77,7 @@ def load(name_or_path: str | Path) -> Protocol:
 
 
 def find(name: str, folder: Path, what: str) -> Path:
-    """The file that a name, looked for in `folder`, or a path means; `BadInput` when there is none."""
+    """The file of a name in `folder`, or of a path; `BadInputError` if there is none."""
     names = sorted(path.stem for path in folder.glob("*.yaml"))
     if name in names:
         return folder / f"{name}.yaml"
@@ -111,10 +111,10 @@ def _leaves(steps: Sequence[Step], base: tuple[str | int, ...]) -> Iterator[tupl
 
 
 def _named_by(problem: Problem, document: Document, here: tuple[str | int, ...]) -> Problem:
-    """A fault of a CSV file as a whole is the fault of the line that names it."""
+    """Place a problem of a whole CSV file at the line that names the file."""
     if problem.line:
         return problem
     path = (*here, "file")
-    mark = document.mark(path)
+    position = document.position(path)
     expected = f"a CSV file that can be used; {problem.expected}"
-    return Problem(document.file, mark.line, mark.column, path_text(path), mark.source, expected)
+    return Problem(document.file, position.line, position.column, path_text(path), position.source, expected)

@@ -1,4 +1,4 @@
-"""What is wrong with a file a user wrote, said so that it can be mended."""
+"""Problems of user input, with place, value and remedy."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ SHOWN = 40
 
 @dataclass(frozen=True)
 class Problem:
-    """One fault: the place (`line`, `column` from 1; 0 where the whole file is meant), the value, and the remedy."""
+    """One problem: the place (`line`, `column` from 1; 0 for the whole file), the value, and the remedy."""
 
     file: str
     line: int
@@ -38,7 +38,7 @@ class Problem:
 
 
 class BadInputError(Exception):
-    """A file, or a name, that cannot be used; `problems` has every fault found and `str()` is the full message."""
+    """Invalid user input; `problems` has every problem and `str()` is the full message."""
 
     def __init__(self, problems: Iterable[Problem]) -> None:
         self.problems = tuple(problems)
@@ -52,7 +52,7 @@ class BadInputError(Exception):
 
 
 def closest(word: str, known: Iterable[str]) -> str:
-    """The known word that `word` was probably meant to be, or an empty string."""
+    """The known word closest to `word`, or an empty string."""
     by_folded = {_folded(name): name for name in known}
     folded = _folded(word)
     if folded in by_folded:

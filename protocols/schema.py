@@ -246,7 +246,7 @@ class Step(StepPart):
     @model_validator(mode="before")
     @classmethod
     def _single(cls, value: Any) -> Any:
-        """A step is a mapping with one key that has a value: say so before a dozen other things are said."""
+        """Require a mapping with one key that has a value, before more specific checks."""
         if not isinstance(value, dict):
             return value
         kinds = tuple(cls.model_fields)

@@ -1,7 +1,7 @@
-"""YAML text -> plain data that remembers where each value was written.
+"""Converts YAML text to plain data with the source position of each value.
 
-PyYAML composes the nodes; the values are made here, because YAML 1.1 has readings that surprise (010 is 8, 1:30 is
-90, `no` is false, a key given twice silently wins) and none of them may pass unnoticed.
+PyYAML composes the nodes; this module constructs the values, because YAML 1.1 has surprising rules (010 is 8, 1:30 is
+90, `no` is false, the last duplicate of a key wins), and each of these is reported.
 """
 
 from __future__ import annotations
@@ -25,17 +25,17 @@ LONGEST_NUMBER = 30
 
 _TAG = "tag:yaml.org,2002:"
 _ALIKE = re.compile(r"[\n \"-;=>@-~\xa0-\ud7ff]*")
-"""Texts without the signs (tab, !, ?, <) that libyaml and PyYAML's own reader take differently."""
+"""Texts without the characters (tab, !, ?, <) that libyaml and the pure Python parser treat differently."""
 _DECIMAL_INT = re.compile(r"[-+]?(0|[1-9][0-9]*)")
 _DECIMAL_FLOAT = re.compile(r"[-+]?([0-9]+\.[0-9]*|\.[0-9]+|[0-9]+)([eE][-+]?[0-9]+)?")
 
 
 @dataclass
 class SourcePosition:
-    """Where one value stands: its own place, its key's place, its source text, and the marks inside it.
+    """Source position of a value and of its key, its source text, and the positions of the values inside it.
 
-    `line` and `column` count from 1; `note` is what YAML makes of a value that people rarely mean; `children` are by
-    key or by list index.
+    `line` and `column` count from 1; `hint` explains how YAML reads an ambiguous value; `children` are by key or
+    list index.
     """
 
     line: int
@@ -44,37 +44,37 @@ class SourcePosition:
     key_line: int = 0
     key_column: int = 0
     quoted: bool = False
-    note: str = ""
+    hint: str = ""
     children: dict[str | int, SourcePosition] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
 class Document:
-    """A YAML file: its name as the user gave it, its text, its plain data, the marks, and the faults of its writing.
+    """A YAML file: name as given by the user, text, plain data, source positions, and syntax problems.
 
-    `data` is made of dict (text keys), list, str, int, float, bool and, where a value was left out or cannot be
-    meant, None. `soft` are the places of problems that a model, which knows what is expected there, can say better.
+    `data` is made of dict (text keys), list, str, int, float, bool and None for missing and
+    invalid values. `replaceable` are the places of problems for which the model may have a more specific one.
     """
 
     file: str
     text: str
     data: dict[str, Any]
-    marks: SourcePosition
+    positions: SourcePosition
     problems: tuple[Problem, ...] = ()
-    soft: frozenset[tuple[int, int]] = frozenset()
+    replaceable: frozenset[tuple[int, int]] = frozenset()
 
-    def mark(self, path: tuple[str | int, ...]) -> SourcePosition:
-        """The mark of the deepest existing value on the way along `path`."""
-        mark = self.marks
+    def position(self, path: tuple[str | int, ...]) -> SourcePosition:
+        """The position of the deepest existing value along `path`."""
+        position = self.positions
         for step in path:
-            if step not in mark.children:
+            if step not in position.children:
                 break
-            mark = mark.children[step]
-        return mark
+            position = position.children[step]
+        return position
 
 
 def path_text(path: tuple[str | int, ...]) -> str:
-    """A path as a person says it: ('steps', 2, 'ramp') -> 'steps #3, ramp'."""
+    """A path in words: ('steps', 2, 'ramp') -> 'steps #3, ramp'."""
     words: list[str] = []
     for step in path:
         if isinstance(step, int) and words:
@@ -85,11 +85,11 @@ def path_text(path: tuple[str | int, ...]) -> str:
 
 
 class TooDeepError(yaml.MarkedYAMLError):
-    """Nesting beyond anything a rig or a protocol needs."""
+    """The nesting is too deep."""
 
 
 class _Bounded(Composer):
-    """PyYAML's composer with a bound on nesting."""
+    """PyYAML's composer with a limit on nesting."""
 
     depth = 0
 
@@ -103,14 +103,14 @@ class _Bounded(Composer):
 
 
 class _Loader(_Bounded, yaml.SafeLoader):
-    """Reads slowly and says well what is wrong."""
+    """The pure Python parser: slow, with good error messages."""
 
 
 if yaml.__with_libyaml__:
     from yaml.cyaml import CParser  # type: ignore[attr-defined]
 
     class _FastLoader(_Bounded, CParser, Resolver):
-        """Reads with libyaml, in a sixth of the time; its composer has no bound on nesting, so PyYAML's goes first."""
+        """libyaml's parser, six times faster, with PyYAML's composer, which can limit the nesting."""
 
         def __init__(self, text: str) -> None:
             CParser.__init__(self, text)
@@ -119,9 +119,9 @@ if yaml.__with_libyaml__:
 
         def compose_scalar_node(self, anchor: dict[Any, yaml.Node]) -> yaml.ScalarNode:
             node = super().compose_scalar_node(anchor)
-            node.style = node.style or None  # libyaml says "" of a plain scalar
+            node.style = node.style or None  # libyaml has "" for a plain scalar
             if not node.value and node.style is None:
-                raise yaml.MarkedYAMLError(problem="a value is missing")  # and libyaml marks the place after it
+                raise yaml.MarkedYAMLError(problem="a value is missing")  # libyaml gives the position after it
             return node
 
     _FAST: type[Any] = _FastLoader
@@ -132,7 +132,7 @@ else:
 def compose(text: str) -> yaml.Node | None:
     """The node tree of `text`, None for an empty document; raises `yaml.YAMLError`.
 
-    PyYAML's own reader, whose messages are translated, says what is wrong with a text that libyaml refuses.
+    A text that libyaml rejects is parsed again by the pure Python parser for its error message.
     """
     if _ALIKE.fullmatch(text):
         with suppress(yaml.YAMLError):
@@ -150,126 +150,126 @@ def _composed(loader_class: type[Any], text: str) -> yaml.Node | None:
 
 
 class Reader:
-    """Turns nodes into data and marks, collecting the faults of writing on the way."""
+    """Converts nodes to data and positions and collects the problems."""
 
     def __init__(self, file: str, text: str) -> None:
         self.file = file
         self.text = text
         self.problems: list[Problem] = []
-        self.soft: set[tuple[int, int]] = set()
+        self.replaceable: set[tuple[int, int]] = set()
         self._open: set[int] = set()
         self._size = 0
 
     @property
     def too_large(self) -> bool:
-        """True when the file, with its aliases spelt out, has more values than any sensible one."""
+        """True if the file, with expanded aliases, has more than `LARGEST` values."""
         return self._size > LARGEST
 
     def value(self, node: yaml.Node, path: tuple[str | int, ...]) -> tuple[Any, SourcePosition]:
-        """The data of a node and its mark."""
+        """The data of a node and its position."""
         self._size += 1
-        mark = self._mark(node)
+        position = self._position(node)
         if self._size > LARGEST:
-            return None, mark
+            return None, position
         if id(node) in self._open:
-            self._fault(mark, path, "an alias (*name) inside what it stands for", "something that ends")
-            return None, mark
+            self._fault(position, path, "an alias (*name) inside what it stands for", "something that ends")
+            return None, position
         self._open.add(id(node))
         try:
             if isinstance(node, yaml.MappingNode):
-                return self._mapping(node, path, mark), mark
+                return self._mapping(node, path, position), position
             if isinstance(node, yaml.SequenceNode):
-                return self._sequence(node, path, mark), mark
+                return self._sequence(node, path, position), position
             assert isinstance(node, yaml.ScalarNode)
-            return self._scalar(node, path, mark), mark
+            return self._scalar(node, path, position), position
         finally:
             self._open.discard(id(node))
 
-    def _mapping(self, node: yaml.MappingNode, path: tuple[str | int, ...], mark: SourcePosition) -> dict[str, Any]:
-        self._check_tag(node, mark, path, "map")
+    def _mapping(self, node: yaml.MappingNode, path: tuple[str | int, ...], position: SourcePosition) -> dict[str, Any]:
+        self._check_tag(node, position, path, "map")
         data: dict[str, Any] = {}
         merged: list[tuple[yaml.Node, SourcePosition]] = []
         for key_node, value_node in node.value:
-            key_mark = self._mark(key_node)
+            key_position = self._position(key_node)
             if not isinstance(key_node, yaml.ScalarNode):
-                self._fault(key_mark, path, key_mark.source, "a word as the key before ':'",
-                            "text in quotes" if "{" in key_mark.source else "")  # fmt: skip
+                self._fault(key_position, path, key_position.source, "a word as the key before ':'",
+                            "text in quotes" if "{" in key_position.source else "")  # fmt: skip
                 continue
             key = key_node.value
             if key_node.tag == f"{_TAG}merge":
-                merged.append((value_node, key_mark))
+                merged.append((value_node, key_position))
                 continue
             here = (*path, key)
             if key in data:
-                first = mark.children[key].key_line
+                first = position.children[key].key_line
                 self._fault(
-                    key_mark, here, f"{key}, for the second time", f"each key once; the first is in line {first}"
+                    key_position, here, f"{key}, for the second time", f"each key once; the first is in line {first}"
                 )
                 continue
-            data[key], child = self._child(value_node, here, key_mark)
-            mark.children[key] = child
-        for value_node, key_mark in merged:
-            self._merge(value_node, key_mark, path, data, mark)
+            data[key], child = self._child(value_node, here, key_position)
+            position.children[key] = child
+        for value_node, key_position in merged:
+            self._merge(value_node, key_position, path, data, position)
         return data
 
     def _child(
-        self, node: yaml.Node, path: tuple[str | int, ...], key_mark: SourcePosition
+        self, node: yaml.Node, path: tuple[str | int, ...], key_position: SourcePosition
     ) -> tuple[Any, SourcePosition]:
-        value, mark = self.value(node, path)
-        child = replace(mark, key_line=key_mark.line, key_column=key_mark.column)
+        value, position = self.value(node, path)
+        child = replace(position, key_line=key_position.line, key_column=key_position.column)
         if value is None and node.tag == f"{_TAG}null":
-            child = replace(child, line=key_mark.line, column=key_mark.column)
+            child = replace(child, line=key_position.line, column=key_position.column)
             self._empty(child, path, str(path[-1]))
         return value, child
 
-    def _empty(self, mark: SourcePosition, path: tuple[str | int, ...], key: str) -> None:
-        """A key without a value; often it is a colon or a decimal comma gone wrong."""
+    def _empty(self, position: SourcePosition, path: tuple[str | int, ...], key: str) -> None:
+        """Report a key without a value, often caused by a missing space after a colon or by a decimal comma."""
         glued = re.fullmatch(r"(\w+)(:| +)(\S.*)", key)
         if key.isdigit():
-            self._fault(mark, path, f",{key}", "a decimal point, or ': ' and a value after this key")
+            self._fault(position, path, f",{key}", "a decimal point, or ': ' and a value after this key")
         elif glued:
             wish = f"'{glued[1]}: {glued[3]}'"
-            self._fault(mark, path, key, "a key, then a colon and a space, then its value", wish)
+            self._fault(position, path, key, "a key, then a colon and a space, then its value", wish)
         else:
-            mark.note = "if the lines below belong to it, indent them further"
-            self.soft.add((mark.line, mark.column))
-            self._fault(mark, path, mark.source or "nothing", f"a value after '{key}:'; {mark.note}")
+            position.hint = "if the lines below belong to it, indent them further"
+            self.replaceable.add((position.line, position.column))
+            self._fault(position, path, position.source or "nothing", f"a value after '{key}:'; {position.hint}")
 
     def _merge(
         self,
         node: yaml.Node,
-        key_mark: SourcePosition,
+        key_position: SourcePosition,
         path: tuple[str | int, ...],
         data: dict[str, Any],
-        mark: SourcePosition,
+        position: SourcePosition,
     ) -> None:
         """`<<: *name`: the keys of another mapping, where the own keys win."""
         sources = node.value if isinstance(node, yaml.SequenceNode) else [node]
         for source in sources:
             if not isinstance(source, yaml.MappingNode):
-                self._fault(key_mark, path, self._mark(source).source, "a mapping after '<<:'")
+                self._fault(key_position, path, self._position(source).source, "a mapping after '<<:'")
                 continue
-            values, marks = self.value(source, path)
+            values, positions = self.value(source, path)
             for key, value in (values or {}).items():
                 if key not in data:
                     data[key] = value
-                    mark.children[key] = marks.children[key]
+                    position.children[key] = positions.children[key]
 
-    def _sequence(self, node: yaml.SequenceNode, path: tuple[str | int, ...], mark: SourcePosition) -> list[Any]:
-        self._check_tag(node, mark, path, "seq")
+    def _sequence(self, node: yaml.SequenceNode, path: tuple[str | int, ...], position: SourcePosition) -> list[Any]:
+        self._check_tag(node, position, path, "seq")
         data = []
         for index, item in enumerate(node.value):
             value, child = self.value(item, (*path, index))
             if value is None and item.tag == f"{_TAG}null":
                 self._fault(child, (*path, index), child.source or "nothing", "a value for this item of the list")
             data.append(value)
-            mark.children[index] = child
+            position.children[index] = child
         return data
 
-    def _scalar(self, node: yaml.ScalarNode, path: tuple[str | int, ...], mark: SourcePosition) -> Any:
+    def _scalar(self, node: yaml.ScalarNode, path: tuple[str | int, ...], position: SourcePosition) -> Any:
         text: str = node.value
         kind = node.tag.removeprefix(_TAG)
-        mark.quoted = node.style is not None
+        position.quoted = node.style is not None
         readers: dict[str, Callable[[str, SourcePosition, tuple[str | int, ...]], Any]] = {
             "int": self._int,
             "float": self._float,
@@ -278,64 +278,66 @@ class Reader:
         if kind == "null":
             return None
         if kind in readers:
-            return readers[kind](text, mark, path)
+            return readers[kind](text, position, path)
         if kind not in {"str", "timestamp", "value", "merge"}:
-            self._fault(mark, path, mark.source, f"a plain value: the tag {_tag_text(node.tag)} is not understood")
+            self._fault(
+                position, path, position.source, f"a plain value: the tag {_tag_text(node.tag)} is not understood"
+            )
         return text
 
-    def _int(self, text: str, mark: SourcePosition, path: tuple[str | int, ...]) -> int | None:
+    def _int(self, text: str, position: SourcePosition, path: tuple[str | int, ...]) -> int | None:
         if not _DECIMAL_INT.fullmatch(text):
-            self._surprise(text, mark, path)
+            self._surprise(text, position, path)
         elif len(text) > LONGEST_NUMBER:
-            self._fault(mark, path, mark.source, "a number of a sensible size")
+            self._fault(position, path, position.source, "a number of a sensible size")
         else:
             return int(text)
         return None
 
-    def _float(self, text: str, mark: SourcePosition, path: tuple[str | int, ...]) -> float | None:
+    def _float(self, text: str, position: SourcePosition, path: tuple[str | int, ...]) -> float | None:
         if _DECIMAL_FLOAT.fullmatch(text):
             return float(text)
         if text.lstrip("+-").lower() in {".inf", ".nan"}:
             return float(text.replace(".", ""))
-        self._surprise(text, mark, path)
+        self._surprise(text, position, path)
         return None
 
-    def _bool(self, text: str, mark: SourcePosition, path: tuple[str | int, ...]) -> bool | None:
+    def _bool(self, text: str, position: SourcePosition, path: tuple[str | int, ...]) -> bool | None:
         if text.lower() in {"true", "false"}:
             return text.lower() == "true"
-        mark.note = f"YAML reads a bare {text} as {'true' if text.lower() in {'yes', 'on'} else 'false'}"
-        self.soft.add((mark.line, mark.column))
-        self._fault(mark, path, text, f"true or false, or text in quotes; {mark.note}")
+        position.hint = f"YAML reads a bare {text} as {'true' if text.lower() in {'yes', 'on'} else 'false'}"
+        self.replaceable.add((position.line, position.column))
+        self._fault(position, path, text, f"true or false, or text in quotes; {position.hint}")
         return None
 
-    def _surprise(self, text: str, mark: SourcePosition, path: tuple[str | int, ...]) -> None:
-        """A number written in a way that YAML 1.1 reads as few people know."""
+    def _surprise(self, text: str, position: SourcePosition, path: tuple[str | int, ...]) -> None:
+        """Report a number with a surprising notation of YAML 1.1."""
         digits = text.replace("_", "").lstrip("+-").lower()
         if ":" in text:
-            mark.note = "YAML reads digits with a colon as base 60"
+            position.hint = "YAML reads digits with a colon as base 60"
         elif digits.startswith(("0x", "0b")):
-            mark.note = "write it in decimal"
+            position.hint = "write it in decimal"
         elif digits.startswith("0") and digits.isdigit():
-            mark.note = "YAML reads a leading zero as octal"
+            position.hint = "YAML reads a leading zero as octal"
         else:
-            mark.note = "write it without underscores"
-        self.soft.add((mark.line, mark.column))
-        self._fault(mark, path, mark.source, f"a plain decimal number; {mark.note}")
+            position.hint = "write it without underscores"
+        self.replaceable.add((position.line, position.column))
+        self._fault(position, path, position.source, f"a plain decimal number; {position.hint}")
 
-    def _check_tag(self, node: yaml.Node, mark: SourcePosition, path: tuple[str | int, ...], kind: str) -> None:
+    def _check_tag(self, node: yaml.Node, position: SourcePosition, path: tuple[str | int, ...], kind: str) -> None:
         if node.tag != _TAG + kind:
-            self._fault(mark, path, _tag_text(node.tag), "no tag: plain lists and mappings only")
+            self._fault(position, path, _tag_text(node.tag), "no tag: plain lists and mappings only")
 
-    def _mark(self, node: yaml.Node) -> SourcePosition:
+    def _position(self, node: yaml.Node) -> SourcePosition:
         start, end = node.start_mark, node.end_mark
         source = " ".join(self.text[start.index : min(end.index, start.index + LONGEST_SOURCE)].split())
         return SourcePosition(start.line + 1, start.column + 1, source)
 
     def _fault(
-        self, mark: SourcePosition, path: tuple[str | int, ...], value: str, expected: str, suggestion: str = ""
+        self, position: SourcePosition, path: tuple[str | int, ...], value: str, expected: str, suggestion: str = ""
     ) -> None:
         self.problems.append(
-            Problem(self.file, mark.line, mark.column, path_text(path), shortened(value), expected, suggestion)
+            Problem(self.file, position.line, position.column, path_text(path), shortened(value), expected, suggestion)
         )
 
 

@@ -14,7 +14,7 @@ from protocols.waveforms import Waveform
 
 @dataclass(frozen=True)
 class Segment:
-    """A stretch of time in which one thing happens.
+    """A time interval of the protocol with one waveform per actuator.
 
     `kind` is `dwell` (one level of a staircase), `rise` (the way to it), `ramp`, `sine`, `hold`, `csv`, `lead-in` or
     `prompt`; `actuators` are the numbers, from 1, that it drives; `line` is its step's in the protocol's YAML (from
@@ -29,11 +29,11 @@ class Segment:
     line: int
     level_pa: tuple[float, ...]
     waves: tuple[tuple[int, Waveform], ...] = field(default=(), repr=False)
-    """Actuator index (from 0) and waveform of those that move; the others stand at `level_pa`."""
+    """Actuator index (from 0) and waveform of the moving actuators; the others are constant at `level_pa`."""
 
     @property
     def still(self) -> bool:
-        """True when no set-point moves in it."""
+        """True if all set-points are constant."""
         return not self.waves
 
     def level_at(self, t_s: float) -> list[float]:
@@ -46,13 +46,13 @@ class Segment:
 
 @dataclass(frozen=True)
 class Prompt:
-    """The run stands still at `at_s` until the operator has done what `message` says."""
+    """The protocol pauses at `at_s` until the operator confirms `message`."""
 
     at_s: float
     message: str
     line: int
     weight_kg: float | None = None
-    """What hangs on the end cap once it is done; None where the prompt changes nothing."""
+    """Weight on the end cap after the prompt; None if the prompt does not change it."""
 
 
 @dataclass(frozen=True)
@@ -96,7 +96,7 @@ class Trajectory:
         return rate
 
     def weight_kg(self, t_s: float) -> float:
-        """What the operator has hung on the end cap [kg] at a protocol time; at a prompt's own time, before it."""
+        """Weight on the end cap [kg] at a protocol time; at the time of a prompt the weight before it."""
         hung = 0.0
         for prompt in self.prompts:
             if prompt.at_s >= t_s:

@@ -1,4 +1,4 @@
-"""A document held against a pydantic model, with every fault placed at its line and column."""
+"""Validates a document by a pydantic model; every problem has its line and column."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Model = TypeVar("Model", bound=BaseModel)
 
 @dataclass(frozen=True)
 class ValidationFault:
-    """What a model's own check finds wrong: the path from the model to the value, and the remedy."""
+    """A fault found by a model's own check: the path from the model to the value, and the remedy."""
 
     path: tuple[str | int, ...]
     expected: str
@@ -28,7 +28,7 @@ class ValidationFault:
 
 
 def faults(found: Iterable[ValidationFault]) -> None:
-    """Raise, from inside a pydantic validator, all that was found; do nothing when nothing was."""
+    """Raise all faults from inside a pydantic validator; do nothing if there are none."""
     listed = tuple(found)
     if listed:
         text = "; ".join(f"{path_text(fault.path)}: {fault.expected}" for fault in listed)
@@ -40,9 +40,9 @@ def validate(
     document: Document,
     partial: Callable[[Mapping[str, Any]], Iterable[ValidationFault]] | None = None,
 ) -> Model:
-    """The model that the document describes, or `BadInput` with everything that is wrong with it.
+    """The model of the document, or `BadInputError` with all problems.
 
-    `partial` finds faults between the fields that are valid by themselves when others are not; it gets those only.
+    If some fields are invalid, `partial` checks the relations between the valid ones; it gets only those.
     """
     problems = list(document.problems)
     model = None
@@ -55,17 +55,17 @@ def validate(
         found = translator.problems(error.errors(include_url=False))
         if partial is not None and "faults" not in {e["type"] for e in error.errors() if not e["loc"]}:
             found += [translator.fault((), fault) for fault in partial(_valid_parts(model_class, document.data))]
-        better = {(problem.line, problem.column) for problem in found} & document.soft
-        problems = [problem for problem in problems if (problem.line, problem.column) not in better]
-        said = {(problem.line, problem.column) for problem in problems}
-        problems += [problem for problem in found if (problem.line, problem.column) not in said]
+        replaced = {(problem.line, problem.column) for problem in found} & document.replaceable
+        problems = [problem for problem in problems if (problem.line, problem.column) not in replaced]
+        known = {(problem.line, problem.column) for problem in problems}
+        problems += [problem for problem in found if (problem.line, problem.column) not in known]
     if problems or model is None:
         raise BadInputError(sorted(_once(problems), key=lambda problem: (problem.line, problem.column)))
     return model
 
 
 def _refuse_other_kind(model_class: type[BaseModel], document: Document) -> None:
-    """Raise `BadInput`, one sentence instead of a fault for each key, where a file has nothing of what it must have."""
+    """Raise `BadInputError` with one problem if the file has none of the required keys."""
     needed = [name for name, field in model_class.model_fields.items() if field.is_required()]
     if document.data and not any(closest(key, needed) for key in document.data):
         expected = f"{', '.join(needed)}: is this another kind of file?"
@@ -73,7 +73,7 @@ def _refuse_other_kind(model_class: type[BaseModel], document: Document) -> None
 
 
 def _once(problems: Iterable[Problem]) -> list[Problem]:
-    """The problems without those that an alias (*name) repeats at the same place."""
+    """The problems without repetitions by an alias (*name)."""
     kept: dict[object, Problem] = {}
     for problem in problems:
         place = (problem.line, problem.column, problem.expected, problem.value)
@@ -82,7 +82,7 @@ def _once(problems: Iterable[Problem]) -> list[Problem]:
 
 
 def _valid_parts(model_class: type[BaseModel], data: Mapping[str, Any]) -> dict[str, Any]:
-    """The fields that are valid by themselves; lists and mappings keep their places, with None for what is wrong."""
+    """The valid fields; invalid items of lists and mappings are None."""
     parts = {}
     for name, field in model_class.model_fields.items():
         if name not in data and not field.is_required():
@@ -107,7 +107,7 @@ def _valid(annotation: Any, value: Any) -> Any:
 
 
 class _Translator:
-    """From pydantic's errors to problems with a place in the file."""
+    """Translates errors of pydantic to problems with a source position."""
 
     def __init__(self, document: Document, expectation: Expectation) -> None:
         self._document = document
@@ -116,20 +116,18 @@ class _Translator:
     def problems(self, errors: Iterable[ErrorDetails]) -> list[Problem]:
         listed = [error for error in errors if not self._is_echo(error)]
         unknown = {self._path(e["loc"]) for e in listed if e["type"] == "extra_forbidden"}
-        meant = {(*path[:-1], self._meant(path)) for path in unknown}
+        intended = {(*path[:-1], self._closest_key(path)) for path in unknown}
         problems: list[Problem] = []
         for error in listed:
             path = self._path(error["loc"])
-            if error["type"] == "missing" and path in meant:
+            if error["type"] == "missing" and path in intended:
                 continue
             made = self._several(error, path)
             problems += [problem for problem in made if problem not in problems]
         return problems
 
     def _is_echo(self, error: ErrorDetails) -> bool:
-        """True for what pydantic adds to an error of its own: a list whose wrong items left it too short, and the
-        None that an optional value might have been as well.
-        """
+        """True for secondary errors of pydantic: a list too short by its invalid items, and the None of an optional."""
         if error["type"] == "too_short":
             value = self._value(self._path(error["loc"]))
             return hasattr(value, "__len__") and len(value) >= error["ctx"]["min_length"]
@@ -138,10 +136,10 @@ class _Translator:
     def fault(self, base: tuple[str | int, ...], fault: ValidationFault) -> Problem:
         """The problem of a fault inside the value at `base`."""
         path = (*base, *fault.path)
-        mark = self._document.mark(path)
+        position = self._document.position(path)
         if not fault.path or not self._exists(path):
-            return self._problem(_key_of(mark), path, "", fault.expected, fault.suggestion)
-        return self._problem(mark, path, mark.source, fault.expected, fault.suggestion)
+            return self._problem(_key_of(position), path, "", fault.expected, fault.suggestion)
+        return self._problem(position, path, position.source, fault.expected, fault.suggestion)
 
     def _several(self, error: ErrorDetails, path: tuple[str | int, ...]) -> list[Problem]:
         kind = error["type"]
@@ -151,53 +149,55 @@ class _Translator:
             return [self._missing(path)]
         if kind == "extra_forbidden":
             return [self._unknown(path)]
-        mark = self._document.mark(path)
+        position = self._document.position(path)
         if kind in {"union_tag_not_found", "union_tag_invalid"} and isinstance(self._value(path), dict):
             tag = str(error["ctx"]["discriminator"]).strip("'")
             here = (*path, tag)
             if kind == "union_tag_not_found":
                 return [self._missing(here)]
-            mark, path = self._document.mark(here), here
+            position, path = self._document.position(here), here
         if kind in {"value_error", "assertion_error"}:
             expected = str(error["ctx"]["error"])
         else:
             expected = self._expectation.words(path, self._document.data)
-        if mark.note:
-            expected += f"; {mark.note}"
-        return [self._problem(mark, path, mark.source or "nothing", expected, self._suggestion(path, mark))]
+        if position.hint:
+            expected += f"; {position.hint}"
+        return [self._problem(position, path, position.source or "nothing", expected, self._suggestion(path, position))]
 
     def _missing(self, path: tuple[str | int, ...]) -> Problem:
         expected = f"is missing: {self._expectation.words(path, self._document.data)}"
-        return self._problem(_key_of(self._document.mark(path[:-1])), path, "", expected, "")
+        return self._problem(_key_of(self._document.position(path[:-1])), path, "", expected, "")
 
     def _unknown(self, path: tuple[str | int, ...]) -> Problem:
-        mark = self._document.mark(path)
+        position = self._document.position(path)
         known = self._expectation.keys(path[:-1], self._document.data)
         expected = f"one of {', '.join(known)}" if known else "no such key"
-        return self._problem(_key_of(mark), path, f"the unknown key '{path[-1]}'", expected, self._meant(path))
+        return self._problem(
+            _key_of(position), path, f"the unknown key '{path[-1]}'", expected, self._closest_key(path)
+        )
 
-    def _meant(self, path: tuple[str | int, ...]) -> str:
+    def _closest_key(self, path: tuple[str | int, ...]) -> str:
         known = self._expectation.keys(path[:-1], self._document.data)
         absent = [key for key in known if not self._exists((*path[:-1], key))]
         return closest(str(path[-1]), absent) or closest(str(path[-1]), known)
 
-    def _suggestion(self, path: tuple[str | int, ...], mark: SourcePosition) -> str:
-        """A repair of the value that fits what the place expects."""
+    def _suggestion(self, path: tuple[str | int, ...], position: SourcePosition) -> str:
+        """A corrected value that fits the schema."""
         schema = self._expectation.at(path, self._document.data)
         value = self._value(path)
         wanted = schema.get("type")
         lists_numbers = wanted == "array" and _wants_number(schema.get("items", {}))
-        if mark.note and wanted in {"string", "boolean"}:
-            return f"'{mark.source}'" if wanted == "string" else mark.note.rsplit(" ", 1)[-1]
+        if position.hint and wanted in {"string", "boolean"}:
+            return f"'{position.source}'" if wanted == "string" else position.hint.rsplit(" ", 1)[-1]
         if isinstance(value, str):
             if "enum" in schema or "const" in schema:
                 return closest(value, [str(word) for word in schema.get("enum", [schema.get("const")])])
             unit = unit_of(next((step for step in reversed(path) if isinstance(step, str)), ""))
-            return _number_meant(value, unit, mark.quoted) if _wants_number(schema) else ""
+            return _corrected_number(value, unit, position.quoted) if _wants_number(schema) else ""
         if isinstance(value, float) and wanted == "integer" and value.is_integer():
             return str(int(value))
         if isinstance(value, int | float):
-            return f"'{mark.source}'" if wanted == "string" else f"[{mark.source}]" if lists_numbers else ""
+            return f"'{position.source}'" if wanted == "string" else f"[{position.source}]" if lists_numbers else ""
         if isinstance(value, dict) and lists_numbers and value and all(key.isdigit() for key in value):
             return f"[{', '.join(value)}]"
         return ""
@@ -205,21 +205,21 @@ class _Translator:
     def _path(self, loc: tuple[str | int, ...]) -> tuple[str | int, ...]:
         """pydantic's location without the tags of unions; a missing key may be its last element."""
         path: list[str | int] = []
-        mark = self._document.marks
+        parent = self._document.positions
         for position, step in enumerate(loc):
-            if step in mark.children:
+            if step in parent.children:
                 path.append(step)
-                mark = mark.children[step]
+                parent = parent.children[step]
             elif position == len(loc) - 1 and step in self._expectation.keys(tuple(path), self._document.data):
                 path.append(step)
         return tuple(path)
 
     def _exists(self, path: tuple[str | int, ...]) -> bool:
-        mark = self._document.marks
+        position = self._document.positions
         for step in path:
-            if step not in mark.children:
+            if step not in position.children:
                 return False
-            mark = mark.children[step]
+            position = position.children[step]
         return True
 
     def _value(self, path: tuple[str | int, ...]) -> Any:
@@ -234,16 +234,16 @@ class _Translator:
         return data
 
     def _problem(
-        self, mark: SourcePosition, path: tuple[str | int, ...], value: str, expected: str, suggestion: str
+        self, position: SourcePosition, path: tuple[str | int, ...], value: str, expected: str, suggestion: str
     ) -> Problem:
         return Problem(
-            self._document.file, mark.line, mark.column, path_text(path), shortened(value), expected, suggestion
+            self._document.file, position.line, position.column, path_text(path), shortened(value), expected, suggestion
         )
 
 
-def _key_of(mark: SourcePosition) -> SourcePosition:
-    """The mark of a value's key, or the value's own where it has none."""
-    return replace(mark, line=mark.key_line, column=mark.key_column) if mark.key_line else mark
+def _key_of(position: SourcePosition) -> SourcePosition:
+    """The position of a value's key, or of the value if it has no key."""
+    return replace(position, line=position.key_line, column=position.key_column) if position.key_line else position
 
 
 def _wants_number(schema: Mapping[str, Any]) -> bool:
@@ -251,8 +251,8 @@ def _wants_number(schema: Mapping[str, Any]) -> bool:
     return bool(kinds & {"number", "integer"})
 
 
-def _number_meant(text: str, unit: str, quoted: bool) -> str:
-    """The number that a text such as '0.15', '0,15', 1e5 or, where s are expected, '4 s' stands for."""
+def _corrected_number(text: str, unit: str, quoted: bool) -> str:
+    """The number in a text such as '0.15', '0,15', 1e5 or, if the unit is s, '4 s'."""
     match = re.fullmatch(r"\s*([-+]?\d*[.,]?\d+)([eE][-+]?\d{1,2})?\s*(.*)", text)
     if not match or match[3].strip() not in {"", unit}:
         return ""

@@ -1,4 +1,4 @@
-"""What a run leaves behind: journal, archive, catalogue, report."""
+"""Records of a run: journal, archive, catalogue, report."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ if TYPE_CHECKING:
 
 
 def open(path: Path | str) -> Run:
-    """Open an archive; `runs.archive.writer.ArchiveError` where it is none. Imports HDF5 only now."""
+    """Open an archive; `ArchiveError` if it is not one. Imports HDF5 on the first call."""
     from runs.run import Run
 
     return Run(path)

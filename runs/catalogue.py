@@ -1,8 +1,7 @@
-"""The catalogue of a folder: one line per archive, kept in an index that heals itself.
+"""The catalogue of a folder: one line per archive, cached in an index.
 
-The index is a cache beside the archives. What it says of a file is believed only while the file's size and time are
-those it was read with; a missing, damaged or foreign index is made anew, and a folder that cannot be written is read
-without one. There is no server and no lock: of two that write at once, the later wins, and both were right.
+An entry is valid while size and time of its file are unchanged. A missing, damaged or foreign index is rebuilt; a
+read-only folder works without one. There is no lock: of two concurrent writers the later wins, and both are correct.
 """
 
 from __future__ import annotations
@@ -22,7 +21,7 @@ from runs.archive.writer import SUFFIX
 
 INDEX = ".catalogue.json"
 _FORM = 1
-"""Raised when `Entry` changes."""
+"""Increased when `Entry` changes."""
 _TEXTS = ("run_id", "title", "start_time", "status", "executor", "operator", "notes")
 _READ = (
     *(f"entry/{name}" for name in (*_TEXTS, "duration", "simulated", "protocol/name", "rig/name", "model/variant")),
@@ -57,7 +56,7 @@ class Entry:
 
 @dataclass(frozen=True)
 class _Index:
-    """What the index's file holds: for each archive its size, its time [ns] and its entry."""
+    """Content of the index file: size, time [ns] and entry of each archive."""
 
     form: int
     files: dict[str, tuple[int, int, Entry]]
@@ -67,7 +66,7 @@ _INDEX = TypeAdapter(_Index)
 
 
 def catalogue(folder: Path | str) -> tuple[Entry, ...]:
-    """Return the archives of a folder, newest first, unreadable ones last; nothing where there is no folder."""
+    """Return the archives of a folder, newest first, unreadable ones last; none if the folder does not exist."""
     place = Path(folder)
     known = _load(place / INDEX)
     now: dict[str, _Known] = {}
@@ -90,7 +89,7 @@ def search(
     until: str = "",
     error_above_mm: float | None = None,
 ) -> tuple[Entry, ...]:
-    """Return the entries that match all that is given.
+    """Return the entries that match all given filters.
 
     `text` is looked for everywhere, word by word; `protocol` and `operator` are parts of names; `since` and `until` are
     dates or times as ISO 8601 begins (`2026-11`, `2026-11-21T14`), both included.
@@ -111,7 +110,7 @@ def search(
 
 @dataclass(frozen=True)
 class _Known:
-    """What the index holds of a file: its size and time [ns] when it was read, and what was read."""
+    """Index record of a file: its size and time [ns] when it was read, and its entry."""
 
     stamp: tuple[int, int]
     entry: Entry
@@ -128,7 +127,7 @@ def _archives(folder: Path) -> list[tuple[str, tuple[int, int]]]:
 
 
 def _read(path: Path) -> Entry:
-    """Return what the catalogue says of an archive, without reading more of it than that."""
+    """Return the catalogue entry of an archive; reads only the datasets that it needs."""
     try:
         with opened_in_part(path, _READ) as archive:
             error = archive.value("entry/tip/error_mm")
@@ -162,7 +161,7 @@ def _load(path: Path) -> dict[str, _Known]:
 
 
 def _store(path: Path, known: dict[str, _Known]) -> None:
-    """Write the index, where that is possible; it is only a cache."""
+    """Write the index if possible; it is only a cache."""
     files = {name: [*k.stamp, asdict(k.entry)] for name, k in known.items()}
     part = path.with_name(f"{path.name}.{os.getpid()}")
     with suppress(OSError):
@@ -175,5 +174,5 @@ def _store(path: Path, known: dict[str, _Known]) -> None:
 
 def _words(entry: Entry) -> str:
     simulated = "simulated" if entry.simulated else ""
-    told = (entry.file, entry.title, entry.start_time, entry.status, entry.protocol, entry.rig, entry.model)
-    return " ".join((*told, entry.executor, simulated, entry.operator, entry.notes, entry.problem)).lower()
+    fields = (entry.file, entry.title, entry.start_time, entry.status, entry.protocol, entry.rig, entry.model)
+    return " ".join((*fields, entry.executor, simulated, entry.operator, entry.notes, entry.problem)).lower()

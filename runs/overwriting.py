@@ -1,4 +1,4 @@
-"""The one rule by which commands write over files: only with consent, or where they made the file for this purpose."""
+"""Overwrite rule of all commands: only with consent, or a file that the same command made for the same purpose."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from contextlib import contextmanager
 from pathlib import Path
 
 Made = Callable[[Path], bool]
-"""Tells of an existing file whether the same command made it for the same purpose: then it may be written again."""
+"""Whether an existing file was made by the same command for the same purpose, so that it may be overwritten."""
 
 
 class WouldOverwriteError(FileExistsError):
-    """A file that exists would be lost; the message names it and the option that allows that."""
+    """A file exists; the message names it and the option that allows overwriting."""
 
 
 def refuse_existing(
@@ -23,7 +23,7 @@ def refuse_existing(
     option: str = "--replace",
     made: Made = lambda _: False,
 ) -> None:
-    """Refuse to write files that exist, before anything is computed.
+    """Refuse to overwrite files, before any computation.
 
     `replace` is the user's consent, which `option` gives.
 
@@ -33,14 +33,14 @@ def refuse_existing(
     for file in files:
         if file.is_dir():
             raise WouldOverwriteError(f"{file} is a folder: name a file")
-        # A broken link, too: what it points to would be made.
+        # Also a broken link: writing would create its target.
         if os.path.lexists(file) and not replace and not made(file):
             raise WouldOverwriteError(f"{file} exists: name another file, or say {option} to write over it")
 
 
 @contextmanager
 def staged(folder: Path, *, replace: bool = False, made: Made = lambda _: False) -> Iterator[Path]:
-    """A temporary folder whose files move to `folder` at the end; none does where one may not be replaced.
+    """A temporary folder whose files move to `folder` at the end; none moves if one may not be replaced.
 
     Raises:
         WouldOverwriteError: as `refuse_existing`.

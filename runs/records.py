@@ -1,4 +1,4 @@
-"""What a run records: the rows that cross processes, the journal and the archive.
+"""Records of a run, shared by the processes, the journal and the archive.
 
 Rows are NumPy structured dtypes because they pass through shared memory; everything in them is SI.
 Times are CLOCK_MONOTONIC nanoseconds (real time) or nanoseconds of virtual time; one wall-clock anchor per run
@@ -28,7 +28,7 @@ class Status(StrEnum):
 
 
 class Level(StrEnum):
-    """Weight of an event."""
+    """Severity of an event."""
 
     INFO = "info"
     WARNING = "warning"
@@ -36,7 +36,7 @@ class Level(StrEnum):
 
 
 class DetectionStatus(IntEnum):
-    """Why a frame has a measured tip, or has none."""
+    """Result of the tip measurement in a frame."""
 
     MEASURED = 0
     NO_BOARD = 1
@@ -49,8 +49,8 @@ class DetectionStatus(IntEnum):
 def sample_dtype(actuators: int, valves: int) -> np.dtype[np.void]:
     """One control tick.
 
-    `t_ns` is when the newest scan in it was taken, `protocol_s` the position in the protocol (it stands still while
-    the run waits for the operator), `measured_pa` the mean of the `scans` scans since the last tick (gauge pressure),
+    `t_ns` is the time of the newest scan, `protocol_s` the protocol time (it pauses while the run waits for the
+    operator), `measured_pa` the mean of the `scans` scans since the last tick (gauge pressure),
     `valve_v` the voltage then commanded, `lateness_ns` how late the tick began, `missed` the deadlines skipped since
     the last tick.
     """
@@ -72,17 +72,17 @@ def sample_dtype(actuators: int, valves: int) -> np.dtype[np.void]:
 def observation_dtype(actuators: int, cameras: int = 1) -> np.dtype[np.void]:
     """One frame of every camera: measured and modelled tool centre point, both in the rod-base frame.
 
-    `seen` is a `Seen`; where it is not MEASURED the measured columns are NaN. `covariance_m2` belongs to
+    `seen` is a `DetectionStatus`; where it is not MEASURED the measured columns are NaN. `covariance_m2` belongs to
     `measured_m`; `reprojection_px` is the rms over the board's corners. `model_ok` is 0 where the model could not
-    solve the step and `model_m` is the last good one. `weight_kg` is what the operator had hung on the end cap.
+    solve the step and `model_m` is the last good one. `weight_kg` is the tip load hung by the operator.
     `force_n` and `moment_n_m` are a measured wrench on the arm at the measured point, along the axes of the rod base;
     zero where none was measured.
     `truth_m` is the simulator's own tip, NaN on a real rig. `age_ns` is the time from exposure to the end of the
     computation, `dropped` the frames lost before this one. `backbone_m` is the model's centre line from the base to the
     tip, NaN where the step was not solved.
 
-    `camera_seen` is what each camera saw: the tip is measured from those that are MEASURED. `camera_skew_s` is how
-    much later than `t_ns` each exposed, NaN where a camera gave no picture.
+    `camera_seen` is the `DetectionStatus` of each camera: the tip is measured from those that are MEASURED.
+    `camera_skew_s` is the exposure time minus `t_ns`, NaN without a picture.
     """
     return np.dtype(
         [
@@ -110,10 +110,10 @@ def observation_dtype(actuators: int, cameras: int = 1) -> np.dtype[np.void]:
 
 
 def adaptation_dtype(parameters: int) -> np.dtype[np.void]:
-    """What the recursive estimator made of one camera frame, in the order of `RunHeader.adapted`.
+    """Result of the recursive estimator for one camera frame, in the order of `RunHeader.adapted`.
 
-    `value` (P,) and `covariance` (P, P) are the estimates after the frame, each in its own unit; `used` is 0 where the
-    frame told nothing and they are as before, 2 where it was so far off that it counted less, else 1. `start_model_m`
+    `value` (P,) and `covariance` (P, P) are the estimates after the frame, each in its own unit; `used` is 0 if
+    the frame had no information, 2 if it was down-weighted as an outlier, else 1. `start_model_m`
     is the tip by the parameters that the run began with; the observation's `model_m` is that by the estimates before
     the frame.
     """
@@ -131,7 +131,7 @@ def adaptation_dtype(parameters: int) -> np.dtype[np.void]:
 
 @dataclass(frozen=True)
 class Event:
-    """Something that happened: armed, limit, abort, fault, recovered, a prompt, an operator's answer."""
+    """An event of a run: armed, limit, abort, fault, recovered, prompt, operator's answer."""
 
     t_ns: int
     level: Level
@@ -141,7 +141,7 @@ class Event:
 
 @dataclass(frozen=True, eq=False)
 class ImageAnnotations:
-    """Where things are in a picture, in its pixels (u, v): the board's corners (n, 2), the measured tip (2,), the
+    """Annotations of a picture, in pixels (u, v): the board's corners (n, 2), the measured tip (2,), the
     model's tip (2,) and backbone (p, 2). NaN, or no corners, where there is none."""
 
     corners_px: NDArray[np.float32]
@@ -153,7 +153,7 @@ class ImageAnnotations:
     def of(
         cls, corners_px: ArrayLike, tip_px: ArrayLike, model_px: ArrayLike, backbone_px: ArrayLike
     ) -> ImageAnnotations:
-        """Marks from arrays of any kind of number."""
+        """Annotations from arrays of any numeric type."""
         return cls(
             corners_px=np.asarray(corners_px, np.float32).reshape(-1, 2),
             tip_px=np.asarray(tip_px, np.float32),
@@ -163,13 +163,13 @@ class ImageAnnotations:
 
     @classmethod
     def none(cls) -> ImageAnnotations:
-        """Nothing is known of a picture."""
+        """Empty annotations."""
         return cls.of([], [np.nan, np.nan], [np.nan, np.nan], [])
 
 
 @dataclass(frozen=True)
 class Picture:
-    """One stored camera frame, encoded (`jpeg` or `png`), and what was seen in it."""
+    """One stored camera frame, encoded (`jpeg` or `png`), with its annotations."""
 
     t_ns: int
     frame: int
@@ -193,7 +193,7 @@ class Interval:
 
 @dataclass(frozen=True)
 class Quantity:
-    """A number that was used by the run, with where it comes from.
+    """A number used by the run, with its source.
 
     `room` is `calibration`, `model` or `adaptation`; `uncertainty` is one standard deviation, NaN where it is not
     known.
@@ -209,7 +209,7 @@ class Quantity:
 
 @dataclass(frozen=True)
 class SourceFile:
-    """A file that a run was made of, verbatim: the rig's own, a calibration (its `kind`), or one that is played."""
+    """An input file of a run, verbatim: the rig file, a calibration (its `kind`), or a CSV file of the protocol."""
 
     name: str
     kind: str
@@ -224,7 +224,7 @@ class SourceFile:
 
 @dataclass(frozen=True)
 class RunHeader:
-    """Everything known before the first sample: written first to the journal, verbatim into the archive."""
+    """Everything known before the first sample; the first record of the journal."""
 
     run_id: str
     title: str
@@ -239,7 +239,7 @@ class RunHeader:
     executor: str
     """`real time` or `virtual time`."""
     simulated: bool
-    """True when any of card, camera or arm is the mock's."""
+    """True if the card, a camera or the arm is simulated."""
     seed: int | None
     model_variant: str
     operator: str
@@ -252,15 +252,15 @@ class RunHeader:
     intervals: tuple[Interval, ...] = ()
     quantities: tuple[Quantity, ...] = ()
     parent: str = ""
-    """Run id that a replay was made from; empty for a run."""
+    """Run id of the replayed run; empty if this is not a replay."""
     protocol_files: tuple[SourceFile, ...] = ()
-    """The files that the protocol plays, by the names that it gives them."""
+    """The CSV files of the protocol, by their names in it."""
     sources: tuple[SourceFile, ...] = ()
-    """The rig's own file and the calibrations that it names; empty where `rig_yaml` is the file itself."""
+    """The rig file and its calibration files; empty if `rig_yaml` is the file itself."""
     parameters_yaml: str = ""
-    """File of identified parameters that was laid over the rig, verbatim; `rig_yaml` has them in it."""
+    """Parameter file applied to the rig, verbatim; `rig_yaml` includes its values."""
     adapted: tuple[Quantity, ...] = ()
-    """What the recursive estimator estimates: name, unit, the value it starts from and how well that is known."""
+    """Parameters of the recursive estimator: name, unit, start value and its uncertainty."""
     control_hz: float = 200.0
     camera_hz: float = 30.0
     cameras: tuple[str, ...] = ("camera",)
@@ -269,7 +269,7 @@ class RunHeader:
 
 @dataclass(frozen=True)
 class RunFooter:
-    """How the run ended; a journal without one was orphaned."""
+    """How the run ended; a journal without one was cut off."""
 
     t_ns: int
     status: Status

@@ -1,4 +1,4 @@
-"""Recovery: what a crash left in a folder becomes archives; what cannot be read is left where it is."""
+"""Recovery after a crash: makes archives from orphaned journals; leaves unreadable files unchanged."""
 
 from __future__ import annotations
 
@@ -18,24 +18,24 @@ from runs.run import Run
 
 
 class Fate(StrEnum):
-    """What became of a file."""
+    """Outcome of the recovery of a file."""
 
     RECOVERED = "recovered"
     FINALISED = "finalised"
-    """The run had ended; only its archive was missing."""
+    """The run was complete; only its archive was missing."""
     ARCHIVED = "archived"
-    """There was nothing to do."""
+    """No recovery needed."""
     RUNNING = "running"
-    """Its writer is alive."""
+    """Its writer is still running."""
     UNREADABLE = "unreadable"
-    """Left as it is."""
+    """Unreadable; unchanged."""
     REMOVED = "removed"
-    """What an interrupted finalisation left."""
+    """The remainder of an interrupted finalisation; removed."""
 
 
 @dataclass(frozen=True)
 class RecoveryOutcome:
-    """What became of one file; `archive` is the archive of a journal, where there is one."""
+    """Outcome for one file; `archive` is the archive of a journal, if there is one."""
 
     path: Path
     fate: Fate
@@ -49,7 +49,7 @@ def orphans(folder: Path | str) -> tuple[Path, ...]:
 
 
 def recover(folder: Path | str) -> tuple[RecoveryOutcome, ...]:
-    """Make archives of the journals in a folder that have none, and remove what interrupted attempts left.
+    """Make archives of the journals in a folder that have none, and remove the remainders of interrupted attempts.
 
     Safe to call again, and while runs are being recorded. An archive that cannot be opened is set aside under
     another name, never deleted, and made anew from its journal.
@@ -116,7 +116,7 @@ def _held(path: Path) -> bool:
 
 
 def _set_aside(path: Path) -> Path:
-    """Give a file a name of its own that no archive has."""
+    """Rename a file to a free name that is not an archive's."""
     number = 1
     while (kept := path.with_name(f"{path.name}.unreadable-{number}")).exists():
         number += 1

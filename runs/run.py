@@ -1,4 +1,4 @@
-"""An archive, read: every group as a frozen dataclass of NumPy arrays, loaded when it is first asked for."""
+"""Reads an archive: every group as a frozen dataclass of NumPy arrays, loaded on first access."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class Pressure:
 
 @dataclass(frozen=True)
 class Tip:
-    """Camera frames (m,): tool centre points (m, 3) in the rod-base frame; NaN where nothing was measured."""
+    """Camera frames (m,): tool centre points (m, 3) in the rod-base frame; NaN without a measurement."""
 
     time_s: Floats
     protocol_s: Floats
@@ -49,11 +49,11 @@ class Tip:
     reprojection_px: Floats
     frame: Ints
     pressure_bar: Floats
-    """(m, N), what the model was given."""
+    """(m, N), input of the model."""
     weight_g: Floats
-    """Hung on the end cap by the operator."""
+    """Tip load hung by the operator."""
     force_n: Floats
-    """(m, 3), measured, on the arm at the measured point, along the axes of the rod base; zero where none was."""
+    """(m, 3), measured, on the arm at the measured point, in rod-base axes; zero without a measurement."""
     moment_n_m: Floats
     """(m, 3), of the same wrench, about the measured point."""
     seen: Ints
@@ -64,12 +64,12 @@ class Tip:
     camera_seen: Ints
     """(m, C), `runs.records.DetectionStatus` of each camera; the tip is measured from those that are MEASURED."""
     camera_skew_us: Floats
-    """(m, C), exposed so much after `time_s`; NaN where a camera gave no picture."""
+    """(m, C), time of exposure after `time_s`; NaN without a picture."""
 
 
 @dataclass(frozen=True)
 class Adaptation:
-    """Parameters estimated beside the run, frame by frame (m,); P of them, each in its own unit."""
+    """Online estimates of P parameters, each in its own unit, per frame (m,)."""
 
     time_s: Floats
     parameter: tuple[str, ...]
@@ -83,14 +83,14 @@ class Adaptation:
     """(m, P, P)."""
     frame: Ints
     used: Ints
-    """1; 0 where the frame told nothing, 2 where it was far off and counted less."""
+    """1: used; 0: no information in the frame; 2: outlier, down-weighted."""
     start_model_mm: Floats
-    """(m, 3), the tip by the parameters that the run began with."""
+    """(m, 3), the tip by the initial parameters."""
 
 
 @dataclass(frozen=True)
 class Timing:
-    """Control ticks (n,), and what was lost over the whole run."""
+    """Timing of the control ticks (n,), and losses of the whole run."""
 
     time_s: Floats
     lateness_us: Floats
@@ -110,7 +110,7 @@ class Simulated:
 
 @dataclass(frozen=True)
 class Backbone:
-    """The model's centre line (m, points, 3) from base to tip, at the times of `Tip`; NaN where it was not solved."""
+    """The model's centre line (m, points, 3) from base to tip, at the times of `Tip`; NaN without a solution."""
 
     time_s: Floats
     model_mm: NDArray[np.float32]
@@ -118,7 +118,7 @@ class Backbone:
 
 @dataclass(frozen=True)
 class Frames:
-    """The kept pictures (k,); `Run.picture` gives their bytes."""
+    """The stored pictures (k,); `Run.picture` returns their bytes."""
 
     time_s: Floats
     index: Ints
@@ -135,7 +135,7 @@ class Frames:
 
 
 class Run:
-    """One archive. Nothing is held open: each group is read whole when it is first asked for."""
+    """One archive. The file is open only during a read; each group is read whole on first access."""
 
     def __init__(self, path: Path | str) -> None:
         self.path = Path(path)
@@ -146,7 +146,7 @@ class Run:
 
     @cached_property
     def header(self) -> RunHeader:
-        """Everything that was known before the first sample."""
+        """Everything known before the first sample."""
         entry = self._group("entry")
         protocol, rig, git = (self._group(f"entry/{name}") for name in ("protocol", "rig", "git"))
         return RunHeader(
@@ -190,7 +190,7 @@ class Run:
 
     @cached_property
     def message(self) -> str:
-        """Why the run ended as it did."""
+        """Reason for the end of the run."""
         return str(self._group("entry")["message"])
 
     @cached_property
@@ -241,7 +241,7 @@ class Run:
 
     @cached_property
     def adaptation(self) -> Adaptation | None:
-        """What the recursive estimator found; None for a run without one."""
+        """Results of the recursive estimator; None for a run without one."""
         g = self._group("entry/adaptation")
         if not g:
             return None
@@ -281,13 +281,13 @@ class Run:
 
     @cached_property
     def backbone(self) -> Backbone | None:
-        """The model's centre line; None where there was no model."""
+        """The model's centre line; None without a model."""
         g = self._group("entry/backbone")
         return Backbone(g["time"], g["model_mm"]) if g else None
 
     @cached_property
     def events(self) -> tuple[Event, ...]:
-        """What happened, in the order it was recorded."""
+        """Events in the order of recording."""
         g = self._group("entry/events")
         start_ns = self.header.started_t_ns
         return tuple(
@@ -297,7 +297,7 @@ class Run:
 
     @cached_property
     def frames(self) -> Frames:
-        """The kept pictures, without their bytes."""
+        """The stored pictures, without their bytes."""
         g = self._group("entry/frames", without="image")
         return Frames(
             time_s=g["time"],
@@ -311,7 +311,7 @@ class Run:
         )
 
     def picture(self, k: int) -> bytes:
-        """Return the k-th kept picture as it was encoded."""
+        """Return the encoded bytes of the k-th stored picture."""
         with opened(self.path) as archive:
             data: bytes = archive.row("entry/frames/image", k).tobytes()
             return data
@@ -319,7 +319,7 @@ class Run:
     def to_pandas(self, group: str = "tip") -> Any:
         """Return a group of `runs.table.TABLES` as a DataFrame over time, or the protocol's `segments` by number.
 
-        pandas does not come with softrig. `ArchiveError` where the run has no such table.
+        pandas is not a dependency of softrig. `ArchiveError` if the run has no such table.
         """
         pandas = _optional("pandas")
         columns = segments(self.path) if group == "segments" else table(self.path, group)
@@ -330,7 +330,7 @@ class Run:
         return pandas.DataFrame(columns, index=pandas.Index(columns.pop(first), name=first))
 
     def to_xarray(self, group: str = "tip") -> Any:
-        """Return a group of `/entry` as a lazy Dataset; xarray and h5netcdf do not come with softrig."""
+        """Return a group of `/entry` as a lazy Dataset; xarray and h5netcdf are not dependencies of softrig."""
         _optional("h5netcdf")
         drop = ["image"] if group == "frames" else []
         return _optional("xarray").open_dataset(
@@ -338,7 +338,7 @@ class Run:
         )
 
     def _group(self, path: str, without: str = "") -> dict[str, Any]:
-        """Return the datasets of a group by name: arrays, texts and numbers; nothing where the group is missing."""
+        """Return the datasets of a group by name: arrays, texts and numbers; empty if the group is missing."""
         with opened(self.path) as archive:
             return archive.values(path, without)
 
@@ -350,7 +350,7 @@ class Run:
     def _quantities(self, room: str) -> Iterator[Quantity]:
         with opened(self.path) as archive:
             for name, field in archive.fields(f"entry/{room}").items():
-                # Scales are integers, the variant a text.
+                # Only quantities are floats: scales are integers, the variant is text.
                 if field.kind == "f8":
                     value = tuple(float(v) for v in np.atleast_1d(archive.value(field.path)))
                     unit, source, uncertainty = archive.about(field.path)

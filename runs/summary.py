@@ -1,9 +1,9 @@
-"""A run in a few numbers: how well the pressures followed, how far model and measurement lie apart, what was late.
+"""Summary of a run: pressure tracking, error between model and measurement, timing.
 
 Definitions. *Error*: distance from the measured to the modelled tool centre point. *Settled*: the mean over the last
-`SETTLED_PART` of a dwell, a segment at whose end the set-points stand still. *Plane of motion*: through the base
-frame's z axis and the direction in which the modelled tip moved; there is none where it moved along z only or out of
-any plane. *Normalised*: error over the distance of the measured tip from where it rested without pressure and weight.
+`SETTLED_PART` of a dwell, a segment with constant set-points at its end. *Plane of motion*: contains the base
+frame's z axis and the direction of motion of the modelled tip; undefined for motion along z only or not in a plane.
+*Normalised*: error over the distance of the measured tip from its rest position without pressure and weight.
 """
 
 from __future__ import annotations
@@ -19,15 +19,15 @@ from runs.run import Run, Tip
 
 SETTLED_PART = 0.3
 BAND_BAR = 0.01
-"""A pressure has settled when it stays this close to its set-point."""
+"""Settling band: a settled pressure stays this close to its set-point."""
 CHI2_3_95 = 7.814727903251179
-"""95 % point of chi-squared with three degrees of freedom: the ellipsoid that holds 95 % of a 3-D Gaussian."""
+"""95 % point of chi-squared with three degrees of freedom: the 95 % ellipsoid of a 3-D Gaussian."""
 Z_95 = 1.959963984540054
 JUMP_BAR = 0.005
-"""A set-point that moves farther from one tick to the next has jumped."""
+"""A larger change of a set-point between ticks is a step."""
 _REST_BAR = 0.02
 MOVED_MM = 2.0
-"""A tip that moved less has no plane of motion and no normalised error."""
+"""Smallest motion of the tip that defines a plane of motion and a normalised error."""
 _FLAT = 0.1
 
 Floats = NDArray[np.float64]
@@ -36,7 +36,7 @@ NAN = float("nan")
 
 @dataclass(frozen=True)
 class Statistics:
-    """Mean, 95th percentile and maximum of an error [mm]; NaN where there is none."""
+    """Mean, 95th percentile and maximum of an error [mm]; NaN without data."""
 
     mean: float = NAN
     p95: float = NAN
@@ -45,7 +45,7 @@ class Statistics:
 
 @dataclass(frozen=True)
 class StepSummary:
-    """One segment of the protocol that is no prompt; what was not measured in it is NaN."""
+    """One segment of the protocol, except prompts; NaN for missing measurements."""
 
     label: str
     kind: str
@@ -53,18 +53,18 @@ class StepSummary:
     stop_s: float
     level_bar: tuple[float, ...]
     weight_g: float
-    """Hung on the end cap."""
+    """Tip load."""
     dwell: bool
-    """The set-points stand still at the end of the segment."""
+    """The set-points are constant at the end of the segment."""
     settling_s: float
-    """From the jump of a set-point to the last time that a pressure was outside `BAND_BAR`; infinite where one stayed
-    outside, NaN where none jumped."""
+    """Settling time: from the step of a set-point until all pressures stay within `BAND_BAR`; infinite if they do not,
+    NaN without a step."""
     overshoot_bar: float
-    """Farthest beyond the new set-point, of the actuators whose set-point jumped, the sensor's noise included."""
+    """Largest overshoot of the actuators with a step, including sensor noise."""
     tracking_rms_bar: float
-    """Set-point against measured, over the segment and all actuators."""
+    """Rms of measured minus set-point over the segment and all actuators."""
     frames: int
-    """Frames that the values below are the mean of: the last part of a dwell, the whole of any other segment."""
+    """Frames averaged in the values below: the last part of a dwell, all of any other segment."""
     measured_mm: tuple[float, float, float]
     uncertainty_mm: tuple[float, float, float]
     """Standard uncertainty of one frame, root mean square."""
@@ -114,14 +114,14 @@ class Summary:
     overshoot_bar: float
     """Largest of the steps."""
     tracking_rms_bar: float
-    """Over the segments that are no dwells."""
+    """Over the segments that are not dwells."""
     ticks: int
     missed_deadlines: int
     lateness_p50_us: float
     lateness_p99_us: float
     lateness_max_us: float
     frames: int
-    """Recorded, whether or not a tip was measured."""
+    """Recorded frames, with or without a measured tip."""
     frames_measured: int
     frames_dropped: int
     frames_expected: int
@@ -139,7 +139,7 @@ class Summary:
 
 
 def summarise(run: Run) -> Summary:
-    """Return the numbers of one run."""
+    """Return the summary of one run."""
     tip, pressure, timing = run.tip, run.pressure, run.timing
     measured = tip.seen == DetectionStatus.MEASURED
     modelled = np.isfinite(tip.model_mm).any()
@@ -181,7 +181,7 @@ def summarise(run: Run) -> Summary:
 
 
 def settled_steps(steps: Iterable[StepSummary]) -> tuple[StepSummary, ...]:
-    """Return the dwells that have a settled error: those under pressure or weight, or all where nothing ever is."""
+    """Return the dwells that have a settled error: those under pressure or weight, or all if there are none."""
     every = tuple(steps)
     loaded = [max(step.level_bar) > 0 or step.weight_g > 0 for step in every]
     idle = all(step.dwell for step in every) and not any(loaded)
@@ -191,7 +191,7 @@ def settled_steps(steps: Iterable[StepSummary]) -> tuple[StepSummary, ...]:
 
 
 def plane_of_motion(points_mm: Floats) -> Floats | None:
-    """Return the unit vector (2,) in x and y along which points (n, 3) move; None where they span no such plane."""
+    """Return the unit vector (2,) in x and y along which points (n, 3) move; None if they do not span one."""
     points = points_mm[np.isfinite(points_mm).all(axis=1), :2]
     if len(points) < 2:
         return None
@@ -204,20 +204,20 @@ def plane_of_motion(points_mm: Floats) -> Floats | None:
 
 
 def in_plane(difference_mm: Floats, plane: Floats | None) -> Floats:
-    """Return the lengths (n,) of differences (n, 3) projected on the plane of motion; NaN where there is none."""
+    """Return the lengths (n,) of differences (n, 3) projected on the plane of motion; NaN without a plane."""
     if plane is None:
         return np.full(len(difference_mm), NAN)
     return np.asarray(np.hypot(difference_mm[:, :2] @ plane, difference_mm[:, 2]))
 
 
 def rest_mm(tip: Tip, measured: NDArray[np.bool_]) -> Floats:
-    """Return where the measured tip (3,) rested without pressure and weight; NaN where it never did."""
+    """Return the mean measured tip (3,) at rest without pressure and weight; NaN if there is none."""
     rest = measured & (tip.pressure_bar < _REST_BAR).all(axis=1) & ~(tip.weight_g > 0)
     return tip.measured_mm[rest].mean(axis=0) if rest.any() else np.full(3, NAN)
 
 
 def statistics(errors_mm: Floats) -> Statistics:
-    """Return mean, 95th percentile and maximum of what is finite."""
+    """Return mean, 95th percentile and maximum of the finite errors."""
     finite = errors_mm[np.isfinite(errors_mm)]
     if len(finite) == 0:
         return Statistics()
@@ -233,7 +233,7 @@ def _steps(run: Run, measured: NDArray[np.bool_], plane: Floats | None) -> tuple
 def _step(run: Run, interval: Interval, measured: NDArray[np.bool_], plane: Floats | None, rest: Floats) -> StepSummary:
     tip, pressure = run.tip, run.pressure
     settled_from = interval.stop_s - SETTLED_PART * (interval.stop_s - interval.start_s)
-    # Protocol time never runs backwards, so a segment is a stretch of rows.
+    # Protocol time is monotonic, so a segment is a contiguous range of rows.
     first, last, end = np.searchsorted(pressure.protocol_s, (interval.start_s, settled_from, interval.stop_s))
     setpoint, got = pressure.setpoint_bar[first:end], pressure.measured_bar[first:end]
     dwell = bool(end > last and np.ptp(pressure.setpoint_bar[last:end], axis=0).max() == 0)
@@ -271,7 +271,7 @@ def _step(run: Run, interval: Interval, measured: NDArray[np.bool_], plane: Floa
 
 
 def _settling_s(time_s: Floats, setpoint: Floats, got: Floats) -> float:
-    """Return the time from the set-point's last move to the end of the last excursion; infinite where none ended."""
+    """Return the time from the last change of the set-point to the end of the last excursion; infinite if it lasts."""
     still = np.flatnonzero((setpoint != setpoint[-1]).any(axis=1))
     moved = int(still[-1]) + 1 if len(still) else 0
     off: Floats = np.abs(got - setpoint)[moved:].max(axis=1)
@@ -283,7 +283,7 @@ def _settling_s(time_s: Floats, setpoint: Floats, got: Floats) -> float:
 
 
 def _overshoot_bar(before: Floats, after: Floats, got: Floats) -> float:
-    """Return how far pressures (n, k) went beyond the set-points (k,) that they were sent to."""
+    """Return the largest overshoot of pressures (n, k) over their new set-points (k,)."""
     beyond = (got - after) * np.sign(after - before)
     return float(max(beyond.max(), 0.0))
 
@@ -310,7 +310,7 @@ def _truth(run: Run, measured: NDArray[np.bool_], plane: Floats | None) -> Truth
 
 
 def _has_ellipsoid(covariance: Floats) -> NDArray[np.bool_]:
-    """Tell which covariances (n, 3, 3) are those of a Gaussian: finite, and positive definite."""
+    """Return which covariances (n, 3, 3) are finite and positive definite."""
     finite: NDArray[np.bool_] = np.asarray(np.isfinite(covariance).all(axis=(1, 2)))
     smallest = np.linalg.eigvalsh(np.where(finite[:, None, None], covariance, 0.0))[:, 0]
     largest = np.abs(covariance).max(axis=(1, 2), initial=0.0)

@@ -1,8 +1,9 @@
 """From archives to parameters of an arm, with error bars."""
 
-from calibration.identify.data import NoDataError, Poses, as_if_at_rest, at_rest, in_motion, parted, poses_of
-from calibration.identify.fit import Estimate, Fit, RunFit, Verdict, identify
+from calibration.identify.data import NoDataError, Poses, at_rest, in_motion, poses_of, quasi_static_poses, split_at
+from calibration.identify.fit import identify
 from calibration.identify.parameters import Parameter, Prior, Setup, UnknownParameter, known, named
+from calibration.identify.results import Estimate, Fit, RunFit, Verdict
 
 __all__ = [
     "Estimate",
@@ -15,12 +16,12 @@ __all__ = [
     "Setup",
     "UnknownParameter",
     "Verdict",
-    "as_if_at_rest",
     "at_rest",
     "identify",
     "in_motion",
     "known",
     "named",
-    "parted",
     "poses_of",
+    "quasi_static_poses",
+    "split_at",
 ]

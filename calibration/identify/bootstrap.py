@@ -1,4 +1,4 @@
-"""Error bars by refitting: to data drawn anew from the fitted model, or to resampled data."""
+"""Bootstrap error bars: refits to simulated data (parametric) or to resampled blocks of the data."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.identify.data import Poses
-from calibration.identify.fit import Fit
 from calibration.identify.least_squares import Problem
 from calibration.identify.parallel_map import Progress, parallel_map
 from calibration.identify.parameters import Prior, Setup, named
+from calibration.identify.results import Fit
 
 Array = NDArray[np.float64]
 Kind = Literal["drawn", "resampled"]
@@ -45,14 +45,14 @@ class Bootstrap:
 
 @dataclass(frozen=True)
 class Refit:
-    """One task: the fit's question, its answer, and the seed of the new data."""
+    """One task: problem and solution of the fit, and the seed of the new data."""
 
     data: tuple[Poses, ...]
     start: Setup
     free: tuple[str, ...]
     priors: tuple[tuple[str, Prior], ...]
     z: tuple[float, ...]
-    held: tuple[int, ...]
+    fixed: tuple[int, ...]
     kind: Kind
     predicted: tuple[Array, ...]
     covariance: tuple[Array, ...]
@@ -71,11 +71,12 @@ def bootstrap(
 ) -> Bootstrap:
     """Refit `samples` times.
 
-    'drawn' takes the fitted model and the stated covariances at their word; 'resampled' draws plateaus, and seconds of
-    motion, with replacement, and so needs a dozen of them at least. The rest is as in `spread`.
+    'drawn' is the parametric bootstrap: data from the fitted model with the stated covariances. 'resampled' is the
+    block bootstrap: plateaus, or seconds of motion, with replacement; it needs at least a dozen of them. The other
+    arguments are those of `parallel_map`.
     """
     chosen = [i for i, e in enumerate(fit.estimates) if e.identified]
-    held = tuple(i for i, stands in enumerate(fit.held) if stands)
+    fixed = tuple(i for i, is_fixed in enumerate(fit.fixed) if is_fixed)
     problem = fit.problem
     task = Refit(
         data=tuple(problem.data),
@@ -83,7 +84,7 @@ def bootstrap(
         free=tuple(p.name for p in problem.free),
         priors=tuple(problem.priors.items()),
         z=tuple(fit.solution.z.tolist()),
-        held=held,
+        fixed=fixed,
         kind=kind,
         predicted=tuple(run.predicted_m for run in fit.runs),
         covariance=tuple(_covariance(weights.whitener) for weights in fit.solution.weights),
@@ -113,29 +114,29 @@ def refit(task: Refit) -> Array:
     problem = Problem(data, task.start, named(task.free, actuators), priors, counts)
     known = [i for i, u in enumerate(problem.unknowns) if u.parameter.name in priors]
     if task.kind == "drawn":
-        # What was known beforehand was drawn once, too: around the values that are now the truth.
+        # The prior means are random, too: draw them around the values that are the truth here.
         z = np.array(task.z)
         start = problem.values(z)[known]
         mean, std = np.array([[priors[problem.unknowns[i].parameter.name].mean for i in known],
                               [priors[problem.unknowns[i].parameter.name].std for i in known]])  # fmt: skip
         problem.prior_shift = (start - mean) / std + rng.standard_normal(len(known))
-    solution = problem.solve(np.array(task.z), task.held, rounds=1, evaluations=8)
+    solution = problem.solve(np.array(task.z), task.fixed, rounds=1, evaluations=8)
     return problem.values(solution.z)
 
 
 def _covariance(whitener: Array) -> Array:
-    """Covariances (K, 3, 3) that a whitener belongs to; zero where it is."""
+    """Covariances (K, 3, 3) of a whitener; zero where it is zero."""
     out: Array = np.asarray(np.linalg.pinv(np.swapaxes(whitener, 1, 2) @ whitener), dtype=np.float64)
     return out
 
 
 def _drawn(rng: np.random.Generator, tips: Array, covariance: Array, poses: Poses) -> Array:
-    """Tips (K, 3) with errors of the stated size, NaN where none was measured."""
+    """Tips (K, 3) with random errors of the stated covariance; NaN without a measurement."""
     values, vectors = np.linalg.eigh(covariance)
     unit = rng.standard_normal((len(covariance), 3))
     error: Array = np.asarray(np.einsum("kij,kj->ki", vectors, np.sqrt(np.maximum(values, 0.0)) * unit))
     out = tips + error
-    out[~poses.seen] = np.nan
+    out[~poses.has_tip] = np.nan
     return out
 
 

@@ -1,4 +1,4 @@
-"""What identification takes from an archive: the arm at rest, and the arm in motion."""
+"""Input of an identification from an archive: static plateaus and motions."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d
 
-from calibration.identify.pressure_smoothing import curve, noise_of, smoothed
+from calibration.identify.pressure_smoothing import curve, noise_std, smoothed
 from runs.records import DetectionStatus
 from runs.run import Run
 
@@ -20,30 +20,30 @@ M_PER_MM = 1e-3
 KG_PER_G = 1e-3
 
 SETTLE_S = 1.5
-FEWEST_FRAMES = 5
-# Entries of a slow motion, each an equilibrium of its own, in which what neighbours share can be found.
-FEWEST_IN_SEQUENCE = 32
-# Frames share more of their error than their scatter can show: lens, placement, print of the board.
-_LEAST_SHARED = 0.1
-# A frame has pressures beside it if it lies at most so many periods outside their record.
-_BESIDE_FRAMES = 1.5
-# Samples within which a clipped one spoils its neighbours.
-_NEAR = 21
+MIN_FRAMES = 5
+# Fewest entries of a quasi-static motion for which the correlation of neighbours can be estimated.
+MIN_IN_SEQUENCE = 32
+# Lens, camera placement and the print of the board give all frames a common error that scatter does not show.
+_MIN_COMMON_VARIANCE = 0.1
+# A frame is used if it lies at most this many camera periods outside the pressure record.
+_PRESSURE_MARGIN_FRAMES = 1.5
+# Samples around a clipped one that count as clipped.
+_CLIP_WINDOW = 21
 
 
 class NoDataError(ValueError):
-    """The runs hold nothing that the question needs."""
+    """The runs do not contain the data that the identification needs."""
 
 
 @dataclass(frozen=True)
 class Poses:
-    """Tips of one run with what acted on the arm: at rest (K plateaus) or in motion (K frames, `period_s` apart).
+    """Tips and loads of one run: static (K plateaus) or in motion (K frames, `period_s` apart).
 
-    pressure_pa (K, N) as measured, with the standard deviation `pressure_std_pa` (K, N) of the random error (not of the
-    sensors' offsets). weight_kg (K,) hangs on the cap. wrench (K, 6): measured force [N] and moment [N m] at the
+    pressure_pa (K, N) as measured; `pressure_std_pa` (K, N) is the standard deviation of the random error, without the
+    sensor offsets. weight_kg (K,) is the tip load on the cap. wrench (K, 6): measured force [N] and moment [N m] at the
     measured point, in the frame of the tips. tip_m (K, 3) in the rod-base frame with covariance_m2 (K, 3, 3); both NaN
-    in frames of a motion that show no tip. frames (K,): camera frames behind each entry. time_s (K,) counts
-    from the run's start; a plateau has that of its end. period_s is zero for poses at rest.
+    in frames without a tip. frames (K,): camera frames per entry. time_s (K,) counts from the start of the run; for a
+    plateau it is the end. period_s is zero for static poses.
     """
 
     run_id: str
@@ -63,27 +63,27 @@ class Poses:
 
     @property
     def moving(self) -> bool:
-        """True for a motion, whose entries belong together in time."""
+        """True for a motion: the entries are a time series."""
         return self.period_s > 0
 
     @property
     def in_sequence(self) -> bool:
-        """True where the entries are frames that follow one another, so that neighbours share errors."""
-        return self.moving or (len(self) >= FEWEST_IN_SEQUENCE and bool((self.frames == 1).all()))
+        """True if the entries are consecutive frames, whose errors correlate."""
+        return self.moving or (len(self) >= MIN_IN_SEQUENCE and bool((self.frames == 1).all()))
 
     @property
-    def seen(self) -> NDArray[np.bool_]:
+    def has_tip(self) -> NDArray[np.bool_]:
         """Which entries have a measured tip (K,)."""
-        seen: NDArray[np.bool_] = np.asarray(np.isfinite(self.tip_m).all(axis=1))
-        return seen
+        found: NDArray[np.bool_] = np.asarray(np.isfinite(self.tip_m).all(axis=1))
+        return found
 
     @property
     def actuators(self) -> int:
-        """How many pressures there are."""
+        """Number of actuators N."""
         return int(self.pressure_pa.shape[1])
 
     def only(self, chosen: NDArray[np.bool_] | NDArray[np.intp]) -> Poses:
-        """Some of the entries; of a motion they must follow one another."""
+        """A subset of the entries; of a motion it must be contiguous."""
         return replace(
             self,
             pressure_pa=self.pressure_pa[chosen],
@@ -98,38 +98,35 @@ class Poses:
 
 
 def at_rest(run: Run, settle_s: float = SETTLE_S) -> Poses:
-    """The plateaus of a run: set-points and weight have stood still for `settle_s` and go on doing so.
+    """The plateaus of a run: set-points and weight are constant, and have been for `settle_s`.
 
-    Each plateau becomes one entry: mean pressure and mean tip. Frames of an arm at rest show nearly the same picture,
-    so part of their error is the same in all of them. How much is found from the run itself: the covariances state
-    the whole error, the scatter within the plateaus shows its random part, and the rest, a tenth at least, does not
-    average out.
+    Each plateau becomes one entry: mean pressure and mean tip. Its frames have a common error that does not average
+    out. Its variance is the stated variance minus the scatter within the plateaus, and at least a tenth of
+    the stated one.
 
     Raises:
-        NoData: nothing in the run stands still for long enough.
+        NoDataError: the run has no plateau that is long enough.
     """
     tip, setpoint = run.tip, run.pressure.setpoint_bar
-    still = _standing(run.pressure.time_s, setpoint, tip.time_s)
+    still = _unchanged(run.pressure.time_s, setpoint, tip.time_s)
     same = np.concatenate([[False], np.diff(tip.weight_g) == 0])
-    # While the run waits for the operator its protocol stands still and the weight may be in his hands.
+    # While the run waits for the operator, protocol time is constant and the weight is unknown.
     going = np.concatenate([[False], np.diff(tip.protocol_s) > 0])
     held = still & same & going
     usable = _usable(run)
     plateaus = []
-    for start, stop in _stretches(held):
+    for start, stop in _true_ranges(held):
         inside = np.arange(start, stop)
         inside = inside[(tip.time_s[inside] >= tip.time_s[start] + settle_s) & usable[inside]]
-        if len(inside) >= FEWEST_FRAMES:
+        if len(inside) >= MIN_FRAMES:
             plateaus.append(inside)
     if not plateaus:
-        raise NoDataError(
-            f"{run.header.run_id}: nothing stands still for more than {settle_s:g} s with the board in sight"
-        )
+        raise NoDataError(f"{run.header.run_id}: no plateau longer than {settle_s:g} s with a measured tip")
     covariance = np.array([tip.covariance_mm2[k].mean(axis=0) for k in plateaus]) * M_PER_MM**2
     count = np.array([len(k) for k in plateaus])
-    shared = _shared_part([tip.measured_mm[k] * M_PER_MM for k in plateaus], covariance)
+    shared = _common_variance([tip.measured_mm[k] * M_PER_MM for k in plateaus], covariance)
     averaged = shared + (1 - shared) / count
-    samples = _sampled(run)
+    samples = _pressure_samples(run)
     spans = [np.searchsorted(samples.time_s, [tip.time_s[k[0]], tip.time_s[k[-1]]]) for k in plateaus]
     parts = [slice(first, max(last, first + 1)) for first, last in spans]
     pressure = [samples.pa[part] for part in parts]
@@ -140,7 +137,7 @@ def at_rest(run: Run, settle_s: float = SETTLE_S) -> Poses:
         source=run.sha256,
         period_s=0.0,
         pressure_pa=np.array([part.mean(axis=0) for part in pressure]),
-        pressure_std_pa=np.where(clipped, np.hypot(scatter, samples.doubt_pa), scatter),
+        pressure_std_pa=np.where(clipped, np.hypot(scatter, samples.clipped_std_pa), scatter),
         weight_kg=np.array([tip.weight_g[k].mean() for k in plateaus]) * KG_PER_G,
         wrench=np.array([_wrench(run)[k].mean(axis=0) for k in plateaus]),
         tip_m=np.array([tip.measured_mm[k].mean(axis=0) for k in plateaus]) * M_PER_MM,
@@ -154,7 +151,7 @@ def in_motion(run: Run) -> Poses:
     """Every frame of a run, one camera period apart, from the first frame to the last that shows the tip.
 
     Raises:
-        NoData: no frame shows the tip.
+        NoDataError: no frame shows the tip.
     """
     tip = run.tip
     usable = _usable(run)
@@ -162,18 +159,18 @@ def in_motion(run: Run) -> Poses:
         raise NoDataError(f"{run.header.run_id}: no frame shows the tip while pressures were recorded")
     index = tip.frame - tip.frame[0]
     length = int(index[usable][-1]) + 1
-    # Cameras do not always deliver at the rate that they were asked for.
+    # Cameras do not always deliver the requested rate.
     period_s = float(tip.time_s[-1] - tip.time_s[0]) / index[-1] if index[-1] else 1.0 / run.header.camera_hz
     every = np.arange(length)
-    samples = _sampled(run)
+    samples = _pressure_samples(run)
     course, deviation = smoothed(samples.pa)
-    # Neighbouring values of a course share their errors, which frames do not know of each other: over a whole motion
-    # they tell as much as the samples within each frame.
+    # Smoothed values correlate, but the fit treats frames as independent: so the deviation of a frame is at least that
+    # of the mean of its own samples.
     step_s = float(np.median(np.diff(samples.time_s))) if len(samples.time_s) > 1 else period_s
-    deviation = np.maximum(deviation, noise_of(samples.pa) * min(1.0, np.sqrt(step_s / period_s)))
+    deviation = np.maximum(deviation, noise_std(samples.pa) * min(1.0, np.sqrt(step_s / period_s)))
     frame_s = np.interp(every, index, tip.time_s)
     pressure, spread = curve(samples.time_s, course, frame_s)[0], _at(frame_s, samples.time_s, deviation)
-    clipped = _at(frame_s, samples.time_s, maximum_filter1d(samples.clipped.astype(float), _NEAR, axis=0)) > 0
+    clipped = _at(frame_s, samples.time_s, maximum_filter1d(samples.clipped.astype(float), _CLIP_WINDOW, axis=0)) > 0
     weight = tip.weight_g[np.clip(np.searchsorted(index, every, side="right") - 1, 0, None)] * KG_PER_G
     measured, covariance = np.full((length, 3), np.nan), np.full((length, 3, 3), np.nan)
     measured[index[usable]] = tip.measured_mm[usable] * M_PER_MM
@@ -183,7 +180,7 @@ def in_motion(run: Run) -> Poses:
         source=run.sha256,
         period_s=period_s,
         pressure_pa=pressure,
-        pressure_std_pa=np.where(clipped, np.hypot(spread, samples.doubt_pa), spread),
+        pressure_std_pa=np.where(clipped, np.hypot(spread, samples.clipped_std_pa), spread),
         weight_kg=weight,
         wrench=_at(frame_s, tip.time_s, _wrench(run)),
         tip_m=measured,
@@ -193,18 +190,18 @@ def in_motion(run: Run) -> Poses:
     )
 
 
-def as_if_at_rest(run: Run) -> Poses:
-    """Every frame of a slow motion that shows the tip, each taken as an equilibrium.
+def quasi_static_poses(run: Run) -> Poses:
+    """Every frame of a slow motion that shows the tip, each as a static equilibrium.
 
     Raises:
-        NoData: no frame shows the tip.
+        NoDataError: no frame shows the tip.
     """
     motion = in_motion(run)
-    return replace(motion, period_s=0.0).only(motion.seen)
+    return replace(motion, period_s=0.0).only(motion.has_tip)
 
 
 def poses_of(run: Run) -> Poses:
-    """What a run is best used as: its plateaus where it mostly stands still, else its motion."""
+    """The plateaus of a run if they cover a quarter of its frames, else its motion."""
     try:
         rest = at_rest(run)
     except NoDataError:
@@ -212,34 +209,36 @@ def poses_of(run: Run) -> Poses:
     return rest if rest.frames.sum() > 0.25 * len(run.tip.time_s) else in_motion(run)
 
 
-def parted(poses: Poses, until_s: float) -> tuple[Poses, Poses]:
-    """What a run shows before a moment, and from then on.
+def split_at(poses: Poses, until_s: float) -> tuple[Poses, Poses]:
+    """Split a run at a time [s] into the poses before it and those from then on.
 
-    Both parts of a motion keep all its pressures, because what it did before tells how it moves on; each shows the tips
-    of its own time.
+    Both parts of a motion keep all pressures, because the later motion depends on the earlier one; each has only the
+    tips of its own time.
 
     Raises:
-        NoData: one of the parts shows no tip.
+        NoDataError: one of the parts has no tip.
     """
     before = poses.time_s < until_s
     parts = []
     for inside, which in ((before, "before"), (~before, "after")):
         part = replace(poses, tip_m=np.where(inside[:, None], poses.tip_m, np.nan))
         part = part if poses.moving else part.only(inside)
-        if not part.seen.any():
+        if not part.has_tip.any():
             raise NoDataError(f"{poses.run_id} shows no tip {which} {until_s:g} s")
         parts.append(part)
     return parts[0], replace(parts[1], run_id=f"{poses.run_id} from {until_s:g} s")
 
 
 def _usable(run: Run) -> NDArray[np.bool_]:
-    """Frames (M,) with a measured tip. `NoData` where an archive, of an import, lacks what gives them their weight."""
+    """Frames (M,) with a measured tip. `NoDataError` if pressures or uncertainties are missing (imported archives)."""
     tip = run.tip
     usable: NDArray[np.bool_] = (tip.seen == DetectionStatus.MEASURED) & np.isfinite(tip.measured_mm).all(axis=1)
     if not len(run.pressure.time_s):
         raise NoDataError(f"{run.header.run_id}: no pressure was recorded")
-    # Where control ended before the camera did, nobody knows what the arm felt.
-    first_s, last_s = run.pressure.time_s[[0, -1]] + np.array([-1.0, 1.0]) * _BESIDE_FRAMES / run.header.camera_hz
+    # Frames after the end of control have no pressures.
+    first_s, last_s = (
+        run.pressure.time_s[[0, -1]] + np.array([-1.0, 1.0]) * _PRESSURE_MARGIN_FRAMES / run.header.camera_hz
+    )
     usable &= (tip.time_s >= first_s) & (tip.time_s <= last_s)
     covariance = tip.covariance_mm2[usable]
     if not np.isfinite(covariance).all():
@@ -259,21 +258,18 @@ def _usable(run: Run) -> NDArray[np.bool_]:
 class _Samples:
     """Pressures (n, N) [Pa] at times (n,) [s].
 
-    clipped (n, N): at the foot of the sensor's scale, where it reads no less whatever the pressure is; doubt_pa (N,) is
-    the standard deviation of the pressure then.
+    clipped (n, N): the reading is at the lower end of the sensor's range. clipped_std_pa (N,) is the standard deviation
+    of the pressure then.
     """
 
     time_s: Array
     pa: Array
     clipped: NDArray[np.bool_]
-    doubt_pa: Array
+    clipped_std_pa: Array
 
 
-def _sampled(run: Run) -> _Samples:
-    """The measured pressures.
-
-    A sample is the mean of its scans and is stamped with the newest of them: its own time lies half their span before.
-    """
+def _pressure_samples(run: Run) -> _Samples:
+    """The measured pressures, with time stamps at the middle of the scans that each sample is the mean of."""
     samples = run.pressure
     scans = np.maximum(samples.scans, 1)
     late_s = (scans - 1) / (2 * scans * run.header.control_hz)
@@ -282,7 +278,7 @@ def _sampled(run: Run) -> _Samples:
         for n in range(run.header.actuators):
             if quantity.name == f"sensor_{n + 1}_offset" and np.isfinite(quantity.uncertainty):
                 foot[n] = quantity.value[0]
-                # Somewhere within the sensor's accuracy.
+                # Uniform distribution over the sensor's accuracy.
                 doubt[n] = quantity.uncertainty * PA_PER_BAR / np.sqrt(12)
     at_foot = samples.measured_bar <= foot + 1e-9
     return _Samples(samples.time_s - late_s, samples.measured_bar * PA_PER_BAR, at_foot, doubt)
@@ -294,30 +290,27 @@ def _wrench(run: Run) -> Array:
 
 
 def _at(time_s: Array, sampled_s: Array, samples: Array) -> Array:
-    """Columns (n, N) of samples, interpolated at other times (M, N)."""
+    """Samples (n, N) interpolated linearly at other times, (M, N)."""
     return np.stack([np.interp(time_s, sampled_s, column) for column in samples.T], axis=1)
 
 
-def _standing(time_s: Array, setpoint: Array, frame_s: Array) -> NDArray[np.bool_]:
-    """For each frame, whether the set-points are as they were one frame ago and nothing moved in between.
-
-    Set-points that nobody knows (NaN, of imported runs) do not stand.
-    """
+def _unchanged(time_s: Array, setpoint: Array, frame_s: Array) -> NDArray[np.bool_]:
+    """For each frame, whether the set-points have not changed since the frame before; False for NaN (imported runs)."""
     moved = np.concatenate([[0], np.cumsum(~(np.abs(np.diff(setpoint, axis=0)) <= 1e-9).all(axis=1))])
     then = moved[np.clip(np.searchsorted(time_s, frame_s, side="right") - 1, 0, len(moved) - 1)]
     return np.concatenate([[False], np.diff(then) == 0])
 
 
-def _stretches(true: NDArray[np.bool_]) -> Iterator[tuple[int, int]]:
-    """Start and stop of every run of True."""
+def _true_ranges(true: NDArray[np.bool_]) -> Iterator[tuple[int, int]]:
+    """Start and stop of every contiguous range of True."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], true.astype(np.int8), [0]])))
     yield from zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)
 
 
-def _shared_part(measured_m: list[Array], covariance_m2: Array) -> float:
-    """Fraction of the stated variance that all frames of a plateau have in common.
+def _common_variance(measured_m: list[Array], covariance_m2: Array) -> float:
+    """Fraction of the stated variance that is common to all frames of a plateau.
 
-    Pooled over the plateaus; what chance alone may hide (two standard errors) is not counted as shared.
+    Pooled over the plateaus, minus two standard errors.
     """
     ratio, freedom = 0.0, 0
     for tips, covariance in zip(measured_m, covariance_m2, strict=True):
@@ -325,4 +318,4 @@ def _shared_part(measured_m: list[Array], covariance_m2: Array) -> float:
         ratio += float((difference * np.linalg.solve(covariance, difference.T).T).sum())
         freedom += 3 * (len(tips) - 1)
     random = ratio / freedom
-    return float(np.clip(1 - random - 2 * np.sqrt(2 / freedom), _LEAST_SHARED, 1.0))
+    return float(np.clip(1 - random - 2 * np.sqrt(2 / freedom), _MIN_COMMON_VARIANCE, 1.0))

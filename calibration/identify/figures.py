@@ -9,10 +9,10 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from scipy.stats import norm
 
-from calibration.identify.fit import NORMAL_95, Fit
 from calibration.identify.held_out_prediction import Prediction
 from calibration.identify.likelihood import whitened
 from calibration.identify.profile_likelihood import RISE_95, Profile
+from calibration.identify.results import NORMAL_95, Fit
 from runs.report.colours import ACTUATORS, INK, MEASURED, MODEL, MUTED, RULE, TRUTH
 
 Array = NDArray[np.float64]
@@ -74,7 +74,7 @@ def quantiles(figure: Figure, fit: Fit) -> None:
     """Residuals in their stated standard deviations against the normal distribution's."""
     axes = figure.subplots()
     for k, (run, poses, weights) in enumerate(zip(fit.runs, fit.problem.data, fit.solution.weights, strict=True)):
-        values = np.sort(whitened(poses, run.predicted_m, weights)[poses.seen].ravel())
+        values = np.sort(whitened(poses, run.predicted_m, weights)[poses.has_tip].ravel())
         at = norm.ppf((np.arange(len(values)) + 0.5) / len(values))
         axes.plot(at, values, ".", ms=3.5, color=colour(k), label=run.run_id)
     axes.plot([-3, 3], [-3, 3], color=INK, lw=0.8)

@@ -1,4 +1,4 @@
-"""Runs that a fit has not seen, predicted with what it found."""
+"""Prediction of held-out runs by a fit."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.identify.data import Poses
-from calibration.identify.fit import Fit, rms
 from calibration.identify.parameters import Setup, known
+from calibration.identify.results import Fit, rms
 from calibration.identify.tip_predictor import Predictor
 
 Array = NDArray[np.float64]
@@ -18,18 +18,18 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Prediction:
-    """Distances (K,) [m] from measured to predicted tips: before the fit, and by it; NaN where no tip was measured."""
+    """Distances (K,) [m] from measured to predicted tips, by the starting setup and by the fit; NaN without a tip."""
 
     run_id: str
     period_s: float
-    pulled: bool
-    """Whether a measured wrench at the tip went into it."""
+    under_wrench: bool
+    """Whether the prediction uses a measured wrench at the tip."""
     predicted_m: Array
     before_m: Array
     error_m: Array
 
     @property
-    def lost(self) -> int:
+    def unsolved(self) -> int:
         """Entries for which the model has no solution."""
         return int((~np.isfinite(self.predicted_m).all(axis=1)).sum())
 
@@ -45,8 +45,8 @@ class Prediction:
         return float(found.mean()) if len(found) else math.nan
 
     @property
-    def most_m(self) -> float:
-        """What 95 % of the distances by the fit stay below."""
+    def p95_m(self) -> float:
+        """95th percentile of the distances by the fit."""
         found = self.error_m[np.isfinite(self.error_m)]
         return float(np.percentile(found, 95)) if len(found) else math.nan
 
@@ -56,8 +56,8 @@ class Prediction:
         return rms(self.before_m)
 
 
-def with_zeros(fit: Fit) -> Setup:
-    """The fitted setup with each sensor's zero at its mean over the runs in which it was identified."""
+def with_mean_sensor_offsets(fit: Fit) -> Setup:
+    """The fitted setup with each sensor offset at its mean over the runs in which it is identified."""
     setup = fit.setup
     for name, parameter in known(setup.arm.geometry.actuators).items():
         values = [e.value for e in fit.estimates if e.name == name and e.run and e.value is not None]
@@ -67,13 +67,13 @@ def with_zeros(fit: Fit) -> Setup:
 
 
 def predict(fit: Fit, poses: Poses) -> Prediction:
-    """Predict a run; its sensors' zeros are taken for the mean of those that were fitted to the other runs."""
+    """Predict a run; its sensor offsets are the means of those of the fitted runs."""
     predictor = Predictor(poses, fit.problem.substeps)
-    tips, before = predictor(with_zeros(fit)), predictor(fit.start)
+    tips, before = predictor(with_mean_sensor_offsets(fit)), predictor(fit.start)
     return Prediction(
         run_id=poses.run_id,
         period_s=poses.period_s,
-        pulled=bool(poses.wrench.any()),
+        under_wrench=bool(poses.wrench.any()),
         predicted_m=tips,
         before_m=np.linalg.norm(poses.tip_m - before, axis=1),
         error_m=np.linalg.norm(poses.tip_m - tips, axis=1),

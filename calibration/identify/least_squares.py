@@ -1,4 +1,4 @@
-"""Least squares of one identification: unknowns in units of their span, residuals and slopes over all runs."""
+"""Robust nonlinear least squares of an identification: Gauss-Newton with reweighting, unknowns scaled by their span."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from calibration.identify.data import Poses
 from calibration.identify.likelihood import (
     Weights,
     apply_frequency_mask,
-    damped,
     discrepancy,
     frequency_mask,
+    huber,
     score_covariance,
     whitened,
 )
@@ -23,27 +23,27 @@ from calibration.identify.tip_predictor import FINE_SUBSTEPS, SUBSTEPS, Predicto
 
 Array = NDArray[np.float64]
 
-# Of the model's gradients.
+# Step of an unknown, in spans, for the model's directional derivatives.
 _STEP = 1e-7
-# A faint pull to the start, in spans: it keeps what the data do not decide from drifting, and nothing else.
-_TETHER = 5.0
+# Standard deviation, in spans, of the ridge term towards the start. It only stops undetermined unknowns from drifting.
+_RIDGE_SPANS = 5.0
 _ROUNDS = 5
-_NOTICEABLE = 0.05
-_LONGEST_STEP = 1.0
+_SAME_COVARIANCE = 0.05
+_MAX_STEP = 1.0
 _SAME_SLOPE = 3e-3
-# What a squared step, in spans, costs of the sum of squares where the search begins to be careful, and where it ceases.
-_CAREFUL, _CARELESS = 1.0, 1e-3
-# How near a parameter may come to what it must stay below.
-_SHORT_OF = 0.98
-# A step that promises less than this of the sum of squares is a hundredth of an error bar.
+# Levenberg damping, in sums of squares per squared span: the first value, and the value below which it is zero.
+_FIRST_DAMPING, _LAST_DAMPING = 1.0, 1e-3
+# Upper bound of a parameter as a fraction of the limit that it must stay below.
+_BOUND_FRACTION = 0.98
+# Predicted decrease of the sum of squares at convergence: a step of a hundredth of an error bar.
 _CONVERGED = 1e-4
 
 
 @dataclass(frozen=True)
 class Unknown:
-    """A free parameter, or one run's own value of it, counted in spans z from its start.
+    """A free parameter, or its value in one run, as z: the distance from its start in spans.
 
-    What data tell the reciprocal of is counted by that, in spans of the same size at the start.
+    A `reciprocal` parameter is linear in z in its reciprocal, with the same slope at the start.
     """
 
     parameter: Parameter
@@ -54,9 +54,9 @@ class Unknown:
 
     @classmethod
     def of_setup(cls, parameter: Parameter, run: int | None, setup: Setup) -> Unknown:
-        """The parameter as it is in a setup."""
+        """The parameter with its value in a setup as the start."""
         start = parameter.read(setup)
-        most = min(parameter.upper, _SHORT_OF * parameter.below(setup))
+        most = min(parameter.upper, _BOUND_FRACTION * parameter.below(setup))
         return cls(parameter, run, start, parameter.span(start), most)
 
     def at(self, z: float) -> float:
@@ -72,7 +72,7 @@ class Unknown:
         return (away * self.start / value if self.parameter.reciprocal else away) / self.span
 
     def rate(self, z: float) -> float:
-        """How fast the value goes with z."""
+        """Derivative of the value by z."""
         return self.span * (self.at(z) / self.start) ** 2 if self.parameter.reciprocal else self.span
 
     @property
@@ -88,7 +88,7 @@ class Unknown:
 
 @dataclass(frozen=True)
 class Solution:
-    """Where the likelihood is greatest. z (n,) in spans; information (n, n) of data and priors, without the tether."""
+    """The maximum of the likelihood. z (n,) in spans; information (n, n) of data and priors, without the ridge."""
 
     z: Array
     information: Array
@@ -104,11 +104,11 @@ class Solution:
 
 @dataclass
 class Problem:
-    """Which runs, from where, what is free and what is known beforehand.
+    """The least-squares problem: data, starting setup, free parameters and their priors.
 
-    substeps: time steps per frame of a motion, by default as many as what is free needs.
-    For the bootstrap: entry_weights, per run (K,), how often each entry counts (None: once), and prior_shift, by how
-    many standard deviations each prior's mean is moved, in the order of the unknowns that have one.
+    substeps: time steps per frame of a motion; 0 chooses by the free parameters. For the bootstrap: entry_weights, per
+    run (K,), is the multiplicity of each entry (None: one), and prior_shift (m,) moves the means of the priors, in
+    standard deviations and in the order of the unknowns that have a prior.
     """
 
     data: Sequence[Poses]
@@ -126,11 +126,11 @@ class Problem:
         fast = any(p.name in ("density_kg_m3", "damping_s", "sensor_lag_s") for p in self.free)
         self.substeps = self.substeps or (FINE_SUBSTEPS if fast else SUBSTEPS)
         self._predictors = [Predictor(poses, self.substeps) for poses in self.data]
-        self._passed = [
-            apply_frequency_mask(poses) if poses.moving else np.ones(len(poses) // 2 + 1) for poses in self.data
+        self._frequency_masks = [
+            frequency_mask(poses) if poses.moving else np.ones(len(poses) // 2 + 1) for poses in self.data
         ]
         self._pressure: tuple[Array, list[Array]] | None = None
-        self._slopes: tuple[Array, tuple[int, ...], list[Array]] | None = None
+        self._kept_slopes: tuple[Array, tuple[int, ...], list[Array]] | None = None
         self._columns = [
             [i for i, u in enumerate(self.unknowns) if u.run is None or u.run == run] for run in range(len(self.data))
         ]
@@ -138,10 +138,10 @@ class Problem:
     @property
     def measured(self) -> int:
         """Numbers measured: three per tip."""
-        return 3 * int(sum(poses.seen.sum() for poses in self.data))
+        return 3 * int(sum(poses.has_tip.sum() for poses in self.data))
 
     def setup(self, z: Array, run: int | None = None) -> Setup:
-        """The setup at z as run number `run` had it, or without any run's own values."""
+        """The setup at z, with the per-run values of run number `run`, if given."""
         out = self.start
         for unknown, value in zip(self.unknowns, z, strict=True):
             if unknown.run is None or unknown.run == run:
@@ -149,7 +149,7 @@ class Problem:
         return out
 
     def rates(self, z: Array) -> Array:
-        """How fast the unknowns' values (n,) go with z (n,)."""
+        """Derivatives (n,) of the unknowns' values by z (n,)."""
         return np.array([unknown.rate(value) for unknown, value in zip(self.unknowns, z.tolist(), strict=True)])
 
     def values(self, z: Array) -> Array:
@@ -161,44 +161,44 @@ class Problem:
         return [predictor(self.setup(z, run)) for run, predictor in enumerate(self._predictors)]
 
     def slopes(self, z: Array, only: Sequence[int]) -> list[Array]:
-        """Derivatives (K, 3, n) of every run's tips by the unknowns `only`; those at the last z are kept.
+        """Derivatives (K, 3, n) of every run's tips by the unknowns `only`; the last ones are cached.
 
-        Where z has moved by less than a few thousandths of a span they are still good: they bend no faster.
+        They are reused if z has changed by less than a few thousandths of a span.
         """
-        if self._slopes is not None:
-            there, columns, kept = self._slopes
-            if set(only) <= set(columns) and np.abs(z - there).max(initial=0.0) < _SAME_SLOPE:
+        if self._kept_slopes is not None:
+            last_z, columns, kept = self._kept_slopes
+            if set(only) <= set(columns) and np.abs(z - last_z).max(initial=0.0) < _SAME_SLOPE:
                 chosen = [columns.index(i) for i in only]
                 return [slope[:, :, chosen] for slope in kept]
         out = []
         for run, predictor in enumerate(self._predictors):
             mine = [(column, i) for column, i in enumerate(only) if i in self._columns[run]]
-            moved, steps = self._moved(z, run, [i for _, i in mine])
+            perturbed, steps = self._perturbed(z, run, [i for _, i in mine])
             slope = np.zeros((len(self.data[run]), 3, len(only)))
-            slope[:, :, [column for column, _ in mine]] = predictor.slopes(self.setup(z, run), moved, steps)
+            slope[:, :, [column for column, _ in mine]] = predictor.slopes(self.setup(z, run), perturbed, steps)
             out.append(np.nan_to_num(slope, nan=0.0))
-        self._slopes = (z.copy(), tuple(only), out)
+        self._kept_slopes = (z.copy(), tuple(only), out)
         return out
 
-    def _moved(self, z: Array, run: int, which: Sequence[int]) -> tuple[list[Setup], list[float]]:
-        """A run's setups with one unknown moved each, and by how much; upwards unless a bound is there."""
+    def _perturbed(self, z: Array, run: int, which: Sequence[int]) -> tuple[list[Setup], list[float]]:
+        """A run's setups with one perturbed unknown each, and the steps; backward at the upper bound."""
         steps = [-_STEP if z[i] + _STEP > self.unknowns[i].upper else _STEP for i in which]
-        moved = []
+        perturbed = []
         for i, own in zip(which, steps, strict=True):
             there = z.copy()
             there[i] += own
-            moved.append(self.setup(there, run))
-        return moved, steps
+            perturbed.append(self.setup(there, run))
+        return perturbed, steps
 
-    def solve(self, z: Array, held: Sequence[int] = (), rounds: int = _ROUNDS, evaluations: int = 40) -> Solution:
-        """Climb to the maximum from z (n,); `held` unknowns stay where they are. Weights are updated between rounds."""
-        only = [i for i in range(len(self.unknowns)) if i not in set(held)]
+    def solve(self, z: Array, fixed: Sequence[int] = (), rounds: int = _ROUNDS, evaluations: int = 40) -> Solution:
+        """Maximise the likelihood from z (n,) by iteratively reweighted Gauss-Newton; `fixed` unknowns keep their z."""
+        only = [i for i in range(len(self.unknowns)) if i not in set(fixed)]
         z = z.copy()
         weights, sigma = self.weights(z, len(only))
         solved, before = True, np.inf
         for _ in range(rounds):
             if only:
-                z, solved = self.climb(z, only, weights, evaluations)
+                z, solved = self.gauss_newton(z, only, weights, evaluations)
             weights, sigma = self.weights(z, len(only))
             if abs(sigma - before) <= 0.02 * sigma:
                 break
@@ -206,85 +206,91 @@ class Problem:
         return self.solution(z, only, weights, sigma, solved)
 
     def weights(self, z: Array, fitted: int) -> tuple[tuple[Weights, ...], float]:
-        """How residuals near z are weighed, and the model's discrepancy [m]."""
+        """The weights of the residuals near z, and the model discrepancy [m]."""
         predicted = self.predicted(z)
         pressure = self._pressure_covariances(z)
         covariances, residuals, seen_covariances = [], [], []
         for run, (poses, tips) in enumerate(zip(self.data, predicted, strict=True)):
             covariance = poses.covariance_m2 + pressure[run]
-            known = poses.seen & np.isfinite(tips).all(axis=1)
+            known = poses.has_tip & np.isfinite(tips).all(axis=1)
             covariances.append(covariance)
             residuals.append((poses.tip_m - tips)[known])
             seen_covariances.append(covariance[known])
         sigma = discrepancy(residuals, seen_covariances, fitted)
         extra = sigma**2 * np.eye(3)
-        return tuple(Weights.of(c + extra, p.seen) for c, p in zip(covariances, self.data, strict=True)), sigma
+        return tuple(Weights.of(c + extra, p.has_tip) for c, p in zip(covariances, self.data, strict=True)), sigma
 
     def solution(
         self, z: Array, only: Sequence[int], weights: tuple[Weights, ...], sigma: float, solved: bool
     ) -> Solution:
-        """What the likelihood looks like at z; `only` were fitted, and only they get information."""
+        """Likelihood and information at z; only the fitted unknowns `only` get information."""
         at = self.predicted(z)
         loss, log_likelihood = 0.0, 0.0
         slopes = self.slopes(z, only)
         rows = []
         for run, poses in enumerate(self.data):
             slope = -np.einsum("kij,kjn->kin", weights[run].whitener, slopes[run])
-            damp, slope_d = damped(whitened(poses, at[run], weights[run]), slope)
-            assert slope_d is not None
+            loss_rows, slope_rows = huber(whitened(poses, at[run], weights[run]), slope)
+            assert slope_rows is not None
             root = np.sqrt(self._count(run))
-            rows.append((self._kept(run, damp) * root[:, None], self._kept(run, slope_d) * root[:, None, None]))
+            rows.append(
+                (self._filtered(run, loss_rows) * root[:, None], self._filtered(run, slope_rows) * root[:, None, None])
+            )
             squares = float((rows[-1][0] ** 2).sum())
             loss += squares
             log_likelihood -= 0.5 * (squares + weights[run].log_det)
         prior_rows, prior_gap = self._prior_rows(z)
         loss += float(prior_gap @ prior_gap)
         prior = prior_rows.T @ prior_rows
-        information, correlation = self._counted(rows, prior, only)
+        information, correlation = self._information(rows, prior, only)
         return Solution(z, information, prior, loss, log_likelihood, sigma, correlation, weights, solved)
 
-    def _counted(
+    def _information(
         self, rows: Sequence[tuple[Array, Array]], prior: Array, only: Sequence[int]
     ) -> tuple[Array, tuple[float, ...]]:
-        """Information (n, n) of residuals and slopes, and by how much each run's entries count less than they are."""
+        """Sandwich (HAC) information (n, n), and the factor by which correlation reduces each run's entries."""
         part = np.ix_(only, only)
         curvatures = [np.einsum("kin,kim->nm", slope, slope) for _, slope in rows]
         curvature = np.sum(curvatures, axis=0) + prior[part]
         covariance = _inverse(curvature)
-        pulls, correlation = [], []
+        scores, correlation = [], []
         for run, (residual, slope) in enumerate(rows):
-            poses, pull = self.data[run], curvatures[run]
+            poses, score = self.data[run], curvatures[run]
             if poses.in_sequence:
-                pull = score_covariance(residual, slope, self._passed[run], float(poses.seen.mean()), covariance)
-            told = float(np.trace(covariance @ curvatures[run]))
-            pulls.append(pull)
-            correlation.append(float(np.trace(covariance @ pull)) / told if told > 0 else 1.0)
+                score = score_covariance(
+                    residual, slope, self._frequency_masks[run], float(poses.has_tip.mean()), covariance
+                )
+            expected = float(np.trace(covariance @ curvatures[run]))
+            scores.append(score)
+            correlation.append(float(np.trace(covariance @ score)) / expected if expected > 0 else 1.0)
         information = prior.copy()
-        information[part] = _sandwich(curvature, np.sum(pulls, axis=0) + prior[part])
+        information[part] = _sandwich(curvature, np.sum(scores, axis=0) + prior[part])
         return information, tuple(correlation)
 
     def loss(self, z: Array, weights: tuple[Weights, ...], correlation: Sequence[float]) -> float:
-        """Robust sum of squares at given weights, priors included; runs count by their independent entries."""
+        """Robust sum of squares at given weights, with priors; each run is divided by its correlation factor."""
         gap = self._prior_rows(z)[1]
         total = float(gap @ gap)
         for run, (poses, tips) in enumerate(zip(self.data, self.predicted(z), strict=True)):
-            damp, _ = damped(whitened(poses, tips, weights[run]))
-            total += float((self._kept(run, damp) ** 2 * self._count(run)[:, None]).sum()) / correlation[run]
+            robust, _ = huber(whitened(poses, tips, weights[run]))
+            total += float((self._filtered(run, robust) ** 2 * self._count(run)[:, None]).sum()) / correlation[run]
         return total
 
     def _pressure_covariances(self, z: Array) -> list[Array]:
-        """What pressure errors add, found anew only where the parameters have moved noticeably."""
-        if self._pressure is None or np.abs(z - self._pressure[0]).max(initial=0.0) > _NOTICEABLE:
+        """Tip covariances (K, 3, 3) by pressure errors, per run; recomputed only after a noticeable change of z."""
+        if self._pressure is None or np.abs(z - self._pressure[0]).max(initial=0.0) > _SAME_COVARIANCE:
             found = [p.pressure_covariance(self.setup(z, run)) for run, p in enumerate(self._predictors)]
             self._pressure = (z.copy(), found)
         return self._pressure[1]
 
-    def climb(self, z: Array, only: list[int], weights: tuple[Weights, ...], evaluations: int) -> tuple[Array, bool]:
-        """Gauss and Newton's steps within the bounds, damped where the loss does not fall.
+    def gauss_newton(
+        self, z: Array, only: list[int], weights: tuple[Weights, ...], evaluations: int
+    ) -> tuple[Array, bool]:
+        """Gauss-Newton with bounds (active set) and Levenberg damping; return z (n,) and whether it converged.
 
-        What is damped is the step in spans (Levenberg): it shortens the way along what the data leave open, on which
-        they are met less well than straight ahead seems, and leaves what they tell sharply alone. Damping by the
-        curvature (Marquardt) would slow all unknowns down that can be exchanged with others.
+        Levenberg damping, uniform in spans, shortens steps along poorly determined directions, where the problem is
+        least linear, and hardly affects the others. Marquardt damping, scaled by the curvature, would slow down all
+        correlated unknowns.
         """
         lower, upper = (np.array([getattr(self.unknowns[i], side) for i in only]) for side in ("lower", "upper"))
         z[only] = np.clip(z[only], lower, upper)
@@ -294,45 +300,45 @@ class Problem:
         for _ in range(evaluations):
             if slope is None:
                 slope = self._slope_rows(z, only, weights)
-            pull = -slope.T @ residual
-            stuck = ((z[only] <= lower) & (pull < 0)) | ((z[only] >= upper) & (pull > 0))
-            loose = np.flatnonzero(~stuck)
-            curvature = (slope.T @ slope)[np.ix_(loose, loose)]
+            descent = -slope.T @ residual
+            at_bound = ((z[only] <= lower) & (descent < 0)) | ((z[only] >= upper) & (descent > 0))
+            inside = np.flatnonzero(~at_bound)
+            curvature = (slope.T @ slope)[np.ix_(inside, inside)]
             step = np.zeros(len(only))
-            step[loose] = np.linalg.solve(curvature + damping * np.eye(len(loose)), pull[loose])
-            promised = float(step @ pull)
-            step *= min(1.0, _LONGEST_STEP / max(np.abs(step).max(initial=0.0), 1e-300))
+            step[inside] = np.linalg.solve(curvature + damping * np.eye(len(inside)), descent[inside])
+            predicted_decrease = float(step @ descent)
+            step *= min(1.0, _MAX_STEP / max(np.abs(step).max(initial=0.0), 1e-300))
             trial = z.copy()
             trial[only] = np.clip(z[only] + step, lower, upper)
             there = self._rows(trial, only, weights)
             better = float(there @ there) <= float(residual @ residual)
             if better:
                 z, residual, slope = trial, there, None
-                damping = damping / 10 if damping > _CARELESS else 0.0
+                damping = damping / 10 if damping > _LAST_DAMPING else 0.0
             else:
-                damping = max(10 * damping, _CAREFUL)
-            if promised < _CONVERGED:
+                damping = max(10 * damping, _FIRST_DAMPING)
+            if predicted_decrease < _CONVERGED:
                 return z, True
         return z, False
 
     def _rows(self, z: Array, only: list[int], weights: tuple[Weights, ...]) -> Array:
-        """Everything whose squares are summed: residuals, priors, tether."""
+        """The residual vector: tips, priors, ridge."""
         rows = []
         for run, tips in enumerate(self.predicted(z)):
-            damp, _ = damped(whitened(self.data[run], tips, weights[run]))
-            rows.append((self._kept(run, damp) * np.sqrt(self._count(run))[:, None]).ravel())
-        return np.concatenate([*rows, self._prior_rows(z)[1], z[only] / _TETHER])
+            robust, _ = huber(whitened(self.data[run], tips, weights[run]))
+            rows.append((self._filtered(run, robust) * np.sqrt(self._count(run))[:, None]).ravel())
+        return np.concatenate([*rows, self._prior_rows(z)[1], z[only] / _RIDGE_SPANS])
 
     def _slope_rows(self, z: Array, only: list[int], weights: tuple[Weights, ...]) -> Array:
-        """Derivatives of `_rows` by the unknowns `only`."""
+        """Jacobian of `_rows` by the unknowns `only`."""
         at = self.predicted(z)
         rows = []
         for run, tips_slope in enumerate(self.slopes(z, only)):
             turned = -np.einsum("kij,kjn->kin", weights[run].whitener, tips_slope)
-            _, out = damped(whitened(self.data[run], at[run], weights[run]), turned)
+            _, out = huber(whitened(self.data[run], at[run], weights[run]), turned)
             assert out is not None
-            rows.append((self._kept(run, out) * np.sqrt(self._count(run))[:, None, None]).reshape(-1, len(only)))
-        return np.concatenate([*rows, self._prior_rows(z)[0][:, only], np.eye(len(only)) / _TETHER])
+            rows.append((self._filtered(run, out) * np.sqrt(self._count(run))[:, None, None]).reshape(-1, len(only)))
+        return np.concatenate([*rows, self._prior_rows(z)[0][:, only], np.eye(len(only)) / _RIDGE_SPANS])
 
     def _prior_rows(self, z: Array) -> tuple[Array, Array]:
         """Rows (m, n) and gaps (m,) of the priors in standard deviations."""
@@ -347,36 +353,36 @@ class Problem:
         gap = np.array(gaps)
         return np.array(rows).reshape(-1, len(z)), gap if self.prior_shift is None else gap - self.prior_shift
 
-    def _kept(self, run: int, rows: Array) -> Array:
-        """Rows (K, ..) of a run without the frequencies that do not count."""
-        return frequency_mask(rows, self._passed[run])
+    def _filtered(self, run: int, rows: Array) -> Array:
+        """Rows (K, ..) of a run after its frequency mask."""
+        return apply_frequency_mask(rows, self._frequency_masks[run])
 
     def _count(self, run: int) -> Array:
         return np.ones(len(self.data[run])) if self.entry_weights is None else self.entry_weights[run]
 
 
 def _roots(matrix: Array) -> tuple[Array, Array]:
-    """Of a symmetric matrix (n, n) that nothing is negative in: values (k,) and vectors (n, k) of what is in it."""
+    """Positive eigenvalues (k,) and their eigenvectors (n, k) of a positive semidefinite matrix (n, n)."""
     values, vectors = np.linalg.eigh(matrix)
     there = values > max(1e-12, 1e-14 * float(values.max(initial=0.0)))
     return values[there], vectors[:, there]
 
 
 def _inverse(matrix: Array) -> Array:
-    """Of a symmetric matrix (n, n) that nothing is negative in; along what is missing in it, zero."""
+    """Pseudo-inverse of a positive semidefinite matrix (n, n)."""
     values, vectors = _roots(matrix)
     out: Array = (vectors / values) @ vectors.T
     return out
 
 
-def _sandwich(curvature: Array, pull: Array) -> Array:
-    """Information (n, n) where what pulls scatters by `pull`: curvature pull^-1 curvature.
+def _sandwich(curvature: Array, score: Array) -> Array:
+    """Sandwich information (n, n) of a curvature and a score covariance: curvature score^-1 curvature.
 
-    In units of the curvature's own axes: multiplied out, what the data tell sharply would drown what they leave open.
+    Computed in the eigenbasis of the curvature: a direct product loses poorly determined directions to rounding.
     """
     values, vectors = _roots(curvature)
     scale = np.sqrt(values)
-    relative = (vectors / scale).T @ pull @ (vectors / scale)
+    relative = (vectors / scale).T @ score @ (vectors / scale)
     wide = vectors * scale
     out: Array = wide @ _inverse(relative) @ wide.T
     return (out + out.T) / 2

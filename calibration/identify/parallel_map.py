@@ -1,4 +1,4 @@
-"""Many independent tasks on all cores, or on a Dask cluster; what is done is kept and not done again."""
+"""Parallel map over all cores or a Dask cluster, with stored results and restart after a crash of workers."""
 
 from __future__ import annotations
 
@@ -21,16 +21,16 @@ Array = NDArray[np.float64]
 Task = TypeVar("Task")
 Progress = Callable[[int, int], None]
 
-_MOST_DEATHS = 20
-_PATIENCE = "10s"
+_MAX_RESTARTS = 20
+_CONNECT_TIMEOUT = "10s"
 
 
 class WorkersDieError(RuntimeError):
-    """Worker processes keep dying: the task itself kills them."""
+    """Worker processes die repeatedly."""
 
 
 class NoClusterError(RuntimeError):
-    """A Dask scheduler was asked for and cannot be used."""
+    """The requested Dask scheduler is not usable."""
 
 
 def parallel_map(
@@ -44,13 +44,13 @@ def parallel_map(
     """Do `work` on every task; results in the order of the tasks.
 
     workers: processes on this machine, by default one per core; 1 works in this process. scheduler: address of a Dask
-    scheduler (tcp://host:port), whose workers are used instead. store: folder in which each result is put as soon as
-    it is there; a later call with the same tasks takes it from there. progress(done, all) is called after each.
-    A worker that dies costs only the tasks it had in hand.
+    scheduler (tcp://host:port), whose workers are used instead. store: folder for the results, written one by one; a
+    later call with the same tasks reads them. progress(done, all) is called after each task. If a worker dies,
+    only its unfinished tasks are repeated.
 
     Raises:
-        WorkersDie: workers have died many times over.
-        NoCluster: Dask is not installed, or no scheduler answers.
+        WorkersDieError: workers died too often.
+        NoClusterError: Dask is not installed, or no scheduler answers.
     """
     results: dict[int, Array] = {}
     files: list[Path | None] = [None] * len(tasks)
@@ -58,38 +58,42 @@ def parallel_map(
         store.mkdir(parents=True, exist_ok=True)
         files = [store / f"{_key(work, task)}.npy" for task in tasks]
         results = {k: np.load(file) for k, file in enumerate(files) if file is not None and file.exists()}
-    left = [k for k in range(len(tasks)) if k not in results]
+    remaining = [k for k in range(len(tasks)) if k not in results]
     if progress is not None and results:
         progress(len(results), len(tasks))
-    for k, result in _done(work, tasks, left, workers, scheduler):
+    for k, result in _results(work, tasks, remaining, workers, scheduler):
         results[k] = result
         file = files[k]
         if file is not None:
-            _keep(file, result)
+            _store(file, result)
         if progress is not None:
             progress(len(results), len(tasks))
     return [results[k] for k in range(len(tasks))]
 
 
-def _done(
-    work: Callable[[Task], Array], tasks: Sequence[Task], left: list[int], workers: int | None, scheduler: str | None
+def _results(
+    work: Callable[[Task], Array],
+    tasks: Sequence[Task],
+    remaining: list[int],
+    workers: int | None,
+    scheduler: str | None,
 ) -> Iterator[tuple[int, Array]]:
-    count = min(workers or os.cpu_count() or 1, max(len(left), 1))
+    count = min(workers or os.cpu_count() or 1, max(len(remaining), 1))
     if scheduler is not None:
-        yield from _on_cluster(work, tasks, left, scheduler)
+        yield from _on_cluster(work, tasks, remaining, scheduler)
     elif count == 1:
-        for k in left:
+        for k in remaining:
             yield k, work(tasks[k])
     else:
-        yield from _on_cores(work, tasks, left, count)
+        yield from _on_cores(work, tasks, remaining, count)
 
 
 def _on_cores(
-    work: Callable[[Task], Array], tasks: Sequence[Task], left: list[int], workers: int
+    work: Callable[[Task], Array], tasks: Sequence[Task], remaining: list[int], workers: int
 ) -> Iterator[tuple[int, Array]]:
-    missing, deaths = list(left), 0
+    missing, deaths = list(remaining), 0
     while missing:
-        # Spawned, not forked: threads of the parent (a live page, BLAS) do not survive a fork.
+        # Spawn, not fork: threads of the parent (live page, BLAS) do not survive a fork.
         with _safe_path(), ProcessPoolExecutor(workers, multiprocessing.get_context("spawn")) as pool:
             futures = {pool.submit(work, tasks[k]): k for k in missing}
             try:
@@ -99,17 +103,17 @@ def _on_cores(
                     yield futures[future], result
             except BrokenProcessPool as broken:
                 deaths += 1
-                if deaths > _MOST_DEATHS:
+                if deaths > _MAX_RESTARTS:
                     raise WorkersDieError(
-                        f"worker processes died {deaths} times; {len(missing)} tasks are left"
+                        f"worker processes died {deaths} times; {len(missing)} tasks are remaining"
                     ) from broken
 
 
 @contextmanager
 def _safe_path() -> Iterator[None]:
-    """Keep the Python processes that are started meanwhile from importing modules of the current folder.
+    """Prevent child Python processes from importing modules of the current folder.
 
-    A spawned process is started with `-c`, which looks there first; there is no place for `-P` among its arguments.
+    A spawned process runs with `-c`, which searches that folder first; multiprocessing cannot pass `-P`.
     """
     before = os.environ.get("PYTHONSAFEPATH")
     os.environ["PYTHONSAFEPATH"] = "1"
@@ -123,7 +127,7 @@ def _safe_path() -> Iterator[None]:
 
 
 def _on_cluster(
-    work: Callable[[Task], Array], tasks: Sequence[Task], left: list[int], scheduler: str
+    work: Callable[[Task], Array], tasks: Sequence[Task], remaining: list[int], scheduler: str
 ) -> Iterator[tuple[int, Array]]:
     try:
         # Untyped package: `Any` keeps its calls out of the strict check.
@@ -131,11 +135,11 @@ def _on_cluster(
     except ImportError as missing:
         raise NoClusterError("a Dask cluster needs the extra 'cluster': pip install softrig[cluster]") from missing
     try:
-        client: Any = distributed.Client(scheduler, timeout=_PATIENCE)
-    except (OSError, TimeoutError) as silent:
-        raise NoClusterError(f"no Dask scheduler answers at {scheduler}: {silent}") from silent
+        client: Any = distributed.Client(scheduler, timeout=_CONNECT_TIMEOUT)
+    except (OSError, TimeoutError) as error:
+        raise NoClusterError(f"no Dask scheduler answers at {scheduler}: {error}") from error
     with client:
-        futures = {client.submit(work, tasks[k], pure=False, retries=_MOST_DEATHS): k for k in left}
+        futures = {client.submit(work, tasks[k], pure=False, retries=_MAX_RESTARTS): k for k in remaining}
         for future in distributed.as_completed(list(futures)):
             yield futures[future], future.result()
 
@@ -145,8 +149,8 @@ def _key(work: Callable[[Task], Array], task: Task) -> str:
     return hashlib.sha256(name + pickle.dumps(task, protocol=5)).hexdigest()[:24]
 
 
-def _keep(file: Path, result: Array) -> None:
-    """Write a result so that a kill leaves all of it or nothing."""
+def _store(file: Path, result: Array) -> None:
+    """Write a result atomically."""
     part = file.with_suffix(".part")
     with part.open("wb") as out:
         np.save(out, result)

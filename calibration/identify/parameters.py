@@ -1,4 +1,4 @@
-"""What can be free: every number of an arm and its mounting that data may decide."""
+"""Parameters of an identification: every number of an arm and its mounting that can be free."""
 
 from __future__ import annotations
 
@@ -56,15 +56,15 @@ class Setup:
         )
         return replace(self.arm, geometry=replace(self.arm.geometry, actuator_xy_m=turned))
 
-    def seen_without(self, laid: Setup) -> Setup:
-        """The same arm as a rig without `laid` measures it, where this is how a rig with `laid` in it does."""
-        turn = Rotation.from_rotvec(laid.base_rotation_rad)
+    def without_baseline(self, baseline: Setup) -> Setup:
+        """The same arm as a rig without `baseline` measures it, where this is how a rig with `baseline` in it does."""
+        turn = Rotation.from_rotvec(baseline.base_rotation_rad)
         return replace(
             self,
-            base_translation_m=_three(turn.apply(self.base_translation_m) + laid.base_translation_m),
+            base_translation_m=_three(turn.apply(self.base_translation_m) + baseline.base_translation_m),
             base_rotation_rad=_three((turn * Rotation.from_rotvec(self.base_rotation_rad)).as_rotvec()),
-            tool_offset_m=_three(np.add(self.tool_offset_m, laid.tool_offset_m)),
-            sensor_gain=tuple(np.multiply(self.sensor_gain, laid.sensor_gain).tolist()),
+            tool_offset_m=_three(np.add(self.tool_offset_m, baseline.tool_offset_m)),
+            sensor_gain=tuple(np.multiply(self.sensor_gain, baseline.sensor_gain).tolist()),
         )
 
     def pressure_pa(self, measured_pa: Array) -> Array:
@@ -92,11 +92,10 @@ Write = Callable[[Setup, float], Setup]
 class Parameter:
     """One number that can be free.
 
-    span: how far from its start it may plausibly lie; a parameter that the data leave less certain than that has not
-    been identified. lower, upper: where it makes no sense beyond; below: nor from there on, on the arm of a setup.
-    per_run: each run has its own, as a sensor's zero.
-    reciprocal: data tell one over it, as they tell a compliance and not a stiffness; it is positive. decades: how far
-    off, in powers of ten, a further search may have to begin.
+    span: plausible distance from its start; a parameter with a larger uncertainty is not identified. lower, upper:
+    bounds; below: an upper bound by another number of a setup. per_run: each run has its own value, as a sensor offset.
+    reciprocal: the data are linear in its reciprocal, as in a compliance instead of a stiffness; it is positive.
+    decades: range of random starting points in powers of ten.
     """
 
     name: str
@@ -115,7 +114,7 @@ class Parameter:
 
 @dataclass(frozen=True)
 class Prior:
-    """What is known of a parameter beforehand: a normal distribution."""
+    """Normal prior distribution of a parameter."""
 
     mean: float
     std: float
@@ -126,11 +125,11 @@ class Prior:
 
 
 class UnknownParameter(ValueError):  # noqa: N818 - the outcome is the name
-    """A name that stands for no parameter."""
+    """Unknown name of a parameter."""
 
 
 def known(actuators: int) -> dict[str, Parameter]:
-    """Every parameter of an arm with so many actuators, by name."""
+    """All parameters of an arm with N actuators, by name."""
     found = [
         _material("youngs_modulus_pa", "Pa", "modulus of the homogeneous section (eq 16)", 1e3, 1e9),
         _material("a1_per_n", "1/N", "linear term of eq 32", 1e-6, 10.0),
@@ -187,7 +186,7 @@ def named(names: Iterable[str], actuators: int) -> tuple[Parameter, ...]:
     """Parameters by name; `law`, `base`, `tool`, `actuator_angles`, `sensor_gains`, `sensor_offsets` stand for several.
 
     Raises:
-        UnknownParameter: with what may have been meant.
+        UnknownParameter: with the closest known name.
     """
     every = known(actuators)
     groups = {
@@ -280,7 +279,7 @@ def _own(
         return replace(setup, **changed)
 
     low = -upper if lower is None else lower
-    # A sensor's zero drifts from day to day; its gain and the arm's build do not.
+    # The offset of a sensor drifts from day to day; its gain and the geometry do not.
     return Parameter(
         name, unit, about, read, write, lambda x: span, low, upper, per_run=attribute == "sensor_offset_pa"
     )

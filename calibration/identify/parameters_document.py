@@ -12,14 +12,14 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from calibration.identify.fit import Estimate, RunFit
 from calibration.identify.parameters import Setup
 from calibration.identify.profile_likelihood import Profile
+from calibration.identify.results import Estimate, RunFit
 
 VERSION = 2
 _MM = 1e3
 # Residuals of a motion that are written out: enough to draw, few enough to read.
-_MOST_RESIDUALS = 100
+_MAX_RESIDUALS = 100
 
 
 @dataclass(frozen=True)
@@ -67,37 +67,37 @@ class IdentificationResult(Protocol):
 
 
 def write(
-    fit: IdentificationResult, path: Path, profiles: Sequence[Profile] = (), under: Baseline | None = None
+    fit: IdentificationResult, path: Path, profiles: Sequence[Profile] = (), baseline: Baseline | None = None
 ) -> Path:
     """Write the fit; what was not identified is in the overlay with the value it was held at, and says so."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    told = content(fit, profiles, under)
+    document = content(fit, profiles, baseline)
     # A key without a value is an error in every file that people edit: what is not known is left out.
-    told["estimates"] = [{key: x for key, x in e.items() if x is not None} for e in told["estimates"]]
-    text = yaml.safe_dump(told, sort_keys=False, width=120, default_flow_style=None)
+    document["estimates"] = [{key: x for key, x in e.items() if x is not None} for e in document["estimates"]]
+    text = yaml.safe_dump(document, sort_keys=False, width=120, default_flow_style=None)
     head = "# Identified parameters of an arm. Lay them over a rig: --parameters FILE.\n"
     path.write_text(head + text, encoding="utf-8")
     return path
 
 
 def content(
-    fit: IdentificationResult, profiles: Sequence[Profile] = (), under: Baseline | None = None
+    fit: IdentificationResult, profiles: Sequence[Profile] = (), baseline: Baseline | None = None
 ) -> dict[str, Any]:
     """Everything of a fit that a later reader needs, in plain numbers.
 
-    What is to be laid over a rig counts from the rig without any parameters; estimates, from the one with `under`.
+    What is to be laid over a rig counts from the rig without any parameters; estimates, from the one with `baseline`.
     """
     ends = {(p.name, p.run): ["open" if end is None else end for end in p.interval] for p in profiles}
-    setup = fit.setup if under is None else fit.setup.seen_without(under.setup)
+    setup = fit.setup if baseline is None else fit.setup.without_baseline(baseline.setup)
     start = fit.start.arm
-    geometry = _geometry(fit.start) if under is None or under.geometry is None else dict(under.geometry)
+    geometry = _geometry(fit.start) if baseline is None or baseline.geometry is None else dict(baseline.geometry)
     return {
         "softrig_parameters": VERSION,
         "identified": {"variant": start.variant, "modulus_rule": start.modulus_rule, "geometry": geometry},
         "arm": _arm(setup),
         "mounting": _mounting(setup),
         "sensing": {"gain": [float(x) for x in setup.sensor_gain], "lag_s": float(setup.sensor_lag_s)},
-        **({} if under is None else {"estimates_count_from": _counted(under.setup)}),
+        **({} if baseline is None else {"estimates_count_from": _baseline_values(baseline.setup)}),
         "estimates": [
             {
                 "name": e.name,
@@ -139,14 +139,14 @@ def _mounting(setup: Setup) -> dict[str, list[float]]:
     }
 
 
-def _counted(setup: Setup) -> dict[str, Any]:
+def _baseline_values(setup: Setup) -> dict[str, Any]:
     return {"mounting": _mounting(setup), "gain": [float(x) for x in setup.sensor_gain]}
 
 
 def _residuals(run: RunFit) -> list[list[float]]:
     """Measured minus predicted [mm], to a tenth of a micrometre; of a motion a hundred rows, evenly spaced."""
     known = run.residual_m[np.isfinite(run.residual_m).all(axis=1)]
-    chosen = np.unique(np.linspace(0, len(known) - 1, min(len(known), _MOST_RESIDUALS)).round().astype(int))
+    chosen = np.unique(np.linspace(0, len(known) - 1, min(len(known), _MAX_RESIDUALS)).round().astype(int))
     rows: list[list[float]] = np.round(_MM * known[chosen if run.moving else slice(None)], 4).tolist()
     return rows
 

@@ -1,8 +1,7 @@
-"""The course of a pressure behind its noisy samples.
+"""Smoothing of pressure samples by local polynomials with adaptive windows (intersection of confidence intervals).
 
-Noise in the pressures does not average out in a fit of the motion: a model that shakes with it looks worse than one
-that does not, so the density, which makes the arm answer to fast noise, comes out too small. So noise is taken off
-first.
+Pressure noise does not average out in a fit of a motion: it moves the model but not the arm, so the fit prefers models
+that respond less to fast changes, and the density comes out too small. So the noise is removed first.
 """
 
 from __future__ import annotations
@@ -14,16 +13,15 @@ from scipy.ndimage import convolve1d
 
 Array = NDArray[np.float64]
 
-# Widths of the windows in samples: each about 1.6 times the one before.
+# Window widths in samples, each about 1.6 times the one before.
 _WIDTHS = (9, 15, 23, 37, 59)
-# Windows are chosen by polynomials of both degrees and filled with those of the second: what escapes the first is too
-# little for the second to miss.
-_CHOOSING, _FILLING = 4, 6
-# Estimates of one sample by two windows that agree within this many of their standard deviations are of one curve.
-_AGREE = 2.5
+# Both degrees must agree with the narrower windows; the value is that of the second, which has less bias.
+_SELECT_DEGREE, _VALUE_DEGREE = 4, 6
+# Confidence interval of an estimate, in standard deviations.
+_AGREEMENT_STD = 2.5
 
 
-def noise_of(samples: Array) -> Array:
+def noise_std(samples: Array) -> Array:
     """Standard deviation (N,) of the random error of samples (K, N) of smooth courses, from their third differences."""
     if len(samples) < 8:
         return np.zeros(samples.shape[1])
@@ -32,49 +30,48 @@ def noise_of(samples: Array) -> Array:
 
 
 def smoothed(samples: Array) -> tuple[Array, Array]:
-    """Courses (K, N) behind evenly spaced samples (K, N), and the standard deviation (K, N) of each value.
+    """Smoothed values (K, N) of evenly spaced samples (K, N), and their standard deviations (K, N).
 
-    A polynomial through a window about each sample; the window is the widest that no narrower one contradicts
-    (Katkovnik's intersection of confidence intervals), so edges stay sharp and plateaus become smooth. A motion shows
-    how high its crests are to a few hundred-thousandths: what is cut off all of them passes for damping.
+    A local polynomial around each sample. The window is the widest one that agrees with all narrower ones (Katkovnik's
+    intersection of confidence intervals), so edges stay sharp and plateaus become smooth. Crests must keep their height
+    to a few hundred-thousandths: a loss there would be identified as damping.
     """
-    noise = noise_of(samples)
+    noise = noise_std(samples)
     best, deviation = samples.copy(), np.broadcast_to(noise, samples.shape).copy()
-    low, high = samples - _AGREE * 2 * noise, samples + _AGREE * 2 * noise
-    going = np.ones(samples.shape, dtype=bool)
+    low, high = samples - _AGREEMENT_STD * 2 * noise, samples + _AGREEMENT_STD * 2 * noise
+    growing = np.ones(samples.shape, dtype=bool)
     for width in _WIDTHS:
         if width > len(samples):
             break
-        for degree in (_CHOOSING, _FILLING):
+        for degree in (_SELECT_DEGREE, _VALUE_DEGREE):
             value, share = _windowed(samples, width, degree)
-            low = np.maximum(low, value - _AGREE * share * noise)
-            high = np.minimum(high, value + _AGREE * share * noise)
-        going &= low <= high
-        best = np.where(going, value, best)
-        deviation = np.where(going, share * noise, deviation)
+            low = np.maximum(low, value - _AGREEMENT_STD * share * noise)
+            high = np.minimum(high, value + _AGREEMENT_STD * share * noise)
+        growing &= low <= high
+        best = np.where(growing, value, best)
+        deviation = np.where(growing, share * noise, deviation)
     return best, deviation
 
 
 def _windowed(samples: Array, width: int, degree: int) -> tuple[Array, Array]:
-    """Values (K, N) of polynomials about each sample, those of the outermost whole windows at the ends.
+    """Values (K, N) of local polynomials, at the ends by the outermost whole window.
 
-    Also how much of the samples' standard deviation stays in each, (K, 1).
+    Also the factor (K, 1) from the standard deviation of the samples to that of each value.
     """
     basis = np.linalg.qr(np.vander(np.linspace(-1.0, 1.0, width), degree + 1))[0]
     hat, half = basis @ basis.T, width // 2
     value = convolve1d(samples, hat[half], axis=0)
     value[:half], value[-half:] = hat[:half] @ samples[:width], hat[half + 1 :] @ samples[-width:]
-    kept = np.full((len(samples), 1), hat[half, half])
+    gain = np.full((len(samples), 1), hat[half, half])
     own = np.diagonal(hat)[:, None]
-    kept[:half], kept[-half:] = own[:half], own[half + 1 :]
-    return value, np.sqrt(kept)
+    gain[:half], gain[-half:] = own[:half], own[half + 1 :]
+    return value, np.sqrt(gain)
 
 
 def curve(time_s: Array, rows: Array, at_s: Array) -> tuple[Array, Array]:
-    """Values (M, N) and slopes (M, N) per second, at other times (M,), of a smooth course through rows (K, N).
+    """Cubic Hermite (Catmull-Rom) interpolation of rows (K, N): values and slopes per second (M, N) at times (M,).
 
-    Cubics with the slopes of their neighbours (Catmull and Rom). Straight lines would cut every crest: at 1 Hz and 30
-    rows a second by 0.4 %. Beyond the ends the course goes straight on.
+    Linear interpolation would cut off 0.4 % of a crest at 1 Hz and 30 rows per second. Extrapolation is linear.
     """
     if len(rows) < 3:
         slope = np.gradient(rows, time_s, axis=0) if len(rows) == 2 else np.zeros_like(rows)

@@ -1,4 +1,4 @@
-"""Profile likelihood: how far each parameter can go while all others give way, and where the data cease to object."""
+"""Profile likelihood: the rise of the loss along each parameter, minimised over all others."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from calibration.identify.fit import Estimate, Fit
+from calibration.identify.results import Estimate, Fit
 
 Array = NDArray[np.float64]
 
-# Rise of the sum of squares at the ends of a 95 % interval.
+# Rise of the sum of squares at the ends of a 95 % interval (likelihood ratio, chi-squared).
 RISE_95 = float(chi2.ppf(0.95, 1))
-# Where to look, in standard deviations to either side; the last is tried only where the others have not risen enough.
+# Points of a profile, in standard deviations to either side.
 _STEPS = (0.7, 1.4, 2.0, 2.8, 4.0, 6.0)
 _EVALUATIONS = 6
 
@@ -24,8 +24,7 @@ _EVALUATIONS = 6
 class Profile:
     """One parameter's profile: the least rise (m,) of the robust sum of squares over its optimum, at values (m,).
 
-    interval: the 95 % ends; None where the profile stays below `RISE_95` up to the parameter's bound, or up to one
-    plausible span, so that the data set no end there.
+    interval: the 95 % ends; None if the profile stays below `RISE_95` up to the bound or one plausible span.
     """
 
     name: str
@@ -38,16 +37,16 @@ class Profile:
 
     @property
     def flat(self) -> bool:
-        """Whether the data set no end on either side."""
+        """Whether the interval is open on both sides."""
         return self.interval == (None, None)
 
 
 def profiles(
     fit: Fit, chosen: Callable[[Estimate], bool] | None = None, progress: Callable[[int, int], None] | None = None
 ) -> tuple[Profile, ...]:
-    """Profile the estimates for which `chosen` holds, by default all that belong to no single run.
+    """Profile the estimates for which `chosen` holds, by default all shared ones.
 
-    What was held because the data leave it open is let go for its own profile; the rest of what was held stays.
+    A fixed parameter is free for its own profile; the other fixed ones stay fixed.
     """
     wanted = [i for i, e in enumerate(fit.estimates) if (not e.run if chosen is None else chosen(e))]
     out = []
@@ -62,10 +61,10 @@ def _profile(fit: Fit, i: int) -> Profile:
     problem, solution = fit.problem, fit.solution
     unknown, estimate = problem.unknowns[i], fit.estimates[i]
     others = [j for j in range(len(problem.unknowns)) if j != i and fit.covariance[j, j] > 0]
-    # The others' answer to first order: from far off, where the loss is cut down, they would not find the way.
+    # First-order prediction of the other parameters: from far off the Huber loss is too flat for the search.
     slope = fit.covariance[others, i] / (fit.covariance[i, i] or np.inf)
     rates = problem.rates(solution.z)
-    deviation = min(estimate.loose_std / rates[i], 0.25)
+    deviation = min(estimate.joint_std / rates[i], 0.25)
     lowest = problem.loss(solution.z, solution.weights, solution.correlation)
     points = {float(solution.z[i]): 0.0}
     for side in (-1.0, 1.0):
@@ -78,7 +77,7 @@ def _profile(fit: Fit, i: int) -> Profile:
             z[others] += slope * (to - z[i]) * rates[i] / rates[others]
             z[i] = to
             if others:
-                z, _ = problem.climb(z.copy(), others, solution.weights, _EVALUATIONS)
+                z, _ = problem.gauss_newton(z.copy(), others, solution.weights, _EVALUATIONS)
             rise = problem.loss(z, solution.weights, solution.correlation) - lowest
             points[float(z[i])] = max(rise, 0.0)
             if rise > RISE_95 * 1.3 or z[i] == limit:
@@ -98,7 +97,7 @@ def _profile(fit: Fit, i: int) -> Profile:
 
 
 def _end(values: Array, rise: Array, best: float, side: int) -> float | None:
-    """Where the profile passes `RISE_95` on one side: its root rises about straight, so a line between points does."""
+    """Crossing of `RISE_95` on one side, by linear interpolation of the root of the rise."""
     part = values <= best if side < 0 else values >= best
     x, height = values[part][:: side if side < 0 else 1], np.sqrt(rise[part][:: side if side < 0 else 1])
     over = np.flatnonzero(height >= np.sqrt(RISE_95))

@@ -1,4 +1,4 @@
-"""A recursive estimator beside the rig: each measured tip corrects the parameters a little."""
+"""Online estimation of model parameters: an extended Kalman filter over measured tips."""
 
 from __future__ import annotations
 
@@ -14,21 +14,21 @@ from calibration.identify.parameters import Parameter, Prior, Setup, named
 Array = NDArray[np.float64]
 
 _STEP = 1e-4
-# What a model at rest knows nothing of.
-_ONLY_IN_MOTION = ("damping_s", "sensor_lag_s", "sensor_filter_s")
-# Innovations beyond this many standard deviations are cut back: one bad frame must not throw the estimate.
+# Parameters without effect on the static model.
+_DYNAMIC_ONLY = ("damping_s", "sensor_lag_s", "sensor_filter_s")
+# Innovations beyond this many standard deviations are down-weighted as outliers.
 _GATE = 4.0
 
 
 class NotEstimableError(ValueError):
-    """A parameter that no frame taken by itself tells."""
+    """A parameter that is not observable in single frames."""
 
 
 @dataclass(frozen=True)
 class Correction:
-    """One frame's result: the tip predicted before the frame was used (3,) [m], and whether it told anything.
+    """One frame's result: the tip predicted before the frame was used (3,) [m], and whether the frame was used.
 
-    damped: it was so far off that it pulled no harder than at the gate.
+    damped: it was an outlier and was down-weighted.
     """
 
     predicted_m: Array
@@ -39,14 +39,14 @@ class Correction:
 class RecursiveEstimator:
     """Extended Kalman filter over chosen parameters of a setup.
 
-    The measurement is the arm at rest under the present pressures, plus what the running model says that motion adds:
-    so a frame costs one equilibrium per parameter, and no second history in time.
+    The measurement model is the static tip under the present pressures plus the dynamic contribution of the running
+    model. So a frame costs one equilibrium per parameter, and no dynamic simulation per parameter.
 
-    priors: by name, else a parameter starts known to `doubt` of its span. floor_m: error per axis that every frame may
-    have beyond its covariance. repeats: how many neighbouring frames carry the same error, and so count as one.
+    priors: by name; the default standard deviation is `doubt` spans. floor_m: standard deviation per axis added to the
+    covariance of every frame. repeats: number of consecutive frames with the same error, which count as one.
 
     Raises:
-        UnknownParameter, NotAdaptable: what is free cannot be.
+        UnknownParameter, NotEstimableError: a name in `free` is unknown or not observable.
     """
 
     def __init__(
@@ -61,9 +61,9 @@ class RecursiveEstimator:
         actuators = start.arm.geometry.actuators
         self._start = start
         self._parameters: tuple[Parameter, ...] = named(free, actuators)
-        if lost := [p.name for p in self._parameters if p.name in _ONLY_IN_MOTION]:
+        if unobservable := [p.name for p in self._parameters if p.name in _DYNAMIC_ONLY]:
             raise NotEstimableError(
-                f"{', '.join(lost)}: shows only in how the arm moves; free it in rig identify instead"
+                f"{', '.join(unobservable)}: shows only in how the arm moves; free it in rig identify instead"
             )
         known = {p.name: prior for name, prior in (priors or {}).items() for p in named([name], actuators)}
         first = np.array([p.read(start) for p in self._parameters])
@@ -79,7 +79,7 @@ class RecursiveEstimator:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """What is estimated."""
+        """Names of the estimated parameters."""
         return tuple(p.name for p in self._parameters)
 
     @property
@@ -119,8 +119,8 @@ class RecursiveEstimator:
     ) -> Correction:
         """Use one frame: measured pressures (N,), tip (3,), its covariance (3, 3).
 
-        motion_m (3,): by how much the running model's tip differs from its own at rest under these pressures. A frame
-        whose tip is NaN, or whose pressures have no equilibrium, changes nothing.
+        motion_m (3,): tip of the running dynamic model minus its static tip under these pressures. A frame without a
+        tip (NaN) or without an equilibrium changes nothing.
         """
         extra = np.zeros(3) if motion_m is None else motion_m
         self._solved.clear()
@@ -144,16 +144,16 @@ class RecursiveEstimator:
     def _update(self, gap: Array, slope: Array, noise: Array) -> bool:
         innovation = slope @ self._covariance @ slope.T + noise
         distance = float(np.sqrt(gap @ np.linalg.solve(innovation, gap)))
-        far = distance > _GATE
-        if far:
+        outlier = distance > _GATE
+        if outlier:
             noise = noise * (distance / _GATE) ** 2
             innovation = slope @ self._covariance @ slope.T + noise
         gain = np.linalg.solve(innovation, slope @ self._covariance).T
         self._z = self._bounded(self._z + gain @ gap)
-        # Joseph's form stays symmetric and positive whatever the rounding.
+        # Joseph form: stays symmetric and positive definite despite rounding.
         keep = np.eye(len(self._z)) - gain @ slope
         self._covariance = keep @ self._covariance @ keep.T + gain @ noise @ gain.T
-        return far
+        return outlier
 
     def _bounded(self, z: Array) -> Array:
         lower = np.array([p.lower for p in self._parameters])
@@ -170,7 +170,7 @@ class RecursiveEstimator:
 
     def _tip(self, z: Array, pressure_pa: Array, weight_kg: float) -> Array:
         setup = self._setup(z)
-        # Base and tool move the tip of an arm that is solved already.
+        # Base and tool only transform the tip of a solved arm.
         key = (setup.arm, setup.actuator_turn_rad, setup.sensor_offset_pa, setup.sensor_gain)
         if key not in self._solved:
             self._solved[key] = _shape(setup, pressure_pa, weight_kg)

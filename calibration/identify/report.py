@@ -9,10 +9,10 @@ from pathlib import Path
 
 from calibration.identify import figures
 from calibration.identify.bootstrap import Bootstrap
-from calibration.identify.fit import Estimate, Fit
 from calibration.identify.held_out_prediction import Prediction
 from calibration.identify.profile_likelihood import Profile
-from runs.report.figures import svg
+from calibration.identify.results import Estimate, Fit
+from runs.report.drawing import svg
 
 
 def write(
@@ -99,8 +99,8 @@ def _parameters(fit: Fit, profiles: Sequence[Profile], refits: Bootstrap | None,
     heads = ["parameter", "run", "value", "std", "95 % by curvature"]
     heads += ["95 % by profile"] * bool(profiles) + ["std by refits"] * bool(again) + ["truth"] * bool(truth) + ["unit"]
     rows = []
-    for e, held in zip(fit.estimates, fit.held, strict=True):
-        cells = [e.name, e.run, *_said(e, held)]
+    for e, fixed in zip(fit.estimates, fit.fixed, strict=True):
+        cells = [e.name, e.run, *_value_cells(e, fixed)]
         if profiles:
             found = by_key.get((e.name, e.run))
             cells.append(
@@ -115,10 +115,10 @@ def _parameters(fit: Fit, profiles: Sequence[Profile], refits: Bootstrap | None,
     return f'<h2>Parameters</h2>\n<div class="scroll">{_table(heads, rows)}</div>'
 
 
-def _said(e: Estimate, held: bool) -> list[str]:
+def _value_cells(e: Estimate, fixed: bool) -> list[str]:
     if e.value is None or e.std is None or e.interval is None:
         others = f" ({', '.join(e.partners)})" if e.partners else ""
-        return [f"{e.verdict.value}{others}", "", f"{'held at' if held else 'used'} {e.used:.5g}"]
+        return [f"{e.verdict.value}{others}", "", f"{'held at' if fixed else 'used'} {e.used:.5g}"]
     return [f"{e.value:.6g}", f"{e.std:.2g}", f"{e.interval[0]:.5g} .. {e.interval[1]:.5g}"]
 
 

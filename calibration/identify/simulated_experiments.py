@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
-from calibration.identify.data import FEWEST_FRAMES, Poses
+from calibration.identify.data import MIN_FRAMES, Poses
 from calibration.identify.fit import identify
 from calibration.identify.parallel_map import Progress, parallel_map
 from calibration.identify.parameters import Prior, Setup, named
@@ -55,7 +55,7 @@ def plan(
         wrench=np.zeros((k, 6)),
         tip_m=np.full((k, 3), np.nan),
         covariance_m2=np.tile(np.diag(np.square(errors.tip_m)), (k, 1, 1)),
-        frames=np.full(k, 1 if period_s else FEWEST_FRAMES, np.int64),
+        frames=np.full(k, 1 if period_s else MIN_FRAMES, np.int64),
         time_s=np.arange(k, dtype=np.float64) * (period_s or 1.0),
     )
 
@@ -97,7 +97,7 @@ def perform(planned: Poses, truth: Setup, rng: np.random.Generator, errors: Meas
 
 @dataclass(frozen=True)
 class CoverageTrial:
-    """One simulated identification: what is planned, who is true, where the fit starts, what is free, and the seed."""
+    """One simulated identification: planned runs, true and starting setup, free parameters, and the seed."""
 
     planned: tuple[Poses, ...]
     truth: Setup
@@ -148,11 +148,11 @@ def coverage(
     errors = errors or MeasurementErrors()
     task = CoverageTrial(tuple(planned), truth, start, tuple(free), errors, 0)
     tasks = [replace(task, seed=seed * 1_000_003 + k) for k in range(trials)]
-    found = np.array(parallel_map(attempt, tasks, workers, scheduler, store, progress))
+    found = np.array(parallel_map(run_trial, tasks, workers, scheduler, store, progress))
     return Coverage(tuple(p.name for p in named(free, planned[0].actuators)), found)
 
 
-def attempt(trial: CoverageTrial) -> Array:
+def run_trial(trial: CoverageTrial) -> Array:
     """Errors (n,) of one trial in standard deviations, NaN where a parameter was not identified.
 
     Free are the sensors' zeros, too, if they err; a sensor's delay is believed to be as `LAG_PRIOR` says.

@@ -26,8 +26,8 @@ Key = tuple[object, ...]
 SUBSTEPS = 2
 # Where inertia is asked for: two steps slow the arm's own oscillation, and a density came out 16 % too low.
 FINE_SUBSTEPS = 8
-_KEPT = 64
-_SENSITIVITIES = 40
+_MAX_SOLVED = 64
+_MAX_SENSITIVITIES = 40
 
 
 @dataclass
@@ -43,9 +43,9 @@ class Predictor:
         key = self._key(setup)
         found = self._solved.get(key)
         if found is None:
-            solve = _moving if self.poses.moving else _resting
+            solve = _solve_dynamic if self.poses.moving else _solve_static
             found = solve(setup, self._pressure(setup), self.poses, self.substeps)
-            self._solved = dict([*self._solved.items(), (key, found)][-_KEPT:])
+            self._solved = dict([*self._solved.items(), (key, found)][-_MAX_SOLVED:])
         return setup.measured(*found)
 
     def _key(self, setup: Setup) -> Key:
@@ -71,34 +71,39 @@ class Predictor:
         course, rate = curve(rows_s, poses.pressure_pa, steps_s + setup.sensor_lag_s)
         return setup.pressure_pa(course + setup.sensor_filter_s * rate)
 
-    def slopes(self, setup: Setup, moved: Sequence[Setup], steps: Sequence[float]) -> Array:
+    def slopes(self, setup: Setup, perturbed: Sequence[Setup], steps: Sequence[float]) -> Array:
         """How the tips answer (K, 3, P) to each change of the setup, per unit of its step, by the model's gradients.
 
-        moved: the setup with one change each, so small that the answer is linear in it.
+        perturbed: the setup with one change each, so small that the answer is linear in it.
         """
         poses, key = self.poses, self._key(setup)
-        new = [k for k, other in enumerate(moved) if self._key(other) != key]
+        new = [k for k, other in enumerate(perturbed) if self._key(other) != key]
         repeats = self.substeps if poses.moving else 1
         changes = [
-            Variation(steps[k], moved[k].turned_arm, self._pressure(moved[k]), _pull(moved[k], poses, repeats))
+            Variation(
+                steps[k],
+                perturbed[k].turned_arm,
+                self._pressure(perturbed[k]),
+                _tip_wrench(perturbed[k], poses, repeats),
+            )
             for k in new
         ]
-        rows, pull = self._pressure(setup), _pull(setup, poses, repeats)
+        rows, wrench = self._pressure(setup), _tip_wrench(setup, poses, repeats)
         if poses.moving:
-            found = _swung(setup, rows, changes, poses, self.substeps, pull)
+            found = _dynamic_sensitivities(setup, rows, changes, poses, self.substeps, wrench)
         else:
-            found = sensitivities.statics(setup.turned_arm, rows, changes, poses.weight_kg, pull)
+            found = sensitivities.statics(setup.turned_arm, rows, changes, poses.weight_kg, wrench)
         lever = found.tip_rotation @ np.array(setup.tool_offset_m)
         base = Rotation.from_rotvec(setup.base_rotation_rad).as_matrix()
-        out = np.zeros((len(poses), 3, len(moved)))
+        out = np.zeros((len(poses), 3, len(perturbed)))
         out[:, :, new] = base @ (found.tip_by + np.cross(found.turn_by, lever[:, :, None], axis=1))
         point = (found.tip_m + lever) @ base.T
-        for k, (other, step) in enumerate(zip(moved, steps, strict=True)):
+        for k, (other, step) in enumerate(zip(perturbed, steps, strict=True)):
             shift, turn, tool = (
                 (np.array(getattr(other, name)) - np.array(getattr(setup, name))) / step
                 for name in ("base_translation_m", "base_rotation_rad", "tool_offset_m")
             )
-            turn = _turned_by(np.array(setup.base_rotation_rad)) @ turn
+            turn = _left_jacobian(np.array(setup.base_rotation_rad)) @ turn
             out[:, :, k] += shift + np.cross(turn, point) + (found.tip_rotation @ tool) @ base.T
         return out
 
@@ -107,18 +112,18 @@ class Predictor:
         poses = self.poses
         if not poses.pressure_std_pa.any():
             return np.zeros((len(poses), 3, 3))
-        some = np.unique(np.linspace(0, len(poses) - 1, min(len(poses), _SENSITIVITIES)).round().astype(int))
+        some = np.unique(np.linspace(0, len(poses) - 1, min(len(poses), _MAX_SENSITIVITIES)).round().astype(int))
         still, step = Predictor(replace(poses.only(some), period_s=0.0)), sensitivities.PRESSURE_STEP_PA
         zeros = setup.sensor_offset_pa + step * np.eye(poses.actuators)
-        moved = [replace(setup, sensor_offset_pa=tuple(own)) for own in zeros.tolist()]
-        slope = np.nan_to_num(still.slopes(setup, moved, [step] * len(moved))).swapaxes(1, 2)
+        perturbed = [replace(setup, sensor_offset_pa=tuple(own)) for own in zeros.tolist()]
+        slope = np.nan_to_num(still.slopes(setup, perturbed, [step] * len(perturbed))).swapaxes(1, 2)
         nearest = np.abs(np.arange(len(poses))[:, None] - some).argmin(axis=1)
         spread = slope[nearest] * poses.pressure_std_pa[:, :, None]
         out: Array = np.swapaxes(spread, 1, 2) @ spread
         return out
 
 
-def _turned_by(rotvec: Array) -> Array:
+def _left_jacobian(rotvec: Array) -> Array:
     """How fast a rotation turns (3, 3), in the outer frame, as its rotation vector changes."""
     angle = float(np.linalg.norm(rotvec))
     x, y, z = rotvec
@@ -137,41 +142,46 @@ def _loads(arm: model.Arm, weight_kg: float) -> model.Loads | None:
     return model.Loads(tip_force_n=(weight_kg * x, weight_kg * y, weight_kg * z))
 
 
-def _pull(setup: Setup, poses: Poses, repeats: int = 1) -> TipWrench | None:
+def _tip_wrench(setup: Setup, poses: Poses, repeats: int = 1) -> TipWrench | None:
     """The measured wrenches as the arm feels them, at the measured point; all but the first so many times."""
     if not poses.wrench.any():
         return None
     back = Rotation.from_rotvec(setup.base_rotation_rad).inv()
-    force, moment = (_held(back.apply(part), repeats) for part in (poses.wrench[:, :3], poses.wrench[:, 3:]))
+    force, moment = (_repeat_rows(back.apply(part), repeats) for part in (poses.wrench[:, :3], poses.wrench[:, 3:]))
     return TipWrench(force, moment, np.array(setup.tool_offset_m))
 
 
-def _held(rows: Array, repeats: int) -> Array:
+def _repeat_rows(rows: Array, repeats: int) -> Array:
     """Rows (K, ..) of frames as they hold in each of the time steps that lead to them."""
     out: Array = np.concatenate([rows[:1], np.repeat(rows[1:], repeats, axis=0)])
     return out
 
 
-def _resting(setup: Setup, pressure_pa: Array, poses: Poses, _: int) -> Solved:
-    found = sensitivities.statics(setup.turned_arm, pressure_pa, (), poses.weight_kg, _pull(setup, poses))
+def _solve_static(setup: Setup, pressure_pa: Array, poses: Poses, _: int) -> Solved:
+    found = sensitivities.statics(setup.turned_arm, pressure_pa, (), poses.weight_kg, _tip_wrench(setup, poses))
     return found.tip_m, found.tip_rotation
 
 
-def _moving(setup: Setup, pressure_pa: Array, poses: Poses, substeps: int) -> Solved:
+def _solve_dynamic(setup: Setup, pressure_pa: Array, poses: Poses, substeps: int) -> Solved:
     if not poses.wrench.any():
-        return _motion(setup.turned_arm, pressure_pa, poses, substeps)
-    found = _swung(setup, pressure_pa, (), poses, substeps, _pull(setup, poses, substeps))
+        return _time_stepping(setup.turned_arm, pressure_pa, poses, substeps)
+    found = _dynamic_sensitivities(setup, pressure_pa, (), poses, substeps, _tip_wrench(setup, poses, substeps))
     return found.tip_m, found.tip_rotation
 
 
-def _swung(
-    setup: Setup, pressure_pa: Array, changes: Sequence[Variation], poses: Poses, substeps: int, pull: TipWrench | None
+def _dynamic_sensitivities(
+    setup: Setup,
+    pressure_pa: Array,
+    changes: Sequence[Variation],
+    poses: Poses,
+    substeps: int,
+    wrench: TipWrench | None,
 ) -> Gradients:
-    weight, dt_s = _held(poses.weight_kg, substeps), poses.period_s / substeps
-    return sensitivities.motion(setup.turned_arm, pressure_pa, dt_s, changes, weight, substeps, pull=pull)
+    weight, dt_s = _repeat_rows(poses.weight_kg, substeps), poses.period_s / substeps
+    return sensitivities.motion(setup.turned_arm, pressure_pa, dt_s, changes, weight, substeps, pull=wrench)
 
 
-def _motion(arm: model.Arm, pressure_pa: Array, poses: Poses, substeps: int) -> Solved:
+def _time_stepping(arm: model.Arm, pressure_pa: Array, poses: Poses, substeps: int) -> Solved:
     tips, turned = np.full((len(poses), 3), np.nan), np.full((len(poses), 3, 3), np.nan)
     dynamics = arm.dynamics(poses.period_s / substeps)
     weight = poses.weight_kg

@@ -1,4 +1,4 @@
-"""The pose of a board in the world, seen by several cameras at once."""
+"""Pose of a board in the world from several cameras by Gauss-Newton."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _CONVERGED = 1e-10
 
 
 def board_pose(points_m: Floats, cameras: Sequence[DLT], corners: Sequence[Corners]) -> Pose | None:
-    """Pose of the board in the world from its corners (n, 3) and what each camera saw of them.
+    """Pose of the board in the world from its corners (n, 3) and their images.
 
     Starts from the reconstructed points and then minimises the residuals in all pictures together. `residuals_px`
     and `projected_px` of the result hold the cameras one after the other, undistorted. None if it does not converge.
@@ -27,7 +27,7 @@ def board_pose(points_m: Floats, cameras: Sequence[DLT], corners: Sequence[Corne
     Raises:
         DLTError: fewer than two cameras.
     """
-    seen = [camera.undistorted(c.px) for camera, c in zip(cameras, corners, strict=True)]
+    undistorted = [camera.undistorted(c.px) for camera, c in zip(cameras, corners, strict=True)]
     noise = [_undistorted_noise(camera, c) for camera, c in zip(cameras, corners, strict=True)]
     start = reconstruct(cameras, [c.px for c in corners], noise)
     rotation, translation = fit_rigid(points_m, start.m)
@@ -37,7 +37,7 @@ def board_pose(points_m: Floats, cameras: Sequence[DLT], corners: Sequence[Corne
 
     def at(values: Floats) -> tuple[Floats, Floats, Floats]:
         projected, slope = _project(points_m, cameras, values)
-        rest = [np.einsum("nij,nj->ni", w, s - p) for w, s, p in zip(whiteners, seen, projected, strict=True)]
+        rest = [np.einsum("nij,nj->ni", w, s - p) for w, s, p in zip(whiteners, undistorted, projected, strict=True)]
         white = [np.matmul(w, d) for w, d in zip(whiteners, slope, strict=True)]
         return np.concatenate(projected), np.concatenate(white).reshape(-1, 6), np.concatenate(rest).ravel()
 
@@ -49,7 +49,7 @@ def board_pose(points_m: Floats, cameras: Sequence[DLT], corners: Sequence[Corne
         cost_new = float(residual_new @ residual_new)
         if not np.isfinite(cost_new):
             return None
-        # Of pictures without noise the cost is rounding alone, and rises as often as it falls.
+        # Without noise the cost is only rounding, and may rise.
         done = abs(cost - cost_new) <= _CONVERGED * max(cost, 1.0)
         if cost_new <= cost:
             x, projected, jacobian, residual, cost = trial, projected_new, jacobian_new, residual_new, cost_new
@@ -61,8 +61,8 @@ def board_pose(points_m: Floats, cameras: Sequence[DLT], corners: Sequence[Corne
         return None
     covariance = residual_covariance(jacobian, cost, [points_m] * len(cameras), [c.unexplained for c in corners])
     unscaled = np.linalg.inv(jacobian.T @ jacobian)
-    # The coefficients' errors shift all corners of a camera together, so no number of corners averages them out; nor
-    # those of corners that were carried to another time.
+    # Errors of the coefficients, and of the transport to another time, are common to all corners of a camera and do not
+    # average out.
     world = points_m @ cv2.Rodrigues(x[:3])[0].T + x[3:]
     by_camera = np.split(jacobian, len(cameras))
     for camera, seen_by, whitener, slope in zip(cameras, corners, whiteners, by_camera, strict=True):
@@ -72,7 +72,7 @@ def board_pose(points_m: Floats, cameras: Sequence[DLT], corners: Sequence[Corne
         if seen_by.carried_px is not None:
             by_carrying = unscaled @ slope.T @ np.einsum("nij,nj->ni", whitener, seen_by.carried_px).ravel()
             covariance = covariance + np.outer(by_carrying, by_carrying)
-    return Pose(x[:3], x[3:], np.asarray(covariance), np.concatenate(seen) - projected, projected, cost)
+    return Pose(x[:3], x[3:], np.asarray(covariance), np.concatenate(undistorted) - projected, projected, cost)
 
 
 def _project(points: Floats, cameras: Sequence[DLT], values: Floats) -> tuple[list[Floats], list[Floats]]:
@@ -80,12 +80,12 @@ def _project(points: Floats, cameras: Sequence[DLT], values: Floats) -> tuple[li
     rotation, derivative = cv2.Rodrigues(values[:3])
     # derivative (3, 9): row k holds d R / d r_k, flattened by rows.
     by_rotation = np.einsum("kij,nj->nik", derivative.reshape(3, 3, 3), points)
-    moved = np.concatenate([by_rotation, np.broadcast_to(np.eye(3), (len(points), 3, 3))], axis=2)
+    by_pose = np.concatenate([by_rotation, np.broadcast_to(np.eye(3), (len(points), 3, 3))], axis=2)
     world = points @ rotation.T + values[3:]
     pixels, slopes = [], []
     for camera in cameras:
         pixels.append(camera.project(world))
-        slopes.append(np.asarray(by_points(camera.matrix, world) @ moved))
+        slopes.append(np.asarray(by_points(camera.matrix, world) @ by_pose))
     return pixels, slopes
 
 
@@ -101,7 +101,7 @@ def _undistorted_noise(camera: DLT, corners: Corners) -> Floats:
 
 
 def fit_rigid(points: Floats, world: Floats) -> tuple[Floats, Floats]:
-    """Rotation and translation that bring points (n, 3) nearest to their places in the world (Kabsch)."""
+    """Rotation and translation of points (n, 3) to the world in least squares (Kabsch)."""
     centre, place = points.mean(axis=0), world.mean(axis=0)
     u, _, vt = np.linalg.svd((world - place).T @ (points - centre))
     turn = np.diag([1.0, 1.0, np.linalg.det(u @ vt)])

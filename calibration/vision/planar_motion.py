@@ -1,4 +1,4 @@
-"""Motion in a known plane: what it says of the board's pose before a picture is looked at."""
+"""Motion in a known plane as a prior on the pose of the board."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ Floats = NDArray[np.float64]
 class PlaneOfMotion:
     """The tip moves in a plane of the rod-base frame and turns about its normal only.
 
-    `normal` (3,) of length 1 and a point of the plane `through_m` (3,), in the rod-base frame. `offset_std_m` is how
-    far the tip may leave the plane, `tilt_std_rad` how far it may turn out of it, each as a standard uncertainty.
+    `normal` (3,) of length 1 and a point of the plane `through_m` (3,), in the rod-base frame. `offset_std_m` and
+    `tilt_std_rad` are the standard uncertainties of the distance from the plane and of the rotation out of it.
     """
 
     normal: Floats
@@ -31,26 +31,26 @@ class PlaneOfMotion:
     def departure(self, rotation_vector: Floats, translation_m: Floats) -> tuple[Floats, Floats]:
         """Offset and two tilts (3,) of the tip out of the plane in standard uncertainties, and derivatives (3, 6).
 
-        By rotation vector and translation of the board before the camera. Where camera and board stand is uncertain,
-        too, and loosens the plane.
+        By rotation vector and translation of the board in the camera frame. The uncertainties of camera and board poses
+        are included.
         """
         camera, board = self.camera_in_base, self.board_in_tip
         rotation, derivative = cv2.Rodrigues(rotation_vector)
         slopes = derivative.reshape(3, 3, 3)
         tip = -board.rotation.T @ board.translation_m
-        seen = rotation @ tip + translation_m
-        offset = self.normal @ (camera.apply(seen) - self.through_m)
+        tip_in_camera = rotation @ tip + translation_m
+        offset = self.normal @ (camera.apply(tip_in_camera) - self.through_m)
         by_offset = np.concatenate([(slopes @ tip) @ camera.rotation.T @ self.normal, self.normal @ camera.rotation])
-        # The tip's own copy of the normal: it coincides with the plane's while the tip turns about that alone.
-        mark = board.rotation.T @ self.normal
+        # The normal fixed to the tip: equal to that of the plane while the tip rotates about it only.
+        tip_normal = board.rotation.T @ self.normal
         across = self._across
-        tilt = across @ (camera.rotation @ (rotation @ mark))
-        by_tilt = np.hstack([across @ camera.rotation @ (slopes @ mark).T, np.zeros((2, 3))])
+        tilt = across @ (camera.rotation @ (rotation @ tip_normal))
+        by_tilt = np.hstack([across @ camera.rotation @ (slopes @ tip_normal).T, np.zeros((2, 3))])
         offset_std = np.sqrt(
             self.offset_std_m**2
             + camera.translation_std_m**2
             + board.translation_std_m**2
-            + (camera.rotation_std_rad * np.linalg.norm(seen)) ** 2
+            + (camera.rotation_std_rad * np.linalg.norm(tip_in_camera)) ** 2
             + (board.rotation_std_rad * np.linalg.norm(tip)) ** 2
         )
         tilt_std = np.sqrt(self.tilt_std_rad**2 + camera.rotation_std_rad**2 + board.rotation_std_rad**2)

@@ -1,4 +1,4 @@
-"""The pose of a board before a camera, from its corners, with covariance."""
+"""Pose of a board in the camera frame from its corners, with covariance."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ Floats = NDArray[np.float64]
 
 _ITERATIONS = 60
 _CONVERGED = 1e-8
-# Corner noise where the caller states none.
+# Default corner noise.
 _USUAL_STD_PX = 0.05
-# The residuals correct the stated corner noise; that it is right is worth so many observations.
+# Prior weight of the stated corner noise against the residuals, in observations.
 _PRIOR_WEIGHT = 12.0
-# Faults of model, lens or print are alike within so many squares.
+# Correlation length of errors of model, lens and print, in squares.
 _SMOOTH_OVER = 1.0
 
 
@@ -63,10 +63,10 @@ class Pose:
 
 
 class PosePrior(Protocol):
-    """What is known of a pose before the picture is looked at."""
+    """Prior on a pose."""
 
     def departure(self, rotation_vector: Floats, translation_m: Floats) -> tuple[Floats, Floats]:
-        """How far a pose is from what is known (m,), in standard uncertainties, with its derivatives (m, 6)."""
+        """Residuals (m,) of a pose from the prior, in standard uncertainties, and their derivatives (m, 6)."""
 
 
 def refine(
@@ -151,7 +151,7 @@ def residual_covariance(
     gains = np.split(from_pictures, len(pictures), axis=1)
     for points, gain, share in zip(pictures, gains, unexplained, strict=True):
         together = _stacked(points.shape, points.tobytes())
-        # Residuals smaller than stated say that the unexplained part does not move the corners.
+        # With residuals below the stated noise the unexplained part does not affect the corners.
         believed = max(share - max(1 - scale, 0.0), 0.0)
         shared = max(scale - 1, 0.0) * together + believed * scale * (together - np.eye(len(points)))
         for axis in (gain[:, 0::2], gain[:, 1::2]):
@@ -161,7 +161,7 @@ def residual_covariance(
 
 @lru_cache(maxsize=8)
 def _stacked(shape: tuple[int, int], points: bytes) -> Floats:
-    """How alike faults are at points (n, 3) of a board, by how far apart they lie (n, n); the same in every picture."""
+    """Correlation (n, n) of errors at points (n, 3) of a board by their distance, equal in every picture."""
     points_m = np.frombuffer(points).reshape(shape)
     apart = np.linalg.norm(points_m[:, None] - points_m, axis=2)
     length = _SMOOTH_OVER * float(np.min(apart[apart > 0]))
@@ -176,7 +176,7 @@ def solutions(
     unexplained: float = 0.0,
     known: PosePrior | None = None,
 ) -> tuple[Pose, ...]:
-    """Return the one or two poses that a plane allows, best first, each refined.
+    """Return the one or two refined poses of a planar board (flip ambiguity), best first.
 
     A plane seen from afar looks nearly the same tilted either way (the flip); IPPE gives both.
     """

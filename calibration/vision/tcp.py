@@ -14,8 +14,8 @@ Floats = NDArray[np.float64]
 def tip_in_base(pose: Pose, board_in_tip: RigidTransform, camera_in_base: RigidTransform) -> tuple[Floats, Floats]:
     """Tip (3,) [m] in the rod-base frame with covariance (3, 3) [m^2].
 
-    The uncertainties of the board on the tip, of the board before the camera and of the camera before the base are
-    independent, so their covariances add on the way.
+    The errors of the transforms board in tip, board in camera and camera in base are independent, so their covariances
+    add.
     """
     tip_in_board, board_covariance = board_in_tip.parent_origin()
     in_camera, pose_covariance = pose.point(tip_in_board)

@@ -1,4 +1,4 @@
-"""Following the board from frame to frame: a trustworthy pose in every picture, or the reason why there is none."""
+"""Tracks the board from frame to frame: a verified pose per picture, or the reason why there is none."""
 
 from __future__ import annotations
 
@@ -17,72 +17,72 @@ from runs.records import DetectionStatus
 Floats = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
-# More than this is not a board seen through this lens; less is not a measurement.
-_WORST_PX = 0.6
-_BEST_PX = 0.001
-# Grey values that the corner's model leaves, in shares of the step from dark to bright.
-_WORST_MISFIT = 0.15
-# A flip is decided by the picture alone when its residuals are so many variances worse.
+# Accepted range of the reprojection rms: above, the board or lens is wrong; below, the fit is degenerate.
+_MAX_RMS_PX = 0.6
+_MIN_RMS_PX = 0.001
+# Largest residual of the corner model, as a fraction of the step from dark to bright.
+_MAX_MISFIT = 0.15
+# Difference of the sums of squares at which one picture resolves the planar pose ambiguity (flip).
 _FLIP_EVIDENCE = 16.0
 _FLIP_SAME_RAD = 0.02
-# Further from what the other cameras say than this, a pose is the flip of the right one.
-_OTHER_SIDE_RAD = 0.1
-# Followed from frame to frame, a pose whose residuals are so many times larger than the corners say is looked at anew.
-_SUSPECT = 3.0
+# Largest angle to the pose of the other cameras; above, the pose is the wrong side of the flip.
+_MAX_DISAGREEMENT_RAD = 0.1
+# Largest ratio of residuals to stated noise for a tracked pose; above, both sides of the flip are tried again.
+_MAX_CHI2_RATIO = 3.0
 
 
 @dataclass(frozen=True)
 class Detection:
-    """What one picture showed: corners and pose where `seen` is MEASURED, the reason where it is not.
+    """Result for one picture: corners and pose if `status` is MEASURED.
 
-    Corners without a pose are those of a board that may be tilted either way.
+    Corners without a pose: the side of the flip is ambiguous.
     """
 
-    seen: DetectionStatus
+    status: DetectionStatus
     corners: Corners | None = None
     pose: Pose | None = None
 
 
 class Tracker:
-    """Finds the board, then follows it by its velocity; keeps the corners' order and the side of the flip."""
+    """Finds the board, then tracks it with constant velocity; keeps corner order and side of the flip."""
 
     def __init__(self, board: Board, lens: Lens, known: PosePrior | None = None) -> None:
-        """`known` is what holds of the board's pose before the camera in every picture."""
+        """`known` is a prior on the pose of the board in the camera frame, for every picture."""
         self._board = board
         self._lens = lens
         self._known = known
         self._last: Pose | None = None
         self._before: Pose | None = None
 
-    def see(self, picture: Image) -> Detection:
+    def detect(self, picture: Image) -> Detection:
         """Measure the board in the next picture, (height, width) grey or (height, width, 3) BGR."""
         image = grey(picture)
-        sighting = Detection(DetectionStatus.NO_BOARD)
+        detection = Detection(DetectionStatus.NO_BOARD)
         if self._last is not None:
             predicted = 2 * self._last.projected_px - self._before.projected_px if self._before else None
             if predicted is not None:
-                sighting = self._measure(image, predicted)
-            if sighting.seen is not DetectionStatus.MEASURED:
-                sighting = self._measure(image, self._find_near(image, self._last.projected_px))
-        if sighting.seen is not DetectionStatus.MEASURED:
-            sighting = self._measure(image, find(image, self._board))
-        self._before = self._last if sighting.pose is not None else None
-        # After a loss the last pose still tells the side of the flip and where to look first.
-        self._last = sighting.pose or self._last
-        return sighting
+                detection = self._measure(image, predicted)
+            if detection.status is not DetectionStatus.MEASURED:
+                detection = self._measure(image, self._find_near(image, self._last.projected_px))
+        if detection.status is not DetectionStatus.MEASURED:
+            detection = self._measure(image, find(image, self._board))
+        self._before = self._last if detection.pose is not None else None
+        # After a loss the last pose still gives the side of the flip and the first search region.
+        self._last = detection.pose or self._last
+        return detection
 
-    def agree(self, sighting: Detection, board_in_camera: RigidTransform) -> None:
-        """Take the side of the flip that others know to be right; `sighting` is what `see` gave last."""
-        if sighting.corners is None or (
-            sighting.pose is not None and _angle(sighting.pose.rigid, board_in_camera) < _OTHER_SIDE_RAD
+    def correct_flip(self, detection: Detection, board_in_camera: RigidTransform) -> None:
+        """Set the side of the flip by the pose of other cameras; `detection` is the last result of `detect`."""
+        if detection.corners is None or (
+            detection.pose is not None and _angle(detection.pose.rigid, board_in_camera) < _MAX_DISAGREEMENT_RAD
         ):
             return
-        poses = self._solutions(sighting.corners)
+        poses = self._solutions(detection.corners)
         self._before = None
         self._last = min(poses, key=lambda p: _angle(p.rigid, board_in_camera), default=self._last)
 
     def _find_near(self, image: Image, corners: Floats) -> Floats | None:
-        """Search around the last place, two squares further out."""
+        """Search around the last position with a margin of two squares."""
         low, high = corners.min(axis=0), corners.max(axis=0)
         margin = 2.5 * spacing(corners, self._board.pattern) + 0.15 * float((high - low).max())
         x0, y0 = np.maximum(np.floor(low - margin), 0).astype(int)
@@ -96,38 +96,38 @@ class Tracker:
         corners = sharpen(image, seeds, self._board.pattern)
         if corners is None:
             return Detection(DetectionStatus.NO_BOARD)
-        if corners.misfit.max() > _WORST_MISFIT:
+        if corners.misfit.max() > _MAX_MISFIT:
             return Detection(DetectionStatus.POOR_FIT)
-        pose, seen = self._pose(corners)
+        pose, status = self._pose(corners)
         if pose is None:
-            return Detection(seen)
-        if not _BEST_PX < pose.reprojection_px < _WORST_PX:
+            return Detection(status)
+        if not _MIN_RMS_PX < pose.reprojection_px < _MAX_RMS_PX:
             return Detection(DetectionStatus.POOR_FIT)
         check = self._lens.project(self._board.check_points_m, pose.rotation_vector, pose.translation_m)
         if not self._board.colours_fit(image, check):
             return Detection(DetectionStatus.AMBIGUOUS)
-        return Detection(seen, corners, pose if seen is DetectionStatus.MEASURED else None)
+        return Detection(status, corners, pose if status is DetectionStatus.MEASURED else None)
 
     def _solutions(self, corners: Corners) -> tuple[Pose, ...]:
         points = self._board.corners_m
         return solutions(points, corners.px, self._lens, corners.covariance, corners.unexplained, self._known)
 
     def _pose(self, corners: Corners) -> tuple[Pose | None, DetectionStatus]:
-        """The best pose, and whether it is the measured one or as good as its flip."""
+        """The best pose, and MEASURED, or AMBIGUOUS if its flip fits as well."""
         points = self._board.corners_m
         if self._last is not None and self._before is not None:
             start = self._last.rotation_vector, self._last.translation_m
             pose = refine(points, corners.px, self._lens, start, corners.covariance, corners.unexplained, self._known)
-            if pose is not None and pose.misfit < _SUSPECT * (corners.px.size - 6):
+            if pose is not None and pose.misfit < _MAX_CHI2_RATIO * (corners.px.size - 6):
                 return pose, DetectionStatus.MEASURED
-        # At first sight, and where following may have led to the wrong side of a flip.
+        # In the first picture, or if tracking may have reached the wrong side of the flip.
         poses = self._solutions(corners)
         if not poses:
             return None, DetectionStatus.POOR_FIT
         if len(poses) == 1 or _angle(poses[0].rigid, poses[1].rigid) < _FLIP_SAME_RAD:
             return poses[0], DetectionStatus.MEASURED
         best, other = poses
-        # Where even the better one fits badly, the corners are worse than they say.
+        # If even the better pose fits badly, the stated corner noise is too small.
         scale = max(best.misfit / (best.residuals_px.size - 6), 1.0)
         if other.misfit - best.misfit > _FLIP_EVIDENCE * scale:
             return best, DetectionStatus.MEASURED

@@ -85,7 +85,7 @@ def identify(
     """Identify an arm's parameters from runs, with error bars, or report them as not identifiable."""
     import numpy as np
 
-    from calibration.identify import parted
+    from calibration.identify import split_at
     from calibration.identify.held_out_prediction import predict
     from calibration.identify.parameters_document import write
     from rig.identify import estimation, initial_setup
@@ -148,7 +148,7 @@ def identify(
             reason = f"{poses.run_id} is of {poses.actuators} actuators, the others are of {data[0].actuators}"
             raise typer.BadParameter(reason, param_hint="--leave-out")
     if until is not None:
-        parts = [parted(poses, until) for poses in data]
+        parts = [split_at(poses, until) for poses in data]
         data, later = [part[0] for part in parts], [part[1] for part in parts] + later
     data = [poses.only(np.arange(0, len(poses), every)) for poses in data]
     chosen_rig, fit = estimation.most_likely_fit(rigs, data, names, priors, starts)

@@ -39,7 +39,7 @@ class LoadedCalibration:
 
     def problem(self, path: tuple[str | int, ...], value: object, expected: str) -> Problem:
         """Return the problem of one value of the file."""
-        mark = self.source.mark(path)
+        mark = self.source.position(path)
         where = ", ".join(str(step) for step in path)
         return Problem(self.source.file, mark.line, mark.column, where, str(value), expected)
 
@@ -58,7 +58,7 @@ def parse(source: Document) -> LoadedCalibration:
     kind = source.data.get("kind")
     model = KINDS.get(kind) if isinstance(kind, str) else None
     if model is None:
-        mark = source.mark(("kind",))
+        mark = source.position(("kind",))
         known = f"one of {', '.join(KINDS)}: a file that `rig calibrate` wrote"
         if "kind" not in source.data:
             raise BadInputError([Problem(source.file, 0, 0, "kind", "", f"is missing: {known}")])

@@ -49,7 +49,7 @@ def read_all(source: Document) -> tuple[LoadedCalibration, ...]:
         try:
             found.append(read(path))
         except BadInputError as bad:
-            mark = source.mark(place)
+            mark = source.position(place)
             if path.is_file():
                 problems += bad.problems
             else:
@@ -160,7 +160,7 @@ def _twice(calibrations: Sequence[LoadedCalibration]) -> Faults:
         for path, key, subject in _subjects(calibration):
             if key in taken:
                 expected = f"each thing calibrated by one file: {subject} is in {taken[key]}, too"
-                yield calibration.problem(path, calibration.source.mark(path).source, expected)
+                yield calibration.problem(path, calibration.source.position(path).source, expected)
             taken.setdefault(key, calibration.source.file)
 
 

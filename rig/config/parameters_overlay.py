@@ -228,7 +228,7 @@ def _check(config: RigConfig, rig: str, parameters: Parameters, variant: Variant
     problems = []
 
     def refuse(where: tuple[str, ...], value: str, expected: str) -> None:
-        mark = source.mark(where)
+        mark = source.position(where)
         problems.append(Problem(source.file, mark.line, mark.column, ".".join(where), value, expected))
 
     required = variant or config.model.variant

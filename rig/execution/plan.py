@@ -58,7 +58,7 @@ class Recorder(Protocol):
     """Recorder of the rows: the journal."""
 
     @property
-    def standing_s(self) -> float:
+    def stalled_s(self) -> float:
         """For how long writes to the disk have been blocked [s]."""
 
     def samples(self, rows: NDArray[np.void]) -> None:

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.identify.fit import NORMAL_95, Estimate, RunFit, Verdict
 from calibration.identify.parameters import Parameter, Setup, named
 from calibration.identify.parameters_document import write
+from calibration.identify.results import NORMAL_95, Estimate, RunFit, Verdict
 from rig.config.arm_model import model_arm
 from rig.config.loader import parse
 from rig.experiment.run import variant_named
@@ -47,7 +47,7 @@ def write_parameters(run: Run) -> Path | None:
     if adaptation is None or not adaptation.used.any():
         return None
     estimated = found(run, adaptation)
-    return write(estimated, run.path.with_suffix(SUFFIX), under=baseline_geometry(run, estimated.start))
+    return write(estimated, run.path.with_suffix(SUFFIX), baseline=baseline_geometry(run, estimated.start))
 
 
 def found(run: Run, adaptation: Adaptation) -> OnlineResult:
@@ -96,5 +96,5 @@ def _estimate(parameter: Parameter, adaptation: Adaptation, k: int, start: Setup
         interval=(value - NORMAL_95 * std, value + NORMAL_95 * std) if known else None,
         verdict=verdict,
         partners=(),
-        loose_std=std,
+        joint_std=std,
     )

@@ -236,7 +236,7 @@ def _run(request: RunRequest, decided: Plan, operator: OperatorInterface, draw: 
     assert journal is not None
     archive = report = parameters = None
     try:
-        if not journal.settled(DISK_WARNING_AFTER_S):
+        if not journal.wait_until_synced(DISK_WARNING_AFTER_S):
             waiting = f"waiting for the disk to take the rest of {journal.path}"
             operator.report(Event(time.monotonic_ns(), Level.WARNING, "supervisor", waiting))
         journal.close(RunFooter(outcome.t_ns, outcome.status, outcome.message, outcome.counters))

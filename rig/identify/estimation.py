@@ -20,13 +20,14 @@ from rich.table import Table
 from rich.text import Text
 
 from calibration.identify.bootstrap import Bootstrap, bootstrap
-from calibration.identify.data import Poses, as_if_at_rest, poses_of
+from calibration.identify.data import Poses, poses_of, quasi_static_poses
 from calibration.identify.figures import predictions
-from calibration.identify.fit import Fit, identify
+from calibration.identify.fit import identify
 from calibration.identify.held_out_prediction import Prediction
 from calibration.identify.parameters import Prior, Setup, UnknownParameter, named
 from calibration.identify.parameters_document import Baseline, content
 from calibration.identify.profile_likelihood import Profile, profiles
+from calibration.identify.results import Fit
 from rig.cli.archive_output import plain_json
 from rig.cli.run_output import console
 from rig.config.arm_model import model_arm
@@ -35,7 +36,7 @@ from rig.config.parameters_overlay import read as read_parameters
 from rig.config.schema import PA_PER_BAR, RigConfig
 from rig.identify.initial_setup import InitialSetup, rig_of
 from rig.observation.online_estimation import default_parameters
-from runs.report.figures import save
+from runs.report.drawing import save
 from runs.run import Run
 
 # A narrower prior, relative to the parameter's span, makes the problem ill-conditioned.
@@ -56,7 +57,7 @@ def rig_with(rig: InitialSetup, parameters: Path) -> str:
 
 def poses(run: Run, quasi_static: bool = False) -> Poses:
     """Return the data of a run: plateaus or motion, or every frame as an equilibrium."""
-    return as_if_at_rest(run) if quasi_static else poses_of(run)
+    return quasi_static_poses(run) if quasi_static else poses_of(run)
 
 
 def read_poses(archives: Sequence[Run], quasi_static: bool = False) -> list[Poses]:
@@ -156,14 +157,14 @@ def check_priors(priors: Mapping[str, Prior], free: Sequence[str], actuators: in
 def print_estimates(fit: Fit, as_json: bool, under: Baseline | None = None) -> None:
     """Print the estimates with error bars or verdicts, and the residuals of each run."""
     if as_json:
-        typer.echo(json.dumps(plain_json(content(fit, under=under)), indent=2))
+        typer.echo(json.dumps(plain_json(content(fit, baseline=under)), indent=2))
         return
     screen = console()
     table = Table(box=None, padding=(0, 2, 0, 0))
     for head in ("parameter", "value", "+-", "95 %", "unit", "run"):
         table.add_column(head, justify="left" if head in ("parameter", "unit", "run") else "right", overflow="fold")
     undetermined = []
-    for e, held in zip(fit.estimates, fit.held, strict=True):
+    for e, held in zip(fit.estimates, fit.fixed, strict=True):
         if e.value is None or e.std is None or e.interval is None:
             others = f" ({', '.join(e.partners)})" if e.partners else ""
             label = f"{e.name} {e.run}".strip()
@@ -214,11 +215,11 @@ def draw_predictions(found: Sequence[Prediction], file: Path) -> Path:
 def print_prediction_errors(found: Sequence[Prediction]) -> None:
     """Print the prediction errors of held-out runs."""
     for one in found:
-        how = ", under its measured wrench" if one.pulled else ""
+        how = ", under its measured wrench" if one.under_wrench else ""
         errors = f"rms {1e3 * one.rms_before_m:.3f} -> {1e3 * one.rms_m:.3f} mm, "
-        errors += f"mean {1e3 * one.mean_m:.3f} mm, 95 % below {1e3 * one.most_m:.3f} mm"
-        if one.lost:
-            errors += f"; {one.lost} of {len(one.error_m)} frames have no prediction and are excluded"
+        errors += f"mean {1e3 * one.mean_m:.3f} mm, 95 % below {1e3 * one.p95_m:.3f} mm"
+        if one.unsolved:
+            errors += f"; {one.unsolved} of {len(one.error_m)} frames have no prediction and are excluded"
         console(stderr=True).print(f"{one.run_id} (left out{how}): {errors}", soft_wrap=True)
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import typer
 from rich.table import Table
 
-from calibration.identify.model_comparison import ComparisonRow, ModelComparison, candidates, choose, compared
+from calibration.identify.model_comparison import ComparisonRow, ModelComparison, candidates, compare_models, compared
 from calibration.identify.parameters import Prior
 from rig.cli.archive_output import plain_json
 from rig.cli.run_output import console
@@ -42,7 +42,7 @@ def comparison_lines(
     models_to_fit = candidates(start, free or ("base",), moving)
     check_priors(priors, [name for one in models_to_fit for name in one.free], start.arm.geometry.actuators)
     with progress_bar("fitting") as progress:
-        found = choose(data, models_to_fit, priors, scheduler=scheduler, store=store, progress=progress)
+        found = compare_models(data, models_to_fit, priors, scheduler=scheduler, store=store, progress=progress)
     if as_json:
         typer.echo(json.dumps(plain_json(_facts(found)), indent=2))
         return

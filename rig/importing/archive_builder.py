@@ -187,7 +187,7 @@ def _rig(mapping: Mapping, document: Document) -> tuple[str, str, float | None]:
     name = str(beside) if beside.is_file() else mapping.rig
     config = loader.load(name)
     if config.actuators != mapping.actuators:
-        mark = document.mark(("rig",))
+        mark = document.position(("rig",))
         found = f"{mapping.rig}, which has {config.actuators} actuators"
         expected = f"a rig with {mapping.actuators} actuators, as there are pressures"
         raise BadInputError([Problem(document.file, mark.line, mark.column, "rig", found, expected)])
@@ -198,7 +198,7 @@ def _started_utc_ns(columns: Columns, mapping: Mapping, document: Document, read
     """Moment of the first row, since 1970: as the mapping states it or the rows themselves do."""
     stated = mapping.started_utc_ns
     if read.utc and stated is not None:
-        mark = document.mark(("started",))
+        mark = document.position(("started",))
         expected = "no such key: the times themselves are dates with their distance from UTC"
         raise BadInputError([Problem(document.file, mark.line, mark.column, "started", mark.source, expected)])
     if read.utc:

@@ -90,7 +90,7 @@ class MultiCameraTipEstimator:
         # A uniformly black or white picture has no noise to compare.
         if before is not None and np.array_equal(before, sampled_rows) and before.min() != before.max():
             return Detection(DetectionStatus.NO_FRAME)
-        return self._estimators[k].tracker.see(frame.image)
+        return self._estimators[k].tracker.detect(frame.image)
 
     def _measure_jointly(self, frame_set: FrameSet, detections: Sequence[Detection]) -> Measurement | None:
         """Measure the tip from all cameras that see the board; None with fewer than two."""
@@ -107,7 +107,7 @@ class MultiCameraTipEstimator:
         except (DLTError, np.linalg.LinAlgError):
             pose = None
         seen = tuple(
-            DetectionStatus.MEASURED if k in corners else _unused(detection.seen)
+            DetectionStatus.MEASURED if k in corners else _unused(detection.status)
             for k, detection in enumerate(detections)
         )
         allowed = _WORST_PX + _PLACE_STDS * max(self._place_std_px(camera) for camera in cameras)
@@ -115,13 +115,13 @@ class MultiCameraTipEstimator:
             statuses = tuple(DetectionStatus.DISAGREE if s is DetectionStatus.MEASURED else s for s in seen)
             return Measurement.none(DetectionStatus.DISAGREE, statuses)
         for k in corners:
-            self._estimators[k].tracker.agree(detections[k], self._places[k].inverse() @ pose.rigid)
+            self._estimators[k].tracker.correct_flip(detections[k], self._places[k].inverse() @ pose.rigid)
         tip, covariance = tip_in_base(pose, self._board_in_tip, self._world_in_base)
         return Measurement(DetectionStatus.MEASURED, tip, covariance, pose.reprojection_px, None, seen)
 
     def _measure_alone(self, frame_set: FrameSet, detections: Sequence[Detection]) -> Measurement:
         """Measure the tip from the first camera that can do so alone."""
-        seen = tuple(detection.seen for detection in detections)
+        seen = tuple(detection.status for detection in detections)
         if DetectionStatus.MEASURED not in seen:
             reason = next((s for s in seen if s is not DetectionStatus.NO_FRAME), DetectionStatus.NO_FRAME)
             return Measurement.none(reason, seen)

@@ -50,12 +50,12 @@ class SingleCameraTipEstimator:
 
     def measure(self, image: NDArray[np.uint8]) -> Measurement:
         """Measure the tip in the next picture, (height, width) grey or (height, width, 3) BGR."""
-        return self.measurement_of(self.tracker.see(image))
+        return self.measurement_of(self.tracker.detect(image))
 
     def measurement_of(self, detection: Detection) -> Measurement:
         """Return the tip from this camera's detection alone."""
         if detection.pose is None or detection.corners is None:
-            return Measurement.none(detection.seen, (detection.seen,))
+            return Measurement.none(detection.status, (detection.status,))
         tip, covariance = tip_in_base(detection.pose, self._board_in_tip, self._camera_in_base)
-        seen, pose = detection.seen, detection.pose
+        seen, pose = detection.status, detection.pose
         return Measurement(seen, tip, covariance, pose.reprojection_px, detection.corners.px, (seen,))

@@ -222,7 +222,7 @@ class _Supervisor:
             done = memory.stage("control") == Stage.DONE
             self._report(*self.health_monitor.looking(time.monotonic_ns()))
             self._drain()
-            self._report(*self.health_monitor.disk(time.monotonic_ns(), self.recorder.standing_s))
+            self._report(*self.health_monitor.disk(time.monotonic_ns(), self.recorder.stalled_s))
             if reason := self.operator.stop_requested():
                 return Status.INTERRUPTED, reason
             if self.operator.pause_toggled():

@@ -27,7 +27,7 @@ from rig.config.schema import PA_PER_BAR
 from rig.reproduce.comparison import PaperComparison, PaperFigure
 from rig.reproduce.experiments import origin
 from runs.report.colours import INK, MEASURED, MODEL, MUTED
-from runs.report.figures import legend
+from runs.report.drawing import legend
 from runs.run import Run
 
 Array = NDArray[np.float64]

@@ -18,7 +18,7 @@ from rig.reproduce.experiments import origin
 from rig.reproduce.table4 import SCHEMES, Space
 from runs.records import DetectionStatus
 from runs.report.colours import MEASURED, MODEL
-from runs.report.figures import kept, legend, thin
+from runs.report.drawing import decimated, decimated_indices, legend
 from runs.run import Run
 from runs.summary import Z_95
 
@@ -130,11 +130,11 @@ def fig14(figure: Figure, cases: tuple[SinusoidalRun, SinusoidalRun]) -> None:
     for column, (number, case) in zip(panels.T, enumerate(cases, 1), strict=True):
         tip = case.run.tip
         for panel, axis, name in zip(column, (0, 2), "xz", strict=True):
-            index = kept(tip.measured_mm[:, axis])
+            index = decimated_indices(tip.measured_mm[:, axis])
             time, at, half = tip.time_s[index], tip.measured_mm[index, axis], Z_95 * tip.uncertainty_mm[index, axis]
             panel.fill_between(time, at - half, at + half, color=MEASURED, alpha=0.25, lw=0)
             panel.plot(time, at, color=MEASURED, lw=1.0, label=f"tip, {case.origin}")
-            panel.plot(*thin(tip.time_s, tip.model_mm[:, axis]), color=MODEL, lw=1.0, ls="--", label="model")
+            panel.plot(*decimated(tip.time_s, tip.model_mm[:, axis]), color=MODEL, lw=1.0, ls="--", label="model")
             panel.set_ylabel(f"{name} [mm]")
             panel.margins(x=0.01)
         column[0].set_title(f"case {number}", loc="right")

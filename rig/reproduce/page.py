@@ -9,7 +9,7 @@ from pathlib import Path
 
 from rig.reproduce.comparison import PaperComparison, PaperFigure
 from runs.overwriting import staged
-from runs.report.figures import save, svg
+from runs.report.drawing import save, svg
 
 _STYLE = (
     "table.paper td, table.paper th { vertical-align: top; } table.paper td:nth-child(6) { min-width: 18em; } "

@@ -18,7 +18,7 @@ from rig.reproduce.comparison import PaperComparison, PaperFigure
 from rig.reproduce.experiments import origin
 from rig.reproduce.table3 import ERROR_DEFINITIONS, PRINTED
 from runs.report.colours import ACTUATORS, INK, MEASURED, MODEL, MUTED
-from runs.report.figures import legend
+from runs.report.drawing import legend
 from runs.run import Run
 
 Array = NDArray[np.float64]

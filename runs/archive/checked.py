@@ -1,7 +1,7 @@
-"""An archive, opened and checked: the one place where its datasets are read.
+"""Opens and validates archives; all datasets are read through this module.
 
-Whatever is read here has the names, kinds, shapes, lengths and values that `runs.archive.schema` states, and all other
-code relies on that. The structure is checked when the file is opened, values when they are read.
+Names, types, shapes, lengths and values are validated against `runs.archive.schema`, and all other code relies on
+that: the structure when the file is opened, values when they are read.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ from runs.archive import checksum, layout
 from runs.archive.schema import BYTES, TEXT, Expected, GroupSchema, kind_of, name_of, schema
 
 FREE_BYTES = 64 << 20
-"""An archive may declare as much whatever its size; beyond that, at most `INFLATED` times its size."""
+"""Allowed uncompressed size of any archive; larger ones may have at most `INFLATED` times their file size."""
 INFLATED = 500
-"""Columns that never change shrink to a thousandth; those of time, which are in every table, to a thirtieth."""
+"""Constant columns compress to a thousandth; time columns, which every table has, to a thirtieth."""
 _TEXTS_AT_ONCE = 64
 _FILTERS = {h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILTER_FLETCHER32}
 _FAULTS = (ArithmeticError, AttributeError, LookupError, MemoryError, OSError, RuntimeError, TypeError, ValueError)
-"""h5py reports a damaged file by whatever its parsers meet."""
+"""Exceptions by which h5py reports a damaged file."""
 
 Fields = Mapping[str, Mapping[str, Expected]]
 """The datasets that an archive has, by group and name."""
@@ -39,11 +39,11 @@ _CHECKED: dict[tuple[Path, Stamp], Fields] = {}
 
 
 class ArchiveError(Exception):
-    """The archive could not be written or is not one; the message says why. The journal is as it was."""
+    """The archive could not be written or is invalid; the message has the reason. The journal is unchanged."""
 
 
 class Contents:
-    """The datasets of an open archive. Every method raises `ArchiveError` where one cannot be read or is wrong."""
+    """The datasets of an open archive. Every method raises `ArchiveError` if one is not readable or invalid."""
 
     def __init__(self, path: Path, file: h5py.File, fields: Fields) -> None:
         self._path = path
@@ -51,11 +51,11 @@ class Contents:
         self._fields = fields
 
     def fields(self, group: str) -> Mapping[str, Expected]:
-        """Return the datasets of a group by name; none where the group is missing."""
+        """Return the datasets of a group by name; empty if the group is missing."""
         return self._fields.get(group, {})
 
     def groups(self) -> tuple[str, ...]:
-        """Return the paths of the groups that there are, outer ones first."""
+        """Return the paths of the existing groups, outer ones first."""
         return tuple(self._fields)
 
     def value(self, path: str) -> Any:
@@ -74,7 +74,7 @@ class Contents:
             return words if node.shape else words[0]
 
     def values(self, group: str, without: str = "") -> dict[str, Any]:
-        """Return the datasets of a group by name; nothing where the group is missing."""
+        """Return the datasets of a group by name; empty if the group is missing."""
         return {name: self.value(f"{group}/{name}") for name in self.fields(group) if name != without}
 
     def row(self, path: str, k: int) -> Any:
@@ -83,7 +83,7 @@ class Contents:
             return self._file[path][k]
 
     def about(self, path: str) -> tuple[str, str, float]:
-        """Return unit, source and standard uncertainty [the unit] of a number; empty and NaN where it has none."""
+        """Return unit, source and standard uncertainty [the unit] of a number; empty and NaN if missing."""
         with self._reading(path):
             attributes = self._file[path].attrs
             unit, source = (_text_of(attributes.get(name, ""), f"@{name}") for name in ("units", "source"))
@@ -100,7 +100,7 @@ class Contents:
 
 
 class WrongError(Exception):
-    """What was found in an archive, and what was expected."""
+    """An invalid part of an archive: found and expected values."""
 
     def __init__(self, found: str, expected: str, where: str = "") -> None:
         super().__init__(f"{where}: found {found}, expected {expected}")
@@ -108,27 +108,27 @@ class WrongError(Exception):
 
 @contextmanager
 def opened(path: Path | str) -> Iterator[Contents]:
-    """Open an archive and check its structure; `ArchiveError` where it is none, or a damaged one."""
+    """Open an archive and check its structure; `ArchiveError` if it is not an archive or damaged."""
     with _opened(Path(path)) as (file, stamp):
         yield Contents(Path(path), file, _known(Path(path), stamp, file))
 
 
 @contextmanager
 def opened_in_part(path: Path | str, wanted: Iterable[str]) -> Iterator[Contents]:
-    """Open an archive of which only these datasets are read and checked."""
+    """Open an archive and check only these datasets; others are not readable."""
     with _opened(Path(path)) as (file, _):
         yield Contents(Path(path), file, _checked(Path(path), file, frozenset(wanted)))
 
 
 def content_sha256(path: Path | str) -> str:
-    """Return the SHA-256 that an archive says of its content. Checks the archive as `opened` does."""
+    """Return the SHA-256 stored in an archive. Checks the archive as `opened` does."""
     with _opened(Path(path)) as (file, stamp):
         _known(Path(path), stamp, file)
         return str(file.attrs["content_sha256"])
 
 
 def digest_of(path: Path | str) -> str:
-    """Return the SHA-256 of what an archive holds; empty where it holds what no archive does."""
+    """Return the SHA-256 of the content of an archive; empty if it has unknown datasets."""
     with _opened(Path(path)) as (file, stamp):
         known = {one.path for group in _known(Path(path), stamp, file).values() for one in group.values()}
         try:
@@ -139,7 +139,7 @@ def digest_of(path: Path | str) -> str:
 
 
 def _known(path: Path, stamp: Stamp, file: h5py.File) -> Fields:
-    """Return the datasets of an archive; one that is opened again and has not changed is not checked again."""
+    """Return the datasets of an archive; the result is cached while the file is unchanged."""
     if (path, stamp) not in _CHECKED:
         if len(_CHECKED) >= _REMEMBERED:
             _CHECKED.clear()
@@ -166,7 +166,7 @@ def _opened(path: Path) -> Iterator[tuple[h5py.File, Stamp]]:
 
 
 def _why(path: Path, fault: Exception) -> str:
-    """What keeps a file from being read as an archive; HDF5 says of every other file that its signature is missing."""
+    """Return why a file is not readable as an archive."""
     if isinstance(fault, FileNotFoundError):
         return "no such file"
     if isinstance(fault, PermissionError) or _is_hdf5(path):
@@ -197,7 +197,7 @@ def _checked(path: Path, file: h5py.File, wanted: frozenset[str] | None) -> Fiel
 
 
 class _Check:
-    """Goes through the groups and datasets of a file; `where` is the one that is being looked at."""
+    """Checks the groups and datasets of a file; `where` is the path of the current one."""
 
     def __init__(self, file: h5py.File) -> None:
         self.where = "its attributes"
@@ -207,7 +207,7 @@ class _Check:
         self._declared_bytes = 0
 
     def everything(self, wanted: frozenset[str] | None) -> Fields:
-        """Check all, or of the datasets only those that are wanted."""
+        """Check all datasets, or only the wanted ones."""
         _check_attributes(self._file)
         actuators, valves = self._channels("entry/actuators"), self._channels("entry/valves")
         found = {}
@@ -243,7 +243,7 @@ class _Check:
                 raise WrongError("nothing", name_of(one.kind))
 
     def _channels(self, path: str) -> int:
-        """Return how many actuators or valves there are."""
+        """Return the number of actuators or valves."""
         self.where = path
         dataset = _member(self._file, path, h5py.Dataset)
         if dataset is None:
@@ -270,14 +270,14 @@ def _check_attributes(file: h5py.File) -> None:
 
 
 def _present(group: GroupSchema, node: h5py.Group, wanted: frozenset[str] | None) -> Iterator[Expected]:
-    """Go through the datasets that the schema knows in a group, and in an open group those that the run named."""
+    """Yield the datasets of a group by the schema, and of an open group those of the run."""
     yield from (one for one in group.datasets.values() if wanted is None or one.path in wanted)
     if group.alike and wanted is None:
         for name in node:
             if not isinstance(name, str):
                 raise WrongError(f"the name {name!r}", "a name in UTF-8")
             path = f"{group.path}/{name}"
-            # A group in it is one of the layout's own, or none that anything reads.
+            # A subgroup is either another group of the layout or is never read.
             if name not in group.datasets and not _is_group(node, name):
                 yield replace(group.alike[0], path=path, required=True)
 
@@ -291,7 +291,7 @@ def _is_hard(parent: h5py.Group, name: str) -> bool:
 
 
 def _member(parent: h5py.Group, path: str, kind: type) -> Any:
-    """Return a group or dataset by its path; None where there is none. Links to elsewhere are not followed."""
+    """Return a group or dataset by its path; None where there is none. External and soft links are refused."""
     node: Any = parent
     for name in path.split("/"):
         if not isinstance(node, h5py.Group) or not node.id.links.exists(name.encode()):
@@ -305,7 +305,7 @@ def _member(parent: h5py.Group, path: str, kind: type) -> Any:
 
 
 def _like(group: GroupSchema, one: Expected, dataset: h5py.Dataset) -> Expected:
-    """Return what a dataset is expected to be: in an open group the first of its examples that is like it."""
+    """Return what a dataset is expected to be: in an open group the first matching example."""
     kind = kind_of(dataset.dtype)
     if one.name in group.datasets:
         if kind != one.kind:
@@ -319,7 +319,7 @@ def _like(group: GroupSchema, one: Expected, dataset: h5py.Dataset) -> Expected:
 
 
 def _check_storage(dataset: h5py.Dataset, file_bytes: int) -> int:
-    """Check that all of a dataset is stored in the file itself; return how many bytes its numbers are in memory."""
+    """Check that a dataset is stored in the file itself; return its size in memory [bytes]."""
     if dataset.shape is None:
         raise WrongError("no data at all", "a value")
     creation = dataset.id.get_create_plist()
@@ -350,22 +350,22 @@ def _check_shape(shapes: Mapping[str, tuple[int, ...]], one: Expected) -> None:
     shape = shapes[one.path]
     if len(shape) != len(one.dimensions):
         raise WrongError(f"shape {shape}", f"{len(one.dimensions)} dimensions")
-    meant, owners = [], []
+    expected, owners = [], []
     for dimension, length in zip(one.dimensions, shape, strict=True):
         if isinstance(dimension, int):
-            meant.append(dimension)
+            expected.append(dimension)
         elif dimension == one.path or dimension not in shapes:
-            meant.append(length)
+            expected.append(length)
         else:
-            meant.append(shapes[dimension][0])
+            expected.append(shapes[dimension][0])
             owners.append(dimension)
-    if tuple(meant) != shape:
+    if tuple(expected) != shape:
         as_long = f" (as {', '.join(owners)})" if owners else ""
-        raise WrongError(f"shape {shape}", f"{tuple(meant)}{as_long}")
+        raise WrongError(f"shape {shape}", f"{tuple(expected)}{as_long}")
 
 
 def _check_numbers(found: Any, expected: Expected) -> None:
-    """Check values against their limits; NaN stands for what was not measured."""
+    """Check values against their limits; NaN means not measured."""
     if expected.kind == BYTES or np.size(found) == 0:
         return
     if expected.limits is not None:
@@ -379,10 +379,10 @@ def _check_numbers(found: Any, expected: Expected) -> None:
         _refuse_first(found, ~np.isin(found, [int(value) for value in expected.among]), _one_of(expected.among))
 
 
-def _refuse_first(found: Any, wrong: Any, meant: str) -> None:
+def _refuse_first(found: Any, wrong: Any, expected: str) -> None:
     if np.any(wrong):
         row = "" if np.ndim(found) == 0 else f"[{', '.join(str(i) for i in np.argwhere(wrong)[0])}]"
-        raise WrongError(str(np.asarray(found)[wrong].flat[0]), meant, row)
+        raise WrongError(str(np.asarray(found)[wrong].flat[0]), expected, row)
 
 
 def _check_texts(words: list[str], expected: Expected) -> None:
@@ -398,7 +398,7 @@ def _one_of(values: Iterable[str | int]) -> str:
 
 
 def _texts(node: h5py.Dataset, file_bytes: int) -> Iterator[str]:
-    """Go through texts; together they are no longer than the file that holds them."""
+    """Yield texts; their total length is limited to the file size."""
     total = 0
     for low in range(0, node.shape[0] if node.shape else 1, _TEXTS_AT_ONCE):
         words = node[low : low + _TEXTS_AT_ONCE] if node.shape else [node[()]]
@@ -420,7 +420,7 @@ def _text_of(value: Any, where: str) -> str:
 
 
 def _is_unicode(text: str) -> bool:
-    """Tell whether a text has no lone surrogates, which stand for bytes that are no UTF-8."""
+    """Return whether a text has no lone surrogates, which represent invalid UTF-8."""
     return not any("\ud800" <= sign <= "\udfff" for sign in text)
 
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 Values = NDArray[np.generic] | Iterable[bytes | memoryview]
 _ROWS = 16384
-"""Rows that are looked at together where a dataset is not in chunks."""
+"""Rows read at once from a dataset without chunks."""
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ def kind_of(dtype: np.dtype[Any]) -> str:
 
 
 def little(values: NDArray[np.generic]) -> NDArray[np.generic]:
-    """Return numbers as they are digested."""
+    """Return numbers in the byte order of the checksum."""
     return values.astype(values.dtype.newbyteorder("<"), copy=False)
 
 

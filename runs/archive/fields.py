@@ -1,4 +1,4 @@
-"""What an archive is made of: fields in groups, with their units and what labels their dimensions."""
+"""Building blocks of an archive: groups of fields with units and dimension scales."""
 
 from __future__ import annotations
 
@@ -24,21 +24,21 @@ Value = NDArray[np.generic] | np.generic | str | int | float | list[str]
 
 
 class Table(Protocol):
-    """Rows that are too many to hold at once."""
+    """A table that is read in chunks of rows."""
 
     def __len__(self) -> int: ...
 
     def __getitem__(self, part: slice) -> Any: ...
 
 
-def pieces(table: Table) -> Iterator[Any]:
-    """Go through a table, as many rows at a time as a chunk of a dataset holds."""
+def row_chunks(table: Table) -> Iterator[Any]:
+    """Yield the rows of a table in chunks of `CHUNK_ROWS`."""
     return (table[low : low + CHUNK_ROWS] for low in range(0, len(table), CHUNK_ROWS))
 
 
 @dataclass(frozen=True)
 class Column:
-    """What is made of every row of a table; `of` is given some rows at a time, or none, and returns as many values."""
+    """A column computed from a table; `of` maps a chunk of rows to as many values."""
 
     table: Table
     of: Callable[[Any], NDArray[np.generic] | list[str] | list[memoryview]]
@@ -77,7 +77,7 @@ class Pictures:
 
 @dataclass(frozen=True)
 class Group:
-    """One group below the file's root. `open`: the run names its fields, as it does the counters."""
+    """One group below the root. `open`: the names of its fields depend on the run, as those of the counters."""
 
     path: str
     nx_class: str
@@ -90,7 +90,7 @@ class Group:
 
 
 def named(fields: Iterable[Field]) -> tuple[Field, ...]:
-    """Make names that came from elsewhere fit for HDF5: without `/`, none empty, no two the same."""
+    """Make names valid for HDF5: without `/`, not empty, unique."""
     taken: set[str] = set()
     named = []
     for field in fields:

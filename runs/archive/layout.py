@@ -1,6 +1,6 @@
-"""What stands where in an archive: a journal as NeXus groups and fields, in bar, mm and us.
+"""Layout of an archive: a journal as NeXus groups and fields, in bar, mm and us.
 
-`docs/reference/archive.md` says the same for readers.
+The documentation for users is `docs/reference/archive.md`.
 """
 
 from __future__ import annotations
@@ -24,19 +24,19 @@ from runs.archive.fields import (
     Pictures,
     Table,
     named,
-    pieces,
+    row_chunks,
 )
 from runs.journal.journal import Journal
 from runs.records import BACKBONE_POINTS, DetectionStatus, Event, Level, Status
 
 VERSION = 1
-"""Raised when a field moves or changes its meaning; readers refuse what is newer than they are."""
+"""Increased when a field moves or changes its meaning; readers refuse newer versions."""
 
 MM_PER_M = 1e3
 MOST_CHANNELS = 4096
-"""Actuators, or valves, of the largest rig that an archive can be of."""
+"""Most actuators, or valves, of an archive."""
 UNITS = ("bar", "V", "mm", "mm2", "px", "us", "g", "N", "Nm")
-"""Units that end the name of a column."""
+"""Unit suffixes of column names."""
 AXES = ("x", "y", "z")
 SECONDS = (-LARGEST_S, LARGEST_S)
 CLOCK = (0, LARGEST_NS)
@@ -88,7 +88,7 @@ def utc(nanoseconds: int) -> str:
 
 
 def end_t_ns(journal: Journal) -> int:
-    """Return when the run ended: by its footer, or by the last thing that was recorded."""
+    """Return when the run ended: by its footer, or by the last record."""
     if journal.footer is not None:
         return journal.footer.t_ns
     last = [journal.header.started_t_ns]
@@ -99,7 +99,7 @@ def end_t_ns(journal: Journal) -> int:
 
 
 def status(journal: Journal) -> tuple[Status, str]:
-    """Return how the run ended, and what there is to say about it."""
+    """Return the status of the run and its message."""
     if journal.footer is not None:
         return journal.footer.status, journal.footer.message
     return Status.RECOVERED, "the run was cut off; the archive was made from what its journal holds"
@@ -136,8 +136,8 @@ def _plain(rows: Table, name: str) -> Column:
 
 
 def _some(rows: Table, name: str) -> bool:
-    """Tell whether any number of a column is finite."""
-    return any(bool(np.isfinite(piece[name]).any()) for piece in pieces(rows))
+    """Return whether any number of a column is finite."""
+    return any(bool(np.isfinite(chunk[name]).any()) for chunk in row_chunks(rows))
 
 
 def _entry(journal: Journal) -> Group:
@@ -333,7 +333,7 @@ def _backbone(journal: Journal) -> Group | None:
 def _timing(journal: Journal) -> Group:
     rows = journal.samples
     overflows = sum(count for name, count in _counted(journal).items() if name.endswith("ring_overflows"))
-    dropped = sum(int(piece["dropped"].sum()) for piece in pieces(journal.observations))
+    dropped = sum(int(chunk["dropped"].sum()) for chunk in row_chunks(journal.observations))
     return Group(
         "entry/timing",
         "NXdata",

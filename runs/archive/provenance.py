@@ -1,4 +1,4 @@
-"""Where a run comes from, as groups of its archive: protocol, rig, files, versions, and every number that was used."""
+"""Provenance of a run as groups of its archive: protocol, rig, files, versions, and every number used."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def rig(journal: Journal) -> Group:
 
 
 def protocol_files(journal: Journal) -> Group | None:
-    """The files that the protocol plays; None where it plays none."""
+    """The CSV files of the protocol; None if there are none."""
     files = journal.header.protocol_files
     if not files:
         return None
@@ -74,7 +74,7 @@ def protocol_files(journal: Journal) -> Group | None:
 
 
 def sources(journal: Journal) -> Group | None:
-    """The rig's own file and the calibrations that it names; None where it names none."""
+    """The rig file and its calibration files; None if there are none."""
     files = journal.header.sources
     if not files:
         return None
@@ -93,7 +93,7 @@ def sources(journal: Journal) -> Group | None:
 
 
 def versions(journal: Journal) -> Group:
-    """Of the program, its libraries and the system."""
+    """Versions of the program, its libraries and the system."""
     fields = (Field(name, version) for name, version in sorted(journal.header.versions.items()))
     return Group(
         "entry/versions", "NXcollection", named(fields), about="of the program, its libraries and the system", open=True

@@ -22,7 +22,7 @@ import numpy as np
 from runs.archive import checksum, layout
 from runs.archive.checked import ArchiveError as ArchiveError
 from runs.archive.checked import content_sha256, digest_of
-from runs.archive.fields import CHUNK_ROWS, Column, Field, Group, Pictures, Table, pieces
+from runs.archive.fields import CHUNK_ROWS, Column, Field, Group, Pictures, Table, row_chunks
 from runs.journal import journal
 from runs.journal.append_only_file import ARCHIVE_TO_JOURNAL, NO_ROOM, JournalError
 
@@ -34,11 +34,11 @@ _SMALLEST_COMPRESSED = 512
 
 
 class StillWrittenError(ArchiveError):
-    """The journal is held by a process that writes it."""
+    """A running process still writes the journal."""
 
 
 def finalise(journal_path: Path | str, archive_path: Path | str | None = None) -> Path:
-    """Turn a journal into an archive and return the archive's path; the journal stays.
+    """Make an archive from a journal and return its path; the journal is kept.
 
     By default the archive stands beside the journal. A journal without a footer gives an archive with status
     `recovered`. An existing archive is replaced. Raises `ArchiveError` or `JournalError`.
@@ -66,7 +66,7 @@ def write(content: journal.Journal, target: Path, most_bytes: int) -> None:
         part.replace(target)
         _sync(target.parent)
     except (OSError, RuntimeError, ValueError) as fault:
-        # HDF5 tells of its troubles as any of these, some only when the file is closed.
+        # HDF5 reports errors as any of these, some only on close.
         with suppress(OSError):
             part.unlink(missing_ok=True)
         number = fault.errno if isinstance(fault, OSError) else None
@@ -77,7 +77,7 @@ def write(content: journal.Journal, target: Path, most_bytes: int) -> None:
 
 @contextmanager
 def held(source: Path) -> Iterator[None]:
-    """Hold a journal, so that it is finalised once at a time; `StillWrittenError` while its writer lives."""
+    """Lock a journal during finalisation; `StillWrittenError` if its writer is still running."""
     try:
         handle = os.open(source, os.O_RDONLY | os.O_CLOEXEC)
     except OSError as fault:
@@ -93,14 +93,14 @@ def held(source: Path) -> Iterator[None]:
 
 
 def verify(path: Path | str) -> bool:
-    """Tell whether the content of an archive is what its own SHA-256 says; `ArchiveError` where it cannot be read."""
+    """Return whether the content of an archive has its stored SHA-256; `ArchiveError` if it is not readable."""
     return digest_of(path) == content_sha256(path)
 
 
 def _take_room(part: Path, size: int) -> None:
-    """Make an empty HDF5 file that holds room for this size; what it does not use it gives back when it is closed.
+    """Make an empty HDF5 file that holds room for this size; unused space is released on close.
 
-    Raises `OSError` where there is no room: a process whose HDF5 meets a full disk says so with tracebacks, or crashes.
+    Raises `OSError` if there is not enough space: HDF5 itself prints tracebacks or crashes on a full disk.
     """
     empty = io.BytesIO()
     h5py.File(empty, "w").close()
@@ -113,8 +113,8 @@ def _take_room(part: Path, size: int) -> None:
 
 
 def _write(part: Path, name: str, groups: tuple[Group, ...]) -> dict[str, int]:
-    """Write every group and return, for each dataset, the CRC-32 of what was meant."""
-    # Without a cache of chunks for each of the datasets that are open at once: whole chunks are written.
+    """Write every group and return, for each dataset, the CRC-32 of the intended content."""
+    # No chunk cache per open dataset: only whole chunks are written.
     with h5py.File(part, "r+", rdcc_nbytes=0) as file:
         written: list[_Dataset] = []
         for group in groups:
@@ -145,7 +145,7 @@ def _write(part: Path, name: str, groups: tuple[Group, ...]) -> dict[str, int]:
 
 
 class _Dataset:
-    """One dataset of an archive, and the checksum of what is meant by it."""
+    """One dataset of an archive, and the checksum of its intended content."""
 
     def __init__(self, node: h5py.Group, item: Field | Pictures) -> None:
         value = item.data if isinstance(item, Pictures) else item.value
@@ -179,7 +179,7 @@ class _Dataset:
 
     @property
     def crc(self) -> int:
-        """CRC-32 of what was put."""
+        """CRC-32 of the written values."""
         return self._part.crc
 
     def put(self, low: int, values: Any) -> None:
@@ -204,13 +204,13 @@ class _Dataset:
 
 
 def _fill(datasets: list[_Dataset]) -> None:
-    """Write what is made of rows: each table is gone through once, a chunk of every dataset at a time."""
+    """Write the columns: reads each table once, in chunks of rows."""
     tables: dict[int, tuple[Table, list[tuple[_Dataset, Column]]]] = {}
     for dataset in datasets:
         if (column := dataset.column) is not None:
             tables.setdefault(id(column.table), (column.table, []))[1].append((dataset, column))
     for table, columns in tables.values():
-        for number, rows in enumerate(pieces(table)):
+        for number, rows in enumerate(row_chunks(table)):
             for dataset, column in columns:
                 dataset.put(number * CHUNK_ROWS, column.of(rows))
 
@@ -226,7 +226,7 @@ def _attach(node: h5py.Group, group: Group) -> None:
 
 
 def _storage(shape: tuple[int, ...], item_bytes: int) -> dict[str, Any]:
-    """Compress what is worth it, with the one filter that every HDF5 reader has."""
+    """Filter options: shuffle and gzip, which every HDF5 reader has, for data that compress well."""
     if not shape or math.prod(shape) * item_bytes < _SMALLEST_COMPRESSED:
         return {}
     chunks = (min(shape[0], CHUNK_ROWS), *shape[1:])

@@ -1,4 +1,4 @@
-"""An archive for other programs: CSV, MATLAB, netCDF and MCAP; and, as YAML, what it was made from."""
+"""Export of an archive as CSV, MATLAB, netCDF or MCAP, and of its inputs as YAML."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from runs.run import Run
 from runs.table import TABLES, segments, table
 
 _FORMULAS = ("=", "+", "-", "@", "\t", "\r", "\n")
-"""Begin what a spreadsheet evaluates; the last three it leaves out and looks at what comes next."""
+"""First characters of spreadsheet formulas; a spreadsheet skips the last three."""
 SIMULATED = "simulated"
 """Column of every CSV: 1 where card, camera or arm was simulated, else 0."""
 
 
 class ExportError(Exception):
-    """The export could not be written; the message says why."""
+    """The export could not be written; the message has the reason."""
 
 
 def export(
@@ -61,7 +61,7 @@ def _csv(source: Path, stem: Path) -> tuple[Path, ...]:
     written = []
     with opened(source) as archive:
         simulated = int(archive.value("entry/simulated"))
-    # All is read before anything is written: a damaged archive leaves no half of its tables.
+    # Read everything before the first write, so that a damaged archive leaves no partial export.
     tables = [*((group, table(source, group)) for group in TABLES), ("segments", segments(source))]
     for group, columns in tables:
         if not columns:
@@ -85,7 +85,7 @@ def _cells(column: np.ndarray[Any, Any]) -> list[Any]:
 
 
 def _plain_text(text: str) -> str:
-    """Return a text that no spreadsheet takes for a formula, as OWASP advises: with an apostrophe before it."""
+    """Escape a text that a spreadsheet would evaluate as a formula by an apostrophe (OWASP)."""
     return f"'{text}" if text.startswith(_FORMULAS) else text
 
 
@@ -162,7 +162,7 @@ def _nc(source: Path, stem: Path) -> tuple[Path, ...]:
 
 
 def _classic(column: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
-    """Return a column in a type that netCDF classic has: it knows no integers of 64 bits."""
+    """Return a column in a type of netCDF classic, which has no 64-bit integers."""
     if column.dtype.kind == "f" or column.dtype.itemsize <= 4:
         return column
     small = column.astype(np.int32)

@@ -23,7 +23,7 @@ from runs.run import Run
 from runs.table import table
 
 SUFFIX = ".foxglove.mcap"
-"""Tells the file from a journal, which is MCAP, too."""
+"""Distinguishes the file from a journal, which is also MCAP."""
 FRAME_ID = "rod_base"
 _TABLES = ("pressure", "tip", "timing", "simulator")
 _LOG_LEVEL = {Level.INFO: 2, Level.WARNING: 3, Level.FAULT: 4}
@@ -62,7 +62,7 @@ def _streams(run: Run) -> Iterator[Iterable[Message]]:
         yield _rows(run, group, start_ns)
     yield _arm(run, start_ns)
     yield _pictures(run, start_ns)
-    # Events are recorded in the order in which they were told, which need not be that of their times.
+    # Events are recorded in the order of arrival, not of their times.
     yield iter(sorted(_events(run), key=itemgetter(0)))
 
 
@@ -99,7 +99,7 @@ def _arm(run: Run, start_ns: int) -> Iterator[Message]:
 
 
 def _pictures(run: Run, start_ns: int) -> Iterator[Message]:
-    """The kept pictures, each with its marks."""
+    """The stored pictures with their annotations."""
     frames = run.frames
     times = _absolute(frames.time_s, start_ns)
     for k in np.argsort(times, kind="stable").tolist():

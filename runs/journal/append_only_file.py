@@ -1,4 +1,4 @@
-"""A file that only grows: each piece is in it whole or not at all, and what is older than a second is on the disk."""
+"""Append-only file: every append is atomic, and is synced to the disk within about a second."""
 
 from __future__ import annotations
 
@@ -15,62 +15,62 @@ from typing import Protocol
 
 SYNC_S = 1.0
 RESERVE_BYTES = 32 << 20
-"""Free space that is left on the disk beyond what the archive will need."""
+"""Free disk space to leave in addition to the space for the archive."""
 ARCHIVE_TO_JOURNAL = 1.2
 """An archive is about as large as its journal: its rows are compressed, its pictures are not."""
 
-USUAL_S = 0.05
-"""A disk that stands still takes longer than this for one piece; its caller is then not held up any more."""
-HELD_S = 10.0
-HELD_BYTES = 64 << 20
-"""How long, and how much of it, what the disk does not take is kept in memory."""
+WRITE_WAIT_S = 0.05
+"""Longest time for which `append` waits for the write; on a stalled disk it then returns."""
+BUFFER_S = 10.0
+BUFFER_BYTES = 64 << 20
+"""Limits in time and size of the buffer in memory while the disk is stalled."""
 
 NO_ROOM = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
-"""What the kernel says when a disk, a quota or a limit is full."""
+"""Errors of the kernel for a full disk, quota or file size limit."""
 
 
 class JournalError(Exception):
-    """The journal cannot be written or read; the message says why."""
+    """The journal cannot be written or read; the message has the reason."""
 
 
 class JournalFullError(JournalError):
-    """The disk is full, or nearly. What earlier calls wrote is intact, and the journal can still be closed."""
+    """The disk is full, or nearly. Earlier records are intact, and the journal can still be closed."""
 
 
 class AppendOnlyFile(Protocol):
-    """Where a journal's pieces go."""
+    """Destination of the journal's blocks."""
 
     @property
-    def standing_s(self) -> float:
-        """For how long the disk has not done what it was asked for; 0 where nothing is outstanding."""
+    def stalled_s(self) -> float:
+        """Age [s] of the oldest unfinished write or sync; 0 if there is none."""
 
-    def append(self, piece: bytes) -> None:
-        """Add a piece to the file."""
+    def append(self, data: bytes) -> None:
+        """Append a block to the file."""
 
-    def settled(self, timeout_s: float) -> bool:
-        """Wait until the disk has done what it was asked for; False where it has not by then."""
+    def wait_until_synced(self, timeout_s: float) -> bool:
+        """Wait until all writes and syncs are done; False on timeout."""
 
     def close(self, last: bytes) -> None:
-        """Add the last piece, see it to the disk, and close the file, whatever goes wrong."""
+        """Append the last block, sync, and close the file in any case."""
 
 
 class DiskFile:
-    """Appends in the caller's own thread. The file is locked (flock) while it is open."""
+    """Appends in the thread of the caller. The file is locked (flock) while it is open."""
 
-    standing_s = 0.0
+    stalled_s = 0.0
 
     def __init__(self, path: Path, first: bytes) -> None:
-        """Create the file, which must not exist, with its first piece.
+        """Create the file, which must not exist, with its first block.
 
         Raises:
             JournalError: it cannot be created; nothing is left of it.
         """
         self.path = path
         self.full = ""
-        """Why no more is taken, empty while there is room."""
+        """Reason why no more is accepted; empty while there is space."""
         self._size = 0
         try:
-            self._look_for_room(os.statvfs(path.parent))
+            self._check_free_space(os.statvfs(path.parent))
             if self.full:
                 raise JournalFullError(self.full)
             self._fd = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_APPEND | os.O_CLOEXEC, 0o644)
@@ -85,20 +85,20 @@ class DiskFile:
             path.unlink(missing_ok=True)
             raise
 
-    def append(self, piece: bytes) -> None:
+    def append(self, data: bytes) -> None:
         """Write it; once a second, sync."""
         self.refuse_if_full()
-        self.write(piece)
+        self.write(data)
         if time.monotonic() - self._synced_at >= SYNC_S:
             self.sync()
             self.refuse_if_full()
 
-    def settled(self, timeout_s: float) -> bool:
-        """Nothing is ever outstanding."""
+    def wait_until_synced(self, timeout_s: float) -> bool:
+        """True: writes are synchronous."""
         return True
 
     def close(self, last: bytes) -> None:
-        """Write it even where the room is nearly used up: that is what it was left for."""
+        """Write the last block also into the reserved space, and close."""
         try:
             self.write(last)
             self.sync()
@@ -106,37 +106,37 @@ class DiskFile:
             os.close(self._fd)
 
     def refuse_if_full(self) -> None:
-        """Raise where there is no room."""
+        """Raise if the disk is full."""
         if self.full:
             raise JournalFullError(self.full)
 
-    def write(self, piece: bytes) -> None:
-        """Write all of it or, where there is no room, none."""
-        rest = memoryview(piece)
+    def write(self, data: bytes) -> None:
+        """Write all of it or, if there is no space, nothing."""
+        rest = memoryview(data)
         try:
             while rest:
                 rest = rest[os.write(self._fd, rest) :]
         except OSError as fault:
-            # A disk that has turned read-only takes not even that; what is torn is told from what is whole on reading.
+            # Truncation fails on a disk that turned read-only; the reader detects a torn block by its checksum.
             with suppress(OSError):
                 os.ftruncate(self._fd, self._size)
             if fault.errno in NO_ROOM:
                 self.full = f"the disk with {self.path} is full ({fault.strerror}); what was recorded is intact"
                 raise JournalFullError(self.full) from fault
             raise JournalError(f"cannot write {self.path}: {fault.strerror}") from fault
-        self._size += len(piece)
+        self._size += len(data)
 
     def sync(self) -> None:
-        """See what was written to the disk, and look whether the room still suffices."""
+        """Sync to the disk and check the free space."""
         try:
             os.fdatasync(self._fd)
-            self._look_for_room(os.fstatvfs(self._fd))
+            self._check_free_space(os.fstatvfs(self._fd))
         except OSError as fault:
             raise JournalError(f"cannot write {self.path} to its disk: {fault.strerror}") from fault
         self._synced_at = time.monotonic()
 
-    def _look_for_room(self, disk: os.statvfs_result) -> None:
-        """Stop while there is still room for the archive."""
+    def _check_free_space(self, disk: os.statvfs_result) -> None:
+        """Set `full` while there is still space for the archive."""
         free, needed = disk.f_bavail * disk.f_frsize, RESERVE_BYTES + ARCHIVE_TO_JOURNAL * self._size
         if free < needed:
             self.full = (
@@ -145,21 +145,20 @@ class DiskFile:
             )
 
 
-class MemoryFile:
-    """Appends to a `File` without ever waiting for its disk: what that does not take is kept in memory meanwhile.
+class BufferedFile:
+    """Appends to a `DiskFile` through a buffer in memory, so that a stalled disk does not block the caller.
 
-    Two threads, because a disk may take what is written, into the kernel's memory, long before a sync returns. A call
-    that finds nothing outstanding waits the usual moment until its piece is written, so that what it returned from
-    survives kill -9 wherever the disk does not stand still.
+    Writes and syncs have a thread each, because a write into the page cache returns long before a sync. If the buffer
+    is empty, `append` waits up to `WRITE_WAIT_S` for its write, so that its data survive kill -9 if the disk works.
     """
 
     def __init__(self, file: DiskFile, patience_s: float | None = None) -> None:
-        """`patience_s` is for how long the disk may take nothing; `HELD_S` where it is None."""
+        """`patience_s` is the longest accepted stall of the disk; None for `BUFFER_S`."""
         self._file = file
         self._patience_s = patience_s
         self._changed = threading.Condition()
         self._outstanding: deque[tuple[float, bytes]] = deque()
-        """When each piece came; the first is the one that is being written."""
+        """Time and content of each block; the first is being written."""
         self._bytes = 0
         self._syncing_since: float | None = None
         self._fault: JournalError | None = None
@@ -169,27 +168,27 @@ class MemoryFile:
             thread.start()
 
     @property
-    def standing_s(self) -> float:
-        """For how long the disk has not done the oldest of what it was asked for; 0 where nothing is outstanding."""
+    def stalled_s(self) -> float:
+        """Age [s] of the oldest unfinished write or sync; 0 if there is none."""
         with self._changed:
             since = [] if self._syncing_since is None else [self._syncing_since]
             if self._outstanding:
                 since.append(self._outstanding[0][0])
         return time.monotonic() - min(since) if since else 0.0
 
-    def append(self, piece: bytes) -> None:
-        """Hand it over; what has gone wrong since the last call is raised by this one."""
+    def append(self, data: bytes) -> None:
+        """Buffer a block; raises the error of an earlier write or sync."""
         with self._changed:
-            self._refuse()
-            usual = not self._outstanding
-            self._outstanding.append((time.monotonic(), piece))
-            self._bytes += len(piece)
+            self._raise_fault()
+            idle = not self._outstanding
+            self._outstanding.append((time.monotonic(), data))
+            self._bytes += len(data)
             self._changed.notify_all()
-            if usual:
-                self._changed.wait_for(lambda: not self._outstanding, USUAL_S)
-                self._refuse()
+            if idle:
+                self._changed.wait_for(lambda: not self._outstanding, WRITE_WAIT_S)
+                self._raise_fault()
 
-    def settled(self, timeout_s: float) -> bool:
+    def wait_until_synced(self, timeout_s: float) -> bool:
         """Wait for the disk."""
         with self._changed:
             return self._changed.wait_for(
@@ -197,7 +196,7 @@ class MemoryFile:
             )
 
     def close(self, last: bytes) -> None:
-        """Wait for the disk as long as it takes, then close; raise what no call has raised yet."""
+        """Wait for the disk without limit, then close; raises a pending error."""
         self._closing.set()
         with self._changed:
             self._changed.notify_all()
@@ -207,18 +206,18 @@ class MemoryFile:
         if self._fault is not None:
             raise self._fault
 
-    def _refuse(self) -> None:
-        """Raise where the file or its disk takes no more."""
+    def _raise_fault(self) -> None:
+        """Raise a pending error, or if the disk is full or stalled for too long."""
         if self._fault is not None:
             fault, self._fault = self._fault, None
             raise fault
         self._file.refuse_if_full()
         if not self._outstanding:
             return
-        held_s = time.monotonic() - self._outstanding[0][0]
-        if held_s > (HELD_S if self._patience_s is None else self._patience_s) or self._bytes > HELD_BYTES:
+        stalled_s = time.monotonic() - self._outstanding[0][0]
+        if stalled_s > (BUFFER_S if self._patience_s is None else self._patience_s) or self._bytes > BUFFER_BYTES:
             raise JournalError(
-                f"the disk with {self._file.path} has taken nothing for {held_s:.1f} s; "
+                f"the disk with {self._file.path} has taken nothing for {stalled_s:.1f} s; "
                 f"{self._bytes / 1e6:.1f} MB wait in memory until it does"
             )
 
@@ -228,8 +227,8 @@ class MemoryFile:
                 self._changed.wait_for(lambda: bool(self._outstanding) or self._closing.is_set())
                 if not self._outstanding:
                     return
-                _, piece = self._outstanding[0]
-            written = self._tried(self._file.write, piece)
+                _, data = self._outstanding[0]
+            written = self._attempt(self._file.write, data)
             with self._changed:
                 for _ in range(1 if written else len(self._outstanding)):
                     self._bytes -= len(self._outstanding.popleft()[1])
@@ -239,13 +238,13 @@ class MemoryFile:
         while not self._closing.wait(SYNC_S):
             with self._changed:
                 self._syncing_since = time.monotonic()
-            self._tried(self._file.sync)
+            self._attempt(self._file.sync)
             with self._changed:
                 self._syncing_since = None
                 self._changed.notify_all()
 
-    def _tried(self, step: Callable[..., None], *arguments: bytes) -> bool:
-        """Do it; keep what goes wrong for the next call."""
+    def _attempt(self, step: Callable[..., None], *arguments: bytes) -> bool:
+        """Run a step; store its error for the next call."""
         try:
             step(*arguments)
         except JournalError as fault:

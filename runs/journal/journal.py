@@ -20,7 +20,7 @@ from mcap.records import Channel, Message, Schema
 from numpy.typing import NDArray
 
 from runs.journal import mcap_records, messages
-from runs.journal.append_only_file import AppendOnlyFile, DiskFile, JournalError, MemoryFile
+from runs.journal.append_only_file import AppendOnlyFile, BufferedFile, DiskFile, JournalError
 from runs.journal.mcap_records import Block, Damage
 from runs.journal.messages import ADAPTATIONS, EVENTS, FOOTER, HEADER, MARKS, OBSERVATIONS, PICTURES, SAMPLES
 from runs.journal.stored_rows import Index, StoredPictures, StoredRows
@@ -32,7 +32,7 @@ SUFFIX = ".mcap"
 class JournalWriter:
     """Writes one run's journal. For one thread; the file is locked (flock) while it is open.
 
-    Every call raises `JournalError` where the disk is full, broken or, in a live run, takes nothing for long.
+    Every call raises `JournalError` if the disk is full, fails or, in a live run, stalls for too long.
     """
 
     def __init__(
@@ -40,7 +40,7 @@ class JournalWriter:
     ) -> None:
         """Create the file, which must not exist, and write the header.
 
-        A `live` run is not held up by a disk that stalls for less than `patience_s`, 10 s by default; any other waits.
+        A `live` run does not wait for a disk that stalls for less than `patience_s` (default 10 s); other runs wait.
         """
         self.path = Path(path)
         self._samples = _Rows(SAMPLES, sample_dtype(header.actuators, header.valves))
@@ -51,12 +51,12 @@ class JournalWriter:
         kinds = [self._samples, self._observations, *([self._adaptations] if header.adapted else [])]
         first = block_of_header(header, {kind.channel: kind.form["row"] for kind in kinds})
         file = DiskFile(self.path, mcap_records.opening() + first + first)
-        self._file: AppendOnlyFile = MemoryFile(file, patience_s) if live else file
+        self._file: AppendOnlyFile = BufferedFile(file, patience_s) if live else file
 
     @property
-    def standing_s(self) -> float:
-        """For how long the disk has not taken what was recorded [s]; 0 where it has."""
-        return self._file.standing_s
+    def stalled_s(self) -> float:
+        """Age [s] of the oldest record that is not yet on the disk; 0 if there is none."""
+        return self._file.stalled_s
 
     def samples(self, rows: NDArray[np.void]) -> None:
         """Append control ticks: `sample_dtype` rows (n,)."""
@@ -86,12 +86,12 @@ class JournalWriter:
         content = mcap_records.encode(Message(EVENTS, utc_ns, messages.to_json(event), utc_ns, 0))
         self._file.append(mcap_records.block(content, utc_ns, utc_ns))
 
-    def settled(self, timeout_s: float) -> bool:
-        """Wait until the disk has taken what was recorded; False where it has not by then."""
-        return self._file.settled(timeout_s)
+    def wait_until_synced(self, timeout_s: float) -> bool:
+        """Wait until all records are on the disk; False on timeout."""
+        return self._file.wait_until_synced(timeout_s)
 
     def close(self, footer: RunFooter) -> None:
-        """Write how the run ended, and close. Closes the file even where the footer finds no room."""
+        """Write how the run ended, and close. Closes the file even if there is no space for the footer."""
         utc_ns = footer.t_ns + self._utc_minus_t_ns
         content = mcap_records.encode(Message(FOOTER, utc_ns, messages.to_json(footer), utc_ns, 0))
         self._file.close(mcap_records.block(content, utc_ns, utc_ns) + mcap_records.ending())
@@ -144,7 +144,7 @@ def block_of_header(header: RunHeader, rows: Mapping[int, np.dtype[np.void]]) ->
 
 @dataclass(frozen=True)
 class Journal:
-    """What a journal holds. `footer` is None where the run was cut off; `damage` is what could not be read.
+    """What a journal holds. `footer` is None if the run was cut off; `damage` lists unreadable parts.
 
     Rows and pictures stay in the file until a slice of them is taken.
     """
@@ -160,7 +160,7 @@ class Journal:
 
 
 def read(path: Path | str) -> Journal:
-    """Read what can be read of a journal, whole or not; `JournalError` where not even the header can."""
+    """Read the intact parts of a journal; `JournalError` if the header is not readable."""
     try:
         with Path(path).open("rb") as file:
             empty = os.fstat(file.fileno()).st_size == 0

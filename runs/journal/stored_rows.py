@@ -1,6 +1,6 @@
-"""Rows and pictures of a journal, left where they stand in the mapped file until some of them are asked for.
+"""Rows and pictures of a journal, read lazily from the memory-mapped file.
 
-Held in memory is where they begin, 16 bytes a block or a picture: a run of any length can be gone through.
+Only an index is in memory, 16 bytes per block or picture, so runs of any length are readable.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ class StoredRows:
         self._kind = kind
         self._begins, self._ends = (np.frombuffer(column, np.int64) for column in (index.begins, index.ends))
         self._stride = mcap_records.framed(stored).itemsize
-        # A row may begin at any byte.
+        # Rows are not aligned.
         places = max(0, len(data) - stored.itemsize + 1)
         self._everywhere: NDArray[np.void] = np.ndarray(places, stored, data, 0, (1,))
 
@@ -40,13 +40,13 @@ class StoredRows:
 
 
 class Index:
-    """Where the blocks of one kind of row begin."""
+    """Start positions of the blocks of one kind of row."""
 
     def __init__(self) -> None:
         self.begins, self.ends = array("q"), array("q")
 
     def add(self, begin: int, rows: int) -> None:
-        """Take a block whose first row begins here."""
+        """Add a block by the position of its first row."""
         self.begins.append(begin)
         self.ends.append((self.ends[-1] if self.ends else 0) + rows)
 
@@ -75,14 +75,14 @@ class StoredPictures:
         self._unclaimed: dict[tuple[int, str], int] = {}
 
     def mark(self, position: int) -> None:
-        """Take the message here: what was seen in a picture that is yet to come."""
+        """Add the annotations message at a position; its picture follows."""
         frame, camera, marks = self._marks_at(position)
         self._unclaimed[frame & 0xFFFFFFFF, camera] = position
         self.corners = max(self.corners, len(marks.corners_px))
         self.backbone = max(self.backbone, len(marks.backbone_px))
 
     def picture(self, position: int) -> None:
-        """Take the message here: a picture."""
+        """Add the picture message at a position."""
         found = self._picture_at(position, ImageAnnotations.none())
         self._pictures.append(position)
         self._marks.append(self._unclaimed.pop((found.frame, found.camera), 0))
@@ -106,7 +106,7 @@ class StoredPictures:
 
 
 def _as_rows(rows: NDArray[np.void], kind: np.dtype[np.void]) -> NDArray[np.void]:
-    """Return rows as those of today: the journal of another version may lack a column, which is then NaN or 0."""
+    """Return rows with the current columns; a column that the journal lacks is NaN or 0."""
     if rows.dtype == kind:
         return rows
     known = np.zeros(len(rows), kind)

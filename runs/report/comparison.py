@@ -11,8 +11,9 @@ from typing import Any
 from matplotlib.figure import Figure
 
 from runs.report.colours import RUNS
+from runs.report.drawing import decimated, legend, path_indices, svg
 from runs.report.figure_specifications import FigureSpecification
-from runs.report.figures import across, legend, strided, svg, thin
+from runs.report.figures import across
 from runs.report.gaps import tip_with_gaps
 from runs.report.numbers import plain, three
 from runs.run import Run
@@ -25,16 +26,16 @@ def section(runs: Sequence[Run], summaries: Sequence[Summary]) -> str:
     """Return the part of a report that compares its runs."""
     salt = "/".join(run.header.run_id for run in runs)
     shown = "".join(
-        f"<h2>{plate.title}</h2>\n<figure>{svg(plate.draw, plate.size, salt, runs, summaries)}"
-        f"<figcaption>{plate.caption}</figcaption></figure>\n"
-        for plate in plates(runs)
+        f"<h2>{figure.title}</h2>\n<figure>{svg(figure.draw, figure.size, salt, runs, summaries)}"
+        f"<figcaption>{figure.caption}</figcaption></figure>\n"
+        for figure in comparison_figures(runs)
     )
     head = f'<header class="run"><h1>{len(runs)} runs</h1></header>'
     papers = f'<div class="beside">{by_model(runs, summaries)}{by_axis(runs, summaries)}</div>\n'
     return f'<section class="run">\n{head}\n{table(runs, summaries)}{papers}{shown}</section>\n'
 
 
-def plates(runs: Sequence[Run]) -> tuple[FigureSpecification, ...]:
+def comparison_figures(runs: Sequence[Run]) -> tuple[FigureSpecification, ...]:
     """Return the figures that compare runs."""
     size = (9, 3.4 + 0.16 * len(runs))
     where = "Each in its plane of motion, or over x where it keeps to none."
@@ -133,7 +134,7 @@ def tips(figure: Figure, runs: Sequence[Run], summaries: Sequence[Summary]) -> N
         project, name = across(run, summary)
         names.add(name)
         tip, _ = tip_with_gaps(run.tip)
-        measured, model = (points[strided(points)] for points in (tip.measured_mm, tip.model_mm))
+        measured, model = (points[path_indices(points)] for points in (tip.measured_mm, tip.model_mm))
         if summary.frames_measured:
             axes.plot(*project(measured).T, color=colour, ls=style, lw=1.2, label=run.header.run_id)
         else:
@@ -152,7 +153,7 @@ def errors(figure: Figure, runs: Sequence[Run], summaries: Sequence[Summary]) ->
     for run, summary, colour, style in _coloured(runs, summaries):
         if summary.frames_measured:
             tip, _ = tip_with_gaps(run.tip)
-            line = thin(tip.protocol_s, tip.error_mm)
+            line = decimated(tip.protocol_s, tip.error_mm)
             axes.plot(*line, color=colour, ls=style, lw=1.0, label=run.header.run_id)
     axes.set_xlabel("protocol time [s]")
     axes.set_ylabel("error [mm]")

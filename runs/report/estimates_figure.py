@@ -7,7 +7,7 @@ import math
 import numpy as np
 from matplotlib.figure import Figure
 
-from runs.report import figures
+from runs.report import drawing
 from runs.report.colours import INK, MEASURED, MUTED
 from runs.report.gaps import tip_with_gaps, with_gaps
 from runs.run import Adaptation, Run
@@ -34,15 +34,15 @@ def draw(figure: Figure, run: Run, summary: Summary) -> None:
     start_mm = np.full_like(run.tip.measured_mm, np.nan)
     start_mm[of_tip] = a.start_model_mm[of_estimate]
     without = np.linalg.norm(tip.measured_mm - with_gaps(start_mm, gaps), axis=1)
-    above.plot(*figures.thin(tip.time_s, without), color=MUTED, lw=0.9, label="with the parameters as they were")
-    above.plot(*figures.thin(tip.time_s, tip.error_mm), color=MEASURED, lw=1.0, label="live error")
+    above.plot(*drawing.decimated(tip.time_s, without), color=MUTED, lw=0.9, label="with the parameters as they were")
+    above.plot(*drawing.decimated(tip.time_s, tip.error_mm), color=MEASURED, lw=1.0, label="live error")
     above.set_ylabel("error [mm]")
     above.set_ylim(bottom=0)
     above.margins(x=0.01)
-    figures.legend(above)
+    drawing.legend(above)
     for k, (name, unit) in enumerate(zip(a.parameter, a.unit, strict=True)):
         panel = figure.add_subplot(grid[1 + k // COLUMNS, k % COLUMNS])
-        index = figures.kept(a.value[:, k])
+        index = drawing.decimated_indices(a.value[:, k])
         time, value, half = a.time_s[index], a.value[index, k], Z_95 * a.uncertainty[index, k]
         panel.axhline(a.start[k], color=INK, lw=0.8, ls=(0, (4, 2)))
         panel.fill_between(time, value - half, value + half, color=MEASURED, alpha=0.2, lw=0)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from runs.export.exporters import ExportError
 from runs.overwriting import staged
-from runs.report import comparison, figures
+from runs.report import comparison, drawing
 from runs.report.figure_specifications import figure_specifications, of_pictures
 from runs.run import Run
 from runs.summary import summarise
@@ -43,12 +43,12 @@ def _write(runs: Sequence[Run], folder: Path, kind: str) -> list[str]:
     names = []
     summaries = [summarise(run) for run in runs]
     for run, summary in zip(runs, summaries, strict=True):
-        for plate in (*figure_specifications(run, summary), *of_pictures(run, summary)):
-            names.append(f"{run.path.stem}-{plate.name}.{kind}")
+        for figure in (*figure_specifications(run, summary), *of_pictures(run, summary)):
+            names.append(f"{run.path.stem}-{figure.name}.{kind}")
             mark = _MARK * summary.simulated
-            figures.save(plate.draw, plate.size, folder / names[-1], run, summary, mark=mark)
+            drawing.save(figure.draw, figure.size, folder / names[-1], run, summary, mark=mark)
     mark = _MARK * any(summary.simulated for summary in summaries)
-    for plate in comparison.plates(runs) if len(runs) > 1 else ():
-        names.append(f"compared-{plate.name}.{kind}")
-        figures.save(plate.draw, plate.size, folder / names[-1], runs, summaries, mark=mark)
+    for figure in comparison.comparison_figures(runs) if len(runs) > 1 else ():
+        names.append(f"compared-{figure.name}.{kind}")
+        drawing.save(figure.draw, figure.size, folder / names[-1], runs, summaries, mark=mark)
     return names

@@ -2,16 +2,10 @@
 
 from __future__ import annotations
 
-import io
-import re
 from collections.abc import Callable, Sequence
-from pathlib import Path
-from typing import Any
 
-import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
@@ -20,103 +14,13 @@ from numpy.typing import NDArray
 
 from runs.records import DetectionStatus
 from runs.report.colours import ACTUATORS, INK, MEASURED, MODEL, MUTED, RULE, TRUTH
+from runs.report.drawing import POINTS, decimated, decimated_indices, legend, no_data, panels, path_indices
 from runs.report.gaps import pressure_with_gaps, tip_with_gaps, with_gaps
 from runs.run import Pressure, Run
 from runs.summary import BAND_BAR, MOVED_MM, Z_95, StepSummary, Summary, in_plane, rest_mm, settled_steps
 
 SHAPES = 12
-POINTS = 900
-"""Points drawn of a long line; their extremes are kept."""
-
-STYLE: dict[Any, Any] = {
-    "svg.fonttype": "none",
-    "font.family": "DejaVu Sans",
-    "font.size": 9,
-    "figure.facecolor": "none",
-    "axes.facecolor": "none",
-    "axes.edgecolor": MUTED,
-    "axes.labelcolor": INK,
-    "axes.linewidth": 0.7,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.grid": True,
-    "axes.axisbelow": True,
-    "axes.titlesize": 9.5,
-    "axes.titlelocation": "left",
-    "axes.titlepad": 7,
-    "grid.color": RULE,
-    "grid.linewidth": 0.6,
-    "xtick.color": MUTED,
-    "ytick.color": MUTED,
-    "xtick.labelcolor": INK,
-    "ytick.labelcolor": INK,
-    "xtick.major.width": 0.7,
-    "ytick.major.width": 0.7,
-    "legend.frameon": False,
-    "legend.fontsize": 8.5,
-    "lines.linewidth": 1.3,
-    "lines.solid_joinstyle": "round",
-    "figure.constrained_layout.use": True,
-    "figure.constrained_layout.h_pad": 0.06,
-}
-_ROOM_IN = (0.85, 0.1, 0.46, 0.28)
-"""Left, right, below and above of a figure's panels, for labels and legends; `_BETWEEN_IN` beside and below each."""
-_BETWEEN_IN = (0.75, 0.3)
-_FONTS = "Inter, 'Helvetica Neue', Helvetica, Arial, 'DejaVu Sans', sans-serif"
-
-_PATHS, _DIGITS = re.compile(r' d="[^"]*"'), re.compile(r"(?<=\.\d)\d+")
-"""A tenth of a point is as fine as a page shows."""
-
 Floats = NDArray[np.float64]
-
-
-def svg(draw: Callable[..., None], size: tuple[float, float], salt: str, *about: object) -> str:
-    """Return a figure of a size in inches as an SVG element that can stand inside HTML.
-
-    `draw` is called with the figure and `about`. The `salt` keeps the drawing's ids apart from others on the page.
-    """
-    with mpl.rc_context({**STYLE, "svg.hashsalt": f"{salt}/{draw.__name__}"}):
-        figure = Figure(figsize=size)
-        canvas = FigureCanvasSVG(figure)
-        draw(figure, *about)
-        text = io.StringIO()
-        # Not figure.savefig: it draws everything twice.
-        canvas.print_svg(text, metadata={"Date": None, "Creator": None})  # type: ignore[no-untyped-call]
-    drawing = text.getvalue()
-    drawing = _PATHS.sub(lambda path: _DIGITS.sub("", path[0]), drawing[drawing.index("<svg") :])
-    return drawing.replace("'DejaVu Sans'", _FONTS)
-
-
-def save(draw: Callable[..., None], size: tuple[float, float], path: Path, *about: object, mark: str = "") -> None:
-    """Write a figure to a file; its kind is that of the name. `draw` is called with the figure and `about`.
-
-    The `mark` goes into a corner: what must not be forgotten of a figure that is shown without its page.
-    """
-    with mpl.rc_context({**STYLE, "figure.facecolor": "white", "axes.facecolor": "white", "pdf.fonttype": 42}):
-        figure = Figure(figsize=size)
-        draw(figure, *about)
-        figure.text(0.998, 0.004, mark, ha="right", va="bottom", fontsize=7, color=MUTED)
-        figure.savefig(path, dpi=200)
-
-
-def panels(figure: Figure, rows: int = 1, columns: int = 1, **options: Any) -> NDArray[Any]:
-    """Return axes (rows, columns) with fixed room round them: to measure every label takes as long as to draw."""
-    figure.set_layout_engine("none")
-    width, height = figure.get_size_inches()
-    left, right, below, above = _ROOM_IN
-    beside, between = _BETWEEN_IN
-    across = (width - left - right - (columns - 1) * beside) / columns
-    down = (height - below - above - (rows - 1) * between) / rows
-    room = {
-        "left": left / width,
-        "right": 1 - right / width,
-        "bottom": below / height,
-        "top": 1 - above / height,
-        "wspace": beside / across,
-        "hspace": between / down,
-    }
-    axes: NDArray[Any] = figure.subplots(rows, columns, sharex=columns == 1, squeeze=False, gridspec_kw=room, **options)
-    return axes
 
 
 def pressures(figure: Figure, run: Run, summary: Summary) -> None:
@@ -130,19 +34,19 @@ def pressures(figure: Figure, run: Run, summary: Summary) -> None:
         return
     above, below = panels(figure, 2, height_ratios=[3, 1.1])[:, 0]
     if len(p.time_s) == 0:
-        _nothing(above, below)
+        no_data(above, below)
         return
     _measured_pressures(above, p)
     columns = p.setpoint_bar.T
     for i, row in enumerate(columns):
         if any(np.array_equal(row, other, equal_nan=True) for other in columns[:i]):
             continue
-        above.plot(*thin(p.time_s, row), color=INK, lw=0.8, ls=(0, (4, 2)))
+        above.plot(*decimated(p.time_s, row), color=INK, lw=0.8, ls=(0, (4, 2)))
     above.plot([], [], color=INK, lw=0.8, ls=(0, (4, 2)), label="set-point")
     legend(above, columns=p.measured_bar.shape[1] + 1)
     difference_mbar = 1e3 * (p.measured_bar - p.setpoint_bar)
     for i, row in enumerate(difference_mbar.T):
-        below.plot(*thin(p.time_s, row), color=ACTUATORS[i % len(ACTUATORS)], lw=0.8)
+        below.plot(*decimated(p.time_s, row), color=ACTUATORS[i % len(ACTUATORS)], lw=0.8)
     largest = np.nanmax(np.abs(difference_mbar), initial=0)
     below.axhspan(-1e3 * BAND_BAR, 1e3 * BAND_BAR, color=RULE, alpha=0.6, lw=0)
     below.set_ylim(-1.2 * max(min(largest, 60), 15), 1.2 * max(min(largest, 60), 15))
@@ -154,7 +58,7 @@ def _measured_pressures(axes: Axes, pressure: Pressure) -> None:
     for i, row in enumerate(pressure.measured_bar.T):
         # Of many the names would not fit beside one another.
         name = f"actuator {i + 1}" if i == 0 or pressure.measured_bar.shape[1] <= 6 else str(i + 1)
-        axes.plot(*thin(pressure.time_s, row), color=ACTUATORS[i % len(ACTUATORS)], label=name)
+        axes.plot(*decimated(pressure.time_s, row), color=ACTUATORS[i % len(ACTUATORS)], label=name)
     axes.set_ylabel("gauge pressure [bar]")
 
 
@@ -196,10 +100,10 @@ def around(figure: Figure, run: Run, summary: Summary) -> None:
 
 def _paths(axes: Axes, run: Run, summary: Summary, project: Callable[[Floats], Floats]) -> None:
     tip, gaps = tip_with_gaps(run.tip)
-    measured, model = (project(points[strided(points)]) for points in (tip.measured_mm, tip.model_mm))
+    measured, model = (project(points[path_indices(points)]) for points in (tip.measured_mm, tip.model_mm))
     if run.simulated is not None:
         points = with_gaps(run.simulated.tip_mm, gaps)
-        truth = project(points[strided(points)])
+        truth = project(points[path_indices(points)])
         axes.plot(*truth.T, color=TRUTH, lw=0.9, label="simulated truth")
     if summary.frames_measured:
         axes.plot(*measured.T, color=MEASURED, lw=0.9, label="measured, every frame")
@@ -322,12 +226,12 @@ def coordinates(figure: Figure, run: Run, summary: Summary) -> None:
     axes = panels(figure, 3)[:, 0]
     for i, (axis, panel) in enumerate(zip("xyz", axes, strict=True)):
         if summary.frames_measured:
-            index = kept(tip.measured_mm[:, i])
+            index = decimated_indices(tip.measured_mm[:, i])
             time, at, half = tip.time_s[index], tip.measured_mm[index, i], Z_95 * tip.uncertainty_mm[index, i]
             panel.fill_between(time, at - half, at + half, color=MEASURED, alpha=0.22, lw=0)
             panel.plot(time, at, color=MEASURED, lw=1.0, label="measured, 95 % band")
         if np.isfinite(tip.model_mm[:, i]).any():
-            panel.plot(*thin(tip.time_s, tip.model_mm[:, i]), color=MODEL, lw=1.1, label="model")
+            panel.plot(*decimated(tip.time_s, tip.model_mm[:, i]), color=MODEL, lw=1.1, label="model")
         panel.set_ylabel(f"{axis} [mm]")
         panel.margins(x=0.01)
     legend(axes[0])
@@ -340,10 +244,10 @@ def error(figure: Figure, run: Run, summary: Summary) -> None:
     measured = tip.seen == DetectionStatus.MEASURED
     stacked = panels(figure, 2 if run.simulated is not None else 1)[:, 0]
     above = stacked[0]
-    above.plot(*thin(tip.time_s, tip.error_mm), color=MEASURED, lw=1.0, label="measured to model, 3-D")
+    above.plot(*decimated(tip.time_s, tip.error_mm), color=MEASURED, lw=1.0, label="measured to model, 3-D")
     if np.isfinite(summary.plane_deg):
         flat = in_plane(tip.measured_mm - tip.model_mm, _plane(summary))
-        above.plot(*thin(tip.time_s, flat), color=MODEL, lw=1.0, label="in the plane")
+        above.plot(*decimated(tip.time_s, flat), color=MODEL, lw=1.0, label="in the plane")
     lost = np.unique(np.round(tip.time_s[~measured], 1 if len(tip.time_s) > POINTS else 3))
     above.plot(lost, np.zeros(len(lost)), "|", color=INK, ms=7, label="nothing measured" if len(lost) else None)
     above.set_ylabel("error [mm]")
@@ -353,12 +257,12 @@ def error(figure: Figure, run: Run, summary: Summary) -> None:
         below = stacked[1]
         truth = with_gaps(run.simulated.tip_mm, gaps)
         sigma = Z_95 * np.sqrt((tip.uncertainty_mm**2).sum(axis=1))
-        band = thin(tip.time_s, sigma)
+        band = decimated(tip.time_s, sigma)
         below.fill_between(*band, color=MEASURED, alpha=0.18, lw=0, label="stated 95 %, all axes")
         distance = np.linalg.norm(tip.measured_mm - truth, axis=1)
-        below.plot(*thin(tip.time_s, distance), color=MEASURED, lw=0.9, label="measured to simulated truth")
+        below.plot(*decimated(tip.time_s, distance), color=MEASURED, lw=0.9, label="measured to simulated truth")
         off = np.linalg.norm(tip.model_mm - truth, axis=1)
-        below.plot(*thin(tip.time_s, off), color=MODEL, lw=1.1, label="model to simulated truth")
+        below.plot(*decimated(tip.time_s, off), color=MODEL, lw=1.1, label="model to simulated truth")
         below.set_ylabel("distance [mm]")
         below.set_ylim(bottom=0)
         legend(below)
@@ -371,11 +275,11 @@ def timing(figure: Figure, run: Run, summary: Summary) -> None:
     t = run.timing
     left, right = figure.subplots(1, 2, width_ratios=[1.6, 1], sharey=True)
     if len(t.time_s) == 0:
-        _nothing(left, right)
+        no_data(left, right)
         return
     lateness = np.maximum(t.lateness_us, 0.01)
-    left.plot(*thin(t.time_s, lateness), ",", color=MEASURED)
-    left.plot(*thin(t.time_s, lateness), color=MEASURED, lw=0.35, alpha=0.6)
+    left.plot(*decimated(t.time_s, lateness), ",", color=MEASURED)
+    left.plot(*decimated(t.time_s, lateness), color=MEASURED, lw=0.35, alpha=0.6)
     missed = t.overruns > 0
     left.plot(t.time_s[missed], lateness[missed], "v", ms=5, color=MODEL, label="deadline missed")
     left.set_yscale("log")
@@ -422,54 +326,3 @@ def _labelled(dwells: Sequence[StepSummary], settled: Floats) -> list[tuple[Step
         if all(np.linalg.norm(at - other) > 0.06 * reach for _, other in chosen):
             chosen.append((step, at))
     return chosen
-
-
-def thin(x: Floats, y: Floats) -> tuple[Floats, Floats]:
-    """Return a line with fewer points that looks the same: the extremes of each stretch."""
-    index = kept(y)
-    return x[index], y[index]
-
-
-def strided(points: Floats) -> NDArray[np.intp]:
-    """Return which points (n, d) of a path are drawn: evenly chosen ones, and every gap."""
-    chosen: NDArray[np.bool_] = np.asarray(~np.isfinite(points).all(axis=1))
-    chosen[:: max(len(points) // (4 * POINTS), 1)] = True
-    return np.flatnonzero(chosen)
-
-
-def kept(y: Floats) -> NDArray[np.intp]:
-    """Return which points of a line are drawn: all of a short one, else the extremes and a gap of each stretch."""
-    stretch = len(y) // POINTS * 2
-    if stretch < 4:
-        return np.arange(len(y))
-    whole = len(y) // stretch * stretch
-    blocks = y[:whole].reshape(-1, stretch)
-    first = np.arange(0, whole, stretch)
-    lowest = np.where(np.isnan(blocks), np.inf, blocks).argmin(axis=1)
-    highest = np.where(np.isnan(blocks), -np.inf, blocks).argmax(axis=1)
-    # Where nothing is missing this is the first point again.
-    missing = np.isnan(blocks).argmax(axis=1)
-    return np.append(np.unique(np.column_stack((first, first + lowest, first + highest, first + missing))), len(y) - 1)
-
-
-def legend(axes: Axes, columns: int = 6) -> None:
-    """Above the plot, so that it never hides a line; none where nothing has a name."""
-    if not axes.get_legend_handles_labels()[0]:
-        return
-    # More columns than usual must share the width: the room above is that of one row.
-    beside = 1.4 * min(1.0, 6 / columns) ** 2
-    names = axes.legend(
-        loc="lower left",
-        bbox_to_anchor=(0, 1.0),
-        ncols=columns,
-        borderaxespad=0.1,
-        columnspacing=beside,
-        handlelength=2.0 * min(1.0, 6 / columns),
-    )
-    for name in names.get_texts():
-        name.set_parse_math(False)  # a dollar in the name of a run begins no formula
-
-
-def _nothing(*panels: Axes) -> None:
-    for panel in panels:
-        panel.annotate("nothing was recorded", (0.5, 0.5), xycoords="axes fraction", ha="center", color=MUTED)

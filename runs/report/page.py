@@ -12,8 +12,8 @@ from pathlib import Path
 from runs.archive import layout
 from runs.overwriting import refuse_existing
 from runs.report import comparison, pictures
+from runs.report.drawing import svg
 from runs.report.figure_specifications import figure_specifications
-from runs.report.figures import svg
 from runs.report.numbers import DASH, plain, three, with_unit
 from runs.run import Run
 from runs.summary import BAND_BAR, Summary, summarise

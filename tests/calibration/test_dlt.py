@@ -53,7 +53,7 @@ def test_exact_pixels_give_the_exact_coefficients(seed: int, angle: float, count
         assert np.abs(found.project(other) - _pixels(IDEAL, camera, other)).max() < 1e-3
 
 
-def test_the_lens_is_taken_out_before_the_coefficients_are_sought() -> None:
+def test_distortion_is_removed_before_the_dlt() -> None:
     points, camera = _cloud(np.random.default_rng(1), 30), _camera(25)
     pixels = _pixels(LENS, camera, points)
     with_lens, without = calibrate(points, pixels, LENS), calibrate(points, pixels)
@@ -63,7 +63,7 @@ def test_the_lens_is_taken_out_before_the_coefficients_are_sought() -> None:
     assert np.allclose(with_lens.coefficients, DLT.of_camera(LENS, camera).coefficients, rtol=1e-6, atol=1e-9)
 
 
-def test_refinement_does_not_raise_the_residuals_and_tells_the_noise() -> None:
+def test_refinement_does_not_raise_the_residuals_and_estimates_the_noise() -> None:
     rng = np.random.default_rng(2)
     points, camera = _cloud(rng, 200), _camera(-20)
     noisy = _pixels(IDEAL, camera, points) + rng.normal(0, 0.3, (200, 2))
@@ -88,7 +88,7 @@ def test_the_coefficients_covariance_is_their_scatter() -> None:
     assert np.all((ratio > 0.8) & (ratio < 1.25)), ratio
 
 
-def test_points_are_found_again_by_two_three_and_four_cameras() -> None:
+def test_points_are_reconstructed_by_two_three_and_four_cameras() -> None:
     rng = np.random.default_rng(4)
     points = _cloud(rng, 25)
     places = [_camera(a) for a in (-30, 30, 0, 60)]
@@ -99,7 +99,7 @@ def test_points_are_found_again_by_two_three_and_four_cameras() -> None:
         assert found.residual_px.max() < 1e-5
 
 
-def test_a_points_covariance_holds_the_truth_as_often_as_it_says() -> None:
+def test_the_covariance_of_a_point_has_its_stated_coverage() -> None:
     rng = np.random.default_rng(5)
     std = 0.15
     control = _cloud(rng, 30)
@@ -147,7 +147,7 @@ def test_a_board_is_placed_in_the_world_by_two_cameras_with_an_honest_covariance
     assert np.mean(errors) < 0.15e-3
 
 
-def test_what_all_corners_of_a_camera_are_off_by_together_moves_the_board_as_its_covariance_says() -> None:
+def test_an_error_common_to_all_corners_of_a_camera_is_in_the_pose_covariance() -> None:
     places = [_camera(a) for a in (-30, 30)]
     cameras = [DLT.of_camera(LENS, place) for place in places]
     world = RigidTransform.from_vectors(np.array([np.pi - 0.3, 0.2, 0.1]), np.array([0.02, 0.01, 0.0])).apply(

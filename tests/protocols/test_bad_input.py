@@ -17,7 +17,7 @@ from protocols.expansion import expand, too_long
 from protocols.schema import ProtocolFile
 from tests.support.budget import examples
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 STAIRS = "{actuators: [1], start_bar: 0.15, stop_bar: 0.65, step_bar: 0.05, dwell_s: 4}"
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 HOUSE = Path(__file__).parents[2]
 
 
-def test_what_a_killed_run_recorded_is_that_of_the_whole_run() -> None:
+def test_the_record_of_a_killed_run_equals_the_start_of_the_whole_run() -> None:
     command = [sys.executable, "-m", "benchmarks.kills", "--trials", "2"]
     env = os.environ | {"PYTHONPATH": str(HOUSE)}
     done = subprocess.run(command, cwd=HOUSE, env=env, capture_output=True, text=True, timeout=300, check=False)

@@ -1,4 +1,4 @@
-"""Whoever looks at a folder is told of runs that were cut off; of a run that goes on nothing is said."""
+"""Commands that read a folder report runs that were cut off, but not running ones."""
 
 from __future__ import annotations
 

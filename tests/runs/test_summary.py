@@ -143,7 +143,7 @@ def test_an_honest_covariance_covers_95_percent(tmp_path: Path) -> None:
     assert truth.model_mm.mean == pytest.approx(1.0)
 
 
-def test_an_uncertainty_stated_too_small_is_found_out(tmp_path: Path) -> None:
+def test_an_understated_uncertainty_shows_in_the_coverage(tmp_path: Path) -> None:
     covariance = made_up.observations(3.0)["covariance_m2"] / 16
     truth = summarise(record(tmp_path / "a.mcap", covariance_m2=covariance)).truth
     assert truth is not None
@@ -162,7 +162,7 @@ def test_a_run_of_any_length_has_a_summary(tmp_path: Path, seconds: float) -> No
     assert found.ticks == int(seconds * 200)
 
 
-def test_a_run_that_never_saw_its_tip_has_a_summary(tmp_path: Path) -> None:
+def test_a_run_without_measured_tips_has_a_summary(tmp_path: Path) -> None:
     rows = made_up.observations(3.0)
     lost = {"seen": np.full(len(rows), DetectionStatus.NO_BOARD), "measured_m": np.full((len(rows), 3), np.nan)}
     found = summarise(record(tmp_path / "a.mcap", **lost))

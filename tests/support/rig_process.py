@@ -51,7 +51,7 @@ def strict(text: str) -> str:
 
 
 def with_one_opener(text: str, *, one_opener: bool) -> str:
-    """The mock rig with a card that lets in one process at a time, or any number."""
+    """The mock rig whose card allows one process at a time, or any number."""
     assert text.count("{driver: mock, ") == 1
     return text.replace("{driver: mock, ", f"{{driver: mock, one_opener: {str(one_opener).lower()}, ")
 

@@ -128,7 +128,7 @@ def observations(duration_s: float, seed: int = 0, simulated: bool = True) -> ND
 
 
 def picture(index: int) -> Picture:
-    """A picture whose bytes are told by its number."""
+    """A picture whose bytes depend on its number."""
     image = np.full((480, 640), 40 + index % 200, np.uint8)
     image[100:200, 100:200] = np.random.default_rng(index).integers(0, 256, (100, 100), dtype=np.uint8)
     data = cv2.imencode(".jpg", image)[1].tobytes()
@@ -136,7 +136,7 @@ def picture(index: int) -> Picture:
 
 
 def marks(index: int) -> ImageAnnotations:
-    """Marks told by the picture's number; the picture with number 3 shows no board."""
+    """Annotations that depend on the picture's number; the picture with number 3 shows no board."""
     corners = np.array([(u, v) for v in range(4) for u in range(5)]) * 8.0 + 300 + index
     if index == 3:
         return ImageAnnotations.of(

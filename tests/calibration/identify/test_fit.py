@@ -40,7 +40,7 @@ def done(
     return [perform(one, truth, rng, errors) for one in planned]
 
 
-def test_law_and_radial_effect_are_found_within_their_error_bars() -> None:
+def test_softening_law_and_radial_pressure_effect_are_identified_within_error_bars() -> None:
     truth = true_setup()
     fit = identify(done(truth), START, ["law", "rpe_per_bar", "sensor_offsets"], ZEROS)
     assert fit.solved
@@ -88,7 +88,7 @@ def test_an_outlier_moves_the_answer_by_less_than_an_error_bar() -> None:
         (["a1_per_n", "sensor_gains"], PLANNED[:1], "sensor_2_gain", Verdict.UNDECIDED),
     ],
 )
-def test_what_does_not_show_in_the_data_gets_a_verdict_and_no_number(
+def test_an_unidentifiable_parameter_gets_a_verdict_and_no_value(
     free: list[str], planned: tuple[Poses, ...], name: str, verdict: Verdict
 ) -> None:
     estimate = identify(done(true_setup(), planned=planned), START, free)[name]
@@ -96,7 +96,7 @@ def test_what_does_not_show_in_the_data_gets_a_verdict_and_no_number(
     assert (estimate.value, estimate.std, estimate.interval) == (None, None, None)
 
 
-def test_parameters_that_can_be_exchanged_are_named_together() -> None:
+def test_exchangeable_parameters_are_reported_as_partners() -> None:
     # Turning the base and turning all actuators is the same thing.
     fit = identify(done(true_setup()), START, ["law", "base_rz_rad", "actuator_angles"])
     turns = [e for e in fit.estimates if "turn" in e.name or e.name == "base_rz_rad"]
@@ -105,7 +105,7 @@ def test_parameters_that_can_be_exchanged_are_named_together() -> None:
     assert fit["a1_per_n"].identified
 
 
-def test_the_search_ends_where_much_can_be_exchanged_and_the_start_is_far() -> None:
+def test_the_search_converges_from_far_with_correlated_parameters() -> None:
     # Base, measured point and angles turn into one another, and precise tips make the valley between them narrow.
     material = replace(true_setup().arm.material, a1_per_n=0.0052, a2_per_n2=0.00013, rpe_per_bar=0.08, shear_ratio=0.7)
     truth = Setup(
@@ -128,7 +128,7 @@ def test_the_search_ends_where_much_can_be_exchanged_and_the_start_is_far() -> N
         assert abs(value - parameter.read(truth)) < 4 * std, name
 
 
-def test_what_the_data_leave_open_does_not_drown_in_what_they_tell_sharply() -> None:
+def test_the_information_keeps_poorly_determined_directions() -> None:
     fine = MeasurementErrors((1e-6, 1e-6, 1e-6), 0.5, 0.0)
     planned = tuple(plan(one.run_id, one.pressure_pa, one.weight_kg, errors=fine) for one in PLANNED)
     free = named(["law", "rpe_per_bar", "cap_mass_kg", "shear_ratio", "base", "tool", "actuator_angles"], 3)
@@ -142,7 +142,7 @@ def test_what_the_data_leave_open_does_not_drown_in_what_they_tell_sharply() -> 
     assert abs(values[0]) < 1e-3
 
 
-def test_parameters_of_which_no_two_can_be_exchanged_but_three_together_are_named() -> None:
+def test_three_jointly_exchangeable_parameters_are_reported() -> None:
     # The arm hangs straight: its length, the base and the measured point all move the tip along the same line.
     hanging = plan("hanging", np.zeros((4, 3)))
     free = ["length_m", "base_z_m", "tool_z_m"]
@@ -152,7 +152,7 @@ def test_parameters_of_which_no_two_can_be_exchanged_but_three_together_are_name
         assert set(fit[name].partners) == set(free) - {name}
 
 
-def test_what_is_held_may_be_wrong_and_widens_the_error_bars_of_the_rest() -> None:
+def test_fixed_parameters_widen_the_error_bars_of_the_others() -> None:
     # Hung weights tell a1 times the length, and where the base is believed to be tells the length to 7 %.
     hanging = plan("weights", np.zeros((7, 3)), np.linspace(0, 1.2, 7))
     arm = true_setup().arm
@@ -166,7 +166,7 @@ def test_what_is_held_may_be_wrong_and_widens_the_error_bars_of_the_rest() -> No
     assert a1.interval[0] < truth.arm.material.a1_per_n < a1.interval[1]
 
 
-def test_what_the_data_put_far_from_its_start_is_not_held_there() -> None:
+def test_a_parameter_far_from_its_start_is_not_fixed_there() -> None:
     # In spans of a start without any cap, a tenth of a kilogramme is told too badly to count.
     truth = true_setup()
     truth = replace(truth, arm=replace(truth.arm, cap_mass_kg=0.15))
@@ -179,7 +179,7 @@ def test_what_the_data_put_far_from_its_start_is_not_held_there() -> None:
     assert far.std == pytest.approx(near.std, rel=0.1)
 
 
-def test_where_the_rest_moves_when_something_is_held_it_is_judged_anew() -> None:
+def test_the_verdicts_are_repeated_after_a_refit_with_fixed_parameters() -> None:
     # All free, the best shear ratio is small, and the cap is light with it; held, it leaves the cap its doubt.
     noisy = MeasurementErrors((5e-4, 1e-3, 5e-4), 20.0, 0.0)
     data = done(true_setup(shear_ratio=0.7), seed=5, planned=PLANNED[:2], errors=noisy)
@@ -191,13 +191,13 @@ def test_where_the_rest_moves_when_something_is_held_it_is_judged_anew() -> None
     assert shear.std is None or shear.std < 0.5 * shear.used
 
 
-def test_a_prior_alone_is_no_measurement() -> None:
+def test_a_parameter_known_from_its_prior_alone_is_not_identified() -> None:
     fit = identify(done(true_setup()), START, ["law", "density_kg_m3"], {"density_kg_m3": Prior(1080.0, 30.0)})
     assert fit["density_kg_m3"].verdict is Verdict.PRIOR
     assert fit["density_kg_m3"].value is None
 
 
-def test_a_model_that_is_wrong_says_by_how_much_and_widens_its_bars() -> None:
+def test_a_wrong_model_has_a_discrepancy_and_wider_error_bars() -> None:
     small = MeasurementErrors((1e-5, 1e-5, 1e-5), 5.0, 0.0)
     data = done(true_setup(), errors=small)
     homogeneous = replace(START, arm=replace(START.arm, variant="homogeneous+rpe"))
@@ -209,7 +209,7 @@ def test_a_model_that_is_wrong_says_by_how_much_and_widens_its_bars() -> None:
     assert wrong.discrepancy_m == pytest.approx(wrong.rms_m / math.sqrt(3), rel=0.5)
 
 
-def test_static_and_moving_runs_together_give_damping() -> None:
+def test_damping_is_identified_from_static_and_moving_runs_together() -> None:
     truth = true_setup(damping_s=0.03)
     t = np.arange(90) / 30
     step = np.where(t[:, None] < 0.3, 0.2e5, 0.5e5) * np.array([1.0, 0.0, 0.0])
@@ -244,7 +244,7 @@ def test_the_result_is_a_file_that_reads_back(tmp_path: Path) -> None:
     assert {d["run"] for d in said["data"]} == {"ramp-a", "ramp-b", "weights"}
 
 
-def test_bad_questions_are_refused() -> None:
+def test_invalid_requests_are_refused() -> None:
     with pytest.raises(UnknownParameter, match="did you mean a1_per_n"):
         named(["a1_per_m"], 3)
     with pytest.raises(NoDataError):
@@ -253,7 +253,7 @@ def test_bad_questions_are_refused() -> None:
         Prior(0.0, 0.0)
 
 
-def test_the_profile_gives_the_same_interval_as_the_curvature_where_the_data_decide() -> None:
+def test_profile_and_curvature_intervals_agree_for_identified_parameters() -> None:
     fit = identify(done(true_setup()), START, ["law", "rpe_per_bar"])
     for found in profiles(fit):
         estimate = fit[found.name]
@@ -266,7 +266,7 @@ def test_the_profile_gives_the_same_interval_as_the_curvature_where_the_data_dec
         assert not found.flat
 
 
-def test_the_profile_of_what_the_data_do_not_tell_is_flat() -> None:
+def test_the_profile_of_an_unidentified_parameter_is_flat() -> None:
     fit = identify(done(true_setup()), START, ["law", "damping_s", "base_rz_rad", "actuator_angles"])
     by_name = {found.name: found for found in profiles(fit)}
     assert by_name["damping_s"].flat
@@ -277,7 +277,7 @@ def test_the_profile_of_what_the_data_do_not_tell_is_flat() -> None:
     assert any("base_rz_rad" in words and "actuator_2_turn_rad" in words for words in fit.open_directions)
 
 
-def test_the_shear_ratio_has_bars_that_are_even_in_its_reciprocal() -> None:
+def test_error_bars_of_the_shear_ratio_are_symmetric_in_its_reciprocal() -> None:
     fine = tuple(
         replace(one, covariance_m2=one.covariance_m2 / 100, pressure_std_pa=one.pressure_std_pa / 10) for one in PLANNED
     )

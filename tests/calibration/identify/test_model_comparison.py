@@ -10,7 +10,7 @@ import pytest
 
 import model
 from calibration.identify import NoDataError, Poses, Setup
-from calibration.identify.model_comparison import Candidate, candidates, choose, compared, sentence
+from calibration.identify.model_comparison import Candidate, candidates, compare_models, compared, sentence
 from calibration.identify.simulated_experiments import MeasurementErrors, perform, plan
 
 RAMP = np.linspace(0.15e5, 0.65e5, 6)[:, None]
@@ -34,7 +34,7 @@ def some() -> tuple[Candidate, ...]:
 
 def test_an_inhomogeneous_arm_is_recognised_and_the_larger_model_pays() -> None:
     arm = model.Arm.paper()
-    choice = choose(data(replace(arm, material=replace(arm.material, a1_per_n=0.008))), some(), workers=1)
+    choice = compare_models(data(replace(arm, material=replace(arm.material, a1_per_n=0.008))), some(), workers=1)
     assert [row.candidate.name for row in choice.rows] == [
         "homogeneous",
         "homogeneous+rpe",
@@ -47,26 +47,26 @@ def test_an_inhomogeneous_arm_is_recognised_and_the_larger_model_pays() -> None:
 
 
 def test_a_homogeneous_arm_does_not_pay_for_softening() -> None:
-    choice = choose(data(model.Arm.paper("homogeneous+rpe")), some(), workers=1)
+    choice = compare_models(data(model.Arm.paper("homogeneous+rpe")), some(), workers=1)
     plain, radial, soft = choice.rows
     assert plain.bic > radial.bic + 10
     assert soft.bic > radial.bic - 10
     assert radial.error_m < 3e-4
 
 
-def test_a_choice_that_the_fits_to_all_runs_object_to_is_told_with_the_objection() -> None:
+def test_the_conclusion_warns_if_the_bic_prefers_another_model() -> None:
     asked = [c for c in candidates(START) if c.name.endswith(("pointwise", "paper-secant"))]
-    pointwise, secant = choose(data(model.Arm.paper()), asked, workers=1).rows
+    pointwise, secant = compare_models(data(model.Arm.paper()), asked, workers=1).rows
     assert "meets better" not in sentence((pointwise, secant), pointwise)
     lucky = replace(secant, error_m=0.5 * pointwise.error_m)
-    said = sentence((pointwise, lucky), lucky)
-    assert said.startswith("inhomogeneous+rpe, paper-secant predicts runs left out best")
-    assert "All runs together inhomogeneous+rpe, pointwise meets better (BIC lower by" in said
+    text = sentence((pointwise, lucky), lucky)
+    assert text.startswith("inhomogeneous+rpe, paper-secant predicts runs left out best")
+    assert "All runs together inhomogeneous+rpe, pointwise meets better (BIC lower by" in text
     nearly = replace(lucky, bic=pointwise.bic + 5)
     assert "meets better" not in sentence((pointwise, nearly), nearly)
 
 
-def test_a_comparison_that_was_broken_off_goes_on_where_it_was_and_says_how_far_it_is(tmp_path: Path) -> None:
+def test_an_interrupted_comparison_resumes_from_its_stored_results(tmp_path: Path) -> None:
     made, asked, steps = data(model.Arm.paper()), some()[:1], []
 
     def stop(done: int, total: int) -> None:
@@ -75,30 +75,30 @@ def test_a_comparison_that_was_broken_off_goes_on_where_it_was_and_says_how_far_
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        choose(made, asked, workers=1, store=tmp_path, progress=stop)
+        compare_models(made, asked, workers=1, store=tmp_path, progress=stop)
     kept = {file: file.stat().st_mtime_ns for file in tmp_path.iterdir()}
-    resumed = choose(made, asked, workers=1, store=tmp_path, progress=lambda *at: steps.append(at))
+    resumed = compare_models(made, asked, workers=1, store=tmp_path, progress=lambda *at: steps.append(at))
     assert len(kept) == 2
     assert {file: file.stat().st_mtime_ns for file in kept} == kept
     # One fit to all runs and one without each of three: two before the break, and then from the first kept one on.
     assert steps == [(1, 4), (2, 4), (1, 4), (2, 4), (3, 4), (4, 4)]
-    assert resumed == choose(made, asked, workers=1)
+    assert resumed == compare_models(made, asked, workers=1)
 
 
-def test_a_damping_that_only_the_run_left_out_could_tell_does_not_leak_into_its_prediction() -> None:
+def test_damping_of_a_held_out_run_does_not_leak_into_its_prediction() -> None:
     arm = model.Arm.paper()
     damped = replace(arm, material=replace(arm.material, damping_s=0.06))
     sine = (0.35e5 + 0.15e5 * np.sin(np.arange(60)[:, None] / 5)) * np.array([1.0, 0, 0])
     rng = np.random.default_rng(5)
     moving = perform(plan("sine", sine, period_s=1 / 30, errors=ERRORS), Setup(damped), rng, ERRORS)
-    one = Candidate("pointwise", START, ("a1_per_n",)).damped()
-    found = choose([*data(damped)[:1], moving], [one], workers=1).rows[0]
+    one = Candidate("pointwise", START, ("a1_per_n",)).with_damping()
+    found = compare_models([*data(damped)[:1], moving], [one], workers=1).rows[0]
     assert found.damping_s == pytest.approx(0.06, rel=0.05)
     # Without the motion nothing tells the damping: the candidate predicts with what it started from.
     assert found.error_m > 5e-4
 
 
-def test_of_very_many_frames_some_are_compared() -> None:
+def test_long_runs_are_compared_by_a_part_of_their_frames() -> None:
     still, moving = plan("still", np.zeros((1000, 3))), plan("moving", np.zeros((5000, 3)), period_s=1 / 30)
     assert len(compared(still)) == 300
     assert compared(still).time_s[[0, -1]].tolist() == still.time_s[[0, -1]].tolist()
@@ -109,7 +109,7 @@ def test_of_very_many_frames_some_are_compared() -> None:
 
 def test_one_run_is_not_enough() -> None:
     with pytest.raises(NoDataError, match="at least two runs"):
-        choose(data(model.Arm.paper())[:1], some())
+        compare_models(data(model.Arm.paper())[:1], some())
 
 
 def test_the_candidates_are_the_papers_models_and_rules() -> None:
@@ -121,7 +121,7 @@ def test_the_candidates_are_the_papers_models_and_rules() -> None:
 
 @pytest.mark.parametrize("free", [(), ("base", "damping_s")])
 @pytest.mark.parametrize("damping_s", [0.0, 0.02])
-def test_where_runs_move_every_model_is_compared_with_and_without_damping(
+def test_with_moving_runs_every_model_is_compared_with_and_without_damping(
     damping_s: float, free: tuple[str, ...]
 ) -> None:
     arm = model.Arm.paper()

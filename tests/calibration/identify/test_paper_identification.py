@@ -65,7 +65,7 @@ def test_force_and_strain_of_an_arm_under_weights_give_its_own_law() -> None:
     assert found.r2 > 0.999999
 
 
-def test_a_tube_is_found_again_from_its_elongations() -> None:
+def test_a_tube_is_identified_from_its_elongations() -> None:
     true = tube(95e3, 0.0115)
     pressure = np.linspace(0.1e5, 0.3e5, 2)
     force = np.linspace(1.0, 4.0, 2)
@@ -79,7 +79,7 @@ def test_a_tube_is_found_again_from_its_elongations() -> None:
     assert found.rpe_per_bar == pytest.approx(radial_pressure_effect(true, 0.3e5)[0], rel=1e-2)
 
 
-def test_of_two_numbers_that_can_be_exchanged_one_gets_no_error_bar() -> None:
+def test_of_two_exchangeable_numbers_one_has_no_error_bar() -> None:
     # Without fibres a pull sees only mu times (core + c_1 outer layer).
     true, force = Tube(0.0095, 0.0125, 0.014, 120e3, 0.0, 3.0, 0.5), np.linspace(1.0, 4.0, 4)
     noise = np.array([1, -1, 1, -1]) * 1e-5
@@ -100,7 +100,7 @@ def test_the_free_strain_of_an_arm_comes_back_from_both_extension_experiments() 
     assert found.softening.a1_per_n == pytest.approx(arm.material.a1_per_n, rel=1e-3)
 
 
-def test_without_an_unloaded_plateau_there_is_nothing_to_count_from() -> None:
+def test_elongation_needs_an_unloaded_plateau() -> None:
     poses = perform(
         plan("w", np.zeros((3, 3)), np.array([0.1, 0.2, 0.3])), Setup(model.Arm.paper()), np.random.default_rng(0)
     )

@@ -19,20 +19,20 @@ def calls(folder: Path) -> list[int]:
     return sorted(int(line) for line in (folder / "calls").read_text().split())
 
 
-def test_results_come_in_the_order_of_the_tasks_and_progress_is_told(tmp_path: Path) -> None:
+def test_results_are_in_the_order_of_the_tasks_and_progress_is_reported(tmp_path: Path) -> None:
     told: list[tuple[int, int]] = []
     found = parallel_map(squared, tasks(tmp_path), workers=1, progress=lambda done, of: told.append((done, of)))
     assert [float(r[0]) for r in found] == [0, 1, 4, 9, 16, 25]
     assert told == [(k, 6) for k in range(1, 7)]
 
 
-def test_a_worker_killed_in_the_middle_costs_no_result(tmp_path: Path) -> None:
+def test_a_killed_worker_loses_no_result(tmp_path: Path) -> None:
     found = parallel_map(squared_but_killed_once, tasks(tmp_path), workers=2)
     assert [float(r[0]) for r in found] == [0, 1, 4, 9, 16, 25]
     assert (tmp_path / "killed").exists()
 
 
-def test_what_is_done_is_not_done_again(tmp_path: Path) -> None:
+def test_stored_results_are_not_computed_again(tmp_path: Path) -> None:
     store = tmp_path / "store"
     parallel_map(squared, tasks(tmp_path, 3), workers=1, store=store)
     found = parallel_map(squared, tasks(tmp_path, 5), workers=1, store=store)
@@ -41,7 +41,7 @@ def test_what_is_done_is_not_done_again(tmp_path: Path) -> None:
     assert not list(store.glob("*.part"))
 
 
-def test_a_task_that_kills_every_worker_is_given_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_task_that_kills_every_worker_raises(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("calibration.identify.parallel_map._MOST_DEATHS", 1)
     with pytest.raises(WorkersDieError, match="2 tasks are left"):
         parallel_map(deadly, tasks(tmp_path, 2), workers=2)
@@ -64,7 +64,7 @@ def test_a_dask_cluster_gives_the_same_results_though_a_worker_is_killed(tmp_pat
 
 
 @pytest.mark.filterwarnings("ignore")
-def test_no_scheduler_is_said_in_one_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_scheduler_gives_one_message(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("distributed")
     monkeypatch.setattr("calibration.identify.parallel_map._PATIENCE", "1s")
     with pytest.raises(NoClusterError, match="no Dask scheduler answers"):

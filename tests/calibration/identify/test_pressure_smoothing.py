@@ -9,7 +9,7 @@ import pytest
 
 import model
 from calibration.identify import Prior, Setup, identify, least_squares
-from calibration.identify.pressure_smoothing import curve, noise_of, smoothed
+from calibration.identify.pressure_smoothing import curve, noise_std, smoothed
 from calibration.identify.simulated_experiments import MeasurementErrors, plan
 from calibration.identify.tip_predictor import FINE_SUBSTEPS, SUBSTEPS, Predictor
 
@@ -23,11 +23,11 @@ def sine(time_s: np.ndarray) -> np.ndarray:
     return np.stack([first, np.zeros_like(first), np.zeros_like(first)], axis=1)
 
 
-def test_noise_of_a_smooth_course_is_found_and_taken_off() -> None:
+def test_noise_of_a_smooth_signal_is_estimated_and_removed() -> None:
     time_s = np.arange(0, 12, 1 / TICK_HZ)
     truth = sine(time_s)
     samples = truth + NOISE_PA * np.random.default_rng(5).standard_normal(truth.shape)
-    assert noise_of(samples) == pytest.approx(np.full(3, NOISE_PA), rel=0.1)
+    assert noise_std(samples) == pytest.approx(np.full(3, NOISE_PA), rel=0.1)
     found, deviation = smoothed(samples)
     error = np.sqrt(((found - truth) ** 2).mean(axis=0))
     assert (error < 0.36 * NOISE_PA).all()
@@ -37,7 +37,7 @@ def test_noise_of_a_smooth_course_is_found_and_taken_off() -> None:
     assert (error > 0.5 * stated).all()
 
 
-def test_a_whole_motion_keeps_its_height_and_time() -> None:
+def test_smoothing_keeps_amplitude_and_phase_of_a_motion() -> None:
     ticks_s = np.arange(0, 40, 1 / TICK_HZ)
     omega = 2 * np.pi * np.array([0.6, 0.9])
     truth = 2e4 * np.sin(np.outer(ticks_s, omega))
@@ -51,7 +51,7 @@ def test_a_whole_motion_keeps_its_height_and_time() -> None:
     assert late_s == pytest.approx(np.zeros(2), abs=2e-5)
 
 
-def test_the_ends_of_a_course_are_as_true_as_its_middle() -> None:
+def test_smoothing_is_as_accurate_at_the_ends_as_in_the_middle() -> None:
     time_s = np.arange(0, 8, 1 / TICK_HZ)
     truth = 2e4 * np.sin(2 * np.pi * np.outer(time_s, [0.6, 0.9]) + 0.7)
     rng = np.random.default_rng(4)
@@ -62,7 +62,7 @@ def test_the_ends_of_a_course_are_as_true_as_its_middle() -> None:
     assert bias[-40:].max() < 0.6 * NOISE_PA
 
 
-def test_between_frames_a_course_keeps_its_crests_and_its_slopes() -> None:
+def test_interpolation_keeps_crests_and_slopes() -> None:
     omega = 2 * np.pi * 1.0
     frames_s = np.arange(60) / CAMERA_HZ
     at_s = np.arange(2, 57, 0.125) / CAMERA_HZ + 0.004
@@ -72,7 +72,7 @@ def test_between_frames_a_course_keeps_its_crests_and_its_slopes() -> None:
     assert np.abs(rate[:, 0] - omega * np.cos(omega * at_s)).max() < 0.02 * omega
 
 
-def test_a_course_goes_straight_on_beyond_its_ends() -> None:
+def test_extrapolation_is_linear() -> None:
     time_s = np.array([0.0, 1.0, 2.0])
     found, rate = curve(time_s, np.array([[1.0], [3.0], [5.0]]), np.array([-0.5, 2.5]))
     assert found[:, 0] == pytest.approx([0.0, 6.0])
@@ -80,7 +80,7 @@ def test_a_course_goes_straight_on_beyond_its_ends() -> None:
     assert curve(time_s[:1], np.array([[7.0]]), np.array([0.0, 0.2]))[0][:, 0] == pytest.approx([7.0, 7.0])
 
 
-def test_an_edge_stays_where_it_is() -> None:
+def test_smoothing_keeps_edges() -> None:
     samples = np.where(np.arange(600) < 300, 0.2e5, 0.5e5)[:, None]
     samples = samples + NOISE_PA * np.random.default_rng(6).standard_normal(samples.shape)
     found, _ = smoothed(samples)
@@ -90,7 +90,7 @@ def test_an_edge_stays_where_it_is() -> None:
     assert found[300, 0] > 0.45e5
 
 
-def test_the_density_found_on_slow_sines_is_not_that_of_the_noise(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_pressure_noise_does_not_bias_the_density(monkeypatch: pytest.MonkeyPatch) -> None:
     arm = model.Arm.paper()
     truth = Setup(replace(arm, material=replace(arm.material, damping_s=0.01, density_kg_m3=1100.0)))
     ticks_s, frames_s = np.arange(0, 9, 1 / TICK_HZ), np.arange(0, 9, 1 / CAMERA_HZ)

@@ -9,8 +9,8 @@ import pytest
 
 import model
 from calibration.identify import Poses, Setup, identify
-from calibration.identify.fit import NORMAL_95
 from calibration.identify.likelihood import apply_frequency_mask, drifting, frequency_mask, score_covariance
+from calibration.identify.results import NORMAL_95
 from calibration.identify.simulated_experiments import MeasurementErrors, plan
 from calibration.identify.tip_predictor import Predictor
 
@@ -37,7 +37,7 @@ def shared_errors(rng: np.random.Generator, memory: float) -> np.ndarray:
     return out
 
 
-def test_frames_of_a_slow_motion_that_share_their_errors_do_not_count_as_many() -> None:
+def test_correlated_frames_of_a_slow_motion_count_as_fewer_entries() -> None:
     planned = slow_motion()
     true = Predictor(planned)(START)
     rng = np.random.default_rng(8)
@@ -56,7 +56,7 @@ def test_frames_of_a_slow_motion_that_share_their_errors_do_not_count_as_many() 
 
 
 @pytest.mark.parametrize("memory", [0.0, 0.5, 0.8, 0.9])
-def test_bars_hold_however_long_errors_are_remembered(memory: float) -> None:
+def test_error_bars_cover_the_truth_for_any_correlation_length(memory: float) -> None:
     phase = np.linspace(0, 4 * np.pi, FRAMES)
     slope = np.zeros((FRAMES, 3, 3))
     slope[:, 0, 0], slope[:, 1, 0], slope[:, 2, 1], slope[:, 0, 2] = np.sin(phase), np.sin(1.5 * phase), 1.0, 1.0
@@ -74,7 +74,7 @@ def test_bars_hold_however_long_errors_are_remembered(memory: float) -> None:
     assert 0.75 < np.std(z) < 1.2
 
 
-def test_errors_that_outlast_a_tenth_of_the_run_are_said_to() -> None:
+def test_residuals_that_correlate_over_a_tenth_of_the_run_are_reported_as_drift() -> None:
     rng = np.random.default_rng(7)
     said = {memory: np.mean([drifting(shared_errors(rng, memory)) for _ in range(30)]) for memory in (0.0, 0.8, 0.99)}
     assert said[0.0] == 0.0
@@ -87,7 +87,7 @@ def test_errors_that_outlast_a_tenth_of_the_run_are_said_to() -> None:
     assert not identify([replace(planned, tip_m=tips, frames=planned.frames * 9)], START, ["rpe_per_bar"]).drifts
 
 
-def test_the_scatter_of_independent_errors_is_that_of_their_number() -> None:
+def test_score_covariance_of_independent_errors_equals_the_information() -> None:
     rng = np.random.default_rng(2)
     slope = np.sin(np.linspace(0, 12, FRAMES))[:, None, None] * np.ones((1, 3, 1))
     curvature = np.einsum("kin,kim->nm", slope, slope)
@@ -100,7 +100,7 @@ def test_the_scatter_of_independent_errors_is_that_of_their_number() -> None:
     assert np.mean(found) == pytest.approx(curvature[0, 0], rel=0.2)
 
 
-def test_what_scatters_slowly_is_found_where_it_is() -> None:
+def test_low_frequency_noise_is_found_at_its_frequencies() -> None:
     rng = np.random.default_rng(3)
     slow, fast = np.linspace(0, 12, FRAMES), np.arange(FRAMES) * np.pi * 0.9
     gain = np.ones(FRAMES // 2 + 1)
@@ -117,13 +117,13 @@ def test_what_scatters_slowly_is_found_where_it_is() -> None:
     assert ratio["fast"] < 1
 
 
-def test_frequencies_at_which_pressures_show_but_noise_do_not_count() -> None:
+def test_frequencies_without_pressure_signal_are_masked() -> None:
     time_s = np.arange(FRAMES) / CAMERA_HZ
     noise = 50 * np.random.default_rng(4).standard_normal((FRAMES, 3))
     errors = MeasurementErrors(pressure_pa=50.0)
 
     def gain(pressure_pa: np.ndarray) -> np.ndarray:
-        return apply_frequency_mask(plan("motion", pressure_pa + noise, period_s=1 / CAMERA_HZ, errors=errors))
+        return frequency_mask(plan("motion", pressure_pa + noise, period_s=1 / CAMERA_HZ, errors=errors))
 
     hz = np.fft.rfftfreq(FRAMES, 1 / CAMERA_HZ)
     sine = gain(2e4 * np.sin(2 * np.pi * time_s)[:, None] * np.ones(3))
@@ -132,6 +132,6 @@ def test_frequencies_at_which_pressures_show_but_noise_do_not_count() -> None:
     # A jump shows at every frequency.
     assert (gain(3e4 * (np.floor(time_s) % 2)[:, None] * np.ones(3))[hz < 10] == 1).all()
     rows = np.stack([np.sin(2 * np.pi * time_s), np.sin(2 * np.pi * 8 * time_s)], axis=1)
-    left = frequency_mask(rows, sine)
+    left = apply_frequency_mask(rows, sine)
     assert left[:, 0] == pytest.approx(rows[:, 0], abs=1e-9)
     assert np.abs(left[:, 1]).max() < 1e-9

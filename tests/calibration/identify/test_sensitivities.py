@@ -42,7 +42,7 @@ def differences(problem: Problem, z: NDArray[np.float64], i: int, run: int) -> N
     return (64 * one - 20 * two + four) / 45
 
 
-def test_slopes_are_those_of_whole_predictions_at_rest_and_in_motion(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_slopes_equal_finite_differences_static_and_dynamic(monkeypatch: pytest.MonkeyPatch) -> None:
     # What Newton's method leaves of a step differs from one parameter to the next: here it leaves nothing.
     monkeypatch.setattr("model.dynamics.CLOSE", 1e-7)
     problem = Problem([RESTING, MOVING], start(), named(FREE, 3))
@@ -54,7 +54,7 @@ def test_slopes_are_those_of_whole_predictions_at_rest_and_in_motion(monkeypatch
             assert found[run][:, :, i] == pytest.approx(expected, rel=1e-4, abs=tolerance), unknown
 
 
-def test_slopes_at_a_bound_look_inwards() -> None:
+def test_slopes_at_a_bound_use_a_step_inwards() -> None:
     material = replace(start().arm.material, shear_ratio=5.0)
     problem = Problem(
         [RESTING], replace(start(), arm=replace(start().arm, material=material)), named(["shear_ratio"], 3)
@@ -80,7 +80,7 @@ PULLED = replace(
         (PULLED, "secant", ("law",)),
     ],
 )
-def test_slopes_in_motion_are_those_of_whole_predictions_for_frozen_moduli_and_under_a_wrench(
+def test_dynamic_slopes_equal_finite_differences_for_frozen_moduli_and_under_a_wrench(
     monkeypatch: pytest.MonkeyPatch, poses: Poses, rule: ModulusRule, free: tuple[str, ...]
 ) -> None:
     monkeypatch.setattr("model.dynamics.CLOSE", 1e-7)
@@ -92,14 +92,14 @@ def test_slopes_in_motion_are_those_of_whole_predictions_for_frozen_moduli_and_u
         assert found[:, :, i] == pytest.approx(differences(problem, z, i, 0), rel=1e-4, abs=2e-6)
 
 
-def test_a_slow_motion_under_a_wrench_is_a_row_of_equilibria() -> None:
+def test_a_slow_motion_under_a_wrench_equals_a_sequence_of_equilibria() -> None:
     slow = Predictor(replace(PULLED, period_s=30.0))(start())
     still = Predictor(replace(PULLED, period_s=0.0))(start())
     assert np.linalg.norm(slow - Predictor(MOVING)(start()), axis=1).min() > 1e-3
     assert slow == pytest.approx(still, abs=1e-5)
 
 
-def test_noise_of_pressures_counts_at_the_measured_point_under_what_pulls_there() -> None:
+def test_pressure_noise_is_propagated_to_the_measured_point_under_a_wrench() -> None:
     turned = replace(start(), base_rotation_rad=(0.0, 0.0, 1.5), tool_offset_m=(0.0, 0.0, 0.2))
     poses = replace(PULLED, period_s=0.0, pressure_std_pa=np.full((7, 3), 30.0))
     often = poses.only(np.repeat(np.arange(7), 1000))

@@ -68,7 +68,7 @@ FROM_BOARD_M = float(np.linalg.norm(PLANE.board_in_tip.translation_m))
         ("board_in_tip", {"rotation_std_rad": 0.05}, 0.05 * FROM_BOARD_M, 0.05),
     ],
 )
-def test_where_camera_and_board_stand_loosens_the_plane_as_far_as_it_is_uncertain(
+def test_uncertain_camera_and_board_poses_widen_the_plane_prior(
     part: str, std: dict[str, float], adds_m: float, adds_rad: float
 ) -> None:
     loose = replace(PLANE, **{part: replace(getattr(PLANE, part), **std)})

@@ -47,7 +47,7 @@ def test_an_uncertain_transform_scatters_points_as_its_covariance_says() -> None
 
 
 @pytest.mark.parametrize("tilt_deg", [5, 25, 40])
-def test_the_poses_covariance_holds_the_truth_as_often_as_it_says(tilt_deg: float) -> None:
+def test_the_pose_covariance_has_its_stated_coverage(tilt_deg: float) -> None:
     rng = np.random.default_rng(int(tilt_deg))
     std, held, trials = 0.05, 0, 400
     tip = np.array([0.0, 0.035, -0.02])
@@ -94,7 +94,7 @@ def test_a_start_far_off_converges_or_is_refused_and_never_ends_behind_the_camer
         assert pose is None or pose.translation_m[2] > 0
 
 
-def test_the_tip_in_the_base_is_the_tip_whatever_the_places_of_board_and_camera() -> None:
+def test_the_tip_does_not_depend_on_the_poses_of_board_and_camera() -> None:
     tip_in_base_true = RigidTransform.from_vectors((0.1, 0.5, -0.2), (0.04, 0.001, 0.172))
     board_in_tip = RigidTransform.from_vectors((-1.0, 0.1, 0.2), (0.001, 0.002, 0.035))
     camera_in_base = RigidTransform.from_vectors((1.5, 0.02, -0.03), (0.01, 0.4, 0.2))
@@ -109,7 +109,7 @@ def test_the_tip_in_the_base_is_the_tip_whatever_the_places_of_board_and_camera(
     assert np.all(np.linalg.eigvalsh(wider - covariance) > 0.9e-6)
 
 
-def test_what_is_uncertain_of_the_boards_place_turns_with_the_tip() -> None:
+def test_the_uncertainty_of_the_mounting_rotates_with_the_tip() -> None:
     tip = RigidTransform.from_vectors((0.1, 0.5, -0.2), (0.04, 0.001, 0.172))
     board = RigidTransform.from_vectors((-1.0, 0.1, 0.2), (0.001, 0.002, 0.035))
     camera = RigidTransform.from_vectors((1.5, 0.02, -0.03), (0.01, 0.4, 0.2))

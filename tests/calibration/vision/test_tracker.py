@@ -48,14 +48,14 @@ def test_a_moving_board_is_followed() -> None:
     for k in range(60):
         a = 0.25 * k
         pose = facing(0.05 * np.sin(a), 0.01 * np.cos(a), roll_deg=30 * np.sin(0.7 * a))
-        sighting = tracker.see(still(pose, k, view))
-        assert sighting.seen is DetectionStatus.MEASURED
+        sighting = tracker.detect(still(pose, k, view))
+        assert sighting.status is DetectionStatus.MEASURED
         assert sighting.pose is not None
         assert _off_mm(sighting.pose.rigid, pose) < 0.5
 
 
 @pytest.mark.parametrize("slip", [(0, 1), (1, 0), (1, 1), (0, 2), (2, 0), (-1, 1), (0, -2)])
-def test_a_grid_beside_the_print_is_refused_though_it_fits(slip: tuple[int, int]) -> None:
+def test_a_grid_shifted_by_a_square_is_refused(slip: tuple[int, int]) -> None:
     """A larger print of the same squares offers the same corners one square further: reprojection cannot tell."""
     right = facing()
     slipped = RigidTransform(right.rotation, right.apply(np.array([slip[0] * 0.008, slip[1] * 0.008, 0.0])))
@@ -67,24 +67,24 @@ def test_a_grid_beside_the_print_is_refused_though_it_fits(slip: tuple[int, int]
 def test_the_tracker_does_not_slip_when_the_board_jumps_by_a_square() -> None:
     view, tracker = scene(), Tracker(BOARD, LENS)
     for k in range(3):
-        assert tracker.see(still(facing(), k, view)).seen is DetectionStatus.MEASURED
+        assert tracker.detect(still(facing(), k, view)).status is DetectionStatus.MEASURED
     for k, step in enumerate((0.008, -0.008, 0.016, 0.0, 0.012), start=3):
         pose = facing(x_m=step)
-        sighting = tracker.see(still(pose, k, view))
+        sighting = tracker.detect(still(pose, k, view))
         assert sighting.pose is not None
         assert _off_mm(sighting.pose.rigid, pose) < 0.5
 
 
-def test_a_board_that_leaves_and_comes_back_is_lost_and_found() -> None:
+def test_a_board_that_leaves_and_returns_is_detected_again() -> None:
     view, tracker = scene(), Tracker(BOARD, LENS)
-    assert tracker.see(still(facing(), 0, view)).seen is DetectionStatus.MEASURED
+    assert tracker.detect(still(facing(), 0, view)).status is DetectionStatus.MEASURED
     for k in range(1, 4):
-        gone = tracker.see(still(facing(x_m=1.0), k, view))
-        assert gone.seen is DetectionStatus.NO_BOARD
+        gone = tracker.detect(still(facing(x_m=1.0), k, view))
+        assert gone.status is DetectionStatus.NO_BOARD
         assert gone.pose is None
         assert gone.corners is None
     back = facing(-0.06, 0.02, roll_deg=20)
-    sighting = tracker.see(still(back, 4, view))
+    sighting = tracker.detect(still(back, 4, view))
     assert sighting.pose is not None
     assert _off_mm(sighting.pose.rigid, back) < 0.5
 
@@ -122,14 +122,14 @@ def test_a_spoilt_picture_gives_no_measurement(spoil: object, tracking: bool) ->
     view, tracker = scene(), Tracker(BOARD, LENS)
     if tracking:
         for k in range(3):
-            assert tracker.see(still(facing(), k, view)).seen is DetectionStatus.MEASURED
+            assert tracker.detect(still(facing(), k, view)).status is DetectionStatus.MEASURED
     picture = still(facing(), 9, view)
     spoil(picture)  # type: ignore[operator]
-    sighting = tracker.see(picture)
-    assert sighting.seen in (DetectionStatus.NO_BOARD, DetectionStatus.AMBIGUOUS, DetectionStatus.POOR_FIT)
+    sighting = tracker.detect(picture)
+    assert sighting.status in (DetectionStatus.NO_BOARD, DetectionStatus.AMBIGUOUS, DetectionStatus.POOR_FIT)
     assert sighting.pose is None
-    again = tracker.see(still(facing(), 10, view))
-    assert again.seen is DetectionStatus.MEASURED
+    again = tracker.detect(still(facing(), 10, view))
+    assert again.status is DetectionStatus.MEASURED
 
 
 def test_pictures_without_structure_give_no_measurement() -> None:
@@ -137,19 +137,19 @@ def test_pictures_without_structure_give_no_measurement() -> None:
     rng = np.random.default_rng(0)
     flat = np.full((480, 640), 128, np.uint8)
     noise = rng.integers(0, 255, (480, 640), dtype=np.uint8)
-    assert tracker.see(flat).seen is DetectionStatus.NO_BOARD
-    assert tracker.see(noise).seen is DetectionStatus.NO_BOARD
+    assert tracker.detect(flat).status is DetectionStatus.NO_BOARD
+    assert tracker.detect(noise).status is DetectionStatus.NO_BOARD
 
 
 def test_a_cornerless_picture_that_leaves_every_seed_in_place_is_not_a_perfect_fit() -> None:
     """cornerSubPix returns its seeds where it diverges: the residual is then zero, and means nothing."""
     view, tracker = scene(), Tracker(BOARD, LENS)
     for k in range(3):
-        tracker.see(still(facing(), k, view))
-    assert tracker.see(np.full((480, 640), 90, np.uint8)).seen is DetectionStatus.NO_BOARD
+        tracker.detect(still(facing(), k, view))
+    assert tracker.detect(np.full((480, 640), 90, np.uint8)).status is DetectionStatus.NO_BOARD
 
 
-def test_corners_that_fit_better_than_any_picture_can_show_are_not_believed(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_corners_with_an_impossibly_small_residual_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     pose, found = facing(), tracking.sharpen
 
     def too_good(image: np.ndarray, seeds: np.ndarray, pattern: tuple[int, int]) -> tracking.Corners:
@@ -158,7 +158,7 @@ def test_corners_that_fit_better_than_any_picture_can_show_are_not_believed(monk
         return replace(corners, px=_corners(pose))
 
     monkeypatch.setattr(tracking, "sharpen", too_good)
-    assert Tracker(BOARD, LENS).see(still(pose)).seen is DetectionStatus.POOR_FIT
+    assert Tracker(BOARD, LENS).detect(still(pose)).status is DetectionStatus.POOR_FIT
 
 
 def test_fast_motion_is_measured_through_its_blur() -> None:
@@ -169,16 +169,16 @@ def test_fast_motion_is_measured_through_its_blur() -> None:
         middle = facing(-0.05 + 0.0133 * k)
         opened = RigidTransform(middle.rotation, middle.translation_m - step / 2)
         closed = RigidTransform(middle.rotation, middle.translation_m + step / 2)
-        sighting = tracker.see(view.render(opened, middle, closed, k))
+        sighting = tracker.detect(view.render(opened, middle, closed, k))
         assert sighting.pose is not None
         assert _off_mm(sighting.pose.rigid, middle) < 3.0
-    assert tracker.see(still(facing(), 99, view)).seen is DetectionStatus.MEASURED
+    assert tracker.detect(still(facing(), 99, view)).status is DetectionStatus.MEASURED
 
 
 def test_a_colour_picture_is_measured_like_its_grey() -> None:
     picture = still(facing())
     colour = cv2.cvtColor(picture, cv2.COLOR_GRAY2BGR)
-    one, other = Tracker(BOARD, LENS).see(picture), Tracker(BOARD, LENS).see(colour)
+    one, other = Tracker(BOARD, LENS).detect(picture), Tracker(BOARD, LENS).detect(colour)
     assert one.pose is not None
     assert other.pose is not None
     assert np.allclose(one.pose.translation_m, other.pose.translation_m, atol=1e-9)
@@ -186,7 +186,7 @@ def test_a_colour_picture_is_measured_like_its_grey() -> None:
 
 def test_a_board_cut_by_the_pictures_edge_is_not_measured() -> None:
     tracker = Tracker(BOARD, LENS)
-    assert tracker.see(still(facing(x_m=0.125), view=scene(Optics(0.6, 2.0)))).pose is None
+    assert tracker.detect(still(facing(x_m=0.125), view=scene(Optics(0.6, 2.0)))).pose is None
 
 
 def _two_boards() -> np.ndarray:
@@ -194,18 +194,18 @@ def _two_boards() -> np.ndarray:
     return np.ascontiguousarray(np.hstack([left[:, :320], right[:, 320:]]))
 
 
-def test_of_two_boards_in_view_none_is_guessed() -> None:
+def test_with_two_boards_in_view_none_is_measured() -> None:
     assert find(still(facing(-0.07)), BOARD) is not None
     assert find(_two_boards(), BOARD) is None
-    assert Tracker(BOARD, LENS).see(_two_boards()).seen is DetectionStatus.NO_BOARD
+    assert Tracker(BOARD, LENS).detect(_two_boards()).status is DetectionStatus.NO_BOARD
 
 
 def test_a_followed_board_is_kept_when_a_second_comes_into_view() -> None:
     view, tracker = scene(), Tracker(BOARD, LENS)
     for k in range(3):
-        assert tracker.see(still(facing(-0.07), k, view)).seen is DetectionStatus.MEASURED
+        assert tracker.detect(still(facing(-0.07), k, view)).status is DetectionStatus.MEASURED
     for _ in range(3):
-        sighting = tracker.see(_two_boards())
+        sighting = tracker.detect(_two_boards())
         assert sighting.pose is not None
         assert _off_mm(sighting.pose.rigid, facing(-0.07)) < 0.5
 
@@ -225,17 +225,17 @@ def test_clutter_round_the_board_does_not_hide_it(seed: int) -> None:
     quad = LENS.project(outline, np.asarray(vector, dtype=np.float64), pose.translation_m)
     inside = cv2.fillConvexPoly(np.zeros_like(picture), quad.round().astype(np.int32), 1).astype(bool)
     picture[inside] = clean[inside]
-    sighting = Tracker(BOARD, LENS).see(picture)
+    sighting = Tracker(BOARD, LENS).detect(picture)
     assert sighting.pose is not None
     assert _off_mm(sighting.pose.rigid, pose) < 0.5
 
 
-def test_a_flip_that_was_followed_wrongly_is_righted_when_the_picture_shows_it() -> None:
+def test_a_wrong_flip_is_corrected_when_the_picture_resolves_it() -> None:
     """Head-on either side fits; once the board tilts, only one does."""
     view, tracker = scene(), Tracker(BOARD, LENS)
     for k, tilt in enumerate(np.linspace(25, -25, 40)):
         pose = facing(tilt_deg=float(tilt))
-        sighting = tracker.see(still(pose, k, view))
+        sighting = tracker.detect(still(pose, k, view))
         if abs(tilt) > 8:
             assert sighting.pose is not None
             turn = sighting.pose.rigid.rotation @ pose.rotation.T

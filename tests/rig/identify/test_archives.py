@@ -9,7 +9,7 @@ import pytest
 
 import model
 import runs
-from calibration.identify import NoDataError, Prior, Setup, at_rest, identify, in_motion, parted, poses_of
+from calibration.identify import NoDataError, Prior, Setup, at_rest, identify, in_motion, poses_of, split_at
 from calibration.identify.recursive_estimator import RecursiveEstimator
 from rig.cli.app import main
 from rig.config.arm_model import model_arm, true_arm
@@ -183,10 +183,10 @@ def test_a_sensor_at_the_foot_of_its_scale_tells_only_that_the_pressure_is_low(r
 def test_a_motion_is_parted_by_its_tips_and_keeps_its_pressures(moving: Run) -> None:
     whole = in_motion(moving)
     middle_s = float(whole.time_s[len(whole) // 2])
-    before, after = parted(whole, middle_s)
-    assert (before.time_s[before.seen] < middle_s).all()
-    assert (after.time_s[after.seen] >= middle_s).all()
-    assert np.array_equal(before.seen ^ after.seen, whole.seen)
+    before, after = split_at(whole, middle_s)
+    assert (before.time_s[before.has_tip] < middle_s).all()
+    assert (after.time_s[after.has_tip] >= middle_s).all()
+    assert np.array_equal(before.has_tip ^ after.has_tip, whole.has_tip)
     for part in (before, after):
         assert np.array_equal(part.pressure_pa, whole.pressure_pa)
 
@@ -194,7 +194,7 @@ def test_a_motion_is_parted_by_its_tips_and_keeps_its_pressures(moving: Run) -> 
 def test_a_plateau_counts_to_the_part_in_which_it_ends(resting: Run) -> None:
     whole = at_rest(resting)
     assert (np.diff(whole.time_s) > 0).all()
-    before, after = parted(whole, float(whole.time_s[1]))
+    before, after = split_at(whole, float(whole.time_s[1]))
     assert (len(before), len(after)) == (1, len(whole) - 1)
     with pytest.raises(NoDataError, match="no tip after"):
-        parted(whole, 1e6)
+        split_at(whole, 1e6)

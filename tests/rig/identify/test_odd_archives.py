@@ -116,8 +116,8 @@ def test_an_archive_that_tells_little_gives_verdicts_or_wide_bars(
 def test_frames_after_the_last_pressure_do_not_count(tmp_path: Path) -> None:
     run = runs.open(archive(tmp_path, ticks=60))
     poses = in_motion(run)
-    assert (poses.time_s[poses.seen] < 1 + 2 / HZ).all()
-    assert poses.seen.sum() > 10
+    assert (poses.time_s[poses.has_tip] < 1 + 2 / HZ).all()
+    assert poses.has_tip.sum() > 10
 
 
 def test_a_camera_slower_than_asked_does_not_change_the_arms_time(tmp_path: Path) -> None:

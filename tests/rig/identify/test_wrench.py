@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 import model
 import runs
-from calibration.identify import Setup, as_if_at_rest, identify
+from calibration.identify import Setup, identify, quasi_static_poses
 from calibration.identify.tip_predictor import Predictor
 from model import sensitivities
 from protocols import BadInputError
@@ -116,7 +116,7 @@ STATED = CELL.replace("aligned_rows: 4", turned_as(pulled(np.zeros(3), np.zeros(
 
 @pytest.mark.parametrize("wrench", [TRACKER, TIP, CELL, STATED])
 def test_the_wrench_of_any_stated_frame_predicts_the_tip(table: Path, tmp_path: Path, wrench: str) -> None:
-    poses = as_if_at_rest(bring(table, HEAD + wrench, tmp_path))
+    poses = quasi_static_poses(bring(table, HEAD + wrench, tmp_path))
     assert len(poses) == 40
     error = np.linalg.norm(Predictor(poses)(TRUTH) - poses.tip_m, axis=1)
     # A tenth of a millimetre: the pressures of the table are smoothed, as those of every run are.
@@ -144,7 +144,7 @@ def test_a_strong_pull_beside_the_axis_is_met_or_said_to_be_lost() -> None:
 
 
 def test_a_pulled_arm_tells_its_law_without_any_pressure_free(table: Path, tmp_path: Path) -> None:
-    poses = as_if_at_rest(bring(table, HEAD + TRACKER, tmp_path))
+    poses = quasi_static_poses(bring(table, HEAD + TRACKER, tmp_path))
     material = replace(TRUTH.arm.material, a1_per_n=0.0065)
     fit = identify([poses], replace(TRUTH, arm=replace(TRUTH.arm, material=material)), ["a1_per_n"])
     found = fit["a1_per_n"]

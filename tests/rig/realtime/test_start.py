@@ -57,7 +57,7 @@ HOLD_STILL = (
 class Unwritten:
     """A record that keeps nothing."""
 
-    standing_s = 0.0
+    stalled_s = 0.0
 
     def samples(self, rows: np.ndarray) -> None:  # type: ignore[type-arg]
         """Keep nothing."""

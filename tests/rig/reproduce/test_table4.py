@@ -8,7 +8,7 @@ import pytest
 
 from rig.reproduce.backbones import backbones
 from rig.reproduce.table4 import SCHEMES, Table4Row, drawing, table4
-from runs.report.figures import save
+from runs.report.drawing import save
 
 
 @pytest.fixture(scope="module")

@@ -316,7 +316,7 @@ def test_a_full_disk_leaves_the_journal_and_no_half_archive(tmp_path: Path, room
         (b"\x89HDF\r\n\x1a\n" + bytes(100), r"not an archive of softrig \(.+\)$"),
     ],
 )
-def test_what_is_no_archive_is_refused_in_one_sentence(tmp_path: Path, content: bytes, said: str) -> None:
+def test_a_file_that_is_not_an_archive_gives_one_message(tmp_path: Path, content: bytes, said: str) -> None:
     path = tmp_path / "a.h5"
     path.write_bytes(content)
     with pytest.raises(ArchiveError, match=said):

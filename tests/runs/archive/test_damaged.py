@@ -239,7 +239,9 @@ def fill(path: str, value: object) -> Callable[[h5py.File], object]:
         (fill("entry/notes", b"caf\xe9"), r"entry/notes: found b'caf.xe9', expected UTF-8 .not so at byte 3"),
     ],
 )
-def test_a_wrong_value_is_told_when_it_is_read(copy: Path, change: Callable[[h5py.File], object], said: str) -> None:
+def test_an_invalid_value_is_reported_when_it_is_read(
+    copy: Path, change: Callable[[h5py.File], object], said: str
+) -> None:
     spoil(copy, change)
     run = runs.open(copy)
     with pytest.raises(ArchiveError, match=rf"copy\.h5: {said}"):

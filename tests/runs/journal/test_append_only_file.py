@@ -1,4 +1,4 @@
-"""A disk that stands still: a live run goes on, what it recorded waits in memory and is in the file in the end."""
+"""A stalled disk: a live run continues, its data are buffered in memory and written at the end."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class Gate:
 
     def __call__(self, *arguments: object) -> int | None:
         self.reached.set()
-        assert self.open.wait(PATIENCE_S), "nobody opened the gate"
+        assert self.open.wait(PATIENCE_S), "the gate was not opened"
         if self.fault is not None:
             raise self.fault
         return self._call(*arguments)
@@ -78,36 +78,36 @@ def record_for_ever(writer: JournalWriter) -> None:
         record(writer)
 
 
-def test_what_a_disk_does_not_take_is_written_once_it_does(writer: JournalWriter, writes: Gate) -> None:
+def test_data_buffered_during_a_stall_are_written_afterwards(writer: JournalWriter, writes: Gate) -> None:
     writes.shut()
     record(writer)
     assert len(journal.read(writer.path).samples) == 0
-    assert writer.standing_s > 0
+    assert writer.stalled_s > 0
     writes.open.set()
-    assert writer.settled(PATIENCE_S)
+    assert writer.wait_until_synced(PATIENCE_S)
     assert journal.read(writer.path).samples[:].tobytes() == ROWS.tobytes(), "before it is closed"
-    assert writer.standing_s == 0
+    assert writer.stalled_s == 0
     writer.close(FOOTER)
     content = journal.read(writer.path)
     assert content.footer == FOOTER
     assert content.samples[:].tobytes() == ROWS.tobytes()
 
 
-def test_what_is_written_survives_though_a_sync_stands_still(syncs: Gate, writer: JournalWriter) -> None:
+def test_written_data_survive_a_stalled_sync(syncs: Gate, writer: JournalWriter) -> None:
     syncs.shut()
     assert syncs.reached.wait(PATIENCE_S)
     record(writer)
     assert journal.read(writer.path).samples[:].tobytes() == ROWS.tobytes()
-    assert writer.standing_s > 0
-    assert not writer.settled(0.01)
+    assert writer.stalled_s > 0
+    assert not writer.wait_until_synced(0.01)
     syncs.open.set()
     writer.close(FOOTER)
 
 
-def test_a_sync_that_stands_still_never_ends_a_run(
+def test_a_stalled_sync_alone_does_not_end_a_run(
     syncs: Gate, writer: JournalWriter, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(append_only_file, "HELD_S", 0.0)
+    monkeypatch.setattr(append_only_file, "BUFFER_S", 0.0)
     syncs.shut()
     assert syncs.reached.wait(PATIENCE_S)
     record(writer)
@@ -115,8 +115,8 @@ def test_a_sync_that_stands_still_never_ends_a_run(
     writer.close(FOOTER)
 
 
-@pytest.mark.parametrize(("limit", "allowed"), [("HELD_S", 0.0), ("HELD_BYTES", 1000)])
-def test_a_disk_that_takes_nothing_for_too_long_ends_the_run_and_loses_nothing_of_it(
+@pytest.mark.parametrize(("limit", "allowed"), [("BUFFER_S", 0.0), ("BUFFER_BYTES", 1000)])
+def test_a_long_disk_stall_ends_the_run_without_data_loss(
     writer: JournalWriter, writes: Gate, monkeypatch: pytest.MonkeyPatch, limit: str, allowed: float
 ) -> None:
     monkeypatch.setattr(append_only_file, limit, allowed)
@@ -131,7 +131,7 @@ def test_a_disk_that_takes_nothing_for_too_long_ends_the_run_and_loses_nothing_o
 
 
 @pytest.mark.parametrize("failing", ["writes", "syncs"])
-def test_what_fails_after_a_call_has_returned_is_told_at_the_next(
+def test_an_asynchronous_error_is_raised_by_the_next_call(
     writes: Gate, syncs: Gate, writer: JournalWriter, failing: str
 ) -> None:
     gate = {"writes": writes, "syncs": syncs}[failing]
@@ -148,26 +148,26 @@ def test_what_fails_after_a_call_has_returned_is_told_at_the_next(
     assert journal.read(writer.path).footer == FOOTER
 
 
-def test_what_fails_after_the_last_call_is_told_by_the_close(writer: JournalWriter, writes: Gate) -> None:
+def test_an_error_after_the_last_call_is_raised_by_close(writer: JournalWriter, writes: Gate) -> None:
     writes.shut()
     writer.samples(ROWS[:20])
     writes.fault = OSError(errno.EIO, os.strerror(errno.EIO))
     writes.open.set()
-    assert writer.settled(PATIENCE_S)
+    assert writer.wait_until_synced(PATIENCE_S)
     writes.fault = None
     with pytest.raises(JournalError, match="Input/output error"):
         writer.close(FOOTER)
     assert journal.read(writer.path).footer == FOOTER
 
 
-def test_every_second_the_record_is_seen_to_the_disk(syncs: Gate, writer: JournalWriter) -> None:
+def test_the_journal_is_synced_every_second(syncs: Gate, writer: JournalWriter) -> None:
     for _ in range(3):
         syncs.reached.clear()
         assert syncs.reached.wait(PATIENCE_S)
     writer.close(FOOTER)
 
 
-def test_a_disk_that_cannot_say_how_much_room_it_has_is_a_broken_one(
+def test_a_disk_without_free_space_information_is_an_error(
     syncs: Gate, writer: JournalWriter, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def gone(_: int) -> os.statvfs_result:

@@ -171,7 +171,7 @@ def test_rubbish_in_the_middle_does_not_hide_what_follows(
 
 @examples(100, HealthCheck.function_scoped_fixture)
 @given(rubbish=st.binary(max_size=3000))
-def test_rubbish_is_refused_in_one_sentence(tmp_path: Path, rubbish: bytes) -> None:
+def test_a_file_that_is_not_a_journal_gives_one_message(tmp_path: Path, rubbish: bytes) -> None:
     with pytest.raises(JournalError, match="is not a journal, or its header is lost"):
         journal.read(changed(tmp_path, rubbish))
 
@@ -262,7 +262,7 @@ def test_a_full_disk_raises_one_error_and_keeps_what_was_recorded(tmp_path: Path
     assert content.footer is not None
 
 
-def test_a_journal_that_cannot_begin_leaves_no_file(tmp_path: Path) -> None:
+def test_a_failed_start_of_a_journal_leaves_no_file(tmp_path: Path) -> None:
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     before = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
     try:
@@ -295,7 +295,7 @@ def test_a_run_stops_while_the_disk_still_has_room_for_its_archive(
     assert len(journal.read(path).samples) == 40, "the rows of the call that was refused are kept too"
 
 
-def test_the_room_that_is_kept_for_the_archive_grows_with_the_journal(
+def test_the_space_reserved_for_the_archive_grows_with_the_journal(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     writer = JournalWriter(tmp_path / "a.mcap", made_up.header())
@@ -316,7 +316,7 @@ def test_the_room_that_is_kept_for_the_archive_grows_with_the_journal(
 
 
 @pytest.mark.parametrize("live", [False, True])
-def test_a_disk_that_turns_read_only_is_told_as_what_it_is(
+def test_a_disk_that_turns_read_only_is_reported_as_such(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, live: bool
 ) -> None:
     def refused(*_: object) -> int:
@@ -333,7 +333,7 @@ def test_a_disk_that_turns_read_only_is_told_as_what_it_is(
     assert len(journal.read(tmp_path / "run.mcap").samples) == len(made_up.samples(0.5))
 
 
-def test_what_is_older_than_a_second_is_on_the_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_data_older_than_a_second_are_synced(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     synced: list[int] = []
     path = tmp_path / "a.mcap"
     monkeypatch.setattr(os, "fdatasync", lambda fd: synced.append(os.fstat(fd).st_size))

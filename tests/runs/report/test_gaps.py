@@ -16,7 +16,7 @@ from runs.archive.writer import finalise
 from runs.journal.journal import JournalWriter
 from runs.records import Interval, RunFooter, Status
 from runs.report import comparison, figures, gaps
-from runs.report.figures import POINTS, kept, strided
+from runs.report.drawing import POINTS, decimated_indices, path_indices
 from runs.run import Run
 from runs.summary import summarise
 
@@ -104,12 +104,12 @@ def test_no_pressure_bridges_lost_ticks(run: Run) -> None:
     assert not is_bridged(lines(figure)["actuator 1"], 1.4999, 1.9999)
 
 
-def test_a_gap_survives_thinning() -> None:
+def test_a_gap_survives_decimation() -> None:
     y = np.sin(np.linspace(0, 9, 20 * POINTS))
     y[7777] = np.nan
-    assert 7777 in kept(y)
-    assert 7777 in strided(np.column_stack((y, y)))
-    assert len(kept(y)) < 5 * POINTS
+    assert 7777 in decimated_indices(y)
+    assert 7777 in path_indices(np.column_stack((y, y)))
+    assert len(decimated_indices(y)) < 5 * POINTS
 
 
 def test_even_rows_have_no_gaps() -> None:

@@ -24,7 +24,8 @@ from runs.records import DetectionStatus, Event, Level, RunFooter, Status
 from runs.report import figure_export, figure_specifications, pictures
 from runs.report import page as report
 from runs.report.comparison import by_axis, by_model
-from runs.report.figures import STYLE, pressures, steps
+from runs.report.drawing import STYLE
+from runs.report.figures import pressures, steps
 from runs.summary import summarise
 
 VOID = {"meta", "img", "br", "input", "link"}
@@ -76,7 +77,7 @@ def text(archive: Path) -> str:
     return report.write(archive).read_text(encoding="utf-8")
 
 
-def test_it_stands_beside_the_archive(archive: Path, text: str) -> None:
+def test_the_report_is_written_beside_the_archive(archive: Path, text: str) -> None:
     assert archive.with_suffix(".html").exists()
     assert not list(archive.parent.glob("*.part"))
     assert text.startswith("<!doctype html>")
@@ -101,14 +102,14 @@ def test_every_figure_is_a_sound_drawing_with_ids_of_its_own(text: str) -> None:
     assert len(ids) == len(set(ids)), "figures on one page share their ids"
 
 
-def test_it_says_what_was_simulated(text: str, tmp_path: Path) -> None:
+def test_the_report_marks_simulated_data(text: str, tmp_path: Path) -> None:
     assert "This run was simulated." in text
     made_up.write_journal(tmp_path / "real.mcap", duration_s=0.1, simulated=False)
     real = report.write(finalise(tmp_path / "real.mcap")).read_text(encoding="utf-8")
     assert "simulated" not in re.sub(r"<style>.*?</style>", "", real, flags=re.DOTALL)
 
 
-def test_it_tells_how_the_run_was_made(archive: Path, text: str) -> None:
+def test_the_report_states_the_provenance(archive: Path, text: str) -> None:
     shown = " ".join(Page(text).text)
     for said in ("finished", "A. Tester", "rig run stairs --fast", "0123abc", "seed 7", "numpy", "# µ and ° survive"):
         assert said in shown
@@ -123,7 +124,7 @@ def test_the_pictures_are_inside(text: str) -> None:
     assert all(base64.b64decode(encoded) in stored for encoded in data)
 
 
-def test_what_was_seen_is_drawn_into_the_pictures(archive: Path, text: str) -> None:
+def test_annotations_are_drawn_into_the_pictures(archive: Path, text: str) -> None:
     drawn = re.findall(r'<circle cx="([\d.]+)" cy="([\d.]+)"', text)
     for k in (moment.k for moment in pictures.moments(runs.open(archive), summarise(runs.open(archive)))):
         marks = made_up.marks(k)
@@ -196,7 +197,7 @@ def test_a_run_of_any_length_has_a_report(tmp_path: Path, seconds: float) -> Non
     Page(report.write(finalise(tmp_path / "a.mcap")).read_text(encoding="utf-8"))
 
 
-def test_a_run_that_never_saw_its_tip_has_a_report(tmp_path: Path) -> None:
+def test_a_run_without_measured_tips_has_a_report(tmp_path: Path) -> None:
     path = tmp_path / "blind.mcap"
     rows = made_up.observations(3.0)
     rows["seen"] = DetectionStatus.NO_BOARD
@@ -207,19 +208,19 @@ def test_a_run_that_never_saw_its_tip_has_a_report(tmp_path: Path) -> None:
     Page(report.write(finalise(path)).read_text(encoding="utf-8"))
 
 
-def test_a_run_cut_off_between_a_frame_and_what_it_taught_has_a_report(tmp_path: Path) -> None:
+def test_a_run_cut_off_between_a_frame_and_its_estimate_has_a_report(tmp_path: Path) -> None:
     path = made_up.write_cut_off_while_adapting(tmp_path / "adapting.mcap")
     page = Page(report.write(finalise(path)).read_text(encoding="utf-8"))
     assert "Parameters estimated beside the run" in "".join(page.text)
 
 
 def test_a_long_run_is_drawn_with_few_points_and_keeps_its_extremes(tmp_path: Path) -> None:
-    from runs.report.figures import POINTS, thin
+    from runs.report.drawing import POINTS, decimated
 
     x = np.arange(200_000) / 200
     y = np.sin(x)
     y[123_456], y[7] = 9.0, -9.0
-    few_x, few_y = thin(x, y)
+    few_x, few_y = decimated(x, y)
     assert len(few_x) <= 2 * POINTS
     assert (few_y.max(), few_y.min()) == (9.0, -9.0)
     assert (few_x[0], few_x[-1]) == (x[0], x[-1])
@@ -241,25 +242,25 @@ def test_several_runs_stand_side_by_side(short: Path, tmp_path: Path) -> None:
 def test_a_run_has_the_figures_that_it_has_data_for(archive: Path, short: Path) -> None:
     run, brief = runs.open(archive), runs.open(short)
     everything = ["pressures", "trajectory", "backbones", "steps", "tip", "error", "timing"]
-    assert [plate.name for plate in figure_specifications.figure_specifications(run, summarise(run))] == everything
-    assert [plate.name for plate in figure_specifications.figure_specifications(brief, summarise(brief))] == [
+    assert [figure.name for figure in figure_specifications.figure_specifications(run, summarise(run))] == everything
+    assert [figure.name for figure in figure_specifications.figure_specifications(brief, summarise(brief))] == [
         "pressures",
         "timing",
     ]
 
 
-def test_a_motion_in_no_plane_is_seen_along_the_arm_and_from_its_side(archive: Path) -> None:
+def test_a_spatial_motion_is_drawn_from_two_sides(archive: Path) -> None:
     run = runs.open(archive)
     turn = np.linspace(0, 2 * np.pi, len(run.tip.time_s))
     circle = np.column_stack((20 * np.cos(turn), 20 * np.sin(turn), 170 + 0 * turn))
     run.tip = dataclasses.replace(run.tip, measured_mm=circle, model_mm=circle + 1.0)
     found = summarise(run)
     assert np.isnan(found.plane_deg)
-    (plate,) = [
-        plate for plate in figure_specifications.figure_specifications(run, found) if plate.name == "trajectory"
+    (specification,) = [
+        one for one in figure_specifications.figure_specifications(run, found) if one.name == "trajectory"
     ]
-    figure = Figure(figsize=plate.size)
-    plate.draw(figure, run, found)
+    figure = Figure(figsize=specification.size)
+    specification.draw(figure, run, found)
     assert [(axes.get_xlabel(), axes.get_ylabel()) for axes in figure.axes] == [
         ("x [mm]", "y [mm]"),
         ("x [mm]", "z, along the arm [mm]"),
@@ -269,7 +270,7 @@ def test_a_motion_in_no_plane_is_seen_along_the_arm_and_from_its_side(archive: P
         assert low < -20 < 21 < high
     run.tip = dataclasses.replace(run.tip, measured_mm=circle[:1] + 0 * circle, model_mm=circle[:1] + 0 * circle)
     assert "trajectory" not in [
-        plate.name for plate in figure_specifications.figure_specifications(run, summarise(run))
+        figure.name for figure in figure_specifications.figure_specifications(run, summarise(run))
     ]
 
 
@@ -284,10 +285,10 @@ def test_measurements_without_model_and_set_points_are_drawn_without_them(archiv
     found = summarise(run)
     assert found.plane_deg == pytest.approx(0.0, abs=1.0)
     shown = list(figure_specifications.figure_specifications(run, found))
-    assert [plate.name for plate in shown] == ["pressures", "trajectory", "tip"]
-    for plate in shown:
-        figure = Figure(figsize=plate.size)
-        plate.draw(figure, run, found)
+    assert [figure.name for figure in shown] == ["pressures", "trajectory", "tip"]
+    for specification in shown:
+        figure = Figure(figsize=specification.size)
+        specification.draw(figure, run, found)
         for axes in figure.axes:
             assert axes.has_data()
             legend = axes.get_legend()
@@ -314,7 +315,7 @@ def test_figures_of_an_unknown_kind_are_refused(archive: Path, tmp_path: Path) -
         figure_export.write([archive], tmp_path, "doc")
 
 
-def test_several_runs_are_told_in_the_shape_of_the_papers_tables(archive: Path, tmp_path: Path) -> None:
+def test_several_runs_are_listed_in_the_form_of_the_papers_tables(archive: Path, tmp_path: Path) -> None:
     made_up.write_journal(tmp_path / "other.mcap", pictures=0)
     chosen = [runs.open(archive), runs.open(finalise(tmp_path / "other.mcap"))]
     chosen[1].header = dataclasses.replace(chosen[1].header, model_variant="homogeneous", protocol_name="other")
@@ -329,7 +330,7 @@ def test_several_runs_are_told_in_the_shape_of_the_papers_tables(archive: Path, 
     assert cells[1][4:] == ["other (simulated)", "homogeneous", "0.8019", "1.6247"]
 
 
-def test_runs_of_one_protocol_and_model_are_told_apart(archive: Path, short: Path) -> None:
+def test_runs_of_one_protocol_and_model_have_different_labels(archive: Path, short: Path) -> None:
     first, second = runs.open(archive), runs.open(short)
     found = dataclasses.replace(summarise(first), rmse_mm=(1.7, 0.1, 0.3))
     cells = re.findall(r"<td>([^<]*)</td>", by_axis([first, second], [found] * 2))

@@ -1,0 +1,157 @@
+"""Result of an identification: estimates with verdicts, fits of the runs, information criteria."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from enum import StrEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calibration.identify.least_squares import Problem, Solution
+from calibration.identify.parameters import Setup
+
+Array = NDArray[np.float64]
+
+NORMAL_95 = 1.959963984540054
+
+
+class Verdict(StrEnum):
+    """Result for one parameter."""
+
+    IDENTIFIED = "identified"
+    NO_EFFECT = "no effect on the data"
+    UNDECIDED = "the data leave it open"
+    ENTANGLED = "only in combination with others"
+    PRIOR = "known from its prior alone"
+
+
+def rms(distance_m: Array) -> float:
+    """Root mean square of the finite distances (K,) [m]; NaN if there are none."""
+    known = distance_m[np.isfinite(distance_m)]
+    return float(np.sqrt((known**2).mean())) if len(known) else math.nan
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """One free parameter. `value`, `std` and `interval` are None if it is not identified.
+
+    used: the value in `Fit.setup`, for every verdict. run: the run of a per-run parameter, empty for a shared one.
+    partners: parameters that it is exchangeable with. joint_std: standard deviation in the joint fit of all unknowns.
+    """
+
+    name: str
+    unit: str
+    run: str
+    used: float
+    value: float | None
+    std: float | None
+    interval: tuple[float, float] | None
+    verdict: Verdict
+    partners: tuple[str, ...]
+    joint_std: float
+
+    @property
+    def identified(self) -> bool:
+        """Whether the data determine it."""
+        return self.value is not None
+
+
+@dataclass(frozen=True)
+class RunFit:
+    """Fit of one run. residual_m (K, 3): measured minus predicted, NaN without a tip. error_m: its length."""
+
+    run_id: str
+    source: str
+    moving: bool
+    frames: int
+    residual_m: Array
+    predicted_m: Array
+    before_m: Array
+    """Predictions of the starting setup."""
+    outliers: int
+    correlation: float
+    setup: Setup
+    drifting: bool = False
+    """The residuals correlate over more than a tenth of the run; error bars include this only as far as it shows."""
+
+    @property
+    def error_m(self) -> Array:
+        """Distance from measured to predicted (K,), measured entries only."""
+        error: Array = np.linalg.norm(self.residual_m, axis=1)
+        return error[np.isfinite(error)]
+
+    @property
+    def rms_m(self) -> float:
+        """Root mean square distance from measured to predicted."""
+        return rms(self.error_m)
+
+    @property
+    def rms_before_m(self) -> float:
+        """The same of the starting setup."""
+        return rms(np.linalg.norm(self.residual_m + self.predicted_m - self.before_m, axis=1))
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Parameters of an arm.
+
+    setup: with every shared `used` value. covariance (n, n): of the fitted values, in the order of `estimates`; zero
+    for fixed parameters, whose assumed error of half a span enters the other error bars. discrepancy_m: standard
+    deviation per axis of the model error that the stated errors do not explain.
+    """
+
+    setup: Setup
+    start: Setup
+    estimates: tuple[Estimate, ...]
+    covariance: Array
+    runs: tuple[RunFit, ...]
+    log_likelihood: float
+    loss: float
+    discrepancy_m: float
+    measured: int
+    fitted: int
+    starts: int
+    agreeing_starts: int
+    solved: bool
+    open_directions: tuple[str, ...]
+    """Undetermined combinations of parameters: the null space of the information matrix, as text."""
+    start_losses: tuple[float, ...]
+    """-2 ln L at the end of the search from each starting point, relative to the best."""
+    problem: Problem = field(repr=False)
+    solution: Solution = field(repr=False)
+
+    def __getitem__(self, name: str) -> Estimate:
+        """The estimate of that name; of a per-run parameter that of the first run."""
+        for estimate in self.estimates:
+            if estimate.name == name:
+                return estimate
+        raise KeyError(name)
+
+    @property
+    def fixed(self) -> tuple[bool, ...]:
+        """Which estimates are fixed at their start as undetermined, in the order of `estimates`."""
+        return tuple((np.diagonal(self.covariance) == 0).tolist())
+
+    @property
+    def drifts(self) -> str:
+        """Warning about runs with drifting residuals; empty if there are none."""
+        names = ", ".join(run.run_id for run in self.runs if run.drifting)
+        return f"what is left of {names} drifts as slowly as the run: error bars may be too narrow" if names else ""
+
+    @property
+    def rms_m(self) -> float:
+        """Root mean square distance over all measured tips."""
+        return rms(np.concatenate([run.error_m for run in self.runs]))
+
+    @property
+    def aic(self) -> float:
+        """Akaike information criterion (AIC); the discrepancy counts as one parameter."""
+        return 2 * (self.fitted + 1) - 2 * self.log_likelihood
+
+    @property
+    def bic(self) -> float:
+        """Bayesian information criterion (BIC, Schwarz); the sample size is the number of independent tips."""
+        new = sum(3 * len(run.error_m) / max(run.correlation, 1.0) for run in self.runs)
+        return float((self.fitted + 1) * np.log(max(new, 2.0)) - 2 * self.log_likelihood)

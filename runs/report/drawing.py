@@ -1,0 +1,165 @@
+"""Drawing kit of the figures: style, SVG and file output, panels with fixed margins, decimation of long lines."""
+
+from __future__ import annotations
+
+import io
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_svg import FigureCanvasSVG
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from runs.report.colours import INK, MUTED, RULE
+
+POINTS = 900
+"""Points drawn of a long line; their extremes are kept."""
+
+STYLE: dict[Any, Any] = {
+    "svg.fonttype": "none",
+    "font.family": "DejaVu Sans",
+    "font.size": 9,
+    "figure.facecolor": "none",
+    "axes.facecolor": "none",
+    "axes.edgecolor": MUTED,
+    "axes.labelcolor": INK,
+    "axes.linewidth": 0.7,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "axes.titlesize": 9.5,
+    "axes.titlelocation": "left",
+    "axes.titlepad": 7,
+    "grid.color": RULE,
+    "grid.linewidth": 0.6,
+    "xtick.color": MUTED,
+    "ytick.color": MUTED,
+    "xtick.labelcolor": INK,
+    "ytick.labelcolor": INK,
+    "xtick.major.width": 0.7,
+    "ytick.major.width": 0.7,
+    "legend.frameon": False,
+    "legend.fontsize": 8.5,
+    "lines.linewidth": 1.3,
+    "lines.solid_joinstyle": "round",
+    "figure.constrained_layout.use": True,
+    "figure.constrained_layout.h_pad": 0.06,
+}
+_MARGINS_IN = (0.85, 0.1, 0.46, 0.28)
+"""Left, right, below and above of a figure's panels, for labels and legends; `_GAPS_IN` beside and below each."""
+_GAPS_IN = (0.75, 0.3)
+_FONTS = "Inter, 'Helvetica Neue', Helvetica, Arial, 'DejaVu Sans', sans-serif"
+
+_PATHS, _DIGITS = re.compile(r' d="[^"]*"'), re.compile(r"(?<=\.\d)\d+")
+"""A tenth of a point is as fine as a page shows."""
+
+Floats = NDArray[np.float64]
+
+
+def svg(draw: Callable[..., None], size: tuple[float, float], salt: str, *about: object) -> str:
+    """Return a figure of a size in inches as an SVG element that can stand inside HTML.
+
+    `draw` is called with the figure and `about`. The `salt` keeps the drawing's ids apart from others on the page.
+    """
+    with mpl.rc_context({**STYLE, "svg.hashsalt": f"{salt}/{draw.__name__}"}):
+        figure = Figure(figsize=size)
+        canvas = FigureCanvasSVG(figure)
+        draw(figure, *about)
+        text = io.StringIO()
+        # Not figure.savefig: it draws everything twice.
+        canvas.print_svg(text, metadata={"Date": None, "Creator": None})  # type: ignore[no-untyped-call]
+    drawing = text.getvalue()
+    drawing = _PATHS.sub(lambda path: _DIGITS.sub("", path[0]), drawing[drawing.index("<svg") :])
+    return drawing.replace("'DejaVu Sans'", _FONTS)
+
+
+def save(draw: Callable[..., None], size: tuple[float, float], path: Path, *about: object, mark: str = "") -> None:
+    """Write a figure to a file; its kind is that of the name. `draw` is called with the figure and `about`.
+
+    The `mark` goes into a corner: what must not be forgotten of a figure that is shown without its page.
+    """
+    with mpl.rc_context({**STYLE, "figure.facecolor": "white", "axes.facecolor": "white", "pdf.fonttype": 42}):
+        figure = Figure(figsize=size)
+        draw(figure, *about)
+        figure.text(0.998, 0.004, mark, ha="right", va="bottom", fontsize=7, color=MUTED)
+        figure.savefig(path, dpi=200)
+
+
+def panels(figure: Figure, rows: int = 1, columns: int = 1, **options: Any) -> NDArray[Any]:
+    """Return axes (rows, columns) with fixed spacing round them: to measure every label takes as long as to draw."""
+    figure.set_layout_engine("none")
+    width, height = figure.get_size_inches()
+    left, right, below, above = _MARGINS_IN
+    beside, between = _GAPS_IN
+    across = (width - left - right - (columns - 1) * beside) / columns
+    down = (height - below - above - (rows - 1) * between) / rows
+    spacing = {
+        "left": left / width,
+        "right": 1 - right / width,
+        "bottom": below / height,
+        "top": 1 - above / height,
+        "wspace": beside / across,
+        "hspace": between / down,
+    }
+    axes: NDArray[Any] = figure.subplots(
+        rows, columns, sharex=columns == 1, squeeze=False, gridspec_kw=spacing, **options
+    )
+    return axes
+
+
+def decimated(x: Floats, y: Floats) -> tuple[Floats, Floats]:
+    """Return a line with fewer points that looks the same: the extremes of each stretch."""
+    index = decimated_indices(y)
+    return x[index], y[index]
+
+
+def path_indices(points: Floats) -> NDArray[np.intp]:
+    """Return which points (n, d) of a path are drawn: evenly chosen ones, and every gap."""
+    chosen: NDArray[np.bool_] = np.asarray(~np.isfinite(points).all(axis=1))
+    chosen[:: max(len(points) // (4 * POINTS), 1)] = True
+    return np.flatnonzero(chosen)
+
+
+def decimated_indices(y: Floats) -> NDArray[np.intp]:
+    """Return which points of a line are drawn: all of a short one, else the extremes and a gap of each stretch."""
+    stretch = len(y) // POINTS * 2
+    if stretch < 4:
+        return np.arange(len(y))
+    whole = len(y) // stretch * stretch
+    blocks = y[:whole].reshape(-1, stretch)
+    first = np.arange(0, whole, stretch)
+    lowest = np.where(np.isnan(blocks), np.inf, blocks).argmin(axis=1)
+    highest = np.where(np.isnan(blocks), -np.inf, blocks).argmax(axis=1)
+    # Where nothing is missing this is the first point again.
+    missing = np.isnan(blocks).argmax(axis=1)
+    return np.append(np.unique(np.column_stack((first, first + lowest, first + highest, first + missing))), len(y) - 1)
+
+
+def legend(axes: Axes, columns: int = 6) -> None:
+    """Above the plot, so that it never hides a line; none where nothing has a name."""
+    if not axes.get_legend_handles_labels()[0]:
+        return
+    # More columns than usual must share the width: the spacing above is that of one row.
+    beside = 1.4 * min(1.0, 6 / columns) ** 2
+    names = axes.legend(
+        loc="lower left",
+        bbox_to_anchor=(0, 1.0),
+        ncols=columns,
+        borderaxespad=0.1,
+        columnspacing=beside,
+        handlelength=2.0 * min(1.0, 6 / columns),
+    )
+    for name in names.get_texts():
+        name.set_parse_math(False)  # a dollar in the name of a run begins no formula
+
+
+def no_data(*panels: Axes) -> None:
+    """Write 'nothing was recorded' into empty panels."""
+    for panel in panels:
+        panel.annotate("nothing was recorded", (0.5, 0.5), xycoords="axes fraction", ha="center", color=MUTED)
