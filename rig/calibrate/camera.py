@@ -15,9 +15,9 @@ from rig.calibrate import file_sections, inputs, residual_figure
 from rig.calibrate.inputs import bad_input
 from rig.calibrate.view_collection import collect, pictures
 from rig.cli import calibration_output
-from rig.cli.archive_output import plain_json
+from rig.cli.console import console
+from rig.cli.json_output import plain_json
 from rig.cli.keyboard import Keyboard
-from rig.cli.run_output import console
 from rig.config.calibration_files import default_path, views_beside, write
 from rig.config.schema import RigConfig
 from runs.overwriting import refuse_existing

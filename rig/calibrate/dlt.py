@@ -25,13 +25,14 @@ from calibration.vision.transforms import RigidTransform
 from rig.calibrate import control_points, file_sections, inputs
 from rig.calibrate.inputs import bad_input
 from rig.cli import calibration_output
-from rig.cli.archive_output import plain_json
-from rig.cli.run_output import console
+from rig.cli.console import console
+from rig.cli.json_output import plain_json
 from rig.config import calibration_schema
 from rig.config.calibration_files import LoadedCalibration, default_path, origin, rounded, sha256_of, write
 from rig.config.drivers import CAMERA_DRIVERS
 from rig.config.optics import lens_of, placement_of, rigid
-from rig.config.schema import Placement, RigConfig
+from rig.config.schema import RigConfig
+from rig.config.sections import Placement
 from runs.overwriting import refuse_existing
 
 Floats = NDArray[np.float64]

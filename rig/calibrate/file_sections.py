@@ -7,8 +7,7 @@ from numpy.typing import NDArray
 
 from calibration.camera import CameraCalibration, LeftOut
 from calibration.vision.lens import Lens
-from rig.config import calibration_schema
-from rig.config import schema as rigs
+from rig.config import calibration_schema, sections
 from rig.config.calibration_files import origin, rounded
 from rig.config.schema import RigConfig
 from rig.hardware.cameras.registry import serial_of
@@ -40,12 +39,12 @@ def card_of(config: RigConfig, name: str) -> calibration_schema.CardIdentity:
     return calibration_schema.CardIdentity(name=name, driver=card.driver, device=card.device)
 
 
-def lens_section(lens: Lens) -> rigs.Lens:
+def lens_section(lens: Lens) -> sections.Lens:
     """A lens as files state it."""
     m = lens.matrix
     k1, k2, p1, p2, k3 = rounded(lens.distortion, 8)
     fx, fy, cx, cy = rounded([m[0, 0], m[1, 1], m[0, 2], m[1, 2]], 8)
-    return rigs.Lens(fx_px=fx, fy_px=fy, cx_px=cx, cy_px=cy, distortion=(k1, k2, p1, p2, k3))
+    return sections.Lens(fx_px=fx, fy_px=fy, cx_px=cx, cy_px=cy, distortion=(k1, k2, p1, p2, k3))
 
 
 def board_section(corners: tuple[int, int], square_m: float) -> calibration_schema.PrintedBoard:

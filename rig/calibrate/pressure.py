@@ -22,15 +22,17 @@ from rig.calibrate.bench_session import real, virtual
 from rig.calibrate.inputs import bad_input
 from rig.calibrate.valve_fit import FittedValve, PressureRate, fit
 from rig.cli import calibration_output
-from rig.cli.archive_output import plain_json
+from rig.cli.console import console
+from rig.cli.json_output import plain_json
 from rig.cli.keyboard import Keyboard
-from rig.cli.run_output import confirm, console
+from rig.cli.run_output import confirm
 from rig.cli.signals import StopSignals
 from rig.config import calibration_schema
 from rig.config.arm_model import model_arm
 from rig.config.calibration_files import default_path, origin, rounded, sha256_of, write
 from rig.config.loader import load, path_of
-from rig.config.schema import PA_PER_BAR, FlowValve, RigConfig
+from rig.config.schema import RigConfig
+from rig.config.sections import PA_PER_BAR, FlowValve
 from rig.control.interlocks import settings as interlock_settings
 from rig.control.valve import ATMOSPHERE_PA, fill_sign
 from rig.execution.plan import StoppedError

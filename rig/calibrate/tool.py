@@ -21,8 +21,8 @@ from calibration.vision.transforms import RigidTransform
 from rig.calibrate import file_sections, inputs
 from rig.calibrate.inputs import bad_input
 from rig.cli import calibration_output
-from rig.cli.archive_output import plain_json
-from rig.cli.run_output import console
+from rig.cli.console import console
+from rig.cli.json_output import plain_json
 from rig.config import calibration_schema
 from rig.config.arm_model import model_arm
 from rig.config.calibration_files import default_path, origin, rounded, views_beside, write

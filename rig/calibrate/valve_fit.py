@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.camera import CalibrationError
-from rig.config.schema import FlowValve
+from rig.config.sections import FlowValve
 from rig.control.valve import ANR_PA, ATMOSPHERE_PA, flow_function, sonic_conductance
 
 Floats = NDArray[np.float64]

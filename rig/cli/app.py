@@ -149,6 +149,7 @@ def run(
 ) -> None:
     """Run a protocol and leave an archive with a report."""
     from rig.cli import recovery_offer, run_output
+    from rig.cli.console import console
     from rig.cli.signals import StopSignals
     from rig.cli.terminal import Terminal
     from rig.config.loader import chosen_rig
@@ -174,23 +175,23 @@ def run(
         report=report,
     )
     decided = experiment.plan(request)
-    console = run_output.console(stderr=json)
+    screen = console(stderr=json)
     recovery_offer.offer(out, ask=not yes)
-    console.print(run_output.check_screen(request, decided))
-    if not yes and not run_output.confirm(console):
+    screen.print(run_output.check_screen(request, decided))
+    if not yes and not run_output.confirm(screen):
         _fail("not armed", BAD_INPUT)
     page: AbstractContextManager[None] = nullcontext()
     if live:
         from rig.live.launch import live_page_of_this_run
 
-        page = live_page_of_this_run(listen, port, lambda line: console.print(line, soft_wrap=True))
+        page = live_page_of_this_run(listen, port, lambda line: screen.print(line, soft_wrap=True))
     with (
         page,
         StopSignals() as signals,
-        Terminal(console, lambda: signals.reason, run_output.title(request)) as terminal,
+        Terminal(screen, lambda: signals.reason, run_output.title(request)) as terminal,
     ):
         result = experiment.run(request, decided, terminal)
-    run_output.last_screen(console, result)
+    run_output.last_screen(screen, result)
     if json:
         typer.echo(run_output.result_json(result))
     raise typer.Exit(run_output.exit_status(result))
@@ -200,6 +201,7 @@ def run(
 def check(protocol: ProtocolName, rig: RigName = None, json: AsJson = False) -> None:
     """Check a protocol against a rig, without touching hardware."""
     from rig.cli import run_output
+    from rig.cli.console import console
     from rig.config.loader import chosen_rig
     from rig.experiment import run as experiment
 
@@ -208,10 +210,10 @@ def check(protocol: ProtocolName, rig: RigName = None, json: AsJson = False) -> 
     if json:
         typer.echo(run_output.check_json(request, decided))
     else:
-        console = run_output.console()
-        console.print(run_output.check_screen(request, decided))
-        console.print(run_output.sketch(decided, console.width))
-        console.print(run_output.verdict(request), soft_wrap=True)
+        screen = console()
+        screen.print(run_output.check_screen(request, decided))
+        screen.print(run_output.sketch(decided, screen.width))
+        screen.print(run_output.verdict(request), soft_wrap=True)
 
 
 @app.command()
@@ -237,6 +239,7 @@ def doctor(
 ) -> None:
     """Check this machine for a rig, and name a remedy for each missing part."""
     from rig.cli import run_output
+    from rig.cli.console import console
     from rig.config.loader import load, named_rig
     from rig.doctor import examine
 
@@ -245,7 +248,7 @@ def doctor(
     if json:
         typer.echo(run_output.findings_json(findings))
     else:
-        run_output.console().print(run_output.findings_table(findings))
+        console().print(run_output.findings_table(findings))
     raise typer.Exit(FAULT if any(f.verdict == "missing" for f in findings) else DONE)
 
 
@@ -293,15 +296,15 @@ def live(
     port: Port = LIVE_PORT,
 ) -> None:
     """Show a running experiment in the browser, or play an archive."""
-    from rig.cli import run_output
-    from rig.cli.archive_output import resolve
+    from rig.cli.console import console
+    from rig.cli.run_names import resolve
     from rig.live.launch import show
 
     if archive is not None and pid is not None:
         _fail("--pid names a running experiment; omit it to play an archive", BAD_INPUT)
-    console = run_output.console()
+    screen = console()
     found = None if archive is None else resolve(archive)
-    raise typer.Exit(show(found, pid, listen, port, lambda line: console.print(line, soft_wrap=True)))
+    raise typer.Exit(show(found, pid, listen, port, lambda line: screen.print(line, soft_wrap=True)))
 
 
 for command in (archives.runs, archives.show, archives.report, archives.export, archives.replay, archives.recover):

@@ -16,56 +16,16 @@ from rich.text import Text
 
 import runs as records
 from protocols.problems import BadInputError, Problem, closest
-from rig.cli import recovery_offer
-from rig.cli.run_output import console
-from runs.archive.writer import SUFFIX, ArchiveError
-from runs.catalogue import Entry, catalogue
+from rig.cli.console import console
+from rig.cli.json_output import plain_json
+from rig.cli.run_names import DATA, resolve
+from runs.catalogue import Entry
 from runs.records import Status
 from runs.recovery import Fate
 from runs.recovery import recover as recover_folder
 from runs.summary import Summary, summarise
 
-DATA = Path("data")
-"""Default folder of archives."""
-LAST = "last"
-MOST_SHOWN = 5
 _DATE = re.compile(r"\d{4}(-\d\d(-\d\d(T\d\d(:\d\d(:\d\d)?)?)?)?)?")
-
-
-def resolve(name: Path) -> Path:
-    """Find an archive by path, by a run id or a unique part of one in the data folder, or by `last` (the newest).
-
-    Raises:
-        ArchiveError: no archive matches, or several do.
-    """
-    by_id: tuple[Path, ...] = ()
-    if name.name:
-        by_id = (name.with_name(name.name + SUFFIX), DATA / f"{name.name}{SUFFIX}")
-    try:
-        found = next((candidate for candidate in (name, *by_id) if candidate.is_file()), None)
-    except OSError as error:
-        raise ArchiveError(f"{name}: {error.strerror}") from None
-    recovery_offer.offer((found or name).parent)
-    if found is not None:
-        return found
-    if len(name.parts) == 1 and (found := _in_data(name.name)) is not None:
-        return found
-    raise ArchiveError(f"{name}: no such archive, here or in data/; `rig runs` lists what there is")
-
-
-def _in_data(part: str) -> Path | None:
-    """Return the archive in the data folder for `last` or a part of a run id; None where there is none."""
-    if part == LAST:
-        entries = [entry for entry in catalogue(DATA) if not entry.problem]
-        return DATA / entries[0].file if entries else None
-    try:
-        stems = sorted(path.stem for path in DATA.iterdir() if path.suffix == SUFFIX and part in path.stem)
-    except OSError:
-        return None
-    if len(stems) > 1:
-        shown = ", ".join(stems[:MOST_SHOWN]) + (", .." if len(stems) > MOST_SHOWN else "")
-        raise ArchiveError(f"{part}: {len(stems)} runs in data/ have this in their id: {shown}; give more of it")
-    return DATA / f"{stems[0]}{SUFFIX}" if stems else None
 
 
 def check_search(folder: Path, status: str = "", since: str = "", until: str = "") -> None:
@@ -117,15 +77,6 @@ def show(name: Path, as_json: bool) -> None:
 def summary_json(archive: Path) -> dict[str, Any]:
     """Return a run's summary for JSON, with null for NaN and infinity."""
     return plain_json(asdict(summarise(records.open(archive))))  # type: ignore[no-any-return]
-
-
-def plain_json(value: Any) -> Any:
-    """Convert a value for JSON, with null for NaN and infinity."""
-    if isinstance(value, dict):
-        return {key: plain_json(v) for key, v in value.items()}
-    if isinstance(value, list | tuple):
-        return [plain_json(v) for v in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def summary_table(summary: Summary, counters: Mapping[str, int]) -> Table:

@@ -59,7 +59,7 @@ def report(
 ) -> None:
     """Write the report of one run, or of several side by side."""
     from protocols.problems import BadInputError, Problem
-    from rig.cli.archive_output import resolve
+    from rig.cli.run_names import resolve
     from runs.report import figure_export
     from runs.report.page import default_path, write
 
@@ -84,9 +84,9 @@ def replay(
     out: Folder = Path("data"),
 ) -> None:
     """Run vision and model again on a run's stored pictures and pressures."""
-    from rig.cli.archive_output import resolve
+    from rig.cli.run_names import resolve
+    from rig.config.model_variant import variant_named
     from rig.experiment.replay import replay as observe_again
-    from rig.experiment.run import variant_named
     from runs.run import Run
 
     typer.echo(
@@ -101,7 +101,7 @@ def export(
     replace: Replace = False,
 ) -> None:
     """Write an archive in another format."""
-    from rig.cli.archive_output import resolve
+    from rig.cli.run_names import resolve
     from runs.export.exporters import export as write
 
     for path in write(resolve(archive), to, out, replace=replace):

@@ -2,7 +2,7 @@
 
 Titles, notes, archives and file names are untrusted. Control characters in them could change the terminal's colours,
 move its cursor, or reverse a name. `rig.cli.app.main` puts a `PrintableStream` over the standard
-streams; the console of every screen (`rig.cli.run_output.console`) bypasses it and escapes the characters itself.
+streams; the console of every screen (`rig.cli.console.console`) bypasses it and escapes the characters itself.
 """
 
 from __future__ import annotations

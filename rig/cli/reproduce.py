@@ -48,7 +48,7 @@ def reproduce(
     import json as writer
 
     from rig.cli import reproduction_output
-    from rig.cli.run_output import console
+    from rig.cli.console import console
     from rig.reproduce.comparison import PaperComparison, PaperFigure
 
     screen, progress = console(stderr=json), console(stderr=True)

@@ -5,20 +5,19 @@ from __future__ import annotations
 import json
 import os
 import sys
-from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
-from rich.console import Console, ConsoleOptions, Group, RenderableType
-from rich.segment import Segment
+from rich.console import Console, Group
 from rich.table import Table
 from rich.text import Text
 
 from rig.cli.printable import printable
-from rig.config.schema import PA_PER_BAR, RigConfig
+from rig.config.schema import RigConfig
+from rig.config.sections import PA_PER_BAR
 from rig.control.step import safe_voltages
 from rig.execution.plan import Plan
 from rig.experiment.preflight import peak_pa
@@ -33,28 +32,6 @@ if TYPE_CHECKING:
 _EXIT = {Status.FINISHED: 0, Status.ABORTED: 1, Status.INTERRUPTED: 130}
 _VERDICT = {"ok": "green", "missing": "bold red", "note": "yellow"}
 _STATUS = {Status.FINISHED: "bold green", Status.ABORTED: "bold red", Status.INTERRUPTED: "bold yellow"}
-
-
-class PrintableConsole(Console):
-    """A console that escapes control characters and bidirectional marks, and interprets no markup or emoji codes."""
-
-    def __init__(self, stderr: bool = False, width: int | None = None) -> None:
-        super().__init__(highlight=False, markup=False, emoji=False, stderr=stderr, width=width)
-
-    def render_str(self, text: str, **options: Any) -> Text:
-        """Escape a string before the layout, so that column widths match the output."""
-        return super().render_str(printable(text), **options)
-
-    def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterator[Segment]:
-        """Render anything; control codes of the console itself stay."""
-        for part in super().render(renderable, options):
-            yield part if part.control else part._replace(text=printable(part.text))
-
-
-def console(stderr: bool = False) -> Console:
-    """Return the console of every screen; output to a file is 110 columns wide."""
-    plain = PrintableConsole(stderr)
-    return plain if plain.is_terminal else PrintableConsole(stderr, 110)
 
 
 def title(request: RunRequest) -> str:

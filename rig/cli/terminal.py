@@ -23,7 +23,7 @@ from rich.text import Text
 from rig.cli.keyboard import Keyboard
 from rig.cli.nonblocking_writer import NonBlockingWriter
 from rig.cli.printable import printable
-from rig.config.schema import PA_PER_BAR
+from rig.config.sections import PA_PER_BAR
 from rig.execution.plan import Progress
 from runs.records import DetectionStatus, Event, Level, Quantity
 

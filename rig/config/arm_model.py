@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 import model
-from rig.config.schema import Geometry, Material, RigConfig, Variant
+from rig.config.schema import RigConfig
+from rig.config.sections import Geometry, Material, Variant
 
 GRAVITY_M_S2 = 9.81
 

@@ -28,7 +28,8 @@ from rig.config.calibration_schema import (
     ValveCalibration,
 )
 from rig.config.optics import placement_of, rigid
-from rig.config.schema import FlowValve, Placement, RigConfig, Sensor, Valve
+from rig.config.schema import RigConfig
+from rig.config.sections import FlowValve, Placement, Sensor, Valve
 from runs.records import SourceFile
 
 Faults = Iterator[Problem]

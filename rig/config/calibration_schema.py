@@ -10,7 +10,7 @@ from pydantic import Field, model_validator
 
 from protocols.validation import ValidationFault, faults
 from rig.config.consistency import curve
-from rig.config.schema import (
+from rig.config.sections import (
     ActuatorNumber,
     Count,
     Index,

@@ -8,14 +8,14 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 from protocols.problems import closest
 from protocols.validation import ValidationFault
 
 if TYPE_CHECKING:
-    from rig.config.calibration_schema import ValveCalibration
-    from rig.config.schema import Arm, CameraConfig, CardConfig, Control, FlowValve, Limits, Sensor, Simulator, Valve
+    from rig.config.sections import Arm, CameraConfig, CardConfig, Control, Limits, Sensor, Valve
+    from rig.config.simulator_sections import Simulator
 
     Cards = Mapping[str, CardConfig | None]
     Cameras = Mapping[str, CameraConfig | None]
@@ -139,7 +139,23 @@ def _valves(valves: Valves) -> Iterator[ValidationFault]:
             yield ValidationFault((*here, "span_V"), f"a span inside range_V, {low:g} to {high:g} V")
 
 
-def curve(valve: FlowValve | ValveCalibration, here: tuple[str | int, ...] = ()) -> Iterator[ValidationFault]:
+class FlowCurve(Protocol):
+    """The flow curve of a valve, as stated in a rig file or found by a calibration."""
+
+    @property
+    def flow_curve_V(self) -> tuple[float, ...]:
+        """Voltages from the closed valve."""
+
+    @property
+    def flow_curve_percent(self) -> tuple[float, ...]:
+        """Per cent of the full flow at these voltages."""
+
+    @property
+    def dead_zone_V(self) -> float:
+        """Half width of the dead zone."""
+
+
+def curve(valve: FlowCurve, here: tuple[str | int, ...] = ()) -> Iterator[ValidationFault]:
     """Yield the faults of a stated or calibrated flow curve; `here` is the YAML path of the valve."""
     volts, percent = valve.flow_curve_V, valve.flow_curve_percent
     if len(volts) != len(percent):

@@ -9,7 +9,8 @@ from calibration.vision.board import Board
 from calibration.vision.lens import Lens
 from calibration.vision.planar_motion import PlaneOfMotion
 from calibration.vision.transforms import RigidTransform
-from rig.config.schema import CameraConfig, Placement, RigConfig
+from rig.config.schema import RigConfig
+from rig.config.sections import CameraConfig, Placement
 
 
 def rigid(placement: Placement) -> RigidTransform:

@@ -16,7 +16,8 @@ from protocols import BadInputError, Problem, document
 from rig.config.calibration_overlay import as_stated
 from rig.config.loader import parse
 from rig.config.optics import placement_of, rigid
-from rig.config.schema import (
+from rig.config.schema import RigConfig
+from rig.config.sections import (
     Count,
     Geometry,
     Material,
@@ -24,7 +25,6 @@ from rig.config.schema import (
     Number,
     Placement,
     Positive,
-    RigConfig,
     Section,
     Triple,
     Variant,

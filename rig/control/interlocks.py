@@ -12,7 +12,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.config.schema import PA_PER_BAR, FlowValve, RigConfig, Sensor
+from rig.config.schema import RigConfig
+from rig.config.sections import PA_PER_BAR, FlowValve, Sensor
 
 RATE_FILTER_S = 0.02
 """Time constant of the measured rate: shorter than a dangerous rise, longer than one noisy sample."""

@@ -10,7 +10,8 @@ from bisect import bisect_right
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from rig.config.schema import PA_PER_BAR, FlowValve, PressureValve, RigConfig
+from rig.config.schema import RigConfig
+from rig.config.sections import PA_PER_BAR, FlowValve, PressureValve
 from rig.control.valve import ANR_PA, ATMOSPHERE_PA, fill_sign, flow_function, opening_curve, sonic_conductance, vent_v
 
 REFERENCE_SHARE = 0.5

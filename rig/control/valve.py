@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 
-from rig.config.schema import FlowValve
+from rig.config.sections import FlowValve
 
 ATMOSPHERE_PA = 101_325.0
 ANR_PA = 1e5

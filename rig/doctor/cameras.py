@@ -9,7 +9,8 @@ import struct
 from pathlib import Path
 from typing import Any
 
-from rig.config.schema import CameraConfig, RigConfig
+from rig.config.schema import RigConfig
+from rig.config.sections import CameraConfig
 from rig.doctor.finding import Finding
 from rig.doctor.machine import group_name
 from rig.hardware.cameras.realsense import ANY, RECORDINGS, why_unusable

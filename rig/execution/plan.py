@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protocols import Trajectory
-from rig.config.schema import RigConfig, Variant
+from rig.config.schema import RigConfig
+from rig.config.sections import Variant
 from runs.records import Event, Picture, Quantity, Status
 
 

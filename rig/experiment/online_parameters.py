@@ -13,7 +13,7 @@ from calibration.identify.parameters_document import write
 from calibration.identify.results import NORMAL_95, Estimate, RunFit, Verdict
 from rig.config.arm_model import model_arm
 from rig.config.loader import parse
-from rig.experiment.run import variant_named
+from rig.config.model_variant import variant_named
 from rig.identify.initial_setup import baseline_geometry
 from runs.records import DetectionStatus
 from runs.run import Adaptation, Run

@@ -6,7 +6,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from protocols import Problem, Protocol, Segment, Trajectory
-from rig.config.schema import PA_PER_BAR, RigConfig
+from rig.config.schema import RigConfig
+from rig.config.sections import PA_PER_BAR
 
 COMMANDED_JUMPS = {"dwell", "hold"}
 """Segment kinds that may start with a step of the set-point."""

@@ -15,10 +15,12 @@ from numpy.typing import NDArray
 
 from protocols import BadInputError, Problem
 from rig.config import loader
+from rig.config.model_variant import VARIANTS
 from rig.config.parameters_overlay import overlay, overlay_file, recorded, without_parameters
-from rig.config.schema import PA_PER_BAR, RigConfig, Variant
+from rig.config.schema import RigConfig
+from rig.config.sections import PA_PER_BAR, Variant
 from rig.experiment.provenance import git_state, quantities, versions
-from rig.experiment.run import VARIANTS, free_id
+from rig.experiment.run import free_id
 from rig.hardware.cameras.base import Frame, FrameSet
 from rig.observation.observer import Observer
 from runs.archive.writer import ArchiveError, finalise

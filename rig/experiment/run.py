@@ -14,13 +14,14 @@ from contextlib import nullcontext, suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar, get_args
+from typing import TYPE_CHECKING, TypeVar
 
 import protocols
 from protocols import BadInputError, Problem, Protocol, Trajectory
-from protocols.problems import closest
 from rig.config.loader import RigChoice, Source, parse, path_of, read
-from rig.config.schema import RigConfig, Variant
+from rig.config.model_variant import variant_named
+from rig.config.schema import RigConfig
+from rig.config.sections import Variant
 from rig.execution.plan import OperatorInterface, Outcome, Plan, StartError
 from rig.experiment import report_process
 from rig.experiment.preflight import check
@@ -35,7 +36,6 @@ from runs.records import Event, Interval, Level, Quantity, RunFooter, RunHeader,
 if TYPE_CHECKING:
     from runs.journal.journal import JournalWriter
 
-VARIANTS: tuple[Variant, ...] = get_args(Variant)
 Loaded = TypeVar("Loaded")
 Name = TypeVar("Name")
 SPARE_DISK_BYTES = 200_000_000
@@ -141,15 +141,6 @@ def request(
         parameters_text=parameters_text,
         rig_source=source,
     )
-
-
-def variant_named(name: str | None) -> Variant | None:
-    """Return the model variant of a name, None for None; raise `BadInputError` for an unknown one."""
-    chosen = next((known for known in VARIANTS if known == name), None)
-    if name is not None and chosen is None:
-        expected = f"one of {', '.join(VARIANTS)}"
-        raise BadInputError([Problem("--model", 0, 0, "", name, expected, closest(name, VARIANTS))])
-    return chosen
 
 
 def _collecting(problems: list[Problem], read: Callable[[Name], Loaded], name: Name) -> Loaded | None:

@@ -28,12 +28,13 @@ from calibration.identify.parameters import Prior, Setup, UnknownParameter, name
 from calibration.identify.parameters_document import Baseline, content
 from calibration.identify.profile_likelihood import Profile, profiles
 from calibration.identify.results import Fit
-from rig.cli.archive_output import plain_json
-from rig.cli.run_output import console
+from rig.cli.console import console
+from rig.cli.json_output import plain_json
 from rig.config.arm_model import model_arm
 from rig.config.parameters_overlay import overlay
 from rig.config.parameters_overlay import read as read_parameters
-from rig.config.schema import PA_PER_BAR, RigConfig
+from rig.config.schema import RigConfig
+from rig.config.sections import PA_PER_BAR
 from rig.identify.initial_setup import InitialSetup, rig_of
 from rig.observation.online_estimation import default_parameters
 from runs.report.drawing import save

@@ -13,13 +13,14 @@ from scipy.spatial.transform import Rotation
 from calibration.identify.data import NoDataError
 from calibration.identify.parameters import Setup, known
 from calibration.identify.parameters_document import Baseline
-from rig.cli.archive_output import resolve
-from rig.cli.run_output import console
+from rig.cli.console import console
+from rig.cli.run_names import resolve
 from rig.config.arm_model import model_arm, true_arm
 from rig.config.loader import load, parse, path_of, text
 from rig.config.optics import rigid
 from rig.config.parameters_overlay import differing_fields, recorded
-from rig.config.schema import Geometry, RigConfig, Sensor
+from rig.config.schema import RigConfig
+from rig.config.sections import Geometry, Sensor
 from runs.run import Run
 
 

@@ -11,8 +11,8 @@ from rich.table import Table
 
 from calibration.identify.model_comparison import ComparisonRow, ModelComparison, candidates, compare_models, compared
 from calibration.identify.parameters import Prior
-from rig.cli.archive_output import plain_json
-from rig.cli.run_output import console
+from rig.cli.console import console
+from rig.cli.json_output import plain_json
 from rig.identify.estimation import check_priors, progress_bar, read_poses
 from rig.identify.initial_setup import setup_of
 from runs.run import Run

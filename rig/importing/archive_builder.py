@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from protocols.problems import BadInputError, Problem
 from protocols.source_positions import Document
 from rig.config import loader
-from rig.config.schema import PA_PER_BAR
+from rig.config.sections import PA_PER_BAR
 from rig.control.valve import ATMOSPHERE_PA
 from rig.experiment.provenance import git_state, versions
 from rig.experiment.run import free_id

@@ -17,7 +17,7 @@ from protocols.document import Document, read
 from protocols.document import validate as validated
 from protocols.source_positions import path_text
 from protocols.validation import ValidationFault, faults
-from rig.config.schema import Bar, Count, Flag, Index, Moment, NonNegative, Placement, Section, Triple, Word
+from rig.config.sections import Bar, Count, Flag, Index, Moment, NonNegative, Placement, Section, Triple, Word
 
 SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0}
 PASCALS = {

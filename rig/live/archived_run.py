@@ -15,7 +15,8 @@ import model
 from protocols import BadInputError
 from rig.config.arm_model import TipLoad, model_arm
 from rig.config.loader import parse
-from rig.config.schema import PA_PER_BAR, RigConfig
+from rig.config.schema import RigConfig
+from rig.config.sections import PA_PER_BAR
 from rig.live.messages import Message
 from rig.live.packets import ViewOverlay, ViewUpdate, estimates
 from rig.observation.overlay import OverlayProjector

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.config.schema import PA_PER_BAR
+from rig.config.sections import PA_PER_BAR
 from runs.records import Quantity
 
 Floats = NDArray[np.float64]

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 import model
 from rig.config.arm_model import TipLoad, model_arm
-from rig.config.schema import RigConfig, Variant
+from rig.config.schema import RigConfig
+from rig.config.sections import Variant
 from rig.hardware.cameras.base import FrameSet
 from rig.observation.multi_camera import MultiCameraTipEstimator
 from rig.observation.overlay import backbone

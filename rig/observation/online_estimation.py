@@ -11,7 +11,8 @@ import model
 from calibration.identify.parameters import Prior, Setup
 from calibration.identify.recursive_estimator import RecursiveEstimator
 from rig.config.arm_model import TipLoad, model_arm
-from rig.config.schema import PA_PER_BAR, RigConfig, Variant
+from rig.config.schema import RigConfig
+from rig.config.sections import PA_PER_BAR, Variant
 from runs.records import Quantity, adaptation_dtype
 
 DEFAULT_PARAMETERS = ("law", "rpe_per_bar", "base", "sensor_offsets")

@@ -6,7 +6,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.config.schema import Recording, RigConfig
+from rig.config.schema import RigConfig
+from rig.config.sections import Recording
 from rig.hardware.cameras.base import FrameSet
 from rig.observation.observer import Observer
 from rig.observation.overlay import OverlayProjector

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.config.schema import PA_PER_BAR, RigConfig
+from rig.config.schema import RigConfig
+from rig.config.sections import PA_PER_BAR
 from rig.hardware.bench import Bench
 
 PATIENCE_S = 1.0

@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from model import Arm
-from rig.config.schema import PA_PER_BAR
+from rig.config.sections import PA_PER_BAR
 
 
 def backbones(path: Path) -> None:

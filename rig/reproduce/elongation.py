@@ -23,7 +23,7 @@ from calibration.identify.paper_identification import (
 from model.tube import BallooningError, Tube
 from rig.config.arm_model import model_geometry
 from rig.config.loader import parse
-from rig.config.schema import PA_PER_BAR
+from rig.config.sections import PA_PER_BAR
 from rig.reproduce.comparison import PaperComparison, PaperFigure
 from rig.reproduce.experiments import origin
 from runs.report.colours import INK, MEASURED, MODEL, MUTED

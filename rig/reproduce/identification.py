@@ -19,8 +19,8 @@ from calibration.identify.paper_identification import (
     published_modulus,
 )
 from model.tube import Tube
-from rig.cli.archive_output import plain_json
-from rig.cli.run_output import console
+from rig.cli.console import console
+from rig.cli.json_output import plain_json
 from rig.identify.estimation import from_runs
 from rig.identify.initial_setup import setup_of
 from runs.run import Run

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from model.paper.rod import PaperRod
 from rig.config.arm_model import model_arm
 from rig.config.loader import parse
-from rig.config.schema import PA_PER_BAR
+from rig.config.sections import PA_PER_BAR
 from rig.reproduce.comparison import PaperComparison, PaperFigure
 from rig.reproduce.experiments import origin
 from rig.reproduce.table4 import SCHEMES, Space

@@ -13,7 +13,7 @@ from calibration.identify.data import at_rest
 from model.arm import Variant
 from rig.config.arm_model import model_arm
 from rig.config.loader import parse
-from rig.config.schema import PA_PER_BAR
+from rig.config.sections import PA_PER_BAR
 from rig.reproduce.comparison import PaperComparison, PaperFigure
 from rig.reproduce.experiments import origin
 from rig.reproduce.table3 import ERROR_DEFINITIONS, PRINTED

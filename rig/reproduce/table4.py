@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from model import Arm
 from model.paper.rod import PaperRod
-from rig.config.schema import PA_PER_BAR
+from rig.config.sections import PA_PER_BAR
 from rig.reproduce.comparison import PaperComparison, PaperFigure
 
 Array = NDArray[np.float64]

@@ -17,7 +17,9 @@ from numpy.typing import NDArray
 
 import rig.control.valve
 from model.kernels.jit import kernel
-from rig.config.schema import PA_PER_BAR, FlowValve, RigConfig, SimulatedValve, Simulator, Valve
+from rig.config.schema import RigConfig
+from rig.config.sections import PA_PER_BAR, FlowValve, Valve
+from rig.config.simulator_sections import SimulatedValve, Simulator
 from rig.control.valve import ANR_K, ANR_PA, ATMOSPHERE_PA, fill_sign, opening_curve, sonic_conductance
 
 STEP_NS = 100_000

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from rig.config.arm_model import model_arm
 from rig.config.loader import load
-from rig.config.schema import PA_PER_BAR
+from rig.config.sections import PA_PER_BAR
 from rig.hardware.cameras.base import FrameSet
 from rig.hardware.cameras.mock import MockCamera
 from rig.hardware.cards.base import CardSetup, Channel

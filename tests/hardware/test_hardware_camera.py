@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from rig.config.loader import load
-from rig.config.schema import CameraConfig
+from rig.config.sections import CameraConfig
 from rig.hardware.cameras.base import CameraError, Frame
 from rig.hardware.cameras.opencv import OpenCVCamera
 from rig.observation.single_camera import SingleCameraTipEstimator

@@ -8,7 +8,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.config.schema import CameraConfig, RigConfig
+from rig.config.schema import RigConfig
+from rig.config.sections import CameraConfig
 
 
 class CameraError(Exception):

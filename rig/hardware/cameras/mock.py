@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from calibration.vision.transforms import RigidTransform
 from rig.config.optics import board_in_tip, board_of, camera_in_base, lens_of, rigid
-from rig.config.schema import CameraConfig, RigConfig
+from rig.config.schema import RigConfig
+from rig.config.sections import CameraConfig
 from rig.hardware.cameras.base import CameraError, Frame
 from rig.hardware.cards.base import CardError
 from rig.simulator.faults import CameraFault, Faults

@@ -10,7 +10,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.config.schema import CameraConfig, RigConfig
+from rig.config.schema import RigConfig
+from rig.config.sections import CameraConfig
 from rig.hardware.cameras.base import Camera, CameraError, Frame
 from rig.hardware.cameras.identity import v4l2_serial
 from rig.hardware.cameras.recorded import RecordedCamera, is_recording

@@ -12,7 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from rig.config.schema import CameraConfig, RigConfig
+from rig.config.schema import RigConfig
+from rig.config.sections import CameraConfig
 from rig.hardware.cameras.base import CameraError, Frame
 
 RECORDINGS = frozenset({".bag", ".db3"})

@@ -6,7 +6,7 @@ import time
 from pathlib import Path
 
 from calibration.views import IMAGE_SUFFIXES, VIDEO_SUFFIXES, View, ViewsError, views_in
-from rig.config.schema import CameraConfig
+from rig.config.sections import CameraConfig
 from rig.hardware.cameras.base import CameraError, Frame
 
 

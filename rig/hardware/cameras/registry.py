@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from rig.config.drivers import CAMERA_DRIVERS
-from rig.config.schema import CameraConfig, RigConfig
+from rig.config.schema import RigConfig
+from rig.config.sections import CameraConfig
 from rig.hardware.cameras.base import Camera, CameraDriver
 
 

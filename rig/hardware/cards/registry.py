@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from rig.config.drivers import CARD_DRIVERS
-from rig.config.schema import CardConfig
+from rig.config.sections import CardConfig
 from rig.hardware.cards.base import Card, CardSetup
 
 

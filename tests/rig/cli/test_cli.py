@@ -316,11 +316,12 @@ def test_a_terminal_that_has_gone_changes_nothing_of_how_a_run_ended(gone: str) 
         "import os, sys\n"
         f"outer, inner = os.{gone}()\n"
         "os.dup2(inner, 1)\nos.close(inner)\nos.close(outer)\n"
-        "from rig.cli import run_output\nfrom rig.execution.plan import Outcome\n"
+        "from rig.cli import run_output\nfrom rig.cli.console import console\n"
+        "from rig.execution.plan import Outcome\n"
         "from rig.experiment.run import RunResult\n"
         "from runs.records import Status\n"
         "result = RunResult(Outcome(Status.INTERRUPTED, 'the terminal was closed', 0), None, None)\n"
-        "run_output.last_screen(run_output.console(), result)\n"
+        "run_output.last_screen(console(), result)\n"
         "sys.exit(run_output.exit_status(result))\n"
     )
     done = subprocess.run([sys.executable, "-c", program], stderr=subprocess.PIPE, text=True, check=False)

@@ -9,7 +9,7 @@ import pytest
 
 import tests.support.synthetic_runs as made_up
 from rig.cli.app import main
-from rig.cli.archive_output import resolve
+from rig.cli.run_names import resolve
 from runs.archive.writer import ArchiveError, finalise
 from runs.export.exporters import FORMATS, export
 from runs.journal.journal import JournalWriter

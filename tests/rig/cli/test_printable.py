@@ -13,8 +13,8 @@ import pytest
 from rich.text import Text
 
 import tests.support.synthetic_runs as made_up
+from rig.cli.console import PrintableConsole
 from rig.cli.printable import printable
-from rig.cli.run_output import PrintableConsole
 from runs.archive.writer import finalise
 from runs.journal.journal import JournalWriter
 from runs.records import Event, Level, RunFooter, Status

@@ -10,6 +10,7 @@ import pytest
 from rich.console import Console, RenderableType
 
 from rig.cli import run_output
+from rig.cli.console import console
 from rig.cli.terminal import Terminal
 from rig.config import loader
 from rig.execution.plan import Progress
@@ -96,7 +97,7 @@ def test_the_question_is_asked_where_the_screen_is_and_only_yes_arms(
     typed: str, armed: bool, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr("sys.stdin", Keyboard(typed))
-    screen = run_output.console(stderr=True)
+    screen = console(stderr=True)
     assert run_output.confirm(screen) is armed
     said = capsys.readouterr()
     assert "Arm the rig and run?" in said.err

@@ -19,7 +19,7 @@ from rig.cli.app import app
 from rig.config import calibration_files, calibration_schema, loader
 from rig.config.calibration_files import parse, read, text_of, write
 from rig.config.optics import camera_in_base, lens_of, rigid
-from rig.config.schema import Lens, Placement
+from rig.config.sections import Lens, Placement
 from rig.hardware.cameras.identity import v4l2_serial
 from runs.overwriting import WouldOverwriteError
 from tests.support.budget import examples

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rig.config.schema import FlowValve
+from rig.config.sections import FlowValve
 from rig.control import regulator
 from rig.control.regulator import FlowSettings, RegulatorState
 from rig.control.valve import ANR_PA, ATMOSPHERE_PA, flow_function, opening_curve, sonic_conductance

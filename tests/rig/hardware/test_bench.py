@@ -9,7 +9,8 @@ import pytest
 from numpy.typing import NDArray
 
 import rig.hardware.bench
-from rig.config.schema import CardConfig, RigConfig
+from rig.config.schema import RigConfig
+from rig.config.sections import CardConfig
 from rig.hardware.bench import Bench, card_setup, make_safe
 from rig.hardware.cards.base import CardBusyError, CardError, CardSetup, Scans
 from rig.hardware.vent import vent

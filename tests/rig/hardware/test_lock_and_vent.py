@@ -16,7 +16,8 @@ import pytest
 
 import rig.config.loader
 import rig.hardware.vent
-from rig.config.schema import CardConfig, RigConfig
+from rig.config.schema import RigConfig
+from rig.config.sections import CardConfig
 from rig.hardware import lock
 from rig.hardware.bench import Bench, open_bench, open_outputs
 from rig.hardware.cards.base import CardBusyError, CardError

@@ -12,13 +12,13 @@ import numpy as np
 import pytest
 
 import rig.config.loader
-import rig.config.schema
+import rig.config.sections
 from rig.hardware.cameras.base import CameraError
 from rig.hardware.cameras.realsense import RealSenseCamera
 from tests.support.absent import absent
 
 
-def _camera(device: str) -> rig.config.schema.CameraConfig:
+def _camera(device: str) -> rig.config.sections.CameraConfig:
     config = rig.config.loader.load("mock").cameras["front"]
     return config.model_copy(update={"driver": "realsense", "device": device})
 

@@ -1,0 +1,375 @@
+"""Sections of the rig file; YAML speaks bar, mm, degrees and volts, methods return SI."""
+
+# ruff: noqa: N815 - volts keep their capital, as in V and mV
+
+from __future__ import annotations
+
+import re
+from datetime import datetime
+from typing import Annotated, Literal, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, JsonValue, model_validator
+from pydantic.json_schema import SkipJsonSchema
+
+from protocols.validation import ValidationFault, faults
+from rig.config.drivers import CAMERA_DRIVERS, CARD_DRIVERS
+
+PA_PER_BAR = 1e5
+
+
+Variant = Literal["homogeneous", "homogeneous+rpe", "inhomogeneous+rpe"]
+
+
+def _rising(span: tuple[float, float]) -> tuple[float, float]:
+    if span[0] >= span[1]:
+        raise ValueError("two numbers, the lower one first")
+    return span
+
+
+def _moment(text: str) -> str:
+    try:
+        moment = datetime.fromisoformat(text)
+    except ValueError:
+        moment = None
+    if moment is None or moment.tzinfo is None:
+        raise ValueError("a date with time and zone in ISO 8601, such as '2026-11-21T14:05:00+01:00'")
+    return text
+
+
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,39}")
+"""Names of rigs, cards and cameras; they become parts of file names, HDF5 paths and topics."""
+
+
+_NAMED = "a name of up to 40 letters (a-z, A-Z), digits, '-' and '_', a letter or digit first"
+
+
+_IN_SCHEMA: dict[str, JsonValue] = {"pattern": f"^{_NAME.pattern}$"}
+
+
+Item = TypeVar("Item")
+
+
+def _name(text: str) -> str:
+    if not _NAME.fullmatch(text):
+        raise ValueError(_NAMED)
+    return text
+
+
+def _names(items: dict[str, Item]) -> dict[str, Item]:
+    faults(ValidationFault((key, "its name"), _NAMED) for key in items if not _NAME.fullmatch(key))
+    return items
+
+
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False, strict=True)]
+
+
+NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False, strict=True)]
+
+
+Number = Annotated[float, Field(allow_inf_nan=False, strict=True)]
+
+
+Volt = Annotated[float, Field(ge=-10, le=10, allow_inf_nan=False, strict=True)]
+
+
+Bar = Annotated[float, Field(gt=0, le=100, allow_inf_nan=False, strict=True)]
+
+
+LengthMm = Annotated[float, Field(ge=0.01, le=10_000, allow_inf_nan=False, strict=True)]
+
+
+MassG = Annotated[float, Field(ge=0, le=5_000, allow_inf_nan=False, strict=True)]
+
+
+ModulusPa = Annotated[float, Field(ge=1e3, le=1e10, allow_inf_nan=False, strict=True)]
+"""The lower bound rejects a modulus in kPa or MPa."""
+
+
+Flag = Annotated[bool, Field(strict=True)]
+
+
+Word = Annotated[str, Field(min_length=1, pattern=r"^[^\x00-\x1f\x7f]*$")]
+
+
+Name = Annotated[str, Field(min_length=1, json_schema_extra=_IN_SCHEMA), AfterValidator(_name)]
+
+
+Named = Annotated[
+    dict[str, Item], Field(min_length=1, json_schema_extra={"propertyNames": _IN_SCHEMA}), AfterValidator(_names)
+]
+
+
+Moment = Annotated[str, AfterValidator(_moment)]
+
+
+Index = Annotated[int, Field(ge=0, strict=True)]
+
+
+Count = Annotated[int, Field(ge=1, strict=True)]
+
+
+ActuatorNumber = Annotated[int, Field(ge=1, strict=True)]
+
+
+Triple = tuple[Number, Number, Number]
+
+
+BarSpan = Annotated[
+    tuple[
+        Annotated[float, Field(ge=-1, le=100, allow_inf_nan=False, strict=True)],
+        Annotated[float, Field(ge=-1, le=100, allow_inf_nan=False, strict=True)],
+    ],
+    AfterValidator(_rising),
+]
+
+
+VoltSpan = Annotated[tuple[Volt, Volt], AfterValidator(_rising)]
+
+
+class Section(BaseModel):
+    """A mapping of the YAML: unknown keys are errors, values are never coerced from text."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, defer_build=True)
+
+
+class CardConfig(Section):
+    """One data-acquisition card."""
+
+    driver: Annotated[str, Field(json_schema_extra=CARD_DRIVERS.extend_schema), AfterValidator(CARD_DRIVERS.check)]
+    device: Word = Field(description="/dev/comedi0, a board name, or the mock card's name")
+    sampling_hz: Positive = Field(default=1000.0, le=20_000)
+    outputs: Index = Field(description="AO channels that the card has")
+    inputs: Index = Field(description="AI channels that the card has")
+    acquisition: Literal["auto", "command", "instruction"] = Field(
+        default="auto", description="inputs by the card's own clock, one scan per control period, or the card's best"
+    )
+    reference: Literal["ground", "differential"] = Field(default="ground", description="how the inputs are wired")
+    one_opener: bool = Field(default=False, description="mock only: let one process in at a time, as some drivers do")
+
+    @property
+    def simulated(self) -> bool:
+        """True for a simulated card."""
+        return CARD_DRIVERS[self.driver].simulated
+
+    @model_validator(mode="after")
+    def _one_opener_is_the_mocks(self) -> CardConfig:
+        if self.one_opener and not self.simulated:
+            faults([ValidationFault(("one_opener",), "nothing: of a real card it is found out")])
+        return self
+
+
+class FlowValve(Section):
+    """A proportional 5/3-way valve that meters flow (Festo MPYE): the chamber hangs on one port, the other is plugged.
+
+    `fills` says on which side of `closed_V` the chamber is connected to the supply.
+    """
+
+    type: Literal["flow"]
+    actuators: Annotated[tuple[ActuatorNumber, ...], Field(min_length=1)]
+    card: Word
+    channel: Index
+    range_V: VoltSpan = (0.0, 10.0)
+    safe_state: Literal["vent", "hold"] = "vent"
+    closed_V: Volt = 5.0
+    fills: Literal["above", "below"] = "above"
+    dead_zone_V: NonNegative
+    full_flow_l_min: Positive = Field(description="normal litres per minute fully open at 6 -> 5 bar gauge")
+    flow_curve_V: Annotated[tuple[NonNegative, ...], Field(min_length=2)] = Field(description="volts from closed")
+    flow_curve_percent: Annotated[tuple[NonNegative, ...], Field(min_length=2)] = Field(description="of full flow")
+    supply_bar: Bar = Field(description="gauge pressure at the supply port")
+    critical_ratio: Annotated[float, Field(gt=0, lt=1, strict=True)] = Field(default=0.3, description="b of ISO 6358")
+
+
+class PressureValve(Section):
+    """An electro-pneumatic regulator that takes a set-point voltage and holds the pressure by itself."""
+
+    type: Literal["pressure"]
+    actuators: Annotated[tuple[ActuatorNumber, ...], Field(min_length=1)]
+    card: Word
+    channel: Index
+    range_V: VoltSpan = (0.0, 10.0)
+    safe_state: Literal["vent", "hold"] = "vent"
+    span_V: VoltSpan = (0.0, 10.0)
+    span_bar: BarSpan
+
+
+Valve = Annotated[FlowValve | PressureValve, Field(discriminator="type")]
+
+
+class Sensor(Section):
+    """A pressure sensor: gauge pressure is linear in voltage over the span.
+
+    A voltage outside the electrical span by more than `margin_V` is a broken sensor or wire, not a pressure.
+    """
+
+    actuator: ActuatorNumber
+    card: Word
+    channel: Index
+    range_V: VoltSpan = (0.0, 10.0)
+    span_V: VoltSpan = (0.0, 10.0)
+    span_bar: BarSpan = (0.0, 10.0)
+    margin_V: NonNegative = 0.1
+    accuracy_bar: Positive = 0.01
+
+    def pressure_pa(self, volts: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Gauge pressure [Pa] of a voltage."""
+        (v0, v1), (b0, b1) = self.span_V, self.span_bar
+        return (b0 + (volts - v0) * ((b1 - b0) / (v1 - v0))) * PA_PER_BAR
+
+
+class Limits(Section):
+    """Limits of set-points and measured values."""
+
+    pressure_bar: Annotated[float, Field(gt=0, le=10, allow_inf_nan=False, strict=True)] = Field(
+        description="highest set-point and, with its margin, highest pressure"
+    )
+    pressure_margin_bar: NonNegative = 0.05
+    rate_bar_per_s: Positive = Field(description="fastest set-point change of a continuous segment")
+    rate_margin_bar_per_s: NonNegative = Field(default=1.0, description="with it, fastest change a sensor may show")
+    tracking_bar: Positive = Field(description="largest error once the set-point has stood still for tracking_s")
+    tracking_s: Positive
+    frozen_s: Positive = Field(description="a sensor whose reading has not moved by one count for so long is dead")
+    stale_s: Positive = Field(description="longest time without a sample")
+    no_tip_s: Positive = Field(description="longest time without a camera frame")
+    least_cameras: Count = Field(default=1, description="cameras that must deliver; with fewer the run ends")
+    hung_s: Positive | SkipJsonSchema[None] = Field(
+        default=None,
+        description="longest silence of control before the watchdog takes the valves; default: by what is at stake",
+    )
+    duration_s: Positive = 4 * 3600.0
+
+
+class Control(Section):
+    """The regulator's rate and gains; the gains are those of a flow-metering valve."""
+
+    rate_hz: Positive = Field(default=200.0, le=1000)
+    bandwidth_hz: Positive = Field(description="closed loop, of the proportional action")
+    integral_s: Positive = Field(description="integration time")
+    volume_ml: Positive = Field(description="one chamber and its tube at rest, for the feed-forward")
+
+
+class Lens(Section):
+    """Intrinsic parameters in pixels, OpenCV's five distortion coefficients (k1, k2, p1, p2, k3)."""
+
+    fx_px: Positive
+    fy_px: Positive
+    cx_px: Number
+    cy_px: Number
+    distortion: tuple[Number, Number, Number, Number, Number] = (0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+class Placement(Section):
+    """A rigid transform: a point x of this frame is R x + t in the parent frame; R from a rotation vector."""
+
+    translation_mm: Triple = (0.0, 0.0, 0.0)
+    rotation_deg: Triple = (0.0, 0.0, 0.0)
+    translation_std_mm: NonNegative = 0.0
+    rotation_std_deg: NonNegative = 0.0
+
+
+class PlanarMotion(Section):
+    """The plane of the rod-base frame in which the tip moves and turns; only for motion that keeps to it."""
+
+    normal: Triple = (0.0, 1.0, 0.0)
+    through_mm: Triple = (0.0, 0.0, 0.0)
+    offset_std_mm: Positive = Field(description="how far the tip may leave the plane")
+    tilt_std_deg: Positive = Field(description="how far the tip may turn out of the plane")
+
+
+class CameraConfig(Section):
+    """One camera. `placement` is the camera (x right, y down, z forward) in the rod-base frame."""
+
+    driver: Annotated[str, Field(json_schema_extra=CAMERA_DRIVERS.extend_schema), AfterValidator(CAMERA_DRIVERS.check)]
+    device: Word | Index
+    width_px: Annotated[int, Field(ge=64, le=16384, strict=True)]
+    height_px: Annotated[int, Field(ge=64, le=16384, strict=True)]
+    rate_hz: Positive = 30.0
+    exposure_ms: Positive = 8.0
+    gain: NonNegative | SkipJsonSchema[None] = Field(
+        default=None, description="in the driver's own unit; default: as the camera stands"
+    )
+    pixel_format: Annotated[str, Field(pattern=r"^[A-Z0-9 ]{4}$")] | SkipJsonSchema[None] = Field(
+        default=None, description="V4L2's four letters, such as YUYV, MJPG, GREY; default: the driver's choice"
+    )
+    lens: Lens
+    placement: Placement
+    planar_motion: PlanarMotion | SkipJsonSchema[None] = Field(
+        default=None, description="the tip moves in a known plane: depth and tilt are no longer this camera's alone"
+    )
+
+    @property
+    def simulated(self) -> bool:
+        """True for a simulated camera."""
+        return CAMERA_DRIVERS[self.driver].simulated
+
+
+class Board(Section):
+    """The checkerboard on the end cap. `placement` is the board (origin at its centre, z out of the print) in the
+    tip frame: origin at the rod's tip, axes as the rod base's when the rod is straight.
+    """
+
+    squares_x: Annotated[int, Field(ge=3, le=100, strict=True)]
+    squares_y: Annotated[int, Field(ge=3, le=100, strict=True)]
+    square_mm: Positive
+    placement: Placement
+
+    @model_validator(mode="after")
+    def _odd_by_even(self) -> Board:
+        if (self.squares_x + self.squares_y) % 2 == 0:
+            faults([ValidationFault(("squares_y",), "an odd number of squares one way and an even number the other")])
+        return self
+
+
+class Geometry(Section):
+    """The arm's Table 1: actuators on a circle, in degrees from the base frame's x axis."""
+
+    length_mm: LengthMm
+    inner_radius_mm: LengthMm
+    outer_radius_mm: LengthMm
+    circle_radius_mm: LengthMm = Field(description="b / sqrt 3")
+    actuator_angles_deg: Annotated[tuple[Number, ...], Field(min_length=1)]
+
+
+class Material(Section):
+    """Eqs 16, 30, 32 and the identified gamma."""
+
+    youngs_modulus_pa: ModulusPa = Field(description="homogeneous section")
+    a1_per_N: Annotated[float, Field(gt=0, le=10, allow_inf_nan=False, strict=True)] = Field(description="eq 32")
+    a2_per_N2: Annotated[float, Field(ge=0, le=1_000, allow_inf_nan=False, strict=True)] = Field(description="eq 32")
+    rpe_per_bar: Annotated[float, Field(ge=-10, le=10, allow_inf_nan=False, strict=True)] = Field(
+        description="a of eq 30"
+    )
+    shear_ratio: Annotated[float, Field(ge=0.01, le=100, allow_inf_nan=False, strict=True)] = Field(
+        description="gamma = G / E"
+    )
+    density_kg_m3: Annotated[float, Field(ge=1, le=25_000, allow_inf_nan=False, strict=True)] = 1080.0
+    damping_s: Annotated[float, Field(ge=0, le=10, allow_inf_nan=False, strict=True)] = Field(
+        default=0.0, description="Kelvin-Voigt retardation time"
+    )
+
+
+class Arm(Section):
+    """The manipulator. `gravity_direction` is that of the weight in the rod-base frame."""
+
+    geometry: Geometry
+    material: Material
+    cap_mass_g: MassG = 50.0
+    gravity_direction: Triple = (0.0, 0.0, 1.0)
+    gravity_on_rod: Flag = False
+
+
+class ModelConfig(Section):
+    """The model that runs beside the rig."""
+
+    variant: Variant = "inhomogeneous+rpe"
+    mode: Literal["static", "dynamic"] = "dynamic"
+
+
+class Recording(Section):
+    """Which camera frames are stored, and their encoding."""
+
+    keep_every: Count = 3
+    encoding: Literal["jpeg", "png"] = "jpeg"
+    jpeg_quality: Annotated[int, Field(ge=1, le=100, strict=True)] = 90

@@ -1,0 +1,91 @@
+"""Sections of the rig file about the simulator: the truth behind the mock devices."""
+
+# ruff: noqa: N815 - volts keep their capital, as in V and mV
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import Field
+from pydantic.json_schema import SkipJsonSchema
+
+from rig.config.sections import (
+    Geometry,
+    Lens,
+    MassG,
+    Material,
+    NonNegative,
+    Placement,
+    Positive,
+    Section,
+    Sensor,
+    Valve,
+)
+
+
+class SimulatedValve(Section):
+    """True parameters of every flow-metering valve."""
+
+    spool_hz: Positive
+    spool_damping: Positive = 0.7
+    hysteresis_percent: NonNegative = 0.4
+    leakage_l_min: NonNegative
+    dead_zone_V: NonNegative
+    flow_scale: Positive = 1.0
+
+
+class SimulatedChamber(Section):
+    """True parameters of every chamber."""
+
+    dead_volume_ml: NonNegative
+    tube_l_s_bar: Positive = Field(default=0.5, description="sonic conductance of the tube from valve to chamber")
+    temperature_k: Positive = 293.15
+    polytropic: Annotated[float, Field(ge=1, le=1.4, strict=True)] = 1.0
+
+
+class SimulatedSensor(Section):
+    """True parameters of every pressure sensor."""
+
+    noise_bar: NonNegative
+    offset_bar: NonNegative = Field(default=0.0, description="standard deviation of the sensors' offsets")
+    lag_ms: NonNegative
+
+
+class SimulatedScene(Section):
+    """True parameters of the image."""
+
+    blur_px: NonNegative
+    noise_grey: NonNegative
+    lighting: Annotated[float, Field(gt=0, le=1, strict=True)] = 0.9
+    skew_ms: NonNegative = Field(default=0.0, description="virtual time: each camera exposes so long after the last")
+
+
+class Built(Section):
+    """True parts of the simulator, where a calibration replaced the stated ones."""
+
+    lenses: dict[str, Lens]
+    valves: tuple[Valve, ...]
+    sensors: tuple[Sensor, ...]
+
+
+class Simulator(Section):
+    """The simulated plant of the mock devices. Its parameters intentionally differ from the model's."""
+
+    valve: SimulatedValve
+    chamber: SimulatedChamber
+    sensor: SimulatedSensor
+    scene: SimulatedScene
+    material: Material
+    cap_mass_g: MassG
+    camera_error: Placement = Field(default=Placement(), description="true camera placement beyond the stated one")
+    camera_errors: dict[str, Placement] = Field(default={}, description="the same for the cameras that are named")
+    built: Built | SkipJsonSchema[None] = Field(default=None, description="true parts; default: those stated")
+    geometry: Geometry | SkipJsonSchema[None] = Field(default=None, description="true geometry; default: the arm's")
+    base: Placement = Field(default=Placement(), description="true rod base in the frame that the rig takes for it")
+    board: Placement | SkipJsonSchema[None] = Field(
+        default=None, description="true placement of the board; default: the one stated"
+    )
+
+    def error_of(self, camera: str) -> Placement:
+        """Return the offset of a camera's true placement from the stated one."""
+        return self.camera_errors.get(camera, self.camera_error)
