@@ -14,7 +14,7 @@ import numpy as np
 from runs.archive import layout
 from runs.archive.checked import ArchiveError, opened
 from runs.archive.schema import BYTES
-from runs.overwriting import staged
+from runs.overwriting import WouldOverwriteError, staged
 from runs.run import Run
 from runs.table import TABLES, segments, table
 
@@ -48,6 +48,8 @@ def export(
         with staged(place, replace=replace) as stage:
             written = FORMATS[to](source, stage / source.stem)
         return tuple(place / file.relative_to(stage) for file in written)
+    except WouldOverwriteError:
+        raise
     except OSError as fault:
         raise ExportError(f"cannot write to {place}: {fault.strerror or fault}") from fault
 

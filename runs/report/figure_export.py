@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from runs.export.exporters import ExportError
-from runs.overwriting import staged
+from runs.overwriting import WouldOverwriteError, staged
 from runs.report import comparison, drawing
 from runs.report.figure_specifications import figure_specifications, of_pictures
 from runs.run import Run
@@ -33,6 +33,8 @@ def write(
     try:
         with staged(place, replace=replace) as stage:
             names = _write(runs, stage, kind)
+    except WouldOverwriteError:
+        raise
     except OSError as fault:
         raise ExportError(f"cannot write to {place}: {fault.strerror or fault}") from fault
     return tuple(place / name for name in names)

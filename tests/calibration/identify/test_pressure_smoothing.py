@@ -111,7 +111,7 @@ def test_pressure_noise_does_not_bias_the_density(monkeypatch: pytest.MonkeyPatc
 
     # Even from the samples as they are: frequencies at which they show but noise do not count.
     assert abs(found()) < 3
-    monkeypatch.setattr(least_squares, "apply_frequency_mask", lambda poses: np.ones(len(poses) // 2 + 1))
+    monkeypatch.setattr(least_squares, "frequency_mask", lambda poses: np.ones(len(poses) // 2 + 1))
     assert found() < -4
 
 

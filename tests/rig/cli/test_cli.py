@@ -106,6 +106,7 @@ def test_a_check_imports_nothing_that_only_a_run_needs(tmp_path: Path) -> None:
 def test_ctrl_c_while_modules_load_ends_it_without_a_word() -> None:
     interrupted_in_an_import = (
         "import os, signal, sys\n"
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
         "class Finder:\n"
         "    def find_spec(self, name, path=None, target=None):\n"
         "        if name == 'typer': os.kill(os.getpid(), signal.SIGINT)\n"

@@ -82,7 +82,7 @@ def test_plateaus_are_what_the_protocol_held(resting: Run) -> None:
 def test_a_moving_run_is_used_as_a_motion_and_a_resting_one_by_its_plateaus(resting: Run, moving: Run) -> None:
     assert not poses_of(resting).moving
     assert poses_of(moving).moving
-    with pytest.raises(NoDataError, match="nothing stands still"):
+    with pytest.raises(NoDataError, match="no plateau longer"):
         at_rest(moving, settle_s=5.0)
 
 
