@@ -11,7 +11,7 @@ import time
 import traceback
 from collections.abc import Callable, Sequence
 from contextlib import nullcontext, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
@@ -30,7 +30,7 @@ from rig.hardware.cards.base import CardError
 from rig.hardware.lock import cards_locked
 from rig.realtime.scheduling import obtainable
 from rig.realtime.timing_limits import timing_limits
-from runs.journal.append_only_file import JournalError
+from runs.journal.append_only_file import JournalError, JournalExistsError
 from runs.records import Event, Interval, Level, Quantity, RunFooter, RunHeader, SourceFile, Status
 
 if TYPE_CHECKING:
@@ -202,9 +202,12 @@ def _run(request: RunRequest, decided: Plan, operator: OperatorInterface, draw: 
         # The first control cycle lies in the future; virtual time starts now.
         ahead_ns = 0 if request.fast else t_ns - time.monotonic_ns()
         about = header(request, decided, t_ns, ahead_ns)
-        journal = JournalWriter(
-            request.folder / f"{about.run_id}.mcap", about, live=not request.fast, patience_s=patience_s
-        )
+        while journal is None:
+            path = request.folder / f"{about.run_id}.mcap"
+            try:
+                journal = JournalWriter(path, about, live=not request.fast, patience_s=patience_s)
+            except JournalExistsError:  # another process has taken the id since
+                about = replace(about, run_id=free_id(request.folder, about.run_id))
         if request.rig_source in (Source.ENVIRONMENT, Source.FOLDER):
             # The recorded command does not contain the rig.
             message = f"the rig is {request.rig_file.absolute()}, chosen by {request.rig_source}"

@@ -33,6 +33,10 @@ class JournalError(Exception):
     """The journal cannot be written or read; the message has the reason."""
 
 
+class JournalExistsError(JournalError):
+    """Another run has taken the name of the journal."""
+
+
 class JournalFullError(JournalError):
     """The disk is full, or nearly. Earlier records are intact, and the journal can still be closed."""
 
@@ -74,6 +78,8 @@ class DiskFile:
             if self.full:
                 raise JournalFullError(self.full)
             self._fd = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_APPEND | os.O_CLOEXEC, 0o644)
+        except FileExistsError as fault:
+            raise JournalExistsError(f"cannot create {path}: it exists") from fault
         except OSError as fault:
             raise JournalError(f"cannot create {path}: {fault.strerror}") from fault
         try:

@@ -189,6 +189,23 @@ def limited_files() -> Iterator[Callable[[int], None]]:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
 
+def test_a_run_whose_id_another_run_takes_at_the_last_moment_gets_another(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "taken.mcap").write_bytes(b"of another run")
+    free_id = experiment.free_id
+    looked = iter([False])
+    monkeypatch.setattr(
+        experiment, "free_id", lambda folder, stem: free_id(folder, stem) if next(looked, True) else "taken"
+    )
+    (tmp_path / "short.yaml").write_text("title: Short\nsteps:\n  - hold: {duration_s: 0.2}\n")
+    request = experiment.request(str(tmp_path / "short.yaml"), "mock", folder=tmp_path, fast=True, report=False)
+    result = experiment.run(request, experiment.plan(request), NullOperator())
+    assert result.archive == tmp_path / "taken-2.h5"
+    assert runs.open(result.archive).header.run_id == "taken-2"
+    assert (tmp_path / "taken.mcap").read_bytes() == b"of another run"
+
+
 def test_a_record_that_cannot_be_begun_is_refused_plainly(tmp_path: Path) -> None:
     request = experiment.request("sine-1", "mock", folder=tmp_path, fast=True, report=False)
     decided = experiment.plan(request)
