@@ -15,7 +15,7 @@ from tests.support.live_page import open_tab, said
 
 pytestmark = pytest.mark.realtime
 
-SHOWN = Path(__file__).parent / "live_shown.py"
+SHOWN = Path(__file__).parents[2] / "support" / "live_shown.py"
 SIZES = ((390, 844), (768, 1024), (1280, 800), (1440, 1000))
 PROMPT = "Hang the weight of 200 g on the hook at the tip and wait until it no longer swings"
 FIGURES = (
