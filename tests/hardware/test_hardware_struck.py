@@ -35,7 +35,7 @@ def test_control_killed(struck: Struck, timed: Callable[[float], None]) -> None:
 
 
 def test_the_observer_killed(struck: Struck, timed: Callable[[float], None]) -> None:
-    timed(struck.until_safe_ms(struck.strike(signal.SIGKILL, "observing")))
+    timed(struck.until_safe_ms(struck.strike(signal.SIGKILL, "observer")))
     assert "the observer process died (exit status -9)" in struck.said()
     assert struck.process.returncode == 1
     assert struck.archive().status is Status.ABORTED
