@@ -61,7 +61,9 @@ def members(supervisor: int) -> dict[str, int]:
 def _spawn(module: str, job: ChildJob) -> subprocess.Popen[bytes]:
     """What `rig.realtime.child_process.spawn` does."""
     main = importlib.import_module(module).main
-    process = _forked(module.rpartition(".")[2].removesuffix("_process"), main, job.fd, stdin=subprocess.PIPE, start_new_session=True)
+    process = _forked(
+        module.rpartition(".")[2].removesuffix("_process"), main, job.fd, stdin=subprocess.PIPE, start_new_session=True
+    )
     assert process.stdin is not None
     with suppress(BrokenPipeError):
         pickle.dump(job, process.stdin)
