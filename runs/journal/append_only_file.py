@@ -79,7 +79,7 @@ class DiskFile:
                 raise JournalFullError(self.full)
             self._fd = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_APPEND | os.O_CLOEXEC, 0o644)
         except FileExistsError as fault:
-            raise JournalExistsError(f"cannot create {path}: it exists") from fault
+            raise JournalExistsError(f"cannot create {path}: {fault.strerror}") from fault
         except OSError as fault:
             raise JournalError(f"cannot create {path}: {fault.strerror}") from fault
         try:
