@@ -12,7 +12,7 @@ checkout=$(cd "$here/../.." && pwd)
 venv=$(cd "$1" && pwd)
 shift
 cache=$(realpath -m "${SOFTRIG_VM_CACHE:-$checkout/.vm}")
-limit_s=${SOFTRIG_VM_LIMIT_S:-1800}
+limit_s=${SOFTRIG_VM_LIMIT_S:-2700}
 memory_mib=${SOFTRIG_VM_MEMORY_MIB:-2048}
 
 bash "$here/prepare.sh" "$cache"
