@@ -13,7 +13,20 @@ import typer
 from typer.core import TyperGroup
 
 from rig.cli import archives, calibrate, identify, init, reproduce
-from rig.cli.options import AsJson, Fast, Folder, Note, Operator, Parameters, RigName, Seed, Variant, VentedRig, Yes
+from rig.cli.options import (
+    AsJson,
+    Fast,
+    Folder,
+    Free,
+    Note,
+    Operator,
+    Parameters,
+    RigName,
+    Seed,
+    Variant,
+    VentedRig,
+    Yes,
+)
 from rig.cli.printable import printable_streams
 
 DONE, FAULT, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
@@ -139,9 +152,7 @@ def run(
     adapt: Annotated[
         bool, typer.Option("--adapt", help="Estimate the arm's parameters online; not used for control.")
     ] = False,
-    free: Annotated[
-        str, typer.Option(help="Parameters that --adapt estimates, separated by commas, as for rig identify.")
-    ] = "",
+    free: Free = "",
     live: Annotated[bool, typer.Option("--live", help="Also show the run in the browser.")] = False,
     listen: Listen = LOCAL,
     port: Port = LIVE_PORT,
@@ -310,9 +321,9 @@ def live(
 for command in (archives.runs, archives.show, archives.report, archives.export, archives.replay, archives.recover):
     app.command()(command)
 app.command("import")(archives.import_)
-app.command()(identify.identify)
 app.command()(reproduce.reproduce)
 app.command()(init.init)
+app.add_typer(identify.app, name="identify")
 app.add_typer(calibrate.app, name="calibrate")
 
 

@@ -8,26 +8,45 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from rig.cli.options import Archives, AsJson, Replace
+from rig.cli.default_command import DefaultCommandGroup
+from rig.cli.options import Archives, AsJson, Every, Free, Replace
 
 if TYPE_CHECKING:
-    from calibration.identify import Prior
+    from calibration.identify import Poses, Prior
+    from calibration.identify.profile_likelihood import Profile
+    from rig.identify.initial_setup import InitialSetup
+    from runs.run import Run
 
 FIGURES = (".png", ".pdf", ".svg")
 
+app = typer.Typer(
+    cls=DefaultCommandGroup,
+    no_args_is_help=True,
+    rich_markup_mode=None,
+    help="Identify an arm's parameters from runs. `rig identify RUN..` means `rig identify fit RUN..`.",
+)
 
-def identify(
+Priors = Annotated[
+    list[str] | None,
+    typer.Option("--prior", metavar="NAME=MEAN+-STD", help="Prior of a parameter; may be repeated."),
+]
+QuasiStatic = Annotated[
+    bool, typer.Option("--quasi-static", help="Take every frame as an equilibrium, for slow imported motions.")
+]
+Scheduler = Annotated[
+    str | None,
+    typer.Option("--scheduler", metavar="tcp://HOST:PORT", help="Dask scheduler for the fits; default: all cores."),
+]
+Store = Annotated[
+    Path | None, typer.Option("--store", metavar="DIR", help="Keep finished fits in this folder, to resume.")
+]
+
+
+@app.command()
+def fit(
     archives: Archives,
-    free: Annotated[
-        str,
-        typer.Option(
-            help="Free parameters, separated by commas: tool, cap_mass_kg, .. Default: law, rpe_per_bar, base, "
-            "sensor_offsets, and damping_s for dynamic runs.",
-        ),
-    ] = "",
-    prior: Annotated[
-        list[str] | None, typer.Option(metavar="NAME=MEAN+-STD", help="Prior of a parameter; may be repeated.")
-    ] = None,
+    free: Free = "",
+    prior: Priors = None,
     start: Annotated[
         list[str] | None,
         typer.Option(
@@ -35,143 +54,190 @@ def identify(
             help="Initial rig, by name or file; default: the first run's. Of several, the likeliest is used.",
         ),
     ] = None,
-    starts: Annotated[int, typer.Option(help="Starting points of the search.", min=1)] = 1,
-    bootstrap: Annotated[int, typer.Option(metavar="N", help="Bootstrap errors from N refits.", min=0)] = 0,
-    scheduler: Annotated[
-        str | None,
-        typer.Option(metavar="tcp://HOST:PORT", help="Dask scheduler for refits and --choose; default: all cores."),
-    ] = None,
-    store: Annotated[Path | None, typer.Option(metavar="DIR", help="Store finished refits there, to resume.")] = None,
-    profile: Annotated[
-        bool, typer.Option("--profile", help="Profile-likelihood intervals of every shared parameter.")
-    ] = False,
+    starts: Annotated[int, typer.Option(metavar="N", help="Starting points of the search.", min=1)] = 1,
+    quasi_static: QuasiStatic = False,
+    every: Every = 1,
     leave_out: Annotated[
         list[Path] | None,
-        typer.Option(
-            "--leave-out", "--predict", metavar="RUN", help="Hold this run out and predict it; may be repeated."
-        ),
+        typer.Option("--leave-out", metavar="RUN", help="Hold this run out and predict it; may be repeated."),
     ] = None,
-    until: Annotated[
+    split_s: Annotated[
         float | None,
         typer.Option(metavar="S", help="Identify from each run's first S seconds, and predict the rest.", min=0),
     ] = None,
-    quasi_static: Annotated[
-        bool, typer.Option("--quasi-static", help="Take every frame as an equilibrium, for slow imported motions.")
+    profile: Annotated[
+        bool, typer.Option("--profile", help="Profile-likelihood intervals of every shared parameter.")
     ] = False,
-    every: Annotated[
-        int,
-        typer.Option(metavar="N", help="With --quasi-static, identify from every Nth frame.", min=1),
-    ] = 1,
-    choose: Annotated[
-        bool, typer.Option("--choose", help="Compare the paper's models by cross-validation over runs.")
-    ] = False,
-    paper: Annotated[
-        bool, typer.Option("--paper", help="The paper's own identification, from its two extension experiments.")
-    ] = False,
+    bootstrap: Annotated[int, typer.Option(metavar="N", help="Bootstrap errors from N refits.", min=0)] = 0,
+    scheduler: Scheduler = None,
+    store: Store = None,
+    to: Annotated[Path | None, typer.Option("--to", metavar="FILE", help="Write the parameters (YAML).")] = None,
+    rig_file: Annotated[
+        Path | None,
+        typer.Option("--rig-file", metavar="FILE", help="Write the initial rig with the parameters applied."),
+    ] = None,
     report: Annotated[Path | None, typer.Option(metavar="FILE", help="Write a report page (HTML).")] = None,
     figure: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Draw the predictions before and after (png, pdf, svg).")
     ] = None,
-    to: Annotated[Path | None, typer.Option("--to", metavar="FILE", help="Write the parameters (YAML).")] = None,
-    rig: Annotated[
-        str | None, typer.Option("--rig", help="Rig to which --rig-file adds the parameters; default: the initial rig.")
-    ] = None,
-    rig_file: Annotated[
-        Path | None, typer.Option("--rig-file", metavar="FILE", help="Write the rig with the parameters applied.")
-    ] = None,
     replace: Replace = False,
     json: AsJson = False,
 ) -> None:
-    """Identify an arm's parameters from runs, with error bars, or report them as not identifiable."""
-    import numpy as np
+    """Estimate parameters with error bars, or report them as not identifiable. The default sub-command.
 
-    from calibration.identify import split_at
+    Without --free, these are free: law, rpe_per_bar, base, sensor_offsets, and damping_s for dynamic runs.
+    """
+    from calibration.identify.bootstrap import bootstrap as refit
     from calibration.identify.held_out_prediction import predict
     from calibration.identify.parameters_document import write
+    from calibration.identify.profile_likelihood import profiles
+    from calibration.identify.report import write as write_report
+    from rig.cli import identification_output as output
     from rig.identify import estimation, initial_setup
 
-    whole = {
-        "--start": start, "--starts": starts > 1, "--bootstrap": bootstrap, "--profile": profile,
-        "--leave-out": leave_out, "--until": until is not None, "--every": every > 1, "--report": report,
-        "--figure": figure, "--to": to, "--rig-file": rig_file,
-    }  # fmt: skip
-    shared = {
-        "--free": free, "--prior": prior, "--quasi-static": quasi_static, "--scheduler": scheduler, "--store": store,
-    }  # fmt: skip
-    if choose or paper:
-        _refuse("not valid with --choose or --paper", whole)
-    if paper:
-        _refuse("not valid with --paper", {**shared, "--choose": choose})
     if not quasi_static:
         _refuse("needs --quasi-static", {"--every": every > 1})
-    if until is None and not leave_out:
-        _refuse("nothing is predicted: add --leave-out or --until", {"--figure": figure})
-    if not (choose or bootstrap):
-        _refuse("nothing runs in parallel: add --bootstrap or --choose", {"--scheduler": scheduler, "--store": store})
-    if rig_file is None:
-        _refuse("needs --rig-file; --start sets the initial rig of the search", {"--rig": rig})
-    elif to is None:
-        to = rig_file.with_suffix(".parameters.yaml")
+    if split_s is None and not leave_out:
+        _refuse("nothing is predicted: add --leave-out or --split-s", {"--figure": figure})
+    if not bootstrap:
+        _refuse("nothing runs in parallel: add --bootstrap", {"--scheduler": scheduler, "--store": store})
     if bootstrap == 1:
         _refuse("at least two refits are needed", {"--bootstrap": bootstrap})
+    if rig_file is not None and to is None:
+        to = rig_file.with_suffix(".parameters.yaml")
     _check_places({"--report": report, "--figure": figure, "--to": to, "--rig-file": rig_file}, replace)
     priors = _priors(prior or [])
-    names = [name.strip() for name in free.split(",") if name.strip()]
-    unseen = initial_setup.open_archives(leave_out or [])
-    left_out = {run.sha256 for run in unseen}
-    seen = [run for run in initial_setup.open_archives(archives) if run.sha256 not in left_out]
-    if not seen:
-        raise typer.BadParameter("every run is left out: nothing is left to identify from", param_hint="--leave-out")
-    initial_setup.check_alike([*seen, *unseen], one_arm=bool(start))
-    if paper:
-        from rig.reproduce import identification as by_the_paper
-
-        by_the_paper.print_estimates(seen, json)
-        return
-    if choose:
-        from rig.identify import model_comparison
-
-        model_comparison.comparison_lines(seen, names, priors, quasi_static, json, scheduler, store)
-        return
+    seen, unseen = _opened(archives, leave_out or [], one_arm=bool(start))
     rigs = initial_setup.starting_rigs(seen[0], start or [])
-    data = estimation.read_poses(seen, quasi_static)
-    for name, initial in rigs.items():
-        if initial.config.actuators != data[0].actuators:
-            reason = f"{name} has {initial.config.actuators} actuators, the runs have {data[0].actuators}"
-            raise typer.BadParameter(reason, param_hint="--start")
-    base = None if rig is None else initial_setup.InitialSetup.named(rig)
-    if base is not None and (differences := initial_setup.geometry_differences(base, rigs.values())):
-        raise typer.BadParameter(f"{rig} has another arm than the initial rig: {differences}", param_hint="--rig")
-    later = estimation.read_poses(unseen, quasi_static)
-    for poses in later:
-        if poses.actuators != data[0].actuators:
-            reason = f"{poses.run_id} is of {poses.actuators} actuators, the others are of {data[0].actuators}"
-            raise typer.BadParameter(reason, param_hint="--leave-out")
-    if until is not None:
-        parts = [split_at(poses, until) for poses in data]
-        data, later = [part[0] for part in parts], [part[1] for part in parts] + later
-    data = [poses.only(np.arange(0, len(poses), every)) for poses in data]
-    chosen_rig, fit = estimation.most_likely_fit(rigs, data, names, priors, starts)
-    under = initial_setup.baseline_geometry(seen[0], fit.start, from_recorded_rig=not start)
-    estimation.print_estimates(fit, json, under)
-    predictions = [predict(fit, poses) for poses in later]
-    estimation.print_prediction_errors(predictions)
-    profiles = estimation.profile_likelihoods(fit) if profile else ()
-    refits = estimation.bootstrap_errors(fit, bootstrap, scheduler, store) if bootstrap else None
+    data, held_out = _read(seen, quasi_static), _read(unseen, quasi_static)
+    _check_actuators(data[0].actuators, rigs, held_out)
+    data, held_out = _split(data, held_out, split_s, every)
+    with output.elapsed_time("searching"):
+        found = estimation.most_likely_fit(rigs, data, _names(free), priors, starts)
+    best = found.fits[found.best]
+    under = initial_setup.baseline_geometry(seen[0], best.start, from_recorded_rig=not start)
+    output.fits_by_start(found)
+    output.estimates(best, json, under)
+    predictions = [predict(best, poses) for poses in held_out]
+    output.prediction_errors(predictions)
+    intervals: tuple[Profile, ...] = ()
+    refits = None
+    if profile:
+        with output.progress_bar("profiles") as progress:
+            intervals = profiles(best, progress=progress)
+        output.profile_intervals(intervals)
+    if bootstrap:
+        with output.progress_bar("refitting") as progress:
+            refits = refit(best, bootstrap, scheduler=scheduler, store=store, progress=progress)
+        output.bootstrap_errors(best, refits, bootstrap)
     if figure is not None:
         typer.echo(estimation.draw_predictions(predictions, figure), err=json)
     if report is not None:
-        from calibration.identify.report import write as write_report
-
         truth = initial_setup.truth_of(seen[0])
-        typer.echo(write_report(fit, report, profiles, refits, predictions, truth), err=json)
+        typer.echo(write_report(best, report, intervals, refits, predictions, truth), err=json)
     if to is not None:
-        written = write(fit, to, profiles, under)
+        written = write(best, to, intervals, under)
         typer.echo(written, err=json)
         if rig_file is not None:
             rig_file.parent.mkdir(parents=True, exist_ok=True)
-            rig_file.write_text(estimation.rig_with(base or chosen_rig, written), encoding="utf-8")
+            rig_file.write_text(estimation.rig_with(found.rigs[found.best], written), encoding="utf-8")
             typer.echo(rig_file, err=json)
+
+
+@app.command()
+def compare(
+    archives: Archives,
+    free: Free = "",
+    prior: Priors = None,
+    quasi_static: QuasiStatic = False,
+    scheduler: Scheduler = None,
+    store: Store = None,
+    json: AsJson = False,
+) -> None:
+    """Compare the paper's models by cross-validation over runs, as in its Table 3.
+
+    Without --free, the base is free in every model.
+    """
+    from rig.cli import identification_output as output
+    from rig.identify import initial_setup, model_comparison
+
+    priors = _priors(prior or [])
+    seen, _ = _opened(archives)
+    start, data = initial_setup.setup_of(seen[0]), _read(seen, quasi_static)
+    with output.progress_bar("fitting") as progress:
+        found = model_comparison.compare(start, data, _names(free), priors, scheduler, store, progress)
+    output.comparison(found, json)
+
+
+@app.command()
+def paper(archives: Archives, json: AsJson = False) -> None:
+    """Identify as section 5.2 of the paper does, from its two extension experiments."""
+    from rig.cli import identification_output as output
+    from rig.reproduce.identification import estimate
+
+    seen, _ = _opened(archives)
+    output.paper_estimates(estimate(seen), json)
+
+
+def _opened(
+    archives: Sequence[Path], leave_out: Sequence[Path] = (), *, one_arm: bool = False
+) -> tuple[list[Run], list[Run]]:
+    """Open the runs to identify from, and those left out; print notes on them."""
+    from rig.cli.identification_output import notes
+    from rig.cli.run_names import resolve
+    from rig.identify import initial_setup
+
+    unseen, doubled = initial_setup.open_archives([resolve(name) for name in leave_out])
+    notes(doubled)
+    every, doubled = initial_setup.open_archives([resolve(name) for name in archives])
+    notes(doubled)
+    left_out = {run.sha256 for run in unseen}
+    seen = [run for run in every if run.sha256 not in left_out]
+    if not seen:
+        raise typer.BadParameter("every run is left out: nothing is left to identify from", param_hint="--leave-out")
+    notes(initial_setup.check_alike([*seen, *unseen], one_arm))
+    return seen, unseen
+
+
+def _read(archives: Sequence[Run], quasi_static: bool) -> list[Poses]:
+    """Read the data of the runs, with a progress bar."""
+    from rig.cli.identification_output import progress_bar
+    from rig.identify.estimation import read_poses
+
+    if not archives:
+        return []
+    with progress_bar("reading") as progress:
+        return read_poses(archives, quasi_static, progress)
+
+
+def _check_actuators(actuators: int, rigs: Mapping[str, InitialSetup], held_out: Sequence[Poses]) -> None:
+    """Refuse initial rigs and held-out runs with another number of actuators than the runs."""
+    for name, rig in rigs.items():
+        if rig.config.actuators != actuators:
+            reason = f"{name} has {rig.config.actuators} actuators, the runs have {actuators}"
+            raise typer.BadParameter(reason, param_hint="--start")
+    for poses in held_out:
+        if poses.actuators != actuators:
+            reason = f"{poses.run_id} is of {poses.actuators} actuators, the others are of {actuators}"
+            raise typer.BadParameter(reason, param_hint="--leave-out")
+
+
+def _split(
+    data: list[Poses], held_out: list[Poses], split_s: float | None, every: int
+) -> tuple[list[Poses], list[Poses]]:
+    """Return the data to identify from, every Nth frame of it, and the data to predict."""
+    import numpy as np
+
+    from calibration.identify import split_at
+
+    if split_s is not None:
+        parts = [split_at(poses, split_s) for poses in data]
+        data, held_out = [before for before, _ in parts], [after for _, after in parts] + held_out
+    return [poses.only(np.arange(0, len(poses), every)) for poses in data], held_out
+
+
+def _names(free: str) -> list[str]:
+    return [name.strip() for name in free.split(",") if name.strip()]
 
 
 def _check_places(places: Mapping[str, Path | None], replace: bool) -> None:

@@ -41,3 +41,12 @@ Parameters = Annotated[
 ]
 Folder = Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder of the archives.", file_okay=False)]
 Replace = Annotated[bool, typer.Option("--replace", help="Replace existing files.")]
+Every = Annotated[int, typer.Option("--every", metavar="N", help="Use every Nth frame.", min=1)]
+Free = Annotated[
+    str,
+    typer.Option(
+        "--free",
+        metavar="NAME,..",
+        help="Parameters to estimate, separated by commas; docs/reference/parameters.md lists them.",
+    ),
+]

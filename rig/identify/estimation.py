@@ -1,35 +1,18 @@
-"""Identification of an arm's parameters from runs, and the output of `rig identify`."""
+"""Identification of an arm's parameters from runs."""
 
 from __future__ import annotations
 
-import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
-import typer
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    TextColumn,
-    TimeElapsedColumn,
-    TimeRemainingColumn,
-)
-from rich.table import Table
-from rich.text import Text
-
-from calibration.identify.bootstrap import Bootstrap, bootstrap
 from calibration.identify.data import Poses, poses_of, quasi_static_poses
 from calibration.identify.figures import predictions
 from calibration.identify.fit import identify
 from calibration.identify.held_out_prediction import Prediction
 from calibration.identify.parameters import Prior, Setup, UnknownParameter, named
-from calibration.identify.parameters_document import Baseline, content
-from calibration.identify.profile_likelihood import Profile, profiles
 from calibration.identify.results import Fit
-from rig.cli.console import console
-from rig.cli.json_output import plain_json
+from protocols import BadInputError, Problem
 from rig.config.arm_model import model_arm
 from rig.config.parameters_overlay import overlay
 from rig.config.parameters_overlay import read as read_parameters
@@ -44,6 +27,18 @@ from runs.run import Run
 _SUREST = 1e-6
 # Priors of the pressures' lag behind the camera clock, and of the sensors' time constant.
 SENSOR_TIMES = {"sensor_lag_s": Prior(0.0, 0.005), "sensor_filter_s": Prior(0.003, 0.002)}
+
+Progress = Callable[[int, int], None]
+"""Called with the number of finished tasks and of all tasks."""
+
+
+@dataclass(frozen=True)
+class FitsByStart:
+    """The fit from each initial rig, by its name; `best` has the maximum likelihood."""
+
+    rigs: Mapping[str, InitialSetup]
+    fits: Mapping[str, Fit]
+    best: str
 
 
 def rig_with(rig: InitialSetup, parameters: Path) -> str:
@@ -61,19 +56,18 @@ def poses(run: Run, quasi_static: bool = False) -> Poses:
     return quasi_static_poses(run) if quasi_static else poses_of(run)
 
 
-def read_poses(archives: Sequence[Run], quasi_static: bool = False) -> list[Poses]:
-    """Return the data of several runs, with a progress bar.
+def read_poses(
+    archives: Sequence[Run], quasi_static: bool = False, progress: Progress = lambda done, total: None
+) -> list[Poses]:
+    """Return the data of several runs.
 
     Raises:
         NoDataError: a run has no usable data.
     """
     found: list[Poses] = []
-    if not archives:
-        return found
-    with progress_bar("reading") as progress:
-        for run in archives:
-            found.append(poses(run, quasi_static))
-            progress(len(found), len(archives))
+    for run in archives:
+        found.append(poses(run, quasi_static))
+        progress(len(found), len(archives))
     return found
 
 
@@ -93,19 +87,10 @@ def most_likely_fit(
     free: Sequence[str],
     priors: Mapping[str, Prior],
     starts: int = 1,
-) -> tuple[InitialSetup, Fit]:
-    """Identify from each initial rig; return the fit of maximum likelihood. Print the fits if there are several."""
-    columns = (TextColumn("searching"), BarColumn(), TimeElapsedColumn())
-    screen = console(stderr=True)
-    with Progress(*columns, console=screen, transient=True, disable=not screen.is_terminal) as bar:
-        bar.add_task("", total=None)
-        fits = {name: from_poses(rig.config, data, free, priors, starts) for name, rig in rigs.items()}
-    best = max(fits, key=lambda name: fits[name].log_likelihood)
-    for name, fit in fits.items() if len(fits) > 1 else ():
-        chosen = ", chosen" if name == best else ""
-        line = f"from {name}: log likelihood {fit.log_likelihood:.1f}, rms {1e3 * fit.rms_m:.3f} mm{chosen}"
-        console(stderr=True).print(line, soft_wrap=True)
-    return rigs[best], fits[best]
+) -> FitsByStart:
+    """Identify from each initial rig, as `from_poses` does; the best fit is the one of maximum likelihood."""
+    fits = {name: from_poses(rig.config, data, free, priors, starts) for name, rig in rigs.items()}
+    return FitsByStart(rigs, fits, max(fits, key=lambda name: fits[name].log_likelihood))
 
 
 def from_poses(
@@ -135,7 +120,7 @@ def check_priors(priors: Mapping[str, Prior], free: Sequence[str], actuators: in
 
     Raises:
         UnknownParameter: a prior of a parameter that is not free has no effect.
-        typer.BadParameter: a mean outside the parameter's bounds, or a deviation that is too small or too large.
+        BadInputError: a mean outside the parameter's bounds, or a deviation that is too small or too large.
     """
     chosen = {one.name for one in named(free, actuators)}
     for name, prior in priors.items():
@@ -145,65 +130,12 @@ def check_priors(priors: Mapping[str, Prior], free: Sequence[str], actuators: in
         for one in members:
             least, most = _SUREST * one.span(prior.mean), one.upper - one.lower
             if not one.lower <= prior.mean <= one.upper:
-                prior_text = f"{prior.mean:g} {one.unit}; it lies between {one.lower:g} and {one.upper:g} {one.unit}"
+                given, expected = f"{prior.mean:g}", f"a mean from {one.lower:g} to {one.upper:g} {one.unit}"
             elif not least <= prior.std <= most:
-                prior_text = (
-                    f"+-{prior.std:g} {one.unit}; a deviation lies between {least:.3g} and {most:.3g} {one.unit}"
-                )
+                given, expected = f"+-{prior.std:g}", f"a deviation from {least:.3g} to {most:.3g} {one.unit}"
             else:
                 continue
-            raise typer.BadParameter(f"{one.name} cannot be {prior_text}", param_hint="--prior")
-
-
-def print_estimates(fit: Fit, as_json: bool, under: Baseline | None = None) -> None:
-    """Print the estimates with error bars or verdicts, and the residuals of each run."""
-    if as_json:
-        typer.echo(json.dumps(plain_json(content(fit, baseline=under)), indent=2))
-        return
-    screen = console()
-    table = Table(box=None, padding=(0, 2, 0, 0))
-    for head in ("parameter", "value", "+-", "95 %", "unit", "run"):
-        table.add_column(head, justify="left" if head in ("parameter", "unit", "run") else "right", overflow="fold")
-    undetermined = []
-    for e, held in zip(fit.estimates, fit.fixed, strict=True):
-        if e.value is None or e.std is None or e.interval is None:
-            others = f" ({', '.join(e.partners)})" if e.partners else ""
-            label = f"{e.name} {e.run}".strip()
-            undetermined.append(
-                f"{label}: {e.verdict.value}{others}; {'held at' if held else 'used'} {e.used:.5g} {e.unit}"
-            )
-        else:
-            low, high = e.interval
-            table.add_row(e.name, f"{e.value:.6g}", f"{e.std:.2g}", f"{low:.5g} .. {high:.5g}", e.unit, e.run)
-    screen.print(table)
-    for words in undetermined:
-        screen.print(Text(words, "yellow"), soft_wrap=True)
-    for run in fit.runs:
-        kind = "motion" if run.moving else "plateaus"
-        before, after = 1e3 * run.rms_before_m, 1e3 * run.rms_m
-        screen.print(
-            f"{run.run_id} ({kind}): rms {before:.3f} -> {after:.3f} mm, {run.outliers} outliers", soft_wrap=True
-        )
-    if fit.discrepancy_m:
-        screen.print(f"the model is off by {1e3 * fit.discrepancy_m:.3f} mm per axis beyond the stated errors")
-    if fit.drifts:
-        screen.print(Text(fit.drifts, "yellow"), soft_wrap=True)
-    for words in fit.open_directions:
-        screen.print(Text(f"left open by the data: {words}", "yellow"), soft_wrap=True)
-    if not fit.solved:
-        screen.print(Text("the Gauss-Newton search did not converge", "yellow"))
-
-
-def profile_likelihoods(fit: Fit) -> tuple[Profile, ...]:
-    """Compute profile likelihoods with a progress bar on standard error; print their intervals."""
-    screen = console(stderr=True)
-    with progress_bar("profiles") as progress:
-        found = profiles(fit, progress=progress)
-    for one in found:
-        ends = " .. ".join("open" if end is None else f"{end:.5g}" for end in one.interval)
-        interval = "flat: not bounded by the data" if one.flat else ends
-        screen.print(f"{one.name}: 95 % by profile {interval}", soft_wrap=True)
-    return found
+            raise BadInputError([Problem("--prior", 0, 0, one.name, given, expected)])
 
 
 def draw_predictions(found: Sequence[Prediction], file: Path) -> Path:
@@ -211,38 +143,3 @@ def draw_predictions(found: Sequence[Prediction], file: Path) -> Path:
     file.parent.mkdir(parents=True, exist_ok=True)
     save(predictions, (9, 2.6 * len(found)), file, found)
     return file
-
-
-def print_prediction_errors(found: Sequence[Prediction]) -> None:
-    """Print the prediction errors of held-out runs."""
-    for one in found:
-        how = ", under its measured wrench" if one.under_wrench else ""
-        errors = f"rms {1e3 * one.rms_before_m:.3f} -> {1e3 * one.rms_m:.3f} mm, "
-        errors += f"mean {1e3 * one.mean_m:.3f} mm, 95 % below {1e3 * one.p95_m:.3f} mm"
-        if one.unsolved:
-            errors += f"; {one.unsolved} of {len(one.error_m)} frames have no prediction and are excluded"
-        console(stderr=True).print(f"{one.run_id} (left out{how}): {errors}", soft_wrap=True)
-
-
-@contextmanager
-def progress_bar(what: str) -> Iterator[Callable[[int, int], None]]:
-    """Show a progress bar on standard error; yield a function to call with (done, total)."""
-    columns = (TextColumn(what), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    # Slow and fast models alternate, so the remaining time needs an average over a long period.
-    period_s = 3600.0
-    screen = console(stderr=True)
-    quiet = not screen.is_terminal
-    with Progress(*columns, console=screen, transient=True, disable=quiet, speed_estimate_period=period_s) as bar:
-        job = bar.add_task(what, total=None)
-        yield lambda done, total: bar.update(job, completed=done, total=total)
-
-
-def bootstrap_errors(fit: Fit, samples: int, scheduler: str | None, store: Path | None) -> Bootstrap:
-    """Compute bootstrap errors with a progress bar on standard error; print them beside the likelihood's."""
-    screen = console(stderr=True)
-    with progress_bar("refitting") as progress:
-        found = bootstrap(fit, samples, scheduler=scheduler, store=store, progress=progress)
-    bars = {(e.name, e.run): e.std for e in fit.estimates}
-    for name, run, std in zip(found.names, found.runs, found.std, strict=True):
-        screen.print(f"{name} {run}: +- {std:.2g} by {samples} refits, {bars[name, run]:.2g} by the likelihood")
-    return found

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,8 +13,6 @@ from scipy.spatial.transform import Rotation
 from calibration.identify.data import NoDataError
 from calibration.identify.parameters import Setup, known
 from calibration.identify.parameters_document import Baseline
-from rig.cli.console import console
-from rig.cli.run_names import resolve
 from rig.config.arm_model import model_arm, true_arm
 from rig.config.loader import load, parse, path_of, text
 from rig.config.optics import rigid
@@ -58,20 +56,8 @@ def starting_rigs(first: Run, names: Sequence[str]) -> dict[str, InitialSetup]:
     return {name: InitialSetup.named(name) for name in names} or {first.header.rig_name: InitialSetup.of(first)}
 
 
-def geometry_differences(rig: InitialSetup, others: Iterable[InitialSetup]) -> str:
-    """Return the differences of a rig's arm from the others'; empty where one of them is the same."""
-    found = ""
-    for other in others:
-        mine, theirs = rig.config.arm.geometry, other.config.arm.geometry
-        fields = differing_fields(mine, theirs)
-        if not fields:
-            return ""
-        found = found or "; ".join(f"{name} {getattr(mine, name)}, not {getattr(theirs, name)}" for name in fields)
-    return found
-
-
-def open_archives(names: Sequence[Path]) -> list[Run]:
-    """Open archives, each once; print a note for a duplicate.
+def open_archives(paths: Sequence[Path]) -> tuple[list[Run], tuple[str, ...]]:
+    """Open archives, each once; return the runs, and a note for each duplicate.
 
     Raises:
         ArchiveError: an archive does not exist.
@@ -79,30 +65,30 @@ def open_archives(names: Sequence[Path]) -> list[Run]:
     """
     found: dict[str, Run] = {}
     shown: dict[tuple[str, int], Run] = {}
-    for path in map(resolve, names):
+    notes = []
+    for path in paths:
         run = Run(path)
         if run.sha256 in found:
-            console(stderr=True).print(f"{path} is named twice and counts once", soft_wrap=True)
+            notes.append(f"{path} is named twice and counts once")
             continue
         same = shown.setdefault((run.header.parent or run.header.run_id, run.header.started_utc_ns), run)
         if same is not run:
             raise NoDataError(f"{same.path} and {run.path} are of one run, seen twice: give one of them")
         found[run.sha256] = run
-    return list(found.values())
+    return list(found.values()), tuple(notes)
 
 
-def check_alike(archives: Sequence[Run], one_arm: bool = False) -> None:
+def check_alike(archives: Sequence[Run], one_arm: bool = False) -> tuple[str, ...]:
     """Refuse runs of different arms, and runs whose tips or pressures have different reference frames or gains.
 
-    Print a note if parameters were applied to the runs' rig, or if rigs place a camera differently. With `one_arm` the
-    rigs' geometries are not compared.
+    Return a note if parameters were applied to the runs' rig, and for each rig that places a camera differently. With
+    `one_arm` the rigs' geometries are not compared.
 
     Raises:
         NoDataError: the rigs have different geometries, or overlays with different mountings or gains.
     """
     first, *others = archives
-    if not one_arm:
-        _check_rigs([run for run in archives if run.header.rig_yaml])
+    notes = () if one_arm else _check_rigs([run for run in archives if run.header.rig_yaml])
     overlay = _recorded_overlay(first)
     for run in others:
         if _recorded_overlay(run) != overlay:
@@ -115,12 +101,14 @@ def check_alike(archives: Sequence[Run], one_arm: bool = False) -> None:
             f"{first.header.run_id} was recorded with parameters applied to its rig: printed estimates of mounting and "
         )
         note += "gains are relative to them; written files are relative to the rig without them"
-        console(stderr=True).print(note, soft_wrap=True)
+        notes = (*notes, note)
+    return notes
 
 
-def _check_rigs(archives: Sequence[Run]) -> None:
+def _check_rigs(archives: Sequence[Run]) -> tuple[str, ...]:
     if not archives:
-        return
+        return ()
+    notes = []
     first, *others = archives
     rig, geometry = rig_of(first), _geometry(first)
     for run in others:
@@ -135,7 +123,8 @@ def _check_rigs(archives: Sequence[Run]) -> None:
             known = rig.cameras.get(name)
             if known is not None and known.placement != camera.placement:
                 note = f"{run.header.run_id}: its rig places camera {name} elsewhere than that of {first.header.run_id}"
-                console(stderr=True).print(f"{note}; one base is estimated for both", soft_wrap=True)
+                notes.append(f"{note}; one base is estimated for both")
+    return tuple(notes)
 
 
 def _geometry(run: Run) -> Geometry:

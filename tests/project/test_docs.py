@@ -13,6 +13,7 @@ import pytest
 import typer
 
 from rig.cli.app import app, main
+from rig.cli.default_command import DefaultCommandGroup
 
 ROOT = Path(__file__).parents[2]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
@@ -66,14 +67,23 @@ def test_every_file_that_is_named_is_there(page: Path) -> None:
             assert (ROOT / path).exists(), path
 
 
+def named_command(words: list[str]) -> tuple[Any, list[str]]:
+    """The command or group that the words name, and the words after its name."""
+    command, rest = RIG, list(words)
+    while hasattr(command, "commands") and rest and rest[0] != "--help":
+        if isinstance(command, DefaultCommandGroup) and rest[0] not in command.commands:
+            return command.default_command, rest
+        if rest[0].startswith("--"):
+            break
+        assert rest[0] in command.commands, words
+        command = command.commands[rest.pop(0)]
+    return command, rest
+
+
 def test_every_command_that_is_shown_exists_with_its_options(page: Path) -> None:
     for words in code(page.read_text()):
         for said in re.findall(r"(?:^|; do )(rig [a-z].*?)(?:;|$)", words.partition(" #")[0]):
-            command = RIG
-            rest = shlex.split(said)[1:]
-            while rest and hasattr(command, "commands") and re.fullmatch("[a-z]+", rest[0]):
-                assert rest[0] in command.commands, said
-                command = command.commands[rest.pop(0)]
+            command, rest = named_command(shlex.split(said)[1:])
             known = {name for option in command.params for name in (*option.opts, *option.secondary_opts)}
             for word in rest:
                 if word.startswith("--"):
@@ -97,9 +107,7 @@ def test_every_shell_command_can_be_pasted(page: Path) -> None:
         for word in words:
             assert ".." not in word, said
             assert not re.fullmatch(r"<.*>|[A-Z][A-Z0-9_]+(\.\w+)?|[A-Z]", word), said
-        command, rest = RIG, list(words)
-        while hasattr(command, "commands") and rest != ["--help"]:
-            command = command.commands[rest.pop(0)]
+        command, rest = named_command(words)
         if rest != ["--help"]:
             command.make_context(words[0], rest)
 

@@ -112,12 +112,12 @@ def test_the_report_holds_everything_and_loads_nothing(
     assert low < high
 
 
-def test_choose_ends_with_a_table_like_the_papers_and_a_sentence(
+def test_a_comparison_ends_with_a_table_like_the_papers_and_a_sentence(
     bench: dict[str, str], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # On one core the work stays in this process: others would take longer to start than so small a comparison does.
     monkeypatch.setattr("os.cpu_count", lambda: 1)
-    rig(bench["weights"], bench["one"], bench["two"], "--choose", "--free", "base_z_m", "--json")
+    rig("compare", bench["weights"], bench["one"], bench["two"], "--free", "base_z_m", "--json")
     found = json.loads(capsys.readouterr().out)
     assert found["best"] == "inhomogeneous+rpe, pointwise"
     assert "predicts runs left out best" in found["sentence"]
@@ -125,7 +125,7 @@ def test_choose_ends_with_a_table_like_the_papers_and_a_sentence(
 
 
 def test_paper_gives_what_section_5_2_gives(bench: dict[str, str], capsys: pytest.CaptureFixture[str]) -> None:
-    rig(bench["weights"], bench["extension"], "--paper", "--json")
+    rig("paper", bench["weights"], bench["extension"], "--json")
     found = json.loads(capsys.readouterr().out)
     assert float(found["a1 of eq 32"]["r2"]) > 0.999
     assert float(found["a2 of eq 32"]["value"]) == pytest.approx(TRUE["a2_per_n2"], rel=0.15)
@@ -136,7 +136,7 @@ def test_paper_gives_what_section_5_2_gives(bench: dict[str, str], capsys: pytes
 
 
 def test_paper_says_what_it_lacks(bench: dict[str, str], capsys: pytest.CaptureFixture[str]) -> None:
-    rig(bench["one"], "--paper", status=2)
+    rig("paper", bench["one"], status=2)
     assert "under weights" in capsys.readouterr().err
 
 
@@ -145,7 +145,7 @@ def test_the_rest_of_a_run_is_predicted_and_drawn(
 ) -> None:
     middle_s = runs.open(bench["one"]).duration_s / 2
     picture = tmp_path / "predicted.svg"
-    told = ["--until", f"{middle_s:g}", "--figure", str(picture)]
+    told = ["--split-s", f"{middle_s:g}", "--figure", str(picture)]
     rig(bench["one"], "--free", "law,rpe_per_bar", *told)
     said = capsys.readouterr()
     before, after = map(float, re.findall(rf"from {middle_s:g} s \(left out\): rms ([\d.]+) -> ([\d.]+)", said.err)[0])
@@ -173,12 +173,9 @@ def test_of_several_starts_the_likeliest_is_taken(
     ("options", "said"),
     [
         (["--every", "2"], "needs --quasi-static"),
-        (["--start", "mock", "--choose"], "not valid with --choose or --paper"),
         (["--start", "nowhere"], "there is no such file"),
         (["--figure", "x.png"], "nothing is predicted"),
-        (["--rig", "mock"], "needs --rig-file"),
-        (["--until", "3", "--paper"], "not valid with --choose or --paper"),
-        (["--until", "1e6"], "shows no tip after"),
+        (["--split-s", "1e6"], "shows no tip after"),
     ],
 )
 def test_a_figure_or_a_part_without_sense_is_refused(
@@ -196,10 +193,8 @@ def test_where_results_are_to_go_is_known_to_be_wrong_before_the_search(
     (tmp_path / "short.yaml").write_text(text("mock").replace("length_mm: 170", "length_mm: 140"), encoding="utf-8")
     found = str(tmp_path / "found.yaml")
     for options, said in (
-        (["--rig-file", found, "--rig", "nowhere"], "no rig of that name"),
-        (["--rig-file", found, "--rig", str(tmp_path / "short.yaml")], "another arm than the initial rig"),
-        (["--figure", str(tmp_path / "a.xyz"), "--until", "15"], "a name that ends with .png, .pdf or .svg"),
-        (["--report", str(tmp_path)], "a file, not a folder"),
+        (["--figure", str(tmp_path / "a.xyz"), "--split-s", "15"], "a name that ends with .png, .pdf or .svg"),
+        (["--rig-file", found, "--report", str(tmp_path)], "a file, not a folder"),
         (["--to", str(tmp_path / "short.yaml" / "a.yaml")], "is a file, not a folder"),
     ):
         rig(bench["one"], *options, status=2)

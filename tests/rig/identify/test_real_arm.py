@@ -53,7 +53,7 @@ def predicted(said: str, run: str) -> tuple[float, float, float]:
 def test_the_unseen_part_is_predicted_better_than_by_others(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     archive = brought(shared_data("stiff_flop", "NoLoad.mat"), EXAMPLES / "stiff-flop.yaml", tmp_path)
     found = tmp_path / "arm.yaml"
-    options = ["--until", "36", "--quasi-static", "--every", "6", "--free", f"{FREE},{TWISTS}", "--to", found]
+    options = ["--split-s", "36", "--quasi-static", "--every", "6", "--free", f"{FREE},{TWISTS}", "--to", found]
     rig("identify", archive, *options)
     said = capsys.readouterr().err
     rms, mean, most = predicted(said, f"{archive.stem} from 36 s")

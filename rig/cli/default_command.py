@@ -1,0 +1,22 @@
+"""A command group whose first sub-command is the default: `rig identify RUN` means `rig identify fit RUN`."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from typer.core import TyperGroup
+
+
+class DefaultCommandGroup(TyperGroup):
+    """A group that hands arguments to its first sub-command unless they name another one."""
+
+    @property
+    def default_command(self) -> Any:
+        """The first sub-command."""
+        return next(iter(self.commands.values()))
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Insert the default sub-command where none is named."""
+        if args and args[0] not in self.commands and args[0] not in self.get_help_option_names(ctx):
+            args = [self.default_command.name, *args]
+        return super().parse_args(ctx, args)
