@@ -209,7 +209,7 @@ class Quantity:
 
 @dataclass(frozen=True)
 class SourceFile:
-    """An input file of a run, verbatim: the rig file, a calibration (its `kind`), or a CSV file of the protocol."""
+    """An input file of a run, verbatim: a calibration (its `kind`) or a CSV file of the protocol."""
 
     name: str
     kind: str
@@ -234,6 +234,7 @@ class RunHeader:
     protocol_yaml: str
     rig_name: str
     rig_yaml: str
+    """The rig file as written; overlays are in `calibrations` and `parameters_yaml`."""
     actuators: int
     valves: int
     executor: str
@@ -255,16 +256,24 @@ class RunHeader:
     """Run id of the replayed run; empty if this is not a replay."""
     protocol_files: tuple[SourceFile, ...] = ()
     """The CSV files of the protocol, by their names in it."""
-    sources: tuple[SourceFile, ...] = ()
-    """The rig file and its calibration files; empty if `rig_yaml` is the file itself."""
+    calibrations: tuple[SourceFile, ...] = ()
+    """Calibration files applied to the rig, in this order."""
     parameters_yaml: str = ""
-    """Parameter file applied to the rig, verbatim; `rig_yaml` includes its values."""
+    """File of identified parameters applied after the calibrations, verbatim; empty without one."""
     adapted: tuple[Quantity, ...] = ()
     """Parameters of the recursive estimator: name, unit, start value and its uncertainty."""
     control_hz: float = 200.0
     camera_hz: float = 30.0
     cameras: tuple[str, ...] = ("camera",)
     """By name, in the order of the observations' columns."""
+
+    @property
+    def inputs(self) -> dict[str, str]:
+        """The texts that define the run, by what they are: protocol, rig file, and each overlay of the rig."""
+        texts = {"protocol": self.protocol_yaml, "rig": self.rig_yaml}
+        texts |= {f"calibration {file.name}": file.text for file in self.calibrations}
+        texts["identified parameters"] = self.parameters_yaml
+        return {name: text for name, text in texts.items() if text}
 
 
 @dataclass(frozen=True)

@@ -160,7 +160,7 @@ class Run:
             rig_yaml=rig["yaml"],
             parameters_yaml=rig["parameters"],
             protocol_files=_sources(self._group("entry/protocol_files"), "text"),
-            sources=_sources(self._group("entry/calibration_files")),
+            calibrations=_sources(self._group("entry/calibration_files"), "yaml"),
             actuators=int(entry["actuators"]),
             valves=int(entry["valves"]),
             executor=entry["executor"],
@@ -372,7 +372,7 @@ def _adapted(g: dict[str, Any]) -> tuple[Quantity, ...]:
     )
 
 
-def _sources(g: dict[str, Any], text: str = "yaml") -> tuple[SourceFile, ...]:
+def _sources(g: dict[str, Any], text: str) -> tuple[SourceFile, ...]:
     columns = ([str(text) for text in g.get(key, ())] for key in ("name", "kind", "sha256", text))
     return tuple(SourceFile(*row) for row in zip(*columns, strict=True))
 

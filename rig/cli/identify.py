@@ -14,7 +14,7 @@ from rig.cli.options import Archives, AsJson, Every, Free, Replace
 if TYPE_CHECKING:
     from calibration.identify import Poses, Prior
     from calibration.identify.profile_likelihood import Profile
-    from rig.identify.initial_setup import InitialSetup
+    from rig.config.loader import RigFile
     from runs.run import Run
 
 FIGURES = (".png", ".pdf", ".svg")
@@ -210,7 +210,7 @@ def _read(archives: Sequence[Run], quasi_static: bool) -> list[Poses]:
         return read_poses(archives, quasi_static, progress)
 
 
-def _check_actuators(actuators: int, rigs: Mapping[str, InitialSetup], held_out: Sequence[Poses]) -> None:
+def _check_actuators(actuators: int, rigs: Mapping[str, RigFile], held_out: Sequence[Poses]) -> None:
     """Refuse initial rigs and held-out runs with another number of actuators than the runs."""
     for name, rig in rigs.items():
         if rig.config.actuators != actuators:

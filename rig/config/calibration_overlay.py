@@ -5,7 +5,6 @@ The simulator keeps the values that the rig stated before, under `simulator, bui
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -30,67 +29,95 @@ from rig.config.calibration_schema import (
 from rig.config.optics import placement_of, rigid
 from rig.config.schema import RigConfig
 from rig.config.sections import FlowValve, Placement, Sensor, Valve
-from runs.records import SourceFile
 
 Faults = Iterator[Problem]
 
 
-def named_in(source: Document) -> tuple[tuple[tuple[str | int, ...], Path], ...]:
-    """Return the calibration files that a rig's YAML names, with their YAML paths; files are relative to the rig's."""
-    listed = source.data.get("calibrations") or ()
-    folder = Path(source.file).parent
-    return tuple((("calibrations", i), folder / str(name)) for i, name in enumerate(listed))
+def read_all(source: Document) -> tuple[tuple[str, LoadedCalibration], ...]:
+    """Read every calibration file that a rig's YAML names, relative to its folder; return each with its name there.
 
-
-def read_all(source: Document) -> tuple[LoadedCalibration, ...]:
-    """Read every calibration file that a rig's YAML names; raise `BadInputError` with the problems of all of them."""
-    found: list[LoadedCalibration] = []
+    Raises:
+        BadInputError: the problems of all files.
+    """
+    found: list[tuple[str, LoadedCalibration]] = []
     problems: list[Problem] = []
-    for place, path in named_in(source):
+    for i, name in enumerate(source.data.get("calibrations") or ()):
+        path = Path(source.file).parent / str(name)
         try:
-            found.append(read(path))
+            found.append((str(name), read(path)))
         except BadInputError as bad:
-            mark = source.position(place)
+            mark = source.position(("calibrations", i))
             if path.is_file():
                 problems += bad.problems
             else:
                 expected = "a calibration file: this file does not exist in the rig's folder"
                 problems.append(Problem(source.file, mark.line, mark.column, "calibrations", mark.source, expected))
+    problems += _twice([one for _, one in found])
     if problems:
         raise BadInputError(problems)
     return tuple(found)
 
 
-def read_files(paths: Sequence[Path]) -> tuple[LoadedCalibration, ...]:
-    """Read calibration files; raise `BadInputError` with the problems of all of them."""
-    found: list[LoadedCalibration] = []
+def read_files(paths: Sequence[Path]) -> tuple[tuple[str, LoadedCalibration], ...]:
+    """Read calibration files; return each with its name. `BadInputError` has the problems of all of them."""
+    found: list[tuple[str, LoadedCalibration]] = []
     problems: list[Problem] = []
     for path in paths:
         try:
-            found.append(read(path))
+            found.append((path.name, read(path)))
         except BadInputError as bad:
             problems += bad.problems
+    problems += _twice([one for _, one in found])
     if problems:
         raise BadInputError(problems)
     return tuple(found)
 
 
-def sources(rig: Document, calibrations: Sequence[LoadedCalibration]) -> tuple[SourceFile, ...]:
-    """Return the rig's file and its calibrations as the archive stores them."""
-    own = hashlib.sha256(rig.text.encode()).hexdigest()
-    return (
-        SourceFile(Path(rig.file).name, "rig", own, rig.text),
-        *(SourceFile(Path(c.source.file).name, c.found.kind, c.sha256, c.source.text) for c in calibrations),
-    )
+def not_replaced(
+    known: Sequence[tuple[str, LoadedCalibration]], newer: Sequence[LoadedCalibration]
+) -> tuple[tuple[str, LoadedCalibration], ...]:
+    """Return the calibrations that have a subject which no newer one has."""
+    replaced = {key for one in newer for _, key, _ in _subjects(one)}
+    return tuple((name, one) for name, one in known if {key for _, key, _ in _subjects(one)} - replaced)
+
+
+def check_serials(config: RigConfig, calibrations: Sequence[LoadedCalibration]) -> None:
+    """Refuse calibrations of cameras with another serial number than those that are plugged in.
+
+    Raises:
+        BadInputError: every camera that has another serial number.
+    """
+    from rig.hardware.cameras.registry import serial_of
+
+    problems = []
+    for calibration in calibrations:
+        for here, identity in _cameras(calibration):
+            serial = serial_of(config.cameras[identity.name]) if identity.serial is not None else None
+            if serial is not None and serial != identity.serial:
+                where = f"cameras, {identity.name} of rig {config.name}"
+                expected = f"{serial}, the serial number of the camera that is plugged in for {where}"
+                problems.append(calibration.problem((*here, "serial"), identity.serial, expected))
+    if problems:
+        raise BadInputError(problems)
+
+
+def _cameras(calibration: LoadedCalibration) -> Iterator[tuple[tuple[str | int, ...], CameraIdentity]]:
+    """Yield the cameras that a calibration is for, with their YAML paths."""
+    found = calibration.found
+    if isinstance(found, DLTFile):
+        for i, item in enumerate(found.cameras):
+            yield ("cameras", i, "camera"), item.camera
+    elif isinstance(found, CameraFile | ToolFile):
+        yield ("camera",), found.camera
 
 
 def with_calibrations(text: str, config: RigConfig, calibrations: Sequence[LoadedCalibration]) -> str:
-    """Return the rig's YAML `text` with the calibrations applied; `config` is its parsed form.
+    """Return the rig's YAML `text` with the calibrations applied in order; `config` is its parsed form.
 
     Raises:
-        BadInputError: a calibration has another camera, resolution, board or card; or two have the same subject.
+        BadInputError: a calibration has another camera, resolution, board or card.
     """
-    problems = [*_twice(calibrations)]
+    problems: list[Problem] = []
     for calibration in calibrations:
         problems += _unfit(config, calibration)
         problems += _other_lens(config, calibration, calibrations)
@@ -186,16 +213,13 @@ def _subjects(calibration: LoadedCalibration) -> Iterator[tuple[tuple[str | int,
 def _unfit(config: RigConfig, calibration: LoadedCalibration) -> Faults:
     """Yield the reasons why a calibration does not belong to the rig."""
     found = calibration.found
-    if isinstance(found, CameraFile):
-        yield from _other_camera(config, calibration, ("camera",), found.camera)
-    elif isinstance(found, DLTFile):
-        for i, item in enumerate(found.cameras):
-            yield from _other_camera(config, calibration, ("cameras", i, "camera"), item.camera)
+    for here, camera in _cameras(calibration):
+        yield from _other_camera(config, calibration, here, camera)
+    if isinstance(found, DLTFile):
         if found.world != "rod base":
             expected = "rod base: the rig's cameras stand in that frame; calibrate with control points in it, or --base"
             yield calibration.problem(("world",), found.world, expected)
     elif isinstance(found, ToolFile):
-        yield from _other_camera(config, calibration, ("camera",), found.camera)
         have = (config.board.squares_x - 1, config.board.squares_y - 1)
         if tuple(found.board.corners) != have:
             expected = f"{have[0]}x{have[1]} inner corners, as the board of rig {config.name}"
@@ -203,7 +227,7 @@ def _unfit(config: RigConfig, calibration: LoadedCalibration) -> Faults:
         if abs(found.board.square_mm - config.board.square_mm) > 1e-3 * config.board.square_mm:
             expected = f"{config.board.square_mm:g}, as the board of rig {config.name}"
             yield calibration.problem(("board", "square_mm"), found.board.square_mm, expected)
-    else:
+    elif isinstance(found, PressureFile):
         yield from _other_bench(config, calibration, found)
 
 
@@ -226,13 +250,6 @@ def _other_camera(
         has, wants = getattr(identity, key), getattr(camera, key)
         if has is not None and has != wants:
             yield calibration.problem((*here, key), has, f"{wants}, as {where}: this is another camera's calibration")
-    if identity.serial is not None:
-        from rig.hardware.cameras.registry import serial_of
-
-        serial = serial_of(camera)
-        if serial is not None and serial != identity.serial:
-            expected = f"{serial}, the serial number of the camera that is plugged in for {where}"
-            yield calibration.problem((*here, "serial"), identity.serial, expected)
 
 
 def _other_lens(config: RigConfig, calibration: LoadedCalibration, calibrations: Sequence[LoadedCalibration]) -> Faults:

@@ -1,7 +1,7 @@
-"""Load a rig file with its calibrations as a `RigConfig`.
+"""Load a rig: its file, its overlays (calibrations, identified parameters), and the configuration of both.
 
-`rig.config.calibration_overlay` imports OpenCV. It is imported only for rigs with calibrations, because `rig vent` must
-start quickly.
+The overlays import OpenCV and SciPy. They are imported only for rigs that have them, because `rig vent` must start
+quickly.
 """
 
 from __future__ import annotations
@@ -11,12 +11,18 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from protocols import BadInputError, document
 from protocols.library import find
 from rig.config import consistency
 from rig.config.schema import RigConfig
-from runs.records import SourceFile
+from rig.config.sections import Variant
+from runs.records import RunHeader, SourceFile
+
+if TYPE_CHECKING:
+    from rig.config.calibration_files import LoadedCalibration
+    from rig.config.parameters_overlay import Parameters
 
 FOLDER = Path(__file__).parents[1] / "rigs"
 DEFAULT = "mock"
@@ -70,14 +76,49 @@ def chosen_rig(option: str | None) -> RigChoice:
 
 @dataclass(frozen=True)
 class RigFile:
-    """A parsed rig file: its text with the calibrations applied, and the configuration.
+    """A rig file as written, its overlays, and the configuration that follows from them.
 
-    `sources` are the file and its calibrations, verbatim; empty where it names none.
+    `file` names the rig file in messages, `text` is its text. `calibrations` are its calibration files by name, in the
+    order of application, and `parameters` is the text of its identified parameters, or empty: both verbatim. `yaml` is
+    the rig file with all overlays applied, `config` its configuration; `effective` derives both.
     """
 
+    file: str
     text: str
+    calibrations: tuple[SourceFile, ...]
+    parameters: str
+    yaml: str
     config: RigConfig
-    sources: tuple[SourceFile, ...]
+
+    def calibrated(self, files: Sequence[Path]) -> RigFile:
+        """Return the rig with more calibration files; a newer calibration replaces an older one of the same subject.
+
+        Raises:
+            BadInputError: a file is invalid or belongs to another rig.
+        """
+        from rig.config import calibration_overlay
+
+        added = calibration_overlay.read_files(files)
+        kept = calibration_overlay.not_replaced(_parsed(self), [one for _, one in added])
+        return _rig_file(self._document, (*kept, *added), _parameters(self.parameters))
+
+    def identified(self, parameters: Parameters, variant: Variant | None = None) -> RigFile:
+        """Return the rig with these identified parameters, instead of any that it has.
+
+        `variant` is the requested model variant; by default the rig's own.
+
+        Raises:
+            BadInputError: the parameters belong to another arm or model variant.
+        """
+        return _rig_file(self._document, _parsed(self), parameters, variant)
+
+    def without_parameters(self) -> RigFile:
+        """Return the rig with its calibrations only."""
+        return _rig_file(self._document, _parsed(self), None) if self.parameters else self
+
+    @property
+    def _document(self) -> document.Document:
+        return document.parse(self.text, self.file)
 
 
 def path_of(name_or_path: str | Path) -> Path:
@@ -86,24 +127,13 @@ def path_of(name_or_path: str | Path) -> Path:
 
 
 def read(name_or_path: str | Path) -> RigFile:
-    """Read a rig by name or path; raise `BadInputError` with every problem."""
-    return _with_calibrations(document.read(path_of(name_or_path)))
+    """Read a rig by name or path, with the calibrations that it names; raise `BadInputError` with every problem."""
+    return _from_disk(document.read(path_of(name_or_path)))
 
 
 def text(name_or_path: str | Path) -> str:
-    """Return the rig's YAML: verbatim, or with its calibrations applied; raises as `read` does."""
-    source = document.read(path_of(name_or_path))
-    return _with_calibrations(source).text if source.data.get("calibrations") else source.text
-
-
-def sources(name_or_path: str | Path) -> tuple[SourceFile, ...]:
-    """Return a rig's file and its calibrations, verbatim; empty where it names none."""
-    source = document.read(path_of(name_or_path))
-    if not source.data.get("calibrations"):
-        return ()
-    from rig.config import calibration_overlay
-
-    return calibration_overlay.sources(source, calibration_overlay.read_all(source))
+    """Return the text of a rig file, verbatim."""
+    return document.read(path_of(name_or_path)).text
 
 
 def load(name_or_path: str | Path) -> RigConfig:
@@ -113,35 +143,96 @@ def load(name_or_path: str | Path) -> RigConfig:
 
 def parse(text: str, file: str | Path) -> RigConfig:
     """Parse the YAML text of a rig; error messages name `file`. Raises as `read` does."""
-    return _with_calibrations(document.parse(text, str(file))).config
+    return _from_disk(document.parse(text, str(file))).config
 
 
-def calibrated(text: str, file: str | Path, files: Sequence[Path]) -> tuple[str, tuple[SourceFile, ...]]:
-    """Apply calibration files to a rig's YAML, after those that it names; return the YAML and its sources.
+def recorded(header: RunHeader, archive: Path) -> RigFile:
+    """Return the rig of a run from its archive; no other file is read.
 
     Raises:
-        BadInputError: a file is invalid or belongs to another rig; see `read`.
+        BadInputError: this version cannot read the recorded rig.
     """
-    from rig.config import calibration_overlay
+    source = document.parse(header.rig_yaml, f"{archive}: the rig's YAML")
+    calibrations = _parse_calibrations(source.file, header.calibrations)
+    return _rig_file(source, calibrations, _parameters(header.parameters_yaml))
 
-    source = document.parse(text, str(file))
-    config = document.validate(RigConfig, source, consistency.check)
-    calibrations = (*calibration_overlay.read_all(source), *calibration_overlay.read_files(files))
-    return calibration_overlay.with_calibrations(text, config, calibrations), calibration_overlay.sources(
-        source, calibrations
+
+def effective(
+    source: document.Document,
+    calibrations: Sequence[LoadedCalibration] = (),
+    parameters: Parameters | None = None,
+    variant: Variant | None = None,
+) -> tuple[str, RigConfig]:
+    """Apply calibrations, then identified parameters, to a rig file; return the YAML and its configuration.
+
+    `variant` is the model variant that the parameters must have; by default the rig's own.
+
+    Raises:
+        BadInputError: every problem of the rig file; or an overlay belongs to another rig, arm or model variant.
+    """
+    yaml, config = source.text, document.validate(RigConfig, source, consistency.check)
+    if calibrations or config.calibrations:
+        from rig.config import calibration_overlay
+
+        yaml = calibration_overlay.with_calibrations(yaml, config, calibrations)
+        config = _validated(yaml, source.file)
+    if parameters is not None:
+        from rig.config import parameters_overlay
+
+        yaml = parameters_overlay.with_parameters(yaml, config, source.file, parameters, variant)
+        config = _validated(yaml, f"{source.file} with {parameters.source.file}")
+    return yaml, config
+
+
+def _validated(yaml: str, file: str) -> RigConfig:
+    return document.validate(RigConfig, document.parse(yaml, file), consistency.check)
+
+
+def _rig_file(
+    source: document.Document,
+    calibrations: Sequence[tuple[str, LoadedCalibration]] = (),
+    parameters: Parameters | None = None,
+    variant: Variant | None = None,
+) -> RigFile:
+    yaml, config = effective(source, [one for _, one in calibrations], parameters, variant)
+    return RigFile(
+        file=source.file,
+        text=source.text,
+        calibrations=tuple(SourceFile.of(name, one.found.kind, one.source.text) for name, one in calibrations),
+        parameters="" if parameters is None else parameters.source.text,
+        yaml=yaml,
+        config=config,
     )
 
 
-def _with_calibrations(source: document.Document) -> RigFile:
+def _from_disk(source: document.Document) -> RigFile:
+    """Return the rig of a file, with the calibrations that it names; they must be those of the cameras plugged in."""
+    if not source.data.get("calibrations"):
+        return _rig_file(source)
     config = document.validate(RigConfig, source, consistency.check)
-    if not config.calibrations:
-        return RigFile(source.text, config, ())
     from rig.config import calibration_overlay
 
     calibrations = calibration_overlay.read_all(source)
-    folded = calibration_overlay.with_calibrations(source.text, config, calibrations)
-    return RigFile(
-        folded,
-        document.validate(RigConfig, document.parse(folded, source.file), consistency.check),
-        calibration_overlay.sources(source, calibrations),
-    )
+    found = _rig_file(source, calibrations)
+    calibration_overlay.check_serials(config, [one for _, one in calibrations])
+    return found
+
+
+def _parsed(rig: RigFile) -> tuple[tuple[str, LoadedCalibration], ...]:
+    return _parse_calibrations(rig.file, rig.calibrations)
+
+
+def _parse_calibrations(rig: str, files: Sequence[SourceFile]) -> tuple[tuple[str, LoadedCalibration], ...]:
+    if not files:
+        return ()
+    from rig.config import calibration_files
+
+    return tuple((f.name, calibration_files.parse(document.parse(f.text, f"{rig}: {f.name}"))) for f in files)
+
+
+def _parameters(text: str) -> Parameters | None:
+    if not text:
+        return None
+    from rig.config import parameters_overlay
+
+    return parameters_overlay.recorded(text)

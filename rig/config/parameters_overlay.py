@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
@@ -14,7 +14,6 @@ from pydantic import Field
 from calibration.vision.transforms import RigidTransform
 from protocols import BadInputError, Problem, document
 from rig.config.calibration_overlay import as_stated
-from rig.config.loader import parse
 from rig.config.optics import placement_of, rigid
 from rig.config.schema import RigConfig
 from rig.config.sections import (
@@ -145,20 +144,16 @@ def recorded(text: str) -> Parameters:
     return _validated(document.parse(text, "the recorded parameters"))
 
 
-def overlay(
-    rig_yaml: str, file: str | Path, parameters: Parameters, variant: Variant | None = None, instead_of: str = ""
+def with_parameters(
+    rig_yaml: str, config: RigConfig, file: str, parameters: Parameters, variant: Variant | None = None
 ) -> str:
-    """Return a rig's YAML with identified parameters applied; `file` is the source of the rig's YAML.
+    """Return a rig's YAML with identified parameters applied; `config` is its parsed form, `file` its source.
 
     `variant` is the requested model variant; by default the rig's own. The simulator's true values do not change.
-    `instead_of` is the text of the parameters that the rig's YAML contains already.
 
     Raises:
-        BadInputError: the rig is invalid; or the parameters belong to another arm or model variant.
+        BadInputError: the parameters belong to another arm or model variant.
     """
-    config = parse(rig_yaml, file)
-    if instead_of:
-        parameters = replace(parameters, found=_relative_to_overlay(parameters.found, recorded(instead_of).found))
     found = parameters.found
     _check(config, Path(file).name, parameters, variant)
     data = yaml.safe_load(rig_yaml)
@@ -172,54 +167,8 @@ def overlay(
     return head + yaml.safe_dump(data, sort_keys=False, width=120, default_flow_style=None)
 
 
-def without_parameters(rig_yaml: str, file: str | Path, applied: str) -> str:
-    """Return a rig's YAML without the overlay of the parameters whose text is `applied`.
-
-    Material and cap mass stay: the next overlay replaces them.
-    """
-    parameters = recorded(applied)
-    found = parameters.found
-    nothing = Mounting(base_translation_mm=(0, 0, 0), base_rotation_deg=(0, 0, 0), tool_offset_mm=(0, 0, 0))
-    plain = found.model_copy(
-        update={
-            "arm": found.arm.model_copy(update={"geometry": found.identified.geometry}),
-            "mounting": nothing,
-            "sensing": found.sensing.model_copy(update={"gain": (1.0,) * len(found.sensing.gain)}),
-        }
-    )
-    return overlay(rig_yaml, file, replace(parameters, found=plain), found.identified.variant, instead_of=applied)
-
-
-def overlay_file(
-    rig_yaml: str, file: str | Path, parameters: Path, variant: Variant | None = None, instead_of: str = ""
-) -> tuple[str, str]:
-    """Apply a parameter file as `overlay` does; return the YAML and the file's text."""
-    found = read(parameters)
-    return overlay(rig_yaml, file, found, variant, instead_of), found.source.text
-
-
 def _validated(source: document.Document) -> Parameters:
     return Parameters(document.validate(ParametersFile, source), source)
-
-
-def _relative_to_overlay(found: ParametersFile, applied: ParametersFile) -> ParametersFile:
-    """Express parameters relative to the same rig with the overlay `applied`."""
-    if len(found.sensing.gain) != len(applied.sensing.gain):
-        return found
-    base = placement_of(_base(applied.mounting).inverse() @ _base(found.mounting))
-    tool = np.subtract(found.mounting.tool_offset_mm, applied.mounting.tool_offset_mm)
-    mounting = Mounting(
-        base_translation_mm=base.translation_mm,
-        base_rotation_deg=base.rotation_deg,
-        tool_offset_mm=tuple(tool.tolist()),
-    )
-    identified = found.identified
-    counts = {len(one.geometry.actuator_angles_deg) for one in (identified, applied.identified, applied.arm)}
-    if len(counts) == 1 and not differing_fields(identified.geometry, applied.identified.geometry):
-        identified = identified.model_copy(update={"geometry": applied.arm.geometry})
-    gain = np.divide(found.sensing.gain, applied.sensing.gain)
-    sensing = found.sensing.model_copy(update={"gain": tuple(gain.tolist())})
-    return found.model_copy(update={"identified": identified, "mounting": mounting, "sensing": sensing})
 
 
 def _check(config: RigConfig, rig: str, parameters: Parameters, variant: Variant | None) -> None:
@@ -242,8 +191,8 @@ def _check(config: RigConfig, rig: str, parameters: Parameters, variant: Variant
             f"{len(then.actuator_angles_deg)} actuators",
             f"{config.actuators}, as {rig} has",
         )
-    elif (other := differing_fields(now, then)) and differing_fields(now, found.arm.geometry):
-        for name in other:
+    else:
+        for name in differing_fields(now, then):
             mine, theirs = (", ".join(f"{x:.6g}" for x in np.ravel(getattr(g, name))) for g in (now, then))
             refuse(("identified", "geometry", name), theirs, f"{mine}, as {rig} has: it is another arm")
     if len(found.sensing.gain) != config.actuators and not problems:
@@ -269,8 +218,8 @@ def differing_fields(one: Geometry, other: Geometry) -> list[str]:
     return found
 
 
-def _merge(target: dict[str, Any], overlay_file: Mapping[str, Any]) -> None:
-    for key, value in overlay_file.items():
+def _merge(target: dict[str, Any], values: Mapping[str, Any]) -> None:
+    for key, value in values.items():
         if isinstance(value, Mapping):
             _merge(target.setdefault(key, {}), value)
         else:

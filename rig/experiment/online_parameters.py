@@ -12,7 +12,7 @@ from calibration.identify.parameters import Parameter, Setup, named
 from calibration.identify.parameters_document import write
 from calibration.identify.results import NORMAL_95, Estimate, RunFit, Verdict
 from rig.config.arm_model import model_arm
-from rig.config.loader import parse
+from rig.config.loader import recorded
 from rig.config.model_variant import variant_named
 from rig.identify.initial_setup import baseline_geometry
 from runs.records import DetectionStatus
@@ -52,7 +52,7 @@ def write_parameters(run: Run) -> Path | None:
 
 def found(run: Run, adaptation: Adaptation) -> OnlineResult:
     """Return the estimates after the last frame, and the residuals of the run during estimation."""
-    config = parse(run.header.rig_yaml, f"{run.path}: the rig's YAML")
+    config = recorded(run.header, run.path).config
     start = Setup(model_arm(config, variant_named(run.header.model_variant)))
     parameters = named(adaptation.parameter, config.actuators)
     setup = start

@@ -5,7 +5,7 @@ from __future__ import annotations
 import shlex
 import sys
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 
 from protocols import BadInputError, Problem
 from rig.config import loader
+from rig.config.loader import RigFile
 from rig.config.model_variant import VARIANTS
-from rig.config.parameters_overlay import overlay, overlay_file, recorded, without_parameters
+from rig.config.parameters_overlay import read as read_parameters
 from rig.config.schema import RigConfig
 from rig.config.sections import PA_PER_BAR, Variant
 from rig.experiment.provenance import git_state, quantities, versions
@@ -25,19 +26,8 @@ from rig.hardware.cameras.base import Frame, FrameSet
 from rig.observation.observer import Observer
 from runs.archive.writer import ArchiveError, finalise
 from runs.journal.journal import SUFFIX, JournalWriter
-from runs.records import RunFooter, SourceFile, sample_dtype
+from runs.records import RunFooter, sample_dtype
 from runs.run import Run
-
-
-@dataclass(frozen=True)
-class ReplayRig:
-    """The rig of a replay: YAML with all overlays, configuration, sources, parameters and model variant."""
-
-    yaml: str
-    config: RigConfig
-    sources: tuple[SourceFile, ...]
-    parameters: str
-    variant: Variant
 
 
 def replay(
@@ -60,9 +50,9 @@ def replay(
     """
     if not len(run.frames.index):
         raise ArchiveError(f"{run.path} holds no pictures: there is nothing to replay")
-    settings = replay_settings(run, rig, variant, parameters, calibrations)
-    config = settings.config
-    rows = np.array(list(_observed(run, config, settings.variant)))
+    rig_file, chosen = replay_rig(run, rig, variant, parameters, calibrations)
+    config = rig_file.config
+    rows = np.array(list(_observed(run, config, chosen)))
     now = datetime.now(UTC)
     commit, diff = git_state()
     folder.mkdir(parents=True, exist_ok=True)
@@ -72,10 +62,10 @@ def replay(
         parent=run.header.run_id,
         notes="; ".join(filter(None, (run.header.notes, f"replayed {now:%Y-%m-%d %H:%M} UTC"))),
         rig_name=config.name,
-        rig_yaml=settings.yaml,
-        sources=settings.sources,
-        parameters_yaml=settings.parameters,
-        model_variant=settings.variant,
+        rig_yaml=rig_file.text,
+        calibrations=rig_file.calibrations,
+        parameters_yaml=rig_file.parameters,
+        model_variant=chosen,
         cameras=tuple(config.cameras),
         command=shlex.join(sys.argv),
         versions=versions(),
@@ -93,42 +83,29 @@ def replay(
     return finalise(journal.path)
 
 
-def replay_settings(
+def replay_rig(
     run: Run,
     rig: str | None = None,
     variant: Variant | None = None,
     parameters: Path | None = None,
     calibrations: Sequence[Path] = (),
-) -> ReplayRig:
-    """Return the rig, sources and model variant of a replay; see `replay`.
-
-    Calibrations apply to the rig without identified parameters: the run's parameters are removed first, and applied
-    again unless others are given.
+) -> tuple[RigFile, Variant]:
+    """Return the rig and the model variant of a replay; see `replay`.
 
     Raises:
         BadInputError: the rig is invalid, or has another number of actuators.
     """
-    text = run.header.rig_yaml if rig is None else loader.text(rig)
-    file = f"{run.path}: rig" if rig is None else str(loader.path_of(rig))
-    sources = run.header.sources if rig is None else loader.sources(rig)
-    parameters_yaml = run.header.parameters_yaml if rig is None else ""
+    found = loader.recorded(run.header, run.path) if rig is None else loader.read(rig)
+    chosen = variant or (_variant(run) if rig is None else found.config.model.variant)
     if calibrations:
-        text, sources = loader.calibrated(
-            without_parameters(text, file, parameters_yaml) if parameters_yaml else text, file, calibrations
-        )
-        if parameters_yaml and parameters is None:
-            text = overlay(text, file, recorded(parameters_yaml))
-    config = loader.parse(text, file)
-    chosen = variant or (_variant(run) if rig is None else config.model.variant)
+        found = found.calibrated(calibrations)
     if parameters is not None:
-        text, parameters_yaml = overlay_file(
-            text, file, parameters, chosen, instead_of="" if calibrations else parameters_yaml
-        )
-        config = loader.parse(text, f"rig with {parameters}")
-    if config.actuators != run.header.actuators:
+        found = found.identified(read_parameters(parameters), chosen)
+    if found.config.actuators != run.header.actuators:
         expected = f"a rig with {run.header.actuators} actuators, as the run had"
-        raise BadInputError([Problem("--rig", 0, 0, "", f"{config.name}, which has {config.actuators}", expected)])
-    return ReplayRig(text, config, sources, parameters_yaml, chosen)
+        value = f"{found.config.name}, which has {found.config.actuators}"
+        raise BadInputError([Problem("--rig", 0, 0, "", value, expected)])
+    return found, chosen
 
 
 def _variant(run: Run) -> Variant:

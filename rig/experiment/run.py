@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, TypeVar
 
 import protocols
 from protocols import BadInputError, Problem, Protocol, Trajectory
-from rig.config.loader import RigChoice, Source, parse, path_of, read
+from rig.config.loader import RigChoice, RigFile, Source, read
 from rig.config.model_variant import variant_named
 from rig.config.schema import RigConfig
 from rig.config.sections import Variant
@@ -51,9 +51,7 @@ class RunRequest:
     """The operator's request for a run."""
 
     protocol: Protocol
-    config: RigConfig
-    rig_file: Path
-    rig_text: str
+    rig: RigFile
     fast: bool
     seed: int
     folder: Path
@@ -62,10 +60,17 @@ class RunRequest:
     notes: str = ""
     report: bool = True
     adapted: tuple[Quantity, ...] = ()
-    sources: tuple[SourceFile, ...] = ()
-    parameters_text: str = ""
-    """Text of the identified parameters that `rig_text` contains."""
     rig_source: Source = Source.OPTION
+
+    @property
+    def config(self) -> RigConfig:
+        """Configuration of the rig."""
+        return self.rig.config
+
+    @property
+    def rig_file(self) -> Path:
+        """Path of the rig file."""
+        return Path(self.rig.file)
 
 
 @dataclass(frozen=True)
@@ -112,12 +117,11 @@ def request(
     chosen = _collecting(problems, variant_named, variant)
     if problems or loaded_protocol is None or rig_read is None:
         raise BadInputError(problems)
-    config, rig_text, parameters_text = rig_read.config, rig_read.text, ""
     if parameters is not None:
-        from rig.config.parameters_overlay import overlay_file
+        from rig.config.parameters_overlay import read as read_parameters
 
-        rig_text, parameters_text = overlay_file(rig_text, path_of(rig), parameters, chosen)
-        config = parse(rig_text, f"{path_of(rig)} with {parameters}")
+        rig_read = rig_read.identified(read_parameters(parameters), chosen)
+    config = rig_read.config
     adapted: tuple[Quantity, ...] = ()
     if adapt is not None:
         from rig.observation.online_estimation import default_parameters, estimated_quantities
@@ -126,9 +130,7 @@ def request(
         adapted = estimated_quantities(config, variant_used, adapt or default_parameters(variant_used))
     return RunRequest(
         protocol=loaded_protocol,
-        config=config,
-        rig_file=path_of(rig),
-        rig_text=rig_text,
+        rig=rig_read,
         fast=fast,
         seed=seed,
         folder=folder,
@@ -137,8 +139,6 @@ def request(
         notes=notes,
         report=report,
         adapted=adapted,
-        sources=rig_read.sources,
-        parameters_text=parameters_text,
         rig_source=source,
     )
 
@@ -277,10 +277,10 @@ def header(request: RunRequest, decided: Plan, t_ns: int, ahead_ns: int = 0) -> 
         protocol_name=protocol.name,
         protocol_yaml=protocol.text,
         rig_name=config.name,
-        rig_yaml=request.rig_text,
+        rig_yaml=request.rig.text,
         protocol_files=tuple(SourceFile.of(name, "csv", text) for name, text in protocol.files.items()),
-        sources=request.sources,
-        parameters_yaml=request.parameters_text,
+        calibrations=request.rig.calibrations,
+        parameters_yaml=request.rig.parameters,
         actuators=config.actuators,
         valves=len(config.valves),
         executor="virtual time" if request.fast else "real time",

@@ -14,11 +14,11 @@ from calibration.identify.parameters import Prior, Setup, UnknownParameter, name
 from calibration.identify.results import Fit
 from protocols import BadInputError, Problem
 from rig.config.arm_model import model_arm
-from rig.config.parameters_overlay import overlay
+from rig.config.loader import RigFile
 from rig.config.parameters_overlay import read as read_parameters
 from rig.config.schema import RigConfig
 from rig.config.sections import PA_PER_BAR
-from rig.identify.initial_setup import InitialSetup, rig_of
+from rig.identify.initial_setup import rig_of
 from rig.observation.online_estimation import default_parameters
 from runs.report.drawing import save
 from runs.run import Run
@@ -36,19 +36,19 @@ Progress = Callable[[int, int], None]
 class FitsByStart:
     """The fit from each initial rig, by its name; `best` has the maximum likelihood."""
 
-    rigs: Mapping[str, InitialSetup]
+    rigs: Mapping[str, RigFile]
     fits: Mapping[str, Fit]
     best: str
 
 
-def rig_with(rig: InitialSetup, parameters: Path) -> str:
+def rig_with(rig: RigFile, parameters: Path) -> str:
     """Return a rig's YAML with identified parameters and their model variant applied.
 
     Raises:
         BadInputError: the parameter file is invalid, or belongs to another arm.
     """
     found = read_parameters(parameters)
-    return overlay(rig.yaml, rig.file, found, found.found.identified.variant, rig.parameters_yaml)
+    return rig.identified(found, found.found.identified.variant).yaml
 
 
 def poses(run: Run, quasi_static: bool = False) -> Poses:
@@ -82,7 +82,7 @@ def from_runs(archives: Sequence[Run], free: Sequence[str], priors: Mapping[str,
 
 
 def most_likely_fit(
-    rigs: Mapping[str, InitialSetup],
+    rigs: Mapping[str, RigFile],
     data: Sequence[Poses],
     free: Sequence[str],
     priors: Mapping[str, Prior],

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -14,46 +13,23 @@ from calibration.identify.data import NoDataError
 from calibration.identify.parameters import Setup, known
 from calibration.identify.parameters_document import Baseline
 from rig.config.arm_model import model_arm, true_arm
-from rig.config.loader import load, parse, path_of, text
+from rig.config.loader import RigFile, read, recorded
 from rig.config.optics import rigid
-from rig.config.parameters_overlay import differing_fields, recorded
+from rig.config.parameters_overlay import ParametersFile, differing_fields
+from rig.config.parameters_overlay import recorded as recorded_parameters
 from rig.config.schema import RigConfig
 from rig.config.sections import Geometry, Sensor
 from runs.run import Run
 
 
-@dataclass(frozen=True)
-class InitialSetup:
-    """An initial rig: its YAML, the file of that, the configuration, and the text of the applied parameters."""
-
-    yaml: str
-    file: str
-    config: RigConfig
-    parameters_yaml: str = ""
-
-    @classmethod
-    def named(cls, name: str) -> InitialSetup:
-        """Return the rig of a name or file; raises as `rig.config.loader.load` does."""
-        return cls(text(name), str(path_of(name)), load(name))
-
-    @classmethod
-    def of(cls, run: Run) -> InitialSetup:
-        """Return the rig of a run.
-
-        Raises:
-            NoDataError: the archive is an import without a rig.
-        """
-        return cls(run.header.rig_yaml, f"{run.path}: the rig's YAML", rig_of(run), run.header.parameters_yaml)
-
-
-def starting_rigs(first: Run, names: Sequence[str]) -> dict[str, InitialSetup]:
+def starting_rigs(first: Run, names: Sequence[str]) -> dict[str, RigFile]:
     """Return the initial rigs by name: the named ones, or else the first run's own.
 
     Raises:
         BadInputError: a named rig is invalid.
         NoDataError: no rig is named, and the archive is an import without one.
     """
-    return {name: InitialSetup.named(name) for name in names} or {first.header.rig_name: InitialSetup.of(first)}
+    return {name: read(name) for name in names} or {first.header.rig_name: recorded_rig(first)}
 
 
 def open_archives(paths: Sequence[Path]) -> tuple[list[Run], tuple[str, ...]]:
@@ -129,23 +105,26 @@ def _check_rigs(archives: Sequence[Run]) -> tuple[str, ...]:
 
 def _geometry(run: Run) -> Geometry:
     """Return the geometry of a run's rig without identified parameters."""
-    if run.header.parameters_yaml:
-        return recorded(run.header.parameters_yaml).found.identified.geometry
-    return rig_of(run).arm.geometry
+    return recorded_rig(run).without_parameters().config.arm.geometry
 
 
 def _recorded_overlay(run: Run) -> tuple[object, ...] | None:
     """Return the mounting and gains of a run's overlay; None where it has no effect on the measurements."""
-    if not run.header.parameters_yaml:
+    found = _parameters(run)
+    if found is None:
         return None
-    found = recorded(run.header.parameters_yaml).found
     moved, gain = found.mounting.model_dump(), found.sensing.gain
     numbers = (*(x for _, triple in sorted(moved.items()) for x in triple), *(g - 1 for g in gain))
     return numbers if any(numbers) else None
 
 
-def rig_of(run: Run) -> RigConfig:
-    """Return the rig of a run.
+def _parameters(run: Run) -> ParametersFile | None:
+    text = run.header.parameters_yaml
+    return recorded_parameters(text).found if text else None
+
+
+def recorded_rig(run: Run) -> RigFile:
+    """Return the rig of a run: its file and its overlays.
 
     Raises:
         NoDataError: the archive is an import without a rig.
@@ -154,7 +133,12 @@ def rig_of(run: Run) -> RigConfig:
         raise NoDataError(
             f"{run.path}: the archive holds no rig; name one in the import's mapping (rig: FILE), or with --start"
         )
-    return parse(run.header.rig_yaml, f"{run.path}: the rig's YAML")
+    return recorded(run.header, run.path)
+
+
+def rig_of(run: Run) -> RigConfig:
+    """Return the configuration of a run's rig; raises as `recorded_rig` does."""
+    return recorded_rig(run).config
 
 
 def setup_of(run: Run) -> Setup:
@@ -168,9 +152,9 @@ def setup_of(run: Run) -> Setup:
 
 def baseline_geometry(run: Run, start: Setup, from_recorded_rig: bool = True) -> Baseline | None:
     """Return the parameters of a run's overlay; None without one. `from_recorded_rig`: `start` is that rig's arm."""
-    if not run.header.parameters_yaml:
+    found = _parameters(run)
+    if found is None:
         return None
-    found = recorded(run.header.parameters_yaml).found
     mounting = found.mounting
     setup = Setup(
         start.arm,

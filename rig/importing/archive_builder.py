@@ -76,7 +76,8 @@ def import_table(data: Path, mapping_file: Path, folder: Path, operator: str = "
         BadInputError: every problem of the mapping and the data.
     """
     mapping, document = load(mapping_file)
-    rig_name, rig_text, length_m = _rig(mapping, document)
+    rig = _rig(mapping, document)
+    length_m = None if rig is None else rig.config.arm.geometry.length_mm * 1e-3
     columns = Columns(read_table(data, mapping.file))
     read = times(columns, mapping)
     t_ns = read.t_ns
@@ -104,8 +105,9 @@ def import_table(data: Path, mapping_file: Path, folder: Path, operator: str = "
         protocol_name=f"import {mapping_file.stem}",
         # The mapping takes the place of the protocol.
         protocol_yaml=document.text,
-        rig_name=rig_name,
-        rig_yaml=rig_text,
+        rig_name="" if rig is None else rig.config.name,
+        rig_yaml="" if rig is None else rig.text,
+        calibrations=() if rig is None else rig.calibrations,
         actuators=mapping.actuators,
         valves=valve_v.shape[1],
         executor="imported",
@@ -179,19 +181,19 @@ def _doubt_units(columns: Columns, t_ns: Ints, gauge_pa: Floats, tip_m: Floats, 
         columns.warn(f"the tip lies {1e3 * far_m:.3g} mm from the base{arm}: are unit, base and frame right?")
 
 
-def _rig(mapping: Mapping, document: Document) -> tuple[str, str, float | None]:
-    """Name, YAML and arm's length [m] of the rig that the mapping names; nothing where it names none."""
+def _rig(mapping: Mapping, document: Document) -> loader.RigFile | None:
+    """Return the rig that the mapping names; None where it names none."""
     if mapping.rig is None:
-        return "", "", None
+        return None
     beside = Path(document.file).parent / mapping.rig
     name = str(beside) if beside.is_file() else mapping.rig
-    config = loader.load(name)
-    if config.actuators != mapping.actuators:
+    found = loader.read(name)
+    if found.config.actuators != mapping.actuators:
         mark = document.position(("rig",))
-        found = f"{mapping.rig}, which has {config.actuators} actuators"
+        value = f"{mapping.rig}, which has {found.config.actuators} actuators"
         expected = f"a rig with {mapping.actuators} actuators, as there are pressures"
-        raise BadInputError([Problem(document.file, mark.line, mark.column, "rig", found, expected)])
-    return config.name, loader.text(name), config.arm.geometry.length_mm * 1e-3
+        raise BadInputError([Problem(document.file, mark.line, mark.column, "rig", value, expected)])
+    return found
 
 
 def _started_utc_ns(columns: Columns, mapping: Mapping, document: Document, read: RowTimes) -> int:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 import model
 from protocols import BadInputError
 from rig.config.arm_model import TipLoad, model_arm
-from rig.config.loader import parse
+from rig.config.loader import recorded
 from rig.config.schema import RigConfig
 from rig.config.sections import PA_PER_BAR
 from rig.live.messages import Message
@@ -87,7 +87,7 @@ class ArchivedRun:
     def _config(self) -> RigConfig | None:
         """The archived rig; None where this version cannot parse it."""
         try:
-            return parse(self.run.header.rig_yaml, self.run.path)
+            return recorded(self.run.header, self.run.path).config
         except BadInputError:
             return None
 

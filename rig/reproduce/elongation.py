@@ -22,7 +22,7 @@ from calibration.identify.paper_identification import (
 )
 from model.tube import BallooningError, Tube
 from rig.config.arm_model import model_geometry
-from rig.config.loader import parse
+from rig.config.loader import recorded
 from rig.config.sections import PA_PER_BAR
 from rig.reproduce.comparison import PaperComparison, PaperFigure
 from rig.reproduce.experiments import origin
@@ -42,7 +42,7 @@ class Elongations:
     def __init__(self, runs: Mapping[str, Run]) -> None:
         weights, pressure = runs["extension-weights"], runs["extension-pressure"]
         self.origin = origin(weights, pressure)
-        config = parse(weights.header.rig_yaml, f"{weights.path}: the rig's YAML")
+        config = recorded(weights.header, weights.path).config
         geometry = model_geometry(config.arm.geometry)
         self.length_m = geometry.length_m
         self.weights: Elongation = elongation(at_rest(weights), geometry.length_m)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from model.paper.rod import PaperRod
 from rig.config.arm_model import model_arm
-from rig.config.loader import parse
+from rig.config.loader import recorded
 from rig.config.sections import PA_PER_BAR
 from rig.reproduce.comparison import PaperComparison, PaperFigure
 from rig.reproduce.experiments import origin
@@ -58,7 +58,7 @@ class SinusoidalRun:
 
     def by_method(self, space: Space, scheme: str, alpha: float, steps: int) -> Array:
         """Tips (k, 3) [mm] over the second by one of Table 4's methods, from rest at its first pressures."""
-        config = parse(self.run.header.rig_yaml, f"{self.run.path}: the rig's YAML")
+        config = recorded(self.run.header, self.run.path).config
         arm = replace(model_arm(config), variant="inhomogeneous+rpe", modulus_rule="secant")
         pressure = self.run.tip.pressure_bar[self.second] * PA_PER_BAR
         rod = PaperRod(arm, 1 / self.run.header.camera_hz, scheme, alpha, space=space, steps=steps)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from calibration.identify.data import at_rest
 from model.arm import Variant
 from rig.config.arm_model import model_arm
-from rig.config.loader import parse
+from rig.config.loader import recorded
 from rig.config.sections import PA_PER_BAR
 from rig.reproduce.comparison import PaperComparison, PaperFigure
 from rig.reproduce.experiments import origin
@@ -41,7 +41,7 @@ class RestPositions:
         self.tips_m: dict[Variant, list[Array]] = {variant: [] for variant, *_ in MODELS}
         for name in ("ramp-a", "ramp-b"):
             run = runs[name]
-            arm = model_arm(parse(run.header.rig_yaml, f"{run.path}: the rig's YAML"))
+            arm = model_arm(recorded(run.header, run.path).config)
             poses = at_rest(run)
             # A sensor's zero is no push: what is not driven is at rest.
             driven = poses.pressure_pa.max(axis=1) > _LEAST_PA

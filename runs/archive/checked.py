@@ -264,8 +264,9 @@ def _check_attributes(file: h5py.File) -> None:
     version = file.attrs["layout_version"]
     if not isinstance(version, np.integer | int):
         raise WrongError(_shown(version), "an integer", ", @layout_version")
-    if version > layout.VERSION:
-        raise WrongError(f"layout {version}", f"at most {layout.VERSION}: a newer softrig made it", ", @layout_version")
+    if version != layout.VERSION:
+        made = "a newer" if version > layout.VERSION else "an older"
+        raise WrongError(f"layout {version}", f"{layout.VERSION}: {made} softrig made it", ", @layout_version")
     _text_of(file.attrs["content_sha256"], ", @content_sha256")
 
 

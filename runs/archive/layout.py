@@ -29,8 +29,8 @@ from runs.archive.fields import (
 from runs.journal.journal import Journal
 from runs.records import BACKBONE_POINTS, DetectionStatus, Event, Level, Status
 
-VERSION = 1
-"""Increased when a field moves or changes its meaning; readers refuse newer versions."""
+VERSION = 2
+"""Increased when a field moves or changes its meaning; readers refuse every other version."""
 
 MM_PER_M = 1e3
 MOST_CHANNELS = 4096
@@ -62,7 +62,7 @@ def groups(journal: Journal) -> tuple[Group, ...]:
             provenance.protocol(journal),
             provenance.rig(journal),
             provenance.protocol_files(journal),
-            provenance.sources(journal),
+            provenance.calibration_files(journal),
             provenance.versions(journal),
             provenance.git(journal),
             _pressure(journal),

@@ -41,15 +41,19 @@ def protocol(journal: Journal) -> Group:
 
 
 def rig(journal: Journal) -> Group:
-    """The rig as it was used."""
+    """The rig file and its identified parameters."""
     header = journal.header
     return Group(
         "entry/rig",
         "NXcollection",
         (
             Field("name", header.rig_name),
-            Field("yaml", header.rig_yaml, about="the rig as it was used, verbatim"),
-            Field("parameters", header.parameters_yaml, about="identified parameters laid over the rig, verbatim"),
+            Field("yaml", header.rig_yaml, about="the rig file, verbatim"),
+            Field(
+                "parameters",
+                header.parameters_yaml,
+                about="identified parameters applied to the rig, verbatim; or empty",
+            ),
         ),
     )
 
@@ -73,9 +77,9 @@ def protocol_files(journal: Journal) -> Group | None:
     )
 
 
-def sources(journal: Journal) -> Group | None:
-    """The rig file and its calibration files; None if there are none."""
-    files = journal.header.sources
+def calibration_files(journal: Journal) -> Group | None:
+    """The calibration files applied to the rig; None if there are none."""
+    files = journal.header.calibrations
     if not files:
         return None
     by = ("name",)
@@ -84,11 +88,11 @@ def sources(journal: Journal) -> Group | None:
         "NXcollection",
         (
             Field("name", [f.name for f in files], any_length=True),
-            Field("kind", [f.kind for f in files], about="rig, camera, dlt, tool or pressure", scales=by),
+            Field("kind", [f.kind for f in files], about="camera, dlt, tool or pressure", scales=by),
             Field("sha256", [f.sha256 for f in files], about="of the text", scales=by),
             Field("yaml", [f.text for f in files], about="verbatim", scales=by),
         ),
-        about="what the rig as it was used was made of",
+        about="calibrations applied to the rig, in this order",
     )
 
 

@@ -178,7 +178,7 @@ def _journal(actuators: int, valves: int, *, everything: bool) -> Journal:
         intervals=(Interval(0.0, 0.0, "", "", ()),),
         quantities=quantities if everything else (),
         protocol_files=files if everything else (),
-        sources=files if everything else (),
+        calibrations=files if everything else (),
         adapted=adapted if everything else (),
     )
     rows = 1 if everything else 0

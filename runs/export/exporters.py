@@ -5,16 +5,18 @@ from __future__ import annotations
 import csv
 import itertools
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path, PurePath
 from typing import Any
 
 import numpy as np
+import yaml
 
 from runs.archive import layout
 from runs.archive.checked import ArchiveError, opened
 from runs.archive.schema import BYTES
 from runs.overwriting import WouldOverwriteError, staged
+from runs.records import SourceFile
 from runs.run import Run
 from runs.table import TABLES, segments, table
 
@@ -142,10 +144,10 @@ def _nc(source: Path, stem: Path) -> tuple[Path, ...]:
     path = stem.with_name(f"{stem.name}.nc")
     header = Run(source).header
     with netcdf_file(path, "w", version=2) as file:
-        # A text of its own is written as ASCII, which what people write need not be.
+        # SciPy encodes text as ASCII, but bytes as they are.
         texts = {"title": header.title, "run_id": header.run_id, "model": header.model_variant}
-        for name, text in (texts | {"protocol": header.protocol_yaml, "rig": header.rig_yaml}).items():
-            setattr(file, name, text.encode())
+        for name, text in (texts | header.inputs).items():
+            setattr(file, _identifier(name, vars(file)), text.encode())
         file.simulated = int(header.simulated)
         for group in TABLES:
             columns = {name: c for name, c in table(source, group).items() if c.dtype.kind in "fiu"}
@@ -181,26 +183,42 @@ def _mcap(source: Path, stem: Path) -> tuple[Path, ...]:
 
 
 def _yaml(source: Path, stem: Path) -> tuple[Path, ...]:
-    """A folder with protocol, rig and the files that they name: what `rig run` needs to do it again."""
+    """Write a folder with protocol, rig and the files of both: what `rig run` needs to repeat the run."""
     header = Run(source).header
     folder = stem.with_name(f"{stem.name}-inputs")
-    protocol = f"{_file_name(header.protocol_name)}.yaml"
-    texts = {f"{_file_name(header.rig_name)}-rig.yaml": header.rig_yaml} if header.rig_yaml else {}
-    texts[protocol] = header.protocol_yaml
-    # The folder is whole in itself: files from elsewhere come into it, those of one name beside one another.
-    inside: dict[str, str] = {}
-    for file in header.protocol_files:
-        own = PurePath(_file_name(PurePath(file.name).name))
-        inside[file.name] = next(name for name in _numbered(own) if name not in texts)
-        texts[inside[file.name]] = file.text
+    protocol, rig = f"{_file_name(header.protocol_name)}.yaml", f"{_file_name(header.rig_name)}-rig.yaml"
+    texts = {protocol: header.protocol_yaml} | ({rig: header.rig_yaml} if header.rig_yaml else {})
+    if header.parameters_yaml:
+        texts[f"{_file_name(header.rig_name)}-parameters.yaml"] = header.parameters_yaml
+    inside = dict(zip((f.name for f in header.protocol_files), _added(texts, header.protocol_files), strict=True))
     if inside:
-        # The longest first: one name may stand in another, which has a folder before it.
+        # The longest first: one name may be part of another.
         known = "|".join(map(re.escape, sorted(inside, key=len, reverse=True)))
         texts[protocol] = re.sub(known, lambda found: inside[found[0]], header.protocol_yaml)
+    if header.rig_yaml:
+        texts[rig] = _naming(header.rig_yaml, _added(texts, header.calibrations))
     folder.mkdir(exist_ok=True)
     for name, text in texts.items():
         (folder / name).write_text(text, encoding="utf-8")
     return tuple(folder / name for name in texts)
+
+
+def _added(texts: dict[str, str], files: Sequence[SourceFile]) -> list[str]:
+    """Add files to the texts of a folder, each under a free name without folders; return these names."""
+    names = []
+    for file in files:
+        own = PurePath(_file_name(PurePath(file.name).name))
+        names.append(next(name for name in _numbered(own) if name not in texts))
+        texts[names[-1]] = file.text
+    return names
+
+
+def _naming(rig: str, calibrations: list[str]) -> str:
+    """Return a rig file that names these calibrations; verbatim if it does."""
+    data = yaml.safe_load(rig)
+    if list(data.get("calibrations") or ()) == calibrations:
+        return rig
+    return yaml.safe_dump(data | {"calibrations": calibrations}, sort_keys=False, width=120, default_flow_style=None)
 
 
 def _numbered(name: PurePath) -> Iterator[str]:

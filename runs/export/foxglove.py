@@ -52,7 +52,7 @@ def write(run: Run, path: Path) -> None:
             writer.add_message(channels[topic], t_ns, data, t_ns, counts[topic])
         header = run.header
         about = {"run_id": header.run_id, "title": header.title, "simulated": str(header.simulated).lower()}
-        writer.add_metadata("run", about | {"protocol": header.protocol_yaml, "rig": header.rig_yaml})
+        writer.add_metadata("run", about | header.inputs)
         writer.finish()  # type: ignore[no-untyped-call]
 
 

@@ -213,15 +213,10 @@ def _provenance(run: Run) -> str:
     }
     rows = "".join(f"<tr><th>{name}</th><td>{escape(value)}</td></tr>" for name, value in facts.items() if value)
     parts = [f'<h2>How it was made</h2>\n<table class="facts">{rows}</table>', _quantities(run)]
-    verbatim = {
-        "Protocol": header.protocol_yaml,
-        "Rig": header.rig_yaml,
-        "Identified parameters": header.parameters_yaml,
-        "Git diff": header.git_diff,
-    }
-    for name, text in verbatim.items():
+    for name, text in (header.inputs | {"git diff": header.git_diff}).items():
         if text:
-            parts.append(f"<details><summary>{name}, verbatim</summary><pre>{escape(text)}</pre></details>")
+            summary = escape(name[:1].upper() + name[1:])
+            parts.append(f"<details><summary>{summary}, verbatim</summary><pre>{escape(text)}</pre></details>")
     return "\n".join(part for part in parts if part)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import re
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,6 +12,8 @@ import numpy as np
 
 import runs
 import tests.support.synthetic_runs as made_up
+from rig.config import loader
+from rig.config.calibration_files import write
 from rig.experiment import run as experiment
 from rig.experiment.replay import replay
 from runs.archive.writer import finalise
@@ -18,6 +21,7 @@ from runs.export.exporters import export
 from runs.journal import journal
 from runs.records import RunFooter, SourceFile, Status
 from runs.run import Run
+from tests.rig.config.test_calibration_files import camera_file
 from tests.rig.virtual.test_run import Silent
 
 CSV = "time_s,actuator_1_bar\n0,0\n0.2,0.1\n0.4,0.1\n"
@@ -71,3 +75,26 @@ def test_files_of_one_name_from_several_folders_come_out_beside_one_another(tmp_
     played = re.findall(r"file: ([^,]+),", written["played.yaml"].read_text())
     assert [written[inside].read_text() for inside in played] == [f"of {name}" for name in names]
     assert len(written) == len(names) + 2
+
+
+def test_overlays_of_the_rig_come_out_beside_it_and_give_the_same_rig(tmp_path: Path) -> None:
+    (tmp_path / "cal").mkdir()
+    write(camera_file(), tmp_path / "cal" / "c.yaml")
+    rig = tmp_path / "my.yaml"
+    rig.write_text(loader.text("mock").replace("name: mock\n", "name: mock\ncalibrations: [cal/c.yaml]\n"))
+    found = loader.read(rig)
+    about = replace(
+        made_up.header(), rig_yaml=found.text, calibrations=found.calibrations, parameters_yaml="identified: here\n"
+    )
+    writer = journal.JournalWriter(tmp_path / "run.mcap", about)
+    writer.close(RunFooter(made_up.START_NS, Status.FINISHED, ""))
+    archive = finalise(writer.path)
+    header = runs.open(archive).header
+    assert (header.rig_yaml, header.calibrations) == (rig.read_text(), found.calibrations)
+    assert loader.recorded(replace(header, parameters_yaml=""), archive).config == found.config
+
+    written = {path.name: path for path in export(archive, "yaml", tmp_path)}
+    assert written["c.yaml"].read_text() == (tmp_path / "cal" / "c.yaml").read_text()
+    assert written["mock-parameters.yaml"].read_text() == "identified: here\n"
+    shutil.rmtree(tmp_path / "cal")
+    assert loader.load(written["mock-rig.yaml"]) == found.config

@@ -161,9 +161,10 @@ def test_a_run_uses_every_calibration_and_keeps_them(folder: Path) -> None:
     assert done.exit_code == 0, done.output
     (archive,) = (folder / "data").glob("*.h5")
     header = runs.open(archive).header
-    assert [source.kind for source in header.sources] == ["rig", "camera", "tool", "pressure"]
-    assert header.sources[0].text == (folder / "my.yaml").read_text()
-    assert header.sources[3].text == (folder / "p.yaml").read_text()
+    assert [file.kind for file in header.calibrations] == ["camera", "tool", "pressure"]
+    assert header.rig_yaml == (folder / "my.yaml").read_text()
+    assert header.calibrations[2].text == (folder / "p.yaml").read_text()
+    assert loader.recorded(header, archive).config == loader.load(folder / "my.yaml")
     used = {q.name: q.value for q in header.quantities}
     assert used["front_lens"][0] == read(folder / "c.yaml").found.lens.fx_px
     tip = runs.open(archive).tip
@@ -179,7 +180,7 @@ def test_a_run_can_be_replayed_with_another_calibration(folder: Path, tmp_path: 
     done = rig("replay", str(archive), "--calibration", str(tmp_path / "other.yaml"), "--out", str(tmp_path))
     assert done.exit_code == 0, done.output
     header = runs.open(Path(done.stdout.strip())).header
-    assert [s.name for s in header.sources][-1] == "other.yaml"
+    assert [file.name for file in header.calibrations] == ["t.yaml", "p.yaml", "other.yaml"]
     assert {q.name: q.value for q in header.quantities}["front_lens"][0] == 640.0
 
 

@@ -221,15 +221,17 @@ def test_the_simulator_stays_as_it_was_built(tmp_path: Path) -> None:
 
 def test_a_rig_without_calibrations_is_its_file_verbatim() -> None:
     assert loader.text("mock") == loader.path_of("mock").read_text(encoding="utf-8")
-    assert loader.sources("mock") == ()
+    assert loader.read("mock").yaml == loader.text("mock")
+    assert loader.read("mock").calibrations == ()
 
 
 def test_what_was_used_is_kept_verbatim(tmp_path: Path) -> None:
     write(camera_file(), tmp_path / "c.yaml")
     file = _rig(tmp_path, "c.yaml")
-    own, calibration = loader.sources(file)
-    assert (own.kind, calibration.kind) == ("rig", "camera")
-    assert own.text == file.read_text()
+    rig = loader.read(file)
+    (calibration,) = rig.calibrations
+    assert rig.text == loader.text(file) == file.read_text()
+    assert (calibration.name, calibration.kind) == ("c.yaml", "camera")
     assert calibration.text == (tmp_path / "c.yaml").read_text()
     assert len(calibration.sha256) == 64
 

@@ -18,11 +18,12 @@ from calibration.identify.parameters_document import write
 from calibration.identify.simulated_experiments import perform, plan
 from protocols import BadInputError
 from rig.cli.app import main
+from rig.config import loader
 from rig.config.arm_model import model_arm, true_arm
-from rig.config.loader import calibrated, load, parse, path_of, text
+from rig.config.loader import load, recorded, text
 from rig.config.optics import rigid
-from rig.config.parameters_overlay import overlay, read
-from rig.experiment.replay import replay_settings
+from rig.config.parameters_overlay import read
+from rig.experiment.replay import replay_rig
 from runs.archive.writer import finalise
 from runs.journal.journal import JournalWriter
 from runs.records import DetectionStatus, RunFooter, Status
@@ -75,7 +76,8 @@ def test_simulate_takes_it_and_records_it_verbatim(found: Path, tmp_path: Path) 
     rig("simulate", protocol(tmp_path), "--static", "--parameters", str(found), "--out", str(tmp_path))
     run = newest(tmp_path)
     assert run.header.parameters_yaml == found.read_text()
-    arm = model_arm(parse(run.header.rig_yaml, "rig"))
+    assert run.header.rig_yaml == text("mock")
+    arm = model_arm(recorded(run.header, run.path).config)
     assert arm.material.a1_per_n == 0.0079
     expected = 1e3 * arm.statics([0.3e5, 0, 0]).tip_m
     assert run.tip.model_mm[-1] == pytest.approx(expected, abs=1e-6)
@@ -101,7 +103,7 @@ def test_run_and_replay_measure_from_the_identified_base_and_leave_the_simulated
         assert back == pytest.approx(plain.tip.measured_mm[there], abs=1.0)  # the gain of sensor 1 moves the arm, too
     assert laid.simulated is not None
     assert laid.simulated.tip_mm == pytest.approx(laid.tip.measured_mm, abs=3.0)
-    true, still = true_arm(load("mock")), true_arm(parse(laid.header.rig_yaml, "rig"))
+    true, still = true_arm(load("mock")), true_arm(recorded(laid.header, laid.path).config)
     assert still == true
 
 
@@ -112,17 +114,15 @@ def test_calibrations_of_a_replay_lie_under_the_parameters_as_in_a_rigs_file(fou
     )
     assert newer.read_text() != found.read_text()
     calibration = dlt_file(tmp_path)
-    about = replace(
-        made_up.header(), rig_yaml=overlay(text("mock"), "mock", read(found)), parameters_yaml=found.read_text()
-    )
+    about = replace(made_up.header(), rig_yaml=text("mock"), parameters_yaml=found.read_text())
     journal = JournalWriter(tmp_path / "run.mcap", about)
     journal.close(RunFooter(made_up.START_NS, Status.FINISHED, ""))
     run = runs.open(finalise(journal.path))
-    under = calibrated(text("mock"), "mock", [calibration])[0]
+    under = loader.read("mock").calibrated([calibration])
     for newly, laid in ((None, found), (newer, newer)):
-        bench = replay_settings(run, parameters=newly, calibrations=[calibration])
+        bench, _ = replay_rig(run, parameters=newly, calibrations=[calibration])
         assert bench.parameters == laid.read_text()
-        expected = parse(overlay(under, "mock", read(laid)), "expected")
+        expected = under.identified(read(laid)).config
         assert bench.config.arm == expected.arm
         for one, other in zip(bench.config.sensors, expected.sensors, strict=True):
             assert one.span_bar == pytest.approx(other.span_bar)
@@ -134,7 +134,7 @@ def test_calibrations_of_a_replay_lie_under_the_parameters_as_in_a_rigs_file(fou
 
 
 def test_what_was_identified_is_found_again_in_the_rig(found: Path) -> None:
-    config = parse(overlay(text("mock"), path_of("mock"), read(found)), "laid")
+    config = loader.read("mock").identified(read(found)).config
     assert config.arm.geometry.length_mm == pytest.approx(175.0)
     assert config.arm.cap_mass_g == pytest.approx(56.0)
     # A sensor that reads 2 % too much at 1 bar is told so.
@@ -154,8 +154,9 @@ def refusal(found: Path, changed: dict[str, object], folder: Path, **rig_changes
         assert own.count(f"{old}: ") >= 1
         start = own.index(f"{old}: ")
         own = own[:start] + f"{old}: {new}" + own[own.index("\n", start) :]
+    (folder / "rig.yaml").write_text(own, encoding="utf-8")
     with pytest.raises(BadInputError) as bad:
-        overlay(own, folder / "rig.yaml", read(file))
+        loader.read(folder / "rig.yaml").identified(read(file))
     return str(bad.value)
 
 

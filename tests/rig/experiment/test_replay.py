@@ -53,7 +53,7 @@ def test_lossless_pictures_give_the_stored_tips_again(lossless: Run, tmp_path: P
 
 
 def test_corners_tips_and_backbone_stand_where_they_are_in_the_stored_pictures(lossless: Run) -> None:
-    parsed = loader.parse(lossless.header.rig_yaml, "rig")
+    parsed = loader.recorded(lossless.header, lossless.path).config
     name = next(iter(parsed.cameras))
     projector, frames, backbone = OverlayProjector(parsed, name, 2), lossless.frames, lossless.backbone
     assert backbone is not None

@@ -16,9 +16,10 @@ from calibration.identify import Setup, in_motion
 from calibration.identify.simulated_experiments import MeasurementErrors, plan
 from calibration.identify.tip_predictor import Predictor
 from rig.cli.app import main
+from rig.config import loader
 from rig.config.arm_model import model_arm
-from rig.config.loader import load, parse, path_of, text
-from rig.config.parameters_overlay import overlay, read
+from rig.config.loader import load, parse, text
+from rig.config.parameters_overlay import read
 from rig.identify.initial_setup import truth_of
 from runs.archive.writer import finalise
 from runs.journal.journal import JournalWriter
@@ -154,8 +155,7 @@ def with_parameters(folder: Path, capsys: pytest.CaptureFixture[str]) -> tuple[P
     found["mounting"]["tool_offset_mm"], found["sensing"]["gain"] = [0.0, 1.0, 0.0], [1.02, 1.0, 1.0]
     found["arm"]["geometry"]["actuator_angles_deg"][0] += 0.5
     file.write_text(yaml.safe_dump(found, sort_keys=False))
-    laid = overlay(text("mock"), path_of("mock"), read(file))
-    moved = archive(folder, "moved", started_utc_ns=2, rig_yaml=laid, parameters_yaml=file.read_text())
+    moved = archive(folder, "moved", started_utc_ns=2, parameters_yaml=file.read_text())
     return plain, file, moved
 
 
@@ -182,10 +182,10 @@ def test_what_is_found_with_parameters_laid_over_a_rig_is_for_the_rig_without_th
     assert second.estimates_count_from is not None
     assert second.estimates_count_from.mounting == read(first).found.mounting
 
-    plain = text("mock"), path_of("mock")
-    wanted = parse(overlay(*plain, read(file)), "wanted")
-    again = overlay(overlay(*plain, read(first)), "laid", read(file), instead_of=first.read_text())
-    for other in (parse(rig.read_text(), "written"), parse(again, "again")):
+    plain = loader.read("mock")
+    wanted = plain.identified(read(file)).config
+    again = plain.identified(read(first)).identified(read(file)).config
+    for other in (parse(rig.read_text(), "written"), again):
         assert other.arm == wanted.arm
         for name, camera in wanted.cameras.items():
             placed = other.cameras[name].placement

@@ -353,11 +353,12 @@ def test_an_archive_damaged_on_the_disk_is_refused_in_one_sentence(path: Path, t
         verify(copy)
 
 
-def test_a_newer_layout_is_refused(path: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize(("step", "made"), [(1, "a newer"), (-1, "an older")])
+def test_another_layout_is_refused(path: Path, tmp_path: Path, step: int, made: str) -> None:
     copy = Path(shutil.copy(path, tmp_path / "copy.h5"))
     with h5py.File(copy, "r+") as file:
-        file.attrs["layout_version"] = layout.VERSION + 1
-    with pytest.raises(ArchiveError, match="found layout 2, expected at most 1: a newer softrig made it"):
+        file.attrs["layout_version"] = layout.VERSION + step
+    with pytest.raises(ArchiveError, match=rf"found layout \d+, expected {layout.VERSION}: {made} softrig made it"):
         runs.open(copy)
 
 
