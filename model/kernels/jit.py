@@ -17,10 +17,32 @@ from pathlib import Path
 from typing import Any
 
 import numba
+from numba.core.codegen import JITCodeLibrary, JITCPUCodegen
 
 # Reassociation and "no NaN" stay off: a step that went wrong must be seen as NaN, and runs must repeat bit for bit.
 _FAST = {"contract", "arcp", "nsz"}
 _KEEP_S = 30 * 86400.0
+
+
+class _OwnCallees(JITCodeLibrary):
+    """Machine code of a kernel that calls its own copies of other kernels.
+
+    numba exports these copies, and the first copy that a process loads serves every caller. But each copy is optimised
+    with its caller and may round differently, so results would depend on whether kernels are compiled or loaded, and on
+    the order of loading.
+    """
+
+    def _finalize_specific(self) -> None:
+        self._finalized = True
+        # What other kernels copy keeps its linkage.
+        self._get_module_for_linking()  # type: ignore[no-untyped-call]
+        for function in self._final_module.functions:
+            if function.linkage.name == "linkonce_odr" and not function.is_declaration:
+                function.linkage = "internal"
+        super()._finalize_specific()  # type: ignore[no-untyped-call]
+
+
+JITCPUCodegen._library_class = _OwnCallees
 
 
 @cache

@@ -28,6 +28,28 @@ def twice():
     return 2 * value()
 """
 
+REASSOCIATED_SUMS = """
+import numpy as np
+from model.kernels.jit import kernel
+
+@kernel
+def twice(room):
+    return moments(room, 101), moments(room, 77)
+
+def moments(room, count):
+    s = s_v = s_e = s_ve = s_ee = 0.0
+    for k in range(count):
+        w, value, e = room[k], room[200 + k], room[400 + k] * room[600 + k]
+        s += w
+        s_v += w * value
+        s_e += w * e
+        s_ve += w * value * e
+        s_ee += w * e * e
+    return (s_ve - s_v * s_e / s) / (s_ee - s_e * s_e / s)
+
+moments = kernel(moments, fastmath=True)
+"""
+
 
 def python(code: str, folder: Path, cache: Path) -> str:
     environment = {**os.environ, "SOFTRIG_CACHE": str(cache), "PYTHONPATH": str(folder)}
@@ -69,6 +91,14 @@ def test_what_was_compiled_is_found_again_and_no_compiler_runs(tmp_path: Path) -
     code = "from model.caller import twice; print(twice(), sum(twice.stats.cache_hits.values()))"
     assert python(code, tmp_path, tmp_path / "cache") == "6 0"
     assert python(code, tmp_path, tmp_path / "cache") == "6 1"
+
+
+def test_a_compiled_kernel_gives_the_bits_of_the_same_kernel_loaded_from_disk(tmp_path: Path) -> None:
+    # The copy of a callee in its caller is optimised once more than the callee itself: it sums in another order.
+    (model_with_a_caller(tmp_path) / "sums.py").write_text(REASSOCIATED_SUMS)
+    code = "import numpy as np; from model.sums import twice; print(twice(np.random.default_rng(0).normal(size=800)))"
+    compiled = python(code, tmp_path, tmp_path / "cache")
+    assert python(code, tmp_path, tmp_path / "cache") == compiled
 
 
 def test_the_cache_leaves_other_users_of_numba_alone(tmp_path: Path) -> None:
