@@ -6,6 +6,7 @@ It runs in the normal scheduling class with a positive nice value; its failure d
 from __future__ import annotations
 
 import asyncio
+import logging
 import os
 import pickle
 import socket
@@ -20,6 +21,7 @@ from rig.execution.plan import StartError
 from rig.live.admission import ACCEPTED_AT_ONCE, Admission, http_protocol
 from rig.live.authentication import AuthenticationMiddleware
 from rig.live.page_configuration import LINGER_S, PageConfiguration
+from rig.live.page_log import PageLog
 from rig.live.run_source import RunSource
 from rig.live.stream import stream
 
@@ -34,6 +36,7 @@ STATIC = Path(__file__).parent / "static"
 def main() -> int:
     """Serve until the run ends, or for an archive until a signal arrives."""
     configuration: PageConfiguration = pickle.load(sys.stdin.buffer)  # written by our own parent, over a pipe
+    logging.basicConfig(handlers=[PageLog()], level=logging.WARNING)
     source = _source(configuration)
     listening = socket.socket(fileno=configuration.fd)
     server = uvicorn.Server(
@@ -42,6 +45,7 @@ def main() -> int:
             http=http_protocol(Admission()),
             backlog=ACCEPTED_AT_ONCE,
             proxy_headers=False,
+            log_config=None,
             log_level="error",
             access_log=False,
             server_header=False,

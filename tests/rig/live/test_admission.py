@@ -7,7 +7,7 @@ import socket
 import subprocess
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from typing import Any
 from urllib.parse import urlsplit
@@ -33,10 +33,10 @@ SLOW_LOGIN = (
 
 
 class Links:
-    """The two links that a page prints."""
+    """The two links that a page prints, and everything that it has printed so far."""
 
-    def __init__(self, operator: str, guest: str) -> None:
-        self.operator, self.guest = operator, guest
+    def __init__(self, operator: str, guest: str, printed: Callable[[], str]) -> None:
+        self.operator, self.guest, self.printed = operator, guest, printed
 
 
 @pytest.fixture(scope="module")
@@ -54,7 +54,7 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Links]:
             start_new_session=True,
         )
     try:
-        links = Links(said(log.read_text, "live page"), said(log.read_text, "guest link"))
+        links = Links(said(log.read_text, "live page"), said(log.read_text, "guest link"), log.read_text)
         request(links.operator)
         yield links
         assert "Traceback" not in log.read_text()
@@ -116,6 +116,37 @@ def test_a_malformed_message_is_refused_and_the_stream_goes_on(page: Links, said
         assert answer["done"] is False
         assert answer["said"].startswith("refused: ")
         assert stream.packet()[0]["now"]
+
+
+def test_text_that_is_not_utf8_closes_the_stream_with_one_line_on_the_terminal(page: Links) -> None:
+    for _ in range(2):
+        with Stream(page.guest) as stream:
+            stream.socket.send(b"\xff\xfe", text=True)
+            with pytest.raises(ConnectionClosed):
+                stream.until("never")
+    assert page.printed().count("UTF-8") == 1
+    assert "Traceback" not in page.printed()
+
+
+def test_a_guest_that_vanishes_after_many_messages_does_not_fill_the_terminal(page: Links) -> None:
+    guest = enter(page.guest)
+    place = urlsplit(page.guest)
+    opening = (
+        f"GET /live/stream HTTP/1.1\r\nHost: {place.netloc}\r\nCookie: {guest}\r\nUpgrade: websocket\r\n"
+        "Connection: Upgrade\r\nSec-WebSocket-Version: 13\r\nSec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n\r\n"
+    ).encode()
+    message = b"[]"  # refused at once
+    frame = bytes([0x81, 0x80 | len(message), 0, 0, 0, 0]) + message  # masked with zeros
+    before = page.printed().count("\n")
+    for _ in range(40):
+        with socket.create_connection((place.hostname or "", place.port or 0), PATIENCE_S) as guest_socket:
+            guest_socket.sendall(opening)
+            guest_socket.recv(1)
+            guest_socket.sendall(frame * 2000)
+            # Unread answers make the kernel reset the connection when it is closed.
+    with Stream(page.operator) as operator:
+        assert operator.packet()[0]["now"]
+    assert page.printed().count("\n") <= before + 1
 
 
 def test_connections_of_a_guest_take_no_operators_place(page: Links) -> None:
