@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from iminuit import Minuit
 
 import model
 from calibration.identify import NoDataError, Poses, Prior, Setup, UnknownParameter, Verdict, identify, named
@@ -277,11 +278,42 @@ def test_the_profile_of_an_unidentified_parameter_is_flat() -> None:
     assert any("base_rz_rad" in words and "actuator_2_turn_rad" in words for words in fit.open_directions)
 
 
-def test_error_bars_of_the_shear_ratio_are_symmetric_in_its_reciprocal() -> None:
+def test_profile_intervals_are_those_of_minos() -> None:
+    """MINOS of iminuit minimises the same loss by a method of its own (MIGRAD, without gradients of the model)."""
+    fit = identify(measured_precisely(true_setup(shear_ratio=0.2)), START, ["law", "rpe_per_bar", "shear_ratio"])
+    problem, solution = fit.problem, fit.solution
+    minuit = Minuit(
+        lambda z: problem.loss(z, solution.weights, solution.correlation),
+        solution.z,
+        name=[unknown.parameter.name for unknown in problem.unknowns],
+    )
+    minuit.errordef = Minuit.LEAST_SQUARES
+    minuit.limits = [(unknown.lower, unknown.upper) for unknown in problem.unknowns]
+    minuit.errors = np.sqrt(np.diag(fit.covariance)) / problem.rates(solution.z)
+    minuit.migrad()
+    assert minuit.valid
+    compared = profiles(fit, lambda estimate: estimate.name in ("rpe_per_bar", "shear_ratio"))
+    minuit.minos(*[found.name for found in compared], cl=0.95)
+    for found in compared:
+        unknown = next(u for u in problem.unknowns if u.parameter.name == found.name)
+        best, ends = minuit.values[found.name], minuit.merrors[found.name]
+        assert ends.is_valid
+        expected = (unknown.at(best + ends.lower), unknown.at(best + ends.upper))
+        assert found.interval == pytest.approx(expected, abs=0.005 * (fit[found.name].std or 0.0))
+    low, high = compared[1].interval
+    assert (high or 0.0) - compared[1].best > 1.1 * (compared[1].best - (low or 0.0)), "a symmetric interval tests less"
+
+
+def measured_precisely(truth: Setup) -> list[Poses]:
+    """The planned runs with a hundredth of the variance, which lets them determine the shear ratio."""
     fine = tuple(
         replace(one, covariance_m2=one.covariance_m2 / 100, pressure_std_pa=one.pressure_std_pa / 10) for one in PLANNED
     )
-    data = done(true_setup(shear_ratio=0.2), planned=fine, errors=MeasurementErrors((2e-5, 4e-5, 2e-5), 5.0, 0.0))
+    return done(truth, planned=fine, errors=MeasurementErrors((2e-5, 4e-5, 2e-5), 5.0, 0.0))
+
+
+def test_error_bars_of_the_shear_ratio_are_symmetric_in_its_reciprocal() -> None:
+    data = measured_precisely(true_setup(shear_ratio=0.2))
     found = identify(data, START, ["law", "rpe_per_bar", "shear_ratio"])["shear_ratio"]
     assert found.value is not None
     assert found.interval is not None
