@@ -29,12 +29,17 @@ def make(folder: Path, run_id: str, **fields: object) -> Path:
     return finalise(folder / f"{run_id}.mcap")
 
 
-@pytest.fixture
-def folder(tmp_path: Path) -> Path:
-    day = 86_400_000_000_000
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    place, day = tmp_path_factory.mktemp("recorded"), 86_400_000_000_000
     for i, run_id in enumerate(("first", "second", "third")):
-        make(tmp_path, run_id, started_utc_ns=made_up.header().started_utc_ns + i * day, protocol_name=f"ramp-{i}")
-    return tmp_path
+        make(place, run_id, started_utc_ns=made_up.header().started_utc_ns + i * day, protocol_name=f"ramp-{i}")
+    return place
+
+
+@pytest.fixture
+def folder(recorded: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(recorded, tmp_path, dirs_exist_ok=True))
 
 
 def names(entries: tuple[Entry, ...]) -> list[str]:

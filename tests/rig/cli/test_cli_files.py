@@ -23,6 +23,7 @@ FIRST, SECOND = "20260102-030405-ramp-a", "20260103-030405-sine-1"
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two runs without camera frames: their reports have the fewest figures."""
     folder = tmp_path_factory.mktemp("made") / "data"
     folder.mkdir()
     for day, run_id in enumerate((SECOND, FIRST)):
@@ -31,7 +32,6 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
         object.__setattr__(header, "started_utc_ns", header.started_utc_ns + day * 86_400_000_000_000)
         writer = JournalWriter(folder / f"{run_id}.mcap", header)
         writer.samples(made_up.samples(1.0))
-        writer.observations(made_up.observations(1.0))
         writer.close(RunFooter(header.started_t_ns + 10**9, Status.FINISHED, ""))
         finalise(folder / f"{run_id}.mcap")
     return folder

@@ -6,6 +6,7 @@ import csv
 import os
 import subprocess
 import sys
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,6 +14,7 @@ import pytest
 from rich.text import Text
 
 import tests.support.synthetic_runs as made_up
+from rig.cli.app import main
 from rig.cli.console import PrintableConsole
 from rig.cli.printable import printable
 from runs.archive.writer import finalise
@@ -40,14 +42,21 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return place
 
 
-def rig(folder: Path, *arguments: str) -> str:
-    """What `rig` prints, in a process of its own."""
-    command = [sys.executable, "-m", "rig", *arguments]
-    done = subprocess.run(
-        command, cwd=folder, capture_output=True, check=False, env={**os.environ, "PYTHONIOENCODING": "utf-8"}
-    )
-    assert b"Traceback" not in done.stderr
-    return (done.stdout + done.stderr).decode()
+Rig = Callable[..., str]
+
+
+@pytest.fixture
+def rig(capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> Rig:
+    """Run `rig` in this process, standing in a folder, and return what it prints."""
+
+    def printed(folder: Path, *arguments: str) -> str:
+        monkeypatch.chdir(folder)
+        with pytest.raises(SystemExit):
+            main(list(arguments))
+        said = capfd.readouterr()
+        return said.out + said.err
+
+    return printed
 
 
 @pytest.mark.parametrize(
@@ -71,21 +80,36 @@ def test_what_a_terminal_would_obey_is_shown(text: str, shown: str) -> None:
     "arguments",
     [("runs", "."), ("show", "odd.h5"), ("show", "\x1b[2J.h5"), ("show", "no\x1b[2Jne"), ("runs", "\x1b[m")],
 )
-def test_nothing_of_an_archive_reaches_the_terminal_raw(folder: Path, arguments: tuple[str, ...]) -> None:
+def test_nothing_of_an_archive_reaches_the_terminal_raw(folder: Path, rig: Rig, arguments: tuple[str, ...]) -> None:
     said = rig(folder, *arguments)
     assert not any(sign in said for sign in RAW)
     assert r"\x1b[" in said
 
 
-def test_every_text_of_an_archive_is_shown_as_it_is(folder: Path) -> None:
+def test_nothing_of_an_archive_leaves_a_process_raw(folder: Path) -> None:
+    environment = {**os.environ, "PYTHONIOENCODING": "utf-8"}
+    command = [sys.executable, "-m", "rig", "show", "odd.h5"]
+    done = subprocess.run(command, cwd=folder, capture_output=True, check=False, env=environment)
+    said = done.stdout.decode()
+    assert not done.stderr
+    assert not any(sign in said for sign in RAW)
+    assert r"\x1b[" in said
+
+
+def test_every_text_of_an_archive_is_shown_as_it_is(folder: Path, rig: Rig) -> None:
     said = rig(folder, "show", "odd.h5").replace("\n", " ")
     assert r"\x1b[31mred\x1b[0m \u202egnp\u202c \x07 \x9b1m [bold]b[/bold] [/x] :bomb:" in said
 
 
 @pytest.mark.parametrize(
-    "arguments", [("check", "odd.yaml"), ("check", "bad.yaml"), ("run", "odd.yaml", "--fast", "--note", ODD, "--yes")]
+    "arguments",
+    [
+        ("check", "odd.yaml"),
+        ("check", "bad.yaml"),
+        ("run", "odd.yaml", "--fast", "--note", ODD, "--yes", "--no-report"),
+    ],
 )
-def test_nothing_of_a_protocol_reaches_the_terminal_raw(tmp_path: Path, arguments: tuple[str, ...]) -> None:
+def test_nothing_of_a_protocol_reaches_the_terminal_raw(tmp_path: Path, rig: Rig, arguments: tuple[str, ...]) -> None:
     steps = "steps:\n  - hold: {duration_s: 0.1}\n"
     title = r"\e[31mred \u202egnp [bold] [/x]"
     (tmp_path / "odd.yaml").write_text(f'title: "{title}"\n{steps}')
@@ -126,7 +150,7 @@ def test_a_report_holds_no_markup_of_others(tmp_path: Path) -> None:
         assert "&lt;script&gt;" in page
 
 
-def test_texts_in_a_csv_are_no_formulas(folder: Path, tmp_path: Path) -> None:
+def test_texts_in_a_csv_are_no_formulas(folder: Path, tmp_path: Path, rig: Rig) -> None:
     rig(folder, "export", "odd.h5", "--to", "csv", "--out", str(tmp_path))
     with (tmp_path / "odd-events.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 
+PATIENCE_S = 60.0
 SCRIPT = Path(__file__).parents[3] / "scripts" / "comedi" / "install.sh"
 PYTHON = """#!/bin/sh
 case "$*" in
@@ -56,7 +57,7 @@ class Bench:
 
     def install(self, **said: str) -> tuple[int, str, str]:
         process = self.start(**said)
-        out, err = process.communicate(timeout=30)
+        out, err = process.communicate(timeout=PATIENCE_S)
         assert not list(self.temporary.iterdir())
         return process.returncode, out, err
 
@@ -94,13 +95,15 @@ def test_a_machine_that_reaches_no_package_index_is_told_how_to_reach_one(bench:
         assert way in wrong.splitlines()[-1]
 
 
-def test_ctrl_c_ends_it_without_a_trace(bench: Bench) -> None:
-    process = bench.start(DURING="sleep 30")
-    until = time.monotonic() + 20
-    while not list(bench.temporary.glob("*/log")) and time.monotonic() < until:
+def test_ctrl_c_ends_it_without_a_trace(bench: Bench, tmp_path: Path) -> None:
+    building, build = tmp_path / "building", tmp_path / "build.sh"
+    build.write_text(f"touch {building}\nexec sleep {10 * PATIENCE_S:g}\n")
+    process = bench.start(DURING=f"sh {build}")
+    until = time.monotonic() + PATIENCE_S
+    while not building.exists() and time.monotonic() < until:
         time.sleep(0.02)
     os.killpg(process.pid, signal.SIGINT)
-    _, wrong = process.communicate(timeout=20)
+    _, wrong = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 130
     assert not wrong
     assert not list(bench.temporary.iterdir())
