@@ -68,7 +68,7 @@ def _write(folder: Path, views: Iterator[View]) -> Path:
     return folder
 
 
-def test_a_folder_says_which_views_it_could_not_use_and_what_would_help(tmp_path: Path) -> None:
+def test_unusable_views_of_a_folder_are_reported_with_a_remedy(tmp_path: Path) -> None:
     folder = _write(tmp_path, _rendered(5))
     cv2.imwrite(str(folder / "blank.png"), np.full((480, 640), 90, np.uint8))
     found = calibrate(folder, (9, 6), 0.016)
@@ -116,7 +116,7 @@ def test_sources_without_views_are_named(tmp_path: Path, make: object, message: 
         calibrate(make(tmp_path), (9, 6), 0.025)  # type: ignore[operator]
 
 
-def test_the_wrong_count_of_corners_is_explained(tmp_path: Path) -> None:
+def test_a_wrong_count_of_corners_is_explained(tmp_path: Path) -> None:
     with pytest.raises(CalibrationError, match="count the inner corners, not the squares"):
         calibrate(_write(tmp_path, _rendered(4)), (10, 7), 0.016)
 
@@ -128,6 +128,6 @@ def test_views_of_two_sizes_are_refused() -> None:
 
 
 @pytest.mark.parametrize(("corners", "square"), [((1, 6), 0.02), ((9, 6), 0.0), ((9, 6), float("nan"))])
-def test_boards_that_cannot_be_are_refused(corners: tuple[int, int], square: float) -> None:
+def test_invalid_boards_are_refused(corners: tuple[int, int], square: float) -> None:
     with pytest.raises(CalibrationError):
         calibrate_views(iter(()), corners, square)

@@ -185,7 +185,7 @@ def test_points_that_determine_nothing_are_refused_with_the_reason(
         calibrate(points, pixels)
 
 
-def test_one_camera_gives_no_point() -> None:
+def test_one_camera_cannot_reconstruct_a_point() -> None:
     camera = DLT.of_camera(LENS, _camera(0))
     with pytest.raises(DLTError, match="two cameras"):
         reconstruct([camera], [np.zeros((1, 2))])

@@ -58,7 +58,7 @@ def test_a_pixel_format_that_the_camera_lacks_is_refused_with_what_it_delivers()
         OpenCVCamera(camera_config("/dev/video0", pixel_format="MJPG"))
 
 
-def test_a_camera_that_is_not_there_is_named() -> None:
+def test_a_missing_camera_is_named() -> None:
     with pytest.raises(CameraError, match="/dev/video77 does not exist"):
         OpenCVCamera(camera_config("/dev/video77"))
 

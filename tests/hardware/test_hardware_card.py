@@ -59,7 +59,7 @@ def test_the_narrowest_range_that_holds_the_channel_is_chosen(open_card: OpenCar
     np.testing.assert_allclose(card.read().volts, [[3.0]], atol=COUNT_V)
 
 
-def test_a_number_that_is_none_is_refused_and_nothing_written(open_card: OpenCard) -> None:
+def test_a_nan_is_refused_and_nothing_is_written(open_card: OpenCard) -> None:
     card = open_card((), bipolar(0, 1))
     card.write(np.array([1.0, 2.0]))
     with pytest.raises(CardError, match="nothing was written"):
@@ -133,7 +133,7 @@ def test_a_second_process_writes_while_the_first_samples(open_card: OpenCard) ->
     np.testing.assert_allclose(streaming.readback(), [-4.0, 6.0], atol=COUNT_V)
 
 
-def test_a_second_process_that_wants_to_sample_too_is_told_so(open_card: OpenCard) -> None:
+def test_a_second_process_that_samples_is_refused(open_card: OpenCard) -> None:
     open_card(bipolar(0)).start()
     with pytest.raises(CardError, match="another process"):
         open_card(bipolar(0)).start()
@@ -149,7 +149,7 @@ def small_buffer() -> Iterator[int]:
     size.write_text(before)
 
 
-def test_sampling_goes_on_after_an_overrun_and_says_what_was_lost(small_buffer: int, open_card: OpenCard) -> None:
+def test_sampling_continues_after_an_overrun_and_reports_the_loss(small_buffer: int, open_card: OpenCard) -> None:
     """8 channels of 16 bit at 10 kHz fill 64 KiB in 0.4 s."""
     card = open_card(bipolar(*range(8)), sampling_hz=10_000)
     card.start()
@@ -180,7 +180,7 @@ def test_reading_returns_at_once_where_there_is_nothing_new(open_card: OpenCard)
     assert time.monotonic() - began < 0.1
 
 
-def test_starting_again_begins_afresh(open_card: OpenCard) -> None:
+def test_a_restart_delivers_only_new_scans(open_card: OpenCard) -> None:
     card = open_card(bipolar(0))
     card.start()
     gather(card, 0.1)
@@ -225,12 +225,12 @@ def test_a_card_is_found_by_its_boards_name(open_card: OpenCard) -> None:
         ),
     ],
 )
-def test_a_wrong_card_channel_or_range_is_named_beside_what_there_is(setup: CardSetup, message: str) -> None:
+def test_a_wrong_card_channel_or_range_is_refused_with_the_existing_ones(setup: CardSetup, message: str) -> None:
     with pytest.raises(CardError, match=message):
         ComediCard(setup)
 
 
-def test_a_survey_tells_what_the_card_can_do() -> None:
+def test_a_survey_lists_the_abilities_of_the_card() -> None:
     (found,) = survey()
     assert (found.path, found.board, found.driver, found.trouble) == (CARD, BOARD, BOARD, "")
     assert found.inputs == SubdeviceSurvey(8, 16, ((-10.0, 10.0), (-5.0, 5.0)), 1e6)
@@ -240,7 +240,7 @@ def test_a_survey_tells_what_the_card_can_do() -> None:
     )
 
 
-def test_the_card_held_by_one_user_only_says_how_to_join_the_group() -> None:
+def test_for_a_card_without_permission_the_message_names_the_group() -> None:
     node = Path(CARD)
     before = node.stat()
     node.chmod(0o660)

@@ -48,7 +48,7 @@ def locked() -> Iterator[None]:
     os.close(node)
 
 
-def test_who_else_writes_to_the_card_is_noticed_at_the_next_look(open_card: OpenCard) -> None:
+def test_a_foreign_write_to_the_card_is_detected_at_the_next_check(open_card: OpenCard) -> None:
     bench = open_bench(load(LOOPED))
     bench.write(np.array([1.0, 2.0, 3.0]))
     assert bench.external_write() == ""
@@ -58,7 +58,7 @@ def test_who_else_writes_to_the_card_is_noticed_at_the_next_look(open_card: Open
     bench.close()
 
 
-def test_who_stands_in_makes_the_card_safe_and_ends_those_who_hold_it(memory: SharedState, open_card: OpenCard) -> None:
+def test_the_failsafe_makes_the_card_safe_and_ends_its_holders(memory: SharedState, open_card: OpenCard) -> None:
     watching = open_card((), bipolar(*VALVES))
     watching.write(np.array([5.0, 5.0, 5.0]))
     with subprocess.Popen([sys.executable, "-c", HOLD, LOOPED], stdout=subprocess.PIPE) as holder:
@@ -71,7 +71,7 @@ def test_who_stands_in_makes_the_card_safe_and_ends_those_who_hold_it(memory: Sh
     np.testing.assert_allclose(watching.readback(), [0.0, 0.0, 0.0], atol=COUNT_V)
 
 
-def test_a_card_whose_outputs_another_program_has_for_itself_is_not_armed(locked: None, memory: SharedState) -> None:
+def test_a_card_whose_outputs_another_program_locks_is_not_armed(locked: None, memory: SharedState) -> None:
     bench = open_bench(load(LOOPED))
     with pytest.raises(CardError, match="the safe state could not be written, shut the air off by hand"):
         bench.arm()

@@ -32,7 +32,7 @@ def valves_open(open_card: OpenCard) -> None:
     open_card((), bipolar(*VALVES)).write(np.array([5.0, 5.0, 5.0]))
 
 
-def test_a_bench_of_the_card_arms_reads_and_is_made_safe(open_card: OpenCard, valves_open: None) -> None:
+def test_a_bench_on_the_card_arms_reads_and_is_made_safe(open_card: OpenCard, valves_open: None) -> None:
     bench = open_bench(load(LOOPED))
     try:
         bench.arm()

@@ -47,7 +47,7 @@ def test_supervisor_and_control_killed_together(struck: Struck, timed: Callable[
     assert struck.recovered().pressure.measured_bar[:, 0].max() * 10 > MOVING_V
 
 
-def test_pictures_that_stand_still_for_a_second_then_a_driver_that_is_unloaded_then_sigterm(
+def test_a_stalled_camera_then_an_unloaded_driver_then_sigterm(
     struck: Struck, player: Player, timed: Callable[[float], None]
 ) -> None:
     player.process.send_signal(signal.SIGSTOP)

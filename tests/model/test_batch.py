@@ -18,7 +18,7 @@ rules: tuple[ModulusRule, ...] = ("secant", "paper-tangent")
 
 @pytest.mark.parametrize("arm", [*map(Arm.paper, variants), *(replace(Arm.paper(), modulus_rule=r) for r in rules)])
 @pytest.mark.parametrize("workers", [1, 2, 3])
-def test_a_batch_is_its_members(arm: Arm, workers: int) -> None:
+def test_a_batch_equals_its_members_solved_one_by_one(arm: Arm, workers: int) -> None:
     p = np.random.default_rng(1).uniform(0, 0.65 * BAR, (7, 3))
     tips = statics(arm, p, workers=workers)
     assert tips.ok.all()
@@ -38,7 +38,7 @@ def test_a_batch_of_parameter_sets_keeps_each_set_to_its_row() -> None:
     assert all(np.array_equal(tip, arm.statics(row).tip_m) for tip, arm, row in zip(tips.tip_m, arms, p, strict=True))
 
 
-def test_a_member_without_equilibrium_is_flagged_and_leaves_the_others_alone() -> None:
+def test_a_member_without_equilibrium_is_flagged_and_does_not_affect_the_others() -> None:
     arm = Arm.paper("homogeneous")
     tips = statics(arm, np.array([[0.3 * BAR, 0, 0], [1e12, 0, 0], [0.3 * BAR, 0, 0]]))
     assert tips.ok.tolist() == [True, False, True]
@@ -47,7 +47,7 @@ def test_a_member_without_equilibrium_is_flagged_and_leaves_the_others_alone() -
 
 
 @pytest.mark.parametrize("rule", ["pointwise", "secant"])
-def test_a_motion_in_one_call_is_its_steps(rule: str) -> None:
+def test_a_motion_in_one_call_equals_its_single_steps(rule: str) -> None:
     arm = replace(Arm.paper(), modulus_rule=rule)  # type: ignore[arg-type]
     p = np.random.default_rng(2).uniform(0, 0.5 * BAR, (12, 3))
     one, many = arm.dynamics(0.02), arm.dynamics(0.02)
@@ -61,7 +61,7 @@ def test_a_motion_in_one_call_is_its_steps(rule: str) -> None:
     assert np.array_equal(many.step(p[0]).tip_m, one.step(p[0]).tip_m)
 
 
-def test_a_motion_flags_the_step_it_could_not_take_and_goes_on() -> None:
+def test_a_motion_flags_a_failed_step_and_continues() -> None:
     dynamics = Arm.paper("homogeneous").dynamics(0.02)
     dynamics.start((0, 0, 0))
     run = dynamics.run([(0, 0, 0), (1e12, -1e12, 0), (0, 0, 0)])
@@ -70,7 +70,7 @@ def test_a_motion_flags_the_step_it_could_not_take_and_goes_on() -> None:
 
 
 @pytest.mark.parametrize("arm", [Arm.paper("homogeneous+rpe"), replace(Arm.paper(), modulus_rule="secant")])
-def test_a_batch_of_motions_is_its_members(arm: Arm) -> None:
+def test_a_batch_of_motions_equals_its_members(arm: Arm) -> None:
     p = np.random.default_rng(3).uniform(0, 0.5 * BAR, (3, 6, 3))
     for path, found in zip(p, motions(arm, p, 1 / 30, workers=2), strict=True):
         dynamics = arm.dynamics(1 / 30)

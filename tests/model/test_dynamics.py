@@ -131,7 +131,7 @@ def test_the_trapezoidal_rule_keeps_the_energy_and_backward_euler_loses_it() -> 
     assert kept["bdf1"] < 0.8
 
 
-def test_damping_dies_out_at_the_rate_of_kelvin_and_voigt() -> None:
+def test_oscillations_decay_at_the_kelvin_voigt_rate() -> None:
     # One mode of a Kelvin-Voigt rod decays as exp(-tau omega^2 t / 2).
     tau, dt = 0.002, 0.001
     arm = replace(Arm.paper("homogeneous"), cap_mass_kg=0.0)
@@ -159,7 +159,7 @@ def test_damping_changes_no_equilibrium(variant: str) -> None:
 
 @pytest.mark.parametrize("variant", ["homogeneous+rpe", "inhomogeneous+rpe"])
 @pytest.mark.parametrize(("scheme", "order"), [("bdf1", 1), ("bdf2", 2), ("bdf-alpha", 2)])
-def test_halving_the_time_step_gains_what_the_scheme_promises(variant: str, scheme: str, order: int) -> None:
+def test_each_scheme_converges_at_its_stated_order(variant: str, scheme: str, order: int) -> None:
     arm = Arm.paper(variant)
 
     def tips(parts: int) -> NDArray[np.float64]:
@@ -234,7 +234,7 @@ def test_thousands_of_jumps_a_millisecond_apart_do_not_fail_once() -> None:
     [{"rod_weight": True}, {"cap_inertia": True}, {"gravity_m_s2": (0.0, 0.0, -9.81)}, {"modulus_rule": "secant"}],
 )
 @pytest.mark.parametrize("damping_s", [0.0, 0.01])
-def test_random_jumps_fail_with_no_option_either(scheme: str, change: dict[str, object], damping_s: float) -> None:
+def test_random_jumps_do_not_fail_with_any_option(scheme: str, change: dict[str, object], damping_s: float) -> None:
     arm = replace(Arm.paper(), **change)  # type: ignore[arg-type]
     arm = replace(arm, material=replace(arm.material, damping_s=damping_s))
     dynamics = arm.dynamics(0.005, scheme)
@@ -254,7 +254,7 @@ def test_the_same_pressures_give_the_same_motion_bit_for_bit() -> None:
     assert np.array_equal(run(), run())
 
 
-def test_a_step_that_cannot_be_solved_says_so_and_the_run_goes_on() -> None:
+def test_a_step_that_cannot_be_solved_is_flagged_and_the_motion_continues() -> None:
     dynamics = Arm.paper("homogeneous").dynamics(1 / 30)
     good = dynamics.start((0.1 * BAR, 0, 0))
     bad = dynamics.step((1e12, -1e12, 0))
@@ -267,7 +267,7 @@ def test_a_step_that_cannot_be_solved_says_so_and_the_run_goes_on() -> None:
 
 @examples(15)
 @given(st.lists(st.tuples(*[st.floats(-1e6, 1e6)] * 3), min_size=1, max_size=6), st.sampled_from(variants))
-def test_every_step_is_finite_whatever_is_asked(pressures: list[tuple[float, ...]], variant: str) -> None:
+def test_every_step_is_finite_for_any_pressures(pressures: list[tuple[float, ...]], variant: str) -> None:
     dynamics = Arm.paper(variant).dynamics(0.01)
     dynamics.start((0, 0, 0))
     for p in pressures:
@@ -275,7 +275,7 @@ def test_every_step_is_finite_whatever_is_asked(pressures: list[tuple[float, ...
         assert np.isfinite(shape.p_m).all()
 
 
-def test_a_load_along_the_arm_that_is_gone_pulls_no_more() -> None:
+def test_a_removed_distributed_load_has_no_further_effect() -> None:
     arm, p = Arm.paper("homogeneous"), (0.1 * BAR, 0, 0)
     load, next_to_none = Loads(force_n_per_m=(2, 0, 0)), Loads(force_n_per_m=(1e-12, 0, 0))
     tips = []
@@ -358,7 +358,7 @@ def amplification(scheme: Scheme, omega: float) -> float:
     return float(np.abs(np.linalg.eigvals(a)).max())
 
 
-def test_at_the_papers_time_step_bdf3_grows_trapezoidal_is_neutral_and_the_rest_hold() -> None:
+def test_at_the_papers_time_step_bdf3_grows_the_trapezoidal_rule_is_neutral_and_the_others_decay() -> None:
     grows = amplification(Scheme.named("bdf3", 1 / 30), 41.2)
     assert grows == pytest.approx(1.04, abs=0.01)
     assert amplification(Scheme.named("trapezoidal", 1 / 30), 41.2) == pytest.approx(1.0, abs=1e-9)
@@ -366,7 +366,7 @@ def test_at_the_papers_time_step_bdf3_grows_trapezoidal_is_neutral_and_the_rest_
         assert amplification(Scheme.named(name, 1 / 30, alpha), 41.2) < 0.95
 
 
-def test_the_rod_itself_shows_that_growth() -> None:
+def test_the_rod_shows_the_growth_of_bdf3() -> None:
     def swing(scheme: str) -> float:
         arm = Arm.paper("homogeneous+rpe")
         dynamics = arm.dynamics(1 / 30, scheme)
@@ -392,6 +392,6 @@ def test_the_rod_itself_shows_that_growth() -> None:
         ({"dt_s": 1e-9}, "too short"),
     ],
 )
-def test_a_stepper_that_cannot_be_is_refused(arguments: dict[str, float], message: str) -> None:
+def test_an_invalid_time_stepper_is_refused(arguments: dict[str, float], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         Arm.paper().dynamics(**arguments)  # type: ignore[arg-type]

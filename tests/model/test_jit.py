@@ -85,7 +85,7 @@ def test_a_changed_callee_in_another_file_is_never_served_stale(tmp_path: Path) 
         assert python("from model.caller import twice; print(twice())", tmp_path, tmp_path / "cache") == str(2 * value)
 
 
-def test_what_was_compiled_is_found_again_and_no_compiler_runs(tmp_path: Path) -> None:
+def test_compiled_kernels_are_found_again_without_a_compiler(tmp_path: Path) -> None:
     package = model_with_a_caller(tmp_path)
     (package / "small.py").write_text(SMALL_KERNELS.format(value=3))
     code = "from model.caller import twice; print(twice(), sum(twice.stats.cache_hits.values()))"
@@ -101,7 +101,7 @@ def test_a_compiled_kernel_gives_the_bits_of_the_same_kernel_loaded_from_disk(tm
     assert python(code, tmp_path, tmp_path / "cache") == compiled
 
 
-def test_the_cache_leaves_other_users_of_numba_alone(tmp_path: Path) -> None:
+def test_the_cache_does_not_affect_other_users_of_numba(tmp_path: Path) -> None:
     code = "import numba; b = numba.config.CACHE_DIR; import model.kernels.rod; print(numba.config.CACHE_DIR == b)"
     assert python(code, ROOT, tmp_path) == "True"
 
@@ -111,14 +111,14 @@ def test_importing_the_model_loads_neither_numba_nor_scipy(tmp_path: Path) -> No
     assert python(code, ROOT, tmp_path) == "[]"
 
 
-def test_warming_up_says_where_the_kernels_are(tmp_path: Path) -> None:
+def test_precompilation_reports_where_the_kernels_are(tmp_path: Path) -> None:
     done = subprocess.run([sys.executable, "-m", "model.warm"], cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert "kernels-" in done.stdout
     assert "ready" in done.stdout
 
 
-def test_warming_up_fails_loudly_when_there_is_nowhere_to_keep_them(tmp_path: Path) -> None:
+def test_precompilation_without_a_writable_folder_is_an_error(tmp_path: Path) -> None:
     blocked = tmp_path / "file"
     blocked.write_text("not a folder")
     environment = {**os.environ, "SOFTRIG_CACHE": str(blocked)}

@@ -105,7 +105,7 @@ def test_both_formulations_agree_in_motion(scheme: str) -> None:
         assert np.abs(paper.step(p).tip_m - ours.step(p).tip_m).max() < 1e-6
 
 
-def test_both_formulations_agree_in_motion_of_two_tubes_askew() -> None:
+def test_both_formulations_agree_in_motion_of_two_tubes_off_the_axes() -> None:
     # Then the section's own axes of inertia are not x and y.
     arm = replace(Arm.paper("homogeneous+rpe"), geometry=Geometry.on_circle(0.1, 0.0095, 0.014, 0.06, (35.0, 215.0)))
     paper, ours = PaperRod(arm, 1 / 30, steps=100), arm.dynamics(1 / 30, nodes=40)
@@ -117,7 +117,7 @@ def test_both_formulations_agree_in_motion_of_two_tubes_askew() -> None:
 
 
 @pytest.mark.parametrize("change", [{"cap_inertia": True}, {"damping_s": 0.01}])
-def test_what_the_papers_formulation_lacks_in_motion_is_refused(change: dict[str, object]) -> None:
+def test_options_that_the_papers_formulation_lacks_in_motion_are_refused(change: dict[str, object]) -> None:
     arm = Arm.paper("homogeneous")
     if "damping_s" in change:
         change = {"material": replace(arm.material, **change)}  # type: ignore[arg-type]

@@ -46,7 +46,7 @@ def extrapolated(peer: Peer, duration_s: float, damping: float, samples: int, co
     return (8 * fine - 6 * middle + coarse) / 3
 
 
-def test_a_tip_load_bends_it_alike(peer: Peer) -> None:
+def test_a_tip_load_bends_it_as_in_pyelastica(peer: Peer) -> None:
     ours = ROD.statics((0,), Loads(tip_force_n=FORCE)).tip_m
     # Nearly critical damping of the first mode: what is left of the motion then is a ten-thousandth.
     theirs = extrapolated(peer, 0.9, 24.0, 1, 0.5)[-1]
@@ -54,7 +54,7 @@ def test_a_tip_load_bends_it_alike(peer: Peer) -> None:
     assert np.linalg.norm(ours - theirs) < 1e-3 * np.linalg.norm(ours - [0, 0, LENGTH])
 
 
-def test_a_growing_load_swings_it_alike(peer: Peer) -> None:
+def test_a_growing_load_swings_it_as_in_pyelastica(peer: Peer) -> None:
     duration, samples = 0.24, 24
     theirs = extrapolated(peer, duration, 0.0, samples, 0.25)
 

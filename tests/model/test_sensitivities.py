@@ -105,7 +105,7 @@ pressed = st.tuples(*[st.floats(0.03, 0.6)] * 3)
     pressed, st.sampled_from(RULES), st.floats(0.12, 0.25), st.tuples(*[st.floats(-25, 25)] * 3), st.floats(0, 0.2),
     st.tuples(*[st.floats(-0.5, 0.5)] * 3),
 )  # fmt: skip
-def test_the_tip_answers_to_pressures_and_build_of_any_arm_as_differences_say(
+def test_tip_gradients_by_pressures_and_geometry_equal_finite_differences_for_any_arm(
     bar: tuple[float, ...], rule: str, length: float, turns: tuple[float, ...], cap: float, force: tuple[float, ...]
 ) -> None:
     angles = tuple(120.0 * k + turn for k, turn in enumerate(turns))
@@ -128,7 +128,7 @@ def test_the_tip_answers_to_pressures_and_build_of_any_arm_as_differences_say(
 
 
 @pytest.mark.parametrize("rule", RULES)
-def test_the_gradient_by_material_and_pressures_is_what_differences_find(rule: str) -> None:
+def test_tip_gradients_by_material_and_pressures_equal_finite_differences(rule: str) -> None:
     arm, p = arm_of(rule), np.array([0.4, 0.15, 0.3]) * BAR
     found = tip_gradient(arm, p)
     assert found.tip_m == pytest.approx(arm.statics(p).tip_m, abs=1e-9)
@@ -144,7 +144,7 @@ def test_the_gradient_by_material_and_pressures_is_what_differences_find(rule: s
         assert BAR * found.by_pressure[:, k] == pytest.approx(expected, rel=1e-5, abs=5e-7)
 
 
-def test_a_row_without_equilibrium_has_no_gradient_and_leaves_the_others_alone() -> None:
+def test_a_row_without_equilibrium_has_no_gradient_and_does_not_affect_the_others() -> None:
     arm = Arm.paper("homogeneous")
     rows = np.array([[0.3 * BAR, 0, 0], [1e12, 0, 0], [0.3 * BAR, 0, 0]])
     found = sensitivities.statics(arm, rows, [Variation(1e-6, replace(arm, cap_mass_kg=arm.cap_mass_kg + 1e-6))])
@@ -171,7 +171,7 @@ PULL = TipWrench(
 
 @pytest.mark.parametrize("rule", ["linear", "pointwise", "secant", "paper-tangent"])
 @pytest.mark.parametrize("pull", [None, PULL])
-def test_the_tip_in_motion_answers_to_pressures_build_weight_and_pull_as_differences_say(
+def test_dynamic_tip_gradients_by_pressures_geometry_weight_and_wrench_equal_finite_differences(
     monkeypatch: pytest.MonkeyPatch, rule: str, pull: TipWrench | None
 ) -> None:
     # What Newton's method leaves of a step differs from one neighbour to the next: here it leaves nothing.
@@ -228,12 +228,12 @@ def test_a_change_that_does_not_fit_the_arm_is_refused(change: Variation, messag
         (np.full((1, 3), np.nan), np.zeros((1, 3)), np.zeros(3), "force_n"),
     ],
 )
-def test_a_pull_that_cannot_be_is_refused(force: Array, moment: Array, point: Array, message: str) -> None:
+def test_an_invalid_tip_wrench_is_refused(force: Array, moment: Array, point: Array, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         TipWrench(force, moment, point)
 
 
-def test_a_motion_that_cannot_be_is_refused() -> None:
+def test_an_invalid_motion_is_refused() -> None:
     rows, pull = np.zeros((3, 3)), TipWrench(np.zeros((2, 3)), np.zeros((2, 3)), np.zeros(3))
     with pytest.raises(ValueError, match="2 rows, the pressures 3"):
         sensitivities.motion(Arm.paper(), rows, DT, [], pull=pull)

@@ -24,7 +24,7 @@ def arrays(seed: int) -> tuple[np.ndarray, ...]:
     return weights, lanes, np.zeros((2 * ROWS, STATE)), np.zeros((2, STATE)), np.zeros(5 * LANES)
 
 
-def test_the_instructions_do_what_the_loops_that_define_them_do() -> None:
+def test_simd_instructions_equal_the_loops_that_define_them() -> None:
     compiled, plain = arrays(1), arrays(1)
     kernel = numba.njit(step)
     kernel(*compiled)

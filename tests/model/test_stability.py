@@ -86,7 +86,7 @@ def test_an_arm_past_buckling_leans_the_way_it_is_pushed() -> None:
     assert smallest_variation(arm, NOTHING, loads, shape) > 0
 
 
-def test_no_stable_equilibrium_is_said_so_and_the_unstable_one_is_marked() -> None:
+def test_a_missing_stable_equilibrium_is_reported_and_the_unstable_one_is_marked() -> None:
     # Alike in all directions and pushed straight: it may fall any way, and so rests in none.
     arm, loads = Arm.paper("homogeneous"), Loads(tip_force_n=(0.0, 0.0, -20.0))
     with pytest.raises(Unstable, match=r"0, 0, 0 bar"):
@@ -134,7 +134,7 @@ TWO_EQUILIBRIA = {
 
 
 @pytest.mark.parametrize("name", TWO_EQUILIBRIA)
-def test_of_two_equilibria_the_stable_one_is_found_however_the_arm_stands(name: str) -> None:
+def test_of_two_equilibria_the_stable_one_is_found_for_any_orientation_of_the_arm(name: str) -> None:
     xy, bar, length, variant, force, point = TWO_EQUILIBRIA[name]
     pressure, tips = np.array(bar) * BAR, []
     for turn in np.linspace(-3.0, 3.0, 13):
@@ -185,7 +185,7 @@ def check_against_the_energy(seed: int, count: int, force_n: float) -> None:
 
 
 @pytest.mark.parametrize(("force_n", "count"), [(1.0, 40), (10.0, 80)])
-def test_what_is_called_stable_is_a_minimum_of_an_energy_of_its_own(force_n: float, count: int) -> None:
+def test_a_stable_equilibrium_is_a_minimum_of_a_separately_programmed_energy(force_n: float, count: int) -> None:
     check_against_the_energy(20231, count, force_n)
 
 

@@ -141,7 +141,7 @@ def test_a_third_of_a_turn_is_a_change_of_names(bar: tuple[float, ...], variant:
 
 
 @pytest.mark.parametrize("variant", variants)
-def test_nothing_on_it_and_nothing_in_it_leaves_it_straight(variant: str) -> None:
+def test_without_load_and_pressure_the_arm_is_straight(variant: str) -> None:
     arm = replace(Arm.paper(variant), cap_mass_kg=0.0)
     shape = arm.statics((0, 0, 0))
     straight = np.zeros_like(shape.p_m)
@@ -168,7 +168,7 @@ def in_pairs(arm: Arm) -> Arm:
 
 
 @pytest.mark.parametrize("count", [1, 2, 3, 4])
-def test_tubes_that_are_there_twice_change_nothing_where_each_follows_its_own_curve(count: int) -> None:
+def test_splitting_each_tube_in_two_changes_nothing_in_the_pointwise_section(count: int) -> None:
     angles = tuple(360.0 * k / count + 10 for k in range(count))
     arm = replace(Arm.paper(), geometry=Geometry.on_circle(0.17, 0.0095, 0.014, 0.03, angles), rod_weight=True)
     p = np.array([0.6, 0.1, 0.35, 0.2])[:count] * BAR
@@ -233,7 +233,7 @@ def test_a_small_side_load_bends_it_as_a_timoshenko_beam() -> None:
     assert spread[0] == pytest.approx(force * (0.17**4 / (8 * bending) + 0.17**2 / (2 * shear)), rel=1e-6)
 
 
-def test_a_moment_at_the_tip_or_along_the_arm_bends_it_by_the_book() -> None:
+def test_moments_at_the_tip_and_along_the_arm_bend_it_as_beam_theory_says() -> None:
     arm = replace(Arm.paper("homogeneous"), gravity_m_s2=(0.0, 0.0, 0.0))
     g, m = arm.geometry, arm.material
     bending = m.youngs_modulus_pa * (3 * g.wall_second_moment_m4 + g.wall_area_m2 * 0.055**2 / 2)
@@ -257,7 +257,7 @@ def test_a_force_beside_the_axis_has_the_moment_of_its_lever_where_the_tip_has_t
     assert np.abs(shape.p_m - same.p_m).max() < 1e-9
 
 
-def test_a_load_is_what_it_was_when_it_was_made() -> None:
+def test_a_load_does_not_change_with_the_array_that_it_was_made_from() -> None:
     force = np.array([0.5, 0.0, 0.0])
     load = Loads(tip_force_n=force)
     force[:] = 0.0
@@ -312,7 +312,7 @@ def test_the_error_names_the_pressures_that_have_no_equilibrium() -> None:
         Arm.paper("homogeneous").statics((1e6 * BAR, 0, 0), doubt_units=False)
 
 
-def test_a_vertical_load_beyond_buckling_still_has_its_straight_solution_or_says_so() -> None:
+def test_a_vertical_load_beyond_buckling_gives_the_straight_solution_or_an_error() -> None:
     up = replace(Arm.paper("homogeneous"), cap_mass_kg=1.0, gravity_m_s2=(0.0, 0.0, -9.81))
     assert np.isfinite(up.statics((0, 0, 0)).p_m).all()
 
@@ -348,7 +348,7 @@ def test_loads_of_the_wrong_kind_are_refused(wrong: dict[str, object]) -> None:
         {"actuator_xy_m": (0.01, 0.02)},
     ],
 )
-def test_a_geometry_that_cannot_be_is_refused(change: dict[str, object]) -> None:
+def test_an_invalid_geometry_is_refused(change: dict[str, object]) -> None:
     with pytest.raises(ValueError, match=r"length|radii|actuator"):
         replace(Geometry.paper(), **change)
 
@@ -363,7 +363,7 @@ def test_a_geometry_that_cannot_be_is_refused(change: dict[str, object]) -> None
         {"shear_ratio": math.nan},
     ],
 )
-def test_a_material_that_cannot_be_is_refused(change: dict[str, float]) -> None:
+def test_an_invalid_material_is_refused(change: dict[str, float]) -> None:
     with pytest.raises(ValueError, match=next(iter(change))):
         replace(Material.paper(), **change)
 
@@ -371,7 +371,7 @@ def test_a_material_that_cannot_be_is_refused(change: dict[str, float]) -> None:
 @pytest.mark.parametrize(
     "change", [{"cap_mass_kg": -0.1}, {"cap_inertia_kg_m2": (0, -1e-6, 0)}, {"gravity_m_s2": (0, 9.81)}]
 )
-def test_an_arm_that_cannot_be_is_refused(change: dict[str, object]) -> None:
+def test_an_invalid_arm_is_refused(change: dict[str, object]) -> None:
     with pytest.raises(ValueError, match=r"mass|cap_inertia_kg_m2|gravity_m_s2"):
         replace(Arm.paper(), **change)  # type: ignore[arg-type]
 

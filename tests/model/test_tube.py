@@ -45,7 +45,7 @@ def test_without_fibres_a_large_force_follows_the_neo_hookean_bar() -> None:
     assert BARE.shear_modulus_pa * (stretch - stretch**-2) * area == pytest.approx(30.0, rel=1e-9)
 
 
-def test_without_fibres_the_outer_layer_bears_as_much_as_it_has_rubber() -> None:
+def test_without_fibres_the_outer_layer_carries_its_share_of_the_rubber() -> None:
     inner, interface, outer = (math.pi * r**2 for r in (0.0095, 0.0125, 0.014))
     stretch = replace(BARE, rubber_fraction=0.6).under_force(20.0).axial
     area = interface - inner + 0.6 * (outer - interface)
@@ -100,7 +100,7 @@ def test_a_found_state_balances_the_printed_integrals(bar: float, angle: float, 
 
 @examples(20)
 @given(st.floats(0.3e6, 5e6), st.floats(0, 80))
-def test_no_load_leaves_it_as_it_is_and_loads_and_states_are_inverse(fibre: float, angle: float) -> None:
+def test_without_load_nothing_changes_and_loads_and_states_are_inverse(fibre: float, angle: float) -> None:
     tube = replace(PAPER, fibre_modulus_pa=fibre, fibre_angle_deg=angle)
     assert tube.under_pressure(0.0) == Stretch(1.0, 1.0)
     state = tube.under_force(5.0)
@@ -114,7 +114,7 @@ def test_hoop_fibres_turn_radial_pressure_into_length_and_bare_rubber_into_short
     assert BARE.under_radial_pressure(0.2e5).axial < 1
 
 
-def test_a_pressure_too_high_balloons_and_the_error_says_where() -> None:
+def test_a_pressure_beyond_ballooning_raises_an_error_that_says_where() -> None:
     with pytest.raises(BallooningError, match="balloons at") as fault:
         PAPER.under_pressure(0.65e5)
     limit = fault.value.limit
@@ -123,7 +123,7 @@ def test_a_pressure_too_high_balloons_and_the_error_says_where() -> None:
         PAPER.under_pressure(1.03 * limit)
 
 
-def test_the_constants_that_give_the_papers_curves_cannot_bear_its_highest_pressure() -> None:
+def test_the_constants_that_give_the_papers_curves_balloon_below_its_highest_pressure() -> None:
     # Erratum: a of eq 30 and eq 32 together imply mu about 82 kPa and c2 E about 1.1 MPa, which balloon above 0.5 bar.
     bars = np.arange(0.15, 0.66, 0.05)
     strains = [PAPER.under_radial_pressure(bar * 1e5).axial - 1 for bar in bars]
@@ -136,7 +136,7 @@ def test_the_constants_that_give_the_papers_curves_cannot_bear_its_highest_press
     assert fault.value.limit == pytest.approx(0.507e5, rel=0.01)
 
 
-def test_the_sign_of_a_hangs_on_the_fibres_that_the_paper_does_not_print() -> None:
+def test_the_sign_of_a_depends_on_fibre_constants_that_the_paper_does_not_print() -> None:
     slopes = [
         (replace(PAPER, fibre_modulus_pa=fibre).under_radial_pressure(0.1e5).axial - 1) / 0.1
         for fibre in (0, 1.1e6, 1e7)
@@ -154,7 +154,7 @@ def test_the_sign_of_a_hangs_on_the_fibres_that_the_paper_does_not_print() -> No
         {"fibre_angle_deg": math.nan},
     ],
 )
-def test_a_tube_that_cannot_be_is_refused(change: dict[str, float]) -> None:
+def test_an_invalid_tube_is_refused(change: dict[str, float]) -> None:
     with pytest.raises(ValueError, match=r"radii|modulus|fibre_angle_deg"):
         replace(PAPER, **change)
 

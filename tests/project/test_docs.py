@@ -49,7 +49,7 @@ def slug(heading: str) -> str:
     return re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-")
 
 
-def test_every_link_leads_somewhere(page: Path) -> None:
+def test_every_link_has_a_target(page: Path) -> None:
     for target in re.findall(r"\]\(([^)\s]+)\)", page.read_text()):
         name, _, heading = target.partition("#")
         if "://" in name:
@@ -61,7 +61,7 @@ def test_every_link_leads_somewhere(page: Path) -> None:
             assert heading in map(slug, headings), target
 
 
-def test_every_file_that_is_named_is_there(page: Path) -> None:
+def test_every_named_file_exists(page: Path) -> None:
     for words in code(page.read_text()):
         for path in re.findall(rf"(?<![\w./-])(?:{ROOMS})/[\w./-]*\w(?![-*\w])", words):
             assert (ROOT / path).exists(), path

@@ -97,7 +97,7 @@ def test_the_message_names_place_value_expectation_and_suggestion() -> None:
         ("!seconds 4", "!seconds", ""),
     ],
 )
-def test_a_number_is_taken_only_when_it_is_written_as_one(written: str, said: str, suggestion: str) -> None:
+def test_only_text_that_is_written_as_a_number_is_read_as_one(written: str, said: str, suggestion: str) -> None:
     problem = only_problem(f"title: t\nsteps:\n  - hold:\n      duration_s: {written}\n")
     assert problem.line == 4
     assert said in problem.expected + problem.value
@@ -125,7 +125,7 @@ def test_a_number_is_taken_only_when_it_is_written_as_one(written: str, said: st
         ("title: t\nsteps: " + "[" * 20_000, 2, 0, "nested too deeply"),
     ],
 )
-def test_text_that_is_no_yaml_gets_one_plain_sentence(text: str, line: int, column: int, said: str) -> None:
+def test_text_that_is_not_yaml_gets_one_plain_sentence(text: str, line: int, column: int, said: str) -> None:
     problem = only_problem(text)
     assert (problem.line, problem.column) == (line, column)
     assert said in problem.expected + problem.value
@@ -227,19 +227,19 @@ def test_a_file_in_the_wrong_encoding_is_refused(tmp_path: Path, raw: bytes, sai
         read(file)
 
 
-def test_a_byte_order_mark_and_windows_line_ends_do_no_harm(tmp_path: Path) -> None:
+def test_a_byte_order_mark_and_windows_line_ends_are_accepted(tmp_path: Path) -> None:
     file = tmp_path / "p.yaml"
     file.write_bytes(b"\xef\xbb\xbf" + steps("hold: {duration_s: 1}").replace("\n", "\r\n").encode())
     assert protocols.load(file).expand(1).duration_s == 1
 
 
-def test_line_ends_of_old_spreadsheets_do_no_harm(tmp_path: Path) -> None:
+def test_line_ends_of_old_spreadsheets_are_accepted(tmp_path: Path) -> None:
     (tmp_path / "s.csv").write_bytes(b"time_s,actuator_1_bar\r0,0.1\r1,0.3\r")
     (tmp_path / "p.yaml").write_bytes(steps("csv: {file: s.csv, actuators: [1]}").replace("\n", "\r").encode())
     assert protocols.load(tmp_path / "p.yaml").expand(1).setpoint_pa(1.0)[0] == 30_000
 
 
-def test_what_is_no_readable_file_is_refused(tmp_path: Path) -> None:
+def test_an_unreadable_file_is_refused(tmp_path: Path) -> None:
     with pytest.raises(BadInputError, match="folder"):
         protocols.load(tmp_path)
     os.mkfifo(tmp_path / "pipe")
@@ -292,7 +292,7 @@ def test_a_wrong_csv_is_reported_in_its_own_lines(tmp_path: Path, csv: str, line
 
 
 @pytest.mark.parametrize("content", [None, "time_s,actuator_1_bar\n0,0\n"])
-def test_a_csv_that_cannot_serve_is_reported_where_it_is_named(tmp_path: Path, content: str | None) -> None:
+def test_an_unusable_csv_is_reported_at_the_line_that_names_it(tmp_path: Path, content: str | None) -> None:
     if content is not None:
         (tmp_path / "s.csv").write_text(content)
     (tmp_path / "p.yaml").write_text(steps("csv: {file: s.csv, actuators: [1]}"))
@@ -321,14 +321,14 @@ def refusal(text: str) -> BadInputError | None:
 @examples(120)
 @given(at=st.integers(0, len(GOOD)), cut=st.integers(0, 30), scrap=st.sampled_from(SCRAPS) | st.text(max_size=4))
 @example(at=0, cut=0, scrap="")
-def test_any_mutation_of_a_good_protocol_is_taken_or_refused_with_a_message(at: int, cut: int, scrap: str) -> None:
+def test_any_mutation_of_a_good_protocol_is_accepted_or_refused_with_a_message(at: int, cut: int, scrap: str) -> None:
     error = refusal(GOOD[:at] + scrap + GOOD[at + cut :])
     assert error is None or (error.problems and str(error).startswith("p.yaml"))
 
 
 @examples(80)
 @given(st.text(max_size=60))
-def test_any_text_is_taken_or_refused_with_a_message(text: str) -> None:
+def test_any_text_is_accepted_or_refused_with_a_message(text: str) -> None:
     with pytest.raises(BadInputError):
         judge(text)
 
@@ -343,7 +343,7 @@ KEYS = ("ramp", "staircase", "sine", "hold", "csv", "prompt", "sequence", "repea
 
 @examples(80)
 @given(kind=st.sampled_from(KEYS), body=VALUES)
-def test_any_value_for_a_step_is_taken_or_refused_with_a_message(kind: str, body: object) -> None:
+def test_any_value_of_a_step_is_accepted_or_refused_with_a_message(kind: str, body: object) -> None:
     error = refusal(yaml.safe_dump({"title": "t", "steps": [{kind: body}]}, allow_unicode=True))
     assert error is None or error.problems
 

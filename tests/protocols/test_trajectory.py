@@ -109,7 +109,7 @@ def test_actuators_not_named_keep_their_set_point() -> None:
     assert played.setpoint_pa(9.0).tolist() == [30_000, 10_000, 20_000]
 
 
-def test_ramp_at_a_rate_takes_as_long_as_the_longest_way() -> None:
+def test_a_ramp_at_a_rate_takes_as_long_as_the_largest_change_needs() -> None:
     played = trajectory("  - ramp: {actuators: [1, 2], to_bar: [0.3, 0.1], rate_bar_per_s: 0.1}\n")
     assert played.duration_s == pytest.approx(3.0)
     assert played.rate_pa_s(1.0) == pytest.approx([10_000, 10_000 / 3, 0])
@@ -141,7 +141,7 @@ def test_repeats_and_sequences_play_in_order() -> None:
     assert played.duration_s == 9
 
 
-def test_nothing_moves_before_the_operator_has_answered() -> None:
+def test_pressures_are_held_until_the_operator_answers() -> None:
     played = trajectory(
         "  - hold: {actuators: [1], level_bar: 0.1, duration_s: 1}\n"
         "  - prompt: go on\n"
@@ -153,7 +153,7 @@ def test_nothing_moves_before_the_operator_has_answered() -> None:
     assert played.setpoint_pa(prompt.at_s + 0.02)[0] == 10_000
 
 
-def test_a_weight_hangs_from_its_prompt_on_until_another_prompt_changes_it() -> None:
+def test_a_weight_stays_from_its_prompt_until_another_prompt_changes_it() -> None:
     played = trajectory(
         "  - hold: {duration_s: 1}\n"
         "  - prompt: {message: hang it, weight_g: 250}\n"

@@ -62,7 +62,7 @@ def test_it_lists_the_newest_first(folder: Path) -> None:
     assert found[0].simulated
 
 
-def test_what_has_not_changed_is_not_opened_again(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_unchanged_archive_is_not_opened_again(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     before = catalogue(folder)
     forbid_reading(monkeypatch)
     stamp = (folder / INDEX).stat().st_mtime_ns
@@ -131,7 +131,7 @@ def test_an_index_with_entries_of_another_shape_heals(folder: Path, entry: objec
     assert catalogue(folder) == right
 
 
-def test_a_folder_that_cannot_be_written_is_listed_all_the_same(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_folder_that_cannot_be_written_is_still_listed(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse(*_: object, **__: object) -> int:
         raise PermissionError(13, "Permission denied")
 
@@ -140,7 +140,7 @@ def test_a_folder_that_cannot_be_written_is_listed_all_the_same(folder: Path, mo
     assert not (folder / INDEX).exists()
 
 
-def test_what_is_no_archive_is_named_and_stops_nothing(folder: Path) -> None:
+def test_a_file_that_is_not_an_archive_is_named_and_the_others_are_listed(folder: Path) -> None:
     (folder / "broken.h5").write_bytes(b"no archive")
     os.truncate(folder / "first.h5", 5000)
     found = catalogue(folder)

@@ -34,7 +34,7 @@ def run_fast(folder: Path, protocol: Path, rig: str = "mock") -> Run:
     return runs.open(archive)
 
 
-def test_a_run_can_be_done_again_when_its_files_are_gone(tmp_path: Path) -> None:
+def test_a_run_can_be_repeated_when_its_files_are_gone(tmp_path: Path) -> None:
     source = tmp_path / "away" / "protocols"
     source.mkdir(parents=True)
     protocol, csv = source / "played.yaml", source.parent / "samples.csv"
@@ -60,7 +60,7 @@ def test_a_run_can_be_done_again_when_its_files_are_gone(tmp_path: Path) -> None
     np.testing.assert_array_equal(again.tip.measured_mm, first.tip.measured_mm)
 
 
-def test_files_of_one_name_from_several_folders_come_out_beside_one_another(tmp_path: Path) -> None:
+def test_files_with_the_same_name_from_several_folders_are_exported_side_by_side(tmp_path: Path) -> None:
     names = ("wave.csv", "a/wave.csv", "b/wave.csv", "played.yaml")
     steps = "".join(f"  - csv: {{file: {name}, actuators: [1]}}\n" for name in names)
     about = replace(

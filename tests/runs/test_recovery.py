@@ -81,7 +81,7 @@ def test_a_run_in_progress_is_left_alone(tmp_path: Path) -> None:
     writer.close(RunFooter(made_up.START_NS, Status.FINISHED, ""))
 
 
-def test_what_cannot_be_read_stays_as_it_is(tmp_path: Path) -> None:
+def test_a_journal_that_cannot_be_read_is_left_as_it_is(tmp_path: Path) -> None:
     (tmp_path / "empty.mcap").touch()
     (tmp_path / "rubbish.mcap").write_bytes(os.urandom(5000))
     before = {p.name: p.read_bytes() for p in tmp_path.iterdir()}
@@ -95,7 +95,7 @@ def test_one_unreadable_journal_does_not_stop_the_others(tmp_path: Path) -> None
     assert fates(tmp_path) == {"a.mcap": Fate.UNREADABLE, "b.mcap": Fate.FINALISED}
 
 
-def test_a_damaged_journal_gives_what_is_left_and_says_what_is_not(tmp_path: Path) -> None:
+def test_the_readable_part_of_a_damaged_journal_is_recovered_and_the_loss_is_reported(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     made_up.write_journal(path)
     data = bytearray(path.read_bytes())
@@ -107,7 +107,7 @@ def test_a_damaged_journal_gives_what_is_left_and_says_what_is_not(tmp_path: Pat
     assert "bytes at" in runs.open(tmp_path / "run.h5").events[-1].message
 
 
-def test_an_archive_that_cannot_be_opened_is_set_aside_and_made_anew(tmp_path: Path) -> None:
+def test_an_archive_that_cannot_be_opened_is_set_aside_and_made_again(tmp_path: Path) -> None:
     made_up.write_journal(tmp_path / "run.mcap")
     recover(tmp_path)
     whole = (tmp_path / "run.h5").read_bytes()
@@ -119,14 +119,14 @@ def test_an_archive_that_cannot_be_opened_is_set_aside_and_made_anew(tmp_path: P
     assert runs.open(tmp_path / "run.h5").status is Status.FINISHED
 
 
-def test_what_an_interrupted_finalisation_left_is_removed(tmp_path: Path) -> None:
+def test_files_of_an_interrupted_finalisation_are_removed(tmp_path: Path) -> None:
     made_up.write_journal(tmp_path / "run.mcap")
     (tmp_path / "run.h5.part").write_bytes(b"half an archive")
     assert fates(tmp_path) == {"run.h5.part": Fate.REMOVED, "run.mcap": Fate.FINALISED}
     assert sorted(p.name for p in tmp_path.iterdir()) == ["run.h5", "run.mcap"]
 
 
-def test_a_finalisation_that_was_killed_is_done_again(tmp_path: Path) -> None:
+def test_a_finalisation_that_was_killed_is_repeated(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     made_up.write_journal(path)
     assert subprocess.run([sys.executable, "-c", FINALISE, str(path)], check=False).returncode == -9

@@ -25,7 +25,7 @@ def rig(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
     return subprocess.run(command, cwd=cwd, env=env, capture_output=True, text=True, timeout=PATIENCE_S, check=True)
 
 
-def test_every_look_at_the_folder_tells_of_a_run_that_was_cut_off_and_says_it_beside_the_output(
+def test_every_command_that_reads_the_folder_reports_a_run_that_was_cut_off_on_the_error_output(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     folder = tmp_path / "data"
@@ -45,14 +45,14 @@ def test_every_look_at_the_folder_tells_of_a_run_that_was_cut_off_and_says_it_be
     assert capfd.readouterr().err == ""
 
 
-def test_a_run_that_goes_on_is_no_orphan(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_a_running_experiment_is_not_an_orphan(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     writer = made_up.write_journal(tmp_path / "going.mcap", footer=False)
     offer(tmp_path)
     writer.close(RunFooter(made_up.START_NS, Status.FINISHED, ""))
     assert capfd.readouterr().err == ""
 
 
-def test_at_a_terminal_the_recovery_is_one_key_away(tmp_path: Path) -> None:
+def test_at_a_terminal_one_key_starts_the_recovery(tmp_path: Path) -> None:
     orphan(tmp_path / "cut.mcap")
     ours, theirs = pty.openpty()
     env = os.environ | {"PYTHONPATH": str(Path(__file__).parents[2])}

@@ -110,7 +110,7 @@ def test_a_run_becomes_an_xarray_dataset(archive: Path) -> None:
         assert dict(frames.sizes) == {"time": 5, "pixel": 2, "corner": 20, "point": 11}
 
 
-def test_what_is_not_installed_is_said_in_one_sentence(archive: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_package_is_reported_in_one_sentence(archive: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for package in ("pandas", "xarray", "h5netcdf"):
         monkeypatch.setitem(sys.modules, package, None)
     with pytest.raises(ArchiveError, match="pip install pandas"):

@@ -88,7 +88,7 @@ def test_of_two_exchangeable_numbers_one_has_no_error_bar() -> None:
     assert fit_tube(data, true, ("shear_modulus_pa",)).std.count(None) == 0
 
 
-def test_the_free_strain_of_an_arm_comes_back_from_both_extension_experiments() -> None:
+def test_the_free_strain_of_an_arm_is_identified_from_both_extension_experiments() -> None:
     arm = model.Arm(model.Geometry.paper(), model.Material.paper(), cap_mass_kg=0.0)
     rng, setup = np.random.default_rng(0), Setup(arm)
     ramp = np.concatenate([[0.0], np.linspace(0.15e5, 0.65e5, 6)])[:, None] * np.ones(3)

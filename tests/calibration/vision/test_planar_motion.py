@@ -79,7 +79,7 @@ def test_uncertain_camera_and_board_poses_widen_the_plane_prior(
     assert loose_tilt == pytest.approx(strict_tilt * 0.01 / np.hypot(0.01, adds_rad))
 
 
-def test_its_derivatives_are_those_of_small_changes_of_the_pose() -> None:
+def test_the_derivatives_of_the_departure_equal_finite_differences() -> None:
     loose = replace(PLANE, camera_in_base=replace(PLANE.camera_in_base, translation_std_m=1e-3))
     vector, place = board_in_camera(loose, 0.3, in_plane(0.02, 0.01) + 1e-3 * NORMAL)
     pose = np.concatenate([vector + np.array([0.02, 0.01, -0.03]), place])

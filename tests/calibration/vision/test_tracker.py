@@ -27,7 +27,7 @@ def _off_mm(tracker_pose: RigidTransform, true: RigidTransform) -> float:
 
 
 @pytest.mark.parametrize("roll_deg", [0, 45, 90, 135, 180, 225, 270, 315])
-def test_corners_come_in_the_boards_order_however_it_is_turned(roll_deg: float) -> None:
+def test_corners_have_the_boards_order_for_any_rotation(roll_deg: float) -> None:
     pose = facing(roll_deg=roll_deg)
     found = find(still(pose), BOARD)
     assert found is not None
@@ -175,7 +175,7 @@ def test_fast_motion_is_measured_through_its_blur() -> None:
     assert tracker.detect(still(facing(), 99, view)).status is DetectionStatus.MEASURED
 
 
-def test_a_colour_picture_is_measured_like_its_grey() -> None:
+def test_a_colour_picture_is_measured_like_its_grey_one() -> None:
     picture = still(facing())
     colour = cv2.cvtColor(picture, cv2.COLOR_GRAY2BGR)
     one, other = Tracker(BOARD, LENS).detect(picture), Tracker(BOARD, LENS).detect(colour)
@@ -211,7 +211,7 @@ def test_a_followed_board_is_kept_when_a_second_comes_into_view() -> None:
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_clutter_round_the_board_does_not_hide_it(seed: int) -> None:
+def test_a_board_among_clutter_is_found(seed: int) -> None:
     rng = np.random.default_rng(seed)
     pose = facing(rng.uniform(-0.06, 0.06), rng.uniform(-0.03, 0.03), roll_deg=rng.uniform(-180, 180))
     clean = still(pose)

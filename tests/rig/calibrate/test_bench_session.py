@@ -45,7 +45,7 @@ def watchdog() -> Iterator[subprocess.Popen[bytes]]:
         process.kill()
 
 
-def test_every_period_is_a_sign_of_life_and_a_dead_watchdog_ends_the_drive(
+def test_every_period_sends_a_heartbeat_and_a_dead_watchdog_ends_the_session(
     memory: SharedState, watchdog: subprocess.Popen[bytes]
 ) -> None:
     ticks = RealTimeClock(memory, PERIOD_NS, ProcessMonitor(watchdog.pid), TIMING)
@@ -58,9 +58,7 @@ def test_every_period_is_a_sign_of_life_and_a_dead_watchdog_ends_the_drive(
         ticks.next()
 
 
-def test_a_watchdog_that_gives_no_sign_of_life_ends_the_drive(
-    memory: SharedState, watchdog: subprocess.Popen[bytes]
-) -> None:
+def test_a_watchdog_without_heartbeat_ends_the_session(memory: SharedState, watchdog: subprocess.Popen[bytes]) -> None:
     ticks = RealTimeClock(
         memory, PERIOD_NS, ProcessMonitor(watchdog.pid), replace(TIMING, watchdog_silent_ns=100 * PERIOD_NS)
     )
@@ -71,7 +69,7 @@ def test_a_watchdog_that_gives_no_sign_of_life_ends_the_drive(
         deque((ticks.next() for _ in range(10_000)), maxlen=0)
 
 
-def test_who_is_told_that_the_watchdog_took_over_is_told_why(
+def test_a_takeover_by_the_watchdog_is_reported_with_its_reason(
     memory: SharedState, watchdog: subprocess.Popen[bytes]
 ) -> None:
     ticks = RealTimeClock(memory, PERIOD_NS, ProcessMonitor(watchdog.pid), TIMING)
@@ -101,7 +99,7 @@ def empty() -> Iterator[Registers]:
     path.unlink()
 
 
-def test_valves_that_a_drive_would_hold_stay_vented_where_another_program_has_vented_them(
+def test_valves_vented_by_another_program_stay_vented_where_the_session_would_hold_them(
     empty: Registers, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(bench_session, "enable_realtime_scheduling", lambda priority: Scheduling.NONE)

@@ -96,7 +96,7 @@ def test_views_of_another_size_than_the_rigs_camera_are_refused(here: Path) -> N
         (["pressure", "--readings", "nowhere.csv", "--no-valves"], "no such file"),
     ],
 )
-def test_a_command_that_cannot_be_gets_one_clear_message(here: Path, arguments: list[str], message: str) -> None:
+def test_an_invalid_command_gets_one_clear_message(here: Path, arguments: list[str], message: str) -> None:
     (here / "points.csv").write_text(CSV_HEAD + "1,0,0,0,a,1,2\n")
     (here / "kept.png").touch()
     done = rig("calibrate", *arguments)
@@ -116,7 +116,7 @@ def _corners(x_m: float, y_m: float, lean_deg: tuple[float, float] = (0.0, 0.0),
 
 
 @pytest.mark.parametrize("lean", [(25, 0), (-25, 0), (0, 25), (0, -25)])
-def test_the_lean_is_named_after_the_edge_that_is_nearer(lean: tuple[float, float]) -> None:
+def test_a_tilt_is_named_after_the_nearer_edge(lean: tuple[float, float]) -> None:
     seen = view_geometry(_corners(0, 0, lean), BOARD.pattern, SIZE, LENS)
     assert seen.lean_deg == pytest.approx(lean, abs=1)
 
@@ -124,7 +124,7 @@ def test_the_lean_is_named_after_the_edge_that_is_nearer(lean: tuple[float, floa
 @pytest.mark.parametrize(
     "words", [["tool"], ["camera", "--rig", "mock", "--corners", "9x6", "--square-mm", "16"]], ids=["tool", "camera"]
 )
-def test_live_views_are_not_taken_over_those_of_another_calibration(here: Path, words: list[str]) -> None:
+def test_live_views_do_not_overwrite_those_of_another_calibration(here: Path, words: list[str]) -> None:
     kept = here / "mine-views" / "view01.png"
     kept.parent.mkdir()
     kept.write_text("a picture")
@@ -161,7 +161,7 @@ def test_a_view_like_another_is_not_new() -> None:
 
 
 @pytest.mark.parametrize("roll", [0, 90, 180, 270])
-def test_the_first_corner_is_told_by_the_colours_however_the_board_is_turned(roll: float) -> None:
+def test_the_colours_determine_the_first_corner_for_any_rotation_of_the_board(roll: float) -> None:
     turn = RigidTransform.from_vectors((0, 0, np.deg2rad(roll)), (0, 0, 0)).rotation
     pose = RigidTransform(turn @ FACING, np.array([0, 0, 0.5]))
     found = find_corners(scene(board=BOARD).render(pose, pose, pose, 0), BOARD.pattern)
@@ -250,13 +250,13 @@ def test_views_that_are_not_of_the_same_moments_contradict_each_other() -> None:
     ],
     ids=["numbers", "numbers before the camera's", "names", "order", "order of other numbers", "frames of videos"],
 )  # fmt: skip
-def test_pictures_of_one_moment_are_told_by_their_names(left: str, right: str, pairs: str) -> None:
+def test_pictures_of_one_moment_are_matched_by_their_names(left: str, right: str, pairs: str) -> None:
     found = keys({"left": left.split(), "right": right.split()})
     same = {(a, b) for a, moment in found["left"].items() for b, other in found["right"].items() if moment == other}
     assert same == {tuple(pair.split("-")) for pair in pairs.split()}
 
 
-def test_pictures_that_nothing_pairs_are_refused() -> None:
+def test_pictures_without_partners_are_refused() -> None:
     with pytest.raises(CalibrationError, match="name them by a common number"):
         keys({"left": ["a.png", "b.png", "c.png"], "right": ["x.png", "y.png"]})
 
@@ -354,7 +354,7 @@ def test_control_points_that_are_uncertain_themselves_enlarge_the_covariance(her
         (CSV_HEAD + "1,0,0,0,a,1,2\n" + "9" * 140_000 + ",0,0,0,a,1,2\n", "points.csv:3\n"),
     ],
 )
-def test_control_points_that_cannot_be_get_one_clear_message(here: Path, text: str, message: str) -> None:
+def test_invalid_control_points_get_one_clear_message(here: Path, text: str, message: str) -> None:
     (here / "points.csv").write_text(text)
     done = rig("calibrate", "dlt", "points.csv", "--size", "640x480")
     assert done.exit_code == 2, done.output

@@ -29,7 +29,7 @@ def test_readings_on_a_line_give_the_line() -> None:
     assert found.residuals_pa == pytest.approx(np.zeros(7), abs=1e-6)
 
 
-def test_the_covariance_is_that_of_a_gauge_as_good_as_it_is_said_to_be() -> None:
+def test_the_covariance_follows_from_the_stated_accuracy_of_the_gauge() -> None:
     assert 1.4 < off(gauge_std_pa=200.0, scatter_pa=200.0) < 2.2
 
 
@@ -45,6 +45,6 @@ def test_two_readings_are_as_good_as_the_gauge() -> None:
 
 
 @pytest.mark.parametrize("volts", [[2.0], [2.0, 2.01, 2.02]])
-def test_readings_at_one_pressure_are_no_scale(volts: list[float]) -> None:
+def test_readings_at_one_pressure_determine_no_scale(volts: list[float]) -> None:
     with pytest.raises(CalibrationError, match="two pressures"):
         fit_sensor(np.array(volts), np.full(len(volts), 2e5), 300.0)

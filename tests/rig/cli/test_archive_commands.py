@@ -29,14 +29,14 @@ def short(tmp_path: Path) -> Path:
     return finalise(tmp_path / "short.mcap")
 
 
-def test_what_was_not_measured_is_a_dash(short: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_missing_measurement_is_shown_as_a_dash(short: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert status_of("show", short) == 0
     shown = capsys.readouterr().out
     assert "nan" not in shown
     assert [line.split()[-1] for line in shown.splitlines() if "mean error" in line] == ["-"]
 
 
-def test_what_ran_without_deadlines_is_not_said_to_have_met_them(
+def test_a_run_without_deadlines_is_not_reported_to_have_met_them(
     short: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     made_up.write_journal(tmp_path / "timed.mcap", duration_s=0.1)
@@ -73,6 +73,6 @@ def test_a_report_goes_into_a_new_folder(short: Path, tmp_path: Path) -> None:
     assert (tmp_path / "new" / "folder" / "a.html").read_text(encoding="utf-8").startswith("<!doctype html>")
 
 
-def test_what_the_system_refuses_is_named_without_its_number(short: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_error_of_the_system_is_shown_without_its_number(short: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert status_of("report", short, "--to", "/proc/nowhere/a.html") == 1
     assert capsys.readouterr().err == "/proc/nowhere: No such file or directory\n"

@@ -72,7 +72,7 @@ def test_a_run_leaves_an_archive_and_a_report_in_the_data_folder(recorded: Path)
     assert run.header.protocol_yaml == SHORT
 
 
-def test_the_last_screen_says_how_it_ended_and_where_it_lies(recorded: Path) -> None:
+def test_the_last_screen_states_the_outcome_and_the_files(recorded: Path) -> None:
     said = (recorded / "said.txt").read_text()
     assert "finished" in said
     assert "archive  data/" in said
@@ -103,7 +103,7 @@ def test_a_check_imports_nothing_that_only_a_run_needs(tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
 
 
-def test_ctrl_c_while_modules_load_ends_it_without_a_word() -> None:
+def test_ctrl_c_while_modules_load_ends_the_program_silently() -> None:
     interrupted_in_an_import = (
         "import os, signal, sys\n"
         "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
@@ -153,7 +153,7 @@ def test_bad_input_gives_one_message_and_status_2(
     assert not list(here.iterdir())
 
 
-def test_a_process_of_its_own_says_the_same_without_a_traceback(tmp_path: Path) -> None:
+def test_bad_input_in_a_separate_process_gives_the_same_message_without_a_traceback(tmp_path: Path) -> None:
     done = rig(["run", "ramp-z", "--fast", "--yes"], tmp_path)
     assert done.returncode == 2, done.stderr
     assert "ramp-a" in done.stderr
@@ -167,7 +167,9 @@ def test_an_address_of_another_machine_is_bad_input(recorded: Path, capsys: pyte
         assert f"found     {address}" in capsys.readouterr().err
 
 
-def test_the_page_is_not_opened_on_what_is_no_archive(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_page_is_not_opened_for_a_file_that_is_not_an_archive(
+    here: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     (here / "notes.h5").write_text("no archive")
     assert inside("live", "notes.h5", "--port", "0") == 2
     said = capsys.readouterr()
@@ -175,9 +177,7 @@ def test_the_page_is_not_opened_on_what_is_no_archive(here: Path, capsys: pytest
     assert "live page" not in said.out
 
 
-def test_what_is_wrong_with_the_protocol_and_the_rig_is_said_at_once(
-    here: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_faults_of_protocol_and_rig_are_reported_at_once(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (here / "p.yaml").write_text("title: x\nsteps: 3\n")
     (here / "r.yaml").write_text("name: 3\n")
     assert inside("check", "p.yaml", "--rig", "r.yaml") == 2
@@ -195,7 +195,7 @@ def test_without_yes_and_without_a_terminal_nothing_is_armed(
     assert not (here / "data").exists()
 
 
-def test_vent_says_which_bench_it_was_and_that_it_is_simulated(
+def test_vent_names_the_bench_and_states_that_it_is_simulated(
     here: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("rig.realtime.scheduling.raise_priority", lambda: None)
@@ -208,7 +208,7 @@ def test_vent_says_which_bench_it_was_and_that_it_is_simulated(
     assert "every chamber of rig mock is open to the exhaust (simulated" in capsys.readouterr().out
 
 
-def test_a_data_folder_that_cannot_be_written_is_said_so(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_data_folder_that_cannot_be_written_is_reported(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (here / "data").write_text("a file")
     assert inside("run", "ramp-a", "--fast", "--yes") in (1, 2)
     assert "data" in capsys.readouterr().err
@@ -296,9 +296,7 @@ def test_recover_makes_an_archive_of_an_orphaned_journal(
     assert "nothing to recover" in capsys.readouterr().out
 
 
-def test_simulate_leaves_the_models_tip_alone_in_the_same_layout(
-    here: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_simulate_writes_only_the_models_tip_in_the_same_layout(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (here / "short.yaml").write_text(SHORT)
     assert inside("simulate", "short.yaml", "--model", "homogeneous", "--static", "--out", "out") == 0
     archive = here / capsys.readouterr().out.strip()
@@ -312,7 +310,7 @@ def test_simulate_leaves_the_models_tip_alone_in_the_same_layout(
 
 
 @pytest.mark.parametrize("gone", ["openpty", "pipe"])
-def test_a_terminal_that_has_gone_changes_nothing_of_how_a_run_ended(gone: str) -> None:
+def test_a_closed_terminal_does_not_change_how_a_run_ends(gone: str) -> None:
     program = (
         "import os, sys\n"
         f"outer, inner = os.{gone}()\n"

@@ -67,7 +67,7 @@ def test_a_run_is_named_by_its_path_its_id_a_unique_part_of_it_or_last(data: Pat
     assert resolve(Path(name)) == data / f"{run}.h5"
 
 
-def test_a_part_that_several_runs_have_in_their_id_is_refused_and_names_them(data: Path) -> None:
+def test_an_ambiguous_part_of_a_run_id_is_refused_with_the_matching_ids(data: Path) -> None:
     with pytest.raises(ArchiveError, match=rf"2 runs .*{FIRST}, {SECOND}"):
         resolve(Path("030405"))
     with pytest.raises(ArchiveError, match="no such archive"):
@@ -85,7 +85,7 @@ def test_last_of_an_empty_folder_is_no_run(tmp_path: Path, monkeypatch: pytest.M
             resolve(Path(name))
 
 
-def test_a_comparison_leaves_the_reports_of_its_runs_alone(data: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_comparison_does_not_change_the_reports_of_its_runs(data: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert inside("report", "last") == 0
     own = (data / f"{FIRST}.html").read_bytes()
     assert inside("report", "ramp-a", "sine-1") == 0
@@ -97,7 +97,7 @@ def test_a_comparison_leaves_the_reports_of_its_runs_alone(data: Path, capsys: p
     assert inside("report", "ramp-a", "sine-1") == 0
 
 
-def test_a_report_is_not_written_over_another_page(data: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_report_does_not_overwrite_another_page(data: Path, capsys: pytest.CaptureFixture[str]) -> None:
     Path("notes.html").write_text("mine")
     assert inside("report", "last", "--to", "notes.html") == 2
     said = capsys.readouterr().err
@@ -110,7 +110,7 @@ def test_a_report_is_not_written_over_another_page(data: Path, capsys: pytest.Ca
 
 
 @pytest.mark.parametrize("form", FORMATS)
-def test_an_export_is_written_over_no_file_without_consent(data: Path, form: str) -> None:
+def test_an_export_overwrites_no_file_without_consent(data: Path, form: str) -> None:
     archive = data / f"{FIRST}.h5"
     written = export(archive, form)
     for file in written:
@@ -124,7 +124,7 @@ def test_an_export_is_written_over_no_file_without_consent(data: Path, form: str
     assert inside("export", archive, "--to", form) == 2
 
 
-def test_figures_are_written_over_no_file_without_consent(data: Path) -> None:
+def test_figures_overwrite_no_file_without_consent(data: Path) -> None:
     folder = Path("figures")
     folder.mkdir()
     (folder / f"{FIRST}-error.svg").write_text("mine")
@@ -148,7 +148,7 @@ def test_identify_refuses_an_existing_file_before_it_computes(
     assert file.read_text() == "mine"
 
 
-def test_reproduce_writes_over_its_own_page_alone(tmp_path: Path) -> None:
+def test_reproduce_overwrites_only_its_own_page(tmp_path: Path) -> None:
     from rig.reproduce.page import write
 
     assert write(tmp_path / "paper", [], [], ["said"]) == write(tmp_path / "paper", [], [], ["again"])
@@ -160,7 +160,7 @@ def test_reproduce_writes_over_its_own_page_alone(tmp_path: Path) -> None:
     assert "said" in (tmp_path / "paper.html").read_text()
 
 
-def test_of_several_files_none_is_written_where_one_may_not_be(tmp_path: Path) -> None:
+def test_of_several_files_none_is_written_if_one_is_refused(tmp_path: Path) -> None:
     (tmp_path / "b").write_text("mine")
 
     def write() -> None:

@@ -72,7 +72,7 @@ def rig(capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> R
         (ODD, SHOWN),
     ],
 )
-def test_what_a_terminal_would_obey_is_shown(text: str, shown: str) -> None:
+def test_terminal_control_characters_are_shown_as_text(text: str, shown: str) -> None:
     assert printable(text) == shown
 
 
@@ -124,7 +124,7 @@ def test_a_console_shows_what_a_text_of_its_own_holds(capsys: pytest.CaptureFixt
     assert capsys.readouterr().out == "a\\x1b[2Jb\\u202ec\n"
 
 
-def test_a_report_holds_no_markup_of_others(tmp_path: Path) -> None:
+def test_a_report_holds_no_foreign_markup(tmp_path: Path) -> None:
     word = "<script>alert(1)</script>&'\"$\\frac{$"
     names = ("title", "operator", "notes", "protocol_name", "rig_name", "model_variant", "host", "command", "git_diff")
     header = replace(made_up.header("run"), **dict.fromkeys(names, word), versions={word: word}, cameras=(word,))

@@ -64,7 +64,7 @@ def test_the_rig_comes_from_the_option_the_variable_the_folder_and_then_the_defa
 
 
 @pytest.mark.parametrize("source", [Source.ENVIRONMENT, Source.FOLDER, Source.DEFAULT])
-def test_screen_and_record_say_what_chose_the_rig(
+def test_screen_and_record_state_what_chose_the_rig(
     source: Source, here: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     if source is Source.ENVIRONMENT:
@@ -97,7 +97,7 @@ def test_screen_and_record_say_what_chose_the_rig(
     ],
     ids=" ".join,
 )
-def test_a_rig_that_the_folder_or_the_variable_names_wrongly_is_not_replaced_by_the_simulated_one(
+def test_an_unreadable_rig_of_folder_or_variable_is_not_replaced_by_the_mock(
     arguments: tuple[str, ...], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     Path("softrig.yaml").symlink_to("gone.yaml")
@@ -110,7 +110,7 @@ def test_a_rig_that_the_folder_or_the_variable_names_wrongly_is_not_replaced_by_
     assert "did you mean mock?" in said
 
 
-def test_vent_without_a_rig_and_with_nothing_running_says_so_and_returns_2(
+def test_vent_without_a_rig_and_without_a_run_vents_nothing_and_returns_2(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     assert inside("vent") == 2
@@ -133,7 +133,7 @@ def two_cards() -> Iterator[list[tuple[RigConfig, Registers]]]:
         registers.close()
 
 
-def test_vent_without_a_rig_vents_those_that_run_and_no_other(
+def test_vent_without_a_rig_vents_only_the_running_ones(
     two_cards: list[tuple[RigConfig, Registers]],
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
@@ -149,7 +149,7 @@ def test_vent_without_a_rig_vents_those_that_run_and_no_other(
     assert second.outputs["volts"].tolist() == [7.0, 7.0]
 
 
-def test_a_running_rig_that_cannot_be_vented_keeps_no_other_from_it(
+def test_a_running_rig_that_cannot_be_vented_does_not_stop_the_venting_of_others(
     two_cards: list[tuple[RigConfig, Registers]],
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
@@ -173,7 +173,7 @@ def test_a_running_rig_that_cannot_be_vented_keeps_no_other_from_it(
 
 
 @pytest.mark.parametrize("like", Template)
-def test_init_writes_a_rig_that_says_of_every_section_what_it_is_for(
+def test_init_writes_a_rig_file_with_a_comment_on_every_section(
     like: Template, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert inside("init", "--like", like) == 0
@@ -198,7 +198,7 @@ def test_init_explains_every_section_that_a_rig_can_have() -> None:
 
 
 @pytest.mark.parametrize("kind", ["file", "broken link"])
-def test_init_writes_over_nothing_without_consent(kind: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_init_overwrites_nothing_without_consent(kind: str, capsys: pytest.CaptureFixture[str]) -> None:
     if kind == "file":
         Path("softrig.yaml").write_text("mine")
     else:

@@ -51,7 +51,7 @@ def test_the_check_screen_cuts_no_number_off_however_narrow_the_terminal(columns
     assert "…" not in said
 
 
-def test_the_check_screen_says_what_the_run_is_held_to() -> None:
+def test_the_check_screen_states_the_timing_limits_of_the_run() -> None:
     said = " ".join(checked("ramp-a", "mock", 110).split())
     assert "limits 0.7 bar in each chamber, ends above 0.75 bar; 1 bar/s" in said
     assert "duration 50.0 s, 14 segments" in said
@@ -72,7 +72,7 @@ def test_a_plot_of_nothing_but_0_bar_has_one_line_for_it(tmp_path: Path) -> None
     assert [line for line in lines if "bar" in line] == [f"  0.00 bar {'1' * 68}"]
 
 
-def test_the_lines_of_a_plot_of_little_pressure_are_told_apart(tmp_path: Path) -> None:
+def test_the_lines_of_a_plot_of_low_pressures_are_distinguishable(tmp_path: Path) -> None:
     labels = [line[:6] for line in plotted(protocol_to(tmp_path, 0.02)) if "bar" in line]
     assert len(set(labels)) == len(labels) == 11
 
@@ -137,7 +137,7 @@ def live(progress: Progress, columns: int, lines: int) -> str:
 
 
 @pytest.mark.parametrize(("columns", "lines"), [(80, 24), (40, 12)])
-def test_what_waits_for_the_operator_is_on_the_screen_however_little_fits(columns: int, lines: int) -> None:
+def test_a_waiting_prompt_is_on_the_screen_of_any_size(columns: int, lines: int) -> None:
     assert "press Enter" in live(running(prompt="Hang 20 g on the tip"), columns, lines)
     assert "PAUSED" in live(running(held=True), columns, lines)
 
@@ -173,7 +173,7 @@ def test_a_small_terminal_shows_every_number_of_an_adapting_run_with_six_actuato
         assert f"parameter_{i} {-0.0012345 - 1e-7 * i:.5g} +- 0.00011 1/bar" in said
 
 
-def test_where_nothing_has_to_give_way_the_screen_has_everything() -> None:
+def test_a_large_screen_shows_everything() -> None:
     screen = live(running(actuators=6, estimates=3), 80, 40)
     for words in ("ramp-a on mock", "difference [bar]", "began with", "control late by", "p pauses"):
         assert words in screen

@@ -166,13 +166,13 @@ def test_a_date_needs_its_zone() -> None:
         parse(document.parse(text, "c.yaml"))
 
 
-def test_a_file_says_when_by_what_and_from_which_source_it_was_made() -> None:
+def test_a_file_states_its_time_program_and_source() -> None:
     found = camera_file()
     assert re.match(r"20\d\d-\d\d-\d\dT\d\d:\d\d:\d\d\+00:00", found.made)
     assert "opencv-python-headless" in found.software.versions
 
 
-def test_a_file_is_not_written_over_unless_that_is_said(tmp_path: Path) -> None:
+def test_a_file_is_overwritten_only_with_replace(tmp_path: Path) -> None:
     path = write(camera_file(), tmp_path / "c.yaml")
     with pytest.raises(WouldOverwriteError, match="--replace"):
         write(camera_file(note="second"), path)
@@ -201,7 +201,7 @@ def _rig(folder: Path, *names: str, **changes: str) -> Path:
     return file
 
 
-def test_a_rig_takes_what_its_calibrations_found(tmp_path: Path) -> None:
+def test_a_rig_uses_the_results_of_its_calibrations(tmp_path: Path) -> None:
     (tmp_path / "made").mkdir()
     write(camera_file(), tmp_path / "made" / "c.yaml")
     write(tool_file(), tmp_path / "t.yaml")
@@ -225,7 +225,7 @@ def test_a_rig_without_calibrations_is_its_file_verbatim() -> None:
     assert loader.read("mock").calibrations == ()
 
 
-def test_what_was_used_is_kept_verbatim(tmp_path: Path) -> None:
+def test_the_used_calibrations_are_kept_verbatim(tmp_path: Path) -> None:
     write(camera_file(), tmp_path / "c.yaml")
     file = _rig(tmp_path, "c.yaml")
     rig = loader.read(file)
@@ -305,12 +305,12 @@ def test_two_calibrations_of_one_thing_are_refused(tmp_path: Path) -> None:
         loader.load(_rig(tmp_path, "a.yaml", "b.yaml"))
 
 
-def test_a_calibration_that_is_not_there_is_named_in_the_rigs_file(tmp_path: Path) -> None:
+def test_a_missing_calibration_is_reported_at_its_line_of_the_rig_file(tmp_path: Path) -> None:
     with pytest.raises(BadInputError, match=r"my\.yaml:\d+:\d+: calibrations\n  found     nowhere\.yaml"):
         loader.load(_rig(tmp_path, "nowhere.yaml"))
 
 
-def test_faults_of_every_calibration_are_told_at_once(tmp_path: Path) -> None:
+def test_faults_of_every_calibration_are_reported_at_once(tmp_path: Path) -> None:
     (tmp_path / "a.yaml").write_text("kind: camera\n")
     (tmp_path / "b.yaml").write_text("kind: tol\n")
     with pytest.raises(BadInputError) as caught:

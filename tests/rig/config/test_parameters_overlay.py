@@ -72,7 +72,7 @@ def protocol(folder: Path) -> str:
     return str(file)
 
 
-def test_simulate_takes_it_and_records_it_verbatim(found: Path, tmp_path: Path) -> None:
+def test_simulate_applies_the_overlay_and_records_it_verbatim(found: Path, tmp_path: Path) -> None:
     rig("simulate", protocol(tmp_path), "--static", "--parameters", str(found), "--out", str(tmp_path))
     run = newest(tmp_path)
     assert run.header.parameters_yaml == found.read_text()
@@ -84,7 +84,7 @@ def test_simulate_takes_it_and_records_it_verbatim(found: Path, tmp_path: Path) 
     assert np.linalg.norm(expected - 1e3 * model_arm(load("mock")).statics([0.3e5, 0, 0]).tip_m) > 5
 
 
-def test_run_and_replay_measure_from_the_identified_base_and_leave_the_simulated_arm_alone(
+def test_run_and_replay_measure_from_the_identified_base_and_do_not_change_the_simulated_arm(
     found: Path, tmp_path: Path
 ) -> None:
     with_it, without = tmp_path / "with", tmp_path / "without"
@@ -133,7 +133,7 @@ def test_calibrations_of_a_replay_lie_under_the_parameters_as_in_a_rigs_file(fou
         assert built == as_it_was
 
 
-def test_what_was_identified_is_found_again_in_the_rig(found: Path) -> None:
+def test_identified_values_are_found_in_the_rig(found: Path) -> None:
     config = loader.read("mock").identified(read(found)).config
     assert config.arm.geometry.length_mm == pytest.approx(175.0)
     assert config.arm.cap_mass_g == pytest.approx(56.0)
@@ -189,7 +189,7 @@ def test_parameters_of_another_model_are_refused(
         ({"sensing": {"gain": [0.0, 1.0, 1.0], "lag_s": 0}}, "gain"),
     ],
 )
-def test_what_is_malformed_is_named_by_file_and_line(
+def test_malformed_values_are_reported_with_file_and_line(
     found: Path, tmp_path: Path, change: dict[str, object], said: str
 ) -> None:
     message = refusal(found, change, tmp_path)

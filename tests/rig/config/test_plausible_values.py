@@ -44,7 +44,7 @@ def test_a_value_that_no_arm_has_is_refused_with_its_line_and_range(
     assert new.split(": ")[1] in text.splitlines()[problem.line - 1]
 
 
-def test_a_simulated_arm_that_cannot_stand_is_told_of_in_a_sentence() -> None:
+def test_a_simulated_arm_without_equilibrium_is_refused_in_one_sentence() -> None:
     text = MOCK.replace("cap_mass_g: 52", "cap_mass_g: 5000").replace("a1_per_N: 0.00765", "a1_per_N: 5")
     with pytest.raises(CardError, match="cannot carry its own weight"):
         Plant(loader.parse(text, "rig.yaml"), 0, 0)
@@ -94,7 +94,7 @@ PLACES = [path for part in ("simulator", "arm", "valves", "control", "limits") f
     st.lists(st.tuples(st.sampled_from(PLACES), st.sampled_from((0, 1e-6, 1e-3, 0.1, 10, 1e3, 1e6, -1))), max_size=3),
     st.floats(0.0, 10.0),
 )
-def test_what_passes_the_check_runs_or_ends_with_a_sentence(
+def test_a_checked_rig_runs_or_ends_with_one_sentence(
     changes: list[tuple[tuple[str | int, ...], float]], volts: float
 ) -> None:
     changed = yaml.safe_load(MOCK)

@@ -137,7 +137,7 @@ def test_faults_of_values_and_between_parts_come_together() -> None:
     ]
 
 
-def test_a_part_that_is_wrong_by_itself_raises_no_doubt_about_the_others() -> None:
+def test_a_wrong_section_causes_no_errors_about_the_others() -> None:
     found = problems_of(changed(("driver: mock", "driver: moc"), ("dead_zone_V: [0-9.]+", "dead_zone_V: x")))
     assert [problem.where for problem in found] == ["cards, daq, driver", "valves #1, dead_zone_V"]
 
@@ -192,7 +192,7 @@ def test_two_cards_may_form_one_rig() -> None:
 
 @pytest.mark.parametrize("name", ["a/b", "..", "a b", "µ", "", "x" * 41, "-a", "a.b", "a\\nb"])
 @pytest.mark.parametrize(("old", "key"), [(r"  daq: ", "cards"), (r"  front:", "cameras")])
-def test_a_card_or_camera_is_named_by_what_a_file_may_be_called_everywhere(name: str, old: str, key: str) -> None:
+def test_names_of_cards_and_cameras_are_portable_file_names(name: str, old: str, key: str) -> None:
     quoted = f'"{name}"'
     written = changed((old, old.replace("daq", quoted).replace("front", quoted).replace("\\", "\\\\")))
     problem = next(problem for problem in problems_of(written) if problem.where.endswith("its name"))
@@ -204,7 +204,7 @@ def test_a_card_or_camera_is_named_by_what_a_file_may_be_called_everywhere(name:
 
 
 @pytest.mark.parametrize("name", ["a/b", "../../etc", "_x", "x" * 41])
-def test_a_rig_is_named_by_what_a_file_may_be_called(name: str) -> None:
+def test_the_name_of_a_rig_is_a_portable_file_name(name: str) -> None:
     (problem,) = problems_of(changed(("name: mock", f"name: {name}")))
     assert (problem.where, problem.line) == ("name", 3)
     assert "letters" in problem.expected
@@ -229,7 +229,7 @@ WORDS = ["", "-1", "x", "[]", "{}", "~", ".nan", "1e9", "yes", "'1'", "[1, 2]", 
 
 @examples(40)
 @given(line=st.integers(0, MOCK.count("\n")), word=st.sampled_from(WORDS))
-def test_any_other_value_in_a_line_is_taken_or_refused_with_a_message(line: int, word: str) -> None:
+def test_any_other_value_in_a_line_is_accepted_or_refused_with_a_message(line: int, word: str) -> None:
     lines = MOCK.splitlines()
     lines[line % len(lines)] = re.sub(r"(: ).*", rf"\g<1>{word}", lines[line % len(lines)])
     try:
@@ -244,7 +244,7 @@ def test_any_other_value_in_a_line_is_taken_or_refused_with_a_message(line: int,
 
 @examples(20)
 @given(at=st.integers(0, len(MOCK)), cut=st.integers(1, 200))
-def test_a_rig_with_a_piece_cut_out_is_taken_or_refused_with_a_message(at: int, cut: int) -> None:
+def test_a_rig_with_a_piece_cut_out_is_accepted_or_refused_with_a_message(at: int, cut: int) -> None:
     try:
         rig_of(MOCK[:at] + MOCK[at + cut :])
     except BadInputError as error:

@@ -47,7 +47,7 @@ class TestOnTheMockRig:
     ("dead_zone_v", "leakage_l_min", "flow_scale"),
     [(0.28, 0.0, 1.4), (0.28, 7.0, 0.7), (0.55, 0.0, 0.7), (0.55, 7.0, 1.4), (0.4, 7.0, 0.7), (0.55, 1.5, 1.0)],
 )
-def test_a_valve_that_is_not_as_stated_is_regulated_all_the_same(
+def test_a_valve_unlike_the_stated_one_is_still_regulated(
     dead_zone_v: float, leakage_l_min: float, flow_scale: float
 ) -> None:
     config = mock_rig(
@@ -101,7 +101,7 @@ class TestFaults:
 
     HOLD = staticmethod(staircase([0.0, 0.4], 0.5, [0]))
 
-    def test_a_sensor_that_freezes_at_a_level_is_noticed(self) -> None:
+    def test_a_sensor_that_freezes_at_a_level_is_detected(self) -> None:
         times = []
         for seed in range(8):
             frozen: dict[str, Floats] = {}
@@ -135,7 +135,7 @@ class TestFaults:
         assert "frozen" in played.trip.message
         assert played.true_pa[:, 0].max() < 0.3e5
 
-    def test_an_open_sensor_is_noticed_at_once(self) -> None:
+    def test_an_open_sensor_is_detected_at_once(self) -> None:
         def cut(t_s: float, plant: Plant, volts: Floats) -> Floats:
             out = volts.copy()
             if t_s >= 1.5:
@@ -159,7 +159,7 @@ class TestFaults:
         assert played.trip.source in ("pressure rate", "over-pressure")
         assert played.true_pa[:, 0].max() < 0.8e5
 
-    def test_a_supply_that_fails_is_noticed_during_a_sinusoid(self) -> None:
+    def test_a_supply_that_fails_is_detected_during_a_sinusoid(self) -> None:
         def fail(t_s: float, plant: Plant, volts: Floats) -> Floats:
             if t_s >= 1.0:
                 plant._valves.supply_pa[:] = plant._air.pressure_pa.min()
@@ -169,7 +169,7 @@ class TestFaults:
         assert played.trip is not None
         assert played.trip.source in ("tracking", "sensor 1")
 
-    def test_vented_chambers_and_long_holds_are_no_faults(self) -> None:
+    def test_vented_chambers_and_long_holds_trip_no_interlock(self) -> None:
         for noise_bar, leakage_l_min in ((0.001, 0.0), (0.0, 1.5)):
             config = mock_rig(simulator__sensor__noise_bar=noise_bar, simulator__valve__leakage_l_min=leakage_l_min)
             played = play(config, staircase([0.0, 0.3, 0.3, 0.0], 5.0, [0]), 20.0)

@@ -93,7 +93,7 @@ def test_a_pressure_that_falls_too_fast_trips() -> None:
 
 
 @pytest.mark.parametrize("volts", [-0.2, 10.0, 10.2, float("nan")])
-def test_a_voltage_that_is_no_pressure_trips_at_once(volts: float) -> None:
+def test_a_voltage_outside_the_sensor_span_trips_at_once(volts: float) -> None:
     loop = Loop()
     loop.hold(0.3)
     command = loop.cycle((0.3, 0, 0), (0.3, 0, 0), volts=(0.3, volts, 0.0))
@@ -114,7 +114,7 @@ def test_without_scans_the_valves_wait_then_close_and_then_the_run_stops() -> No
     assert command.trip.message == "no pressure sample for 105 ms (limit 100 ms)"
 
 
-def test_a_computer_that_stalled_gets_the_time_to_read_what_the_card_has_taken_meanwhile() -> None:
+def test_after_a_stall_there_is_time_to_read_the_scans_taken_meanwhile() -> None:
     loop = Loop()
     loop.hold(0.3)
     still_ns = 300_000_000
@@ -126,7 +126,7 @@ def test_a_computer_that_stalled_gets_the_time_to_read_what_the_card_has_taken_m
     assert loop.cycle((0, 0, 0), (0.3, 0, 0), scan=False, stalled_ns=still_ns).trip is not None
 
 
-def test_a_pressure_that_has_moved_at_its_rate_while_the_computer_stalled_is_no_fast_one() -> None:
+def test_pressure_rates_use_the_true_time_across_a_stall() -> None:
     loop = Loop()
     loop.hold(0.3)
     loop.t_ns += 300_000_000
@@ -150,7 +150,7 @@ def test_without_any_scan_there_is_no_run() -> None:
     assert command.trip.message == "no pressure sample yet"
 
 
-def test_an_error_at_a_standing_set_point_trips_only_after_the_time_allowed() -> None:
+def test_an_error_at_a_constant_set_point_trips_after_the_tracking_time() -> None:
     loop = Loop()
     loop.hold(0.3, 100)
     ticks = 0
@@ -161,7 +161,7 @@ def test_an_error_at_a_standing_set_point_trips_only_after_the_time_allowed() ->
     assert ticks * 0.005 == pytest.approx(RIG.limits.tracking_s - 0.5, abs=0.02)
 
 
-def test_an_error_during_a_step_of_the_set_point_is_none() -> None:
+def test_an_error_during_a_set_point_step_does_not_trip() -> None:
     loop = Loop()
     loop.hold(0.3)
     bar = 0.3
@@ -193,7 +193,7 @@ def test_a_reading_that_does_not_move_by_a_count_is_frozen_after_the_time_allowe
 @pytest.mark.parametrize(
     ("valve", "allowed_s"), [({}, 0.0), (REGULATING, RIG.limits.frozen_s)], ids=["flow", "pressure"]
 )
-def test_a_pressure_that_stays_where_it_is_led_away_from_is_no_sensors_fault_before_a_regulating_valve_may_answer(
+def test_a_pressure_that_does_not_follow_is_a_fault_of_a_pressure_valve_only_after_frozen_s(
     valve: dict[str, object], allowed_s: float
 ) -> None:
     loop = Loop(control.prepare(mock_rig(**valve)))
@@ -208,7 +208,7 @@ def test_a_pressure_that_stays_where_it_is_led_away_from_is_no_sensors_fault_bef
     assert ticks * 0.005 == pytest.approx(max(allowed_s, 0.05), abs=0.03)
 
 
-def test_a_still_reading_of_a_vented_chamber_is_no_frozen_sensor() -> None:
+def test_a_constant_reading_of_a_vented_chamber_is_not_a_frozen_sensor() -> None:
     loop = Loop()
     for _ in range(1000):
         assert loop.cycle((0, 0, 0), (0, 0, 0), volts=(0.0, 0.0, 0.003)).trip is None
@@ -224,7 +224,7 @@ def test_a_trip_latches_with_the_safe_voltages() -> None:
         np.testing.assert_array_equal(command.valve_v, control.safe_voltages(RIG))
 
 
-def test_a_valve_of_two_chambers_steers_the_mean_of_both() -> None:
+def test_a_valve_of_two_chambers_controls_their_mean() -> None:
     """They share its air: what is read of one and asked of one counts half."""
     for bar, setpoint, rate in (
         ((0.0, 0.3, 0.3), (0.0, 0.301, 0.301), (0.0, 0.2, 0.2)),

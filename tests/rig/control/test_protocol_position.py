@@ -19,7 +19,7 @@ def test_a_prompt_stops_protocol_time_exactly_at_its_place() -> None:
     assert advance(position, 5.0, (1.0,), answered=0, held=False) == position
 
 
-def test_an_answer_lets_protocol_time_go_on() -> None:
+def test_an_answer_resumes_protocol_time() -> None:
     waiting = ProtocolPosition(1.0, 0, waiting=True)
     assert advance(waiting, 0.25, (1.0,), answered=1, held=False) == ProtocolPosition(1.25, 1, waiting=False)
 

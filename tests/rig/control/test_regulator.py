@@ -66,7 +66,7 @@ def test_the_voltage_lets_exactly_the_asked_rate_through_a_valve_as_stated(bar: 
 
 
 @pytest.mark.parametrize(("fills", "sign"), [("above", 1), ("below", -1)])
-def test_filling_takes_the_side_that_the_rig_names(fills: str, sign: int) -> None:
+def test_filling_uses_the_side_that_the_rig_states(fills: str, sign: int) -> None:
     s = flow_settings(valves__0__fills=fills)
     filling = regulator.step(s, RegulatorState(), DT, 0.2e5, 0.5e5, 0.0)
     emptying = regulator.step(s, RegulatorState(), DT, 0.5e5, 0.2e5, 0.0)
@@ -100,7 +100,7 @@ def test_the_reference_does_not_lag_a_set_point_that_says_how_fast_it_moves() ->
         assert state.reference_pa == pytest.approx(target, abs=1e-6)
 
 
-def test_the_integral_does_not_wind_up_while_the_valve_can_do_no_more() -> None:
+def test_the_integral_does_not_wind_up_while_the_valve_saturates() -> None:
     s = flow_settings()
     state = RegulatorState(0.6e5, 0.0, 0.0, 5.0)
     for _ in range(400):

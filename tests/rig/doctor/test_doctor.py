@@ -127,7 +127,7 @@ def test_an_empty_proc_comedi_is_no_comedi(machine: Machine) -> None:
     assert comedi(machine.root) is None
 
 
-def test_the_bus_tells_each_board_its_driver_and_the_modules_that_would_take_it(machine: Machine) -> None:
+def test_each_board_on_the_bus_is_listed_with_its_driver_and_possible_modules(machine: Machine) -> None:
     machine.board("1710")
     machine.board("1713", driver="adv_pci1710")
     first, second = pci_cards("0x13fe", RELEASE, machine.root)
@@ -149,7 +149,7 @@ def test_comedi_that_is_not_loaded_is_loaded_by_modprobe(machine: Machine) -> No
     assert "sudo modprobe" in said.remedy
 
 
-def test_a_board_whose_driver_is_not_loaded_names_it(machine: Machine) -> None:
+def test_a_driver_that_is_not_loaded_is_named(machine: Machine) -> None:
     machine.board("1711")
     said = machine.said()
     assert said["board"].verdict == "missing"
@@ -157,7 +157,7 @@ def test_a_board_whose_driver_is_not_loaded_names_it(machine: Machine) -> None:
     assert said["Comedi"].verdict == "missing"
 
 
-def test_the_1716_says_where_its_driver_is(machine: Machine) -> None:
+def test_for_the_1716_the_source_of_its_driver_is_named(machine: Machine) -> None:
     machine.board("1716")
     said = machine.said()["board"]
     assert "PCI-1716" in said.found
@@ -174,7 +174,7 @@ def test_a_board_that_the_kernels_own_driver_knows_needs_a_kernel_that_has_it(ma
     assert "git" not in said.remedy
 
 
-def test_a_board_that_nobody_is_known_to_drive_is_not_promised_a_driver(machine: Machine) -> None:
+def test_no_driver_is_promised_for_an_unknown_board(machine: Machine) -> None:
     machine.board("1816")
     said = machine.said()["board"]
     assert "Advantech board 0x1816" in said.found
@@ -189,7 +189,7 @@ def test_the_1716_with_the_out_of_tree_driver_installed_needs_only_modprobe(mach
     assert machine.said()["board"].remedy == "sudo modprobe adv_pci1710"
 
 
-def test_a_kernel_without_comedi_is_told_apart(machine: Machine) -> None:
+def test_a_kernel_without_comedi_is_recognised(machine: Machine) -> None:
     machine.write(f"lib/modules/{RELEASE}/modules.dep", "kernel/fs/ext4/ext4.ko:\n")
     said = machine.said()["Comedi"]
     assert "has no Comedi" in said.found
@@ -197,14 +197,14 @@ def test_a_kernel_without_comedi_is_told_apart(machine: Machine) -> None:
     assert "linux-modules-extra" in said.remedy
 
 
-def test_a_driver_that_took_no_card_is_missing_one(machine: Machine) -> None:
+def test_a_driver_without_a_card_is_reported(machine: Machine) -> None:
     machine.write("proc/comedi", NOTHING_ATTACHED)
     said = machine.said()["Comedi"]
     assert said.verdict == "missing"
     assert "no card is attached" in said.found
 
 
-def test_a_card_tells_what_it_is_and_can_do_and_in_which_order_to_power_up(machine: Machine) -> None:
+def test_a_card_is_reported_with_its_abilities_and_the_order_of_powering_up(machine: Machine) -> None:
     machine.write("proc/comedi", TWO_CARDS)
     machine.survey(CARD)
     said = machine.said()
@@ -219,7 +219,7 @@ def test_a_card_tells_what_it_is_and_can_do_and_in_which_order_to_power_up(machi
     assert "rig vent" in said["power-up"].remedy
 
 
-def test_a_card_without_a_clock_or_without_outputs_says_so(machine: Machine) -> None:
+def test_a_card_without_a_clock_or_outputs_is_reported(machine: Machine) -> None:
     machine.survey(
         ComediCardSurvey("/dev/comedi0", "x", "y", (("ai", 8),), SubdeviceSurvey(8, 12, ((0.0, 5.0),), None), None)
     )
@@ -228,7 +228,7 @@ def test_a_card_without_a_clock_or_without_outputs_says_so(machine: Machine) -> 
     assert "power-up" not in said
 
 
-def test_a_closed_card_is_named_by_the_kernel_and_says_which_group_to_join(machine: Machine) -> None:
+def test_for_a_card_without_permission_the_group_to_join_is_named(machine: Machine) -> None:
     machine.write("proc/comedi", TWO_CARDS)
     trouble = CardError("no permission to open /dev/comedi11", "`sudo adduser $USER iocard`, then log in again")
     machine.survey(ComediCardSurvey("/dev/comedi11", trouble=trouble.what, remedy=trouble.remedy))
@@ -240,26 +240,26 @@ def test_a_closed_card_is_named_by_the_kernel_and_says_which_group_to_join(machi
     assert machine.said()["card"] == expected
 
 
-def test_a_card_that_only_lacks_the_binding_says_so(machine: Machine) -> None:
+def test_a_missing_binding_is_reported(machine: Machine) -> None:
     machine.write("proc/comedi", TWO_CARDS)
     machine.without_pycomedi("/dev/comedi0", "/dev/comedi11")
     said = machine.said()
     assert (said["pycomedi"].verdict, said["card"].remedy) == ("missing", "make comedi")
 
 
-def test_a_device_that_is_closed_for_no_known_reason_has_a_remedy_all_the_same(machine: Machine) -> None:
+def test_a_device_that_cannot_be_opened_for_an_unknown_reason_still_gets_a_remedy(machine: Machine) -> None:
     machine.without_pycomedi("/dev/comedi0", trouble=CardError("/dev/comedi0 cannot be opened: Is a directory"))
     assert "dmesg" in machine.said()["card"].remedy
 
 
-def test_without_a_card_nobody_needs_the_binding(machine: Machine) -> None:
+def test_without_a_card_the_binding_is_not_required(machine: Machine) -> None:
     machine.without_pycomedi()
     said = machine.said()["pycomedi"]
     assert (said.verdict, said.found) == ("note", "pycomedi is not installed")
     assert "make comedi" in said.remedy
 
 
-def test_a_binding_that_is_broken_is_told_from_one_that_is_not_there(machine: Machine) -> None:
+def test_a_broken_binding_is_distinguished_from_a_missing_one(machine: Machine) -> None:
     machine.binding_fails(ValueError("numpy.dtype size changed"))
     said = machine.said()["pycomedi"]
     assert said.verdict == "missing"
@@ -267,7 +267,7 @@ def test_a_binding_that_is_broken_is_told_from_one_that_is_not_there(machine: Ma
     assert "make comedi" in said.remedy
 
 
-def test_a_card_that_is_attached_and_has_no_device_is_named(machine: Machine) -> None:
+def test_an_attached_card_without_a_device_node_is_reported(machine: Machine) -> None:
     machine.write("proc/comedi", TWO_CARDS)
     machine.survey()
     said = machine.said()["card"]
@@ -288,14 +288,14 @@ class OpenCard:
         """Nothing to release."""
 
 
-def test_a_rig_whose_card_has_everything_says_how_many_outputs_are_left(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_free_outputs_of_a_sufficient_card_are_counted(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cards, "ComediCard", OpenCard)
     (said,) = cards.rig_cards(rig.config.loader.load("pci1716"))
     assert said.verdict == "ok"
     assert "2 of 2 outputs used, none left" in said.found
 
 
-def test_a_rig_whose_card_lacks_an_output_is_told_the_cards_own_words(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_output_is_reported_with_the_message_of_the_card(monkeypatch: pytest.MonkeyPatch) -> None:
     def lacks(setup: object) -> OpenCard:
         raise CardError("pci1716 has 2 analogue outputs (0 to 1): there is no output 2")
 
@@ -317,7 +317,7 @@ def test_a_valve_that_0_v_opens_to_the_supply_is_pointed_out(monkeypatch: pytest
     assert "port 4" in said.remedy
 
 
-def test_a_mock_rig_has_no_card_to_look_at() -> None:
+def test_the_card_of_a_mock_rig_is_not_examined() -> None:
     assert cards.rig_cards(rig.config.loader.load("mock")) == ()
 
 
@@ -344,14 +344,14 @@ def test_memory_that_may_not_be_locked_names_the_line_to_add(monkeypatch: pytest
     assert "'@root - memlock unlimited'" in said.remedy
 
 
-def test_a_disk_says_how_much_is_free_and_how_fast_it_is_and_keeps_nothing(tmp_path: Path) -> None:
+def test_free_space_and_speed_of_the_disk_are_measured_and_nothing_is_left_on_it(tmp_path: Path) -> None:
     said = computer.disk(tmp_path / "data" / "deep")
     assert f"GB free at {tmp_path}" in said.found
     assert "a megabyte" in said.found
     assert not list(tmp_path.iterdir())
 
 
-def test_a_slow_disk_is_missing_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_slow_disk_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(computer, "SLOW_S", 0.0)
     said = computer.disk(tmp_path)
     assert said.verdict == "missing"
@@ -359,20 +359,20 @@ def test_a_slow_disk_is_missing_one(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     assert "--out" in said.remedy
 
 
-def test_a_folder_that_nobody_can_write_is_said_so() -> None:
+def test_a_folder_without_write_permission_is_reported() -> None:
     said = computer.disk(Path("/sys/kernel"))
     assert said.verdict == "missing"
     assert "/sys/kernel cannot be written: " in said.found
     assert "--out" in said.remedy
 
 
-def test_a_file_in_the_place_of_the_folder_is_said_so(tmp_path: Path) -> None:
+def test_a_file_in_place_of_the_folder_is_reported(tmp_path: Path) -> None:
     (tmp_path / "data").write_text("a file")
     said = computer.disk(tmp_path / "data" / "today")
     assert (said.verdict, said.found) == ("missing", f"{tmp_path / 'data'} is a file and no folder")
 
 
-def test_a_disk_that_takes_no_more_is_full_whatever_it_says_is_free(
+def test_a_disk_that_refuses_a_write_is_full_whatever_space_it_states(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def full(fd: int) -> None:
@@ -385,7 +385,7 @@ def test_a_disk_that_takes_no_more_is_full_whatever_it_says_is_free(
     assert "make room" in said.remedy
 
 
-def test_a_disk_with_little_room_is_said_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_disk_with_little_room_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(computer, "ENOUGH_BYTES", 1 << 62)
     said = computer.disk(tmp_path)
     assert (said.verdict, said.remedy.split(",")[0]) == ("missing", "make room")
@@ -424,7 +424,7 @@ def with_camera(driver: str, device: str | int) -> RigConfig:
     return config.model_copy(update={"cameras": {"front": camera}})
 
 
-def test_a_camera_is_told_from_the_device_that_comes_with_it_and_gives_no_pictures(plugged: Cameras) -> None:
+def test_a_camera_is_distinguished_from_its_second_device_without_pictures(plugged: Cameras) -> None:
     plugged.add("video10", "HD Webcam", 0x04A00000)
     plugged.add("video2", "HD Webcam", 0x04200001)
     first, second = cameras.cameras(plugged.root)
@@ -433,7 +433,7 @@ def test_a_camera_is_told_from_the_device_that_comes_with_it_and_gives_no_pictur
     assert "/dev/video10: HD Webcam: gives no pictures" in second.found
 
 
-def test_a_device_without_hardware_is_not_asked_what_it_can_do(plugged: Cameras) -> None:
+def test_a_device_without_hardware_is_not_queried(plugged: Cameras) -> None:
     """v4l2loopback that was asked while nobody fed it refused who was to feed it next."""
     plugged.add("video9", "played", 0x05200000)
     shown = plugged.root / "sys/class/video4linux/video9"
@@ -452,7 +452,9 @@ def refusing(monkeypatch: pytest.MonkeyPatch, number: int) -> None:
     monkeypatch.setattr(os, "open", refuse)
 
 
-def test_a_camera_of_another_group_says_which_to_join(plugged: Cameras, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_for_a_camera_without_permission_the_group_to_join_is_named(
+    plugged: Cameras, monkeypatch: pytest.MonkeyPatch
+) -> None:
     plugged.add("video0", "HD Webcam", 0x04200001)
     refusing(monkeypatch, errno.EACCES)
     group = computer.group_name((plugged.root / "dev/video0").stat().st_gid)
@@ -461,7 +463,7 @@ def test_a_camera_of_another_group_says_which_to_join(plugged: Cameras, monkeypa
 
 
 @pytest.mark.parametrize("number", [errno.EBUSY, errno.ENXIO])
-def test_a_camera_that_cannot_be_opened_says_why(
+def test_a_camera_that_cannot_be_opened_is_reported_with_the_reason(
     plugged: Cameras, monkeypatch: pytest.MonkeyPatch, number: int
 ) -> None:
     plugged.add("video0", "HD Webcam", 0x04200001)
@@ -472,7 +474,7 @@ def test_a_camera_that_cannot_be_opened_says_why(
     assert said.remedy
 
 
-def test_no_camera_is_no_fault_unless_a_rig_wants_one(plugged: Cameras) -> None:
+def test_a_missing_camera_is_a_fault_only_if_a_rig_needs_one(plugged: Cameras) -> None:
     (said,) = cameras.cameras(plugged.root)
     assert said.verdict == "note"
     (said,) = cameras.rig_cameras(with_camera("opencv", "/dev/video0"), plugged.root)
@@ -481,13 +483,13 @@ def test_no_camera_is_no_fault_unless_a_rig_wants_one(plugged: Cameras) -> None:
 
 
 @pytest.mark.parametrize("device", ["/dev/video2", 2])
-def test_a_rigs_camera_that_is_there_is_named(plugged: Cameras, device: str | int) -> None:
+def test_a_camera_of_the_rig_that_is_present_is_named(plugged: Cameras, device: str | int) -> None:
     plugged.add("video2", "HD Webcam", 0x04200001)
     (said,) = cameras.rig_cameras(with_camera("opencv", device), plugged.root)
     assert said == Finding("rig's camera front", "ok", "/dev/video2: HD Webcam")
 
 
-def test_a_rigs_camera_may_be_named_by_what_does_not_change(plugged: Cameras) -> None:
+def test_a_camera_may_be_named_by_its_persistent_path(plugged: Cameras) -> None:
     plugged.add("video2", "HD Webcam", 0x04200001)
     steady = plugged.root / "dev/v4l/by-id"
     steady.mkdir(parents=True)
@@ -496,7 +498,7 @@ def test_a_rigs_camera_may_be_named_by_what_does_not_change(plugged: Cameras) ->
     assert said == Finding("rig's camera front", "ok", "/dev/v4l/by-id/usb-webcam-index0: HD Webcam")
 
 
-def test_a_rig_that_names_the_device_without_pictures_is_told_so(plugged: Cameras) -> None:
+def test_a_rig_that_names_a_device_without_pictures_is_reported(plugged: Cameras) -> None:
     plugged.add("video3", "HD Webcam", 0x04A00000)
     (said,) = cameras.rig_cameras(with_camera("opencv", "/dev/video3"), plugged.root)
     assert said.verdict == "missing"
@@ -530,7 +532,7 @@ class RealSense:
         return self._serial
 
 
-def test_a_rigs_realsense_is_looked_for_by_its_number(plugged: Cameras, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_realsense_is_searched_by_its_serial_number(plugged: Cameras, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pyrealsense2", None)
     (said,) = cameras.rig_cameras(with_camera("realsense", "any"), plugged.root)
     assert (said.verdict, said.remedy) == ("missing", "pip install pyrealsense2")
@@ -541,6 +543,6 @@ def test_a_rigs_realsense_is_looked_for_by_its_number(plugged: Cameras, monkeypa
     ] == ["ok", "ok", "missing"]
 
 
-def test_a_rig_without_its_camera_ends_the_doctor_with_a_fault(tmp_path: Path) -> None:
+def test_a_missing_camera_of_the_rig_is_a_fault(tmp_path: Path) -> None:
     topics = {f.topic: f.verdict for f in examine(tmp_path, with_camera("opencv", "/dev/video987"))}
     assert topics["rig's camera front"] == "missing"

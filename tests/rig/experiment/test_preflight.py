@@ -75,7 +75,7 @@ def test_a_step_is_reported_once_for_each_rule_however_often_it_repeats(tmp_path
     assert problem.where == "steps #1, repeat, steps #1, staircase (0.9 bar)"
 
 
-def test_a_jump_that_is_asked_for_is_no_fault(tmp_path: Path) -> None:
+def test_a_step_of_the_set_point_is_accepted(tmp_path: Path) -> None:
     assert checked(tmp_path, "hold: {actuators: [1], level_bar: 0.6, duration_s: 1}") == ()
 
 

@@ -121,7 +121,7 @@ def test_another_variant_moves_the_model_and_not_the_measurement(lossless: Run, 
         ("entry/frames/image", b"no picture", r"entry/frames/image\[0\]: found 10 bytes, expected a JPEG or PNG"),
     ],
 )
-def test_what_cannot_be_replayed_is_named(
+def test_a_run_that_cannot_be_replayed_is_refused_with_the_reason(
     lossless: Run, tmp_path: Path, path: str, value: str | bytes, said: str
 ) -> None:
     copy = Path(shutil.copy(lossless.path, tmp_path / "copy.h5"))

@@ -40,7 +40,7 @@ def test_a_prompts_weight_stretches_the_arm(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("static", [True, False])
-def test_what_has_no_equilibrium_is_flagged_and_the_others_stay(tmp_path: Path, static: bool) -> None:
+def test_rows_without_equilibrium_are_flagged_and_the_others_kept(tmp_path: Path, static: bool) -> None:
     weak = (
         text("mock").replace("cap_mass_g: 50\n", "cap_mass_g: 0\n").replace("a2_per_N2: 0.00031962", "a2_per_N2: 100")
     )

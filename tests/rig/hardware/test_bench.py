@@ -72,7 +72,7 @@ def bench(cards: dict[str, FakeCard]) -> Bench:
     return Bench(two_card_rig(), cards)
 
 
-def test_a_card_is_asked_for_its_channels_in_the_order_of_actuators_and_valves(cards: dict[str, FakeCard]) -> None:
+def test_channels_are_requested_in_the_order_of_actuators_and_valves(cards: dict[str, FakeCard]) -> None:
     assert [c.number for c in cards["daq"].setup.inputs] == [0, 2]
     assert [c.number for c in cards["other"].setup.inputs] == [5]
     assert [c.number for c in cards["daq"].setup.outputs] == [0]
@@ -102,7 +102,7 @@ def test_cards_with_clocks_of_their_own_are_paired_without_losing_a_scan(
     assert second.lost == 3
 
 
-def test_a_card_that_falls_silent_makes_the_samples_stop(bench: Bench, cards: dict[str, FakeCard]) -> None:
+def test_a_silent_card_stops_the_samples(bench: Bench, cards: dict[str, FakeCard]) -> None:
     cards["daq"].feed([10, 20], [[1, 1], [2, 2]])
     assert len(bench.read().t_ns) == 0
 
@@ -114,9 +114,7 @@ def test_every_card_is_made_safe_even_if_another_fails(bench: Bench, cards: dict
     assert cards["other"].outputs.tolist() == [5.0]
 
 
-def test_arming_writes_the_safe_state_and_believes_only_what_it_reads_back(
-    bench: Bench, cards: dict[str, FakeCard]
-) -> None:
+def test_arming_writes_the_safe_state_and_checks_the_readback(bench: Bench, cards: dict[str, FakeCard]) -> None:
     bench.arm()
     assert bench.readback().tolist() == [0.0, 5.0]
     cards["other"].outputs = np.array([4.0])
@@ -147,7 +145,7 @@ def test_valves_of_one_card_are_made_safe_by_it_alone(cards: dict[str, FakeCard]
 
 
 @pytest.mark.parametrize("bug", [ValueError, OSError])
-def test_an_error_that_nobody_expected_of_a_card_keeps_no_other_from_its_safe_state(
+def test_an_unexpected_error_of_one_card_does_not_stop_the_safe_state_of_others(
     bug: type[Exception], cards: dict[str, FakeCard], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def opened(card: CardConfig, setup: CardSetup) -> FakeCard:
@@ -175,7 +173,7 @@ def test_a_valve_may_stand_safe_or_vented_and_nowhere_else(bench: Bench, cards: 
     assert bench.unsafe_output() == ""
 
 
-def test_a_card_that_cannot_be_opened_keeps_no_other_from_its_safe_state(
+def test_a_card_that_cannot_be_opened_does_not_stop_the_safe_state_of_others(
     cards: dict[str, FakeCard], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def opened(card: CardConfig, setup: CardSetup) -> FakeCard:
@@ -192,7 +190,7 @@ def test_a_card_that_cannot_be_opened_keeps_no_other_from_its_safe_state(
     assert cards["other"].closed
 
 
-def test_a_card_that_another_process_has_keeps_no_other_from_being_vented(
+def test_a_card_of_another_process_does_not_stop_the_venting_of_others(
     cards: dict[str, FakeCard], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def opened(card: CardConfig, setup: CardSetup) -> FakeCard:

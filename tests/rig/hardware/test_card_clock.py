@@ -71,7 +71,7 @@ def memory(two_cards: RigConfig) -> Iterator[SharedState]:
     os.close(memory.fd)
 
 
-def test_a_rounded_period_and_its_drift_are_told_and_counted_for_the_card_that_has_a_clock(
+def test_rounded_period_and_drift_are_reported_for_a_card_with_a_clock(
     two_cards: RigConfig, memory: SharedState
 ) -> None:
     bench = Bench(two_cards, {"daq": FakeCard(), "other": ClockedCard(999_900.0, -31.2504)})
@@ -85,7 +85,7 @@ def test_a_rounded_period_and_its_drift_are_told_and_counted_for_the_card_that_h
     ]
 
 
-def test_a_card_that_is_read_by_instruction_has_no_clock_to_tell_of(two_cards: RigConfig, memory: SharedState) -> None:
+def test_a_card_read_by_instruction_reports_no_clock(two_cards: RigConfig, memory: SharedState) -> None:
     sampling_clocks.publish(memory, Bench(two_cards, {"daq": FakeCard(), "other": ClockedCard(None, None)}))
     assert sampling_clocks.clock_counters(memory, two_cards) == {}
     assert sampling_clocks.descriptions(memory, two_cards) == []

@@ -195,7 +195,7 @@ def test_a_rate_that_the_card_cannot_reach_is_refused_with_the_one_it_has(make: 
         card.start()
 
 
-def test_a_scan_that_is_only_half_there_waits_for_its_rest(make: MakeCard) -> None:
+def test_an_incomplete_scan_waits_for_its_rest(make: MakeCard) -> None:
     card, device = make(unipolar(0, 1))
     card.start()
     os.write(device.feed, b"\0\x80\0")
@@ -212,7 +212,7 @@ def test_scans_are_a_period_apart_and_none_is_taken_before_the_start(make: MakeC
     np.testing.assert_array_equal(np.diff(card.read().t_ns), 1_000_000)
 
 
-def test_after_an_overrun_sampling_goes_on_and_what_was_read_before_is_kept(make: MakeCard) -> None:
+def test_after_an_overrun_sampling_continues_and_earlier_scans_are_kept(make: MakeCard) -> None:
     card, device = make(unipolar(0))
     card.start()
     device.put((1.0,), (2.0,))
@@ -235,7 +235,7 @@ def test_a_card_that_is_gone_is_an_error_not_silence(make: MakeCard) -> None:
         card.read()
 
 
-def test_the_card_is_asked_for_its_command_only_where_the_rig_lets_it(make: MakeCard) -> None:
+def test_the_command_of_the_card_is_used_only_where_the_rig_allows_it(make: MakeCard) -> None:
     card, device = make(unipolar(3), acquisition="instruction")
     card.start()
     device.inputs.lines[3].raw = 65535
@@ -244,7 +244,7 @@ def test_the_card_is_asked_for_its_command_only_where_the_rig_lets_it(make: Make
     assert card.period_ns is None
 
 
-def test_a_rig_that_insists_on_a_command_is_told_when_the_card_has_none(make: MakeCard) -> None:
+def test_a_rig_that_requires_a_command_is_refused_by_a_card_without_one(make: MakeCard) -> None:
     card, device = make(unipolar(0), acquisition="command")
     device.inputs.can_command = False
     with pytest.raises(CardError, match="acquisition: auto"):
@@ -260,7 +260,7 @@ def test_an_output_takes_the_narrowest_range_and_never_leaves_the_rigs(make: Mak
     np.testing.assert_allclose(card.readback(), [0.0, 2.0], atol=2e-4)
 
 
-def test_one_output_that_fails_does_not_keep_the_others_from_their_voltage(make: MakeCard) -> None:
+def test_a_failing_output_does_not_stop_writes_to_the_others(make: MakeCard) -> None:
     card, device = make((), unipolar(0, 1))
     device.outputs.lines[0].fails = True
     with pytest.raises(CardError, match="line 0 cannot be written"):
@@ -268,7 +268,7 @@ def test_one_output_that_fails_does_not_keep_the_others_from_their_voltage(make:
     assert device.outputs.lines[1].raw == pytest.approx(65535 / 5, abs=1)
 
 
-def test_an_output_that_cannot_be_read_back_is_told_as_written(make: MakeCard) -> None:
+def test_an_output_without_readback_is_reported_as_written(make: MakeCard) -> None:
     card, device = make((), unipolar(0, 1))
     card.write(np.array([1.0, 2.0]))
     device.outputs.lines[1].read = lambda: (_ for _ in ()).throw(CardError("no readback"))  # type: ignore[method-assign]
@@ -281,7 +281,7 @@ def test_an_output_that_was_neither_written_nor_can_be_read_is_unknown(make: Mak
     assert np.isnan(card.readback()).all()
 
 
-def test_a_rig_with_more_valves_than_outputs_is_told_what_the_card_has(make: MakeCard) -> None:
+def test_a_rig_with_more_valves_than_outputs_is_refused_with_the_outputs_of_the_card(make: MakeCard) -> None:
     with pytest.raises(CardError, match=r"pci1716 .* has 2 analogue outputs \(0 to 1\): there is no output 2"):
         make((), unipolar(0, 1, 2))
 

@@ -54,7 +54,7 @@ def test_the_constants_are_those_of_comedi_h(tmp_path: Path) -> None:
     assert len(theirs) > 80
 
 
-def test_without_pycomedi_the_message_says_how_to_get_it() -> None:
+def test_without_pycomedi_the_message_names_the_installation() -> None:
     program = (
         "import sys\nsys.modules['pycomedi'] = None\n"
         "from rig.hardware.cards.base import CardError, CardSetup\nfrom rig.hardware.cards.comedi import ComediCard\n"
@@ -70,7 +70,7 @@ needs_pycomedi = pytest.mark.skipif(not find_spec("pycomedi"), reason="pycomedi 
 
 
 @needs_pycomedi
-def test_importing_pycomedi_leaves_another_comedi_module_alone() -> None:
+def test_importing_pycomedi_does_not_affect_another_comedi_module() -> None:
     program = (
         "import sys, types\nother = types.ModuleType('comedi')\nsys.modules['comedi'] = other\n"
         "from rig.hardware.cards.comedi_device import require\nrequire()\n"
@@ -80,9 +80,7 @@ def test_importing_pycomedi_leaves_another_comedi_module_alone() -> None:
 
 
 @needs_pycomedi
-def test_a_card_that_lets_one_process_in_names_the_process_that_has_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_for_a_one_opener_card_the_holding_process_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     node = tmp_path / "comedi0"
     node.touch()
 
@@ -105,7 +103,7 @@ def test_a_card_that_lets_one_process_in_names_the_process_that_has_it(
         (errno.EIO, "cannot be opened: Input/output error"),
     ],
 )
-def test_a_device_that_cannot_be_opened_says_why(
+def test_a_device_that_cannot_be_opened_is_reported_with_the_reason(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, code: int, message: str
 ) -> None:
     def fail(path: str, flags: int) -> int:
@@ -156,7 +154,7 @@ def test_a_card_that_another_process_opens_between_the_question_and_the_opening_
 
 
 @needs_pycomedi
-def test_a_file_that_is_no_comedi_device_is_told_so(tmp_path: Path) -> None:
+def test_a_file_that_is_not_a_comedi_device_is_refused(tmp_path: Path) -> None:
     file = tmp_path / "comedi0"
     file.touch()
     with pytest.raises(CardError, match="no card is attached to it"):

@@ -69,12 +69,12 @@ def bench(tmp_path: Path) -> Bench:
     return Bench(tmp_path)
 
 
-def test_what_is_installed_is_left_alone(bench: Bench) -> None:
+def test_an_installed_binding_is_not_installed_again(bench: Bench) -> None:
     status, said, _ = bench.install(REQUIRED="")
     assert (status, said) == (0, f"pycomedi is installed in {bench.venv}\n")
 
 
-def test_a_python_that_is_too_new_is_said_so_before_anything_is_fetched(bench: Bench) -> None:
+def test_a_python_that_is_too_new_is_reported_before_anything_is_downloaded(bench: Bench) -> None:
     status, said, wrong = bench.install(VERSION="3.13.1")
     assert (status, said) == (2, "")
     assert "does not build on Python 3.13.1" in wrong
@@ -87,7 +87,7 @@ def test_headers_that_are_missing_are_named_by_their_packages(bench: Bench) -> N
     assert "sudo apt-get install python3.11-dev" in wrong
 
 
-def test_a_machine_that_reaches_no_package_index_is_told_how_to_reach_one(bench: Bench) -> None:
+def test_without_a_package_index_the_message_names_the_settings_to_reach_one(bench: Bench) -> None:
     status, _, wrong = bench.install()
     assert status == 1
     assert "no matching distribution" in wrong
@@ -95,7 +95,7 @@ def test_a_machine_that_reaches_no_package_index_is_told_how_to_reach_one(bench:
         assert way in wrong.splitlines()[-1]
 
 
-def test_ctrl_c_ends_it_without_a_trace(bench: Bench, tmp_path: Path) -> None:
+def test_ctrl_c_ends_the_installation_without_leftovers(bench: Bench, tmp_path: Path) -> None:
     building, build = tmp_path / "building", tmp_path / "build.sh"
     build.write_text(f"touch {building}\nexec sleep {10 * PATIENCE_S:g}\n")
     process = bench.start(DURING=f"sh {build}")

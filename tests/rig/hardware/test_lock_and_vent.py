@@ -106,7 +106,7 @@ def test_the_lock_lies_in_the_same_place_whatever_the_environment_says(
     assert lock_file(comedi_card("/dev/comedi0")) == before
 
 
-def test_who_holds_a_lock_is_known_while_he_does(config: RigConfig) -> None:
+def test_the_holder_of_a_lock_is_known(config: RigConfig) -> None:
     assert holders(config) == ()
     with cards_locked(config, "a test"):
         assert holders(config) == (os.getpid(),)
@@ -114,7 +114,7 @@ def test_who_holds_a_lock_is_known_while_he_does(config: RigConfig) -> None:
 
 
 @pytest.mark.parametrize("still", [False, True], ids=["awake", "standing still"])
-def test_a_run_that_would_not_notice_is_told_to_end(
+def test_a_run_that_would_not_notice_the_venting_is_signalled_to_end(
     still: bool, config: RigConfig, registers: Registers, tmp_path: Path
 ) -> None:
     """One that has not begun, that stands still, or whose valves stand vented anyway."""
@@ -128,7 +128,7 @@ def test_a_run_that_would_not_notice_is_told_to_end(
         assert process.wait(20) == -signal.SIGTERM
 
 
-def test_valves_that_do_not_stay_where_they_are_told_are_not_called_vented(
+def test_outputs_that_do_not_read_back_vented_are_not_called_vented(
     config: RigConfig, registers: Registers, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(MockCard, "readback", lambda card: np.array([0.0, 7.0]))
@@ -137,7 +137,7 @@ def test_valves_that_do_not_stay_where_they_are_told_are_not_called_vented(
 
 
 @pytest.mark.parametrize(("stands_v", "vented"), [(0.0, True), (3.0, False)])
-def test_who_stalled_in_a_tick_does_not_undo_what_was_written_meanwhile(
+def test_control_that_stalled_within_a_cycle_does_not_overwrite_a_venting(
     config: RigConfig, registers: Registers, stands_v: float, vented: bool
 ) -> None:
     memory = SharedState.create(StateLayout.of(config))
@@ -154,7 +154,7 @@ def test_who_stalled_in_a_tick_does_not_undo_what_was_written_meanwhile(
 
 
 @pytest.mark.parametrize("flags", [{"stop_request": Stop.VENT}, {"watchdog_trip_ns": 1}])
-def test_what_a_runs_own_watchdog_has_written_is_neither_undone_nor_taken_for_another_programs(
+def test_writes_of_the_own_watchdog_are_neither_overwritten_nor_taken_for_foreign_ones(
     config: RigConfig, registers: Registers, flags: dict[str, int]
 ) -> None:
     memory = SharedState.create(StateLayout.of(config))
@@ -171,7 +171,7 @@ def test_what_a_runs_own_watchdog_has_written_is_neither_undone_nor_taken_for_an
     os.close(memory.fd)
 
 
-def test_who_has_a_card_open_is_found_behind_a_link_to_it(tmp_path: Path) -> None:
+def test_the_process_that_has_a_card_open_is_found_behind_a_link(tmp_path: Path) -> None:
     node, link = tmp_path / "comedi0", tmp_path / "card"
     node.touch()
     link.symlink_to(node)
@@ -179,7 +179,7 @@ def test_who_has_a_card_open_is_found_behind_a_link_to_it(tmp_path: Path) -> Non
         assert _holders(str(link)) == (os.getpid(),)
 
 
-def test_who_has_a_card_for_a_moment_is_left_alone(
+def test_a_process_that_opens_a_card_briefly_is_left_alone(
     config: RigConfig, registers: Registers, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Another `rig vent`, or the watchdog that is making it safe: each has it for less than whoever drives it."""
@@ -201,7 +201,7 @@ def test_who_has_a_card_for_a_moment_is_left_alone(
         another.kill()
 
 
-def test_a_run_whose_card_lets_in_one_process_is_told_to_end_before_one_of_its_is_killed(
+def test_a_run_on_a_one_opener_card_is_signalled_to_end_before_a_process_is_killed(
     config: RigConfig, registers: Registers, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     file = tmp_path / "rig.yaml"
@@ -220,9 +220,7 @@ def test_a_run_whose_card_lets_in_one_process_is_told_to_end_before_one_of_its_i
         control.kill()
 
 
-def test_valves_that_a_run_would_hold_stay_vented_though_it_is_long_in_ending(
-    registers: Registers, tmp_path: Path
-) -> None:
+def test_holding_valves_stay_vented_though_the_run_ends_late(registers: Registers, tmp_path: Path) -> None:
     held = text().replace("type: flow\n", "type: flow\n    safe_state: hold\n")
     config = rig.config.loader.parse(held, "rig.yaml")
     file = tmp_path / "rig.yaml"

@@ -86,7 +86,7 @@ def test_without_a_plant_the_card_does_not_exist(mock: Mock) -> None:
         mock.card()
 
 
-def test_a_file_that_is_no_card_is_refused(mock: Mock) -> None:
+def test_a_file_that_is_not_a_card_is_refused(mock: Mock) -> None:
     path_of(mock.device).write_bytes(b"x" * 10_000)
     with pytest.raises(CardError, match="not made by this version"):
         mock.card()
@@ -113,7 +113,7 @@ def test_a_running_plant_gives_every_scan_once_at_its_clocks_pace(mock: Mock) ->
 
 
 @pytest.mark.realtime
-def test_the_valve_feels_the_register_and_the_sensor_the_valve(mock: Mock) -> None:
+def test_the_register_moves_the_valve_and_the_valve_moves_the_pressure(mock: Mock) -> None:
     mock.plant()
     bench = mock.bench()
     bench.arm()
@@ -158,7 +158,7 @@ def test_outputs_are_registers_that_take_writes_while_the_plant_is_dead(mock: Mo
 
 
 @pytest.mark.realtime
-def test_the_file_can_be_read_by_what_the_documentation_says_alone(mock: Mock) -> None:
+def test_the_shared_file_can_be_read_as_documented(mock: Mock) -> None:
     mock.plant()
     mock.card().write(np.array([6.0, 4.0]))
     raw = path_of(mock.device).read_bytes()
@@ -192,7 +192,7 @@ def test_the_plant_ends_some_seconds_after_its_parent(mock: Mock) -> None:
 
 
 @pytest.mark.realtime
-def test_the_time_of_a_plant_that_waits_stops_while_nobody_drives_its_open_valves(mock: Mock) -> None:
+def test_the_time_of_a_waiting_plant_stops_while_open_valves_are_not_written(mock: Mock) -> None:
     mock.plant("--waits-ms", "25")
     registers = Registers.attach(mock.device)
     late_s = lambda: (time.monotonic_ns() - registers.plant_t_ns) * 1e-9  # noqa: E731
@@ -212,7 +212,7 @@ def test_the_time_of_a_plant_that_waits_stops_while_nobody_drives_its_open_valve
 
 
 @pytest.mark.realtime
-def test_ctrl_c_of_the_terminal_does_not_take_the_card_away(mock: Mock) -> None:
+def test_ctrl_c_does_not_end_the_plant(mock: Mock) -> None:
     plant = mock.plant("--parent", str(os.getpid()))
     plant.send_signal(signal.SIGINT)
     plant.send_signal(signal.SIGHUP)
@@ -223,7 +223,7 @@ def test_ctrl_c_of_the_terminal_does_not_take_the_card_away(mock: Mock) -> None:
 
 
 @pytest.mark.realtime
-def test_who_tells_the_plant_to_end_more_than_once_sees_no_traceback(mock: Mock) -> None:
+def test_repeated_signals_end_the_plant_without_a_traceback(mock: Mock) -> None:
     plant = mock.plant()
     while plant.poll() is None:
         plant.send_signal(signal.SIGTERM)
@@ -234,7 +234,7 @@ def test_who_tells_the_plant_to_end_more_than_once_sees_no_traceback(mock: Mock)
 
 @pytest.mark.realtime
 @pytest.mark.parametrize("stopped_s", [0.5, 2.6])
-def test_a_plant_that_stalled_goes_on_at_the_present_and_never_backwards(mock: Mock, stopped_s: float) -> None:
+def test_a_stalled_plant_continues_at_the_present_and_never_backwards(mock: Mock, stopped_s: float) -> None:
     plant = mock.plant()
     card = mock.card()
     card.start()
@@ -283,14 +283,14 @@ class TestRing:
         t = np.arange(first, first + count, dtype=np.int64)
         ring.push_scans(t, np.column_stack([t, 2 * t]).astype(float))
 
-    def test_what_is_pushed_is_read_in_order(self, ring: Registers) -> None:
+    def test_pushed_rows_are_read_in_order(self, ring: Registers) -> None:
         self.push(ring, 0, 10)
         scans, position = ring.scans_since(4, [1])
         assert scans.t_ns.tolist() == [4, 5, 6, 7, 8, 9]
         assert scans.volts.ravel().tolist() == [8.0, 10.0, 12.0, 14.0, 16.0, 18.0]
         assert (scans.lost, position) == (0, 10)
 
-    def test_a_reader_that_comes_too_late_is_told_how_much_it_lost(self, ring: Registers) -> None:
+    def test_a_late_reader_learns_how_many_rows_it_lost(self, ring: Registers) -> None:
         for first in range(0, 10_000, 100):
             self.push(ring, first, 100)
         scans, position = ring.scans_since(0, [0])

@@ -80,7 +80,7 @@ def volts(device: str) -> list[float]:
     return stand
 
 
-def test_the_second_opener_is_told_who_has_the_card(config: RigConfig) -> None:
+def test_a_second_opener_is_refused_with_the_holder(config: RigConfig) -> None:
     first = open_bench(config)
     with pytest.raises(CardBusyError, match=f"one process at a time and is open already by process {os.getpid()}"):
         open_bench(config, watchdog=True)
@@ -88,9 +88,7 @@ def test_the_second_opener_is_told_who_has_the_card(config: RigConfig) -> None:
     open_bench(config).close()
 
 
-def test_the_watchdog_lets_go_of_a_card_that_lets_in_one_and_opens_it_when_it_must_write(
-    config: RigConfig, device: str
-) -> None:
+def test_the_watchdog_releases_a_one_opener_card_and_opens_it_to_write(config: RigConfig, device: str) -> None:
     grip = WatchdogOutputs(config)
     assert not grip.shared
     control = open_bench(config)
@@ -102,7 +100,7 @@ def test_the_watchdog_lets_go_of_a_card_that_lets_in_one_and_opens_it_when_it_mu
     grip.close()
 
 
-def test_the_watchdog_keeps_hold_of_any_other_card(device: str) -> None:
+def test_the_watchdog_keeps_any_other_card_open(device: str) -> None:
     config = rig.config.loader.parse(rig_text(device, one_opener=False), "rig.yaml")
     grip = WatchdogOutputs(config)
     assert grip.shared
@@ -113,7 +111,7 @@ def test_the_watchdog_keeps_hold_of_any_other_card(device: str) -> None:
     grip.close()
 
 
-def test_who_stands_in_ends_the_process_that_has_the_card(
+def test_the_failsafe_ends_the_process_that_has_the_card(
     config: RigConfig, device: str, holder: subprocess.Popen[str]
 ) -> None:
     memory = SharedState.create(StateLayout.of(config))
@@ -133,13 +131,13 @@ def test_rig_vent_ends_the_process_that_has_the_card(
     assert holder.wait(10) == -signal.SIGKILL
 
 
-def test_a_real_card_that_claims_to_let_in_one_is_refused() -> None:
+def test_one_opener_is_refused_for_a_real_card() -> None:
     text = rig.config.loader.text("pci1716").replace("device: /dev/comedi0", "device: /dev/comedi0, one_opener: true")
     with pytest.raises(BadInputError, match="one_opener"):
         rig.config.loader.parse(text, "rig.yaml")
 
 
-def test_who_has_the_card_and_hangs_is_ended_also_where_another_process_is_watched(
+def test_a_hung_holder_of_the_card_is_ended_though_another_process_is_monitored(
     config: RigConfig, device: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     """As in a calibration, which drives the valves in the operator's own command."""
@@ -173,7 +171,7 @@ def test_who_has_the_card_and_hangs_is_ended_also_where_another_process_is_watch
 
 
 @pytest.mark.realtime
-def test_a_run_whose_control_hangs_is_made_safe_all_the_same(tmp_path: Path) -> None:
+def test_a_one_opener_card_is_made_safe_when_control_hangs(tmp_path: Path) -> None:
     with rig_run(tmp_path, SHORT, one_opener=True) as run:
         run.wait_until_pressurised()
         os.kill(run.pid_of("rig.realtime.control_process"), signal.SIGSTOP)
@@ -185,7 +183,7 @@ def test_a_run_whose_control_hangs_is_made_safe_all_the_same(tmp_path: Path) -> 
 
 
 @pytest.mark.realtime
-def test_a_run_on_such_a_card_goes_to_its_end(tmp_path: Path) -> None:
+def test_a_run_on_a_one_opener_card_finishes(tmp_path: Path) -> None:
     with rig_run(tmp_path, BRIEF, one_opener=True) as run:
         assert run.end() == 0, run.output
     assert runs.open(run.archive()).status is Status.FINISHED

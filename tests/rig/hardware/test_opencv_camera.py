@@ -54,24 +54,24 @@ def test_a_recording_of_another_size_is_refused(config: rig.config.schema.RigCon
         open_camera(rig_, "front")
 
 
-def test_a_video_that_is_not_there_is_named(config: rig.config.schema.RigConfig, tmp_path: Path) -> None:
+def test_a_missing_video_is_named(config: rig.config.schema.RigConfig, tmp_path: Path) -> None:
     with pytest.raises(CameraError, match="does not exist"):
         open_camera(_with(config, driver="opencv", device=str(tmp_path / "gone.mp4")), "front")
 
 
-def test_a_device_that_is_not_there_is_named(config: rig.config.schema.RigConfig) -> None:
+def test_a_missing_device_is_named(config: rig.config.schema.RigConfig) -> None:
     with pytest.raises(CameraError, match="/dev/video987 does not exist"):
         open_camera(_with(config, driver="opencv", device="/dev/video987"), "front")
 
 
-def test_a_file_that_is_no_camera_cannot_be_opened(config: rig.config.schema.RigConfig, tmp_path: Path) -> None:
+def test_a_file_that_is_not_a_camera_cannot_be_opened(config: rig.config.schema.RigConfig, tmp_path: Path) -> None:
     file = tmp_path / "device"
     file.write_bytes(b"nothing")
     with pytest.raises(CameraError, match="cannot be opened"):
         open_camera(_with(config, driver="opencv", device=str(file)), "front")
 
 
-def test_a_mock_camera_without_its_plant_says_how_to_start_it(config: rig.config.schema.RigConfig) -> None:
+def test_a_mock_camera_without_plant_is_an_error_that_names_the_command(config: rig.config.schema.RigConfig) -> None:
     card = config.cards["daq"].model_copy(update={"device": "no-such-plant"})
     with pytest.raises(CameraError, match="camera front: mock card no-such-plant does not exist"):
         open_camera(config.model_copy(update={"cards": {"daq": card}}), "front")

@@ -81,7 +81,9 @@ def test_the_runtime_folder_is_one_and_only_its_user_can_enter_it(shared: Path) 
 
 
 @pytest.mark.parametrize("trap", ["link", "file", "folder open to others"])
-def test_a_name_that_is_taken_is_neither_used_nor_in_the_way(shared: Path, tmp_path: Path, trap: str) -> None:
+def test_a_taken_name_of_the_runtime_folder_is_replaced_by_a_random_one(
+    shared: Path, tmp_path: Path, trap: str
+) -> None:
     usual = shared / f"softrig-{os.getuid()}"
     if trap == "link":
         usual.symlink_to(tmp_path)
@@ -138,7 +140,7 @@ def _open_alone() -> MockCard:
 
 @pytest.mark.parametrize("trap", ["link", "dangling link", "hard link", "FIFO", "writable by all"])
 @pytest.mark.parametrize("place", PLACES)
-def test_no_prepared_file_is_followed_waited_for_or_written(
+def test_a_planted_link_fifo_or_file_is_refused_and_never_written(
     shared: Path, tmp_path: Path, place: str, trap: str
 ) -> None:
     where, opened = PLACES[place]
@@ -186,7 +188,7 @@ def test_text_in_a_lock_file_names_no_holder(shared: Path) -> None:
         assert holders(config) == (os.getpid(),)
 
 
-def test_what_a_killed_run_left_locks_nothing_and_is_no_running_rig(shared: Path, tmp_path: Path) -> None:
+def test_leftovers_of_a_killed_run_lock_nothing(shared: Path, tmp_path: Path) -> None:
     file = tmp_path / "rig.yaml"
     file.write_text(rig.config.loader.text("mock"))
     with holder(file, shared) as process:
@@ -201,14 +203,14 @@ def test_what_a_killed_run_left_locks_nothing_and_is_no_running_rig(shared: Path
 
 
 @pytest.mark.parametrize("forged", ["", "[]", '{"purpose": "x"}', '{"purpose": 1, "rig": {"name": 2}}', "\x00" * 99])
-def test_a_damaged_record_of_a_running_rig_is_passed_over(shared: Path, forged: str) -> None:
+def test_a_damaged_record_of_a_running_rig_is_ignored(shared: Path, forged: str) -> None:
     with cards_locked(mock_rig(), "a test"):
         (record,) = (runtime_folder.runtime_folder() / "rigs").iterdir()
         record.write_text(forged)
         assert running_rigs() == ()
 
 
-def test_the_message_names_who_holds_a_card_from_the_kernels_knowledge(shared: Path, tmp_path: Path) -> None:
+def test_the_message_names_the_holder_that_the_kernel_reports(shared: Path, tmp_path: Path) -> None:
     file = tmp_path / "rig.yaml"
     file.write_text(rig.config.loader.text("mock"))
     with holder(file, shared) as process, pytest.raises(CardError) as refused, cards_locked(mock_rig(), "a test"):
@@ -274,7 +276,7 @@ class Outputs:
 
 @needs_root
 @pytest.mark.parametrize("may_signal", [True, False])
-def test_vent_says_so_when_a_holder_cannot_be_told_to_end(
+def test_vent_reports_a_holder_that_it_cannot_signal(
     shared: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, may_signal: bool
 ) -> None:
     file = tmp_path / "rig.yaml"
@@ -295,7 +297,7 @@ def test_vent_says_so_when_a_holder_cannot_be_told_to_end(
         assert process.poll() is None
 
 
-def test_vent_says_so_when_the_holder_cannot_be_seen(
+def test_vent_reports_a_holder_that_it_cannot_see(
     shared: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """As from within a container, whose table of locks has no process of the machine's."""
@@ -311,7 +313,7 @@ def test_vent_says_so_when_the_holder_cannot_be_seen(
     assert not held_by_unseen(real_rig())
 
 
-def test_a_card_that_lets_in_one_process_is_not_held_by_its_lock(shared: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_one_opener_card_is_not_kept_open_by_its_lock(shared: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The lock would keep the run's own control out; its driver excludes others."""
     opened: list[int] = []
     real_open = os.open
@@ -337,7 +339,7 @@ def test_a_card_that_lets_in_one_process_is_not_held_by_its_lock(shared: Path, m
         os.close(taken)
 
 
-def test_a_card_that_is_not_there_or_is_no_device_is_refused(shared: Path, tmp_path: Path) -> None:
+def test_a_missing_card_or_a_file_that_is_not_a_device_is_refused(shared: Path, tmp_path: Path) -> None:
     with pytest.raises(CardError, match="comedi77 does not exist"), cards_locked(real_rig("/dev/comedi77"), "a test"):
         pass
     (tmp_path / "file").touch()
@@ -345,7 +347,7 @@ def test_a_card_that_is_not_there_or_is_no_device_is_refused(shared: Path, tmp_p
         pass
 
 
-def test_the_control_sockets_lie_where_only_their_user_comes(shared: Path) -> None:
+def test_control_sockets_lie_in_a_folder_that_only_their_user_can_enter(shared: Path) -> None:
     folder = socket_paths()
     assert folder.parent == runtime_folder.runtime_folder()
     folder.rmdir()

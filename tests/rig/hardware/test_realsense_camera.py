@@ -97,7 +97,7 @@ def test_without_the_package_or_its_library_the_message_names_it(
         RealSenseCamera(_camera("any"))
 
 
-def test_a_recording_that_is_not_there_is_named() -> None:
+def test_a_missing_recording_is_named() -> None:
     _librealsense()
     with pytest.raises(CameraError, match=r"gone\.db3 does not exist"):
         RealSenseCamera(_camera("/tmp/gone.db3"))

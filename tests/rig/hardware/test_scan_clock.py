@@ -61,7 +61,7 @@ def test_times_increase_whatever_the_delays_are(reads: list[tuple[int, int]], pe
 
 
 @given(away=st.integers(0, 10_000))
-def test_a_restart_tells_the_scans_that_were_never_taken_and_goes_on_from_there(away: int) -> None:
+def test_a_restart_reports_the_lost_scans_and_continues_from_there(away: int) -> None:
     clock = ScanClock(PERIOD_NS, 0)
     (before,) = clock.stamp(1, 1_000_000)
     start_ns = int(before) + round((away + 0.5) * PERIOD_NS)
@@ -70,7 +70,7 @@ def test_a_restart_tells_the_scans_that_were_never_taken_and_goes_on_from_there(
     assert after == start_ns + 1_000_000
 
 
-def test_a_restart_keeps_what_was_learnt_of_the_drift() -> None:
+def test_a_restart_keeps_the_estimated_drift() -> None:
     clock = ScanClock(PERIOD_NS, 0)
     play(clock, 0, PERIOD_NS * 1.0001, 60_000, np.random.default_rng(1))
     learnt = clock.drift_ppm

@@ -65,7 +65,7 @@ def moving(tmp_path_factory: pytest.TempPathFactory) -> Run:
     return performed(tmp_path_factory.mktemp("motion"), IN_MOTION, 22)
 
 
-def test_plateaus_are_what_the_protocol_held(resting: Run) -> None:
+def test_plateaus_are_the_levels_that_the_protocol_held(resting: Run) -> None:
     poses = at_rest(resting)
     levels = np.round(poses.pressure_pa / 1e5, 1)
     expected = [[0, 0, 0], *[[p, 0, 0] for p in (0.2, 0.4, 0.6)], *[[0, p, p] for p in (0.2, 0.4, 0.6)]]
@@ -86,7 +86,7 @@ def test_a_moving_run_is_used_as_a_motion_and_a_resting_one_by_its_plateaus(rest
         at_rest(moving, settle_s=5.0)
 
 
-def test_the_arm_in_the_mock_rig_is_found_from_its_archive(resting: Run) -> None:
+def test_the_arm_of_the_mock_rig_is_identified_from_its_archive(resting: Run) -> None:
     config = load("mock")
     free, priors = ["law", "rpe_per_bar", "cap_mass_kg", "sensor_offsets"], {"sensor_offsets": Prior(0.0, 300.0)}
     fit = identify([at_rest(resting)], Setup(model_arm(config)), free, priors)
@@ -131,7 +131,7 @@ def test_adapting_at_least_halves_the_live_error_after_one_period(moving: Run) -
         assert abs(adapter.values[i] - getattr(truth.material, name)) < (3 * adapter.std[i])
 
 
-def test_a_frame_without_a_tip_or_far_off_does_not_throw_the_estimate() -> None:
+def test_a_missing_or_outlying_tip_does_not_spoil_the_estimate() -> None:
     arm = model_arm(load("mock"))
     adapter = RecursiveEstimator(Setup(arm), ["law"])
     pressure, covariance = np.array([0.4e5, 0.0, 0.0]), np.eye(3) * 1e-8
@@ -143,7 +143,7 @@ def test_a_frame_without_a_tip_or_far_off_does_not_throw_the_estimate() -> None:
     assert np.isfinite(adapter.std).all()
 
 
-def test_rig_identify_writes_a_rig_that_holds_the_found_arm(
+def test_rig_identify_writes_a_rig_file_with_the_identified_arm(
     resting: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     found = tmp_path / "found.yaml"
@@ -160,14 +160,14 @@ def test_rig_identify_writes_a_rig_that_holds_the_found_arm(
     assert gap(identified) < 0.25 * gap(published)
 
 
-def test_rig_identify_says_what_is_wrong_with_the_question(resting: Run, capsys: pytest.CaptureFixture[str]) -> None:
+def test_rig_identify_reports_an_invalid_request(resting: Run, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as left:
         main(["identify", str(resting.path), "--free", "a1_per_m"])
     assert left.value.code == 2
     assert "did you mean" in capsys.readouterr().err
 
 
-def test_a_sensor_at_the_foot_of_its_scale_tells_only_that_the_pressure_is_low(resting: Run) -> None:
+def test_a_sensor_at_the_foot_of_its_scale_shows_only_that_the_pressure_is_low(resting: Run) -> None:
     poses = at_rest(resting)
     sensors = [q for q in resting.header.quantities if q.name.endswith("_offset") and q.name.startswith("sensor_")]
     foot_pa = np.array([q.value[0] * 1e5 for q in sensors])
@@ -180,7 +180,7 @@ def test_a_sensor_at_the_foot_of_its_scale_tells_only_that_the_pressure_is_low(r
     assert not doubt[pressed].any()
 
 
-def test_a_motion_is_parted_by_its_tips_and_keeps_its_pressures(moving: Run) -> None:
+def test_a_motion_is_split_at_its_tips_and_keeps_its_pressures(moving: Run) -> None:
     whole = in_motion(moving)
     middle_s = float(whole.time_s[len(whole) // 2])
     before, after = split_at(whole, middle_s)
@@ -191,7 +191,7 @@ def test_a_motion_is_parted_by_its_tips_and_keeps_its_pressures(moving: Run) -> 
         assert np.array_equal(part.pressure_pa, whole.pressure_pa)
 
 
-def test_a_plateau_counts_to_the_part_in_which_it_ends(resting: Run) -> None:
+def test_a_plateau_belongs_to_the_part_in_which_it_ends(resting: Run) -> None:
     whole = at_rest(resting)
     assert (np.diff(whole.time_s) > 0).all()
     before, after = split_at(whole, float(whole.time_s[1]))

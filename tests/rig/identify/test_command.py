@@ -135,7 +135,7 @@ def test_paper_gives_what_section_5_2_gives(bench: dict[str, str], capsys: pytes
     assert "290.5 kPa" in found["published"]
 
 
-def test_paper_says_what_it_lacks(bench: dict[str, str], capsys: pytest.CaptureFixture[str]) -> None:
+def test_paper_names_the_missing_runs(bench: dict[str, str], capsys: pytest.CaptureFixture[str]) -> None:
     rig("paper", bench["one"], status=2)
     assert "under weights" in capsys.readouterr().err
 
@@ -154,7 +154,7 @@ def test_the_rest_of_a_run_is_predicted_and_drawn(
     assert "before, rms" in picture.read_text()
 
 
-def test_of_several_starts_the_likeliest_is_taken(
+def test_of_several_starts_the_most_likely_result_is_taken(
     bench: dict[str, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     upright = tmp_path / "upright.yaml"
@@ -178,7 +178,7 @@ def test_of_several_starts_the_likeliest_is_taken(
         (["--split-s", "1e6"], "shows no tip after"),
     ],
 )
-def test_a_figure_or_a_part_without_sense_is_refused(
+def test_an_invalid_figure_or_split_is_refused(
     bench: dict[str, str], options: list[str], said: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     rig(bench["one"], *options, status=2)
@@ -186,7 +186,7 @@ def test_a_figure_or_a_part_without_sense_is_refused(
     assert said in re.sub(r"[\s│]+", " ", capsys.readouterr().err)
 
 
-def test_where_results_are_to_go_is_known_to_be_wrong_before_the_search(
+def test_an_invalid_output_path_is_refused_before_the_search(
     bench: dict[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr("rig.identify.estimation.most_likely_fit", lambda *_: pytest.fail("the search had begun"))
@@ -219,7 +219,7 @@ def test_runs_of_another_arm_are_refused_unless_one_arm_is_named(
     assert "the search began" in capsys.readouterr().err
 
 
-def test_runs_whose_rigs_place_a_camera_differently_are_said_to_share_one_base(
+def test_runs_with_different_camera_placements_are_reported_to_share_one_base(
     bench: dict[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def begun(*_: object) -> None:

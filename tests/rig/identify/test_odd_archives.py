@@ -95,7 +95,7 @@ def identify(capsys: pytest.CaptureFixture[str], *arguments: str | Path, status:
         ({"rig_yaml": ""}, "holds no rig"),
     ],
 )
-def test_an_archive_that_tells_nothing_is_refused_in_one_sentence(
+def test_an_archive_without_usable_data_is_refused_in_one_sentence(
     tmp_path: Path, changes: dict[str, Any], said: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     told = identify(capsys, archive(tmp_path, **changes), "--free", "law", status=2)
@@ -107,7 +107,7 @@ def test_an_archive_that_tells_nothing_is_refused_in_one_sentence(
 @pytest.mark.parametrize(
     "changes", [{"frames": 1}, {"frames": 2}, {"ticks": 1}, {"swing_pa": 0.0}, {"status": Status.ABORTED}]
 )
-def test_an_archive_that_tells_little_gives_verdicts_or_wide_bars(
+def test_an_archive_with_little_information_gives_verdicts_or_wide_error_bars(
     tmp_path: Path, changes: dict[str, Any], capsys: pytest.CaptureFixture[str]
 ) -> None:
     told = identify(capsys, archive(tmp_path, **changes), "--free", "law,damping_s", status=0)
@@ -159,13 +159,15 @@ def with_parameters(folder: Path, capsys: pytest.CaptureFixture[str]) -> tuple[P
     return plain, file, moved
 
 
-def test_runs_that_count_from_different_bases_are_not_mixed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_runs_with_different_baseline_parameters_are_not_mixed(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     plain, _, moved = with_parameters(tmp_path, capsys)
     told = identify(capsys, plain, moved, "--free", "law", status=2)
     assert "different parameters applied to their rigs" in told
 
 
-def test_what_is_found_with_parameters_laid_over_a_rig_is_for_the_rig_without_them(
+def test_results_of_runs_with_a_parameter_overlay_apply_to_the_rig_without_it(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     _, first, moved = with_parameters(tmp_path, capsys)
@@ -202,7 +204,7 @@ def test_a_run_of_another_arm_is_not_predicted(tmp_path: Path, capsys: pytest.Ca
     assert "two is of 2 actuators, the others are of 3" in told
 
 
-def test_a_chamber_does_not_grow_through_its_wall(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_bore_stays_below_the_outer_radius(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     thin = text("mock").replace("outer_radius_mm: 14", "outer_radius_mm: 9.6")
     told = identify(capsys, archive(tmp_path, rig_yaml=thin), "--free", "inner_radius_m", status=0)
     assert "inner_radius_m" in told
@@ -215,7 +217,7 @@ def test_the_rig_that_is_written_is_the_runs_own(tmp_path: Path, capsys: pytest.
     assert load(str(found)).name == "ours"
 
 
-def test_the_simulators_truth_is_told_of_what_is_mounted_otherwise_than_stated(tmp_path: Path) -> None:
+def test_the_simulated_truth_includes_the_true_mounting(tmp_path: Path) -> None:
     rig = yaml.safe_load(text("mock"))
     simulator, board = rig["simulator"], rig["board"]["placement"]
     simulator["geometry"] = {**rig["arm"]["geometry"], "actuator_angles_deg": [5, 120, 237]}
@@ -243,7 +245,7 @@ def test_the_simulators_truth_is_told_of_what_is_mounted_otherwise_than_stated(t
     ],
 )
 @pytest.mark.parametrize("command", ["fit", "compare"])
-def test_what_nobody_can_know_beforehand_is_refused(
+def test_an_implausible_prior_is_refused(
     tmp_path: Path, prior: str, said: str, command: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     first, other = archive(tmp_path), archive(tmp_path, "other", frames=31, started_utc_ns=1)
@@ -265,7 +267,7 @@ def test_what_nobody_can_know_beforehand_is_refused(
         (["--prior", "law=1+-1", "--prior", "law=2+-1"], "law is given twice"),
     ],
 )
-def test_what_would_change_nothing_is_refused(
+def test_incompatible_options_are_refused(
     tmp_path: Path, options: list[str], said: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = str(archive(tmp_path))

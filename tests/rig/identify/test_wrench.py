@@ -125,7 +125,7 @@ def test_the_wrench_of_any_stated_frame_predicts_the_tip(table: Path, tmp_path: 
     assert np.linalg.norm(Predictor(blind)(TRUTH) - poses.tip_m, axis=1).mean() > 5e-3
 
 
-def test_a_strong_pull_beside_the_axis_is_met_or_said_to_be_lost() -> None:
+def test_a_strong_force_off_the_axis_is_solved_or_reported_as_unsolved() -> None:
     """The lever of such a pull turns more than the arm that it turns: going back and forth between them diverges."""
     geometry = model.Geometry.on_circle(0.045, 0.00395, 0.0069, 0.00797, (90.0, -30.0, 210.0))
     arm = model.Arm(geometry, model.Material(130e3, 0.0494, 0.0243, 0.0, 0.333), cap_mass_kg=0.013)
@@ -143,7 +143,7 @@ def test_a_strong_pull_beside_the_axis_is_met_or_said_to_be_lost() -> None:
         np.testing.assert_allclose(arm.statics(pressure_pa[k], loads).tip_m, found.tip_m[k], atol=1e-6)
 
 
-def test_a_pulled_arm_tells_its_law_without_any_pressure_free(table: Path, tmp_path: Path) -> None:
+def test_an_arm_under_load_determines_its_law_without_free_pressures(table: Path, tmp_path: Path) -> None:
     poses = quasi_static_poses(bring(table, HEAD + TRACKER, tmp_path))
     material = replace(TRUTH.arm.material, a1_per_n=0.0065)
     fit = identify([poses], replace(TRUTH, arm=replace(TRUTH.arm, material=material)), ["a1_per_n"])
@@ -165,7 +165,7 @@ def test_a_pulled_arm_tells_its_law_without_any_pressure_free(table: Path, tmp_p
         ("  orientation: {columns: [qw, qx, qy, qz], order: wxyz}\n", "", "orientation"),
     ],
 )
-def test_a_wrench_that_cannot_be_placed_is_refused(table: Path, tmp_path: Path, old: str, new: str, said: str) -> None:
+def test_a_wrench_without_a_known_frame_is_refused(table: Path, tmp_path: Path, old: str, new: str, said: str) -> None:
     text = HEAD + TIP
     assert old in text
     with pytest.raises(BadInputError, match=r"mapping\.yaml|pulled\.csv") as bad:

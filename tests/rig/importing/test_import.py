@@ -50,7 +50,7 @@ def stiff_flop(tmp_path_factory: pytest.TempPathFactory) -> Run:
 
 
 class TestStiffFlop:
-    def test_every_row_arrives(self, stiff_flop: Run) -> None:
+    def test_every_row_is_imported(self, stiff_flop: Run) -> None:
         assert len(stiff_flop.tip.time_s) == len(stiff_flop.pressure.time_s) == 1094
         assert stiff_flop.header.camera_hz == pytest.approx(20)
         assert stiff_flop.duration_s == pytest.approx(54.65)
@@ -67,7 +67,7 @@ class TestStiffFlop:
     def test_the_tip_is_seen_from_the_base_sensor(self, stiff_flop: Run) -> None:
         np.testing.assert_allclose(stiff_flop.tip.measured_mm[0], [1.39 - 0.5, 1.70 - 0.66, -91.36 + 157.19], atol=6e-3)
 
-    def test_the_broken_quaternion_is_said_in_the_archive(self, stiff_flop: Run) -> None:
+    def test_a_broken_quaternion_is_reported_in_the_archive(self, stiff_flop: Run) -> None:
         said = warnings_of(stiff_flop)
         assert "z (column 10) repeats y (column 9) in every row" in said
         assert "not used, as the mapping says" in said
@@ -82,7 +82,7 @@ class TestStiffFlop:
         assert "z (column 10) repeats y (column 9)" in said
         assert "use: ignore" in said
 
-    def test_the_archive_says_that_it_is_no_run_of_softrig(self, stiff_flop: Run) -> None:
+    def test_the_archive_states_that_it_is_an_import(self, stiff_flop: Run) -> None:
         header = stiff_flop.header
         assert (header.executor, header.simulated, header.seed) == ("imported", False, None)
         assert header.operator == "ada"
@@ -91,7 +91,7 @@ class TestStiffFlop:
         assert stiff_flop.status is Status.FINISHED
         assert "does not say when the measurement began" in warnings_of(stiff_flop)
 
-    def test_there_is_no_model_that_nobody_ran(self, stiff_flop: Run) -> None:
+    def test_an_import_has_no_model_columns(self, stiff_flop: Run) -> None:
         tip = stiff_flop.tip
         assert not tip.model_ok.any()
         for unknown in (tip.model_mm, tip.error_mm, tip.reprojection_px):
@@ -100,7 +100,7 @@ class TestStiffFlop:
         assert np.isnan(stiff_flop.pressure.setpoint_bar).all()
         assert stiff_flop.pressure.valve_v.shape == (1094, 0)
 
-    def test_it_verifies_and_goes_on_to_report_and_exports(self, stiff_flop: Run, tmp_path: Path) -> None:
+    def test_an_import_is_verified_reported_and_exported(self, stiff_flop: Run, tmp_path: Path) -> None:
         assert verify(stiff_flop.path)
         page = write([stiff_flop.path], tmp_path / "report.html").read_text(encoding="utf-8")
         assert "imported" in page
@@ -111,7 +111,7 @@ class TestStiffFlop:
 
 
 class TestAnotherLayout:
-    def test_every_quantity_arrives_in_the_archives_units(self, bring: Bring) -> None:
+    def test_every_quantity_is_converted_to_the_archives_units(self, bring: Bring) -> None:
         run = bring(BENCH_CSV, BENCH)
         np.testing.assert_allclose(run.pressure.time_s, [0, 0.05, 0.1], atol=1e-12)
         np.testing.assert_allclose(run.pressure.measured_bar, [[0.2025, 0.0995], [0.205, 0.1005], [0.2075, 0.101]])
@@ -128,7 +128,7 @@ class TestAnotherLayout:
             assert file["entry/start_time"].asstr()[()] == "2024-05-06T05:08:09.000000Z"
         assert run.header.started_t_ns == 1_000_000_000
 
-    def test_dates_are_times_and_tell_when_it_began(self, bring: Bring) -> None:
+    def test_dates_give_times_and_the_start(self, bring: Bring) -> None:
         text = (
             "when;p\n2024-05-06T07:08:09.125+02:00;0.1\n2024-05-06 07:08:09.150+02:00;0.2\n20240506T050809.175Z;0.3\n"
         )
@@ -138,7 +138,7 @@ class TestAnotherLayout:
             assert file["entry/start_time"].asstr()[()] == "2024-05-06T05:08:09.125000Z"
         assert warnings_of(run) == ""
 
-    def test_dates_without_a_zone_leave_the_beginning_to_the_mapping(self, bring: Bring) -> None:
+    def test_dates_without_a_zone_leave_the_start_to_the_mapping(self, bring: Bring) -> None:
         text = "when;p\n2024-05-06T23:59:59.5;0.1\n2024-05-07T00:00:00.5;0.2\n"
         run = bring(text, DATED)
         np.testing.assert_allclose(run.pressure.time_s, [0, 1], atol=1e-12)
@@ -155,7 +155,7 @@ class TestAnotherLayout:
 
     @examples(12, HealthCheck.function_scoped_fixture)
     @given(data=st.data())
-    def test_what_is_written_as_csv_arrives_as_it_was(self, data: st.DataObject, tmp_path: Path) -> None:
+    def test_an_exported_csv_is_imported_unchanged(self, data: st.DataObject, tmp_path: Path) -> None:
         n, actuators = data.draw(st.integers(2, 12)), data.draw(st.integers(1, 4))
         number = st.floats(-1e3, 1e3, allow_nan=False).map(lambda x: round(x, 6))
         steps_us = data.draw(st.lists(st.integers(1, 10_000_000), min_size=n, max_size=n))
@@ -209,14 +209,14 @@ class TestFrames:
         columns = (np.arange(self.N), np.zeros(self.N), tip_mm, tip.as_quat(), base_m, base.as_quat()[:, [3, 0, 1, 2]])
         return np.column_stack(columns), wanted
 
-    def test_the_tool_centre_point_arrives_where_it_was(self, bring: Bring, tmp_path: Path) -> None:
+    def test_the_tool_centre_point_is_transformed(self, bring: Bring, tmp_path: Path) -> None:
         table, wanted = self.table()
         np.savetxt(tmp_path / "moved.csv", table, fmt="%.17g", delimiter=",")
         run = bring(tmp_path / "moved.csv", self.MAPPING)
         np.testing.assert_allclose(run.tip.measured_mm, wanted, atol=1e-9)
         assert "no rotation" not in warnings_of(run)
 
-    def test_uncertainties_are_turned_with_it(self, bring: Bring, tmp_path: Path) -> None:
+    def test_uncertainties_are_rotated_with_the_tip(self, bring: Bring, tmp_path: Path) -> None:
         table, wanted = self.table()
         np.savetxt(tmp_path / "moved.csv", table, fmt="%.17g", delimiter=",")
         run = bring(tmp_path / "moved.csv", self.MAPPING)
@@ -244,7 +244,7 @@ class TestFrames:
         assert "the tip's orientation is no rotation" in said
         assert "in 1 of 5 rows, the first in line 4" in said
 
-    def test_a_repeated_component_of_a_good_quaternion_is_only_said(self, bring: Bring, tmp_path: Path) -> None:
+    def test_a_repeated_component_of_a_good_quaternion_only_gives_a_warning(self, bring: Bring, tmp_path: Path) -> None:
         table, _ = self.table()
         diagonal = Rotation.from_rotvec(np.outer(np.linspace(0.1, 1, self.N), [1, 0, 1]))
         table[:, 12:] = diagonal.as_quat()[:, [3, 0, 1, 2]]
@@ -281,7 +281,7 @@ class TestMatlab:
                 file[f"exp/{name}"].attrs["MATLAB_class"] = np.bytes_(b"double")
         self.expect(bring(tmp_path / "h.mat", self.VECTORS))
 
-    def test_what_is_missing_is_named_with_what_there_is(self, bring: Bring, tmp_path: Path) -> None:
+    def test_a_missing_variable_is_reported_with_the_existing_ones(self, bring: Bring, tmp_path: Path) -> None:
         savemat(tmp_path / "s.mat", {"exp": self.FIELDS, "other": np.eye(3)})
         said = complaint(bring, tmp_path / "s.mat", self.VECTORS.replace("variable: exp", "variable: expp"))
         assert "no variable 'expp'" in said
@@ -294,11 +294,11 @@ class TestMatlab:
         assert "3 rows in column p(:,1)" in complaint(bring, tmp_path / "s.mat", self.VECTORS)
 
     @pytest.mark.parametrize("content", [b"", b"MATLAB 5.0 MAT-file" + b"\0" * 200, b"\x89HDF\r\n\x1a\n" + b"\0" * 99])
-    def test_a_broken_file_is_one_message(self, bring: Bring, tmp_path: Path, content: bytes) -> None:
+    def test_a_broken_file_gives_one_message(self, bring: Bring, tmp_path: Path, content: bytes) -> None:
         (tmp_path / "b.mat").write_bytes(content)
         assert "b.mat" in complaint(bring, tmp_path / "b.mat", self.VECTORS)
 
-    def test_a_file_that_kills_its_reader_is_one_message(self, bring: Bring, tmp_path: Path) -> None:
+    def test_a_file_that_crashes_its_reader_gives_one_message(self, bring: Bring, tmp_path: Path) -> None:
         savemat(tmp_path / "k.mat", {"a": np.zeros((4, 2))})
         damaged = bytearray((tmp_path / "k.mat").read_bytes())
         # The kind of the variable's name: SciPy 1.17 reads on with it and is killed by a segmentation fault.
@@ -307,13 +307,13 @@ class TestMatlab:
         assert "k.mat\n  this" in complaint(bring, tmp_path / "k.mat", self.VECTORS)
 
 
-def test_what_a_program_computed_is_no_measurement(bring: Bring, tmp_path: Path) -> None:
+def test_a_mapping_may_declare_the_data_as_simulated(bring: Bring, tmp_path: Path) -> None:
     rows = "0,0.1,1,2,3\n1,0.2,1,2,3\n"
     assert not bring(rows, SMALL).header.simulated
     assert bring(rows, "simulated: true\n" + SMALL.lstrip("\n")).header.simulated
 
 
-def test_an_export_of_a_simulated_run_comes_back_as_one(bring: Bring, tmp_path: Path) -> None:
+def test_an_export_of_a_simulated_run_is_imported_as_simulated(bring: Bring, tmp_path: Path) -> None:
     mapping = (
         "title: There and back\ntime: {column: time_s, unit: s}\n"
         "pressures: {columns: [measured_1_bar, measured_2_bar, measured_3_bar], unit: bar, reading: gauge}\n"

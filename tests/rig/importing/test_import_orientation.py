@@ -55,6 +55,6 @@ def test_every_way_to_write_a_rotation_gives_the_same_tip(tmp_path: Path, values
         (np.ones((2, 3)), "xxy, unit: deg", "Euler axes"),
     ],
 )
-def test_what_is_no_rotation_is_refused(tmp_path: Path, values: np.ndarray, order: str, said: str) -> None:  # type: ignore[type-arg]
+def test_an_invalid_rotation_is_refused(tmp_path: Path, values: np.ndarray, order: str, said: str) -> None:  # type: ignore[type-arg]
     with pytest.raises(BadInputError, match=said):
         imported(tmp_path, values, order)

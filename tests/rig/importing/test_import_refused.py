@@ -73,12 +73,12 @@ class TestBadData:
         text = f"2024-05-06T07:08:07,0.1\n2024-05-06T07:08:09,0.1\n{second},0.1\n2024-05-06T07:08:20,0.1\n"
         assert said in complaint(bring, text, mapping)
 
-    def test_dates_that_tell_the_beginning_and_a_mapping_that_does_are_refused(self, bring: Bring) -> None:
+    def test_a_start_stated_by_both_dates_and_mapping_is_refused(self, bring: Bring) -> None:
         mapping = "started: 2024-05-06T07:08:09Z\n" + SMALL.split("tip:")[0].replace("unit: s", "unit: iso")
         text = "2024-05-06T07:08:07Z,0.1\n2024-05-06T07:08:09Z,0.1\n"
         assert "mapping.yaml:1:10: started" in complaint(bring, text, mapping)
 
-    def test_every_bad_cell_is_said_at_once(self, bring: Bring) -> None:
+    def test_every_bad_cell_is_reported_at_once(self, bring: Bring) -> None:
         found = complaint(bring, self.rows("0.2,x,1,2,3", "0.5,0.1,1,y,3"))
         assert "5: column 1" in found
         assert "6: column 3" in found
@@ -98,7 +98,7 @@ class TestBadData:
         said = complaint(bring, "0;0,1;1;2;3\n0,1;0,1;1;2;3\n")
         assert "'decimal: comma'" in said
 
-    def test_one_mistake_in_every_row_is_said_once_for_each_column(self, bring: Bring) -> None:
+    def test_a_mistake_in_every_row_is_reported_once_for_each_column(self, bring: Bring) -> None:
         rows = "".join(f"0,{k:03d};0,1;1,5;2,5;3,5\n" for k in range(200))
         said = complaint(bring, rows)
         assert said.count("'decimal: comma'") == 5
@@ -118,7 +118,7 @@ class TestBadData:
 
     @examples(40, HealthCheck.function_scoped_fixture)
     @given(text=st.text(alphabet='01.,;-e \t\n\r"|nax\0é', max_size=80) | st.binary(max_size=40))
-    def test_no_text_is_more_than_a_message(self, text: str | bytes, tmp_path: Path) -> None:
+    def test_any_text_gives_at_most_an_error_message(self, text: str | bytes, tmp_path: Path) -> None:
         (tmp_path / "any.csv").write_bytes(text.encode() if isinstance(text, str) else text)
         try:
             made = imported_in(tmp_path, tmp_path / "any.csv", SMALL.split("tip:")[0])
@@ -137,7 +137,7 @@ class TestBadData:
             assert word in complaint(bring, tmp_path / path)
         assert "folder" in complaint(bring, tmp_path)
 
-    def test_a_missing_pressure_stays_a_hole_with_a_warning(self, bring: Bring) -> None:
+    def test_a_missing_pressure_stays_nan_with_a_warning(self, bring: Bring) -> None:
         run = bring(self.rows("0.4,,1,2,3"), SMALL)
         assert np.isnan(run.pressure.measured_bar[4]).all()
         assert "the pressure of column 1 is missing in 1 of 5 rows, the first in line 5" in warnings_of(run)
@@ -148,12 +148,12 @@ class TestBadData:
         assert run.tip.dropped.tolist() == [0, 0, 0, 0, 2]
         assert "2 rows are missing from even time steps, the first after line 4" in warnings_of(run)
 
-    def test_uneven_time_steps_are_said(self, bring: Bring) -> None:
+    def test_uneven_time_steps_are_reported(self, bring: Bring) -> None:
         run = bring(self.rows("0.35,0.1,1,2,3"), SMALL)
         assert run.tip.frame.tolist() == [0, 1, 2, 3, 4]
         assert "uneven, from 0.05 to 0.1 s" in warnings_of(run)
 
-    def test_absolute_pressures_called_gauge_are_doubted(self, bring: Bring) -> None:
+    def test_absolute_pressures_declared_as_gauge_give_a_warning(self, bring: Bring) -> None:
         run = bring(self.rows().replace(",0.1,", ",1.02,"), SMALL)
         assert "never falls below 1.02 bar: is it absolute?" in warnings_of(run)
 
@@ -170,7 +170,7 @@ class TestBadData:
             ("title: Small", "title: Small\nrig: long.yaml", "the rig's arm is 1700 mm long"),
         ],
     )
-    def test_units_that_give_what_no_soft_arm_has_are_doubted(
+    def test_units_that_give_implausible_values_give_a_warning(
         self, bring: Bring, tmp_path: Path, old: str, new: str, said: str
     ) -> None:
         own = loader.text("mock")
@@ -186,11 +186,11 @@ class TestBadData:
         assert said in found
         assert said or not found
 
-    def test_gauge_pressures_called_absolute_are_doubted(self, bring: Bring) -> None:
+    def test_gauge_pressures_declared_as_absolute_give_a_warning(self, bring: Bring) -> None:
         run = bring(self.rows(), SMALL.replace("gauge", "absolute, ambient_rows: 2"))
         assert "is 0.1 bar: is it really absolute?" in warnings_of(run)
 
-    def test_an_ambient_pressure_from_moving_rows_is_doubted(self, bring: Bring) -> None:
+    def test_an_ambient_pressure_from_moving_rows_gives_a_warning(self, bring: Bring) -> None:
         text = "0,1.0,1,2,3\n0.1,1.1,1,2,3\n"
         run = bring(text, SMALL.replace("gauge", "absolute, ambient_rows: 2"))
         assert "moves by 0.1 bar within the first 2 rows" in warnings_of(run)
@@ -238,20 +238,20 @@ class TestMapping:
         assert run.header.rig_name == "mock"
         assert run.header.rig_yaml == loader.text("mock")
 
-    def test_identification_takes_a_run_without_set_points_for_a_motion(self, bring: Bring) -> None:
+    def test_identification_treats_a_run_without_set_points_as_a_motion(self, bring: Bring) -> None:
         rows = "".join(f"{0.1 * i:.1f},{0.01 * i:.2f},1,2,3\n" for i in range(40))
         poses = poses_of(bring(rows, SMALL.replace("unit: mm}}", "unit: mm}, uncertainty_mm: 0.2}")))
         assert poses.moving
         assert len(poses) == 40
         np.testing.assert_allclose(poses.pressure_pa[:, 0], 1e3 * np.arange(40), atol=1e-6)
 
-    def test_identification_wants_the_tips_uncertainty_and_every_pressure(self, bring: Bring) -> None:
+    def test_identification_needs_the_tips_uncertainty_and_every_pressure(self, bring: Bring) -> None:
         with pytest.raises(NoDataError, match="without an uncertainty"):
             poses_of(bring("0,0.1,1,2,3\n1,0.2,1,2,3\n", SMALL))
         with pytest.raises(NoDataError, match="pressures are missing"):
             poses_of(bring("0,0.1,1,2,3\n1,,1,2,3\n", SMALL.replace("unit: mm}}", "unit: mm}, uncertainty_mm: 0.2}")))
 
-    def test_identification_says_that_an_archive_has_no_rig(self, bring: Bring) -> None:
+    def test_identification_reports_an_archive_without_rig(self, bring: Bring) -> None:
         with pytest.raises(NoDataError, match="holds no rig; name one in the import's mapping"):
             estimation.from_runs([bring("0,0.1,1,2,3\n1,0.2,1,2,3\n", SMALL)], (), {})
 

@@ -81,7 +81,7 @@ def held_open(url: str, number: int, data: bytes) -> Iterator[list[socket.socket
 @pytest.mark.parametrize(
     ("number", "data"), [(270, ONE_BYTE), (300, HALF_A_HEAD), (120, SLOW_LOGIN), (300, b"")], ids=str
 )
-def test_held_connections_without_a_session_keep_no_operator_out(page: Links, number: int, data: bytes) -> None:
+def test_held_connections_without_a_session_do_not_lock_operators_out(page: Links, number: int, data: bytes) -> None:
     cookie = enter(page.operator)
     with Stream(page.operator, cookie) as before, held_open(page.operator, number, data):
         assert request(page.operator, Cookie=cookie)[0] == 200
@@ -109,7 +109,7 @@ def test_streams_without_a_token_are_refused_and_guests_take_no_operators_place(
 @pytest.mark.parametrize(
     "said", ['{"do": ["vent"]}', '{"do": "pause"}', "{", "[]", "1" * 2000, '{"seek": "x"}', b"\x00\xff", ""], ids=str
 )
-def test_a_malformed_message_is_refused_and_the_stream_goes_on(page: Links, said: str | bytes) -> None:
+def test_a_malformed_message_is_refused_and_the_stream_continues(page: Links, said: str | bytes) -> None:
     with Stream(page.operator) as stream:
         stream.socket.send(said)
         answer = json.loads(stream.socket.recv(PATIENCE_S))["answer"]
@@ -189,7 +189,7 @@ def serving(stranger_s: float) -> Iterator[str]:
 
 
 @pytest.mark.parametrize("data", [b"", ONE_BYTE, HALF_A_HEAD, SLOW_LOGIN], ids=str)
-def test_a_connection_without_a_session_is_closed_whatever_it_waits_with(data: bytes) -> None:
+def test_a_connection_without_a_session_is_closed_at_any_stage_of_a_request(data: bytes) -> None:
     with serving(stranger_s=0.2) as url, held_open(url, 1, data) as (connection,):
         assert connection.recv(1) == b""
 
@@ -271,5 +271,5 @@ def test_no_rank_has_more_than_its_places_and_none_loses_one_to_another(
             line.abort()
 
 
-def test_strangers_have_places_for_all_who_come_before_a_first_request_is_read() -> None:
+def test_connections_before_their_first_request_count_as_without_a_session() -> None:
     assert PLACES[Rank.STRANGER] > 2 * (ACCEPTED_AT_ONCE + 1)

@@ -46,7 +46,7 @@ def test_an_import_without_rig_and_set_points_is_described_in_plain_json(tmp_pat
     assert np.isnan(played.now(1.0, 1, playing=False)["mean"])  # of no error there is no mean, not one of 0 mm
 
 
-def test_a_run_cut_off_between_a_frame_and_what_it_taught_is_played_to_its_end(tmp_path: Path) -> None:
+def test_a_run_cut_off_between_a_frame_and_its_estimate_is_played_to_its_end(tmp_path: Path) -> None:
     played = ArchivedRun(finalise(made_up.write_cut_off_while_adapting(tmp_path / "adapting.mcap")))
     last = len(played.run.tip.frame) - 1
     shown = played.now(played.end_s, last, playing=False)

@@ -44,7 +44,7 @@ def attached(run: RigProcess, log: Path) -> Iterator[Stream]:
 
 
 @pytest.mark.realtime
-def test_a_page_comes_and_goes_while_an_adapting_run_goes_on(tmp_path: Path) -> None:
+def test_a_page_can_attach_and_leave_during_an_adapting_run(tmp_path: Path) -> None:
     with rig_run(tmp_path, HELD, "--adapt", "--free", "law,rpe_per_bar") as run:
         run.wait_until_pressurised()
         with attached(run, tmp_path / "first.log") as stream:
@@ -71,7 +71,7 @@ def test_a_page_comes_and_goes_while_an_adapting_run_goes_on(tmp_path: Path) -> 
     assert np.isclose(adaptation.value, shown, rtol=1e-4, atol=0).all(axis=1).any()
 
 
-def test_where_no_run_goes_there_is_one_sentence() -> None:
+def test_without_a_running_experiment_there_is_one_sentence() -> None:
     done = subprocess.run(
         [sys.executable, "-m", "rig", "live", "--pid", "1", "--port", "0"], capture_output=True, text=True, check=False
     )

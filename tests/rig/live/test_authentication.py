@@ -159,9 +159,7 @@ def test_a_foreign_origin_is_refused_even_with_a_session(
     assert ask(gate, "/live/stream", kind="websocket", cookie=cookie, origin=f"http://{HOST}").accepted
 
 
-def test_what_another_site_makes_the_browser_fetch_is_refused(
-    gate: AuthenticationMiddleware, keys: AccessTokens
-) -> None:
+def test_cross_site_requests_are_refused(gate: AuthenticationMiddleware, keys: AccessTokens) -> None:
     cookie = login(gate, keys.operator).cookie
     assert ask(gate, cookie=cookie, sec_fetch_site="cross-site", sec_fetch_mode="no-cors").status == 403
     assert ask(gate, cookie=cookie, sec_fetch_site="none", sec_fetch_mode="navigate").status == 200
@@ -184,7 +182,7 @@ def test_on_this_machine_too_nothing_is_given_without_a_session(host: str) -> No
     assert not ask(local, "/live/stream", kind="websocket", host=host).accepted
 
 
-def test_on_this_machine_the_token_opens_again_and_its_owner_is_who_acts() -> None:
+def test_on_this_machine_the_token_opens_repeatedly_and_its_owner_is_recorded() -> None:
     keys = AccessTokens("ada")
     local = AuthenticationMiddleware(_inside, keys, PORT)
     for claimed in ("ada", "eve"):
@@ -209,7 +207,7 @@ def test_the_pages_of_two_ports_keep_their_sessions_apart() -> None:
     assert names == {403, f"{COOKIE}-8090", f"{COOKIE}-8091"}
 
 
-def test_a_name_brings_no_control_characters_and_bidirectional_marks_into_the_record() -> None:
+def test_control_characters_and_bidirectional_marks_of_a_name_are_not_recorded() -> None:
     keys = AccessTokens()
     cookie = keys.open(keys.operator, "\x1b[2Jada\u202e eve\n ")
     assert cookie is not None

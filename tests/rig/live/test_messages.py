@@ -25,7 +25,7 @@ NEARLY_VALID = st.dictionaries(st.sampled_from((*FIELDS, "who")), JSON, min_size
 @example('{"seek": 1' + "0" * 400 + "}")
 @example("\ud800")
 @example('{"\\ud800": "\\ud800"}')
-def test_any_text_is_one_valid_wish_or_refused_with_a_short_sentence(text: str) -> None:
+def test_any_message_is_a_valid_command_or_refused_with_a_short_sentence(text: str) -> None:
     try:
         message = parse(text)
     except MessageError as error:
@@ -70,7 +70,7 @@ def test_every_action_can_be_asked_for(action: Command) -> None:
         (" " * 2000, (str(MOST_CHARACTERS),)),
     ],
 )
-def test_what_is_refused_is_named(text: str, words: tuple[str, ...]) -> None:
+def test_refused_keys_are_named(text: str, words: tuple[str, ...]) -> None:
     with pytest.raises(MessageError) as refused:
         parse(text)
     for word in words:

@@ -62,7 +62,7 @@ def test_only_a_session_gets_data_and_only_an_operators_acts(tmp_path: Path) -> 
     assert all(token.encode() not in run.archive().read_bytes() for token in tokens)
 
 
-def test_stalled_flooding_and_dead_pages_leave_the_run_alone(tmp_path: Path) -> None:
+def test_stalled_flooding_and_dead_pages_do_not_affect_the_run(tmp_path: Path) -> None:
     with rig_run(tmp_path, HOLDING, "--live", "--port", "0") as run, ExitStack() as stack:
         page = said(lambda: run.output, "live page")
         request(page)

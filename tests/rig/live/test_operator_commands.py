@@ -54,7 +54,7 @@ def test_a_skip_goes_forward_to_a_segments_start_or_to_the_end(
     assert not moved.waiting
 
 
-def test_a_skip_at_a_prompt_takes_it_as_done_and_the_next_one_still_waits() -> None:
+def test_a_skip_at_a_prompt_answers_it_and_the_next_one_still_waits() -> None:
     assert skip(ProtocolPosition(1.0, 0, waiting=True), (0.0, 1.0, 2.0), 3.0, (1.0, 2.0)) == ProtocolPosition(2.0, 1)
 
 
@@ -83,7 +83,7 @@ def test_pause_and_resume_set_the_flag_that_control_obeys_and_are_refused_twice(
     assert not handler.handle(OperatorCommand(Command.RESUME, "ada")).accepted
 
 
-def test_a_paused_run_holds_its_pressures_whoever_wants_to_skip(plan: experiment.Plan, memory: SharedState) -> None:
+def test_a_paused_run_holds_its_pressures_and_refuses_a_skip(plan: experiment.Plan, memory: SharedState) -> None:
     handler = CommandHandler(memory, plan.trajectory)
     handler.handle(OperatorCommand(Command.PAUSE, "ada"))
     answer = handler.handle(OperatorCommand(Command.SKIP, "bob"))
@@ -107,9 +107,7 @@ def test_stop_and_vent_end_the_run_and_say_who(
     assert "ada" in message
 
 
-def test_a_vent_wins_over_a_stop_that_came_first_but_not_the_other_way_round(
-    plan: experiment.Plan, memory: SharedState
-) -> None:
+def test_a_vent_overrides_an_earlier_stop_but_not_the_reverse(plan: experiment.Plan, memory: SharedState) -> None:
     handler = CommandHandler(memory, plan.trajectory)
     for action in (Command.STOP, Command.VENT, Command.STOP):
         handler.handle(OperatorCommand(action, "ada"))
@@ -161,7 +159,7 @@ def served(
     served.close()
 
 
-def test_a_visitor_sees_the_run_and_cannot_write_to_it(served: ServedRun, memory: SharedState) -> None:
+def test_a_client_maps_the_run_read_only(served: ServedRun, memory: SharedState) -> None:
     assert running_runs() == [served.socket.path]
     session = ClientSession(served.socket.path)
     memory.paused = 1
@@ -174,7 +172,7 @@ def test_a_visitor_sees_the_run_and_cannot_write_to_it(served: ServedRun, memory
     session.close()
 
 
-def test_wishes_are_passed_on_with_who_has_them(served: ServedRun, memory: SharedState) -> None:
+def test_commands_are_passed_on_with_their_account(served: ServedRun, memory: SharedState) -> None:
     session = ClientSession(served.socket.path)
     me = user_name()
     assert session.request("pause", me) == {"done": True, "said": f"pause by {me} (live page)"}
@@ -200,7 +198,7 @@ def test_wishes_are_passed_on_with_who_has_them(served: ServedRun, memory: Share
         b"[" * 4096,
     ],
 )
-def test_nonsense_is_shown_out_and_the_door_stays_open(served: ServedRun, packet: bytes) -> None:
+def test_an_invalid_client_is_closed_and_the_socket_stays_open(served: ServedRun, packet: bytes) -> None:
     visitor = connect(served.socket.path)
     assert visitor is not None
     visitor.send(packet)
@@ -212,7 +210,7 @@ def test_nonsense_is_shown_out_and_the_door_stays_open(served: ServedRun, packet
 
 
 @pytest.mark.parametrize("who", ["eve", "\x1b[31meve\u202e", " eve\n"])
-def test_the_record_names_the_account_behind_the_connection_whatever_it_says(served: ServedRun, who: str) -> None:
+def test_the_record_names_the_account_of_the_connection_whatever_the_client_states(served: ServedRun, who: str) -> None:
     with closing(ClientSession(served.socket.path)) as session:
         session.request("pause", who)
         session.request("resume", "", via="")
@@ -223,7 +221,7 @@ def test_the_record_names_the_account_behind_the_connection_whatever_it_says(ser
     ]
 
 
-def test_the_account_is_the_kernels_not_the_environments(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_account_comes_from_the_kernel_not_from_the_environment(monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("LOGNAME", "USER", "LNAME", "USERNAME"):
         monkeypatch.setenv(name, "eve")
     assert user_name() == pwd.getpwuid(os.getuid()).pw_name
@@ -231,7 +229,7 @@ def test_the_account_is_the_kernels_not_the_environments(monkeypatch: pytest.Mon
 
 
 @pytest.mark.skipif(os.getuid() != 0, reason="only root can become another user")
-def test_another_account_is_not_let_in(served: ServedRun) -> None:
+def test_another_account_is_refused(served: ServedRun) -> None:
     # Even where it could reach the socket: it does so here by a descriptor of the folder.
     served.socket.path.parent.chmod(0o755)
     served.socket.path.chmod(0o777)
@@ -250,7 +248,7 @@ def test_another_account_is_not_let_in(served: ServedRun) -> None:
     assert served.asked == []
 
 
-def test_visitors_beyond_the_most_are_shown_out_and_those_inside_are_still_served(served: ServedRun) -> None:
+def test_clients_beyond_the_limit_are_closed_and_the_others_still_served(served: ServedRun) -> None:
     session = ClientSession(served.socket.path)
     others = [connect(served.socket.path) for _ in range(60)]
     session.watch()
@@ -261,7 +259,7 @@ def test_visitors_beyond_the_most_are_shown_out_and_those_inside_are_still_serve
     session.close()
 
 
-def test_a_visitor_who_never_takes_his_answers_does_not_hold_the_supervisor_up(served: ServedRun) -> None:
+def test_a_client_that_never_reads_does_not_block_the_supervisor(served: ServedRun) -> None:
     rude = connect(served.socket.path)
     assert rude is not None
     rude.setblocking(False)
@@ -275,7 +273,7 @@ def test_a_visitor_who_never_takes_his_answers_does_not_hold_the_supervisor_up(s
     rude.close()
 
 
-def test_a_door_that_a_dead_run_left_is_no_run(served: ServedRun, tmp_path: Path) -> None:
+def test_a_socket_left_by_a_dead_run_is_not_a_run(served: ServedRun, tmp_path: Path) -> None:
     left = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     left.bind(str(socket_paths() / "run-1"))
     left.close()
@@ -291,7 +289,7 @@ def test_a_folder_that_others_can_enter_is_not_used(tmp_path: Path, monkeypatch:
         socket_paths()
 
 
-def test_events_and_views_reach_a_reader_whole(memory: SharedState) -> None:
+def test_events_and_views_reach_a_reader_complete(memory: SharedState) -> None:
     event = Event(7, Level.WARNING, "operator", "paused by ada: Grüße")
     memory.push_event(event)
     assert memory.read_events() == [event]

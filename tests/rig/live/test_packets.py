@@ -35,7 +35,7 @@ def test_a_trace_gives_only_what_is_later() -> None:
     assert trace.after(2.0).ravel().tolist() == [3.0, 4.0]
 
 
-def test_a_mean_leaves_out_what_is_not_there() -> None:
+def test_a_mean_ignores_missing_values() -> None:
     mean = RunningMean()
     assert np.isnan(mean.add(float("nan")))
     assert mean.add(1.0) == 1.0
@@ -44,14 +44,14 @@ def test_a_mean_leaves_out_what_is_not_there() -> None:
 
 
 @given(st.lists(st.floats(allow_infinity=True, allow_nan=True, width=32), min_size=1, max_size=20))
-def test_numbers_are_strict_json_whatever_they_are(values: list[float]) -> None:
+def test_any_number_becomes_strict_json(values: list[float]) -> None:
     listed = rounded(np.array(values), 3)
     json.dumps(listed, allow_nan=False)
     for given_, told in zip(values, listed, strict=True):
         assert told is None if not np.isfinite(given_) else abs(told - given_) <= 5e-4 + 1e-9 * abs(given_)
 
 
-def test_a_packet_is_its_numbers_and_then_its_picture() -> None:
+def test_a_packet_holds_its_numbers_and_then_its_picture() -> None:
     picture = jpeg(np.zeros((8, 8), np.uint8))
     packet = ViewUpdate(
         {"state": "running", "error": float("nan"), "measured": np.array([0.1])}, picture=picture

@@ -58,9 +58,7 @@ def test_pressures_are_read_between_the_samples() -> None:
     assert pressures.at(start + 900) == pytest.approx([4.0])
 
 
-def test_in_motion_the_model_lags_what_it_would_be_at_rest(
-    config: rig.config.schema.RigConfig, camera: MockCamera
-) -> None:
+def test_in_motion_the_model_lags_the_static_shape(config: rig.config.schema.RigConfig, camera: MockCamera) -> None:
     moving, resting = (
         Observer(config.model_copy(update={"model": config.model.model_copy(update={"mode": mode})}))
         for mode in ("dynamic", "static")
@@ -74,7 +72,7 @@ def test_in_motion_the_model_lags_what_it_would_be_at_rest(
     assert np.linalg.norm(second[0]["model_m"] - second[1]["model_m"]) > 0.002
 
 
-def test_after_lost_frames_the_model_has_taken_every_step_between(
+def test_after_lost_frames_the_model_has_taken_every_step_in_between(
     config: rig.config.schema.RigConfig, camera: MockCamera
 ) -> None:
     pa = _pressures(SCANS_NS, 0.4)
@@ -85,7 +83,7 @@ def test_after_lost_frames_the_model_has_taken_every_step_between(
     assert np.allclose(last["model_m"], rows[-1]["model_m"], atol=1e-7)
 
 
-def test_without_a_board_the_measured_columns_are_nan_and_the_model_goes_on(
+def test_without_a_board_the_measured_columns_are_nan_and_the_model_continues(
     config: rig.config.schema.RigConfig,
 ) -> None:
     observer = Observer(config)

@@ -69,7 +69,7 @@ def test_estimates_are_within_their_own_bounds_of_the_simulated_arm(runs: list[R
         assert np.allclose(np.sqrt(np.diagonal(found.covariance[-1])), found.uncertainty[-1])
 
 
-def test_what_is_found_can_be_used_for_the_next_run(runs: list[Run], tmp_path: Path) -> None:
+def test_the_estimates_can_be_used_for_the_next_run(runs: list[Run], tmp_path: Path) -> None:
     file = runs[0].path.with_suffix(".parameters.yaml")
     found = parameter_files.read(file).found
     assert [e.name for e in found.estimates] == [parameter.name for parameter in named(DEFAULT_PARAMETERS, 3)]
@@ -80,7 +80,7 @@ def test_what_is_found_can_be_used_for_the_next_run(runs: list[Run], tmp_path: P
     assert again.adaptation is None
 
 
-def test_the_valves_do_what_they_do_without_it(runs: list[Run], tmp_path: Path) -> None:
+def test_estimation_does_not_change_the_valve_voltages(runs: list[Run], tmp_path: Path) -> None:
     plain = ran(tmp_path, 3)
     assert np.array_equal(plain.pressure.valve_v, runs[0].pressure.valve_v)
     assert np.allclose(plain.tip.model_mm, runs[0].adaptation.start_model_mm)  # type: ignore[union-attr]
@@ -103,7 +103,7 @@ def test_the_report_draws_every_estimate_with_its_95_percent_band(runs: list[Run
         assert (last.min() + last.max()) / 2 == pytest.approx(found.value[-1, k], abs=1e-6 * half)
 
 
-def test_over_twenty_arms_drawn_from_the_prior_the_bounds_hold_what_they_say() -> None:
+def test_over_twenty_arms_drawn_from_the_prior_the_intervals_have_their_stated_coverage() -> None:
     z = np.array([_normalised_errors(seed) for seed in range(20)])
     # 20 arms, 12 parameters each: few lie outside 95 %, and the errors are not far smaller than stated either.
     assert 0.90 < (np.abs(z) < 1.96).mean() <= 0.99
@@ -159,7 +159,7 @@ def test_a_frame_without_a_tip_predicts_and_changes_nothing() -> None:
         (["--free", "law"], "--adapt"),
     ],
 )
-def test_a_wrong_question_gets_one_sentence(
+def test_an_invalid_request_gets_one_sentence(
     options: list[str], said: str, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     with pytest.raises(SystemExit) as left:
@@ -170,7 +170,7 @@ def test_a_wrong_question_gets_one_sentence(
     assert "Traceback" not in told
 
 
-def test_scripts_are_told_where_the_parameters_lie(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_json_output_names_the_parameter_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     protocol = tmp_path / "short.yaml"
     protocol.write_text("title: short\nsteps:\n  - hold: {duration_s: 1}\n")
     options = ["--fast", "--yes", "--no-report", "--json", "--adapt", "--free", "law", "--out", str(tmp_path)]

@@ -95,7 +95,7 @@ def volts(registers: Registers) -> list[float]:
     return stand
 
 
-def test_a_life_is_over_once_the_process_dies_though_nobody_has_asked_for_its_status(
+def test_a_process_counts_as_exited_before_its_status_is_collected(
     sleeper: subprocess.Popen[bytes],
 ) -> None:
     monitor = ProcessMonitor(sleeper.pid)
@@ -112,7 +112,7 @@ def test_a_life_is_over_once_the_process_dies_though_nobody_has_asked_for_its_st
     monitor.close()
 
 
-def test_who_is_held_by_a_debugger_stands_still_and_keeps_nobody_waiting_who_kills_him(
+def test_a_process_held_by_a_debugger_counts_as_stalled_and_its_kill_does_not_block(
     sleeper: subprocess.Popen[bytes], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The kernel hides the end of such a process from its parent for as long as the debugger has not asked for it."""
@@ -136,7 +136,7 @@ def test_who_is_held_by_a_debugger_stands_still_and_keeps_nobody_waiting_who_kil
     monitor.close()
 
 
-def test_one_who_never_was_is_over() -> None:
+def test_a_process_that_never_existed_counts_as_exited() -> None:
     assert ProcessMonitor(dead()).exited
 
 
@@ -152,7 +152,7 @@ def test_where_all_others_are_dead_the_bench_is_made_safe_at_once(
     assert memory.stop_request == Stop.SILENT
 
 
-def test_nobody_stands_in_while_the_watchdog_lives_and_somebody_does_once_it_is_killed(
+def test_the_failsafe_acts_only_once_the_watchdog_is_killed(
     config: RigConfig, memory: SharedState, registers: Registers, sleeper: subprocess.Popen[bytes]
 ) -> None:
     memory.control_pid = dead()
@@ -165,7 +165,7 @@ def test_nobody_stands_in_while_the_watchdog_lives_and_somebody_does_once_it_is_
     assert volts(registers) == [SAFE_V, SAFE_V]
 
 
-def test_those_who_stand_still_with_the_valves_open_are_stood_in_for_and_ended(
+def test_the_failsafe_replaces_and_ends_processes_that_stall_with_open_valves(
     config: RigConfig, memory: SharedState, registers: Registers, sleeper: subprocess.Popen[bytes]
 ) -> None:
     memory.control_pid = sleeper.pid
@@ -176,7 +176,7 @@ def test_those_who_stand_still_with_the_valves_open_are_stood_in_for_and_ended(
     assert ended_within(sleeper, 30)
 
 
-def test_those_who_stand_still_before_the_first_tick_are_left_to_wake(
+def test_processes_that_stall_before_the_first_cycle_are_left_alone(
     config: RigConfig, memory: SharedState, registers: Registers, sleeper: subprocess.Popen[bytes]
 ) -> None:
     memory.heartbeat("supervisor", 1)
@@ -190,7 +190,7 @@ def test_those_who_stand_still_before_the_first_tick_are_left_to_wake(
 
 
 @pytest.mark.parametrize(("safe_ns", "left_v"), [(1, OPEN_V), (0, SAFE_V)])
-def test_the_watchdog_writes_at_the_end_only_what_control_has_not(
+def test_the_watchdog_writes_at_the_end_only_if_control_has_not(
     config: RigConfig,
     memory: SharedState,
     registers: Registers,
@@ -214,7 +214,7 @@ def test_the_watchdog_writes_at_the_end_only_what_control_has_not(
 
 
 @pytest.mark.parametrize(("safe_ns", "said"), [(1, ""), (0, "the supervisor died or hung, and control did not stop")])
-def test_control_that_has_made_the_bench_safe_may_watch_the_air_go_though_its_supervisor_is_dead(
+def test_vent_verification_continues_after_the_supervisor_has_died(
     memory: SharedState, sleeper: subprocess.Popen[bytes], safe_ns: int, said: str
 ) -> None:
     memory.control_pid = sleeper.pid
@@ -231,7 +231,7 @@ def test_control_that_has_made_the_bench_safe_may_watch_the_air_go_though_its_su
     ending.join()
 
 
-def test_a_supervisor_that_dies_after_it_has_hung_costs_control_no_processor(
+def test_a_supervisor_that_hangs_and_dies_costs_control_no_processor_time(
     memory: SharedState, sleeper: subprocess.Popen[bytes], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The watchdog goes before control: what wakes it again and again keeps control from ending on its own."""
@@ -254,7 +254,7 @@ def test_a_supervisor_that_dies_after_it_has_hung_costs_control_no_processor(
     assert looks < 400
 
 
-def test_what_could_not_be_written_is_not_called_safe(
+def test_outputs_that_could_not_be_written_are_not_called_safe(
     config: RigConfig, memory: SharedState, registers: Registers
 ) -> None:
     registers.faults.inject(failing_writes=10**9)
@@ -263,7 +263,7 @@ def test_what_could_not_be_written_is_not_called_safe(
     assert volts(registers) == [OPEN_V, OPEN_V]
 
 
-def test_who_asked_first_to_stop_is_told_of_and_to_vent_wins_over_all(memory: SharedState) -> None:
+def test_the_first_stop_reason_is_kept_and_vent_overrides_it(memory: SharedState) -> None:
     for asked, told in (
         (Stop.TERMINATED, Stop.TERMINATED),
         (Stop.SAFE, Stop.TERMINATED),
@@ -274,7 +274,9 @@ def test_who_asked_first_to_stop_is_told_of_and_to_vent_wins_over_all(memory: Sh
         assert memory.stop_request == told
 
 
-def test_a_turn_is_waited_for_and_comes_no_more_once_the_run_is_over(config: RigConfig, memory: SharedState) -> None:
+def test_a_process_waits_for_its_start_and_gives_up_once_the_run_is_over(
+    config: RigConfig, memory: SharedState
+) -> None:
     supervisor = supervisor_monitor(job(config, memory, os.getppid()))
     looks = iter((False, False, True))
     assert await_turn(memory, supervisor, lambda: next(looks))
@@ -283,7 +285,7 @@ def test_a_turn_is_waited_for_and_comes_no_more_once_the_run_is_over(config: Rig
     assert not await_turn(memory, supervisor, lambda: False)
 
 
-def test_who_drives_or_guards_a_mock_card_need_not_load_the_plants_compiler() -> None:
+def test_control_and_watchdog_of_a_mock_card_do_not_load_numba() -> None:
     program = "import sys, rig.realtime.supervisor, rig.realtime.control_process, rig.realtime.watchdog_process\n"
     program += "import rig.hardware.cards.mock\n"
     program += "assert 'numba' not in sys.modules"

@@ -18,7 +18,7 @@ SOME = ("all but the observer stopped, 4 s", "terminal blocked (Ctrl-S, a full p
 
 
 @pytest.mark.parametrize("name", SOME)
-def test_the_fault_is_told_and_the_bench_is_safe(name: str, tmp_path: Path) -> None:
+def test_the_fault_is_reported_and_the_bench_is_safe(name: str, tmp_path: Path) -> None:
     (fault,) = (fault for fault in CATALOGUE if fault.name == name)
     trial = realtime.trial(fault, tmp_path, at_s=1.0, seed=1)
     assert trial.wrong == ""

@@ -55,7 +55,7 @@ def test_a_run_imports_nothing_from_the_current_folder(hostile: Path, how: tuple
     assert len(list((hostile / "out").glob("*.h5"))) == 1
 
 
-def test_neither_do_the_workers_of_an_identification(hostile: Path) -> None:
+def test_workers_of_an_identification_import_nothing_from_the_current_folder(hostile: Path) -> None:
     program = hostile.parent / "program.py"
     program.write_text(POOL)
     environment = {name: value for name, value in os.environ.items() if name != "PYTHONSAFEPATH"}

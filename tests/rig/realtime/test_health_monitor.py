@@ -30,11 +30,11 @@ def levels(events: list[Event]) -> list[Level]:
     return [event.level for event in events]
 
 
-def test_a_good_run_is_told_nothing(monitor: HealthMonitor) -> None:
+def test_a_good_run_reports_nothing(monitor: HealthMonitor) -> None:
     assert list(monitor.observations(frames(300))) == []
 
 
-def test_one_bad_frame_in_ten_is_told_nothing(monitor: HealthMonitor) -> None:
+def test_one_bad_frame_in_ten_is_not_reported(monitor: HealthMonitor) -> None:
     seen = np.where(np.arange(300) % 10 == 0, DetectionStatus.NO_BOARD, DetectionStatus.MEASURED)
     assert list(monitor.observations(frames(300, seen=seen))) == []
 
@@ -49,7 +49,7 @@ def test_one_bad_frame_in_ten_is_told_nothing(monitor: HealthMonitor) -> None:
         ({"age_ns": 400_000_000}, "0.40 s old"),
     ],
 )
-def test_a_trouble_is_told_once_when_it_begins_and_once_when_it_is_over(
+def test_a_condition_is_reported_once_when_it_begins_and_once_when_it_ends(
     monitor: HealthMonitor, trouble: dict[str, object], says: str
 ) -> None:
     (begun,) = monitor.observations(frames(90, **trouble))
@@ -61,7 +61,7 @@ def test_a_trouble_is_told_once_when_it_begins_and_once_when_it_is_over(
 
 
 @pytest.mark.parametrize("pace", [0.8, 1.2])
-def test_a_camera_that_grants_another_rate_than_the_rig_says_is_told_of(monitor: HealthMonitor, pace: float) -> None:
+def test_a_camera_with_another_rate_than_the_rig_states_is_reported(monitor: HealthMonitor, pace: float) -> None:
     rows = frames(150)
     rows["t_ns"] = 10**9 + np.arange(150) * round(pace * FRAME_NS)
     (told,) = monitor.observations(rows)
@@ -75,7 +75,7 @@ def test_a_camera_whose_pictures_are_stamped_unevenly_keeps_its_pace(monitor: He
     assert list(monitor.observations(rows)) == []
 
 
-def test_missed_deadlines_and_lost_scans_are_told(monitor: HealthMonitor) -> None:
+def test_missed_deadlines_and_lost_scans_are_reported(monitor: HealthMonitor) -> None:
     rows = np.zeros(400, sample_dtype(3, 2))
     rows["t_ns"] = 10**9 + np.arange(400) * 3 * TICK_NS
     rows["missed"] = 2
@@ -85,7 +85,7 @@ def test_missed_deadlines_and_lost_scans_are_told(monitor: HealthMonitor) -> Non
     assert levels(list(monitor.lost(0, 5))) == [Level.WARNING]
 
 
-def test_a_tenth_of_the_deadlines_missed_in_a_second_is_told_while_the_run_goes_on(monitor: HealthMonitor) -> None:
+def test_a_tenth_of_the_deadlines_missed_in_a_second_is_reported_during_the_run(monitor: HealthMonitor) -> None:
     """A control process that is stopped for 12 ms again and again; the operator is told now, not at the end."""
     rows = np.zeros(200, sample_dtype(3, 2))
     rows["missed"][::10] = 1
@@ -95,20 +95,20 @@ def test_a_tenth_of_the_deadlines_missed_in_a_second_is_told_while_the_run_goes_
     assert told.t_ns < 10**9 + 1_000_000_000
 
 
-def test_a_single_missed_deadline_is_told_nothing(monitor: HealthMonitor) -> None:
+def test_a_single_missed_deadline_is_not_reported(monitor: HealthMonitor) -> None:
     rows = np.zeros(400, sample_dtype(3, 2))
     rows["t_ns"] = 10**9 + np.arange(400) * TICK_NS
     rows["missed"][200] = 2
     assert list(monitor.samples(rows)) == []
 
 
-def test_a_standstill_of_the_record_is_told(monitor: HealthMonitor) -> None:
+def test_a_gap_in_the_record_is_reported(monitor: HealthMonitor) -> None:
     looks = [10**9, 10**9 + 20_000_000, 10**9 + 1_220_000_000]
     told = [event for t_ns in looks for event in monitor.looking(t_ns)]
     assert [event.message[:32] for event in told] == ["nothing was recorded for 1.20 s,"]
 
 
-def test_a_disk_that_does_not_take_the_record_is_told_once_with_its_end(monitor: HealthMonitor) -> None:
+def test_a_stalled_disk_is_reported_once_and_its_end_once(monitor: HealthMonitor) -> None:
     looks = [(0.0, 0.0), (1.0, 0.9), (2.5, 2.4), (3.0, 2.9), (4.0, 0.0), (5.0, 0.1)]
     told = [event for t_s, standing_s in looks for event in monitor.disk(10**9 + round(t_s * 1e9), standing_s)]
     assert [event.message for event in told] == [

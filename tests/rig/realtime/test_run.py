@@ -111,7 +111,7 @@ def test_a_dead_simulator_counts_as_a_dead_card(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("others", [(CONTROL, OBSERVER), (WATCHDOG,)], ids=["watchdog left", "control left"])
-def test_who_outlives_the_supervisor_makes_the_valves_safe_and_its_journal_can_be_recovered(
+def test_any_survivor_of_the_supervisor_makes_the_valves_safe_and_the_journal_is_recoverable(
     tmp_path: Path, others: tuple[str, ...]
 ) -> None:
     with rig_run(tmp_path) as run:
@@ -124,7 +124,7 @@ def test_who_outlives_the_supervisor_makes_the_valves_safe_and_its_journal_can_b
 
 
 @pytest.mark.parametrize("how", ["camera lost, too", "just told to stop"])
-def test_the_last_one_left_makes_the_valves_safe_whatever_else_it_has_to_do(tmp_path: Path, how: str) -> None:
+def test_the_last_remaining_process_makes_the_valves_safe(tmp_path: Path, how: str) -> None:
     with rig_run(tmp_path) as run:
         run.wait_until_pressurised()
         victims = [run.pid_of(module) for module in (CONTROL, WATCHDOG)]
@@ -163,7 +163,7 @@ def test_a_killed_supervisor_leaves_safe_valves_no_process_and_a_journal_that_ca
     recover_one(run)
 
 
-def test_a_second_run_is_refused_and_told_by_whom_and_rig_vent_ends_the_first(tmp_path: Path) -> None:
+def test_a_second_run_is_refused_with_the_holder_and_rig_vent_ends_the_first(tmp_path: Path) -> None:
     with rig_run(tmp_path) as run:
         run.wait_until_pressurised()
         second = subprocess.run(
@@ -197,7 +197,7 @@ def test_rig_vent_makes_the_valves_safe_while_a_run_hangs(tmp_path: Path) -> Non
             os.kill(pid, signal.SIGCONT)
 
 
-def test_rig_vent_keeps_a_run_that_starts_from_beginning(tmp_path: Path) -> None:
+def test_rig_vent_stops_a_run_that_is_starting(tmp_path: Path) -> None:
     with rig_run(tmp_path) as run:
         run.wait_until_started()
         os.kill(run.pid_of(OBSERVER), signal.SIGSTOP)  # it is waited for
@@ -220,7 +220,7 @@ def test_an_over_pressure_stops_the_run(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("modules", [(CONTROL,), (WATCHDOG,), (SIMULATOR,), (CONTROL, SIMULATOR)], ids=str)
-def test_a_delay_of_any_process_is_no_fault_of_a_simulated_bench(tmp_path: Path, modules: tuple[str, ...]) -> None:
+def test_a_delayed_process_does_not_stop_a_run_on_a_simulated_bench(tmp_path: Path, modules: tuple[str, ...]) -> None:
     """As a busy machine or its host delays them; the valves are driven while it happens."""
     with rig_run(tmp_path, BRIEF, supervised=False) as run:
         run.wait_until_pressurised()
@@ -237,7 +237,7 @@ def test_a_delay_of_any_process_is_no_fault_of_a_simulated_bench(tmp_path: Path,
     assert "simulated bench" in run.output
 
 
-def test_a_simulator_that_stalls_for_good_ends_a_run_of_a_simulated_bench(tmp_path: Path) -> None:
+def test_a_simulator_that_stalls_for_good_ends_the_run(tmp_path: Path) -> None:
     with rig_run(tmp_path, supervised=False) as run:
         run.wait_until_pressurised()
         os.kill(run.pid_of(SIMULATOR), signal.SIGSTOP)

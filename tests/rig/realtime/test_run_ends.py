@@ -24,14 +24,14 @@ def command(folder: Path, duration_s: float) -> list[str]:
 
 
 @pytest.mark.parametrize("closed", ["<&-", ">&-", "<&- >&- 2>&-"])
-def test_a_run_whose_standard_streams_were_closed_is_a_run(tmp_path: Path, closed: str) -> None:
+def test_a_run_with_closed_standard_streams_finishes(tmp_path: Path, closed: str) -> None:
     done = subprocess.run(["/bin/sh", "-c", f'exec "$@" {closed}', "sh", *command(tmp_path, 1.0)], check=False)
     assert done.returncode == 0
     assert len(list((tmp_path / "out").glob("*.h5"))) == 1
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
-def test_who_tells_a_run_to_end_again_and_again_still_learns_how_it_ended(tmp_path: Path, number: int) -> None:
+def test_a_run_that_is_signalled_repeatedly_still_reports_how_it_ended(tmp_path: Path, number: int) -> None:
     with subprocess.Popen(
         command(tmp_path, 600.0), stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
     ) as process:

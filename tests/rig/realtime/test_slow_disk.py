@@ -53,7 +53,7 @@ def request_(tmp_path: Path) -> experiment.RunRequest:
     return experiment.request("ramp-a", "mock", folder=tmp_path, report=False)
 
 
-def test_the_operator_is_told_that_the_run_waits_for_its_disk_and_the_archive_is_whole(
+def test_waiting_for_the_disk_is_reported_and_the_archive_is_complete(
     request_: experiment.RunRequest, disk: threading.Event, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def ended_on_a_disk_that_stands(plan: Plan, open_record: OpenRecord, operator: OperatorInterface) -> Outcome:
@@ -73,7 +73,7 @@ def test_the_operator_is_told_that_the_run_waits_for_its_disk_and_the_archive_is
     assert [event.message for event in archive.events] == ["the valves are in their safe state"]
 
 
-def test_the_supervisor_warns_and_goes_on(
+def test_the_supervisor_warns_of_a_stalled_disk_and_continues(
     request_: experiment.RunRequest, disk: threading.Event, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(health_monitor, "DISK_S", 0.0)

@@ -45,9 +45,7 @@ def moving(tmp_path_factory: pytest.TempPathFactory) -> Plan:
 
 @pytest.mark.parametrize("at_s", [0.3, 0.9])
 @pytest.mark.parametrize("still_s", [0.2, 0.6])
-def test_after_a_standstill_the_pressures_are_led_back_within_the_rate_limit(
-    moving: Plan, still_s: float, at_s: float
-) -> None:
+def test_after_a_stall_the_pressures_return_within_the_rate_limit(moving: Plan, still_s: float, at_s: float) -> None:
     """The plant goes on meanwhile with the valves as they stood, as a real one does."""
     plant = Plant(moving.config, 1, 0, moving_arm=False)
     bench = Bench(moving.config, {name: plant.card(name) for name in moving.config.cards})
@@ -67,7 +65,7 @@ def test_after_a_standstill_the_pressures_are_led_back_within_the_rate_limit(
     np.testing.assert_allclose(row["measured_pa"], row["setpoint_pa"], atol=1000)
 
 
-def test_a_stuck_pressure_is_found_on_a_machine_that_stands_still_again_and_again() -> None:
+def test_a_stuck_pressure_is_detected_on_a_machine_that_stalls_repeatedly() -> None:
     rig = mock_rig()
     settings = control.prepare(rig)
     state = control.initial(settings)
@@ -94,28 +92,28 @@ class TestSilence:
             said = silence.silent_ns(now, heartbeat_ns)
         return silence, said
 
-    def test_a_hung_process_is_silent_since_its_last_sign_of_life(self) -> None:
+    def test_a_hung_process_is_silent_since_its_last_heartbeat(self) -> None:
         assert self.looked(1026 * MS, 1000 * MS)[1] == pytest.approx(26 * MS, abs=2 * MS)
 
-    def test_one_that_was_not_watched_meanwhile_is_not_blamed_for_it(self) -> None:
+    def test_time_in_which_the_monitor_stalled_is_not_counted_as_silence(self) -> None:
         silence, _ = self.looked(1004 * MS, 1000 * MS)
         assert silence.silent_ns(2004 * MS, 1000 * MS) < 8 * MS
         assert silence.silent_ns(2006 * MS, 2005 * MS) < 2 * MS
 
-    def test_a_sign_of_life_from_just_before_the_standstill_is_not_old(self) -> None:
+    def test_a_heartbeat_from_just_before_the_stall_is_not_old(self) -> None:
         silence, _ = self.looked(1004 * MS, 1000 * MS)
         assert silence.silent_ns(2004 * MS, 1005 * MS) <= 2 * MS
 
-    def test_one_that_hangs_through_a_standstill_is_found_soon_after_it(self) -> None:
+    def test_a_process_that_hangs_through_a_stall_is_detected_soon_after_it(self) -> None:
         silence, _ = self.looked(1004 * MS, 1000 * MS)
         looks = [silence.silent_ns(now, 1000 * MS) for now in range(2004 * MS, 2030 * MS, 2 * MS)]
         assert looks[-1] > 25 * MS
 
-    def test_one_that_hangs_on_a_busy_machine_is_found(self) -> None:
+    def test_a_process_that_hangs_on_a_busy_machine_is_detected(self) -> None:
         assert self.looked(1060 * MS, 1000 * MS, every_ns=12 * MS)[1] > 25 * MS
 
 
-def test_the_supervisor_blames_nobody_for_a_standstill_and_somebody_who_stays_silent_after_it(
+def test_the_supervisor_blames_no_process_for_a_stall_unless_it_stays_silent_afterwards(
     moving: Plan, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     parent = supervisor._Supervisor(moving, NullOperator(), None)
@@ -139,7 +137,7 @@ def test_the_supervisor_blames_nobody_for_a_standstill_and_somebody_who_stays_si
         os.close(memory.fd)
 
 
-def test_a_standstill_is_told_once_with_its_length() -> None:
+def test_a_stall_is_reported_once_with_its_length() -> None:
     monitor = HealthMonitor(mock_rig())
     rows = np.zeros(3, sample_dtype(3, 2))
     rows["t_ns"] = np.array([0, 5, 610]) * MS

@@ -92,9 +92,7 @@ class SlowBench:
         raise AssertionError("a rehearsal moves no valve")
 
 
-def test_what_a_tick_does_is_rehearsed_though_the_first_scans_take_their_time(
-    plan: Plan, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_control_rehearses_a_cycle_though_the_first_scans_are_late(plan: Plan, monkeypatch: pytest.MonkeyPatch) -> None:
     steps = []
 
     def counted(*arguments: object) -> object:
@@ -107,7 +105,7 @@ def test_what_a_tick_does_is_rehearsed_though_the_first_scans_take_their_time(
     assert len(steps) > len(plan.config.valves)
 
 
-def test_the_calendars_anchor_is_that_of_the_first_tick_and_not_of_the_journals_beginning(
+def test_the_calendar_time_is_anchored_at_the_first_cycle_not_at_the_start_of_the_journal(
     request_: experiment.RunRequest, plan: Plan
 ) -> None:
     before_ns = time.time_ns()
@@ -122,7 +120,7 @@ def fellow(parent: supervisor._Supervisor, name: str, program: str) -> subproces
     return process
 
 
-def test_a_process_that_dies_while_another_is_waited_for_ends_the_start(plan: Plan) -> None:
+def test_the_death_of_one_process_ends_the_start_while_another_still_loads(plan: Plan) -> None:
     parent = supervisor._Supervisor(plan, NullOperator(), None)
     fellow(parent, "watchdog", "import time; time.sleep(60)")
     fellow(parent, "observer", "import sys; sys.exit(3)")
@@ -133,7 +131,7 @@ def test_a_process_that_dies_while_another_is_waited_for_ends_the_start(plan: Pl
     os.close(parent.memory.fd)
 
 
-def test_what_a_process_said_before_it_left_is_told_and_not_that_it_has_left(plan: Plan) -> None:
+def test_the_last_message_of_a_process_is_reported_rather_than_its_exit(plan: Plan) -> None:
     parent = supervisor._Supervisor(plan, NullOperator(), None)
     fellow(parent, "watchdog", "").wait()
     parent.memory.publish_stage("watchdog", Stage.FAILED, "the card is not there")
@@ -143,7 +141,7 @@ def test_what_a_process_said_before_it_left_is_told_and_not_that_it_has_left(pla
     os.close(parent.memory.fd)
 
 
-def test_a_run_whose_control_was_told_to_end_before_its_turn_is_not_called_armed(plan: Plan) -> None:
+def test_a_run_whose_control_ended_before_its_start_is_not_called_armed(plan: Plan) -> None:
     parent = supervisor._Supervisor(plan, NullOperator(), None)
     parent.memory.request_stop(Stop.TERMINATED)
     parent.memory.publish_stage("control", Stage.DONE)
@@ -152,7 +150,7 @@ def test_a_run_whose_control_was_told_to_end_before_its_turn_is_not_called_armed
     os.close(parent.memory.fd)
 
 
-def test_who_has_not_had_his_turn_is_not_waited_for(plan: Plan) -> None:
+def test_a_process_that_was_not_started_is_not_waited_for(plan: Plan) -> None:
     parent = supervisor._Supervisor(plan, NullOperator(), None)
     loading = [fellow(parent, name, "import time; time.sleep(5)") for name in ("watchdog", "control")]
     parent.memory.simulator_starting = 1
@@ -162,7 +160,7 @@ def test_who_has_not_had_his_turn_is_not_waited_for(plan: Plan) -> None:
     os.close(parent.memory.fd)
 
 
-def test_valves_that_nobody_is_left_to_make_safe_are_told_of_though_the_run_did_not_begin(
+def test_valves_that_no_process_can_make_safe_are_reported_though_the_run_did_not_start(
     plan: Plan, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     parent = supervisor._Supervisor(plan, NullOperator(), None)
@@ -178,7 +176,7 @@ def test_valves_that_nobody_is_left_to_make_safe_are_told_of_though_the_run_did_
     ("program", "said"),
     [("import sys; sys.exit(7)", "exit status 7"), ("print('hello', flush=True); input()", "its output is b'hello")],
 )
-def test_a_simulator_that_does_not_start_is_told_of(plan: Plan, program: str, said: str, tmp_path: Path) -> None:
+def test_a_simulator_that_does_not_start_is_reported(plan: Plan, program: str, said: str, tmp_path: Path) -> None:
     process = subprocess.Popen(
         [sys.executable, "-c", program], stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
     )
@@ -196,7 +194,7 @@ def test_a_simulator_that_does_not_start_is_told_of(plan: Plan, program: str, sa
     process.stdin.close()
 
 
-def test_a_job_larger_than_a_pipe_is_there_at_once_though_the_child_is_long_in_loading(
+def test_a_job_larger_than_a_pipe_is_handed_over_before_the_child_reads_it(
     plan: Plan, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     loading = tmp_path / "loading"
@@ -215,7 +213,7 @@ def test_a_job_larger_than_a_pipe_is_there_at_once_though_the_child_is_long_in_l
 
 
 @pytest.mark.parametrize("name", ["watchdog", "control", "observer"])
-def test_who_is_told_to_stop_before_his_turn_takes_his_job_and_leaves(plan: Plan, name: str) -> None:
+def test_a_process_stopped_before_its_start_takes_its_job_and_exits(plan: Plan, name: str) -> None:
     memory = SharedState.create(StateLayout.of(plan.config))
     memory.simulator_starting = 1
     memory.request_stop(Stop.SAFE)
@@ -228,9 +226,7 @@ def test_who_is_told_to_stop_before_his_turn_takes_his_job_and_leaves(plan: Plan
     os.close(memory.fd)
 
 
-def test_control_that_stands_still_before_its_first_tick_ends_the_run(
-    plan: Plan, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_control_that_stalls_before_its_first_cycle_ends_the_run(plan: Plan, monkeypatch: pytest.MonkeyPatch) -> None:
     parent = supervisor._Supervisor(plan, NullOperator(), None)
     parent.timing = TimingLimits(Profile.STRICT, control_hung_ns=30_000_000)
     memory, now = parent.memory, 10**9
@@ -270,7 +266,7 @@ def own_plan(plan: Plan, registers: Registers) -> Plan:
     return replace(plan, config=plan.config.model_copy(update={"cards": cards}))
 
 
-def test_an_error_in_control_is_told_by_its_name_and_leaves_the_valves_safe(
+def test_an_error_in_control_is_reported_by_name_and_the_valves_are_safe(
     own_plan: Plan, registers: Registers, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     memory = SharedState.create(StateLayout.of(own_plan.config))
@@ -297,7 +293,7 @@ def test_an_error_in_control_is_told_by_its_name_and_leaves_the_valves_safe(
     os.close(memory.fd)
 
 
-def test_valves_that_do_not_stand_safe_at_the_end_are_not_called_safe_though_it_was_written(
+def test_outputs_that_do_not_read_back_safe_at_the_end_are_not_called_safe(
     own_plan: Plan, registers: Registers
 ) -> None:
     parent = supervisor._Supervisor(own_plan, NullOperator(), None)
@@ -313,7 +309,7 @@ def test_valves_that_do_not_stand_safe_at_the_end_are_not_called_safe_though_it_
     os.close(parent.memory.fd)
 
 
-def test_the_doors_of_killed_runs_are_cleared_away_and_those_of_others_stay(
+def test_control_sockets_of_killed_runs_are_removed_and_others_kept(
     plan: Plan, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.setattr(runtime_folder, "BASE", tmp_path)
@@ -332,7 +328,7 @@ def test_the_doors_of_killed_runs_are_cleared_away_and_those_of_others_stay(
     os.close(memory.fd)
 
 
-def test_what_ended_a_run_is_told_beside_a_watchdog_that_has_to_be_killed(
+def test_the_reason_for_the_end_is_reported_even_if_the_watchdog_has_to_be_killed(
     plan: Plan, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """One that stands still has not ended when the run has."""
@@ -351,7 +347,7 @@ def test_what_ended_a_run_is_told_beside_a_watchdog_that_has_to_be_killed(
     assert outcome.counters == ended.counters
 
 
-def test_a_run_that_was_told_to_end_while_its_supervisor_stalled_is_not_called_finished(
+def test_a_run_stopped_while_its_supervisor_stalled_is_not_called_finished(
     plan: Plan, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The supervisor had just looked whether somebody wants the run to end, and wakes when all is over."""
@@ -367,7 +363,7 @@ def test_a_run_that_was_told_to_end_while_its_supervisor_stalled_is_not_called_f
     os.close(parent.memory.fd)
 
 
-def test_air_that_does_not_go_is_told_of_where_another_fault_ended_the_run(
+def test_remaining_air_is_reported_beside_another_fault_that_ended_the_run(
     own_plan: Plan, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     parent = supervisor._Supervisor(own_plan, NullOperator(), None)
@@ -388,7 +384,7 @@ def test_air_that_does_not_go_is_told_of_where_another_fault_ended_the_run(
     os.close(parent.memory.fd)
 
 
-def test_a_debugger_that_holds_a_process_keeps_nobody_waiting_for_the_end_of_the_run(plan: Plan) -> None:
+def test_a_process_held_by_a_debugger_does_not_delay_the_end_of_the_run(plan: Plan) -> None:
     """The kernel hides the end of such a process from its parent for as long as the debugger has not asked for it."""
     parent = supervisor._Supervisor(plan, NullOperator(), None)
     parent.timing = replace(parent.timing, ending_s=0.1)
@@ -409,7 +405,7 @@ def test_a_debugger_that_holds_a_process_keeps_nobody_waiting_for_the_end_of_the
 
 
 @pytest.mark.parametrize(("died", "said"), [(True, " (exit status -9)"), (False, "")])
-def test_the_exit_status_of_who_was_killed_for_being_silent_is_not_told(plan: Plan, died: bool, said: str) -> None:
+def test_the_exit_status_of_a_process_killed_for_silence_is_not_reported(plan: Plan, died: bool, said: str) -> None:
     parent = supervisor._Supervisor(plan, NullOperator(), None)
     fellow(parent, "control", "import time; time.sleep(60)").kill()
     assert parent._explained("control", "a fault", died=died) == ("control", f"a fault{said}")
@@ -417,7 +413,7 @@ def test_the_exit_status_of_who_was_killed_for_being_silent_is_not_told(plan: Pl
     os.close(parent.memory.fd)
 
 
-def test_a_process_that_was_stopped_while_it_starts_is_told_of(plan: Plan, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_process_stopped_while_it_starts_is_reported(plan: Plan, monkeypatch: pytest.MonkeyPatch) -> None:
     class Hearer(NullOperator):
         told = ""
 
@@ -447,7 +443,7 @@ def test_a_process_that_was_stopped_while_it_starts_is_told_of(plan: Plan, monke
         (StartError("the air stays"), "the air stays"),
     ],
 )
-def test_air_that_does_not_go_is_told_of_whatever_ends_a_run(
+def test_remaining_air_is_reported_whatever_ends_a_run(
     plan: Plan, monkeypatch: pytest.MonkeyPatch, error: Exception, told: str
 ) -> None:
     def supervise(parent: supervisor._Supervisor, _: object) -> Outcome:

@@ -43,7 +43,7 @@ RUNNING = [
 RUNNING_SCREEN = [f"cli/{name}.py" for name in ("terminal", "keyboard", "nonblocking_writer", "signals")]
 
 
-def test_a_reader_who_stops_reading_keeps_nobody_waiting() -> None:
+def test_a_reader_that_stops_reading_does_not_block_the_writer() -> None:
     read_end, write_end = os.pipe()
     with os.fdopen(write_end, "w") as stream:
         outlet = NonBlockingWriter(stream)
@@ -55,7 +55,7 @@ def test_a_reader_who_stops_reading_keeps_nobody_waiting() -> None:
         os.close(read_end)
 
 
-def test_a_reader_who_reads_gets_everything_in_order() -> None:
+def test_a_reader_that_reads_gets_everything_in_order() -> None:
     read_end, write_end = os.pipe()
     with os.fdopen(write_end, "w") as stream:
         outlet = NonBlockingWriter(stream)
@@ -66,7 +66,7 @@ def test_a_reader_who_reads_gets_everything_in_order() -> None:
         assert reader.read().split() == [str(number) for number in range(1000)]
 
 
-def test_a_reader_who_has_gone_is_no_error() -> None:
+def test_a_reader_that_has_gone_is_not_an_error() -> None:
     read_end, write_end = os.pipe()
     os.close(read_end)
     with os.fdopen(write_end, "w") as stream:
@@ -75,7 +75,7 @@ def test_a_reader_who_has_gone_is_no_error() -> None:
         outlet.close()
 
 
-def test_nothing_that_runs_asks_the_calendar_clock() -> None:
+def test_no_running_code_reads_the_calendar_clock() -> None:
     """A stepped clock can harm only who reads it; the record's one anchor is read once, before the run begins."""
     modules = [path for room in RUNNING for path in (ROOM / room).glob("*.py")]
     assert len(modules) > 50
@@ -118,7 +118,7 @@ def test_no_set_point_whatever_can_raise_a_chamber_above_the_limit(bar: float, b
 
 
 @pytest.mark.skipif(not (shutil.which("cc") or shutil.which("gcc")), reason="the clock that steps takes a C compiler")
-def test_the_clock_that_the_campaign_steps_is_stepped_for_a_process_that_runs_and_the_monotonic_one_is_not(
+def test_the_campaign_steps_the_calendar_clock_of_a_running_process_and_not_the_monotonic_one(
     tmp_path: Path,
 ) -> None:
     clock = SteppedClock(tmp_path)

@@ -35,7 +35,7 @@ def real_rig(**limits: float) -> RigConfig:
     return config.model_copy(update={"limits": config.limits.model_copy(update=limits)})
 
 
-def test_real_valves_with_real_time_scheduling_are_supervised_as_strictly_as_ever() -> None:
+def test_real_valves_with_real_time_scheduling_get_the_strict_limits() -> None:
     assert timing_limits(real_rig(), REAL_TIME) == TimingLimits(
         Profile.STRICT,
         control_hung_ns=30 * MS,
@@ -59,7 +59,7 @@ def test_real_valves_with_real_time_scheduling_are_supervised_as_strictly_as_eve
 
 @pytest.mark.parametrize("granted", [Scheduling.NONE, Scheduling.FIFO, Scheduling.LOCKED])
 @pytest.mark.parametrize(("stale_s", "hung_ms"), [(0.05, 50), (0.1, 100), (5.0, 100), (0.02, 30)])
-def test_real_valves_without_it_may_be_unsteered_no_longer_than_a_sample_may_be_old_and_at_most_a_tenth_of_a_second(
+def test_real_valves_without_real_time_scheduling_get_stale_s_and_at_most_a_tenth_of_a_second(
     granted: Scheduling, stale_s: float, hung_ms: int
 ) -> None:
     timing = timing_limits(real_rig(stale_s=stale_s), granted)
@@ -69,21 +69,21 @@ def test_real_valves_without_it_may_be_unsteered_no_longer_than_a_sample_may_be_
 
 
 @pytest.mark.parametrize("granted", [Scheduling.NONE, REAL_TIME])
-def test_a_simulated_bench_is_given_seconds_whatever_was_granted(granted: Scheduling) -> None:
+def test_a_simulated_bench_gets_limits_of_seconds_with_any_scheduling(granted: Scheduling) -> None:
     timing = timing_limits(rig.config.loader.load("mock"), granted)
     assert timing.profile is Profile.SIMULATED
     assert timing.control_hung_ns == 5000 * MS
 
 
 @pytest.mark.parametrize("granted", [Scheduling.NONE, REAL_TIME])
-def test_a_stated_hung_s_is_obeyed_on_any_bench(granted: Scheduling) -> None:
+def test_a_stated_hung_s_applies_to_any_bench(granted: Scheduling) -> None:
     mock = rig.config.loader.parse(strict(rig.config.loader.text("mock")), "rig.yaml")
     for config, hung_ms in ((mock, 30), (real_rig(hung_s=0.2), 200)):
         timing = timing_limits(config, granted)
         assert timing == TimingLimits(Profile.STRICT, hung_ms * MS, frame_s=config.limits.no_tip_s)
 
 
-def test_the_operator_is_told_what_cannot_be_promised_and_how_to_obtain_it() -> None:
+def test_missing_promises_are_reported_with_the_remedy() -> None:
     said = stated(real_rig(), Scheduling.NONE)
     assert "100 ms" in said
     assert "no reaction time can be promised" in said
@@ -94,7 +94,7 @@ def test_the_operator_is_told_what_cannot_be_promised_and_how_to_obtain_it() -> 
     assert "simulated bench" in stated(rig.config.loader.load("mock"), Scheduling.NONE)
 
 
-def test_scans_that_are_old_because_the_simulator_is_late_stop_no_run_of_a_simulated_bench(
+def test_scans_of_a_late_simulator_do_not_stop_a_run(
     tmp_path: Path,
 ) -> None:
     class Late:
@@ -117,7 +117,7 @@ def test_scans_that_are_old_because_the_simulator_is_late_stop_no_run_of_a_simul
         assert (trip is None) is may_stop
 
 
-def test_time_in_which_a_simulated_bench_stalled_counts_towards_no_limit() -> None:
+def test_stalled_time_of_a_simulated_bench_counts_towards_no_limit() -> None:
     """A set-point is stepped, and all of the machine is delayed by far more than `tracking_s`, again and again."""
     config = mock_rig()
     settings = control.prepare(config)
@@ -156,7 +156,7 @@ def test_a_process_without_real_time_priority_asks_for_short_slices_and_keeps_it
     assert done.stdout == f"5 {os.SCHED_OTHER}\n"
 
 
-def test_what_can_be_obtained_is_what_a_process_is_granted() -> None:
+def test_the_obtainable_scheduling_is_what_a_process_is_granted() -> None:
     program = (
         "from rig.realtime import scheduling\nexpected = scheduling.obtainable()\n"
         "print(int(expected), int(scheduling.enable_realtime_scheduling(scheduling.CONTROL_PRIORITY)))\n"
@@ -166,7 +166,7 @@ def test_what_can_be_obtained_is_what_a_process_is_granted() -> None:
     assert expected == granted
 
 
-def test_what_a_real_bench_cannot_promise_is_said_before_it_is_armed(
+def test_missing_promises_of_a_real_bench_are_reported_before_arming(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     request = experiment.request("ramp-a", "pci1716", folder=tmp_path, fast=False, seed=0)

@@ -63,7 +63,7 @@ def opened(monkeypatch: pytest.MonkeyPatch, left: Paced, right: Paced) -> Camera
     return CameraSynchroniser(load("mock-stereo"), 0)
 
 
-def test_a_camera_whose_pictures_come_later_than_the_others_is_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_softrig_waits_for_a_camera_whose_pictures_arrive_later(monkeypatch: pytest.MonkeyPatch) -> None:
     start_ns = time.monotonic_ns()
     cameras = opened(monkeypatch, Paced(start_ns), Paced(start_ns, late_ns=33_000_000))
     try:
@@ -74,7 +74,7 @@ def test_a_camera_whose_pictures_come_later_than_the_others_is_waited_for(monkey
     assert np.all(np.diff([shot.t_ns for shot in shots]) > 0)
 
 
-def test_a_camera_that_comes_back_with_old_pictures_does_not_turn_the_time_back(
+def test_old_pictures_of_a_returning_camera_do_not_turn_the_time_back(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     start_ns = time.monotonic_ns()
@@ -103,7 +103,7 @@ def test_a_process_that_stalled_does_not_blame_its_cameras(monkeypatch: pytest.M
         cameras.close()
 
 
-def test_a_run_goes_on_without_either_camera_and_tells_of_it(tmp_path: Path) -> None:
+def test_a_run_continues_without_either_camera_and_reports_it(tmp_path: Path) -> None:
     with rig_run(tmp_path, HOLD, like="mock-stereo") as run:
         run.wait_until_pressurised()
         registers = Registers.attach(run.device)

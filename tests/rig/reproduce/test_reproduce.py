@@ -20,7 +20,7 @@ from runs.archive.writer import finalise
 from tests.support.synthetic_runs import write_journal
 
 
-def test_the_text_alone_tells_what_average_rmse_means() -> None:
+def test_the_text_alone_defines_average_rmse() -> None:
     # Table 4's best is the mean of Table 5's four numbers, to the last printed digit.
     four = [value for pair in motion.TABLE5_MM for value in pair]
     best = min(value for row in motion.TABLE4_MM.values() for value in row if value is not None)
@@ -58,7 +58,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
-def test_what_is_missing_is_simulated_once_and_said_to_be(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_missing_runs_are_simulated_once_and_marked(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     archives = sorted((folder / "runs").glob("*.h5"))
     headers = [runs.open(archive).header for archive in archives]
     # The model alone is no experiment: sine-2 was missing.
@@ -81,14 +81,14 @@ def test_figures_and_page_lie_in_the_folder(folder: Path) -> None:
     assert "src=" not in page
 
 
-def test_a_page_of_a_real_rig_does_not_call_itself_simulated(tmp_path: Path) -> None:
+def test_a_page_from_real_runs_is_not_marked_as_simulated(tmp_path: Path) -> None:
     row = PaperComparison("Fig 11", "tip <x>", "", "1.0", "measured", "another arm")
     page = write(tmp_path, [row], [], ["a remark"]).read_text()
     assert "measure nothing of the paper" not in page
     assert "tip &lt;x&gt;" in page
 
 
-def test_what_rests_on_one_simulated_run_is_called_simulated(tmp_path: Path) -> None:
+def test_a_result_from_any_simulated_run_is_marked_as_simulated(tmp_path: Path) -> None:
     made = []
     for simulated in (False, True):
         write_journal(tmp_path / f"{simulated}.mcap", 1.0, pictures=0, simulated=simulated)
@@ -98,7 +98,7 @@ def test_what_rests_on_one_simulated_run_is_called_simulated(tmp_path: Path) -> 
     assert origin(measured, mock) == origin(mock, measured) == "simulated"
 
 
-def test_an_error_is_normalised_by_the_way_of_the_arm_that_it_is_of() -> None:
+def test_an_error_is_normalised_by_the_excursion_of_its_own_arm() -> None:
     gap, rest_m = np.full((2, 3), [1e-3, 0, 0]), 0.25
     tip = np.array([[0.03, 0.0, rest_m - 0.04], [0.06, 0.0, rest_m - 0.08]])
     over = {reading.name: float(reading.error(gap, tip, rest_m)[0]) for reading in ERROR_DEFINITIONS}

@@ -46,7 +46,7 @@ def test_an_open_sensor_saturates_its_input_and_a_shorted_one_reads_zero(bench: 
     assert np.all(volts[:, 2] > 0.01)
 
 
-def test_a_frozen_sensor_repeats_its_last_reading_until_it_is_mended(bench: Rig) -> None:
+def test_a_frozen_sensor_repeats_its_last_reading_until_it_is_repaired(bench: Rig) -> None:
     bench.faults.inject(sensor_1=SensorFault.FROZEN)
     frozen = bench.volts(20)[:, 0]
     assert len(set(frozen.tolist())) == 1
@@ -63,7 +63,7 @@ def test_a_noisy_sensor_is_noisy_and_an_offset_moves_a_reading(bench: Rig) -> No
     assert np.median(after[:, 1]) - np.median(before[:, 1]) == pytest.approx(0.2, abs=0.02)
 
 
-def test_a_stuck_valve_stays_where_it_is_though_its_output_stands_where_it_was_told(bench: Rig) -> None:
+def test_a_stuck_valve_keeps_its_opening_though_its_output_changes(bench: Rig) -> None:
     bench.faults.inject(valve_1=ValveFault.STUCK, valve_value_1=float("nan"))
     bench.card.write(VENT_V)
     before = bench.plant.pressure_pa
@@ -73,7 +73,7 @@ def test_a_stuck_valve_stays_where_it_is_though_its_output_stands_where_it_was_t
     assert bench.plant.pressure_pa[1] < before[1]
 
 
-def test_a_reversed_valve_fills_when_it_is_told_to_vent(bench: Rig) -> None:
+def test_a_reversed_valve_fills_when_commanded_to_vent(bench: Rig) -> None:
     bench.faults.inject(valve_1=ValveFault.REVERSED)
     bench.card.write(VENT_V)
     bench.volts(500)
@@ -81,7 +81,7 @@ def test_a_reversed_valve_fills_when_it_is_told_to_vent(bench: Rig) -> None:
     assert bench.plant.pressure_pa[1] < 1e3
 
 
-def test_a_leak_and_a_lost_supply_empty_nobody_elses_chamber(bench: Rig) -> None:
+def test_a_leak_and_a_lost_supply_affect_only_their_own_chamber(bench: Rig) -> None:
     bench.card.write(np.array([5.0, 5.0]))
     before = bench.plant.pressure_pa
     bench.faults.inject(valve_1=ValveFault.LEAKING, valve_value_1=60.0)
@@ -94,7 +94,7 @@ def test_a_leak_and_a_lost_supply_empty_nobody_elses_chamber(bench: Rig) -> None
     assert np.all(bench.plant.pressure_pa < 1e3)
 
 
-def test_a_card_fails_as_often_as_it_is_told_and_says_what_it_lost(bench: Rig) -> None:
+def test_a_card_fails_as_often_as_requested_and_reports_its_losses(bench: Rig) -> None:
     bench.faults.inject(failing_reads=1, failing_writes=2, lost_scans=3)
     with pytest.raises(CardError, match="inputs cannot be read"):
         bench.card.read()
@@ -112,7 +112,7 @@ def test_a_silent_card_gives_no_scans(bench: Rig) -> None:
     assert len(bench.volts(10)) == 0
 
 
-def test_without_a_fault_nothing_is_touched() -> None:
+def test_without_a_fault_nothing_changes() -> None:
     scans = Scans(np.arange(3), np.ones((3, 1)))
     assert Faults().of_scans(scans) is scans
 

@@ -108,7 +108,7 @@ def test_leaks_alone_drive_the_chamber_to_where_they_balance() -> None:
 
 
 @pytest.mark.parametrize(("fills", "gauge_bar"), [("above", 0.0), ("below", 1.5)])
-def test_zero_volts_do_what_the_port_in_use_makes_of_them(fills: str, gauge_bar: float) -> None:
+def test_zero_volts_fill_or_vent_as_the_port_in_use_determines(fills: str, gauge_bar: float) -> None:
     plant = Plant(mock_rig(**EXACT, valves__0__fills=fills), 1, 0, moving_arm=False)
     plant.advance(2_000_000_000)
     assert plant.pressure_pa[0] / 1e5 == pytest.approx(gauge_bar, abs=1e-3)

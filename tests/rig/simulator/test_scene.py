@@ -65,7 +65,7 @@ def test_squares_keep_their_contrast_from_the_dark_to_the_bright_side() -> None:
     assert bright[1] > 1.15 * bright[0]
 
 
-def test_motion_smears_along_the_way_and_leaves_the_middle_in_place() -> None:
+def test_motion_blurs_along_the_path_around_an_unmoved_middle() -> None:
     view = scene(Optics(0.6, 0.0))
     middle = facing(roll_deg=20)
     way = np.array([0.0009, 0.0, 0.0])

@@ -26,7 +26,7 @@ def briefer(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.parametrize("fault", FAULTS, ids=[fault.name for fault in FAULTS])
-def test_the_fault_is_told_and_the_bench_is_safe(fault: Fault, tmp_path: Path) -> None:
+def test_the_fault_is_reported_and_the_bench_is_safe(fault: Fault, tmp_path: Path) -> None:
     moment = random.Random(fault.name).uniform(EARLIEST_S, LATEST_S)
     trial = virtual.trial(fault, tmp_path, moment, seed=1)
     if trial.skipped:
@@ -39,7 +39,7 @@ def test_the_catalogue_names_at_least_thirty_faults_once_each() -> None:
     assert len(set(names)) == len(names) >= 30
 
 
-def test_a_valve_that_does_not_obey_is_told_when_the_air_does_not_go(tmp_path: Path) -> None:
+def test_a_valve_that_does_not_obey_is_reported_when_the_air_does_not_leave(tmp_path: Path) -> None:
     (stuck,) = (fault for fault in FAULTS if fault.name == "both valves stuck open")
     out = tmp_path / "out"
     virtual.trial(stuck, tmp_path, 1.0, seed=1)

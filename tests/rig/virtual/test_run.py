@@ -143,7 +143,7 @@ def test_a_stop_request_ends_in_an_interrupted_archive(tmp_path: Path) -> None:
     assert run.message == "enough"
 
 
-def test_prompts_are_answered_by_themselves_and_said_so(tmp_path: Path) -> None:
+def test_prompts_are_answered_automatically_and_that_is_recorded(tmp_path: Path) -> None:
     protocol = protocol_file(
         tmp_path, "  - hold: {duration_s: 0.5}\n  - prompt: Hang 100 g\n  - hold: {duration_s: 0.5}\n"
     )
@@ -152,7 +152,7 @@ def test_prompts_are_answered_by_themselves_and_said_so(tmp_path: Path) -> None:
     assert any("Hang 100 g" in event.message and "virtual time" in event.message for event in run.events)
 
 
-def test_a_hung_weight_stretches_the_simulated_arm_and_the_model_knows_it(tmp_path: Path) -> None:
+def test_a_weight_stretches_both_the_simulated_arm_and_the_model(tmp_path: Path) -> None:
     steps = "  - hold: {duration_s: 1}\n  - prompt: {message: Hang 1 kg, weight_g: 1000}\n  - hold: {duration_s: 3}\n"
     run = run_fast(tmp_path, protocol_file(tmp_path, steps))
     before, after = run.tip.protocol_s < 0.9, run.tip.protocol_s > 3.0
@@ -206,7 +206,7 @@ def test_a_run_whose_id_another_run_takes_at_the_last_moment_gets_another(
     assert (tmp_path / "taken.mcap").read_bytes() == b"of another run"
 
 
-def test_a_record_that_cannot_be_begun_is_refused_plainly(tmp_path: Path) -> None:
+def test_a_record_that_cannot_be_started_is_refused_plainly(tmp_path: Path) -> None:
     request = experiment.request("sine-1", "mock", folder=tmp_path, fast=True, report=False)
     decided = experiment.plan(request)
     with limited_files() as at_most:
@@ -216,7 +216,7 @@ def test_a_record_that_cannot_be_begun_is_refused_plainly(tmp_path: Path) -> Non
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_run_that_its_disk_ends_ends_by_its_own_clock(tmp_path: Path) -> None:
+def test_a_run_ended_by_its_disk_ends_at_its_own_time(tmp_path: Path) -> None:
     request = experiment.request("sine-1", "mock", folder=tmp_path, fast=True, report=False)
     decided = experiment.plan(request)
 

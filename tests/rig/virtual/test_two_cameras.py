@@ -81,7 +81,7 @@ def test_the_archive_names_the_cameras_what_each_saw_and_their_skew(stereo: Run)
     assert set(stereo.frames.camera) == {"left", "right"}
 
 
-def test_played_back_the_page_shows_one_camera_all_the_time_with_its_own_marks(stereo: Run) -> None:
+def test_played_back_the_page_shows_one_camera_throughout_with_its_own_annotations(stereo: Run) -> None:
     played = ArchivedRun(stereo.path)
     shown = [played.picture_at(t_s) for t_s in np.linspace(0.5, stereo.tip.time_s[-1], 60)]
     assert len(set(shown)) > 20
@@ -123,7 +123,7 @@ def test_a_camera_that_is_lost_leaves_the_other_to_measure(config: RigConfig, lo
     assert np.trace(seen[-1].covariance_m2) > 4 * np.trace(seen[3].covariance_m2)
 
 
-def test_cameras_that_contradict_each_other_measure_nothing(config: RigConfig) -> None:
+def test_contradicting_cameras_give_no_measurement(config: RigConfig) -> None:
     """One was pushed by 10 mm after its calibration."""
     left = config.cameras["left"]
     x, y, z = left.placement.translation_mm
@@ -136,7 +136,7 @@ def test_cameras_that_contradict_each_other_measure_nothing(config: RigConfig) -
         assert np.all(np.isnan(measured.tip_m))
 
 
-def test_the_loss_of_one_camera_is_told_and_its_return(config: RigConfig) -> None:
+def test_the_loss_and_the_return_of_one_camera_are_reported(config: RigConfig) -> None:
     rows = np.zeros(300, observation_dtype(3, 2))
     rows["t_ns"] = 10**9 + np.arange(300) * FRAME_NS
     rows["model_ok"] = 1

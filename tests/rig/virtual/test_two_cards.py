@@ -52,7 +52,7 @@ def recorded(folder: Path, rig_text: str) -> Run:
     return runs.open(archive)
 
 
-def test_a_run_on_two_cards_is_the_run_on_one(tmp_path: Path) -> None:
+def test_a_run_on_two_cards_equals_the_run_on_one(tmp_path: Path) -> None:
     one, two = (
         recorded(tmp_path / "one", rig.config.loader.text("mock")),
         recorded(tmp_path / "two", two_card_text("mock0")),
@@ -85,7 +85,7 @@ def stand_v(device: str) -> list[float]:
 
 
 @pytest.mark.realtime
-def test_a_run_in_real_time_on_two_cards_goes_to_its_end(tmp_path: Path) -> None:
+def test_a_real_time_run_on_two_cards_finishes(tmp_path: Path) -> None:
     with two_card_run(tmp_path, BRIEF) as (run, devices):
         assert run.end() == 0, run.output
         assert [max(stand_v(device)) for device in devices] == [0.0, 0.0]

@@ -147,7 +147,7 @@ def test_the_numbers_are_those_of_the_journal_in_bar_and_mm(path: Path) -> None:
     np.testing.assert_allclose(run.simulated.tip_mm, observations["truth_m"] * 1e3, rtol=1e-12)
 
 
-def test_what_was_not_measured_is_nan_and_says_why(path: Path) -> None:
+def test_a_missing_measurement_is_nan_with_a_reason(path: Path) -> None:
     tip = runs.open(path).tip
     lost = np.flatnonzero(tip.seen != DetectionStatus.MEASURED)
     assert list(lost) == [10, 11]
@@ -158,7 +158,7 @@ def test_what_was_not_measured_is_nan_and_says_why(path: Path) -> None:
         assert "1 no_board" in file["entry/tip/seen"].attrs["description"]
 
 
-def test_the_header_comes_back_as_it_was(path: Path) -> None:
+def test_the_header_is_read_back_unchanged(path: Path) -> None:
     run, meant = runs.open(path), made_up.header("run", 3.0)
     assert {q.name: repr(q) for q in run.header.quantities} == {q.name: repr(q) for q in meant.quantities}
     assert [i.label for i in run.header.intervals] == [i.label for i in meant.intervals]
@@ -178,7 +178,7 @@ def test_start_and_end_are_calendar_times(path: Path) -> None:
     assert (end - start).total_seconds() == pytest.approx(3.0, abs=2e-6)
 
 
-def test_what_was_seen_in_a_picture_comes_back_with_it(path: Path) -> None:
+def test_the_annotations_of_a_picture_are_read_back(path: Path) -> None:
     run = runs.open(path)
     for k in range(K):
         marks = made_up.marks(k)
@@ -196,7 +196,7 @@ def test_the_backbone_ends_at_the_models_tip(path: Path) -> None:
     np.testing.assert_allclose(run.backbone.model_mm[:, -1], run.tip.model_mm, rtol=1e-6)
 
 
-def test_pictures_come_back_byte_for_byte(path: Path) -> None:
+def test_pictures_are_read_back_byte_for_byte(path: Path) -> None:
     run = runs.open(path)
     assert [run.picture(k) for k in range(K)] == [made_up.picture(k).data for k in range(K)]
     assert list(run.frames.index) == [0, 3, 6, 9, 12]
@@ -239,7 +239,7 @@ def test_finalising_again_gives_the_same_content(path: Path) -> None:
     assert runs.open(path).sha256 == before
 
 
-def test_a_changed_number_is_noticed(path: Path, tmp_path: Path) -> None:
+def test_a_changed_number_is_detected(path: Path, tmp_path: Path) -> None:
     copy = Path(shutil.copy(path, tmp_path / "copy.h5"))
     assert verify(copy)
     with h5py.File(copy, "r+") as file:
@@ -247,7 +247,9 @@ def test_a_changed_number_is_noticed(path: Path, tmp_path: Path) -> None:
     assert not verify(copy)
 
 
-def test_content_that_reads_back_differently_gets_no_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_content_that_reads_back_differently_is_not_renamed_to_an_archive(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     source = tmp_path / "run.mcap"
     made_up.write_journal(source)
     monkeypatch.setattr(archive.checksum, "of_file", lambda file: archive.checksum.Checksum("0" * 64, {}))
@@ -256,7 +258,7 @@ def test_content_that_reads_back_differently_gets_no_name(tmp_path: Path, monkey
     assert not source.with_suffix(".h5").exists()
 
 
-def test_an_archive_is_on_the_disk_before_it_gets_its_name_and_then_its_name_is(
+def test_an_archive_is_synced_to_disk_before_its_rename_and_the_rename_afterwards(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     done: list[str] = []

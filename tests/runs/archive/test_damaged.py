@@ -213,7 +213,7 @@ def link(path: str, to: object) -> Callable[[h5py.File], object]:
         ),
     ],
 )
-def test_a_wrong_structure_is_told_when_the_archive_is_opened(
+def test_a_wrong_structure_is_reported_when_the_archive_is_opened(
     copy: Path, change: Callable[[h5py.File], object], said: str
 ) -> None:
     spoil(copy, change)

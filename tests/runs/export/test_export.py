@@ -156,7 +156,7 @@ def test_an_empty_run_can_be_exported(tmp_path: Path, to: str) -> None:
     assert all(written.exists() for written in export(finalise(path), to))
 
 
-def test_bad_wishes_get_one_sentence(archive: Path, tmp_path: Path) -> None:
+def test_invalid_requests_are_refused_in_one_sentence(archive: Path, tmp_path: Path) -> None:
     with pytest.raises(ExportError, match="there are csv, mat, nc"):
         export(archive, "xlsx")
     with pytest.raises(ArchiveError, match="no such file"):

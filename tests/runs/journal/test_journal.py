@@ -63,7 +63,7 @@ def subset_of_truth(content: journal.Journal) -> bool:
     return truth.tobytes() == content.samples[:].tobytes()
 
 
-def test_what_was_written_is_read_back_bit_for_bit(whole: Path) -> None:
+def test_written_data_are_read_back_bit_for_bit(whole: Path) -> None:
     content = journal.read(whole)
     assert repr(content.header) == repr(made_up.header("whole", 1.0))
     assert content.samples[:].tobytes() == made_up.samples(1.0).tobytes()
@@ -132,7 +132,7 @@ def test_kill_9_loses_nothing_that_was_written(tmp_path: Path, attempt: int, liv
 
 @examples(60, HealthCheck.function_scoped_fixture)
 @given(part=st.floats(0, 1))
-def test_a_journal_cut_anywhere_gives_what_stands_before_the_cut(tmp_path: Path, whole: Path, part: float) -> None:
+def test_a_truncated_journal_gives_everything_before_the_cut(tmp_path: Path, whole: Path, part: float) -> None:
     data = whole.read_bytes()
     path = changed(tmp_path, data[: int(part * len(data))])
     try:
@@ -158,7 +158,7 @@ def test_a_flipped_bit_costs_one_block_and_is_reported(tmp_path: Path, whole: Pa
 
 @examples(60, HealthCheck.function_scoped_fixture)
 @given(part=st.floats(0, 1), rubbish=st.binary(min_size=1, max_size=400), replace=st.booleans())
-def test_rubbish_in_the_middle_does_not_hide_what_follows(
+def test_rubbish_in_the_middle_does_not_hide_the_data_behind_it(
     tmp_path: Path, whole: Path, part: float, rubbish: bytes, replace: bool
 ) -> None:
     data = whole.read_bytes()
@@ -176,7 +176,7 @@ def test_a_file_that_is_not_a_journal_gives_one_message(tmp_path: Path, rubbish:
         journal.read(changed(tmp_path, rubbish))
 
 
-def test_a_message_that_is_sound_but_senseless_is_reported(tmp_path: Path, whole: Path) -> None:
+def test_a_message_with_a_valid_checksum_and_invalid_content_is_reported(tmp_path: Path, whole: Path) -> None:
     from mcap.records import Message
 
     from runs.journal import mcap_records
@@ -187,7 +187,7 @@ def test_a_message_that_is_sound_but_senseless_is_reported(tmp_path: Path, whole
     assert len(content.samples) == 200
 
 
-def test_there_is_no_journal_where_there_is_no_file(tmp_path: Path) -> None:
+def test_a_missing_file_is_not_a_journal(tmp_path: Path) -> None:
     with pytest.raises(JournalError, match="No such file"):
         journal.read(tmp_path / "none.mcap")
 

@@ -177,7 +177,7 @@ def test_the_same_archive_gives_the_same_report(archive: Path, text: str) -> Non
     assert report.page([runs.open(archive)]) == text
 
 
-def test_what_the_operator_writes_is_shown_and_not_run(tmp_path: Path) -> None:
+def test_text_of_the_operator_is_shown_and_not_executed(tmp_path: Path) -> None:
     path = tmp_path / "odd.mcap"
     bad = '<script>alert("x")</script>&amp;'
     header = dataclasses.replace(
@@ -239,7 +239,7 @@ def test_several_runs_stand_side_by_side(short: Path, tmp_path: Path) -> None:
     assert "nothing here was measured" in text
 
 
-def test_a_run_has_the_figures_that_it_has_data_for(archive: Path, short: Path) -> None:
+def test_only_figures_with_data_are_drawn(archive: Path, short: Path) -> None:
     run, brief = runs.open(archive), runs.open(short)
     everything = ["pressures", "trajectory", "backbones", "steps", "tip", "error", "timing"]
     assert [figure.name for figure in figure_specifications.figure_specifications(run, summarise(run))] == everything
@@ -298,13 +298,13 @@ def test_measurements_without_model_and_set_points_are_drawn_without_them(archiv
 
 
 @pytest.mark.parametrize(("kind", "begins"), [("pdf", b"%PDF"), ("png", b"\x89PNG"), ("svg", b"<?xml")])
-def test_figures_can_be_had_as_files_for_a_paper(short: Path, tmp_path: Path, kind: str, begins: bytes) -> None:
+def test_figures_can_be_exported_as_files(short: Path, tmp_path: Path, kind: str, begins: bytes) -> None:
     written = figure_export.write([short], tmp_path / "figures", kind)
     assert [path.name for path in written] == [f"short-{name}.{kind}" for name in ("pressures", "timing", "pictures")]
     assert all(path.read_bytes().startswith(begins) for path in written)
 
 
-def test_a_figure_of_a_simulated_run_says_so_where_it_stands_alone(short: Path, tmp_path: Path) -> None:
+def test_an_exported_figure_of_a_simulated_run_is_marked_as_simulated(short: Path, tmp_path: Path) -> None:
     assert runs.open(short).header.simulated
     for path in figure_export.write([short], tmp_path, "svg"):
         assert ">simulated</text>" in path.read_text(encoding="utf-8")
@@ -366,7 +366,7 @@ def test_the_names_of_any_number_of_actuators_stand_inside_the_figure(archive: P
     assert figure.bbox.y0 <= box.y0 <= box.y1 <= figure.bbox.y1
 
 
-def test_no_mean_is_over_measured_and_simulated_runs(archive: Path) -> None:
+def test_means_do_not_mix_measured_and_simulated_runs(archive: Path) -> None:
     run = runs.open(archive)
     simulated, measured = (
         dataclasses.replace(summarise(run), normalised_percent=percent, simulated=mark)
