@@ -23,9 +23,10 @@ from rod import DT, path_of_sine
 
 import model.kernels.pointwise_law
 from model import Arm
-from model.kernel_arguments import CLOSE
+from model.dynamics import Dynamics
 from model.kernels.axis import place_tip
 from model.kernels.layout import LANES, OTHERS, STATE, SUMS
+from model.kernels.shooting import TOLERANCE_IN_MOTION
 from model.kernels.time_stepping import advance
 
 COUNTED = ("add", "multiply", "divide", "root")
@@ -144,7 +145,7 @@ def second(variant: str, nodes: int) -> dict[str, int]:
     model.kernels.pointwise_law.math = SimpleNamespace(sqrt=root)  # type: ignore[attr-defined]
     arm = Arm.paper(variant)  # type: ignore[arg-type]
     path = path_of_sine(30)
-    moving = arm.dynamics(DT, nodes=nodes)
+    moving = Dynamics(arm, DT, nodes=nodes)
     moving.start(path[0])
     problem, total, passes = moving._problem, Counter[str](), 0
     room = type(moving._room)(*(given(part) for part in moving._room))
@@ -157,7 +158,7 @@ def second(variant: str, nodes: int) -> dict[str, int]:
         done = advance(
             work, problem.law, problem.actuators, problem.rest[0], problem.per_pressure[0], problem.free_per_pa, before,
             row, moving._load, moving._loaded, moving._tip, problem.length_m, moving._segments, problem.scale,
-            moving._coefficients, trail, x, room, CLOSE,
+            moving._coefficients, trail, x, room, TOLERANCE_IN_MOTION,
         )  # fmt: skip
         assert done > 0
         passes += done

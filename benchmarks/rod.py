@@ -22,9 +22,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from model import Arm, Loads, batch
+from model.dynamics import Dynamics
 from model.paper.rod import PaperRod
 from model.sensitivities import Variation, tip_gradient
 from model.sensitivities import statics as answers
+from model.statics import statics
 
 Array = NDArray[np.float64]
 BAR = 1e5
@@ -97,7 +99,7 @@ def ours(arm: Arm, nodes: int, repeats: int = 300) -> tuple[float, Array, float]
     path = path_of_sine(30)
     times, peaks, tips = [], [], np.empty(0)
     for _ in range(repeats):
-        dynamics = arm.dynamics(DT, nodes=nodes)
+        dynamics = Dynamics(arm, DT, nodes=nodes)
         dynamics.start(path[0])
         start = time.perf_counter()
         tips = dynamics.run(path[1:]).tip_m
@@ -178,7 +180,7 @@ def stepping() -> None:
     """1 kHz steps from Python, a 0.5 bar jump in the middle; also in CPU time, which other programs do not disturb."""
     print("\nStepping at 1 kHz from Python with a 0.5 bar jump")
     for variant in ("homogeneous+rpe", "inhomogeneous+rpe"):
-        dynamics = Arm.paper(variant).dynamics(0.001)  # type: ignore[arg-type]
+        dynamics = Dynamics(Arm.paper(variant), 0.001)  # type: ignore[arg-type]
         dynamics.start((0, 0, 0))
         dynamics.step((0, 0, 0))
         times = np.empty((1000, 2))
@@ -209,13 +211,13 @@ def twelve(arm: Arm, rows: Array) -> list[Variation]:
     return [*(Variation(step, one) for one in moved), *pressed]
 
 
-def statics() -> None:
+def equilibria() -> None:
     """Cold solves, gradients against solves, and batches over the cores."""
     print("\nStatics, from scratch, RK4 N = 20")
     for variant in ("homogeneous+rpe", "inhomogeneous+rpe"):
         arm = Arm.paper(variant)  # type: ignore[arg-type]
         p = np.array([0.65, 0.2, 0.0]) * BAR
-        solve = best(lambda arm=arm, p=p: arm.statics(p), 300)  # type: ignore[misc]
+        solve = best(lambda arm=arm, p=p: statics(arm, p), 300)  # type: ignore[misc]
         gradient = best(lambda arm=arm, p=p: tip_gradient(arm, p), 300)  # type: ignore[misc]
         line(f"{variant}, one solve", f"{solve * 1e6:.0f} us", "aim: 100")
         line("  with the gradient by parameters and pressures", f"{gradient / solve:.1f} x", "aim: 3 x")
@@ -232,7 +234,7 @@ def statics() -> None:
 
 def start_up() -> None:
     """Import and first solve in a fresh interpreter, kernels on disk."""
-    code = "import model; model.Arm.paper().statics((5e4, 0, 0))"
+    code = "import model; from model.statics import statics; statics(model.Arm.paper(), (5e4, 0, 0))"
     seconds = best(lambda: subprocess.run([sys.executable, "-c", code], check=True), 3)
     print("\nStart-up")
     line("interpreter, import and first solve", f"{seconds:.2f} s", "aim: 1.5")
@@ -251,7 +253,7 @@ def elastica() -> None:
     def path(parts: int, nodes: int | None = None) -> tuple[float, Array]:
         times = np.arange(1, parts + 1) * duration / parts
         loads = [Loads(tip_force_n=f) for f in np.outer(np.minimum(1, times / RAMP_S), FORCE)]
-        dynamics = ROD.dynamics(duration / parts, "trapezoidal", nodes=nodes)
+        dynamics = Dynamics(ROD, duration / parts, "trapezoidal", nodes=nodes)
         dynamics.start((0,))
         start = time.perf_counter()
         tips = np.array([dynamics.step((0,), load).tip_m for load in loads])
@@ -282,7 +284,7 @@ def robustness(steps: int, seed: int) -> None:
     print(f"\nRobustness: {steps} random jumps over [0, 0.65]^3 bar, seed {seed}")
     for variant in ("homogeneous+rpe", "inhomogeneous+rpe"):
         for dt in (0.001, 0.002, 0.005, 0.01, 1 / 30, 1 / 15):
-            dynamics = Arm.paper(variant).dynamics(dt)  # type: ignore[arg-type]
+            dynamics = Dynamics(Arm.paper(variant), dt)  # type: ignore[arg-type]
             dynamics.start((0, 0, 0))
             start = time.perf_counter()
             run = dynamics.run(np.random.default_rng(seed).uniform(0, 0.65, (steps, 3)) * BAR)
@@ -293,7 +295,13 @@ def robustness(steps: int, seed: int) -> None:
 
 def main() -> None:
     """Everything, or one part by name."""
-    parts = {"dynamics": dynamics, "stepping": stepping, "statics": statics, "start-up": start_up, "elastica": elastica}
+    parts = {
+        "dynamics": dynamics,
+        "stepping": stepping,
+        "statics": equilibria,
+        "start-up": start_up,
+        "elastica": elastica,
+    }
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("parts", nargs="*", help=", ".join([*parts, "robustness"]))
     parser.add_argument("--steps", type=int, default=10_000, help="random jumps in the robustness part")

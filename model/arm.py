@@ -1,21 +1,16 @@
-"""The arm: what a scientist asks for shapes and motions."""
+"""The arm as data: geometry, material, cap, gravity, and which of the paper's models describes it."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Literal, get_args
+from typing import Literal, get_args
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from model.geometry import Geometry
-from model.loads import Loads
 from model.material import Material
-from model.shape import Shape
-
-if TYPE_CHECKING:
-    from model.dynamics import Dynamics
 
 Array = NDArray[np.float64]
 Variant = Literal["homogeneous", "homogeneous+rpe", "inhomogeneous+rpe"]
@@ -120,48 +115,3 @@ class Arm:
         handed = np.where(passive, 0.0, push).sum(axis=-1, keepdims=True)
         share: Array = handed / np.maximum(1, passive.sum(axis=-1, keepdims=True))
         return np.where(passive, share, push)
-
-    def statics(
-        self,
-        pressure_pa: ArrayLike,
-        loads: Loads | None = None,
-        nodes: int | None = None,
-        *,
-        allow_unstable: bool = False,
-        doubt_units: bool = True,
-    ) -> Shape:
-        """The stable shape at rest under gauge pressures (N,) [Pa].
-
-        nodes: steps along the arm (RK4); by default 20, or ten for each width of its length where it is slender, which
-        leaves an error below 1e-8 m at the paper's pressures (docs/explanation/model.md says where not).
-
-        doubt_units: refuse pressures that are plausible only in another unit; False for measured pressures, which may
-        have any value.
-
-        Raises:
-            ValueError: pressures or loads that are not finite, of the wrong shape, or of another unit.
-            NotConverged: no equilibrium is found.
-            Unstable: only an unstable equilibrium is found; with `allow_unstable` it is returned, `stable` False.
-        """
-        from model.kernel_arguments import pressures, refuse_other_units
-        from model.statics import solve
-
-        if doubt_units:
-            refuse_other_units(pressures(self, pressure_pa))
-        return solve(self, pressure_pa, loads, nodes, allow_unstable)
-
-    def dynamics(
-        self,
-        dt_s: float,
-        scheme: str = "bdf-alpha",
-        alpha: float = -0.2,
-        nodes: int | None = None,
-    ) -> Dynamics:
-        """A stepper in time with a fixed step [s]; schemes of Table 2: bdf1, bdf2, bdf3, bdf-alpha, trapezoidal.
-
-        nodes: steps along the arm; by default as many as the time step and a slender arm need. ValueError for fewer
-        than can follow the waves of so short a step, an unknown scheme, or a time step that is not positive.
-        """
-        from model.dynamics import Dynamics
-
-        return Dynamics(self, dt_s, scheme, alpha, nodes)

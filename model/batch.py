@@ -12,11 +12,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from model.arm import Arm
-from model.dynamics import Trajectory
-from model.kernel_arguments import SOLVED, KernelArguments
+from model.dynamics import Dynamics, Trajectory
+from model.kernel_arguments import KernelArguments
 from model.kernels import layout
 from model.kernels.axis import equilibria
-from model.kernels.shooting import Workspace
+from model.kernels.shooting import TOLERANCE_AT_REST, Workspace
 from model.statics import steps_along
 
 Array = NDArray[np.float64]
@@ -72,7 +72,8 @@ def statics(
                 rows[at], np.array([load for load, _ in loads]), any(loaded for _, loaded in loads),
                 np.array([p.cap for p in problems]),
                 np.array([p.length_m for p in problems]), np.array([p.scale for p in problems]),
-                np.array([p.centre_m for p in problems]), SOLVED, room, place[at], turned[at], good[at], unstable[at],
+                np.array([p.centre_m for p in problems]), TOLERANCE_AT_REST, room, place[at], turned[at], good[at],
+                unstable[at],
             )  # fmt: skip
 
     spread(part, count, workers)
@@ -96,7 +97,7 @@ def motions(
 
     def part(span: range) -> None:
         for b in span:
-            dynamics = given[b % len(given)].dynamics(dt_s, scheme, alpha, nodes)
+            dynamics = Dynamics(given[b % len(given)], dt_s, scheme, alpha, nodes)
             dynamics.start(paths[b, 0])
             found[b] = dynamics.run(paths[b, 1:])
 

@@ -4,24 +4,23 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from model.arm import Arm
 from model.errors import Unstable
-from model.kernel_arguments import CLOSE, KernelArguments, pressures
+from model.kernel_arguments import KernelArguments
 from model.kernels.axis import motion
 from model.kernels.layout import STATE, aligned
-from model.kernels.shooting import workspace_in, workspace_size
+from model.kernels.shooting import TOLERANCE_IN_MOTION, workspace_in, workspace_size
 from model.kernels.time_stepping import initialise_history
 from model.loads import Loads
+from model.pressures import pressures
 from model.schemes import Scheme
 from model.shape import Shape
 from model.statics import shape, states, steps_along
-
-if TYPE_CHECKING:
-    from model.arm import Arm
 
 Array = NDArray[np.float64]
 NOT_FINITE = "pressures must be finite"
@@ -39,9 +38,16 @@ class Trajectory:
 
 
 class Dynamics:
-    """Steps one arm through time; made by `Arm.dynamics`."""
+    """A stepper of one arm through time with a fixed step [s].
 
-    def __init__(self, arm: Arm, dt_s: float, scheme: str, alpha: float, nodes: int | None) -> None:
+    scheme, alpha: a scheme of Table 2 (model/schemes.py). nodes: steps along the arm; by default as many as the time
+    step and a slender arm need. ValueError for fewer than can follow the waves of so short a step, an unknown scheme,
+    or a time step that is not positive.
+    """
+
+    def __init__(
+        self, arm: Arm, dt_s: float, scheme: str = "bdf-alpha", alpha: float = -0.2, nodes: int | None = None
+    ) -> None:
         self._scheme = Scheme.named(scheme, dt_s, alpha)
         self._arm = arm
         growth = self._growth()
@@ -76,16 +82,16 @@ class Dynamics:
         return self._scheme.c0
 
     def arguments(self) -> tuple[Any, ...]:
-        """The arm in motion, after `start`, as `moving.moving` takes it: with nothing on its tip but the cap."""
+        """The arm in motion, after `start`, as `dynamic_sensitivities` takes it: nothing on its tip but the cap."""
         problem = self._problem
         return (
             self._work, problem.law, problem.actuators, problem.free_per_pa, self._before, self._load, self._loaded,
             problem.cap, problem.length_m, self._segments, problem.scale, self._coefficients, self._trail, self._x,
-            self._room, CLOSE, problem.centre_m,
+            self._room, TOLERANCE_IN_MOTION, problem.centre_m,
         )  # fmt: skip
 
     def start(self, pressure_pa: ArrayLike, loads: Loads | None = None) -> Shape:
-        """Begin at rest under gauge pressures (N,) [Pa]; raises as `Arm.statics` does."""
+        """Begin at rest under gauge pressures (N,) [Pa]; raises as `statics` does."""
         pressure = pressures(self._arm, pressure_pa)
         resting = KernelArguments.of(self._arm, pressure[None])
         self.begin(resting, pressure, resting.tip(loads), *resting.load(self._arm, loads, self._nodes))
@@ -147,7 +153,7 @@ class Dynamics:
         passes = motion(
             self._work, problem.law, problem.actuators, problem.stiffness, problem.rest, problem.per_pressure,
             problem.free_per_pa, self._before, rows, self._load, self._loaded, self._tip, problem.length_m,
-            self._segments, problem.scale, self._coefficients, self._trail, self._x, self._pool, CLOSE,
+            self._segments, problem.scale, self._coefficients, self._trail, self._x, self._pool, TOLERANCE_IN_MOTION,
             problem.centre_m, tips, turns, good,
         )  # fmt: skip
         if passes < 0:

@@ -2,31 +2,18 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
+from model.arm import Arm
 from model.kernels import layout
 from model.loads import Loads
 from model.section import PA_PER_BAR, Section, section, upper
 
-if TYPE_CHECKING:
-    from model.arm import Arm
-
 Array = NDArray[np.float64]
-
-# Last Newton update, in units of `scale`, as `newton` measures it; what is left is its square.
-SOLVED = 1e-5
-CLOSE = 2.5e-3  # in motion, where the next step corrects
-
-VACUUM_PA = -101_325.0
-HIGHEST_PA = 1e8
-LEAST_BAR, MOST_BAR = 0.01, 10.0
-"""Numbers from here to there with at most three decimals are bar; a measured pressure near zero has more digits."""
 
 
 @dataclass(frozen=True)
@@ -146,7 +133,7 @@ class _Frozen:
     each: Array
 
     def at(self, stiffness_n: Array) -> tuple[Array, Array, Array]:
-        """Sections (R, 24), (R, 6), (R, 6, N), as of `Problem`, at axial stiffnesses (R, N) of the tubes."""
+        """Sections (R, 24), (R, 6), (R, 6, N), as of `KernelArguments`, at axial stiffnesses (R, N) of the tubes."""
         # No matrix product: its rounding depends on the number of rows.
         parts = self.without + (stiffness_n[:, :, None] * self.each).sum(axis=1)
         rows = len(parts)
@@ -171,33 +158,6 @@ def _frozen(arm: Arm, c0: float) -> _Frozen:
     without = flat(np.zeros(len(xy)))
     each = np.array([flat(one) - without for one in np.eye(len(xy))])
     return _Frozen(1 + material.damping_s * c0, without, each)
-
-
-def pressures(arm: Arm, pressure_pa: ArrayLike) -> Array:
-    """The pressures as an array (N,), or ValueError when they are not N finite numbers."""
-    pressure = np.array(pressure_pa, dtype=np.float64)
-    if pressure.shape != (arm.geometry.actuators,):
-        raise ValueError(f"pressure_pa must hold {arm.geometry.actuators} numbers, got shape {pressure.shape}")
-    if not all(map(math.isfinite, pressure.tolist())):
-        raise ValueError(f"pressures must be finite, got {pressure.tolist()} Pa")
-    return pressure
-
-
-def refuse_other_units(pressure_pa: Array) -> None:
-    """Refuse gauge pressures (N,) that no arm has in pascal.
-
-    Raises:
-        ValueError: a pressure lies below vacuum or above any soft arm's, or all are round numbers of bar.
-    """
-    if np.any(pressure_pa < VACUUM_PA):
-        raise ValueError(f"gauge pressures below vacuum: {pressure_pa.tolist()} Pa, expected {VACUUM_PA:g} Pa or more")
-    highest = float(np.abs(pressure_pa).max(initial=0.0))
-    if highest > HIGHEST_PA:
-        raise ValueError(f"pressures of {highest:g} Pa, expected at most {HIGHEST_PA:g} Pa: was bar converted twice?")
-    used = np.abs(pressure_pa[pressure_pa != 0])
-    rounded = np.all(np.abs(used - np.round(used, 3)) < 1e-12)
-    if len(used) and rounded and np.all((used >= LEAST_BAR) & (used <= MOST_BAR)) and np.any(used % 1):
-        raise ValueError(f"pressures are in pascal, and {pressure_pa.tolist()} look like bar: multiply by 1e5")
 
 
 def _scale(length_m: float, c0: float) -> Array:

@@ -10,24 +10,23 @@ import threading
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from model.arm import Arm
 from model.batch import spread
+from model.dynamics import Dynamics
 from model.errors import NotConverged, Unstable
-from model.kernel_arguments import SOLVED, KernelArguments, pressures
+from model.kernel_arguments import KernelArguments
 from model.kernels import layout
 from model.kernels.dynamic_sensitivities import dynamic_sensitivities
 from model.kernels.lanes import FIRST, Lanes, apply_tip_load, passes
-from model.kernels.shooting import workspace_for
+from model.kernels.shooting import TOLERANCE_AT_REST, workspace_for
 from model.kernels.static_sensitivities import static_sensitivities
 from model.loads import Loads
+from model.pressures import pressures
 from model.statics import steps_along
-
-if TYPE_CHECKING:
-    from model.arm import Arm
 
 Array = NDArray[np.float64]
 
@@ -101,7 +100,7 @@ class TipGradient:
 
 
 def tip_gradient(arm: Arm, pressure_pa: ArrayLike, loads: Loads | None = None, nodes: int | None = None) -> TipGradient:
-    """The tip at rest and its gradient by the section's material and the pressures. Raises as `Arm.statics` does."""
+    """The tip at rest and its gradient by the section's material and the pressures. Raises as `statics` does."""
     pressure, nodes = pressures(arm, pressure_pa), steps_along(arm, nodes)
     names = _material(arm)
     frozen = arm.frozen
@@ -178,7 +177,7 @@ def motion(
     place, turned = np.full((count, 3), np.nan), np.full((count, 3, 3), np.nan)
     by, good = np.full((count, neighbours, 6), np.nan), np.zeros(count, dtype=np.bool_)
     unstable = np.zeros(count, dtype=np.bool_)
-    dynamics = arm.dynamics(dt_s, nodes=nodes)
+    dynamics = Dynamics(arm, dt_s, nodes=nodes)
     n = dynamics.nodes
     still = _Stack.of(arm, changes, n, rows[:1])
     here = np.empty(layout.HANGS)
@@ -281,7 +280,7 @@ def _lanes(order: NDArray[np.intp], values: Sequence[ArrayLike]) -> Array:
 def _tip_loads(
     arm: Arm, changes: Sequence[Variation], count: int, weight_kg: ArrayLike | None, pull: TipWrench | None
 ) -> Array:
-    """What hangs on the lanes' tips beyond the cap, (count, W, 12, 8) as `lanes.press` takes it; or one empty row."""
+    """What hangs on the lanes' tips beyond the cap, (count, W, 12, 8) for `apply_pressure`; or one empty row."""
     weight = _weights(weight_kg, count)
     if pull is None and any(change.pull is not None for change in changes):
         raise ValueError("what pulls may only change where something pulls")
@@ -392,6 +391,6 @@ def _solve(stack: _Stack, rows: Array, hung: Array, nodes: int, room: Lanes) -> 
         stack.work, stack.works, first.law, first.actuators, first.stiffness, first.rest, first.per_pressure,
         first.free_per_pa, stack.stiffness, stack.rest, stack.per_pressure, stack.frees, stack.ends, rows, hung,
         stack.load, stack.loaded, stack.loaded_lanes, stack.heavy, first.cap, first.length_m, first.scale,
-        first.centre_m, SOLVED, workspace_for(nodes), room, stack.steps, place, turned, by, good, unstable,
+        first.centre_m, TOLERANCE_AT_REST, workspace_for(nodes), room, stack.steps, place, turned, by, good, unstable,
     )  # fmt: skip
     return _gradients(place, turned, good, by, unstable)

@@ -4,36 +4,54 @@ from __future__ import annotations
 
 import math
 from functools import lru_cache
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from model.arm import Arm
 from model.errors import NotConverged, Unstable
-from model.kernel_arguments import SOLVED, KernelArguments, pressures
+from model.kernel_arguments import KernelArguments
 from model.kernels.axis import axis
 from model.kernels.equilibrium import UNSTABLE, equilibrium
-from model.kernels.shooting import workspace_for
+from model.kernels.shooting import TOLERANCE_AT_REST, workspace_for
 from model.loads import Loads
+from model.pressures import pressures, refuse_other_units
 from model.shape import Shape
-
-if TYPE_CHECKING:
-    from model.arm import Arm
 
 Array = NDArray[np.float64]
 
 
-def solve(
-    arm: Arm, pressure_pa: ArrayLike, loads: Loads | None, nodes: int | None, allow_unstable: bool = False
+def statics(
+    arm: Arm,
+    pressure_pa: ArrayLike,
+    loads: Loads | None = None,
+    nodes: int | None = None,
+    *,
+    allow_unstable: bool = False,
+    doubt_units: bool = True,
 ) -> Shape:
-    """Behind `Arm.statics`."""
+    """The stable shape at rest under gauge pressures (N,) [Pa].
+
+    nodes: steps along the arm (RK4); by default 20, or ten for each width of its length where it is slender, which
+    leaves an error below 1e-8 m at the paper's pressures (docs/explanation/model.md says where not).
+
+    doubt_units: refuse pressures that are plausible only in another unit; False for measured pressures, which may
+    have any value.
+
+    Raises:
+        ValueError: pressures or loads that are not finite, of the wrong shape, or of another unit.
+        NotConverged: no equilibrium is found.
+        Unstable: only an unstable equilibrium is found; with `allow_unstable` it is returned, `stable` False.
+    """
     pressure = pressures(arm, pressure_pa)
-    problem = KernelArguments.of(arm, pressure[None])
-    load, loaded = problem.load(arm, loads, steps_along(arm, nodes))
-    x, stable = states(problem, pressure, problem.tip(loads), load, loaded)
+    if doubt_units:
+        refuse_other_units(pressure)
+    arguments = KernelArguments.of(arm, pressure[None])
+    load, loaded = arguments.load(arm, loads, steps_along(arm, nodes))
+    x, stable = states(arguments, pressure, arguments.tip(loads), load, loaded)
     if not (stable or allow_unstable):
         raise Unstable.at(pressure)
-    return shape(arm, problem, x, ok=True, stable=stable)
+    return shape(arm, arguments, x, ok=True, stable=stable)
 
 
 def steps_along(arm: Arm, nodes: int | None) -> int:
@@ -45,17 +63,18 @@ def steps_along(arm: Arm, nodes: int | None) -> int:
     return nodes
 
 
-def states(problem: KernelArguments, pressure: Array, tip: Array, load: Array, loaded: bool) -> tuple[Array, bool]:
+def states(arguments: KernelArguments, pressure: Array, tip: Array, load: Array, loaded: bool) -> tuple[Array, bool]:
     """States at the nodes, then their slopes, (2 N + 2, 16), of the arm at rest, and whether it is stable.
 
     Raises NotConverged where not even an unstable equilibrium is found.
 
-    tip, load and loaded: as of `Problem`.
+    tip, load and loaded: as of `KernelArguments`.
     """
     room = workspace_for(len(load) // 12)
     passes = equilibrium(
-        problem.work(), problem.law, problem.actuators, problem.rest[0], problem.per_pressure[0], problem.free_per_pa,
-        pressure, load, loaded, tip, problem.length_m, problem.scale, room, SOLVED,
+        arguments.work(), arguments.law, arguments.actuators, arguments.rest[0], arguments.per_pressure[0],
+        arguments.free_per_pa, pressure, load, loaded, tip, arguments.length_m, arguments.scale, room,
+        TOLERANCE_AT_REST,
     )  # fmt: skip
     if passes < 0 and passes != UNSTABLE:
         raise NotConverged.at(pressure)
@@ -70,9 +89,9 @@ def _points(length_m: float, n: int) -> Array:
     return s
 
 
-def shape(arm: Arm, problem: KernelArguments, x: Array, ok: bool, stable: bool | None = None) -> Shape:
+def shape(arm: Arm, arguments: KernelArguments, x: Array, ok: bool, stable: bool | None = None) -> Shape:
     """The arm's axis from solved states."""
     n = len(x) // 2
     p, rotation, v, u = np.empty((n, 3)), np.empty((n, 3, 3)), np.empty((n, 3)), np.empty((n, 3))
-    axis(x, problem.length_m, problem.centre_m, p, rotation, v, u)
-    return Shape(_points(problem.length_m, n), p, rotation, v, u, ok, arm.geometry.positions_m, stable)
+    axis(x, arguments.length_m, arguments.centre_m, p, rotation, v, u)
+    return Shape(_points(arguments.length_m, n), p, rotation, v, u, ok, arm.geometry.positions_m, stable)

@@ -12,6 +12,7 @@ def main() -> int:
     try:
         from model import batch
         from model.arm import Arm
+        from model.dynamics import Dynamics
         from model.kernels.jit import cache_folder
         from model.paper.rod import PaperRod
         from model.sensitivities import motion, tip_gradient
@@ -19,7 +20,7 @@ def main() -> int:
         print(f"model.warm: kernels are kept in {cache_folder()}", flush=True)
         for variant in ("homogeneous", "inhomogeneous+rpe"):
             arm = Arm.paper(variant)
-            dynamics = arm.dynamics(1 / 30)
+            dynamics = Dynamics(arm, 1 / 30)
             dynamics.start((0.0, 0.0, 0.0))
             if not (dynamics.step((1e4, 0.0, 0.0)).ok and dynamics.run([(1e4, 0.0, 0.0)]).ok.all()):
                 print(f"model.warm: failed: the {variant} arm could not be stepped", file=sys.stderr)

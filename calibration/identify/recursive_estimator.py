@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 import model
 from calibration.identify.parameters import Parameter, Prior, Setup, named
+from model.statics import statics
 
 Array = NDArray[np.float64]
 
@@ -186,6 +187,6 @@ def _shape(setup: Setup, pressure_pa: Array, weight_kg: float) -> model.Shape | 
     x, y, z = arm.gravity_m_s2
     loads = model.Loads(tip_force_n=(weight_kg * x, weight_kg * y, weight_kg * z)) if weight_kg else None
     try:
-        return arm.statics(setup.pressure_pa(pressure_pa), loads, doubt_units=False)
+        return statics(arm, setup.pressure_pa(pressure_pa), loads, doubt_units=False)
     except (model.NotConverged, ValueError):
         return None

@@ -15,6 +15,7 @@ from calibration.identify.data import Poses
 from calibration.identify.parameters import Setup
 from calibration.identify.pressure_smoothing import curve
 from model import sensitivities
+from model.dynamics import Dynamics
 from model.sensitivities import Gradients, TipWrench, Variation
 
 Array = NDArray[np.float64]
@@ -183,7 +184,7 @@ def _dynamic_sensitivities(
 
 def _time_stepping(arm: model.Arm, pressure_pa: Array, poses: Poses, substeps: int) -> Solved:
     tips, turned = np.full((len(poses), 3), np.nan), np.full((len(poses), 3, 3), np.nan)
-    dynamics = arm.dynamics(poses.period_s / substeps)
+    dynamics = Dynamics(arm, poses.period_s / substeps)
     weight = poses.weight_kg
     try:
         shape = dynamics.start(pressure_pa[0], _loads(arm, weight[0]))

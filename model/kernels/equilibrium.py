@@ -9,11 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from model.kernel_arguments import CLOSE
 from model.kernels.jit import kernel
 from model.kernels.layout import C0, LAG, LANES, LINE_DENSITY, RATE, SHEAR_INVERSE, SLOPE, STAGE, STATE, WRENCH
 from model.kernels.rod import resting_wrench, strain_changes
-from model.kernels.shooting import LONGEST, Workspace, newton
+from model.kernels.shooting import LONGEST, TOLERANCE_IN_MOTION, Workspace, newton
 from model.kernels.simd import broadcast
 from model.kernels.stability import is_stable
 from model.kernels.time_stepping import between, copy_rows, divisor, set_pressures
@@ -237,7 +236,7 @@ def _let_go(
             between(history, size, length / n)
             moved = newton(
                 w, law, actuators, load, loaded, some_tip, c0, length, divisor(n, max(1, int(0.5 * c0 * wave_s))),
-                own_scale, room, CLOSE, 20.0, np.inf,
+                own_scale, room, TOLERANCE_IN_MOTION, 20.0, np.inf,
             )  # fmt: skip
             if moved < 0:
                 copy_rows(before, x)

@@ -80,7 +80,7 @@ def _recall(w: Array, past: Array) -> None:
 
 @inlined
 def _recall_between(w: Array, a: Array, b: Array) -> None:
-    """The history half-way between two nodes, as `march._between` finds it."""
+    """The history half-way between two nodes, as `time_stepping.between` finds it."""
     for c in range(12):
         for i in range(LANES):
             at, to = c * LANES + i, (12 + c) * LANES + i
@@ -131,8 +131,9 @@ def apply_pressure(
 ) -> None:  # fmt: skip
     """Write sections, pressures (W, N, 8) and loads at the tip into the work arrays (W, size), lane by lane.
 
-    stiffness (W, 24, 8), rest (W, 6, 8), per_pressure (W, 6, N, 8), free (W, 8) and ends (W, 19, 8): as of `Problem`.
-    hung (W, 12, 8): force and moment beyond that, a part of the force that pulls elsewhere, and where.
+    stiffness (W, 24, 8), rest (W, 6, 8), per_pressure (W, 6, N, 8), free (W, 8) and ends (W, 19, 8): as of
+    `KernelArguments`. hung (W, 12, 8): force and moment beyond that, a part of the force that pulls elsewhere, and
+    where.
     """
     first = TRIO if actuators <= 3 else MORE
     for p in range(works.shape[0]):

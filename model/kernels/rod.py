@@ -301,9 +301,9 @@ def integrate(
 ) -> None:
     """Integrate the node's state, all lanes, from node `first` to node `last` by RK4, a stride each.
 
-    history: as of `march.advance`. load: one row of 6 per node and per mid-point, (2 N + 1) flat. states, derivatives:
-    (N + 1, 128), filled at each node but the last, unless this is the arm's tip: elsewhere, only its state is left, in
-    the work array. Of the derivatives the first twelve quantities are.
+    history: as of `time_stepping.advance`. load: one row of 6 per node and per mid-point, (2 N + 1) flat. states,
+    derivatives: (N + 1, 128), filled at each node but the last, unless this is the arm's tip: elsewhere, only its state
+    is left, in the work array. Of the derivatives the first twelve quantities are.
     """
     n, size = states.shape[0] - 1, STATE * states.shape[0]
     for j in range(first, last + 1):

@@ -23,6 +23,9 @@ from model.kernels.vec3 import Triple, cross, dot, inlined, leaf, plus, put, rot
 
 Array = Any
 
+# Last Newton update, in units of `scale`, as `newton` measures it; what is left is its square.
+TOLERANCE_AT_REST = 1e-5
+TOLERANCE_IN_MOTION = 2.5e-3  # the next time step corrects
 STEP = 1e-6  # of the one-sided differences, in scaled states
 LONGEST = 1.5  # of a Newton update, in scaled strains and orientations
 
@@ -30,7 +33,7 @@ LONGEST = 1.5  # of a Newton update, in scaled strains and orientations
 class Workspace(NamedTuple):
     """The arrays that the solver works in, made once so that no step waits for memory."""
 
-    history: Array  # of the next time step, 4 x (N + 1) x 16, flat: as of `march.advance`
+    history: Array  # of the next time step, 4 x (N + 1) x 16, flat: as of `time_stepping.advance`
     states: Array  # (N + 1, 128), all lanes
     derivatives: Array  # the same of the slopes of strains and velocities
     x: Array  # (2 N + 2, 16), states at the nodes, a guess that is improved, and then their slopes

@@ -16,9 +16,9 @@ from scipy.optimize import root
 
 from model.arm import Arm
 from model.errors import NotConverged
-from model.kernel_arguments import pressures
 from model.loads import Loads
 from model.paper.kernels import SAMPLE, STATE, jacobian, shoot, turn
+from model.pressures import pressures
 from model.schemes import Scheme
 from model.section import PA_PER_BAR
 from model.shape import Shape
@@ -83,7 +83,7 @@ class PaperRod:
     """Statics and dynamics by eqs 22 to 29: shooting for the base loads with SciPy's MINPACK.
 
     space: 'euler' or 'rk4' with `steps` steps. solver: 'lm' (Levenberg-Marquardt) or 'dogleg' (Powell's hybrid trust
-    region). dt_s, scheme, alpha: as for `Arm.dynamics`. as_printed: formulas of the paper to take uncorrected: 'K12'
+    region). dt_s, scheme, alpha: as for `Dynamics`. as_printed: formulas of the paper to take uncorrected: 'K12'
     (eq 21), 'weight moment' (eq 24), 'stretch as strain' (eq 30 put into eq 22).
     """
 
@@ -137,7 +137,7 @@ class PaperRod:
         if self._arm.cap_inertia or self._arm.material.damping_s > 0:
             raise ValueError(
                 "the paper's formulation has neither the cap's inertia nor damping in motion: "
-                "set cap_inertia=False and damping_s=0, or use Arm.dynamics"
+                "set cap_inertia=False and damping_s=0, or use model.dynamics.Dynamics"
             )
         shape = self.statics(pressure_pa, loads)
         self._past[:] = self._samples

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from calibration.camera import CalibrationError
 from calibration.pressure import SensorFit, fit_sensor
 from model import Arm
+from model.statics import statics
 from protocols import BadInputError, Problem
 from rig.calibrate import control_points, file_sections
 from rig.calibrate.bench_driver import BenchDriver
@@ -303,7 +304,7 @@ def volume_m3(config: RigConfig, chambers: list[int], rest_m3: float, pressure_p
     for at in (0.0, pressure_pa - step, pressure_pa + step):
         pressures = np.zeros(config.actuators)
         pressures[chambers] = max(at, 0.0)
-        volumes.append(bore_m2 * float(arm.statics(pressures).actuator_lengths_m[chambers].sum()))
+        volumes.append(bore_m2 * float(statics(arm, pressures).actuator_lengths_m[chambers].sum()))
     rest, below, above = volumes
     grown = (below + above) / 2 - rest
     return rest_m3 + grown + (pressure_pa + ATMOSPHERE_PA) * (above - below) / (2 * step)

@@ -18,6 +18,7 @@ from calibration.mounting import Mounting, mount
 from calibration.views import View, views_in
 from calibration.vision.board import grey
 from calibration.vision.transforms import RigidTransform
+from model.statics import statics
 from rig.calibrate import file_sections, inputs
 from rig.calibrate.inputs import bad_input
 from rig.cli import calibration_output
@@ -94,7 +95,7 @@ def run(request: ToolCalibrationRequest) -> None:
 
 def tip_in_camera(config: RigConfig, name: str, std_m: float, std_rad: float) -> RigidTransform:
     """The tip of the vented arm before a camera, as far as camera and arm are known; uncertainty about the tip."""
-    rest = model_arm(config).statics(np.zeros(config.actuators))
+    rest = statics(model_arm(config), np.zeros(config.actuators))
     camera = camera_in_base(config.cameras[name])
     tip = camera.inverse() @ RigidTransform(rest.tip_rotation, rest.tip_m)
     reach = float(np.linalg.norm(tip.translation_m))

@@ -11,6 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 import model
+from model.dynamics import Dynamics
+from model.statics import statics
 from rig.config.arm_model import TipLoad, model_arm
 from rig.execution.plan import Plan
 from rig.experiment.run import RunRequest, header
@@ -35,7 +37,7 @@ def simulate(request: RunRequest, plan: Plan, static: bool) -> Path:
     steps = int(trajectory.duration_s * rate_hz) + 1
     pressures = trajectory.sample(np.arange(steps) * dt_s)
     arm = model_arm(config, plan.variant)
-    dynamics = None if static else arm.dynamics(dt_s)
+    dynamics = None if static else Dynamics(arm, dt_s)
 
     samples = np.zeros(steps, sample_dtype(config.actuators, len(config.valves)))
     samples["tick"] = np.arange(steps)
@@ -53,7 +55,7 @@ def simulate(request: RunRequest, plan: Plan, static: bool) -> Path:
     for row, pressure in zip(rows, pressures, strict=True):
         row["weight_kg"] = weight_kg = trajectory.weight_kg(float(row["protocol_s"]))
         if dynamics is None:
-            solve: _Solve = partial(arm.statics, doubt_units=False)
+            solve: _Solve = partial(statics, arm, doubt_units=False)
         else:
             solve = dynamics.start if shape is None else dynamics.step
         shape = _solved(solve, pressure, tip_load.carrying(weight_kg))

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import model
+from model.statics import statics
 from protocols import BadInputError
 from rig.config.arm_model import TipLoad, model_arm
 from rig.config.loader import recorded
@@ -139,8 +140,11 @@ class ArchivedRun:
         if self._arm is None or not np.all(np.isfinite(pressure)):
             return None
         try:
-            return self._arm.statics(
-                pressure, self._tip_load.carrying(float(self.run.tip.weight_g[frame]) * KG_PER_G), doubt_units=False
+            return statics(
+                self._arm,
+                pressure,
+                self._tip_load.carrying(float(self.run.tip.weight_g[frame]) * KG_PER_G),
+                doubt_units=False,
             )
         except model.NotConverged:
             return None

@@ -11,6 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 import model
+from model.dynamics import Dynamics
+from model.statics import statics
 from rig.config.arm_model import TipLoad, model_arm
 from rig.config.schema import RigConfig
 from rig.config.sections import Variant
@@ -75,14 +77,14 @@ class _StaticModel:
         self._arm = arm
 
     def follow(self, frame_set: FrameSet, pressures: Pressures, loads: model.Loads | None) -> model.Shape | None:
-        return _rest(partial(self._arm.statics, doubt_units=False), pressures.at(frame_set.t_ns), loads)
+        return _rest(partial(statics, self._arm, doubt_units=False), pressures.at(frame_set.t_ns), loads)
 
 
 class _DynamicModel:
     """Dynamics in steps of the camera's period: as many as periods have passed since the last frame."""
 
     def __init__(self, arm: model.Arm, period_s: float) -> None:
-        self._dynamics = arm.dynamics(period_s)
+        self._dynamics = Dynamics(arm, period_s)
         self._last: tuple[int, int] | None = None
 
     def follow(self, frame_set: FrameSet, pressures: Pressures, loads: model.Loads | None) -> model.Shape | None:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 import model
 from calibration.identify.parameters import Prior, Setup
 from calibration.identify.recursive_estimator import RecursiveEstimator
+from model.statics import statics
 from rig.config.arm_model import TipLoad, model_arm
 from rig.config.schema import RigConfig
 from rig.config.sections import PA_PER_BAR, Variant
@@ -92,8 +93,11 @@ class OnlineEstimation:
         if not observation["model_ok"]:
             return nothing
         try:
-            rest = self._arm.statics(
-                observation["pressure_pa"], self._tip_load.carrying(float(observation["weight_kg"])), doubt_units=False
+            rest = statics(
+                self._arm,
+                observation["pressure_pa"],
+                self._tip_load.carrying(float(observation["weight_kg"])),
+                doubt_units=False,
             )
         except (model.NotConverged, ValueError):
             return nothing

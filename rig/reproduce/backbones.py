@@ -9,6 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from model import Arm
+from model.statics import statics
 from rig.config.sections import PA_PER_BAR
 
 
@@ -19,12 +20,12 @@ def backbones(path: Path) -> None:
     axes = canvas.subplots()
     for driven in ((1.0, 0.0, 0.0), (0.0, 1.0, 1.0)):
         for bar in bars:
-            p = Arm.paper().statics(bar * PA_PER_BAR * np.array(driven)).p_m * 1e3
+            p = statics(Arm.paper(), bar * PA_PER_BAR * np.array(driven)).p_m * 1e3
             axes.plot(p[:, 0], p[:, 2], color="0.75", linewidth=0.8)
     for variant, mark in (("homogeneous", "^"), ("homogeneous+rpe", "s"), ("inhomogeneous+rpe", "o")):
         arm = Arm.paper(variant)  # type: ignore[arg-type]
         tips = [
-            arm.statics(bar * PA_PER_BAR * np.array(driven)).tip_m * 1e3
+            statics(arm, bar * PA_PER_BAR * np.array(driven)).tip_m * 1e3
             for driven in ((1.0, 0.0, 0.0), (0.0, 1.0, 1.0))
             for bar in bars
         ]

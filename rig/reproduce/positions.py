@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from calibration.identify.data import at_rest
 from model.arm import Variant
+from model.statics import statics
 from rig.config.arm_model import model_arm
 from rig.config.loader import recorded
 from rig.config.sections import PA_PER_BAR
@@ -50,7 +51,7 @@ class RestPositions:
             self.measured_m.append(poses.tip_m[driven])
             for variant, tips in self.tips_m.items():
                 believed = replace(arm, variant=variant)
-                tips.append(np.array([believed.statics(p, doubt_units=False).tip_m for p in pressure]))
+                tips.append(np.array([statics(believed, p, doubt_units=False).tip_m for p in pressure]))
             self.arm = replace(arm, variant="inhomogeneous+rpe")
 
     def error_percent(self, variant: Variant, reading: int = 0) -> float:
@@ -121,7 +122,7 @@ def fig12(figure: Figure, data: RestPositions) -> None:
     axes = figure.subplots()
     for pressures, measured_m in zip(data.pressure_pa, data.measured_m, strict=True):
         for pressure in pressures:
-            line = 1e3 * data.arm.statics(pressure, doubt_units=False).p_m
+            line = 1e3 * statics(data.arm, pressure, doubt_units=False).p_m
             axes.plot(line[:, 0], line[:, 2], color=MODEL, lw=0.9, alpha=0.75)
         axes.plot(1e3 * measured_m[:, 0], 1e3 * measured_m[:, 2], "o", ms=4.5, mfc="white", mec=MEASURED, mew=1.2)
     axes.plot([], [], color=MODEL, label="model")

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 import model
 from model.arm import ModulusRule, Variant
+from model.statics import statics
 
 Array = NDArray[np.float64]
 
@@ -116,7 +117,7 @@ def verdict(rows: tuple[Table3Row, ...]) -> str:
 
 def _tips(arm: model.Arm, variant: Variant) -> list[Array]:
     arm = replace(arm, variant=variant)
-    return [np.array([arm.statics(level * np.array(case)).tip_m for level in LEVELS_PA]) for case in CASES]
+    return [np.array([statics(arm, level * np.array(case)).tip_m for level in LEVELS_PA]) for case in CASES]
 
 
 def _row(

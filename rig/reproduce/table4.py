@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from model import Arm
+from model.dynamics import Dynamics
 from model.paper.rod import PaperRod
 from rig.config.sections import PA_PER_BAR
 from rig.reproduce.comparison import PaperComparison, PaperFigure
@@ -86,7 +87,7 @@ def table4(
     start = sine_pa(np.zeros(1))[0]
     second = round(1 / FRAME_S)
     exact = _reference(arm, clean[:second], start)
-    drift = arm.dynamics(FRAME_S)
+    drift = Dynamics(arm, FRAME_S)
     drift.start(start)
     expected = drift.run(clean).tip_m
     rows: list[Table4Row] = []
@@ -161,7 +162,7 @@ def _reference(arm: Arm, pressure: Array, start: Array) -> Array:
     fine = []
     for parts in (16, 32):
         t = FRAME_S / parts * np.arange(1, len(pressure) * parts + 1, dtype=np.float64)
-        dynamics = arm.dynamics(FRAME_S / parts, "bdf2", nodes=96)
+        dynamics = Dynamics(arm, FRAME_S / parts, "bdf2", nodes=96)
         dynamics.start(start)
         fine.append(dynamics.run(sine_pa(t)).tip_m[parts - 1 :: parts])
     return fine[1] + (fine[1] - fine[0]) / 3
@@ -170,7 +171,7 @@ def _reference(arm: Arm, pressure: Array, start: Array) -> Array:
 def _live(arm: Arm, scheme: str, alpha: float, steps: int, pressure: Array, start: Array) -> tuple[Array, float]:
     shortest, tips = math.inf, np.empty(0)
     for _ in range(3):
-        dynamics = arm.dynamics(FRAME_S, scheme, alpha, nodes=steps)
+        dynamics = Dynamics(arm, FRAME_S, scheme, alpha, nodes=steps)
         dynamics.start(start)
         began = time.perf_counter()
         tips = dynamics.run(pressure).tip_m

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from model import NotConverged
+from model.dynamics import Dynamics
 from rig.config.arm_model import TipLoad, true_arm, true_geometry
 from rig.config.schema import RigConfig
 from rig.control.valve import ATMOSPHERE_PA
@@ -54,7 +55,7 @@ class Plant:
         geometry = true_geometry(config)
         self._bore_m2 = math.pi * (geometry.inner_radius_mm * 1e-3) ** 2
         self._dead_m3 = truth.chamber.dead_volume_ml * 1e-6
-        self._dynamics = true_arm(config).dynamics(ARM_STEP_S) if moving_arm else None
+        self._dynamics = Dynamics(true_arm(config), ARM_STEP_S) if moving_arm else None
         lengths = np.full(config.actuators, geometry.length_mm * 1e-3)
         position, rotation = np.array([0.0, 0.0, lengths[0]]), np.eye(3)
         self._hook = TipLoad(config)

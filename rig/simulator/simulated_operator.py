@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from calibration.vision.board import Board
 from calibration.vision.transforms import RigidTransform
+from model.statics import statics
 from rig.config.arm_model import true_arm
 from rig.config.optics import lens_of
 from rig.config.schema import RigConfig
@@ -57,7 +58,7 @@ class TurnedTip:
     """A source of tip poses: the arm at rest, its end cap turned about the central axis by hand."""
 
     def __init__(self, config: RigConfig) -> None:
-        shape = true_arm(config.as_built).statics(np.zeros(config.actuators))
+        shape = statics(true_arm(config.as_built), np.zeros(config.actuators))
         self._position_m, self._rotation = shape.tip_m, shape.tip_rotation
         self.turned_deg = 0.0
 

@@ -18,6 +18,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from model.statics import statics
 from rig.config.arm_model import model_arm
 from rig.config.loader import load
 from rig.config.sections import PA_PER_BAR
@@ -56,7 +57,7 @@ def render(target: Path) -> None:
     pictures, tips = [], []
     for number, level in enumerate(LEVELS_BAR):
         pressure_pa = np.array([[level * PA_PER_BAR, 0.0, 0.0]])
-        shape = arm.statics(pressure_pa[0])
+        shape = statics(arm, pressure_pa[0])
         camera = MockCamera(scene, _StandingStill(shape.tip_m, shape.tip_rotation))
         frame = camera.frame_at(number, number * 10**9 // RATE_HZ)
         seen = observer.step(FrameSet.of(frame), np.array([frame.t_ns]), pressure_pa, 0.0, 0)

@@ -7,9 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from model import Arm
+from model import Arm, batch
 from model.arm import ModulusRule, Variant
-from model.batch import motions, statics
+from model.batch import motions
+from model.dynamics import Dynamics
+from model.statics import statics
 
 BAR = 1e5
 variants: tuple[Variant, ...] = ("homogeneous", "homogeneous+rpe", "inhomogeneous+rpe")
@@ -20,10 +22,10 @@ rules: tuple[ModulusRule, ...] = ("secant", "paper-tangent")
 @pytest.mark.parametrize("workers", [1, 2, 3])
 def test_a_batch_equals_its_members_solved_one_by_one(arm: Arm, workers: int) -> None:
     p = np.random.default_rng(1).uniform(0, 0.65 * BAR, (7, 3))
-    tips = statics(arm, p, workers=workers)
+    tips = batch.statics(arm, p, workers=workers)
     assert tips.ok.all()
     for row, tip, rotation in zip(p, tips.tip_m, tips.tip_rotation, strict=True):
-        single = arm.statics(row)
+        single = statics(arm, row)
         assert np.array_equal(tip, single.tip_m)
         assert np.array_equal(rotation, single.tip_rotation)
 
@@ -34,13 +36,13 @@ def test_a_batch_of_parameter_sets_keeps_each_set_to_its_row() -> None:
         for m, a in ((0.05, 0.0074), (0.1, 0.008), (0.0, 0.006), (0.2, 0.0074))
     ]
     p = np.array([[0.6, 0, 0], [0.3, 0.2, 0], [0, 0, 0.5], [0.1, 0.1, 0.1]]) * BAR
-    tips = statics(arms, p, workers=2)
-    assert all(np.array_equal(tip, arm.statics(row).tip_m) for tip, arm, row in zip(tips.tip_m, arms, p, strict=True))
+    tips = batch.statics(arms, p, workers=2)
+    assert all(np.array_equal(tip, statics(arm, row).tip_m) for tip, arm, row in zip(tips.tip_m, arms, p, strict=True))
 
 
 def test_a_member_without_equilibrium_is_flagged_and_does_not_affect_the_others() -> None:
     arm = Arm.paper("homogeneous")
-    tips = statics(arm, np.array([[0.3 * BAR, 0, 0], [1e12, 0, 0], [0.3 * BAR, 0, 0]]))
+    tips = batch.statics(arm, np.array([[0.3 * BAR, 0, 0], [1e12, 0, 0], [0.3 * BAR, 0, 0]]))
     assert tips.ok.tolist() == [True, False, True]
     assert np.isnan(tips.tip_m[1]).all()
     assert np.array_equal(tips.tip_m[0], tips.tip_m[2])
@@ -50,7 +52,7 @@ def test_a_member_without_equilibrium_is_flagged_and_does_not_affect_the_others(
 def test_a_motion_in_one_call_equals_its_single_steps(rule: str) -> None:
     arm = replace(Arm.paper(), modulus_rule=rule)  # type: ignore[arg-type]
     p = np.random.default_rng(2).uniform(0, 0.5 * BAR, (12, 3))
-    one, many = arm.dynamics(0.02), arm.dynamics(0.02)
+    one, many = Dynamics(arm, 0.02), Dynamics(arm, 0.02)
     one.start(p[0])
     many.start(p[0])
     steps = [one.step(row) for row in p[1:]]
@@ -62,7 +64,7 @@ def test_a_motion_in_one_call_equals_its_single_steps(rule: str) -> None:
 
 
 def test_a_motion_flags_a_failed_step_and_continues() -> None:
-    dynamics = Arm.paper("homogeneous").dynamics(0.02)
+    dynamics = Dynamics(Arm.paper("homogeneous"), 0.02)
     dynamics.start((0, 0, 0))
     run = dynamics.run([(0, 0, 0), (1e12, -1e12, 0), (0, 0, 0)])
     assert run.ok.tolist() == [True, False, True]
@@ -73,7 +75,7 @@ def test_a_motion_flags_a_failed_step_and_continues() -> None:
 def test_a_batch_of_motions_equals_its_members(arm: Arm) -> None:
     p = np.random.default_rng(3).uniform(0, 0.5 * BAR, (3, 6, 3))
     for path, found in zip(p, motions(arm, p, 1 / 30, workers=2), strict=True):
-        dynamics = arm.dynamics(1 / 30)
+        dynamics = Dynamics(arm, 1 / 30)
         dynamics.start(path[0])
         assert np.array_equal(found.tip_m, dynamics.run(path[1:]).tip_m)
 
@@ -91,4 +93,4 @@ def test_a_batch_of_motions_equals_its_members(arm: Arm) -> None:
 )
 def test_a_batch_that_does_not_fit_together_is_refused(arms: object, pressure: object, message: str) -> None:
     with pytest.raises(ValueError, match=message):
-        statics(arms, pressure)  # type: ignore[arg-type]
+        batch.statics(arms, pressure)  # type: ignore[arg-type]

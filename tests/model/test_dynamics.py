@@ -14,7 +14,9 @@ from scipy.integrate import simpson
 from scipy.optimize import brentq
 
 from model import Arm, Loads
+from model.dynamics import Dynamics
 from model.schemes import Scheme
+from model.statics import statics
 from tests.support.budget import examples
 
 BAR = 1e5
@@ -31,7 +33,7 @@ def frequency(signal: NDArray[np.float64], dt_s: float) -> float:
 
 @pytest.mark.parametrize("variant", variants)
 def test_an_arm_at_rest_stays_at_rest(variant: str) -> None:
-    dynamics = Arm.paper(variant).dynamics(1 / 30)
+    dynamics = Dynamics(Arm.paper(variant), 1 / 30)
     p = np.array([0.5, 0.2, 0.1]) * BAR
     start = dynamics.start(p).p_m
     assert max(np.abs(dynamics.step(p).p_m - start).max() for _ in range(30)) < 3e-8
@@ -42,11 +44,11 @@ def test_it_starts_and_settles_at_the_static_shape(variant: str) -> None:
     arm = Arm.paper(variant)
     arm = replace(arm, material=replace(arm.material, damping_s=0.02))
     p = np.array([0.4, 0.0, 0.2]) * BAR
-    dynamics = arm.dynamics(1 / 100, "bdf1")
-    assert np.abs(dynamics.start((0, 0, 0)).tip_m - arm.statics((0, 0, 0)).tip_m).max() < 1e-8
+    dynamics = Dynamics(arm, 1 / 100, "bdf1")
+    assert np.abs(dynamics.start((0, 0, 0)).tip_m - statics(arm, (0, 0, 0)).tip_m).max() < 1e-8
     for _ in range(400):
         shape = dynamics.step(p)
-    assert np.abs(shape.tip_m - arm.statics(p).tip_m).max() < 1e-7
+    assert np.abs(shape.tip_m - statics(arm, p).tip_m).max() < 1e-7
 
 
 @pytest.mark.parametrize(
@@ -61,7 +63,7 @@ def test_it_starts_and_settles_at_the_static_shape(variant: str) -> None:
 def test_the_first_modes_have_the_known_frequencies(axis: int, kick: Loads, rad_s: float) -> None:
     # One actuator at 0.35 bar, 50 g, radial pressure effect; an independent model gave these four.
     dt = 0.002
-    dynamics = Arm.paper("homogeneous+rpe").dynamics(dt, "trapezoidal", nodes=24)
+    dynamics = Dynamics(Arm.paper("homogeneous+rpe"), dt, "trapezoidal", nodes=24)
     p = (0.35 * BAR, 0, 0)
     dynamics.start(p)
     still = Loads()
@@ -89,7 +91,7 @@ def test_the_frequencies_of_a_thin_cantilever_are_those_of_the_textbook() -> Non
     bending = 289142.05 * (3 * geometry.wall_second_moment_m4 + geometry.wall_area_m2 * 0.055**2 / 2)
     book = (1.875104 / 2.0) ** 2 * math.sqrt(bending / arm.line_density_kg_m)
     dt = 2 * math.pi / book / 60
-    dynamics = arm.dynamics(dt, "trapezoidal", nodes=40)
+    dynamics = Dynamics(arm, dt, "trapezoidal", nodes=40)
     push = Loads(tip_force_n=(1e-4, 0, 0))
     dynamics.start((0, 0, 0), push)
     still = Loads()
@@ -97,12 +99,10 @@ def test_the_frequencies_of_a_thin_cantilever_are_those_of_the_textbook() -> Non
     assert frequency(signal, dt) == pytest.approx(book, rel=0.01)
 
 
-def energy(arm: Arm, dynamics: object) -> float:
+def energy(arm: Arm, dynamics: Dynamics) -> float:
     """Kinetic plus elastic energy of a linear section without pressure, from the solver's own states."""
-    from model.dynamics import Dynamics
     from model.section import section
 
-    assert isinstance(dynamics, Dynamics)
     x = dynamics._x[: dynamics.nodes + 1]
     g = arm.geometry
     law = section(g, g.positions_m, arm.stiffness_n(np.zeros(3)), arm.material.shear_ratio, 0.0)
@@ -120,7 +120,7 @@ def test_the_trapezoidal_rule_keeps_the_energy_and_backward_euler_loses_it() -> 
     pull = Loads(tip_force_n=(0.5, 0.3, 0.0))
     kept = {}
     for scheme in ("trapezoidal", "bdf1"):
-        dynamics = arm.dynamics(0.001, scheme)
+        dynamics = Dynamics(arm, 0.001, scheme)
         dynamics.start((0, 0, 0), pull)
         first = energy(arm, dynamics)
         still = Loads()
@@ -136,7 +136,7 @@ def test_oscillations_decay_at_the_kelvin_voigt_rate() -> None:
     tau, dt = 0.002, 0.001
     arm = replace(Arm.paper("homogeneous"), cap_mass_kg=0.0)
     arm = replace(arm, material=replace(arm.material, damping_s=tau))
-    dynamics = arm.dynamics(dt, "trapezoidal")
+    dynamics = Dynamics(arm, dt, "trapezoidal")
     dynamics.start((0, 0, 0), Loads(tip_force_n=(0.01, 0, 0)))
     still = Loads()
     signal = np.array([dynamics.step((0, 0, 0), still).tip_m[0] for _ in range(800)])
@@ -151,10 +151,10 @@ def test_damping_changes_no_equilibrium(variant: str) -> None:
     arm = Arm.paper(variant)
     damped = replace(arm, material=replace(arm.material, damping_s=0.05))
     p = (0.5 * BAR, 0.1 * BAR, 0)
-    assert np.array_equal(arm.statics(p).tip_m, damped.statics(p).tip_m)
-    dynamics = damped.dynamics(0.01)
+    assert np.array_equal(statics(arm, p).tip_m, statics(damped, p).tip_m)
+    dynamics = Dynamics(damped, 0.01)
     dynamics.start(p)
-    assert np.abs(dynamics.step(p).tip_m - arm.statics(p, nodes=80).tip_m).max() < 1e-7
+    assert np.abs(dynamics.step(p).tip_m - statics(arm, p, nodes=80).tip_m).max() < 1e-7
 
 
 @pytest.mark.parametrize("variant", ["homogeneous+rpe", "inhomogeneous+rpe"])
@@ -164,7 +164,7 @@ def test_each_scheme_converges_at_its_stated_order(variant: str, scheme: str, or
 
     def tips(parts: int) -> NDArray[np.float64]:
         dt = 0.4 / parts
-        dynamics = arm.dynamics(dt, scheme, nodes=64)
+        dynamics = Dynamics(arm, dt, scheme, nodes=64)
         dynamics.start((0.3 * BAR, 0, 0))
         # Smooth from rest, so that the order is seen.
         bars = [0.3 + 0.1 * (1 - math.cos(5 * k * dt)) ** 2 for k in range(1, parts + 1)]
@@ -182,7 +182,7 @@ def test_the_history_between_nodes_keeps_the_fourth_order_in_space(variant: str)
     arm = replace(arm, material=replace(arm.material, damping_s=0.01))
 
     def tip(nodes: int) -> NDArray[np.float64]:
-        dynamics = arm.dynamics(1 / 30, nodes=nodes)
+        dynamics = Dynamics(arm, 1 / 30, nodes=nodes)
         dynamics.start((0.1 * BAR, 0.1 * BAR, 0.1 * BAR))
         for k in range(10):
             shape = dynamics.step(((0.1 + 0.02 * k) * BAR, 0.1 * BAR, 0.1 * BAR))
@@ -198,9 +198,9 @@ def test_the_default_steps_along_the_arm_suffice_at_every_time_step() -> None:
     for dt in (0.001, 0.005, 1 / 30):
         tips = []
         for refine in (1, 3):
-            dynamics = Arm.paper("homogeneous+rpe").dynamics(dt)
+            dynamics = Dynamics(Arm.paper("homogeneous+rpe"), dt)
             if refine > 1:
-                dynamics = Arm.paper("homogeneous+rpe").dynamics(dt, nodes=refine * dynamics.nodes)
+                dynamics = Dynamics(Arm.paper("homogeneous+rpe"), dt, nodes=refine * dynamics.nodes)
             dynamics.start((0.3 * BAR, 0, 0))
             for k in range(40):
                 shape = dynamics.step(((0.3 + 0.1 * math.sin(3 * k * dt)) * BAR, 0, 0))
@@ -212,7 +212,7 @@ def test_the_default_steps_along_the_arm_suffice_at_every_time_step() -> None:
 @pytest.mark.parametrize("variant", ["homogeneous+rpe", "inhomogeneous+rpe"])
 def test_no_random_jump_within_the_papers_range_fails(dt: float, variant: str) -> None:
     rng = np.random.default_rng(20240131)
-    dynamics = Arm.paper(variant).dynamics(dt)
+    dynamics = Dynamics(Arm.paper(variant), dt)
     dynamics.start((0, 0, 0))
     for _ in range(150):
         shape = dynamics.step(rng.uniform(0, 0.65 * BAR, 3))
@@ -222,7 +222,7 @@ def test_no_random_jump_within_the_papers_range_fails(dt: float, variant: str) -
 
 def test_thousands_of_jumps_a_millisecond_apart_do_not_fail_once() -> None:
     """Step 8737 of these needs pressures that are led in strides shorter than an eighth of the jump."""
-    dynamics = Arm.paper("inhomogeneous+rpe").dynamics(0.001)
+    dynamics = Dynamics(Arm.paper("inhomogeneous+rpe"), 0.001)
     dynamics.start((0, 0, 0))
     run = dynamics.run(np.random.default_rng(424242).uniform(0, 0.65, (8800, 3)) * BAR)
     assert run.ok.all()
@@ -237,7 +237,7 @@ def test_thousands_of_jumps_a_millisecond_apart_do_not_fail_once() -> None:
 def test_random_jumps_do_not_fail_with_any_option(scheme: str, change: dict[str, object], damping_s: float) -> None:
     arm = replace(Arm.paper(), **change)  # type: ignore[arg-type]
     arm = replace(arm, material=replace(arm.material, damping_s=damping_s))
-    dynamics = arm.dynamics(0.005, scheme)
+    dynamics = Dynamics(arm, 0.005, scheme)
     dynamics.start((0, 0, 0))
     run = dynamics.run(np.random.default_rng(11).uniform(0, 0.65 * BAR, (80, 3)))
     assert run.ok.all()
@@ -247,7 +247,7 @@ def test_random_jumps_do_not_fail_with_any_option(scheme: str, change: dict[str,
 def test_the_same_pressures_give_the_same_motion_bit_for_bit() -> None:
     def run() -> NDArray[np.float64]:
         rng = np.random.default_rng(5)
-        dynamics = Arm.paper().dynamics(0.005)
+        dynamics = Dynamics(Arm.paper(), 0.005)
         dynamics.start((0, 0, 0))
         return np.array([dynamics.step(rng.uniform(0, 0.3 * BAR, 3)).tip_m for _ in range(20)])
 
@@ -255,7 +255,7 @@ def test_the_same_pressures_give_the_same_motion_bit_for_bit() -> None:
 
 
 def test_a_step_that_cannot_be_solved_is_flagged_and_the_motion_continues() -> None:
-    dynamics = Arm.paper("homogeneous").dynamics(1 / 30)
+    dynamics = Dynamics(Arm.paper("homogeneous"), 1 / 30)
     good = dynamics.start((0.1 * BAR, 0, 0))
     bad = dynamics.step((1e12, -1e12, 0))
     assert not bad.ok
@@ -268,7 +268,7 @@ def test_a_step_that_cannot_be_solved_is_flagged_and_the_motion_continues() -> N
 @examples(15)
 @given(st.lists(st.tuples(*[st.floats(-1e6, 1e6)] * 3), min_size=1, max_size=6), st.sampled_from(variants))
 def test_every_step_is_finite_for_any_pressures(pressures: list[tuple[float, ...]], variant: str) -> None:
-    dynamics = Arm.paper(variant).dynamics(0.01)
+    dynamics = Dynamics(Arm.paper(variant), 0.01)
     dynamics.start((0, 0, 0))
     for p in pressures:
         shape = dynamics.step(p)
@@ -280,7 +280,7 @@ def test_a_removed_distributed_load_has_no_further_effect() -> None:
     load, next_to_none = Loads(force_n_per_m=(2, 0, 0)), Loads(force_n_per_m=(1e-12, 0, 0))
     tips = []
     for last in (None, next_to_none):
-        dynamics = arm.dynamics(1 / 30)
+        dynamics = Dynamics(arm, 1 / 30)
         dynamics.start(p, load)
         dynamics.step(p, load)
         tips.append(np.array([dynamics.step(p, last).tip_m for _ in range(5)]))
@@ -289,11 +289,11 @@ def test_a_removed_distributed_load_has_no_further_effect() -> None:
 
 def test_a_step_before_the_start_is_refused() -> None:
     with pytest.raises(ValueError, match="start"):
-        Arm.paper().dynamics(0.01).step((0, 0, 0))
+        Dynamics(Arm.paper(), 0.01).step((0, 0, 0))
 
 
 def test_pressures_that_are_not_finite_are_refused() -> None:
-    dynamics = Arm.paper().dynamics(0.01)
+    dynamics = Dynamics(Arm.paper(), 0.01)
     dynamics.start((0, 0, 0))
     with pytest.raises(ValueError, match="finite"):
         dynamics.step((math.nan, 0, 0))
@@ -313,7 +313,7 @@ def test_the_caps_inertia_slows_the_first_mode_as_the_textbook_says() -> None:
     bending = 289142.05 * (3 * geometry.wall_second_moment_m4 + geometry.wall_area_m2 * 0.055**2 / 2)
     book = (brentq(mode, 0.5, 1.875) / 2.0) ** 2 * math.sqrt(bending / arm.line_density_kg_m)
     dt = 2 * math.pi / book / 60
-    dynamics = arm.dynamics(dt, "trapezoidal", nodes=40)
+    dynamics = Dynamics(arm, dt, "trapezoidal", nodes=40)
     dynamics.start((0, 0, 0), Loads(tip_force_n=(1e-4, 0, 0)))
     still = Loads()
     signal = np.array([dynamics.step((0, 0, 0), still).tip_m[0] for _ in range(900)])
@@ -369,7 +369,7 @@ def test_at_the_papers_time_step_bdf3_grows_the_trapezoidal_rule_is_neutral_and_
 def test_the_rod_shows_the_growth_of_bdf3() -> None:
     def swing(scheme: str) -> float:
         arm = Arm.paper("homogeneous+rpe")
-        dynamics = arm.dynamics(1 / 30, scheme)
+        dynamics = Dynamics(arm, 1 / 30, scheme)
         rest = dynamics.start((0.35 * BAR, 0, 0)).tip_m
         still = Loads()
         dynamics.step((0.35 * BAR, 0, 0), Loads(tip_force_n=(1e-3, 0, 0)))
@@ -394,4 +394,4 @@ def test_the_rod_shows_the_growth_of_bdf3() -> None:
 )
 def test_an_invalid_time_stepper_is_refused(arguments: dict[str, float], message: str) -> None:
     with pytest.raises(ValueError, match=message):
-        Arm.paper().dynamics(**arguments)  # type: ignore[arg-type]
+        Dynamics(Arm.paper(), **arguments)  # type: ignore[arg-type]

@@ -21,6 +21,8 @@ with warnings.catch_warnings():
     pytest.importorskip("elastica", exc_type=ImportError)
 
 from benchmarks.elastica_rod import FORCE, LENGTH, RAMP_S, ROD, elastica_tips
+from model.dynamics import Dynamics
+from model.statics import statics
 
 Peer = Callable[..., NDArray[np.float64]]
 
@@ -47,7 +49,7 @@ def extrapolated(peer: Peer, duration_s: float, damping: float, samples: int, co
 
 
 def test_a_tip_load_bends_it_as_in_pyelastica(peer: Peer) -> None:
-    ours = ROD.statics((0,), Loads(tip_force_n=FORCE)).tip_m
+    ours = statics(ROD, (0,), Loads(tip_force_n=FORCE)).tip_m
     # Nearly critical damping of the first mode: what is left of the motion then is a ten-thousandth.
     theirs = extrapolated(peer, 0.9, 24.0, 1, 0.5)[-1]
     assert abs(ours[0]) > 0.03
@@ -59,7 +61,7 @@ def test_a_growing_load_swings_it_as_in_pyelastica(peer: Peer) -> None:
     theirs = extrapolated(peer, duration, 0.0, samples, 0.25)
 
     def ours(parts: int) -> NDArray[np.float64]:
-        dynamics = ROD.dynamics(duration / parts, "trapezoidal", nodes=96)
+        dynamics = Dynamics(ROD, duration / parts, "trapezoidal", nodes=96)
         dynamics.start((0,))
         times = np.arange(1, parts + 1) * duration / parts
         pulls = np.outer(np.minimum(1.0, times / RAMP_S), FORCE)
@@ -76,5 +78,5 @@ def test_a_growing_load_swings_it_as_in_pyelastica(peer: Peer) -> None:
 
 def test_without_load_neither_moves(peer: Peer) -> None:
     assert peer(8, 0.02, 0.0, 1, False)[-1] == pytest.approx([0, 0, LENGTH], abs=1e-12)
-    still = replace(ROD).statics((0,))
+    still = statics(replace(ROD), (0,))
     assert still.tip_m == pytest.approx([0, 0, LENGTH], abs=1e-12)

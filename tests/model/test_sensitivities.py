@@ -16,7 +16,9 @@ from calibration.identify.parameters import known
 from calibration.identify.simulated_experiments import plan
 from calibration.identify.tip_predictor import Predictor
 from model import Arm, Geometry, Loads, sensitivities
+from model.dynamics import Dynamics
 from model.sensitivities import TipWrench, Variation, tip_gradient
+from model.statics import statics
 from tests.support.budget import examples
 
 Array = NDArray[np.float64]
@@ -86,7 +88,7 @@ def test_in_motion_every_parameters_slope_is_that_of_whole_predictions(
     monkeypatch: pytest.MonkeyPatch, rule: str, period_s: float, substeps: int
 ) -> None:
     # What Newton's method leaves of a step differs from one parameter to the next: here it leaves nothing.
-    monkeypatch.setattr("model.dynamics.CLOSE", 1e-7)
+    monkeypatch.setattr("model.dynamics.TOLERANCE_IN_MOTION", 1e-7)
     # Steps of 50 ms are simple shooting, those of 4 ms eight segments.
     k = np.arange(9)
     path = np.stack([0.3 + 0.2 * np.sin(0.3 * k), 0.1 + 0 * k, 0.2 * (k > 3)], axis=1) * BAR
@@ -118,7 +120,7 @@ def test_tip_gradients_by_pressures_and_geometry_equal_finite_differences_for_an
     p, push = np.array(bar) * BAR, np.array([1e4, -5e3, 2e3])
 
     def tip_at(x: float) -> Array:
-        return arm_at(x).statics(p + x * push, loads).tip_m
+        return statics(arm_at(x), p + x * push, loads).tip_m
 
     pull = TipWrench(np.array([force]), np.zeros((1, 3)), np.zeros(3))
     change = Variation(1e-7, arm_at(1e-7), (p + 1e-7 * push)[None])
@@ -131,16 +133,16 @@ def test_tip_gradients_by_pressures_and_geometry_equal_finite_differences_for_an
 def test_tip_gradients_by_material_and_pressures_equal_finite_differences(rule: str) -> None:
     arm, p = arm_of(rule), np.array([0.4, 0.15, 0.3]) * BAR
     found = tip_gradient(arm, p)
-    assert found.tip_m == pytest.approx(arm.statics(p).tip_m, abs=1e-9)
+    assert found.tip_m == pytest.approx(statics(arm, p).tip_m, abs=1e-9)
     for name, by in found.by_parameter.items():
         value = getattr(arm.material, name)
 
         def tip_at(x: float, name: str = name, value: float = value) -> Array:
-            return replace(arm, material=replace(arm.material, **{name: value * (1 + x)})).statics(p).tip_m
+            return statics(replace(arm, material=replace(arm.material, **{name: value * (1 + x)})), p).tip_m
 
         assert value * by == pytest.approx(slope(tip_at, 2e-3), rel=1e-5, abs=5e-7), name
     for k in range(3):
-        expected = slope(lambda x, k=k: arm.statics(p + BAR * x * np.eye(3)[k]).tip_m, 2e-3)  # type: ignore[misc]
+        expected = slope(lambda x, k=k: statics(arm, p + BAR * x * np.eye(3)[k]).tip_m, 2e-3)  # type: ignore[misc]
         assert BAR * found.by_pressure[:, k] == pytest.approx(expected, rel=1e-5, abs=5e-7)
 
 
@@ -158,7 +160,7 @@ def test_the_motion_beside_its_gradient_is_the_motion() -> None:
     found = sensitivities.motion(
         arm, p, DT, [Variation(1e-6, replace(arm, cap_mass_kg=arm.cap_mass_kg + 1e-6))], every=2
     )
-    dynamics = arm.dynamics(DT)
+    dynamics = Dynamics(arm, DT)
     dynamics.start(p[0])
     assert np.array_equal(found.tip_m[1:], dynamics.run(p[1:]).tip_m[1::2])
 
@@ -175,7 +177,7 @@ def test_dynamic_tip_gradients_by_pressures_geometry_weight_and_wrench_equal_fin
     monkeypatch: pytest.MonkeyPatch, rule: str, pull: TipWrench | None
 ) -> None:
     # What Newton's method leaves of a step differs from one neighbour to the next: here it leaves nothing.
-    monkeypatch.setattr("model.dynamics.CLOSE", 1e-7)
+    monkeypatch.setattr("model.dynamics.TOLERANCE_IN_MOTION", 1e-7)
     path = np.array([[0.3, 0.1, 0.2], [0.4, 0.1, 0.2], [0.5, 0.2, 0.1], [0.3, 0.3, 0.1], [0.2, 0.3, 0.2]]) * BAR
     push, hung = np.array([1e4, -5e3, 2e3]), np.array([0.0, 0.1, 0.1, 0.0, 0.2]) if pull is None else np.zeros(5)
 
@@ -193,7 +195,7 @@ def test_dynamic_tip_gradients_by_pressures_geometry_weight_and_wrench_equal_fin
         return Loads(at.force_n[k], at.moment_n_m[k], tip_point_m=at.point_m)
 
     def tips_at(x: float) -> Array:
-        dynamics, rows = arm_at(x).dynamics(0.05), path + x * push
+        dynamics, rows = Dynamics(arm_at(x), 0.05), path + x * push
         first = dynamics.start(rows[0], loads_at(x, 0))
         steps = [dynamics.step(rows[k], loads_at(x, k)) for k in range(1, 5)]
         return np.array([shape.tip_m for shape in (first, *steps)])

@@ -10,9 +10,11 @@ import pytest
 from numpy.typing import NDArray
 
 from model import Arm, Geometry, Loads, Material, NotConverged, Unstable, batch, sensitivities
+from model.dynamics import Dynamics
 from model.kernel_arguments import KernelArguments
 from model.kernels.layout import LANES, OFFSET
 from model.kernels.stability import negative_directions
+from model.statics import statics
 from tests.support.rod_energy import smallest_variation
 
 Array = NDArray[np.float64]
@@ -72,7 +74,7 @@ def test_an_arm_alike_in_all_directions_loses_two_directions_at_once() -> None:
 def test_statics_leaves_the_straight_arm_beyond_the_critical_load(over: float) -> None:
     arm = pushed(TWO_TUBES)
     force = over * critical_force(arm.geometry, arm.material, about_x=True, half_waves=1)
-    shape = arm.statics((0, 0), Loads(tip_force_n=(0.0, 0.0, -force)))
+    shape = statics(arm, (0, 0), Loads(tip_force_n=(0.0, 0.0, -force)))
     assert shape.stable
     assert (abs(shape.tip_m[1]) > 1e-3) == (over > 1)
 
@@ -80,7 +82,7 @@ def test_statics_leaves_the_straight_arm_beyond_the_critical_load(over: float) -
 def test_an_arm_past_buckling_leans_the_way_it_is_pushed() -> None:
     arm, loads = Arm.paper("homogeneous"), Loads(tip_force_n=(0.001, 0.0, -20.0))
     # It turns almost freely about the push, so that the energy needs a long chain.
-    shape = arm.statics(NOTHING, loads, nodes=600)
+    shape = statics(arm, NOTHING, loads, nodes=600)
     assert shape.stable
     assert shape.tip_m[0] > 0.1
     assert smallest_variation(arm, NOTHING, loads, shape) > 0
@@ -90,8 +92,8 @@ def test_a_missing_stable_equilibrium_is_reported_and_the_unstable_one_is_marked
     # Alike in all directions and pushed straight: it may fall any way, and so rests in none.
     arm, loads = Arm.paper("homogeneous"), Loads(tip_force_n=(0.0, 0.0, -20.0))
     with pytest.raises(Unstable, match=r"0, 0, 0 bar"):
-        arm.statics(NOTHING, loads)
-    shape = arm.statics(NOTHING, loads, allow_unstable=True)
+        statics(arm, NOTHING, loads)
+    shape = statics(arm, NOTHING, loads, allow_unstable=True)
     assert shape.stable is False
     assert np.abs(shape.tip_m[:2]).max() < 1e-9
 
@@ -107,7 +109,7 @@ def test_batches_gradients_and_motions_do_not_take_an_unstable_equilibrium() -> 
     with pytest.raises(Unstable):
         sensitivities.tip_gradient(arm, NOTHING)
     with pytest.raises(Unstable):
-        arm.dynamics(1 / 30).start(NOTHING)
+        Dynamics(arm, 1 / 30).start(NOTHING)
     moved = sensitivities.motion(arm, rows, 1 / 30, ())
     assert moved.unstable[0]
     assert not moved.ok[0]
@@ -143,7 +145,7 @@ def test_of_two_equilibria_the_stable_one_is_found_for_any_orientation_of_the_ar
         geometry = Geometry(length, 0.0095, 0.014, tuple(map(tuple, np.array(xy) @ q[:2, :2].T)))
         arm = Arm(geometry, Material.paper(), variant, rod_weight=True)  # type: ignore[arg-type]
         loads = Loads(q @ force, tip_point_m=q @ point, force_n_per_m=q @ (0.5, 0.0, 0.0))
-        shape = arm.statics(pressure, loads, nodes=60)
+        shape = statics(arm, pressure, loads, nodes=60)
         assert shape.stable
         assert smallest_variation(arm, pressure, loads, shape) > 0
         tips.append(q.T @ shape.tip_m)
@@ -171,7 +173,7 @@ def check_against_the_energy(seed: int, count: int, force_n: float) -> None:
         arm, pressure, loads = random_case(rng, force_n)
         for nodes in (32, 240):
             try:
-                shape = arm.statics(pressure, loads, nodes=nodes, allow_unstable=True)
+                shape = statics(arm, pressure, loads, nodes=nodes, allow_unstable=True)
             except NotConverged:
                 break
             smallest = smallest_variation(arm, pressure, loads, shape)

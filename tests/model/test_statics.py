@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from scipy.linalg import expm
 
 from model import Arm, Geometry, Loads, Material, NotConverged
+from model.statics import statics
 from tests.support.budget import examples
 
 BAR = 1e5
@@ -38,7 +39,7 @@ def about_z(turn: float) -> NDArray[np.float64]:
 def test_tip_equals_an_independent_implementation(
     variant: str, bar: tuple[float, ...], x_mm: float, z_mm: float
 ) -> None:
-    tip = Arm.paper(variant).statics(np.array(bar) * BAR).tip_m * 1e3
+    tip = statics(Arm.paper(variant), np.array(bar) * BAR).tip_m * 1e3
     assert tip == pytest.approx([x_mm, 0.0, z_mm], abs=0.0051)
 
 
@@ -46,7 +47,7 @@ def test_tip_equals_an_independent_implementation(
 @pytest.mark.parametrize("bar", [(0.65, 0.0, 0.0), (0.6, 0.35, 0.1)])
 def test_without_weight_the_strain_is_the_same_everywhere(variant: str, bar: tuple[float, ...]) -> None:
     arm = replace(Arm.paper(variant), cap_mass_kg=0.0, gravity_m_s2=(0.0, 0.0, 0.0))
-    shape = arm.statics(np.array(bar) * BAR)
+    shape = statics(arm, np.array(bar) * BAR)
     v, u = shape.v[0], shape.u[0]
     twist = np.zeros((4, 4))
     twist[:3, :3] = [[0, -u[2], u[1]], [u[2], 0, -u[0]], [-u[1], u[0], 0]]
@@ -61,7 +62,7 @@ def test_pressure_without_weight_bends_by_the_section_alone() -> None:
     # One tube pushes A_in P at x = b / sqrt 3: u2 = -M / K22, v3 - 1 = N / K33, no solver involved.
     g, m = Geometry.paper(), Material.paper()
     arm = replace(Arm.paper("homogeneous"), gravity_m_s2=(0.0, 0.0, 0.0))
-    shape = arm.statics((0.5 * BAR, 0, 0))
+    shape = statics(arm, (0.5 * BAR, 0, 0))
     push = 0.5 * BAR * g.chamber_area_m2
     bending = m.youngs_modulus_pa * (3 * g.wall_second_moment_m4 + g.wall_area_m2 * 0.055**2 / 2)
     assert shape.u[:, 1] == pytest.approx(-push * 0.055 / math.sqrt(3) / bending, rel=1e-9)
@@ -72,10 +73,10 @@ def test_pressure_without_weight_bends_by_the_section_alone() -> None:
 def test_the_error_falls_with_the_fourth_power_of_the_step(variant: str) -> None:
     arm = replace(Arm.paper(variant), rod_weight=True)
     p = np.array([0.65, 0.1, 0.3]) * BAR
-    fine = arm.statics(p, nodes=160).tip_m
-    coarse, half = (np.abs(arm.statics(p, nodes=n).tip_m - fine).max() for n in (5, 10))
+    fine = statics(arm, p, nodes=160).tip_m
+    coarse, half = (np.abs(statics(arm, p, nodes=n).tip_m - fine).max() for n in (5, 10))
     assert coarse / half > 12
-    assert np.abs(arm.statics(p).tip_m - fine).max() < 1e-8
+    assert np.abs(statics(arm, p).tip_m - fine).max() < 1e-8
 
 
 @pytest.mark.parametrize("length_m", [0.05, 0.34, 0.7])
@@ -83,8 +84,8 @@ def test_the_default_steps_suffice_for_slender_arms_too(length_m: float) -> None
     arm = Arm.paper()
     arm = replace(arm, geometry=replace(arm.geometry, length_m=length_m))
     p = np.array([0.5, 0.0, 0.1]) * BAR
-    fine = arm.statics(p, nodes=320).tip_m
-    assert np.abs(arm.statics(p).tip_m - fine).max() < 3e-8
+    fine = statics(arm, p, nodes=320).tip_m
+    assert np.abs(statics(arm, p).tip_m - fine).max() < 3e-8
 
 
 @examples(25)
@@ -94,7 +95,7 @@ def test_a_turned_arm_has_a_turned_tip(bar: tuple[float, ...], turn: float, vari
     turned_xy = (about_z(turn)[:2, :2] @ arm.geometry.positions_m.T).T
     turned = replace(arm, geometry=replace(arm.geometry, actuator_xy_m=tuple(map(tuple, turned_xy))))
     p = np.array(bar) * BAR
-    assert np.abs(turned.statics(p).tip_m - about_z(turn) @ arm.statics(p).tip_m).max() < 1e-9
+    assert np.abs(statics(turned, p).tip_m - about_z(turn) @ statics(arm, p).tip_m).max() < 1e-9
 
 
 @examples(25)
@@ -114,7 +115,7 @@ def test_any_arm_and_its_loads_turned_have_a_turned_tip(
         arm = Arm(geometry, Material.paper(), variant, rod_weight=True)
         loads = Loads(tip_force_n=by @ force, tip_point_m=by @ point, force_n_per_m=by @ (0.5, 0.0, 0.0))
         try:
-            tips.append(arm.statics(p, loads, nodes=24).tip_m)
+            tips.append(statics(arm, p, loads, nodes=24).tip_m)
         except NotConverged:
             reject()
     assert np.abs(tips[1] - q @ tips[0]).max() < 1e-8
@@ -127,7 +128,7 @@ def test_the_actuators_names_do_not_matter(bar: tuple[float, ...], order: list[i
     xy = arm.geometry.actuator_xy_m
     renamed = replace(arm, geometry=replace(arm.geometry, actuator_xy_m=tuple(xy[k] for k in order)))
     p = np.array(bar) * BAR
-    one, other = arm.statics(p), renamed.statics(p[order])
+    one, other = statics(arm, p), statics(renamed, p[order])
     assert np.abs(one.tip_m - other.tip_m).max() < 1e-10
     assert one.actuator_lengths_m[order] == pytest.approx(other.actuator_lengths_m, abs=1e-10)
 
@@ -137,13 +138,13 @@ def test_the_actuators_names_do_not_matter(bar: tuple[float, ...], order: list[i
 def test_a_third_of_a_turn_is_a_change_of_names(bar: tuple[float, ...], variant: str) -> None:
     arm = Arm.paper(variant)
     p = np.array(bar) * BAR
-    assert np.abs(about_z(2 * math.pi / 3) @ arm.statics(p).tip_m - arm.statics(np.roll(p, 1)).tip_m).max() < 1e-9
+    assert np.abs(about_z(2 * math.pi / 3) @ statics(arm, p).tip_m - statics(arm, np.roll(p, 1)).tip_m).max() < 1e-9
 
 
 @pytest.mark.parametrize("variant", variants)
 def test_without_load_and_pressure_the_arm_is_straight(variant: str) -> None:
     arm = replace(Arm.paper(variant), cap_mass_kg=0.0)
-    shape = arm.statics((0, 0, 0))
+    shape = statics(arm, (0, 0, 0))
     straight = np.zeros_like(shape.p_m)
     straight[:, 2] = shape.s_m
     assert np.abs(shape.p_m - straight).max() < 1e-13
@@ -156,7 +157,7 @@ def test_any_number_of_actuators_is_one_geometry(count: int) -> None:
     angles = tuple(360.0 * k / count + 10 for k in range(count))
     geometry = Geometry.on_circle(0.17, 0.0095, 0.014, 0.0 if count == 1 else 0.03, angles)
     arm = replace(Arm.paper("homogeneous+rpe"), geometry=geometry, gravity_m_s2=(0.0, 0.0, 0.0))
-    shape = arm.statics([0.3 * BAR] * count)
+    shape = statics(arm, [0.3 * BAR] * count)
     stretch = 0.3 * BAR * geometry.chamber_area_m2 / (289142.05 * geometry.wall_area_m2) + 0.05324473 * 0.3
     assert shape.tip_m == pytest.approx([0, 0, 0.17 * (1 + stretch)], abs=1e-10)
 
@@ -172,7 +173,7 @@ def test_splitting_each_tube_in_two_changes_nothing_in_the_pointwise_section(cou
     angles = tuple(360.0 * k / count + 10 for k in range(count))
     arm = replace(Arm.paper(), geometry=Geometry.on_circle(0.17, 0.0095, 0.014, 0.03, angles), rod_weight=True)
     p = np.array([0.6, 0.1, 0.35, 0.2])[:count] * BAR
-    one, twice = arm.statics(p), in_pairs(arm).statics(np.repeat(p, 2))
+    one, twice = statics(arm, p), statics(in_pairs(arm), np.repeat(p, 2))
     assert np.abs(one.p_m - twice.p_m).max() < 1e-12
     assert np.abs(one.tip_m[:2]).max() > 1e-3
 
@@ -183,7 +184,7 @@ def test_actuators_may_stand_off_the_axis() -> None:
     xy = tuple(map(tuple, arm.geometry.positions_m + shift))
     aside = replace(arm, geometry=replace(arm.geometry, actuator_xy_m=xy), cap_mass_kg=0.0)
     p = np.array([0.6, 0.2, 0.4]) * BAR
-    one, other = replace(arm, cap_mass_kg=0.0).statics(p), aside.statics(p)
+    one, other = statics(replace(arm, cap_mass_kg=0.0), p), statics(aside, p)
     offset = np.array([*shift, 0.0])
     assert np.abs(other.tip_m - (one.tip_m + offset - one.tip_rotation @ offset)).max() < 1e-9
 
@@ -204,8 +205,8 @@ def test_the_pointwise_section_with_no_curvature_in_its_law_is_the_linear_one() 
     g = Geometry.paper()
     material = replace(Material.paper(), a1_per_n=1 / (289142.05 * g.wall_area_m2), a2_per_n2=0.0)
     p = np.array([0.65, 0.0, 0.3]) * BAR
-    pointwise = Arm(g, material, "inhomogeneous+rpe").statics(p)
-    linear = Arm(g, material, "homogeneous+rpe").statics(p)
+    pointwise = statics(Arm(g, material, "inhomogeneous+rpe"), p)
+    linear = statics(Arm(g, material, "homogeneous+rpe"), p)
     assert np.abs(pointwise.p_m - linear.p_m).max() < 1e-11
 
 
@@ -214,11 +215,11 @@ def test_each_tube_follows_the_force_strain_curve_of_eq_32() -> None:
     arm = Arm.paper()
     m, n = arm.material, 0.5 * BAR * arm.geometry.chamber_area_m2 + 0.05 * 9.81 / 3
     strain = m.rpe_per_bar * 0.5 + m.a1_per_n * n + m.a2_per_n2 * n * n
-    assert arm.statics([0.5 * BAR] * 3).v[:, 2] == pytest.approx(1 + strain, rel=1e-9)
+    assert statics(arm, [0.5 * BAR] * 3).v[:, 2] == pytest.approx(1 + strain, rel=1e-9)
     # And oddly in compression: a vacuum that outweighs the cap.
     n = -0.2 * BAR * arm.geometry.chamber_area_m2 + 0.05 * 9.81 / 3
     strain = -m.rpe_per_bar * 0.2 + m.a1_per_n * n - m.a2_per_n2 * n * n
-    assert arm.statics([-0.2 * BAR] * 3).v[:, 2] == pytest.approx(1 + strain, rel=1e-9)
+    assert statics(arm, [-0.2 * BAR] * 3).v[:, 2] == pytest.approx(1 + strain, rel=1e-9)
 
 
 def test_a_small_side_load_bends_it_as_a_timoshenko_beam() -> None:
@@ -227,9 +228,9 @@ def test_a_small_side_load_bends_it_as_a_timoshenko_beam() -> None:
     bending = m.youngs_modulus_pa * (3 * g.wall_second_moment_m4 + g.wall_area_m2 * 0.055**2 / 2)
     shear = 3 * m.shear_ratio * m.youngs_modulus_pa * g.wall_area_m2
     force = 1e-4
-    tip = arm.statics((0, 0, 0), Loads(tip_force_n=(0.0, force, 0.0))).tip_m
+    tip = statics(arm, (0, 0, 0), Loads(tip_force_n=(0.0, force, 0.0))).tip_m
     assert tip[1] == pytest.approx(force * (0.17**3 / (3 * bending) + 0.17 / shear), rel=1e-6)
-    spread = arm.statics((0, 0, 0), Loads(force_n_per_m=(force, 0.0, 0.0))).tip_m
+    spread = statics(arm, (0, 0, 0), Loads(force_n_per_m=(force, 0.0, 0.0))).tip_m
     assert spread[0] == pytest.approx(force * (0.17**4 / (8 * bending) + 0.17**2 / (2 * shear)), rel=1e-6)
 
 
@@ -237,11 +238,11 @@ def test_moments_at_the_tip_and_along_the_arm_bend_it_as_beam_theory_says() -> N
     arm = replace(Arm.paper("homogeneous"), gravity_m_s2=(0.0, 0.0, 0.0))
     g, m = arm.geometry, arm.material
     bending = m.youngs_modulus_pa * (3 * g.wall_second_moment_m4 + g.wall_area_m2 * 0.055**2 / 2)
-    shape = arm.statics((0, 0, 0), Loads(tip_moment_n_m=(0.0, 0.2, 0.0)))
+    shape = statics(arm, (0, 0, 0), Loads(tip_moment_n_m=(0.0, 0.2, 0.0)))
     radius = bending / 0.2
     angle = 0.17 / radius
     assert shape.tip_m == pytest.approx([radius * (1 - math.cos(angle)), 0, radius * math.sin(angle)], abs=1e-8)
-    spread = arm.statics((0, 0, 0), Loads(moment_n_m_per_m=(0.0, 1e-3, 0.0)))
+    spread = statics(arm, (0, 0, 0), Loads(moment_n_m_per_m=(0.0, 1e-3, 0.0)))
     assert spread.tip_m[0] == pytest.approx(1e-3 * 0.17**3 / (3 * bending), rel=1e-6)
 
 
@@ -251,9 +252,9 @@ def test_a_force_beside_the_axis_has_the_moment_of_its_lever_where_the_tip_has_t
     bar: tuple[float, ...], force: tuple[float, ...], point: tuple[float, ...]
 ) -> None:
     arm, p = Arm.paper(), np.array(bar) * BAR
-    shape = arm.statics(p, Loads(tip_force_n=force, tip_point_m=point))
+    shape = statics(arm, p, Loads(tip_force_n=force, tip_point_m=point))
     moment = np.cross(shape.tip_rotation @ np.array(point), force)
-    same = arm.statics(p, Loads(tip_force_n=force, tip_moment_n_m=moment))
+    same = statics(arm, p, Loads(tip_force_n=force, tip_moment_n_m=moment))
     assert np.abs(shape.p_m - same.p_m).max() < 1e-9
 
 
@@ -268,7 +269,7 @@ def test_its_own_weight_stretches_a_hanging_arm() -> None:
     arm = replace(Arm.paper("homogeneous"), rod_weight=True, cap_mass_kg=0.0)
     weight = arm.line_density_kg_m * 0.17 * 9.81
     stiffness = 3 * arm.material.youngs_modulus_pa * arm.geometry.wall_area_m2
-    assert arm.statics((0, 0, 0)).tip_m[2] == pytest.approx(0.17 * (1 + weight / (2 * stiffness)), rel=1e-10)
+    assert statics(arm, (0, 0, 0)).tip_m[2] == pytest.approx(0.17 * (1 + weight / (2 * stiffness)), rel=1e-10)
 
 
 @examples(20)
@@ -281,7 +282,7 @@ def test_the_base_carries_what_hangs_on_the_arm(bar: tuple[float, ...], force: t
     if variant == "inhomogeneous+rpe":
         arm = replace(arm, modulus_rule="secant")
     p = np.array(bar) * BAR
-    shape = arm.statics(p, Loads(tip_force_n=force), nodes=40)
+    shape = statics(arm, p, Loads(tip_force_n=force), nodes=40)
     law = section(arm.geometry, arm.geometry.positions_m, arm.stiffness_n(p), arm.material.shear_ratio, arm.rpe_per_bar)
     strain = np.concatenate([shape.v[0], shape.u[0]])
     wrench = law.rest + law.per_pressure @ p
@@ -300,7 +301,7 @@ def test_any_pressure_and_load_give_a_finite_shape_or_an_error(
     bar: tuple[float, ...], force: tuple[float, ...], variant: str
 ) -> None:
     try:
-        shape = Arm.paper(variant).statics(np.array(bar) * BAR, Loads(tip_force_n=force), doubt_units=False)
+        shape = statics(Arm.paper(variant), np.array(bar) * BAR, Loads(tip_force_n=force), doubt_units=False)
     except NotConverged:
         return
     assert np.isfinite(shape.p_m).all()
@@ -309,18 +310,18 @@ def test_any_pressure_and_load_give_a_finite_shape_or_an_error(
 
 def test_the_error_names_the_pressures_that_have_no_equilibrium() -> None:
     with pytest.raises(NotConverged, match=r"1e\+06, 0, 0 bar"):
-        Arm.paper("homogeneous").statics((1e6 * BAR, 0, 0), doubt_units=False)
+        statics(Arm.paper("homogeneous"), (1e6 * BAR, 0, 0), doubt_units=False)
 
 
 def test_a_vertical_load_beyond_buckling_gives_the_straight_solution_or_an_error() -> None:
     up = replace(Arm.paper("homogeneous"), cap_mass_kg=1.0, gravity_m_s2=(0.0, 0.0, -9.81))
-    assert np.isfinite(up.statics((0, 0, 0)).p_m).all()
+    assert np.isfinite(statics(up, (0, 0, 0)).p_m).all()
 
 
 @pytest.mark.parametrize("wrong", [(0, 0), (0, 0, 0, 0), (0, math.nan, 0), (math.inf, 0, 0), [[0, 0, 0]]])
 def test_pressures_of_the_wrong_kind_are_refused(wrong: object) -> None:
     with pytest.raises(ValueError, match=r"pressure"):
-        Arm.paper().statics(wrong)  # type: ignore[arg-type]
+        statics(Arm.paper(), wrong)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(
@@ -334,7 +335,7 @@ def test_pressures_of_the_wrong_kind_are_refused(wrong: object) -> None:
 )
 def test_loads_of_the_wrong_kind_are_refused(wrong: dict[str, object]) -> None:
     with pytest.raises(ValueError, match=next(iter(wrong))):
-        Arm.paper().statics((0, 0, 0), Loads(**wrong))  # type: ignore[arg-type]
+        statics(Arm.paper(), (0, 0, 0), Loads(**wrong))  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(

@@ -44,7 +44,7 @@ def differences(problem: Problem, z: NDArray[np.float64], i: int, run: int) -> N
 
 def test_slopes_equal_finite_differences_static_and_dynamic(monkeypatch: pytest.MonkeyPatch) -> None:
     # What Newton's method leaves of a step differs from one parameter to the next: here it leaves nothing.
-    monkeypatch.setattr("model.dynamics.CLOSE", 1e-7)
+    monkeypatch.setattr("model.dynamics.TOLERANCE_IN_MOTION", 1e-7)
     problem = Problem([RESTING, MOVING], start(), named(FREE, 3))
     z = np.random.default_rng(4).uniform(-0.05, 0.05, len(problem.unknowns))
     found = problem.slopes(z, range(len(z)))
@@ -83,7 +83,7 @@ PULLED = replace(
 def test_dynamic_slopes_equal_finite_differences_for_frozen_moduli_and_under_a_wrench(
     monkeypatch: pytest.MonkeyPatch, poses: Poses, rule: ModulusRule, free: tuple[str, ...]
 ) -> None:
-    monkeypatch.setattr("model.dynamics.CLOSE", 1e-7)
+    monkeypatch.setattr("model.dynamics.TOLERANCE_IN_MOTION", 1e-7)
     problem = Problem([poses], replace(start(), arm=replace(start().arm, modulus_rule=rule)), named(free, 3))
     z = np.zeros(len(problem.unknowns))
     found = problem.slopes(z, range(len(z)))[0]

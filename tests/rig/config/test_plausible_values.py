@@ -11,6 +11,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from model import Arm, Material
+from model.statics import statics
 from protocols import BadInputError
 from rig.config import loader
 from rig.hardware.cards.base import CardError
@@ -61,14 +62,14 @@ def test_a_simulated_arm_without_equilibrium_is_refused_in_one_sentence() -> Non
 )
 def test_pressures_in_another_unit_are_refused(pressure: list[float], said: str) -> None:
     with pytest.raises(ValueError, match=said):
-        Arm.paper().statics(pressure)
+        statics(Arm.paper(), pressure)
     if said != "converted twice":
-        assert Arm.paper().statics(pressure, doubt_units=False).ok
+        assert statics(Arm.paper(), pressure, doubt_units=False).ok
 
 
 @pytest.mark.parametrize("pressure", [[0, 0, 0], [65000.0, 0, 0], [0.0, 0.123456, 3.2], [15.26, 0, 0], [-3.0, 0, 0]])
 def test_pressures_in_pascal_are_taken_however_small(pressure: list[float]) -> None:
-    assert Arm.paper().statics(pressure).ok
+    assert statics(Arm.paper(), pressure).ok
 
 
 def test_a_modulus_in_another_unit_is_refused() -> None:

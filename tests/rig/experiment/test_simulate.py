@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import runs
+from model.statics import statics
 from rig.config.arm_model import TipLoad, model_arm
 from rig.config.loader import load, text
 from rig.experiment import run as experiment
@@ -34,7 +35,7 @@ def test_a_prompts_weight_stretches_the_arm(tmp_path: Path) -> None:
     assert tip.weight_g[0] == 0
     assert tip.weight_g[-1] == 800
     config = load("mock")
-    alone = model_arm(config).statics(np.zeros(3), TipLoad(config).carrying(0.8)).tip_m
+    alone = statics(model_arm(config), np.zeros(3), TipLoad(config).carrying(0.8)).tip_m
     np.testing.assert_allclose(tip.model_mm[-1], 1e3 * alone, atol=1e-6)
     assert tip.model_mm[-1, 2] > tip.model_mm[0, 2] + 2
 

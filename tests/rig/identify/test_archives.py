@@ -11,6 +11,8 @@ import model
 import runs
 from calibration.identify import NoDataError, Prior, Setup, at_rest, identify, in_motion, poses_of, split_at
 from calibration.identify.recursive_estimator import RecursiveEstimator
+from model.dynamics import Dynamics
+from model.statics import statics
 from rig.cli.app import main
 from rig.config.arm_model import model_arm, true_arm
 from rig.config.loader import load
@@ -116,11 +118,11 @@ def test_adapting_at_least_halves_the_live_error_after_one_period(moving: Run) -
     adapter = RecursiveEstimator(
         Setup(arm), ["law", "rpe_per_bar", "sensor_offsets"], {"sensor_offsets": Prior(0.0, 200.0)}
     )
-    dynamics = arm.dynamics(poses.period_s)
+    dynamics = Dynamics(arm, poses.period_s)
     published, adapted = [], []
     for k, pressure in enumerate(poses.pressure_pa):
         shape = dynamics.start(pressure) if k == 0 else dynamics.step(pressure)
-        motion = shape.tip_m - arm.statics(pressure).tip_m
+        motion = shape.tip_m - statics(arm, pressure).tip_m
         step = adapter.step(pressure, poses.tip_m[k], poses.covariance_m2[k], motion)
         published.append(np.linalg.norm(poses.tip_m[k] - shape.tip_m))
         adapted.append(np.linalg.norm(poses.tip_m[k] - step.predicted_m))
@@ -138,7 +140,7 @@ def test_a_missing_or_outlying_tip_does_not_spoil_the_estimate() -> None:
     before = adapter.values
     adapter.step(pressure, np.full(3, np.nan), covariance)
     assert (adapter.values == before).all()
-    adapter.step(pressure, arm.statics(pressure).tip_m + 0.5, covariance)
+    adapter.step(pressure, statics(arm, pressure).tip_m + 0.5, covariance)
     assert (np.abs(adapter.values - before) < 0.5 * before).all()
     assert np.isfinite(adapter.std).all()
 
@@ -155,7 +157,7 @@ def test_rig_identify_writes_a_rig_file_with_the_identified_arm(
 
     def gap(arm: model.Arm) -> float:
         pressure = [0.6e5, 0.0, 0.0]
-        return float(np.linalg.norm(arm.statics(pressure).tip_m - true.statics(pressure).tip_m))
+        return float(np.linalg.norm(statics(arm, pressure).tip_m - statics(true, pressure).tip_m))
 
     assert gap(identified) < 0.25 * gap(published)
 

@@ -17,6 +17,7 @@ from scipy.spatial.transform import Rotation
 
 import model
 from calibration.identify import Setup
+from model.statics import statics
 from rig.cli.app import main
 from rig.config.arm_model import model_arm
 from rig.config.loader import load
@@ -85,12 +86,12 @@ def solved(bar: Array, force_n: Array) -> tuple[Array, Rotation]:
     """Where the tip sensor is, and how the tip is turned, under a pull at the load cell [tracker's axes]."""
     turn, arm, rotation = Rotation.from_rotvec(TRUTH.base_rotation_rad), TRUTH.arm, Rotation.identity()
     force = turn.inv().apply(force_n)
-    straight = turn * Rotation.from_matrix(arm.statics(np.zeros(3)).tip_rotation)
+    straight = turn * Rotation.from_matrix(statics(arm, np.zeros(3)).tip_rotation)
     for _ in range(25 if force.any() else 1):
         cell_m = (rotation * straight.inv()).apply(CELL_M)
         lever_m = rotation.apply(np.array(TRUTH.tool_offset_m)) + cell_m
         loads = model.Loads(tip_force_n=force, tip_moment_n_m=np.cross(lever_m, force))
-        shape = arm.statics(bar * 1e5, loads)
+        shape = statics(arm, bar * 1e5, loads)
         rotation = Rotation.from_matrix(shape.tip_rotation)
     return TRUTH.measured(shape.tip_m[None], shape.tip_rotation[None])[0], turn * rotation * straight.inv()
 

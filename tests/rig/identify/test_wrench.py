@@ -15,6 +15,7 @@ import runs
 from calibration.identify import Setup, identify, quasi_static_poses
 from calibration.identify.tip_predictor import Predictor
 from model import sensitivities
+from model.statics import statics
 from protocols import BadInputError
 from rig.importing import import_table
 from runs.run import Run
@@ -69,7 +70,7 @@ def pulled(pressure: Array, force: Array, moment: Array) -> tuple[Array, Array]:
     rotation = np.eye(3)
     for _ in range(30):
         lever = np.cross(rotation @ tool, f)
-        shape = TRUTH.arm.statics(pressure, model.Loads(tip_force_n=f, tip_moment_n_m=m + lever))
+        shape = statics(TRUTH.arm, pressure, model.Loads(tip_force_n=f, tip_moment_n_m=m + lever))
         rotation = shape.tip_rotation
     return TRUTH.measured(shape.tip_m[None], rotation[None])[0], (turn * Rotation.from_matrix(rotation)).as_matrix()
 
@@ -140,7 +141,7 @@ def test_a_strong_force_off_the_axis_is_solved_or_reported_as_unsolved() -> None
     assert np.isnan(found.tip_m[~found.ok]).all()
     for k in met:
         loads = model.Loads(tip_force_n=force[k], tip_moment_n_m=np.cross(found.tip_rotation[k] @ point, force[k]))
-        np.testing.assert_allclose(arm.statics(pressure_pa[k], loads).tip_m, found.tip_m[k], atol=1e-6)
+        np.testing.assert_allclose(statics(arm, pressure_pa[k], loads).tip_m, found.tip_m[k], atol=1e-6)
 
 
 def test_an_arm_under_load_determines_its_law_without_free_pressures(table: Path, tmp_path: Path) -> None:

@@ -11,6 +11,8 @@ from matplotlib.figure import Figure
 
 import model
 from calibration.identify.parameters import Setup, named
+from model.dynamics import Dynamics
+from model.statics import statics
 from rig.cli.app import main
 from rig.config import parameters_overlay as parameter_files
 from rig.config.arm_model import model_arm, true_arm
@@ -116,7 +118,7 @@ def _normalised_errors(seed: int, rate_hz: float = 6.0) -> np.ndarray:
     truth, parameters = Setup(true_arm(config)), named(DEFAULT_PARAMETERS, 3)
     for parameter, start in zip(parameters, estimated_quantities(config, None, DEFAULT_PARAMETERS), strict=True):
         truth = parameter.write(truth, rng.normal(start.value[0], start.uncertainty))
-    real, believed = truth.arm.dynamics(1 / rate_hz), model_arm(config).dynamics(1 / rate_hz)
+    real, believed = Dynamics(truth.arm, 1 / rate_hz), Dynamics(model_arm(config), 1 / rate_hz)
     adapting = OnlineEstimation(config, None, DEFAULT_PARAMETERS)
     for k, t in enumerate(np.arange(0, 3 + PERIOD_S, 1 / rate_hz)):
         level = (0.35 + 0.25 * np.sin(max(t - 3, 0) + 4 * np.pi / 3)) * min(t / 3, 1) * 1e5
@@ -133,7 +135,7 @@ def _normalised_errors(seed: int, rate_hz: float = 6.0) -> np.ndarray:
     return np.asarray(error / np.sqrt(np.diagonal(last["covariance"])))
 
 
-def _moved(dynamics: model.Dynamics, pressure: np.ndarray, k: int) -> model.Shape:
+def _moved(dynamics: Dynamics, pressure: np.ndarray, k: int) -> model.Shape:
     return dynamics.start(pressure) if k == 0 else dynamics.step(pressure)
 
 
@@ -142,7 +144,7 @@ def test_a_frame_without_a_tip_predicts_and_changes_nothing() -> None:
     adapting = OnlineEstimation(config, None, ["law"])
     row = np.zeros((), observation_dtype(3))
     row["model_ok"], row["pressure_pa"] = 1, (3e4, 0, 0)
-    row["model_m"] = model_arm(config).statics([3e4, 0, 0]).tip_m
+    row["model_m"] = statics(model_arm(config), [3e4, 0, 0]).tip_m
     row["measured_m"] = row["covariance_m2"] = np.nan
     before = row["model_m"].copy()
     done = adapting.step(row)

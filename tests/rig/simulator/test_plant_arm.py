@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from model.statics import statics
 from rig.config.arm_model import model_arm, true_arm
 from rig.simulator.plant import Plant
 from rig.simulator.pose_history import POSE_DTYPE, pose_among
@@ -33,7 +34,7 @@ def bent() -> Plant:
 def test_at_rest_the_tip_is_where_the_true_arms_statics_put_it(bent: Plant) -> None:
     config = mock_rig(**STILL)
     assert bent.pressure_pa[0] > 0.2e5
-    shape = true_arm(config).statics(bent.pressure_pa)
+    shape = statics(true_arm(config), bent.pressure_pa)
     pose = bent.pose_at(bent.t_ns)
     np.testing.assert_allclose(pose.position_m, shape.tip_m, atol=2e-5)
     np.testing.assert_allclose(pose.rotation, shape.tip_rotation, atol=1e-3)
@@ -41,13 +42,13 @@ def test_at_rest_the_tip_is_where_the_true_arms_statics_put_it(bent: Plant) -> N
 
 
 def test_the_chambers_have_the_volume_of_the_bent_arm(bent: Plant) -> None:
-    shape = true_arm(mock_rig(**STILL)).statics(bent.pressure_pa)
+    shape = statics(true_arm(mock_rig(**STILL)), bent.pressure_pa)
     np.testing.assert_allclose(bent.volume_m3, 15e-6 + BORE_M2 * shape.actuator_lengths_m, rtol=1e-4)
     assert bent.volume_m3[0] > bent.volume_m3[1]
 
 
 def test_the_simulated_arm_is_not_the_one_that_the_model_believes_in(bent: Plant) -> None:
-    believed = model_arm(mock_rig()).statics(bent.pressure_pa).tip_m
+    believed = statics(model_arm(mock_rig()), bent.pressure_pa).tip_m
     distance = np.linalg.norm(believed - bent.pose_at(bent.t_ns).position_m)
     assert 1e-4 < distance < 5e-3
 
