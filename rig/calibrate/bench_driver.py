@@ -16,9 +16,8 @@ from rig.control import interlocks
 from rig.control import step as control
 from rig.control.control_loop import ValveOutputs
 from rig.control.interlocks import Demand, Sample, SensorState
-from rig.control.regulator import FLOW_FUNCTION_FLOOR, FlowSettings
-from rig.control.valve import ANR_PA, ATMOSPHERE_PA, flow_function
 from rig.hardware.bench import Bench
+from rig.valves.flow import FlowRegulator
 
 Floats = NDArray[np.float64]
 
@@ -79,7 +78,7 @@ class BenchDriver:
         """
         command_v = np.array(self._prepared.safe_v)
         settings = self._prepared.valves[valve]
-        assert isinstance(settings, FlowSettings)
+        assert isinstance(settings, FlowRegulator)
         command_v[valve] = settings.closed_v + settings.fill_sign * offset_v
         chambers = list(settings.actuators)
         watches = [SensorState() for _ in range(self._config.actuators)]
@@ -96,7 +95,7 @@ class BenchDriver:
                 for i, watch in enumerate(watches):
                     pressure = float(sample.pressure_pa[i])
                     # The reference follows the reading, so only level, rate and a frozen reading can trip.
-                    rate = _expected_pa_s(settings, offset_v, pressure) if i in chambers else 0.0
+                    rate = settings.rate_pa_s(offset_v, pressure) if i in chambers else 0.0
                     demand = Demand(math.nan, pressure, rate, 0.0)
                     watches[i], found = interlocks.step(
                         self._prepared.limits, i, watch, dt, now, float(sample.volts[i]), pressure, demand
@@ -157,12 +156,3 @@ class _Rows:
             return BenchLog(np.empty(0), np.empty((0, 0)), np.empty((0, 0)))
         t = np.concatenate(self._t)
         return BenchLog((t - t[0]) * 1e-9, np.concatenate(self._p), np.concatenate(self._v))
-
-
-def _expected_pa_s(s: FlowSettings, offset_v: float, pressure_pa: float) -> float:
-    """Return the pressure rate of an open valve that the rig's parameters predict."""
-    fraction = float(np.interp(abs(offset_v), s.offsets_v, s.fractions))
-    chamber, supply = max(pressure_pa, 0.0) + ATMOSPHERE_PA, s.supply_pa + ATMOSPHERE_PA
-    upstream, downstream = (supply, chamber) if offset_v > 0 else (chamber, ATMOSPHERE_PA)
-    ease = max(flow_function(downstream / upstream, s.critical_ratio), FLOW_FUNCTION_FLOOR)
-    return math.copysign(fraction, offset_v) * s.conductance * upstream * ease * ANR_PA / s.volume_m3

@@ -33,12 +33,13 @@ from rig.config.arm_model import model_arm
 from rig.config.calibration_files import default_path, origin, rounded, sha256_of, write
 from rig.config.loader import load, path_of
 from rig.config.schema import RigConfig
-from rig.config.sections import PA_PER_BAR, FlowValve
+from rig.config.sections import PA_PER_BAR
 from rig.control.interlocks import settings as interlock_settings
-from rig.control.valve import ATMOSPHERE_PA, fill_sign
 from rig.execution.plan import StoppedError
 from rig.simulator.plant import Plant
 from rig.simulator.plant_launcher import simulated
+from rig.valves.flow import FlowValve
+from rig.valves.iso6358 import ATMOSPHERE_PA
 from runs.overwriting import refuse_existing
 
 Floats = NDArray[np.float64]
@@ -319,7 +320,7 @@ def valve_section(
     chambers = [a - 1 for a in valve.actuators]
     count, arm = len(chambers), model_arm(config)
     volumes = [volume_m3(config, chambers, count * volume_ml * 1e-6, r.pressure_pa, arm) for r in rates]
-    found = fit(valve, fill_sign(valve), rates, volumes)
+    found = fit(valve, valve.fill_sign, rates, volumes)
     return _valve_section(config, index, found, volume_ml * count, volume_std_ml * count)
 
 

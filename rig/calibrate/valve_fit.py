@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.camera import CalibrationError
-from rig.config.sections import FlowValve
-from rig.control.valve import ANR_PA, ATMOSPHERE_PA, flow_function, sonic_conductance
+from rig.valves.flow import FlowValve
+from rig.valves.iso6358 import ANR_PA, ATMOSPHERE_PA, flow_function, sonic_conductance
 
 Floats = NDArray[np.float64]
 

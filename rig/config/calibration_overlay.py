@@ -28,7 +28,9 @@ from rig.config.calibration_schema import (
 )
 from rig.config.optics import placement_of, rigid
 from rig.config.schema import RigConfig
-from rig.config.sections import FlowValve, Placement, Sensor, Valve
+from rig.config.sections import Placement, Sensor
+from rig.valves.base import ValveSection
+from rig.valves.flow import FlowValve
 
 Faults = Iterator[Problem]
 
@@ -303,7 +305,7 @@ def _other_channel(
     calibration: LoadedCalibration,
     here: tuple[str | int, ...],
     part: SensorCalibration | ValveCalibration,
-    stated: Sensor | Valve,
+    stated: Sensor | ValveSection,
     what: str,
 ) -> Faults:
     card = config.cards[stated.card]

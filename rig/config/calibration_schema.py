@@ -9,7 +9,6 @@ from typing import Annotated, Literal
 from pydantic import Field, model_validator
 
 from protocols.validation import ValidationFault, faults
-from rig.config.consistency import curve
 from rig.config.sections import (
     ActuatorNumber,
     Count,
@@ -25,6 +24,7 @@ from rig.config.sections import (
     VoltSpan,
     Word,
 )
+from rig.valves.flow import flow_curve_faults
 
 Row = tuple[Number, ...]
 Matrix = tuple[Row, ...]
@@ -277,7 +277,7 @@ class ValveCalibration(Section):
 
     @model_validator(mode="after")
     def _check(self) -> ValveCalibration:
-        found, std = list(curve(self)), self.flow_curve_std_percent
+        found, std = list(flow_curve_faults(self)), self.flow_curve_std_percent
         if len(std) != len(self.flow_curve_V):
             expected = f"{len(self.flow_curve_V)} values, as many as flow_curve_V has, not {len(std)}"
             found.append(ValidationFault(("flow_curve_std_percent",), expected))

@@ -7,19 +7,21 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Protocol, TypeVar
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from protocols.problems import closest
 from protocols.validation import ValidationFault
 
 if TYPE_CHECKING:
-    from rig.config.sections import Arm, CameraConfig, CardConfig, Control, Limits, Sensor, Valve
+    from rig.config.sections import Arm, CameraConfig, CardConfig, Control, Limits, Sensor
     from rig.config.simulator_sections import Simulator
+    from rig.valves.base import ValveSection
 
     Cards = Mapping[str, CardConfig | None]
     Cameras = Mapping[str, CameraConfig | None]
-    Valves = Sequence[Valve | None]
+    Valves = Sequence[ValveSection | None]
     Sensors = Sequence[Sensor | None]
 
 
@@ -60,7 +62,7 @@ def _numbered(items: Sequence[Item | None]) -> list[tuple[int, Item]]:
     return [(index, item) for index, item in enumerate(items) if item is not None]
 
 
-def _valves_of(valves: Valves) -> list[tuple[int, Valve]]:
+def _valves_of(valves: Valves) -> list[tuple[int, ValveSection]]:
     return [(index, valve) for index, valve in enumerate(valves) if valve is not None]
 
 
@@ -129,48 +131,13 @@ def _actuators(arm: Arm, valves: Valves, sensors: Sensors) -> Iterator[Validatio
 
 def _valves(valves: Valves) -> Iterator[ValidationFault]:
     for index, valve in _valves_of(valves):
-        here: tuple[str | int, ...] = ("valves", index)
-        low, high = valve.range_V
-        if valve.type == "flow":
-            if not low < valve.closed_V < high:
-                yield ValidationFault((*here, "closed_V"), f"a voltage inside range_V, {low:g} to {high:g} V")
-            yield from curve(valve, here)
-        elif valve.span_V[0] < low or valve.span_V[1] > high:
-            yield ValidationFault((*here, "span_V"), f"a span inside range_V, {low:g} to {high:g} V")
+        yield from _below(("valves", index), valve.faults())
 
 
-class FlowCurve(Protocol):
-    """The flow curve of a valve, as stated in a rig file or found by a calibration."""
-
-    @property
-    def flow_curve_V(self) -> tuple[float, ...]:
-        """Voltages from the closed valve."""
-
-    @property
-    def flow_curve_percent(self) -> tuple[float, ...]:
-        """Per cent of the full flow at these voltages."""
-
-    @property
-    def dead_zone_V(self) -> float:
-        """Half width of the dead zone."""
-
-
-def curve(valve: FlowCurve, here: tuple[str | int, ...] = ()) -> Iterator[ValidationFault]:
-    """Yield the faults of a stated or calibrated flow curve; `here` is the YAML path of the valve."""
-    volts, percent = valve.flow_curve_V, valve.flow_curve_percent
-    if len(volts) != len(percent):
-        expected = f"{len(volts)} values, as many as flow_curve_V has, not {len(percent)}"
-        yield ValidationFault((*here, "flow_curve_percent"), expected)
-    for name, values in (("flow_curve_V", volts), ("flow_curve_percent", percent)):
-        if values[0] != 0:
-            yield ValidationFault((*here, name, 0), "0: the curve begins at the closed valve")
-        for i, (a, b) in enumerate(itertools.pairwise(values)):
-            if b <= a:
-                yield ValidationFault((*here, name, i + 1), f"more than the value before, {a:g}: the curve must rise")
-    if percent[-1] > 100:
-        yield ValidationFault((*here, "flow_curve_percent", len(percent) - 1), "at most 100 (% of full flow)")
-    if valve.dead_zone_V >= volts[-1]:
-        yield ValidationFault((*here, "dead_zone_V"), f"less than the end of flow_curve_V, {volts[-1]:g} V")
+def _below(here: tuple[str | int, ...], faults: Iterable[ValidationFault]) -> Iterator[ValidationFault]:
+    """Move faults of a section to its place in the file."""
+    for fault in faults:
+        yield replace(fault, path=(*here, *fault.path))
 
 
 def _sensors(sensors: Sensors) -> Iterator[ValidationFault]:
@@ -183,12 +150,7 @@ def _sensors(sensors: Sensors) -> Iterator[ValidationFault]:
 def _reach(limits: Limits, valves: Valves, sensors: Sensors) -> Iterator[ValidationFault]:
     """Check that valves and sensors cover the permitted pressures."""
     for index, valve in _valves_of(valves):
-        if valve.type == "flow" and valve.supply_bar <= limits.pressure_bar:
-            expected = f"more than limits, pressure_bar ({limits.pressure_bar:g} bar): the valve cannot fill that far"
-            yield ValidationFault(("valves", index, "supply_bar"), expected)
-        elif valve.type == "pressure" and not valve.span_bar[0] <= 0 < limits.pressure_bar <= valve.span_bar[1]:
-            expected = f"a span from 0 to limits, pressure_bar ({limits.pressure_bar:g} bar) at least"
-            yield ValidationFault(("valves", index, "span_bar"), expected)
+        yield from _below(("valves", index), valve.reach_faults(limits.pressure_bar))
     highest = limits.pressure_bar + limits.pressure_margin_bar
     for index, sensor in _numbered(sensors):
         # A calibrated span may start slightly above 0; lower pressures read as its lower end.

@@ -25,10 +25,10 @@ from rig.config.sections import (
     Recording,
     Section,
     Sensor,
-    Valve,
     Word,
 )
 from rig.config.simulator_sections import Simulator
+from rig.valves.registry import Valve
 
 
 class RigConfig(Section):

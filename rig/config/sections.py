@@ -160,44 +160,6 @@ class CardConfig(Section):
         return self
 
 
-class FlowValve(Section):
-    """A proportional 5/3-way valve that meters flow (Festo MPYE): the chamber hangs on one port, the other is plugged.
-
-    `fills` says on which side of `closed_V` the chamber is connected to the supply.
-    """
-
-    type: Literal["flow"]
-    actuators: Annotated[tuple[ActuatorNumber, ...], Field(min_length=1)]
-    card: Word
-    channel: Index
-    range_V: VoltSpan = (0.0, 10.0)
-    safe_state: Literal["vent", "hold"] = "vent"
-    closed_V: Volt = 5.0
-    fills: Literal["above", "below"] = "above"
-    dead_zone_V: NonNegative
-    full_flow_l_min: Positive = Field(description="normal litres per minute fully open at 6 -> 5 bar gauge")
-    flow_curve_V: Annotated[tuple[NonNegative, ...], Field(min_length=2)] = Field(description="volts from closed")
-    flow_curve_percent: Annotated[tuple[NonNegative, ...], Field(min_length=2)] = Field(description="of full flow")
-    supply_bar: Bar = Field(description="gauge pressure at the supply port")
-    critical_ratio: Annotated[float, Field(gt=0, lt=1, strict=True)] = Field(default=0.3, description="b of ISO 6358")
-
-
-class PressureValve(Section):
-    """An electro-pneumatic regulator that takes a set-point voltage and holds the pressure by itself."""
-
-    type: Literal["pressure"]
-    actuators: Annotated[tuple[ActuatorNumber, ...], Field(min_length=1)]
-    card: Word
-    channel: Index
-    range_V: VoltSpan = (0.0, 10.0)
-    safe_state: Literal["vent", "hold"] = "vent"
-    span_V: VoltSpan = (0.0, 10.0)
-    span_bar: BarSpan
-
-
-Valve = Annotated[FlowValve | PressureValve, Field(discriminator="type")]
-
-
 class Sensor(Section):
     """A pressure sensor: gauge pressure is linear in voltage over the span.
 

@@ -1,7 +1,5 @@
 """Sections of the rig file about the simulator: the truth behind the mock devices."""
 
-# ruff: noqa: N815 - volts keep their capital, as in V and mV
-
 from __future__ import annotations
 
 from typing import Annotated
@@ -19,19 +17,9 @@ from rig.config.sections import (
     Positive,
     Section,
     Sensor,
-    Valve,
 )
-
-
-class SimulatedValve(Section):
-    """True parameters of every flow-metering valve."""
-
-    spool_hz: Positive
-    spool_damping: Positive = 0.7
-    hysteresis_percent: NonNegative = 0.4
-    leakage_l_min: NonNegative
-    dead_zone_V: NonNegative
-    flow_scale: Positive = 1.0
+from rig.valves.base import SimulatedValve
+from rig.valves.registry import Valve
 
 
 class SimulatedChamber(Section):

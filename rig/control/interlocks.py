@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.config.schema import RigConfig
-from rig.config.sections import PA_PER_BAR, FlowValve, Sensor
+from rig.config.sections import PA_PER_BAR, Sensor
 
 RATE_FILTER_S = 0.02
 """Time constant of the measured rate: shorter than a dangerous rise, longer than one noisy sample."""
@@ -109,7 +109,7 @@ class SensorState(NamedTuple):
 
 
 class Demand(NamedTuple):
-    """The demand of one actuator's regulator: see `rig.control.regulator.RegulatorState`."""
+    """The demand of one actuator's regulator: see `rig.valves.base.RegulatorState`."""
 
     setpoint_pa: float
     reference_pa: float
@@ -121,9 +121,9 @@ def settings(config: RigConfig) -> Settings:
     """The rig's limits and sensors, in SI, sensors in the order of the actuators."""
     limits = config.limits
     sensors = sorted(config.sensors, key=lambda sensor: sensor.actuator)
-    steering = {a for valve in config.valves if isinstance(valve, FlowValve) for a in valve.actuators}
+    metered = {a for valve in config.valves if valve.closed_v is not None for a in valve.actuators}
     return Settings(
-        sensors=tuple(_sensor(s, 0.0 if s.actuator in steering else limits.frozen_s) for s in sensors),
+        sensors=tuple(_sensor(s, 0.0 if s.actuator in metered else limits.frozen_s) for s in sensors),
         pressure_pa=(limits.pressure_bar + limits.pressure_margin_bar) * PA_PER_BAR,
         rate_pa_s=(limits.rate_bar_per_s + limits.rate_margin_bar_per_s) * PA_PER_BAR,
         tracking_pa=limits.tracking_bar * PA_PER_BAR,

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from rig.config.schema import RigConfig
 from rig.control import interlocks, regulator
 from rig.control.interlocks import Demand, Sample, SensorState, Trip
-from rig.control.regulator import RegulatorState
-from rig.control.valve import vent_v
+from rig.valves.base import Regulator, RegulatorState
 
 __all__ = ["Command", "Sample", "Settings", "State", "Trip", "initial", "prepare", "safe_voltages", "step"]
 
@@ -31,8 +30,8 @@ class Settings:
     period_s: float
     safe_v: tuple[float, ...]
     closed_v: tuple[float | None, ...]
-    """The voltage that closes each valve; None for a valve with its own pressure regulator."""
-    valves: tuple[regulator.Settings, ...]
+    """The voltage that closes each valve; None for a valve that keeps its voltage without a sample."""
+    valves: tuple[Regulator, ...]
     valve_of: tuple[int, ...]
     """Index of the valve of each actuator."""
     limits: interlocks.Settings
@@ -64,15 +63,7 @@ class Command(NamedTuple):
 
 def safe_voltages(config: RigConfig, *, vent: bool = False) -> tuple[float, ...]:
     """The safe voltage of each valve: vented, or held where the rig file says so and `vent` is false."""
-    voltages = []
-    for valve in config.valves:
-        if valve.type == "flow":
-            voltages.append(vent_v(valve) if vent or valve.safe_state == "vent" else valve.closed_V)
-        else:
-            (low_v, high_v), (low_bar, high_bar) = valve.span_V, valve.span_bar
-            zero = low_v - low_bar * (high_v - low_v) / (high_bar - low_bar)
-            voltages.append(min(max(zero, min(low_v, high_v)), max(low_v, high_v)))
-    return tuple(voltages)
+    return tuple(valve.safe_v(vent=vent) for valve in config.valves)
 
 
 def prepare(config: RigConfig) -> Settings:
@@ -81,8 +72,8 @@ def prepare(config: RigConfig) -> Settings:
     return Settings(
         period_s=1.0 / config.control.rate_hz,
         safe_v=safe_voltages(config),
-        closed_v=tuple(valve.closed_V if valve.type == "flow" else None for valve in config.valves),
-        valves=tuple(regulator.settings(valve, config) for valve in config.valves),
+        closed_v=tuple(valve.closed_v for valve in config.valves),
+        valves=tuple(valve.regulator(config.limits, config.control) for valve in config.valves),
         valve_of=tuple(valve_of[a + 1] for a in range(config.actuators)),
         limits=interlocks.settings(config),
     )

@@ -194,7 +194,7 @@ def rig_cards(config: RigConfig) -> tuple[Finding, ...]:
         )
         opened.close()
     for number, valve in enumerate(config.valves, 1):
-        if config.cards[valve.card].driver == "comedi" and valve.type == "flow" and valve.fills == "below":
+        if config.cards[valve.card].driver == "comedi" and valve.fills_at_power_up:
             findings.append(
                 Finding(
                     f"rig's valve {number}",

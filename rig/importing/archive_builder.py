@@ -19,7 +19,6 @@ from protocols.problems import BadInputError, Problem
 from protocols.source_positions import Document
 from rig.config import loader
 from rig.config.sections import PA_PER_BAR
-from rig.control.valve import ATMOSPHERE_PA
 from rig.experiment.provenance import git_state, versions
 from rig.experiment.run import free_id
 from rig.importing.columns import Columns
@@ -27,6 +26,7 @@ from rig.importing.mapping import KILOGRAMS, PASCALS, VOLTS, Mapping, PressureUn
 from rig.importing.tables import read as read_table
 from rig.importing.timestamps import RowTimes, times
 from rig.importing.tracker_frames import placed, wrench
+from rig.valves.iso6358 import ATMOSPHERE_PA
 from runs.archive.writer import finalise
 from runs.export.exporters import SIMULATED
 from runs.journal.journal import SUFFIX, JournalWriter

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.control.valve import ATMOSPHERE_PA, sonic_conductance
 from rig.simulator.faults import MOST, Faults, SensorFault, ValveFault
 from rig.simulator.pneumatics import SensorTable, ValveTable
+from rig.valves.iso6358 import ATMOSPHERE_PA, sonic_conductance
 
 
 class FaultyValves:

@@ -11,7 +11,6 @@ from model import NotConverged
 from model.dynamics import Dynamics
 from rig.config.arm_model import TipLoad, true_arm, true_geometry
 from rig.config.schema import RigConfig
-from rig.control.valve import ATMOSPHERE_PA
 from rig.hardware.cards.base import CardError, Scans
 from rig.simulator import pneumatics
 from rig.simulator.converter import sixteen_bits
@@ -20,6 +19,7 @@ from rig.simulator.faulty_devices import FaultySensors, FaultyValves
 from rig.simulator.pneumatics import STEP_NS
 from rig.simulator.pose_history import POSE_DTYPE, pose_among
 from rig.simulator.tip_pose import TipPose
+from rig.valves.iso6358 import ATMOSPHERE_PA
 
 ARM_STEPS = 50
 """Grid steps of the air per step of the arm: 5 ms."""

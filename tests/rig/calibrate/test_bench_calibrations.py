@@ -19,9 +19,9 @@ from rig.config.calibration_files import read
 from rig.config.calibration_schema import PressureFile, ToolFile, ValveCalibration
 from rig.config.schema import RigConfig
 from rig.control.step import prepare
-from rig.control.valve import opening_curve
 from rig.hardware.bench import Bench
 from rig.simulator.faults import SensorFault
+from rig.valves.flow import FlowValve
 
 SHORT = """title: short
 steps:
@@ -135,7 +135,8 @@ def test_the_valves_are_the_simulators_within_their_own_bounds(folder: Path, tru
     assert found.hysteresis_V == pytest.approx(0.04, abs=0.01)
     volume = 2.5 * found.volume_std_ml / found.volume_ml
     assert found.leakage_l_min == pytest.approx(real.leakage_l_min, rel=volume)
-    volts, fractions = opening_curve(stated, real.dead_zone_V)
+    assert isinstance(stated, FlowValve)
+    volts, fractions = stated.opening_curve(real.dead_zone_V)
     meant = np.interp(found.flow_curve_V, volts, np.array(fractions) * real.flow_scale * stated.full_flow_l_min)
     says = np.array(found.flow_curve_percent) / 100 * found.full_flow_l_min
     std = np.array(found.flow_curve_std_percent) / 100 * found.full_flow_l_min

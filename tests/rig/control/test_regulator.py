@@ -9,20 +9,20 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rig.config.sections import FlowValve
 from rig.control import regulator
-from rig.control.regulator import FlowSettings, RegulatorState
-from rig.control.valve import ANR_PA, ATMOSPHERE_PA, flow_function, opening_curve, sonic_conductance
+from rig.valves.base import RegulatorState
+from rig.valves.flow import FlowRegulator, FlowValve
+from rig.valves.iso6358 import ANR_PA, ATMOSPHERE_PA, flow_function, sonic_conductance
 from tests.support.plant_bench import mock_rig
 
 RIG = mock_rig()
 DT = 0.005
 
 
-def flow_settings(**changes: object) -> FlowSettings:
+def flow_settings(**changes: object) -> FlowRegulator:
     config = mock_rig(**changes)
-    settings = regulator.settings(config.valves[0], config)
-    assert isinstance(settings, FlowSettings)
+    settings = config.valves[0].regulator(config.limits, config.control)
+    assert isinstance(settings, FlowRegulator)
     return settings
 
 
@@ -52,7 +52,7 @@ def test_the_voltage_lets_exactly_the_asked_rate_through_a_valve_as_stated(bar: 
     valve = RIG.valves[0]
     assert isinstance(valve, FlowValve)
     out = regulator.step(s, RegulatorState(bar * 1e5, 0.0, 0.0, 5.0), DT, bar * 1e5, bar * 1e5, rate_bar_s * 1e5)
-    volts, fractions = opening_curve(valve, valve.dead_zone_V)
+    volts, fractions = valve.opening_curve(valve.dead_zone_V)
     offset = out.valve_v - 5.0
     fraction = float(np.interp(abs(offset), volts, fractions))
     chamber = bar * 1e5 + ATMOSPHERE_PA

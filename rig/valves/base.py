@@ -1,0 +1,160 @@
+"""What a valve type provides: a section of the rig file, voltages, a regulator and a law for the simulator.
+
+`rig.valves.registry` registers the types; docs/how-to/extend-softrig.md shows a minimal one.
+"""
+
+# ruff: noqa: N815 - volts keep their capital, as in V and mV
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Annotated, Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from protocols.validation import ValidationFault
+from rig.config.sections import (
+    PA_PER_BAR,
+    ActuatorNumber,
+    Control,
+    Index,
+    Limits,
+    NonNegative,
+    Positive,
+    Section,
+    VoltSpan,
+    Word,
+)
+from rig.valves.iso6358 import ATMOSPHERE_PA
+
+REFERENCE_SHARE = 0.5
+"""Bandwidth of the set-point filter as a share of the loop's: it is slower than the disturbance rejection."""
+
+Faults = Iterator[ValidationFault]
+Law = Callable[[NDArray[np.float64], float, float], tuple[float, float]]
+"""See `ValveSection.law`."""
+
+
+class RegulatorState(NamedTuple):
+    """State of one regulator after a step; `valve_v` is the voltage to write.
+
+    `reference_pa` is the set-point after the rate limit, `asked_pa_s` the rate of pressure change that the voltage
+    should cause, `integral_pa_s` its part that compensates leakage. `reference_pa` is NaN before the first
+    step, which starts it at the measured pressure.
+    """
+
+    reference_pa: float = math.nan
+    integral_pa_s: float = 0.0
+    asked_pa_s: float = 0.0
+    valve_v: float = math.nan
+
+
+@dataclass(frozen=True)
+class Regulator(ABC):
+    """Settings of one valve's regulator in SI: indices (from 0) of its actuators, rate limit and set-point filter."""
+
+    actuators: tuple[int, ...]
+    rate_limit_pa_s: float
+    filter_per_s: float
+
+    @abstractmethod
+    def command(
+        self, integral_pa_s: float, dt_s: float, measured_pa: float, reference_pa: float, reference_rate_pa_s: float
+    ) -> RegulatorState:
+        """The state after a step of `dt_s` towards a filtered set-point; gauge pressures [Pa]."""
+
+
+@dataclass(frozen=True)
+class ValveTruth:
+    """One simulated valve; the defaults describe a valve whose law needs none of them.
+
+    `parameters` are the first argument of the law. `leak` is the sonic conductance [m3/(s Pa)] of the closed valve
+    from the supply at `supply_pa` (absolute) and to the exhaust; the spool follows the voltage within
+    `half_hysteresis_v`.
+    """
+
+    parameters: tuple[float, ...]
+    closed_v: float = 0.0
+    fill_sign: float = 1.0
+    half_hysteresis_v: float = 0.0
+    leak: float = 0.0
+    supply_pa: float = ATMOSPHERE_PA
+    critical_ratio: float = 0.3
+
+
+class SimulatedValve(Section):
+    """True parameters of every valve. `spool_*` apply to all types, the others to flow-metering valves."""
+
+    spool_hz: Positive
+    spool_damping: Positive = 0.7
+    hysteresis_percent: NonNegative = 0.4
+    leakage_l_min: NonNegative
+    dead_zone_V: NonNegative
+    flow_scale: Positive = 1.0
+
+
+class ValveSection(Section, ABC):
+    """One valve of the rig file: the keys and methods that every type has. A type adds `type` and keys of its own."""
+
+    type: str
+    actuators: Annotated[tuple[ActuatorNumber, ...], Field(min_length=1)]
+    card: Word
+    channel: Index
+    range_V: VoltSpan = (0.0, 10.0)
+    safe_state: Literal["vent", "hold"] = "vent"
+
+    @property
+    @abstractmethod
+    def vent_v(self) -> float:
+        """The voltage that vents the chambers."""
+
+    @property
+    def closed_v(self) -> float | None:
+        """The voltage that stops the flow when control has no sample; None if the valve keeps its voltage then."""
+        return None
+
+    def safe_v(self, *, vent: bool = False) -> float:
+        """The voltage of the safe state: vented, or closed where the rig file holds the pressure and not `vent`."""
+        held = self.safe_state == "hold" and not vent
+        return self.closed_v if held and self.closed_v is not None else self.vent_v
+
+    @property
+    def fills_at_power_up(self) -> bool:
+        """True if 0 V, the voltage of an attached card, fills the chambers."""
+        return False
+
+    @abstractmethod
+    def regulator(self, limits: Limits, control: Control) -> Regulator:
+        """The regulator of this valve."""
+
+    @abstractmethod
+    def simulated(self, truth: SimulatedValve) -> ValveTruth:
+        """This valve in the simulator."""
+
+    @staticmethod
+    @abstractmethod
+    def law(parameters: NDArray[np.float64], spool_v: float, offset_v: float) -> tuple[float, float]:
+        """The law of the simulated valve; the simulator compiles it with numba.
+
+        `parameters` are those of `simulated`; `offset_v` is the distance of the spool's voltage from the closed one,
+        positive towards filling. Returns the sonic conductance of the open path [m3/(s Pa)], negative towards the
+        exhaust, and the absolute pressure [Pa] that the valve holds by itself, 0 if it holds none.
+        """
+
+    def faults(self) -> Faults:
+        """Faults between the keys of this section; paths start at the section."""
+        yield from ()
+
+    def reach_faults(self, pressure_bar: float) -> Faults:
+        """Faults that keep the valve from reaching the limit of the pressure (gauge); paths start at the section."""
+        yield from ()
+
+    def _filter(self, limits: Limits, control: Control) -> tuple[tuple[int, ...], float, float]:
+        """The fields that every regulator has."""
+        filter_per_s = REFERENCE_SHARE * 2 * math.pi * control.bandwidth_hz
+        return tuple(a - 1 for a in self.actuators), limits.rate_bar_per_s * PA_PER_BAR, filter_per_s

@@ -1,0 +1,251 @@
+"""A proportional valve that meters flow: section, regulator and law of the simulator.
+
+The physics and the reasons for the regulator's terms are in docs/explanation/control.md. Pressures are gauge, SI
+throughout, where a name does not say otherwise.
+"""
+
+# ruff: noqa: N815 - volts keep their capital, as in V and mV
+
+from __future__ import annotations
+
+import itertools
+import math
+from bisect import bisect_right
+from dataclasses import dataclass
+from typing import Annotated, Literal, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from protocols.validation import ValidationFault
+from rig.config.sections import PA_PER_BAR, Bar, Control, Limits, NonNegative, Positive, Volt
+from rig.valves.base import Faults, Regulator, RegulatorState, SimulatedValve, ValveSection, ValveTruth
+from rig.valves.iso6358 import ANR_PA, ATMOSPHERE_PA, flow_function, sonic_conductance
+
+SOFT_FRACTION = 0.005
+"""Smaller openings cross the dead zone linearly instead of with a jump, so that noise does not wear the spool."""
+
+FLOW_FUNCTION_FLOOR = 0.15
+"""Lower bound of the flow function as a divisor; reached when the chamber is within about 0.01 bar of the port."""
+
+LARGEST_LEAK = 0.15
+"""Bound of the integral as a fraction of the full choked flow from the supply: data sheets specify at most 0.07."""
+
+VENTED_PA = 500.0
+"""A lower reference means an empty chamber: the valve is opened to the exhaust without regulation."""
+
+
+@dataclass(frozen=True)
+class FlowRegulator(Regulator):
+    """PI control of the pressure with feed-forward, linearised by the flow through the valve (ISO 6358)."""
+
+    gain_per_s: float
+    integral_per_s2: float
+    volume_m3: float
+    conductance: float
+    critical_ratio: float
+    supply_pa: float
+    closed_v: float
+    fill_sign: float
+    vent_v: float
+    low_v: float
+    high_v: float
+    fractions: tuple[float, ...]
+    offsets_v: tuple[float, ...]
+
+    def command(
+        self, integral_pa_s: float, dt_s: float, measured_pa: float, reference_pa: float, reference_rate_pa_s: float
+    ) -> RegulatorState:
+        """The opening whose flow changes the pressure by the wanted rate."""
+        integral = integral_pa_s
+        if reference_pa < VENTED_PA and reference_rate_pa_s <= 0.0:
+            return RegulatorState(reference_pa, integral, integral, self.vent_v)
+        error = reference_pa - measured_pa
+        asked = reference_rate_pa_s + self.gain_per_s * error + integral
+        full_rate = self._full_rate_pa_s(asked, measured_pa)
+        fraction = asked / full_rate
+        saturated = abs(fraction) >= 1.0
+        if saturated:
+            fraction = math.copysign(1.0, fraction)
+            asked = fraction * full_rate
+        if not (saturated and error * fraction > 0.0):
+            bound = LARGEST_LEAK * self.conductance * (self.supply_pa + ATMOSPHERE_PA) * ANR_PA / self.volume_m3
+            integral = min(max(integral + self.integral_per_s2 * error * dt_s, -bound), bound)
+        offset = math.copysign(_interpolate(abs(fraction), self.fractions, self.offsets_v), fraction)
+        volts = min(max(self.closed_v + self.fill_sign * offset, self.low_v), self.high_v)
+        return RegulatorState(reference_pa, integral, asked, volts)
+
+    def rate_pa_s(self, offset_v: float, pressure_pa: float) -> float:
+        """The rate of the pressure that an offset from the closed voltage should cause; positive fills."""
+        fraction = float(np.interp(abs(offset_v), self.offsets_v, self.fractions))
+        return math.copysign(fraction, offset_v) * self._full_rate_pa_s(offset_v, pressure_pa)
+
+    def _full_rate_pa_s(self, direction: float, pressure_pa: float) -> float:
+        """The rate of the pressure, without a sign, of the valve open to the supply (positive) or the exhaust."""
+        supply, chamber = self.supply_pa + ATMOSPHERE_PA, max(pressure_pa, 0.0) + ATMOSPHERE_PA
+        upstream, downstream = (supply, chamber) if direction > 0.0 else (chamber, ATMOSPHERE_PA)
+        ease = max(flow_function(downstream / upstream, self.critical_ratio), FLOW_FUNCTION_FLOOR)
+        return self.conductance * upstream * ease * ANR_PA / self.volume_m3
+
+
+class FlowValve(ValveSection):
+    """A proportional 5/3-way valve that meters flow (Festo MPYE): the chamber hangs on one port, the other is plugged.
+
+    `fills` says on which side of `closed_V` the chamber is connected to the supply.
+    """
+
+    type: Literal["flow"]
+    closed_V: Volt = 5.0
+    fills: Literal["above", "below"] = "above"
+    dead_zone_V: NonNegative
+    full_flow_l_min: Positive = Field(description="normal litres per minute fully open at 6 -> 5 bar gauge")
+    flow_curve_V: Annotated[tuple[NonNegative, ...], Field(min_length=2)] = Field(description="volts from closed")
+    flow_curve_percent: Annotated[tuple[NonNegative, ...], Field(min_length=2)] = Field(description="of full flow")
+    supply_bar: Bar = Field(description="gauge pressure at the supply port")
+    critical_ratio: Annotated[float, Field(gt=0, lt=1, strict=True)] = Field(default=0.3, description="b of ISO 6358")
+
+    @property
+    def fill_sign(self) -> float:
+        """+1 where a higher voltage fills the chamber, -1 where a lower one does."""
+        return 1.0 if self.fills == "above" else -1.0
+
+    @property
+    def vent_v(self) -> float:
+        """The voltage that opens the valve to the exhaust completely."""
+        return self.range_V[0] if self.fills == "above" else self.range_V[1]
+
+    @property
+    def closed_v(self) -> float:
+        """The middle of the dead zone."""
+        return self.closed_V
+
+    @property
+    def fills_at_power_up(self) -> bool:
+        """True if a lower voltage fills the chambers."""
+        return self.fills == "below"
+
+    def opening_curve(self, dead_zone_v: float) -> tuple[tuple[float, ...], tuple[float, ...]]:
+        """Volts from closed and the fraction of the full flow they open, both increasing from the dead zone's edge on.
+
+        With the dead zone of the rig file, this is the curve of the data sheet without its part below the dead zone.
+        Another dead zone shifts the whole curve along the voltage axis, like a spool with another overlap.
+        """
+        shift = dead_zone_v - self.dead_zone_V
+        pairs = [
+            (v + shift, percent / 100.0)
+            for v, percent in zip(self.flow_curve_V, self.flow_curve_percent, strict=True)
+            if v > self.dead_zone_V and percent > 0
+        ]
+        return (dead_zone_v, *(v for v, _ in pairs)), (0.0, *(f for _, f in pairs))
+
+    def regulator(self, limits: Limits, control: Control) -> FlowRegulator:
+        """The pressure control of this valve."""
+        actuators, rate_limit, filter_per_s = self._filter(limits, control)
+        gain = 2 * math.pi * control.bandwidth_hz
+        volts, fractions = self.opening_curve(self.dead_zone_V)
+        soft_v = _interpolate(SOFT_FRACTION, fractions, volts)
+        above = [(f, v) for f, v in zip(fractions, volts, strict=True) if f > SOFT_FRACTION]
+        return FlowRegulator(
+            actuators=actuators,
+            rate_limit_pa_s=rate_limit,
+            filter_per_s=filter_per_s,
+            gain_per_s=gain,
+            integral_per_s2=gain / control.integral_s,
+            volume_m3=control.volume_ml * 1e-6 * len(actuators),
+            conductance=sonic_conductance(self.full_flow_l_min, self.critical_ratio),
+            critical_ratio=self.critical_ratio,
+            supply_pa=self.supply_bar * PA_PER_BAR,
+            closed_v=self.closed_V,
+            fill_sign=self.fill_sign,
+            vent_v=self.vent_v,
+            low_v=self.range_V[0],
+            high_v=self.range_V[1],
+            fractions=(0.0, SOFT_FRACTION, *(f for f, _ in above)),
+            offsets_v=(0.0, soft_v, *(v for _, v in above)),
+        )
+
+    def simulated(self, truth: SimulatedValve) -> ValveTruth:
+        """The stated valve with the true dead zone, flow, leakage and hysteresis."""
+        volts, fractions = self.opening_curve(truth.dead_zone_V)
+        conductance = truth.flow_scale * sonic_conductance(self.full_flow_l_min, self.critical_ratio)
+        return ValveTruth(
+            parameters=(conductance, *volts, *fractions),
+            closed_v=self.closed_V,
+            fill_sign=self.fill_sign,
+            half_hysteresis_v=truth.hysteresis_percent / 200.0 * (self.range_V[1] - self.range_V[0]),
+            leak=sonic_conductance(truth.leakage_l_min, self.critical_ratio),
+            supply_pa=self.supply_bar * PA_PER_BAR + ATMOSPHERE_PA,
+            critical_ratio=self.critical_ratio,
+        )
+
+    @staticmethod
+    def law(parameters: NDArray[np.float64], spool_v: float, offset_v: float) -> tuple[float, float]:
+        """`parameters` are the full conductance, the voltages of the curve and their fractions."""
+        n = (len(parameters) - 1) // 2
+        volts, fractions = parameters[1 : n + 1], parameters[n + 1 :]
+        distance = abs(offset_v)
+        fraction = fractions[n - 1]
+        if distance <= volts[0]:
+            fraction = 0.0
+        else:
+            for i in range(1, n):
+                if distance < volts[i]:
+                    slope = (fractions[i] - fractions[i - 1]) / (volts[i] - volts[i - 1])
+                    fraction = fractions[i - 1] + (distance - volts[i - 1]) * slope
+                    break
+        return math.copysign(parameters[0] * fraction, offset_v), 0.0
+
+    def faults(self) -> Faults:
+        """A closed voltage outside the range, and faults of the curve."""
+        low, high = self.range_V
+        if not low < self.closed_V < high:
+            yield ValidationFault(("closed_V",), f"a voltage inside range_V, {low:g} to {high:g} V")
+        yield from flow_curve_faults(self)
+
+    def reach_faults(self, pressure_bar: float) -> Faults:
+        """A supply that is too low."""
+        if self.supply_bar <= pressure_bar:
+            expected = f"more than limits, pressure_bar ({pressure_bar:g} bar): the valve cannot fill that far"
+            yield ValidationFault(("supply_bar",), expected)
+
+
+class FlowCurve(Protocol):
+    """The flow curve of a valve, as stated in a rig file or found by a calibration."""
+
+    @property
+    def flow_curve_V(self) -> tuple[float, ...]:
+        """Voltages from the closed valve."""
+
+    @property
+    def flow_curve_percent(self) -> tuple[float, ...]:
+        """Per cent of the full flow at these voltages."""
+
+    @property
+    def dead_zone_V(self) -> float:
+        """Half width of the dead zone."""
+
+
+def flow_curve_faults(valve: FlowCurve) -> Faults:
+    """Yield the faults of a stated or calibrated flow curve; paths start at the valve's section."""
+    volts, percent = valve.flow_curve_V, valve.flow_curve_percent
+    if len(volts) != len(percent):
+        expected = f"{len(volts)} values, as many as flow_curve_V has, not {len(percent)}"
+        yield ValidationFault(("flow_curve_percent",), expected)
+    for name, values in (("flow_curve_V", volts), ("flow_curve_percent", percent)):
+        if values[0] != 0:
+            yield ValidationFault((name, 0), "0: the curve begins at the closed valve")
+        for i, (a, b) in enumerate(itertools.pairwise(values)):
+            if b <= a:
+                yield ValidationFault((name, i + 1), f"more than the value before, {a:g}: the curve must rise")
+    if percent[-1] > 100:
+        yield ValidationFault(("flow_curve_percent", len(percent) - 1), "at most 100 (% of full flow)")
+    if valve.dead_zone_V >= volts[-1]:
+        yield ValidationFault(("dead_zone_V",), f"less than the end of flow_curve_V, {volts[-1]:g} V")
+
+
+def _interpolate(x: float, xs: tuple[float, ...], ys: tuple[float, ...]) -> float:
+    if x >= xs[-1]:
+        return ys[-1]
+    i = bisect_right(xs, x)
+    return ys[i - 1] + (x - xs[i - 1]) * (ys[i] - ys[i - 1]) / (xs[i] - xs[i - 1])
