@@ -8,8 +8,8 @@ from pathlib import Path
 
 from protocols.document import read_text
 from protocols.problems import BadInputError, Problem, closest
-from protocols.schema import HIGHEST_BAR, LONGEST_S
 from protocols.source_positions import shortened
+from protocols.steps.base import HIGHEST_BAR, LONGEST_S
 
 LARGEST_FILE = 20_000_000
 MOST_PROBLEMS = 20

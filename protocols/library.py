@@ -10,12 +10,12 @@ from pathlib import Path
 from typing import Any
 
 from protocols import document as yaml_document
-from protocols.csv_samples import Columns, read_samples
 from protocols.document import Document
 from protocols.expansion import expand, too_long
 from protocols.problems import BadInputError, Problem
-from protocols.schema import Csv, ProtocolFile, Repeat, Step
+from protocols.schema import ProtocolFile, Repeat, Step
 from protocols.source_positions import path_text, shortened
+from protocols.steps.base import LeafStep
 from protocols.trajectory import Trajectory
 
 FOLDER = Path(__file__).parent / "library"
@@ -37,11 +37,11 @@ class Protocol:
     steps: tuple[Step, ...] = field(repr=False)
     files: dict[str, str] = field(repr=False)
     _document: Document = field(repr=False)
-    _samples: dict[tuple[str, tuple[int, ...]], Columns] = field(repr=False)
+    _data: dict[LeafStep, Any] = field(repr=False)
 
     def expand(self, actuators: int) -> Trajectory:
         """The set-points over time for a rig with so many actuators; `BadInputError` if it has too few."""
-        return expand(self.steps, actuators, self._document, self._samples)
+        return expand(self.steps, actuators, self._document, self._data)
 
     def step_at(self, line: int) -> tuple[str, int]:
         """The path in words and the column of the step that a segment's `line` points to."""
@@ -62,18 +62,18 @@ def load(name_or_path: str | Path) -> Protocol:
     document = yaml_document.read(path)
     body = yaml_document.validate(ProtocolFile, document)
     problems = too_long(body.steps, document)
-    samples: dict[tuple[str, tuple[int, ...]], Columns] = {}
+    data: dict[LeafStep, Any] = {}
     files: dict[str, str] = {}
     for here, step in _leaves(body.steps, ("steps",)):
-        if isinstance(step, Csv) and (step.file, step.actuators) not in samples:
+        if step not in data:
             try:
-                columns, files[step.file] = read_samples(path.parent / step.file, step.actuators)
-                samples[step.file, step.actuators] = columns
+                data[step], texts = step.read(path.parent)
+                files |= texts
             except BadInputError as error:
                 problems += [_named_by(problem, document, here) for problem in error.problems]
     if problems:
         raise BadInputError(dict.fromkeys(problems))
-    return Protocol(path.stem, body.title, body.description, path, document.text, body.steps, files, document, samples)
+    return Protocol(path.stem, body.title, body.description, path, document.text, body.steps, files, document, data)
 
 
 def find(name: str, folder: Path, what: str) -> Path:
@@ -97,11 +97,10 @@ def find(name: str, folder: Path, what: str) -> Path:
     raise BadInputError([Problem(shown, 0, 0, "", "", expected, " or ".join(nearby))])
 
 
-def _leaves(steps: Sequence[Step], base: tuple[str | int, ...]) -> Iterator[tuple[tuple[str | int, ...], Any]]:
+def _leaves(steps: Sequence[Step], base: tuple[str | int, ...]) -> Iterator[tuple[tuple[str | int, ...], LeafStep]]:
     """Path and content of every step that is not made of steps."""
     for index, step in enumerate(steps):
-        body = getattr(step, step.kind)
-        here = (*base, index, step.kind)
+        body, here = step.body, (*base, index, step.kind)
         if isinstance(body, Repeat):
             yield from _leaves(body.steps, (*here, "steps"))
         elif isinstance(body, tuple):

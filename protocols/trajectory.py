@@ -16,8 +16,8 @@ from protocols.waveforms import Waveform
 class Segment:
     """A time interval of the protocol with one waveform per actuator.
 
-    `kind` is `dwell` (one level of a staircase), `rise` (the way to it), `ramp`, `sine`, `hold`, `csv`, `lead-in` or
-    `prompt`; `actuators` are the numbers, from 1, that it drives; `line` is its step's in the protocol's YAML (from
+    `kind` is the kind of its step, or what the step makes of it: `dwell` and `rise` (one level of a staircase and the
+    way to it), `lead-in`. `actuators` are the numbers, from 1, that it drives; `line` is its step's in the protocol's YAML (from
     1); `level_pa` is the set-point of every actuator at its end, gauge [Pa].
     """
 
@@ -30,6 +30,8 @@ class Segment:
     level_pa: tuple[float, ...]
     waves: tuple[tuple[int, Waveform], ...] = field(default=(), repr=False)
     """Actuator index (from 0) and waveform of the moving actuators; the others are constant at `level_pa`."""
+    jumps: bool = False
+    """True if the set-points may change in a step at its start."""
 
     @property
     def still(self) -> bool:

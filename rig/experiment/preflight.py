@@ -9,9 +9,6 @@ from protocols import Problem, Protocol, Segment, Trajectory
 from rig.config.schema import RigConfig
 from rig.config.sections import PA_PER_BAR
 
-COMMANDED_JUMPS = {"dwell", "hold"}
-"""Segment kinds that may start with a step of the set-point."""
-
 JUMP_PA = 500.0
 """Largest change between segments that is not a jump; half the accuracy of the paper's sensors."""
 
@@ -84,7 +81,7 @@ class _PreflightCheck:
         first = segment.level_at(segment.start_s)
         for index, (old, new) in enumerate(zip(before, first, strict=True)):
             jump = abs(new - old)
-            if segment.kind not in COMMANDED_JUMPS and jump > JUMP_PA:
+            if not segment.jumps and jump > JUMP_PA:
                 found = f"actuator {index + 1} jumps from {_bar(old)} to {_bar(new)}"
                 expected = "a start where the set-point stands; give this step lead_in_s, or put a ramp before it"
                 yield "jump", jump, self._problem(segment, found, expected)

@@ -1,0 +1,140 @@
+"""What the steps of a protocol have in common: checked values, and the methods that turn a step into segments.
+
+Levels are gauge pressures in bar, times in seconds. A number that may differ between actuators is either one number
+for all of them or a list with one number for each, in the order of `actuators`.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Any, Protocol
+
+from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag
+from pydantic.json_schema import SkipJsonSchema
+
+from protocols.validation import ValidationFault
+from protocols.waveforms import Waveform
+
+MOST_SEGMENTS = 20_000
+LONGEST_S = 1e6
+HIGHEST_BAR = 100.0
+
+
+def _list_or_number(value: Any) -> str:
+    return "each" if isinstance(value, list | tuple) else "all"
+
+
+Bar = Annotated[float, Field(ge=0, le=HIGHEST_BAR, allow_inf_nan=False, strict=True)]
+BarAbove = Annotated[float, Field(gt=0, le=HIGHEST_BAR, allow_inf_nan=False, strict=True)]
+Grams = Annotated[float, Field(ge=0, le=1e5, allow_inf_nan=False, strict=True)]
+Number = Annotated[float, Field(ge=-1e6, le=1e6, allow_inf_nan=False, strict=True)]
+Positive = Annotated[float, Field(gt=0, le=LONGEST_S, allow_inf_nan=False, strict=True)]
+Seconds = Annotated[float, Field(gt=0, le=LONGEST_S, allow_inf_nan=False, strict=True)]
+SecondsOrNone = Annotated[float, Field(ge=0, le=LONGEST_S, allow_inf_nan=False, strict=True)]
+Actuator = Annotated[int, Field(ge=1, le=64, strict=True)]
+Actuators = Annotated[tuple[Actuator, ...], Field(min_length=1, description="numbers of the actuators it drives")]
+Text = Annotated[str, Field(min_length=1)]
+
+BarEach = Annotated[
+    Annotated[Bar, Tag("all")] | Annotated[tuple[Bar, ...], Tag("each")], Discriminator(_list_or_number)
+]
+NumberEach = Annotated[
+    Annotated[Number, Tag("all")] | Annotated[tuple[Number, ...], Tag("each")], Discriminator(_list_or_number)
+]
+PositiveEach = Annotated[
+    Annotated[Positive, Tag("all")] | Annotated[tuple[Positive, ...], Tag("each")], Discriminator(_list_or_number)
+]
+
+
+class StepPart(BaseModel):
+    """A mapping of the YAML: unknown keys are errors, nothing is coerced."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, defer_build=True)
+
+
+class Player(Protocol):
+    """What a step sees of the expansion: the set-points so far [Pa], and the segments that it appends."""
+
+    def level_pa(self, actuators: Sequence[int]) -> list[float]:
+        """The present set-points of some actuators, numbered from 1."""
+
+    def data(self, step: LeafStep) -> Any:
+        """What the step's `read` has returned."""
+
+    def move(
+        self, kind: str, label: str, actuators: tuple[int, ...], duration_s: float, waves: Sequence[Waveform]
+    ) -> None:
+        """Append a segment that moves the set-points, one waveform [Pa] for each actuator."""
+
+    def stand(
+        self, kind: str, label: str, actuators: tuple[int, ...], duration_s: float, levels_pa: Sequence[float] = ()
+    ) -> None:
+        """Append a segment of constant set-points; with `levels_pa` its actuators jump to these first."""
+
+    def prompt(self, message: str, weight_g: float | None) -> None:
+        """Pause here until the operator confirms the message."""
+
+
+class LeafStep(StepPart, ABC):
+    """A step that takes time. `protocols.schema.Step` registers the kinds."""
+
+    @abstractmethod
+    def play(self, player: Player) -> None:
+        """Append the segments of the step."""
+
+    @property
+    def most_segments(self) -> tuple[int, tuple[str, ...]]:
+        """How many segments the step makes at most, and the path of the value that decides it."""
+        return 1, ()
+
+    def read(self, folder: Path) -> tuple[Any, dict[str, str]]:
+        """Read the files that the step names, relative to the protocol's folder: their content, and texts by name.
+
+        Raises:
+            BadInputError: a file cannot be used.
+        """
+        return None, {}
+
+
+class MotionStep(LeafStep, ABC):
+    """A step that moves or holds pressures."""
+
+    label: Text | SkipJsonSchema[None] = Field(default=None, description="its name in reports")
+
+
+def each(value: float | tuple[float, ...], count: int) -> tuple[float, ...]:
+    """One value per actuator, from one for all or one for each."""
+    return value if isinstance(value, tuple) else (value,) * count
+
+
+def fits(actuators: Sequence[int], values: dict[str, float | tuple[float, ...] | None]) -> list[ValidationFault]:
+    found = []
+    twice = sorted({number for number in actuators if list(actuators).count(number) > 1})
+    if twice:
+        found.append(ValidationFault(("actuators",), f"each actuator once; {twice[0]} is named twice"))
+    for name, value in values.items():
+        if isinstance(value, tuple) and len(value) != len(actuators):
+            found.append(
+                ValidationFault(
+                    (name,), f"one number, or one for each of the {len(actuators)} actuators, not {len(value)}"
+                )
+            )
+    return found
+
+
+def one_of(names: Sequence[str], given: Sequence[object]) -> list[ValidationFault]:
+    """The fault of keys of which not exactly one is given."""
+    present = [name for name, value in zip(names, given, strict=True) if value is not None]
+    if len(present) == 1:
+        return []
+    if not present:
+        return [ValidationFault((), f"needs {' or '.join(names)}")]
+    return [ValidationFault((present[-1],), f"{' or '.join(names)}, not both")]
+
+
+def levels_text(bar: float | tuple[float, ...]) -> str:
+    """Levels as a label: '0.1 / 0.2 bar'."""
+    values = bar if isinstance(bar, tuple) else (bar,)
+    return " / ".join(f"{value:g}" for value in values) + " bar"

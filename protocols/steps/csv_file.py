@@ -1,0 +1,50 @@
+"""Set-points from a CSV file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Literal
+
+from pydantic import Field, model_validator
+
+from protocols.csv_samples import read_samples
+from protocols.decimals import pa
+from protocols.steps.base import Actuators, MotionStep, Player, SecondsOrNone, Text, fits
+from protocols.validation import faults
+from protocols.waveforms import Samples, Smooth
+
+
+class Csv(MotionStep):
+    """Set-points from a CSV file beside the protocol: a column `time_s` and a column `actuator_N_bar` for each
+    actuator. Time counts from the first row. With `lead_in_s` the first values are approached smoothly.
+    """
+
+    file: Text = Field(description="path, relative to the protocol's folder")
+    actuators: Actuators
+    between: Literal["linear", "hold"] = Field(default="linear", description="what happens between the rows")
+    lead_in_s: SecondsOrNone = 0.0
+
+    @model_validator(mode="after")
+    def _check(self) -> Csv:
+        faults(fits(self.actuators, {}))
+        return self
+
+    def play(self, player: Player) -> None:
+        """The smooth way to the first row, if it takes time, and the rows."""
+        waves: tuple[Samples, ...] = player.data(self)
+        label = self.label or self.file
+        if self.lead_in_s > 0:
+            leads = [
+                Smooth(start, wave.values[0], self.lead_in_s)
+                for start, wave in zip(player.level_pa(self.actuators), waves, strict=True)
+            ]
+            player.move("lead-in", f"into {label}", self.actuators, self.lead_in_s, leads)
+        player.move("csv", label, self.actuators, waves[0].times_s[-1], waves)
+
+    def read(self, folder: Path) -> tuple[tuple[Samples, ...], dict[str, str]]:
+        """The waveform of each actuator, and the text of the file."""
+        columns, text = read_samples(folder / self.file, self.actuators)
+        held = self.between == "hold"
+        return tuple(Samples(columns.times_s, tuple(map(pa, column)), held) for column in columns.bar), {
+            self.file: text
+        }

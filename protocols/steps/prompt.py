@@ -1,0 +1,29 @@
+"""A prompt to the operator."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import Field
+from pydantic.json_schema import SkipJsonSchema
+
+from protocols.steps.base import LeafStep, Player, Text
+
+PROMPT_S = 0.1
+"""Duration of a prompt's segment, in which the set-points are constant."""
+
+Grams = Annotated[float, Field(ge=0, le=1e5, allow_inf_nan=False, strict=True)]
+
+
+class PromptStep(LeafStep):
+    """What the operator has to do; the run waits until it is confirmed. With `weight_g` the model, and a simulated
+    arm, carry that weight on the end cap from then on; without, what hangs there stays.
+    """
+
+    message: Text
+    weight_g: Grams | SkipJsonSchema[None] = Field(default=None, description="hung on the end cap from now on")
+
+    def play(self, player: Player) -> None:
+        """A short segment in which nothing moves, and the prompt at its start."""
+        player.prompt(self.message, self.weight_g)
+        player.stand("prompt", self.message, (), PROMPT_S)

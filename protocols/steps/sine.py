@@ -1,0 +1,88 @@
+"""Sinusoids."""
+
+from __future__ import annotations
+
+import math
+
+from pydantic import Field, model_validator
+from pydantic.json_schema import SkipJsonSchema
+
+from protocols.decimals import pa
+from protocols.steps.base import (
+    Actuators,
+    BarEach,
+    MotionStep,
+    NumberEach,
+    Player,
+    Positive,
+    PositiveEach,
+    Seconds,
+    SecondsOrNone,
+    each,
+    fits,
+    one_of,
+)
+from protocols.validation import ValidationFault, faults
+from protocols.waveforms import Fade, Sinusoid
+
+
+class Sine(MotionStep):
+    """mean + amplitude sin(omega t + phase), t from the start of the sinusoid. With `lead_in_s` the set-points first
+    fade smoothly from where they stand into the sinusoid; without, they jump to its first value.
+    """
+
+    actuators: Actuators
+    mean_bar: BarEach
+    amplitude_bar: BarEach
+    omega_rad_s: PositiveEach | SkipJsonSchema[None] = Field(default=None, description="angular frequency")
+    frequency_hz: PositiveEach | SkipJsonSchema[None] = Field(default=None, description="instead of omega_rad_s")
+    phase_deg: NumberEach | SkipJsonSchema[None] = Field(default=None, description="at the start; 0 if left out")
+    phase_rad: NumberEach | SkipJsonSchema[None] = Field(default=None, description="instead of phase_deg")
+    duration_s: Seconds | SkipJsonSchema[None] = None
+    periods: Positive | SkipJsonSchema[None] = Field(default=None, description="instead of duration_s")
+    lead_in_s: SecondsOrNone = 0.0
+
+    @model_validator(mode="after")
+    def _check(self) -> Sine:
+        names = ("mean_bar", "amplitude_bar", "omega_rad_s", "frequency_hz", "phase_deg", "phase_rad")
+        found = fits(self.actuators, {name: getattr(self, name) for name in names})
+        found += one_of(("omega_rad_s", "frequency_hz"), (self.omega_rad_s, self.frequency_hz))
+        found += one_of(("duration_s", "periods"), (self.duration_s, self.periods))
+        if self.phase_deg is not None and self.phase_rad is not None:
+            found.append(ValidationFault(("phase_rad",), "phase_deg or phase_rad, not both"))
+        speeds = self.omega_rad_s if self.frequency_hz is None else self.frequency_hz
+        if self.periods is not None and isinstance(speeds, tuple) and len(set(speeds)) > 1:
+            found.append(ValidationFault(("periods",), "duration_s, because the frequencies differ"))
+        count = len(self.actuators)
+        if not found:
+            for mean, amplitude in zip(each(self.mean_bar, count), each(self.amplitude_bar, count), strict=True):
+                if amplitude > mean:
+                    expected = f"an amplitude up to the mean ({mean:g} bar): the pressure would fall below 0"
+                    found.append(ValidationFault(("amplitude_bar",), expected))
+                    break
+        faults(found)
+        return self
+
+    def play(self, player: Player) -> None:
+        """The fade into the sinusoids, if it takes time, and the sinusoids."""
+        count = len(self.actuators)
+        if self.omega_rad_s is not None:
+            omegas = each(self.omega_rad_s, count)
+        else:
+            omegas = tuple(2 * math.pi * hz for hz in each(self.frequency_hz or 0.0, count))
+        if self.phase_rad is not None:
+            phases = each(self.phase_rad, count)
+        else:
+            phases = tuple(math.radians(deg) for deg in each(self.phase_deg or 0.0, count))
+        means, amplitudes = each(self.mean_bar, count), each(self.amplitude_bar, count)
+        sines = [
+            Sinusoid(pa(mean), pa(amplitude), omega, phase)
+            for mean, amplitude, omega, phase in zip(means, amplitudes, omegas, phases, strict=True)
+        ]
+        label = self.label or "sine"
+        if self.lead_in_s > 0:
+            starts = player.level_pa(self.actuators)
+            fades = [Fade(start, sine, self.lead_in_s) for start, sine in zip(starts, sines, strict=True)]
+            player.move("lead-in", f"into {label}", self.actuators, self.lead_in_s, fades)
+        duration_s = self.duration_s if self.duration_s is not None else (self.periods or 0) * 2 * math.pi / omegas[0]
+        player.move("sine", label, self.actuators, duration_s, sines)
