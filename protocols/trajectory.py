@@ -17,8 +17,8 @@ class Segment:
     """A time interval of the protocol with one waveform per actuator.
 
     `kind` is the kind of its step, or what the step makes of it: `dwell` and `rise` (one level of a staircase and the
-    way to it), `lead-in`. `actuators` are the numbers, from 1, that it drives; `line` is its step's in the protocol's YAML (from
-    1); `level_pa` is the set-point of every actuator at its end, gauge [Pa].
+    way to it), `lead-in`. `actuators` are the numbers, from 1, that it drives; `line` is its step's in the protocol's
+    YAML (from 1); `level_pa` is the set-point of every actuator at its end, gauge [Pa].
     """
 
     start_s: float

@@ -81,26 +81,23 @@ class BenchDriver:
         assert isinstance(settings, FlowRegulator)
         command_v[valve] = settings.closed_v + settings.fill_sign * offset_v
         chambers = list(settings.actuators)
-        watches = [SensorState() for _ in range(self._config.actuators)]
+        states = (SensorState(),) * self._config.actuators
         start: float | None = None
         rows = _Rows()
         before: int | None = None
         for now in self._period(seconds, None):
             rows.take(*self._listen())
             sample = self._sample(now)
-            trip = interlocks.stale(self._prepared.limits, sample) or interlocks.broken(self._prepared.limits, sample)
-            if trip is None and sample.scan_t_ns != before:
-                dt = self._period_s if before is None else (sample.scan_t_ns - before) * 1e-9
-                before = sample.scan_t_ns
-                for i, watch in enumerate(watches):
-                    pressure = float(sample.pressure_pa[i])
-                    # The reference follows the reading, so only level, rate and a frozen reading can trip.
-                    rate = settings.rate_pa_s(offset_v, pressure) if i in chambers else 0.0
-                    demand = Demand(math.nan, pressure, rate, 0.0)
-                    watches[i], found = interlocks.step(
-                        self._prepared.limits, i, watch, dt, now, float(sample.volts[i]), pressure, demand
-                    )
-                    trip = trip or found
+            # The reference follows the reading, so only level, rate and a frozen reading can trip.
+            demands = [
+                Demand(math.nan, pressure, settings.rate_pa_s(offset_v, pressure) if i in chambers else 0.0, 0.0)
+                for i, pressure in enumerate(sample.pressure_pa.tolist())
+            ]
+            dt_s = self._period_s if before is None else (sample.scan_t_ns - before) * 1e-9
+            states, trip = interlocks.evaluate(
+                self._prepared.limits, states, sample, demands, dt_s, new=sample.scan_t_ns != before
+            )
+            before = sample.scan_t_ns
             if trip is not None:
                 raise TrippedError(trip.message)
             self._bench.write(command_v)

@@ -34,7 +34,7 @@ from rig.config.calibration_files import default_path, origin, rounded, sha256_o
 from rig.config.loader import load, path_of
 from rig.config.schema import RigConfig
 from rig.config.sections import PA_PER_BAR
-from rig.control.interlocks import settings as interlock_settings
+from rig.control.interlocks import PressureRate as RateInterlock
 from rig.execution.plan import StoppedError
 from rig.simulator.plant import Plant
 from rig.simulator.plant_launcher import simulated
@@ -257,7 +257,7 @@ def sweep(config: RigConfig, driver: BenchDriver, index: int) -> list[PressureRa
     for share in (FILL_FROM, VENT_FROM):
         reach(share)
         rates.append(watch(0.0, True, LEAK_S))
-    limit = FASTEST_SHARE * interlock_settings(config).rate_pa_s
+    limit = FASTEST_SHARE * RateInterlock.of(config, config.sensors[0]).limit_pa_s
     going = {1.0: True, -1.0: True}
     fastest = {1.0: (0.0, 0.0), -1.0: (0.0, 0.0)}
     room_v = min(valve.closed_V - valve.range_V[0], valve.range_V[1] - valve.closed_V) - KICK_V

@@ -1,13 +1,17 @@
 """Interlocks, the conditions that stop a run: a pure step function of the sensor readings.
 
-Each condition is explained in docs/explanation/control.md. Pressures are gauge; messages use bar.
+An interlock is an object with a limit; `SAMPLE_INTERLOCKS` and `ACTUATOR_INTERLOCKS` register them in the order in
+which trips are reported. Each condition is explained in docs/explanation/control.md. Pressures are gauge; messages use
+bar.
 """
 
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,32 +62,11 @@ class Trip:
 
 @dataclass(frozen=True)
 class SensorSettings:
-    """Limits of one sensor.
+    """What the state of one sensor depends on: one count of 16 bits, the accuracy, and the largest tracking error."""
 
-    `ceiling_v` is a saturated input, `count_v` one count of 16 bits. `response_s` is how long the pressure may take to
-    follow a moving reference: zero if the sensor controls a flow-metering valve, which would otherwise continue to
-    fill.
-    """
-
-    low_v: float
-    high_v: float
-    ceiling_v: float
     count_v: float
     accuracy_pa: float
-    response_s: float
-
-
-@dataclass(frozen=True)
-class Settings:
-    """The rig's limits in SI."""
-
-    sensors: tuple[SensorSettings, ...]
-    pressure_pa: float
-    rate_pa_s: float
     tracking_pa: float
-    tracking_s: float
-    frozen_s: float
-    stale_s: float
 
 
 class SensorState(NamedTuple):
@@ -117,61 +100,276 @@ class Demand(NamedTuple):
     integral_pa_s: float
 
 
-def settings(config: RigConfig) -> Settings:
-    """The rig's limits and sensors, in SI, sensors in the order of the actuators."""
-    limits = config.limits
-    sensors = sorted(config.sensors, key=lambda sensor: sensor.actuator)
-    metered = {a for valve in config.valves if valve.closed_v is not None for a in valve.actuators}
-    return Settings(
-        sensors=tuple(_sensor(s, 0.0 if s.actuator in metered else limits.frozen_s) for s in sensors),
-        pressure_pa=(limits.pressure_bar + limits.pressure_margin_bar) * PA_PER_BAR,
-        rate_pa_s=(limits.rate_bar_per_s + limits.rate_margin_bar_per_s) * PA_PER_BAR,
-        tracking_pa=limits.tracking_bar * PA_PER_BAR,
-        tracking_s=limits.tracking_s,
-        frozen_s=limits.frozen_s,
-        stale_s=limits.stale_s,
-    )
+class SampleInterlock(ABC):
+    """A condition of one sample, checked before all conditions of the actuators."""
+
+    @classmethod
+    @abstractmethod
+    def of(cls, config: RigConfig) -> Self:
+        """The interlock with the limits of a rig."""
+
+    @abstractmethod
+    def trip(self, sample: Sample, *, new: bool) -> Trip | None:
+        """The trip by a sample, None if the condition is not met; `new` is false if its scan was checked before."""
 
 
-def _sensor(sensor: Sensor, response_s: float) -> SensorSettings:
-    low, high = sorted(sensor.span_V)
-    count = (sensor.range_V[1] - sensor.range_V[0]) / SIXTEEN_BITS
-    return SensorSettings(
-        low_v=low - sensor.margin_V,
-        high_v=high + sensor.margin_V,
-        ceiling_v=sensor.range_V[1] - count,
-        count_v=count,
-        accuracy_pa=sensor.accuracy_bar * PA_PER_BAR,
-        response_s=response_s,
-    )
+class ActuatorInterlock(ABC):
+    """A condition of one actuator, checked for every new scan."""
+
+    @classmethod
+    @abstractmethod
+    def of(cls, config: RigConfig, sensor: Sensor) -> Self:
+        """The interlock with the limits of a rig, for the actuator of a sensor."""
+
+    @abstractmethod
+    def trip(self, t_ns: int, w: SensorState, asked: Demand) -> Trip | None:
+        """The trip by the state after a scan, None if the condition is not met."""
 
 
-def stale(s: Settings, sample: Sample) -> Trip | None:
-    """Trip when the newest scan is older than the limit `stale_s`.
+@dataclass(frozen=True)
+class StaleSamples(SampleInterlock):
+    """The newest scan is older than `stale_s`.
 
     The duration of a stall of the whole computer (its host took the processor away) does not count, so that the scans
     of the stall can be read first.
     """
-    age_s = (sample.t_ns - sample.scan_t_ns) * 1e-9
-    if age_s - sample.stalled_ns * 1e-9 <= s.stale_s:
-        return None
-    limit = f"(limit {s.stale_s * 1e3:.0f} ms)"
-    message = f"no pressure sample for {age_s * 1e3:.0f} ms {limit}" if sample.scan_t_ns else "no pressure sample yet"
-    return Trip(sample.t_ns, "stale samples", message, age_s, s.stale_s, "s")
 
+    stale_s: float
 
-def broken(s: Settings, sample: Sample) -> Trip | None:
-    """Trip when a voltage is not a pressure: outside the sensor's span, or at the end of the card's range."""
-    for i, (sensor, volts) in enumerate(zip(s.sensors, sample.volts.tolist(), strict=True)):
-        if sensor.low_v <= volts <= sensor.high_v and volts < sensor.ceiling_v:
-            continue
-        limit = sensor.low_v if volts < sensor.low_v else min(sensor.high_v, sensor.ceiling_v)
+    @classmethod
+    def of(cls, config: RigConfig) -> Self:
+        """The limit of the rig file."""
+        return cls(config.limits.stale_s)
+
+    def trip(self, sample: Sample, *, new: bool) -> Trip | None:
+        """Compare the age of the scan."""
+        age_s = (sample.t_ns - sample.scan_t_ns) * 1e-9
+        if age_s - sample.stalled_ns * 1e-9 <= self.stale_s:
+            return None
+        limit = f"(limit {self.stale_s * 1e3:.0f} ms)"
         message = (
-            f"sensor {i + 1} reads {volts:.3f} V, outside its span of {sensor.low_v:.2f} to "
-            f"{min(sensor.high_v, sensor.ceiling_v):.2f} V: sensor or wire broken"
+            f"no pressure sample for {age_s * 1e3:.0f} ms {limit}" if sample.scan_t_ns else "no pressure sample yet"
         )
-        return Trip(sample.t_ns, f"sensor {i + 1}", message, volts, limit, "V")
-    return None
+        return Trip(sample.t_ns, "stale samples", message, age_s, self.stale_s, "s")
+
+
+@dataclass(frozen=True)
+class BrokenSensors(SampleInterlock):
+    """A voltage is not a pressure: outside the electrical span of its sensor, or at the end of the input's range.
+
+    `spans_v` has the lowest and the highest voltage of each sensor, and the voltage of a saturated input.
+    """
+
+    spans_v: tuple[tuple[float, float, float], ...]
+
+    @classmethod
+    def of(cls, config: RigConfig) -> Self:
+        """The electrical spans of the sensors, in the order of the actuators."""
+        spans = []
+        for sensor in _ordered(config):
+            low, high = sorted(sensor.span_V)
+            spans.append((low - sensor.margin_V, high + sensor.margin_V, sensor.range_V[1] - _count_v(sensor)))
+        return cls(tuple(spans))
+
+    def trip(self, sample: Sample, *, new: bool) -> Trip | None:
+        """Compare each voltage of a new scan."""
+        for i, ((low, high, ceiling), volts) in enumerate(
+            zip(self.spans_v, sample.volts.tolist() if new else (), strict=new)
+        ):
+            if low <= volts <= high and volts < ceiling:
+                continue
+            limit = low if volts < low else min(high, ceiling)
+            message = (
+                f"sensor {i + 1} reads {volts:.3f} V, outside its span of {low:.2f} to "
+                f"{min(high, ceiling):.2f} V: sensor or wire broken"
+            )
+            return Trip(sample.t_ns, f"sensor {i + 1}", message, volts, limit, "V")
+        return None
+
+
+@dataclass(frozen=True)
+class OverPressure(ActuatorInterlock):
+    """The pressure is above the limit with its margin, or not a number."""
+
+    actuator: int
+    limit_pa: float
+
+    @classmethod
+    def of(cls, config: RigConfig, sensor: Sensor) -> Self:
+        """The limit of the rig file."""
+        limits = config.limits
+        return cls(sensor.actuator, (limits.pressure_bar + limits.pressure_margin_bar) * PA_PER_BAR)
+
+    def trip(self, t_ns: int, w: SensorState, asked: Demand) -> Trip | None:
+        """Compare the pressure."""
+        if w.pressure_pa <= self.limit_pa:
+            return None
+        return _trip_bar(t_ns, "over-pressure", f"actuator {self.actuator} is at", w.pressure_pa, self.limit_pa)
+
+
+@dataclass(frozen=True)
+class PressureRate(ActuatorInterlock):
+    """The filtered rate of the pressure is above the limit with its margin."""
+
+    actuator: int
+    limit_pa_s: float
+
+    @classmethod
+    def of(cls, config: RigConfig, sensor: Sensor) -> Self:
+        """The limit of the rig file."""
+        limits = config.limits
+        return cls(sensor.actuator, (limits.rate_bar_per_s + limits.rate_margin_bar_per_s) * PA_PER_BAR)
+
+    def trip(self, t_ns: int, w: SensorState, asked: Demand) -> Trip | None:
+        """Compare the rate."""
+        if not abs(w.rate_pa_s) > self.limit_pa_s:
+            return None
+        what = f"actuator {self.actuator} changes by"
+        return _trip_bar(t_ns, "pressure rate", what, w.rate_pa_s, self.limit_pa_s, "bar/s")
+
+
+@dataclass(frozen=True)
+class FrozenReading(ActuatorInterlock):
+    """The reading has not moved by one count for `frozen_s` although the valve should have changed the pressure."""
+
+    actuator: int
+    frozen_s: float
+    accuracy_pa: float
+
+    @classmethod
+    def of(cls, config: RigConfig, sensor: Sensor) -> Self:
+        """The limit of the rig file."""
+        return cls(sensor.actuator, config.limits.frozen_s, sensor.accuracy_bar * PA_PER_BAR)
+
+    def trip(self, t_ns: int, w: SensorState, asked: Demand) -> Trip | None:
+        """Compare the time without a change, and the change that should have come."""
+        expected = abs(w.expected_pa)
+        if not (w.anchor_s >= self.frozen_s and expected > EVIDENCE * self.accuracy_pa):
+            return None
+        name = f"sensor {self.actuator}"
+        message = (
+            f"{name} has not moved by one count for {w.anchor_s:.3f} s (limit {self.frozen_s:.3f} s) while its "
+            f"valve asked for {expected / PA_PER_BAR:.3f} bar: the sensor is frozen, or there is no air"
+        )
+        return Trip(t_ns, name, message, w.anchor_s, self.frozen_s, "s")
+
+
+@dataclass(frozen=True)
+class UnledReading(ActuatorInterlock):
+    """The reading moves by noise only while the reference leads it away.
+
+    `response_s` is how long the pressure may take to follow a moving reference: zero if the sensor controls a
+    flow-metering valve, which would otherwise continue to fill.
+    """
+
+    actuator: int
+    tracking_pa: float
+    response_s: float
+
+    @classmethod
+    def of(cls, config: RigConfig, sensor: Sensor) -> Self:
+        """The limits of the rig file, by the valve's type."""
+        valve = next(valve for valve in config.valves if sensor.actuator in valve.actuators)
+        response_s = 0.0 if valve.closed_v is not None else config.limits.frozen_s
+        return cls(sensor.actuator, config.limits.tracking_bar * PA_PER_BAR, response_s)
+
+    def trip(self, t_ns: int, w: SensorState, asked: Demand) -> Trip | None:
+        """Compare the way of the reference since the reading last moved."""
+        led = asked.reference_pa - w.left_reference_pa
+        if not (abs(led) > self.tracking_pa and w.left_s > self.response_s):
+            return None
+        name = f"sensor {self.actuator}"
+        message = f"{name} stays at {w.pressure_pa / PA_PER_BAR:.3f} bar: frozen, or no air, though led by"
+        return _trip_bar(t_ns, name, message, led, self.tracking_pa)
+
+
+@dataclass(frozen=True)
+class Tracking(ActuatorInterlock):
+    """The pressure is off its standing set-point, or strays from its moving one, for `tracking_s`."""
+
+    actuator: int
+    tracking_pa: float
+    tracking_s: float
+
+    @classmethod
+    def of(cls, config: RigConfig, sensor: Sensor) -> Self:
+        """The limits of the rig file."""
+        return cls(sensor.actuator, config.limits.tracking_bar * PA_PER_BAR, config.limits.tracking_s)
+
+    def trip(self, t_ns: int, w: SensorState, asked: Demand) -> Trip | None:
+        """Compare the errors and how long they last."""
+        name, error = f"actuator {self.actuator}", w.pressure_pa - asked.setpoint_pa
+        if w.still_s >= self.tracking_s and abs(error) > self.tracking_pa:
+            return _trip_bar(t_ns, "tracking", f"{name} is off its standing set-point by", error, self.tracking_pa)
+        if w.off_reference_s >= self.tracking_s:
+            error = w.pressure_pa - asked.reference_pa
+            message = f"{name} has strayed from its moving set-point for {w.off_reference_s:.2f} s, now by"
+            return _trip_bar(t_ns, "tracking", message, error, self.tracking_pa)
+        return None
+
+
+SAMPLE_INTERLOCKS: tuple[type[SampleInterlock], ...] = (StaleSamples, BrokenSensors)
+ACTUATOR_INTERLOCKS: tuple[type[ActuatorInterlock], ...] = (
+    OverPressure,
+    PressureRate,
+    FrozenReading,
+    UnledReading,
+    Tracking,
+)
+
+
+@dataclass(frozen=True)
+class Settings:
+    """The interlocks of a rig: those of a sample, and those of each actuator with the settings of its sensor."""
+
+    sample: tuple[SampleInterlock, ...]
+    sensors: tuple[SensorSettings, ...]
+    actuators: tuple[tuple[ActuatorInterlock, ...], ...]
+
+
+def settings(config: RigConfig) -> Settings:
+    """The registered interlocks with the limits of a rig, sensors in the order of the actuators."""
+    sensors = _ordered(config)
+    tracking_pa = config.limits.tracking_bar * PA_PER_BAR
+    return Settings(
+        sample=tuple(kind.of(config) for kind in SAMPLE_INTERLOCKS),
+        sensors=tuple(SensorSettings(_count_v(s), s.accuracy_bar * PA_PER_BAR, tracking_pa) for s in sensors),
+        actuators=tuple(tuple(kind.of(config, s) for kind in ACTUATOR_INTERLOCKS) for s in sensors),
+    )
+
+
+def evaluate(
+    s: Settings,
+    states: tuple[SensorState, ...],
+    sample: Sample,
+    demands: Sequence[Demand],
+    dt_s: float,
+    *,
+    new: bool,
+    counted_s: float | None = None,
+) -> tuple[tuple[SensorState, ...], Trip | None]:
+    """Check a sample; return the states after it and the first trip.
+
+    `demands` (N,) are those on the valves since the last scan, `dt_s` before; without a `new` scan the states remain.
+    `counted_s` is the part of `dt_s` that counts for the timers: all of it unless the time of a simulation stopped.
+    """
+    for interlock in s.sample:
+        if trip := interlock.trip(sample, new=new):
+            return states, trip
+    if not new:
+        return states, None
+    counted_s = dt_s if counted_s is None else counted_s
+    first: Trip | None = None
+    moved = []
+    readings = zip(states, sample.volts.tolist(), sample.pressure_pa.tolist(), demands, strict=True)
+    for i, (state, volts, pressure_pa, asked) in enumerate(readings):
+        after = _moved(
+            s.sensors[i], _begun(state, volts, pressure_pa, asked), dt_s, volts, pressure_pa, asked, counted_s
+        )
+        moved.append(after)
+        for condition in s.actuators[i]:
+            first = first or condition.trip(sample.t_ns, after, asked)
+    return tuple(moved), first
 
 
 def reset(watch: SensorState, pressure_pa: float) -> SensorState:
@@ -181,46 +379,40 @@ def reset(watch: SensorState, pressure_pa: float) -> SensorState:
     )
 
 
-def step(
-    s: Settings,
-    i: int,
-    watch: SensorState,
-    dt_s: float,
-    t_ns: int,
-    volts: float,
-    pressure_pa: float,
-    asked: Demand,
-    counted_s: float | None = None,
-) -> tuple[SensorState, Trip | None]:
-    """Check a new reading of actuator `i`, `dt_s` after the last; `asked` is the demand on its valve in between.
+def _ordered(config: RigConfig) -> list[Sensor]:
+    return sorted(config.sensors, key=lambda sensor: sensor.actuator)
 
-    `counted_s` is the part of `dt_s` that counts for the timers: all of it unless the time of a simulation stopped.
-    """
-    if math.isnan(watch.pressure_pa):
-        watch = SensorState(
-            pressure_pa=pressure_pa,
-            anchor_v=volts,
-            left_pa=pressure_pa,
-            left_reference_pa=asked.reference_pa,
-            setpoint_pa=asked.setpoint_pa,
-        )
-    watch = _moved(s, i, watch, dt_s, volts, pressure_pa, asked, dt_s if counted_s is None else counted_s)
-    return watch, _judge(s, i, watch, t_ns, asked)
+
+def _count_v(sensor: Sensor) -> float:
+    return (sensor.range_V[1] - sensor.range_V[0]) / SIXTEEN_BITS
+
+
+def _begun(watch: SensorState, volts: float, pressure_pa: float, asked: Demand) -> SensorState:
+    """The state, or at the first scan the one to begin with."""
+    if not math.isnan(watch.pressure_pa):
+        return watch
+    return SensorState(
+        pressure_pa=pressure_pa,
+        anchor_v=volts,
+        left_pa=pressure_pa,
+        left_reference_pa=asked.reference_pa,
+        setpoint_pa=asked.setpoint_pa,
+    )
 
 
 def _moved(
-    s: Settings, i: int, watch: SensorState, dt: float, volts: float, pressure: float, asked: Demand, counted: float
+    s: SensorSettings, watch: SensorState, dt: float, volts: float, pressure: float, asked: Demand, counted: float
 ) -> SensorState:
     slope = (pressure - watch.pressure_pa) / dt
     rate = watch.rate_pa_s + (slope - watch.rate_pa_s) * dt / (RATE_FILTER_S + dt)
-    if abs(volts - watch.anchor_v) >= s.sensors[i].count_v:
+    if abs(volts - watch.anchor_v) >= s.count_v:
         anchor, still, expected, held = volts, 0.0, 0.0, asked.integral_pa_s
     else:
         anchor, still, held = watch.anchor_v, watch.anchor_s + counted, watch.anchor_integral_pa_s
         # A chamber cannot be emptied below the atmosphere, whatever the valve does.
         expected = max(watch.expected_pa + (asked.rate_pa_s - held) * counted, -max(pressure, 0.0))
     left, left_reference, left_s = watch.left_pa, watch.left_reference_pa, watch.left_s + counted
-    if abs(pressure - left) > NOISE_SHARE * s.sensors[i].accuracy_pa:
+    if abs(pressure - left) > NOISE_SHARE * s.accuracy_pa:
         left, left_reference, left_s = pressure, asked.reference_pa, 0.0
     settled = asked.setpoint_pa == watch.setpoint_pa
     off_reference = abs(asked.reference_pa - pressure) > s.tracking_pa
@@ -239,34 +431,6 @@ def _moved(
         watch.still_s + counted if settled else 0.0,
         watch.off_reference_s + counted if off_reference else 0.0,
     )
-
-
-def _judge(s: Settings, i: int, w: SensorState, t_ns: int, asked: Demand) -> Trip | None:
-    name = f"actuator {i + 1}"
-    if not w.pressure_pa <= s.pressure_pa:
-        return _trip_bar(t_ns, "over-pressure", f"{name} is at", w.pressure_pa, s.pressure_pa)
-    if abs(w.rate_pa_s) > s.rate_pa_s:
-        return _trip_bar(t_ns, "pressure rate", f"{name} changes by", w.rate_pa_s, s.rate_pa_s, "bar/s")
-    sensor = s.sensors[i]
-    expected = abs(w.expected_pa)
-    if w.anchor_s >= s.frozen_s and expected > EVIDENCE * sensor.accuracy_pa:
-        message = (
-            f"sensor {i + 1} has not moved by one count for {w.anchor_s:.3f} s (limit {s.frozen_s:.3f} s) while its "
-            f"valve asked for {expected / PA_PER_BAR:.3f} bar: the sensor is frozen, or there is no air"
-        )
-        return Trip(t_ns, f"sensor {i + 1}", message, w.anchor_s, s.frozen_s, "s")
-    led = asked.reference_pa - w.left_reference_pa
-    if abs(led) > s.tracking_pa and w.left_s > sensor.response_s:
-        message = f"sensor {i + 1} stays at {w.pressure_pa / PA_PER_BAR:.3f} bar: frozen, or no air, though led by"
-        return _trip_bar(t_ns, f"sensor {i + 1}", message, led, s.tracking_pa)
-    error = w.pressure_pa - asked.setpoint_pa
-    if w.still_s >= s.tracking_s and abs(error) > s.tracking_pa:
-        return _trip_bar(t_ns, "tracking", f"{name} is off its standing set-point by", error, s.tracking_pa)
-    if w.off_reference_s >= s.tracking_s:
-        error = w.pressure_pa - asked.reference_pa
-        message = f"{name} has strayed from its moving set-point for {w.off_reference_s:.2f} s, now by"
-        return _trip_bar(t_ns, "tracking", message, error, s.tracking_pa)
-    return None
 
 
 def _trip_bar(t_ns: int, source: str, what: str, value: float, limit: float, unit: str = "bar") -> Trip:

@@ -35,6 +35,7 @@ class Settings:
     valve_of: tuple[int, ...]
     """Index of the valve of each actuator."""
     limits: interlocks.Settings
+    tracking_s: float
 
 
 REJOIN_S = 0.1
@@ -76,6 +77,7 @@ def prepare(config: RigConfig) -> Settings:
         valves=tuple(valve.regulator(config.limits, config.control) for valve in config.valves),
         valve_of=tuple(valve_of[a + 1] for a in range(config.actuators)),
         limits=interlocks.settings(config),
+        tracking_s=config.limits.tracking_s,
     )
 
 
@@ -110,31 +112,24 @@ def step(
 
 
 def _step(settings: Settings, state: State, sample: Sample, setpoint: list[float], rate: list[float]) -> State:
-    limits = settings.limits
-    trip = interlocks.stale(limits, sample)
-    if trip is not None or sample.scan_t_ns == state.scan_t_ns:
-        return state._replace(trip=trip)
-    trip = interlocks.broken(limits, sample)
-    if trip is not None:
-        return state._replace(trip=trip)
+    before, limits, pressure = state, settings.limits, sample.pressure_pa.tolist()
+    new = sample.scan_t_ns != state.scan_t_ns
     passed = settings.period_s if state.scan_t_ns is None else (sample.scan_t_ns - state.scan_t_ns) * 1e-9
     dt = min(max(passed, SHORTEST_STEP_PERIODS * settings.period_s), LONGEST_STEP_PERIODS * settings.period_s)
-
-    pressure, volts = sample.pressure_pa.tolist(), sample.volts.tolist()
     counted = max(dt, passed)
     if sample.stalled_ns and passed >= LONGEST_STEP_PERIODS * settings.period_s:
-        state = _rejoin(limits, state, sample.t_ns, pressure, every_time=sample.time_stopped)
+        state = _rejoin(settings, state, sample.t_ns, pressure, every_time=sample.time_stopped)
         counted = dt if sample.time_stopped else counted
-    watches = []
-    for i, watch in enumerate(state.watches):
-        valve = state.valves[settings.valve_of[i]]
+    demands = []
+    for i, valve_index in enumerate(settings.valve_of):
+        valve = state.valves[valve_index]
         reference = pressure[i] if math.isnan(valve.reference_pa) else valve.reference_pa
-        demand = Demand(setpoint[i], reference, valve.asked_pa_s, valve.integral_pa_s)
-        moved, tripped = interlocks.step(
-            limits, i, watch, max(dt, passed), sample.t_ns, volts[i], pressure[i], demand, counted
-        )
-        watches.append(moved)
-        trip = trip or tripped
+        demands.append(Demand(setpoint[i], reference, valve.asked_pa_s, valve.integral_pa_s))
+    watches, trip = interlocks.evaluate(
+        limits, state.watches, sample, demands, max(dt, passed), new=new, counted_s=counted
+    )
+    if trip is not None or not new:
+        return before._replace(trip=trip)
     valves = []
     for s, valve in zip(settings.valves, state.valves, strict=True):
         # Several chambers on one valve share the air: the valve controls their mean.
@@ -143,10 +138,10 @@ def _step(settings: Settings, state: State, sample: Sample, setpoint: list[float
         target = sum(setpoint[a] for a in s.actuators) / n
         slope = sum(rate[a] for a in s.actuators) / n
         valves.append(regulator.step(s, valve, dt, mean, target, slope))
-    return State(sample.scan_t_ns, tuple(valves), tuple(watches), trip, state.rejoined_ns)
+    return State(sample.scan_t_ns, tuple(valves), watches, None, state.rejoined_ns)
 
 
-def _rejoin(limits: interlocks.Settings, state: State, t_ns: int, pressure: list[float], *, every_time: bool) -> State:
+def _rejoin(settings: Settings, state: State, t_ns: int, pressure: list[float], *, every_time: bool) -> State:
     """Restart the references at the measured pressures after a stall.
 
     The timers of the interlocks are reset, too, but not again within twice the tracking time, so that a machine that
@@ -154,7 +149,7 @@ def _rejoin(limits: interlocks.Settings, state: State, t_ns: int, pressure: list
     """
     state = state._replace(valves=tuple(valve._replace(reference_pa=math.nan) for valve in state.valves))
     since_s = math.inf if state.rejoined_ns is None else (t_ns - state.rejoined_ns) * 1e-9
-    if not every_time and REJOIN_S < since_s < 2 * limits.tracking_s:
+    if not every_time and REJOIN_S < since_s < 2 * settings.tracking_s:
         return state
     watches = tuple(interlocks.reset(watch, pa) for watch, pa in zip(state.watches, pressure, strict=True))
     return state._replace(watches=watches, rejoined_ns=t_ns if since_s > REJOIN_S else state.rejoined_ns)

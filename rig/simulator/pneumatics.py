@@ -20,7 +20,7 @@ from model.kernels.jit import kernel
 from rig.config.schema import RigConfig
 from rig.config.sections import PA_PER_BAR
 from rig.config.simulator_sections import Simulator
-from rig.valves import iso6358
+from rig.valves import iso6358, registry
 from rig.valves.base import Law, SimulatedValve
 from rig.valves.iso6358 import ANR_K, ANR_PA, ATMOSPHERE_PA
 from rig.valves.registry import VALVE_TYPES
@@ -35,7 +35,12 @@ Integers = NDArray[np.int64]
 
 compiled = partial(
     kernel,
-    sources=(__file__, iso6358.__file__, *(inspect.getfile(valve_type) for valve_type in VALVE_TYPES)),
+    sources=(
+        __file__,
+        iso6358.__file__,
+        registry.__file__,
+        *(inspect.getfile(valve_type) for valve_type in VALVE_TYPES),
+    ),
 )
 
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from rig.control import regulator
 from rig.valves.base import RegulatorState
-from rig.valves.flow import FlowRegulator, FlowValve
+from rig.valves.flow import SOFT_FRACTION, FlowRegulator, FlowValve
 from rig.valves.iso6358 import ANR_PA, ATMOSPHERE_PA, flow_function, sonic_conductance
 from tests.support.plant_bench import mock_rig
 
@@ -59,10 +59,10 @@ def test_the_voltage_lets_exactly_the_asked_rate_through_a_valve_as_stated(bar: 
     upstream, downstream = (2.5e5 + 1325.0, chamber) if offset > 0 else (chamber, ATMOSPHERE_PA)
     ease = max(flow_function(downstream / upstream, 0.3), 0.15)
     flow = math.copysign(fraction * s.conductance * upstream * ease, offset)
-    if fraction > regulator.SOFT_FRACTION:
+    if fraction > SOFT_FRACTION:
         assert flow * ANR_PA / s.volume_m3 == pytest.approx(out.asked_pa_s, rel=1e-6)
     else:
-        assert abs(out.asked_pa_s) <= regulator.SOFT_FRACTION * s.conductance * upstream * ANR_PA / s.volume_m3 * 1.001
+        assert abs(out.asked_pa_s) <= SOFT_FRACTION * s.conductance * upstream * ANR_PA / s.volume_m3 * 1.001
 
 
 @pytest.mark.parametrize(("fills", "sign"), [("above", 1), ("below", -1)])
