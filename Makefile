@@ -31,7 +31,7 @@ run: $(STAMP)
 	@$(BIN)/rig run ramp-a --yes
 
 test: $(STAMP) lint
-	$(BIN)/python -m pytest -n auto --dist loadfile -m "not realtime and not fuzz"
+	$(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder -m "not realtime and not fuzz"
 
 # Tests that run in real time would disturb each other, and so run one after the other.
 test-realtime: $(STAMP)

@@ -220,7 +220,7 @@ PROCESSES = (
         Signal((CONTROL,), STOP, lasts_s=0.012, times=60),
         GOES_ON_OR_NOT,
         "of the deadlines are missed|hung",
-        "stopped for 12 ms, 60 times; goes on with a warning, or counts as hung on a busy machine",
+        "stopped for 12 ms, 60 times; continues with a warning, or counts as hung on a busy machine",
     ),
     _process("observer killed", Signal((OBSERVER,), KILL), ABORTED, "observer process died"),
     _process("observer stopped", Signal((OBSERVER,), STOP), ABORTED, "observer process has been silent"),
@@ -259,7 +259,7 @@ PROCESSES = (
     _process("one to three of the four stopped, in any order", Havoc((STOP,)), EITHER, PROCESS_FAULT),
     _process("one to three of the four killed or stopped, in any order", Havoc((KILL, STOP)), EITHER, PROCESS_FAULT),
     _process(
-        "all stopped, then rig vent, then on",
+        "all stopped, then rig vent, then resumed",
         Signal((SUPERVISOR, WATCHDOG, CONTROL, OBSERVER), STOP, lasts_s=3.0, then_vent=True),
         (*ABORTED, *INTERRUPTED),
         "silent|hung|another program|simulator has stalled|SIGTERM",

@@ -1,4 +1,4 @@
-"""What other users of the computer prepare, in places open to everybody, harms no run and deceives no `rig vent`."""
+"""Files that other users plant in shared folders cannot harm a run or mislead `rig vent`."""
 
 from __future__ import annotations
 
@@ -31,13 +31,13 @@ from rig.simulator.registers import Registers, path_of
 
 NOBODY = 65534
 NODE = "/dev/full"
-"""A device node that every user may open, in the place of a card's that every member of its group may."""
+"""A device node that every user may open; it stands for the node of a card."""
 
 needs_root = pytest.mark.skipif(os.getuid() != 0, reason="only root can act as a second user")
 
 
 def another_user(do: Callable[[], None]) -> None:
-    """Do something in a process of another user, and wait for it."""
+    """Call a function in a process of another user, and wait for its end."""
     pid = os.fork()
     if pid == 0:
         status = 1
@@ -56,7 +56,7 @@ def another_user(do: Callable[[], None]) -> None:
 
 @pytest.fixture
 def shared(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
-    """A folder like /dev/shm: open to everybody, in which nobody can rename what belongs to others."""
+    """A folder like /dev/shm: everybody can write to it, only the owner of a file can rename or remove it."""
     folder = Path(tempfile.mkdtemp())
     folder.chmod(0o1777)
     monkeypatch.setattr(runtime_folder, "BASE", folder)
@@ -117,7 +117,7 @@ def test_another_users_folder_of_that_name_is_not_used(shared: Path) -> None:
     assert folder != shared / "softrig-0"
     with cards_locked(mock_rig(), "a test"):
         assert holders(mock_rig()) == (os.getpid(),)
-    # It stays in use though the trap is taken away: a run may be using it.
+    # The replacement stays in use after the trap is removed, because a run may use it.
     (shared / "softrig-0").rmdir()
     assert runtime_folder.runtime_folder() == folder
 
@@ -176,7 +176,7 @@ def test_a_file_of_another_user_is_not_opened_though_its_mode_is_right(shared: P
 
 
 def test_text_in_a_lock_file_names_no_holder(shared: Path) -> None:
-    """Who holds it is the kernel's to say: forged text neither makes a holder nor hides one."""
+    """Only the kernel says who holds a lock. Forged text neither adds a holder nor hides one."""
     config = mock_rig()
     path = lock_file(config.cards["daq"])
     path.write_text(f"process {os.getpid()}, protocol forged, since 2026-01-01\n")
@@ -233,7 +233,7 @@ HOLD = (
 
 @contextmanager
 def holder(file: Path, base: Path, uid: int = -1) -> Iterator[subprocess.Popen[str]]:
-    """Another process, perhaps of another user, that holds a rig's cards."""
+    """A process that holds the cards of a rig; `uid` makes it one of another user."""
     command = [sys.executable, "-c", HOLD, file, base, str(uid if uid >= 0 else os.getuid())]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         try:
@@ -260,7 +260,7 @@ def test_two_users_of_one_card_exclude_each_other(shared: Path, tmp_path: Path) 
 
 
 class Outputs:
-    """A card that takes what it is told."""
+    """A card that counts how often it is vented."""
 
     def __init__(self, config: RigConfig, card: str) -> None:
         self.vented = 0
@@ -271,7 +271,7 @@ class Outputs:
     arm = make_safe
 
     def close(self) -> None:
-        """Nothing to let go of."""
+        """There is nothing to close."""
 
 
 @needs_root
@@ -300,7 +300,7 @@ def test_vent_reports_a_holder_that_it_cannot_signal(
 def test_vent_reports_a_holder_that_it_cannot_see(
     shared: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """As from within a container, whose table of locks has no process of the machine's."""
+    """As in a container, where the table of locks does not list the processes of the host."""
     file = tmp_path / "rig.yaml"
     file.write_text(re.sub(r"device: \S*comedi0", f"device: {NODE}", rig.config.loader.text("pci1716")))
     monkeypatch.setattr(rig.hardware.vent, "open_outputs", Outputs)
@@ -314,7 +314,7 @@ def test_vent_reports_a_holder_that_it_cannot_see(
 
 
 def test_a_one_opener_card_is_not_kept_open_by_its_lock(shared: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The lock would keep the run's own control out; its driver excludes others."""
+    """An open device would keep the control process of the same run out. The driver itself excludes others."""
     opened: list[int] = []
     real_open = os.open
 

@@ -1,4 +1,4 @@
-"""A run in real time on a disk that stands still: it goes on, says so, and ends with everything recorded."""
+"""A real-time run on a stalled disk continues, reports the stall, and records everything."""
 
 from __future__ import annotations
 
@@ -21,25 +21,25 @@ PATIENCE_S = 30.0
 
 
 class Listener(NullOperator):
-    """Keeps what it is told, and lets the disk go on once it is told of it."""
+    """Stores reported messages, and resumes the disk once the awaited one is reported."""
 
     def __init__(self, disk: threading.Event, awaited: str) -> None:
-        self.told: list[str] = []
+        self.reported: list[str] = []
         self._disk, self._awaited = disk, awaited
 
     def report(self, event: Event) -> None:
-        self.told.append(event.message)
+        self.reported.append(event.message)
         if self._awaited in event.message:
             self._disk.set()
 
 
 @pytest.fixture
 def disk(monkeypatch: pytest.MonkeyPatch) -> Iterator[threading.Event]:
-    """Takes what is appended while it is set."""
+    """A disk that takes data only while this event is set."""
     takes, write = threading.Event(), os.write
 
     def waiting(file: int, data: bytes) -> int:
-        assert takes.wait(PATIENCE_S), "nobody let the disk go on"
+        assert takes.wait(PATIENCE_S), "the disk was never resumed"
         return write(file, data)
 
     takes.set()
@@ -56,18 +56,18 @@ def request_(tmp_path: Path) -> experiment.RunRequest:
 def test_waiting_for_the_disk_is_reported_and_the_archive_is_complete(
     request_: experiment.RunRequest, disk: threading.Event, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def ended_on_a_disk_that_stands(plan: Plan, open_record: OpenRecord, operator: OperatorInterface) -> Outcome:
+    def ended_on_a_stalled_disk(plan: Plan, open_record: OpenRecord, operator: OperatorInterface) -> Outcome:
         record = open_record(time.monotonic_ns())
         disk.clear()
         record.event(Event(time.monotonic_ns(), Level.INFO, "control", "the valves are in their safe state"))
         return Outcome(Status.FINISHED, "", time.monotonic_ns())
 
-    monkeypatch.setattr(supervisor, "run", ended_on_a_disk_that_stands)
+    monkeypatch.setattr(supervisor, "run", ended_on_a_stalled_disk)
     monkeypatch.setattr(experiment, "DISK_WARNING_AFTER_S", 0.0)
     listener = Listener(disk, "waiting for the disk")
     result = experiment.run(request_, experiment.plan(request_), listener)
     assert result.archive is not None
-    assert listener.told == [f"waiting for the disk to take the rest of {result.archive.with_suffix('.mcap')}"]
+    assert listener.reported == [f"waiting for the disk to take the rest of {result.archive.with_suffix('.mcap')}"]
     archive = runs.open(result.archive)
     assert archive.status is Status.FINISHED
     assert [event.message for event in archive.events] == ["the valves are in their safe state"]
@@ -95,5 +95,5 @@ def test_the_supervisor_warns_of_a_stalled_disk_and_continues(
     assert result.archive is not None
     events = runs.open(result.archive).events
     assert [event.level for event in events] == [Level.INFO, Level.WARNING]
-    assert events[1].message in listener.told
+    assert events[1].message in listener.reported
     assert "has not taken the record" in events[1].message
