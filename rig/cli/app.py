@@ -51,51 +51,52 @@ class PlainErrors(TyperGroup):
             _fail(_message(error), status)
 
 
+EXPECTED_ERRORS = {
+    "protocols.problems.BadInputError": BAD_INPUT,
+    "runs.overwriting.WouldOverwriteError": BAD_INPUT,
+    "runs.archive.checked.ArchiveError": BAD_INPUT,
+    "runs.export.exporters.ExportError": BAD_INPUT,
+    "calibration.camera.CalibrationError": BAD_INPUT,
+    "calibration.dlt.DLTError": BAD_INPUT,
+    "calibration.views.ViewsError": BAD_INPUT,
+    "calibration.identify.data.NoDataError": BAD_INPUT,
+    "calibration.identify.parameters.UnknownParameter": BAD_INPUT,
+    "calibration.identify.recursive_estimator.NotEstimableError": BAD_INPUT,
+    "calibration.identify.parallel_map.NoClusterError": FAULT,
+    "calibration.identify.parallel_map.WorkersDieError": FAULT,
+    "rig.calibrate.bench_driver.TrippedError": FAULT,
+    "rig.execution.plan.StoppedError": INTERRUPTED,
+    "rig.execution.plan.StartError": FAULT,
+    "rig.hardware.cameras.base.CameraError": FAULT,
+    "rig.hardware.cards.base.CardError": FAULT,
+    "runs.journal.append_only_file.JournalError": FAULT,
+    "builtins.MemoryError": FAULT,
+    "builtins.OSError": FAULT,
+}
+"""Exit status by class. Names, because an import here costs time and fails where memory is short."""
+
+
 def _message(error: Exception) -> str:
     """Return the message of an error; of an OSError without its number."""
     if isinstance(error, OSError) and error.strerror:
         return f"{error.filename}: {error.strerror}" if isinstance(error.filename, str) else error.strerror
-    if isinstance(error, MemoryError):
+    if isinstance(error, MemoryError) or _is_unloadable(error):
         return f"not enough memory: {error}" if str(error) else "not enough memory"
     return str(error)
 
 
 def _status(error: Exception) -> int | None:
     """Return the exit status of an expected error; None for an unexpected one."""
-    from protocols import BadInputError
-
-    if isinstance(error, BadInputError):
-        return BAD_INPUT  # the most frequent one: no further import needed
-    from runs.overwriting import WouldOverwriteError
-
-    if isinstance(error, WouldOverwriteError):
-        return BAD_INPUT  # also an OSError, which is a fault
-    from rig.execution.plan import StartError, StoppedError
-    from rig.hardware.cameras.base import CameraError
-    from rig.hardware.cards.base import CardError
-    from runs.journal.append_only_file import JournalError
-
-    if isinstance(error, StoppedError):
-        return INTERRUPTED
-    if isinstance(error, CardError | CameraError | StartError | JournalError | OSError | MemoryError):
-        return FAULT  # without memory the imports below fail
-    from calibration.camera import CalibrationError
-    from calibration.dlt import DLTError
-    from calibration.identify import NoDataError, UnknownParameter
-    from calibration.identify.parallel_map import NoClusterError, WorkersDieError
-    from calibration.identify.recursive_estimator import NotEstimableError
-    from calibration.views import ViewsError
-    from rig.calibrate.bench_driver import TrippedError
-    from runs.archive.writer import ArchiveError
-    from runs.export.exporters import ExportError
-
-    if isinstance(error, NoDataError | UnknownParameter | NotEstimableError):
-        return BAD_INPUT
-    if isinstance(error, ArchiveError | ExportError | CalibrationError | DLTError | ViewsError):
-        return BAD_INPUT
-    if isinstance(error, NoClusterError | WorkersDieError | TrippedError):
+    if _is_unloadable(error):
         return FAULT
-    return None
+    names = (f"{kind.__module__}.{kind.__qualname__}" for kind in type(error).__mro__)
+    return next((EXPECTED_ERRORS[name] for name in names if name in EXPECTED_ERRORS), None)
+
+
+def _is_unloadable(error: Exception) -> bool:
+    """Return whether a library could not be loaded for lack of memory."""
+    words = ("failed to map segment", "cannot allocate memory")
+    return isinstance(error, ImportError) and any(word in str(error).lower() for word in words)
 
 
 def _fail(message: str, status: int) -> NoReturn:

@@ -25,10 +25,12 @@ from runs.recovery import Fate
 from runs.recovery import recover as recover_folder
 from runs.summary import Summary, summarise
 
-_DATE = re.compile(r"\d{4}(-\d\d(-\d\d(T\d\d(:\d\d(:\d\d)?)?)?)?)?")
+_DATE = re.compile(r"\d{4}(-(0[1-9]|1[0-2])(-(0[1-9]|[12]\d|3[01])(T([01]\d|2[0-3])(:[0-5]\d(:[0-5]\d)?)?)?)?)?")
 
 
-def check_search(folder: Path, status: str = "", since: str = "", until: str = "") -> None:
+def check_search(
+    folder: Path, status: str = "", since: str = "", until: str = "", error_above_mm: float | None = None
+) -> None:
     """Raise `BadInputError` for a filter that no archive can match; only the default folder may be missing."""
     problems = []
     if folder != DATA and not folder.is_dir():
@@ -38,6 +40,8 @@ def check_search(folder: Path, status: str = "", since: str = "", until: str = "
     for option, date in (("--since", since), ("--until", until)):
         if date and not _DATE.fullmatch(date):
             problems.append(Problem(option, 0, 0, "", date, "a date or its beginning, as 2026-11 or 2026-11-21T14:05"))
+    if error_above_mm is not None and math.isnan(error_above_mm):
+        problems.append(Problem("--error-above-mm", 0, 0, "", "nan", "a number (mm)"))
     if problems:
         raise BadInputError(problems)
 

@@ -25,7 +25,7 @@ def runs(
     from rig.cli import archive_output, recovery_offer
     from runs.catalogue import catalogue, search
 
-    archive_output.check_search(folder, status, since, until)
+    archive_output.check_search(folder, status, since, until, error_above_mm)
     recovery_offer.offer(folder)
     found = search(
         catalogue(folder),

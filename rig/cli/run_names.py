@@ -34,7 +34,7 @@ def resolve(name: Path) -> Path:
     recovery_offer.offer((found or name).parent)
     if found is not None:
         return found
-    if len(name.parts) == 1 and (found := _in_data(name.name)) is not None:
+    if len(name.parts) == 1 and name.name and (found := _in_data(name.name)) is not None:
         return found
     raise ArchiveError(f"{name}: no such archive, here or in data/; `rig runs` lists what there is")
 
@@ -42,8 +42,11 @@ def resolve(name: Path) -> Path:
 def _in_data(part: str) -> Path | None:
     """Return the archive in the data folder for `last` or a part of a run id; None where there is none."""
     if part == LAST:
-        entries = [entry for entry in catalogue(DATA) if not entry.problem]
-        return DATA / entries[0].file if entries else None
+        entries = catalogue(DATA)
+        readable = [entry for entry in entries if not entry.problem]
+        if entries and not readable:
+            raise ArchiveError(f"{LAST}: no archive in data/ is readable; the newest: {entries[0].problem}")
+        return DATA / readable[0].file if readable else None
     try:
         stems = sorted(path.stem for path in DATA.iterdir() if path.suffix == SUFFIX and part in path.stem)
     except OSError:

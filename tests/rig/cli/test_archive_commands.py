@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import dataclasses
+import importlib
 import io
+import resource
+import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
 import tests.support.synthetic_runs as made_up
-from rig.cli.app import main
+from rig.cli.app import EXPECTED_ERRORS, main
 from runs.archive.writer import finalise
 from runs.journal.journal import JournalWriter
 from runs.records import RunFooter, Status
+from runs.report import page
 
 
 def status_of(*words: object) -> object:
@@ -76,3 +80,60 @@ def test_a_report_goes_into_a_new_folder(short: Path, tmp_path: Path) -> None:
 def test_an_error_of_the_system_is_shown_without_its_number(short: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert status_of("report", short, "--to", "/proc/nowhere/a.html") == 1
     assert capsys.readouterr().err == "/proc/nowhere: No such file or directory\n"
+
+
+@pytest.mark.parametrize("name", EXPECTED_ERRORS)
+def test_every_expected_error_is_a_class_of_this_name(name: str) -> None:
+    module, _, kind = name.rpartition(".")
+    found = getattr(importlib.import_module(module), kind)
+    assert issubclass(found, Exception)
+    assert f"{found.__module__}.{found.__qualname__}" == name
+
+
+def test_a_refusal_needs_no_more_memory_than_the_command(tmp_path: Path) -> None:
+    (tmp_path / "damaged.h5").write_bytes(b"no archive")
+    limit = 600_000 * 1024
+    done = subprocess.run(
+        [sys.executable, "-m", "rig", "show", str(tmp_path / "damaged.h5")],
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_AS, (limit, limit)),
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 2
+    assert done.stderr.splitlines() == [f"{tmp_path}/damaged.h5: not an archive of softrig: it is no HDF5 file"]
+
+
+def test_a_library_that_finds_no_memory_gives_one_sentence(
+    short: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def fail(*_: object, **__: object) -> None:
+        raise ImportError("libopenblas.so: failed to map segment from shared object")
+
+    monkeypatch.setattr(page, "write", fail)
+    assert status_of("report", short) == 1
+    assert capsys.readouterr().err.startswith("not enough memory: libopenblas.so")
+
+
+def test_last_names_the_reason_where_no_archive_is_readable(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "data").mkdir()
+    (tmp_path / "data" / "20260102-030405-x.h5").write_bytes(b"no archive")
+    assert status_of("show", "last") == 2
+    assert "no HDF5 file" in capsys.readouterr().err
+
+
+def test_a_folder_is_no_part_of_a_run_id(short: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert status_of("show", "/") == 2
+    assert "no such archive" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "words",
+    [("--since", "2026-13"), ("--until", "2026-02-32"), ("--since", "2026-02-03T25"), ("--error-above-mm", "nan")],
+)
+def test_a_filter_that_no_archive_can_match_is_refused(tmp_path: Path, words: tuple[str, str]) -> None:
+    assert status_of("runs", tmp_path, *words) == 2
+    assert status_of("runs", tmp_path, "--since", "2026-12-31T23:59", "--error-above-mm", "0.5") == 0
