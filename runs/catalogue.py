@@ -83,16 +83,14 @@ def search(
     text: str = "",
     *,
     status: str = "",
-    protocol: str = "",
-    operator: str = "",
     since: str = "",
     until: str = "",
     error_above_mm: float | None = None,
 ) -> tuple[Entry, ...]:
     """Return the entries that match all given filters.
 
-    `text` is looked for everywhere, word by word; `protocol` and `operator` are parts of names; `since` and `until` are
-    dates or times as ISO 8601 begins (`2026-11`, `2026-11-21T14`), both included.
+    `text`: words to find in any field; `since` and `until`: dates or times as ISO 8601 begins (`2026-11`,
+    `2026-11-21T14`), both included.
     """
     words = text.lower().split()
     return tuple(
@@ -100,8 +98,6 @@ def search(
         for entry in entries
         if all(word in _words(entry) for word in words)
         and (not status or entry.status == status)
-        and protocol.lower() in entry.protocol.lower()
-        and operator.lower() in entry.operator.lower()
         and entry.start_time >= since
         and entry.start_time[: len(until)] <= until
         and (error_above_mm is None or (entry.mean_error_mm or 0.0) > error_above_mm)

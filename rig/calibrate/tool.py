@@ -1,16 +1,13 @@
-"""`rig calibrate tool`: the board's pose in the tip frame, from views of the straight arm and of the turned cap."""
+"""Calibration of the tool: the board's pose in the tip frame, from views of the straight arm and the turned cap."""
 
 from __future__ import annotations
 
-import hashlib
-import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-import cv2
 import numpy as np
-import typer
 from numpy.typing import NDArray
 
 from calibration.camera import CalibrationError, LeftOut
@@ -20,81 +17,84 @@ from calibration.vision.board import grey
 from calibration.vision.transforms import RigidTransform
 from model.statics import statics
 from rig.calibrate import file_sections, inputs
+from rig.calibrate.bench_operator import BenchOperator
 from rig.calibrate.inputs import bad_input
-from rig.cli import calibration_output
-from rig.cli.console import console
-from rig.cli.json_output import plain_json
+from rig.calibrate.output_file import OutputFile
+from rig.calibrate.view_collection import CAMERA_TIMEOUT_S, store
 from rig.config import calibration_schema
 from rig.config.arm_model import model_arm
-from rig.config.calibration_files import default_path, origin, rounded, views_beside, write
+from rig.config.calibration_files import origin, rounded, views_beside
 from rig.config.loader import load
 from rig.config.optics import board_in_tip, board_of, camera_in_base, lens_of, placement_of
 from rig.config.schema import RigConfig
 from rig.hardware.cameras.registry import open_camera
-from runs.overwriting import refuse_existing
 
 STRAIGHT_VIEWS = 5
 TURNS_DEG = (-25.0, -15.0, -8.0, 8.0, 15.0, 25.0)
-_TIMEOUT_S = 5.0
+_LARGEST_STD = 100
 
 Image = NDArray[np.uint8]
 
 
 @dataclass(frozen=True)
 class ToolCalibrationRequest:
-    """Options of the command."""
+    """Options of the procedure."""
 
     rig: str
     camera: str | None
     straight: Path | None
     turned: Path | None
-    live: bool
+    capture: bool
     tip_std_mm: float
     tip_std_deg: float
-    to: Path | None
-    replace: bool
-    note: str
     seed: int
-    json: bool
+    output: OutputFile
 
 
-def run(request: ToolCalibrationRequest) -> None:
-    """Calibrate, write the file, print it.
+@dataclass(frozen=True)
+class ToolCalibration:
+    """The mounting, the board's pose that the rig states, the file, and whether the camera is simulated."""
+
+    found: Mounting
+    stated: RigidTransform
+    file: Path
+    simulated: bool
+
+
+def run(request: ToolCalibrationRequest, operator: BenchOperator) -> ToolCalibration:
+    """Calibrate, and write the file.
 
     Raises:
-        BadInputError: the command line or the rig is invalid.
+        BadInputError: the options or the rig are invalid.
         ViewsError, CalibrationError: the views do not determine the board's pose.
         CameraError: a live camera delivers no pictures.
     """
     config = load(request.rig)
     name = inputs.known_camera(config, request.camera or next(iter(config.cameras)))
-    if request.to is not None:
-        refuse_existing([request.to], replace=request.replace)
+    request.output.check()
     for option, value in (("--tip-std-mm", request.tip_std_mm), ("--tip-std-deg", request.tip_std_deg)):
-        if not 0 < value < 100:
+        if not 0 < value < _LARGEST_STD:
             raise bad_input(option, f"{value:g}", "more than 0")
-    file = request.to or default_path(f"tool-{name}")
-    if request.live:
+    file = request.output.path(f"tool-{name}")
+    if request.capture:
         if request.straight is not None or request.turned is not None:
-            raise bad_input("--live", "", "either views that are there or live ones")
-        straight, turned = _live(config, name, request.seed, views_beside(file, request.replace))
+            raise bad_input("--capture", "", "either existing views or captured ones")
+        folder = views_beside(file, request.output.replace)
+        straight, turned = _captured(config, name, request.seed, folder, operator)
     else:
         if request.straight is None:
-            raise bad_input("--straight", "", "views of the straight arm; or --live")
+            raise bad_input("--straight", "", "views of the straight arm; or --capture")
         straight = _views(config, name, request.straight)
         turned = [] if request.turned is None else _views(config, name, request.turned)
     tip = tip_in_camera(config, name, request.tip_std_mm * 1e-3, float(np.deg2rad(request.tip_std_deg)))
-    found = mount(straight, turned, board_of(config), lens_of(config.cameras[name]), tip, board_in_tip(config))
-    made = write(tool_file(config, name, found, request.note), file, replace=request.replace)
-    if request.json:
-        typer.echo(json.dumps(plain_json(_facts(found, made)), indent=2))
-        return
-    calibration_output.tool(found, board_in_tip(config), console())
-    typer.echo(calibration_output.written(made, config.cameras[name].simulated))
+    stated = board_in_tip(config)
+    found = mount(straight, turned, board_of(config), lens_of(config.cameras[name]), tip, stated)
+    made = request.output.write(tool_file(config, name, found, request.output.note), file)
+    return ToolCalibration(found, stated, made, config.cameras[name].simulated)
 
 
 def tip_in_camera(config: RigConfig, name: str, std_m: float, std_rad: float) -> RigidTransform:
-    """The tip of the vented arm before a camera, as far as camera and arm are known; uncertainty about the tip."""
+    """Return the tip of the vented arm in the camera frame, with the uncertainty about the tip."""
     rest = statics(model_arm(config), np.zeros(config.actuators))
     camera = camera_in_base(config.cameras[name])
     tip = camera.inverse() @ RigidTransform(rest.tip_rotation, rest.tip_m)
@@ -105,7 +105,7 @@ def tip_in_camera(config: RigConfig, name: str, std_m: float, std_rad: float) ->
 
 
 def tool_file(config: RigConfig, camera: str, found: Mounting, note: str = "") -> calibration_schema.ToolFile:
-    """The file of a mounting."""
+    """Return the file of a mounting."""
     board = board_of(config)
     units = np.array([1e3] * 3 + [np.rad2deg(1)] * 3)
     return calibration_schema.ToolFile(
@@ -142,61 +142,32 @@ def _views(config: RigConfig, name: str, source: Path) -> list[View]:
     return views
 
 
-def _live(config: RigConfig, name: str, seed: int, folder: Path) -> tuple[list[View], list[View]]:
-    """Pictures from the rig's camera, kept in `folder`; the operator turns the cap, or the simulated one does."""
-    take: Callable[[float], Image]
-    ask: Callable[[str], None]
-    close: Callable[[], None] = _nothing
-    if config.cameras[name].simulated:
-        from rig.simulator.simulated_operator import CapTurner
-
-        take, ask = (
-            CapTurner(config, name, seed).picture,
-            lambda text: typer.echo(f"(simulated hands) {text}", err=True),
-        )
-    else:
-        camera = open_camera(config, name)
-        close = camera.close
-
-        def take(_: float) -> Image:
-            return camera.read(_TIMEOUT_S).image
-
-        def ask(text: str) -> None:
-            typer.prompt(f"{text}; then Enter", default="", show_default=False, err=True)
-
-    try:
+def _captured(
+    config: RigConfig, name: str, seed: int, folder: Path, operator: BenchOperator
+) -> tuple[list[View], list[View]]:
+    """Capture views with the rig's camera into `folder`; the operator turns the cap, or the simulated one does."""
+    with _hands(config, name, seed, operator) as (take, ask):
         ask("vent the arm and let it hang straight and still")
-        straight = [_kept(take(0.0), folder, f"straight{k + 1:02}") for k in range(STRAIGHT_VIEWS)]
+        straight = [store(grey(take(0.0)), folder, f"straight{k + 1:02}") for k in range(STRAIGHT_VIEWS)]
         turned = []
         for k, angle in enumerate(TURNS_DEG):
             ask(f"turn the end cap about the arm's axis to about {angle:+.0f} deg, arm straight")
-            turned.append(_kept(take(angle), folder, f"turned{k + 1:02}"))
-    finally:
-        close()
+            turned.append(store(grey(take(angle)), folder, f"turned{k + 1:02}"))
     return straight, turned
 
 
-def _nothing() -> None:
-    """Nothing to release."""
+@contextmanager
+def _hands(
+    config: RigConfig, name: str, seed: int, operator: BenchOperator
+) -> Iterator[tuple[Callable[[float], Image], Callable[[str], None]]]:
+    """Yield how to take a picture with the cap at an angle [deg], and how to ask for an action."""
+    if config.cameras[name].simulated:
+        from rig.simulator.simulated_operator import CapTurner
 
-
-def _kept(image: Image, folder: Path, stem: str) -> View:
-    folder.mkdir(parents=True, exist_ok=True)
-    seen = grey(image)
-    data = cv2.imencode(".png", seen)[1].tobytes()
-    file = folder / f"{stem}.png"
-    file.write_bytes(data)
-    return View(file.name, seen, hashlib.sha256(data).hexdigest())
-
-
-def _facts(found: Mounting, made: Path) -> dict[str, object]:
-    placement = placement_of(found.board_in_tip)
-    return {
-        "file": str(made),
-        "placement": placement.model_dump(),
-        "std_mm": (np.sqrt(np.diag(found.covariance))[:3] * 1e3).tolist(),
-        "std_deg": np.rad2deg(np.sqrt(np.diag(found.covariance))[3:]).tolist(),
-        "views": {v.name: {"turned_deg": float(np.rad2deg(v.angle_rad)), "residual_mm": v.residual_m * 1e3}
-                  for v in found.views},
-        "skipped": {name: why for name, why, _ in found.left_out},
-    }  # fmt: skip
+        yield CapTurner(config, name, seed).picture, lambda text: operator.tell(f"(simulated hands) {text}")
+        return
+    camera = open_camera(config, name)
+    try:
+        yield lambda _: camera.read(CAMERA_TIMEOUT_S).image, operator.wait
+    finally:
+        camera.close()

@@ -21,7 +21,7 @@ Image = NDArray[np.uint8]
 
 _STILL_SHARE = 0.002
 """Largest corner motion between two pictures of a board at rest, as a share of the width."""
-_TIMEOUT_S = 5.0
+CAMERA_TIMEOUT_S = 5.0
 _MOST_IDLE = 600
 """Pictures without a new view after which the collection ends."""
 
@@ -40,7 +40,7 @@ def pictures(config: RigConfig, camera: str, board: Board, seed: int) -> Iterato
     opened = open_camera(config, camera)
     try:
         while True:
-            yield opened.read(_TIMEOUT_S).image
+            yield opened.read(CAMERA_TIMEOUT_S).image
     finally:
         opened.close()
 
@@ -79,7 +79,7 @@ def collect(
         idle += 1
         if now is not None and still and coverage.is_new(now):
             coverage.add(now)
-            kept.append(_keep(image, folder, len(kept) + 1))
+            kept.append(store(image, folder, f"view{len(kept) + 1:02}"))
             idle = 0
         advice = coverage.next_step(now)
         line = f"{len(kept)} of {wanted} views. {advice or 'any other place, distance or tilt'}"
@@ -93,9 +93,10 @@ def collect(
     return kept
 
 
-def _keep(image: Image, folder: Path, number: int) -> View:
+def store(image: Image, folder: Path, stem: str) -> View:
+    """Write a view as PNG and return it."""
     folder.mkdir(parents=True, exist_ok=True)
-    _, data = cv2.imencode(".png", image)
-    file = folder / f"view{number:02}.png"
-    file.write_bytes(data.tobytes())
-    return View(file.name, image, hashlib.sha256(data.tobytes()).hexdigest())
+    data = cv2.imencode(".png", image)[1].tobytes()
+    file = folder / f"{stem}.png"
+    file.write_bytes(data)
+    return View(file.name, image, hashlib.sha256(data).hexdigest())

@@ -12,15 +12,18 @@ from typing import Annotated, Any, NoReturn
 import typer
 from typer.core import TyperGroup
 
-from rig.cli import archives, calibrate, identify, init, reproduce
+from rig.cli import archives, calibrate, completion, identify, init, reproduce
+from rig.cli.completion import DATA
 from rig.cli.options import (
     AsJson,
+    ExistingRig,
     Fast,
     Folder,
     Free,
     Note,
     Operator,
     Parameters,
+    ProtocolName,
     RigName,
     Seed,
     Variant,
@@ -107,7 +110,7 @@ def _fail(message: str, status: int) -> NoReturn:
 app = typer.Typer(
     cls=PlainErrors,
     no_args_is_help=True,
-    add_completion=False,
+    add_completion=True,
     pretty_exceptions_enable=False,
     context_settings={"color": True},  # PrintableStream escapes control sequences instead of click removing them
     rich_markup_mode=None,  # units in square brackets are not markup
@@ -134,7 +137,6 @@ def program(
 LOCAL, LIVE_PORT = "127.0.0.1", 8090
 Listen = Annotated[str, typer.Option(metavar="ADDRESS", help="Address of this machine on which to serve the page.")]
 Port = Annotated[int, typer.Option(help="First port to try for the page; 0: any free port.", min=0, max=65535)]
-ProtocolName = Annotated[str, typer.Argument(metavar="NAME|FILE", help="Named protocol, or a YAML file.")]
 
 
 @app.command()
@@ -143,13 +145,13 @@ def run(
     rig: RigName = None,
     fast: Fast = False,
     seed: Seed = 0,
-    out: Folder = Path("data"),
+    out: Folder = DATA,
     model: Variant = None,
     parameters: Parameters = None,
     operator: Operator = "",
     note: Note = "",
     yes: Yes = False,
-    report: Annotated[bool, typer.Option(help="Write the HTML report.")] = True,
+    no_report: Annotated[bool, typer.Option("--no-report", help="Write no HTML report.")] = False,
     adapt: Annotated[
         bool, typer.Option("--adapt", help="Estimate the arm's parameters online; not used for control.")
     ] = False,
@@ -184,7 +186,7 @@ def run(
         parameters=parameters,
         operator=operator,
         notes=note,
-        report=report,
+        report=not no_report,
     )
     decided = experiment.plan(request)
     screen = console(stderr=json)
@@ -239,17 +241,11 @@ def protocols() -> None:
 
 @app.command()
 def doctor(
-    rig: Annotated[
-        str | None,
-        typer.Option(
-            metavar="NAME|FILE",
-            help="Also check the cards of this rig. Default: $SOFTRIG_RIG, else ./softrig.yaml, else none.",
-        ),
-    ] = None,
-    out: Folder = Path("data"),
+    rig: ExistingRig = None,
+    out: Folder = DATA,
     json: AsJson = False,
 ) -> None:
-    """Check this machine for a rig, and name a remedy for each missing part."""
+    """Check this machine, and the cards of a rig; name a remedy for each missing part."""
     from rig.cli import run_output
     from rig.cli.console import console
     from rig.config.loader import load, named_rig
@@ -287,7 +283,7 @@ def simulate(
     static: Annotated[
         bool, typer.Option("--static", help="Solve statics at every set-point instead of dynamics.")
     ] = False,
-    out: Folder = Path("data"),
+    out: Folder = DATA,
 ) -> None:
     """Run the model alone, driven by the protocol's set-points; leaves an archive of the same layout."""
     from rig.config.loader import chosen_rig
@@ -301,7 +297,12 @@ def simulate(
 @app.command()
 def live(
     archive: Annotated[
-        Path | None, typer.Argument(metavar="[RUN]", help="Archive to play; default: the running experiment.")
+        Path | None,
+        typer.Argument(
+            metavar="[RUN]",
+            help="Archive to play; default: the running experiment.",
+            autocompletion=completion.runs,
+        ),
     ] = None,
     pid: Annotated[int | None, typer.Option(help="Process of the experiment to watch, if several run.")] = None,
     listen: Listen = LOCAL,

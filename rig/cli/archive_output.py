@@ -16,9 +16,10 @@ from rich.text import Text
 
 import runs as records
 from protocols.problems import BadInputError, Problem, closest
+from rig.cli.completion import DATA
 from rig.cli.console import console
 from rig.cli.json_output import plain_json
-from rig.cli.run_names import DATA, resolve
+from rig.cli.run_names import resolve
 from runs.catalogue import Entry
 from runs.records import Status
 from runs.recovery import Fate

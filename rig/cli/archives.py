@@ -7,15 +7,31 @@ from typing import Annotated
 
 import typer
 
-from rig.cli.options import Archive, Archives, AsJson, Folder, Note, Operator, Parameters, Replace
+from rig.cli.completion import DATA
+from rig.cli.options import (
+    Archive,
+    Archives,
+    AsJson,
+    Calibrations,
+    Folder,
+    Format,
+    Note,
+    Operator,
+    OptionalFolder,
+    Parameters,
+    RecordedRig,
+    Replace,
+    ReportFile,
+    Variant,
+)
+
+PAGE = "html"
 
 
 def runs(
-    folder: Annotated[Path, typer.Argument(metavar="DIR", file_okay=False)] = Path("data"),
-    text: Annotated[str, typer.Option(help="Words to look for, in every field.")] = "",
+    folder: Annotated[Path, typer.Argument(metavar="DIR", file_okay=False)] = DATA,
+    text: Annotated[str, typer.Option(help="Words to find in any field, such as protocol or operator.")] = "",
     status: Annotated[str, typer.Option(help="finished, interrupted, aborted or recovered.")] = "",
-    protocol: Annotated[str, typer.Option(help="Part of the protocol's name.")] = "",
-    operator: Annotated[str, typer.Option(help="Part of the operator's name.")] = "",
     since: Annotated[str, typer.Option(help="From this date on, as 2026-11 or 2026-11-21.")] = "",
     until: Annotated[str, typer.Option(help="Up to and including this date.")] = "",
     error_above_mm: Annotated[float | None, typer.Option(help="Only those with a larger mean error.")] = None,
@@ -27,16 +43,7 @@ def runs(
 
     archive_output.check_search(folder, status, since, until, error_above_mm)
     recovery_offer.offer(folder)
-    found = search(
-        catalogue(folder),
-        text,
-        status=status,
-        protocol=protocol,
-        operator=operator,
-        since=since,
-        until=until,
-        error_above_mm=error_above_mm,
-    )
+    found = search(catalogue(folder), text, status=status, since=since, until=until, error_above_mm=error_above_mm)
     archive_output.runs(found, folder, json)
 
 
@@ -49,41 +56,45 @@ def show(archive: Archive, json: AsJson = False) -> None:
 
 def report(
     archives: Archives,
-    to: Annotated[
-        Path | None, typer.Option("--to", help="HTML file, or the figures' folder; default: beside the first archive.")
-    ] = None,
-    figures: Annotated[
-        str | None, typer.Option("--figures", metavar="KIND", help="Instead, each figure as a file: pdf, png or svg.")
-    ] = None,
+    format_: Format = "html",
+    to: ReportFile = None,
+    out: OptionalFolder = None,
     replace: Replace = False,
 ) -> None:
-    """Write the report of one run, or of several side by side."""
+    """Write the report of one run, or of several side by side.
+
+    --format html writes one page to --to; pdf, png and svg write each figure as a file into --out.
+    """
     from protocols.problems import BadInputError, Problem
     from rig.cli.run_names import resolve
     from runs.report import figure_export
     from runs.report.page import default_path, write
 
-    if figures is None and to is not None and (to.suffix.lower() != ".html" or to.is_dir()):
+    page = format_ == PAGE
+    for option, given in (("--out", out) if page else ("--to", to),):
+        if given is not None:
+            kinds = ", ".join(figure_export.KINDS)
+            expected = f"--out is for figures: --format {kinds}" if page else f"--to is for --format {PAGE}: use --out"
+            raise BadInputError([Problem(option, 0, 0, "", str(given), expected)])
+    if to is not None and to.suffix.lower() != ".html":
         raise BadInputError([Problem("--to", 0, 0, "", str(to), "a file whose name ends with .html")])
     found = [resolve(archive) for archive in archives]
-    if figures is None:
+    if page:
         typer.echo(write(found, to, replace=replace))
         return
-    for path in figure_export.write(found, to or default_path(found, "-figures"), figures, replace=replace):
+    for path in figure_export.write(found, out or default_path(found, "-figures"), format_, replace=replace):
         typer.echo(path)
 
 
 def replay(
     archive: Archive,
-    rig: Annotated[str | None, typer.Option("--rig", help="Another rig: calibration, model, material.")] = None,
-    model: Annotated[str | None, typer.Option("--model", help="Another variant of the model.")] = None,
+    rig: RecordedRig = None,
+    model: Variant = None,
     parameters: Parameters = None,
-    calibration: Annotated[
-        list[Path] | None, typer.Option(metavar="FILE", help="A file of `rig calibrate`, to apply to the rig.")
-    ] = None,
-    out: Folder = Path("data"),
+    calibration: Calibrations = None,
+    out: Folder = DATA,
 ) -> None:
-    """Run vision and model again on a run's stored pictures and pressures."""
+    """Run vision and model again on a run's stored pictures and pressures, also with another rig."""
     from rig.cli.run_names import resolve
     from rig.config.model_variant import variant_named
     from rig.experiment.replay import replay as observe_again
@@ -96,15 +107,15 @@ def replay(
 
 def export(
     archive: Archive,
-    to: Annotated[str, typer.Option("--to", help="csv, mat, nc, mcap, or yaml: what it was made from.")] = "csv",
-    out: Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Default: beside the archive.")] = None,
+    format_: Format = "csv",
+    out: OptionalFolder = None,
     replace: Replace = False,
 ) -> None:
-    """Write an archive in another format."""
+    """Write an archive in another format: csv, mat, nc, mcap, or yaml for the inputs of the run."""
     from rig.cli.run_names import resolve
     from runs.export.exporters import export as write
 
-    for path in write(resolve(archive), to, out, replace=replace):
+    for path in write(resolve(archive), format_, out, replace=replace):
         typer.echo(path)
 
 
@@ -114,7 +125,7 @@ def import_(
         Path,
         typer.Option("--mapping", metavar="FILE", help="YAML: which column is what; docs/reference/import-mapping.md"),
     ],
-    out: Folder = Path("data"),
+    out: Folder = DATA,
     operator: Operator = "",
     note: Note = "",
 ) -> None:
@@ -129,7 +140,7 @@ def import_(
 
 
 def recover(
-    folder: Annotated[Path, typer.Argument(metavar="DIR", file_okay=False)] = Path("data"),
+    folder: Annotated[Path, typer.Argument(metavar="DIR", file_okay=False)] = DATA,
 ) -> None:
     """Turn the journals of runs that were killed into archives."""
     from rig.cli import archive_output

@@ -7,24 +7,29 @@ from typing import Annotated
 
 import typer
 
-from rig.cli.options import AsJson, Fast, Note, Replace, RigName, Seed, Yes
+from rig.cli.options import (
+    AsJson,
+    Calibrations,
+    Camera,
+    Capture,
+    Corners,
+    DatedFile,
+    Every,
+    Fast,
+    Note,
+    Replace,
+    RigName,
+    Seed,
+    SquareMm,
+    ViewedRig,
+    Yes,
+)
 
 app = typer.Typer(
     no_args_is_help=True,
     rich_markup_mode=None,
     help="Calibrate cameras, DLT, tool and pressures; each writes a dated file.",
 )
-
-Corners = Annotated[str, typer.Option(help="Inner corners of the board, as 9x6.")]
-SquareMm = Annotated[float, typer.Option(help="Edge of a square [mm].")]
-Every = Annotated[int, typer.Option(help="Use every Nth frame of a video.", min=1)]
-RigFile = Annotated[str | None, typer.Option("--rig", help="Rig whose cameras these are: name or file.")]
-To = Annotated[Path | None, typer.Option("--to", metavar="FILE", help="Output file; default: a dated name.")]
-
-
-@app.callback()
-def group() -> None:
-    """Calibrate the rig's sensors."""
 
 
 @app.command()
@@ -37,10 +42,8 @@ def dlt(
     ] = None,
     corners: Corners = "",
     square_mm: SquareMm = 0.0,
-    calibration: Annotated[
-        list[Path] | None, typer.Option(metavar="FILE", help="A camera's calibration, to remove its lens distortion.")
-    ] = None,
-    rig: RigFile = None,
+    calibration: Calibrations = None,
+    rig: ViewedRig = None,
     size: Annotated[str, typer.Option(help="Size of the pictures, as 640x480, if no other option gives it.")] = "",
     points_std_mm: Annotated[
         float, typer.Option(help="Standard uncertainty of the control points, for the bundle adjustment.")
@@ -54,15 +57,17 @@ def dlt(
         ),
     ] = "",
     every: Every = 1,
-    to: To = None,
+    to: DatedFile = None,
     replace: Replace = False,
     note: Note = "",
     json: AsJson = False,
 ) -> None:
     """Find cameras' 11 DLT coefficients and poses, from control points or from views of a board."""
     from rig.calibrate import dlt as procedure
+    from rig.calibrate.output_file import OutputFile
+    from rig.cli import calibration_output
 
-    procedure.run(
+    done = procedure.run(
         procedure.DLTCalibrationRequest(
             given=tuple(given or ()),
             corners=corners,
@@ -75,12 +80,10 @@ def dlt(
             world_view=world_view,
             base=base,
             every=every,
-            to=to,
-            replace=replace,
-            note=note,
-            json=json,
+            output=OutputFile(to, replace, note),
         )
     )
+    calibration_output.dlt(done, as_json=json)
 
 
 @app.command()
@@ -91,12 +94,12 @@ def camera(
     ] = None,
     corners: Corners = "",
     square_mm: SquareMm = 0.0,
-    live: Annotated[bool, typer.Option("--live", help="Take the views from the rig's camera now.")] = False,
-    rig: RigFile = None,
-    camera: Annotated[str | None, typer.Option(help="Name of the camera in the rig's file.")] = None,
-    count: Annotated[int, typer.Option("--views", help="Live views to keep.", min=4)] = 20,
+    capture: Capture = False,
+    rig: ViewedRig = None,
+    camera: Camera = None,
+    count: Annotated[int, typer.Option(metavar="N", help="Views to capture.", min=4)] = 20,
     every: Every = 1,
-    to: To = None,
+    to: DatedFile = None,
     replace: Replace = False,
     note: Note = "",
     seed: Seed = 0,
@@ -104,43 +107,45 @@ def camera(
 ) -> None:
     """Find cameras' intrinsics and distortion from views of a checkerboard."""
     from rig.calibrate import camera as procedure
+    from rig.calibrate.output_file import OutputFile
+    from rig.cli import calibration_output
+    from rig.cli.terminal_operator import TerminalOperator
     from rig.config.loader import chosen_rig
 
-    procedure.run(
+    done = procedure.run(
         procedure.CameraCalibrationRequest(
             views=tuple(views or ()),
             corners=corners,
             square_mm=square_mm,
-            live=live,
-            rig=chosen_rig(rig).name if live else rig,
+            capture=capture,
+            rig=chosen_rig(rig).name if capture else rig,
             camera=camera,
             count=count,
             every=every,
-            to=to,
-            replace=replace,
-            note=note,
             seed=seed,
-            json=json,
-        )
+            output=OutputFile(to, replace, note),
+        ),
+        TerminalOperator(),
     )
+    calibration_output.cameras(done, of_a_rig=capture or rig is not None, as_json=json)
 
 
 @app.command()
 def tool(
     rig: RigName = None,
-    camera: Annotated[str | None, typer.Option(help="Name of the camera in the rig's file.")] = None,
+    camera: Camera = None,
     straight: Annotated[Path | None, typer.Option(metavar="VIEWS", help="Views of the vented, straight arm.")] = None,
     turned: Annotated[
         Path | None, typer.Option(metavar="VIEWS", help="Views with the end cap turned about the arm's axis.")
     ] = None,
-    live: Annotated[bool, typer.Option("--live", help="Take the views from the rig's camera now.")] = False,
+    capture: Capture = False,
     tip_std_mm: Annotated[
         float, typer.Option(help="Standard uncertainty of the straight arm's tip position [mm].")
     ] = 0.1,
     tip_std_deg: Annotated[
         float, typer.Option(help="Standard uncertainty of the straight arm's tip direction [deg].")
     ] = 0.2,
-    to: To = None,
+    to: DatedFile = None,
     replace: Replace = False,
     note: Note = "",
     seed: Seed = 0,
@@ -148,24 +153,26 @@ def tool(
 ) -> None:
     """Find the board's offset from the arm's central axis and its rotation."""
     from rig.calibrate import tool as procedure
+    from rig.calibrate.output_file import OutputFile
+    from rig.cli import calibration_output
+    from rig.cli.terminal_operator import TerminalOperator
     from rig.config.loader import chosen_rig
 
-    procedure.run(
+    done = procedure.run(
         procedure.ToolCalibrationRequest(
             rig=chosen_rig(rig).name,
             camera=camera,
             straight=straight,
             turned=turned,
-            live=live,
+            capture=capture,
             tip_std_mm=tip_std_mm,
             tip_std_deg=tip_std_deg,
-            to=to,
-            replace=replace,
-            note=note,
             seed=seed,
-            json=json,
-        )
+            output=OutputFile(to, replace, note),
+        ),
+        TerminalOperator(),
     )
+    calibration_output.tool(done, as_json=json)
 
 
 @app.command()
@@ -179,11 +186,14 @@ def pressure(
     fast: Fast = False,
     gauge: Annotated[str, typer.Option(help="Name and number of the gauge; stored in the file.")] = "",
     gauge_std_bar: Annotated[float, typer.Option(help="Standard uncertainty of the gauge [bar].")] = 0.002,
-    volume_ml: Annotated[float | None, typer.Option(help="One chamber with its tube [ml]; default: the rig's.")] = None,
-    volume_std_ml: Annotated[
-        float | None, typer.Option(help="Standard uncertainty of that volume [ml]; default: a tenth.")
+    volume_ml: Annotated[
+        float | None, typer.Option(help="Volume of one chamber with its tube [ml].", show_default="the rig's")
     ] = None,
-    to: To = None,
+    volume_std_ml: Annotated[
+        float | None,
+        typer.Option(help="Standard uncertainty of that volume [ml].", show_default="a tenth of the volume"),
+    ] = None,
+    to: DatedFile = None,
     replace: Replace = False,
     note: Note = "",
     yes: Yes = False,
@@ -192,9 +202,12 @@ def pressure(
 ) -> None:
     """Find the sensors' scales against a gauge, and the valves' dead zone and flow curve by a sweep."""
     from rig.calibrate import pressure as procedure
+    from rig.calibrate.output_file import OutputFile
+    from rig.cli import calibration_output
+    from rig.cli.terminal_operator import TerminalOperator
     from rig.config.loader import chosen_rig
 
-    procedure.run(
+    done = procedure.run(
         procedure.PressureCalibrationRequest(
             rig=chosen_rig(rig).name,
             readings=readings,
@@ -205,11 +218,10 @@ def pressure(
             gauge_std_bar=gauge_std_bar,
             volume_ml=volume_ml,
             volume_std_ml=volume_std_ml,
-            to=to,
-            replace=replace,
-            note=note,
             yes=yes,
             seed=seed,
-            json=json,
-        )
+            output=OutputFile(to, replace, note),
+        ),
+        TerminalOperator(),
     )
+    calibration_output.pressure(done, as_json=json)

@@ -2,22 +2,28 @@
 
 from __future__ import annotations
 
+import json
+from collections.abc import Sequence
 from itertools import combinations
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import typer
 from numpy.typing import NDArray
-from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
 from calibration.camera import PARAMETERS, CameraCalibration
-from calibration.mounting import Mounting
 from calibration.vision.transforms import RigidTransform
+from rig.calibrate.camera import CalibratedCamera
+from rig.calibrate.dlt import DLTCalibration
+from rig.calibrate.pressure import PressureCalibration
+from rig.calibrate.tool import ToolCalibration
+from rig.cli.console import console
+from rig.cli.json_output import plain_json
 from rig.config import calibration_schema
 from rig.config.optics import placement_of
-from rig.config.schema import RigConfig
 
 _WORST_SHOWN = 5
 
@@ -30,17 +36,36 @@ def table(*heads: str, title: str | None = None) -> Table:
     return made
 
 
-def written(made: Path, simulated: bool) -> str:
-    """Where a result lies, and whether it is one of the simulated bench."""
-    return f"{made}{' (simulated: nothing real was measured)' if simulated else ''}"
+def _print_file(file: Path, simulated: bool) -> None:
+    """Print where a result lies, and whether it is one of the simulated bench."""
+    typer.echo(f"{file}{' (simulated: nothing real was measured)' if simulated else ''}")
 
 
-def camera_facts(found: CameraCalibration, file: Path, picture: Path) -> dict[str, Any]:
-    """A camera's intrinsics for scripts."""
+def _print_json(facts: object) -> None:
+    typer.echo(json.dumps(plain_json(facts), indent=2))
+
+
+def cameras(done: Sequence[CalibratedCamera], *, of_a_rig: bool, as_json: bool) -> None:
+    """Print the calibration of each camera; `of_a_rig`: a rig was named for them."""
+    if as_json:
+        facts = {one.name: _camera_facts(one) for one in done}
+        _print_json(facts[done[0].name] if len(done) == 1 else {"cameras": facts})
+        return
+    for one in done:
+        _print_camera(one.found, one.name)
+        _print_file(one.file, one.simulated)
+        typer.echo(one.figure)
+        if not of_a_rig:
+            typer.echo("to use it, name the camera with NAME=VIEWS and put the file under `calibrations:` of a rig")
+
+
+def _camera_facts(one: CalibratedCamera) -> dict[str, Any]:
+    """Return a camera's intrinsics for scripts."""
+    found = one.found
     fx, fy, cx, cy, *distortion = (float(p) for p in found.parameters)
     return {
-        "file": str(file),
-        "picture": str(picture),
+        "file": str(one.file),
+        "picture": str(one.figure),
         "width_px": found.width_px,
         "height_px": found.height_px,
         "fx_px": fx,
@@ -57,8 +82,9 @@ def camera_facts(found: CameraCalibration, file: Path, picture: Path) -> dict[st
     }
 
 
-def camera(found: CameraCalibration, name: str, screen: Console) -> None:
+def _print_camera(found: CameraCalibration, name: str) -> None:
     """Print a camera's intrinsics, their residuals, and advice for better views."""
+    screen = console()
     values = table("parameter", "value", "+-")
     for parameter, value, std in zip(PARAMETERS, found.parameters, found.std, strict=True):
         values.add_row(parameter, f"{value:.5f}" if abs(value) < 10 else f"{value:.2f}", f"{std:.2g}")
@@ -78,7 +104,7 @@ def camera(found: CameraCalibration, name: str, screen: Console) -> None:
         screen.print(Text(line, "yellow"), soft_wrap=True)
 
 
-def pairs(places: dict[str, tuple[RigidTransform, NDArray[np.float64]]]) -> list[dict[str, Any]]:
+def _pairs(places: dict[str, tuple[RigidTransform, NDArray[np.float64]]]) -> list[dict[str, Any]]:
     """Return the baseline and the angle between the optical axes of each pair of cameras."""
     found: list[dict[str, Any]] = []
     for (a, (one, _)), (b, (other, _)) in combinations(places.items(), 2):
@@ -93,10 +119,12 @@ def pairs(places: dict[str, tuple[RigidTransform, NDArray[np.float64]]]) -> list
     return found
 
 
-def dlt(
-    found: calibration_schema.DLTFile, places: dict[str, tuple[RigidTransform, NDArray[np.float64]]], screen: Console
-) -> None:
+def dlt(done: DLTCalibration, *, as_json: bool) -> None:
     """Print coefficients, poses, residuals and cross-validation error of a DLT."""
+    if as_json:
+        _print_json(_dlt_facts(done))
+        return
+    found, screen = done.content, console()
     values = table("", *(c.camera.name for c in found.cameras), title="coefficients (world in mm, undistorted px)")
     for k in range(11):
         cells = (f"{c.coefficients_px_mm[k]:.6g} +- {c.covariance[k][k] ** 0.5:.1g}" for c in found.cameras)
@@ -111,7 +139,7 @@ def dlt(
         known = (f"{p.translation_std_mm:.2g}", f"{p.rotation_std_deg:.2g}") if c.placement_known else ("?", "?")
         poses.add_row(c.camera.name, *(f"{v:.3f}" for v in p.translation_mm), *known)
     screen.print(poses)
-    for pair in pairs(places):
+    for pair in _pairs(done.result.places):
         names = " - ".join(pair["cameras"])
         screen.print(f"{names}: baseline {pair['baseline_mm']:.3f} mm, {pair['angle_deg']:.2f} deg", soft_wrap=True)
     screen.print(_worst_points(found))
@@ -119,6 +147,28 @@ def dlt(
         screen.print(_test_words(found), soft_wrap=True)
     for left in found.left_out:
         screen.print(Text(f"not used: {left.name}: {left.reason}", "yellow"), soft_wrap=True)
+    _print_file(done.file, done.simulated)
+
+
+def _dlt_facts(done: DLTCalibration) -> dict[str, object]:
+    found = done.content
+    return {
+        "file": str(done.file),
+        "world": found.world,
+        "world_view": found.world_view,
+        "cameras": {
+            camera.camera.name: {
+                "coefficients_px_mm": camera.coefficients_px_mm,
+                "rms_px": camera.rms_px,
+                "lens": None if camera.lens is None else camera.lens.model_dump(),
+                "placement": camera.placement.model_dump(),
+            }
+            for camera in found.cameras
+        },
+        "pairs": _pairs(done.result.places),
+        "test_error": None if found.test_error is None else found.test_error.model_dump(exclude_none=True),
+        "skipped": {out.name: out.reason for out in found.left_out},
+    }
 
 
 def _worst_points(found: calibration_schema.DLTFile) -> Table:
@@ -149,10 +199,14 @@ def _test_words(found: calibration_schema.DLTFile) -> str:
     return words
 
 
-def tool(found: Mounting, stated: RigidTransform, screen: Console) -> None:
+def tool(done: ToolCalibration, *, as_json: bool) -> None:
     """Print the board's pose in the tip frame beside the stated one."""
+    found, screen = done.found, console()
+    if as_json:
+        _print_json(_tool_facts(done))
+        return
     std = np.sqrt(np.diag(found.covariance))
-    now, before = placement_of(found.board_in_tip), placement_of(stated)
+    now, before = placement_of(found.board_in_tip), placement_of(done.stated)
     values = table("board in the tip frame", "found", "+-", "the rig's file", title=f"{len(found.views)} views")
     for k, axis in enumerate("xyz"):
         values.add_row(f"{axis} [mm]", f"{now.translation_mm[k]:.3f}", f"{std[k] * 1e3:.2g}",
@@ -171,15 +225,32 @@ def tool(found: Mounting, stated: RigidTransform, screen: Console) -> None:
     if not any(v.turned for v in found.views):
         line = "no views of the turned cap: the offset from the axis rests on the camera's place alone"
         screen.print(Text(line, "yellow"), soft_wrap=True)
+    _print_file(done.file, done.simulated)
 
 
-def pressure(
-    sensors: tuple[calibration_schema.SensorCalibration, ...],
-    valves: tuple[calibration_schema.ValveCalibration, ...],
-    config: RigConfig,
-    screen: Console,
-) -> None:
+def _tool_facts(done: ToolCalibration) -> dict[str, object]:
+    std = np.sqrt(np.diag(done.found.covariance))
+    return {
+        "file": str(done.file),
+        "placement": placement_of(done.found.board_in_tip).model_dump(),
+        "std_mm": (std[:3] * 1e3).tolist(),
+        "std_deg": np.rad2deg(std[3:]).tolist(),
+        "views": {
+            v.name: {"turned_deg": float(np.rad2deg(v.angle_rad)), "residual_mm": v.residual_m * 1e3}
+            for v in done.found.views
+        },
+        "skipped": {name: why for name, why, _ in done.found.left_out},
+    }
+
+
+def pressure(done: PressureCalibration, *, as_json: bool) -> None:
     """Print sensor scales and valve parameters beside the stated ones."""
+    config, sensors, valves, screen = done.config, done.content.sensors, done.content.valves, console()
+    if as_json:
+        facts = {"sensors": [s.model_dump(mode="json") for s in sensors],
+                 "valves": [v.model_dump(mode="json") for v in valves]}  # fmt: skip
+        _print_json({"file": str(done.file), **facts})
+        return
     if sensors:
         made = table("sensor", "bar per V", "+-", "offset [bar]", "+-", "rms [bar]", "the rig's file")
         for s in sensors:
@@ -211,3 +282,4 @@ def pressure(
             f"{v.volume_std_ml / v.volume_ml:.0%} more uncertainty, the same for all",
             soft_wrap=True,
         )
+    _print_file(done.file, any(card.simulated for card in config.cards.values()))

@@ -20,3 +20,13 @@ class DefaultCommandGroup(TyperGroup):
         if args and args[0] not in self.commands and args[0] not in self.get_help_option_names(ctx):
             args = [self.default_command.name, *args]
         return super().parse_args(ctx, args)
+
+    def shell_complete(self, ctx: Any, incomplete: str) -> list[Any]:
+        """Complete sub-commands and options, and the arguments of the default sub-command."""
+        found: list[Any] = super().shell_complete(ctx, incomplete)
+        command = self.default_command
+        within = command.make_context(command.name, [], parent=ctx, resilient_parsing=True)
+        if incomplete.startswith("-"):
+            return [*found, *command.shell_complete(within, incomplete)]
+        arguments = (one for one in command.params if one.param_type_name == "argument")
+        return found + [item for one in arguments for item in one.shell_complete(within, incomplete)]

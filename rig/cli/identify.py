@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from rig.cli import completion
 from rig.cli.default_command import DefaultCommandGroup
-from rig.cli.options import Archives, AsJson, Every, Free, Replace
+from rig.cli.options import Archives, AsJson, Every, Free, ParametersFile, Replace
 
 if TYPE_CHECKING:
     from calibration.identify import Poses, Prior
@@ -51,6 +52,7 @@ def fit(
         list[str] | None,
         typer.Option(
             metavar="RIG",
+            autocompletion=completion.rigs,
             help="Initial rig, by name or file; default: the first run's. Of several, the likeliest is used.",
         ),
     ] = None,
@@ -59,7 +61,12 @@ def fit(
     every: Every = 1,
     leave_out: Annotated[
         list[Path] | None,
-        typer.Option("--leave-out", metavar="RUN", help="Hold this run out and predict it; may be repeated."),
+        typer.Option(
+            "--leave-out",
+            metavar="RUN",
+            help="Hold this run out and predict it; may be repeated.",
+            autocompletion=completion.runs,
+        ),
     ] = None,
     split_s: Annotated[
         float | None,
@@ -71,7 +78,7 @@ def fit(
     bootstrap: Annotated[int, typer.Option(metavar="N", help="Bootstrap errors from N refits.", min=0)] = 0,
     scheduler: Scheduler = None,
     store: Store = None,
-    to: Annotated[Path | None, typer.Option("--to", metavar="FILE", help="Write the parameters (YAML).")] = None,
+    to: ParametersFile = None,
     rig_file: Annotated[
         Path | None,
         typer.Option("--rig-file", metavar="FILE", help="Write the initial rig with the parameters applied."),
@@ -84,6 +91,8 @@ def fit(
     json: AsJson = False,
 ) -> None:
     """Estimate parameters with error bars, or report them as not identifiable. The default sub-command.
+
+    --to FILE gets the parameters (YAML).
 
     Without --free, these are free: law, rpe_per_bar, base, sensor_offsets, and damping_s for dynamic runs.
     """

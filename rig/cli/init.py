@@ -10,7 +10,7 @@ from typing import Annotated
 
 import typer
 
-from rig.cli.options import Replace
+from rig.cli.options import OutputFile, Replace
 
 EXPLAINED = {
     "name": "The rig's name. It appears in reports, file names and archives. Letters, digits, '-' and '_'.",
@@ -78,7 +78,7 @@ def commented(text: str) -> str:
 
 def init(
     like: Annotated[Template, typer.Option(help="Bundled rig to start from.")] = Template.MOCK,
-    to: Annotated[Path, typer.Option("--to", metavar="FILE", help="The file to write.")] = Path("softrig.yaml"),
+    to: OutputFile = Path("softrig.yaml"),
     replace: Replace = False,
 ) -> None:
     """Write a commented rig file to start from."""

@@ -1,47 +1,85 @@
-"""Options that several commands share."""
+"""Options that several commands share: one name, one meaning, one declaration."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
+from rig.cli import completion
+
+
+def _rig(default: str) -> Any:
+    """Declare --rig; `default` says which rig is used without it."""
+    return typer.Option(
+        "--rig",
+        metavar="NAME|FILE",
+        help="Name or file of the rig.",
+        show_default=default,
+        autocompletion=completion.rigs,
+    )
+
+
+RigName = Annotated[str | None, _rig("$SOFTRIG_RIG, else ./softrig.yaml, else mock")]
+ExistingRig = Annotated[str | None, _rig("$SOFTRIG_RIG, else ./softrig.yaml, else none")]
+VentedRig = Annotated[str | None, _rig("$SOFTRIG_RIG, else ./softrig.yaml, else the running experiments")]
+RecordedRig = Annotated[str | None, _rig("the rig of the run")]
+ViewedRig = Annotated[str | None, _rig("none; --capture: as for rig run")]
+
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON, for scripts.")]
-RigName = Annotated[
-    str | None,
-    typer.Option(
-        "--rig",
-        metavar="NAME|FILE",
-        help="Name or file of the rig. Default: $SOFTRIG_RIG, else ./softrig.yaml, else mock.",
-    ),
-]
-VentedRig = Annotated[
-    str | None,
-    typer.Option(
-        "--rig",
-        metavar="NAME|FILE",
-        help="Name or file of the rig. Default: $SOFTRIG_RIG, else ./softrig.yaml, else the running experiments.",
-    ),
-]
-Variant = Annotated[
-    str | None, typer.Option("--model", help="homogeneous, homogeneous+rpe or inhomogeneous+rpe; default: the rig's.")
-]
 Fast = Annotated[bool, typer.Option("--fast", help="Virtual time; simulated rigs only.")]
-Seed = Annotated[int, typer.Option(help="Seed of the simulator.", min=0)]
+Seed = Annotated[int, typer.Option("--seed", help="Seed of the simulator.", min=0)]
 Yes = Annotated[bool, typer.Option("--yes", help="Arm without asking.")]
-Operator = Annotated[str, typer.Option(help="Name of the operator; stored in the archive.")]
-Note = Annotated[str, typer.Option(help="A remark; stored in the output file.")]
+Operator = Annotated[str, typer.Option("--operator", help="Name of the operator; stored in the archive.")]
+Note = Annotated[str, typer.Option("--note", help="A remark; stored in the output file.")]
+Replace = Annotated[bool, typer.Option("--replace", help="Replace existing files.")]
+
 _RUN = "Archive, run id or a unique part of one, or last: the newest run in data/."
-Archive = Annotated[Path, typer.Argument(metavar="RUN", help=_RUN)]
-Archives = Annotated[list[Path], typer.Argument(metavar="RUN..", help=_RUN)]
+Archive = Annotated[Path, typer.Argument(metavar="RUN", help=_RUN, autocompletion=completion.runs)]
+Archives = Annotated[list[Path], typer.Argument(metavar="RUN..", help=_RUN, autocompletion=completion.runs)]
+ProtocolName = Annotated[
+    str,
+    typer.Argument(metavar="NAME|FILE", help="Named protocol, or a YAML file.", autocompletion=completion.protocols),
+]
+
+
+def _folder(default: str | bool) -> Any:
+    """Declare --out; `default` says which folder is used without it."""
+    help_ = "Folder for the output files."
+    return typer.Option("--out", metavar="DIR", help=help_, file_okay=False, show_default=default)
+
+
+Folder = Annotated[Path, _folder(True)]
+OptionalFolder = Annotated[Path | None, _folder("beside the archive")]
+
+
+def _file(default: str | bool) -> Any:
+    """Declare --to; `default` says which file is written without it."""
+    return typer.Option("--to", metavar="FILE", help="Output file.", show_default=default)
+
+
+OutputFile = Annotated[Path, _file(True)]
+DatedFile = Annotated[Path | None, _file("a dated name")]
+ParametersFile = Annotated[Path | None, _file("none; with --rig-file: beside it")]
+ReportFile = Annotated[Path | None, _file("beside the first archive")]
+
+Format = Annotated[str, typer.Option("--format", help="Format of the output.")]
+
+Variant = Annotated[
+    str | None,
+    typer.Option(
+        "--model", help="homogeneous, homogeneous+rpe or inhomogeneous+rpe.", show_default="the variant of the rig"
+    ),
+]
 Parameters = Annotated[
     Path | None,
     typer.Option("--parameters", metavar="FILE", help="Identified parameters, to apply to the rig.", dir_okay=False),
 ]
-Folder = Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder of the archives.", file_okay=False)]
-Replace = Annotated[bool, typer.Option("--replace", help="Replace existing files.")]
-Every = Annotated[int, typer.Option("--every", metavar="N", help="Use every Nth frame.", min=1)]
+Calibrations = Annotated[
+    list[Path] | None,
+    typer.Option("--calibration", metavar="FILE", help="File of `rig calibrate` to apply; may be repeated."),
+]
 Free = Annotated[
     str,
     typer.Option(
@@ -50,3 +88,9 @@ Free = Annotated[
         help="Parameters to estimate, separated by commas; docs/reference/parameters.md lists them.",
     ),
 ]
+Every = Annotated[int, typer.Option("--every", metavar="N", help="Use every Nth frame.", min=1)]
+
+Corners = Annotated[str, typer.Option("--corners", help="Inner corners of the board, as 9x6.")]
+SquareMm = Annotated[float, typer.Option("--square-mm", help="Edge of a square [mm].")]
+Camera = Annotated[str | None, typer.Option("--camera", help="Name of the camera in the rig file.")]
+Capture = Annotated[bool, typer.Option("--capture", help="Capture the views with the rig's camera now.")]

@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from rig.cli.options import AsJson, Replace
+from rig.cli.options import AsJson, Folder, Replace
 
 
 class Result(StrEnum):
@@ -30,15 +30,14 @@ class Result(StrEnum):
 
 def reproduce(
     what: Annotated[Result, typer.Argument(help="The printed E (5.2.2), a table, a figure, or all of them.")],
-    out: Annotated[
-        Path, typer.Option("--out", metavar="DIR", help="Folder of the figures and the page.", file_okay=False)
-    ] = Path("data/paper"),
+    out: Folder = Path("data/paper"),
     runs: Annotated[
         Path | None,
         typer.Option(
             metavar="DIR",
-            help="Archives of the paper's six protocols; what is missing is simulated there. Default: --out/runs.",
+            help="Archives of the paper's six protocols; what is missing is simulated there.",
             file_okay=False,
+            show_default="runs, in the folder of --out",
         ),
     ] = None,
     replace: Replace = False,

@@ -5,15 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 from rig.cli import recovery_offer
+from rig.cli.completion import DATA, LAST
 from runs.archive.writer import SUFFIX, ArchiveError
 from runs.catalogue import catalogue
-
-DATA = Path("data")
-"""Default folder of archives."""
-
-
-LAST = "last"
-
 
 MOST_SHOWN = 5
 

@@ -195,11 +195,17 @@ def _line(progress: Progress) -> str:
         parts.append("bar " + " ".join(f"{s / PA_PER_BAR:.3f}/{m / PA_PER_BAR:.3f}" for s, m in pairs))
     if progress.observation is not None and progress.observation["seen"] == DetectionStatus.MEASURED:
         parts.append(f"tip mm {_point(progress.observation['measured_m'])}, error {_error_mm(progress):.2f}")
+    if progress.missed or progress.dropped:
+        parts.append(_losses(progress))
     if progress.held:
         parts.append("PAUSED")
     if progress.prompt is not None:
         parts.append(f"WAITING: {progress.prompt} (then press Enter)")
     return " | ".join(parts)
+
+
+def _losses(progress: Progress) -> str:
+    return f"deadlines missed {progress.missed}, frames dropped {progress.dropped}"
 
 
 def _screen(title: str, progress: Progress) -> Fitted:
@@ -219,8 +225,9 @@ def _screen(title: str, progress: Progress) -> Fitted:
         short = Text.assemble(short, f", tip {_tip(observation)}")
         blocks.append(Block((_positions(progress, observation), short, error), Keep.TIP))
     if sample is not None:
-        late = f"control late by {sample['lateness_ns'] / 1e3:.0f} us, deadlines missed {progress.missed}"
-        blocks.append(Block((Text(late, "yellow" if progress.missed else "dim"), NOTHING), Keep.TIMING))
+        late = f"control late by {sample['lateness_ns'] / 1e3:.0f} us, {_losses(progress)}"
+        style = "yellow" if progress.missed or progress.dropped else "dim"
+        blocks.append(Block((Text(late, style), NOTHING), Keep.TIMING))
     clock = f"{_clock(progress.protocol_s)} of {_clock(progress.duration_s)}"
     left = f"{clock}, {_clock(progress.duration_s - progress.protocol_s)} left"
     way = Table.grid(Column(max_width=50), Column(no_wrap=True), padding=(0, 1))

@@ -8,6 +8,7 @@ from rig.config.loader import load, named_rig
 from rig.config.schema import RigConfig
 from rig.hardware.cards.base import CardError
 from rig.hardware.lock import described, locked_devices, running_rigs
+from rig.hardware.vent import is_absent
 from rig.hardware.vent import vent as vent_rig
 
 NOTHING = "nothing to vent: --rig, SOFTRIG_RIG or softrig.yaml here names no rig, and no experiment of this user runs"
@@ -23,6 +24,10 @@ def vent(option: str | None) -> None:
     """
     if (chosen := named_rig(option)) is not None:
         config = load(chosen.name)
+        if is_absent(config):
+            simulated = f"the simulated rig {config.name}, chosen by {chosen.source}, has never run"
+            typer.echo(f"nothing to vent: {simulated}", err=True)
+            raise typer.Exit(2)
         vent_rig(config)
         typer.echo(f"{_vented(config)}; rig chosen by {chosen.source}")
         return

@@ -41,13 +41,17 @@ class Outcome:
 
 @dataclass(frozen=True)
 class Progress:
-    """Progress for the display; `sample` and `observation` are the newest rows, None before the first."""
+    """Progress for the display; `sample` and `observation` are the newest rows, None before the first.
+
+    `missed` counts deadlines, `dropped` camera frames, both since the start of the run.
+    """
 
     protocol_s: float
     duration_s: float
     sample: NDArray[np.void] | None
     observation: NDArray[np.void] | None
     missed: int
+    dropped: int
     prompt: str | None
     held: bool = False
     adapted: tuple[Quantity, ...] = ()

@@ -12,6 +12,7 @@ from rig.control.step import safe_voltages
 from rig.hardware.bench import Bench, cards_with_valves, open_outputs
 from rig.hardware.cards.base import CardBusyError, CardError
 from rig.hardware.lock import described, held_by_unseen, holders
+from rig.simulator.registers import Registers
 
 REPEATED_S = 0.25
 NOTICED_S = 0.1
@@ -23,6 +24,12 @@ FREED_S = 2.0
 ENDED_S = 3.0
 LOOK_S = 0.02
 _STOP_IT = "it may move the valves again; shut the air off, and stop it as its user or as root"
+
+
+def is_absent(config: RigConfig) -> bool:
+    """Return True for a rig of simulated cards that has never run: no device exists, and no process holds it."""
+    absent = (card.simulated and not Registers.exist(card.device) for card in config.cards.values())
+    return all(absent) and not holders(config)
 
 
 def vent(config: RigConfig) -> None:

@@ -375,6 +375,7 @@ class _Supervisor:
             sample=self._sample,
             observation=self._observation,
             missed=self.missed,
+            dropped=self.dropped,
             prompt=self._prompt_text(waiting) if waiting >= 0 else None,
             held=self.memory.paused,
             adapted=self.plan.adapted,

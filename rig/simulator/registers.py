@@ -151,6 +151,11 @@ class Registers:
             raise CardError(f"mock card {device}: {path} was not made by this version of softrig: remove it")
         return cls(descriptor, path)
 
+    @staticmethod
+    def exist(device: str) -> bool:
+        """Return True if the plant of a mock device runs, or has run."""
+        return path_of(device).exists()
+
     def write(self, output: int, volts: float, t_ns: int) -> None:
         """Set one output register and the time of the write."""
         self.outputs["volts"][output] = volts

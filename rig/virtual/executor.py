@@ -234,6 +234,7 @@ class _VirtualRun:
             sample=row,
             observation=last[0] if len(last) else None,
             missed=0,
+            dropped=0,
             prompt=None,
             adapted=self._plan.adapted,
             adaptation=estimate[0] if len(estimate) else None,

@@ -164,10 +164,10 @@ def test_it_searches(folder: Path) -> None:
     found = catalogue(folder)
     assert names(search(found, "grace TUBE")) == ["other"]
     assert names(search(found, "grace ramp")) == []
-    assert names(search(found, protocol="ramp")) == ["third", "second", "first"]
+    assert names(search(found, "ramp")) == ["third", "second", "first"]
     assert names(search(found, since="2026-01-03")) == ["third", "second"]
     assert names(search(found, since="2026-01-03", until="2026-01-03")) == ["second"]
     assert names(search(found, until="1970")) == ["other"]
     assert names(search(found, status="aborted")) == []
-    assert names(search(found, operator="tester", error_above_mm=0.5)) == ["third", "second", "first"]
+    assert names(search(found, "tester", error_above_mm=0.5)) == ["third", "second", "first"]
     assert names(search(found, error_above_mm=50.0)) == []

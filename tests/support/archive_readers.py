@@ -25,16 +25,16 @@ MOST_BYTES = 12 << 30
 COMMANDS = (
     ("show",),
     ("show", "--json"),
-    ("export", "--to", "csv"),
-    ("export", "--to", "mat"),
-    ("export", "--to", "nc"),
-    ("export", "--to", "mcap"),
-    ("export", "--to", "yaml"),
+    ("export", "--format", "csv"),
+    ("export", "--format", "mat"),
+    ("export", "--format", "nc"),
+    ("export", "--format", "mcap"),
+    ("export", "--format", "yaml"),
     ("report",),
     ("replay", "--out", "replayed"),
     ("identify", "--free", "shear_ratio"),
 )
-CHEAP = (("show",), ("export", "--to", "csv"), ("export", "--to", "mat"), ("export", "--to", "mcap"))
+CHEAP = (("show",), ("export", "--format", "csv"), ("export", "--format", "mat"), ("export", "--format", "mcap"))
 
 
 def python(path: Path) -> str:

@@ -44,19 +44,19 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         for command in (
             [
                 "camera",
-                "--live",
+                "--capture",
                 "--rig",
                 "mock",
                 "--corners",
                 "9x6",
                 "--square-mm",
                 "16",
-                "--views",
+                "--count",
                 "8",
                 "--to",
                 "c.yaml",
             ],
-            ["tool", "--live", "--to", "t.yaml"],
+            ["tool", "--capture", "--to", "t.yaml"],
             ["pressure", "--fast", "--yes", "--seed", "3", "--to", "p.yaml"],
         ):
             done = rig("calibrate", *command)

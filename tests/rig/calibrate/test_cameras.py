@@ -76,7 +76,7 @@ def test_views_of_another_size_than_the_rigs_camera_are_refused(here: Path) -> N
         (["camera", ".", "--square-mm", "25"], "--corners"),
         (["camera", ".", "--corners", "1x9", "--square-mm", "25"], "from 3x2"),
         (["camera", ".", "--corners", "9x6"], "--square-mm"),
-        (["camera", "--corners", "9x6", "--square-mm", "25"], "--live"),
+        (["camera", "--corners", "9x6", "--square-mm", "25"], "--capture"),
         (["camera", "a=x", "a=y", "--corners", "9x6", "--square-mm", "25"], "a name of its own"),
         (["dlt"], "control points"),
         (["camera", ".", "--corners", "9x6", "--square-mm", "25", "--to", "a.PNG"], "the picture goes beside it"),
@@ -128,7 +128,7 @@ def test_live_views_do_not_overwrite_those_of_another_calibration(here: Path, wo
     kept = here / "mine-views" / "view01.png"
     kept.parent.mkdir()
     kept.write_text("a picture")
-    done = rig("calibrate", *words, "--live", "--to", "mine.yaml")
+    done = rig("calibrate", *words, "--capture", "--to", "mine.yaml")
     assert done.exit_code == 2
     assert "--replace writes over those in mine-views" in done.output
     assert kept.read_text() == "a picture"

@@ -267,7 +267,7 @@ def test_runs_lists_archives_and_filters_them(
 def test_export_writes_tables_with_the_unit_in_every_header(recorded: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(recorded)
     (archive,) = (recorded / "data").glob("*.h5")
-    assert inside("export", archive.stem, "--to", "csv", "--out", "tables") == 0
+    assert inside("export", archive.stem, "--format", "csv", "--out", "tables") == 0
     (pressure,) = (recorded / "tables").glob("*-pressure.csv")
     head = pressure.read_text().splitlines()[0].split(",")
     assert "time_s" in head

@@ -121,7 +121,7 @@ def test_an_export_overwrites_no_file_without_consent(data: Path, form: str) -> 
     assert {path.name for path in export(archive, form, replace=True)} == {path.name for path in written}
     assert all(file.read_bytes() != b"mine" for file in written)
     assert not list(data.glob(".writing-*"))
-    assert inside("export", archive, "--to", form) == 2
+    assert inside("export", archive, "--format", form) == 2
 
 
 def test_figures_overwrite_no_file_without_consent(data: Path) -> None:

@@ -151,7 +151,7 @@ def test_a_report_holds_no_foreign_markup(tmp_path: Path) -> None:
 
 
 def test_texts_in_a_csv_are_no_formulas(folder: Path, tmp_path: Path, rig: Rig) -> None:
-    rig(folder, "export", "odd.h5", "--to", "csv", "--out", str(tmp_path))
+    rig(folder, "export", "odd.h5", "--format", "csv", "--out", str(tmp_path))
     with (tmp_path / "odd-events.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
     assert rows[0]["message"] == f"'={ODD}"

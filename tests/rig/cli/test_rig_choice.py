@@ -91,9 +91,9 @@ def test_screen_and_record_state_what_chose_the_rig(
         ("simulate", "ramp-a"),
         ("vent",),
         ("doctor",),
-        ("calibrate", "tool", "--live"),
+        ("calibrate", "tool", "--capture"),
         ("calibrate", "pressure", "--fast", "--yes"),
-        ("calibrate", "camera", "--live", "--corners", "6x5", "--square-mm", "8"),
+        ("calibrate", "camera", "--capture", "--corners", "6x5", "--square-mm", "8"),
     ],
     ids=" ".join,
 )
@@ -116,6 +116,18 @@ def test_vent_without_a_rig_and_without_a_run_vents_nothing_and_returns_2(
     assert inside("vent") == 2
     said = capsys.readouterr()
     assert "nothing to vent" in said.err
+    assert said.out == ""
+
+
+@pytest.mark.parametrize("arguments", [("vent",), ("vent", "--rig", "softrig.yaml")])
+def test_vent_of_a_simulated_rig_that_has_never_run_says_so_and_returns_2(
+    arguments: tuple[str, ...], capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_rig("softrig.yaml", "folder")
+    assert inside(*arguments) == 2
+    said = capsys.readouterr()
+    assert "nothing to vent: the simulated rig folder" in said.err
+    assert "has never run" in said.err
     assert said.out == ""
 
 

@@ -111,6 +111,7 @@ def running(
     actuators: int = 3,
     estimates: int = 10,
     seen: DetectionStatus = DetectionStatus.MEASURED,
+    dropped: int = 0,
 ) -> Progress:
     """A run with everything on its screen: pressures, tip, and parameters that are being found."""
     sample = np.zeros(1, sample_dtype(actuators, 2))[0]
@@ -122,7 +123,7 @@ def running(
     adaptation = np.zeros(1, adaptation_dtype(estimates))[0]
     adaptation["value"] = -0.0012345 - 1e-7 * np.arange(estimates)
     adaptation["covariance"] = 1.21e-8 * np.eye(estimates)
-    return Progress(8.0, 9.0, sample, observation, 0, prompt, held, adapted, adaptation)
+    return Progress(8.0, 9.0, sample, observation, 0, dropped, prompt, held, adapted, adaptation)
 
 
 def live(progress: Progress, columns: int, lines: int) -> str:
@@ -177,6 +178,14 @@ def test_a_large_screen_shows_everything() -> None:
     screen = live(running(actuators=6, estimates=3), 80, 40)
     for words in ("ramp-a on mock", "difference [bar]", "began with", "control late by", "p pauses"):
         assert words in screen
+
+
+def test_dropped_frames_are_counted_during_the_run() -> None:
+    assert "frames dropped 7" in live(running(dropped=7), 80, 40)
+    plain = io.StringIO()
+    with Terminal(Console(file=plain, width=200), lambda: None, "ramp-a on mock") as terminal:
+        terminal.show(running(dropped=7))
+    assert "frames dropped 7" in plain.getvalue()
 
 
 @pytest.mark.parametrize(("lines", "gone"), [(20, "p pauses"), (19, "control late by"), (18, "began with")])

@@ -1,0 +1,92 @@
+"""The file of a DLT calibration, in the units of files."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from calibration.cross_validation import CrossValidation
+from calibration.vision.board import Board
+from rig.calibrate import file_sections, inputs
+from rig.calibrate.dlt_fit import DLTCalibrationResult
+from rig.config import calibration_schema
+from rig.config.calibration_files import origin, rounded
+from rig.config.optics import placement_of
+from rig.config.schema import RigConfig
+
+_MM = 1e3
+
+
+def _points(names: tuple[str, ...], *, boards: bool) -> tuple[str, ...]:
+    """Names of control points, or of the views whose corners they are."""
+    return tuple(dict.fromkeys(name.rpartition(":")[0] for name in names)) if boards else names
+
+
+def _section(
+    name: str, result: DLTCalibrationResult, identity: calibration_schema.CameraIdentity
+) -> calibration_schema.DLTCamera:
+    dlt, observation = result.dlts[name], result.observations[name]
+    place, covariance = result.places[name]
+    # World in mm: what multiplies a coordinate is a thousand times smaller.
+    scale = np.where(np.isin(np.arange(11), (3, 7)), 1.0, 1 / _MM)
+    units = np.array([_MM] * 3 + [np.rad2deg(1)] * 3)
+    spread = covariance * np.outer(units, units)
+    known = bool(np.all(np.isfinite(spread)))
+    std = np.sqrt(np.diag(spread)) if known else np.zeros(6)
+    placement = placement_of(
+        replace(place, translation_std_m=float(np.sqrt(np.mean(std[:3] ** 2))) / _MM,
+                rotation_std_rad=float(np.deg2rad(np.sqrt(np.mean(std[3:] ** 2)))))
+    )  # fmt: skip
+    return calibration_schema.DLTCamera(
+        camera=identity,
+        lens=None if observation.lens is None else file_sections.lens_section(observation.lens),
+        coefficients_px_mm=rounded(dlt.coefficients * scale, 10),
+        covariance=file_sections.matrix(dlt.covariance * np.outer(scale, scale)),
+        rms_px=rounded(dlt.rms_px),
+        placement=placement,
+        placement_covariance=file_sections.matrix(spread if known else np.zeros((6, 6))),
+        placement_known=known,
+        points=_points(observation.names, boards=bool(result.world_view)),
+        residuals_px=rounded(dlt.residuals_px.ravel(), 3),
+    )
+
+
+def dlt_file(
+    result: DLTCalibrationResult,
+    rig: RigConfig | None,
+    sources: tuple[calibration_schema.SourceFile, ...],
+    board: Board | None,
+    *,
+    in_base: bool,
+    note: str = "",
+) -> calibration_schema.DLTFile:
+    """Return the file of a result; `board` is None for control points, `in_base`: the world is the rod-base frame."""
+    cameras = [_section(name, result, inputs.identity_sized(rig, name, result.sizes_px[name])) for name in result.dlts]
+    return calibration_schema.DLTFile(
+        **origin(note),
+        kind="dlt",
+        world="rod base" if in_base else "board",
+        world_view=result.world_view,
+        board=None if board is None else file_sections.board_section(board.pattern, board.square_m),
+        cameras=tuple(cameras),
+        test_error=_test(result.trial, by_point=board is None),
+        views=result.views,
+        sources=sources,
+        left_out=file_sections.left_out(result.left_out),
+    )
+
+
+def _test(trial: CrossValidation, *, by_point: bool) -> calibration_schema.LeaveOneOut | None:
+    mm, px, edges = trial.errors_m * _MM, trial.errors_px, trial.edges_m * _MM
+    if not (len(mm) or len(px)):
+        return None
+    return calibration_schema.LeaveOneOut(
+        method="leave one point out" if by_point else "leave one view out",
+        points=len(mm) or len(px),
+        rms_mm=rounded(float(np.sqrt(np.mean(mm**2)))) if len(mm) else None,
+        worst_mm=rounded(float(mm.max())) if len(mm) else None,
+        rms_px=rounded(float(np.sqrt(np.mean(px**2)))) if len(px) else None,
+        square_mm=rounded(float(edges.mean()), 8) if len(edges) else None,
+        square_std_mm=rounded(float(edges.std())) if len(edges) else None,
+    )

@@ -1,0 +1,60 @@
+"""DLT calibration from a CSV of control points."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from calibration.cross_validation import PointObservations, leave_out
+from calibration.dlt_bundle_adjustment import adjust
+from rig.calibrate import control_points
+from rig.calibrate.dlt_fit import DLTCalibrationResult, camera_in_world, fitted, known_lens
+from rig.calibrate.inputs import bad_input
+from rig.config.calibration_files import LoadedCalibration
+from rig.config.schema import RigConfig
+
+_MOST_LEFT_OUT = 200
+_WIDEST_MM = 1e6
+
+
+def from_points(
+    csv: Path, size: str, points_std_mm: float, bundle: bool, rig: RigConfig | None, known: dict[str, LoadedCalibration]
+) -> DLTCalibrationResult:
+    """Calibrate cameras from control points.
+
+    `size`: width and height of the pictures, as 640x480; `known`: other calibrations, by camera. With `bundle` and an
+    uncertainty of the points, bundle adjustment refines the coefficients.
+
+    Raises:
+        BadInputError: a cell or an option is invalid. DLTError: the points do not determine the coefficients.
+    """
+    seen = control_points.read(csv)
+    if not 0 <= points_std_mm < _WIDEST_MM:
+        raise bad_input("--points-std-mm", f"{points_std_mm:g}", "the points' standard uncertainty in mm, 0 or more")
+    observations, sizes = {}, {}
+    for name, points in seen.items():
+        sizes[name] = _size_of(size, name, rig, known)
+        lens = known_lens(name, rig, known, sizes[name], "the pictures are")
+        observations[name] = PointObservations(points.names, points.world_m, points.pixels, lens)
+    dlts = {name: fitted(name, observation) for name, observation in observations.items()}
+    if bundle and points_std_mm > 0:
+        better = adjust(list(observations.values()), list(dlts.values()), points_std_mm * 1e-3)
+        dlts = dict(zip(dlts, better, strict=True))
+    places = {name: camera_in_world(observation, dlts[name]) for name, observation in observations.items()}
+    names = sorted({name for observation in observations.values() for name in observation.names})
+    groups = {name: (name,) for name in names[:_MOST_LEFT_OUT]}
+    return DLTCalibrationResult(observations, dlts, places, leave_out(list(observations.values()), groups), sizes)
+
+
+def _size_of(size: str, name: str, rig: RigConfig | None, known: dict[str, LoadedCalibration]) -> tuple[int, int]:
+    """Return the size of a camera's pictures: from --size, its calibration or the rig."""
+    if size:
+        width, cross, height = size.partition("x")
+        if not (cross and width.isdecimal() and height.isdecimal() and 64 <= min(int(width), int(height)) <= 16384):
+            raise bad_input("--size", size, "width and height of the pictures in px, as 640x480")
+        return int(width), int(height)
+    if name in known:
+        camera = known[name].found.camera  # type: ignore[union-attr]
+        return camera.width_px, camera.height_px
+    if rig is not None and name in rig.cameras:
+        return rig.cameras[name].width_px, rig.cameras[name].height_px
+    raise bad_input("--size", "", f"the size of camera {name}'s pictures, as 640x480; or --calibration, or --rig")
