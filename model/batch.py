@@ -17,6 +17,7 @@ from model.kernel_arguments import KernelArguments
 from model.kernels import layout
 from model.kernels.axis import equilibria
 from model.kernels.shooting import TOLERANCE_AT_REST, Workspace
+from model.schemes import DEFAULT_ALPHA
 from model.statics import steps_along
 
 Array = NDArray[np.float64]
@@ -85,7 +86,7 @@ def motions(
     pressure_pa: ArrayLike,
     dt_s: float,
     scheme: str = "bdf-alpha",
-    alpha: float = -0.2,
+    alpha: float = DEFAULT_ALPHA,
     nodes: int | None = None,
     workers: int | None = None,
 ) -> list[Trajectory]:

@@ -18,7 +18,7 @@ from model.kernels.shooting import TOLERANCE_IN_MOTION, workspace_in, workspace_
 from model.kernels.time_stepping import initialise_history
 from model.loads import Loads
 from model.pressures import pressures
-from model.schemes import Scheme
+from model.schemes import DEFAULT_ALPHA, scheme_named
 from model.shape import Shape
 from model.statics import shape, states, steps_along
 
@@ -46,9 +46,9 @@ class Dynamics:
     """
 
     def __init__(
-        self, arm: Arm, dt_s: float, scheme: str = "bdf-alpha", alpha: float = -0.2, nodes: int | None = None
+        self, arm: Arm, dt_s: float, scheme: str = "bdf-alpha", alpha: float = DEFAULT_ALPHA, nodes: int | None = None
     ) -> None:
-        self._scheme = Scheme.named(scheme, dt_s, alpha)
+        self._scheme = scheme_named(scheme).coefficients(dt_s, alpha)
         self._arm = arm
         growth = self._growth()
         if not growth < MOST_NODES / 2:

@@ -19,7 +19,7 @@ from model.errors import NotConverged
 from model.loads import Loads
 from model.paper.kernels import SAMPLE, STATE, jacobian, shoot, turn
 from model.pressures import pressures
-from model.schemes import Scheme
+from model.schemes import DEFAULT_ALPHA, scheme_named
 from model.section import PA_PER_BAR
 from model.shape import Shape
 
@@ -92,7 +92,7 @@ class PaperRod:
         arm: Arm,
         dt_s: float = 1 / 30,
         scheme: str = "bdf-alpha",
-        alpha: float = -0.2,
+        alpha: float = DEFAULT_ALPHA,
         space: Literal["euler", "rk4"] = "rk4",
         steps: int = 50,
         solver: Literal["lm", "dogleg"] = "lm",
@@ -104,7 +104,7 @@ class PaperRod:
             raise ValueError(f"unknown solver {solver!r}: lm or dogleg")
         if steps < 1:
             raise ValueError(f"an arm needs at least one step along it, got {steps}")
-        self._arm, self._scheme, self._steps = arm, Scheme.named(scheme, dt_s, alpha), steps
+        self._arm, self._scheme, self._steps = arm, scheme_named(scheme).coefficients(dt_s, alpha), steps
         self._options = {"xtol": 1e-12, "ftol": 1e-14} if solver == "lm" else {"xtol": 1e-11}
         self._euler, self._method, self._as_printed = (
             space == "euler",

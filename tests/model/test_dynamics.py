@@ -15,7 +15,7 @@ from scipy.optimize import brentq
 
 from model import Arm, Loads
 from model.dynamics import Dynamics
-from model.schemes import Scheme
+from model.schemes import Coefficients, scheme_named
 from model.statics import statics
 from tests.support.budget import examples
 
@@ -325,12 +325,12 @@ def test_the_caps_inertia_slows_the_first_mode_as_the_textbook_says() -> None:
 )
 def test_a_scheme_differentiates_polynomials_up_to_its_order_exactly(name: str, order: int) -> None:
     dt = 0.01
-    scheme = Scheme.named(name, dt)
+    c = scheme_named(name).coefficients(dt)
     for power in range(order + 2):
         t = 1.0 + dt * np.array([0, -1, -2, -3])
         y = t**power
         past = power * t[1] ** max(power - 1, 0)
-        found = scheme.c0 * y[0] + scheme.c1 * y[1] + scheme.c2 * y[2] + scheme.c3 * y[3] + scheme.d1 * past
+        found = c.c0 * y[0] + c.c1 * y[1] + c.c2 * y[2] + c.c3 * y[3] + c.d1 * past
         error = abs(found - power * t[0] ** max(power - 1, 0))
         # BDF-alpha's formula mixes derivatives of two times; it is exact up to its order as a one-leg recursion.
         if power <= order:
@@ -339,31 +339,31 @@ def test_a_scheme_differentiates_polynomials_up_to_its_order_exactly(name: str, 
             assert error > 1e-9
 
 
-def amplification(scheme: Scheme, omega: float) -> float:
+def amplification(c: Coefficients, omega: float) -> float:
     """Largest growth per step of y_tt = -omega^2 y under a scheme, as a companion matrix of (y, y_t) and history."""
     # State: y and its rate at three times, then the discrete derivative of both at the last.
     size = 8
     a = np.zeros((size, size))
     history = np.zeros((2, size))
     for k in range(2):
-        history[k, k], history[k, 2 + k], history[k, 4 + k] = scheme.c1, scheme.c2, scheme.c3
-        history[k, 6 + k] = scheme.d1
+        history[k, k], history[k, 2 + k], history[k, 4 + k] = c.c1, c.c2, c.c3
+        history[k, 6 + k] = c.d1
     # c0 y + y^h = q, c0 q + q^h = -omega^2 y.
-    left = np.array([[scheme.c0, -1.0], [omega**2, scheme.c0]])
+    left = np.array([[c.c0, -1.0], [omega**2, c.c0]])
     new = np.linalg.solve(left, -history)
     a[:2] = new
     a[2:4, :2] = np.eye(2)
     a[4:6, 2:4] = np.eye(2)
-    a[6:8] = scheme.c0 * new + history
+    a[6:8] = c.c0 * new + history
     return float(np.abs(np.linalg.eigvals(a)).max())
 
 
 def test_at_the_papers_time_step_bdf3_grows_the_trapezoidal_rule_is_neutral_and_the_others_decay() -> None:
-    grows = amplification(Scheme.named("bdf3", 1 / 30), 41.2)
+    grows = amplification(scheme_named("bdf3").coefficients(1 / 30), 41.2)
     assert grows == pytest.approx(1.04, abs=0.01)
-    assert amplification(Scheme.named("trapezoidal", 1 / 30), 41.2) == pytest.approx(1.0, abs=1e-9)
+    assert amplification(scheme_named("trapezoidal").coefficients(1 / 30), 41.2) == pytest.approx(1.0, abs=1e-9)
     for name, alpha in (("bdf1", 0.0), ("bdf2", 0.0), ("bdf-alpha", -0.1), ("bdf-alpha", -0.2), ("bdf-alpha", -0.3)):
-        assert amplification(Scheme.named(name, 1 / 30, alpha), 41.2) < 0.95
+        assert amplification(scheme_named(name).coefficients(1 / 30, alpha), 41.2) < 0.95
 
 
 def test_the_rod_shows_the_growth_of_bdf3() -> None:

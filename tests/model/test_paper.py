@@ -15,7 +15,7 @@ from model import Arm, Geometry, Loads, Material
 from model.arm import ModulusRule
 from model.dynamics import Dynamics
 from model.paper.rod import NeutralSection, PaperRod
-from model.schemes import Scheme
+from model.schemes import scheme_named
 from model.statics import statics
 from tests.support.budget import examples
 
@@ -47,8 +47,8 @@ def test_the_arm_has_the_measures_of_table_1() -> None:
     ],
 )
 def test_the_schemes_have_the_coefficients_of_table_2(name: str, alpha: float, printed: tuple[float, ...]) -> None:
-    dt, scheme = 1 / 30, Scheme.named(name, 1 / 30, alpha)
-    found = (scheme.c0 * dt, scheme.c1 * dt, scheme.c2 * dt, scheme.c3 * dt, scheme.d1)
+    dt, c = 1 / 30, scheme_named(name).coefficients(1 / 30, alpha)
+    found = (c.c0 * dt, c.c1 * dt, c.c2 * dt, c.c3 * dt, c.d1)
     assert found == pytest.approx(printed)
 
 
