@@ -19,8 +19,8 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 import runs
-from tests.support.live_page import Stream, request, said
-from tests.support.rig_process import RigProcess, rig_run
+from scripts.live_client import Stream, request, said
+from scripts.rig_process import RigProcess, rig_run
 
 HOLDING = """
 title: Something to hold

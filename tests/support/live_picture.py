@@ -1,4 +1,4 @@
-"""Makes the picture of the live page: `python tests/support/live_picture.py docs/images/live.png [--dark]`.
+"""Makes the picture of the live page: `python -m tests.support.live_picture docs/images/live.png [--dark]`.
 
 Runs a protocol on a simulated rig, watches it in a headless Chromium and takes a screenshot in the middle of it.
 """
@@ -11,9 +11,9 @@ import sys
 import tempfile
 from pathlib import Path
 
+from scripts.live_client import request, said
+from scripts.rig_process import write_rig
 from tests.support.browser import browsing
-from tests.support.live_page import request, said
-from tests.support.rig_process import write_rig
 
 
 def main() -> None:

@@ -18,7 +18,7 @@ from rig.config.loader import load
 from rig.hardware.cards.base import CardError
 from rig.hardware.vent import vent
 from rig.simulator.registers import Registers
-from tests.support.rig_process import PATIENCE_S, child_of, write_rig
+from scripts.rig_process import PATIENCE_S, child_of, write_rig
 
 pytestmark = pytest.mark.realtime
 

@@ -18,7 +18,7 @@ from rig.cli.app import main
 from rig.config import loader
 from rig.simulator.registers import Registers
 from runs.records import DetectionStatus
-from tests.support.rig_process import write_rig
+from scripts.rig_process import write_rig
 from tests.support.shared_data import shared_data
 
 SHORT = "title: Short\nsteps:\n  - ramp: {actuators: [1], to_bar: 0.3, duration_s: 1}\n"

@@ -16,7 +16,7 @@ import pytest
 import rig.config.loader
 import runs
 from rig.simulator.registers import path_of
-from tests.support.rig_process import SHORT, write_rig
+from scripts.rig_process import SHORT, write_rig
 
 pytestmark = pytest.mark.realtime
 

@@ -25,7 +25,7 @@ from rig.realtime.shared_state import SharedState, Stage, StateLayout
 from rig.realtime.watchdog_outputs import WatchdogOutputs
 from rig.simulator.registers import Registers, path_of
 from runs.records import Status
-from tests.support.rig_process import BRIEF, SHORT, rig_run, with_one_opener
+from scripts.rig_process import BRIEF, SHORT, rig_run, with_one_opener
 
 HOLD = (
     "import sys, time\nimport rig.config.loader\nfrom rig.hardware.bench import open_bench\n"

@@ -21,7 +21,7 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 import tests.support.synthetic_runs as made_up
 from rig.live.admission import ACCEPTED_AT_ONCE, CONNECTION, PLACES, Admission, Rank, http_protocol
 from runs.archive.writer import finalise
-from tests.support.live_page import Stream, enter, request, said
+from scripts.live_client import Stream, enter, request, said
 
 PATIENCE_S = 60.0
 ONE_BYTE = b"G"

@@ -13,8 +13,8 @@ import pytest
 
 import runs
 from runs.records import DetectionStatus, Status
-from tests.support.live_page import Stream, request, said
-from tests.support.rig_process import RigProcess, rig_run
+from scripts.live_client import Stream, request, said
+from scripts.rig_process import RigProcess, rig_run
 
 HELD = """
 title: Something to find under way

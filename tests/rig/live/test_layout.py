@@ -10,8 +10,9 @@ from pathlib import Path
 
 import pytest
 
+from scripts.live_client import said
 from tests.support.browser import Browser, Tab, browsing
-from tests.support.live_page import open_tab, said
+from tests.support.live_page import open_tab
 
 pytestmark = pytest.mark.realtime
 

@@ -16,8 +16,9 @@ from websockets.exceptions import InvalidStatus
 import runs
 from rig.realtime.operator_commands import user_name
 from runs.records import Status
-from tests.support.live_page import PATIENCE_S, Stream, reachable, request, said
-from tests.support.rig_process import rig_run
+from scripts.live_client import PATIENCE_S, Stream, request, said
+from scripts.rig_process import rig_run
+from tests.support.live_page import reachable
 
 pytestmark = pytest.mark.realtime
 

@@ -17,9 +17,10 @@ from rig.execution.plan import NullOperator
 from rig.experiment import run as experiment
 from runs.records import Status
 from runs.run import Run
+from scripts.live_client import request, said
+from scripts.rig_process import RigProcess, rig_run
 from tests.support.browser import Browser, Tab, browsing
-from tests.support.live_page import open_files, open_tab, reachable, request, said
-from tests.support.rig_process import RigProcess, rig_run
+from tests.support.live_page import open_files, open_tab, reachable
 
 pytestmark = pytest.mark.realtime
 

@@ -27,7 +27,7 @@ from rig.realtime.shared_state import SharedState, Stage, StateLayout, Stop
 from rig.realtime.timing_limits import Profile, TimingLimits
 from rig.simulator import plant_launcher
 from rig.simulator.registers import Registers, path_of
-from tests.support.rig_process import strict
+from scripts.rig_process import strict
 
 OPEN_V, SAFE_V = 7.0, 0.0
 LENIENT = TimingLimits(Profile.STRICT, control_hung_ns=10**10)

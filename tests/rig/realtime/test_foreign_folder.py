@@ -11,7 +11,7 @@ import pytest
 
 from rig.config import loader
 from rig.simulator.registers import path_of
-from tests.support.rig_process import BRIEF, write_rig
+from scripts.rig_process import BRIEF, write_rig
 
 RIG = Path(sys.executable).with_name("rig")
 NAMES = ("rig", "model", "runs", "protocols", "calibration", "numpy", "struct", "pickle", "signal", "multiprocessing")

@@ -17,7 +17,7 @@ from rig.simulator.faults import CameraFault, ValveFault
 from rig.simulator.registers import Registers
 from runs.records import Status
 from runs.recovery import recover
-from tests.support.rig_process import BRIEF, SHORT, RigProcess, rig_run
+from scripts.rig_process import BRIEF, SHORT, RigProcess, rig_run
 
 pytestmark = pytest.mark.realtime
 

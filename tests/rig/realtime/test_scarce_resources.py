@@ -17,7 +17,7 @@ from rig.hardware.cards.base import CardError
 from rig.simulator import registers
 from scripts.faults import surroundings
 from scripts.faults.surroundings import NotHereError
-from tests.support.rig_process import BRIEF, child_of, rig_run
+from scripts.rig_process import BRIEF, child_of, rig_run
 
 LIMIT_BYTES = 600_000 * 1024
 SIMULATOR = "rig.simulator.plant_process"

@@ -23,8 +23,8 @@ from rig.hardware.bench import BenchScans
 from rig.realtime.scheduling import REAL_TIME, Scheduling
 from rig.realtime.timing_limits import Profile, TimingLimits, remedies, stated, timing_limits
 from rig.simulator.plant import Plant
+from scripts.rig_process import BRIEF, strict
 from tests.support.plant_bench import mock_rig
-from tests.support.rig_process import BRIEF, strict
 
 MS = 1_000_000
 

@@ -17,7 +17,7 @@ from rig.hardware.cameras.synchroniser import CameraSynchroniser
 from rig.simulator.faults import CameraFault
 from rig.simulator.registers import Registers
 from runs.records import DetectionStatus, Status
-from tests.support.rig_process import rig_run
+from scripts.rig_process import rig_run
 from tests.support.vision_bench import FRAME_NS
 
 pytestmark = pytest.mark.realtime

@@ -19,7 +19,7 @@ from rig.experiment import run as experiment
 from rig.simulator.registers import Registers, path_of
 from runs.records import Status
 from runs.run import Run
-from tests.support.rig_process import BRIEF, SHORT, RigProcess, rig_run
+from scripts.rig_process import BRIEF, SHORT, RigProcess, rig_run
 
 CLIMB = "title: All of them\nsteps:\n  - ramp: {actuators: [1, 2, 3], to_bar: 0.2, duration_s: 0.3}\n"
 ON_THE_OTHER = (

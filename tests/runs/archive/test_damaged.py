@@ -24,7 +24,7 @@ import tests.support.synthetic_runs as made_up
 from runs.archive.writer import ArchiveError, finalise
 from runs.journal.journal import JournalWriter
 from runs.records import Quantity, RunFooter, SourceFile, Status, adaptation_dtype
-from tests.support.rig_process import BRIEF
+from scripts.rig_process import BRIEF
 
 ROOT = Path(__file__).parents[3]
 PATIENCE_S = 300.0

@@ -1,4 +1,4 @@
-"""A `rig run` in a process of its own, on a mock card of its own, for tests to watch, stop and kill."""
+"""A `rig run` in a process of its own, on a mock card of its own, for tests and benchmarks to watch, stop and kill."""
 
 from __future__ import annotations
 
