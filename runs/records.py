@@ -1,6 +1,7 @@
 """Records of a run, shared by the processes, the journal and the archive.
 
-Rows are NumPy structured dtypes because they pass through shared memory; everything in them is SI.
+Rows are NumPy structured dtypes because they pass through shared memory; everything in them is SI. `runs.columns`
+declares their fields.
 Times are CLOCK_MONOTONIC nanoseconds (real time) or nanoseconds of virtual time; one wall-clock anchor per run
 (`RunHeader.started_utc_ns` at `RunHeader.started_t_ns`) ties them to the calendar.
 """
@@ -9,13 +10,17 @@ from __future__ import annotations
 
 import hashlib
 from dataclasses import dataclass, field
-from enum import IntEnum, StrEnum
+from enum import StrEnum
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-BACKBONE_POINTS = 11
-"""Points of the model's backbone, evenly spaced along the arm at rest."""
+from runs.columns import BACKBONE_POINTS as BACKBONE_POINTS
+from runs.columns import DetectionStatus as DetectionStatus
+from runs.columns import adaptation_dtype as adaptation_dtype
+from runs.columns import blank as blank
+from runs.columns import observation_dtype as observation_dtype
+from runs.columns import sample_dtype as sample_dtype
 
 
 class Status(StrEnum):
@@ -33,100 +38,6 @@ class Level(StrEnum):
     INFO = "info"
     WARNING = "warning"
     FAULT = "fault"
-
-
-class DetectionStatus(IntEnum):
-    """Result of the tip measurement in a frame."""
-
-    MEASURED = 0
-    NO_BOARD = 1
-    AMBIGUOUS = 2
-    POOR_FIT = 3
-    NO_FRAME = 4
-    DISAGREE = 5
-
-
-def sample_dtype(actuators: int, valves: int) -> np.dtype[np.void]:
-    """One control tick.
-
-    `t_ns` is the time of the newest scan, `protocol_s` the protocol time (it pauses while the run waits for the
-    operator), `measured_pa` the mean of the `scans` scans since the last tick (gauge pressure),
-    `valve_v` the voltage then commanded, `lateness_ns` how late the tick began, `missed` the deadlines skipped since
-    the last tick.
-    """
-    return np.dtype(
-        [
-            ("t_ns", "<i8"),
-            ("tick", "<i8"),
-            ("protocol_s", "<f8"),
-            ("setpoint_pa", "<f8", (actuators,)),
-            ("measured_pa", "<f8", (actuators,)),
-            ("valve_v", "<f8", (valves,)),
-            ("scans", "<i4"),
-            ("missed", "<i4"),
-            ("lateness_ns", "<i8"),
-        ]
-    )
-
-
-def observation_dtype(actuators: int, cameras: int = 1) -> np.dtype[np.void]:
-    """One frame of every camera: measured and modelled tool centre point, both in the rod-base frame.
-
-    `seen` is a `DetectionStatus`; where it is not MEASURED the measured columns are NaN. `covariance_m2` belongs to
-    `measured_m`; `reprojection_px` is the rms over the board's corners. `model_ok` is 0 where the model could not
-    solve the step and `model_m` is the last good one. `weight_kg` is the tip load hung by the operator.
-    `force_n` and `moment_n_m` are a measured wrench on the arm at the measured point, along the axes of the rod base;
-    zero where none was measured.
-    `truth_m` is the simulator's own tip, NaN on a real rig. `age_ns` is the time from exposure to the end of the
-    computation, `dropped` the frames lost before this one. `backbone_m` is the model's centre line from the base to the
-    tip, NaN where the step was not solved.
-
-    `camera_seen` is the `DetectionStatus` of each camera: the tip is measured from those that are MEASURED.
-    `camera_skew_s` is the exposure time minus `t_ns`, NaN without a picture.
-    """
-    return np.dtype(
-        [
-            ("t_ns", "<i8"),
-            ("frame", "<i8"),
-            ("protocol_s", "<f8"),
-            ("seen", "<i4"),
-            ("model_ok", "<i4"),
-            ("pressure_pa", "<f8", (actuators,)),
-            ("weight_kg", "<f8"),
-            ("force_n", "<f8", (3,)),
-            ("moment_n_m", "<f8", (3,)),
-            ("measured_m", "<f8", (3,)),
-            ("covariance_m2", "<f8", (3, 3)),
-            ("model_m", "<f8", (3,)),
-            ("truth_m", "<f8", (3,)),
-            ("reprojection_px", "<f8"),
-            ("age_ns", "<i8"),
-            ("dropped", "<i4"),
-            ("backbone_m", "<f4", (BACKBONE_POINTS, 3)),
-            ("camera_seen", "<i4", (cameras,)),
-            ("camera_skew_s", "<f8", (cameras,)),
-        ]
-    )
-
-
-def adaptation_dtype(parameters: int) -> np.dtype[np.void]:
-    """Result of the recursive estimator for one camera frame, in the order of `RunHeader.adapted`.
-
-    `value` (P,) and `covariance` (P, P) are the estimates after the frame, each in its own unit; `used` is 0 if
-    the frame had no information, 2 if it was down-weighted as an outlier, else 1. `start_model_m`
-    is the tip by the parameters that the run began with; the observation's `model_m` is that by the estimates before
-    the frame.
-    """
-    return np.dtype(
-        [
-            ("t_ns", "<i8"),
-            ("frame", "<i8"),
-            ("used", "<i4"),
-            ("start_model_m", "<f8", (3,)),
-            ("value", "<f8", (parameters,)),
-            ("covariance", "<f8", (parameters, parameters)),
-        ]
-    )
 
 
 @dataclass(frozen=True)

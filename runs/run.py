@@ -14,106 +14,12 @@ from numpy.typing import NDArray
 
 from runs.archive.checked import ArchiveError, content_sha256, opened
 from runs.archive.fields import PA_PER_BAR
+from runs.columns import Adaptation, Backbone, Pressure, Simulated, Table, Timing, Tip, Values
 from runs.records import Event, Interval, Level, Quantity, RunHeader, SourceFile, Status
 from runs.table import TABLES, segments, table
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
-
-
-@dataclass(frozen=True)
-class Pressure:
-    """Control ticks: (n,), per actuator (n, N), per valve (n, V). Gauge pressures."""
-
-    time_s: Floats
-    protocol_s: Floats
-    setpoint_bar: Floats
-    measured_bar: Floats
-    valve_v: Floats
-    scans: Ints
-    tick: Ints
-
-
-@dataclass(frozen=True)
-class Tip:
-    """Camera frames (m,): tool centre points (m, 3) in the rod-base frame; NaN without a measurement."""
-
-    time_s: Floats
-    protocol_s: Floats
-    measured_mm: Floats
-    uncertainty_mm: Floats
-    covariance_mm2: Floats
-    """(m, 3, 3)."""
-    model_mm: Floats
-    error_mm: Floats
-    reprojection_px: Floats
-    frame: Ints
-    pressure_bar: Floats
-    """(m, N), input of the model."""
-    weight_g: Floats
-    """Tip load hung by the operator."""
-    force_n: Floats
-    """(m, 3), measured, on the arm at the measured point, in rod-base axes; zero without a measurement."""
-    moment_n_m: Floats
-    """(m, 3), of the same wrench, about the measured point."""
-    seen: Ints
-    """`runs.records.DetectionStatus`."""
-    model_ok: NDArray[np.bool_]
-    age_us: Floats
-    dropped: Ints
-    camera_seen: Ints
-    """(m, C), `runs.records.DetectionStatus` of each camera; the tip is measured from those that are MEASURED."""
-    camera_skew_us: Floats
-    """(m, C), time of exposure after `time_s`; NaN without a picture."""
-
-
-@dataclass(frozen=True)
-class Adaptation:
-    """Online estimates of P parameters, each in its own unit, per frame (m,)."""
-
-    time_s: Floats
-    parameter: tuple[str, ...]
-    unit: tuple[str, ...]
-    start: Floats
-    start_uncertainty: Floats
-    value: Floats
-    """(m, P), after the frame."""
-    uncertainty: Floats
-    covariance: Floats
-    """(m, P, P)."""
-    frame: Ints
-    used: Ints
-    """1: used; 0: no information in the frame; 2: outlier, down-weighted."""
-    start_model_mm: Floats
-    """(m, 3), the tip by the initial parameters."""
-
-
-@dataclass(frozen=True)
-class Timing:
-    """Timing of the control ticks (n,), and losses of the whole run."""
-
-    time_s: Floats
-    lateness_us: Floats
-    overruns: Ints
-    dropped_frames: int
-    ring_overflows: int
-    counters: dict[str, int]
-
-
-@dataclass(frozen=True)
-class Simulated:
-    """The simulator's own tool centre point (m, 3), at the times of `Tip`."""
-
-    time_s: Floats
-    tip_mm: Floats
-
-
-@dataclass(frozen=True)
-class Backbone:
-    """The model's centre line (m, points, 3) from base to tip, at the times of `Tip`; NaN without a solution."""
-
-    time_s: Floats
-    model_mm: NDArray[np.float32]
 
 
 @dataclass(frozen=True)
@@ -200,44 +106,13 @@ class Run:
 
     @cached_property
     def pressure(self) -> Pressure:
-        """Control ticks."""
-        g = self._group("entry/pressure")
-        return Pressure(
-            time_s=g["time"],
-            protocol_s=g["protocol_time"],
-            setpoint_bar=g["setpoint_bar"],
-            measured_bar=g["measured_bar"],
-            valve_v=g["valve_V"],
-            scans=g["scans"],
-            tick=g["tick"],
-        )
+        """Control cycles."""
+        return Pressure(self._values(Pressure))
 
     @cached_property
     def tip(self) -> Tip:
         """Camera frames."""
-        g = self._group("entry/tip")
-        xx, xy, xz, yy, yz, zz = g["covariance_mm2"].T
-        return Tip(
-            time_s=g["time"],
-            protocol_s=g["protocol_time"],
-            measured_mm=g["measured_mm"],
-            uncertainty_mm=g["uncertainty_mm"],
-            covariance_mm2=np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]).transpose(2, 0, 1),
-            model_mm=g["model_mm"],
-            error_mm=g["error_mm"],
-            reprojection_px=g["reprojection_px"],
-            frame=g["frame"],
-            pressure_bar=g["pressure_bar"],
-            weight_g=g["weight_g"],
-            force_n=g["force_N"],
-            moment_n_m=g["moment_Nm"],
-            seen=g["seen"],
-            model_ok=g["model_ok"].astype(bool),
-            age_us=g["age_us"],
-            dropped=g["dropped"],
-            camera_seen=g["camera_seen"],
-            camera_skew_us=g["camera_skew_us"],
-        )
+        return Tip(self._values(Tip))
 
     @cached_property
     def adaptation(self) -> Adaptation | None:
@@ -245,45 +120,26 @@ class Run:
         g = self._group("entry/adaptation")
         if not g:
             return None
-        return Adaptation(
-            time_s=g["time"],
-            parameter=tuple(g["parameter"]),
-            unit=tuple(g["unit"]),
-            start=g["start"],
-            start_uncertainty=g["start_uncertainty"],
-            value=g["value"],
-            uncertainty=g["uncertainty"],
-            covariance=g["covariance"],
-            frame=g["frame"],
-            used=g["used"],
-            start_model_mm=g["start_model_mm"],
-        )
+        return Adaptation(self._values(Adaptation), g["parameter"], g["unit"], g["start"], g["start_uncertainty"])
 
     @cached_property
     def timing(self) -> Timing:
         """Lateness and losses."""
         g = self._group("entry/timing")
         counters = {name: int(count) for name, count in self._group("entry/timing/counters").items()}
-        return Timing(
-            time_s=g["time"],
-            lateness_us=g["lateness_us"],
-            overruns=g["overruns"],
-            dropped_frames=int(g["dropped_frames"]),
-            ring_overflows=int(g["ring_overflows"]),
-            counters=counters,
-        )
+        return Timing(self._values(Timing), int(g["dropped_frames"]), int(g["ring_overflows"]), counters)
 
     @cached_property
     def simulated(self) -> Simulated | None:
         """The simulator's truth; None for a run without a simulator."""
-        g = self._group("entry/simulator")
-        return Simulated(g["time"], g["tip_mm"]) if g else None
+        values = self._values(Simulated)
+        return Simulated(values) if values else None
 
     @cached_property
     def backbone(self) -> Backbone | None:
         """The model's centre line; None without a model."""
-        g = self._group("entry/backbone")
-        return Backbone(g["time"], g["model_mm"]) if g else None
+        values = self._values(Backbone)
+        return Backbone(values) if values else None
 
     @cached_property
     def events(self) -> tuple[Event, ...]:
@@ -336,6 +192,11 @@ class Run:
         return _optional("xarray").open_dataset(
             self.path, group=f"entry/{group}", engine="h5netcdf", drop_variables=drop
         )
+
+    def _values(self, kind: type[Table]) -> dict[str, Values]:
+        """Return the columns of a table by name; empty if the archive has no such group."""
+        g = self._group(f"entry/{kind.group}")
+        return {column.name: column.read(g[column.dataset]) for column in kind.columns()} if g else {}
 
     def _group(self, path: str, without: str = "") -> dict[str, Any]:
         """Return the datasets of a group by name: arrays, texts and numbers; empty if the group is missing."""

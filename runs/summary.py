@@ -14,8 +14,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from runs.columns import Tip
 from runs.records import DetectionStatus, Interval, Status
-from runs.run import Run, Tip
+from runs.run import Run
 
 SETTLED_PART = 0.3
 BAND_BAR = 0.01

@@ -14,7 +14,7 @@ from rig.control import step as control
 from rig.control.protocol_position import ProtocolPosition, advance, skip
 from rig.execution.plan import Plan
 from rig.hardware.bench import BenchScans
-from runs.records import sample_dtype
+from runs.records import blank, sample_dtype
 
 STALLED_NS = 20_000_000
 LONGEST_MEAN_PERIODS = 2
@@ -48,7 +48,7 @@ class ControlLoop:
         self._starts_s = tuple(segment.start_s for segment in plan.trajectory.segments)
         self._prepared = control.prepare(config)
         self._state = control.initial(self._prepared)
-        self._row = np.zeros((), sample_dtype(config.actuators, len(config.valves)))
+        self._row = blank((), sample_dtype(config.actuators, len(config.valves)))
         self.lost = 0
         """Scans that the cards have dropped."""
         self._scan_t_ns = 0

@@ -15,8 +15,9 @@ from rig.config.arm_model import model_arm
 from rig.config.loader import recorded
 from rig.config.model_variant import variant_named
 from rig.identify.initial_setup import baseline_geometry
+from runs.columns import Adaptation
 from runs.records import DetectionStatus
-from runs.run import Adaptation, Run
+from runs.run import Run
 
 SUFFIX = ".parameters.yaml"
 _UNDECIDED = 0.5

@@ -26,7 +26,7 @@ from rig.hardware.cameras.base import Frame, FrameSet
 from rig.observation.observer import Observer
 from runs.archive.writer import ArchiveError, finalise
 from runs.journal.journal import SUFFIX, JournalWriter
-from runs.records import RunFooter, sample_dtype
+from runs.records import RunFooter, blank, sample_dtype
 from runs.run import Run
 
 
@@ -173,7 +173,7 @@ def _cameras(run: Run, config: RigConfig) -> dict[str, int]:
 def _samples(run: Run) -> NDArray[np.void]:
     """Return the run's recorded control cycles."""
     pressure = run.pressure
-    rows = np.zeros(len(pressure.time_s), sample_dtype(run.header.actuators, run.header.valves))
+    rows = blank(len(pressure.time_s), sample_dtype(run.header.actuators, run.header.valves))
     rows["t_ns"] = _nanoseconds(pressure.time_s, run.header.started_t_ns)
     rows["tick"], rows["protocol_s"], rows["scans"] = pressure.tick, pressure.protocol_s, pressure.scans
     rows["setpoint_pa"] = pressure.setpoint_bar * PA_PER_BAR

@@ -19,7 +19,7 @@ from rig.experiment.run import RunRequest, header
 from rig.observation.overlay import backbone
 from runs.archive.writer import finalise
 from runs.journal.journal import JournalWriter
-from runs.records import DetectionStatus, RunFooter, Status, observation_dtype, sample_dtype
+from runs.records import DetectionStatus, RunFooter, Status, blank, observation_dtype, sample_dtype
 
 _Solve = Callable[[NDArray[np.float64], model.Loads | None], model.Shape]
 
@@ -39,18 +39,15 @@ def simulate(request: RunRequest, plan: Plan, static: bool) -> Path:
     arm = model_arm(config, plan.variant)
     dynamics = None if static else Dynamics(arm, dt_s)
 
-    samples = np.zeros(steps, sample_dtype(config.actuators, len(config.valves)))
+    samples = blank(steps, sample_dtype(config.actuators, len(config.valves)))
     samples["tick"] = np.arange(steps)
     samples["t_ns"] = np.round(np.arange(steps) * dt_s * 1e9)
     samples["protocol_s"] = np.arange(steps) * dt_s
     samples["setpoint_pa"] = samples["measured_pa"] = pressures
-    samples["valve_v"] = np.nan
-    rows = np.zeros(steps, observation_dtype(config.actuators, len(config.cameras)))
+    rows = blank(steps, observation_dtype(config.actuators, len(config.cameras)))
     rows["t_ns"], rows["frame"], rows["protocol_s"] = samples["t_ns"], samples["tick"], samples["protocol_s"]
     rows["seen"] = rows["camera_seen"] = DetectionStatus.NO_FRAME
     rows["pressure_pa"] = pressures
-    for field in ("measured_m", "covariance_m2", "truth_m", "reprojection_px", "camera_skew_s"):
-        rows[field] = np.nan
     tip_load, shape, tip_m = TipLoad(config), None, np.full(3, np.nan)
     for row, pressure in zip(rows, pressures, strict=True):
         row["weight_kg"] = weight_kg = trajectory.weight_kg(float(row["protocol_s"]))

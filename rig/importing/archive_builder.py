@@ -38,6 +38,7 @@ from runs.records import (
     RunFooter,
     RunHeader,
     Status,
+    blank,
     observation_dtype,
     sample_dtype,
 )
@@ -138,7 +139,7 @@ def import_table(data: Path, mapping_file: Path, folder: Path, operator: str = "
 
 def _samples(t_ns: Ints, frame: Ints, asked_pa: Floats, gauge_pa: Floats, valve_v: Floats) -> NDArray[np.void]:
     """One tick per row (n,), never late."""
-    samples = np.zeros(len(t_ns), sample_dtype(gauge_pa.shape[1], valve_v.shape[1]))
+    samples = blank(len(t_ns), sample_dtype(gauge_pa.shape[1], valve_v.shape[1]))
     samples["t_ns"], samples["tick"], samples["scans"] = t_ns, frame, 1
     samples["protocol_s"] = (t_ns - t_ns[0]) * 1e-9
     samples["setpoint_pa"], samples["measured_pa"], samples["valve_v"] = asked_pa, gauge_pa, valve_v
@@ -149,7 +150,7 @@ def _observations(
     samples: NDArray[np.void], tip_m: Floats, covariance_m2: Floats, weight_kg: Floats
 ) -> NDArray[np.void]:
     """One frame per row (n,), without a model."""
-    rows = np.zeros(len(samples), observation_dtype(samples["measured_pa"].shape[1]))
+    rows = blank(len(samples), observation_dtype(samples["measured_pa"].shape[1]))
     rows["t_ns"], rows["frame"], rows["protocol_s"] = samples["t_ns"], samples["tick"], samples["protocol_s"]
     rows["dropped"] = np.diff(samples["tick"], prepend=-1) - 1
     rows["pressure_pa"], rows["weight_kg"] = samples["measured_pa"], weight_kg
@@ -158,8 +159,6 @@ def _observations(
     rows["seen"] = np.where(unseen, DetectionStatus.NO_FRAME, DetectionStatus.MEASURED)
     rows["camera_seen"] = rows["seen"][:, None]
     rows["measured_m"][unseen] = rows["covariance_m2"][unseen] = np.nan
-    for field in ("model_m", "truth_m", "reprojection_px", "backbone_m"):
-        rows[field] = np.nan
     return rows
 
 

@@ -20,7 +20,7 @@ from rig.hardware.cameras.base import FrameSet
 from rig.observation.multi_camera import MultiCameraTipEstimator
 from rig.observation.overlay import backbone
 from rig.observation.single_camera import Measurement
-from runs.records import observation_dtype
+from runs.records import blank, observation_dtype
 
 if TYPE_CHECKING:
     from rig.observation.online_estimation import OnlineEstimation
@@ -137,7 +137,7 @@ class Observer:
         )
         self._tip_load = TipLoad(config)
         self._pressures = Pressures(config.actuators)
-        self._dtype = observation_dtype(config.actuators, len(config.cameras))
+        self._blank = blank((), observation_dtype(config.actuators, len(config.cameras)))
         self._model_m = np.full(3, np.nan)
         self.measurement: Measurement | None = None
         """Measurement of the last frame set; `shape` is the model's. For overlays."""
@@ -169,7 +169,7 @@ class Observer:
         self.measurement, self.shape = seen, shape
         if shape is not None:
             self._model_m = np.array(shape.tip_m, dtype=np.float64)
-        row = np.zeros((), self._dtype)
+        row = self._blank.copy()
         row["t_ns"], row["frame"] = frame_set.t_ns, frame_set.index
         row["protocol_s"], row["dropped"] = protocol_s, dropped
         row["seen"], row["model_ok"] = seen.seen, shape is not None

@@ -14,7 +14,7 @@ from model.statics import statics
 from rig.config.arm_model import TipLoad, model_arm
 from rig.config.schema import RigConfig
 from rig.config.sections import PA_PER_BAR, Variant
-from runs.records import Quantity, adaptation_dtype
+from runs.records import Quantity, adaptation_dtype, blank
 
 DEFAULT_PARAMETERS = ("law", "rpe_per_bar", "base", "sensor_offsets")
 DEFAULT_PARAMETERS_HOMOGENEOUS = ("youngs_modulus_pa", "rpe_per_bar", "base", "sensor_offsets")
@@ -57,7 +57,7 @@ class OnlineEstimation:
         self._estimator = recursive_estimator(config, variant, parameters)
         self._arm = model_arm(config, variant)
         self._tip_load = TipLoad(config)
-        self._row = np.zeros((), adaptation_dtype(len(self._estimator.names)))
+        self._row = blank((), adaptation_dtype(len(self._estimator.names)))
         self._predicted_m = np.full(3, np.nan)
 
     def step(self, observation: NDArray[np.void]) -> NDArray[np.void]:

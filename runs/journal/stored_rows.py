@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runs.journal import mcap_records, messages
-from runs.records import ImageAnnotations
+from runs.records import ImageAnnotations, blank
 
 
 class StoredRows:
@@ -106,13 +106,11 @@ class StoredPictures:
 
 
 def _as_rows(rows: NDArray[np.void], kind: np.dtype[np.void]) -> NDArray[np.void]:
-    """Return rows with the current columns; a column that the journal lacks is NaN or 0."""
+    """Return rows with the current columns; one that the journal lacks is as in a blank record."""
     if rows.dtype == kind:
         return rows
-    known = np.zeros(len(rows), kind)
+    known = blank(len(rows), kind)
     for name in kind.names or ():
         if rows.dtype.names and name in rows.dtype.names and rows[name].shape == known[name].shape:
             known[name] = rows[name]
-        elif kind[name].base.kind == "f":
-            known[name] = np.nan
     return known

@@ -7,10 +7,11 @@ import math
 import numpy as np
 from matplotlib.figure import Figure
 
+from runs.columns import Adaptation
 from runs.report import drawing
 from runs.report.colours import INK, MEASURED, MUTED
 from runs.report.gaps import tip_with_gaps, with_gaps
-from runs.run import Adaptation, Run
+from runs.run import Run
 from runs.summary import Z_95, Summary
 
 COLUMNS = 3

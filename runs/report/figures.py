@@ -12,11 +12,12 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
+from runs.columns import Pressure
 from runs.records import DetectionStatus
 from runs.report.colours import ACTUATORS, INK, MEASURED, MODEL, MUTED, RULE, TRUTH
 from runs.report.drawing import POINTS, decimated, decimated_indices, legend, no_data, panels, path_indices
 from runs.report.gaps import pressure_with_gaps, tip_with_gaps, with_gaps
-from runs.run import Pressure, Run
+from runs.run import Run
 from runs.summary import BAND_BAR, MOVED_MM, Z_95, StepSummary, Summary, in_plane, rest_mm, settled_steps
 
 SHAPES = 12

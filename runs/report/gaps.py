@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import fields, replace
 from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from runs.records import DetectionStatus
-from runs.run import Pressure, Tip
+from runs.columns import DetectionStatus, Pressure, Tip
 
 LONGER = 5.0
 """A time between two rows that is so many times the usual one is a gap."""
@@ -37,18 +35,18 @@ def with_gaps(values: NDArray[Any], rows: Rows, missing: float = np.nan) -> NDAr
 def tip_with_gaps(tip: Tip) -> tuple[Tip, Rows]:
     """Return the camera frames with a row for each gap, and the rows that it stands before."""
     rows = after_gaps(tip.time_s, tip.dropped)
-    return replace(_opened(tip, rows), seen=with_gaps(tip.seen, rows, DetectionStatus.NO_FRAME)), rows
+    return _opened(tip, rows).replaced(seen=with_gaps(tip.seen, rows, DetectionStatus.NO_FRAME)), rows
 
 
 def pressure_with_gaps(pressure: Pressure) -> Pressure:
-    """Return the control ticks with a row for each gap."""
+    """Return the control cycles with a row for each gap."""
     return _opened(pressure, after_gaps(pressure.time_s))
 
 
 def _opened(table: T, rows: Rows) -> T:
-    columns = {field.name: getattr(table, field.name) for field in fields(table)}
-    opened = {name: with_gaps(c, rows, np.nan if c.dtype.kind == "f" else 0) for name, c in columns.items()}
+    opened = {name: with_gaps(c, rows, np.nan if c.dtype.kind == "f" else 0) for name, c in table.values.items()}
     # Time goes on in a gap.
     for name in ("time_s", "protocol_s"):
-        opened[name] = np.insert(columns[name], rows, (columns[name][rows - 1] + columns[name][rows]) / 2)
-    return replace(table, **opened)
+        times = table.values[name]
+        opened[name] = np.insert(times, rows, (times[rows - 1] + times[rows]) / 2)
+    return table.replaced(**opened)

@@ -307,6 +307,12 @@ class TestMatlab:
         assert "k.mat\n  this" in complaint(bring, tmp_path / "k.mat", self.VECTORS)
 
 
+def test_what_a_table_does_not_state_is_missing_and_not_zero(bring: Bring) -> None:
+    tip = bring(BENCH_CSV, BENCH).tip
+    for name in ("camera_skew_us", "model_mm", "error_mm", "reprojection_px"):
+        assert np.isnan(tip.values[name]).all(), name
+
+
 def test_a_mapping_may_declare_the_data_as_simulated(bring: Bring, tmp_path: Path) -> None:
     rows = "0,0.1,1,2,3\n1,0.2,1,2,3\n"
     assert not bring(rows, SMALL).header.simulated

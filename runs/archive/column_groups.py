@@ -1,0 +1,112 @@
+"""The groups of an archive that hold the declared columns (`runs.columns`): one dataset for each, and its scales."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from runs import columns
+from runs.archive.fields import Column, Field, Group, Table, row_chunks
+from runs.journal.journal import Journal
+
+
+def pressure(journal: Journal) -> Group:
+    """Return the control cycles."""
+    return _group(journal, columns.Pressure, journal.samples)
+
+
+def timing(journal: Journal, losses: tuple[Field, ...]) -> Group:
+    """Return the timing of the control cycles, and the losses of the whole run."""
+    return _group(journal, columns.Timing, journal.samples, losses)
+
+
+def tip(journal: Journal) -> Group:
+    """Return the camera frames."""
+    return _group(journal, columns.Tip, journal.observations)
+
+
+def backbone(journal: Journal) -> Group | None:
+    """Return the model's centre lines; None if there are none."""
+    rows = journal.observations
+    return _group(journal, columns.Backbone, rows) if _some(rows, "backbone_m") else None
+
+
+def simulator(journal: Journal) -> Group | None:
+    """Return the simulator's truth; None without a simulator."""
+    rows = journal.observations
+    simulated = journal.header.simulated and _some(rows, "truth_m")
+    return _group(journal, columns.Simulated, rows) if simulated else None
+
+
+def adaptation(journal: Journal) -> Group | None:
+    """Return the results of the recursive estimator; None without one."""
+    adapted = journal.header.adapted
+    if not adapted:
+        return None
+    by = ("parameter",)
+    start = np.array([q.value[0] for q in adapted], float)
+    deviation = np.array([q.uncertainty for q in adapted], float)
+    facts = (
+        Field("unit", [q.unit for q in adapted], about="unit of start, value and their uncertainties", scales=by),
+        Field("start", start, about="initial value", scales=by),
+        Field("start_uncertainty", deviation, about="one standard deviation of the prior", scales=by),
+    )
+    return _group(journal, columns.Adaptation, journal.adaptations, facts)
+
+
+def seconds(journal: Journal, t_ns: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Return times [s] since the start of the run."""
+    return np.asarray((t_ns - journal.header.started_t_ns) / 1e9)
+
+
+def _group(journal: Journal, kind: type[columns.Table], rows: Table, facts: tuple[Field, ...] = ()) -> Group:
+    declared = kind.columns()
+    axes = dict.fromkeys(axis for column in declared for axis in column.axes)
+    plotted = next(column for column in declared if column.dataset == kind.signal)
+    return Group(
+        f"entry/{kind.group}",
+        "NXdata",
+        (*(_field(journal, column, rows) for column in declared), *(_scale(journal, axis) for axis in axes), *facts),
+        signal=kind.signal,
+        axes=("time", *plotted.axes),
+        about=kind.about,
+    )
+
+
+def _field(journal: Journal, column: columns.Column, rows: Table) -> Field:
+    clock = column.record == "t_ns"
+    return Field(
+        column.dataset,
+        Column(rows, lambda chunk: seconds(journal, chunk["t_ns"]) if clock else column.stored(chunk)),
+        column.unit,
+        column.about,
+        () if clock else ("time", *column.axes),
+        finite=column.finite,
+        limits=column.limits,
+        among=column.among,
+    )
+
+
+def _scale(journal: Journal, axis: str) -> Field:
+    """Return the scale that labels a dimension of the columns."""
+    header = journal.header
+    return {
+        "axis": Field("axis", ["x", "y", "z"], about="of the rod-base frame"),
+        "component": Field("component", ["xx", "xy", "xz", "yy", "yz", "zz"], about="of the covariance"),
+        "actuator": Field("actuator", np.arange(1, header.actuators + 1), about="1, 2, .."),
+        "valve": Field("valve", np.arange(1, header.valves + 1), about="1, 2, .."),
+        "camera": Field("camera", list(header.cameras), about="names in the rig file", any_length=True),
+        "station": Field(
+            "station",
+            np.linspace(0, 1, columns.BACKBONE_POINTS),
+            about="0 to 1, share of the length of the arm at rest",
+        ),
+        "parameter": Field(
+            "parameter", [q.name for q in header.adapted], about="name, as in `rig identify --free`", any_length=True
+        ),
+    }[axis]
+
+
+def _some(rows: Table, name: str) -> bool:
+    """Return whether any number of a field is finite."""
+    return any(bool(np.isfinite(chunk[name]).any()) for chunk in row_chunks(rows))

@@ -1,0 +1,381 @@
+"""The columns of a run, each declared once.
+
+From a declaration follow: the field of the record that passes through shared memory and the journal, the dataset of the
+archive with its unit, description and checks, the attribute of `runs.open(..)`, the columns of every export, and the
+row in `docs/reference/archive.md` (`python -m runs.archive.reference docs/reference/archive.md` writes it).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from enum import IntEnum
+from typing import Any, ClassVar, Self, overload
+
+import numpy as np
+from numpy.typing import NDArray
+
+from runs.archive.fields import LARGEST, LARGEST_S, PA_PER_BAR
+
+Values = NDArray[Any]
+
+BACKBONE_POINTS = 11
+"""Points of the model's backbone, evenly spaced along the arm at rest."""
+MM_PER_M = 1e3
+SECONDS = (-LARGEST_S, LARGEST_S)
+COUNT = (0.0, LARGEST)
+_UPPER = (np.array([0, 0, 0, 1, 1, 2]), np.array([0, 1, 2, 1, 2, 2]))
+_FULL = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])
+
+
+class DetectionStatus(IntEnum):
+    """Result of the tip measurement in a frame."""
+
+    MEASURED = 0
+    NO_BOARD = 1
+    AMBIGUOUS = 2
+    POOR_FIT = 3
+    NO_FRAME = 4
+    DISAGREE = 5
+
+
+def _same(values: Values) -> Values:
+    return values
+
+
+@dataclass(eq=False)
+class Column:
+    """One column: a field of a record, a dataset of the archive, an attribute of the group as it is read.
+
+    `record` names the field, in SI units, of type `dtype` and of shape `shape` (by default `axes`). A column that the
+    archive computes from other fields has none, but `of`: rows (n,) to values (n, ..). `axes` are the scales of the
+    dataset's dimensions after the rows. `convert` gives the stored values of the field, `read` the attribute of the
+    stored values. `missing` is the value of a field that nobody sets; an integer is 0.
+
+    `dataset` is by default the name of the attribute. `among`, `limits` and `finite` are what a reader may rely on.
+    """
+
+    record: str = ""
+    dtype: str = "<f8"
+    axes: tuple[str, ...] = ()
+    shape: tuple[str, ...] = ()
+    unit: str = ""
+    about: str = ""
+    convert: Callable[[Values], Values] = _same
+    of: Callable[[NDArray[np.void]], Values] | None = None
+    read: Callable[[Values], Values] = _same
+    missing: float = float("nan")
+    dataset: str = ""
+    among: tuple[int, ...] = ()
+    limits: tuple[float, float] | None = None
+    finite: bool = False
+    name: str = field(default="", init=False)
+    """The attribute."""
+
+    def __set_name__(self, owner: type[Table], name: str) -> None:
+        self.name = name
+        self.dataset = self.dataset or name
+
+    @overload
+    def __get__(self, table: None, owner: type[Table]) -> Column: ...
+    @overload
+    def __get__(self, table: Table, owner: type[Table]) -> Values: ...
+    def __get__(self, table: Table | None, owner: type[Table]) -> Column | Values:
+        return self if table is None else table.values[self.name]
+
+    def stored(self, rows: NDArray[np.void]) -> Values:
+        """Return the values that the archive stores of records (n,)."""
+        return self.convert(rows[self.record]) if self.of is None else self.of(rows)
+
+
+class Table:
+    """The columns of one group of the archive, as it is read: each is an attribute, an array (n, ..)."""
+
+    group: ClassVar[str]
+    rows: ClassVar[str]
+    """Size of the rows in the reference page."""
+    signal: ClassVar[str]
+    """Dataset that a viewer plots."""
+    about: ClassVar[str] = ""
+
+    def __init__(self, values: Mapping[str, Values]) -> None:
+        self.values = dict(values)
+
+    @classmethod
+    def columns(cls) -> tuple[Column, ...]:
+        """Return the columns in the order of their declaration."""
+        return tuple(one for one in vars(cls).values() if isinstance(one, Column))
+
+    def replaced(self, **values: Values) -> Self:
+        """Return the table with other values in some columns."""
+        copy = self.__class__.__new__(self.__class__)
+        copy.__dict__ = {**self.__dict__, "values": {**self.values, **values}}
+        return copy
+
+
+def _time(about: str) -> Column:
+    return Column(
+        "t_ns", "<i8", unit="s", about=f"{about}, since start_time", dataset="time", finite=True, limits=SECONDS
+    )
+
+
+def _protocol_time() -> Column:
+    about = "position in the protocol; constant while the run waits for the operator"
+    return Column("protocol_s", unit="s", about=about, dataset="protocol_time", limits=SECONDS)
+
+
+def _mm(metres: Values) -> Values:
+    return metres * MM_PER_M
+
+
+def _bar(pascals: Values) -> Values:
+    return pascals / PA_PER_BAR
+
+
+def _us(nanoseconds: Values) -> Values:
+    return nanoseconds / 1e3
+
+
+def _deviation(covariance: Values) -> Values:
+    """Return the square roots of the diagonals of covariances (n, p, p)."""
+    return np.asarray(np.sqrt(np.diagonal(covariance, axis1=1, axis2=2)))
+
+
+def _error_mm(rows: NDArray[np.void]) -> Values:
+    return np.asarray(np.linalg.norm(rows["measured_m"] * MM_PER_M - rows["model_m"] * MM_PER_M, axis=1))
+
+
+_STATUSES = ", ".join(f"{s.value} {s.name.lower()}" for s in DetectionStatus)
+
+
+class Pressure(Table):
+    """Control cycles: (n,), per actuator (n, N), per valve (n, V). Gauge pressures."""
+
+    group, rows, signal, about = "pressure", "N", "measured_bar", "one row per control cycle"
+
+    time_s = _time("time of the newest scan of the cycle")
+    tick = Column("tick", "<i8", about="number of the control cycle")
+    protocol_s = _protocol_time()
+    setpoint_bar = Column("setpoint_pa", axes=("actuator",), unit="bar", about="set-point", convert=_bar)
+    measured_bar = Column(
+        "measured_pa", axes=("actuator",), unit="bar", about="mean of the scans since the last cycle", convert=_bar
+    )
+    valve_v = Column("valve_v", axes=("valve",), unit="V", about="voltage commanded next", dataset="valve_V")
+    scans = Column("scans", "<i4", about="number of scans in the mean")
+
+
+class Timing(Table):
+    """Timing of the control cycles (n,), and losses of the whole run."""
+
+    group, rows, signal = "timing", "N", "lateness_us"
+
+    time_s = _time("time of the newest scan of the cycle")
+    overruns = Column("missed", "<i4", about="deadlines missed since the last cycle")
+    lateness_us = Column("lateness_ns", "<i8", unit="us", about="how late the control cycle began", convert=_us)
+
+    def __init__(
+        self, values: Mapping[str, Values], dropped_frames: int, ring_overflows: int, counters: Mapping[str, int]
+    ) -> None:
+        super().__init__(values)
+        self.dropped_frames = dropped_frames
+        self.ring_overflows = ring_overflows
+        self.counters = dict(counters)
+
+
+class Tip(Table):
+    """Camera frames (m,): tool centre points (m, 3) in the rod-base frame; NaN without a measurement."""
+
+    group, rows, signal = "tip", "M", "error_mm"
+    about = "one row per camera frame; NaN where nothing was measured"
+
+    time_s = _time("middle of the exposure")
+    frame = Column("frame", "<i8", about="number of the camera's frame")
+    protocol_s = _protocol_time()
+    seen = Column("seen", "<i4", about=_STATUSES, among=tuple(DetectionStatus))
+    model_ok = Column(
+        "model_ok", "<i4", about="0 where the model could not solve the step", read=lambda stored: stored.astype(bool)
+    )
+    pressure_bar = Column("pressure_pa", axes=("actuator",), unit="bar", about="input of the model", convert=_bar)
+    weight_g = Column("weight_kg", unit="g", about="weight on the end cap", convert=lambda kg: kg * 1e3, missing=0)
+    force_n = Column(
+        "force_n",
+        axes=("axis",),
+        unit="N",
+        about="measured force on the arm at the measured point, rod-base axes; zero where none was measured",
+        dataset="force_N",
+        missing=0,
+    )
+    moment_n_m = Column(
+        "moment_n_m",
+        axes=("axis",),
+        unit="N.m",
+        about="of the same wrench, about the measured point",
+        dataset="moment_Nm",
+        missing=0,
+    )
+    measured_mm = Column(
+        "measured_m", axes=("axis",), unit="mm", about="tool centre point measured by the camera", convert=_mm
+    )
+    uncertainty_mm = Column(
+        of=lambda rows: _deviation(rows["covariance_m2"]) * MM_PER_M,
+        axes=("axis",),
+        unit="mm",
+        about="standard uncertainty of measured_mm, per axis",
+    )
+    covariance_mm2 = Column(
+        "covariance_m2",
+        axes=("component",),
+        shape=("axis", "axis"),
+        unit="mm^2",
+        about="covariance of measured_mm: xx, xy, xz, yy, yz, zz",
+        convert=lambda covariance: covariance[:, _UPPER[0], _UPPER[1]] * MM_PER_M**2,
+        read=lambda stored: stored[:, _FULL],
+    )
+    model_mm = Column(
+        "model_m",
+        axes=("axis",),
+        unit="mm",
+        about="tool centre point of the model; where `model_ok` is 0, the last solved one",
+        convert=_mm,
+    )
+    error_mm = Column(of=_error_mm, unit="mm", about="distance between measured and model tip")
+    reprojection_px = Column("reprojection_px", unit="px", about="rms over the board's corners")
+    age_us = Column("age_ns", "<i8", unit="us", about="from exposure to result", convert=_us)
+    dropped = Column("dropped", "<i4", about="frames lost before this frame", limits=COUNT)
+    camera_seen = Column(
+        "camera_seen",
+        "<i4",
+        axes=("camera",),
+        about="detection status of each camera, as `seen`; the tip uses the cameras with 0",
+        among=tuple(DetectionStatus),
+    )
+    camera_skew_us = Column(
+        "camera_skew_s",
+        axes=("camera",),
+        unit="us",
+        about="exposure relative to time; NaN where a camera gave no picture",
+        convert=lambda seconds: seconds * 1e6,
+    )
+
+
+class Backbone(Table):
+    """The model's centre line (m, points, 3) from base to tip, at the times of `Tip`; NaN without a solution."""
+
+    group, rows, signal = "backbone", "M", "model_mm"
+    about = "one row per camera frame; NaN where the model could not solve the step"
+
+    time_s = _time("middle of the exposure")
+    model_mm = Column(
+        "backbone_m",
+        "<f4",
+        axes=("station", "axis"),
+        unit="mm",
+        about="centre line of the model from the base to the tip; NaN where the step was not solved",
+        convert=_mm,
+    )
+
+
+class Simulated(Table):
+    """The simulator's own tool centre point (m, 3), at the times of `Tip`."""
+
+    group, rows, signal = "simulator", "M", "tip_mm"
+    about = "SIMULATED truth; measurements are in /entry/tip"
+
+    time_s = _time("middle of the exposure")
+    tip_mm = Column(
+        "truth_m", axes=("axis",), unit="mm", about="SIMULATED: true tool centre point of the simulator", convert=_mm
+    )
+
+
+class Adaptation(Table):
+    """Online estimates of P parameters, each in its own unit, per frame (m,)."""
+
+    group, rows, signal = "adaptation", "M", "value"
+    about = "parameters estimated during the run; never used for control"
+
+    time_s = _time("middle of the exposure")
+    frame = Column("frame", "<i8", about="as in /entry/tip")
+    used = Column(
+        "used",
+        "<i4",
+        about="1; 0 where the frame gave no information (no tip, or no equilibrium); 2 where it was an outlier and "
+        "counted less",
+    )
+    start_model_mm = Column(
+        "start_model_m", axes=("axis",), unit="mm", about="the tip with the initial values", convert=_mm
+    )
+    value = Column("value", axes=("parameter",), about="estimate after the frame")
+    uncertainty = Column(
+        of=lambda rows: _deviation(rows["covariance"]), axes=("parameter",), about="one standard deviation of value"
+    )
+    covariance = Column("covariance", axes=("parameter", "parameter"), about="covariance of value")
+
+    def __init__(
+        self,
+        values: Mapping[str, Values],
+        parameter: Iterable[str],
+        unit: Iterable[str],
+        start: Values,
+        start_uncertainty: Values,
+    ) -> None:
+        super().__init__(values)
+        self.parameter = tuple(parameter)
+        self.unit = tuple(unit)
+        self.start = start
+        self.start_uncertainty = start_uncertainty
+
+
+SAMPLES: tuple[type[Table], ...] = (Pressure, Timing)
+OBSERVATIONS: tuple[type[Table], ...] = (Tip, Backbone, Simulated)
+ADAPTATIONS: tuple[type[Table], ...] = (Adaptation,)
+"""The tables of each record."""
+
+_ZERO = {c.record for t in (*SAMPLES, *OBSERVATIONS, *ADAPTATIONS) for c in t.columns() if c.record and c.missing == 0}
+_SIZES = {"axis": 3, "station": BACKBONE_POINTS}
+
+
+def sample_dtype(actuators: int, valves: int) -> np.dtype[np.void]:
+    """One control cycle: `Pressure` and `Timing`.
+
+    `t_ns` is the time of the newest scan, `measured_pa` the mean of the `scans` scans since the last cycle,
+    `valve_v` the voltage then commanded.
+    """
+    return _dtype(SAMPLES, actuator=actuators, valve=valves)
+
+
+def observation_dtype(actuators: int, cameras: int = 1) -> np.dtype[np.void]:
+    """One frame of every camera: `Tip`, `Backbone` and `Simulated`, in the rod-base frame.
+
+    `seen` is a `DetectionStatus`; where it is not MEASURED the measured columns are NaN. `truth_m` is NaN on a real
+    rig. `age_ns` is the time from exposure to the end of the computation.
+    """
+    return _dtype(OBSERVATIONS, actuator=actuators, camera=cameras)
+
+
+def adaptation_dtype(parameters: int) -> np.dtype[np.void]:
+    """Result of the recursive estimator for one camera frame: `Adaptation`, in the order of `RunHeader.adapted`.
+
+    `start_model_m` is the tip with the initial parameters; the observation's `model_m` is that with the estimates
+    before the frame.
+    """
+    return _dtype(ADAPTATIONS, parameter=parameters)
+
+
+def _dtype(tables: Iterable[type[Table]], **sizes: int) -> np.dtype[np.void]:
+    known = _SIZES | sizes
+    fields = {
+        column.record: (column.record, column.dtype, tuple(known[axis] for axis in column.shape or column.axes))
+        for table in tables
+        for column in table.columns()
+        if column.record
+    }
+    return np.dtype(list(fields.values()))
+
+
+def blank(count: int | tuple[()], dtype: np.dtype[np.void]) -> NDArray[np.void]:
+    """Return records (count,) in which every field has the value of one that nobody sets: NaN, unless declared."""
+    rows = np.zeros(count, dtype)
+    for name in dtype.names or ():
+        if dtype[name].base.kind == "f" and name not in _ZERO:
+            rows[name] = np.nan
+    return rows

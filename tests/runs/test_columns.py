@@ -1,0 +1,82 @@
+"""A column is declared once: record, journal, archive, checks and exports follow."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterator
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+import runs
+import tests.support.synthetic_runs as made_up
+from runs.archive import schema
+from runs.archive.writer import ArchiveError, finalise
+from runs.columns import ADAPTATIONS, OBSERVATIONS, SAMPLES, Column, Tip, blank
+from runs.export.exporters import export
+from runs.journal.journal import JournalWriter
+from runs.records import RunFooter, Status, adaptation_dtype, observation_dtype, sample_dtype
+
+
+@pytest.fixture
+def humidity(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """A column that is declared, and nothing else."""
+    column = Column("humidity_percent", unit="%", about="of the air", limits=(0, 100))
+    column.__set_name__(Tip, "humidity_percent")
+    monkeypatch.setattr(Tip, "humidity_percent", column, raising=False)
+    schema.schema.cache_clear()
+    yield
+    schema.schema.cache_clear()
+
+
+def written(folder: Path, humidity_percent: float) -> Path:
+    writer = JournalWriter(folder / "run.mcap", made_up.header("run"))
+    rows = blank(4, observation_dtype(made_up.ACTUATORS))
+    rows["t_ns"] = made_up.START_NS + np.arange(4) * 33_000_000
+    rows["humidity_percent"][:3] = humidity_percent
+    writer.observations(rows)
+    writer.close(RunFooter(made_up.START_NS, Status.FINISHED, ""))
+    return finalise(writer.path)
+
+
+@pytest.mark.usefixtures("humidity")
+def test_a_declared_column_reaches_archive_reader_and_exports(tmp_path: Path) -> None:
+    archive = written(tmp_path, 43.5)
+    with h5py.File(archive) as file:
+        stored = file["entry/tip/humidity_percent"]
+        assert (stored.attrs["units"], stored.attrs["description"]) == ("%", "of the air")
+        assert stored.dims[0][0] == file["entry/tip/time"]
+    np.testing.assert_array_equal(runs.open(archive).tip.values["humidity_percent"], [43.5, 43.5, 43.5, np.nan])
+    tables = {path.name: path for path in export(archive, "csv", tmp_path)}
+    rows = list(csv.DictReader(tables["run-tip.csv"].read_text().splitlines()))
+    assert [row["humidity_percent_%"] for row in rows] == ["43.5", "43.5", "43.5", ""]
+
+
+@pytest.mark.usefixtures("humidity")
+def test_a_declared_column_is_checked(tmp_path: Path) -> None:
+    archive = written(tmp_path, 143.5)
+    with pytest.raises(ArchiveError, match=r"tip/humidity_percent\[0\]: found 143.5, expected 0 to 100"):
+        _ = runs.open(archive).tip
+    with h5py.File(archive, "r+") as file:
+        del file["entry/tip/humidity_percent"]
+    with pytest.raises(ArchiveError, match="tip/humidity_percent: found nothing, expected 64-bit floats"):
+        runs.open(archive)
+
+
+def test_a_record_that_nobody_fills_is_missing_and_not_zero() -> None:
+    zero = {"weight_kg", "force_n", "moment_n_m"}
+    for dtype in (sample_dtype(3, 2), observation_dtype(3, 2), adaptation_dtype(4)):
+        rows = blank(2, dtype)
+        for name in dtype.names or ():
+            if dtype[name].base.kind == "f":
+                assert np.isnan(rows[name]).all() == (name not in zero), name
+            assert name not in zero or not rows[name].any()
+
+
+def test_every_column_says_what_it_is() -> None:
+    for table in (*SAMPLES, *OBSERVATIONS, *ADAPTATIONS):
+        for column in table.columns():
+            assert column.about, (table, column.name)
+            assert bool(column.record) != (column.of is not None), (table, column.name)
