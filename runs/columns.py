@@ -325,6 +325,17 @@ class Adaptation(Table):
         self.start_uncertainty = start_uncertainty
 
 
+AXES = {
+    "axis": ("3", "x, y, z of the rod-base frame"),
+    "component": ("6", "names of the covariance's columns"),
+    "actuator": ("A", "1, 2, .."),
+    "valve": ("V", "1, 2, .."),
+    "camera": ("C", "names of the cameras in the rig file"),
+    "station": ("L", "0 to 1, share of the length of the arm at rest"),
+    "parameter": ("P", "its name, as in `rig identify --free`"),
+}
+"""Size of each axis in the reference page, and what its scale holds."""
+
 SAMPLES: tuple[type[Table], ...] = (Pressure, Timing)
 OBSERVATIONS: tuple[type[Table], ...] = (Tip, Backbone, Simulated)
 ADAPTATIONS: tuple[type[Table], ...] = (Adaptation,)

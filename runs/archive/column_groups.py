@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runs import columns
-from runs.archive.fields import Column, Field, Group, Table, row_chunks
+from runs.archive.fields import Column, Field, Group, Table, Value, row_chunks
 from runs.journal.journal import Journal
 
 
@@ -90,21 +90,16 @@ def _field(journal: Journal, column: columns.Column, rows: Table) -> Field:
 def _scale(journal: Journal, axis: str) -> Field:
     """Return the scale that labels a dimension of the columns."""
     header = journal.header
-    return {
-        "axis": Field("axis", ["x", "y", "z"], about="of the rod-base frame"),
-        "component": Field("component", ["xx", "xy", "xz", "yy", "yz", "zz"], about="of the covariance"),
-        "actuator": Field("actuator", np.arange(1, header.actuators + 1), about="1, 2, .."),
-        "valve": Field("valve", np.arange(1, header.valves + 1), about="1, 2, .."),
-        "camera": Field("camera", list(header.cameras), about="names in the rig file", any_length=True),
-        "station": Field(
-            "station",
-            np.linspace(0, 1, columns.BACKBONE_POINTS),
-            about="0 to 1, share of the length of the arm at rest",
-        ),
-        "parameter": Field(
-            "parameter", [q.name for q in header.adapted], about="name, as in `rig identify --free`", any_length=True
-        ),
-    }[axis]
+    values: dict[str, Value] = {
+        "axis": ["x", "y", "z"],
+        "component": ["xx", "xy", "xz", "yy", "yz", "zz"],
+        "actuator": np.arange(1, header.actuators + 1),
+        "valve": np.arange(1, header.valves + 1),
+        "camera": list(header.cameras),
+        "station": np.linspace(0, 1, columns.BACKBONE_POINTS),
+        "parameter": [q.name for q in header.adapted],
+    }
+    return Field(axis, values[axis], about=columns.AXES[axis][1], any_length=axis in ("camera", "parameter"))
 
 
 def _some(rows: Table, name: str) -> bool:

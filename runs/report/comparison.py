@@ -11,8 +11,7 @@ from typing import Any
 from matplotlib.figure import Figure
 
 from runs.report.colours import RUNS
-from runs.report.drawing import decimated, legend, path_indices, svg
-from runs.report.figure_specifications import FigureSpecification
+from runs.report.drawing import FigureSpecification, decimated, legend, path_indices, svg
 from runs.report.figures import across
 from runs.report.gaps import tip_with_gaps
 from runs.report.numbers import plain, three

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import re
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -60,6 +61,17 @@ _PATHS, _DIGITS = re.compile(r' d="[^"]*"'), re.compile(r"(?<=\.\d)\d+")
 """A tenth of a point is as fine as a page shows."""
 
 Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class FigureSpecification:
+    """One figure at a size in inches: `draw(figure, run, summary)`, or with the runs and summaries that it compares."""
+
+    name: str
+    title: str
+    draw: Callable[..., None]
+    size: tuple[float, float]
+    caption: str = ""
 
 
 def svg(draw: Callable[..., None], size: tuple[float, float], salt: str, *about: object) -> str:

@@ -144,8 +144,8 @@ def _tiles(s: Summary) -> str:
 
 def _figures(run: Run, summary: Summary) -> Iterator[str]:
     salt = run.header.run_id
-    for plate in figure_specifications(run, summary):
-        yield _figure(plate.title, svg(plate.draw, plate.size, salt, run, summary), plate.caption)
+    for figure in figure_specifications(run, summary):
+        yield _figure(figure.title, svg(figure.draw, figure.size, salt, run, summary), figure.caption)
     if run.header.executor == "virtual time" and summary.ticks and not summary.lateness_max_us:
         yield "<h2>Timing of the control loop</h2>\n<p class=small>Not in real time: no tick is late.</p>"
 

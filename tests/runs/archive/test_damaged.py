@@ -41,7 +41,7 @@ def write_everything(path: Path) -> Path:
     vector = Quantity("calibration", "front.rotation", (0.0, 1.0, 0.0), "rad", "rig.yaml")
     header = made_up.header(path.stem)
     header = replace(
-        header, adapted=adapted, protocol_files=files, sources=files, quantities=(*header.quantities, vector)
+        header, adapted=adapted, protocol_files=files, calibrations=files, quantities=(*header.quantities, vector)
     )
     with_pictures, seen = JournalWriter(path.with_suffix(".mcap"), header), made_up.observations(3.0)
     with_pictures.event(made_up.ARMED)

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import tests.support.synthetic_runs as made_up
+from runs.archive.reference import page
 from runs.archive.writer import finalise
 from runs.journal.journal import JournalWriter
 from runs.records import BACKBONE_POINTS, Quantity, RunFooter, Status, adaptation_dtype, observation_dtype, sample_dtype
@@ -72,3 +73,8 @@ def test_the_page_names_every_field_and_no_other(written: dict[str, object], sto
 
 def test_sizes_and_units_are_as_the_page_says(written: dict[str, object], stored: dict[str, object]) -> None:
     assert {name: written.get(name) for name in stored} == stored
+
+
+def test_the_tables_of_columns_are_as_the_columns_are_declared() -> None:
+    text = PAGE.read_text(encoding="utf-8")
+    assert page(text) == text, "run: python -m runs.archive.reference docs/reference/archive.md"

@@ -211,7 +211,7 @@ def test_a_run_without_measured_tips_has_a_report(tmp_path: Path) -> None:
 def test_a_run_cut_off_between_a_frame_and_its_estimate_has_a_report(tmp_path: Path) -> None:
     path = made_up.write_cut_off_while_adapting(tmp_path / "adapting.mcap")
     page = Page(report.write(finalise(path)).read_text(encoding="utf-8"))
-    assert "Parameters estimated beside the run" in "".join(page.text)
+    assert "Parameters estimated online" in "".join(page.text)
 
 
 def test_a_long_run_is_drawn_with_few_points_and_keeps_its_extremes(tmp_path: Path) -> None:
@@ -253,7 +253,7 @@ def test_a_spatial_motion_is_drawn_from_two_sides(archive: Path) -> None:
     run = runs.open(archive)
     turn = np.linspace(0, 2 * np.pi, len(run.tip.time_s))
     circle = np.column_stack((20 * np.cos(turn), 20 * np.sin(turn), 170 + 0 * turn))
-    run.tip = dataclasses.replace(run.tip, measured_mm=circle, model_mm=circle + 1.0)
+    run.tip = run.tip.replaced(measured_mm=circle, model_mm=circle + 1.0)
     found = summarise(run)
     assert np.isnan(found.plane_deg)
     (specification,) = [
@@ -268,7 +268,7 @@ def test_a_spatial_motion_is_drawn_from_two_sides(archive: Path) -> None:
     for axes in figure.axes:
         low, high = sorted(axes.get_xlim())
         assert low < -20 < 21 < high
-    run.tip = dataclasses.replace(run.tip, measured_mm=circle[:1] + 0 * circle, model_mm=circle[:1] + 0 * circle)
+    run.tip = run.tip.replaced(measured_mm=circle[:1] + 0 * circle, model_mm=circle[:1] + 0 * circle)
     assert "trajectory" not in [
         figure.name for figure in figure_specifications.figure_specifications(run, summarise(run))
     ]
@@ -278,9 +278,9 @@ def test_measurements_without_model_and_set_points_are_drawn_without_them(archiv
     run = runs.open(archive)
     nothing = np.full_like(run.tip.model_mm, np.nan)
     run.header = dataclasses.replace(run.header, executor="imported")
-    run.tip = dataclasses.replace(run.tip, model_mm=nothing, error_mm=nothing[:, 0])
-    run.pressure = dataclasses.replace(run.pressure, setpoint_bar=np.full_like(run.pressure.setpoint_bar, np.nan))
-    run.timing = dataclasses.replace(run.timing, lateness_us=np.zeros_like(run.timing.lateness_us))
+    run.tip = run.tip.replaced(model_mm=nothing, error_mm=nothing[:, 0])
+    run.pressure = run.pressure.replaced(setpoint_bar=np.full_like(run.pressure.setpoint_bar, np.nan))
+    run.timing = run.timing.replaced(lateness_us=np.zeros_like(run.timing.lateness_us))
     run.simulated = run.backbone = None
     found = summarise(run)
     assert found.plane_deg == pytest.approx(0.0, abs=1.0)
@@ -353,7 +353,7 @@ def test_steps_are_counted_in_whole_numbers(archive: Path) -> None:
 def test_the_names_of_any_number_of_actuators_stand_inside_the_figure(archive: Path, actuators: int) -> None:
     run = runs.open(archive)
     bar = np.tile(run.pressure.setpoint_bar[:, :1], (1, actuators))
-    run.pressure = dataclasses.replace(run.pressure, setpoint_bar=bar, measured_bar=bar + 0.001)
+    run.pressure = run.pressure.replaced(setpoint_bar=bar, measured_bar=bar + 0.001)
     figure = Figure(figsize=(9, 4.1))
     canvas = FigureCanvasAgg(figure)
     with mpl.rc_context(STYLE):
