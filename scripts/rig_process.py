@@ -33,7 +33,7 @@ PATIENCE_S = 60.0
 
 
 def write_rig(folder: Path, *, one_opener: bool = False, like: str = "mock", supervised: bool = True) -> Path:
-    """A copy of a mock rig with a card of its own, which may let in one process only.
+    """Write a copy of a mock rig with a card of its own, which may admit one process only.
 
     `supervised`: as strictly as a real bench.
     """
@@ -45,7 +45,7 @@ def write_rig(folder: Path, *, one_opener: bool = False, like: str = "mock", sup
 
 
 def strict(text: str) -> str:
-    """A rig whose mock bench is supervised as a real one: it states `hung_s`."""
+    """The text of a rig with the strict timing limits of a real bench: it states `hung_s`."""
     assert text.count("\nlimits:\n") == 1
     return text.replace("\nlimits:\n", f"\nlimits:\n  hung_s: {STRICT_HUNG_S:g}\n")
 
@@ -107,18 +107,18 @@ class RigProcess:
         return (self.folder / "log").read_text()
 
     def valve_v(self) -> np.ndarray:  # type: ignore[type-arg]
-        """What the card's outputs stand at, read from outside the run."""
+        """Voltages of the card's outputs, read from outside the run."""
         registers = Registers.attach(self.device)
         volts = registers.outputs["volts"].copy()
         registers.close()
         return volts
 
     def valves_are_safe(self) -> bool:
-        """True while every output stands where its valve vents."""
+        """Whether every output has the venting voltage."""
         return bool(np.all(self.valve_v() < 0.01))
 
     def wait_until_started(self) -> None:
-        """Return once the run has checked its input and begins to start its processes."""
+        """Wait until the run has checked its input and starts its processes."""
         deadline = time.monotonic() + PATIENCE_S
         while not path_of(self.device).exists():
             assert self.process.poll() is None, self.output
@@ -126,7 +126,7 @@ class RigProcess:
             time.sleep(0.005)
 
     def wait_until_pressurised(self) -> None:
-        """Return once the run drives the valves."""
+        """Wait until the run drives the valves."""
         deadline = time.monotonic() + PATIENCE_S
         while time.monotonic() < deadline:
             assert self.process.poll() is None, self.output
@@ -137,7 +137,7 @@ class RigProcess:
         raise AssertionError(f"the run never drove a valve:\n{self.output}")
 
     def wait_until_safe(self, seconds: float = 5.0) -> None:
-        """Return once the valves are safe and stay so."""
+        """Wait until the valves are safe and stay safe."""
         deadline = time.monotonic() + seconds
         while not self.valves_are_safe():
             assert time.monotonic() < deadline, f"valves at {self.valve_v()} V:\n{self.output}"
@@ -154,7 +154,7 @@ class RigProcess:
         return self.process.wait(PATIENCE_S)
 
     def close(self) -> None:
-        """Let go of the log."""
+        """Close the log."""
         self._log.close()
 
     def archive(self) -> Path:
@@ -172,7 +172,7 @@ def rig_run(
     like: str = "mock",
     supervised: bool = True,
 ) -> Iterator[RigProcess]:
-    """Start a run; leave nothing of it behind."""
+    """Start a run, and remove its processes and files at the end."""
     run = RigProcess(folder, protocol, *options, one_opener=one_opener, like=like, supervised=supervised)
     try:
         yield run

@@ -31,7 +31,7 @@ SEEN_SAFE_V = 0.01
 
 
 class Listener(NullOperator):
-    """An operator who listens and never interferes."""
+    """An operator interface that stores messages."""
 
     def __init__(self) -> None:
         self.said: list[str] = []

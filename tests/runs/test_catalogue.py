@@ -1,4 +1,4 @@
-"""The catalogue: what a folder holds, quickly, and right whatever happens to the index."""
+"""The catalogue lists a folder quickly, and correctly with any damage to its index."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A run whose recorder is killed at any moment leaves an archive with every row that was written."""
+"""The archive of a run whose recorder was killed holds every row that was written."""
 
 from __future__ import annotations
 

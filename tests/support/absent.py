@@ -1,4 +1,4 @@
-"""What a test needs and a machine may lack."""
+"""Skips tests whose requirements the machine lacks."""
 
 from __future__ import annotations
 

@@ -83,7 +83,7 @@ def of(file: h5py.File, random: Random, wanted: Callable[[h5py.Dataset], bool]) 
 
 
 def replaced(file: h5py.File, path: str, **options: Any) -> h5py.Dataset:
-    """Another dataset in the place of one, with its attributes where they can be kept."""
+    """Replace a dataset by another one, keeping its attributes where possible."""
     kept = {}
     if path in file:
         kept = {name: file[path].attrs[name] for name in ("units", "description") if name in file[path].attrs}
@@ -366,7 +366,7 @@ def text_for_dimension_list(file: h5py.File, random: Random) -> str:
 
 
 def names_of_the_run(file: h5py.File, random: Random) -> str:
-    """Names in the groups whose fields the run names."""
+    """Damage names in the groups whose field names come from the run."""
     group = str(random.choice(["calibration", "model", "versions", "timing/counters"]))
     names = ["\x1b[31m", "\u202eabc", "<b>", "a" * 5000, "$x$", "=1", "component_9", "[red]"]
     name = names[random.integers(len(names))]

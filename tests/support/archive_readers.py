@@ -58,7 +58,7 @@ def python(path: Path) -> str:
 
 
 def command(arguments: list[str]) -> tuple[int, str]:
-    """Obey a command; return its exit status and what it printed."""
+    """Run a command; return its exit status and output."""
     said = io.StringIO()
     with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):
         try:

@@ -1,4 +1,4 @@
-"""Debian's Chromium, headless, driven through its DevTools protocol: what the live page's tests see with."""
+"""Debian's Chromium, headless, driven through its DevTools protocol, for the tests of the live page."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from tests.support.absent import absent
 
 PATIENCE_S = 150.0
 GOODBYE_S = 0.5
-"""A page that is gone does not answer a goodbye."""
+"""A closed page does not answer the closing handshake."""
 FLAGS = (
     "--headless",
     "--no-sandbox",
@@ -93,7 +93,7 @@ class Tab:
         return value
 
     def click(self, selector: str) -> None:
-        """Press and release the left button in the middle of an element, as a hand would."""
+        """Click the middle of an element."""
         where = self.value(
             f"(() => {{ const e = document.querySelector({selector!r}); e.scrollIntoView({{block: 'nearest'}});"
             " const r = e.getBoundingClientRect(); return [r.x + r.width / 2, r.y + r.height / 2]; })()"
@@ -110,12 +110,12 @@ class Tab:
         )
 
     def dark(self, dark: bool) -> None:
-        """What the browser says that its user prefers."""
+        """Set the colour scheme that the browser reports as preferred."""
         feature = {"name": "prefers-color-scheme", "value": "dark" if dark else "light"}
         self.command("Emulation.setEmulatedMedia", features=[feature])
 
     def screenshot(self, path: Path) -> None:
-        """Write what is seen as PNG."""
+        """Write a screenshot as PNG."""
         data = self.command("Page.captureScreenshot", format="png")["data"]
         path.write_bytes(base64.b64decode(data))
 

@@ -1,4 +1,4 @@
-"""A page that shows a stalled run, with numbers as wide as they get: `python tests/support/live_shown.py 6 --adapt`.
+"""A page with a stalled run and the widest possible numbers: `python tests/support/live_shown.py 6 --adapt`.
 
 Prints the page's link. What is real: server, page, stream and browser; what is made up: the run's numbers.
 """
@@ -49,7 +49,7 @@ EVENTS = [
 
 
 class Shown:
-    """A source whose every browser sees the same moment."""
+    """A run source that always shows the same moment."""
 
     live = True
     finished = False
@@ -90,7 +90,7 @@ class Shown:
         self.packet = ViewUpdate(now, pressures_of(seconds, pressures), track, list(EVENTS), drawing, picture).encoded()
 
     def about(self) -> dict[str, Any]:
-        """What a run with as many actuators says of itself."""
+        """Description of a run with that many actuators."""
         return {
             "title": "extension-weights on a-rig-with-a-long-name",
             "live": True,
@@ -123,11 +123,11 @@ class Moment:
         return packet
 
     def handle(self, message: Message, who: str) -> dict[str, Any]:
-        """Say who wants what."""
+        """Answer with the requested command and its account."""
         return {"done": True, "said": f"{message.do} by {who} (live page) at protocol time 3723.40 s"}
 
     def close(self) -> None:
-        """Nothing is kept."""
+        """There is nothing to release."""
 
 
 def pressures_of(seconds: np.ndarray, pressures: np.ndarray) -> np.ndarray:  # type: ignore[type-arg]

@@ -1,4 +1,4 @@
-"""Tasks for workers of other processes: each of them imports this, and nothing that takes long to import."""
+"""Tasks for worker processes; importing this module is fast."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Task:
-    """A number to be squared, and the folder in which it is noted that it was."""
+    """A number to square, and the folder in which each call is recorded."""
 
     number: int
     folder: str
@@ -38,6 +38,6 @@ def squared_but_killed_once(task: Task) -> Array:
 
 
 def deadly(task: Task) -> Array:
-    """No worker survives it."""
+    """Kills every worker."""
     os.kill(os.getpid(), signal.SIGKILL)
     return squared(task)

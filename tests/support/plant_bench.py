@@ -27,7 +27,7 @@ MOCK = Path(rig.__file__).parent / "rigs" / "mock.yaml"
 
 
 def mock_rig(**changes: object) -> RigConfig:
-    """The mock rig with some values changed; `simulator__valve__leakage_l_min=7` changes one deep inside."""
+    """The mock rig with changed values; `simulator__valve__leakage_l_min=7` changes a nested one."""
     data: dict[str, Any] = copy.deepcopy(yaml.safe_load(MOCK.read_text()))
     for key, value in changes.items():
         *way, last = key.split("__")
@@ -109,7 +109,7 @@ def play(
 
 
 def staircase(levels_bar: list[float], dwell_s: float, actuators: list[int]) -> Setpoint:
-    """Levels one after the other on some actuators (counted from 0), nothing on the others."""
+    """Consecutive levels on some actuators (counted from 0), zero on the others."""
 
     def setpoint(t_s: float) -> tuple[Floats, Floats]:
         target = np.zeros(3)

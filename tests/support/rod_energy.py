@@ -1,4 +1,4 @@
-"""The potential energy of an arm at rest, apart from the model's own code, and its smallest second variation.
+"""Potential energy of an arm at rest and its smallest second variation, separate from the code of the model.
 
 The arm is a chain of straight elements between cross-sections that may move and turn. Strains are those of the middle
 of an element. Everything is written about the arm's axis, each tube at its own place.

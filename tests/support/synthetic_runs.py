@@ -1,4 +1,4 @@
-"""A made-up run of any length, for the tests of what a run leaves behind."""
+"""A synthetic run of any length, for the tests of journals, archives and reports."""
 
 from __future__ import annotations
 
@@ -166,7 +166,7 @@ def write_journal(
 
 
 def write_cut_off_while_adapting(path: Path) -> Path:
-    """Write a run with an estimator that dies with its last frames recorded and what they taught it not."""
+    """Write a run that is cut off between its last frames and their estimates."""
     adapted = (Quantity("adaptation", "shear_ratio", (0.4,), "", "", 0.1),)
     writer = JournalWriter(path.with_suffix(".written"), replace(header(path.stem), adapted=adapted))
     seen = observations(3.0)

@@ -1,4 +1,4 @@
-"""What the vision tests share: the mock rig, a tip that sweeps its workspace, and a scene to look at."""
+"""Helpers of the vision tests: the mock rig, a tip that sweeps its workspace, and a scene."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The `rig` command: what it prints, what it returns, and that no error of the user's is a traceback."""
+"""The `rig` command: output, exit status, and messages instead of tracebacks."""
 
 from __future__ import annotations
 
@@ -39,13 +39,13 @@ def rig(arguments: Sequence[str | Path], cwd: Path) -> subprocess.CompletedProce
 
 @pytest.fixture
 def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """An empty folder to stand in."""
+    """An empty current folder."""
     monkeypatch.chdir(tmp_path)
     return tmp_path
 
 
 def inside(*arguments: str | Path) -> int:
-    """Run the command in this process, which spares its start; what it does not catch reaches the test."""
+    """Run the command in this process, which is faster; unexpected exceptions reach the test."""
     with pytest.raises(SystemExit) as left:
         main([*map(str, arguments)])
     assert isinstance(left.value.code, int)

@@ -1,4 +1,4 @@
-"""Which run a name means, and that no command writes over a file that it did not make for the same purpose."""
+"""Names of runs, and that no command overwrites a file that it did not make for the same purpose."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is printed: control characters, marks of direction and markup of others are shown, never obeyed."""
+"""Control characters, marks of direction and foreign markup are printed visibly and have no effect."""
 
 from __future__ import annotations
 

@@ -18,7 +18,7 @@ from tests.support.plant_bench import mock_rig
 
 
 class FakeCard:
-    """A card whose scans are put in by hand and whose outputs may fail or not obey."""
+    """A card with given scans, whose outputs can fail or read back differently."""
 
     def __init__(self, setup: CardSetup) -> None:
         self.setup = setup

@@ -1,4 +1,4 @@
-"""A card's own sampling clock, from the card to the record and to `rig show`."""
+"""The sampling clock of a card, in the record and in `rig show`."""
 
 from __future__ import annotations
 

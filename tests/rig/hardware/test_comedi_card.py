@@ -1,4 +1,4 @@
-"""ComediCard on a made-up card of the 171x family: what no kernel device of the hardware test can show.
+"""ComediCard on a simulated card of the 171x family, for cases that no kernel device of the hardware test has.
 
 The samples come through a real pipe; commands, ranges and calibration follow the family's rules. Instructions,
 overruns and the kernel's own answers are tested in tests/hardware.
@@ -26,7 +26,7 @@ FASTEST_CONVERSION_NS = 10_000
 
 @dataclass
 class MadeUpLine:
-    """16 bit, straight calibration; remembers what it was told."""
+    """16 bit, linear calibration; stores its calls."""
 
     number: int
     range_index: int

@@ -1,4 +1,4 @@
-"""The seam to pycomedi, as far as it can be tried without a card."""
+"""The interface to pycomedi, as far as it can be tested without a card."""
 
 from __future__ import annotations
 
@@ -136,7 +136,7 @@ class Contested:
 def test_a_card_that_another_process_opens_between_the_question_and_the_opening_is_called_busy(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Whoever waits for such a card goes on waiting; no card attached would end it."""
+    """A busy device is waited for; a missing card would be an error."""
 
     def asked(path: str, flags: int) -> int:
         if Contested.opened:

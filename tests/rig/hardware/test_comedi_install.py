@@ -1,4 +1,4 @@
-"""`make comedi`, with a made-up Python in the environment: what it says, and that it leaves nothing behind."""
+"""`make comedi` with a substitute for Python in the environment: its messages, and that it leaves nothing behind."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which command a card is given, by the triggers it has."""
+"""The choice of the acquisition command by the triggers of a card."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What docs/how-to/commission-a-bench.md lets the reader type by hand does what the page says."""
+"""The Python code in docs/how-to/commission-a-bench.md does what the page says."""
 
 from __future__ import annotations
 

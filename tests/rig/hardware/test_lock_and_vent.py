@@ -1,4 +1,4 @@
-"""One run per card by whatever name it is called, and `rig vent` whatever that run is doing."""
+"""One run per card under any name of it, and `rig vent` in any state of that run."""
 
 from __future__ import annotations
 
@@ -117,7 +117,7 @@ def test_the_holder_of_a_lock_is_known(config: RigConfig) -> None:
 def test_a_run_that_would_not_notice_the_venting_is_signalled_to_end(
     still: bool, config: RigConfig, registers: Registers, tmp_path: Path
 ) -> None:
-    """One that has not begun, that stands still, or whose valves stand vented anyway."""
+    """A run that has not started, that is stalled, or whose valves are vented already."""
     file = tmp_path / "rig.yaml"
     file.write_text(text())
     with run_that(HOLD, file) as process:
@@ -182,7 +182,7 @@ def test_the_process_that_has_a_card_open_is_found_behind_a_link(tmp_path: Path)
 def test_a_process_that_opens_a_card_briefly_is_left_alone(
     config: RigConfig, registers: Registers, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Another `rig vent`, or the watchdog that is making it safe: each has it for less than whoever drives it."""
+    """Another `rig vent` or a watchdog opens the card only briefly."""
     began = time.monotonic()
     with subprocess.Popen(["sleep", "60"]) as one, subprocess.Popen(["sleep", "60"]) as another:
 

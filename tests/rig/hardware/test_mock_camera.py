@@ -1,4 +1,4 @@
-"""The rendered camera behaves like one: a steady clock, gaps when the reader is late, and a known truth."""
+"""The rendered camera has a steady clock, gaps when the reader is late, and a known truth."""
 
 from __future__ import annotations
 

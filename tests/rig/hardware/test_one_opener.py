@@ -1,4 +1,4 @@
-"""A card that lets in one process at a time: it is made safe by who comes after the one that has it."""
+"""A card that admits one process at a time is made safe after its holder has been ended."""
 
 from __future__ import annotations
 

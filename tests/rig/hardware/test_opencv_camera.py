@@ -1,4 +1,4 @@
-"""Cameras opened by the rig's file: recordings play, devices that are not there are named."""
+"""Cameras opened from the rig file: recordings play, missing devices are named."""
 
 from __future__ import annotations
 

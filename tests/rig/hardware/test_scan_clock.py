@@ -1,4 +1,4 @@
-"""The scan counter as a clock: in step with the computer's over hours, whatever crystals and delays do."""
+"""The scan counter as a clock stays aligned with the clock of the computer over hours."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Archives that no good run leaves, and archives that do not belong together: a fit, or one sentence, never a guess."""
+"""Unusual archives, and archives that do not belong together, give a fit or one sentence."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`rig run --adapt`: the live error shrinks, the estimates are as good as they say, and no valve knows of it."""
+"""`rig run --adapt`: the live error falls, the intervals hold, and the valve voltages do not change."""
 
 from __future__ import annotations
 

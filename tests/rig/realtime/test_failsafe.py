@@ -1,4 +1,4 @@
-"""Who is left makes the bench safe: at once where the others are dead, patiently where they only stand still."""
+"""The failsafe makes the bench safe: at once if the other processes are dead, after a limit if they are stalled."""
 
 from __future__ import annotations
 
@@ -35,12 +35,12 @@ HOLD_STILL = (
     "import ctypes, sys, time\nptrace = ctypes.CDLL(None).ptrace\nptrace.argtypes = [ctypes.c_long] * 4\n"
     "print('held' if ptrace(16, int(sys.argv[1]), 0, 0) == 0 else 'refused', flush=True)\ntime.sleep(60)\n"
 )
-"""PTRACE_ATTACH, and never a look at what became of it."""
+"""Attaches with PTRACE_ATTACH and never waits for the traced process."""
 
 
 @pytest.fixture
 def registers() -> Iterator[Registers]:
-    """A mock card whose valves are open, and nobody behind it."""
+    """A mock card with open valves and without a plant."""
     registers = Registers.create(f"guarded-{os.getpid()}", 2, 8)
     registers.outputs["volts"] = OPEN_V
     yield registers
@@ -65,14 +65,14 @@ def memory(config: RigConfig) -> Iterator[SharedState]:
 
 @pytest.fixture
 def sleeper() -> Iterator[subprocess.Popen[bytes]]:
-    """A process that does nothing, which is not to be left over."""
+    """A process that sleeps; it is killed after the test."""
     with subprocess.Popen(["sleep", "60"], stdout=subprocess.PIPE) as process:
         yield process
         process.kill()
 
 
 def dead() -> int:
-    """The number of a process that has been."""
+    """The id of a process that has exited."""
     process = subprocess.Popen(["true"])
     process.wait()
     return process.pid
@@ -115,7 +115,7 @@ def test_a_process_counts_as_exited_before_its_status_is_collected(
 def test_a_process_held_by_a_debugger_counts_as_stalled_and_its_kill_does_not_block(
     sleeper: subprocess.Popen[bytes], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The kernel hides the end of such a process from its parent for as long as the debugger has not asked for it."""
+    """The kernel hides the exit of a traced process from its parent until the debugger waits for it."""
     monkeypatch.setattr(plant_launcher, "GONE_S", 0.2)
     monitor = ProcessMonitor(sleeper.pid)
     with subprocess.Popen([sys.executable, "-c", HOLD_STILL, str(sleeper.pid)], stdout=subprocess.PIPE) as debugger:
@@ -198,7 +198,7 @@ def test_the_watchdog_writes_at_the_end_only_if_control_has_not(
     safe_ns: int,
     left_v: float,
 ) -> None:
-    """Who vents, by another program, what control only holds, means it."""
+    """Valves that another program vents stay vented, also where control would hold them."""
     memory.control_pid = dead()
     memory.publish_stage("control", Stage.DONE)
     memory.safe_ns = safe_ns
@@ -234,7 +234,7 @@ def test_vent_verification_continues_after_the_supervisor_has_died(
 def test_a_supervisor_that_hangs_and_dies_costs_control_no_processor_time(
     memory: SharedState, sleeper: subprocess.Popen[bytes], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The watchdog goes before control: what wakes it again and again keeps control from ending on its own."""
+    """The watchdog exits before control: repeated wake-ups would keep control from exiting."""
     timing = replace(LENIENT, supervisor_silent_ns=20_000_000, grace_ns=400_000_000)
     looks = 0
 

@@ -1,4 +1,4 @@
-"""In real time, struck from outside: who wakes or survives makes the bench safe, and nobody waits for a terminal."""
+"""Faults injected into real-time runs: any surviving process makes the bench safe, and none waits for a terminal."""
 
 from __future__ import annotations
 

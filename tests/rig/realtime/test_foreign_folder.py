@@ -28,7 +28,7 @@ if __name__ == "__main__":
 
 @pytest.fixture
 def hostile(tmp_path: Path) -> Path:
-    """A folder to stand in."""
+    """The current folder of the command."""
     folder = tmp_path / "hostile"
     folder.mkdir()
     for name in NAMES:

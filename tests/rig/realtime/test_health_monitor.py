@@ -1,4 +1,4 @@
-"""What moves no valve is told once when it begins and once when it is over."""
+"""Each condition that does not stop a run is reported when it begins and when it ends."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ def test_missed_deadlines_and_lost_scans_are_reported(monitor: HealthMonitor) ->
 
 
 def test_a_tenth_of_the_deadlines_missed_in_a_second_is_reported_during_the_run(monitor: HealthMonitor) -> None:
-    """A control process that is stopped for 12 ms again and again; the operator is told now, not at the end."""
+    """A control process that is stopped for 12 ms repeatedly is reported during the run."""
     rows = np.zeros(200, sample_dtype(3, 2))
     rows["missed"][::10] = 1
     rows["t_ns"] = 10**9 + np.cumsum(1 + rows["missed"]) * TICK_NS

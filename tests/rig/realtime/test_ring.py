@@ -1,4 +1,4 @@
-"""The shared-memory ring hands every row to every reader, whole, in order, and counts what it could not."""
+"""The shared-memory ring gives every reader all rows, complete and in order, and counts lost ones."""
 
 import multiprocessing as mp
 import os
@@ -89,7 +89,7 @@ def test_no_row_is_torn_while_another_process_writes_as_fast_as_it_can() -> None
 
 
 class Interrupted(list[str]):
-    """Names of cameras; whoever looks one up for the first time stands still while the writer goes on."""
+    """Camera names whose first lookup stalls the reader while the writer continues."""
 
     def __init__(self, memory: SharedState, pictures: int) -> None:
         super().__init__(["front"])

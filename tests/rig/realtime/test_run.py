@@ -30,13 +30,13 @@ SIMULATOR = "rig.simulator.plant_process"
 
 
 def vent(run: RigProcess) -> None:
-    """`rig vent` from another shell; fails where it does."""
+    """Run `rig vent` as from another shell, and assert that it succeeds."""
     command = [sys.executable, "-m", "rig", "vent", "--rig", str(run.rig_file)]
     subprocess.run(command, check=True, capture_output=True)
 
 
 def recover_one(run: RigProcess) -> None:
-    """Make the archive of a killed run; fails where its journal gives none with what was recorded."""
+    """Recover the archive of a killed run, and assert that it holds the recorded data."""
     (outcome,) = recover(run.out)
     assert outcome.archive is not None
     archive = runs.open(outcome.archive)
@@ -221,7 +221,7 @@ def test_an_over_pressure_stops_the_run(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("modules", [(CONTROL,), (WATCHDOG,), (SIMULATOR,), (CONTROL, SIMULATOR)], ids=str)
 def test_a_delayed_process_does_not_stop_a_run_on_a_simulated_bench(tmp_path: Path, modules: tuple[str, ...]) -> None:
-    """As a busy machine or its host delays them; the valves are driven while it happens."""
+    """Processes are delayed as by a busy machine or its host while valves are driven."""
     with rig_run(tmp_path, BRIEF, supervised=False) as run:
         run.wait_until_pressurised()
         pids = [run.pid_of(module) for module in modules]

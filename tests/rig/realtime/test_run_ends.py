@@ -1,4 +1,4 @@
-"""How `rig run` ends where it is told to more than once, or where nobody listens from the beginning."""
+"""How `rig run` ends after repeated signals, or with closed standard streams."""
 
 from __future__ import annotations
 

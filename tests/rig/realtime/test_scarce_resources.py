@@ -1,4 +1,4 @@
-"""Where memory is short, or a start is cut off, there is one sentence, an exit status, and nothing left over."""
+"""Short memory or an interrupted start gives one sentence and an exit status, and leaves nothing behind."""
 
 from __future__ import annotations
 

@@ -46,7 +46,7 @@ def moving(tmp_path_factory: pytest.TempPathFactory) -> Plan:
 @pytest.mark.parametrize("at_s", [0.3, 0.9])
 @pytest.mark.parametrize("still_s", [0.2, 0.6])
 def test_after_a_stall_the_pressures_return_within_the_rate_limit(moving: Plan, still_s: float, at_s: float) -> None:
-    """The plant goes on meanwhile with the valves as they stood, as a real one does."""
+    """The plant continues during the stall with unchanged valves, like a real one."""
     plant = Plant(moving.config, 1, 0, moving_arm=False)
     bench = Bench(moving.config, {name: plant.card(name) for name in moving.config.cards})
     bench.arm()
@@ -82,11 +82,11 @@ def test_a_stuck_pressure_is_detected_on_a_machine_that_stalls_repeatedly() -> N
 
 
 class TestSilence:
-    """Looks every 2 ms at a process that is hung after 25 ms."""
+    """A heartbeat monitor with a period of 2 ms and a limit of 25 ms."""
 
     @staticmethod
     def looked(until_ns: int, heartbeat_ns: int, every_ns: int = 2 * MS) -> tuple[HeartbeatMonitor, int]:
-        """Somebody who has looked at one heartbeat until then, and what the last look said."""
+        """Monitor one heartbeat until then; return the result of the last check."""
         silence, said = HeartbeatMonitor(2 * MS, 8 * MS), 0
         for now in range(heartbeat_ns, until_ns + 1, every_ns):
             said = silence.silent_ns(now, heartbeat_ns)
@@ -148,7 +148,7 @@ def test_a_stall_is_reported_once_with_its_length() -> None:
 
 
 class Clock:
-    """Stands in for the module `time`: whoever sleeps on it wakes a second and a half too late."""
+    """Replaces the module `time`: every sleep returns 1.5 s late."""
 
     now_ns = 10**12
 

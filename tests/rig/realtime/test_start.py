@@ -1,4 +1,4 @@
-"""How a run in real time begins: rehearsed on scans, anchored in the calendar at its first tick, refused plainly."""
+"""The start of a real-time run: rehearsal on scans, calendar anchor at the first cycle, refusals."""
 
 from __future__ import annotations
 
@@ -51,32 +51,32 @@ HOLD_STILL = (
     "import ctypes, sys, time\nptrace = ctypes.CDLL(None).ptrace\nptrace.argtypes = [ctypes.c_long] * 4\n"
     "print('held' if ptrace(16, int(sys.argv[1]), 0, 0) == 0 else 'refused', flush=True)\ntime.sleep(60)\n"
 )
-"""PTRACE_ATTACH, and never a look at what became of it."""
+"""Attaches with PTRACE_ATTACH and never waits for the traced process."""
 
 
 class Unwritten:
-    """A record that keeps nothing."""
+    """A recorder that discards everything."""
 
     stalled_s = 0.0
 
     def samples(self, rows: np.ndarray) -> None:  # type: ignore[type-arg]
-        """Keep nothing."""
+        """Discard it."""
 
     def observations(self, rows: np.ndarray) -> None:  # type: ignore[type-arg]
-        """Keep nothing."""
+        """Discard it."""
 
     def adaptations(self, rows: np.ndarray) -> None:  # type: ignore[type-arg]
-        """Keep nothing."""
+        """Discard it."""
 
     def picture(self, picture: Picture) -> None:
-        """Keep nothing."""
+        """Discard it."""
 
     def event(self, event: Event) -> None:
-        """Keep nothing."""
+        """Discard it."""
 
 
 class SlowBench:
-    """A bench whose first scans take their time."""
+    """A bench whose first scans arrive late."""
 
     def __init__(self, actuators: int) -> None:
         self._actuators = actuators
@@ -248,7 +248,7 @@ def test_control_that_stalls_before_its_first_cycle_ends_the_run(plan: Plan, mon
 
 @pytest.fixture
 def registers() -> Iterator[Registers]:
-    """A mock card whose valves are open, and nobody behind it."""
+    """A mock card with open valves and without a plant."""
     registers = Registers.create(f"started-{os.getpid()}", 2, 8)
     registers.outputs["volts"] = 7.0
     yield registers
@@ -331,7 +331,7 @@ def test_control_sockets_of_killed_runs_are_removed_and_others_kept(
 def test_the_reason_for_the_end_is_reported_even_if_the_watchdog_has_to_be_killed(
     plan: Plan, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """One that stands still has not ended when the run has."""
+    """A stalled process has not exited when the run ends."""
     ended = Outcome(Status.ABORTED, "the watchdog process has been silent for 1.2 s", 5, {"missed_deadlines": 3})
 
     def supervise(parent: supervisor._Supervisor, _: object) -> Outcome:
@@ -350,7 +350,7 @@ def test_the_reason_for_the_end_is_reported_even_if_the_watchdog_has_to_be_kille
 def test_a_run_stopped_while_its_supervisor_stalled_is_not_called_finished(
     plan: Plan, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The supervisor had just looked whether somebody wants the run to end, and wakes when all is over."""
+    """The supervisor stalls right after it checked for a stop request, and wakes after the end."""
     parent = supervisor._Supervisor(plan, NullOperator(), None)
     parent.recorder = Unwritten()
 
@@ -385,7 +385,7 @@ def test_remaining_air_is_reported_beside_another_fault_that_ended_the_run(
 
 
 def test_a_process_held_by_a_debugger_does_not_delay_the_end_of_the_run(plan: Plan) -> None:
-    """The kernel hides the end of such a process from its parent for as long as the debugger has not asked for it."""
+    """The kernel hides the exit of a traced process from its parent until the debugger waits for it."""
     parent = supervisor._Supervisor(plan, NullOperator(), None)
     parent.timing = replace(parent.timing, ending_s=0.1)
     held = fellow(parent, "observer", "import time; time.sleep(60)")

@@ -1,4 +1,4 @@
-"""No reader, clock or protocol can harm a run: the terminal's outlet, the calendar clock, the pressure limit."""
+"""No reader, clock or protocol can harm a run: non-blocking writer, calendar clock, pressure limit."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def test_a_reader_that_has_gone_is_not_an_error() -> None:
 
 
 def test_no_running_code_reads_the_calendar_clock() -> None:
-    """A stepped clock can harm only who reads it; the record's one anchor is read once, before the run begins."""
+    """Only code that reads the calendar clock is affected by a step; the anchor of the record is read once."""
     modules = [path for room in RUNNING for path in (ROOM / room).glob("*.py")]
     assert len(modules) > 50
     for path in (*modules, *(ROOM / name for name in RUNNING_SCREEN)):
@@ -90,7 +90,7 @@ def test_no_running_code_reads_the_calendar_clock() -> None:
 @examples(12)
 @given(st.floats(0.8, 100.0), st.floats(0.0, 1000.0), st.integers(0, 2**31))
 def test_no_set_point_whatever_can_raise_a_chamber_above_the_limit(bar: float, bar_per_s: float, seed: int) -> None:
-    """The check before the run refuses such set-points; here they come all the same."""
+    """The preflight check refuses such set-points; this test bypasses it."""
     config = rig.config.loader.load("mock")
     plant = Plant(config, seed, 0, moving_arm=False)
     bench = Bench(config, {"daq": plant.card("daq")})

@@ -118,7 +118,7 @@ def test_scans_of_a_late_simulator_do_not_stop_a_run(
 
 
 def test_stalled_time_of_a_simulated_bench_counts_towards_no_limit() -> None:
-    """A set-point is stepped, and all of the machine is delayed by far more than `tracking_s`, again and again."""
+    """The set-point steps while the whole machine is repeatedly delayed by far more than `tracking_s`."""
     config = mock_rig()
     settings = control.prepare(config)
     setpoint, still = np.array([0.4e5, 0.0, 0.0]), np.zeros(3)

@@ -1,4 +1,4 @@
-"""Two cameras in real time: paired though one is slow, in the order of their times, the run going on without one."""
+"""Two cameras in real time: paired in the order of their times; the run continues without one."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ steps:
 
 @dataclass
 class Paced:
-    """A camera on a clock, whose pictures come late, or not at all between two times after the start."""
+    """A camera whose pictures arrive late, or not at all between two times after the start."""
 
     start_ns: int
     late_ns: int = 0

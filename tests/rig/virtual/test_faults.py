@@ -1,4 +1,4 @@
-"""Every fault that virtual time knows ends safe, is told, and leaves an archive with the right status."""
+"""Every fault of virtual time ends safe, is reported, and leaves an archive with the right status."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from scripts.faults.fault_trial import EARLIEST_S, PROTOCOL
 FAULTS = [fault for fault in CATALOGUE if fault.virtual]
 LATEST_S = 1.2
 BRIEFER = PROTOCOL.replace("{moving_s:g}", "3.4")
-"""The campaign strikes later, too; what must come of a fault takes as long here as there."""
+"""Shorter than the campaign's protocol, because the faults come earlier."""
 
 
 @pytest.fixture(autouse=True)
 def briefer(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The campaign's protocol, over so much earlier as the faults come earlier."""
+    """Use the shorter protocol."""
     assert BRIEFER != PROTOCOL
     monkeypatch.setattr(virtual, "PROTOCOL", BRIEFER)
 

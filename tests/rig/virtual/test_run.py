@@ -1,4 +1,4 @@
-"""Virtual time: the whole experiment in one process, the same from the same seed, honest about being simulated."""
+"""Virtual time: the whole experiment in one process, repeatable by its seed, marked as simulated."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from runs.summary import Summary, summarise
 
 
 class Silent(NullOperator):
-    """Watches and never stops; remembers the events."""
+    """Stores the events and never stops the run."""
 
     def __init__(self, stop_after: int = 10**9) -> None:
         self.events: list[Event] = []
@@ -53,7 +53,7 @@ def protocol_file(folder: Path, steps: str) -> str:
 
 @pytest.fixture(scope="module")
 def ramp_a(tmp_path_factory: pytest.TempPathFactory) -> Run:
-    """The paper's staircase on actuator 1, each level held for half as long, once for every test that looks at it."""
+    """The paper's staircase on actuator 1, each level held for half as long; shared by all tests of this module."""
     folder = tmp_path_factory.mktemp("ramp-a")
     (folder / "ramp-a.yaml").write_text(protocols.load("ramp-a").text.replace("dwell_s: 4", "dwell_s: 2"))
     return run_fast(folder, str(folder / "ramp-a.yaml"))
@@ -181,7 +181,7 @@ def test_virtual_time_refuses_a_real_rig(tmp_path: Path) -> None:
 
 @contextmanager
 def limited_files() -> Iterator[Callable[[int], None]]:
-    """What is given sets how large a file may become: a disk that takes no more."""
+    """The limit of the file size acts like a full disk."""
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     try:
         yield lambda size: resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))

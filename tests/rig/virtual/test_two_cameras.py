@@ -1,4 +1,4 @@
-"""Two cameras in a run: paired, measured together, recorded with their skew; one that is lost degrades the run."""
+"""Two cameras in a run: paired, measured together, recorded with their skew; the run survives the loss of one."""
 
 from __future__ import annotations
 
@@ -124,7 +124,7 @@ def test_a_camera_that_is_lost_leaves_the_other_to_measure(config: RigConfig, lo
 
 
 def test_contradicting_cameras_give_no_measurement(config: RigConfig) -> None:
-    """One was pushed by 10 mm after its calibration."""
+    """One camera was displaced by 10 mm after its calibration."""
     left = config.cameras["left"]
     x, y, z = left.placement.translation_mm
     pushed = left.placement.model_copy(update={"translation_mm": (x, y, z + 10.0)})

@@ -1,4 +1,4 @@
-"""A rig of two cards: the same run as on one, and both are made safe, also where one lets in one process at a time."""
+"""A rig of two cards runs as on one, and both are made safe, also if one admits one process at a time."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ def two_card_run(folder: Path, protocol: str, *, one_opener: bool = False) -> It
 
 
 def stand_v(device: str) -> list[float]:
-    """What the used output of a card stands at, and its spare one."""
+    """Voltages of the used output of a card and of its spare one."""
     registers = Registers.attach(device)
     volts: list[float] = registers.outputs["volts"].tolist()
     registers.close()

@@ -1,4 +1,4 @@
-"""The report: one file, whole in itself, honest about what was simulated."""
+"""The report: one self-contained file in which simulated data is marked."""
 
 from __future__ import annotations
 
