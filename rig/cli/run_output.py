@@ -18,10 +18,10 @@ from rich.text import Text
 from rig.cli.printable import printable
 from rig.config.schema import RigConfig
 from rig.config.sections import PA_PER_BAR
-from rig.control.step import safe_voltages
 from rig.execution.plan import Plan
 from rig.experiment.preflight import peak_pa
 from rig.experiment.run import RunRequest, RunResult
+from rig.hardware.safe_state import safe_voltages
 from rig.realtime.scheduling import obtainable
 from rig.realtime.timing_limits import remedies, stated, valves_at_stake
 from runs.records import Status

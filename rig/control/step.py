@@ -14,7 +14,7 @@ from rig.control import interlocks, regulator
 from rig.control.interlocks import Demand, Sample, SensorState, Trip
 from rig.valves.base import Regulator, RegulatorState
 
-__all__ = ["Command", "Sample", "Settings", "State", "Trip", "initial", "prepare", "safe_voltages", "step"]
+__all__ = ["Command", "Sample", "Settings", "State", "Trip", "initial", "prepare", "step"]
 
 BLIND_PERIODS = 3.0
 """Periods without a scan after which a flow-metering valve is closed, because its flow is no longer measured."""
@@ -62,17 +62,12 @@ class Command(NamedTuple):
     trip: Trip | None
 
 
-def safe_voltages(config: RigConfig, *, vent: bool = False) -> tuple[float, ...]:
-    """The safe voltage of each valve: vented, or held where the rig file says so and `vent` is false."""
-    return tuple(valve.safe_v(vent=vent) for valve in config.valves)
-
-
 def prepare(config: RigConfig) -> Settings:
     """Convert a rig to settings in SI, once per run."""
     valve_of = {a: v for v, valve in enumerate(config.valves) for a in valve.actuators}
     return Settings(
         period_s=1.0 / config.control.rate_hz,
-        safe_v=safe_voltages(config),
+        safe_v=tuple(valve.safe_v() for valve in config.valves),
         closed_v=tuple(valve.closed_v for valve in config.valves),
         valves=tuple(valve.regulator(config.limits, config.control) for valve in config.valves),
         valve_of=tuple(valve_of[a + 1] for a in range(config.actuators)),

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from contextlib import closing, suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rig.config.schema import RigConfig
-from rig.control.step import safe_voltages
 from rig.hardware.cards.base import Card, CardError, CardSetup, Channel, Clocked, Scans
 from rig.hardware.cards.registry import open_card
 
@@ -65,8 +63,8 @@ class Bench:
         self._pa_at_0_v = np.array(at_0)
         self._pa_per_v = np.array(at_1) - self._pa_at_0_v
         self._valves = config.valves
-        self.safe_voltages: NDArray[np.float64] = np.array(safe_voltages(config))
-        self._vent_voltages: NDArray[np.float64] = np.array(safe_voltages(config, vent=True))
+        self.safe_voltages: NDArray[np.float64] = np.array([v.safe_v() for v in config.valves])
+        self._vent_voltages: NDArray[np.float64] = np.array([v.safe_v(vent=True) for v in config.valves])
         self._told_v: NDArray[np.float64] | None = None
         self._tolerance_v: NDArray[np.float64] = np.array(
             [(v.range_V[1] - v.range_V[0]) * READBACK_TOLERANCE for v in config.valves]
@@ -251,39 +249,6 @@ def open_outputs(config: RigConfig, card: str) -> Bench:
 def cards_with_valves(config: RigConfig) -> tuple[str, ...]:
     """Names of the cards that drive valves."""
     return tuple(name for name in config.cards if any(valve.card == name for valve in config.valves))
-
-
-def make_safe(config: RigConfig, *, vent: bool) -> None:
-    """Open every card of a rig and write its safe state, also if another card fails.
-
-    Raises:
-        CardError: one or more cannot be opened or written.
-    """
-    failures: list[CardError] = []
-    for name in cards_with_valves(config):
-        try:
-            with closing(open_outputs(config, name)) as bench:
-                bench.make_safe(vent=vent)
-        except CardError as error:
-            failures.append(error)
-        except Exception as error:
-            failures.append(CardError(f"card {name}: {type(error).__name__}: {error}"))
-    if len(failures) == 1:
-        raise failures[0]
-    if failures:
-        raise CardError("; ".join(map(str, failures)))
-
-
-def unsafe_output(config: RigConfig) -> str:
-    """Open every card and return a message about a valve that is neither safe nor vented.
-
-    Empty if there is none, or if a card cannot be opened or has no read-back.
-    """
-    for name in cards_with_valves(config):
-        with suppress(CardError), closing(open_outputs(config, name)) as bench:
-            if off := bench.unsafe_output():
-                return off
-    return ""
 
 
 def _output_voltages(config: RigConfig, name: str) -> Card:

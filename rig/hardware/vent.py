@@ -8,10 +8,10 @@ import signal
 import time
 
 from rig.config.schema import RigConfig
-from rig.control.step import safe_voltages
 from rig.hardware.bench import Bench, cards_with_valves, open_outputs
 from rig.hardware.cards.base import CardBusyError, CardError
 from rig.hardware.lock import described, held_by_unseen, holders
+from rig.hardware.safe_state import safe_voltages
 from rig.simulator.registers import Registers
 
 REPEATED_S = 0.25

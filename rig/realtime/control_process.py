@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import contextlib
 import signal
 import time
+from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from rig.control.control_loop import ControlLoop
 from rig.hardware.bench import Bench, open_bench
 from rig.hardware.cards.base import CardError
+from rig.hardware.safe_state import VentVerification
 from rig.realtime import sampling_clocks
 from rig.realtime.child_process import ChildJob, await_turn, leave, receive, supervisor_monitor
 from rig.realtime.process_monitor import ProcessMonitor
@@ -24,10 +25,10 @@ from rig.realtime.scheduling import (
 )
 from rig.realtime.shared_state import SharedState, Stage, Stop
 from rig.realtime.timing_limits import timing_limits
-from rig.realtime.vent_verification import VentVerification
 
 LEAD_IN_NS = 5_000_000
 WARM_UP_CYCLES = 10
+VENTING_CHECK_S = 0.005
 FIRST_SCAN_S = 0.2
 CLOCKS_PUBLISHED_EVERY = 200
 
@@ -82,14 +83,15 @@ def _verify_venting(job: ChildJob, memory: SharedState, bench: Bench) -> str:
     """Check that the chambers vent; return what does not vent, else empty."""
     patience_s = timing_limits(job.plan.config, memory.granted).vented_s
     venting = VentVerification(job.plan.config, bench, vent=memory.vents, patience_s=patience_s)
-    until = time.monotonic() + patience_s
-    with contextlib.suppress(CardError):
+
+    def checks() -> Iterator[None]:
+        until = time.monotonic() + patience_s
         while time.monotonic() < until and not memory.watchdog_trip_ns:
             memory.heartbeat("control", time.monotonic_ns())
-            if venting.done():
-                return ""
-            time.sleep(0.005)
-    return venting.verdict()
+            yield
+            time.sleep(VENTING_CHECK_S)
+
+    return venting.outcome(checks())
 
 
 class NullOutputs:

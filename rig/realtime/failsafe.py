@@ -9,9 +9,9 @@ import threading
 import time
 
 from rig.config.schema import RigConfig
-from rig.hardware.bench import make_safe
 from rig.hardware.cards.base import CardError
 from rig.hardware.cards.registry import card_type
+from rig.hardware.safe_state import failure_of, make_safe
 from rig.realtime.child_process import ChildJob, supervisor_monitor
 from rig.realtime.process_monitor import ProcessMonitor
 from rig.realtime.shared_state import SharedState, Stage, Stop
@@ -86,7 +86,7 @@ def force_safe_state(config: RigConfig, memory: SharedState) -> str:
 
     Returns why it could not be written; empty on success.
     """
-    _write(config, memory)
+    failure_of(lambda: make_safe(config, vent=memory.vents))
     for pid in (memory.control_pid, memory.watchdog_pid):
         if pid:
             with contextlib.suppress(ProcessLookupError):
@@ -94,17 +94,7 @@ def force_safe_state(config: RigConfig, memory: SharedState) -> str:
     time.sleep(0.005)
     # A card with exclusive access is free only once its process has released its memory; and a killed process may have
     # written once more before it died.
-    until = time.monotonic() + FREED_S
-    while (trouble := _write(config, memory)) and time.monotonic() < until:
-        time.sleep(0.005)
+    trouble = failure_of(lambda: make_safe(config, vent=memory.vents), FREED_S)
     # Set only after the second write: other processes stop checking when it is set.
     memory.safe_ns = 0 if trouble else time.monotonic_ns()
     return trouble
-
-
-def _write(config: RigConfig, memory: SharedState) -> str:
-    try:
-        make_safe(config, vent=memory.vents)
-    except CardError as error:
-        return str(error)
-    return ""

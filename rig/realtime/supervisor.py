@@ -20,9 +20,10 @@ from rig.execution.plan import (
     StartError,
     StoppedError,
 )
-from rig.hardware.bench import UNSAFE, unsafe_output
+from rig.hardware.bench import UNSAFE
 from rig.hardware.cards.base import CardError
 from rig.hardware.cards.registry import card_type
+from rig.hardware.safe_state import unsafe_output
 from rig.realtime import sampling_clocks
 from rig.realtime.child_process import ChildJob, ended_within, spawn
 from rig.realtime.control_socket import ControlSocket

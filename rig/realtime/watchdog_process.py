@@ -14,6 +14,7 @@ import time
 from collections.abc import Callable
 
 from rig.hardware.cards.base import CardError
+from rig.hardware.safe_state import WatchdogOutputs, failure_of
 from rig.realtime.child_process import await_turn, leave, receive, supervisor_monitor
 from rig.realtime.process_monitor import ProcessMonitor
 from rig.realtime.scheduling import (
@@ -24,7 +25,6 @@ from rig.realtime.scheduling import (
 )
 from rig.realtime.shared_state import SharedState, Stage, Stop
 from rig.realtime.timing_limits import TimingLimits, timing_limits
-from rig.realtime.watchdog_outputs import WatchdogOutputs
 
 PERIOD_MS = 2
 PATIENCE_S = 0.5
@@ -74,16 +74,7 @@ def main() -> int:
 
 def _make_safe(outputs: WatchdogOutputs, memory: SharedState, patience_s: float = PATIENCE_S) -> str:
     """Write the safe state; retry a failing card for `patience_s`. Returns the reason of a failure, else empty."""
-    until = time.monotonic() + patience_s
-    while True:
-        try:
-            outputs.make_safe(vent=memory.vents)
-        except CardError as error:
-            if time.monotonic() > until:
-                return str(error)
-            time.sleep(0.002)
-        else:
-            return ""
+    return failure_of(lambda: outputs.make_safe(vent=memory.vents), patience_s)
 
 
 def _watch(

@@ -24,7 +24,6 @@ import numpy as np
 import rig.config.loader
 from protocols import BadInputError
 from rig.config.schema import RigConfig
-from rig.control.step import safe_voltages
 from rig.hardware.cards.base import CardError
 from rig.simulator.faults import Faults
 from rig.simulator.plant import Plant, PlantCard
@@ -52,7 +51,7 @@ class _SimulatedCard:
         self._columns = [s.channel for s in sensors]
         self._channels = [v.channel for v in config.valves if v.card == name]
         valves = [i for i, v in enumerate(config.valves) if v.card == name]
-        self._safe_v = np.array([[safe_voltages(config, vent=vent)[i] for i in valves] for vent in (False, True)])
+        self._safe_v = np.array([[config.valves[i].safe_v(vent=vent) for i in valves] for vent in (False, True)])
         self._registers = Registers.create(card.device, card.outputs, card.inputs)
         self.faults = self._registers.faults
         self._card.faults = Faults()  # faults act in the mock card of the run's processes; this one only samples

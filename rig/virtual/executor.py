@@ -5,8 +5,8 @@ from __future__ import annotations
 import gc
 import time
 from collections import deque
+from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import suppress
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,17 +17,19 @@ from rig.hardware.bench import Bench
 from rig.hardware.cameras.base import CameraError, FrameSet
 from rig.hardware.cameras.mock import Exposure, MockCamera
 from rig.hardware.cards.base import CardError
+from rig.hardware.safe_state import VENTING_S, VentVerification, failure_of
 from rig.observation.observer import Observer
 from rig.observation.picture_recorder import PictureRecorder
 from rig.realtime.health_monitor import HealthMonitor
-from rig.realtime.vent_verification import PATIENCE_S, VentVerification
 from rig.simulator.plant import Plant
 from runs.records import Event, Level, Picture, Status, adaptation_dtype, observation_dtype, sample_dtype
 
 START_NS = 100_000_000
 """Virtual time between power-up and the first cycle, so that the first cycle has scans."""
-BATCH_TICKS = 20
-HISTORY_TICKS = 400
+BATCH_S = 0.1
+"""Time between two batches of rows for the record."""
+HISTORY_S = 2.0
+"""Samples that stay at hand for the next frame."""
 FRAMES_IN_FLIGHT = 6
 """Frames in processing while control continues; a fixed number, so that runs are reproducible bit for bit."""
 SHOW_S = 0.1
@@ -81,9 +83,12 @@ class _VirtualRun:
         self._frame = 0
         self._answered = 0
         self._unseen = 0
-        self._samples = _Rows(sample_dtype(config.actuators, len(config.valves)))
-        self._observations = _Rows(observation_dtype(config.actuators, len(config.cameras)))
-        self._adaptations = _Rows(adaptation_dtype(len(plan.adapted)))
+        rate_hz = config.control.rate_hz
+        self._batch_ticks = max(1, round(BATCH_S * rate_hz))
+        self._history_ticks = max(1, round(HISTORY_S * rate_hz))
+        self._samples = _Rows(sample_dtype(config.actuators, len(config.valves)), self._history_ticks)
+        self._observations = _Rows(observation_dtype(config.actuators, len(config.cameras)), self._history_ticks)
+        self._adaptations = _Rows(adaptation_dtype(len(plan.adapted)), self._history_ticks)
         self._shown = 0.0
         self._recorder: Recorder
 
@@ -107,7 +112,7 @@ class _VirtualRun:
             self._event(now, Level.FAULT, "observer" if isinstance(error, CameraError) else "control", str(error))
             ending = Status.ABORTED, str(error)
         finally:
-            unsafe = self._make_safe()
+            unsafe = failure_of(self._bench.make_safe)
             self._renderer.shutdown()
             self._observer_thread.shutdown()
         self._flush(in_flight=0)
@@ -121,21 +126,13 @@ class _VirtualRun:
 
     def _vented(self, now: int) -> str:
         """Check that the chambers vent; return what does not vent, else empty."""
-        venting = VentVerification(self._plan.config, self._bench)
-        with suppress(CardError):
-            for waited in range(0, round(PATIENCE_S * 1e9), self._loop.period_ns):
-                self._plant.advance(now + waited)
-                if venting.done():
-                    return ""
-        return venting.verdict()
 
-    def _make_safe(self) -> str:
-        """Write the safe state; return the reason of a failure, else empty."""
-        try:
-            self._bench.make_safe()
-        except CardError as error:
-            return str(error)
-        return ""
+        def checks() -> Iterator[None]:
+            for waited in range(0, round(VENTING_S * 1e9), self._loop.period_ns):
+                self._plant.advance(now + waited)
+                yield
+
+        return VentVerification(self._plan.config, self._bench).outcome(checks())
 
     def _cycle(self, tick: int, now: int) -> tuple[Status, str] | None:
         """Run one cycle and its frames; return how the run ends, None while it continues."""
@@ -143,7 +140,7 @@ class _VirtualRun:
         self._plant.advance(now)
         row, trip = self._loop.cycle(tick, now, 1, self._answered, False, 0, 0)
         self._samples.add(row)
-        self._unseen = min(self._unseen + 1, HISTORY_TICKS)
+        self._unseen = min(self._unseen + 1, self._history_ticks)
         # A frame is processed once there are samples before and after it, and the last camera has exposed.
         while (t_ns := START_NS + (self._frame + 1) * self._frame_ns) + self._skews_ns[-1] <= now:
             self._frame += 1
@@ -157,7 +154,7 @@ class _VirtualRun:
             message = self._plan.trajectory.prompts[self._answered].message
             self._answered += 1
             self._event(now, Level.INFO, "operator", f"done (virtual time answers by itself): {message}")
-        if tick % BATCH_TICKS == BATCH_TICKS - 1:
+        if tick % self._batch_ticks == self._batch_ticks - 1:
             self._flush()
             if time.monotonic() - self._shown > SHOW_S:
                 self._shown = time.monotonic()
@@ -251,14 +248,15 @@ class _VirtualRun:
 class _Rows:
     """Rows of a run: keeps the recent ones, and returns new ones once for the record."""
 
-    def __init__(self, dtype: np.dtype[np.void]) -> None:
-        self._rows = np.zeros(2 * HISTORY_TICKS, dtype)
+    def __init__(self, dtype: np.dtype[np.void], history: int) -> None:
+        self._history = history
+        self._rows = np.zeros(2 * history, dtype)
         self._filled = 0
         self._taken = 0
 
     def add(self, row: NDArray[np.void] | np.void) -> None:
         if self._filled == len(self._rows):
-            drop = min(self._taken, HISTORY_TICKS)
+            drop = min(self._taken, self._history)
             self._rows[: self._filled - drop] = self._rows[drop : self._filled].copy()
             self._filled -= drop
             self._taken -= drop

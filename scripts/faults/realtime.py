@@ -22,8 +22,8 @@ from pathlib import Path
 import numpy as np
 
 import rig.config.loader
-from rig.control.step import safe_voltages
 from rig.hardware.cards.base import CardError
+from rig.hardware.safe_state import safe_voltages
 from rig.simulator.registers import Registers, path_of
 from scripts.faults import surroundings
 from scripts.faults.catalogue import (

@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rig.control import step as control
+from rig.hardware.safe_state import safe_voltages
 from tests.support.plant_bench import mock_rig
 
 TICK_NS = 5_000_000
@@ -221,7 +222,7 @@ def test_a_trip_latches_with_the_safe_voltages() -> None:
     for _ in range(10):
         command = loop.cycle((0.3, 0, 0), (0.3, 0, 0))
         assert command.trip is first
-        np.testing.assert_array_equal(command.valve_v, control.safe_voltages(RIG))
+        np.testing.assert_array_equal(command.valve_v, safe_voltages(RIG))
 
 
 def test_a_valve_of_two_chambers_controls_their_mean() -> None:
@@ -263,7 +264,7 @@ def test_a_valve_of_two_chambers_controls_their_mean() -> None:
     ids=["vent", "vent a valve that fills below", "hold", "no pressure from a regulator"],
 )
 def test_safe_voltages_follow_the_valve(changes: dict[str, object], safe_v: tuple[float, ...]) -> None:
-    assert control.safe_voltages(mock_rig(**changes)) == pytest.approx(safe_v)
+    assert safe_voltages(mock_rig(**changes)) == pytest.approx(safe_v)
 
 
 @given(

@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 import rig.hardware.bench
 from rig.config.schema import RigConfig
 from rig.config.sections import CardConfig
-from rig.hardware.bench import Bench, card_setup, make_safe
+from rig.hardware.bench import Bench, card_setup
 from rig.hardware.cards.base import CardBusyError, CardError, CardSetup, Scans
+from rig.hardware.safe_state import make_safe
 from rig.hardware.vent import vent
 from tests.support.plant_bench import mock_rig
 

@@ -19,10 +19,10 @@ from rig.config.schema import RigConfig
 from rig.execution.plan import Plan
 from rig.hardware.bench import open_bench
 from rig.hardware.cards.base import CardBusyError
+from rig.hardware.safe_state import WatchdogOutputs
 from rig.realtime.child_process import ChildJob, ended_within, spawn
 from rig.realtime.failsafe import force_safe_state
 from rig.realtime.shared_state import SharedState, Stage, StateLayout
-from rig.realtime.watchdog_outputs import WatchdogOutputs
 from rig.simulator.registers import Registers, path_of
 from runs.records import Status
 from scripts.rig_process import BRIEF, SHORT, rig_run, with_one_opener
