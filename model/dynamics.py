@@ -20,12 +20,10 @@ from model.loads import Loads
 from model.pressures import pressures
 from model.schemes import DEFAULT_ALPHA, scheme_named
 from model.shape import Shape
-from model.statics import shape, states, steps_along
+from model.statics import MOST_NODES, shape, states, steps_along
 
 Array = NDArray[np.float64]
 NOT_FINITE = "pressures must be finite"
-# Beyond this the steps would take seconds each, and then more memory than there is.
-MOST_NODES = 20_000
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 Point = tuple[float, float]
+LARGEST_M = 10.0
+"""Larger than any soft arm; a larger value is in millimetres."""
 
 
 @dataclass(frozen=True)
@@ -33,6 +35,11 @@ class Geometry:
         sizes = (self.length_m, self.inner_radius_m, self.outer_radius_m)
         if not all(math.isfinite(c) for c in sizes + tuple(c for point in xy for c in point)):
             raise ValueError("every length of the geometry must be finite")
+        if (largest := max(abs(c) for c in (*sizes, *(c for point in xy for c in point)))) > LARGEST_M:
+            raise ValueError(
+                f"the lengths of the geometry are in metres, expected {LARGEST_M:g} or less, got {largest:g}: "
+                "is it in mm?"
+            )
         if not xy:
             raise ValueError("an arm needs at least one actuator")
         if self.length_m <= 0:

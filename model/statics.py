@@ -19,6 +19,8 @@ from model.pressures import pressures, refuse_other_units
 from model.shape import Shape
 
 Array = NDArray[np.float64]
+# Beyond this a shape or a time step would take seconds, and then more memory than there is.
+MOST_NODES = 20_000
 
 
 def statics(
@@ -55,11 +57,17 @@ def statics(
 
 
 def steps_along(arm: Arm, nodes: int | None) -> int:
-    """How many steps along the arm at rest: as many as asked for, at least two, or ValueError; else what it needs."""
+    """Return the number of steps along the arm at rest: as many as asked for, else what it needs.
+
+    Raises:
+        ValueError: fewer than two, or more than MOST_NODES.
+    """
     if nodes is None:
-        return 4 * max(5, math.ceil(2.5 * arm.geometry.slenderness))
+        nodes = 4 * max(5, math.ceil(2.5 * arm.geometry.slenderness))
     if nodes < 2:
         raise ValueError(f"an arm needs at least two steps along it, got {nodes}")
+    if nodes > MOST_NODES:
+        raise ValueError(f"an arm may have at most {MOST_NODES} steps along it, got {nodes}")
     return nodes
 
 

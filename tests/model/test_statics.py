@@ -382,3 +382,29 @@ def test_unknown_variants_and_rules_are_refused_with_the_known_ones_named() -> N
         Arm.paper("heterogeneous")  # type: ignore[arg-type]
     with pytest.raises(ValueError, match=r"paper-secant"):
         replace(Arm.paper(), modulus_rule="median")  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"length_m": 170.0},
+        {"outer_radius_m": 14.0},
+        {"outer_radius_m": 1e308},
+        {"actuator_xy_m": ((31.75, 0.0), (-15.9, 27.5), (-15.9, -27.5))},
+    ],
+)
+def test_a_geometry_in_millimetres_is_refused(change: dict[str, object]) -> None:
+    with pytest.raises(ValueError, match=r"in metres, expected 10 or less, got .*: is it in mm\?"):
+        replace(Geometry.paper(), **change)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("nodes", [20_001, 2**62])
+def test_more_steps_than_fit_memory_and_time_are_refused(nodes: int) -> None:
+    with pytest.raises(ValueError, match=f"at most 20000 steps along it, got {nodes}"):
+        statics(Arm.paper(), (1e4, 0, 0), nodes=nodes)
+
+
+def test_an_arm_so_slender_that_it_needs_more_steps_is_refused() -> None:
+    thin = Geometry.on_circle(10.0, 1e-5, 2e-5, 3e-5, (0.0, 120.0, 240.0))
+    with pytest.raises(ValueError, match="at most 20000 steps along it"):
+        statics(replace(Arm.paper(), geometry=thin), (0, 0, 0))
