@@ -1,17 +1,16 @@
 """Valves, chambers and sensors: the air of the plant, one compiled kernel on a fixed grid of small steps.
 
-Absolute pressures in Pa, volumes in m3, flow as volume at the reference atmosphere (see `rig.valves.iso6358`). Each
-valve type has its law (`rig.valves.registry`), which is compiled into the kernel. The equations are in
-docs/explanation/simulator.md. The grid is part of the truth: the same steps are taken however they are requested.
+Absolute pressures in Pa, volumes in m3, flow as volume at the reference atmosphere (see `rig.valves.iso6358`). The
+equations are in docs/explanation/simulator.md. The grid is part of the truth: the same steps are taken however they
+are requested.
 """
 
 from __future__ import annotations
 
 import cmath
-import inspect
 import math
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,10 +19,9 @@ from model.kernels.jit import kernel
 from rig.config.schema import RigConfig
 from rig.config.sections import PA_PER_BAR
 from rig.config.simulator_sections import Simulator
-from rig.valves import iso6358, registry
-from rig.valves.base import Law, SimulatedValve
+from rig.valves import iso6358
+from rig.valves.base import SimulatedValve
 from rig.valves.iso6358 import ANR_K, ANR_PA, ATMOSPHERE_PA
-from rig.valves.registry import VALVE_TYPES
 
 STEP_NS = 100_000
 REGULATOR_S = 0.03
@@ -33,34 +31,25 @@ Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
 
-compiled = partial(
-    kernel,
-    sources=(
-        __file__,
-        iso6358.__file__,
-        registry.__file__,
-        *(inspect.getfile(valve_type) for valve_type in VALVE_TYPES),
-    ),
-)
+compiled = partial(kernel, sources=(__file__, iso6358.__file__))
 
 
 class ValveTable(NamedTuple):
-    """Truth of the valves; arrays over valves. `spool` (V, 2, 2) carries (position - target, rate) over a step.
+    """Truth of the valves; arrays over valves. `spool` (V, 2, 2) carries (position - target, rate) over a step."""
 
-    `law` is the index of the valve's type in the registry; `parameters` (V, K) are its law's, of which a valve has
-    the first `counts`.
-    """
-
-    law: Integers
-    counts: Integers
-    parameters: Floats
+    regulates: NDArray[np.bool_]
     closed_v: Floats
     fill_sign: Floats
     half_hysteresis_v: Floats
     spool: Floats
+    curve_v: Floats
+    curve_fraction: Floats
+    conductance: Floats
     leak: Floats
     supply_pa: Floats
     critical_ratio: Floats
+    pa_at_zero_v: Floats
+    pa_per_v: Floats
 
 
 class ChamberTable(NamedTuple):
@@ -107,24 +96,30 @@ class PneumaticState(NamedTuple):
 
 
 def valves(config: RigConfig, truth: SimulatedValve) -> ValveTable:
-    """The true valves of a rig."""
+    """The true valves of a rig, each as its type describes it."""
     true = [valve.simulated(truth) for valve in config.valves]
-    counts = np.array([len(valve.parameters) for valve in true])
-    parameters = np.zeros((len(true), counts.max()))
-    for row, valve in zip(parameters, true, strict=True):
-        row[: len(valve.parameters)] = valve.parameters
-    return ValveTable(
-        law=np.array([VALVE_TYPES.index(type(valve)) for valve in config.valves]),
-        counts=counts,
-        parameters=parameters,
+    n, points = len(true), max(len(valve.curve_v) for valve in true) + 1
+    arrays = ValveTable(
+        regulates=np.array([valve.pa_per_v != 0.0 for valve in true]),
         closed_v=np.array([valve.closed_v for valve in true]),
         fill_sign=np.array([valve.fill_sign for valve in true]),
         half_hysteresis_v=np.array([valve.half_hysteresis_v for valve in true]),
-        spool=np.tile(_spool(truth), (len(true), 1, 1)),
+        spool=np.tile(_spool(truth), (n, 1, 1)),
+        curve_v=np.full((n, points), 1e9) + np.arange(points),
+        curve_fraction=np.zeros((n, points)),
+        conductance=np.array([valve.conductance for valve in true]),
         leak=np.array([valve.leak for valve in true]),
         supply_pa=np.array([valve.supply_pa for valve in true]),
         critical_ratio=np.array([valve.critical_ratio for valve in true]),
+        pa_at_zero_v=np.array([valve.pa_at_zero_v for valve in true]),
+        pa_per_v=np.array([valve.pa_per_v for valve in true]),
     )
+    for i, valve in enumerate(true):
+        if valve.curve_v:
+            arrays.curve_v[i, : len(valve.curve_v)] = valve.curve_v
+            arrays.curve_fraction[i] = valve.curve_fraction[-1]
+            arrays.curve_fraction[i, : len(valve.curve_fraction)] = valve.curve_fraction
+    return arrays
 
 
 def _spool(truth: SimulatedValve) -> Floats:
@@ -208,46 +203,26 @@ def _flow(conductance: float, a_pa: float, b_pa: float, critical_ratio: float) -
     return float(-conductance * b_pa * _flow_function(a_pa / b_pa, critical_ratio))
 
 
-def _no_law(law: int, parameters: Floats, spool_v: float, offset_v: float) -> tuple[float, float]:
-    return math.nan, 0.0
-
-
-def _chained(index: int, law: Law, others: Any) -> Any:
-    """A kernel that calls `law` for the type of this index, else the kernel `others`."""
-    own = compiled(law)
-
-    def choose(law: int, parameters: Floats, spool_v: float, offset_v: float) -> tuple[float, float]:
-        if law == index:
-            return own(parameters, spool_v, offset_v)  # type: ignore[no-any-return]
-        return others(law, parameters, spool_v, offset_v)  # type: ignore[no-any-return]
-
-    return compiled(choose)
-
-
-_law = compiled(_no_law)
-for _index, _type in reversed(tuple(enumerate(VALVE_TYPES))):
-    _law = _chained(_index, _type.law, _law)
+@compiled
+def _opening(offset_v: float, volts: Floats, fractions: Floats) -> float:
+    if offset_v <= volts[0]:
+        return 0.0
+    for i in range(1, len(volts)):
+        if offset_v < volts[i]:
+            slope = (fractions[i] - fractions[i - 1]) / (volts[i] - volts[i - 1])
+            return float(fractions[i - 1] + (offset_v - volts[i - 1]) * slope)
+    return float(fractions[-1])
 
 
 @compiled
 def _rates(
-    v: ValveTable,
-    c: ChamberTable,
-    path: Floats,
-    held: Floats,
-    volume: Floats,
-    volume_rate: Floats,
-    p: Floats,
-    out: Floats,
+    v: ValveTable, c: ChamberTable, path: Floats, volume: Floats, volume_rate: Floats, p: Floats, out: Floats
 ) -> None:
-    """dp/dt (N,) of every chamber; `path` (V,) is the opening, negative towards exhaust.
-
-    A valve with `held` (V,) above zero holds the pressure by itself.
-    """
+    """dp/dt (N,) of every chamber on a flow-metering valve; `path` (V,) is the opening, negative towards exhaust."""
     n = len(p)
     for a in range(n):
         i = c.valve[a]
-        if held[i] > 0.0:
+        if v.regulates[i]:
             out[a] = 0.0
             continue
         b = v.critical_ratio[i]
@@ -307,7 +282,6 @@ def advance(
     dt = STEP_NS * 1e-9
     n = len(air.pressure_pa)
     path = np.zeros(len(air.command_v))
-    held = np.zeros(len(air.command_v))
     rate = np.zeros(n)
     middle = np.zeros(n)
     volume = np.zeros(n)
@@ -320,19 +294,20 @@ def advance(
             air.spool_v[i] = air.target_v[i] + v.spool[i, 0, 0] * x + v.spool[i, 0, 1] * w
             air.spool_rate[i] = v.spool[i, 1, 0] * x + v.spool[i, 1, 1] * w
             offset = v.fill_sign[i] * (air.spool_v[i] - v.closed_v[i])
-            opened, held[i] = _law(v.law[i], v.parameters[i, : v.counts[i]], air.spool_v[i], offset)
+            opened = v.conductance[i] * _opening(abs(offset), v.curve_v[i], v.curve_fraction[i])
             # Valve and tubes in series: the squares of their resistances add. The chambers share what passes.
             share = c.sharing[i]
-            path[i] = opened / math.sqrt(1.0 + (opened / (c.tube * share)) ** 2) / share
-        _rates(v, c, path, held, air.volume_m3, air.volume_rate, air.pressure_pa, rate)
+            path[i] = math.copysign(opened / math.sqrt(1.0 + (opened / (c.tube * share)) ** 2) / share, offset)
+        _rates(v, c, path, air.volume_m3, air.volume_rate, air.pressure_pa, rate)
         for a in range(n):
             middle[a] = air.pressure_pa[a] + 0.5 * dt * rate[a]
             volume[a] = air.volume_m3[a] + 0.5 * dt * air.volume_rate[a]
-        _rates(v, c, path, held, volume, air.volume_rate, middle, rate)
+        _rates(v, c, path, volume, air.volume_rate, middle, rate)
         for a in range(n):
             i = c.valve[a]
-            if held[i] > 0.0:
-                air.pressure_pa[a] += c.regulator_gain * (held[i] - air.pressure_pa[a])
+            if v.regulates[i]:
+                target = max(v.pa_at_zero_v[i] + v.pa_per_v[i] * air.spool_v[i], ATMOSPHERE_PA)
+                air.pressure_pa[a] += c.regulator_gain * (target - air.pressure_pa[a])
             else:
                 air.pressure_pa[a] += dt * rate[a]
             air.volume_m3[a] += dt * air.volume_rate[a]

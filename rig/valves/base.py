@@ -1,6 +1,6 @@
-"""What a valve type provides: a section of the rig file, voltages, a regulator and a law for the simulator.
+"""What a valve type provides: a section of the rig file, voltages, a regulator and a description for the simulator.
 
-`rig.valves.registry` registers the types; docs/how-to/extend-softrig.md shows a minimal one.
+`rig.valves.registry` registers the types.
 """
 
 # ruff: noqa: N815 - volts keep their capital, as in V and mV
@@ -9,12 +9,10 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Annotated, Literal, NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from protocols.validation import ValidationFault
@@ -36,8 +34,6 @@ REFERENCE_SHARE = 0.5
 """Bandwidth of the set-point filter as a share of the loop's: it is slower than the disturbance rejection."""
 
 Faults = Iterator[ValidationFault]
-Law = Callable[[NDArray[np.float64], float, float], tuple[float, float]]
-"""See `ValveSection.law`."""
 
 
 class RegulatorState(NamedTuple):
@@ -71,20 +67,25 @@ class Regulator(ABC):
 
 @dataclass(frozen=True)
 class ValveTruth:
-    """One simulated valve; the defaults describe a valve whose law needs none of them.
+    """One simulated valve: a metered path, or an own regulator of the pressure.
 
-    `parameters` are the first argument of the law. `leak` is the sonic conductance [m3/(s Pa)] of the closed valve
-    from the supply at `supply_pa` (absolute) and to the exhaust; the spool follows the voltage within
-    `half_hysteresis_v`.
+    A metered path has the share `curve_fraction` of the sonic `conductance` [m3/(s Pa)] open at the distance `curve_v`
+    from `closed_v`, to the supply at `supply_pa` (absolute) in the direction of `fill_sign`, else to the exhaust;
+    `leak` is the conductance of the closed valve. With `pa_per_v` other than 0 the valve holds the absolute pressure
+    `pa_at_zero_v + pa_per_v * voltage` by itself. The spool follows the voltage within `half_hysteresis_v`.
     """
 
-    parameters: tuple[float, ...]
     closed_v: float = 0.0
     fill_sign: float = 1.0
     half_hysteresis_v: float = 0.0
+    curve_v: tuple[float, ...] = ()
+    curve_fraction: tuple[float, ...] = ()
+    conductance: float = 0.0
     leak: float = 0.0
     supply_pa: float = ATMOSPHERE_PA
     critical_ratio: float = 0.3
+    pa_at_zero_v: float = 0.0
+    pa_per_v: float = 0.0
 
 
 class SimulatedValve(Section):
@@ -135,16 +136,6 @@ class ValveSection(Section, ABC):
     @abstractmethod
     def simulated(self, truth: SimulatedValve) -> ValveTruth:
         """This valve in the simulator."""
-
-    @staticmethod
-    @abstractmethod
-    def law(parameters: NDArray[np.float64], spool_v: float, offset_v: float) -> tuple[float, float]:
-        """The law of the simulated valve; the simulator compiles it with numba.
-
-        `parameters` are those of `simulated`; `offset_v` is the distance of the spool's voltage from the closed one,
-        positive towards filling. Returns the sonic conductance of the open path [m3/(s Pa)], negative towards the
-        exhaust, and the absolute pressure [Pa] that the valve holds by itself, 0 if it holds none.
-        """
 
     def faults(self) -> Faults:
         """Faults between the keys of this section; paths start at the section."""

@@ -1,4 +1,4 @@
-"""A proportional valve that meters flow: section, regulator and law of the simulator.
+"""A proportional valve that meters flow: section, regulator and simulation.
 
 The physics and the reasons for the regulator's terms are in docs/explanation/control.md. Pressures are gauge, SI
 throughout, where a name does not say otherwise.
@@ -15,7 +15,6 @@ from dataclasses import dataclass
 from typing import Annotated, Literal, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from protocols.validation import ValidationFault
@@ -170,7 +169,9 @@ class FlowValve(ValveSection):
         volts, fractions = self.opening_curve(truth.dead_zone_V)
         conductance = truth.flow_scale * sonic_conductance(self.full_flow_l_min, self.critical_ratio)
         return ValveTruth(
-            parameters=(conductance, *volts, *fractions),
+            curve_v=volts,
+            curve_fraction=fractions,
+            conductance=conductance,
             closed_v=self.closed_V,
             fill_sign=self.fill_sign,
             half_hysteresis_v=truth.hysteresis_percent / 200.0 * (self.range_V[1] - self.range_V[0]),
@@ -178,23 +179,6 @@ class FlowValve(ValveSection):
             supply_pa=self.supply_bar * PA_PER_BAR + ATMOSPHERE_PA,
             critical_ratio=self.critical_ratio,
         )
-
-    @staticmethod
-    def law(parameters: NDArray[np.float64], spool_v: float, offset_v: float) -> tuple[float, float]:
-        """`parameters` are the full conductance, the voltages of the curve and their fractions."""
-        n = (len(parameters) - 1) // 2
-        volts, fractions = parameters[1 : n + 1], parameters[n + 1 :]
-        distance = abs(offset_v)
-        fraction = fractions[n - 1]
-        if distance <= volts[0]:
-            fraction = 0.0
-        else:
-            for i in range(1, n):
-                if distance < volts[i]:
-                    slope = (fractions[i] - fractions[i - 1]) / (volts[i] - volts[i - 1])
-                    fraction = fractions[i - 1] + (distance - volts[i - 1]) * slope
-                    break
-        return math.copysign(parameters[0] * fraction, offset_v), 0.0
 
     def faults(self) -> Faults:
         """A closed voltage outside the range, and faults of the curve."""

@@ -7,9 +7,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-import numpy as np
-from numpy.typing import NDArray
-
 from protocols.validation import ValidationFault
 from rig.config.sections import PA_PER_BAR, BarSpan, Control, Limits, VoltSpan
 from rig.valves.base import Faults, Regulator, RegulatorState, SimulatedValve, ValveSection, ValveTruth
@@ -59,12 +56,7 @@ class PressureValve(ValveSection):
         """The stated characteristic."""
         (low_v, high_v), (low_bar, high_bar) = self.span_V, self.span_bar
         pa_per_v = (high_bar - low_bar) / (high_v - low_v) * PA_PER_BAR
-        return ValveTruth((low_bar * PA_PER_BAR - low_v * pa_per_v + ATMOSPHERE_PA, pa_per_v))
-
-    @staticmethod
-    def law(parameters: NDArray[np.float64], spool_v: float, offset_v: float) -> tuple[float, float]:
-        """The pressure is linear in the voltage; `parameters` are Pa at 0 V (absolute) and Pa/V."""
-        return 0.0, max(parameters[0] + parameters[1] * spool_v, ATMOSPHERE_PA)
+        return ValveTruth(pa_at_zero_v=low_bar * PA_PER_BAR - low_v * pa_per_v + ATMOSPHERE_PA, pa_per_v=pa_per_v)
 
     def faults(self) -> Faults:
         """A span outside the range of the output."""
