@@ -1,16 +1,14 @@
 """Shared by every test."""
 
-import functools
-import gc
 import os
 from collections.abc import Iterator
 
 import pytest
-import typer.main
 from hypothesis import settings
 from hypothesis.internal.conjecture import providers
 
 from tests.support.budget import register_profiles
+from tests.support.repeated_work import avoid_repeated_work
 
 register_profiles()
 settings.load_profile("softrig")
@@ -29,12 +27,8 @@ def pytest_configure() -> None:
 
 
 def pytest_collection_finish() -> None:
-    """The garbage collector does not search the imported modules again and again, which takes a tenth of the time."""
-    gc.collect()
-    gc.freeze()
-    gc.set_threshold(50_000, 20, 20)
-    # A program builds its command line once; a test process that calls `main` hundreds of times needs no more.
-    typer.main.get_command = functools.cache(typer.main.get_command)
+    """Test processes run hundreds of commands."""
+    avoid_repeated_work()
 
 
 @pytest.fixture(autouse=True)

@@ -19,6 +19,7 @@ from rig.cli import app as cli
 from runs.archive.writer import ArchiveError, verify
 from runs.catalogue import catalogue
 from runs.summary import summarise
+from tests.support.repeated_work import avoid_repeated_work
 
 MOST_BYTES = 12 << 30
 """Address space; threads and compiled kernels take much of it."""
@@ -93,6 +94,7 @@ def main() -> None:
     """Read paths from standard input."""
     resource.setrlimit(resource.RLIMIT_AS, (MOST_BYTES, MOST_BYTES))
     warnings.simplefilter("error")
+    avoid_repeated_work()
     for line in sys.stdin:
         path, thorough = json.loads(line)
         try:
