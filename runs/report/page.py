@@ -40,8 +40,13 @@ def write(
     refuse_existing([target], replace=replace, made=lambda file: mark in _head(file))
     target.parent.mkdir(parents=True, exist_ok=True)
     part = target.with_name(target.name + ".part")
-    part.write_text(page(runs), encoding="utf-8")
-    part.replace(target)
+    text = page(runs)
+    try:
+        part.write_text(text, encoding="utf-8")
+        part.replace(target)
+    except OSError:
+        part.unlink(missing_ok=True)
+        raise
     return target
 
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 import base64
 import dataclasses
 import re
+import resource
+import signal
 from html.parser import HTMLParser
 from pathlib import Path
 from xml.etree import ElementTree as ET
@@ -379,3 +381,17 @@ def test_means_do_not_mix_measured_and_simulated_runs(archive: Path) -> None:
 def test_several_runs_have_figures_that_compare_them(short: Path, tmp_path: Path) -> None:
     written = {path.stem for path in figure_export.write([short, short], tmp_path, "svg")}
     assert {"compared-tips", "compared-errors"} <= written
+
+
+def test_a_report_that_does_not_fit_on_the_disk_leaves_no_file(tmp_path: Path) -> None:
+    archive = finalise(made_up.write_journal(tmp_path / "run.mcap", duration_s=0.1).path)
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    ignored = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    try:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (4096, limits[1]))
+        with pytest.raises(OSError, match="File too large"):
+            report.write(archive, tmp_path / "page.html")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+        signal.signal(signal.SIGXFSZ, ignored)
+    assert not list(tmp_path.glob("page.html*"))
