@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, get_args
+from typing import get_args
 
 from protocols import BadInputError, Problem
 from protocols.problems import closest
 from rig.config.sections import Variant
-
-if TYPE_CHECKING:
-    pass
 
 VARIANTS: tuple[Variant, ...] = get_args(Variant)
 
