@@ -196,7 +196,7 @@ def _yaml(source: Path, stem: Path) -> tuple[Path, ...]:
         known = "|".join(map(re.escape, sorted(inside, key=len, reverse=True)))
         texts[protocol] = re.sub(known, lambda found: inside[found[0]], header.protocol_yaml)
     if header.rig_yaml:
-        texts[rig] = _naming(header.rig_yaml, _added(texts, header.calibrations))
+        texts[rig] = _naming(source, header.rig_yaml, _added(texts, header.calibrations))
     folder.mkdir(exist_ok=True)
     for name, text in texts.items():
         (folder / name).write_text(text, encoding="utf-8")
@@ -213,10 +213,15 @@ def _added(texts: dict[str, str], files: Sequence[SourceFile]) -> list[str]:
     return names
 
 
-def _naming(rig: str, calibrations: list[str]) -> str:
-    """Return a rig file that names these calibrations; verbatim if it does."""
-    data = yaml.safe_load(rig)
-    if list(data.get("calibrations") or ()) == calibrations:
+def _naming(source: Path, rig: str, calibrations: list[str]) -> str:
+    """Return a rig file that names these calibrations; verbatim if it does. Raises ArchiveError for no YAML mapping."""
+    try:
+        data = yaml.safe_load(rig)
+    except yaml.YAMLError:
+        data = None
+    if not isinstance(data, dict):
+        raise ArchiveError(f"{source.name}: entry/rig/yaml: found no YAML mapping, expected a rig file")
+    if (data.get("calibrations") or []) == calibrations:
         return rig
     return yaml.safe_dump(data | {"calibrations": calibrations}, sort_keys=False, width=120, default_flow_style=None)
 

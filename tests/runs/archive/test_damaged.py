@@ -22,6 +22,7 @@ import runs
 import tests.support.archive_mutations as damage
 import tests.support.synthetic_runs as made_up
 from runs.archive.writer import ArchiveError, finalise
+from runs.export.exporters import export
 from runs.journal.journal import JournalWriter
 from runs.records import Quantity, RunFooter, SourceFile, Status, adaptation_dtype
 from scripts.rig_process import BRIEF
@@ -246,6 +247,16 @@ def test_an_invalid_value_is_reported_when_it_is_read(
     run = runs.open(copy)
     with pytest.raises(ArchiveError, match=rf"copy\.h5: {said}"):
         assert [run.header, run.status, run.tip]
+
+
+@pytest.mark.parametrize("rig", ["../../etc/passwd", "name: [unclosed", "- 1", "calibrations: 5"])
+def test_inputs_are_exported_of_an_archive_with_any_rig_text_or_refused(copy: Path, tmp_path: Path, rig: str) -> None:
+    spoil(copy, fill("entry/rig/yaml", rig))
+    if rig == "calibrations: 5":
+        assert export(copy, "yaml", tmp_path)
+        return
+    with pytest.raises(ArchiveError, match=r"copy\.h5: entry/rig/yaml: found no YAML mapping"):
+        export(copy, "yaml", tmp_path)
 
 
 def test_a_text_for_a_dimension_list_crashes_nothing(copy: Path, readers: Readers) -> None:
