@@ -10,6 +10,8 @@ from typing import Any
 import pytest
 
 from rig.control.interlocks import Demand, SensorState
+from rig.valves.iso6358 import ATMOSPHERE_PA
+from tests.support.plant_bench import mock_rig
 
 PAGE = Path(__file__).parents[2] / "docs" / "how-to" / "extend-softrig.md"
 
@@ -33,3 +35,7 @@ def test_the_examples_of_the_page_are_complete_extensions(tmp_path: Path, monkey
     assert played == [("pulse", [30_000.0, 30_000.0]), ("pulse", [0.0, 0.0])]
     valve = known["InvertedValve"](type="inverted", actuators=(1,), card="daq", channel=0, span_bar=(0.0, 2.0))
     assert valve.safe_v() == 10.0
+    truth = valve.simulated(mock_rig().simulator.valve)
+    assert truth.pa_at_zero_v + truth.pa_per_v * valve.safe_v() == pytest.approx(ATMOSPHERE_PA)
+    full = valve.regulator(mock_rig().limits, mock_rig().control).command(0.0, 0.005, 0.0, 2e5, 0.0)
+    assert truth.pa_at_zero_v + truth.pa_per_v * full.valve_v == pytest.approx(ATMOSPHERE_PA + 2e5)
