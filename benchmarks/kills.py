@@ -25,7 +25,7 @@ from rig.execution.plan import NullOperator
 from rig.experiment import run as experiment
 from runs.archive.writer import verify
 from runs.records import Status
-from runs.recovery import Fate, recover
+from runs.recovery import RecoveryStatus, recover
 from runs.run import Run
 
 PROTOCOL = """title: To be killed
@@ -55,10 +55,10 @@ def await_journal(folder: Path) -> None:
 
 def recovered(folder: Path) -> Run:
     """The archive of what was killed; it must be whole, and marked as recovered unless the run had ended."""
-    outcomes = [o for o in recover(folder) if o.fate is not Fate.REMOVED]
+    outcomes = [o for o in recover(folder) if o.fate is not RecoveryStatus.REMOVED]
     (outcome,) = outcomes
     assert outcome.archive is not None, outcome.message
-    assert "not readable" not in outcome.message or outcome.fate is Fate.RECOVERED, outcome.message
+    assert "not readable" not in outcome.message or outcome.fate is RecoveryStatus.RECOVERED, outcome.message
     assert verify(outcome.archive)
     return runs.open(outcome.archive)
 

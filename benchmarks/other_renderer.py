@@ -23,7 +23,7 @@ _SURROUND = 0.35
 
 
 @dataclass(frozen=True)
-class Look:
+class BoardPose:
     """What a camera makes of light: `blur_px` of the optics, before the pixels, and `pixel_blur_px` after them;
     `noise_grey` at full light, of which `shot_share` grows with its root; `gamma`; `vignetting` at the corners;
     `jpeg` quality, 0 for none; `finer` samples to a pixel each way.
@@ -51,7 +51,7 @@ class OtherRenderer:
         matrix: Floats,
         distortion: Floats,
         size: tuple[int, int],
-        look: Look,
+        look: BoardPose,
         seed: int,
     ) -> None:
         self._look, self._size = look, size

@@ -30,9 +30,9 @@ from calibration.vision.transforms import RigidTransform
 from rig.simulator.scene import Optics, Scene
 
 if __package__:
-    from benchmarks.other_renderer import Look, OtherRenderer
+    from benchmarks.other_renderer import BoardPose, OtherRenderer
 else:
-    from other_renderer import Look, OtherRenderer
+    from other_renderer import BoardPose, OtherRenderer
 
 Floats = NDArray[np.float64]
 
@@ -87,10 +87,10 @@ SETTINGS = (
 
 
 LOOKS = {
-    "sharp": Look(),
-    "lens blur 0.5 px": Look(blur_px=0.5, noise_grey=2.0),
-    "blurred after the pixels, 0.6 px": Look(pixel_blur_px=0.6, noise_grey=2.0, shot_share=0.0),
-    "the same, JPEG 90": Look(pixel_blur_px=0.6, jpeg=90),
+    "sharp": BoardPose(),
+    "lens blur 0.5 px": BoardPose(blur_px=0.5, noise_grey=2.0),
+    "blurred after the pixels, 0.6 px": BoardPose(pixel_blur_px=0.6, noise_grey=2.0, shot_share=0.0),
+    "the same, JPEG 90": BoardPose(pixel_blur_px=0.6, jpeg=90),
 }
 """How the second renderer's camera sees."""
 PLANAR_TILT_RAD = float(np.deg2rad(5.0))
@@ -119,7 +119,7 @@ def motion(setting: Setting, frames: int) -> Iterator[RigidTransform]:
 
 
 @dataclass(frozen=True)
-class Result:
+class VisionBenchmark:
     """Errors (n, 3) [m] in the world, squared Mahalanobis distances (n,), and seconds per frame (n,)."""
 
     errors_m: Floats
@@ -138,7 +138,7 @@ def ours(setting: Setting, optics: Optics) -> list[Draw]:
     return [draw(Scene(BOARD, setting.lens, setting.size, optics, seed)) for seed in range(len(setting.places))]
 
 
-def others(setting: Setting, look: Look) -> list[Draw]:
+def others(setting: Setting, look: BoardPose) -> list[Draw]:
     """The second renderer, once for each camera."""
     lens, squares = setting.lens, (BOARD.squares_x, BOARD.squares_y)
 
@@ -165,7 +165,7 @@ def _tilted(angle: float) -> RigidTransform:
     return RigidTransform.from_vectors((angle, 0.0, 0.0), (0.0, 0.0, 0.0))
 
 
-def measure(setting: Setting, frames: int, draw: list[Draw]) -> Result:
+def measure(setting: Setting, frames: int, draw: list[Draw]) -> VisionBenchmark:
     """Render and measure; every frame's truth is known."""
     lens, places = setting.lens, setting.places
     trackers = [Tracker(BOARD, lens, _known(setting)) for _ in places]
@@ -187,7 +187,9 @@ def measure(setting: Setting, frames: int, draw: list[Draw]) -> Result:
         error = tip - board.apply(TIP_IN_BOARD)
         errors.append(error)
         distances.append(float(error @ np.linalg.solve(covariance, error)))
-    return Result(np.array(errors).reshape(-1, 3), np.array(distances), np.array(render_s), np.array(see_s), lost)
+    return VisionBenchmark(
+        np.array(errors).reshape(-1, 3), np.array(distances), np.array(render_s), np.array(see_s), lost
+    )
 
 
 def _tip(
@@ -205,7 +207,7 @@ def _tip(
     return None if together is None else together.point(TIP_IN_BOARD)
 
 
-def row(setting: Setting, result: Result) -> str:
+def row(setting: Setting, result: VisionBenchmark) -> str:
     """One line of the table, errors in mm as mean/95 %."""
 
     def shown(values: Floats) -> str:

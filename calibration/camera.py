@@ -37,7 +37,7 @@ class CalibrationError(Exception):
     """The views do not determine the camera; the message states what is missing."""
 
 
-class LeftOut(NamedTuple):
+class ExcludedView(NamedTuple):
     """A view that was not used, and why."""
 
     name: str
@@ -77,7 +77,7 @@ class CameraCalibration:
     covariance: Floats
     rms_px: float
     views: tuple[CalibratedView, ...]
-    skipped: tuple[LeftOut, ...]
+    skipped: tuple[ExcludedView, ...]
 
     @property
     def std(self) -> Floats:
@@ -122,7 +122,7 @@ def calibrate_views(views: Iterable[View], corners: tuple[int, int], square_m: f
     if not square_m > 0:
         raise CalibrationError(f"a square of {square_m} m has no size")
     found: list[tuple[View, Floats]] = []
-    skipped: list[LeftOut] = []
+    skipped: list[ExcludedView] = []
     size: tuple[int, int] | None = None
     for view in views:
         height, width = view.image.shape
@@ -132,7 +132,7 @@ def calibrate_views(views: Iterable[View], corners: tuple[int, int], square_m: f
         seen = find_corners(view.image, corners)
         if seen is None:
             skipped.append(
-                LeftOut(view.name, f"no board of {corners[0]}x{corners[1]} inner corners found", view.sha256)
+                ExcludedView(view.name, f"no board of {corners[0]}x{corners[1]} inner corners found", view.sha256)
             )
         else:
             found.append((view, seen))
@@ -151,7 +151,7 @@ def calibrate_views(views: Iterable[View], corners: tuple[int, int], square_m: f
             break
         view, _ = found.pop(worst)
         why = f"residual {result.views[worst].rms_px:.2f} px where the median is {usual:.2f} px"
-        skipped.append(LeftOut(view.name, why, view.sha256))
+        skipped.append(ExcludedView(view.name, why, view.sha256))
         result = _solve(found, size, corners, square_m, skipped)
     return result
 
@@ -213,7 +213,7 @@ def _solve(
     size: tuple[int, int],
     corners: tuple[int, int],
     square_m: float,
-    skipped: list[LeftOut],
+    skipped: list[ExcludedView],
 ) -> CameraCalibration:
     grid = np.zeros((corners[0] * corners[1], 3), np.float32)
     grid[:, :2] = np.indices(corners).T.reshape(-1, 2) * square_m

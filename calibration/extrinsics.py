@@ -27,7 +27,7 @@ _LEAST_VIEWS = 2
 
 
 @dataclass(frozen=True)
-class Camera:
+class CameraSightings:
     """One camera: its lens, and the corners (n, 2) [px] that it saw in each view, by the view's key."""
 
     name: str
@@ -96,7 +96,7 @@ class ExtrinsicCalibration:
         return np.asarray(slope @ self.covariance[np.ix_(at, at)] @ slope.T)
 
 
-def locate(cameras: Sequence[Camera], board: Board, *, bundle: bool = True) -> ExtrinsicCalibration:
+def locate(cameras: Sequence[CameraSightings], board: Board, *, bundle: bool = True) -> ExtrinsicCalibration:
     """Find cameras and boards from simultaneous views; with `bundle`, by bundle adjustment.
 
     On a board that looks the same upside down the corners' order is chosen so that the cameras agree.
@@ -217,7 +217,7 @@ def _distance(a: RigidTransform, b: RigidTransform) -> float:
 
 
 def _assemble(
-    cameras: Sequence[Camera],
+    cameras: Sequence[CameraSightings],
     board: Board,
     placed: Mapping[str, RigidTransform],
     chosen: Mapping[str, Mapping[str, _BoardView]],
@@ -234,7 +234,7 @@ def _assemble(
     return replace(found, residuals_px=_residuals(cameras, found))
 
 
-def _residuals(cameras: Sequence[Camera], at: ExtrinsicCalibration) -> dict[str, dict[str, Floats]]:
+def _residuals(cameras: Sequence[CameraSightings], at: ExtrinsicCalibration) -> dict[str, dict[str, Floats]]:
     found: dict[str, dict[str, Floats]] = {}
     for camera in cameras:
         to_camera = at.cameras[camera.name].inverse()
@@ -245,7 +245,7 @@ def _residuals(cameras: Sequence[Camera], at: ExtrinsicCalibration) -> dict[str,
     return found
 
 
-def _refine(cameras: Sequence[Camera], start: ExtrinsicCalibration) -> ExtrinsicCalibration:
+def _refine(cameras: Sequence[CameraSightings], start: ExtrinsicCalibration) -> ExtrinsicCalibration:
     """Least squares of all residuals over the cameras (but the first) and the boards."""
     names, keys = [c.name for c in cameras], list(start.boards)
     points = start.board.corners_m

@@ -6,7 +6,7 @@ from model.geometry import Geometry
 from model.loads import Loads
 from model.material import Material
 from model.shape import Shape
-from model.tube import BallooningError, Stretch, Tube
+from model.tube import BallooningError, PrincipalStretches, Tube
 
 __all__ = [
     "Arm",
@@ -15,8 +15,8 @@ __all__ = [
     "Loads",
     "Material",
     "NotConverged",
+    "PrincipalStretches",
     "Shape",
-    "Stretch",
     "Tube",
     "Unstable",
 ]

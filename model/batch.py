@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from model.arm import Arm
-from model.dynamics import Dynamics, Trajectory
+from model.dynamics import ArmTrajectory, Dynamics
 from model.kernel_arguments import KernelArguments
 from model.kernels import layout
 from model.kernels.axis import equilibria
@@ -89,12 +89,12 @@ def motions(
     alpha: float = DEFAULT_ALPHA,
     nodes: int | None = None,
     workers: int | None = None,
-) -> list[Trajectory]:
+) -> list[ArmTrajectory]:
     """B motions under pressure_pa (B, T + 1, N) [Pa], each starting at rest under its first row."""
     paths = np.array(pressure_pa, dtype=np.float64)
     given = [arms] if isinstance(arms, Arm) else list(arms)
     _check(given, paths, 3)
-    found: dict[int, Trajectory] = {}
+    found: dict[int, ArmTrajectory] = {}
 
     def part(span: range) -> None:
         for b in span:

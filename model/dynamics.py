@@ -27,7 +27,7 @@ NOT_FINITE = "pressures must be finite"
 
 
 @dataclass(frozen=True)
-class Trajectory:
+class ArmTrajectory:
     """The tip over T time steps: tip_m (T, 3), tip_rotation (T, 3, 3), ok (T,)."""
 
     tip_m: Array
@@ -126,7 +126,7 @@ class Dynamics:
         moved = self._advance(pressure[None])
         return shape(self._arm, self._problem, self._x, ok=bool(moved.ok[0]))
 
-    def run(self, pressure_pa: ArrayLike) -> Trajectory:
+    def run(self, pressure_pa: ArrayLike) -> ArmTrajectory:
         """Advance through the rows of pressure_pa (T, N) [Pa] in one call, with the loads of the last step.
 
         What `step` does T times, without Python in between; a step that cannot be solved keeps the last good tip and
@@ -140,7 +140,7 @@ class Dynamics:
             raise ValueError(f"pressure_pa must be rows of {actuators} numbers, got shape {rows.shape}")
         return self._advance(rows)
 
-    def _advance(self, rows: Array) -> Trajectory:
+    def _advance(self, rows: Array) -> ArmTrajectory:
         if self._arm.frozen and len(rows):
             if not np.isfinite(rows).all():
                 raise ValueError(NOT_FINITE)
@@ -156,7 +156,7 @@ class Dynamics:
         )  # fmt: skip
         if passes < 0:
             raise ValueError(NOT_FINITE)
-        return Trajectory(tips, turns, good)
+        return ArmTrajectory(tips, turns, good)
 
     def _set_loads(self, loads: Loads | None) -> None:
         self._tip = self._problem.tip(loads)

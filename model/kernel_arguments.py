@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from model.arm import Arm
 from model.kernels import layout
 from model.loads import Loads
-from model.section import PA_PER_BAR, Section, section, upper
+from model.section import PA_PER_BAR, CrossSection, section, upper
 
 Array = NDArray[np.float64]
 
@@ -60,7 +60,7 @@ class KernelArguments:
         if pointwise:
             # Each tube's own law carries the strain at rest and the free strain; only the push on the caps remains.
             push = section(geometry, xy, np.zeros(len(xy)), material.shear_ratio, 0.0)
-            whole = Section(whole.axial, whole.shear, push.rest, push.per_pressure)
+            whole = CrossSection(whole.axial, whole.shear, push.rest, push.per_pressure)
         work = _work(arm, xy, whole, c0, pointwise)
         return cls(
             law=layout.POINTWISE if pointwise else layout.LINEAR,
@@ -171,7 +171,7 @@ def _scale(length_m: float, c0: float) -> Array:
     return np.concatenate([scale, 1 / scale])
 
 
-def _work(arm: Arm, xy: Array, whole: Section, c0: float, pointwise: bool) -> Array:
+def _work(arm: Arm, xy: Array, whole: CrossSection, c0: float, pointwise: bool) -> Array:
     work = layout.aligned(layout.work_size(len(xy)) // layout.LANES, layout.LANES)
     geometry, material = arm.geometry, arm.material
     area, second = geometry.wall_area_m2, geometry.wall_second_moment_m4

@@ -26,7 +26,7 @@ PA_PER_BAR = 1e5
 
 
 @dataclass(frozen=True)
-class Section:
+class CrossSection:
     """Two 3 x 3 stiffness blocks and the wrench offsets of pressure, about the line through (0, 0) of `xy_m`.
 
     axial: over (v3, u1, u2) [N, N m, ..]. shear: over (v1, v2, u3). rest: wrench (6,) in the order n1 n2 n3 m1 m2 m3 at
@@ -51,7 +51,7 @@ def section(
     shear_ratio: float,
     rpe_per_bar: float,
     rpe_as: Literal["force", "strain"] = "force",
-) -> Section:
+) -> CrossSection:
     """The section whose actuators stand at xy_m (N, 2) and have axial stiffness E_i A_m = stiffness_n (N,) [N].
 
     rpe_as: the RPE as a force on each tube, or as the plane through the tubes' free strains (4.4).
@@ -71,7 +71,7 @@ def section(
     free = rpe_per_bar / PA_PER_BAR
     # As a force, a tube's own bending stiffness resists the RPE; as a strain of the section, it takes part.
     per_pressure[2:5] -= free * ((rows * stiffness_n[:, None]).T if rpe_as == "force" else axial @ np.linalg.pinv(rows))
-    return Section(axial, shear, rest, per_pressure)
+    return CrossSection(axial, shear, rest, per_pressure)
 
 
 def upper(block: NDArray[Any]) -> list[Any]:

@@ -29,7 +29,7 @@ class BallooningError(Exception):
 
 
 @dataclass(frozen=True)
-class Stretch:
+class PrincipalStretches:
     """lambda_z and r_i / R_i (eq 6)."""
 
     axial: float
@@ -63,11 +63,11 @@ class Tube:
         if not math.isfinite(self.fibre_angle_deg):
             raise ValueError(f"fibre_angle_deg must be finite, got {self.fibre_angle_deg}")
 
-    def under_pressure(self, pressure_pa: float) -> Stretch:
+    def under_pressure(self, pressure_pa: float) -> PrincipalStretches:
         """Closed tube: the pressure acts on the wall and on the caps, N = P pi r_i^2. Raises Ballooned."""
         return self._path(lambda hoop, pull, load, _: (hoop - load, pull), pressure_pa, self.shear_modulus_pa, "Pa")
 
-    def under_radial_pressure(self, pressure_pa: float) -> Stretch:
+    def under_radial_pressure(self, pressure_pa: float) -> PrincipalStretches:
         """The pressure acts on the wall alone, N = 0: the RPE of eq 6. Raises Ballooned."""
         area = math.pi * self.inner_radius_m**2
 
@@ -76,12 +76,12 @@ class Tube:
 
         return self._path(balance, pressure_pa, self.shear_modulus_pa, "Pa")
 
-    def under_force(self, force_n: float) -> Stretch:
+    def under_force(self, force_n: float) -> PrincipalStretches:
         """An axial force pulls, without pressure. Raises Ballooned."""
         unit = self.shear_modulus_pa * self._wall_area_m2
         return self._path(lambda hoop, pull, load, _: (hoop, pull - load), force_n, unit, "N")
 
-    def loads(self, stretch: Stretch) -> tuple[float, float]:
+    def loads(self, stretch: PrincipalStretches) -> tuple[float, float]:
         """What holds a state: the pressure of eq 4 [Pa], and the pull N - P pi r_i^2 on the caps [N] (eq 5)."""
         inner = self._layer(stretch, self.inner_radius_m, self.interface_radius_m, 1.0, 0.0)
         outer = self._layer(
@@ -89,7 +89,9 @@ class Tube:
         )
         return inner[0] + outer[0], inner[1] + outer[1]
 
-    def _layer(self, stretch: Stretch, first: float, last: float, rubber: float, fibre: float) -> tuple[float, float]:
+    def _layer(
+        self, stretch: PrincipalStretches, first: float, last: float, rubber: float, fibre: float
+    ) -> tuple[float, float]:
         """Integrals of eqs 4 and 5 over one layer, the radial stress of eq 5 integrated by parts."""
         radius = 0.5 * (first + last) + 0.5 * (last - first) * _POINTS
         weight = 0.5 * (last - first) * _WEIGHTS
@@ -118,16 +120,16 @@ class Tube:
         target: float,
         unit: float,
         name: str,
-    ) -> Stretch:
+    ) -> PrincipalStretches:
         """Follow the equilibria from rest by pseudo-arclength until the load is reached or turns back."""
         if not math.isfinite(target):
             raise ValueError(f"a load must be finite, got {target}")
         if target == 0:
-            return Stretch(1.0, 1.0)
+            return PrincipalStretches(1.0, 1.0)
         size = np.array([1 / self.shear_modulus_pa, 1 / (self.shear_modulus_pa * self._wall_area_m2)])
 
         def lack(z: Array) -> Array:
-            hoop, pull = self.loads(Stretch(z[0], z[1]))
+            hoop, pull = self.loads(PrincipalStretches(z[0], z[1]))
             gap: Array = size * np.array(balance(hoop, pull, z[2] * unit, z[1]))
             return gap
 
@@ -160,7 +162,7 @@ class Tube:
                 final = _correct(lack, slope, start, np.array([0.0, 0.0, 1.0]))
                 if final is None:
                     raise BallooningError(target, float(z[2] * unit), name)
-                return Stretch(float(final[0]), float(final[1]))
+                return PrincipalStretches(float(final[0]), float(final[1]))
             z = moved
             stride = min(1.3 * stride, 0.05)
 

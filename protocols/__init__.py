@@ -2,6 +2,6 @@
 
 from protocols.library import Protocol, load, named
 from protocols.problems import BadInputError, Problem
-from protocols.trajectory import Prompt, Segment, Trajectory
+from protocols.trajectory import Prompt, Segment, SetPointTrajectory
 
-__all__ = ["BadInputError", "Problem", "Prompt", "Protocol", "Segment", "Trajectory", "load", "named"]
+__all__ = ["BadInputError", "Problem", "Prompt", "Protocol", "Segment", "SetPointTrajectory", "load", "named"]

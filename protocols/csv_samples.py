@@ -17,7 +17,7 @@ TIME = "time_s"
 
 
 @dataclass(frozen=True)
-class Columns:
+class SampleColumns:
     """Times (n,) from the first row on [s], and one column (n,) [bar] for each requested actuator."""
 
     times_s: tuple[float, ...]
@@ -29,7 +29,7 @@ def column_name(actuator: int) -> str:
     return f"actuator_{actuator}_bar"
 
 
-def read_samples(path: Path, actuators: tuple[int, ...]) -> tuple[Columns, str]:
+def read_samples(path: Path, actuators: tuple[int, ...]) -> tuple[SampleColumns, str]:
     """The columns of a CSV file and its text, or `BadInput` with line and column of everything that is wrong."""
     text = read_text(path, LARGEST_FILE)
     rows = text.split("\n")
@@ -58,7 +58,7 @@ def read_samples(path: Path, actuators: tuple[int, ...]) -> tuple[Columns, str]:
         raise BadInputError(problems)
     columns = tuple(zip(*table, strict=True))
     first = columns[0][0]
-    return Columns(tuple(t - first for t in columns[0]), columns[1:]), text
+    return SampleColumns(tuple(t - first for t in columns[0]), columns[1:]), text
 
 
 def _header_wish(actuators: tuple[int, ...]) -> str:

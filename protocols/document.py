@@ -7,7 +7,7 @@ from pathlib import Path
 import yaml
 
 from protocols.problems import BadInputError, Problem
-from protocols.source_positions import Document, Reader, TooDeepError, compose, shortened
+from protocols.source_positions import Document, NestingError, Reader, compose, shortened
 from protocols.validation import validate
 
 __all__ = ["Document", "parse", "read", "read_text", "validate"]
@@ -92,7 +92,7 @@ _SYNTAX = (
 
 def _syntax_problem(error: yaml.YAMLError, text: str, file: str) -> Problem:
     """Translate an error message of PyYAML."""
-    if isinstance(error, TooDeepError):
+    if isinstance(error, NestingError):
         mark = error.problem_mark
         return Problem(file, mark.line + 1 if mark else 0, 0, "", "", "the file is nested too deeply")
     if isinstance(error, yaml.reader.ReaderError):

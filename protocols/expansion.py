@@ -9,7 +9,7 @@ from protocols.problems import BadInputError, Problem
 from protocols.schema import Repeat, Step
 from protocols.source_positions import Document, path_text
 from protocols.steps.base import MOST_SEGMENTS, LeafStep
-from protocols.trajectory import Prompt, Segment, Trajectory
+from protocols.trajectory import Prompt, Segment, SetPointTrajectory
 from protocols.waveforms import Waveform
 
 Path = tuple[str | int, ...]
@@ -41,7 +41,9 @@ def _count(steps: Sequence[Step], base: Path, document: Document, found: list[Pr
     return total
 
 
-def expand(steps: Sequence[Step], actuators: int, document: Document, data: Mapping[LeafStep, Any]) -> Trajectory:
+def expand(
+    steps: Sequence[Step], actuators: int, document: Document, data: Mapping[LeafStep, Any]
+) -> SetPointTrajectory:
     """The trajectory for a rig with so many actuators, or `BadInputError` if a step names an unknown one.
 
     `data` is what the `read` of the steps has returned.
@@ -53,7 +55,7 @@ def expand(steps: Sequence[Step], actuators: int, document: Document, data: Mapp
     segments = tuple(expander.segments)
     if not segments:
         raise BadInputError([_problem(document, ("steps",), "at least one step that takes time", "")])
-    return Trajectory(expander.now_s, actuators, segments, tuple(expander.prompts), document.file)
+    return SetPointTrajectory(expander.now_s, actuators, segments, tuple(expander.prompts), document.file)
 
 
 class _Expander:

@@ -16,7 +16,7 @@ from protocols.problems import BadInputError, Problem
 from protocols.schema import ProtocolFile, Repeat, Step
 from protocols.source_positions import path_text, shortened
 from protocols.steps.base import LeafStep
-from protocols.trajectory import Trajectory
+from protocols.trajectory import SetPointTrajectory
 
 FOLDER = Path(__file__).parent / "library"
 MOST_NEIGHBOURS = 200
@@ -39,7 +39,7 @@ class Protocol:
     _document: Document = field(repr=False)
     _data: dict[LeafStep, Any] = field(repr=False)
 
-    def expand(self, actuators: int) -> Trajectory:
+    def expand(self, actuators: int) -> SetPointTrajectory:
         """The set-points over time for a rig with so many actuators; `BadInputError` if it has too few."""
         return expand(self.steps, actuators, self._document, self._data)
 

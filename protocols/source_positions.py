@@ -84,7 +84,7 @@ def path_text(path: tuple[str | int, ...]) -> str:
     return ", ".join(words)
 
 
-class TooDeepError(yaml.MarkedYAMLError):
+class NestingError(yaml.MarkedYAMLError):
     """The nesting is too deep."""
 
 
@@ -96,7 +96,7 @@ class _Bounded(Composer):
     def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
         self.depth += 1
         if self.depth > DEEPEST:
-            raise TooDeepError(problem="too deep", problem_mark=self.peek_event().start_mark)  # type: ignore[attr-defined]
+            raise NestingError(problem="too deep", problem_mark=self.peek_event().start_mark)  # type: ignore[attr-defined]
         node = super().compose_node(parent, index)
         self.depth -= 1
         return node

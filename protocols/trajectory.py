@@ -58,7 +58,7 @@ class Prompt:
 
 
 @dataclass(frozen=True)
-class Trajectory:
+class SetPointTrajectory:
     """Set-points of N actuators from 0 to `duration_s`; `source` names the protocol's file.
 
     Before 0 the first set-points hold, after the end the last. At a jump the new level holds. A prompt's time lies

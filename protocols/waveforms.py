@@ -28,7 +28,7 @@ class Waveform(Protocol):
 
 
 @dataclass(frozen=True)
-class Line:
+class LinearSegment:
     """From `start` at a constant slope, `stop` exactly at `duration_s`."""
 
     start: float
@@ -98,7 +98,7 @@ class Sinusoid:
 
 
 @dataclass(frozen=True)
-class Fade:
+class SinusoidLeadIn:
     """From a constant into a sinusoid: it goes over smoothly in `duration_s` and never leaves the range of the two.
 
     `target` is the sinusoid as it will run afterwards; here it has its first value at `duration_s`.

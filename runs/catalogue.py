@@ -69,10 +69,10 @@ def catalogue(folder: Path | str) -> tuple[Entry, ...]:
     """Return the archives of a folder, newest first, unreadable ones last; none if the folder does not exist."""
     place = Path(folder)
     known = _load(place / INDEX)
-    now: dict[str, _Known] = {}
+    now: dict[str, _CachedEntry] = {}
     for name, stamp in _archives(place):
         before = known.get(name)
-        now[name] = before if before is not None and before.stamp == stamp else _Known(stamp, _read(place / name))
+        now[name] = before if before is not None and before.stamp == stamp else _CachedEntry(stamp, _read(place / name))
     if now != known:
         _store(place / INDEX, now)
     return tuple(sorted((k.entry for k in now.values()), key=lambda e: (e.start_time, e.file), reverse=True))
@@ -105,7 +105,7 @@ def search(
 
 
 @dataclass(frozen=True)
-class _Known:
+class _CachedEntry:
     """Index record of a file: its size and time [ns] when it was read, and its entry."""
 
     stamp: tuple[int, int]
@@ -144,19 +144,19 @@ def _read(path: Path) -> Entry:
         return Entry(path.name, problem=str(fault))
 
 
-def _load(path: Path) -> dict[str, _Known]:
+def _load(path: Path) -> dict[str, _CachedEntry]:
     with suppress(OSError, ValueError, RecursionError):
         index = _INDEX.validate_json(path.read_bytes(), strict=True)
         if index.form == _FORM:
             return {
-                name: _Known((size, time), entry)
+                name: _CachedEntry((size, time), entry)
                 for name, (size, time, entry) in index.files.items()
                 if entry.file == name
             }
     return {}
 
 
-def _store(path: Path, known: dict[str, _Known]) -> None:
+def _store(path: Path, known: dict[str, _CachedEntry]) -> None:
     """Write the index if possible; it is only a cache."""
     files = {name: [*k.stamp, asdict(k.entry)] for name, k in known.items()}
     part = path.with_name(f"{path.name}.{os.getpid()}")

@@ -119,7 +119,7 @@ class Quantity:
 
 
 @dataclass(frozen=True)
-class SourceFile:
+class RecordedFile:
     """An input file of a run, verbatim: a calibration (its `kind`) or a CSV file of the protocol."""
 
     name: str
@@ -128,7 +128,7 @@ class SourceFile:
     text: str
 
     @classmethod
-    def of(cls, name: str, kind: str, text: str) -> SourceFile:
+    def of(cls, name: str, kind: str, text: str) -> RecordedFile:
         """A file with this text."""
         return cls(name, kind, hashlib.sha256(text.encode()).hexdigest(), text)
 
@@ -165,9 +165,9 @@ class RunHeader:
     quantities: tuple[Quantity, ...] = ()
     parent: str = ""
     """Run id of the replayed run; empty if this is not a replay."""
-    protocol_files: tuple[SourceFile, ...] = ()
+    protocol_files: tuple[RecordedFile, ...] = ()
     """The CSV files of the protocol, by their names in it."""
-    calibrations: tuple[SourceFile, ...] = ()
+    calibrations: tuple[RecordedFile, ...] = ()
     """Calibration files applied to the rig, in this order."""
     parameters_yaml: str = ""
     """File of identified parameters applied after the calibrations, verbatim; empty without one."""

@@ -10,14 +10,14 @@ from enum import StrEnum
 from pathlib import Path
 
 from runs.archive import writer as archive
-from runs.archive.writer import ArchiveError, StillWrittenError
+from runs.archive.writer import ArchiveError, ArchiveInUseError
 from runs.export import foxglove
 from runs.journal import journal
 from runs.journal.append_only_file import JournalError
 from runs.run import Run
 
 
-class Fate(StrEnum):
+class RecoveryStatus(StrEnum):
     """Outcome of the recovery of a file."""
 
     RECOVERED = "recovered"
@@ -38,7 +38,7 @@ class RecoveryOutcome:
     """Outcome for one file; `archive` is the archive of a journal, if there is one."""
 
     path: Path
-    fate: Fate
+    fate: RecoveryStatus
     message: str
     archive: Path | None = None
 
@@ -68,17 +68,17 @@ def _recover(path: Path) -> RecoveryOutcome:
             kept = _set_aside(target)
             aside = f"; the archive that was there cannot be opened and was kept as {kept.name}"
         else:
-            return RecoveryOutcome(path, Fate.ARCHIVED, "", target)
+            return RecoveryOutcome(path, RecoveryStatus.ARCHIVED, "", target)
     try:
         archive.finalise(path)
         content = journal.read(path)
-    except StillWrittenError:
-        return RecoveryOutcome(path, Fate.RUNNING, "its writer is alive")
+    except ArchiveInUseError:
+        return RecoveryOutcome(path, RecoveryStatus.RUNNING, "its writer is alive")
     except (JournalError, ArchiveError) as fault:
-        return RecoveryOutcome(path, Fate.UNREADABLE, str(fault) + aside)
+        return RecoveryOutcome(path, RecoveryStatus.UNREADABLE, str(fault) + aside)
     rows = f"{len(content.samples)} samples, {len(content.observations)} frames, {len(content.pictures)} pictures"
     lost = f"; not readable: {'; '.join(map(str, content.damage))}" if content.damage else ""
-    fate = Fate.RECOVERED if content.footer is None else Fate.FINALISED
+    fate = RecoveryStatus.RECOVERED if content.footer is None else RecoveryStatus.FINALISED
     return RecoveryOutcome(path, fate, rows + lost + aside, target)
 
 
@@ -88,7 +88,7 @@ def _leftovers(folder: Path) -> Iterator[RecoveryOutcome]:
         source = path.with_name(path.name.removesuffix(archive.PART) + journal.SUFFIX)
         if not _held(source) and not _held(path):
             path.unlink(missing_ok=True)
-            yield RecoveryOutcome(path, Fate.REMOVED, "left by an interrupted finalisation")
+            yield RecoveryOutcome(path, RecoveryStatus.REMOVED, "left by an interrupted finalisation")
 
 
 def _journals(folder: Path) -> list[Path]:

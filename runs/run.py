@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from runs.archive.checked import ArchiveError, content_sha256, opened
 from runs.archive.fields import PA_PER_BAR
 from runs.columns import Adaptation, Backbone, Pressure, Simulated, Table, Timing, Tip, Values
-from runs.records import Event, Interval, Level, Quantity, RunHeader, SourceFile, Status
+from runs.records import Event, Interval, Level, Quantity, RecordedFile, RunHeader, Status
 from runs.table import TABLES, segments, table
 
 Floats = NDArray[np.float64]
@@ -233,9 +233,9 @@ def _adapted(g: dict[str, Any]) -> tuple[Quantity, ...]:
     )
 
 
-def _sources(g: dict[str, Any], text: str) -> tuple[SourceFile, ...]:
+def _sources(g: dict[str, Any], text: str) -> tuple[RecordedFile, ...]:
     columns = ([str(text) for text in g.get(key, ())] for key in ("name", "kind", "sha256", text))
-    return tuple(SourceFile(*row) for row in zip(*columns, strict=True))
+    return tuple(RecordedFile(*row) for row in zip(*columns, strict=True))
 
 
 def _intervals(g: dict[str, Any]) -> tuple[Interval, ...]:

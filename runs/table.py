@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runs.archive import layout
-from runs.archive.checked import Contents, opened
+from runs.archive.checked import ArchiveContents, opened
 from runs.archive.schema import TEXT
 
 Column = NDArray[Any]
@@ -49,7 +49,7 @@ def segments(path: Path | str) -> dict[str, Column]:
         return columns
 
 
-def _columns(archive: Contents, group: str, name: str) -> dict[str, Column]:
+def _columns(archive: ArchiveContents, group: str, name: str) -> dict[str, Column]:
     field = archive.fields(group)[name]
     values = archive.value(f"{group}/{name}")
     if field.kind == TEXT:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.identify.data import Poses
-from calibration.identify.least_squares import Problem
+from calibration.identify.least_squares import LeastSquaresProblem
 from calibration.identify.parallel_map import Progress, parallel_map
 from calibration.identify.parameters import Prior, Setup, named
 from calibration.identify.results import Fit
@@ -111,7 +111,7 @@ def refit(task: Refit) -> Array:
         ]
     else:
         counts = [_counts(rng, poses) for poses in data]
-    problem = Problem(data, task.start, named(task.free, actuators), priors, counts)
+    problem = LeastSquaresProblem(data, task.start, named(task.free, actuators), priors, counts)
     known = [i for i, u in enumerate(problem.unknowns) if u.parameter.name in priors]
     if task.kind == "drawn":
         # The prior means are random, too: draw them around the values that are the truth here.

@@ -11,7 +11,7 @@ from scipy.stats import norm
 
 from calibration.identify.held_out_prediction import Prediction
 from calibration.identify.likelihood import whitened
-from calibration.identify.profile_likelihood import RISE_95, Profile
+from calibration.identify.profile_likelihood import RISE_95, LikelihoodProfile
 from calibration.identify.results import NORMAL_95, Fit
 from runs.report.colours import ACTUATORS, INK, MEASURED, MODEL, MUTED, RULE, TRUTH
 
@@ -25,7 +25,7 @@ def colour(k: int) -> str:
     return ACTUATORS[k % len(ACTUATORS)]
 
 
-def estimates(figure: Figure, fit: Fit, profiles: Sequence[Profile], truth: Mapping[str, float]) -> None:
+def estimates(figure: Figure, fit: Fit, profiles: Sequence[LikelihoodProfile], truth: Mapping[str, float]) -> None:
     """Each identified parameter with its intervals, in its own standard deviations; the truth where it is known."""
     shown = [e for e in fit.estimates if e.std]
     by_key = {(p.name, p.run): p for p in profiles}
@@ -98,7 +98,7 @@ def correlations(figure: Figure, fit: Fit) -> None:
     figure.colorbar(picture, ax=axes, shrink=0.8)
 
 
-def profile_sheet(figure: Figure, profiles: Sequence[Profile], truth: Mapping[str, float]) -> None:
+def profile_sheet(figure: Figure, profiles: Sequence[LikelihoodProfile], truth: Mapping[str, float]) -> None:
     """Every profile; the line is where a 95 % interval ends."""
     columns = 3
     rows = -(-len(profiles) // columns)

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.identify.data import NoDataError, Poses
-from calibration.identify.least_squares import Problem, Solution, Unknown
+from calibration.identify.least_squares import LeastSquaresProblem, Solution, Unknown
 from calibration.identify.likelihood import OUTLIER, drifting, whitened
 from calibration.identify.parameters import Prior, Setup, named
 from calibration.identify.results import NORMAL_95, Estimate, Fit, RunFit, Verdict
@@ -41,7 +41,7 @@ def identify(
 
     priors: by name. starts: number of starting points; the first is `start`, the others are random around it.
     initial_values: by (name, run), replace the first starting point, for example by a fit to similar data; undetermined
-    parameters are still fixed at `start`. substeps: see `Problem`.
+    parameters are still fixed at `start`. substeps: see `LeastSquaresProblem`.
 
     Raises:
         NoData: no measured tip.
@@ -54,7 +54,7 @@ def identify(
         raise NoDataError("the runs are of arms with different numbers of actuators")
     parameters = named(free, actuators)
     priors = {p.name: prior for name, prior in (priors or {}).items() for p in named([name], actuators)}
-    problem = Problem(data, start, parameters, priors, substeps=substeps)
+    problem = LeastSquaresProblem(data, start, parameters, priors, substeps=substeps)
     joint, ends = _multi_start(
         problem, _initial_point(problem) if initial_values is None else _point_of(problem, initial_values), starts, seed
     )
@@ -81,13 +81,13 @@ def identify(
     )
 
 
-def _initial_point(problem: Problem) -> Array:
+def _initial_point(problem: LeastSquaresProblem) -> Array:
     """First starting point (n,): the solution of the static runs, which are cheap, if there are both kinds."""
     z = np.zeros(len(problem.unknowns))
     resting = [run for run, poses in enumerate(problem.data) if not poses.moving]
     if len(resting) in (0, len(problem.data)):
         return z
-    part = Problem([problem.data[run] for run in resting], problem.start, problem.free, problem.priors)
+    part = LeastSquaresProblem([problem.data[run] for run in resting], problem.start, problem.free, problem.priors)
     found = dict(
         zip(((u.parameter.name, u.run) for u in part.unknowns), part.solve(np.zeros(len(part.unknowns))).z, strict=True)
     )
@@ -98,7 +98,7 @@ def _initial_point(problem: Problem) -> Array:
     return z
 
 
-def _point_of(problem: Problem, values: Mapping[tuple[str, str], float]) -> Array:
+def _point_of(problem: LeastSquaresProblem, values: Mapping[tuple[str, str], float]) -> Array:
     """Values by (name, run), in spans (n,); zero for those not given."""
     z = np.zeros(len(problem.unknowns))
     for i, unknown in enumerate(problem.unknowns):
@@ -108,7 +108,9 @@ def _point_of(problem: Problem, values: Mapping[tuple[str, str], float]) -> Arra
     return z
 
 
-def _multi_start(problem: Problem, first: Array, starts: int, seed: int) -> tuple[Solution, tuple[float, ...]]:
+def _multi_start(
+    problem: LeastSquaresProblem, first: Array, starts: int, seed: int
+) -> tuple[Solution, tuple[float, ...]]:
     rng = np.random.default_rng(seed)
     found = [problem.solve(first)]
     found.extend(problem.solve(_random_start(problem, first, rng)) for _ in range(starts - 1))
@@ -116,7 +118,7 @@ def _multi_start(problem: Problem, first: Array, starts: int, seed: int) -> tupl
     return best, tuple(2 * (best.log_likelihood - s.log_likelihood) for s in found)
 
 
-def _random_start(problem: Problem, first: Array, rng: np.random.Generator) -> Array:
+def _random_start(problem: LeastSquaresProblem, first: Array, rng: np.random.Generator) -> Array:
     """A random starting point: within half a span of the first, or within `Parameter.decades` powers of ten."""
     z = first + rng.uniform(-0.5, 0.5, len(first))
     for i, unknown in enumerate(problem.unknowns):
@@ -127,7 +129,7 @@ def _random_start(problem: Problem, first: Array, rng: np.random.Generator) -> A
     return z
 
 
-def _open_directions(problem: Problem, joint: Solution) -> tuple[str, ...]:
+def _open_directions(problem: LeastSquaresProblem, joint: Solution) -> tuple[str, ...]:
     """Eigenvectors of the information, in spans, with a standard deviation of half a span or more."""
     values, vectors = np.linalg.eigh(_scaled_information(joint))
     combinations = []
@@ -169,7 +171,7 @@ def _inverse(information: Array) -> Array:
     return out
 
 
-def _fix_undetermined(problem: Problem, joint: Solution) -> tuple[Solution, dict[int, Verdict]]:
+def _fix_undetermined(problem: LeastSquaresProblem, joint: Solution) -> tuple[Solution, dict[int, Verdict]]:
     """Fix undetermined unknowns at their start and refit the others; return the fit and the verdict of each fixed one.
 
     The refit may move to a region where further unknowns are undetermined, so this is repeated.
@@ -202,7 +204,7 @@ def _undetermined(solution: Solution, only: list[int]) -> dict[int, Verdict]:
 
 
 def _estimates(
-    problem: Problem, solution: Solution, joint: Solution, fixed: Mapping[int, Verdict]
+    problem: LeastSquaresProblem, solution: Solution, joint: Solution, fixed: Mapping[int, Verdict]
 ) -> tuple[tuple[Estimate, ...], Array]:
     n = len(problem.unknowns)
     only = [i for i in range(n) if i not in fixed]
@@ -226,7 +228,7 @@ def _estimates(
     return tuple(out), covariance * np.outer(rates, rates)
 
 
-def _marginal(problem: Problem, solution: Solution, only: list[int]) -> Array:
+def _marginal(problem: LeastSquaresProblem, solution: Solution, only: list[int]) -> Array:
     """Covariance of the unknowns `only`, in spans, marginal over errors of `_UNDETERMINED_SPANS` in the fixed ones."""
     if len(only) == len(problem.unknowns):
         return _inverse(solution.information)
@@ -258,7 +260,13 @@ def _partners(information: Array, i: int) -> list[int]:
 
 
 def _estimate(
-    problem: Problem, unknown: Unknown, z: float, std: float, verdict: Verdict, partners: list[int], joint_std: float
+    problem: LeastSquaresProblem,
+    unknown: Unknown,
+    z: float,
+    std: float,
+    verdict: Verdict,
+    partners: list[int],
+    joint_std: float,
 ) -> Estimate:
     parameter = unknown.parameter
     used, rate = unknown.at(z), unknown.rate(z)
@@ -278,7 +286,7 @@ def _estimate(
     )
 
 
-def _runs(problem: Problem, solution: Solution) -> tuple[RunFit, ...]:
+def _runs(problem: LeastSquaresProblem, solution: Solution) -> tuple[RunFit, ...]:
     predicted, before = problem.predicted(solution.z), problem.predicted(np.zeros(len(solution.z)))
     out = []
     for run, poses in enumerate(problem.data):

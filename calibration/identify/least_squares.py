@@ -103,7 +103,7 @@ class Solution:
 
 
 @dataclass
-class Problem:
+class LeastSquaresProblem:
     """The least-squares problem: data, starting setup, free parameters and their priors.
 
     substeps: time steps per frame of a motion; 0 chooses by the free parameters. For the bootstrap: entry_weights, per

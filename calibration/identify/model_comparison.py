@@ -13,7 +13,7 @@ import model
 from calibration.identify.data import NoDataError, Poses
 from calibration.identify.fit import identify
 from calibration.identify.held_out_prediction import with_mean_sensor_offsets
-from calibration.identify.least_squares import Problem
+from calibration.identify.least_squares import LeastSquaresProblem
 from calibration.identify.parallel_map import Progress, parallel_map
 from calibration.identify.parameters import Prior, Setup, named
 from calibration.identify.tip_predictor import SUBSTEPS, Predictor
@@ -225,7 +225,7 @@ def prediction_errors(task: ComparisonFit) -> Array:
 def _unknowns(task: ComparisonFit) -> list[tuple[str, str]]:
     """Name and run of each unknown, in the order of `fit_all`."""
     start = task.candidate.start
-    problem = Problem(task.data, start, named(task.candidate.free, start.arm.geometry.actuators))
+    problem = LeastSquaresProblem(task.data, start, named(task.candidate.free, start.arm.geometry.actuators))
     return [(u.parameter.name, "" if u.run is None else task.data[u.run].run_id) for u in problem.unknowns]
 
 

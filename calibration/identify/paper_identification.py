@@ -38,7 +38,7 @@ class Elongation:
 
 
 @dataclass(frozen=True)
-class Line:
+class RegressionLine:
     """strain = slope * x through the origin, and how well it fits."""
 
     slope: float
@@ -81,7 +81,7 @@ class PaperIdentification:
     modulus_std_pa: float
     modulus_r2: float
     softening: Softening
-    rpe_measured: Line | None
+    rpe_measured: RegressionLine | None
     """Free strain per bar left over when the push on the caps is taken off by eq 32."""
     tube: TubeFit | None
 
@@ -137,7 +137,7 @@ def elongation(poses: Poses, length_m: float) -> Elongation:
     )
 
 
-def line(x: Array, strain: Array) -> Line:
+def line(x: Array, strain: Array) -> RegressionLine:
     """Least squares through the origin.
 
     Raises:
@@ -148,7 +148,7 @@ def line(x: Array, strain: Array) -> Line:
     slope = float((x @ strain) / (x @ x))
     rest = strain - slope * x
     std = math.sqrt(float(rest @ rest) / max(len(x) - 1, 1) / float(x @ x))
-    return Line(slope, std, _r2(strain, rest))
+    return RegressionLine(slope, std, _r2(strain, rest))
 
 
 def softening(force_n: Array, strain: Array) -> Softening:

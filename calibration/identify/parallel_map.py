@@ -25,7 +25,7 @@ _MAX_RESTARTS = 20
 _CONNECT_TIMEOUT = "10s"
 
 
-class WorkersDieError(RuntimeError):
+class WorkerDiedError(RuntimeError):
     """Worker processes die repeatedly."""
 
 
@@ -49,7 +49,7 @@ def parallel_map(
     only its unfinished tasks are repeated.
 
     Raises:
-        WorkersDieError: workers died too often.
+        WorkerDiedError: workers died too often.
         NoClusterError: Dask is not installed, or no scheduler answers.
     """
     results: dict[int, Array] = {}
@@ -104,7 +104,7 @@ def _on_cores(
             except BrokenProcessPool as broken:
                 deaths += 1
                 if deaths > _MAX_RESTARTS:
-                    raise WorkersDieError(
+                    raise WorkerDiedError(
                         f"worker processes died {deaths} times; {len(missing)} tasks are remaining"
                     ) from broken
 

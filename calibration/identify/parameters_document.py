@@ -13,7 +13,7 @@ import yaml
 from numpy.typing import NDArray
 
 from calibration.identify.parameters import Setup
-from calibration.identify.profile_likelihood import Profile
+from calibration.identify.profile_likelihood import LikelihoodProfile
 from calibration.identify.results import Estimate, RunFit
 
 VERSION = 2
@@ -67,7 +67,7 @@ class IdentificationResult(Protocol):
 
 
 def write(
-    fit: IdentificationResult, path: Path, profiles: Sequence[Profile] = (), baseline: Baseline | None = None
+    fit: IdentificationResult, path: Path, profiles: Sequence[LikelihoodProfile] = (), baseline: Baseline | None = None
 ) -> Path:
     """Write the fit; what was not identified is in the overlay with the value it was held at, and says so."""
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -81,7 +81,7 @@ def write(
 
 
 def content(
-    fit: IdentificationResult, profiles: Sequence[Profile] = (), baseline: Baseline | None = None
+    fit: IdentificationResult, profiles: Sequence[LikelihoodProfile] = (), baseline: Baseline | None = None
 ) -> dict[str, Any]:
     """Everything of a fit that a later reader needs, in plain numbers.
 

@@ -21,7 +21,7 @@ _EVALUATIONS = 6
 
 
 @dataclass(frozen=True)
-class Profile:
+class LikelihoodProfile:
     """One parameter's profile: the least rise (m,) of the robust sum of squares over its optimum, at values (m,).
 
     interval: the 95 % ends; None if the profile stays below `RISE_95` up to the bound or one plausible span.
@@ -43,7 +43,7 @@ class Profile:
 
 def profiles(
     fit: Fit, chosen: Callable[[Estimate], bool] | None = None, progress: Callable[[int, int], None] | None = None
-) -> tuple[Profile, ...]:
+) -> tuple[LikelihoodProfile, ...]:
     """Profile the estimates for which `chosen` holds, by default all shared ones.
 
     A fixed parameter is free for its own profile; the other fixed ones stay fixed.
@@ -57,7 +57,7 @@ def profiles(
     return tuple(out)
 
 
-def _profile(fit: Fit, i: int) -> Profile:
+def _profile(fit: Fit, i: int) -> LikelihoodProfile:
     problem, solution = fit.problem, fit.solution
     unknown, estimate = problem.unknowns[i], fit.estimates[i]
     others = [j for j in range(len(problem.unknowns)) if j != i and fit.covariance[j, j] > 0]
@@ -85,7 +85,7 @@ def _profile(fit: Fit, i: int) -> Profile:
     found = np.array(sorted(points.items()))
     values = np.array([unknown.at(z) for z in found[:, 0].tolist()])
     best = unknown.at(float(solution.z[i]))
-    return Profile(
+    return LikelihoodProfile(
         name=estimate.name,
         unit=estimate.unit,
         run=estimate.run,

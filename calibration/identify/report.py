@@ -10,7 +10,7 @@ from pathlib import Path
 from calibration.identify import figures
 from calibration.identify.bootstrap import Bootstrap
 from calibration.identify.held_out_prediction import Prediction
-from calibration.identify.profile_likelihood import Profile
+from calibration.identify.profile_likelihood import LikelihoodProfile
 from calibration.identify.results import Estimate, Fit
 from runs.report.drawing import svg
 
@@ -18,7 +18,7 @@ from runs.report.drawing import svg
 def write(
     fit: Fit,
     path: Path,
-    profiles: Sequence[Profile] = (),
+    profiles: Sequence[LikelihoodProfile] = (),
     refits: Bootstrap | None = None,
     left_out: Sequence[Prediction] = (),
     truth: Mapping[str, float] | None = None,
@@ -93,7 +93,9 @@ def _notes(fit: Fit, simulated: bool) -> str:
     return "\n".join(f'<div class="note">{note}</div>' for note in notes)
 
 
-def _parameters(fit: Fit, profiles: Sequence[Profile], refits: Bootstrap | None, truth: Mapping[str, float]) -> str:
+def _parameters(
+    fit: Fit, profiles: Sequence[LikelihoodProfile], refits: Bootstrap | None, truth: Mapping[str, float]
+) -> str:
     by_key = {(p.name, p.run): p for p in profiles}
     again = {} if refits is None else dict(zip(zip(refits.names, refits.runs, strict=True), refits.std, strict=True))
     heads = ["parameter", "run", "value", "std", "95 % by curvature"]

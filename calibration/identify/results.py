@@ -9,7 +9,7 @@ from enum import StrEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.identify.least_squares import Problem, Solution
+from calibration.identify.least_squares import LeastSquaresProblem, Solution
 from calibration.identify.parameters import Setup
 
 Array = NDArray[np.float64]
@@ -119,7 +119,7 @@ class Fit:
     """Undetermined combinations of parameters: the null space of the information matrix, as text."""
     start_losses: tuple[float, ...]
     """-2 ln L at the end of the search from each starting point, relative to the best."""
-    problem: Problem = field(repr=False)
+    problem: LeastSquaresProblem = field(repr=False)
     solution: Solution = field(repr=False)
 
     def __getitem__(self, name: str) -> Estimate:

@@ -21,7 +21,7 @@ from protocols.steps.base import (
     one_of,
 )
 from protocols.validation import faults
-from protocols.waveforms import Line, Smooth
+from protocols.waveforms import LinearSegment, Smooth
 
 
 class Ramp(MotionStep):
@@ -53,7 +53,7 @@ class Ramp(MotionStep):
             farthest = max(abs(b - a) for a, b in zip(starts, targets, strict=True))
             # A smooth ramp is steepest in its middle, 15/8 of its mean slope.
             duration_s = farthest / pa(self.rate_bar_per_s) * (1.875 if self.shape == "smooth" else 1.0)
-        shape = Smooth if self.shape == "smooth" else Line
+        shape = Smooth if self.shape == "smooth" else LinearSegment
         label = self.label or "to " + levels_text(self.to_bar)
         if duration_s > 0:
             waves = [shape(a, b, duration_s) for a, b in zip(starts, targets, strict=True)]

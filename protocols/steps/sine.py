@@ -23,7 +23,7 @@ from protocols.steps.base import (
     one_of,
 )
 from protocols.validation import ValidationFault, faults
-from protocols.waveforms import Fade, Sinusoid
+from protocols.waveforms import Sinusoid, SinusoidLeadIn
 
 
 class Sine(MotionStep):
@@ -82,7 +82,7 @@ class Sine(MotionStep):
         label = self.label or "sine"
         if self.lead_in_s > 0:
             starts = player.level_pa(self.actuators)
-            fades = [Fade(start, sine, self.lead_in_s) for start, sine in zip(starts, sines, strict=True)]
+            fades = [SinusoidLeadIn(start, sine, self.lead_in_s) for start, sine in zip(starts, sines, strict=True)]
             player.move("lead-in", f"into {label}", self.actuators, self.lead_in_s, fades)
         duration_s = self.duration_s if self.duration_s is not None else (self.periods or 0) * 2 * math.pi / omegas[0]
         player.move("sine", label, self.actuators, duration_s, sines)

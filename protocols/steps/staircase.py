@@ -7,7 +7,7 @@ from pydantic import Field, model_validator
 from protocols.decimals import levels_bar, pa, stair_count, uneven_stairs
 from protocols.steps.base import Actuators, Bar, BarAbove, MotionStep, Player, Seconds, SecondsOrNone, fits
 from protocols.validation import ValidationFault, faults
-from protocols.waveforms import Line
+from protocols.waveforms import LinearSegment
 
 
 class Staircase(MotionStep):
@@ -42,7 +42,7 @@ class Staircase(MotionStep):
             label = f"{self.label}, {label}" if self.label else label
             starts = player.level_pa(self.actuators)
             if self.rise_s > 0 and any(start != target for start in starts):
-                waves = [Line(start, target, self.rise_s) for start in starts]
+                waves = [LinearSegment(start, target, self.rise_s) for start in starts]
                 player.move("rise", label, self.actuators, self.rise_s, waves)
             player.stand("dwell", label, self.actuators, self.dwell_s, [target] * len(starts))
 

@@ -15,7 +15,7 @@ from rig.config.schema import RigConfig
 from rig.control import interlocks
 from rig.control import step as control
 from rig.control.control_loop import ValveOutputs
-from rig.control.interlocks import Demand, Sample, SensorState
+from rig.control.interlocks import RegulatorDemand, Sample, SensorState
 from rig.hardware.bench import Bench
 from rig.valves.flow import FlowRegulator
 
@@ -63,7 +63,7 @@ class BenchDriver:
         """Regulate pressures (N,) for `seconds`, or until `until` returns True."""
         state = control.initial(self._prepared)
         still = np.zeros_like(setpoint_pa)
-        rows = _Rows()
+        rows = _RowBuffer()
         for now in self._period(seconds, until):
             rows.take(*self._listen())
             state, command = control.step(self._prepared, state, self._sample(now), setpoint_pa, still)
@@ -83,14 +83,16 @@ class BenchDriver:
         chambers = list(settings.actuators)
         states = (SensorState(),) * self._config.actuators
         start: float | None = None
-        rows = _Rows()
+        rows = _RowBuffer()
         before: int | None = None
         for now in self._period(seconds, None):
             rows.take(*self._listen())
             sample = self._sample(now)
             # The reference follows the reading, so only level, rate and a frozen reading can trip.
             demands = [
-                Demand(math.nan, pressure, settings.rate_pa_s(offset_v, pressure) if i in chambers else 0.0, 0.0)
+                RegulatorDemand(
+                    math.nan, pressure, settings.rate_pa_s(offset_v, pressure) if i in chambers else 0.0, 0.0
+                )
                 for i, pressure in enumerate(sample.pressure_pa.tolist())
             ]
             dt_s = self._period_s if before is None else (sample.scan_t_ns - before) * 1e-9
@@ -136,7 +138,7 @@ def made_safe(bench: Bench) -> Iterator[None]:
         bench.make_safe()
 
 
-class _Rows:
+class _RowBuffer:
     def __init__(self) -> None:
         self._t: list[NDArray[np.int64]] = []
         self._p: list[Floats] = []

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from protocols import Trajectory
+from protocols import SetPointTrajectory
 from rig.calibrate.bench_driver import BenchClock, BenchDriver, made_safe
 from rig.config.schema import RigConfig
 from rig.control.control_loop import ValveOutputs
@@ -135,7 +135,7 @@ def real(config: RigConfig, rig_file: Path, purpose: str) -> Iterator[tuple[Valv
 def _watched(config: RigConfig, rig_file: Path) -> Iterator[tuple[SharedState, ProcessMonitor]]:
     """Keep the watchdog process; the one whose death it watches for lives exactly as long as this one needs it."""
     memory = SharedState.create(StateLayout.of(config))
-    nothing = Trajectory(0.0, config.actuators, (), (), "")
+    nothing = SetPointTrajectory(0.0, config.actuators, (), (), "")
     plan = Plan(config, rig_file, nothing, config.model.variant, 0)
     watchdog = spawn("rig.realtime.watchdog_process", ChildJob(plan, memory.fd, os.getpid()))
     life = ProcessMonitor(watchdog.pid)

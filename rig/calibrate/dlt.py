@@ -70,12 +70,15 @@ def run(request: DLTCalibrationRequest) -> DLTCalibration:
     _refuse_of_other_input(request, is_csv)
     rig = inputs.rig_of(request.rig)
     known = inputs.camera_calibrations(list(request.calibrations))
-    used = [calibration_schema.SourceFile(name=Path(one.source.file).name, sha256=one.sha256) for one in known.values()]
+    used = [
+        calibration_schema.SourceFileSection(name=Path(one.source.file).name, sha256=one.sha256)
+        for one in known.values()
+    ]
     board = None
     if is_csv:
         csv = Path(request.given[0])
         result = from_points(csv, request.size, request.points_std_mm, request.bundle, rig, known)
-        used.insert(0, calibration_schema.SourceFile(name=csv.name, sha256=sha256_of(csv)))
+        used.insert(0, calibration_schema.SourceFileSection(name=csv.name, sha256=sha256_of(csv)))
     else:
         corners, square_m = inputs.corners_of(request.corners), inputs.square_of(request.square_mm)
         board = Board(corners[0] + 1, corners[1] + 1, square_m)

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration import view_matching
-from calibration.camera import CalibrationError, LeftOut, calibrate_views, find_corners
+from calibration.camera import CalibrationError, ExcludedView, calibrate_views, find_corners
 from calibration.cross_validation import PointObservations, leave_out
-from calibration.extrinsics import Camera, ExtrinsicCalibration, locate
+from calibration.extrinsics import CameraSightings, ExtrinsicCalibration, locate
 from calibration.views import View, views_in
 from calibration.vision.board import Board
 from calibration.vision.transforms import RigidTransform
@@ -30,11 +30,11 @@ Floats = NDArray[np.float64]
 class SeenBoards:
     """What the cameras saw: lenses and corners, sizes of the pictures, and files by camera and moment."""
 
-    cameras: list[Camera]
+    cameras: list[CameraSightings]
     sizes_px: dict[str, tuple[int, int]]
     files: dict[str, dict[str, tuple[str, str]]]
     """Name and SHA-256 of each picture."""
-    left_out: list[LeftOut]
+    left_out: list[ExcludedView]
 
     def sha256_at(self, moment: str) -> str:
         """Return the SHA-256 of the first picture of a moment."""
@@ -86,7 +86,7 @@ def from_boards(
         leave_out(list(observations.values()), groups, board),
         views.sizes_px,
         _used_views(views, extrinsics, board),
-        (*views.left_out, *(LeftOut(key, why, views.sha256_at(key)) for key, why in extrinsics.left_out)),
+        (*views.left_out, *(ExcludedView(key, why, views.sha256_at(key)) for key, why in extrinsics.left_out)),
         world,
     )
 
@@ -136,7 +136,7 @@ def _seen(
     keys = view_matching.keys({name: list(files) for name, files in found.items()})
     return SeenBoards(
         [
-            Camera(name, lenses[name], {keys[name][f]: px for f, (_, px) in files.items()})
+            CameraSightings(name, lenses[name], {keys[name][f]: px for f, (_, px) in files.items()})
             for name, files in found.items()
         ],
         sizes,
@@ -147,7 +147,7 @@ def _seen(
 
 def _corners_in(
     views: Sequence[View], size: tuple[int, int], board: Board
-) -> tuple[list[tuple[str, str, Floats]], list[LeftOut]]:
+) -> tuple[list[tuple[str, str, Floats]], list[ExcludedView]]:
     """Return name, SHA-256 and corners of the views that show the board, and the other views."""
     sharp, skipped = [], []
     for view in views:
@@ -159,7 +159,7 @@ def _corners_in(
         corners = find_corners(view.image, board.pattern)
         if corners is None:
             why = f"no board of {board.pattern[0]}x{board.pattern[1]} inner corners found"
-            skipped.append(LeftOut(view.name, why, view.sha256))
+            skipped.append(ExcludedView(view.name, why, view.sha256))
         else:
             sharp.append((view.name, view.sha256, corners))
     return sharp, skipped

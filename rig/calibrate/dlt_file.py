@@ -55,7 +55,7 @@ def _section(
 def dlt_file(
     result: DLTCalibrationResult,
     rig: RigConfig | None,
-    sources: tuple[calibration_schema.SourceFile, ...],
+    sources: tuple[calibration_schema.SourceFileSection, ...],
     board: Board | None,
     *,
     in_base: bool,

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.camera import LeftOut
+from calibration.camera import ExcludedView
 from calibration.cross_validation import CrossValidation, PointObservations
 from calibration.dlt import DLT, DLTError, calibrate, decompose
 from calibration.vision.lens import Lens
@@ -34,7 +34,7 @@ class DLTCalibrationResult:
     trial: CrossValidation
     sizes_px: dict[str, tuple[int, int]]
     views: tuple[calibration_schema.UsedView, ...] = ()
-    left_out: tuple[LeftOut, ...] = ()
+    left_out: tuple[ExcludedView, ...] = ()
     world_view: str = ""
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.camera import CameraCalibration, LeftOut
+from calibration.camera import CameraCalibration, ExcludedView
 from calibration.vision.lens import Lens
 from rig.config import calibration_schema, sections
 from rig.config.calibration_files import origin, rounded
@@ -39,12 +39,12 @@ def card_of(config: RigConfig, name: str) -> calibration_schema.CardIdentity:
     return calibration_schema.CardIdentity(name=name, driver=card.driver, device=card.device)
 
 
-def lens_section(lens: Lens) -> sections.Lens:
+def lens_section(lens: Lens) -> sections.LensConfig:
     """A lens as files state it."""
     m = lens.matrix
     k1, k2, p1, p2, k3 = rounded(lens.distortion, 8)
     fx, fy, cx, cy = rounded([m[0, 0], m[1, 1], m[0, 2], m[1, 2]], 8)
-    return sections.Lens(fx_px=fx, fy_px=fy, cx_px=cx, cy_px=cy, distortion=(k1, k2, p1, p2, k3))
+    return sections.LensConfig(fx_px=fx, fy_px=fy, cx_px=cx, cy_px=cy, distortion=(k1, k2, p1, p2, k3))
 
 
 def board_section(corners: tuple[int, int], square_m: float) -> calibration_schema.PrintedBoard:
@@ -60,9 +60,9 @@ def matrix(covariance: NDArray[np.float64]) -> calibration_schema.Matrix:
     return rows
 
 
-def left_out(skipped: tuple[LeftOut, ...]) -> tuple[calibration_schema.LeftOut, ...]:
+def left_out(skipped: tuple[ExcludedView, ...]) -> tuple[calibration_schema.ExcludedViewSection, ...]:
     """Views that were not used."""
-    return tuple(calibration_schema.LeftOut(name=s.name, sha256=s.sha256, reason=s.reason) for s in skipped)
+    return tuple(calibration_schema.ExcludedViewSection(name=s.name, sha256=s.sha256, reason=s.reason) for s in skipped)
 
 
 def camera_file(

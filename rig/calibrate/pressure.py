@@ -81,10 +81,10 @@ def run(request: PressureCalibrationRequest, operator: BenchOperator) -> Pressur
     _check(request)
     sensors: tuple[calibration_schema.SensorCalibration, ...] = ()
     valves: tuple[calibration_schema.ValveCalibration, ...] = ()
-    used: tuple[calibration_schema.SourceFile, ...] = ()
+    used: tuple[calibration_schema.SourceFileSection, ...] = ()
     if request.readings is not None:
         sensors = from_readings(config, request.readings, request.gauge_std_bar)
-        used = (calibration_schema.SourceFile(name=request.readings.name, sha256=sha256_of(request.readings)),)
+        used = (calibration_schema.SourceFileSection(name=request.readings.name, sha256=sha256_of(request.readings)),)
     if request.by_gauge or request.valves:
         if not request.yes and not operator.confirm():
             raise bad_input("--yes", "", "consent: pressures will rise; not armed")

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.camera import CalibrationError, LeftOut
+from calibration.camera import CalibrationError, ExcludedView
 from calibration.mounting import Mounting, mount
 from calibration.views import View, views_in
 from calibration.vision.board import grey
@@ -126,7 +126,7 @@ def tool_file(config: RigConfig, camera: str, found: Mounting, note: str = "") -
             )
             for v in found.views
         ),
-        left_out=file_sections.left_out(tuple(LeftOut(*out) for out in found.left_out)),
+        left_out=file_sections.left_out(tuple(ExcludedView(*out) for out in found.left_out)),
     )
 
 

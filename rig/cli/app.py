@@ -66,7 +66,7 @@ EXPECTED_ERRORS = {
     "calibration.identify.parameters.UnknownParameter": BAD_INPUT,
     "calibration.identify.recursive_estimator.NotEstimableError": BAD_INPUT,
     "calibration.identify.parallel_map.NoClusterError": FAULT,
-    "calibration.identify.parallel_map.WorkersDieError": FAULT,
+    "calibration.identify.parallel_map.WorkerDiedError": FAULT,
     "rig.calibrate.bench_driver.TrippedError": FAULT,
     "rig.execution.plan.StoppedError": INTERRUPTED,
     "rig.execution.plan.StartError": FAULT,

@@ -22,7 +22,7 @@ from rig.cli.json_output import plain_json
 from rig.cli.run_names import resolve
 from runs.catalogue import Entry
 from runs.records import Status
-from runs.recovery import Fate
+from runs.recovery import RecoveryStatus
 from runs.recovery import recover as recover_folder
 from runs.summary import Summary, summarise
 
@@ -128,12 +128,12 @@ def _number(value: float, digits: int) -> str:
 def recover(folder: Path) -> None:
     """Recover orphaned journals and print the outcome of each."""
     check_search(folder)
-    outcomes = [o for o in recover_folder(folder) if o.fate is not Fate.ARCHIVED]
+    outcomes = [o for o in recover_folder(folder) if o.fate is not RecoveryStatus.ARCHIVED]
     for outcome in outcomes:
         typer.echo(f"{outcome.fate}  {outcome.archive or outcome.path}  {outcome.message}")
     if not outcomes:
         typer.echo(f"nothing to recover in {folder}")
-    if any(outcome.fate is Fate.UNREADABLE for outcome in outcomes):
+    if any(outcome.fate is RecoveryStatus.UNREADABLE for outcome in outcomes):
         raise typer.Exit(1)
 
 

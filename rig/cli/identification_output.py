@@ -22,7 +22,7 @@ from calibration.identify.bootstrap import Bootstrap
 from calibration.identify.held_out_prediction import Prediction
 from calibration.identify.model_comparison import ComparisonRow
 from calibration.identify.parameters_document import Baseline, content
-from calibration.identify.profile_likelihood import Profile
+from calibration.identify.profile_likelihood import LikelihoodProfile
 from calibration.identify.results import Fit
 from rig.cli.console import console
 from rig.cli.json_output import plain_json
@@ -116,7 +116,7 @@ def estimates(fit: Fit, as_json: bool, under: Baseline | None = None) -> None:
         screen.print(Text("the Gauss-Newton search did not converge", "yellow"))
 
 
-def profile_intervals(found: Iterable[Profile]) -> None:
+def profile_intervals(found: Iterable[LikelihoodProfile]) -> None:
     """Print the intervals of profile likelihoods."""
     for one in found:
         ends = " .. ".join("open" if end is None else f"{end:.5g}" for end in one.interval)

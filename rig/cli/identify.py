@@ -14,7 +14,7 @@ from rig.cli.options import Archives, AsJson, Every, Free, ParametersFile, Repla
 
 if TYPE_CHECKING:
     from calibration.identify import Poses, Prior
-    from calibration.identify.profile_likelihood import Profile
+    from calibration.identify.profile_likelihood import LikelihoodProfile
     from rig.config.loader import RigFile
     from runs.run import Run
 
@@ -129,7 +129,7 @@ def fit(
     output.estimates(best, json, under)
     predictions = [predict(best, poses) for poses in held_out]
     output.prediction_errors(predictions)
-    intervals: tuple[Profile, ...] = ()
+    intervals: tuple[LikelihoodProfile, ...] = ()
     refits = None
     if profile:
         with output.progress_bar("profiles") as progress:

@@ -17,7 +17,7 @@ def offer(folder: Path, ask: bool = True) -> None:
 
     `ask` is False after --yes.
     """
-    from runs.recovery import Fate, orphans, recover
+    from runs.recovery import RecoveryStatus, orphans, recover
 
     left = orphans(folder)
     if not left:
@@ -30,5 +30,5 @@ def offer(folder: Path, ask: bool = True) -> None:
     if not typer.confirm("Do that now?", default=True, err=True):
         return
     for outcome in recover(folder):
-        if outcome.fate is not Fate.ARCHIVED:
+        if outcome.fate is not RecoveryStatus.ARCHIVED:
             typer.echo(f"{outcome.fate}  {outcome.archive or outcome.path}  {outcome.message}", err=True)

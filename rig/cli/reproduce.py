@@ -12,7 +12,7 @@ import typer
 from rig.cli.options import AsJson, Folder, Replace
 
 
-class Result(StrEnum):
+class ReproducedResult(StrEnum):
     """Results of the paper that can be reproduced."""
 
     MODULUS = "modulus"
@@ -29,7 +29,7 @@ class Result(StrEnum):
 
 
 def reproduce(
-    what: Annotated[Result, typer.Argument(help="The printed E (5.2.2), a table, a figure, or all of them.")],
+    what: Annotated[ReproducedResult, typer.Argument(help="The printed E (5.2.2), a table, a figure, or all of them.")],
     out: Folder = Path("data/paper"),
     runs: Annotated[
         Path | None,
@@ -51,19 +51,19 @@ def reproduce(
     from rig.reproduce.comparison import PaperComparison, PaperFigure
 
     screen, progress = console(stderr=json), console(stderr=True)
-    everything = what is Result.ALL
+    everything = what is ReproducedResult.ALL
     found: dict[str, object] = {}
     rows: list[PaperComparison] = []
     drawings: list[PaperFigure] = []
     remarks: list[str] = []
-    if what is Result.MODULUS or everything:
+    if what is ReproducedResult.MODULUS or everything:
         from calibration.identify.paper_identification import published_modulus
 
         modulus = published_modulus()
         found["modulus"] = asdict(modulus)
         remarks.append(f"E of 5.2.2: {modulus.explanation}")
         screen.print(f"{remarks[-1]}\n", soft_wrap=True)
-    if what is Result.TABLE3 or everything:
+    if what is ReproducedResult.TABLE3 or everything:
         from rig.reproduce.table3 import table3, verdict
 
         rules = table3()
@@ -72,7 +72,7 @@ def reproduce(
         remarks.append(f"Table 3, by the printed numbers alone: {conclusion}")
         screen.print(reproduction_output.table3(rules))
         screen.print(f"{conclusion}\n", soft_wrap=True)
-    if what is Result.TABLE4 or everything:
+    if what is ReproducedResult.TABLE4 or everything:
         from rig.reproduce.table4 import drawing, run_times, table4
 
         methods = table4(report=lambda line: progress.print(line))
@@ -85,7 +85,7 @@ def reproduce(
 
     wanted = tuple(NEEDS) if everything else (what.value,) if what.value in NEEDS else ()
     # The analysis of the printed Table 3 needs no experiment unless archives are given.
-    if wanted and not (what is Result.TABLE3 and runs is None):
+    if wanted and not (what is ReproducedResult.TABLE3 and runs is None):
         reproduced = results(wanted, runs or out / "runs", everything, lambda line: progress.print(line))
         rows += reproduced.rows
         drawings += reproduced.drawings

@@ -31,7 +31,7 @@ LINE_EVERY_S = 2.0
 UNBOUNDED = 1000
 
 
-class Keep(IntEnum):
+class DisplayPriority(IntEnum):
     """Priority of a block on a small screen; the lowest is shortened first."""
 
     HINT = 0
@@ -44,17 +44,17 @@ class Keep(IntEnum):
 
 
 @dataclass(frozen=True)
-class Block:
+class DisplayBlock:
     """One part of the screen in several forms, the longest first."""
 
     forms: tuple[RenderableType, ...]
-    keep: Keep = Keep.ALL
+    keep: DisplayPriority = DisplayPriority.ALL
 
 
-class Fitted:
+class FittedDisplay:
     """A column of blocks, shortened to the height of the terminal; forms wider than the terminal are excluded."""
 
-    def __init__(self, blocks: Sequence[Block]) -> None:
+    def __init__(self, blocks: Sequence[DisplayBlock]) -> None:
         self._blocks = blocks
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
@@ -208,36 +208,38 @@ def _losses(progress: Progress) -> str:
     return f"deadlines missed {progress.missed}, frames dropped {progress.dropped}"
 
 
-def _screen(title: str, progress: Progress) -> Fitted:
+def _screen(title: str, progress: Progress) -> FittedDisplay:
     """Return the screen of a run, each part with its shorter forms."""
     sample, observation = progress.sample, progress.observation
-    blocks = [Block((Text(printable(title), "bold"), NOTHING), Keep.TITLE)]
+    blocks = [DisplayBlock((Text(printable(title), "bold"), NOTHING), DisplayPriority.TITLE)]
     # Prompts come first, because the end of a screen that is too long is cut off.
     if progress.held:
-        blocks.append(Block((Text("PAUSED: p resumes", "bold yellow"),)))
+        blocks.append(DisplayBlock((Text("PAUSED: p resumes", "bold yellow"),)))
     if progress.prompt is not None:
-        blocks.append(Block((Text(f"{printable(progress.prompt)}, then press Enter", "bold yellow"),)))
+        blocks.append(DisplayBlock((Text(f"{printable(progress.prompt)}, then press Enter", "bold yellow"),)))
     if sample is not None:
-        blocks.append(Block((_pressures(sample), _pressures_short(sample)), Keep.PRESSURES))
+        blocks.append(DisplayBlock((_pressures(sample), _pressures_short(sample)), DisplayPriority.PRESSURES))
     if observation is not None:
         error = Text(f"error {_error_mm(progress):.2f} mm", "bold cyan")
         short = Text.assemble(error, ("" if observation["model_ok"] else ", model not solved", "yellow"))
         short = Text.assemble(short, f", tip {_tip(observation)}")
-        blocks.append(Block((_positions(progress, observation), short, error), Keep.TIP))
+        blocks.append(DisplayBlock((_positions(progress, observation), short, error), DisplayPriority.TIP))
     if sample is not None:
         late = f"control late by {sample['lateness_ns'] / 1e3:.0f} us, {_losses(progress)}"
         style = "yellow" if progress.missed or progress.dropped else "dim"
-        blocks.append(Block((Text(late, style), NOTHING), Keep.TIMING))
+        blocks.append(DisplayBlock((Text(late, style), NOTHING), DisplayPriority.TIMING))
     clock = f"{_clock(progress.protocol_s)} of {_clock(progress.duration_s)}"
     left = f"{clock}, {_clock(progress.duration_s - progress.protocol_s)} left"
     way = Table.grid(Column(max_width=50), Column(no_wrap=True), padding=(0, 1))
     way.add_row(ProgressBar(total=progress.duration_s, completed=progress.protocol_s), left)
-    blocks.append(Block((way, Text(left))))
-    blocks.append(Block((Text("p pauses, Ctrl-C stops", "dim"), NOTHING), Keep.HINT))
+    blocks.append(DisplayBlock((way, Text(left))))
+    blocks.append(DisplayBlock((Text("p pauses, Ctrl-C stops", "dim"), NOTHING), DisplayPriority.HINT))
     if progress.adaptation is not None:
         found = _estimates(progress.adapted, progress.adaptation)
-        blocks.append(Block((*found, Text("the estimates need a larger terminal", "yellow")), Keep.ESTIMATES))
-    return Fitted(blocks)
+        blocks.append(
+            DisplayBlock((*found, Text("the estimates need a larger terminal", "yellow")), DisplayPriority.ESTIMATES)
+        )
+    return FittedDisplay(blocks)
 
 
 def _pressures(sample: NDArray[np.void]) -> Table:

@@ -6,7 +6,7 @@ import numpy as np
 
 import model
 from rig.config.schema import RigConfig
-from rig.config.sections import Geometry, Material, Variant
+from rig.config.sections import GeometryConfig, MaterialConfig, Variant
 
 GRAVITY_M_S2 = 9.81
 
@@ -29,13 +29,13 @@ def true_arm(config: RigConfig) -> model.Arm:
     return _arm(config, true_geometry(config), truth.material, truth.cap_mass_g, "inhomogeneous+rpe")
 
 
-def true_geometry(config: RigConfig) -> Geometry:
+def true_geometry(config: RigConfig) -> GeometryConfig:
     """Return the simulated arm's geometry; by default the stated one."""
     truth = config.simulator
     return config.arm.geometry if truth is None or truth.geometry is None else truth.geometry
 
 
-def model_geometry(geometry: Geometry) -> model.Geometry:
+def model_geometry(geometry: GeometryConfig) -> model.Geometry:
     """Convert the geometry of the YAML to SI."""
     return model.Geometry.on_circle(
         geometry.length_mm * 1e-3,
@@ -46,7 +46,7 @@ def model_geometry(geometry: Geometry) -> model.Geometry:
     )
 
 
-def model_material(material: Material) -> model.Material:
+def model_material(material: MaterialConfig) -> model.Material:
     """Convert the material of the YAML."""
     return model.Material(
         youngs_modulus_pa=material.youngs_modulus_pa,
@@ -80,7 +80,9 @@ def gravity_m_s2(config: RigConfig) -> tuple[float, float, float]:
     return float(x), float(y), float(z)
 
 
-def _arm(config: RigConfig, geometry: Geometry, material: Material, cap_mass_g: float, variant: Variant) -> model.Arm:
+def _arm(
+    config: RigConfig, geometry: GeometryConfig, material: MaterialConfig, cap_mass_g: float, variant: Variant
+) -> model.Arm:
     return model.Arm(
         model_geometry(geometry),
         model_material(material),

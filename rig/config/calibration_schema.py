@@ -13,7 +13,7 @@ from rig.config.sections import (
     ActuatorNumber,
     Count,
     Index,
-    Lens,
+    LensConfig,
     Moment,
     NonNegative,
     Number,
@@ -74,7 +74,7 @@ class UsedView(Section):
     rms_px: NonNegative
 
 
-class LeftOut(Section):
+class ExcludedViewSection(Section):
     """One picture that was not used, and why."""
 
     name: Word
@@ -82,7 +82,7 @@ class LeftOut(Section):
     reason: Word
 
 
-class SourceFile(Section):
+class SourceFileSection(Section):
     """A file that was used: control points, or another calibration."""
 
     name: Word
@@ -105,12 +105,12 @@ class CameraFile(CalibrationFile):
     kind: Literal["camera"]
     camera: CameraIdentity
     board: PrintedBoard
-    lens: Lens
+    lens: LensConfig
     covariance: Annotated[Matrix, Field(description="of fx, fy, cx, cy [px], k1, k2, p1, p2, k3")]
     rms_px: NonNegative
     coverage_percent: Annotated[float, Field(ge=0, le=100, strict=True)]
     views: Annotated[tuple[UsedView, ...], Field(min_length=1)]
-    left_out: tuple[LeftOut, ...] = ()
+    left_out: tuple[ExcludedViewSection, ...] = ()
     advice: tuple[Word, ...] = ()
 
     @model_validator(mode="after")
@@ -130,7 +130,9 @@ class DLTCamera(Section):
     """One camera's 11 coefficients (world in mm, pixels without distortion) and its place in the world."""
 
     camera: CameraIdentity
-    lens: Lens | None = Field(default=None, description="taken out first; none where the pixels were used as they are")
+    lens: LensConfig | None = Field(
+        default=None, description="taken out first; none where the pixels were used as they are"
+    )
     coefficients_px_mm: Annotated[tuple[Number, ...], Field(min_length=11, max_length=11)]
     covariance: Annotated[Matrix, Field(description="of the coefficients")]
     rms_px: NonNegative
@@ -176,8 +178,8 @@ class DLTFile(CalibrationFile):
     cameras: Annotated[tuple[DLTCamera, ...], Field(min_length=1)]
     test_error: LeaveOneOut | None = None
     views: tuple[UsedView, ...] = ()
-    sources: tuple[SourceFile, ...] = ()
-    left_out: tuple[LeftOut, ...] = ()
+    sources: tuple[SourceFileSection, ...] = ()
+    left_out: tuple[ExcludedViewSection, ...] = ()
 
 
 class ToolView(Section):
@@ -200,7 +202,7 @@ class ToolFile(CalibrationFile):
     placement: Placement
     covariance: Annotated[Matrix, Field(description="of translation [mm] and rotation vector [deg]")]
     views: Annotated[tuple[ToolView, ...], Field(min_length=1)]
-    left_out: tuple[LeftOut, ...] = ()
+    left_out: tuple[ExcludedViewSection, ...] = ()
 
     @model_validator(mode="after")
     def _check(self) -> ToolFile:
@@ -293,7 +295,7 @@ class PressureFile(CalibrationFile):
     gauge_std_bar: NonNegative = 0.0
     sensors: tuple[SensorCalibration, ...] = ()
     valves: tuple[ValveCalibration, ...] = ()
-    sources: tuple[SourceFile, ...] = ()
+    sources: tuple[SourceFileSection, ...] = ()
 
 
 AnyFile = CameraFile | DLTFile | ToolFile | PressureFile

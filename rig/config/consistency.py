@@ -15,7 +15,7 @@ from protocols.problems import closest
 from protocols.validation import ValidationFault
 
 if TYPE_CHECKING:
-    from rig.config.sections import Arm, CameraConfig, CardConfig, Control, Limits, Sensor
+    from rig.config.sections import ArmConfig, CameraConfig, CardConfig, Control, Limits, Sensor
     from rig.config.simulator_sections import Simulator
     from rig.valves.base import ValveSection
 
@@ -103,7 +103,7 @@ def _sensor_channels(cards: Cards, sensors: Sensors) -> Iterator[ValidationFault
     yield from _channels(cards, sensors, "sensors", "AI", lambda card: card.inputs)
 
 
-def _actuators(arm: Arm, valves: Valves, sensors: Sensors) -> Iterator[ValidationFault]:
+def _actuators(arm: ArmConfig, valves: Valves, sensors: Sensors) -> Iterator[ValidationFault]:
     """Check that every actuator has one valve and one sensor."""
     count = len(arm.geometry.actuator_angles_deg)
     drives: list[tuple[int, tuple[str | int, ...]]] = [
@@ -229,7 +229,7 @@ def _least_cameras(cameras: Cameras, limits: Limits) -> Iterator[ValidationFault
         yield ValidationFault(("limits", "least_cameras"), f"at most {len(cameras)}: so many cameras has this rig")
 
 
-def _arm(arm: Arm) -> Iterator[ValidationFault]:
+def _arm(arm: ArmConfig) -> Iterator[ValidationFault]:
     geometry = arm.geometry
     here = ("arm", "geometry")
     if geometry.inner_radius_mm >= geometry.outer_radius_mm:

@@ -18,7 +18,7 @@ from protocols.library import find
 from rig.config import consistency
 from rig.config.schema import RigConfig
 from rig.config.sections import Variant
-from runs.records import RunHeader, SourceFile
+from runs.records import RecordedFile, RunHeader
 
 if TYPE_CHECKING:
     from rig.config.calibration_files import LoadedCalibration
@@ -85,7 +85,7 @@ class RigFile:
 
     file: str
     text: str
-    calibrations: tuple[SourceFile, ...]
+    calibrations: tuple[RecordedFile, ...]
     parameters: str
     yaml: str
     config: RigConfig
@@ -198,7 +198,7 @@ def _rig_file(
     return RigFile(
         file=source.file,
         text=source.text,
-        calibrations=tuple(SourceFile.of(name, one.found.kind, one.source.text) for name, one in calibrations),
+        calibrations=tuple(RecordedFile.of(name, one.found.kind, one.source.text) for name, one in calibrations),
         parameters="" if parameters is None else parameters.source.text,
         yaml=yaml,
         config=config,
@@ -222,7 +222,7 @@ def _parsed(rig: RigFile) -> tuple[tuple[str, LoadedCalibration], ...]:
     return _parse_calibrations(rig.file, rig.calibrations)
 
 
-def _parse_calibrations(rig: str, files: Sequence[SourceFile]) -> tuple[tuple[str, LoadedCalibration], ...]:
+def _parse_calibrations(rig: str, files: Sequence[RecordedFile]) -> tuple[tuple[str, LoadedCalibration], ...]:
     if not files:
         return ()
     from rig.config import calibration_files

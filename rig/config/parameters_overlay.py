@@ -18,8 +18,8 @@ from rig.config.optics import placement_of, rigid
 from rig.config.schema import RigConfig
 from rig.config.sections import (
     Count,
-    Geometry,
-    Material,
+    GeometryConfig,
+    MaterialConfig,
     NonNegative,
     Number,
     Placement,
@@ -43,18 +43,18 @@ class Origin(Section):
 
     variant: Variant
     modulus_rule: Literal["pointwise"] = Field(description="how each E_i is found; a rig runs none but this")
-    geometry: Geometry
+    geometry: GeometryConfig
 
 
 class IdentifiedArm(Section):
     """The identified arm."""
 
-    geometry: Geometry
-    material: Material
+    geometry: GeometryConfig
+    material: MaterialConfig
     cap_mass_g: NonNegative
 
 
-class Mounting(Section):
+class MountingSection(Section):
     """Pose of the rod base in the frame of the measured tips, and the measured point in the tip frame."""
 
     base_translation_mm: Triple
@@ -69,7 +69,7 @@ class Sensing(Section):
     lag_s: Number
 
 
-class Estimate(Section):
+class EstimateSection(Section):
     """One estimated parameter."""
 
     name: Word
@@ -104,10 +104,10 @@ class Data(Section):
     residual_mm: tuple[Triple, ...]
 
 
-class CountedFrom(Section):
+class ReferenceRigSection(Section):
     """The overlay of the runs' rig, to which the estimates are relative."""
 
-    mounting: Mounting
+    mounting: MountingSection
     gain: tuple[Positive, ...]
 
 
@@ -117,10 +117,10 @@ class ParametersFile(Section):
     softrig_parameters: Literal[2] = Field(description="version of this format")
     identified: Origin
     arm: IdentifiedArm
-    mounting: Mounting
+    mounting: MountingSection
     sensing: Sensing
-    estimates_count_from: CountedFrom | None = None
-    estimates: tuple[Estimate, ...]
+    estimates_count_from: ReferenceRigSection | None = None
+    estimates: tuple[EstimateSection, ...]
     covariance: tuple[tuple[Number, ...], ...]
     residuals: Residuals
     data: tuple[Data, ...]
@@ -204,10 +204,10 @@ def _check(config: RigConfig, rig: str, parameters: Parameters, variant: Variant
         raise BadInputError(problems)
 
 
-def differing_fields(one: Geometry, other: Geometry) -> list[str]:
+def differing_fields(one: GeometryConfig, other: GeometryConfig) -> list[str]:
     """Return the fields in which two geometries differ; angles are compared modulo 360 degrees."""
     found = []
-    for name in Geometry.model_fields:
+    for name in GeometryConfig.model_fields:
         a, b = np.ravel(getattr(one, name)), np.ravel(getattr(other, name))
         if len(a) != len(b):
             found.append(name)
@@ -236,7 +236,7 @@ def _scale(data: dict[str, Any], config: RigConfig, sensing: Sensing) -> None:
         sensor["span_bar"] = [bar / sensing.gain[known.actuator - 1] for bar in known.span_bar]
 
 
-def _mount(data: dict[str, Any], config: RigConfig, mounting: Mounting) -> None:
+def _mount(data: dict[str, Any], config: RigConfig, mounting: MountingSection) -> None:
     """Move cameras and board so that the measured tips are those of the arm's own base and tip."""
     if any((*mounting.base_translation_mm, *mounting.base_rotation_deg)):
         back = _base(mounting).inverse()
@@ -251,7 +251,7 @@ def _mount(data: dict[str, Any], config: RigConfig, mounting: Mounting) -> None:
             data["simulator"]["board"] = config.board.placement.model_dump(mode="json")
 
 
-def _base(mounting: Mounting) -> RigidTransform:
+def _base(mounting: MountingSection) -> RigidTransform:
     """Return the rod base in the frame of the measured tips."""
     return rigid(Placement(translation_mm=mounting.base_translation_mm, rotation_deg=mounting.base_rotation_deg))
 

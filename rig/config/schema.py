@@ -13,8 +13,8 @@ from pydantic.json_schema import SkipJsonSchema
 from protocols.validation import faults
 from rig.config import consistency
 from rig.config.sections import (
-    Arm,
-    Board,
+    ArmConfig,
+    BoardConfig,
     CameraConfig,
     CardConfig,
     Control,
@@ -45,8 +45,8 @@ class RigConfig(Section):
     limits: Limits
     control: Control
     cameras: Named[CameraConfig]
-    board: Board
-    arm: Arm
+    board: BoardConfig
+    arm: ArmConfig
     model: ModelConfig = ModelConfig()
     recording: Recording = Recording()
     simulator: Simulator | SkipJsonSchema[None] = None

@@ -212,7 +212,7 @@ class Control(Section):
     volume_ml: Positive = Field(description="one chamber and its tube at rest, for the feed-forward")
 
 
-class Lens(Section):
+class LensConfig(Section):
     """Intrinsic parameters in pixels, OpenCV's five distortion coefficients (k1, k2, p1, p2, k3)."""
 
     fx_px: Positive
@@ -255,7 +255,7 @@ class CameraConfig(Section):
     pixel_format: Annotated[str, Field(pattern=r"^[A-Z0-9 ]{4}$")] | SkipJsonSchema[None] = Field(
         default=None, description="V4L2's four letters, such as YUYV, MJPG, GREY; default: the driver's choice"
     )
-    lens: Lens
+    lens: LensConfig
     placement: Placement
     planar_motion: PlanarMotion | SkipJsonSchema[None] = Field(
         default=None, description="the tip moves in a known plane: depth and tilt are no longer this camera's alone"
@@ -267,7 +267,7 @@ class CameraConfig(Section):
         return CAMERA_DRIVERS[self.driver].simulated
 
 
-class Board(Section):
+class BoardConfig(Section):
     """The checkerboard on the end cap. `placement` is the board (origin at its centre, z out of the print) in the
     tip frame: origin at the rod's tip, axes as the rod base's when the rod is straight.
     """
@@ -278,13 +278,13 @@ class Board(Section):
     placement: Placement
 
     @model_validator(mode="after")
-    def _odd_by_even(self) -> Board:
+    def _odd_by_even(self) -> BoardConfig:
         if (self.squares_x + self.squares_y) % 2 == 0:
             faults([ValidationFault(("squares_y",), "an odd number of squares one way and an even number the other")])
         return self
 
 
-class Geometry(Section):
+class GeometryConfig(Section):
     """The arm's Table 1: actuators on a circle, in degrees from the base frame's x axis."""
 
     length_mm: LengthMm
@@ -294,7 +294,7 @@ class Geometry(Section):
     actuator_angles_deg: Annotated[tuple[Number, ...], Field(min_length=1)]
 
 
-class Material(Section):
+class MaterialConfig(Section):
     """Eqs 16, 30, 32 and the identified gamma."""
 
     youngs_modulus_pa: ModulusPa = Field(description="homogeneous section")
@@ -312,11 +312,11 @@ class Material(Section):
     )
 
 
-class Arm(Section):
+class ArmConfig(Section):
     """The manipulator. `gravity_direction` is that of the weight in the rod-base frame."""
 
-    geometry: Geometry
-    material: Material
+    geometry: GeometryConfig
+    material: MaterialConfig
     cap_mass_g: MassG = 50.0
     gravity_direction: Triple = (0.0, 0.0, 1.0)
     gravity_on_rod: Flag = False

@@ -8,10 +8,10 @@ from pydantic import Field
 from pydantic.json_schema import SkipJsonSchema
 
 from rig.config.sections import (
-    Geometry,
-    Lens,
+    GeometryConfig,
+    LensConfig,
     MassG,
-    Material,
+    MaterialConfig,
     NonNegative,
     Placement,
     Positive,
@@ -48,10 +48,10 @@ class SimulatedScene(Section):
     skew_ms: NonNegative = Field(default=0.0, description="virtual time: each camera exposes so long after the last")
 
 
-class Built(Section):
+class AsBuiltSection(Section):
     """True parts of the simulator, where a calibration replaced the stated ones."""
 
-    lenses: dict[str, Lens]
+    lenses: dict[str, LensConfig]
     valves: tuple[Valve, ...]
     sensors: tuple[Sensor, ...]
 
@@ -63,12 +63,14 @@ class Simulator(Section):
     chamber: SimulatedChamber
     sensor: SimulatedSensor
     scene: SimulatedScene
-    material: Material
+    material: MaterialConfig
     cap_mass_g: MassG
     camera_error: Placement = Field(default=Placement(), description="true camera placement beyond the stated one")
     camera_errors: dict[str, Placement] = Field(default={}, description="the same for the cameras that are named")
-    built: Built | SkipJsonSchema[None] = Field(default=None, description="true parts; default: those stated")
-    geometry: Geometry | SkipJsonSchema[None] = Field(default=None, description="true geometry; default: the arm's")
+    built: AsBuiltSection | SkipJsonSchema[None] = Field(default=None, description="true parts; default: those stated")
+    geometry: GeometryConfig | SkipJsonSchema[None] = Field(
+        default=None, description="true geometry; default: the arm's"
+    )
     base: Placement = Field(default=Placement(), description="true rod base in the frame that the rig takes for it")
     board: Placement | SkipJsonSchema[None] = Field(
         default=None, description="true placement of the board; default: the one stated"

@@ -91,7 +91,7 @@ class SensorState(NamedTuple):
     off_reference_s: float = 0.0
 
 
-class Demand(NamedTuple):
+class RegulatorDemand(NamedTuple):
     """The demand of one actuator's regulator: see `rig.valves.base.RegulatorState`."""
 
     setpoint_pa: float
@@ -122,7 +122,7 @@ class ActuatorInterlock(ABC):
         """The interlock with the limits of a rig, for the actuator of a sensor."""
 
     @abstractmethod
-    def trip(self, t_ns: int, w: SensorState, asked: Demand) -> Trip | None:
+    def trip(self, t_ns: int, w: SensorState, asked: RegulatorDemand) -> Trip | None:
         """The trip by the state after a scan, None if the condition is not met."""
 
 
@@ -200,7 +200,7 @@ class OverPressure(ActuatorInterlock):
         limits = config.limits
         return cls(sensor.actuator, (limits.pressure_bar + limits.pressure_margin_bar) * PA_PER_BAR)
 
-    def trip(self, t_ns: int, w: SensorState, asked: Demand) -> Trip | None:
+    def trip(self, t_ns: int, w: SensorState, asked: RegulatorDemand) -> Trip | None:
         """Compare the pressure."""
         if w.pressure_pa <= self.limit_pa:
             return None
@@ -220,7 +220,7 @@ class PressureRate(ActuatorInterlock):
         limits = config.limits
         return cls(sensor.actuator, (limits.rate_bar_per_s + limits.rate_margin_bar_per_s) * PA_PER_BAR)
 
-    def trip(self, t_ns: int, w: SensorState, asked: Demand) -> Trip | None:
+    def trip(self, t_ns: int, w: SensorState, asked: RegulatorDemand) -> Trip | None:
         """Compare the rate."""
         if not abs(w.rate_pa_s) > self.limit_pa_s:
             return None
@@ -241,7 +241,7 @@ class FrozenReading(ActuatorInterlock):
         """The limit of the rig file."""
         return cls(sensor.actuator, config.limits.frozen_s, sensor.accuracy_bar * PA_PER_BAR)
 
-    def trip(self, t_ns: int, w: SensorState, asked: Demand) -> Trip | None:
+    def trip(self, t_ns: int, w: SensorState, asked: RegulatorDemand) -> Trip | None:
         """Compare the time without a change, and the change that should have come."""
         expected = abs(w.expected_pa)
         if not (w.anchor_s >= self.frozen_s and expected > EVIDENCE * self.accuracy_pa):
@@ -273,7 +273,7 @@ class UnledReading(ActuatorInterlock):
         response_s = 0.0 if valve.closed_v is not None else config.limits.frozen_s
         return cls(sensor.actuator, config.limits.tracking_bar * PA_PER_BAR, response_s)
 
-    def trip(self, t_ns: int, w: SensorState, asked: Demand) -> Trip | None:
+    def trip(self, t_ns: int, w: SensorState, asked: RegulatorDemand) -> Trip | None:
         """Compare the way of the reference since the reading last moved."""
         led = asked.reference_pa - w.left_reference_pa
         if not (abs(led) > self.tracking_pa and w.left_s > self.response_s):
@@ -296,7 +296,7 @@ class Tracking(ActuatorInterlock):
         """The limits of the rig file."""
         return cls(sensor.actuator, config.limits.tracking_bar * PA_PER_BAR, config.limits.tracking_s)
 
-    def trip(self, t_ns: int, w: SensorState, asked: Demand) -> Trip | None:
+    def trip(self, t_ns: int, w: SensorState, asked: RegulatorDemand) -> Trip | None:
         """Compare the errors and how long they last."""
         name, error = f"actuator {self.actuator}", w.pressure_pa - asked.setpoint_pa
         if w.still_s >= self.tracking_s and abs(error) > self.tracking_pa:
@@ -319,7 +319,7 @@ ACTUATOR_INTERLOCKS: tuple[type[ActuatorInterlock], ...] = (
 
 
 @dataclass(frozen=True)
-class Settings:
+class InterlockSettings:
     """The interlocks of a rig: those of a sample, and those of each actuator with the settings of its sensor."""
 
     sample: tuple[SampleInterlock, ...]
@@ -327,11 +327,11 @@ class Settings:
     actuators: tuple[tuple[ActuatorInterlock, ...], ...]
 
 
-def settings(config: RigConfig) -> Settings:
+def settings(config: RigConfig) -> InterlockSettings:
     """The registered interlocks with the limits of a rig, sensors in the order of the actuators."""
     sensors = _ordered(config)
     tracking_pa = config.limits.tracking_bar * PA_PER_BAR
-    return Settings(
+    return InterlockSettings(
         sample=tuple(kind.of(config) for kind in SAMPLE_INTERLOCKS),
         sensors=tuple(SensorSettings(_count_v(s), s.accuracy_bar * PA_PER_BAR, tracking_pa) for s in sensors),
         actuators=tuple(tuple(kind.of(config, s) for kind in ACTUATOR_INTERLOCKS) for s in sensors),
@@ -339,10 +339,10 @@ def settings(config: RigConfig) -> Settings:
 
 
 def evaluate(
-    s: Settings,
+    s: InterlockSettings,
     states: tuple[SensorState, ...],
     sample: Sample,
-    demands: Sequence[Demand],
+    demands: Sequence[RegulatorDemand],
     dt_s: float,
     *,
     new: bool,
@@ -387,7 +387,7 @@ def _count_v(sensor: Sensor) -> float:
     return (sensor.range_V[1] - sensor.range_V[0]) / SIXTEEN_BITS
 
 
-def _begun(watch: SensorState, volts: float, pressure_pa: float, asked: Demand) -> SensorState:
+def _begun(watch: SensorState, volts: float, pressure_pa: float, asked: RegulatorDemand) -> SensorState:
     """The state, or at the first scan the one to begin with."""
     if not math.isnan(watch.pressure_pa):
         return watch
@@ -401,7 +401,13 @@ def _begun(watch: SensorState, volts: float, pressure_pa: float, asked: Demand) 
 
 
 def _moved(
-    s: SensorSettings, watch: SensorState, dt: float, volts: float, pressure: float, asked: Demand, counted: float
+    s: SensorSettings,
+    watch: SensorState,
+    dt: float,
+    volts: float,
+    pressure: float,
+    asked: RegulatorDemand,
+    counted: float,
 ) -> SensorState:
     slope = (pressure - watch.pressure_pa) / dt
     rate = watch.rate_pa_s + (slope - watch.rate_pa_s) * dt / (RATE_FILTER_S + dt)

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from rig.config.schema import RigConfig
 from rig.control import interlocks, regulator
-from rig.control.interlocks import Demand, Sample, SensorState, Trip
+from rig.control.interlocks import RegulatorDemand, Sample, SensorState, Trip
 from rig.valves.base import Regulator, RegulatorState
 
-__all__ = ["Command", "Sample", "Settings", "State", "Trip", "initial", "prepare", "step"]
+__all__ = ["ControlOutput", "ControlSettings", "Sample", "State", "Trip", "initial", "prepare", "step"]
 
 BLIND_PERIODS = 3.0
 """Periods without a scan after which a flow-metering valve is closed, because its flow is no longer measured."""
@@ -24,7 +24,7 @@ SHORTEST_STEP_PERIODS, LONGEST_STEP_PERIODS = 0.25, 4.0
 
 
 @dataclass(frozen=True)
-class Settings:
+class ControlSettings:
     """The settings of a rig in SI."""
 
     period_s: float
@@ -34,7 +34,7 @@ class Settings:
     valves: tuple[Regulator, ...]
     valve_of: tuple[int, ...]
     """Index of the valve of each actuator."""
-    limits: interlocks.Settings
+    limits: interlocks.InterlockSettings
     tracking_s: float
 
 
@@ -55,17 +55,17 @@ class State(NamedTuple):
     rejoined_ns: int | None = None
 
 
-class Command(NamedTuple):
+class ControlOutput(NamedTuple):
     """Valve voltages (V,) to write now, and the trip if they are the safe voltages."""
 
     valve_v: NDArray[np.float64]
     trip: Trip | None
 
 
-def prepare(config: RigConfig) -> Settings:
+def prepare(config: RigConfig) -> ControlSettings:
     """Convert a rig to settings in SI, once per run."""
     valve_of = {a: v for v, valve in enumerate(config.valves) for a in valve.actuators}
-    return Settings(
+    return ControlSettings(
         period_s=1.0 / config.control.rate_hz,
         safe_v=tuple(valve.safe_v() for valve in config.valves),
         closed_v=tuple(valve.closed_v for valve in config.valves),
@@ -76,18 +76,18 @@ def prepare(config: RigConfig) -> Settings:
     )
 
 
-def initial(settings: Settings) -> State:
+def initial(settings: ControlSettings) -> State:
     """The state before the first sample."""
     return State(None, (RegulatorState(),) * len(settings.valves), (SensorState(),) * len(settings.valve_of))
 
 
 def step(
-    settings: Settings,
+    settings: ControlSettings,
     state: State,
     sample: Sample,
     setpoint_pa: NDArray[np.float64],
     rate_pa_s: NDArray[np.float64],
-) -> tuple[State, Command]:
+) -> tuple[State, ControlOutput]:
     """Return the valve voltages for a sample, the set-points (N,) [Pa] and their rates of change (N,) [Pa/s].
 
     Without a new scan the valves keep their voltages for three periods; then flow-metering valves are closed, and
@@ -97,16 +97,16 @@ def step(
     if state.trip is None:
         state = _step(settings, state, sample, setpoint_pa.tolist(), rate_pa_s.tolist())
     if state.trip is not None:
-        return state, Command(np.array(settings.safe_v), state.trip)
+        return state, ControlOutput(np.array(settings.safe_v), state.trip)
     blind = sample.t_ns - sample.scan_t_ns > BLIND_PERIODS * settings.period_s * 1e9
     voltages = []
     for valve, safe, closed in zip(state.valves, settings.safe_v, settings.closed_v, strict=True):
         voltage = safe if math.isnan(valve.valve_v) else valve.valve_v
         voltages.append(closed if blind and closed is not None else voltage)
-    return state, Command(np.array(voltages), None)
+    return state, ControlOutput(np.array(voltages), None)
 
 
-def _step(settings: Settings, state: State, sample: Sample, setpoint: list[float], rate: list[float]) -> State:
+def _step(settings: ControlSettings, state: State, sample: Sample, setpoint: list[float], rate: list[float]) -> State:
     before, limits, pressure = state, settings.limits, sample.pressure_pa.tolist()
     new = sample.scan_t_ns != state.scan_t_ns
     passed = settings.period_s if state.scan_t_ns is None else (sample.scan_t_ns - state.scan_t_ns) * 1e-9
@@ -119,7 +119,7 @@ def _step(settings: Settings, state: State, sample: Sample, setpoint: list[float
     for i, valve_index in enumerate(settings.valve_of):
         valve = state.valves[valve_index]
         reference = pressure[i] if math.isnan(valve.reference_pa) else valve.reference_pa
-        demands.append(Demand(setpoint[i], reference, valve.asked_pa_s, valve.integral_pa_s))
+        demands.append(RegulatorDemand(setpoint[i], reference, valve.asked_pa_s, valve.integral_pa_s))
     watches, trip = interlocks.evaluate(
         limits, state.watches, sample, demands, max(dt, passed), new=new, counted_s=counted
     )
@@ -136,7 +136,7 @@ def _step(settings: Settings, state: State, sample: Sample, setpoint: list[float
     return State(sample.scan_t_ns, tuple(valves), watches, None, state.rejoined_ns)
 
 
-def _rejoin(settings: Settings, state: State, t_ns: int, pressure: list[float], *, every_time: bool) -> State:
+def _rejoin(settings: ControlSettings, state: State, t_ns: int, pressure: list[float], *, every_time: bool) -> State:
     """Restart the references at the measured pressures after a stall.
 
     The timers of the interlocks are reset, too, but not again within twice the tracking time, so that a machine that

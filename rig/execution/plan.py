@@ -10,7 +10,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from protocols import Trajectory
+from protocols import SetPointTrajectory
 from rig.config.schema import RigConfig
 from rig.config.sections import Variant
 from runs.records import Event, Picture, Quantity, Status
@@ -22,7 +22,7 @@ class Plan:
 
     config: RigConfig
     rig_file: Path
-    trajectory: Trajectory
+    trajectory: SetPointTrajectory
     variant: Variant
     seed: int
     adapted: tuple[Quantity, ...] = ()

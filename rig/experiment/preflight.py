@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
-from protocols import Problem, Protocol, Segment, Trajectory
+from protocols import Problem, Protocol, Segment, SetPointTrajectory
 from rig.config.schema import RigConfig
 from rig.config.sections import PA_PER_BAR
 
@@ -17,7 +17,7 @@ TINY_PA = 1e-3
 
 
 def check(
-    config: RigConfig, trajectory: Trajectory, protocol: Protocol | None = None, rig_file: Path | None = None
+    config: RigConfig, trajectory: SetPointTrajectory, protocol: Protocol | None = None, rig_file: Path | None = None
 ) -> tuple[Problem, ...]:
     """Return every violation by `trajectory`: level, rate, jumps, duration, and shared valves.
 
@@ -27,14 +27,14 @@ def check(
     return judge.verdict()
 
 
-def peak_pa(trajectory: Trajectory) -> list[float]:
+def peak_pa(trajectory: SetPointTrajectory) -> list[float]:
     """Return the highest set-point of each actuator [Pa]."""
     highest = zip(*([high for _, high, _ in _extremes(segment)] for segment in trajectory.segments), strict=True)
     return [max(levels) for levels in highest]
 
 
 class _PreflightCheck:
-    def __init__(self, config: RigConfig, trajectory: Trajectory, protocol: Protocol | None, rig: str) -> None:
+    def __init__(self, config: RigConfig, trajectory: SetPointTrajectory, protocol: Protocol | None, rig: str) -> None:
         self._config = config
         self._trajectory = trajectory
         self._protocol = protocol

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
 import protocols
-from protocols import BadInputError, Problem, Protocol, Trajectory
+from protocols import BadInputError, Problem, Protocol, SetPointTrajectory
 from rig.config.loader import RigChoice, RigFile, Source, read
 from rig.config.model_variant import variant_named
 from rig.config.schema import RigConfig
@@ -31,7 +31,7 @@ from rig.hardware.lock import cards_locked
 from rig.realtime.scheduling import obtainable
 from rig.realtime.timing_limits import timing_limits
 from runs.journal.append_only_file import JournalError, JournalExistsError
-from runs.records import Event, Interval, Level, Quantity, RunFooter, RunHeader, SourceFile, Status
+from runs.records import Event, Interval, Level, Quantity, RecordedFile, RunFooter, RunHeader, Status
 
 if TYPE_CHECKING:
     from runs.journal.journal import JournalWriter
@@ -278,7 +278,7 @@ def header(request: RunRequest, decided: Plan, t_ns: int, ahead_ns: int = 0) -> 
         protocol_yaml=protocol.text,
         rig_name=config.name,
         rig_yaml=request.rig.text,
-        protocol_files=tuple(SourceFile.of(name, "csv", text) for name, text in protocol.files.items()),
+        protocol_files=tuple(RecordedFile.of(name, "csv", text) for name, text in protocol.files.items()),
         calibrations=request.rig.calibrations,
         parameters_yaml=request.rig.parameters,
         actuators=config.actuators,
@@ -303,7 +303,7 @@ def header(request: RunRequest, decided: Plan, t_ns: int, ahead_ns: int = 0) -> 
     )
 
 
-def _intervals(trajectory: Trajectory) -> tuple[Interval, ...]:
+def _intervals(trajectory: SetPointTrajectory) -> tuple[Interval, ...]:
     return tuple(
         Interval(s.start_s, s.stop_s, s.kind, s.label, tuple(float(p) for p in s.level_pa)) for s in trajectory.segments
     )

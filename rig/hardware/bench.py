@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.config.schema import RigConfig
-from rig.hardware.cards.base import Card, CardError, CardSetup, Channel, Clocked, Scans
+from rig.hardware.cards.base import Card, CardError, CardSetup, Channel, Scans, SelfClockedCard
 from rig.hardware.cards.registry import open_card
 
 READBACK_TOLERANCE = 1 / 2000
@@ -82,7 +82,7 @@ class Bench:
     def clock(self, card: str) -> tuple[float, float] | None:
         """Period [ns] of a card's own sampling clock and its drift [ppm]; None where the computer's clock is used."""
         clocked = self._cards[card]
-        if not isinstance(clocked, Clocked) or clocked.period_ns is None:
+        if not isinstance(clocked, SelfClockedCard) or clocked.period_ns is None:
             return None
         return clocked.period_ns, clocked.drift_ppm or 0.0
 

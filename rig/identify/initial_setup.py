@@ -18,7 +18,7 @@ from rig.config.optics import rigid
 from rig.config.parameters_overlay import ParametersFile, differing_fields
 from rig.config.parameters_overlay import recorded as recorded_parameters
 from rig.config.schema import RigConfig
-from rig.config.sections import Geometry, Sensor
+from rig.config.sections import GeometryConfig, Sensor
 from runs.run import Run
 
 
@@ -103,7 +103,7 @@ def _check_rigs(archives: Sequence[Run]) -> tuple[str, ...]:
     return tuple(notes)
 
 
-def _geometry(run: Run) -> Geometry:
+def _geometry(run: Run) -> GeometryConfig:
     """Return the geometry of a run's rig without identified parameters."""
     return recorded_rig(run).without_parameters().config.arm.geometry
 

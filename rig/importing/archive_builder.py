@@ -21,7 +21,7 @@ from rig.config import loader
 from rig.config.sections import PA_PER_BAR
 from rig.experiment.provenance import git_state, versions
 from rig.experiment.run import free_id
-from rig.importing.columns import Columns
+from rig.importing.columns import ColumnReader
 from rig.importing.mapping import KILOGRAMS, PASCALS, VOLTS, Mapping, PressureUnit, load
 from rig.importing.tables import read as read_table
 from rig.importing.timestamps import RowTimes, times
@@ -57,7 +57,7 @@ Ints = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
-class Imported:
+class ImportResult:
     """Result of an import: the archive, and its warnings, which it stores as events."""
 
     archive: Path
@@ -68,7 +68,7 @@ NOISE_PA = 5e3
 """Tolerance for sensor noise below the lowest pressure."""
 
 
-def import_table(data: Path, mapping_file: Path, folder: Path, operator: str = "", notes: str = "") -> Imported:
+def import_table(data: Path, mapping_file: Path, folder: Path, operator: str = "", notes: str = "") -> ImportResult:
     """Write the archive of a foreign table.
 
     A fault that leaves the data usable becomes a warning, stored as an event of the archive.
@@ -79,7 +79,7 @@ def import_table(data: Path, mapping_file: Path, folder: Path, operator: str = "
     mapping, document = load(mapping_file)
     rig = _rig(mapping, document)
     length_m = None if rig is None else rig.config.arm.geometry.length_mm * 1e-3
-    columns = Columns(read_table(data, mapping.file))
+    columns = ColumnReader(read_table(data, mapping.file))
     read = times(columns, mapping)
     t_ns = read.t_ns
     gauge_pa, ambient_pa = _pressures(columns, mapping)
@@ -134,7 +134,7 @@ def import_table(data: Path, mapping_file: Path, folder: Path, operator: str = "
     for warning in columns.warnings:
         journal.event(Event(header.started_t_ns, Level.WARNING, "import", warning))
     journal.close(RunFooter(int(t_ns[-1]), Status.FINISHED, ""))
-    return Imported(finalise(journal.path), tuple(columns.warnings))
+    return ImportResult(finalise(journal.path), tuple(columns.warnings))
 
 
 def _samples(t_ns: Ints, frame: Ints, asked_pa: Floats, gauge_pa: Floats, valve_v: Floats) -> NDArray[np.void]:
@@ -162,7 +162,7 @@ def _observations(
     return rows
 
 
-def _doubt_units(columns: Columns, t_ns: Ints, gauge_pa: Floats, tip_m: Floats, length_m: float | None) -> None:
+def _doubt_units(columns: ColumnReader, t_ns: Ints, gauge_pa: Floats, tip_m: Floats, length_m: float | None) -> None:
     """Warn of values that are implausible for a soft arm."""
     step_s = float(np.median(np.diff(t_ns))) * 1e-9
     if step_s < CLOSEST_S:
@@ -195,7 +195,7 @@ def _rig(mapping: Mapping, document: Document) -> loader.RigFile | None:
     return found
 
 
-def _started_utc_ns(columns: Columns, mapping: Mapping, document: Document, read: RowTimes) -> int:
+def _started_utc_ns(columns: ColumnReader, mapping: Mapping, document: Document, read: RowTimes) -> int:
     """Moment of the first row, since 1970: as the mapping states it or the rows themselves do."""
     stated = mapping.started_utc_ns
     if read.utc and stated is not None:
@@ -210,7 +210,7 @@ def _started_utc_ns(columns: Columns, mapping: Mapping, document: Document, read
     return stated
 
 
-def _simulated(columns: Columns, mapping: Mapping) -> bool:
+def _simulated(columns: ColumnReader, mapping: Mapping) -> bool:
     """Whether nothing was measured: the mapping says so, or the column does with which `rig export` marks its rows."""
     if mapping.simulated:
         return True
@@ -223,7 +223,7 @@ def _simulated(columns: Columns, mapping: Mapping) -> bool:
     return bool(marked)
 
 
-def _frames(columns: Columns, t_ns: Ints) -> Ints:
+def _frames(columns: ColumnReader, t_ns: Ints) -> Ints:
     """Numbers of the rows (n,), which leave out those that are missing from even time steps."""
     steps = np.diff(t_ns) / np.median(np.diff(t_ns))
     whole = np.round(steps).astype(np.int64)
@@ -237,7 +237,7 @@ def _frames(columns: Columns, t_ns: Ints) -> Ints:
     return np.concatenate([[0], np.cumsum(whole)])
 
 
-def _pressures(columns: Columns, mapping: Mapping) -> tuple[Floats, Floats]:
+def _pressures(columns: ColumnReader, mapping: Mapping) -> tuple[Floats, Floats]:
     """Return gauge pressures (n, N) and the subtracted ambient pressures (N,) [Pa]."""
     pressures = mapping.pressures
     raw_pa = _scaled(columns, pressures.columns, pressures.unit)
@@ -268,7 +268,7 @@ def _pressures(columns: Columns, mapping: Mapping) -> tuple[Floats, Floats]:
     return raw_pa - off_pa, off_pa
 
 
-def _vented(columns: Columns, mapping: Mapping, raw_pa: Floats, rows: int) -> Floats:
+def _vented(columns: ColumnReader, mapping: Mapping, raw_pa: Floats, rows: int) -> Floats:
     """Each column's mean (N,) [Pa] over the first rows."""
     first = raw_pa[:rows]
     if len(first) < rows:
@@ -292,21 +292,21 @@ def _vented(columns: Columns, mapping: Mapping, raw_pa: Floats, rows: int) -> Fl
     return means
 
 
-def _asked(columns: Columns, mapping: Mapping) -> Floats:
+def _asked(columns: ColumnReader, mapping: Mapping) -> Floats:
     """Set-points (n, N) [Pa], or NaN where the file has none."""
     if mapping.setpoints is None:
         return np.full((1, mapping.actuators), np.nan)
     return _scaled(columns, mapping.setpoints.columns, mapping.setpoints.unit)
 
 
-def _valves(columns: Columns, mapping: Mapping) -> Floats:
+def _valves(columns: ColumnReader, mapping: Mapping) -> Floats:
     """Voltages (n, V), or one row of none."""
     if mapping.valves is None:
         return np.empty((1, 0))
     return columns.several(mapping.valves.columns, [VOLTS[mapping.valves.unit]] * len(mapping.valves.columns))
 
 
-def _weight(columns: Columns, mapping: Mapping) -> Floats:
+def _weight(columns: ColumnReader, mapping: Mapping) -> Floats:
     """Return weights (n,) [kg]; zero where the file has none."""
     if mapping.weight is None:
         return np.zeros(1)
@@ -315,7 +315,9 @@ def _weight(columns: Columns, mapping: Mapping) -> Floats:
     return weight
 
 
-def _scaled(columns: Columns, keys: tuple[int | str, ...], unit: PressureUnit | tuple[PressureUnit, ...]) -> Floats:
+def _scaled(
+    columns: ColumnReader, keys: tuple[int | str, ...], unit: PressureUnit | tuple[PressureUnit, ...]
+) -> Floats:
     units = unit if isinstance(unit, tuple) else (unit,) * len(keys)
     return columns.several(keys, [PASCALS[word] for word in units])
 

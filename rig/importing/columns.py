@@ -8,15 +8,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protocols.problems import BadInputError, Problem
-from rig.importing.tables import Key, Table
+from rig.importing.tables import Key, SourceTable
 
 Floats = NDArray[np.float64]
 
 
-class Columns:
+class ColumnReader:
     """Reads columns of a table; collects errors in `problems` and doubts in `warnings`."""
 
-    def __init__(self, table: Table) -> None:
+    def __init__(self, table: SourceTable) -> None:
         self.table = table
         self.problems: list[Problem] = []
         self.warnings: list[str] = []

@@ -106,7 +106,7 @@ class WeightColumn(Section):
     unit: MassUnit
 
 
-class Pressures(Section):
+class PressureColumnsSection(Section):
     """Measured pressure of every actuator, in the order of the actuators.
 
     What is absolute has the ambient pressure taken off: a stated one, or each column's mean over its first rows.
@@ -119,7 +119,7 @@ class Pressures(Section):
     ambient_bar: AmbientBar | SkipJsonSchema[None] = Field(default=None, description="of all columns, or of each")
 
     @model_validator(mode="after")
-    def _check(self) -> Pressures:
+    def _check(self) -> PressureColumnsSection:
         given = [name for name in ("ambient_rows", "ambient_bar") if getattr(self, name) is not None]
         found = _units(self.columns, self.unit)
         if self.reading == "gauge":
@@ -288,7 +288,7 @@ class Mapping(Section):
     simulated: Flag = Field(default=False, description="the table holds no measurements: a program computed it")
     file: TableFormat = TableFormat()
     time: TimeColumn
-    pressures: Pressures
+    pressures: PressureColumnsSection
     setpoints: SetPoints | SkipJsonSchema[None] = None
     valves: Valves | SkipJsonSchema[None] = None
     weight: WeightColumn | SkipJsonSchema[None] = None

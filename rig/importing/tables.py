@@ -35,7 +35,7 @@ Floats = NDArray[np.float64]
 Key = int | str
 
 
-class Table(Protocol):
+class SourceTable(Protocol):
     """Rows of a file, whose columns have numbers (from 0) or names."""
 
     @property
@@ -63,7 +63,7 @@ class Table(Protocol):
         """A row as its file counts it: `line 7`, `row 7`."""
 
 
-def read(path: Path, written: TableFormat) -> Table:
+def read(path: Path, written: TableFormat) -> SourceTable:
     """The table in a file, MATLAB's by the ending `.mat`. `BadInput` where there is none."""
     if path.suffix.lower() in SHEETS:
         raise _bad(path, "CSV or .mat; save this sheet as CSV", shortened(path.suffix))
@@ -83,7 +83,7 @@ class CsvTable:
     decimal_comma: bool
 
     def numbers(self, column: Key) -> Floats:
-        """See `Table`."""
+        """See `SourceTable`."""
         at = self._position(column)
         rows = [int(row) for row in np.flatnonzero(np.isinf(self.cells[:, at]))]
         if not rows:
@@ -95,17 +95,17 @@ class CsvTable:
         raise BadInputError(some(self, column, rows, lambda row: self._no_number(row, column, self.odd[row, at])))
 
     def texts(self, column: Key) -> Sequence[str]:
-        """See `Table`."""
+        """See `SourceTable`."""
         at = self._position(column)
         plain = ("" if math.isnan(value) else f"{value:.15g}" for value in self.cells[:, at])
         return [self.odd.get((row, at), text).strip() for row, text in enumerate(plain)]
 
     def problem(self, row: int, column: Key, value: str, expected: str, suggestion: str = "") -> Problem:
-        """See `Table`."""
+        """See `SourceTable`."""
         return Problem(self.file, self.lines[row], 0, f"column {column}", shortened(value), expected, suggestion)
 
     def place(self, row: int) -> str:
-        """See `Table`."""
+        """See `SourceTable`."""
         return f"line {self.lines[row]}"
 
     def _position(self, column: Key) -> int:
@@ -133,7 +133,7 @@ class CsvTable:
         return not self.decimal_comma and re.fullmatch(r"[-+]?\d*,\d+", cell) is not None
 
 
-def some(table: Table, column: Key, rows: Sequence[int], problem_at: Callable[[int], Problem]) -> list[Problem]:
+def some(table: SourceTable, column: Key, rows: Sequence[int], problem_at: Callable[[int], Problem]) -> list[Problem]:
     """Return the problems of the first rows with the same fault, and the number of the others."""
     problems = [problem_at(int(row)) for row in rows[:MOST_PROBLEMS]]
     if len(rows) > len(problems):
@@ -240,7 +240,7 @@ class MatTable:
     first_column: int
 
     def numbers(self, column: Key) -> Floats:
-        """See `Table`."""
+        """See `SourceTable`."""
         values = self._values(column)
         if np.iscomplexobj(values):
             raise BadInputError([Problem(self.file, 0, 0, "", f"complex numbers in column {column}", "real numbers")])
@@ -254,17 +254,17 @@ class MatTable:
         return numbers
 
     def texts(self, column: Key) -> Sequence[str]:
-        """See `Table`."""
+        """See `SourceTable`."""
         self._values(column)
         expected = "dates, which only a CSV's columns can hold; or another unit in the mapping"
         raise BadInputError([Problem(self.file, 0, 0, "", f"numbers in column {column}", expected)])
 
     def problem(self, row: int, column: Key, value: str, expected: str, suggestion: str = "") -> Problem:
-        """See `Table`."""
+        """See `SourceTable`."""
         return Problem(self.file, 0, 0, f"{self.place(row)}, column {column}", value, expected, suggestion)
 
     def place(self, row: int) -> str:
-        """See `Table`."""
+        """See `SourceTable`."""
         return f"row {row + 1}"
 
     def _values(self, column: Key) -> NDArray[Any]:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protocols.problems import Problem
-from rig.importing.columns import Columns
+from rig.importing.columns import ColumnReader
 from rig.importing.mapping import SECONDS, Mapping
 from rig.importing.tables import Key, some
 
@@ -28,7 +28,7 @@ class RowTimes:
     utc: bool
 
 
-def times(columns: Columns, mapping: Mapping) -> RowTimes:
+def times(columns: ColumnReader, mapping: Mapping) -> RowTimes:
     """The rows' times; what the file lacks of them becomes a problem of the columns."""
     column, unit = mapping.time.column, mapping.time.unit
     found = _dates(columns, column) if unit == "iso" else _numbers(columns, column, SECONDS[unit])
@@ -54,7 +54,7 @@ RowText = Callable[[int], str]
 """A row's time in words."""
 
 
-def _numbers(columns: Columns, column: Key, scale: float) -> tuple[RowTimes, RowText] | None:
+def _numbers(columns: ColumnReader, column: Key, scale: float) -> tuple[RowTimes, RowText] | None:
     time_s = columns.scaled(column, scale)
     if time_s is None:
         return None
@@ -70,7 +70,7 @@ def _numbers(columns: Columns, column: Key, scale: float) -> tuple[RowTimes, Row
     return RowTimes(np.round(time_s * 1e9).astype(np.int64), utc=False), lambda row: f"{time_s[row]:.12g} s"
 
 
-def _dates(columns: Columns, column: Key) -> tuple[RowTimes, RowText] | None:
+def _dates(columns: ColumnReader, column: Key) -> tuple[RowTimes, RowText] | None:
     cells = columns.texts(column)
     if cells is None:
         return None

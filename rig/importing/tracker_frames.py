@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from calibration.vision.transforms import RigidTransform
 from protocols.problems import Problem
-from rig.importing.columns import Columns
+from rig.importing.columns import ColumnReader
 from rig.importing.mapping import METRES, NEWTON_METRES, NEWTONS, BaseSensor, Mapping, Orientation, Position, Wrench
 from rig.importing.tables import some
 
@@ -26,7 +26,7 @@ LONGEST_LEVER_M = 1.0
 Floats = NDArray[np.float64]
 
 
-def wrench(columns: Columns, mapping: Mapping) -> Floats:
+def wrench(columns: ColumnReader, mapping: Mapping) -> Floats:
     """Force [N] and moment [N m] on the arm at the tool centre point (n, 6), along the axes of the rod base.
 
     One row of zeros where the mapping names none; a row that lacks part of its wrench is a problem.
@@ -71,7 +71,7 @@ def wrench(columns: Columns, mapping: Mapping) -> Floats:
     return found if wrench.on == "arm" else -found
 
 
-def _zeroed(columns: Columns, wrench: Wrench, force: Floats, moment: Floats) -> tuple[Floats, Floats]:
+def _zeroed(columns: ColumnReader, wrench: Wrench, force: Floats, moment: Floats) -> tuple[Floats, Floats]:
     """Force and moment (n, 3) without their means over the first rows, in which nothing pulls."""
     rows = wrench.zero_rows
     first = np.concatenate([force, moment], 1)[:rows]
@@ -88,7 +88,7 @@ def _zeroed(columns: Columns, wrench: Wrench, force: Floats, moment: Floats) -> 
     return force - means[:3], moment - means[3:]
 
 
-def _at_first(columns: Columns, turn: Floats, rows: int) -> Floats:
+def _at_first(columns: ColumnReader, turn: Floats, rows: int) -> Floats:
     """Mean rotation (3, 3) of the first of some rotations (n, 3, 3)."""
     known = np.isfinite(turn[:rows]).all(axis=(1, 2))
     if not known.any():
@@ -103,7 +103,7 @@ def _at_first(columns: Columns, turn: Floats, rows: int) -> Floats:
     return np.asarray(mean.as_matrix())
 
 
-def _doubt_lever(columns: Columns, force: Floats, moment: Floats) -> None:
+def _doubt_lever(columns: ColumnReader, force: Floats, moment: Floats) -> None:
     """Warn of moments (n, 3) that no arm's length makes of the forces (n, 3): one of the units is another."""
     pull, turning = (float(np.nanmax(np.abs(v), initial=0.0)) for v in (force, moment))
     if turning > LONGEST_LEVER_M * pull > 0:
@@ -113,7 +113,7 @@ def _doubt_lever(columns: Columns, force: Floats, moment: Floats) -> None:
         columns.warn(warning)
 
 
-def placed(columns: Columns, mapping: Mapping) -> tuple[Floats, Floats]:
+def placed(columns: ColumnReader, mapping: Mapping) -> tuple[Floats, Floats]:
     """Tips (n, 3) [m] in the rod-base frame with their covariances (n, 3, 3); NaN where there are none.
 
     tip + R_tip offset - base, turned by the base's inverse orientation where that is used, then by the mapping's
@@ -156,7 +156,7 @@ def _framed(mapping: Mapping, tip_m: Floats, covariance: Floats) -> tuple[Floats
     return np.array([point for point, _ in carried]), np.array([spread for _, spread in carried])
 
 
-def _base_turn(columns: Columns, base: BaseSensor) -> Floats | None:
+def _base_turn(columns: ColumnReader, base: BaseSensor) -> Floats | None:
     """Rotations (n, 3, 3) from the tracker's axes to the base sensor's; None where they are not to be used."""
     if base.orientation is None:
         return None
@@ -168,7 +168,7 @@ def _base_turn(columns: Columns, base: BaseSensor) -> Floats | None:
     return None
 
 
-def _position(columns: Columns, position: Position, whose: str) -> Floats:
+def _position(columns: ColumnReader, position: Position, whose: str) -> Floats:
     units = position.unit if isinstance(position.unit, tuple) else (position.unit,) * 3
     values = columns.several(position.columns, [METRES[unit] for unit in units])
     columns.warn_missing(values, f"the {whose}'s position")
@@ -182,7 +182,7 @@ def _variance(uncertainty_mm: float | tuple[float, ...] | None) -> Floats:
     return np.broadcast_to(np.square(np.array(uncertainty_mm) * 1e-3), 3)
 
 
-def _turns(columns: Columns, orientation: Orientation, whose: str) -> Floats:
+def _turns(columns: ColumnReader, orientation: Orientation, whose: str) -> Floats:
     """What the columns hold (n, 4), (n, 3) or (n, 9), in the order of the mapping; angles in radians."""
     scale = np.pi / 180 if orientation.unit == "deg" else 1.0
     values = columns.several(orientation.columns, (scale,) * len(orientation.columns))
@@ -190,7 +190,7 @@ def _turns(columns: Columns, orientation: Orientation, whose: str) -> Floats:
     return values
 
 
-def _matrices(columns: Columns, orientation: Orientation, whose: str) -> Floats:
+def _matrices(columns: ColumnReader, orientation: Orientation, whose: str) -> Floats:
     """Rotations (n, 3, 3) from the sensor's axes to the tracker's, NaN where one is missing; a fault is a problem."""
     values = _turns(columns, orientation, whose)
     if fault := _fault(columns, orientation, values, whose):
@@ -217,7 +217,7 @@ def _rotation(order: str, values: Floats) -> Floats:
     return np.asarray(Rotation.from_quat(values[:, [1, 2, 3, 0]] if order == "wxyz" else values).as_matrix())
 
 
-def _fault(columns: Columns, orientation: Orientation, values: Floats, whose: str) -> str:
+def _fault(columns: ColumnReader, orientation: Orientation, values: Floats, whose: str) -> str:
     """What makes the quaternions (n, 4) no rotations, or an empty text. A repeated component alone is a warning:
     rotations about a diagonal have one.
     """
@@ -243,7 +243,7 @@ def _fault(columns: Columns, orientation: Orientation, values: Floats, whose: st
     return f"the {whose}'s orientation is no rotation: " + "; ".join([warning, *echoes])
 
 
-def _no_rotation(columns: Columns, values: Floats, known: NDArray[np.intp], whose: str) -> str:
+def _no_rotation(columns: ColumnReader, values: Floats, known: NDArray[np.intp], whose: str) -> str:
     """What makes the matrices (n, 9) no rotations, or an empty text."""
     matrices = values[known].reshape(-1, 3, 3)
     apart = np.abs(matrices @ matrices.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2))

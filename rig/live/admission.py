@@ -23,7 +23,7 @@ CONNECTION = "softrig.connection"
 """Key of the connection in a request's `state`."""
 
 
-class Rank(Enum):
+class ClientClass(Enum):
     """Authentication rank of a connection, in ascending order."""
 
     STRANGER = 0
@@ -31,7 +31,7 @@ class Rank(Enum):
     OPERATOR = 2
 
 
-PLACES = {Rank.STRANGER: 64, Rank.GUEST: 96, Rank.OPERATOR: 96}
+PLACES = {ClientClass.STRANGER: 64, ClientClass.GUEST: 96, ClientClass.OPERATOR: 96}
 """Connections of each rank. A browser uses up to eight while it loads the page, then two."""
 
 
@@ -43,9 +43,9 @@ class Connection:
         self.transport = transport
         peer = transport.get_extra_info("peername")
         self.address = str(peer[0]) if peer else ""
-        self.rank = Rank.STRANGER
+        self.rank = ClientClass.STRANGER
 
-    def raise_to(self, rank: Rank) -> None:
+    def raise_to(self, rank: ClientClass) -> None:
         """Raise the rank to `rank` if that is higher."""
         if rank.value > self.rank.value:
             self.rank = rank
@@ -55,7 +55,7 @@ class Connection:
 class Admission:
     """Every open connection, oldest first."""
 
-    def __init__(self, places: dict[Rank, int] = PLACES, stranger_s: float = STRANGER_S) -> None:
+    def __init__(self, places: dict[ClientClass, int] = PLACES, stranger_s: float = STRANGER_S) -> None:
         self._places = places
         self._stranger_s = stranger_s
         self._open: list[Connection] = []
@@ -64,11 +64,11 @@ class Admission:
         """Register a new connection."""
         connection = Connection(self, transport)
         self._open.append(connection)
-        self.make_room(Rank.STRANGER)
+        self.make_room(ClientClass.STRANGER)
         asyncio.get_running_loop().call_later(self._stranger_s, self._expire, connection)
         return connection
 
-    def make_room(self, rank: Rank) -> None:
+    def make_room(self, rank: ClientClass) -> None:
         """Close connections of a rank until it is within its limit."""
         # The websocket protocol replaces the HTTP protocol, so only the transport reports the end of the connection.
         self._open = [c for c in self._open if not c.transport.is_closing()]
@@ -81,7 +81,7 @@ class Admission:
             oldest.transport.abort()
 
     def _expire(self, connection: Connection) -> None:
-        if connection.rank is Rank.STRANGER:
+        if connection.rank is ClientClass.STRANGER:
             connection.transport.abort()
 
 

@@ -22,7 +22,7 @@ from urllib.parse import parse_qs
 
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from rig.live.admission import CONNECTION, Rank
+from rig.live.admission import CONNECTION, ClientClass
 from rig.realtime.control_socket import printable
 
 COOKIE = "softrig"
@@ -106,7 +106,7 @@ class AuthenticationMiddleware:
             await _refuse(scope, receive, send, 403, refusal)
         elif (session := self._session(headers)) is not None:
             if connection := scope.get("state", {}).get(CONNECTION):
-                connection.raise_to(Rank.OPERATOR if session.operator else Rank.GUEST)
+                connection.raise_to(ClientClass.OPERATOR if session.operator else ClientClass.GUEST)
             await self._app({**scope, SESSION: session}, receive, _with_headers(send))
         elif scope["type"] == "http" and scope["path"] == "/login":
             await self._login(scope, receive, send)

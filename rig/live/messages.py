@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError, model_validator
 
-from rig.realtime.operator_commands import Command
+from rig.realtime.operator_commands import CommandKind
 
 FASTEST = 100.0
 MOST_CHARACTERS = 1024
@@ -25,7 +25,7 @@ class Message(BaseModel):
     model_config = ConfigDict(strict=True, extra="forbid", frozen=True)
 
     more: Literal[1] | None = None
-    do: Command | None = None
+    do: CommandKind | None = None
     seek: FiniteFloat | None = None
     speed: Annotated[FiniteFloat, Field(gt=0, le=FASTEST)] | None = None
     play: bool | None = None

@@ -36,11 +36,13 @@ _HISTORY_NS = 1_000_000_000
 class _LiveModel(Protocol):
     """The live model, static or dynamic."""
 
-    def follow(self, frame_set: FrameSet, pressures: Pressures, loads: model.Loads | None) -> model.Shape | None:
+    def follow(
+        self, frame_set: FrameSet, pressures: PressureInterpolator, loads: model.Loads | None
+    ) -> model.Shape | None:
         """Return the arm's shape at the time of the frame set; None without convergence."""
 
 
-class Pressures:
+class PressureInterpolator:
     """Linear interpolation of the pressures of the last second."""
 
     def __init__(self, actuators: int) -> None:
@@ -76,7 +78,9 @@ class _StaticModel:
     def __init__(self, arm: model.Arm) -> None:
         self._arm = arm
 
-    def follow(self, frame_set: FrameSet, pressures: Pressures, loads: model.Loads | None) -> model.Shape | None:
+    def follow(
+        self, frame_set: FrameSet, pressures: PressureInterpolator, loads: model.Loads | None
+    ) -> model.Shape | None:
         return _rest(partial(statics, self._arm, doubt_units=False), pressures.at(frame_set.t_ns), loads)
 
 
@@ -87,7 +91,9 @@ class _DynamicModel:
         self._dynamics = Dynamics(arm, period_s)
         self._last: tuple[int, int] | None = None
 
-    def follow(self, frame_set: FrameSet, pressures: Pressures, loads: model.Loads | None) -> model.Shape | None:
+    def follow(
+        self, frame_set: FrameSet, pressures: PressureInterpolator, loads: model.Loads | None
+    ) -> model.Shape | None:
         last, self._last = self._last, None
         steps = frame_set.index - last[0] if last is not None else 0
         if last is None or not 0 < steps <= _MOST_STEPS:
@@ -136,7 +142,7 @@ class Observer:
             _StaticModel(arm) if config.model.mode == "static" else _DynamicModel(arm, 1 / rate_hz)
         )
         self._tip_load = TipLoad(config)
-        self._pressures = Pressures(config.actuators)
+        self._pressures = PressureInterpolator(config.actuators)
         self._blank = blank((), observation_dtype(config.actuators, len(config.cameras)))
         self._model_m = np.full(3, np.nan)
         self.measurement: Measurement | None = None

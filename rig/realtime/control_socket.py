@@ -1,8 +1,8 @@
 """The supervisor's control socket: clients of the same user read the data of the run and send commands.
 
 Packets are JSON objects. `{"do": "attach"}` is answered with two file descriptors: the run's memory, read-only, and a
-pickle of its plan. `{"do": "watch"}` reports that a viewer is present. Any other `do` is a `Command`; `via` names the
-client program, `who` its user, if known. The record names the account of the connection, which the kernel reports
+pickle of its plan. `{"do": "watch"}` reports that a viewer is present. Any other `do` is a `CommandKind`; `via` names
+the client program, `who` its user, if known. The record names the account of the connection, which the kernel reports
 (SO_PEERCRED), whatever `who` contains. Only the user of the run and root may connect.
 The supervisor never waits for a client: one that does not read its answer, or sends no valid packet, is disconnected.
 """
@@ -24,7 +24,7 @@ from typing import Any
 
 from rig.execution.plan import Plan
 from rig.hardware.runtime_folder import subfolder
-from rig.realtime.operator_commands import Command, CommandResult, OperatorCommand, user_name
+from rig.realtime.operator_commands import CommandKind, CommandResult, OperatorCommand, user_name
 from rig.realtime.shared_state import SharedState
 
 PACKET_BYTES = 4096
@@ -140,7 +140,9 @@ class ControlSocket:
         elif not isinstance(do, str):
             raise TypeError("a command is a string")
         else:
-            answer = handle(OperatorCommand(Command(do), _named(_uid(client), packet.get("who"), packet.get("via"))))
+            answer = handle(
+                OperatorCommand(CommandKind(do), _named(_uid(client), packet.get("who"), packet.get("via")))
+            )
             client.send(json.dumps({"done": answer.accepted, "said": answer.message}).encode())
 
 

@@ -7,12 +7,12 @@ import pwd
 from dataclasses import dataclass
 from enum import StrEnum
 
-from protocols import Trajectory
+from protocols import SetPointTrajectory
 from rig.realtime.shared_state import SharedState, Stop
 from runs.records import Status
 
 
-class Command(StrEnum):
+class CommandKind(StrEnum):
     """A command of the operator."""
 
     PAUSE = "pause"
@@ -27,7 +27,7 @@ class Command(StrEnum):
 class OperatorCommand:
     """One command and its sender, such as `ada (live page)`."""
 
-    action: Command
+    action: CommandKind
     who: str
 
 
@@ -54,7 +54,7 @@ def user_name(uid: int | None = None) -> str:
 class CommandHandler:
     """Executes commands: sets the flags that control reads in its next cycle, then returns the result."""
 
-    def __init__(self, memory: SharedState, trajectory: Trajectory) -> None:
+    def __init__(self, memory: SharedState, trajectory: SetPointTrajectory) -> None:
         self._memory = memory
         self._trajectory = trajectory
         self.ending: tuple[Status, str] | None = None
@@ -62,17 +62,17 @@ class CommandHandler:
     def handle(self, request: OperatorCommand) -> CommandResult:
         """Execute one command, or return why it is refused."""
         match request.action:
-            case Command.VENT:
+            case CommandKind.VENT:
                 self._memory.request_stop(Stop.VENT)
                 return self._end(f"vented by {request.who}")
-            case Command.STOP:
+            case CommandKind.STOP:
                 self._memory.request_stop(Stop.SAFE)
                 return self._end(f"stopped by {request.who}")
-            case Command.PAUSE | Command.RESUME:
-                return self._hold(request.action is Command.PAUSE, request.who)
-            case Command.SKIP:
+            case CommandKind.PAUSE | CommandKind.RESUME:
+                return self._hold(request.action is CommandKind.PAUSE, request.who)
+            case CommandKind.SKIP:
                 return self._skip(request.who)
-            case Command.ANSWER:
+            case CommandKind.ANSWER:
                 return self._answer(request.who)
 
     def _end(self, sentence: str) -> CommandResult:

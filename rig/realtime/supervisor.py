@@ -29,11 +29,11 @@ from rig.realtime.child_process import ChildJob, ended_within, spawn
 from rig.realtime.control_socket import ControlSocket
 from rig.realtime.failsafe import force_safe_state
 from rig.realtime.health_monitor import HealthMonitor
-from rig.realtime.operator_commands import Command, CommandHandler, CommandResult, OperatorCommand, user_name
+from rig.realtime.operator_commands import CommandHandler, CommandKind, CommandResult, OperatorCommand, user_name
 from rig.realtime.process_monitor import ProcessMonitor
 from rig.realtime.scheduling import REAL_TIME, HeartbeatMonitor, Scheduling, obtainable, stolen_ms
 from rig.realtime.shared_state import SharedState, Stage, StateLayout, Stop
-from rig.realtime.timing_limits import Profile, remedies, stated, timing_limits
+from rig.realtime.timing_limits import TimingProfile, remedies, stated, timing_limits
 from rig.simulator.plant_launcher import Simulation, started
 from runs.records import Event, Level, Status
 
@@ -178,8 +178,8 @@ class _Supervisor:
         granted = self.memory.granted
         if refused := remedies(granted):
             self._event(Level.WARNING, "control", refused)
-        level = Level.WARNING if self.timing.profile is Profile.ORDINARY else Level.INFO
-        if self.timing.profile is not Profile.STRICT or REAL_TIME not in granted:
+        level = Level.WARNING if self.timing.profile is TimingProfile.ORDINARY else Level.INFO
+        if self.timing.profile is not TimingProfile.STRICT or REAL_TIME not in granted:
             self._event(level, "supervisor", stated(self.plan.config, granted))
 
     @property
@@ -227,7 +227,7 @@ class _Supervisor:
             if reason := self.operator.stop_requested():
                 return Status.INTERRUPTED, reason
             if self.operator.pause_toggled():
-                wish = Command.RESUME if memory.paused else Command.PAUSE
+                wish = CommandKind.RESUME if memory.paused else CommandKind.PAUSE
                 self._handle(OperatorCommand(wish, f"{user_name()} (terminal)"))
             if self.command_handler.ending is not None:
                 return self.command_handler.ending
@@ -268,7 +268,7 @@ class _Supervisor:
 
     def _handle(self, request: OperatorCommand) -> CommandResult:
         """Execute a command of an operator, then record it."""
-        if not self.memory.start_ns and request.action not in (Command.STOP, Command.VENT):
+        if not self.memory.start_ns and request.action not in (CommandKind.STOP, CommandKind.VENT):
             return CommandResult(False, "the run has not begun")
         answer = self.command_handler.handle(request)
         if answer.accepted and self.memory.start_ns:

@@ -22,7 +22,7 @@ SIMULATED_HUNG_S = 5.0
 """Longer than any measured delay by compilers, downloads and disk writes beside a run."""
 
 
-class Profile(StrEnum):
+class TimingProfile(StrEnum):
     """The set of limits that applies."""
 
     STRICT = "strict"
@@ -41,7 +41,7 @@ class TimingLimits:
     how long it continues without a write to an open valve; both None if simulated hardware is treated as real hardware.
     """
 
-    profile: Profile
+    profile: TimingProfile
     control_hung_ns: int
     late_look_ns: int = 8 * MS
     watchdog_silent_ns: int = 1000 * MS
@@ -80,14 +80,14 @@ def timing_limits(config: RigConfig, granted: Scheduling) -> TimingLimits:
     limits = config.limits
     strict_ns = round((limits.hung_s or STRICT_HUNG_S) * 1e9)
     if limits.hung_s is not None or (valves_at_stake(config) and REAL_TIME in granted):
-        return TimingLimits(Profile.STRICT, strict_ns, frame_s=limits.no_tip_s)
+        return TimingLimits(TimingProfile.STRICT, strict_ns, frame_s=limits.no_tip_s)
     if valves_at_stake(config):
         hung_s = max(STRICT_HUNG_S, min(limits.stale_s, ORDINARY_HUNG_S))
-        return TimingLimits(Profile.ORDINARY, round(hung_s * 1e9), frame_s=limits.no_tip_s)
+        return TimingLimits(TimingProfile.ORDINARY, round(hung_s * 1e9), frame_s=limits.no_tip_s)
     real_cameras = any(camera.driver != "mock" for camera in config.cameras.values())
     silent_ns = round(SIMULATED_HUNG_S * 1e9)
     return TimingLimits(
-        Profile.SIMULATED,
+        TimingProfile.SIMULATED,
         control_hung_ns=silent_ns,
         late_look_ns=50 * MS,
         watchdog_silent_ns=2 * silent_ns,
@@ -110,7 +110,7 @@ def stated(config: RigConfig, granted: Scheduling) -> str:
     """One sentence for the operator: when control counts as hung on this bench, and which guarantees are missing."""
     timing = timing_limits(config, granted)
     hung_s = timing.control_hung_ns * 1e-9
-    if timing.profile is Profile.SIMULATED:
+    if timing.profile is TimingProfile.SIMULATED:
         return (
             f"simulated bench, no valve at stake: a process counts as hung after {hung_s:g} s, not {STRICT_HUNG_S:g} s"
         )

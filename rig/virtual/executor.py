@@ -86,9 +86,9 @@ class _VirtualRun:
         rate_hz = config.control.rate_hz
         self._batch_ticks = max(1, round(BATCH_S * rate_hz))
         self._history_ticks = max(1, round(HISTORY_S * rate_hz))
-        self._samples = _Rows(sample_dtype(config.actuators, len(config.valves)), self._history_ticks)
-        self._observations = _Rows(observation_dtype(config.actuators, len(config.cameras)), self._history_ticks)
-        self._adaptations = _Rows(adaptation_dtype(len(plan.adapted)), self._history_ticks)
+        self._samples = _RecentRows(sample_dtype(config.actuators, len(config.valves)), self._history_ticks)
+        self._observations = _RecentRows(observation_dtype(config.actuators, len(config.cameras)), self._history_ticks)
+        self._adaptations = _RecentRows(adaptation_dtype(len(plan.adapted)), self._history_ticks)
         self._shown = 0.0
         self._recorder: Recorder
 
@@ -245,7 +245,7 @@ class _VirtualRun:
         self._operator.report(event)
 
 
-class _Rows:
+class _RecentRows:
     """Rows of a run: keeps the recent ones, and returns new ones once for the record."""
 
     def __init__(self, dtype: np.dtype[np.void], history: int) -> None:

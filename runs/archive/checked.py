@@ -18,8 +18,8 @@ import h5py
 import numpy as np
 
 from runs.archive import checksum
-from runs.archive.schema import BYTES, TEXT, Expected
-from runs.archive.structure import Fields, StructureCheck, WrongError, shown, text_of
+from runs.archive.schema import BYTES, TEXT, ExpectedDataset
+from runs.archive.structure import Fields, SchemaViolationError, StructureCheck, shown, text_of
 
 _TEXTS_AT_ONCE = 64
 _FAULTS = (ArithmeticError, AttributeError, LookupError, MemoryError, OSError, RuntimeError, TypeError, ValueError)
@@ -35,7 +35,7 @@ class ArchiveError(Exception):
     """The archive could not be written or is invalid; the message has the reason. The journal is unchanged."""
 
 
-class Contents:
+class ArchiveContents:
     """The datasets of an open archive. Every method raises `ArchiveError` if one is not readable or invalid."""
 
     def __init__(self, path: Path, file: h5py.File, fields: Fields) -> None:
@@ -43,7 +43,7 @@ class Contents:
         self._file = file
         self._fields = fields
 
-    def fields(self, group: str) -> Mapping[str, Expected]:
+    def fields(self, group: str) -> Mapping[str, ExpectedDataset]:
         """Return the datasets of a group by name; empty if the group is missing."""
         return self._fields.get(group, {})
 
@@ -86,24 +86,24 @@ class Contents:
     def _reading(self, path: str) -> Iterator[None]:
         try:
             yield
-        except WrongError as fault:
+        except SchemaViolationError as fault:
             raise ArchiveError(f"{self._path}: {path}{fault}") from None
         except _FAULTS as fault:
             raise ArchiveError(f"{self._path}: {path}: cannot be read ({_in_words(fault)})") from fault
 
 
 @contextmanager
-def opened(path: Path | str) -> Iterator[Contents]:
+def opened(path: Path | str) -> Iterator[ArchiveContents]:
     """Open an archive and check its structure; `ArchiveError` if it is not an archive or damaged."""
     with _opened(Path(path)) as (file, stamp):
-        yield Contents(Path(path), file, _known(Path(path), stamp, file))
+        yield ArchiveContents(Path(path), file, _known(Path(path), stamp, file))
 
 
 @contextmanager
-def opened_in_part(path: Path | str, wanted: Iterable[str]) -> Iterator[Contents]:
+def opened_in_part(path: Path | str, wanted: Iterable[str]) -> Iterator[ArchiveContents]:
     """Open an archive and check only these datasets; others are not readable."""
     with _opened(Path(path)) as (file, _):
-        yield Contents(Path(path), file, _checked(Path(path), file, frozenset(wanted)))
+        yield ArchiveContents(Path(path), file, _checked(Path(path), file, frozenset(wanted)))
 
 
 def content_sha256(path: Path | str) -> str:
@@ -176,13 +176,13 @@ def _checked(path: Path, file: h5py.File, wanted: frozenset[str] | None) -> Fiel
     check = StructureCheck(file)
     try:
         return check.everything(wanted)
-    except WrongError as fault:
+    except SchemaViolationError as fault:
         raise ArchiveError(f"{path}: {check.where}{fault}") from None
     except _FAULTS as fault:
         raise ArchiveError(f"{path}: {check.where}: cannot be read ({_in_words(fault)})") from fault
 
 
-def _check_numbers(found: Any, expected: Expected) -> None:
+def _check_numbers(found: Any, expected: ExpectedDataset) -> None:
     """Check values against their limits; NaN means not measured."""
     if expected.kind == BYTES or np.size(found) == 0:
         return
@@ -200,14 +200,16 @@ def _check_numbers(found: Any, expected: Expected) -> None:
 def _refuse_first(found: Any, wrong: Any, expected: str) -> None:
     if np.any(wrong):
         row = "" if np.ndim(found) == 0 else f"[{', '.join(str(i) for i in np.argwhere(wrong)[0])}]"
-        raise WrongError(str(np.asarray(found)[wrong].flat[0]), expected, row)
+        raise SchemaViolationError(str(np.asarray(found)[wrong].flat[0]), expected, row)
 
 
-def _check_texts(words: list[str], expected: Expected) -> None:
+def _check_texts(words: list[str], expected: ExpectedDataset) -> None:
     if expected.among:
         for row, word in enumerate(words):
             if word not in expected.among:
-                raise WrongError(shown(word), _one_of(expected.among), f"[{row}]" if expected.dimensions else "")
+                raise SchemaViolationError(
+                    shown(word), _one_of(expected.among), f"[{row}]" if expected.dimensions else ""
+                )
 
 
 def _one_of(values: Iterable[str | int]) -> str:
@@ -223,21 +225,21 @@ def _texts(node: h5py.Dataset, file_bytes: int) -> Iterator[str]:
         for row, word in enumerate(words, low):
             total += len(word)
             if total > file_bytes:
-                raise WrongError(f"text of more than {total} bytes", f"at most the {file_bytes} of the file")
+                raise SchemaViolationError(f"text of more than {total} bytes", f"at most the {file_bytes} of the file")
             try:
                 yield word.decode("utf-8")
             except UnicodeDecodeError as fault:
                 place = f"[{row}]" if node.shape else ""
-                raise WrongError(shown(word), f"UTF-8 (not so at byte {fault.start})", place) from None
+                raise SchemaViolationError(shown(word), f"UTF-8 (not so at byte {fault.start})", place) from None
 
 
 def _number_of(value: Any, where: str) -> float:
     if not isinstance(value, float | int | np.floating | np.integer):
-        raise WrongError(shown(value), "a number", where)
+        raise SchemaViolationError(shown(value), "a number", where)
     return float(value)
 
 
 def _fits_memory(node: h5py.Dataset) -> None:
     half = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") // 2
     if node.nbytes > half:
-        raise WrongError(f"{node.nbytes} bytes", f"at most {half}, half of this machine's memory")
+        raise SchemaViolationError(f"{node.nbytes} bytes", f"at most {half}, half of this machine's memory")

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runs import columns
-from runs.archive.fields import Column, Field, Group, Table, Value, row_chunks
+from runs.archive.fields import Column, Field, Group, TableLayout, Value, row_chunks
 from runs.journal.journal import Journal
 
 
@@ -59,7 +59,7 @@ def seconds(journal: Journal, t_ns: NDArray[np.int64]) -> NDArray[np.float64]:
     return np.asarray((t_ns - journal.header.started_t_ns) / 1e9)
 
 
-def _group(journal: Journal, kind: type[columns.Table], rows: Table, facts: tuple[Field, ...] = ()) -> Group:
+def _group(journal: Journal, kind: type[columns.Table], rows: TableLayout, facts: tuple[Field, ...] = ()) -> Group:
     declared = kind.columns()
     axes = dict.fromkeys(axis for column in declared for axis in column.axes)
     plotted = next(column for column in declared if column.dataset == kind.signal)
@@ -73,7 +73,7 @@ def _group(journal: Journal, kind: type[columns.Table], rows: Table, facts: tupl
     )
 
 
-def _field(journal: Journal, column: columns.Column, rows: Table) -> Field:
+def _field(journal: Journal, column: columns.Column, rows: TableLayout) -> Field:
     clock = column.record == "t_ns"
     return Field(
         column.dataset,
@@ -102,6 +102,6 @@ def _scale(journal: Journal, axis: str) -> Field:
     return Field(axis, values[axis], about=columns.AXES[axis][1], any_length=axis in ("camera", "parameter"))
 
 
-def _some(rows: Table, name: str) -> bool:
+def _some(rows: TableLayout, name: str) -> bool:
     """Return whether any number of a field is finite."""
     return any(bool(np.isfinite(chunk[name]).any()) for chunk in row_chunks(rows))

@@ -23,7 +23,7 @@ LARGEST_NS = 1 << 62
 Value = NDArray[np.generic] | np.generic | str | int | float | list[str]
 
 
-class Table(Protocol):
+class TableLayout(Protocol):
     """A table that is read in chunks of rows."""
 
     def __len__(self) -> int: ...
@@ -31,7 +31,7 @@ class Table(Protocol):
     def __getitem__(self, part: slice) -> Any: ...
 
 
-def row_chunks(table: Table) -> Iterator[Any]:
+def row_chunks(table: TableLayout) -> Iterator[Any]:
     """Yield the rows of a table in chunks of `CHUNK_ROWS`."""
     return (table[low : low + CHUNK_ROWS] for low in range(0, len(table), CHUNK_ROWS))
 
@@ -40,7 +40,7 @@ def row_chunks(table: Table) -> Iterator[Any]:
 class Column:
     """A column computed from a table; `of` maps a chunk of rows to as many values."""
 
-    table: Table
+    table: TableLayout
     of: Callable[[Any], NDArray[np.generic] | list[str] | list[memoryview]]
 
 

@@ -21,9 +21,9 @@ from runs.journal.stored_rows import Index, StoredPictures, StoredRows
 from runs.records import (
     Interval,
     Quantity,
+    RecordedFile,
     RunFooter,
     RunHeader,
-    SourceFile,
     Status,
     adaptation_dtype,
     observation_dtype,
@@ -38,7 +38,7 @@ Dimension = int | str
 
 
 @dataclass(frozen=True)
-class Expected:
+class ExpectedDataset:
     """One dataset: `kind` is that of its numbers as `digest.kind_of` has it, `TEXT` or `BYTES`."""
 
     path: str
@@ -63,8 +63,8 @@ class GroupSchema:
 
     path: str
     required: bool
-    datasets: Mapping[str, Expected]
-    alike: tuple[Expected, ...] = field(default=())
+    datasets: Mapping[str, ExpectedDataset]
+    alike: tuple[ExpectedDataset, ...] = field(default=())
 
 
 def kind_of(dtype: Any) -> str:
@@ -106,7 +106,7 @@ def _group(group: Group, least: Group | None, first_of: dict[int, str]) -> Group
     return GroupSchema(group.path, least is not None, {n: one for n, one in known.items() if n in always}, alike)
 
 
-def _datasets(group: Group, required: set[str], first_of: dict[int, str]) -> Iterator[Expected]:
+def _datasets(group: Group, required: set[str], first_of: dict[int, str]) -> Iterator[ExpectedDataset]:
     """Go through the datasets of a group; `first_of` has, for each table, the path of a dataset with its rows."""
     own: dict[str, Dimension] = {}
     for item in group.fields:
@@ -121,12 +121,12 @@ def _datasets(group: Group, required: set[str], first_of: dict[int, str]) -> Ite
         names = item.scales or ((item.name,) if item.name in own else ())
         dimensions = tuple(own[name] if not group.open else own[item.name] for name in names)
         if isinstance(item, Pictures):
-            yield Expected(path, BYTES, dimensions, item.name in required, scales=item.scales)
+            yield ExpectedDataset(path, BYTES, dimensions, item.name in required, scales=item.scales)
             continue
         kind = _kind(item)
         limits = item.limits or ((-LARGEST, LARGEST) if kind[0] == "f" and not group.open else None)
         fixed = dimensions and isinstance(dimensions[0], int) and kind[0] != "f"
-        yield Expected(
+        yield ExpectedDataset(
             path=path,
             kind=kind,
             dimensions=dimensions,
@@ -151,7 +151,7 @@ def _kind(item: Field) -> str:
 def _journal(actuators: int, valves: int, *, everything: bool) -> Journal:
     """Return a journal that gives an archive all of its groups and fields, or only those that every archive has."""
     adapted = (Quantity("adaptation", "parameter", (0.0,), "", "", 0.0),)
-    files = (SourceFile.of("file", "kind", ""),)
+    files = (RecordedFile.of("file", "kind", ""),)
     quantities = tuple(
         Quantity(room, name, value, "", "") for room in ("calibration", "model") for name, value in _QUANTITIES.items()
     )

@@ -11,7 +11,7 @@ import h5py
 import numpy as np
 
 from runs.archive import layout
-from runs.archive.schema import Expected, GroupSchema, kind_of, name_of, schema
+from runs.archive.schema import ExpectedDataset, GroupSchema, kind_of, name_of, schema
 
 FREE_BYTES = 64 << 20
 """Allowed uncompressed size of any archive; larger ones may have at most `INFLATED` times their file size."""
@@ -19,11 +19,11 @@ INFLATED = 500
 """Constant columns compress to a thousandth; time columns, which every table has, to a thirtieth."""
 _FILTERS = {h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILTER_FLETCHER32}
 
-Fields = Mapping[str, Mapping[str, Expected]]
+Fields = Mapping[str, Mapping[str, ExpectedDataset]]
 """The datasets that an archive has, by group and name."""
 
 
-class WrongError(Exception):
+class SchemaViolationError(Exception):
     """An invalid part of an archive: found and expected values."""
 
     def __init__(self, found: str, expected: str, where: str = "") -> None:
@@ -51,11 +51,13 @@ class StructureCheck:
             if node is not None:
                 found[group.path] = dict(self._datasets(group, node, wanted))
             elif group.required:
-                raise WrongError("nothing", "a group")
+                raise SchemaViolationError("nothing", "a group")
         self.where = "all datasets together"
         most = FREE_BYTES + INFLATED * self._file_bytes
         if self._declared_bytes > most:
-            raise WrongError(f"{self._declared_bytes} bytes once read", f"at most {most} in a file of this size")
+            raise SchemaViolationError(
+                f"{self._declared_bytes} bytes once read", f"at most {most} in a file of this size"
+            )
         for fields in found.values():
             for one in fields.values():
                 self.where = one.path
@@ -64,7 +66,7 @@ class StructureCheck:
 
     def _datasets(
         self, group: GroupSchema, node: h5py.Group, wanted: frozenset[str] | None
-    ) -> Iterator[tuple[str, Expected]]:
+    ) -> Iterator[tuple[str, ExpectedDataset]]:
         for one in _present(group, node, wanted):
             self.where = one.path
             dataset = _member(node, one.name, h5py.Dataset)
@@ -74,43 +76,47 @@ class StructureCheck:
                 self._shapes[one.path] = dataset.shape
                 yield one.name, known
             elif one.required:
-                raise WrongError("nothing", name_of(one.kind))
+                raise SchemaViolationError("nothing", name_of(one.kind))
 
     def _channels(self, path: str) -> int:
         """Return the number of actuators or valves."""
         self.where = path
         dataset = _member(self._file, path, h5py.Dataset)
         if dataset is None:
-            raise WrongError("nothing", f"one number ({name_of('i4')})")
+            raise SchemaViolationError("nothing", f"one number ({name_of('i4')})")
         if dataset.shape != () or kind_of(dataset.dtype) != "i4":
-            raise WrongError(_described(dataset), f"one number ({name_of('i4')})")
+            raise SchemaViolationError(_described(dataset), f"one number ({name_of('i4')})")
         _check_storage(dataset, self._file_bytes)
         number = int(dataset[()])
         if not 0 <= number <= layout.MOST_CHANNELS:
-            raise WrongError(str(number), f"0 to {layout.MOST_CHANNELS}")
+            raise SchemaViolationError(str(number), f"0 to {layout.MOST_CHANNELS}")
         return number
 
 
 def _check_attributes(file: h5py.File) -> None:
     for name in ("layout_version", "content_sha256"):
         if name not in file.attrs:
-            raise WrongError("nothing", "what softrig writes there; this is not an archive of softrig", f", @{name}")
+            raise SchemaViolationError(
+                "nothing", "what softrig writes there; this is not an archive of softrig", f", @{name}"
+            )
     version = file.attrs["layout_version"]
     if not isinstance(version, np.integer | int):
-        raise WrongError(shown(version), "an integer", ", @layout_version")
+        raise SchemaViolationError(shown(version), "an integer", ", @layout_version")
     if version != layout.VERSION:
         made = "a newer" if version > layout.VERSION else "an older"
-        raise WrongError(f"layout {version}", f"{layout.VERSION}: {made} softrig made it", ", @layout_version")
+        raise SchemaViolationError(
+            f"layout {version}", f"{layout.VERSION}: {made} softrig made it", ", @layout_version"
+        )
     text_of(file.attrs["content_sha256"], ", @content_sha256")
 
 
-def _present(group: GroupSchema, node: h5py.Group, wanted: frozenset[str] | None) -> Iterator[Expected]:
+def _present(group: GroupSchema, node: h5py.Group, wanted: frozenset[str] | None) -> Iterator[ExpectedDataset]:
     """Yield the datasets of a group by the schema, and of an open group those of the run."""
     yield from (one for one in group.datasets.values() if wanted is None or one.path in wanted)
     if group.alike and wanted is None:
         for name in node:
             if not isinstance(name, str):
-                raise WrongError(f"the name {name!r}", "a name in UTF-8")
+                raise SchemaViolationError(f"the name {name!r}", "a name in UTF-8")
             path = f"{group.path}/{name}"
             # A subgroup is either another group of the layout or is never read.
             if name not in group.datasets and not _is_group(node, name):
@@ -132,59 +138,59 @@ def _member(parent: h5py.Group, path: str, kind: type) -> Any:
         if not isinstance(node, h5py.Group) or not node.id.links.exists(name.encode()):
             return None
         if not _is_hard(node, name):
-            raise WrongError("a link to elsewhere", f"a {kind.__name__.lower()}")
+            raise SchemaViolationError("a link to elsewhere", f"a {kind.__name__.lower()}")
         node = node[name]
     if not isinstance(node, kind):
-        raise WrongError(f"a {type(node).__name__.lower()}", f"a {kind.__name__.lower()}")
+        raise SchemaViolationError(f"a {type(node).__name__.lower()}", f"a {kind.__name__.lower()}")
     return node
 
 
-def _like(group: GroupSchema, one: Expected, dataset: h5py.Dataset) -> Expected:
+def _like(group: GroupSchema, one: ExpectedDataset, dataset: h5py.Dataset) -> ExpectedDataset:
     """Return what a dataset is expected to be: in an open group the first matching example."""
     kind = kind_of(dataset.dtype)
     if one.name in group.datasets:
         if kind != one.kind:
-            raise WrongError(_described(dataset), name_of(one.kind))
+            raise SchemaViolationError(_described(dataset), name_of(one.kind))
         return one
     for example in group.alike:
         if kind == example.kind and dataset.shape is not None and len(dataset.shape) == len(example.dimensions):
             return replace(example, path=one.path, dimensions=(one.path,) * len(example.dimensions), required=False)
     kinds = " or ".join(sorted({f"{name_of(e.kind)} of {len(e.dimensions)} dimensions" for e in group.alike}))
-    raise WrongError(_described(dataset), kinds)
+    raise SchemaViolationError(_described(dataset), kinds)
 
 
 def _check_storage(dataset: h5py.Dataset, file_bytes: int) -> int:
     """Check that a dataset is stored in the file itself; return its size in memory [bytes]."""
     if dataset.shape is None:
-        raise WrongError("no data at all", "a value")
+        raise SchemaViolationError("no data at all", "a value")
     creation = dataset.id.get_create_plist()
     kind = creation.get_layout()
     if kind == h5py.h5d.VIRTUAL or creation.get_external_count():
-        raise WrongError("data that is stored elsewhere", "data in the file itself")
+        raise SchemaViolationError("data that is stored elsewhere", "data in the file itself")
     filters = {creation.get_filter(i)[0] for i in range(creation.get_nfilters())}
     if not filters <= _FILTERS:
-        raise WrongError(f"the HDF5 filters {sorted(filters)}", "shuffle and gzip only")
+        raise SchemaViolationError(f"the HDF5 filters {sorted(filters)}", "shuffle and gzip only")
     count, stored = math.prod(dataset.shape), dataset.id.get_storage_size()
     size = int(count * dataset.dtype.itemsize)
     if stored > file_bytes:
-        raise WrongError(f"{stored} stored bytes", f"at most the {file_bytes} of the file")
+        raise SchemaViolationError(f"{stored} stored bytes", f"at most the {file_bytes} of the file")
     if kind == h5py.h5d.CHUNKED:
         chunks = math.prod(-(-length // chunk) for length, chunk in zip(dataset.shape, dataset.chunks, strict=True))
         kept = dataset.id.get_num_chunks()
         if chunks != kept:
-            raise WrongError(
+            raise SchemaViolationError(
                 f"{kept} stored chunks of shape {dataset.chunks}", f"the {chunks} of shape {dataset.shape}"
             )
         size = int(chunks * math.prod(dataset.chunks) * dataset.dtype.itemsize)
     elif stored < size:
-        raise WrongError(f"{stored} stored bytes", f"{size}, as its shape {dataset.shape} says")
+        raise SchemaViolationError(f"{stored} stored bytes", f"{size}, as its shape {dataset.shape} says")
     return size
 
 
-def _check_shape(shapes: Mapping[str, tuple[int, ...]], one: Expected) -> None:
+def _check_shape(shapes: Mapping[str, tuple[int, ...]], one: ExpectedDataset) -> None:
     shape = shapes[one.path]
     if len(shape) != len(one.dimensions):
-        raise WrongError(f"shape {shape}", f"{len(one.dimensions)} dimensions")
+        raise SchemaViolationError(f"shape {shape}", f"{len(one.dimensions)} dimensions")
     expected, owners = [], []
     for dimension, length in zip(one.dimensions, shape, strict=True):
         if isinstance(dimension, int):
@@ -196,12 +202,12 @@ def _check_shape(shapes: Mapping[str, tuple[int, ...]], one: Expected) -> None:
             owners.append(dimension)
     if tuple(expected) != shape:
         as_long = f" (as {', '.join(owners)})" if owners else ""
-        raise WrongError(f"shape {shape}", f"{tuple(expected)}{as_long}")
+        raise SchemaViolationError(f"shape {shape}", f"{tuple(expected)}{as_long}")
 
 
 def text_of(value: Any, where: str) -> str:
     if not isinstance(value, str) or not _is_unicode(value):
-        raise WrongError(shown(value), "text in UTF-8", where)
+        raise SchemaViolationError(shown(value), "text in UTF-8", where)
     return value
 
 

@@ -22,7 +22,7 @@ import numpy as np
 from runs.archive import checksum, layout
 from runs.archive.checked import ArchiveError as ArchiveError
 from runs.archive.checked import content_sha256, digest_of
-from runs.archive.fields import CHUNK_ROWS, Column, Field, Group, Pictures, Table, row_chunks
+from runs.archive.fields import CHUNK_ROWS, Column, Field, Group, Pictures, TableLayout, row_chunks
 from runs.journal import journal
 from runs.journal.append_only_file import ARCHIVE_TO_JOURNAL, NO_ROOM, JournalError
 
@@ -33,7 +33,7 @@ _MARGIN_BYTES = 4 << 20
 _SMALLEST_COMPRESSED = 512
 
 
-class StillWrittenError(ArchiveError):
+class ArchiveInUseError(ArchiveError):
     """A running process still writes the journal."""
 
 
@@ -77,7 +77,7 @@ def write(content: journal.Journal, target: Path, most_bytes: int) -> None:
 
 @contextmanager
 def held(source: Path) -> Iterator[None]:
-    """Lock a journal during finalisation; `StillWrittenError` if its writer is still running."""
+    """Lock a journal during finalisation; `ArchiveInUseError` if its writer is still running."""
     try:
         handle = os.open(source, os.O_RDONLY | os.O_CLOEXEC)
     except OSError as fault:
@@ -86,7 +86,7 @@ def held(source: Path) -> Iterator[None]:
         try:
             fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError as fault:
-            raise StillWrittenError(f"{source} is being written by another process") from fault
+            raise ArchiveInUseError(f"{source} is being written by another process") from fault
         yield
     finally:
         os.close(handle)
@@ -205,7 +205,7 @@ class _Dataset:
 
 def _fill(datasets: list[_Dataset]) -> None:
     """Write the columns: reads each table once, in chunks of rows."""
-    tables: dict[int, tuple[Table, list[tuple[_Dataset, Column]]]] = {}
+    tables: dict[int, tuple[TableLayout, list[tuple[_Dataset, Column]]]] = {}
     for dataset in datasets:
         if (column := dataset.column) is not None:
             tables.setdefault(id(column.table), (column.table, []))[1].append((dataset, column))

@@ -16,7 +16,7 @@ from runs.archive import layout
 from runs.archive.checked import ArchiveError, opened
 from runs.archive.schema import BYTES
 from runs.overwriting import WouldOverwriteError, staged
-from runs.records import SourceFile
+from runs.records import RecordedFile
 from runs.run import Run
 from runs.table import TABLES, segments, table
 
@@ -203,7 +203,7 @@ def _yaml(source: Path, stem: Path) -> tuple[Path, ...]:
     return tuple(folder / name for name in texts)
 
 
-def _added(texts: dict[str, str], files: Sequence[SourceFile]) -> list[str]:
+def _added(texts: dict[str, str], files: Sequence[RecordedFile]) -> list[str]:
     """Add files to the texts of a folder, each under a free name without folders; return these names."""
     names = []
     for file in files:

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from runs.journal import mcap_records, messages
 from runs.journal.append_only_file import AppendOnlyFile, BufferedFile, DiskFile, JournalError
-from runs.journal.mcap_records import Block, Damage
+from runs.journal.mcap_records import JournalBlock, JournalDamage
 from runs.journal.messages import ADAPTATIONS, EVENTS, FOOTER, HEADER, MARKS, OBSERVATIONS, PICTURES, SAMPLES
 from runs.journal.stored_rows import Index, StoredPictures, StoredRows
 from runs.records import Event, Picture, RunFooter, RunHeader, adaptation_dtype, observation_dtype, sample_dtype
@@ -43,9 +43,9 @@ class JournalWriter:
         A `live` run does not wait for a disk that stalls for less than `patience_s` (default 10 s); other runs wait.
         """
         self.path = Path(path)
-        self._samples = _Rows(SAMPLES, sample_dtype(header.actuators, header.valves))
-        self._observations = _Rows(OBSERVATIONS, observation_dtype(header.actuators, len(header.cameras)))
-        self._adaptations = _Rows(ADAPTATIONS, adaptation_dtype(len(header.adapted)))
+        self._samples = _TopicRows(SAMPLES, sample_dtype(header.actuators, header.valves))
+        self._observations = _TopicRows(OBSERVATIONS, observation_dtype(header.actuators, len(header.cameras)))
+        self._adaptations = _TopicRows(ADAPTATIONS, adaptation_dtype(len(header.adapted)))
         self._utc_minus_t_ns = header.started_utc_ns - header.started_t_ns
         self.newest_t_ns = header.started_t_ns
         kinds = [self._samples, self._observations, *([self._adaptations] if header.adapted else [])]
@@ -96,7 +96,7 @@ class JournalWriter:
         content = mcap_records.encode(Message(FOOTER, utc_ns, messages.to_json(footer), utc_ns, 0))
         self._file.close(mcap_records.block(content, utc_ns, utc_ns) + mcap_records.ending())
 
-    def _rows(self, kind: _Rows, rows: NDArray[np.void]) -> None:
+    def _rows(self, kind: _TopicRows, rows: NDArray[np.void]) -> None:
         if len(rows) == 0:
             return
         if rows.dtype != kind.form["row"]:
@@ -108,7 +108,7 @@ class JournalWriter:
         self._file.append(mcap_records.block(content, int(log_ns[0]), int(log_ns[-1])))
 
 
-class _Rows:
+class _TopicRows:
     """How one kind of row is framed, and how many there were."""
 
     def __init__(self, channel: int, row: np.dtype[np.void]) -> None:
@@ -156,7 +156,7 @@ class Journal:
     adaptations: StoredRows
     events: tuple[Event, ...]
     pictures: StoredPictures
-    damage: tuple[Damage, ...]
+    damage: tuple[JournalDamage, ...]
 
 
 def read(path: Path | str) -> Journal:
@@ -169,14 +169,14 @@ def read(path: Path | str) -> Journal:
         raise JournalError(f"cannot read {path}: {fault.strerror}") from fault
     contents = _Contents(data)
     for piece in mcap_records.scan(data):
-        if isinstance(piece, Damage):
+        if isinstance(piece, JournalDamage):
             contents.damage.append(piece)
             continue
         try:
             contents.take(piece)
         except (ValueError, KeyError, TypeError, struct.error, RecursionError) as fault:
             size = len(piece.content)
-            contents.damage.append(Damage(piece.offset, size, f"not understood ({type(fault).__name__})"))
+            contents.damage.append(JournalDamage(piece.offset, size, f"not understood ({type(fault).__name__})"))
     if contents.header is None:
         raise JournalError(f"{path} is not a journal, or its header is lost")
     return contents.journal(contents.header)
@@ -193,9 +193,9 @@ class _Contents:
         self.rows = {channel: Index() for channel in (SAMPLES, OBSERVATIONS, ADAPTATIONS)}
         self.events: list[Event] = []
         self.pictures = StoredPictures(data)
-        self.damage: list[Damage] = []
+        self.damage: list[JournalDamage] = []
 
-    def take(self, piece: Block) -> None:
+    def take(self, piece: JournalBlock) -> None:
         for channel, stored in self.stored.items():
             form = mcap_records.framed(stored)
             if rows := mcap_records.framed_rows(piece.content, form, channel):

@@ -31,7 +31,7 @@ _ALLOWED_BETWEEN = {Opcode.HEADER: 256, Opcode.DATA_END: 4, Opcode.FOOTER: 20}
 
 
 @dataclass(frozen=True)
-class Damage:
+class JournalDamage:
     """A stretch of a journal that could not be read."""
 
     offset: int
@@ -133,7 +133,7 @@ def message_at(data: memoryview, position: int) -> tuple[int, int, memoryview]:
 
 
 @dataclass(frozen=True)
-class Block:
+class JournalBlock:
     """The checked content of one block: MCAP records."""
 
     offset: int
@@ -154,27 +154,27 @@ class Block:
             position = body + length
 
 
-def scan(data: memoryview) -> Iterator[Block | Damage]:
+def scan(data: memoryview) -> Iterator[JournalBlock | JournalDamage]:
     """Yield the blocks of a journal, and what of it could not be read, in order."""
     size = len(data)
     position = len(MAGIC)
     if data[:position].tobytes() != MAGIC:
-        yield Damage(0, min(size, position), "the file does not begin like a journal")
+        yield JournalDamage(0, min(size, position), "the file does not begin like a journal")
     while position < size:
         end = _record_end(data, position)
         if end is None:
             following = _next_chunk(data, position + 1)
             stop = size if following is None else following
             reason = "torn or foreign" if following is None else "damaged"
-            yield Damage(position, stop - position, reason)
+            yield JournalDamage(position, stop - position, reason)
             position = stop
             continue
         if data[position] == Opcode.CHUNK:
             content = data[position + _CHUNK.size : end]
             if zlib.crc32(content) == _CHUNK.unpack_from(data, position)[5]:
-                yield Block(position, content)
+                yield JournalBlock(position, content)
             else:
-                yield Damage(position, end - position, "wrong checksum")
+                yield JournalDamage(position, end - position, "wrong checksum")
         position = end
 
 

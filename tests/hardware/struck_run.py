@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import runs
-from runs.recovery import Fate, recover
+from runs.recovery import RecoveryStatus, recover
 from runs.run import Run
 from tests.hardware import forked_run
 from tests.hardware.forked_run import members, wait_until
@@ -79,7 +79,7 @@ class Struck:
         """What is made of the journal that a killed supervisor left, when no process of the run is left."""
         self.wait_for_the_others()
         (outcome,) = recover(self.out)
-        assert outcome.fate is Fate.RECOVERED, outcome.message
+        assert outcome.fate is RecoveryStatus.RECOVERED, outcome.message
         return self.archive()
 
     def end(self) -> None:

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import quad
 
-from model import BallooningError, Stretch, Tube
+from model import BallooningError, PrincipalStretches, Tube
 from tests.support.budget import examples
 
 # Table 1 and the constants that give the printed a and eq 32.
@@ -102,7 +102,7 @@ def test_a_found_state_balances_the_printed_integrals(bar: float, angle: float, 
 @given(st.floats(0.3e6, 5e6), st.floats(0, 80))
 def test_without_load_nothing_changes_and_loads_and_states_are_inverse(fibre: float, angle: float) -> None:
     tube = replace(PAPER, fibre_modulus_pa=fibre, fibre_angle_deg=angle)
-    assert tube.under_pressure(0.0) == Stretch(1.0, 1.0)
+    assert tube.under_pressure(0.0) == PrincipalStretches(1.0, 1.0)
     state = tube.under_force(5.0)
     pressure, pull = tube.loads(state)
     assert pressure == pytest.approx(0.0, abs=1e-6)

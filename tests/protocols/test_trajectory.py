@@ -12,14 +12,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import protocols
-from protocols import BadInputError, Trajectory
+from protocols import BadInputError, SetPointTrajectory
 from protocols.document import parse, validate
 from protocols.expansion import expand
 from protocols.schema import ProtocolFile
-from protocols.waveforms import Fade, Line, Samples, Sinusoid, Smooth, Waveform
+from protocols.waveforms import LinearSegment, Samples, Sinusoid, SinusoidLeadIn, Smooth, Waveform
 
 
-def trajectory(steps: str, actuators: int = 3) -> Trajectory:
+def trajectory(steps: str, actuators: int = 3) -> SetPointTrajectory:
     document = parse(f"title: t\nsteps:\n{steps}", "t.yaml")
     return expand(validate(ProtocolFile, document).steps, actuators, document, {})
 
@@ -203,10 +203,10 @@ def test_a_trajectory_pickles_small_and_equal() -> None:
 
 
 WAVES: list[Waveform] = [
-    Line(1.0, 3.0, 2.0),
+    LinearSegment(1.0, 3.0, 2.0),
     Smooth(3.0, 1.0, 2.0),
     Sinusoid(2.0, 1.5, 3.0, 4.0),
-    Fade(0.5, Sinusoid(2.0, 1.5, 3.0, 4.0), 2.0),
+    SinusoidLeadIn(0.5, Sinusoid(2.0, 1.5, 3.0, 4.0), 2.0),
     Samples((0.0, 0.5, 2.0), (1.0, 3.0, 0.0), held=False),
 ]
 
@@ -231,6 +231,6 @@ def test_a_fade_stays_between_its_start_and_the_sinusoid(
     start: float, mean: float, share: float, phase: float, at: float
 ) -> None:
     sine = Sinusoid(mean, share * mean, 2.0, phase)
-    value = Fade(start, sine, 2.0).at(at)
+    value = SinusoidLeadIn(start, sine, 2.0).at(at)
     low, high = min(start, mean - share * mean), max(start, mean + share * mean)
     assert low - 1e-12 <= value <= high + 1e-12

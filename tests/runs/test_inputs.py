@@ -19,7 +19,7 @@ from rig.experiment.replay import replay
 from runs.archive.writer import finalise
 from runs.export.exporters import export
 from runs.journal import journal
-from runs.records import RunFooter, SourceFile, Status
+from runs.records import RecordedFile, RunFooter, Status
 from runs.run import Run
 from tests.rig.config.test_calibration_files import camera_file
 from tests.rig.virtual.test_run import Silent
@@ -67,7 +67,7 @@ def test_files_with_the_same_name_from_several_folders_are_exported_side_by_side
         made_up.header(),
         protocol_name="played",
         protocol_yaml=f"title: Played\nsteps:\n{steps}",
-        protocol_files=tuple(SourceFile(name, "csv", "", f"of {name}") for name in names),
+        protocol_files=tuple(RecordedFile(name, "csv", "", f"of {name}") for name in names),
     )
     writer = journal.JournalWriter(tmp_path / "run.mcap", about)
     writer.close(RunFooter(made_up.START_NS, Status.FINISHED, ""))

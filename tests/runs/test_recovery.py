@@ -14,7 +14,7 @@ import runs
 import tests.support.synthetic_runs as made_up
 from runs.archive.writer import held, verify
 from runs.records import RunFooter, Status
-from runs.recovery import Fate, orphans, recover
+from runs.recovery import RecoveryStatus, orphans, recover
 
 ORPHAN = """
 import os, sys
@@ -41,7 +41,7 @@ def orphan(path: Path) -> Path:
     return path
 
 
-def fates(folder: Path) -> dict[str, Fate]:
+def fates(folder: Path) -> dict[str, RecoveryStatus]:
     return {outcome.path.name: outcome.fate for outcome in recover(folder)}
 
 
@@ -49,7 +49,7 @@ def test_an_orphan_becomes_an_archive_with_status_recovered(tmp_path: Path) -> N
     path = orphan(tmp_path / "run.mcap")
     assert orphans(tmp_path) == (path,)
     (outcome,) = recover(tmp_path)
-    assert (outcome.fate, outcome.archive) == (Fate.RECOVERED, tmp_path / "run.h5")
+    assert (outcome.fate, outcome.archive) == (RecoveryStatus.RECOVERED, tmp_path / "run.h5")
     assert outcome.message == "600 samples, 90 frames, 5 pictures"
     run = runs.open(tmp_path / "run.h5")
     assert run.status is Status.RECOVERED
@@ -62,21 +62,21 @@ def test_recovering_again_changes_nothing(tmp_path: Path) -> None:
     orphan(tmp_path / "run.mcap")
     recover(tmp_path)
     before = {p.name: p.stat().st_mtime_ns for p in tmp_path.iterdir()}
-    assert fates(tmp_path) == {"run.mcap": Fate.ARCHIVED}
+    assert fates(tmp_path) == {"run.mcap": RecoveryStatus.ARCHIVED}
     assert {p.name: p.stat().st_mtime_ns for p in tmp_path.iterdir()} == before
     assert orphans(tmp_path) == ()
 
 
 def test_a_run_that_had_ended_keeps_its_status(tmp_path: Path) -> None:
     made_up.write_journal(tmp_path / "run.mcap")
-    assert fates(tmp_path) == {"run.mcap": Fate.FINALISED}
+    assert fates(tmp_path) == {"run.mcap": RecoveryStatus.FINALISED}
     assert runs.open(tmp_path / "run.h5").status is Status.FINISHED
 
 
 def test_a_run_in_progress_is_left_alone(tmp_path: Path) -> None:
     writer = made_up.write_journal(tmp_path / "run.mcap", footer=False)
     assert orphans(tmp_path) == ()
-    assert fates(tmp_path) == {"run.mcap": Fate.RUNNING}
+    assert fates(tmp_path) == {"run.mcap": RecoveryStatus.RUNNING}
     assert not (tmp_path / "run.h5").exists()
     writer.close(RunFooter(made_up.START_NS, Status.FINISHED, ""))
 
@@ -85,14 +85,14 @@ def test_a_journal_that_cannot_be_read_is_left_as_it_is(tmp_path: Path) -> None:
     (tmp_path / "empty.mcap").touch()
     (tmp_path / "rubbish.mcap").write_bytes(os.urandom(5000))
     before = {p.name: p.read_bytes() for p in tmp_path.iterdir()}
-    assert fates(tmp_path) == {"empty.mcap": Fate.UNREADABLE, "rubbish.mcap": Fate.UNREADABLE}
+    assert fates(tmp_path) == {"empty.mcap": RecoveryStatus.UNREADABLE, "rubbish.mcap": RecoveryStatus.UNREADABLE}
     assert {p.name: p.read_bytes() for p in tmp_path.iterdir()} == before
 
 
 def test_one_unreadable_journal_does_not_stop_the_others(tmp_path: Path) -> None:
     (tmp_path / "a.mcap").write_bytes(b"rubbish")
     made_up.write_journal(tmp_path / "b.mcap")
-    assert fates(tmp_path) == {"a.mcap": Fate.UNREADABLE, "b.mcap": Fate.FINALISED}
+    assert fates(tmp_path) == {"a.mcap": RecoveryStatus.UNREADABLE, "b.mcap": RecoveryStatus.FINALISED}
 
 
 def test_the_readable_part_of_a_damaged_journal_is_recovered_and_the_loss_is_reported(tmp_path: Path) -> None:
@@ -102,7 +102,7 @@ def test_the_readable_part_of_a_damaged_journal_is_recovered_and_the_loss_is_rep
     data[len(data) // 3] ^= 0xFF
     path.write_bytes(data[: len(data) // 2])
     (outcome,) = recover(tmp_path)
-    assert outcome.fate is Fate.RECOVERED
+    assert outcome.fate is RecoveryStatus.RECOVERED
     assert "not readable" in outcome.message
     assert "bytes at" in runs.open(tmp_path / "run.h5").events[-1].message
 
@@ -122,7 +122,7 @@ def test_an_archive_that_cannot_be_opened_is_set_aside_and_made_again(tmp_path: 
 def test_files_of_an_interrupted_finalisation_are_removed(tmp_path: Path) -> None:
     made_up.write_journal(tmp_path / "run.mcap")
     (tmp_path / "run.h5.part").write_bytes(b"half an archive")
-    assert fates(tmp_path) == {"run.h5.part": Fate.REMOVED, "run.mcap": Fate.FINALISED}
+    assert fates(tmp_path) == {"run.h5.part": RecoveryStatus.REMOVED, "run.mcap": RecoveryStatus.FINALISED}
     assert sorted(p.name for p in tmp_path.iterdir()) == ["run.h5", "run.mcap"]
 
 
@@ -131,7 +131,7 @@ def test_a_finalisation_that_was_killed_is_repeated(tmp_path: Path) -> None:
     made_up.write_journal(path)
     assert subprocess.run([sys.executable, "-c", FINALISE, str(path)], check=False).returncode == -9
     assert sorted(p.name for p in tmp_path.iterdir()) == ["run.h5.part", "run.mcap"]
-    assert fates(tmp_path) == {"run.h5.part": Fate.REMOVED, "run.mcap": Fate.FINALISED}
+    assert fates(tmp_path) == {"run.h5.part": RecoveryStatus.REMOVED, "run.mcap": RecoveryStatus.FINALISED}
     assert verify(tmp_path / "run.h5")
 
 
@@ -140,7 +140,7 @@ def test_an_archive_that_is_being_written_is_left_alone(tmp_path: Path) -> None:
     made_up.write_journal(path)
     (tmp_path / "run.h5.part").write_bytes(b"half")
     with held(path):
-        assert fates(tmp_path) == {"run.mcap": Fate.RUNNING}
+        assert fates(tmp_path) == {"run.mcap": RecoveryStatus.RUNNING}
     assert (tmp_path / "run.h5.part").exists()
 
 

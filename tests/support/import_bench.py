@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from protocols import BadInputError
-from rig.importing import Imported, import_table
+from rig.importing import ImportResult, import_table
 from runs.records import Level
 from runs.run import Run
 
@@ -48,7 +48,7 @@ tip: {position: {columns: [2, 3, 4], unit: mm}}
 Bring = Callable[..., Run]
 
 
-def imported_in(folder: Path, data: str | Path, mapping: str) -> Imported:
+def imported_in(folder: Path, data: str | Path, mapping: str) -> ImportResult:
     file = data if isinstance(data, Path) else folder / "data.csv"
     if isinstance(data, str):
         file.write_text(data, encoding="utf-8")

@@ -72,7 +72,7 @@ class Scans:
 
 
 @runtime_checkable
-class Clocked(Protocol):
+class SelfClockedCard(Protocol):
     """A card that may have its own sampling clock."""
 
     @property

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.hardware.cards.base import CardError, CardSetup, Channel, Scans
-from rig.hardware.cards.comedi_device import Device, Line, Subdevice, Timing, device_paths, require
+from rig.hardware.cards.comedi_device import AnalogueChannel, CommandTiming, Device, Subdevice, device_paths, require
 from rig.hardware.cards.comedi_timing import channel_lists, timings
 from rig.hardware.cards.scan_clock import ScanClock
 
@@ -44,7 +44,7 @@ class ComediCard:
         """
         self._setup = setup
         self._device = _find(setup.device)
-        self._sampler: _Commanded | _Instructed | None = None
+        self._sampler: _CommandSampling | _InstructionSampling | None = None
         try:
             self._inputs = self._lines(self._device.inputs, setup.inputs, "input", differential=setup.differential)
             self._outputs = self._lines(self._device.outputs, setup.outputs, "output")
@@ -55,7 +55,7 @@ class ComediCard:
 
     def _lines(
         self, subdevice: Subdevice | None, channels: tuple[Channel, ...], word: str, *, differential: bool = False
-    ) -> tuple[Line, ...]:
+    ) -> tuple[AnalogueChannel, ...]:
         if not channels:
             return ()
         if subdevice is None:
@@ -100,12 +100,12 @@ class ComediCard:
     @property
     def period_ns(self) -> float | None:
         """Scan period as rounded by the driver; None if the card does not sample by its own clock."""
-        return self._sampler.period_ns if isinstance(self._sampler, _Commanded) else None
+        return self._sampler.period_ns if isinstance(self._sampler, _CommandSampling) else None
 
     @property
     def drift_ppm(self) -> float | None:
         """Relative error of that period by the computer's clock [ppm]; None if there is none."""
-        return self._sampler.drift_ppm if isinstance(self._sampler, _Commanded) else None
+        return self._sampler.drift_ppm if isinstance(self._sampler, _CommandSampling) else None
 
     def start(self) -> None:
         """Begin sampling the inputs, from now on.
@@ -122,9 +122,9 @@ class ComediCard:
                 f"{self.description} cannot sample by its own clock: set `acquisition: auto` for card {setup.name}"
             )
         if subdevice.can_command and setup.acquisition != "instruction":
-            self._sampler = _Commanded(self._device, subdevice, setup, self._inputs)
+            self._sampler = _CommandSampling(self._device, subdevice, setup, self._inputs)
         else:
-            self._sampler = _Instructed(self._inputs)
+            self._sampler = _InstructionSampling(self._inputs)
 
     def read(self) -> Scans:
         """Scans since the last call; none before `start`. After an overrun sampling continues, and `lost` counts."""
@@ -167,14 +167,14 @@ class ComediCard:
 
     def _stop(self) -> None:
         sampler, self._sampler = self._sampler, None
-        if isinstance(sampler, _Commanded):
+        if isinstance(sampler, _CommandSampling):
             sampler.stop()
 
 
-class _Instructed:
+class _InstructionSampling:
     """Inputs by instruction: one scan per read."""
 
-    def __init__(self, lines: tuple[Line, ...]) -> None:
+    def __init__(self, lines: tuple[AnalogueChannel, ...]) -> None:
         self._lines = lines
 
     def read(self) -> Scans:
@@ -185,10 +185,12 @@ class _Instructed:
         return Scans(np.array([t_ns], np.int64), volts)
 
 
-class _Commanded:
+class _CommandSampling:
     """Inputs by an endless command."""
 
-    def __init__(self, device: Device, subdevice: Subdevice, setup: CardSetup, lines: tuple[Line, ...]) -> None:
+    def __init__(
+        self, device: Device, subdevice: Subdevice, setup: CardSetup, lines: tuple[AnalogueChannel, ...]
+    ) -> None:
         self._device = device
         self._subdevice = subdevice
         self._lines = lines
@@ -248,15 +250,15 @@ class _Commanded:
 
 
 def _prepare(
-    device: Device, subdevice: Subdevice, setup: CardSetup, lines: tuple[Line, ...]
-) -> tuple[Timing, tuple[int, ...]]:
+    device: Device, subdevice: Subdevice, setup: CardSetup, lines: tuple[AnalogueChannel, ...]
+) -> tuple[CommandTiming, tuple[int, ...]]:
     """Prepare the first command that the driver accepts near the requested rate: its timing and its channels."""
     wanted_ns = round(1e9 / setup.sampling_hz)
     scan_begin, convert = subdevice.triggers()
     by_channel = {channel.number: line for channel, line in zip(setup.inputs, lines, strict=True)}
     offered: list[float] = []
     for channels in channel_lists(tuple(c.number for c in setup.inputs), differential=setup.differential):
-        in_scan: list[Line] = []
+        in_scan: list[AnalogueChannel] = []
         for number in channels:
             # An unused channel in the list gets the range of the previous one, so that the amplifier need not switch.
             in_scan.append(

@@ -36,7 +36,7 @@ class Trigger(IntFlag):
 
 
 @dataclass(frozen=True)
-class Timing:
+class CommandTiming:
     """The triggers of an input command: every `scan_ns` a scan begins, every `convert_ns` a conversion in it."""
 
     scan_begin: Trigger
@@ -65,7 +65,7 @@ class Polynomial:
         return y
 
 
-class Line:
+class AnalogueChannel:
     """One analogue channel in one range: raw numbers in and out, and the polynomials to volts and back."""
 
     def __init__(self, channel: Any, path: str, what: str) -> None:
@@ -120,7 +120,7 @@ class Subdevice:
         own = self._subdevice.channel(channel).ranges()
         return tuple((r.min, r.max) if r.unit == pc.UNIT.volt else (float("nan"), float("nan")) for r in own)
 
-    def line(self, channel: int, range_index: int, *, differential: bool = False) -> Line:
+    def line(self, channel: int, range_index: int, *, differential: bool = False) -> AnalogueChannel:
         """A channel in the range of that index."""
         pc = _pycomedi()
         what = f"{self.word} {channel}"
@@ -131,7 +131,7 @@ class Subdevice:
                 range=range_index,
                 aref=pc.AREF.diff if differential else pc.AREF.ground,
             )
-        return Line(own, self._path, what)
+        return AnalogueChannel(own, self._path, what)
 
     def triggers(self) -> tuple[Trigger, Trigger]:
         """The triggers that the card has for the begin of a scan and for a conversion."""
@@ -139,7 +139,7 @@ class Subdevice:
             mask = self._subdevice.get_cmd_src_mask()
         return _triggers(mask.scan_begin_src), _triggers(mask.convert_src)
 
-    def prepare(self, lines: Sequence[Line], timing: Timing) -> Timing | None:
+    def prepare(self, lines: Sequence[AnalogueChannel], timing: CommandTiming) -> CommandTiming | None:
         """Set up an endless command over `lines`; the timing that the driver rounded it to, None where it refuses."""
         pc = _pycomedi()
         cmd = pc.Command()
@@ -156,7 +156,7 @@ class Subdevice:
         for _ in range(_ROUNDINGS):
             fault = self._subdevice.command_test()
             if fault is None:
-                return Timing(timing.scan_begin, cmd.scan_begin_arg, timing.convert, cmd.convert_arg)
+                return CommandTiming(timing.scan_begin, cmd.scan_begin_arg, timing.convert, cmd.convert_arg)
             if not fault.startswith("*_arg"):
                 return None
         return None

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from rig.hardware.cards.comedi_device import Timing, Trigger
+from rig.hardware.cards.comedi_device import CommandTiming, Trigger
 
 
-def timings(scan_begin: Trigger, convert: Trigger, channels: int, period_ns: int) -> tuple[Timing, ...]:
+def timings(scan_begin: Trigger, convert: Trigger, channels: int, period_ns: int) -> tuple[CommandTiming, ...]:
     """Candidate timings to sample `channels` every `period_ns` with the triggers of a card, the best first.
 
     Best is a card that converts all channels at once; then one with a clock for scans beside that for conversions;
@@ -14,12 +14,12 @@ def timings(scan_begin: Trigger, convert: Trigger, channels: int, period_ns: int
     found = []
     if Trigger.TIMER in scan_begin:
         if Trigger.NOW in convert:
-            found.append(Timing(Trigger.TIMER, period_ns, Trigger.NOW, 0))
+            found.append(CommandTiming(Trigger.TIMER, period_ns, Trigger.NOW, 0))
         if Trigger.TIMER in convert:
             # Half of the period: close together in time, with time for the multiplexer to settle.
-            found.append(Timing(Trigger.TIMER, period_ns, Trigger.TIMER, period_ns // (2 * channels)))
+            found.append(CommandTiming(Trigger.TIMER, period_ns, Trigger.TIMER, period_ns // (2 * channels)))
     if Trigger.FOLLOW in scan_begin and Trigger.TIMER in convert:
-        found.append(Timing(Trigger.FOLLOW, 0, Trigger.TIMER, period_ns // channels))
+        found.append(CommandTiming(Trigger.FOLLOW, 0, Trigger.TIMER, period_ns // channels))
     return tuple(found)
 
 

@@ -13,7 +13,7 @@ from iminuit import Minuit
 import model
 from calibration.identify import NoDataError, Poses, Prior, Setup, UnknownParameter, Verdict, identify, named
 from calibration.identify.bootstrap import bootstrap
-from calibration.identify.least_squares import Problem
+from calibration.identify.least_squares import LeastSquaresProblem
 from calibration.identify.parameters_document import content, write
 from calibration.identify.profile_likelihood import profiles
 from calibration.identify.simulated_experiments import MeasurementErrors, coverage, perform, plan
@@ -133,7 +133,7 @@ def test_the_information_keeps_poorly_determined_directions() -> None:
     fine = MeasurementErrors((1e-6, 1e-6, 1e-6), 0.5, 0.0)
     planned = tuple(plan(one.run_id, one.pressure_pa, one.weight_kg, errors=fine) for one in PLANNED)
     free = named(["law", "rpe_per_bar", "cap_mass_kg", "shear_ratio", "base", "tool", "actuator_angles"], 3)
-    problem = Problem(done(true_setup(), planned=planned, errors=fine), true_setup(), free)
+    problem = LeastSquaresProblem(done(true_setup(), planned=planned, errors=fine), true_setup(), free)
     z = np.zeros(len(free))
     weights, sigma = problem.weights(z, len(free))
     found = problem.solution(z, range(len(free)), weights, sigma, True)

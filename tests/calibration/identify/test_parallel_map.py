@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from calibration.identify.parallel_map import NoClusterError, WorkersDieError, parallel_map
+from calibration.identify.parallel_map import NoClusterError, WorkerDiedError, parallel_map
 from tests.support.parallel_tasks import Task, deadly, squared, squared_but_killed_once
 
 
@@ -43,7 +43,7 @@ def test_stored_results_are_not_computed_again(tmp_path: Path) -> None:
 
 def test_a_task_that_kills_every_worker_raises(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("calibration.identify.parallel_map._MAX_RESTARTS", 1)
-    with pytest.raises(WorkersDieError, match="2 tasks are remaining"):
+    with pytest.raises(WorkerDiedError, match="2 tasks are remaining"):
         parallel_map(deadly, tasks(tmp_path, 2), workers=2)
 
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 import model
 from calibration.identify import Poses, Setup, named
-from calibration.identify.least_squares import Problem
+from calibration.identify.least_squares import LeastSquaresProblem
 from calibration.identify.simulated_experiments import plan
 from calibration.identify.tip_predictor import Predictor
 from model.arm import ModulusRule
@@ -30,7 +30,7 @@ def start() -> Setup:
     return Setup(replace(arm, material=replace(arm.material, damping_s=0.01)), tool_offset_m=(0.0, 0.01, 0.03))
 
 
-def differences(problem: Problem, z: NDArray[np.float64], i: int, run: int) -> NDArray[np.float64]:
+def differences(problem: LeastSquaresProblem, z: NDArray[np.float64], i: int, run: int) -> NDArray[np.float64]:
     """Derivative of a run's predicted tips by central differences of three sizes, extrapolated."""
 
     def tips(by: float) -> NDArray[np.float64]:
@@ -45,7 +45,7 @@ def differences(problem: Problem, z: NDArray[np.float64], i: int, run: int) -> N
 def test_slopes_equal_finite_differences_static_and_dynamic(monkeypatch: pytest.MonkeyPatch) -> None:
     # What Newton's method leaves of a step differs from one parameter to the next: here it leaves nothing.
     monkeypatch.setattr("model.dynamics.TOLERANCE_IN_MOTION", 1e-7)
-    problem = Problem([RESTING, MOVING], start(), named(FREE, 3))
+    problem = LeastSquaresProblem([RESTING, MOVING], start(), named(FREE, 3))
     z = np.random.default_rng(4).uniform(-0.05, 0.05, len(problem.unknowns))
     found = problem.slopes(z, range(len(z)))
     for i, unknown in enumerate(problem.unknowns):
@@ -56,7 +56,7 @@ def test_slopes_equal_finite_differences_static_and_dynamic(monkeypatch: pytest.
 
 def test_slopes_at_a_bound_use_a_step_inwards() -> None:
     material = replace(start().arm.material, shear_ratio=5.0)
-    problem = Problem(
+    problem = LeastSquaresProblem(
         [RESTING], replace(start(), arm=replace(start().arm, material=material)), named(["shear_ratio"], 3)
     )
     z = np.zeros(1)
@@ -84,7 +84,9 @@ def test_dynamic_slopes_equal_finite_differences_for_frozen_moduli_and_under_a_w
     monkeypatch: pytest.MonkeyPatch, poses: Poses, rule: ModulusRule, free: tuple[str, ...]
 ) -> None:
     monkeypatch.setattr("model.dynamics.TOLERANCE_IN_MOTION", 1e-7)
-    problem = Problem([poses], replace(start(), arm=replace(start().arm, modulus_rule=rule)), named(free, 3))
+    problem = LeastSquaresProblem(
+        [poses], replace(start(), arm=replace(start().arm, modulus_rule=rule)), named(free, 3)
+    )
     z = np.zeros(len(problem.unknowns))
     found = problem.slopes(z, range(len(z)))[0]
     assert np.abs(found).max(axis=(0, 1)).min() > 1e-4

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from benchmarks.other_renderer import Look
+from benchmarks.other_renderer import BoardPose
 from benchmarks.vision import CHI2_95_3, SETTINGS, TIP_IN_BOARD, Setting, measure, motion, others, ours
 from rig.simulator.scene import Optics
 
@@ -20,13 +20,13 @@ def _setting(name: str) -> Setting:
 @pytest.mark.parametrize(
     ("name", "look"),
     [
-        ("one camera 640x480 at 0.8 m, tilted", Look(blur_px=0.5, noise_grey=2.0)),
-        ("one camera 640x480 at 0.8 m, head-on", Look(pixel_blur_px=0.6, noise_grey=2.0)),
-        ("one camera 640x480 at 0.4 m, tilted", Look(pixel_blur_px=0.6, jpeg=90)),
-        ("two cameras 640x480 at 0.7 m, tilted", Look(pixel_blur_px=1.0)),
+        ("one camera 640x480 at 0.8 m, tilted", BoardPose(blur_px=0.5, noise_grey=2.0)),
+        ("one camera 640x480 at 0.8 m, head-on", BoardPose(pixel_blur_px=0.6, noise_grey=2.0)),
+        ("one camera 640x480 at 0.4 m, tilted", BoardPose(pixel_blur_px=0.6, jpeg=90)),
+        ("two cameras 640x480 at 0.7 m, tilted", BoardPose(pixel_blur_px=1.0)),
     ],
 )
-def test_the_ellipsoid_holds_the_truth_in_pictures_of_the_other_renderer(name: str, look: Look) -> None:
+def test_the_ellipsoid_holds_the_truth_in_pictures_of_the_other_renderer(name: str, look: BoardPose) -> None:
     setting = _setting(name)
     found = measure(setting, FRAMES, others(setting, look))
     assert found.lost <= 2

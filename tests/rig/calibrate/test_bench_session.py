@@ -23,11 +23,11 @@ from rig.hardware.lock import lock_file
 from rig.realtime.process_monitor import ProcessMonitor
 from rig.realtime.scheduling import Scheduling
 from rig.realtime.shared_state import SharedState, StateLayout
-from rig.realtime.timing_limits import Profile, TimingLimits
+from rig.realtime.timing_limits import TimingLimits, TimingProfile
 from rig.simulator.registers import Registers
 
 PERIOD_NS = 2_000_000
-TIMING = TimingLimits(Profile.STRICT, control_hung_ns=30_000_000)
+TIMING = TimingLimits(TimingProfile.STRICT, control_hung_ns=30_000_000)
 
 
 @pytest.fixture

@@ -12,7 +12,7 @@ from typer.testing import CliRunner, Result
 
 from calibration.camera import CalibrationError, find_corners
 from calibration.cross_validation import PointObservations, leave_out
-from calibration.extrinsics import Camera, locate
+from calibration.extrinsics import CameraSightings, locate
 from calibration.view_coverage import ViewCoverage, view_geometry
 from calibration.view_matching import keys
 from calibration.vision.board import Board
@@ -190,7 +190,7 @@ PLACES = {
 }
 
 
-def _seen(board: Board, rng: np.random.Generator, noise_px: float, views: int = 6) -> list[Camera]:
+def _seen(board: Board, rng: np.random.Generator, noise_px: float, views: int = 6) -> list[CameraSightings]:
     found: dict[str, dict[str, np.ndarray]] = {name: {} for name in PLACES}
     for k in range(views):
         turn = RigidTransform.from_vectors(rng.uniform(-0.4, 0.4, 3) * (1, 1, 6), (0, 0, 0)).rotation
@@ -202,7 +202,7 @@ def _seen(board: Board, rng: np.random.Generator, noise_px: float, views: int = 
                 px = px[::-1]  # which end is first is anyone's guess on such a board
             if (k, name) != (3, "c"):
                 found[name][str(k)] = px + rng.normal(0, noise_px, px.shape)
-    return [Camera(name, IDEAL, corners) for name, corners in found.items()]
+    return [CameraSightings(name, IDEAL, corners) for name, corners in found.items()]
 
 
 @pytest.mark.parametrize("squares", [(10, 7), (9, 7), (8, 8)])
@@ -226,7 +226,7 @@ def test_a_view_that_moved_between_the_cameras_is_left_out() -> None:
     cameras = _seen(board, np.random.default_rng(6), 0.05)
     moved = dict(cameras[1].corners_px)
     moved["4"] = moved["4"] + 5.0
-    found = locate([cameras[0], Camera("b", IDEAL, moved), cameras[2]], board)
+    found = locate([cameras[0], CameraSightings("b", IDEAL, moved), cameras[2]], board)
     assert [key for key, _ in found.left_out] == ["4"]
 
 
@@ -235,7 +235,7 @@ def test_views_that_are_not_of_the_same_moments_contradict_each_other() -> None:
     cameras = _seen(board, np.random.default_rng(7), 0.05)
     wrong = {str((int(key) + 1) % 6): px for key, px in cameras[1].corners_px.items()}
     with pytest.raises(CalibrationError, match="contradict each other"):
-        locate([cameras[0], Camera("b", IDEAL, wrong)], board)
+        locate([cameras[0], CameraSightings("b", IDEAL, wrong)], board)
 
 
 @pytest.mark.parametrize(

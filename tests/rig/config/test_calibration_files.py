@@ -19,7 +19,7 @@ from rig.cli.app import app
 from rig.config import calibration_files, calibration_schema, loader
 from rig.config.calibration_files import parse, read, text_of, write
 from rig.config.optics import camera_in_base, lens_of, rigid
-from rig.config.sections import Lens, Placement
+from rig.config.sections import LensConfig, Placement
 from rig.hardware.cameras.identity import v4l2_serial
 from runs.overwriting import WouldOverwriteError
 from tests.support.budget import examples
@@ -43,7 +43,7 @@ def camera_file(**changed: Any) -> calibration_schema.CameraFile:
             name="front", driver="mock", device="mock0", width_px=640, height_px=480
         ),
         "board": calibration_schema.PrintedBoard(corners=(9, 6), square_mm=16.0),
-        "lens": Lens(fx_px=621.5, fy_px=620.5, cx_px=319.5, cy_px=241.0, distortion=(-0.12, 0.08, 0.0, 0.0, 0.0)),
+        "lens": LensConfig(fx_px=621.5, fy_px=620.5, cx_px=319.5, cy_px=241.0, distortion=(-0.12, 0.08, 0.0, 0.0, 0.0)),
         "covariance": _matrix(9),
         "rms_px": 0.05,
         "coverage_percent": 90.0,
@@ -75,7 +75,7 @@ def tool_file(**changed: Any) -> calibration_schema.ToolFile:
 @st.composite
 def camera_files(draw: st.DrawFn) -> calibration_schema.CameraFile:
     width, height = draw(st.integers(64, 9000)), draw(st.integers(64, 9000))
-    lens = Lens(
+    lens = LensConfig(
         fx_px=draw(positive),
         fy_px=draw(positive),
         cx_px=width * draw(st.floats(0.01, 0.99)),

@@ -22,7 +22,7 @@ REGULATING: dict[str, object] = {
 class Loop:
     """Feeds made-up readings to the control step, tick by tick."""
 
-    def __init__(self, settings: control.Settings = SETTINGS) -> None:
+    def __init__(self, settings: control.ControlSettings = SETTINGS) -> None:
         self.settings, self.state, self.t_ns = settings, control.initial(settings), 1_000_000_000
         self.rng = np.random.default_rng(0)
 
@@ -34,7 +34,7 @@ class Loop:
         volts: object = None,
         scan: bool = True,
         stalled_ns: int = 0,
-    ) -> control.Command:
+    ) -> control.ControlOutput:
         self.t_ns += TICK_NS
         if scan:
             self.scan_t_ns = self.t_ns
@@ -44,7 +44,7 @@ class Loop:
         self.state, command = control.step(self.settings, self.state, sample, np.array(setpoint) * 1e5, np.zeros(3))
         return command
 
-    def hold(self, bar: float, ticks: int = 300) -> control.Command:
+    def hold(self, bar: float, ticks: int = 300) -> control.ControlOutput:
         for _ in range(ticks):
             command = self.cycle((bar, 0.0, 0.0), (bar, 0.0, 0.0))
             assert command.trip is None

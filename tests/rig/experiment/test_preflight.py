@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 import protocols
-from protocols import Problem, Segment, Trajectory
-from protocols.waveforms import Line
+from protocols import Problem, Segment, SetPointTrajectory
+from protocols.waveforms import LinearSegment
 from rig.config.loader import load
 from rig.experiment.preflight import check, peak_pa
 
@@ -61,9 +61,9 @@ def test_a_violation_points_to_the_line_of_its_step(tmp_path: Path, step: str, f
 
 
 def test_a_set_point_below_the_atmosphere_is_refused_whoever_made_the_trajectory() -> None:
-    dips = ((0, Line(0.0, -2000.0, 1.0)),)
+    dips = ((0, LinearSegment(0.0, -2000.0, 1.0)),)
     segment = Segment(0.0, 1.0, "ramp", "down", (1,), 7, (-2000.0, 0.0, 0.0), dips)
-    (problem,) = check(RIG, Trajectory(1.0, 3, (segment,), (), "made.py"))
+    (problem,) = check(RIG, SetPointTrajectory(1.0, 3, (segment,), (), "made.py"))
     assert (problem.line, problem.value) == (7, "actuator 1 at -0.02 bar")
     assert problem.expected == "gauge pressures of 0 or more"
 

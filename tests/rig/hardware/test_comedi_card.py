@@ -17,7 +17,7 @@ import pytest
 
 import rig.hardware.cards.comedi as comedi
 from rig.hardware.cards.base import CardError, CardSetup, Channel
-from rig.hardware.cards.comedi_device import Polynomial, Timing, Trigger
+from rig.hardware.cards.comedi_device import CommandTiming, Polynomial, Trigger
 
 INPUT_RANGES = ((-10.0, 10.0), (-5.0, 5.0), (0.0, 10.0), (0.0, 5.0))
 OUTPUT_RANGES = ((0.0, 5.0), (0.0, 10.0))
@@ -83,14 +83,14 @@ class MadeUpSubdevice:
     def triggers(self) -> tuple[Trigger, Trigger]:
         return Trigger.FOLLOW, Trigger.TIMER
 
-    def prepare(self, lines: Sequence[MadeUpLine], timing: Timing) -> Timing | None:
+    def prepare(self, lines: Sequence[MadeUpLine], timing: CommandTiming) -> CommandTiming | None:
         assert (timing.scan_begin, timing.convert) == (Trigger.FOLLOW, Trigger.TIMER)
         step = 2 if lines[0].differential else 1
         if any(b.number - a.number != step for a, b in pairwise(lines)):
             return None
         self.scan = list(lines)
         conversion = max(FASTEST_CONVERSION_NS, timing.convert_ns // 100 * 100)
-        return Timing(timing.scan_begin, 0, timing.convert, conversion)
+        return CommandTiming(timing.scan_begin, 0, timing.convert, conversion)
 
     def command(self) -> None:
         assert not self.running, "a command was given while one was running"

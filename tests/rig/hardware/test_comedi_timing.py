@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rig.hardware.cards.comedi_device import Timing, Trigger
+from rig.hardware.cards.comedi_device import CommandTiming, Trigger
 from rig.hardware.cards.comedi_timing import channel_lists, timings
 
 NOW, FOLLOW, TIMER = Trigger.NOW, Trigger.FOLLOW, Trigger.TIMER
@@ -17,18 +17,18 @@ NOW, FOLLOW, TIMER = Trigger.NOW, Trigger.FOLLOW, Trigger.TIMER
 def test_a_card_of_the_171x_family_converts_without_pause() -> None:
     """scan_begin FOLLOW and convert TIMER are all it has: three channels at 1 kHz are 3000 conversions a second."""
     (timing,) = timings(FOLLOW, TIMER, 3, 1_000_000)
-    assert timing == Timing(FOLLOW, 0, TIMER, 333_333)
+    assert timing == CommandTiming(FOLLOW, 0, TIMER, 333_333)
     assert timing.period_ns(3) == pytest.approx(1_000_000, abs=3)
 
 
 def test_a_card_that_converts_all_channels_at_once_does_so() -> None:
     best, *_ = timings(TIMER | FOLLOW, NOW | TIMER, 3, 1_000_000)
-    assert best == Timing(TIMER, 1_000_000, NOW, 0)
+    assert best == CommandTiming(TIMER, 1_000_000, NOW, 0)
 
 
 def test_a_card_with_two_clocks_leaves_the_multiplexer_time_to_settle() -> None:
     best, *_ = timings(TIMER | FOLLOW, TIMER, 4, 1_000_000)
-    assert best == Timing(TIMER, 1_000_000, TIMER, 125_000)
+    assert best == CommandTiming(TIMER, 1_000_000, TIMER, 125_000)
 
 
 @pytest.mark.parametrize(("scan_begin", "convert"), [(FOLLOW, NOW), (Trigger(0), TIMER), (TIMER, Trigger(0))])

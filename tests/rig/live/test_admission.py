@@ -19,7 +19,7 @@ from hypothesis import strategies as st
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 
 import tests.support.synthetic_runs as made_up
-from rig.live.admission import ACCEPTED_AT_ONCE, CONNECTION, PLACES, Admission, Rank, http_protocol
+from rig.live.admission import ACCEPTED_AT_ONCE, CONNECTION, PLACES, Admission, ClientClass, http_protocol
 from runs.archive.writer import finalise
 from scripts.live_client import Stream, enter, request, said
 
@@ -162,7 +162,7 @@ def test_connections_of_a_guest_take_no_operators_place(page: Links) -> None:
 async def _answer(scope: Any, receive: Any, send: Any) -> None:
     """An application whose `/operator` has a session and whose other pages have none; it waits for the whole body."""
     if scope["path"] == "/operator":
-        scope["state"][CONNECTION].raise_to(Rank.OPERATOR)
+        scope["state"][CONNECTION].raise_to(ClientClass.OPERATOR)
     while (await receive()).get("more_body"):
         pass
     await send({"type": "http.response.start", "status": 200, "headers": [(b"content-length", b"2")]})
@@ -239,32 +239,32 @@ def no_clock(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.usefixtures("no_clock")
 def test_the_address_with_most_connections_gives_up_its_oldest() -> None:
-    admission = Admission({Rank.STRANGER: 4, Rank.GUEST: 2, Rank.OPERATOR: 2})
+    admission = Admission({ClientClass.STRANGER: 4, ClientClass.GUEST: 2, ClientClass.OPERATOR: 2})
     lines = [Line(address) for address in ("b", "a", "a", "a", "a", "c")]
     for line in lines:
         admission.enter(line)  # type: ignore[arg-type]
     assert [line.closed for line in lines] == [False, True, True, False, False, False]
 
 
-ARRIVALS = st.lists(st.tuples(st.sampled_from("abc"), st.sampled_from(list(Rank)), st.booleans()), max_size=80)
+ARRIVALS = st.lists(st.tuples(st.sampled_from("abc"), st.sampled_from(list(ClientClass)), st.booleans()), max_size=80)
 
 
 @pytest.mark.usefixtures("no_clock")
 @given(ARRIVALS)
 def test_no_rank_has_more_than_its_places_and_none_loses_one_to_another(
-    arrivals: list[tuple[str, Rank, bool]],
+    arrivals: list[tuple[str, ClientClass, bool]],
 ) -> None:
-    places = {Rank.STRANGER: 3, Rank.GUEST: 4, Rank.OPERATOR: 5}
+    places = {ClientClass.STRANGER: 3, ClientClass.GUEST: 4, ClientClass.OPERATOR: 5}
     admission = Admission(places)
-    lines: list[tuple[Line, Rank]] = []
+    lines: list[tuple[Line, ClientClass]] = []
     for address, rank, leaves in arrivals:
         line = Line(address)
-        before = {r: [other for other, known in lines if known is r and not other.closed] for r in Rank}
+        before = {r: [other for other, known in lines if known is r and not other.closed] for r in ClientClass}
         admission.enter(line).raise_to(rank)  # type: ignore[arg-type]
         assert not line.closed
         lines.append((line, rank))
-        for other in Rank:
-            if other not in (rank, Rank.STRANGER):
+        for other in ClientClass:
+            if other not in (rank, ClientClass.STRANGER):
                 assert not any(kept.closed for kept in before[other])
             assert sum(known is other and not kept.closed for kept, known in lines) <= places[other]
         if leaves:
@@ -272,4 +272,4 @@ def test_no_rank_has_more_than_its_places_and_none_loses_one_to_another(
 
 
 def test_connections_before_their_first_request_count_as_without_a_session() -> None:
-    assert PLACES[Rank.STRANGER] > 2 * (ACCEPTED_AT_ONCE + 1)
+    assert PLACES[ClientClass.STRANGER] > 2 * (ACCEPTED_AT_ONCE + 1)

@@ -10,10 +10,10 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from rig.live.messages import FASTEST, FIELDS, MOST_CHARACTERS, MOST_REASON, Message, MessageError, parse
-from rig.realtime.operator_commands import Command
+from rig.realtime.operator_commands import CommandKind
 
 JSON = st.recursive(
-    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=20) | st.sampled_from(list(Command)),
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=20) | st.sampled_from(list(CommandKind)),
     lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.sampled_from(FIELDS) | st.text(max_size=5), inner),
     max_leaves=8,
 )
@@ -43,14 +43,14 @@ def valid(message: Message, text: str) -> None:
     said = {name: value for name in FIELDS if (value := getattr(message, name)) is not None}
     assert len(said) == 1
     assert json.loads(text).items() >= said.items()
-    assert message.do is None or message.do in set(Command)
+    assert message.do is None or message.do in set(CommandKind)
     assert message.seek is None or math.isfinite(message.seek)
     assert message.speed is None or 0 < message.speed <= FASTEST
     assert message.play in (None, True, False)
 
 
-@pytest.mark.parametrize("action", Command)
-def test_every_action_can_be_asked_for(action: Command) -> None:
+@pytest.mark.parametrize("action", CommandKind)
+def test_every_action_can_be_asked_for(action: CommandKind) -> None:
     assert parse(json.dumps({"do": action})).do is action
 
 

@@ -24,7 +24,7 @@ from rig.experiment import run as experiment
 from rig.hardware import runtime_folder
 from rig.live.client_session import ClientSession, connect, running_runs
 from rig.realtime.control_socket import ControlSocket, socket_paths
-from rig.realtime.operator_commands import Command, CommandHandler, CommandResult, OperatorCommand, user_name
+from rig.realtime.operator_commands import CommandHandler, CommandKind, CommandResult, OperatorCommand, user_name
 from rig.realtime.shared_state import SharedState, StateLayout, Stop, view_dtype
 from runs.records import Event, Level, Status
 
@@ -74,29 +74,29 @@ def test_pause_and_resume_set_the_flag_that_control_obeys_and_are_refused_twice(
     plan: experiment.Plan, memory: SharedState
 ) -> None:
     handler = CommandHandler(memory, plan.trajectory)
-    assert handler.handle(OperatorCommand(Command.PAUSE, "ada")).accepted
+    assert handler.handle(OperatorCommand(CommandKind.PAUSE, "ada")).accepted
     assert memory.paused == 1
-    assert not handler.handle(OperatorCommand(Command.PAUSE, "ada")).accepted
-    answer = handler.handle(OperatorCommand(Command.RESUME, "ada (live page)"))
+    assert not handler.handle(OperatorCommand(CommandKind.PAUSE, "ada")).accepted
+    answer = handler.handle(OperatorCommand(CommandKind.RESUME, "ada (live page)"))
     assert (answer.accepted, memory.paused) == (True, 0)
     assert "ada (live page)" in answer.message
-    assert not handler.handle(OperatorCommand(Command.RESUME, "ada")).accepted
+    assert not handler.handle(OperatorCommand(CommandKind.RESUME, "ada")).accepted
 
 
 def test_a_paused_run_holds_its_pressures_and_refuses_a_skip(plan: experiment.Plan, memory: SharedState) -> None:
     handler = CommandHandler(memory, plan.trajectory)
-    handler.handle(OperatorCommand(Command.PAUSE, "ada"))
-    answer = handler.handle(OperatorCommand(Command.SKIP, "bob"))
+    handler.handle(OperatorCommand(CommandKind.PAUSE, "ada"))
+    answer = handler.handle(OperatorCommand(CommandKind.SKIP, "bob"))
     assert (answer.accepted, memory.skips) == (False, 0)
     assert "resume" in answer.message
-    handler.handle(OperatorCommand(Command.RESUME, "ada"))
-    assert handler.handle(OperatorCommand(Command.SKIP, "bob")).accepted
+    handler.handle(OperatorCommand(CommandKind.RESUME, "ada"))
+    assert handler.handle(OperatorCommand(CommandKind.SKIP, "bob")).accepted
     assert memory.skips == 1
 
 
-@pytest.mark.parametrize(("action", "stop"), [(Command.STOP, Stop.SAFE), (Command.VENT, Stop.VENT)])
+@pytest.mark.parametrize(("action", "stop"), [(CommandKind.STOP, Stop.SAFE), (CommandKind.VENT, Stop.VENT)])
 def test_stop_and_vent_end_the_run_and_say_who(
-    plan: experiment.Plan, memory: SharedState, action: Command, stop: Stop
+    plan: experiment.Plan, memory: SharedState, action: CommandKind, stop: Stop
 ) -> None:
     handler = CommandHandler(memory, plan.trajectory)
     handler.handle(OperatorCommand(action, "ada"))
@@ -109,18 +109,18 @@ def test_stop_and_vent_end_the_run_and_say_who(
 
 def test_a_vent_overrides_an_earlier_stop_but_not_the_reverse(plan: experiment.Plan, memory: SharedState) -> None:
     handler = CommandHandler(memory, plan.trajectory)
-    for action in (Command.STOP, Command.VENT, Command.STOP):
+    for action in (CommandKind.STOP, CommandKind.VENT, CommandKind.STOP):
         handler.handle(OperatorCommand(action, "ada"))
     assert memory.stop_request == Stop.VENT
 
 
 def test_an_answer_is_taken_once_and_only_while_a_prompt_waits(plan: experiment.Plan, memory: SharedState) -> None:
     handler = CommandHandler(memory, plan.trajectory)
-    assert not handler.handle(OperatorCommand(Command.ANSWER, "ada")).accepted
+    assert not handler.handle(OperatorCommand(CommandKind.ANSWER, "ada")).accepted
     memory.waiting_prompt = 0
-    assert handler.handle(OperatorCommand(Command.ANSWER, "ada")).accepted
+    assert handler.handle(OperatorCommand(CommandKind.ANSWER, "ada")).accepted
     assert memory.prompts_answered == 1
-    assert not handler.handle(OperatorCommand(Command.ANSWER, "ada")).accepted
+    assert not handler.handle(OperatorCommand(CommandKind.ANSWER, "ada")).accepted
 
 
 class ServedRun:
@@ -176,7 +176,7 @@ def test_commands_are_passed_on_with_their_account(served: ServedRun, memory: Sh
     session = ClientSession(served.socket.path)
     me = user_name()
     assert session.request("pause", me) == {"done": True, "said": f"pause by {me} (live page)"}
-    assert served.asked == [OperatorCommand(Command.PAUSE, f"{me} (live page)")]
+    assert served.asked == [OperatorCommand(CommandKind.PAUSE, f"{me} (live page)")]
     session.watch()
     session.request("resume", "ada")
     assert memory.viewer_ns > 0

@@ -15,7 +15,7 @@ from dataclasses import replace
 import pytest
 
 import rig.config.loader
-from protocols import Trajectory
+from protocols import SetPointTrajectory
 from rig.config.schema import RigConfig
 from rig.execution.plan import Plan
 from rig.realtime import watchdog_process
@@ -24,13 +24,13 @@ from rig.realtime.failsafe import FailsafeThread, force_safe_state
 from rig.realtime.process_monitor import ProcessMonitor
 from rig.realtime.scheduling import Scheduling
 from rig.realtime.shared_state import SharedState, Stage, StateLayout, Stop
-from rig.realtime.timing_limits import Profile, TimingLimits
+from rig.realtime.timing_limits import TimingLimits, TimingProfile
 from rig.simulator import plant_launcher
 from rig.simulator.registers import Registers, path_of
 from scripts.rig_process import strict
 
 OPEN_V, SAFE_V = 7.0, 0.0
-LENIENT = TimingLimits(Profile.STRICT, control_hung_ns=10**10)
+LENIENT = TimingLimits(TimingProfile.STRICT, control_hung_ns=10**10)
 HOLD_STILL = (
     "import ctypes, sys, time\nptrace = ctypes.CDLL(None).ptrace\nptrace.argtypes = [ctypes.c_long] * 4\n"
     "print('held' if ptrace(16, int(sys.argv[1]), 0, 0) == 0 else 'refused', flush=True)\ntime.sleep(60)\n"
@@ -79,7 +79,7 @@ def dead() -> int:
 
 
 def job(config: RigConfig, memory: SharedState, supervisor: int) -> ChildJob:
-    nothing = Trajectory(0.0, config.actuators, (), (), "")
+    nothing = SetPointTrajectory(0.0, config.actuators, (), (), "")
     return ChildJob(Plan(config, path_of("none"), nothing, config.model.variant, 0), memory.fd, supervisor)
 
 

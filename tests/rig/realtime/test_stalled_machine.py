@@ -19,7 +19,7 @@ from rig.realtime import supervisor
 from rig.realtime.health_monitor import HealthMonitor
 from rig.realtime.scheduling import HeartbeatMonitor
 from rig.realtime.shared_state import Stage
-from rig.realtime.timing_limits import Profile, TimingLimits
+from rig.realtime.timing_limits import TimingLimits, TimingProfile
 from rig.simulator.plant import Plant
 from rig.simulator.tip_pose import TipPose
 from runs.records import Level, sample_dtype
@@ -117,7 +117,7 @@ def test_the_supervisor_blames_no_process_for_a_stall_unless_it_stays_silent_aft
     moving: Plan, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     parent = supervisor._Supervisor(moving, NullOperator(), None)
-    parent.timing = TimingLimits(Profile.STRICT, control_hung_ns=30 * MS)
+    parent.timing = TimingLimits(TimingProfile.STRICT, control_hung_ns=30 * MS)
     memory, now = parent.memory, 10**9
     memory.publish_stage("control", Stage.RUNNING)
     monkeypatch.setattr(supervisor.time, "monotonic_ns", lambda: now)

@@ -30,7 +30,7 @@ from rig.realtime.control_socket import ControlSocket, socket_of, socket_paths
 from rig.realtime.process_monitor import ProcessMonitor
 from rig.realtime.scheduling import Scheduling
 from rig.realtime.shared_state import SharedState, Stage, StateLayout, Stop
-from rig.realtime.timing_limits import Profile, TimingLimits
+from rig.realtime.timing_limits import TimingLimits, TimingProfile
 from rig.simulator.plant_launcher import Simulation
 from rig.simulator.registers import Registers
 from runs.journal.append_only_file import JournalError
@@ -228,7 +228,7 @@ def test_a_process_stopped_before_its_start_takes_its_job_and_exits(plan: Plan, 
 
 def test_control_that_stalls_before_its_first_cycle_ends_the_run(plan: Plan, monkeypatch: pytest.MonkeyPatch) -> None:
     parent = supervisor._Supervisor(plan, NullOperator(), None)
-    parent.timing = TimingLimits(Profile.STRICT, control_hung_ns=30_000_000)
+    parent.timing = TimingLimits(TimingProfile.STRICT, control_hung_ns=30_000_000)
     memory, now = parent.memory, 10**9
     monkeypatch.setattr(supervisor.time, "monotonic_ns", lambda: now)
     for name in ("control", "watchdog"):

@@ -21,7 +21,7 @@ from rig.control.step import Sample
 from rig.experiment import run as experiment
 from rig.hardware.bench import BenchScans
 from rig.realtime.scheduling import REAL_TIME, Scheduling
-from rig.realtime.timing_limits import Profile, TimingLimits, remedies, stated, timing_limits
+from rig.realtime.timing_limits import TimingLimits, TimingProfile, remedies, stated, timing_limits
 from rig.simulator.plant import Plant
 from scripts.rig_process import BRIEF, strict
 from tests.support.plant_bench import mock_rig
@@ -37,7 +37,7 @@ def real_rig(**limits: float) -> RigConfig:
 
 def test_real_valves_with_real_time_scheduling_get_the_strict_limits() -> None:
     assert timing_limits(real_rig(), REAL_TIME) == TimingLimits(
-        Profile.STRICT,
+        TimingProfile.STRICT,
         control_hung_ns=30 * MS,
         late_look_ns=8 * MS,
         watchdog_silent_ns=1000 * MS,
@@ -63,7 +63,7 @@ def test_real_valves_without_real_time_scheduling_get_stale_s_and_at_most_a_tent
     granted: Scheduling, stale_s: float, hung_ms: int
 ) -> None:
     timing = timing_limits(real_rig(stale_s=stale_s), granted)
-    assert timing.profile is Profile.ORDINARY
+    assert timing.profile is TimingProfile.ORDINARY
     assert timing.control_hung_ns == hung_ms * MS
     assert timing.simulation_waits_ns is None
 
@@ -71,7 +71,7 @@ def test_real_valves_without_real_time_scheduling_get_stale_s_and_at_most_a_tent
 @pytest.mark.parametrize("granted", [Scheduling.NONE, REAL_TIME])
 def test_a_simulated_bench_gets_limits_of_seconds_with_any_scheduling(granted: Scheduling) -> None:
     timing = timing_limits(rig.config.loader.load("mock"), granted)
-    assert timing.profile is Profile.SIMULATED
+    assert timing.profile is TimingProfile.SIMULATED
     assert timing.control_hung_ns == 5000 * MS
 
 
@@ -80,7 +80,7 @@ def test_a_stated_hung_s_applies_to_any_bench(granted: Scheduling) -> None:
     mock = rig.config.loader.parse(strict(rig.config.loader.text("mock")), "rig.yaml")
     for config, hung_ms in ((mock, 30), (real_rig(hung_s=0.2), 200)):
         timing = timing_limits(config, granted)
-        assert timing == TimingLimits(Profile.STRICT, hung_ms * MS, frame_s=config.limits.no_tip_s)
+        assert timing == TimingLimits(TimingProfile.STRICT, hung_ms * MS, frame_s=config.limits.no_tip_s)
 
 
 def test_missing_promises_are_reported_with_the_remedy() -> None:

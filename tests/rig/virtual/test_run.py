@@ -129,7 +129,7 @@ def test_the_same_seed_gives_the_same_arrays_bit_for_bit(tmp_path: Path) -> None
     one, two, other = (run_fast(tmp_path / str(n), protocol, seed) for n, seed in enumerate((7, 7, 8)))
     for room in ("pressure", "tip", "timing"):
         first, second = getattr(one, room), getattr(two, room)
-        for name in first.__dataclass_fields__:
+        for name in first.values:
             np.testing.assert_array_equal(getattr(first, name), getattr(second, name), err_msg=f"{room}.{name}")
     for k in range(len(one.frames.index)):
         assert one.picture(k) == two.picture(k)

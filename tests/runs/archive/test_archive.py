@@ -20,7 +20,7 @@ import tests.support.synthetic_runs as made_up
 from runs.archive import fields as groups
 from runs.archive import layout
 from runs.archive import writer as archive
-from runs.archive.writer import ArchiveError, StillWrittenError, finalise, verify
+from runs.archive.writer import ArchiveError, ArchiveInUseError, finalise, verify
 from runs.journal import journal
 from runs.records import DetectionStatus, RunFooter, Status
 from scripts.faults import surroundings
@@ -227,7 +227,7 @@ def test_a_run_cut_off_before_its_first_sample_still_gives_an_archive(tmp_path: 
 def test_the_journal_of_a_living_writer_is_refused(tmp_path: Path) -> None:
     source = tmp_path / "live.mcap"
     writer = made_up.write_journal(source, footer=False)
-    with pytest.raises(StillWrittenError):
+    with pytest.raises(ArchiveInUseError):
         finalise(source)
     writer.close(RunFooter(made_up.START_NS, Status.FINISHED, ""))
     assert finalise(source).exists()

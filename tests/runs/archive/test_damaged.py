@@ -24,7 +24,7 @@ import tests.support.synthetic_runs as made_up
 from runs.archive.writer import ArchiveError, finalise
 from runs.export.exporters import export
 from runs.journal.journal import JournalWriter
-from runs.records import Quantity, RunFooter, SourceFile, Status, adaptation_dtype
+from runs.records import Quantity, RecordedFile, RunFooter, Status, adaptation_dtype
 from scripts.rig_process import BRIEF
 
 ROOT = Path(__file__).parents[3]
@@ -38,7 +38,7 @@ THOROUGH = 0.2
 def write_everything(path: Path) -> Path:
     """An archive with every group that there is."""
     adapted = (Quantity("adaptation", "shear_ratio", (0.4,), "", "", 0.1),)
-    files = (SourceFile.of("pressures.csv", "csv", "0,0\n"),)
+    files = (RecordedFile.of("pressures.csv", "csv", "0,0\n"),)
     vector = Quantity("calibration", "front.rotation", (0.0, 1.0, 0.0), "rad", "rig.yaml")
     header = made_up.header(path.stem)
     header = replace(

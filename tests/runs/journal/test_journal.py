@@ -22,7 +22,7 @@ from mcap.reader import make_reader
 from numpy.typing import NDArray
 
 import tests.support.synthetic_runs as made_up
-from runs.archive.writer import StillWrittenError, held
+from runs.archive.writer import ArchiveInUseError, held
 from runs.journal import append_only_file, journal, messages
 from runs.journal.append_only_file import JournalError, JournalFullError
 from runs.journal.journal import JournalWriter
@@ -220,7 +220,7 @@ def test_the_rows_may_be_reused_after_the_call(tmp_path: Path) -> None:
 def test_the_journal_is_locked_while_it_is_written(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     writer = JournalWriter(path, made_up.header())
-    with pytest.raises(StillWrittenError, match="is being written by another process"), held(path):
+    with pytest.raises(ArchiveInUseError, match="is being written by another process"), held(path):
         pass
     writer.close(RunFooter(made_up.START_NS, Status.FINISHED, ""))
     with held(path):
