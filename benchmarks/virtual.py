@@ -95,31 +95,33 @@ def parts(protocol: str) -> None:
     from rig.experiment import run as experiment
     from rig.hardware.cameras.mock import MockCamera
     from rig.observation import picture_recorder
-    from rig.observation.observer import Observer
+    from rig.observation.multi_camera import MultiCameraTipEstimator
+    from rig.observation.observer import Observer, _DynamicModel
     from rig.simulator.plant import Plant
     from rig.virtual import executor
+    from runs.archive import writer
 
     imports_s = time.process_time() - begun
     watch = Stopwatch()
-    executor.ThreadPoolExecutor = _Beside  # type: ignore[attr-defined,assignment]
+    executor.ThreadPoolExecutor = _SameThread  # type: ignore[attr-defined,assignment]
     watch.around(executor._VirtualRun, "__init__", "start")
-    watch.around(executor._VirtualRun, "_tick", "the loop itself")
-    watch.around(control_loop.ControlLoop, "tick", "control")
+    watch.around(executor._VirtualRun, "_cycle", "the loop itself")
+    watch.around(control_loop.ControlLoop, "cycle", "control")
     watch.around(Plant, "advance", "plant")
-    watch.around(MockCamera, "expose", "camera")
-    watch.around(MockCamera, "develop", "camera")
+    watch.around(MockCamera, "expose", "exposure")
+    watch.around(MockCamera, "develop", "rendering")
     watch.around(Observer, "step", "observer, the rest")
-    watch.around(_eyes(), "measure", "eye")
-    watch.around(_companion(), "follow", "model")
-    watch.around(picture_recorder.PictureRecorder, "pictures", "pictures kept")
+    watch.around(MultiCameraTipEstimator, "measure", "vision")
+    watch.around(_DynamicModel, "follow", "model")
+    watch.around(picture_recorder.PictureRecorder, "pictures", "pictures stored")
     watch.around(executor._VirtualRun, "_flush", "recording")
-    watch.around(experiment, "finalise", "archive")
+    watch.around(writer, "finalise", "archive")
     watch.around(report_process, "here", "report")
     with tempfile.TemporaryDirectory() as folder:
         request = experiment.request(protocol, "mock", folder=Path(folder), fast=True, seed=1, report=False)
         decided = experiment.plan(request)
         begun = time.process_time()
-        left = experiment.run(request, decided, _Nobody())
+        left = experiment.run(request, decided, _NoOperator())
         assert left.archive is not None
         report_process.here(left.archive)
         spent = time.process_time() - begun
@@ -133,20 +135,8 @@ def parts(protocol: str) -> None:
     print(f"{'the whole loop':24s}{loop_s:8.2f}, {decided.trajectory.duration_s / loop_s:.1f} times real time")
 
 
-def _eyes() -> Any:
-    from rig.observation.multi_camera import MultiCameraTipEstimator
-
-    return MultiCameraTipEstimator
-
-
-def _companion() -> Any:
-    from rig.observation.observer import _DynamicModel
-
-    return _DynamicModel
-
-
-class _Beside:
-    """Does in this thread, at once, what the run would have another thread do: so every part is seen alone."""
+class _SameThread:
+    """An executor that does its work at once in this thread, so that each part is timed alone."""
 
     def __init__(self, *_: object, **__: object) -> None:
         pass
@@ -162,14 +152,14 @@ class _Beside:
         """Nothing waits."""
 
 
-class _Nobody:
-    """Watches and never stops."""
+class _NoOperator:
+    """An operator who watches and never stops the run."""
 
     def show(self, progress: object) -> None:
-        """Look away."""
+        """Show nothing."""
 
     def report(self, event: object) -> None:
-        """Forget."""
+        """Report nothing."""
 
     def answered(self) -> bool:
         """Never."""
