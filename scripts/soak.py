@@ -24,7 +24,7 @@ from rig.experiment import run as experiment
 from runs.records import Level
 from runs.run import Run
 from scripts.faults.catalogue import CONTROL, SUPERVISOR
-from scripts.faults.realtime import WatchedRun, lives
+from scripts.faults.realtime import TrialRun, lives
 from scripts.faults.virtual import Listener
 
 PROTOCOL = """
@@ -92,7 +92,7 @@ def real(duration_s: float, stolen_s: float | None) -> bool:
     """One run in real time; `stolen_s` is for how long the host may take a processor away."""
     limits = {} if stolen_s is None else {"hung_s": stolen_s, "stale_s": max(stolen_s, 0.1)}
     with tempfile.TemporaryDirectory(prefix="softrig-soak-") as folder:
-        run = WatchedRun(Path(folder), None, {}, PROTOCOL.format(duration_s=duration_s - 1), limits)
+        run = TrialRun(Path(folder), None, {}, PROTOCOL.format(duration_s=duration_s - 1), limits)
         try:
             run.wait_until_moving().close()
             grown = {name: Growth() for name in run.members}

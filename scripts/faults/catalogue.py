@@ -17,7 +17,7 @@ MOVING_S = 4.2
 
 
 @dataclass(frozen=True)
-class Bench:
+class BenchFault:
     """Words of the simulated bench's fault word (`rig.simulator.faults`)."""
 
     words: dict[str, float]
@@ -36,7 +36,7 @@ class Signal:
 
 
 @dataclass(frozen=True)
-class Havoc:
+class RandomProcessSignals:
     """One to three of the four processes that can make the valves safe, one after the other in any order.
 
     Each gets one of `numbers`; stopped processes continue after `lasts_s`.
@@ -46,7 +46,7 @@ class Havoc:
     lasts_s: float = 4.0
 
 
-class Blows(Enum):
+class TransitionAction(Enum):
     """Actions on a run while it starts or ends."""
 
     KILLED_OR_STOPPED = "one to three of its processes killed or stopped"
@@ -55,21 +55,21 @@ class Blows(Enum):
 
 
 @dataclass(frozen=True)
-class Margin:
+class TransitionFault:
     """An action while the run starts, or while it ends: the valves are safe and the archive is not yet written."""
 
     ending: bool
-    blows: Blows
+    action: TransitionAction
 
 
 @dataclass(frozen=True)
-class DiskStands:
+class DiskBlocked:
     """The disk blocks for `lasts_s`."""
 
     lasts_s: float
 
 
-class Trick(Enum):
+class EnvironmentFault(Enum):
     """Faults of the environment of the run."""
 
     DISK_FULL = "disk full"
@@ -92,7 +92,7 @@ class Fault:
 
     name: str
     kind: str
-    action: Bench | Signal | Havoc | Trick | DiskStands | Margin
+    action: BenchFault | Signal | RandomProcessSignals | EnvironmentFault | DiskBlocked | TransitionFault
     ends: tuple[Status, ...]
     says: str
     real: bool = True
@@ -115,16 +115,16 @@ NAN = STUCK_WHERE_IT_IS
 
 
 def _sensor(name: str, says: str, **words: float) -> Fault:
-    return Fault(name, "sensor", Bench(words), ABORTED, says)
+    return Fault(name, "sensor", BenchFault(words), ABORTED, says)
 
 
 def _valve(name: str, says: str, **words: float) -> Fault:
-    return Fault(name, "valve and air", Bench(words), ABORTED, says)
+    return Fault(name, "valve and air", BenchFault(words), ABORTED, says)
 
 
 def _process(
     name: str,
-    action: Signal | Havoc,
+    action: Signal | RandomProcessSignals,
     ends: tuple[Status, ...],
     says: str,
     remark: str = "",
@@ -165,12 +165,12 @@ AIR = (
     ),
 )
 CARD = (
-    Fault("card: a read fails", "card", Bench({"failing_reads": 1}), ABORTED, "inputs cannot be read"),
-    Fault("card: three writes fail", "card", Bench({"failing_writes": 3}), ABORTED, "outputs cannot be written"),
+    Fault("card: a read fails", "card", BenchFault({"failing_reads": 1}), ABORTED, "inputs cannot be read"),
+    Fault("card: three writes fail", "card", BenchFault({"failing_writes": 3}), ABORTED, "outputs cannot be written"),
     Fault(
         "card: no write succeeds any more",
         "card",
-        Bench({"failing_writes": FOR_EVER}),
+        BenchFault({"failing_writes": FOR_EVER}),
         ABORTED,
         "safe state could not be written",
         safe=False,
@@ -179,26 +179,34 @@ CARD = (
     Fault(
         "card reads slowly, 12 ms",
         "card",
-        Bench({"read_delay_ns": 12e6}),
+        BenchFault({"read_delay_ns": 12e6}),
         FINISHED,
         "of the deadlines are missed",
         virtual=False,
     ),
-    Fault("card hangs in a read", "card", Bench({"read_delay_ns": 5e9}), ABORTED, "hung", virtual=False),
-    Fault("card gives no more scans", "card", Bench({"silent": 1}), ABORTED, "no pressure sample"),
-    Fault("card overruns, 30 scans", "card", Bench({"lost_scans": 30}), FINISHED, "30 scans were lost|scans were lost"),
-    Fault("card overruns, 2000 scans", "card", Bench({"lost_scans": 2000}), ABORTED, "no pressure sample"),
+    Fault("card hangs in a read", "card", BenchFault({"read_delay_ns": 5e9}), ABORTED, "hung", virtual=False),
+    Fault("card gives no more scans", "card", BenchFault({"silent": 1}), ABORTED, "no pressure sample"),
+    Fault(
+        "card overruns, 30 scans",
+        "card",
+        BenchFault({"lost_scans": 30}),
+        FINISHED,
+        "30 scans were lost|scans were lost",
+    ),
+    Fault("card overruns, 2000 scans", "card", BenchFault({"lost_scans": 2000}), ABORTED, "no pressure sample"),
 )
 CAMERA = (
-    Fault("camera unplugged", "camera", Bench({"camera": CameraFault.UNPLUGGED}), ABORTED, "camera"),
-    Fault("camera gives no more pictures", "camera", Bench({"camera": CameraFault.SILENT}), ABORTED, "camera"),
-    Fault("camera frozen", "camera", Bench({"camera": CameraFault.FROZEN}), FINISHED, "repeats the same picture"),
-    Fault("camera black", "camera", Bench({"camera": CameraFault.BLACK}), FINISHED, "no board in the picture"),
-    Fault("camera repeats every picture", "camera", Bench({"camera": CameraFault.DUPLICATED}), FINISHED, "repeats"),
+    Fault("camera unplugged", "camera", BenchFault({"camera": CameraFault.UNPLUGGED}), ABORTED, "camera"),
+    Fault("camera gives no more pictures", "camera", BenchFault({"camera": CameraFault.SILENT}), ABORTED, "camera"),
+    Fault("camera frozen", "camera", BenchFault({"camera": CameraFault.FROZEN}), FINISHED, "repeats the same picture"),
+    Fault("camera black", "camera", BenchFault({"camera": CameraFault.BLACK}), FINISHED, "no board in the picture"),
+    Fault(
+        "camera repeats every picture", "camera", BenchFault({"camera": CameraFault.DUPLICATED}), FINISHED, "repeats"
+    ),
     Fault(
         "camera late by 0.4 s",
         "camera",
-        Bench({"camera": CameraFault.LATE, "camera_delay_ns": 400e6}),
+        BenchFault({"camera": CameraFault.LATE, "camera_delay_ns": 400e6}),
         FINISHED,
         "s old when they are measured",
         virtual=False,
@@ -206,7 +214,7 @@ CAMERA = (
     Fault(
         "camera drops nine of ten",
         "camera",
-        Bench({"camera": CameraFault.DROPPING}),
+        BenchFault({"camera": CameraFault.DROPPING}),
         FINISHED,
         "camera drops pictures",
         virtual=False,
@@ -255,9 +263,14 @@ PROCESSES = (
         ABORTED,
         "supervisor had been silent",
     ),
-    _process("one to three of the four killed, in any order", Havoc((KILL,)), EITHER, PROCESS_FAULT),
-    _process("one to three of the four stopped, in any order", Havoc((STOP,)), EITHER, PROCESS_FAULT),
-    _process("one to three of the four killed or stopped, in any order", Havoc((KILL, STOP)), EITHER, PROCESS_FAULT),
+    _process("one to three of the four killed, in any order", RandomProcessSignals((KILL,)), EITHER, PROCESS_FAULT),
+    _process("one to three of the four stopped, in any order", RandomProcessSignals((STOP,)), EITHER, PROCESS_FAULT),
+    _process(
+        "one to three of the four killed or stopped, in any order",
+        RandomProcessSignals((KILL, STOP)),
+        EITHER,
+        PROCESS_FAULT,
+    ),
     _process(
         "all stopped, then rig vent, then resumed",
         Signal((SUPERVISOR, WATCHDOG, CONTROL, OBSERVER), STOP, lasts_s=3.0, then_vent=True),
@@ -280,16 +293,30 @@ SURROUNDINGS = (
         )
         for lasts_s in (0.15, 0.6)
     ),
-    Fault("disk full", "disk", Trick.DISK_FULL, (*ABORTED, *RECOVERED), "full"),
-    Fault("file size limit reached", "disk", Trick.FILE_LIMIT, (*ABORTED, *RECOVERED), "full", virtual=False),
-    Fault("folder turns read-only", "disk", Trick.FOLDER_READ_ONLY, FINISHED, "the journal is kept", virtual=False),
+    Fault("disk full", "disk", EnvironmentFault.DISK_FULL, (*ABORTED, *RECOVERED), "full"),
     Fault(
-        "disk slow: takes nothing for 4 s", "disk", DiskStands(4.0), FINISHED, "has not taken the record", virtual=False
+        "file size limit reached", "disk", EnvironmentFault.FILE_LIMIT, (*ABORTED, *RECOVERED), "full", virtual=False
+    ),
+    Fault(
+        "folder turns read-only",
+        "disk",
+        EnvironmentFault.FOLDER_READ_ONLY,
+        FINISHED,
+        "the journal is kept",
+        virtual=False,
+    ),
+    Fault(
+        "disk slow: takes nothing for 4 s",
+        "disk",
+        DiskBlocked(4.0),
+        FINISHED,
+        "has not taken the record",
+        virtual=False,
     ),
     Fault(
         "disk slow: takes nothing for 12 s",
         "disk",
-        DiskStands(12.0),
+        DiskBlocked(12.0),
         ABORTED,
         "has taken nothing for",
         virtual=False,
@@ -297,25 +324,39 @@ SURROUNDINGS = (
         remark="what waits in memory is written once it does",
         moving_s=15.0,
     ),
-    Fault("rig and protocol changed on disk", "files", Trick.FILES_CHANGED, FINISHED, "", remark="the run has its own"),
-    Fault("clock stepped forward by a day", "clock", Trick.CLOCK_FORWARD, FINISHED, "", virtual=False),
-    Fault("clock stepped back by a day", "clock", Trick.CLOCK_BACK, FINISHED, "", virtual=False),
-    Fault("terminal blocked (Ctrl-S, a full pipe)", "terminal", Trick.TERMINAL_BLOCKED, FINISHED, "", virtual=False),
-    Fault("terminal closed", "terminal", Trick.TERMINAL_LOST, INTERRUPTED, "SIGHUP", virtual=False),
-    Fault("model not converging", "model", Trick.MODEL_UNSOLVABLE, FINISHED, "model cannot be solved"),
-)
-MARGINS = tuple(
     Fault(
-        f"{blows.value}, while it {'ends' if ending else 'starts'}",
-        "margins",
-        Margin(ending, blows),
+        "rig and protocol changed on disk",
+        "files",
+        EnvironmentFault.FILES_CHANGED,
+        FINISHED,
+        "",
+        remark="the run has its own",
+    ),
+    Fault("clock stepped forward by a day", "clock", EnvironmentFault.CLOCK_FORWARD, FINISHED, "", virtual=False),
+    Fault("clock stepped back by a day", "clock", EnvironmentFault.CLOCK_BACK, FINISHED, "", virtual=False),
+    Fault(
+        "terminal blocked (Ctrl-S, a full pipe)",
+        "terminal",
+        EnvironmentFault.TERMINAL_BLOCKED,
+        FINISHED,
+        "",
+        virtual=False,
+    ),
+    Fault("terminal closed", "terminal", EnvironmentFault.TERMINAL_LOST, INTERRUPTED, "SIGHUP", virtual=False),
+    Fault("model not converging", "model", EnvironmentFault.MODEL_UNSOLVABLE, FINISHED, "model cannot be solved"),
+)
+TRANSITIONS = tuple(
+    Fault(
+        f"{action.value}, while it {'ends' if ending else 'starts'}",
+        "start and end",
+        TransitionFault(ending, action),
         tuple(Status),
         "",
         virtual=False,
         remark="" if ending else "whatever is there by then",
     )
     for ending in (False, True)
-    for blows in Blows
-    if not (ending and blows is Blows.VENT)
+    for action in TransitionAction
+    if not (ending and action is TransitionAction.VENT)
 )
-CATALOGUE: tuple[Fault, ...] = (*SENSORS, *AIR, *CARD, *CAMERA, *PROCESSES, *SURROUNDINGS, *MARGINS)
+CATALOGUE: tuple[Fault, ...] = (*SENSORS, *AIR, *CARD, *CAMERA, *PROCESSES, *SURROUNDINGS, *TRANSITIONS)

@@ -46,20 +46,20 @@ class FaultTrial:
 
 
 class EndedBeforeError(Exception):
-    """The run ended by itself before the fault could strike; the message says what it told."""
+    """The run ended by itself before the fault; the message is its last output."""
 
 
 @dataclass(frozen=True)
-class Watched:
+class TrialObservation:
     """What was seen from outside: monotonic or virtual times [ns]; `safe_ns` when the valves became safe for good."""
 
     fault_ns: int
     safe_ns: int | None
     said: str
-    """Everything the operator was told on the terminal."""
+    """The output on the terminal."""
 
 
-def judge(fault: Fault, executor: str, at_s: float, watched: Watched, folder: Path) -> FaultTrial:
+def judge(fault: Fault, executor: str, at_s: float, watched: TrialObservation, folder: Path) -> FaultTrial:
     """Compare what came of a trial with what has to; recovers the journal where the run could not."""
     wrong = []
     run = archive(folder)
@@ -116,7 +116,7 @@ def archive(folder: Path) -> Run | None:
     return None
 
 
-def _lost_s(run: Run, watched: Watched) -> float:
+def _lost_s(run: Run, watched: TrialObservation) -> float:
     """Time in which control worked, or should have, of which no sample is in the archive.
 
     A deadline that control missed is no lost sample: the archive counts it, and its scans are in the next row.

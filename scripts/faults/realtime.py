@@ -1,4 +1,4 @@
-"""One trial in real time: a `rig run` of its own, struck at a moment and watched through its mock card's registers."""
+"""One trial in real time: a `rig run` with a fault at a given moment, observed through its mock card's registers."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ import rig.config.loader
 from rig.hardware.cards.base import CardError
 from rig.hardware.safe_state import safe_voltages
 from rig.simulator.registers import Registers, path_of
-from scripts.faults import surroundings
+from scripts.faults import environment
 from scripts.faults.catalogue import (
     ABORTED,
     CONTROL,
@@ -37,15 +37,15 @@ from scripts.faults.catalogue import (
     STOP,
     SUPERVISOR,
     WATCHDOG,
-    Bench,
-    DiskStands,
+    BenchFault,
+    DiskBlocked,
+    EnvironmentFault,
     Fault,
-    Havoc,
+    RandomProcessSignals,
     Signal,
-    Trick,
 )
-from scripts.faults.fault_trial import PROTOCOL, EndedBeforeError, FaultTrial, Watched, judge, skipped
-from scripts.faults.surroundings import NotHereError, StandingDisk, SteppedClock
+from scripts.faults.environment import BlockedDisk, SteppedClock, UnsupportedFaultError
+from scripts.faults.fault_trial import PROTOCOL, EndedBeforeError, FaultTrial, TrialObservation, judge, skipped
 from scripts.faults.virtual import SEEN_SAFE_V, rig_text
 
 MODULES = {
@@ -61,13 +61,13 @@ MOVING_V = 4.0
 STILL_S = 0.1
 
 
-class WatchedRun:
-    """A `rig run` in a process of its own: its members, what it prints, and what its valves are told."""
+class TrialRun:
+    """A `rig run` in a process of its own: its processes, its output, and the voltages of its valves."""
 
     def __init__(
         self,
         folder: Path,
-        trick: object,
+        action: object,
         environment: dict[str, str],
         protocol: str = PROTOCOL.format(moving_s=MOVING_S),
         limits: dict[str, float] | None = None,
@@ -76,7 +76,7 @@ class WatchedRun:
         self.out = folder / "out"
         self.rig_file, self.protocol = folder / "rig.yaml", folder / "protocol.yaml"
         self.device = f"faults-{os.getpid()}-{threading.get_native_id()}"
-        self.rig_file.write_text(_limited(rig_text(trick, self.device), limits or {}))
+        self.rig_file.write_text(_limited(rig_text(action, self.device), limits or {}))
         self.protocol.write_text(protocol)
         self._safe_v = np.array(safe_voltages(rig.config.loader.load(self.rig_file)))
         self._said: list[bytes] = []
@@ -84,7 +84,7 @@ class WatchedRun:
         self._listening.set()
         command = [sys.executable, "-P", "-m", "rig", "run", str(self.protocol), "--rig", str(self.rig_file)]
         command += ["--out", str(self.out), "--yes", "--no-report"]
-        on_screen = trick in (Trick.TERMINAL_BLOCKED, Trick.TERMINAL_LOST)
+        on_screen = action in (EnvironmentFault.TERMINAL_BLOCKED, EnvironmentFault.TERMINAL_LOST)
         self.screen, inner = os.openpty() if on_screen else os.pipe()
         if on_screen:
             fcntl.ioctl(inner, termios.TIOCSWINSZ, np.array([40, 100, 0, 0], np.uint16).tobytes())
@@ -210,17 +210,17 @@ class WatchedRun:
         path_of(self.device).unlink(missing_ok=True)
 
 
-class Watch(threading.Thread):
+class OutputMonitor(threading.Thread):
     """Watches the outputs of a run from now on."""
 
-    def __init__(self, run: WatchedRun, registers: Registers) -> None:
+    def __init__(self, run: TrialRun, registers: Registers) -> None:
         super().__init__(daemon=True)
         self._run, self._registers = run, registers
         self._safe_ns: int | None = None
         self.start()
 
     def run(self) -> None:
-        """Watch."""
+        """Monitor until the run ends."""
         self._safe_ns = self._run.watch(self._registers)
 
     def result(self) -> int | None:
@@ -230,8 +230,8 @@ class Watch(threading.Thread):
 
 
 @contextmanager
-def _run(folder: Path, fault: Fault, environment: dict[str, str]) -> Iterator[WatchedRun]:
-    run = WatchedRun(folder, fault.action, environment, PROTOCOL.format(moving_s=fault.moving_s))
+def _run(folder: Path, fault: Fault, environment: dict[str, str]) -> Iterator[TrialRun]:
+    run = TrialRun(folder, fault.action, environment, PROTOCOL.format(moving_s=fault.moving_s))
     try:
         yield run
     finally:
@@ -239,31 +239,31 @@ def _run(folder: Path, fault: Fault, environment: dict[str, str]) -> Iterator[Wa
 
 
 def trial(fault: Fault, folder: Path, at_s: float, seed: int) -> FaultTrial:
-    """Run it."""
-    fault, blows = _decided(fault, random.Random(seed))
+    """Run one trial in real time."""
+    fault, signals = _decided(fault, random.Random(seed))
     out = folder / "out"
     out.mkdir()
-    environment: dict[str, str] = {}
+    variables: dict[str, str] = {}
     try:
         with ExitStack() as stack:
-            if fault.action is Trick.DISK_FULL:
-                stack.enter_context(surroundings.small_disk(out))
-            steered: SteppedClock | StandingDisk | None = None
-            if fault.action in (Trick.CLOCK_FORWARD, Trick.CLOCK_BACK):
+            if fault.action is EnvironmentFault.DISK_FULL:
+                stack.enter_context(environment.small_disk(out))
+            steered: SteppedClock | BlockedDisk | None = None
+            if fault.action in (EnvironmentFault.CLOCK_FORWARD, EnvironmentFault.CLOCK_BACK):
                 steered = SteppedClock(folder)
-            elif isinstance(fault.action, DiskStands):
-                steered = StandingDisk(folder)
+            elif isinstance(fault.action, DiskBlocked):
+                steered = BlockedDisk(folder)
             if steered is not None:
-                environment = steered.environment
-            with _run(folder, fault, environment) as run, ExitStack() as undo:
+                variables = steered.environment
+            with _run(folder, fault, variables) as run, ExitStack() as undo:
                 registers = run.wait_until_moving()
                 time.sleep(at_s)
                 if run.ended(registers):
                     run.process.wait(END_S)
                     raise EndedBeforeError(run.said[-1500:])
-                watch = Watch(run, registers)
+                watch = OutputMonitor(run, registers)
                 fault_ns = time.monotonic_ns()
-                fault_ns = _strike(fault, blows, run, registers, steered, undo) or fault_ns
+                fault_ns = _inject(fault, signals, run, registers, steered, undo) or fault_ns
                 safe_ns = watch.result()
                 registers.close()
                 undo.close()
@@ -271,78 +271,80 @@ def trial(fault: Fault, folder: Path, at_s: float, seed: int) -> FaultTrial:
                 said = run.said
             with contextlib.suppress(FileNotFoundError):
                 (out / "filler").unlink()
-            return judge(fault, "real", at_s, Watched(fault_ns, safe_ns, said), out)
-    except NotHereError as why:
+            return judge(fault, "real", at_s, TrialObservation(fault_ns, safe_ns, said), out)
+    except UnsupportedFaultError as why:
         return skipped(fault, "real", at_s, str(why))
 
 
 @dataclass(frozen=True)
-class Blow:
-    """One signal of a havoc, some time after the one before it."""
+class ProcessSignal:
+    """One signal to a process, `wait_s` after the one before it."""
 
     process: str
     number: signal.Signals
     wait_s: float
 
 
-def _decided(fault: Fault, chance: random.Random) -> tuple[Fault, tuple[Blow, ...]]:
-    """The blows of a havoc, and the fault with what must come of them: a supervisor that is dead tells nothing."""
-    if not isinstance(fault.action, Havoc):
+def _decided(fault: Fault, chance: random.Random) -> tuple[Fault, tuple[ProcessSignal, ...]]:
+    """Return the fault with its expected result, and its random signals; a dead supervisor reports nothing."""
+    if not isinstance(fault.action, RandomProcessSignals):
         return fault, ()
     four = (CONTROL, WATCHDOG, SUPERVISOR, OBSERVER)
     chosen = chance.sample(four, chance.randint(1, len(four) - 1))
-    blows = tuple(Blow(name, chance.choice(fault.action.numbers), chance.uniform(0, 0.05)) for name in chosen)
-    if any(blow.process == SUPERVISOR and blow.number == KILL for blow in blows):
-        return replace(fault, ends=RECOVERED, says=""), blows
-    return replace(fault, ends=ABORTED), blows
+    signals = tuple(
+        ProcessSignal(name, chance.choice(fault.action.numbers), chance.uniform(0, 0.05)) for name in chosen
+    )
+    if any(sent.process == SUPERVISOR and sent.number == KILL for sent in signals):
+        return replace(fault, ends=RECOVERED, says=""), signals
+    return replace(fault, ends=ABORTED), signals
 
 
-def _strike(
+def _inject(
     fault: Fault,
-    blows: tuple[Blow, ...],
-    run: WatchedRun,
+    signals: tuple[ProcessSignal, ...],
+    run: TrialRun,
     registers: Registers,
-    steered: SteppedClock | StandingDisk | None,
+    steered: SteppedClock | BlockedDisk | None,
     undo: ExitStack,
 ) -> int | None:
-    """Do it; return when the time to the safe state begins where that is later than the call."""
+    """Inject the fault; return when the time to the safe state begins if that is later than the call."""
     match fault.action:
-        case Bench(words):
+        case BenchFault(words):
             registers.faults.inject(**words)
         case Signal() as action:
             return _signal(action, run)
-        case Havoc(lasts_s=lasts_s):
-            for blow in blows:
-                time.sleep(blow.wait_s)
-                run.signal((blow.process,), blow.number)
-            stopped = tuple(blow.process for blow in blows if blow.number == STOP)
+        case RandomProcessSignals(lasts_s=lasts_s):
+            for sent in signals:
+                time.sleep(sent.wait_s)
+                run.signal((sent.process,), sent.number)
+            stopped = tuple(sent.process for sent in signals if sent.number == STOP)
             threading.Timer(lasts_s, run.signal, (stopped, signal.SIGCONT)).start()
-        case Trick.DISK_FULL:
-            surroundings.fill(run.out)
-        case Trick.FILE_LIMIT:
-            surroundings.limit_files(run.process.pid, next(run.out.glob("*.mcap")))
-        case Trick.FOLDER_READ_ONLY:
-            undo.enter_context(surroundings.read_only(run.out))
-        case Trick.FILES_CHANGED:
+        case EnvironmentFault.DISK_FULL:
+            environment.fill(run.out)
+        case EnvironmentFault.FILE_LIMIT:
+            environment.limit_files(run.process.pid, next(run.out.glob("*.mcap")))
+        case EnvironmentFault.FOLDER_READ_ONLY:
+            undo.enter_context(environment.read_only(run.out))
+        case EnvironmentFault.FILES_CHANGED:
             run.rig_file.write_text("spoilt: [")
             run.protocol.write_text("spoilt: [")
-        case Trick.CLOCK_FORWARD | Trick.CLOCK_BACK:
+        case EnvironmentFault.CLOCK_FORWARD | EnvironmentFault.CLOCK_BACK:
             assert isinstance(steered, SteppedClock)
             steered.require(run.members.values())
-            steered.step(surroundings.DAY_NS if fault.action is Trick.CLOCK_FORWARD else -surroundings.DAY_NS)
-        case DiskStands(lasts_s=lasts_s):
-            assert isinstance(steered, StandingDisk)
+            steered.step(environment.DAY_NS if fault.action is EnvironmentFault.CLOCK_FORWARD else -environment.DAY_NS)
+        case DiskBlocked(lasts_s=lasts_s):
+            assert isinstance(steered, BlockedDisk)
             steered.require(run.members.values())
             steered.stand(lasts_s)
-        case Trick.TERMINAL_BLOCKED:
+        case EnvironmentFault.TERMINAL_BLOCKED:
             run.turn_away()
             threading.Timer(8.0, run.turn_back).start()
-        case Trick.TERMINAL_LOST:
+        case EnvironmentFault.TERMINAL_LOST:
             run.hang_up()
     return None
 
 
-def _signal(action: Signal, run: WatchedRun) -> int | None:
+def _signal(action: Signal, run: TrialRun) -> int | None:
     for _ in range(action.times):
         run.signal(action.processes, action.number)
         if action.lasts_s is None:

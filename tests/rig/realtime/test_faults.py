@@ -26,7 +26,7 @@ def test_the_fault_is_reported_and_the_bench_is_safe(name: str, tmp_path: Path) 
 
 @pytest.mark.parametrize("killed", [(), (CONTROL,)], ids=["by control", "by the watchdog"])
 def test_valves_that_cannot_be_written_are_never_called_safe(killed: tuple[str, ...], tmp_path: Path) -> None:
-    run = realtime.WatchedRun(tmp_path, None, {})
+    run = realtime.TrialRun(tmp_path, None, {})
     try:
         registers = run.wait_until_moving()
         registers.faults.inject(failing_writes=FOR_EVER)

@@ -15,8 +15,8 @@ import pytest
 from rig.hardware import runtime_folder
 from rig.hardware.cards.base import CardError
 from rig.simulator import registers
-from scripts.faults import surroundings
-from scripts.faults.surroundings import NotHereError
+from scripts.faults import environment
+from scripts.faults.environment import UnsupportedFaultError
 from scripts.rig_process import BRIEF, child_of, rig_run
 
 LIMIT_BYTES = 600_000 * 1024
@@ -44,13 +44,13 @@ def test_a_mock_card_for_which_there_is_no_room_is_refused_and_leaves_nothing(
 ) -> None:
     monkeypatch.setattr(runtime_folder, "BASE", tmp_path)
     try:
-        with surroundings.small_disk(tmp_path):
+        with environment.small_disk(tmp_path):
             runtime_folder.runtime_folder()
-            surroundings.fill(tmp_path)
+            environment.fill(tmp_path)
             with pytest.raises(CardError, match="No space left on device"):
                 registers.Registers.create("roomy", 2, 8)
             assert not registers.path_of("roomy").exists()
-    except NotHereError as why:
+    except UnsupportedFaultError as why:
         pytest.skip(str(why))
 
 

@@ -23,8 +23,8 @@ from runs.archive import writer as archive
 from runs.archive.writer import ArchiveError, ArchiveInUseError, finalise, verify
 from runs.journal import journal
 from runs.records import DetectionStatus, RunFooter, Status
-from scripts.faults import surroundings
-from scripts.faults.surroundings import NotHereError
+from scripts.faults import environment
+from scripts.faults.environment import UnsupportedFaultError
 
 N, M, K = 600, 90, 5
 FULL = """
@@ -282,17 +282,17 @@ def test_a_disk_that_fills_while_the_archive_is_made_does_not_touch_it(
 
     def just_in_time(part: Path, size: int) -> None:
         take_room(part, size)
-        surroundings.fill(part.parent)
+        environment.fill(part.parent)
 
     monkeypatch.setattr(archive, "_take_room", just_in_time)
     try:
-        with surroundings.small_disk(tmp_path / "disk"):
+        with environment.small_disk(tmp_path / "disk"):
             source = tmp_path / "disk" / "run.mcap"
             made_up.write_journal(source)
             made = finalise(source)
             assert verify(made)
             assert made.stat().st_blocks * 512 < made.stat().st_size + 4096
-    except NotHereError as why:
+    except UnsupportedFaultError as why:
         pytest.skip(str(why))
 
 

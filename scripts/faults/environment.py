@@ -1,4 +1,4 @@
-"""Tricks on a run's surroundings: its disk, its files, its clock. Each is undone when it is left."""
+"""Faults of the environment of a run: its disk, its files, its clock. Each is undone on exit."""
 
 from __future__ import annotations
 
@@ -84,8 +84,8 @@ static volatile int64_t *word(void) {
 """
 
 
-class NotHereError(Exception):
-    """This machine does not allow the trick; the message says why."""
+class UnsupportedFaultError(Exception):
+    """This machine does not allow the fault; the message gives the reason."""
 
 
 @contextmanager
@@ -136,7 +136,7 @@ class _Preloaded:
     def __init__(self, folder: Path, name: str, source: str) -> None:
         compiler = shutil.which("cc") or shutil.which("gcc")
         if compiler is None:
-            raise NotHereError(f"no C compiler for the {name}")
+            raise UnsupportedFaultError(f"no C compiler for the {name}")
         self._name = name
         file = folder / "fault-word"
         file.write_bytes(bytes(8))
@@ -166,7 +166,7 @@ class SteppedClock(_Preloaded):
         self._word[0] = ns
 
 
-class StandingDisk(_Preloaded):
+class BlockedDisk(_Preloaded):
     """A disk that can block: no data are appended to a file, and no sync returns."""
 
     def __init__(self, folder: Path) -> None:
@@ -181,7 +181,7 @@ def _mount(*arguments: str) -> None:
     try:
         subprocess.run(["mount", *arguments], check=True, capture_output=True)
     except (OSError, subprocess.CalledProcessError) as error:
-        raise NotHereError("mounting a file system needs root") from error
+        raise UnsupportedFaultError("mounting a file system needs root") from error
 
 
 def _unmount(folder: Path) -> None:

@@ -21,7 +21,7 @@ from rig.cli.nonblocking_writer import CLOSE_TIMEOUT_S, MOST_BYTES, NonBlockingW
 from rig.control import step as control
 from rig.hardware.bench import Bench
 from rig.simulator.plant import Plant
-from scripts.faults.surroundings import DAY_NS, SteppedClock
+from scripts.faults.environment import DAY_NS, SteppedClock
 from tests.support.budget import examples
 
 ROOM = Path(rig.__file__).parent

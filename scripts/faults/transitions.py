@@ -1,4 +1,4 @@
-"""Trials at the two margins of a run in real time: while it starts, and while its archive is being made."""
+"""Trials of faults while a run in real time starts, and while its archive is written."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ import rig.config.loader
 from rig.hardware.cards.base import CardError
 from rig.hardware.lock import cards_locked
 from runs.records import Status
-from scripts.faults.catalogue import KILL, PLANT, STOP, SUPERVISOR, Blows, Fault, Margin
+from scripts.faults.catalogue import KILL, PLANT, STOP, SUPERVISOR, Fault, TransitionAction, TransitionFault
 from scripts.faults.fault_trial import TICK_S, EndedBeforeError, FaultTrial, archive
-from scripts.faults.realtime import START_S, WatchedRun, children
+from scripts.faults.realtime import START_S, TrialRun, children
 
 DURATION_S = 0.6
 PROTOCOL = f"""
@@ -26,36 +26,36 @@ title: Soon over
 steps:
   - ramp: {{actuators: [1, 2, 3], to_bar: 0.3, duration_s: {DURATION_S}}}
 """
-STRUCK_S = 0.5
-"""How long after the birth of a process, or after the valves are safe, a strike may come."""
+FAULT_DELAY_S = 0.5
+"""Longest time from the start of a process, or from the safe state, to the fault."""
 STOPPED_S = 4.0
 GONE_S, LEFT_S = 60.0, 12.0
-"""What a run gets to end, and then what it may leave behind to follow it: the plant ends some seconds later."""
+"""Time limits for the run to end, and for its remaining processes after that."""
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 TOLD = "stopped before the run began|process died|before the run began|silent|hung|interrupted|Interrupt|is in use"
 
 
 def trial(fault: Fault, folder: Path, at_s: float, seed: int) -> FaultTrial:
-    """Strike one run; what it leaves behind is looked at once it is gone."""
-    margin = fault.action
-    assert isinstance(margin, Margin)
+    """Run one trial, and check what the run leaves behind."""
+    fault_action = fault.action
+    assert isinstance(fault_action, TransitionFault)
     chance = random.Random(seed)
-    run = WatchedRun(folder, None, {}, PROTOCOL)
+    run = TrialRun(folder, None, {}, PROTOCOL)
     try:
-        _wait(run, margin, chance.randint(0, 4))
-        time.sleep(chance.uniform(0.0, STRUCK_S))
+        _wait(run, fault_action, chance.randint(0, 4))
+        time.sleep(chance.uniform(0.0, FAULT_DELAY_S))
         if run.process.poll() is not None:
             raise EndedBeforeError(run.said[-1500:])
         run.members = {SUPERVISOR: run.process.pid} | children(run.process.pid)
-        killed = _strike(run, margin.blows, chance)
-        return _judged(fault.name, margin, at_s, run, killed)
+        killed = _act(run, fault_action.action, chance)
+        return _judged(fault.name, fault_action, at_s, run, killed)
     finally:
         run.close()
 
 
-def _wait(run: WatchedRun, margin: Margin, born: int) -> None:
-    """Until so many of its processes are there; or until it has moved its valves and made them safe."""
-    if margin.ending:
+def _wait(run: TrialRun, fault_action: TransitionFault, born: int) -> None:
+    """Wait until so many processes run, or until the valves are safe after motion."""
+    if fault_action.ending:
         registers = run.wait_until_moving()
         while not run.ended(registers):
             time.sleep(0.001)
@@ -66,13 +66,13 @@ def _wait(run: WatchedRun, margin: Margin, born: int) -> None:
         time.sleep(0.001)
 
 
-def _strike(run: WatchedRun, blows: Blows, chance: random.Random) -> bool:
-    """Do it; true where the supervisor was killed, who alone tells anything."""
-    if blows is Blows.VENT:
+def _act(run: TrialRun, action: TransitionAction, chance: random.Random) -> bool:
+    """Act on the run; true if the supervisor, which alone reports, was killed."""
+    if action is TransitionAction.VENT:
         vent = [sys.executable, "-P", "-m", "rig", "vent", "--rig", str(run.rig_file)]
         subprocess.run(vent, check=False, capture_output=True)
         return False
-    if blows is Blows.ASKED:
+    if action is TransitionAction.ASKED:
         for _ in range(chance.randint(1, 3)):
             run.signal((SUPERVISOR,), chance.choice(SIGNALS))
             time.sleep(chance.uniform(0.0, 0.1))
@@ -89,7 +89,7 @@ def _strike(run: WatchedRun, blows: Blows, chance: random.Random) -> bool:
     return chosen.get(SUPERVISOR) == KILL
 
 
-def _judged(name: str, margin: Margin, at_s: float, run: WatchedRun, killed: bool) -> FaultTrial:
+def _judged(name: str, fault_action: TransitionFault, at_s: float, run: TrialRun, killed: bool) -> FaultTrial:
     wrong = []
     try:
         ended = run.process.wait(GONE_S)
@@ -111,7 +111,7 @@ def _judged(name: str, margin: Margin, at_s: float, run: WatchedRun, killed: boo
     kept, status, lost_s = archive(run.out), "no archive", 0.0
     if kept is not None:
         status = str(kept.status)
-        if margin.ending and len(kept.pressure.time_s):
+        if fault_action.ending and len(kept.pressure.time_s):
             lost_s = max(0.0, DURATION_S - float(kept.pressure.time_s[-1]) - 2 * TICK_S)
     elif list(run.out.glob("*")):
         wrong.append("the archive does not open, and none could be made of its journal")
