@@ -250,9 +250,9 @@ def speed(optics: Optics) -> None:
         pictures = [draw(place.inverse() @ board, k) for k, board in enumerate(boards)]
         nothing = draw(RigidTransform(np.eye(3), np.array([9.0, 0.0, 1.0])), 0)
         follower = Tracker(BOARD, setting.lens)
-        following = _cpu_ms((follower.see, picture) for picture in pictures)
-        finding = _cpu_ms((Tracker(BOARD, setting.lens).see, picture) for picture in pictures[:60])
-        looking = _cpu_ms((Tracker(BOARD, setting.lens).see, nothing) for _ in range(20))
+        following = _cpu_ms((follower.detect, picture) for picture in pictures)
+        finding = _cpu_ms((Tracker(BOARD, setting.lens).detect, picture) for picture in pictures[:60])
+        looking = _cpu_ms((Tracker(BOARD, setting.lens).detect, nothing) for _ in range(20))
         cells = (f"{np.median(t):.2f}/{np.quantile(t, 0.95):.2f}" for t in (following, finding, looking))
         print(f"| {size[0]}x{size[1]} | " + " | ".join(cells) + " |", flush=True)
 
