@@ -15,7 +15,8 @@ from rig.config.schema import RigConfig
 from rig.control import interlocks
 from rig.control import step as control
 from rig.control.control_loop import ValveOutputs
-from rig.control.interlocks import RegulatorDemand, Sample, SensorState
+from rig.control.interlocks import Sample
+from rig.control.sensor_state import RegulatorDemand, SensorState
 from rig.hardware.bench import Bench
 from rig.valves.flow import FlowRegulator
 

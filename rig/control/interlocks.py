@@ -7,7 +7,6 @@ bar.
 
 from __future__ import annotations
 
-import math
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -18,14 +17,8 @@ from numpy.typing import NDArray
 
 from rig.config.schema import RigConfig
 from rig.config.sections import PA_PER_BAR, Sensor
-
-RATE_FILTER_S = 0.02
-"""Time constant of the measured rate: shorter than a dangerous rise, longer than one noisy sample."""
-
-SIXTEEN_BITS = 65_535
-
-NOISE_SHARE = 0.5
-"""A change of a reading below this share of the sensor's accuracy may be noise."""
+from rig.control import sensor_state
+from rig.control.sensor_state import RegulatorDemand, SensorSettings, SensorState
 
 EVIDENCE = 2.0
 """A constant reading counts as frozen once the valve should have moved it by this multiple of the accuracy."""
@@ -58,46 +51,6 @@ class Trip:
     value: float
     limit: float
     unit: str
-
-
-@dataclass(frozen=True)
-class SensorSettings:
-    """What the state of one sensor depends on: one count of 16 bits, the accuracy, and the largest tracking error."""
-
-    count_v: float
-    accuracy_pa: float
-    tracking_pa: float
-
-
-class SensorState(NamedTuple):
-    """State of one actuator's interlocks after a step; a named tuple for speed, six per cycle.
-
-    The anchor is the last reading that differed from the one before it by a count; `expected_pa` is the
-    pressure change that the valve should have caused since. `left_*` belong to the last reading that differed from the
-    one before it by more than noise.
-    """
-
-    pressure_pa: float = math.nan
-    rate_pa_s: float = 0.0
-    anchor_v: float = math.nan
-    anchor_s: float = 0.0
-    anchor_integral_pa_s: float = 0.0
-    expected_pa: float = 0.0
-    left_pa: float = math.nan
-    left_reference_pa: float = math.nan
-    left_s: float = 0.0
-    setpoint_pa: float = math.nan
-    still_s: float = 0.0
-    off_reference_s: float = 0.0
-
-
-class RegulatorDemand(NamedTuple):
-    """The demand of one actuator's regulator: see `rig.valves.base.RegulatorState`."""
-
-    setpoint_pa: float
-    reference_pa: float
-    rate_pa_s: float
-    integral_pa_s: float
 
 
 class SampleInterlock(ABC):
@@ -168,7 +121,9 @@ class BrokenSensors(SampleInterlock):
         spans = []
         for sensor in _ordered(config):
             low, high = sorted(sensor.span_V)
-            spans.append((low - sensor.margin_V, high + sensor.margin_V, sensor.range_V[1] - _count_v(sensor)))
+            spans.append(
+                (low - sensor.margin_V, high + sensor.margin_V, sensor.range_V[1] - sensor_state.count_v(sensor))
+            )
         return cls(tuple(spans))
 
     def trip(self, sample: Sample, *, new: bool) -> Trip | None:
@@ -333,7 +288,9 @@ def settings(config: RigConfig) -> InterlockSettings:
     tracking_pa = config.limits.tracking_bar * PA_PER_BAR
     return InterlockSettings(
         sample=tuple(kind.of(config) for kind in SAMPLE_INTERLOCKS),
-        sensors=tuple(SensorSettings(_count_v(s), s.accuracy_bar * PA_PER_BAR, tracking_pa) for s in sensors),
+        sensors=tuple(
+            SensorSettings(sensor_state.count_v(s), s.accuracy_bar * PA_PER_BAR, tracking_pa) for s in sensors
+        ),
         actuators=tuple(tuple(kind.of(config, s) for kind in ACTUATOR_INTERLOCKS) for s in sensors),
     )
 
@@ -363,8 +320,14 @@ def evaluate(
     moved = []
     readings = zip(states, sample.volts.tolist(), sample.pressure_pa.tolist(), demands, strict=True)
     for i, (state, volts, pressure_pa, asked) in enumerate(readings):
-        after = _moved(
-            s.sensors[i], _begun(state, volts, pressure_pa, asked), dt_s, volts, pressure_pa, asked, counted_s
+        after = sensor_state.updated(
+            s.sensors[i],
+            sensor_state.started(state, volts, pressure_pa, asked),
+            dt_s,
+            volts,
+            pressure_pa,
+            asked,
+            counted_s,
         )
         moved.append(after)
         for condition in s.actuators[i]:
@@ -372,71 +335,8 @@ def evaluate(
     return tuple(moved), first
 
 
-def reset(watch: SensorState, pressure_pa: float) -> SensorState:
-    """Restart the tracking timers after a stall without control; the pressure and its rate are kept."""
-    return watch._replace(
-        left_pa=pressure_pa, left_reference_pa=pressure_pa, left_s=0.0, still_s=0.0, off_reference_s=0.0
-    )
-
-
 def _ordered(config: RigConfig) -> list[Sensor]:
     return sorted(config.sensors, key=lambda sensor: sensor.actuator)
-
-
-def _count_v(sensor: Sensor) -> float:
-    return (sensor.range_V[1] - sensor.range_V[0]) / SIXTEEN_BITS
-
-
-def _begun(watch: SensorState, volts: float, pressure_pa: float, asked: RegulatorDemand) -> SensorState:
-    """The state, or at the first scan the one to begin with."""
-    if not math.isnan(watch.pressure_pa):
-        return watch
-    return SensorState(
-        pressure_pa=pressure_pa,
-        anchor_v=volts,
-        left_pa=pressure_pa,
-        left_reference_pa=asked.reference_pa,
-        setpoint_pa=asked.setpoint_pa,
-    )
-
-
-def _moved(
-    s: SensorSettings,
-    watch: SensorState,
-    dt: float,
-    volts: float,
-    pressure: float,
-    asked: RegulatorDemand,
-    counted: float,
-) -> SensorState:
-    slope = (pressure - watch.pressure_pa) / dt
-    rate = watch.rate_pa_s + (slope - watch.rate_pa_s) * dt / (RATE_FILTER_S + dt)
-    if abs(volts - watch.anchor_v) >= s.count_v:
-        anchor, still, expected, held = volts, 0.0, 0.0, asked.integral_pa_s
-    else:
-        anchor, still, held = watch.anchor_v, watch.anchor_s + counted, watch.anchor_integral_pa_s
-        # A chamber cannot be emptied below the atmosphere, whatever the valve does.
-        expected = max(watch.expected_pa + (asked.rate_pa_s - held) * counted, -max(pressure, 0.0))
-    left, left_reference, left_s = watch.left_pa, watch.left_reference_pa, watch.left_s + counted
-    if abs(pressure - left) > NOISE_SHARE * s.accuracy_pa:
-        left, left_reference, left_s = pressure, asked.reference_pa, 0.0
-    settled = asked.setpoint_pa == watch.setpoint_pa
-    off_reference = abs(asked.reference_pa - pressure) > s.tracking_pa
-    # Positional, because keyword arguments would double the time of this function.
-    return SensorState(
-        pressure,
-        rate,
-        anchor,
-        still,
-        held,
-        expected,
-        left,
-        left_reference,
-        left_s,
-        asked.setpoint_pa,
-        watch.still_s + counted if settled else 0.0,
-        watch.off_reference_s + counted if off_reference else 0.0,
-    )
 
 
 def _trip_bar(t_ns: int, source: str, what: str, value: float, limit: float, unit: str = "bar") -> Trip:

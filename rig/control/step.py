@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.config.schema import RigConfig
-from rig.control import interlocks, regulator
-from rig.control.interlocks import RegulatorDemand, Sample, SensorState, Trip
+from rig.control import interlocks, regulator, sensor_state
+from rig.control.interlocks import Sample, Trip
+from rig.control.sensor_state import RegulatorDemand, SensorState
 from rig.valves.base import Regulator, RegulatorState
 
 __all__ = ["ControlOutput", "ControlSettings", "Sample", "State", "Trip", "initial", "prepare", "step"]
@@ -146,5 +147,5 @@ def _rejoin(settings: ControlSettings, state: State, t_ns: int, pressure: list[f
     since_s = math.inf if state.rejoined_ns is None else (t_ns - state.rejoined_ns) * 1e-9
     if not every_time and REJOIN_S < since_s < 2 * settings.tracking_s:
         return state
-    watches = tuple(interlocks.reset(watch, pa) for watch, pa in zip(state.watches, pressure, strict=True))
+    watches = tuple(sensor_state.reset(watch, pa) for watch, pa in zip(state.watches, pressure, strict=True))
     return state._replace(watches=watches, rejoined_ns=t_ns if since_s > REJOIN_S else state.rejoined_ns)

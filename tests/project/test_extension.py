@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rig.control.interlocks import RegulatorDemand, SensorState
+from rig.control.sensor_state import RegulatorDemand, SensorState
 from rig.valves.iso6358 import ATMOSPHERE_PA
 from tests.support.plant_bench import mock_rig
 

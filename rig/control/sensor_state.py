@@ -1,0 +1,122 @@
+"""State of one pressure sensor between scans: what the interlocks of an actuator judge. Pure functions."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from rig.config.sections import Sensor
+
+RATE_FILTER_S = 0.02
+"""Time constant of the measured rate: shorter than a dangerous rise, longer than one noisy sample."""
+
+SIXTEEN_BITS = 65_535
+
+NOISE_SHARE = 0.5
+"""A change of a reading below this share of the sensor's accuracy may be noise."""
+
+
+@dataclass(frozen=True)
+class SensorSettings:
+    """What the state of one sensor depends on: one count of 16 bits, the accuracy, and the largest tracking error."""
+
+    count_v: float
+    accuracy_pa: float
+    tracking_pa: float
+
+
+class SensorState(NamedTuple):
+    """State of one actuator's interlocks after a step; a named tuple for speed, six per cycle.
+
+    The anchor is the last reading that differed from the one before it by a count; `expected_pa` is the
+    pressure change that the valve should have caused since. `left_*` belong to the last reading that differed from the
+    one before it by more than noise.
+    """
+
+    pressure_pa: float = math.nan
+    rate_pa_s: float = 0.0
+    anchor_v: float = math.nan
+    anchor_s: float = 0.0
+    anchor_integral_pa_s: float = 0.0
+    expected_pa: float = 0.0
+    left_pa: float = math.nan
+    left_reference_pa: float = math.nan
+    left_s: float = 0.0
+    setpoint_pa: float = math.nan
+    still_s: float = 0.0
+    off_reference_s: float = 0.0
+
+
+class RegulatorDemand(NamedTuple):
+    """The demand of one actuator's regulator: see `rig.valves.base.RegulatorState`."""
+
+    setpoint_pa: float
+    reference_pa: float
+    rate_pa_s: float
+    integral_pa_s: float
+
+
+def count_v(sensor: Sensor) -> float:
+    """One count of the 16-bit input of a sensor [V]."""
+    return (sensor.range_V[1] - sensor.range_V[0]) / SIXTEEN_BITS
+
+
+def started(watch: SensorState, volts: float, pressure_pa: float, asked: RegulatorDemand) -> SensorState:
+    """The state; the initial one at the first scan."""
+    if not math.isnan(watch.pressure_pa):
+        return watch
+    return SensorState(
+        pressure_pa=pressure_pa,
+        anchor_v=volts,
+        left_pa=pressure_pa,
+        left_reference_pa=asked.reference_pa,
+        setpoint_pa=asked.setpoint_pa,
+    )
+
+
+def updated(
+    s: SensorSettings,
+    watch: SensorState,
+    dt: float,
+    volts: float,
+    pressure: float,
+    asked: RegulatorDemand,
+    counted: float,
+) -> SensorState:
+    """The state after a scan `dt` after the last one; `counted` is the part of `dt` that counts for the timers."""
+    slope = (pressure - watch.pressure_pa) / dt
+    rate = watch.rate_pa_s + (slope - watch.rate_pa_s) * dt / (RATE_FILTER_S + dt)
+    if abs(volts - watch.anchor_v) >= s.count_v:
+        anchor, still, expected, held = volts, 0.0, 0.0, asked.integral_pa_s
+    else:
+        anchor, still, held = watch.anchor_v, watch.anchor_s + counted, watch.anchor_integral_pa_s
+        # A chamber cannot be emptied below the atmosphere, whatever the valve does.
+        expected = max(watch.expected_pa + (asked.rate_pa_s - held) * counted, -max(pressure, 0.0))
+    left, left_reference, left_s = watch.left_pa, watch.left_reference_pa, watch.left_s + counted
+    if abs(pressure - left) > NOISE_SHARE * s.accuracy_pa:
+        left, left_reference, left_s = pressure, asked.reference_pa, 0.0
+    settled = asked.setpoint_pa == watch.setpoint_pa
+    off_reference = abs(asked.reference_pa - pressure) > s.tracking_pa
+    # Positional, because keyword arguments would double the time of this function.
+    return SensorState(
+        pressure,
+        rate,
+        anchor,
+        still,
+        held,
+        expected,
+        left,
+        left_reference,
+        left_s,
+        asked.setpoint_pa,
+        watch.still_s + counted if settled else 0.0,
+        watch.off_reference_s + counted if off_reference else 0.0,
+    )
+
+
+def reset(watch: SensorState, pressure_pa: float) -> SensorState:
+    """Restart the tracking timers after a stall without control; the pressure and its rate are kept."""
+    return watch._replace(
+        left_pa=pressure_pa, left_reference_pa=pressure_pa, left_s=0.0, still_s=0.0, off_reference_s=0.0
+    )
