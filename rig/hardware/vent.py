@@ -52,7 +52,7 @@ def vent(config: RigConfig) -> None:
         _wait_for_end(config, set(holders(config)))
         failures = _vent(config, unsignalled)
     if staying := _wait_for_end(config, unsignalled):
-        failures += [f"{described(pid)} goes on and cannot be told to end: {_STOP_IT}" for pid in staying]
+        failures += [f"{described(pid)} still runs and cannot be stopped: {_STOP_IT}" for pid in staying]
     elif held_by_unseen(config):
         failures.append(f"a process that this one cannot see, as in a container, holds the rig: {_STOP_IT}")
     if failures:

@@ -198,7 +198,7 @@ class HealthMonitor:
 
 
 def _warning(t_ns: int, source: str, message: str) -> Event:
-    return Event(t_ns, Level.WARNING, source, f"{message}; the run goes on")
+    return Event(t_ns, Level.WARNING, source, f"{message}; the run continues")
 
 
 def _over(trouble: _Condition, t_ns: int, source: str, message: str) -> Event:

@@ -38,7 +38,7 @@ function connect() {
     if (now?.state === "ended") return;
     if (!about) return void setTimeout(connect, RETRY_MS);
     state("lost");
-    banner(about?.live ? "Connection lost. The run goes on without this page." : "Connection lost.");
+    banner(about?.live ? "Connection lost. The run continues without this page." : "Connection lost.");
     setTimeout(connect, RETRY_MS);
   };
 }

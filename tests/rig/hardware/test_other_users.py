@@ -290,7 +290,7 @@ def test_vent_reports_a_holder_that_it_cannot_signal(
             return
 
         def vented_by_another() -> None:
-            with pytest.raises(CardError, match=rf"process {process.pid} of user root .* cannot be told to end"):
+            with pytest.raises(CardError, match=rf"process {process.pid} of user root .* cannot be stopped"):
                 rig.hardware.vent.vent(real_rig())
 
         another_user(vented_by_another)

@@ -54,7 +54,7 @@ def test_a_condition_is_reported_once_when_it_begins_and_once_when_it_ends(
 ) -> None:
     (begun,) = monitor.observations(frames(90, **trouble))
     assert (begun.level, says in begun.message) == (Level.WARNING, True)
-    assert begun.message.endswith("the run goes on")
+    assert begun.message.endswith("the run continues")
     (over,) = monitor.observations(frames(300, 90))
     assert over.level is Level.INFO
     assert "after" in over.message
@@ -113,6 +113,6 @@ def test_a_stalled_disk_is_reported_once_and_its_end_once(monitor: HealthMonitor
     told = [event for t_s, standing_s in looks for event in monitor.disk(10**9 + round(t_s * 1e9), standing_s)]
     assert [event.message for event in told] == [
         "the disk has not taken the record for 2.4 s, which is kept in memory meanwhile: "
-        "is another program writing to it?; the run goes on",
+        "is another program writing to it?; the run continues",
         "the disk takes the record again, after 3.90 s",
     ]
