@@ -13,7 +13,7 @@ from rig.calibrate.bench_session import real, virtual
 from rig.calibrate.inputs import bad_input
 from rig.calibrate.output_file import OutputFile
 from rig.calibrate.sensor_scale import Gauge, from_readings, read_gauge, sensor_section, simulated_gauge, typed_gauge
-from rig.calibrate.valve_fit import PressureRate
+from rig.calibrate.valve_fit import RateMeasurement
 from rig.calibrate.valve_sweep import sweep, valve_section
 from rig.config import calibration_schema
 from rig.config.calibration_files import origin, sha256_of
@@ -64,7 +64,7 @@ class PressureMeasurements:
     """Measurements: volts and gauge [Pa] at each level by actuator, and rates by the valve's index."""
 
     readings: dict[int, list[tuple[float, float]]]
-    rates: dict[int, list[PressureRate]]
+    rates: dict[int, list[RateMeasurement]]
 
 
 def run(request: PressureCalibrationRequest, operator: BenchOperator) -> PressureCalibration:

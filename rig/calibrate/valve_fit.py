@@ -31,7 +31,7 @@ _JOINING = 3
 
 
 @dataclass(frozen=True)
-class PressureRate:
+class RateMeasurement:
     """One measurement: the valve at `offset_v` from its stated closed voltage (positive fills), `outward` when it came
     from nearer to closed; the chambers at gauge `pressure_pa`, changing by `rate_pa_s` with standard uncertainty
     `std_pa_s`.
@@ -70,7 +70,7 @@ class FittedValve:
     residuals_l_min: Floats
 
 
-def fit(valve: FlowValve, sign: float, rates: Sequence[PressureRate], volumes_m3: Sequence[float]) -> FittedValve:
+def fit(valve: FlowValve, sign: float, rates: Sequence[RateMeasurement], volumes_m3: Sequence[float]) -> FittedValve:
     """Fit one valve; `sign` is +1 where a higher voltage fills, `volumes_m3` the air that each rate moved.
 
     Raises:
@@ -122,7 +122,7 @@ def fit(valve: FlowValve, sign: float, rates: Sequence[PressureRate], volumes_m3
 class _Flow(NamedTuple):
     """Convert a rate to the flow into the chambers [m3/s, reference atmosphere] with its standard uncertainty."""
 
-    of: PressureRate
+    of: RateMeasurement
     flow: float
     std: float
 

@@ -12,13 +12,13 @@ from model import Arm
 from model.statics import statics
 from rig.calibrate import file_sections
 from rig.calibrate.bench_driver import BenchDriver
-from rig.calibrate.valve_fit import FittedValve, PressureRate, fit
+from rig.calibrate.valve_fit import FittedValve, RateMeasurement, fit
 from rig.config import calibration_schema
 from rig.config.arm_model import model_arm
 from rig.config.calibration_files import rounded
 from rig.config.schema import RigConfig
 from rig.config.sections import PA_PER_BAR
-from rig.control.interlocks import PressureRate as RateInterlock
+from rig.control.interlocks import PressureRate
 from rig.valves.flow import FlowValve
 from rig.valves.iso6358 import ATMOSPHERE_PA
 
@@ -35,7 +35,7 @@ FASTEST_SHARE = 0.6
 _LEAST_ROWS = 8
 
 
-def sweep(config: RigConfig, driver: BenchDriver, index: int) -> list[PressureRate]:
+def sweep(config: RigConfig, driver: BenchDriver, index: int) -> list[RateMeasurement]:
     """Open one valve to more and more voltages, either side, out and back; watch how fast the pressure moves."""
     valve = config.valves[index]
     assert isinstance(valve, FlowValve)
@@ -49,15 +49,15 @@ def sweep(config: RigConfig, driver: BenchDriver, index: int) -> list[PressureRa
         driver.regulate(level, REACH_S)
         driver.let(index, 0.0, REST_S)
 
-    def watch(offset_v: float, outward: bool, seconds: float) -> PressureRate:
+    def watch(offset_v: float, outward: bool, seconds: float) -> RateMeasurement:
         log = driver.let(index, offset_v, seconds, BAND * highest)
         return rate_of(log.time_s, log.pressure_pa[:, chambers].mean(axis=1), offset_v, outward)
 
-    rates: list[PressureRate] = []
+    rates: list[RateMeasurement] = []
     for share in (FILL_FROM, VENT_FROM):
         reach(share)
         rates.append(watch(0.0, True, LEAK_S))
-    limit = FASTEST_SHARE * RateInterlock.of(config, config.sensors[0]).limit_pa_s
+    limit = FASTEST_SHARE * PressureRate.of(config, config.sensors[0]).limit_pa_s
     going = {1.0: True, -1.0: True}
     fastest = {1.0: (0.0, 0.0), -1.0: (0.0, 0.0)}
     room_v = min(valve.closed_V - valve.range_V[0], valve.range_V[1] - valve.closed_V) - KICK_V
@@ -80,7 +80,7 @@ def sweep(config: RigConfig, driver: BenchDriver, index: int) -> list[PressureRa
     return rates
 
 
-def rate_of(time_s: Floats, pressure_pa: Floats, offset_v: float, outward: bool) -> PressureRate:
+def rate_of(time_s: Floats, pressure_pa: Floats, offset_v: float, outward: bool) -> RateMeasurement:
     """The line through what a pressure (n,) did, without its beginning, when the spool was still on its way.
 
     Raises:
@@ -94,7 +94,7 @@ def rate_of(time_s: Floats, pressure_pa: Floats, offset_v: float, outward: bool)
     spread = float(passed @ passed)
     mean, rate = float(pressure_pa.mean()), float(passed @ pressure_pa) / spread
     rest = pressure_pa - mean - rate * passed
-    return PressureRate(offset_v, outward, mean, rate, math.sqrt(float(rest @ rest) / (len(rest) - 2) / spread))
+    return RateMeasurement(offset_v, outward, mean, rate, math.sqrt(float(rest @ rest) / (len(rest) - 2) / spread))
 
 
 def volume_m3(config: RigConfig, chambers: list[int], rest_m3: float, pressure_pa: float, arm: Arm) -> float:
@@ -112,7 +112,7 @@ def volume_m3(config: RigConfig, chambers: list[int], rest_m3: float, pressure_p
 
 
 def valve_section(
-    config: RigConfig, index: int, rates: list[PressureRate], volume_ml: float, volume_std_ml: float
+    config: RigConfig, index: int, rates: list[RateMeasurement], volume_ml: float, volume_std_ml: float
 ) -> calibration_schema.ValveCalibration:
     """One valve from its rates; `volume_ml` is one chamber's with its tube."""
     valve = config.valves[index]

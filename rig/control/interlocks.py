@@ -234,7 +234,9 @@ class UnledReading(ActuatorInterlock):
         if not (abs(led) > self.tracking_pa and w.left_s > self.response_s):
             return None
         name = f"sensor {self.actuator}"
-        message = f"{name} stays at {w.pressure_pa / PA_PER_BAR:.3f} bar: frozen, or no air, while its reference moved by"
+        message = (
+            f"{name} stays at {w.pressure_pa / PA_PER_BAR:.3f} bar: frozen, or no air, while its reference moved by"
+        )
         return _trip_bar(t_ns, name, message, led, self.tracking_pa)
 
 

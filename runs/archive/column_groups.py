@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runs import columns
-from runs.archive.fields import Column, Field, Group, TableLayout, Value, row_chunks
+from runs.archive.fields import ComputedColumn, Field, Group, RowTable, Value, row_chunks
 from runs.journal.journal import Journal
 
 
@@ -59,7 +59,7 @@ def seconds(journal: Journal, t_ns: NDArray[np.int64]) -> NDArray[np.float64]:
     return np.asarray((t_ns - journal.header.started_t_ns) / 1e9)
 
 
-def _group(journal: Journal, kind: type[columns.Table], rows: TableLayout, facts: tuple[Field, ...] = ()) -> Group:
+def _group(journal: Journal, kind: type[columns.Table], rows: RowTable, facts: tuple[Field, ...] = ()) -> Group:
     declared = kind.columns()
     axes = dict.fromkeys(axis for column in declared for axis in column.axes)
     plotted = next(column for column in declared if column.dataset == kind.signal)
@@ -73,11 +73,11 @@ def _group(journal: Journal, kind: type[columns.Table], rows: TableLayout, facts
     )
 
 
-def _field(journal: Journal, column: columns.Column, rows: TableLayout) -> Field:
+def _field(journal: Journal, column: columns.Column, rows: RowTable) -> Field:
     clock = column.record == "t_ns"
     return Field(
         column.dataset,
-        Column(rows, lambda chunk: seconds(journal, chunk["t_ns"]) if clock else column.stored(chunk)),
+        ComputedColumn(rows, lambda chunk: seconds(journal, chunk["t_ns"]) if clock else column.stored(chunk)),
         column.unit,
         column.about,
         () if clock else ("time", *column.axes),
@@ -102,6 +102,6 @@ def _scale(journal: Journal, axis: str) -> Field:
     return Field(axis, values[axis], about=columns.AXES[axis][1], any_length=axis in ("camera", "parameter"))
 
 
-def _some(rows: TableLayout, name: str) -> bool:
+def _some(rows: RowTable, name: str) -> bool:
     """Return whether any number of a field is finite."""
     return any(bool(np.isfinite(chunk[name]).any()) for chunk in row_chunks(rows))

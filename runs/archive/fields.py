@@ -23,7 +23,7 @@ LARGEST_NS = 1 << 62
 Value = NDArray[np.generic] | np.generic | str | int | float | list[str]
 
 
-class TableLayout(Protocol):
+class RowTable(Protocol):
     """A table that is read in chunks of rows."""
 
     def __len__(self) -> int: ...
@@ -31,16 +31,16 @@ class TableLayout(Protocol):
     def __getitem__(self, part: slice) -> Any: ...
 
 
-def row_chunks(table: TableLayout) -> Iterator[Any]:
+def row_chunks(table: RowTable) -> Iterator[Any]:
     """Yield the rows of a table in chunks of `CHUNK_ROWS`."""
     return (table[low : low + CHUNK_ROWS] for low in range(0, len(table), CHUNK_ROWS))
 
 
 @dataclass(frozen=True)
-class Column:
+class ComputedColumn:
     """A column computed from a table; `of` maps a chunk of rows to as many values."""
 
-    table: TableLayout
+    table: RowTable
     of: Callable[[Any], NDArray[np.generic] | list[str] | list[memoryview]]
 
 
@@ -53,7 +53,7 @@ class Field:
     """
 
     name: str
-    value: Value | Column
+    value: Value | ComputedColumn
     units: str = ""
     about: str = ""
     scales: tuple[str, ...] = ()
@@ -70,7 +70,7 @@ class Pictures:
     """The encoded pictures (K,), each of its own length."""
 
     name: str
-    data: Column
+    data: ComputedColumn
     scales: tuple[str, ...]
     about: str
 

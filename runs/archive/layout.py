@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runs.archive import column_groups, provenance
-from runs.archive.fields import LARGEST_NS, Column, Field, Group, Pictures, named, row_chunks
+from runs.archive.fields import LARGEST_NS, ComputedColumn, Field, Group, Pictures, named, row_chunks
 from runs.columns import COUNT, SECONDS
 from runs.journal.journal import Journal
 from runs.records import Event, Level, Status
@@ -153,29 +153,34 @@ def _frames(journal: Journal) -> Group:
     pictures = journal.pictures
     by = ("time",)
 
-    def points(name: str, most: int) -> Column:
-        return Column(pictures, lambda some: _stacked([getattr(p.marks, name) for p in some], most))
+    def points(name: str, most: int) -> ComputedColumn:
+        return ComputedColumn(pictures, lambda some: _stacked([getattr(p.marks, name) for p in some], most))
 
-    def point(name: str) -> Column:
-        return Column(
+    def point(name: str) -> ComputedColumn:
+        return ComputedColumn(
             pictures, lambda some: np.array([getattr(p.marks, name) for p in some], np.float32).reshape(-1, 2)
         )
 
-    seconds = Column(pictures, lambda some: column_groups.seconds(journal, np.array([p.t_ns for p in some], np.int64)))
-    index = Column(pictures, lambda some: np.array([p.frame for p in some], np.int64))
+    seconds = ComputedColumn(
+        pictures, lambda some: column_groups.seconds(journal, np.array([p.t_ns for p in some], np.int64))
+    )
+    index = ComputedColumn(pictures, lambda some: np.array([p.frame for p in some], np.int64))
     return Group(
         "entry/frames",
         "NXcollection",
         (
             Field("time", seconds, "s", "middle of the exposure, since start_time", finite=True, limits=SECONDS),
             Field("index", index, about="as tip/frame", scales=by),
-            Field("camera", Column(pictures, lambda some: [p.camera for p in some]), scales=by),
+            Field("camera", ComputedColumn(pictures, lambda some: [p.camera for p in some]), scales=by),
             Field(
-                "encoding", Column(pictures, lambda some: [p.encoding for p in some]), about="jpeg or png", scales=by
+                "encoding",
+                ComputedColumn(pictures, lambda some: [p.encoding for p in some]),
+                about="jpeg or png",
+                scales=by,
             ),
             Pictures(
                 "image",
-                Column(pictures, lambda some: [p.data for p in some]),
+                ComputedColumn(pictures, lambda some: [p.data for p in some]),
                 by,
                 "the encoded picture, byte for byte",
             ),

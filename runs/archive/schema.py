@@ -15,7 +15,7 @@ import h5py
 import numpy as np
 
 from runs.archive import checksum, layout
-from runs.archive.fields import LARGEST, Column, Field, Group, Pictures
+from runs.archive.fields import LARGEST, ComputedColumn, Field, Group, Pictures
 from runs.journal.journal import Journal
 from runs.journal.stored_rows import Index, StoredPictures, StoredRows
 from runs.records import (
@@ -112,7 +112,7 @@ def _datasets(group: Group, required: set[str], first_of: dict[int, str]) -> Ite
     for item in group.fields:
         path = f"{group.path}/{item.name}"
         value = item.data if isinstance(item, Pictures) else item.value
-        if isinstance(value, Column):
+        if isinstance(value, ComputedColumn):
             own[item.name] = first_of.setdefault(id(value.table), path)
         elif np.ndim(value):
             own[item.name] = path if group.open or _any_length(item) else len(np.asarray(value))
@@ -144,7 +144,7 @@ def _any_length(item: Field | Pictures) -> bool:
 
 
 def _kind(item: Field) -> str:
-    value: Any = item.value.of(item.value.table[:0]) if isinstance(item.value, Column) else item.value
+    value: Any = item.value.of(item.value.table[:0]) if isinstance(item.value, ComputedColumn) else item.value
     return TEXT if isinstance(value, str | list) else checksum.kind_of(np.asarray(value).dtype)
 
 

@@ -22,7 +22,7 @@ import numpy as np
 from runs.archive import checksum, layout
 from runs.archive.checked import ArchiveError as ArchiveError
 from runs.archive.checked import content_sha256, digest_of
-from runs.archive.fields import CHUNK_ROWS, Column, Field, Group, Pictures, TableLayout, row_chunks
+from runs.archive.fields import CHUNK_ROWS, ComputedColumn, Field, Group, Pictures, RowTable, row_chunks
 from runs.journal import journal
 from runs.journal.append_only_file import ARCHIVE_TO_JOURNAL, NO_ROOM, JournalError
 
@@ -149,9 +149,9 @@ class _Dataset:
 
     def __init__(self, node: h5py.Group, item: Field | Pictures) -> None:
         value = item.data if isinstance(item, Pictures) else item.value
-        self.column = value if isinstance(value, Column) else None
-        now: Any = value.of(value.table[:0]) if isinstance(value, Column) else value
-        shape: tuple[int, ...] = (len(value.table),) if isinstance(value, Column) else np.shape(now)
+        self.column = value if isinstance(value, ComputedColumn) else None
+        now: Any = value.of(value.table[:0]) if isinstance(value, ComputedColumn) else value
+        shape: tuple[int, ...] = (len(value.table),) if isinstance(value, ComputedColumn) else np.shape(now)
         storage: dict[str, Any] = {}
         attributes: dict[str, Any] = {"description": item.about}
         kind: Any
@@ -205,7 +205,7 @@ class _Dataset:
 
 def _fill(datasets: list[_Dataset]) -> None:
     """Write the columns: reads each table once, in chunks of rows."""
-    tables: dict[int, tuple[TableLayout, list[tuple[_Dataset, Column]]]] = {}
+    tables: dict[int, tuple[RowTable, list[tuple[_Dataset, ComputedColumn]]]] = {}
     for dataset in datasets:
         if (column := dataset.column) is not None:
             tables.setdefault(id(column.table), (column.table, []))[1].append((dataset, column))
