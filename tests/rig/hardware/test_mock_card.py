@@ -87,7 +87,9 @@ def test_without_a_plant_the_card_does_not_exist(mock: Mock) -> None:
 
 
 def test_a_file_that_is_not_a_card_is_refused(mock: Mock) -> None:
-    path_of(mock.device).write_bytes(b"x" * 10_000)
+    path = path_of(mock.device)
+    path.write_bytes(b"x" * 10_000)
+    path.chmod(0o600)
     with pytest.raises(CardError, match="not made by this version"):
         mock.card()
 
