@@ -50,7 +50,7 @@ class Column:
     `record` names the field, in SI units, of type `dtype` and of shape `shape` (by default `axes`). A column that the
     archive computes from other fields has none, but `of`: rows (n,) to values (n, ..). `axes` are the scales of the
     dataset's dimensions after the rows. `convert` gives the stored values of the field, `read` the attribute of the
-    stored values. `missing` is the value of a field that nobody sets; an integer is 0.
+    stored values. `missing` is the value of a field that is not set; an integer is 0.
 
     `dataset` is by default the name of the attribute. `among`, `limits` and `finite` are what a reader may rely on.
     """
@@ -384,7 +384,7 @@ def _dtype(tables: Iterable[type[Table]], **sizes: int) -> np.dtype[np.void]:
 
 
 def blank(count: int | tuple[()], dtype: np.dtype[np.void]) -> NDArray[np.void]:
-    """Return records (count,) in which every field has the value of one that nobody sets: NaN, unless declared."""
+    """Return records (count,) in which no field is set: each is NaN, unless declared otherwise."""
     rows = np.zeros(count, dtype)
     for name in dtype.names or ():
         if dtype[name].base.kind == "f" and name not in _ZERO:

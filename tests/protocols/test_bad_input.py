@@ -135,7 +135,7 @@ def test_a_file_of_another_kind_is_one_fault() -> None:
     problem = only_problem("name: mock\ndescription: a rig\ncards: {}\nvalves: []\nsensors: []\n")
     assert problem.value == "name, description, cards, valves, sensors"
     assert problem.expected == "title, steps: is this another kind of file?"
-    # What is meant for one is told in full.
+    # A protocol with misspelt keys gets one message for each of them.
     assert len(problems_of("titel: t\nstep: []\nmore: 1\n")) == 3
 
 
