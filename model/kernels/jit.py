@@ -17,7 +17,9 @@ from pathlib import Path
 from typing import Any
 
 import numba
+from numba.core.caching import FunctionCache
 from numba.core.codegen import JITCodeLibrary, JITCPUCodegen
+from numba.core.runtime.nrt import rtsys
 
 # Reassociation and "no NaN" stay off: a step that went wrong must be seen as NaN, and runs must repeat bit for bit.
 _FAST = {"contract", "arcp", "nsz"}
@@ -43,6 +45,20 @@ class _OwnCallees(JITCodeLibrary):
 
 
 JITCPUCodegen._library_class = _OwnCallees
+
+
+class _CompiledKernels(FunctionCache):
+    """Compiled versions of a kernel on disk.
+
+    numba imports its whole compiler, and SciPy with it, before it looks for a compiled version. Machine code from the
+    disk needs only the run-time library that manages arrays.
+    """
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        """Return the compiled version for a signature; None if there is none."""
+        rtsys.initialize(target_context)
+        with self._guard_against_spurious_io_errors():
+            return self._load_overload(sig, target_context)  # type: ignore[no-untyped-call]
 
 
 @cache
@@ -99,7 +115,9 @@ def kernel(
     try:
         options: dict[str, Any] = {"fastmath": fastmath, "forceinline": inlined, "_nrt": allocates}
         options |= {"no_cpython_wrapper": not called, "no_cfunc_wrapper": True}
-        return numba.njit(cache=True, error_model="numpy", nogil=True, **options)(function)
+        compiled = numba.njit(error_model="numpy", nogil=True, **options)(function)
+        compiled._cache = _CompiledKernels(function)  # type: ignore[no-untyped-call]
+        return compiled
     finally:
         config.CACHE_DIR = before
 

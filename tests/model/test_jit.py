@@ -93,6 +93,15 @@ def test_compiled_kernels_are_found_again_without_a_compiler(tmp_path: Path) -> 
     assert python(code, tmp_path, tmp_path / "cache") == "6 1"
 
 
+def test_compiled_kernels_are_loaded_without_the_libraries_of_the_compiler(tmp_path: Path) -> None:
+    (model_with_a_caller(tmp_path) / "sums.py").write_text(REASSOCIATED_SUMS)
+    code = (
+        "import sys, numpy; from model.sums import twice; twice(numpy.ones(800)); print('scipy.linalg' in sys.modules)"
+    )
+    assert python(code, tmp_path, tmp_path / "cache") == "True"
+    assert python(code, tmp_path, tmp_path / "cache") == "False"
+
+
 def test_a_compiled_kernel_gives_the_bits_of_the_same_kernel_loaded_from_disk(tmp_path: Path) -> None:
     # The copy of a callee in its caller is optimised once more than the callee itself: it sums in another order.
     (model_with_a_caller(tmp_path) / "sums.py").write_text(REASSOCIATED_SUMS)
