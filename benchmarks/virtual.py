@@ -4,8 +4,8 @@
 
 The command is run as a process of its own and timed from outside, several times; best and median are reported. With
 `--parts` it is run once more in this process with a stopwatch at every part. Processor time is printed beside: on a
-busy machine it is the steadier of the two. Frames are drawn in one thread and measured in another beside control, and
-the report's process loads its libraries meanwhile, so the parts add up to more than the run.
+busy machine it is the steadier of the two. Frames are rendered in one process and measured in another beside control,
+and the report's process loads its libraries meanwhile, so the parts add up to more than the run.
 """
 
 from __future__ import annotations
@@ -17,9 +17,14 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections import deque
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from rig.hardware.cameras.mock import Exposure
+    from rig.virtual.frame_pipeline import FrameResult, FrameSamples, FrameStages
 
 
 class Stopwatch:
@@ -103,7 +108,7 @@ def parts(protocol: str) -> None:
 
     imports_s = time.process_time() - begun
     watch = Stopwatch()
-    executor.ThreadPoolExecutor = _SameThread  # type: ignore[attr-defined,assignment]
+    executor.FramePipeline = _SameProcess  # type: ignore[misc,assignment]
     watch.around(executor._VirtualRun, "__init__", "start")
     watch.around(executor._VirtualRun, "_cycle", "the loop itself")
     watch.around(control_loop.ControlLoop, "cycle", "control")
@@ -135,21 +140,28 @@ def parts(protocol: str) -> None:
     print(f"{'the whole loop':24s}{loop_s:8.2f}, {decided.trajectory.duration_s / loop_s:.1f} times real time")
 
 
-class _SameThread:
-    """An executor that does its work at once in this thread, so that each part is timed alone."""
+class _SameProcess:
+    """A frame pipeline that does its work at once in this process, so that each part is timed alone."""
 
-    def __init__(self, *_: object, **__: object) -> None:
+    def __init__(self, stages: FrameStages, cameras: int, shape: tuple[int, int]) -> None:
+        self._stages = stages
+        self._results: deque[FrameResult] = deque()
+
+    def __enter__(self) -> _SameProcess:
+        return self
+
+    def __exit__(self, *_: object) -> None:
         pass
 
-    def submit(self, work: Callable[..., Any], *arguments: Any) -> Any:
-        from concurrent.futures import Future
+    @property
+    def in_flight(self) -> int:
+        return len(self._results)
 
-        future: Future[Any] = Future()
-        future.set_result(work(*arguments))
-        return future
+    def submit(self, index: int, exposures: Sequence[Exposure | None], samples: FrameSamples) -> None:
+        self._results.append(self._stages.measure(self._stages.render(index, exposures), samples))
 
-    def shutdown(self) -> None:
-        """Nothing waits."""
+    def result(self) -> FrameResult:
+        return self._results.popleft()
 
 
 class _NoOperator:

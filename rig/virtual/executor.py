@@ -1,20 +1,22 @@
-"""Executor in virtual time: the whole run in one process, bit-for-bit reproducible from its seed."""
+"""Executor in virtual time: bit-for-bit reproducible from its seed.
+
+Plant and control run here; a frame pipeline renders and measures the pictures beside them.
+"""
 
 from __future__ import annotations
 
 import gc
 import time
-from collections import deque
 from collections.abc import Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
 
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.config.schema import RigConfig
 from rig.control.control_loop import ControlLoop
 from rig.execution.plan import OpenRecord, OperatorInterface, Outcome, Plan, Progress, Recorder, StartError
 from rig.hardware.bench import Bench
-from rig.hardware.cameras.base import CameraError, FrameSet
+from rig.hardware.cameras.base import CameraError
 from rig.hardware.cameras.mock import Exposure, MockCamera
 from rig.hardware.cards.base import CardError
 from rig.hardware.safe_state import VENTING_S, VentVerification, failure_of
@@ -22,7 +24,8 @@ from rig.observation.observer import Observer
 from rig.observation.picture_recorder import PictureRecorder
 from rig.realtime.health_monitor import HealthMonitor
 from rig.simulator.plant import Plant
-from runs.records import Event, Level, Picture, Status, adaptation_dtype, observation_dtype, sample_dtype
+from rig.virtual.frame_pipeline import FramePipeline, FrameProcessError, FrameSamples, FrameStages
+from runs.records import Event, Level, Status, adaptation_dtype, observation_dtype, sample_dtype
 
 START_NS = 100_000_000
 """Virtual time between power-up and the first cycle, so that the first cycle has scans."""
@@ -30,12 +33,9 @@ BATCH_S = 0.1
 """Time between two batches of rows for the record."""
 HISTORY_S = 2.0
 """Samples that stay at hand for the next frame."""
-FRAMES_IN_FLIGHT = 6
+FRAMES_IN_FLIGHT = 30
 """Frames in processing while control continues; a fixed number, so that runs are reproducible bit for bit."""
 SHOW_S = 0.1
-
-_Look = tuple[NDArray[np.void], NDArray[np.void] | None, list[Picture]]
-"""A row of observations, the row of the estimator if there is one, and the pictures to record."""
 
 
 def run(plan: Plan, open_record: OpenRecord, operator: OperatorInterface) -> Outcome:
@@ -52,7 +52,8 @@ def run(plan: Plan, open_record: OpenRecord, operator: OperatorInterface) -> Out
     virtual = _VirtualRun(plan, operator)
     gc.freeze()  # imported objects are not scanned by the garbage collector
     try:
-        return virtual.run(open_record)
+        with FramePipeline(virtual.stages(), len(config.cameras), _largest_picture(config)) as pipeline:
+            return virtual.run(pipeline, open_record)
     finally:
         gc.unfreeze()
 
@@ -69,13 +70,6 @@ class _VirtualRun:
         }
         skew_ms = config.simulator.scene.skew_ms if config.simulator else 0.0
         self._skews_ns = [round(k * skew_ms * 1e6) for k in range(len(self._cameras))]
-        self._album = PictureRecorder(config)
-        self._observer = Observer(config, plan.variant, [quantity.name for quantity in plan.adapted])
-        # Rendering and measuring release the interpreter lock: each runs in its own thread beside control, in the order
-        # of the frames.
-        self._renderer = ThreadPoolExecutor(1, thread_name_prefix="camera")
-        self._observer_thread = ThreadPoolExecutor(1, thread_name_prefix="observer")
-        self._in_flight: deque[Future[_Look]] = deque()
         self._loop = ControlLoop(plan, self._bench)
         self._health_monitor = HealthMonitor(config)
         self._lost_scans = 0
@@ -91,9 +85,16 @@ class _VirtualRun:
         self._adaptations = _RecentRows(adaptation_dtype(len(plan.adapted)), self._history_ticks)
         self._shown = 0.0
         self._recorder: Recorder
+        self._pipeline: FramePipeline
 
-    def run(self, open_record: OpenRecord) -> Outcome:
+    def stages(self) -> FrameStages:
+        """The stages of the frame pipeline of this run."""
+        observer = Observer(self._plan.config, self._plan.variant, [quantity.name for quantity in self._plan.adapted])
+        return FrameStages(tuple(self._cameras.values()), observer, PictureRecorder(self._plan.config))
+
+    def run(self, pipeline: FramePipeline, open_record: OpenRecord) -> Outcome:
         """Arm, run cycles until the run ends, write the safe state."""
+        self._pipeline = pipeline
         self._bench.arm()
         self._bench.start()
         self._plant.advance(START_NS)
@@ -111,10 +112,13 @@ class _VirtualRun:
         except (CardError, CameraError) as error:
             self._event(now, Level.FAULT, "observer" if isinstance(error, CameraError) else "control", str(error))
             ending = Status.ABORTED, str(error)
+        except FrameProcessError as error:
+            self._event(now, Level.FAULT, "observer", str(error))
+            for traceback in error.__notes__:
+                self._recorder.event(Event(now, Level.FAULT, "observer", traceback))
+            ending = Status.ABORTED, str(error)
         finally:
             unsafe = failure_of(self._bench.make_safe)
-            self._renderer.shutdown()
-            self._observer_thread.shutdown()
         self._flush(in_flight=0)
         unsafe = unsafe or self._vented(now)
         if unsafe:
@@ -164,7 +168,7 @@ class _VirtualRun:
         return None
 
     def _observe(self, frame: int, t_ns: int, protocol_s: float) -> None:
-        """Expose a frame here, in the order of cycles, and pass it to the threads that render and measure it."""
+        """Expose a frame here, in the order of cycles, and pass it to the pipeline that renders and measures it."""
         exposures: list[Exposure | None] = []
         failures = []
         for camera, skew_ns in zip(self._cameras.values(), self._skews_ns, strict=True):
@@ -177,39 +181,16 @@ class _VirtualRun:
             raise failures[0]
         ticks, self._unseen = self._samples.recent(self._unseen), 0
         weight_kg = self._plan.trajectory.weight_kg(protocol_s)
-        shot = self._renderer.submit(self._develop, frame, exposures)
-        self._in_flight.append(
-            self._observer_thread.submit(
-                self._look, shot, ticks["t_ns"].copy(), ticks["measured_pa"].copy(), protocol_s, weight_kg
-            )
-        )
-
-    def _develop(self, index: int, exposures: list[Exposure | None]) -> FrameSet:
-        frames = (
-            None if exposure is None else camera.develop(exposure)
-            for camera, exposure in zip(self._cameras.values(), exposures, strict=True)
-        )
-        return FrameSet(index, tuple(frames))
-
-    def _look(
-        self,
-        developed: Future[FrameSet],
-        t_ns: NDArray[np.int64],
-        measured_pa: NDArray[np.float64],
-        protocol_s: float,
-        weight_kg: float,
-    ) -> _Look:
-        shot = developed.result()
-        row = self._observer.step(shot, t_ns, measured_pa, protocol_s, 0, weight_kg)
-        return row, self._observer.adaptation, self._album.pictures(shot, self._observer)
+        samples = FrameSamples(ticks["t_ns"].copy(), ticks["measured_pa"].copy(), protocol_s, weight_kg)
+        self._pipeline.submit(frame, exposures, samples)
 
     def _flush(self, in_flight: int = FRAMES_IN_FLIGHT) -> None:
-        while len(self._in_flight) > in_flight:
-            row, adaptation, pictures = self._in_flight.popleft().result()
-            self._observations.add(row)
-            if adaptation is not None:
-                self._adaptations.add(adaptation)
-            for picture in pictures:
+        while self._pipeline.in_flight > in_flight:
+            result = self._pipeline.result()
+            self._observations.extend(result.observation)
+            if result.adaptation is not None:
+                self._adaptations.extend(result.adaptation)
+            for picture in result.pictures:
                 self._recorder.picture(picture)
         samples, observations = self._samples.take(), self._observations.take()
         self._recorder.samples(samples)
@@ -245,6 +226,12 @@ class _VirtualRun:
         self._operator.report(event)
 
 
+def _largest_picture(config: RigConfig) -> tuple[int, int]:
+    """Height and width [px] that hold a picture of every camera."""
+    cameras = config.cameras.values()
+    return max(camera.height_px for camera in cameras), max(camera.width_px for camera in cameras)
+
+
 class _RecentRows:
     """Rows of a run: keeps the recent ones, and returns new ones once for the record."""
 
@@ -253,6 +240,9 @@ class _RecentRows:
         self._rows = np.zeros(2 * history, dtype)
         self._filled = 0
         self._taken = 0
+
+    def extend(self, row: bytes) -> None:
+        self.add(np.frombuffer(row, self._rows.dtype)[0])
 
     def add(self, row: NDArray[np.void] | np.void) -> None:
         if self._filled == len(self._rows):

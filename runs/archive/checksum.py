@@ -19,6 +19,8 @@ from numpy.typing import NDArray
 Values = NDArray[np.generic] | Iterable[bytes | memoryview]
 _ROWS = 16384
 """Rows read at once from a dataset without chunks."""
+PICTURE_ROWS = 64
+"""Pictures read at once."""
 
 
 @dataclass(frozen=True)
@@ -88,7 +90,7 @@ def _read(node: h5py.Dataset) -> tuple[str, Iterator[Values]]:
     if h5py.check_string_dtype(node.dtype) is not None:
         return "str", ([word.encode() for word in np.atleast_1d(words)] for words in _slices(node.asstr(), node.shape))
     if h5py.check_vlen_dtype(node.dtype) is not None:
-        return "bytes", ([node[index].tobytes()] for index in range(len(node)))
+        return "bytes", ([picture.tobytes() for picture in some] for some in _slices(node, node.shape, PICTURE_ROWS))
     rows = node.chunks[0] if node.chunks else _ROWS
     pieces = (np.asarray(values) for values in _slices(node, node.shape, rows))
     return kind_of(node.dtype), (little(values) for values in pieces)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Iterator, Sequence
+from functools import partial
 from html import escape
 from importlib import resources
 from pathlib import Path
@@ -13,6 +14,7 @@ from runs.archive import layout
 from runs.overwriting import refuse_existing
 from runs.report import comparison, pictures
 from runs.report.drawing import svg
+from runs.report.figure_processes import drawn
 from runs.report.figure_specifications import figure_specifications
 from runs.report.numbers import DASH, plain, three, with_unit
 from runs.run import Run
@@ -149,8 +151,10 @@ def _tiles(s: Summary) -> str:
 
 def _figures(run: Run, summary: Summary) -> Iterator[str]:
     salt = run.header.run_id
-    for figure in figure_specifications(run, summary):
-        yield _figure(figure.title, svg(figure.draw, figure.size, salt, run, summary), figure.caption)
+    figures = list(figure_specifications(run, summary))
+    drawings = drawn([partial(svg, figure.draw, figure.size, salt, run, summary) for figure in figures])
+    for figure, drawing in zip(figures, drawings, strict=True):
+        yield _figure(figure.title, drawing, figure.caption)
     if run.header.executor == "virtual time" and summary.ticks and not summary.lateness_max_us:
         yield "<h2>Timing of the control loop</h2>\n<p class=small>Not in real time: no tick is late.</p>"
 

@@ -1,4 +1,4 @@
-"""Virtual time: the whole experiment in one process, repeatable by its seed, marked as simulated."""
+"""Virtual time: the whole experiment as fast as it goes, repeatable by its seed, marked as simulated."""
 
 from __future__ import annotations
 
