@@ -13,7 +13,6 @@ from dataclasses import asdict
 from typing import Any, TypeVar
 
 import numpy as np
-from pydantic import TypeAdapter
 
 from runs.records import Event, ImageAnnotations, Picture, RunFooter, RunHeader
 
@@ -74,6 +73,8 @@ def _plain(value: Any) -> Any:
 
 def from_json(kind: type[T], data: bytes) -> T:
     """Return what `to_json` was given; `ValueError` where the data is no such thing."""
+    from pydantic import TypeAdapter  # an archive is read without it
+
     return TypeAdapter(kind).validate_json(data)
 
 
