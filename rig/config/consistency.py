@@ -15,7 +15,7 @@ from protocols.problems import closest
 from protocols.validation import ValidationFault
 
 if TYPE_CHECKING:
-    from rig.config.sections import ArmConfig, CameraConfig, CardConfig, Control, Limits, Sensor
+    from rig.config.sections import ArmConfig, CameraConfig, CardConfig, Control, GeometryConfig, Limits, Sensor
     from rig.config.simulator_sections import Simulator
     from rig.valves.base import ValveSection
 
@@ -46,6 +46,9 @@ def check(parts: Mapping[str, Any]) -> list[ValidationFault]:
         (_least_cameras, ("cameras", "limits")),
         (_arm, ("arm",)),
         (_simulator, ("cards", "cameras", "simulator")),
+        (_simulated_parts, ("valves", "sensors", "simulator")),
+        (_simulated_cameras, ("cameras", "simulator")),
+        (_simulated_arm, ("arm", "simulator")),
     )
     return [
         fault
@@ -230,19 +233,21 @@ def _least_cameras(cameras: Cameras, limits: Limits) -> Iterator[ValidationFault
 
 
 def _arm(arm: ArmConfig) -> Iterator[ValidationFault]:
-    geometry = arm.geometry
-    here = ("arm", "geometry")
-    if geometry.inner_radius_mm >= geometry.outer_radius_mm:
-        yield ValidationFault((*here, "inner_radius_mm"), f"less than outer_radius_mm, {geometry.outer_radius_mm:g} mm")
-    for (i, a), (j, b) in itertools.combinations(enumerate(geometry.actuator_angles_deg), 2):
-        apart = 2 * geometry.circle_radius_mm * abs(math.sin(math.radians(a - b) / 2))
-        if apart < 2 * geometry.outer_radius_mm * (1 - 1e-6):
-            expected = f"room for the tubes: actuators {i + 1} and {j + 1} are {apart:.3g} mm apart, "
-            yield ValidationFault((*here, "actuator_angles_deg", j), expected + "less than 2 outer_radius_mm")
+    yield from _below(("arm", "geometry"), _geometry(arm.geometry))
     if not any(arm.gravity_direction):
         yield ValidationFault(
             ("arm", "gravity_direction"), "a direction, such as [0, 0, 1]; for no weight set the masses to 0"
         )
+
+
+def _geometry(geometry: GeometryConfig) -> Iterator[ValidationFault]:
+    if geometry.inner_radius_mm >= geometry.outer_radius_mm:
+        yield ValidationFault(("inner_radius_mm",), f"less than outer_radius_mm, {geometry.outer_radius_mm:g} mm")
+    for (i, a), (j, b) in itertools.combinations(enumerate(geometry.actuator_angles_deg), 2):
+        apart = 2 * geometry.circle_radius_mm * abs(math.sin(math.radians(a - b) / 2))
+        if apart < 2 * geometry.outer_radius_mm * (1 - 1e-6):
+            expected = f"room for the tubes: actuators {i + 1} and {j + 1} are {apart:.3g} mm apart, "
+            yield ValidationFault(("actuator_angles_deg", j), expected + "less than 2 outer_radius_mm")
 
 
 def _simulator(cards: Cards, cameras: Cameras, simulator: Simulator | None) -> Iterator[ValidationFault]:
@@ -254,3 +259,48 @@ def _simulator(cards: Cards, cameras: Cameras, simulator: Simulator | None) -> I
         )
     if simulator is not None and not mocks and None not in (*cards.values(), *cameras.values()):
         yield ValidationFault(("simulator",), "no such block, because no device of this rig is a mock")
+
+
+def _simulated_parts(valves: Valves, sensors: Sensors, simulator: Simulator | None) -> Iterator[ValidationFault]:
+    """Check the true valves and sensors against the stated ones, or those that a calibration replaced."""
+    if simulator is None:
+        return
+    built = simulator.built
+    if built is not None:
+        for key, true, stated in (("valves", built.valves, valves), ("sensors", built.sensors, sensors)):
+            if len(true) != len(stated):
+                yield ValidationFault(("simulator", "built", key), f"{len(stated)} of them, as many as {key} has")
+    found = (
+        fault
+        for _, valve in _valves_of(valves if built is None else built.valves)
+        for fault in _below(("simulator", "valve"), valve.simulated_faults(simulator.valve))
+    )
+    yield from dict.fromkeys(found)
+    spans = [s.span_bar[1] - s.span_bar[0] for _, s in _numbered(sensors if built is None else built.sensors)]
+    for key, value in (("noise_bar", simulator.sensor.noise_bar), ("offset_bar", simulator.sensor.offset_bar)):
+        if spans and value > min(spans):
+            yield ValidationFault(("simulator", "sensor", key), f"at most the sensors' span_bar, {min(spans):g} bar")
+
+
+def _simulated_cameras(cameras: Cameras, simulator: Simulator | None) -> Iterator[ValidationFault]:
+    if simulator is None:
+        return
+    for name in simulator.camera_errors:
+        if name not in cameras:
+            expected = f"one of the cameras: {', '.join(cameras)}"
+            yield ValidationFault(("simulator", "camera_errors", name), expected, closest(name, cameras))
+    longest = min((1000 / camera.rate_hz for _, camera in _named(cameras)), default=math.inf) / max(1, len(cameras))
+    if simulator.scene.skew_ms > longest:
+        expected = f"at most {longest:.4g} ms: all cameras expose within the time between frames"
+        yield ValidationFault(("simulator", "scene", "skew_ms"), expected)
+
+
+def _simulated_arm(arm: ArmConfig, simulator: Simulator | None) -> Iterator[ValidationFault]:
+    if simulator is None or simulator.geometry is None:
+        return
+    here = ("simulator", "geometry")
+    yield from _below(here, _geometry(simulator.geometry))
+    count = len(arm.geometry.actuator_angles_deg)
+    if len(simulator.geometry.actuator_angles_deg) != count:
+        expected = f"{count} angles, as many as arm, geometry, actuator_angles_deg has"
+        yield ValidationFault((*here, "actuator_angles_deg"), expected)

@@ -116,6 +116,12 @@ ActuatorNumber = Annotated[int, Field(ge=1, strict=True)]
 Triple = tuple[Number, Number, Number]
 
 
+TranslationMm = Annotated[float, Field(ge=-100_000, le=100_000, allow_inf_nan=False, strict=True)]
+
+
+RotationDeg = Annotated[float, Field(ge=-3_600, le=3_600, allow_inf_nan=False, strict=True)]
+
+
 BarSpan = Annotated[
     tuple[
         Annotated[float, Field(ge=-1, le=100, allow_inf_nan=False, strict=True)],
@@ -225,8 +231,8 @@ class LensConfig(Section):
 class Placement(Section):
     """A rigid transform: a point x of this frame is R x + t in the parent frame; R from a rotation vector."""
 
-    translation_mm: Triple = (0.0, 0.0, 0.0)
-    rotation_deg: Triple = (0.0, 0.0, 0.0)
+    translation_mm: tuple[TranslationMm, TranslationMm, TranslationMm] = (0.0, 0.0, 0.0)
+    rotation_deg: tuple[RotationDeg, RotationDeg, RotationDeg] = (0.0, 0.0, 0.0)
     translation_std_mm: NonNegative = 0.0
     rotation_std_deg: NonNegative = 0.0
 

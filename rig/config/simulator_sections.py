@@ -14,7 +14,6 @@ from rig.config.sections import (
     MaterialConfig,
     NonNegative,
     Placement,
-    Positive,
     Section,
     Sensor,
 )
@@ -25,9 +24,11 @@ from rig.valves.registry import Valve
 class SimulatedChamber(Section):
     """True parameters of every chamber."""
 
-    dead_volume_ml: NonNegative
-    tube_l_s_bar: Positive = Field(default=0.5, description="sonic conductance of the tube from valve to chamber")
-    temperature_k: Positive = 293.15
+    dead_volume_ml: Annotated[float, Field(ge=0, le=10_000, allow_inf_nan=False, strict=True)]
+    tube_l_s_bar: Annotated[float, Field(ge=1e-3, le=1e6, allow_inf_nan=False, strict=True)] = Field(
+        default=0.5, description="sonic conductance of the tube from valve to chamber"
+    )
+    temperature_k: Annotated[float, Field(ge=200, le=400, allow_inf_nan=False, strict=True)] = 293.15
     polytropic: Annotated[float, Field(ge=1, le=1.4, strict=True)] = 1.0
 
 
@@ -36,14 +37,14 @@ class SimulatedSensor(Section):
 
     noise_bar: NonNegative
     offset_bar: NonNegative = Field(default=0.0, description="standard deviation of the sensors' offsets")
-    lag_ms: NonNegative
+    lag_ms: Annotated[float, Field(ge=0, le=10_000, allow_inf_nan=False, strict=True)]
 
 
 class SimulatedScene(Section):
     """True parameters of the image."""
 
-    blur_px: NonNegative
-    noise_grey: NonNegative
+    blur_px: Annotated[float, Field(ge=0, le=50, allow_inf_nan=False, strict=True)]
+    noise_grey: Annotated[float, Field(ge=0, le=255, allow_inf_nan=False, strict=True)]
     lighting: Annotated[float, Field(gt=0, le=1, strict=True)] = 0.9
     skew_ms: NonNegative = Field(default=0.0, description="virtual time: each camera exposes so long after the last")
 

@@ -23,7 +23,6 @@ from rig.config.sections import (
     Index,
     Limits,
     NonNegative,
-    Positive,
     Section,
     VoltSpan,
     Word,
@@ -91,12 +90,12 @@ class ValveTruth:
 class SimulatedValve(Section):
     """True parameters of every valve. `spool_*` apply to all types, the others to flow-metering valves."""
 
-    spool_hz: Positive
-    spool_damping: Positive = 0.7
-    hysteresis_percent: NonNegative = 0.4
+    spool_hz: Annotated[float, Field(ge=0.1, le=1_000, allow_inf_nan=False, strict=True)]
+    spool_damping: Annotated[float, Field(ge=0.01, le=100, allow_inf_nan=False, strict=True)] = 0.7
+    hysteresis_percent: Annotated[float, Field(ge=0, le=20, allow_inf_nan=False, strict=True)] = 0.4
     leakage_l_min: NonNegative
     dead_zone_V: NonNegative
-    flow_scale: Positive = 1.0
+    flow_scale: Annotated[float, Field(ge=0.1, le=10, allow_inf_nan=False, strict=True)] = 1.0
 
 
 class ValveSection(Section, ABC):
@@ -143,6 +142,10 @@ class ValveSection(Section, ABC):
 
     def reach_faults(self, pressure_bar: float) -> Faults:
         """Faults that keep the valve from reaching the limit of the pressure (gauge); paths start at the section."""
+        yield from ()
+
+    def simulated_faults(self, truth: SimulatedValve) -> Faults:
+        """True parameters that this valve cannot have; paths start at the parameters."""
         yield from ()
 
     def _filter(self, limits: Limits, control: Control) -> tuple[tuple[int, ...], float, float]:

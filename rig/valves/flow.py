@@ -193,6 +193,17 @@ class FlowValve(ValveSection):
             expected = f"more than limits, pressure_bar ({pressure_bar:g} bar): the valve cannot fill that far"
             yield ValidationFault(("supply_bar",), expected)
 
+    def simulated_faults(self, truth: SimulatedValve) -> Faults:
+        """A dead zone that covers one side of the range, and a leak as large as the flow of the open valve."""
+        low, high = self.range_V
+        side = min(high - self.closed_V, self.closed_V - low)
+        if truth.dead_zone_V >= side > 0:
+            expected = f"less than {side:g} V, from closed_V to the nearer end of range_V: the valve would never open"
+            yield ValidationFault(("dead_zone_V",), expected)
+        if truth.leakage_l_min >= self.full_flow_l_min:
+            expected = f"less than full_flow_l_min, {self.full_flow_l_min:g} l/min: the valve would never close"
+            yield ValidationFault(("leakage_l_min",), expected)
+
 
 class FlowCurve(Protocol):
     """The flow curve of a valve, as stated in a rig file or found by a calibration."""

@@ -30,6 +30,22 @@ MOCK = loader.text("mock")
         ("cx_px: 320", "cx_px: 100", "lens, cx_px", "160 to 480 px"),
         ("cy_px: 240", "cy_px: 470", "lens, cy_px", "120 to 360 px"),
         ("fx_px: 620", "fx_px: 4.2", "lens, fx_px", "64 to 32000 px"),
+        ("dead_zone_V: 0.45", "dead_zone_V: 450", "simulator, valve, dead_zone_V", "less than 5 V"),
+        ("leakage_l_min: 1.5", "leakage_l_min: 150", "simulator, valve, leakage_l_min", "less than full_flow_l_min"),
+        ("spool_hz: 115", "spool_hz: 115000", "simulator, valve, spool_hz", "0.1 to 1000"),
+        ("flow_scale: 1.05", "flow_scale: 105", "simulator, valve, flow_scale", "0.1 to 10"),
+        ("flow_scale: 1.05", "hysteresis_percent: 40", "simulator, valve, hysteresis_percent", "0 to 20"),
+        ("flow_scale: 1.05", "spool_damping: 700", "simulator, valve, spool_damping", "0.01 to 100"),
+        ("dead_volume_ml: 15", "dead_volume_ml: 1.0e+200", "simulator, chamber, dead_volume_ml", "0 to 10000"),
+        ("dead_volume_ml: 15", "dead_volume_ml: 15, temperature_k: 20", "chamber, temperature_k", "200 to 400"),
+        ("noise_bar: 0.001", "noise_bar: 1000", "simulator, sensor, noise_bar", "at most the sensors' span_bar"),
+        ("offset_bar: 0.002", "offset_bar: 100000", "simulator, sensor, offset_bar", "at most the sensors' span_bar"),
+        ("lag_ms: 3", "lag_ms: 100000", "simulator, sensor, lag_ms", "0 to 10000"),
+        ("blur_px: 0.6", "blur_px: 6000", "simulator, scene, blur_px", "0 to 50"),
+        ("noise_grey: 2.0", "noise_grey: 2000", "simulator, scene, noise_grey", "0 to 255"),
+        ("noise_grey: 2.0", "noise_grey: 2.0, skew_ms: 500", "simulator, scene, skew_ms", "at most 33.33 ms"),
+        ("translation_mm: [0, 400, 200]", "translation_mm: [0, 1.0e+300, 200]", "placement, translation_mm", "100000"),
+        ("rotation_deg: [90, 0, 0]", "rotation_deg: [1.0e+300, 0, 0]", "placement, rotation_deg", "3600"),
     ],
 )
 def test_a_value_that_no_arm_has_is_refused_with_its_line_and_range(
@@ -43,6 +59,20 @@ def test_a_value_that_no_arm_has_is_refused_with_its_line_and_range(
     assert where in problem.where
     assert expected in problem.expected
     assert new.split(": ")[1] in text.splitlines()[problem.line - 1]
+    assert problem.column > 1
+
+
+def test_the_true_geometry_is_checked_like_the_stated_one() -> None:
+    geometry = yaml.safe_load(MOCK)["arm"]["geometry"]
+    rig = yaml.safe_load(MOCK)
+    rig["simulator"]["geometry"] = {**geometry, "inner_radius_mm": 20, "actuator_angles_deg": [0, 120]}
+    rig["simulator"]["camera_errors"] = {"frnt": {"translation_mm": [1, 0, 0]}}
+    with pytest.raises(BadInputError) as refused:
+        loader.parse(yaml.safe_dump(rig), "rig.yaml")
+    found = {problem.where: problem.expected for problem in refused.value.problems}
+    assert "less than outer_radius_mm" in found["simulator, geometry, inner_radius_mm"]
+    assert found["simulator, geometry, actuator_angles_deg"].startswith("3 angles")
+    assert found["simulator, camera_errors, frnt"] == "one of the cameras: front"
 
 
 def test_a_simulated_arm_without_equilibrium_is_refused_in_one_sentence() -> None:
