@@ -108,7 +108,7 @@ def _fail(message: str, status: int) -> NoReturn:
     raise typer.Exit(status)
 
 
-typer.Context.formatter_class = HelpFormatter
+PlainErrors.context_class.formatter_class = HelpFormatter
 app = typer.Typer(
     cls=PlainErrors,
     no_args_is_help=True,

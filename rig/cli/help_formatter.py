@@ -12,7 +12,7 @@ LEAST_WIDTH, MOST_WIDTH = 30, 78
 TEXT_SHARE = 0.6
 """Least share of the width for the explanations; a longer name stands on a line of its own."""
 
-_Formatter: Any = typer.Context.formatter_class
+_Formatter: Any = typer.core.TyperGroup.context_class.formatter_class
 
 
 class HelpFormatter(_Formatter):  # type: ignore[misc]
