@@ -14,6 +14,7 @@ import runs
 from rig.execution.plan import NullOperator, OpenRecord, OperatorInterface, Outcome, Plan
 from rig.experiment import run as experiment
 from rig.realtime import health_monitor, supervisor
+from rig.realtime.data_recorder import DataRecorder
 from rig.realtime.shared_state import Stage
 from runs.records import Event, Level, Status
 
@@ -80,12 +81,13 @@ def test_the_supervisor_warns_of_a_stalled_disk_and_continues(
     listener = Listener(disk, "has not taken the record")
 
     def supervised(plan: Plan, open_record: OpenRecord, operator: OperatorInterface) -> Outcome:
-        parent = supervisor._Supervisor(plan, operator, None)
-        parent.recorder = open_record(time.monotonic_ns())
+        parent = supervisor.Supervisor(plan, operator, None)
+        journal = open_record(time.monotonic_ns())
+        parent.record = DataRecorder(plan.config, parent.memory, journal, operator)
         disk.clear()
-        parent.recorder.event(Event(time.monotonic_ns(), Level.INFO, "control", "armed"))
+        journal.event(Event(time.monotonic_ns(), Level.INFO, "control", "armed"))
         parent.memory.publish_stage("control", Stage.DONE)
-        status, message = parent._supervise()
+        status, message = parent.supervise()
         os.close(parent.memory.fd)
         return Outcome(status, message, time.monotonic_ns())
 

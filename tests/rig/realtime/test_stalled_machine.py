@@ -10,15 +10,16 @@ import pytest
 from rig.config import loader
 from rig.control import step as control
 from rig.control.control_loop import ControlLoop
-from rig.execution.plan import NullOperator, Plan
+from rig.execution.plan import Plan
 from rig.experiment import run as experiment
 from rig.hardware.bench import Bench
 from rig.hardware.cameras import mock
 from rig.hardware.cameras.mock import MockCamera
-from rig.realtime import supervisor
+from rig.realtime import process_group
 from rig.realtime.health_monitor import HealthMonitor
+from rig.realtime.process_group import ProcessGroup
 from rig.realtime.scheduling import HeartbeatMonitor
-from rig.realtime.shared_state import Stage
+from rig.realtime.shared_state import SharedState, Stage, StateLayout
 from rig.realtime.timing_limits import TimingLimits, TimingProfile
 from rig.simulator.plant import Plant
 from rig.simulator.tip_pose import TipPose
@@ -116,21 +117,21 @@ class TestSilence:
 def test_the_supervisor_blames_no_process_for_a_stall_unless_it_stays_silent_afterwards(
     moving: Plan, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    parent = supervisor._Supervisor(moving, NullOperator(), None)
-    parent.timing = TimingLimits(TimingProfile.STRICT, control_hung_ns=30 * MS)
-    memory, now = parent.memory, 10**9
+    timing, now = TimingLimits(TimingProfile.STRICT, control_hung_ns=30 * MS), 10**9
+    memory = SharedState.create(StateLayout.of(moving.config))
+    processes = ProcessGroup(moving, memory, None, 20 * MS * 1e-9)
     memory.publish_stage("control", Stage.RUNNING)
-    monkeypatch.setattr(supervisor.time, "monotonic_ns", lambda: now)
+    monkeypatch.setattr(process_group.time, "monotonic_ns", lambda: now)
     try:
         for name in ("observer", "control", "watchdog"):
             memory.heartbeat(name, now)
         for still_ns in (5 * MS, 1500 * MS, *(20 * MS for _ in range(20))):
             now += still_ns
-            assert parent._fault() is None
+            assert processes.fault(timing) is None
         for _ in range(20):
             now += 20 * MS
             memory.heartbeat("watchdog", now)
-            if (fault := parent._fault()) is not None:
+            if (fault := processes.fault(timing)) is not None:
                 break
         assert fault == ("control", "the control process has been silent for 0.5 s")
     finally:

@@ -24,10 +24,11 @@ from rig.experiment import run as experiment
 from rig.hardware import runtime_folder
 from rig.hardware.bench import BenchScans
 from rig.hardware.cards.base import CardError
-from rig.realtime import child_process, control_process, supervisor
+from rig.realtime import child_process, control_process, process_group, shutdown, supervisor
 from rig.realtime.child_process import ChildJob
 from rig.realtime.control_socket import ControlSocket, socket_of, socket_paths
-from rig.realtime.process_monitor import ProcessMonitor
+from rig.realtime.data_recorder import DataRecorder
+from rig.realtime.process_group import ProcessFault, ProcessGroup
 from rig.realtime.scheduling import Scheduling
 from rig.realtime.shared_state import SharedState, Stage, StateLayout, Stop
 from rig.realtime.timing_limits import TimingLimits, TimingProfile
@@ -114,62 +115,83 @@ def test_the_calendar_time_is_anchored_at_the_first_cycle_not_at_the_start_of_th
     assert before_ns <= about.started_utc_ns - 10**12 <= time.time_ns()
 
 
-def fellow(parent: supervisor._Supervisor, name: str, program: str) -> subprocess.Popen[bytes]:
+@pytest.fixture
+def memory(plan: Plan) -> Iterator[SharedState]:
+    memory = SharedState.create(StateLayout.of(plan.config))
+    yield memory
+    os.close(memory.fd)
+
+
+@pytest.fixture
+def group(plan: Plan, memory: SharedState) -> ProcessGroup:
+    """The processes of a run of that plan; none is started."""
+    return ProcessGroup(plan, memory, None, supervisor.PERIOD_S)
+
+
+@pytest.fixture
+def parent(plan: Plan) -> Iterator[supervisor.Supervisor]:
+    parent = supervisor.Supervisor(plan, NullOperator(), None)
+    yield parent
+    os.close(parent.memory.fd)
+
+
+@pytest.fixture
+def own_parent(own_plan: Plan) -> Iterator[supervisor.Supervisor]:
+    """A supervisor of a run on the card of `registers`."""
+    parent = supervisor.Supervisor(own_plan, NullOperator(), None)
+    yield parent
+    os.close(parent.memory.fd)
+
+
+SLEEPS = "import time; time.sleep(60)"
+
+
+def child(group: ProcessGroup, name: str, program: str) -> subprocess.Popen[bytes]:
+    """Add a process that runs a Python program to a group."""
     process = subprocess.Popen([sys.executable, "-c", program])
-    parent.children[name], parent.monitors[name] = process, ProcessMonitor(process.pid)
+    group.add(name, process)
     return process
 
 
-def test_the_death_of_one_process_ends_the_start_while_another_still_loads(plan: Plan) -> None:
-    parent = supervisor._Supervisor(plan, NullOperator(), None)
-    fellow(parent, "watchdog", "import time; time.sleep(60)")
-    fellow(parent, "observer", "import sys; sys.exit(3)")
+def test_the_death_of_one_process_ends_the_start_while_another_still_loads(parent: supervisor.Supervisor) -> None:
+    loading = child(parent.processes, "watchdog", SLEEPS)
+    child(parent.processes, "observer", "import sys; sys.exit(3)")
     with pytest.raises(StartError, match=r"the observer process died while it started \(exit status 3\)"):
-        parent._await("watchdog")
-    parent.children["watchdog"].kill()
+        parent.await_ready("watchdog")
+    loading.kill()
     assert parent.end() == ""
-    os.close(parent.memory.fd)
 
 
-def test_the_last_message_of_a_process_is_reported_rather_than_its_exit(plan: Plan) -> None:
-    parent = supervisor._Supervisor(plan, NullOperator(), None)
-    fellow(parent, "watchdog", "").wait()
+def test_the_last_message_of_a_process_is_reported_rather_than_its_exit(parent: supervisor.Supervisor) -> None:
+    child(parent.processes, "watchdog", "").wait()
     parent.memory.publish_stage("watchdog", Stage.FAILED, "the card is not there")
     with pytest.raises(StartError, match="the card is not there"):
-        parent._await("watchdog")
+        parent.await_ready("watchdog")
     assert parent.end() == ""
-    os.close(parent.memory.fd)
 
 
-def test_a_run_whose_control_ended_before_its_start_is_not_called_armed(plan: Plan) -> None:
-    parent = supervisor._Supervisor(plan, NullOperator(), None)
+def test_a_run_whose_control_ended_before_its_start_is_not_called_armed(parent: supervisor.Supervisor) -> None:
     parent.memory.request_stop(Stop.TERMINATED)
     parent.memory.publish_stage("control", Stage.DONE)
     with pytest.raises(StartError, match="before the run began, the control process received SIGTERM"):
-        parent._await("control")
-    os.close(parent.memory.fd)
+        parent.await_ready("control")
 
 
-def test_a_process_that_was_not_started_is_not_waited_for(plan: Plan) -> None:
-    parent = supervisor._Supervisor(plan, NullOperator(), None)
-    loading = [fellow(parent, name, "import time; time.sleep(5)") for name in ("watchdog", "control")]
-    parent.memory.simulator_starting = 1
-    parent.timing = replace(parent.timing, ending_s=60.0)
-    assert parent.end() == ""
+def test_a_process_that_was_not_started_is_not_waited_for(group: ProcessGroup, memory: SharedState) -> None:
+    loading = [child(group, name, "import time; time.sleep(5)") for name in ("watchdog", "control")]
+    memory.simulator_starting = 1
+    assert group.end(60.0) == set()
     assert [process.returncode for process in loading] == [-signal.SIGKILL] * 2
-    os.close(parent.memory.fd)
 
 
 def test_valves_that_no_process_can_make_safe_are_reported_though_the_run_did_not_start(
-    plan: Plan, monkeypatch: pytest.MonkeyPatch
+    parent: supervisor.Supervisor, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    parent = supervisor._Supervisor(plan, NullOperator(), None)
     for name in ("watchdog", "control"):
-        fellow(parent, name, "").wait()
+        child(parent.processes, name, "").wait()
     parent.memory.heartbeat("control", 1)
-    monkeypatch.setattr(supervisor, "force_safe_state", lambda *_: "no answer")
+    monkeypatch.setattr(shutdown, "force_safe_state", lambda *_: "no answer")
     assert parent.end() == "the safe state could not be written, shut the air off by hand: no answer"
-    os.close(parent.memory.fd)
 
 
 @pytest.mark.parametrize(
@@ -226,11 +248,11 @@ def test_a_process_stopped_before_its_start_takes_its_job_and_exits(plan: Plan, 
     os.close(memory.fd)
 
 
-def test_control_that_stalls_before_its_first_cycle_ends_the_run(plan: Plan, monkeypatch: pytest.MonkeyPatch) -> None:
-    parent = supervisor._Supervisor(plan, NullOperator(), None)
-    parent.timing = TimingLimits(TimingProfile.STRICT, control_hung_ns=30_000_000)
-    memory, now = parent.memory, 10**9
-    monkeypatch.setattr(supervisor.time, "monotonic_ns", lambda: now)
+def test_control_that_stalls_before_its_first_cycle_ends_the_run(
+    group: ProcessGroup, memory: SharedState, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    timing, now = TimingLimits(TimingProfile.STRICT, control_hung_ns=30_000_000), 10**9
+    monkeypatch.setattr(process_group.time, "monotonic_ns", lambda: now)
     for name in ("control", "watchdog"):
         memory.publish_stage(name, Stage.READY)
     memory.heartbeat("control", now)
@@ -239,11 +261,10 @@ def test_control_that_stalls_before_its_first_cycle_ends_the_run(plan: Plan, mon
         now += 20_000_000
         for name in ("observer", "watchdog"):
             memory.heartbeat(name, now)
-        faults.append(parent._fault())
+        faults.append(group.fault(timing))
     assert faults[0] is None
     assert faults[-1] is not None
-    assert faults[-1][0] == "control"
-    os.close(memory.fd)
+    assert faults[-1].source == "control"
 
 
 @pytest.fixture
@@ -294,19 +315,17 @@ def test_an_error_in_control_is_reported_by_name_and_the_valves_are_safe(
 
 
 def test_outputs_that_do_not_read_back_safe_at_the_end_are_not_called_safe(
-    own_plan: Plan, registers: Registers
+    own_parent: supervisor.Supervisor, registers: Registers
 ) -> None:
-    parent = supervisor._Supervisor(own_plan, NullOperator(), None)
-    parent.memory.safe_ns = 1
-    assert parent._unsafe() == ""
-    assert "valve 1 stands at 7.000 V" in parent._failsafe_message
+    own_parent.memory.safe_ns = 1
+    assert own_parent.shutdown.verify(own_parent.timing) == ""
+    assert "valve 1 stands at 7.000 V" in own_parent.shutdown.written_message
     assert registers.outputs["volts"].tolist() == [0.0, 0.0]
     registers.outputs["volts"] = 7.0
     registers.faults.inject(failing_writes=10**9)
-    said = parent._unsafe()
+    said = own_parent.shutdown.verify(own_parent.timing)
     assert "shut the air off by hand" in said
     assert "valve 1 stands at 7.000 V" in said
-    os.close(parent.memory.fd)
 
 
 def test_control_sockets_of_killed_runs_are_removed_and_others_kept(
@@ -334,66 +353,65 @@ def test_the_reason_for_the_end_is_reported_even_if_the_watchdog_has_to_be_kille
     """A stalled process has not exited when the run ends."""
     ended = Outcome(Status.ABORTED, "the watchdog process has been silent for 1.2 s", 5, {"missed_deadlines": 3})
 
-    def supervise(parent: supervisor._Supervisor, _: object) -> Outcome:
+    def supervised(parent: supervisor.Supervisor, _: object) -> Outcome:
         parent.timing = replace(parent.timing, ending_s=0.1)
-        fellow(parent, "watchdog", "import time; time.sleep(60)")
+        child(parent.processes, "watchdog", SLEEPS)
         return ended
 
     monkeypatch.setattr(supervisor, "started", lambda *_: nullcontext())
-    monkeypatch.setattr(supervisor._Supervisor, "run", supervise)
+    monkeypatch.setattr(supervisor.Supervisor, "run", supervised)
     outcome = supervisor.run(plan, lambda _: None, NullOperator())  # type: ignore[arg-type, return-value]
     assert outcome.message.startswith(f"{ended.message}; the watchdog did not end")
     assert outcome.status is Status.ABORTED
     assert outcome.counters == ended.counters
 
 
+def recorded(parent: supervisor.Supervisor, plan: Plan) -> None:
+    """Let a supervisor discard its records."""
+    parent.record = DataRecorder(plan.config, parent.memory, Unwritten(), NullOperator())
+
+
 def test_a_run_stopped_while_its_supervisor_stalled_is_not_called_finished(
-    plan: Plan, monkeypatch: pytest.MonkeyPatch
+    parent: supervisor.Supervisor, plan: Plan, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The supervisor stalls right after it checked for a stop request, and wakes after the end."""
-    parent = supervisor._Supervisor(plan, NullOperator(), None)
-    parent.recorder = Unwritten()
+    recorded(parent, plan)
 
-    def stalled() -> None:
+    def stalled(_: TimingLimits) -> None:
         parent.memory.request_stop(Stop.SILENT)
         parent.memory.publish_stage("control", Stage.DONE)
 
-    monkeypatch.setattr(parent, "_fault", stalled)
-    assert parent._supervise() == (Status.ABORTED, supervisor.STOPPED[Stop.SILENT])
-    os.close(parent.memory.fd)
+    monkeypatch.setattr(parent.processes, "fault", stalled)
+    assert parent.supervise() == (Status.ABORTED, supervisor.STOPPED[Stop.SILENT])
 
 
 def test_remaining_air_is_reported_beside_another_fault_that_ended_the_run(
-    own_plan: Plan, monkeypatch: pytest.MonkeyPatch
+    own_parent: supervisor.Supervisor, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    parent = supervisor._Supervisor(own_plan, NullOperator(), None)
-    monkeypatch.setattr(parent, "_await", lambda name: None)
-    monkeypatch.setattr(parent, "_spawn", lambda name, module: fellow(parent, name, ""))
-    monkeypatch.setattr(parent, "_unsafe", lambda: "")
+    monkeypatch.setattr(own_parent, "await_ready", lambda name: None)
+    monkeypatch.setattr(process_group, "spawn", lambda *_: subprocess.Popen([sys.executable, "-c", ""]))
+    monkeypatch.setattr(own_parent.shutdown, "verify", lambda _: "")
 
     def supervise() -> tuple[Status, str]:
-        parent.memory.safe_ns = 1
-        parent.memory.publish_stage("control", Stage.FAILED, "the air stays")
+        own_parent.memory.safe_ns = 1
+        own_parent.memory.publish_stage("control", Stage.FAILED, "the air stays")
         return Status.ABORTED, "the camera is gone"
 
-    monkeypatch.setattr(parent, "_supervise", supervise)
-    outcome = parent.run(lambda t_ns: Unwritten())
+    monkeypatch.setattr(own_parent, "supervise", supervise)
+    outcome = own_parent.run(lambda t_ns: Unwritten())
     assert outcome.status is Status.ABORTED
     assert outcome.message == "the camera is gone; the air stays"
-    parent.end()
-    os.close(parent.memory.fd)
+    own_parent.end()
 
 
-def test_a_process_held_by_a_debugger_does_not_delay_the_end_of_the_run(plan: Plan) -> None:
+def test_a_process_held_by_a_debugger_does_not_delay_the_end_of_the_run(group: ProcessGroup) -> None:
     """The kernel hides the exit of a traced process from its parent until the debugger waits for it."""
-    parent = supervisor._Supervisor(plan, NullOperator(), None)
-    parent.timing = replace(parent.timing, ending_s=0.1)
-    held = fellow(parent, "observer", "import time; time.sleep(60)")
+    held = child(group, "observer", SLEEPS)
     with subprocess.Popen([sys.executable, "-c", HOLD_STILL, str(held.pid)], stdout=subprocess.PIPE) as debugger:
         assert debugger.stdout is not None
         if debugger.stdout.readline() != b"held\n":
             pytest.skip("this machine lets no process trace another")
-        ending = threading.Thread(target=parent.end, daemon=True)
+        ending = threading.Thread(target=group.end, args=(0.1,), daemon=True)
         ending.start()
         ending.join(20)
         hung = ending.is_alive()
@@ -401,36 +419,36 @@ def test_a_process_held_by_a_debugger_does_not_delay_the_end_of_the_run(plan: Pl
     ending.join(20)
     assert not hung
     held.wait(20)
-    os.close(parent.memory.fd)
 
 
 @pytest.mark.parametrize(("died", "said"), [(True, " (exit status -9)"), (False, "")])
-def test_the_exit_status_of_a_process_killed_for_silence_is_not_reported(plan: Plan, died: bool, said: str) -> None:
-    parent = supervisor._Supervisor(plan, NullOperator(), None)
-    fellow(parent, "control", "import time; time.sleep(60)").kill()
-    assert parent._explained("control", "a fault", died=died) == ("control", f"a fault{said}")
+def test_the_exit_status_of_a_process_killed_for_silence_is_not_reported(
+    parent: supervisor.Supervisor, died: bool, said: str
+) -> None:
+    child(parent.processes, "control", SLEEPS).kill()
+    fault = parent.processes.completed(ProcessFault("control", "a fault"), parent.timing, died=died)
+    assert fault == ("control", f"a fault{said}")
     assert parent.end() == ""
-    os.close(parent.memory.fd)
 
 
 def test_a_process_stopped_while_it_starts_is_reported(plan: Plan, monkeypatch: pytest.MonkeyPatch) -> None:
-    class Hearer(NullOperator):
-        told = ""
+    class Listener(NullOperator):
+        reported = ""
 
         def report(self, event: Event) -> None:
-            self.told = event.message
+            self.reported = event.message
 
-    hearer = Hearer()
-    parent = supervisor._Supervisor(plan, hearer, None)
-    still = fellow(parent, "observer", "import time; time.sleep(60)")
+    listener = Listener()
+    parent = supervisor.Supervisor(plan, listener, None)
+    still = child(parent.processes, "observer", SLEEPS)
     still.send_signal(signal.SIGSTOP)
-    while not parent.monitors["observer"].stopped:
+    while not parent.processes.stopped("observer"):
         time.sleep(0.005)
     monkeypatch.setattr(supervisor, "SLOW_START_S", 0.0)
     monkeypatch.setattr(supervisor, "START_TIMEOUT_S", 0.1)
     with pytest.raises(StartError, match="the observer process was not ready"):
-        parent._await("observer")
-    assert hearer.told == "waiting for the observer process: it was stopped"
+        parent.await_ready("observer")
+    assert listener.reported == "waiting for the observer process: it was stopped"
     still.kill()
     assert parent.end() == ""
     os.close(parent.memory.fd)
@@ -446,12 +464,12 @@ def test_a_process_stopped_while_it_starts_is_reported(plan: Plan, monkeypatch: 
 def test_remaining_air_is_reported_whatever_ends_a_run(
     plan: Plan, monkeypatch: pytest.MonkeyPatch, error: Exception, told: str
 ) -> None:
-    def supervise(parent: supervisor._Supervisor, _: object) -> Outcome:
+    def supervised(parent: supervisor.Supervisor, _: object) -> Outcome:
         parent.memory.publish_stage("control", Stage.FAILED, "the air stays")
         raise error
 
     monkeypatch.setattr(supervisor, "started", lambda *_: nullcontext())
-    monkeypatch.setattr(supervisor._Supervisor, "run", supervise)
+    monkeypatch.setattr(supervisor.Supervisor, "run", supervised)
     with pytest.raises((CardError, StartError)) as raised:
         supervisor.run(plan, lambda _: None, NullOperator())  # type: ignore[arg-type, return-value]
     assert str(raised.value) == told

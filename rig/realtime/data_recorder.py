@@ -1,0 +1,88 @@
+"""Records the data of a run: from the ring buffers of the processes to the rows of the journal."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.config.schema import RigConfig
+from rig.execution.plan import OperatorInterface, Recorder
+from rig.realtime.health_monitor import HealthMonitor
+from rig.realtime.shared_state import SharedState
+from runs.records import Event, Level
+
+
+class DataRecorder:
+    """Moves rows, pictures and events into a journal; keeps the latest rows, counts losses and reports poor health."""
+
+    def __init__(self, config: RigConfig, memory: SharedState, journal: Recorder, operator: OperatorInterface) -> None:
+        self._config, self._memory, self._journal, self._operator = config, memory, journal, operator
+        self._health = HealthMonitor(config)
+        self._lost_scans = self._missed = self._dropped = 0
+        self.sample: NDArray[np.void] | None = None
+        self.observation: NDArray[np.void] | None = None
+        self.adaptation: NDArray[np.void] | None = None
+
+    @property
+    def missed(self) -> int:
+        """Control cycles without a row: missed deadlines."""
+        return self._missed
+
+    @property
+    def dropped(self) -> int:
+        """Camera frames without a row."""
+        return self._dropped
+
+    def poll(self) -> None:
+        """Record what the processes have written since the last call, and check the supervisor and the disk."""
+        self.report(*self._health.looking(time.monotonic_ns()))
+        self.drain()
+        self.report(*self._health.disk(time.monotonic_ns(), self._journal.stalled_s))
+
+    def drain(self) -> None:
+        """Record everything that the processes have written since the last call."""
+        memory, journal = self._memory, self._journal
+        samples = memory.samples.read()
+        if len(samples):
+            journal.samples(samples)
+            self._missed += int(samples["missed"].sum())
+            self.sample = samples[-1]
+            self.report(*self._health.samples(samples))
+        lost, self._lost_scans = memory.lost_scans - self._lost_scans, memory.lost_scans
+        self.report(*self._health.lost(time.monotonic_ns(), lost))
+        observations = memory.observations.read()
+        if len(observations):
+            journal.observations(observations)
+            self._dropped += int(observations["dropped"].sum())
+            self.observation = observations[-1]
+            self.report(*self._health.observations(observations))
+        adaptations = memory.adaptations.read()
+        if len(adaptations):
+            journal.adaptations(adaptations)
+            self.adaptation = adaptations[-1]
+        for picture in memory.read_pictures(list(self._config.cameras), self._config.recording.encoding):
+            journal.picture(picture)
+
+    def counters(self) -> dict[str, int]:
+        """Losses of the run by name."""
+        return {
+            "missed_deadlines": self._missed,
+            "dropped_frames": self._dropped,
+            "lost_scans": self._lost_scans,
+            "sample_ring_overflows": self._memory.samples.lost,
+            "observation_ring_overflows": self._memory.observations.lost,
+            "picture_ring_overflows": self._memory.pictures_lost,
+        }
+
+    def event(self, level: Level, source: str, message: str) -> None:
+        """Report an event of this moment."""
+        self.report(Event(time.monotonic_ns(), level, source, message))
+
+    def report(self, *events: Event) -> None:
+        """Record events and show them to the operator and to attached pages."""
+        for event in events:
+            self._journal.event(event)
+            self._memory.push_event(event)
+            self._operator.report(event)

@@ -1,0 +1,149 @@
+"""The child processes of a run as one group: start, faults, end."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import time
+from typing import NamedTuple
+
+from rig.execution.plan import Plan
+from rig.realtime.child_process import ChildJob, ended_within, spawn
+from rig.realtime.process_monitor import ProcessMonitor
+from rig.realtime.scheduling import HeartbeatMonitor
+from rig.realtime.shared_state import SharedState, Stage
+from rig.realtime.timing_limits import TimingLimits
+from rig.simulator.plant_launcher import Simulation
+
+PROCESSES = ("watchdog", "control", "observer")
+"""In the order of their start."""
+TAKEN_OVER = "the watchdog took the bench over, and exited before it could report why"
+STATUS_S = 1.0
+"""Time for an exiting process to release its memory: its exit status is known only then."""
+OVERSLEPT_NS = 200_000_000
+
+
+class ProcessFault(NamedTuple):
+    """A process with a fault, and the message."""
+
+    source: str
+    message: str
+
+
+class ProcessGroup:
+    """The watchdog, control and observer processes of one run, and the process of the simulated plant if it has one."""
+
+    def __init__(self, plan: Plan, memory: SharedState, plant: Simulation | None, period_s: float) -> None:
+        """`period_s` is the period at which `fault` is called."""
+        self._plan, self._memory, self._plant = plan, memory, plant
+        self._children: dict[str, subprocess.Popen[bytes]] = {}
+        self._monitors: dict[str, ProcessMonitor] = {}
+        # After a stall of the whole machine every process gets time to send a heartbeat.
+        self._heartbeats = {name: HeartbeatMonitor(round(period_s * 1e9), OVERSLEPT_NS) for name in PROCESSES}
+
+    def start(self, name: str) -> None:
+        """Start one of PROCESSES and monitor it."""
+        job = ChildJob(self._plan, self._memory.fd, os.getpid())
+        self.add(name, spawn(f"rig.realtime.{name}_process", job))
+
+    def add(self, name: str, process: subprocess.Popen[bytes]) -> None:
+        """Monitor a started process."""
+        self._children[name], self._monitors[name] = process, ProcessMonitor(process.pid)
+        if name == "control":
+            self._memory.control_pid = process.pid
+        elif name == "watchdog":
+            self._memory.watchdog_pid = process.pid
+
+    def ready(self, name: str) -> bool:
+        """True once a process, or the "simulator", has completed its start."""
+        if name == "simulator":
+            return self._plant is None or self._plant.ready()
+        return self._memory.stage(name) is not Stage.STARTING
+
+    def stopped(self, name: str) -> bool:
+        """True while a process is stopped by a signal or a debugger."""
+        return name in self._monitors and self._monitors[name].stopped
+
+    def died(self, name: str) -> bool:
+        """True for a process that has exited without a message."""
+        return name in self._monitors and self._monitors[name].exited and self._memory.stage(name) <= Stage.RUNNING
+
+    def silent(self, name: str, limit_ns: int) -> bool:
+        """True if a process has exited or sent its last heartbeat more than `limit_ns` ago."""
+        return self._monitors[name].exited or time.monotonic_ns() - self._memory.heartbeat_ns(name) > limit_ns
+
+    def await_exit(self, name: str, timeout_s: float) -> bool:
+        """Wait for the exit of a process; True once it has exited."""
+        return ended_within(self._children[name], timeout_s)
+
+    def exit_status(self, name: str) -> str:
+        """Exit status of a process that has died, as a suffix of its message; empty if it is not known."""
+        return f" (exit status {self._children[name].returncode})" if self.await_exit(name, STATUS_S) else ""
+
+    def failure(self) -> ProcessFault | None:
+        """A process that has failed or died; None if there is none."""
+        for name, monitor in self._monitors.items():
+            exited, stage = monitor.exited, self._memory.stage(name)
+            if stage is Stage.FAILED:
+                return ProcessFault(name, self._memory.message(name))
+            if exited and stage is not Stage.DONE:
+                return ProcessFault(name, f"the {name} process died")
+        return None
+
+    def fault(self, timing: TimingLimits) -> ProcessFault | None:
+        """A process of a running experiment that has failed, died or been silent for too long, else None."""
+        memory = self._memory
+        if memory.watchdog_trip_ns:
+            return ProcessFault("watchdog", TAKEN_OVER)
+        if failure := self.failure():
+            return failure
+        if self._plant is not None and self._plant.exit_status is not None:
+            return ProcessFault("simulator", f"the simulator died (exit status {self._plant.exit_status})")
+        now = time.monotonic_ns()
+        limits_s = {
+            "observer": timing.supervised_observer_s,
+            "control": timing.supervised_control_s,
+            "watchdog": timing.supervised_watchdog_s,
+        }
+        silent_s = {name: self._heartbeats[name].silent_ns(now, memory.heartbeat_ns(name)) * 1e-9 for name in limits_s}
+        ended = memory.stage("control") in (Stage.DONE, Stage.FAILED)
+        for name in ("observer",) if ended else limits_s:
+            if silent_s[name] > limits_s[name]:
+                return ProcessFault(name, f"the {name} process has been silent for {silent_s[name]:.1f} s")
+        if self._plant is not None and timing.simulator_ns is not None and not ended:
+            late_ns = self._plant.late_ns(now)
+            if late_ns > timing.simulator_ns:
+                return ProcessFault("simulator", f"the simulator has stalled for {late_ns * 1e-9:.1f} s")
+        return None
+
+    def completed(self, fault: ProcessFault, timing: TimingLimits, *, died: bool) -> ProcessFault:
+        """The fault with what is known once the valves are safe: exit status, or the reason of the watchdog.
+
+        `died` says whether the process had `died` when the fault was found; a process killed since has no status.
+        """
+        if self._memory.watchdog_trip_ns:
+            # The reason of the watchdog comes first: other faults may follow from it. It is published at its end.
+            self.await_exit("watchdog", timing.ending_s)
+            return ProcessFault("watchdog", self._memory.message("watchdog") or fault.message)
+        return fault._replace(message=fault.message + (self.exit_status(fault.source) if died else ""))
+
+    def end(self, timeout_s: float) -> set[str]:
+        """Wait until every process has exited, the watchdog last; kill those that do not. Returns the killed ones.
+
+        The processes must have been requested to stop. Those that have not opened a device yet are killed at once.
+        """
+        if self._memory.simulator_starting:
+            # While they load they do not check for a stop request.
+            for process in self._children.values():
+                process.kill()
+        killed = set()
+        # The watchdog ends last: it writes the safe state when the others cannot.
+        for name, process in sorted(self._children.items(), key=lambda member: member[0] == "watchdog"):
+            if not ended_within(process, timeout_s):
+                process.kill()
+                # A time-out, because the exit of a traced process is hidden until its debugger collects it.
+                ended_within(process, STATUS_S)
+                killed.add(name)
+        for monitor in self._monitors.values():
+            monitor.close()
+        return killed

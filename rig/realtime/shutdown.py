@@ -1,0 +1,87 @@
+"""The end of a run: waits for the safe state, verifies it, and writes it if no other process can."""
+
+from __future__ import annotations
+
+import time
+
+from rig.config.schema import RigConfig
+from rig.hardware.bench import UNSAFE
+from rig.hardware.safe_state import unsafe_output
+from rig.realtime.failsafe import force_safe_state
+from rig.realtime.process_group import ProcessGroup
+from rig.realtime.shared_state import SharedState, Stage, Stop
+from rig.realtime.timing_limits import TimingLimits
+
+LOOK_S = 0.001
+
+
+class Shutdown:
+    """The supervisor's part in making the valves safe."""
+
+    def __init__(self, config: RigConfig, memory: SharedState, processes: ProcessGroup) -> None:
+        self._config, self._memory, self._processes = config, memory, processes
+        self._verified = False
+        self._written_message = ""
+
+    @property
+    def written_message(self) -> str:
+        """Why the supervisor has written the safe state itself, or has failed to; empty if it did not have to."""
+        return self._written_message
+
+    @property
+    def pending(self) -> bool:
+        """True if a valve may have moved, no process has written the safe state, and the end was not verified."""
+        # Control sends its first heartbeat before it opens a card; before that no valve has moved.
+        return not self._verified and bool(self._memory.heartbeat_ns("control")) and not self._written()
+
+    def make_safe(self, timing: TimingLimits) -> None:
+        """Request the safe state and wait until control or the watchdog has written it; otherwise write it."""
+        memory = self._memory
+        memory.request_stop(Stop.SAFE)
+        deadline = time.monotonic() + timing.ending_s
+        while time.monotonic() < deadline and not self._written_message:
+            memory.heartbeat("supervisor", time.monotonic_ns())
+            if memory.stage("control") in (Stage.DONE, Stage.FAILED) or memory.watchdog_trip_ns:
+                return
+            if all(self._processes.silent(name, timing.failsafe_silent_ns) for name in ("control", "watchdog")):
+                break
+            time.sleep(LOOK_S)
+        if self._written_message or memory.safe_ns:
+            return
+        failure = force_safe_state(self._config, memory)
+        self._written_message = "neither control nor the watchdog acts: the supervisor has written the safe state"
+        if failure:
+            self._written_message = f"neither control nor the watchdog acts, and the supervisor failed: {failure}"
+
+    def verify(self, timing: TimingLimits) -> str:
+        """Why the valves are not safe; empty if a process has written the safe state and it reads back."""
+        self._verified = True
+        if not self._memory.safe_ns:
+            # The watchdog publishes at its end whether its last write has succeeded.
+            self._processes.await_exit("watchdog", timing.ending_s)
+        if self._written():
+            off = unsafe_output(self._config)
+            if not off:
+                return ""
+            if failure := force_safe_state(self._config, self._memory):
+                return f"{UNSAFE}: {off}, though it had been made safe; {failure}"
+            self._written_message = (
+                f"{off}, though it had been made safe: the supervisor has written the safe state once more"
+            )
+            return ""
+        if not self._written_message and not force_safe_state(self._config, self._memory):
+            self._written_message = (
+                "neither control nor the watchdog could write the safe state: the supervisor has written it"
+            )
+            return ""
+        message = self._memory.message("watchdog")
+        return message if UNSAFE in message else f"{UNSAFE}: neither control nor the watchdog has reported that it was"
+
+    def force(self) -> str:
+        """Write the safe state; return why it could not be written, empty on success."""
+        failure = force_safe_state(self._config, self._memory)
+        return failure if not failure or UNSAFE in failure else f"{UNSAFE}: {failure}"
+
+    def _written(self) -> bool:
+        """True if a process has written the safe state and nothing was written after it."""
+        return bool(self._memory.safe_ns) or self._memory.stage("watchdog") is Stage.DONE
