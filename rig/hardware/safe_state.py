@@ -6,17 +6,26 @@ Control, the watchdog, the supervisor, the observer, virtual time and `rig vent`
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import closing, suppress
+from dataclasses import replace
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rig.config.schema import RigConfig
 from rig.config.sections import PA_PER_BAR
-from rig.hardware.bench import Bench, cards_with_valves, open_bench, open_outputs
-from rig.hardware.cards.base import CardBusyError, CardError
+from rig.hardware.cards.base import Card, CardBusyError, CardError
+from rig.hardware.cards.registry import open_card
+from rig.hardware.cards.setup import card_setup
 
+UNSAFE = "the safe state could not be written, shut the air off by hand"
+"""Begin of the message of a failed safe state."""
+WRITE_ATTEMPTS = 10
+"""Attempts to write a safe state before the card counts as failed."""
+READBACK_TOLERANCE = 1 / 2000
+"""Of the output's range: two counts of a 12-bit card."""
 RETRY_S = 0.002
 """Pause between attempts to write the safe state."""
 VENTING_S = 1.0
@@ -27,6 +36,102 @@ VENTED_PA = 0.1 * PA_PER_BAR
 def safe_voltages(config: RigConfig, *, vent: bool = False) -> tuple[float, ...]:
     """The safe voltage of each valve: vented, or held where the rig file says so and `vent` is false."""
     return tuple(valve.safe_v(vent=vent) for valve in config.valves)
+
+
+class SafeOutputs:
+    """Open cards of a rig, as outputs that can be made safe. Methods may raise `CardError`."""
+
+    def __init__(self, config: RigConfig, cards: Mapping[str, Card]) -> None:
+        """`cards` are open, by their names in the rig, set up by `card_setup`; they may be some of the rig's."""
+        self._cards, self._valves = cards, config.valves
+        self.safe_v: NDArray[np.float64] = np.array(safe_voltages(config))
+        self.vent_v: NDArray[np.float64] = np.array(safe_voltages(config, vent=True))
+        self.tolerance_v: NDArray[np.float64] = np.array(
+            [(v.range_V[1] - v.range_V[0]) * READBACK_TOLERANCE for v in config.valves]
+        )
+        columns = {name: [i for i, v in enumerate(self._valves) if v.card == name] for name in cards}
+        self.columns = {name: column for name, column in columns.items() if column}
+        """Valves of each card that has any, in the order of its outputs."""
+
+    def make_safe(self, *, vent: bool = False) -> None:
+        """Write the safe voltages to every card, also if another card fails; `vent` also vents held valves.
+
+        A failed write is repeated at once, at most WRITE_ATTEMPTS times.
+
+        Raises:
+            CardError: one or more cards could not be written; it names each.
+        """
+        failures = []
+        voltages = self.vent_v if vent else self.safe_v
+        for name, column in self.columns.items():
+            if failure := _retry(self._cards[name], voltages[column]):
+                failures.append(f"card {name}: {failure}")
+        if failures:
+            raise CardError(f"{UNSAFE}: {'; '.join(failures)}")
+
+    def arm(self, *, vent: bool = False) -> None:
+        """Write the safe voltages as `make_safe` does, read them back and compare.
+
+        Raises:
+            CardError: the read-back of an output differs from the written voltage.
+        """
+        self.make_safe(vent=vent)
+        stands = self.readback()
+        voltages = self.vent_v if vent else self.safe_v
+        for i in sorted(i for column in self.columns.values() for i in column):
+            valve, safe = self._valves[i], voltages[i]
+            if not abs(stands[i] - safe) <= self.tolerance_v[i]:
+                raise CardError(
+                    f"valve {i + 1} (card {valve.card}, output {valve.channel}) was told {safe:.3f} V but stands at "
+                    f"{stands[i]:.3f} V: check that nothing else drives the card"
+                )
+
+    def readback(self) -> NDArray[np.float64]:
+        """The output voltages (V,), NaN where a card has no read-back."""
+        volts = np.full(len(self._valves), np.nan)
+        for name, column in self.columns.items():
+            volts[column] = self._cards[name].readback()
+        return volts
+
+    def unsafe_output(self) -> str:
+        """Message about a valve that is neither safe nor vented; empty if there is none or the cards have no read-back.
+
+        Raises:
+            CardError: a card cannot be read back.
+        """
+        stands = self.readback()
+        for i in range(len(stands)):
+            known = (self.safe_v[i], self.vent_v[i])
+            if all(abs(stands[i] - v) > self.tolerance_v[i] for v in known):
+                return f"valve {i + 1} stands at {stands[i]:.3f} V"
+        return ""
+
+    def close(self) -> None:
+        """Release every card; the outputs keep their voltages."""
+        for card in self._cards.values():
+            card.close()
+
+
+def open_outputs(config: RigConfig, *names: str) -> SafeOutputs:
+    """Open cards of a rig for their outputs only; control may use the inputs of the same cards.
+
+    Raises:
+        CardError: a card cannot be opened.
+    """
+    cards: dict[str, Card] = {}
+    try:
+        for name in names:
+            cards[name] = open_card(config.cards[name], replace(card_setup(config, name), inputs=()))
+    except BaseException:
+        for opened in cards.values():
+            opened.close()
+        raise
+    return SafeOutputs(config, cards)
+
+
+def cards_with_valves(config: RigConfig) -> tuple[str, ...]:
+    """Names of the cards that drive valves."""
+    return tuple(name for name in config.cards if any(valve.card == name for valve in config.valves))
 
 
 def failure_of(write: Callable[[], None], patience_s: float = 0.0, pause_s: float = RETRY_S) -> str:
@@ -52,8 +157,8 @@ def make_safe(config: RigConfig, *, vent: bool) -> None:
     failures: list[CardError] = []
     for name in cards_with_valves(config):
         try:
-            with closing(open_outputs(config, name)) as bench:
-                bench.make_safe(vent=vent)
+            with closing(open_outputs(config, name)) as outputs:
+                outputs.make_safe(vent=vent)
         except CardError as error:
             failures.append(error)
         except Exception as error:
@@ -70,8 +175,8 @@ def unsafe_output(config: RigConfig) -> str:
     Empty if there is none, or if a card cannot be opened or has no read-back.
     """
     for name in cards_with_valves(config):
-        with suppress(CardError), closing(open_outputs(config, name)) as bench:
-            if off := bench.unsafe_output():
+        with suppress(CardError), closing(open_outputs(config, name)) as outputs:
+            if off := outputs.unsafe_output():
                 return off
     return ""
 
@@ -89,18 +194,18 @@ class WatchdogOutputs:
             CardError: a card cannot be opened at all.
         """
         self._config = config
-        bench = open_bench(config, watchdog=True)
-        self._bench: Bench | None = bench
+        outputs = open_outputs(config, *config.cards)
+        self._outputs: SafeOutputs | None = outputs
         try:
-            open_bench(config, watchdog=True).close()
+            open_outputs(config, *config.cards).close()
         except CardBusyError:
-            bench.close()
-            self._bench = None
+            outputs.close()
+            self._outputs = None
 
     @property
     def shared(self) -> bool:
         """True if the cards can be written while control has them open."""
-        return self._bench is not None
+        return self._outputs is not None
 
     def make_safe(self, *, vent: bool) -> None:
         """Write the safe state.
@@ -108,21 +213,42 @@ class WatchdogOutputs:
         Raises:
             CardError: a card cannot be opened or written.
         """
-        if self._bench is not None:
-            self._bench.make_safe(vent=vent)
+        if self._outputs is not None:
+            self._outputs.make_safe(vent=vent)
             return
         make_safe(self._config, vent=vent)
 
     def close(self) -> None:
         """Release the cards; the outputs keep their voltages."""
-        if self._bench is not None:
-            self._bench.close()
+        if self._outputs is not None:
+            self._outputs.close()
+
+
+class PressureScans(Protocol):
+    """Gauge pressures (n, N) [Pa] at the times (n,) [ns], oldest first."""
+
+    @property
+    def t_ns(self) -> NDArray[np.int64]:
+        """Times."""
+
+    @property
+    def pressure_pa(self) -> NDArray[np.float64]:
+        """Pressures."""
+
+
+class PressureSource(Protocol):
+    """Source of pressures: an open bench."""
+
+    def read(self) -> PressureScans:
+        """Scans since the last call."""
 
 
 class VentVerification:
     """Checks the pressures of the chambers whose safe state is vented; with `vent`, of all chambers."""
 
-    def __init__(self, config: RigConfig, bench: Bench, *, vent: bool = False, patience_s: float = VENTING_S) -> None:
+    def __init__(
+        self, config: RigConfig, bench: PressureSource, *, vent: bool = False, patience_s: float = VENTING_S
+    ) -> None:
         """`patience_s` is how long the caller waits; it is part of the message."""
         self._patience_s = patience_s
         self._bench = bench
@@ -164,3 +290,16 @@ class VentVerification:
                 if self.done():
                     return ""
         return self.verdict()
+
+
+def _retry(card: Card, volts: NDArray[np.float64]) -> str:
+    """Write with retries; return the reason of the failure, empty on success."""
+    failure = ""
+    for _ in range(WRITE_ATTEMPTS):
+        try:
+            card.write(volts)
+        except Exception as error:  # one card must not prevent the safe state of the others
+            failure = str(error)
+        else:
+            return ""
+    return failure

@@ -8,10 +8,9 @@ import signal
 import time
 
 from rig.config.schema import RigConfig
-from rig.hardware.bench import Bench, cards_with_valves, open_outputs
 from rig.hardware.cards.base import CardBusyError, CardError
 from rig.hardware.lock import described, held_by_unseen, holders
-from rig.hardware.safe_state import safe_voltages
+from rig.hardware.safe_state import SafeOutputs, cards_with_valves, open_outputs, safe_voltages
 from rig.simulator.registers import Registers
 
 REPEATED_S = 0.25
@@ -72,25 +71,25 @@ def _vent(config: RigConfig, unsignalled: set[int]) -> list[str]:
 
     Holders that this user may not signal are added to `unsignalled`.
     """
-    benches: list[Bench] = []
+    opened: list[SafeOutputs] = []
     failures: list[str] = []
     try:
-        _open(config, benches, failures, unsignalled)
-        _vent_repeatedly(benches, NOTICED_S)
+        _open(config, opened, failures, unsignalled)
+        _vent_repeatedly(opened, NOTICED_S)
         unsignalled |= _request_end(config)
-        _vent_repeatedly(benches, REPEATED_S - NOTICED_S)
-        for bench in benches:
+        _vent_repeatedly(opened, REPEATED_S - NOTICED_S)
+        for outputs in opened:
             try:
-                bench.arm(vent=True)
+                outputs.arm(vent=True)
             except CardError as error:
                 failures.append(str(error))
     finally:
-        for bench in benches:
-            bench.close()
+        for outputs in opened:
+            outputs.close()
     return failures
 
 
-def _open(config: RigConfig, benches: list[Bench], failures: list[str], unsignalled: set[int]) -> None:
+def _open(config: RigConfig, opened: list[SafeOutputs], failures: list[str], unsignalled: set[int]) -> None:
     """Open every card and vent it at once; a card that is missing or in use does not delay the others."""
     began = time.monotonic()
     seen: dict[int, float] = {}
@@ -99,7 +98,7 @@ def _open(config: RigConfig, benches: list[Bench], failures: list[str], unsignal
     while closed:
         for card in tuple(closed):
             try:
-                benches.append(open_outputs(config, card))
+                opened.append(open_outputs(config, card))
             except CardBusyError as busy:
                 if time.monotonic() - began < FREED_S:
                     if not requested:
@@ -113,7 +112,7 @@ def _open(config: RigConfig, benches: list[Bench], failures: list[str], unsignal
             except Exception as error:  # a card must not keep the others from being vented
                 failures.append(f"card {card}: {type(error).__name__}: {error}")
             closed.remove(card)
-        _vent_repeatedly(benches, 0.0)
+        _vent_repeatedly(opened, 0.0)
         if closed:
             time.sleep(PAUSE_S)
 
@@ -140,12 +139,12 @@ def _request_end(config: RigConfig) -> set[int]:
     return refused
 
 
-def _vent_repeatedly(benches: list[Bench], seconds: float) -> None:
+def _vent_repeatedly(opened: list[SafeOutputs], seconds: float) -> None:
     until = time.monotonic() + seconds
     while True:
-        for bench in benches:
+        for outputs in opened:
             with contextlib.suppress(CardError):  # the final `arm` reports failures
-                bench.make_safe(vent=True)
+                outputs.make_safe(vent=True)
         if time.monotonic() >= until:
             return
         time.sleep(PAUSE_S)

@@ -5,8 +5,7 @@ from __future__ import annotations
 import time
 
 from rig.config.schema import RigConfig
-from rig.hardware.bench import UNSAFE
-from rig.hardware.safe_state import unsafe_output
+from rig.hardware.safe_state import UNSAFE, unsafe_output
 from rig.realtime.failsafe import force_safe_state
 from rig.realtime.process_group import ProcessGroup
 from rig.realtime.shared_state import SharedState, Stage, Stop

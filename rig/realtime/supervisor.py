@@ -6,9 +6,9 @@ import time
 from dataclasses import replace
 
 from rig.execution.plan import OpenRecord, OperatorInterface, Outcome, Plan, StartError, StoppedError
-from rig.hardware.bench import UNSAFE
 from rig.hardware.cards.base import CardError
 from rig.hardware.cards.registry import card_type
+from rig.hardware.safe_state import UNSAFE
 from rig.realtime import sampling_clocks
 from rig.realtime.data_recorder import DataRecorder
 from rig.realtime.operator_session import OperatorSession

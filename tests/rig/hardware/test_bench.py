@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-import rig.hardware.bench
+import rig.hardware.safe_state
 from rig.config.schema import RigConfig
 from rig.config.sections import CardConfig
-from rig.hardware.bench import Bench, card_setup
+from rig.hardware.bench import Bench
 from rig.hardware.cards.base import CardBusyError, CardError, CardSetup, Scans
+from rig.hardware.cards.setup import card_setup
 from rig.hardware.safe_state import make_safe
 from rig.hardware.vent import vent
 from tests.support.plant_bench import mock_rig
@@ -154,7 +155,7 @@ def test_an_unexpected_error_of_one_card_does_not_stop_the_safe_state_of_others(
             raise bug("oddly broken")
         return cards[setup.name]
 
-    monkeypatch.setattr(rig.hardware.bench, "open_card", opened)
+    monkeypatch.setattr(rig.hardware.safe_state, "open_card", opened)
     with pytest.raises(CardError, match=f"card daq: {bug.__name__}: oddly broken"):
         make_safe(two_card_rig(), vent=False)
     assert cards["other"].outputs.tolist() == [5.0]
@@ -182,7 +183,7 @@ def test_a_card_that_cannot_be_opened_does_not_stop_the_safe_state_of_others(
             raise CardError("card daq is not there")
         return cards[setup.name]
 
-    monkeypatch.setattr(rig.hardware.bench, "open_card", opened)
+    monkeypatch.setattr(rig.hardware.safe_state, "open_card", opened)
     with pytest.raises(CardError, match="card daq is not there"):
         make_safe(two_card_rig(), vent=True)
     assert cards["other"].outputs.tolist() == [0.0]
@@ -199,7 +200,7 @@ def test_a_card_of_another_process_does_not_stop_the_venting_of_others(
             raise CardBusyError("card daq", (os.getpid(),))
         return cards[setup.name]
 
-    monkeypatch.setattr(rig.hardware.bench, "open_card", opened)
+    monkeypatch.setattr(rig.hardware.safe_state, "open_card", opened)
     monkeypatch.setattr(os, "kill", lambda pid, number: None)
     vent(two_card_rig())
     assert cards["daq"].outputs.tolist() == [0.0]

@@ -19,12 +19,13 @@ import rig.hardware.vent
 from rig.config.schema import RigConfig
 from rig.config.sections import CardConfig
 from rig.hardware import lock
-from rig.hardware.bench import Bench, open_bench, open_outputs
+from rig.hardware.bench import open_bench
 from rig.hardware.cards.base import CardBusyError, CardError
 from rig.hardware.cards.comedi_device import _holders
 from rig.hardware.cards.kernel_devices import AttachedDevice, ComediModule
 from rig.hardware.cards.mock import MockCard
 from rig.hardware.lock import cards_locked, holders, lock_file
+from rig.hardware.safe_state import SafeOutputs, open_outputs
 from rig.hardware.vent import vent
 from rig.realtime import control_process as control
 from rig.realtime.shared_state import SharedState, StateLayout, Stop
@@ -186,7 +187,7 @@ def test_a_process_that_opens_a_card_briefly_is_left_alone(
     began = time.monotonic()
     with subprocess.Popen(["sleep", "60"]) as one, subprocess.Popen(["sleep", "60"]) as another:
 
-        def opened(config: RigConfig, card: str) -> Bench:
+        def opened(config: RigConfig, card: str) -> SafeOutputs:
             if (since := time.monotonic() - began) < 0.6:
                 holder = one.pid if since < 0.3 else another.pid
                 # Who lets go of it just now is not found any more.
@@ -208,7 +209,7 @@ def test_a_run_on_a_one_opener_card_is_signalled_to_end_before_a_process_is_kill
     file.write_text(text())
     with run_that(HOLD, file) as run, subprocess.Popen(["sleep", "60"]) as control:
 
-        def opened(config: RigConfig, card: str) -> Bench:
+        def opened(config: RigConfig, card: str) -> SafeOutputs:
             if run.poll() is None:
                 raise CardBusyError(card, (control.pid,))
             return open_outputs(config, card)

@@ -19,7 +19,7 @@ from rig.config.schema import RigConfig
 from rig.execution.plan import Plan
 from rig.hardware.bench import open_bench
 from rig.hardware.cards.base import CardBusyError
-from rig.hardware.safe_state import WatchdogOutputs
+from rig.hardware.safe_state import WatchdogOutputs, open_outputs
 from rig.realtime.child_process import ChildJob, ended_within, spawn
 from rig.realtime.failsafe import force_safe_state
 from rig.realtime.shared_state import SharedState, Stage, StateLayout
@@ -83,7 +83,7 @@ def volts(device: str) -> list[float]:
 def test_a_second_opener_is_refused_with_the_holder(config: RigConfig) -> None:
     first = open_bench(config)
     with pytest.raises(CardBusyError, match=f"one process at a time and is open already by process {os.getpid()}"):
-        open_bench(config, watchdog=True)
+        open_outputs(config, *config.cards)
     first.close()
     open_bench(config).close()
 

@@ -133,7 +133,7 @@ PLACES: dict[str, tuple[Callable[[], Path], Callable[[], object]]] = {
 def _open_alone() -> MockCard:
     from dataclasses import replace
 
-    from rig.hardware.bench import card_setup
+    from rig.hardware.cards.setup import card_setup
 
     return MockCard(replace(card_setup(mock_rig(), "daq"), one_opener=True))
 

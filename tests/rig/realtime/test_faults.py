@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 import runs
-from rig.hardware.bench import UNSAFE
+from rig.hardware.safe_state import UNSAFE
 from runs.records import Status
 from scripts.faults import realtime
 from scripts.faults.catalogue import CATALOGUE, CONTROL, FOR_EVER, KILL
