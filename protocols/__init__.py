@@ -1,7 +1,18 @@
 """What the experimenter asks for: protocols in YAML, checked, and their set-points over time."""
 
 from protocols.library import Protocol, load, named
+from protocols.parameters import ParameterValue
 from protocols.problems import BadInputError, Problem
 from protocols.trajectory import Prompt, Segment, SetPointTrajectory
 
-__all__ = ["BadInputError", "Problem", "Prompt", "Protocol", "Segment", "SetPointTrajectory", "load", "named"]
+__all__ = [
+    "BadInputError",
+    "ParameterValue",
+    "Problem",
+    "Prompt",
+    "Protocol",
+    "Segment",
+    "SetPointTrajectory",
+    "load",
+    "named",
+]

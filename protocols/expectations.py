@@ -29,12 +29,20 @@ _UNITS = (
     ("_V", "V"),
 )
 
+UNITS = tuple(unit for _, unit in _UNITS)
+
 Schema = dict[str, Any]
 
 
 def unit_of(key: str) -> str:
     """The unit that a key's name ends in, or an empty string."""
     return next((unit for ending, unit in _UNITS if key.endswith(ending)), "")
+
+
+def wants_number(schema: Schema) -> bool:
+    """True if a number, or one of several kinds of value that are numbers, fits the schema."""
+    branches = (schema, *(schema.get("anyOf") or schema.get("oneOf") or ()))
+    return any(branch.get("type") in {"number", "integer"} for branch in branches)
 
 
 class Expectation:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -12,10 +12,12 @@ from typing import Any
 from protocols import document as yaml_document
 from protocols.document import Document
 from protocols.expansion import expand, too_long
+from protocols.parameters import ParameterValue
 from protocols.problems import BadInputError, Problem
 from protocols.schema import ProtocolFile, Repeat, Step
 from protocols.source_positions import path_text, shortened
 from protocols.steps.base import LeafStep
+from protocols.substitution import KEY, Substitution, substitute
 from protocols.trajectory import SetPointTrajectory
 
 FOLDER = Path(__file__).parent / "library"
@@ -26,7 +28,7 @@ MOST_NEIGHBOURS = 200
 class Protocol:
     """A checked protocol: its name, title and description, the file it is from and that file's verbatim text.
 
-    `files` are the texts of its CSV files, by their names in the protocol.
+    `parameters` are the values that its steps have, `files` the texts of its CSV files, by their names in the protocol.
     """
 
     name: str
@@ -34,6 +36,7 @@ class Protocol:
     description: str
     path: Path
     text: str
+    parameters: tuple[ParameterValue, ...]
     steps: tuple[Step, ...] = field(repr=False)
     files: dict[str, str] = field(repr=False)
     _document: Document = field(repr=False)
@@ -56,11 +59,14 @@ def named() -> tuple[tuple[str, str], ...]:
     return tuple((path.stem, load(path.stem).title) for path in sorted(FOLDER.glob("*.yaml")))
 
 
-def load(name_or_path: str | Path) -> Protocol:
-    """The protocol of that name or in that file; `BadInputError` with all problems."""
+def load(name_or_path: str | Path, settings: Mapping[str, float] | None = None) -> Protocol:
+    """The protocol of that name or in that file, or `BadInputError` with all problems.
+
+    `settings` are values of its parameters, by name, in the unit of each; the others have their defaults.
+    """
     path = find(str(name_or_path), FOLDER, "protocol")
-    document = yaml_document.read(path)
-    body = yaml_document.validate(ProtocolFile, document)
+    body, substitution = _validated(yaml_document.read(path), settings or {})
+    document = substitution.document
     problems = too_long(body.steps, document)
     data: dict[LeafStep, Any] = {}
     files: dict[str, str] = {}
@@ -73,7 +79,30 @@ def load(name_or_path: str | Path) -> Protocol:
                 problems += [_named_by(problem, document, here) for problem in error.problems]
     if problems:
         raise BadInputError(dict.fromkeys(problems))
-    return Protocol(path.stem, body.title, body.description, path, document.text, body.steps, files, document, data)
+    return Protocol(
+        name=path.stem,
+        title=body.title,
+        description=body.description,
+        path=path,
+        text=document.text,
+        parameters=substitution.values,
+        steps=body.steps,
+        files=files,
+        _document=document,
+        _data=data,
+    )
+
+
+def _validated(document: Document, settings: Mapping[str, float]) -> tuple[ProtocolFile, Substitution]:
+    """The protocol with its parameters replaced by their values."""
+    if not settings and KEY not in document.data:
+        return yaml_document.validate(ProtocolFile, document), Substitution(document)
+    substitution = substitute(document, ProtocolFile.model_json_schema(), settings)
+    try:
+        return yaml_document.validate(ProtocolFile, substitution.document), substitution
+    except BadInputError as error:
+        own = [p for p in error.problems if (p.line, p.column) not in substitution.unresolved]
+        raise BadInputError(own or error.problems) from None
 
 
 def find(name: str, folder: Path, what: str) -> Path:

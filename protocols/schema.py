@@ -7,6 +7,8 @@ from typing import Annotated, Any
 from pydantic import ConfigDict, Discriminator, Field, Tag, model_validator
 from pydantic.json_schema import SkipJsonSchema
 
+from protocols.expressions import PATTERN
+from protocols.parameters import Parameter
 from protocols.steps.base import MOST_SEGMENTS, LeafStep, StepPart, Text
 from protocols.steps.csv_file import Csv
 from protocols.steps.hold import Hold
@@ -86,4 +88,31 @@ class ProtocolFile(StepPart):
 
     title: Text
     description: str = ""
+    parameters: dict[str, Parameter] = Field(default={}, description="numbers that the steps use by name")
     steps: Annotated[tuple[Step, ...], Field(min_length=1)]
+
+
+def editor_schema() -> dict[str, Any]:
+    """The JSON Schema of protocols as written: a number of a step may be an expression of the parameters."""
+    schema = ProtocolFile.model_json_schema()
+    parts = {
+        name: part if name == Parameter.__name__ else _with_expressions(part) for name, part in schema["$defs"].items()
+    }
+    expression = {
+        "description": "parameters, times or over numbers, and their sums: peak_bar / 2",
+        "pattern": PATTERN,
+        "type": "string",
+    }
+    return {**schema, "$defs": {"Expression": expression, **parts}}
+
+
+def _with_expressions(schema: Any) -> Any:
+    if isinstance(schema, list):
+        return [_with_expressions(item) for item in schema]
+    if not isinstance(schema, dict):
+        return schema
+    if schema.get("type") in {"number", "integer"}:
+        words = {key: value for key, value in schema.items() if key in {"default", "description", "title"}}
+        number = {key: value for key, value in schema.items() if key not in words}
+        return {**words, "anyOf": [number, {"$ref": "#/$defs/Expression"}]}
+    return {key: _with_expressions(value) for key, value in schema.items()}

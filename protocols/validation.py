@@ -11,7 +11,7 @@ from typing import Any, TypeVar, get_args, get_origin
 from pydantic import BaseModel, TypeAdapter, ValidationError
 from pydantic_core import ErrorDetails, PydanticCustomError
 
-from protocols.expectations import Expectation, unit_of
+from protocols.expectations import Expectation, unit_of, wants_number
 from protocols.problems import BadInputError, Problem, closest
 from protocols.source_positions import Document, SourcePosition, path_text, shortened
 
@@ -186,14 +186,14 @@ class _Translator:
         schema = self._expectation.at(path, self._document.data)
         value = self._value(path)
         wanted = schema.get("type")
-        lists_numbers = wanted == "array" and _wants_number(schema.get("items", {}))
+        lists_numbers = wanted == "array" and wants_number(schema.get("items", {}))
         if position.hint and wanted in {"string", "boolean"}:
             return f"'{position.source}'" if wanted == "string" else position.hint.rsplit(" ", 1)[-1]
         if isinstance(value, str):
             if "enum" in schema or "const" in schema:
                 return closest(value, [str(word) for word in schema.get("enum", [schema.get("const")])])
             unit = unit_of(next((step for step in reversed(path) if isinstance(step, str)), ""))
-            return _corrected_number(value, unit, position.quoted) if _wants_number(schema) else ""
+            return _corrected_number(value, unit, position.quoted) if wants_number(schema) else ""
         if isinstance(value, float) and wanted == "integer" and value.is_integer():
             return str(int(value))
         if isinstance(value, int | float):
@@ -244,11 +244,6 @@ class _Translator:
 def _key_of(position: SourcePosition) -> SourcePosition:
     """The position of a value's key, or of the value if it has no key."""
     return replace(position, line=position.key_line, column=position.key_column) if position.key_line else position
-
-
-def _wants_number(schema: Mapping[str, Any]) -> bool:
-    kinds = {schema.get("type"), *(branch.get("type") for branch in schema.get("anyOf") or schema.get("oneOf") or ())}
-    return bool(kinds & {"number", "integer"})
 
 
 def _corrected_number(text: str, unit: str, quoted: bool) -> str:

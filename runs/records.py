@@ -106,8 +106,8 @@ class Interval:
 class Quantity:
     """A number used by the run, with its source.
 
-    `room` is `calibration`, `model` or `adaptation`; `uncertainty` is one standard deviation, NaN where it is not
-    known.
+    `room` is `calibration`, `model`, `adaptation` or `protocol`; `uncertainty` is one standard deviation, NaN where it
+    is not known.
     """
 
     room: str
@@ -116,6 +116,10 @@ class Quantity:
     unit: str
     source: str
     uncertainty: float = float("nan")
+
+    def __str__(self) -> str:
+        values = ", ".join(f"{value:.12g}" for value in self.value)
+        return f"{self.name} = {values}{f' {self.unit}' if self.unit else ''}"
 
 
 @dataclass(frozen=True)
@@ -177,6 +181,11 @@ class RunHeader:
     camera_hz: float = 30.0
     cameras: tuple[str, ...] = ("camera",)
     """By name, in the order of the observations' columns."""
+
+    @property
+    def protocol_parameters(self) -> tuple[Quantity, ...]:
+        """The parameters of the protocol, with the values that the run used."""
+        return tuple(quantity for quantity in self.quantities if quantity.room == "protocol")
 
     @property
     def inputs(self) -> dict[str, str]:

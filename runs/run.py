@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runs.archive.checked import ArchiveError, content_sha256, opened
-from runs.archive.fields import PA_PER_BAR
+from runs.archive.fields import PA_PER_BAR, QUANTITY_GROUPS
 from runs.columns import Adaptation, Backbone, Pressure, Simulated, Table, Timing, Tip, Values
 from runs.records import Event, Interval, Level, Quantity, RecordedFile, RunHeader, Status
 from runs.table import TABLES, segments, table
@@ -82,7 +82,7 @@ class Run:
             git_commit=git["commit"],
             git_diff=git["diff"],
             intervals=_intervals(protocol),
-            quantities=(*self._quantities("calibration"), *self._quantities("model")),
+            quantities=tuple(q for room in QUANTITY_GROUPS for q in self._quantities(room)),
             adapted=_adapted(self._group("entry/adaptation")),
             control_hz=float(self._group("entry/timing")["control_rate"]),
             camera_hz=float(self._group("entry/timing")["camera_rate"]),
@@ -210,7 +210,7 @@ class Run:
 
     def _quantities(self, room: str) -> Iterator[Quantity]:
         with opened(self.path) as archive:
-            for name, field in archive.fields(f"entry/{room}").items():
+            for name, field in archive.fields(QUANTITY_GROUPS[room]).items():
                 # Only quantities are floats: scales are integers, the variant is text.
                 if field.kind == "f8":
                     value = tuple(float(v) for v in np.atleast_1d(archive.value(field.path)))

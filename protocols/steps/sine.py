@@ -36,6 +36,7 @@ class Sine(MotionStep):
     amplitude_bar: BarEach
     omega_rad_s: PositiveEach | SkipJsonSchema[None] = Field(default=None, description="angular frequency")
     frequency_hz: PositiveEach | SkipJsonSchema[None] = Field(default=None, description="instead of omega_rad_s")
+    period_s: PositiveEach | SkipJsonSchema[None] = Field(default=None, description="instead of omega_rad_s")
     phase_deg: NumberEach | SkipJsonSchema[None] = Field(default=None, description="at the start; 0 if left out")
     phase_rad: NumberEach | SkipJsonSchema[None] = Field(default=None, description="instead of phase_deg")
     duration_s: Seconds | SkipJsonSchema[None] = None
@@ -44,14 +45,15 @@ class Sine(MotionStep):
 
     @model_validator(mode="after")
     def _check(self) -> Sine:
-        names = ("mean_bar", "amplitude_bar", "omega_rad_s", "frequency_hz", "phase_deg", "phase_rad")
+        names = ("mean_bar", "amplitude_bar", "omega_rad_s", "frequency_hz", "period_s", "phase_deg", "phase_rad")
         found = fits(self.actuators, {name: getattr(self, name) for name in names})
-        found += one_of(("omega_rad_s", "frequency_hz"), (self.omega_rad_s, self.frequency_hz))
+        speeds = (self.omega_rad_s, self.frequency_hz, self.period_s)
+        found += one_of(("omega_rad_s", "frequency_hz", "period_s"), speeds)
         found += one_of(("duration_s", "periods"), (self.duration_s, self.periods))
         if self.phase_deg is not None and self.phase_rad is not None:
             found.append(ValidationFault(("phase_rad",), "phase_deg or phase_rad, not both"))
-        speeds = self.omega_rad_s if self.frequency_hz is None else self.frequency_hz
-        if self.periods is not None and isinstance(speeds, tuple) and len(set(speeds)) > 1:
+        differ = any(isinstance(speed, tuple) and len(set(speed)) > 1 for speed in speeds)
+        if self.periods is not None and differ:
             found.append(ValidationFault(("periods",), "duration_s, because the frequencies differ"))
         count = len(self.actuators)
         if not found:
@@ -68,6 +70,8 @@ class Sine(MotionStep):
         count = len(self.actuators)
         if self.omega_rad_s is not None:
             omegas = each(self.omega_rad_s, count)
+        elif self.period_s is not None:
+            omegas = tuple(2 * math.pi / period for period in each(self.period_s, count))
         else:
             omegas = tuple(2 * math.pi * hz for hz in each(self.frequency_hz or 0.0, count))
         if self.phase_rad is not None:

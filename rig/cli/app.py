@@ -10,11 +10,10 @@ from pathlib import Path
 from typing import Annotated, Any, NoReturn
 
 import typer
+from typer.core import TyperGroup
 
 from rig.cli import archives, calibrate, completion, identify, init, reproduce
-from rig.cli.address_space import NumericalCommand, PlottingCommand
 from rig.cli.completion import DATA
-from rig.cli.help_formatter import HelpFormatter, HelpGroup
 from rig.cli.options import (
     AsJson,
     ExistingRig,
@@ -27,6 +26,7 @@ from rig.cli.options import (
     ProtocolName,
     RigName,
     Seed,
+    Settings,
     Variant,
     VentedRig,
     Yes,
@@ -37,7 +37,7 @@ DONE, FAULT, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 GARBAGE_OBJECTS = 50_000
 
 
-class PlainErrors(HelpGroup):
+class PlainErrors(TyperGroup):
     """Command group that prints expected errors as one message with an exit status, without a traceback."""
 
     def invoke(self, ctx: Any) -> Any:
@@ -108,7 +108,6 @@ def _fail(message: str, status: int) -> NoReturn:
     raise typer.Exit(status)
 
 
-PlainErrors.context_class.formatter_class = HelpFormatter
 app = typer.Typer(
     cls=PlainErrors,
     no_args_is_help=True,
@@ -141,9 +140,10 @@ Listen = Annotated[str, typer.Option(metavar="ADDRESS", help="Address of this ma
 Port = Annotated[int, typer.Option(help="First port to try for the page; 0: any free port.", min=0, max=65535)]
 
 
-@app.command(cls=NumericalCommand)
+@app.command()
 def run(
     protocol: ProtocolName,
+    settings: Settings = None,
     rig: RigName = None,
     fast: Fast = False,
     seed: Seed = 0,
@@ -164,7 +164,7 @@ def run(
     json: AsJson = False,
 ) -> None:
     """Run a protocol and leave an archive with a report."""
-    from rig.cli import recovery_offer, run_output
+    from rig.cli import assignments, recovery_offer, run_output
     from rig.cli.console import console
     from rig.cli.signals import StopSignals
     from rig.cli.terminal import Terminal
@@ -180,6 +180,7 @@ def run(
     request = experiment.request(
         protocol,
         chosen_rig(rig),
+        settings=assignments.numbers("--set", settings),
         adapt=[name.strip() for name in free.split(",") if name.strip()] if adapt else None,
         folder=out,
         fast=fast,
@@ -214,14 +215,14 @@ def run(
 
 
 @app.command()
-def check(protocol: ProtocolName, rig: RigName = None, json: AsJson = False) -> None:
+def check(protocol: ProtocolName, settings: Settings = None, rig: RigName = None, json: AsJson = False) -> None:
     """Check a protocol against a rig, without touching hardware."""
-    from rig.cli import run_output
+    from rig.cli import assignments, run_output
     from rig.cli.console import console
     from rig.config.loader import chosen_rig
     from rig.experiment import run as experiment
 
-    request = experiment.request(protocol, chosen_rig(rig))
+    request = experiment.request(protocol, chosen_rig(rig), settings=assignments.numbers("--set", settings))
     decided = experiment.plan(request)
     if json:
         typer.echo(run_output.check_json(request, decided))
@@ -229,7 +230,7 @@ def check(protocol: ProtocolName, rig: RigName = None, json: AsJson = False) -> 
         screen = console()
         screen.print(run_output.check_screen(request, decided))
         screen.print(run_output.sketch(decided, screen.width))
-        screen.print(run_output.verdict(request), soft_wrap=not screen.is_terminal)
+        screen.print(run_output.verdict(request), soft_wrap=True)
 
 
 @app.command()
@@ -276,9 +277,10 @@ def vent(rig: VentedRig = None) -> None:
     vent_rigs(rig)
 
 
-@app.command(cls=NumericalCommand)
+@app.command()
 def simulate(
     protocol: ProtocolName,
+    settings: Settings = None,
     rig: RigName = None,
     model: Variant = None,
     parameters: Parameters = None,
@@ -288,15 +290,23 @@ def simulate(
     out: Folder = DATA,
 ) -> None:
     """Run the model alone, driven by the protocol's set-points; leaves an archive of the same layout."""
+    from rig.cli import assignments
     from rig.config.loader import chosen_rig
     from rig.experiment import run as experiment
     from rig.experiment.simulate import simulate as run_model
 
-    request = experiment.request(protocol, chosen_rig(rig), folder=out, variant=model, parameters=parameters)
+    request = experiment.request(
+        protocol,
+        chosen_rig(rig),
+        settings=assignments.numbers("--set", settings),
+        folder=out,
+        variant=model,
+        parameters=parameters,
+    )
     typer.echo(run_model(request, experiment.plan(request), static))
 
 
-@app.command(cls=NumericalCommand)
+@app.command()
 def live(
     archive: Annotated[
         Path | None,
@@ -322,12 +332,10 @@ def live(
     raise typer.Exit(show(found, pid, listen, port, lambda line: screen.print(line, soft_wrap=True)))
 
 
-for command in (archives.runs, archives.show, archives.export, archives.recover):
+for command in (archives.runs, archives.show, archives.report, archives.export, archives.replay, archives.recover):
     app.command()(command)
-app.command(cls=PlottingCommand)(archives.report)
-app.command(cls=NumericalCommand)(archives.replay)
-app.command("import", cls=NumericalCommand)(archives.import_)
-app.command(cls=NumericalCommand)(reproduce.reproduce)
+app.command("import")(archives.import_)
+app.command()(reproduce.reproduce)
 app.command()(init.init)
 app.add_typer(identify.app, name="identify")
 app.add_typer(calibrate.app, name="calibrate")

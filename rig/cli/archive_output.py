@@ -16,7 +16,6 @@ from rich.text import Text
 
 import runs as records
 from protocols.problems import BadInputError, Problem, closest
-from rig.cli.column_table import ColumnTable
 from rig.cli.completion import DATA
 from rig.cli.console import console
 from rig.cli.json_output import plain_json
@@ -59,8 +58,6 @@ def show(name: Path, as_json: bool) -> None:
     header = run.header
     screen = console()
     facts = Table(box=None, show_header=False, padding=(0, 2, 0, 0))
-    facts.add_column()
-    facts.add_column(overflow="fold")
     simulated = " (simulated)" if header.simulated else ""
     for key, value in (
         ("run", header.run_id + simulated),
@@ -68,6 +65,7 @@ def show(name: Path, as_json: bool) -> None:
         ("status", f"{summary.status} {summary.message}".strip()),
         ("executor", header.executor),
         ("protocol", header.protocol_name),
+        ("parameters", ", ".join(map(str, header.protocol_parameters)) or "-"),
         ("rig", header.rig_name),
         ("model", header.model_variant or "-"),
         ("operator", header.operator or "-"),
@@ -92,7 +90,7 @@ def summary_table(summary: Summary, counters: Mapping[str, int]) -> Table:
 
     A run in virtual time, a model run and an import have no deadlines, hence no rows about them.
     """
-    table = ColumnTable()
+    table = Table(box=None, padding=(0, 2, 0, 0), title_justify="left")
     for head in ("segment", "error [mm]", "normalised [%]", "settled after [s]", "overshoot [bar]"):
         table.add_column(head, justify="left" if head == "segment" else "right")
     for step in summary.steps:
@@ -148,7 +146,7 @@ def runs(entries: Sequence[Entry], folder: Path, as_json: bool) -> None:
     if not entries:
         typer.echo(f"no such archives in {folder}")
         return
-    table = ColumnTable()
+    table = Table(box=None, padding=(0, 2, 0, 0))
     table.add_column("run", no_wrap=True)  # so that it can be copied whole
     for head in ("status", "protocol", "rig", "operator", "mean error [mm]"):
         table.add_column(head, overflow="fold")

@@ -7,8 +7,6 @@ from typing import Annotated
 
 import typer
 
-from rig.cli.address_space import NumericalCommand
-from rig.cli.help_formatter import HelpGroup
 from rig.cli.options import (
     AsJson,
     Calibrations,
@@ -28,14 +26,13 @@ from rig.cli.options import (
 )
 
 app = typer.Typer(
-    cls=HelpGroup,
     no_args_is_help=True,
     rich_markup_mode=None,
     help="Calibrate cameras, DLT, tool and pressures; each writes a dated file.",
 )
 
 
-@app.command(cls=NumericalCommand)
+@app.command()
 def dlt(
     given: Annotated[
         list[str] | None,
@@ -89,7 +86,7 @@ def dlt(
     calibration_output.dlt(done, as_json=json)
 
 
-@app.command(cls=NumericalCommand)
+@app.command()
 def camera(
     views: Annotated[
         list[str] | None,
@@ -133,7 +130,7 @@ def camera(
     calibration_output.cameras(done, of_a_rig=capture or rig is not None, as_json=json)
 
 
-@app.command(cls=NumericalCommand)
+@app.command()
 def tool(
     rig: RigName = None,
     camera: Camera = None,
@@ -178,7 +175,7 @@ def tool(
     calibration_output.tool(done, as_json=json)
 
 
-@app.command(cls=NumericalCommand)
+@app.command()
 def pressure(
     rig: RigName = None,
     readings: Annotated[

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
-from rig.cli.help_formatter import HelpGroup
+from typer.core import TyperGroup
 
 
-class DefaultCommandGroup(HelpGroup):
+class DefaultCommandGroup(TyperGroup):
     """A group that hands arguments to its first sub-command unless they name another one."""
 
     @property

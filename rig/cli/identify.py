@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from rig.cli import completion
-from rig.cli.address_space import EstimationCommand
 from rig.cli.default_command import DefaultCommandGroup
 from rig.cli.options import Archives, AsJson, Every, Free, ParametersFile, Replace
 
@@ -44,7 +43,7 @@ Store = Annotated[
 ]
 
 
-@app.command(cls=EstimationCommand)
+@app.command()
 def fit(
     archives: Archives,
     free: Free = "",
@@ -154,7 +153,7 @@ def fit(
             typer.echo(rig_file, err=json)
 
 
-@app.command(cls=EstimationCommand)
+@app.command()
 def compare(
     archives: Archives,
     free: Free = "",
@@ -179,7 +178,7 @@ def compare(
     output.comparison(found, json)
 
 
-@app.command(cls=EstimationCommand)
+@app.command()
 def paper(archives: Archives, json: AsJson = False) -> None:
     """Identify as section 5.2 of the paper does, from its two extension experiments."""
     from rig.cli import identification_output as output

@@ -43,6 +43,11 @@ ProtocolName = Annotated[
     typer.Argument(metavar="NAME|FILE", help="Named protocol, or a YAML file.", autocompletion=completion.protocols),
 ]
 
+Settings = Annotated[
+    list[str] | None,
+    typer.Option("--set", metavar="NAME=VALUE", help="Value of a parameter of the protocol; may be repeated."),
+]
+
 
 def _folder(default: str | bool) -> Any:
     """Declare --out; `default` says which folder is used without it."""

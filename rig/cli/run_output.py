@@ -15,7 +15,6 @@ from rich.console import Console, Group
 from rich.table import Table
 from rich.text import Text
 
-from rig.cli.column_table import ColumnTable
 from rig.cli.printable import printable
 from rig.config.schema import RigConfig
 from rig.config.sections import PA_PER_BAR
@@ -46,9 +45,9 @@ def check_screen(request: RunRequest, plan: Plan) -> Group:
     """Return the check screen: limits, peak pressure, valves, duration."""
     config, trajectory = plan.config, plan.trajectory
     facts = Table(box=None, show_header=False, padding=(0, 2, 0, 0))
-    facts.add_column()
-    facts.add_column(overflow="fold")
     facts.add_row("protocol", f"{request.protocol.name}: {request.protocol.title}")
+    if request.protocol.parameters:
+        facts.add_row("parameters", ", ".join(map(str, request.protocol.parameters)))
     facts.add_row("duration", f"{trajectory.duration_s:.1f} s, {_counted(len(trajectory.segments), 'segment')}")
     if trajectory.prompts:
         facts.add_row("operator", _counted(len(trajectory.prompts), "prompt"))
@@ -64,7 +63,7 @@ def check_screen(request: RunRequest, plan: Plan) -> Group:
         if valves_at_stake(config) and (refused := remedies(granted)):
             facts.add_row("", refused)
     peak = peak_bar(plan)
-    table = ColumnTable()
+    table = Table(box=None, padding=(0, 2, 0, 0))
     for head in ("valve", "actuators", "output", "peak [bar]", "limit [bar]", "safe state"):
         # On a narrow terminal words may wrap; a number must not.
         number = "bar" in head
@@ -104,6 +103,7 @@ def check_json(request: RunRequest, plan: Plan) -> str:
     return json.dumps(
         {
             "protocol": request.protocol.name,
+            "parameters": {p.name: p.value for p in request.protocol.parameters},
             "rig": request.config.name,
             "rig_source": str(request.rig_source),
             "simulated": request.config.simulated,
@@ -202,7 +202,7 @@ def exit_status(result: RunResult) -> int:
 
 def findings_table(findings: tuple[Finding, ...]) -> Table:
     """Return the findings of `rig doctor` as a table."""
-    table = ColumnTable()
+    table = Table(box=None, padding=(0, 2, 0, 0))
     for head in ("", "topic", "found", "what to do"):
         table.add_column(head, overflow="fold")
     for finding in findings:

@@ -7,6 +7,7 @@ import subprocess
 from importlib import metadata
 from pathlib import Path
 
+from protocols import Protocol
 from rig.config.schema import RigConfig
 from runs.records import Quantity
 
@@ -43,6 +44,14 @@ def _git(*arguments: str) -> str:
     except (OSError, subprocess.TimeoutExpired):
         return ""
     return done.stdout if done.returncode == 0 else ""
+
+
+def protocol_parameters(protocol: Protocol) -> tuple[Quantity, ...]:
+    """The parameters of a protocol, with the values that its steps have."""
+    return tuple(
+        Quantity("protocol", p.name, (p.value,), p.unit, "set for this run" if p.given else "default of the protocol")
+        for p in protocol.parameters
+    )
 
 
 def quantities(config: RigConfig) -> tuple[Quantity, ...]:

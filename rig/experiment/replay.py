@@ -71,7 +71,7 @@ def replay(
         versions=versions(),
         git_commit=commit,
         git_diff=diff,
-        quantities=quantities(config),
+        quantities=(*run.header.protocol_parameters, *quantities(config)),
         adapted=(),
     )
     journal = JournalWriter(folder / f"{header.run_id}{SUFFIX}", header)

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import platform
+import resource
 import shlex
 import shutil
 import sys
 import time
 import traceback
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext, suppress
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
@@ -24,7 +26,7 @@ from rig.config.sections import Variant
 from rig.execution.plan import OperatorInterface, Outcome, Plan, StartError
 from rig.experiment import report_process
 from rig.experiment.preflight import check
-from rig.experiment.provenance import git_state, quantities, versions
+from rig.experiment.provenance import git_state, protocol_parameters, quantities, versions
 from rig.hardware.cards.base import CardError
 from rig.hardware.lock import cards_locked
 from rig.realtime.scheduling import obtainable
@@ -38,6 +40,8 @@ if TYPE_CHECKING:
 Loaded = TypeVar("Loaded")
 Name = TypeVar("Name")
 SPARE_DISK_BYTES = 200_000_000
+ADDRESS_SPACE_BYTES = 1_200_000_000
+"""Address space of the largest process of a run with its libraries; most of it is never resident."""
 DISK_WARNING_AFTER_S = 2.0
 """Time for the disk to store the end of the journal before the operator sees a warning."""
 _EXPECTED = (CardError, StartError, JournalError)
@@ -87,6 +91,7 @@ def request(
     protocol: str,
     rig: str | RigChoice,
     *,
+    settings: Mapping[str, float] | None = None,
     folder: Path = Path("data"),
     fast: bool = False,
     seed: int = 0,
@@ -99,6 +104,7 @@ def request(
 ) -> RunRequest:
     """Load a protocol and a rig by name or file, with a file of identified `parameters` over the rig.
 
+    `settings` are values of the protocol's parameters, by name, in the unit of each.
     `adapt` names the parameters that a recursive estimator identifies online: the default ones when empty, none
     when None.
 
@@ -109,7 +115,7 @@ def request(
     source = rig.source if isinstance(rig, RigChoice) else Source.OPTION
     rig = rig.name if isinstance(rig, RigChoice) else rig
     problems: list[Problem] = []
-    loaded_protocol = _collecting(problems, protocols.load, protocol)
+    loaded_protocol = _collecting(problems, partial(protocols.load, settings=settings), protocol)
     rig_read = _collecting(problems, read, rig)
     chosen = _collecting(problems, variant_named, variant)
     if problems or loaded_protocol is None or rig_read is None:
@@ -166,6 +172,12 @@ def run(request: RunRequest, decided: Plan, operator: OperatorInterface) -> RunR
     Raises:
         CardError, StartError, JournalError: the run did not start; the valves are safe and no archive exists.
     """
+    address_space = resource.getrlimit(resource.RLIMIT_AS)[0]
+    if address_space != resource.RLIM_INFINITY and address_space < ADDRESS_SPACE_BYTES:
+        raise StartError(
+            f"the address space of a process is limited to {address_space / 1e6:.0f} MB (ulimit -v), "
+            f"a run needs {ADDRESS_SPACE_BYTES / 1e6:.0f} MB"
+        )
     # In real time nothing is imported beside the control loop.
     with report_process.waiting() if request.fast and request.report else nullcontext(report_process.here) as draw:
         return _run(request, decided, operator, draw)
@@ -286,7 +298,7 @@ def header(request: RunRequest, decided: Plan, t_ns: int, ahead_ns: int = 0) -> 
         git_commit=commit,
         git_diff=diff,
         intervals=_intervals(decided.trajectory),
-        quantities=quantities(config),
+        quantities=(*protocol_parameters(protocol), *quantities(config)),
         adapted=decided.adapted,
         control_hz=config.control.rate_hz,
         camera_hz=next(iter(config.cameras.values())).rate_hz,

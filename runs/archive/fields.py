@@ -12,6 +12,12 @@ from numpy.typing import NDArray
 PA_PER_BAR = 1e5
 CHUNK_ROWS = 16384
 """Rows of a chunk of a dataset, and rows that are held at once."""
+QUANTITY_GROUPS = {
+    "protocol": "entry/protocol/parameters",
+    "calibration": "entry/calibration",
+    "model": "entry/model",
+}
+"""The group of the quantities of each room."""
 
 LARGEST = 1e12
 """Numbers are at most as large as this in their units, unless their field says otherwise; none is infinite."""

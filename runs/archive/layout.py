@@ -42,6 +42,7 @@ def groups(journal: Journal) -> tuple[Group, ...]:
         for group in (
             _entry(journal),
             provenance.protocol(journal),
+            provenance.protocol_parameters(journal),
             provenance.rig(journal),
             provenance.protocol_files(journal),
             provenance.calibration_files(journal),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from runs.archive.fields import PA_PER_BAR, Field, Group, named
+from runs.archive.fields import PA_PER_BAR, QUANTITY_GROUPS, Field, Group, named
 from runs.journal.journal import Journal
 from runs.records import Interval, Quantity
 
@@ -113,14 +113,20 @@ def git(journal: Journal) -> Group:
     return Group("entry/git", "NXcollection", fields, about="the program's own source")
 
 
+def protocol_parameters(journal: Journal) -> Group | None:
+    """The parameters of the protocol; None if there are none."""
+    known = journal.header.protocol_parameters
+    return quantities(journal, "protocol", "parameters of the protocol, as it was played") if known else None
+
+
 def quantities(journal: Journal, room: str, about: str) -> Group:
-    """Every number of a room (`calibration` or `model`) that was used; vectors with scales that label them."""
+    """Every number of a room of `QUANTITY_GROUPS` that was used; vectors with scales that label them."""
     variant = [Field("variant", journal.header.model_variant)] if room == "model" else []
     numbers = [_number(q) for q in journal.header.quantities if q.room == room]
     lengths = sorted({len(q.value) for q in numbers if isinstance(q.value, np.ndarray)})
     scales = [Field(f"component_{n}", np.arange(1, n + 1), about=f"labels vectors of {n}") for n in lengths]
     fields = variant + scales + numbers
-    return Group(f"entry/{room}", "NXcollection", named(fields), about=about, open=True)
+    return Group(QUANTITY_GROUPS[room], "NXcollection", named(fields), about=about, open=True)
 
 
 def _number(quantity: Quantity) -> Field:

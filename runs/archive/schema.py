@@ -15,7 +15,7 @@ import h5py
 import numpy as np
 
 from runs.archive import checksum, layout
-from runs.archive.fields import LARGEST, ComputedColumn, Field, Group, Pictures
+from runs.archive.fields import LARGEST, QUANTITY_GROUPS, ComputedColumn, Field, Group, Pictures
 from runs.journal.journal import Journal
 from runs.journal.stored_rows import Index, StoredPictures, StoredRows
 from runs.records import (
@@ -153,7 +153,7 @@ def _journal(actuators: int, valves: int, *, everything: bool) -> Journal:
     adapted = (Quantity("adaptation", "parameter", (0.0,), "", "", 0.0),)
     files = (RecordedFile.of("file", "kind", ""),)
     quantities = tuple(
-        Quantity(room, name, value, "", "") for room in ("calibration", "model") for name, value in _QUANTITIES.items()
+        Quantity(room, name, value, "", "") for room in QUANTITY_GROUPS for name, value in _QUANTITIES.items()
     )
     header = RunHeader(
         run_id="",

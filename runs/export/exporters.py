@@ -16,7 +16,7 @@ from runs.archive import layout
 from runs.archive.checked import ArchiveError, opened
 from runs.archive.schema import BYTES
 from runs.overwriting import WouldOverwriteError, staged
-from runs.records import RecordedFile
+from runs.records import RecordedFile, RunHeader
 from runs.run import Run
 from runs.table import TABLES, segments, table
 
@@ -146,6 +146,8 @@ def _nc(source: Path, stem: Path) -> tuple[Path, ...]:
     with netcdf_file(path, "w", version=2) as file:
         # SciPy encodes text as ASCII, but bytes as they are.
         texts = {"title": header.title, "run_id": header.run_id, "model": header.model_variant}
+        if header.protocol_parameters:
+            texts["protocol_parameters"] = ", ".join(map(str, header.protocol_parameters))
         for name, text in (texts | header.inputs).items():
             setattr(file, _identifier(name, vars(file)), text.encode())
         file.simulated = int(header.simulated)
@@ -195,12 +197,19 @@ def _yaml(source: Path, stem: Path) -> tuple[Path, ...]:
         # The longest first: one name may be part of another.
         known = "|".join(map(re.escape, sorted(inside, key=len, reverse=True)))
         texts[protocol] = re.sub(known, lambda found: inside[found[0]], header.protocol_yaml)
+    texts[protocol] = _settings(header) + texts[protocol]
     if header.rig_yaml:
         texts[rig] = _naming(source, header.rig_yaml, _added(texts, header.calibrations))
     folder.mkdir(exist_ok=True)
     for name, text in texts.items():
         (folder / name).write_text(text, encoding="utf-8")
     return tuple(folder / name for name in texts)
+
+
+def _settings(header: RunHeader) -> str:
+    """Return a comment with the options that give the protocol's parameters the values of the run."""
+    given = " ".join(f"--set {q.name}={q.value[0]!r}" for q in header.protocol_parameters)
+    return f"# This run: {given}\n" if given else ""
 
 
 def _added(texts: dict[str, str], files: Sequence[RecordedFile]) -> list[str]:

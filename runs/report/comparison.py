@@ -94,25 +94,30 @@ def _tick(yes: bool) -> str:
 
 def table(runs: Sequence[Run], summaries: Sequence[Summary]) -> str:
     """Return the errors of each run."""
-    names = (
-        "run",
-        "model",
-        "status",
-        "mean error<br>[mm]",
-        "settled<br>[mm]",
-        "normalised<br>[%]",
-        "rms x, y, z<br>[mm]",
-        "largest<br>[mm]",
-        "measured<br>[%]",
+    words, numbers = (
+        ["run", "model", "status"],
+        (
+            "mean error<br>[mm]",
+            "settled<br>[mm]",
+            "normalised<br>[%]",
+            "rms x, y, z<br>[mm]",
+            "largest<br>[mm]",
+            "measured<br>[%]",
+        ),
     )
-    head = "".join(f"<th{'' if i < 3 else ' class=n'}>{name}</th>" for i, name in enumerate(names))
-    rows = "".join(_row(run, summary) for run, summary in zip(runs, summaries, strict=True))
+    differ = len({tuple(map(str, run.header.protocol_parameters)) for run in runs}) > 1
+    if differ:
+        words.append("parameters")
+    head = "".join(f"<th>{word}</th>" for word in words) + "".join(f"<th class=n>{name}</th>" for name in numbers)
+    rows = "".join(_row(run, summary, differ) for run, summary in zip(runs, summaries, strict=True))
     return f'<div class="scroll"><table><tr>{head}</tr>{rows}</table></div>\n'
 
 
-def _row(run: Run, s: Summary) -> str:
+def _row(run: Run, s: Summary, parameters: bool) -> str:
     header = run.header
-    words = (f"{escape(header.run_id)}{_marked(s.simulated)}", escape(header.model_variant), escape(s.status))
+    words = [f"{escape(header.run_id)}{_marked(s.simulated)}", escape(header.model_variant), escape(s.status)]
+    if parameters:
+        words.append(escape(", ".join(map(str, header.protocol_parameters))))
     numbers = (
         plain(s.error_mm.mean, 2),
         plain(s.settled_error_mm, 2),

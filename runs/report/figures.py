@@ -140,7 +140,7 @@ def backbones(figure: Figure, run: Run, summary: Summary) -> None:
     whole.invert_yaxis()
     whole.set_ylabel("z, along the arm [mm]")
     legend(near)
-    if len(rows) > 1:
+    if high > low:
         bar = figure.colorbar(scale, ax=near, label=label, aspect=30, pad=0.02, boundaries=np.linspace(low, high, 256))
         bar.outline.set_visible(False)
         bar.locator = MaxNLocator(6)

@@ -208,6 +208,7 @@ def _provenance(run: Run) -> str:
     facts = {
         "run": header.run_id,
         "protocol": header.protocol_name,
+        "parameters": ", ".join(map(str, header.protocol_parameters)),
         "rig": header.rig_name,
         "model": header.model_variant,
         "executor": header.executor + (f", seed {header.seed}" if header.seed is not None else ""),

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from protocols.document import parse, validate
-from protocols.expansion import expand
+import protocols
+from protocols.document import parse
 from protocols.schema import ProtocolFile
 from rig.config.loader import text
 from rig.config.schema import RigConfig
@@ -21,9 +21,9 @@ def examples(guide: str) -> list[str]:
 
 
 @pytest.mark.parametrize("example", examples("protocols.md"))
-def test_protocol_examples_expand(example: str) -> None:
-    document = parse(example, "protocols.md")
-    assert expand(validate(ProtocolFile, document).steps, 3, document, {}).duration_s > 0
+def test_protocol_examples_expand(example: str, tmp_path: Path) -> None:
+    (tmp_path / "example.yaml").write_text(example, encoding="utf-8")
+    assert protocols.load(tmp_path / "example.yaml").expand(3).duration_s > 0
 
 
 @pytest.mark.parametrize("example", examples("rig-file.md"))

@@ -20,6 +20,7 @@ from runs.archive.writer import finalise
 from runs.export.exporters import export
 from runs.journal import journal
 from runs.records import RecordedFile, RunFooter, Status
+from runs.report.page import page
 from runs.run import Run
 from tests.rig.config.test_calibration_files import camera_file
 from tests.rig.virtual.test_run import Silent
@@ -27,8 +28,8 @@ from tests.rig.virtual.test_run import Silent
 CSV = "time_s,actuator_1_bar\n0,0\n0.2,0.1\n0.4,0.1\n"
 
 
-def run_fast(folder: Path, protocol: Path, rig: str = "mock") -> Run:
-    request = experiment.request(str(protocol), rig, folder=folder, fast=True, seed=1, report=False)
+def run_fast(folder: Path, protocol: Path, rig: str = "mock", settings: dict[str, float] | None = None) -> Run:
+    request = experiment.request(str(protocol), rig, settings=settings, folder=folder, fast=True, seed=1, report=False)
     archive = experiment.run(request, experiment.plan(request), Silent()).archive
     assert archive is not None
     return runs.open(archive)
@@ -58,6 +59,39 @@ def test_a_run_can_be_repeated_when_its_files_are_gone(tmp_path: Path) -> None:
     again = run_fast(tmp_path / "again", written["played.yaml"], str(written["mock-rig.yaml"]))
     np.testing.assert_array_equal(again.pressure.measured_bar, first.pressure.measured_bar)
     np.testing.assert_array_equal(again.tip.measured_mm, first.tip.measured_mm)
+
+
+def test_the_parameters_of_a_protocol_stay_with_the_run(tmp_path: Path) -> None:
+    protocol = tmp_path / "wave.yaml"
+    protocol.write_text(
+        "title: Wave\nparameters:\n  peak_bar: {default: 0.1}\n  period_s: {default: 0.5}\nsteps:\n"
+        "  - sine: {actuators: [1], mean_bar: peak_bar / 2, amplitude_bar: peak_bar / 2, phase_deg: -90, periods: 1, "
+        "period_s: period_s}\n"
+    )
+    low, high = (run_fast(tmp_path / "data", protocol, settings=s) for s in ({}, {"peak_bar": 0.125}))
+    texts = ["peak_bar = 0.125 bar", "period_s = 0.5 s"]
+    assert [str(quantity) for quantity in high.header.protocol_parameters] == texts
+    assert [q.source for q in high.header.protocol_parameters] == ["set for this run", "default of the protocol"]
+    assert high.header.protocol_yaml == protocol.read_text()
+    assert high.pressure.setpoint_bar.max() > 0.12 > 0.1 >= low.pressure.setpoint_bar.max()
+    recorded = journal.read(high.path.with_suffix(".mcap")).header
+    again = runs.open(replay(high, tmp_path)).header
+    for header in (recorded, again):
+        assert list(map(str, header.protocol_parameters)) == texts
+
+    together = page([low, high])
+    assert "<th>parameters</th>" in together
+    assert "<td>peak_bar = 0.1 bar, period_s = 0.5 s</td>" in together
+    assert "<td>peak_bar = 0.125 bar, period_s = 0.5 s</td>" in together
+    assert "<th>parameters</th><td>" in page([high])
+    assert "<th>parameters</th><th" not in page([high, high])
+
+    written = {path.name: path for path in export(high.path, "yaml", tmp_path)}
+    options = written["wave.yaml"].read_text().splitlines()[0]
+    assert options == "# This run: --set peak_bar=0.125 --set period_s=0.5"
+    settings = {name: float(value) for name, value in re.findall(r"--set (\w+)=(\S+)", options)}
+    repeated = run_fast(tmp_path / "again", written["wave.yaml"], str(written["mock-rig.yaml"]), settings)
+    np.testing.assert_array_equal(repeated.pressure.measured_bar, high.pressure.measured_bar)
 
 
 def test_files_with_the_same_name_from_several_folders_are_exported_side_by_side(tmp_path: Path) -> None:
