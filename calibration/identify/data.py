@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import maximum_filter1d
+from scipy.ndimage import maximum_filter1d, uniform_filter1d
 
 from calibration.identify.pressure_smoothing import curve, noise_std, smoothed
 from runs.records import DetectionStatus
@@ -29,6 +29,10 @@ _MIN_COMMON_VARIANCE = 0.1
 _PRESSURE_MARGIN_FRAMES = 1.5
 # Samples around a clipped one that count as clipped.
 _CLIP_WINDOW = 21
+# Some scans are clipped if the mean lies less than so many standard deviations of a scan above the foot.
+_CLIP_STD = 1.0
+# A sensor that is clipped in a larger share of a motion has a constant error there, which its offset describes.
+_MOSTLY = 0.9
 
 
 class NoDataError(ValueError):
@@ -43,7 +47,8 @@ class Poses:
     sensor offsets. weight_kg (K,) is the tip load on the cap. wrench (K, 6): measured force [N] and moment [N m] at the
     measured point, in the frame of the tips. tip_m (K, 3) in the rod-base frame with covariance_m2 (K, 3, 3); both NaN
     in frames without a tip. frames (K,): camera frames per entry. time_s (K,) counts from the start of the run; for a
-    plateau it is the end. period_s is zero for static poses.
+    plateau it is the end. period_s is zero for static poses. live_m (K, 3): tips of the model that ran beside the
+    experiment, NaN where there was none; None if there was no such model.
     """
 
     run_id: str
@@ -57,6 +62,7 @@ class Poses:
     covariance_m2: Array
     frames: NDArray[np.int64]
     time_s: Array
+    live_m: Array | None = None
 
     def __len__(self) -> int:
         return len(self.weight_kg)
@@ -94,6 +100,7 @@ class Poses:
             covariance_m2=self.covariance_m2[chosen],
             frames=self.frames[chosen],
             time_s=self.time_s[chosen],
+            live_m=None if self.live_m is None else self.live_m[chosen],
         )
 
 
@@ -144,6 +151,7 @@ def at_rest(run: Run, settle_s: float = SETTLE_S) -> Poses:
         covariance_m2=covariance * averaged[:, None, None],
         frames=count,
         time_s=np.array([tip.time_s[k[-1]] for k in plateaus]),
+        live_m=_live(np.array([tip.model_mm[k].mean(axis=0) for k in plateaus])),
     )
 
 
@@ -174,19 +182,22 @@ def in_motion(run: Run) -> Poses:
     weight = tip.weight_g[np.clip(np.searchsorted(index, every, side="right") - 1, 0, None)] * KG_PER_G
     measured, covariance = np.full((length, 3), np.nan), np.full((length, 3, 3), np.nan)
     measured[index[usable]] = tip.measured_mm[usable] * M_PER_MM
+    live = np.full((length, 3), np.nan)
+    live[index[usable]] = tip.model_mm[usable]
     covariance[index[usable]] = tip.covariance_mm2[usable] * M_PER_MM**2
     return Poses(
         run_id=run.header.run_id,
         source=run.sha256,
         period_s=period_s,
         pressure_pa=pressure,
-        pressure_std_pa=np.where(clipped, np.hypot(spread, samples.clipped_std_pa), spread),
+        pressure_std_pa=np.where(clipped, np.hypot(spread, samples.clipped_std_pa * _repeats(clipped)), spread),
         weight_kg=weight,
         wrench=_at(frame_s, tip.time_s, _wrench(run)),
         tip_m=measured,
         covariance_m2=covariance,
         frames=np.ones(length, np.int64),
         time_s=frame_s,
+        live_m=_live(live),
     )
 
 
@@ -258,8 +269,8 @@ def _usable(run: Run) -> NDArray[np.bool_]:
 class _Samples:
     """Pressures (n, N) [Pa] at times (n,) [s].
 
-    clipped (n, N): the reading is at the lower end of the sensor's range. clipped_std_pa (N,) is the standard deviation
-    of the pressure then.
+    clipped (n, N): the reading is at the lower end of the sensor's range, at least in some of its scans.
+    clipped_std_pa (N,) is the standard deviation of the pressure then.
     """
 
     time_s: Array
@@ -280,8 +291,25 @@ def _pressure_samples(run: Run) -> _Samples:
                 foot[n] = quantity.value[0]
                 # Uniform distribution over the sensor's accuracy.
                 doubt[n] = quantity.uncertainty * PA_PER_BAR / np.sqrt(12)
+    scan_bar = noise_std(samples.measured_bar).max() * np.sqrt(np.median(scans))
     at_foot = samples.measured_bar <= foot + 1e-9
+    at_foot |= uniform_filter1d(samples.measured_bar, _CLIP_WINDOW, axis=0) <= foot + _CLIP_STD * scan_bar
     return _Samples(samples.time_s - late_s, samples.measured_bar * PA_PER_BAR, at_foot, doubt)
+
+
+def _repeats(clipped: NDArray[np.bool_]) -> Array:
+    """Factor (K, N) on the error of clipped frames (K, N), for all of one range have the same error."""
+    out = np.ones(clipped.shape)
+    for n, column in enumerate(clipped.T):
+        if column.mean() <= _MOSTLY:
+            for start, stop in _true_ranges(column):
+                out[start:stop, n] = np.sqrt(stop - start)
+    return out
+
+
+def _live(model_mm: Array) -> Array | None:
+    """Tips of the running model [m]; None if it has none, as in an import."""
+    return model_mm * M_PER_MM if np.isfinite(model_mm).any() else None
 
 
 def _wrench(run: Run) -> Array:

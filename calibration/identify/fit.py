@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,8 +11,10 @@ from numpy.typing import NDArray
 from calibration.identify.data import NoDataError, Poses
 from calibration.identify.least_squares import LeastSquaresProblem, Solution, Unknown
 from calibration.identify.likelihood import OUTLIER, drifting, whitened
+from calibration.identify.nuisance import nuisance_parameters
 from calibration.identify.parameters import Prior, Setup, named
 from calibration.identify.results import NORMAL_95, Estimate, Fit, RunFit, Verdict
+from calibration.identify.search import Progress, initial_point, point_of, search
 
 Array = NDArray[np.float64]
 
@@ -20,7 +23,6 @@ _UNDETERMINED_SPANS = 0.5
 # Far from its start, the span of a parameter is this fraction of the distance: at four error bars it is identified.
 _SPAN_PER_DISTANCE = 0.5
 _PRIOR_ONLY_RATIO = 0.95
-_SAME_LOSS = 0.5
 # Standard deviation, in spans, of a weak prior. It keeps undetermined directions finite, so that they do not affect
 # parameters that they hardly correlate with.
 _PRIOR_SPANS = 2.0
@@ -32,16 +34,21 @@ def identify(
     start: Setup,
     free: Iterable[str],
     priors: Mapping[str, Prior] | None = None,
-    starts: int = 1,
+    starts: int | None = 1,
     seed: int = 0,
     initial_values: Mapping[tuple[str, str], float] | None = None,
     substeps: int = 0,
+    stated: Mapping[str, Prior] | None = None,
+    progress: Progress = lambda text: None,
 ) -> Fit:
     """Maximum likelihood of the free parameters over all runs, static and moving ones together.
 
-    priors: by name. starts: number of starting points; the first is `start`, the others are random around it.
-    initial_values: by (name, run), replace the first starting point, for example by a fit to similar data; undetermined
-    parameters are still fixed at `start`. substeps: see `LeastSquaresProblem`.
+    priors: by name. starts: number of starting points; the first is `start`, the others are random around it; None
+    chooses it by the results (see `search`). initial_values: by (name, run), replace the first starting point, for
+    example by a fit to similar data; undetermined parameters are still fixed at `start`. substeps: see
+    `LeastSquaresProblem`. stated: value and uncertainty of every parameter, by name. With it, what is not free is
+    estimated, too, with its stated value as prior, so that its uncertainty is in all error bars; without it, what is
+    not free is exact.
 
     Raises:
         NoData: no measured tip.
@@ -53,13 +60,17 @@ def identify(
     if any(poses.actuators != actuators for poses in data):
         raise NoDataError("the runs are of arms with different numbers of actuators")
     parameters = named(free, actuators)
-    priors = {p.name: prior for name, prior in (priors or {}).items() for p in named([name], actuators)}
-    problem = LeastSquaresProblem(data, start, parameters, priors, substeps=substeps)
-    joint, ends = _multi_start(
-        problem, _initial_point(problem) if initial_values is None else _point_of(problem, initial_values), starts, seed
-    )
-    solution, fixed = _fix_undetermined(problem, joint)
-    estimates, covariance = _estimates(problem, solution, joint, fixed)
+    held = () if stated is None else nuisance_parameters(start, data, parameters)
+    given = {p.name: prior for name, prior in (priors or {}).items() for p in named([name], actuators)}
+    known = {p.name: (stated or {})[p.name] for p in held} | given
+    problem = LeastSquaresProblem(data, start, (*parameters, *held), known, substeps=substeps)
+    first = initial_point(problem, progress) if initial_values is None else point_of(problem, initial_values)
+    searched = search(problem, first, starts, seed, progress)
+    joint = searched.best
+    nuisances = {p.name for p in held}
+    solution, fixed = _fix_undetermined(problem, joint, nuisances)
+    estimates, covariance = _estimates(problem, solution, joint, fixed, nuisances)
+    estimates = tuple(replace(e, stated=(stated or {}).get(e.name), prior=known.get(e.name)) for e in estimates)
     return Fit(
         setup=problem.setup(solution.z),
         start=start,
@@ -70,63 +81,16 @@ def identify(
         loss=solution.loss,
         discrepancy_m=solution.discrepancy_m,
         measured=problem.measured,
-        fitted=len(problem.unknowns) - len(fixed),
-        starts=starts,
-        agreeing_starts=sum(end < 2 * _SAME_LOSS for end in ends),
+        fitted=sum(not e.nuisance for e in estimates) - len(fixed),
+        starts=len(searched.losses),
+        agreeing_starts=searched.agreeing,
+        worse_than_start=searched.worse_than_start,
         solved=solution.solved,
         open_directions=_open_directions(problem, joint),
-        start_losses=ends,
+        start_losses=searched.losses,
         problem=problem,
         solution=solution,
     )
-
-
-def _initial_point(problem: LeastSquaresProblem) -> Array:
-    """First starting point (n,): the solution of the static runs, which are cheap, if there are both kinds."""
-    z = np.zeros(len(problem.unknowns))
-    resting = [run for run, poses in enumerate(problem.data) if not poses.moving]
-    if len(resting) in (0, len(problem.data)):
-        return z
-    part = LeastSquaresProblem([problem.data[run] for run in resting], problem.start, problem.free, problem.priors)
-    found = dict(
-        zip(((u.parameter.name, u.run) for u in part.unknowns), part.solve(np.zeros(len(part.unknowns))).z, strict=True)
-    )
-    for i, unknown in enumerate(problem.unknowns):
-        own = resting.index(unknown.run) if unknown.run in resting else None
-        if unknown.run is None or own is not None:
-            z[i] = found[unknown.parameter.name, own]
-    return z
-
-
-def _point_of(problem: LeastSquaresProblem, values: Mapping[tuple[str, str], float]) -> Array:
-    """Values by (name, run), in spans (n,); zero for those not given."""
-    z = np.zeros(len(problem.unknowns))
-    for i, unknown in enumerate(problem.unknowns):
-        run = "" if unknown.run is None else problem.data[unknown.run].run_id
-        value = values.get((unknown.parameter.name, run), unknown.start)
-        z[i] = np.clip(unknown.of(value), unknown.lower, unknown.upper)
-    return z
-
-
-def _multi_start(
-    problem: LeastSquaresProblem, first: Array, starts: int, seed: int
-) -> tuple[Solution, tuple[float, ...]]:
-    rng = np.random.default_rng(seed)
-    found = [problem.solve(first)]
-    found.extend(problem.solve(_random_start(problem, first, rng)) for _ in range(starts - 1))
-    best = max(found, key=lambda s: s.log_likelihood)
-    return best, tuple(2 * (best.log_likelihood - s.log_likelihood) for s in found)
-
-
-def _random_start(problem: LeastSquaresProblem, first: Array, rng: np.random.Generator) -> Array:
-    """A random starting point: within half a span of the first, or within `Parameter.decades` powers of ten."""
-    z = first + rng.uniform(-0.5, 0.5, len(first))
-    for i, unknown in enumerate(problem.unknowns):
-        decades = unknown.parameter.decades
-        if decades:
-            z[i] = unknown.of(unknown.at(float(first[i])) * 10 ** rng.uniform(-decades, decades))
-        z[i] = np.clip(z[i], unknown.lower, unknown.upper)
-    return z
 
 
 def _open_directions(problem: LeastSquaresProblem, joint: Solution) -> tuple[str, ...]:
@@ -171,13 +135,18 @@ def _inverse(information: Array) -> Array:
     return out
 
 
-def _fix_undetermined(problem: LeastSquaresProblem, joint: Solution) -> tuple[Solution, dict[int, Verdict]]:
+def _fix_undetermined(
+    problem: LeastSquaresProblem, joint: Solution, nuisances: Collection[str]
+) -> tuple[Solution, dict[int, Verdict]]:
     """Fix undetermined unknowns at their start and refit the others; return the fit and the verdict of each fixed one.
 
-    The refit may move to a region where further unknowns are undetermined, so this is repeated.
+    The refit may move to a region where further unknowns are undetermined, so this is repeated. Nuisance parameters,
+    which have a prior, are never fixed. Nor does their uncertainty fix others: at a fixed value, wrong by what the
+    nuisance parameters leave open, an unknown would drag them there.
     """
     solution, fixed = joint, dict[int, Verdict]()
-    while more := _undetermined(solution, [i for i in range(len(problem.unknowns)) if i not in fixed]):
+    free = [i for i, unknown in enumerate(problem.unknowns) if unknown.parameter.name not in nuisances]
+    while more := _undetermined(solution, [i for i in free if i not in fixed]):
         fixed |= more
         at = np.array([0.0 if i in fixed else value for i, value in enumerate(joint.z)])
         solution = problem.solve(at, sorted(fixed))
@@ -204,7 +173,11 @@ def _undetermined(solution: Solution, only: list[int]) -> dict[int, Verdict]:
 
 
 def _estimates(
-    problem: LeastSquaresProblem, solution: Solution, joint: Solution, fixed: Mapping[int, Verdict]
+    problem: LeastSquaresProblem,
+    solution: Solution,
+    joint: Solution,
+    fixed: Mapping[int, Verdict],
+    nuisances: Collection[str],
 ) -> tuple[tuple[Estimate, ...], Array]:
     n = len(problem.unknowns)
     only = [i for i in range(n) if i not in fixed]
@@ -218,13 +191,15 @@ def _estimates(
     out = []
     for i, unknown in enumerate(problem.unknowns):
         verdict = fixed.get(i, Verdict.IDENTIFIED)
-        if i not in fixed and joint_std[i] > _UNDETERMINED_SPANS:
+        nuisance = unknown.parameter.name in nuisances
+        if i not in fixed and not nuisance and joint_std[i] > _UNDETERMINED_SPANS:
             verdict = Verdict.ENTANGLED
         std = float(np.sqrt(covariance[i, i]))
         if verdict is Verdict.IDENTIFIED and std > _PRIOR_ONLY_RATIO * prior_std[i]:
             verdict = Verdict.PRIOR
         partners = _partners(scaled, i) if verdict is Verdict.ENTANGLED else []
-        out.append(_estimate(problem, unknown, float(solution.z[i]), std, verdict, partners, float(wide_std[i])))
+        estimate = _estimate(problem, unknown, float(solution.z[i]), std, verdict, partners, float(wide_std[i]))
+        out.append(replace(estimate, nuisance=nuisance))
     return tuple(out), covariance * np.outer(rates, rates)
 
 
@@ -287,7 +262,7 @@ def _estimate(
 
 
 def _runs(problem: LeastSquaresProblem, solution: Solution) -> tuple[RunFit, ...]:
-    predicted, before = problem.predicted(solution.z), problem.predicted(np.zeros(len(solution.z)))
+    predicted, at_start = problem.predicted(solution.z), problem.predicted(np.zeros(len(solution.z)))
     out = []
     for run, poses in enumerate(problem.data):
         residual = whitened(poses, predicted[run], solution.weights[run])
@@ -299,10 +274,11 @@ def _runs(problem: LeastSquaresProblem, solution: Solution) -> tuple[RunFit, ...
                 frames=int(poses.frames[poses.has_tip].sum()),
                 residual_m=poses.tip_m - predicted[run],
                 predicted_m=predicted[run],
-                before_m=before[run],
+                before_m=at_start[run] if poses.live_m is None else poses.live_m,
                 outliers=int((np.linalg.norm(residual[poses.has_tip], axis=1) > OUTLIER).sum()),
                 correlation=solution.correlation[run],
                 setup=problem.setup(solution.z, run),
+                before_live=poses.live_m is not None,
                 drifting=poses.in_sequence and drifting(residual),
             )
         )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -33,8 +33,13 @@ _MAX_STEP = 1.0
 _SAME_SLOPE = 3e-3
 # Levenberg damping, in sums of squares per squared span: the first value, and the value below which it is zero.
 _FIRST_DAMPING, _LAST_DAMPING = 1.0, 1e-3
+# Growth of the damping after a step that was refused.
+_MORE_DAMPING = 4.0
 # Upper bound of a parameter as a fraction of the limit that it must stay below.
 _BOUND_FRACTION = 0.98
+# A step longer than so many spans is corrected for the curvature of its path, probed at this share of the step.
+# It is refused if the correction is a larger share of it than the last number.
+_STRAIGHT, _PROBE, _MAX_BEND = 3e-3, 0.1, 0.4
 # Predicted decrease of the sum of squares at convergence: a step of a hundredth of an error bar.
 _CONVERGED = 1e-4
 
@@ -108,7 +113,8 @@ class LeastSquaresProblem:
 
     substeps: time steps per frame of a motion; 0 chooses by the free parameters. For the bootstrap: entry_weights, per
     run (K,), is the multiplicity of each entry (None: one), and prior_shift (m,) moves the means of the priors, in
-    standard deviations and in the order of the unknowns that have a prior.
+    standard deviations and in the order of the unknowns that have a prior. progress is called with the rms distance [m]
+    after each step of the search.
     """
 
     data: Sequence[Poses]
@@ -118,6 +124,7 @@ class LeastSquaresProblem:
     entry_weights: Sequence[Array] | None = None
     prior_shift: Array | None = None
     substeps: int = 0
+    progress: Callable[[float], None] = field(default=lambda rms_m: None)
 
     def __post_init__(self) -> None:
         shared = [Unknown.of_setup(p, None, self.start) for p in self.free if not p.per_run]
@@ -160,6 +167,12 @@ class LeastSquaresProblem:
         """Tips (K, 3) of every run."""
         return [predictor(self.setup(z, run)) for run, predictor in enumerate(self._predictors)]
 
+    def rms_m(self, z: Array) -> float:
+        """Root mean square distance [m] from measured to predicted at z (n,)."""
+        gaps = [poses.tip_m - tips for poses, tips in zip(self.data, self.predicted(z), strict=True)]
+        squares = (np.concatenate(gaps) ** 2).sum(axis=1)
+        return float(np.sqrt(np.nanmean(squares)))
+
     def slopes(self, z: Array, only: Sequence[int]) -> list[Array]:
         """Derivatives (K, 3, n) of every run's tips by the unknowns `only`; the last ones are cached.
 
@@ -194,18 +207,26 @@ class LeastSquaresProblem:
         """Maximise the likelihood from z (n,) by iteratively reweighted Gauss-Newton; `fixed` unknowns keep their z."""
         only = [i for i in range(len(self.unknowns)) if i not in set(fixed)]
         z = z.copy()
-        weights, sigma = self.weights(z, len(only))
+        weights, sigma = self.weights(z, sum(self.unknowns[i].parameter.name not in self.priors for i in only))
         solved, before = True, np.inf
         for _ in range(rounds):
             if only:
                 z, solved = self.gauss_newton(z, only, weights, evaluations)
-            weights, sigma = self.weights(z, len(only))
+            weights, sigma = self.weights(z, self._fitted(z, only, weights))
             if abs(sigma - before) <= 0.02 * sigma:
                 break
             before = sigma
         return self.solution(z, only, weights, sigma, solved)
 
-    def weights(self, z: Array, fitted: int) -> tuple[tuple[Weights, ...], float]:
+    def _fitted(self, z: Array, only: list[int], weights: tuple[Weights, ...]) -> float:
+        """Effective number of unknowns that the data determine: a narrow prior leaves them nothing to determine."""
+        if not only:
+            return 0.0
+        slope = self._slope_rows(z, only, weights)
+        data = slope[: 3 * sum(len(poses) for poses in self.data)]
+        return float(np.trace(_inverse(slope.T @ slope) @ (data.T @ data)))
+
+    def weights(self, z: Array, fitted: float) -> tuple[tuple[Weights, ...], float]:
         """The weights of the residuals near z, and the model discrepancy [m]."""
         predicted = self.predicted(z)
         pressure = self._pressure_covariances(z)
@@ -219,6 +240,15 @@ class LeastSquaresProblem:
         sigma = discrepancy(residuals, seen_covariances, fitted)
         extra = sigma**2 * np.eye(3)
         return tuple(Weights.of(c + extra, p.has_tip) for c, p in zip(covariances, self.data, strict=True)), sigma
+
+    def log_likelihood(self, z: Array) -> float:
+        """Log likelihood of the data at z (n,), with the model discrepancy estimated there."""
+        weights, _ = self.weights(z, 0)
+        total = 0.0
+        for run, (poses, tips) in enumerate(zip(self.data, self.predicted(z), strict=True)):
+            rows = self._filtered(run, huber(whitened(poses, tips, weights[run]))[0])
+            total -= 0.5 * (float((rows**2 * self._count(run)[:, None]).sum()) + weights[run].log_det)
+        return total
 
     def solution(
         self, z: Array, only: Sequence[int], weights: tuple[Weights, ...], sigma: float, solved: bool
@@ -286,7 +316,9 @@ class LeastSquaresProblem:
     def gauss_newton(
         self, z: Array, only: list[int], weights: tuple[Weights, ...], evaluations: int
     ) -> tuple[Array, bool]:
-        """Gauss-Newton with bounds (active set) and Levenberg damping; return z (n,) and whether it converged.
+        """Gauss-Newton with bounds (active set), Levenberg damping and geodesic acceleration.
+
+        Return z (n,) and whether it converged.
 
         Levenberg damping, uniform in spans, shortens steps along poorly determined directions, where the problem is
         least linear, and hardly affects the others. Marquardt damping, scaled by the curvature, would slow down all
@@ -303,23 +335,40 @@ class LeastSquaresProblem:
             descent = -slope.T @ residual
             at_bound = ((z[only] <= lower) & (descent < 0)) | ((z[only] >= upper) & (descent > 0))
             inside = np.flatnonzero(~at_bound)
-            curvature = (slope.T @ slope)[np.ix_(inside, inside)]
+            curvature = (slope.T @ slope)[np.ix_(inside, inside)] + damping * np.eye(len(inside))
             step = np.zeros(len(only))
-            step[inside] = np.linalg.solve(curvature + damping * np.eye(len(inside)), descent[inside])
+            step[inside] = np.linalg.solve(curvature, descent[inside])
             predicted_decrease = float(step @ descent)
             step *= min(1.0, _MAX_STEP / max(np.abs(step).max(initial=0.0), 1e-300))
+            bend = np.zeros(len(only))
+            if np.abs(step).max(initial=0.0) > _STRAIGHT:
+                second = self._second_derivative(z, only, weights, residual, slope @ step, step)
+                bend[inside] = -0.5 * np.linalg.solve(curvature, slope[:, inside].T @ second)
             trial = z.copy()
-            trial[only] = np.clip(z[only] + step, lower, upper)
+            trial[only] = np.clip(z[only] + step + bend, lower, upper)
             there = self._rows(trial, only, weights)
-            better = float(there @ there) <= float(residual @ residual)
-            if better:
+            straight = np.abs(bend).max(initial=0.0) <= _MAX_BEND * np.abs(step).max(initial=0.0)
+            if straight and float(there @ there) <= float(residual @ residual):
                 z, residual, slope = trial, there, None
+                self.progress(self.rms_m(z))
                 damping = damping / 10 if damping > _LAST_DAMPING else 0.0
             else:
-                damping = max(10 * damping, _FIRST_DAMPING)
+                damping = max(_MORE_DAMPING * damping, _FIRST_DAMPING)
             if predicted_decrease < _CONVERGED:
                 return z, True
         return z, False
+
+    def _second_derivative(
+        self, z: Array, only: list[int], weights: tuple[Weights, ...], residual: Array, first: Array, step: Array
+    ) -> Array:
+        """Second derivative of the residuals along a step whose first-order effect is `first`.
+
+        With it a step follows a curved valley (geodesic acceleration, Transtrum and Sethna 2012).
+        """
+        probe = z.copy()
+        probe[only] += _PROBE * step
+        out: Array = 2 / _PROBE * ((self._rows(probe, only, weights) - residual) / _PROBE - first)
+        return out
 
     def _rows(self, z: Array, only: list[int], weights: tuple[Weights, ...]) -> Array:
         """The residual vector: tips, priors, ridge."""

@@ -83,14 +83,14 @@ def huber(residual: Array, slope: Array | None = None) -> tuple[Array, Array | N
     ]
 
 
-def discrepancy(residual_m: Sequence[Array], covariance_m2: Sequence[Array], free: int) -> float:
+def discrepancy(residual_m: Sequence[Array], covariance_m2: Sequence[Array], free: float) -> float:
     """Standard deviation [m] per axis of the model error beyond the stated covariances.
 
     residual_m, covariance_m2: per run (K, 3), (K, 3, 3) of measured tips only. Zero unless the residuals are
     significantly too large; else the value for which the mean clipped square has its expectation.
     """
     residual, covariance = np.concatenate(residual_m), np.concatenate(covariance_m2)
-    freedom = max(residual.size - free, 1)
+    freedom = max(residual.size - free, 1.0)
     values, vectors = np.linalg.eigh(covariance)
     turned2 = np.einsum("kji,kj->ki", vectors, residual) ** 2
 

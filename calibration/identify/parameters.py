@@ -24,9 +24,10 @@ class Setup:
 
     A tip of the model at (p, R) is measured at B (p + R tool) + base: `base_translation_m` and the rotation vector
     `base_rotation_rad` are the rod base in the frame of the measurements, `tool_offset_m` the measured point in the
-    tip frame. `actuator_turn_rad` (N,) moves each actuator about the arm's axis. Sensors read `sensor_gain` (N,) times
-    their pressure plus `sensor_offset_pa` (N,), `sensor_lag_s` late as clocks are, and behind a filter of first order
-    with the time constant `sensor_filter_s`.
+    tip frame. `actuator_turn_rad` (N,) moves each actuator about the arm's axis. The rotation vector
+    `gravity_turn_rad` turns gravity in the rod-base frame: a base that is not plumb. Sensors read `sensor_gain` (N,)
+    times their pressure plus `sensor_offset_pa` (N,), `sensor_lag_s` late as clocks are, and behind a filter of first
+    order with the time constant `sensor_filter_s`.
     """
 
     arm: model.Arm
@@ -34,6 +35,7 @@ class Setup:
     base_rotation_rad: Triple = (0.0, 0.0, 0.0)
     tool_offset_m: Triple = (0.0, 0.0, 0.0)
     actuator_turn_rad: tuple[float, ...] = ()
+    gravity_turn_rad: Triple = (0.0, 0.0, 0.0)
     sensor_offset_pa: tuple[float, ...] = ()
     sensor_gain: tuple[float, ...] = ()
     sensor_lag_s: float = 0.0
@@ -47,14 +49,18 @@ class Setup:
 
     @property
     def turned_arm(self) -> model.Arm:
-        """The arm with its actuators where they are."""
-        if not any(self.actuator_turn_rad):
-            return self.arm
-        turned = tuple(
-            (math.cos(t) * x - math.sin(t) * y, math.sin(t) * x + math.cos(t) * y)
-            for t, (x, y) in zip(self.actuator_turn_rad, self.arm.geometry.actuator_xy_m, strict=True)
-        )
-        return replace(self.arm, geometry=replace(self.arm.geometry, actuator_xy_m=turned))
+        """The arm with its actuators and gravity where they are."""
+        arm = self.arm
+        if any(self.gravity_turn_rad):
+            gravity = Rotation.from_rotvec(self.gravity_turn_rad).apply(arm.gravity_m_s2)
+            arm = replace(arm, gravity_m_s2=_three(gravity))
+        if any(self.actuator_turn_rad):
+            turned = tuple(
+                (math.cos(t) * x - math.sin(t) * y, math.sin(t) * x + math.cos(t) * y)
+                for t, (x, y) in zip(self.actuator_turn_rad, arm.geometry.actuator_xy_m, strict=True)
+            )
+            arm = replace(arm, geometry=replace(arm.geometry, actuator_xy_m=turned))
+        return arm
 
     def without_baseline(self, baseline: Setup) -> Setup:
         """The same arm as a rig without `baseline` measures it, where this is how a rig with `baseline` in it does."""
@@ -87,6 +93,13 @@ def _three(values: Array) -> Triple:
 Read = Callable[[Setup], float]
 Write = Callable[[Setup, float], Setup]
 
+# Standard uncertainties of stated values by kind. A mass counts as weighed only where the rig file says so.
+DATA_SHEET_SHARE, LENGTH_M, MOUNTING_M, MOUNTING_RAD, GAIN = 0.05, 5e-4, 2e-3, 0.03, 0.01
+# Of a retardation time, which no data sheet states; and of the sensors' times and zeros.
+DAMPING_S, LAG_S, FILTER_S, OFFSET_PA = 0.02, 0.005, 0.002, 500.0
+# An inner radius is at most this fraction of the outer one.
+_THINNEST_WALL = 0.98
+
 
 @dataclass(frozen=True)
 class Parameter:
@@ -95,7 +108,8 @@ class Parameter:
     span: plausible distance from its start; a parameter with a larger uncertainty is not identified. lower, upper:
     bounds; below: an upper bound by another number of a setup. per_run: each run has its own value, as a sensor offset.
     reciprocal: the data are linear in its reciprocal, as in a compliance instead of a stiffness; it is positive.
-    decades: range of random starting points in powers of ten.
+    decades: range of random starting points in powers of ten. uncertainty: standard uncertainty of a stated value, by
+    the kind of the number, where none is stated with it.
     """
 
     name: str
@@ -104,6 +118,7 @@ class Parameter:
     read: Read
     write: Write
     span: Callable[[float], float]
+    uncertainty: Callable[[float], float]
     lower: float
     upper: float
     per_run: bool = False
@@ -137,71 +152,102 @@ def known(actuators: int) -> dict[str, Parameter]:
         _material("rpe_per_bar", "1/bar", "radial pressure effect, a of eq 30", -1.0, 1.0, least=0.02),
         _material("shear_ratio", "1", "gamma, shear stiffness over axial stiffness", 0.01, 5.0, reciprocal=True),
         _material("density_kg_m3", "kg/m^3", "density of the walls", 100.0, 1e4),
-        _material("damping_s", "s", "Kelvin-Voigt retardation time", 0.0, 1.0, least=0.02),
+        replace(
+            _material("damping_s", "s", "Kelvin-Voigt retardation time", 0.0, 1.0, least=0.02),
+            uncertainty=_constant(DAMPING_S),
+        ),
         Parameter(
             "cap_mass_kg", "kg", "mass of the end cap", lambda s: s.arm.cap_mass_kg,
-            lambda s, x: replace(s, arm=replace(s.arm, cap_mass_kg=x)), lambda x: max(abs(x), 0.02), 0.0, 100.0,
+            lambda s, x: replace(s, arm=replace(s.arm, cap_mass_kg=x)), lambda x: max(abs(x), 0.02), _cap_uncertainty,
+            0.0, 100.0,
         ),
         _geometry("length_m", "m", "length of the arm at rest", 0.1),
         replace(
-            _geometry("inner_radius_m", "m", "radius of the chambers", 0.2),
+            _geometry("inner_radius_m", "m", "radius of the chambers", 0.2), write=_inner,
             below=lambda s: s.arm.geometry.outer_radius_m,
         ),
+        replace(_geometry("outer_radius_m", "m", "outer radius of the tubes", 0.2), write=_outer),
         Parameter(
             "circle_radius_m", "m", "distance of the first actuator from the axis, the others in proportion", _circle,
-            _circled, lambda x: 0.1 * x, 1e-4, 10.0,
+            _circled, lambda x: 0.1 * x, _constant(LENGTH_M), 1e-4, 10.0,
         ),
         Parameter(
             "sensor_lag_s", "s", "delay of the pressure sensors behind the camera", lambda s: s.sensor_lag_s,
-            lambda s, x: replace(s, sensor_lag_s=x), lambda x: 0.05, -1.0, 1.0,
+            lambda s, x: replace(s, sensor_lag_s=x), lambda x: 0.05, _constant(LAG_S), -1.0, 1.0,
         ),
         Parameter(
             "sensor_filter_s", "s", "time constant of the pressure sensors", lambda s: s.sensor_filter_s,
-            lambda s, x: replace(s, sensor_filter_s=x), lambda x: 0.05, 0.0, 1.0,
+            lambda s, x: replace(s, sensor_filter_s=x), lambda x: 0.05, _constant(FILTER_S), 0.0, 1.0,
         ),
-        *_triple("base_translation_m", "base_{}_m", "m", "rod base in the measurements' frame", 0.02, 1.0),
-        *_triple("base_rotation_rad", "base_r{}_rad", "rad", "rotation vector of the rod base", 0.1, math.pi),
-        *_triple("tool_offset_m", "tool_{}_m", "m", "measured point in the tip frame", 0.02, 1.0),
+        *_triple("base_translation_m", "base_{}_m", "m", "rod base in the measurements' frame", 0.02, MOUNTING_M, 1.0),
+        *_triple(
+            "base_rotation_rad", "base_r{}_rad", "rad", "rotation vector of the rod base", 0.1, MOUNTING_RAD, math.pi
+        ),
+        *_triple("tool_offset_m", "tool_{}_m", "m", "measured point in the tip frame", 0.02, MOUNTING_M, 1.0),
+        *_triple(
+            "gravity_turn_rad", "gravity_r{}_rad", "rad", "rotation vector of gravity from its stated direction", 0.1,
+            MOUNTING_RAD, math.pi,
+        ),
         *(
             one
             for n in range(actuators)
             for one in (
-                _own(n, "actuator_turn_rad", f"actuator_{n + 1}_turn_rad", "rad", "turn about the axis", 0.2, 3.2),
-                _own(n, "sensor_gain", f"sensor_{n + 1}_gain", "1", "reading over true pressure", 0.2, 10.0, 0.1),
-                _own(n, "sensor_offset_pa", f"sensor_{n + 1}_offset_pa", "Pa", "reading at zero pressure", 5e3, 1e5),
+                _own(
+                    n, "actuator_turn_rad", f"actuator_{n + 1}_turn_rad", "rad", "turn about the axis", 0.2,
+                    MOUNTING_RAD, 3.2,
+                ),
+                _own(
+                    n, "sensor_gain", f"sensor_{n + 1}_gain", "1", "reading over true pressure", 0.2, GAIN, 10.0, 0.1
+                ),
+                _own(
+                    n, "sensor_offset_pa", f"sensor_{n + 1}_offset_pa", "Pa", "reading at zero pressure", 5e3,
+                    OFFSET_PA, 1e5,
+                ),
             )
         ),
     ]  # fmt: skip
     return {parameter.name: parameter for parameter in found}
 
 
-GROUPS = {
+_BASE_TRANSLATION = ("base_x_m", "base_y_m", "base_z_m")
+_BASE_ROTATION = ("base_rx_rad", "base_ry_rad", "base_rz_rad")
+_GROUPS = {
     "law": ("a1_per_n", "a2_per_n2"),
-    "base": ("base_x_m", "base_y_m", "base_z_m", "base_rx_rad", "base_ry_rad", "base_rz_rad"),
+    "base": (*_BASE_TRANSLATION, *_BASE_ROTATION),
+    "base_translation": _BASE_TRANSLATION,
+    "base_rotation": _BASE_ROTATION,
     "tool": ("tool_x_m", "tool_y_m", "tool_z_m"),
+    "gravity": ("gravity_rx_rad", "gravity_ry_rad", "gravity_rz_rad"),
 }
 
 
-def named(names: Iterable[str], actuators: int) -> tuple[Parameter, ...]:
-    """Parameters by name; `law`, `base`, `tool`, `actuator_angles`, `sensor_gains`, `sensor_offsets` stand for several.
-
-    Raises:
-        UnknownParameter: with the closest known name.
-    """
-    every = known(actuators)
-    groups = {
-        **GROUPS,
+def groups(actuators: int) -> dict[str, tuple[str, ...]]:
+    """Names that stand for several parameters of an arm with N actuators."""
+    return {
+        **_GROUPS,
         "sensor_offsets": tuple(f"sensor_{n + 1}_offset_pa" for n in range(actuators)),
         "sensor_gains": tuple(f"sensor_{n + 1}_gain" for n in range(actuators)),
         "actuator_angles": tuple(f"actuator_{n + 1}_turn_rad" for n in range(actuators)),
     }
+
+
+def named(names: Iterable[str], actuators: int) -> tuple[Parameter, ...]:
+    """Parameters by the names of `known` and `groups`.
+
+    Raises:
+        UnknownParameter: with the closest known name, and all known names.
+    """
+    every, several = known(actuators), groups(actuators)
     chosen: dict[str, Parameter] = {}
     for name in names:
-        for one in groups.get(name, (name,)):
+        for one in several.get(name, (name,)):
             if one not in every:
-                near = difflib.get_close_matches(one, [*every, *groups], 1)
-                hint = f"; did you mean {near[0]}?" if near else f"; known are {', '.join([*groups, *every])}"
-                raise UnknownParameter(f"there is no parameter {one}{hint}")
+                near = difflib.get_close_matches(one, [*every, *several], 1)
+                hint = f"did you mean {near[0]}? " if near else ""
+                raise UnknownParameter(
+                    f"there is no parameter {one}; {hint}known are the groups {', '.join(several)} "
+                    f"and the parameters {', '.join(every)}"
+                )
             chosen[one] = every[one]
     return tuple(chosen.values())
 
@@ -225,7 +271,12 @@ def _material(
     def span(x: float) -> float:
         return max(abs(x), least)
 
-    return Parameter(name, unit, about, read, write, span, lower, upper, reciprocal=reciprocal, decades=decades)
+    def uncertainty(x: float) -> float:
+        return DATA_SHEET_SHARE * span(x)
+
+    return Parameter(
+        name, unit, about, read, write, span, uncertainty, lower, upper, reciprocal=reciprocal, decades=decades
+    )
 
 
 def _geometry(name: str, unit: str, about: str, share: float) -> Parameter:
@@ -236,7 +287,34 @@ def _geometry(name: str, unit: str, about: str, share: float) -> Parameter:
         changed: dict[str, Any] = {name: x}
         return replace(setup, arm=replace(setup.arm, geometry=replace(setup.arm.geometry, **changed)))
 
-    return Parameter(name, unit, about, read, write, lambda x: share * abs(x), 1e-6, 10.0)
+    return Parameter(name, unit, about, read, write, lambda x: share * abs(x), _constant(LENGTH_M), 1e-6, 10.0)
+
+
+def _constant(std: float) -> Callable[[float], float]:
+    return lambda _: std
+
+
+def _cap_uncertainty(mass_kg: float) -> float:
+    """Standard uncertainty [kg] of a cap mass that may be estimated rather than weighed."""
+    return DATA_SHEET_SHARE * max(mass_kg, 0.02)
+
+
+def _inner(setup: Setup, x: float) -> Setup:
+    return _radii(setup, min(x, _THINNEST_WALL * setup.arm.geometry.outer_radius_m), None)
+
+
+def _outer(setup: Setup, x: float) -> Setup:
+    return _radii(setup, None, max(x, setup.arm.geometry.inner_radius_m / _THINNEST_WALL))
+
+
+def _radii(setup: Setup, inner_m: float | None, outer_m: float | None) -> Setup:
+    geometry = setup.arm.geometry
+    changed = replace(
+        geometry,
+        inner_radius_m=geometry.inner_radius_m if inner_m is None else inner_m,
+        outer_radius_m=geometry.outer_radius_m if outer_m is None else outer_m,
+    )
+    return replace(setup, arm=replace(setup.arm, geometry=changed))
 
 
 def _circle(setup: Setup) -> float:
@@ -249,7 +327,9 @@ def _circled(setup: Setup, x: float) -> Setup:
     return replace(setup, arm=replace(setup.arm, geometry=replace(setup.arm.geometry, actuator_xy_m=xy)))
 
 
-def _triple(attribute: str, pattern: str, unit: str, about: str, span: float, limit: float) -> list[Parameter]:
+def _triple(
+    attribute: str, pattern: str, unit: str, about: str, span: float, std: float, limit: float
+) -> list[Parameter]:
     def one(k: int, axis: str) -> Parameter:
         def read(setup: Setup) -> float:
             return float(getattr(setup, attribute)[k])
@@ -261,13 +341,21 @@ def _triple(attribute: str, pattern: str, unit: str, about: str, span: float, li
             return replace(setup, **changed)
 
         name = pattern.format(axis)
-        return Parameter(name, unit, f"{about}, {axis}", read, write, lambda x: span, -limit, limit)
+        return Parameter(name, unit, f"{about}, {axis}", read, write, lambda x: span, _constant(std), -limit, limit)
 
     return [one(k, axis) for k, axis in enumerate("xyz")]
 
 
 def _own(
-    n: int, attribute: str, name: str, unit: str, about: str, span: float, upper: float, lower: float | None = None
+    n: int,
+    attribute: str,
+    name: str,
+    unit: str,
+    about: str,
+    span: float,
+    std: float,
+    upper: float,
+    lower: float | None = None,
 ) -> Parameter:
     def read(setup: Setup) -> float:
         return float(getattr(setup, attribute)[n])
@@ -281,5 +369,14 @@ def _own(
     low = -upper if lower is None else lower
     # The offset of a sensor drifts from day to day; its gain and the geometry do not.
     return Parameter(
-        name, unit, about, read, write, lambda x: span, low, upper, per_run=attribute == "sensor_offset_pa"
+        name,
+        unit,
+        about,
+        read,
+        write,
+        lambda x: span,
+        _constant(std),
+        low,
+        upper,
+        per_run=attribute == "sensor_offset_pa",
     )

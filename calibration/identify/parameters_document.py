@@ -12,7 +12,7 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from calibration.identify.parameters import Setup
+from calibration.identify.parameters import Prior, Setup
 from calibration.identify.profile_likelihood import LikelihoodProfile
 from calibration.identify.results import Estimate, RunFit
 
@@ -110,6 +110,9 @@ def content(
                 **({"profile_95": ends[e.name, e.run]} if (e.name, e.run) in ends else {}),
                 "used": e.used,
                 **({"exchangeable_with": list(e.partners)} if e.partners else {}),
+                **({"held": True} if e.nuisance else {}),
+                **({"prior": _prior(e.prior)} if e.prior else {}),
+                **({"stated": _prior(e.stated)} if e.stated else {}),
             }
             for e in fit.estimates
         ],
@@ -129,6 +132,10 @@ def content(
             for run in fit.runs
         ],
     }
+
+
+def _prior(prior: Prior) -> dict[str, float]:
+    return {"mean": float(prior.mean), "std": float(prior.std)}
 
 
 def _mounting(setup: Setup) -> dict[str, list[float]]:

@@ -44,11 +44,11 @@ class LikelihoodProfile:
 def profiles(
     fit: Fit, chosen: Callable[[Estimate], bool] | None = None, progress: Callable[[int, int], None] | None = None
 ) -> tuple[LikelihoodProfile, ...]:
-    """Profile the estimates for which `chosen` holds, by default all shared ones.
+    """Profile the estimates for which `chosen` holds, by default all shared ones that are free.
 
     A fixed parameter is free for its own profile; the other fixed ones stay fixed.
     """
-    wanted = [i for i, e in enumerate(fit.estimates) if (not e.run if chosen is None else chosen(e))]
+    wanted = [i for i, e in enumerate(fit.estimates) if (not e.run and not e.nuisance if chosen is None else chosen(e))]
     out = []
     for done, i in enumerate(wanted, start=1):
         out.append(_profile(fit, i))

@@ -10,11 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.identify.least_squares import LeastSquaresProblem, Solution
-from calibration.identify.parameters import Setup
+from calibration.identify.parameters import Prior, Setup
 
 Array = NDArray[np.float64]
 
 NORMAL_95 = 1.959963984540054
+# An estimate that is more standard uncertainties away from what was known of it is reported.
+TENSION = 3.0
 
 
 class Verdict(StrEnum):
@@ -39,6 +41,8 @@ class Estimate:
 
     used: the value in `Fit.setup`, for every verdict. run: the run of a per-run parameter, empty for a shared one.
     partners: parameters that it is exchangeable with. joint_std: standard deviation in the joint fit of all unknowns.
+    nuisance: not free, but estimated with its stated value as prior. prior: as it entered the fit. stated: value and
+    uncertainty before the fit, also where they did not enter it.
     """
 
     name: str
@@ -51,6 +55,26 @@ class Estimate:
     verdict: Verdict
     partners: tuple[str, ...]
     joint_std: float
+    nuisance: bool = False
+    prior: Prior | None = None
+    stated: Prior | None = None
+
+    @property
+    def expected(self) -> Prior | None:
+        """What was known of it before the fit, if anything: its prior, else its stated value."""
+        return self.prior or self.stated
+
+    @property
+    def tension(self) -> float:
+        """Distance from what was known of it, in standard uncertainties; zero if nothing was known.
+
+        A stated value that did not enter the fit is compared with both uncertainties.
+        """
+        if self.prior is not None:
+            return (self.used - self.prior.mean) / self.prior.std
+        if self.stated is None:
+            return 0.0
+        return (self.used - self.stated.mean) / math.hypot(self.stated.std, self.joint_std)
 
     @property
     def identified(self) -> bool:
@@ -69,10 +93,12 @@ class RunFit:
     residual_m: Array
     predicted_m: Array
     before_m: Array
-    """Predictions of the starting setup."""
+    """Tips of the model that ran beside the experiment, or else predictions of the starting setup."""
     outliers: int
     correlation: float
     setup: Setup
+    before_live: bool = False
+    """`before_m` is of the model that ran beside the experiment."""
     drifting: bool = False
     """The residuals correlate over more than a tenth of the run; error bars include this only as far as it shows."""
 
@@ -89,7 +115,7 @@ class RunFit:
 
     @property
     def rms_before_m(self) -> float:
-        """The same of the starting setup."""
+        """The same before the fit."""
         return rms(np.linalg.norm(self.residual_m + self.predicted_m - self.before_m, axis=1))
 
 
@@ -117,6 +143,8 @@ class Fit:
     solved: bool
     open_directions: tuple[str, ...]
     """Undetermined combinations of parameters: the null space of the information matrix, as text."""
+    worse_than_start: bool
+    """The starting parameters explain the data better: the search failed, and no number counts."""
     start_losses: tuple[float, ...]
     """-2 ln L at the end of the search from each starting point, relative to the best."""
     problem: LeastSquaresProblem = field(repr=False)
@@ -133,6 +161,30 @@ class Fit:
     def fixed(self) -> tuple[bool, ...]:
         """Which estimates are fixed at their start as undetermined, in the order of `estimates`."""
         return tuple((np.diagonal(self.covariance) == 0).tolist())
+
+    @property
+    def std(self) -> tuple[float, ...]:
+        """Standard uncertainties, in the order of `estimates`; zero for fixed ones."""
+        return tuple(np.sqrt(np.diagonal(self.covariance)).tolist())
+
+    @property
+    def in_tension(self) -> tuple[Estimate, ...]:
+        """Estimates more than three standard uncertainties from what was known of them."""
+        return tuple(e for e in self.estimates if abs(e.tension) > TENSION)
+
+    def contributions(self, estimate: Estimate) -> tuple[tuple[Estimate, float], ...]:
+        """The estimates whose prior uncertainty enters that of `estimate`, with the share of its variance [0, 1].
+
+        Largest first; what remains comes from the data. By the covariance C: (C_ij / prior_j)^2 / C_ii.
+        """
+        i = self.estimates.index(estimate)
+        variance = self.covariance[i, i]
+        found = [
+            (other, float((self.covariance[i, j] / other.prior.std) ** 2 / variance))
+            for j, other in enumerate(self.estimates)
+            if other.prior is not None and variance > 0
+        ]
+        return tuple(sorted(found, key=lambda one: -one[1]))
 
     @property
     def drifts(self) -> str:

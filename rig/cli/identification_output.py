@@ -3,61 +3,28 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from collections import defaultdict
+from collections.abc import Iterable, Sequence
 
 import typer
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    TextColumn,
-    TimeElapsedColumn,
-    TimeRemainingColumn,
-)
 from rich.table import Table
 from rich.text import Text
 
 from calibration.identify.bootstrap import Bootstrap
 from calibration.identify.held_out_prediction import Prediction
 from calibration.identify.model_comparison import ComparisonRow
+from calibration.identify.notation import Scale, quantity, rounded
 from calibration.identify.parameters_document import Baseline, content
 from calibration.identify.profile_likelihood import LikelihoodProfile
-from calibration.identify.results import Fit
+from calibration.identify.results import Estimate, Fit, RunFit
 from rig.cli.console import console
 from rig.cli.json_output import plain_json
 from rig.identify.estimation import FitsByStart
 from rig.identify.model_comparison import RunComparison
 from rig.reproduce.identification import PaperEstimate, PaperEstimates
 
-# Slow and fast models alternate, so the remaining time needs an average over a long period.
-_SPEED_PERIOD_S = 3600.0
-
-
-@contextmanager
-def progress_bar(what: str) -> Iterator[Callable[[int, int], None]]:
-    """Show a progress bar on standard error; yield a function to call with (done, total)."""
-    screen = console(stderr=True)
-    columns = (TextColumn(what), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(
-        *columns,
-        console=screen,
-        transient=True,
-        disable=not screen.is_terminal,
-        speed_estimate_period=_SPEED_PERIOD_S,
-    ) as bar:
-        job = bar.add_task(what, total=None)
-        yield lambda done, total: bar.update(job, completed=done, total=total)
-
-
-@contextmanager
-def elapsed_time(what: str) -> Iterator[None]:
-    """Show on standard error that a computation of unknown length runs, and for how long."""
-    screen = console(stderr=True)
-    columns = (TextColumn(what), BarColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=screen, transient=True, disable=not screen.is_terminal) as bar:
-        bar.add_task("", total=None)
-        yield
+# A prior that gives more than this share of the variance of an estimate is named beside it.
+_MOST = 0.5
 
 
 def notes(lines: Iterable[str]) -> None:
@@ -78,61 +45,135 @@ def fits_by_start(found: FitsByStart) -> None:
 
 
 def estimates(fit: Fit, as_json: bool, under: Baseline | None = None) -> None:
-    """Print the estimates with error bars or verdicts, and the residuals of each run."""
+    """Print the estimates with error bars or verdicts, what was held, and the residuals of each run."""
     if as_json:
         typer.echo(json.dumps(plain_json(content(fit, baseline=under)), indent=2))
         return
     screen = console()
+    free = [(e, fixed) for e, fixed in zip(fit.estimates, fit.fixed, strict=True) if not e.nuisance]
     table = Table(box=None, padding=(0, 2, 0, 0))
-    for head in ("parameter", "value", "+-", "95 %", "unit", "run"):
-        table.add_column(head, justify="left" if head in ("parameter", "unit", "run") else "right", overflow="fold")
+    for head in ("parameter", "value", "95 %", "rig file or prior", "run"):
+        table.add_column(head, overflow="fold")
     undetermined = []
-    for e, held in zip(fit.estimates, fit.fixed, strict=True):
+    for e, fixed in free:
         if e.value is None or e.std is None or e.interval is None:
-            others = f" ({', '.join(e.partners)})" if e.partners else ""
-            label = f"{e.name} {e.run}".strip()
-            undetermined.append(
-                f"{label}: {e.verdict.value}{others}; {'held at' if held else 'used'} {e.used:.5g} {e.unit}"
-            )
+            undetermined.append(_verdict(e, fixed))
         else:
-            low, high = e.interval
-            table.add_row(e.name, f"{e.value:.6g}", f"{e.std:.2g}", f"{low:.5g} .. {high:.5g}", e.unit, e.run)
+            scale = Scale.of(e.name, e.unit, e.value, e.std)
+            interval = f"{scale.interval(e.interval)}{scale.suffix}"
+            table.add_row(e.name, scale.with_uncertainty(e.value, e.std), interval, _expected(e), e.run)
     screen.print(table)
     for words in undetermined:
         screen.print(Text(words, "yellow"), soft_wrap=True)
+    _held(fit)
+    _warnings(fit)
     for run in fit.runs:
-        kind = "motion" if run.moving else "plateaus"
-        before, after = 1e3 * run.rms_before_m, 1e3 * run.rms_m
-        screen.print(
-            f"{run.run_id} ({kind}): rms {before:.3f} -> {after:.3f} mm, {run.outliers} outliers", soft_wrap=True
-        )
+        _residuals(run)
     if fit.discrepancy_m:
         screen.print(f"the model is off by {1e3 * fit.discrepancy_m:.3f} mm per axis beyond the stated errors")
-    if fit.drifts:
-        screen.print(Text(fit.drifts, "yellow"), soft_wrap=True)
-    for words in fit.open_directions:
-        screen.print(Text(f"left open by the data: {words}", "yellow"), soft_wrap=True)
+
+
+def _verdict(e: Estimate, fixed: bool) -> str:
+    others = f" ({', '.join(e.partners)})" if e.partners else ""
+    label = f"{e.name} {e.run}".strip()
+    return f"{label}: {e.verdict.value}{others}; {'held at' if fixed else 'used'} {rounded(e.name, e.unit, e.used)}"
+
+
+def _expected(e: Estimate) -> str:
+    return "" if e.expected is None else quantity(e.name, e.unit, e.expected.mean, e.expected.std)
+
+
+def _held(fit: Fit) -> None:
+    """Print the parameters that were not free: as stated, and as the fit moved them."""
+    held = [(one, std) for one, std in zip(fit.estimates, fit.std, strict=True) if one.nuisance]
+    if not held:
+        return
+    screen = console()
+    screen.print("Not free; estimated with the stated standard uncertainty, which is in the error bars above:")
+    table = Table(box=None, padding=(0, 2, 0, 0))
+    for head in ("parameter", "stated", "after the fit", "run"):
+        table.add_column(head, overflow="fold")
+    for one, std in held:
+        table.add_row(one.name, _expected(one), quantity(one.name, one.unit, one.used, std), one.run)
+    screen.print(table)
+
+
+def _warnings(fit: Fit) -> None:
+    """Print what limits the error bars, and what does not fit together."""
+    screen = console()
+    by_source: dict[str, list[str]] = defaultdict(list)
+    for found in fit.estimates:
+        if found.identified and not found.nuisance and not found.run:
+            for one, share in fit.contributions(found):
+                if share > _MOST and one.name != found.name:
+                    by_source[f"{one.name} ({_expected(one)})"].append(found.name)
+    for source, names in by_source.items():
+        screen.print(f"most of the error bar of {', '.join(names)} comes from {source}", soft_wrap=True)
+    warnings = [
+        f"{f'{e.name} {e.run}'.strip()} is {abs(e.tension):.1f} standard uncertainties from the {_expected(e)} that is "
+        f"{'its prior' if e.prior else 'stated in the rig file'}"
+        for e in fit.in_tension
+    ]
+    warnings += [fit.drifts] if fit.drifts else []
+    warnings += [f"left open by the data: {words}" for words in fit.open_directions]
+    if fit.starts > 1:
+        agreeing = f"{fit.agreeing_starts} of {fit.starts} starts of the search ended at this result"
+        warnings.append(f"{agreeing}{'' if fit.agreeing_starts > 1 else ': it may not be the best one; add --starts'}")
     if not fit.solved:
-        screen.print(Text("the Gauss-Newton search did not converge", "yellow"))
+        warnings.append("the Gauss-Newton search did not converge")
+    for words in warnings:
+        screen.print(Text(words, "yellow"), soft_wrap=True)
 
 
-def profile_intervals(found: Iterable[LikelihoodProfile]) -> None:
-    """Print the intervals of profile likelihoods."""
-    for one in found:
-        ends = " .. ".join("open" if end is None else f"{end:.5g}" for end in one.interval)
-        notes([f"{one.name}: 95 % by profile {'flat: not bounded by the data' if one.flat else ends}"])
+def _residuals(run: RunFit) -> None:
+    kind = "motion" if run.moving else "plateaus"
+    before = "live error" if run.before_live else "error of the initial parameters"
+    text = (
+        f"{run.run_id} ({kind}): rms {1e3 * run.rms_before_m:.3f} -> {1e3 * run.rms_m:.3f} mm, {run.outliers} outliers"
+    )
+    where = "in the frames used" if run.moving else "on the plateaus"
+    console().print(f"{text}; before: {before} {where}", soft_wrap=True)
 
 
-def bootstrap_errors(fit: Fit, found: Bootstrap, samples: int) -> None:
-    """Print bootstrap errors beside those of the likelihood."""
-    bars = {(e.name, e.run): e.std for e in fit.estimates}
+def failure(fit: Fit) -> None:
+    """Print that the search ended worse than it began."""
+    before, after = (1e3 * fit.problem.rms_m(z) for z in (0 * fit.solution.z, fit.solution.z))
     notes(
-        f"{name} {run}: +- {std:.2g} by {samples} refits, {bars[name, run]:.2g} by the likelihood"
-        for name, run, std in zip(found.names, found.runs, found.std, strict=True)
+        [
+            f"the search ended no better than it began: rms {after:.3f} mm, {before:.3f} mm before; "
+            f"no parameter is reported. Free fewer parameters, add --starts {2 * max(fit.starts, 4)}, or start from "
+            "another rig with --start"
+        ]
     )
 
 
-def prediction_errors(found: Sequence[Prediction]) -> None:
+def results(lines: Iterable[str], beside_json: bool) -> None:
+    """Print lines on standard output; on standard error if that holds JSON."""
+    screen = console(stderr=beside_json)
+    for line in lines:
+        screen.print(line, soft_wrap=True)
+
+
+def profile_intervals(found: Iterable[LikelihoodProfile], beside_json: bool) -> None:
+    """Print the intervals of profile likelihoods."""
+    for one in found:
+        ends = " .. ".join("open" if end is None else f"{end:.5g}" for end in one.interval)
+        flat = "flat: not bounded by the data"
+        results([f"{one.name}: 95 % by profile {flat if one.flat else f'{ends} {one.unit}'}"], beside_json)
+
+
+def bootstrap_errors(fit: Fit, found: Bootstrap, samples: int, beside_json: bool) -> None:
+    """Print bootstrap errors beside those of the likelihood."""
+    bars = {(e.name, e.run): (e.std, e.unit) for e in fit.estimates if not e.nuisance}
+    lines = []
+    for name, run, std in zip(found.names, found.runs, found.std, strict=True):
+        if (name, run) in bars:
+            own, unit = bars[name, run]
+            lines.append(f"{name} {run}: +- {std:.2g} by {samples} refits, {own:.2g} by the likelihood [{unit}]")
+    results(lines, beside_json)
+
+
+def prediction_errors(found: Sequence[Prediction], beside_json: bool) -> None:
     """Print the prediction errors of held-out runs."""
     for one in found:
         how = ", under its measured wrench" if one.under_wrench else ""
@@ -140,7 +181,7 @@ def prediction_errors(found: Sequence[Prediction]) -> None:
         errors += f"mean {1e3 * one.mean_m:.3f} mm, 95 % below {1e3 * one.p95_m:.3f} mm"
         if one.unsolved:
             errors += f"; {one.unsolved} of {len(one.error_m)} frames have no prediction and are excluded"
-        notes([f"{one.run_id} (left out{how}): {errors}"])
+        results([f"{one.run_id} (left out{how}): {errors}"], beside_json)
 
 
 def comparison(found: RunComparison, as_json: bool) -> None:

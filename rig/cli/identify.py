@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -56,7 +57,15 @@ def fit(
             help="Initial rig, by name or file; default: the first run's. Of several, the likeliest is used.",
         ),
     ] = None,
-    starts: Annotated[int, typer.Option(metavar="N", help="Starting points of the search.", min=1)] = 1,
+    starts: Annotated[
+        int | None,
+        typer.Option(
+            metavar="N",
+            help="Starting points of the search.",
+            show_default="1; up to 4 where the first result is doubtful",
+            min=1,
+        ),
+    ] = None,
     quasi_static: QuasiStatic = False,
     every: Every = 1,
     leave_out: Annotated[
@@ -102,6 +111,7 @@ def fit(
     from calibration.identify.profile_likelihood import profiles
     from calibration.identify.report import write as write_report
     from rig.cli import identification_output as output
+    from rig.cli.progress import progress_bar, state_of
     from rig.identify import estimation, initial_setup
 
     if not quasi_static:
@@ -121,24 +131,29 @@ def fit(
     data, held_out = _read(seen, quasi_static), _read(unseen, quasi_static)
     _check_actuators(data[0].actuators, rigs, held_out)
     data, held_out = _split(data, held_out, split_s, every)
-    with output.elapsed_time("searching"):
-        found = estimation.most_likely_fit(rigs, data, _names(free), priors, starts)
+    if start:
+        data = [dataclasses.replace(poses, live_m=None) for poses in data]
+    with state_of("searching") as show:
+        found = estimation.most_likely_fit(rigs, data, _names(free), priors, starts, show)
     best = found.fits[found.best]
+    if best.worse_than_start:
+        output.failure(best)
+        raise typer.Exit(1)
     under = initial_setup.baseline_geometry(seen[0], best.start, from_recorded_rig=not start)
     output.fits_by_start(found)
     output.estimates(best, json, under)
     predictions = [predict(best, poses) for poses in held_out]
-    output.prediction_errors(predictions)
+    output.prediction_errors(predictions, json)
     intervals: tuple[LikelihoodProfile, ...] = ()
     refits = None
     if profile:
-        with output.progress_bar("profiles") as progress:
+        with progress_bar("profiles") as progress:
             intervals = profiles(best, progress=progress)
-        output.profile_intervals(intervals)
+        output.profile_intervals(intervals, json)
     if bootstrap:
-        with output.progress_bar("refitting") as progress:
+        with progress_bar("refitting") as progress:
             refits = refit(best, bootstrap, scheduler=scheduler, store=store, progress=progress)
-        output.bootstrap_errors(best, refits, bootstrap)
+        output.bootstrap_errors(best, refits, bootstrap, json)
     if figure is not None:
         typer.echo(estimation.draw_predictions(predictions, figure), err=json)
     if report is not None:
@@ -168,12 +183,13 @@ def compare(
     Without --free, the base is free in every model.
     """
     from rig.cli import identification_output as output
+    from rig.cli.progress import progress_bar
     from rig.identify import initial_setup, model_comparison
 
     priors = _priors(prior or [])
     seen, _ = _opened(archives)
     start, data = initial_setup.setup_of(seen[0]), _read(seen, quasi_static)
-    with output.progress_bar("fitting") as progress:
+    with progress_bar("fitting") as progress:
         found = model_comparison.compare(start, data, _names(free), priors, scheduler, store, progress)
     output.comparison(found, json)
 
@@ -210,7 +226,7 @@ def _opened(
 
 def _read(archives: Sequence[Run], quasi_static: bool) -> list[Poses]:
     """Read the data of the runs, with a progress bar."""
-    from rig.cli.identification_output import progress_bar
+    from rig.cli.progress import progress_bar
     from rig.identify.estimation import read_poses
 
     if not archives:

@@ -36,6 +36,7 @@ EXPLAINED = {
     "board": "The checkerboard on the end cap: its squares, not its inner corners. `placement` is its "
     "centre in the tip frame; `rig calibrate tool` finds it.",
     "arm": "The manipulator: geometry as built, material from `rig identify`, mass of the end cap.",
+    "uncertainties": "Standard uncertainties of what is stated above, in the unit of each name, for `rig identify`.",
     "model": "The model that runs beside the rig, and whether it is static or dynamic.",
     "recording": "Which pictures are stored, and their encoding.",
     "simulator": "The plant behind the mock devices: the true valves, chambers, sensors and material. Its "

@@ -18,6 +18,7 @@ from rig.config.optics import placement_of, rigid
 from rig.config.schema import RigConfig
 from rig.config.sections import (
     Count,
+    Flag,
     GeometryConfig,
     MaterialConfig,
     NonNegative,
@@ -69,8 +70,15 @@ class Sensing(Section):
     lag_s: Number
 
 
+class PriorSection(Section):
+    """Value and standard uncertainty before identification."""
+
+    mean: Number
+    std: Positive
+
+
 class EstimateSection(Section):
-    """One estimated parameter."""
+    """One estimated parameter; a held one was not free, but estimated with its stated value as prior."""
 
     name: Word
     unit: str
@@ -82,6 +90,9 @@ class EstimateSection(Section):
     profile_95: tuple[End, End] | None = None
     used: Number
     exchangeable_with: tuple[str, ...] = ()
+    held: Flag = False
+    prior: PriorSection | None = None
+    stated: PriorSection | None = None
 
 
 class Residuals(Section):

@@ -28,6 +28,7 @@ from rig.config.sections import (
     Word,
 )
 from rig.config.simulator_sections import Simulator
+from rig.config.uncertainties import Uncertainties
 from rig.valves.registry import Valve
 
 
@@ -47,6 +48,7 @@ class RigConfig(Section):
     cameras: Named[CameraConfig]
     board: BoardConfig
     arm: ArmConfig
+    uncertainties: Uncertainties = Field(default_factory=Uncertainties)
     model: ModelConfig = ModelConfig()
     recording: Recording = Recording()
     simulator: Simulator | SkipJsonSchema[None] = None

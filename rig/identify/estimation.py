@@ -10,8 +10,10 @@ from calibration.identify.data import Poses, poses_of, quasi_static_poses
 from calibration.identify.figures import predictions
 from calibration.identify.fit import identify
 from calibration.identify.held_out_prediction import Prediction
+from calibration.identify.nuisance import nuisance_parameters, stated_values
 from calibration.identify.parameters import Prior, Setup, UnknownParameter, named
 from calibration.identify.results import Fit
+from calibration.identify.search import Progress as SearchProgress
 from protocols import BadInputError, Problem
 from rig.config.arm_model import model_arm
 from rig.config.loader import RigFile
@@ -25,8 +27,8 @@ from runs.run import Run
 
 # A narrower prior, relative to the parameter's span, makes the problem ill-conditioned.
 _SUREST = 1e-6
-# Priors of the pressures' lag behind the camera clock, and of the sensors' time constant.
-SENSOR_TIMES = {"sensor_lag_s": Prior(0.0, 0.005), "sensor_filter_s": Prior(0.003, 0.002)}
+# Expected time constant of a pressure sensor.
+SENSOR_FILTER_S = 0.003
 
 Progress = Callable[[int, int], None]
 """Called with the number of finished tasks and of all tasks."""
@@ -86,47 +88,79 @@ def most_likely_fit(
     data: Sequence[Poses],
     free: Sequence[str],
     priors: Mapping[str, Prior],
-    starts: int = 1,
+    starts: int | None = None,
+    progress: SearchProgress = lambda text: None,
 ) -> FitsByStart:
     """Identify from each initial rig, as `from_poses` does; the best fit is the one of maximum likelihood."""
-    fits = {name: from_poses(rig.config, data, free, priors, starts) for name, rig in rigs.items()}
+    fits = {name: from_poses(rig.config, data, free, priors, starts, progress) for name, rig in rigs.items()}
     return FitsByStart(rigs, fits, max(fits, key=lambda name: fits[name].log_likelihood))
 
 
 def from_poses(
-    config: RigConfig, data: Sequence[Poses], free: Sequence[str], priors: Mapping[str, Prior], starts: int = 1
+    config: RigConfig,
+    data: Sequence[Poses],
+    free: Sequence[str],
+    priors: Mapping[str, Prior],
+    starts: int | None = None,
+    progress: SearchProgress = lambda text: None,
 ) -> Fit:
     """Identify an arm from runs, starting from a rig's arm.
 
     By default the parameters of `rig run --adapt` are free, and for dynamic runs the damping: otherwise base and law
-    would absorb the lag of a motion. The sensors' stated accuracy is the prior of their offsets. Where damping or
-    density is free, the sensors' delay is free too, with a prior of 5 ms, because it correlates with both.
+    would absorb the lag of a motion. Every other number that the tip depends on is a nuisance parameter: it is
+    estimated, too, with the rig's value and its standard uncertainty as prior.
 
     Raises:
-        UnknownParameter: a name is unknown, or a prior belongs to a parameter that is not free.
+        UnknownParameter: a name is unknown, or a prior belongs to a parameter without effect on the data.
     """
     moving = any(one.moving for one in data)
     chosen = tuple(free) or (*default_parameters(config.model.variant), *(("damping_s",) if moving else ()))
-    if moving and {"damping_s", "density_kg_m3"} & set(chosen):
-        chosen = (*chosen, *(name for name in SENSOR_TIMES if name not in chosen))
-    check_priors(priors, chosen, config.actuators)
-    accuracy = max(sensor.accuracy_bar for sensor in config.sensors) * PA_PER_BAR / 2
-    all_priors = {"sensor_offsets": Prior(0.0, accuracy), **SENSOR_TIMES, **priors}
-    return identify(data, Setup(model_arm(config)), chosen, all_priors, starts)
+    start = Setup(model_arm(config))
+    beside = nuisance_parameters(start, data, named(chosen, config.actuators))
+    check_priors(priors, (*chosen, *(p.name for p in beside)), config.actuators)
+    stated = rig_uncertainties(config, start)
+    # What is free has no prior, but for sensors: their data sheets hold whether their numbers are free or not.
+    of_sensors = {name: prior for name, prior in stated.items() if name.startswith("sensor_") and "gain" not in name}
+    return identify(
+        data,
+        start,
+        chosen,
+        of_sensors | _by_parameter(priors, config.actuators),
+        starts,
+        stated=stated,
+        progress=progress,
+    )
 
 
-def check_priors(priors: Mapping[str, Prior], free: Sequence[str], actuators: int) -> None:
-    """Refuse priors of parameters that are not free, and implausible priors.
+def rig_uncertainties(config: RigConfig, start: Setup) -> dict[str, Prior]:
+    """Value and standard uncertainty of each parameter of a rig, by name; the start is the rig's setup.
+
+    Half the accuracy of a sensor is the standard uncertainty of its offset.
+    """
+    offsets = {f"sensor_{s.actuator}_offset_pa": s.accuracy_bar * PA_PER_BAR / 2 for s in config.sensors}
+    board_m = config.board.placement.translation_std_mm * 1e-3
+    tool = {"tool": board_m} if board_m else {}
+    found = stated_values(start, {**offsets, **tool, **config.uncertainties.stated()})
+    found["sensor_filter_s"] = Prior(SENSOR_FILTER_S, found["sensor_filter_s"].std)
+    return found
+
+
+def _by_parameter(priors: Mapping[str, Prior], actuators: int) -> dict[str, Prior]:
+    return {p.name: prior for name, prior in priors.items() for p in named([name], actuators)}
+
+
+def check_priors(priors: Mapping[str, Prior], estimated: Sequence[str], actuators: int) -> None:
+    """Refuse priors of parameters that are not estimated, and implausible priors.
 
     Raises:
-        UnknownParameter: a prior of a parameter that is not free has no effect.
+        UnknownParameter: a prior of a parameter that is not estimated has no effect.
         BadInputError: a mean outside the parameter's bounds, or a deviation that is too small or too large.
     """
-    chosen = {one.name for one in named(free, actuators)}
+    chosen = {one.name for one in named(estimated, actuators)}
     for name, prior in priors.items():
         members = named([name], actuators)
         if chosen.isdisjoint(one.name for one in members):
-            raise UnknownParameter(f"--prior {name}: it is not free; name it in --free, too")
+            raise UnknownParameter(f"--prior {name}: it has no effect on these runs")
         for one in members:
             least, most = _SUREST * one.span(prior.mean), one.upper - one.lower
             if not one.lower <= prior.mean <= one.upper:

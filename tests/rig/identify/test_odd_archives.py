@@ -175,12 +175,16 @@ def test_results_of_runs_with_a_parameter_overlay_apply_to_the_rig_without_it(
     told = identify(capsys, moved, "--free", "a1_per_n,base_x_m", "--to", file, "--rig-file", rig, status=0)
     assert "relative to them" in told
     second = read(file).found
-    shift = 1e3 * next(e.used for e in second.estimates if e.name == "base_x_m")
+    used = {e.name: e.used for e in second.estimates}
+    shift, side, up = (1e3 * used[f"base_{axis}_m"] for axis in "xyz")
     assert abs(shift) > 1e-3
     # The base that the first parameters turned by a quarter: its x is the plain rig's y.
-    assert second.mounting.base_translation_mm == pytest.approx((3.0, shift, 1.0), abs=1e-9)
-    assert second.mounting.base_rotation_deg == pytest.approx((0.0, 0.0, 90.0))
-    assert (second.mounting.tool_offset_mm, second.sensing.gain) == ((0.0, 1.0, 0.0), (1.02, 1.0, 1.0))
+    assert second.mounting.base_translation_mm == pytest.approx((3.0 - side, shift, 1.0 + up), abs=1e-9)
+    assert second.mounting.base_rotation_deg == pytest.approx((0.0, 0.0, 90.0), abs=1.0)
+    tool = [1e3 * used[f"tool_{axis}_m"] for axis in "xyz"]
+    assert second.mounting.tool_offset_mm == pytest.approx(np.add((0.0, 1.0, 0.0), tool))
+    gains = [used[f"sensor_{n}_gain"] for n in (1, 2, 3)]
+    assert second.sensing.gain == pytest.approx(np.multiply((1.02, 1.0, 1.0), gains))
     assert second.estimates_count_from is not None
     assert second.estimates_count_from.mounting == read(first).found.mounting
 
@@ -261,7 +265,7 @@ def test_an_implausible_prior_is_refused(
         (["paper", "--free", "law"], "No such option: --free"),
         (["--store", "x"], "--store: nothing runs in parallel"),
         (["--bootstrap", "1"], "--bootstrap: at least two refits are needed"),
-        (["--prior", "cap_mass_kg=0.05+-0.01"], "--prior cap_mass_kg: it is not free"),
+        (["--prior", "youngs_modulus_pa=3e5+-1e4"], "--prior youngs_modulus_pa: it has no effect on these runs"),
         (["--prior", "cap_mas_kg=0.05+-0.01"], "did you mean cap_mass_kg"),
         (["--prior", "law=1+-0"], "a positive deviation"),
         (["--prior", "law=1+-1", "--prior", "law=2+-1"], "law is given twice"),

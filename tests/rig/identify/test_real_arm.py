@@ -56,7 +56,7 @@ def test_the_unseen_part_is_predicted_better_than_by_others(tmp_path: Path, caps
     found = tmp_path / "arm.yaml"
     options = ["--split-s", "36", "--quasi-static", "--every", "6", "--free", f"{FREE},{TWISTS}", "--to", found]
     rig("identify", archive, *options)
-    said = capsys.readouterr().err
+    said = capsys.readouterr().out
     rms, mean, most = predicted(said, f"{archive.stem} from 36 s")
     assert rms < 4.5
     assert mean < 2.6
@@ -147,7 +147,7 @@ def test_a_loaded_run_is_predicted_from_an_unloaded_one(tmp_path: Path, capsys: 
 
     unseen = [word for archive in (loaded, bent, wrong) for word in ("--leave-out", archive)]
     rig("identify", unloaded, "--quasi-static", "--every", "5", "--free", FREE, *unseen)
-    said = capsys.readouterr().err
+    said = capsys.readouterr().out
     assert predicted(said, loaded.stem)[0] < 0.2
     assert predicted(said, bent.stem)[0] < 0.2
     assert predicted(said, wrong.stem)[0] > 2

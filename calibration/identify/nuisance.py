@@ -1,0 +1,45 @@
+"""Nuisance parameters: stated numbers that are not free, and how uncertain they are."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from calibration.identify.data import Poses
+from calibration.identify.parameters import Parameter, Prior, Setup, known, named
+
+# A turn about an axis with this share of gravity along it does not change the direction of gravity.
+_PARALLEL = 0.999
+MOTION_ONLY = frozenset({"damping_s", "sensor_lag_s", "sensor_filter_s"})
+_INERT_IN_VARIANT = {
+    "homogeneous": {"a1_per_n", "a2_per_n2", "rpe_per_bar"},
+    "homogeneous+rpe": {"a1_per_n", "a2_per_n2"},
+    "inhomogeneous+rpe": {"youngs_modulus_pa"},
+}
+
+
+def stated_values(setup: Setup, uncertainties: Mapping[str, float]) -> dict[str, Prior]:
+    """Value and standard uncertainty of every parameter, by name.
+
+    uncertainties: the stated ones in SI units, by the name of a parameter or a group; else the default of the kind.
+    """
+    actuators = setup.arm.geometry.actuators
+    stated = {p.name: std for name, std in uncertainties.items() for p in named([name], actuators)}
+    return {
+        name: Prior(value := p.read(setup), stated.get(name, p.uncertainty(value)))
+        for name, p in known(actuators).items()
+    }
+
+
+def nuisance_parameters(setup: Setup, data: Sequence[Poses], free: Sequence[Parameter]) -> tuple[Parameter, ...]:
+    """The parameters that the tips of the data depend on and that are not free."""
+    moving = any(poses.moving for poses in data)
+    inert = set(_INERT_IN_VARIANT[setup.arm.variant])
+    if not moving:
+        inert |= MOTION_ONLY | (set() if setup.arm.rod_weight else {"density_kg_m3"})
+    gravity = np.array(setup.arm.gravity_m_s2)
+    along = np.abs(gravity) >= _PARALLEL * np.linalg.norm(gravity)
+    inert |= {f"gravity_r{axis}_rad" for axis, parallel in zip("xyz", along, strict=True) if parallel}
+    inert |= {p.name for p in free}
+    return tuple(p for name, p in known(setup.arm.geometry.actuators).items() if name not in inert)
