@@ -10,10 +10,11 @@ from pathlib import Path
 from typing import Annotated, Any, NoReturn
 
 import typer
-from typer.core import TyperGroup
 
 from rig.cli import archives, calibrate, completion, identify, init, reproduce
+from rig.cli.address_space import NumericalCommand, PlottingCommand
 from rig.cli.completion import DATA
+from rig.cli.help_formatter import HelpFormatter, HelpGroup
 from rig.cli.options import (
     AsJson,
     ExistingRig,
@@ -37,7 +38,7 @@ DONE, FAULT, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 GARBAGE_OBJECTS = 50_000
 
 
-class PlainErrors(TyperGroup):
+class PlainErrors(HelpGroup):
     """Command group that prints expected errors as one message with an exit status, without a traceback."""
 
     def invoke(self, ctx: Any) -> Any:
@@ -108,6 +109,7 @@ def _fail(message: str, status: int) -> NoReturn:
     raise typer.Exit(status)
 
 
+PlainErrors.context_class.formatter_class = HelpFormatter
 app = typer.Typer(
     cls=PlainErrors,
     no_args_is_help=True,
@@ -140,7 +142,7 @@ Listen = Annotated[str, typer.Option(metavar="ADDRESS", help="Address of this ma
 Port = Annotated[int, typer.Option(help="First port to try for the page; 0: any free port.", min=0, max=65535)]
 
 
-@app.command()
+@app.command(cls=NumericalCommand)
 def run(
     protocol: ProtocolName,
     settings: Settings = None,
@@ -230,7 +232,7 @@ def check(protocol: ProtocolName, settings: Settings = None, rig: RigName = None
         screen = console()
         screen.print(run_output.check_screen(request, decided))
         screen.print(run_output.sketch(decided, screen.width))
-        screen.print(run_output.verdict(request), soft_wrap=True)
+        screen.print(run_output.verdict(request), soft_wrap=not screen.is_terminal)
 
 
 @app.command()
@@ -277,7 +279,7 @@ def vent(rig: VentedRig = None) -> None:
     vent_rigs(rig)
 
 
-@app.command()
+@app.command(cls=NumericalCommand)
 def simulate(
     protocol: ProtocolName,
     settings: Settings = None,
@@ -306,7 +308,7 @@ def simulate(
     typer.echo(run_model(request, experiment.plan(request), static))
 
 
-@app.command()
+@app.command(cls=NumericalCommand)
 def live(
     archive: Annotated[
         Path | None,
@@ -332,10 +334,12 @@ def live(
     raise typer.Exit(show(found, pid, listen, port, lambda line: screen.print(line, soft_wrap=True)))
 
 
-for command in (archives.runs, archives.show, archives.report, archives.export, archives.replay, archives.recover):
+for command in (archives.runs, archives.show, archives.export, archives.recover):
     app.command()(command)
-app.command("import")(archives.import_)
-app.command()(reproduce.reproduce)
+app.command(cls=PlottingCommand)(archives.report)
+app.command(cls=NumericalCommand)(archives.replay)
+app.command("import", cls=NumericalCommand)(archives.import_)
+app.command(cls=NumericalCommand)(reproduce.reproduce)
 app.command()(init.init)
 app.add_typer(identify.app, name="identify")
 app.add_typer(calibrate.app, name="calibrate")

@@ -16,6 +16,7 @@ from rich.text import Text
 
 import runs as records
 from protocols.problems import BadInputError, Problem, closest
+from rig.cli.column_table import ColumnTable
 from rig.cli.completion import DATA
 from rig.cli.console import console
 from rig.cli.json_output import plain_json
@@ -58,6 +59,8 @@ def show(name: Path, as_json: bool) -> None:
     header = run.header
     screen = console()
     facts = Table(box=None, show_header=False, padding=(0, 2, 0, 0))
+    facts.add_column()
+    facts.add_column(overflow="fold")
     simulated = " (simulated)" if header.simulated else ""
     for key, value in (
         ("run", header.run_id + simulated),
@@ -90,7 +93,7 @@ def summary_table(summary: Summary, counters: Mapping[str, int]) -> Table:
 
     A run in virtual time, a model run and an import have no deadlines, hence no rows about them.
     """
-    table = Table(box=None, padding=(0, 2, 0, 0), title_justify="left")
+    table = ColumnTable()
     for head in ("segment", "error [mm]", "normalised [%]", "settled after [s]", "overshoot [bar]"):
         table.add_column(head, justify="left" if head == "segment" else "right")
     for step in summary.steps:
@@ -146,7 +149,7 @@ def runs(entries: Sequence[Entry], folder: Path, as_json: bool) -> None:
     if not entries:
         typer.echo(f"no such archives in {folder}")
         return
-    table = Table(box=None, padding=(0, 2, 0, 0))
+    table = ColumnTable()
     table.add_column("run", no_wrap=True)  # so that it can be copied whole
     for head in ("status", "protocol", "rig", "operator", "mean error [mm]"):
         table.add_column(head, overflow="fold")

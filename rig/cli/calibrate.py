@@ -7,6 +7,8 @@ from typing import Annotated
 
 import typer
 
+from rig.cli.address_space import NumericalCommand
+from rig.cli.help_formatter import HelpGroup
 from rig.cli.options import (
     AsJson,
     Calibrations,
@@ -26,13 +28,14 @@ from rig.cli.options import (
 )
 
 app = typer.Typer(
+    cls=HelpGroup,
     no_args_is_help=True,
     rich_markup_mode=None,
     help="Calibrate cameras, DLT, tool and pressures; each writes a dated file.",
 )
 
 
-@app.command()
+@app.command(cls=NumericalCommand)
 def dlt(
     given: Annotated[
         list[str] | None,
@@ -86,7 +89,7 @@ def dlt(
     calibration_output.dlt(done, as_json=json)
 
 
-@app.command()
+@app.command(cls=NumericalCommand)
 def camera(
     views: Annotated[
         list[str] | None,
@@ -130,7 +133,7 @@ def camera(
     calibration_output.cameras(done, of_a_rig=capture or rig is not None, as_json=json)
 
 
-@app.command()
+@app.command(cls=NumericalCommand)
 def tool(
     rig: RigName = None,
     camera: Camera = None,
@@ -175,7 +178,7 @@ def tool(
     calibration_output.tool(done, as_json=json)
 
 
-@app.command()
+@app.command(cls=NumericalCommand)
 def pressure(
     rig: RigName = None,
     readings: Annotated[

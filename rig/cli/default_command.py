@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
-from typer.core import TyperGroup
+from rig.cli.help_formatter import HelpGroup
 
 
-class DefaultCommandGroup(TyperGroup):
+class DefaultCommandGroup(HelpGroup):
     """A group that hands arguments to its first sub-command unless they name another one."""
 
     @property

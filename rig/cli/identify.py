@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from rig.cli import completion
+from rig.cli.address_space import EstimationCommand
 from rig.cli.default_command import DefaultCommandGroup
 from rig.cli.options import Archives, AsJson, Every, Free, ParametersFile, Replace
 
@@ -44,7 +45,7 @@ Store = Annotated[
 ]
 
 
-@app.command()
+@app.command(cls=EstimationCommand)
 def fit(
     archives: Archives,
     free: Free = "",
@@ -168,7 +169,7 @@ def fit(
             typer.echo(rig_file, err=json)
 
 
-@app.command()
+@app.command(cls=EstimationCommand)
 def compare(
     archives: Archives,
     free: Free = "",
@@ -194,7 +195,7 @@ def compare(
     output.comparison(found, json)
 
 
-@app.command()
+@app.command(cls=EstimationCommand)
 def paper(archives: Archives, json: AsJson = False) -> None:
     """Identify as section 5.2 of the paper does, from its two extension experiments."""
     from rig.cli import identification_output as output

@@ -15,6 +15,7 @@ from rich.console import Console, Group
 from rich.table import Table
 from rich.text import Text
 
+from rig.cli.column_table import ColumnTable
 from rig.cli.printable import printable
 from rig.config.schema import RigConfig
 from rig.config.sections import PA_PER_BAR
@@ -45,6 +46,8 @@ def check_screen(request: RunRequest, plan: Plan) -> Group:
     """Return the check screen: limits, peak pressure, valves, duration."""
     config, trajectory = plan.config, plan.trajectory
     facts = Table(box=None, show_header=False, padding=(0, 2, 0, 0))
+    facts.add_column()
+    facts.add_column(overflow="fold")
     facts.add_row("protocol", f"{request.protocol.name}: {request.protocol.title}")
     if request.protocol.parameters:
         facts.add_row("parameters", ", ".join(map(str, request.protocol.parameters)))
@@ -63,7 +66,7 @@ def check_screen(request: RunRequest, plan: Plan) -> Group:
         if valves_at_stake(config) and (refused := remedies(granted)):
             facts.add_row("", refused)
     peak = peak_bar(plan)
-    table = Table(box=None, padding=(0, 2, 0, 0))
+    table = ColumnTable()
     for head in ("valve", "actuators", "output", "peak [bar]", "limit [bar]", "safe state"):
         # On a narrow terminal words may wrap; a number must not.
         number = "bar" in head
@@ -202,7 +205,7 @@ def exit_status(result: RunResult) -> int:
 
 def findings_table(findings: tuple[Finding, ...]) -> Table:
     """Return the findings of `rig doctor` as a table."""
-    table = Table(box=None, padding=(0, 2, 0, 0))
+    table = ColumnTable()
     for head in ("", "topic", "found", "what to do"):
         table.add_column(head, overflow="fold")
     for finding in findings:

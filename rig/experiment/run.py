@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import platform
-import resource
 import shlex
 import shutil
 import sys
@@ -40,8 +39,6 @@ if TYPE_CHECKING:
 Loaded = TypeVar("Loaded")
 Name = TypeVar("Name")
 SPARE_DISK_BYTES = 200_000_000
-ADDRESS_SPACE_BYTES = 1_200_000_000
-"""Address space of the largest process of a run with its libraries; most of it is never resident."""
 DISK_WARNING_AFTER_S = 2.0
 """Time for the disk to store the end of the journal before the operator sees a warning."""
 _EXPECTED = (CardError, StartError, JournalError)
@@ -172,12 +169,6 @@ def run(request: RunRequest, decided: Plan, operator: OperatorInterface) -> RunR
     Raises:
         CardError, StartError, JournalError: the run did not start; the valves are safe and no archive exists.
     """
-    address_space = resource.getrlimit(resource.RLIMIT_AS)[0]
-    if address_space != resource.RLIM_INFINITY and address_space < ADDRESS_SPACE_BYTES:
-        raise StartError(
-            f"the address space of a process is limited to {address_space / 1e6:.0f} MB (ulimit -v), "
-            f"a run needs {ADDRESS_SPACE_BYTES / 1e6:.0f} MB"
-        )
     # In real time nothing is imported beside the control loop.
     with report_process.waiting() if request.fast and request.report else nullcontext(report_process.here) as draw:
         return _run(request, decided, operator, draw)

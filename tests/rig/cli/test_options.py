@@ -66,3 +66,19 @@ def test_every_option_is_documented_with_its_commands() -> None:
         assert name in table, name
         assert table[name][0] == {command.removeprefix("rig").strip() or "rig" for command in commands}, name
     assert set(table) <= set(meanings())
+
+
+@pytest.mark.parametrize("columns", [40, 80])
+def test_help_fits_the_terminal_and_cuts_no_sentence_off(
+    columns: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("COLUMNS", str(columns))
+    texts = []
+    for arguments in ((), ("run",), ("identify",), ("identify", "fit"), ("calibrate",), ("calibrate", "dlt")):
+        with pytest.raises(SystemExit):
+            app([*arguments, "--help"], prog_name="rig")
+        shown = capsys.readouterr().out
+        texts.append(" ".join(shown.split()))
+        assert max(map(len, shown.splitlines())) <= columns, shown
+        assert "..." not in shown.partition("\n\n")[2]
+    assert "against a rig, without touching hardware." in texts[0]

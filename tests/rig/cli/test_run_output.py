@@ -51,6 +51,20 @@ def test_the_check_screen_cuts_no_number_off_however_narrow_the_terminal(columns
     assert "…" not in said
 
 
+def test_a_table_on_a_narrow_terminal_is_a_list_of_rows_without_a_cut_word() -> None:
+    shown = checked("ramp-a", "mock", 40)
+    assert max(map(len, shown.splitlines())) <= 40
+    for words in (
+        "valve 1",
+        "actuators    1",
+        "output       daq AO 0",
+        "peak [bar]   0.650",
+        "safe state   vent (0 V)",
+    ):
+        assert words in shown
+    assert "valve  actuators" in checked("ramp-a", "mock", 80)
+
+
 def test_the_check_screen_states_the_timing_limits_of_the_run() -> None:
     said = " ".join(checked("ramp-a", "mock", 110).split())
     assert "limits 0.7 bar in each chamber, ends above 0.75 bar; 1 bar/s" in said

@@ -34,9 +34,9 @@ def test_a_run_with_too_little_address_space_is_refused_in_one_sentence(tmp_path
         check=False,
     )
     assert done.returncode == 1
-    assert done.stderr == ("the address space of a process is limited to 614 MB (ulimit -v), a run needs 1200 MB\n"), (
-        done.stderr
-    )
+    assert done.stderr == (
+        "the address space of a process is limited to 614 MB (ulimit -v), rig run needs 1200 MB\n"
+    ), done.stderr
 
 
 def test_a_mock_card_for_which_there_is_no_room_is_refused_and_leaves_nothing(

@@ -1,0 +1,43 @@
+"""Commands that load numerical libraries; these crash or hang where the address space ends, so it is checked first."""
+
+from __future__ import annotations
+
+import resource
+from typing import Any
+
+import typer
+from typer.core import TyperCommand
+
+FAULT = 1
+
+
+class NumericalCommand(TyperCommand):
+    """A command whose largest process maps the rod model's compiler, linear algebra and vision."""
+
+    needed_bytes = 1_200_000_000
+    """Address space of the largest process; most of it is never resident."""
+
+    def invoke(self, ctx: Any) -> Any:
+        """Run the command, or report that `ulimit -v` leaves too little address space."""
+        limit = resource.getrlimit(resource.RLIMIT_AS)[0]
+        if limit != resource.RLIM_INFINITY and limit < self.needed_bytes:
+            command = ctx.command_path.replace(ctx.find_root().command_path, "rig", 1)
+            typer.echo(
+                f"the address space of a process is limited to {limit / 1e6:.0f} MB (ulimit -v), "
+                f"{command} needs {self.needed_bytes / 1e6:.0f} MB",
+                err=True,
+            )
+            raise typer.Exit(FAULT)
+        return super().invoke(ctx)
+
+
+class PlottingCommand(NumericalCommand):
+    """A command that draws figures, without the rod model."""
+
+    needed_bytes = 700_000_000
+
+
+class EstimationCommand(NumericalCommand):
+    """A command that also loads optimisers and the compiled sensitivities."""
+
+    needed_bytes = 1_500_000_000

@@ -1,0 +1,38 @@
+"""Layout of `--help` on a terminal of any width: no line is wider, and no sentence is cut off."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Sequence
+from typing import Any
+
+import typer
+
+LEAST_WIDTH, MOST_WIDTH = 30, 78
+TEXT_SHARE = 0.6
+"""Least share of the width for the explanations; a longer name stands on a line of its own."""
+
+_Formatter: Any = typer.core.TyperGroup.context_class.formatter_class
+
+
+class HelpFormatter(_Formatter):  # type: ignore[misc]
+    """Fits the help to the terminal, also below the 50 columns that typer assumes."""
+
+    def __init__(self, indent_increment: int = 2, width: int | None = None, max_width: int | None = None) -> None:
+        columns = shutil.get_terminal_size().columns - 2
+        super().__init__(indent_increment, width or max(LEAST_WIDTH, min(columns, MOST_WIDTH)), max_width)
+
+    def write_dl(self, rows: Sequence[tuple[str, str]], col_max: int = 30, col_spacing: int = 2) -> None:
+        """Write names and explanations."""
+        super().write_dl(rows, min(col_max, int(self.width * (1 - TEXT_SHARE)) - 2), col_spacing)
+
+
+class HelpGroup(typer.core.TyperGroup):
+    """A command group that lists its commands with whole sentences."""
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        """Write the commands and the first sentence about each."""
+        commands = [(name, self.get_command(ctx, name)) for name in self.list_commands(ctx)]
+        rows = [(name, one.get_short_help_str(1000)) for name, one in commands if one is not None and not one.hidden]
+        with formatter.section("Commands"):
+            formatter.write_dl(rows)
