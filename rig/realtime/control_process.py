@@ -1,7 +1,8 @@
-"""The control process: the 200 Hz loop from pressures to valves."""
+"""The control process: the loop from pressures to valves, at the control rate of the rig."""
 
 from __future__ import annotations
 
+import math
 import signal
 import time
 from collections.abc import Iterator
@@ -27,10 +28,10 @@ from rig.realtime.shared_state import SharedState, Stage, Stop
 from rig.realtime.timing_limits import timing_limits
 
 LEAD_IN_NS = 5_000_000
-WARM_UP_CYCLES = 10
+WARM_UP_S = 0.05
 VENTING_CHECK_S = 0.005
 FIRST_SCAN_S = 0.2
-CLOCKS_PUBLISHED_EVERY = 200
+CLOCKS_PUBLISHED_S = 1.0
 
 
 def main() -> int:
@@ -141,7 +142,7 @@ def _warm_up(job: ChildJob, bench: Bench) -> None:
     until = time.monotonic() + FIRST_SCAN_S
     while not loop.read_scans() and time.monotonic() < until:
         time.sleep(period_s)
-    for number in range(WARM_UP_CYCLES):
+    for number in range(math.ceil(WARM_UP_S / period_s)):
         loop.cycle(number, time.monotonic_ns(), 1, 0, False, 0, 0)
         time.sleep(period_s)
 
@@ -152,6 +153,7 @@ def _run(job: ChildJob, memory: SharedState, bench: Bench, supervisor: ProcessMo
     timing = timing_limits(job.plan.config, memory.granted)
     loop = ControlLoop(job.plan, valves, time_may_stop=timing.simulator_ns is not None)
     period = loop.period_ns
+    clocks_cycles = max(1, round(CLOCKS_PUBLISHED_S * 1e9 / period))
     while not (go := memory.start_ns) or time.monotonic_ns() < go - LEAD_IN_NS:
         loop.read_scans()
         memory.heartbeat("control", time.monotonic_ns())
@@ -182,7 +184,7 @@ def _run(job: ChildJob, memory: SharedState, bench: Bench, supervisor: ProcessMo
         row, trip = loop.cycle(tick, now, 1 + skipped, memory.prompts_answered, memory.paused, now - deadline, skipped)
         memory.samples.push(row)
         memory.lost_scans = loop.lost
-        if tick % CLOCKS_PUBLISHED_EVERY == 0:
+        if tick % clocks_cycles == 0:
             sampling_clocks.publish(memory, bench)
         memory.protocol_s = loop.position.protocol_s
         memory.waiting_prompt = loop.position.prompts_passed if loop.position.waiting else -1

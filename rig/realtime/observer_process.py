@@ -20,8 +20,8 @@ from rig.realtime.timing_limits import timing_limits
 
 REHEARSED_FRAMES = 3
 FIRST_PICTURE_S = 5.0
-HISTORY = 400
-"""Control cycles passed to the model with each frame: two seconds at 200 Hz."""
+HISTORY_S = 2.0
+"""Time before a frame whose control cycles are passed to the model with it."""
 
 
 def main() -> int:
@@ -94,7 +94,7 @@ def _warm_up(job: ChildJob, shots: list[FrameSet]) -> None:
 
 
 def _record(job: ChildJob, observer: Observer, memory: SharedState, shot: FrameSet, dropped: int) -> None:
-    ticks = memory.samples.last(HISTORY)
+    ticks = memory.samples.last(round(HISTORY_S * job.plan.config.control.rate_hz))
     if not len(ticks):
         return
     latest = ticks[max(0, int(ticks["t_ns"].searchsorted(shot.t_ns, side="right")) - 1)]

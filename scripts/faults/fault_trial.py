@@ -24,7 +24,6 @@ steps:
 """
 EARLIEST_S, LATEST_S = 0.2, 2.0
 """When a fault may strike, after the valves have begun to move."""
-TICK_S = 0.005
 
 
 @dataclass(frozen=True)
@@ -124,14 +123,15 @@ def _lost_s(run: Run, watched: TrialObservation) -> float:
     pressure, timing = run.pressure, run.timing
     if not len(pressure.tick):
         return math.inf
+    period_s = 1 / run.header.control_hz
     holes = np.diff(pressure.tick) - 1 - timing.overruns[1:]
-    lost_s = float(np.clip(holes, 0, None).sum()) * TICK_S
+    lost_s = float(np.clip(holes, 0, None).sum()) * period_s
     last_ns = run.header.started_t_ns + round(float(pressure.time_s[-1]) * 1e9)
     until_ns = watched.fault_ns
     if str(run.status) == "aborted" and watched.safe_ns is not None:
         # From the last sample to the fault only: after it, control may have been stopped.
         until_ns = min(watched.fault_ns, watched.safe_ns)
-    return lost_s + max(0.0, (until_ns - last_ns) * 1e-9 - 2 * TICK_S)
+    return lost_s + max(0.0, (until_ns - last_ns) * 1e-9 - 2 * period_s)
 
 
 def _sentence(said: str, found: re.Match[str]) -> str:

@@ -17,7 +17,7 @@ from rig.hardware.cards.base import CardError
 from rig.hardware.lock import cards_locked
 from runs.records import Status
 from scripts.faults.catalogue import KILL, PLANT, STOP, SUPERVISOR, Fault, TransitionAction, TransitionFault
-from scripts.faults.fault_trial import TICK_S, EndedBeforeError, FaultTrial, archive
+from scripts.faults.fault_trial import EndedBeforeError, FaultTrial, archive
 from scripts.faults.realtime import START_S, TrialRun, children
 
 DURATION_S = 0.6
@@ -112,7 +112,7 @@ def _judged(name: str, fault_action: TransitionFault, at_s: float, run: TrialRun
     if kept is not None:
         status = str(kept.status)
         if fault_action.ending and len(kept.pressure.time_s):
-            lost_s = max(0.0, DURATION_S - float(kept.pressure.time_s[-1]) - 2 * TICK_S)
+            lost_s = max(0.0, DURATION_S - float(kept.pressure.time_s[-1]) - 2 / kept.header.control_hz)
     elif list(run.out.glob("*")):
         wrong.append("the archive does not open, and none could be made of its journal")
     said = run.said + (kept.message if kept else "")
