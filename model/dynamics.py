@@ -18,7 +18,7 @@ from model.kernels.shooting import TOLERANCE_IN_MOTION, workspace_in, workspace_
 from model.kernels.time_stepping import initialise_history
 from model.loads import Loads
 from model.pressures import pressures
-from model.schemes import DEFAULT_ALPHA, scheme_named
+from model.schemes import DEFAULT_ALPHA, Coefficients, scheme_named
 from model.shape import Shape
 from model.statics import MOST_NODES, shape, states, steps_along
 
@@ -36,7 +36,7 @@ class ArmTrajectory:
 
 
 class Dynamics:
-    """A stepper of one arm through time with a fixed step [s].
+    """A stepper of one arm through time, by default with a fixed step [s].
 
     scheme, alpha: a scheme of Table 2 (model/schemes.py). nodes: steps along the arm; by default as many as the time
     step and a slender arm need. ValueError for fewer than can follow the waves of so short a step, an unknown scheme,
@@ -46,7 +46,8 @@ class Dynamics:
     def __init__(
         self, arm: Arm, dt_s: float, scheme: str = "bdf-alpha", alpha: float = DEFAULT_ALPHA, nodes: int | None = None
     ) -> None:
-        self._scheme = scheme_named(scheme).coefficients(dt_s, alpha)
+        self._rule, self._alpha, self._dt_s = scheme_named(scheme), alpha, dt_s
+        self._scheme = self._rule.coefficients(dt_s, alpha)
         self._arm = arm
         growth = self._growth()
         if not growth < MOST_NODES / 2:
@@ -57,10 +58,10 @@ class Dynamics:
             raise ValueError(
                 f"a time step of {dt_s} s needs at least {math.ceil(growth)} steps along the arm, got {nodes}"
             )
+        self._even_growth = growth
         self._segments = _segments(self._nodes, growth)
-        self._coefficients = np.array(
-            [self._scheme.c0, self._scheme.c1, self._scheme.c2, self._scheme.c3, self._scheme.d1]
-        )
+        self._even = self._scheme
+        self._coefficients = _array(self._scheme)
         self._started = False
         self._loads: Loads | None = None
 
@@ -78,6 +79,11 @@ class Dynamics:
     def c0(self) -> float:
         """Of the time scheme (eq 26) [1/s]."""
         return self._scheme.c0
+
+    @property
+    def shortest_step_s(self) -> float:
+        """The shortest time step whose waves the steps along the arm follow."""
+        return self._dt_s * self._even_growth / self._nodes
 
     def arguments(self) -> tuple[Any, ...]:
         """The arm in motion, after `start`, as `dynamic_sensitivities` takes it: nothing on its tip but the cap."""
@@ -99,6 +105,8 @@ class Dynamics:
     def begin(self, resting: KernelArguments, pressure: Array, tip: Array, load: Array, loaded: bool) -> None:
         """What `start` does, with all that hangs on the arm in the kernels' words; the arm at rest is prepared."""
         n = self._nodes
+        self._last_s, self._scheme, self._segments = self._dt_s, self._even, _segments(n, self._even_growth)
+        self._coefficients = _array(self._scheme)
         self._x, stable = states(resting, pressure, tip, load, loaded)
         if not stable:
             raise Unstable.at(pressure)
@@ -112,9 +120,11 @@ class Dynamics:
         self._loads, self._tip, self._load, self._loaded = None, tip, load, loaded
         self._started = True
 
-    def step(self, pressure_pa: ArrayLike, loads: Loads | None = None) -> Shape:
+    def step(self, pressure_pa: ArrayLike, loads: Loads | None = None, dt_s: float | None = None) -> Shape:
         """Advance by one time step under gauge pressures (N,) [Pa], held at the step's end.
 
+        dt_s: length of this step [s]; default: that of the constructor. Steps may vary, with the order of the scheme;
+        ValueError for one shorter than `shortest_step_s`, and for a scheme of fixed steps.
         Where the step cannot be solved, the shape is the last good one with ok=False, and the next step goes on from
         it. Raises ValueError for pressures or loads that are not finite or of the wrong shape.
         """
@@ -123,7 +133,11 @@ class Dynamics:
         pressure = pressures(self._arm, pressure_pa)
         if loads is not self._loads:
             self._set_loads(loads)
+        dt_s = self._dt_s if dt_s is None else dt_s
+        self._change_step(dt_s)
         moved = self._advance(pressure[None])
+        if moved.ok[0]:
+            self._last_s = dt_s
         return shape(self._arm, self._problem, self._x, ok=bool(moved.ok[0]))
 
     def run(self, pressure_pa: ArrayLike) -> ArmTrajectory:
@@ -138,7 +152,34 @@ class Dynamics:
         actuators = self._arm.geometry.actuators
         if rows.ndim != 2 or rows.shape[1] != actuators:
             raise ValueError(f"pressure_pa must be rows of {actuators} numbers, got shape {rows.shape}")
+        if self._last_s != self._dt_s:
+            raise ValueError("run continues steps of the constructor's length only: the last one had another")
+        self._change_step(self._dt_s)
         return self._advance(rows)
+
+    def _change_step(self, dt_s: float) -> None:
+        """Prepare a step of another length: its equations, and the history y^h (eq 26) by its coefficients.
+
+        The rate y_t of the last step is part of the history with a weight d1 that no length of a step changes.
+        """
+        scheme = self._rule.varying_coefficients(dt_s, self._last_s, self._alpha)
+        if scheme == self._scheme:
+            return
+        if dt_s < self.shortest_step_s:
+            raise ValueError(f"a time step of {dt_s} s is shorter than {self.shortest_step_s:.3g} s")
+        self._segments = _segments(self._nodes, self._even_growth * scheme.c0 / self._even.c0)
+        before = self._scheme
+        size, history = self._x.size, self._room.history
+        for weight, past in (
+            (scheme.c1 - before.c1, self._x),
+            (scheme.c2 - before.c2, self._trail[0]),
+            (scheme.c3 - before.c3, self._trail[1]),
+        ):
+            history[:size] += weight * past.ravel()
+        _fill_between(history, size, self._problem.length_m / self._nodes)
+        self._scheme, self._coefficients = scheme, _array(scheme)
+        self._problem = KernelArguments.of(self._arm, self._before[:1], scheme.c0)
+        self._work = self._problem.work()
 
     def _advance(self, rows: Array) -> ArmTrajectory:
         if self._arm.frozen and len(rows):
@@ -172,6 +213,19 @@ class Dynamics:
             stiffness *= 0.5
         slowest = math.sqrt(material.shear_ratio * stiffness / (material.density_kg_m3 * geometry.wall_area_m2))
         return self._scheme.c0 * geometry.length_m / slowest
+
+
+def _array(scheme: Coefficients) -> Array:
+    return np.array([scheme.c0, scheme.c1, scheme.c2, scheme.c3, scheme.d1])
+
+
+def _fill_between(history: Array, size: int, h: float) -> None:
+    """The history half-way between the nodes and its slopes, by cubic Hermite; as `between` of the kernels."""
+    nodes, slopes = (history[at : at + size // 2].reshape(-1, STATE) for at in (0, size // 2))
+    middle = 0.5 * (nodes[:-1] + nodes[1:]) + 0.125 * h * (slopes[:-1] - slopes[1:])
+    slope = 1.5 / h * (nodes[1:] - nodes[:-1]) - 0.25 * (slopes[:-1] + slopes[1:])
+    for at, values in ((size, middle), (3 * size // 2, slope)):
+        history[at : at + values.size] = values.ravel()
 
 
 def _segments(nodes: int, growth: float) -> int:

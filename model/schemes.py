@@ -29,12 +29,26 @@ class Scheme:
 
     name: str
     formula: Callable[[float, float], Coefficients]
+    varying: Callable[[float, float, float], Coefficients] | None = None
+    """The same for a time step, the one before and alpha."""
 
     def coefficients(self, dt_s: float, alpha: float = DEFAULT_ALPHA) -> Coefficients:
         """The coefficients; ValueError for a time step that is not positive, or alpha outside its interval."""
         if not (math.isfinite(dt_s) and dt_s > 0):
             raise ValueError(f"the time step must be positive, got {dt_s} s")
         return self.formula(dt_s, alpha)
+
+    def varying_coefficients(self, dt_s: float, last_s: float, alpha: float = DEFAULT_ALPHA) -> Coefficients:
+        """The coefficients of a step of dt_s after one of last_s, of the same order; `coefficients` where both agree.
+
+        ValueError as for `coefficients`, and for a scheme of fixed steps.
+        """
+        fixed = self.coefficients(dt_s, alpha)
+        if dt_s == last_s:
+            return fixed
+        if self.varying is None:
+            raise ValueError(f"scheme {self.name} has fixed time steps")
+        return self.varying(dt_s, last_s, alpha)
 
 
 def _bdf_alpha(dt_s: float, alpha: float) -> Coefficients:
@@ -44,6 +58,14 @@ def _bdf_alpha(dt_s: float, alpha: float) -> Coefficients:
     return Coefficients((1.5 + alpha) / whole, -2 / dt_s, (0.5 + alpha) / whole, d1=alpha / (1 + alpha))
 
 
+def _varying_bdf_alpha(dt_s: float, last_s: float, alpha: float) -> Coefficients:
+    """Exact for parabolas through unevenly spaced times; the weight of y_t(t_{i-1}) is that of even ones."""
+    d1, two = alpha / (1 + alpha), dt_s + last_s
+    c2 = dt_s * (1 + d1) / (two * last_s)
+    c1 = (d1 - 1 - two * c2) / dt_s
+    return Coefficients(-c1 - c2, c1, c2, d1=d1)
+
+
 def _bdf3(dt_s: float, alpha: float) -> Coefficients:
     return Coefficients(11 / (6 * dt_s), -3 / dt_s, 3 / (2 * dt_s), -1 / (3 * dt_s))
 
@@ -51,11 +73,23 @@ def _bdf3(dt_s: float, alpha: float) -> Coefficients:
 SCHEMES = {
     scheme.name: scheme
     for scheme in (
-        Scheme("bdf1", lambda dt_s, alpha: Coefficients(1 / dt_s, -1 / dt_s)),
-        Scheme("bdf2", lambda dt_s, alpha: _bdf_alpha(dt_s, 0.0)),
+        Scheme(
+            "bdf1",
+            lambda dt_s, alpha: Coefficients(1 / dt_s, -1 / dt_s),
+            lambda dt_s, last_s, alpha: Coefficients(1 / dt_s, -1 / dt_s),
+        ),
+        Scheme(
+            "bdf2",
+            lambda dt_s, alpha: _bdf_alpha(dt_s, 0.0),
+            lambda dt_s, last_s, alpha: _varying_bdf_alpha(dt_s, last_s, 0.0),
+        ),
         Scheme("bdf3", _bdf3),
-        Scheme("bdf-alpha", _bdf_alpha),
-        Scheme("trapezoidal", lambda dt_s, alpha: _bdf_alpha(dt_s, -0.5)),
+        Scheme("bdf-alpha", _bdf_alpha, _varying_bdf_alpha),
+        Scheme(
+            "trapezoidal",
+            lambda dt_s, alpha: _bdf_alpha(dt_s, -0.5),
+            lambda dt_s, last_s, alpha: _varying_bdf_alpha(dt_s, last_s, -0.5),
+        ),
     )
 }
 

@@ -7,7 +7,7 @@ import sys
 from model import warm as model_warm
 from runs.records import DetectionStatus
 
-WARMING_NS = 100_000_000
+WARMING_NS, FRAME_NS = 100_000_000, 33_333_333
 
 
 def main() -> int:
@@ -28,7 +28,7 @@ def main() -> int:
     camera, observer = MockCamera(config, plant), Observer(config)
     pressure_pa = np.zeros((1, config.actuators))
     for index in range(3):
-        t_ns = WARMING_NS // 2 + index
+        t_ns = (index + 1) * FRAME_NS - 1
         row = observer.step(FrameSet.of(camera.frame_at(index, t_ns)), np.array([t_ns]), pressure_pa, 0.0)
     if row["seen"] != DetectionStatus.MEASURED:
         print("rig.experiment.warm: failed: the simulated camera did not see the board", file=sys.stderr)

@@ -28,8 +28,9 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 Times = NDArray[np.int64]
 
-# After more dropped frames than this the model restarts from the static solution instead of catching up.
+# After a longer gap, in periods of the camera, the model restarts from the static solution instead of catching up.
 _MOST_STEPS = 10
+_EVEN = 1e-6
 _HISTORY_NS = 1_000_000_000
 
 
@@ -85,30 +86,41 @@ class _StaticModel:
 
 
 class _DynamicModel:
-    """Dynamics in steps of the camera's period: as many as periods have passed since the last frame."""
+    """Dynamics from frame to frame: over the time between them, in equal steps of about the camera's stated period."""
 
     def __init__(self, arm: model.Arm, period_s: float) -> None:
         self._dynamics = Dynamics(arm, period_s)
-        self._last: tuple[int, int] | None = None
+        self._period_ns = period_s * 1e9
+        self._last: tuple[int, model.Shape] | None = None
 
     def follow(
         self, frame_set: FrameSet, pressures: PressureInterpolator, loads: model.Loads | None
     ) -> model.Shape | None:
         last, self._last = self._last, None
-        steps = frame_set.index - last[0] if last is not None else 0
-        if last is None or not 0 < steps <= _MOST_STEPS:
+        passed_ns = frame_set.t_ns - last[0] if last is not None else 0
+        steps = max(1, round(passed_ns / self._period_ns))
+        if last is None or passed_ns <= 0 or steps > _MOST_STEPS:
             shape = _rest(self._dynamics.start, pressures.at(frame_set.t_ns), loads)
+        elif passed_ns * 1e-9 < self._dynamics.shortest_step_s:
+            # Too short for the waves that the nodes resolve: the next frame takes a step over both.
+            self._last = last
+            return last[1]
         else:
             shape = None
             for k in range(1, steps + 1):
-                pressure = pressures.at(last[1] + (frame_set.t_ns - last[1]) * k // steps)
-                shape = self._dynamics.step(pressure, loads) if np.all(np.isfinite(pressure)) else None
+                pressure = pressures.at(last[0] + passed_ns * k // steps)
+                finite = np.all(np.isfinite(pressure))
+                shape = self._dynamics.step(pressure, loads, self._step_s(passed_ns / steps)) if finite else None
                 if shape is None or not shape.ok:
                     # The next frame restarts from statics, because the history has a gap.
                     return None
         if shape is not None:
-            self._last = frame_set.index, frame_set.t_ns
+            self._last = frame_set.t_ns, shape
         return shape
+
+    def _step_s(self, step_ns: float) -> float | None:
+        """The step, None for the stated period: times in whole nanoseconds do not count as uneven."""
+        return None if abs(step_ns - self._period_ns) < _EVEN * self._period_ns else step_ns * 1e-9
 
 
 def _rest(solve: _Solve, pressure: Floats, loads: model.Loads | None) -> model.Shape | None:

@@ -20,7 +20,7 @@ CLEARED = 0.2
 """A condition ends once its share falls below this part of its threshold (hysteresis)."""
 LATE_S = 0.25
 OFF_PACE = 0.05
-"""Largest relative error of the camera rate: the time step of the model follows the rate in the rig file."""
+"""Largest relative error of the camera rate."""
 STALL_S = 0.5
 CONTROL_STALL_S = 0.1
 DISK_S = 2.0
@@ -144,7 +144,7 @@ class HealthMonitor:
                     t_ns,
                     "observer",
                     f"the camera gives {1 / self._apart_s:.1f} pictures a second and the rig says "
-                    f"{1 / self._frame_s:g}, by which the model steps: set `rate_hz` to what the camera can do",
+                    f"{1 / self._frame_s:g}: set `rate_hz` to what the camera can do",
                 )
             case False:
                 yield _over(self._off_pace, t_ns, "observer", "the camera keeps its pace again")

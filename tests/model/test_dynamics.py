@@ -177,6 +177,54 @@ def test_each_scheme_converges_at_its_stated_order(variant: str, scheme: str, or
 
 
 @pytest.mark.parametrize("variant", ["homogeneous+rpe", "inhomogeneous+rpe"])
+@pytest.mark.parametrize(("scheme", "order"), [("bdf1", 1), ("bdf2", 2), ("bdf-alpha", 2), ("trapezoidal", 2)])
+def test_uneven_steps_keep_the_order_of_the_scheme(variant: str, scheme: str, order: int) -> None:
+    arm = Arm.paper(variant)
+    arm = replace(arm, material=replace(arm.material, damping_s=0.01))
+    shares = np.tile([1.0, 1.2, 0.9, 0.9, 1.1, 0.9], 7)[:40]
+    shares *= 0.4 / shares.sum()
+
+    def tips(parts: int) -> NDArray[np.float64]:
+        dynamics = Dynamics(arm, 0.01 / parts, scheme, nodes=160)
+        dynamics.start((0.3 * BAR, 0, 0))
+        path, t = [], 0.0
+        for share in shares:
+            for _ in range(parts):
+                t += share / parts
+                bar = 0.3 + 0.1 * (1 - math.cos(5 * t)) ** 2
+                shape = dynamics.step((bar * BAR, 0, 0), dt_s=share / parts)
+            path.append(shape.tip_m)
+        return np.array(path)
+
+    coarse, middle, fine = tips(2), tips(4), tips(8)
+    seen = math.log2(np.linalg.norm(coarse - middle) / np.linalg.norm(middle - fine))
+    assert seen == pytest.approx(order, abs=0.35)
+
+
+def test_an_uneven_step_of_the_even_length_changes_no_bit() -> None:
+    even, stated = Dynamics(Arm.paper(), 0.02), Dynamics(Arm.paper(), 0.02)
+    for dynamics in (even, stated):
+        dynamics.start((0.2 * BAR, 0, 0))
+    for k in range(5):
+        p = ((0.2 + 0.05 * k) * BAR, 0, 0)
+        assert np.array_equal(even.step(p).tip_m, stated.step(p, dt_s=0.02).tip_m)
+
+
+def test_a_step_that_the_nodes_or_the_scheme_cannot_take_is_refused() -> None:
+    dynamics = Dynamics(Arm.paper(), 0.02)
+    dynamics.start((0, 0, 0))
+    with pytest.raises(ValueError, match="shorter than"):
+        dynamics.step((0, 0, 0), dt_s=0.99 * dynamics.shortest_step_s)
+    dynamics.step((0, 0, 0), dt_s=1.01 * dynamics.shortest_step_s)
+    with pytest.raises(ValueError, match="constructor's length"):
+        dynamics.run([(0, 0, 0)])
+    fixed = Dynamics(Arm.paper(), 0.02, "bdf3")
+    fixed.start((0, 0, 0))
+    with pytest.raises(ValueError, match="bdf3 has fixed time steps"):
+        fixed.step((0, 0, 0), dt_s=0.021)
+
+
+@pytest.mark.parametrize("variant", ["homogeneous+rpe", "inhomogeneous+rpe"])
 def test_the_history_between_nodes_keeps_the_fourth_order_in_space(variant: str) -> None:
     arm = Arm.paper(variant)
     arm = replace(arm, material=replace(arm.material, damping_s=0.01))

@@ -83,6 +83,37 @@ def test_after_lost_frames_the_model_has_taken_every_step_in_between(
     assert np.allclose(last["model_m"], rows[-1]["model_m"], atol=1e-7)
 
 
+@pytest.mark.parametrize("rate_hz", [15.0, 24.0, 40.0])
+def test_a_camera_at_another_rate_than_stated_changes_nothing_in_the_model(
+    config: rig.config.schema.RigConfig, rate_hz: float
+) -> None:
+    scans_ns = np.arange(0, 1_500_000_000, 5_000_000)
+    pa = np.zeros((len(scans_ns), 3))
+    pa[:, 0] = 0.3e5 * (1 - np.cos(10 * scans_ns * 1e-9))
+    image = np.full((480, 640), 80, np.uint8)
+
+    def tips(rate_hz: float, stated_hz: float) -> dict[int, np.ndarray]:
+        camera = config.cameras["front"].model_copy(update={"rate_hz": stated_hz})
+        observer = Observer(config.model_copy(update={"cameras": {"front": camera}}))
+        found = {}
+        for k in range(int(rate_hz * 1.2) + 1):
+            t_ns = round(k * 1e9 / rate_hz)
+            row = observer.step(FrameSet.of(Frame(k, t_ns, image)), scans_ns, pa, 0.0)
+            found[t_ns] = np.array(row["model_m"])
+        return found
+
+    fine, stated, other = tips(240.0, 240.0), tips(30.0, 30.0), tips(rate_hz, 30.0)
+
+    def error_m(found: dict[int, np.ndarray]) -> float:
+        times = np.array(list(fine))
+        paths = np.array(list(fine.values()))
+        exact = [np.array([np.interp(t, times, paths[:, c]) for c in range(3)]) for t in found]
+        return float(np.sqrt(np.mean(np.square(np.array(list(found.values())) - exact))))
+
+    # The error of a step grows with its square; the stated rate has no say in it.
+    assert error_m(other) < 1.3 * error_m(stated) * max(1.0, 30.0 / rate_hz) ** 2
+
+
 def test_without_a_board_the_measured_columns_are_nan_and_the_model_continues(
     config: rig.config.schema.RigConfig,
 ) -> None:
