@@ -162,6 +162,8 @@ class RunHeader:
     notes: str
     command: str
     host: str
+    metadata: dict[str, str] = field(default_factory=dict)
+    """Facts about the specimen and the user, by name: `specimen`, `batch`, .."""
     versions: dict[str, str] = field(default_factory=dict)
     git_commit: str = ""
     git_diff: str = ""

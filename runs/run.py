@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from runs.archive.checked import ArchiveError, content_sha256, opened
 from runs.archive.fields import PA_PER_BAR, QUANTITY_GROUPS
+from runs.archive.provenance import metadata
 from runs.columns import Adaptation, Backbone, Pressure, Simulated, Table, Timing, Tip, Values
 from runs.records import Event, Interval, Level, Quantity, RecordedFile, RunHeader, Status
 from runs.table import TABLES, segments, table
@@ -78,6 +79,7 @@ class Run:
             notes=entry["notes"],
             command=entry["command"],
             host=entry["host"],
+            metadata=metadata(self._group("entry/sample"), self._group("entry/user")),
             versions=self._group("entry/versions"),
             git_commit=git["commit"],
             git_diff=git["diff"],

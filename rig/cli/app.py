@@ -21,6 +21,7 @@ from rig.cli.options import (
     Fast,
     Folder,
     Free,
+    Metadata,
     Note,
     Operator,
     Parameters,
@@ -154,6 +155,7 @@ def run(
     parameters: Parameters = None,
     operator: Operator = "",
     note: Note = "",
+    meta: Metadata = None,
     yes: Yes = False,
     no_report: Annotated[bool, typer.Option("--no-report", help="Write no HTML report.")] = False,
     adapt: Annotated[
@@ -191,6 +193,7 @@ def run(
         parameters=parameters,
         operator=operator,
         notes=note,
+        metadata=assignments.texts("--meta", meta),
         report=not no_report,
     )
     decided = experiment.plan(request)

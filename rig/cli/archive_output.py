@@ -72,6 +72,7 @@ def show(name: Path, as_json: bool) -> None:
         ("rig", header.rig_name),
         ("model", header.model_variant or "-"),
         ("operator", header.operator or "-"),
+        ("metadata", ", ".join(f"{name} = {text}" for name, text in header.metadata.items()) or "-"),
         ("notes", header.notes or "-"),
         ("command", header.command),
         ("host", header.host),

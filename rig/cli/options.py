@@ -33,6 +33,10 @@ Seed = Annotated[int, typer.Option("--seed", help="Seed of the simulator.", min=
 Yes = Annotated[bool, typer.Option("--yes", help="Arm without asking.")]
 Operator = Annotated[str, typer.Option("--operator", help="Name of the operator; stored in the archive.")]
 Note = Annotated[str, typer.Option("--note", help="A remark; stored in the output file.")]
+Metadata = Annotated[
+    list[str] | None,
+    typer.Option("--meta", metavar="NAME=VALUE", help="Metadata of the run, as specimen=A7; may be repeated."),
+]
 Replace = Annotated[bool, typer.Option("--replace", help="Replace existing files.")]
 
 _RUN = "Archive, run id or a unique part of one, or last: the newest run in data/."

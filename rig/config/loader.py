@@ -7,15 +7,16 @@ quickly.
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from protocols import BadInputError, document
+from protocols import BadInputError, Problem, document
 from protocols.library import find
 from rig.config import consistency
+from rig.config.metadata import run_metadata
 from rig.config.schema import RigConfig
 from rig.config.sections import Variant
 from runs.records import RecordedFile, RunHeader
@@ -111,6 +112,10 @@ class RigFile:
             BadInputError: the parameters belong to another arm or model variant.
         """
         return _rig_file(self._document, _parsed(self), parameters, variant)
+
+    def run_metadata(self, given: Mapping[str, str]) -> tuple[dict[str, str], list[Problem]]:
+        """Return the metadata of a run, where `given` overrides the rig file, and every problem of both."""
+        return run_metadata(self.config.metadata, given, self._document)
 
     def without_parameters(self) -> RigFile:
         """Return the rig with its calibrations only."""

@@ -12,6 +12,7 @@ from pydantic.json_schema import SkipJsonSchema
 
 from protocols.validation import faults
 from rig.config import consistency
+from rig.config.metadata import Metadata
 from rig.config.sections import (
     ArmConfig,
     BoardConfig,
@@ -40,6 +41,7 @@ class RigConfig(Section):
     calibrations: tuple[Word, ...] = Field(
         default=(), description="files of `rig calibrate`, from this file's folder: they replace what is stated here"
     )
+    metadata: Metadata = Metadata()
     cards: Named[CardConfig]
     valves: Annotated[tuple[Valve, ...], Field(min_length=1)]
     sensors: Annotated[tuple[Sensor, ...], Field(min_length=1)]

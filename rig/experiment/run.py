@@ -10,7 +10,7 @@ import time
 import traceback
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext, suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime, timedelta
 from functools import partial
 from pathlib import Path
@@ -59,6 +59,7 @@ class RunRequest:
     report: bool = True
     adapted: tuple[Quantity, ...] = ()
     rig_source: Source = Source.OPTION
+    metadata: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def config(self) -> RigConfig:
@@ -98,12 +99,13 @@ def request(
     report: bool = True,
     parameters: Path | None = None,
     adapt: Sequence[str] | None = None,
+    metadata: Mapping[str, str] | None = None,
 ) -> RunRequest:
     """Load a protocol and a rig by name or file, with a file of identified `parameters` over the rig.
 
     `settings` are values of the protocol's parameters, by name, in the unit of each.
     `adapt` names the parameters that a recursive estimator identifies online: the default ones when empty, none
-    when None.
+    when None. `metadata` overrides that of the rig file; with it, even if empty, the required names must have a value.
 
     Raises:
         UnknownParameter, NotEstimableError: a name is unknown or cannot be estimated online.
@@ -115,6 +117,10 @@ def request(
     loaded_protocol = _collecting(problems, partial(protocols.load, settings=settings), protocol)
     rig_read = _collecting(problems, read, rig)
     chosen = _collecting(problems, variant_named, variant)
+    stated: dict[str, str] = {}
+    if rig_read is not None:
+        stated, missing = rig_read.run_metadata(metadata or {})
+        problems += missing if metadata is not None else ()
     if problems or loaded_protocol is None or rig_read is None:
         raise BadInputError(problems)
     if parameters is not None:
@@ -140,6 +146,7 @@ def request(
         report=report,
         adapted=adapted,
         rig_source=source,
+        metadata=stated,
     )
 
 
@@ -285,6 +292,7 @@ def header(request: RunRequest, decided: Plan, t_ns: int, ahead_ns: int = 0) -> 
         notes=request.notes,
         command=shlex.join(sys.argv),
         host=platform.node(),
+        metadata=dict(request.metadata),
         versions=versions(),
         git_commit=commit,
         git_diff=diff,

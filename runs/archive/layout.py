@@ -46,6 +46,8 @@ def groups(journal: Journal) -> tuple[Group, ...]:
             provenance.rig(journal),
             provenance.protocol_files(journal),
             provenance.calibration_files(journal),
+            provenance.sample(journal),
+            provenance.user(journal),
             provenance.versions(journal),
             provenance.git(journal),
             column_groups.pressure(journal),

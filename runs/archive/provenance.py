@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from runs.archive.fields import PA_PER_BAR, QUANTITY_GROUPS, Field, Group, named
 from runs.journal.journal import Journal
 from runs.records import Interval, Quantity
+
+SPECIMEN = "specimen"
+"""The name of the metadata that names the specimen; `name` in the NXsample."""
 
 
 def protocol(journal: Journal) -> Group:
@@ -94,6 +99,31 @@ def calibration_files(journal: Journal) -> Group | None:
         ),
         about="calibrations applied to the rig, in this order",
     )
+
+
+USER = ("affiliation", "email", "orcid")
+"""The metadata about the user; all other is about the specimen."""
+
+
+def sample(journal: Journal) -> Group | None:
+    """The specimen; None without metadata about it."""
+    known = {name: text for name, text in journal.header.metadata.items() if name not in USER}
+    fields = [Field("name" if name == SPECIMEN else name, text) for name, text in sorted(known.items())]
+    about = "the specimen, as the rig file and --meta state it"
+    return Group("entry/sample", "NXsample", tuple(fields), about=about, open=True) if fields else None
+
+
+def user(journal: Journal) -> Group | None:
+    """The operator; None where the run names none."""
+    known = {"name": journal.header.operator} | journal.header.metadata
+    fields = [Field(name, known[name]) for name in ("name", *USER) if known.get(name)]
+    return Group("entry/user", "NXuser", tuple(fields), open=True) if fields else None
+
+
+def metadata(sample: Mapping[str, str], user: Mapping[str, str]) -> dict[str, str]:
+    """The metadata of a run from the datasets of both groups."""
+    of_specimen = {SPECIMEN if name == "name" else name: text for name, text in sample.items()}
+    return of_specimen | {name: text for name, text in user.items() if name != "name"}
 
 
 def versions(journal: Journal) -> Group:

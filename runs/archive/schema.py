@@ -174,6 +174,7 @@ def _journal(actuators: int, valves: int, *, everything: bool) -> Journal:
         notes="",
         command="",
         host="",
+        metadata={"specimen": "", "email": "-"} if everything else {},
         versions={"library": ""} if everything else {},
         intervals=(Interval(0.0, 0.0, "", "", ()),),
         quantities=quantities if everything else (),

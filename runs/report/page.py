@@ -213,6 +213,7 @@ def _provenance(run: Run) -> str:
         "model": header.model_variant,
         "executor": header.executor + (f", seed {header.seed}" if header.seed is not None else ""),
         "operator": header.operator,
+        "metadata": ", ".join(f"{name} = {text}" for name, text in header.metadata.items()),
         "command": header.command,
         "host": header.host,
         "versions": ", ".join(f"{name} {version}" for name, version in sorted(header.versions.items())),

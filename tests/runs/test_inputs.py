@@ -6,12 +6,16 @@ import hashlib
 import re
 import shutil
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
+import h5py
 import numpy as np
+import pytest
 
 import runs
 import tests.support.synthetic_runs as made_up
+from protocols import BadInputError
 from rig.config import loader
 from rig.config.calibration_files import write
 from rig.experiment import run as experiment
@@ -132,3 +136,52 @@ def test_overlays_of_the_rig_come_out_beside_it_and_give_the_same_rig(tmp_path: 
     assert written["mock-parameters.yaml"].read_text() == "identified: here\n"
     shutil.rmtree(tmp_path / "cal")
     assert loader.load(written["mock-rig.yaml"]) == found.config
+
+
+def test_metadata_of_rig_and_command_reach_the_archive_and_stay_with_its_replay(tmp_path: Path) -> None:
+    rig = tmp_path / "bench.yaml"
+    rig.write_text(
+        loader.text("mock") + "metadata:\n  required: [specimen]\n"
+        "  values: {batch: 2026-10, fibre_angle_deg: 30, orcid: 0000-0001}\n"
+    )
+    protocol = tmp_path / "rest.yaml"
+    protocol.write_text("title: Rest\nsteps:\n  - hold: {duration_s: 0.2}\n")
+    request = partial(experiment.request, str(protocol), str(rig), folder=tmp_path, fast=True, report=False)
+    with pytest.raises(BadInputError) as refused:
+        request(metadata={"a b": "1", "name": "x"})
+    lines = loader.text("mock").count("\n")
+    assert [(p.file, p.line, p.column, p.value) for p in refused.value.problems] == [
+        ("--meta", 0, 0, "a b=1"),
+        ("--meta", 0, 0, "name=x"),
+        (str(rig), lines + 2, 14, "specimen"),
+    ]
+    assert "--meta specimen=VALUE" in str(refused.value)
+
+    asked = request(metadata={"specimen": "A7", "batch": "11"}, operator="ada")
+    made = experiment.run(asked, experiment.plan(asked), Silent()).archive
+    assert made is not None
+    run = runs.open(made)
+    expected = {"specimen": "A7", "batch": "11", "fibre_angle_deg": "30", "orcid": "0000-0001"}
+    assert run.header.metadata == expected
+    assert run.header.operator == "ada"
+    with h5py.File(made) as file:
+        assert file["entry/sample"].attrs["NX_class"] == "NXsample"
+        assert file["entry/sample/name"].asstr()[()] == "A7"
+        assert {name: file["entry/user"][name].asstr()[()] for name in file["entry/user"]} == {
+            "name": "ada",
+            "orcid": "0000-0001",
+        }
+    assert runs.open(replay(run, tmp_path)).header.metadata == expected
+    assert "specimen = A7" in page([run])
+
+
+def test_a_name_of_metadata_that_the_archive_uses_itself_is_refused(tmp_path: Path) -> None:
+    rig = tmp_path / "bench.yaml"
+    rig.write_text(loader.text("mock") + "metadata:\n  required: [a-b]\n  values: {operator: ada}\n")
+    with pytest.raises(BadInputError) as refused:
+        loader.read(str(rig))
+    lines = loader.text("mock").count("\n")
+    assert [(p.line, p.column, p.value) for p in refused.value.problems] == [
+        (lines + 2, 14, "a-b"),
+        (lines + 3, 22, "ada"),
+    ]

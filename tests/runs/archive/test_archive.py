@@ -115,7 +115,12 @@ def test_it_is_nexus(path: Path) -> None:
             assert [len(group[axis]) for axis in group.attrs["axes"]] == list(signal.shape)
         for name in file["entry"]:
             node = file["entry"][name]
-            assert isinstance(node, h5py.Dataset) or node.attrs["NX_class"] in {"NXdata", "NXcollection"}
+            assert isinstance(node, h5py.Dataset) or node.attrs["NX_class"] in {
+                "NXdata",
+                "NXcollection",
+                "NXsample",
+                "NXuser",
+            }
 
 
 def test_every_dimension_has_its_scale(path: Path) -> None:

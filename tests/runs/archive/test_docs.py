@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import tests.support.synthetic_runs as made_up
+from runs.archive.provenance import USER
 from runs.archive.reference import page
 from runs.archive.writer import finalise
 from runs.journal.journal import JournalWriter
@@ -46,7 +47,12 @@ def stored(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[tuple[in
     cameras = tuple(f"camera {k}" for k in range(SIZES["C"]))
     adapted = tuple(Quantity("adaptation", f"parameter {k}", (1.0,), "m", "", 0.1) for k in range(SIZES["P"]))
     header = dataclasses.replace(
-        made_up.header("sizes", 4.0), actuators=SIZES["A"], valves=SIZES["V"], cameras=cameras, adapted=adapted
+        made_up.header("sizes", 4.0),
+        actuators=SIZES["A"],
+        valves=SIZES["V"],
+        cameras=cameras,
+        adapted=adapted,
+        metadata=dict.fromkeys(("specimen", *USER), "-"),
     )
     writer = JournalWriter(source, header)
     writer.samples(np.zeros(SIZES["N"], sample_dtype(SIZES["A"], SIZES["V"])))
