@@ -91,6 +91,10 @@ def reproduce(
         drawings += reproduced.drawings
         found["compared"] = [asdict(row) for row in reproduced.rows]
         screen.print(reproduction_output.compared(reproduced.rows))
+        found["verdicts"] = list(reproduced.verdicts)
+        remarks += reproduced.verdicts
+        for sentence in reproduced.verdicts:
+            screen.print(f"\n{sentence}", soft_wrap=True)
     if drawings:
         from rig.reproduce.page import write
 

@@ -29,6 +29,8 @@ class ReproductionResults:
 
     rows: tuple[PaperComparison, ...]
     drawings: tuple[PaperFigure, ...]
+    verdicts: tuple[str, ...] = ()
+    """A sentence for each compared table."""
 
 
 def results(
@@ -43,6 +45,7 @@ def results(
     runs = gathered(folder, names, report=report)
     rows: list[PaperComparison] = []
     drawn: list[PaperFigure] = []
+    concluded: list[str] = []
     if wanted & {"fig9", "fig10"}:
         grown = elongation.Elongations(runs)
         rows += elongation.compared(grown)
@@ -50,11 +53,15 @@ def results(
     if wanted & {"table3", "fig11", "fig12", "fig13"}:
         rested = positions.RestPositions(runs)
         rows += positions.compared(rested)
+        concluded.append(positions.verdict(rested))
         drawn += positions.drawings(rested)
     if wanted & {"table5", "fig14"}:
         moved = motion.motions(runs)
         rows += motion.compared(moved)
         if errors_of_methods:
-            rows += motion.table4(moved, report=report)
+            errors = motion.errors_of_methods(moved, report=report)
+            rows += motion.table4(moved, errors)
+            concluded.append(motion.verdict(moved, errors))
         drawn += motion.drawings(moved)
-    return ReproductionResults(tuple(rows), tuple(one for one in drawn if one.name.replace("fig0", "fig") in wanted))
+    shown = tuple(one for one in drawn if one.name.replace("fig0", "fig") in wanted)
+    return ReproductionResults(tuple(rows), shown, tuple(concluded))

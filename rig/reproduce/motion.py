@@ -13,6 +13,7 @@ from model.paper.rod import PaperRod
 from rig.config.arm_model import model_arm
 from rig.config.loader import recorded
 from rig.config.sections import PA_PER_BAR
+from rig.reproduce import verdicts
 from rig.reproduce.comparison import PaperComparison, PaperFigure
 from rig.reproduce.experiments import origin
 from rig.reproduce.table4 import SCHEMES, Space
@@ -34,6 +35,9 @@ TABLE4_MM: dict[tuple[Space, int], tuple[float | None, ...]] = {
 }
 """Printed average RMSE, in the order of `rig.reproduce.table4.SCHEMES`; None where it says Unstable."""
 WINDOW_S = 1.0
+
+ErrorsMm = dict[tuple[Space, int], tuple[float, ...]]
+"""Errors in the order of `rig.reproduce.table4.SCHEMES`, by rule along the arm and N."""
 
 
 class SinusoidalRun:
@@ -91,28 +95,44 @@ def compared(cases: tuple[SinusoidalRun, SinusoidalRun]) -> Iterator[PaperCompar
                 yield PaperComparison("Table 5", name, f"{paper:.4f}", f"{here:.4f}", case.origin, why)
 
 
-def table4(
+def errors_of_methods(
     cases: tuple[SinusoidalRun, SinusoidalRun],
     steps_along: tuple[int, ...] = (50, 200),
     report: Callable[[str], None] = lambda _: None,
-) -> Iterator[PaperComparison]:
-    """The error columns of Table 4: every method against the experiment, over one second."""
-    how = origin(*(case.run for case in cases))
+) -> ErrorsMm:
+    """Average RMSE of every method of Table 4 against the experiment, over one second."""
     spaces: tuple[Space, ...] = ("euler", "rk4")
+    found: ErrorsMm = {}
     for space in spaces:
         for steps in steps_along:
-            for (label, scheme, alpha), printed in zip(SCHEMES, TABLE4_MM[space, steps], strict=True):
+            errors = []
+            for label, scheme, alpha in SCHEMES:
                 report(f"Table 4: {space} N = {steps}, {label}")
                 pairs = [case.rmse_mm(case.second, case.by_method(space, scheme, alpha, steps)) for case in cases]
-                here = float(np.mean(pairs))
-                why = (
-                    "over one second no method differs by more than its own discretisation; E_i by the secant rule"
-                    if printed is not None
-                    else "unstable modes grow by some per cent a step: one second is too short to see it"
-                )
-                paper = "unstable" if printed is None else f"{printed:.4f}"
-                name = f"average RMSE, {space}, N = {steps}, {label} [mm]"
-                yield PaperComparison("Table 4", name, paper, f"{here:.4f}", how, why)
+                errors.append(float(np.mean(pairs)))
+            found[space, steps] = tuple(errors)
+    return found
+
+
+def table4(cases: tuple[SinusoidalRun, SinusoidalRun], errors_mm: ErrorsMm) -> Iterator[PaperComparison]:
+    """The error columns of Table 4."""
+    how = origin(*(case.run for case in cases))
+    for (space, steps), errors in errors_mm.items():
+        for (label, *_), here, printed in zip(SCHEMES, errors, TABLE4_MM[space, steps], strict=True):
+            why = (
+                "over one second no method differs by more than its own discretisation; E_i by the secant rule"
+                if printed is not None
+                else "unstable modes grow by some per cent a step: one second is too short to see it"
+            )
+            paper = "unstable" if printed is None else f"{printed:.4f}"
+            name = f"average RMSE, {space}, N = {steps}, {label} [mm]"
+            yield PaperComparison("Table 4", name, paper, f"{here:.4f}", how, why)
+
+
+def verdict(cases: tuple[SinusoidalRun, SinusoidalRun], errors_mm: ErrorsMm) -> str:
+    """Return whether the ranking of Table 4 is reproduced."""
+    labels = [label for label, *_ in SCHEMES]
+    return verdicts.table4(labels, TABLE4_MM, errors_mm, origin(*(case.run for case in cases)))
 
 
 def drawings(cases: tuple[SinusoidalRun, SinusoidalRun]) -> Iterator[PaperFigure]:

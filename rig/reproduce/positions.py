@@ -15,6 +15,7 @@ from model.statics import statics
 from rig.config.arm_model import model_arm
 from rig.config.loader import recorded
 from rig.config.sections import PA_PER_BAR
+from rig.reproduce import verdicts
 from rig.reproduce.comparison import PaperComparison, PaperFigure
 from rig.reproduce.experiments import origin
 from rig.reproduce.table3 import ERROR_DEFINITIONS, PRINTED
@@ -79,6 +80,11 @@ def compared(data: RestPositions) -> Iterator[PaperComparison]:
             "Fig 11", f"case ({case}), tip at 0.65 bar: x, z [mm]", "", f"{x:.1f}, {z:.1f}", data.origin,
             "the paper's points are not published",
         )  # fmt: skip
+
+
+def verdict(data: RestPositions) -> str:
+    """Return whether Table 3 is reproduced."""
+    return verdicts.table3(PRINTED, [data.error_percent(variant) for variant, *_ in MODELS], data.origin)
 
 
 def drawings(data: RestPositions) -> Iterator[PaperFigure]:
