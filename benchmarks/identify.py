@@ -1,6 +1,6 @@
 """How honest and how fast identification is: coverage of its error bars, and archives per minute by workers.
 
-Run: python -m benchmarks.identify [--moving | --drawn] [--trials 200] [--seed 0] [--workers 1 2] [--store DIR]
+Run: python -m benchmarks.identify [--moving | --drawn | --default KIND] [--trials 200] [--seed 0] [--workers 1 2]
      python -m benchmarks.identify --archives data/*.h5 --workers 1 2
      python -m benchmarks.identify --figure FILE
 """
@@ -20,6 +20,7 @@ import runs
 from calibration.identify import figures
 from calibration.identify.data import Poses
 from calibration.identify.fit import identify
+from calibration.identify.nuisance import stated_values
 from calibration.identify.parallel_map import parallel_map
 from calibration.identify.parameters import Prior, Setup, named
 from calibration.identify.simulated_experiments import (
@@ -33,6 +34,7 @@ from calibration.identify.simulated_experiments import (
     run_trial,
 )
 from rig.identify.estimation import from_runs
+from rig.observation.online_estimation import DEFAULT_PARAMETERS
 from runs.report.drawing import save
 
 Array = NDArray[np.float64]
@@ -122,6 +124,28 @@ def drawn(trials: int, seed: int) -> list[CoverageTrial]:
     return tasks
 
 
+def by_default(kind: str, trials: int, seed: int) -> list[CoverageTrial]:
+    """The default form of `rig identify`: each number of each arm is drawn from its standard uncertainty."""
+    errors = MeasurementErrors((3e-5, 3e-5, 6e-5), 20.0, 500.0)
+    ramp, time_s = np.linspace(0.15e5, 0.65e5, 11)[:, None], np.arange(240) / 30
+    static = plan("ramp-a", ramp * np.array([1.0, 0.0, 0.0]), errors=errors)
+    both = (
+        static,
+        plan("ramp-b", ramp * np.array([0.0, 1.0, 1.0]), errors=errors),
+        plan("weights", np.zeros((13, 3)), np.linspace(0.0, 1.2, 13), errors=errors),
+    )
+    sine = 1e5 * (0.05 + np.array([0.3, 0.0, 0.0]) * (1 - np.cos(1.4 * time_s[:, None])))
+    moving = plan("sine", sine, period_s=1 / 30, errors=errors)
+    planned = {"static": (static,), "several": both, "moving": (moving,)}[kind]
+    start = Setup(model.Arm.paper())
+    # A damping that is drawn about zero would often be its bound.
+    known_damping = replace(start.arm.material, damping_s=0.02)
+    truth = replace(start, arm=replace(start.arm, material=known_damping))
+    stated = stated_values(truth, {"damping_s": 0.005, "sensor_filter_s": 1e-9})
+    free = (*DEFAULT_PARAMETERS[:-1], *(("damping_s",) if kind == "moving" else ()))
+    return [CoverageTrial(planned, truth, truth, free, errors, seed * 1_000_003 + k, stated) for k in range(trials)]
+
+
 def _each(rng: np.random.Generator, most: float) -> tuple[float, float, float]:
     x, y, z = rng.uniform(-most, most, 3).tolist()
     return x, y, z
@@ -171,6 +195,9 @@ def main() -> None:
     options.add_argument("--workers", type=int, nargs="+", default=[2])
     instead = options.add_mutually_exclusive_group()
     instead.add_argument("--moving", action="store_true", help="coverage of damping, density and delay in motion")
+    instead.add_argument(
+        "--default", choices=("static", "several", "moving"), help="coverage of the default form, every number drawn"
+    )
     instead.add_argument("--drawn", action="store_true", help="coverage of all parameters of arms drawn at random")
     options.add_argument("--store", type=Path, help="keep finished trials there, to resume")
     options.add_argument("--archives", type=Path, nargs="+", help="measure archives per minute with these instead")
@@ -185,9 +212,12 @@ def main() -> None:
             throughput(given.archives, workers)
             continue
         began = time.perf_counter()
-        if given.moving or given.drawn:
-            free, draw_trials = (FREE_DRAWN, drawn) if given.drawn else (FREE_MOVING, motions)
-            tasks = draw_trials(given.trials, given.seed)
+        if given.moving or given.drawn or given.default:
+            if given.default:
+                tasks = by_default(given.default, given.trials, given.seed)
+            else:
+                tasks = (drawn if given.drawn else motions)(given.trials, given.seed)
+            free = tasks[0].free
             z = np.array(parallel_map(run_trial, tasks, workers, store=given.store))
             found, count = Coverage(tuple(p.name for p in named(free, 3)), z), len(tasks[0].planned)
         else:

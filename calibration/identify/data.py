@@ -151,7 +151,7 @@ def at_rest(run: Run, settle_s: float = SETTLE_S) -> Poses:
         covariance_m2=covariance * averaged[:, None, None],
         frames=count,
         time_s=np.array([tip.time_s[k[-1]] for k in plateaus]),
-        live_m=_live(np.array([tip.model_mm[k].mean(axis=0) for k in plateaus])),
+        live_m=_live(np.array([_model_mm(run)[k].mean(axis=0) for k in plateaus])),
     )
 
 
@@ -183,7 +183,7 @@ def in_motion(run: Run) -> Poses:
     measured, covariance = np.full((length, 3), np.nan), np.full((length, 3, 3), np.nan)
     measured[index[usable]] = tip.measured_mm[usable] * M_PER_MM
     live = np.full((length, 3), np.nan)
-    live[index[usable]] = tip.model_mm[usable]
+    live[index[usable]] = _model_mm(run)[usable]
     covariance[index[usable]] = tip.covariance_mm2[usable] * M_PER_MM**2
     return Poses(
         run_id=run.header.run_id,
@@ -305,6 +305,11 @@ def _repeats(clipped: NDArray[np.bool_]) -> Array:
             for start, stop in _true_ranges(column):
                 out[start:stop, n] = np.sqrt(stop - start)
     return out
+
+
+def _model_mm(run: Run) -> Array:
+    """Tips (M, 3) of the running model; NaN where it had no solution."""
+    return np.where(run.tip.model_ok[:, None], run.tip.model_mm, np.nan)
 
 
 def _live(model_mm: Array) -> Array | None:

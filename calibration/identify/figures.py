@@ -6,11 +6,16 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
 from numpy.typing import NDArray
 from scipy.stats import norm
 
+import model
 from calibration.identify.held_out_prediction import Prediction
 from calibration.identify.likelihood import whitened
+from calibration.identify.notation import Scale
+from calibration.identify.parameters import Setup, known
 from calibration.identify.profile_likelihood import RISE_95, LikelihoodProfile
 from calibration.identify.results import NORMAL_95, Fit
 from runs.report.colours import ACTUATORS, INK, MEASURED, MODEL, MUTED, RULE, TRUTH
@@ -18,6 +23,7 @@ from runs.report.colours import ACTUATORS, INK, MEASURED, MODEL, MUTED, RULE, TR
 Array = NDArray[np.float64]
 
 _AXES = "xyz"
+_PUBLISHED = ("youngs_modulus_pa", "a1_per_n", "a2_per_n2", "rpe_per_bar", "shear_ratio")
 
 
 def colour(k: int) -> str:
@@ -26,28 +32,51 @@ def colour(k: int) -> str:
 
 
 def estimates(figure: Figure, fit: Fit, profiles: Sequence[LikelihoodProfile], truth: Mapping[str, float]) -> None:
-    """Each identified parameter with its intervals, in its own standard deviations; the truth where it is known."""
-    shown = [e for e in fit.estimates if e.std]
+    """Each identified free parameter with its intervals, in its own unit, over what was known of it before.
+
+    The band is the prior or the stated value with its 95 % range, the vertical line the paper's value.
+    """
+    shown = [e for e in fit.estimates if e.std and not e.nuisance]
     by_key = {(p.name, p.run): p for p in profiles}
-    axes = figure.subplots()
-    for row, e in enumerate(shown):
-        std = e.std or 1.0
-        axes.plot([-NORMAL_95, NORMAL_95], [row, row], color=MEASURED, lw=2.5)
+    published = _published(fit)
+    panels = figure.subplots(len(shown), 1, squeeze=False)[:, 0]
+    for axes, e in zip(panels, shown, strict=True):
+        scale = Scale.of(e.name, e.unit, e.used, e.std or 1.0)
+
+        def shown_at(value: float, scale: Scale = scale) -> float:
+            return value * scale.factor / 10.0**scale.power
+
+        low, high = e.interval or (e.used, e.used)
+        if e.expected is not None:
+            half = NORMAL_95 * e.expected.std
+            axes.axvspan(shown_at(e.expected.mean - half), shown_at(e.expected.mean + half), color=RULE, lw=0)
+        axes.plot([shown_at(low), shown_at(high)], [0, 0], color=MEASURED, lw=2.5)
+        axes.plot(shown_at(e.used), 0, "|", color=MEASURED, ms=9)
         found = by_key.get((e.name, e.run))
         if found is not None and None not in found.interval:
-            axes.plot([((x or 0.0) - e.used) / std for x in found.interval], [row + 0.25] * 2, color=MODEL, lw=1.5)
+            axes.plot([shown_at(x or 0.0) for x in found.interval], [0.4] * 2, color=MODEL, lw=1.5)
+        if e.name in published:
+            axes.axvline(shown_at(published[e.name]), color=INK, lw=0.8)
         if e.name in truth and not e.run:
-            axes.plot(np.clip((truth[e.name] - e.used) / std, -6, 6), row, "x", color=TRUTH, ms=7, mew=2)
-    axes.plot([], [], color=MEASURED, lw=2.5, label="curvature, 95 %")
-    if profiles:
-        axes.plot([], [], color=MODEL, lw=1.5, label="profile, 95 %")
-    if truth:
-        axes.plot([], [], "x", color=TRUTH, ms=7, mew=2, label="the simulator's truth")
-    axes.set_yticks(range(len(shown)), [f"{e.name} {e.run[-18:]}".strip() for e in shown])
-    axes.invert_yaxis()
-    axes.set_xlim(-6, 6)
-    axes.set_xlabel("distance from the estimate [standard deviations]")
-    axes.legend(loc="lower right")
+            axes.plot(shown_at(truth[e.name]), 0, "x", color=TRUTH, ms=7, mew=2)
+        unit = f" [{scale.suffix.strip()}]" if scale.suffix else ""
+        axes.set_yticks([0], [f"{e.name} {e.run[-18:]}".strip() + unit])
+        axes.set_ylim(-1, 1)
+        axes.tick_params(axis="x", labelsize=7)
+        axes.grid(visible=False)
+    handles = [Line2D([], [], color=MEASURED, lw=2.5, label="95 %"), Patch(color=RULE, label="prior or rig file, 95 %")]
+    handles += [Line2D([], [], color=MODEL, lw=1.5, label="95 % by profile")] * bool(profiles)
+    handles += [Line2D([], [], color=INK, lw=0.8, label="paper")] * bool(published)
+    handles += [Line2D([], [], color=TRUTH, marker="x", ls="", label="the simulator's truth")] * bool(truth)
+    figure.legend(handles=handles, loc="outside upper center", ncols=5, fontsize=7)
+
+
+def _published(fit: Fit) -> dict[str, float]:
+    """The paper's values of material and cap, for an arm with its number of actuators."""
+    paper = Setup(model.Arm.paper())
+    if fit.setup.arm.geometry.actuators != paper.arm.geometry.actuators:
+        return {}
+    return {name: known(3)[name].read(paper) for name in _PUBLISHED}
 
 
 def residuals(figure: Figure, fit: Fit) -> None:

@@ -35,8 +35,8 @@ def write(
         _notes(fit, bool(known)),
         _parameters(fit, profiles, refits, known),
     ]
-    rows = sum(1 for e in fit.estimates if e.std)
-    drawn = [("Intervals", svg(figures.estimates, (9, 1.2 + 0.28 * rows), "e", fit, profiles, known))] if rows else []
+    rows = sum(1 for e in fit.estimates if e.std and not e.nuisance)
+    drawn = [("Intervals", svg(figures.estimates, (9, 0.8 + 0.55 * rows), "e", fit, profiles, known))] if rows else []
     drawn.append(("Residuals over time, pressure and place", svg(figures.residuals, (9, 6.4), "r", fit)))
     drawn.append(("Are the residuals as stated? Normal quantiles", svg(figures.quantiles, (6, 3.8), "q", fit)))
     if fit.covariance.any():

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -13,7 +13,7 @@ from scipy.interpolate import CubicSpline
 from calibration.identify.data import MIN_FRAMES, Poses
 from calibration.identify.fit import identify
 from calibration.identify.parallel_map import Progress, parallel_map
-from calibration.identify.parameters import Prior, Setup, named
+from calibration.identify.parameters import Prior, Setup, known, named
 from calibration.identify.pressure_smoothing import smoothed
 from calibration.identify.tip_predictor import FINE_SUBSTEPS, SUBSTEPS, Predictor
 
@@ -97,7 +97,10 @@ def perform(planned: Poses, truth: Setup, rng: np.random.Generator, errors: Meas
 
 @dataclass(frozen=True)
 class CoverageTrial:
-    """One simulated identification: planned runs, true and starting setup, free parameters, and the seed."""
+    """One simulated identification: planned runs, true and starting setup, free parameters, and the seed.
+
+    stated: value and uncertainty of every parameter; the trial then draws each true value from them, `truth` included.
+    """
 
     planned: tuple[Poses, ...]
     truth: Setup
@@ -105,6 +108,7 @@ class CoverageTrial:
     free: tuple[str, ...]
     errors: MeasurementErrors
     seed: int
+    stated: Mapping[str, Prior] | None = None
 
 
 @dataclass(frozen=True)
@@ -158,18 +162,28 @@ def run_trial(trial: CoverageTrial) -> Array:
     Free are the sensors' zeros, too, if they err; a sensor's delay is believed to be as `LAG_PRIOR` says.
     """
     rng = np.random.default_rng(trial.seed)
-    data = [perform(planned, trial.truth, rng, trial.errors) for planned in trial.planned]
+    truth = trial.truth if trial.stated is None else drawn_setup(trial.truth, trial.stated, rng)
+    data = [perform(planned, truth, rng, trial.errors) for planned in trial.planned]
     free, priors = list(trial.free), {"sensor_lag_s": LAG_PRIOR}
     if trial.errors.offset_pa:
         free.append("sensor_offsets")
         actuators = data[0].actuators
         priors |= {f"sensor_{n + 1}_offset_pa": Prior(0.0, trial.errors.offset_pa) for n in range(actuators)}
-    fit = identify(data, trial.start, free, priors)
+    fit = identify(data, trial.start, free, priors, stated=trial.stated)
     out = []
     for parameter in named(trial.free, data[0].actuators):
         estimate = fit[parameter.name]
         if estimate.value is None or estimate.std is None:
             out.append(np.nan)
         else:
-            out.append((estimate.value - parameter.read(trial.truth)) / estimate.std)
+            out.append((estimate.value - parameter.read(truth)) / estimate.std)
     return np.array(out)
+
+
+def drawn_setup(setup: Setup, stated: Mapping[str, Prior], rng: np.random.Generator) -> Setup:
+    """A setup whose every number is drawn from what is stated of it, within its bounds; without sensor offsets."""
+    for name, parameter in known(setup.arm.geometry.actuators).items():
+        if not parameter.per_run:
+            value = rng.normal(stated[name].mean, stated[name].std)
+            setup = parameter.write(setup, float(np.clip(value, parameter.lower, parameter.upper)))
+    return setup

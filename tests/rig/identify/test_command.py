@@ -14,6 +14,7 @@ import pytest
 
 import runs
 from calibration.identify import NoDataError, Poses, Setup
+from calibration.identify.parameters import groups, known
 from calibration.identify.simulated_experiments import MeasurementErrors, perform, plan
 from rig.cli.app import main
 from rig.config.arm_model import model_arm
@@ -133,6 +134,56 @@ def test_paper_gives_what_section_5_2_gives(bench: dict[str, str], capsys: pytes
     assert free_strain == pytest.approx(TRUE["rpe_per_bar"], rel=0.25)
     assert float(found["mu of eqs 1-6"]["value"]) > 1e4
     assert "290.5 kPa" in found["published"]
+
+
+def test_every_parameter_is_named_by_the_help_and_by_the_error_for_an_unknown_one(
+    bench: dict[str, str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    rig("fit", "--help")
+    help_text = re.sub(r"[\s│]+", " ", capsys.readouterr().out)
+    rig(bench["one"], "--free", "lwa", status=2)
+    error = capsys.readouterr().err
+    assert "did you mean law?" in error
+    for name in (*groups(3), *known(3)):
+        first_of_its_kind = re.sub(r"_([23])_", "_1_", re.sub(r"_(r?)[yz]_", r"_\1x_", name))
+        assert first_of_its_kind in help_text
+        assert name in error
+
+
+def test_the_result_is_on_standard_output_in_units_of_the_bench(
+    bench: dict[str, str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    rig(bench["weights"], bench["one"], "--free", "law", "--leave-out", bench["two"])
+    out = capsys.readouterr().out
+    assert re.search(r"a1_per_n +\d\.\d+\(\d+\) x 10\^-3 /N", out)
+    # What is not free is listed with its stated uncertainty and with what the fit made of it.
+    assert re.search(r"inner_radius_m +9\.5\(5\) mm +9\.\d+\(\d+\) mm", out)
+    assert re.search(r"two \(left out\): rms", out)
+    # No model ran beside these runs.
+    assert "before: error of the initial parameters on the plateaus" in out
+
+
+def test_a_search_that_ends_worse_than_it_began_quotes_no_number(
+    bench: dict[str, str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    monkeypatch.setattr(
+        "calibration.identify.least_squares.LeastSquaresProblem.gauss_newton",
+        lambda self, z, only, weights, evaluations: (z + 0.3, False),
+    )
+    found = tmp_path / "found.yaml"
+    rig(bench["one"], "--free", "law", "--to", str(found), status=1)
+    said = capsys.readouterr()
+    assert "the search ended no better than it began" in said.err
+    assert "a1_per_n" not in said.out
+    assert not found.exists()
+
+
+def test_progress_is_printed_without_a_terminal(
+    bench: dict[str, str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("rig.cli.progress.LINE_PERIOD_S", 0.01)
+    rig(bench["one"], bench["two"], "--free", "law,rpe_per_bar")
+    assert re.search(r"searching: \d+ s, start 1, step \d+: rms \d+\.\d+ mm", capsys.readouterr().err)
 
 
 def test_paper_names_the_missing_runs(bench: dict[str, str], capsys: pytest.CaptureFixture[str]) -> None:
