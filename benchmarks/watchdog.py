@@ -26,9 +26,8 @@ from contextlib import contextmanager, suppress
 from itertools import repeat
 from pathlib import Path
 
-from scripts.faults.catalogue import CONTROL
 from scripts.faults.fault_trial import EndedBeforeError
-from scripts.faults.realtime import TrialRun
+from scripts.faults.trial_run import CONTROL, TrialRun
 
 KINDS = {"killed": (signal.SIGKILL, 10.0), "hung": (signal.SIGSTOP, 50.0)}
 """What is done to control, and the median allowed [ms]."""
@@ -59,7 +58,7 @@ def trial(number: signal.Signals, moment_s: float, idle: bool) -> float:
 
 def _struck(number: signal.Signals, moment_s: float, idle: bool) -> float:
     with tempfile.TemporaryDirectory(prefix="softrig-watchdog-") as folder:
-        run = TrialRun(Path(folder), None, {})
+        run = TrialRun(Path(folder))
         try:
             registers = run.wait_until_moving()
             with _load(idle):

@@ -23,8 +23,7 @@ import runs
 from rig.experiment import run as experiment
 from runs.records import Level
 from runs.run import Run
-from scripts.faults.catalogue import CONTROL, SUPERVISOR
-from scripts.faults.realtime import TrialRun, lives
+from scripts.faults.trial_run import CONTROL, SUPERVISOR, TrialRun, lives
 from scripts.faults.virtual import Listener
 
 PROTOCOL = """
@@ -92,7 +91,7 @@ def real(duration_s: float, stolen_s: float | None) -> bool:
     """One run in real time; `stolen_s` is for how long the host may take a processor away."""
     limits = {} if stolen_s is None else {"hung_s": stolen_s, "stale_s": max(stolen_s, 0.1)}
     with tempfile.TemporaryDirectory(prefix="softrig-soak-") as folder:
-        run = TrialRun(Path(folder), None, {}, PROTOCOL.format(duration_s=duration_s - 1), limits)
+        run = TrialRun(Path(folder), protocol=PROTOCOL.format(duration_s=duration_s - 1), limits=limits)
         try:
             run.wait_until_moving().close()
             grown = {name: Growth() for name in run.members}

@@ -13,7 +13,7 @@ from pathlib import Path
 from scripts.faults import table
 from scripts.faults.campaign import EXECUTORS, jobs, tried
 from scripts.faults.catalogue import CATALOGUE
-from scripts.faults.fault_trial import FaultTrial
+from scripts.faults.fault import FaultTrial
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -28,7 +28,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--log", type=Path, help="file of trials to add to; what is in it already is not tried again")
     parser.add_argument("--list", action="store_true", help="name the faults and do nothing")
     options = parser.parse_args(arguments)
-    faults = [fault for fault in CATALOGUE if options.only in fault.name]
+    try:
+        faults = CATALOGUE.named_like(options.only)
+    except KeyError as error:
+        parser.error(error.args[0])
     if options.list:
         print("\n".join(f"{fault.kind:14}{fault.name}" for fault in faults))
         return 0

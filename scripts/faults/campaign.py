@@ -13,9 +13,9 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 
-from scripts.faults import realtime, transitions, virtual
-from scripts.faults.catalogue import Fault, TransitionFault
-from scripts.faults.fault_trial import EARLIEST_S, LATEST_S, EndedBeforeError, FaultTrial
+from scripts.faults import realtime, virtual
+from scripts.faults.fault import Fault, FaultTrial
+from scripts.faults.fault_trial import EARLIEST_S, LATEST_S, EndedBeforeError
 
 EXECUTORS = ("real", "virtual")
 ATTEMPTS = 3
@@ -65,8 +65,6 @@ def tried(due: Sequence[Job], beside: int) -> Iterator[FaultTrial]:
 
 def _try(job: Job) -> FaultTrial:
     trial = virtual.trial if job.executor == "virtual" else realtime.trial
-    if isinstance(job.fault.action, TransitionFault):
-        trial = transitions.trial
     early = ""
     for _ in range(ATTEMPTS):
         with tempfile.TemporaryDirectory(prefix="softrig-faults-") as folder:

@@ -1,117 +1,38 @@
-"""The faults of the campaign by name: the action on a run, and the expected result."""
+"""The faults of the campaign: one object each, in the registry CATALOGUE."""
 
 from __future__ import annotations
 
-import signal
-from dataclasses import dataclass, field
-from enum import Enum
-
 from rig.simulator.faults import CameraFault, SensorFault, ValveFault
 from runs.records import Status
+from scripts.faults.environment import DAY_NS
+from scripts.faults.fault import Fault, FaultRegistry
+from scripts.faults.injections import (
+    KILL,
+    STOP,
+    BenchFault,
+    ClockStep,
+    DiskBlocked,
+    DiskFull,
+    FileLimit,
+    FilesChanged,
+    FolderReadOnly,
+    ModelUnsolvable,
+    RandomProcessSignals,
+    Signal,
+    TerminalBlocked,
+    TerminalLost,
+)
+from scripts.faults.transitions import TransitionAction, TransitionFault
+from scripts.faults.trial_run import CONTROL, OBSERVER, PLANT, SUPERVISOR, WATCHDOG
 
-SUPERVISOR, CONTROL, WATCHDOG, OBSERVER, PLANT = "supervisor", "control", "watchdog", "observer", "plant"
-KILL, STOP = signal.SIGKILL, signal.SIGSTOP
 STUCK_WHERE_IT_IS = float("nan")
 FOR_EVER = 10**9
-MOVING_S = 4.2
-
-
-@dataclass(frozen=True)
-class BenchFault:
-    """Words of the simulated bench's fault word (`rig.simulator.faults`)."""
-
-    words: dict[str, float]
-
-
-@dataclass(frozen=True)
-class Signal:
-    """A signal to processes of the run, all at once. They continue after `lasts_s`, or after the run if None."""
-
-    processes: tuple[str, ...]
-    number: signal.Signals
-    lasts_s: float | None = None
-    times: int = 1
-    then_vent: bool = False
-    """Run `rig vent` while they are stopped."""
-
-
-@dataclass(frozen=True)
-class RandomProcessSignals:
-    """One to three of the four processes that can make the valves safe, one after the other in any order.
-
-    Each gets one of `numbers`; stopped processes continue after `lasts_s`.
-    """
-
-    numbers: tuple[signal.Signals, ...]
-    lasts_s: float = 4.0
-
-
-class TransitionAction(Enum):
-    """Actions on a run while it starts or ends."""
-
-    KILLED_OR_STOPPED = "one to three of its processes killed or stopped"
-    ASKED = "Ctrl-C, SIGTERM or SIGHUP, one to three of them"
-    VENT = "rig vent"
-
-
-@dataclass(frozen=True)
-class TransitionFault:
-    """An action while the run starts, or while it ends: the valves are safe and the archive is not yet written."""
-
-    ending: bool
-    action: TransitionAction
-
-
-@dataclass(frozen=True)
-class DiskBlocked:
-    """The disk blocks for `lasts_s`."""
-
-    lasts_s: float
-
-
-class EnvironmentFault(Enum):
-    """Faults of the environment of the run."""
-
-    DISK_FULL = "disk full"
-    FILE_LIMIT = "file limit"
-    FOLDER_READ_ONLY = "folder read-only"
-    FILES_CHANGED = "files changed"
-    CLOCK_FORWARD = "clock forward"
-    CLOCK_BACK = "clock back"
-    TERMINAL_BLOCKED = "terminal blocked"
-    TERMINAL_LOST = "terminal lost"
-    MODEL_UNSOLVABLE = "model unsolvable"
-
-
-@dataclass(frozen=True)
-class Fault:
-    """One fault. `says` is a pattern of the message to the operator; `safe` is false if no program can help.
-
-    `ends` are the statuses that the archive may have.
-    """
-
-    name: str
-    kind: str
-    action: BenchFault | Signal | RandomProcessSignals | EnvironmentFault | DiskBlocked | TransitionFault
-    ends: tuple[Status, ...]
-    says: str
-    real: bool = True
-    virtual: bool = True
-    safe: bool = True
-    within_s: float = 3.0
-    """Time limit for safe valves if the run ends."""
-    remark: str = field(default="", kw_only=True)
-    moving_s: float = field(default=MOVING_S, kw_only=True)
-    """How long the protocol moves the valves."""
-
-
 ABORTED, FINISHED = (Status.ABORTED,), (Status.FINISHED,)
 RECOVERED, INTERRUPTED = (Status.RECOVERED,), (Status.INTERRUPTED,)
 GOES_ON_OR_NOT = (Status.FINISHED, Status.ABORTED)
 EITHER = (Status.ABORTED, Status.RECOVERED)
 PROCESS_FAULT = "process died|silent|hung|exited before"
 PRESSURE = r"sensor 1|actuator 1"
-NAN = STUCK_WHERE_IT_IS
 
 
 def _sensor(name: str, says: str, **words: float) -> Fault:
@@ -124,13 +45,13 @@ def _valve(name: str, says: str, **words: float) -> Fault:
 
 def _process(
     name: str,
-    action: Signal | RandomProcessSignals,
+    injection: Signal | RandomProcessSignals,
     ends: tuple[Status, ...],
     says: str,
     remark: str = "",
     within_s: float = 3.0,
 ) -> Fault:
-    return Fault(name, "process", action, ends, says, virtual=False, within_s=within_s, remark=remark)
+    return Fault(name, "process", injection, ends, says, virtual=False, within_s=within_s, remark=remark)
 
 
 SENSORS = (
@@ -149,7 +70,7 @@ SENSORS = (
     ),
 )
 AIR = (
-    _valve("valve stuck where it is", PRESSURE, valve_1=ValveFault.STUCK, valve_value_1=NAN),
+    _valve("valve stuck where it is", PRESSURE, valve_1=ValveFault.STUCK, valve_value_1=STUCK_WHERE_IT_IS),
     _valve("valve stuck open", PRESSURE, valve_1=ValveFault.STUCK, valve_value_1=10.0),
     _valve("valve stuck shut", PRESSURE, valve_1=ValveFault.STUCK, valve_value_1=5.0),
     _valve("valve leaking, 60 l/min", PRESSURE, valve_1=ValveFault.LEAKING, valve_value_1=60.0),
@@ -293,14 +214,12 @@ SURROUNDINGS = (
         )
         for lasts_s in (0.15, 0.6)
     ),
-    Fault("disk full", "disk", EnvironmentFault.DISK_FULL, (*ABORTED, *RECOVERED), "full"),
-    Fault(
-        "file size limit reached", "disk", EnvironmentFault.FILE_LIMIT, (*ABORTED, *RECOVERED), "full", virtual=False
-    ),
+    Fault("disk full", "disk", DiskFull(), (*ABORTED, *RECOVERED), "full"),
+    Fault("file size limit reached", "disk", FileLimit(), (*ABORTED, *RECOVERED), "full", virtual=False),
     Fault(
         "folder turns read-only",
         "disk",
-        EnvironmentFault.FOLDER_READ_ONLY,
+        FolderReadOnly(),
         FINISHED,
         "the journal is kept",
         virtual=False,
@@ -327,23 +246,23 @@ SURROUNDINGS = (
     Fault(
         "rig and protocol changed on disk",
         "files",
-        EnvironmentFault.FILES_CHANGED,
+        FilesChanged(),
         FINISHED,
         "",
         remark="the run has its own",
     ),
-    Fault("clock stepped forward by a day", "clock", EnvironmentFault.CLOCK_FORWARD, FINISHED, "", virtual=False),
-    Fault("clock stepped back by a day", "clock", EnvironmentFault.CLOCK_BACK, FINISHED, "", virtual=False),
+    Fault("clock stepped forward by a day", "clock", ClockStep(DAY_NS), FINISHED, "", virtual=False),
+    Fault("clock stepped back by a day", "clock", ClockStep(-DAY_NS), FINISHED, "", virtual=False),
     Fault(
         "terminal blocked (Ctrl-S, a full pipe)",
         "terminal",
-        EnvironmentFault.TERMINAL_BLOCKED,
+        TerminalBlocked(),
         FINISHED,
         "",
         virtual=False,
     ),
-    Fault("terminal closed", "terminal", EnvironmentFault.TERMINAL_LOST, INTERRUPTED, "SIGHUP", virtual=False),
-    Fault("model not converging", "model", EnvironmentFault.MODEL_UNSOLVABLE, FINISHED, "model cannot be solved"),
+    Fault("terminal closed", "terminal", TerminalLost(), INTERRUPTED, "SIGHUP", virtual=False),
+    Fault("model not converging", "model", ModelUnsolvable(), FINISHED, "model cannot be solved"),
 )
 TRANSITIONS = tuple(
     Fault(
@@ -359,4 +278,4 @@ TRANSITIONS = tuple(
     for action in TransitionAction
     if not (ending and action is TransitionAction.VENT)
 )
-CATALOGUE: tuple[Fault, ...] = (*SENSORS, *AIR, *CARD, *CAMERA, *PROCESSES, *SURROUNDINGS, *TRANSITIONS)
+CATALOGUE = FaultRegistry(*SENSORS, *AIR, *CARD, *CAMERA, *PROCESSES, *SURROUNDINGS, *TRANSITIONS)

@@ -14,34 +14,10 @@ import runs
 from runs.archive.writer import ArchiveError
 from runs.recovery import recover
 from runs.run import Run
-from scripts.faults.catalogue import Fault
+from scripts.faults.fault import Fault, FaultTrial
 
-PROTOCOL = """
-title: Both valves in motion
-steps:
-  - ramp: {{actuators: [1, 2, 3], to_bar: 0.3, duration_s: 0.6}}
-  - sine: {{actuators: [1, 2, 3], mean_bar: 0.3, amplitude_bar: 0.2, omega_rad_s: 4, duration_s: {moving_s:g}}}
-"""
 EARLIEST_S, LATEST_S = 0.2, 2.0
 """When a fault may strike, after the valves have begun to move."""
-
-
-@dataclass(frozen=True)
-class FaultTrial:
-    """What came of one fault at one moment. `wrong` is what was not as it must be, empty when all was.
-
-    `safe_s` is the time from the fault to the safe state, not a number where the run went on to its end.
-    """
-
-    fault: str
-    executor: str
-    at_s: float
-    status: str
-    told: str
-    safe_s: float
-    lost_s: float
-    wrong: str
-    skipped: str = ""
 
 
 class EndedBeforeError(Exception):

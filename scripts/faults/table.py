@@ -8,8 +8,8 @@ import statistics
 from collections.abc import Sequence
 from pathlib import Path
 
-from scripts.faults.catalogue import Fault
-from scripts.faults.fault_trial import FaultTrial, worst
+from scripts.faults.fault import Fault, FaultTrial
+from scripts.faults.fault_trial import worst
 
 BEGIN, END = "<!-- campaign: written by `make faults` -->", "<!-- end of campaign -->"
 

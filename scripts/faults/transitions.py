@@ -10,15 +10,18 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import dataclass
+from enum import Enum
 from pathlib import Path
 
 import rig.config.loader
 from rig.hardware.cards.base import CardError
 from rig.hardware.lock import cards_locked
 from runs.records import Status
-from scripts.faults.catalogue import KILL, PLANT, STOP, SUPERVISOR, Fault, TransitionAction, TransitionFault
-from scripts.faults.fault_trial import EndedBeforeError, FaultTrial, archive
-from scripts.faults.realtime import START_S, TrialRun, children
+from scripts.faults.fault import Fault, FaultTrial, Injection
+from scripts.faults.fault_trial import EndedBeforeError, archive
+from scripts.faults.injections import KILL, STOP
+from scripts.faults.trial_run import PLANT, START_S, SUPERVISOR, TrialRun, children
 
 DURATION_S = 0.6
 PROTOCOL = f"""
@@ -35,27 +38,40 @@ SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 TOLD = "stopped before the run began|process died|before the run began|silent|hung|interrupted|Interrupt|is in use"
 
 
-def trial(fault: Fault, folder: Path, at_s: float, seed: int) -> FaultTrial:
-    """Run one trial, and check what the run leaves behind."""
-    fault_action = fault.action
-    assert isinstance(fault_action, TransitionFault)
-    chance = random.Random(seed)
-    run = TrialRun(folder, None, {}, PROTOCOL)
-    try:
-        _wait(run, fault_action, chance.randint(0, 4))
-        time.sleep(chance.uniform(0.0, FAULT_DELAY_S))
-        if run.process.poll() is not None:
-            raise EndedBeforeError(run.said[-1500:])
-        run.members = {SUPERVISOR: run.process.pid} | children(run.process.pid)
-        killed = _act(run, fault_action.action, chance)
-        return _judged(fault.name, fault_action, at_s, run, killed)
-    finally:
-        run.close()
+class TransitionAction(Enum):
+    """Actions on a run while it starts or ends."""
+
+    KILLED_OR_STOPPED = "one to three of its processes killed or stopped"
+    ASKED = "Ctrl-C, SIGTERM or SIGHUP, one to three of them"
+    VENT = "rig vent"
 
 
-def _wait(run: TrialRun, fault_action: TransitionFault, born: int) -> None:
+@dataclass(frozen=True)
+class TransitionFault(Injection):
+    """An action while the run starts, or while it ends: the valves are safe and the archive is not yet written."""
+
+    ending: bool
+    action: TransitionAction
+
+    def trial(self, fault: Fault, folder: Path, at_s: float, seed: int) -> FaultTrial:
+        """Run one trial, and check what the run leaves behind."""
+        chance = random.Random(seed)
+        run = TrialRun(folder, protocol=PROTOCOL)
+        try:
+            _wait(run, self, chance.randint(0, 4))
+            time.sleep(chance.uniform(0.0, FAULT_DELAY_S))
+            if run.process.poll() is not None:
+                raise EndedBeforeError(run.said[-1500:])
+            run.members = {SUPERVISOR: run.process.pid} | children(run.process.pid)
+            killed = _act(run, self.action, chance)
+            return _judged(fault.name, self, at_s, run, killed)
+        finally:
+            run.close()
+
+
+def _wait(run: TrialRun, fault: TransitionFault, born: int) -> None:
     """Wait until so many processes run, or until the valves are safe after motion."""
-    if fault_action.ending:
+    if fault.ending:
         registers = run.wait_until_moving()
         while not run.ended(registers):
             time.sleep(0.001)
@@ -89,7 +105,7 @@ def _act(run: TrialRun, action: TransitionAction, chance: random.Random) -> bool
     return chosen.get(SUPERVISOR) == KILL
 
 
-def _judged(name: str, fault_action: TransitionFault, at_s: float, run: TrialRun, killed: bool) -> FaultTrial:
+def _judged(name: str, fault: TransitionFault, at_s: float, run: TrialRun, killed: bool) -> FaultTrial:
     wrong = []
     try:
         ended = run.process.wait(GONE_S)
@@ -111,7 +127,7 @@ def _judged(name: str, fault_action: TransitionFault, at_s: float, run: TrialRun
     kept, status, lost_s = archive(run.out), "no archive", 0.0
     if kept is not None:
         status = str(kept.status)
-        if fault_action.ending and len(kept.pressure.time_s):
+        if fault.ending and len(kept.pressure.time_s):
             lost_s = max(0.0, DURATION_S - float(kept.pressure.time_s[-1]) - 2 / kept.header.control_hz)
     elif list(run.out.glob("*")):
         wrong.append("the archive does not open, and none could be made of its journal")

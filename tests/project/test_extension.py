@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import re
+import sys
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -11,18 +12,75 @@ from typing import Any
 import numpy as np
 import pytest
 
+from rig.config import loader
+from rig.config.drivers import CAMERA_DRIVERS, CARD_DRIVERS, Driver
 from rig.control.sensor_state import RegulatorDemand, SensorState
+from rig.hardware.bench import open_bench
+from rig.hardware.cameras.registry import open_camera
 from rig.valves.iso6358 import ATMOSPHERE_PA
+from scripts.faults import virtual
+from scripts.faults.catalogue import CATALOGUE
+from scripts.faults.fault import FaultRegistry
 from tests.support.plant_bench import mock_rig
 
 PAGE = Path(__file__).parents[2] / "docs" / "how-to" / "extend-softrig.md"
 
 
-def test_the_examples_of_the_page_are_complete_extensions(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.fixture
+def known(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
+    """The objects of the examples. An example that begins with a file name becomes that file."""
     blocks = re.findall(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
-    (tmp_path / "extension_examples.py").write_text("\n".join(blocks), encoding="utf-8")
+    files: dict[str, str] = {}
+    for block in blocks:
+        named = re.match(r"# (\w+\.py)\n", block)
+        name = named[1] if named else "extension_examples.py"
+        files[name] = files.get(name, "") + block
+    for name, text in files.items():
+        (tmp_path / name).write_text(text, encoding="utf-8")
+        monkeypatch.delitem(sys.modules, name.removesuffix(".py"), raising=False)
     monkeypatch.syspath_prepend(tmp_path)
-    known: dict[str, Any] = vars(importlib.import_module("extension_examples"))
+    return vars(importlib.import_module("extension_examples"))
+
+
+def test_the_example_card_and_camera_are_opened_by_their_names(
+    known: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for drivers, driver in (
+        (CARD_DRIVERS, Driver("constant", "constant_card")),
+        (CAMERA_DRIVERS, Driver("grey", "grey_camera")),
+    ):
+        monkeypatch.setattr(drivers, "_drivers", dict(drivers))
+        drivers.register(driver)
+    text = (
+        loader.text("pci1716").replace("driver: comedi", "driver: constant").replace("driver: opencv", "driver: grey")
+    )
+    config = loader.parse(text, "rig.yaml")
+    bench = open_bench(config)
+    bench.arm()
+    bench.start()
+    assert bench.read().volts.tolist() == [[1.0] * config.actuators]
+    assert bench.readback().tolist() == bench.safe_voltages.tolist()
+    bench.close()
+    (name,) = config.cameras
+    camera = open_camera(config, name)
+    frames = [camera.read(1.0) for _ in range(2)]
+    assert [frame.index for frame in frames] == [0, 1]
+    assert frames[1].image.shape == (config.cameras[name].height_px, config.cameras[name].width_px)
+    assert frames[1].t_ns > frames[0].t_ns
+    camera.close()
+
+
+def test_the_example_fault_passes_its_trial(known: dict[str, Any], tmp_path: Path) -> None:
+    faults = FaultRegistry(*CATALOGUE.values(), known["FILES_REMOVED"])
+    (fault,) = faults.named_like("removed")
+    folder = tmp_path / "trial"
+    folder.mkdir()
+    trial = virtual.trial(fault, folder, 1.0, seed=1)
+    assert (trial.wrong, trial.status) == ("", "finished")
+    assert not (folder / "rig.yaml").exists()
+
+
+def test_the_examples_of_the_page_are_complete_extensions(known: dict[str, Any]) -> None:
     vacuum = known["Vacuum"](1)
     assert vacuum.trip(0, SensorState(pressure_pa=0.0), RegulatorDemand(0.0, 0.0, 0.0, 0.0)) is None
     assert (

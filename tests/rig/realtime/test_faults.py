@@ -10,7 +10,9 @@ import runs
 from rig.hardware.safe_state import UNSAFE
 from runs.records import Status
 from scripts.faults import realtime
-from scripts.faults.catalogue import CATALOGUE, CONTROL, FOR_EVER, KILL
+from scripts.faults.catalogue import CATALOGUE, FOR_EVER
+from scripts.faults.injections import KILL
+from scripts.faults.trial_run import CONTROL, TrialRun
 
 pytestmark = pytest.mark.realtime
 
@@ -19,14 +21,13 @@ SOME = ("all but the observer stopped, 4 s", "terminal blocked (Ctrl-S, a full p
 
 @pytest.mark.parametrize("name", SOME)
 def test_the_fault_is_reported_and_the_bench_is_safe(name: str, tmp_path: Path) -> None:
-    (fault,) = (fault for fault in CATALOGUE if fault.name == name)
-    trial = realtime.trial(fault, tmp_path, at_s=1.0, seed=1)
+    trial = realtime.trial(CATALOGUE[name], tmp_path, at_s=1.0, seed=1)
     assert trial.wrong == ""
 
 
 @pytest.mark.parametrize("killed", [(), (CONTROL,)], ids=["by control", "by the watchdog"])
 def test_valves_that_cannot_be_written_are_never_called_safe(killed: tuple[str, ...], tmp_path: Path) -> None:
-    run = realtime.TrialRun(tmp_path, None, {})
+    run = TrialRun(tmp_path)
     try:
         registers = run.wait_until_moving()
         registers.faults.inject(failing_writes=FOR_EVER)

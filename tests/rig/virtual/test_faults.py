@@ -9,10 +9,13 @@ import pytest
 
 import runs
 from scripts.faults import virtual
-from scripts.faults.catalogue import CATALOGUE, Fault
-from scripts.faults.fault_trial import EARLIEST_S, PROTOCOL
+from scripts.faults.__main__ import main
+from scripts.faults.catalogue import CATALOGUE
+from scripts.faults.fault import Fault, FaultRegistry
+from scripts.faults.fault_trial import EARLIEST_S
+from scripts.faults.trial_run import PROTOCOL
 
-FAULTS = [fault for fault in CATALOGUE if fault.virtual]
+FAULTS = [fault for fault in CATALOGUE.values() if fault.virtual]
 LATEST_S = 1.2
 BRIEFER = PROTOCOL.replace("{moving_s:g}", "3.4")
 """Shorter than the campaign's protocol, because the faults come earlier."""
@@ -35,8 +38,16 @@ def test_the_fault_is_reported_and_the_bench_is_safe(fault: Fault, tmp_path: Pat
 
 
 def test_the_catalogue_names_at_least_thirty_faults_once_each() -> None:
-    names = [fault.name for fault in CATALOGUE]
-    assert len(set(names)) == len(names) >= 30
+    assert len(CATALOGUE) >= 30
+    assert [fault.name for fault in CATALOGUE.values()] == list(CATALOGUE)
+    with pytest.raises(ValueError, match="a fault named 'sensor open' is registered already"):
+        FaultRegistry(CATALOGUE["sensor open"], CATALOGUE["sensor open"])
+
+
+def test_an_unknown_fault_is_refused_with_the_known_names(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        main(["--only", "no such fault"])
+    assert "no fault is named like 'no such fault'; known are: sensor open, sensor short" in capsys.readouterr().err
 
 
 def test_a_valve_that_does_not_obey_is_reported_when_the_air_does_not_leave(tmp_path: Path) -> None:
