@@ -10,23 +10,30 @@ import json
 import os
 from collections.abc import Iterable
 from contextlib import suppress
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from pydantic import TypeAdapter
 
+from runs import annotation_file
 from runs.archive.checked import ArchiveError, opened_in_part
 from runs.archive.writer import SUFFIX
+from runs.pressure_cycles import pressure_cycles
+from runs.records import MODEL_ALONE
 
 INDEX = ".catalogue.json"
-_FORM = 1
+_FORM = 2
 """Increased when `Entry` changes."""
 _TEXTS = ("run_id", "title", "start_time", "status", "executor", "operator", "notes")
 _READ = (
     *(f"entry/{name}" for name in (*_TEXTS, "duration", "simulated", "protocol/name", "rig/name", "model/variant")),
     "entry/tip/time",
     "entry/tip/error_mm",
+    "entry/parent",
+    "entry/sample/name",
+    "entry/pressure/time",
+    "entry/pressure/measured_bar",
 )
 
 
@@ -51,6 +58,11 @@ class Entry:
     mean_error_mm: float | None = None
     """None where no tip was measured."""
     max_error_mm: float | None = None
+    specimen: str = ""
+    pressure_cycles: int | None = None
+    """As `runs.pressure_cycles` counts them; None without a specimen, and for what is no experiment of its own."""
+    tags: tuple[str, ...] = ()
+    """Added afterwards; not in the index."""
     problem: str = ""
 
 
@@ -75,7 +87,21 @@ def catalogue(folder: Path | str) -> tuple[Entry, ...]:
         now[name] = before if before is not None and before.stamp == stamp else _CachedEntry(stamp, _read(place / name))
     if now != known:
         _store(place / INDEX, now)
-    return tuple(sorted((k.entry for k in now.values()), key=lambda e: (e.start_time, e.file), reverse=True))
+    entries = (_annotated(place, cached.entry) for cached in now.values())
+    return tuple(sorted(entries, key=lambda e: (e.start_time, e.file), reverse=True))
+
+
+def _annotated(place: Path, entry: Entry) -> Entry:
+    try:
+        return replace(entry, tags=annotation_file.read(place / entry.file).tags)
+    except ArchiveError as error:
+        return replace(entry, problem=str(error))
+
+
+def specimen_cycles(entries: Iterable[Entry], specimen: str) -> tuple[int, int]:
+    """Return the pressure cycles of a specimen, and the number of its runs that they are counted over."""
+    counts = [e.pressure_cycles for e in entries if e.specimen == specimen and e.pressure_cycles is not None]
+    return sum(counts), len(counts)
 
 
 def search(
@@ -86,6 +112,8 @@ def search(
     since: str = "",
     until: str = "",
     error_above_mm: float | None = None,
+    tag: str = "",
+    specimen: str = "",
 ) -> tuple[Entry, ...]:
     """Return the entries that match all given filters.
 
@@ -98,6 +126,8 @@ def search(
         for entry in entries
         if all(word in _words(entry) for word in words)
         and (not status or entry.status == status)
+        and (not tag or tag in entry.tags)
+        and (not specimen or entry.specimen == specimen)
         and entry.start_time >= since
         and entry.start_time[: len(until)] <= until
         and (error_above_mm is None or (entry.mean_error_mm or 0.0) > error_above_mm)
@@ -128,6 +158,9 @@ def _read(path: Path) -> Entry:
         with opened_in_part(path, _READ) as archive:
             error = archive.value("entry/tip/error_mm")
             known = error[np.isfinite(error)]
+            specimen = archive.value("entry/sample/name") if archive.fields("entry/sample") else ""
+            own = not archive.value("entry/parent") and archive.value("entry/executor") != MODEL_ALONE
+            cycles = pressure_cycles(archive.value("entry/pressure/measured_bar")) if specimen and own else None
             return Entry(
                 file=path.name,
                 **{name: archive.value(f"entry/{name}") for name in _TEXTS},
@@ -139,6 +172,8 @@ def _read(path: Path) -> Entry:
                 frames=len(error),
                 mean_error_mm=float(known.mean()) if len(known) else None,
                 max_error_mm=float(known.max()) if len(known) else None,
+                specimen=specimen,
+                pressure_cycles=cycles,
             )
     except ArchiveError as fault:
         return Entry(path.name, problem=str(fault))
@@ -171,4 +206,6 @@ def _store(path: Path, known: dict[str, _CachedEntry]) -> None:
 def _words(entry: Entry) -> str:
     simulated = "simulated" if entry.simulated else ""
     fields = (entry.file, entry.title, entry.start_time, entry.status, entry.protocol, entry.rig, entry.model)
-    return " ".join((*fields, entry.executor, simulated, entry.operator, entry.notes, entry.problem)).lower()
+    return " ".join(
+        (*fields, entry.specimen, *entry.tags, entry.executor, simulated, entry.operator, entry.notes, entry.problem)
+    ).lower()

@@ -22,6 +22,9 @@ from runs.columns import blank as blank
 from runs.columns import observation_dtype as observation_dtype
 from runs.columns import sample_dtype as sample_dtype
 
+MODEL_ALONE = "model alone"
+"""Executor of a simulation of the model, without a bench."""
+
 
 class Status(StrEnum):
     """How a run ended."""

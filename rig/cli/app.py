@@ -11,7 +11,7 @@ from typing import Annotated, Any, NoReturn
 
 import typer
 
-from rig.cli import archives, calibrate, completion, identify, init, reproduce
+from rig.cli import annotate, archives, calibrate, completion, identify, init, reproduce
 from rig.cli.address_space import NumericalCommand, PlottingCommand
 from rig.cli.completion import DATA
 from rig.cli.help_formatter import HelpFormatter, HelpGroup
@@ -337,7 +337,7 @@ def live(
     raise typer.Exit(show(found, pid, listen, port, lambda line: screen.print(line, soft_wrap=True)))
 
 
-for command in (archives.runs, archives.show, archives.export, archives.recover):
+for command in (annotate.note, annotate.tag, archives.runs, archives.show, archives.export, archives.recover):
     app.command()(command)
 app.command(cls=PlottingCommand)(archives.report)
 app.command(cls=NumericalCommand)(archives.replay)

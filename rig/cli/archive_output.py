@@ -21,7 +21,9 @@ from rig.cli.completion import DATA
 from rig.cli.console import console
 from rig.cli.json_output import plain_json
 from rig.cli.run_names import resolve
+from runs import annotation_file
 from runs.catalogue import Entry
+from runs.pressure_cycles import pressure_cycles
 from runs.records import Status
 from runs.recovery import RecoveryStatus
 from runs.recovery import recover as recover_folder
@@ -53,8 +55,18 @@ def show(name: Path, as_json: bool) -> None:
     archive = resolve(name)
     run = records.open(archive)
     summary = summarise(run)
+    added = annotation_file.read(archive)
     if as_json:
-        typer.echo(json.dumps({"header": plain_json(asdict(run.header)), "summary": summary_json(archive)}, indent=2))
+        typer.echo(
+            json.dumps(
+                {
+                    "header": plain_json(asdict(run.header)),
+                    "summary": summary_json(archive),
+                    "annotations": asdict(added),
+                },
+                indent=2,
+            )
+        )
         return
     header = run.header
     screen = console()
@@ -74,6 +86,9 @@ def show(name: Path, as_json: bool) -> None:
         ("operator", header.operator or "-"),
         ("metadata", ", ".join(f"{name} = {text}" for name, text in header.metadata.items()) or "-"),
         ("notes", header.notes or "-"),
+        *(("note", f"{note.time}: {note.text}") for note in added.notes),
+        ("tags", ", ".join(added.tags) or "-"),
+        ("pressure cycles", str(pressure_cycles(run.pressure.measured_bar))),
         ("command", header.command),
         ("host", header.host),
         ("commit", (header.git_commit or "-") + (" with uncommitted changes" if header.git_diff else "")),
@@ -154,9 +169,20 @@ def runs(entries: Sequence[Entry], folder: Path, as_json: bool) -> None:
     table.add_column("run", no_wrap=True)  # so that it can be copied whole
     for head in ("status", "protocol", "rig", "operator", "mean error [mm]"):
         table.add_column(head, overflow="fold")
+    optional = [head for head in ("specimen", "tags") if any(getattr(entry, head) for entry in entries)]
+    for head in optional:
+        table.add_column(head, overflow="fold")
     for entry in entries:
         rig = entry.rig + (" (simulated)" if entry.simulated else "")
         error = "" if entry.mean_error_mm is None else f"{entry.mean_error_mm:.2f}"
-        status = entry.status or f"unreadable: {entry.problem}"
-        table.add_row(entry.run_id or entry.file, status, entry.protocol, rig, entry.operator, error)
+        status = "; ".join(filter(None, (entry.status or "unreadable", entry.problem)))
+        facts = {"specimen": entry.specimen, "tags": ", ".join(entry.tags)}
+        cells = (status, entry.protocol, rig, entry.operator, error, *(facts[head] for head in optional))
+        table.add_row(entry.run_id or entry.file, *cells)
     console().print(table)
+
+
+def cycles(specimen: str, count: int, runs_counted: int) -> None:
+    """Print how many pressure cycles a specimen has made."""
+    counted = f"{runs_counted} run{'' if runs_counted == 1 else 's'}"
+    typer.echo(f"specimen {specimen}: {count} pressure cycles in {counted} of this folder")

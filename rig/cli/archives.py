@@ -34,17 +34,31 @@ def runs(
     status: Annotated[str, typer.Option(help="finished, interrupted, aborted or recovered.")] = "",
     since: Annotated[str, typer.Option(help="From this date on, as 2026-11 or 2026-11-21.")] = "",
     until: Annotated[str, typer.Option(help="Up to and including this date.")] = "",
+    tag: Annotated[str, typer.Option(help="Only those with this tag.")] = "",
+    specimen: Annotated[str, typer.Option(help="Only those of this specimen, with the sum of pressure cycles.")] = "",
     error_above_mm: Annotated[float | None, typer.Option(help="Only those with a larger mean error.")] = None,
     json: AsJson = False,
 ) -> None:
     """List the archives of a folder, newest first."""
     from rig.cli import archive_output, recovery_offer
-    from runs.catalogue import catalogue, search
+    from runs.catalogue import catalogue, search, specimen_cycles
 
     archive_output.check_search(folder, status, since, until, error_above_mm)
     recovery_offer.offer(folder)
-    found = search(catalogue(folder), text, status=status, since=since, until=until, error_above_mm=error_above_mm)
+    entries = catalogue(folder)
+    found = search(
+        entries,
+        text,
+        status=status,
+        since=since,
+        until=until,
+        error_above_mm=error_above_mm,
+        tag=tag,
+        specimen=specimen,
+    )
     archive_output.runs(found, folder, json)
+    if specimen and found and not json:
+        archive_output.cycles(specimen, *specimen_cycles(entries, specimen))
 
 
 def show(archive: Archive, json: AsJson = False) -> None:

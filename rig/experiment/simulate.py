@@ -19,7 +19,7 @@ from rig.experiment.run import RunRequest, header
 from rig.observation.overlay import backbone
 from runs.archive.writer import finalise
 from runs.journal.journal import JournalWriter
-from runs.records import DetectionStatus, RunFooter, Status, blank, observation_dtype, sample_dtype
+from runs.records import MODEL_ALONE, DetectionStatus, RunFooter, Status, blank, observation_dtype, sample_dtype
 
 _Solve = Callable[[NDArray[np.float64], model.Loads | None], model.Shape]
 
@@ -61,7 +61,7 @@ def simulate(request: RunRequest, plan: Plan, static: bool) -> Path:
         row["model_m"], row["backbone_m"], row["model_ok"] = tip_m, backbone(shape), shape is not None
 
     title = f"{request.protocol.title} (model alone, {'static' if static else 'dynamic'})"
-    about = replace(header(request, plan, 0), title=title, executor="model alone", simulated=True, control_hz=rate_hz)
+    about = replace(header(request, plan, 0), title=title, executor=MODEL_ALONE, simulated=True, control_hz=rate_hz)
     request.folder.mkdir(parents=True, exist_ok=True)
     journal = JournalWriter(request.folder / f"{about.run_id}.mcap", about)
     journal.samples(samples)

@@ -113,8 +113,10 @@ def _check_attributes(file: h5py.File) -> None:
 def _present(group: GroupSchema, node: h5py.Group, wanted: frozenset[str] | None) -> Iterator[ExpectedDataset]:
     """Yield the datasets of a group by the schema, and of an open group those of the run."""
     yield from (one for one in group.datasets.values() if wanted is None or one.path in wanted)
-    if group.alike and wanted is None:
-        for name in node:
+    if group.alike:
+        # Of a part only the wanted names are looked up: an open group may be large.
+        inside = {path.removeprefix(f"{group.path}/") for path in wanted or ()}
+        for name in node if wanted is None else sorted(name for name in inside if "/" not in name and name in node):
             if not isinstance(name, str):
                 raise SchemaViolationError(f"the name {name!r}", "a name in UTF-8")
             path = f"{group.path}/{name}"

@@ -10,6 +10,7 @@ from html import escape
 from importlib import resources
 from pathlib import Path
 
+from runs import annotation_file
 from runs.archive import layout
 from runs.overwriting import refuse_existing
 from runs.report import comparison, pictures
@@ -96,6 +97,8 @@ def _run(run: Run, summary: Summary) -> str:
     badges = f'<span class="badge {summary.status}">{summary.status}</span>'
     if summary.simulated:
         badges += '<span class="badge simulated">simulated</span>'
+    added = annotation_file.read(run.path)
+    badges += "".join(f'<span class="badge">{escape(tag)}</span>' for tag in added.tags)
     began = layout.utc(header.started_utc_ns)[:19].replace("T", " ")
     parts = [
         f'<section class="run">\n<header class="run"><h1>{escape(header.title)}{badges}</h1>\n'
@@ -113,6 +116,7 @@ def _run(run: Run, summary: Summary) -> str:
         parts.append(f'<p class="note fault"><b>{escape(str(summary.status))}:</b> {escape(summary.message)}</p>')
     if header.notes:
         parts.append(f"<p>{escape(header.notes)}</p>")
+    parts += [f"<p>{escape(note.time)}: {escape(note.text)}</p>" for note in added.notes]
     parts += [_tiles(summary), *_figures(run, summary), _steps(summary), pictures.section(run, summary), _events(run)]
     parts += [_provenance(run), "</section>"]
     return "\n".join(part for part in parts if part)

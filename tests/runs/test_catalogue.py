@@ -87,7 +87,7 @@ def test_any_rubbish_in_the_index_heals(tmp_path_factory: pytest.TempPathFactory
         make(folder, "only")
     (folder / INDEX).write_bytes(rubbish)
     assert names(catalogue(folder)) == ["only"]
-    assert json.loads((folder / INDEX).read_text())["form"] == 1
+    assert json.loads((folder / INDEX).read_text())["form"] == module._FORM
 
 
 def test_an_index_with_odd_entries_heals(folder: Path) -> None:
