@@ -92,11 +92,27 @@ class TableFormat(Section):
     missing: tuple[str, ...] = Field(default=(), description="cells that mean 'not measured', beside empty and nan")
 
 
-class TimeColumn(Section):
-    """When each row was taken."""
+class RowTime(Section):
+    """When each row was taken: a column and its unit, or the period of a table without a clock."""
 
-    column: Column
-    unit: Literal[TimeUnit, "iso"] = Field(description="iso: date and time in ISO 8601, to the microsecond")
+    column: Column | SkipJsonSchema[None] = None
+    unit: Literal[TimeUnit, "iso"] | SkipJsonSchema[None] = Field(
+        default=None, description="iso: date and time in ISO 8601, to the microsecond"
+    )
+    period_ms: Annotated[float, Field(ge=1e-3, le=3_600_000, strict=True)] | SkipJsonSchema[None] = Field(
+        default=None, description="time from row to row, of a table without a clock"
+    )
+
+    @model_validator(mode="after")
+    def _check(self) -> RowTime:
+        if self.period_ms is None:
+            absent = [name for name in ("column", "unit") if getattr(self, name) is None]
+            expected = "is missing: a column and its unit, or period_ms for a table without a clock"
+            faults(ValidationFault((name,), expected) for name in absent)
+        else:
+            given = [name for name in ("column", "unit") if getattr(self, name) is not None]
+            faults(ValidationFault((name,), "nothing: period_ms is for a table without a clock") for name in given)
+        return self
 
 
 class WeightColumn(Section):
@@ -287,7 +303,7 @@ class Mapping(Section):
     rig: Word | SkipJsonSchema[None] = Field(default=None, description="name or file of a rig with this arm")
     simulated: Flag = Field(default=False, description="the table holds no measurements: a program computed it")
     file: TableFormat = TableFormat()
-    time: TimeColumn
+    time: RowTime
     pressures: PressureColumnsSection
     setpoints: SetPoints | SkipJsonSchema[None] = None
     valves: Valves | SkipJsonSchema[None] = None
@@ -352,7 +368,8 @@ class Mapping(Section):
             yield ValidationFault(("file", "header"), "columns by number where the file names none")
 
     def _groups(self) -> Iterator[tuple[tuple[str | int, ...], tuple[int | str, ...]]]:
-        yield ("time",), (self.time.column,)
+        if self.time.column is not None:
+            yield ("time",), (self.time.column,)
         if self.weight is not None:
             yield ("weight",), (self.weight.column,)
         for name in ("pressures", "setpoints", "valves"):

@@ -1,4 +1,4 @@
-"""Time of each row of a foreign table: a column of numbers in a unit of time, or of dates in ISO 8601."""
+"""Time of each row of a foreign table: a column of numbers or of dates in ISO 8601, or the number of the row."""
 
 from __future__ import annotations
 
@@ -31,6 +31,10 @@ class RowTimes:
 def times(columns: ColumnReader, mapping: Mapping) -> RowTimes:
     """The rows' times; what the file lacks of them becomes a problem of the columns."""
     column, unit = mapping.time.column, mapping.time.unit
+    if mapping.time.period_ms is not None:
+        return _counted(columns, mapping.pressures.columns[0], mapping.time.period_ms)
+    assert column is not None
+    assert unit is not None
     found = _dates(columns, column) if unit == "iso" else _numbers(columns, column, SECONDS[unit])
     if found is None:
         return RowTimes(np.array([0, 1], np.int64), utc=False)
@@ -44,9 +48,22 @@ def times(columns: ColumnReader, mapping: Mapping) -> RowTimes:
         )
 
     problems += some(columns.table, column, early, not_later)
-    if len(read.t_ns) < 2:
-        problems.append(Problem(columns.table.file, 0, 0, "", f"{len(read.t_ns)} rows", "two rows at least"))
-    columns.problems += problems
+    columns.problems += [*problems, *_too_few(columns, read)]
+    return read
+
+
+def _too_few(columns: ColumnReader, read: RowTimes) -> list[Problem]:
+    count = len(read.t_ns)
+    return [Problem(columns.table.file, 0, 0, "", f"{count} rows", "two rows at least")] if count < 2 else []
+
+
+def _counted(columns: ColumnReader, column: Key, period_ms: float) -> RowTimes:
+    """Times by the numbers of the rows, of which `column` says how many there are."""
+    values = columns.scaled(column, 1.0)
+    if values is None:
+        return RowTimes(np.array([0, 1], np.int64), utc=False)
+    read = RowTimes(np.round(np.arange(len(values)) * period_ms * 1e6).astype(np.int64), utc=False)
+    columns.problems += _too_few(columns, read)
     return read
 
 

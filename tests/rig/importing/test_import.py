@@ -49,6 +49,26 @@ def stiff_flop(tmp_path_factory: pytest.TempPathFactory) -> Run:
     return runs.open(import_table(shared_data("stiff_flop", "NoLoad.mat"), EXAMPLE, folder, "ada").archive)
 
 
+def test_a_table_without_a_clock_has_the_stated_period(bring: Bring) -> None:
+    mapping = SMALL.replace("time: {column: 0, unit: s}", "time: {period_ms: 25}")
+    run = bring("".join(f"{k},0.{k},1,2,3\n" for k in range(4)), mapping)
+    assert run.tip.time_s == pytest.approx([0, 0.025, 0.05, 0.075])
+    assert run.header.camera_hz == pytest.approx(40)
+    assert "two rows at least" in complaint(bring, "0,0.1,1,2,3\n", mapping)
+
+
+@pytest.mark.parametrize(
+    ("time", "expected"),
+    [
+        ("{period_ms: 25, column: 0, unit: s}", "period_ms is for a table without a clock"),
+        ("{column: 0}", "is missing: a column and its unit, or period_ms"),
+        ("{period_ms: 0}", "0.001"),
+    ],
+)
+def test_a_time_is_a_column_with_its_unit_or_a_period(bring: Bring, time: str, expected: str) -> None:
+    assert expected in complaint(bring, "0,0,1,2,3\n1,0,1,2,3\n", SMALL.replace("{column: 0, unit: s}", time))
+
+
 class TestStiffFlop:
     def test_every_row_is_imported(self, stiff_flop: Run) -> None:
         assert len(stiff_flop.tip.time_s) == len(stiff_flop.pressure.time_s) == 1094
