@@ -110,7 +110,7 @@ def sharpen(image: Image, seeds_px: Floats, pattern: tuple[int, int]) -> Corners
     if not _plausible(first.px, seeds_px, radius):
         return None
     # No lens blurs like a bell: what all corners' edges have in common is told from them, then taken into account.
-    blur = _median(first.blur)
+    blur = _column_medians(first.blur)
     knot = max(_KNOT_BLURS * float(blur.mean()), _LEAST_KNOT_PX)
     normals = _edge_normals(first.px.reshape(grid))
     shape = edge_shape(image, first.px, normals, radius, first.levels, blur, knot)
@@ -130,11 +130,28 @@ def _plausible(px: Floats, seeds_px: Floats, radius: float) -> bool:
 
 
 @exact_kernel
-def _median(values: Floats) -> Floats:
+def _median(values: Floats) -> float:
+    """Median of finite numbers (n,) by insertion sort.
+
+    With NumPy's function a kernel on the disk needs numba's compiler and SciPy to be loaded.
+    """
+    n = len(values)
+    ordered = np.empty(n)
+    for i in range(n):
+        value, j = values[i], i
+        while j > 0 and ordered[j - 1] > value:
+            ordered[j] = ordered[j - 1]
+            j -= 1
+        ordered[j] = value
+    return float(0.5 * (ordered[(n - 1) // 2] + ordered[n // 2]))
+
+
+@exact_kernel
+def _column_medians(values: Floats) -> Floats:
     """Median of each column of (n, k)."""
     middle = np.empty(values.shape[1])
     for k in range(values.shape[1]):
-        middle[k] = np.median(values[:, k])
+        middle[k] = _median(values[:, k])
     return middle
 
 
@@ -145,7 +162,7 @@ def _uncertainty(variance: Floats, spread: Floats) -> tuple[float, Floats]:
     A few dozen pixels tell their own noise badly, all of the board's together well; but a corner in glare or shadow is
     as bad as it looks.
     """
-    pooled = np.median(variance)
+    pooled = _median(variance)
     total = np.empty_like(spread)
     for c in range(len(variance)):
         noise = variance[c] if variance[c] > _ITS_OWN * pooled else pooled

@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import io
 import sys
+from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import Annotated, Any, NoReturn
@@ -145,6 +146,7 @@ Port = Annotated[int, typer.Option(help="First port to try for the page; 0: any 
 
 @app.command(cls=NumericalCommand)
 def run(
+    ctx: typer.Context,
     protocol: ProtocolName,
     settings: Settings = None,
     rig: RigName = None,
@@ -168,12 +170,7 @@ def run(
     json: AsJson = False,
 ) -> None:
     """Run a protocol and leave an archive with a report."""
-    from rig.cli import assignments, recovery_offer, run_output
-    from rig.cli.console import console
-    from rig.cli.signals import StopSignals
-    from rig.cli.terminal import Terminal
-    from rig.config.loader import chosen_rig
-    from rig.experiment import run as experiment
+    from rig.experiment import report_process
 
     if live and fast:
         _fail("--live needs real time: omit --fast, or play the archive afterwards: rig live RUN", BAD_INPUT)
@@ -181,6 +178,17 @@ def run(
         _fail("--listen and --port need --live", BAD_INPUT)
     if free and not adapt:
         _fail("--free needs --adapt", BAD_INPUT)
+    write_report: Callable[[Path], Path] = report_process.here
+    if fast and not no_report:  # in real time nothing is imported beside the control loop
+        write_report = ctx.with_resource(report_process.waiting())
+
+    from rig.cli import assignments, recovery_offer, run_output
+    from rig.cli.console import console
+    from rig.cli.signals import StopSignals
+    from rig.cli.terminal import Terminal
+    from rig.config.loader import chosen_rig
+    from rig.experiment import run as experiment
+
     request = experiment.request(
         protocol,
         chosen_rig(rig),
@@ -212,7 +220,7 @@ def run(
         StopSignals() as signals,
         Terminal(screen, lambda: signals.reason, run_output.title(request)) as terminal,
     ):
-        result = experiment.run(request, decided, terminal)
+        result = experiment.run(request, decided, terminal, write_report)
     run_output.last_screen(screen, result)
     if json:
         typer.echo(run_output.result_json(result))

@@ -170,18 +170,17 @@ def plan(request: RunRequest) -> Plan:
     return Plan(request.config, request.rig_file, trajectory, request.variant, request.seed, request.adapted)
 
 
-def run(request: RunRequest, decided: Plan, operator: OperatorInterface) -> RunResult:
-    """Run a plan and write an archive, whatever ends the run.
+def run(
+    request: RunRequest,
+    decided: Plan,
+    operator: OperatorInterface,
+    write_report: Callable[[Path], Path] = report_process.here,
+) -> RunResult:
+    """Run a plan and write an archive, whatever ends the run. `write_report` writes the report of the archive.
 
     Raises:
         CardError, StartError, JournalError: the run did not start; the valves are safe and no archive exists.
     """
-    # In real time nothing is imported beside the control loop.
-    with report_process.waiting() if request.fast and request.report else nullcontext(report_process.here) as draw:
-        return _run(request, decided, operator, draw)
-
-
-def _run(request: RunRequest, decided: Plan, operator: OperatorInterface, draw: Callable[[Path], Path]) -> RunResult:
     if request.fast:
         from rig.virtual.executor import run as execute
     else:
@@ -240,7 +239,7 @@ def _run(request: RunRequest, decided: Plan, operator: OperatorInterface, draw: 
         warnings.append(f"{error}; the journal is kept: {journal.path}; run `rig recover {request.folder}` later")
     if archive is not None and request.report:
         try:
-            report = draw(archive)
+            report = write_report(archive)
         except OSError as error:
             warnings.append(f"no report: {error}; run `rig report {archive}` later")
     if archive is not None and decided.adapted:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import mmap
 import multiprocessing
+import os
 import signal
 import traceback
 import warnings
@@ -24,6 +25,9 @@ from runs.records import Picture
 
 MOST_IN_FLIGHT = 40
 """Frame sets for which the shared memory has room."""
+
+_LESS_URGENT = 5
+"""Rendering waits where processors are short: measuring takes longer and sets the pace."""
 
 _FORK = multiprocessing.get_context("fork")
 _CLOSED = (EOFError, OSError)
@@ -123,6 +127,7 @@ class FramePipeline:
         pipes = (exposures, self._exposures, samples, self._samples, frame_sets, rendered, self._results, results)
 
         def render() -> None:
+            os.nice(_LESS_URGENT)
             _render(stages, exposures, pictures, rendered)
 
         def measure() -> None:

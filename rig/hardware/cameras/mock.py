@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -57,9 +58,11 @@ class MockCameraDriver:
             raise CameraError(f"camera {name} is a mock, and the rig has no mock card whose plant it could look at")
         try:
             registers = Registers.attach(devices[0])
-            return MockCamera(config, registers, name, seed, registers.faults)
+            camera = MockCamera(config, registers, name, seed, registers.faults)
         except CardError as error:
             raise CameraError(f"camera {name}: {error}") from error
+        camera.start()
+        return camera
 
     def serial(self, camera: CameraConfig) -> str | None:
         """A mock camera has no serial number."""
@@ -93,9 +96,9 @@ class MockCamera:
         self._exposure_ns = round(chosen.exposure_ms * 1e6)
         self._period_ns = round(1e9 / chosen.rate_hz)
         truth = config.simulator.scene
-        optics = Optics(truth.blur_px, truth.noise_grey, truth.lighting)
-        size = (chosen.width_px, chosen.height_px)
-        self._scene = Scene(board_of(config), lens_of(chosen), size, optics, seed + _OTHER_NOISE * (self._number - 1))
+        self._config, self._camera = config, chosen
+        self._optics = Optics(truth.blur_px, truth.noise_grey, truth.lighting)
+        self._seed = seed + _OTHER_NOISE * (self._number - 1)
         simulator = config.simulator
         self._base = rigid(simulator.base)
         self._base_in_camera = (camera_in_base(chosen) @ rigid(simulator.error_of(name))).inverse() @ self._base
@@ -104,6 +107,17 @@ class MockCamera:
         self._index = -1
         self._faults = faults if faults is not None else Faults()
         self._last: NDArray[np.uint8] | None = None
+
+    @cached_property
+    def scene(self) -> Scene:
+        """What the camera sees; made at its first use, which takes about 0.1 s."""
+        size = (self._camera.width_px, self._camera.height_px)
+        return Scene(board_of(self._config), lens_of(self._camera), size, self._optics, self._seed)
+
+    def start(self) -> None:
+        """Begin the exposures of real time anew, with the scene made."""
+        _ = self.scene
+        self._start_ns = time.monotonic_ns() + self._exposure_ns
 
     def frame_at(self, index: int, t_ns: int) -> Frame:
         """Frame `index` with its mid-exposure at `t_ns`; the same arguments and seed give the same picture."""
@@ -131,7 +145,7 @@ class MockCamera:
 
     def develop(self, exposure: Exposure) -> Frame:
         """Render the picture of an exposure; called by one thread in the order of the exposures."""
-        image = self._scene.render(exposure.opened, exposure.middle, exposure.closed, exposure.index)
+        image = self.scene.render(exposure.opened, exposure.middle, exposure.closed, exposure.index)
         return Frame(exposure.index, exposure.t_ns, self._seen(exposure, image), exposure.truth_m)
 
     def read(self, timeout_s: float) -> Frame:

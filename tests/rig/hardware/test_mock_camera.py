@@ -58,7 +58,8 @@ def test_a_late_reader_sees_a_gap_and_never_an_old_picture(config: rig.config.sc
 def test_a_camera_slower_than_the_time_out_is_reported(config: rig.config.schema.RigConfig) -> None:
     slow = config.model_copy(update={"cameras": {"front": config.cameras["front"].model_copy(update={"rate_hz": 5.0})}})
     camera = MockCamera(slow, Sweep(), seed=3)
-    # Built at the start of an exposure, a period before the next.
+    camera.start()
+    # Begun at the start of an exposure, a period before the next.
     camera.read(3.0)
     with pytest.raises(CameraError, match="no picture within"):
         camera.read(0.02)
