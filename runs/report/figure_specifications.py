@@ -16,6 +16,8 @@ from runs.report.numbers import plain
 from runs.run import Run
 from runs.summary import MOVED_MM, SETTLED_PART, Summary, settled_steps
 
+Z_DOWN = "z points from the base along the hanging arm and is drawn downwards."
+
 
 def figure_specifications(run: Run, summary: Summary) -> Iterator[FigureSpecification]:
     """Yield the figures that a run has something to show in, in the order of the page."""
@@ -41,14 +43,24 @@ def _pressures(run: Run, summary: Summary) -> FigureSpecification | None:
 def _trajectory(run: Run, summary: Summary) -> FigureSpecification | None:
     if math.isfinite(summary.plane_deg):
         title = "Tool centre point in the plane of motion"
-        caption = (
-            "In the rod-base frame, drawn as the arm hangs. Circles and crosses: mean over the last "
-            f"{100 * SETTLED_PART:.0f} % of each dwell; the numbers are its pressure in bar."
-        )
+        caption = f"In the rod-base frame. {Z_DOWN}"
+        if dwells := settled_steps(summary.steps):
+            loads = (
+                ("pressure in bar", any(max(step.level_bar) > 0 for step in dwells)),
+                (
+                    "weight in g",
+                    any(max(step.level_bar) <= 0 for step in dwells),
+                ),
+            )
+            numbers = " or ".join(name for name, present in loads if present)
+            caption += (
+                f" Circles and crosses: mean over the last {100 * SETTLED_PART:.0f} % of each dwell; the numbers are "
+                f"its {numbers}."
+            )
         size = figures.trajectory_size(run, summary)
         return FigureSpecification("trajectory", title, figures.trajectory, size, caption)
     if _leaves_axis(run):
-        caption = "In the rod-base frame: seen along the arm from its tip, and from its side, drawn as the arm hangs."
+        caption = f"In the rod-base frame: seen along the arm from its tip, and from its side. {Z_DOWN}"
         return FigureSpecification("trajectory", "Tool centre point", figures.around, (9, 4.4), caption)
     return None
 
@@ -56,7 +68,10 @@ def _trajectory(run: Run, summary: Summary) -> FigureSpecification | None:
 def _backbones(run: Run, summary: Summary) -> FigureSpecification | None:
     if run.backbone is None or not run.tip.model_ok.any():
         return None
-    caption = "The modelled arm, drawn as it hangs, and the tip that the camera measured."
+    caption = "The modelled arm"
+    if summary.frames_measured:
+        caption += " and the measured tip"
+    caption += f". {Z_DOWN}"
     return FigureSpecification("backbones", "Backbone and measured tip", figures.backbones, (9, 4.8), caption)
 
 
@@ -64,14 +79,17 @@ def _steps(run: Run, summary: Summary) -> FigureSpecification | None:
     if not settled_steps(summary.steps):
         return None
     caption = (
-        "Marks: measured, with 95 % of one frame. Normalised by the distance of the measured tip from its position at "
-        "rest without pressure."
+        "Marks: measured, with 95 % of one frame. Positive z points from the base along the hanging arm. Normalised by "
+        "the distance of the measured tip from its position at rest without pressure."
     )
     return FigureSpecification("steps", "Settled tip and error, step by step", figures.steps, (9, 3.6), caption)
 
 
 def _tip(run: Run, summary: Summary) -> FigureSpecification | None:
-    return FigureSpecification("tip", "Tip over time", figures.coordinates, (9, 5)) if summary.frames else None
+    if not summary.frames:
+        return None
+    caption = f"In the rod-base frame. {Z_DOWN}"
+    return FigureSpecification("tip", "Tip over time", figures.coordinates, (9, 5), caption)
 
 
 def _error(run: Run, summary: Summary) -> FigureSpecification | None:

@@ -12,7 +12,8 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
-from runs.columns import Pressure
+from runs.columns import Pressure, Tip
+from runs.periods import last_period
 from runs.records import DetectionStatus
 from runs.report.colours import ACTUATORS, INK, MEASURED, MODEL, MUTED, RULE, TRUTH
 from runs.report.drawing import POINTS, decimated, decimated_indices, legend, no_data, panels, path_indices
@@ -160,8 +161,28 @@ def _shapes(run: Run, summary: Summary) -> tuple[list[int], list[float], str]:
     if len(ends) > 1:
         return [*ends], [*ends.values()], "weight [g]" if by_weight else "pressure [bar]"
     solved = np.flatnonzero(tip.model_ok)
-    rows = np.unique(solved[np.linspace(0, len(solved) - 1, SHAPES).round().astype(int)]).tolist()
-    return rows, tip.time_s[rows].tolist(), "time [s]"
+    if (period := backbone_period(run, summary)) is not None:
+        start, stop = period
+        phases = np.arange(SHAPES) / SHAPES
+        nearest = np.abs(tip.protocol_s[solved] - (start + phases * (stop - start))[:, None]).argmin(axis=1)
+        rows, first = np.unique(solved[nearest], return_index=True)
+        return rows.tolist(), (360 * phases[first]).tolist(), "phase of the set-point [°]"
+    rows = np.unique(solved[np.linspace(0, len(solved) - 1, SHAPES).round().astype(int)])
+    return rows.tolist(), tip.time_s[rows].tolist(), "time [s]"
+
+
+def backbone_period(run: Run, summary: Summary) -> tuple[float, float] | None:
+    """Return protocol times [s] of the last period of the longest moving segment, if it repeats and has a model."""
+    moving = [step for step in summary.steps if not step.dwell]
+    if not moving:
+        return None
+    longest = max(moving, key=lambda step: step.stop_s - step.start_s)
+    first, end = np.searchsorted(run.pressure.protocol_s, (longest.start_s, longest.stop_s))
+    period = last_period(run.pressure.protocol_s[first:end], run.pressure.setpoint_bar[first:end])
+    if period is None:
+        return None
+    within = run.tip.model_ok & (run.tip.protocol_s >= period[0]) & (run.tip.protocol_s < period[1])
+    return period if within.sum() >= SHAPES else None
 
 
 def trajectory_size(run: Run, summary: Summary) -> tuple[float, float]:
@@ -235,6 +256,9 @@ def coordinates(figure: Figure, run: Run, summary: Summary) -> None:
             panel.plot(*decimated(tip.time_s, tip.model_mm[:, i]), color=MODEL, lw=1.1, label="model")
         panel.set_ylabel(f"{axis} [mm]")
         panel.margins(x=0.01)
+    axes[-1].invert_yaxis()
+    for panel in axes:
+        _mark_missing_frames(panel, tip)
     legend(axes[0])
     axes[-1].set_xlabel("time [s]")
 
@@ -249,8 +273,10 @@ def error(figure: Figure, run: Run, summary: Summary) -> None:
     if np.isfinite(summary.plane_deg):
         flat = in_plane(tip.measured_mm - tip.model_mm, _plane(summary))
         above.plot(*decimated(tip.time_s, flat), color=MODEL, lw=1.0, label="in the plane")
-    lost = np.unique(np.round(tip.time_s[~measured], 1 if len(tip.time_s) > POINTS else 3))
+    unseen = ~measured & (tip.seen != DetectionStatus.NO_FRAME)
+    lost = np.unique(np.round(tip.time_s[unseen], 1 if len(tip.time_s) > POINTS else 3))
     above.plot(lost, np.zeros(len(lost)), "|", color=INK, ms=7, label="nothing measured" if len(lost) else None)
+    _mark_missing_frames(above, tip)
     above.set_ylabel("error [mm]")
     above.set_ylim(bottom=0)
     legend(above)
@@ -269,6 +295,15 @@ def error(figure: Figure, run: Run, summary: Summary) -> None:
         legend(below)
     stacked[-1].set_xlabel("time [s]")
     stacked[-1].margins(x=0.01)
+
+
+def _mark_missing_frames(axes: Axes, tip: Tip) -> None:
+    """Mark at the lower edge when frames are missing; the rows are those of `tip_with_gaps`."""
+    missing = tip.time_s[tip.seen == DetectionStatus.NO_FRAME]
+    if len(missing):
+        edge = axes.get_xaxis_transform()
+        at = np.full(len(missing), 0.03)
+        axes.plot(missing, at, "^", color=MODEL, ms=4, transform=edge, label="frames missing")
 
 
 def timing(figure: Figure, run: Run, summary: Summary) -> None:

@@ -14,6 +14,11 @@ def plain(value: float, digits: int) -> str:
     return f"{round(value, digits) + 0.0:.{digits}f}".replace("-", "\N{MINUS SIGN}") if math.isfinite(value) else DASH
 
 
+def significant(value: float, digits: int) -> str:
+    """Return a number with so many significant digits, and a dash for what is not known."""
+    return f"{value:.{digits}g}".replace("-", "\N{MINUS SIGN}") if math.isfinite(value) else DASH
+
+
 def with_unit(value: float, unit: str, digits: int) -> str:
     """Return a number and its unit."""
     return f"{plain(value, digits)} <small>{unit}</small>" if not math.isinf(value) else "never"

@@ -17,7 +17,7 @@ from runs.report import comparison, pictures
 from runs.report.drawing import svg
 from runs.report.figure_processes import drawn
 from runs.report.figure_specifications import figure_specifications
-from runs.report.numbers import DASH, plain, three, with_unit
+from runs.report.numbers import DASH, plain, significant, three, with_unit
 from runs.run import Run
 from runs.summary import BAND_BAR, Summary, summarise
 
@@ -237,7 +237,7 @@ def _provenance(run: Run) -> str:
 
 def _quantities(run: Run) -> str:
     rows = "".join(
-        _row(q.room, q.name, ", ".join(f"{v:.6g}" for v in q.value), q.unit, plain(q.uncertainty, 3), q.source)
+        _row(q.room, q.name, ", ".join(f"{v:.6g}" for v in q.value), q.unit, significant(q.uncertainty, 3), q.source)
         for q in run.header.quantities
     )
     if not rows:

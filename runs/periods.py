@@ -1,0 +1,33 @@
+"""Periods of set-points that repeat."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+TOLERANCE = 0.02
+"""Largest relative deviation of a period from their median."""
+
+Floats = NDArray[np.float64]
+
+
+def last_period(time_s: Floats, setpoint_bar: Floats) -> tuple[float, float] | None:
+    """Return start and end [s] of the last whole period of set-points (n, actuators); None if they do not repeat.
+
+    A period lies between two upward crossings of the mid-range, interpolated, of the actuator that moves most.
+    """
+    if len(time_s) < 2 or not np.isfinite(setpoint_bar).all():
+        return None
+    wave = setpoint_bar[:, np.argmax(np.ptp(setpoint_bar, axis=0))]
+    if np.ptp(wave) == 0:
+        return None
+    above = wave - (wave.max() + wave.min()) / 2
+    rising: NDArray[np.intp] = np.flatnonzero((above[:-1] < 0) & (above[1:] >= 0))
+    part: NDArray[Any] = above[rising] / (above[rising] - above[rising + 1])
+    crossings = time_s[rising] + part * (time_s[rising + 1] - time_s[rising])
+    periods = np.diff(crossings)
+    if len(periods) == 0 or np.abs(periods / np.median(periods) - 1).max() > TOLERANCE:
+        return None
+    return float(crossings[-2]), float(crossings[-1])
