@@ -16,6 +16,8 @@ EXPLAINED = {
     "name": "The rig's name. It appears in reports, file names and archives. Letters, digits, '-' and '_'.",
     "description": "One line for people.",
     "calibrations": "Files that `rig calibrate` has written. They replace what is stated below.",
+    "metadata": "Facts for the archive: `values` by name (specimen, batch, fibre_angle_deg, ..), and the names that "
+    "`required` makes every run give, here or with `rig run --meta NAME=VALUE`.",
     "cards": "Data-acquisition cards. The name before the braces is yours; valves and sensors refer to "
     "it. `outputs` and `inputs` are the analogue channels that the card has. Drivers: comedi (a "
     "real card) and mock (simulated).",

@@ -62,9 +62,16 @@ def predicted_slopes(setup: Setup, poses: Poses, names: Sequence[str], h: float,
 
 def mounted(arm: Arm) -> Setup:
     return Setup(
-        arm, (1e-3, 2e-3, -5e-4), (0.1, -0.2, 0.3), (0.01, 0.02, 0.03), (0.05, -0.02, 0.03), (100.0, -200.0, 50.0),
-        (1.02, 0.97, 1.01), 0.01,
-    )  # fmt: skip
+        arm,
+        base_translation_m=(1e-3, 2e-3, -5e-4),
+        base_rotation_rad=(0.1, -0.2, 0.3),
+        tool_offset_m=(0.01, 0.02, 0.03),
+        actuator_turn_rad=(0.05, -0.02, 0.03),
+        gravity_turn_rad=(0.03, -0.02, 0.01),
+        sensor_offset_pa=(100.0, -200.0, 50.0),
+        sensor_gain=(1.02, 0.97, 1.01),
+        sensor_lag_s=0.01,
+    )
 
 
 RESTING = plan("rest", np.array([[0.3, 0.1, 0.5], [0.55, 0.2, 0.05]]) * BAR, np.array([0.0, 0.3]))
