@@ -22,6 +22,7 @@ from typing import Any
 from rig.realtime import (  # imported here, so that no fork has to
     control_process,
     observer_process,
+    process_group,
     supervisor,
     watchdog_process,
 )
@@ -38,7 +39,7 @@ def run(rig_file: str, protocol: str, out: Path) -> subprocess.Popen[bytes]:
     def supervise() -> None:
         from rig.cli.app import main
 
-        supervisor.spawn = _spawn
+        process_group.spawn = _spawn
         supervisor.START_TIMEOUT_S = 400.0
         sys.argv = ["rig", "run", protocol, "--rig", rig_file, "--out", str(out), "--yes", "--no-report"]
         main()
