@@ -9,12 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.identify.data import NoDataError, Poses
-from calibration.identify.least_squares import LeastSquaresProblem, Solution, Unknown
+from calibration.identify.least_squares import LeastSquaresProblem, Solution
 from calibration.identify.likelihood import OUTLIER, drifting, whitened
 from calibration.identify.nuisance import nuisance_parameters
 from calibration.identify.parameters import Prior, Setup, named
 from calibration.identify.results import NORMAL_95, Estimate, Fit, RunFit, Verdict
 from calibration.identify.search import Progress, initial_point, point_of, search
+from calibration.identify.unknown import Unknown
 
 Array = NDArray[np.float64]
 

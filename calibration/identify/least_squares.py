@@ -20,6 +20,7 @@ from calibration.identify.likelihood import (
 )
 from calibration.identify.parameters import Parameter, Prior, Setup
 from calibration.identify.tip_predictor import FINE_SUBSTEPS, SUBSTEPS, Predictor
+from calibration.identify.unknown import Unknown
 
 Array = NDArray[np.float64]
 
@@ -35,60 +36,11 @@ _SAME_SLOPE = 3e-3
 _FIRST_DAMPING, _LAST_DAMPING = 1.0, 1e-3
 # Growth of the damping after a step that was refused.
 _MORE_DAMPING = 4.0
-# Upper bound of a parameter as a fraction of the limit that it must stay below.
-_BOUND_FRACTION = 0.98
 # A step longer than so many spans is corrected for the curvature of its path, probed at this share of the step.
 # It is refused if the correction is a larger share of it than the last number.
 _STRAIGHT, _PROBE, _MAX_BEND = 3e-3, 0.1, 0.4
 # Predicted decrease of the sum of squares at convergence: a step of a hundredth of an error bar.
 _CONVERGED = 1e-4
-
-
-@dataclass(frozen=True)
-class Unknown:
-    """A free parameter, or its value in one run, as z: the distance from its start in spans.
-
-    A `reciprocal` parameter is linear in z in its reciprocal, with the same slope at the start.
-    """
-
-    parameter: Parameter
-    run: int | None
-    start: float
-    span: float
-    most: float
-
-    @classmethod
-    def of_setup(cls, parameter: Parameter, run: int | None, setup: Setup) -> Unknown:
-        """The parameter with its value in a setup as the start."""
-        start = parameter.read(setup)
-        most = min(parameter.upper, _BOUND_FRACTION * parameter.below(setup))
-        return cls(parameter, run, start, parameter.span(start), most)
-
-    def at(self, z: float) -> float:
-        """The value at z, within the parameter's bounds."""
-        z = min(max(z, self.lower), self.upper)
-        away = self.span * z
-        value = self.start / (1 - away / self.start) if self.parameter.reciprocal else self.start + away
-        return min(max(value, self.parameter.lower), self.most)
-
-    def of(self, value: float) -> float:
-        """The z of a value."""
-        away = value - self.start
-        return (away * self.start / value if self.parameter.reciprocal else away) / self.span
-
-    def rate(self, z: float) -> float:
-        """Derivative of the value by z."""
-        return self.span * (self.at(z) / self.start) ** 2 if self.parameter.reciprocal else self.span
-
-    @property
-    def lower(self) -> float:
-        """Lower bound of z."""
-        return self.of(self.parameter.lower)
-
-    @property
-    def upper(self) -> float:
-        """Upper bound of z."""
-        return self.of(self.most)
 
 
 @dataclass(frozen=True)

@@ -33,7 +33,7 @@ _COARSE = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 20, 0.02)
 _START_BLUR_PX = 0.8
 # What the corners before say of the blur, against what this corner's pixels say: its squared share of the step.
 _BLUR_OPINION = 0.05
-# The same once all corners have told it: they share a lens, and the motion.
+# The same once it is estimated from all corners: they share a lens, and the motion.
 _BLUR_CERTAIN = 1.0
 # The middle of a square that no edge's blur reaches: half its width as a share of the edges' distance.
 _MIDDLE_SHARE = 0.15
@@ -45,7 +45,7 @@ _MOVES_CORNERS = 0.5
 _BY_OVERLAP = 0.8
 # A corner whose pixels scatter so many times more than the median corner's is judged by itself.
 _ITS_OWN = 2.5
-# What is left where the picture has no noise: a pixel is a box, and the model knows only a bell.
+# Residual error of a picture without noise: a pixel is a box, and the model has only a Gaussian.
 _SYSTEMATIC_PX = 0.003
 
 
@@ -109,7 +109,7 @@ def sharpen(image: Image, seeds_px: Floats, pattern: tuple[int, int]) -> Corners
     first = fit(image, coarse, normals, radius, np.zeros((2, KNOTS + 1)), 1.0, usual, _BLUR_OPINION)
     if not _plausible(first.px, seeds_px, radius):
         return None
-    # No lens blurs like a bell: what all corners' edges have in common is told from them, then taken into account.
+    # No lens blurs like a Gaussian: the common edge shape is estimated from all corners, then used in the fit.
     blur = _column_medians(first.blur)
     knot = max(_KNOT_BLURS * float(blur.mean()), _LEAST_KNOT_PX)
     normals = _edge_normals(first.px.reshape(grid))
@@ -199,7 +199,7 @@ def _pixel_noise(image: Image, grid: Floats) -> float:
 
 
 def _coarse(image: Image, seeds_px: Floats, half: int) -> Floats | None:
-    """To a tenth of a pixel by OpenCV; None where one ran away, stood still or lies too near the border."""
+    """To a tenth of a pixel by OpenCV; None where one diverges, does not move or lies too near the border."""
     height, width = image.shape
     margin = half + 3
     if seeds_px.min() < margin or np.any(seeds_px.max(axis=0) > (width - 1 - margin, height - 1 - margin)):
@@ -207,7 +207,7 @@ def _coarse(image: Image, seeds_px: Floats, half: int) -> Floats | None:
     start = seeds_px.astype(np.float32).reshape(-1, 1, 2)
     coarse = cv2.cornerSubPix(image, start.copy(), (half, half), (-1, -1), _COARSE)
     moved = np.abs(coarse - start).max(axis=(1, 2))
-    # Where the iteration diverges OpenCV hands back its seed, to the last bit.
+    # Where the iteration diverges OpenCV returns its seed, to the last bit.
     if moved.max() > half or moved.min() == 0.0:
         return None
     found = np.asarray(coarse[:, 0, :], dtype=np.float64)

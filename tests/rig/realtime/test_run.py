@@ -51,7 +51,7 @@ def test_a_run_to_the_end_leaves_safe_valves_a_finished_archive_and_status_0(tmp
     archive = runs.open(run.archive())
     assert archive.status is Status.FINISHED
     assert archive.pressure.protocol_s[-1] == pytest.approx(1.0)
-    # No sooner than its protocol is long; where the machine stood still at its end, later.
+    # No sooner than its protocol is long; where the machine stalls at its end, later.
     assert archive.pressure.time_s[-1] > 0.95
     assert np.all(np.diff(archive.pressure.tick) >= 1)
     assert len(archive.tip.time_s) > 15
@@ -123,12 +123,12 @@ def test_any_survivor_of_the_supervisor_makes_the_valves_safe_and_the_journal_is
     recover_one(run)
 
 
-@pytest.mark.parametrize("how", ["camera lost, too", "just told to stop"])
+@pytest.mark.parametrize("how", ["camera lost, too", "only a stop request"])
 def test_the_last_remaining_process_makes_the_valves_safe(tmp_path: Path, how: str) -> None:
     with rig_run(tmp_path) as run:
         run.wait_until_pressurised()
         victims = [run.pid_of(module) for module in (CONTROL, WATCHDOG)]
-        if how == "just told to stop":
+        if how == "only a stop request":
             os.kill(run.process.pid, signal.SIGINT)
         else:
             registers = Registers.attach(run.device)
@@ -210,7 +210,7 @@ def test_rig_vent_stops_a_run_that_is_starting(tmp_path: Path) -> None:
 def test_an_over_pressure_stops_the_run(tmp_path: Path) -> None:
     with rig_run(tmp_path, SHORT) as run:
         run.wait_until_pressurised()
-        # The valve of actuator 1 sticks as far open as it goes, whatever it is told.
+        # The valve of actuator 1 sticks as far open as it goes, whatever the command is.
         registers = Registers.attach(run.device)
         registers.faults.inject(valve_1=ValveFault.STUCK, valve_value_1=10.0)
         registers.close()
