@@ -3,6 +3,7 @@
 from protocols.library import Protocol, load, named
 from protocols.parameters import ParameterValue
 from protocols.problems import BadInputError, Problem
+from protocols.tip_reference import TipMotion, TipReference
 from protocols.trajectory import Prompt, Segment, SetPointTrajectory
 
 __all__ = [
@@ -13,6 +14,8 @@ __all__ = [
     "Protocol",
     "Segment",
     "SetPointTrajectory",
+    "TipMotion",
+    "TipReference",
     "load",
     "named",
 ]

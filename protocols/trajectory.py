@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from protocols.tip_reference import NO_TIP_REFERENCE, TipReference
 from protocols.waveforms import Waveform
 
 
@@ -70,6 +71,8 @@ class SetPointTrajectory:
     segments: tuple[Segment, ...]
     prompts: tuple[Prompt, ...]
     source: str
+    tip: TipReference = NO_TIP_REFERENCE
+    """Where the tip has to be; the set-points of its motions are the feed-forward pressures."""
     _starts: tuple[float, ...] = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:

@@ -60,8 +60,10 @@ class Template(StrEnum):
     """Bundled rigs."""
 
     MOCK = "mock"
+    MOCK_3 = "mock-3"
     MOCK_STEREO = "mock-stereo"
     PCI1716 = "pci1716"
+    PCI1716_2 = "pci1716-2"
 
 
 def commented(text: str) -> str:

@@ -44,7 +44,7 @@ def changed(*changes: tuple[str, str]) -> str:
     return written
 
 
-@pytest.mark.parametrize("name", ["mock", "mock-stereo", "pci1716"])
+@pytest.mark.parametrize("name", ["mock", "mock-3", "mock-stereo", "pci1716", "pci1716-2"])
 def test_a_rig_loads_by_name_and_by_path(name: str) -> None:
     config = load(name)
     assert config == load(path_of(name))
@@ -210,13 +210,13 @@ def test_the_name_of_a_rig_is_a_portable_file_name(name: str) -> None:
     assert "letters" in problem.expected
 
 
-@pytest.mark.parametrize(("name", "meant"), [("mok", "mock"), ("pci1716.yml", "pci1716"), ("PCI-1716", "")])
+@pytest.mark.parametrize(("name", "meant"), [("mok", "mock or mock-3"), ("pci1716.yml", "pci1716"), ("PCI-1716", "")])
 def test_an_unknown_rig_gets_the_names(name: str, meant: str) -> None:
     with pytest.raises(BadInputError) as caught:
         load(name)
     (problem,) = caught.value.problems
     assert problem.suggestion == meant
-    assert "mock, mock-stereo, pci1716" in problem.expected
+    assert "mock, mock-3, mock-stereo, pci1716, pci1716-2" in problem.expected
 
 
 def test_a_real_file_is_read_by_its_path(tmp_path: Path) -> None:
