@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.identify.data import NoDataError, Poses
+from calibration.identify.information import covariance as covariance_of
 from calibration.identify.least_squares import LeastSquaresProblem, Solution
 from calibration.identify.likelihood import OUTLIER, drifting, whitened
 from calibration.identify.nuisance import nuisance_parameters
@@ -125,15 +126,7 @@ def _scaled_information(solution: Solution) -> Array:
 
 def _std(information: Array) -> Array:
     """Standard deviations (n,) in spans; very large without information."""
-    return np.sqrt(np.diagonal(_inverse(information)))
-
-
-def _inverse(information: Array) -> Array:
-    """Covariance of an information matrix, finite where it is singular."""
-    values, vectors = np.linalg.eigh(information)
-    floor = max(1e-8, 1e-14 * float(values.max(initial=0.0)))
-    out: Array = (vectors / np.maximum(values, floor)) @ vectors.T
-    return out
+    return np.sqrt(np.diagonal(covariance_of(information)))
 
 
 def _fix_undetermined(
@@ -207,11 +200,11 @@ def _estimates(
 def _marginal(problem: LeastSquaresProblem, solution: Solution, only: list[int]) -> Array:
     """Covariance of the unknowns `only`, in spans, marginal over errors of `_UNDETERMINED_SPANS` in the fixed ones."""
     if len(only) == len(problem.unknowns):
-        return _inverse(solution.information)
+        return covariance_of(solution.information)
     every = range(len(problem.unknowns))
     whole = problem.solution(solution.z, every, solution.weights, solution.discrepancy_m, solution.solved)
     guessed = np.diag([0.0 if i in only else 1 / _UNDETERMINED_SPANS**2 for i in every])
-    return _inverse(whole.information + guessed)[np.ix_(only, only)]
+    return covariance_of(whole.information + guessed)[np.ix_(only, only)]
 
 
 def _partners(information: Array, i: int) -> list[int]:

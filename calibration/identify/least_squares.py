@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.identify.data import Poses
+from calibration.identify.information import determined_covariance, sandwich
 from calibration.identify.likelihood import (
     Weights,
     apply_frequency_mask,
@@ -176,7 +177,7 @@ class LeastSquaresProblem:
             return 0.0
         slope = self._slope_rows(z, only, weights)
         data = slope[: 3 * sum(len(poses) for poses in self.data)]
-        return float(np.trace(_inverse(slope.T @ slope) @ (data.T @ data)))
+        return float(np.trace(determined_covariance(slope.T @ slope) @ (data.T @ data)))
 
     def weights(self, z: Array, fitted: float) -> tuple[tuple[Weights, ...], float]:
         """The weights of the residuals near z, and the model discrepancy [m]."""
@@ -234,7 +235,7 @@ class LeastSquaresProblem:
         part = np.ix_(only, only)
         curvatures = [np.einsum("kin,kim->nm", slope, slope) for _, slope in rows]
         curvature = np.sum(curvatures, axis=0) + prior[part]
-        covariance = _inverse(curvature)
+        covariance = determined_covariance(curvature)
         scores, correlation = [], []
         for run, (residual, slope) in enumerate(rows):
             poses, score = self.data[run], curvatures[run]
@@ -246,7 +247,7 @@ class LeastSquaresProblem:
             scores.append(score)
             correlation.append(float(np.trace(covariance @ score)) / expected if expected > 0 else 1.0)
         information = prior.copy()
-        information[part] = _sandwich(curvature, np.sum(scores, axis=0) + prior[part])
+        information[part] = sandwich(curvature, np.sum(scores, axis=0) + prior[part])
         return information, tuple(correlation)
 
     def loss(self, z: Array, weights: tuple[Weights, ...], correlation: Sequence[float]) -> float:
@@ -360,30 +361,3 @@ class LeastSquaresProblem:
 
     def _count(self, run: int) -> Array:
         return np.ones(len(self.data[run])) if self.entry_weights is None else self.entry_weights[run]
-
-
-def _roots(matrix: Array) -> tuple[Array, Array]:
-    """Positive eigenvalues (k,) and their eigenvectors (n, k) of a positive semidefinite matrix (n, n)."""
-    values, vectors = np.linalg.eigh(matrix)
-    there = values > max(1e-12, 1e-14 * float(values.max(initial=0.0)))
-    return values[there], vectors[:, there]
-
-
-def _inverse(matrix: Array) -> Array:
-    """Pseudo-inverse of a positive semidefinite matrix (n, n)."""
-    values, vectors = _roots(matrix)
-    out: Array = (vectors / values) @ vectors.T
-    return out
-
-
-def _sandwich(curvature: Array, score: Array) -> Array:
-    """Sandwich information (n, n) of a curvature and a score covariance: curvature score^-1 curvature.
-
-    Computed in the eigenbasis of the curvature: a direct product loses poorly determined directions to rounding.
-    """
-    values, vectors = _roots(curvature)
-    scale = np.sqrt(values)
-    relative = (vectors / scale).T @ score @ (vectors / scale)
-    wide = vectors * scale
-    out: Array = wide @ _inverse(relative) @ wide.T
-    return (out + out.T) / 2

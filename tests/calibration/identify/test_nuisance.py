@@ -113,3 +113,14 @@ def test_a_doubtful_search_starts_again_until_two_results_agree(monkeypatch: pyt
     assert found.agreeing == 2
     assert not found.worse_than_start
     assert any(line.startswith("start 2, step 1: rms ") for line in lines)
+
+
+def test_a_number_stated_to_nine_digits_narrows_no_error_bar_but_its_own() -> None:
+    planned = (plan("sine", 1e5 * (0.35 + 0.2 * np.sin(np.arange(90) / 6))[:, None] * np.eye(3)[0], period_s=1 / 30),)
+    data = [perform(planned[0], START, np.random.default_rng(3), FINE)]
+
+    def error_bar(filter_s: float) -> float | None:
+        stated = stated_values(START, {"sensor_filter_s": filter_s})
+        return identify(data, START, ("law",), stated=stated)["a1_per_n"].std
+
+    assert error_bar(1e-12) == pytest.approx(error_bar(1e-6), rel=1e-2)
