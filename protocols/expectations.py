@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from typing import Any
 
 _UNITS = (
@@ -48,11 +49,16 @@ def wants_number(schema: Schema) -> bool:
 class Expectation:
     """The schema of one model, walked along the path of a value."""
 
-    def __init__(self, schema: Schema) -> None:
+    def __init__(self, schema: Schema, nested: Mapping[tuple[str | int, ...], Schema] | None = None) -> None:
+        """`nested` are the schemas of models that were chosen during validation, by the path of their values."""
         self._root = schema
+        self._nested = {path: Expectation(inner) for path, inner in (nested or {}).items()}
 
     def at(self, path: tuple[str | int, ...], data: Any) -> Schema:
         """The schema of the value at `path` in `data`; empty where the path leaves what the schema knows."""
+        if inside := self._inside_nested(path, data):
+            model, rest, value = inside
+            return model.at(rest, value)
         schema = self._resolved(self._root)
         for step in path:
             schema = self._chosen(schema, data)
@@ -74,8 +80,21 @@ class Expectation:
 
     def words(self, path: tuple[str | int, ...], data: Any) -> str:
         """The expectation at `path` as a phrase: 'a number above 0 (bar)'."""
+        if inside := self._inside_nested(path, data):
+            model, rest, value = inside
+            return model.words(rest, value)
         name = next((step for step in reversed(path) if isinstance(step, str)), "")
         return self._phrase(self.at(path, data), unit_of(name))
+
+    def _inside_nested(
+        self, path: tuple[str | int, ...], data: Any
+    ) -> tuple[Expectation, tuple[str | int, ...], Any] | None:
+        """The nested model that the path leads into, the rest of the path, and the model's value."""
+        for depth, step in enumerate(path, 1):
+            data = _inside(data, step)
+            if model := self._nested.get(path[:depth]):
+                return model, path[depth:], data
+        return None
 
     def _phrase(self, schema: Schema, unit: str = "") -> str:
         schema = self._resolved(schema)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from decimal import Decimal
 from typing import Any, TypeVar, get_args, get_origin
@@ -16,6 +16,7 @@ from protocols.problems import BadInputError, Problem, closest
 from protocols.source_positions import Document, SourcePosition, path_text, shortened
 
 Model = TypeVar("Model", bound=BaseModel)
+NESTED = "nested"
 
 
 @dataclass(frozen=True)
@@ -35,25 +36,49 @@ def faults(found: Iterable[ValidationFault]) -> None:
         raise PydanticCustomError("faults", "{text}", {"text": text, "faults": listed})
 
 
+def nested_faults(error: ValidationError, model_class: type[BaseModel]) -> PydanticCustomError:
+    """The error of a validator that has chosen `model_class` for its value: `validate` reports what is inside it."""
+    inside = error.errors(include_url=False)
+    return PydanticCustomError(
+        NESTED, "{text}", {"text": str(error), "errors": inside, "schema": model_class.model_json_schema()}
+    )
+
+
+def _flattened(
+    errors: Iterable[ErrorDetails], schemas: dict[tuple[str | int, ...], Any], here: tuple[str | int, ...] = ()
+) -> Iterator[ErrorDetails]:
+    """The errors, those of nested models at their places; adds the schemas of these models by place."""
+    for error in errors:
+        path = (*here, *error["loc"])
+        if error["type"] == NESTED:
+            schemas[path] = error["ctx"]["schema"]
+            yield from _flattened(error["ctx"]["errors"], schemas, path)
+        else:
+            yield {**error, "loc": path}
+
+
 def validate(
     model_class: type[Model],
     document: Document,
     partial: Callable[[Mapping[str, Any]], Iterable[ValidationFault]] | None = None,
+    context: Mapping[str, Any] | None = None,
 ) -> Model:
     """The model of the document, or `BadInputError` with all problems.
 
-    If some fields are invalid, `partial` checks the relations between the valid ones; it gets only those.
+    If some fields are invalid, `partial` checks the relations between the valid ones; it gets only those. Validators
+    of the model get `context`.
     """
     problems = list(document.problems)
     model = None
     try:
-        model = model_class.model_validate(document.data)
+        model = model_class.model_validate(document.data, context=dict(context or {}))
     except ValidationError as error:
         _refuse_other_kind(model_class, document)
-        schema = model_class.model_json_schema()
-        translator = _Translator(document, Expectation(schema))
-        found = translator.problems(error.errors(include_url=False))
-        if partial is not None and "faults" not in {e["type"] for e in error.errors() if not e["loc"]}:
+        schemas: dict[tuple[str | int, ...], Any] = {}
+        errors = list(_flattened(error.errors(include_url=False), schemas))
+        translator = _Translator(document, Expectation(model_class.model_json_schema(), schemas))
+        found = translator.problems(errors)
+        if partial is not None and "faults" not in {e["type"] for e in errors if not e["loc"]}:
             found += [translator.fault((), fault) for fault in partial(_valid_parts(model_class, document.data))]
         replaced = {(problem.line, problem.column) for problem in found} & document.replaceable
         problems = [problem for problem in problems if (problem.line, problem.column) not in replaced]

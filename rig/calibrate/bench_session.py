@@ -88,7 +88,7 @@ def virtual(config: RigConfig, seed: int, *, moving_arm: bool = True) -> Iterato
     Raises:
         StartError: the rig has a card that only real time can drive.
     """
-    real = [name for name, card in config.cards.items() if not card.simulated]
+    real = [name for name, card in config.cards.items() if not card.is_mock]
     if real:
         raise StartError(f"virtual time needs simulated cards, and {', '.join(real)} of rig {config.name} is real")
     plant = Plant(config, seed, t0_ns=0, moving_arm=moving_arm)

@@ -161,7 +161,7 @@ def _hands(
     config: RigConfig, name: str, seed: int, operator: BenchOperator
 ) -> Iterator[tuple[Callable[[float], Image], Callable[[str], None]]]:
     """Yield how to take a picture with the cap at an angle [deg], and how to ask for an action."""
-    if config.cameras[name].simulated:
+    if config.cameras[name].is_mock:
         from rig.simulator.simulated_operator import CapTurner
 
         yield CapTurner(config, name, seed).picture, lambda text: operator.tell(f"(simulated hands) {text}")

@@ -32,7 +32,7 @@ def pictures(config: RigConfig, camera: str, board: Board, seed: int) -> Iterato
     Raises:
         CameraError: the camera cannot be opened, or gives none.
     """
-    if config.cameras[camera].simulated:
+    if config.cameras[camera].is_mock:
         from rig.simulator.simulated_operator import shown_boards
 
         yield from shown_boards(config, camera, board, seed)

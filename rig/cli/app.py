@@ -72,6 +72,7 @@ EXPECTED_ERRORS = {
     "calibration.identify.parallel_map.NoClusterError": FAULT,
     "calibration.identify.parallel_map.WorkerDiedError": FAULT,
     "rig.calibrate.bench_driver.TrippedError": FAULT,
+    "rig.config.plugins.PluginError": BAD_INPUT,
     "rig.execution.plan.StoppedError": INTERRUPTED,
     "rig.execution.plan.StartError": FAULT,
     "rig.hardware.cameras.base.CameraError": FAULT,
@@ -274,6 +275,20 @@ def doctor(
     else:
         console().print(run_output.findings_table(findings))
     raise typer.Exit(FAULT if any(f.verdict == "missing" for f in findings) else DONE)
+
+
+@app.command()
+def drivers(json: AsJson = False) -> None:
+    """List the drivers of cards, cameras and trackers and the valve types, with their packages."""
+    from rig.cli import driver_output
+    from rig.cli.console import console
+    from rig.hardware.installed_drivers import installed_drivers
+
+    rows = tuple(installed_drivers())
+    if json:
+        typer.echo(driver_output.as_json(rows))
+    else:
+        console().print(driver_output.table(rows))
 
 
 @app.command()

@@ -251,8 +251,8 @@ def _geometry(geometry: GeometryConfig) -> Iterator[ValidationFault]:
 
 
 def _simulator(cards: Cards, cameras: Cameras, simulator: Simulator | None) -> Iterator[ValidationFault]:
-    mocks = [f"cards, {name}" for name, card in _named(cards) if card.simulated]
-    mocks += [f"cameras, {name}" for name, camera in _named(cameras) if camera.simulated]
+    mocks = [f"cards, {name}" for name, card in _named(cards) if card.is_mock]
+    mocks += [f"cameras, {name}" for name, camera in _named(cameras) if camera.is_mock]
     if mocks and simulator is None:
         yield ValidationFault(
             ("simulator",), f"is missing: a mock device ({mocks[0]}) needs the block that says what it simulates"

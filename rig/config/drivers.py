@@ -1,79 +1,169 @@
-"""Registry of card and camera drivers: name, module, and whether the device is simulated.
+"""Registries of drivers: those of softrig, and those that other packages install as plug-ins.
 
-One line here registers a driver. The function `driver()` of its module imports the dependencies and returns the
-function that opens a device; it runs only when a rig uses the driver.
+One line here registers a driver of softrig. The function `driver()` of its module imports the dependencies and returns
+the function that opens a device; it runs only when a rig uses the driver.
 """
 
 from __future__ import annotations
 
 import importlib
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from pydantic_core import PydanticCustomError
+from pydantic import BaseModel
+
+from rig.config.plugins import PluginError, PluginGroup, package_of
+
+if TYPE_CHECKING:
+    from rig.doctor.finding import Finding
+
+
+@dataclass(frozen=True)
+class Plugin:
+    """A driver of another package: the object that its entry point names.
+
+    `section` is the model of the device's section in the rig file, a subclass of the one of its kind (`CardConfig`,
+    `CameraConfig`). `open` opens a device: that of a card takes a `CardSetup`, that of a camera returns a
+    `CameraDriver`. `about` says in one line what it drives, `safe_state` what the outputs do once the program is dead.
+    A run with a `simulated` device is marked as simulated. `examine` takes the name and the section of a device and
+    returns the findings for `rig doctor`; it must not write to the device.
+    """
+
+    section: type[BaseModel]
+    open: Callable[..., Any]
+    about: str
+    safe_state: str = "outputs keep their values"
+    simulated: bool = False
+    examine: Callable[[str, Any], Iterable[Finding]] | None = None
 
 
 @dataclass(frozen=True)
 class Driver:
-    """A registered driver; `module` holds its `driver()` function."""
+    """A registered driver: `module` holds its `driver()` function, or `plugin` is the object of another package."""
 
     name: str
-    module: str
+    module: str = ""
+    about: str = ""
+    safe_state: str = ""
     simulated: bool = False
+    package: str = "softrig"
+    plugin: Plugin | None = None
 
     def load(self) -> Callable[..., Any]:
         """Return the function that opens a device; raises what `driver()` of the module raises."""
+        if self.plugin is not None:
+            return self.plugin.open
         opener: Callable[..., Any] = importlib.import_module(self.module).driver()
         return opener
 
 
-class DriverRegistry(Mapping[str, Driver]):
+@dataclass(frozen=True)
+class InstalledDriver:
+    """A driver as `rig drivers` lists it; `keys` are its own keys in the rig file, `fault` why it cannot be used."""
+
+    kind: str
+    name: str
+    package: str
+    about: str = ""
+    safe_state: str = ""
+    simulated: bool = False
+    keys: tuple[str, ...] = ()
+    fault: str = ""
+
+
+class DriverRegistry:
     """Drivers of one kind of device, by name."""
 
-    def __init__(self, *drivers: Driver) -> None:
-        self._drivers = {driver.name: driver for driver in drivers}
+    def __init__(self, kind: str, *drivers: Driver) -> None:
+        """`kind` is the section of the rig file; its plug-ins are the entry points `softrig.<kind>`."""
+        self.kind = kind
+        self.built_in = {driver.name: driver for driver in drivers}
+        self._group = PluginGroup(f"softrig.{kind}", _checked)
+        self._loaded: dict[str, Driver] = {}
 
     def __getitem__(self, name: str) -> Driver:
-        return self._drivers[name]
+        """A driver by name; imports a plug-in. Raises PluginError."""
+        if name in self.built_in:
+            return self.built_in[name]
+        if name not in self._loaded:
+            found, package = self._group.load(name)
+            self._loaded[name] = Driver(
+                name, "", found.about, found.safe_state, found.simulated, package=package, plugin=found
+            )
+        return self._loaded[name]
 
     def __iter__(self) -> Iterator[str]:
-        return iter(self._drivers)
+        """Every name, softrig's first; reads the metadata of every installed package."""
+        return iter((*self.built_in, *self.plugins()))
 
-    def __len__(self) -> int:
-        return len(self._drivers)
+    def plugins(self) -> tuple[str, ...]:
+        """Names of the installed plug-ins."""
+        names = dict.fromkeys(entry.name for entry in self._group.entries())
+        return tuple(name for name in names if name not in self.built_in)
 
-    def register(self, driver: Driver) -> None:
-        """Add a driver.
-
-        Raises:
-            ValueError: the name is registered already.
-        """
-        if driver.name in self._drivers:
-            raise ValueError(f"a driver named {driver.name} is registered already")
-        self._drivers[driver.name] = driver
+    def section(self, name: str) -> type[BaseModel]:
+        """Model of the section of a plug-in's device. Raises PluginError."""
+        plugin = self[name].plugin
+        assert plugin is not None
+        return plugin.section
 
     def simulates(self, name: str | None) -> bool:
-        """Return True for a registered driver of simulated devices."""
-        return name in self._drivers and self._drivers[name].simulated
-
-    def check(self, name: str) -> str:
-        """Return the name of a registered driver; for pydantic, which reports any other name."""
-        if name not in self._drivers:
-            raise PydanticCustomError("unknown_driver", "one of {names}", {"names": ", ".join(self._drivers)})
-        return name
+        """True for a driver of simulated devices; False for one that is not installed."""
+        try:
+            return name is not None and self[name].simulated
+        except PluginError:
+            return False
 
     def extend_schema(self, schema: dict[str, Any]) -> None:
-        """Add the drivers' names to a JSON schema; error messages quote them."""
-        schema["enum"] = list(self._drivers)
+        """Add the names of softrig's drivers to a JSON schema; error messages quote them."""
+        schema["enum"] = list(self.built_in)
+
+    def installed(self, base: type[BaseModel]) -> Iterator[InstalledDriver]:
+        """Every driver, also a broken one. `base` has the keys that all drivers share."""
+        for driver in self.built_in.values():
+            yield InstalledDriver(
+                self.kind, driver.name, driver.package, driver.about, driver.safe_state, driver.simulated
+            )
+        for entry in self._group.entries():
+            row = InstalledDriver(self.kind, entry.name, package_of(entry))
+            if entry.name in self.built_in:
+                yield InstalledDriver(
+                    self.kind, entry.name, row.package, fault="not used: softrig has a driver of that name"
+                )
+                continue
+            try:
+                plugin = self[entry.name].plugin
+            except PluginError as error:
+                yield InstalledDriver(self.kind, entry.name, row.package, fault=str(error))
+                continue
+            assert plugin is not None
+            keys = tuple(key for key in plugin.section.model_fields if key not in base.model_fields)
+            yield InstalledDriver(
+                self.kind, entry.name, row.package, plugin.about, plugin.safe_state, plugin.simulated, keys
+            )
 
 
+def _checked(name: str, found: object) -> Plugin:
+    if not isinstance(found, Plugin):
+        raise TypeError(f"of type {type(found).__name__}, not a rig.config.drivers.Plugin")
+    if not (isinstance(found.section, type) and issubclass(found.section, BaseModel)):
+        raise TypeError("`section` is not a model of a section of the rig file")
+    if not callable(found.open):
+        raise TypeError("`open` is not a function")
+    return found
+
+
+KEPT = "outputs keep their values; the watchdog writes the safe state"
 CARD_DRIVERS = DriverRegistry(
-    Driver("comedi", "rig.hardware.cards.comedi"),
-    Driver("mock", "rig.hardware.cards.mock", simulated=True),
+    "cards",
+    Driver("comedi", "rig.hardware.cards.comedi", "cards with a Comedi driver (Linux), such as PCI-1716", KEPT),
+    Driver("mock", "rig.hardware.cards.mock", "a card of the simulated bench", KEPT, simulated=True),
 )
 CAMERA_DRIVERS = DriverRegistry(
-    Driver("opencv", "rig.hardware.cameras.opencv"),
-    Driver("realsense", "rig.hardware.cameras.realsense"),
-    Driver("mock", "rig.hardware.cameras.mock", simulated=True),
+    "cameras",
+    Driver("opencv", "rig.hardware.cameras.opencv", "V4L2 cameras, folders of pictures and video files"),
+    Driver("realsense", "rig.hardware.cameras.realsense", "Intel RealSense by librealsense (softrig[realsense])"),
+    Driver("mock", "rig.hardware.cameras.mock", "a camera of the simulated bench", simulated=True),
 )
+TRACKER_DRIVERS = DriverRegistry("trackers")

@@ -17,6 +17,7 @@ from protocols import BadInputError, Problem, document
 from protocols.library import find
 from rig.config import consistency
 from rig.config.metadata import run_metadata
+from rig.config.plugins import RECORDED
 from rig.config.schema import RigConfig
 from rig.config.sections import Variant
 from runs.records import RecordedFile, RunHeader
@@ -81,7 +82,8 @@ class RigFile:
 
     `file` names the rig file in messages, `text` is its text. `calibrations` are its calibration files by name, in the
     order of application, and `parameters` is the text of its identified parameters, or empty: both verbatim. `yaml` is
-    the rig file with all overlays applied, `config` its configuration; `effective` derives both.
+    the rig file with all overlays applied, `config` its configuration; `effective` derives both. A `recorded` rig is
+    from an archive: its drivers need not be installed here.
     """
 
     file: str
@@ -90,6 +92,7 @@ class RigFile:
     parameters: str
     yaml: str
     config: RigConfig
+    recorded: bool = False
 
     def calibrated(self, files: Sequence[Path]) -> RigFile:
         """Return the rig with more calibration files; a newer calibration replaces an older one of the same subject.
@@ -101,7 +104,7 @@ class RigFile:
 
         added = calibration_overlay.read_files(files)
         kept = calibration_overlay.not_replaced(_parsed(self), [one for _, one in added])
-        return _rig_file(self._document, (*kept, *added), _parameters(self.parameters))
+        return _rig_file(self._document, (*kept, *added), _parameters(self.parameters), recorded=self.recorded)
 
     def identified(self, parameters: Parameters, variant: Variant | None = None) -> RigFile:
         """Return the rig with these identified parameters, instead of any that it has.
@@ -111,7 +114,7 @@ class RigFile:
         Raises:
             BadInputError: the parameters belong to another arm or model variant.
         """
-        return _rig_file(self._document, _parsed(self), parameters, variant)
+        return _rig_file(self._document, _parsed(self), parameters, variant, recorded=self.recorded)
 
     def run_metadata(self, given: Mapping[str, str]) -> tuple[dict[str, str], list[Problem]]:
         """Return the metadata of a run, where `given` overrides the rig file, and every problem of both."""
@@ -119,7 +122,9 @@ class RigFile:
 
     def without_parameters(self) -> RigFile:
         """Return the rig with its calibrations only."""
-        return _rig_file(self._document, _parsed(self), None) if self.parameters else self
+        if not self.parameters:
+            return self
+        return _rig_file(self._document, _parsed(self), None, recorded=self.recorded)
 
     @property
     def _document(self) -> document.Document:
@@ -159,7 +164,7 @@ def recorded(header: RunHeader, archive: Path) -> RigFile:
     """
     source = document.parse(header.rig_yaml, f"{archive}: the rig's YAML")
     calibrations = _parse_calibrations(source.file, header.calibrations)
-    return _rig_file(source, calibrations, _parameters(header.parameters_yaml))
+    return _rig_file(source, calibrations, _parameters(header.parameters_yaml), recorded=True)
 
 
 def effective(
@@ -167,30 +172,34 @@ def effective(
     calibrations: Sequence[LoadedCalibration] = (),
     parameters: Parameters | None = None,
     variant: Variant | None = None,
+    *,
+    recorded: bool = False,
 ) -> tuple[str, RigConfig]:
     """Apply calibrations, then identified parameters, to a rig file; return the YAML and its configuration.
 
-    `variant` is the model variant that the parameters must have; by default the rig's own.
+    `variant` is the model variant that the parameters must have; by default the rig's own. The drivers of a `recorded`
+    rig need not be installed.
 
     Raises:
         BadInputError: every problem of the rig file; or an overlay belongs to another rig, arm or model variant.
     """
-    yaml, config = source.text, document.validate(RigConfig, source, consistency.check)
+    context = {RECORDED: recorded}
+    yaml, config = source.text, document.validate(RigConfig, source, consistency.check, context)
     if calibrations or config.calibrations:
         from rig.config import calibration_overlay
 
         yaml = calibration_overlay.with_calibrations(yaml, config, calibrations)
-        config = _validated(yaml, source.file)
+        config = _validated(yaml, source.file, context)
     if parameters is not None:
         from rig.config import parameters_overlay
 
         yaml = parameters_overlay.with_parameters(yaml, config, source.file, parameters, variant)
-        config = _validated(yaml, f"{source.file} with {parameters.source.file}")
+        config = _validated(yaml, f"{source.file} with {parameters.source.file}", context)
     return yaml, config
 
 
-def _validated(yaml: str, file: str) -> RigConfig:
-    return document.validate(RigConfig, document.parse(yaml, file), consistency.check)
+def _validated(yaml: str, file: str, context: Mapping[str, bool]) -> RigConfig:
+    return document.validate(RigConfig, document.parse(yaml, file), consistency.check, context)
 
 
 def _rig_file(
@@ -198,8 +207,10 @@ def _rig_file(
     calibrations: Sequence[tuple[str, LoadedCalibration]] = (),
     parameters: Parameters | None = None,
     variant: Variant | None = None,
+    *,
+    recorded: bool = False,
 ) -> RigFile:
-    yaml, config = effective(source, [one for _, one in calibrations], parameters, variant)
+    yaml, config = effective(source, [one for _, one in calibrations], parameters, variant, recorded=recorded)
     return RigFile(
         file=source.file,
         text=source.text,
@@ -207,6 +218,7 @@ def _rig_file(
         parameters="" if parameters is None else parameters.source.text,
         yaml=yaml,
         config=config,
+        recorded=recorded,
     )
 
 

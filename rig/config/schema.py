@@ -14,10 +14,10 @@ from protocols.validation import faults
 from rig.config import consistency
 from rig.config.metadata import Metadata
 from rig.config.sections import (
+    AnyCamera,
+    AnyCard,
     ArmConfig,
     BoardConfig,
-    CameraConfig,
-    CardConfig,
     Control,
     Limits,
     ModelConfig,
@@ -42,12 +42,12 @@ class RigConfig(Section):
         default=(), description="files of `rig calibrate`, from this file's folder: they replace what is stated here"
     )
     metadata: Metadata = Metadata()
-    cards: Named[CardConfig]
+    cards: Named[AnyCard]
     valves: Annotated[tuple[Valve, ...], Field(min_length=1)]
     sensors: Annotated[tuple[Sensor, ...], Field(min_length=1)]
     limits: Limits
     control: Control
-    cameras: Named[CameraConfig]
+    cameras: Named[AnyCamera]
     board: BoardConfig
     arm: ArmConfig
     uncertainties: Uncertainties = Field(default_factory=Uncertainties)
@@ -70,6 +70,12 @@ class RigConfig(Section):
         """True when any device of the rig is simulated."""
         cards = any(card.simulated for card in self.cards.values())
         return cards or any(camera.simulated for camera in self.cameras.values())
+
+    @property
+    def has_mocks(self) -> bool:
+        """True when a device of the rig belongs to the simulated bench."""
+        cards = any(card.is_mock for card in self.cards.values())
+        return cards or any(camera.is_mock for camera in self.cameras.values())
 
     @property
     def as_built(self) -> RigConfig:

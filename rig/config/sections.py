@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import re
 from datetime import datetime
-from typing import Annotated, Literal, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,7 @@ from pydantic.json_schema import SkipJsonSchema
 
 from protocols.validation import ValidationFault, faults
 from rig.config.drivers import CAMERA_DRIVERS, CARD_DRIVERS
+from rig.config.plugins import PluginSections
 
 PA_PER_BAR = 1e5
 
@@ -141,29 +142,80 @@ class Section(BaseModel):
 
 
 class CardConfig(Section):
-    """One data-acquisition card."""
+    """One data-acquisition card: the keys of every driver. A driver adds keys of its own in a subclass."""
 
-    driver: Annotated[str, Field(json_schema_extra=CARD_DRIVERS.extend_schema), AfterValidator(CARD_DRIVERS.check)]
+    driver: Annotated[str, Field(min_length=1)]
     device: Word = Field(description="/dev/comedi0, a board name, or the mock card's name")
     sampling_hz: Positive = Field(default=1000.0, le=20_000)
     outputs: Index = Field(description="AO channels that the card has")
     inputs: Index = Field(description="AI channels that the card has")
+
+    @property
+    def is_mock(self) -> bool:
+        """True for a card of the simulated bench."""
+        return self.driver == "mock"
+
+    @property
+    def simulated(self) -> bool:
+        """True for a simulated card, of the bench or of another driver."""
+        return CARD_DRIVERS.simulates(self.driver)
+
+    def setup_options(self) -> dict[str, Any]:
+        """What this driver's section adds to `CardSetup`."""
+        return {}
+
+
+class SampledCardConfig(CardConfig):
+    """A card whose inputs are sampled by its own clock or by instruction."""
+
     acquisition: Literal["auto", "command", "instruction"] = Field(
         default="auto", description="inputs by the card's own clock, one scan per control period, or the card's best"
     )
     reference: Literal["ground", "differential"] = Field(default="ground", description="how the inputs are wired")
-    one_opener: bool = Field(default=False, description="mock only: let one process in at a time, as some drivers do")
 
-    @property
-    def simulated(self) -> bool:
-        """True for a simulated card."""
-        return CARD_DRIVERS[self.driver].simulated
+    def setup_options(self) -> dict[str, Any]:
+        """Acquisition and wiring."""
+        return {"acquisition": self.acquisition, "differential": self.reference == "differential"}
 
-    @model_validator(mode="after")
-    def _one_opener_is_the_mocks(self) -> CardConfig:
-        if self.one_opener and not self.simulated:
-            faults([ValidationFault(("one_opener",), "nothing: of a real card it is found out")])
-        return self
+
+class ComediCardConfig(SampledCardConfig):
+    """A card with a Comedi driver."""
+
+    driver: Literal["comedi"]
+
+
+class MockCardConfig(SampledCardConfig):
+    """A card of the simulated bench."""
+
+    driver: Literal["mock"]
+    one_opener: bool = Field(default=False, description="let one process in at a time, as some drivers do")
+
+    def setup_options(self) -> dict[str, Any]:
+        """As of a card, and whether it lets one process in."""
+        return {**super().setup_options(), "one_opener": self.one_opener}
+
+
+class UninstalledCardConfig(CardConfig):
+    """A card from an archive whose driver is not installed here."""
+
+    model_config = ConfigDict(extra="ignore")
+
+
+if TYPE_CHECKING:
+    AnyCard = CardConfig
+else:
+    AnyCard = Annotated[
+        Annotated[ComediCardConfig | MockCardConfig, Field(discriminator="driver")],
+        PluginSections(
+            "driver",
+            CardConfig,
+            CARD_DRIVERS.built_in,
+            CARD_DRIVERS.plugins,
+            CARD_DRIVERS.section,
+            UninstalledCardConfig,
+        ),
+    ]
+    """A card of the rig file, by the model of its driver."""
 
 
 class Sensor(Section):
@@ -249,7 +301,7 @@ class PlanarMotion(Section):
 class CameraConfig(Section):
     """One camera. `placement` is the camera (x right, y down, z forward) in the rod-base frame."""
 
-    driver: Annotated[str, Field(json_schema_extra=CAMERA_DRIVERS.extend_schema), AfterValidator(CAMERA_DRIVERS.check)]
+    driver: Annotated[str, Field(json_schema_extra=CAMERA_DRIVERS.extend_schema)]
     device: Word | Index
     width_px: Annotated[int, Field(ge=64, le=16384, strict=True)]
     height_px: Annotated[int, Field(ge=64, le=16384, strict=True)]
@@ -268,9 +320,37 @@ class CameraConfig(Section):
     )
 
     @property
+    def is_mock(self) -> bool:
+        """True for a camera of the simulated bench."""
+        return self.driver == "mock"
+
+    @property
     def simulated(self) -> bool:
-        """True for a simulated camera."""
-        return CAMERA_DRIVERS[self.driver].simulated
+        """True for a simulated camera, of the bench or of another driver."""
+        return CAMERA_DRIVERS.simulates(self.driver)
+
+
+class UninstalledCameraConfig(CameraConfig):
+    """A camera from an archive whose driver is not installed here."""
+
+    model_config = ConfigDict(extra="ignore")
+
+
+if TYPE_CHECKING:
+    AnyCamera = CameraConfig
+else:
+    AnyCamera = Annotated[
+        CameraConfig,
+        PluginSections(
+            "driver",
+            CameraConfig,
+            CAMERA_DRIVERS.built_in,
+            CAMERA_DRIVERS.plugins,
+            CAMERA_DRIVERS.section,
+            UninstalledCameraConfig,
+        ),
+    ]
+    """A camera of the rig file, by the model of its driver."""
 
 
 class BoardConfig(Section):

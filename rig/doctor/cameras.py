@@ -9,6 +9,7 @@ import struct
 from pathlib import Path
 from typing import Any
 
+from rig.config.drivers import CAMERA_DRIVERS
 from rig.config.schema import RigConfig
 from rig.config.sections import CameraConfig
 from rig.doctor.finding import Finding
@@ -37,7 +38,7 @@ def rig_cameras(config: RigConfig, root: Path = Path("/")) -> list[Finding]:
     return [
         _realsense(f"rig's camera {name}", camera) if camera.driver == "realsense" else _named(name, camera, root)
         for name, camera in config.cameras.items()
-        if not camera.simulated
+        if camera.driver in CAMERA_DRIVERS.built_in and not camera.is_mock
     ]
 
 

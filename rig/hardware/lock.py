@@ -47,7 +47,7 @@ def lock_file(card: CardConfig) -> Path:
     Raises:
         OSError: this user's runtime folder cannot be made.
     """
-    device = card.device if card.simulated else os.fspath(device_node(card))
+    device = card.device if card.is_mock else os.fspath(device_node(card))
     name = "".join(c if c.isalnum() else "-" for c in f"{card.driver}-{device}")
     return runtime_folder() / f"{name}.lock"
 
@@ -165,7 +165,7 @@ def _places(card: CardConfig) -> tuple[Path, ...]:
     places = []
     with suppress(OSError):
         places.append(lock_file(card))
-    if not card.simulated:
+    if not card.is_mock:
         places.append(device_node(card))
     return tuple(places)
 
@@ -180,7 +180,7 @@ def _lock(name: str, card: CardConfig, config: RigConfig, held: list[int]) -> No
     _take(held[-1], name, card, config)
     node = device_node(card)
     # A board name that does not identify one card is refused when the card is opened.
-    if card.simulated or not node.is_absolute():
+    if card.is_mock or not node.is_absolute():
         return
     descriptor = _open_node(name, node)
     held.append(descriptor)

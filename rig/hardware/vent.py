@@ -27,7 +27,7 @@ _STOP_IT = "it may move the valves again; shut the air off, and stop it as its u
 
 def is_absent(config: RigConfig) -> bool:
     """Return True for a rig of simulated cards that has never run: no device exists, and no process holds it."""
-    absent = (card.simulated and not Registers.exist(card.device) for card in config.cards.values())
+    absent = (card.is_mock and not Registers.exist(card.device) for card in config.cards.values())
     return all(absent) and not holders(config)
 
 

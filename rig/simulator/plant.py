@@ -80,7 +80,7 @@ class Plant:
         self._faulty_sensors = FaultySensors(self.faults, self._sensors)
         self._outputs_v: NDArray[np.float64] = np.zeros(len(config.valves))
         self._air = pneumatics.vented(len(config.valves), self._dead_m3 + self._bore_m2 * lengths)
-        self._cards = {name: PlantCard(self, config, name) for name, card in config.cards.items() if card.simulated}
+        self._cards = {name: PlantCard(self, config, name) for name, card in config.cards.items() if card.is_mock}
 
     @property
     def t_ns(self) -> int:

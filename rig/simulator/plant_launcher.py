@@ -49,7 +49,7 @@ class Simulation:
             raise CardError(f"the simulator did not start: its output is {self._output!r}")
         if self._output != READY:
             return False
-        mocks = [card.device for card in self._config.cards.values() if card.simulated]
+        mocks = [card.device for card in self._config.cards.values() if card.is_mock]
         self._registers = Registers.attach(mocks[0]) if mocks else None
         return True
 
@@ -88,7 +88,7 @@ def started(config: RigConfig, rig_file: Path, seed: int, waits_ns: int | None =
 
     Its cards exist once it is `ready`. With `waits_ns` its time stops while open valves are not written for longer.
     """
-    if not config.simulated:
+    if not config.has_mocks:
         yield None
         return
     command = [sys.executable, "-P", "-m", "rig.simulator.plant_process", "--rig", str(rig_file), "--seed", str(seed)]

@@ -106,7 +106,7 @@ def run(config: RigConfig, seed: int, parent: int | None, waits_ns: int | None =
     t0_ns = time.monotonic_ns()
     plant = Plant(config, seed, t0_ns)
     plant.advance(t0_ns + LONGEST_STRETCH_NS)  # compiles kernels that are not cached
-    devices = [_SimulatedCard(config, name, plant) for name, card in config.cards.items() if card.simulated]
+    devices = [_SimulatedCard(config, name, plant) for name, card in config.cards.items() if card.is_mock]
     if devices:
         plant.faults.row = devices[0].faults.row
     _catch_up(plant, devices)

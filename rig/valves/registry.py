@@ -1,14 +1,17 @@
-"""The valve types of the rig file; one line here registers a type."""
+"""The valve types of the rig file; one line here registers a type, another package brings one as a plug-in."""
 
 from __future__ import annotations
 
 import functools
 import operator
-from typing import TYPE_CHECKING, Annotated
+from inspect import isabstract
+from typing import TYPE_CHECKING, Annotated, get_args
 
-from pydantic import Field
+from pydantic import ConfigDict, Field
 
-from rig.valves.base import ValveSection
+from rig.config.plugins import PluginError, PluginGroup, PluginSections
+from rig.config.sections import Control, Limits
+from rig.valves.base import Regulator, SimulatedValve, ValveSection, ValveTruth
 from rig.valves.flow import FlowValve
 from rig.valves.pressure import PressureValve
 
@@ -17,8 +20,57 @@ VALVE_TYPES: tuple[type[ValveSection], ...] = (
     PressureValve,
 )
 
+
+def _checked(name: str, found: object) -> type[ValveSection]:
+    if not (isinstance(found, type) and issubclass(found, ValveSection)):
+        raise TypeError("not a subclass of rig.valves.base.ValveSection")
+    if isabstract(found):
+        raise TypeError(f"it lacks {', '.join(sorted(found.__abstractmethods__))}")
+    return found
+
+
+VALVE_PLUGINS: PluginGroup[type[ValveSection]] = PluginGroup("softrig.valves", _checked)
+"""Valve types of other packages."""
+
+
+class UninstalledValve(ValveSection):
+    """A valve from an archive whose type is not installed here: it has no voltages and cannot be driven."""
+
+    model_config = ConfigDict(extra="ignore")
+
+    @property
+    def vent_v(self) -> float:
+        """Unknown. Raises PluginError."""
+        raise PluginError(f"valve type {self.type} is not installed: this rig can be read and not driven")
+
+    def regulator(self, limits: Limits, control: Control) -> Regulator:
+        """Unknown. Raises PluginError."""
+        raise PluginError(f"valve type {self.type} is not installed: this rig can be read and not driven")
+
+    def simulated(self, truth: SimulatedValve) -> ValveTruth:
+        """Unknown. Raises PluginError."""
+        raise PluginError(f"valve type {self.type} is not installed: this rig can be read and not simulated")
+
+
+def _name_of(valve: type[ValveSection]) -> str:
+    (name,) = get_args(valve.model_fields["type"].annotation)
+    return str(name)
+
+
+BUILT_IN = {_name_of(valve): valve for valve in VALVE_TYPES}
+
 if TYPE_CHECKING:
     Valve = ValveSection
 else:
-    Valve = Annotated[functools.reduce(operator.or_, VALVE_TYPES), Field(discriminator="type")]
+    Valve = Annotated[
+        Annotated[functools.reduce(operator.or_, VALVE_TYPES), Field(discriminator="type")],
+        PluginSections(
+            "type",
+            ValveSection,
+            BUILT_IN,
+            lambda: tuple(dict.fromkeys(entry.name for entry in VALVE_PLUGINS.entries())),
+            lambda name: VALVE_PLUGINS.load(name)[0],
+            UninstalledValve,
+        ),
+    ]
     """A valve of the rig file, of the registered type that its key `type` names."""

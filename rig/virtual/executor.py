@@ -45,8 +45,8 @@ def run(plan: Plan, open_record: OpenRecord, operator: OperatorInterface) -> Out
         StartError: the rig has a device that only real time can drive.
     """
     config = plan.config
-    real = [name for name, card in config.cards.items() if not card.simulated]
-    real += [name for name, camera in config.cameras.items() if not camera.simulated]
+    real = [name for name, card in config.cards.items() if not card.is_mock]
+    real += [name for name, camera in config.cameras.items() if not camera.is_mock]
     if real:
         raise StartError(f"virtual time needs a simulated rig, and {', '.join(real)} of rig {config.name} is real")
     virtual = _VirtualRun(plan, operator)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import re
 import sys
+import tomllib
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -13,7 +14,6 @@ import numpy as np
 import pytest
 
 from rig.config import loader
-from rig.config.drivers import CAMERA_DRIVERS, CARD_DRIVERS, Driver
 from rig.control.sensor_state import RegulatorDemand, SensorState
 from rig.hardware.bench import open_bench
 from rig.hardware.cameras.registry import open_camera
@@ -22,6 +22,7 @@ from scripts.faults import virtual
 from scripts.faults.catalogue import CATALOGUE
 from scripts.faults.fault import FaultRegistry
 from tests.support.plant_bench import mock_rig
+from tests.support.plugin_package import install, use
 
 PAGE = Path(__file__).parents[2] / "docs" / "how-to" / "extend-softrig.md"
 
@@ -43,14 +44,12 @@ def known(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
 
 
 def test_the_example_card_and_camera_are_opened_by_their_names(
-    known: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+    known: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    for drivers, driver in (
-        (CARD_DRIVERS, Driver("constant", "constant_card")),
-        (CAMERA_DRIVERS, Driver("grey", "grey_camera")),
-    ):
-        monkeypatch.setattr(drivers, "_drivers", dict(drivers))
-        drivers.register(driver)
+    (registered,) = re.findall(r"```toml\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
+    groups = tomllib.loads(registered)["project"]["entry-points"]
+    install(tmp_path, "softrig-mine", {f"{g} {n}": v for g, names in groups.items() for n, v in names.items()}, {})
+    use(tmp_path, monkeypatch)
     text = (
         loader.text("pci1716").replace("driver: comedi", "driver: constant").replace("driver: opencv", "driver: grey")
     )

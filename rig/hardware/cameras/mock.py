@@ -53,7 +53,7 @@ class MockCameraDriver:
         Raises:
             CameraError: the rig has no mock card, or its plant does not run.
         """
-        devices = [card.device for card in config.cards.values() if card.simulated]
+        devices = [card.device for card in config.cards.values() if card.is_mock]
         if not devices:
             raise CameraError(f"camera {name} is a mock, and the rig has no mock card whose plant it could look at")
         try:

@@ -6,7 +6,7 @@ Cards use volts; the conversion to pressure belongs to the rig (`rig.config.sche
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal, Protocol, runtime_checkable
+from typing import Any, Literal, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -56,6 +56,7 @@ class CardSetup:
     acquisition: Literal["auto", "command", "instruction"] = "auto"
     differential: bool = False
     one_opener: bool = False
+    section: Any = None
 
 
 @dataclass(frozen=True)

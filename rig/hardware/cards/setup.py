@@ -17,7 +17,6 @@ def card_setup(config: RigConfig, name: str) -> CardSetup:
         inputs=tuple(Channel(s.channel, *s.range_V) for s in sensors),
         outputs=tuple(Channel(v.channel, *v.range_V) for v in valves),
         sampling_hz=card.sampling_hz,
-        acquisition=card.acquisition,
-        differential=card.reference == "differential",
-        one_opener=card.one_opener,
+        section=card,
+        **card.setup_options(),
     )

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import difflib
 import re
-import sys
-import types
 from pathlib import Path
 
 import pytest
@@ -15,11 +13,9 @@ from hypothesis import strategies as st
 from protocols import BadInputError, Problem
 from protocols.document import parse, validate
 from rig.config import consistency
-from rig.config.drivers import CAMERA_DRIVERS, CARD_DRIVERS, Driver, DriverRegistry
+from rig.config.drivers import CAMERA_DRIVERS, CARD_DRIVERS, DriverRegistry
 from rig.config.loader import load, path_of, text
 from rig.config.schema import RigConfig
-from rig.hardware.cards.base import CardSetup
-from rig.hardware.cards.registry import open_card
 from tests.support.budget import examples
 
 MOCK = text("mock")
@@ -276,19 +272,3 @@ def test_an_unknown_driver_is_an_error_that_names_the_registered_ones(
     message = str(refused.value)
     assert f"one of {', '.join(names)}" in message
     assert typo in message
-
-
-def test_a_registered_driver_is_opened_without_a_change_elsewhere(monkeypatch: pytest.MonkeyPatch) -> None:
-    module = types.ModuleType("bench_card")
-    opened: list[CardSetup] = []
-    module.driver = lambda: opened.append  # type: ignore[attr-defined]
-    monkeypatch.setitem(sys.modules, "bench_card", module)
-    monkeypatch.setattr(CARD_DRIVERS, "_drivers", dict(CARD_DRIVERS._drivers))
-    CARD_DRIVERS.register(Driver("bench", "bench_card"))
-    with pytest.raises(ValueError, match="registered already"):
-        CARD_DRIVERS.register(Driver("bench", "bench_card"))
-    card = load("mock").cards["daq"].model_copy(update={"driver": "bench"})
-    setup = CardSetup("daq", "b0", (), (), 1000.0)
-    open_card(card, setup)
-    assert opened == [setup]
-    assert not card.simulated

@@ -1,0 +1,38 @@
+"""Output of `rig drivers`."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import asdict
+
+from rich.table import Table
+from rich.text import Text
+
+from rig.cli.column_table import ColumnTable
+from rig.config.drivers import InstalledDriver
+
+
+def table(rows: Sequence[InstalledDriver]) -> Table:
+    """Return the drivers as a table; a plug-in that cannot be used has its fault in red."""
+    found = ColumnTable()
+    for head in ("section", "name", "package", "what it does"):
+        found.add_column(head, overflow="fold")
+    for row in rows:
+        found.add_row(row.kind, row.name, row.package, Text(row.fault, "red") if row.fault else _about(row))
+    return found
+
+
+def _about(row: InstalledDriver) -> str:
+    """What a driver drives, its keys, and what its outputs do once the program is dead."""
+    parts = [row.about + (" (simulated)" if row.simulated else "")]
+    if row.keys:
+        parts.append(f"keys: {', '.join(row.keys)}")
+    if row.safe_state:
+        parts.append(f"if the program dies: {row.safe_state}")
+    return "; ".join(parts)
+
+
+def as_json(rows: Sequence[InstalledDriver]) -> str:
+    """Return the drivers as JSON."""
+    return json.dumps([asdict(row) for row in rows], indent=2)

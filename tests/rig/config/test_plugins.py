@@ -1,0 +1,250 @@
+"""Drivers and valve types of other packages: found, validated, listed; a broken one is one message."""
+
+from __future__ import annotations
+
+import json
+import pickle
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from protocols import BadInputError
+from rig.cli.app import main
+from rig.config import loader
+from rig.config.schema import RigConfig
+from rig.doctor.plugins import rig_devices
+from rig.hardware.bench import open_bench
+from rig.valves.registry import UninstalledValve
+from runs.records import RunHeader
+from tests.support.plugin_package import install, use
+
+BOX = """
+import time
+import numpy as np
+from rig.config.drivers import Plugin
+from rig.config.sections import CardConfig, Positive
+from rig.hardware.cards.base import Scans
+
+class BoxConfig(CardConfig):
+    gain: Positive
+    pins: tuple[int, int] = (0, 1)
+
+class Box:
+    def __init__(self, setup):
+        self.setup, self.stands = setup, np.full(len(setup.outputs), np.nan)
+    def start(self):
+        pass
+    def read(self):
+        return Scans(np.array([time.monotonic_ns()]), np.full((1, len(self.setup.inputs)), self.setup.section.gain))
+    def write(self, volts):
+        self.stands = volts.copy()
+    def readback(self):
+        return self.stands
+    def close(self):
+        pass
+
+def examine(name, section):
+    from rig.doctor.finding import Finding
+    if section.gain > 100:
+        raise RuntimeError("no such gain")
+    return [Finding(f"box {name}", "ok", f"gain {section.gain:g}")]
+
+box = Plugin(BoxConfig, Box, about="a box of volts", safe_state="vents after 50 ms", examine=examine)
+"""
+VALVE = """
+from typing import Literal
+from rig.valves.pressure import PressureValve
+
+class Slow(PressureValve):
+    "A valve that takes its time."
+    type: Literal["slow"]
+    seconds: float = 1.0
+"""
+SLOW = "  - {type: slow, actuators: [2, 3], card: daq, channel: 1, span_bar: [0, 2], seconds: 2.0}\n"
+
+
+@pytest.fixture
+def site(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    folder = tmp_path / "site"
+    entry_points = {"softrig.cards box": "box_card:box", "softrig.valves slow": "slow_valve:Slow"}
+    install(folder, "softrig-box", entry_points, {"box_card.py": BOX, "slow_valve.py": VALVE})
+    for module in ("box_card", "slow_valve"):
+        monkeypatch.delitem(sys.modules, module, raising=False)
+    use(folder, monkeypatch)
+    return folder
+
+
+def rig_text(card: str = "{driver: box, device: box0, gain: 2, inputs: 3, outputs: 2}") -> str:
+    """The paper's rig with the card in place of the PCI-1716."""
+    text = loader.text("pci1716")
+    old = text[text.index("  daq: {") : text.index("}", text.index("  daq: {")) + 1]
+    return text.replace(old, f"  daq: {card}")
+
+
+def with_slow_valve(text: str) -> str:
+    """The second valve replaced by one of a plug-in's type."""
+    second = text.index("  - type: flow", text.index("channel: 0"))
+    return text[:second] + SLOW + text[text.index("\nsensors:") :]
+
+
+def problems(text: str) -> list[str]:
+    with pytest.raises(BadInputError) as refused:
+        loader.parse(text, "my.yaml")
+    return [str(problem) for problem in refused.value.problems]
+
+
+def header(text: str) -> RunHeader:
+    fields = dict.fromkeys(RunHeader.__dataclass_fields__, "")
+    return RunHeader(**{**fields, "rig_yaml": text, "calibrations": (), "parameters_yaml": ""})  # type: ignore[arg-type]
+
+
+def test_a_card_of_a_package_is_opened_with_its_own_keys(site: Path) -> None:
+    config = loader.parse(rig_text(), "my.yaml")
+    bench = open_bench(config)
+    bench.arm()
+    bench.start()
+    assert bench.read().volts.tolist() == [[2.0, 2.0, 2.0]]
+    assert bench.readback().tolist() == bench.safe_voltages.tolist()
+    bench.close()
+
+
+def test_a_plugins_keys_survive_the_ways_a_rig_travels(site: Path) -> None:
+    config = loader.parse(with_slow_valve(rig_text()), "my.yaml")
+    assert pickle.loads(pickle.dumps(config)) == config
+    assert RigConfig.model_validate_json(config.model_dump_json(exclude_none=True)) == config
+    assert config.cards["daq"].gain == 2  # type: ignore[attr-defined]
+    assert config.valves[1].seconds == 2.0  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize(
+    ("card", "place", "says"),
+    [
+        ("{driver: box, device: b, gain: -2, inputs: 3, outputs: 2}", "my.yaml:7:39", "a number above 0"),
+        ("{driver: box, device: b, inputs: 3, outputs: 2}", "my.yaml:7:3:", "is missing: a number above 0"),
+        ("{driver: box, device: b, gane: 2, inputs: 3, outputs: 2}", "my.yaml:7:33", "unknown key 'gane'"),
+        ("{driver: box, device: b, gain: 2, pins: [1, x], inputs: 3, outputs: 2}", "my.yaml:7:52", "a whole number"),
+        ("{driver: bux, device: b, inputs: 3, outputs: 2}", "my.yaml:7:17", "one of comedi, mock, box"),
+    ],
+)
+def test_a_fault_in_a_plugins_section_has_its_place(site: Path, card: str, place: str, says: str) -> None:
+    (problem,) = problems(rig_text(card))
+    assert problem.startswith(place)
+    assert says in problem
+
+
+def test_faults_in_and_beside_a_plugins_section_are_reported_at_once(site: Path) -> None:
+    text = rig_text("{driver: box, device: b, gain: 0, inputs: 3, outputs: 1}").replace(
+        "pressure_bar: 0.7", "pressure_bar: x"
+    )
+    assert len(problems(text)) == 2
+
+
+def test_a_fault_between_a_plugins_card_and_the_valves_is_found(site: Path) -> None:
+    (problem,) = problems(rig_text("{driver: box, device: b, gain: 1, inputs: 3, outputs: 1}"))
+    assert "card 'daq' has 1 AO channel" in problem
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("raise RuntimeError('no firmware')", "RuntimeError: no firmware"),
+        ("import sys; sys.exit(3)", "SystemExit: 3"),
+        ("import a_library_that_is_absent", "No module named 'a_library_that_is_absent'"),
+        ("box = 5", "of type int, not a rig.config.drivers.Plugin"),
+    ],
+)
+def test_a_broken_plugin_is_one_message(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], text: str, says: str
+) -> None:
+    install(tmp_path / "site", "softrig-broken", {"softrig.cards box": "broken_box:box"}, {"broken_box.py": text})
+    monkeypatch.delitem(sys.modules, "broken_box", raising=False)
+    use(tmp_path / "site", monkeypatch)
+    (problem,) = problems(rig_text())
+    assert problem.startswith("my.yaml:7:17")
+    assert "softrig-broken 1.0" in problem
+    assert says in problem
+    with pytest.raises(SystemExit) as left:
+        main(["drivers", "--json"])
+    assert left.value.code == 0
+    (row,) = [row for row in json.loads(capsys.readouterr().out) if row["package"] == "softrig-broken 1.0"]
+    assert says in row["fault"]
+
+
+def test_two_packages_of_one_name_are_refused(site: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    install(tmp_path / "other", "softrig-other", {"softrig.cards box": "box_card:box"}, {})
+    use(tmp_path / "other", monkeypatch)
+    (problem,) = problems(rig_text())
+    assert "softrig-other 1.0" in problem
+    assert "softrig-box 1.0" in problem
+
+
+def test_a_plugin_never_replaces_a_driver_of_softrig(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    install(tmp_path / "site", "softrig-false", {"softrig.cards mock": "box_card:box"}, {"box_card.py": BOX})
+    use(tmp_path / "site", monkeypatch)
+    assert type(loader.load("mock").cards["daq"]).__name__ == "MockCardConfig"
+    with pytest.raises(SystemExit):
+        main(["drivers"])
+    assert "not used: softrig has a driver of that name" in " ".join(capsys.readouterr().out.split())
+
+
+def test_drivers_lists_plugins_with_package_keys_and_safe_state(site: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        main(["drivers", "--json"])
+    rows = {(row["kind"], row["name"]): row for row in json.loads(capsys.readouterr().out)}
+    box, slow = rows["cards", "box"], rows["valves", "slow"]
+    assert (box["package"], box["keys"], box["safe_state"]) == (
+        "softrig-box 1.0",
+        ["gain", "pins"],
+        "vents after 50 ms",
+    )
+    assert (slow["about"], slow["keys"]) == ("A valve that takes its time.", ["span_V", "span_bar", "seconds"])
+    assert rows["cards", "comedi"]["package"] == "softrig"
+
+
+def test_doctor_asks_the_plugin_about_its_device(site: Path) -> None:
+    behind, own = rig_devices(loader.parse(rig_text(), "my.yaml"))
+    assert "softrig-box 1.0" in behind.found
+    assert "vents after 50 ms" in behind.found
+    assert (own.topic, own.found) == ("box daq", "gain 2")
+    card = "{driver: box, device: b, gain: 200, inputs: 3, outputs: 2}"
+    *_, failed = rig_devices(loader.parse(rig_text(card), "my.yaml"))
+    assert failed.verdict == "missing"
+    assert "RuntimeError: no such gain" in failed.found
+
+
+def test_a_recorded_rig_is_read_without_its_plugins(tmp_path: Path) -> None:
+    text = with_slow_valve(rig_text())
+    rig = loader.recorded(header(text), Path("run.h5"))
+    assert rig.text == text
+    assert rig.config.cards["daq"].driver == "box"
+    assert isinstance(rig.config.valves[1], UninstalledValve)
+    assert not rig.config.simulated
+    with pytest.raises(BadInputError, match=r"recorded|pressure"):
+        loader.recorded(header(text.replace("pressure_bar: 0.7", "pressure_bar: x")), Path("run.h5"))
+    assert "one of comedi, mock" in problems(text)[0]
+
+
+def test_built_in_drivers_need_no_metadata_of_installed_packages() -> None:
+    program = (
+        "import sys, importlib.metadata as m\n"
+        "entry_points = m.entry_points\n"
+        "def refused(group):\n"
+        "    assert not group.startswith('softrig.')\n"
+        "    return entry_points(group=group)\n"
+        "m.entry_points = refused\n"
+        "from rig.config import loader\n"
+        "assert loader.load('mock').simulated and not loader.load('pci1716').simulated\n"
+    )
+    subprocess.run([sys.executable, "-c", program], check=True)
+
+
+def test_a_valve_of_a_package_regulates(site: Path) -> None:
+    config = loader.parse(with_slow_valve(rig_text()), "my.yaml")
+    state = config.valves[1].regulator(config.limits, config.control).command(0.0, 0.005, 0.0, 1e5, 0.0)
+    assert state.valve_v == pytest.approx(5.0)
+    assert np.isfinite(config.valves[1].safe_v())
