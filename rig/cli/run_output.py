@@ -28,7 +28,7 @@ from rig.realtime.timing_limits import remedies, stated, valves_at_stake
 from runs.records import Status
 
 if TYPE_CHECKING:
-    from rig.doctor.finding import Finding
+    from rig.hardware.finding import Finding
 
 _EXIT = {Status.FINISHED: 0, Status.ABORTED: 1, Status.INTERRUPTED: 130}
 _VERDICT = {"ok": "green", "missing": "bold red", "note": "yellow"}

@@ -16,7 +16,7 @@ from pydantic import BaseModel
 from rig.config.plugins import PluginError, PluginGroup, package_of
 
 if TYPE_CHECKING:
-    from rig.doctor.finding import Finding
+    from rig.hardware.finding import Finding
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from rig.config.schema import RigConfig
 from rig.doctor import cameras, cards, machine, plugins
-from rig.doctor.finding import Finding
+from rig.hardware.finding import Finding
 
 
 def examine(folder: Path, config: RigConfig | None = None) -> tuple[Finding, ...]:

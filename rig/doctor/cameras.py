@@ -12,9 +12,9 @@ from typing import Any
 from rig.config.drivers import CAMERA_DRIVERS
 from rig.config.schema import RigConfig
 from rig.config.sections import CameraConfig
-from rig.doctor.finding import Finding
 from rig.doctor.machine import group_name
 from rig.hardware.cameras.realsense import ANY, RECORDINGS, why_unusable
+from rig.hardware.finding import Finding
 
 _VIDIOC_QUERYCAP = 0x80685600
 _CAPABILITIES = "<16s32s32sIII12x"

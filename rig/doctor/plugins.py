@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from rig.config.drivers import CAMERA_DRIVERS, CARD_DRIVERS, Driver
 from rig.config.schema import RigConfig
 from rig.config.sections import CameraConfig, CardConfig
-from rig.doctor.finding import Finding
+from rig.hardware.finding import Finding
 
 
 def rig_devices(config: RigConfig) -> Iterator[Finding]:

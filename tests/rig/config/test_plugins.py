@@ -47,7 +47,7 @@ class Box:
         pass
 
 def examine(name, section):
-    from rig.doctor.finding import Finding
+    from rig.hardware.finding import Finding
     if section.gain > 100:
         raise RuntimeError("no such gain")
     return [Finding(f"box {name}", "ok", f"gain {section.gain:g}")]

@@ -1,0 +1,120 @@
+"""A softrig driver: the Pneubox, a simulated box of pressure regulators and sensors.
+
+Its state is a file, so that several processes drive one box, as they drive a real device. A regulator takes 0 to 10 V
+for 0 to 2 bar, a sensor tells 0 to 10 V for 0 to 10 bar. A box that is not written for `silence_ms` vents by itself.
+"""
+
+from __future__ import annotations
+
+import math
+import mmap
+import tempfile
+import time
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from rig.config.drivers import Plugin
+from rig.config.sections import CardConfig, Positive
+from rig.hardware.cards.base import CardError, CardSetup, Scans
+from rig.hardware.finding import Finding
+
+CHANNELS = 8
+BAR_PER_V = 0.2
+SENSOR_V_PER_BAR = 1.0
+
+
+class PneuboxConfig(CardConfig):
+    """The keys of every card, and these."""
+
+    lag_ms: Positive = 50.0
+    silence_ms: Annotated[float, Field(ge=20, le=1000)] = 100.0
+
+
+def file_of(device: str) -> Path:
+    """The state of a box: outputs [V], pressures [bar], time of the last step and of the last write [ns]."""
+    return Path(tempfile.gettempdir()) / f"{device}.pneubox"
+
+
+def power_up(device: str) -> None:
+    """Make a box; every chamber is empty."""
+    state = np.zeros(2 * CHANNELS + 2)
+    state[2 * CHANNELS :] = time.monotonic_ns()
+    state.tofile(file_of(device))
+
+
+class Pneubox:
+    """An open box."""
+
+    def __init__(self, setup: CardSetup) -> None:
+        """Open the box. Raises CardError."""
+        self._config: PneuboxConfig = setup.section
+        self._inputs = [channel.number for channel in setup.inputs]
+        self._outputs = [channel.number for channel in setup.outputs]
+        if max((*self._inputs, *self._outputs), default=0) >= CHANNELS:
+            raise CardError(f"box {setup.device} has channels 0 to {CHANNELS - 1} only")
+        self._setup = setup
+        try:
+            with file_of(setup.device).open("r+b") as file:
+                self._memory = mmap.mmap(file.fileno(), 0)
+        except (OSError, ValueError) as error:
+            raise CardError(f"box {setup.device} cannot be opened: {error}", "switch it on") from error
+        state = np.frombuffer(self._memory, np.float64)
+        self._volts, self._bar, self._times = np.split(state, [CHANNELS, 2 * CHANNELS])
+        self._started = False
+
+    def start(self) -> None:
+        """Sample from now on."""
+        self._started = True
+
+    def read(self) -> Scans:
+        """One scan, taken now; none before `start`."""
+        times = np.array([self._step()] if self._started else [], np.int64)
+        return Scans(times, np.tile(self._bar[self._inputs] * SENSOR_V_PER_BAR, (len(times), 1)))
+
+    def write(self, volts: NDArray[np.float64]) -> None:
+        """Set the outputs, each within its range; a number that is not finite is refused."""
+        if not np.all(np.isfinite(volts)):
+            raise CardError(f"box {self._setup.device} was told {volts.tolist()} V; nothing was written")
+        self._times[1] = self._step()
+        ranges = np.array([(channel.low_v, channel.high_v) for channel in self._setup.outputs])
+        self._volts[self._outputs] = np.clip(volts, ranges[:, 0], ranges[:, 1])
+
+    def readback(self) -> NDArray[np.float64]:
+        """The outputs as the box has them."""
+        self._step()
+        return np.array(self._volts[self._outputs])
+
+    def close(self) -> None:
+        """Release the box; its outputs keep their values until its silence is over."""
+        self._volts = self._bar = self._times = np.empty(0)
+
+    def _step(self) -> int:
+        """What happens inside the box until now [ns]."""
+        now = time.monotonic_ns()
+        if now - self._times[1] > self._config.silence_ms * 1e6:
+            self._volts[:] = 0.0
+        share = -math.expm1(-max(0.0, now - self._times[0]) / (self._config.lag_ms * 1e6))
+        self._bar += share * (self._volts * BAR_PER_V - self._bar)
+        self._times[0] = now
+        return now
+
+
+def examine(name: str, section: PneuboxConfig) -> list[Finding]:
+    """Whether the box is there, for `rig doctor`."""
+    if file_of(section.device).exists():
+        return [Finding(f"box {name}", "ok", f"{section.device} is on; it vents after {section.silence_ms:g} ms")]
+    return [Finding(f"box {name}", "missing", f"{section.device} is off", "switch it on")]
+
+
+pneubox = Plugin(
+    PneuboxConfig,
+    Pneubox,
+    about="the Pneubox, a simulated pressure controller",
+    safe_state="the box vents by itself after silence_ms",
+    simulated=True,
+    examine=examine,
+)

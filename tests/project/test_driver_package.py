@@ -1,0 +1,87 @@
+"""The driver package of the tutorial: installed by pip, and used as the tutorial says."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from rig.cli.app import main
+from tests.support.plugin_package import use
+
+ROOT = Path(__file__).parents[2]
+PACKAGE = ROOT / "docs" / "examples" / "driver-package"
+TUTORIAL = ROOT / "docs" / "tutorial" / "write-a-driver.md"
+LARGEST = 120
+"""Lines that a driver may take."""
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The package, installed into a folder; no network."""
+    folder = tmp_path_factory.mktemp("driver")
+    options = ("--quiet", "--disable-pip-version-check", "--no-deps", "--no-index", "--no-build-isolation")
+    target = folder / "site"
+    source = folder / "package"
+    source.mkdir()
+    for file in PACKAGE.iterdir():
+        if file.is_file():
+            (source / file.name).write_bytes(file.read_bytes())
+    command = [sys.executable, "-m", "pip", "install", *options, "--target", str(target), str(source)]
+    subprocess.run(command, check=True, capture_output=True, text=True)
+    return target
+
+
+@pytest.fixture
+def rig(
+    site: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> Callable[..., tuple[int, str]]:
+    """Call a `rig` command in a folder of its own; returns exit status and output."""
+    use(site, monkeypatch)
+    monkeypatch.delitem(sys.modules, "softrig_pneubox", raising=False)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    monkeypatch.setattr(tempfile, "tempdir", None)
+
+    def call(*words: str) -> tuple[int, str]:
+        with pytest.raises(SystemExit) as left:
+            main(list(words))
+        said = capsys.readouterr()
+        return int(left.value.code or 0), said.out + said.err
+
+    return call
+
+
+def test_the_driver_is_one_short_file() -> None:
+    (module,) = PACKAGE.glob("*.py")
+    assert len(module.read_text().splitlines()) <= LARGEST
+
+
+def test_the_tutorial_works_as_it_stands(rig: Callable[..., tuple[int, str]], site: Path, tmp_path: Path) -> None:
+    (row,) = [row for row in json.loads(rig("drivers", "--json")[1]) if row["name"] == "pneubox"]
+    assert (row["package"], row["keys"]) == ("softrig-pneubox 0.1.0", ["lag_ms", "silence_ms"])
+    (program,) = re.findall(r"python - <<'END'\n(.*?)END\n", TUTORIAL.read_text(), re.DOTALL)
+    exec(program, {})
+    assert "nothing is wrong" in rig("check", "ramp-a", "--rig", "pneubox.yaml")[1]
+    status, said = rig("vent", "--rig", "pneubox.yaml")
+    assert status == 1
+    assert "switch it on" in said
+    (power_up,) = re.findall(r'python -c "(.*?)"', TUTORIAL.read_text())
+    exec(power_up, {})
+    # In a process of its own, which finds the installed package by itself.
+    command = [sys.executable, "-m", "rig", "vent", "--rig", "pneubox.yaml"]
+    env = os.environ | {"PYTHONPATH": str(site)}
+    vented = subprocess.run(command, env=env, capture_output=True, text=True, check=True).stdout
+    assert vented.startswith("every chamber of rig pneubox is open to the exhaust (simulated")
+    rig_file = tmp_path / "pneubox.yaml"
+    rig_file.write_text(rig_file.read_text().replace("silence_ms: 100", "silence_ms: 5"))
+    status, said = rig("check", "ramp-a", "--rig", "pneubox.yaml")
+    assert status == 2
+    assert re.match(r"pneubox.yaml:\d+:\d+: cards, daq, silence_ms\n", said)
