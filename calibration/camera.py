@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -11,9 +11,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from calibration.intrinsics_covariance import intrinsics_covariance
 from calibration.view_coverage import ViewCoverage, view_geometry
 from calibration.views import View, views_in
 from calibration.vision.corners import sharpen, spacing
+from calibration.vision.exposure import exposure_fault
 from calibration.vision.lens import Lens
 
 Floats = NDArray[np.float64]
@@ -131,9 +133,7 @@ def calibrate_views(views: Iterable[View], corners: tuple[int, int], square_m: f
         size = (width, height)
         seen = find_corners(view.image, corners)
         if seen is None:
-            skipped.append(
-                ExcludedView(view.name, f"no board of {corners[0]}x{corners[1]} inner corners found", view.sha256)
-            )
+            skipped.append(ExcludedView(view.name, no_board(view.image, corners), view.sha256))
         else:
             found.append((view, seen))
     if size is None or len(found) < _LEAST_VIEWS:
@@ -151,7 +151,7 @@ def calibrate_views(views: Iterable[View], corners: tuple[int, int], square_m: f
             break
         view, _ = found.pop(worst)
         why = f"residual {result.views[worst].rms_px:.2f} px where the median is {usual:.2f} px"
-        skipped.append(ExcludedView(view.name, why, view.sha256))
+        skipped.append(ExcludedView(view.name, _with_exposure(why, view.image), view.sha256))
         result = _solve(found, size, corners, square_m, skipped)
     return result
 
@@ -171,6 +171,16 @@ def find_corners(image: Image, corners: tuple[int, int]) -> Floats | None:
     half = max(2, int(0.4 * spacing(seeds, corners)))
     refined = cv2.cornerSubPix(image, seeds.astype(np.float32).reshape(-1, 1, 2), (half, half), (-1, -1), _SUBPIX)
     return np.asarray(refined[:, 0, :], dtype=np.float64)
+
+
+def no_board(image: Image, corners: tuple[int, int]) -> str:
+    """Return the reason for a grey picture in which no board was found."""
+    return _with_exposure(f"no board of {corners[0]}x{corners[1]} inner corners found", image)
+
+
+def _with_exposure(reason: str, image: Image) -> str:
+    """Return the reason, followed by the exposure fault of the picture if it has one."""
+    return f"{reason}; {fault}" if (fault := exposure_fault(image)) else reason
 
 
 def _seeds(image: Image, corners: tuple[int, int]) -> Floats | None:
@@ -229,21 +239,13 @@ def _solve(
         used.append(CalibratedView(view.name, view.sha256, seen, residuals, vector, offset))
     m = lens.matrix
     parameters = np.concatenate([[m[0, 0], m[1, 1], m[0, 2], m[1, 2]], lens.distortion])
-    covariance = _covariance(grid.astype(np.float64), lens, used)
+    slopes = [_slopes(grid.astype(np.float64), lens, view) for view in used]
+    covariance = intrinsics_covariance(slopes, [view.residuals_px.ravel() for view in used])
     return CameraCalibration(*size, corners, square_m, parameters, covariance, float(rms), tuple(used), tuple(skipped))
 
 
-def _covariance(grid: Floats, lens: Lens, views: Sequence[CalibratedView]) -> Floats:
-    """Covariance (9, 9) of the intrinsics with every view's pose free: the poses are eliminated view by view."""
-    normal = np.zeros((len(PARAMETERS), len(PARAMETERS)))
-    squares, count = 0.0, 0
-    for view in views:
-        _, slope = cv2.projectPoints(grid, view.rotation_vector, view.translation_m, lens.matrix, lens.distortion)
-        pose, own = slope[:, :6], slope[:, 6 : 6 + len(PARAMETERS)]
-        mixed = pose.T @ own
-        normal += own.T @ own - mixed.T @ np.linalg.solve(pose.T @ pose, mixed)
-        squares += float(np.sum(view.residuals_px**2))
-        count += view.residuals_px.size
-    freedom = max(count - len(PARAMETERS) - 6 * len(views), 1)
-    inverse = np.linalg.pinv(normal, hermitian=True)
-    return np.asarray(squares / freedom * (inverse + inverse.T) / 2)
+def _slopes(grid: Floats, lens: Lens, view: CalibratedView) -> tuple[Floats, Floats]:
+    """Derivatives of the corner coordinates of a view by its pose (2 n, 6) and by the intrinsics (2 n, 9)."""
+    _, jacobian = cv2.projectPoints(grid, view.rotation_vector, view.translation_m, lens.matrix, lens.distortion)
+    slope = np.asarray(jacobian, dtype=np.float64)
+    return slope[:, :6], slope[:, 6 : 6 + len(PARAMETERS)]

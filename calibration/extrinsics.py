@@ -95,6 +95,22 @@ class ExtrinsicCalibration:
             slope[:, k] = np.concatenate([moved.translation_m - centre.translation_m, turn]) / step
         return np.asarray(slope @ self.covariance[np.ix_(at, at)] @ slope.T)
 
+    def baseline_m(self, camera: str, other: str) -> tuple[float, float]:
+        """Distance [m] of the centres of two cameras and its standard uncertainty."""
+        names = [name for name in (camera, other) if name != next(iter(self.cameras))]
+        order = list(self.cameras)
+        at = [6 * (order.index(name) - 1) + k for name in names for k in range(6)]
+        start = np.concatenate([_vector(self.cameras[name].inverse()) for name in names])
+
+        def distance(values: Floats) -> float:
+            moved = {name: _rigid(v).inverse() for name, v in zip(names, values.reshape(-1, 6), strict=True)}
+            ends = [moved.get(name, self.cameras[name]).translation_m for name in (camera, other)]
+            return float(np.linalg.norm(ends[1] - ends[0]))
+
+        steps = np.diag(np.where(np.arange(len(start)) % 6 < 3, 1e-6, 1e-7))
+        slope = np.array([(distance(start + step) - distance(start - step)) / (2 * step.sum()) for step in steps])
+        return distance(start), float(np.sqrt(slope @ self.covariance[np.ix_(at, at)] @ slope))
+
 
 def locate(cameras: Sequence[CameraSightings], board: Board, *, bundle: bool = True) -> ExtrinsicCalibration:
     """Find cameras and boards from simultaneous views; with `bundle`, by bundle adjustment.

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import combinations
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from calibration import view_matching
-from calibration.camera import CalibrationError, ExcludedView, calibrate_views, find_corners
+from calibration.camera import CalibrationError, ExcludedView, calibrate_views, find_corners, no_board
 from calibration.cross_validation import PointObservations, leave_out
 from calibration.extrinsics import CameraSightings, ExtrinsicCalibration, locate
 from calibration.views import View, views_in
@@ -88,7 +89,13 @@ def from_boards(
         _used_views(views, extrinsics, board),
         (*views.left_out, *(ExcludedView(key, why, views.sha256_at(key)) for key, why in extrinsics.left_out)),
         world,
+        {pair: _baseline_m(extrinsics, pair, bundle) for pair in combinations(extrinsics.cameras, 2)},
     )
+
+
+def _baseline_m(extrinsics: ExtrinsicCalibration, pair: tuple[str, str], bundle: bool) -> tuple[float, float]:
+    distance, std = extrinsics.baseline_m(*pair)
+    return distance, std if bundle else float("nan")
 
 
 def _used_views(
@@ -158,8 +165,7 @@ def _corners_in(
             )
         corners = find_corners(view.image, board.pattern)
         if corners is None:
-            why = f"no board of {board.pattern[0]}x{board.pattern[1]} inner corners found"
-            skipped.append(ExcludedView(view.name, why, view.sha256))
+            skipped.append(ExcludedView(view.name, no_board(view.image, board.pattern), view.sha256))
         else:
             sharp.append((view.name, view.sha256, corners))
     return sharp, skipped

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import cv2
 import numpy as np
@@ -36,6 +36,8 @@ class DLTCalibrationResult:
     views: tuple[calibration_schema.UsedView, ...] = ()
     left_out: tuple[ExcludedView, ...] = ()
     world_view: str = ""
+    baselines_m: dict[tuple[str, str], tuple[float, float]] = field(default_factory=dict)
+    """Distance of each two cameras and its standard uncertainty, NaN if that is not known."""
 
 
 def fitted(name: str, observation: PointObservations) -> DLT:

@@ -2,15 +2,22 @@
 
 from __future__ import annotations
 
+from itertools import combinations
 from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
 
 from calibration.cross_validation import PointObservations, leave_out
 from calibration.dlt_bundle_adjustment import adjust
+from calibration.vision.transforms import RigidTransform
 from rig.calibrate import control_points
 from rig.calibrate.dlt_fit import DLTCalibrationResult, camera_in_world, fitted, known_lens
 from rig.calibrate.inputs import bad_input
 from rig.config.calibration_files import LoadedCalibration
 from rig.config.schema import RigConfig
+
+Floats = NDArray[np.float64]
 
 _MOST_LEFT_OUT = 200
 _WIDEST_MM = 1e6
@@ -42,7 +49,22 @@ def from_points(
     places = {name: camera_in_world(observation, dlts[name]) for name, observation in observations.items()}
     names = sorted({name for observation in observations.values() for name in observation.names})
     groups = {name: (name,) for name in names[:_MOST_LEFT_OUT]}
-    return DLTCalibrationResult(observations, dlts, places, leave_out(list(observations.values()), groups), sizes)
+    return DLTCalibrationResult(
+        observations,
+        dlts,
+        places,
+        leave_out(list(observations.values()), groups),
+        sizes,
+        baselines_m={(a, b): _baseline_m(places[a], places[b]) for a, b in combinations(places, 2)},
+    )
+
+
+def _baseline_m(one: tuple[RigidTransform, Floats], other: tuple[RigidTransform, Floats]) -> tuple[float, float]:
+    """Distance of two cameras that were placed independently, and its standard uncertainty."""
+    apart = other[0].translation_m - one[0].translation_m
+    distance = float(np.linalg.norm(apart))
+    along = apart / distance
+    return distance, float(np.sqrt(along @ (one[1] + other[1])[:3, :3] @ along))
 
 
 def _size_of(size: str, name: str, rig: RigConfig | None, known: dict[str, LoadedCalibration]) -> tuple[int, int]:

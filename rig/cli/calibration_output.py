@@ -4,20 +4,18 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from itertools import combinations
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import typer
-from numpy.typing import NDArray
 from rich.table import Table
 from rich.text import Text
 
 from calibration.camera import PARAMETERS, CameraCalibration
-from calibration.vision.transforms import RigidTransform
 from rig.calibrate.camera import CalibratedCamera
 from rig.calibrate.dlt import DLTCalibration
+from rig.calibrate.dlt_fit import DLTCalibrationResult
 from rig.calibrate.pressure import PressureCalibration
 from rig.calibrate.tool import ToolCalibration
 from rig.cli.console import console
@@ -104,15 +102,17 @@ def _print_camera(found: CameraCalibration, name: str) -> None:
         screen.print(Text(line, "yellow"), soft_wrap=True)
 
 
-def _pairs(places: dict[str, tuple[RigidTransform, NDArray[np.float64]]]) -> list[dict[str, Any]]:
+def _pairs(result: DLTCalibrationResult) -> list[dict[str, Any]]:
     """Return the baseline and the angle between the optical axes of each pair of cameras."""
     found: list[dict[str, Any]] = []
-    for (a, (one, _)), (b, (other, _)) in combinations(places.items(), 2):
+    for (a, b), (distance_m, std_m) in result.baselines_m.items():
+        (one, _), (other, _) = result.places[a], result.places[b]
         turn = np.clip(float(one.rotation[:, 2] @ other.rotation[:, 2]), -1, 1)
         found.append(
             {
                 "cameras": [a, b],
-                "baseline_mm": float(np.linalg.norm(one.translation_m - other.translation_m)) * 1e3,
+                "baseline_mm": 1e3 * distance_m,
+                "baseline_std_mm": 1e3 * std_m if np.isfinite(std_m) else None,
                 "angle_deg": float(np.degrees(np.arccos(turn))),
             }
         )
@@ -139,9 +139,11 @@ def dlt(done: DLTCalibration, *, as_json: bool) -> None:
         known = (f"{p.translation_std_mm:.2g}", f"{p.rotation_std_deg:.2g}") if c.placement_known else ("?", "?")
         poses.add_row(c.camera.name, *(f"{v:.3f}" for v in p.translation_mm), *known)
     screen.print(poses)
-    for pair in _pairs(done.result.places):
+    for pair in _pairs(done.result):
         names = " - ".join(pair["cameras"])
-        screen.print(f"{names}: baseline {pair['baseline_mm']:.3f} mm, {pair['angle_deg']:.2f} deg", soft_wrap=True)
+        std = "?" if pair["baseline_std_mm"] is None else f"{pair['baseline_std_mm']:.2g}"
+        baseline = f"baseline {pair['baseline_mm']:.3f} +- {std} mm"
+        screen.print(f"{names}: {baseline}, {pair['angle_deg']:.2f} deg", soft_wrap=True)
     screen.print(_worst_points(found))
     if found.test_error is not None:
         screen.print(_test_words(found), soft_wrap=True)
@@ -165,7 +167,7 @@ def _dlt_facts(done: DLTCalibration) -> dict[str, object]:
             }
             for camera in found.cameras
         },
-        "pairs": _pairs(done.result.places),
+        "pairs": _pairs(done.result),
         "test_error": None if found.test_error is None else found.test_error.model_dump(exclude_none=True),
         "skipped": {out.name: out.reason for out in found.left_out},
     }

@@ -77,6 +77,18 @@ def test_unusable_views_of_a_folder_are_reported_with_a_remedy(tmp_path: Path) -
     assert any("at least 10 views" in want for want in found.advice)
 
 
+@pytest.mark.parametrize(("times", "result"), [(12, "residual"), (25, "no board")])
+def test_an_overexposed_view_is_reported_as_one(times: float, result: str) -> None:
+    views = list(_rendered(6))
+    bright = np.clip(views[2].image.astype(np.float64) * times, 0, 255).astype(np.uint8)
+    views[2] = View("bright", bright, "")
+    found = calibrate_views(iter(views), (9, 6), 0.016)
+    ((name, reason, _),) = found.skipped
+    assert name == "bright"
+    assert result in reason
+    assert "overexposed" in reason
+
+
 def test_a_view_with_mistaken_corners_is_left_out_with_its_residual() -> None:
     views = list(_rendered(12))
     straight = views[3].image

@@ -221,6 +221,17 @@ def test_cameras_are_located_within_their_stated_uncertainty(squares: tuple[int,
     assert 1e-6 < np.sqrt(np.diag(spread)).max() < 1e-2
 
 
+def test_baselines_are_off_by_what_their_uncertainties_say() -> None:
+    board, z = Board(10, 7, 0.02), []
+    for seed in range(100, 108):
+        found = locate(_seen(board, np.random.default_rng(seed), 0.1), board)
+        for a, b in (("a", "b"), ("b", "c")):
+            true = np.linalg.norm(PLACES[a].translation_m - PLACES[b].translation_m)
+            distance, std = found.baseline_m(a, b)
+            z.append((distance - true) / std)
+    assert 0.5 < np.sqrt(np.mean(np.square(z))) < 1.6
+
+
 def test_a_view_that_moved_between_the_cameras_is_left_out() -> None:
     board = Board(10, 7, 0.02)
     cameras = _seen(board, np.random.default_rng(6), 0.05)
@@ -325,7 +336,7 @@ def test_control_points_give_coefficients_places_and_a_test_error(here: Path) ->
     assert 0.001 < found.test_error.rms_mm < 0.5
     assert "baseline" not in done.stderr
     table = rig("calibrate", "dlt", "points.csv", *_lens_files(here), "--to", "e.yaml")
-    for word in ("L11", "residual", "leave one point out", "baseline 200.9"):
+    for word in ("L11", "residual", "leave one point out", "baseline 200.9", "+- 0."):
         assert word in table.output
 
 
