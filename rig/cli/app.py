@@ -12,7 +12,7 @@ from typing import Annotated, Any, NoReturn
 
 import typer
 
-from rig.cli import annotate, archives, calibrate, completion, identify, init, reproduce
+from rig.cli import annotate, archives, calibrate, completion, drivers, identify, init, reproduce
 from rig.cli.address_space import NumericalCommand, PlottingCommand
 from rig.cli.completion import DATA
 from rig.cli.help_formatter import HelpFormatter, HelpGroup
@@ -278,20 +278,6 @@ def doctor(
 
 
 @app.command()
-def drivers(json: AsJson = False) -> None:
-    """List the drivers of cards, cameras and trackers and the valve types, with their packages."""
-    from rig.cli import driver_output
-    from rig.cli.console import console
-    from rig.hardware.installed_drivers import installed_drivers
-
-    rows = tuple(installed_drivers())
-    if json:
-        typer.echo(driver_output.as_json(rows))
-    else:
-        console().print(driver_output.table(rows))
-
-
-@app.command()
 def vent(rig: VentedRig = None) -> None:
     """Vent every chamber of a rig, even if another process uses it; a running experiment ends.
 
@@ -367,6 +353,8 @@ app.command(cls=NumericalCommand)(archives.replay)
 app.command("import", cls=NumericalCommand)(archives.import_)
 app.command(cls=NumericalCommand)(reproduce.reproduce)
 app.command()(init.init)
+app.command()(drivers.drivers)
+app.command("test-driver")(drivers.check_drivers)
 app.add_typer(identify.app, name="identify")
 app.add_typer(calibrate.app, name="calibrate")
 

@@ -1,4 +1,4 @@
-"""Output of `rig drivers`."""
+"""Output of `rig drivers` and `rig test-driver`."""
 
 from __future__ import annotations
 
@@ -11,6 +11,9 @@ from rich.text import Text
 
 from rig.cli.column_table import ColumnTable
 from rig.config.drivers import InstalledDriver
+from rig.contract.check import CheckResult, Verdict
+
+_STYLE = {Verdict.PASS: "green", Verdict.FAIL: "bold red", Verdict.SKIPPED: "dim"}
 
 
 def table(rows: Sequence[InstalledDriver]) -> Table:
@@ -36,3 +39,25 @@ def _about(row: InstalledDriver) -> str:
 def as_json(rows: Sequence[InstalledDriver]) -> str:
     """Return the drivers as JSON."""
     return json.dumps([asdict(row) for row in rows], indent=2)
+
+
+def result_line(result: CheckResult) -> Text:
+    """Return one result as it comes."""
+    line = Text(f"{result.device}, {result.check}: ")
+    return line.append(result.verdict, _STYLE[result.verdict])
+
+
+def results_table(results: Sequence[CheckResult]) -> Table:
+    """Return the results of `rig test-driver`; a failed check has what softrig relies on below."""
+    found = ColumnTable()
+    for head in ("", "device", "check", "found"):
+        found.add_column(head, overflow="fold")
+    for result in results:
+        words = f"{result.found}\nexpected: {result.expected}" if result.failed else result.found
+        found.add_row(Text(result.verdict, _STYLE[result.verdict]), result.device, result.check, words)
+    return found
+
+
+def results_json(results: Sequence[CheckResult]) -> str:
+    """Return the results of `rig test-driver` as JSON."""
+    return json.dumps([asdict(result) for result in results], indent=2)

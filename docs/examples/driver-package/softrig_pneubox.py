@@ -41,9 +41,7 @@ def file_of(device: str) -> Path:
 
 def power_up(device: str) -> None:
     """Make a box; every chamber is empty."""
-    state = np.zeros(2 * CHANNELS + 2)
-    state[2 * CHANNELS :] = time.monotonic_ns()
-    state.tofile(file_of(device))
+    np.append(np.zeros(2 * CHANNELS), [time.monotonic_ns()] * 2).tofile(file_of(device))
 
 
 class Pneubox:
@@ -52,8 +50,7 @@ class Pneubox:
     def __init__(self, setup: CardSetup) -> None:
         """Open the box. Raises CardError."""
         self._config: PneuboxConfig = setup.section
-        self._inputs = [channel.number for channel in setup.inputs]
-        self._outputs = [channel.number for channel in setup.outputs]
+        self._inputs, self._outputs = ([c.number for c in channels] for channels in (setup.inputs, setup.outputs))
         if max((*self._inputs, *self._outputs), default=0) >= CHANNELS:
             raise CardError(f"box {setup.device} has channels 0 to {CHANNELS - 1} only")
         self._setup = setup
@@ -94,6 +91,8 @@ class Pneubox:
 
     def _step(self) -> int:
         """What happens inside the box until now [ns]."""
+        if not file_of(self._setup.device).exists():
+            raise CardError(f"box {self._setup.device} has gone", "switch it on")
         now = time.monotonic_ns()
         if now - self._times[1] > self._config.silence_ms * 1e6:
             self._volts[:] = 0.0

@@ -1,0 +1,80 @@
+"""What softrig relies on in a camera driver."""
+
+from __future__ import annotations
+
+import time
+from contextlib import closing
+from dataclasses import dataclass
+
+import numpy as np
+
+from rig.config.schema import RigConfig
+from rig.contract.check import BrokenContractError, Check
+from rig.hardware.cameras.base import Frame
+from rig.hardware.cameras.registry import open_camera, serial_of
+
+FRAMES = 15
+TIMEOUT_S = 2.0
+LATEST_S = 2.0
+"""A stamp that is older than this at its arrival is on another clock."""
+
+
+@dataclass(frozen=True)
+class CameraSubject:
+    """A camera under test."""
+
+    config: RigConfig
+    name: str
+
+    def frames(self) -> list[tuple[Frame, int]]:
+        """Some frames with the times of their arrival [ns]."""
+        with closing(open_camera(self.config, self.name)) as camera:
+            return [(camera.read(TIMEOUT_S), time.monotonic_ns()) for _ in range(FRAMES)]
+
+
+def pictures(subject: CameraSubject) -> str:
+    """Pictures have the size of the rig file."""
+    camera = subject.config.cameras[subject.name]
+    frames = [frame for frame, _ in subject.frames()]
+    for frame in frames:
+        shape = frame.image.shape
+        if frame.image.dtype != np.uint8 or shape[:2] != (camera.height_px, camera.width_px):
+            raise BrokenContractError(f"a picture has the shape {shape} and the type {frame.image.dtype}")
+        if shape[2:] not in ((), (3,)):
+            raise BrokenContractError(f"a picture has {shape[2]} channels; grey or BGR is expected")
+    return f"{len(frames)} pictures of {shape[1]} x {shape[0]}, {'BGR' if shape[2:] else 'grey'}"
+
+
+def stamps(subject: CameraSubject) -> str:
+    """Every picture is new, with a time of CLOCK_MONOTONIC."""
+    frames = subject.frames()
+    t_ns = np.array([frame.t_ns for frame, _ in frames])
+    index = np.array([frame.index for frame, _ in frames])
+    age_s = np.array([arrived - frame.t_ns for frame, arrived in frames]) * 1e-9
+    if np.any(np.diff(t_ns) <= 0) or np.any(np.diff(index) <= 0):
+        raise BrokenContractError("times or indices of the pictures do not increase")
+    if age_s.min() < 0 or age_s.max() > LATEST_S:
+        raise BrokenContractError(f"pictures are {age_s.min():.3f} to {age_s.max():.3f} s old at their arrival")
+    rate = (index[-1] - index[0]) / ((t_ns[-1] - t_ns[0]) * 1e-9)
+    wanted = subject.config.cameras[subject.name].rate_hz
+    if not 0.8 * wanted <= rate <= 1.25 * wanted:
+        raise BrokenContractError(f"{rate:.1f} pictures/s; the rig file says {wanted:g}")
+    dropped = int(index[-1] - index[0]) - (len(frames) - 1)
+    return f"{rate:.1f} pictures/s, {np.median(age_s) * 1e3:.0f} ms old at arrival, {dropped} dropped"
+
+
+def reopening(subject: CameraSubject) -> str:
+    """A camera can be opened again once it is closed."""
+    began = time.monotonic()
+    for _ in range(2):
+        with closing(open_camera(subject.config, subject.name)) as camera:
+            camera.read(TIMEOUT_S)
+    serial = serial_of(subject.config.cameras[subject.name])
+    return f"opened twice in {time.monotonic() - began:.1f} s, serial number {serial or 'none'}"
+
+
+CAMERA_CHECKS: tuple[Check[CameraSubject], ...] = (
+    Check("pictures", "uint8, grey or BGR, in the size of the rig file", pictures),
+    Check("stamps", "the middle of the exposure on CLOCK_MONOTONIC, increasing, at rate_hz", stamps),
+    Check("reopening", "a closed camera can be opened again", reopening),
+)

@@ -1,0 +1,350 @@
+"""What softrig relies on in a card driver. The checks move outputs: the supply of the valves must be off."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager, suppress
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.config.schema import RigConfig
+from rig.contract.check import BrokenContractError, Check, NotApplicableError
+from rig.hardware.cards.base import Card, CardError, CardSetup, Scans
+from rig.hardware.cards.registry import open_card
+from rig.hardware.cards.setup import card_setup
+from rig.hardware.safe_state import READBACK_TOLERANCE, open_outputs
+
+SETTLED_S = 0.1
+"""Time for the read-back of a device on a bus."""
+RATE_S = 1.0
+"""How long the inputs are sampled."""
+FREED_S = 2.0
+"""Time for a card whose process was killed; `rig vent` and the watchdog wait no longer."""
+GONE_S = 1.0
+"""Time for a driver to detect that its device has gone, beyond `stale_s` of the rig."""
+START_S = 30.0
+FRACTIONS = (0.25, 0.5, 0.8)
+"""Voltages to write, as shares of the range."""
+
+Volts = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class CardSubject:
+    """A card under test.
+
+    `rig_file` is for processes that open it too; `vanish` makes the device disappear; inputs are sampled `sample_s`.
+    """
+
+    config: RigConfig
+    name: str
+    rig_file: Path
+    vanish: Callable[[], None] | None = None
+    sample_s: float = RATE_S
+
+    @property
+    def setup(self) -> CardSetup:
+        """Channels as the rig uses them."""
+        return card_setup(self.config, self.name)
+
+    @property
+    def period_s(self) -> float:
+        """Control period."""
+        return 1.0 / self.config.control.rate_hz
+
+    def open(self, *, inputs: bool = True) -> Card:
+        """Open the card as control does, or as the watchdog does."""
+        setup = self.setup if inputs else replace(self.setup, inputs=())
+        return open_card(self.config.cards[self.name], setup)
+
+    def volts(self, fraction: float) -> Volts:
+        """A voltage for each output, all different, at about this share of the range."""
+        steps = enumerate(self.setup.outputs)
+        return np.array([c.low_v + (c.high_v - c.low_v) * min(1.0, fraction + 0.02 * i) for i, c in steps])
+
+    @property
+    def tolerance_v(self) -> Volts:
+        """Largest deviation of a read-back."""
+        return np.array([(c.high_v - c.low_v) * READBACK_TOLERANCE for c in self.setup.outputs])
+
+    def make_safe(self) -> None:
+        """Write the safe state, if the card can be opened."""
+        with suppress(CardError), closing(open_outputs(self.config, self.name)) as outputs:
+            outputs.make_safe()
+
+
+def opening(subject: CardSubject) -> str:
+    """Opening and closing touch no output."""
+    needs_outputs(subject)
+    with closing(subject.open()) as card:
+        card.write(subject.volts(0.5))
+        before = stands(card, subject.volts(0.5), subject)
+    began = time.monotonic()
+    with closing(subject.open(inputs=False)) as card:
+        took_s = time.monotonic() - began
+        after = card.readback()
+    if np.all(np.isnan(before)):
+        raise NotApplicableError(f"the card has no read-back; opened in {took_s * 1e3:.1f} ms")
+    safe = np.array([v.safe_v() for v in subject.config.valves if v.card == subject.name])
+    kept = np.abs(after - before) <= subject.tolerance_v
+    if not np.all(kept | (np.abs(after - safe) <= subject.tolerance_v)):
+        raise BrokenContractError(f"outputs at {_v(before)} stand at {_v(after)} after the card was opened again")
+    return f"opened in {took_s * 1e3:.1f} ms, outputs {'kept' if np.all(kept) else 'safe'}"
+
+
+def read_back(subject: CardSubject) -> str:
+    """Each output takes its own value."""
+    needs_outputs(subject)
+    slowest_s = 0.0
+    with closing(subject.open()) as card:
+        card.start()
+        for fraction in FRACTIONS:
+            asked = subject.volts(fraction)
+            began = time.monotonic()
+            card.write(asked)
+            found = stands(card, asked, subject)
+            slowest_s = max(slowest_s, time.monotonic() - began)
+            if np.all(np.isnan(found)):
+                raise NotApplicableError("the card has no read-back: an output that does not obey is not detected")
+            if not np.all(np.abs(found - asked) <= subject.tolerance_v):
+                raise BrokenContractError(f"{_v(asked)} were written and {_v(found)} read back")
+    return f"{len(FRACTIONS)} sets of {len(asked)} values, read back within {slowest_s * 1e3:.1f} ms"
+
+
+def bad_values(subject: CardSubject) -> str:
+    """NaN is refused, and a value outside the range is clipped."""
+    needs_outputs(subject)
+    with closing(subject.open()) as card:
+        asked = subject.volts(0.5)
+        card.write(asked)
+        with suppress(CardError):
+            card.write(np.full(len(asked), np.nan))
+            found = card.readback()
+            raise BrokenContractError(f"NaN was accepted; the outputs stand at {_v(found)}")
+        card.write(np.array([c.high_v + 100.0 for c in subject.setup.outputs]))
+        found = stands(card, np.array([c.high_v for c in subject.setup.outputs]), subject)
+        if np.any(found > np.array([c.high_v for c in subject.setup.outputs]) + subject.tolerance_v):
+            raise BrokenContractError(f"the outputs stand at {_v(found)}, beyond range_V")
+    return "NaN refused, clipped to range_V"
+
+
+def sampling(subject: CardSubject) -> str:
+    """Every control period has a fresh scan, with a time of CLOCK_MONOTONIC."""
+    inputs = len(subject.setup.inputs)
+    if not inputs:
+        raise NotApplicableError("the rig uses no input of this card")
+    with closing(subject.open()) as card:
+        card.start()
+        scans = [s for s, _ in _polled(card, subject.period_s, subject.sample_s)]
+        newest_ns = time.monotonic_ns()
+    for one in scans:
+        if one.volts.shape != (len(one.t_ns), inputs):
+            raise BrokenContractError(f"`volts` has the shape {one.volts.shape} for {len(one.t_ns)} times")
+    t_ns = np.concatenate([s.t_ns for s in scans])
+    if len(t_ns) < 2:
+        raise BrokenContractError(f"{len(t_ns)} scans in {subject.sample_s:g} s")
+    if np.any(np.diff(t_ns) <= 0):
+        raise BrokenContractError("the times of the scans do not increase")
+    if t_ns[-1] > newest_ns or newest_ns - t_ns[0] > (subject.sample_s + 2.0) * 1e9:
+        raise BrokenContractError(
+            f"the newest scan is {(newest_ns - t_ns[-1]) * 1e-6:.1f} ms old: is t_ns CLOCK_MONOTONIC?"
+        )
+    rate = (len(t_ns) - 1) / ((t_ns[-1] - t_ns[0]) * 1e-9)
+    if rate < 0.5 * subject.config.control.rate_hz:
+        raise BrokenContractError(f"{rate:.0f} scans/s; control runs at {subject.config.control.rate_hz:g} Hz")
+    if not np.all(np.isfinite(np.concatenate([s.volts for s in scans]))):
+        raise BrokenContractError("a voltage is not finite")
+    gaps_ms = np.diff(t_ns) * 1e-6
+    lost = sum(s.lost for s in scans)
+    return f"{rate:.0f} scans/s, period {np.median(gaps_ms):.2f} ms, longest {gaps_ms.max():.2f} ms, {lost} lost"
+
+
+def durations(subject: CardSubject) -> str:
+    """Read and write return within the control period."""
+    period_s = subject.period_s
+    with closing(subject.open()) as card:
+        card.start()
+        writes: list[float] = []
+        volts = subject.volts(0.5)
+        reads = []
+        for _, took_s in _polled(card, period_s, subject.sample_s):
+            reads.append(took_s)
+            if len(volts):
+                began = time.monotonic()
+                card.write(volts)
+                writes.append(time.monotonic() - began)
+    words = []
+    for word, taken in (("read", np.array(reads)), ("write", np.array(writes))):
+        if not len(taken):
+            continue
+        median, late = float(np.median(taken)), float(np.quantile(taken, 0.9))
+        words.append(f"{word} {median * 1e3:.2f} ms, 90 % {late * 1e3:.2f} ms, longest {taken.max() * 1e3:.2f} ms")
+        if late > period_s:
+            raise BrokenContractError(f"{words[-1]}; the control period is {period_s * 1e3:g} ms")
+    return "; ".join(words)
+
+
+def second_opener(subject: CardSubject) -> str:
+    """A second process writes the outputs, or is told which process has the card."""
+    needs_outputs(subject)
+    volts = subject.volts(0.6)
+    with closing(subject.open()) as card:
+        card.start()
+        card.write(subject.volts(0.3))
+        answer = _second(subject, volts)
+        if "raised" in answer or "error" in answer:
+            raise BrokenContractError(f"the second process got {answer.get('raised') or answer['error']}")
+        if "busy" in answer:
+            if os.getpid() not in answer["busy"]:
+                raise BrokenContractError(
+                    f"`{answer['message']}` does not name process {os.getpid()}, which has it: softrig cannot end it"
+                )
+            return "the card admits one process, and names it"
+        found = np.array(answer["stands"])
+        if not np.all(np.isnan(found) | (np.abs(found - volts) <= subject.tolerance_v)):
+            raise BrokenContractError(f"the second process wrote {_v(volts)} and reads back {_v(found)}")
+        if subject.setup.inputs and not any(len(s.t_ns) for s, _ in _polled(card, subject.period_s, 0.2)):
+            raise BrokenContractError("the first process gets no scans once a second one has written")
+    return "a second process can write"
+
+
+def killed_owner(subject: CardSubject) -> str:
+    """After SIGKILL of the process that drives the card, the safe state can be written."""
+    needs_outputs(subject)
+    with _holding(subject, subject.volts(0.5)) as process:
+        process.kill()
+        killed = time.monotonic()
+        process.wait()
+    failure = ""
+    while True:
+        try:
+            with closing(open_outputs(subject.config, subject.name)) as outputs:
+                alone = outputs.readback()
+                outputs.arm()
+                break
+        except CardError as error:
+            failure = str(error)
+        if time.monotonic() - killed > FREED_S:
+            raise BrokenContractError(f"not safe {FREED_S:g} s after the process was killed: {failure}")
+        time.sleep(0.002)
+    took_ms = (time.monotonic() - killed) * 1e3
+    return f"safe {took_ms:.0f} ms after SIGKILL; before, the outputs stood at {_v(alone)}"
+
+
+def vanished(subject: CardSubject) -> str:
+    """A device that has gone is an error, or no more scans; never a value."""
+    if subject.vanish is None:
+        raise NotApplicableError("the device was not unplugged")
+    patience_s = subject.config.limits.stale_s + GONE_S
+    with closing(subject.open()) as card:
+        card.start()
+        card.write(subject.volts(0.3))
+        card.read()
+        subject.vanish()
+        gone = time.monotonic()
+        last_s, read_error, write_error = gone, "", ""
+        while time.monotonic() - gone < patience_s and not (read_error and write_error):
+            try:
+                if len(card.read().t_ns):
+                    last_s = time.monotonic()
+            except CardError as error:
+                read_error = read_error or str(error)
+            try:
+                card.write(subject.volts(0.3))
+            except CardError as error:
+                write_error = write_error or str(error)
+            time.sleep(subject.period_s)
+        took_s = time.monotonic() - gone
+    silent = time.monotonic() - last_s > subject.config.limits.stale_s
+    if not read_error and not silent:
+        raise BrokenContractError(f"scans still come {took_s:.1f} s after the device has gone")
+    if len(subject.setup.outputs) and not write_error:
+        raise BrokenContractError(f"writes still succeed {took_s:.1f} s after the device has gone")
+    return f"detected after {took_s * 1e3:.0f} ms: {read_error or 'no scans'}"
+
+
+CARD_CHECKS: tuple[Check[CardSubject], ...] = (
+    Check("opening", "opening and closing a card moves no output", opening),
+    Check("read-back", "every output takes its own value, or has no read-back", read_back),
+    Check("bad values", "NaN is refused with CardError, other values are clipped to range_V", bad_values),
+    Check("sampling", "fresh scans in every control period, times of CLOCK_MONOTONIC that increase", sampling),
+    Check("durations", "read and write return within the control period", durations),
+    Check("second opener", "a second process can write, or gets CardBusyError with the holder", second_opener),
+    Check("killed owner", f"the safe state can be written within {FREED_S:g} s", killed_owner),
+    Check("vanished device", "CardError from write; from read CardError or no scans", vanished),
+)
+
+
+def needs_outputs(subject: CardSubject) -> None:
+    """Raise NotApplicableError for a card without valves."""
+    if not subject.setup.outputs:
+        raise NotApplicableError("the rig uses no output of this card")
+
+
+def stands(card: Card, asked: Volts, subject: CardSubject) -> Volts:
+    """The read-back, once it is what was asked, or after SETTLED_S."""
+    until = time.monotonic() + SETTLED_S
+    while True:
+        found = card.readback()
+        right = np.all(np.isnan(found) | (np.abs(found - asked) <= subject.tolerance_v))
+        if right or time.monotonic() > until:
+            return found
+        time.sleep(0.002)
+
+
+def _polled(card: Card, period_s: float, duration_s: float) -> Iterator[tuple[Scans, float]]:
+    """Read once in each control period; yields scans and the duration of each read."""
+    until = time.monotonic() + duration_s
+    due = time.monotonic()
+    while time.monotonic() < until:
+        began = time.monotonic()
+        scans = card.read()
+        yield scans, time.monotonic() - began
+        due = max(due + period_s, time.monotonic())
+        time.sleep(max(0.0, due - time.monotonic()))
+
+
+def _command(mode: str, subject: CardSubject, volts: Volts) -> list[str]:
+    words = ",".join(f"{v:.6f}" for v in volts)
+    return [sys.executable, "-P", "-m", "rig.contract.card_holder", mode, str(subject.rig_file), subject.name, words]
+
+
+def _second(subject: CardSubject, volts: Volts) -> dict[str, Any]:
+    """What a second process gets that opens the card and writes."""
+    done = subprocess.run(
+        _command("write", subject, volts), capture_output=True, text=True, timeout=START_S, check=False
+    )
+    try:
+        return dict(json.loads(done.stdout))
+    except ValueError:
+        raise BrokenContractError(f"a second process failed: {done.stderr[-300:] or done.returncode}") from None
+
+
+@contextmanager
+def _holding(subject: CardSubject, volts: Volts) -> Iterator[subprocess.Popen[str]]:
+    """A process that has started the card and writes it all the time."""
+    process = subprocess.Popen(_command("hold", subject, volts), stdout=subprocess.PIPE, text=True)
+    assert process.stdout is not None
+    try:
+        answer = json.loads(process.stdout.readline() or "{}")
+        if "stands" not in answer:
+            raise BrokenContractError(f"a process of its own cannot drive the card: {answer}")
+        time.sleep(0.05)
+        yield process
+    finally:
+        process.kill()
+        process.wait()
+        process.stdout.close()
+
+
+def _v(volts: Volts) -> str:
+    return ", ".join(f"{v:.3f}" for v in volts) + " V"

@@ -1,0 +1,71 @@
+"""One check of a driver and its result."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Generic, TypeVar
+
+from rig.hardware.cameras.base import CameraError
+from rig.hardware.cards.base import CardError
+
+Subject = TypeVar("Subject")
+
+
+class Verdict(StrEnum):
+    """Result of a check."""
+
+    PASS = "pass"
+    FAIL = "FAIL"
+    SKIPPED = "skipped"
+
+
+class BrokenContractError(Exception):
+    """The driver does not do what softrig relies on; the message has what was found."""
+
+
+class NotApplicableError(Exception):
+    """The device lacks what the check needs; the message says what."""
+
+
+@dataclass(frozen=True)
+class CheckResult:
+    """Result of one check of one device: `found` has figures or the fault, `expected` what softrig relies on."""
+
+    device: str
+    check: str
+    verdict: Verdict
+    found: str
+    expected: str
+
+    @property
+    def failed(self) -> bool:
+        """True if the driver broke the contract."""
+        return self.verdict is Verdict.FAIL
+
+
+@dataclass(frozen=True)
+class Check(Generic[Subject]):
+    """A check: `run` returns figures, or raises BrokenContractError or NotApplicableError."""
+
+    name: str
+    expected: str
+    run: Callable[[Subject], str]
+
+    def result(self, device: str, subject: Subject) -> CheckResult:
+        """Run the check; whatever the driver raises is a result."""
+        try:
+            verdict, found = Verdict.PASS, self.run(subject)
+        except NotApplicableError as error:
+            verdict, found = Verdict.SKIPPED, str(error)
+        except BrokenContractError as error:
+            verdict, found = Verdict.FAIL, str(error)
+        except (CardError, CameraError) as error:
+            verdict, found = Verdict.FAIL, f"{type(error).__name__}: {error}"
+        except Exception as error:  # the code of another package may raise anything
+            verdict, found = (
+                Verdict.FAIL,
+                f"{type(error).__name__}: {error}; only CardError or CameraError may be raised",
+            )
+        return CheckResult(device, self.name, verdict, found, self.expected)

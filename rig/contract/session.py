@@ -1,0 +1,68 @@
+"""Runs the contract tests on the devices of a rig."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import partial
+from pathlib import Path
+
+from rig.config.schema import RigConfig
+from rig.contract.camera_checks import CAMERA_CHECKS, CameraSubject
+from rig.contract.card_checks import CARD_CHECKS, CardSubject
+from rig.contract.check import CheckResult
+from rig.hardware.lock import cards_locked
+from rig.simulator.plant_launcher import started
+from rig.simulator.registers import Registers
+
+Unplug = Callable[[str], None]
+"""Makes a card disappear, by its name."""
+ENDLESS = 2**40
+_SIMULATOR_S = 120.0
+
+
+@contextmanager
+def bench_of(config: RigConfig, rig_file: Path) -> Iterator[None]:
+    """Lock the cards of a rig and run the simulator of its mock devices.
+
+    Raises:
+        CardError: another run holds a card, or the simulator does not start.
+    """
+    with cards_locked(config, "rig test-driver"), started(config, rig_file, seed=0) as simulation:
+        until = time.monotonic() + _SIMULATOR_S
+        while simulation is not None and not simulation.ready() and time.monotonic() < until:
+            time.sleep(0.01)
+        yield
+
+
+def card_subjects(config: RigConfig, rig_file: Path, unplug: Unplug | None = None) -> Iterator[CardSubject]:
+    """The cards of a rig as subjects; a mock card is unplugged by a fault of the simulator."""
+    for name, card in config.cards.items():
+        vanish = None if unplug is None else partial(unplug, name)
+        if card.is_mock:
+            vanish = partial(_break, card.device)
+        yield CardSubject(config, name, rig_file, vanish)
+
+
+def results(config: RigConfig, rig_file: Path, unplug: Unplug | None = None) -> Iterator[CheckResult]:
+    """Check every card and camera of a rig, one result at a time; each check ends with the safe state.
+
+    Raises:
+        CardError: another run holds a card, or the simulator does not start.
+    """
+    with bench_of(config, rig_file):
+        for camera in config.cameras:
+            for look in CAMERA_CHECKS:
+                yield look.result(f"camera {camera}", CameraSubject(config, camera))
+        for subject in card_subjects(config, rig_file, unplug):
+            for check in CARD_CHECKS:
+                yield check.result(f"card {subject.name}", subject)
+                subject.make_safe()
+
+
+def _break(device: str) -> None:
+    """Let every read and write of a mock card fail."""
+    registers = Registers.attach(device)
+    registers.faults.inject(failing_reads=ENDLESS, failing_writes=ENDLESS)
+    registers.close()

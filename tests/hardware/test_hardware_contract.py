@@ -1,0 +1,27 @@
+"""The Comedi driver keeps the contract of card drivers on a card of a real kernel."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from rig.config.loader import load
+from rig.contract import card_checks
+from rig.contract.card_checks import CARD_CHECKS, CardSubject
+from rig.contract.check import Check, Verdict
+from tests.hardware.rig_of_the_machine import LOOPED
+
+EMULATED_S = 400.0
+"""An emulated machine takes a minute to import what a process needs."""
+
+
+@pytest.mark.parametrize("check", CARD_CHECKS, ids=lambda check: check.name.replace(" ", "-"))
+def test_the_comedi_driver_keeps_the_contract(check: Check[CardSubject], monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("START_S", "FREED_S", "SETTLED_S"):
+        monkeypatch.setattr(card_checks, name, EMULATED_S)
+    subject = CardSubject(load(LOOPED), "daq", Path(LOOPED))
+    result = check.result("daq", subject)
+    subject.make_safe()
+    expected = Verdict.SKIPPED if check.name == "vanished device" else Verdict.PASS
+    assert result.verdict is expected, result

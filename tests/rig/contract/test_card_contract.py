@@ -1,0 +1,163 @@
+"""The contract test of card drivers: good drivers pass, and each check finds the driver that breaks it."""
+
+from __future__ import annotations
+
+import importlib
+import json
+import os
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from rig.cli.app import main
+from rig.config import loader
+from rig.contract.card_checks import CARD_CHECKS, CardSubject
+from rig.contract.check import CheckResult, Verdict
+from rig.contract.session import Unplug, bench_of, card_subjects
+from rig.hardware.lock import lock_file
+from scripts.rig_process import write_rig
+from tests.support.plugin_package import install, use
+
+pytest_plugins = ["rig.contract.pytest_plugin"]
+
+ROOT = Path(__file__).parents[3]
+CHECKS = {check.name: check for check in CARD_CHECKS}
+VALVE = "  - {{type: pressure, actuators: [{}], card: daq, channel: {}, span_bar: [0, 2]}}\n"
+SAMPLE_S = 0.25
+
+
+def box_rig(folder: Path, driver: str, **keys: str) -> Path:
+    """A rig of three pressure valves on a box of its own, which is on."""
+    device = f"box-{os.getpid()}-{folder.name}"
+    more = "".join(f"{key}: {value}, " for key, value in keys.items())
+    card = f"  daq: {{driver: {driver}, device: {device}, {more}inputs: 8, outputs: 8}}\n"
+    text = loader.text("pci1716")
+    text = text[: text.index("  daq: {")] + card + text[text.index("\n# Two valves") :]
+    valves = "valves:\n" + "".join(VALVE.format(n + 1, n) for n in range(3)) + "\n"
+    text = text[: text.index("valves:\n")] + valves + text[text.index("sensors:\n") :]
+    path = folder / "rig.yaml"
+    path.write_text(text)
+    importlib.import_module("softrig_pneubox").power_up(device)
+    return path
+
+
+@pytest.fixture
+def site(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The example driver, and the same with faults, for this process and its children."""
+    folder = tmp_path / "site"
+    example = (ROOT / "docs" / "examples" / "driver-package" / "softrig_pneubox.py").read_text()
+    broken = (ROOT / "tests" / "support" / "breakable_card.py").read_text()
+    modules = {"softrig_pneubox.py": example, "breakable_card.py": broken}
+    points = {"softrig.cards pneubox": "softrig_pneubox:pneubox", "softrig.cards breakable": "breakable_card:breakable"}
+    install(folder, "softrig-boxes", points, modules)
+    for module in ("softrig_pneubox", "breakable_card"):
+        monkeypatch.delitem(sys.modules, module, raising=False)
+    use(folder, monkeypatch)
+    monkeypatch.setenv("PYTHONPATH", str(folder))
+    return folder
+
+
+@pytest.fixture
+def driver_rig(site: Path, tmp_path: Path) -> Path:
+    return box_rig(tmp_path, "pneubox")
+
+
+@pytest.fixture
+def driver_unplug(driver_rig: Path) -> Unplug:
+    config = loader.load(driver_rig)
+    box = importlib.import_module("softrig_pneubox")
+    return lambda card: box.file_of(config.cards[card].device).unlink()
+
+
+@pytest.fixture
+def driver_sample_s() -> float:
+    return SAMPLE_S
+
+
+def test_the_example_driver_keeps_the_contract_by_the_fixtures(driver_check: CheckResult) -> None:
+    assert driver_check.verdict is Verdict.PASS, driver_check
+
+
+def test_the_mock_card_keeps_the_contract(tmp_path: Path) -> None:
+    rig_file = write_rig(tmp_path)
+    config = loader.load(rig_file)
+    try:
+        with bench_of(config, rig_file):
+            (subject,) = card_subjects(config, rig_file)
+            found = [check.result("daq", replace(subject, sample_s=SAMPLE_S)) for check in CARD_CHECKS]
+    finally:
+        lock_file(config.cards["daq"]).unlink(missing_ok=True)
+    assert [result.verdict for result in found] == [Verdict.PASS] * len(CARD_CHECKS), found
+
+
+@pytest.mark.parametrize(
+    ("check", "fault", "says"),
+    [
+        ("opening", "opening drives", "after the card was opened again"),
+        ("read-back", "swaps outputs", "read back"),
+        ("bad values", "takes NaN", "NaN was accepted"),
+        ("bad values", "does not clip", "beyond range_V"),
+        ("sampling", "wall clock", "is t_ns CLOCK_MONOTONIC?"),
+        ("sampling", "repeated time", "do not increase"),
+        ("sampling", "one column", "shape"),
+        ("sampling", "no scans", "0 scans"),
+        ("sampling", "slow read", "control runs at 200 Hz"),
+        ("sampling", "not a number", "not finite"),
+        ("durations", "slow read", "read 30"),
+        ("durations", "slow write", "write 30"),
+        ("second opener", "refuses the watchdog", "no second process, please"),
+        ("second opener", "does not name the holder", "softrig cannot end it"),
+        ("second opener", "raises an OSError", "OSError: device busy"),
+        ("second opener", "second write is lost", "and reads back"),
+        ("killed owner", "stale lock", "somebody has the box"),
+        ("vanished device", "blind to a pulled cable", "scans still come"),
+    ],
+)
+def test_each_check_finds_the_driver_that_breaks_it(
+    site: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, check: str, fault: str, says: str
+) -> None:
+    rig_file = box_rig(tmp_path, "breakable", fault=f"'{fault}'")
+    config = loader.load(rig_file)
+    box = importlib.import_module("softrig_pneubox")
+    for name, shorter in (("FREED_S", 0.1), ("GONE_S", 0.1), ("SETTLED_S", 0.05)):
+        monkeypatch.setattr(f"rig.contract.card_checks.{name}", shorter)
+    device = config.cards["daq"].device
+    subject = CardSubject(config, "daq", rig_file, lambda: box.file_of(device).unlink(), SAMPLE_S)
+    result = CHECKS[check].result("daq", subject)
+    box.file_of(device).unlink(missing_ok=True)
+    assert result.failed
+    assert says in result.found
+
+
+def test_a_rig_without_the_channels_or_the_cable_skips_and_says_why(site: Path, tmp_path: Path) -> None:
+    config = loader.load(box_rig(tmp_path, "pneubox"))
+    subject = CardSubject(config, "daq", tmp_path / "rig.yaml", None, SAMPLE_S)
+    result = CHECKS["vanished device"].result("daq", subject)
+    assert (result.verdict, result.found) == (Verdict.SKIPPED, "the device was not unplugged")
+
+
+def test_outputs_of_a_real_card_are_not_moved_without_confirmation(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as left:
+        main(["test-driver", "pci1716"])
+    assert left.value.code == 2
+    assert "--supply-off" in capsys.readouterr().err
+
+
+def test_the_command_prints_every_result_and_fails_for_a_broken_driver(
+    site: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rig_file = box_rig(tmp_path, "breakable", fault="takes NaN")
+    text = rig_file.read_text().replace("driver: opencv", "driver: absent")
+    assert "absent" in text
+    monkeypatch.setattr("rig.contract.session.CAMERA_CHECKS", ())
+    monkeypatch.setattr("rig.contract.session.CARD_CHECKS", (CHECKS["read-back"], CHECKS["bad values"]))
+    with pytest.raises(SystemExit) as left:
+        main(["test-driver", str(rig_file), "--json"])
+    assert left.value.code == 1
+    rows = json.loads(capsys.readouterr().out)
+    assert [(row["device"], row["check"], row["verdict"]) for row in rows] == [
+        ("card daq", "read-back", "pass"),
+        ("card daq", "bad values", "FAIL"),
+    ]

@@ -1,0 +1,93 @@
+"""The example driver with one fault, which the rig file names: every check of the contract must find its own."""
+
+from __future__ import annotations
+
+import os
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from softrig_pneubox import Pneubox, PneuboxConfig, file_of  # type: ignore[import-not-found]
+
+from rig.config.drivers import Plugin
+from rig.hardware.cards.base import CardBusyError, CardError, CardSetup, Scans
+
+BEHIND_S = 0.03
+
+
+class BreakableConfig(PneuboxConfig):  # type: ignore[misc]
+    """The example's keys, and the fault."""
+
+    fault: str
+
+
+class Breakable(Pneubox):  # type: ignore[misc]
+    """The example's card with a fault."""
+
+    def __init__(self, setup: CardSetup) -> None:
+        """Open the box."""
+        self._fault = setup.section.fault
+        owner = Path(f"{file_of(setup.device)}.owner")
+        watched = not setup.inputs
+        if self._fault == "stale lock" and owner.exists():
+            raise CardError("somebody has the box")
+        if watched and self._fault == "refuses the watchdog":
+            raise CardError("no second process, please")
+        if watched and self._fault == "does not name the holder" and owner.exists():
+            raise CardBusyError("the box", ())
+        if watched and self._fault == "raises an OSError" and owner.exists():
+            raise OSError("device busy")
+        super().__init__(setup)
+        self._owner = owner if setup.inputs else None
+        if self._owner:
+            self._owner.write_text(str(os.getpid()))
+        if self._fault == "opening drives":
+            super().write(np.full(len(setup.outputs), 3.3))
+
+    def read(self) -> Scans:
+        """Scans, or what is wrong with them."""
+        if self._fault == "slow read":
+            time.sleep(BEHIND_S)
+        if self._fault == "blind to a pulled cable":
+            return Scans(np.array([time.monotonic_ns()]), np.ones((1, len(self._inputs))))
+        scans: Scans = super().read()
+        if self._fault == "wall clock":
+            return replace(scans, t_ns=np.array([time.time_ns()]))
+        if self._fault == "repeated time":
+            return replace(scans, t_ns=scans.t_ns // 10**9 * 10**9)
+        if self._fault == "one column":
+            return replace(scans, volts=scans.volts[:, :1])
+        if self._fault == "no scans":
+            return Scans(scans.t_ns[:0], scans.volts[:0])
+        if self._fault == "not a number":
+            return replace(scans, volts=scans.volts * np.nan)
+        return scans
+
+    def write(self, volts: Any) -> None:
+        """Set the outputs, or not."""
+        if self._fault == "slow write":
+            time.sleep(BEHIND_S)
+        if self._fault == "takes NaN" and np.any(np.isnan(volts)):
+            return
+        if self._fault == "swaps outputs":
+            volts = volts[::-1]
+        if self._fault == "does not clip":
+            super().write(volts)
+            self._volts[self._outputs] = volts
+            return
+        if self._fault == "second write is lost" and self._owner is None:
+            return
+        if self._fault == "blind to a pulled cable" and not file_of(self._setup.device).exists():
+            return
+        super().write(volts)
+
+    def close(self) -> None:
+        """Release the box."""
+        if self._owner:
+            self._owner.unlink(missing_ok=True)
+        super().close()
+
+
+breakable = Plugin(BreakableConfig, Breakable, about="a box with a fault", simulated=True)
