@@ -7,7 +7,6 @@ the process ids of a busy card, or the error.
 from __future__ import annotations
 
 import json
-import os
 import sys
 import time
 from dataclasses import replace
@@ -54,7 +53,7 @@ def main(mode: str, rig_file: str, name: str, volts: str) -> None:
 
 
 def _tell(**words: object) -> None:
-    os.write(sys.stdout.fileno(), f"{json.dumps(words)}\n".encode())
+    print(json.dumps(words), flush=True)
 
 
 if __name__ == "__main__":
