@@ -1,6 +1,6 @@
 """What the experimenter asks for: protocols in YAML, checked, and their set-points over time."""
 
-from protocols.library import Protocol, load, named
+from protocols.library import Protocol, from_steps, load, named
 from protocols.parameters import ParameterValue
 from protocols.problems import BadInputError, Problem
 from protocols.tip_reference import TipMotion, TipReference
@@ -16,6 +16,7 @@ __all__ = [
     "SetPointTrajectory",
     "TipMotion",
     "TipReference",
+    "from_steps",
     "load",
     "named",
 ]

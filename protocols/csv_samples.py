@@ -1,8 +1,9 @@
-"""Set-points from a CSV file."""
+"""Columns of numbers from a CSV file, over time."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,10 +19,14 @@ TIME = "time_s"
 
 @dataclass(frozen=True)
 class SampleColumns:
-    """Times (n,) from the first row on [s], and one column (n,) [bar] for each requested actuator."""
+    """Times (n,) from the first row on [s], empty if none were asked for, and the requested columns (n,)."""
 
     times_s: tuple[float, ...]
-    bar: tuple[tuple[float, ...], ...]
+    values: tuple[tuple[float, ...], ...]
+
+
+Bounds = Mapping[str, tuple[float, float, str]]
+"""Lowest and highest value of a column, and its unit, by the column's name."""
 
 
 def column_name(actuator: int) -> str:
@@ -30,19 +35,29 @@ def column_name(actuator: int) -> str:
 
 
 def read_samples(path: Path, actuators: tuple[int, ...]) -> tuple[SampleColumns, str]:
-    """The columns of a CSV file and its text, or `BadInput` with line and column of everything that is wrong."""
+    """The set-points [bar] of actuators; as `read_columns`."""
+    return read_columns(path, dict.fromkeys(map(column_name, actuators), (0.0, HIGHEST_BAR, "bar")))
+
+
+def read_columns(path: Path, columns: Bounds, *, timed: bool = True) -> tuple[SampleColumns, str]:
+    """Columns of a CSV file and its text; `timed`: with a column of ascending times.
+
+    Raises:
+        BadInputError: line and column of everything that is wrong.
+    """
+    wanted = {TIME: (-LONGEST_S, LONGEST_S, "s"), **columns} if timed else dict(columns)
     text = read_text(path, LARGEST_FILE)
     rows = text.split("\n")
     if not rows[0].strip():
-        raise BadInputError([Problem(str(path), 1, 1, "", "nothing", _header_wish(actuators))])
-    places = _header(path, rows[0], actuators)
+        raise BadInputError([Problem(str(path), 1, 1, "", "nothing", _header_wish(wanted))])
+    places = _header(path, rows[0], tuple(wanted))
     table: list[list[float]] = []
     problems: list[Problem] = []
     for number, row in enumerate(rows[1:], start=2):
         if not row.strip():
             continue
-        values = _row(path, number, row, places, problems)
-        if values is not None and table and values[0] <= table[-1][0]:
+        values = _row(path, number, row, places, wanted, problems)
+        if timed and values is not None and table and values[0] <= table[-1][0]:
             problems.append(
                 Problem(
                     str(path), number, 1, TIME, f"{values[0]:g}", f"a time after {table[-1][0]:g} s, the row before"
@@ -56,19 +71,20 @@ def read_samples(path: Path, actuators: tuple[int, ...]) -> tuple[SampleColumns,
         problems.append(Problem(str(path), 0, 0, "", "", "the file needs two rows of numbers at least"))
     if problems:
         raise BadInputError(problems)
-    columns = tuple(zip(*table, strict=True))
-    first = columns[0][0]
-    return SampleColumns(tuple(t - first for t in columns[0]), columns[1:]), text
+    read = tuple(zip(*table, strict=True))
+    if not timed:
+        return SampleColumns((), read), text
+    first = read[0][0]
+    return SampleColumns(tuple(t - first for t in read[0]), read[1:]), text
 
 
-def _header_wish(actuators: tuple[int, ...]) -> str:
-    return "a first line such as " + ",".join((TIME, *map(column_name, actuators)))
+def _header_wish(wanted: Iterable[str]) -> str:
+    return "a first line such as " + ",".join(wanted)
 
 
-def _header(path: Path, row: str, actuators: tuple[int, ...]) -> dict[str, int]:
+def _header(path: Path, row: str, wanted: tuple[str, ...]) -> dict[str, int]:
     """Where each wanted column is."""
     names = _cells(row)
-    wanted = (TIME, *map(column_name, actuators))
     other = next((separator for separator in ";\t" if separator in row and "," not in row), "")
     if other:
         separators = "semicolons" if other == ";" else "tabs"
@@ -89,7 +105,9 @@ def _header(path: Path, row: str, actuators: tuple[int, ...]) -> dict[str, int]:
     return {name: names.index(name) for name in wanted}
 
 
-def _row(path: Path, line: int, row: str, places: dict[str, int], problems: list[Problem]) -> list[float] | None:
+def _row(
+    path: Path, line: int, row: str, places: dict[str, int], wanted: Bounds, problems: list[Problem]
+) -> list[float] | None:
     cells = _cells(row)
     values = []
     for name, place in places.items():
@@ -98,13 +116,13 @@ def _row(path: Path, line: int, row: str, places: dict[str, int], problems: list
             return None
         cell = cells[place]
         column = sum(len(before) + 1 for before in row.split(",")[:place]) + 1
-        low, high = (-LONGEST_S, LONGEST_S) if name == TIME else (0.0, HIGHEST_BAR)
+        low, high, unit = wanted[name]
         try:
             value = math.nan if "_" in cell else float(cell)
         except ValueError:
             value = math.nan
         if not low <= value <= high:
-            expected = "a number of seconds" if name == TIME else f"a number from 0 to {high:g} (bar)"
+            expected = "a number of seconds" if name == TIME else f"a number from {low:g} to {high:g} ({unit})"
             problems.append(Problem(str(path), line, column, name, shortened(cell) or "nothing", expected))
             return None
         values.append(value)

@@ -2,17 +2,27 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from protocols.problems import BadInputError, Problem
 from protocols.schema import Repeat, Step
 from protocols.source_positions import Document, path_text
 from protocols.steps.base import MOST_SEGMENTS, LeafStep
+from protocols.tip_inverse import HISTORY_S, HISTORY_STEP_S, TipInverse, TipRefusedError, TipRequest
+from protocols.tip_paths import TipPath, fade
+from protocols.tip_reference import GRID_S, TipMotion, TipReference
 from protocols.trajectory import Prompt, Segment, SetPointTrajectory
-from protocols.waveforms import Waveform
+from protocols.waveforms import Samples, Waveform
 
 Path = tuple[str | int, ...]
+Array = NDArray[np.float64]
+LONGEST_TIP_S = 3600.0
+"""Longest path of the tip: its samples are held in memory."""
 
 
 def too_long(steps: Sequence[Step], document: Document) -> list[Problem]:
@@ -42,26 +52,34 @@ def _count(steps: Sequence[Step], base: Path, document: Document, found: list[Pr
 
 
 def expand(
-    steps: Sequence[Step], actuators: int, document: Document, data: Mapping[LeafStep, Any]
+    steps: Sequence[Step],
+    actuators: int,
+    document: Document,
+    data: Mapping[LeafStep, Any],
+    inverse: TipInverse | None = None,
 ) -> SetPointTrajectory:
     """The trajectory for a rig with so many actuators, or `BadInputError` if a step names an unknown one.
 
-    `data` is what the `read` of the steps has returned.
+    `data` is what the `read` of the steps has returned. `inverse` gives the set-points of `tip` steps.
     """
-    expander = _Expander(actuators, document, data)
+    expander = _Expander(actuators, document, data, inverse)
     expander.play(steps, ("steps",))
     if expander.problems:
         raise BadInputError(expander.problems)
     segments = tuple(expander.segments)
     if not segments:
         raise BadInputError([_problem(document, ("steps",), "at least one step that takes time", "")])
-    return SetPointTrajectory(expander.now_s, actuators, segments, tuple(expander.prompts), document.file)
+    return SetPointTrajectory(
+        expander.now_s, actuators, segments, tuple(expander.prompts), document.file, expander.tip()
+    )
 
 
 class _Expander:
     """The `Player` of the steps."""
 
-    def __init__(self, actuators: int, document: Document, data: Mapping[LeafStep, Any]) -> None:
+    def __init__(
+        self, actuators: int, document: Document, data: Mapping[LeafStep, Any], inverse: TipInverse | None
+    ) -> None:
         self.now_s = 0.0
         self.segments: list[Segment] = []
         self.prompts: list[Prompt] = []
@@ -69,6 +87,9 @@ class _Expander:
         self._level_pa = [0.0] * actuators
         self._document = document
         self._data = data
+        self._inverse = inverse
+        self._motions: list[TipMotion] = []
+        self._path: Path = ()
         self._line = 0
 
     def play(self, steps: Sequence[Step], base: Path) -> None:
@@ -81,6 +102,7 @@ class _Expander:
                 self.play(body, here)
             elif not self._lacking(body, here):
                 self._line = self._document.position(here).key_line
+                self._path = here
                 body.play(self)
 
     def level_pa(self, actuators: Sequence[int]) -> list[float]:
@@ -107,6 +129,68 @@ class _Expander:
     def prompt(self, message: str, weight_g: float | None) -> None:
         self.prompts.append(Prompt(self.now_s, message, self._line, None if weight_g is None else weight_g * 1e-3))
 
+    def follow(
+        self, label: str, path: TipPath, coordinates: tuple[int, ...], lead_in_s: float, tolerance_m: float
+    ) -> None:
+        if self.problems:
+            return
+        if lead_in_s + path.duration_s > LONGEST_TIP_S:
+            found = f"{lead_in_s + path.duration_s:.6g} s"
+            self.problems.append(_problem(self._document, self._path, f"at most {LONGEST_TIP_S:g} s", found))
+            return
+        if self._inverse is None:
+            self.problems.append(
+                _problem(self._document, self._path, "a rig: set-points of a tip path need its arm", "")
+            )
+            return
+        request = TipRequest(path, lead_in_s, coordinates, tolerance_m, self.now_s, self._history(), self._weight_kg())
+        try:
+            solution = self._inverse.solve(request)
+        except TipRefusedError as refused:
+            self.problems.append(_problem(self._document, self._path, refused.expected, refused.found))
+            return
+        begin_s, actuators = self.now_s, tuple(range(1, len(self._level_pa) + 1))
+        for kind, words, from_s, to_s in (
+            ("lead-in", f"into {label}", 0.0, lead_in_s),
+            ("tip", label, lead_in_s, lead_in_s + path.duration_s),
+        ):
+            if to_s > from_s:
+                waves = _part(solution.times_s, solution.pressure_pa, from_s, to_s)
+                self.move(kind, words, actuators, to_s - from_s, waves)
+        count = max(2, 1 + math.ceil((lead_in_s + path.duration_s) / GRID_S))
+        times = np.linspace(0.0, lead_in_s + path.duration_s, count)
+        position, velocity = fade(solution.start, path, lead_in_s, times - lead_in_s)
+        free = [axis for axis in range(3) if axis not in coordinates]
+        position[:, free] = velocity[:, free] = np.nan
+        tips = solution.predicted_m
+        predicted = np.column_stack([np.interp(times, solution.times_s, tips[:, axis]) for axis in range(3)])
+        self._motions.append(
+            TipMotion(
+                begin_s, begin_s + lead_in_s, self.now_s, self._line, label, coordinates, path.period_s, tolerance_m,
+                begin_s + times, position, velocity, predicted,
+            )
+        )  # fmt: skip
+
+    def tip(self) -> TipReference:
+        return TipReference(tuple(self._motions))
+
+    def _history(self) -> Array:
+        """The set-points (k, N) [Pa] of the time before now, oldest first; before the protocol 0."""
+        count = round(HISTORY_S / HISTORY_STEP_S)
+        rows = np.zeros((count + 1, len(self._level_pa)))
+        rows[-1] = self._level_pa
+        index = len(self.segments) - 1
+        for k in range(count - 1, -1, -1):
+            t_s = self.now_s - (count - k) * HISTORY_STEP_S
+            while index > 0 and self.segments[index].start_s > t_s:
+                index -= 1
+            if t_s >= 0 and self.segments:
+                rows[k] = self.segments[index].level_at(t_s)
+        return rows
+
+    def _weight_kg(self) -> float:
+        return next((p.weight_kg for p in reversed(self.prompts) if p.weight_kg is not None), 0.0)
+
     def _lacking(self, body: Any, here: Path) -> bool:
         lacking = False
         for index, number in enumerate(getattr(body, "actuators", None) or ()):
@@ -132,6 +216,16 @@ class _Expander:
         start_s, self.now_s = self.now_s, self.now_s + duration_s
         level_pa = tuple(self._level_pa)
         self.segments.append(Segment(start_s, self.now_s, kind, label, actuators, self._line, level_pa, waves, jumps))
+
+
+def _part(times_s: Array, pressure_pa: Array, from_s: float, to_s: float) -> list[Samples]:
+    """The waveforms of a part of linear set-points, with times from its beginning."""
+    inner = times_s[(times_s > from_s + 1e-9) & (times_s < to_s - 1e-9)]
+    times = np.concatenate([[from_s], inner, [to_s]])
+    # Adding zero turns the minus zero of a bound into zero.
+    values = [np.interp(times, times_s, column) + 0.0 for column in pressure_pa.T]
+    relative = tuple((times - from_s).tolist())
+    return [Samples(relative, tuple(column.tolist()), held=False) for column in values]
 
 
 def _problem(document: Document, path: Path, expected: str, value: str | None = None) -> Problem:

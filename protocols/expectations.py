@@ -8,6 +8,7 @@ from typing import Any
 
 _UNITS = (
     ("_bar_per_s", "bar/s"),
+    ("_mm_per_s", "mm/s"),
     ("_rad_s", "rad/s"),
     ("_l_min", "l/min"),
     ("_per_bar", "1/bar"),

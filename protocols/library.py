@@ -9,6 +9,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import yaml
+
 from protocols import document as yaml_document
 from protocols.document import Document
 from protocols.expansion import expand, too_long
@@ -17,7 +19,9 @@ from protocols.problems import BadInputError, Problem
 from protocols.schema import ProtocolFile, Repeat, Step
 from protocols.source_positions import path_text, shortened
 from protocols.steps.base import LeafStep
+from protocols.steps.tip import Tip
 from protocols.substitution import KEY, Substitution, substitute
+from protocols.tip_inverse import TipInverse
 from protocols.trajectory import SetPointTrajectory
 
 FOLDER = Path(__file__).parent / "library"
@@ -42,9 +46,18 @@ class Protocol:
     _document: Document = field(repr=False)
     _data: dict[LeafStep, Any] = field(repr=False)
 
-    def expand(self, actuators: int) -> SetPointTrajectory:
-        """The set-points over time for a rig with so many actuators; `BadInputError` if it has too few."""
-        return expand(self.steps, actuators, self._document, self._data)
+    def expand(self, actuators: int, inverse: TipInverse | None = None) -> SetPointTrajectory:
+        """The set-points over time for a rig with so many actuators; `inverse` gives those of its tip paths.
+
+        Raises:
+            BadInputError: the rig has too few actuators, or cannot follow a path.
+        """
+        return expand(self.steps, actuators, self._document, self._data, inverse)
+
+    @property
+    def moves_tip(self) -> bool:
+        """True if a step gives a path of the tip."""
+        return any(isinstance(step, Tip) for _, step in _leaves(self.steps, ("steps",)))
 
     def step_at(self, line: int) -> tuple[str, int]:
         """The path in words and the column of the step that a segment's `line` points to."""
@@ -65,7 +78,22 @@ def load(name_or_path: str | Path, settings: Mapping[str, float] | None = None) 
     `settings` are values of its parameters, by name, in the unit of each; the others have their defaults.
     """
     path = find(str(name_or_path), FOLDER, "protocol")
-    body, substitution = _validated(yaml_document.read(path), settings or {})
+    return _loaded(yaml_document.read(path), path, settings or {})
+
+
+def from_steps(title: str, steps: Sequence[Mapping[str, Any]], folder: Path = Path()) -> Protocol:
+    """The protocol of these steps, each a mapping as in the YAML; its CSV files are in `folder`.
+
+    Raises:
+        BadInputError: every problem, with its line in the text of the protocol.
+    """
+    text = yaml.safe_dump({"title": title, "steps": list(steps)}, sort_keys=False, allow_unicode=True)
+    path = folder / "steps.yaml"
+    return _loaded(yaml_document.parse(text, str(path)), path, {})
+
+
+def _loaded(source: Document, path: Path, settings: Mapping[str, float]) -> Protocol:
+    body, substitution = _validated(source, settings)
     document = substitution.document
     problems = too_long(body.steps, document)
     data: dict[LeafStep, Any] = {}
@@ -76,7 +104,7 @@ def load(name_or_path: str | Path, settings: Mapping[str, float] | None = None) 
                 data[step], texts = step.read(path.parent)
                 files |= texts
             except BadInputError as error:
-                problems += [_named_by(problem, document, here) for problem in error.problems]
+                problems += [_named_by(problem, document, (*here, *step.file_key)) for problem in error.problems]
     if problems:
         raise BadInputError(dict.fromkeys(problems))
     return Protocol(
@@ -138,11 +166,10 @@ def _leaves(steps: Sequence[Step], base: tuple[str | int, ...]) -> Iterator[tupl
             yield here, body
 
 
-def _named_by(problem: Problem, document: Document, here: tuple[str | int, ...]) -> Problem:
+def _named_by(problem: Problem, document: Document, path: tuple[str | int, ...]) -> Problem:
     """Place a problem of a whole CSV file at the line that names the file."""
     if problem.line:
         return problem
-    path = (*here, "file")
     position = document.position(path)
     expected = f"a CSV file that can be used; {problem.expected}"
     return Problem(document.file, position.line, position.column, path_text(path), position.source, expected)

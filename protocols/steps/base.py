@@ -14,6 +14,7 @@ from typing import Annotated, Any, Protocol
 from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag
 from pydantic.json_schema import SkipJsonSchema
 
+from protocols.tip_paths import TipPath
 from protocols.validation import ValidationFault
 from protocols.waveforms import Waveform
 
@@ -73,6 +74,11 @@ class Player(Protocol):
     ) -> None:
         """Append a segment of constant set-points; with `levels_pa` its actuators jump to these first."""
 
+    def follow(
+        self, label: str, path: TipPath, coordinates: tuple[int, ...], lead_in_s: float, tolerance_m: float
+    ) -> None:
+        """Append the segments in which the tip follows a path."""
+
     def prompt(self, message: str, weight_g: float | None) -> None:
         """Pause here until the operator confirms the message."""
 
@@ -88,6 +94,11 @@ class LeafStep(StepPart, ABC):
     def most_segments(self) -> tuple[int, tuple[str, ...]]:
         """How many segments the step makes at most, and the path of the value that decides it."""
         return 1, ()
+
+    @property
+    def file_key(self) -> tuple[str, ...]:
+        """The path of the value that names the step's file."""
+        return ("file",)
 
     def read(self, folder: Path) -> tuple[Any, dict[str, str]]:
         """Read the files that the step names, relative to the protocol's folder: their content, and texts by name.

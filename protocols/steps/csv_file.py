@@ -45,6 +45,6 @@ class Csv(MotionStep):
         """The waveform of each actuator, and the text of the file."""
         columns, text = read_samples(folder / self.file, self.actuators)
         held = self.between == "hold"
-        return tuple(Samples(columns.times_s, tuple(map(pa, column)), held) for column in columns.bar), {
+        return tuple(Samples(columns.times_s, tuple(map(pa, column)), held) for column in columns.values), {
             self.file: text
         }

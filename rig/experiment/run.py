@@ -34,6 +34,7 @@ from runs.journal.append_only_file import JournalError, JournalExistsError
 from runs.records import Event, Interval, Level, Quantity, RecordedFile, RunFooter, RunHeader, Status
 
 if TYPE_CHECKING:
+    from protocols.tip_inverse import TipInverse
     from runs.journal.journal import JournalWriter
 
 Loaded = TypeVar("Loaded")
@@ -164,10 +165,19 @@ def plan(request: RunRequest) -> Plan:
     Raises:
         BadInputError: every violated limit, or the reasons why the rig cannot run the protocol.
     """
-    trajectory = request.protocol.expand(request.config.actuators)
+    trajectory = request.protocol.expand(request.config.actuators, _tip_inverse(request))
     if problems := check(request.config, trajectory, request.protocol, request.rig_file):
         raise BadInputError(problems)
     return Plan(request.config, request.rig_file, trajectory, request.variant, request.seed, request.adapted)
+
+
+def _tip_inverse(request: RunRequest) -> TipInverse | None:
+    """The inverse solution of the rig, if the protocol needs one: it takes a solver and the model's kernels."""
+    if not request.protocol.moves_tip:
+        return None
+    from rig.tip_planning.inverse import RigTipInverse
+
+    return RigTipInverse(request.config, request.variant)
 
 
 def run(

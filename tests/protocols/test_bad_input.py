@@ -338,7 +338,7 @@ VALUES = st.recursive(
     lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=5), inner, max_size=3),
     max_leaves=6,
 )
-KEYS = ("ramp", "staircase", "sine", "hold", "csv", "prompt", "sequence", "repeat")
+KEYS = ("ramp", "staircase", "sine", "hold", "csv", "tip", "prompt", "sequence", "repeat")
 
 
 @examples(80)

@@ -10,8 +10,9 @@ import pytest
 import protocols
 from protocols.document import parse
 from protocols.schema import ProtocolFile
-from rig.config.loader import text
+from rig.config.loader import load, text
 from rig.config.schema import RigConfig
+from rig.tip_planning.inverse import RigTipInverse
 
 DOCS = Path(__file__).parents[2] / "docs" / "reference"
 
@@ -23,7 +24,7 @@ def examples(guide: str) -> list[str]:
 @pytest.mark.parametrize("example", examples("protocols.md"))
 def test_protocol_examples_expand(example: str, tmp_path: Path) -> None:
     (tmp_path / "example.yaml").write_text(example, encoding="utf-8")
-    assert protocols.load(tmp_path / "example.yaml").expand(3).duration_s > 0
+    assert protocols.load(tmp_path / "example.yaml").expand(3, RigTipInverse(load("mock-3"))).duration_s > 0
 
 
 @pytest.mark.parametrize("example", examples("rig-file.md"))

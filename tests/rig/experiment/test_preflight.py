@@ -11,6 +11,7 @@ from protocols import Problem, Segment, SetPointTrajectory
 from protocols.waveforms import LinearSegment
 from rig.config.loader import load
 from rig.experiment.preflight import check, peak_pa
+from rig.tip_planning.inverse import RigTipInverse
 
 RIG = load("mock")
 RIG = RIG.model_copy(update={"limits": RIG.limits.model_copy(update={
@@ -25,11 +26,21 @@ def checked(folder: Path, *steps: str) -> tuple[Problem, ...]:
     return check(RIG, protocol.expand(RIG.actuators), protocol, Path("rigs/bench.yaml"))
 
 
-@pytest.mark.parametrize("name", [name for name, _ in protocols.named()])
-@pytest.mark.parametrize("rig", ["mock", "pci1716"])
-def test_every_named_protocol_runs_on_every_named_rig(name: str, rig: str) -> None:
+IN_SPACE = ("tip-circle", "tip-eight", "tip-points")
+"""Protocols that need three valves."""
+WITH_TWO_VALVES = [name for name, _ in protocols.named() if name not in IN_SPACE]
+
+
+@pytest.mark.parametrize(
+    ("name", "rig"),
+    [
+        *((name, rig) for name in WITH_TWO_VALVES for rig in ("mock", "pci1716")),
+        *((name, rig) for name in IN_SPACE for rig in ("mock-3", "pci1716-2")),
+    ],
+)
+def test_every_named_protocol_runs_on_the_named_rigs(name: str, rig: str) -> None:
     config = load(rig)
-    assert check(config, protocols.load(name).expand(config.actuators)) == ()
+    assert check(config, protocols.load(name).expand(config.actuators, RigTipInverse(config))) == ()
 
 
 @pytest.mark.parametrize(

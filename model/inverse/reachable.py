@@ -1,0 +1,86 @@
+"""What the tip can reach at rest within the limits of the pressures."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+
+from model import batch, sensitivities
+from model.arm import Arm
+from model.inverse.drive import PA_PER_BAR, Drive
+from model.sensitivities import Variation
+
+Array = NDArray[np.float64]
+
+STARTS = (0.1, 0.5, 0.9)
+"""Starting points of the search, relative to the highest pressure, for each valve."""
+GRADIENT_STEP_PA = 0.01
+MM_PER_M = 1e3
+
+
+@dataclass(frozen=True, eq=False)
+class ReachablePoint:
+    """The tip (3,) [m] nearest to a target, its distance [m], and the pressures (V,) [Pa] of the valves."""
+
+    tip_m: Array
+    distance_m: float
+    pressure_pa: Array
+
+
+def nearest_reachable(
+    arm: Arm, drive: Drive, target_m: Array, coordinates: tuple[int, ...] = (0, 1, 2), weight_kg: float = 0.0
+) -> ReachablePoint:
+    """The point nearest to target_m (3,) in some coordinates that the tip reaches at rest.
+
+    Bounded least squares (dogleg in a box) with the model's gradients, from several starting points.
+    """
+    axes, matrix = list(coordinates), drive.matrix()
+    weight = np.array([weight_kg]) if weight_kg else None
+    solved: dict[bytes, sensitivities.Gradients] = {}
+
+    def gradients(pressure_bar: Array) -> sensitivities.Gradients:
+        key = pressure_bar.tobytes()
+        if key not in solved:
+            row = (matrix @ (pressure_bar * PA_PER_BAR))[None]
+            changes = [Variation(GRADIENT_STEP_PA, arm, row + GRADIENT_STEP_PA * column) for column in matrix.T]
+            solved.clear()
+            solved[key] = sensitivities.statics(arm, row, changes, weight, workers=1)
+        return solved[key]
+
+    def error_mm(pressure_bar: Array) -> Array:
+        return np.asarray((gradients(pressure_bar).tip_m[0, axes] - target_m[axes]) * MM_PER_M)
+
+    def gradient(pressure_bar: Array) -> Array:
+        return gradients(pressure_bar).tip_by[0, axes] * MM_PER_M * PA_PER_BAR
+
+    highest = drive.highest_pa / PA_PER_BAR
+    best: tuple[float, Array] | None = None
+    for shares in product(STARTS, repeat=drive.valves):
+        start = highest * np.array(shares)
+        if not gradients(start).ok[0]:
+            continue
+        try:
+            found = least_squares(
+                error_mm, start, gradient, bounds=(0.0, highest), method="dogbox", xtol=1e-12, ftol=1e-12, gtol=1e-12
+            )
+        except ValueError:  # no equilibrium on the way
+            continue
+        if best is None or found.cost < best[0]:
+            best = float(found.cost), found.x
+    if best is None:
+        raise ArithmeticError("the arm has no stable equilibrium within the limits of its pressures")
+    pressure = np.clip(best[1], 0.0, highest)
+    tip = gradients(pressure).tip_m[0].copy()
+    distance = float(np.linalg.norm(tip[axes] - target_m[axes]))
+    return ReachablePoint(tip, distance, pressure * PA_PER_BAR)
+
+
+def reachable_tips(arm: Arm, drive: Drive, levels: int) -> tuple[Array, Array]:
+    """Pressures (levels^V, V) [Pa] on a grid, and the tips (levels^V, 3) [m] at rest; NaN without an equilibrium."""
+    axis = np.linspace(0.0, drive.highest_pa, levels)
+    pressure = np.array(list(product(axis, repeat=drive.valves)))
+    return pressure, batch.statics(arm, pressure @ drive.matrix().T).tip_m

@@ -1,0 +1,66 @@
+"""What the expansion of a `tip` step asks of a rig: the pressures under which its tip follows the path."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from protocols.tip_paths import TipPath, TipStart
+
+Array = NDArray[np.float64]
+
+HISTORY_STEP_S = 0.01
+HISTORY_S = 1.0
+"""The set-points before a motion that a request has, and the distance of their samples."""
+
+
+@dataclass(frozen=True, eq=False)
+class TipRequest:
+    """A path, after a lead-in of `lead_in_s`, in some coordinates (0 x, 1 y, 2 z), within a tolerance.
+
+    The lead-in begins at `begin_s` of the protocol; `before_pa` (k, N) are the set-points every HISTORY_STEP_S up to
+    then.
+    """
+
+    path: TipPath
+    lead_in_s: float
+    coordinates: tuple[int, ...]
+    tolerance_m: float
+    begin_s: float
+    before_pa: Array = field(repr=False)
+    weight_kg: float
+
+
+@dataclass(frozen=True, eq=False)
+class TipSolution:
+    """Times (n,) from the beginning of the lead-in, set-points (n, N) [Pa], and the tips (n, 3) [m] at these times.
+
+    `start` is where the lead-in begins; between the times the set-points are linear.
+    """
+
+    times_s: Array
+    pressure_pa: Array = field(repr=False)
+    predicted_m: Array = field(repr=False)
+    start: TipStart
+
+
+class TipRefusedError(Exception):
+    """The rig cannot follow a path: what was found, and what is expected."""
+
+    def __init__(self, found: str, expected: str) -> None:
+        super().__init__(found)
+        self.found, self.expected = found, expected
+
+
+class TipInverse(Protocol):
+    """The inverse solution of a rig."""
+
+    def solve(self, request: TipRequest) -> TipSolution:
+        """The feed-forward set-points of a path.
+
+        Raises:
+            TipRefusedError: the rig cannot follow the path.
+        """

@@ -1,0 +1,1 @@
+"""Plans the set-points of tip paths for a rig, and judges them."""

@@ -1,0 +1,113 @@
+"""`rig check` of a tip path: what can be followed, and why another cannot."""
+
+from __future__ import annotations
+
+import re
+from functools import cache
+
+import numpy as np
+import pytest
+import yaml
+
+import protocols
+from model.dynamics import Dynamics
+from protocols import BadInputError, Problem, SetPointTrajectory
+from rig.config.arm_model import model_arm
+from rig.config.loader import load
+from rig.experiment.preflight import check
+from rig.tip_planning.inverse import RigTipInverse
+
+
+@cache
+def _inverse(rig: str = "mock-3") -> RigTipInverse:
+    return RigTipInverse(load(rig))
+
+
+def expanded(*tips: str, rig: str = "mock-3") -> SetPointTrajectory:
+    steps = [{"hold": {"duration_s": 0.5}}, *({"tip": yaml.safe_load(tip)} for tip in tips)]
+    return protocols.from_steps("t", steps).expand(3, _inverse(rig))
+
+
+def refused(step: str, rig: str = "mock-3") -> Problem:
+    with pytest.raises(BadInputError) as caught:
+        expanded(step, rig=rig)
+    (problem,) = caught.value.problems
+    assert problem.where == "steps #2, tip"
+    return problem
+
+
+def circle(radius_mm: float, period_s: float, **more: str) -> str:
+    words = ", ".join(f"{key}: {value}" for key, value in more.items())
+    shape = f"circle: {{centre_mm: [0, 0, 190], radius_mm: {radius_mm}, period_s: {period_s}, periods: 4}}"
+    return f"{{{shape}{', ' + words if words else ''}}}"
+
+
+def test_the_model_under_the_set_points_follows_the_path_to_its_end() -> None:
+    played = expanded(circle(20, 1))
+    motion = played.tip.motions[0]
+    times = np.arange(0, motion.stop_s, 0.002)
+    dynamics = Dynamics(model_arm(load("mock-3")), 0.002)
+    dynamics.start(np.zeros(3))
+    tips = dynamics.run(played.sample(times)[1:]).tip_m
+    inside = times[1:] >= motion.start_s
+    reference = played.tip.sample(times[1:][inside])
+    assert np.linalg.norm(tips[inside] - reference, axis=1).max() < 1e-4
+    assert np.linalg.norm(played.tip.predicted_m(times[1:][inside]) - tips[inside], axis=1).max() < 1e-4
+    assert check(load("mock-3"), played) == ()
+
+
+def test_the_pressures_of_many_periods_are_those_of_a_few() -> None:
+    short = expanded("{circle: {centre_mm: [0, 0, 190], radius_mm: 20, period_s: 1.3, periods: 5}}")
+    long = expanded("{circle: {centre_mm: [0, 0, 190], radius_mm: 20, period_s: 1.3, periods: 40}}")
+    for t_s in (3.5, 5.0, 7.123, 8.5):
+        assert long.setpoint_pa(t_s) == pytest.approx(short.setpoint_pa(t_s), abs=20)
+        assert long.setpoint_pa(t_s + 26 * 1.3) == pytest.approx(long.setpoint_pa(t_s + 10 * 1.3), abs=20)
+
+
+def test_a_point_out_of_reach_is_refused_with_the_nearest_one() -> None:
+    problem = refused("{hold: {at_mm: [0, 0, 240], duration_s: 2}}")
+    assert "the arm does not reach it: actuator 1 at 0.7 bar" in problem.expected
+    number = re.search(
+        r"nearest reachable point is \(x .*?, y .*?, z ([\d.]+)\) mm, ([\d.]+) mm away", problem.expected
+    )
+    assert number is not None
+    assert float(number[1]) + float(number[2]) == pytest.approx(240, abs=0.1)
+
+
+def test_a_path_that_is_too_fast_is_refused_with_speed_and_size_that_are_possible() -> None:
+    problem = refused(circle(30, 0.8))
+    assert "too fast for actuator" in problem.expected
+    assert "at 1 bar/s" in problem.expected
+    found = re.search(r"([\d.]+) of this speed \(period_s: ([\d.]+)\), or ([\d.]+) of this size", problem.expected)
+    assert found is not None
+    speed, size = float(found[1]), float(found[3])
+    assert expanded(circle(30, 0.8 / speed)).tip
+    assert expanded(circle(30 * size, 0.8)).tip
+    with pytest.raises(BadInputError):
+        expanded(circle(30, 0.8 / (speed + 0.05)))
+    with pytest.raises(BadInputError):
+        expanded(circle(30 * (size + 0.05), 0.8))
+
+
+def test_a_lead_in_that_is_too_short_is_named_as_the_reason() -> None:
+    problem = refused(circle(20, 4, lead_in_s="0.2"))
+    assert "in the lead-in" in problem.value
+    assert "a longer lead_in_s may do" in problem.expected
+
+
+def test_a_rig_with_two_valves_controls_two_coordinates() -> None:
+    problem = refused(circle(5, 4), "mock")
+    assert problem.value == "the coordinates x, y, z"
+    assert "at most 2, because rig mock has 2 valves" in problem.expected
+    upright = "{circle: {centre_mm: [5, 0, 188], normal: [0, 1, 0], radius_mm: 5, period_s: 4, periods: 2}"
+    played = expanded(f"{upright}, coordinates: [x, z]}}", rig="mock")
+    assert check(load("mock"), played) == ()
+    assert np.nanmax(np.abs(played.tip.motions[0].predicted_m - played.tip.motions[0].position_m)) < 5e-4
+
+
+def test_consecutive_paths_join_without_a_stop() -> None:
+    played = expanded(circle(20, 2), circle(15, 2, lead_in_s="1"))
+    first, second = played.tip.motions
+    assert second.velocity_m_s[0] == pytest.approx(first.velocity_m_s[-1], abs=2e-3)
+    assert second.position_m[0] == pytest.approx(first.position_m[-1], abs=1e-4)
+    assert check(load("mock-3"), played) == ()
