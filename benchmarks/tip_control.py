@@ -1,0 +1,131 @@
+"""Tracking error of the tip in closed loop, over arms drawn at random, for each controller.
+
+    python -m benchmarks.tip_control [--arms 20] [--seed 1] [--controllers horizon ..] [--frequencies 0.1 ..]
+
+Pure simulation (rig.tip_control.simulation): the truth is the dynamic rod model with other parameters, a pressure lag
+of 15 ms, a camera at 30 Hz with 0.1 mm noise per coordinate, and 40 ms from frame to plan. Printed is the RMS of the
+3-D distance between reference and true tip from the third period on, lag included: median and worst over the arms.
+"""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+import model
+from rig.tip_control.interface import TipControlSettings
+from rig.tip_control.registry import CONTROLLERS, FEED_FORWARD, controller_class
+from rig.tip_control.simulation import Task, Truth, simulate
+from rig.tip_control.static_map import StaticMap
+from rig.tip_control.tip_dynamics import TipDynamics
+
+Array = NDArray[np.float64]
+
+LIMIT_PA, RATE_PA_S = 0.7e5, 1e5
+HEIGHT_M = 0.19
+LEAD_IN_S = 2.0
+PERIODS = 5
+GRID_S = 0.005
+
+
+def circle(phase: Array) -> Array:
+    """Points (T, 3) [m] of the circle of 20 mm radius."""
+    return np.stack([0.02 * np.cos(phase), 0.02 * np.sin(phase), np.full_like(phase, HEIGHT_M)], axis=1)
+
+
+def eight(phase: Array) -> Array:
+    """Points (T, 3) [m] of the figure eight, 30 mm wide and 15 mm high."""
+    return np.stack([0.015 * np.sin(phase), 0.0075 * np.sin(2 * phase), np.full_like(phase, HEIGHT_M)], axis=1)
+
+
+PATHS = {"circle": circle, "eight": eight}
+
+
+def published() -> model.Arm:
+    """The arm that the controllers know: the paper's parameters, with the damping that mock-3 states."""
+    arm = model.Arm.paper()
+    return replace(arm, material=replace(arm.material, damping_s=0.01))
+
+
+def drawn(rng: np.random.Generator) -> Truth:
+    """A true arm: material 4 %, strengths 3 %, cap 2 g, damping between half and twice the stated one."""
+    arm = published()
+    material = arm.material
+    factor = {
+        name: getattr(material, name) * (1 + 0.04 * rng.standard_normal())
+        for name in ("a1_per_n", "a2_per_n2", "rpe_per_bar", "shear_ratio", "density_kg_m3")
+    }
+    damping = material.damping_s * 2 ** rng.uniform(-1, 1)
+    true = replace(
+        arm, material=replace(material, **factor, damping_s=damping), cap_mass_kg=0.05 + 0.002 * rng.standard_normal()
+    )
+    return Truth(true, 1 + 0.03 * rng.standard_normal(3))
+
+
+class Feedforward:
+    """Set-points of a path by the inverse of the first-mode model, on a grid."""
+
+    def __init__(self, arm: model.Arm) -> None:
+        self._map, self._dynamics = StaticMap.of(arm, (0, 1, 2), LIMIT_PA), TipDynamics.of(arm, LIMIT_PA)
+
+    def task(self, path: str, frequency_hz: float) -> Task:
+        """The path with a lead-in that starts at rest on it."""
+        duration = LEAD_IN_S + PERIODS / frequency_hz
+        times = np.arange(0.0, duration + 2.0, GRID_S)
+        turns = np.where(times < LEAD_IN_S, 0.5 * times**2 / LEAD_IN_S, times - 0.5 * LEAD_IN_S)
+        position = PATHS[path](2 * np.pi * frequency_hz * turns)
+        velocity = np.gradient(position, GRID_S, axis=0)
+        drive = position + self._dynamics.tau_s * velocity
+        drive += np.gradient(velocity, GRID_S, axis=0) / self._dynamics.omega_rad_s**2
+        feed = self._map.inverse(drive, np.full(3, 3e4))
+
+        def at(values: Array, t_s: float) -> Array:
+            index = min(round(t_s / GRID_S), len(values) - 1)
+            if abs(t_s - index * GRID_S) < 1e-9:
+                return np.array(values[index])
+            return np.array([np.interp(t_s, times, column) for column in values.T])
+
+        return Task(
+            duration, lambda t: at(position, t), lambda t: at(velocity, t), lambda t: at(feed, t), 1 / frequency_hz
+        )
+
+
+def main() -> None:
+    """Print one row for each path, frequency and controller."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--arms", type=int, default=20)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--paths", nargs="+", default=list(PATHS))
+    parser.add_argument("--frequencies", nargs="+", type=float, default=[0.1, 0.5, 1.0])
+    parser.add_argument("--controllers", nargs="+", default=[FEED_FORWARD, *reversed(CONTROLLERS)])
+    args = parser.parse_args()
+    arm = published()
+    settings = TipControlSettings(arm, (0, 1, 2), LIMIT_PA, RATE_PA_S, 1 / 30, 0.04, 0.015)
+    feedforward = Feedforward(arm)
+    controllers = {
+        name: None if name == FEED_FORWARD else controller_class(name)(settings) for name in args.controllers
+    }
+    print(f"{args.arms} arms, seed {args.seed}; RMS 3-D distance to the true tip from the third period [mm]")
+    print("path    Hz    controller          median    worst    solve p50 / p99 [ms]")
+    for path in args.paths:
+        for frequency in args.frequencies:
+            task = feedforward.task(path, frequency)
+            for name, controller in controllers.items():
+                rng, errors, solves = np.random.default_rng(args.seed), [], []
+                for k in range(args.arms):
+                    run = simulate(settings, controller, drawn(rng), task, args.seed + k)
+                    errors.append(1e3 * run.rms_m(LEAD_IN_S + 2 / frequency))
+                    solves.append(run.solve_s)
+                times = 1e3 * np.concatenate(solves)
+                spent = f"{np.median(times):.2f} / {np.percentile(times, 99):.2f}" if len(times) else "-"
+                print(
+                    f"{path:7} {frequency:<5g} {name:18} {np.median(errors):7.3f}  {max(errors):7.3f}    {spent}",
+                    flush=True,
+                )
+
+
+if __name__ == "__main__":
+    main()

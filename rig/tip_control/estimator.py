@@ -1,0 +1,149 @@
+"""Extended Kalman filter of what the model does not know of the arm: strengths, lag, payload and disturbance.
+
+measured tip = model tip(set-points) + [static(P (1 + gain), payload) - static(P, 0)] - lag * velocity + disturbance
+disturbance(t) = d + sum over k of (a_k cos(2 pi k t / period) + b_k sin(2 pi k t / period))
+
+The harmonics are the observer of a periodic reference: they have no phase lag, because they are predicted.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.tip_control.interface import Estimate
+from rig.tip_control.static_map import LARGEST_PAYLOAD_KG, StaticMap
+
+Array = NDArray[np.float64]
+
+HARMONICS = 4
+GAIN_STD, GAIN_WALK = 0.05, 5e-4
+"""Prior standard deviation of a valve's strength, and its random walk per square root of a second."""
+LAG_STD_S, LAG_WALK_S = 0.01, 2e-4
+PAYLOAD_STD_KG, PAYLOAD_WALK_KG = 0.003, 2e-4
+OFFSET_STD_M, OFFSET_WALK_M = 2e-3, 2e-4
+HARMONIC_STD_M, HARMONIC_WALK_M = 1e-3, 3e-5
+MODEL_STD_M = 5e-5
+"""White error of the model beside that of the measurement."""
+SURPRISE_NIS = 25.0
+"""A NIS (three degrees of freedom) above this in SURPRISES frames in succession: something now hangs on the tip."""
+SURPRISES = 2
+JUMP_KG = 0.05
+JUMP_M = 2e-4
+
+
+class EstimatorState(NamedTuple):
+    """Estimates `z` (n,) with covariance (n, n), and the number of surprising frames in succession.
+
+    z: gains (V,), lag, payload, offset (3,), then a_k and b_k (3,) of each harmonic.
+    """
+
+    z: Array
+    covariance: Array
+    surprises: int = 0
+
+
+class TipEstimator:
+    """The filter of an arm with V valves."""
+
+    def __init__(self, static_map: StaticMap) -> None:
+        self._map = static_map
+        valves = self._valves = static_map.valves
+        self._lag, self._payload, self._offset, self._waves = valves, valves + 1, valves + 2, valves + 5
+        self._size = self._waves + 6 * HARMONICS
+
+    def start(self) -> EstimatorState:
+        """The prior."""
+        waves = np.repeat(HARMONIC_STD_M / np.arange(1, HARMONICS + 1), 6)
+        std = self._each(GAIN_STD, LAG_STD_S, PAYLOAD_STD_KG, OFFSET_STD_M, waves)
+        return EstimatorState(np.zeros(self._size), np.diag(std**2))
+
+    def gains(self, state: EstimatorState) -> Array:
+        """Relative strength (V,) of each valve's actuators beyond the model's."""
+        gains: Array = state.z[: self._valves]
+        return gains
+
+    def lag_s(self, state: EstimatorState) -> float:
+        """Lag of the tip beyond the model's [s]."""
+        return float(state.z[self._lag])
+
+    def payload_kg(self, state: EstimatorState) -> float:
+        """Payload beyond the model's cap [kg]."""
+        return float(np.clip(state.z[self._payload], -LARGEST_PAYLOAD_KG, LARGEST_PAYLOAD_KG))
+
+    def estimate(self, state: EstimatorState, nis: float) -> Estimate:
+        """What is recorded."""
+        return Estimate(self.payload_kg(state), float(np.sqrt(state.covariance[self._payload, self._payload])), nis)
+
+    def disturbance(self, state: EstimatorState, times_s: Array, period_s: float | None) -> Array:
+        """The disturbance (K, 3) [m] at times (K,)."""
+        out: Array = self._regressors(times_s, period_s) @ state.z[self._offset :].reshape(-1, 3)
+        return out
+
+    def drive(self, state: EstimatorState, pressure_pa: Array) -> Array:
+        """Static tips (K, 3) of pressures (K, V) with the estimated strengths and payload."""
+        return self._map.tips(pressure_pa * (1 + self.gains(state)), self.payload_kg(state))
+
+    def drive_by_pressure(self, state: EstimatorState, pressure_pa: Array) -> Array:
+        """Their derivatives (K, 3, V) [m/Pa]."""
+        gain = 1 + self.gains(state)
+        return self._map.jacobians(pressure_pa * gain, self.payload_kg(state)) * gain
+
+    def predict(
+        self, state: EstimatorState, tip_m: Array, velocity_m_s: Array, pressure_pa: Array, time_s: float,
+        period_s: float | None,
+    ) -> tuple[Array, Array]:  # fmt: skip
+        """Predicted measurement (3,) and its slope (3, n) by z, for the model's tip, velocity and pressures (V,)."""
+        gain, payload = 1 + self.gains(state), self.payload_kg(state)
+        strong = (pressure_pa * gain)[None]
+        shift = self._map.tips(strong, payload)[0] - self._map.tips(pressure_pa[None])[0]
+        known = self._regressors(np.array([time_s]), period_s)[0]
+        slope = np.zeros((3, self._size))
+        slope[:, : self._valves] = self._map.jacobians(strong, payload)[0] * pressure_pa
+        slope[:, self._lag] = -velocity_m_s
+        slope[:, self._payload] = self._map.by_payload(strong[0], payload)
+        slope[:, self._offset :] = np.kron(known, np.eye(3))
+        predicted = tip_m + shift - self.lag_s(state) * velocity_m_s + known @ state.z[self._offset :].reshape(-1, 3)
+        return predicted, slope
+
+    def update(
+        self, state: EstimatorState, measured_m: Array, covariance_m2: Array, prediction: tuple[Array, Array],
+        passed_s: float, period_s: float | None,
+    ) -> tuple[EstimatorState, float]:  # fmt: skip
+        """The state after one frame, and the NIS of its innovation."""
+        predicted, slope = prediction
+        waves = np.full(6 * HARMONICS, HARMONIC_WALK_M if period_s else 0.0)
+        walk = self._each(GAIN_WALK, LAG_WALK_S, PAYLOAD_WALK_KG, OFFSET_WALK_M, waves)
+        covariance = state.covariance + np.diag(walk**2) * passed_s
+        noise = covariance_m2 + MODEL_STD_M**2 * np.eye(3)
+        gap = measured_m - predicted
+        innovation = slope @ covariance @ slope.T + noise
+        nis = float(gap @ np.linalg.solve(innovation, gap))
+        surprises = state.surprises + 1 if nis > SURPRISE_NIS else 0
+        if surprises >= SURPRISES:
+            jump = self._each(0.0, 0.0, JUMP_KG, JUMP_M, np.zeros(6 * HARMONICS))
+            covariance = covariance + np.diag(jump**2)
+            innovation = slope @ covariance @ slope.T + noise
+            surprises = 0
+        elif surprises:
+            # One surprising frame may be a wrong measurement: it counts as little as one at the limit would.
+            noise = noise * nis / SURPRISE_NIS
+            innovation = slope @ covariance @ slope.T + noise
+        gain = np.linalg.solve(innovation, slope @ covariance).T
+        keep = np.eye(self._size) - gain @ slope
+        after = keep @ covariance @ keep.T + gain @ noise @ gain.T  # Joseph form
+        return EstimatorState(state.z + gain @ gap, after, surprises), nis
+
+    def _each(self, gain: float, lag: float, payload: float, offset: float, waves: Array) -> Array:
+        return np.concatenate([np.full(self._valves, gain), [lag, payload], np.full(3, offset), waves])
+
+    def _regressors(self, times_s: Array, period_s: float | None) -> Array:
+        """1, cos and sin of each harmonic (K, 1 + 2 HARMONICS); zeros for the harmonics without a period."""
+        out = np.zeros((len(times_s), 1 + 2 * HARMONICS))
+        out[:, 0] = 1.0
+        if period_s:
+            phase = 2 * np.pi / period_s * np.outer(times_s, np.arange(1, HARMONICS + 1))
+            out[:, 1::2], out[:, 2::2] = np.cos(phase), np.sin(phase)
+        return out

@@ -1,0 +1,182 @@
+"""Horizon control: the set-points of the next frames from a quadratic program.
+
+The tip over the horizon is linearised about the last plan (one Gauss-Newton step per frame). The unknowns are the
+deviations from the feed-forward at a few times, linear in between (blocked moves).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import daqp
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.tip_control.estimator import EstimatorState, TipEstimator
+from rig.tip_control.interface import Estimate, Measurement, Plan, Reference, SolveStatus, TipControlSettings
+from rig.tip_control.static_map import StaticMap
+from rig.tip_control.tip_dynamics import TipDynamics
+
+Array = NDArray[np.float64]
+
+HORIZON = 15
+"""Frames of the horizon."""
+KNOTS = (0, 1, 2, 4, 8, 15)
+"""Frames from the start of the plan at which the deviation is a variable; at the first one it is given."""
+STEPS_PER_FRAME = 2
+SETTLING_WEIGHT = 0.04
+"""Cost of a deviation's rate of 1 bar/s, as a tip error [mm] that costs the same."""
+MOST_ITERATIONS = 200
+_PA_PER_BAR = 1e5
+_MM = 1e3
+_SOLVED = (1, 2)
+"""Exit flags of DAQP: optimal, and optimal with soft constraints violated."""
+_SOFT = 8
+_LONGEST_GAP_S = 0.5
+
+
+class HorizonState(NamedTuple):
+    """The model's tip and velocity (2, 3) at the last frame, its time, the estimator, and the last plan."""
+
+    tip: Array | None
+    time_s: float
+    estimator: EstimatorState
+    times_s: Array
+    setpoint_pa: Array
+
+
+class HorizonControl:
+    """EKF, periodic observer and a quadratic program over the horizon."""
+
+    def __init__(self, settings: TipControlSettings) -> None:
+        self._settings = settings
+        self._map = StaticMap.of(settings.arm, settings.valve_of, settings.pressure_limit_pa)
+        self._dynamics = TipDynamics.of(settings.arm, settings.pressure_limit_pa)
+        self._estimator = TipEstimator(self._map)
+        self._step_s = settings.frame_s / STEPS_PER_FRAME
+
+    def start(self) -> HorizonState:
+        """Nothing is known."""
+        return HorizonState(None, math.nan, self._estimator.start(), np.empty(0), np.empty((0, self._map.valves)))
+
+    def step(self, state: Any, reference: Reference, measurement: Measurement) -> Plan:
+        """Correct the estimates by the frame, predict past the delays, and solve for the plan."""
+        state, nis = self._observed(state, reference.period_s, measurement)
+        return self._planned(state, reference, measurement, self._estimator.estimate(state.estimator, nis))
+
+    def _observed(
+        self, state: HorizonState, period_s: float | None, measurement: Measurement
+    ) -> tuple[HorizonState, float]:
+        """The state at the time of the frame, and the NIS."""
+        lag_s, passed_s = self._settings.pressure_lag_s, measurement.time_s - state.time_s
+        if state.tip is None or not 0 < passed_s < _LONGEST_GAP_S:
+            pressure = _interpolated(measurement.time_s - lag_s, measurement.sample_s, measurement.setpoint_pa)
+            tip = np.stack([self._map.tips(pressure[None])[0], np.zeros(3)])
+            passed_s = 0.0
+        else:
+            steps = max(1, round(passed_s / self._step_s))
+            times = state.time_s + passed_s / steps * np.arange(steps + 1, dtype=np.float64) - lag_s
+            drive = self._map.tips(_interpolated(times, measurement.sample_s, measurement.setpoint_pa))
+            tip = self._dynamics.advance(state.tip, drive, passed_s / steps)[-1]
+            pressure = _interpolated(times[-1], measurement.sample_s, measurement.setpoint_pa)
+        estimator, nis = state.estimator, math.nan
+        if np.isfinite(measurement.tip_m).all():
+            prediction = self._estimator.predict(estimator, tip[0], tip[1], pressure, measurement.time_s, period_s)
+            estimator, nis = self._estimator.update(
+                estimator, measurement.tip_m, measurement.covariance_m2, prediction, passed_s, period_s
+            )
+        return state._replace(tip=tip, time_s=measurement.time_s, estimator=estimator), nis
+
+    def _planned(self, state: HorizonState, reference: Reference, measurement: Measurement, estimate: Estimate) -> Plan:
+        limit, known = self._settings.pressure_limit_pa, state.estimator
+        start_s, frame_s = measurement.start_s, self._settings.frame_s
+        knots_s = start_s + frame_s * np.array(KNOTS, dtype=np.float64)
+        frames_s = start_s + frame_s * np.arange(HORIZON + 1, dtype=np.float64)
+        feed = _interpolated(frames_s, reference.times_s, reference.feedforward_pa)
+        now = measurement.setpoint_pa[-1]
+        # The deviations of the last plan at the new knots, from where the set-points are.
+        if len(state.times_s):
+            last = _interpolated(knots_s, state.times_s, state.setpoint_pa)
+            deviation = last - _interpolated(knots_s, reference.times_s, reference.feedforward_pa)
+        else:
+            deviation = np.tile(now - feed[0], (len(KNOTS), 1))
+        deviation[0] = now - feed[0]
+
+        grid_s = (
+            np.arange(1 + math.ceil((frames_s[-1] - state.time_s) / self._step_s), dtype=np.float64) * self._step_s
+            + state.time_s
+        )
+        asked_s, lag_s = grid_s - self._settings.pressure_lag_s, self._estimator.lag_s(known)
+        weights = _hat(asked_s, knots_s)
+        past = _interpolated(asked_s, measurement.sample_s, measurement.setpoint_pa)
+        future = _interpolated(asked_s, reference.times_s, reference.feedforward_pa) + weights @ deviation
+        later = asked_s > start_s
+        pressure = np.clip(np.where(later[:, None], future, past), 0.0, limit)
+        drive = self._estimator.drive(known, pressure)
+        slopes = self._estimator.drive_by_pressure(known, pressure)
+        first = self._map.tips(pressure[:1])[0]
+        moving = np.stack([state.tip[0] + drive[0] - first, state.tip[1]]) if state.tip is not None else drive[:2]
+        states = self._dynamics.advance(moving, drive, self._step_s)
+        tips = states[:, 0] - lag_s * states[:, 1] + self._estimator.disturbance(known, grid_s, reference.period_s)
+        response = self._dynamics.responses(len(grid_s) - 1, self._step_s, lag_s)
+
+        # Tips at the frames of the horizon, and their slopes by the deviations at all knots but the first.
+        seen = _hat(frames_s[1:], grid_s)
+        weights = np.where(later[:, None], weights, 0.0)[:, 1:]
+        by = np.einsum("fk,kcv,kj->fcjv", seen @ response, slopes, weights)
+        valves, unknowns = self._map.valves, len(KNOTS) - 1
+        matrix = by.reshape(HORIZON * 3, unknowns * valves)
+        wanted = _interpolated(frames_s[1:], reference.times_s, reference.position_m)
+        gap = (wanted - seen @ tips).reshape(-1)
+        used = np.isfinite(gap)
+        matrix, gap = _MM * _PA_PER_BAR * matrix[used], _MM * gap[used]
+
+        before = deviation[1:].reshape(-1) / _PA_PER_BAR
+        gap = gap + matrix @ before
+        rates = (np.eye(len(KNOTS)) - np.eye(len(KNOTS), k=-1))[1:] / np.diff(knots_s)[:, None]
+        smooth = SETTLING_WEIGHT * np.kron(rates[:, 1:], np.eye(valves))
+        smooth_gap = -SETTLING_WEIGHT * np.kron(rates[:, :1], np.eye(valves)) @ (deviation[0] / _PA_PER_BAR)
+        hessian = matrix.T @ matrix + smooth.T @ smooth
+        slope = -(matrix.T @ gap + smooth.T @ smooth_gap)
+
+        blocks = _hat(frames_s, knots_s)
+        base = feed + blocks[:, :1] * deviation[0]
+        step = np.diff(blocks[:, 1:], axis=0)
+        rows = np.concatenate([blocks[1:, 1:], step])
+        room = self._settings.rate_limit_pa_s * frame_s
+        centre = np.concatenate([base[1:], np.diff(base, axis=0)])
+        low = np.concatenate([np.zeros((HORIZON, valves)), np.full((HORIZON, valves), -room)]) - centre
+        high = np.concatenate([np.full((HORIZON, valves), limit), np.full((HORIZON, valves), room)]) - centre
+        found, _, flag, info = daqp.solve(
+            np.ascontiguousarray(hessian), slope, np.ascontiguousarray(np.kron(rows, np.eye(valves))),
+            high.reshape(-1) / _PA_PER_BAR, low.reshape(-1) / _PA_PER_BAR,
+            np.full(2 * HORIZON * valves, _SOFT, dtype=np.int32), iter_limit=MOST_ITERATIONS,
+        )  # fmt: skip
+        solved = flag in _SOLVED and bool(np.isfinite(found).all())
+        if solved:
+            deviation[1:] = np.asarray(found).reshape(unknowns, valves) * _PA_PER_BAR
+        times = start_s + self._step_s * np.arange(HORIZON * STEPS_PER_FRAME + 1, dtype=np.float64)
+        setpoint = _interpolated(times, reference.times_s, reference.feedforward_pa) + _hat(times, knots_s) @ deviation
+        predicted = tips + (response @ np.einsum("kcv,kj,jv->kc", slopes, weights, _changed(deviation, before)))
+        return Plan(
+            times, setpoint, _interpolated(times, grid_s, predicted),
+            state._replace(times_s=times, setpoint_pa=setpoint),
+            SolveStatus.SOLVED if solved else SolveStatus.NOT_SOLVED,
+            int(info["iterations"]), int(np.count_nonzero(info["lam"])), estimate,
+        )  # fmt: skip
+
+
+def _changed(deviation: Array, before: Array) -> Array:
+    return deviation[1:] - _PA_PER_BAR * before.reshape(deviation[1:].shape)
+
+
+def _interpolated(times_s: Array | float, at_s: Array, values: Array) -> Array:
+    """Columns of values (n, m) at times, linear in between; at the ends the first and the last."""
+    found: Array = np.stack([np.interp(times_s, at_s, column) for column in values.T], axis=-1)
+    return found
+
+
+def _hat(times_s: Array, at_s: Array) -> Array:
+    """Weights (K, n) of values at times (n,) in their linear interpolation at times (K,)."""
+    return _interpolated(times_s, at_s, np.eye(len(at_s)))

@@ -1,0 +1,133 @@
+"""A closed loop in pure simulation: controller, plan follower, pressure lag, arm and camera, without rig and pictures.
+
+Bit for bit repeatable from its seed. The benchmark and the tests use it.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+import model
+from model.dynamics import Dynamics
+from rig.tip_control.interface import Measurement, Plan, Reference, TipController, TipControlSettings
+from rig.tip_control.plan_follower import PlanFollower
+
+Array = NDArray[np.float64]
+
+CYCLE_S = 0.005
+AHEAD = 20
+"""Frames of the reference that a controller sees."""
+_HISTORY_S = 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    """A reference over `duration_s`: position and velocity (3,) and the set-points (V,) at a time."""
+
+    duration_s: float
+    position_m: Callable[[float], Array] = field(repr=False)
+    velocity_m_s: Callable[[float], Array] = field(repr=False)
+    feedforward_pa: Callable[[float], Array] = field(repr=False)
+    period_s: float | None
+
+
+@dataclass(frozen=True, eq=False)
+class Truth:
+    """The simulated arm and what its rig does beside it.
+
+    `strength` (N,): factor on each actuator's pressure. `lag_s`: time constant of the pressures. `noise_m`: standard
+    deviation of a measured coordinate. `payload_kg`: on the tip from `payload_at_s` on.
+    """
+
+    arm: model.Arm
+    strength: Array
+    lag_s: float = 0.015
+    noise_m: float = 1e-4
+    payload_kg: float = 0.0
+    payload_at_s: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class ClosedLoop:
+    """A simulated run: at times (T,) the reference and the true tip (T, 3), set-points (T, V), and the plans."""
+
+    times_s: Array
+    reference_m: Array
+    tip_m: Array
+    setpoint_pa: Array
+    plans: tuple[Plan, ...] = field(repr=False)
+    solve_s: Array = field(repr=False)
+
+    def rms_m(self, from_s: float, to_s: float = np.inf) -> float:
+        """RMS of the 3-D distance [m] between reference and true tip, lag included."""
+        used = (self.times_s >= from_s) & (self.times_s < to_s)
+        gap = np.nan_to_num(self.tip_m[used] - self.reference_m[used])
+        return float(np.sqrt(np.mean(np.sum(gap**2, axis=1))))
+
+
+def simulate(
+    settings: TipControlSettings, controller: TipController | None, truth: Truth, task: Task, seed: int
+) -> ClosedLoop:
+    """Run a controller (None: the feed-forward alone) on a simulated arm."""
+    valve_of, rng = list(settings.valve_of), np.random.default_rng(seed)
+    follower = PlanFollower(settings.valves, settings.pressure_limit_pa, settings.rate_limit_pa_s)
+    dynamics = Dynamics(truth.arm, CYCLE_S)
+    pressure = task.feedforward_pa(0.0)[valve_of]
+    loads = model.Loads(tip_force_n=truth.payload_kg * np.array(truth.arm.gravity_m_s2))
+    tip = dynamics.start(pressure * truth.strength).tip_m
+    state = controller.start() if controller is not None else None
+    share = -np.expm1(-CYCLE_S / truth.lag_s)
+    cycles = round(task.duration_s / CYCLE_S)
+    tips, references = np.empty((cycles, 3)), np.empty((cycles, 3))
+    setpoints, pressures = np.empty((cycles, settings.valves)), np.empty((cycles, settings.valves))
+    times, plans, solve_s = CYCLE_S * np.arange(cycles, dtype=np.float64), [], []
+    pending: list[tuple[float, Array]] = []
+    frame, kept = 0, round(_HISTORY_S / CYCLE_S)
+    for k in range(cycles):
+        now = float(times[k])
+        point = follower.follow(now, CYCLE_S, task.feedforward_pa(now), np.zeros(settings.valves))
+        if k:
+            pressure = pressure + share * (setpoints[k - 1][valve_of] - pressure)
+            hung = loads if truth.payload_kg and now >= truth.payload_at_s else None
+            tip = dynamics.step(pressure * truth.strength, hung).tip_m
+        setpoints[k], pressures[k] = point.pressure_pa, pressure[[valve_of.index(v) for v in range(settings.valves)]]
+        tips[k], references[k] = tip, task.position_m(now)
+        while frame * settings.frame_s <= now:
+            at, seen = frame * settings.frame_s, tip if k == 0 else _between(tips, times, k, frame * settings.frame_s)
+            pending.append((at, seen + truth.noise_m * rng.standard_normal(3)))
+            frame += 1
+        if controller is not None and pending and pending[0][0] + settings.delay_s <= now:
+            at, seen = pending.pop(0)
+            rows = slice(max(0, k + 1 - kept), k + 1)
+            measured = Measurement(
+                at, seen, max(truth.noise_m, 1e-6) ** 2 * np.eye(3), times[rows], setpoints[rows], pressures[rows], now
+            )
+            begun = time.perf_counter()
+            plan = controller.step(state, _window(task, now, settings.frame_s), measured)
+            solve_s.append(time.perf_counter() - begun)
+            state = plan.state
+            plans.append(plan._replace(state=None))
+            follower.take(plan.times_s, plan.setpoint_pa)
+    return ClosedLoop(times, references, tips, setpoints, tuple(plans), np.array(solve_s))
+
+
+def _between(tips: Array, times: Array, k: int, at_s: float) -> Array:
+    share = (at_s - times[k - 1]) / CYCLE_S
+    seen: Array = tips[k - 1] + share * (tips[k] - tips[k - 1])
+    return seen
+
+
+def _window(task: Task, now_s: float, frame_s: float) -> Reference:
+    times = now_s + frame_s * np.arange(AHEAD, dtype=np.float64)
+    return Reference(
+        times,
+        np.array([task.position_m(t) for t in times]),
+        np.array([task.velocity_m_s(t) for t in times]),
+        np.array([task.feedforward_pa(t) for t in times]),
+        task.period_s,
+    )

@@ -1,0 +1,241 @@
+"""Tip control as pure steps: maps, estimator, quadratic program, plan follower and closed loop."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import model
+from model.dynamics import Dynamics
+from model.statics import statics
+from rig.tip_control import horizon
+from rig.tip_control.estimator import TipEstimator
+from rig.tip_control.horizon import HorizonControl
+from rig.tip_control.interface import Measurement, Reference, SolveStatus, TipControlSettings
+from rig.tip_control.plan_follower import LONGEST_S, PlanFollower
+from rig.tip_control.registry import CONTROLLERS, UnknownControllerError, controller_class
+from rig.tip_control.simulation import Task, Truth, simulate
+from rig.tip_control.static_map import StaticMap
+from rig.tip_control.tip_dynamics import TipDynamics
+
+LIMIT_PA, RATE_PA_S = 0.7e5, 1e5
+
+
+def _arm() -> model.Arm:
+    arm = model.Arm.paper()
+    return replace(arm, material=replace(arm.material, damping_s=0.01))
+
+
+ARM = _arm()
+SETTINGS = TipControlSettings(ARM, (0, 1, 2), LIMIT_PA, RATE_PA_S, 1 / 30, 0.04, 0.015)
+OTHER = replace(ARM, material=replace(ARM.material, a1_per_n=0.0077, rpe_per_bar=0.0515, density_kg_m3=1130.0))
+
+
+@pytest.fixture(scope="module")
+def static_map() -> StaticMap:
+    return StaticMap.of(ARM, (0, 1, 2), LIMIT_PA)
+
+
+def _task(frequency_hz: float, duration_s: float, radius_m: float = 0.015) -> Task:
+    """A circle from rest on; its feed-forward is that of the first-mode model."""
+    chart, dynamics = StaticMap.of(ARM, (0, 1, 2), LIMIT_PA), TipDynamics.of(ARM, LIMIT_PA)
+    times = np.arange(0.0, duration_s + 2.0, 0.005)
+    turns = 2 * np.pi * frequency_hz * np.where(times < 1, 0.5 * times**2, times - 0.5)
+    position = np.stack([radius_m * np.cos(turns), radius_m * np.sin(turns), np.full_like(turns, 0.19)], axis=1)
+    velocity = np.gradient(position, 0.005, axis=0)
+    drive = position + dynamics.tau_s * velocity + np.gradient(velocity, 0.005, axis=0) / dynamics.omega_rad_s**2
+    feed = chart.inverse(drive, np.full(3, 3e4))
+
+    def at(values: np.ndarray, t: float) -> np.ndarray:
+        return np.array([np.interp(t, times, column) for column in values.T])
+
+    return Task(
+        duration_s, lambda t: at(position, t), lambda t: at(velocity, t), lambda t: at(feed, t), 1 / frequency_hz
+    )
+
+
+def test_the_static_map_is_the_rod_model(static_map: StaticMap) -> None:
+    pressures = np.random.default_rng(3).uniform(0, LIMIT_PA, (20, 3))
+    hung = model.Loads(tip_force_n=0.03 * np.array(ARM.gravity_m_s2))
+    rod = [statics(ARM, p, hung, doubt_units=False).tip_m for p in pressures]
+    np.testing.assert_allclose(static_map.tips(pressures, 0.03), rod, atol=1e-5)
+
+
+def test_the_slopes_of_the_static_map_are_those_of_finite_differences(static_map: StaticMap) -> None:
+    pressure = np.array([[2e4, 3e4, 4e4]])
+    numeric = [
+        (static_map.tips(pressure + step) - static_map.tips(pressure - step))[0] / 20.0 for step in 10.0 * np.eye(3)
+    ]
+    np.testing.assert_allclose(static_map.jacobians(pressure)[0], np.array(numeric).T, rtol=1e-6)
+    by_payload = (static_map.tips(pressure, 0.021) - static_map.tips(pressure, 0.019))[0] / 0.002
+    np.testing.assert_allclose(static_map.by_payload(pressure[0], 0.02), by_payload, rtol=1e-5)
+
+
+def test_the_inverse_is_the_nearest_point_within_the_limits(static_map: StaticMap) -> None:
+    inside, outside = static_map.tips(np.array([[1e4, 3e4, 5e4]])), np.array([[0.0, 0.0, 0.15]])
+    found = static_map.inverse(np.concatenate([inside, outside]), np.full(3, 2e4))
+    np.testing.assert_allclose(found[0], [1e4, 3e4, 5e4], atol=1.0)
+    grid = np.stack(np.meshgrid(*[np.linspace(0, LIMIT_PA, 15)] * 3), axis=-1).reshape(-1, 3)
+    nearest = np.linalg.norm(static_map.tips(grid) - outside, axis=1).min()
+    assert np.linalg.norm(static_map.tips(found[1:]) - outside) <= nearest + 1e-9
+    assert (found >= 0).all()
+    assert (found <= LIMIT_PA).all()
+
+
+def test_the_first_mode_follows_the_rod_model(static_map: StaticMap) -> None:
+    times = 0.005 * np.arange(400)
+    pressure = 3e4 + 1e4 * np.stack([np.sin(2 * np.pi * times + shift) for shift in (0, 2, 4)], axis=1)
+    dynamics = Dynamics(ARM, 0.005)
+    dynamics.start(pressure[0])
+    rod = dynamics.run(pressure[1:]).tip_m[200:]
+    mode = TipDynamics.of(ARM, LIMIT_PA)
+    drive = static_map.tips(pressure)
+    tips = mode.advance(np.stack([drive[0], np.zeros(3)]), drive, 0.005)[201:, 0]
+    quasi_static = np.sqrt(np.mean(np.sum((drive[201:] - rod) ** 2, axis=1)))
+    error = np.sqrt(np.mean(np.sum((tips - rod) ** 2, axis=1)))
+    assert error < 0.3 * quasi_static
+
+
+def test_the_responses_are_the_slopes_of_the_advance() -> None:
+    mode, rng = TipDynamics(41.0, 0.01), np.random.default_rng(1)
+    drive, change = rng.standard_normal((9, 3)), rng.standard_normal((9, 3))
+    start = rng.standard_normal((2, 3))
+    moved = mode.advance(start, drive + change, 0.02) - mode.advance(start, drive, 0.02)
+    output = moved[:, 0] - 0.005 * moved[:, 1]
+    np.testing.assert_allclose(mode.responses(8, 0.02, 0.005) @ change, output, atol=1e-12)
+
+
+def test_the_slopes_of_the_estimator_are_those_of_finite_differences(static_map: StaticMap) -> None:
+    estimator = TipEstimator(static_map)
+    rng = np.random.default_rng(0)
+    start = estimator.start()
+    state = start._replace(z=start.z + 1e-3 * rng.standard_normal(len(start.z)))
+    case = (np.array([0.01, 0.0, 0.19]), np.array([0.1, -0.05, 0.0]), np.array([2e4, 3e4, 4e4]), 0.7, 1.0)
+    _, slope = estimator.predict(state, *case)
+    for k in range(len(state.z)):
+        step = np.zeros(len(state.z))
+        step[k] = 1e-6
+        up = estimator.predict(state._replace(z=state.z + step), *case)[0]
+        down = estimator.predict(state._replace(z=state.z - step), *case)[0]
+        np.testing.assert_allclose(slope[:, k], (up - down) / 2e-6, atol=1e-7 * max(1.0, np.abs(slope[:, k]).max()))
+
+
+def test_an_arm_unlike_the_model_follows_far_better_than_by_feedforward() -> None:
+    task, truth = _task(1.0, 6.0), Truth(OTHER, np.array([1.03, 0.98, 1.0]))
+    feedforward = simulate(SETTINGS, None, truth, task, seed=1)
+    feedback = simulate(SETTINGS, HorizonControl(SETTINGS), truth, task, seed=1)
+    assert feedforward.rms_m(3.0) > 1e-3
+    assert feedback.rms_m(3.0) < 0.25e-3
+    assert feedback.setpoint_pa.min() >= 0
+    assert feedback.setpoint_pa.max() <= LIMIT_PA
+    assert np.abs(np.diff(feedback.setpoint_pa, axis=0)).max() <= RATE_PA_S * 0.005 * (1 + 1e-9)
+    # The innovations are as large as the filter says: NIS of three degrees of freedom has mean 3.
+    nis = np.array([plan.estimate.nis for plan in feedback.plans[60:]])
+    assert 1.5 < nis.mean() < 4.5
+
+
+def test_an_unknown_payload_is_weighed_and_compensated() -> None:
+    task = _task(0.25, 8.0, radius_m=0.02)
+    truth = Truth(OTHER, np.ones(3), payload_kg=0.05, payload_at_s=5.0)
+    run = simulate(SETTINGS, HorizonControl(SETTINGS), truth, task, seed=2)
+    before = next(p for p in reversed(run.plans) if p.times_s[0] < 5.0).estimate.payload_kg
+    after = next(p for p in run.plans if p.times_s[0] > 7.0).estimate.payload_kg
+    assert after - before == pytest.approx(0.05, abs=0.003)
+    assert run.rms_m(6.0, 6.5) < 0.3e-3
+
+
+def test_the_same_run_is_the_same_bit_for_bit() -> None:
+    task, truth = _task(1.0, 1.5), Truth(OTHER, np.ones(3))
+    first, second = (simulate(SETTINGS, HorizonControl(SETTINGS), truth, task, seed=4) for _ in range(2))
+    np.testing.assert_array_equal(first.setpoint_pa, second.setpoint_pa)
+
+
+def test_a_frame_without_a_tip_leaves_a_plan(monkeypatch: pytest.MonkeyPatch) -> None:
+    controller = HorizonControl(SETTINGS)
+    times, feed = np.arange(0, 1, 1 / 30), np.full((30, 3), 3e4)
+    tip = StaticMap.of(ARM, (0, 1, 2), LIMIT_PA).tips(feed)
+    reference = Reference(times, tip, np.zeros((30, 3)), feed, None)
+    measured = Measurement(-0.04, np.full(3, np.nan), np.eye(3), np.array([-0.1, 0.0]), feed[:2], feed[:2], 0.0)
+    plan = controller.step(controller.start(), reference, measured)
+    assert plan.status is SolveStatus.SOLVED
+    np.testing.assert_allclose(plan.setpoint_pa, 3e4, atol=1.0)
+    cut_off = (np.full(15, np.nan), 0.0, -4, {"iterations": 200, "lam": np.zeros(90)})
+    monkeypatch.setattr(horizon.daqp, "solve", lambda *args, **options: cut_off)
+    failed = controller.step(plan.state, reference, measured._replace(tip_m=tip[0] + 1e-3, time_s=-0.02))
+    assert failed.status is SolveStatus.NOT_SOLVED
+    np.testing.assert_allclose(failed.setpoint_pa, plan.setpoint_pa, atol=1.0)
+
+
+def test_a_plan_never_leaves_the_limits() -> None:
+    follower = PlanFollower(1, LIMIT_PA, RATE_PA_S)
+    feed = np.array([3e4])
+    follower.follow(0.0, 0.005, feed, np.zeros(1))
+    assert follower.take(np.array([0.0, 0.2]), np.array([[9e9], [-9e9]]))
+    points = [follower.follow(0.005 * k, 0.005, feed, np.zeros(1)) for k in range(1, 40)]
+    pressures = np.array([3e4, *(point.pressure_pa[0] for point in points)])
+    assert pressures.min() >= 0
+    assert pressures.max() <= LIMIT_PA
+    assert np.abs(np.diff(pressures)).max() <= RATE_PA_S * 0.005 * (1 + 1e-12)
+    assert max(abs(point.rate_pa_s[0]) for point in points) <= RATE_PA_S * (1 + 1e-12)
+
+
+def test_an_old_plan_is_held() -> None:
+    follower = PlanFollower(1, LIMIT_PA, RATE_PA_S)
+    feed = np.array([3e4])
+    follower.follow(0.0, 0.005, feed, np.zeros(1))
+    follower.take(np.array([0.0, 1.0]), np.array([[3e4], [4e4]]))
+    times = 0.005 * np.arange(1, 200)
+    points = [follower.follow(float(t), 0.005, feed, np.zeros(1)) for t in times]
+    assert points[-1].held
+    assert points[-1].pressure_pa[0] == pytest.approx(3e4 + 1e4 * LONGEST_S)
+    assert points[-1].rate_pa_s[0] == 0.0
+
+
+@pytest.mark.parametrize(
+    ("times", "values"),
+    [([0.0, 0.0], [[1.0], [1.0]]), ([0.0], [[np.nan]]), ([np.inf], [[1.0]]), ([], []), ([0.0], [[1.0, 2.0]])],
+)
+def test_what_is_no_plan_is_refused(times: list[float], values: list[list[float]]) -> None:
+    follower = PlanFollower(1, LIMIT_PA, RATE_PA_S)
+    assert not follower.take(np.array(times), np.array(values, dtype=float))
+    assert follower.follow(0.0, 0.005, np.array([3e4]), np.zeros(1)).pressure_pa[0] == 3e4
+
+
+@pytest.mark.parametrize("name", sorted(CONTROLLERS))
+def test_every_registered_controller_gives_a_plan(name: str) -> None:
+    controller = controller_class(name)(SETTINGS)
+    run = simulate(SETTINGS, controller, Truth(OTHER, np.ones(3)), _task(0.5, 0.5), seed=1)
+    assert run.plans
+    assert np.isfinite(run.setpoint_pa).all()
+
+
+@pytest.mark.parametrize(
+    ("name", "reason"),
+    [
+        ("horizn", "one of feed-forward, horizon"),
+        ("no_such_package_here:C", "can be imported"),
+        ("math:C", "has no C"),
+        ("pathlib:Path", "start and step"),
+    ],
+)
+def test_an_unknown_controller_is_refused_with_its_reason(name: str, reason: str) -> None:
+    with pytest.raises(UnknownControllerError, match=reason):
+        controller_class(name)
+
+
+def test_the_examples_of_the_page_work(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    page = Path(__file__).parents[3] / "docs" / "explanation" / "tip-control.md"
+    (text,) = re.findall(r"```python\n# own_controllers.py\n(.*?)```", page.read_text(encoding="utf-8"), re.DOTALL)
+    (tmp_path / "own_controllers.py").write_text(text, encoding="utf-8")
+    monkeypatch.syspath_prepend(tmp_path)
+    task = _task(0.1, 4.0)
+    truth = Truth(OTHER, np.array([1.03, 0.98, 1.0]))
+    errors = [
+        simulate(SETTINGS, controller_class(f"own_controllers:{name}")(SETTINGS), truth, task, seed=1).rms_m(2.0)
+        for name in ("Inverse", "InverseAndIntegral")
+    ]
+    assert errors[1] < 0.7 * errors[0]
