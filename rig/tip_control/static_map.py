@@ -6,6 +6,7 @@ of a solution of the rod, with exact derivatives.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import product
@@ -125,7 +126,7 @@ class StaticMap:
 
 def _nodes(terms: int) -> tuple[Array, Array]:
     """Chebyshev nodes (n,), and the transform (n, n) from values at the nodes to coefficients."""
-    nodes = np.cos(np.linspace(0.5, terms - 0.5, terms) * (np.pi / terms))
+    nodes: Array = np.array([math.cos(math.pi * (k + 0.5) / terms) for k in range(terms)])
     transform: Array = np.linalg.inv(chebyshev.chebvander(nodes, terms - 1))
     return nodes, transform
 
