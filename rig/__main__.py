@@ -37,7 +37,10 @@ def main() -> None:
 
     if loud:
         signal.signal(signal.SIGINT, signal.default_int_handler)
-    cli.main()
+    try:
+        cli.main()
+    except KeyboardInterrupt:  # before the command line is read; a command reports it itself
+        sys.exit(cli.INTERRUPTED)
 
 
 if __name__ == "__main__":

@@ -103,6 +103,16 @@ def test_a_check_imports_nothing_that_only_a_run_needs(tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
 
 
+def test_ctrl_c_before_the_command_line_is_read_ends_the_program_silently() -> None:
+    code = (
+        "import signal, typer.main\n"
+        "typer.main.get_command = lambda app: signal.raise_signal(signal.SIGINT)\n"
+        "from rig.__main__ import main; main()"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (130, "", "")
+
+
 def test_ctrl_c_while_modules_load_ends_the_program_silently() -> None:
     interrupted_in_an_import = (
         "import os, signal, sys\n"
