@@ -360,7 +360,7 @@ class BoardConfig(Section):
 
     squares_x: Annotated[int, Field(ge=3, le=100, strict=True)]
     squares_y: Annotated[int, Field(ge=3, le=100, strict=True)]
-    square_mm: Positive
+    square_mm: LengthMm
     placement: Placement
 
     @model_validator(mode="after")
@@ -384,7 +384,7 @@ class MaterialConfig(Section):
     """Eqs 16, 30, 32 and the identified gamma."""
 
     youngs_modulus_pa: ModulusPa = Field(description="homogeneous section")
-    a1_per_N: Annotated[float, Field(gt=0, le=10, allow_inf_nan=False, strict=True)] = Field(description="eq 32")
+    a1_per_N: Annotated[float, Field(ge=1e-6, le=10, allow_inf_nan=False, strict=True)] = Field(description="eq 32")
     a2_per_N2: Annotated[float, Field(ge=0, le=1_000, allow_inf_nan=False, strict=True)] = Field(description="eq 32")
     rpe_per_bar: Annotated[float, Field(ge=-10, le=10, allow_inf_nan=False, strict=True)] = Field(
         description="a of eq 30"

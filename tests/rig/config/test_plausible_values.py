@@ -24,6 +24,8 @@ MOCK = loader.text("mock")
     ("old", "new", "where", "expected"),
     [
         ("cap_mass_g: 52", "cap_mass_g: 52000", "simulator, cap_mass_g", "0 to 5000 (g)"),
+        ("square_mm: 8", "square_mm: 1.0e-308", "board, square_mm", "0.01 to 10000 (mm)"),
+        ("a1_per_N: 0.00765", "a1_per_N: 1.0e-308", "simulator, material, a1_per_N", "1e-06 to 10"),
         ("youngs_modulus_pa: 289142.05", "youngs_modulus_pa: 0.289", "youngs_modulus_pa", "1000 to 1"),
         ("length_mm: 170", "length_mm: 170000", "length_mm", "0.01 to 10000 (mm)"),
         ("pressure_bar: 0.7", "pressure_bar: 70", "limits, pressure_bar", "up to 10 (bar)"),
