@@ -160,7 +160,13 @@ class Pressure(Table):
     measured_bar = Column(
         "measured_pa", axes=("actuator",), unit="bar", about="mean of the scans since the last cycle", convert=_bar
     )
-    valve_v = Column("valve_v", axes=("valve",), unit="V", about="voltage commanded next", dataset="valve_V")
+    valve_v = Column(
+        "valve_v",
+        axes=("valve",),
+        unit="V",
+        about="voltage commanded next, if the valve takes one",
+        dataset="valve_V",
+    )
     scans = Column("scans", "<i4", about="number of scans in the mean")
 
 

@@ -54,6 +54,10 @@ def sensor_section(
 ) -> calibration_schema.SensorCalibration:
     """The scale of one sensor from readings (n, 2): volts, and the gauge [Pa]."""
     sensor = next(s for s in config.sensors if s.actuator == actuator)
+    if sensor.unit != "V":
+        raise CalibrationError(
+            f"sensor of actuator {actuator}: it gives {sensor.unit}, so there is no voltage to scale"
+        )
     low, high = sorted(sensor.span_V)
     # At the ends of its span a sensor may have stopped following.
     inside = (readings[:, 0] > low + _CLIPPED_V) & (readings[:, 0] < high - _CLIPPED_V)

@@ -281,7 +281,10 @@ def _other_bench(config: RigConfig, calibration: LoadedCalibration, found: Press
             continue
         sensor = sensors[scale.actuator]
         yield from _other_channel(config, calibration, here, scale, sensor, f"the sensor of actuator {scale.actuator}")
-        if tuple(scale.span_V) != tuple(sensor.span_V):
+        if sensor.unit != "V":
+            expected = f"a sensor in volts; that of actuator {scale.actuator} gives {sensor.unit}"
+            yield calibration.problem((*here, "actuator"), scale.actuator, expected)
+        elif tuple(scale.span_V) != tuple(sensor.span_V):
             expected = f"{list(sensor.span_V)}, as the sensor of rig {config.name}"
             yield calibration.problem((*here, "span_V"), list(scale.span_V), expected)
     for i, sweep in enumerate(found.valves):

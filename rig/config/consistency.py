@@ -15,7 +15,8 @@ from protocols.problems import closest
 from protocols.validation import ValidationFault
 
 if TYPE_CHECKING:
-    from rig.config.sections import ArmConfig, CameraConfig, CardConfig, Control, GeometryConfig, Limits, Sensor
+    from rig.config.card_sections import CardConfig
+    from rig.config.sections import ArmConfig, CameraConfig, Control, GeometryConfig, Limits, Sensor
     from rig.config.simulator_sections import Simulator
     from rig.valves.base import ValveSection
 

@@ -158,6 +158,12 @@ KEPT = "outputs keep their values; the watchdog writes the safe state"
 CARD_DRIVERS = DriverRegistry(
     "cards",
     Driver("comedi", "rig.hardware.cards.comedi", "cards with a Comedi driver (Linux), such as PCI-1716", KEPT),
+    Driver(
+        "serial",
+        "rig.hardware.cards.serial",
+        "a pressure controller on a serial port, such as an Arduino",
+        "the controller vents by itself after some 50 ms without a command",
+    ),
     Driver("mock", "rig.hardware.cards.mock", "a card of the simulated bench", KEPT, simulated=True),
 )
 CAMERA_DRIVERS = DriverRegistry(

@@ -12,10 +12,10 @@ from pydantic.json_schema import SkipJsonSchema
 
 from protocols.validation import faults
 from rig.config import consistency
+from rig.config.card_sections import AnyCard
 from rig.config.metadata import Metadata
 from rig.config.sections import (
     AnyCamera,
-    AnyCard,
     ArmConfig,
     BoardConfig,
     Control,

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import re
 from datetime import datetime
-from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
+from typing import TYPE_CHECKING, Annotated, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, JsonValue, mo
 from pydantic.json_schema import SkipJsonSchema
 
 from protocols.validation import ValidationFault, faults
-from rig.config.drivers import CAMERA_DRIVERS, CARD_DRIVERS
+from rig.config.drivers import CAMERA_DRIVERS
 from rig.config.plugins import PluginSections
 
 PA_PER_BAR = 1e5
@@ -141,102 +141,53 @@ class Section(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, defer_build=True)
 
 
-class CardConfig(Section):
-    """One data-acquisition card: the keys of every driver. A driver adds keys of its own in a subclass."""
-
-    driver: Annotated[str, Field(min_length=1)]
-    device: Word = Field(description="/dev/comedi0, a board name, or the mock card's name")
-    sampling_hz: Positive = Field(default=1000.0, le=20_000)
-    outputs: Index = Field(description="AO channels that the card has")
-    inputs: Index = Field(description="AI channels that the card has")
-
-    @property
-    def is_mock(self) -> bool:
-        """True for a card of the simulated bench."""
-        return self.driver == "mock"
-
-    @property
-    def simulated(self) -> bool:
-        """True for a simulated card, of the bench or of another driver."""
-        return CARD_DRIVERS.simulates(self.driver)
-
-    def setup_options(self) -> dict[str, Any]:
-        """What this driver's section adds to `CardSetup`."""
-        return {}
-
-
-class SampledCardConfig(CardConfig):
-    """A card whose inputs are sampled by its own clock or by instruction."""
-
-    acquisition: Literal["auto", "command", "instruction"] = Field(
-        default="auto", description="inputs by the card's own clock, one scan per control period, or the card's best"
-    )
-    reference: Literal["ground", "differential"] = Field(default="ground", description="how the inputs are wired")
-
-    def setup_options(self) -> dict[str, Any]:
-        """Acquisition and wiring."""
-        return {"acquisition": self.acquisition, "differential": self.reference == "differential"}
-
-
-class ComediCardConfig(SampledCardConfig):
-    """A card with a Comedi driver."""
-
-    driver: Literal["comedi"]
-
-
-class MockCardConfig(SampledCardConfig):
-    """A card of the simulated bench."""
-
-    driver: Literal["mock"]
-    one_opener: bool = Field(default=False, description="let one process in at a time, as some drivers do")
-
-    def setup_options(self) -> dict[str, Any]:
-        """As of a card, and whether it lets one process in."""
-        return {**super().setup_options(), "one_opener": self.one_opener}
-
-
-class UninstalledCardConfig(CardConfig):
-    """A card from an archive whose driver is not installed here."""
-
-    model_config = ConfigDict(extra="ignore")
-
-
-if TYPE_CHECKING:
-    AnyCard = CardConfig
-else:
-    AnyCard = Annotated[
-        Annotated[ComediCardConfig | MockCardConfig, Field(discriminator="driver")],
-        PluginSections(
-            "driver",
-            CardConfig,
-            CARD_DRIVERS.built_in,
-            CARD_DRIVERS.plugins,
-            CARD_DRIVERS.section,
-            UninstalledCardConfig,
-        ),
-    ]
-    """A card of the rig file, by the model of its driver."""
-
-
 class Sensor(Section):
-    """A pressure sensor: gauge pressure is linear in voltage over the span.
+    """A pressure sensor: gauge pressure is linear in voltage over the span, or is what the card gives (`unit: bar`).
 
-    A voltage outside the electrical span by more than `margin_V` is a broken sensor or wire, not a pressure.
+    A voltage outside the electrical span by more than `margin_V` is a broken sensor or wire, not a pressure. A sensor
+    in bar is broken outside its `span_bar` by more than 1 % of it.
     """
 
     actuator: ActuatorNumber
     card: Word
     channel: Index
+    unit: Literal["V", "bar"] = Field(default="V", description="of the card's input")
     range_V: VoltSpan = (0.0, 10.0)
     span_V: VoltSpan = (0.0, 10.0)
     span_bar: BarSpan = (0.0, 10.0)
     margin_V: NonNegative = 0.1
     accuracy_bar: Positive = 0.01
 
-    def pressure_pa(self, volts: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Gauge pressure [Pa] of a voltage."""
-        (v0, v1), (b0, b1) = self.span_V, self.span_bar
-        return (b0 + (volts - v0) * ((b1 - b0) / (v1 - v0))) * PA_PER_BAR
+    @property
+    def signal_span(self) -> tuple[float, float]:
+        """What the card gives at the ends of `span_bar`, in `unit`."""
+        return self.span_V if self.unit == "V" else self.span_bar
+
+    @property
+    def signal_margin(self) -> float:
+        """How far a working sensor may leave its span, in `unit`."""
+        return self.margin_V if self.unit == "V" else 0.01 * (self.span_bar[1] - self.span_bar[0])
+
+    @property
+    def signal_range(self) -> tuple[float, float]:
+        """Range of the card's input, in `unit`."""
+        if self.unit == "V":
+            return self.range_V
+        (low, high), room = self.span_bar, 2 * self.signal_margin
+        return low - room, high + room
+
+    def pressure_pa(self, signal: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Gauge pressure [Pa] of a value of the card, in `unit`."""
+        (v0, v1), (b0, b1) = self.signal_span, self.span_bar
+        return (b0 + (signal - v0) * ((b1 - b0) / (v1 - v0))) * PA_PER_BAR
+
+    @model_validator(mode="after")
+    def _no_volts_in_bar(self) -> Sensor:
+        volts = ("range_V", "span_V", "margin_V")
+        if self.unit == "bar":
+            other = (name for name in volts if getattr(self, name) != type(self).model_fields[name].default)
+            faults(ValidationFault((name,), "no such key for a sensor with `unit: bar`") for name in other)
+        return self
 
 
 class Limits(Section):

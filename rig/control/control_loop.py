@@ -51,6 +51,7 @@ class ControlLoop:
         self._row = blank((), sample_dtype(config.actuators, len(config.valves)))
         self.lost = 0
         """Scans that the cards have dropped."""
+        self._has_voltage = np.array([valve.output_unit == "V" for valve in config.valves])
         self._scan_t_ns = 0
         self._excuse_ns = self._excused_until_ns = 0
         self._pressure_pa: NDArray[np.float64] = np.full(config.actuators, np.nan)
@@ -120,7 +121,7 @@ class ControlLoop:
         row["protocol_s"] = protocol_s
         row["setpoint_pa"] = setpoint_pa
         row["measured_pa"] = self._pressure_pa
-        row["valve_v"] = command.valve_v
+        row["valve_v"] = np.where(self._has_voltage, command.valve_v, np.nan)
         row["scans"] = taken
         row["missed"] = missed
         row["lateness_ns"] = lateness_ns

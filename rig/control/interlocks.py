@@ -108,23 +108,23 @@ class StaleSamples(SampleInterlock):
 
 @dataclass(frozen=True)
 class BrokenSensors(SampleInterlock):
-    """A voltage is not a pressure: outside the electrical span of its sensor, or at the end of the input's range.
+    """A value is not a pressure: outside the span of its sensor, or at the end of the input's range.
 
-    `spans_v` has the lowest and the highest voltage of each sensor, and the voltage of a saturated input.
+    `spans_v` has the lowest and the highest value of each sensor, and the value of a saturated input, in its unit.
     """
 
     spans_v: tuple[tuple[float, float, float], ...]
+    units: tuple[str, ...]
 
     @classmethod
     def of(cls, config: RigConfig) -> Self:
         """The electrical spans of the sensors, in the order of the actuators."""
         spans = []
         for sensor in _ordered(config):
-            low, high = sorted(sensor.span_V)
-            spans.append(
-                (low - sensor.margin_V, high + sensor.margin_V, sensor.range_V[1] - sensor_state.count_v(sensor))
-            )
-        return cls(tuple(spans))
+            low, high = sorted(sensor.signal_span)
+            margin, ceiling = sensor.signal_margin, sensor.signal_range[1] - sensor_state.count_v(sensor)
+            spans.append((low - margin, high + margin, ceiling))
+        return cls(tuple(spans), tuple(sensor.unit for sensor in _ordered(config)))
 
     def trip(self, sample: Sample, *, new: bool) -> Trip | None:
         """Compare each voltage of a new scan."""
@@ -135,10 +135,10 @@ class BrokenSensors(SampleInterlock):
                 continue
             limit = low if volts < low else min(high, ceiling)
             message = (
-                f"sensor {i + 1} reads {volts:.3f} V, outside its span of {low:.2f} to "
-                f"{min(high, ceiling):.2f} V: sensor or wire broken"
+                f"sensor {i + 1} reads {volts:.3f} {self.units[i]}, outside its span of {low:.2f} to "
+                f"{min(high, ceiling):.2f} {self.units[i]}: sensor or wire broken"
             )
-            return Trip(sample.t_ns, f"sensor {i + 1}", message, volts, limit, "V")
+            return Trip(sample.t_ns, f"sensor {i + 1}", message, volts, limit, self.units[i])
         return None
 
 

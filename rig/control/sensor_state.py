@@ -58,8 +58,8 @@ class RegulatorDemand(NamedTuple):
 
 
 def count_v(sensor: Sensor) -> float:
-    """One count of the 16-bit input of a sensor [V]."""
-    return (sensor.range_V[1] - sensor.range_V[0]) / SIXTEEN_BITS
+    """One count of the 16-bit input of a sensor, in the unit of the input."""
+    return (sensor.signal_range[1] - sensor.signal_range[0]) / SIXTEEN_BITS
 
 
 def started(watch: SensorState, volts: float, pressure_pa: float, asked: RegulatorDemand) -> SensorState:

@@ -78,9 +78,10 @@ def quantities(config: RigConfig) -> tuple[Quantity, ...]:
     add("model", "cap_mass", "g", arm.cap_mass_g)
     add("model", "gravity_direction", "1", *arm.gravity_direction)
     for sensor in config.sensors:
-        scale = (sensor.span_bar[1] - sensor.span_bar[0]) / (sensor.span_V[1] - sensor.span_V[0])
-        add("calibration", f"sensor_{sensor.actuator}_scale", "bar/V", scale)
-        offset = sensor.span_bar[0] - scale * sensor.span_V[0]
+        (low, high), (low_bar, high_bar) = sensor.signal_span, sensor.span_bar
+        scale = (high_bar - low_bar) / (high - low)
+        add("calibration", f"sensor_{sensor.actuator}_scale", f"bar/{sensor.unit}", scale)
+        offset = low_bar - scale * low
         add("calibration", f"sensor_{sensor.actuator}_offset", "bar", offset, uncertainty=sensor.accuracy_bar)
     for name, camera in config.cameras.items():
         lens, place = camera.lens, camera.placement

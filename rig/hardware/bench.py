@@ -42,6 +42,7 @@ class Bench:
         self._pa_at_0_v = np.array(at_0)
         self._pa_per_v = np.array(at_1) - self._pa_at_0_v
         self._told_v: NDArray[np.float64] | None = None
+        self._units = [valve.output_unit for valve in config.valves]
         columns = {name: [i for i, s in enumerate(self._sensors) if s.card == name] for name in self._cards}
         self._inputs = {name: column for name, column in columns.items() if column}
         self._pending = {name: _Pending(len(column)) for name, column in self._inputs.items()}
@@ -118,8 +119,8 @@ class Bench:
         off = np.abs(stands - self._told_v) > self._safe.tolerance_v
         for i in np.flatnonzero(off).tolist():
             return (
-                f"valve {i + 1} stands at {stands[i]:.3f} V and not at the {self._told_v[i]:.3f} V that it was "
-                "told: another program has written to the card (`rig vent`?)"
+                f"valve {i + 1} stands at {stands[i]:.3f} {self._units[i]} and not at the {self._told_v[i]:.3f} "
+                f"{self._units[i]} that it was told: another program has written to the card (`rig vent`?)"
             )
         return ""
 

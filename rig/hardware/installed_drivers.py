@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+from rig.config.card_sections import CardConfig
 from rig.config.drivers import CAMERA_DRIVERS, CARD_DRIVERS, TRACKER_DRIVERS, InstalledDriver
 from rig.config.plugins import PluginError, package_of
-from rig.config.sections import CameraConfig, CardConfig, Section
+from rig.config.sections import CameraConfig, Section
 from rig.valves.base import ValveSection
 from rig.valves.registry import BUILT_IN, VALVE_PLUGINS
 

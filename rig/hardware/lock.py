@@ -20,8 +20,8 @@ from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 
+from rig.config.card_sections import CardConfig
 from rig.config.schema import RigConfig
-from rig.config.sections import CardConfig
 from rig.hardware.cards.base import CardBusyError, CardError
 from rig.hardware.cards.kernel_devices import comedi
 from rig.hardware.runtime_folder import open_private, runtime_folder, subfolder

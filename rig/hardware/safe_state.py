@@ -47,7 +47,7 @@ class SafeOutputs:
         self.safe_v: NDArray[np.float64] = np.array(safe_voltages(config))
         self.vent_v: NDArray[np.float64] = np.array(safe_voltages(config, vent=True))
         self.tolerance_v: NDArray[np.float64] = np.array(
-            [(v.range_V[1] - v.range_V[0]) * READBACK_TOLERANCE for v in config.valves]
+            [(v.output_range[1] - v.output_range[0]) * READBACK_TOLERANCE for v in config.valves]
         )
         columns = {name: [i for i, v in enumerate(self._valves) if v.card == name] for name in cards}
         self.columns = {name: column for name, column in columns.items() if column}
@@ -81,9 +81,10 @@ class SafeOutputs:
         for i in sorted(i for column in self.columns.values() for i in column):
             valve, safe = self._valves[i], voltages[i]
             if not abs(stands[i] - safe) <= self.tolerance_v[i]:
+                unit = valve.output_unit
                 raise CardError(
-                    f"valve {i + 1} (card {valve.card}, output {valve.channel}) was told {safe:.3f} V but stands at "
-                    f"{stands[i]:.3f} V: check that nothing else drives the card"
+                    f"valve {i + 1} (card {valve.card}, output {valve.channel}) was told {safe:.3f} {unit} but stands "
+                    f"at {stands[i]:.3f} {unit}: check that nothing else drives the card"
                 )
 
     def readback(self) -> NDArray[np.float64]:
@@ -103,7 +104,7 @@ class SafeOutputs:
         for i in range(len(stands)):
             known = (self.safe_v[i], self.vent_v[i])
             if all(abs(stands[i] - v) > self.tolerance_v[i] for v in known):
-                return f"valve {i + 1} stands at {stands[i]:.3f} V"
+                return f"valve {i + 1} stands at {stands[i]:.3f} {self._valves[i].output_unit}"
         return ""
 
     def close(self) -> None:

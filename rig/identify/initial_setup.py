@@ -207,5 +207,5 @@ def _by_actuator(config: RigConfig) -> list[Sensor]:
 
 
 def _bar_per_v(sensor: Sensor) -> float:
-    (v0, v1), (b0, b1) = sensor.span_V, sensor.span_bar
+    (v0, v1), (b0, b1) = sensor.signal_span, sensor.span_bar
     return (b1 - b0) / (v1 - v0)

@@ -187,7 +187,7 @@ class PlantCard:
         together = bool(columns) and columns == list(range(columns[0], columns[-1] + 1))
         self._columns = slice(columns[0], columns[-1] + 1) if together else np.array(columns, np.int64)
         self._valves = [i for i, v in enumerate(config.valves) if v.card == name]
-        self._ranges = [config.valves[i].range_V for i in self._valves]
+        self._ranges = [config.valves[i].output_range for i in self._valves]
         self._device = config.cards[name].device
         self.faults = plant.faults
         """The card's own: a mock card that stands before this one takes them upon itself."""

@@ -151,7 +151,7 @@ def chambers(config: RigConfig, truth: Simulator) -> ChamberTable:
 def sensors(config: RigConfig, truth: Simulator, seed: int) -> SensorTable:
     """The true sensors of a rig; their offsets are drawn from the seed."""
     ordered = sorted(config.sensors, key=lambda s: s.actuator)
-    span_v = np.array([s.span_V for s in ordered])
+    span_v = np.array([s.signal_span for s in ordered])
     span_pa = np.array([s.span_bar for s in ordered]) * PA_PER_BAR
     lag_s = truth.sensor.lag_ms * 1e-3
     rng = np.random.default_rng([seed, 0x5E450])
@@ -166,8 +166,8 @@ def sensors(config: RigConfig, truth: Simulator, seed: int) -> SensorTable:
         v_per_pa=per_pa,
         span_low_v=span_v.min(axis=1),
         span_high_v=span_v.max(axis=1),
-        range_low_v=np.array([s.range_V[0] for s in ordered]),
-        range_high_v=np.array([s.range_V[1] for s in ordered]),
+        range_low_v=np.array([s.signal_range[0] for s in ordered]),
+        range_high_v=np.array([s.signal_range[1] for s in ordered]),
     )
 
 

@@ -105,8 +105,17 @@ class ValveSection(Section, ABC):
     actuators: Annotated[tuple[ActuatorNumber, ...], Field(min_length=1)]
     card: Word
     channel: Index
-    range_V: VoltSpan = (0.0, 10.0)
     safe_state: Literal["vent", "hold"] = "vent"
+
+    @property
+    def output_unit(self) -> str:
+        """Unit of what the card's output takes; the voltages of every other method are in it."""
+        return "V"
+
+    @property
+    @abstractmethod
+    def output_range(self) -> tuple[float, float]:
+        """Range of the card's output, in its unit."""
 
     @property
     @abstractmethod
@@ -152,3 +161,14 @@ class ValveSection(Section, ABC):
         """The fields that every regulator has."""
         filter_per_s = REFERENCE_SHARE * 2 * math.pi * control.bandwidth_hz
         return tuple(a - 1 for a in self.actuators), limits.rate_bar_per_s * PA_PER_BAR, filter_per_s
+
+
+class VoltageValve(ValveSection):
+    """A valve that a voltage commands."""
+
+    range_V: VoltSpan = (0.0, 10.0)
+
+    @property
+    def output_range(self) -> tuple[float, float]:
+        """Range of the card's output [V]."""
+        return self.range_V

@@ -19,7 +19,7 @@ from pydantic import Field
 
 from protocols.validation import ValidationFault
 from rig.config.sections import PA_PER_BAR, Bar, Control, Limits, NonNegative, Positive, Volt
-from rig.valves.base import Faults, Regulator, RegulatorState, SimulatedValve, ValveSection, ValveTruth
+from rig.valves.base import Faults, Regulator, RegulatorState, SimulatedValve, ValveTruth, VoltageValve
 from rig.valves.iso6358 import ANR_PA, ATMOSPHERE_PA, flow_function, sonic_conductance
 
 SOFT_FRACTION = 0.005
@@ -88,7 +88,7 @@ class FlowRegulator(Regulator):
         return self.conductance * upstream * ease * ANR_PA / self.volume_m3
 
 
-class FlowValve(ValveSection):
+class FlowValve(VoltageValve):
     """A proportional 5/3-way valve that meters flow (Festo MPYE): the chamber hangs on one port, the other is plugged.
 
     `fills` says on which side of `closed_V` the chamber is connected to the supply.

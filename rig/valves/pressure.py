@@ -9,7 +9,7 @@ from typing import Literal
 
 from protocols.validation import ValidationFault
 from rig.config.sections import PA_PER_BAR, BarSpan, Control, Limits, VoltSpan
-from rig.valves.base import Faults, Regulator, RegulatorState, SimulatedValve, ValveSection, ValveTruth
+from rig.valves.base import Faults, Regulator, RegulatorState, SimulatedValve, ValveTruth, VoltageValve
 from rig.valves.iso6358 import ATMOSPHERE_PA
 
 
@@ -31,7 +31,7 @@ class PressureRegulator(Regulator):
         return RegulatorState(reference_pa, 0.0, reference_rate_pa_s, volts)
 
 
-class PressureValve(ValveSection):
+class PressureValve(VoltageValve):
     """An electro-pneumatic regulator that takes a set-point voltage and holds the pressure by itself."""
 
     type: Literal["pressure"]

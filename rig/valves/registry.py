@@ -12,12 +12,14 @@ from pydantic import ConfigDict, Field
 from rig.config.plugins import PluginError, PluginGroup, PluginSections
 from rig.config.sections import Control, Limits
 from rig.valves.base import Regulator, SimulatedValve, ValveSection, ValveTruth
+from rig.valves.bus import BusValve
 from rig.valves.flow import FlowValve
 from rig.valves.pressure import PressureValve
 
 VALVE_TYPES: tuple[type[ValveSection], ...] = (
     FlowValve,
     PressureValve,
+    BusValve,
 )
 
 
@@ -37,6 +39,11 @@ class UninstalledValve(ValveSection):
     """A valve from an archive whose type is not installed here: it has no voltages and cannot be driven."""
 
     model_config = ConfigDict(extra="ignore")
+
+    @property
+    def output_range(self) -> tuple[float, float]:
+        """Unknown. Raises PluginError."""
+        raise PluginError(f"valve type {self.type} is not installed: this rig can be read and not driven")
 
     @property
     def vent_v(self) -> float:

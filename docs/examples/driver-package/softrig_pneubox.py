@@ -17,8 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from rig.config.card_sections import CardConfig
 from rig.config.drivers import Plugin
-from rig.config.sections import CardConfig, Positive
+from rig.config.sections import Positive
 from rig.hardware.cards.base import CardError, CardSetup, Scans
 from rig.hardware.finding import Finding
 

@@ -32,7 +32,7 @@ class CardBusyError(CardError):
 
 @dataclass(frozen=True)
 class Channel:
-    """One analogue channel: its number on the card and the voltage range it is used with."""
+    """One channel: its number on the card and the range it is used with, in the unit of the sensor or valve."""
 
     number: int
     low_v: float

@@ -22,6 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from rig.hardware.cards import comedi_constants
 from rig.hardware.cards.base import CardBusyError, CardError
+from rig.hardware.cards.kernel_devices import processes_with
 
 _ROUNDINGS = 8
 """Number of times that a driver may round a command before it must accept it."""
@@ -330,7 +331,7 @@ def why_closed(path: str, error: OSError) -> CardError:
     if error.errno in (errno.EACCES, errno.EPERM):
         return CardError(f"no permission to open {path}", _how_to_join(Path(path).stat().st_gid))
     if error.errno == errno.EBUSY:
-        return CardBusyError(path, _holders(path))
+        return CardBusyError(path, processes_with(path))
     if error.errno in (errno.ENXIO, errno.ENODEV):
         return CardError(
             f"{path} exists, but no card is attached to it", "load the card's driver (`rig doctor` says which)"
@@ -348,13 +349,3 @@ def _how_to_join(group: int) -> str:
     if user in owner.gr_mem:
         return f"you are in its group {owner.gr_name} since after you logged in: log in again"
     return f"`sudo adduser $USER {owner.gr_name}`, then log in again"
-
-
-def _holders(path: str) -> tuple[int, ...]:
-    """Processes that have the device open and are visible to this user."""
-    pids, node = set(), os.path.realpath(path)
-    for link in Path("/proc").glob("[0-9]*/fd/*"):
-        with contextlib.suppress(OSError):
-            if str(link.readlink()) == node:
-                pids.add(int(link.parts[2]))
-    return tuple(sorted(pids))

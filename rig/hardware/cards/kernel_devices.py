@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import re
+from contextlib import suppress
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -80,6 +82,16 @@ def _aliases(modules: Path) -> list[tuple[str, str]]:
         return []
     words = [line.split() for line in lines if line.startswith("alias pci:")]
     return [(pattern, module) for _, pattern, module in words]
+
+
+def processes_with(path: str) -> tuple[int, ...]:
+    """Processes that have a device open and are visible to this user."""
+    pids, node = set(), os.path.realpath(path)
+    for link in Path("/proc").glob("[0-9]*/fd/*"):
+        with suppress(OSError):
+            if str(link.readlink()) == node:
+                pids.add(int(link.parts[2]))
+    return tuple(sorted(pids))
 
 
 def has_module(name: str, release: str, root: Path = Path("/")) -> bool:

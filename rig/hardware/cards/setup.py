@@ -14,8 +14,8 @@ def card_setup(config: RigConfig, name: str) -> CardSetup:
     return CardSetup(
         name=name,
         device=card.device,
-        inputs=tuple(Channel(s.channel, *s.range_V) for s in sensors),
-        outputs=tuple(Channel(v.channel, *v.range_V) for v in valves),
+        inputs=tuple(Channel(s.channel, *s.signal_range) for s in sensors),
+        outputs=tuple(Channel(v.channel, *v.output_range) for v in valves),
         sampling_hz=card.sampling_hz,
         section=card,
         **card.setup_options(),

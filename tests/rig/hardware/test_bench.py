@@ -9,8 +9,8 @@ import pytest
 from numpy.typing import NDArray
 
 import rig.hardware.safe_state
+from rig.config.card_sections import CardConfig
 from rig.config.schema import RigConfig
-from rig.config.sections import CardConfig
 from rig.hardware.bench import Bench
 from rig.hardware.cards.base import CardBusyError, CardError, CardSetup, Scans
 from rig.hardware.cards.setup import card_setup

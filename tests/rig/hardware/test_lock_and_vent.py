@@ -16,13 +16,12 @@ import pytest
 
 import rig.config.loader
 import rig.hardware.vent
+from rig.config.card_sections import CardConfig
 from rig.config.schema import RigConfig
-from rig.config.sections import CardConfig
 from rig.hardware import lock
 from rig.hardware.bench import open_bench
 from rig.hardware.cards.base import CardBusyError, CardError
-from rig.hardware.cards.comedi_device import _holders
-from rig.hardware.cards.kernel_devices import AttachedDevice, ComediModule
+from rig.hardware.cards.kernel_devices import AttachedDevice, ComediModule, processes_with
 from rig.hardware.cards.mock import MockCard
 from rig.hardware.lock import cards_locked, holders, lock_file
 from rig.hardware.safe_state import SafeOutputs, open_outputs
@@ -177,7 +176,7 @@ def test_the_process_that_has_a_card_open_is_found_behind_a_link(tmp_path: Path)
     node.touch()
     link.symlink_to(node)
     with node.open():
-        assert _holders(str(link)) == (os.getpid(),)
+        assert processes_with(str(link)) == (os.getpid(),)
 
 
 def test_a_process_that_opens_a_card_briefly_is_left_alone(

@@ -1,0 +1,108 @@
+"""Sections of the rig file about cards: the keys of every driver, and those of each driver of softrig."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+from pydantic import ConfigDict, Field, model_validator
+
+from protocols.validation import ValidationFault, faults
+from rig.config.drivers import CARD_DRIVERS
+from rig.config.plugins import PluginSections
+from rig.config.sections import Index, Positive, Section, Word
+
+
+class CardConfig(Section):
+    """One data-acquisition card: the keys of every driver. A driver adds keys of its own in a subclass."""
+
+    driver: Annotated[str, Field(min_length=1)]
+    device: Word = Field(description="/dev/comedi0, a board name, or the mock card's name")
+    sampling_hz: Positive = Field(default=1000.0, le=20_000)
+    outputs: Index = Field(description="AO channels that the card has")
+    inputs: Index = Field(description="AI channels that the card has")
+
+    @property
+    def is_mock(self) -> bool:
+        """True for a card of the simulated bench."""
+        return self.driver == "mock"
+
+    @property
+    def simulated(self) -> bool:
+        """True for a simulated card, of the bench or of another driver."""
+        return CARD_DRIVERS.simulates(self.driver)
+
+    def setup_options(self) -> dict[str, Any]:
+        """What this driver's section adds to `CardSetup`."""
+        return {}
+
+
+class SampledCardConfig(CardConfig):
+    """A card whose inputs are sampled by its own clock or by instruction."""
+
+    acquisition: Literal["auto", "command", "instruction"] = Field(
+        default="auto", description="inputs by the card's own clock, one scan per control period, or the card's best"
+    )
+    reference: Literal["ground", "differential"] = Field(default="ground", description="how the inputs are wired")
+
+    def setup_options(self) -> dict[str, Any]:
+        """Acquisition and wiring."""
+        return {"acquisition": self.acquisition, "differential": self.reference == "differential"}
+
+
+class ComediCardConfig(SampledCardConfig):
+    """A card with a Comedi driver."""
+
+    driver: Literal["comedi"]
+
+
+class MockCardConfig(SampledCardConfig):
+    """A card of the simulated bench."""
+
+    driver: Literal["mock"]
+    one_opener: bool = Field(default=False, description="let one process in at a time, as some drivers do")
+
+    def setup_options(self) -> dict[str, Any]:
+        """As of a card, and whether it lets one process in."""
+        return {**super().setup_options(), "one_opener": self.one_opener}
+
+
+SERIAL_BYTES = 70
+"""Bytes of one sample and one acknowledgement, on the line from a serial controller."""
+
+
+class SerialCardConfig(CardConfig):
+    """A pressure controller on a serial port."""
+
+    driver: Literal["serial"]
+    baud: Literal[115_200, 230_400, 460_800, 500_000, 921_600, 1_000_000] = 500_000
+    sampling_hz: Annotated[float, Field(gt=0, le=1000, allow_inf_nan=False, strict=True)] = 250.0
+
+    @model_validator(mode="after")
+    def _line_is_fast_enough(self) -> SerialCardConfig:
+        most = self.baud / 10 / SERIAL_BYTES
+        if self.sampling_hz > most:
+            faults([ValidationFault(("sampling_hz",), f"at most {most:.0f} Hz at {self.baud} baud")])
+        return self
+
+
+class UninstalledCardConfig(CardConfig):
+    """A card from an archive whose driver is not installed here."""
+
+    model_config = ConfigDict(extra="ignore")
+
+
+if TYPE_CHECKING:
+    AnyCard = CardConfig
+else:
+    AnyCard = Annotated[
+        Annotated[ComediCardConfig | SerialCardConfig | MockCardConfig, Field(discriminator="driver")],
+        PluginSections(
+            "driver",
+            CardConfig,
+            CARD_DRIVERS.built_in,
+            CARD_DRIVERS.plugins,
+            CARD_DRIVERS.section,
+            UninstalledCardConfig,
+        ),
+    ]
+    """A card of the rig file, by the model of its driver."""

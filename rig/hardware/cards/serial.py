@@ -1,0 +1,247 @@
+"""A pressure controller on a serial port: takes set-points and gives pressures in bar (gauge), as text lines.
+
+The controller vents by itself when no command comes for some 50 ms. It admits one process.
+"""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.config.card_sections import SerialCardConfig
+from rig.config.sections import PA_PER_BAR
+from rig.hardware.cards.base import CardError, CardSetup, Scans
+from rig.hardware.cards.scan_clock import ScanClock
+from rig.hardware.cards.serial_port import SerialPort
+from rig.hardware.cards.serial_protocol import (
+    SEQUENCES,
+    Acknowledgement,
+    Answer,
+    Identity,
+    LineReader,
+    State,
+    Status,
+    drive,
+    encoded,
+)
+
+HELLO_S = 3.0
+"""Time to answer after opening: opening a port resets some boards, whose boot loader then waits."""
+HELLO_AGAIN_S = 0.2
+CONFIRMED_S = 0.02
+"""Time for the controller to acknowledge a command."""
+REPEATED_S = 0.006
+"""A command without acknowledgement is sent again after this."""
+SILENT_S = 0.05
+"""A controller that sends nothing for this long is dead."""
+LONGEST_GAP = 100_000
+"""Samples between two that have arrived; bounds the effect of a wrong time."""
+KEPT = 64
+"""Sent commands that an acknowledgement can refer to."""
+WAIT_S = 0.0005
+
+
+def driver() -> type[SerialCard]:
+    """The driver `serial`."""
+    return SerialCard
+
+
+class SerialCard:
+    """An open pressure controller. Values are gauge pressures in bar."""
+
+    def __init__(self, setup: CardSetup) -> None:
+        """Open the port, ask the controller who it is, and let it send samples.
+
+        Raises:
+            CardError: there is no controller, it lacks a channel, or its limits are narrower than the rig's.
+        """
+        config: SerialCardConfig = setup.section
+        self._setup = setup
+        self._period_ns = round(1e6 / config.sampling_hz) * 1000
+        self._port = SerialPort(setup.device, config.baud)
+        self._reader = LineReader()
+        self._identity: Identity | None = None
+        self._status: Status | None = None
+        self._applied: Acknowledgement | None = None
+        self._sequence = 0
+        self._sent: dict[int, tuple[int, ...]] = {}
+        self._asked_pa: tuple[int, ...] | None = None
+        self._written_ns = 0
+        self._clock: ScanClock | None = None
+        self._scans: list[tuple[int, tuple[int, ...]]] = []
+        self._lost = 0
+        self._quiet_since_ns = 0
+        try:
+            self._controller = self._greet()
+            self._check_channels()
+            self._begin_stream()
+        except BaseException:
+            self._port.close()
+            raise
+
+    @property
+    def description(self) -> str:
+        """Controller and port, for messages."""
+        return f"the pressure controller at {self._setup.device}"
+
+    def _greet(self) -> Identity:
+        """Begin a session: the controller forgets earlier sequence numbers."""
+        until = time.monotonic() + HELLO_S
+        again = 0.0
+        self._identity = None
+        while (identity := self._identity) is None:
+            now = time.monotonic()
+            if now > until:
+                raise CardError(
+                    f"{self._setup.device} does not answer as a softrig pressure controller",
+                    "check port, baud and firmware (docs/reference/serial-protocol.md)",
+                )
+            if now > again:
+                again = now + HELLO_AGAIN_S
+                self._port.write(encoded("R 0") + encoded("Q"))
+            time.sleep(WAIT_S)
+            self._receive()
+        return identity
+
+    def _check_channels(self) -> None:
+        controller = self._controller
+        used = [channel.number for channel in (*self._setup.inputs, *self._setup.outputs)]
+        if max(used, default=0) >= controller.channels:
+            raise CardError(f"{self.description} has channels 0 to {controller.channels - 1}, not {max(used)}")
+        for channel in self._setup.outputs:
+            if channel.low_v * PA_PER_BAR < controller.lowest_pa or channel.high_v * PA_PER_BAR > controller.highest_pa:
+                low, high = controller.lowest_pa / PA_PER_BAR, controller.highest_pa / PA_PER_BAR
+                raise CardError(
+                    f"{self.description} takes {low:g} to {high:g} bar; the rig asks for {channel.low_v:g} to "
+                    f"{channel.high_v:g} bar at output {channel.number}"
+                )
+
+    def _begin_stream(self) -> None:
+        self._status = None
+        self._clock = ScanClock(float(self._period_ns), time.monotonic_ns())
+        self._port.write(encoded(f"R {self._period_ns // 1000}"))
+
+    def start(self) -> None:
+        """Give only samples from now on."""
+        self._receive()
+        self._scans, self._lost = [], 0
+
+    def read(self) -> Scans:
+        """Samples since the last call.
+
+        Raises:
+            CardError: the controller has gone, is silent, has restarted, or has vented by itself.
+        """
+        self._receive()
+        self._check_alive()
+        scans, self._scans = self._scans, []
+        lost, self._lost = self._lost, 0
+        inputs = [channel.number for channel in self._setup.inputs]
+        t_ns = np.array([t for t, _ in scans], np.int64)
+        bar = np.array([[pressures[i] for i in inputs] for _, pressures in scans]).reshape(len(scans), len(inputs))
+        return Scans(t_ns, bar / PA_PER_BAR, lost)
+
+    def write(self, volts: NDArray[np.float64]) -> None:
+        """Set the pressures [bar], each clipped to its range; also the heartbeat. Other channels are vented."""
+        if not np.all(np.isfinite(volts)):
+            raise CardError(f"{self.description} was told {volts.tolist()} bar; nothing was written")
+        asked = [self._controller.vent_pa] * self._controller.channels
+        for channel, bar in zip(self._setup.outputs, volts.tolist(), strict=True):
+            asked[channel.number] = round(min(max(bar, channel.low_v), channel.high_v) * PA_PER_BAR)
+        self._asked_pa = tuple(asked)
+        self._send()
+
+    def _send(self) -> None:
+        assert self._asked_pa is not None
+        self._sequence = (self._sequence + 1) % SEQUENCES
+        self._sent[self._sequence] = self._asked_pa
+        self._sent.pop((self._sequence - KEPT) % SEQUENCES, None)
+        self._written_ns = time.monotonic_ns()
+        self._port.write(drive(self._sequence, self._asked_pa))
+
+    def readback(self) -> NDArray[np.float64]:
+        """The set-points that hold [bar]: those written last, unless the controller acknowledges others.
+
+        Waits shortly for the acknowledgement of the newest command.
+        """
+        self._receive()
+        until_ns, again_ns = self._written_ns + round(CONFIRMED_S * 1e9), self._written_ns + round(REPEATED_S * 1e9)
+        while self._asked_pa is not None and not self._confirmed and (now := time.monotonic_ns()) < until_ns:
+            if now > again_ns:
+                again_ns = until_ns
+                self._send()
+            time.sleep(WAIT_S)
+            self._receive()
+        outputs = [channel.number for channel in self._setup.outputs]
+        if self._applied is None:
+            return np.full(len(outputs), np.nan)
+        held = self._applied.setpoint_pa
+        if self._status is not None and self._status.state is State.SILENT:
+            held = (self._controller.vent_pa,) * self._controller.channels
+        return np.array([held[i] for i in outputs]) / PA_PER_BAR
+
+    def close(self) -> None:
+        """Release the port. The controller keeps its set-points until its silence is over, then it vents."""
+        self._port.close()
+
+    @property
+    def _confirmed(self) -> bool:
+        return self._applied is not None and self._applied.sequence == self._sequence
+
+    def _receive(self) -> None:
+        received = self._port.read()
+        now_ns = time.monotonic_ns()
+        if received:
+            self._quiet_since_ns = 0
+        elif not self._quiet_since_ns:
+            self._quiet_since_ns = now_ns
+        for answer in self._reader.answers(received):
+            self._take(answer, now_ns)
+
+    def _take(self, answer: Answer, now_ns: int) -> None:
+        if isinstance(answer, Identity):
+            self._identity = answer
+        elif isinstance(answer, Acknowledgement):
+            self._take_acknowledgement(answer)
+        elif self._clock is not None:
+            self._take_status(answer, now_ns)
+
+    def _take_acknowledgement(self, answer: Acknowledgement) -> None:
+        sent = self._sent.get(answer.sequence)
+        if sent is None:
+            raise CardError(f"{self.description} acknowledges a command that was not sent ({answer.sequence})")
+        if answer.setpoint_pa != sent:
+            raise CardError(f"{self.description} was told {list(sent)} Pa and holds {list(answer.setpoint_pa)} Pa")
+        self._applied = answer
+
+    def _take_status(self, answer: Status, now_ns: int) -> None:
+        assert self._clock is not None
+        before = -1 if self._status is None else self._status.count
+        if answer.count <= before:
+            raise CardError(f"{self.description} has restarted")
+        if len(answer.measured_pa) != self._controller.channels:
+            raise CardError(f"{self.description} sends {len(answer.measured_pa)} pressures")
+        missed = answer.count - before - 1
+        elapsed = missed + 1
+        if self._status is not None:
+            elapsed = max(1, round(((answer.t_us - self._status.t_us) % 2**32) * 1000 / self._period_ns))
+        t_ns = int(self._clock.stamp(min(elapsed, LONGEST_GAP), now_ns)[-1])
+        self._status = answer
+        self._lost += missed
+        # The sample exists: its time is not ahead of its arrival.
+        self._scans.append((min(t_ns, now_ns), answer.measured_pa))
+
+    def _check_alive(self) -> None:
+        now_ns = time.monotonic_ns()
+        if self._quiet_since_ns and now_ns - self._quiet_since_ns > max(SILENT_S * 1e9, 3 * self._period_ns):
+            raise CardError(
+                f"{self.description} has been silent for {(now_ns - self._quiet_since_ns) * 1e-6:.0f} ms",
+                "is it powered?",
+            )
+        if self._status is not None and self._status.state is State.SILENT:
+            raise CardError(
+                f"{self.description} has vented by itself: no command reached it for "
+                f"{self._controller.silence_us / 1000:g} ms"
+            )

@@ -1,0 +1,64 @@
+"""A pressure regulator on a bus: it takes the set-point itself, as a number."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from protocols.validation import ValidationFault
+from rig.config.sections import PA_PER_BAR, BarSpan, Control, Limits
+from rig.valves.base import Faults, SimulatedValve, ValveSection, ValveTruth
+from rig.valves.iso6358 import ATMOSPHERE_PA
+from rig.valves.pressure import PressureRegulator
+
+
+class BusValve(ValveSection):
+    """A pressure regulator that takes its set-point as a number, over a bus.
+
+    `vent_bar` is the gauge pressure of its exhaust, which need not be the bottom of the range: with a vacuum supply the
+    range begins below it.
+    """
+
+    type: Literal["bus"]
+    safe_state: Literal["vent"] = "vent"
+    range_bar: BarSpan
+    vent_bar: Annotated[float, Field(ge=-1, le=1, allow_inf_nan=False, strict=True)] = 0.0
+
+    @property
+    def output_unit(self) -> str:
+        """The set-point is in bar."""
+        return "bar"
+
+    @property
+    def output_range(self) -> tuple[float, float]:
+        """Range of the set-point [bar]."""
+        return self.range_bar
+
+    @property
+    def vent_v(self) -> float:
+        """The set-point that vents [bar]."""
+        return self.vent_bar
+
+    def regulator(self, limits: Limits, control: Control) -> PressureRegulator:
+        """The set-point, from pascal to bar."""
+        low, high = self.range_bar
+        return PressureRegulator(*self._filter(limits, control), low * PA_PER_BAR, high * PA_PER_BAR, low, high)
+
+    def simulated(self, truth: SimulatedValve) -> ValveTruth:
+        """The pressure is the set-point."""
+        return ValveTruth(pa_at_zero_v=ATMOSPHERE_PA, pa_per_v=PA_PER_BAR)
+
+    def faults(self) -> Faults:
+        """A vent level outside the range."""
+        low, high = self.range_bar
+        if not low <= self.vent_bar <= high:
+            yield ValidationFault(("vent_bar",), f"a pressure inside range_bar, {low:g} to {high:g} bar")
+
+    def reach_faults(self, pressure_bar: float) -> Faults:
+        """A range that does not include the permitted pressures."""
+        low, high = self.range_bar
+        if not low <= 0 < pressure_bar <= high:
+            yield ValidationFault(
+                ("range_bar",), f"a range from 0 to limits, pressure_bar ({pressure_bar:g} bar) at least"
+            )

@@ -1,0 +1,96 @@
+"""Valves and sensors without a voltage: set-points and pressures in bar."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pytest
+
+from protocols import BadInputError
+from rig.config import loader
+from rig.config.schema import RigConfig
+from rig.hardware.bench import Bench
+from rig.hardware.cards.setup import card_setup
+from rig.hardware.safe_state import safe_voltages
+from rig.simulator.plant import Plant
+from tests.support.plant_bench import play, staircase
+
+BUS = "  - {{type: bus, actuators: {}, card: daq, channel: {}, range_bar: [-0.8, 1.5]{}}}\n"
+
+
+def bus_text(more: str = "", sensor: str = ", unit: bar, span_bar: [-1, 2]") -> str:
+    """The mock rig with regulators and sensors on a bus."""
+    text = loader.text("mock")
+    valves = "valves:\n" + BUS.format("[1]", 0, more) + BUS.format("[2, 3]", 1, more) + "\n"
+    text = text[: text.index("valves:\n")] + valves + text[text.index("sensors:\n") :]
+    return re.sub(r"(actuator: \d, card: daq, channel: \d)", rf"\1{sensor}", text)
+
+
+def bus_rig(more: str = "") -> RigConfig:
+    return loader.parse(bus_text(more), "bus.yaml")
+
+
+def test_a_rig_on_a_bus_regulates_in_bar() -> None:
+    played = play(bus_rig(), staircase([0.0, 0.3, 0.6], 1.0, [0, 1, 2]), 3.0)
+    assert played.trip is None
+    assert played.measured_pa[-1] == pytest.approx([0.6e5] * 3, abs=600)
+    assert played.valve_v[-1] == pytest.approx([0.6, 0.6], abs=1e-3)
+
+
+def test_the_card_is_set_up_in_bar() -> None:
+    setup = card_setup(bus_rig(), "daq")
+    assert [(c.low_v, c.high_v) for c in setup.outputs] == [(-0.8, 1.5)] * 2
+    assert all(c.low_v < -1 and c.high_v > 2 for c in setup.inputs)
+
+
+def test_the_vent_level_is_not_the_bottom_of_the_range() -> None:
+    assert safe_voltages(bus_rig()) == (0.0, 0.0)
+    assert safe_voltages(bus_rig(", vent_bar: 0.05")) == (0.05, 0.05)
+
+
+def test_a_broken_sensor_is_reported_in_its_unit() -> None:
+    played = play(
+        bus_rig(), staircase([0.2], 1.0, [0]), 1.0, disturb=lambda t_s, plant, bar: bar + (3.0 if t_s > 0.5 else 0.0)
+    )
+    assert played.trip is not None
+    assert re.fullmatch(
+        r"sensor 1 reads \d\.\d{3} bar, outside its span of -1.03 to 2.03 bar: sensor or wire broken",
+        played.trip.message,
+    )
+
+
+def test_an_external_write_is_reported_in_bar() -> None:
+    config = bus_rig()
+    plant = Plant(config, 1, 0)
+    card = plant.card("daq")
+    bench = Bench(config, {"daq": card})
+    bench.arm()
+    bench.write(np.array([0.4, 0.0]))
+    card.write(np.array([0.0, 0.0]))
+    assert "valve 1 stands at 0.000 bar and not at the 0.400 bar that it was told" in bench.external_write()
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        (bus_text(", range_V: [0, 10]"), "unknown key 'range_V'"),
+        (bus_text(", safe_state: hold"), '"vent"'),
+        (bus_text(", vent_bar: 1.6"), "vent_bar"),
+        (bus_text(", vent_bar: -0.9"), "a pressure inside range_bar, -0.8 to 1.5 bar"),
+        (bus_text().replace("[-0.8, 1.5]", "[0.1, 1.5]"), "a range from 0 to limits, pressure_bar (0.7 bar) at least"),
+        (bus_text().replace("[-0.8, 1.5]", "[0, 0.5]"), "a range from 0 to limits, pressure_bar (0.7 bar) at least"),
+        (bus_text(sensor=", unit: bar, span_V: [0, 5]"), "no such key for a sensor with `unit: bar`"),
+        (bus_text(sensor=", unit: psi"), "one of V, bar"),
+    ],
+)
+def test_what_makes_no_sense_without_a_voltage_is_refused(text: str, says: str) -> None:
+    with pytest.raises(BadInputError) as refused:
+        loader.parse(text, "bus.yaml")
+    assert says in str(refused.value)
+
+
+def test_a_rig_on_a_bus_survives_its_dump() -> None:
+    """`rig vent` reads the rig of a running experiment from its dump."""
+    config = bus_rig()
+    assert RigConfig.model_validate_json(config.model_dump_json(exclude_none=True)) == config
