@@ -127,7 +127,7 @@ class StaticMap:
 def _nodes(terms: int) -> tuple[Array, Array]:
     """Chebyshev nodes (n,), and the transform (n, n) from values at the nodes to coefficients."""
     nodes: Array = np.array([math.cos(math.pi * (k + 0.5) / terms) for k in range(terms)])
-    transform: Array = np.linalg.inv(chebyshev.chebvander(nodes, terms - 1))
+    transform: Array = np.asarray(np.linalg.inv(chebyshev.chebvander(nodes, terms - 1)), np.float64)
     return nodes, transform
 
 
