@@ -37,6 +37,7 @@ class DetectionStatus(IntEnum):
     POOR_FIT = 3
     NO_FRAME = 4
     DISAGREE = 5
+    NO_CAMERA = 6
 
 
 def _same(values: Values) -> Values:

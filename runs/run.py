@@ -129,7 +129,7 @@ class Run:
         """Lateness and losses."""
         g = self._group("entry/timing")
         counters = {name: int(count) for name, count in self._group("entry/timing/counters").items()}
-        return Timing(self._values(Timing), int(g["dropped_frames"]), int(g["ring_overflows"]), counters)
+        return Timing(self._values(Timing), int(g.get("dropped_frames", 0)), int(g["ring_overflows"]), counters)
 
     @cached_property
     def simulated(self) -> Simulated | None:
@@ -198,7 +198,11 @@ class Run:
     def _values(self, kind: type[Table]) -> dict[str, Values]:
         """Return the columns of a table by name; empty if the archive has no such group."""
         g = self._group(f"entry/{kind.group}")
-        return {column.name: column.read(g[column.dataset]) for column in kind.columns()} if g else {}
+        if not g:
+            return {}
+        # Only the columns per camera may be missing.
+        none = np.empty((len(g["time"]), 0))
+        return {c.name: c.read(g[c.dataset] if c.dataset in g else none.astype(c.dtype)) for c in kind.columns()}
 
     def _group(self, path: str, without: str = "") -> dict[str, Any]:
         """Return the datasets of a group by name: arrays, texts and numbers; empty if the group is missing."""
@@ -208,7 +212,7 @@ class Run:
     @cached_property
     def _cameras(self) -> tuple[str, ...]:
         with opened(self.path) as archive:
-            return tuple(archive.value("entry/tip/camera"))
+            return tuple(archive.value("entry/tip/camera")) if "camera" in archive.fields("entry/tip") else ()
 
     def _quantities(self, room: str) -> Iterator[Quantity]:
         with opened(self.path) as archive:

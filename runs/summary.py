@@ -121,6 +121,8 @@ class Summary:
     lateness_p50_us: float
     lateness_p99_us: float
     lateness_max_us: float
+    camera: bool
+    """The rig has a camera; without one every row is a prediction of the model, and there are no frames."""
     frames: int
     """Recorded frames, with or without a measured tip."""
     frames_measured: int
@@ -170,6 +172,7 @@ def summarise(run: Run) -> Summary:
         lateness_p50_us=_percentile(late, 50),
         lateness_p99_us=_percentile(late, 99),
         lateness_max_us=_percentile(late, 100),
+        camera=bool(run.header.cameras),
         frames=len(tip.time_s),
         frames_measured=int(measured.sum()),
         frames_dropped=timing.dropped_frames,

@@ -64,7 +64,7 @@ def run(request: CameraCalibrationRequest, operator: BenchOperator) -> tuple[Cal
             raise bad_input("--capture", request.views[0], "either existing views or captured ones")
         if rig is None:
             raise bad_input("--capture", "", "--rig as well: whose camera is it?")
-        name = inputs.known_camera(rig, request.camera or next(iter(rig.cameras)))
+        name = inputs.known_camera(rig, request.camera)
         file = request.output.path(f"camera-{name}")
         views = _captured(request, operator, rig, name, Board(corners[0] + 1, corners[1] + 1, square_m), file)
         listed.append((name, file, calibrate_views(views, corners, square_m)))

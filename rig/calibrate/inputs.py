@@ -69,8 +69,12 @@ def sources_of(arguments: list[str], rig: RigConfig | None, camera: str | None =
     return tuple(found)
 
 
-def known_camera(rig: RigConfig, name: str) -> str:
-    """The name, if the rig has such a camera."""
+def known_camera(rig: RigConfig, name: str | None) -> str:
+    """The name, if the rig has such a camera; without a name the first camera."""
+    if not rig.cameras:
+        raise bad_input("--rig", rig.name, "a rig with a camera: this one has none")
+    if not name:
+        return next(iter(rig.cameras))
     if name not in rig.cameras:
         raise bad_input(
             "--camera", name, f"a camera of rig {rig.name}: {', '.join(rig.cameras)}", closest(name, rig.cameras)

@@ -70,7 +70,7 @@ def run(request: ToolCalibrationRequest, operator: BenchOperator) -> ToolCalibra
         CameraError: a live camera delivers no pictures.
     """
     config = load(request.rig)
-    name = inputs.known_camera(config, request.camera or next(iter(config.cameras)))
+    name = inputs.known_camera(config, request.camera)
     request.output.check()
     for option, value in (("--tip-std-mm", request.tip_std_mm), ("--tip-std-deg", request.tip_std_deg)):
         if not 0 < value < _LARGEST_STD:

@@ -101,7 +101,12 @@ def show(name: Path, as_json: bool) -> None:
 
 def summary_json(archive: Path) -> dict[str, Any]:
     """Return a run's summary for JSON, with null for NaN and infinity."""
-    return plain_json(asdict(summarise(records.open(archive))))  # type: ignore[no-any-return]
+    summary = summarise(records.open(archive))
+    facts: dict[str, Any] = plain_json(asdict(summary))
+    if not summary.camera:
+        # A count of frames would be a zero for what is not measured.
+        facts |= dict.fromkeys(("frames", "frames_measured", "frames_dropped", "frames_expected"))
+    return facts
 
 
 def summary_table(summary: Summary, counters: Mapping[str, int]) -> Table:
@@ -121,11 +126,16 @@ def summary_table(summary: Summary, counters: Mapping[str, int]) -> Table:
             _number(step.overshoot_bar, 4),
         )
     table.add_section()
-    whole = f"whole run{' (simulated)' if summary.simulated else ''}: mean error"
-    table.add_row(Text(whole, "bold"), Text(_number(summary.error_mm.mean, 2), "bold"))
-    table.add_row("largest error", _number(summary.error_mm.max, 2))
-    table.add_row("frames measured", f"{summary.frames_measured} of {summary.frames_expected}")
-    table.add_row("frames dropped", str(summary.frames_dropped))
+    simulated = " (simulated)" if summary.simulated else ""
+    if summary.camera:
+        table.add_row(
+            Text(f"whole run{simulated}: mean error", "bold"), Text(_number(summary.error_mm.mean, 2), "bold")
+        )
+        table.add_row("largest error", _number(summary.error_mm.max, 2))
+        table.add_row("frames measured", f"{summary.frames_measured} of {summary.frames_expected}")
+        table.add_row("frames dropped", str(summary.frames_dropped))
+    else:
+        table.add_row(Text(f"whole run{simulated}: tip not measured, the rig has no camera", "bold"))
     if summary.lateness_max_us > 0:
         table.add_row("deadlines missed", f"{summary.missed_deadlines} of {summary.ticks}")
         late = (summary.lateness_p50_us, summary.lateness_p99_us, summary.lateness_max_us)

@@ -32,7 +32,7 @@ EXPLAINED = {
     "see: set it before the first run.",
     "control": "The pressure regulator: its rate, the closed loop's bandwidth, the integration time, and "
     "the volume of one chamber with its tube.",
-    "cameras": "Cameras that see the board at the arm's tip. `lens` comes from `rig calibrate camera`. "
+    "cameras": "Optional: cameras that see the board at the arm's tip. `lens` comes from `rig calibrate camera`. "
     "`placement` is the camera (x right, y down, z forward) in the rod-base frame, "
     "`rotation_deg` a rotation vector. Drivers: opencv, realsense, mock.",
     "board": "The checkerboard on the end cap: its squares, not its inner corners. `placement` is its "
@@ -61,6 +61,7 @@ class Template(StrEnum):
 
     MOCK = "mock"
     MOCK_3 = "mock-3"
+    MOCK_NO_CAMERA = "mock-no-camera"
     MOCK_STEREO = "mock-stereo"
     PCI1716 = "pci1716"
     PCI1716_2 = "pci1716-2"

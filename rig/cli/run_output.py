@@ -60,6 +60,8 @@ def check_screen(request: RunRequest, plan: Plan) -> Group:
     facts.add_row("limits", f"{held}; {limits.rate_bar_per_s:g} bar/s")
     facts.add_row("rig", f"{config.name}{_how_simulated(config)}, chosen by {request.rig_source}")
     facts.add_row("model", f"{request.variant}, {config.model.mode}")
+    if not config.cameras:
+        facts.add_row("tip", "not measured: the rig has no camera; the run has pressures and the model only")
     if not request.fast:
         granted = obtainable()
         facts.add_row("timing", stated(config, granted))

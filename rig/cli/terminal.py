@@ -195,6 +195,8 @@ def _line(progress: Progress) -> str:
         parts.append("bar " + " ".join(f"{s / PA_PER_BAR:.3f}/{m / PA_PER_BAR:.3f}" for s, m in pairs))
     if progress.observation is not None and progress.observation["seen"] == DetectionStatus.MEASURED:
         parts.append(f"tip mm {_point(progress.observation['measured_m'])}, error {_error_mm(progress):.2f}")
+    elif progress.observation is not None and progress.observation["seen"] == DetectionStatus.NO_CAMERA:
+        parts.append(f"model tip mm {_point(progress.observation['model_m'])}, not measured: no camera")
     if progress.missed or progress.dropped:
         parts.append(_losses(progress))
     if progress.held:
@@ -205,7 +207,8 @@ def _line(progress: Progress) -> str:
 
 
 def _losses(progress: Progress) -> str:
-    return f"deadlines missed {progress.missed}, frames dropped {progress.dropped}"
+    deadlines = f"deadlines missed {progress.missed}"
+    return deadlines if progress.dropped is None else f"{deadlines}, frames dropped {progress.dropped}"
 
 
 def _screen(title: str, progress: Progress) -> FittedDisplay:
@@ -219,7 +222,9 @@ def _screen(title: str, progress: Progress) -> FittedDisplay:
         blocks.append(DisplayBlock((Text(f"{printable(progress.prompt)}, then press Enter", "bold yellow"),)))
     if sample is not None:
         blocks.append(DisplayBlock((_pressures(sample), _pressures_short(sample)), DisplayPriority.PRESSURES))
-    if observation is not None:
+    if observation is not None and observation["seen"] == DetectionStatus.NO_CAMERA:
+        blocks.append(DisplayBlock((_prediction(observation),), DisplayPriority.TIP))
+    elif observation is not None:
         error = Text(f"error {_error_mm(progress):.2f} mm", "bold cyan")
         short = Text.assemble(error, ("" if observation["model_ok"] else ", model not solved", "yellow"))
         short = Text.assemble(short, f", tip {_tip(observation)}")
@@ -269,6 +274,13 @@ def _positions(progress: Progress, observation: NDArray[np.void]) -> Table:
     table.add_row("model", _point(observation["model_m"]), "" if observation["model_ok"] else "not solved")
     table.add_row("error", Text(f"{_error_mm(progress):.2f} mm", "bold cyan"), "")
     return table
+
+
+def _prediction(observation: NDArray[np.void]) -> Text:
+    """Return the model's tip of a rig without cameras, which has no error."""
+    solved = "" if observation["model_ok"] else ", model not solved"
+    point = " ".join(_point(observation["model_m"]).split())
+    return Text.assemble(f"tip of the model {point} mm", (solved, "yellow"), "; not measured: the rig has no camera")
 
 
 def _tip(observation: NDArray[np.void]) -> str:

@@ -142,6 +142,7 @@ def with_calibrations(text: str, config: RigConfig, calibrations: Sequence[Loade
             _shape_valves(data, found.valves)
     if built is not None:
         data["simulator"]["built"] = {**built, **data["simulator"].get("built", {})}
+    if built is not None and config.board is not None:
         data["simulator"].setdefault("board", config.board.placement.model_dump(mode="json"))
     head = "".join(f"# with {Path(c.source.file).name}, sha256 {c.sha256}\n" for c in calibrations)
     return head + yaml.safe_dump(data, sort_keys=False, width=120, default_flow_style=None)
@@ -221,7 +222,9 @@ def _unfit(config: RigConfig, calibration: LoadedCalibration) -> Faults:
         if found.world != "rod base":
             expected = "rod base: the rig's cameras stand in that frame; calibrate with control points in it, or --base"
             yield calibration.problem(("world",), found.world, expected)
-    elif isinstance(found, ToolFile):
+    elif isinstance(found, ToolFile) and config.board is None:
+        yield calibration.problem(("board",), "a board", f"no calibration of a tool: rig {config.name} has no board")
+    elif isinstance(found, ToolFile) and config.board is not None:
         have = (config.board.squares_x - 1, config.board.squares_y - 1)
         if tuple(found.board.corners) != have:
             expected = f"{have[0]}x{have[1]} inner corners, as the board of rig {config.name}"
@@ -237,7 +240,8 @@ def _other_camera(
     config: RigConfig, calibration: LoadedCalibration, here: tuple[str | int, ...], identity: CameraIdentity
 ) -> Faults:
     if identity.name not in config.cameras:
-        expected = f"a camera of rig {config.name}: {', '.join(config.cameras)}"
+        known = ", ".join(config.cameras) or "it has none"
+        expected = f"a camera of rig {config.name}: {known}"
         problem = calibration.problem((*here, "name"), identity.name, expected)
         yield Problem(**{**problem.__dict__, "suggestion": closest(identity.name, config.cameras)})
         return

@@ -16,7 +16,7 @@ from protocols.validation import ValidationFault
 
 if TYPE_CHECKING:
     from rig.config.card_sections import CardConfig
-    from rig.config.sections import ArmConfig, CameraConfig, Control, GeometryConfig, Limits, Sensor
+    from rig.config.sections import ArmConfig, BoardConfig, CameraConfig, Control, GeometryConfig, Limits, Sensor
     from rig.config.simulator_sections import Simulator
     from rig.valves.base import ValveSection
 
@@ -45,6 +45,7 @@ def check(parts: Mapping[str, Any]) -> list[ValidationFault]:
         (_cards, ("cards",)),
         (_cameras, ("cameras",)),
         (_least_cameras, ("cameras", "limits")),
+        (_board, ("cameras", "board")),
         (_arm, ("arm",)),
         (_simulator, ("cards", "cameras", "simulator")),
         (_simulated_parts, ("valves", "sensors", "simulator")),
@@ -229,8 +230,15 @@ def _cameras(cameras: Cameras) -> Iterator[ValidationFault]:
 
 
 def _least_cameras(cameras: Cameras, limits: Limits) -> Iterator[ValidationFault]:
-    if limits.least_cameras > len(cameras):
+    if limits.least_cameras > max(1, len(cameras)):
         yield ValidationFault(("limits", "least_cameras"), f"at most {len(cameras)}: so many cameras has this rig")
+
+
+def _board(cameras: Cameras, board: BoardConfig | None) -> Iterator[ValidationFault]:
+    if cameras and board is None:
+        yield ValidationFault(("board",), "is missing: the cameras measure the tip by a board on it")
+    if board is not None and not cameras:
+        yield ValidationFault(("board",), "no such section, because the rig has no camera to see a board")
 
 
 def _arm(arm: ArmConfig) -> Iterator[ValidationFault]:
@@ -286,12 +294,15 @@ def _simulated_parts(valves: Valves, sensors: Sensors, simulator: Simulator | No
 def _simulated_cameras(cameras: Cameras, simulator: Simulator | None) -> Iterator[ValidationFault]:
     if simulator is None:
         return
+    mocks = [name for name, camera in _named(cameras) if camera.is_mock]
+    if simulator.scene is None and mocks:
+        yield ValidationFault(("simulator", "scene"), f"is missing: what the simulated camera '{mocks[0]}' sees")
     for name in simulator.camera_errors:
         if name not in cameras:
-            expected = f"one of the cameras: {', '.join(cameras)}"
+            expected = f"one of the cameras: {', '.join(cameras) or 'the rig has none'}"
             yield ValidationFault(("simulator", "camera_errors", name), expected, closest(name, cameras))
     longest = min((1000 / camera.rate_hz for _, camera in _named(cameras)), default=math.inf) / max(1, len(cameras))
-    if simulator.scene.skew_ms > longest:
+    if simulator.scene is not None and simulator.scene.skew_ms > longest:
         expected = f"at most {longest:.4g} ms: all cameras expose within the time between frames"
         yield ValidationFault(("simulator", "scene", "skew_ms"), expected)
 

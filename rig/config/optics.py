@@ -10,7 +10,7 @@ from calibration.vision.lens import Lens
 from calibration.vision.planar_motion import PlaneOfMotion
 from calibration.vision.transforms import RigidTransform
 from rig.config.schema import RigConfig
-from rig.config.sections import CameraConfig, Placement
+from rig.config.sections import BoardConfig, CameraConfig, Placement
 
 
 def rigid(placement: Placement) -> RigidTransform:
@@ -63,12 +63,18 @@ def plane_of(config: RigConfig, camera: CameraConfig) -> PlaneOfMotion | None:
     )
 
 
+def board_section(config: RigConfig) -> BoardConfig:
+    """Return the section of the board; every rig with a camera has one."""
+    assert config.board is not None
+    return config.board
+
+
 def board_of(config: RigConfig) -> Board:
     """Return the checkerboard."""
-    board = config.board
+    board = board_section(config)
     return Board(board.squares_x, board.squares_y, board.square_mm * 1e-3)
 
 
 def board_in_tip(config: RigConfig) -> RigidTransform:
     """Return the board's pose in the tip frame."""
-    return rigid(config.board.placement)
+    return rigid(board_section(config).placement)

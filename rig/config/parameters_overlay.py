@@ -255,7 +255,7 @@ def _mount(data: dict[str, Any], config: RigConfig, mounting: MountingSection) -
             _place(data["cameras"][name], "placement", camera.placement, back)
         if config.simulator is not None:
             _place(data["simulator"], "base", config.simulator.base, back)
-    if any(mounting.tool_offset_mm):
+    if any(mounting.tool_offset_mm) and config.board is not None:
         moved = np.array(config.board.placement.translation_mm) + np.array(mounting.tool_offset_mm)
         data["board"].setdefault("placement", {})["translation_mm"] = moved.tolist()
         if config.simulator is not None and config.simulator.board is None:

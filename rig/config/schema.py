@@ -47,8 +47,10 @@ class RigConfig(Section):
     sensors: Annotated[tuple[Sensor, ...], Field(min_length=1)]
     limits: Limits
     control: Control
-    cameras: Named[AnyCamera]
-    board: BoardConfig
+    cameras: Named[AnyCamera] = Field(
+        default_factory=dict, description="none: the tip is not measured, a run has pressures and the model only"
+    )
+    board: BoardConfig | SkipJsonSchema[None] = None
     arm: ArmConfig
     uncertainties: Uncertainties = Field(default_factory=Uncertainties)
     model: ModelConfig = ModelConfig()
@@ -64,6 +66,11 @@ class RigConfig(Section):
     def actuators(self) -> int:
         """Number of actuators."""
         return len(self.arm.geometry.actuator_angles_deg)
+
+    @property
+    def observation_hz(self) -> float:
+        """Observations per second: the rate of the cameras, without any the rate of the model."""
+        return next((camera.rate_hz for camera in self.cameras.values()), self.model.rate_hz)
 
     @property
     def simulated(self) -> bool:

@@ -203,8 +203,10 @@ class Limits(Section):
     tracking_s: Positive
     frozen_s: Positive = Field(description="a sensor whose reading has not moved by one count for so long is dead")
     stale_s: Positive = Field(description="longest time without a sample")
-    no_tip_s: Positive = Field(description="longest time without a camera frame")
-    least_cameras: Count = Field(default=1, description="cameras that must deliver; with fewer the run ends")
+    no_tip_s: Positive = Field(description="longest time without a camera frame, or without a prediction of the model")
+    least_cameras: Count = Field(
+        default=1, description="cameras that must deliver, if there are any; with fewer the run ends"
+    )
     hung_s: Positive | SkipJsonSchema[None] = Field(
         default=None,
         description="longest silence of control before the watchdog takes the valves; default: by what is at stake",
@@ -364,6 +366,9 @@ class ModelConfig(Section):
 
     variant: Variant = "inhomogeneous+rpe"
     mode: Literal["static", "dynamic"] = "dynamic"
+    rate_hz: Annotated[float, Field(ge=1, le=1000, allow_inf_nan=False, strict=True)] = Field(
+        default=30.0, description="predictions per second of a rig without cameras; a camera gives its own rate"
+    )
 
 
 class Recording(Section):

@@ -63,7 +63,7 @@ class Simulator(Section):
     valve: SimulatedValve
     chamber: SimulatedChamber
     sensor: SimulatedSensor
-    scene: SimulatedScene
+    scene: SimulatedScene | SkipJsonSchema[None] = Field(default=None, description="of the simulated cameras")
     material: MaterialConfig
     cap_mass_g: MassG
     camera_error: Placement = Field(default=Placement(), description="true camera placement beyond the stated one")

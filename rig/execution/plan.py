@@ -43,7 +43,7 @@ class Outcome:
 class Progress:
     """Progress for the display; `sample` and `observation` are the newest rows, None before the first.
 
-    `missed` counts deadlines, `dropped` camera frames, both since the start of the run.
+    `missed` counts deadlines, `dropped` camera frames (None without a camera), both since the start of the run.
     """
 
     protocol_s: float
@@ -51,7 +51,7 @@ class Progress:
     sample: NDArray[np.void] | None
     observation: NDArray[np.void] | None
     missed: int
-    dropped: int
+    dropped: int | None
     prompt: str | None
     held: bool = False
     adapted: tuple[Quantity, ...] = ()

@@ -89,6 +89,8 @@ def quantities(config: RigConfig) -> tuple[Quantity, ...]:
         add("calibration", f"{name}_distortion", "1", *lens.distortion)
         add("calibration", f"{name}_translation", "mm", *place.translation_mm, uncertainty=place.translation_std_mm)
         add("calibration", f"{name}_rotation", "deg", *place.rotation_deg, uncertainty=place.rotation_std_deg)
+    if config.board is None:
+        return tuple(found)
     tool = config.board.placement
     add("calibration", "board_square", "mm", config.board.square_mm)
     add("calibration", "board_translation", "mm", *tool.translation_mm, uncertainty=tool.translation_std_mm)

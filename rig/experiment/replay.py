@@ -52,6 +52,9 @@ def replay(
         raise ArchiveError(f"{run.path} holds no pictures: there is nothing to replay")
     rig_file, chosen = replay_rig(run, rig, variant, parameters, calibrations)
     config = rig_file.config
+    if not config.cameras:
+        expected = "a rig with a camera: this one has none to measure the tip in the run's pictures"
+        raise BadInputError([Problem("--rig", 0, 0, "", config.name, expected)])
     rows = np.array(list(_observed(run, config, chosen)))
     now = datetime.now(UTC)
     commit, diff = git_state()

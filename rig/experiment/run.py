@@ -131,6 +131,9 @@ def request(
     config = rig_read.config
     adapted: tuple[Quantity, ...] = ()
     if adapt is not None:
+        if not config.cameras:
+            expected = f"a rig with a camera: rig {config.name} has none, so there is no measured tip to estimate from"
+            raise BadInputError([Problem("--adapt", 0, 0, "", "an online estimation", expected)])
         from rig.observation.online_estimation import default_parameters, estimated_quantities
 
         variant_used = chosen or config.model.variant
@@ -309,7 +312,7 @@ def header(request: RunRequest, decided: Plan, t_ns: int, ahead_ns: int = 0) -> 
         quantities=(*protocol_parameters(protocol), *quantities(config)),
         adapted=decided.adapted,
         control_hz=config.control.rate_hz,
-        camera_hz=next(iter(config.cameras.values())).rate_hz,
+        camera_hz=config.observation_hz,
         cameras=tuple(config.cameras),
     )
 

@@ -32,7 +32,7 @@ def simulate(request: RunRequest, plan: Plan, static: bool) -> Path:
     step without convergence the model restarts from the static solution.
     """
     config, trajectory = plan.config, plan.trajectory
-    rate_hz = next(iter(config.cameras.values())).rate_hz
+    rate_hz = config.observation_hz
     dt_s = 1.0 / rate_hz
     steps = int(trajectory.duration_s * rate_hz) + 1
     pressures = trajectory.sample(np.arange(steps) * dt_s)

@@ -138,7 +138,7 @@ def rig_uncertainties(config: RigConfig, start: Setup) -> dict[str, Prior]:
     Half the accuracy of a sensor is the standard uncertainty of its offset.
     """
     offsets = {f"sensor_{s.actuator}_offset_pa": s.accuracy_bar * PA_PER_BAR / 2 for s in config.sensors}
-    board_m = config.board.placement.translation_std_mm * 1e-3
+    board_m = 0.0 if config.board is None else config.board.placement.translation_std_mm * 1e-3
     tool = {"tool": board_m} if board_m else {}
     found = stated_values(start, {**offsets, **tool, **config.uncertainties.stated()})
     found["sensor_filter_s"] = Prior(SENSOR_FILTER_S, found["sensor_filter_s"].std)

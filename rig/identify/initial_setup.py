@@ -18,7 +18,7 @@ from rig.config.optics import rigid
 from rig.config.parameters_overlay import ParametersFile, differing_fields
 from rig.config.parameters_overlay import recorded as recorded_parameters
 from rig.config.schema import RigConfig
-from rig.config.sections import GeometryConfig, Sensor
+from rig.config.sections import GeometryConfig, Placement, Sensor
 from runs.run import Run
 
 
@@ -174,7 +174,7 @@ def truth_of(run: Run) -> dict[str, float]:
     simulator = config.simulator
     if simulator is None:
         return {}
-    base, board = rigid(simulator.base), config.board.placement
+    base, board = rigid(simulator.base), Placement() if config.board is None else config.board.placement
     mounted = rigid(simulator.board or board) @ rigid(board).inverse()
     stated, built = model_arm(config).geometry.positions_m, true_arm(config).geometry.positions_m
     across = stated[:, 0] * built[:, 1] - stated[:, 1] * built[:, 0]

@@ -20,7 +20,7 @@ from rig.config.schema import RigConfig
 from rig.config.sections import PA_PER_BAR
 from rig.live.messages import Message
 from rig.live.packets import ViewOverlay, ViewUpdate, estimates
-from rig.observation.overlay import OverlayProjector
+from rig.observation.overlay import arm_lines
 from rig.realtime.shared_state import LINE_POINTS
 from runs.records import DetectionStatus
 from runs.run import Run
@@ -69,6 +69,7 @@ class ArchivedRun:
             "variant": header.model_variant,
             "actuators": header.actuators,
             "camera": None,
+            "measured": bool(header.cameras),
             "duration": self.duration_s,
             "limit": self._config.limits.pressure_bar
             if self._config
@@ -105,7 +106,7 @@ class ArchivedRun:
         """Return the overlay of row `frame` of the tip: the static shape and a picture's annotations."""
         if self._config is None or frame < 0:
             return None
-        lines_mm = MM_PER_M * self._projector.lines(self._shape(frame))
+        lines_mm = MM_PER_M * arm_lines(self._config, self._shape(frame), LINE_POINTS)
         if picture < 0:
             return ViewOverlay(np.empty((0, 2)), np.full(2, np.nan), np.full(2, np.nan), lines_mm)
         kept = self.run.frames
@@ -128,11 +129,6 @@ class ArchivedRun:
         """Times and rows of the pictures to show: the first of each frame set."""
         rows = np.unique(self.run.frames.index, return_index=True)[1]
         return self.run.frames.time_s[rows], rows
-
-    @cached_property
-    def _projector(self) -> OverlayProjector:
-        assert self._config is not None
-        return OverlayProjector(self._config, next(iter(self._config.cameras)), LINE_POINTS)
 
     @lru_cache(maxsize=256)  # noqa: B019 - one source lives as long as its process
     def _shape(self, frame: int) -> model.Shape | None:
@@ -161,7 +157,7 @@ class ArchivedRun:
             "protocol": 0.0,
             "left": self.duration_s,
             "missed": int(run.timing.overruns[: tick + 1].sum()),
-            "dropped": int(run.tip.dropped[: frame + 1].sum()),
+            "dropped": int(run.tip.dropped[: frame + 1].sum()) if run.header.cameras else None,
         }
         if tick >= 0:
             protocol_s = float(pressure.protocol_s[tick])

@@ -59,14 +59,15 @@ class LiveRun:
     def about(self) -> dict[str, Any]:
         """Return the constant properties of the run."""
         plan = self.session.plan
-        camera = next(iter(plan.config.cameras.values()))
+        camera = next(iter(plan.config.cameras.values()), None)
         return {
             "title": f"{Path(plan.trajectory.source).stem} on {plan.config.name}",
             "live": True,
             "simulated": plan.config.simulated,
             "variant": plan.variant,
             "actuators": plan.config.actuators,
-            "camera": [camera.width_px, camera.height_px],
+            "camera": None if camera is None else [camera.width_px, camera.height_px],
+            "measured": camera is not None,
             "duration": plan.trajectory.duration_s,
             "limit": plan.config.limits.pressure_bar,
             "length": plan.config.arm.geometry.length_mm,
@@ -115,7 +116,7 @@ class LiveRun:
 
     def picture(self) -> bytes:
         """The newest picture, encoded once for all browsers."""
-        if self.view is None:
+        if self.view is None or not self.view[1].size:
             return b""
         number = int(self.view[0]["number"])
         if self._picture[0] != number:
@@ -210,7 +211,7 @@ class LiveRunViewer:
             "prompt": plan.trajectory.prompts[waiting].message if waiting >= 0 else None,
             "ended": source.ended,
             "missed": source.missed,
-            "dropped": source.dropped,
+            "dropped": source.dropped if plan.config.cameras else None,
             "lateMax": source.lateness_max_us,
         }
         if source.sample is not None:

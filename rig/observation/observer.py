@@ -20,7 +20,7 @@ from rig.hardware.cameras.base import FrameSet
 from rig.observation.multi_camera import MultiCameraTipEstimator
 from rig.observation.overlay import backbone
 from rig.observation.single_camera import Measurement
-from runs.records import blank, observation_dtype
+from runs.records import DetectionStatus, blank, observation_dtype
 
 if TYPE_CHECKING:
     from rig.observation.online_estimation import OnlineEstimation
@@ -41,6 +41,19 @@ class _LiveModel(Protocol):
         self, frame_set: FrameSet, pressures: PressureInterpolator, loads: model.Loads | None
     ) -> model.Shape | None:
         """Return the arm's shape at the time of the frame set; None without convergence."""
+
+
+class _TipEstimator(Protocol):
+    """Measures the tip in the rig's frame sets, in order."""
+
+    def measure(self, frame_set: FrameSet) -> Measurement: ...
+
+
+class _NoTip:
+    """The tip estimator of a rig without cameras: it measures nothing."""
+
+    def measure(self, frame_set: FrameSet) -> Measurement:
+        return Measurement.none(DetectionStatus.NO_CAMERA, ())
 
 
 class PressureInterpolator:
@@ -147,8 +160,8 @@ class Observer:
         """
         # The pictures are small; a second thread only takes CPU time from the control process.
         cv2.setNumThreads(1)
-        self._tip_estimator = MultiCameraTipEstimator(config)
-        rate_hz = next(iter(config.cameras.values())).rate_hz
+        self._tip_estimator: _TipEstimator = MultiCameraTipEstimator(config) if config.cameras else _NoTip()
+        rate_hz = config.observation_hz
         arm = model_arm(config, variant)
         self._model: _LiveModel = (
             _StaticModel(arm) if config.model.mode == "static" else _DynamicModel(arm, 1 / rate_hz)
@@ -197,7 +210,7 @@ class Observer:
         row["reprojection_px"] = seen.reprojection_px
         row["model_m"] = self._model_m
         row["backbone_m"] = backbone(shape)
-        row["truth_m"] = np.nan if frame_set.lead.truth_m is None else frame_set.lead.truth_m
+        row["truth_m"] = np.nan if frame_set.truth_m is None else frame_set.truth_m
         row["camera_seen"] = seen.cameras
         row["camera_skew_s"] = [np.nan if f is None else (f.t_ns - frame_set.t_ns) * 1e-9 for f in frame_set.frames]
         if self._adapting is not None:

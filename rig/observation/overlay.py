@@ -38,8 +38,7 @@ class OverlayProjector:
         """`points` along each line."""
         self._lens = lens_of(config.cameras[camera])
         self._base_in_camera = camera_in_base(config.cameras[camera]).inverse()
-        self._points = points
-        self._lines = 1 + config.actuators
+        self._config, self._points = config, points
 
     def project(self, measurement: Measurement, shape: model.Shape | None) -> Overlay:
         """Return the overlay of a frame from its measurement and the modelled shape (None without convergence)."""
@@ -48,7 +47,7 @@ class OverlayProjector:
             corners_px=np.empty((0, 2)) if corners is None else corners,
             tip_px=self.pixel(measurement.tip_m),
             model_px=self.pixel(np.full(3, np.nan) if shape is None else shape.tip_m),
-            lines_m=self.lines(shape),
+            lines_m=arm_lines(self._config, shape, self._points),
         )
 
     def annotations(self, corners_px: Floats | None, tip_m: Floats, shape: model.Shape | None) -> ImageAnnotations:
@@ -73,15 +72,16 @@ class OverlayProjector:
             pixels[visible] = self._lens.project(in_camera[visible], _NOWHERE, _NOWHERE)
         return pixels
 
-    def lines(self, shape: model.Shape | None) -> Floats:
-        """Return the arm's axis and actuators (1 + N, points, 3) [m]; NaN without a shape."""
-        if shape is None:
-            return np.full((self._lines, self._points, 3), np.nan)
-        at = np.linspace(0, len(shape.s_m) - 1, self._points).round().astype(int)
-        axis, rotation = shape.p_m[at], shape.rotation[at]
-        offsets = np.column_stack([shape.actuator_xy_m, np.zeros(len(shape.actuator_xy_m))])
-        actuators = axis + np.einsum("sij,aj->asi", rotation, offsets)
-        return np.concatenate([axis[None], actuators])
+
+def arm_lines(config: RigConfig, shape: model.Shape | None, points: int) -> Floats:
+    """Return the arm's axis and actuators (1 + N, points, 3) [m]; NaN without a shape."""
+    if shape is None:
+        return np.full((1 + config.actuators, points, 3), np.nan)
+    at = np.linspace(0, len(shape.s_m) - 1, points).round().astype(int)
+    axis, rotation = shape.p_m[at], shape.rotation[at]
+    offsets = np.column_stack([shape.actuator_xy_m, np.zeros(len(shape.actuator_xy_m))])
+    actuators = axis + np.einsum("sij,aj->asi", rotation, offsets)
+    return np.concatenate([axis[None], actuators])
 
 
 def backbone(shape: model.Shape | None) -> Floats:

@@ -31,9 +31,9 @@ class DataRecorder:
         return self._missed
 
     @property
-    def dropped(self) -> int:
-        """Camera frames without a row."""
-        return self._dropped
+    def dropped(self) -> int | None:
+        """Camera frames without a row; None without a camera."""
+        return self._dropped if self._config.cameras else None
 
     def poll(self) -> None:
         """Record what the processes have written since the last call, and check the supervisor and the disk."""
@@ -69,7 +69,7 @@ class DataRecorder:
         """Losses of the run by name."""
         return {
             "missed_deadlines": self._missed,
-            "dropped_frames": self._dropped,
+            **({} if self.dropped is None else {"dropped_frames": self.dropped}),
             "lost_scans": self._lost_scans,
             "sample_ring_overflows": self._memory.samples.lost,
             "observation_ring_overflows": self._memory.observations.lost,

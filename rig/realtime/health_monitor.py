@@ -62,7 +62,7 @@ class HealthMonitor:
 
     def __init__(self, config: RigConfig) -> None:
         self._tick_s = 1 / config.control.rate_hz
-        self._frame_s = 1 / next(iter(config.cameras.values())).rate_hz
+        self._frame_s = 1 / config.observation_hz
         self._unmeasured, self._unsolved = _Condition(0.3), _Condition(0.3)
         self._dropping, self._late, self._missing = _Condition(0.3), _Condition(0.3), _Condition(0.05)
         self._off_pace, self._apart_s, self._frame_t_ns = _Condition(0.5), self._frame_s, 0
@@ -94,10 +94,17 @@ class HealthMonitor:
         """Events of camera frames (n,) of `runs.records.observation_dtype`, in order of time."""
         for row in rows:
             t_ns, seen, dropped = int(row["t_ns"]), DetectionStatus(int(row["seen"])), int(row["dropped"])
+            camera = seen is not DetectionStatus.NO_CAMERA
+            age_s = row["age_ns"] * 1e-9
+            old = (
+                f"pictures are {age_s:.2f} s old when they are measured"
+                if camera
+                else f"predictions are {age_s:.2f} s late"
+            )
             judged = (
                 (
                     self._unmeasured,
-                    float(seen is not DetectionStatus.MEASURED),
+                    float(camera and seen is not DetectionStatus.MEASURED),
                     f"the tip is not measured: {_SEEN.get(seen, seen.name)}",
                     "the tip is measured again",
                 ),
@@ -115,9 +122,9 @@ class HealthMonitor:
                 ),
                 (
                     self._late,
-                    float(row["age_ns"] > LATE_S * 1e9),
-                    f"pictures are {row['age_ns'] * 1e-9:.2f} s old when they are measured",
-                    "pictures come in time again",
+                    float(age_s > LATE_S),
+                    old,
+                    "pictures come in time again" if camera else "predictions come in time again",
                 ),
             )
             for trouble, part, wrong, well in judged:
@@ -126,7 +133,8 @@ class HealthMonitor:
                         yield _warning(t_ns, "observer", wrong)
                     case False:
                         yield _over(trouble, t_ns, "observer", well)
-            yield from self._paced(t_ns, dropped)
+            if camera:
+                yield from self._paced(t_ns, dropped)
             if self._cameras:
                 yield from self._blind(row)
 

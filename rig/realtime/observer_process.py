@@ -12,6 +12,7 @@ from rig.hardware.cameras.base import CameraError, FrameSet
 from rig.hardware.cameras.synchroniser import CameraSynchroniser
 from rig.observation.observer import Observer
 from rig.observation.picture_recorder import PictureRecorder
+from rig.observation.prediction_clock import PredictionClock
 from rig.realtime.child_process import ChildJob, await_turn, leave, receive, supervisor_monitor
 from rig.realtime.failsafe import FailsafeThread
 from rig.realtime.preview import PreviewPublisher
@@ -52,7 +53,7 @@ def _observe(job: ChildJob, memory: SharedState) -> None:
     supervisor = supervisor_monitor(job)
     if not await_turn(memory, supervisor, lambda: not memory.simulator_starting):
         return
-    cameras = CameraSynchroniser(config, job.plan.seed)
+    cameras = CameraSynchroniser(config, job.plan.seed) if config.cameras else PredictionClock(config)
     try:
         # A camera without pictures is detected before the run is armed.
         cameras.await_all(max(FIRST_PICTURE_S, frame_s))

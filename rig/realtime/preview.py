@@ -9,30 +9,39 @@ import numpy as np
 from rig.config.schema import RigConfig
 from rig.hardware.cameras.base import FrameSet
 from rig.observation.observer import Observer
-from rig.observation.overlay import OverlayProjector
+from rig.observation.overlay import OverlayProjector, arm_lines
 from rig.realtime.shared_state import LINE_POINTS, SharedState, view_dtype
 
 WATCHED_NS = 3_000_000_000
 """A viewer reports its presence about once a second."""
+_NO_PICTURE = np.empty((0, 0, 0), np.uint8)
 
 
 class PreviewPublisher:
     """Publishes frames with their overlay through the shared memory."""
 
     def __init__(self, config: RigConfig, memory: SharedState) -> None:
-        self._memory = memory
+        self._config, self._memory = config, memory
         self._projectors = [OverlayProjector(config, name, LINE_POINTS) for name in config.cameras]
         self._row = np.zeros((), view_dtype(memory.layout))
 
     def shot(self, shot: FrameSet, observer: Observer) -> None:
-        """Publish the leading frame of the shot that the observer has just observed, if there is a viewer."""
+        """Publish the leading frame of the shot that the observer has just observed, if there is a viewer.
+
+        Without cameras the picture is empty, and the overlay is the lines of the arm.
+        """
         watched = time.monotonic_ns() - self._memory.viewer_ns <= WATCHED_NS
         if not watched or observer.measurement is None:
             return
-        frame = shot.lead
-        overlay = self._projectors[shot.leader].project(observer.measurement, observer.shape)
         row = self._row
         row["t_ns"], row["frame"] = shot.t_ns, shot.index
+        if not shot.frames:
+            row["shape"], row["found"], row["tip_px"], row["model_px"] = 0, 0, np.nan, np.nan
+            row["lines_m"] = arm_lines(self._config, observer.shape, LINE_POINTS)
+            self._memory.push_view(row, _NO_PICTURE)
+            return
+        frame = shot.lead
+        overlay = self._projectors[shot.leader].project(observer.measurement, observer.shape)
         row["shape"] = (*frame.image.shape, 1)[:3]
         row["found"] = len(overlay.corners_px)
         row["corners_px"][: len(overlay.corners_px)] = overlay.corners_px

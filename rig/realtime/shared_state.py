@@ -108,7 +108,8 @@ class StateLayout:
     def of(cls, config: RigConfig, adapted: int = 0) -> StateLayout:
         """The layout for one rig and `adapted` estimated parameters. A picture slot holds the largest camera frame."""
         largest = max((c.width_px * c.height_px for c in config.cameras.values()), default=0)
-        corners = (config.board.squares_x - 1) * (config.board.squares_y - 1)
+        board = config.board
+        corners = 0 if board is None else (board.squares_x - 1) * (board.squares_y - 1)
         return cls(config.actuators, len(config.valves), largest * 3 + 4096, corners, len(config.cameras), adapted)
 
 

@@ -31,6 +31,7 @@ _TURN_STD_DEG = 1.5
 def shown_boards(config: RigConfig, camera: str, board: Board, seed: int) -> Iterator[Image]:
     """Pictures of a hand-held board at varied positions, distances and tilts, each held for a while."""
     assert config.simulator is not None
+    assert config.simulator.scene is not None
     chosen, truth = config.as_built.cameras[camera], config.simulator.scene
     lens, size = lens_of(chosen), (chosen.width_px, chosen.height_px)
     scene = Scene(board, lens, size, Optics(truth.blur_px, truth.noise_grey, truth.lighting), seed)

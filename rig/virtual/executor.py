@@ -68,12 +68,13 @@ class _VirtualRun:
         self._cameras = {
             name: MockCamera(config, self._plant, name, plan.seed, self._plant.faults) for name in config.cameras
         }
-        skew_ms = config.simulator.scene.skew_ms if config.simulator else 0.0
+        scene = config.simulator.scene if config.simulator else None
+        skew_ms = scene.skew_ms if scene else 0.0
         self._skews_ns = [round(k * skew_ms * 1e6) for k in range(len(self._cameras))]
         self._loop = ControlLoop(plan, self._bench)
         self._health_monitor = HealthMonitor(config)
         self._lost_scans = 0
-        self._frame_ns = round(1e9 / next(iter(config.cameras.values())).rate_hz)
+        self._frame_ns = round(1e9 / config.observation_hz)
         self._frame = 0
         self._answered = 0
         self._unseen = 0
@@ -126,7 +127,10 @@ class _VirtualRun:
             ending = Status.ABORTED, f"{ending[1]}; then {unsafe}".removeprefix("; then ")
         else:
             self._event(now, Level.INFO, "control", "the valves are in their safe state")
-        return Outcome(*ending, now, {"missed_deadlines": 0, "dropped_frames": 0, "lost_scans": self._lost_scans})
+        counters = {"missed_deadlines": 0, "dropped_frames": 0, "lost_scans": self._lost_scans}
+        if not self._cameras:
+            del counters["dropped_frames"]
+        return Outcome(*ending, now, counters)
 
     def _vented(self, now: int) -> str:
         """Check that the chambers vent; return what does not vent, else empty."""
@@ -146,7 +150,7 @@ class _VirtualRun:
         self._samples.add(row)
         self._unseen = min(self._unseen + 1, self._history_ticks)
         # A frame is processed once there are samples before and after it, and the last camera has exposed.
-        while (t_ns := START_NS + (self._frame + 1) * self._frame_ns) + self._skews_ns[-1] <= now:
+        while (t_ns := START_NS + (self._frame + 1) * self._frame_ns) + max(self._skews_ns, default=0) <= now:
             self._frame += 1
             self._observe(self._frame, t_ns, float(row["protocol_s"]))
         if trip is not None:
@@ -177,12 +181,12 @@ class _VirtualRun:
             except CameraError as error:
                 exposures.append(None)
                 failures.append(error)
-        if len(exposures) - len(failures) < self._plan.config.limits.least_cameras:
+        if failures and len(exposures) - len(failures) < self._plan.config.limits.least_cameras:
             raise failures[0]
         ticks, self._unseen = self._samples.recent(self._unseen), 0
         weight_kg = self._plan.trajectory.weight_kg(protocol_s)
         samples = FrameSamples(ticks["t_ns"].copy(), ticks["measured_pa"].copy(), protocol_s, weight_kg)
-        self._pipeline.submit(frame, exposures, samples)
+        self._pipeline.submit(frame, t_ns, exposures, samples)
 
     def _flush(self, in_flight: int = FRAMES_IN_FLIGHT) -> None:
         while self._pipeline.in_flight > in_flight:
@@ -212,7 +216,7 @@ class _VirtualRun:
             sample=row,
             observation=last[0] if len(last) else None,
             missed=0,
-            dropped=0,
+            dropped=0 if self._cameras else None,
             prompt=None,
             adapted=self._plan.adapted,
             adaptation=estimate[0] if len(estimate) else None,
@@ -229,7 +233,7 @@ class _VirtualRun:
 def _largest_picture(config: RigConfig) -> tuple[int, int]:
     """Height and width [px] that hold a picture of every camera."""
     cameras = config.cameras.values()
-    return max(camera.height_px for camera in cameras), max(camera.width_px for camera in cameras)
+    return max((c.height_px for c in cameras), default=0), max((c.width_px for c in cameras), default=0)
 
 
 class _RecentRows:

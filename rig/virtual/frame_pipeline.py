@@ -86,13 +86,13 @@ class FrameStages:
     def __init__(self, cameras: Sequence[MockCamera], observer: Observer, recorder: PictureRecorder) -> None:
         self._cameras, self._observer, self._recorder = cameras, observer, recorder
 
-    def render(self, index: int, exposures: Sequence[Exposure | None]) -> FrameSet:
-        """Render a frame set; an exposure that is None is a camera without a frame."""
+    def render(self, index: int, due_ns: int, exposures: Sequence[Exposure | None]) -> FrameSet:
+        """Render the frame set due at a time; an exposure that is None is a camera without a frame."""
         frames = (
             None if exposure is None else camera.develop(exposure)
             for camera, exposure in zip(self._cameras, exposures, strict=True)
         )
-        return FrameSet(index, tuple(frames))
+        return FrameSet(index, tuple(frames), due_ns)
 
     def measure(self, frame_set: FrameSet, samples: FrameSamples) -> FrameResult:
         """Measure the next frame set."""
@@ -118,8 +118,9 @@ class FramePipeline:
         """Start the children; `shape` (height, width) is the largest of the pictures."""
         self.in_flight = 0
         """Frame sets whose results have not been received."""
-        memory = mmap.mmap(-1, MOST_IN_FLIGHT * cameras * shape[0] * shape[1])
-        pictures = np.frombuffer(memory, np.uint8).reshape(MOST_IN_FLIGHT, cameras, *shape)
+        size = MOST_IN_FLIGHT * cameras * shape[0] * shape[1]
+        memory = mmap.mmap(-1, max(1, size))
+        pictures = np.frombuffer(memory, np.uint8, size).reshape(MOST_IN_FLIGHT, cameras, *shape)
         exposures, self._exposures = _FORK.Pipe(duplex=False)
         samples, self._samples = _FORK.Pipe(duplex=False)
         frame_sets, rendered = _FORK.Pipe(duplex=False)
@@ -150,15 +151,15 @@ class FramePipeline:
             child.kill()
             child.join()
 
-    def submit(self, index: int, exposures: Sequence[Exposure | None], samples: FrameSamples) -> None:
-        """Pass on the next frame set.
+    def submit(self, index: int, due_ns: int, exposures: Sequence[Exposure | None], samples: FrameSamples) -> None:
+        """Pass on the next frame set, due at a time.
 
         Raises:
             FrameProcessError: a child has ended.
         """
         assert self.in_flight < MOST_IN_FLIGHT
         try:
-            self._exposures.send((index, exposures))
+            self._exposures.send((index, due_ns, exposures))
             self._samples.send(samples)
         except OSError as error:
             raise self._ended() from error
@@ -195,9 +196,9 @@ class FramePipeline:
 def _render(stages: FrameStages, exposures: Connection, pictures: NDArray[np.uint8], rendered: Connection) -> None:
     slot = 0
     while True:
-        index, exposed = exposures.recv()
+        index, due_ns, exposed = exposures.recv()
         try:
-            frame_set = stages.render(index, exposed)
+            frame_set = stages.render(index, due_ns, exposed)
         except Exception as error:
             rendered.send(_failure(error))
             return
@@ -209,7 +210,7 @@ def _render(stages: FrameStages, exposures: Connection, pictures: NDArray[np.uin
             height, width = frame.image.shape
             picture[:height, :width] = frame.image
             heads.append(_RenderedFrame(frame.index, frame.t_ns, (height, width), frame.truth_m))
-        rendered.send((index, slot, heads))
+        rendered.send((index, due_ns, slot, heads))
         slot = (slot + 1) % len(pictures)
 
 
@@ -225,7 +226,7 @@ def _measure(
         if isinstance(received, _Failure):
             results.send(received)
             return
-        index, slot, heads = received
+        index, due_ns, slot, heads = received
         frames = tuple(
             None
             if head is None
@@ -233,7 +234,7 @@ def _measure(
             for head, picture in zip(heads, pictures[slot], strict=True)
         )
         try:
-            result = stages.measure(FrameSet(index, frames), samples.recv())
+            result = stages.measure(FrameSet(index, frames, due_ns), samples.recv())
         except Exception as error:
             results.send(_failure(error))
             return

@@ -60,7 +60,8 @@ def seconds(journal: Journal, t_ns: NDArray[np.int64]) -> NDArray[np.float64]:
 
 
 def _group(journal: Journal, kind: type[columns.Table], rows: RowTable, facts: tuple[Field, ...] = ()) -> Group:
-    declared = kind.columns()
+    # Without cameras there are no columns per camera: HDF5 keeps no empty dimension.
+    declared = [c for c in kind.columns() if "camera" not in c.axes or journal.header.cameras]
     axes = dict.fromkeys(axis for column in declared for axis in column.axes)
     plotted = next(column for column in declared if column.dataset == kind.signal)
     return Group(

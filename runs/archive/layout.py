@@ -132,10 +132,14 @@ def _timing(journal: Journal) -> Group:
     overflows = sum(count for name, count in _counted(journal).items() if name.endswith("ring_overflows"))
     dropped = sum(int(chunk["dropped"].sum()) for chunk in row_chunks(journal.observations))
     losses = (
-        Field("dropped_frames", np.int64(dropped), about="camera frames lost, over the run", limits=COUNT),
+        *(
+            [Field("dropped_frames", np.int64(dropped), about="camera frames lost, over the run", limits=COUNT)]
+            if journal.header.cameras
+            else []
+        ),
         Field("ring_overflows", np.int64(overflows), about="rows lost in shared memory, over the run", limits=COUNT),
         Field("control_rate", journal.header.control_hz, "Hz", "nominal"),
-        Field("camera_rate", journal.header.camera_hz, "Hz", "nominal"),
+        Field("camera_rate", journal.header.camera_hz, "Hz", "nominal; without cameras that of the model"),
     )
     return column_groups.timing(journal, losses)
 

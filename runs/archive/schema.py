@@ -181,6 +181,7 @@ def _journal(actuators: int, valves: int, *, everything: bool) -> Journal:
         protocol_files=files if everything else (),
         calibrations=files if everything else (),
         adapted=adapted if everything else (),
+        cameras=("camera",) if everything else (),
     )
     rows = 1 if everything else 0
     return Journal(

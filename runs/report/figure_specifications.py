@@ -68,11 +68,9 @@ def _trajectory(run: Run, summary: Summary) -> FigureSpecification | None:
 def _backbones(run: Run, summary: Summary) -> FigureSpecification | None:
     if run.backbone is None or not run.tip.model_ok.any():
         return None
-    caption = "The modelled arm"
-    if summary.frames_measured:
-        caption += " and the measured tip"
-    caption += f". {Z_DOWN}"
-    return FigureSpecification("backbones", "Backbone and measured tip", figures.backbones, (9, 4.8), caption)
+    measured = " and measured tip" if summary.frames_measured else ""
+    caption = f"The modelled arm{measured.replace('measured', 'the measured')}. {Z_DOWN}"
+    return FigureSpecification("backbones", f"Backbone{measured}", figures.backbones, (9, 4.8), caption)
 
 
 def _steps(run: Run, summary: Summary) -> FigureSpecification | None:

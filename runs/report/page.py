@@ -110,7 +110,12 @@ def _run(run: Run, summary: Summary) -> str:
             '<p class="note"><b>This run was simulated.</b> Card, camera or arm were those of the simulator; '
             "nothing here was measured on a real manipulator.</p>"
         )
-    if summary.frames and not summary.frames_measured:
+    if not summary.camera:
+        parts.append(
+            '<p class="note">The rig has no camera, so the tip was not measured: the report shows the pressures and '
+            "the model alone.</p>"
+        )
+    elif summary.frames and not summary.frames_measured:
         parts.append('<p class="note">No tip was measured in this run: what is shown of it is the model alone.</p>')
     if summary.message:
         parts.append(f'<p class="note fault"><b>{escape(str(summary.status))}:</b> {escape(summary.message)}</p>')
@@ -137,7 +142,7 @@ def _tiles(s: Summary) -> str:
         ),
         (with_unit(s.lateness_p99_us or math.nan, "us", 1), "lateness, 99 % of the ticks below"),
         (
-            with_unit(100 * s.measured_fraction, "%", 1),
+            with_unit(100 * s.measured_fraction, "%", 1) if s.camera else DASH,
             f"frames measured of {s.frames_expected} expected; {s.frames_dropped} dropped",
         ),
     ]

@@ -35,11 +35,13 @@ class Frame:
 class FrameSet:
     """One frame of each camera at one time, in the order of the rig file; None for a camera without a frame.
 
-    The first frame present gives the time; `index` counts frame sets, so that a gap is a dropped one.
+    The first frame present gives the time; `index` counts frame sets, so that a gap is a dropped one. The empty set of
+    a rig without cameras has the time `due_ns` of the model's prediction.
     """
 
     index: int
     frames: tuple[Frame | None, ...]
+    due_ns: int = 0
 
     @classmethod
     def of(cls, frame: Frame) -> FrameSet:
@@ -59,7 +61,12 @@ class FrameSet:
     @property
     def t_ns(self) -> int:
         """Middle of the leading frame's exposure."""
-        return self.lead.t_ns
+        return self.lead.t_ns if self.frames else self.due_ns
+
+    @property
+    def truth_m(self) -> NDArray[np.float64] | None:
+        """The simulator's tool centre point at the leading frame; None without one."""
+        return self.lead.truth_m if self.frames else None
 
 
 class CameraDriver(Protocol):

@@ -96,6 +96,7 @@ class MockCamera:
         self._exposure_ns = round(chosen.exposure_ms * 1e6)
         self._period_ns = round(1e9 / chosen.rate_hz)
         truth = config.simulator.scene
+        assert truth is not None
         self._config, self._camera = config, chosen
         self._optics = Optics(truth.blur_px, truth.noise_grey, truth.lighting)
         self._seed = seed + _OTHER_NOISE * (self._number - 1)

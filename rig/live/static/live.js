@@ -48,6 +48,7 @@ function begin(what) {
   at("title").textContent = about.title;
   at("simulated").hidden = !about.simulated;
   at("who").textContent = about.operator || !about.live ? about.who : `${about.who}, view only`;
+  at("panel-camera").hidden = !about.measured;
   banner("");
   charts.begin(about);
   arm.begin(about);
@@ -84,6 +85,7 @@ function numbers() {
   at("error").textContent = fixed(now.error, 2);
   at("error").dataset.frame = now.frame ?? "";
   at("error-more").textContent = `mean ${fixed(now.mean, 2)} mm${now.seen && now.seen !== "measured" ? `; tip: ${now.seen}` : ""}${now.modelOk === false ? "; model not solved" : ""}`;
+  if (!about.measured) at("error-more").textContent = "the rig has no camera: the tip is not measured";
   if (now.setpoint) {
     const led = now.setpoint.reduce((best, p, i) => (p > now.setpoint[best] ? i : best), 0);
     at("pressure").textContent = fixed(now.measured[led], 3);
@@ -96,9 +98,10 @@ function numbers() {
     ["control late by", `${fixed(now.late, 0)} us`, false],
     ["worst of 1 s", `${fixed(now.lateMax, 0)} us`, now.lateMax > 2500],
     ["deadlines missed", now.missed, now.missed > 0],
-    ["frames dropped", now.dropped, now.dropped > 0],
-    ["reprojection", `${fixed(now.reprojection, 3)} px`, false],
-    ...(now.age === undefined ? [] : [["picture's age", `${fixed(seen.latency.at(-1) ?? now.age, 0)} ms`, false]]),
+    ...(about.measured
+      ? [["frames dropped", now.dropped, now.dropped > 0], ["reprojection", `${fixed(now.reprojection, 3)} px`, false]]
+      : []),
+    ...(now.age === undefined || !about.measured ? [] : [["picture's age", `${fixed(seen.latency.at(-1) ?? now.age, 0)} ms`, false]]),
   ];
   at("health").replaceChildren(
     ...rows.flatMap(([name, value, late]) => [

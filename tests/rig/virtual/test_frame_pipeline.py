@@ -28,7 +28,7 @@ class Numbers(FrameStages):
     def __init__(self) -> None:
         super().__init__((), None, None)  # type: ignore[arg-type]
 
-    def render(self, index: int, exposures: object) -> FrameSet:
+    def render(self, index: int, due_ns: int, exposures: object) -> FrameSet:
         """A picture of the number; the second camera gives none."""
         return FrameSet(index, (Frame(index, 10 * index, np.full(SHAPE, index, np.uint8)), None))
 
@@ -44,11 +44,11 @@ class Failing(Numbers):
         super().__init__()
         self._stage = stage
 
-    def render(self, index: int, exposures: object) -> FrameSet:
+    def render(self, index: int, due_ns: int, exposures: object) -> FrameSet:
         """Raise if it is this stage's turn."""
         if self._stage == "render":
             raise ValueError("no light")
-        return super().render(index, exposures)
+        return super().render(index, due_ns, exposures)
 
     def measure(self, frame_set: FrameSet, samples: FrameSamples) -> FrameResult:
         """Raise."""
@@ -58,7 +58,7 @@ class Failing(Numbers):
 def test_results_come_in_the_order_of_the_frames_with_the_pictures_of_their_own() -> None:
     with FramePipeline(Numbers(), 2, SHAPE) as pipeline:
         for index in range(1, 31):
-            pipeline.submit(index, (), SAMPLES)
+            pipeline.submit(index, 0, (), SAMPLES)
         found = [pipeline.result().observation.decode() for _ in range(30)]
     assert found == [repr((10 * index, 24 * index)) for index in range(1, 31)]
 
@@ -68,7 +68,7 @@ def test_results_come_in_the_order_of_the_frames_with_the_pictures_of_their_own(
 )
 def test_an_error_in_a_child_is_raised_with_its_traceback(stage: str, message: str) -> None:
     with FramePipeline(Failing(stage), 2, SHAPE) as pipeline:
-        pipeline.submit(1, (), SAMPLES)
+        pipeline.submit(1, 0, (), SAMPLES)
         with pytest.raises(FrameProcessError, match=message) as raised:
             pipeline.result()
         assert pipeline.in_flight == 0
@@ -82,7 +82,7 @@ def test_a_killed_child_is_named(does: str, code: str) -> None:
 
         def frames() -> None:
             for index in range(30):
-                pipeline.submit(index, (), SAMPLES)
+                pipeline.submit(index, 0, (), SAMPLES)
             for _ in range(30):
                 pipeline.result()
 
@@ -95,12 +95,12 @@ def test_a_killed_child_is_named(does: str, code: str) -> None:
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_a_signal_to_the_process_group_ends_no_child(number: signal.Signals) -> None:
     with FramePipeline(Numbers(), 2, SHAPE) as pipeline:
-        pipeline.submit(1, (), SAMPLES)
+        pipeline.submit(1, 0, (), SAMPLES)
         pipeline.result()
         for child in pipeline._children.values():
             assert child.pid is not None
             os.kill(child.pid, number)
-        pipeline.submit(2, (), SAMPLES)
+        pipeline.submit(2, 0, (), SAMPLES)
         assert pipeline.result().observation == repr((20, 48)).encode()
 
 
