@@ -157,8 +157,8 @@ class _SameProcess:
     def in_flight(self) -> int:
         return len(self._results)
 
-    def submit(self, index: int, exposures: Sequence[Exposure | None], samples: FrameSamples) -> None:
-        self._results.append(self._stages.measure(self._stages.render(index, exposures), samples))
+    def submit(self, index: int, due_ns: int, exposures: Sequence[Exposure | None], samples: FrameSamples) -> None:
+        self._results.append(self._stages.measure(self._stages.render(index, due_ns, exposures), samples))
 
     def result(self) -> FrameResult:
         return self._results.popleft()
