@@ -65,7 +65,7 @@ soak: $(STAMP)
 
 lock: $(STAMP)
 	$(BIN)/python -m pip install -q uv
-	$(BIN)/uv pip compile -q --universal --python-version 3.11 --extra test --extra build \
+	$(BIN)/uv pip compile -q --universal --python-version 3.11 --extra rig --extra live --extra test --extra build \
 		--generate-hashes --no-emit-index-url --no-header --upgrade pyproject.toml -o requirements.lock
 
 clean:

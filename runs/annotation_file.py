@@ -100,7 +100,7 @@ def _append(archive: Path, kind: str, text: str) -> None:
     line = (json.dumps({"time": now, kind: text}) + "\n").encode()
     path = path_of(archive)
     try:
-        file = os.open(path, os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_CLOEXEC, 0o666)
+        file = os.open(path, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o666)
         try:
             if os.write(file, line) != len(line):
                 raise ArchiveError(f"{path}: the disk is full")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import fcntl
 import os
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -12,6 +11,7 @@ from pathlib import Path
 from runs.archive import writer as archive
 from runs.archive.writer import ArchiveError, ArchiveInUseError
 from runs.export import foxglove
+from runs.file_lock import lock
 from runs.journal import journal
 from runs.journal.append_only_file import JournalError
 from runs.run import Run
@@ -102,11 +102,11 @@ def _archive_of(path: Path) -> Path:
 def _held(path: Path) -> bool:
     """Tell whether a living process holds a lock on a file."""
     try:
-        handle = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
+        handle = os.open(path, os.O_RDONLY)
     except OSError:
         return False
     try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        lock(handle)
     except BlockingIOError:
         return True
     else:

@@ -88,6 +88,8 @@ def _message(error: Exception) -> str:
     """Return the message of an error; of an OSError without its number."""
     if isinstance(error, OSError) and error.strerror:
         return f"{error.filename}: {error.strerror}" if isinstance(error.filename, str) else error.strerror
+    if extra := _extra_of(error):
+        return f"this command needs more of softrig: pip install 'softrig[{extra}]'"
     if isinstance(error, MemoryError) or _is_unloadable(error):
         return f"not enough memory: {error}" if str(error) else "not enough memory"
     return str(error)
@@ -95,10 +97,19 @@ def _message(error: Exception) -> str:
 
 def _status(error: Exception) -> int | None:
     """Return the exit status of an expected error; None for an unexpected one."""
-    if _is_unloadable(error):
+    if _is_unloadable(error) or _extra_of(error):
         return FAULT
     names = (f"{kind.__module__}.{kind.__qualname__}" for kind in type(error).__mro__)
     return next((EXPECTED_ERRORS[name] for name in names if name in EXPECTED_ERRORS), None)
+
+
+EXTRAS = {"numba": "rig", "piqp": "rig", "nicegui": "live"}
+"""Extra of the package that brings a library."""
+
+
+def _extra_of(error: Exception) -> str:
+    """Return the extra that a light installation lacks; empty if the error has another reason."""
+    return EXTRAS.get((error.name or "").partition(".")[0], "") if isinstance(error, ModuleNotFoundError) else ""
 
 
 def _is_unloadable(error: Exception) -> bool:

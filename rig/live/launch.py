@@ -12,6 +12,7 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 
 from protocols import BadInputError, Problem
@@ -51,7 +52,10 @@ def open_page(listen: str, port: int, *, run: Path | None = None, archive: Path 
     Raises:
         BadInputError: the address is not one of this machine.
         StartError: no port is free.
+        ModuleNotFoundError: softrig is installed without the extra `live`.
     """
+    if find_spec("nicegui") is None:
+        raise ModuleNotFoundError("the live page needs NiceGUI", name="nicegui")
     address = _address(listen)
     bound = _bind(address, port)
     local = address.is_loopback

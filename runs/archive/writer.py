@@ -6,7 +6,6 @@ journal into the archive some thousand at a time: a long run needs no more memor
 
 from __future__ import annotations
 
-import fcntl
 import io
 import math
 import os
@@ -23,6 +22,7 @@ from runs.archive import checksum, layout
 from runs.archive.checked import ArchiveError as ArchiveError
 from runs.archive.checked import content_sha256, digest_of
 from runs.archive.fields import CHUNK_ROWS, ComputedColumn, Field, Group, Pictures, RowTable, row_chunks
+from runs.file_lock import lock
 from runs.journal import journal
 from runs.journal.append_only_file import ARCHIVE_TO_JOURNAL, NO_ROOM, JournalError
 
@@ -79,12 +79,12 @@ def write(content: journal.Journal, target: Path, most_bytes: int) -> None:
 def held(source: Path) -> Iterator[None]:
     """Lock a journal during finalisation; `ArchiveInUseError` if its writer is still running."""
     try:
-        handle = os.open(source, os.O_RDONLY | os.O_CLOEXEC)
+        handle = os.open(source, os.O_RDONLY)
     except OSError as fault:
         raise JournalError(f"cannot read {source}: {fault.strerror}") from fault
     try:
         try:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            lock(handle)
         except BlockingIOError as fault:
             raise ArchiveInUseError(f"{source} is being written by another process") from fault
         yield
@@ -104,7 +104,7 @@ def _take_room(part: Path, size: int) -> None:
     """
     empty = io.BytesIO()
     h5py.File(empty, "w").close()
-    handle = os.open(part, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC, 0o644)
+    handle = os.open(part, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o644)
     try:
         os.posix_fallocate(handle, 0, size)
         os.pwrite(handle, empty.getbuffer(), 0)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import errno
-import fcntl
 import os
 import threading
 import time
@@ -12,6 +11,8 @@ from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from typing import Protocol
+
+from runs.file_lock import lock
 
 SYNC_S = 1.0
 RESERVE_BYTES = 32 << 20
@@ -77,13 +78,13 @@ class DiskFile:
             self._check_free_space(os.statvfs(path.parent))
             if self.full:
                 raise JournalFullError(self.full)
-            self._fd = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_APPEND | os.O_CLOEXEC, 0o644)
+            self._fd = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_APPEND, 0o644)
         except FileExistsError as fault:
             raise JournalExistsError(f"cannot create {path}: {fault.strerror}") from fault
         except OSError as fault:
             raise JournalError(f"cannot create {path}: {fault.strerror}") from fault
         try:
-            fcntl.flock(self._fd, fcntl.LOCK_EX)
+            lock(self._fd, wait=True)
             self._synced_at = time.monotonic()
             self.write(first)
         except BaseException:

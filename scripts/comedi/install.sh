@@ -30,6 +30,16 @@ if ! "$python" -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] <= (
     exit 2
 fi
 
+numpy=$("$python" -c 'import numpy; print(numpy.__version__)')
+case $numpy in
+1.* | 2.[0-4].*) ;;
+*)
+    echo "pycomedi 0.9 does not build against NumPy $numpy. Install an older one first:" >&2
+    echo "    $python -m pip install 'numpy<2.5'" >&2
+    exit 2
+    ;;
+esac
+
 missing=
 command -v cc >/dev/null 2>&1 || missing="$missing gcc libc6-dev"
 [ -e /usr/include/comedilib.h ] || [ -e /usr/local/include/comedilib.h ] ||
@@ -60,7 +70,7 @@ fetched() {
 }
 
 echo "softrig: building pycomedi (once, half a minute)"
-numpy=$("$python" -c 'import numpy; print(numpy.__version__)')
+echo "pycomedi is licensed under the GPL, version 2 or later; softrig itself under BSD-3-Clause."
 quietly "$python" -m venv "$work/build"
 build=$work/build/bin/python
 fetched "$build" -m pip install --disable-pip-version-check "cython<3" "numpy==$numpy" "setuptools<81" wheel

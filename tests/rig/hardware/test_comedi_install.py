@@ -20,7 +20,7 @@ case "$*" in
 *version_info*) [ "$VERSION" != 3.13.1 ] ;;
 --version) echo "Python $VERSION" ;;
 *sysconfig*) echo "$HEADERS" ;;
-*numpy.__version__*) echo 2.0.0 ;;
+*numpy.__version__*) echo "$NUMPY" ;;
 "-m venv "*) mkdir -p "$3/bin" && cp "$0" "$3/bin/python" ;;
 *"pip install"*) echo "ERROR: no matching distribution found for cython<3" >&2; $DURING; exit 1 ;;
 esac
@@ -45,6 +45,7 @@ class Bench:
     def start(self, **said: str) -> subprocess.Popen[str]:
         where = {"TMPDIR": str(self.temporary), "HEADERS": str(self._headers), "CPATH": str(self._headers)}
         environment = {"PATH": os.environ["PATH"], "VERSION": "3.11.7", "REQUIRED": "not there", "DURING": "", **where}
+        environment["NUMPY"] = "2.4.1"
         return subprocess.Popen(
             # Where the tests run in the background, Ctrl-C is ignored, and would be by what they start.
             ["env", "--default-signal=INT", "sh", str(SCRIPT), str(self.venv)],
@@ -79,6 +80,13 @@ def test_a_python_that_is_too_new_is_reported_before_anything_is_downloaded(benc
     assert (status, said) == (2, "")
     assert "does not build on Python 3.13.1" in wrong
     assert "PYTHON=python3.12 make comedi" in wrong
+
+
+def test_a_numpy_that_is_too_new_is_reported_with_the_remedy(bench: Bench) -> None:
+    status, said, wrong = bench.install(NUMPY="2.5.0")
+    assert (status, said) == (2, "")
+    assert "does not build against NumPy 2.5.0" in wrong
+    assert "pip install 'numpy<2.5'" in wrong
 
 
 def test_headers_that_are_missing_are_named_by_their_packages(bench: Bench) -> None:
