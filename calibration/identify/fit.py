@@ -21,7 +21,7 @@ from calibration.identify.unknown import Unknown
 Array = NDArray[np.float64]
 
 # A parameter with a standard deviation above this many plausible spans is not identified.
-_UNDETERMINED_SPANS = 0.5
+UNDETERMINED_SPANS = 0.5
 # Far from its start, the span of a parameter is this fraction of the distance: at four error bars it is identified.
 _SPAN_PER_DISTANCE = 0.5
 _PRIOR_ONLY_RATIO = 0.95
@@ -99,7 +99,7 @@ def _open_directions(problem: LeastSquaresProblem, joint: Solution) -> tuple[str
     """Eigenvectors of the information, in spans, with a standard deviation of half a span or more."""
     values, vectors = np.linalg.eigh(_scaled_information(joint))
     combinations = []
-    for k in np.flatnonzero(values < 1 / _UNDETERMINED_SPANS**2):
+    for k in np.flatnonzero(values < 1 / UNDETERMINED_SPANS**2):
         vector = vectors[:, k]
         order = [int(i) for i in np.argsort(-np.abs(vector)) if abs(vector[i]) > _MIN_COMPONENT]
         sign = 1.0 if vector[order[0]] > 0 else -1.0
@@ -154,13 +154,13 @@ def _undetermined(solution: Solution, only: list[int]) -> dict[int, Verdict]:
     while only:
         std = _std(information[np.ix_(only, only)])
         worst = int(np.argmax(std))
-        if std[worst] <= _UNDETERMINED_SPANS:
+        if std[worst] <= UNDETERMINED_SPANS:
             break
         i = only.pop(worst)
         alone = information[i, i]
         fixed[i] = (
             Verdict.NO_EFFECT if alone < 1e-6
-            else Verdict.UNDECIDED if alone < 1 / _UNDETERMINED_SPANS**2
+            else Verdict.UNDECIDED if alone < 1 / UNDETERMINED_SPANS**2
             else Verdict.ENTANGLED
         )  # fmt: skip
     return fixed
@@ -186,7 +186,7 @@ def _estimates(
     for i, unknown in enumerate(problem.unknowns):
         verdict = fixed.get(i, Verdict.IDENTIFIED)
         nuisance = unknown.parameter.name in nuisances
-        if i not in fixed and not nuisance and joint_std[i] > _UNDETERMINED_SPANS:
+        if i not in fixed and not nuisance and joint_std[i] > UNDETERMINED_SPANS:
             verdict = Verdict.ENTANGLED
         std = float(np.sqrt(covariance[i, i]))
         if verdict is Verdict.IDENTIFIED and std > _PRIOR_ONLY_RATIO * prior_std[i]:
@@ -198,12 +198,12 @@ def _estimates(
 
 
 def _marginal(problem: LeastSquaresProblem, solution: Solution, only: list[int]) -> Array:
-    """Covariance of the unknowns `only`, in spans, marginal over errors of `_UNDETERMINED_SPANS` in the fixed ones."""
+    """Covariance of the unknowns `only`, in spans, marginal over errors of `UNDETERMINED_SPANS` in the fixed ones."""
     if len(only) == len(problem.unknowns):
         return covariance_of(solution.information)
     every = range(len(problem.unknowns))
     whole = problem.solution(solution.z, every, solution.weights, solution.discrepancy_m, solution.solved)
-    guessed = np.diag([0.0 if i in only else 1 / _UNDETERMINED_SPANS**2 for i in every])
+    guessed = np.diag([0.0 if i in only else 1 / UNDETERMINED_SPANS**2 for i in every])
     return covariance_of(whole.information + guessed)[np.ix_(only, only)]
 
 
@@ -213,7 +213,7 @@ def _partners(information: Array, i: int) -> list[int]:
     Greedy: conditions on the one that reduces the variance most, until it is determined. If several suffice alone, all
     of them are returned.
     """
-    n, enough = len(information), _UNDETERMINED_SPANS**2
+    n, enough = len(information), UNDETERMINED_SPANS**2
     covariance = np.linalg.inv(information + np.eye(n) / _PRIOR_SPANS**2)
     found: list[int] = []
     while covariance[i, i] > enough and len(found) < n - 1:

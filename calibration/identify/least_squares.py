@@ -146,6 +146,21 @@ class LeastSquaresProblem:
         self._kept_slopes = (z.copy(), tuple(only), out)
         return out
 
+    def whitened_slopes(self, z: Array, masked: bool = True) -> tuple[list[Array], Array]:
+        """Slopes (K, 3, n) of every run's tips in standard deviations, and of the priors (m, n).
+
+        masked: after the frequency masks, as the fit uses them.
+        """
+        every = range(len(self.unknowns))
+        weights, _ = self.weights(z, 0.0)
+        rows = [
+            np.einsum("kij,kjn->kin", own.whitener, slope)
+            for own, slope in zip(weights, self.slopes(z, every), strict=True)
+        ]
+        if masked:
+            rows = [self._filtered(run, own) for run, own in enumerate(rows)]
+        return rows, self._prior_rows(z)[0]
+
     def _perturbed(self, z: Array, run: int, which: Sequence[int]) -> tuple[list[Setup], list[float]]:
         """A run's setups with one perturbed unknown each, and the steps; backward at the upper bound."""
         steps = [-_STEP if z[i] + _STEP > self.unknowns[i].upper else _STEP for i in which]

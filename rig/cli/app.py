@@ -12,8 +12,8 @@ from typing import Annotated, Any, NoReturn
 
 import typer
 
-from rig.cli import annotate, archives, calibrate, completion, drivers, identify, init, reproduce
-from rig.cli.address_space import NumericalCommand, PlottingCommand
+from rig.cli import annotate, archives, calibrate, completion, design, drivers, identify, init, reproduce
+from rig.cli.address_space import EstimationCommand, NumericalCommand, PlottingCommand
 from rig.cli.completion import DATA
 from rig.cli.help_formatter import HelpFormatter, HelpGroup
 from rig.cli.options import (
@@ -366,6 +366,7 @@ app.command(cls=NumericalCommand)(reproduce.reproduce)
 app.command()(init.init)
 app.command()(drivers.drivers)
 app.command("test-driver")(drivers.check_drivers)
+app.command(cls=EstimationCommand)(design.design)
 app.add_typer(identify.app, name="identify")
 app.add_typer(calibrate.app, name="calibrate")
 

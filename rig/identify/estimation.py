@@ -119,13 +119,11 @@ def from_poses(
     beside = nuisance_parameters(start, data, named(chosen, config.actuators))
     check_priors(priors, (*chosen, *(p.name for p in beside)), config.actuators)
     stated = rig_uncertainties(config, start)
-    # What is free has no prior, but for sensors: their data sheets hold whether their numbers are free or not.
-    of_sensors = {name: prior for name, prior in stated.items() if name.startswith("sensor_") and "gain" not in name}
     return identify(
         data,
         start,
         chosen,
-        of_sensors | _by_parameter(priors, config.actuators),
+        sensor_priors(stated) | _by_parameter(priors, config.actuators),
         starts,
         stated=stated,
         progress=progress,
@@ -143,6 +141,11 @@ def rig_uncertainties(config: RigConfig, start: Setup) -> dict[str, Prior]:
     found = stated_values(start, {**offsets, **tool, **config.uncertainties.stated()})
     found["sensor_filter_s"] = Prior(SENSOR_FILTER_S, found["sensor_filter_s"].std)
     return found
+
+
+def sensor_priors(stated: Mapping[str, Prior]) -> dict[str, Prior]:
+    """Return the priors of free parameters: only sensors have one, because their data sheets hold in any case."""
+    return {name: prior for name, prior in stated.items() if name.startswith("sensor_") and "gain" not in name}
 
 
 def _by_parameter(priors: Mapping[str, Prior], actuators: int) -> dict[str, Prior]:

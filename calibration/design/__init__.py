@@ -1,0 +1,1 @@
+"""Optimal experimental design: which experiment makes the error bars of an identification smallest."""

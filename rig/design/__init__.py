@@ -1,0 +1,1 @@
+"""Design of experiments: protocols that make the error bars of an identification smallest."""

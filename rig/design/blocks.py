@@ -1,0 +1,121 @@
+"""Building blocks of a designed protocol: each starts and ends at the rest level and is within the rig's limits."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+from protocols import from_steps
+from rig.config.schema import RigConfig
+from rig.experiment.preflight import check
+
+BLOCK_S = 4.5
+# Levels as fractions of the pressure limit: at rest, where sensors are not at the foot of their scale, and the highest.
+_REST, _HIGHEST = 0.1, 0.95
+# Steepest set-point as a fraction of the rate limit.
+_STEEPEST = 0.9
+_FREQUENCIES_HZ = (0.4, 0.8, 1.6, 3.2)
+_LEVELS = (0.5, 1.0)
+_LEAD_IN_S = 1.0
+_MIN_AMPLITUDE_BAR = 0.01
+# Time at rest after a sinusoid; and the factor by which an amplitude that breaks a limit shrinks.
+_PAUSE_S, _SHRINK = 0.5, 0.9
+
+
+@dataclass(frozen=True)
+class Block:
+    """Protocol steps, as in the YAML, that take `BLOCK_S`; the rest level comes before and after."""
+
+    steps: tuple[dict[str, Any], ...]
+
+
+def rest_bar(config: RigConfig) -> float:
+    """The level [bar] between the blocks."""
+    return round(_REST * config.limits.pressure_bar, 4)
+
+
+def blocks(config: RigConfig) -> tuple[Block, ...]:
+    """Every block that a rig can do: steps and sinusoids of each combination of valves, in phase and in sequence."""
+    return tuple(itertools.chain(_steps(config), _sines(config)))
+
+
+def _valve_groups(config: RigConfig) -> list[tuple[tuple[int, ...], ...]]:
+    valves = [tuple(valve.actuators) for valve in config.valves]
+    return [group for size in range(1, len(valves) + 1) for group in itertools.combinations(valves, size)]
+
+
+def _ramp_down(config: RigConfig, actuators: list[int]) -> dict[str, Any]:
+    return {"ramp": {"actuators": actuators, "to_bar": rest_bar(config), "duration_s": _fall_s(config)}}
+
+
+def _fall_s(config: RigConfig) -> float:
+    limits = config.limits
+    return round((_HIGHEST - _REST) * limits.pressure_bar / (_STEEPEST * limits.rate_bar_per_s) + 0.005, 2)
+
+
+def _steps(config: RigConfig) -> Iterator[Block]:
+    """Up as fast as the limit allows, a dwell, and down again: all frequencies at once."""
+    limits, rest, fall_s = config.limits, rest_bar(config), _fall_s(config)
+    for group, share in itertools.product(_valve_groups(config), _LEVELS):
+        actuators = sorted(itertools.chain(*group))
+        level = round(rest + share * (_HIGHEST * limits.pressure_bar - rest), 4)
+        rise_s = round((level - rest) / (_STEEPEST * limits.rate_bar_per_s) + 0.005, 2)
+        dwell_s = round(max(BLOCK_S - rise_s - fall_s, 0.0) / 2, 3)
+        block = Block(
+            (
+                {"ramp": {"actuators": actuators, "to_bar": level, "duration_s": rise_s}},
+                {"hold": {"duration_s": dwell_s}},
+                _ramp_down(config, actuators),
+                {"hold": {"duration_s": dwell_s}},
+            )
+        )
+        if _is_possible(config, block):
+            yield block
+
+
+def _sines(config: RigConfig) -> Iterator[Block]:
+    """Sinusoids as large as the limits allow; the valves in phase, and one after the other."""
+    limits, rest = config.limits, rest_bar(config)
+    span = _HIGHEST * limits.pressure_bar - rest
+    for group, share, hertz in itertools.product(_valve_groups(config), _LEVELS, _FREQUENCIES_HZ):
+        largest = min(share * span / 2, _STEEPEST * limits.rate_bar_per_s / (2 * math.pi * hertz))
+        for spread in (0.0, 120.0) if len(group) > 1 else (0.0,):
+            amplitude = largest
+            while amplitude >= _MIN_AMPLITUDE_BAR:
+                block = _sine(config, group, rest + share * span / 2, amplitude, hertz, spread)
+                if _is_possible(config, block):
+                    yield block
+                    break
+                amplitude *= _SHRINK
+
+
+def _sine(
+    config: RigConfig,
+    group: tuple[tuple[int, ...], ...],
+    mean: float,
+    amplitude: float,
+    hertz: float,
+    spread_deg: float,
+) -> Block:
+    actuators = [actuator for valve in group for actuator in valve]
+    sine = {
+        "actuators": actuators,
+        "mean_bar": round(mean, 4),
+        "amplitude_bar": round(amplitude, 4),
+        "frequency_hz": hertz,
+        "phase_deg": [spread_deg * k for k, valve in enumerate(group) for _ in valve],
+        "duration_s": round(max(BLOCK_S - _LEAD_IN_S - _fall_s(config) - _PAUSE_S, 0.0), 2),
+        "lead_in_s": _LEAD_IN_S,
+    }
+    return Block(({"sine": sine}, _ramp_down(config, sorted(actuators)), {"hold": {"duration_s": _PAUSE_S}}))
+
+
+def _is_possible(config: RigConfig, block: Block) -> bool:
+    """Whether a block takes `BLOCK_S` and keeps the limits, from the rest level on."""
+    every = list(range(1, config.actuators + 1))
+    start = {"hold": {"actuators": every, "level_bar": rest_bar(config), "duration_s": 1}}
+    trajectory = from_steps("block", [start, *block.steps]).expand(config.actuators)
+    return abs(trajectory.duration_s - 1 - BLOCK_S) < 1e-6 and not check(config, trajectory)

@@ -1,0 +1,152 @@
+"""Designs a protocol for a rig: blocks chosen by the Fisher information of the model's gradients."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+
+import protocols
+from calibration.design.exchange import CRITERIA, choose
+from calibration.design.information import ErrorBars, Unknowns, block_information, error_bars, of_interest
+from calibration.identify.data import Poses
+from calibration.identify.nuisance import nuisance_parameters
+from calibration.identify.parameters import DAMPING_S, Setup, named
+from calibration.identify.simulated_experiments import MeasurementErrors
+from protocols import BadInputError, Problem, Protocol
+from protocols.problems import closest
+from rig.config.arm_model import model_arm
+from rig.config.schema import RigConfig
+from rig.design.blocks import BLOCK_S, Block, blocks, rest_bar
+from rig.design.expected_poses import expected_poses
+from rig.experiment.preflight import check
+from rig.identify.estimation import rig_uncertainties, sensor_priors
+from rig.observation.online_estimation import default_parameters
+
+LIBRARY = ("ramp-a", "ramp-b", "sine-1", "sine-2")
+"""Named protocols whose error bars stand beside those of a design."""
+
+ENDS_S = 2.0
+"""Time to and from the level between the blocks, with a rest."""
+
+# Time steps per frame while blocks are compared; the final error bars have the steps of an identification.
+_SEARCH_SUBSTEPS = 4
+
+
+@dataclass(frozen=True)
+class Design:
+    """A designed protocol, its text, the expected error bars, and those of the runs of `LIBRARY` together."""
+
+    protocol: Protocol
+    text: str
+    bars: ErrorBars
+    library: ErrorBars
+
+
+def design(
+    config: RigConfig,
+    free: Sequence[str] = (),
+    duration_s: float = 60.0,
+    criterion: str = "d",
+    seed: int = 0,
+    errors: MeasurementErrors | None = None,
+) -> Design:
+    """The protocol of at most `duration_s` whose expected error bars of the free parameters are smallest.
+
+    Without `free`: the default parameters of `rig identify` for motions, and the shear ratio. criterion: a name of
+    `CRITERIA`. Blocks start and end at the same level, so that their information adds; the expected error bars are
+    those of the whole protocol.
+
+    Raises:
+        UnknownParameter: a name in `free`.
+        BadInputError: an unknown criterion, or a duration that is too short or above the rig's limit.
+    """
+    _check_inputs(config, duration_s, criterion)
+    errors = errors or MeasurementErrors()
+    chosen = tuple(free) or (*default_parameters(config.model.variant), "shear_ratio", "damping_s")
+    candidates = blocks(config)
+    if not candidates:
+        fault = f"limits that leave room for a block of {BLOCK_S:g} s: more rate_bar_per_s"
+        raise BadInputError([Problem("design", 0, 0, "limits", f"{config.limits.rate_bar_per_s:g} bar/s", fault)])
+    every = protocols.from_steps("every block", _framed(config, candidates)).expand(config.actuators)
+    motion = expected_poses("blocks", every, config, errors)
+    unknowns = _unknowns(config, chosen, [motion])
+    problem = unknowns.problem([motion], _SEARCH_SUBSTEPS)
+    first = [round((ENDS_S + k * BLOCK_S) / motion.period_s) for k in range(len(candidates) + 1)]
+    information, prior = block_information(problem, [slice(a, b) for a, b in itertools.pairwise(first)])
+    count = int((duration_s - 2 * ENDS_S + 1e-9) // BLOCK_S)
+    indices = choose(information, prior + _ridge(len(prior)), count, of_interest(problem, unknowns),
+                     CRITERIA[criterion], seed)  # fmt: skip
+    steps = _framed(config, [candidates[k] for k in indices])
+    title = f"Designed experiment, {len(indices) * BLOCK_S + 2 * ENDS_S:g} s"
+    protocol = protocols.from_steps(title, steps)
+    trajectory = protocol.expand(config.actuators)
+    if problems := check(config, trajectory, protocol):
+        raise BadInputError(list(problems))
+    bars = error_bars([expected_poses("design", trajectory, config, errors)], unknowns)
+    known = [expected_poses(name, protocols.load(name).expand(config.actuators), config, errors) for name in LIBRARY]
+    library = error_bars(known, _unknowns(config, chosen, known))
+    return Design(protocol, _text(title, steps, config, bars, criterion, seed), bars, library)
+
+
+def _check_inputs(config: RigConfig, duration_s: float, criterion: str) -> None:
+    if criterion not in CRITERIA:
+        expected = f"one of {', '.join(CRITERIA)}"
+        raise BadInputError([Problem("--criterion", 0, 0, "", criterion, expected, closest(criterion, CRITERIA))])
+    least, most = 2 * ENDS_S + BLOCK_S, config.limits.duration_s
+    if not least <= duration_s <= most:
+        expected = f"{least:g} to {most:g} s (limits, duration_s of the rig)"
+        raise BadInputError([Problem("--duration-s", 0, 0, "", f"{duration_s:g} s", expected)])
+
+
+def _unknowns(config: RigConfig, free: Sequence[str], planned: Sequence[Poses]) -> Unknowns:
+    start = _damped(Setup(model_arm(config)))
+    parameters = named(free, config.actuators)
+    beside = nuisance_parameters(start, planned, parameters)
+    stated = rig_uncertainties(config, start)
+    priors = sensor_priors(stated) | {p.name: stated[p.name] for p in beside}
+    return Unknowns(start, parameters, beside, priors)
+
+
+def _damped(setup: Setup) -> Setup:
+    """The setup with a plausible damping where the rig states none: an undamped model would ring for ever."""
+    material = setup.arm.material
+    if material.damping_s > 0:
+        return setup
+    return replace(setup, arm=replace(setup.arm, material=replace(material, damping_s=DAMPING_S / 2)))
+
+
+def _ridge(count: int) -> NDArray[np.float64]:
+    """The weak information (n, n) that keeps every design's matrix invertible: an error of five spans."""
+    return np.eye(count) / 25.0
+
+
+def _framed(config: RigConfig, chosen: Sequence[Block]) -> list[dict[str, Any]]:
+    """The steps of blocks, between the way to the rest level and the way back to zero."""
+    every = list(range(1, config.actuators + 1))
+    up = {"ramp": {"actuators": every, "to_bar": rest_bar(config), "duration_s": 1.0, "shape": "smooth"}}
+    down = {"ramp": {"actuators": every, "to_bar": 0, "duration_s": 1.0, "shape": "smooth"}}
+    rest = {"hold": {"duration_s": ENDS_S - 1.0}}
+    return [up, rest, *(step for block in chosen for step in block.steps), down, rest]
+
+
+def _text(
+    title: str, steps: Sequence[dict[str, Any]], config: RigConfig, bars: ErrorBars, criterion: str, seed: int
+) -> str:
+    """The protocol as YAML, with a comment that says what it is for."""
+    lines = [
+        f"# Written by rig design for the rig {config.name}: criterion {criterion}, seed {seed}.",
+        "# Expected standard errors of `rig identify`, if the rig's stated values and uncertainties hold:",
+        *(f"#   {name}: {std:.3g} {unit}" for name, std, unit in zip(bars.names, bars.std, bars.units, strict=True)),
+        f"title: {title}",
+        "steps:",
+    ]
+    body = [
+        f"  - {yaml.safe_dump(s, default_flow_style=True, sort_keys=False, width=1000).strip()[1:-1]}" for s in steps
+    ]
+    return "\n".join([*lines, *body, ""])

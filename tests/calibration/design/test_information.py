@@ -1,0 +1,49 @@
+"""Expected error bars against finite differences and against those that an identification states."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from calibration.design.information import Unknowns, error_bars
+from calibration.identify import Prior, Setup, identify, named
+from calibration.identify.simulated_experiments import MeasurementErrors, perform, plan
+from rig.config.arm_model import model_arm
+from rig.config.loader import load
+
+FREE = ("rpe_per_bar", "a1_per_n", "base_x_m", "sensor_1_offset_pa")
+PRIORS = {"sensor_1_offset_pa": Prior(0.0, 200.0)}
+ERRORS = MeasurementErrors(tip_m=(5e-5, 5e-5, 5e-5), pressure_pa=10.0, offset_pa=0.0)
+PRESSURES = 1e5 * np.array([[p, q, q] for p in (0.1, 0.3, 0.6) for q in (0.1, 0.35, 0.6)])
+
+
+@pytest.fixture(scope="module")
+def unknowns() -> Unknowns:
+    return Unknowns(Setup(model_arm(load("mock"))), named(FREE, 3), (), PRIORS)
+
+
+def test_slopes_are_finite_differences_of_the_whitened_predictions(unknowns: Unknowns) -> None:
+    problem = unknowns.problem([plan("levels", PRESSURES, errors=ERRORS)])
+    z = np.zeros(len(problem.unknowns))
+    (rows,), _ = problem.whitened_slopes(z)
+    (weights,), _ = problem.weights(z, 0.0)
+    for i, step in enumerate(1e-3 * np.eye(len(z))):
+        change = (problem.predicted(z + step)[0] - problem.predicted(z - step)[0]) / 2e-3
+        expected = np.einsum("kij,kj->ki", weights.whitener, change)
+        np.testing.assert_allclose(rows[:, :, i], expected, atol=1e-3 * np.abs(expected).max())
+
+
+def test_expected_error_bars_are_those_that_the_identification_states(unknowns: Unknowns) -> None:
+    planned = plan("levels", PRESSURES, errors=ERRORS)
+    expected = error_bars([planned], unknowns)
+    fit = identify([perform(planned, unknowns.start, np.random.default_rng(1), ERRORS)], unknowns.start, FREE, PRIORS)
+    stated = [fit[name].std for name in expected.names]
+    assert expected.names == FREE[:3]
+    np.testing.assert_allclose(expected.std, stated, rtol=0.15)
+
+
+def test_twice_the_data_make_the_error_bars_smaller_by_root_two(unknowns: Unknowns) -> None:
+    free_of_offsets = Unknowns(unknowns.start, unknowns.free[:3], (), {})
+    once = error_bars([plan("levels", PRESSURES, errors=ERRORS)], free_of_offsets)
+    twice = error_bars([plan(name, PRESSURES, errors=ERRORS) for name in ("first", "second")], free_of_offsets)
+    np.testing.assert_allclose(twice.std, once.std / np.sqrt(2), rtol=1e-6)
