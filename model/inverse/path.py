@@ -20,7 +20,9 @@ Array = NDArray[np.float64]
 
 STATIC_STEPS = 5
 DYNAMIC_STEPS = 8
-COARSE_S = 0.03
+STATIC_ENOUGH_M = 2e-4
+"""Error at which the dynamic steps take over."""
+COARSE_S = 0.05
 """Distance of the samples at which statics and gradients are solved."""
 SMOOTHING_S = 0.015
 """Standard deviation of the filter of the correction: it removes what a second-order response does not describe."""
@@ -117,9 +119,15 @@ class PathInverse:
         guess = np.maximum(start, GUESS * self._drive.highest_pa)
         coarse = np.vstack([start, np.tile(guess, (len(rows) - 1, 1))])
         tips, gradient = self._gradients(coarse, axes)
+        error, before = target[rows] - tips, np.inf
         for _ in range(STATIC_STEPS):
-            coarse = limited_step(gradient, target[rows] - tips, coarse, self._drive, step_s)
+            size = float(np.abs(error).max())
+            if size < STATIC_ENOUGH_M or size > LEAST_PROGRESS * before:
+                break
+            before = size
+            coarse = limited_step(gradient, error, coarse, self._drive, step_s)
             tips, gradient = self._gradients(coarse, axes)
+            error = target[rows] - tips
         places = np.arange(n)
         pressure = _interpolated(places, rows, coarse)
         return pressure, _interpolated(places, rows, gradient)
