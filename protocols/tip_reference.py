@@ -5,6 +5,7 @@ Positions are in metres in the rod-base frame. A coordinate that a step does not
 
 from __future__ import annotations
 
+import math
 from bisect import bisect_right
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
@@ -94,6 +95,21 @@ class TipReference:
     def predicted_m(self, t_s: Iterable[float]) -> Array:
         """Tips (n, 3) [m] of the model under the feed-forward pressures; NaN outside the motions."""
         return self._each(t_s, TipMotion.predictions_m)
+
+    def place(self, t_s: float) -> tuple[int, int]:
+        """Number of the motion, from 1, and of the path's period, from 1, at a protocol time.
+
+        0 and 0 outside the motions; the period is 0 in a lead-in, and 1 on a path that does not repeat.
+        """
+        motion = self.motion_at(t_s)
+        if motion is None:
+            return 0, 0
+        number = 1 + self.motions.index(motion)
+        if t_s < motion.path_s:
+            return number, 0
+        if motion.period_s is None:
+            return number, 1
+        return number, max(1, math.ceil((t_s - motion.path_s) / motion.period_s - 1e-9))
 
     def _each(self, t_s: Iterable[float], value: Callable[[TipMotion, Array], Array]) -> Array:
         times = np.array(list(t_s), dtype=np.float64)

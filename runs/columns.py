@@ -146,6 +146,12 @@ def _error_mm(rows: NDArray[np.void]) -> Values:
     return np.asarray(np.linalg.norm(rows["measured_m"] * MM_PER_M - rows["model_m"] * MM_PER_M, axis=1))
 
 
+def _reference_error_mm(rows: NDArray[np.void]) -> Values:
+    off = (rows["measured_m"] - rows["reference_m"]) * MM_PER_M
+    known = np.isfinite(rows["reference_m"]).any(axis=1) & np.isfinite(rows["measured_m"]).all(axis=1)
+    return np.where(known, np.sqrt(np.nansum(off**2, axis=1)), np.nan)
+
+
 _STATUSES = ", ".join(f"{s.value} {s.name.lower()}" for s in DetectionStatus)
 
 
@@ -294,6 +300,34 @@ class Simulated(Table):
     )
 
 
+class Reference(Table):
+    """Where the tip has to be (m, 3), at the times of `Tip`; NaN outside tip paths and in free coordinates."""
+
+    group, rows, signal = "reference", "M", "error_mm"
+    about = "one row per camera frame; NaN outside tip paths, and in coordinates that are not controlled"
+
+    time_s = _time("middle of the exposure")
+    reference_mm = Column(
+        "reference_m", axes=("axis",), unit="mm", about="reference of the tool centre point", convert=_mm
+    )
+    predicted_mm = Column(
+        "predicted_m",
+        axes=("axis",),
+        unit="mm",
+        about="tool centre point of the model under the feed-forward set-points, computed before the run",
+        convert=_mm,
+    )
+    motion = Column("tip_motion", "<i4", about="number of the protocol's tip path, from 1; 0 outside")
+    period = Column(
+        "tip_period",
+        "<i4",
+        about="number of the path's period, from 1; 0 outside and in the lead-in; 1 without periods",
+    )
+    error_mm = Column(
+        of=_reference_error_mm, unit="mm", about="distance between measured tip and reference, controlled coordinates"
+    )
+
+
 class Adaptation(Table):
     """Online estimates of P parameters, each in its own unit, per frame (m,)."""
 
@@ -344,7 +378,7 @@ AXES = {
 """Size of each axis in the reference page, and what its scale holds."""
 
 SAMPLES: tuple[type[Table], ...] = (Pressure, Timing)
-OBSERVATIONS: tuple[type[Table], ...] = (Tip, Backbone, Simulated)
+OBSERVATIONS: tuple[type[Table], ...] = (Tip, Backbone, Simulated, Reference)
 ADAPTATIONS: tuple[type[Table], ...] = (Adaptation,)
 """The tables of each record."""
 
@@ -362,7 +396,7 @@ def sample_dtype(actuators: int, valves: int) -> np.dtype[np.void]:
 
 
 def observation_dtype(actuators: int, cameras: int = 1) -> np.dtype[np.void]:
-    """One frame of every camera: `Tip`, `Backbone` and `Simulated`, in the rod-base frame.
+    """One frame of every camera: `Tip`, `Backbone`, `Simulated` and `Reference`, in the rod-base frame.
 
     `seen` is a `DetectionStatus`; where it is not MEASURED the measured columns are NaN. `truth_m` is NaN on a real
     rig. `age_ns` is the time from exposure to the end of the computation.

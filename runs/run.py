@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from runs.archive.checked import ArchiveError, content_sha256, opened
 from runs.archive.fields import PA_PER_BAR, QUANTITY_GROUPS
 from runs.archive.provenance import metadata
-from runs.columns import Adaptation, Backbone, Pressure, Simulated, Table, Timing, Tip, Values
+from runs.columns import Adaptation, Backbone, Pressure, Reference, Simulated, Table, Timing, Tip, Values
 from runs.records import Event, Interval, Level, Quantity, RecordedFile, RunHeader, Status
 from runs.table import TABLES, segments, table
 
@@ -136,6 +136,12 @@ class Run:
         """The simulator's truth; None for a run without a simulator."""
         values = self._values(Simulated)
         return Simulated(values) if values else None
+
+    @cached_property
+    def reference(self) -> Reference | None:
+        """Where the tip had to be; None for a run without a tip path."""
+        values = self._values(Reference)
+        return Reference(values) if values else None
 
     @cached_property
     def backbone(self) -> Backbone | None:

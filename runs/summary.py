@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from runs.columns import Tip
 from runs.records import DetectionStatus, Interval, Status
 from runs.run import Run
+from runs.tip_error import TipErrorSummary, tip_error
 
 SETTLED_PART = 0.3
 BAND_BAR = 0.01
@@ -134,6 +135,8 @@ class Summary:
     reprojection_px: float
     """Median."""
     truth: TruthSummary | None
+    tip_path: TipErrorSummary | None = None
+    """Error on the paths of the tip; None for a run without one."""
 
     @property
     def measured_fraction(self) -> float:
@@ -181,6 +184,7 @@ def summarise(run: Run) -> Summary:
         model_failures=int((~tip.model_ok).sum()),
         reprojection_px=_percentile(tip.reprojection_px[measured], 50),
         truth=_truth(run, measured, plane),
+        tip_path=tip_error(run),
     )
 
 

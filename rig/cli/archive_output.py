@@ -28,6 +28,7 @@ from runs.records import Status
 from runs.recovery import RecoveryStatus
 from runs.recovery import recover as recover_folder
 from runs.summary import Summary, summarise
+from runs.tip_error import TipErrorSummary
 
 _DATE = re.compile(r"\d{4}(-(0[1-9]|1[0-2])(-(0[1-9]|[12]\d|3[01])(T([01]\d|2[0-3])(:[0-5]\d(:[0-5]\d)?)?)?)?)?")
 
@@ -136,6 +137,8 @@ def summary_table(summary: Summary, counters: Mapping[str, int]) -> Table:
         table.add_row("frames dropped", str(summary.frames_dropped))
     else:
         table.add_row(Text(f"whole run{simulated}: tip not measured, the rig has no camera", "bold"))
+    if summary.tip_path is not None:
+        _add_tip_path(table, summary.tip_path)
     if summary.lateness_max_us > 0:
         table.add_row("deadlines missed", f"{summary.missed_deadlines} of {summary.ticks}")
         late = (summary.lateness_p50_us, summary.lateness_p99_us, summary.lateness_max_us)
@@ -148,6 +151,19 @@ def summary_table(summary: Summary, counters: Mapping[str, int]) -> Table:
             table.add_row(f"card {card} samples every [us]", f"{period_ns * 1e-3:.3f}")
             table.add_row("longer by the computer's clock [ppm]", f"{drift_ppm:+.1f}")
     return table
+
+
+def _add_tip_path(table: ColumnTable, path: TipErrorSummary) -> None:
+    """Add the errors of the tip on its paths."""
+    errors = [("measured", path.measured)]
+    if path.truth is not None:
+        errors.append(("true, simulated", path.truth))
+    for words, error in errors:
+        table.add_row(f"tip to reference, rms ({words})", _number(error.rms_mm, 3))
+        table.add_row(f"  lag {_number(error.lag_ms, 1)} ms", _number(error.lag_mm, 3))
+        table.add_row("  across the path", _number(error.contour_mm, 3))
+    table.add_row("  noise of the measured tip", _number(path.measured.noise_mm, 3))
+    table.add_row("  predicted by the model", _number(path.predicted_mm, 3))
 
 
 def _number(value: float, digits: int) -> str:

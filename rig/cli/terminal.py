@@ -187,6 +187,12 @@ def _error_mm(progress: Progress) -> float:
     return float("nan") if row is None else 1e3 * float(np.linalg.norm(row["measured_m"] - row["model_m"]))
 
 
+def _path_error_mm(row: NDArray[np.void]) -> float:
+    """Distance from the reference in the controlled coordinates; NaN without a reference."""
+    off = row["measured_m"] - row["reference_m"]
+    return 1e3 * float(np.sqrt(np.nansum(off**2))) if np.isfinite(off).any() else float("nan")
+
+
 def _line(progress: Progress) -> str:
     left = progress.duration_s - progress.protocol_s
     parts = [f"{progress.protocol_s:7.1f} s, {_clock(left)} left"]
@@ -195,6 +201,8 @@ def _line(progress: Progress) -> str:
         parts.append("bar " + " ".join(f"{s / PA_PER_BAR:.3f}/{m / PA_PER_BAR:.3f}" for s, m in pairs))
     if progress.observation is not None and progress.observation["seen"] == DetectionStatus.MEASURED:
         parts.append(f"tip mm {_point(progress.observation['measured_m'])}, error {_error_mm(progress):.2f}")
+        if np.isfinite(path := _path_error_mm(progress.observation)):
+            parts.append(f"path error {path:.2f}")
     elif progress.observation is not None and progress.observation["seen"] == DetectionStatus.NO_CAMERA:
         parts.append(f"model tip mm {_point(progress.observation['model_m'])}, not measured: no camera")
     if progress.missed or progress.dropped:

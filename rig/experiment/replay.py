@@ -55,7 +55,7 @@ def replay(
     if not config.cameras:
         expected = "a rig with a camera: this one has none to measure the tip in the run's pictures"
         raise BadInputError([Problem("--rig", 0, 0, "", config.name, expected)])
-    rows = np.array(list(_observed(run, config, chosen)))
+    rows = np.array(list(_referred(run, _observed(run, config, chosen))))
     now = datetime.now(UTC)
     commit, diff = git_state()
     folder.mkdir(parents=True, exist_ok=True)
@@ -163,6 +163,19 @@ def _observed(run: Run, config: RigConfig, variant: Variant) -> Iterator[NDArray
             float(tip.weight_g[row]) * 1e-3,
         )
         seen = until
+
+
+def _referred(run: Run, observed: Iterator[NDArray[np.void]]) -> Iterator[NDArray[np.void]]:
+    """Yield the observations with the reference of the tip that the run had."""
+    reference, row_of = run.reference, {int(frame): row for row, frame in enumerate(run.tip.frame)}
+    for row in observed:
+        if reference is not None:
+            k = row_of[int(row["frame"])]
+            row["reference_m"], row["predicted_m"] = (
+                values[k] * 1e-3 for values in (reference.reference_mm, reference.predicted_mm)
+            )
+            row["tip_motion"], row["tip_period"] = reference.motion[k], reference.period[k]
+        yield row
 
 
 def _cameras(run: Run, config: RigConfig) -> dict[str, int]:

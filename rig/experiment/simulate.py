@@ -48,6 +48,10 @@ def simulate(request: RunRequest, plan: Plan, static: bool) -> Path:
     rows["t_ns"], rows["frame"], rows["protocol_s"] = samples["t_ns"], samples["tick"], samples["protocol_s"]
     rows["seen"] = rows["camera_seen"] = DetectionStatus.NO_FRAME
     rows["pressure_pa"] = pressures
+    rows["reference_m"] = trajectory.tip.sample(rows["protocol_s"])
+    rows["predicted_m"] = trajectory.tip.predicted_m(rows["protocol_s"])
+    places = np.array([trajectory.tip.place(t_s) for t_s in rows["protocol_s"].tolist()])
+    rows["tip_motion"], rows["tip_period"] = places.T
     tip_load, shape, tip_m = TipLoad(config), None, np.full(3, np.nan)
     for row, pressure in zip(rows, pressures, strict=True):
         row["weight_kg"] = weight_kg = trajectory.weight_kg(float(row["protocol_s"]))

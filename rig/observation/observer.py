@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 import model
 from model.dynamics import Dynamics
 from model.statics import statics
+from protocols import TipReference
+from protocols.tip_reference import NO_TIP_REFERENCE
 from rig.config.arm_model import TipLoad, model_arm
 from rig.config.schema import RigConfig
 from rig.config.sections import Variant
@@ -153,8 +155,14 @@ class _Solve(Protocol):
 class Observer:
     """Converts frame sets, in order, to rows of `runs.records.observation_dtype`. It uses no clock."""
 
-    def __init__(self, config: RigConfig, variant: Variant | None = None, adapt: Sequence[str] = ()) -> None:
-        """`variant` of the model (the rig's when None).
+    def __init__(
+        self,
+        config: RigConfig,
+        variant: Variant | None = None,
+        adapt: Sequence[str] = (),
+        reference: TipReference = NO_TIP_REFERENCE,
+    ) -> None:
+        """`variant` of the model (the rig's when None); `reference` is that of the tip.
 
         `adapt` names the parameters of the recursive estimator, which then predicts the model's tip.
         """
@@ -168,6 +176,7 @@ class Observer:
         )
         self._tip_load = TipLoad(config)
         self._pressures = PressureInterpolator(config.actuators)
+        self._reference, self._protocol_times = reference, PressureInterpolator(1)
         self._blank = blank((), observation_dtype(config.actuators, len(config.cameras)))
         self._model_m = np.full(3, np.nan)
         self.measurement: Measurement | None = None
@@ -189,10 +198,12 @@ class Observer:
         protocol_s: float,
         dropped: int = 0,
         weight_kg: float = 0.0,
+        sample_protocol_s: Floats | None = None,
     ) -> NDArray[np.void]:
         """Process one frame set with the samples (k,), (k, N) since the last one; return a row ().
 
-        `weight_kg` is the weight on the end cap. `age_ns` stays zero; the caller sets it.
+        `weight_kg` is the weight on the end cap. `sample_protocol_s` (k,), the protocol times of the samples, give the
+        reference of the tip at the time of the frame. `age_ns` stays zero; the caller sets it.
         """
         self._pressures.extend(np.asarray(sample_t_ns, dtype=np.int64), np.asarray(sample_pa, dtype=np.float64))
         seen = self._tip_estimator.measure(frame_set)
@@ -213,6 +224,16 @@ class Observer:
         row["truth_m"] = np.nan if frame_set.truth_m is None else frame_set.truth_m
         row["camera_seen"] = seen.cameras
         row["camera_skew_s"] = [np.nan if f is None else (f.t_ns - frame_set.t_ns) * 1e-9 for f in frame_set.frames]
+        if self._reference and sample_protocol_s is not None:
+            self._refer(row, sample_t_ns, sample_protocol_s)
         if self._adapting is not None:
             self.adaptation = self._adapting.step(row)
         return row
+
+    def _refer(self, row: NDArray[np.void], sample_t_ns: Times, sample_protocol_s: Floats) -> None:
+        """Set the reference at the time of a frame: the cycles around it give its protocol time."""
+        self._protocol_times.extend(sample_t_ns, sample_protocol_s[:, None])
+        t_s = float(self._protocol_times.at(int(row["t_ns"]))[0])
+        row["reference_m"] = self._reference.position_m(t_s)
+        row["predicted_m"] = self._reference.predicted_m([t_s])[0]
+        row["tip_motion"], row["tip_period"] = self._reference.place(t_s)

@@ -82,7 +82,8 @@ def _observe(job: ChildJob, memory: SharedState) -> None:
 
 
 def _observer(job: ChildJob) -> Observer:
-    return Observer(job.plan.config, job.plan.variant, [quantity.name for quantity in job.plan.adapted])
+    plan = job.plan
+    return Observer(plan.config, plan.variant, [quantity.name for quantity in plan.adapted], plan.trajectory.tip)
 
 
 def _warm_up(job: ChildJob, shots: list[FrameSet]) -> None:
@@ -101,7 +102,7 @@ def _record(job: ChildJob, observer: Observer, memory: SharedState, shot: FrameS
     latest = ticks[max(0, int(ticks["t_ns"].searchsorted(shot.t_ns, side="right")) - 1)]
     protocol_s = float(latest["protocol_s"])
     weight_kg = job.plan.trajectory.weight_kg(protocol_s)
-    row = observer.step(shot, ticks["t_ns"], ticks["measured_pa"], protocol_s, dropped, weight_kg)
+    row = observer.step(shot, ticks["t_ns"], ticks["measured_pa"], protocol_s, dropped, weight_kg, ticks["protocol_s"])
     row["age_ns"] = time.monotonic_ns() - shot.t_ns
     memory.observations.push(row)
     if observer.adaptation is not None:

@@ -90,7 +90,9 @@ class _VirtualRun:
 
     def stages(self) -> FrameStages:
         """The stages of the frame pipeline of this run."""
-        observer = Observer(self._plan.config, self._plan.variant, [quantity.name for quantity in self._plan.adapted])
+        plan = self._plan
+        adapted = [quantity.name for quantity in plan.adapted]
+        observer = Observer(plan.config, plan.variant, adapted, plan.trajectory.tip)
         return FrameStages(tuple(self._cameras.values()), observer, PictureRecorder(self._plan.config))
 
     def run(self, pipeline: FramePipeline, open_record: OpenRecord) -> Outcome:
@@ -185,7 +187,9 @@ class _VirtualRun:
             raise failures[0]
         ticks, self._unseen = self._samples.recent(self._unseen), 0
         weight_kg = self._plan.trajectory.weight_kg(protocol_s)
-        samples = FrameSamples(ticks["t_ns"].copy(), ticks["measured_pa"].copy(), protocol_s, weight_kg)
+        samples = FrameSamples(
+            ticks["t_ns"].copy(), ticks["measured_pa"].copy(), protocol_s, weight_kg, ticks["protocol_s"].copy()
+        )
         self._pipeline.submit(frame, t_ns, exposures, samples)
 
     def _flush(self, in_flight: int = FRAMES_IN_FLIGHT) -> None:

@@ -36,13 +36,14 @@ _CLOSED = (EOFError, OSError)
 @dataclass(frozen=True)
 class FrameSamples:
     """What the observer needs beside the pictures: the samples `t_ns` (k,), `measured_pa` (k, N) since the last frame
-    set, the protocol time and the weight on the end cap.
+    set and their protocol times, the protocol time of the newest one and the weight on the end cap.
     """
 
     t_ns: NDArray[np.int64]
     measured_pa: NDArray[np.float64]
     protocol_s: float
     weight_kg: float
+    protocol_times_s: NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -97,8 +98,9 @@ class FrameStages:
     def measure(self, frame_set: FrameSet, samples: FrameSamples) -> FrameResult:
         """Measure the next frame set."""
         row = self._observer.step(
-            frame_set, samples.t_ns, samples.measured_pa, samples.protocol_s, 0, samples.weight_kg
-        )
+            frame_set, samples.t_ns, samples.measured_pa, samples.protocol_s, 0, samples.weight_kg,
+            samples.protocol_times_s,
+        )  # fmt: skip
         adaptation = self._observer.adaptation
         return FrameResult(
             row.tobytes(),

@@ -38,6 +38,12 @@ def simulator(journal: Journal) -> Group | None:
     return _group(journal, columns.Simulated, rows) if simulated else None
 
 
+def reference(journal: Journal) -> Group | None:
+    """Return the reference of the tip; None without one."""
+    rows = journal.observations
+    return _group(journal, columns.Reference, rows) if _some(rows, "reference_m") else None
+
+
 def adaptation(journal: Journal) -> Group | None:
     """Return the results of the recursive estimator; None without one."""
     adapted = journal.header.adapted

@@ -61,6 +61,7 @@ def groups(journal: Journal) -> tuple[Group, ...]:
             provenance.quantities(journal, "model", "every number of the model, as it was used"),
             column_groups.backbone(journal),
             column_groups.simulator(journal),
+            column_groups.reference(journal),
         )
         if group is not None
     )

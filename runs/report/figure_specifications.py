@@ -10,11 +10,14 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from runs.report import estimates_figure, figures, pictures
+from runs.report import estimates_figure, figures, pictures, reference_figure
 from runs.report.drawing import FigureSpecification
 from runs.report.numbers import plain
 from runs.run import Run
 from runs.summary import MOVED_MM, SETTLED_PART, Summary, settled_steps
+
+MOST_PERIODS = 12
+"""Periods of a tip path whose errors the caption lists."""
 
 Z_DOWN = "z points from the base along the hanging arm and is drawn downwards."
 
@@ -96,6 +99,21 @@ def _error(run: Run, summary: Summary) -> FigureSpecification | None:
     return FigureSpecification("error", "Error over time", figures.error, (9, 4.2 if run.simulated else 2.6))
 
 
+def _reference(run: Run, summary: Summary) -> FigureSpecification | None:
+    if run.reference is None or summary.tip_path is None:
+        return None
+    path = summary.tip_path
+    periods = (path.truth or path.measured).periods_mm
+    caption = (
+        "Dashed: the reference. Right: distance of the tip from it, in the controlled coordinates. The "
+        f"model's is that under the feed-forward set-points, {plain(path.predicted_mm, 3)} mm rms on the path."
+    )
+    if len(periods) > 1:
+        shown = ", ".join(plain(error, 3) for error in periods[:MOST_PERIODS])
+        caption += f" Rms of each period: {shown}{' ..' if len(periods) > MOST_PERIODS else ''} mm."
+    return FigureSpecification("reference", "Tip and reference", reference_figure.draw, (9, 4.6), caption)
+
+
 def _adaptation(run: Run, summary: Summary) -> FigureSpecification | None:
     if run.adaptation is None or not len(run.adaptation.time_s):
         return None
@@ -125,6 +143,7 @@ FIGURES: tuple[Callable[[Run, Summary], FigureSpecification | None], ...] = (
     _steps,
     _tip,
     _error,
+    _reference,
     _adaptation,
     _timing,
 )

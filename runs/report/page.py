@@ -152,6 +152,16 @@ def _tiles(s: Summary) -> str:
             (with_unit(s.truth.in_plane_mm.mean, "mm", 2), "the same in the plane of motion"),
             (with_unit(100 * s.truth.coverage, "%", 1), "frames whose truth lies in the stated 95 %"),
         ]
+    if s.tip_path is not None:
+        error, label = s.tip_path.measured, "measured tip to reference, rms"
+        if s.tip_path.truth is not None:
+            error, label = s.tip_path.truth, "simulated true tip to reference, rms"
+        tiles += [
+            (with_unit(error.rms_mm, "mm", 3), label),
+            (with_unit(error.lag_ms, "ms", 1), f"of it lag, {plain(error.lag_mm, 3)} mm"),
+            (with_unit(error.contour_mm, "mm", 3), "of it across the path"),
+            (with_unit(s.tip_path.measured.noise_mm, "mm", 3), "noise of the measured tip"),
+        ]
     shown = (
         f'<div class="tile"><b>{value}</b><span>{label}</span></div>' for value, label in tiles if DASH not in value
     )

@@ -1,0 +1,113 @@
+"""Error of the tip on its paths: measured, and for a simulated run true, minus reference.
+
+The error is split into three parts. *Lag*: the share along the path that a delay explains, the delay that fits best
+(least squares) times the reference's speed. *Contour*: across the path. *Noise*: what changes from frame to frame, by
+second differences, which a smooth error does not have.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from runs.run import Run
+
+Floats = NDArray[np.float64]
+NAN = float("nan")
+LEAST_FRAMES = 5
+MOVING_MM_S = 0.1
+
+
+@dataclass(frozen=True)
+class TipError:
+    """Root mean squares [mm] over the frames on a path, without its lead-in; NaN without data."""
+
+    rms_mm: float = NAN
+    max_mm: float = NAN
+    lag_ms: float = NAN
+    """Delay of the tip behind its reference; negative where it is ahead."""
+    lag_mm: float = NAN
+    contour_mm: float = NAN
+    noise_mm: float = NAN
+    periods_mm: tuple[float, ...] = ()
+    """Of each period, in order."""
+
+
+@dataclass(frozen=True)
+class TipErrorSummary:
+    """The tip paths of a run."""
+
+    measured: TipError
+    truth: TipError | None
+    """Against the simulator's tip; None for a run without one."""
+    predicted_mm: float
+    """Root mean square of the model's error under the feed-forward set-points, computed before the run."""
+
+
+def tip_error(run: Run) -> TipErrorSummary | None:
+    """Return the errors on the tip paths of a run; None for a run without one."""
+    reference = run.reference
+    if reference is None:
+        return None
+    target = reference.reference_mm
+    # A coordinate that is not controlled has no error.
+    free = np.isnan(target)
+    velocity = _velocity(run.tip.time_s, target, reference.motion)
+    path = reference.period > 0
+
+    def split(tip_mm: Floats) -> TipError:
+        off = np.where(free, 0.0, tip_mm - np.where(free, 0.0, target))
+        return _split(off, velocity, path & np.isfinite(tip_mm).all(axis=1), reference.motion, reference.period)
+
+    predicted = np.where(free, 0.0, reference.predicted_mm - np.where(free, 0.0, target))[path]
+    truth = None if run.simulated is None else split(run.simulated.tip_mm)
+    return TipErrorSummary(split(run.tip.measured_mm), truth, _rms(predicted))
+
+
+def _velocity(time_s: Floats, target_mm: Floats, motion: NDArray[np.int64]) -> Floats:
+    """Velocities (m, 3) [mm/s] of the reference; zero where it has none."""
+    velocity = np.zeros_like(target_mm)
+    for number in range(1, int(motion.max(initial=0)) + 1):
+        rows = np.flatnonzero(motion == number)
+        if len(rows) > 2:
+            velocity[rows] = np.nan_to_num(np.gradient(target_mm[rows], time_s[rows], axis=0))
+    return velocity
+
+
+def _split(
+    off_mm: Floats,
+    velocity: Floats,
+    path: NDArray[np.bool_],
+    motion: NDArray[np.int64],
+    period: NDArray[np.int64],
+) -> TipError:
+    if path.sum() < LEAST_FRAMES:
+        return TipError()
+    off, rate = off_mm[path], velocity[path]
+    speed = np.linalg.norm(rate, axis=1)
+    moving = speed > MOVING_MM_S
+    squares = float((speed[moving] ** 2).sum())
+    lag_s = -float((off[moving] * rate[moving]).sum()) / squares if squares else NAN
+    along = np.zeros(len(off))
+    along[moving] = (off[moving] * rate[moving]).sum(axis=1) / speed[moving]
+    across = np.sqrt(np.maximum((off**2).sum(axis=1) - along**2, 0.0))
+    changes = off[2:] - 2 * off[1:-1] + off[:-2]
+    passes = sorted({(int(m), int(p)) for m, p in zip(motion[path], period[path], strict=True)})
+    each = tuple(_rms(off_mm[path & (motion == m) & (period == p)]) for m, p in passes)
+    return TipError(
+        rms_mm=_rms(off),
+        max_mm=float(np.linalg.norm(off, axis=1).max()),
+        lag_ms=1e3 * lag_s,
+        lag_mm=abs(lag_s) * float(np.sqrt(np.mean(speed**2))) if squares else 0.0,
+        contour_mm=float(np.sqrt(np.mean(across**2))),
+        # White noise of variance s^2 in each frame gives second differences of variance 6 s^2.
+        noise_mm=_rms(changes) / np.sqrt(6.0),
+        periods_mm=each,
+    )
+
+
+def _rms(rows: Floats) -> float:
+    """Root mean square of the lengths of rows (n, 3)."""
+    return float(np.sqrt(np.mean((rows**2).sum(axis=1)))) if len(rows) else NAN

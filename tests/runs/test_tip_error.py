@@ -1,0 +1,124 @@
+"""Errors on tip paths: their parts, and the archive of a run with a tip path."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import protocols
+import runs
+from rig.config.loader import read
+from rig.experiment import run as experiment
+from rig.experiment.simulate import simulate
+from runs.columns import Reference, Simulated, Tip
+from runs.run import Run
+from runs.tip_error import tip_error
+
+FRAMES_HZ = 60
+
+
+class MadeRun:
+    """A run whose tip lags behind a circle, at another radius and with noise."""
+
+    def __init__(self, lag_s: float, radius_mm: float, noise_mm: float, free: int | None = None) -> None:
+        t = np.arange(0, 5, 1 / FRAMES_HZ)
+        rng = np.random.default_rng(1)
+
+        def circle(time_s: np.ndarray, radius: float) -> np.ndarray:
+            turn = 2 * np.pi * time_s
+            return np.column_stack([radius * np.cos(turn), radius * np.sin(turn), np.full(len(time_s), 190.0)])
+
+        target = circle(t, 20)
+        tip = circle(t - lag_s, radius_mm)
+        period = np.where(t < 1, 0, t.astype(int))
+        if free is not None:
+            target[:, free] = np.nan
+            tip[:, free] += 7
+        values = {"time_s": t, "measured_mm": tip + noise_mm * rng.standard_normal(tip.shape)}
+        self.tip = Tip(values)
+        self.simulated = Simulated({"time_s": t, "tip_mm": tip})
+        ones = np.ones(len(t), int)
+        self.reference = Reference(
+            {"reference_mm": target, "predicted_mm": target + 0.01, "motion": ones, "period": period}
+        )
+
+
+def error_of(made: MadeRun) -> runs.tip_error.TipErrorSummary:
+    found = tip_error(made)  # type: ignore[arg-type]
+    assert found is not None
+    return found
+
+
+def test_a_delay_is_lag_and_another_radius_is_across_the_path() -> None:
+    late = error_of(MadeRun(0.01, 20, 0)).truth
+    assert late is not None
+    assert late.lag_ms == pytest.approx(10, rel=0.01)
+    assert late.lag_mm == pytest.approx(late.rms_mm, rel=0.01)
+    assert late.contour_mm < 0.05
+    wide = error_of(MadeRun(0, 20.5, 0)).truth
+    assert wide is not None
+    assert wide.rms_mm == pytest.approx(0.5, rel=1e-3)
+    assert wide.contour_mm == pytest.approx(0.5, rel=0.02)
+    assert wide.lag_mm < 0.02
+
+
+def test_noise_is_that_of_the_measurement_and_not_of_the_truth() -> None:
+    found = error_of(MadeRun(0.01, 20.3, 0.05))
+    assert found.truth is not None
+    assert found.measured.noise_mm == pytest.approx(0.05 * np.sqrt(3), rel=0.1)
+    assert found.truth.noise_mm < 0.01
+    assert found.predicted_mm == pytest.approx(0.01 * np.sqrt(3))
+
+
+def test_the_lead_in_does_not_count_and_each_period_has_its_error() -> None:
+    made = MadeRun(0, 20, 0)
+    made.simulated.tip_mm[:FRAMES_HZ] += 50
+    made.simulated.tip_mm[2 * FRAMES_HZ : 3 * FRAMES_HZ, 2] += 1
+    truth = error_of(made).truth
+    assert truth is not None
+    assert truth.periods_mm == pytest.approx((0, 1, 0, 0), abs=1e-9)
+    assert truth.max_mm == pytest.approx(1)
+
+
+def test_a_coordinate_that_is_not_controlled_has_no_error() -> None:
+    truth = error_of(MadeRun(0, 20, 0, free=1)).truth
+    assert truth is not None
+    assert truth.rms_mm == pytest.approx(0, abs=1e-9)
+
+
+@pytest.fixture(scope="module")
+def archive(tmp_path_factory: pytest.TempPathFactory) -> Run:
+    folder = tmp_path_factory.mktemp("tip")
+    path = folder / "short.yaml"
+    circle = {"centre_mm": [0, 0, 190], "radius_mm": 15, "period_s": 1, "periods": 2}
+    steps = [{"hold": {"duration_s": 0.5}}, {"tip": {"circle": circle, "lead_in_s": 2}}]
+    path.write_text(protocols.from_steps("A short circle", steps).text)
+    request = experiment.request(str(path), "mock-3", folder=folder)
+    assert Path(read("mock-3").file).exists()
+    return runs.open(simulate(request, experiment.plan(request), static=False))
+
+
+def test_an_archive_has_reference_prediction_and_place_on_the_path(archive: Run) -> None:
+    reference = archive.reference
+    assert reference is not None
+    t = archive.tip.protocol_s
+    lead_in, path = (t > 0.51) & (t < 2.49), t > 2.51
+    assert np.isnan(reference.reference_mm[t < 0.49]).all()
+    assert set(reference.period[lead_in]) == {0}
+    assert set(reference.motion[lead_in | path]) == {1}
+    assert sorted(set(reference.period[path])) == [1, 2]
+    radius = np.linalg.norm(reference.reference_mm[path, :2], axis=1)
+    assert radius == pytest.approx(15, abs=1e-3)
+    # The archive of `rig simulate` has the model's tip under the same set-points, with the camera's time steps.
+    assert np.abs(reference.predicted_mm[path] - archive.tip.model_mm[path]).max() < 0.3
+
+
+def test_a_run_without_a_tip_path_has_no_reference(tmp_path: Path) -> None:
+    path = tmp_path / "still.yaml"
+    path.write_text(protocols.from_steps("still", [{"hold": {"duration_s": 0.2}}]).text)
+    request = experiment.request(str(path), "mock-3", folder=tmp_path)
+    still = runs.open(simulate(request, experiment.plan(request), static=False))
+    assert still.reference is None
+    assert tip_error(still) is None
