@@ -12,7 +12,7 @@ from typing import Annotated, Any, NoReturn
 
 import typer
 
-from rig.cli import annotate, archives, calibrate, completion, design, drivers, identify, init, reproduce
+from rig.cli import annotate, archives, calibrate, completion, design, drivers, identify, init, reproduce, workspace
 from rig.cli.address_space import EstimationCommand, NumericalCommand, PlottingCommand
 from rig.cli.completion import DATA
 from rig.cli.help_formatter import HelpFormatter, HelpGroup
@@ -255,6 +255,8 @@ def check(protocol: ProtocolName, settings: Settings = None, rig: RigName = None
         screen = console()
         screen.print(run_output.check_screen(request, decided))
         screen.print(run_output.sketch(decided, screen.width))
+        if decided.trajectory.tip:
+            screen.print(run_output.tip_paths(decided))
         screen.print(run_output.verdict(request), soft_wrap=not screen.is_terminal)
 
 
@@ -363,6 +365,7 @@ app.command(cls=PlottingCommand)(archives.report)
 app.command(cls=NumericalCommand)(archives.replay)
 app.command("import", cls=NumericalCommand)(archives.import_)
 app.command(cls=NumericalCommand)(reproduce.reproduce)
+app.command(cls=PlottingCommand)(workspace.workspace)
 app.command()(init.init)
 app.command()(drivers.drivers)
 app.command("test-driver")(drivers.check_drivers)

@@ -71,6 +71,7 @@ def _file(default: str | bool) -> Any:
 OutputFile = Annotated[Path, _file(True)]
 DatedFile = Annotated[Path | None, _file("a dated name")]
 ParametersFile = Annotated[Path | None, _file("none; with --rig-file: beside it")]
+DrawingFile = Annotated[Path | None, _file("no drawing")]
 ReportFile = Annotated[Path | None, _file("beside the first archive")]
 
 Format = Annotated[str, typer.Option("--format", help="Format of the output.")]

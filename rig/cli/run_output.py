@@ -117,9 +117,19 @@ def check_json(request: RunRequest, plan: Plan) -> str:
             "prompts": len(plan.trajectory.prompts),
             "peak_bar": peak_bar(plan),
             "limit_bar": request.config.limits.pressure_bar,
+            **_tip_paths_json(plan),
         },
         indent=2,
     )
+
+
+def _tip_paths_json(plan: Plan) -> dict[str, object]:
+    """Return the assessments of the tip paths; nothing for a protocol without any."""
+    if not plan.trajectory.tip:
+        return {}
+    from rig.tip_planning.assessment import assess
+
+    return {"tip_paths": [asdict(path) for path in assess(plan.config, plan.trajectory, plan.variant)]}
 
 
 def sketch(plan: Plan, width: int, height: int = 10) -> Text:
@@ -142,6 +152,29 @@ def sketch(plan: Plan, width: int, height: int = 10) -> Text:
     lines.append(" " * 11 + "0 s" + end.rjust(columns - 3))
     lines += [f"{numbers[0]}: actuators {', '.join(map(str, numbers))}" for numbers in alike.values() if numbers[1:]]
     return Text("\n".join(lines), no_wrap=True, overflow="crop")
+
+
+def tip_paths(plan: Plan) -> Table:
+    """Return margins and expected errors of the tip paths."""
+    from rig.tip_planning.assessment import assess
+
+    table = Table(box=None, show_header=False, padding=(0, 2, 0, 0))
+    table.add_column()
+    table.add_column(overflow="fold")
+    for path in assess(plan.config, plan.trajectory, plan.variant):
+        causes = ", ".join(f"{name} {error:.2g}" for name, error in path.causes)
+        table.add_row("tip path", f"{path.label}: up to {path.fastest_mm_s:.1f} mm/s")
+        table.add_row(
+            "margins",
+            f"{path.low_margin_bar:.3f} bar to 0, {path.high_margin_bar:.3f} bar to the limit, "
+            f"{path.rate_margin_bar_s:.2f} bar/s; another arm needs +-{path.pressure_std_bar:.3f} bar (one sigma)",
+        )
+        table.add_row(
+            "expected",
+            f"tip error {path.expected_error_mm:.2g} mm (one sigma, without feedback; {causes} mm); "
+            f"of the model {path.model_error_mm:.3f} mm",
+        )
+    return table
 
 
 def confirm(screen: Console) -> bool:

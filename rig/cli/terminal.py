@@ -190,7 +190,7 @@ def _error_mm(progress: Progress) -> float:
 def _path_error_mm(row: NDArray[np.void]) -> float:
     """Distance from the reference in the controlled coordinates; NaN without a reference."""
     off = row["measured_m"] - row["reference_m"]
-    return 1e3 * float(np.sqrt(np.nansum(off**2))) if np.isfinite(off).any() else float("nan")
+    return 1e3 * float(np.sqrt(np.nansum(off**2))) if np.isfinite(off).any() and row["tip_motion"] else float("nan")
 
 
 def _line(progress: Progress) -> str:

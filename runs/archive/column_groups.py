@@ -41,7 +41,8 @@ def simulator(journal: Journal) -> Group | None:
 def reference(journal: Journal) -> Group | None:
     """Return the reference of the tip; None without one."""
     rows = journal.observations
-    return _group(journal, columns.Reference, rows) if _some(rows, "reference_m") else None
+    some = any(bool(chunk["tip_motion"].any()) for chunk in row_chunks(rows))
+    return _group(journal, columns.Reference, rows) if some else None
 
 
 def adaptation(journal: Journal) -> Group | None:

@@ -56,7 +56,9 @@ def stored(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[tuple[in
     )
     writer = JournalWriter(source, header)
     writer.samples(np.zeros(SIZES["N"], sample_dtype(SIZES["A"], SIZES["V"])))
-    writer.observations(np.zeros(SIZES["M"], observation_dtype(SIZES["A"], SIZES["C"])))
+    observations = np.zeros(SIZES["M"], observation_dtype(SIZES["A"], SIZES["C"]))
+    observations["tip_motion"] = 1
+    writer.observations(observations)
     writer.adaptations(np.zeros(SIZES["M"], adaptation_dtype(SIZES["P"])))
     for index in range(SIZES["K"]):
         writer.picture(made_up.picture(index))

@@ -1,0 +1,66 @@
+"""What the tip can reach, and what a path asks of a rig."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import protocols
+from model.inverse.reachable import nearest_reachable
+from rig.cli.app import app
+from rig.config.arm_model import model_arm
+from rig.config.loader import load
+from rig.tip_planning.assessment import assess
+from rig.tip_planning.inverse import RigTipInverse, drive_of
+from rig.tip_planning.workspace import workspace
+
+RIG = load("mock-3")
+
+
+def test_sections_agree_with_the_nearest_reachable_points() -> None:
+    space = workspace(RIG)
+    section = space.sections[2]
+    arm, drive = model_arm(RIG), drive_of(RIG)
+    rng = np.random.default_rng(5)
+    for _ in range(8):
+        i, k = int(rng.integers(4, len(section.radii_mm))), int(rng.integers(len(section.angles_rad)))
+        angle = section.angles_rad[k]
+        x, y = section.radii_mm[i] * np.cos(angle), section.radii_mm[i] * np.sin(angle)
+        distance = nearest_reachable(arm, drive, 1e-3 * np.array([x, y, section.height_mm])).distance_m
+        # The cells of the grid are straight: at the very edge they may differ from the arm.
+        assert distance < 1e-3 if section.reached[i, k] else distance > 1e-5
+
+
+def test_a_rig_with_two_valves_has_a_surface_and_no_sections() -> None:
+    space = workspace(load("mock"))
+    assert space.sections == ()
+    assert np.abs(space.tip_mm[:, 1]).max() < 0.01
+
+
+def test_the_command_draws_what_can_be_reached_and_refuses_other_files(tmp_path: Path) -> None:
+    to = tmp_path / "reach.png"
+    done = CliRunner().invoke(app, ["workspace", "--rig", "mock-3", "--to", str(to), "--json"])
+    assert done.exit_code == 0
+    assert json.loads(done.stdout)["sections"][2]["farthest_mm"] > 50
+    assert to.read_bytes().startswith(b"\x89PNG")
+    assert CliRunner().invoke(app, ["workspace", "--rig", "mock-3", "--to", str(to)]).exit_code == 2
+    assert CliRunner().invoke(app, ["workspace", "--rig", "mock-3", "--to", "reach.txt"]).exit_code == 2
+
+
+def test_margins_are_those_of_the_set_points_and_a_stated_uncertainty_lowers_the_expected_error() -> None:
+    trajectory = protocols.load("tip-circle", {"period_s": 2, "periods": 2}).expand(3, RigTipInverse(RIG))
+    (path,) = assess(RIG, trajectory)
+    motion = trajectory.tip.motions[0]
+    levels = trajectory.sample(np.arange(motion.path_s, motion.stop_s, 0.01)) / 1e5
+    assert path.low_margin_bar == pytest.approx(levels.min(), abs=1e-3)
+    assert path.high_margin_bar == pytest.approx(0.7 - levels.max(), abs=1e-3)
+    assert path.fastest_mm_s == pytest.approx(20 * np.pi, rel=1e-3)
+    assert path.causes[0][0] == "inner_radius_m"
+    uncertain = RIG.uncertainties.model_copy(update={"inner_radius_mm": 0.05})
+    (known,) = assess(RIG.model_copy(update={"uncertainties": uncertain}), trajectory)
+    assert known.expected_error_mm < 0.6 * path.expected_error_mm
+    assert known.pressure_std_bar < path.pressure_std_bar
