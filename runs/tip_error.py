@@ -7,6 +7,7 @@ second differences, which a smooth error does not have.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -103,7 +104,7 @@ def _split(
         lag_mm=abs(lag_s) * float(np.sqrt(np.mean(speed**2))) if squares else 0.0,
         contour_mm=float(np.sqrt(np.mean(across**2))),
         # White noise of variance s^2 in each frame gives second differences of variance 6 s^2.
-        noise_mm=_rms(changes) / np.sqrt(6.0),
+        noise_mm=_rms(changes) / math.sqrt(6.0),
         periods_mm=each,
     )
 

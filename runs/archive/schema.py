@@ -203,4 +203,5 @@ def _rows(kind: np.dtype[np.void], count: int) -> StoredRows:
     index = Index()
     if count:
         index.add(0, count)
-    return StoredRows(memoryview(bytes(count * kind.itemsize)), kind, kind, index)
+    # No field is zero, which some groups take for absent.
+    return StoredRows(memoryview(b"\x01" * (count * kind.itemsize)), kind, kind, index)
