@@ -1,6 +1,6 @@
 # The two commands: `make run` (the paper's experiment on the mock rig) and `make test`.
 .DEFAULT_GOAL := help
-.PHONY: help run test test-realtime test-hardware fuzz strikes faults soak comedi lint lock clean
+.PHONY: help run test test-realtime test-hardware test-board fuzz strikes faults soak comedi lint lock clean
 
 VENV := .venv
 BIN := $(VENV)/bin
@@ -17,6 +17,7 @@ help:
 	@echo "make lint   only the formatter, linter and type checker"
 	@echo "make comedi build and install the binding to Comedi cards"
 	@echo "make test-hardware  drive a card and a camera of a real kernel, in a virtual machine"
+	@echo "make test-board  drive an emulated Advantech board by its real driver, in a virtual machine"
 	@echo "make strikes  two more faults in that virtual machine (five minutes)"
 	@echo "make faults  every way a run can fail, at random moments; writes docs/validation/reliability.md (hours)"
 	@echo "make soak    an hour in real time and a day in virtual time, watched for leaks (hours)"
@@ -52,6 +53,9 @@ comedi: $(STAMP)
 test-hardware: comedi
 	$(BIN)/python -m pytest tests/rig/hardware/test_comedi_device.py
 	@bash scripts/vm/test.sh $(VENV)
+
+test-board: comedi
+	@bash scripts/vm/board.sh $(VENV)
 
 strikes: comedi
 	@bash scripts/vm/test.sh $(VENV) tests/hardware/strikes.py

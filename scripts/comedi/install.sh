@@ -1,8 +1,9 @@
 #!/bin/sh
 # Builds pycomedi 0.9 from its source distribution and installs it into the virtual environment $1.
 #
-# The sources of 2015 declare no build requirements, need Cython 0.29, and have one line that this Cython refuses:
-# a declaration that differs from its own header. That line is mended here. Doing it twice does nothing.
+# The sources of 2015 declare no build requirements, need Cython 0.29, and have two lines to mend: a declaration that
+# differs from its own header, which this Cython refuses, and a buffered file on the device, which Python 3 refuses
+# where the device cannot seek, as those of Linux-Comedi. Doing it twice does nothing; an older build is replaced.
 set -eu
 venv=$1
 python=$venv/bin/python
@@ -78,14 +79,19 @@ fetched "$build" -m pip download --disable-pip-version-check --no-deps --no-bina
     --require-hashes --dest "$work" -r "$here/requirements.txt"
 tar -xzf "$work/pycomedi-0.9.tar.gz" -C "$work"
 
+mend() {
+    sed -i "s/$2/$3/" "$work/pycomedi-0.9/pycomedi/$1"
+    if ! grep -q "$3" "$work/pycomedi-0.9/pycomedi/$1"; then
+        echo "make comedi: the line to mend in pycomedi/$1 is not there" >&2
+        exit 1
+    fi
+}
 declaration='get_comedi_cmd_pointer(self)'
-sed -i "s/$declaration except \*:/$declaration:/" "$work/pycomedi-0.9/pycomedi/command.pyx"
-if ! grep -q "$declaration:" "$work/pycomedi-0.9/pycomedi/command.pyx"; then
-    echo "make comedi: the line to mend in pycomedi/command.pyx is not there" >&2
-    exit 1
-fi
+mend command.pyx "$declaration except \*:" "$declaration:"
+mend device.pyx "fdopen(self.fileno(), 'r+')" "fdopen(self.fileno(), 'r+b', 0)"
+mend __init__.py "'0.9'" "'0.9.post1'"
 quietly "$build" -m pip wheel --disable-pip-version-check --no-deps --no-build-isolation --wheel-dir "$work" "$work/pycomedi-0.9"
-quietly "$python" -m pip install --disable-pip-version-check --no-deps --force-reinstall "$work"/pycomedi-0.9-*.whl
+quietly "$python" -m pip install --disable-pip-version-check --no-deps --force-reinstall "$work"/pycomedi-0.9.post1-*.whl
 if ! installed; then
     echo "pycomedi was built and cannot be imported, for the reason above" >&2
     exit 1

@@ -24,6 +24,8 @@ from rig.hardware.cards import comedi_constants
 from rig.hardware.cards.base import CardBusyError, CardError
 from rig.hardware.cards.kernel_devices import processes_with
 
+_BUILD = "0.9.post1"
+"""What scripts/comedi/install.sh makes of pycomedi 0.9."""
 _ROUNDINGS = 8
 """Number of times that a driver may round a command before it must accept it."""
 
@@ -256,7 +258,7 @@ class _Names:
         before = sys.modules.get("comedi")
         sys.modules["comedi"] = comedi_constants
         try:
-            from pycomedi import PyComediError
+            from pycomedi import PyComediError, __version__
             from pycomedi.channel import AnalogChannel
             from pycomedi.command import Command
             from pycomedi.constant import AREF, SUBDEVICE_TYPE, UNIT
@@ -269,6 +271,11 @@ class _Names:
                 del sys.modules["comedi"]
             else:
                 sys.modules["comedi"] = before
+        if __version__ != _BUILD:
+            raise CardError(
+                f"pycomedi is build {__version__}, which cannot open every card; softrig needs {_BUILD}",
+                "run `make comedi` in softrig's folder",
+            )
         self.PyComediError = PyComediError
         self.AnalogChannel = AnalogChannel
         self.Command = Command

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 from rig.hardware.cards.base import CardError
@@ -75,4 +76,6 @@ def _lines(subdevice: Subdevice | None) -> SubdeviceSurvey | None:
         offers = [subdevice.prepare([first], timing) for timing in timings(*subdevice.triggers(), 1, 1)]
         periods = [offer.period_ns(1) for offer in offers if offer is not None]
         fastest = 1e9 / min(periods) if periods else None
-    return SubdeviceSurvey(subdevice.channels, first.max_raw.bit_length(), subdevice.ranges(0), fastest)
+    # A range of an external reference is in no unit.
+    in_volts = tuple(span for span in subdevice.ranges(0) if not math.isnan(span[0]))
+    return SubdeviceSurvey(subdevice.channels, first.max_raw.bit_length(), in_volts, fastest)

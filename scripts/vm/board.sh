@@ -1,0 +1,69 @@
+#!/bin/bash
+# Runs tests/board: an Advantech board emulated at register level, driven by its real driver in a virtual machine.
+#
+#   board.sh VENV [PYTEST ARGUMENT..]
+#
+# Without more it is a PCI-1711 under the driver of Debian's kernel. SOFTRIG_LINUX_COMEDI names a folder with comedi.ko
+# and adv_pci1710.ko of Linux-Comedi, built for the kernel in $SOFTRIG_VM_CACHE/release: then it is a PCI-1716.
+# The exit status is pytest's; 3 where the guest never came to run it.
+set -euo pipefail
+here=$(cd "$(dirname "$0")" && pwd)
+checkout=$(cd "$here/../.." && pwd)
+venv=$(cd "$1" && pwd)
+shift
+cache=$(realpath -m "${SOFTRIG_VM_CACHE:-$checkout/.vm}")
+drivers=${SOFTRIG_LINUX_COMEDI:+$(realpath "$SOFTRIG_LINUX_COMEDI")}
+board=pci1711
+for module in ${drivers:+comedi adv_pci1710}; do
+    board=pci1716
+    if [ ! -e "$drivers/$module.ko" ]; then
+        echo "softrig: SOFTRIG_LINUX_COMEDI names $drivers, which has no $module.ko" >&2
+        exit 2
+    fi
+done
+
+bash "$here/prepare.sh" "$cache"
+release=$(cat "$cache/release")
+program=$(bash "$here/pci1716/build.sh" "$cache")
+out=$cache/board-out
+rm -rf "$out"
+mkdir -p "$out"
+cat >"$out/job" <<END
+release=$release
+cache='$cache'
+checkout='$checkout'
+python='$venv/bin/python'
+board=$board
+drivers='$drivers'
+arguments='$(printf '%q ' "${@:-$checkout/tests/board}")'
+END
+cp "$here/pci1716/guest.sh" "$out/guest.sh"
+# An emulated machine would compile every module anew: its layer over this computer's files is forgotten.
+env -u PYTHONDONTWRITEBYTECODE "$venv/bin/python" -m compileall -q "$venv/lib" "$checkout"/{rig,model,runs,protocols,calibration,tests} \
+    >/dev/null || :
+
+# The monitor of the machine is at the end of the guest's own serial line ttyS1: its tests set voltages and faults.
+sockets=$(mktemp -d)
+machine=
+trap 'kill $machine 2>/dev/null || :; rm -rf "$sockets"' EXIT
+trap 'exit 143' INT TERM
+timeout "${SOFTRIG_VM_LIMIT_S:-1200}" "$program" -L /usr/share/qemu -L /usr/share/seabios \
+    -accel tcg,thread=single -cpu Nehalem -M q35 -smp 2 -m "${SOFTRIG_VM_MEMORY_MIB:-1024}" \
+    -nodefaults -no-reboot -display none -device "$board,id=board" -serial "file:$cache/board-console" \
+    -chardev "socket,id=monitor,path=$sockets/monitor,server=on,wait=off" -mon chardev=monitor,mode=control \
+    -chardev "socket,id=line,path=$sockets/monitor" -serial chardev:line \
+    -kernel "$cache/kernel/boot/vmlinuz-$release" -initrd "$cache/initrd" -append "console=ttyS0 quiet panic=-1" \
+    -fsdev "local,path=/,security_model=none,readonly=on,multidevs=remap,id=root" \
+    -device virtio-9p-pci,fsdev=root,mount_tag=root \
+    -fsdev "local,path=$out,security_model=none,id=out" -device virtio-9p-pci,fsdev=out,mount_tag=out &
+machine=$!
+touch "$out/log"
+tail -n +1 -f --pid=$machine "$out/log" &
+wait $machine || :
+wait
+if [ ! -e "$out/status" ]; then
+    echo "softrig: the virtual machine ended without a result; the end of its console:" >&2
+    tail -n 20 "$cache/board-console" >&2
+    exit 3
+fi
+exit "$(cat "$out/status")"

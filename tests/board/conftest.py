@@ -1,0 +1,65 @@
+"""These tests drive an emulated board by its real driver: they run in the virtual machine of `make test-board` only."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from rig.hardware.cards.base import CardSetup, Channel
+from rig.hardware.cards.comedi import ComediCard
+from tests.board.monitor import Monitor
+
+CARD = "/dev/comedi0"
+OpenBoard = Callable[..., ComediCard]
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Skip outside the virtual machine, where the card is somebody's with valves on it."""
+    for item in items:
+        if Path(__file__).parent in item.path.parents and not os.environ.get("SOFTRIG_BOARD"):
+            item.add_marker(pytest.mark.skip(reason="part of make test-board"))
+
+
+@pytest.fixture(scope="session")
+def monitor() -> Iterator[Monitor]:
+    opened = Monitor()
+    yield opened
+    opened.close()
+
+
+@pytest.fixture
+def board(monitor: Monitor) -> Iterator[Monitor]:
+    """The board without faults, its driver loaded anew after the test if the test had one."""
+    yield monitor
+    for fault in ("hung", "irq-lost", "irq-stuck"):
+        monitor.set(fault, value=False)
+    monitor.set("open-inputs", 0)
+    for channel in range(16):
+        monitor.set(f"ai{channel}", 0.0)
+
+
+@pytest.fixture
+def open_board() -> Iterator[OpenBoard]:
+    """Open the board; it is closed after the test."""
+    cards: list[ComediCard] = []
+
+    def open_(inputs: tuple[int, ...] = (), sampling_hz: float = 1000.0, acquisition: str = "auto") -> ComediCard:
+        lines = tuple(Channel(number, -10.0, 10.0) for number in inputs)
+        outputs = (Channel(0, 0.0, 10.0), Channel(1, 0.0, 10.0))
+        card = ComediCard(CardSetup("daq", CARD, lines, outputs, sampling_hz, acquisition))  # type: ignore[arg-type]
+        cards.append(card)
+        return card
+
+    yield open_
+    for card in cards:
+        card.close()
+
+
+def reload_driver() -> None:
+    """Unload the board's driver and load it again."""
+    subprocess.run(["rmmod", "adv_pci1710"], check=True)
+    subprocess.run(os.environ["SOFTRIG_BOARD_LOAD"].split(), check=True)
