@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from rig.cli.options import AsJson, Free, OutputFile, Replace, RigName
+from rig.cli.options import AsJson, Free, OutputFile, Replace, RigName, Seed
 
 Duration = Annotated[float, typer.Option("--duration-s", metavar="S", help="Longest duration of the protocol.")]
 Criterion = Annotated[
@@ -16,7 +16,6 @@ Criterion = Annotated[
         "--criterion", metavar="NAME", help="d: smallest confidence volume; minimax: smallest largest error bar."
     ),
 ]
-DesignSeed = Annotated[int, typer.Option("--seed", help="Seed of the search's random starts.", min=0)]
 
 
 def design(
@@ -24,7 +23,7 @@ def design(
     rig: RigName = None,
     duration_s: Duration = 60.0,
     criterion: Criterion = "d",
-    seed: DesignSeed = 0,
+    seed: Seed = 0,
     to: OutputFile = Path("design.yaml"),
     replace: Replace = False,
     json: AsJson = False,

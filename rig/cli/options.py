@@ -29,7 +29,7 @@ ViewedRig = Annotated[str | None, _rig("none; --capture: as for rig run")]
 
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON, for scripts.")]
 Fast = Annotated[bool, typer.Option("--fast", help="Virtual time; simulated rigs only.")]
-Seed = Annotated[int, typer.Option("--seed", help="Seed of the simulator.", min=0)]
+Seed = Annotated[int, typer.Option("--seed", help="Seed of the random numbers.", min=0)]
 Yes = Annotated[bool, typer.Option("--yes", help="Arm without asking.")]
 Operator = Annotated[str, typer.Option("--operator", help="Name of the operator; stored in the archive.")]
 Note = Annotated[str, typer.Option("--note", help="A remark; stored in the output file.")]
