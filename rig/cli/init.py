@@ -61,6 +61,7 @@ class Template(StrEnum):
 
     MOCK = "mock"
     MOCK_3 = "mock-3"
+    MOCK_IDEAL = "mock-ideal"
     MOCK_NO_CAMERA = "mock-no-camera"
     MOCK_STEREO = "mock-stereo"
     PCI1716 = "pci1716"

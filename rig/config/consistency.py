@@ -308,11 +308,15 @@ def _simulated_cameras(cameras: Cameras, simulator: Simulator | None) -> Iterato
 
 
 def _simulated_arm(arm: ArmConfig, simulator: Simulator | None) -> Iterator[ValidationFault]:
-    if simulator is None or simulator.geometry is None:
+    if simulator is None:
+        return
+    count = len(arm.geometry.actuator_angles_deg)
+    for index, effect in _numbered(simulator.arm_effects):
+        yield from _below(("simulator", "arm_effects", index), effect.actuator_faults(count))
+    if simulator.geometry is None:
         return
     here = ("simulator", "geometry")
     yield from _below(here, _geometry(simulator.geometry))
-    count = len(arm.geometry.actuator_angles_deg)
     if len(simulator.geometry.actuator_angles_deg) != count:
         expected = f"{count} angles, as many as arm, geometry, actuator_angles_deg has"
         yield ValidationFault((*here, "actuator_angles_deg"), expected)

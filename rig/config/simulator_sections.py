@@ -17,6 +17,7 @@ from rig.config.sections import (
     Section,
     Sensor,
 )
+from rig.simulator.arm_effects.registry import ArmEffectEntry
 from rig.valves.base import SimulatedValve
 from rig.valves.registry import Valve
 
@@ -66,6 +67,10 @@ class Simulator(Section):
     scene: SimulatedScene | SkipJsonSchema[None] = Field(default=None, description="of the simulated cameras")
     material: MaterialConfig
     cap_mass_g: MassG
+    arm_effects: tuple[ArmEffectEntry, ...] = Field(
+        default=(),
+        description="what the arm does beyond the rod model, in the order in which they act on the pressures",
+    )
     camera_error: Placement = Field(default=Placement(), description="true camera placement beyond the stated one")
     camera_errors: dict[str, Placement] = Field(default={}, description="the same for the cameras that are named")
     built: AsBuiltSection | SkipJsonSchema[None] = Field(default=None, description="true parts; default: those stated")

@@ -53,7 +53,7 @@ def _archives(folder: Path) -> dict[str, Run]:
 
 
 def _simulated(folder: Path, name: str, seed: int) -> Run:
-    request = experiment.request(name, "mock", folder=folder, fast=True, seed=seed, report=False)
+    request = experiment.request(name, "mock-ideal", folder=folder, fast=True, seed=seed, report=False)
     result = experiment.run(request, experiment.plan(request), NullOperator())
     if result.archive is None or result.outcome.status is not Status.FINISHED:
         raise StartError(f"{name} could not be simulated: {result.outcome.message}")

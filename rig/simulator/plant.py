@@ -11,6 +11,7 @@ from model import NotConverged
 from model.dynamics import Dynamics
 from rig.config.arm_model import TipLoad, true_arm, true_geometry
 from rig.config.schema import RigConfig
+from rig.config.sections import PA_PER_BAR
 from rig.hardware.cards.base import CardError, Scans
 from rig.simulator import pneumatics
 from rig.simulator.converter import sixteen_bits
@@ -56,6 +57,7 @@ class Plant:
         self._bore_m2 = math.pi * (geometry.inner_radius_mm * 1e-3) ** 2
         self._dead_m3 = truth.chamber.dead_volume_ml * 1e-6
         self._dynamics = Dynamics(true_arm(config), ARM_STEP_S) if moving_arm else None
+        self._effects = [effect.effect(config.actuators, ARM_STEP_S) for effect in truth.arm_effects]
         lengths = np.full(config.actuators, geometry.length_mm * 1e-3)
         position, rotation = np.array([0.0, 0.0, lengths[0]]), np.eye(3)
         self._hook = TipLoad(config)
@@ -159,12 +161,22 @@ class Plant:
     def _move_arm(self) -> None:
         if self._dynamics is None:
             return
-        shape = self._dynamics.step(self.pressure_pa, self._loads)
+        shape = self._dynamics.step(self._effective_pa(), self._loads)
         # The chambers follow within the next step: the arm lags the air by one step, and the volume has no jumps.
         pneumatics.follow(
             shape.s_m, shape.v, shape.u, shape.actuator_xy_m, self._bore_m2, self._dead_m3, ARM_STEP_S, self._air
         )
         self._remember(self._step // ARM_STEPS, shape.tip_m, shape.tip_rotation)
+
+    def _effective_pa(self) -> NDArray[np.float64]:
+        """Pressures (N,) that give an arm without effects the push which the arm has now."""
+        pressure_pa = self.pressure_pa
+        if not self._effects:
+            return pressure_pa
+        pressure_bar = [pressure / PA_PER_BAR for pressure in pressure_pa.tolist()]
+        for effect in self._effects:
+            pressure_bar = effect.advance(pressure_bar)
+        return np.array(pressure_bar) * PA_PER_BAR
 
     def _remember(self, index: int, position: NDArray[np.float64], rotation: NDArray[np.float64]) -> None:
         if self._kept == len(self._poses):

@@ -23,11 +23,11 @@ Disturb = Callable[[float, Plant, Floats], Floats]
 
 TICK_NS = 5_000_000
 BEGIN_NS = 100_000_000
-MOCK = Path(rig.__file__).parent / "rigs" / "mock.yaml"
+MOCK = Path(rig.__file__).parent / "rigs" / "mock-ideal.yaml"
 
 
 def mock_rig(**changes: object) -> RigConfig:
-    """The mock rig with changed values; `simulator__valve__leakage_l_min=7` changes a nested one."""
+    """The rig mock-ideal with changed values; `simulator__valve__leakage_l_min=7` changes a nested one."""
     data: dict[str, Any] = copy.deepcopy(yaml.safe_load(MOCK.read_text()))
     for key, value in changes.items():
         *way, last = key.split("__")

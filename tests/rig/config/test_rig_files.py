@@ -40,7 +40,7 @@ def changed(*changes: tuple[str, str]) -> str:
     return written
 
 
-@pytest.mark.parametrize("name", ["mock", "mock-3", "mock-no-camera", "mock-stereo", "pci1716", "pci1716-2"])
+@pytest.mark.parametrize("name", ["mock", "mock-3", "mock-ideal", "mock-no-camera", "mock-stereo", "pci1716", "pci1716-2"])
 def test_a_rig_loads_by_name_and_by_path(name: str) -> None:
     config = load(name)
     assert config == load(path_of(name))
@@ -214,7 +214,7 @@ def test_an_unknown_rig_gets_the_names(name: str, meant: str) -> None:
         load(name)
     (problem,) = caught.value.problems
     assert problem.suggestion == meant
-    assert "mock, mock-3, mock-no-camera, mock-stereo, pci1716, pci1716-2" in problem.expected
+    assert "mock, mock-3, mock-ideal, mock-no-camera, mock-stereo, pci1716, pci1716-2" in problem.expected
 
 
 def test_a_real_file_is_read_by_its_path(tmp_path: Path) -> None:

@@ -51,7 +51,7 @@ class Prompt(NullOperator):
 def performed(folder: Path, text: str, seed: int) -> Run:
     file = folder / "protocol.yaml"
     file.write_text(text, encoding="utf-8")
-    request = experiment.request(str(file), "mock", folder=folder, fast=True, seed=seed, report=False)
+    request = experiment.request(str(file), "mock-ideal", folder=folder, fast=True, seed=seed, report=False)
     result = experiment.run(request, experiment.plan(request), Prompt())
     assert result.archive is not None
     return runs.open(result.archive)

@@ -1,0 +1,35 @@
+"""The interface of an effect: a section of the rig file, and the state that it advances with the plant's time.
+
+An effect turns the pressures of the chambers into the pressures that an ideal arm would need for the same push. The
+registry is part of the rig file's schema, so these modules must not import the compiler.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterator
+
+from protocols.validation import ValidationFault
+from rig.config.sections import Section
+
+
+class ArmEffect(ABC):
+    """An effect with its state; the state begins with a rested arm without pressure."""
+
+    @abstractmethod
+    def advance(self, pressure_bar: list[float]) -> list[float]:
+        """Advance by one step at the pressures (N,) [bar, gauge] of its end; return the effective pressures (N,)."""
+
+
+class ArmEffectSection(Section, ABC):
+    """An entry of `simulator: arm_effects:`. A subclass declares `type` as a Literal of its name."""
+
+    type: str
+
+    @abstractmethod
+    def effect(self, actuators: int, step_s: float) -> ArmEffect:
+        """A new state for an arm of so many actuators, which advances in steps of `step_s`."""
+
+    def actuator_faults(self, actuators: int) -> Iterator[ValidationFault]:
+        """What does not fit an arm of so many actuators."""
+        yield from ()

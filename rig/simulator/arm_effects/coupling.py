@@ -1,0 +1,32 @@
+"""Coupling of the chambers: a pressed chamber pushes on the walls of the others."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from rig.simulator.arm_effects.base import ArmEffect, ArmEffectSection
+
+
+class CouplingSection(ArmEffectSection):
+    """A share of the pressures of all other chambers acts in each."""
+
+    type: Literal["coupling"]
+    share: Annotated[float, Field(ge=-1, le=1, allow_inf_nan=False, strict=True)]
+
+    def effect(self, actuators: int, step_s: float) -> ArmEffect:
+        """It has no state."""
+        return Coupling(self.share)
+
+
+class Coupling(ArmEffect):
+    """P_i + c sum_{j != i} P_j."""
+
+    def __init__(self, share: float) -> None:
+        self._share = share
+
+    def advance(self, pressure_bar: list[float]) -> list[float]:
+        """Add the share of the others."""
+        common = self._share * sum(pressure_bar)
+        return [common + (1.0 - self._share) * pressure for pressure in pressure_bar]

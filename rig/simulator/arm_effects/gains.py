@@ -1,0 +1,40 @@
+"""Actuators of unequal strength."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from protocols.validation import ValidationFault
+from rig.simulator.arm_effects.base import ArmEffect, ArmEffectSection
+
+Gain = Annotated[float, Field(gt=0, le=10, allow_inf_nan=False, strict=True)]
+
+
+class GainsSection(ArmEffectSection):
+    """A factor on the push of each actuator."""
+
+    type: Literal["gains"]
+    gains: tuple[Gain, ...]
+
+    def effect(self, actuators: int, step_s: float) -> ArmEffect:
+        """It has no state."""
+        return Gains(self.gains)
+
+    def actuator_faults(self, actuators: int) -> Iterator[ValidationFault]:
+        """One gain for each actuator."""
+        if len(self.gains) != actuators:
+            yield ValidationFault(("gains",), f"{actuators} of them, one for each actuator")
+
+
+class Gains(ArmEffect):
+    """g_i P_i."""
+
+    def __init__(self, gains: tuple[float, ...]) -> None:
+        self._gains = gains
+
+    def advance(self, pressure_bar: list[float]) -> list[float]:
+        """Scale each pressure."""
+        return [gain * pressure for gain, pressure in zip(self._gains, pressure_bar, strict=True)]

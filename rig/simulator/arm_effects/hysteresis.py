@@ -1,0 +1,48 @@
+"""Rate-independent hysteresis of each actuator: friction between braid and wall."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from rig.config.sections import Section
+from rig.simulator.arm_effects.base import ArmEffect, ArmEffectSection
+
+
+class SlipElement(Section):
+    """A spring of relative stiffness `weight` in series with a slider that slips at `slip_bar`."""
+
+    weight: Annotated[float, Field(ge=0, le=1, allow_inf_nan=False, strict=True)]
+    slip_bar: Annotated[float, Field(gt=0, le=100, allow_inf_nan=False, strict=True)]
+
+
+class HysteresisSection(ArmEffectSection):
+    """Prandtl-Ishlinskii operator of stop elements (Maxwell-slip model), one for each actuator."""
+
+    type: Literal["hysteresis"]
+    elements: Annotated[tuple[SlipElement, ...], Field(min_length=1, max_length=16)]
+
+    def effect(self, actuators: int, step_s: float) -> ArmEffect:
+        """Relaxed elements; the step does not matter, because the effect does not depend on the rate."""
+        return Hysteresis(actuators, [(element.weight, element.slip_bar) for element in self.elements])
+
+
+class Hysteresis(ArmEffect):
+    """P - sum_k w_k s_k, where the stop s_k follows P within -r_k and r_k."""
+
+    def __init__(self, actuators: int, elements: list[tuple[float, float]]) -> None:
+        self._elements = [(weight, slip, [0.0] * actuators) for weight, slip in elements if weight]
+        self._before = [0.0] * actuators
+
+    def advance(self, pressure_bar: list[float]) -> list[float]:
+        """Move each stop with the change of pressure; subtract its force."""
+        out = list(pressure_bar)
+        for i, pressure in enumerate(pressure_bar):
+            change = pressure - self._before[i]
+            for weight, slip, stop in self._elements:
+                force = stop[i] + change
+                stop[i] = force = slip if force > slip else -slip if force < -slip else force
+                out[i] -= weight * force
+        self._before = list(pressure_bar)
+        return out

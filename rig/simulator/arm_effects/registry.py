@@ -1,0 +1,32 @@
+"""The effects that a rig file can name; one line here registers an effect."""
+
+from __future__ import annotations
+
+import functools
+import operator
+from typing import TYPE_CHECKING, Annotated
+
+from pydantic import Field
+
+from rig.simulator.arm_effects.base import ArmEffectSection
+from rig.simulator.arm_effects.coupling import CouplingSection
+from rig.simulator.arm_effects.creep import CreepSection
+from rig.simulator.arm_effects.gains import GainsSection
+from rig.simulator.arm_effects.hysteresis import HysteresisSection
+from rig.simulator.arm_effects.push import PushSection
+from rig.simulator.arm_effects.softening import SofteningSection
+
+ARM_EFFECTS: tuple[type[ArmEffectSection], ...] = (
+    CouplingSection,
+    CreepSection,
+    GainsSection,
+    HysteresisSection,
+    PushSection,
+    SofteningSection,
+)
+
+if TYPE_CHECKING:
+    ArmEffectEntry = ArmEffectSection
+else:
+    ArmEffectEntry = Annotated[functools.reduce(operator.or_, ARM_EFFECTS), Field(discriminator="type")]
+    """An entry of the rig file, of the registered effect that its key `type` names."""
