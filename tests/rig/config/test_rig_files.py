@@ -40,7 +40,9 @@ def changed(*changes: tuple[str, str]) -> str:
     return written
 
 
-@pytest.mark.parametrize("name", ["mock", "mock-3", "mock-ideal", "mock-no-camera", "mock-stereo", "pci1716", "pci1716-2"])
+@pytest.mark.parametrize(
+    "name", ["mock", "mock-3", "mock-ideal", "mock-no-camera", "mock-stereo", "pci1716", "pci1716-2"]
+)
 def test_a_rig_loads_by_name_and_by_path(name: str) -> None:
     config = load(name)
     assert config == load(path_of(name))

@@ -80,7 +80,7 @@ def test_a_replay_names_its_parent(lossless: Run, tmp_path: Path) -> None:
 
 
 def test_a_rig_with_other_actuators_is_refused(lossless: Run, tmp_path: Path) -> None:
-    text = loader.text("mock")
+    text = loader.text("mock-ideal")
     for three, two in (
         ("actuators: [2, 3]", "actuators: [2]"),
         ("  - {actuator: 3, card: daq, channel: 2}\n", ""),

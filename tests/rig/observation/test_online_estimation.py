@@ -38,7 +38,22 @@ def ran(folder: Path, seed: int, *more: str) -> Run:
     protocol.write_text(ONE_PERIOD)
     out = folder / f"out-{seed}-{len(more)}"
     with pytest.raises(SystemExit) as left:
-        main(["run", str(protocol), "--fast", "--yes", "--no-report", "--seed", str(seed), "--out", str(out), *more])
+        main(
+            [
+                "run",
+                str(protocol),
+                "--rig",
+                "mock-ideal",
+                "--fast",
+                "--yes",
+                "--no-report",
+                "--seed",
+                str(seed),
+                "--out",
+                str(out),
+                *more,
+            ]
+        )
     assert left.value.code == 0
     return Run(next(out.glob("*.h5")))
 
@@ -57,7 +72,7 @@ def test_the_live_error_is_at_least_halved_after_one_period(runs: list[Run]) -> 
 
 
 def test_estimates_are_within_their_own_bounds_of_the_simulated_arm(runs: list[Run]) -> None:
-    truth = Setup(true_arm(load("mock")))
+    truth = Setup(true_arm(load("mock-ideal")))
     for run in runs:
         found = run.adaptation
         assert found is not None

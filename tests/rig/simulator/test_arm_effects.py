@@ -41,7 +41,7 @@ PUSH_SUM = {"type": "push", "per_bar": 0.15, "pressure": "sum"}
 STILL = {"simulator__valve__leakage_l_min": 0.0, "simulator__valve__hysteresis_percent": 0.0}
 EVERY = [COUPLING, CREEP, GAINS, HYSTERESIS, PUSH, PUSH_SUM, SOFTENING]
 
-paths = st.lists(st.floats(0.0, 0.7), min_size=2, max_size=20)
+paths = st.lists(st.floats(0.0, 0.7), min_size=2, max_size=6)
 
 
 def played(effect: ArmEffect, pressure_bar: Floats) -> Floats:
@@ -89,7 +89,7 @@ def test_hysteresis_does_not_depend_on_the_rate(corners: list[float], points: in
 @given(paths)
 def test_the_energy_that_a_loop_dissipates_is_its_area_and_never_negative(corners: list[float]) -> None:
     """On a closed loop of pressure and elements: slipping at r_k dissipates w_k r_k |d play|."""
-    path = np.concatenate([along([0.7], 1), along(corners, 2000), along([0.7], 2000)])
+    path = np.concatenate([along([0.7], 1), along(corners, 200), along([0.7], 200)])
     effect, p = hysteresis(), path[:, 0]
     push = played(effect, path)[:, 0]
     play = np.zeros(2)
@@ -102,7 +102,7 @@ def test_the_energy_that_a_loop_dissipates_is_its_area_and_never_negative(corner
     # After the first return from 0.7 bar (sample 1) every slider stands at its limit; it does so again at the end.
     area = (0.5 * (p[2:] + p[1:-1]) * np.diff(push[1:])).sum()
     assert area > 0.0
-    assert area == pytest.approx(dissipated[2:].sum(), abs=2e-6)
+    assert area == pytest.approx(dissipated[2:].sum(), abs=1e-5)
 
 
 def test_a_large_loop_has_the_area_of_its_parallelogram() -> None:
