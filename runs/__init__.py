@@ -2,15 +2,30 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from runs.run import Run
 
+DATA = "data"
+"""Default folder of archives."""
+LAST = "last"
+"""Names the newest run."""
 
-def open(path: Path | str) -> Run:
-    """Open an archive; `ArchiveError` if it is not one. Imports HDF5 on the first call."""
+
+def open(name: Path | str) -> Run:
+    """Open an archive by path, by a run id or a unique part of one in `data/`, or by `last`, the newest run.
+
+    Imports HDF5 on the first call.
+
+    Raises:
+        ArchiveError: no archive matches, several do, or the file is not an archive.
+    """
+    from pathlib import Path
+
     from runs.run import Run
+    from runs.run_names import resolve
 
-    return Run(path)
+    return Run(resolve(Path(name)))

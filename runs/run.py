@@ -17,6 +17,7 @@ from runs.archive.fields import PA_PER_BAR, QUANTITY_GROUPS
 from runs.archive.provenance import metadata
 from runs.columns import Adaptation, Backbone, Pressure, Reference, Simulated, Table, Timing, Tip, Values
 from runs.records import Event, Interval, Level, Quantity, RecordedFile, RunHeader, Status
+from runs.summary import Summary, summarise
 from runs.table import TABLES, segments, table
 
 Floats = NDArray[np.float64]
@@ -105,6 +106,16 @@ class Run:
     def duration_s(self) -> float:
         """From start to end, waiting included."""
         return float(self._group("entry")["duration"])
+
+    @cached_property
+    def arm(self) -> dict[str, Quantity]:
+        """The parameters of the modelled arm by name, each with unit, source and uncertainty."""
+        return {quantity.name: quantity for quantity in self._quantities("model")}
+
+    @cached_property
+    def summary(self) -> Summary:
+        """Pressure tracking, error between model and measurement, and timing."""
+        return summarise(self)
 
     @cached_property
     def pressure(self) -> Pressure:

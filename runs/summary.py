@@ -10,14 +10,17 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from runs.columns import Tip
 from runs.records import DetectionStatus, Interval, Status
-from runs.run import Run
 from runs.tip_error import TipErrorSummary, tip_error
+
+if TYPE_CHECKING:
+    from runs.run import Run
 
 SETTLED_PART = 0.3
 BAND_BAR = 0.01

@@ -9,11 +9,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from runs.run import Run
+if TYPE_CHECKING:
+    from runs.run import Run
 
 Floats = NDArray[np.float64]
 NAN = float("nan")

@@ -196,9 +196,9 @@ def run(
 
     from rig.cli import assignments, recovery_offer, run_output
     from rig.cli.console import console
-    from rig.cli.signals import StopSignals
     from rig.cli.terminal import Terminal
     from rig.config.loader import chosen_rig
+    from rig.execution.stop_signals import StopSignals
     from rig.experiment import run as experiment
 
     request = experiment.request(

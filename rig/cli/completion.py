@@ -5,10 +5,10 @@ from __future__ import annotations
 from importlib.util import find_spec
 from pathlib import Path
 
-DATA = Path("data")
-"""Default folder of archives."""
-LAST = "last"
-"""Names the newest run."""
+import runs as archives
+from runs import LAST
+
+DATA = Path(archives.DATA)
 _YAML, _ARCHIVE = ".yaml", ".h5"
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -17,7 +16,7 @@ from rig.cli.options import Archives, AsJson, Every, Free, ParametersFile, Repla
 if TYPE_CHECKING:
     from calibration.identify import Poses, Prior
     from calibration.identify.profile_likelihood import LikelihoodProfile
-    from rig.config.loader import RigFile
+    from rig.identify.from_archives import OpenedRuns
     from runs.run import Run
 
 FIGURES = (".png", ".pdf", ".svg")
@@ -107,13 +106,13 @@ def fit(
     Without --free, these are free: law, rpe_per_bar, base, sensor_offsets, and damping_s for dynamic runs.
     """
     from calibration.identify.bootstrap import bootstrap as refit
-    from calibration.identify.held_out_prediction import predict
     from calibration.identify.parameters_document import write
     from calibration.identify.profile_likelihood import profiles
     from calibration.identify.report import write as write_report
     from rig.cli import identification_output as output
     from rig.cli.progress import progress_bar, state_of
     from rig.identify import estimation, initial_setup
+    from rig.identify.from_archives import from_data, read_data
 
     if not quasi_static:
         _refuse("needs --quasi-static", {"--every": every > 1})
@@ -127,23 +126,17 @@ def fit(
         to = rig_file.with_suffix(".parameters.yaml")
     _check_places({"--report": report, "--figure": figure, "--to": to, "--rig-file": rig_file}, replace)
     priors = _priors(prior or [])
-    seen, unseen = _opened(archives, leave_out or [], one_arm=bool(start))
-    rigs = initial_setup.starting_rigs(seen[0], start or [])
-    data, held_out = _read(seen, quasi_static), _read(unseen, quasi_static)
-    _check_actuators(data[0].actuators, rigs, held_out)
-    data, held_out = _split(data, held_out, split_s, every)
-    if start:
-        data = [dataclasses.replace(poses, live_m=None) for poses in data]
+    opened = _opened(archives, leave_out or [], one_arm=bool(start))
+    data = read_data(opened, start=start or [], quasi_static=quasi_static, every=every, split_s=split_s, read=_read)
     with state_of("searching") as show:
-        found = estimation.most_likely_fit(rigs, data, _names(free), priors, starts, show)
-    best = found.fits[found.best]
+        done = from_data(data, free=_names(free), priors=priors, starts=starts, progress=show)
+    found, best, under = done.found, done.best, done.baseline
     if best.worse_than_start:
         output.failure(best)
         raise typer.Exit(1)
-    under = initial_setup.baseline_geometry(seen[0], best.start, from_recorded_rig=not start)
     output.fits_by_start(found)
     output.estimates(best, json, under)
-    predictions = [predict(best, poses) for poses in held_out]
+    predictions = done.predictions()
     output.prediction_errors(predictions, json)
     intervals: tuple[LikelihoodProfile, ...] = ()
     refits = None
@@ -158,7 +151,7 @@ def fit(
     if figure is not None:
         typer.echo(estimation.draw_predictions(predictions, figure), err=json)
     if report is not None:
-        truth = initial_setup.truth_of(seen[0])
+        truth = initial_setup.truth_of(opened.seen[0])
         typer.echo(write_report(best, report, intervals, refits, predictions, truth), err=json)
     if to is not None:
         written = write(best, to, intervals, under)
@@ -188,7 +181,7 @@ def compare(
     from rig.identify import initial_setup, model_comparison
 
     priors = _priors(prior or [])
-    seen, _ = _opened(archives)
+    seen = _opened(archives).seen
     start, data = initial_setup.setup_of(seen[0]), _read(seen, quasi_static)
     with progress_bar("fitting") as progress:
         found = model_comparison.compare(start, data, _names(free), priors, scheduler, store, progress)
@@ -201,28 +194,20 @@ def paper(archives: Archives, json: AsJson = False) -> None:
     from rig.cli import identification_output as output
     from rig.reproduce.identification import estimate
 
-    seen, _ = _opened(archives)
+    seen = _opened(archives).seen
     output.paper_estimates(estimate(seen), json)
 
 
-def _opened(
-    archives: Sequence[Path], leave_out: Sequence[Path] = (), *, one_arm: bool = False
-) -> tuple[list[Run], list[Run]]:
+def _opened(archives: Sequence[Path], leave_out: Sequence[Path] = (), *, one_arm: bool = False) -> OpenedRuns:
     """Open the runs to identify from, and those left out; print notes on them."""
     from rig.cli.identification_output import notes
     from rig.cli.run_names import resolve
-    from rig.identify import initial_setup
+    from rig.identify.from_archives import open_runs
 
-    unseen, doubled = initial_setup.open_archives([resolve(name) for name in leave_out])
-    notes(doubled)
-    every, doubled = initial_setup.open_archives([resolve(name) for name in archives])
-    notes(doubled)
-    left_out = {run.sha256 for run in unseen}
-    seen = [run for run in every if run.sha256 not in left_out]
-    if not seen:
-        raise typer.BadParameter("every run is left out: nothing is left to identify from", param_hint="--leave-out")
-    notes(initial_setup.check_alike([*seen, *unseen], one_arm))
-    return seen, unseen
+    unseen = [resolve(name) for name in leave_out]
+    opened = open_runs([resolve(name) for name in archives], unseen, one_arm=one_arm)
+    notes(opened.notes)
+    return opened
 
 
 def _read(archives: Sequence[Run], quasi_static: bool) -> list[Poses]:
@@ -234,32 +219,6 @@ def _read(archives: Sequence[Run], quasi_static: bool) -> list[Poses]:
         return []
     with progress_bar("reading") as progress:
         return read_poses(archives, quasi_static, progress)
-
-
-def _check_actuators(actuators: int, rigs: Mapping[str, RigFile], held_out: Sequence[Poses]) -> None:
-    """Refuse initial rigs and held-out runs with another number of actuators than the runs."""
-    for name, rig in rigs.items():
-        if rig.config.actuators != actuators:
-            reason = f"{name} has {rig.config.actuators} actuators, the runs have {actuators}"
-            raise typer.BadParameter(reason, param_hint="--start")
-    for poses in held_out:
-        if poses.actuators != actuators:
-            reason = f"{poses.run_id} is of {poses.actuators} actuators, the others are of {actuators}"
-            raise typer.BadParameter(reason, param_hint="--leave-out")
-
-
-def _split(
-    data: list[Poses], held_out: list[Poses], split_s: float | None, every: int
-) -> tuple[list[Poses], list[Poses]]:
-    """Return the data to identify from, every Nth frame of it, and the data to predict."""
-    import numpy as np
-
-    from calibration.identify import split_at
-
-    if split_s is not None:
-        parts = [split_at(poses, split_s) for poses in data]
-        data, held_out = [before for before, _ in parts], [after for _, after in parts] + held_out
-    return [poses.only(np.arange(0, len(poses), every)) for poses in data], held_out
 
 
 def _names(free: str) -> list[str]:

@@ -1,51 +1,14 @@
-"""Archives by path, run id, unique part of a run id, or `last`."""
+"""Archives named on the command line."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
 from rig.cli import recovery_offer
-from rig.cli.completion import DATA, LAST
-from runs.archive.writer import SUFFIX, ArchiveError
-from runs.catalogue import catalogue
-
-MOST_SHOWN = 5
+from runs import run_names
 
 
 def resolve(name: Path) -> Path:
-    """Find an archive by path, by a run id or a unique part of one in the data folder, or by `last` (the newest).
-
-    Raises:
-        ArchiveError: no archive matches, or several do.
-    """
-    by_id: tuple[Path, ...] = ()
-    if name.name:
-        by_id = (name.with_name(name.name + SUFFIX), DATA / f"{name.name}{SUFFIX}")
-    try:
-        found = next((candidate for candidate in (name, *by_id) if candidate.is_file()), None)
-    except OSError as error:
-        raise ArchiveError(f"{name}: {error.strerror}") from None
-    recovery_offer.offer((found or name).parent)
-    if found is not None:
-        return found
-    if len(name.parts) == 1 and name.name and (found := _in_data(name.name)) is not None:
-        return found
-    raise ArchiveError(f"{name}: no such archive, here or in data/; `rig runs` lists what there is")
-
-
-def _in_data(part: str) -> Path | None:
-    """Return the archive in the data folder for `last` or a part of a run id; None where there is none."""
-    if part == LAST:
-        entries = catalogue(DATA)
-        readable = [entry for entry in entries if not entry.problem]
-        if entries and not readable:
-            raise ArchiveError(f"{LAST}: no archive in data/ is readable; the newest: {entries[0].problem}")
-        return DATA / readable[0].file if readable else None
-    try:
-        stems = sorted(path.stem for path in DATA.iterdir() if path.suffix == SUFFIX and part in path.stem)
-    except OSError:
-        return None
-    if len(stems) > 1:
-        shown = ", ".join(stems[:MOST_SHOWN]) + (", .." if len(stems) > MOST_SHOWN else "")
-        raise ArchiveError(f"{part}: {len(stems)} runs in data/ have this in their id: {shown}; give more of it")
-    return DATA / f"{stems[0]}{SUFFIX}" if stems else None
+    """Find an archive as `runs.run_names.resolve` does; report interrupted runs beside it."""
+    recovery_offer.offer((run_names.archive_at(name) or name).parent)
+    return run_names.resolve(name)

@@ -8,7 +8,7 @@ from rich.console import Console
 from rig.cli.console import console
 from rig.cli.keyboard import Keyboard
 from rig.cli.run_output import confirm
-from rig.cli.signals import StopSignals
+from rig.execution.stop_signals import StopSignals
 
 
 class TerminalOperator:

@@ -15,11 +15,13 @@ _MEANING = {
 class StopSignals:
     """While entered, stop signals only set `reason`. A second signal is ignored, so that the run ends in order.
 
-    After a stop request, later signals stay ignored, so that the result is printed and the exit status is the run's.
+    After a stop request later signals stay ignored, so that the result is printed and the exit status is the run's. A
+    program that continues after the run, such as a notebook, sets `restore`.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, *, restore: bool = False) -> None:
         self.reason: str | None = None
+        self._restore = restore
         self._previous: dict[signal.Signals, object] = {}
 
     def __enter__(self) -> StopSignals:
@@ -31,7 +33,7 @@ class StopSignals:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         for number, handler in self._previous.items():
-            signal.signal(number, handler if self.reason is None else signal.SIG_IGN)  # type: ignore[arg-type]
+            signal.signal(number, handler if self.reason is None or self._restore else signal.SIG_IGN)  # type: ignore[arg-type]
 
     def _note(self, number: int, frame: FrameType | None) -> None:
         if self.reason is None:

@@ -1,0 +1,171 @@
+"""The whole identification from archives: read, check, split, search, predict what is held out."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from calibration.identify import split_at
+from calibration.identify.data import Poses
+from calibration.identify.held_out_prediction import Prediction, predict
+from calibration.identify.parameters import Prior
+from calibration.identify.parameters_document import Baseline
+from calibration.identify.results import Fit
+from calibration.identify.search import Progress as SearchProgress
+from protocols import BadInputError, Problem
+from rig.config.loader import RigFile
+from rig.identify import estimation, initial_setup
+from rig.identify.estimation import FitsByStart
+from runs.run import Run
+
+Reader = Callable[[Sequence[Run], bool], list[Poses]]
+
+
+@dataclass(frozen=True)
+class OpenedRuns:
+    """Runs to identify from, runs that are held out, and notes on both."""
+
+    seen: tuple[Run, ...]
+    held_out: tuple[Run, ...]
+    notes: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Identification:
+    """The fits by initial rig, the best of them, and its predictions of the data that were held out.
+
+    `baseline` is the geometry that the estimates are relative to.
+    """
+
+    found: FitsByStart
+    baseline: Baseline | None
+    held_out: tuple[Poses, ...]
+    notes: tuple[str, ...]
+
+    @property
+    def best(self) -> Fit:
+        """The fit of maximum likelihood."""
+        return self.found.fits[self.found.best]
+
+    def predictions(self) -> list[Prediction]:
+        """Predict the data that were held out."""
+        return [predict(self.best, poses) for poses in self.held_out]
+
+
+def open_runs(archives: Sequence[Path], leave_out: Sequence[Path] = (), *, one_arm: bool = False) -> OpenedRuns:
+    """Open the runs to identify from, and those left out; `one_arm` as in `initial_setup.check_alike`.
+
+    Raises:
+        ArchiveError: an archive does not exist.
+        NoDataError: the runs are of different arms, or of one run twice.
+        BadInputError: every run is left out.
+    """
+    unseen, doubled_out = initial_setup.open_archives(leave_out)
+    every, doubled = initial_setup.open_archives(archives)
+    left_out = {run.sha256 for run in unseen}
+    seen = [run for run in every if run.sha256 not in left_out]
+    if not seen:
+        reason = "every run is left out: nothing is left to identify from" if every else "needs at least one run"
+        raise BadInputError([Problem("--leave-out" if every else "RUN", 0, 0, "", "", reason)])
+    alike = initial_setup.check_alike([*seen, *unseen], one_arm)
+    return OpenedRuns(tuple(seen), tuple(unseen), (*doubled_out, *doubled, *alike))
+
+
+@dataclass(frozen=True)
+class IdentificationData:
+    """Initial rigs by name, the data to identify from, and the data to predict."""
+
+    opened: OpenedRuns
+    rigs: Mapping[str, RigFile]
+    seen: list[Poses]
+    held_out: list[Poses]
+    from_recorded_rig: bool
+
+
+def read_data(
+    opened: OpenedRuns,
+    *,
+    start: Sequence[str] = (),
+    quasi_static: bool = False,
+    every: int = 1,
+    split_s: float | None = None,
+    read: Reader = estimation.read_poses,
+) -> IdentificationData:
+    """Read the runs; the initial rigs are `start`, else the first run's own.
+
+    Raises:
+        NoDataError: a run has no usable data.
+        BadInputError: an option is invalid, or a rig or a run has another number of actuators.
+    """
+    _check_numbers(quasi_static, every, split_s)
+    rigs = initial_setup.starting_rigs(opened.seen[0], start)
+    data = read(opened.seen, quasi_static)
+    held_out = read(opened.held_out, quasi_static) if opened.held_out else []
+    _check_actuators(data[0].actuators, rigs, held_out)
+    data, held_out = _split(data, held_out, split_s, every)
+    if start:
+        data = [dataclasses.replace(poses, live_m=None) for poses in data]
+    return IdentificationData(opened, rigs, data, held_out, from_recorded_rig=not start)
+
+
+def from_data(
+    data: IdentificationData,
+    *,
+    free: Sequence[str],
+    priors: Mapping[str, Prior],
+    starts: int | None = None,
+    progress: SearchProgress = lambda text: None,
+) -> Identification:
+    """Identify from each initial rig as `estimation.most_likely_fit` does.
+
+    Raises:
+        UnknownParameter: a name is unknown, or a prior belongs to a parameter without effect on the data.
+        BadInputError: a prior or the number of starts is invalid.
+    """
+    if starts is not None and starts < 1:
+        raise BadInputError([Problem("--starts", 0, 0, "", str(starts), "an integer of at least 1")])
+    found = estimation.most_likely_fit(data.rigs, data.seen, free, priors, starts, progress)
+    best = found.fits[found.best]
+    baseline = None
+    if not best.worse_than_start:
+        first = data.opened.seen[0]
+        baseline = initial_setup.baseline_geometry(first, best.start, data.from_recorded_rig)
+    return Identification(found, baseline, tuple(data.held_out), data.opened.notes)
+
+
+def _check_numbers(quasi_static: bool, every: int, split_s: float | None) -> None:
+    problems = []
+    if every < 1:
+        problems.append(Problem("--every", 0, 0, "", str(every), "an integer of at least 1"))
+    if every > 1 and not quasi_static:
+        problems.append(Problem("--every", 0, 0, "", str(every), "needs --quasi-static"))
+    if split_s is not None and not split_s >= 0:
+        problems.append(Problem("--split-s", 0, 0, "", str(split_s), "a time of at least 0 s"))
+    if problems:
+        raise BadInputError(problems)
+
+
+def _check_actuators(actuators: int, rigs: Mapping[str, RigFile], held_out: Sequence[Poses]) -> None:
+    """Refuse initial rigs and held-out runs with another number of actuators than the runs."""
+    for name, rig in rigs.items():
+        if rig.config.actuators != actuators:
+            reason = f"{name} has {rig.config.actuators} actuators, the runs have {actuators}"
+            raise BadInputError([Problem("--start", 0, 0, "", "", reason)])
+    for poses in held_out:
+        if poses.actuators != actuators:
+            reason = f"{poses.run_id} is of {poses.actuators} actuators, the others are of {actuators}"
+            raise BadInputError([Problem("--leave-out", 0, 0, "", "", reason)])
+
+
+def _split(
+    data: list[Poses], held_out: list[Poses], split_s: float | None, every: int
+) -> tuple[list[Poses], list[Poses]]:
+    """Return the data to identify from, every Nth frame of it, and the data to predict."""
+    if split_s is not None:
+        parts = [split_at(poses, split_s) for poses in data]
+        data, held_out = [before for before, _ in parts], [after for _, after in parts] + held_out
+    return [poses.only(np.arange(0, len(poses), every)) for poses in data], held_out

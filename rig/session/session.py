@@ -1,0 +1,194 @@
+"""Runs from Python, with the defaults, checks, watchdog and interlocks of the command line."""
+
+from __future__ import annotations
+
+import threading
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager, ExitStack, nullcontext
+from pathlib import Path
+from types import TracebackType
+
+from protocols import BadInputError, Problem
+from rig.config.loader import RigChoice, chosen_rig, load
+from rig.config.schema import RigConfig
+from rig.execution.plan import Plan
+from rig.execution.stop_signals import StopSignals
+from rig.experiment import report_process
+from rig.experiment import run as experiment
+from rig.experiment.run import RunRequest, RunResult
+from rig.experiment.simulate import simulate
+from rig.realtime.timing_limits import valves_at_stake
+from rig.session.prompts import Answer, FunctionOperator
+from runs.records import Status
+from runs.run import Run
+from runs.run_names import DATA
+
+
+class RunEndedError(Exception):
+    """A fault or a limit ended a run. The valves are safe; `result` has the files of the run."""
+
+    def __init__(self, result: RunResult) -> None:
+        self.result = result
+        super().__init__(_ending(result))
+
+
+class RunInterruptedError(KeyboardInterrupt):
+    """Ctrl-C, SIGTERM or SIGHUP ended a run. The valves are safe; `result` has the files of the run.
+
+    `except Exception` does not catch it: a loop over runs ends.
+    """
+
+    def __init__(self, result: RunResult) -> None:
+        self.result = result
+        super().__init__(_ending(result))
+
+
+def _ending(result: RunResult) -> str:
+    outcome = result.outcome
+    return "; ".join((f"{outcome.status}: {outcome.message}", f"archive: {result.archive}", *result.warnings))
+
+
+class Session:
+    """A rig from which runs are started, between `with` and its end. `rig.open` returns it.
+
+    Runs are strictly one after the other. Each run reads the rig file again, as a command does.
+    """
+
+    def __init__(self, rig: str | None = None) -> None:
+        self._choice: RigChoice = chosen_rig(rig)
+        self.config: RigConfig = load(self._choice.name)
+        self._entered = False
+
+    def __enter__(self) -> Session:
+        self._entered = True
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._entered = False
+
+    def check(self, protocol: Path | str, *, settings: Mapping[str, float] | None = None) -> Plan:
+        """Check a protocol as `rig check` does; return its plan, which has the set-points over time.
+
+        Raises:
+            BadInputError: everything that is wrong with protocol and rig.
+        """
+        return experiment.plan(experiment.request(str(protocol), self._choice, settings=settings))
+
+    def run(
+        self,
+        protocol: Path | str,
+        *,
+        settings: Mapping[str, float] | None = None,
+        fast: bool = False,
+        seed: int = 0,
+        out: Path | str = DATA,
+        model: str | None = None,
+        parameters: Path | str | None = None,
+        operator: str = "",
+        note: str = "",
+        meta: Mapping[str, str] | None = None,
+        yes: bool = False,
+        report: bool = True,
+        adapt: bool | Sequence[str] = False,
+        answer: Answer | None = None,
+    ) -> Run:
+        """Run a protocol as `rig run` does; return its archive.
+
+        The options are those of the command. A rig with real valves needs `yes=True`, which arms it without a question.
+        `adapt` is True, or the names of the parameters to estimate online. `answer` is called with the message of each
+        prompt in real time; the run continues when it returns.
+
+        Raises:
+            BadInputError: everything that is wrong with protocol, rig and options.
+            RunInterruptedError, RunEndedError: the run did not finish; the error has its archive.
+            CardError, CameraError, StartError, JournalError: the run did not start.
+        """
+        self._require_entered()
+        request = experiment.request(
+            str(protocol),
+            self._choice,
+            settings=settings,
+            adapt=None if adapt is False else () if adapt is True else adapt,
+            folder=Path(out),
+            fast=fast,
+            seed=seed,
+            variant=model,
+            parameters=None if parameters is None else Path(parameters),
+            operator=operator,
+            notes=note,
+            metadata=meta or {},
+            report=report,
+        )
+        plan = experiment.plan(request)
+        _check_arming(request, plan, yes, answer)
+        return _archive(_run(request, plan, answer))
+
+    def simulate(
+        self,
+        protocol: Path | str,
+        *,
+        settings: Mapping[str, float] | None = None,
+        out: Path | str = DATA,
+        model: str | None = None,
+        parameters: Path | str | None = None,
+        static: bool = False,
+    ) -> Run:
+        """Run the model alone as `rig simulate` does; return its archive.
+
+        Raises:
+            BadInputError: everything that is wrong with protocol, rig and options.
+        """
+        request = experiment.request(
+            str(protocol),
+            self._choice,
+            settings=settings,
+            folder=Path(out),
+            variant=model,
+            parameters=None if parameters is None else Path(parameters),
+        )
+        return Run(simulate(request, experiment.plan(request), static))
+
+    def _require_entered(self) -> None:
+        if not self._entered:
+            problem = Problem("rig.open", 0, 0, "", "", "open it first: `with rig.open(..) as bench:`")
+            raise BadInputError([problem])
+
+
+def _check_arming(request: RunRequest, plan: Plan, yes: bool, answer: Answer | None) -> None:
+    problems = []
+    if valves_at_stake(request.config) and not yes:
+        expected = f"yes=True: rig {request.config.name} has real valves, and this arms them without a question"
+        problems.append(Problem("yes", 0, 0, "", "False", expected))
+    if not request.fast and plan.trajectory.prompts and answer is None:
+        expected = f"a function for the {len(plan.trajectory.prompts)} prompts of the protocol, such as answer=input"
+        problems.append(Problem("answer", 0, 0, "", "None", expected))
+    if problems:
+        raise BadInputError(problems)
+
+
+def _run(request: RunRequest, plan: Plan, answer: Answer | None) -> RunResult:
+    """Run a plan. Signals reach only the main thread of Python; a run in another thread leaves them alone."""
+    in_main_thread = threading.current_thread() is threading.main_thread()
+    with ExitStack() as stack:
+        write_report: Callable[[Path], Path] = report_process.here
+        if request.fast and request.report:  # in real time nothing is imported beside the control loop
+            write_report = stack.enter_context(report_process.waiting())
+        stopping: AbstractContextManager[StopSignals | None] = (
+            StopSignals(restore=True) if in_main_thread else nullcontext()
+        )
+        signals = stack.enter_context(stopping)
+        operator = FunctionOperator(lambda: signals.reason if signals else None, answer)
+        return experiment.run(request, plan, operator, write_report)
+
+
+def _archive(result: RunResult) -> Run:
+    if result.outcome.status is Status.INTERRUPTED:
+        raise RunInterruptedError(result)
+    if result.outcome.status is not Status.FINISHED or result.archive is None:
+        raise RunEndedError(result)
+    for warning in result.warnings:
+        warnings.warn(warning, stacklevel=3)
+    return Run(result.archive)
