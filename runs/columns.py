@@ -40,6 +40,16 @@ class DetectionStatus(IntEnum):
     NO_CAMERA = 6
 
 
+class SolveStatus(IntEnum):
+    """How the tip controller found a plan."""
+
+    SOLVED = 0
+    NOT_SOLVED = 1
+    """The solver failed: the plan continues the one before."""
+    REFUSED = 2
+    """It was no plan, because it was not finite or not in order: the one before is followed."""
+
+
 def _same(values: Values) -> Values:
     return values
 
@@ -366,7 +376,58 @@ class Adaptation(Table):
         self.start_uncertainty = start_uncertainty
 
 
+class TipControl(Table):
+    """What the tip controller found from each frame (m,), and its plan. Only for runs with a tip controller."""
+
+    group, rows, signal = "tip_control", "M", "predicted_mm"
+    about = "one row per plan of the tip controller"
+
+    time_s = _time("middle of the exposure of the frame that led to the plan")
+    frame = Column("frame", "<i8", about="as in /entry/tip")
+    start_s = Column("start_s", unit="s", about="protocol time from which the plan is followed", limits=SECONDS)
+    status = Column(
+        "status",
+        "<i4",
+        about=f"{', '.join(f'{s.value} {s.name.lower()}' for s in SolveStatus)}",
+        among=tuple(SolveStatus),
+    )
+    iterations = Column("iterations", "<i4", about="iterations of the solver", limits=COUNT)
+    active = Column("active", "<i4", about="active constraints of the solver", limits=COUNT)
+    solve_us = Column(
+        "solve_ns",
+        "<i8",
+        unit="us",
+        about="time of the step; 0 in virtual time, which repeats bit for bit",
+        convert=_us,
+    )
+    plan_bar = Column(
+        "plan_pa",
+        axes=("ahead", "valve"),
+        unit="bar",
+        about="set-points of the plan at these times after its start; NaN beyond its end",
+        convert=_bar,
+    )
+    predicted_mm = Column(
+        "predicted_m",
+        axes=("axis",),
+        unit="mm",
+        about="tip that the controller expects at the start of the plan; NaN without a prediction",
+        convert=_mm,
+    )
+    payload_g = Column(
+        "payload_kg", unit="g", about="estimated payload beyond the cap of the rig file", convert=lambda kg: kg * 1e3
+    )
+    payload_std_g = Column(
+        "payload_std_kg", unit="g", about="one standard deviation of payload_g", convert=lambda kg: kg * 1e3
+    )
+    nis = Column("nis", about="normalised innovation squared of the frame; 3 on average if the estimator is consistent")
+
+
+PLAN_AHEAD_S = (0.0, 0.1, 0.2, 0.3)
+"""Times after the start of a plan at which its set-points are recorded."""
+
 AXES = {
+    "ahead": (str(len(PLAN_AHEAD_S)), "time [s] after the start of the plan"),
     "axis": ("3", "x, y, z of the rod-base frame"),
     "component": ("6", "names of the covariance's columns"),
     "actuator": ("A", "1, 2, .."),
@@ -380,10 +441,16 @@ AXES = {
 SAMPLES: tuple[type[Table], ...] = (Pressure, Timing)
 OBSERVATIONS: tuple[type[Table], ...] = (Tip, Backbone, Simulated, Reference)
 ADAPTATIONS: tuple[type[Table], ...] = (Adaptation,)
+TIP_CONTROL: tuple[type[Table], ...] = (TipControl,)
 """The tables of each record."""
 
-_ZERO = {c.record for t in (*SAMPLES, *OBSERVATIONS, *ADAPTATIONS) for c in t.columns() if c.record and c.missing == 0}
-_SIZES = {"axis": 3, "station": BACKBONE_POINTS}
+_ZERO = {
+    c.record
+    for t in (*SAMPLES, *OBSERVATIONS, *ADAPTATIONS, *TIP_CONTROL)
+    for c in t.columns()
+    if c.record and c.missing == 0
+}
+_SIZES = {"axis": 3, "ahead": len(PLAN_AHEAD_S), "station": BACKBONE_POINTS}
 
 
 def sample_dtype(actuators: int, valves: int) -> np.dtype[np.void]:
@@ -411,6 +478,11 @@ def adaptation_dtype(parameters: int) -> np.dtype[np.void]:
     before the frame.
     """
     return _dtype(ADAPTATIONS, parameter=parameters)
+
+
+def tip_control_dtype(valves: int) -> np.dtype[np.void]:
+    """One plan of the tip controller: `TipControl`."""
+    return _dtype(TIP_CONTROL, valve=valves)
 
 
 def _dtype(tables: Iterable[type[Table]], **sizes: int) -> np.dtype[np.void]:

@@ -17,10 +17,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from runs.columns import BACKBONE_POINTS as BACKBONE_POINTS
 from runs.columns import DetectionStatus as DetectionStatus
+from runs.columns import SolveStatus as SolveStatus
 from runs.columns import adaptation_dtype as adaptation_dtype
 from runs.columns import blank as blank
 from runs.columns import observation_dtype as observation_dtype
 from runs.columns import sample_dtype as sample_dtype
+from runs.columns import tip_control_dtype as tip_control_dtype
 
 MODEL_ALONE = "model alone"
 """Executor of a simulation of the model, without a bench."""
@@ -182,6 +184,8 @@ class RunHeader:
     """File of identified parameters applied after the calibrations, verbatim; empty without one."""
     adapted: tuple[Quantity, ...] = ()
     """Parameters of the recursive estimator: name, unit, start value and its uncertainty."""
+    tip_controller: str = ""
+    """Name of the tip controller; empty if the protocol has no tip reference."""
     control_hz: float = 200.0
     camera_hz: float = 30.0
     cameras: tuple[str, ...] = ("camera",)

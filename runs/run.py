@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from runs.archive.checked import ArchiveError, content_sha256, opened
 from runs.archive.fields import PA_PER_BAR, QUANTITY_GROUPS
 from runs.archive.provenance import metadata
-from runs.columns import Adaptation, Backbone, Pressure, Reference, Simulated, Table, Timing, Tip, Values
+from runs.columns import Adaptation, Backbone, Pressure, Reference, Simulated, Table, Timing, Tip, TipControl, Values
 from runs.records import Event, Interval, Level, Quantity, RecordedFile, RunHeader, Status
 from runs.summary import Summary, summarise
 from runs.table import TABLES, segments, table
@@ -87,6 +87,7 @@ class Run:
             intervals=_intervals(protocol),
             quantities=tuple(q for room in QUANTITY_GROUPS for q in self._quantities(room)),
             adapted=_adapted(self._group("entry/adaptation")),
+            tip_controller=str(self._group("entry/tip_control").get("controller", "")),
             control_hz=float(self._group("entry/timing")["control_rate"]),
             camera_hz=float(self._group("entry/timing")["camera_rate"]),
             cameras=self._cameras,
@@ -134,6 +135,12 @@ class Run:
         if not g:
             return None
         return Adaptation(self._values(Adaptation), g["parameter"], g["unit"], g["start"], g["start_uncertainty"])
+
+    @cached_property
+    def tip_control(self) -> TipControl | None:
+        """Plans of the tip controller; None for a run without one."""
+        values = self._values(TipControl)
+        return TipControl(values) if values else None
 
     @cached_property
     def timing(self) -> Timing:

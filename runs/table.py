@@ -13,7 +13,7 @@ from runs.archive.checked import ArchiveContents, opened
 from runs.archive.schema import TEXT
 
 Column = NDArray[Any]
-TABLES = ("pressure", "tip", "adaptation", "timing", "simulator", "reference", "events")
+TABLES = ("pressure", "tip", "adaptation", "tip_control", "timing", "simulator", "reference", "events")
 """Groups whose rows are those of their `time`."""
 
 

@@ -18,6 +18,7 @@ from rig.cli.completion import DATA
 from rig.cli.help_formatter import HelpFormatter, HelpGroup
 from rig.cli.options import (
     AsJson,
+    Controller,
     ExistingRig,
     Fast,
     Folder,
@@ -176,6 +177,7 @@ def run(
         bool, typer.Option("--adapt", help="Estimate the arm's parameters online; not used for control.")
     ] = False,
     free: Free = "",
+    controller: Controller = None,
     live: Annotated[bool, typer.Option("--live", help="Also show the run in the browser.")] = False,
     listen: Listen = LOCAL,
     port: Port = LIVE_PORT,
@@ -214,6 +216,7 @@ def run(
         operator=operator,
         notes=note,
         metadata=assignments.texts("--meta", meta),
+        controller=controller,
         report=not no_report,
     )
     decided = experiment.plan(request)

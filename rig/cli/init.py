@@ -40,6 +40,8 @@ EXPLAINED = {
     "arm": "The manipulator: geometry as built, material from `rig identify`, mass of the end cap.",
     "uncertainties": "Standard uncertainties of what is stated above, in the unit of each name, for `rig identify`.",
     "model": "The model that runs beside the rig, and whether it is static or dynamic.",
+    "tip_control": "How the tip follows the reference of `tip` steps: the controller, the delay from a frame to its "
+    "plan, and the lag of the pressures.",
     "recording": "Which pictures are stored, and their encoding.",
     "simulator": "The plant behind the mock devices: the true valves, chambers, sensors and material. Its "
     "numbers intentionally differ from the model's. A rig without a mock device has no such "

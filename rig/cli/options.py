@@ -82,6 +82,15 @@ Variant = Annotated[
         "--model", help="homogeneous, homogeneous+rpe or inhomogeneous+rpe.", show_default="the variant of the rig"
     ),
 ]
+Controller = Annotated[
+    str | None,
+    typer.Option(
+        "--controller",
+        metavar="NAME",
+        help="Tip controller: feed-forward, horizon, static-inverse, inverse-integral or package:Class.",
+        show_default="tip_control of the rig",
+    ),
+]
 Parameters = Annotated[
     Path | None,
     typer.Option("--parameters", metavar="FILE", help="Identified parameters, to apply to the rig.", dir_okay=False),

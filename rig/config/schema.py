@@ -26,6 +26,7 @@ from rig.config.sections import (
     Recording,
     Section,
     Sensor,
+    TipControl,
     Word,
 )
 from rig.config.simulator_sections import Simulator
@@ -54,6 +55,7 @@ class RigConfig(Section):
     arm: ArmConfig
     uncertainties: Uncertainties = Field(default_factory=Uncertainties)
     model: ModelConfig = ModelConfig()
+    tip_control: TipControl = TipControl()
     recording: Recording = Recording()
     simulator: Simulator | SkipJsonSchema[None] = None
 

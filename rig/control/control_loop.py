@@ -10,10 +10,12 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.config.sections import PA_PER_BAR
 from rig.control import step as control
 from rig.control.protocol_position import ProtocolPosition, advance, skip
 from rig.execution.plan import Plan
 from rig.hardware.bench import BenchScans
+from rig.tip_control.plan_follower import PlanFollower
 from runs.records import blank, sample_dtype
 
 STALLED_NS = 20_000_000
@@ -49,6 +51,17 @@ class ControlLoop:
         self._prepared = control.prepare(config)
         self._state = control.initial(self._prepared)
         self._row = blank((), sample_dtype(config.actuators, len(config.valves)))
+        self._follower: PlanFollower | None = None
+        self._first_actuators = [valve.actuators[0] - 1 for valve in config.valves]
+        if plan.controls_tip:
+            limits = config.limits
+            self._follower = PlanFollower(
+                len(config.valves), limits.pressure_bar * PA_PER_BAR, limits.rate_bar_per_s * PA_PER_BAR
+            )
+        self._valve_of = [0] * config.actuators
+        for index, valve in enumerate(config.valves):
+            for actuator in valve.actuators:
+                self._valve_of[actuator - 1] = index
         self.lost = 0
         """Scans that the cards have dropped."""
         self._has_voltage = np.array([valve.output_unit == "V" for valve in config.valves])
@@ -69,6 +82,22 @@ class ControlLoop:
         if behind_ns > STALLED_NS:
             self._excuse_ns, self._excused_until_ns = behind_ns, now_ns + EXCUSED_NS
         return self._excuse_ns if now_ns < self._excused_until_ns else 0
+
+    def take_plan(self, times_s: NDArray[np.float64], setpoint_pa: NDArray[np.float64]) -> bool:
+        """Follow a plan of the tip controller; False if it is none, or the tip has no reference now."""
+        reference = self._trajectory.tip.motion_at(self.position.protocol_s)
+        return self._follower is not None and reference is not None and self._follower.take(times_s, setpoint_pa)
+
+    def _followed(
+        self, protocol_s: float, periods: int, feed_pa: NDArray[np.float64], feed_rate_pa_s: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """The set-points and rates (N,) of the plan, or of the protocol where the tip has no reference."""
+        assert self._follower is not None
+        if self._trajectory.tip.motion_at(protocol_s) is None:
+            self._follower.drop()
+        first, dt_s = self._first_actuators, periods * self.period_ns * 1e-9
+        point = self._follower.follow(protocol_s, dt_s, feed_pa[first], feed_rate_pa_s[first])
+        return point.pressure_pa[self._valve_of], point.rate_pa_s[self._valve_of]
 
     def skip(self) -> None:
         """Continue with the next segment in the next cycle."""
@@ -105,6 +134,8 @@ class ControlLoop:
         still = held or self.position.waiting
         setpoint_pa = self._trajectory.setpoint_pa(protocol_s)
         rate_pa_s = np.zeros_like(setpoint_pa) if still else self._trajectory.rate_pa_s(protocol_s)
+        if self._follower is not None:
+            setpoint_pa, rate_pa_s = self._followed(protocol_s, periods, setpoint_pa, rate_pa_s)
         sample = control.Sample(
             t_ns=now_ns,
             scan_t_ns=self._scan_t_ns,

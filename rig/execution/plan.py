@@ -27,6 +27,13 @@ class Plan:
     seed: int
     adapted: tuple[Quantity, ...] = ()
     """Quantities that the recursive estimator estimates during the run; none by default."""
+    tip_controller: str = ""
+    """Name of the tip controller, or `package:Class`; empty for a protocol without a tip reference."""
+
+    @property
+    def controls_tip(self) -> bool:
+        """Whether a controller corrects the set-points during the run."""
+        return self.tip_controller not in ("", "feed-forward")
 
 
 @dataclass(frozen=True)
@@ -74,6 +81,9 @@ class Recorder(Protocol):
 
     def adaptations(self, rows: NDArray[np.void]) -> None:
         """Record rows of the recursive estimator."""
+
+    def plans(self, rows: NDArray[np.void]) -> None:
+        """Record plans of the tip controller."""
 
     def picture(self, picture: Picture) -> None:
         """Record a camera picture."""

@@ -61,6 +61,8 @@ class RunRequest:
     adapted: tuple[Quantity, ...] = ()
     rig_source: Source = Source.OPTION
     metadata: Mapping[str, str] = field(default_factory=dict)
+    controller: str | None = None
+    """Name of the tip controller; that of the rig when None."""
 
     @property
     def config(self) -> RigConfig:
@@ -101,6 +103,7 @@ def request(
     parameters: Path | None = None,
     adapt: Sequence[str] | None = None,
     metadata: Mapping[str, str] | None = None,
+    controller: str | None = None,
 ) -> RunRequest:
     """Load a protocol and a rig by name or file, with a file of identified `parameters` over the rig.
 
@@ -151,6 +154,7 @@ def request(
         adapted=adapted,
         rig_source=source,
         metadata=stated,
+        controller=controller,
     )
 
 
@@ -171,7 +175,29 @@ def plan(request: RunRequest) -> Plan:
     trajectory = request.protocol.expand(request.config.actuators, _tip_inverse(request))
     if problems := check(request.config, trajectory, request.protocol, request.rig_file):
         raise BadInputError(problems)
-    return Plan(request.config, request.rig_file, trajectory, request.variant, request.seed, request.adapted)
+    return Plan(
+        request.config,
+        request.rig_file,
+        trajectory,
+        request.variant,
+        request.seed,
+        request.adapted,
+        _tip_controller(request) if trajectory.tip else "",
+    )
+
+
+def _tip_controller(request: RunRequest) -> str:
+    """The name of the controller, which can be used."""
+    from rig.tip_control.registry import FEED_FORWARD, UnknownControllerError, controller_class
+
+    name = request.controller or request.config.tip_control.controller
+    if name != FEED_FORWARD:
+        try:
+            controller_class(name)
+        except UnknownControllerError as error:
+            place = ("--controller", "") if request.controller else (str(request.rig_file), "tip_control, controller")
+            raise BadInputError([Problem(place[0], 0, 0, place[1], name, str(error))]) from None
+    return name
 
 
 def _tip_inverse(request: RunRequest) -> TipInverse | None:
@@ -311,6 +337,7 @@ def header(request: RunRequest, decided: Plan, t_ns: int, ahead_ns: int = 0) -> 
         intervals=_intervals(decided.trajectory),
         quantities=(*protocol_parameters(protocol), *quantities(config)),
         adapted=decided.adapted,
+        tip_controller=decided.tip_controller,
         control_hz=config.control.rate_hz,
         camera_hz=config.observation_hz,
         cameras=tuple(config.cameras),

@@ -7,13 +7,13 @@ sets the pressure of all its actuators, so plans have one column for each valve.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import IntEnum
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 import model
+from runs.columns import SolveStatus as SolveStatus
 
 Array = NDArray[np.float64]
 
@@ -69,14 +69,6 @@ class Measurement(NamedTuple):
     setpoint_pa: Array
     pressure_pa: Array
     start_s: float
-
-
-class SolveStatus(IntEnum):
-    """How a plan was found."""
-
-    SOLVED = 0
-    NOT_SOLVED = 1
-    """The solver failed; the plan continues the one before."""
 
 
 class Estimate(NamedTuple):

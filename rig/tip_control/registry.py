@@ -5,15 +5,18 @@ from __future__ import annotations
 import importlib
 from collections.abc import Callable
 
+from rig.config.sections import TIP_CONTROLLERS
 from rig.tip_control.interface import TipController, TipControlSettings
+
+FEED_FORWARD = "feed-forward"
+"""No controller: the set-points of the protocol."""
 
 CONTROLLERS = {
     "horizon": "rig.tip_control.horizon:HorizonControl",
     "static-inverse": "rig.tip_control.baselines:StaticInverse",
     "inverse-integral": "rig.tip_control.baselines:InverseIntegral",
 }
-FEED_FORWARD = "feed-forward"
-"""No controller: the set-points of the protocol."""
+assert (FEED_FORWARD, *CONTROLLERS) == TIP_CONTROLLERS
 
 
 class UnknownControllerError(ValueError):

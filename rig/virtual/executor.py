@@ -7,7 +7,9 @@ from __future__ import annotations
 
 import gc
 import time
+from collections import deque
 from collections.abc import Iterator
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +27,19 @@ from rig.observation.picture_recorder import PictureRecorder
 from rig.realtime.health_monitor import HealthMonitor
 from rig.simulator.plant import Plant
 from rig.virtual.frame_pipeline import FramePipeline, FrameProcessError, FrameSamples, FrameStages
-from runs.records import Event, Level, Status, adaptation_dtype, observation_dtype, sample_dtype
+from runs.records import (
+    Event,
+    Level,
+    SolveStatus,
+    Status,
+    adaptation_dtype,
+    observation_dtype,
+    sample_dtype,
+    tip_control_dtype,
+)
+
+if TYPE_CHECKING:
+    from rig.tip_control.session import TipControlSession
 
 START_NS = 100_000_000
 """Virtual time between power-up and the first cycle, so that the first cycle has scans."""
@@ -75,6 +89,7 @@ class _VirtualRun:
         self._health_monitor = HealthMonitor(config)
         self._lost_scans = 0
         self._frame_ns = round(1e9 / config.observation_hz)
+        self._delay_ns = round(config.tip_control.delay_ms * 1e6)
         self._frame = 0
         self._answered = 0
         self._unseen = 0
@@ -84,6 +99,10 @@ class _VirtualRun:
         self._samples = _RecentRows(sample_dtype(config.actuators, len(config.valves)), self._history_ticks)
         self._observations = _RecentRows(observation_dtype(config.actuators, len(config.cameras)), self._history_ticks)
         self._adaptations = _RecentRows(adaptation_dtype(len(plan.adapted)), self._history_ticks)
+        self._plans = _RecentRows(tip_control_dtype(len(config.valves)), self._history_ticks)
+        self._tip_control = _tip_control(plan)
+        self._exposed: deque[tuple[int, float]] = deque()
+        """Times of the frames that wait for the tip controller: of the exposure [ns], and in the protocol [s]."""
         self._shown = 0.0
         self._recorder: Recorder
         self._pipeline: FramePipeline
@@ -155,6 +174,10 @@ class _VirtualRun:
         while (t_ns := START_NS + (self._frame + 1) * self._frame_ns) + max(self._skews_ns, default=0) <= now:
             self._frame += 1
             self._observe(self._frame, t_ns, float(row["protocol_s"]))
+            if self._tip_control is not None:
+                self._exposed.append((t_ns, float(row["protocol_s"]) - (now - t_ns) * 1e-9))
+        if self._tip_control is not None:
+            self._steer(self._tip_control, now)
         if trip is not None:
             self._event(now, Level.FAULT, "control", trip)
             return Status.ABORTED, trip
@@ -192,18 +215,36 @@ class _VirtualRun:
         )
         self._pipeline.submit(frame, t_ns, exposures, samples)
 
+    def _steer(self, controller: TipControlSession, now: int) -> None:
+        """Give the controller each frame once its delay has passed, and the control loop the plan."""
+        while self._exposed and self._exposed[0][0] + self._delay_ns <= now:
+            _, protocol_s = self._exposed.popleft()
+            self._receive()
+            samples = self._samples.recent(round(HISTORY_S * 1e9 / self._loop.period_ns))
+            found = controller.step(self._observations.recent(1)[0], protocol_s, samples)
+            if found is not None:
+                plan, row = found
+                if not self._loop.take_plan(*plan):
+                    row["status"] = SolveStatus.REFUSED
+                self._plans.add(row)
+
+    def _receive(self) -> None:
+        """Wait for the result of the oldest frame in flight."""
+        result = self._pipeline.result()
+        self._observations.extend(result.observation)
+        if result.adaptation is not None:
+            self._adaptations.extend(result.adaptation)
+        for picture in result.pictures:
+            self._recorder.picture(picture)
+
     def _flush(self, in_flight: int = FRAMES_IN_FLIGHT) -> None:
         while self._pipeline.in_flight > in_flight:
-            result = self._pipeline.result()
-            self._observations.extend(result.observation)
-            if result.adaptation is not None:
-                self._adaptations.extend(result.adaptation)
-            for picture in result.pictures:
-                self._recorder.picture(picture)
+            self._receive()
         samples, observations = self._samples.take(), self._observations.take()
         self._recorder.samples(samples)
         self._recorder.observations(observations)
         self._recorder.adaptations(self._adaptations.take())
+        self._recorder.plans(self._plans.take())
         lost, self._lost_scans = self._loop.lost - self._lost_scans, self._loop.lost
         for event in (
             *self._health_monitor.samples(samples),
@@ -232,6 +273,15 @@ class _VirtualRun:
     def _report(self, event: Event) -> None:
         self._recorder.event(event)
         self._operator.report(event)
+
+
+def _tip_control(plan: Plan) -> TipControlSession | None:
+    """The tip controller, if the run has one: it takes a solver and the model's kernels."""
+    if not plan.controls_tip:
+        return None
+    from rig.tip_control.session import TipControlSession
+
+    return TipControlSession(plan)
 
 
 def _largest_picture(config: RigConfig) -> tuple[int, int]:

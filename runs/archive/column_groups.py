@@ -61,6 +61,14 @@ def adaptation(journal: Journal) -> Group | None:
     return _group(journal, columns.Adaptation, journal.adaptations, facts)
 
 
+def tip_control(journal: Journal) -> Group | None:
+    """Return the plans of the tip controller; None without one."""
+    if not journal.header.tip_controller:
+        return None
+    name = Field("controller", journal.header.tip_controller, about="name of the tip controller, or package:Class")
+    return _group(journal, columns.TipControl, journal.plans, (name,))
+
+
 def seconds(journal: Journal, t_ns: NDArray[np.int64]) -> NDArray[np.float64]:
     """Return times [s] since the start of the run."""
     return np.asarray((t_ns - journal.header.started_t_ns) / 1e9)
@@ -100,6 +108,7 @@ def _scale(journal: Journal, axis: str) -> Field:
     header = journal.header
     values: dict[str, Value] = {
         "axis": ["x", "y", "z"],
+        "ahead": np.array(columns.PLAN_AHEAD_S),
         "component": ["xx", "xy", "xz", "yy", "yz", "zz"],
         "actuator": np.arange(1, header.actuators + 1),
         "valve": np.arange(1, header.valves + 1),

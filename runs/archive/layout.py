@@ -53,6 +53,7 @@ def groups(journal: Journal) -> tuple[Group, ...]:
             column_groups.pressure(journal),
             column_groups.tip(journal),
             column_groups.adaptation(journal),
+            column_groups.tip_control(journal),
             _timing(journal),
             _counters(journal),
             _frames(journal),

@@ -8,7 +8,7 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from runs.columns import ADAPTATIONS, AXES, OBSERVATIONS, SAMPLES, Table
+from runs.columns import ADAPTATIONS, AXES, OBSERVATIONS, SAMPLES, TIP_CONTROL, Table
 
 
 def table(kind: type[Table]) -> str:
@@ -30,7 +30,7 @@ def page(text: str) -> str:
     Raises:
         ValueError: the page has no place for a table.
     """
-    for kind in (*SAMPLES, *OBSERVATIONS, *ADAPTATIONS):
+    for kind in (*SAMPLES, *OBSERVATIONS, *ADAPTATIONS, *TIP_CONTROL):
         before, after = f"<!-- columns: {kind.group} -->\n", "<!-- end -->"
         found = text.count(before)
         if found != 1:

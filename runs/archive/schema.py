@@ -28,6 +28,7 @@ from runs.records import (
     adaptation_dtype,
     observation_dtype,
     sample_dtype,
+    tip_control_dtype,
 )
 
 TEXT, BYTES = "text", "bytes"
@@ -182,6 +183,7 @@ def _journal(actuators: int, valves: int, *, everything: bool) -> Journal:
         calibrations=files if everything else (),
         adapted=adapted if everything else (),
         cameras=("camera",) if everything else (),
+        tip_controller="controller" if everything else "",
     )
     rows = 1 if everything else 0
     return Journal(
@@ -190,6 +192,7 @@ def _journal(actuators: int, valves: int, *, everything: bool) -> Journal:
         samples=_rows(sample_dtype(actuators, valves), 0),
         observations=_rows(observation_dtype(actuators, len(header.cameras)), rows),
         adaptations=_rows(adaptation_dtype(len(header.adapted)), 0),
+        plans=_rows(tip_control_dtype(valves), 0),
         events=(),
         pictures=StoredPictures(memoryview(b"")),
         damage=(),

@@ -18,7 +18,7 @@ from runs.records import Event, ImageAnnotations, Picture, RunFooter, RunHeader
 
 T = TypeVar("T", RunHeader, RunFooter, Event)
 
-HEADER, FOOTER, EVENTS, SAMPLES, OBSERVATIONS, PICTURES, ADAPTATIONS, MARKS = range(1, 9)
+HEADER, FOOTER, EVENTS, SAMPLES, OBSERVATIONS, PICTURES, ADAPTATIONS, MARKS, PLANS = range(1, 10)
 """Channel numbers, the same in every journal."""
 TOPICS = {
     HEADER: "/header",
@@ -29,6 +29,7 @@ TOPICS = {
     PICTURES: "/pictures",
     ADAPTATIONS: "/adaptations",
     MARKS: "/marks",
+    PLANS: "/tip_control",
 }
 _ROS_TYPES = {"<i8": "int64", "<i4": "int32", "<f8": "float64", "<f4": "float32"}
 _STAMP = struct.Struct("<III")

@@ -15,11 +15,20 @@ from runs.archive.provenance import USER
 from runs.archive.reference import page
 from runs.archive.writer import finalise
 from runs.journal.journal import JournalWriter
-from runs.records import BACKBONE_POINTS, Quantity, RunFooter, Status, adaptation_dtype, observation_dtype, sample_dtype
+from runs.records import (
+    BACKBONE_POINTS,
+    Quantity,
+    RunFooter,
+    Status,
+    adaptation_dtype,
+    observation_dtype,
+    sample_dtype,
+    tip_control_dtype,
+)
 
 PAGE = Path(__file__).parents[3] / "docs" / "reference" / "archive.md"
 SIZES = {"N": 13, "M": 7, "K": 12, "Q": 20, "L": BACKBONE_POINTS, "E": 1, "S": 4, "A": 5, "V": 8, "C": 9, "P": 10} | {
-    str(n): n for n in (2, 3, 6)
+    str(n): n for n in (2, 3, 4, 6)
 }
 FREE = ("calibration", "model", "versions", "timing/counters")
 """Groups whose names come from elsewhere."""
@@ -52,6 +61,7 @@ def stored(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[tuple[in
         valves=SIZES["V"],
         cameras=cameras,
         adapted=adapted,
+        tip_controller="horizon",
         metadata=dict.fromkeys(("specimen", *USER), "-"),
     )
     writer = JournalWriter(source, header)
@@ -60,6 +70,7 @@ def stored(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[tuple[in
     observations["tip_motion"] = 1
     writer.observations(observations)
     writer.adaptations(np.zeros(SIZES["M"], adaptation_dtype(SIZES["P"])))
+    writer.plans(np.zeros(SIZES["M"], tip_control_dtype(SIZES["V"])))
     for index in range(SIZES["K"]):
         writer.picture(made_up.picture(index))
     writer.event(made_up.ARMED)

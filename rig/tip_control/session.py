@@ -1,0 +1,109 @@
+"""Tip control during a run: from rows of the record to the controller's step, and to the row that is recorded."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from protocols.tip_reference import TipMotion
+from rig.config.arm_model import model_arm
+from rig.config.schema import RigConfig
+from rig.config.sections import PA_PER_BAR, Variant
+from rig.execution.plan import Plan as RunPlan
+from rig.tip_control.interface import Measurement, Reference, TipControlSettings
+from rig.tip_control.registry import controller_class
+from runs.columns import PLAN_AHEAD_S
+from runs.records import DetectionStatus, blank, tip_control_dtype
+
+Array = NDArray[np.float64]
+
+AHEAD = 20
+"""Frames of the reference that a controller sees."""
+HISTORY_S = 1.0
+"""Time before a frame of whose control cycles a controller sees the set-points and pressures."""
+
+
+class StampedPlan(NamedTuple):
+    """A plan as the control loop follows it: times (K,) [protocol s] and set-points (K, V) [Pa]."""
+
+    times_s: Array
+    setpoint_pa: Array
+
+
+def settings(config: RigConfig, variant: Variant | None) -> TipControlSettings:
+    """What a controller knows of a rig."""
+    valve_of = {a - 1: v for v, valve in enumerate(config.valves) for a in valve.actuators}
+    return TipControlSettings(
+        arm=model_arm(config, variant),
+        valve_of=tuple(valve_of[a] for a in range(config.actuators)),
+        pressure_limit_pa=config.limits.pressure_bar * PA_PER_BAR,
+        rate_limit_pa_s=config.limits.rate_bar_per_s * PA_PER_BAR,
+        frame_s=1 / next(iter(config.cameras.values())).rate_hz,
+        delay_s=config.tip_control.delay_ms * 1e-3,
+        pressure_lag_s=config.tip_control.pressure_lag_ms * 1e-3,
+    )
+
+
+def first_actuators(config: RigConfig) -> list[int]:
+    """Index of the first actuator of each valve: all actuators of a valve have the same set-point."""
+    return [valve.actuators[0] - 1 for valve in config.valves]
+
+
+class TipControlSession:
+    """The controller of one run. It reads no clock."""
+
+    def __init__(self, plan: RunPlan) -> None:
+        """Raises UnknownControllerError if the controller of the plan cannot be used."""
+        self._trajectory = plan.trajectory
+        self._frame_s = 1 / next(iter(plan.config.cameras.values())).rate_hz
+        self._actuators = first_actuators(plan.config)
+        self._controller = controller_class(plan.tip_controller)(settings(plan.config, plan.variant))
+        self._state: Any = self._controller.start()
+        self._row = blank((), tip_control_dtype(len(plan.config.valves)))
+
+    def step(
+        self, observation: NDArray[np.void] | np.void, frame_protocol_s: float, samples: NDArray[np.void]
+    ) -> tuple[StampedPlan, NDArray[np.void]] | None:
+        """The plan that follows from a frame, and its row; None where the tip has no reference now.
+
+        `frame_protocol_s` is the protocol time of the exposure; `samples` (k,) are the newest control cycles.
+        """
+        start_s = float(samples["protocol_s"][-1])
+        motion = self._trajectory.tip.motion_at(start_s)
+        if motion is None or frame_protocol_s < 0:
+            return None
+        seen = observation["seen"] == DetectionStatus.MEASURED
+        measurement = Measurement(
+            frame_protocol_s,
+            np.array(observation["measured_m"]) if seen else np.full(3, np.nan),
+            np.array(observation["covariance_m2"]),
+            samples["protocol_s"],
+            samples["setpoint_pa"][:, self._actuators],
+            samples["measured_pa"][:, self._actuators],
+            start_s,
+        )
+        plan = self._controller.step(self._state, self._reference(motion, start_s), measurement)
+        self._state = plan.state
+        row = self._row.copy()
+        row["t_ns"], row["frame"], row["start_s"] = observation["t_ns"], observation["frame"], start_s
+        row["status"], row["iterations"], row["active"] = plan.status, plan.iterations, plan.active
+        times = np.asarray(plan.times_s, dtype=np.float64)
+        setpoint = np.asarray(plan.setpoint_pa, dtype=np.float64)
+        if times.ndim == 1 and len(times) and setpoint.shape == (len(times), len(self._actuators)):
+            ahead = start_s + np.array(PLAN_AHEAD_S)
+            within = ahead <= times[-1]
+            for valve, column in enumerate(setpoint.T):
+                row["plan_pa"][within, valve] = np.interp(ahead[within], times, column)
+        if plan.predicted_m is not None and np.shape(plan.predicted_m)[1:] == (3,) and len(plan.predicted_m):
+            row["predicted_m"] = plan.predicted_m[0]
+        row["payload_kg"], row["payload_std_kg"], row["nis"] = plan.estimate
+        return StampedPlan(times, setpoint), row
+
+    def _reference(self, motion: TipMotion, start_s: float) -> Reference:
+        times = start_s + self._frame_s * np.arange(AHEAD, dtype=np.float64)
+        within = np.minimum(times, motion.stop_s)
+        velocity = np.where((times <= motion.stop_s)[:, None], motion.velocities_m_s(within), 0.0)
+        feed = self._trajectory.sample(within.tolist())[:, self._actuators]
+        return Reference(times, motion.positions_m(within), velocity, feed, motion.period_s)

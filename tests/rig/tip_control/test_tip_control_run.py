@@ -1,0 +1,89 @@
+"""Tip control in runs of a simulated rig, in virtual time."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import runs
+from rig.cli.app import app
+from rig.config import loader
+from runs.run import Run
+
+PROTOCOL = """\
+title: part of a circle
+steps:
+  - tip:
+      circle: {centre_mm: [0, 0, 190], radius_mm: 15, period_s: 1, periods: 2}
+      lead_in_s: 1
+"""
+
+
+@pytest.fixture(scope="module")
+def controlled(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Run]:
+    """Two runs with the same controller."""
+    folder = tmp_path_factory.mktemp("tip_control")
+    (folder / "circle.yaml").write_text(PROTOCOL, encoding="utf-8")
+    found = {}
+    for name in ("horizon", "horizon again"):
+        out = folder / name
+        command = ["run", str(folder / "circle.yaml"), "--rig", "mock-3", "--fast", "--yes", "--no-report"]
+        result = CliRunner().invoke(app, [*command, "--out", str(out), "--controller", name.split()[0]])
+        assert result.exit_code == 0, result.output
+        (archive,) = out.glob("*.h5")
+        found[name] = runs.open(archive)
+    return found
+
+
+def _error_mm(run: Run) -> float:
+    """RMS distance of the true tip to the circle in its last period, by time since the start."""
+    assert run.simulated is not None
+    times = run.tip.time_s
+    turn = 2 * np.pi * (times - 1.0)
+    reference = np.stack([15 * np.cos(turn), 15 * np.sin(turn), np.full_like(turn, 190.0)], axis=1)
+    last = (times > 2.2) & (times < 3.0)
+    return float(np.sqrt(np.mean(np.sum((run.simulated.tip_mm - reference)[last] ** 2, axis=1))))
+
+
+def test_the_tip_follows_the_path(controlled: dict[str, Run]) -> None:
+    # The feed-forward alone errs by 1 mm.
+    assert _error_mm(controlled["horizon"]) < 0.5
+
+
+def test_the_plans_are_in_the_archive(controlled: dict[str, Run]) -> None:
+    run = controlled["horizon"]
+    plans = run.tip_control
+    assert plans is not None
+    assert run.header.tip_controller == "horizon"
+    assert len(plans.time_s) > 60
+    assert set(plans.status) == {0}
+    assert np.isfinite(plans.predicted_mm).all()
+    # The set-points of the run are those of the plans, from the cycle after the plan on.
+    cycles = np.searchsorted(run.pressure.protocol_s, plans.start_s + 1e-9)
+    played = run.pressure.setpoint_bar[cycles]
+    np.testing.assert_allclose(played, plans.plan_bar[:, 0], atol=0.006)
+    assert run.pressure.setpoint_bar.max() <= loader.load("mock-3").limits.pressure_bar
+
+
+def test_a_controlled_run_in_virtual_time_is_repeatable_bit_for_bit(controlled: dict[str, Run]) -> None:
+    first, second = controlled["horizon"], controlled["horizon again"]
+    np.testing.assert_array_equal(first.pressure.measured_bar, second.pressure.measured_bar)
+    np.testing.assert_array_equal(first.pressure.valve_v, second.pressure.valve_v)
+
+
+def test_an_unknown_controller_is_one_message(tmp_path: Path) -> None:
+    result = CliRunner().invoke(
+        app, ["run", "tip-circle", "--rig", "mock-3", "--fast", "--yes", "--controller", "no_such_module:C"]
+    )
+    assert result.exit_code == 2
+    assert "no_such_module:C" in result.output
+    text = loader.text("mock-3") + "tip_control: {controller: horizn}\n"
+    (tmp_path / "rig.yaml").write_text(text, encoding="utf-8")
+    wrong = CliRunner().invoke(app, ["run", "tip-circle", "--rig", str(tmp_path / "rig.yaml"), "--fast", "--yes"])
+    assert wrong.exit_code == 2
+    assert re.search(r"rig\.yaml:\d+", wrong.output)
+    assert "feed-forward, horizon" in wrong.output
