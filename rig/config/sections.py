@@ -380,7 +380,7 @@ class TipControl(Section):
     """How the tip follows the reference of a protocol's `tip` steps."""
 
     controller: Word = Field(
-        default="horizon", description="feed-forward, horizon, static-inverse, inverse-integral, or package:Class"
+        default="feed-forward", description="feed-forward, horizon, static-inverse, inverse-integral, or package:Class"
     )
     delay_ms: Annotated[float, Field(gt=0, le=500, allow_inf_nan=False, strict=True)] = Field(
         default=50.0, description="from the exposure of a frame to the plan that it leads to"

@@ -191,12 +191,18 @@ def _tip_controller(request: RunRequest) -> str:
     from rig.tip_control.registry import FEED_FORWARD, UnknownControllerError, controller_class
 
     name = request.controller or request.config.tip_control.controller
-    if name != FEED_FORWARD:
-        try:
-            controller_class(name)
-        except UnknownControllerError as error:
-            place = ("--controller", "") if request.controller else (str(request.rig_file), "tip_control, controller")
-            raise BadInputError([Problem(place[0], 0, 0, place[1], name, str(error))]) from None
+    if name == FEED_FORWARD:
+        return name
+    stated = ("--controller", "") if request.controller else (str(request.rig_file), "tip_control, controller")
+    try:
+        controller_class(name)
+    except UnknownControllerError as error:
+        raise BadInputError([Problem(stated[0], 0, 0, stated[1], name, str(error))]) from None
+    if not request.config.cameras:
+        raise BadInputError([Problem(stated[0], 0, 0, stated[1], name, "feed-forward: the rig has no camera")])
+    if not request.fast:
+        expected = "feed-forward in real time: other controllers run in virtual time (--fast) only"
+        raise BadInputError([Problem(stated[0], 0, 0, stated[1], name, expected)])
     return name
 
 

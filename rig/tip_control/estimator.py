@@ -25,20 +25,17 @@ LAG_STD_S, LAG_WALK_S = 0.01, 2e-4
 PAYLOAD_STD_KG, PAYLOAD_WALK_KG = 0.003, 2e-4
 OFFSET_STD_M, OFFSET_WALK_M = 2e-3, 2e-4
 HARMONIC_STD_M, HARMONIC_WALK_M = 1e-3, 3e-5
-MODEL_STD_M = 5e-5
+MODEL_STD_M = 1.2e-4
 """White error of the model beside that of the measurement."""
-SURPRISE_NIS = 25.0
+SURPRISE_NIS = 50.0
 """A NIS (three degrees of freedom) above this in SURPRISES frames in succession: something now hangs on the tip."""
 SURPRISES = 2
-SCALE_SHARE, SMALLEST_SCALE, LARGEST_SCALE = 0.05, 0.25, 100.0
-"""Share of one frame in the factor of the measurements' variance, and the bounds of the factor."""
 JUMP_KG = 0.05
 JUMP_M = 2e-4
 
 
 class EstimatorState(NamedTuple):
-    """Estimates `z` (n,) with covariance (n, n), the number of surprising frames in succession, and by what factor the
-    variance of the measurements is larger than stated.
+    """Estimates `z` (n,) with covariance (n, n), and the number of surprising frames in succession.
 
     z: gains (V,), lag, payload, offset (3,), then a_k and b_k (3,) of each harmonic.
     """
@@ -46,7 +43,6 @@ class EstimatorState(NamedTuple):
     z: Array
     covariance: Array
     surprises: int = 0
-    scale: float = 1.0
 
 
 class TipEstimator:
@@ -121,7 +117,7 @@ class TipEstimator:
         waves = np.full(6 * HARMONICS, HARMONIC_WALK_M if period_s else 0.0)
         walk = self._each(GAIN_WALK, LAG_WALK_S, PAYLOAD_WALK_KG, OFFSET_WALK_M, waves)
         covariance = state.covariance + np.diag(walk**2) * passed_s
-        noise = state.scale * (covariance_m2 + MODEL_STD_M**2 * np.eye(3))
+        noise = covariance_m2 + MODEL_STD_M**2 * np.eye(3)
         gap = measured_m - predicted
         innovation = slope @ covariance @ slope.T + noise
         nis = float(gap @ np.linalg.solve(innovation, gap))
@@ -138,10 +134,7 @@ class TipEstimator:
         gain = np.linalg.solve(innovation, slope @ covariance).T
         keep = np.eye(self._size) - gain @ slope
         after = keep @ covariance @ keep.T + gain @ noise @ gain.T  # Joseph form
-        scale = state.scale * (1 + SCALE_SHARE * (min(nis, SURPRISE_NIS) / 3 - 1))
-        return EstimatorState(
-            state.z + gain @ gap, after, surprises, min(max(scale, SMALLEST_SCALE), LARGEST_SCALE)
-        ), nis
+        return EstimatorState(state.z + gain @ gap, after, surprises), nis
 
     def _each(self, gain: float, lag: float, payload: float, offset: float, waves: Array) -> Array:
         return np.concatenate([np.full(self._valves, gain), [lag, payload], np.full(3, offset), waves])

@@ -40,7 +40,7 @@ def settings(config: RigConfig, variant: Variant | None) -> TipControlSettings:
         valve_of=tuple(valve_of[a] for a in range(config.actuators)),
         pressure_limit_pa=config.limits.pressure_bar * PA_PER_BAR,
         rate_limit_pa_s=config.limits.rate_bar_per_s * PA_PER_BAR,
-        frame_s=1 / next(iter(config.cameras.values())).rate_hz,
+        frame_s=1 / config.observation_hz,
         delay_s=config.tip_control.delay_ms * 1e-3,
         pressure_lag_s=config.tip_control.pressure_lag_ms * 1e-3,
     )
@@ -57,7 +57,7 @@ class TipControlSession:
     def __init__(self, plan: RunPlan) -> None:
         """Raises UnknownControllerError if the controller of the plan cannot be used."""
         self._trajectory = plan.trajectory
-        self._frame_s = 1 / next(iter(plan.config.cameras.values())).rate_hz
+        self._frame_s = 1 / plan.config.observation_hz
         self._actuators = first_actuators(plan.config)
         self._controller = controller_class(plan.tip_controller)(settings(plan.config, plan.variant))
         self._state: Any = self._controller.start()

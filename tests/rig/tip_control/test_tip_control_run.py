@@ -87,3 +87,11 @@ def test_an_unknown_controller_is_one_message(tmp_path: Path) -> None:
     assert wrong.exit_code == 2
     assert re.search(r"rig\.yaml:\d+", wrong.output)
     assert "feed-forward, horizon" in wrong.output
+
+
+def test_a_controller_in_real_time_is_refused_before_anything_moves(tmp_path: Path) -> None:
+    command = ["run", "tip-circle", "--rig", "mock-3", "--yes", "--controller", "horizon", "--out", str(tmp_path)]
+    result = CliRunner().invoke(app, command)
+    assert result.exit_code == 2
+    assert "--fast" in result.output
+    assert not list(tmp_path.iterdir())
