@@ -27,15 +27,17 @@ OFFSET_STD_M, OFFSET_WALK_M = 2e-3, 2e-4
 HARMONIC_STD_M, HARMONIC_WALK_M = 1e-3, 3e-5
 MODEL_STD_M = 1.2e-4
 """White error of the model beside that of the measurement."""
-SURPRISE_NIS = 50.0
+SURPRISE_NIS = 20.0
 """A NIS (three degrees of freedom) above this in SURPRISES frames in succession: something now hangs on the tip."""
 SURPRISES = 2
-JUMP_KG = 0.05
-JUMP_M = 2e-4
+LEARNING_FRAMES = 90
+"""Frames after the start in which a large NIS is no surprise: the estimates are still far off."""
+JUMP_KG = 0.15
+JUMP_M = 1e-4
 
 
 class EstimatorState(NamedTuple):
-    """Estimates `z` (n,) with covariance (n, n), and the number of surprising frames in succession.
+    """Estimates `z` (n,) with covariance (n, n), and the number of surprising frames in succession and of all frames.
 
     z: gains (V,), lag, payload, offset (3,), then a_k and b_k (3,) of each harmonic.
     """
@@ -43,6 +45,7 @@ class EstimatorState(NamedTuple):
     z: Array
     covariance: Array
     surprises: int = 0
+    frames: int = 0
 
 
 class TipEstimator:
@@ -121,7 +124,7 @@ class TipEstimator:
         gap = measured_m - predicted
         innovation = slope @ covariance @ slope.T + noise
         nis = float(gap @ np.linalg.solve(innovation, gap))
-        surprises = state.surprises + 1 if nis > SURPRISE_NIS else 0
+        surprises = state.surprises + 1 if nis > SURPRISE_NIS and state.frames > LEARNING_FRAMES else 0
         if surprises >= SURPRISES:
             jump = self._each(0.0, 0.0, JUMP_KG, JUMP_M, np.zeros(6 * HARMONICS))
             covariance = covariance + np.diag(jump**2)
@@ -134,7 +137,7 @@ class TipEstimator:
         gain = np.linalg.solve(innovation, slope @ covariance).T
         keep = np.eye(self._size) - gain @ slope
         after = keep @ covariance @ keep.T + gain @ noise @ gain.T  # Joseph form
-        return EstimatorState(state.z + gain @ gap, after, surprises), nis
+        return EstimatorState(state.z + gain @ gap, after, surprises, state.frames + 1), nis
 
     def _each(self, gain: float, lag: float, payload: float, offset: float, waves: Array) -> Array:
         return np.concatenate([np.full(self._valves, gain), [lag, payload], np.full(3, offset), waves])
