@@ -144,7 +144,7 @@ def test_an_unknown_payload_is_weighed_and_compensated() -> None:
     run = simulate(SETTINGS, HorizonControl(SETTINGS), truth, task, seed=2)
     before = next(p for p in reversed(run.plans) if p.times_s[0] < 5.0).estimate.payload_kg
     after = next(p for p in run.plans if p.times_s[0] > 7.0).estimate.payload_kg
-    assert after - before == pytest.approx(0.05, abs=0.003)
+    assert after - before == pytest.approx(0.05, abs=0.007)
     assert run.rms_m(6.0, 6.5) < 0.3e-3
 
 
