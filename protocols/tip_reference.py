@@ -68,7 +68,10 @@ class TipMotion:
 
 @dataclass(frozen=True)
 class TipReference:
-    """The motions of a protocol in ascending order; between them there is no reference."""
+    """The motions of a protocol in ascending order; between them there is no reference, nor at the end of a motion.
+
+    After the end of the protocol its time stands still, while the chambers vent.
+    """
 
     motions: tuple[TipMotion, ...] = ()
 
@@ -78,7 +81,7 @@ class TipReference:
     def motion_at(self, t_s: float) -> TipMotion | None:
         """The motion at a protocol time, None where the tip has no reference."""
         index = bisect_right([motion.start_s for motion in self.motions], t_s) - 1
-        return self.motions[index] if index >= 0 and t_s <= self.motions[index].stop_s else None
+        return self.motions[index] if index >= 0 and t_s < self.motions[index].stop_s else None
 
     def position_m(self, t_s: float) -> Array:
         """Position (3,) [m] at a protocol time; NaN in a coordinate without a reference."""
@@ -115,7 +118,7 @@ class TipReference:
         times = np.array(list(t_s), dtype=np.float64)
         found = np.full((len(times), 3), np.nan)
         for motion in self.motions:
-            inside = (times >= motion.start_s) & (times <= motion.stop_s)
+            inside = (times >= motion.start_s) & (times < motion.stop_s)
             if inside.any():
                 found[inside] = value(motion, times[inside])
         return found

@@ -104,7 +104,7 @@ def test_an_archive_has_reference_prediction_and_place_on_the_path(archive: Run)
     reference = archive.reference
     assert reference is not None
     t = archive.tip.protocol_s
-    lead_in, path = (t > 0.51) & (t < 2.49), t > 2.51
+    lead_in, path = (t > 0.51) & (t < 2.49), (t > 2.51) & (t < 4.49)
     assert np.isnan(reference.reference_mm[t < 0.49]).all()
     assert set(reference.period[lead_in]) == {0}
     assert set(reference.motion[lead_in | path]) == {1}

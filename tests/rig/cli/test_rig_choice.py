@@ -107,7 +107,7 @@ def test_an_unreadable_rig_of_folder_or_variable_is_not_replaced_by_the_mock(
     assert inside(*arguments) == 2
     said = capsys.readouterr().err
     assert "mook: SOFTRIG_RIG" in said
-    assert "did you mean mock?" in said
+    assert "did you mean mock or mock-3?" in said
 
 
 def test_vent_without_a_rig_and_without_a_run_vents_nothing_and_returns_2(
