@@ -26,6 +26,10 @@ def driver() -> type[ComediCard]:
     return ComediCard
 
 
+class _CommandsRefusedError(CardError):
+    """The driver accepts no command at any rate."""
+
+
 class ComediCard:
     """An open Comedi card.
 
@@ -122,7 +126,12 @@ class ComediCard:
                 f"{self.description} cannot sample by its own clock: set `acquisition: auto` for card {setup.name}"
             )
         if subdevice.can_command and setup.acquisition != "instruction":
-            self._sampler = _CommandSampling(self._device, subdevice, setup, self._inputs)
+            try:
+                self._sampler = _CommandSampling(self._device, subdevice, setup, self._inputs)
+            except _CommandsRefusedError:
+                if setup.acquisition == "command":
+                    raise
+                self._sampler = _InstructionSampling(self._inputs)
         else:
             self._sampler = _InstructionSampling(self._inputs)
 
@@ -273,7 +282,12 @@ def _prepare(
             if abs(period_ns / wanted_ns - 1) <= _NEAR_ENOUGH:
                 return rounded, channels
             offered.append(1e9 / period_ns)
-    rates = f"; near it the card has {', '.join(f'{hz:.4g} Hz' for hz in sorted(set(offered)))}" if offered else ""
+    if not offered:
+        raise _CommandsRefusedError(
+            f"the driver of {device.path} refuses every command for channels {[c.number for c in setup.inputs]}: "
+            "set `acquisition: instruction` for the card"
+        )
+    rates = f"; near it the card has {', '.join(f'{hz:.4g} Hz' for hz in sorted(set(offered)))}"
     raise CardError(
         f"{device.path} cannot sample channels {[c.number for c in setup.inputs]} at {setup.sampling_hz:g} Hz{rates}. "
         "Change `sampling_hz`, or set `acquisition: instruction` for the card"

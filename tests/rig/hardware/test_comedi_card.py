@@ -251,6 +251,32 @@ def test_a_rig_that_requires_a_command_is_refused_by_a_card_without_one(make: Ma
         card.start()
 
 
+def refuse_commands(device: MadeUpDevice, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let the driver refuse every command, as Linux-Comedi does for the PCI-1716."""
+    monkeypatch.setattr(device.inputs, "prepare", lambda lines, timing: None)
+
+
+def test_where_the_driver_refuses_every_command_auto_reads_by_instruction(
+    make: MakeCard, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    card, device = make(unipolar(3), acquisition="auto")
+    refuse_commands(device, monkeypatch)
+    card.start()
+    device.inputs.lines[3].raw = 65535
+    np.testing.assert_allclose(card.read().volts, [[10.0]])
+    assert device.inputs.started == 0
+    assert card.period_ns is None
+
+
+def test_where_the_driver_refuses_every_command_a_rig_that_requires_one_is_refused(
+    make: MakeCard, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    card, device = make(unipolar(3), acquisition="command")
+    refuse_commands(device, monkeypatch)
+    with pytest.raises(CardError, match=r"refuses every command.*acquisition: instruction"):
+        card.start()
+
+
 def test_an_output_takes_the_narrowest_range_and_never_leaves_the_rigs(make: MakeCard) -> None:
     card, device = make((), (Channel(0, 0.0, 5.0), Channel(1, 2.0, 8.0)))
     assert [device.outputs.lines[n].span_v for n in (0, 1)] == [(0.0, 5.0), (0.0, 10.0)]
