@@ -36,7 +36,7 @@ def rig(*arguments: str) -> Result:
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with every calibration of the mock rig, made dry, and a rig that names them."""
+    """A folder with every calibration of the rig mock-ideal, made dry, and a rig that names them."""
     here = tmp_path_factory.mktemp("bench")
     before = Path.cwd()
     os.chdir(here)
@@ -46,7 +46,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
                 "camera",
                 "--capture",
                 "--rig",
-                "mock",
+                "mock-ideal",
                 "--corners",
                 "9x6",
                 "--square-mm",
@@ -56,13 +56,14 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
                 "--to",
                 "c.yaml",
             ],
-            ["tool", "--capture", "--to", "t.yaml"],
-            ["pressure", "--fast", "--yes", "--seed", "3", "--to", "p.yaml"],
+            ["tool", "--rig", "mock-ideal", "--capture", "--to", "t.yaml"],
+            ["pressure", "--rig", "mock-ideal", "--fast", "--yes", "--seed", "3", "--to", "p.yaml"],
         ):
             done = rig("calibrate", *command)
             assert done.exit_code == 0, done.output
             assert "nothing real was measured" in done.output
-        text = loader.text("mock").replace("name: mock\n", "name: mock\ncalibrations: [c.yaml, t.yaml, p.yaml]\n")
+        name = "name: mock-ideal\n"
+        text = loader.text("mock-ideal").replace(name, f"{name}calibrations: [c.yaml, t.yaml, p.yaml]\n")
         (here / "my.yaml").write_text(text)
         (here / "short.yaml").write_text(SHORT)
     finally:
@@ -72,7 +73,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def truth() -> RigConfig:
-    return loader.load("mock")
+    return loader.load("mock-ideal")
 
 
 def test_the_lens_is_the_simulators_within_its_own_bounds(folder: Path, truth: RigConfig) -> None:

@@ -173,7 +173,7 @@ class TestBadData:
     def test_units_that_give_implausible_values_give_a_warning(
         self, bring: Bring, tmp_path: Path, old: str, new: str, said: str
     ) -> None:
-        own = loader.text("mock")
+        own = loader.text("mock-ideal")
         one = own[: own.index("  - type: flow\n    actuators: [2, 3]")] + own[own.index("sensors:") :]
         for line in ("  - {actuator: 2, card: daq, channel: 1}\n", "  - {actuator: 3, card: daq, channel: 2}\n"):
             one = one.replace(line, "")

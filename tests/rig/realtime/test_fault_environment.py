@@ -39,8 +39,11 @@ RUNNING = [
     "control",
     "observation",
     "simulator",
+    "simulator/arm_effects",
+    "execution",
+    "tip_control",
 ]
-RUNNING_SCREEN = [f"cli/{name}.py" for name in ("terminal", "keyboard", "nonblocking_writer", "signals")]
+RUNNING_SCREEN = [f"cli/{name}.py" for name in ("terminal", "keyboard", "nonblocking_writer")]
 
 
 def test_a_reader_that_stops_reading_does_not_block_the_writer() -> None:
