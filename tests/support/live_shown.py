@@ -98,6 +98,7 @@ class Shown:
             "variant": "coupled",
             "actuators": self.actuators,
             "camera": [640, 480],
+            "measured": True,
             "duration": 9723.0,
             "limit": 0.7,
             "length": 170.0,
