@@ -46,6 +46,23 @@ class HorizonState(NamedTuple):
     setpoint_pa: Array
 
 
+class _Prediction(NamedTuple):
+    """Tips (K, 3) at the times (K,) of a grid, and their linearisation: the response (K, K) to a change of the drive,
+    the slopes (K, 3, V) of the drive by the pressures, and the weights (K, k - 1) of the free deviations.
+    """
+
+    grid_s: Array
+    tips_m: Array
+    response: Array
+    slopes: Array
+    weights: Array
+
+    def moved(self, change_pa: Array) -> Array:
+        """The tips (K, 3) after a change (k - 1, V) of the free deviations."""
+        moved: Array = self.tips_m + (self.response @ np.einsum("kcv,kj,jv->kc", self.slopes, self.weights, change_pa))
+        return moved
+
+
 class HorizonControl:
     """EKF, periodic observer and a quadratic program over the horizon."""
 
@@ -89,30 +106,51 @@ class HorizonControl:
         return state._replace(tip=tip, time_s=measurement.time_s, estimator=estimator), nis
 
     def _planned(self, state: HorizonState, reference: Reference, measurement: Measurement, estimate: Estimate) -> Plan:
-        limit, known = self._settings.pressure_limit_pa, state.estimator
+        """The plan from the start on: one Gauss-Newton step about the last plan."""
         start_s, frame_s = measurement.start_s, self._settings.frame_s
         knots_s = start_s + frame_s * np.array(KNOTS, dtype=np.float64)
         frames_s = start_s + frame_s * np.arange(HORIZON + 1, dtype=np.float64)
         feed = _interpolated(frames_s, reference.times_s, reference.feedforward_pa)
-        now = measurement.setpoint_pa[-1]
-        # The deviations of the last plan at the new knots, from where the set-points are.
-        if len(state.times_s):
-            last = _interpolated(knots_s, state.times_s, state.setpoint_pa)
-            deviation = last - _interpolated(knots_s, reference.times_s, reference.feedforward_pa)
-        else:
-            deviation = np.tile(now - feed[0], (len(KNOTS), 1))
-        deviation[0] = now - feed[0]
+        deviation = _last_deviation(state, reference, knots_s, measurement.setpoint_pa[-1], feed[0])
+        before = deviation[1:].reshape(-1) / _PA_PER_BAR
+        prediction = self._prediction(state, reference, measurement, knots_s, deviation, frames_s[-1])
+        hessian, slope = self._cost(prediction, reference, frames_s, knots_s, deviation, before)
+        rows, low, high = self._constraints(feed, frames_s, knots_s, deviation[0])
+        found, _, flag, info = daqp.solve(
+            np.ascontiguousarray(hessian), slope, np.ascontiguousarray(rows), high, low,
+            np.full(len(rows), _SOFT, dtype=np.int32), iter_limit=MOST_ITERATIONS,
+        )  # fmt: skip
+        solved = flag in _SOLVED and bool(np.isfinite(found).all())
+        if solved:
+            deviation[1:] = np.asarray(found).reshape(deviation[1:].shape) * _PA_PER_BAR
+        times = start_s + self._step_s * np.arange(HORIZON * STEPS_PER_FRAME + 1, dtype=np.float64)
+        setpoint = _interpolated(times, reference.times_s, reference.feedforward_pa) + _hat(times, knots_s) @ deviation
+        return Plan(
+            times, setpoint, _interpolated(times, prediction.grid_s, prediction.moved(_changed(deviation, before))),
+            state._replace(times_s=times, setpoint_pa=setpoint),
+            SolveStatus.SOLVED if solved else SolveStatus.NOT_SOLVED,
+            int(info["iterations"]), int(np.count_nonzero(info["lam"])), estimate,
+        )  # fmt: skip
 
-        grid_s = (
-            np.arange(1 + math.ceil((frames_s[-1] - state.time_s) / self._step_s), dtype=np.float64) * self._step_s
-            + state.time_s
-        )
+    def _prediction(
+        self,
+        state: HorizonState,
+        reference: Reference,
+        measurement: Measurement,
+        knots_s: Array,
+        deviation: Array,
+        stop_s: float,
+    ) -> _Prediction:
+        """The tips from the last frame to the end of the horizon under the last plan, and how they answer."""
+        start_s, known = measurement.start_s, state.estimator
+        count = 1 + math.ceil((stop_s - state.time_s) / self._step_s)
+        grid_s = np.arange(count, dtype=np.float64) * self._step_s + state.time_s
         asked_s, lag_s = grid_s - self._settings.pressure_lag_s, self._estimator.lag_s(known)
         weights = _hat(asked_s, knots_s)
         past = _interpolated(asked_s, measurement.sample_s, measurement.setpoint_pa)
         future = _interpolated(asked_s, reference.times_s, reference.feedforward_pa) + weights @ deviation
         later = asked_s > start_s
-        pressure = np.clip(np.where(later[:, None], future, past), 0.0, limit)
+        pressure = np.clip(np.where(later[:, None], future, past), 0.0, self._settings.pressure_limit_pa)
         drive = self._estimator.drive(known, pressure)
         slopes = self._estimator.drive_by_pressure(known, pressure)
         first = self._map.tips(pressure[:1])[0]
@@ -120,51 +158,54 @@ class HorizonControl:
         states = self._dynamics.advance(moving, drive, self._step_s)
         tips = states[:, 0] - lag_s * states[:, 1] + self._estimator.disturbance(known, grid_s, reference.period_s)
         response = self._dynamics.responses(len(grid_s) - 1, self._step_s, lag_s)
+        return _Prediction(grid_s, tips, response, slopes, np.where(later[:, None], weights, 0.0)[:, 1:])
 
-        # Tips at the frames of the horizon, and their slopes by the deviations at all knots but the first.
-        seen = _hat(frames_s[1:], grid_s)
-        weights = np.where(later[:, None], weights, 0.0)[:, 1:]
-        by = np.einsum("fk,kcv,kj->fcjv", seen @ response, slopes, weights)
-        valves, unknowns = self._map.valves, len(KNOTS) - 1
-        matrix = by.reshape(HORIZON * 3, unknowns * valves)
+    def _cost(
+        self,
+        prediction: _Prediction,
+        reference: Reference,
+        frames_s: Array,
+        knots_s: Array,
+        deviation: Array,
+        before: Array,
+    ) -> tuple[Array, Array]:
+        """Hessian (n, n) and slope (n,) of the cost by the deviations [bar] at all knots but the first."""
+        valves = self._map.valves
+        seen = _hat(frames_s[1:], prediction.grid_s)
+        by = np.einsum("fk,kcv,kj->fcjv", seen @ prediction.response, prediction.slopes, prediction.weights)
+        matrix = by.reshape(HORIZON * 3, len(before))
         wanted = _interpolated(frames_s[1:], reference.times_s, reference.position_m)
-        gap = (wanted - seen @ tips).reshape(-1)
+        gap = (wanted - seen @ prediction.tips_m).reshape(-1)
         used = np.isfinite(gap)
         matrix, gap = _MM * _PA_PER_BAR * matrix[used], _MM * gap[used]
-
-        before = deviation[1:].reshape(-1) / _PA_PER_BAR
         gap = gap + matrix @ before
         rates = (np.eye(len(KNOTS)) - np.eye(len(KNOTS), k=-1))[1:] / np.diff(knots_s)[:, None]
         smooth = SETTLING_WEIGHT * np.kron(rates[:, 1:], np.eye(valves))
         smooth_gap = -SETTLING_WEIGHT * np.kron(rates[:, :1], np.eye(valves)) @ (deviation[0] / _PA_PER_BAR)
-        hessian = matrix.T @ matrix + smooth.T @ smooth
-        slope = -(matrix.T @ gap + smooth.T @ smooth_gap)
+        return matrix.T @ matrix + smooth.T @ smooth, -(matrix.T @ gap + smooth.T @ smooth_gap)
 
+    def _constraints(self, feed: Array, frames_s: Array, knots_s: Array, first: Array) -> tuple[Array, Array, Array]:
+        """Rows (m, n) and bounds (m,) [bar] of pressure and rate at each frame; `first` (V,) is the given deviation."""
+        limit, valves = self._settings.pressure_limit_pa, self._map.valves
         blocks = _hat(frames_s, knots_s)
-        base = feed + blocks[:, :1] * deviation[0]
-        step = np.diff(blocks[:, 1:], axis=0)
-        rows = np.concatenate([blocks[1:, 1:], step])
-        room = self._settings.rate_limit_pa_s * frame_s
+        base = feed + blocks[:, :1] * first
+        rows = np.concatenate([blocks[1:, 1:], np.diff(blocks[:, 1:], axis=0)])
+        room = self._settings.rate_limit_pa_s * self._settings.frame_s
         centre = np.concatenate([base[1:], np.diff(base, axis=0)])
         low = np.concatenate([np.zeros((HORIZON, valves)), np.full((HORIZON, valves), -room)]) - centre
         high = np.concatenate([np.full((HORIZON, valves), limit), np.full((HORIZON, valves), room)]) - centre
-        found, _, flag, info = daqp.solve(
-            np.ascontiguousarray(hessian), slope, np.ascontiguousarray(np.kron(rows, np.eye(valves))),
-            high.reshape(-1) / _PA_PER_BAR, low.reshape(-1) / _PA_PER_BAR,
-            np.full(2 * HORIZON * valves, _SOFT, dtype=np.int32), iter_limit=MOST_ITERATIONS,
-        )  # fmt: skip
-        solved = flag in _SOLVED and bool(np.isfinite(found).all())
-        if solved:
-            deviation[1:] = np.asarray(found).reshape(unknowns, valves) * _PA_PER_BAR
-        times = start_s + self._step_s * np.arange(HORIZON * STEPS_PER_FRAME + 1, dtype=np.float64)
-        setpoint = _interpolated(times, reference.times_s, reference.feedforward_pa) + _hat(times, knots_s) @ deviation
-        predicted = tips + (response @ np.einsum("kcv,kj,jv->kc", slopes, weights, _changed(deviation, before)))
-        return Plan(
-            times, setpoint, _interpolated(times, grid_s, predicted),
-            state._replace(times_s=times, setpoint_pa=setpoint),
-            SolveStatus.SOLVED if solved else SolveStatus.NOT_SOLVED,
-            int(info["iterations"]), int(np.count_nonzero(info["lam"])), estimate,
-        )  # fmt: skip
+        return np.kron(rows, np.eye(valves)), low.reshape(-1) / _PA_PER_BAR, high.reshape(-1) / _PA_PER_BAR
+
+
+def _last_deviation(state: HorizonState, reference: Reference, knots_s: Array, now_pa: Array, feed_pa: Array) -> Array:
+    """Deviations (k, V) of the last plan from the feed-forward at the new knots, from where the set-points are."""
+    if len(state.times_s):
+        last = _interpolated(knots_s, state.times_s, state.setpoint_pa)
+        deviation = last - _interpolated(knots_s, reference.times_s, reference.feedforward_pa)
+    else:
+        deviation = np.tile(now_pa - feed_pa, (len(KNOTS), 1))
+    deviation[0] = now_pa - feed_pa
+    return deviation
 
 
 def _changed(deviation: Array, before: Array) -> Array:
