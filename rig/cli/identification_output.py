@@ -73,6 +73,13 @@ def estimates(fit: Fit, as_json: bool, under: Baseline | None = None) -> None:
         screen.print(f"the model is off by {1e3 * fit.discrepancy_m:.3f} mm per axis beyond the stated errors")
 
 
+_CONTRADICTION = (
+    "The result contradicts what the rig file states. Either that is wrong, or the arm does what the model does not "
+    "contain (creep, hysteresis, softening). Then these numbers describe this run only and their error bars are too "
+    "small: identify from more runs, with other chambers and loads, and compare with --leave-out."
+)
+
+
 def _verdict(e: Estimate, fixed: bool) -> str:
     others = f" ({', '.join(e.partners)})" if e.partners else ""
     label = f"{e.name} {e.run}".strip()
@@ -114,6 +121,8 @@ def _warnings(fit: Fit) -> None:
         f"{'its prior' if e.prior else 'stated in the rig file'}"
         for e in fit.in_tension
     ]
+    if any(not e.nuisance and not e.prior for e in fit.in_tension):
+        screen.print(Text(_CONTRADICTION, "bold yellow"), soft_wrap=True)
     warnings += [fit.drifts] if fit.drifts else []
     warnings += [f"left open by the data: {words}" for words in fit.open_directions]
     if fit.starts > 1:

@@ -304,3 +304,14 @@ def test_damping_is_free_by_default_where_a_run_moves(
     free: Any = estimation.from_poses(load("mock"), [cast(Poses, SimpleNamespace(moving=moving))], (), {})
     assert ("damping_s" in free) == damped
     assert {"law", "rpe_per_bar", "base", "sensor_offsets"} <= set(free)
+
+
+def test_a_result_that_contradicts_the_rig_file_is_called_one(
+    bench: dict[str, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    stiff = text("mock").replace("a1_per_N: 0.00742681", "a1_per_N: 0.004")
+    file = archive(tmp_path, "weights", np.zeros((7, 3)), np.linspace(0, 1.2, 7), stiff)
+    rig(str(file))
+    assert "The result contradicts what the rig file states" in capsys.readouterr().out
+    rig(bench["weights"])
+    assert "contradicts" not in capsys.readouterr().out
