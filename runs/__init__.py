@@ -4,15 +4,14 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from runs.data_folder import DATA, LAST
+
 if TYPE_CHECKING:
     from pathlib import Path
 
     from runs.run import Run
 
-DATA = "data"
-"""Default folder of archives."""
-LAST = "last"
-"""Names the newest run."""
+__all__ = ["DATA", "LAST", "open"]
 
 
 def open(name: Path | str) -> Run:

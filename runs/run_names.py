@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import runs
-from runs import LAST
 from runs.archive.writer import SUFFIX, ArchiveError
 from runs.catalogue import catalogue
+from runs.data_folder import DATA as DATA_FOLDER
+from runs.data_folder import LAST
 
-DATA = Path(runs.DATA)
+DATA = Path(DATA_FOLDER)
 MOST_SHOWN = 5
 
 

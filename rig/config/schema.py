@@ -26,10 +26,10 @@ from rig.config.sections import (
     Recording,
     Section,
     Sensor,
-    TipControl,
     Word,
 )
 from rig.config.simulator_sections import Simulator
+from rig.config.tip_control_section import TipControl
 from rig.config.uncertainties import Uncertainties
 from rig.valves.registry import Valve
 

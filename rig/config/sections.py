@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, JsonValue, field_validator, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, JsonValue, model_validator
 from pydantic.json_schema import SkipJsonSchema
 
 from protocols.validation import ValidationFault, faults
@@ -18,11 +18,6 @@ from rig.config.drivers import CAMERA_DRIVERS
 from rig.config.plugins import PluginSections
 
 PA_PER_BAR = 1e5
-
-TIP_CONTROLLERS = ("feed-forward", "horizon", "static-inverse", "inverse-integral")
-"""Names of the tip controllers; `rig.tip_control.registry` has their classes."""
-
-_CLASS = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*")
 
 
 Variant = Literal["homogeneous", "homogeneous+rpe", "inhomogeneous+rpe"]
@@ -374,27 +369,6 @@ class ModelConfig(Section):
     rate_hz: Annotated[float, Field(ge=1, le=1000, allow_inf_nan=False, strict=True)] = Field(
         default=30.0, description="predictions per second of a rig without cameras; a camera gives its own rate"
     )
-
-
-class TipControl(Section):
-    """How the tip follows the reference of a protocol's `tip` steps."""
-
-    controller: Word = Field(
-        default="feed-forward", description="feed-forward, horizon, static-inverse, inverse-integral, or package:Class"
-    )
-    delay_ms: Annotated[float, Field(gt=0, le=500, allow_inf_nan=False, strict=True)] = Field(
-        default=50.0, description="from the exposure of a frame to the plan that it leads to"
-    )
-    pressure_lag_ms: Annotated[float, Field(ge=0, le=500, allow_inf_nan=False, strict=True)] = Field(
-        default=10.0, description="from a moving set-point to the pressure in the chamber"
-    )
-
-    @field_validator("controller")
-    @classmethod
-    def _known(cls, name: str) -> str:
-        if (name in TIP_CONTROLLERS) or _CLASS.fullmatch(name):
-            return name
-        raise ValueError(f"one of {', '.join(TIP_CONTROLLERS)}, or package:Class of your own")
 
 
 class Recording(Section):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib
 from collections.abc import Callable
 
-from rig.config.sections import TIP_CONTROLLERS
+from rig.config.tip_control_section import TIP_CONTROLLERS
 from rig.tip_control.interface import TipController, TipControlSettings
 
 FEED_FORWARD = "feed-forward"
