@@ -7,17 +7,14 @@ row in `docs/reference/archive.md` (`python -m runs.archive.reference docs/refer
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Mapping
 from enum import IntEnum
-from typing import Any, ClassVar, Self, overload
 
 import numpy as np
 from numpy.typing import NDArray
 
 from runs.archive.fields import LARGEST, LARGEST_S, PA_PER_BAR
-
-Values = NDArray[Any]
+from runs.column_declaration import Column, Table, Values
 
 BACKBONE_POINTS = 11
 """Points of the model's backbone, evenly spaced along the arm at rest."""
@@ -48,80 +45,6 @@ class SolveStatus(IntEnum):
     """The solver failed: the plan continues the one before."""
     REFUSED = 2
     """It was no plan, because it was not finite or not in order: the one before is followed."""
-
-
-def _same(values: Values) -> Values:
-    return values
-
-
-@dataclass(eq=False)
-class Column:
-    """One column: a field of a record, a dataset of the archive, an attribute of the group as it is read.
-
-    `record` names the field, in SI units, of type `dtype` and of shape `shape` (by default `axes`). A column that the
-    archive computes from other fields has none, but `of`: rows (n,) to values (n, ..). `axes` are the scales of the
-    dataset's dimensions after the rows. `convert` gives the stored values of the field, `read` the attribute of the
-    stored values. `missing` is the value of a field that is not set; an integer is 0.
-
-    `dataset` is by default the name of the attribute. `among`, `limits` and `finite` are what a reader may rely on.
-    """
-
-    record: str = ""
-    dtype: str = "<f8"
-    axes: tuple[str, ...] = ()
-    shape: tuple[str, ...] = ()
-    unit: str = ""
-    about: str = ""
-    convert: Callable[[Values], Values] = _same
-    of: Callable[[NDArray[np.void]], Values] | None = None
-    read: Callable[[Values], Values] = _same
-    missing: float = float("nan")
-    dataset: str = ""
-    among: tuple[int, ...] = ()
-    limits: tuple[float, float] | None = None
-    finite: bool = False
-    name: str = field(default="", init=False)
-    """The attribute."""
-
-    def __set_name__(self, owner: type[Table], name: str) -> None:
-        self.name = name
-        self.dataset = self.dataset or name
-
-    @overload
-    def __get__(self, table: None, owner: type[Table]) -> Column: ...
-    @overload
-    def __get__(self, table: Table, owner: type[Table]) -> Values: ...
-    def __get__(self, table: Table | None, owner: type[Table]) -> Column | Values:
-        return self if table is None else table.values[self.name]
-
-    def stored(self, rows: NDArray[np.void]) -> Values:
-        """Return the values that the archive stores of records (n,)."""
-        return self.convert(rows[self.record]) if self.of is None else self.of(rows)
-
-
-class Table:
-    """The columns of one group of the archive, as it is read: each is an attribute, an array (n, ..)."""
-
-    group: ClassVar[str]
-    rows: ClassVar[str]
-    """Size of the rows in the reference page."""
-    signal: ClassVar[str]
-    """Dataset that a viewer plots."""
-    about: ClassVar[str] = ""
-
-    def __init__(self, values: Mapping[str, Values]) -> None:
-        self.values = dict(values)
-
-    @classmethod
-    def columns(cls) -> tuple[Column, ...]:
-        """Return the columns in the order of their declaration."""
-        return tuple(one for one in vars(cls).values() if isinstance(one, Column))
-
-    def replaced(self, **values: Values) -> Self:
-        """Return the table with other values in some columns."""
-        copy = self.__class__.__new__(self.__class__)
-        copy.__dict__ = {**self.__dict__, "values": {**self.values, **values}}
-        return copy
 
 
 def _time(about: str) -> Column:
@@ -443,63 +366,3 @@ OBSERVATIONS: tuple[type[Table], ...] = (Tip, Backbone, Simulated, Reference)
 ADAPTATIONS: tuple[type[Table], ...] = (Adaptation,)
 TIP_CONTROL: tuple[type[Table], ...] = (TipControl,)
 """The tables of each record."""
-
-_ZERO = {
-    c.record
-    for t in (*SAMPLES, *OBSERVATIONS, *ADAPTATIONS, *TIP_CONTROL)
-    for c in t.columns()
-    if c.record and c.missing == 0
-}
-_SIZES = {"axis": 3, "ahead": len(PLAN_AHEAD_S), "station": BACKBONE_POINTS}
-
-
-def sample_dtype(actuators: int, valves: int) -> np.dtype[np.void]:
-    """One control cycle: `Pressure` and `Timing`.
-
-    `t_ns` is the time of the newest scan, `measured_pa` the mean of the `scans` scans since the last cycle,
-    `valve_v` the voltage then commanded.
-    """
-    return _dtype(SAMPLES, actuator=actuators, valve=valves)
-
-
-def observation_dtype(actuators: int, cameras: int = 1) -> np.dtype[np.void]:
-    """One frame of every camera: `Tip`, `Backbone`, `Simulated` and `Reference`, in the rod-base frame.
-
-    `seen` is a `DetectionStatus`; where it is not MEASURED the measured columns are NaN. `truth_m` is NaN on a real
-    rig. `age_ns` is the time from exposure to the end of the computation.
-    """
-    return _dtype(OBSERVATIONS, actuator=actuators, camera=cameras)
-
-
-def adaptation_dtype(parameters: int) -> np.dtype[np.void]:
-    """Result of the recursive estimator for one camera frame: `Adaptation`, in the order of `RunHeader.adapted`.
-
-    `start_model_m` is the tip with the initial parameters; the observation's `model_m` is that with the estimates
-    before the frame.
-    """
-    return _dtype(ADAPTATIONS, parameter=parameters)
-
-
-def tip_control_dtype(valves: int) -> np.dtype[np.void]:
-    """One plan of the tip controller: `TipControl`."""
-    return _dtype(TIP_CONTROL, valve=valves)
-
-
-def _dtype(tables: Iterable[type[Table]], **sizes: int) -> np.dtype[np.void]:
-    known = _SIZES | sizes
-    fields = {
-        column.record: (column.record, column.dtype, tuple(known[axis] for axis in column.shape or column.axes))
-        for table in tables
-        for column in table.columns()
-        if column.record
-    }
-    return np.dtype(list(fields.values()))
-
-
-def blank(count: int | tuple[()], dtype: np.dtype[np.void]) -> NDArray[np.void]:
-    """Return records (count,) in which no field is set: each is NaN, unless declared otherwise."""
-    rows = np.zeros(count, dtype)
-    for name in dtype.names or ():
-        if dtype[name].base.kind == "f" and name not in _ZERO:
-            rows[name] = np.nan
-    return rows

@@ -18,11 +18,11 @@ from numpy.typing import ArrayLike, NDArray
 from runs.columns import BACKBONE_POINTS as BACKBONE_POINTS
 from runs.columns import DetectionStatus as DetectionStatus
 from runs.columns import SolveStatus as SolveStatus
-from runs.columns import adaptation_dtype as adaptation_dtype
-from runs.columns import blank as blank
-from runs.columns import observation_dtype as observation_dtype
-from runs.columns import sample_dtype as sample_dtype
-from runs.columns import tip_control_dtype as tip_control_dtype
+from runs.record_dtypes import adaptation_dtype as adaptation_dtype
+from runs.record_dtypes import blank as blank
+from runs.record_dtypes import observation_dtype as observation_dtype
+from runs.record_dtypes import sample_dtype as sample_dtype
+from runs.record_dtypes import tip_control_dtype as tip_control_dtype
 
 MODEL_ALONE = "model alone"
 """Executor of a simulation of the model, without a bench."""

@@ -10,17 +10,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from runs.archive.reader import ArchiveReader
 from runs.columns import Tip
 from runs.records import DetectionStatus, Interval, Status
 from runs.tip_error import TipErrorSummary, tip_error
-
-if TYPE_CHECKING:
-    from runs.run import Run
 
 SETTLED_PART = 0.3
 BAND_BAR = 0.01
@@ -147,7 +144,7 @@ class Summary:
         return self.frames_measured / self.frames_expected if self.frames_expected else NAN
 
 
-def summarise(run: Run) -> Summary:
+def summarise(run: ArchiveReader) -> Summary:
     """Return the summary of one run."""
     tip, pressure, timing = run.tip, run.pressure, run.timing
     measured = tip.seen == DetectionStatus.MEASURED
@@ -235,13 +232,15 @@ def statistics(errors_mm: Floats) -> Statistics:
     return Statistics(float(finite.mean()), float(np.percentile(finite, 95)), float(finite.max()))
 
 
-def _steps(run: Run, measured: NDArray[np.bool_], plane: Floats | None) -> tuple[StepSummary, ...]:
+def _steps(run: ArchiveReader, measured: NDArray[np.bool_], plane: Floats | None) -> tuple[StepSummary, ...]:
     rest = rest_mm(run.tip, measured)
     played = (interval for interval in run.header.intervals if interval.kind != "prompt")
     return tuple(_step(run, interval, measured, plane, rest) for interval in played)
 
 
-def _step(run: Run, interval: Interval, measured: NDArray[np.bool_], plane: Floats | None, rest: Floats) -> StepSummary:
+def _step(
+    run: ArchiveReader, interval: Interval, measured: NDArray[np.bool_], plane: Floats | None, rest: Floats
+) -> StepSummary:
     tip, pressure = run.tip, run.pressure
     settled_from = interval.stop_s - SETTLED_PART * (interval.stop_s - interval.start_s)
     # Protocol time is monotonic, so a segment is a contiguous range of rows.
@@ -299,7 +298,7 @@ def _overshoot_bar(before: Floats, after: Floats, got: Floats) -> float:
     return float(max(beyond.max(), 0.0))
 
 
-def _truth(run: Run, measured: NDArray[np.bool_], plane: Floats | None) -> TruthSummary | None:
+def _truth(run: ArchiveReader, measured: NDArray[np.bool_], plane: Floats | None) -> TruthSummary | None:
     if run.simulated is None or not measured.any():
         return None
     tip, truth = run.tip, run.simulated.tip_mm

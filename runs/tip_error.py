@@ -9,13 +9,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-if TYPE_CHECKING:
-    from runs.run import Run
+from runs.archive.reader import ArchiveReader
 
 Floats = NDArray[np.float64]
 NAN = float("nan")
@@ -49,7 +47,7 @@ class TipErrorSummary:
     """Root mean square of the model's error under the feed-forward set-points, computed before the run."""
 
 
-def tip_error(run: Run) -> TipErrorSummary | None:
+def tip_error(run: ArchiveReader) -> TipErrorSummary | None:
     """Return the errors on the tip paths of a run; None for a run without one."""
     reference = run.reference
     if reference is None:

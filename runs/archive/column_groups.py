@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from runs import columns
 from runs.archive.fields import ComputedColumn, Field, Group, RowTable, Value, row_chunks
+from runs.column_declaration import Column, Table
 from runs.journal.journal import Journal
 
 
@@ -74,7 +75,7 @@ def seconds(journal: Journal, t_ns: NDArray[np.int64]) -> NDArray[np.float64]:
     return np.asarray((t_ns - journal.header.started_t_ns) / 1e9)
 
 
-def _group(journal: Journal, kind: type[columns.Table], rows: RowTable, facts: tuple[Field, ...] = ()) -> Group:
+def _group(journal: Journal, kind: type[Table], rows: RowTable, facts: tuple[Field, ...] = ()) -> Group:
     # Without cameras there are no columns per camera: HDF5 keeps no empty dimension.
     declared = [c for c in kind.columns() if "camera" not in c.axes or journal.header.cameras]
     axes = dict.fromkeys(axis for column in declared for axis in column.axes)
@@ -89,7 +90,7 @@ def _group(journal: Journal, kind: type[columns.Table], rows: RowTable, facts: t
     )
 
 
-def _field(journal: Journal, column: columns.Column, rows: RowTable) -> Field:
+def _field(journal: Journal, column: Column, rows: RowTable) -> Field:
     clock = column.record == "t_ns"
     return Field(
         column.dataset,

@@ -8,7 +8,8 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from runs.columns import ADAPTATIONS, AXES, OBSERVATIONS, SAMPLES, TIP_CONTROL, Table
+from runs.column_declaration import Table
+from runs.columns import ADAPTATIONS, AXES, OBSERVATIONS, SAMPLES, TIP_CONTROL
 
 
 def table(kind: type[Table]) -> str:

@@ -14,9 +14,11 @@ import runs
 import tests.support.synthetic_runs as made_up
 from runs.archive import schema
 from runs.archive.writer import ArchiveError, finalise
-from runs.columns import ADAPTATIONS, OBSERVATIONS, SAMPLES, Column, Tip, blank
+from runs.column_declaration import Column
+from runs.columns import ADAPTATIONS, OBSERVATIONS, SAMPLES, Tip
 from runs.export.exporters import export
 from runs.journal.journal import JournalWriter
+from runs.record_dtypes import blank
 from runs.records import RunFooter, Status, adaptation_dtype, observation_dtype, sample_dtype
 
 

@@ -1,0 +1,242 @@
+"""Reads an archive: every group as a frozen dataclass of NumPy arrays, loaded on first access."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from runs.archive.checked import content_sha256, opened
+from runs.archive.fields import PA_PER_BAR, QUANTITY_GROUPS
+from runs.archive.provenance import metadata
+from runs.column_declaration import Table, Values
+from runs.columns import Adaptation, Backbone, Pressure, Reference, Simulated, Timing, Tip, TipControl
+from runs.records import Event, Interval, Level, Quantity, RecordedFile, RunHeader, Status
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Frames:
+    """The stored pictures (k,); `ArchiveReader.picture` returns their bytes."""
+
+    time_s: Floats
+    index: Ints
+    camera: tuple[str, ...]
+    encoding: tuple[str, ...]
+    corners_px: NDArray[np.float32]
+    """(k, corners, 2); NaN where no board was found."""
+    tip_px: NDArray[np.float32]
+    """(k, 2), measured."""
+    model_px: NDArray[np.float32]
+    """(k, 2)."""
+    backbone_px: NDArray[np.float32]
+    """(k, points, 2), the model's."""
+
+
+class ArchiveReader:
+    """The recorded data of one run. The file is open only during a read; each group is read whole on first access."""
+
+    def __init__(self, path: Path | str) -> None:
+        self.path = Path(path)
+        self.sha256 = content_sha256(self.path)
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({str(self.path)!r})"
+
+    @cached_property
+    def header(self) -> RunHeader:
+        """Everything known before the first sample."""
+        entry = self._group("entry")
+        protocol, rig, git = (self._group(f"entry/{name}") for name in ("protocol", "rig", "git"))
+        return RunHeader(
+            run_id=entry["run_id"],
+            title=entry["title"],
+            started_utc_ns=int(entry["start_utc"]),
+            started_t_ns=int(entry["start_clock"]),
+            protocol_name=protocol["name"],
+            protocol_yaml=protocol["yaml"],
+            rig_name=rig["name"],
+            rig_yaml=rig["yaml"],
+            parameters_yaml=rig["parameters"],
+            protocol_files=_sources(self._group("entry/protocol_files"), "text"),
+            calibrations=_sources(self._group("entry/calibration_files"), "yaml"),
+            actuators=int(entry["actuators"]),
+            valves=int(entry["valves"]),
+            executor=entry["executor"],
+            parent=entry["parent"],
+            simulated=bool(entry["simulated"]),
+            seed=int(entry["seed"]) if "seed" in entry else None,
+            model_variant=self._group("entry/model")["variant"],
+            operator=entry["operator"],
+            notes=entry["notes"],
+            command=entry["command"],
+            host=entry["host"],
+            metadata=metadata(self._group("entry/sample"), self._group("entry/user")),
+            versions=self._group("entry/versions"),
+            git_commit=git["commit"],
+            git_diff=git["diff"],
+            intervals=_intervals(protocol),
+            quantities=tuple(q for room in QUANTITY_GROUPS for q in self._quantities(room)),
+            adapted=_adapted(self._group("entry/adaptation")),
+            tip_controller=str(self._group("entry/tip_control").get("controller", "")),
+            control_hz=float(self._group("entry/timing")["control_rate"]),
+            camera_hz=float(self._group("entry/timing")["camera_rate"]),
+            cameras=self._cameras,
+        )
+
+    @cached_property
+    def status(self) -> Status:
+        """How the run ended."""
+        return Status(self._group("entry")["status"])
+
+    @cached_property
+    def message(self) -> str:
+        """Reason for the end of the run."""
+        return str(self._group("entry")["message"])
+
+    @cached_property
+    def duration_s(self) -> float:
+        """From start to end, waiting included."""
+        return float(self._group("entry")["duration"])
+
+    @cached_property
+    def arm(self) -> dict[str, Quantity]:
+        """The parameters of the modelled arm by name, each with unit, source and uncertainty."""
+        return {quantity.name: quantity for quantity in self._quantities("model")}
+
+    @cached_property
+    def pressure(self) -> Pressure:
+        """Control cycles."""
+        return Pressure(self._values(Pressure))
+
+    @cached_property
+    def tip(self) -> Tip:
+        """Camera frames."""
+        return Tip(self._values(Tip))
+
+    @cached_property
+    def adaptation(self) -> Adaptation | None:
+        """Results of the recursive estimator; None for a run without one."""
+        g = self._group("entry/adaptation")
+        if not g:
+            return None
+        return Adaptation(self._values(Adaptation), g["parameter"], g["unit"], g["start"], g["start_uncertainty"])
+
+    @cached_property
+    def tip_control(self) -> TipControl | None:
+        """Plans of the tip controller; None for a run without one."""
+        values = self._values(TipControl)
+        return TipControl(values) if values else None
+
+    @cached_property
+    def timing(self) -> Timing:
+        """Lateness and losses."""
+        g = self._group("entry/timing")
+        counters = {name: int(count) for name, count in self._group("entry/timing/counters").items()}
+        return Timing(self._values(Timing), int(g.get("dropped_frames", 0)), int(g["ring_overflows"]), counters)
+
+    @cached_property
+    def simulated(self) -> Simulated | None:
+        """The simulator's truth; None for a run without a simulator."""
+        values = self._values(Simulated)
+        return Simulated(values) if values else None
+
+    @cached_property
+    def reference(self) -> Reference | None:
+        """Where the tip had to be; None for a run without a tip path."""
+        values = self._values(Reference)
+        return Reference(values) if values else None
+
+    @cached_property
+    def backbone(self) -> Backbone | None:
+        """The model's centre line; None without a model."""
+        values = self._values(Backbone)
+        return Backbone(values) if values else None
+
+    @cached_property
+    def events(self) -> tuple[Event, ...]:
+        """Events in the order of recording."""
+        g = self._group("entry/events")
+        start_ns = self.header.started_t_ns
+        return tuple(
+            Event(start_ns + round(t * 1e9), Level(level), source, message)
+            for t, level, source, message in zip(g["time"], g["level"], g["source"], g["message"], strict=True)
+        )
+
+    @cached_property
+    def frames(self) -> Frames:
+        """The stored pictures, without their bytes."""
+        g = self._group("entry/frames", without="image")
+        return Frames(
+            time_s=g["time"],
+            index=g["index"],
+            camera=tuple(g["camera"]),
+            encoding=tuple(g["encoding"]),
+            corners_px=g["corners_px"],
+            tip_px=g["tip_px"],
+            model_px=g["model_px"],
+            backbone_px=g["backbone_px"],
+        )
+
+    def picture(self, k: int) -> bytes:
+        """Return the encoded bytes of the k-th stored picture."""
+        with opened(self.path) as archive:
+            data: bytes = archive.row("entry/frames/image", k).tobytes()
+            return data
+
+    def _values(self, kind: type[Table]) -> dict[str, Values]:
+        """Return the columns of a table by name; empty if the archive has no such group."""
+        g = self._group(f"entry/{kind.group}")
+        if not g:
+            return {}
+        # Only the columns per camera may be missing.
+        none = np.empty((len(g["time"]), 0))
+        return {c.name: c.read(g[c.dataset] if c.dataset in g else none.astype(c.dtype)) for c in kind.columns()}
+
+    def _group(self, path: str, without: str = "") -> dict[str, Any]:
+        """Return the datasets of a group by name: arrays, texts and numbers; empty if the group is missing."""
+        with opened(self.path) as archive:
+            return archive.values(path, without)
+
+    @cached_property
+    def _cameras(self) -> tuple[str, ...]:
+        with opened(self.path) as archive:
+            return tuple(archive.value("entry/tip/camera")) if "camera" in archive.fields("entry/tip") else ()
+
+    def _quantities(self, room: str) -> Iterator[Quantity]:
+        with opened(self.path) as archive:
+            for name, field in archive.fields(QUANTITY_GROUPS[room]).items():
+                # Only quantities are floats: scales are integers, the variant is text.
+                if field.kind == "f8":
+                    value = tuple(float(v) for v in np.atleast_1d(archive.value(field.path)))
+                    unit, source, uncertainty = archive.about(field.path)
+                    yield Quantity(room, name, value, unit, source, uncertainty)
+
+
+def _adapted(g: dict[str, Any]) -> tuple[Quantity, ...]:
+    columns = ("parameter", "start", "unit", "start_uncertainty")
+    return tuple(
+        Quantity("adaptation", name, (float(start),), unit, "the run's start", float(doubt))
+        for name, start, unit, doubt in (zip(*(g[column] for column in columns), strict=True) if g else ())
+    )
+
+
+def _sources(g: dict[str, Any], text: str) -> tuple[RecordedFile, ...]:
+    columns = ([str(text) for text in g.get(key, ())] for key in ("name", "kind", "sha256", text))
+    return tuple(RecordedFile(*row) for row in zip(*columns, strict=True))
+
+
+def _intervals(g: dict[str, Any]) -> tuple[Interval, ...]:
+    return tuple(
+        Interval(float(start), float(stop), kind, label, tuple(float(v) * PA_PER_BAR for v in level))
+        for start, stop, kind, label, level in zip(
+            g["start"], g["stop"], g["kind"], g["label"], g["level_bar"], strict=True
+        )
+    )

@@ -1,0 +1,86 @@
+"""What a column is: its declaration, and the table that holds columns of one group."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, ClassVar, Self, overload
+
+import numpy as np
+from numpy.typing import NDArray
+
+Values = NDArray[Any]
+
+
+def _same(values: Values) -> Values:
+    return values
+
+
+@dataclass(eq=False)
+class Column:
+    """One column: a field of a record, a dataset of the archive, an attribute of the group as it is read.
+
+    `record` names the field, in SI units, of type `dtype` and of shape `shape` (by default `axes`). A column that the
+    archive computes from other fields has none, but `of`: rows (n,) to values (n, ..). `axes` are the scales of the
+    dataset's dimensions after the rows. `convert` gives the stored values of the field, `read` the attribute of the
+    stored values. `missing` is the value of a field that is not set; an integer is 0.
+
+    `dataset` is by default the name of the attribute. `among`, `limits` and `finite` are what a reader may rely on.
+    """
+
+    record: str = ""
+    dtype: str = "<f8"
+    axes: tuple[str, ...] = ()
+    shape: tuple[str, ...] = ()
+    unit: str = ""
+    about: str = ""
+    convert: Callable[[Values], Values] = _same
+    of: Callable[[NDArray[np.void]], Values] | None = None
+    read: Callable[[Values], Values] = _same
+    missing: float = float("nan")
+    dataset: str = ""
+    among: tuple[int, ...] = ()
+    limits: tuple[float, float] | None = None
+    finite: bool = False
+    name: str = field(default="", init=False)
+    """The attribute."""
+
+    def __set_name__(self, owner: type[Table], name: str) -> None:
+        self.name = name
+        self.dataset = self.dataset or name
+
+    @overload
+    def __get__(self, table: None, owner: type[Table]) -> Column: ...
+    @overload
+    def __get__(self, table: Table, owner: type[Table]) -> Values: ...
+    def __get__(self, table: Table | None, owner: type[Table]) -> Column | Values:
+        return self if table is None else table.values[self.name]
+
+    def stored(self, rows: NDArray[np.void]) -> Values:
+        """Return the values that the archive stores of records (n,)."""
+        return self.convert(rows[self.record]) if self.of is None else self.of(rows)
+
+
+class Table:
+    """The columns of one group of the archive, as it is read: each is an attribute, an array (n, ..)."""
+
+    group: ClassVar[str]
+    rows: ClassVar[str]
+    """Size of the rows in the reference page."""
+    signal: ClassVar[str]
+    """Dataset that a viewer plots."""
+    about: ClassVar[str] = ""
+
+    def __init__(self, values: Mapping[str, Values]) -> None:
+        self.values = dict(values)
+
+    @classmethod
+    def columns(cls) -> tuple[Column, ...]:
+        """Return the columns in the order of their declaration."""
+        return tuple(one for one in vars(cls).values() if isinstance(one, Column))
+
+    def replaced(self, **values: Values) -> Self:
+        """Return the table with other values in some columns."""
+        copy = self.__class__.__new__(self.__class__)
+        copy.__dict__ = {**self.__dict__, "values": {**self.values, **values}}
+        return copy
