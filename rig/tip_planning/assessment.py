@@ -14,7 +14,7 @@ from protocols import SetPointTrajectory, TipMotion
 from rig.config.arm_model import model_arm
 from rig.config.schema import RigConfig
 from rig.config.sections import PA_PER_BAR, Variant
-from rig.tip_planning.inverse import drive_of
+from rig.tip_planning.path_follower import drive_of
 
 Array = NDArray[np.float64]
 

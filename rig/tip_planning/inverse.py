@@ -3,59 +3,25 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-import model
-from model.inverse.drive import Drive
-from model.inverse.path import PathFollowing, PathInverse
-from protocols.tip_inverse import HISTORY_S, HISTORY_STEP_S, TipRefusedError, TipRequest, TipSolution
-from protocols.tip_paths import ScaledPath, TipPath, TipStart, fade
-from rig.config.arm_model import TipLoad, model_arm
+from protocols.tip_inverse import TipRefusedError, TipRequest, TipSolution
+from protocols.tip_paths import TipPath
 from rig.config.schema import RigConfig
-from rig.config.sections import PA_PER_BAR, Variant
+from rig.config.sections import Variant
+from rig.tip_planning.path_follower import NO_SOLUTION, SETTLED_S, FirstPeriods, PathFollower
+from rig.tip_planning.refusal import refusal
 
 Array = NDArray[np.float64]
-
-STEP_S = 0.01
-"""Longest time between two pressures of a solution."""
-LONGEST_STEP_S = 0.05
-"""The same for a path that is slowed down."""
-SETTLED_S = 1.5
-"""Time after which a periodic path has periodic pressures."""
-RATE_SHARE = 0.995
-"""Share of the rate limit that a solution uses: its times are rounded."""
-_FAILURES = (ArithmeticError, model.NotConverged)
-
-
-def drive_of(config: RigConfig) -> Drive:
-    """The valves and the limits of a rig's pressures."""
-    groups = tuple(tuple(actuator - 1 for actuator in valve.actuators) for valve in config.valves)
-    limits = config.limits
-    return Drive(groups, limits.pressure_bar * PA_PER_BAR, RATE_SHARE * limits.rate_bar_per_s * PA_PER_BAR)
-
-
-@dataclass(frozen=True, eq=False)
-class TimedFollowing:
-    """A solution on its grid: times (n,) from the beginning of the path [s], targets (n, 3) [m], where it starts."""
-
-    times_s: Array
-    target_m: Array
-    start: TipStart
-    following: PathFollowing
-    error_m: Array
 
 
 class RigTipInverse:
     """The `TipInverse` of a rig with its model."""
 
     def __init__(self, config: RigConfig, variant: Variant | None = None) -> None:
-        self.config = config
-        self.arm = model_arm(config, variant)
-        self.drive = drive_of(config)
-        self._loads = TipLoad(config)
+        self._follower = PathFollower(config, variant)
 
     def solve(self, request: TipRequest) -> TipSolution:
         """The feed-forward set-points of a path.
@@ -63,84 +29,29 @@ class RigTipInverse:
         Raises:
             TipRefusedError: the path cannot be followed within its tolerance and the limits.
         """
-        from rig.tip_planning.refusal import refusal
-
-        if len(request.coordinates) > self.drive.valves:
+        valves = self._follower.drive.valves
+        if len(request.coordinates) > valves:
             axes = ", ".join("xyz"[axis] for axis in request.coordinates)
-            least = self.drive.valves
+            rig = self._follower.config.name
             raise TipRefusedError(
                 f"the coordinates {axes}",
-                f"at most {least}, because rig {self.config.name} has {least} valve{'s' if least > 1 else ''}: "
+                f"at most {valves}, because rig {rig} has {valves} valve{'s' if valves > 1 else ''}: "
                 "give the step `coordinates`",
             )
         path, repeated = _shortened(request.path)
         try:
-            found = self.follow(request, path)
-        except _FAILURES as error:
+            found = self._follower.follow(request, path)
+        except NO_SOLUTION as error:
             raise TipRefusedError("a path without a solution", f"a path within the arm's reach: {error}") from None
-        if not self.within(request, found):
-            raise refusal(self, request, found)
+        if not self._follower.within(request, found):
+            raise refusal(self._follower, request, found)
         times, pressure, tips = found.times_s, found.following.pressure_pa, found.following.tip_m
         if repeated:
             times, pressure, tips = _repeat(times, pressure, tips, path, repeated)
         lead_s = -times[0]
         # The grid rounds the lead-in to whole steps.
         times = np.where(times < 0, times * (request.lead_in_s / lead_s if lead_s else 1.0), times)
-        return TipSolution(times + request.lead_in_s, pressure @ self.drive.matrix().T, tips, found.start)
-
-    def follow(self, request: TipRequest, path: TipPath, slowed: float = 1.0) -> TimedFollowing:
-        """The pressures of `path`, whether within the tolerance or not; `slowed` is its share of the asked speed.
-
-        Raises:
-            ArithmeticError, NotConverged: there is no solution.
-        """
-        longest = min(max(STEP_S / slowed, STEP_S), LONGEST_STEP_S)
-        whole = path.period_s or path.duration_s
-        dt_s = whole / max(1, math.ceil(whole / longest - 1e-9))
-        inverse = PathInverse(self.arm, self.drive, dt_s, self._loads.carrying(request.weight_kg), request.weight_kg)
-        before = _resampled(request.before_pa, dt_s)
-        position, velocity = inverse.begin(before)
-        start = TipStart(position, velocity)
-        lead = round(request.lead_in_s / dt_s)
-        times: Array = np.arange(-lead, math.ceil(path.duration_s / dt_s - 1e-9) + 1.0) * dt_s
-        target, _ = fade(start, path, lead * dt_s, times)
-        following = inverse.follow(target, request.coordinates, before)
-        return TimedFollowing(times, target, start, following, following.error_m(target, request.coordinates))
-
-    def within(self, request: TipRequest, found: TimedFollowing) -> bool:
-        """True if the tip of the model stays within the tolerance."""
-        return bool(np.all(found.error_m <= request.tolerance_m))
-
-    def feasible(self, request: TipRequest, speed: float, size: float) -> bool:
-        """True if the path can be followed at this share of its speed and size."""
-        path: TipPath = ScaledPath(request.path, speed, size)
-        if path.period_s is not None and path.period_s + SETTLED_S < path.duration_s:
-            path = _FirstPeriods(path, path.period_s + SETTLED_S)
-        try:
-            return self.within(request, self.follow(request, path, speed))
-        except _FAILURES:
-            return False
-
-
-@dataclass(frozen=True, eq=False)
-class _FirstPeriods(TipPath):
-    """The first periods of a path."""
-
-    path: TipPath
-    duration_s: float
-
-    @property
-    def period_s(self) -> float | None:  # type: ignore[override]
-        return self.path.period_s
-
-    def positions_m(self, t_s: Array) -> Array:
-        return self.path.positions_m(t_s)
-
-    def velocities_m_s(self, t_s: Array) -> Array:
-        return self.path.velocities_m_s(t_s)
-
-    def centre_m(self) -> Array:
-        return self.path.centre_m()
+        return TipSolution(times + request.lead_in_s, pressure @ self._follower.drive.matrix().T, tips, found.start)
 
 
 def _shortened(path: TipPath) -> tuple[TipPath, float]:
@@ -152,7 +63,7 @@ def _shortened(path: TipPath) -> tuple[TipPath, float]:
     whole = needed + path.period_s
     if whole >= path.duration_s:
         return path, 0.0
-    return _FirstPeriods(path, whole), path.duration_s - needed
+    return FirstPeriods(path, whole), path.duration_s - needed
 
 
 def _repeat(times: Array, pressure: Array, tips: Array, path: TipPath, rest_s: float) -> tuple[Array, Array, Array]:
@@ -169,10 +80,3 @@ def _repeat(times: Array, pressure: Array, tips: Array, path: TipPath, rest_s: f
         np.vstack([pressure[:stop], pressure[rows]]),
         np.vstack([tips[:stop], tips[rows]]),
     )
-
-
-def _resampled(before_pa: Array, dt_s: float) -> Array:
-    """The set-points before a motion on another grid that ends at the same time."""
-    given = -HISTORY_STEP_S * np.arange(len(before_pa) - 1, -1, -1)
-    wanted = -dt_s * np.arange(max(2, round(HISTORY_S / dt_s)), -1, -1)
-    return np.column_stack([np.interp(wanted, given, column) for column in before_pa.T])

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,9 +11,7 @@ from numpy.typing import NDArray
 from model.inverse.reachable import ReachablePoint, nearest_reachable
 from protocols.tip_inverse import TipRefusedError, TipRequest
 from rig.config.sections import PA_PER_BAR
-
-if TYPE_CHECKING:
-    from rig.tip_planning.inverse import RigTipInverse, TimedFollowing
+from rig.tip_planning.path_follower import PathFollower, TimedFollowing
 
 Array = NDArray[np.float64]
 
@@ -29,47 +26,47 @@ BINDING_S = 0.15
 AT_LIMIT_PA = 20.0
 
 
-def refusal(rig: RigTipInverse, request: TipRequest, found: TimedFollowing) -> TipRefusedError:
+def refusal(follower: PathFollower, request: TipRequest, found: TimedFollowing) -> TipRefusedError:
     """The refusal of a path whose solution leaves the tolerance."""
     off_path = ~(found.error_m <= request.tolerance_m)
     on_path = off_path & (found.times_s >= 0)
     # The way to a point out of reach leads out of reach, too: the point of the path says more.
     first = int(np.argmax(on_path if on_path.any() else off_path))
-    nearest = _nearest(rig, request, found.target_m[first])
+    nearest = _nearest(follower, request, found.target_m[first])
     out_of_reach = nearest.distance_m > request.tolerance_m
     if not out_of_reach and not (on_path & (found.times_s >= LEAD_IN_FELT_S)).any():
         first = int(np.argmax(off_path))
-        nearest = _nearest(rig, request, found.target_m[first])
+        nearest = _nearest(follower, request, found.target_m[first])
     t_s = float(found.times_s[first])
     target = found.target_m[first]
     at_s = request.begin_s + request.lead_in_s + t_s
     where = "in the lead-in" if t_s < 0 else f"{t_s:.2f} s into the path"
     off = MM * float(found.error_m[first])
     text = f"{_point(target, request.coordinates)} at {at_s:.2f} s ({where}); the model's tip is {off:.2f} mm off"
-    cause = _out_of_reach(rig, nearest) if out_of_reach else _too_fast(rig, found, first)
+    cause = _out_of_reach(follower, nearest) if out_of_reach else _too_fast(follower, found, first)
     expected = f"a path that the arm follows within {MM * request.tolerance_m:g} mm; {cause}; "
     if out_of_reach:
         place = _point(nearest.tip_m, request.coordinates)
         expected += f"the nearest reachable point is {place}, {MM * nearest.distance_m:.2f} mm away"
     else:
         expected += "at rest the arm reaches the point"
-    return TipRefusedError(text, f"{expected}; {_remedies(rig, request, t_s, out_of_reach)}")
+    return TipRefusedError(text, f"{expected}; {_remedies(follower, request, t_s, out_of_reach)}")
 
 
-def _nearest(rig: RigTipInverse, request: TipRequest, target_m: Array) -> ReachablePoint:
-    return nearest_reachable(rig.arm, rig.drive, target_m, request.coordinates, request.weight_kg)
+def _nearest(follower: PathFollower, request: TipRequest, target_m: Array) -> ReachablePoint:
+    return nearest_reachable(follower.arm, follower.drive, target_m, request.coordinates, request.weight_kg)
 
 
-def _remedies(rig: RigTipInverse, request: TipRequest, t_s: float, out_of_reach: bool) -> str:
+def _remedies(follower: PathFollower, request: TipRequest, t_s: float, out_of_reach: bool) -> str:
     if t_s < 0 and not out_of_reach:
         return "a longer lead_in_s may do"
     found = []
-    speed = 0.0 if out_of_reach else _largest(lambda share: rig.feasible(request, share, 1.0))
+    speed = 0.0 if out_of_reach else _largest(lambda share: follower.feasible(request, share, 1.0))
     if speed:
         period = request.path.period_s
         means = f" (period_s: {period / speed:.3g})" if period else ""
         found.append(f"{speed:.2f} of this speed{means}")
-    size = _largest(lambda share: rig.feasible(request, 1.0, share))
+    size = _largest(lambda share: follower.feasible(request, 1.0, share))
     if size:
         found.append(f"{size:.2f} of this size about {_point(request.path.centre_m(), request.coordinates)}")
     if not found:
@@ -88,36 +85,36 @@ def _largest(feasible: Callable[[float], bool]) -> float:
     return math.floor(100 * low) / 100
 
 
-def _out_of_reach(rig: RigTipInverse, nearest: ReachablePoint) -> str:
+def _out_of_reach(follower: PathFollower, nearest: ReachablePoint) -> str:
     binding = [
-        _valve(rig, valve, f"at {pressure / PA_PER_BAR:.3g} bar")
+        _valve(follower, valve, f"at {pressure / PA_PER_BAR:.3g} bar")
         for valve, pressure in enumerate(nearest.pressure_pa)
-        if pressure < AT_LIMIT_PA or pressure > rig.drive.highest_pa - AT_LIMIT_PA
+        if pressure < AT_LIMIT_PA or pressure > follower.drive.highest_pa - AT_LIMIT_PA
     ]
     return f"the arm does not reach it: {', '.join(binding) or 'no pressure moves it closer'}"
 
 
-def _too_fast(rig: RigTipInverse, found: TimedFollowing, first: int) -> str:
+def _too_fast(follower: PathFollower, found: TimedFollowing, first: int) -> str:
     dt_s = float(found.times_s[1] - found.times_s[0])
     near = max(1, round(BINDING_S / dt_s))
     part = found.following.pressure_pa[max(0, first - near) : first + near]
     rate = np.abs(np.diff(part, axis=0)).max(axis=0) / dt_s
     binding = [
-        _valve(rig, valve, f"at {rig.config.limits.rate_bar_per_s:g} bar/s")
-        for valve in range(rig.drive.valves)
-        if rate[valve] > 0.99 * rig.drive.rate_pa_s
+        _valve(follower, valve, f"at {follower.config.limits.rate_bar_per_s:g} bar/s")
+        for valve in range(follower.drive.valves)
+        if rate[valve] > 0.99 * follower.drive.rate_pa_s
     ]
-    for valve in range(rig.drive.valves):
+    for valve in range(follower.drive.valves):
         level = part[:, valve]
         if level.min() < AT_LIMIT_PA:
-            binding.append(_valve(rig, valve, "at 0 bar"))
-        if level.max() > rig.drive.highest_pa - AT_LIMIT_PA:
-            binding.append(_valve(rig, valve, f"at {rig.drive.highest_pa / PA_PER_BAR:g} bar"))
+            binding.append(_valve(follower, valve, "at 0 bar"))
+        if level.max() > follower.drive.highest_pa - AT_LIMIT_PA:
+            binding.append(_valve(follower, valve, f"at {follower.drive.highest_pa / PA_PER_BAR:g} bar"))
     return f"too fast for {', '.join(binding)}" if binding else "its corners are too sharp for the arm at this speed"
 
 
-def _valve(rig: RigTipInverse, valve: int, where: str) -> str:
-    actuators = " and ".join(str(actuator + 1) for actuator in rig.drive.actuators[valve])
+def _valve(follower: PathFollower, valve: int, where: str) -> str:
+    actuators = " and ".join(str(actuator + 1) for actuator in follower.drive.actuators[valve])
     return f"actuator{'s' if ' ' in actuators else ''} {actuators} {where}"
 
 

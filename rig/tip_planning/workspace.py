@@ -12,7 +12,7 @@ from model.inverse.reachable import reachable_tips
 from rig.config.arm_model import model_arm
 from rig.config.schema import RigConfig
 from rig.config.sections import Variant
-from rig.tip_planning.inverse import drive_of
+from rig.tip_planning.path_follower import drive_of
 from runs.report import drawing
 from runs.report.colours import INK, MEASURED, RUNS
 

@@ -15,7 +15,8 @@ from rig.cli.app import app
 from rig.config.arm_model import model_arm
 from rig.config.loader import load
 from rig.tip_planning.assessment import assess
-from rig.tip_planning.inverse import RigTipInverse, drive_of
+from rig.tip_planning.inverse import RigTipInverse
+from rig.tip_planning.path_follower import drive_of
 from rig.tip_planning.workspace import workspace
 
 RIG = load("mock-3")

@@ -1,0 +1,119 @@
+"""The pressures with which a rig's model follows a tip path as well as its limits allow."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+import model
+from model.inverse.drive import Drive
+from model.inverse.path import PathFollowing, PathInverse
+from protocols.tip_inverse import HISTORY_S, HISTORY_STEP_S, TipRequest
+from protocols.tip_paths import ScaledPath, TipPath, TipStart, fade
+from rig.config.arm_model import TipLoad, model_arm
+from rig.config.schema import RigConfig
+from rig.config.sections import PA_PER_BAR, Variant
+
+Array = NDArray[np.float64]
+
+STEP_S = 0.01
+"""Longest time between two pressures of a solution."""
+LONGEST_STEP_S = 0.05
+"""The same for a path that is slowed down."""
+SETTLED_S = 1.5
+"""Time after which a periodic path has periodic pressures."""
+RATE_SHARE = 0.995
+"""Share of the rate limit that a solution uses: its times are rounded."""
+NO_SOLUTION = (ArithmeticError, model.NotConverged)
+
+
+def drive_of(config: RigConfig) -> Drive:
+    """The valves and the limits of a rig's pressures."""
+    groups = tuple(tuple(actuator - 1 for actuator in valve.actuators) for valve in config.valves)
+    limits = config.limits
+    return Drive(groups, limits.pressure_bar * PA_PER_BAR, RATE_SHARE * limits.rate_bar_per_s * PA_PER_BAR)
+
+
+@dataclass(frozen=True, eq=False)
+class TimedFollowing:
+    """A solution on its grid: times (n,) from the beginning of the path [s], targets (n, 3) [m], where it starts."""
+
+    times_s: Array
+    target_m: Array
+    start: TipStart
+    following: PathFollowing
+    error_m: Array
+
+
+class PathFollower:
+    """Follows tip paths with the model of a rig, within the limits of its pressures."""
+
+    def __init__(self, config: RigConfig, variant: Variant | None = None) -> None:
+        self.config = config
+        self.arm = model_arm(config, variant)
+        self.drive = drive_of(config)
+        self._loads = TipLoad(config)
+
+    def follow(self, request: TipRequest, path: TipPath, slowed: float = 1.0) -> TimedFollowing:
+        """The pressures of `path`, whether within the tolerance or not; `slowed` is its share of the asked speed.
+
+        Raises:
+            ArithmeticError, NotConverged: there is no solution.
+        """
+        longest = min(max(STEP_S / slowed, STEP_S), LONGEST_STEP_S)
+        whole = path.period_s or path.duration_s
+        dt_s = whole / max(1, math.ceil(whole / longest - 1e-9))
+        inverse = PathInverse(self.arm, self.drive, dt_s, self._loads.carrying(request.weight_kg), request.weight_kg)
+        before = _resampled(request.before_pa, dt_s)
+        position, velocity = inverse.begin(before)
+        start = TipStart(position, velocity)
+        lead = round(request.lead_in_s / dt_s)
+        times: Array = np.arange(-lead, math.ceil(path.duration_s / dt_s - 1e-9) + 1.0) * dt_s
+        target, _ = fade(start, path, lead * dt_s, times)
+        following = inverse.follow(target, request.coordinates, before)
+        return TimedFollowing(times, target, start, following, following.error_m(target, request.coordinates))
+
+    def within(self, request: TipRequest, found: TimedFollowing) -> bool:
+        """True if the tip of the model stays within the tolerance."""
+        return bool(np.all(found.error_m <= request.tolerance_m))
+
+    def feasible(self, request: TipRequest, speed: float, size: float) -> bool:
+        """True if the path can be followed at this share of its speed and size."""
+        path: TipPath = ScaledPath(request.path, speed, size)
+        if path.period_s is not None and path.period_s + SETTLED_S < path.duration_s:
+            path = FirstPeriods(path, path.period_s + SETTLED_S)
+        try:
+            return self.within(request, self.follow(request, path, speed))
+        except NO_SOLUTION:
+            return False
+
+
+@dataclass(frozen=True, eq=False)
+class FirstPeriods(TipPath):
+    """The first periods of a path."""
+
+    path: TipPath
+    duration_s: float
+
+    @property
+    def period_s(self) -> float | None:  # type: ignore[override]
+        return self.path.period_s
+
+    def positions_m(self, t_s: Array) -> Array:
+        return self.path.positions_m(t_s)
+
+    def velocities_m_s(self, t_s: Array) -> Array:
+        return self.path.velocities_m_s(t_s)
+
+    def centre_m(self) -> Array:
+        return self.path.centre_m()
+
+
+def _resampled(before_pa: Array, dt_s: float) -> Array:
+    """The set-points before a motion on another grid that ends at the same time."""
+    given = -HISTORY_STEP_S * np.arange(len(before_pa) - 1, -1, -1)
+    wanted = -dt_s * np.arange(max(2, round(HISTORY_S / dt_s)), -1, -1)
+    return np.column_stack([np.interp(wanted, given, column) for column in before_pa.T])
