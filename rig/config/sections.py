@@ -199,7 +199,7 @@ class Limits(Section):
     pressure_margin_bar: NonNegative = 0.05
     rate_bar_per_s: Positive = Field(description="fastest set-point change of a continuous segment")
     rate_margin_bar_per_s: NonNegative = Field(default=1.0, description="with it, fastest change a sensor may show")
-    tracking_bar: Positive = Field(description="largest error once the set-point has stood still for tracking_s")
+    tracking_bar: Positive = Field(description="largest error once the set-point has been constant for tracking_s")
     tracking_s: Positive
     frozen_s: Positive = Field(description="a sensor whose reading has not moved by one count for so long is dead")
     stale_s: Positive = Field(description="longest time without a sample")

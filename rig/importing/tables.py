@@ -320,7 +320,7 @@ def _load_v5(path: Path) -> dict[str, Any]:
 
 
 def _crashes(path: Path) -> bool:
-    """Tell whether SciPy's reader, which is compiled, dies of the file: it trusts lengths that it finds there."""
+    """True if SciPy's compiled reader crashes on the file: it trusts the lengths in it."""
     command = [sys.executable, "-I", "-c", "import sys, scipy.io; scipy.io.loadmat(sys.argv[1])", str(path)]
     return subprocess.run(command, capture_output=True, check=False).returncode < 0
 

@@ -53,7 +53,7 @@ def _page(rows: Sequence[PaperComparison], drawings: Sequence[PaperFigure], rema
     simulated = any(row.origin == "simulated" for row in rows)
     note = (
         '<p class="note"><b>Lines marked <i>simulated</i> are of the mock rig.</b> They show that the experiment and '
-        "its evaluation work; they measure nothing of the paper's arm.</p>"
+        "its evaluation work; they are no measurement of the paper's arm.</p>"
         if simulated
         else ""
     )

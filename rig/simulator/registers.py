@@ -2,8 +2,8 @@
 
 docs/reference/simulator-file.md has the layout.
 
-The outputs are registers: one 8-byte word each, written without any lock, so that a process which dies or stands
-still in the middle of a write keeps nobody else from writing, and the last write wins, as on a real card.
+The outputs are registers: one 8-byte word each, written without any lock, so that a process that ends or stops
+in the middle of a write does not keep another from writing, and the last write wins, as on a real card.
 The rings have one writer, the plant. Each row carries its own index, and the counter of rows is stored after them.
 """
 
@@ -91,7 +91,7 @@ class Registers:
     def create(cls, device: str, outputs: int, inputs: int, patience_s: float = 8.0) -> Registers:
         """Become the plant of a mock device: empty rings and every output at 0 V, as when a driver attaches.
 
-        An existing file is used again, so that whoever has it mapped stays connected. A plant that is about to end
+        An existing file is used again, so that a process that has mapped it stays connected. A plant that is about to end
         is waited for.
 
         Raises:

@@ -149,7 +149,7 @@ class _Preloaded:
         self.environment = {"LD_PRELOAD": str(self._library), "FAULT_WORD": str(file)}
 
     def require(self, pids: Iterable[int]) -> None:
-        """See to it that these processes have it: a fault that nobody feels would prove nothing."""
+        """See to it that these processes have it: a fault without an effect would prove nothing."""
         for pid in pids:
             if self._library.name not in Path(f"/proc/{pid}/maps").read_text():
                 raise RuntimeError(f"process {pid} does not have the {self._name}")

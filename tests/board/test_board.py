@@ -156,7 +156,7 @@ def test_an_open_input_shows_its_neighbour(board: Monitor, open_board: OpenBoard
 
 @pytest.mark.usefixtures("own_clock")
 def test_a_fifo_overrun_is_counted_and_sampling_continues(board: Monitor, open_board: OpenBoard) -> None:
-    """An interrupt that nobody serves fills the FIFO of 1024 samples in half a second."""
+    """An interrupt without a handler fills the FIFO of 1024 samples in half a second."""
     card = open_board(CHANNELS)
     card.start()
     scans_until(card, 100)

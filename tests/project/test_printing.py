@@ -17,7 +17,7 @@ ALLOWED = {
     "rig/experiment/report_process.py": "its own process: standard output is the channel to the parent",
     "rig/experiment/warm.py": "python -m rig.experiment.warm: make runs it",
     "rig/live/page_log.py": "log of the page's own process",
-    "rig/live/server.py": "its own process: nobody else could report that the page ends",
+    "rig/live/server.py": "its own process: no other could report that the page ends",
     "rig/realtime/child_process.py": "flushes the streams before a child process shares them",
     "rig/realtime/watchdog_process.py": "its own process: reports on standard error that it has taken over",
     "rig/simulator/plant_process.py": "its own process: standard output is the channel to the parent",

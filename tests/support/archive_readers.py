@@ -1,6 +1,6 @@
 """Every reader of an archive, in a process of its own: `python archive_readers.py` is given archives line by line.
 
-For each it prints one line of JSON: what each reader made of it. A process that dies has met what HDF5 cannot bear.
+For each it prints one line of JSON: what each reader made of it. A process that crashes has met a file that crashes HDF5.
 """
 
 from __future__ import annotations

@@ -51,7 +51,7 @@ def _wait(true: Callable[[], bool], process: subprocess.Popen[bytes], folder: Pa
 
 
 def _outputs(loaded: schema.RigConfig, above_v: float) -> bool:
-    """True while some output stands above a voltage, read beside whoever has the card."""
+    """True while some output stands above a voltage, read beside the process that has the card."""
     device = next(iter(loaded.cards.values())).device
     try:
         registers = Registers.attach(device)

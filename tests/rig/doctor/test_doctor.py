@@ -434,7 +434,7 @@ def test_a_camera_is_distinguished_from_its_second_device_without_pictures(plugg
 
 
 def test_a_device_without_hardware_is_not_queried(plugged: Cameras) -> None:
-    """v4l2loopback that was asked while nobody fed it refused who was to feed it next."""
+    """v4l2loopback, asked while no program feeds it, refuses the next program that wants to feed it."""
     plugged.add("video9", "played", 0x05200000)
     shown = plugged.root / "sys/class/video4linux/video9"
     made_up = plugged.root / "sys/devices/virtual/video4linux/video9"

@@ -189,7 +189,7 @@ def test_a_process_that_opens_a_card_briefly_is_left_alone(
         def opened(config: RigConfig, card: str) -> SafeOutputs:
             if (since := time.monotonic() - began) < 0.6:
                 holder = one.pid if since < 0.3 else another.pid
-                # Who lets go of it just now is not found any more.
+                # A holder that releases it at this moment is not found.
                 raise CardBusyError(card, (holder,) if since > 0.05 else ())
             return open_outputs(config, card)
 

@@ -1,4 +1,4 @@
-"""What an operator asks for is done by the supervisor: pause, resume, skip, answers; and by nobody else."""
+"""The supervisor alone executes an operator's commands: pause, resume, skip, answers."""
 
 from __future__ import annotations
 

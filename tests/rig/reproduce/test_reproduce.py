@@ -78,7 +78,7 @@ def test_figures_and_page_lie_in_the_folder(folder: Path) -> None:
     page = (folder / "paper.html").read_text()
     assert (folder / "fig14.png").read_bytes().startswith(b"\x89PNG")
     assert (folder / "fig14.pdf").read_bytes().startswith(b"%PDF")
-    assert "measure nothing of the paper" in page
+    assert "are no measurement of the paper" in page
     assert "<script" not in page
     assert "src=" not in page
 
@@ -86,7 +86,7 @@ def test_figures_and_page_lie_in_the_folder(folder: Path) -> None:
 def test_a_page_from_real_runs_is_not_marked_as_simulated(tmp_path: Path) -> None:
     row = PaperComparison("Fig 11", "tip <x>", "", "1.0", "measured", "another arm")
     page = write(tmp_path, [row], [], ["a remark"]).read_text()
-    assert "measure nothing of the paper" not in page
+    assert "are no measurement of the paper" not in page
     assert "tip &lt;x&gt;" in page
 
 

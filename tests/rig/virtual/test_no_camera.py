@@ -1,4 +1,4 @@
-"""A rig without cameras: a run has pressures and the model only, and everything that shows it says so."""
+"""A rig without cameras: a run has pressures and the model only, and every screen and file states it."""
 
 from __future__ import annotations
 
