@@ -91,8 +91,8 @@ class Registers:
     def create(cls, device: str, outputs: int, inputs: int, patience_s: float = 8.0) -> Registers:
         """Become the plant of a mock device: empty rings and every output at 0 V, as when a driver attaches.
 
-        An existing file is used again, so that a process that has mapped it stays connected. A plant that is about to end
-        is waited for.
+        An existing file is used again, so that a process that has mapped it stays connected. This waits for a plant
+        that is about to end.
 
         Raises:
             CardError: another plant runs behind the device, or the file cannot be made.

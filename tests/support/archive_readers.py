@@ -1,6 +1,7 @@
 """Every reader of an archive, in a process of its own: `python archive_readers.py` is given archives line by line.
 
-For each it prints one line of JSON: what each reader made of it. A process that crashes has met a file that crashes HDF5.
+For each it prints one line of JSON: what each reader made of it. A process that crashes has met a file that HDF5 cannot
+read safely.
 """
 
 from __future__ import annotations
