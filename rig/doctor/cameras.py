@@ -75,8 +75,8 @@ def _video(device: Path, root: Path, topic: str = "camera") -> Finding:
 def _gives_pictures(device: Path, hardware: bool) -> bool:
     """What V4L2 says of a device; one that is none of V4L2's is left to the camera's driver.
 
-    A device without hardware is opened only: v4l2loopback 0.12, asked while no program feeds it, refuses the next program
-    that wants to feed it.
+    A device without hardware is opened only: v4l2loopback 0.12, asked while no program feeds it, refuses the next
+    program that wants to feed it.
 
     Raises:
         OSError: it cannot be opened.
