@@ -110,6 +110,23 @@ class Pressure(Table):
     scans = Column("scans", "<i4", about="number of scans in the mean")
 
 
+class Auxiliary(Table):
+    """Auxiliary inputs (n, I) at the control cycles, each in its own unit."""
+
+    group, rows, signal = "aux", "N", "value"
+    about = "auxiliary inputs of the rig file, one row per control cycle"
+
+    time_s = _time("time of the newest scan of the cycle")
+    value = Column(
+        "aux", axes=("input",), about="mean of the scans since the last value; NaN outside the span of the sensor"
+    )
+
+    def __init__(self, values: Mapping[str, Values], inputs: Iterable[str], units: Iterable[str]) -> None:
+        super().__init__(values)
+        self.inputs = tuple(inputs)
+        self.units = tuple(units)
+
+
 class Timing(Table):
     """Timing of the control cycles (n,), and losses of the whole run."""
 
@@ -355,6 +372,7 @@ AXES = {
     "component": ("6", "names of the covariance's columns"),
     "actuator": ("A", "1, 2, .."),
     "valve": ("V", "1, 2, .."),
+    "input": ("I", "names of the auxiliary inputs in the rig file"),
     "camera": ("C", "names of the cameras in the rig file"),
     "station": ("L", "0 to 1, share of the length of the arm at rest"),
     "parameter": ("P", "its name, as in `rig identify --free`"),
@@ -362,6 +380,7 @@ AXES = {
 """Size of each axis in the reference page, and what its scale holds."""
 
 SAMPLES: tuple[type[Table], ...] = (Pressure, Timing)
+AUXILIARY: tuple[type[Table], ...] = (Auxiliary,)
 OBSERVATIONS: tuple[type[Table], ...] = (Tip, Backbone, Simulated, Reference)
 ADAPTATIONS: tuple[type[Table], ...] = (Adaptation,)
 TIP_CONTROL: tuple[type[Table], ...] = (TipControl,)

@@ -8,24 +8,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runs.column_declaration import Table
-from runs.columns import ADAPTATIONS, BACKBONE_POINTS, OBSERVATIONS, PLAN_AHEAD_S, SAMPLES, TIP_CONTROL
+from runs.columns import ADAPTATIONS, AUXILIARY, BACKBONE_POINTS, OBSERVATIONS, PLAN_AHEAD_S, SAMPLES, TIP_CONTROL
 
 _ZERO = {
     c.record
-    for t in (*SAMPLES, *OBSERVATIONS, *ADAPTATIONS, *TIP_CONTROL)
+    for t in (*SAMPLES, *AUXILIARY, *OBSERVATIONS, *ADAPTATIONS, *TIP_CONTROL)
     for c in t.columns()
     if c.record and c.missing == 0
 }
 _SIZES = {"axis": 3, "ahead": len(PLAN_AHEAD_S), "station": BACKBONE_POINTS}
 
 
-def sample_dtype(actuators: int, valves: int) -> np.dtype[np.void]:
-    """One control cycle: `Pressure` and `Timing`.
+def sample_dtype(actuators: int, valves: int, inputs: int = 0) -> np.dtype[np.void]:
+    """One control cycle: `Pressure` and `Timing`, and `Auxiliary` for a rig with auxiliary inputs.
 
     `t_ns` is the time of the newest scan, `measured_pa` the mean of the `scans` scans since the last cycle,
     `valve_v` the voltage then commanded.
     """
-    return _dtype(SAMPLES, actuator=actuators, valve=valves)
+    return _dtype((*SAMPLES, *(AUXILIARY if inputs else ())), actuator=actuators, valve=valves, input=inputs)
 
 
 def observation_dtype(actuators: int, cameras: int = 1) -> np.dtype[np.void]:

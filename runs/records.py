@@ -128,6 +128,14 @@ class Quantity:
 
 
 @dataclass(frozen=True)
+class AuxiliaryChannel:
+    """An auxiliary input of the rig: a column of the samples."""
+
+    name: str
+    unit: str
+
+
+@dataclass(frozen=True)
 class RecordedFile:
     """An input file of a run, verbatim: a calibration (its `kind`) or a CSV file of the protocol."""
 
@@ -190,6 +198,8 @@ class RunHeader:
     camera_hz: float = 30.0
     cameras: tuple[str, ...] = ("camera",)
     """By name, in the order of the observations' columns."""
+    auxiliary: tuple[AuxiliaryChannel, ...] = ()
+    """Auxiliary inputs, in the order of the samples' columns."""
 
     @property
     def protocol_parameters(self) -> tuple[Quantity, ...]:

@@ -13,7 +13,7 @@ from runs.archive.checked import ArchiveContents, opened
 from runs.archive.schema import TEXT
 
 Column = NDArray[Any]
-TABLES = ("pressure", "tip", "adaptation", "tip_control", "timing", "simulator", "reference", "events")
+TABLES = ("pressure", "aux", "tip", "adaptation", "tip_control", "timing", "simulator", "reference", "events")
 """Groups whose rows are those of their `time`."""
 
 
@@ -22,6 +22,7 @@ def table(path: Path | str, group: str) -> dict[str, Column]:
 
     A field of several columns becomes one for each actuator, valve or axis: `measured_bar` (N, 3) gives
     `measured_1_bar`, `measured_2_bar` and `measured_3_bar`; `measured_mm` (M, 3) gives `measured_x_mm` and so on.
+    Auxiliary inputs have units of their own: `value_load_N`.
     """
     with opened(path) as archive:
         fields = archive.fields(f"entry/{group}")
@@ -60,4 +61,7 @@ def _columns(archive: ArchiveContents, group: str, name: str) -> dict[str, Colum
     if len(field.dimensions) == 1:
         return {f"{plain}{end}": values}
     labels = archive.value(f"{group}/{field.scales[1]}")
-    return {f"{plain}_{label}{end}": np.ascontiguousarray(values[:, i]) for i, label in enumerate(labels)}
+    ends = [end] * len(labels)
+    if (units := f"{field.scales[1]}_unit") in archive.fields(group):
+        ends = [f"_{unit}" for unit in archive.value(f"{group}/{units}")]
+    return {f"{plain}_{labels[i]}{ends[i]}": np.ascontiguousarray(values[:, i]) for i in range(len(labels))}

@@ -199,6 +199,7 @@ def _line(progress: Progress) -> str:
     if progress.sample is not None:
         pairs = zip(progress.sample["setpoint_pa"], progress.sample["measured_pa"], strict=True)
         parts.append("bar " + " ".join(f"{s / PA_PER_BAR:.3f}/{m / PA_PER_BAR:.3f}" for s, m in pairs))
+        parts += _auxiliary(progress)
     if progress.observation is not None and progress.observation["seen"] == DetectionStatus.MEASURED:
         parts.append(f"tip mm {_point(progress.observation['measured_m'])}, error {_error_mm(progress):.2f}")
         if np.isfinite(path := _path_error_mm(progress.observation)):
@@ -230,6 +231,8 @@ def _screen(title: str, progress: Progress) -> FittedDisplay:
         blocks.append(DisplayBlock((Text(f"{printable(progress.prompt)}, then press Enter", "bold yellow"),)))
     if sample is not None:
         blocks.append(DisplayBlock((_pressures(sample), _pressures_short(sample)), DisplayPriority.PRESSURES))
+        if inputs := _auxiliary(progress):
+            blocks.append(DisplayBlock((_cells(inputs),), DisplayPriority.PRESSURES))
     if observation is not None and observation["seen"] == DetectionStatus.NO_CAMERA:
         blocks.append(DisplayBlock((_prediction(observation),), DisplayPriority.TIP))
     elif observation is not None:
@@ -253,6 +256,14 @@ def _screen(title: str, progress: Progress) -> FittedDisplay:
             DisplayBlock((*found, Text("the estimates need a larger terminal", "yellow")), DisplayPriority.ESTIMATES)
         )
     return FittedDisplay(blocks)
+
+
+def _auxiliary(progress: Progress) -> list[str]:
+    """The auxiliary inputs of the rig, each with its name and unit."""
+    if progress.sample is None or not progress.auxiliary:
+        return []
+    values = progress.sample["aux"].tolist()
+    return [f"{one.name} {value:.4g} {one.unit}" for one, value in zip(progress.auxiliary, values, strict=True)]
 
 
 def _pressures(sample: NDArray[np.void]) -> Table:

@@ -20,6 +20,7 @@ class CardConfig(Section):
     sampling_hz: Positive = Field(default=1000.0, le=20_000)
     outputs: Index = Field(description="AO channels that the card has")
     inputs: Index = Field(description="AI channels that the card has")
+    digital_inputs: Index = Field(default=0, description="DI channels that the card has")
 
     @property
     def is_mock(self) -> bool:

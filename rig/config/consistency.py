@@ -16,11 +16,13 @@ from protocols.validation import ValidationFault
 
 if TYPE_CHECKING:
     from rig.config.card_sections import CardConfig
+    from rig.config.input_sections import AuxiliaryInput, EmergencyStop
     from rig.config.sections import ArmConfig, BoardConfig, CameraConfig, Control, GeometryConfig, Limits, Sensor
     from rig.config.simulator_sections import Simulator
     from rig.valves.base import ValveSection
 
     Cards = Mapping[str, CardConfig | None]
+    Inputs = Mapping[str, AuxiliaryInput | None]
     Cameras = Mapping[str, CameraConfig | None]
     Valves = Sequence[ValveSection | None]
     Sensors = Sequence[Sensor | None]
@@ -36,7 +38,9 @@ def check(parts: Mapping[str, Any]) -> list[ValidationFault]:
     """Return every inconsistency; `parts` are the present fields of `RigConfig`."""
     checks: tuple[tuple[Callable[..., Iterator[ValidationFault]], tuple[str, ...]], ...] = (
         (_valve_channels, ("cards", "valves")),
-        (_sensor_channels, ("cards", "sensors")),
+        (_input_channels, ("cards", "sensors", "inputs")),
+        (_stop_channels, ("cards", "emergency_stops")),
+        (_input_values, ("inputs", "control", "simulator")),
         (_actuators, ("arm", "valves", "sensors")),
         (_valves, ("valves",)),
         (_sensors, ("sensors",)),
@@ -75,37 +79,65 @@ def _named(items: Mapping[str, Item | None]) -> list[tuple[str, Item]]:
     return [(name, item) for name, item in items.items() if item is not None]
 
 
+ChannelUser = tuple[tuple[str | int, ...], str, Any]
+"""What uses a channel of a card: its place in the file, its name for messages, and its section."""
+
+
+def _listed(key: str, items: Sequence[Any]) -> list[ChannelUser]:
+    return [((key, index), f"{key} #{index + 1}", item) for index, item in _numbered(items)]
+
+
+def _by_name(key: str, items: Mapping[str, Any]) -> list[ChannelUser]:
+    return [((key, name), f"{key}, {name}", item) for name, item in _named(items)]
+
+
 def _channels(
-    cards: Cards, users: Sequence[Any], key: str, kind: str, have: Callable[[CardConfig], int]
+    cards: Cards, users: Sequence[ChannelUser], kind: str, have: Callable[[CardConfig], int]
 ) -> Iterator[ValidationFault]:
-    taken: dict[tuple[str, int], int] = {}
-    for index, user in _numbered(users):
+    taken: dict[tuple[str, int], str] = {}
+    for path, name, user in users:
         if user.card not in cards:
-            yield ValidationFault(
-                (key, index, "card"), f"one of the cards: {', '.join(cards)}", closest(user.card, cards)
-            )
+            yield ValidationFault((*path, "card"), f"one of the cards: {', '.join(cards)}", closest(user.card, cards))
             continue
         card = cards[user.card]
         if card is not None and user.channel >= have(card):
-            count, wanted = have(card), sum(other.card == user.card for _, other in _numbered(users))
+            count, wanted = have(card), sum(other.card == user.card for _, _, other in users)
             expected = {0: "another card", 1: "channel 0"}.get(count, f"a channel from 0 to {count - 1}")
             expected += f": card '{user.card}' has {count or 'no'} {kind} channel{'' if count == 1 else 's'}"
             if wanted > count:
                 expected += f", and this rig needs {wanted}"
-            yield ValidationFault((key, index, "channel"), expected)
+            yield ValidationFault((*path, "channel"), expected)
         elif (user.card, user.channel) in taken:
-            first = taken[user.card, user.channel] + 1
-            yield ValidationFault((key, index, "channel"), f"a channel of its own: {key} #{first} has this one")
+            first = taken[user.card, user.channel]
+            yield ValidationFault((*path, "channel"), f"a channel of its own: {first} has this one")
         else:
-            taken[user.card, user.channel] = index
+            taken[user.card, user.channel] = name
 
 
 def _valve_channels(cards: Cards, valves: Valves) -> Iterator[ValidationFault]:
-    yield from _channels(cards, valves, "valves", "AO", lambda card: card.outputs)
+    yield from _channels(cards, _listed("valves", valves), "AO", lambda card: card.outputs)
 
 
-def _sensor_channels(cards: Cards, sensors: Sensors) -> Iterator[ValidationFault]:
-    yield from _channels(cards, sensors, "sensors", "AI", lambda card: card.inputs)
+def _input_channels(cards: Cards, sensors: Sensors, inputs: Inputs) -> Iterator[ValidationFault]:
+    users = [*_listed("sensors", sensors), *_by_name("inputs", inputs)]
+    yield from _channels(cards, users, "AI", lambda card: card.inputs)
+
+
+def _stop_channels(cards: Cards, stops: Mapping[str, EmergencyStop | None]) -> Iterator[ValidationFault]:
+    yield from _channels(cards, _by_name("emergency_stops", stops), "DI", lambda card: card.digital_inputs)
+
+
+def _input_values(inputs: Inputs, control: Control, simulator: Simulator | None) -> Iterator[ValidationFault]:
+    for name, one in _named(inputs):
+        if one.rate_hz is not None and one.rate_hz > control.rate_hz:
+            yield ValidationFault(("inputs", name, "rate_hz"), f"at most control, rate_hz, {control.rate_hz:g} Hz")
+        low, high = one.range_V
+        if one.span_V[0] < low or one.span_V[1] > high:
+            yield ValidationFault(("inputs", name, "span_V"), f"a span inside range_V, {low:g} to {high:g} V")
+    for name in simulator.inputs if simulator is not None else ():
+        if name not in inputs:
+            expected = f"one of the inputs: {', '.join(inputs) or 'the rig has none'}"
+            yield ValidationFault(("simulator", "inputs", name), expected, closest(name, inputs))
 
 
 def _actuators(arm: ArmConfig, valves: Valves, sensors: Sensors) -> Iterator[ValidationFault]:

@@ -13,6 +13,7 @@ from pydantic.json_schema import SkipJsonSchema
 from protocols.validation import faults
 from rig.config import consistency
 from rig.config.card_sections import AnyCard
+from rig.config.input_sections import AuxiliaryInput, EmergencyStop
 from rig.config.metadata import Metadata
 from rig.config.sections import (
     AnyCamera,
@@ -23,6 +24,7 @@ from rig.config.sections import (
     ModelConfig,
     Name,
     Named,
+    NamedOrNone,
     Recording,
     Section,
     Sensor,
@@ -46,6 +48,13 @@ class RigConfig(Section):
     cards: Named[AnyCard]
     valves: Annotated[tuple[Valve, ...], Field(min_length=1)]
     sensors: Annotated[tuple[Sensor, ...], Field(min_length=1)]
+    inputs: NamedOrNone[AuxiliaryInput] = Field(
+        default_factory=dict, description="quantities recorded beside the pressures"
+    )
+    emergency_stops: NamedOrNone[EmergencyStop] = Field(
+        default_factory=dict,
+        description="normally-closed contacts: one that opens ends the run and vents every chamber",
+    )
     limits: Limits
     control: Control
     cameras: Named[AnyCamera] = Field(

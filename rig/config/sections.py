@@ -102,6 +102,9 @@ Named = Annotated[
 ]
 
 
+NamedOrNone = Annotated[dict[str, Item], Field(json_schema_extra={"propertyNames": _IN_SCHEMA}), AfterValidator(_names)]
+
+
 Moment = Annotated[str, AfterValidator(_moment)]
 
 

@@ -7,6 +7,7 @@ from typing import Annotated
 from pydantic import Field
 from pydantic.json_schema import SkipJsonSchema
 
+from rig.config.input_sections import SimulatedInput
 from rig.config.sections import (
     GeometryConfig,
     LensConfig,
@@ -64,6 +65,7 @@ class Simulator(Section):
     valve: SimulatedValve
     chamber: SimulatedChamber
     sensor: SimulatedSensor
+    inputs: dict[str, SimulatedInput] = Field(default={}, description="true values of the auxiliary inputs, by name")
     scene: SimulatedScene | SkipJsonSchema[None] = Field(default=None, description="of the simulated cameras")
     material: MaterialConfig
     cap_mass_g: MassG

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from rig.config.sections import PA_PER_BAR
 from rig.control import step as control
+from rig.control.auxiliary import AuxiliaryMeans
 from rig.control.protocol_position import ProtocolPosition, advance, skip
 from rig.execution.plan import Plan
 from rig.hardware.bench import BenchScans
@@ -50,7 +51,9 @@ class ControlLoop:
         self._starts_s = tuple(segment.start_s for segment in plan.trajectory.segments)
         self._prepared = control.prepare(config)
         self._state = control.initial(self._prepared)
-        self._row = blank((), sample_dtype(config.actuators, len(config.valves)))
+        self._row = blank((), sample_dtype(config.actuators, len(config.valves), len(config.inputs)))
+        self._auxiliary = AuxiliaryMeans(config) if config.inputs else None
+        self._stops_closed = (True,) * len(config.emergency_stops)
         self._follower: PlanFollower | None = None
         self._first_actuators = [valve.actuators[0] - 1 for valve in config.valves]
         if plan.controls_tip:
@@ -108,6 +111,9 @@ class ControlLoop:
         scans = self._bench.read()
         self.lost += scans.lost
         self._simulator_late_ns = scans.late_ns
+        self._stops_closed = scans.stops_closed
+        if self._auxiliary is not None:
+            self._auxiliary.add(scans.t_ns, scans.auxiliary)
         if len(scans.t_ns):
             self._scan_t_ns = int(scans.t_ns[-1])
             pressure_pa = scans.pressure_pa
@@ -121,7 +127,7 @@ class ControlLoop:
 
     def cycle(
         self, number: int, now_ns: int, periods: int, answered: int, held: bool, lateness_ns: int, missed: int
-    ) -> tuple[NDArray[np.void], str | None]:
+    ) -> tuple[NDArray[np.void], control.Trip | None]:
         """Run one cycle; return its row (reused: copy it to keep it) and why the run must stop, else None.
 
         `periods` is the number of control periods since the last cycle: more than one after a missed deadline.
@@ -143,6 +149,7 @@ class ControlLoop:
             pressure_pa=self._pressure_pa,
             stalled_ns=self._stalled_ns(now_ns, lateness_ns + missed * self.period_ns),
             time_stopped=self._time_may_stop,
+            stops_closed=self._stops_closed,
         )
         self._state, command = control.step(self._prepared, self._state, sample, setpoint_pa, rate_pa_s)
         self._bench.write(command.valve_v)
@@ -153,7 +160,9 @@ class ControlLoop:
         row["setpoint_pa"] = setpoint_pa
         row["measured_pa"] = self._pressure_pa
         row["valve_v"] = np.where(self._has_voltage, command.valve_v, np.nan)
+        if self._auxiliary is not None:
+            row["aux"] = self._auxiliary.value
         row["scans"] = taken
         row["missed"] = missed
         row["lateness_ns"] = lateness_ns
-        return row, None if command.trip is None else command.trip.message
+        return row, command.trip

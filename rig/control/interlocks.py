@@ -29,6 +29,7 @@ class Sample(NamedTuple):
 
     `t_ns` is the time of the cycle, `scan_t_ns` that of the newest scan (0 before the first); `volts` (N,) and
     `pressure_pa` (N,) come from the scans since the last cycle, or repeat the last values if there were none.
+    `stops_closed` (E,): whether the contact of each emergency stop is closed now.
     `stalled_ns`: duration of a stall of this program just now, else 0. `time_stopped`: the bench is a simulation whose
     time stopped during the stall.
     """
@@ -39,11 +40,15 @@ class Sample(NamedTuple):
     pressure_pa: NDArray[np.float64]
     stalled_ns: int = 0
     time_stopped: bool = False
+    stops_closed: tuple[bool, ...] = ()
 
 
 @dataclass(frozen=True)
 class Trip:
-    """The reason to stop a run. `value` and `limit` are in `unit`; the message contains all three."""
+    """The reason to stop a run. `value` and `limit` are in `unit`; the message contains all three.
+
+    With `vent` the run ends with every chamber vented, also those that the safe state holds.
+    """
 
     t_ns: int
     source: str
@@ -51,6 +56,7 @@ class Trip:
     value: float
     limit: float
     unit: str
+    vent: bool = False
 
 
 class SampleInterlock(ABC):
@@ -77,6 +83,26 @@ class ActuatorInterlock(ABC):
     @abstractmethod
     def trip(self, t_ns: int, w: SensorState, asked: RegulatorDemand) -> Trip | None:
         """The trip by the state after a scan, None if the condition is not met."""
+
+
+@dataclass(frozen=True)
+class EmergencyStops(SampleInterlock):
+    """The contact of an emergency stop is open: it is pressed, or its wire is broken."""
+
+    names: tuple[str, ...]
+
+    @classmethod
+    def of(cls, config: RigConfig) -> Self:
+        """The stops of the rig file."""
+        return cls(tuple(config.emergency_stops))
+
+    def trip(self, sample: Sample, *, new: bool) -> Trip | None:
+        """Look for an open contact, also without a new scan."""
+        for name, closed in zip(self.names, sample.stops_closed, strict=True):
+            if not closed:
+                message = f"emergency stop '{name}': its contact is open (pressed, or a wire is broken)"
+                return Trip(sample.t_ns, f"emergency stop {name}", message, 0.0, 1.0, "closed", vent=True)
+        return None
 
 
 @dataclass(frozen=True)
@@ -265,7 +291,7 @@ class Tracking(ActuatorInterlock):
         return None
 
 
-SAMPLE_INTERLOCKS: tuple[type[SampleInterlock], ...] = (StaleSamples, BrokenSensors)
+SAMPLE_INTERLOCKS: tuple[type[SampleInterlock], ...] = (EmergencyStops, StaleSamples, BrokenSensors)
 ACTUATOR_INTERLOCKS: tuple[type[ActuatorInterlock], ...] = (
     OverPressure,
     PressureRate,

@@ -30,6 +30,7 @@ class ControlSettings:
 
     period_s: float
     safe_v: tuple[float, ...]
+    vent_v: tuple[float, ...]
     closed_v: tuple[float | None, ...]
     """The voltage that closes each valve; None for a valve that keeps its voltage without a sample."""
     valves: tuple[Regulator, ...]
@@ -44,7 +45,7 @@ REJOIN_S = 0.1
 
 
 class State(NamedTuple):
-    """State between control steps. Once `trip` is set every command is the safe one.
+    """State between control steps. Once `trip` is set every command is the safe one, or vents as the trip says.
 
     `rejoined_ns` is the end of the last stall after which the timers of the interlocks were reset.
     """
@@ -69,6 +70,7 @@ def prepare(config: RigConfig) -> ControlSettings:
     return ControlSettings(
         period_s=1.0 / config.control.rate_hz,
         safe_v=tuple(valve.safe_v() for valve in config.valves),
+        vent_v=tuple(valve.safe_v(vent=True) for valve in config.valves),
         closed_v=tuple(valve.closed_v for valve in config.valves),
         valves=tuple(valve.regulator(config.limits, config.control) for valve in config.valves),
         valve_of=tuple(valve_of[a + 1] for a in range(config.actuators)),
@@ -98,7 +100,8 @@ def step(
     if state.trip is None:
         state = _step(settings, state, sample, setpoint_pa.tolist(), rate_pa_s.tolist())
     if state.trip is not None:
-        return state, ControlOutput(np.array(settings.safe_v), state.trip)
+        ending_v = settings.vent_v if state.trip.vent else settings.safe_v
+        return state, ControlOutput(np.array(ending_v), state.trip)
     blind = sample.t_ns - sample.scan_t_ns > BLIND_PERIODS * settings.period_s * 1e9
     voltages = []
     for valve, safe, closed in zip(state.valves, settings.safe_v, settings.closed_v, strict=True):

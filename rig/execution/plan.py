@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from protocols import SetPointTrajectory
 from rig.config.schema import RigConfig
 from rig.config.sections import Variant
-from runs.records import Event, Picture, Quantity, Status
+from runs.records import AuxiliaryChannel, Event, Picture, Quantity, Status
 
 
 @dataclass(frozen=True)
@@ -29,6 +29,11 @@ class Plan:
     """Quantities that the recursive estimator estimates during the run; none by default."""
     tip_controller: str = ""
     """Name of the tip controller, or `package:Class`; empty for a protocol without a tip reference."""
+
+    @property
+    def auxiliary(self) -> tuple[AuxiliaryChannel, ...]:
+        """The auxiliary inputs of the rig, in the order of the samples' column `aux`."""
+        return tuple(AuxiliaryChannel(name, one.unit) for name, one in self.config.inputs.items())
 
     @property
     def controls_tip(self) -> bool:
@@ -64,6 +69,8 @@ class Progress:
     adapted: tuple[Quantity, ...] = ()
     adaptation: NDArray[np.void] | None = None
     """The newest row of the recursive estimator, in the order of `adapted`."""
+    auxiliary: tuple[AuxiliaryChannel, ...] = ()
+    """The auxiliary inputs, in the order of the sample's column `aux`."""
 
 
 class Recorder(Protocol):

@@ -189,7 +189,7 @@ def _cameras(run: Run, config: RigConfig) -> dict[str, int]:
 def _samples(run: Run) -> NDArray[np.void]:
     """Return the run's recorded control cycles."""
     pressure = run.pressure
-    rows = blank(len(pressure.time_s), sample_dtype(run.header.actuators, run.header.valves))
+    rows = blank(len(pressure.time_s), sample_dtype(run.header.actuators, run.header.valves, len(run.header.auxiliary)))
     rows["t_ns"] = _nanoseconds(pressure.time_s, run.header.started_t_ns)
     rows["tick"], rows["protocol_s"], rows["scans"] = pressure.tick, pressure.protocol_s, pressure.scans
     rows["setpoint_pa"] = pressure.setpoint_bar * PA_PER_BAR
@@ -197,6 +197,8 @@ def _samples(run: Run) -> NDArray[np.void]:
     rows["valve_v"] = pressure.valve_v
     rows["lateness_ns"] = np.round(run.timing.lateness_us * 1e3)
     rows["missed"] = run.timing.overruns
+    if run.auxiliary is not None:
+        rows["aux"] = run.auxiliary.value
     return rows
 
 

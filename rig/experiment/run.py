@@ -347,6 +347,7 @@ def header(request: RunRequest, decided: Plan, t_ns: int, ahead_ns: int = 0) -> 
         control_hz=config.control.rate_hz,
         camera_hz=config.observation_hz,
         cameras=tuple(config.cameras),
+        auxiliary=decided.auxiliary,
     )
 
 

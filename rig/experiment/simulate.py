@@ -65,7 +65,14 @@ def simulate(request: RunRequest, plan: Plan, static: bool) -> Path:
         row["model_m"], row["backbone_m"], row["model_ok"] = tip_m, backbone(shape), shape is not None
 
     title = f"{request.protocol.title} (model alone, {'static' if static else 'dynamic'})"
-    about = replace(header(request, plan, 0), title=title, executor=MODEL_ALONE, simulated=True, control_hz=rate_hz)
+    about = replace(
+        header(request, plan, 0),
+        title=title,
+        executor=MODEL_ALONE,
+        simulated=True,
+        control_hz=rate_hz,
+        auxiliary=(),
+    )
     request.folder.mkdir(parents=True, exist_ok=True)
     journal = JournalWriter(request.folder / f"{about.run_id}.mcap", about)
     journal.samples(samples)

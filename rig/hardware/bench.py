@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.config.input_sections import AuxiliaryInput
 from rig.config.schema import RigConfig
-from rig.hardware.cards.base import Card, Scans, SelfClockedCard
+from rig.config.sections import Sensor
+from rig.hardware.cards.base import Card, CardError, DigitalInputCard, Scans, SelfClockedCard
 from rig.hardware.cards.registry import open_card
 from rig.hardware.cards.setup import card_setup
 from rig.hardware.safe_state import SafeOutputs
@@ -20,6 +22,8 @@ class BenchScans:
     """Scans of all sensors, oldest first: `t_ns` (n,), `volts` and gauge `pressure_pa` (n, N) in actuator order.
 
     `lost` counts the scans that the cards dropped since the last read; `late_ns` is the delay of a simulator.
+    `auxiliary` (n, I) are the auxiliary inputs, each in its unit; `stops_closed` (E,) says whether the contact of each
+    emergency stop is closed now.
     """
 
     t_ns: NDArray[np.int64]
@@ -27,6 +31,8 @@ class BenchScans:
     pressure_pa: NDArray[np.float64]
     lost: int
     late_ns: int = 0
+    auxiliary: NDArray[np.float64] = field(default_factory=lambda: np.empty((0, 0)))
+    stops_closed: tuple[bool, ...] = ()
 
 
 class Bench:
@@ -43,7 +49,11 @@ class Bench:
         self._pa_per_v = np.array(at_1) - self._pa_at_0_v
         self._told_v: NDArray[np.float64] | None = None
         self._units = [valve.output_unit for valve in config.valves]
-        columns = {name: [i for i, s in enumerate(self._sensors) if s.card == name] for name in self._cards}
+        self._auxiliary = tuple(config.inputs.values())
+        self._digital = _digital_cards(config, self._cards)
+        self._stop_cards = [stop.card for stop in config.emergency_stops.values() if stop.card in self._digital]
+        signals: tuple[Sensor | AuxiliaryInput, ...] = (*self._sensors, *self._auxiliary)
+        columns = {name: [i for i, s in enumerate(signals) if s.card == name] for name in self._cards}
         self._inputs = {name: column for name, column in columns.items() if column}
         self._pending = {name: _Pending(len(column)) for name, column in self._inputs.items()}
 
@@ -65,7 +75,7 @@ class Bench:
         return clocked.period_ns, clocked.drift_ppm or 0.0
 
     def start(self) -> None:
-        """Begin sampling on every card that has sensors."""
+        """Begin sampling on every card that has sensors or auxiliary inputs."""
         for name in self._inputs:
             self._cards[name].start()
 
@@ -77,7 +87,7 @@ class Bench:
         if len(self._inputs) == 1:
             (name,) = self._inputs
             only = self._cards[name].read()
-            return BenchScans(only.t_ns, only.volts, self._pressure_pa(only.volts), only.lost, only.late_ns)
+            return self._scans(only.t_ns, only.volts, only.lost, only.late_ns)
         scans = {name: self._pending[name].with_new(self._cards[name].read()) for name in self._inputs}
         lost = sum(s.lost for s in scans.values())
         late_ns = max(s.late_ns for s in scans.values())
@@ -87,18 +97,25 @@ class Bench:
             oldest = max((int(scans[o].t_ns[0]) if len(scans[o].t_ns) else _NEVER) for o in others)
             newest = min((int(scans[o].t_ns[-1]) if len(scans[o].t_ns) else -1) for o in others)
             t_ns = t_ns[(t_ns <= newest) & (t_ns >= oldest)]
-        volts = np.empty((len(t_ns), len(self._sensors)))
+        volts = np.empty((len(t_ns), len(self._sensors) + len(self._auxiliary)))
         for name, s in scans.items():
             rows = np.searchsorted(s.t_ns, t_ns, side="right") - 1
             volts[:, self._inputs[name]] = s.volts[rows]
             # The first card's rows are consumed; the others keep the row that the next call may need.
             until = int(t_ns[-1]) if len(t_ns) else -1
             self._pending[name].keep(s, until, inclusive=name != first)
-        return BenchScans(t_ns, volts, self._pressure_pa(volts), lost, late_ns)
+        return self._scans(t_ns, volts, lost, late_ns)
 
-    def _pressure_pa(self, volts: NDArray[np.float64]) -> NDArray[np.float64]:
-        pressure: NDArray[np.float64] = volts * self._pa_per_v + self._pa_at_0_v
-        return pressure
+    def _scans(self, t_ns: NDArray[np.int64], signals_v: NDArray[np.float64], lost: int, late_ns: int) -> BenchScans:
+        """Scans of the signals (n, N + I): sensors, then auxiliary inputs."""
+        volts = signals_v[:, : len(self._sensors)]
+        pressure_pa: NDArray[np.float64] = volts * self._pa_per_v + self._pa_at_0_v
+        auxiliary = np.empty((len(t_ns), len(self._auxiliary)))
+        for i, one in enumerate(self._auxiliary):
+            auxiliary[:, i] = one.value(signals_v[:, len(self._sensors) + i])
+        high = {name: iter(card.read_digital().tolist()) for name, card in self._digital.items()}
+        closed = tuple(next(high[name]) for name in self._stop_cards)
+        return BenchScans(t_ns, volts, pressure_pa, lost, late_ns, auxiliary, closed)
 
     def write(self, valve_v: NDArray[np.float64]) -> None:
         """Set every valve (V,) [V]."""
@@ -174,6 +191,20 @@ def open_bench(config: RigConfig) -> Bench:
             opened.close()
         raise
     return Bench(config, cards)
+
+
+def _digital_cards(config: RigConfig, cards: Mapping[str, Card]) -> dict[str, DigitalInputCard]:
+    """The open cards that have emergency stops. Raises CardError for a driver that reads no digital inputs."""
+    found: dict[str, DigitalInputCard] = {}
+    for stop, section in config.emergency_stops.items():
+        card = cards.get(section.card)
+        if card is None:
+            continue
+        if not isinstance(card, DigitalInputCard):
+            driver = config.cards[section.card].driver
+            raise CardError(f"card {section.card} of emergency stop {stop}: driver {driver} reads no digital inputs")
+        found[section.card] = card
+    return found
 
 
 _NEVER = np.iinfo(np.int64).max

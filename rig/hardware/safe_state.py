@@ -122,7 +122,7 @@ def open_outputs(config: RigConfig, *names: str) -> SafeOutputs:
     cards: dict[str, Card] = {}
     try:
         for name in names:
-            cards[name] = open_card(config.cards[name], replace(card_setup(config, name), inputs=()))
+            cards[name] = open_card(config.cards[name], replace(card_setup(config, name), inputs=(), digital_inputs=()))
     except BaseException:
         for opened in cards.values():
             opened.close()

@@ -19,7 +19,7 @@ from rig.config.loader import recorded
 from rig.config.schema import RigConfig
 from rig.config.sections import PA_PER_BAR
 from rig.live.messages import Message
-from rig.live.packets import ViewOverlay, ViewUpdate, estimates
+from rig.live.packets import ViewOverlay, ViewUpdate, auxiliary, estimates
 from rig.observation.overlay import arm_lines
 from rig.realtime.shared_state import LINE_POINTS
 from runs.records import DetectionStatus
@@ -171,6 +171,8 @@ class ArchivedRun:
                 "lateMax": float(recent.max()),
                 **self._segment(protocol_s),
             }
+            if run.auxiliary is not None:
+                now["inputs"] = auxiliary(run.header.auxiliary, run.auxiliary.value[tick])
         if frame >= 0:
             tip = run.tip
             now |= {

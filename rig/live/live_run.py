@@ -11,7 +11,18 @@ from numpy.typing import NDArray
 
 from rig.live.client_session import ClientSession
 from rig.live.messages import Message
-from rig.live.packets import MM, History, RunningMean, ViewOverlay, ViewUpdate, bar, estimates, jpeg, track_row
+from rig.live.packets import (
+    MM,
+    History,
+    RunningMean,
+    ViewOverlay,
+    ViewUpdate,
+    auxiliary,
+    bar,
+    estimates,
+    jpeg,
+    track_row,
+)
 from rig.realtime.shared_state import Stage
 from runs.records import DetectionStatus, Event
 
@@ -221,6 +232,8 @@ class LiveRunViewer:
                 "measured": bar(source.sample["measured_pa"]),
                 "late": float(source.sample["lateness_ns"]) * 1e-3,
             }
+            if plan.auxiliary:
+                now["inputs"] = auxiliary(plan.auxiliary, source.sample["aux"])
         if source.adaptation is not None:
             row = source.adaptation
             std = np.sqrt(np.diagonal(row["covariance"]))

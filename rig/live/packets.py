@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.config.sections import PA_PER_BAR
-from runs.records import Quantity
+from runs.records import AuxiliaryChannel, Quantity
 
 Floats = NDArray[np.float64]
 MM = 1e3
@@ -141,6 +141,11 @@ def estimates(adapted: Sequence[Quantity], value: Floats, std: Floats) -> list[l
         [q.name, q.unit, f"{x:.5g}", f"{s:.2g}", f"{q.value[0]:.5g}"]
         for q, x, s in zip(adapted, value, std, strict=True)
     ]
+
+
+def auxiliary(inputs: Sequence[AuxiliaryChannel], values: Floats) -> list[list[str]]:
+    """Return the rows of `now.inputs` as text: name, value, unit."""
+    return [[one.name, f"{value:.4g}", one.unit] for one, value in zip(inputs, values, strict=True)]
 
 
 def bar(pascal: Floats) -> Floats:

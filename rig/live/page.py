@@ -98,7 +98,7 @@ def _panels() -> None:
             _part("ol", "event-list")
         with _panel("estimates", "estimated beside the run, never used for control").props("hidden"):
             _part("table", "estimate-rows")
-        with _panel("timing", "timing"):
+        with _panel("timing", "timing and auxiliary inputs"):
             _part("dl", "health")
 
 

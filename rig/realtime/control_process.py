@@ -190,7 +190,9 @@ def _run(job: ChildJob, memory: SharedState, bench: Bench, supervisor: ProcessMo
         memory.waiting_prompt = loop.position.prompts_passed if loop.position.waiting else -1
         memory.heartbeat("control", now)
         if trip is not None:
-            return trip
+            # Before the safe state is written: the watchdog, too, then vents.
+            memory.vented = memory.vented or trip.vent
+            return trip.message
         if loop.finished:
             return ""
         # A deadline is missed if its cycle has not begun before the next one is due.

@@ -105,4 +105,5 @@ class OperatorSession:
             held=self._memory.paused,
             adapted=self._plan.adapted,
             adaptation=record.adaptation,
+            auxiliary=self._plan.auxiliary,
         )

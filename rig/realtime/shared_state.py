@@ -103,6 +103,7 @@ class StateLayout:
     corners: int
     cameras: int = 1
     adapted: int = 0
+    inputs: int = 0
 
     @classmethod
     def of(cls, config: RigConfig, adapted: int = 0) -> StateLayout:
@@ -110,7 +111,15 @@ class StateLayout:
         largest = max((c.width_px * c.height_px for c in config.cameras.values()), default=0)
         board = config.board
         corners = 0 if board is None else (board.squares_x - 1) * (board.squares_y - 1)
-        return cls(config.actuators, len(config.valves), largest * 3 + 4096, corners, len(config.cameras), adapted)
+        return cls(
+            actuators=config.actuators,
+            valves=len(config.valves),
+            picture_bytes=largest * 3 + 4096,
+            corners=corners,
+            cameras=len(config.cameras),
+            adapted=adapted,
+            inputs=len(config.inputs),
+        )
 
 
 def view_dtype(layout: StateLayout) -> np.dtype[np.void]:
@@ -171,7 +180,7 @@ class SharedState:
     start_ns = _BoardField(int)
     stop_request = _BoardField(Stop)
     vented = _BoardField(bool)
-    """True after another program has vented valves that the safe state would hold."""
+    """True where valves that the safe state would hold are vented: by another program, or for an emergency stop."""
     paused = _BoardField(bool)
     skips = _BoardField(int)
     """Requests to skip the rest of a segment, since the start."""
@@ -191,7 +200,7 @@ class SharedState:
         """Map the memory; with `readonly` (viewers) the mapping itself is read-only."""
         self.fd = fd
         self.layout = layout
-        sample = sample_dtype(layout.actuators, layout.valves)
+        sample = sample_dtype(layout.actuators, layout.valves, layout.inputs)
         observation = observation_dtype(layout.actuators, layout.cameras)
         sizes = (
             -(-_BOARD.itemsize // 64) * 64,

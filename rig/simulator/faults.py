@@ -8,6 +8,7 @@ it. Every process of a run imports this module, so it must not import the compil
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from enum import IntEnum
 
 import numpy as np
@@ -16,7 +17,7 @@ from numpy.typing import NDArray
 from rig.hardware.cards.base import CardError, Scans
 
 MOST = 8
-"""Sensors and valves that can have a fault."""
+"""Sensors, valves and digital inputs that can have a fault."""
 
 FAULTS_DTYPE = np.dtype(
     [
@@ -34,13 +35,14 @@ FAULTS_DTYPE = np.dtype(
         ("camera", "<i8"),
         ("camera_number", "<i8"),
         ("camera_delay_ns", "<i8"),
+        ("contact", "<i8", (MOST,)),
     ]
 )
 """`active` is set after the others; `failing_reads`, `failing_writes` and `lost_scans` count down. Pressures are gauge.
 
 `sensor_pa` is the standard deviation of the noise or the offset; `valve_value` the voltage at which a valve is stuck
 (NaN: its present one), or its leakage [l/min at 6 -> 5 bar]. `camera_number` is the camera with the fault, 1 for the
-first of the rig, 0 for all.
+first of the rig, 0 for all. `contact` is 1 where the contact at a digital input is open, `contact_1` that of channel 0.
 """
 
 
@@ -113,6 +115,11 @@ class Faults:
         """Remove all faults."""
         self.row["active"][0] = 0
         self.row[:] = np.zeros(1, FAULTS_DTYPE)
+
+    def contacts_closed(self, channels: Sequence[int]) -> NDArray[np.bool_]:
+        """Whether the contact at each digital input is closed."""
+        is_open = self.row["contact"][0] if self.active else np.zeros(MOST)
+        return np.array([c >= MOST or not is_open[c] for c in channels], bool)
 
     def before_read(self, device: str, *, waits: bool) -> None:
         """Apply the faults of a read of the card; `waits` in real time only.

@@ -14,6 +14,7 @@ from rig.config.schema import RigConfig
 from rig.config.sections import PA_PER_BAR
 from rig.hardware.cards.base import CardError, Scans
 from rig.simulator import pneumatics
+from rig.simulator.auxiliary_inputs import SimulatedInputs
 from rig.simulator.converter import sixteen_bits
 from rig.simulator.faults import Faults
 from rig.simulator.faulty_devices import FaultySensors, FaultyValves
@@ -60,6 +61,8 @@ class Plant:
         self._effects = [effect.effect(config.actuators, ARM_STEP_S) for effect in truth.arm_effects]
         lengths = np.full(config.actuators, geometry.length_mm * 1e-3)
         position, rotation = np.array([0.0, 0.0, lengths[0]]), np.eye(3)
+        self.inputs = SimulatedInputs(config, seed, ARM_STEPS)
+        self._weight_kg = 0.0
         self._hook = TipLoad(config)
         self._loads = self._hook.carrying(0.0)
         if self._dynamics is not None:
@@ -82,6 +85,7 @@ class Plant:
         self._faulty_sensors = FaultySensors(self.faults, self._sensors)
         self._outputs_v: NDArray[np.float64] = np.zeros(len(config.valves))
         self._air = pneumatics.vented(len(config.valves), self._dead_m3 + self._bore_m2 * lengths)
+        self.inputs.advance(self.pressure_pa, self._weight_kg)
         self._cards = {name: PlantCard(self, config, name) for name, card in config.cards.items() if card.is_mock}
 
     @property
@@ -127,6 +131,7 @@ class Plant:
             self._pass(min(due, target) - self._step)
             if self._step == due:
                 self._move_arm()
+                self.inputs.advance(self.pressure_pa, self._weight_kg)
 
     def skip(self, t_ns: int) -> None:
         """Advance the clock to about `t_ns` without simulation: whole steps of the arm, no scans."""
@@ -139,6 +144,7 @@ class Plant:
 
     def hang(self, weight_kg: float) -> None:
         """Hang a weight on the end cap in place of what hung there, as an operator would."""
+        self._weight_kg = weight_kg
         self._loads = self._hook.carrying(weight_kg)
 
     def set_output(self, valve: int, volts: float) -> None:
@@ -206,7 +212,10 @@ class PlantCard:
         self._every = pneumatics.scan_steps(config.cards[name].sampling_hz)
         self._sampling = False
         self._t_ns = np.zeros(FIFO_SCANS, np.int64)
-        self._volts = np.zeros((FIFO_SCANS, len(sensors)))
+        self._sensors = len(sensors)
+        self._auxiliary = [i for i, one in enumerate(config.inputs.values()) if one.card == name]
+        self._stops = [stop.channel for stop in config.emergency_stops.values() if stop.card == name]
+        self._volts = np.zeros((FIFO_SCANS, len(sensors) + len(self._auxiliary)))
         self._filled = self._lost = 0
 
     @property
@@ -229,7 +238,11 @@ class PlantCard:
             new = slice(self._filled, self._filled + fit)
             oldest_ns = self._plant.t_ns + (first + 1) * STEP_NS
             self._t_ns[new] = range(oldest_ns, oldest_ns + fit * self.period_ns, self.period_ns)
-            self._volts[new] = scans[first : first + fit * self._every : self._every, self._columns]
+            rows = slice(first, first + fit * self._every, self._every)
+            self._volts[new, : self._sensors] = scans[rows, self._columns]
+            if self._auxiliary:
+                steps = np.arange(rows.start, rows.stop, rows.step) + first_step
+                self._volts[new, self._sensors :] = self._plant.inputs.volts(steps, self._auxiliary)
             self._filled += fit
         self._lost += count - fit
 
@@ -239,6 +252,10 @@ class PlantCard:
         scans = Scans(self._t_ns[: self._filled].copy(), self._volts[: self._filled].copy(), self._lost)
         self._filled = self._lost = 0
         return self.faults.of_scans(scans)
+
+    def read_digital(self) -> NDArray[np.bool_]:
+        """Whether the contacts of the emergency stops are closed."""
+        return self.faults.contacts_closed(self._stops)
 
     def write(self, volts: NDArray[np.float64]) -> None:
         """Set the outputs, as near as 16 bits come."""

@@ -49,6 +49,7 @@ class _SimulatedCard:
         self._inputs = card.inputs
         sensors = sorted((s for s in config.sensors if s.card == name), key=lambda s: s.actuator)
         self._columns = [s.channel for s in sensors]
+        self._columns += [i.channel for i in config.inputs.values() if i.card == name]
         self._channels = [v.channel for v in config.valves if v.card == name]
         valves = [i for i, v in enumerate(config.valves) if v.card == name]
         self._safe_v = np.array([[config.valves[i].safe_v(vent=vent) for i in valves] for vent in (False, True)])

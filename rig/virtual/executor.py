@@ -9,6 +9,7 @@ import gc
 import time
 from collections import deque
 from collections.abc import Iterator
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -96,7 +97,9 @@ class _VirtualRun:
         rate_hz = config.control.rate_hz
         self._batch_ticks = max(1, round(BATCH_S * rate_hz))
         self._history_ticks = max(1, round(HISTORY_S * rate_hz))
-        self._samples = _RecentRows(sample_dtype(config.actuators, len(config.valves)), self._history_ticks)
+        self._samples = _RecentRows(
+            sample_dtype(config.actuators, len(config.valves), len(config.inputs)), self._history_ticks
+        )
         self._observations = _RecentRows(observation_dtype(config.actuators, len(config.cameras)), self._history_ticks)
         self._adaptations = _RecentRows(adaptation_dtype(len(plan.adapted)), self._history_ticks)
         self._plans = _RecentRows(tip_control_dtype(len(config.valves)), self._history_ticks)
@@ -104,6 +107,8 @@ class _VirtualRun:
         self._exposed: deque[tuple[int, float]] = deque()
         """Times of the frames that wait for the tip controller: of the exposure [ns], and in the protocol [s]."""
         self._shown = 0.0
+        self._vents = False
+        """True where the end of the run vents every valve, also those that the rig holds."""
         self._recorder: Recorder
         self._pipeline: FramePipeline
 
@@ -140,7 +145,7 @@ class _VirtualRun:
                 self._recorder.event(Event(now, Level.FAULT, "observer", traceback))
             ending = Status.ABORTED, str(error)
         finally:
-            unsafe = failure_of(self._bench.make_safe)
+            unsafe = failure_of(partial(self._bench.make_safe, vent=self._vents))
         self._flush(in_flight=0)
         unsafe = unsafe or self._vented(now)
         if unsafe:
@@ -161,7 +166,7 @@ class _VirtualRun:
                 self._plant.advance(now + waited)
                 yield
 
-        return VentVerification(self._plan.config, self._bench).outcome(checks())
+        return VentVerification(self._plan.config, self._bench, vent=self._vents).outcome(checks())
 
     def _cycle(self, tick: int, now: int) -> tuple[Status, str] | None:
         """Run one cycle and its frames; return how the run ends, None while it continues."""
@@ -179,8 +184,9 @@ class _VirtualRun:
         if self._tip_control is not None:
             self._steer(self._tip_control, now)
         if trip is not None:
-            self._event(now, Level.FAULT, "control", trip)
-            return Status.ABORTED, trip
+            self._vents = trip.vent
+            self._event(now, Level.FAULT, "control", trip.message)
+            return Status.ABORTED, trip.message
         if self._loop.finished:
             return Status.FINISHED, ""
         if self._loop.position.waiting and self._answered == self._loop.position.prompts_passed:
@@ -265,6 +271,7 @@ class _VirtualRun:
             prompt=None,
             adapted=self._plan.adapted,
             adaptation=estimate[0] if len(estimate) else None,
+            auxiliary=self._plan.auxiliary,
         )
 
     def _event(self, t_ns: int, level: Level, source: str, message: str) -> None:

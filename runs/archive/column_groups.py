@@ -21,6 +21,15 @@ def timing(journal: Journal, losses: tuple[Field, ...]) -> Group:
     return _group(journal, columns.Timing, journal.samples, losses)
 
 
+def auxiliary(journal: Journal) -> Group | None:
+    """Return the auxiliary inputs; None for a rig without any."""
+    inputs = journal.header.auxiliary
+    if not inputs:
+        return None
+    units = Field("input_unit", [one.unit for one in inputs], about="unit of each column of value", scales=("input",))
+    return _group(journal, columns.Auxiliary, journal.samples, (units,))
+
+
 def tip(journal: Journal) -> Group:
     """Return the camera frames."""
     return _group(journal, columns.Tip, journal.observations)
@@ -113,11 +122,12 @@ def _scale(journal: Journal, axis: str) -> Field:
         "component": ["xx", "xy", "xz", "yy", "yz", "zz"],
         "actuator": np.arange(1, header.actuators + 1),
         "valve": np.arange(1, header.valves + 1),
+        "input": [one.name for one in header.auxiliary],
         "camera": list(header.cameras),
         "station": np.linspace(0, 1, columns.BACKBONE_POINTS),
         "parameter": [q.name for q in header.adapted],
     }
-    return Field(axis, values[axis], about=columns.AXES[axis][1], any_length=axis in ("camera", "parameter"))
+    return Field(axis, values[axis], about=columns.AXES[axis][1], any_length=axis in ("camera", "input", "parameter"))
 
 
 def _some(rows: RowTable, name: str) -> bool:

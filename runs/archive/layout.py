@@ -51,6 +51,7 @@ def groups(journal: Journal) -> tuple[Group, ...]:
             provenance.versions(journal),
             provenance.git(journal),
             column_groups.pressure(journal),
+            column_groups.auxiliary(journal),
             column_groups.tip(journal),
             column_groups.adaptation(journal),
             column_groups.tip_control(journal),

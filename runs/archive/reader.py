@@ -15,8 +15,8 @@ from runs.archive.checked import content_sha256, opened
 from runs.archive.fields import PA_PER_BAR, QUANTITY_GROUPS
 from runs.archive.provenance import metadata
 from runs.column_declaration import Table, Values
-from runs.columns import Adaptation, Backbone, Pressure, Reference, Simulated, Timing, Tip, TipControl
-from runs.records import Event, Interval, Level, Quantity, RecordedFile, RunHeader, Status
+from runs.columns import Adaptation, Auxiliary, Backbone, Pressure, Reference, Simulated, Timing, Tip, TipControl
+from runs.records import AuxiliaryChannel, Event, Interval, Level, Quantity, RecordedFile, RunHeader, Status
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -89,6 +89,7 @@ class ArchiveReader:
             control_hz=float(self._group("entry/timing")["control_rate"]),
             camera_hz=float(self._group("entry/timing")["camera_rate"]),
             cameras=self._cameras,
+            auxiliary=_auxiliary(self._group("entry/aux", without="value")),
         )
 
     @cached_property
@@ -120,6 +121,12 @@ class ArchiveReader:
     def tip(self) -> Tip:
         """Camera frames."""
         return Tip(self._values(Tip))
+
+    @cached_property
+    def auxiliary(self) -> Auxiliary | None:
+        """Auxiliary inputs; None for a rig without any."""
+        g = self._group("entry/aux", without="value")
+        return Auxiliary(self._values(Auxiliary), g["input"], g["input_unit"]) if g else None
 
     @cached_property
     def adaptation(self) -> Adaptation | None:
@@ -218,6 +225,11 @@ class ArchiveReader:
                     value = tuple(float(v) for v in np.atleast_1d(archive.value(field.path)))
                     unit, source, uncertainty = archive.about(field.path)
                     yield Quantity(room, name, value, unit, source, uncertainty)
+
+
+def _auxiliary(g: dict[str, Any]) -> tuple[AuxiliaryChannel, ...]:
+    columns = (g.get(key, ()) for key in ("input", "input_unit"))
+    return tuple(AuxiliaryChannel(name, unit) for name, unit in zip(*columns, strict=True))
 
 
 def _adapted(g: dict[str, Any]) -> tuple[Quantity, ...]:

@@ -9,7 +9,7 @@ import sys
 from pathlib import Path
 
 from runs.column_declaration import Table
-from runs.columns import ADAPTATIONS, AXES, OBSERVATIONS, SAMPLES, TIP_CONTROL
+from runs.columns import ADAPTATIONS, AUXILIARY, AXES, OBSERVATIONS, SAMPLES, TIP_CONTROL
 
 
 def table(kind: type[Table]) -> str:
@@ -31,7 +31,7 @@ def page(text: str) -> str:
     Raises:
         ValueError: the page has no place for a table.
     """
-    for kind in (*SAMPLES, *OBSERVATIONS, *ADAPTATIONS, *TIP_CONTROL):
+    for kind in (*SAMPLES, *AUXILIARY, *OBSERVATIONS, *ADAPTATIONS, *TIP_CONTROL):
         before, after = f"<!-- columns: {kind.group} -->\n", "<!-- end -->"
         found = text.count(before)
         if found != 1:

@@ -19,6 +19,7 @@ from runs.archive.fields import LARGEST, QUANTITY_GROUPS, ComputedColumn, Field,
 from runs.journal.journal import Journal
 from runs.journal.stored_rows import Index, StoredPictures, StoredRows
 from runs.records import (
+    AuxiliaryChannel,
     Interval,
     Quantity,
     RecordedFile,
@@ -184,12 +185,13 @@ def _journal(actuators: int, valves: int, *, everything: bool) -> Journal:
         adapted=adapted if everything else (),
         cameras=("camera",) if everything else (),
         tip_controller="controller" if everything else "",
+        auxiliary=(AuxiliaryChannel("input", ""),) if everything else (),
     )
     rows = 1 if everything else 0
     return Journal(
         header=header,
         footer=RunFooter(0, Status.FINISHED, "", {"counter": 0} if everything else {}),
-        samples=_rows(sample_dtype(actuators, valves), 0),
+        samples=_rows(sample_dtype(actuators, valves, len(header.auxiliary)), 0),
         observations=_rows(observation_dtype(actuators, len(header.cameras)), rows),
         adaptations=_rows(adaptation_dtype(len(header.adapted)), 0),
         plans=_rows(tip_control_dtype(valves), 0),

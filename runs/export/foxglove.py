@@ -25,7 +25,7 @@ from runs.table import table
 SUFFIX = ".foxglove.mcap"
 """Distinguishes the file from a journal, which is also MCAP."""
 FRAME_ID = "rod_base"
-_TABLES = ("pressure", "tip", "timing", "simulator")
+_TABLES = ("pressure", "aux", "tip", "timing", "simulator")
 _LOG_LEVEL = {Level.INFO: 2, Level.WARNING: 3, Level.FAULT: 4}
 _POINTS, _LINE_STRIP = 1, 3
 _YELLOW, _BLUE, _ORANGE = (0.94, 0.89, 0.26), (0.0, 0.45, 0.70), (0.84, 0.37, 0.0)

@@ -52,7 +52,7 @@ class JournalWriter:
         A `live` run does not wait for a disk that stalls for less than `patience_s` (default 10 s); other runs wait.
         """
         self.path = Path(path)
-        self._samples = _TopicRows(SAMPLES, sample_dtype(header.actuators, header.valves))
+        self._samples = _TopicRows(SAMPLES, sample_dtype(header.actuators, header.valves, len(header.auxiliary)))
         self._observations = _TopicRows(OBSERVATIONS, observation_dtype(header.actuators, len(header.cameras)))
         self._adaptations = _TopicRows(ADAPTATIONS, adaptation_dtype(len(header.adapted)))
         self._plans = _TopicRows(PLANS, tip_control_dtype(header.valves))
@@ -249,7 +249,7 @@ class _Contents:
         return Journal(
             header=header,
             footer=self.footer,
-            samples=rows(SAMPLES, sample_dtype(header.actuators, header.valves)),
+            samples=rows(SAMPLES, sample_dtype(header.actuators, header.valves, len(header.auxiliary))),
             observations=rows(OBSERVATIONS, observation_dtype(header.actuators, len(header.cameras))),
             adaptations=rows(ADAPTATIONS, adaptation_dtype(len(header.adapted))),
             plans=rows(PLANS, tip_control_dtype(header.valves)),

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from runs.report import estimates_figure, figures, pictures, reference_figure
+from runs.report import auxiliary_figure, estimates_figure, figures, pictures, reference_figure
 from runs.report.drawing import FigureSpecification
 from runs.report.numbers import plain
 from runs.run import Run
@@ -41,6 +41,13 @@ def _pressures(run: Run, summary: Summary) -> FigureSpecification | None:
     setpoints = np.isfinite(run.pressure.setpoint_bar).any()
     title, height = ("Pressures and set-points", 4.1) if setpoints else ("Pressures", 3.2)
     return FigureSpecification("pressures", title, figures.pressures, (9, height))
+
+
+def _auxiliary(run: Run, summary: Summary) -> FigureSpecification | None:
+    if run.auxiliary is None or not summary.ticks:
+        return None
+    size = auxiliary_figure.size(run.auxiliary)
+    return FigureSpecification("inputs", "Auxiliary inputs", auxiliary_figure.draw, size)
 
 
 def _trajectory(run: Run, summary: Summary) -> FigureSpecification | None:
@@ -138,6 +145,7 @@ def _timing(run: Run, summary: Summary) -> FigureSpecification | None:
 
 FIGURES: tuple[Callable[[Run, Summary], FigureSpecification | None], ...] = (
     _pressures,
+    _auxiliary,
     _trajectory,
     _backbones,
     _steps,

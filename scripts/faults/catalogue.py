@@ -19,6 +19,7 @@ from scripts.faults.injections import (
     ModelUnsolvable,
     RandomProcessSignals,
     Signal,
+    StopPressed,
     TerminalBlocked,
     TerminalLost,
 )
@@ -86,6 +87,7 @@ AIR = (
     ),
 )
 CARD = (
+    Fault("emergency stop pressed", "card", StopPressed({"contact_1": 1}), ABORTED, "emergency stop 'button'"),
     Fault("card: a read fails", "card", BenchFault({"failing_reads": 1}), ABORTED, "inputs cannot be read"),
     Fault("card: three writes fail", "card", BenchFault({"failing_writes": 3}), ABORTED, "outputs cannot be written"),
     Fault(

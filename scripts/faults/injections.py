@@ -38,6 +38,16 @@ class BenchFault(Injection):
 
 
 @dataclass(frozen=True)
+class StopPressed(BenchFault):
+    """The contact of an emergency stop opens."""
+
+    def edit_rig(self, text: str) -> str:
+        """Add an emergency stop at digital input 0."""
+        text = text.replace("inputs: 16,", "inputs: 16, digital_inputs: 1,")
+        return text.replace("\nlimits:\n", "\nemergency_stops: {button: {card: daq, channel: 0}}\n\nlimits:\n")
+
+
+@dataclass(frozen=True)
 class Signal(Injection):
     """A signal to processes of the run, all at once. They continue after `lasts_s`, or after the run if None."""
 

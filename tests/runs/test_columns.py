@@ -15,7 +15,7 @@ import tests.support.synthetic_runs as made_up
 from runs.archive import schema
 from runs.archive.writer import ArchiveError, finalise
 from runs.column_declaration import Column
-from runs.columns import ADAPTATIONS, OBSERVATIONS, SAMPLES, Tip
+from runs.columns import ADAPTATIONS, AUXILIARY, OBSERVATIONS, SAMPLES, Tip
 from runs.export.exporters import export
 from runs.journal.journal import JournalWriter
 from runs.record_dtypes import blank
@@ -69,7 +69,7 @@ def test_a_declared_column_is_checked(tmp_path: Path) -> None:
 
 def test_a_record_that_nobody_fills_is_missing_and_not_zero() -> None:
     zero = {"weight_kg", "force_n", "moment_n_m"}
-    for dtype in (sample_dtype(3, 2), observation_dtype(3, 2), adaptation_dtype(4)):
+    for dtype in (sample_dtype(3, 2, 4), observation_dtype(3, 2), adaptation_dtype(4)):
         rows = blank(2, dtype)
         for name in dtype.names or ():
             if dtype[name].base.kind == "f":
@@ -78,7 +78,7 @@ def test_a_record_that_nobody_fills_is_missing_and_not_zero() -> None:
 
 
 def test_every_column_says_what_it_is() -> None:
-    for table in (*SAMPLES, *OBSERVATIONS, *ADAPTATIONS):
+    for table in (*SAMPLES, *AUXILIARY, *OBSERVATIONS, *ADAPTATIONS):
         for column in table.columns():
             assert column.about, (table, column.name)
             assert bool(column.record) != (column.of is not None), (table, column.name)

@@ -43,6 +43,7 @@ class Channel:
 class CardSetup:
     """The setup of one card. `inputs` and `outputs` define the order of the columns.
 
+    `digital_inputs` are channels of digital inputs; only a `DigitalInputCard` can have any.
     `acquisition` says whether the inputs are sampled by the card's clock (`command`), one scan per read
     (`instruction`), or by the best mode of the card (`auto`). `one_opener` restricts the mock card to one process
     at a time; for a real card this is detected.
@@ -57,6 +58,7 @@ class CardSetup:
     differential: bool = False
     one_opener: bool = False
     section: Any = None
+    digital_inputs: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -83,6 +85,14 @@ class SelfClockedCard(Protocol):
     @property
     def drift_ppm(self) -> float | None:
         """Relative error of that period by the computer's clock [ppm]; None if there is none."""
+
+
+@runtime_checkable
+class DigitalInputCard(Protocol):
+    """A card that has digital inputs."""
+
+    def read_digital(self) -> NDArray[np.bool_]:
+        """Return whether each of `CardSetup.digital_inputs` is high now. Raises `CardError`."""
 
 
 class Card(Protocol):

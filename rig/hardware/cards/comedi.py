@@ -52,6 +52,7 @@ class ComediCard:
         try:
             self._inputs = self._lines(self._device.inputs, setup.inputs, "input", differential=setup.differential)
             self._outputs = self._lines(self._device.outputs, setup.outputs, "output")
+            self._check_digital_inputs()
         except BaseException:
             self._device.close()
             raise
@@ -76,6 +77,12 @@ class ComediCard:
             index = self._range(subdevice, channel)
             lines.append(subdevice.line(channel.number, index, differential=differential))
         return tuple(lines)
+
+    def _check_digital_inputs(self) -> None:
+        digital = self._device.digital_inputs
+        there = digital.channels if digital is not None else 0
+        if missing := [number for number in self._setup.digital_inputs if number >= there]:
+            raise CardError(f"{self.description} has {there} digital inputs: there is no digital input {missing[0]}")
 
     def _range(self, subdevice: Subdevice, channel: Channel) -> int:
         """Index of the narrowest range that contains the range of the channel."""
@@ -140,6 +147,11 @@ class ComediCard:
         if self._sampler is None:
             return Scans(np.empty(0, np.int64), np.empty((0, len(self._inputs))))
         return self._sampler.read()
+
+    def read_digital(self) -> NDArray[np.bool_]:
+        """Whether each digital input is high."""
+        assert self._device.digital_inputs is not None
+        return np.array(self._device.digital_inputs.read(self._setup.digital_inputs), bool)
 
     def write(self, volts: NDArray[np.float64]) -> None:
         """Set the outputs, each clipped to its range, also if another output fails."""

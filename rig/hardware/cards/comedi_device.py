@@ -175,8 +175,23 @@ class Subdevice:
             self._subdevice.cancel()
 
 
+class DigitalInputs:
+    """The digital inputs of a card: a subdevice of inputs, or lines that are inputs since the driver was attached."""
+
+    def __init__(self, subdevice: Any, path: str) -> None:
+        """`subdevice` is pycomedi's."""
+        self._subdevice = subdevice
+        self._path = path
+        self.channels = int(subdevice.get_n_channels())
+
+    def read(self, channels: Sequence[int]) -> list[bool]:
+        """Whether each channel is high."""
+        with _told(self._path, "the digital inputs cannot be read"):
+            return [bool(self._subdevice.dio_bitfield(base_channel=channel) & 1) for channel in channels]
+
+
 class Device:
-    """An open card. `inputs` and `outputs` are None where it has none."""
+    """An open card. `inputs`, `outputs` and `digital_inputs` are None where it has none."""
 
     def __init__(self, path: str) -> None:
         """Open /dev/comediN.
@@ -207,6 +222,7 @@ class Device:
                 """What the card has: Comedi's short name of the kind (`ai`, `dio`, ...), and how many channels."""
                 self.inputs = self._analogue(pc.SUBDEVICE_TYPE.ai, "input")
                 self.outputs = self._analogue(pc.SUBDEVICE_TYPE.ao, "output")
+                self.digital_inputs = self._digital((pc.SUBDEVICE_TYPE.di, pc.SUBDEVICE_TYPE.dio))
             os.set_blocking(self.fileno, False)
         except BaseException:
             self.close()
@@ -223,6 +239,12 @@ class Device:
             streaming = -1
         first = next((s for s in found if s.index == streaming), found[0])
         return Subdevice(first, self.path, word, streams=first.index == streaming)
+
+    def _digital(self, kinds: tuple[Any, ...]) -> DigitalInputs | None:
+        """The first subdevice of the first kind that the card has."""
+        subdevices = list(self._device.subdevices())
+        found = [subdevice for kind in kinds for subdevice in subdevices if subdevice.get_type() == kind]
+        return DigitalInputs(found[0], self.path) if found else None
 
     @property
     def fileno(self) -> int:

@@ -42,6 +42,7 @@ class MockCard:
             raise
         self._inputs = [channel.number for channel in setup.inputs]
         self._outputs = setup.outputs
+        self._digital_inputs = setup.digital_inputs
         counts = self._registers.header
         for what, channels, has in (
             ("input", setup.inputs, int(counts["inputs"][0])),
@@ -66,6 +67,10 @@ class MockCard:
         late_ns = max(0, time.monotonic_ns() - self._registers.plant_t_ns)
         scans, self._next = self._registers.scans_since(self._next, self._inputs)
         return replace(self._registers.faults.of_scans(scans), late_ns=late_ns)
+
+    def read_digital(self) -> NDArray[np.bool_]:
+        """Whether each digital input is high: it is, unless its contact is open."""
+        return self._registers.faults.contacts_closed(self._digital_inputs)
 
     def write(self, volts: NDArray[np.float64]) -> None:
         """Set the outputs with a resolution of 16 bits."""

@@ -7,16 +7,25 @@ from rig.hardware.cards.base import CardSetup, Channel
 
 
 def card_setup(config: RigConfig, name: str) -> CardSetup:
-    """The setup of one card of the rig: sensors in actuator order, valves in the order of the rig file."""
+    """The setup of one card of the rig.
+
+    Its inputs are the sensors in actuator order, then the auxiliary inputs; these, valves and emergency stops are in
+    the order of the rig file.
+    """
     card = config.cards[name]
     sensors = sorted((s for s in config.sensors if s.card == name), key=lambda s: s.actuator)
+    auxiliary = [i for i in config.inputs.values() if i.card == name]
     valves = [v for v in config.valves if v.card == name]
     return CardSetup(
         name=name,
         device=card.device,
-        inputs=tuple(Channel(s.channel, *s.signal_range) for s in sensors),
+        inputs=(
+            *(Channel(s.channel, *s.signal_range) for s in sensors),
+            *(Channel(i.channel, *i.range_V) for i in auxiliary),
+        ),
         outputs=tuple(Channel(v.channel, *v.output_range) for v in valves),
         sampling_hz=card.sampling_hz,
         section=card,
+        digital_inputs=tuple(stop.channel for stop in config.emergency_stops.values() if stop.card == name),
         **card.setup_options(),
     )

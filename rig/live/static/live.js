@@ -101,6 +101,7 @@ function numbers() {
     ...(about.measured
       ? [["frames dropped", now.dropped, now.dropped > 0], ["reprojection", `${fixed(now.reprojection, 3)} px`, false]]
       : []),
+    ...(now.inputs ?? []).map(([name, value, unit]) => [name, `${value} ${unit}`, false]),
     ...(now.age === undefined || !about.measured ? [] : [["picture's age", `${fixed(seen.latency.at(-1) ?? now.age, 0)} ms`, false]]),
   ];
   at("health").replaceChildren(

@@ -40,6 +40,35 @@ def changed(*changes: tuple[str, str]) -> str:
     return written
 
 
+def test_inputs_and_stops_are_checked_with_their_lines() -> None:
+    written = changed(
+        (
+            r"\nlimits:",
+            "\ninputs:\n"
+            "  load: {card: daq, channel: 0, unit: N, span: [0, 10]}\n"
+            "  flow: {card: dak, channel: 7, unit: l/min, span: [0, 10]}\n"
+            "  warm: {card: daq, channel: 8, unit: degC, span: [0, 10], rate_hz: 900, span_V: [-1, 5]}\n"
+            "emergency_stops:\n"
+            "  button: {card: daq, channel: 0}\n"
+            "\nlimits:",
+        ),
+        (r"\nsimulator:", "\nsimulator:\n  inputs: {lode: {rest: 0}}"),
+    )
+    found = {problem.where: problem.expected for problem in problems_of(written)}
+    assert found["inputs, load, channel"] == "a channel of its own: sensors #1 has this one"
+    assert found["inputs, flow, card"] == "one of the cards: daq"
+    assert found["inputs, warm, rate_hz"] == "at most control, rate_hz, 200 Hz"
+    assert found["inputs, warm, span_V"] == "a span inside range_V, 0 to 10 V"
+    assert (
+        found["emergency_stops, button, channel"] == "another card: card 'daq' has no DI channels, and this rig needs 1"
+    )
+    assert found["simulator, inputs, lode"] == "one of the inputs: load, flow, warm"
+    assert all(problem.line > 0 for problem in problems_of(written))
+    equal = changed((r"\nlimits:", "\ninputs: {load: {card: daq, channel: 4, unit: N, span: [3, 3]}}\n\nlimits:"))
+    (problem,) = problems_of(equal)
+    assert problem.expected == "two different numbers"
+
+
 @pytest.mark.parametrize(
     "name", ["mock", "mock-3", "mock-ideal", "mock-no-camera", "mock-stereo", "pci1716", "pci1716-2"]
 )

@@ -57,6 +57,29 @@ def test_a_steady_bench_does_not_trip() -> None:
     Loop().hold(0.4)
 
 
+def test_an_open_stop_trips_first_and_vents_valves_that_hold() -> None:
+    config = mock_rig(
+        cards__daq__digital_inputs=1,
+        emergency_stops={"button": {"card": "daq", "channel": 0}},
+        valves__0__safe_state="hold",
+    )
+    settings = control.prepare(config)
+    state = control.initial(settings)
+    for number, closed in enumerate((True, True, False, True), 1):
+        # No scan is new: a stop is judged all the same.
+        sample = control.Sample(TICK_NS * number, TICK_NS, np.full(3, 0.1), np.full(3, 1e4), stops_closed=(closed,))
+        state, command = control.step(settings, state, sample, np.full(3, 1e4), np.zeros(3))
+        if number == 2:
+            assert command.trip is None
+    trip = command.trip
+    assert trip is not None
+    assert trip.vent
+    assert trip.t_ns == 3 * TICK_NS, "a trip latches"
+    assert "emergency stop 'button': its contact is open (pressed, or a wire is broken)" in trip.message
+    np.testing.assert_array_equal(command.valve_v, safe_voltages(config, vent=True))
+    assert command.valve_v[0] != safe_voltages(config)[0]
+
+
 def test_over_pressure_trips_with_value_limit_and_unit() -> None:
     loop = Loop()
     loop.hold(0.7)

@@ -101,6 +101,17 @@ class MadeUpSubdevice:
         self.running = False
 
 
+@dataclass
+class MadeUpDigitalInputs:
+    """Sixteen digital inputs, as a 171x has."""
+
+    channels: int = 16
+    high: set[int] = field(default_factory=set)
+
+    def read(self, channels: Sequence[int]) -> list[bool]:
+        return [channel in self.high for channel in channels]
+
+
 class MadeUpDevice:
     """A card whose samples are put into a pipe by the test."""
 
@@ -110,6 +121,7 @@ class MadeUpDevice:
         self.path = path
         self.inputs = MadeUpSubdevice("input", 16, INPUT_RANGES, can_command=True)
         self.outputs = MadeUpSubdevice("output", 2, OUTPUT_RANGES)
+        self.digital_inputs = MadeUpDigitalInputs()
         self.fileno, self.feed = os.pipe()
         os.set_blocking(self.fileno, False)
         self.closed = False
@@ -174,6 +186,15 @@ def test_the_gaps_between_channels_are_sampled_too_and_left_out(make: MakeCard) 
     assert card.period_ns == 1_000_000
     device.put((2.0, 0.3, 0.4, 5.0), (2.1, 0.3, 0.4, 5.1))
     np.testing.assert_allclose(card.read().volts, [[5.0, 2.0], [5.1, 2.1]], atol=2e-4)
+
+
+def test_digital_inputs_are_read_in_the_order_of_the_rig(make: MakeCard) -> None:
+    card, device = make(digital_inputs=(7, 1))
+    assert card.read_digital().tolist() == [False, False]
+    device.digital_inputs.high.add(1)
+    assert card.read_digital().tolist() == [False, True]
+    with pytest.raises(CardError, match="has 16 digital inputs: there is no digital input 16"):
+        make(digital_inputs=(16,))
 
 
 def test_differential_inputs_are_sampled_by_the_even_channels(make: MakeCard) -> None:

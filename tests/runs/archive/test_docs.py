@@ -17,6 +17,7 @@ from runs.archive.writer import finalise
 from runs.journal.journal import JournalWriter
 from runs.records import (
     BACKBONE_POINTS,
+    AuxiliaryChannel,
     Quantity,
     RunFooter,
     Status,
@@ -27,9 +28,20 @@ from runs.records import (
 )
 
 PAGE = Path(__file__).parents[3] / "docs" / "reference" / "archive.md"
-SIZES = {"N": 13, "M": 7, "K": 12, "Q": 20, "L": BACKBONE_POINTS, "E": 1, "S": 4, "A": 5, "V": 8, "C": 9, "P": 10} | {
-    str(n): n for n in (2, 3, 4, 6)
-}
+SIZES = {
+    "N": 13,
+    "M": 7,
+    "K": 12,
+    "Q": 20,
+    "L": BACKBONE_POINTS,
+    "E": 1,
+    "S": 4,
+    "A": 5,
+    "V": 8,
+    "C": 9,
+    "P": 10,
+    "I": 15,
+} | {str(n): n for n in (2, 3, 4, 6)}
 FREE = ("calibration", "model", "versions", "timing/counters")
 """Groups whose names come from elsewhere."""
 
@@ -61,11 +73,12 @@ def stored(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[tuple[in
         valves=SIZES["V"],
         cameras=cameras,
         adapted=adapted,
+        auxiliary=tuple(AuxiliaryChannel(f"input {k}", "N") for k in range(SIZES["I"])),
         tip_controller="horizon",
         metadata=dict.fromkeys(("specimen", *USER), "-"),
     )
     writer = JournalWriter(source, header)
-    writer.samples(np.zeros(SIZES["N"], sample_dtype(SIZES["A"], SIZES["V"])))
+    writer.samples(np.zeros(SIZES["N"], sample_dtype(SIZES["A"], SIZES["V"], SIZES["I"])))
     observations = np.zeros(SIZES["M"], observation_dtype(SIZES["A"], SIZES["C"]))
     observations["tip_motion"] = 1
     writer.observations(observations)
