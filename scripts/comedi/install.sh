@@ -1,9 +1,8 @@
 #!/bin/sh
 # Builds pycomedi 0.9 from its source distribution and installs it into the virtual environment $1.
 #
-# The sources of 2015 declare no build requirements, need Cython 0.29, and have two lines to mend: a declaration that
-# differs from its own header, which this Cython refuses, and a buffered file on the device, which Python 3 refuses
-# where the device cannot seek, as those of Linux-Comedi. Doing it twice does nothing; an older build is replaced.
+# The sources of 2015 declare no build requirements and were written for Python 2 and an old Cython; pycomedi-0.9.patch
+# has the changes and their reasons. Doing it twice does nothing; an older build is replaced.
 set -eu
 venv=$1
 python=$venv/bin/python
@@ -24,25 +23,17 @@ if installed 2>/dev/null; then
     echo "pycomedi is installed in $venv"
     exit 0
 fi
-if ! "$python" -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 12))'; then
-    echo "pycomedi 0.9 does not build on $("$python" --version): the Cython that it needs knows Python up to 3.12." >&2
-    echo "Make the environment anew with Python 3.11 or 3.12: make clean && PYTHON=python3.12 make comedi" >&2
+if ! "$python" -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 13))'; then
+    echo "pycomedi 0.9 was not tried with $("$python" --version): the Cython that it needs knows Python up to 3.13." >&2
+    echo "Make the environment anew with Python 3.11 to 3.13: make clean && PYTHON=python3.13 make comedi" >&2
     echo "Everything but a real card works as it is." >&2
     exit 2
 fi
 
 numpy=$("$python" -c 'import numpy; print(numpy.__version__)')
-case $numpy in
-1.* | 2.[0-4].*) ;;
-*)
-    echo "pycomedi 0.9 does not build against NumPy $numpy. Install an older one first:" >&2
-    echo "    $python -m pip install 'numpy<2.5'" >&2
-    exit 2
-    ;;
-esac
-
 missing=
 command -v cc >/dev/null 2>&1 || missing="$missing gcc libc6-dev"
+command -v patch >/dev/null 2>&1 || missing="$missing patch"
 [ -e /usr/include/comedilib.h ] || [ -e /usr/local/include/comedilib.h ] ||
     echo '#include <comedilib.h>' | cc -E - >/dev/null 2>&1 || missing="$missing libcomedi-dev"
 headers=$("$python" -c 'import sysconfig; print(sysconfig.get_path("include"))')
@@ -74,24 +65,13 @@ echo "softrig: building pycomedi (once, half a minute)"
 echo "pycomedi is licensed under the GPL, version 2 or later; softrig itself under BSD-3-Clause."
 quietly "$python" -m venv "$work/build"
 build=$work/build/bin/python
-fetched "$build" -m pip install --disable-pip-version-check "cython<3" "numpy==$numpy" "setuptools<81" wheel
+fetched "$build" -m pip install --disable-pip-version-check "cython==3.1.*" "numpy==$numpy" "setuptools<81" wheel
 fetched "$build" -m pip download --disable-pip-version-check --no-deps --no-binary :all: --no-build-isolation \
     --require-hashes --dest "$work" -r "$here/requirements.txt"
 tar -xzf "$work/pycomedi-0.9.tar.gz" -C "$work"
-
-mend() {
-    sed -i "s/$2/$3/" "$work/pycomedi-0.9/pycomedi/$1"
-    if ! grep -q "$3" "$work/pycomedi-0.9/pycomedi/$1"; then
-        echo "make comedi: the line to mend in pycomedi/$1 is not there" >&2
-        exit 1
-    fi
-}
-declaration='get_comedi_cmd_pointer(self)'
-mend command.pyx "$declaration except \*:" "$declaration:"
-mend device.pyx "fdopen(self.fileno(), 'r+')" "fdopen(self.fileno(), 'r+b', 0)"
-mend __init__.py "'0.9'" "'0.9.post1'"
+quietly patch -d "$work/pycomedi-0.9" -p1 -i "$here/pycomedi-0.9.patch"
 quietly "$build" -m pip wheel --disable-pip-version-check --no-deps --no-build-isolation --wheel-dir "$work" "$work/pycomedi-0.9"
-quietly "$python" -m pip install --disable-pip-version-check --no-deps --force-reinstall "$work"/pycomedi-0.9.post1-*.whl
+quietly "$python" -m pip install --disable-pip-version-check --no-deps --force-reinstall "$work"/pycomedi-0.9.post2-*.whl
 if ! installed; then
     echo "pycomedi was built and cannot be imported, for the reason above" >&2
     exit 1

@@ -24,7 +24,7 @@ from rig.hardware.cards import comedi_constants
 from rig.hardware.cards.base import CardBusyError, CardError
 from rig.hardware.cards.kernel_devices import processes_with
 
-_BUILD = "0.9.post1"
+_BUILD = "0.9.post2"
 """What scripts/comedi/install.sh makes of pycomedi 0.9."""
 _ROUNDINGS = 8
 """Number of times that a driver may round a command before it must accept it."""
