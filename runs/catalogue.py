@@ -23,7 +23,7 @@ from runs.pressure_cycles import pressure_cycles
 from runs.records import MODEL_ALONE
 
 INDEX = ".catalogue.json"
-_FORM = 2
+_FORM = 3
 """Increased when `Entry` changes."""
 _TEXTS = ("run_id", "title", "start_time", "status", "executor", "operator", "notes")
 _READ = (
@@ -32,6 +32,7 @@ _READ = (
     "entry/tip/error_mm",
     "entry/parent",
     "entry/sample/name",
+    *(f"entry/study/{name}" for name in ("name", "role", "number", "block", "sha256")),
     "entry/pressure/time",
     "entry/pressure/measured_bar",
 )
@@ -61,6 +62,12 @@ class Entry:
     specimen: str = ""
     pressure_cycles: int | None = None
     """As `runs.pressure_cycles` counts them; None without a specimen, and for what is no experiment of its own."""
+    study: str = ""
+    study_role: str = ""
+    study_number: int | None = None
+    study_block: int | None = None
+    study_sha256: str = ""
+    """As `runs.records.StudyRun` has them; empty or None for a run that belongs to no study."""
     tags: tuple[str, ...] = ()
     """Added afterwards; not in the index."""
     problem: str = ""
@@ -114,6 +121,7 @@ def search(
     error_above_mm: float | None = None,
     tag: str = "",
     specimen: str = "",
+    study: str = "",
 ) -> tuple[Entry, ...]:
     """Return the entries that match all given filters.
 
@@ -128,6 +136,7 @@ def search(
         and (not status or entry.status == status)
         and (not tag or tag in entry.tags)
         and (not specimen or entry.specimen == specimen)
+        and (not study or entry.study == study)
         and entry.start_time >= since
         and entry.start_time[: len(until)] <= until
         and (error_above_mm is None or (entry.mean_error_mm or 0.0) > error_above_mm)
@@ -161,6 +170,15 @@ def _read(path: Path) -> Entry:
             specimen = archive.value("entry/sample/name") if archive.fields("entry/sample") else ""
             own = not archive.value("entry/parent") and archive.value("entry/executor") != MODEL_ALONE
             cycles = pressure_cycles(archive.value("entry/pressure/measured_bar")) if specimen and own else None
+            study = {}
+            if archive.fields("entry/study"):
+                study = {
+                    "study": archive.value("entry/study/name"),
+                    "study_role": archive.value("entry/study/role"),
+                    "study_number": int(archive.value("entry/study/number")),
+                    "study_block": int(archive.value("entry/study/block")),
+                    "study_sha256": archive.value("entry/study/sha256"),
+                }
             return Entry(
                 file=path.name,
                 **{name: archive.value(f"entry/{name}") for name in _TEXTS},
@@ -174,6 +192,7 @@ def _read(path: Path) -> Entry:
                 max_error_mm=float(known.max()) if len(known) else None,
                 specimen=specimen,
                 pressure_cycles=cycles,
+                **study,
             )
     except ArchiveError as fault:
         return Entry(path.name, problem=str(fault))
@@ -207,5 +226,15 @@ def _words(entry: Entry) -> str:
     simulated = "simulated" if entry.simulated else ""
     fields = (entry.file, entry.title, entry.start_time, entry.status, entry.protocol, entry.rig, entry.model)
     return " ".join(
-        (*fields, entry.specimen, *entry.tags, entry.executor, simulated, entry.operator, entry.notes, entry.problem)
+        (
+            *fields,
+            entry.specimen,
+            entry.study,
+            *entry.tags,
+            entry.executor,
+            simulated,
+            entry.operator,
+            entry.notes,
+            entry.problem,
+        )
     ).lower()

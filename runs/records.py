@@ -150,6 +150,29 @@ class RecordedFile:
         return cls(name, kind, hashlib.sha256(text.encode()).hexdigest(), text)
 
 
+class StudyRole(StrEnum):
+    """What a run is for in its study."""
+
+    RUN = "run"
+    CONDITIONING = "conditioning"
+
+
+@dataclass(frozen=True)
+class StudyRun:
+    """The place of a run in its study. A conditioning run has the number of the run that follows it."""
+
+    study: str
+    role: StudyRole
+    number: int
+    """From 1, in the order of the study."""
+    combination: int
+    """From 1; runs of one combination have the same settings."""
+    block: int
+    plan_yaml: str
+    sha256: str
+    """Of everything that defines the study: plan, protocols and rig."""
+
+
 @dataclass(frozen=True)
 class RunHeader:
     """Everything known before the first sample; the first record of the journal."""
@@ -200,6 +223,8 @@ class RunHeader:
     """By name, in the order of the observations' columns."""
     auxiliary: tuple[AuxiliaryChannel, ...] = ()
     """Auxiliary inputs, in the order of the samples' columns."""
+    study: StudyRun | None = None
+    """None for a run that belongs to no study."""
 
     @property
     def protocol_parameters(self) -> tuple[Quantity, ...]:

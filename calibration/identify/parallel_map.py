@@ -7,10 +7,12 @@ import importlib
 import multiprocessing
 import os
 import pickle
-from collections.abc import Callable, Iterator, Sequence
+import signal
+import threading
+from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -19,6 +21,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 Task = TypeVar("Task")
+Result = TypeVar("Result")
 Progress = Callable[[int, int], None]
 
 _MAX_RESTARTS = 20
@@ -61,23 +64,28 @@ def parallel_map(
     remaining = [k for k in range(len(tasks)) if k not in results]
     if progress is not None and results:
         progress(len(results), len(tasks))
-    for k, result in _results(work, tasks, remaining, workers, scheduler):
-        results[k] = result
-        file = files[k]
-        if file is not None:
-            _store(file, result)
-        if progress is not None:
-            progress(len(results), len(tasks))
+    with closing(parallel_results(work, tasks, remaining, workers, scheduler)) as found:
+        for k, result in found:
+            results[k] = result
+            file = files[k]
+            if file is not None:
+                _store(file, result)
+            if progress is not None:
+                progress(len(results), len(tasks))
     return [results[k] for k in range(len(tasks))]
 
 
-def _results(
-    work: Callable[[Task], Array],
+def parallel_results(
+    work: Callable[[Task], Result],
     tasks: Sequence[Task],
-    remaining: list[int],
+    remaining: Sequence[int],
     workers: int | None,
     scheduler: str | None,
-) -> Iterator[tuple[int, Array]]:
+) -> Generator[tuple[int, Result], None, None]:
+    """Do `work` on the `remaining` tasks; yield number and result of each when it is done.
+
+    Arguments and errors are those of `parallel_map`. Close the generator to cancel the tasks that have not begun.
+    """
     count = min(workers or os.cpu_count() or 1, max(len(remaining), 1))
     if scheduler is not None:
         yield from _on_cluster(work, tasks, remaining, scheduler)
@@ -89,12 +97,13 @@ def _results(
 
 
 def _on_cores(
-    work: Callable[[Task], Array], tasks: Sequence[Task], remaining: list[int], workers: int
-) -> Iterator[tuple[int, Array]]:
+    work: Callable[[Task], Result], tasks: Sequence[Task], remaining: Sequence[int], workers: int
+) -> Iterator[tuple[int, Result]]:
     missing, deaths = list(remaining), 0
     while missing:
         # Spawn, not fork: threads of the parent (live page, BLAS) do not survive a fork.
-        with _safe_path(), ProcessPoolExecutor(workers, multiprocessing.get_context("spawn")) as pool:
+        context = multiprocessing.get_context("spawn")
+        with _safe_path(), ProcessPoolExecutor(workers, context, _follow_parent) as pool:
             futures = {pool.submit(work, tasks[k]): k for k in missing}
             try:
                 for future in as_completed(futures):
@@ -107,6 +116,22 @@ def _on_cores(
                     raise WorkerDiedError(
                         f"worker processes died {deaths} times; {len(missing)} tasks are remaining"
                     ) from broken
+            except BaseException:
+                pool.shutdown(wait=False, cancel_futures=True)
+                raise
+
+
+def _follow_parent() -> None:
+    """Leave Ctrl-C to the parent, and exit when it dies: an orphan would wait for tasks forever."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    parent = multiprocessing.parent_process()
+    assert parent is not None
+
+    def exit_with_parent() -> None:
+        parent.join()
+        os._exit(1)
+
+    threading.Thread(target=exit_with_parent, daemon=True).start()
 
 
 @contextmanager
@@ -127,8 +152,8 @@ def _safe_path() -> Iterator[None]:
 
 
 def _on_cluster(
-    work: Callable[[Task], Array], tasks: Sequence[Task], remaining: list[int], scheduler: str
-) -> Iterator[tuple[int, Array]]:
+    work: Callable[[Task], Result], tasks: Sequence[Task], remaining: Sequence[int], scheduler: str
+) -> Iterator[tuple[int, Result]]:
     try:
         # Untyped package: `Any` keeps its calls out of the strict check.
         distributed: Any = importlib.import_module("distributed")

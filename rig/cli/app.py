@@ -12,7 +12,19 @@ from typing import Annotated, Any, NoReturn
 
 import typer
 
-from rig.cli import annotate, archives, calibrate, completion, design, drivers, identify, init, reproduce, workspace
+from rig.cli import (
+    annotate,
+    archives,
+    calibrate,
+    completion,
+    design,
+    drivers,
+    identify,
+    init,
+    reproduce,
+    study,
+    workspace,
+)
 from rig.cli.address_space import EstimationCommand, NumericalCommand, PlottingCommand
 from rig.cli.completion import DATA
 from rig.cli.help_formatter import HelpFormatter, HelpGroup
@@ -74,6 +86,8 @@ EXPECTED_ERRORS = {
     "calibration.identify.parallel_map.WorkerDiedError": FAULT,
     "rig.calibrate.bench_driver.TrippedError": FAULT,
     "rig.config.plugins.PluginError": BAD_INPUT,
+    "rig.study.execution.StudyStoppedError": FAULT,
+    "rig.study.study.OtherStudyError": BAD_INPUT,
     "rig.execution.plan.StoppedError": INTERRUPTED,
     "rig.execution.plan.StartError": FAULT,
     "rig.hardware.cameras.base.CameraError": FAULT,
@@ -373,6 +387,7 @@ app.command()(init.init)
 app.command()(drivers.drivers)
 app.command("test-driver")(drivers.check_drivers)
 app.command(cls=EstimationCommand)(design.design)
+app.command(cls=NumericalCommand)(study.study)
 app.add_typer(identify.app, name="identify")
 app.add_typer(calibrate.app, name="calibrate")
 

@@ -24,7 +24,7 @@ from rig.cli.run_names import resolve
 from runs import annotation_file
 from runs.catalogue import Entry
 from runs.pressure_cycles import pressure_cycles
-from runs.records import Status
+from runs.records import Status, StudyRun
 from runs.recovery import RecoveryStatus
 from runs.recovery import recover as recover_folder
 from runs.summary import Summary, summarise
@@ -84,6 +84,7 @@ def show(name: Path, as_json: bool) -> None:
         ("parameters", ", ".join(map(str, header.protocol_parameters)) or "-"),
         ("rig", header.rig_name),
         ("model", header.model_variant or "-"),
+        ("study", _study(header.study)),
         ("operator", header.operator or "-"),
         ("metadata", ", ".join(f"{name} = {text}" for name, text in header.metadata.items()) or "-"),
         ("notes", header.notes or "-"),
@@ -98,6 +99,13 @@ def show(name: Path, as_json: bool) -> None:
         facts.add_row(key, value)
     screen.print(facts)
     screen.print(summary_table(summary, run.timing.counters))
+
+
+def _study(place: StudyRun | None) -> str:
+    """Return the place of a run in its study."""
+    if place is None:
+        return "-"
+    return f"{place.study}, {place.role} {place.number}, combination {place.combination}, block {place.block}"
 
 
 def summary_json(archive: Path) -> dict[str, Any]:
@@ -195,14 +203,14 @@ def runs(entries: Sequence[Entry], folder: Path, as_json: bool) -> None:
     table.add_column("run", no_wrap=True)  # so that it can be copied whole
     for head in ("status", "protocol", "rig", "operator", "mean error [mm]"):
         table.add_column(head, overflow="fold")
-    optional = [head for head in ("specimen", "tags") if any(getattr(entry, head) for entry in entries)]
+    optional = [head for head in ("specimen", "study", "tags") if any(getattr(entry, head) for entry in entries)]
     for head in optional:
         table.add_column(head, overflow="fold")
     for entry in entries:
         rig = entry.rig + (" (simulated)" if entry.simulated else "")
         error = "" if entry.mean_error_mm is None else f"{entry.mean_error_mm:.2f}"
         status = "; ".join(filter(None, (entry.status or "unreadable", entry.problem)))
-        facts = {"specimen": entry.specimen, "tags": ", ".join(entry.tags)}
+        facts = {"specimen": entry.specimen, "study": entry.study, "tags": ", ".join(entry.tags)}
         cells = (status, entry.protocol, rig, entry.operator, error, *(facts[head] for head in optional))
         table.add_row(entry.run_id or entry.file, *cells)
     console().print(table)

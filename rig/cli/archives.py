@@ -36,6 +36,7 @@ def runs(
     until: Annotated[str, typer.Option(help="Up to and including this date.")] = "",
     tag: Annotated[str, typer.Option(help="Only those with this tag.")] = "",
     specimen: Annotated[str, typer.Option(help="Only those of this specimen, with the sum of pressure cycles.")] = "",
+    study: Annotated[str, typer.Option(help="Only those of this study.")] = "",
     error_above_mm: Annotated[float | None, typer.Option(help="Only those with a larger mean error.")] = None,
     json: AsJson = False,
 ) -> None:
@@ -55,6 +56,7 @@ def runs(
         error_above_mm=error_above_mm,
         tag=tag,
         specimen=specimen,
+        study=study,
     )
     archive_output.runs(found, folder, json)
     if specimen and found and not json:

@@ -11,7 +11,7 @@ import typer
 from rig.cli import completion
 from rig.cli.address_space import EstimationCommand
 from rig.cli.default_command import DefaultCommandGroup
-from rig.cli.options import Archives, AsJson, Every, Free, ParametersFile, Replace
+from rig.cli.options import Archives, AsJson, Every, Free, ParametersFile, Replace, Scheduler
 
 if TYPE_CHECKING:
     from calibration.identify import Poses, Prior
@@ -34,10 +34,6 @@ Priors = Annotated[
 ]
 QuasiStatic = Annotated[
     bool, typer.Option("--quasi-static", help="Take every frame as an equilibrium, for slow imported motions.")
-]
-Scheduler = Annotated[
-    str | None,
-    typer.Option("--scheduler", metavar="tcp://HOST:PORT", help="Dask scheduler for the fits; default: all cores."),
 ]
 Store = Annotated[
     Path | None, typer.Option("--store", metavar="DIR", help="Keep finished fits in this folder, to resume.")

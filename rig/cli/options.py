@@ -111,6 +111,10 @@ Free = Annotated[
         "actuator_1_turn_rad, sensor_1_gain, sensor_1_offset_pa.",
     ),
 ]
+Scheduler = Annotated[
+    str | None,
+    typer.Option("--scheduler", metavar="tcp://HOST:PORT", help="Dask scheduler for the work; default: all cores."),
+]
 Every = Annotated[int, typer.Option("--every", metavar="N", help="Use every Nth frame.", min=1)]
 
 Corners = Annotated[str, typer.Option("--corners", help="Inner corners of the board, as 9x6.")]

@@ -15,11 +15,13 @@ from protocols.schema import editor_schema
 from rig.config.calibration_schema import CameraFile, DLTFile, PressureFile, ToolFile
 from rig.config.schema import RigConfig
 from rig.importing.mapping import Mapping
+from rig.study.plan import StudyPlan
 
 FILES: dict[str, Callable[[], dict[str, Any]]] = {
     "protocol.schema.json": editor_schema,
     "rig.schema.json": RigConfig.model_json_schema,
     "import.schema.json": Mapping.model_json_schema,
+    "study.schema.json": StudyPlan.model_json_schema,
     "calibration-camera.schema.json": CameraFile.model_json_schema,
     "calibration-dlt.schema.json": DLTFile.model_json_schema,
     "calibration-tool.schema.json": ToolFile.model_json_schema,

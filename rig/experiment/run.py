@@ -31,7 +31,18 @@ from rig.hardware.lock import cards_locked
 from rig.realtime.scheduling import obtainable
 from rig.realtime.timing_limits import timing_limits
 from runs.journal.append_only_file import JournalError, JournalExistsError
-from runs.records import Event, Interval, Level, Quantity, RecordedFile, RunFooter, RunHeader, Status
+from runs.records import (
+    Event,
+    Interval,
+    Level,
+    Quantity,
+    RecordedFile,
+    RunFooter,
+    RunHeader,
+    Status,
+    StudyRole,
+    StudyRun,
+)
 
 if TYPE_CHECKING:
     from protocols.tip_inverse import TipInverse
@@ -63,6 +74,7 @@ class RunRequest:
     metadata: Mapping[str, str] = field(default_factory=dict)
     controller: str | None = None
     """Name of the tip controller; that of the rig when None."""
+    study: StudyRun | None = None
 
     @property
     def config(self) -> RigConfig:
@@ -315,7 +327,7 @@ def header(request: RunRequest, decided: Plan, t_ns: int, ahead_ns: int = 0) -> 
     commit, diff = git_state()
     config, protocol = request.config, request.protocol
     return RunHeader(
-        run_id=free_id(request.folder, f"{now.astimezone():%Y%m%d-%H%M%S}-{protocol.name}"),
+        run_id=free_id(request.folder, f"{now.astimezone():%Y%m%d-%H%M%S}-{_id_ending(request)}"),
         title=protocol.title,
         started_utc_ns=int(now.timestamp() * 1e9),
         started_t_ns=t_ns,
@@ -348,7 +360,16 @@ def header(request: RunRequest, decided: Plan, t_ns: int, ahead_ns: int = 0) -> 
         camera_hz=config.observation_hz,
         cameras=tuple(config.cameras),
         auxiliary=decided.auxiliary,
+        study=request.study,
     )
+
+
+def _id_ending(request: RunRequest) -> str:
+    place = request.study
+    if place is None:
+        return request.protocol.name
+    role = "" if place.role is StudyRole.RUN else f"-{place.role}"
+    return f"{place.study}-{place.number:03d}{role}"
 
 
 def _intervals(trajectory: SetPointTrajectory) -> tuple[Interval, ...]:

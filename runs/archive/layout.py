@@ -48,6 +48,7 @@ def groups(journal: Journal) -> tuple[Group, ...]:
             provenance.calibration_files(journal),
             provenance.sample(journal),
             provenance.user(journal),
+            provenance.study(journal),
             provenance.versions(journal),
             provenance.git(journal),
             column_groups.pressure(journal),

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 
 from runs.archive.fields import PA_PER_BAR, QUANTITY_GROUPS, Field, Group, named
 from runs.journal.journal import Journal
-from runs.records import Interval, Quantity
+from runs.records import Interval, Quantity, StudyRole, StudyRun
 
 SPECIMEN = "specimen"
 """The name of the metadata that names the specimen; `name` in the NXsample."""
@@ -101,6 +102,7 @@ def calibration_files(journal: Journal) -> Group | None:
     )
 
 
+STUDY_NUMBERS = (1, 1_000_000)
 USER = ("affiliation", "email", "orcid")
 """The metadata about the user; all other is about the specimen."""
 
@@ -118,6 +120,38 @@ def user(journal: Journal) -> Group | None:
     known = {"name": journal.header.operator} | journal.header.metadata
     fields = [Field(name, known[name]) for name in ("name", *USER) if known.get(name)]
     return Group("entry/user", "NXuser", tuple(fields), open=True) if fields else None
+
+
+def study(journal: Journal) -> Group | None:
+    """The place of the run in its study; None for a run that belongs to none."""
+    place = journal.header.study
+    if place is None:
+        return None
+    fields = (
+        Field("name", place.study),
+        Field("role", str(place.role), about="run or conditioning", among=tuple(StudyRole)),
+        Field("number", np.int32(place.number), about="from 1, in the order of the study", limits=STUDY_NUMBERS),
+        Field("combination", np.int32(place.combination), about="from 1; equal settings", limits=STUDY_NUMBERS),
+        Field("block", np.int32(place.block), about="from 1", limits=STUDY_NUMBERS),
+        Field("plan", place.plan_yaml, about="the plan of the study, verbatim"),
+        Field("sha256", place.sha256, about="of plan, protocols and rig"),
+    )
+    return Group("entry/study", "NXcollection", fields, about="the place of the run in its study")
+
+
+def study_run(fields: Mapping[str, Any]) -> StudyRun | None:
+    """The place of a run in its study from the datasets of the group; None without them."""
+    if not fields:
+        return None
+    return StudyRun(
+        study=fields["name"],
+        role=StudyRole(fields["role"]),
+        number=int(fields["number"]),
+        combination=int(fields["combination"]),
+        block=int(fields["block"]),
+        plan_yaml=fields["plan"],
+        sha256=fields["sha256"],
+    )
 
 
 def metadata(sample: Mapping[str, str], user: Mapping[str, str]) -> dict[str, str]:

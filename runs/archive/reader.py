@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from runs.archive.checked import content_sha256, opened
 from runs.archive.fields import PA_PER_BAR, QUANTITY_GROUPS
-from runs.archive.provenance import metadata
+from runs.archive.provenance import metadata, study_run
 from runs.column_declaration import Table, Values
 from runs.columns import Adaptation, Auxiliary, Backbone, Pressure, Reference, Simulated, Timing, Tip, TipControl
 from runs.records import AuxiliaryChannel, Event, Interval, Level, Quantity, RecordedFile, RunHeader, Status
@@ -89,6 +89,7 @@ class ArchiveReader:
             control_hz=float(self._group("entry/timing")["control_rate"]),
             camera_hz=float(self._group("entry/timing")["camera_rate"]),
             cameras=self._cameras,
+            study=study_run(self._group("entry/study")),
             auxiliary=_auxiliary(self._group("entry/aux", without="value")),
         )
 

@@ -26,6 +26,8 @@ from runs.records import (
     RunFooter,
     RunHeader,
     Status,
+    StudyRole,
+    StudyRun,
     adaptation_dtype,
     observation_dtype,
     sample_dtype,
@@ -186,6 +188,7 @@ def _journal(actuators: int, valves: int, *, everything: bool) -> Journal:
         cameras=("camera",) if everything else (),
         tip_controller="controller" if everything else "",
         auxiliary=(AuxiliaryChannel("input", ""),) if everything else (),
+        study=StudyRun("", StudyRole.RUN, 1, 1, 1, "", "") if everything else None,
     )
     rows = 1 if everything else 0
     return Journal(

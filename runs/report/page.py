@@ -79,13 +79,18 @@ def _head(file: Path) -> str:
 
 def page(runs: Sequence[Run]) -> str:
     """Return the whole HTML text."""
-    style = resources.files("runs.report").joinpath("report.css").read_text(encoding="utf-8")
     title = escape(runs[0].header.title if len(runs) == 1 else f"{len(runs)} runs")
     summaries = [summarise(run) for run in runs]
     several = comparison.section(runs, summaries) if len(runs) > 1 else ""
     body = several + "\n".join(_run(run, summary) for run, summary in zip(runs, summaries, strict=True))
+    return html_document(title, _mark(runs), body)
+
+
+def html_document(title: str, head: str, body: str) -> str:
+    """Return an HTML page in the style of the reports; `head` is put into its head, all arguments are HTML."""
+    style = resources.files("runs.report").joinpath("report.css").read_text(encoding="utf-8")
     return (
-        f'<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n{_mark(runs)}\n<title>{title}</title>\n'
+        f'<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n{head}\n<title>{title}</title>\n'
         f'<meta name="viewport" content="width=device-width, initial-scale=1">\n<style>\n{style}</style>\n</head>\n'
         f"<body>\n{body}\n<footer>Made by softrig from the archive; nothing in this page is loaded from elsewhere."
         "</footer>\n</body>\n</html>\n"

@@ -21,6 +21,8 @@ from runs.records import (
     Quantity,
     RunFooter,
     Status,
+    StudyRole,
+    StudyRun,
     adaptation_dtype,
     observation_dtype,
     sample_dtype,
@@ -76,6 +78,7 @@ def stored(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[tuple[in
         auxiliary=tuple(AuxiliaryChannel(f"input {k}", "N") for k in range(SIZES["I"])),
         tip_controller="horizon",
         metadata=dict.fromkeys(("specimen", *USER), "-"),
+        study=StudyRun("study", StudyRole.RUN, 1, 1, 1, "-", "-"),
     )
     writer = JournalWriter(source, header)
     writer.samples(np.zeros(SIZES["N"], sample_dtype(SIZES["A"], SIZES["V"], SIZES["I"])))

@@ -1,0 +1,77 @@
+"""`rig study`: the runs of a plan, its table and its page."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from rig.cli.completion import DATA
+from rig.cli.options import AsJson, Fast, Folder, Metadata, Operator, RigName, Scheduler, Yes
+
+PlanFile = Annotated[Path, typer.Argument(metavar="PLAN", help="YAML file of the study.", dir_okay=False)]
+
+
+def study(
+    plan: PlanFile,
+    rig: RigName = None,
+    fast: Fast = False,
+    out: Folder = DATA,
+    operator: Operator = "",
+    meta: Metadata = None,
+    dry: Annotated[bool, typer.Option("--dry", help="Check and print the plan only; nothing moves.")] = False,
+    scheduler: Scheduler = None,
+    yes: Yes = False,
+    json: AsJson = False,
+) -> None:
+    """Run a study, or what is missing of it; write its table and its page.
+
+    After any interruption, repeat the command: finished runs are not repeated.
+    """
+    from rig.cli import assignments, study_output
+    from rig.cli.console import console
+    from rig.cli.progress import progress_bar
+    from rig.cli.run_output import confirm
+    from rig.cli.study_terminal import StudyTerminal
+    from rig.config.loader import chosen_rig
+    from rig.study import execution
+    from rig.study.study import archived, finished, load
+    from runs.study.page import write
+
+    if scheduler and not fast:
+        _refuse("--scheduler", scheduler, "--fast: only runs in virtual time are spread over a cluster")
+    found = load(
+        plan, chosen_rig(rig), folder=out, fast=fast, operator=operator, metadata=assignments.texts("--meta", meta)
+    )
+    screen = console(stderr=json)
+    if dry:
+        study_output.planned(screen, found, finished(archived(found)), as_json=json)
+        return
+    with execution.locked(found) as scratch:
+        done = finished(archived(found))
+        if len(done) < len(found.runs):
+            study_output.planned(screen, found, done)
+            if not yes and not confirm(screen):
+                _refuse("--yes", "", "a confirmation: the study is not armed")
+        try:
+            if len(done) < len(found.runs) and fast:
+                with progress_bar("runs") as progress:
+                    execution.run_virtual(found, scratch, scheduler=scheduler, progress=progress)
+            elif len(done) < len(found.runs):
+                execution.run_real(found, StudyTerminal(screen))
+        finally:
+            entries = finished(archived(found))
+            if entries:
+                files = [out / entries[number].file for number in sorted(entries)]
+                page, table = write(found.name, found.plan.title, len(found.runs), files, out)
+                study_output.written(screen, found, entries, page, table, as_json=json)
+        if len(entries) < len(found.runs):
+            screen.print(f"repeat the command for the {len(found.runs) - len(entries)} runs that are missing")
+            raise typer.Exit(1)
+
+
+def _refuse(option: str, value: str, expected: str) -> None:
+    from protocols.problems import BadInputError, Problem
+
+    raise BadInputError([Problem(option, 0, 0, "", value, expected)])

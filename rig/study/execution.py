@@ -1,0 +1,190 @@
+"""Runs the remaining runs of a study: one after the other in real time, over all cores in virtual time.
+
+A run counts when its archive is in the study's folder and says that it finished. Only the process that holds the lock
+of the study puts archives there, each by one rename, so an interruption at any moment neither loses nor doubles a run.
+"""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Protocol
+
+from calibration.identify.parallel_map import parallel_results
+from rig.execution.plan import NullOperator, Plan, StartError
+from rig.experiment import run as experiment
+from rig.experiment.run import RunRequest
+from rig.study.plan import StopRules
+from rig.study.study import Study, archived, finished
+from runs.catalogue import Entry
+from runs.file_lock import lock
+from runs.records import Status, StudyRole
+
+
+class StudyBusyError(StartError):
+    """Another process runs this study."""
+
+
+class StudyStoppedError(Exception):
+    """A rule of the plan stopped the study."""
+
+
+class StudyOperator(Protocol):
+    """The operator's side of a study in real time. Each method raises `KeyboardInterrupt` when the operator stops."""
+
+    def run(self, request: RunRequest, plan: Plan) -> Status:
+        """Perform a run; return how it ended."""
+
+    def rest(self, seconds: float) -> None:
+        """Wait."""
+
+    def confirm(self, prompt: str) -> None:
+        """Show what the operator has to do; return when it is done."""
+
+
+@contextmanager
+def locked(study: Study) -> Iterator[Path]:
+    """Hold the lock of a study; yield an empty folder for files that are being written.
+
+    Raises:
+        StudyBusyError: another process holds it.
+    """
+    scratch = study.folder / f".{study.name}.study"
+    scratch.mkdir(parents=True, exist_ok=True)
+    with (scratch / "lock").open("a") as handle:
+        try:
+            lock(handle.fileno())
+        except BlockingIOError:
+            raise StudyBusyError(f"study {study.name} in {study.folder} is running in another process") from None
+        for left in scratch.iterdir():
+            if left.is_dir():
+                shutil.rmtree(left, ignore_errors=True)
+        yield scratch
+
+
+def run_virtual(
+    study: Study,
+    scratch: Path,
+    workers: int | None = None,
+    scheduler: str | None = None,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> None:
+    """Run what is missing in virtual time, over the cores of this machine or a Dask cluster.
+
+    Rest, conditioning and prompts are left out: a simulated arm begins each run as new. `workers` and `scheduler` are
+    those of `parallel_map`; workers of a cluster need softrig, but no common folder.
+
+    Raises:
+        StudyStoppedError: a rule of the plan stopped the study.
+        WorkerDiedError, NoClusterError: as `parallel_map`.
+    """
+    done = finished(archived(study))
+    tasks = [
+        _Task(study.request(run)[0], None if scheduler else scratch) for run in study.runs if run.number not in done
+    ]
+    rules = _RuleCheck(study)
+    progress(len(done), len(study.runs))
+    with closing(parallel_results(_archive_of, tasks, range(len(tasks)), workers, scheduler)) as results:
+        for count, (_, made) in enumerate(results, len(done) + 1):
+            part = scratch / made.name
+            part.write_bytes(made.content)
+            part.replace(study.folder / made.name)
+            progress(count, len(study.runs))
+            rules.check()
+
+
+@dataclass(frozen=True)
+class _Task:
+    request: RunRequest
+    scratch: Path | None
+    """Where the worker writes; None for its own temporary folder."""
+
+
+@dataclass(frozen=True)
+class _ArchiveFile:
+    name: str
+    content: bytes
+
+
+def _archive_of(task: _Task) -> _ArchiveFile:
+    """Run a task in a folder of its own; return its archive."""
+    with tempfile.TemporaryDirectory(dir=task.scratch) as folder:
+        request = replace(task.request, folder=Path(folder))
+        result = experiment.run(request, experiment.plan(request), NullOperator())
+        if result.archive is None:
+            raise StartError("; ".join(result.warnings))
+        return _ArchiveFile(result.archive.name, result.archive.read_bytes())
+
+
+def run_real(study: Study, operator: StudyOperator) -> None:
+    """Run what is missing, one run after the other, with rest, conditioning and prompts.
+
+    Raises:
+        StudyStoppedError: a rule of the plan stopped the study.
+        KeyboardInterrupt: the operator stopped a run or the study.
+    """
+    entries = archived(study)
+    done, begun = finished(entries), {entry.study_block for entry in entries}
+    conditioned: int | None = None
+    rules, first = _RuleCheck(study), True
+    for run in study.runs:
+        if run.number in done:
+            continue
+        if not first and study.plan.rest_s:
+            operator.rest(study.plan.rest_s)
+        first = False
+        if study.plan.block_prompt and run.block not in begun:
+            operator.confirm(f"block {run.block} of {study.plan.blocks}: {study.plan.block_prompt}")
+        begun.add(run.block)
+        before = study.conditioning_request(run)
+        if before is not None and (study.plan.conditioning_each_run or conditioned != run.block):
+            _performed(operator, *before)
+            rules.check()
+        conditioned = run.block
+        _performed(operator, *study.request(run))
+        rules.check()
+
+
+def _performed(operator: StudyOperator, request: RunRequest, plan: Plan) -> None:
+    if operator.run(request, plan) is Status.INTERRUPTED:
+        raise KeyboardInterrupt
+
+
+class _RuleCheck:
+    """Applies the stop rules to the archives that are new since it was made."""
+
+    def __init__(self, study: Study) -> None:
+        self._study = study
+        self._before = {entry.file for entry in archived(study)}
+
+    def check(self) -> None:
+        entries = archived(self._study)
+        new = [entry for entry in entries if entry.file not in self._before]
+        if reason := stop_reason(self._study.plan.stop, new, entries):
+            raise StudyStoppedError(f"study {self._study.name} is stopped: {reason}")
+
+
+def stop_reason(rules: StopRules, new: list[Entry], entries: tuple[Entry, ...]) -> str:
+    """Return why a study ends now, by its archives since it was last begun and all of them; empty to go on.
+
+    Both are newest first.
+    """
+    failed = 0
+    for entry in new:
+        if entry.status == Status.FINISHED:
+            break
+        failed += 1
+    if failed >= rules.failed_runs:
+        return f"{failed} failed runs in succession, the last {new[0].run_id} ({new[0].status})"
+    if rules.mean_error_mm is not None and new and new[0].study_role == StudyRole.RUN:
+        error_mm = new[0].mean_error_mm
+        if error_mm is not None and error_mm > rules.mean_error_mm:
+            return f"mean error {error_mm:.2f} mm of {new[0].run_id}, above {rules.mean_error_mm:g} mm"
+    cycles = sum(entry.pressure_cycles or 0 for entry in entries)
+    if rules.pressure_cycles is not None and cycles >= rules.pressure_cycles:
+        return f"{cycles} pressure cycles, of {rules.pressure_cycles} allowed"
+    return ""

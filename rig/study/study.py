@@ -1,0 +1,217 @@
+"""A checked study: its plan with a request for each combination, and what its archives say of its state."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from protocols import BadInputError, Problem, document
+from protocols.library import FOLDER, find
+from protocols.parameters import declared, unit_in
+from protocols.problems import closest
+from protocols.source_positions import Document, path_text
+from protocols.substitution import KEY
+from rig.config.loader import RigChoice, read
+from rig.execution.plan import Plan
+from rig.experiment import run as experiment
+from rig.experiment.run import RunRequest
+from rig.study.plan import PlannedRun, StudyPlan, planned_runs
+from runs.catalogue import Entry, catalogue
+from runs.records import Status, StudyRole, StudyRun
+from runs.recovery import orphans, recover
+
+NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,59}")
+
+
+@dataclass(frozen=True)
+class Study:
+    """A study that has passed every check; `requests` and `plans` are those of its combinations."""
+
+    name: str
+    plan: StudyPlan
+    text: str
+    sha256: str
+    folder: Path
+    runs: tuple[PlannedRun, ...]
+    requests: tuple[RunRequest, ...]
+    plans: tuple[Plan, ...]
+    conditioning: tuple[RunRequest, Plan] | None
+
+    def request(self, run: PlannedRun) -> tuple[RunRequest, Plan]:
+        """The request and the plan of a run."""
+        seed = self.plan.seed + run.number
+        request = replace(self.requests[run.combination - 1], seed=seed, study=self._place(run, StudyRole.RUN))
+        return request, replace(self.plans[run.combination - 1], seed=seed)
+
+    def conditioning_request(self, run: PlannedRun) -> tuple[RunRequest, Plan] | None:
+        """The request and the plan of the conditioning before a run; None without conditioning."""
+        if self.conditioning is None:
+            return None
+        request, plan = self.conditioning
+        return replace(request, study=self._place(run, StudyRole.CONDITIONING)), plan
+
+    @property
+    def fast(self) -> bool:
+        """Whether the study runs in virtual time, in which a simulated arm begins each run as new."""
+        return self.requests[0].fast
+
+    def duration_s(self, runs: tuple[PlannedRun, ...]) -> float:
+        """Time of these runs [s], with rests and conditioning; without starts and prompts."""
+        total = sum(self.plans[run.combination - 1].trajectory.duration_s for run in runs)
+        if self.fast:
+            return total
+        if self.conditioning is not None:
+            cycles = len(runs) if self.plan.conditioning_each_run else len({run.block for run in runs})
+            total += cycles * self.conditioning[1].trajectory.duration_s
+        return total + self.plan.rest_s * max(len(runs) - 1, 0)
+
+    def _place(self, run: PlannedRun, role: StudyRole) -> StudyRun:
+        return StudyRun(self.name, role, run.number, run.combination, run.block, self.text, self.sha256)
+
+
+def load(
+    file: Path,
+    rig: RigChoice,
+    *,
+    folder: Path,
+    fast: bool = False,
+    operator: str = "",
+    metadata: Mapping[str, str] | None = None,
+) -> Study:
+    """Read a plan, and check every combination of its parameters against protocol and rig.
+
+    Raises:
+        BadInputError: every problem of plan, protocols and rig.
+    """
+    source = document.read(file)
+    plan = document.validate(StudyPlan, source)
+    if not NAME.fullmatch(file.stem):
+        expected = "a file whose name, the name of the study, has letters, digits, _ and - only, at most 60"
+        raise BadInputError([Problem(str(file), 0, 0, "", file.stem, expected)])
+    if plan.stop.pressure_cycles is not None and "specimen" not in read(rig.name).run_metadata(metadata or {})[0]:
+        position = source.position(("stop", "pressure_cycles"))
+        expected = "a specimen, whose cycles are counted: metadata of the rig file, or --meta specimen=NAME"
+        place = (str(file), position.line, position.column, "stop, pressure_cycles", position.source)
+        raise BadInputError([Problem(*place, expected)])
+    protocol = _protocol(source, plan.protocol, ("protocol",))
+    if problems := list(_setting_problems(source, plan, protocol)):
+        raise BadInputError(problems)
+    checked: list[tuple[RunRequest, Plan]] = []
+    problems = []
+
+    def check(name: Path, settings: Mapping[str, float], what: str) -> None:
+        try:
+            request = experiment.request(
+                str(name),
+                rig,
+                settings=settings,
+                folder=folder,
+                fast=fast,
+                operator=operator,
+                metadata=metadata or {},
+                report=False,
+            )
+            checked.append((request, experiment.plan(request)))
+        except BadInputError as bad:
+            problems.extend(replace(problem, where=f"{what}: {problem.where}") for problem in bad.problems)
+
+    every = plan.settings()
+    for number, settings in enumerate(every, 1):
+        values = ", ".join(f"{name} = {value:.12g}" for name, value in settings.items())
+        check(protocol, settings, f"combination {number} ({values})" if values else "the protocol")
+    if plan.conditioning is not None:
+        path = _protocol(source, plan.conditioning.protocol, ("conditioning", "protocol"))
+        check(path, plan.conditioning.settings, "conditioning")
+    if problems:
+        raise BadInputError(dict.fromkeys(problems))
+    requests, plans = zip(*checked[: len(every)], strict=True)
+    return Study(
+        name=file.stem,
+        plan=plan,
+        text=source.text,
+        sha256=_digest(source.text, [request for request, _ in checked]),
+        folder=folder,
+        runs=planned_runs(plan),
+        requests=requests,
+        plans=plans,
+        conditioning=checked[-1] if plan.conditioning is not None else None,
+    )
+
+
+def _protocol(source: Document, name: str, path: tuple[str, ...]) -> Path:
+    """The file of a protocol that the plan names: beside the plan, else by its name."""
+    if (beside := Path(source.file).parent / name).is_file():
+        return beside
+    try:
+        return find(name, FOLDER, "protocol")
+    except BadInputError as bad:
+        position = source.position(path)
+        place = (source.file, position.line, position.column, path_text(path), position.source)
+        raise BadInputError([Problem(*place, p.expected, p.suggestion) for p in bad.problems]) from None
+
+
+def _setting_problems(source: Document, plan: StudyPlan, protocol: Path) -> Iterator[Problem]:
+    """Problems of names and values that the protocol does not have, each at its place in the plan."""
+    known = declared(document.read(protocol).data.get(KEY))
+    values: list[tuple[tuple[str | int, ...], str, float]] = []
+    for name, levels in plan.factors.items():
+        values += [(("factors", name, index), name, level) for index, level in enumerate(levels)]
+    for index, settings in enumerate(plan.combinations):
+        values += [(("combinations", index, name), name, value) for name, value in settings.items()]
+    unknown: set[str] = set()
+    for path, name, value in values:
+        parameter, position = known.get(name), source.position(path)
+        if name not in known and name not in unknown:
+            unknown.add(name)
+            key = source.position(path[: path.index(name) + 1])
+            expected = f"a parameter of {protocol.stem}: {', '.join(known) or 'it has none'}"
+            where = path_text(path[: path.index(name) + 1])
+            yield Problem(source.file, key.key_line, key.key_column, where, name, expected, closest(name, known))
+        elif parameter is not None and not parameter.admits(value):
+            expected = parameter.expected(unit_in(name, parameter))
+            yield Problem(source.file, position.line, position.column, path_text(path), position.source, expected)
+
+
+def _digest(plan: str, requests: list[RunRequest]) -> str:
+    """SHA-256 of everything that defines the runs."""
+    parts: list[object] = [plan]
+    for request in requests:
+        parts += [request.protocol.text, sorted(request.protocol.files.items()), request.rig.yaml, request.variant]
+    return hashlib.sha256(json.dumps(parts).encode()).hexdigest()
+
+
+class OtherStudyError(Exception):
+    """The folder has runs of a study of this name with another plan, protocol or rig."""
+
+
+def archived(study: Study) -> tuple[Entry, ...]:
+    """The archives of a study in its folder, newest first, its conditioning included.
+
+    Journals of runs that were cut off are recovered first: a run that was complete then counts as finished.
+
+    Raises:
+        OtherStudyError: archives of the same name are of another study.
+    """
+    if orphans(study.folder):
+        recover(study.folder)
+    entries = tuple(entry for entry in catalogue(study.folder) if entry.study == study.name)
+    other = next((entry.file for entry in entries if entry.study_sha256 != study.sha256), None)
+    if other is not None:
+        raise OtherStudyError(
+            f"{study.folder / other}: this run of study {study.name} has another plan, protocol or rig; restore them "
+            f"(`rig export` writes those of a run), or begin another study: copy the plan to a new name"
+        )
+    return entries
+
+
+def finished(entries: tuple[Entry, ...]) -> dict[int, Entry]:
+    """The finished runs by number."""
+    return {
+        entry.study_number: entry
+        for entry in entries
+        if entry.study_number and entry.study_role == StudyRole.RUN and entry.status == Status.FINISHED
+    }

@@ -1,0 +1,195 @@
+"""The table (CSV) and the page (HTML) of a study."""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from html import escape
+from io import StringIO
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from runs.overwriting import refuse_existing
+from runs.report.colours import MEASURED, MUTED, RUNS
+from runs.report.drawing import svg
+from runs.report.numbers import DASH, significant
+from runs.report.page import html_document
+from runs.run import Run
+from runs.study.linear_model import LinearModel, fit
+from runs.study.responses import RESPONSES, Response
+
+_FACTS = ("number", "run", "block", "combination", "start_utc")
+
+
+@dataclass(frozen=True)
+class StudyTable:
+    """The runs of a study: facts, settings by name, and responses in the order of `RESPONSES`, NaN where unknown."""
+
+    facts: tuple[tuple[str, ...], ...]
+    settings: dict[str, tuple[float, ...]]
+    responses: tuple[tuple[float, ...], ...]
+    blocks: tuple[int, ...]
+    order: tuple[int, ...]
+    simulated: bool
+
+
+def tabulate(archives: Sequence[Path]) -> StudyTable:
+    """Read the runs of a study."""
+    facts, settings, responses, blocks, order = [], [], [], [], []
+    simulated = False
+    for path in archives:
+        run = Run(path)
+        place = run.header.study
+        assert place is not None
+        began = str(np.datetime64(run.header.started_utc_ns, "ns").astype("datetime64[s]"))
+        facts.append((str(place.number), run.header.run_id, str(place.block), str(place.combination), began))
+        settings.append({q.name: q.value[0] for q in run.header.protocol_parameters})
+        responses.append([response.of(run) for response in RESPONSES])
+        blocks.append(place.block)
+        order.append(place.number)
+        simulated |= run.header.simulated
+    names = list(settings[0]) if settings else []
+    return StudyTable(
+        facts=tuple(facts),
+        settings={name: tuple(row[name] for row in settings) for name in names},
+        responses=tuple(zip(*responses, strict=True)),
+        blocks=tuple(blocks),
+        order=tuple(order),
+        simulated=simulated,
+    )
+
+
+def write(name: str, title: str, planned: int, archives: Sequence[Path], folder: Path) -> tuple[Path, Path]:
+    """Write `NAME.study.html` and `NAME.study.csv` from the finished runs; return both paths.
+
+    Raises:
+        WouldOverwriteError: a file of this name is not the table or the page of this study.
+    """
+    table = tabulate(archives)
+    page, rows = folder / f"{name}.study.html", folder / f"{name}.study.csv"
+    mark = f'<meta name="softrig-study" content="{escape(name)}">'
+    text = _csv(table)
+    refuse_existing([page], made=lambda file: mark in file.read_text(encoding="utf-8", errors="replace"))
+    head = text.splitlines()[0]
+    refuse_existing([rows], made=lambda file: file.read_text(encoding="utf-8", errors="replace").startswith(head))
+    body = "\n".join(_body(name, title, planned, table))
+    for path, content in ((rows, text), (page, html_document(escape(title), mark, body))):
+        part = path.with_name(path.name + ".part")
+        part.write_text(content, encoding="utf-8")
+        part.replace(path)
+    return page, rows
+
+
+def _csv(table: StudyTable) -> str:
+    out = StringIO()
+    writer = csv.writer(out, lineterminator="\n")
+    writer.writerow([*_FACTS, *table.settings, *(f"{r.name}_{r.unit}" for r in RESPONSES)])
+    for row, facts in enumerate(table.facts):
+        numbers = [values[row] for values in (*table.settings.values(), *table.responses)]
+        writer.writerow([*facts, *(f"{value:.9g}" if math.isfinite(value) else "" for value in numbers)])
+    return out.getvalue()
+
+
+def _body(name: str, title: str, planned: int, table: StudyTable) -> Iterator[str]:
+    badge = '<span class="badge simulated">simulated</span>' if table.simulated else ""
+    yield f'<section class="run"><header class="run"><h1>{escape(title)}{badge}</h1>'
+    yield f'<p class="sub">study {escape(name)} · {len(table.facts)} of {planned} runs finished</p></header>'
+    if table.simulated:
+        yield '<p class="note"><b>Runs of this study were simulated.</b> They measure no real manipulator.</p>'
+    factors = {key: values for key, values in table.settings.items() if len(set(values)) > 1}
+    shown = []
+    for response, values in zip(RESPONSES, table.responses, strict=True):
+        y = np.array(values)
+        if len(y) and np.isfinite(y).all():
+            model = fit(factors, table.blocks, table.order, y)
+            shown.append(response)
+            yield from _response(response, factors, table, y, model)
+    missing = [response.name for response in RESPONSES if response not in shown]
+    if missing:
+        yield f"<p class=small>Not known for every run, and so not analysed: {', '.join(missing)}.</p>"
+    yield (
+        "<p class=small>Method: least squares with factors, their two-factor interactions, blocks and a linear drift "
+        "with the order of the runs; F tests of type II; means of levels without interactions, adjusted for the other "
+        "terms, with 95 % intervals by Student's t. Small p: the term is more than the scatter between runs.</p>"
+    )
+    yield "<h2>Runs</h2>"
+    heads = [*_FACTS, *table.settings, *(f"{r.name} [{r.unit}]" for r in RESPONSES)]
+    rows = [
+        [*facts, *(significant(values[k], 4) for values in (*table.settings.values(), *table.responses))]
+        for k, facts in enumerate(table.facts)
+    ]
+    yield _table(heads, rows)
+    yield "</section>"
+
+
+def _response(
+    response: Response,
+    factors: dict[str, tuple[float, ...]],
+    table: StudyTable,
+    y: NDArray[np.float64],
+    model: LinearModel,
+) -> Iterator[str]:
+    yield f"<h2>{response.name.replace('_', ' ').capitalize()} [{response.unit}]</h2>"
+    yield f"<p>{escape(response.about)}; scatter between equal runs {significant(model.residual_std, 2)} "
+    yield f"{response.unit} (one standard deviation, {model.residual_dof} degrees of freedom).</p>"
+    drawing = svg(_draw, (8.2, 2.6), f"study/{response.name}", response, factors, table, y, model)
+    caption = (
+        "Points are runs. Left: means of the levels with 95 % intervals. Right: runs in their order, coloured by block."
+    )
+    yield f"<figure>{drawing}<figcaption>{caption}</figcaption></figure>"
+    rows = [
+        [
+            mean.factor,
+            f"{mean.level:.12g}",
+            _with_width(mean.mean, mean.half_width),
+            _with_width(mean.difference, mean.difference_half_width) if mean.difference else "reference",
+        ]
+        for mean in model.levels
+    ]
+    drift = ["order of the runs", "last minus first", "", _with_width(model.drift, model.drift_half_width)]
+    yield _table(["factor", "level", "mean", "effect"], [*rows, drift])
+    tests = [[t.name, str(t.dof), significant(t.f, 3), significant(t.p, 2)] for t in model.tests]
+    yield _table(["term", "degrees of freedom", "F", "p"], tests)
+
+
+def _with_width(value: float, half_width: float) -> str:
+    if not math.isfinite(half_width):
+        return significant(value, 4)
+    digits = max(0, 1 - math.floor(math.log10(half_width))) if half_width > 0 else 6
+    return f"{value:.{digits}f} ± {half_width:.{digits}f}".replace("-", "\N{MINUS SIGN}")
+
+
+def _table(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    head = "".join(f"<th>{escape(text)}</th>" for text in heads)
+    body = "".join(f"<tr>{''.join(f'<td>{escape(cell or DASH)}</td>' for cell in row)}</tr>" for row in rows)
+    return f'<div class="scroll"><table><tr>{head}</tr>{body}</table></div>'
+
+
+def _draw(
+    figure: Figure,
+    response: Response,
+    factors: dict[str, tuple[float, ...]],
+    table: StudyTable,
+    y: NDArray[np.float64],
+    model: LinearModel,
+) -> None:
+    """Responses over each factor with the means of its levels, and over the order of the runs."""
+    panels = figure.subplots(1, len(factors) + 1, sharey=True, squeeze=False)[0]
+    panels[0].set_ylabel(f"{response.name.replace('_', ' ')} [{response.unit}]")
+    for panel, (name, values) in zip(panels, factors.items(), strict=False):
+        panel.plot(values, y, "o", color=MUTED, ms=2.5, alpha=0.6)
+        means = [mean for mean in model.levels if mean.factor == name]
+        widths = [mean.half_width if math.isfinite(mean.half_width) else 0.0 for mean in means]
+        levels, centres = [mean.level for mean in means], [mean.mean for mean in means]
+        panel.errorbar(levels, centres, widths, fmt="o-", color=MEASURED, ms=4, lw=1, capsize=3)
+        panel.set_xlabel(name)
+        panel.margins(x=0.15)
+    for block in sorted(set(table.blocks)):
+        chosen = [k for k, b in enumerate(table.blocks) if b == block]
+        panels[-1].plot([table.order[k] for k in chosen], y[chosen], "o", ms=3, color=RUNS[(block - 1) % len(RUNS)])
+    panels[-1].set_xlabel("run")

@@ -1,0 +1,36 @@
+"""What a study measures of each run: one number per run, from its summary and its tip."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from runs.run import Run
+
+
+@dataclass(frozen=True)
+class Response:
+    """A number of a run."""
+
+    name: str
+    unit: str
+    about: str
+    of: Callable[[Run], float]
+
+
+def _travel_mm(run: Run) -> float:
+    tip = run.tip.measured_mm
+    known = tip[np.isfinite(tip).all(axis=1)]
+    return float(np.linalg.norm(known - known[0], axis=1).max()) if len(known) else math.nan
+
+
+RESPONSES = (
+    Response("tip_travel", "mm", "largest distance of the measured tip from its first position", _travel_mm),
+    Response("mean_error", "mm", "mean distance of measured and modelled tip", lambda run: run.summary.error_mm.mean),
+    Response("largest_error", "mm", "the largest", lambda run: run.summary.error_mm.max),
+    Response("settled_error", "mm", "mean over the dwells", lambda run: run.summary.settled_error_mm),
+    Response("tracking", "bar", "rms of measured minus set-point", lambda run: run.summary.tracking_rms_bar),
+)

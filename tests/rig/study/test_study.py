@@ -1,0 +1,211 @@
+"""Studies: what is checked before anything moves, the order of the runs, and resumption after interruptions."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from protocols import BadInputError
+from rig.cli.app import main
+from rig.config.loader import RigChoice, Source
+from rig.execution.plan import Plan
+from rig.experiment import run as experiment
+from rig.experiment.run import RunRequest
+from rig.session.prompts import FunctionOperator
+from rig.study.execution import StudyBusyError, locked, run_real, run_virtual
+from rig.study.plan import StudyPlan, planned_runs
+from rig.study.study import OtherStudyError, Study, archived, finished, load
+from runs.catalogue import catalogue, search
+from runs.records import Status
+from runs.run import Run
+
+PROTOCOL = """\
+title: One step
+parameters:
+  peak_bar: {default: 0.1, unit: bar, lowest: 0, highest: 0.3}
+  hold_s: {default: 0.2, lowest: 0.1, highest: 3}
+steps:
+  - ramp: {actuators: [1], to_bar: peak_bar, duration_s: 0.2}
+  - hold: {duration_s: hold_s}
+"""
+PLAN = """\
+title: Peak and dwell
+protocol: step.yaml
+factors:
+  peak_bar: [0.1, 0.2]
+  hold_s: [0.1, 0.15, 0.2]
+repeats: 5
+blocks: 5
+"""
+
+
+@pytest.fixture
+def plan(tmp_path: Path) -> Path:
+    (tmp_path / "step.yaml").write_text(PROTOCOL)
+    file = tmp_path / "dwell.yaml"
+    file.write_text(PLAN)
+    return file
+
+
+def loaded(plan: Path, fast: bool = True) -> Study:
+    return load(plan, RigChoice("mock", Source.OPTION), folder=plan.parent / "data", fast=fast)
+
+
+def test_each_block_has_each_combination_once_in_a_repeatable_random_order() -> None:
+    plan = StudyPlan(title="t", protocol="p", factors={"a": (1.0, 2.0), "b": (1.0, 2.0, 3.0)}, repeats=5, blocks=5)
+    runs = planned_runs(plan)
+    assert [run.number for run in runs] == list(range(1, 31))
+    orders = [[run.combination for run in runs if run.block == block] for block in range(1, 6)]
+    assert all(sorted(order) == [1, 2, 3, 4, 5, 6] for order in orders)
+    assert len({tuple(order) for order in orders}) > 1
+    assert planned_runs(plan) == runs
+    assert planned_runs(plan.model_copy(update={"seed": 1})) != runs
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "line", "message"),
+    [
+        ("peak_bar: [0.1, 0.2]", "peek_bar: [0.1, 0.2]", 4, "did you mean peak_bar?"),
+        ("peak_bar: [0.1, 0.2]", "peak_bar: [0.1, 0.9]", 4, "a number from 0 to 0.3 (bar)"),
+        ("blocks: 5", "blocks: 2", 7, "a divisor of the 5 repeats"),
+        ("repeats: 5", "repeats: five", 6, "repeats"),
+        ("step.yaml", "stop.yaml", 2, "there is no such file"),
+    ],
+)
+def test_a_mistake_in_the_plan_is_reported_at_its_line(plan: Path, old: str, new: str, line: int, message: str) -> None:
+    plan.write_text(PLAN.replace(old, new))
+    with pytest.raises(BadInputError) as error:
+        loaded(plan)
+    assert f"{plan}:{line}:" in str(error.value)
+    assert message in str(error.value)
+
+
+def test_every_combination_is_checked_against_the_rig_before_the_first_run(plan: Path) -> None:
+    (plan.parent / "step.yaml").write_text(PROTOCOL.replace("highest: 0.3", "highest: 9"))
+    plan.write_text(PLAN.replace("[0.1, 0.2]", "[0.1, 5.0]"))
+    with pytest.raises(BadInputError) as error:
+        loaded(plan)
+    assert "combination 4 (peak_bar = 5, hold_s = 0.1)" in str(error.value)
+    assert not (plan.parent / "data").exists()
+
+
+@pytest.mark.realtime
+def test_a_study_that_is_killed_and_interrupted_has_each_run_once(plan: Path) -> None:
+    data = plan.parent / "data"
+    command = [sys.executable, "-m", "rig", "study", str(plan), "--fast", "--yes", "--rig", "mock", "--out", str(data)]
+    for number, least in ((signal.SIGKILL, 3), (signal.SIGINT, 8)):
+        process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+        while len(list(data.glob("*.h5"))) < least:
+            assert process.poll() is None, process.communicate()[0]
+            time.sleep(0.01)
+        os.kill(process.pid, number)
+        output, _ = process.communicate(timeout=60)
+        assert process.returncode == (-number if number is signal.SIGKILL else 130), output
+        assert len(list(data.glob("*.h5"))) < 30
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "30 of 30 runs" in done.stdout
+
+    entries = search(catalogue(data), study="dwell")
+    assert sorted(entry.study_number or 0 for entry in entries) == list(range(1, 31))
+    assert {entry.status for entry in entries} == {Status.FINISHED}
+    runs = [Run(data / entry.file) for entry in entries]
+    counts: dict[tuple[float, ...], int] = {}
+    for run in runs:
+        key = tuple(quantity.value[0] for quantity in run.header.protocol_parameters)
+        counts[key] = counts.get(key, 0) + 1
+    assert sorted(counts.values()) == [5] * 6
+    assert len({run.header.seed for run in runs}) == 30
+    assert "peak_bar" in (data / "dwell.study.html").read_text()
+    assert len((data / "dwell.study.csv").read_text().splitlines()) == 31
+
+
+class ScriptedOperator:
+    """Performs runs in virtual time; stops at the given step."""
+
+    def __init__(self, stop_at: int = 10**9) -> None:
+        self.steps: list[str] = []
+        self._stop_at = stop_at
+
+    def run(self, request: RunRequest, plan: Plan) -> Status:
+        place = request.study
+        assert place is not None
+        self._note(f"{place.role} {place.number}")
+        return experiment.run(request, plan, FunctionOperator(lambda: None, None)).outcome.status
+
+    def rest(self, seconds: float) -> None:
+        self._note(f"rest {seconds:g}")
+
+    def confirm(self, prompt: str) -> None:
+        self._note(prompt)
+
+    def _note(self, step: str) -> None:
+        if len(self.steps) == self._stop_at:
+            raise KeyboardInterrupt
+        self.steps.append(step)
+
+
+def test_prompts_rest_and_conditioning_come_between_the_runs_also_after_an_interruption(plan: Path) -> None:
+    plan.write_text(
+        "title: t\nprotocol: step.yaml\nfactors: {peak_bar: [0.1, 0.2]}\nrepeats: 2\nblocks: 2\nrest_s: 7\n"
+        "conditioning: {protocol: step.yaml, before: block}\nblock_prompt: turn the arm\n"
+    )
+    study = loaded(plan)
+    first = ScriptedOperator(stop_at=4)
+    with pytest.raises(KeyboardInterrupt):
+        run_real(study, first)
+    assert first.steps == ["block 1 of 2: turn the arm", "conditioning 1", "run 1", "rest 7"]
+    second = ScriptedOperator()
+    run_real(study, second)
+    assert second.steps == [
+        "conditioning 2",
+        "run 2",
+        "rest 7",
+        "block 2 of 2: turn the arm",
+        "conditioning 3",
+        "run 3",
+        "rest 7",
+        "run 4",
+    ]
+    assert sorted(finished(archived(study))) == [1, 2, 3, 4]
+    third = ScriptedOperator()
+    run_real(study, third)
+    assert third.steps == []
+
+
+def test_a_study_with_another_plan_or_by_another_process_is_refused(plan: Path) -> None:
+    plan.write_text("title: t\nprotocol: step.yaml\n")
+    study = loaded(plan)
+    with locked(study) as scratch:
+        with pytest.raises(StudyBusyError), locked(study):
+            pass
+        run_virtual(study, scratch, workers=1)
+    plan.write_text("title: another\nprotocol: step.yaml\n")
+    with pytest.raises(OtherStudyError, match="another plan"):
+        archived(loaded(plan))
+
+
+def test_a_rule_stops_the_study_and_the_command_says_why(plan: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    plan.write_text("title: t\nprotocol: step.yaml\nrepeats: 3\nstop: {mean_error_mm: 0.001}\n")
+    command = ["study", str(plan), "--fast", "--yes", "--rig", "mock", "--out", str(plan.parent / "data")]
+    with pytest.raises(SystemExit) as ended:
+        main(command)
+    assert ended.value.code == 1
+    assert "mean error" in capsys.readouterr().err
+    assert len(list((plan.parent / "data").glob("*.h5"))) < 3
+
+
+def test_the_dry_plan_has_the_total_time_and_moves_nothing(plan: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    plan.write_text(PLAN + "rest_s: 10\n")
+    with pytest.raises(SystemExit) as ended:
+        main(["study", str(plan), "--dry", "--rig", "mock", "--out", str(plan.parent / "data")])
+    assert ended.value.code == 0
+    total_s = 30 * 0.2 + 10 * (0.1 + 0.15 + 0.2) + 29 * 10
+    assert f"{total_s:.1f} s remain" in capsys.readouterr().out
+    assert not list(plan.parent.glob("data/*.h5"))
