@@ -21,6 +21,7 @@ from rig.cli import (
     drivers,
     identify,
     init,
+    publish,
     reproduce,
     study,
     workspace,
@@ -379,6 +380,7 @@ def live(
 for command in (annotate.note, annotate.tag, archives.runs, archives.show, archives.export, archives.recover):
     app.command()(command)
 app.command(cls=PlottingCommand)(archives.report)
+app.command()(publish.publish)
 app.command(cls=NumericalCommand)(archives.replay)
 app.command("import", cls=NumericalCommand)(archives.import_)
 app.command(cls=NumericalCommand)(reproduce.reproduce)

@@ -1,0 +1,36 @@
+"""`rig publish`: runs as a crate for a data repository."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from rig.cli.options import Archives, OutputFile, Replace
+
+
+def publish(
+    archives: Archives,
+    to: OutputFile = Path("crate.zip"),
+    title: Annotated[str, typer.Option(help="Title; default: that of the run.", show_default=False)] = "",
+    creator: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME", help="Creator, as 'Ada Lovelace 0000-0002-1825-0097'; may be repeated."),
+    ] = None,
+    licence: Annotated[str, typer.Option(metavar="SPDX", help="Licence of the data, as CC-BY-4.0.")] = "",
+    replace: Replace = False,
+) -> None:
+    """Write runs as a crate (RO-Crate) for a data repository: metadata, checksums, licence, fields."""
+    from protocols.problems import BadInputError, Problem
+    from rig.cli.run_names import resolve
+    from rig.publish.crate import write
+    from rig.publish.description import describe
+    from runs.run import Run
+
+    if to.suffix.lower() != ".zip":
+        raise BadInputError([Problem("--to", 0, 0, "", str(to), "a file whose name ends with .zip")])
+    runs = [Run(path) for path in dict.fromkeys(resolve(archive) for archive in archives)]
+    if (names := [run.path.name for run in runs]) and len(set(names)) < len(names):
+        raise BadInputError([Problem("RUN", 0, 0, "", ", ".join(names), "archives of different file names")])
+    typer.echo(write(runs, describe(runs, title, creator or (), licence), to, replace=replace))

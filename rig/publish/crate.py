@@ -1,0 +1,214 @@
+"""A crate of runs: a ZIP file after RO-Crate 1.1, with metadata after DataCite 4 and SHA-256 checksums."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import zipfile
+from collections.abc import Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from rig.publish.description import LICENCES, Creator, Description
+from rig.publish.field_list import field_list
+from runs import annotation_file
+from runs.archive.layout import utc
+from runs.overwriting import refuse_existing
+from runs.run import Run
+
+METADATA, DATACITE, CHECKSUMS, README = "ro-crate-metadata.json", "datacite.json", "SHA256SUMS", "README.md"
+PROFILE, CONTEXT = "https://w3id.org/ro/crate/1.1", "https://w3id.org/ro/crate/1.1/context"
+SOFTWARE = "#softrig"
+SHA256 = "https://w3id.org/ro/terms/workflow-run#sha256"
+"""The term of the checksums, which the context of RO-Crate 1.1 lacks."""
+_FORMATS = {
+    ".h5": ["application/x-hdf5", {"@id": "https://www.nationalarchives.gov.uk/PRONOM/fmt/807"}],
+    ".jsonl": "application/jsonl",
+    ".json": "application/json",
+    ".md": "text/markdown",
+    "": "text/plain",
+}
+UNAVAILABLE = ":unav"
+"""What DataCite prescribes for a value that is not known yet: the repository states itself as the publisher."""
+
+
+def write(runs: Sequence[Run], description: Description, target: Path, *, replace: bool = False) -> Path:
+    """Write a crate with the archives of these runs and the notes beside them; return its path.
+
+    Raises:
+        WouldOverwriteError: the file exists, and `replace` is False.
+    """
+    refuse_existing([target], replace=replace)
+    files = [run.path for run in runs]
+    files += [notes for run in runs if (notes := annotation_file.path_of(run.path)).exists()]
+    now = datetime.now(UTC)
+    texts = {
+        README: _readme(runs, description, field_list([run.path for run in runs])),
+        DATACITE: _json(_datacite(runs, description, now)),
+    }
+    sums = {f"data/{file.name}": _sha256(file) for file in files}
+    sums |= {name: hashlib.sha256(text.encode()).hexdigest() for name, text in texts.items()}
+    texts[CHECKSUMS] = "".join(f"{digest}  {name}\n" for name, digest in sums.items())
+    sizes = {f"data/{file.name}": file.stat().st_size for file in files}
+    sizes |= {name: len(text.encode()) for name, text in texts.items()}
+    texts[METADATA] = _json(_metadata(runs, description, now, sizes, sums))
+    target.parent.mkdir(parents=True, exist_ok=True)
+    part = target.with_name(target.name + ".part")
+    try:
+        with zipfile.ZipFile(part, "w", zipfile.ZIP_DEFLATED) as crate:
+            for name, text in texts.items():
+                crate.writestr(name, text)
+            for file in files:
+                crate.write(file, f"data/{file.name}", zipfile.ZIP_STORED)
+        part.replace(target)
+    finally:
+        part.unlink(missing_ok=True)
+    return target
+
+
+def _metadata(
+    runs: Sequence[Run], description: Description, now: datetime, sizes: dict[str, int], sums: dict[str, str]
+) -> dict[str, Any]:
+    """The JSON-LD of the crate."""
+    licence = LICENCES[description.licence]
+    people = [_person(creator) for creator in description.creators]
+    actions = [_action(run, description) for run in runs]
+    root = {
+        "@id": "./",
+        "@type": "Dataset",
+        "name": description.title,
+        "description": _summary(runs),
+        "datePublished": now.date().isoformat(),
+        "license": _ref(licence),
+        "author": [_ref(creator.id) for creator in description.creators],
+        "keywords": ["soft robotics", "Cosserat rod", "pneumatic actuator"],
+        "hasPart": [_ref(name) for name in sizes],
+        "mentions": [_ref(action["@id"]) for action in actions],
+    }
+    about = {"@id": METADATA, "@type": "CreativeWork", "conformsTo": _ref(PROFILE), "about": _ref("./")}
+    terms = {"@id": licence, "@type": "CreativeWork", "name": description.licence, "identifier": description.licence}
+
+    files = [
+        {
+            "@id": name,
+            "@type": "File",
+            "name": Path(name).name,
+            "encodingFormat": _FORMATS[Path(name).suffix],
+            "contentSize": str(size),
+            **({"sha256": sums[name]} if name in sums else {}),
+        }
+        for name, size in sizes.items()
+    ]
+    graph = [about, root, terms, *people, _software(runs), *actions, *files]
+    return {"@context": [CONTEXT, {"sha256": SHA256}], "@graph": graph}
+
+
+def _person(creator: Creator) -> dict[str, Any]:
+    return {
+        "@id": creator.id,
+        "@type": "Person",
+        "name": creator.name,
+        **({"affiliation": creator.affiliation} if creator.affiliation else {}),
+    }
+
+
+def _software(runs: Sequence[Run]) -> dict[str, Any]:
+    versions = sorted({run.header.versions.get("softrig", "") for run in runs} - {""})
+    commits = sorted({run.header.git_commit for run in runs} - {""})
+    return {
+        "@id": SOFTWARE,
+        "@type": "SoftwareApplication",
+        "name": "softrig",
+        **({"version": ", ".join(versions)} if versions else {}),
+        **({"identifier": ", ".join(f"git:{commit}" for commit in commits)} if commits else {}),
+    }
+
+
+def _action(run: Run, description: Description) -> dict[str, Any]:
+    header = run.header
+    ended_ns = header.started_utc_ns + round(run.duration_s * 1e9)
+    agent = next((c.id for c in description.creators if c.name == header.operator), "")
+    return {
+        "@id": f"#{header.run_id}",
+        "@type": "CreateAction",
+        "name": f"{header.title} ({'simulated' if header.simulated else 'measured'})",
+        "instrument": _ref(SOFTWARE),
+        "result": _ref(f"data/{run.path.name}"),
+        "startTime": utc(header.started_utc_ns),
+        "endTime": utc(ended_ns),
+        **({"agent": _ref(agent)} if agent else {}),
+    }
+
+
+def _datacite(runs: Sequence[Run], description: Description, now: datetime) -> dict[str, Any]:
+    """The metadata as the DataCite REST API takes them; repositories add identifier and publisher."""
+    days = sorted(utc(run.header.started_utc_ns)[:10] for run in runs)
+    return {
+        "creators": [
+            {
+                "name": creator.name,
+                "nameType": "Personal",
+                "affiliation": [{"name": creator.affiliation}] if creator.affiliation else [],
+                "nameIdentifiers": [
+                    {"nameIdentifier": creator.id, "nameIdentifierScheme": "ORCID", "schemeUri": "https://orcid.org"}
+                ]
+                if creator.orcid
+                else [],
+            }
+            for creator in description.creators
+        ],
+        "titles": [{"title": description.title}],
+        "publisher": UNAVAILABLE,
+        "publicationYear": now.year,
+        "types": {"resourceTypeGeneral": "Dataset", "resourceType": "Experiment"},
+        "dates": [{"date": days[0] if days[0] == days[-1] else f"{days[0]}/{days[-1]}", "dateType": "Collected"}],
+        "rightsList": [
+            {
+                "rights": description.licence,
+                "rightsUri": LICENCES[description.licence],
+                "rightsIdentifier": description.licence,
+                "rightsIdentifierScheme": "SPDX",
+            }
+        ],
+        "descriptions": [{"description": _summary(runs), "descriptionType": "Abstract"}],
+        "formats": ["application/x-hdf5"],
+        "schemaVersion": "http://datacite.org/schema/kernel-4",
+    }
+
+
+def _summary(runs: Sequence[Run]) -> str:
+    simulated = sum(run.header.simulated for run in runs)
+    protocols = ", ".join(sorted({run.header.protocol_name for run in runs}))
+    count = f"{len(runs)} {'run' if len(runs) == 1 else 'runs'}"
+    kind = "all simulated" if simulated == len(runs) else f"{simulated} of them simulated" if simulated else "measured"
+    return f"{count} of a pneumatic soft manipulator, {kind}; protocols: {protocols}. Recorded with softrig."
+
+
+def _readme(runs: Sequence[Run], description: Description, fields: str) -> str:
+    rows = "".join(
+        f"| data/{run.path.name} | {run.header.title} | {run.status} | {'yes' if run.header.simulated else 'no'} |\n"
+        for run in runs
+    )
+    creators = ", ".join(creator.name for creator in description.creators)
+    return (
+        f"# {description.title}\n\n{_summary(runs)}\n\nCreators: {creators}. "
+        f"Licence: [{description.licence}]({LICENCES[description.licence]}).\n\n"
+        f"| archive | title | ended | simulated |\n|---|---|---|---|\n{rows}\n"
+        f"Each archive is a NeXus file (HDF5): any HDF5 viewer opens it. `sha256sum -c {CHECKSUMS}` checks the files. "
+        f"`{METADATA}` describes this crate after RO-Crate 1.1, `{DATACITE}` after DataCite.\n\n"
+        f"## Fields\n\n{fields}"
+    )
+
+
+def _ref(identifier: str) -> dict[str, str]:
+    return {"@id": identifier}
+
+
+def _json(value: object) -> str:
+    return json.dumps(value, indent=2, ensure_ascii=False) + "\n"
+
+
+def _sha256(file: Path) -> str:
+    with file.open("rb") as content:
+        return hashlib.file_digest(content, "sha256").hexdigest()

@@ -1,0 +1,124 @@
+"""Crates: read back by the `rocrate` library, checked against the rules of RO-Crate 1.1 and by `sha256sum`."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import zipfile
+from pathlib import Path
+
+import h5py
+import pytest
+from rocrate.rocrate import ROCrate
+
+import rig
+from protocols import BadInputError
+from rig.cli.app import main
+from rig.publish.description import describe
+from runs.annotation_file import add_note
+from runs.run import Run
+
+PROTOCOL = "title: One step\nsteps:\n  - hold: {duration_s: 0.3}\n"
+ADA = "Ada Lovelace 0000-0002-1825-0097"
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
+    folder = tmp_path_factory.mktemp("publish")
+    (folder / "step.yaml").write_text(PROTOCOL)
+    with rig.open("mock") as bench:
+        made = bench.run(folder / "step.yaml", fast=True, out=folder / "data", report=False, meta={"specimen": "A7"})
+    add_note(made.path, "the tube was replaced")
+    return made
+
+
+@pytest.fixture(scope="module")
+def crate(run: Run) -> Path:
+    target = run.path.parent / "crate.zip"
+    with pytest.raises(SystemExit) as ended:
+        main(["publish", str(run.path), "--to", str(target), "--creator", ADA, "--licence", "CC-BY-4.0"])
+    assert ended.value.code == 0
+    folder = target.parent / "crate"
+    with zipfile.ZipFile(target) as file:
+        file.extractall(folder)
+    return folder
+
+
+def test_another_tool_reads_the_crate(crate: Path, run: Run) -> None:
+    read = ROCrate(crate)
+    root = read.root_dataset
+    assert root["name"] == "One step"
+    assert root["license"]["identifier"] == "CC-BY-4.0"
+    assert root["author"][0]["name"] == "Ada Lovelace"
+    assert root["author"][0].id == "https://orcid.org/0000-0002-1825-0097"
+    assert f"data/{run.path.name}" in {part.id for part in root["hasPart"]}
+    action = read.dereference(f"#{run.header.run_id}")
+    assert action["instrument"]["name"] == "softrig"
+    assert action["result"].id == f"data/{run.path.name}"
+
+
+def test_the_metadata_keep_the_rules_of_the_specification(crate: Path) -> None:
+    document = json.loads((crate / "ro-crate-metadata.json").read_text())
+    entities = {entity["@id"]: entity for entity in document["@graph"]}
+    assert len(entities) == len(document["@graph"])
+    about = entities["ro-crate-metadata.json"]
+    assert about["conformsTo"] == {"@id": "https://w3id.org/ro/crate/1.1"}
+    assert about["about"] == {"@id": "./"}
+    assert {"name", "description", "datePublished", "license"} <= set(entities["./"])
+    parts = {part["@id"] for part in entities["./"]["hasPart"]}
+    present = {str(path.relative_to(crate)) for path in crate.rglob("*") if path.is_file()}
+    assert parts == present - {"ro-crate-metadata.json"}
+    for entity in entities.values():
+        assert entity["@type"]
+        for value in entity.values():
+            for item in value if isinstance(value, list) else [value]:
+                if isinstance(item, dict) and not item["@id"].startswith("https://www.nationalarchives"):
+                    assert item["@id"] in entities or item["@id"] == "https://w3id.org/ro/crate/1.1"
+        if entity["@type"] == "File":
+            assert int(entity["contentSize"]) == (crate / entity["@id"]).stat().st_size
+
+
+def test_the_checksums_are_those_of_the_files(crate: Path) -> None:
+    checked = subprocess.run(["sha256sum", "-c", "SHA256SUMS"], cwd=crate, capture_output=True, text=True, check=False)
+    assert checked.returncode == 0, checked.stdout
+    assert ".notes.jsonl: OK" in checked.stdout
+
+
+def test_the_readme_explains_every_field(crate: Path, run: Run) -> None:
+    text = (crate / "README.md").read_text()
+    fields: list[str] = []
+    with h5py.File(run.path) as file:
+        file.visititems(lambda name, node: fields.append(name) if isinstance(node, h5py.Dataset) else None)
+    for name in fields:
+        group, _, field = name.rpartition("/")
+        section = text[text.index(f"### /{group}\n") :].split("\n### ")[0]
+        assert f"| {field} |" in section
+
+
+def test_the_datacite_metadata_have_what_datacite_requires(crate: Path) -> None:
+    found = json.loads((crate / "datacite.json").read_text())
+    assert {"creators", "titles", "publisher", "publicationYear", "types"} <= set(found)
+    assert found["types"]["resourceTypeGeneral"] == "Dataset"
+    assert found["rightsList"][0]["rightsIdentifier"] == "CC-BY-4.0"
+
+
+def test_everything_that_is_missing_is_reported_at_once(run: Run) -> None:
+    with pytest.raises(BadInputError) as error:
+        describe([run, run])
+    assert [problem.file for problem in error.value.problems] == ["--title", "--creator", "--licence"]
+
+
+@pytest.mark.parametrize(
+    ("creator", "licence", "expected"),
+    [
+        ("Ada Lovelace 0000-0002-1825-0096", "CC-BY-4.0", "check digit"),
+        ("0000-0002-1825-0097", "CC-BY-4.0", "a name"),
+        (ADA, "CC-BY-4", "did you mean CC-BY-4.0?"),
+    ],
+)
+def test_a_creator_or_licence_that_cannot_be_used_is_refused(
+    run: Run, creator: str, licence: str, expected: str
+) -> None:
+    with pytest.raises(BadInputError) as error:
+        describe([run], creators=[creator], licence=licence)
+    assert expected in str(error.value)
