@@ -20,7 +20,7 @@ EXPLAINED = {
     "`required` makes every run give, here or with `rig run --meta NAME=VALUE`.",
     "cards": "Data-acquisition cards. The name before the braces is yours; valves and sensors refer to "
     "it. `outputs` and `inputs` are the channels that the card has. Drivers: comedi (a card), serial "
-    "(a microcontroller), mock (simulated); `rig drivers` lists those of plug-ins.",
+    "(a microcontroller), nidaqmx, mock (simulated); `rig drivers` lists those of plug-ins.",
     "valves": "One valve for each actuator; a valve may drive several. `type: flow` meters flow and needs "
     "the program's pressure regulator; `type: pressure` is a regulator that takes a set-point "
     "voltage. `closed_V` is where all ports are shut (5 V by default). `safe_state` says what "

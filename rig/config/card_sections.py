@@ -86,6 +86,17 @@ class SerialCardConfig(CardConfig):
         return self
 
 
+class NidaqmxCardConfig(CardConfig):
+    """A card with an NI-DAQmx driver."""
+
+    driver: Literal["nidaqmx"]
+    reference: Literal["ground", "differential"] = Field(default="ground", description="how the inputs are wired")
+
+    def setup_options(self) -> dict[str, Any]:
+        """The wiring."""
+        return {"differential": self.reference == "differential"}
+
+
 class UninstalledCardConfig(CardConfig):
     """A card from an archive whose driver is not installed here."""
 
@@ -96,7 +107,9 @@ if TYPE_CHECKING:
     AnyCard = CardConfig
 else:
     AnyCard = Annotated[
-        Annotated[ComediCardConfig | SerialCardConfig | MockCardConfig, Field(discriminator="driver")],
+        Annotated[
+            ComediCardConfig | SerialCardConfig | NidaqmxCardConfig | MockCardConfig, Field(discriminator="driver")
+        ],
         PluginSections(
             "driver",
             CardConfig,

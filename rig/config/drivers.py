@@ -164,6 +164,7 @@ CARD_DRIVERS = DriverRegistry(
         "a pressure controller on a serial port, such as an Arduino",
         "the controller vents by itself after some 50 ms without a command",
     ),
+    Driver("nidaqmx", "rig.hardware.cards.ni", "NI-DAQmx devices (softrig[nidaqmx]); not tried on a device", KEPT),
     Driver("mock", "rig.hardware.cards.mock", "a card of the simulated bench", KEPT, simulated=True),
 )
 CAMERA_DRIVERS = DriverRegistry(

@@ -127,7 +127,11 @@ def test_a_plugins_keys_survive_the_ways_a_rig_travels(site: Path) -> None:
         ("{driver: box, device: b, inputs: 3, outputs: 2}", "my.yaml:7:3:", "is missing: a number above 0"),
         ("{driver: box, device: b, gane: 2, inputs: 3, outputs: 2}", "my.yaml:7:33", "unknown key 'gane'"),
         ("{driver: box, device: b, gain: 2, pins: [1, x], inputs: 3, outputs: 2}", "my.yaml:7:52", "a whole number"),
-        ("{driver: bux, device: b, inputs: 3, outputs: 2}", "my.yaml:7:17", "one of comedi, serial, mock, box"),
+        (
+            "{driver: bux, device: b, inputs: 3, outputs: 2}",
+            "my.yaml:7:17",
+            "one of comedi, serial, nidaqmx, mock, box",
+        ),
     ],
 )
 def test_a_fault_in_a_plugins_section_has_its_place(site: Path, card: str, place: str, says: str) -> None:
@@ -230,7 +234,7 @@ def test_a_recorded_rig_is_read_without_its_plugins(tmp_path: Path) -> None:
     assert not rig.config.simulated
     with pytest.raises(BadInputError, match=r"recorded|pressure"):
         loader.recorded(header(text.replace("pressure_bar: 0.7", "pressure_bar: x")), Path("run.h5"))
-    assert "one of comedi, serial, mock" in problems(text)[0]
+    assert "one of comedi, serial, nidaqmx, mock" in problems(text)[0]
 
 
 def test_built_in_drivers_need_no_metadata_of_installed_packages() -> None:

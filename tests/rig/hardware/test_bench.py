@@ -146,6 +146,14 @@ def test_valves_of_one_card_are_made_safe_by_it_alone(cards: dict[str, FakeCard]
     assert np.isnan(cards["daq"].outputs).all()
 
 
+def test_a_card_without_read_back_is_armed(
+    bench: Bench, cards: dict[str, FakeCard], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(cards["other"], "readback", lambda: np.array([np.nan]))
+    bench.arm()
+    assert cards["other"].outputs.tolist() == [5.0]
+
+
 @pytest.mark.parametrize("bug", [ValueError, OSError])
 def test_an_unexpected_error_of_one_card_does_not_stop_the_safe_state_of_others(
     bug: type[Exception], cards: dict[str, FakeCard], monkeypatch: pytest.MonkeyPatch
