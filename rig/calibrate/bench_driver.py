@@ -15,7 +15,7 @@ from rig.config.schema import RigConfig
 from rig.control import interlocks
 from rig.control import step as control
 from rig.control.control_loop import ValveOutputs
-from rig.control.interlocks import Sample
+from rig.control.interlocks import Sample, Trip
 from rig.control.sensor_state import RegulatorDemand, SensorState
 from rig.hardware.bench import Bench
 from rig.valves.flow import FlowRegulator
@@ -24,7 +24,11 @@ Floats = NDArray[np.float64]
 
 
 class TrippedError(Exception):
-    """An interlock ended the procedure; the valves are safe."""
+    """An interlock ended the procedure; the valves are safe, or vented where the `trip` vents."""
+
+    def __init__(self, trip: Trip) -> None:
+        super().__init__(trip.message)
+        self.trip = trip
 
 
 class BenchClock(Protocol):
@@ -54,6 +58,7 @@ class BenchDriver:
         self._volts = np.full(config.actuators, np.nan)
         self._pressure_pa = np.full(config.actuators, np.nan)
         self._scan_t_ns = 0
+        self._stops_closed = (True,) * len(config.emergency_stops)
 
     @property
     def pressure_pa(self) -> Floats:
@@ -70,7 +75,7 @@ class BenchDriver:
             state, command = control.step(self._prepared, state, self._sample(now), setpoint_pa, still)
             self._bench.write(command.valve_v)
             if command.trip is not None:
-                raise TrippedError(command.trip.message)
+                raise TrippedError(command.trip)
         return rows.log()
 
     def let(self, valve: int, offset_v: float, seconds: float, band_pa: float = math.inf) -> BenchLog:
@@ -102,7 +107,7 @@ class BenchDriver:
             )
             before = sample.scan_t_ns
             if trip is not None:
-                raise TrippedError(trip.message)
+                raise TrippedError(trip)
             self._bench.write(command_v)
             mean = float(sample.pressure_pa[chambers].mean())
             start = mean if start is None else start
@@ -119,24 +124,29 @@ class BenchDriver:
 
     def _listen(self) -> tuple[NDArray[np.int64], Floats, Floats]:
         scans = self._bench.read()
+        self._stops_closed = scans.stops_closed
         if len(scans.t_ns):
             self._scan_t_ns = int(scans.t_ns[-1])
             self._pressure_pa, self._volts = scans.pressure_pa.mean(axis=0), scans.volts[-1]
         return scans.t_ns, scans.pressure_pa, scans.volts
 
     def _sample(self, now: int) -> Sample:
-        return Sample(now, self._scan_t_ns, self._volts, self._pressure_pa)
+        return Sample(now, self._scan_t_ns, self._volts, self._pressure_pa, stops_closed=self._stops_closed)
 
 
 @contextmanager
 def made_safe(bench: Bench) -> Iterator[None]:
-    """Arm the bench and sample; write the safe state whatever happens inside."""
+    """Arm the bench and sample; write the safe state whatever happens inside, and vent for a trip that vents."""
+    vent = False
     try:
         bench.arm()
         bench.start()
         yield
+    except TrippedError as error:
+        vent = error.trip.vent
+        raise
     finally:
-        bench.make_safe()
+        bench.make_safe(vent=vent)
 
 
 class _RowBuffer:

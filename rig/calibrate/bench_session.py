@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from protocols import SetPointTrajectory
-from rig.calibrate.bench_driver import BenchClock, BenchDriver, made_safe
+from rig.calibrate.bench_driver import BenchClock, BenchDriver, TrippedError, made_safe
 from rig.config.schema import RigConfig
 from rig.control.control_loop import ValveOutputs
 from rig.execution.plan import Plan, StartError
@@ -121,6 +121,9 @@ def real(config: RigConfig, rig_file: Path, purpose: str) -> Iterator[tuple[Valv
             rehearsed.regulate(np.zeros(config.actuators), _REHEARSED_S)
             memory.publish_stage("control", Stage.RUNNING)
             yield GuardedOutputs(bench, memory), ticks
+        except TrippedError as error:
+            memory.vented = memory.vented or error.trip.vent
+            raise
         finally:
             try:
                 bench.make_safe(vent=memory.vents)

@@ -22,6 +22,7 @@ from rig.control.step import prepare
 from rig.hardware.bench import Bench
 from rig.simulator.faults import SensorFault
 from rig.valves.flow import FlowValve
+from tests.support.plant_bench import mock_rig
 
 SHORT = """title: short
 steps:
@@ -240,6 +241,32 @@ def test_a_frozen_sensor_ends_the_drive_while_the_valve_is_open(truth: RigConfig
         plant.faults.inject(sensor_1=SensorFault.FROZEN)
         with pytest.raises(TrippedError, match="has not moved by one count"):
             driver.let(0, 0.6, 5.0)
+
+
+@pytest.mark.parametrize("drive", ["regulate", "let"])
+def test_a_pressed_stop_ends_the_drive_and_vents_valves_that_hold(drive: str) -> None:
+    config = mock_rig(
+        cards__daq__digital_inputs=1,
+        emergency_stops={"button": {"card": "daq", "channel": 0}},
+        valves__0__safe_state="hold",
+        valves__1__safe_state="hold",
+    )
+    left: list[Bench] = []
+
+    def driven() -> None:
+        with virtual(config, 0, moving_arm=False) as (bench, ticks, plant):
+            left.append(bench)
+            driver = BenchDriver(config, bench, ticks, lambda: None)
+            driver.regulate(np.array([2e4, 0, 0]), 0.3)
+            plant.faults.inject(contact_1=1)
+            if drive == "regulate":
+                driver.regulate(np.array([2e4, 0, 0]), 0.3)
+            else:
+                driver.let(0, 0.6, 0.3)
+
+    with pytest.raises(TrippedError, match="emergency stop 'button'"):
+        driven()
+    np.testing.assert_allclose(left[0].readback(), 0.0, atol=1e-3)
 
 
 def test_an_exception_leaves_the_valves_safe(truth: RigConfig) -> None:
