@@ -44,7 +44,7 @@ class SolveStatus(IntEnum):
     NOT_SOLVED = 1
     """The solver failed: the plan continues the one before."""
     REFUSED = 2
-    """It was no plan, because it was not finite or not in order: the one before is followed."""
+    """The control loop cannot follow it (not finite, not in order, out of limits, old): it follows the one before."""
 
 
 def _time(about: str) -> Column:
@@ -325,6 +325,12 @@ class TipControl(Table):
     time_s = _time("middle of the exposure of the frame that led to the plan")
     frame = Column("frame", "<i8", about="as in /entry/tip")
     start_s = Column("start_s", unit="s", about="protocol time from which the plan is followed", limits=SECONDS)
+    late_ms = Column(
+        "late_s",
+        unit="ms",
+        about="from start_s to when the control loop took the plan; 0 in virtual time",
+        convert=lambda s: s * 1e3,
+    )
     status = Column(
         "status",
         "<i4",

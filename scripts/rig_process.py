@@ -181,6 +181,7 @@ def rig_run(
             "rig.realtime.watchdog_process",
             "rig.realtime.control_process",
             "rig.realtime.observer_process",
+            "rig.realtime.tip_controller_process",
         ):
             try:
                 os.kill(run.pid_of(module), signal.SIGCONT)

@@ -234,8 +234,8 @@ def result_json(result: RunResult) -> str:
 
 
 def exit_status(result: RunResult) -> int:
-    """Return the exit status: 0 finished, 1 aborted or not archived, 130 interrupted."""
-    return _EXIT[result.outcome.status] or (1 if result.warnings else 0)
+    """Return the exit status: 0 finished, 1 aborted, not archived or without its tip controller, 130 interrupted."""
+    return _EXIT[result.outcome.status] or (1 if result.warnings or result.outcome.message else 0)
 
 
 def findings_table(findings: tuple[Finding, ...]) -> Table:

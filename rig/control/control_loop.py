@@ -16,8 +16,9 @@ from rig.control.auxiliary import AuxiliaryMeans
 from rig.control.protocol_position import ProtocolPosition, advance, skip
 from rig.execution.plan import Plan
 from rig.hardware.bench import BenchScans
-from rig.tip_control.plan_follower import PlanFollower
-from runs.records import blank, sample_dtype
+from rig.tip_control.plan_follower import PlanFollower, SetPointSource
+from rig.tip_control.plan_record import StampedPlan
+from runs.records import SolveStatus, blank, sample_dtype
 
 STALLED_NS = 20_000_000
 LONGEST_MEAN_PERIODS = 2
@@ -86,10 +87,22 @@ class ControlLoop:
             self._excuse_ns, self._excused_until_ns = behind_ns, now_ns + EXCUSED_NS
         return self._excuse_ns if now_ns < self._excused_until_ns else 0
 
-    def take_plan(self, times_s: NDArray[np.float64], setpoint_pa: NDArray[np.float64]) -> bool:
-        """Follow a plan of the tip controller; False if it is none, or the tip has no reference now."""
-        reference = self._trajectory.tip.motion_at(self.position.protocol_s)
-        return self._follower is not None and reference is not None and self._follower.take(times_s, setpoint_pa)
+    @property
+    def setpoint_source(self) -> SetPointSource:
+        """Where the set-points of the last cycle came from."""
+        return SetPointSource.PROTOCOL if self._follower is None else self._follower.source
+
+    def take_plan(self, plan: StampedPlan, row: NDArray[np.void] | np.void) -> NDArray[np.void] | np.void:
+        """Follow a plan of the tip controller, or refuse it; return its row for the record, completed.
+
+        Refused is what the plan follower cannot follow, and every plan where the tip has no reference now.
+        """
+        now_s = self.position.protocol_s
+        row["late_s"] = now_s - row["start_s"]
+        reference = self._trajectory.tip.motion_at(now_s)
+        if self._follower is None or reference is None or not self._follower.take(now_s, *plan):
+            row["status"] = SolveStatus.REFUSED
+        return row
 
     def _followed(
         self, protocol_s: float, periods: int, feed_pa: NDArray[np.float64], feed_rate_pa_s: NDArray[np.float64]
@@ -105,6 +118,8 @@ class ControlLoop:
     def skip(self) -> None:
         """Continue with the next segment in the next cycle."""
         self.position = skip(self.position, self._starts_s, self._trajectory.duration_s, self._prompts_s)
+        if self._follower is not None:
+            self._follower.drop()
 
     def read_scans(self) -> int:
         """Read the scans since the last call; return their number."""

@@ -212,9 +212,6 @@ def _tip_controller(request: RunRequest) -> str:
         raise BadInputError([Problem(stated[0], 0, 0, stated[1], name, str(error))]) from None
     if not request.config.cameras:
         raise BadInputError([Problem(stated[0], 0, 0, stated[1], name, "feed-forward: the rig has no camera")])
-    if not request.fast:
-        expected = "feed-forward in real time: other controllers run in virtual time (--fast) only"
-        raise BadInputError([Problem(stated[0], 0, 0, stated[1], name, expected)])
     return name
 
 

@@ -58,11 +58,12 @@ def ended_within(process: subprocess.Popen[bytes], timeout_s: float) -> bool:
     return process.poll() is not None
 
 
-def receive() -> tuple[ChildJob, SharedState]:
-    """In the child: the job and the shared memory."""
+def receive(*, tip_controller: bool = False) -> tuple[ChildJob, SharedState]:
+    """In the child: the job and the shared memory, of which the tip controller can write its own pages only."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     job: ChildJob = pickle.load(sys.stdin.buffer)  # written by the parent process
-    return job, SharedState(job.fd, StateLayout.of(job.plan.config, len(job.plan.adapted)))
+    layout = StateLayout.of(job.plan.config, len(job.plan.adapted))
+    return job, SharedState(job.fd, layout, tip_controller=tip_controller)
 
 
 def leave(status: int) -> NoReturn:

@@ -26,6 +26,7 @@ from rig.realtime.scheduling import (
 )
 from rig.realtime.shared_state import SharedState, Stage, Stop
 from rig.realtime.timing_limits import timing_limits
+from rig.tip_control.plan_record import StampedPlan
 
 LEAD_IN_NS = 5_000_000
 WARM_UP_S = 0.05
@@ -181,9 +182,12 @@ def _run(job: ChildJob, memory: SharedState, bench: Bench, supervisor: ProcessMo
         while skips < memory.skips:
             skips += 1
             loop.skip()
+        for plan in memory.new_plans.read() if job.plan.controls_tip else ():
+            memory.plans.push(loop.take_plan(StampedPlan.of(plan), plan["row"]))
         row, trip = loop.cycle(tick, now, 1 + skipped, memory.prompts_answered, memory.paused, now - deadline, skipped)
         memory.samples.push(row)
         memory.lost_scans = loop.lost
+        memory.setpoint_source = loop.setpoint_source
         if tick % clocks_cycles == 0:
             sampling_clocks.publish(memory, bench)
         memory.protocol_s = loop.position.protocol_s

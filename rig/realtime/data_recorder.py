@@ -62,6 +62,10 @@ class DataRecorder:
         if len(adaptations):
             journal.adaptations(adaptations)
             self.adaptation = adaptations[-1]
+        plans = memory.plans.read()
+        if len(plans):
+            journal.plans(plans)
+            self.report(*self._health.plans(plans))
         for picture in memory.read_pictures(list(self._config.cameras), self._config.recording.encoding):
             journal.picture(picture)
 

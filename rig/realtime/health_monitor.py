@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.config.schema import RigConfig
-from runs.records import DetectionStatus, Event, Level
+from runs.records import DetectionStatus, Event, Level, SolveStatus
 
 MEMORY_S = 1.0
 """Time constant of the share of affected rows."""
@@ -68,6 +68,7 @@ class HealthMonitor:
         self._off_pace, self._apart_s, self._frame_t_ns = _Condition(0.5), self._frame_s, 0
         self._cameras = [(name, _Condition(0.3)) for name in config.cameras] if len(config.cameras) > 1 else []
         self._disk = _Condition(DISK_S)
+        self._refused, self._not_solved = _Condition(0.3), _Condition(0.3)
         self._looked_ns = 0
 
     def samples(self, rows: NDArray[np.void]) -> Iterator[Event]:
@@ -172,6 +173,25 @@ class HealthMonitor:
                     yield _warning(t_ns, "observer", f"camera {name} {why}; the tip is measured without it")
                 case False:
                     yield _over(trouble, t_ns, "observer", f"camera {name} sees the board again")
+
+    def plans(self, rows: NDArray[np.void]) -> Iterator[Event]:
+        """Events of plans (n,) of `runs.records.tip_control_dtype`, in order of time."""
+        for row in rows:
+            t_ns, status = int(row["t_ns"]), int(row["status"])
+            judged = (
+                (
+                    self._refused,
+                    SolveStatus.REFUSED,
+                    "plans are refused: not finite, not in order, old or out of limits",
+                ),
+                (self._not_solved, SolveStatus.NOT_SOLVED, "the solver finds no plan: the ones before are continued"),
+            )
+            for trouble, wrong, message in judged:
+                match trouble.judge(t_ns, self._frame_s, float(status == wrong)):
+                    case True:
+                        yield _warning(t_ns, "tip controller", message)
+                    case False:
+                        yield _over(trouble, t_ns, "tip controller", "plans are followed again")
 
     def lost(self, t_ns: int, scans: int) -> Iterator[Event]:
         """Event of scans that the cards have dropped since the last call."""

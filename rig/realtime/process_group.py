@@ -5,18 +5,19 @@ from __future__ import annotations
 import os
 import subprocess
 import time
+from collections.abc import Iterable
 from typing import NamedTuple
 
 from rig.execution.plan import Plan
 from rig.realtime.child_process import ChildJob, ended_within, spawn
 from rig.realtime.process_monitor import ProcessMonitor
 from rig.realtime.scheduling import HeartbeatMonitor
-from rig.realtime.shared_state import SharedState, Stage
+from rig.realtime.shared_state import TIP_CONTROLLER, SharedState, Stage
 from rig.realtime.timing_limits import TimingLimits
 from rig.simulator.plant_launcher import Simulation
 
 PROCESSES = ("watchdog", "control", "observer")
-"""In the order of their start."""
+"""The processes without which a run ends, in the order of their start."""
 TAKEN_OVER = "the watchdog took the bench over, and exited before it could report why"
 STATUS_S = 1.0
 """Time for an exiting process to release its memory: its exit status is known only then."""
@@ -31,7 +32,7 @@ class ProcessFault(NamedTuple):
 
 
 class ProcessGroup:
-    """The watchdog, control and observer processes of one run, and the process of the simulated plant if it has one."""
+    """The processes of one run; a tip controller and a simulated plant if it has them."""
 
     def __init__(self, plan: Plan, memory: SharedState, plant: Simulation | None, period_s: float) -> None:
         """`period_s` is the period at which `fault` is called."""
@@ -42,7 +43,7 @@ class ProcessGroup:
         self._heartbeats = {name: HeartbeatMonitor(round(period_s * 1e9), OVERSLEPT_NS) for name in PROCESSES}
 
     def start(self, name: str) -> None:
-        """Start one of PROCESSES and monitor it."""
+        """Start one of PROCESSES, or TIP_CONTROLLER, and monitor it."""
         job = ChildJob(self._plan, self._memory.fd, os.getpid())
         self.add(name, spawn(f"rig.realtime.{name}_process", job))
 
@@ -80,10 +81,12 @@ class ProcessGroup:
         """Exit status of a process that has died, as a suffix of its message; empty if it is not known."""
         return f" (exit status {self._children[name].returncode})" if self.await_exit(name, STATUS_S) else ""
 
-    def failure(self) -> ProcessFault | None:
-        """A process that has failed or died; None if there is none."""
-        for name, monitor in self._monitors.items():
-            exited, stage = monitor.exited, self._memory.stage(name)
+    def failure(self, names: Iterable[str] = (*PROCESSES, TIP_CONTROLLER)) -> ProcessFault | None:
+        """The first of the started processes `names` that has failed or died; None if there is none."""
+        for name in names:
+            if name not in self._monitors:
+                continue
+            exited, stage = self._monitors[name].exited, self._memory.stage(name)
             if stage is Stage.FAILED:
                 return ProcessFault(name, self._memory.message(name))
             if exited and stage is not Stage.DONE:
@@ -95,7 +98,7 @@ class ProcessGroup:
         memory = self._memory
         if memory.watchdog_trip_ns:
             return ProcessFault("watchdog", TAKEN_OVER)
-        if failure := self.failure():
+        if failure := self.failure(PROCESSES):
             return failure
         if self._plant is not None and self._plant.exit_status is not None:
             return ProcessFault("simulator", f"the simulator died (exit status {self._plant.exit_status})")
@@ -136,6 +139,8 @@ class ProcessGroup:
             # While they load they do not check for a stop request.
             for process in self._children.values():
                 process.kill()
+        if TIP_CONTROLLER in self._children:
+            self._children[TIP_CONTROLLER].kill()  # it holds no device, and its plans are recorded
         killed = set()
         # The watchdog ends last: it writes the safe state when the others cannot.
         for name, process in sorted(self._children.items(), key=lambda member: member[0] == "watchdog"):

@@ -19,8 +19,10 @@ from numpy.typing import NDArray
 from rig.config.schema import RigConfig
 from rig.realtime.ring import RingBuffer, ring_bytes
 from rig.realtime.scheduling import Scheduling
+from rig.tip_control.plan_follower import SetPointSource
+from rig.tip_control.plan_record import plan_dtype
 from runs.journal.messages import marks_from_bytes, marks_to_bytes
-from runs.records import Event, Level, Picture, adaptation_dtype, observation_dtype, sample_dtype
+from runs.records import Event, Level, Picture, adaptation_dtype, observation_dtype, sample_dtype, tip_control_dtype
 
 T = TypeVar("T", bound=float)
 
@@ -30,6 +32,8 @@ PICTURES = 32
 MESSAGE_BYTES = 480
 EVENTS = 256
 VIEWS = 4
+PLANS = 256
+TIP_CONTROLLER = "tip_controller"
 CLOCKS = 8
 """Number of cards whose sampling clocks are published."""
 LINE_POINTS = 16
@@ -81,11 +85,13 @@ _BOARD = np.dtype(
         ("safe_ns", "<i8"),
         ("watchdog_trip_ns", "<i8"),
         ("lost_scans", "<i8"),
+        ("setpoint_source", "<i8"),
         ("scan_period_ns", "<f8", (CLOCKS,)),
         ("scan_drift_ppm", "<f8", (CLOCKS,)),
     ],
     align=True,
 )
+_ROW_BYTES = -(-_PROCESS.itemsize // 64) * 64
 _EVENT = np.dtype([("t_ns", "<i8"), ("level", "S8"), ("source", "S32"), ("message", f"S{MESSAGE_BYTES}")])
 _TEXT_FIELDS = ("source", "message")
 _PICTURE = np.dtype(
@@ -165,7 +171,10 @@ class SharedState:
 
     `board` is one structured row of flags; each flag has one writer and is read and written through the property of
     the same name. Times are CLOCK_MONOTONIC [ns], 0 before the event; a process id is 0 before the process exists.
-    `samples`, `observations` and `adaptations` are rings of the records of `runs.records`.
+    `samples`, `observations`, `adaptations` and `plans` are rings of the records of `runs.records`.
+
+    The process of the tip controller may run code of the user: it can write to pages of its own only, which hold its
+    stage, its heartbeat and `new_plans` (rows of `plan_dtype`).
 
     A write through a read-only mapping raises ValueError.
     """
@@ -195,9 +204,13 @@ class SharedState:
     watchdog_trip_ns = _BoardField(int)
     """When the watchdog wrote the safe state because control had died or hung."""
     lost_scans = _BoardField(int)
+    setpoint_source = _BoardField(SetPointSource)
 
-    def __init__(self, fd: int, layout: StateLayout, *, readonly: bool = False) -> None:
-        """Map the memory; with `readonly` (viewers) the mapping itself is read-only."""
+    def __init__(self, fd: int, layout: StateLayout, *, readonly: bool = False, tip_controller: bool = False) -> None:
+        """Map the memory; with `readonly` (viewers) the mapping itself is read-only.
+
+        With `tip_controller` all is read-only but the pages of the tip controller.
+        """
         self.fd = fd
         self.layout = layout
         sample = sample_dtype(layout.actuators, layout.valves, layout.inputs)
@@ -212,12 +225,17 @@ class SharedState:
             ring_bytes(view_dtype(layout), VIEWS),
             layout.picture_bytes * VIEWS,
             ring_bytes(adaptation_dtype(layout.adapted), OBSERVATIONS),
+            ring_bytes(tip_control_dtype(layout.valves), PLANS),
         )
         edges = [0, *np.cumsum(sizes).tolist()]
+        own_start = -(-edges[-1] // mmap.ALLOCATIONGRANULARITY) * mmap.ALLOCATIONGRANULARITY
+        own_size = _ROW_BYTES + ring_bytes(plan_dtype(layout.valves), PLANS)
         if os.fstat(fd).st_size == 0:
-            os.ftruncate(fd, edges[-1])
-        access = mmap.ACCESS_READ if readonly else mmap.ACCESS_WRITE
+            os.ftruncate(fd, own_start + own_size)
+        access = mmap.ACCESS_READ if readonly or tip_controller else mmap.ACCESS_WRITE
         view = memoryview(mmap.mmap(fd, edges[-1], access=access))
+        own_access = mmap.ACCESS_READ if readonly else mmap.ACCESS_WRITE
+        own = memoryview(mmap.mmap(fd, own_size, access=own_access, offset=own_start))
         parts = [view[a:b] for a, b in itertools.pairwise(edges)]
         self.board: NDArray[np.void] = np.frombuffer(parts[0], _BOARD, 1)
         self.samples: RingBuffer[np.void] = RingBuffer(parts[1], sample, SAMPLES)
@@ -228,6 +246,9 @@ class SharedState:
         self._views: RingBuffer[np.void] = RingBuffer(parts[6], view_dtype(layout), VIEWS)
         self._shown = parts[7]
         self.adaptations: RingBuffer[np.void] = RingBuffer(parts[8], adaptation_dtype(layout.adapted), OBSERVATIONS)
+        self.plans: RingBuffer[np.void] = RingBuffer(parts[9], tip_control_dtype(layout.valves), PLANS)
+        self.new_plans: RingBuffer[np.void] = RingBuffer(own[_ROW_BYTES:], plan_dtype(layout.valves), PLANS)
+        self._tip_controller: NDArray[np.void] = np.frombuffer(own, _PROCESS, 1)
 
     @classmethod
     def create(cls, layout: StateLayout) -> SharedState:
@@ -253,25 +274,29 @@ class SharedState:
 
     def stage(self, process: str) -> Stage:
         """Stage of a process."""
-        return Stage(int(self.board[process]["stage"][0]))
+        return Stage(int(self._process(process)["stage"][0]))
 
     def message(self, process: str) -> str:
         """The last message of a process."""
-        return bytes(self.board[process]["message"][0]).decode(errors="replace")
+        return bytes(self._process(process)["message"][0]).decode(errors="replace")
 
     def publish_stage(self, process: str, stage: Stage, message: str = "") -> None:
         """Publish a process's stage; the message is written before the stage that it explains."""
-        row = self.board[process]
+        row = self._process(process)
         row["message"][0] = message.encode()[:MESSAGE_BYTES]
         row["stage"][0] = stage
 
     def heartbeat(self, process: str, t_ns: int) -> None:
         """Publish a heartbeat."""
-        self.board[process]["heartbeat_ns"][0] = t_ns
+        self._process(process)["heartbeat_ns"][0] = t_ns
 
     def heartbeat_ns(self, process: str) -> int:
         """Time of the last heartbeat of a process."""
-        return int(self.board[process]["heartbeat_ns"][0])
+        return int(self._process(process)["heartbeat_ns"][0])
+
+    def _process(self, name: str) -> NDArray[np.void]:
+        """Row (1,) of a process: stage, heartbeat and message."""
+        return self._tip_controller if name == TIP_CONTROLLER else self.board[name]
 
     def push_picture(self, picture: Picture, camera: int = 0) -> bool:
         """Store one encoded picture of the `camera`-th camera with its marks; False if it is larger than a slot."""

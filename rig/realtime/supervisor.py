@@ -14,9 +14,10 @@ from rig.realtime.data_recorder import DataRecorder
 from rig.realtime.operator_session import OperatorSession
 from rig.realtime.process_group import PROCESSES, TAKEN_OVER, ProcessGroup
 from rig.realtime.scheduling import REAL_TIME, Scheduling, obtainable, stolen_ms
-from rig.realtime.shared_state import SharedState, Stage, StateLayout, Stop
+from rig.realtime.shared_state import TIP_CONTROLLER, SharedState, Stage, StateLayout, Stop
 from rig.realtime.shutdown import Shutdown
 from rig.realtime.timing_limits import TimingProfile, remedies, stated, timing_limits
+from rig.realtime.tip_controller_monitor import TipControllerMonitor
 from rig.simulator.plant_launcher import Simulation, started
 from runs.records import Event, Level, Status
 
@@ -70,6 +71,8 @@ class Supervisor:
         self.memory = SharedState.create(StateLayout.of(plan.config, len(plan.adapted)))
         self.processes = ProcessGroup(plan, self.memory, plant, PERIOD_S)
         self.shutdown = Shutdown(plan.config, self.memory, self.processes)
+        self._tip_controller = TipControllerMonitor(self.processes, self.memory)
+        self._started = (*PROCESSES, TIP_CONTROLLER) if plan.controls_tip else PROCESSES
         self.record: DataRecorder
         self._plan, self._plant, self._operator = plan, plant, operator
         self._session = OperatorSession(plan, self.memory, operator, self._event)
@@ -130,8 +133,9 @@ class Supervisor:
                 fault = self.processes.completed(fault, self.timing, died=died)
                 self._event(Level.FAULT, *fault)
                 return Status.ABORTED, fault.message
+            self.record.report(*self._tip_controller.events(time.monotonic_ns()))
             if done:
-                return Status.FINISHED, ""
+                return Status.FINISHED, self._tip_controller.message
             self._session.update(self.record)
             if self._plant is not None:
                 self._plant.hang(self._plan.trajectory.weight_kg(memory.protocol_s))
@@ -176,13 +180,13 @@ class Supervisor:
         unattachable = self._session.open()
         memory.heartbeat("supervisor", time.monotonic_ns())
         memory.simulator_starting = self._plant is not None
-        for name in PROCESSES:
+        for name in self._started:
             self.processes.start(name)
         for card in config.cards.values():
             card_type(card)  # loaded in advance: an emergency leaves no time for imports
         self.await_ready("simulator")
         memory.simulator_starting = False
-        for name in PROCESSES:
+        for name in self._started:
             self.await_ready(name)
         self.timing = timing_limits(config, memory.granted)
         go = time.monotonic_ns() + LEAD_NS

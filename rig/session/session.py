@@ -189,6 +189,6 @@ def _archive(result: RunResult) -> Run:
         raise RunInterruptedError(result)
     if result.outcome.status is not Status.FINISHED or result.archive is None:
         raise RunEndedError(result)
-    for warning in result.warnings:
+    for warning in filter(None, (result.outcome.message, *result.warnings)):
         warnings.warn(warning, stacklevel=3)
     return Run(result.archive)

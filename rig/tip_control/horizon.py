@@ -125,6 +125,7 @@ class HorizonControl:
             deviation[1:] = np.asarray(found).reshape(deviation[1:].shape) * _PA_PER_BAR
         times = start_s + self._step_s * np.arange(HORIZON * STEPS_PER_FRAME + 1, dtype=np.float64)
         setpoint = _interpolated(times, reference.times_s, reference.feedforward_pa) + _hat(times, knots_s) @ deviation
+        setpoint = np.clip(setpoint, 0.0, self._settings.pressure_limit_pa)  # the constraints are soft
         return Plan(
             times, setpoint, _interpolated(times, prediction.grid_s, prediction.moved(_changed(deviation, before))),
             state._replace(times_s=times, setpoint_pa=setpoint),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from enum import IntEnum
 from typing import NamedTuple
 
 import numpy as np
@@ -11,14 +12,30 @@ Array = NDArray[np.float64]
 
 LONGEST_S = 0.3
 """For how long after its start a plan is followed; then the set-points are held."""
+LOST_S = 1.0
+"""How long after the start of the last plan the set-points return to those of the protocol."""
+TOLERANCE_PA = 1.0
+"""How far a set-point may be out of limits by rounding; it is clipped."""
+
+
+class SetPointSource(IntEnum):
+    """Where the set-points come from.
+
+    PROTOCOL: no plan has come yet, or the tip has no reference. HELD: no plan since LONGEST_S. LOST: none since LOST_S:
+    the protocol's.
+    """
+
+    PROTOCOL = 0
+    PLAN = 1
+    HELD = 2
+    LOST = 3
 
 
 class SetPoint(NamedTuple):
-    """Set-points (V,) [Pa] and their rates of change (V,) [Pa/s]; `held` is true where there is no valid plan."""
+    """Set-points (V,) [Pa] and their rates of change (V,) [Pa/s]."""
 
     pressure_pa: Array
     rate_pa_s: Array
-    held: bool
 
 
 class PlanFollower:
@@ -29,11 +46,14 @@ class PlanFollower:
         self._times_s: Array = np.empty(0)
         self._setpoint_pa: Array = np.empty((0, valves))
         self._last: Array | None = None
+        self._since_s: float | None = None
+        self.source = SetPointSource.PROTOCOL
 
-    def take(self, times_s: Array, setpoint_pa: Array) -> bool:
-        """Follow a plan from now on; False for one that is no plan: then the old one is kept.
+    def take(self, protocol_s: float, times_s: Array, setpoint_pa: Array) -> bool:
+        """Follow a plan from now on; False for one that is refused: then the old one is kept.
 
-        Times (K,) must ascend and set-points (K, V) be finite.
+        Times (K,) must ascend and set-points (K, V) be finite and within the pressure limit. The plan must start
+        within LONGEST_S of now, and not before the old one.
         """
         good = (
             times_s.ndim == 1
@@ -41,6 +61,9 @@ class PlanFollower:
             and setpoint_pa.shape == (len(times_s), self._valves)
             and bool(np.isfinite(times_s).all() and np.isfinite(setpoint_pa).all())
             and bool((np.diff(times_s) > 0).all())
+            and bool((setpoint_pa >= -TOLERANCE_PA).all() and (setpoint_pa <= self._limit_pa + TOLERANCE_PA).all())
+            and abs(float(times_s[0]) - protocol_s) <= LONGEST_S
+            and not (len(self._times_s) and times_s[0] < self._times_s[0])
         )
         if good:
             self._times_s, self._setpoint_pa = times_s, setpoint_pa
@@ -49,23 +72,29 @@ class PlanFollower:
     def drop(self) -> None:
         """Forget the plan: the protocol's set-points hold again."""
         self._times_s = self._times_s[:0]
+        self._since_s = None
 
     def follow(self, protocol_s: float, dt_s: float, feed_pa: Array, feed_rate_pa_s: Array) -> SetPoint:
         """The set-points at a protocol time, `dt_s` after those before; without a plan the protocol's (V,)."""
-        held = False
         if len(self._times_s):
-            t_s = min(protocol_s, self._times_s[-1])
-            held = protocol_s > self._times_s[0] + LONGEST_S
-            t_s = min(t_s, self._times_s[0] + LONGEST_S)
+            self._since_s = float(self._times_s[0])
+        elif self._since_s is None:
+            self._since_s = protocol_s
+        age_s = protocol_s - self._since_s
+        if age_s > LOST_S:
+            self._times_s = self._times_s[:0]
+        planned = bool(len(self._times_s))
+        if planned:
+            self.source = SetPointSource.HELD if age_s > LONGEST_S else SetPointSource.PLAN
+            t_s = min(protocol_s, self._times_s[-1], self._since_s + LONGEST_S)
             wanted = np.array([np.interp(t_s, self._times_s, column) for column in self._setpoint_pa.T])
         else:
+            self.source = SetPointSource.LOST if age_s > LOST_S else SetPointSource.PROTOCOL
             wanted = feed_pa
         last = wanted if self._last is None else self._last
         room = self._rate_pa_s * dt_s
         limited = np.clip(np.clip(wanted, 0.0, self._limit_pa), last - room, last + room)
-        if len(self._times_s):
-            rate = (limited - last) / dt_s if dt_s > 0 else np.zeros(self._valves)
-        else:
-            rate = np.where(limited == feed_pa, feed_rate_pa_s, (limited - last) / dt_s if dt_s > 0 else 0.0)
+        moved = (limited - last) / dt_s if dt_s > 0 else np.zeros(self._valves)
+        rate = moved if planned else np.where(limited == feed_pa, feed_rate_pa_s, moved)
         self._last = limited
-        return SetPoint(limited, rate, held)
+        return SetPoint(limited, rate)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,7 @@ from rig.config.schema import RigConfig
 from rig.config.sections import PA_PER_BAR, Variant
 from rig.execution.plan import Plan as RunPlan
 from rig.tip_control.interface import Measurement, Reference, TipControlSettings
+from rig.tip_control.plan_record import StampedPlan
 from rig.tip_control.registry import controller_class
 from runs.columns import PLAN_AHEAD_S
 from runs.records import DetectionStatus, blank, tip_control_dtype
@@ -23,13 +24,6 @@ AHEAD = 20
 """Frames of the reference that a controller sees."""
 HISTORY_S = 1.0
 """Time before a frame of whose control cycles a controller sees the set-points and pressures."""
-
-
-class StampedPlan(NamedTuple):
-    """A plan as the control loop follows it: times (K,) [protocol s] and set-points (K, V) [Pa]."""
-
-    times_s: Array
-    setpoint_pa: Array
 
 
 def settings(config: RigConfig, variant: Variant | None) -> TipControlSettings:
@@ -100,6 +94,20 @@ class TipControlSession:
             row["predicted_m"] = plan.predicted_m[0]
         row["payload_kg"], row["payload_std_kg"], row["nis"] = plan.estimate
         return StampedPlan(times, setpoint), row
+
+    def rehearse(self) -> None:
+        """Step once on made-up data, so that imports and compilation are done before the start."""
+        motion, valves = self._trajectory.tip.motions[0], len(self._actuators)
+        measurement = Measurement(
+            motion.start_s - self._frame_s,
+            motion.position_m[0],
+            1e-8 * np.eye(3),
+            motion.start_s + np.array([-self._frame_s, 0.0]),
+            np.zeros((2, valves)),
+            np.zeros((2, valves)),
+            motion.start_s,
+        )
+        self._controller.step(self._controller.start(), self._reference(motion, motion.start_s), measurement)
 
     def _reference(self, motion: TipMotion, start_s: float) -> Reference:
         times = start_s + self._frame_s * np.arange(AHEAD, dtype=np.float64)

@@ -112,7 +112,7 @@ def simulate(
             solve_s.append(time.perf_counter() - begun)
             state = plan.state
             plans.append(plan._replace(state=None))
-            follower.take(plan.times_s, plan.setpoint_pa)
+            follower.take(now, plan.times_s, plan.setpoint_pa)
     return ClosedLoop(times, references, tips, setpoints, tuple(plans), np.array(solve_s))
 
 

@@ -31,7 +31,6 @@ from rig.virtual.frame_pipeline import FramePipeline, FrameProcessError, FrameSa
 from runs.records import (
     Event,
     Level,
-    SolveStatus,
     Status,
     adaptation_dtype,
     observation_dtype,
@@ -229,10 +228,7 @@ class _VirtualRun:
             samples = self._samples.recent(round(HISTORY_S * 1e9 / self._loop.period_ns))
             found = controller.step(self._observations.recent(1)[0], protocol_s, samples)
             if found is not None:
-                plan, row = found
-                if not self._loop.take_plan(*plan):
-                    row["status"] = SolveStatus.REFUSED
-                self._plans.add(row)
+                self._plans.add(self._loop.take_plan(*found))
 
     def _receive(self) -> None:
         """Wait for the result of the oldest frame in flight."""
@@ -250,11 +246,13 @@ class _VirtualRun:
         self._recorder.samples(samples)
         self._recorder.observations(observations)
         self._recorder.adaptations(self._adaptations.take())
-        self._recorder.plans(self._plans.take())
+        plans = self._plans.take()
+        self._recorder.plans(plans)
         lost, self._lost_scans = self._loop.lost - self._lost_scans, self._loop.lost
         for event in (
             *self._health_monitor.samples(samples),
             *self._health_monitor.observations(observations),
+            *self._health_monitor.plans(plans),
             *self._health_monitor.lost(self._plant.t_ns, lost),
         ):
             self._report(event)

@@ -24,7 +24,7 @@ from scripts.faults.injections import (
     TerminalLost,
 )
 from scripts.faults.transitions import TransitionAction, TransitionFault
-from scripts.faults.trial_run import CONTROL, OBSERVER, PLANT, SUPERVISOR, WATCHDOG
+from scripts.faults.trial_run import CONTROL, OBSERVER, PLANT, SUPERVISOR, TIP, TIP_CONTROLLER, WATCHDOG
 
 STUCK_WHERE_IT_IS = float("nan")
 FOR_EVER = 10**9
@@ -53,6 +53,10 @@ def _process(
     within_s: float = 3.0,
 ) -> Fault:
     return Fault(name, "process", injection, ends, says, virtual=False, within_s=within_s, remark=remark)
+
+
+def _tip_control(name: str, injection: Signal | BenchFault, ends: tuple[Status, ...], says: str) -> Fault:
+    return Fault(name, "tip control", injection, ends, says, virtual=False, bench=TIP)
 
 
 SENSORS = (
@@ -203,6 +207,25 @@ PROCESSES = (
         within_s=8.0,
     ),
 )
+TIP_CONTROL = (
+    _tip_control("tip controller killed", Signal((TIP_CONTROLLER,), KILL), FINISHED, "tip_controller process died"),
+    _tip_control("tip controller stopped", Signal((TIP_CONTROLLER,), STOP), FINISHED, "no plan for 1 s"),
+    _tip_control(
+        "tip controller late, 0.6 s", Signal((TIP_CONTROLLER,), STOP, lasts_s=0.6), FINISHED, "plans are followed again"
+    ),
+    _tip_control(
+        "tip controller and control killed", Signal((TIP_CONTROLLER, CONTROL), KILL), ABORTED, "control process died"
+    ),
+    _tip_control(
+        "tip controller and observer stopped",
+        Signal((TIP_CONTROLLER, OBSERVER), STOP),
+        ABORTED,
+        "observer process has been silent",
+    ),
+    _tip_control(
+        "camera unplugged while the tip is controlled", BenchFault({"camera": CameraFault.UNPLUGGED}), ABORTED, "camera"
+    ),
+)
 ALL_FIVE = (SUPERVISOR, WATCHDOG, CONTROL, OBSERVER, PLANT)
 SURROUNDINGS = (
     *(
@@ -280,4 +303,4 @@ TRANSITIONS = tuple(
     for action in TransitionAction
     if not (ending and action is TransitionAction.VENT)
 )
-CATALOGUE = FaultRegistry(*SENSORS, *AIR, *CARD, *CAMERA, *PROCESSES, *SURROUNDINGS, *TRANSITIONS)
+CATALOGUE = FaultRegistry(*SENSORS, *AIR, *CARD, *CAMERA, *PROCESSES, *TIP_CONTROL, *SURROUNDINGS, *TRANSITIONS)

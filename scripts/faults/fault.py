@@ -11,7 +11,7 @@ from typing import ClassVar, Protocol
 
 from rig.simulator.faults import Faults
 from runs.records import Status
-from scripts.faults.trial_run import MOVING_S, TrialRun
+from scripts.faults.trial_run import MOVING_S, PRESSURES, TrialBench, TrialRun
 
 
 class FaultTarget(Protocol):
@@ -104,6 +104,7 @@ class Fault:
     remark: str = field(default="", kw_only=True)
     moving_s: float = field(default=MOVING_S, kw_only=True)
     """How long the protocol moves the valves."""
+    bench: TrialBench = field(default=PRESSURES, kw_only=True)
 
 
 class FaultRegistry(Mapping[str, Fault]):

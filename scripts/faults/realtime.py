@@ -13,7 +13,7 @@ from rig.simulator.registers import Registers
 from scripts.faults.environment import UnsupportedFaultError
 from scripts.faults.fault import Fault, FaultTrial
 from scripts.faults.fault_trial import EndedBeforeError, TrialObservation, judge, skipped
-from scripts.faults.trial_run import END_S, PROTOCOL, TrialRun
+from scripts.faults.trial_run import END_S, TrialRun
 
 
 class OutputMonitor(threading.Thread):
@@ -48,7 +48,8 @@ def trial(fault: Fault, folder: Path, at_s: float, seed: int) -> FaultTrial:
             run = TrialRun(
                 folder,
                 environment=injection.environment,
-                protocol=PROTOCOL.format(moving_s=fault.moving_s),
+                bench=fault.bench,
+                protocol=fault.bench.protocol.format(moving_s=fault.moving_s),
                 edit=injection.edit_rig,
                 terminal=injection.terminal,
             )

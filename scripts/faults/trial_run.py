@@ -15,6 +15,7 @@ import threading
 import time
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -27,17 +28,26 @@ from rig.simulator.faults import Faults
 from rig.simulator.registers import Registers, path_of
 
 SUPERVISOR, CONTROL, WATCHDOG, OBSERVER, PLANT = "supervisor", "control", "watchdog", "observer", "plant"
+TIP_CONTROLLER = "tip controller"
 MODULES = {
     CONTROL: "rig.realtime.control_process",
     WATCHDOG: "rig.realtime.watchdog_process",
     OBSERVER: "rig.realtime.observer_process",
     PLANT: "rig.simulator.plant_process",
+    TIP_CONTROLLER: "rig.realtime.tip_controller_process",
 }
 PROTOCOL = """
 title: Both valves in motion
 steps:
   - ramp: {{actuators: [1, 2, 3], to_bar: 0.3, duration_s: 0.6}}
   - sine: {{actuators: [1, 2, 3], mean_bar: 0.3, amplitude_bar: 0.2, omega_rad_s: 4, duration_s: {moving_s:g}}}
+"""
+TIP_PROTOCOL = """
+title: The tip on a circle
+steps:
+  - tip:
+      circle: {{centre_mm: [0, 0, 190], radius_mm: 15, period_s: {moving_s:g}, periods: 1}}
+      lead_in_s: 1
 """
 MOVING_S = 4.2
 START_S, END_S = 200.0, 45.0
@@ -48,9 +58,21 @@ STILL_S = 0.1
 SEEN_SAFE_V = 0.01
 
 
-def rig_text(device: str) -> str:
-    """The mock rig with a card of its own."""
-    text = rig.config.loader.text("mock").replace("device: mock0", f"device: {device}")
+@dataclass(frozen=True)
+class TrialBench:
+    """A simulated rig by name, and a protocol that keeps its valves moving for `moving_s`."""
+
+    rig: str
+    protocol: str
+
+
+PRESSURES = TrialBench("mock", PROTOCOL)
+TIP = TrialBench("mock-3", TIP_PROTOCOL)
+
+
+def rig_text(device: str, bench: TrialBench = PRESSURES) -> str:
+    """The rig of a bench with a card of its own."""
+    text = rig.config.loader.text(bench.rig).replace("device: mock0", f"device: {device}")
     # Stated, so that the simulated bench is supervised as strictly as a real one.
     return text.replace("\nlimits:\n", f"\nlimits:\n  hung_s: {STRICT_HUNG_S:g}\n")
 
@@ -63,6 +85,7 @@ class TrialRun:
         folder: Path,
         *,
         environment: Mapping[str, str] | None = None,
+        bench: TrialBench = PRESSURES,
         protocol: str = PROTOCOL.format(moving_s=MOVING_S),
         limits: Mapping[str, float] | None = None,
         edit: Callable[[str], str] = str,
@@ -75,7 +98,7 @@ class TrialRun:
         self.faults: Faults
         self.undo = ExitStack()
         """What ends a fault once the run has ended."""
-        self.rig_file.write_text(_limited(edit(rig_text(self.device)), limits or {}))
+        self.rig_file.write_text(_limited(edit(rig_text(self.device, bench)), limits or {}))
         self.protocol.write_text(protocol)
         self._safe_v = np.array(safe_voltages(rig.config.loader.load(self.rig_file)))
         self._said: list[bytes] = []

@@ -23,7 +23,7 @@ from runs.records import Event
 from scripts.faults.environment import UnsupportedFaultError
 from scripts.faults.fault import Fault, FaultTrial
 from scripts.faults.fault_trial import TrialObservation, judge, skipped
-from scripts.faults.trial_run import PROTOCOL, SEEN_SAFE_V, rig_text
+from scripts.faults.trial_run import SEEN_SAFE_V, rig_text
 
 
 class Listener(NullOperator):
@@ -81,8 +81,8 @@ def trial(fault: Fault, folder: Path, at_s: float, seed: int) -> FaultTrial:
     """Run one trial in virtual time."""
     out = folder / "out"
     rig_file, protocol = folder / "rig.yaml", folder / "protocol.yaml"
-    rig_file.write_text(fault.injection.edit_rig(rig_text(f"faults-{seed}")))
-    protocol.write_text(PROTOCOL.format(moving_s=fault.moving_s))
+    rig_file.write_text(fault.injection.edit_rig(rig_text(f"faults-{seed}", fault.bench)))
+    protocol.write_text(fault.bench.protocol.format(moving_s=fault.moving_s))
 
     class ThisPlant(FaultyPlant):
         """The plant of this trial."""

@@ -81,7 +81,7 @@ def test_an_unknown_controller_is_one_message(tmp_path: Path) -> None:
     )
     assert result.exit_code == 2
     assert "no_such_module:C" in result.output
-    text = loader.text("mock-3") + "tip_control: {controller: horizn}\n"
+    text = loader.text("mock-3").replace("controller: horizon", "controller: horizn")
     (tmp_path / "rig.yaml").write_text(text, encoding="utf-8")
     wrong = CliRunner().invoke(app, ["run", "tip-circle", "--rig", str(tmp_path / "rig.yaml"), "--fast", "--yes"])
     assert wrong.exit_code == 2
@@ -89,9 +89,8 @@ def test_an_unknown_controller_is_one_message(tmp_path: Path) -> None:
     assert "feed-forward, horizon" in wrong.output
 
 
-def test_a_controller_in_real_time_is_refused_before_anything_moves(tmp_path: Path) -> None:
-    command = ["run", "tip-circle", "--rig", "mock-3", "--yes", "--controller", "horizon", "--out", str(tmp_path)]
-    result = CliRunner().invoke(app, command)
-    assert result.exit_code == 2
-    assert "--fast" in result.output
-    assert not list(tmp_path.iterdir())
+def test_a_plan_of_a_controller_is_taken_in_the_cycle_in_which_it_starts(controlled: dict[str, Run]) -> None:
+    plans = controlled["horizon"].tip_control
+    assert plans is not None
+    np.testing.assert_array_equal(plans.late_ms, 0.0)
+    np.testing.assert_array_equal(plans.solve_us, 0.0)

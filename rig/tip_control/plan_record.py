@@ -1,0 +1,57 @@
+"""A plan of the tip controller as it goes from process to process: a row of fixed size."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from runs.records import tip_control_dtype
+
+Array = NDArray[np.float64]
+
+MOST_POINTS = 64
+"""Largest number of points of a plan."""
+
+
+class StampedPlan(NamedTuple):
+    """A plan as the control loop follows it: times (K,) [protocol s] and set-points (K, V) [Pa]."""
+
+    times_s: Array
+    setpoint_pa: Array
+
+    @classmethod
+    def of(cls, record: NDArray[np.void] | np.void) -> StampedPlan:
+        """The plan of a record of `plan_dtype`."""
+        points = min(max(0, int(record["points"])), MOST_POINTS)
+        return cls(record["times_s"][:points].copy(), record["setpoint_pa"][:points].copy())
+
+
+def plan_dtype(valves: int) -> np.dtype[np.void]:
+    """One plan: its row of the archive, and its first `points` times and set-points."""
+    return np.dtype(
+        [
+            ("row", tip_control_dtype(valves)),
+            ("points", "<i8"),
+            ("times_s", "<f8", (MOST_POINTS,)),
+            ("setpoint_pa", "<f8", (MOST_POINTS, valves)),
+        ]
+    )
+
+
+def record_of(plan: StampedPlan, row: NDArray[np.void] | np.void) -> NDArray[np.void]:
+    """The record of a plan of V valves with its row of the archive.
+
+    Raises:
+        ValueError: the plan has more than MOST_POINTS points, or set-points of another shape than (K, V).
+    """
+    valves = row["plan_pa"].shape[-1]
+    record = np.zeros((), plan_dtype(valves))
+    points = len(plan.times_s)
+    if points > MOST_POINTS or plan.setpoint_pa.shape != (points, valves):
+        expected = f"at most {MOST_POINTS} times, and a set-point of each of {valves} valves at each"
+        raise ValueError(f"a plan has {expected}; found {plan.times_s.shape} and {plan.setpoint_pa.shape}")
+    record["row"], record["points"] = row, points
+    record["times_s"][:points], record["setpoint_pa"][:points] = plan.times_s, plan.setpoint_pa
+    return record
