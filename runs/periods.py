@@ -14,7 +14,13 @@ Floats = NDArray[np.float64]
 
 
 def last_period(time_s: Floats, setpoint_bar: Floats) -> tuple[float, float] | None:
-    """Return start and end [s] of the last whole period of set-points (n, actuators); None if they do not repeat.
+    """Return start and end [s] of the last of `period_bounds`; None if the set-points do not repeat."""
+    bounds = period_bounds(time_s, setpoint_bar)
+    return None if bounds is None else (float(bounds[-2]), float(bounds[-1]))
+
+
+def period_bounds(time_s: Floats, setpoint_bar: Floats) -> Floats | None:
+    """Return the bounds (k + 1,) [s] of the whole periods of set-points (n, actuators); None if they do not repeat.
 
     A period lies between two upward crossings of the mid-range, interpolated, of the actuator that moves most.
     """
@@ -30,4 +36,4 @@ def last_period(time_s: Floats, setpoint_bar: Floats) -> tuple[float, float] | N
     periods = np.diff(crossings)
     if len(periods) == 0 or np.abs(periods / np.median(periods) - 1).max() > TOLERANCE:
         return None
-    return float(crossings[-2]), float(crossings[-1])
+    return np.asarray(crossings)

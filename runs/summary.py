@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from runs.archive.reader import ArchiveReader
 from runs.columns import Tip
+from runs.periodic_motion import PeriodicMotion, periodic_motions
 from runs.records import DetectionStatus, Interval, Status
 from runs.tip_error import TipErrorSummary, tip_error
 
@@ -137,6 +138,8 @@ class Summary:
     truth: TruthSummary | None
     tip_path: TipErrorSummary | None = None
     """Error on the paths of the tip; None for a run without one."""
+    periodic: tuple[PeriodicMotion, ...] = ()
+    """The segments whose set-points repeat."""
 
     @property
     def measured_fraction(self) -> float:
@@ -185,6 +188,7 @@ def summarise(run: ArchiveReader) -> Summary:
         reprojection_px=_percentile(tip.reprojection_px[measured], 50),
         truth=_truth(run, measured, plane),
         tip_path=tip_error(run),
+        periodic=periodic_motions(run),
     )
 
 

@@ -77,7 +77,7 @@ def report(
     out: OptionalFolder = None,
     replace: Replace = False,
 ) -> None:
-    """Write the report of one run, or of several side by side.
+    """Write the report of one run, or what differs between several.
 
     --format html writes one page to --to; pdf, png and svg write each figure as a file into --out.
     """

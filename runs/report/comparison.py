@@ -1,4 +1,4 @@
-"""Several runs side by side: the tables of their errors, and their tips and errors overlaid."""
+"""Several runs compared: the tables of their errors and settings, and their tips and errors overlaid."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from typing import Any
 
 from matplotlib.figure import Figure
 
+from runs.report import differences
 from runs.report.colours import RUNS
 from runs.report.drawing import FigureSpecification, decimated, legend, path_indices, svg
 from runs.report.figures import across
@@ -31,7 +32,12 @@ def section(runs: Sequence[Run], summaries: Sequence[Summary]) -> str:
     )
     head = f'<header class="run"><h1>{len(runs)} runs</h1></header>'
     papers = f'<div class="beside">{by_model(runs, summaries)}{by_axis(runs, summaries)}</div>\n'
-    return f'<section class="run">\n{head}\n{table(runs, summaries)}{papers}{shown}</section>\n'
+    simulated = ", ".join(escape(s.run_id) for s in summaries if s.simulated)
+    mark = f'<p class="note"><b>Simulated:</b> {simulated}; nothing here was measured on a real manipulator.</p>\n'
+    found = differences.table(runs) + differences.repeatability(runs)
+    note = "<p class=small><code>rig report RUN</code> writes the whole report of one run.</p>\n"
+    parts = (head, mark if simulated else "", table(runs, summaries), found, papers, shown, note)
+    return f'<section class="run">\n{"".join(parts)}</section>\n'
 
 
 def comparison_figures(runs: Sequence[Run]) -> tuple[FigureSpecification, ...]:
@@ -41,7 +47,16 @@ def comparison_figures(runs: Sequence[Run]) -> tuple[FigureSpecification, ...]:
     return (
         FigureSpecification("tips", "Tips", tips, size, f"Lines: measured. Dotted: model. {where}"),
         FigureSpecification("errors", "Errors over the protocol", errors, size, "Measured to model."),
+        *_tip_differences(runs),
     )
+
+
+def _tip_differences(runs: Sequence[Run]) -> Iterator[FigureSpecification]:
+    """Yield the figure of the distances between tips, if each run has measured one."""
+    if len(differences.tips_at_equal_times(runs)[0]):
+        caption = "Measured tips at equal protocol times, interpolated between frames; no line in gaps of the frames."
+        title = "Distance between the tips"
+        yield FigureSpecification("differences", title, differences.draw, (9, 2.8 + 0.16 * len(runs)), caption)
 
 
 def by_model(runs: Sequence[Run], summaries: Sequence[Summary]) -> str:

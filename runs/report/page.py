@@ -16,7 +16,7 @@ from runs.overwriting import refuse_existing
 from runs.report import comparison, pictures
 from runs.report.drawing import svg
 from runs.report.figure_processes import drawn
-from runs.report.figure_specifications import figure_specifications
+from runs.report.figure_specifications import MOST_PERIODS, figure_specifications
 from runs.report.numbers import DASH, plain, significant, three, with_unit
 from runs.run import Run
 from runs.summary import BAND_BAR, Summary, summarise
@@ -81,8 +81,7 @@ def page(runs: Sequence[Run]) -> str:
     """Return the whole HTML text."""
     title = escape(runs[0].header.title if len(runs) == 1 else f"{len(runs)} runs")
     summaries = [summarise(run) for run in runs]
-    several = comparison.section(runs, summaries) if len(runs) > 1 else ""
-    body = several + "\n".join(_run(run, summary) for run, summary in zip(runs, summaries, strict=True))
+    body = comparison.section(runs, summaries) if len(runs) > 1 else _run(runs[0], summaries[0])
     return html_document(title, _mark(runs), body)
 
 
@@ -127,7 +126,14 @@ def _run(run: Run, summary: Summary) -> str:
     if header.notes:
         parts.append(f"<p>{escape(header.notes)}</p>")
     parts += [f"<p>{escape(note.time)}: {escape(note.text)}</p>" for note in added.notes]
-    parts += [_tiles(summary), *_figures(run, summary), _steps(summary), pictures.section(run, summary), _events(run)]
+    parts += [
+        _tiles(summary),
+        *_figures(run, summary),
+        _steps(summary),
+        _periodic(summary),
+        pictures.section(run, summary),
+        _events(run),
+    ]
     parts += [_provenance(run), "</section>"]
     return "\n".join(part for part in parts if part)
 
@@ -213,6 +219,48 @@ def _steps(summary: Summary) -> str:
     )
     note = "<p class=small>Dwells: mean over their last part. Other segments: mean over the whole.</p>"
     return f'<h2>Segments</h2>\n<div class="scroll"><table><tr>{head}</tr>{rows}</table></div>\n{note}'
+
+
+def _periodic(summary: Summary) -> str:
+    """Return the table of the periodic segments."""
+    heads = (
+        "segment",
+        "period<br>[s]",
+        "pressure:<br>ratio",
+        "lag<br>[ms]",
+        "tip:<br>amplitude [mm]",
+        "lag<br>[ms]",
+        "loop<br>[%]",
+        "model:<br>ratio",
+        "lag<br>[ms]",
+        "loop<br>[%]",
+        "mean error of each period<br>[mm]",
+    )
+    rows = ""
+    for motion in summary.periodic:
+        errors = ", ".join(plain(error, 2) for error in motion.error_mm[:MOST_PERIODS])
+        cells = (
+            escape(motion.label),
+            plain(motion.period_s, 3),
+            plain(motion.pressure_ratio, 3),
+            plain(motion.pressure_lag_ms, 1),
+            plain(motion.tip_amplitude_mm, 2),
+            plain(motion.tip_lag_ms, 1),
+            plain(motion.tip_loop_percent, 1),
+            plain(motion.model_ratio, 3),
+            plain(motion.model_lag_ms, 1),
+            plain(motion.model_loop_percent, 1),
+            errors + (" .." if len(motion.error_mm) > MOST_PERIODS else ""),
+        )
+        rows += f"<tr>{''.join(f'<td class=n>{cell}</td>' for cell in cells)}</tr>"
+    note = (
+        "<p class=small>Fundamental of the motion over whole periods. Lags count from the set-point. Ratios: measured "
+        "pressure to set-point; modelled to measured tip. Loop: area that tip and measured pressure enclose in a "
+        "period, of the rectangle around it: hysteresis and delay together.</p>"
+    )
+    head = "".join(f"<th class=n>{name}</th>" for name in heads)
+    table = f'<div class="scroll"><table><tr>{head}</tr>{rows}</table></div>'
+    return f"<h2>Periodic motion</h2>\n{table}\n{note}" if rows else ""
 
 
 def _events(run: Run) -> str:

@@ -1,0 +1,136 @@
+"""Amplitude, lag, hysteresis and error of periodic motions, one period at a time.
+
+Amplitude and lag are those of the fundamental, fitted by least squares over whole periods. The tip moves along the
+first principal axis of its measured positions (without any, of the model's). The loop is the area that tip and measured
+pressure enclose over one period (shoelace formula), as a part of the rectangle around it.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from runs.archive.reader import ArchiveReader
+from runs.periods import period_bounds
+from runs.records import DetectionStatus
+
+Floats = NDArray[np.float64]
+NAN = float("nan")
+FEWEST_FRAMES = 8
+"""Frames in a period without which nothing is computed from it."""
+
+
+@dataclass(frozen=True)
+class PeriodicMotion:
+    """A segment whose set-points repeat; NaN where nothing was measured. Lags count from the set-point."""
+
+    label: str
+    period_s: float
+    pressure_ratio: float
+    """Amplitude of the measured pressure over that of the set-point."""
+    pressure_lag_ms: float
+    tip_amplitude_mm: float
+    tip_lag_ms: float
+    model_ratio: float
+    """Amplitude of the modelled tip over that of the measured tip."""
+    model_lag_ms: float
+    tip_loop_percent: float
+    model_loop_percent: float
+    error_mm: tuple[float, ...]
+    """Mean distance of measured and modelled tip in each period."""
+
+
+def periodic_motions(run: ArchiveReader) -> tuple[PeriodicMotion, ...]:
+    """Return the periodic segments of a run."""
+    found = []
+    for interval in run.header.intervals:
+        pressure = run.pressure
+        rows = slice(*np.searchsorted(pressure.protocol_s, (interval.start_s, interval.stop_s)))
+        bounds = period_bounds(pressure.protocol_s[rows], pressure.setpoint_bar[rows])
+        if bounds is not None:
+            found.append(_motion(run, interval.label or interval.kind, bounds))
+    return tuple(found)
+
+
+def _motion(run: ArchiveReader, label: str, bounds: Floats) -> PeriodicMotion:
+    tip, pressure = run.tip, run.pressure
+    period_s = float(np.diff(bounds).mean())
+    rows = slice(*np.searchsorted(pressure.protocol_s, (bounds[0], bounds[-1])))
+    time_s, setpoint = pressure.protocol_s[rows], pressure.setpoint_bar[rows]
+    actuator = int(np.argmax(np.ptp(setpoint, axis=0)))
+    asked = fundamental(time_s, setpoint[:, actuator], period_s)
+    got = fundamental(time_s, pressure.measured_bar[rows, actuator], period_s)
+
+    frames = slice(*np.searchsorted(tip.protocol_s, (bounds[0], bounds[-1])))
+    seen = (tip.seen[frames] == DetectionStatus.MEASURED)[:, None]
+    measured_mm, model_mm = np.where(seen, tip.measured_mm[frames], NAN), tip.model_mm[frames]
+    axis = _principal_axis(measured_mm)
+    if axis is None:
+        axis = _principal_axis(model_mm)
+    axis = np.full(3, NAN) if axis is None else axis
+    tip_s, measured, model = tip.protocol_s[frames], measured_mm @ axis, model_mm @ axis
+    moved, modelled = (fundamental(tip_s, along, period_s) for along in (measured, model))
+    at_frame = tip.pressure_bar[frames, actuator]
+    which = np.searchsorted(bounds, tip_s, side="right") - 1
+    periods = [which == k for k in range(len(bounds) - 1)]
+    error = np.where(seen[:, 0], tip.error_mm[frames], NAN)
+    return PeriodicMotion(
+        label=label,
+        period_s=period_s,
+        pressure_ratio=abs(got) / abs(asked),
+        pressure_lag_ms=_lag_ms(asked, got, period_s),
+        tip_amplitude_mm=abs(moved),
+        tip_lag_ms=_lag_ms(asked, moved, period_s, either_sign=True),
+        model_ratio=abs(modelled) / abs(moved) if abs(moved) > 0 else NAN,
+        model_lag_ms=_lag_ms(asked, modelled, period_s, either_sign=True),
+        tip_loop_percent=_mean([loop_percent(at_frame[k], measured[k]) for k in periods]),
+        model_loop_percent=_mean([loop_percent(at_frame[k], model[k]) for k in periods]),
+        error_mm=tuple(_mean(error[k].tolist()) for k in periods),
+    )
+
+
+def fundamental(time_s: Floats, values: Floats, period_s: float) -> complex:
+    """Return the complex amplitude c of `Re(c exp(i w t))` plus a constant, fitted to values (n,) that may have NaN."""
+    known = np.isfinite(values)
+    if known.sum() < FEWEST_FRAMES:
+        return complex(NAN, NAN)
+    angle = 2 * math.pi * time_s[known] / period_s
+    design = np.column_stack((np.ones(len(angle)), np.cos(angle), -np.sin(angle)))
+    _, cosine, sine = np.linalg.lstsq(design, values[known], rcond=None)[0]
+    return complex(cosine, sine)
+
+
+def loop_percent(across: Floats, along: Floats) -> float:
+    """Return the area of the closed loop through points (n,), as a part of the rectangle around them [%]."""
+    known = np.isfinite(across) & np.isfinite(along)
+    x, y = across[known], along[known]
+    if len(x) < FEWEST_FRAMES or (rectangle := float(np.ptp(x) * np.ptp(y))) == 0:
+        return NAN
+    area = 0.5 * abs(float(np.dot(x, np.roll(y, -1)) - np.dot(y, np.roll(x, -1))))
+    return 100 * area / rectangle
+
+
+def _lag_ms(reference: complex, response: complex, period_s: float, *, either_sign: bool = False) -> float:
+    """Return by how much a response lags, at most half a period; `either_sign`: a quarter, whatever its direction."""
+    if not (np.isfinite(reference) and np.isfinite(response)) or abs(response) == 0:
+        return NAN
+    ratio = reference / response
+    if either_sign and ratio.real < 0:
+        ratio = -ratio
+    return 1e3 * period_s * math.atan2(ratio.imag, ratio.real) / (2 * math.pi)
+
+
+def _principal_axis(points_mm: Floats) -> Floats | None:
+    known = points_mm[np.isfinite(points_mm).all(axis=1)]
+    if len(known) < FEWEST_FRAMES:
+        return None
+    _, _, axes = np.linalg.svd(known - known.mean(axis=0), full_matrices=False)
+    return np.asarray(axes[0])
+
+
+def _mean(values: list[float]) -> float:
+    known = [value for value in values if math.isfinite(value)]
+    return sum(known) / len(known) if known else NAN

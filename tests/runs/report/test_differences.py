@@ -1,0 +1,52 @@
+"""What a comparison shows of the difference between runs."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import runs
+from runs.archive.writer import finalise
+from runs.records import Quantity
+from runs.report import page
+from runs.report.differences import differing, repeatability_mm, tips_at_equal_times
+from runs.run import Run
+from tests.support import synthetic_runs
+
+
+@pytest.fixture
+def pair(tmp_path: Path) -> list[Run]:
+    for name in ("one", "two"):
+        synthetic_runs.write_journal(tmp_path / f"{name}.mcap", duration_s=1.0, pictures=0)
+    return [runs.open(finalise(tmp_path / f"{name}.mcap")) for name in ("one", "two")]
+
+
+def test_only_settings_that_differ_are_listed_with_the_value_of_each_run(pair: list[Run]) -> None:
+    assert differing(pair) == {}
+    peaks = [(Quantity("protocol", "peak", (bar,), "bar", ""),) for bar in (0.2, 0.4)]
+    for run, quantities in zip(pair, peaks, strict=True):
+        run.header = dataclasses.replace(run.header, quantities=quantities)
+    pair[1].header = dataclasses.replace(pair[1].header, metadata={"specimen": "A7"})
+    assert differing(pair) == {"protocol peak [bar]": ("0.2", "0.4"), "metadata specimen": ("", "A7")}
+    text = page.page(pair)
+    assert "<th>protocol peak [bar]</th><td>0.2</td><td>0.4</td>" in text
+
+
+def test_tips_are_compared_at_equal_protocol_times(pair: list[Run]) -> None:
+    time_s, tips = tips_at_equal_times(pair)
+    assert len(time_s) > 10
+    np.testing.assert_allclose(tips[0], tips[1])
+    assert repeatability_mm(tips) == pytest.approx(0.0, abs=1e-9)
+    moved = np.stack((tips[0], tips[0] + [3.0, 0.0, 4.0]))
+    assert repeatability_mm(moved) == pytest.approx(5 / np.sqrt(2))
+
+
+def test_a_comparison_repeats_no_whole_report(pair: list[Run]) -> None:
+    text = page.page(pair)
+    assert "Repeatability" in text
+    assert "Distance between the tips" in text
+    assert "How it was made" not in text
+    assert "How it was made" in page.page(pair[:1])

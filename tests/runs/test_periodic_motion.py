@@ -1,0 +1,35 @@
+"""Amplitude, lag and loop of periodic motions against known ones."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from runs.periodic_motion import _lag_ms, fundamental, loop_percent
+
+
+@pytest.mark.parametrize(("amplitude", "lag_s"), [(1.0, 0.0), (3.0, 0.05), (0.5, -0.02)])
+def test_amplitude_and_lag_of_a_sinusoid_are_found_in_noise_and_with_gaps(amplitude: float, lag_s: float) -> None:
+    random = np.random.default_rng(2)
+    time = np.arange(0.3, 6.3, 1 / 30)
+    asked = fundamental(time, 0.2 + 0.1 * np.sin(2 * np.pi * time / 2.0), 2.0)
+    values = 7 + amplitude * np.sin(2 * np.pi * (time - lag_s) / 2.0) + random.normal(0, 1e-3, len(time))
+    values[10:20] = np.nan
+    found = fundamental(time, values, 2.0)
+    assert abs(asked) == pytest.approx(0.1)
+    assert abs(found) == pytest.approx(amplitude, abs=1e-3)
+    assert _lag_ms(asked, found, 2.0) == pytest.approx(1e3 * lag_s, abs=1.0)
+    assert _lag_ms(asked, -found, 2.0, either_sign=True) == pytest.approx(1e3 * lag_s, abs=1.0)
+
+
+def test_the_loop_of_an_ellipse_is_its_area_and_a_line_has_none() -> None:
+    angle = np.linspace(0, 2 * np.pi, 400, endpoint=False)
+    assert loop_percent(np.cos(angle), 5 * np.sin(angle)) == pytest.approx(100 * math.pi / 4, rel=1e-3)
+    assert loop_percent(np.cos(angle), 3 * np.cos(angle)) == pytest.approx(0, abs=1e-9)
+    assert math.isnan(loop_percent(angle, np.full(400, np.nan)))
+
+
+def test_too_few_values_have_no_amplitude() -> None:
+    assert math.isnan(abs(fundamental(np.arange(3.0), np.arange(3.0), 2.0)))
