@@ -1,6 +1,6 @@
 # The two commands: `make run` (the paper's experiment on the mock rig) and `make test`.
 .DEFAULT_GOAL := help
-.PHONY: help run test test-realtime test-hardware test-board fuzz strikes faults soak comedi lint lock clean
+.PHONY: help docs run test test-realtime test-hardware test-board fuzz strikes faults soak comedi lint lock clean
 
 VENV := .venv
 BIN := $(VENV)/bin
@@ -14,6 +14,7 @@ help:
 	@echo "make test   run the tests, formatter, linter and type checker"
 	@echo "make test-realtime  run what needs a quiet machine: experiments in real time, and the page in Chromium"
 	@echo "make fuzz   search for inputs that break a property, at random and for longer"
+	@echo "make docs   build the documentation as a site with search, into build/site; each link is checked"
 	@echo "make lint   only the formatter, linter and type checker"
 	@echo "make comedi build and install the binding to Comedi cards"
 	@echo "make test-hardware  drive a card and a camera of a real kernel, in a virtual machine"
@@ -46,6 +47,12 @@ lint: $(STAMP)
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/mypy
+
+# The pages link each other by relative paths; strict mode refuses one without a target.
+docs: $(STAMP)
+	@$(BIN)/python -m pip install --quiet --no-build-isolation --editable '.[docs]'
+	@$(BIN)/mkdocs build
+	@echo "build/site/index.html"
 
 comedi: $(STAMP)
 	@sh scripts/comedi/install.sh $(VENV)
