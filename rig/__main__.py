@@ -29,6 +29,8 @@ def main() -> None:
     _stand_in_for_closed()
     # Pydantic would look for plugins in every installed distribution, here and in every process of a run.
     os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
+    # The matrices here are small: threads of the linear algebra cost more than they save, and waste a core by waiting.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     # Ctrl-C while modules load would be an exception in any of them; nothing has begun, so the process may just end.
     loud = signal.getsignal(signal.SIGINT) is signal.default_int_handler
     if loud:

@@ -3,6 +3,9 @@
 import os
 from collections.abc import Iterator
 
+# As `rig` does; before NumPy is imported.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 import pytest
 from hypothesis import settings
 from hypothesis.internal.conjecture import providers
