@@ -6,6 +6,7 @@ import threading
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack, nullcontext
+from functools import partial
 from pathlib import Path
 from types import TracebackType
 
@@ -20,6 +21,8 @@ from rig.experiment.run import RunRequest, RunResult
 from rig.experiment.simulate import simulate
 from rig.realtime.timing_limits import valves_at_stake
 from rig.session.prompts import Answer, FunctionOperator
+from rig.session.study import FunctionStudyOperator, run_study
+from rig.study.study import load as load_study
 from runs.records import Status
 from runs.run import Run
 from runs.run_names import DATA
@@ -150,6 +153,38 @@ class Session:
             parameters=None if parameters is None else Path(parameters),
         )
         return Run(simulate(request, experiment.plan(request), static))
+
+    def study(
+        self,
+        plan: Path | str,
+        *,
+        fast: bool = False,
+        out: Path | str = DATA,
+        operator: str = "",
+        meta: Mapping[str, str] | None = None,
+        workers: int | None = None,
+        scheduler: str | None = None,
+        yes: bool = False,
+        answer: Answer | None = None,
+    ) -> tuple[Run, ...]:
+        """Run what is missing of a study as `rig study` does; return its finished runs in their order.
+
+        `workers` is the number of processes in virtual time, by default one per core. `yes` and `answer` are those of
+        `run`; a script that studies over several processes needs `if __name__ == "__main__":`.
+
+        Raises:
+            BadInputError: everything that is wrong with plan, protocols and rig.
+            OtherStudyError, StudyBusyError, StudyStoppedError: the study cannot begin, or a rule of it ended it.
+            KeyboardInterrupt: Ctrl-C; repeat the call to go on.
+        """
+        self._require_entered()
+        study = load_study(Path(plan), self._choice, folder=Path(out), fast=fast, operator=operator, metadata=meta)
+        for run in study.runs:
+            _check_arming(*study.request(run), yes, answer)
+        if not fast and study.plan.block_prompt and answer is None:
+            expected = "a function for the prompts before the blocks, such as answer=input"
+            raise BadInputError([Problem("answer", 0, 0, "", "None", expected)])
+        return run_study(study, FunctionStudyOperator(partial(_run, answer=answer), answer), workers, scheduler)
 
     def _require_entered(self) -> None:
         if not self._entered:

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 
+import rig
 from protocols import BadInputError
 from rig.cli.app import main
 from rig.config.loader import RigChoice, Source
@@ -212,3 +213,16 @@ def test_the_dry_plan_has_the_total_time_and_moves_nothing(plan: Path, capsys: p
     total_s = 30 * 0.2 + 10 * (0.1 + 0.15 + 0.2) + 29 * 10
     assert f"{total_s:.1f} s remain" in capsys.readouterr().out
     assert not list(plan.parent.glob("data/*.h5"))
+
+
+def test_a_study_from_python_returns_its_runs_and_continues_itself(plan: Path) -> None:
+    plan.write_text("title: t\nprotocol: step.yaml\nfactors: {peak_bar: [0.1, 0.2]}\nblock_prompt: turn the arm\n")
+    data = plan.parent / "data"
+    with rig.open("mock") as bench:
+        runs = bench.study(plan, fast=True, out=data, workers=1)
+        assert [run.header.study.number for run in runs if run.header.study] == [1, 2]
+        runs[1].path.unlink()
+        again = bench.study(plan, fast=True, out=data, workers=1)
+        with pytest.raises(BadInputError, match="prompts before the blocks"):
+            bench.study(plan, out=plan.parent / "other")
+    assert (again[0].path, len(again)) == (runs[0].path, 2)
