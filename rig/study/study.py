@@ -101,7 +101,7 @@ def load(
     if problems := list(_setting_problems(source, plan, protocol)):
         raise BadInputError(problems)
     checked: list[tuple[RunRequest, Plan]] = []
-    problems = []
+    found: dict[Problem, list[str]] = {}
 
     def check(name: Path, settings: Mapping[str, float], what: str) -> None:
         try:
@@ -117,7 +117,8 @@ def load(
             )
             checked.append((request, experiment.plan(request)))
         except BadInputError as bad:
-            problems.extend(replace(problem, where=f"{what}: {problem.where}") for problem in bad.problems)
+            for problem in bad.problems:
+                found.setdefault(problem, []).append(what)
 
     every = plan.settings()
     for number, settings in enumerate(every, 1):
@@ -126,8 +127,8 @@ def load(
     if plan.conditioning is not None:
         path = _protocol(source, plan.conditioning.protocol, ("conditioning", "protocol"))
         check(path, plan.conditioning.settings, "conditioning")
-    if problems:
-        raise BadInputError(dict.fromkeys(problems))
+    if found:
+        raise BadInputError(_named(problem, where, len(every)) for problem, where in found.items())
     requests, plans = zip(*checked[: len(every)], strict=True)
     return Study(
         name=file.stem,
@@ -140,6 +141,13 @@ def load(
         plans=plans,
         conditioning=checked[-1] if plan.conditioning is not None else None,
     )
+
+
+def _named(problem: Problem, where: list[str], combinations: int) -> Problem:
+    """The problem with the first combination that has it, unless every combination has it."""
+    if len(set(where)) >= combinations > 1:
+        return problem
+    return replace(problem, where=": ".join(part for part in (where[0], problem.where) if part))
 
 
 def _protocol(source: Document, name: str, path: tuple[str, ...]) -> Path:

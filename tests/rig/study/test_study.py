@@ -96,6 +96,15 @@ def test_every_combination_is_checked_against_the_rig_before_the_first_run(plan:
     assert not (plan.parent / "data").exists()
 
 
+def test_a_mistake_in_the_protocol_is_reported_once_and_not_for_each_combination(plan: Path) -> None:
+    (plan.parent / "step.yaml").write_text(PROTOCOL.replace("highest", "hihgest"))
+    with pytest.raises(BadInputError) as error:
+        loaded(plan)
+    message = str(error.value)
+    assert message.count("the unknown key 'hihgest'") == PROTOCOL.count("highest")
+    assert "combination" not in message
+
+
 @pytest.mark.realtime
 def test_a_study_that_is_killed_and_interrupted_has_each_run_once(plan: Path) -> None:
     data = plan.parent / "data"
