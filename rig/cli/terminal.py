@@ -287,12 +287,17 @@ def _positions(progress: Progress, observation: NDArray[np.void]) -> Table:
         table.add_column(head, justify="right", overflow="fold", min_width=8)
     if observation["seen"] == DetectionStatus.MEASURED:
         std = np.sqrt(np.diagonal(observation["covariance_m2"]))
-        table.add_row("measured", _point(observation["measured_m"]), _point(std))
+        table.add_row("measured", _point(observation["measured_m"]), _uncertainty(std))
     else:
         table.add_row("measured", Text(f"none: {_unseen(observation)}", "yellow"), "")
     table.add_row("model", _point(observation["model_m"]), "" if observation["model_ok"] else "not solved")
     table.add_row("error", Text(f"{_error_mm(progress):.2f} mm", "bold cyan"), "")
     return table
+
+
+def _uncertainty(std_m: NDArray[np.float64]) -> str:
+    """Return standard uncertainties [mm] with two significant digits: a small one is not zero."""
+    return " ".join(f"{1e3 * value:#7.2g}" for value in std_m)
 
 
 def _prediction(observation: NDArray[np.void]) -> Text:

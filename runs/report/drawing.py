@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import io
 import re
 from collections.abc import Callable
@@ -94,13 +95,28 @@ def svg(draw: Callable[..., None], size: tuple[float, float], salt: str, *about:
 def save(draw: Callable[..., None], size: tuple[float, float], path: Path, *about: object, mark: str = "") -> None:
     """Write a figure to a file; its kind is that of the name. `draw` is called with the figure and `about`.
 
-    The `mark` goes into a corner: what must not be forgotten of a figure that is shown without its page.
+    A CSV file beside it has the points of its lines as drawn: panel and line by number, their labels, x and y. The
+    `mark` goes into a corner: what must not be forgotten of a figure that is shown without its page.
     """
     with mpl.rc_context({**STYLE, "figure.facecolor": "white", "axes.facecolor": "white", "pdf.fonttype": 42}):
         figure = Figure(figsize=size)
         draw(figure, *about)
         figure.text(0.998, 0.004, mark, ha="right", va="bottom", fontsize=7, color=MUTED)
         figure.savefig(path, dpi=200)
+    _write_lines(figure, path.with_suffix(".csv"))
+
+
+def _write_lines(figure: Figure, path: Path) -> None:
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(("panel", "line", "label", "x_label", "y_label", "x", "y"))
+        for panel, axes in enumerate(figure.axes, 1):
+            labels = (axes.get_xlabel(), axes.get_ylabel().replace("\n", " "))
+            for number, line in enumerate(axes.get_lines(), 1):
+                name = str(line.get_label())
+                named = "" if name.startswith("_") else name
+                for x, y in zip(*np.broadcast_arrays(*line.get_data()), strict=True):
+                    writer.writerow((panel, number, named, *labels, x, y))
 
 
 def panels(figure: Figure, rows: int = 1, columns: int = 1, **options: Any) -> NDArray[Any]:

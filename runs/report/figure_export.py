@@ -19,7 +19,9 @@ _MARK = "simulated"
 def write(
     archives: Sequence[Path | str], folder: Path | str, kind: str = "pdf", *, replace: bool = False
 ) -> tuple[Path, ...]:
-    """Write each figure of each run as `<run>-<figure>.pdf` (or png, svg) for a paper; return the files.
+    """Write each figure of each run as `<run>-<figure>.pdf` (or png, svg) for a paper; return these files.
+
+    Beside each, `<run>-<figure>.csv` has the points of its lines.
 
     Of several runs also those that compare them, `compared-<figure>.pdf`. What was simulated says so in its corner.
 

@@ -12,6 +12,7 @@ from rich.console import Console, RenderableType
 from rig.cli import run_output
 from rig.cli.console import console
 from rig.cli.terminal import Terminal
+from rig.cli.terminal import _uncertainty as uncertainty_text
 from rig.config import loader
 from rig.execution.plan import Progress
 from rig.experiment import run as experiment
@@ -208,3 +209,7 @@ def test_the_least_important_lines_are_dropped_first(lines: int, gone: str) -> N
     kept = [words for words in order if words in live(running(actuators=6, estimates=4), 80, lines)]
     assert gone not in kept
     assert kept == order[len(order) - len(kept) :]
+
+
+def test_a_small_uncertainty_is_not_shown_as_zero() -> None:
+    assert uncertainty_text(np.array([3.2e-6, 0.25e-3, 12e-3])).split() == ["0.0032", "0.25", "12."]

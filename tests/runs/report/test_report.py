@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import csv
 import dataclasses
 import re
 import resource
@@ -310,6 +311,16 @@ def test_an_exported_figure_of_a_simulated_run_is_marked_as_simulated(short: Pat
     assert runs.open(short).header.simulated
     for path in figure_export.write([short], tmp_path, "svg"):
         assert ">simulated</text>" in path.read_text(encoding="utf-8")
+
+
+def test_the_data_of_a_figure_lie_beside_it(archive: Path, tmp_path: Path) -> None:
+    written = figure_export.write([archive], tmp_path, "svg")
+    assert {path.with_suffix(".csv") for path in written} == set(tmp_path.glob("*.csv"))
+    figure = next(path for path in written if path.stem.endswith("-tip"))
+    rows = list(csv.reader(figure.with_suffix(".csv").read_text().splitlines()))
+    drawn = np.array([float(row[-1]) for row in rows if (row[0], row[2]) == ("1", "measured, 95 % band")])
+    measured = runs.open(archive).tip.measured_mm[:, 0]
+    np.testing.assert_allclose(drawn[np.isfinite(drawn)], measured[np.isfinite(measured)])
 
 
 def test_figures_of_an_unknown_kind_are_refused(archive: Path, tmp_path: Path) -> None:
