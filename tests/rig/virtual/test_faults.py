@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -13,19 +14,11 @@ from scripts.faults.__main__ import main
 from scripts.faults.catalogue import CATALOGUE
 from scripts.faults.fault import Fault, FaultRegistry
 from scripts.faults.fault_trial import EARLIEST_S
-from scripts.faults.trial_run import PROTOCOL
 
-FAULTS = [fault for fault in CATALOGUE.values() if fault.virtual]
 LATEST_S = 1.2
-BRIEFER = PROTOCOL.replace("{moving_s:g}", "3.4")
-"""Shorter than the campaign's protocol, because the faults come earlier."""
-
-
-@pytest.fixture(autouse=True)
-def briefer(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Use the shorter protocol."""
-    assert BRIEFER != PROTOCOL
-    monkeypatch.setattr(virtual, "PROTOCOL", BRIEFER)
+MOVING_S = 3.4
+"""Shorter than in the campaign, because the faults come earlier."""
+FAULTS = [replace(fault, moving_s=MOVING_S) for fault in CATALOGUE.values() if fault.virtual]
 
 
 @pytest.mark.parametrize("fault", FAULTS, ids=[fault.name for fault in FAULTS])
