@@ -54,6 +54,12 @@ class ComediCardConfig(SampledCardConfig):
     """A card with a Comedi driver."""
 
     driver: Literal["comedi"]
+    emulated: bool = Field(default=False, description="the board is a virtual machine's: mark the runs as simulated")
+
+    @property
+    def simulated(self) -> bool:
+        """True for an emulated board."""
+        return self.emulated
 
 
 class MockCardConfig(SampledCardConfig):

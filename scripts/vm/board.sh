@@ -25,6 +25,9 @@ done
 bash "$here/prepare.sh" "$cache"
 release=$(cat "$cache/release")
 program=$(bash "$here/pci1716/build.sh" "$cache")
+# The guest takes minutes to compile the kernels; this computer compiles them for any processor of its kind.
+(cd "$checkout" && SOFTRIG_CACHE=$cache/kernels NUMBA_CPU_NAME=generic NUMBA_CPU_FEATURES='' PYTHONPATH=. \
+    "$venv/bin/python" -m rig.experiment.warm)
 out=$cache/board-out
 rm -rf "$out"
 mkdir -p "$out"
@@ -45,11 +48,20 @@ env -u PYTHONDONTWRITEBYTECODE "$venv/bin/python" -m compileall -q "$venv/lib" "
 # The monitor of the machine is at the end of the guest's own serial line ttyS1: its tests set voltages and faults.
 sockets=$(mktemp -d)
 machine=
-trap 'kill $machine 2>/dev/null || :; rm -rf "$sockets"' EXIT
+bench=
+trap 'kill $machine $bench 2>/dev/null || :; rm -rf "$sockets"' EXIT
 trap 'exit 143' INT TERM
+# The simulator behind the board: its process must listen before the machine starts.
+PYTHONPATH=$checkout "$venv/bin/python" "$here/pci1716/bench.py" "$sockets/bench" &
+bench=$!
+until [ -e "$sockets/bench" ]; do
+    kill -0 $bench 2>/dev/null || exit 3
+    sleep 0.1
+done
 timeout "${SOFTRIG_VM_LIMIT_S:-1200}" "$program" -L /usr/share/qemu -L /usr/share/seabios \
     -accel tcg,thread=single -cpu Nehalem -M q35 -smp 2 -m "${SOFTRIG_VM_MEMORY_MIB:-1024}" \
-    -nodefaults -no-reboot -display none -device "$board,id=board" -serial "file:$cache/board-console" \
+    -nodefaults -no-reboot -display none -chardev "socket,id=bench,path=$sockets/bench" \
+    -device "$board,id=board,bench=bench" -serial "file:$cache/board-console" \
     -chardev "socket,id=monitor,path=$sockets/monitor,server=on,wait=off" -mon chardev=monitor,mode=control \
     -chardev "socket,id=line,path=$sockets/monitor" -serial chardev:line \
     -kernel "$cache/kernel/boot/vmlinuz-$release" -initrd "$cache/initrd" -append "console=ttyS0 quiet panic=-1" \
@@ -60,6 +72,7 @@ machine=$!
 touch "$out/log"
 tail -n +1 -f --pid=$machine "$out/log" &
 wait $machine || :
+wait $bench || :
 wait
 if [ ! -e "$out/status" ]; then
     echo "softrig: the virtual machine ended without a result; the end of its console:" >&2

@@ -2,7 +2,8 @@
  * Advantech PCI-1716 and PCI-1711 at register level, for QEMU 7.2.
  *
  * docs/reference/emulated-board.md says what is modelled, from which source, and what is not. The voltages at the
- * plugs come from a bench outside the machine (property "bench", see bench_exchange) or from the properties ai0..ai15.
+ * plugs come from the properties ai0..ai15, or from a bench outside the machine while the property "coupled" is true
+ * (see bench_exchange).
  *
  * SPDX-License-Identifier: BSD-3-Clause
  */
@@ -80,7 +81,7 @@ struct Board {
     double inputs_v[INPUTS], outputs_v[OUTPUTS], on_multiplexer_v;
     int64_t exchanged_ns;
 
-    bool hung, irq_lost, irq_stuck;
+    bool coupled, hung, irq_lost, irq_stuck;
     uint32_t open_inputs;
     uint64_t overruns, conversions;
 };
@@ -109,14 +110,14 @@ static int64_t now_ns(void)
     return qemu_clock_get_ns(QEMU_CLOCK_VIRTUAL);
 }
 
-/* Hand the outputs to the bench and take its inputs, both at one time; the guest waits, and its clock with it. */
+/* Hand the outputs to the bench and take its inputs, both at one time. The guest waits; its clock does not. */
 static void bench_exchange(Board *b, int64_t t_ns)
 {
     ToBench to = {.t_ns = t_ns, .outputs_v = {b->outputs_v[0], b->outputs_v[1]}, .digital_out = b->digital_out};
     FromBench from;
 
     b->exchanged_ns = t_ns;
-    if (!qemu_chr_fe_backend_connected(&b->bench)) {
+    if (!b->coupled) {
         return;
     }
     if (qemu_chr_fe_write_all(&b->bench, (uint8_t *)&to, sizeof(to)) != sizeof(to) ||
@@ -435,9 +436,6 @@ static void board_realize(PCIDevice *pci, Error **errp)
     pci_register_bar(pci, 2, PCI_BASE_ADDRESS_SPACE_IO, &b->window);
     b->pacer = timer_new_ns(QEMU_CLOCK_VIRTUAL, pacer_tick, b);
     b->watch = timer_new_ns(QEMU_CLOCK_VIRTUAL, bench_watch, b);
-    if (qemu_chr_fe_backend_connected(&b->bench)) {
-        timer_mod(b->watch, now_ns());
-    }
 }
 
 static void board_exit(PCIDevice *pci)
@@ -476,6 +474,28 @@ static void set_irq_lost(Object *object, bool lost, Error **errp)
     update_interrupt(FAMILY(object));
 }
 
+static bool get_coupled(Object *object, Error **errp)
+{
+    return FAMILY(object)->coupled;
+}
+
+static void set_coupled(Object *object, bool coupled, Error **errp)
+{
+    Board *b = FAMILY(object);
+
+    if (coupled && !qemu_chr_fe_backend_connected(&b->bench)) {
+        error_setg(errp, "the board has no bench");
+        return;
+    }
+    b->coupled = coupled;
+    if (coupled) {
+        bench_exchange(b, now_ns());
+        timer_mod(b->watch, now_ns() + b->bench_period_us * 1000LL);
+    } else {
+        timer_del(b->watch);
+    }
+}
+
 static bool get_hung(Object *object, Error **errp)
 {
     return FAMILY(object)->hung;
@@ -500,6 +520,7 @@ static void board_init(Object *object)
         object_property_add(object, name, "number", get_number, NULL, NULL,
                             (void *)(offsetof(Board, outputs_v) + i * sizeof(double)));
     }
+    object_property_add_bool(object, "coupled", get_coupled, set_coupled);
     object_property_add_bool(object, "hung", get_hung, set_hung);
     object_property_add_bool(object, "irq-lost", get_irq_lost, set_irq_lost);
     object_property_add_bool(object, "irq-stuck", get_irq_stuck, set_irq_stuck);
