@@ -87,6 +87,9 @@ def _counted(number: int, what: str) -> str:
 
 
 def _how_simulated(config: RigConfig) -> str:
+    emulated = [name for name, card in config.cards.items() if card.bench_is_simulated and not card.simulated]
+    if emulated:
+        return f" (SIMULATED: card {', '.join(emulated)} is stated as an emulated board)"
     real = [name for name, card in config.cards.items() if not card.simulated]
     if real:
         return f" (SIMULATED in part: card {', '.join(real)} is real)" if config.simulated else ""

@@ -32,6 +32,11 @@ class CardConfig(Section):
         """True for a simulated card, of the bench or of another driver."""
         return CARD_DRIVERS.simulates(self.driver)
 
+    @property
+    def bench_is_simulated(self) -> bool:
+        """True when the valves and sensors behind the card are simulated: a run on it is marked."""
+        return self.simulated
+
     def setup_options(self) -> dict[str, Any]:
         """What this driver's section adds to `CardSetup`."""
         return {}
@@ -57,8 +62,8 @@ class ComediCardConfig(SampledCardConfig):
     emulated: bool = Field(default=False, description="the board is a virtual machine's: mark the runs as simulated")
 
     @property
-    def simulated(self) -> bool:
-        """True for an emulated board."""
+    def bench_is_simulated(self) -> bool:
+        """True for an emulated board; whoever states it of a real one is still asked before a valve moves."""
         return self.emulated
 
 

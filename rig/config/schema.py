@@ -86,7 +86,7 @@ class RigConfig(Section):
     @property
     def simulated(self) -> bool:
         """True when any device of the rig is simulated."""
-        cards = any(card.simulated for card in self.cards.values())
+        cards = any(card.bench_is_simulated for card in self.cards.values())
         return cards or any(camera.simulated for camera in self.cameras.values())
 
     @property

@@ -59,7 +59,7 @@ until [ -e "$sockets/bench" ]; do
     sleep 0.1
 done
 timeout "${SOFTRIG_VM_LIMIT_S:-1200}" "$program" -L /usr/share/qemu -L /usr/share/seabios \
-    -accel tcg,thread=single -cpu Nehalem -M q35 -smp 2 -m "${SOFTRIG_VM_MEMORY_MIB:-1024}" \
+    -accel tcg,thread=single -cpu Nehalem -M q35 -smp 2 -m "${SOFTRIG_VM_MEMORY_MIB:-2048}" \
     -nodefaults -no-reboot -display none -chardev "socket,id=bench,path=$sockets/bench" \
     -device "$board,id=board,bench=bench" -serial "file:$cache/board-console" \
     -chardev "socket,id=monitor,path=$sockets/monitor,server=on,wait=off" -mon chardev=monitor,mode=control \

@@ -80,6 +80,7 @@ def test_a_run_regulates_the_simulated_chambers_through_the_driver(bench: Monito
     assert process.returncode == 0, said.decode()
     (archive,) = (tmp_path / "runs").glob("*.h5")
     run = runs.open(archive)
+    assert "emulated board" in said.decode()
     assert run.header.simulated
     held = (run.pressure.protocol_s > 12) & (run.pressure.protocol_s < 15)
     assert held.any()
