@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import json
 import os
+import select
 from typing import Any
 
 LINE = "/dev/ttyS1"
 PATH = "/machine/peripheral/board"
+GREETING_S = 1.0
 
 
 class Monitor:
@@ -16,6 +18,10 @@ class Monitor:
     def __init__(self, line: str = LINE) -> None:
         self._line = os.open(line, os.O_RDWR | os.O_NOCTTY)
         self._rest = b""
+        # The greeting came before the guest listened. Where its end is lost, the first answer is lost with it.
+        self._send("qmp_capabilities")
+        while select.select([self._line], [], [], GREETING_S)[0]:
+            os.read(self._line, 4096)
         self._execute("qmp_capabilities")
 
     def close(self) -> None:
@@ -35,10 +41,13 @@ class Monitor:
         """Voltages of the two D/A converters."""
         return [self.get("ao0"), self.get("ao1")]
 
-    def _execute(self, command: str, **arguments: object) -> dict[str, Any]:
+    def _send(self, command: str, **arguments: object) -> None:
         order = json.dumps({"execute": command, "arguments": arguments, "id": command}).encode() + b"\n"
         while order:
             order = order[os.write(self._line, order) :]
+
+    def _execute(self, command: str, **arguments: object) -> dict[str, Any]:
+        self._send(command, **arguments)
         while True:
             answer = self._next()
             if answer.get("id") == command:
