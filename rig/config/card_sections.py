@@ -63,7 +63,7 @@ class ComediCardConfig(SampledCardConfig):
 
     @property
     def bench_is_simulated(self) -> bool:
-        """True for an emulated board; whoever states it of a real one is still asked before a valve moves."""
+        """True for an emulated board. `simulated` is false: softrig asks before a valve moves, as on a real board."""
         return self.emulated
 
 

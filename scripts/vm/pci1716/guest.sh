@@ -24,7 +24,7 @@ eval "set -- $arguments"
 export PYTHONPATH=$checkout SOFTRIG_BOARD=$board
 # What the host compiled for any processor of its kind serves the guest, which would take minutes.
 export SOFTRIG_CACHE=$cache/kernels NUMBA_CPU_NAME=generic NUMBA_CPU_FEATURES=
-"$python" -u -m pytest -o faulthandler_timeout=120 -p no:cacheprovider -p no:randomly -v --durations=5 "$@"
+"$python" -u -m pytest -o faulthandler_timeout=900 -p no:cacheprovider -p no:randomly -v --durations=5 "$@"
 echo $? >/out/status
 dmesg | grep -E 'comedi|adv_pci|irq' | tail -n 20
 echo "guest: done after $(cut -d' ' -f1 /proc/uptime) s"
