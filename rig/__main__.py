@@ -36,13 +36,14 @@ def main() -> None:
     if loud:
         signal.signal(signal.SIGINT, signal.SIG_DFL)
     from rig.cli import app as cli
+    from rig.cli.exit_status import INTERRUPTED
 
     if loud:
         signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
         cli.main()
     except KeyboardInterrupt:  # before the command line is read; a command reports it itself
-        sys.exit(cli.INTERRUPTED)
+        sys.exit(INTERRUPTED)
 
 
 if __name__ == "__main__":

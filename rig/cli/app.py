@@ -8,7 +8,7 @@ import sys
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
-from typing import Annotated, Any, NoReturn
+from typing import Annotated
 
 import typer
 
@@ -28,7 +28,9 @@ from rig.cli import (
 )
 from rig.cli.address_space import EstimationCommand, NumericalCommand, PlottingCommand
 from rig.cli.completion import DATA
-from rig.cli.help_formatter import HelpFormatter, HelpGroup
+from rig.cli.exit_status import BAD_INPUT, DONE, FAULT
+from rig.cli.expected_errors import PlainErrors, fail
+from rig.cli.help_formatter import HelpFormatter
 from rig.cli.options import (
     AsJson,
     Controller,
@@ -50,94 +52,7 @@ from rig.cli.options import (
 )
 from rig.cli.printable import printable_streams
 
-DONE, FAULT, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 GARBAGE_OBJECTS = 50_000
-
-
-class PlainErrors(HelpGroup):
-    """Command group that prints expected errors as one message with an exit status, without a traceback."""
-
-    def invoke(self, ctx: Any) -> Any:
-        """Run a command."""
-        try:
-            return super().invoke(ctx)
-        except (typer.Exit, typer.Abort):
-            raise
-        except KeyboardInterrupt:
-            _fail("interrupted", INTERRUPTED)
-        except Exception as error:
-            status = _status(error)
-            if status is None:
-                raise
-            _fail(_message(error), status)
-
-
-EXPECTED_ERRORS = {
-    "protocols.problems.BadInputError": BAD_INPUT,
-    "runs.overwriting.WouldOverwriteError": BAD_INPUT,
-    "runs.archive.checked.ArchiveError": BAD_INPUT,
-    "runs.export.exporters.ExportError": BAD_INPUT,
-    "calibration.camera.CalibrationError": BAD_INPUT,
-    "calibration.dlt.DLTError": BAD_INPUT,
-    "calibration.views.ViewsError": BAD_INPUT,
-    "calibration.identify.data.NoDataError": BAD_INPUT,
-    "calibration.identify.parameters.UnknownParameter": BAD_INPUT,
-    "calibration.identify.recursive_estimator.NotEstimableError": BAD_INPUT,
-    "calibration.identify.parallel_map.NoClusterError": FAULT,
-    "calibration.identify.parallel_map.WorkerDiedError": FAULT,
-    "rig.calibrate.bench_driver.TrippedError": FAULT,
-    "rig.config.plugins.PluginError": BAD_INPUT,
-    "rig.study.execution.StudyStoppedError": FAULT,
-    "rig.study.study.OtherStudyError": BAD_INPUT,
-    "rig.execution.plan.StoppedError": INTERRUPTED,
-    "rig.execution.plan.StartError": FAULT,
-    "rig.hardware.cameras.base.CameraError": FAULT,
-    "rig.hardware.cards.base.CardError": FAULT,
-    "runs.journal.append_only_file.JournalError": FAULT,
-    "builtins.MemoryError": FAULT,
-    "builtins.OSError": FAULT,
-}
-"""Exit status by class. Names, because an import here costs time and fails where memory is short."""
-
-
-def _message(error: Exception) -> str:
-    """Return the message of an error; of an OSError without its number."""
-    if isinstance(error, OSError) and error.strerror:
-        return f"{error.filename}: {error.strerror}" if isinstance(error.filename, str) else error.strerror
-    if extra := _extra_of(error):
-        return f"this command needs more of softrig: pip install 'softrig[{extra}]'"
-    if isinstance(error, MemoryError) or _is_unloadable(error):
-        return f"not enough memory: {error}" if str(error) else "not enough memory"
-    return str(error)
-
-
-def _status(error: Exception) -> int | None:
-    """Return the exit status of an expected error; None for an unexpected one."""
-    if _is_unloadable(error) or _extra_of(error):
-        return FAULT
-    names = (f"{kind.__module__}.{kind.__qualname__}" for kind in type(error).__mro__)
-    return next((EXPECTED_ERRORS[name] for name in names if name in EXPECTED_ERRORS), None)
-
-
-EXTRAS = {"numba": "rig", "piqp": "rig", "nicegui": "live"}
-"""Extra of the package that brings a library."""
-
-
-def _extra_of(error: Exception) -> str:
-    """Return the extra that a light installation lacks; empty if the error has another reason."""
-    return EXTRAS.get((error.name or "").partition(".")[0], "") if isinstance(error, ModuleNotFoundError) else ""
-
-
-def _is_unloadable(error: Exception) -> bool:
-    """Return whether a library could not be loaded for lack of memory."""
-    words = ("failed to map segment", "cannot allocate memory")
-    return isinstance(error, ImportError) and any(word in str(error).lower() for word in words)
-
-
-def _fail(message: str, status: int) -> NoReturn:
-    typer.echo(message, err=True)
-    raise typer.Exit(status)
-
 
 PlainErrors.context_class.formatter_class = HelpFormatter
 app = typer.Typer(
@@ -202,11 +117,11 @@ def run(
     from rig.experiment import report_process
 
     if live and fast:
-        _fail("--live needs real time: omit --fast, or play the archive afterwards: rig live RUN", BAD_INPUT)
+        fail("--live needs real time: omit --fast, or play the archive afterwards: rig live RUN", BAD_INPUT)
     if not live and (listen, port) != (LOCAL, LIVE_PORT):
-        _fail("--listen and --port need --live", BAD_INPUT)
+        fail("--listen and --port need --live", BAD_INPUT)
     if free and not adapt:
-        _fail("--free needs --adapt", BAD_INPUT)
+        fail("--free needs --adapt", BAD_INPUT)
     write_report: Callable[[Path], Path] = report_process.here
     if fast and not no_report:  # in real time nothing is imported beside the control loop
         write_report = ctx.with_resource(report_process.waiting())
@@ -239,7 +154,7 @@ def run(
     recovery_offer.offer(out, ask=not yes)
     screen.print(run_output.check_screen(request, decided))
     if not yes and not run_output.confirm(screen):
-        _fail("not armed", BAD_INPUT)
+        fail("not armed", BAD_INPUT)
     page: AbstractContextManager[None] = nullcontext()
     if live:
         from rig.live.launch import live_page_of_this_run
@@ -371,7 +286,7 @@ def live(
     from rig.live.launch import show
 
     if archive is not None and pid is not None:
-        _fail("--pid names a running experiment; omit it to play an archive", BAD_INPUT)
+        fail("--pid names a running experiment; omit it to play an archive", BAD_INPUT)
     screen = console()
     found = None if archive is None else resolve(archive)
     raise typer.Exit(show(found, pid, listen, port, lambda line: screen.print(line, soft_wrap=True)))

@@ -19,6 +19,7 @@ from protocols.problems import BadInputError, Problem, closest
 from rig.cli.column_table import ColumnTable
 from rig.cli.completion import DATA
 from rig.cli.console import console
+from rig.cli.exit_status import FAULT
 from rig.cli.json_output import plain_json
 from rig.cli.run_names import resolve
 from runs import annotation_file
@@ -188,7 +189,7 @@ def recover(folder: Path) -> None:
     if not outcomes:
         typer.echo(f"nothing to recover in {folder}")
     if any(outcome.fate is RecoveryStatus.UNREADABLE for outcome in outcomes):
-        raise typer.Exit(1)
+        raise typer.Exit(FAULT)
 
 
 def runs(entries: Sequence[Entry], folder: Path, as_json: bool) -> None:

@@ -8,9 +8,9 @@ from typing import Annotated
 import typer
 
 from rig.cli import completion
+from rig.cli.exit_status import BAD_INPUT, DONE, FAULT
 from rig.cli.options import AsJson
 
-DONE, FAULT, BAD_INPUT = 0, 1, 2
 SUPPLY = (
     "The test moves every output of the rig's real cards. Shut the air off and vent the line, "
     "or take the supply from the valves."

@@ -11,6 +11,7 @@ import typer
 from rig.cli import completion
 from rig.cli.address_space import EstimationCommand
 from rig.cli.default_command import DefaultCommandGroup
+from rig.cli.exit_status import FAULT
 from rig.cli.options import Archives, AsJson, Every, Free, ParametersFile, Replace, Scheduler
 
 if TYPE_CHECKING:
@@ -129,7 +130,7 @@ def fit(
     found, best, under = done.found, done.best, done.baseline
     if best.worse_than_start:
         output.failure(best)
-        raise typer.Exit(1)
+        raise typer.Exit(FAULT)
     output.fits_by_start(found)
     output.estimates(best, json, under)
     predictions = done.predictions()

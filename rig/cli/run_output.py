@@ -16,6 +16,7 @@ from rich.table import Table
 from rich.text import Text
 
 from rig.cli.column_table import ColumnTable
+from rig.cli.exit_status import DONE, FAULT, INTERRUPTED
 from rig.cli.printable import printable
 from rig.config.schema import RigConfig
 from rig.config.sections import PA_PER_BAR
@@ -30,7 +31,7 @@ from runs.records import Status
 if TYPE_CHECKING:
     from rig.hardware.finding import Finding
 
-_EXIT = {Status.FINISHED: 0, Status.ABORTED: 1, Status.INTERRUPTED: 130}
+_EXIT = {Status.FINISHED: DONE, Status.ABORTED: FAULT, Status.INTERRUPTED: INTERRUPTED}
 _VERDICT = {"ok": "green", "missing": "bold red", "note": "yellow"}
 _STATUS = {Status.FINISHED: "bold green", Status.ABORTED: "bold red", Status.INTERRUPTED: "bold yellow"}
 
@@ -238,7 +239,7 @@ def result_json(result: RunResult) -> str:
 
 def exit_status(result: RunResult) -> int:
     """Return the exit status: 0 finished, 1 aborted, not archived or without its tip controller, 130 interrupted."""
-    return _EXIT[result.outcome.status] or (1 if result.warnings or result.outcome.message else 0)
+    return _EXIT[result.outcome.status] or (FAULT if result.warnings or result.outcome.message else DONE)
 
 
 def findings_table(findings: tuple[Finding, ...]) -> Table:

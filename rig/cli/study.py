@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from rig.cli.completion import DATA
+from rig.cli.exit_status import FAULT
 from rig.cli.options import AsJson, Fast, Folder, Metadata, Operator, RigName, Scheduler, Yes
 
 PlanFile = Annotated[Path, typer.Argument(metavar="PLAN", help="YAML file of the study.", dir_okay=False)]
@@ -68,7 +69,7 @@ def study(
                 study_output.written(screen, found, entries, page, table, as_json=json)
         if len(entries) < len(found.runs):
             screen.print(f"repeat the command for the {len(found.runs) - len(entries)} runs that are missing")
-            raise typer.Exit(1)
+            raise typer.Exit(FAULT)
 
 
 def _refuse(option: str, value: str, expected: str) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import typer
 
+from rig.cli.exit_status import BAD_INPUT
 from rig.config.loader import load, named_rig
 from rig.config.schema import RigConfig
 from rig.hardware.cards.base import CardError
@@ -27,7 +28,7 @@ def vent(option: str | None) -> None:
         if is_absent(config):
             simulated = f"the simulated rig {config.name}, chosen by {chosen.source}, has never run"
             typer.echo(f"nothing to vent: {simulated}", err=True)
-            raise typer.Exit(2)
+            raise typer.Exit(BAD_INPUT)
         vent_rig(config)
         typer.echo(f"{_vented(config)}; rig chosen by {chosen.source}")
         return
@@ -36,7 +37,7 @@ def vent(option: str | None) -> None:
         typer.echo(NOTHING, err=True)
         for node, pid in locked_devices():
             typer.echo(f"{node} is held by {described(pid)}: name its rig with --rig", err=True)
-        raise typer.Exit(2)
+        raise typer.Exit(BAD_INPUT)
     failures = []
     for held in running:
         try:

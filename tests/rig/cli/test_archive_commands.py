@@ -13,7 +13,8 @@ from pathlib import Path
 import pytest
 
 import tests.support.synthetic_runs as made_up
-from rig.cli.app import EXPECTED_ERRORS, main
+from rig.cli.app import main
+from rig.cli.expected_errors import EXPECTED_ERRORS
 from runs.archive.writer import finalise
 from runs.journal.journal import JournalWriter
 from runs.records import RunFooter, Status

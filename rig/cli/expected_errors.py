@@ -1,0 +1,96 @@
+"""Expected errors: which they are, and the message and exit status with which a command ends."""
+
+from __future__ import annotations
+
+from typing import Any, NoReturn
+
+import typer
+
+from rig.cli.exit_status import BAD_INPUT, FAULT, INTERRUPTED
+from rig.cli.help_formatter import HelpGroup
+
+
+class PlainErrors(HelpGroup):
+    """Command group that prints expected errors as one message with an exit status, without a traceback."""
+
+    def invoke(self, ctx: Any) -> Any:
+        """Run a command."""
+        try:
+            return super().invoke(ctx)
+        except (typer.Exit, typer.Abort):
+            raise
+        except KeyboardInterrupt:
+            fail("interrupted", INTERRUPTED)
+        except Exception as error:
+            status = _status(error)
+            if status is None:
+                raise
+            fail(_message(error), status)
+
+
+EXPECTED_ERRORS = {
+    "protocols.problems.BadInputError": BAD_INPUT,
+    "runs.overwriting.WouldOverwriteError": BAD_INPUT,
+    "runs.archive.checked.ArchiveError": BAD_INPUT,
+    "runs.export.exporters.ExportError": BAD_INPUT,
+    "calibration.camera.CalibrationError": BAD_INPUT,
+    "calibration.dlt.DLTError": BAD_INPUT,
+    "calibration.views.ViewsError": BAD_INPUT,
+    "calibration.identify.data.NoDataError": BAD_INPUT,
+    "calibration.identify.parameters.UnknownParameter": BAD_INPUT,
+    "calibration.identify.recursive_estimator.NotEstimableError": BAD_INPUT,
+    "calibration.identify.parallel_map.NoClusterError": FAULT,
+    "calibration.identify.parallel_map.WorkerDiedError": FAULT,
+    "rig.calibrate.bench_driver.TrippedError": FAULT,
+    "rig.config.plugins.PluginError": BAD_INPUT,
+    "rig.study.execution.StudyStoppedError": FAULT,
+    "rig.study.study.OtherStudyError": BAD_INPUT,
+    "rig.execution.plan.StoppedError": INTERRUPTED,
+    "rig.execution.plan.StartError": FAULT,
+    "rig.hardware.cameras.base.CameraError": FAULT,
+    "rig.hardware.cards.base.CardError": FAULT,
+    "runs.journal.append_only_file.JournalError": FAULT,
+    "builtins.MemoryError": FAULT,
+    "builtins.OSError": FAULT,
+}
+"""Exit status by class. Names, because an import here costs time and fails where memory is short."""
+
+
+def _message(error: Exception) -> str:
+    """Return the message of an error; of an OSError without its number."""
+    if isinstance(error, OSError) and error.strerror:
+        return f"{error.filename}: {error.strerror}" if isinstance(error.filename, str) else error.strerror
+    if extra := _extra_of(error):
+        return f"this command needs more of softrig: pip install 'softrig[{extra}]'"
+    if isinstance(error, MemoryError) or _is_unloadable(error):
+        return f"not enough memory: {error}" if str(error) else "not enough memory"
+    return str(error)
+
+
+def _status(error: Exception) -> int | None:
+    """Return the exit status of an expected error; None for an unexpected one."""
+    if _is_unloadable(error) or _extra_of(error):
+        return FAULT
+    names = (f"{kind.__module__}.{kind.__qualname__}" for kind in type(error).__mro__)
+    return next((EXPECTED_ERRORS[name] for name in names if name in EXPECTED_ERRORS), None)
+
+
+EXTRAS = {"numba": "rig", "piqp": "rig", "nicegui": "live"}
+"""Extra of the package that brings a library."""
+
+
+def _extra_of(error: Exception) -> str:
+    """Return the extra that a light installation lacks; empty if the error has another reason."""
+    return EXTRAS.get((error.name or "").partition(".")[0], "") if isinstance(error, ModuleNotFoundError) else ""
+
+
+def _is_unloadable(error: Exception) -> bool:
+    """Return whether a library could not be loaded for lack of memory."""
+    words = ("failed to map segment", "cannot allocate memory")
+    return isinstance(error, ImportError) and any(word in str(error).lower() for word in words)
+
+
+def fail(message: str, status: int) -> NoReturn:
+    """Print a message as an error and end the command."""
+    typer.echo(message, err=True)
+    raise typer.Exit(status)
