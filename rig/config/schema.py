@@ -90,6 +90,12 @@ class RigConfig(Section):
         return cards or any(camera.simulated for camera in self.cameras.values())
 
     @property
+    def has_simulated_drivers(self) -> bool:
+        """True when a driver of the rig simulates its device, with random numbers from the seed of the run."""
+        cards = any(card.simulated for card in self.cards.values())
+        return cards or any(camera.simulated for camera in self.cameras.values())
+
+    @property
     def has_mocks(self) -> bool:
         """True when a device of the rig belongs to the simulated bench."""
         cards = any(card.is_mock for card in self.cards.values())

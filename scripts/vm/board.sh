@@ -72,7 +72,7 @@ machine=$!
 touch "$out/log"
 tail -n +1 -f --pid=$machine "$out/log" &
 wait $machine || :
-wait $bench || :
+kill $bench 2>/dev/null || :
 wait
 if [ ! -e "$out/status" ]; then
     echo "softrig: the virtual machine ended without a result; the end of its console:" >&2

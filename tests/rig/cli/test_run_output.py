@@ -213,3 +213,16 @@ def test_the_least_important_lines_are_dropped_first(lines: int, gone: str) -> N
 
 def test_a_small_uncertainty_is_not_shown_as_zero() -> None:
     assert uncertainty_text(np.array([3.2e-6, 0.25e-3, 12e-3])).split() == ["0.0032", "0.25", "12."]
+
+
+def test_a_run_on_an_emulated_board_is_marked_as_simulated_and_has_no_seed(tmp_path: Path) -> None:
+    stated = loader.text("pci1716")
+    rig = tmp_path / "emulated.yaml"
+    rig.write_text(stated.replace("driver: comedi,", "driver: comedi, emulated: true,"))
+    request = experiment.request(str(protocol_to(tmp_path, 0.2)), str(rig), seed=7)
+    decided = experiment.plan(request)
+    assert "card daq is stated as an emulated board" in drawn(run_output.check_screen(request, decided), 110)
+    header = experiment.header(request, decided, 0)
+    # The simulator behind the board is another program, with random numbers of its own.
+    assert (header.simulated, header.seed) == (True, None)
+    assert not request.config.cards["daq"].simulated
