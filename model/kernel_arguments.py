@@ -23,7 +23,7 @@ class KernelArguments:
     stiffness (R, 24), rest (R, 6), per_pressure (R, 6, N): sections, one for each row of pressures where their rule
     freezes the moduli, else one for all. prepared: a work array with the first of them in it. cap (19,): what the arm
     itself hangs on the tip, as it stands at `layout.END`. Problems are shared, so the kernels take a copy of the work
-    array, and nobody writes to the others.
+    array, and the others are never written.
     """
 
     law: int

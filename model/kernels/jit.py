@@ -100,9 +100,9 @@ def kernel(
     """Compile a function when it is first called, or take it from the cache on disk.
 
     `sources` are the files outside this room that a kernel is made of; `fastmath` is numba's. `inlined` puts the
-    machine code into every caller, which lets a loop around it become vector instructions. A kernel that makes no
-    array says so by `allocates`: it is then spared the counting of references, an atomic operation per array and call.
-    One that only other kernels call says so by `called`: it is spared what Python would call it by, in which an inlined
+    machine code into every caller, which lets a loop around it become vector instructions. `allocates=False` is for a
+    kernel that makes no array: references are then not counted, which saves an atomic operation per array and call.
+    `called=False` is for a kernel that only other kernels call: it gets no wrapper for Python, in which an inlined
     kernel would be compiled once more. Calling it from Python then ends the process.
     """
     folder = cache_folder()
@@ -138,7 +138,7 @@ def _candidates() -> list[Path]:
 
 
 def _forget_old(parent: Path, keep: str) -> None:
-    """Remove what sources that nobody has run for a month have left behind."""
+    """Remove the kernels of sources that were not used for a month."""
     for folder in parent.glob("kernels-*"):
         try:
             if folder.name != keep and time.time() - folder.stat().st_mtime > _KEEP_S:

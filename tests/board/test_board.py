@@ -232,7 +232,7 @@ def test_a_bus_that_hangs_under_a_command_gives_no_plausible_scan(board: Monitor
 
 @pytest.mark.usefixtures("own_clock")
 def test_an_interrupt_storm_leaves_instructions_and_a_reload_ends_it(board: Monitor, open_board: OpenBoard) -> None:
-    """The kernel switches off an interrupt that no handler wants; sampling by the board's clock then stands still."""
+    """The kernel switches off an interrupt that no handler wants; sampling by the board's clock then stops."""
     card = open_board((0,), acquisition="instruction")
     card.start()
     board.set("ai0", 2.0)

@@ -29,7 +29,7 @@ from rig.hardware.runtime_folder import open_private
 from rig.realtime.control_socket import socket_paths
 from rig.simulator.registers import Registers, path_of
 
-NOBODY = 65534
+OTHER_USER = 65534
 NODE = "/dev/full"
 """A device node that every user may open; it stands for the node of a card."""
 
@@ -43,8 +43,8 @@ def another_user(do: Callable[[], None]) -> None:
         status = 1
         try:
             os.setgroups([])
-            os.setgid(NOBODY)
-            os.setuid(NOBODY)
+            os.setgid(OTHER_USER)
+            os.setuid(OTHER_USER)
             do()
             status = 0
         except BaseException:
@@ -251,7 +251,7 @@ def test_two_users_of_one_card_exclude_each_other(shared: Path, tmp_path: Path) 
     text = re.sub(r"device: \S*comedi0", f"device: {NODE}", rig.config.loader.text("pci1716"))
     file.write_text(text)
     with (
-        holder(file, shared, NOBODY) as process,
+        holder(file, shared, OTHER_USER) as process,
         pytest.raises(CardError, match=rf"in use by another run: process {process.pid} of user"),
         cards_locked(real_rig(), "a test"),
     ):
