@@ -29,8 +29,8 @@ def vent(option: str | None) -> None:
             simulated = f"the simulated rig {config.name}, chosen by {chosen.source}, has never run"
             typer.echo(f"nothing to vent: {simulated}", err=True)
             raise typer.Exit(BAD_INPUT)
-        vent_rig(config)
-        typer.echo(f"{_vented(config)}; rig chosen by {chosen.source}")
+        unverified = vent_rig(config)
+        typer.echo(f"{_vented(config, unverified)}; rig chosen by {chosen.source}")
         return
     running = running_rigs()
     if not running:
@@ -41,16 +41,19 @@ def vent(option: str | None) -> None:
     failures = []
     for held in running:
         try:
-            vent_rig(held.config)
+            unverified = vent_rig(held.config)
         except CardError as error:
             failures.append(f"rig {held.config.name}: {error}")
         else:
-            typer.echo(f"{_vented(held.config)}; it was held by process {held.pid}, {held.purpose}")
+            typer.echo(f"{_vented(held.config, unverified)}; it was held by process {held.pid}, {held.purpose}")
     if failures:
         raise CardError("; ".join(failures))
 
 
-def _vented(config: RigConfig) -> str:
+def _vented(config: RigConfig, unverified: tuple[str, ...]) -> str:
+    if unverified:
+        cards = f"card {', '.join(unverified)} has no read-back"
+        return f"every output of rig {config.name} was told to vent; {cards}: look at the gauge"
     mock = all(card.simulated for card in config.cards.values())
     simulated = " (simulated: no hardware was touched)" if mock else ""
     return f"every chamber of rig {config.name} is open to the exhaust{simulated}"

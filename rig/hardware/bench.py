@@ -166,9 +166,9 @@ class Bench:
         """As `SafeOutputs.make_safe`."""
         self._safe.make_safe(vent=vent)
 
-    def arm(self, *, vent: bool = False) -> None:
+    def arm(self, *, vent: bool = False) -> tuple[str, ...]:
         """As `SafeOutputs.arm`."""
-        self._safe.arm(vent=vent)
+        return self._safe.arm(vent=vent)
 
     def close(self) -> None:
         """Release every card; the outputs keep their voltages."""

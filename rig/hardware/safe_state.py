@@ -38,6 +38,13 @@ def safe_voltages(config: RigConfig, *, vent: bool = False) -> tuple[float, ...]
     return tuple(valve.safe_v(vent=vent) for valve in config.valves)
 
 
+def armed_sentence(unverified: int) -> str:
+    """What arming did, with the number of cards without read-back."""
+    if not unverified:
+        return "armed: the safe state was written and read back"
+    return f"armed: the safe state was written, but not read back: {unverified} card(s) cannot read their outputs back"
+
+
 class SafeOutputs:
     """Open cards of a rig, as outputs that can be made safe. Methods may raise `CardError`."""
 
@@ -69,8 +76,10 @@ class SafeOutputs:
         if failures:
             raise CardError(f"{UNSAFE}: {'; '.join(failures)}")
 
-    def arm(self, *, vent: bool = False) -> None:
-        """Write the safe voltages as `make_safe` does, read them back where the card can, and compare.
+    def arm(self, *, vent: bool = False) -> tuple[str, ...]:
+        """Write the safe voltages as `make_safe` does, read them back and compare.
+
+        Return the names of the cards without read-back, whose outputs are not compared.
 
         Raises:
             CardError: the read-back of an output differs from the written voltage.
@@ -80,13 +89,13 @@ class SafeOutputs:
         voltages = self.vent_v if vent else self.safe_v
         for i in sorted(i for column in self.columns.values() for i in column):
             valve, safe = self._valves[i], voltages[i]
-            # False for NaN: a card without read-back is armed without the comparison.
             if abs(stands[i] - safe) > self.tolerance_v[i]:
                 unit = valve.output_unit
                 raise CardError(
                     f"valve {i + 1} (card {valve.card}, output {valve.channel}) was told {safe:.3f} {unit} but stands "
                     f"at {stands[i]:.3f} {unit}: check that nothing else drives the card"
                 )
+        return tuple(name for name, column in self.columns.items() if np.isnan(stands[column]).any())
 
     def readback(self) -> NDArray[np.float64]:
         """The output voltages (V,), NaN where a card has no read-back."""

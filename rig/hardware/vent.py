@@ -31,8 +31,10 @@ def is_absent(config: RigConfig) -> bool:
     return all(absent) and not holders(config)
 
 
-def vent(config: RigConfig) -> None:
+def vent(config: RigConfig) -> tuple[str, ...]:
     """Write the vented state to every card repeatedly, for longer than a control period.
+
+    Return the names of the cards without read-back, on which nothing verifies it.
 
     A running experiment detects the external write and ends; a write of its current cycle is overwritten. A run that
     has not begun, has stalled, or whose valves are vented already, gets SIGTERM. A run with a card that allows one
@@ -45,17 +47,18 @@ def vent(config: RigConfig) -> None:
     """
     running = bool(holders(config))
     unsignalled: set[int] = set()
-    failures = _vent(config, unsignalled)
+    unverified, failures = _vent(config, unsignalled)
     if running and safe_voltages(config) != safe_voltages(config, vent=True):
         # After a killed process the watchdog writes the safe state, which holds valves.
         _wait_for_end(config, set(holders(config)))
-        failures = _vent(config, unsignalled)
+        unverified, failures = _vent(config, unsignalled)
     if staying := _wait_for_end(config, unsignalled):
         failures += [f"{described(pid)} still runs and cannot be stopped: {_STOP_IT}" for pid in staying]
     elif held_by_unseen(config):
         failures.append(f"a process that this one cannot see, as in a container, holds the rig: {_STOP_IT}")
     if failures:
         raise CardError("; ".join(failures))
+    return unverified
 
 
 def _wait_for_end(config: RigConfig, pids: set[int]) -> set[int]:
@@ -66,12 +69,13 @@ def _wait_for_end(config: RigConfig, pids: set[int]) -> set[int]:
     return staying
 
 
-def _vent(config: RigConfig, unsignalled: set[int]) -> list[str]:
-    """Vent for REPEATED_S; return the failures of cards and outputs.
+def _vent(config: RigConfig, unsignalled: set[int]) -> tuple[tuple[str, ...], list[str]]:
+    """Vent for REPEATED_S; return the cards without read-back, and the failures of cards and outputs.
 
     Holders that this user may not signal are added to `unsignalled`.
     """
     opened: list[SafeOutputs] = []
+    unverified: list[str] = []
     failures: list[str] = []
     try:
         _open(config, opened, failures, unsignalled)
@@ -80,13 +84,13 @@ def _vent(config: RigConfig, unsignalled: set[int]) -> list[str]:
         _vent_repeatedly(opened, REPEATED_S - NOTICED_S)
         for outputs in opened:
             try:
-                outputs.arm(vent=True)
+                unverified += outputs.arm(vent=True)
             except CardError as error:
                 failures.append(str(error))
     finally:
         for outputs in opened:
             outputs.close()
-    return failures
+    return tuple(unverified), failures
 
 
 def _open(config: RigConfig, opened: list[SafeOutputs], failures: list[str], unsignalled: set[int]) -> None:

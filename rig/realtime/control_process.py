@@ -53,7 +53,7 @@ def main() -> int:
     fault = ""
     crash: Exception | None = None
     try:
-        bench.arm()
+        memory.unverified_cards = len(bench.arm())
         bench.start()
         _warm_up(job, bench)
         sampling_clocks.publish(memory, bench)

@@ -86,6 +86,7 @@ _BOARD = np.dtype(
         ("watchdog_trip_ns", "<i8"),
         ("lost_scans", "<i8"),
         ("setpoint_source", "<i8"),
+        ("unverified_cards", "<i8"),
         ("scan_period_ns", "<f8", (CLOCKS,)),
         ("scan_drift_ppm", "<f8", (CLOCKS,)),
     ],
@@ -205,6 +206,8 @@ class SharedState:
     """When the watchdog wrote the safe state because control had died or hung."""
     lost_scans = _BoardField(int)
     setpoint_source = _BoardField(SetPointSource)
+    unverified_cards = _BoardField(int)
+    """Cards without read-back, found when the bench was armed."""
 
     def __init__(self, fd: int, layout: StateLayout, *, readonly: bool = False, tip_controller: bool = False) -> None:
         """Map the memory; with `readonly` (viewers) the mapping itself is read-only.

@@ -8,7 +8,7 @@ from dataclasses import replace
 from rig.execution.plan import OpenRecord, OperatorInterface, Outcome, Plan, StartError, StoppedError
 from rig.hardware.cards.base import CardError
 from rig.hardware.cards.registry import card_type
-from rig.hardware.safe_state import UNSAFE
+from rig.hardware.safe_state import UNSAFE, armed_sentence
 from rig.realtime import sampling_clocks
 from rig.realtime.data_recorder import DataRecorder
 from rig.realtime.operator_session import OperatorSession
@@ -191,7 +191,7 @@ class Supervisor:
         self.timing = timing_limits(config, memory.granted)
         go = time.monotonic_ns() + LEAD_NS
         self.record = DataRecorder(config, memory, open_record(go), self._operator)
-        self._event(Level.INFO, "control", "armed: the safe state was written and read back")
+        self._event(Level.INFO, "control", armed_sentence(memory.unverified_cards))
         for sentence in sampling_clocks.descriptions(memory, config):
             self._event(Level.INFO, "card", sentence)
         self._report_timing()

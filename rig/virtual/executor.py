@@ -22,7 +22,7 @@ from rig.hardware.bench import Bench
 from rig.hardware.cameras.base import CameraError
 from rig.hardware.cameras.mock import Exposure, MockCamera
 from rig.hardware.cards.base import CardError
-from rig.hardware.safe_state import VENTING_S, VentVerification, failure_of
+from rig.hardware.safe_state import VENTING_S, VentVerification, armed_sentence, failure_of
 from rig.observation.observer import Observer
 from rig.observation.picture_recorder import PictureRecorder
 from rig.realtime.health_monitor import HealthMonitor
@@ -121,11 +121,11 @@ class _VirtualRun:
     def run(self, pipeline: FramePipeline, open_record: OpenRecord) -> Outcome:
         """Arm, run cycles until the run ends, write the safe state."""
         self._pipeline = pipeline
-        self._bench.arm()
+        unverified = self._bench.arm()
         self._bench.start()
         self._plant.advance(START_NS)
         self._recorder = open_record(START_NS)
-        self._event(START_NS, Level.INFO, "control", "armed: the safe state was written and read back")
+        self._event(START_NS, Level.INFO, "control", armed_sentence(len(unverified)))
         tick = 0
         now = START_NS
         try:

@@ -161,6 +161,20 @@ def test_vent_without_a_rig_vents_only_the_running_ones(
     assert second.outputs["volts"].tolist() == [7.0, 7.0]
 
 
+def test_vent_does_not_claim_what_a_card_without_read_back_cannot_show(
+    two_cards: list[tuple[RigConfig, Registers]],
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    (running, _), _ = two_cards
+    monkeypatch.setattr(rig.cli.vent, "vent_rig", lambda config: ("daq",))
+    with cards_locked(running, "protocol ramp-a"):
+        assert inside("vent") == 0
+    said = capsys.readouterr().out
+    assert "was told to vent; card daq has no read-back: look at the gauge" in said
+    assert "open to the exhaust" not in said
+
+
 def test_a_running_rig_that_cannot_be_vented_does_not_stop_the_venting_of_others(
     two_cards: list[tuple[RigConfig, Registers]],
     monkeypatch: pytest.MonkeyPatch,
@@ -169,10 +183,10 @@ def test_a_running_rig_that_cannot_be_vented_does_not_stop_the_venting_of_others
     (one, _), (other, registers) = two_cards
     monkeypatch.setattr(rig.hardware.vent.os, "kill", lambda pid, number: None)
 
-    def vented(config: RigConfig) -> None:
+    def vented(config: RigConfig) -> tuple[str, ...]:
         if config.name == one.name:
             raise CardError("the card is gone")
-        rig.hardware.vent.vent(config)
+        return rig.hardware.vent.vent(config)
 
     monkeypatch.setattr(rig.cli.vent, "vent_rig", vented)
     with cards_locked(one, "one"), cards_locked(other, "other"):

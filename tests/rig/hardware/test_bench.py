@@ -14,7 +14,7 @@ from rig.config.schema import RigConfig
 from rig.hardware.bench import Bench
 from rig.hardware.cards.base import CardBusyError, CardError, CardSetup, Scans
 from rig.hardware.cards.setup import card_setup
-from rig.hardware.safe_state import make_safe
+from rig.hardware.safe_state import armed_sentence, make_safe
 from rig.hardware.vent import vent
 from tests.support.plant_bench import mock_rig
 
@@ -150,8 +150,13 @@ def test_a_card_without_read_back_is_armed(
     bench: Bench, cards: dict[str, FakeCard], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(cards["other"], "readback", lambda: np.array([np.nan]))
-    bench.arm()
+    assert bench.arm() == ("other",)
     assert cards["other"].outputs.tolist() == [5.0]
+
+
+def test_arming_without_read_back_does_not_claim_that_it_was_read_back() -> None:
+    assert armed_sentence(0) == "armed: the safe state was written and read back"
+    assert "not read back: 1 card(s)" in armed_sentence(1)
 
 
 @pytest.mark.parametrize("bug", [ValueError, OSError])
