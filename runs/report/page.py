@@ -159,8 +159,8 @@ def _tiles(s: Summary) -> str:
     ]
     if s.truth is not None:
         tiles += [
-            (with_unit(s.truth.error_mm.mean, "mm", 2), "mean measured to simulated truth"),
-            (with_unit(s.truth.in_plane_mm.mean, "mm", 2), "the same in the plane of motion"),
+            (with_unit(s.truth.error_mm.mean, "mm", 3), "mean measured to simulated truth"),
+            (with_unit(s.truth.in_plane_mm.mean, "mm", 3), "the same in the plane of motion"),
             (with_unit(100 * s.truth.coverage, "%", 1), "frames whose truth lies in the stated 95 %"),
         ]
     if s.tip_path is not None:
