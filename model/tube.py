@@ -18,6 +18,9 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 _POINTS, _WEIGHTS = np.polynomial.legendre.leggauss(12)
+_STEP = 1e-6
+# The states one step ahead and one step behind along each unknown, for central differences.
+_AROUND = _STEP * np.stack([np.eye(3), -np.eye(3)])
 
 
 class BallooningError(Exception):
@@ -71,7 +74,7 @@ class Tube:
         """The pressure acts on the wall alone, N = 0: the RPE of eq 6. Raises Ballooned."""
         area = math.pi * self.inner_radius_m**2
 
-        def balance(hoop: float, pull: float, load: float, radial: float) -> tuple[float, float]:
+        def balance(hoop: Array, pull: Array, load: Array, radial: Array) -> tuple[Array, Array]:
             return hoop - load, pull + load * area * radial**2
 
         return self._path(balance, pressure_pa, self.shear_modulus_pa, "Pa")
@@ -83,32 +86,37 @@ class Tube:
 
     def loads(self, stretch: PrincipalStretches) -> tuple[float, float]:
         """What holds a state: the pressure of eq 4 [Pa], and the pull N - P pi r_i^2 on the caps [N] (eq 5)."""
-        inner = self._layer(stretch, self.inner_radius_m, self.interface_radius_m, 1.0, 0.0)
+        hoop, pull = self._loads(np.array(stretch.axial), np.array(stretch.radial))
+        return float(hoop), float(pull)
+
+    def _loads(self, axial: Array, radial: Array) -> tuple[Array, Array]:
+        """`loads` of states (..) of equal shapes."""
+        inner = self._layer(axial, radial, self.inner_radius_m, self.interface_radius_m, 1.0, 0.0)
         outer = self._layer(
-            stretch, self.interface_radius_m, self.outer_radius_m, self.rubber_fraction, self.fibre_modulus_pa
+            axial, radial, self.interface_radius_m, self.outer_radius_m, self.rubber_fraction, self.fibre_modulus_pa
         )
         return inner[0] + outer[0], inner[1] + outer[1]
 
     def _layer(
-        self, stretch: PrincipalStretches, first: float, last: float, rubber: float, fibre: float
-    ) -> tuple[float, float]:
-        """Integrals of eqs 4 and 5 over one layer, the radial stress of eq 5 integrated by parts."""
+        self, axial: Array, radial: Array, first: float, last: float, rubber: float, fibre: float
+    ) -> tuple[Array, Array]:
+        """Integrals (..) of eqs 4 and 5 over one layer, the radial stress of eq 5 integrated by parts."""
         radius = 0.5 * (first + last) + 0.5 * (last - first) * _POINTS
         weight = 0.5 * (last - first) * _WEIGHTS
-        inner = self.inner_radius_m
+        inner, axial = self.inner_radius_m, axial[..., None]
         # Incompressible: what lies between R_i and R keeps its volume.
-        now = np.sqrt((stretch.radial * inner) ** 2 + (radius**2 - inner**2) / stretch.axial)
+        now = np.sqrt((radial[..., None] * inner) ** 2 + (radius**2 - inner**2) / axial)
         hoop = now / radius
-        thin = 1 / (hoop * stretch.axial)
+        thin = 1 / (hoop * axial)
         angle = math.radians(self.fibre_angle_deg)
-        along = np.sqrt((hoop * math.cos(angle)) ** 2 + (stretch.axial * math.sin(angle)) ** 2)
+        along = np.sqrt((hoop * math.cos(angle)) ** 2 + (axial * math.sin(angle)) ** 2)
         # Both families together: 4 W_4 = 2 c_2 E (1 - 1 / sqrt(I_4)).
         tension = 2 * fibre * (1 - 1 / along)
         mu = rubber * self.shear_modulus_pa
         across = mu * (hoop**2 - thin**2) + tension * (hoop * math.cos(angle)) ** 2
-        length = mu * (stretch.axial**2 - thin**2) + tension * (stretch.axial * math.sin(angle)) ** 2
-        ring = radius / stretch.axial * weight
-        return float((across / now**2 * ring).sum()), float(math.pi * ((2 * length - across) * ring).sum())
+        length = mu * (axial**2 - thin**2) + tension * (axial * math.sin(angle)) ** 2
+        ring = radius / axial * weight
+        return (across / now**2 * ring).sum(axis=-1), math.pi * ((2 * length - across) * ring).sum(axis=-1)
 
     @property
     def _wall_area_m2(self) -> float:
@@ -116,7 +124,7 @@ class Tube:
 
     def _path(
         self,
-        balance: Callable[[float, float, float, float], tuple[float, float]],
+        balance: Callable[[Array, Array, Array, Array], tuple[Array, Array]],
         target: float,
         unit: float,
         name: str,
@@ -129,13 +137,14 @@ class Tube:
         size = np.array([1 / self.shear_modulus_pa, 1 / (self.shear_modulus_pa * self._wall_area_m2)])
 
         def lack(z: Array) -> Array:
-            hoop, pull = self.loads(PrincipalStretches(z[0], z[1]))
-            gap: Array = size * np.array(balance(hoop, pull, z[2] * unit, z[1]))
+            hoop, pull = self._loads(z[..., 0], z[..., 1])
+            gap: Array = size * np.stack(balance(hoop, pull, z[..., 2] * unit, z[..., 1]), axis=-1)
             return gap
 
         def slope(z: Array) -> Array:
-            step = 1e-6
-            return np.stack([(lack(z + d) - lack(z - d)) / (2 * step) for d in step * np.eye(3)], axis=1)
+            ahead, behind = lack(z + _AROUND)
+            columns: Array = (ahead - behind) / (2 * _STEP)
+            return columns.T
 
         z, goal = np.array([1.0, 1.0, 0.0]), target / unit
         heading = np.array([0.0, 0.0, math.copysign(1.0, goal)])

@@ -163,12 +163,12 @@ class LeastSquaresProblem:
 
     def _perturbed(self, z: Array, run: int, which: Sequence[int]) -> tuple[list[Setup], list[float]]:
         """A run's setups with one perturbed unknown each, and the steps; backward at the upper bound."""
-        steps = [-_STEP if z[i] + _STEP > self.unknowns[i].upper else _STEP for i in which]
-        perturbed = []
-        for i, own in zip(which, steps, strict=True):
-            there = z.copy()
-            there[i] += own
-            perturbed.append(self.setup(there, run))
+        base, perturbed, steps = self.setup(z, run), [], []
+        for i in which:
+            unknown = self.unknowns[i]
+            step = -_STEP if z[i] + _STEP > unknown.upper else _STEP
+            perturbed.append(unknown.parameter.write(base, unknown.at(float(z[i] + step))))
+            steps.append(step)
         return perturbed, steps
 
     def solve(self, z: Array, fixed: Sequence[int] = (), rounds: int = _ROUNDS, evaluations: int = 40) -> Solution:

@@ -38,8 +38,8 @@ def about(name: str, **changes: Any) -> RunHeader:
 def archive(
     folder: Path,
     name: str = "odd",
-    frames: int = 45,
-    ticks: int = 180,
+    frames: int = 18,
+    ticks: int = 72,
     seen: DetectionStatus = DetectionStatus.MEASURED,
     swing_pa: float = 1.5e4,
     std_m: tuple[float, float, float] = (1e-4, 1e-4, 1e-4),
@@ -47,7 +47,7 @@ def archive(
     actuators: int = 3,
     **changes: Any,
 ) -> Path:
-    """An arm of the mock's file that swings for three seconds, as its archive would be."""
+    """An arm of the mock's file that swings for a second, as its archive would be."""
     rng = np.random.default_rng(frames + ticks)
     who = about(name, actuators=actuators, **changes)
     samples, rows = np.zeros(ticks, sample_dtype(actuators, 2)), np.zeros(frames, observation_dtype(actuators))
@@ -115,7 +115,7 @@ def test_an_archive_with_little_information_gives_verdicts_or_wide_error_bars(
 
 
 def test_frames_after_the_last_pressure_do_not_count(tmp_path: Path) -> None:
-    run = runs.open(archive(tmp_path, ticks=60))
+    run = runs.open(archive(tmp_path, frames=45, ticks=60))
     poses = in_motion(run)
     assert (poses.time_s[poses.has_tip] < 1 + 2 / HZ).all()
     assert poses.has_tip.sum() > 10
@@ -139,8 +139,8 @@ def test_a_run_that_is_named_twice_counts_once(
 
 
 def test_a_run_and_its_replay_are_one_experiment(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    run, replay = archive(tmp_path), archive(tmp_path, "again", frames=30, parent="odd")
-    other = archive(tmp_path, "other", frames=31, started_utc_ns=1)
+    run, replay = archive(tmp_path), archive(tmp_path, "again", frames=16, parent="odd")
+    other = archive(tmp_path, "other", frames=17, started_utc_ns=1)
     told = identify(capsys, run, other, replay, "--free", "law", status=2)
     assert "odd.h5 and" in told
     assert "are of one run" in told
@@ -252,7 +252,7 @@ def test_the_simulated_truth_includes_the_true_mounting(tmp_path: Path) -> None:
 def test_an_implausible_prior_is_refused(
     tmp_path: Path, prior: str, said: str, command: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    first, other = archive(tmp_path), archive(tmp_path, "other", frames=31, started_utc_ns=1)
+    first, other = archive(tmp_path), archive(tmp_path, "other", frames=17, started_utc_ns=1)
     told = identify(capsys, command, first, other, "--free", "law,rpe_per_bar", "--prior", prior, status=2)
     assert said in told
 
