@@ -162,12 +162,14 @@ class _Expander:
         position, velocity = fade(solution.start, path, lead_in_s, times - lead_in_s)
         free = [axis for axis in range(3) if axis not in coordinates]
         position[:, free] = velocity[:, free] = np.nan
-        tips = solution.predicted_m
-        predicted = np.column_stack([np.interp(times, solution.times_s, tips[:, axis]) for axis in range(3)])
+        predicted = _interpolated(times, solution.times_s, solution.predicted_m)
+        learned = np.zeros((count, 3))
+        if solution.learned_m is not None:
+            learned = _interpolated(times, solution.times_s, solution.learned_m)
         self._motions.append(
             TipMotion(
                 begin_s, begin_s + lead_in_s, self.now_s, self._line, label, coordinates, path.period_s, tolerance_m,
-                begin_s + times, position, velocity, predicted,
+                begin_s + times, position, velocity, predicted, learned,
             )
         )  # fmt: skip
 
@@ -226,6 +228,11 @@ def _part(times_s: Array, pressure_pa: Array, from_s: float, to_s: float) -> lis
     values = [np.interp(times, times_s, column) + 0.0 for column in pressure_pa.T]
     relative = tuple((times - from_s).tolist())
     return [Samples(relative, tuple(column.tolist()), held=False) for column in values]
+
+
+def _interpolated(times_s: Array, at_s: Array, values: Array) -> Array:
+    """Columns of values (n, m) at times (k,), linear in between."""
+    return np.column_stack([np.interp(times_s, at_s, column) for column in values.T])
 
 
 def _problem(document: Document, path: Path, expected: str, value: str | None = None) -> Problem:

@@ -38,13 +38,15 @@ class TipRequest:
 class TipSolution:
     """Times (n,) from the beginning of the lead-in, set-points (n, N) [Pa], and the tips (n, 3) [m] at these times.
 
-    `start` is where the lead-in begins; between the times the set-points are linear.
+    `start` is where the lead-in begins; between the times the set-points are linear. `learned_m` (n, 3) is the
+    difference between arm and model that earlier runs have shown; None without earlier runs.
     """
 
     times_s: Array
     pressure_pa: Array = field(repr=False)
     predicted_m: Array = field(repr=False)
     start: TipStart
+    learned_m: Array | None = field(default=None, repr=False)
 
 
 class TipRefusedError(Exception):

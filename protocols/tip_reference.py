@@ -25,7 +25,8 @@ class TipMotion:
 
     times_s (n,) from `start_s` to `stop_s`, position_m and velocity_m_s (n, 3) at these times. `coordinates` are the
     controlled ones (0 x, 1 y, 2 z). `period_s` is that of the path, None if it does not repeat. `predicted_m` (n, 3)
-    is the tip of the model under the feed-forward pressures. `line` is that of the step in the protocol's YAML.
+    is the tip of the model under the feed-forward pressures; `learned_m` (n, 3) is how far the arm's tip is from that
+    of the model according to earlier runs, zero without them. `line` is that of the step in the protocol's YAML.
     """
 
     start_s: float
@@ -40,6 +41,7 @@ class TipMotion:
     position_m: Array = field(repr=False)
     velocity_m_s: Array = field(repr=False)
     predicted_m: Array = field(repr=False)
+    learned_m: Array = field(repr=False)
 
     def positions_m(self, t_s: Array) -> Array:
         """Positions (m, 3) [m] at times (m,) within the motion: cubic Hermite interpolation of the samples."""
@@ -51,13 +53,24 @@ class TipMotion:
 
     def velocities_m_s(self, t_s: Array) -> Array:
         """Velocities (m, 3) [m/s] at times (m,) within the motion, interpolated linearly."""
-        left, share, _ = self._place(t_s)
-        return self.velocity_m_s[left] + share * (self.velocity_m_s[left + 1] - self.velocity_m_s[left])
+        return self._linear(self.velocity_m_s, t_s)
 
     def predictions_m(self, t_s: Array) -> Array:
         """Tips of the model (m, 3) [m] at times (m,) within the motion, interpolated linearly."""
+        return self._linear(self.predicted_m, t_s)
+
+    def learned_differences_m(self, t_s: Array) -> Array:
+        """Learned differences between arm and model (m, 3) [m] at times (m,) within the motion."""
+        return self._linear(self.learned_m, t_s)
+
+    def learned_rates_m_s(self, t_s: Array) -> Array:
+        """Their rates of change (m, 3) [m/s]."""
+        left, _, step = self._place(t_s)
+        return (self.learned_m[left + 1] - self.learned_m[left]) / step
+
+    def _linear(self, values: Array, t_s: Array) -> Array:
         left, share, _ = self._place(t_s)
-        return self.predicted_m[left] + share * (self.predicted_m[left + 1] - self.predicted_m[left])
+        return values[left] + share * (values[left + 1] - values[left])
 
     def _place(self, t_s: Array) -> tuple[NDArray[np.intp], Array, Array]:
         """Sample to the left (m,), share of the way to the next (m, 1), and distance of the two (m, 1) [s]."""
@@ -98,6 +111,10 @@ class TipReference:
     def predicted_m(self, t_s: Iterable[float]) -> Array:
         """Tips (n, 3) [m] of the model under the feed-forward pressures; NaN outside the motions."""
         return self._each(t_s, TipMotion.predictions_m)
+
+    def learned_m(self, t_s: Iterable[float]) -> Array:
+        """Learned differences between arm and model (n, 3) [m]; NaN outside the motions."""
+        return self._each(t_s, TipMotion.learned_differences_m)
 
     def place(self, t_s: float) -> tuple[int, int]:
         """Number of the motion, from 1, and of the path's period, from 1, at a protocol time.

@@ -278,6 +278,26 @@ class Reference(Table):
     )
 
 
+class Learning(Table):
+    """What a run was given of earlier runs (m, 3), at the times of `Tip`. Only for runs that learn."""
+
+    group, rows, signal = "learning", "M", "disturbance_mm"
+    about = "iterative learning: what earlier runs have shown of the arm beyond the controller's model"
+
+    time_s = _time("middle of the exposure")
+    disturbance_mm = Column(
+        "learned_m",
+        axes=("axis",),
+        unit="mm",
+        about="learned difference between the tip and that of the controller's model; NaN outside tip paths",
+        convert=_mm,
+    )
+
+    def __init__(self, values: Mapping[str, Values], learned_from: Iterable[str]) -> None:
+        super().__init__(values)
+        self.learned_from = tuple(learned_from)
+
+
 class Adaptation(Table):
     """Online estimates of P parameters, each in its own unit, per frame (m,)."""
 
@@ -387,7 +407,7 @@ AXES = {
 
 SAMPLES: tuple[type[Table], ...] = (Pressure, Timing)
 AUXILIARY: tuple[type[Table], ...] = (Auxiliary,)
-OBSERVATIONS: tuple[type[Table], ...] = (Tip, Backbone, Simulated, Reference)
+OBSERVATIONS: tuple[type[Table], ...] = (Tip, Backbone, Simulated, Reference, Learning)
 ADAPTATIONS: tuple[type[Table], ...] = (Adaptation,)
 TIP_CONTROL: tuple[type[Table], ...] = (TipControl,)
 """The tables of each record."""

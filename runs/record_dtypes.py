@@ -29,7 +29,7 @@ def sample_dtype(actuators: int, valves: int, inputs: int = 0) -> np.dtype[np.vo
 
 
 def observation_dtype(actuators: int, cameras: int = 1) -> np.dtype[np.void]:
-    """One frame of every camera: `Tip`, `Backbone`, `Simulated` and `Reference`, in the rod-base frame.
+    """One frame of every camera: `Tip`, `Backbone`, `Simulated`, `Reference` and `Learning`, in the rod-base frame.
 
     `seen` is a `DetectionStatus`; where it is not MEASURED the measured columns are NaN. `truth_m` is NaN on a real
     rig. `age_ns` is the time from exposure to the end of the computation.

@@ -217,6 +217,8 @@ class RunHeader:
     """Parameters of the recursive estimator: name, unit, start value and its uncertainty."""
     tip_controller: str = ""
     """Name of the tip controller; empty if the protocol has no tip reference."""
+    learned_from: tuple[str, ...] = ()
+    """Ids of the runs from which the tip controller has learned, in this order."""
     control_hz: float = 200.0
     camera_hz: float = 30.0
     cameras: tuple[str, ...] = ("camera",)

@@ -38,6 +38,7 @@ from rig.cli.options import (
     Fast,
     Folder,
     Free,
+    LearnFrom,
     Metadata,
     Note,
     Operator,
@@ -108,6 +109,7 @@ def run(
     ] = False,
     free: Free = "",
     controller: Controller = None,
+    learn_from: LearnFrom = None,
     live: Annotated[bool, typer.Option("--live", help="Also show the run in the browser.")] = False,
     listen: Listen = LOCAL,
     port: Port = LIVE_PORT,
@@ -128,6 +130,7 @@ def run(
 
     from rig.cli import assignments, recovery_offer, run_output
     from rig.cli.console import console
+    from rig.cli.run_names import resolve
     from rig.cli.terminal import Terminal
     from rig.config.loader import chosen_rig
     from rig.execution.stop_signals import StopSignals
@@ -147,6 +150,7 @@ def run(
         notes=note,
         metadata=assignments.texts("--meta", meta),
         controller=controller,
+        learn_from=[resolve(name) for name in learn_from or ()],
         report=not no_report,
     )
     decided = experiment.plan(request)

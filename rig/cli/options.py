@@ -91,6 +91,15 @@ Controller = Annotated[
         show_default="tip_control of the rig",
     ),
 ]
+LearnFrom = Annotated[
+    list[Path] | None,
+    typer.Option(
+        "--learn-from",
+        metavar="RUN",
+        help="Earlier run of the same protocol and rig, from which the tip controller learns; may be repeated.",
+        autocompletion=completion.runs,
+    ),
+]
 Parameters = Annotated[
     Path | None,
     typer.Option("--parameters", metavar="FILE", help="Identified parameters, to apply to the rig.", dir_okay=False),

@@ -29,6 +29,8 @@ class Plan:
     """Quantities that the recursive estimator estimates during the run; none by default."""
     tip_controller: str = ""
     """Name of the tip controller, or `package:Class`; empty for a protocol without a tip reference."""
+    learned_from: tuple[str, ...] = ()
+    """Ids of the earlier runs that have corrected the trajectory."""
 
     @property
     def auxiliary(self) -> tuple[AuxiliaryChannel, ...]:

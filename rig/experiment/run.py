@@ -26,6 +26,7 @@ from rig.execution.plan import OperatorInterface, Outcome, Plan, StartError
 from rig.experiment import report_process
 from rig.experiment.preflight import check
 from rig.experiment.provenance import git_state, protocol_parameters, quantities, versions
+from rig.experiment.tip_setup import tip_controller, tip_inverse
 from rig.hardware.cards.base import CardError
 from rig.hardware.lock import cards_locked
 from rig.realtime.scheduling import obtainable
@@ -45,7 +46,6 @@ from runs.records import (
 )
 
 if TYPE_CHECKING:
-    from protocols.tip_inverse import TipInverse
     from runs.journal.journal import JournalWriter
 
 Loaded = TypeVar("Loaded")
@@ -74,6 +74,8 @@ class RunRequest:
     metadata: Mapping[str, str] = field(default_factory=dict)
     controller: str | None = None
     """Name of the tip controller; that of the rig when None."""
+    learn_from: tuple[Path, ...] = ()
+    """Archives of earlier runs from which the tip controller learns."""
     study: StudyRun | None = None
 
     @property
@@ -116,6 +118,7 @@ def request(
     adapt: Sequence[str] | None = None,
     metadata: Mapping[str, str] | None = None,
     controller: str | None = None,
+    learn_from: Sequence[Path] = (),
 ) -> RunRequest:
     """Load a protocol and a rig by name or file, with a file of identified `parameters` over the rig.
 
@@ -167,6 +170,7 @@ def request(
         rig_source=source,
         metadata=stated,
         controller=controller,
+        learn_from=tuple(learn_from),
     )
 
 
@@ -184,7 +188,8 @@ def plan(request: RunRequest) -> Plan:
     Raises:
         BadInputError: every violated limit, or the reasons why the rig cannot run the protocol.
     """
-    trajectory = request.protocol.expand(request.config.actuators, _tip_inverse(request))
+    inverse, learned_from = tip_inverse(request.protocol, request.rig, request.variant, request.learn_from)
+    trajectory = request.protocol.expand(request.config.actuators, inverse)
     if problems := check(request.config, trajectory, request.protocol, request.rig_file):
         raise BadInputError(problems)
     return Plan(
@@ -194,34 +199,9 @@ def plan(request: RunRequest) -> Plan:
         request.variant,
         request.seed,
         request.adapted,
-        _tip_controller(request) if trajectory.tip else "",
+        tip_controller(request.config, request.rig_file, request.controller) if trajectory.tip else "",
+        learned_from,
     )
-
-
-def _tip_controller(request: RunRequest) -> str:
-    """The name of the controller, which can be used."""
-    from rig.tip_control.registry import FEED_FORWARD, UnknownControllerError, controller_class
-
-    name = request.controller or request.config.tip_control.controller
-    if name == FEED_FORWARD:
-        return name
-    stated = ("--controller", "") if request.controller else (str(request.rig_file), "tip_control, controller")
-    try:
-        controller_class(name)
-    except UnknownControllerError as error:
-        raise BadInputError([Problem(stated[0], 0, 0, stated[1], name, str(error))]) from None
-    if not request.config.cameras:
-        raise BadInputError([Problem(stated[0], 0, 0, stated[1], name, "feed-forward: the rig has no camera")])
-    return name
-
-
-def _tip_inverse(request: RunRequest) -> TipInverse | None:
-    """The inverse solution of the rig, if the protocol needs one: it takes a solver and the model's kernels."""
-    if not request.protocol.moves_tip:
-        return None
-    from rig.tip_planning.inverse import RigTipInverse
-
-    return RigTipInverse(request.config, request.variant)
 
 
 def run(
@@ -353,6 +333,7 @@ def header(request: RunRequest, decided: Plan, t_ns: int, ahead_ns: int = 0) -> 
         quantities=(*protocol_parameters(protocol), *quantities(config)),
         adapted=decided.adapted,
         tip_controller=decided.tip_controller,
+        learned_from=decided.learned_from,
         control_hz=config.control.rate_hz,
         camera_hz=config.observation_hz,
         cameras=tuple(config.cameras),

@@ -236,4 +236,5 @@ class Observer:
         t_s = float(self._protocol_times.at(int(row["t_ns"]))[0])
         row["reference_m"] = self._reference.position_m(t_s)
         row["predicted_m"] = self._reference.predicted_m([t_s])[0]
+        row["learned_m"] = self._reference.learned_m([t_s])[0]
         row["tip_motion"], row["tip_period"] = self._reference.place(t_s)

@@ -25,6 +25,8 @@ LAG_STD_S, LAG_WALK_S = 0.01, 2e-4
 PAYLOAD_STD_KG, PAYLOAD_WALK_KG = 0.003, 2e-4
 OFFSET_STD_M, OFFSET_WALK_M = 2e-3, 2e-4
 HARMONIC_STD_M, HARMONIC_WALK_M = 1e-3, 3e-5
+LEARNED_SHARE = 0.1
+"""Share of the prior standard deviations that is left when earlier runs have shown the disturbance."""
 MODEL_STD_M = 1.2e-4
 """White error of the model beside that of the measurement."""
 SURPRISE_NIS = 20.0
@@ -51,8 +53,9 @@ class EstimatorState(NamedTuple):
 class TipEstimator:
     """The filter of an arm with V valves."""
 
-    def __init__(self, static_map: StaticMap) -> None:
-        self._map = static_map
+    def __init__(self, static_map: StaticMap, *, learned: bool = False) -> None:
+        """`learned`: the tips that it is given are without the disturbance that earlier runs have shown."""
+        self._map, self._unknown = static_map, LEARNED_SHARE if learned else 1.0
         valves = self._valves = static_map.valves
         self._lag, self._payload, self._offset, self._waves = valves, valves + 1, valves + 2, valves + 5
         self._size = self._waves + 6 * HARMONICS
@@ -60,7 +63,7 @@ class TipEstimator:
     def start(self) -> EstimatorState:
         """The prior."""
         waves = np.repeat(HARMONIC_STD_M / np.arange(1, HARMONICS + 1), 6)
-        std = self._each(GAIN_STD, LAG_STD_S, PAYLOAD_STD_KG, OFFSET_STD_M, waves)
+        std = self._unknown * self._each(GAIN_STD, LAG_STD_S, PAYLOAD_STD_KG, OFFSET_STD_M, waves)
         return EstimatorState(np.zeros(self._size), np.diag(std**2))
 
     def gains(self, state: EstimatorState) -> Array:

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from rig.tip_control.estimator import EstimatorState, TipEstimator
 from rig.tip_control.interface import Estimate, Measurement, Plan, Reference, SolveStatus, TipControlSettings
+from rig.tip_control.interpolation import interpolated
 from rig.tip_control.static_map import StaticMap
 from rig.tip_control.tip_dynamics import TipDynamics
 
@@ -70,7 +71,7 @@ class HorizonControl:
         self._settings = settings
         self._map = StaticMap.of(settings.arm, settings.valve_of, settings.pressure_limit_pa)
         self._dynamics = TipDynamics.of(settings.arm, settings.pressure_limit_pa)
-        self._estimator = TipEstimator(self._map)
+        self._estimator = TipEstimator(self._map, learned=settings.learned)
         self._step_s = settings.frame_s / STEPS_PER_FRAME
 
     def start(self) -> HorizonState:
@@ -88,15 +89,15 @@ class HorizonControl:
         """The state at the time of the frame, and the NIS."""
         lag_s, passed_s = self._settings.pressure_lag_s, measurement.time_s - state.time_s
         if state.tip is None or not 0 < passed_s < _LONGEST_GAP_S:
-            pressure = _interpolated(measurement.time_s - lag_s, measurement.sample_s, measurement.setpoint_pa)
+            pressure = interpolated(measurement.time_s - lag_s, measurement.sample_s, measurement.setpoint_pa)
             tip = np.stack([self._map.tips(pressure[None])[0], np.zeros(3)])
             passed_s = 0.0
         else:
             steps = max(1, round(passed_s / self._step_s))
             times = state.time_s + passed_s / steps * np.arange(steps + 1, dtype=np.float64) - lag_s
-            drive = self._map.tips(_interpolated(times, measurement.sample_s, measurement.setpoint_pa))
+            drive = self._map.tips(interpolated(times, measurement.sample_s, measurement.setpoint_pa))
             tip = self._dynamics.advance(state.tip, drive, passed_s / steps)[-1]
-            pressure = _interpolated(times[-1], measurement.sample_s, measurement.setpoint_pa)
+            pressure = interpolated(times[-1], measurement.sample_s, measurement.setpoint_pa)
         estimator, nis = state.estimator, math.nan
         if np.isfinite(measurement.tip_m).all():
             prediction = self._estimator.predict(estimator, tip[0], tip[1], pressure, measurement.time_s, period_s)
@@ -110,7 +111,7 @@ class HorizonControl:
         start_s, frame_s = measurement.start_s, self._settings.frame_s
         knots_s = start_s + frame_s * np.array(KNOTS, dtype=np.float64)
         frames_s = start_s + frame_s * np.arange(HORIZON + 1, dtype=np.float64)
-        feed = _interpolated(frames_s, reference.times_s, reference.feedforward_pa)
+        feed = interpolated(frames_s, reference.times_s, reference.feedforward_pa)
         deviation = _last_deviation(state, reference, knots_s, measurement.setpoint_pa[-1], feed[0])
         before = deviation[1:].reshape(-1) / _PA_PER_BAR
         prediction = self._prediction(state, reference, measurement, knots_s, deviation, frames_s[-1])
@@ -124,10 +125,10 @@ class HorizonControl:
         if solved:
             deviation[1:] = np.asarray(found).reshape(deviation[1:].shape) * _PA_PER_BAR
         times = start_s + self._step_s * np.arange(HORIZON * STEPS_PER_FRAME + 1, dtype=np.float64)
-        setpoint = _interpolated(times, reference.times_s, reference.feedforward_pa) + _hat(times, knots_s) @ deviation
+        setpoint = interpolated(times, reference.times_s, reference.feedforward_pa) + _hat(times, knots_s) @ deviation
         setpoint = np.clip(setpoint, 0.0, self._settings.pressure_limit_pa)  # the constraints are soft
         return Plan(
-            times, setpoint, _interpolated(times, prediction.grid_s, prediction.moved(_changed(deviation, before))),
+            times, setpoint, interpolated(times, prediction.grid_s, prediction.moved(_changed(deviation, before))),
             state._replace(times_s=times, setpoint_pa=setpoint),
             SolveStatus.SOLVED if solved else SolveStatus.NOT_SOLVED,
             int(info["iterations"]), int(np.count_nonzero(info["lam"])), estimate,
@@ -148,8 +149,8 @@ class HorizonControl:
         grid_s = np.arange(count, dtype=np.float64) * self._step_s + state.time_s
         asked_s, lag_s = grid_s - self._settings.pressure_lag_s, self._estimator.lag_s(known)
         weights = _hat(asked_s, knots_s)
-        past = _interpolated(asked_s, measurement.sample_s, measurement.setpoint_pa)
-        future = _interpolated(asked_s, reference.times_s, reference.feedforward_pa) + weights @ deviation
+        past = interpolated(asked_s, measurement.sample_s, measurement.setpoint_pa)
+        future = interpolated(asked_s, reference.times_s, reference.feedforward_pa) + weights @ deviation
         later = asked_s > start_s
         pressure = np.clip(np.where(later[:, None], future, past), 0.0, self._settings.pressure_limit_pa)
         drive = self._estimator.drive(known, pressure)
@@ -175,7 +176,7 @@ class HorizonControl:
         seen = _hat(frames_s[1:], prediction.grid_s)
         by = np.einsum("fk,kcv,kj->fcjv", seen @ prediction.response, prediction.slopes, prediction.weights)
         matrix = by.reshape(HORIZON * 3, len(before))
-        wanted = _interpolated(frames_s[1:], reference.times_s, reference.position_m)
+        wanted = interpolated(frames_s[1:], reference.times_s, reference.position_m)
         gap = (wanted - seen @ prediction.tips_m).reshape(-1)
         used = np.isfinite(gap)
         matrix, gap = _MM * _PA_PER_BAR * matrix[used], _MM * gap[used]
@@ -201,8 +202,8 @@ class HorizonControl:
 def _last_deviation(state: HorizonState, reference: Reference, knots_s: Array, now_pa: Array, feed_pa: Array) -> Array:
     """Deviations (k, V) of the last plan from the feed-forward at the new knots, from where the set-points are."""
     if len(state.times_s):
-        last = _interpolated(knots_s, state.times_s, state.setpoint_pa)
-        deviation = last - _interpolated(knots_s, reference.times_s, reference.feedforward_pa)
+        last = interpolated(knots_s, state.times_s, state.setpoint_pa)
+        deviation = last - interpolated(knots_s, reference.times_s, reference.feedforward_pa)
     else:
         deviation = np.tile(now_pa - feed_pa, (len(KNOTS), 1))
     deviation[0] = now_pa - feed_pa
@@ -213,12 +214,6 @@ def _changed(deviation: Array, before: Array) -> Array:
     return deviation[1:] - _PA_PER_BAR * before.reshape(deviation[1:].shape)
 
 
-def _interpolated(times_s: Array | float, at_s: Array, values: Array) -> Array:
-    """Columns of values (n, m) at times, linear in between; at the ends the first and the last."""
-    found: Array = np.stack([np.interp(times_s, at_s, column) for column in values.T], axis=-1)
-    return found
-
-
 def _hat(times_s: Array, at_s: Array) -> Array:
     """Weights (K, n) of values at times (n,) in their linear interpolation at times (K,)."""
-    return _interpolated(times_s, at_s, np.eye(len(at_s)))
+    return interpolated(times_s, at_s, np.eye(len(at_s)))

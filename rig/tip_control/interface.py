@@ -18,12 +18,17 @@ from runs.columns import SolveStatus as SolveStatus
 Array = NDArray[np.float64]
 
 
+AHEAD = 40
+"""Points of the reference that a controller sees, half a camera period apart."""
+
+
 @dataclass(frozen=True, eq=False)
 class TipControlSettings:
     """What a controller knows of the rig; it is passed to the controller's constructor.
 
     `valve_of` (N,): index of the valve of each actuator. `delay_s`: from a frame to the plan that it leads to.
-    `pressure_lag_s`: from a set-point to the pressure in the chamber.
+    `pressure_lag_s`: from a set-point to the pressure in the chamber. `learned`: earlier runs have shown how far the
+    arm is from the model; measured tips and references are without that difference, the feed-forward makes up for it.
     """
 
     arm: model.Arm
@@ -33,6 +38,12 @@ class TipControlSettings:
     frame_s: float
     delay_s: float
     pressure_lag_s: float
+    learned: bool = False
+
+    def reference_times(self, start_s: float) -> Array:
+        """The times of a reference from the start of a plan on."""
+        times: Array = start_s + 0.5 * self.frame_s * np.arange(AHEAD, dtype=np.float64)
+        return times
 
     @property
     def valves(self) -> int:
@@ -41,9 +52,10 @@ class TipControlSettings:
 
 
 class Reference(NamedTuple):
-    """The reference at the times (H,) `times_s` from the start of the plan on, one camera period apart.
+    """The reference at the times (H,) `times_s` from the start of the plan on, half a camera period apart.
 
-    `position_m` and `velocity_m_s` (H, 3): NaN in a coordinate that is not controlled. `feedforward_pa` (H, V): the
+    `position_m` and `velocity_m_s` (H, 3): NaN in a coordinate that is not controlled, and beyond the end of the
+    path. `feedforward_pa` (H, V): the
     set-points of the protocol. `period_s`: of a path that repeats itself, else None.
     """
 

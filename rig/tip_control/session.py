@@ -20,13 +20,11 @@ from runs.records import DetectionStatus, blank, tip_control_dtype
 
 Array = NDArray[np.float64]
 
-AHEAD = 20
-"""Frames of the reference that a controller sees."""
 HISTORY_S = 1.0
 """Time before a frame of whose control cycles a controller sees the set-points and pressures."""
 
 
-def settings(config: RigConfig, variant: Variant | None) -> TipControlSettings:
+def settings(config: RigConfig, variant: Variant | None, *, learned: bool = False) -> TipControlSettings:
     """What a controller knows of a rig."""
     valve_of = {a - 1: v for v, valve in enumerate(config.valves) for a in valve.actuators}
     return TipControlSettings(
@@ -37,6 +35,7 @@ def settings(config: RigConfig, variant: Variant | None) -> TipControlSettings:
         frame_s=1 / config.observation_hz,
         delay_s=config.tip_control.delay_ms * 1e-3,
         pressure_lag_s=config.tip_control.pressure_lag_ms * 1e-3,
+        learned=learned,
     )
 
 
@@ -51,9 +50,9 @@ class TipControlSession:
     def __init__(self, plan: RunPlan) -> None:
         """Raises UnknownControllerError if the controller of the plan cannot be used."""
         self._trajectory = plan.trajectory
-        self._frame_s = 1 / plan.config.observation_hz
         self._actuators = first_actuators(plan.config)
-        self._controller = controller_class(plan.tip_controller)(settings(plan.config, plan.variant))
+        self._settings = settings(plan.config, plan.variant, learned=bool(plan.learned_from))
+        self._controller = controller_class(plan.tip_controller)(self._settings)
         self._state: Any = self._controller.start()
         self._row = blank((), tip_control_dtype(len(plan.config.valves)))
 
@@ -69,9 +68,11 @@ class TipControlSession:
         if motion is None or frame_protocol_s < 0:
             return None
         seen = observation["seen"] == DetectionStatus.MEASURED
+        # The controller steers the arm without its learned difference from the model.
+        learned = motion.learned_differences_m(np.clip([frame_protocol_s, start_s], motion.start_s, motion.stop_s))
         measurement = Measurement(
             frame_protocol_s,
-            np.array(observation["measured_m"]) if seen else np.full(3, np.nan),
+            np.array(observation["measured_m"]) - learned[0] if seen else np.full(3, np.nan),
             np.array(observation["covariance_m2"]),
             samples["protocol_s"],
             samples["setpoint_pa"][:, self._actuators],
@@ -91,7 +92,7 @@ class TipControlSession:
             for valve, column in enumerate(setpoint.T):
                 row["plan_pa"][within, valve] = np.interp(ahead[within], times, column)
         if plan.predicted_m is not None and np.shape(plan.predicted_m)[1:] == (3,) and len(plan.predicted_m):
-            row["predicted_m"] = plan.predicted_m[0]
+            row["predicted_m"] = plan.predicted_m[0] + learned[1]
         row["payload_kg"], row["payload_std_kg"], row["nis"] = plan.estimate
         return StampedPlan(times, setpoint), row
 
@@ -99,10 +100,10 @@ class TipControlSession:
         """Step once on made-up data, so that imports and compilation are done before the start."""
         motion, valves = self._trajectory.tip.motions[0], len(self._actuators)
         measurement = Measurement(
-            motion.start_s - self._frame_s,
+            motion.start_s - self._settings.frame_s,
             motion.position_m[0],
             1e-8 * np.eye(3),
-            motion.start_s + np.array([-self._frame_s, 0.0]),
+            motion.start_s + np.array([-self._settings.frame_s, 0.0]),
             np.zeros((2, valves)),
             np.zeros((2, valves)),
             motion.start_s,
@@ -110,8 +111,11 @@ class TipControlSession:
         self._controller.step(self._controller.start(), self._reference(motion, motion.start_s), measurement)
 
     def _reference(self, motion: TipMotion, start_s: float) -> Reference:
-        times = start_s + self._frame_s * np.arange(AHEAD, dtype=np.float64)
+        times = self._settings.reference_times(start_s)
         within = np.minimum(times, motion.stop_s)
-        velocity = np.where((times <= motion.stop_s)[:, None], motion.velocities_m_s(within), 0.0)
-        feed = self._trajectory.sample(within.tolist())[:, self._actuators]
-        return Reference(times, motion.positions_m(within), velocity, feed, motion.period_s)
+        over = (times > motion.stop_s)[:, None]
+        position = motion.positions_m(within) - motion.learned_differences_m(within)
+        velocity = motion.velocities_m_s(within) - motion.learned_rates_m_s(within)
+        position, velocity = np.where(over, np.nan, position), np.where(over, np.nan, velocity)
+        feed = self._trajectory.sample(times.tolist())[:, self._actuators]
+        return Reference(times, position, velocity, feed, motion.period_s)

@@ -20,8 +20,6 @@ from rig.tip_control.plan_follower import PlanFollower
 Array = NDArray[np.float64]
 
 CYCLE_S = 0.005
-AHEAD = 20
-"""Frames of the reference that a controller sees."""
 _HISTORY_S = 1.0
 
 
@@ -108,7 +106,7 @@ def simulate(
                 at, seen, max(truth.noise_m, 1e-6) ** 2 * np.eye(3), times[rows], setpoints[rows], pressures[rows], now
             )
             begun = time.perf_counter()
-            plan = controller.step(state, _window(task, now, settings.frame_s), measured)
+            plan = controller.step(state, _window(task, settings.reference_times(now)), measured)
             solve_s.append(time.perf_counter() - begun)
             state = plan.state
             plans.append(plan._replace(state=None))
@@ -122,8 +120,7 @@ def _between(tips: Array, times: Array, k: int, at_s: float) -> Array:
     return seen
 
 
-def _window(task: Task, now_s: float, frame_s: float) -> Reference:
-    times = now_s + frame_s * np.arange(AHEAD, dtype=np.float64)
+def _window(task: Task, times: Array) -> Reference:
     return Reference(
         times,
         np.array([task.position_m(t) for t in times]),

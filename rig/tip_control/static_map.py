@@ -89,11 +89,11 @@ class StaticMap:
     def inverse(self, tip_m: Array, start_pa: Array, payload_kg: float = 0.0) -> Array:
         """Pressures (K, V) [Pa] within the limits whose tips are nearest to points (K, 3).
 
-        A fixed number of projected Gauss-Newton steps from `start_pa` (V,). A coordinate that is NaN is free.
+        A fixed number of projected Gauss-Newton steps from `start_pa` (V,) or (K, V). A coordinate that is NaN is free.
         """
         weight = np.isfinite(tip_m).astype(float)
         target = np.nan_to_num(tip_m)
-        pressure = np.tile(np.clip(start_pa, 0.0, self.limit_pa), (len(tip_m), 1))
+        pressure = np.array(np.broadcast_to(np.clip(start_pa, 0.0, self.limit_pa), (len(tip_m), self.valves)))
         identity = np.eye(self.valves)
         for _ in range(_INVERSE_STEPS):
             slope = weight[:, :, None] * self.jacobians(pressure, payload_kg) * self.limit_pa

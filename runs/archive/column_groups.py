@@ -55,6 +55,14 @@ def reference(journal: Journal) -> Group | None:
     return _group(journal, columns.Reference, rows) if some else None
 
 
+def learning(journal: Journal) -> Group | None:
+    """Return what was learned from earlier runs; None without any."""
+    if not journal.header.learned_from:
+        return None
+    runs = Field("run", list(journal.header.learned_from), about="ids of the earlier runs", any_length=True)
+    return _group(journal, columns.Learning, journal.observations, (runs,))
+
+
 def adaptation(journal: Journal) -> Group | None:
     """Return the results of the recursive estimator; None without one."""
     adapted = journal.header.adapted

@@ -65,6 +65,7 @@ def groups(journal: Journal) -> tuple[Group, ...]:
             column_groups.backbone(journal),
             column_groups.simulator(journal),
             column_groups.reference(journal),
+            column_groups.learning(journal),
         )
         if group is not None
     )

@@ -15,7 +15,18 @@ from runs.archive.checked import content_sha256, opened
 from runs.archive.fields import PA_PER_BAR, QUANTITY_GROUPS
 from runs.archive.provenance import metadata, study_run
 from runs.column_declaration import Table, Values
-from runs.columns import Adaptation, Auxiliary, Backbone, Pressure, Reference, Simulated, Timing, Tip, TipControl
+from runs.columns import (
+    Adaptation,
+    Auxiliary,
+    Backbone,
+    Learning,
+    Pressure,
+    Reference,
+    Simulated,
+    Timing,
+    Tip,
+    TipControl,
+)
 from runs.records import AuxiliaryChannel, Event, Interval, Level, Quantity, RecordedFile, RunHeader, Status
 
 Floats = NDArray[np.float64]
@@ -86,6 +97,7 @@ class ArchiveReader:
             quantities=tuple(q for room in QUANTITY_GROUPS for q in self._quantities(room)),
             adapted=_adapted(self._group("entry/adaptation")),
             tip_controller=str(self._group("entry/tip_control").get("controller", "")),
+            learned_from=tuple(self._group("entry/learning").get("run", ())),
             control_hz=float(self._group("entry/timing")["control_rate"]),
             camera_hz=float(self._group("entry/timing")["camera_rate"]),
             cameras=self._cameras,
@@ -161,6 +173,12 @@ class ArchiveReader:
         """Where the tip had to be; None for a run without a tip path."""
         values = self._values(Reference)
         return Reference(values) if values else None
+
+    @cached_property
+    def learning(self) -> Learning | None:
+        """What was learned from earlier runs; None for a run that did not learn."""
+        values = self._values(Learning)
+        return Learning(values, self.header.learned_from) if values else None
 
     @cached_property
     def backbone(self) -> Backbone | None:

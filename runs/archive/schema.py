@@ -187,6 +187,7 @@ def _journal(actuators: int, valves: int, *, everything: bool) -> Journal:
         adapted=adapted if everything else (),
         cameras=("camera",) if everything else (),
         tip_controller="controller" if everything else "",
+        learned_from=("run",) if everything else (),
         auxiliary=(AuxiliaryChannel("input", ""),) if everything else (),
         study=StudyRun("", StudyRole.RUN, 1, 1, 1, "", "") if everything else None,
     )

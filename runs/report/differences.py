@@ -34,6 +34,7 @@ def settings(run: Run) -> dict[str, str]:
         "executor": header.executor,
         "seed": "" if header.seed is None else str(header.seed),
         "tip controller": header.tip_controller,
+        "learned from": ", ".join(header.learned_from),
         "operator": header.operator,
         "commit": header.git_commit[:12] + (" with changes" if header.git_diff else ""),
     }

@@ -19,7 +19,7 @@ def _circle(start_s: float, coordinates: tuple[int, ...] = (0, 1, 2)) -> TipMoti
         position[:, missing] = velocity[:, missing] = np.nan
     return TipMotion(
         start_s, start_s + 0.5, start_s + 2, 7, "circle", coordinates, 1.0, 5e-4, start_s + t, position, velocity,
-        position,
+        position, 0.1 * position,
     )  # fmt: skip
 
 

@@ -25,14 +25,15 @@ steps:
 
 @pytest.fixture(scope="module")
 def controlled(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Run]:
-    """Two runs with the same controller."""
+    """Two runs with the same controller, and one that learns from the first."""
     folder = tmp_path_factory.mktemp("tip_control")
     (folder / "circle.yaml").write_text(PROTOCOL, encoding="utf-8")
     found = {}
-    for name in ("horizon", "horizon again"):
+    for name in ("horizon", "horizon again", "horizon that learns"):
         out = folder / name
         command = ["run", str(folder / "circle.yaml"), "--rig", "mock-3", "--fast", "--yes", "--no-report"]
-        result = CliRunner().invoke(app, [*command, "--out", str(out), "--controller", name.split()[0]])
+        earlier = ["--learn-from", str(found["horizon"].path)] if name.endswith("learns") else []
+        result = CliRunner().invoke(app, [*command, "--out", str(out), "--controller", name.split()[0], *earlier])
         assert result.exit_code == 0, result.output
         (archive,) = out.glob("*.h5")
         found[name] = runs.open(archive)
@@ -94,3 +95,41 @@ def test_a_plan_of_a_controller_is_taken_in_the_cycle_in_which_it_starts(control
     assert plans is not None
     np.testing.assert_array_equal(plans.late_ms, 0.0)
     np.testing.assert_array_equal(plans.solve_us, 0.0)
+
+
+def test_a_run_that_learns_follows_better_and_says_from_which_run_it_learned(controlled: dict[str, Run]) -> None:
+    first, second = controlled["horizon"], controlled["horizon that learns"]
+    paths = [run.summary.tip_path for run in (first, second)]
+    errors = [path.truth.rms_mm for path in paths if path is not None and path.truth is not None]
+    assert errors[1] < 0.6 * errors[0]
+    assert first.learning is None
+    assert second.learning is not None
+    assert second.header.learned_from == second.learning.learned_from == (first.header.run_id,)
+    assert second.reference is not None
+    moving = second.reference.motion > 0
+    disturbance = second.learning.disturbance_mm
+    assert np.isfinite(disturbance[moving]).all()
+    assert np.isnan(disturbance[~moving]).all()
+    # The simulated arm differs from the model by more than a millimetre.
+    assert np.linalg.norm(disturbance[moving], axis=1).max() > 1.0
+
+
+@pytest.mark.parametrize(
+    ("protocol", "arguments", "expected"),
+    [
+        (PROTOCOL.replace("15", "16"), [], "differs in the protocol"),
+        (PROTOCOL, ["--model", "homogeneous"], "differs in the model"),
+        (PROTOCOL, ["--rig", "pci1716-2"], "differs in the rig"),
+        ("title: still\nsteps:\n  - hold: {duration_s: 1}\n", [], "a protocol with a tip path"),
+    ],
+    ids=["another path", "another model", "another rig", "no path"],
+)
+def test_a_run_learns_only_from_runs_of_the_same_experiment(
+    controlled: dict[str, Run], tmp_path: Path, protocol: str, arguments: list[str], expected: str
+) -> None:
+    (tmp_path / "circle.yaml").write_text(protocol, encoding="utf-8")
+    command = ["run", str(tmp_path / "circle.yaml"), "--rig", "mock-3", "--yes", *arguments]
+    result = CliRunner().invoke(app, [*command, "--learn-from", str(controlled["horizon"].path)])
+    assert result.exit_code == 2
+    assert "--learn-from" in result.output
+    assert expected in " ".join(result.output.split())

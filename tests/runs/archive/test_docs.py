@@ -43,6 +43,7 @@ SIZES = {
     "C": 9,
     "P": 10,
     "I": 15,
+    "R": 14,
 } | {str(n): n for n in (2, 3, 4, 6)}
 FREE = ("calibration", "model", "versions", "timing/counters")
 """Groups whose names come from elsewhere."""
@@ -77,6 +78,7 @@ def stored(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[tuple[in
         adapted=adapted,
         auxiliary=tuple(AuxiliaryChannel(f"input {k}", "N") for k in range(SIZES["I"])),
         tip_controller="horizon",
+        learned_from=tuple(f"run {k}" for k in range(SIZES["R"])),
         metadata=dict.fromkeys(("specimen", *USER), "-"),
         study=StudyRun("study", StudyRole.RUN, 1, 1, 1, "-", "-"),
     )

@@ -1,0 +1,118 @@
+"""Runs that learn: the feed-forward of a tip path, corrected by what earlier runs of the same experiment show."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from protocols.tip_inverse import HISTORY_STEP_S, TipInverse, TipRequest, TipSolution
+from protocols.tip_paths import fade
+from rig.config.sections import PA_PER_BAR
+from rig.tip_control.interface import TipControlSettings
+from rig.tip_control.interpolation import interpolated
+from rig.tip_control.learning import STEP_S, DisturbanceLearner, Repetition
+from runs.records import Status
+from runs.run import Run
+
+Array = NDArray[np.float64]
+
+LONGEST_GAP_S = 0.25
+"""Longest time without a measured tip in a motion from which something is learned."""
+HISTORY_S = 1.0
+
+
+class NotRepeatedError(ValueError):
+    """An earlier run from which nothing can be learned; the message says what is expected instead."""
+
+
+@dataclass(frozen=True, eq=False)
+class EarlierRun:
+    """The rows of an earlier run; times in protocol seconds, set-points (n, V) of each valve."""
+
+    run_id: str
+    sample_s: Array = field(repr=False)
+    setpoint_pa: Array = field(repr=False)
+    frame_s: Array = field(repr=False)
+    tip_m: Array = field(repr=False)
+    learned_m: Array = field(repr=False)
+
+    @classmethod
+    def of(cls, run: Run, first_actuators: list[int]) -> EarlierRun:
+        """The rows of a run whose tip was measured on its paths; `first_actuators` (V,): index of one of each valve.
+
+        Raises:
+            NotRepeatedError: nothing can be learned from the run.
+        """
+        if run.status is not Status.FINISHED:
+            raise NotRepeatedError(f"a finished run; this one was {run.status}")
+        reference, tip, pressure, learned = run.reference, run.tip, run.pressure, run.learning
+        if reference is None:
+            raise NotRepeatedError("a run with a tip path")
+        frame_s = np.interp(tip.time_s, pressure.time_s, pressure.protocol_s)
+        seen = (reference.motion > 0) & np.isfinite(tip.measured_mm).all(axis=1)
+        for motion in range(1, int(reference.motion.max()) + 1):
+            asked, found = frame_s[reference.motion == motion], frame_s[seen & (reference.motion == motion)]
+            gaps = np.diff(np.concatenate([asked[:1], found, asked[-1:]]))
+            if len(gaps) and gaps.max() > LONGEST_GAP_S:
+                found_s = f"{gaps.max():.2f} s of a tip path without one"
+                raise NotRepeatedError(f"a run with a measured tip every {LONGEST_GAP_S:g} s; this one has {found_s}")
+            moving = (pressure.protocol_s >= asked[0]) & (pressure.protocol_s <= asked[-1])
+            if (np.diff(pressure.protocol_s[moving]) <= 0).any():
+                raise NotRepeatedError("a run that was not paused on its tip paths")
+        return cls(
+            run.header.run_id,
+            pressure.protocol_s,
+            PA_PER_BAR * pressure.setpoint_bar[:, first_actuators],
+            frame_s[seen],
+            1e-3 * tip.measured_mm[seen],
+            np.zeros((int(seen.sum()), 3)) if learned is None else 1e-3 * learned.disturbance_mm[seen],
+        )
+
+    def repetition(self, begin_s: float, stop_s: float) -> Repetition:
+        """The motion between two protocol times."""
+        frames = (self.frame_s >= begin_s) & (self.frame_s < stop_s)
+        samples = (self.sample_s >= begin_s - HISTORY_S) & (self.sample_s <= stop_s)
+        return Repetition(
+            self.sample_s[samples], self.setpoint_pa[samples],
+            self.frame_s[frames], self.tip_m[frames], self.learned_m[frames],
+        )  # fmt: skip
+
+
+class LearnedInverse:
+    """The `TipInverse` of a rig, with the corrections that earlier runs give."""
+
+    def __init__(self, inverse: TipInverse, settings: TipControlSettings, runs: tuple[EarlierRun, ...]) -> None:
+        self._inverse, self._runs = inverse, runs
+        self._learner = DisturbanceLearner(settings)
+        self._valve_of = list(settings.valve_of)
+        self._actuators = [self._valve_of.index(valve) for valve in range(settings.valves)]
+
+    def solve(self, request: TipRequest) -> TipSolution:
+        """The feed-forward set-points of a path, corrected.
+
+        Raises:
+            TipRefusedError: the rig cannot follow the path.
+        """
+        found = self._inverse.solve(request)
+        duration_s = request.lead_in_s + request.path.duration_s
+        steps = math.ceil(duration_s / STEP_S)
+        step_s = duration_s / steps
+        times: Array = step_s * np.arange(steps + 1, dtype=np.float64)
+        stop_s = request.begin_s + duration_s
+        learned = self._learner.disturbance(
+            [run.repetition(request.begin_s, stop_s) for run in self._runs], request.begin_s + times
+        )
+        target, _ = fade(found.start, request.path, request.lead_in_s, times - request.lead_in_s)
+        target[:, [axis for axis in range(3) if axis not in request.coordinates]] = np.nan
+        feedforward = interpolated(times, found.times_s, found.pressure_pa[:, self._actuators])
+        given = -HISTORY_STEP_S * np.arange(len(request.before_pa) - 1, -1, -1, dtype=np.float64)
+        history: Array = np.arange(given[0], 0.0, step_s)
+        before = interpolated(history, given, request.before_pa[:, self._actuators])
+        setpoint = self._learner.setpoints(feedforward, before, target - learned, step_s)
+        predicted = self._learner.tips(np.concatenate([before, setpoint]), step_s)[len(before) :] + learned
+        return replace(
+            found, times_s=times, pressure_pa=setpoint[:, self._valve_of], predicted_m=predicted, learned_m=learned
+        )

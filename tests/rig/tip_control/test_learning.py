@@ -1,0 +1,86 @@
+"""Iterative learning as pure steps: the smooth part of a difference, and repetitions on a simulated arm."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import model
+from rig.tip_control.interface import TipControlSettings
+from rig.tip_control.learning import STEP_S, DisturbanceLearner, Repetition, smooth
+from rig.tip_control.simulation import CYCLE_S, Task, Truth, simulate
+
+LIMIT_PA, RATE_PA_S = 0.7e5, 1e5
+DURATION_S = 4.0
+
+
+def _arm() -> model.Arm:
+    arm = model.Arm.paper()
+    return replace(arm, material=replace(arm.material, damping_s=0.01))
+
+
+ARM = _arm()
+SETTINGS = TipControlSettings(ARM, (0, 1, 2), LIMIT_PA, RATE_PA_S, 1 / 30, 0.04, 0.015)
+OTHER = replace(ARM, material=replace(ARM.material, a1_per_n=0.0077, rpe_per_bar=0.0515, density_kg_m3=1130.0))
+TRUTH = Truth(OTHER, np.array([1.03, 0.98, 1.0]))
+TIMES = np.arange(0.0, DURATION_S + 1.0, STEP_S)
+TURNS = 2 * np.pi * np.where(TIMES < 1, 0.5 * TIMES**2, TIMES - 0.5)
+CIRCLE = np.stack([0.02 * np.cos(TURNS), 0.02 * np.sin(TURNS), np.full_like(TURNS, 0.19)], axis=1)
+
+
+@pytest.fixture(scope="module")
+def learner() -> DisturbanceLearner:
+    return DisturbanceLearner(SETTINGS)
+
+
+def test_the_smooth_part_of_noise_is_almost_nothing_and_that_of_a_slow_motion_is_the_motion() -> None:
+    noise = 0.05 * np.random.default_rng(1).standard_normal((300, 3))
+    motion = np.sin(np.arange(300)[:, None] / 30 + np.arange(3))
+    assert np.std(smooth(noise)) < 0.25 * np.std(noise)
+    assert np.std(smooth(motion + noise) - motion) < 0.4 * np.std(noise)
+
+
+def test_repetitions_make_the_error_of_a_feed_forward_small(learner: DisturbanceLearner) -> None:
+    before = np.full((100, 3), 2e4)
+    start = learner.tips(before, STEP_S)[-1]
+    lead = np.clip(TIMES, 0, 1)[:, None]
+    path = start + lead**3 * (10 + lead * (6 * lead - 15)) * (CIRCLE - start)
+    feed = learner.setpoints(np.tile(before[-1], (len(TIMES), 1)), before, path, STEP_S)
+    repetitions: list[Repetition] = []
+    errors = []
+    learned = np.zeros((len(TIMES), 3))
+    for seed in range(3):
+        run = simulate(SETTINGS, None, TRUTH, _task(path, feed), seed)
+        errors.append(run.rms_m(1.0))
+        frames = slice(0, None, 7)
+        noise = 5e-5 * np.random.default_rng(seed).standard_normal((len(run.times_s[frames]), 3))
+        given = learned[: len(run.times_s)][frames]
+        repetitions = [Repetition(run.times_s, run.setpoint_pa, run.times_s[frames], run.tip_m[frames] + noise, given)]
+        learned = learner.disturbance(repetitions, TIMES)
+        feed = learner.setpoints(feed, before, path - learned, STEP_S)
+        assert feed.min() >= 0
+        assert feed.max() <= LIMIT_PA
+        assert np.abs(np.diff(feed, axis=0)).max() <= RATE_PA_S * STEP_S
+    assert errors[0] > 1.5e-3
+    assert errors[1] < 0.3 * errors[0]
+    assert errors[2] < 0.1e-3
+
+
+def test_a_free_coordinate_is_not_corrected(learner: DisturbanceLearner) -> None:
+    before = np.full((100, 3), 2e4)
+    feed = np.tile(before[-1], (200, 1))
+    target = np.tile(learner.tips(before, STEP_S)[-1] + np.array([1e-3, 0.0, 5e-3]), (200, 1))
+    target[:, 2] = np.nan
+    tips = learner.tips(learner.setpoints(feed, before, target, STEP_S), STEP_S)
+    np.testing.assert_allclose(tips[-1, :2], target[-1, :2], atol=2e-5)
+    assert abs(tips[-1, 2] - tips[0, 2]) < 1e-3
+
+
+def _task(path: np.ndarray, feed: np.ndarray) -> Task:
+    def at(values: np.ndarray, t_s: float) -> np.ndarray:
+        return np.array([np.interp(t_s, TIMES, column) for column in values.T])
+
+    assert CYCLE_S == STEP_S
+    return Task(DURATION_S, lambda t: at(path, t), lambda t: np.zeros(3), lambda t: at(feed, t), None)
