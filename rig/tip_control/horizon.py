@@ -48,8 +48,8 @@ class HorizonState(NamedTuple):
 
 
 class _Prediction(NamedTuple):
-    """Tips (K, 3) at the times (K,) of a grid, and their linearisation: the response (K, K) to a change of the drive,
-    the slopes (K, 3, V) of the drive by the pressures, and the weights (K, k - 1) of the free deviations.
+    """Tips (K, 3) at the times (K,) of a grid, and their linearisation: the response (3, K, K) to a change of the
+    drive, the slopes (K, 3, V) of the drive by the pressures, and the weights (K, k - 1) of the free deviations.
     """
 
     grid_s: Array
@@ -60,7 +60,9 @@ class _Prediction(NamedTuple):
 
     def moved(self, change_pa: Array) -> Array:
         """The tips (K, 3) after a change (k - 1, V) of the free deviations."""
-        moved: Array = self.tips_m + (self.response @ np.einsum("kcv,kj,jv->kc", self.slopes, self.weights, change_pa))
+        moved: Array = self.tips_m + np.einsum(
+            "ckl,lcv,lj,jv->kc", self.response, self.slopes, self.weights, change_pa, optimize=True
+        )
         return moved
 
 
@@ -174,7 +176,7 @@ class HorizonControl:
         """Hessian (n, n) and slope (n,) of the cost by the deviations [bar] at all knots but the first."""
         valves = self._map.valves
         seen = _hat(frames_s[1:], prediction.grid_s)
-        by = np.einsum("fk,kcv,kj->fcjv", seen @ prediction.response, prediction.slopes, prediction.weights)
+        by = np.einsum("cfk,kcv,kj->fcjv", seen @ prediction.response, prediction.slopes, prediction.weights)
         matrix = by.reshape(HORIZON * 3, len(before))
         wanted = interpolated(frames_s[1:], reference.times_s, reference.position_m)
         gap = (wanted - seen @ prediction.tips_m).reshape(-1)

@@ -1,6 +1,6 @@
-"""The tip in motion: the static tip passed through the arm's first mode.
+"""The tip in motion: the static tip passed through the arm's first modes, bending in x and y and extension in z.
 
-tip + tau d(tip)/dt + d2(tip)/dt2 / omega^2 = static tip(pressures)
+tip + tau d(tip)/dt + d2(tip)/dt2 / omega^2 = static tip(pressures), in each coordinate
 """
 
 from __future__ import annotations
@@ -25,68 +25,89 @@ _KICK = 0.02
 
 @dataclass(frozen=True, eq=False)
 class TipDynamics:
-    """First mode: angular frequency `omega_rad_s`, retardation time `tau_s` (damping ratio omega tau / 2)."""
+    """A mode for each coordinate (3,): angular frequency `omega_rad_s`, retardation time `tau_s`.
 
-    omega_rad_s: float
-    tau_s: float
+    The damping ratio is omega tau / 2; the extension of a soft arm has no overshoot (ratio above 1).
+    """
+
+    omega_rad_s: Array
+    tau_s: Array
     _steps: dict[int, tuple[Array, Array, Array]] = field(default_factory=dict, repr=False)
 
     @classmethod
     def of(cls, arm: model.Arm, limit_pa: float) -> TipDynamics:
-        """Fitted to the step response of the rod model at a bent pose."""
-        pressure = np.full(arm.geometry.actuators, 0.1 * limit_pa)
-        pressure[0] = _SHARE * limit_pa
-        dynamics = Dynamics(arm, _STEP_S)
-        before = dynamics.start(pressure).tip_m
-        after = pressure.copy()
-        after[0] += _KICK * limit_pa
-        steps = round(_SPAN_S / _STEP_S)
-        tips = dynamics.run(np.tile(after, (steps, 1))).tip_m
-        static = Dynamics(arm, _STEP_S).start(after).tip_m
-        way = static - before
-        response = (tips - before) @ way / (way @ way)
-        # The pressure rises linearly within the first time step.
-        times = _STEP_S * (np.arange(steps) + 0.5)
-
-        def gaps(x: Array) -> Array:
-            decay, turn = 0.5 * x[0] ** 2 * x[1], x[0] * np.sqrt(max(1 - (0.5 * x[0] * x[1]) ** 2, 1e-6))
-            wave = np.exp(-decay * times) * (np.cos(turn * times) + decay / turn * np.sin(turn * times))
-            gap: Array = response - (1 - wave)
-            return gap
-
-        found = least_squares(gaps, np.array([41.0, max(arm.material.damping_s, 1e-3)]), bounds=([1, 0], [1e3, 0.1]))
-        return cls(float(found.x[0]), float(found.x[1]))
+        """Fitted to two step responses of the rod model: bending of a bent arm, extension of a straight one."""
+        actuators = arm.geometry.actuators
+        bent = np.full(actuators, 0.1 * limit_pa)
+        bent[0] = _SHARE * limit_pa
+        bending = _fitted(arm, bent, _KICK * limit_pa * np.eye(actuators)[0])
+        straight = np.full(actuators, _SHARE * limit_pa)
+        extension = _fitted(arm, straight, np.full(actuators, _KICK * limit_pa))
+        omega, tau = np.array([bending, bending, extension]).T
+        return cls(omega, tau)
 
     def matrices(self, step_s: float) -> tuple[Array, Array, Array]:
-        """A (2, 2), b0, b1 (2,): state (tip, velocity) after a step on which the drive goes linearly from u0 to u1."""
+        """A (3, 2, 2), b0, b1 (3, 2): (tip, velocity) after a step with a drive from u0 to u1, linear in between.
+
+        For each coordinate.
+        """
         key = round(step_s * 1e7)
         if key not in self._steps:
+            system = np.zeros((3, 4, 4))
             square = self.omega_rad_s**2
-            system = np.zeros((4, 4))
-            system[0, 1] = 1.0
-            system[1] = -square, -square * self.tau_s, square, 0.0
-            system[2, 3] = 1.0 / step_s
+            system[:, 0, 1] = 1.0
+            system[:, 1] = np.stack([-square, -square * self.tau_s, square, np.zeros(3)], axis=1)
+            system[:, 2, 3] = 1.0 / step_s
             step = expm(system * step_s)
-            self._steps[key] = step[:2, :2], step[:2, 2] - step[:2, 3], step[:2, 3]
+            self._steps[key] = step[:, :2, :2], step[:, :2, 2] - step[:, :2, 3], step[:, :2, 3]
         return self._steps[key]
 
     def advance(self, state: Array, drive: Array, step_s: float) -> Array:
         """States (K + 1, 2, 3) from the state (2, 3) on, for drives (K + 1, 3) [m] that are linear in between."""
         transition, first, last = self.matrices(step_s)
+        forced = first.T * drive[:-1, None] + last.T * drive[1:, None]
         states = np.empty((len(drive), 2, 3))
         states[0] = state
+        from_tip, from_velocity = np.ascontiguousarray(transition.transpose(2, 1, 0))
         for k in range(len(drive) - 1):
-            states[k + 1] = transition @ states[k] + np.outer(first, drive[k]) + np.outer(last, drive[k + 1])
+            states[k + 1] = from_tip * states[k, 0] + from_velocity * states[k, 1] + forced[k]
         return states
 
     def responses(self, count: int, step_s: float, lag_s: float) -> Array:
-        """Outputs tip - lag * velocity per drive (K + 1, K + 1): row k after k steps, column j the drive at time j."""
+        """Outputs tip - lag * velocity per drive (3, K + 1, K + 1), for each coordinate.
+
+        Row k is after k steps, column j for the drive at time j.
+        """
         transition, first, last = self.matrices(step_s)
-        out = np.zeros((count + 1, count + 1))
-        state = np.zeros((2, count + 1))
+        out = np.zeros((3, count + 1, count + 1))
+        state = np.zeros((3, 2, count + 1))
         for k in range(count):
             state = transition @ state
-            state[:, k] += first
-            state[:, k + 1] += last
-            out[k + 1] = state[0] - lag_s * state[1]
+            state[:, :, k] += first
+            state[:, :, k + 1] += last
+            out[:, k + 1] = state[:, 0] - lag_s * state[:, 1]
         return out
+
+
+def _fitted(arm: model.Arm, pressure_pa: Array, kick_pa: Array) -> tuple[float, float]:
+    """Angular frequency and retardation time of the mode that a step `kick_pa` (N,) from `pressure_pa` (N,) excites."""
+    dynamics = Dynamics(arm, _STEP_S)
+    before = dynamics.start(pressure_pa).tip_m
+    steps = round(_SPAN_S / _STEP_S)
+    tips = dynamics.run(np.tile(pressure_pa + kick_pa, (steps, 1))).tip_m
+    way = Dynamics(arm, _STEP_S).start(pressure_pa + kick_pa).tip_m - before
+    response = (tips - before) @ way / (way @ way)
+    # The pressure rises linearly within the first time step.
+    times = _STEP_S * (np.arange(steps) + 0.5)
+
+    def gaps(x: Array) -> Array:
+        # The roots of s^2 + omega^2 tau s + omega^2; equal ones are moved apart.
+        decay = 0.5 * x[0] ** 2 * x[1]
+        apart = np.sqrt(complex(decay**2 - x[0] ** 2 + 1e-6))
+        slow, fast = -decay + apart, -decay - apart
+        wave = (fast * np.exp(slow * times) - slow * np.exp(fast * times)) / (fast - slow)
+        gap: Array = response - (1 - wave.real)
+        return gap
+
+    found = least_squares(gaps, np.array([41.0, max(arm.material.damping_s, 1e-3)]), bounds=([1, 0], [1e3, 0.1]))
+    return float(found.x[0]), float(found.x[1])

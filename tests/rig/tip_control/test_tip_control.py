@@ -101,12 +101,13 @@ def test_the_first_mode_follows_the_rod_model(static_map: StaticMap) -> None:
 
 
 def test_the_responses_are_the_slopes_of_the_advance() -> None:
-    mode, rng = TipDynamics(41.0, 0.01), np.random.default_rng(1)
+    mode, rng = TipDynamics(np.array([41.0, 41.0, 97.0]), np.array([0.01, 0.01, 0.03])), np.random.default_rng(1)
     drive, change = rng.standard_normal((9, 3)), rng.standard_normal((9, 3))
     start = rng.standard_normal((2, 3))
     moved = mode.advance(start, drive + change, 0.02) - mode.advance(start, drive, 0.02)
     output = moved[:, 0] - 0.005 * moved[:, 1]
-    np.testing.assert_allclose(mode.responses(8, 0.02, 0.005) @ change, output, atol=1e-12)
+    found = np.einsum("ckl,lc->kc", mode.responses(8, 0.02, 0.005), change)
+    np.testing.assert_allclose(found, output, atol=1e-12)
 
 
 def test_the_slopes_of_the_estimator_are_those_of_finite_differences(static_map: StaticMap) -> None:
