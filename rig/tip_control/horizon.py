@@ -155,12 +155,13 @@ class HorizonControl:
         future = interpolated(asked_s, reference.times_s, reference.feedforward_pa) + weights @ deviation
         later = asked_s > start_s
         pressure = np.clip(np.where(later[:, None], future, past), 0.0, self._settings.pressure_limit_pa)
-        drive = self._estimator.drive(known, pressure)
+        nominal = self._map.tips(pressure)
         slopes = self._estimator.drive_by_pressure(known, pressure)
-        first = self._map.tips(pressure[:1])[0]
-        moving = np.stack([state.tip[0] + drive[0] - first, state.tip[1]]) if state.tip is not None else drive[:2]
-        states = self._dynamics.advance(moving, drive, self._step_s)
-        tips = states[:, 0] - lag_s * states[:, 1] + self._estimator.disturbance(known, grid_s, reference.period_s)
+        moving = state.tip if state.tip is not None else np.stack([nominal[0], np.zeros(3)])
+        states = self._dynamics.advance(moving, nominal, self._step_s)
+        # As the estimator predicts measurements: strengths and payload act at once.
+        tips = states[:, 0] - lag_s * states[:, 1] + self._estimator.drive(known, pressure) - nominal
+        tips = tips + self._estimator.disturbance(known, grid_s, reference.period_s)
         response = self._dynamics.responses(len(grid_s) - 1, self._step_s, lag_s)
         return _Prediction(grid_s, tips, response, slopes, np.where(later[:, None], weights, 0.0)[:, 1:])
 
