@@ -28,18 +28,10 @@ Peer = Callable[..., NDArray[np.float64]]
 
 
 @pytest.fixture(scope="module")
-def peer(pytestconfig: pytest.Config) -> Iterator[Peer]:
-    """PyElastica in a process of its own, compiled without optimising: that takes a third of the time.
-
-    Into a cache of its own, or the benchmark would find slow code of its peer. The cache outlives the session: numba
-    compiles again where PyElastica's sources changed.
-    """
-    assert pytestconfig.cache is not None
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("NUMBA_OPT", "0")
-        patch.setenv("NUMBA_CACHE_DIR", str(pytestconfig.cache.mkdir("elastica")))
-        with ProcessPoolExecutor(1, get_context("spawn")) as pool:
-            yield lambda *about: pool.submit(elastica_tips, *about).result()
+def peer() -> Iterator[Peer]:
+    """PyElastica in a process of its own: its kernels are compiled without this program's settings."""
+    with ProcessPoolExecutor(1, get_context("spawn")) as pool:
+        yield lambda *about: pool.submit(elastica_tips, *about).result()
 
 
 def extrapolated(peer: Peer, duration_s: float, damping: float, samples: int, courant: float) -> NDArray[np.float64]:
