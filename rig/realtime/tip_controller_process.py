@@ -13,6 +13,7 @@ import numpy as np
 
 from rig.realtime.child_process import ChildJob, leave, receive, supervisor_monitor
 from rig.realtime.shared_state import TIP_CONTROLLER, SharedState, Stage, Stop
+from rig.tip_control.monitor import failure_message
 from rig.tip_control.plan_record import record_of
 from rig.tip_control.session import HISTORY_S, TipControlSession
 
@@ -26,8 +27,7 @@ def main() -> int:
     try:
         _send_plans(job, memory)
     except Exception as error:
-        message = f"the tip_controller process failed: {type(error).__name__}: {error}"
-        memory.publish_stage(TIP_CONTROLLER, Stage.FAILED, message)
+        memory.publish_stage(TIP_CONTROLLER, Stage.FAILED, failure_message(error))
         raise
     memory.publish_stage(TIP_CONTROLLER, Stage.DONE)
     return 0

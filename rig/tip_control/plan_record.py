@@ -21,6 +21,17 @@ class StampedPlan(NamedTuple):
     times_s: Array
     setpoint_pa: Array
 
+    def check(self, valves: int) -> None:
+        """Raises ValueError unless the plan has at most MOST_POINTS points, and set-points of every valve at each."""
+        if (
+            self.times_s.ndim != 1
+            or len(self.times_s) > MOST_POINTS
+            or (self.setpoint_pa.shape != (len(self.times_s), valves))
+        ):
+            expected = f"at most {MOST_POINTS} times, and a set-point of each of {valves} valves at each"
+            shapes = f"{self.times_s.shape} and {self.setpoint_pa.shape}"
+            raise ValueError(f"a plan has {expected}; found arrays of shape {shapes}")
+
     @classmethod
     def of(cls, record: NDArray[np.void] | np.void) -> StampedPlan:
         """The plan of a record of `plan_dtype`."""
@@ -41,17 +52,9 @@ def plan_dtype(valves: int) -> np.dtype[np.void]:
 
 
 def record_of(plan: StampedPlan, row: NDArray[np.void] | np.void) -> NDArray[np.void]:
-    """The record of a plan of V valves with its row of the archive.
-
-    Raises:
-        ValueError: the plan has more than MOST_POINTS points, or set-points of another shape than (K, V).
-    """
-    valves = row["plan_pa"].shape[-1]
-    record = np.zeros((), plan_dtype(valves))
+    """The record of a plan of V valves, which has been checked, with its row of the archive."""
+    record = np.zeros((), plan_dtype(row["plan_pa"].shape[-1]))
     points = len(plan.times_s)
-    if points > MOST_POINTS or plan.setpoint_pa.shape != (points, valves):
-        expected = f"at most {MOST_POINTS} times, and a set-point of each of {valves} valves at each"
-        raise ValueError(f"a plan has {expected}; found {plan.times_s.shape} and {plan.setpoint_pa.shape}")
     record["row"], record["points"] = row, points
     record["times_s"][:points], record["setpoint_pa"][:points] = plan.times_s, plan.setpoint_pa
     return record

@@ -13,6 +13,7 @@ from rig.config.schema import RigConfig
 from rig.config.sections import PA_PER_BAR, Variant
 from rig.execution.plan import Plan as RunPlan
 from rig.tip_control.interface import Measurement, Reference, TipControlSettings
+from rig.tip_control.interpolation import interpolated
 from rig.tip_control.plan_record import StampedPlan
 from rig.tip_control.registry import controller_class
 from runs.columns import PLAN_AHEAD_S
@@ -62,6 +63,9 @@ class TipControlSession:
         """The plan that follows from a frame, and its row; None where the tip has no reference now.
 
         `frame_protocol_s` is the protocol time of the exposure; `samples` (k,) are the newest control cycles.
+
+        Raises:
+            Exception: the controller, which may be code of the user, fails.
         """
         start_s = float(samples["protocol_s"][-1])
         motion = self._trajectory.tip.motion_at(start_s)
@@ -84,17 +88,18 @@ class TipControlSession:
         row = self._row.copy()
         row["t_ns"], row["frame"], row["start_s"] = observation["t_ns"], observation["frame"], start_s
         row["status"], row["iterations"], row["active"] = plan.status, plan.iterations, plan.active
-        times = np.asarray(plan.times_s, dtype=np.float64)
-        setpoint = np.asarray(plan.setpoint_pa, dtype=np.float64)
-        if times.ndim == 1 and len(times) and setpoint.shape == (len(times), len(self._actuators)):
+        stamped = StampedPlan(
+            np.asarray(plan.times_s, dtype=np.float64), np.asarray(plan.setpoint_pa, dtype=np.float64)
+        )
+        stamped.check(len(self._actuators))
+        if len(stamped.times_s):
             ahead = start_s + np.array(PLAN_AHEAD_S)
-            within = ahead <= times[-1]
-            for valve, column in enumerate(setpoint.T):
-                row["plan_pa"][within, valve] = np.interp(ahead[within], times, column)
+            within = ahead <= stamped.times_s[-1]
+            row["plan_pa"][within] = interpolated(ahead[within], *stamped)
         if plan.predicted_m is not None and np.shape(plan.predicted_m)[1:] == (3,) and len(plan.predicted_m):
             row["predicted_m"] = plan.predicted_m[0] + learned[1]
         row["payload_kg"], row["payload_std_kg"], row["nis"] = plan.estimate
-        return StampedPlan(times, setpoint), row
+        return stamped, row
 
     def rehearse(self) -> None:
         """Step once on made-up data, so that imports and compilation are done before the start."""

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import gc
 import time
+import traceback
 from collections import deque
 from collections.abc import Iterator
 from functools import partial
@@ -27,6 +28,7 @@ from rig.observation.observer import Observer
 from rig.observation.picture_recorder import PictureRecorder
 from rig.realtime.health_monitor import HealthMonitor
 from rig.simulator.plant import Plant
+from rig.tip_control.monitor import SOURCE, TipControlMonitor, failure_message
 from rig.virtual.frame_pipeline import FramePipeline, FrameProcessError, FrameSamples, FrameStages
 from runs.records import (
     Event,
@@ -103,6 +105,7 @@ class _VirtualRun:
         self._adaptations = _RecentRows(adaptation_dtype(len(plan.adapted)), self._history_ticks)
         self._plans = _RecentRows(tip_control_dtype(len(config.valves)), self._history_ticks)
         self._tip_control = _tip_control(plan)
+        self._tip_monitor, self._tip_failure = TipControlMonitor(), ""
         self._exposed: deque[tuple[int, float]] = deque()
         """Times of the frames that wait for the tip controller: of the exposure [ns], and in the protocol [s]."""
         self._shown = 0.0
@@ -182,12 +185,16 @@ class _VirtualRun:
                 self._exposed.append((t_ns, float(row["protocol_s"]) - (now - t_ns) * 1e-9))
         if self._tip_control is not None:
             self._steer(self._tip_control, now)
+        if self._plan.controls_tip:
+            source = self._loop.setpoint_source
+            for event in self._tip_monitor.events(now, float(row["protocol_s"]), source, self._tip_failure):
+                self._report(event)
         if trip is not None:
             self._vents = trip.vent
             self._event(now, Level.FAULT, "control", trip.message)
             return Status.ABORTED, trip.message
         if self._loop.finished:
-            return Status.FINISHED, ""
+            return Status.FINISHED, self._tip_monitor.message
         if self._loop.position.waiting and self._answered == self._loop.position.prompts_passed:
             message = self._plan.trajectory.prompts[self._answered].message
             self._answered += 1
@@ -226,7 +233,13 @@ class _VirtualRun:
             _, protocol_s = self._exposed.popleft()
             self._receive()
             samples = self._samples.recent(round(HISTORY_S * 1e9 / self._loop.period_ns))
-            found = controller.step(self._observations.recent(1)[0], protocol_s, samples)
+            try:
+                found = controller.step(self._observations.recent(1)[0], protocol_s, samples)
+            except Exception as error:
+                # It may be code of the user. As in real time the run continues without it.
+                self._tip_control, self._tip_failure = None, failure_message(error)
+                self._recorder.event(Event(now, Level.WARNING, SOURCE, traceback.format_exc()))
+                return
             if found is not None:
                 self._plans.add(self._loop.take_plan(*found))
 
@@ -281,12 +294,21 @@ class _VirtualRun:
 
 
 def _tip_control(plan: Plan) -> TipControlSession | None:
-    """The tip controller, if the run has one: it takes a solver and the model's kernels."""
+    """The tip controller, if the run has one: it takes a solver and the model's kernels.
+
+    Raises:
+        StartError: the controller fails before the run begins.
+    """
     if not plan.controls_tip:
         return None
     from rig.tip_control.session import TipControlSession
 
-    return TipControlSession(plan)
+    try:
+        session = TipControlSession(plan)
+        session.rehearse()
+    except Exception as error:
+        raise StartError(failure_message(error)) from error
+    return session
 
 
 def _largest_picture(config: RigConfig) -> tuple[int, int]:

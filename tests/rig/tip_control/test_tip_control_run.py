@@ -12,6 +12,7 @@ from typer.testing import CliRunner
 import runs
 from rig.cli.app import app
 from rig.config import loader
+from runs.records import Status
 from runs.run import Run
 
 PROTOCOL = """\
@@ -133,3 +134,46 @@ def test_a_run_learns_only_from_runs_of_the_same_experiment(
     assert result.exit_code == 2
     assert "--learn-from" in result.output
     assert expected in " ".join(result.output.split())
+
+
+RAISES = """
+from rig.tip_control.baselines import StaticInverse
+
+
+class Raises(StaticInverse):
+    def step(self, state, reference, measurement):
+        if reference.times_s[0] > FROM_S:
+            raise RuntimeError("no idea")
+        return super().step(state, reference, measurement)
+"""
+
+
+def test_a_run_goes_on_without_a_controller_that_raises_as_in_real_time(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "raising_controller.py").write_text(RAISES.replace("FROM_S", "0.5"), encoding="utf-8")
+    monkeypatch.syspath_prepend(tmp_path)
+    (tmp_path / "circle.yaml").write_text(PROTOCOL, encoding="utf-8")
+    command = ["run", str(tmp_path / "circle.yaml"), "--rig", "mock-3", "--fast", "--yes", "--no-report"]
+    command += ["--out", str(tmp_path), "--controller", "raising_controller:Raises"]
+    result = CliRunner().invoke(app, command)
+    assert result.exit_code == 1, result.output
+    (archive,) = tmp_path.glob("*.h5")
+    run = runs.open(archive)
+    assert run.status is Status.FINISHED
+    assert "RuntimeError: no idea" in run.message
+    events = "\n".join(event.message for event in run.events)
+    assert "the set-points are held" in events
+    assert "the set-points return to those of the protocol" in events
+    assert "in step" in events
+
+
+def test_a_controller_that_raises_at_once_does_not_start_a_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "failing_controller.py").write_text(RAISES.replace("FROM_S", "-1.0"), encoding="utf-8")
+    monkeypatch.syspath_prepend(tmp_path)
+    (tmp_path / "circle.yaml").write_text(PROTOCOL, encoding="utf-8")
+    command = ["run", str(tmp_path / "circle.yaml"), "--rig", "mock-3", "--fast", "--yes", "--no-report"]
+    result = CliRunner().invoke(app, [*command, "--out", str(tmp_path), "--controller", "failing_controller:Raises"])
+    assert result.exit_code == 1
+    assert "the tip controller failed: RuntimeError: no idea" in result.output
+    assert not list(tmp_path.glob("*.h5"))

@@ -1,0 +1,50 @@
+"""Reports the loss of the tip controller, which does not end a run: the set-points become those of the protocol."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from rig.tip_control.plan_follower import LONGEST_S, LOST_S, SetPointSource
+from runs.records import Event, Level
+
+SOURCE = "tip controller"
+_UNCONTROLLED = (SetPointSource.HELD, SetPointSource.LOST)
+
+
+def failure_message(error: Exception) -> str:
+    """The message of an exception in a controller."""
+    return f"the tip controller failed: {type(error).__name__}: {error}"
+
+
+class TipControlMonitor:
+    """Monitors the tip controller and the source of the set-points."""
+
+    def __init__(self) -> None:
+        self._source = SetPointSource.PROTOCOL
+        self._since_s = 0.0
+        self._failure = ""
+        self.message = ""
+        """Why the tip was without its controller; empty if it was not, or only for an instant."""
+
+    def events(self, t_ns: int, protocol_s: float, source: SetPointSource, failure: str) -> Iterator[Event]:
+        """What has changed since the last call; `failure` says why there is no controller any more, else empty."""
+        if failure and not self._failure:
+            self._failure = failure
+            self._lost(protocol_s, failure)
+            yield Event(t_ns, Level.WARNING, SOURCE, f"{failure}; the run continues without it")
+        before, self._source = self._source, source
+        if source == before:
+            return
+        if source is SetPointSource.HELD:
+            self._since_s = protocol_s
+            yield Event(t_ns, Level.WARNING, SOURCE, f"no plan for {LONGEST_S:g} s: the set-points are held")
+        elif source is SetPointSource.LOST:
+            self._lost(protocol_s, f"no plan that could be followed for {LOST_S:g} s")
+            message = f"no plan for {LOST_S:g} s: the set-points return to those of the protocol (feed-forward)"
+            yield Event(t_ns, Level.WARNING, SOURCE, message)
+        elif source is SetPointSource.PLAN and before in _UNCONTROLLED:
+            message = f"plans are followed again, after {protocol_s - self._since_s:.2f} s"
+            yield Event(t_ns, Level.INFO, SOURCE, message)
+
+    def _lost(self, protocol_s: float, reason: str) -> None:
+        self.message = self.message or f"the tip lost its controller at {protocol_s:.2f} s of the protocol: {reason}"
