@@ -22,7 +22,7 @@ help:
 	@echo "make strikes  two more faults in that virtual machine (five minutes)"
 	@echo "make faults  every way a run can fail, at random moments; writes docs/validation/reliability.md (hours)"
 	@echo "make soak    an hour in real time and a day in virtual time, watched for leaks (hours)"
-	@echo "make lock   resolve the dependencies anew into requirements.lock"
+	@echo "make lock   resolve the dependencies anew into requirements.lock and requirements-docs.lock"
 	@echo "make clean  remove the environment and every cache"
 
 $(STAMP): requirements.lock pyproject.toml scripts/environment.sh
@@ -50,7 +50,7 @@ lint: $(STAMP)
 
 # The pages link each other by relative paths; strict mode refuses one without a target.
 docs: $(STAMP)
-	@$(BIN)/python -m pip install --quiet --no-build-isolation --editable '.[docs]'
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements-docs.lock
 	@$(BIN)/mkdocs build
 	@echo "build/site/index.html"
 
@@ -78,6 +78,8 @@ lock: $(STAMP)
 	$(BIN)/python -m pip install -q uv
 	$(BIN)/uv pip compile -q --universal --python-version 3.11 --extra rig --extra live --extra test --extra build \
 		--generate-hashes --no-emit-index-url --no-header --upgrade pyproject.toml -o requirements.lock
+	$(BIN)/uv pip compile -q --universal --python-version 3.11 --extra docs --constraints requirements.lock \
+		--generate-hashes --no-emit-index-url --no-header --upgrade pyproject.toml -o requirements-docs.lock
 
 clean:
 	rm -rf $(VENV) build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis
