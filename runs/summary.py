@@ -19,6 +19,7 @@ from runs.columns import Tip
 from runs.periodic_motion import PeriodicMotion, periodic_motions
 from runs.records import DetectionStatus, Interval, Status
 from runs.tip_error import TipErrorSummary, tip_error
+from runs.tip_plans import TipPlans, tip_plans
 
 SETTLED_PART = 0.3
 BAND_BAR = 0.01
@@ -138,6 +139,8 @@ class Summary:
     truth: TruthSummary | None
     tip_path: TipErrorSummary | None = None
     """Error on the paths of the tip; None for a run without one."""
+    tip_plans: TipPlans | None = None
+    """Plans of the tip controller; None for a run without one."""
     periodic: tuple[PeriodicMotion, ...] = ()
     """The segments whose set-points repeat."""
 
@@ -188,6 +191,7 @@ def summarise(run: ArchiveReader) -> Summary:
         reprojection_px=_percentile(tip.reprojection_px[measured], 50),
         truth=_truth(run, measured, plane),
         tip_path=tip_error(run),
+        tip_plans=tip_plans(run),
         periodic=periodic_motions(run),
     )
 

@@ -30,6 +30,7 @@ from runs.recovery import RecoveryStatus
 from runs.recovery import recover as recover_folder
 from runs.summary import Summary, summarise
 from runs.tip_error import TipErrorSummary
+from runs.tip_plans import TipPlans
 
 _DATE = re.compile(r"\d{4}(-(0[1-9]|1[0-2])(-(0[1-9]|[12]\d|3[01])(T([01]\d|2[0-3])(:[0-5]\d(:[0-5]\d)?)?)?)?)?")
 
@@ -148,6 +149,8 @@ def summary_table(summary: Summary, counters: Mapping[str, int]) -> Table:
         table.add_row(Text(f"whole run{simulated}: tip not measured, the rig has no camera", "bold"))
     if summary.tip_path is not None:
         _add_tip_path(table, summary.tip_path)
+    if summary.tip_plans is not None:
+        _add_tip_plans(table, summary.tip_plans)
     if summary.lateness_max_us > 0:
         table.add_row("deadlines missed", f"{summary.missed_deadlines} of {summary.ticks}")
         late = (summary.lateness_p50_us, summary.lateness_p99_us, summary.lateness_max_us)
@@ -173,6 +176,18 @@ def _add_tip_path(table: ColumnTable, path: TipErrorSummary) -> None:
         table.add_row("  across the path", _number(error.contour_mm, 3))
     table.add_row("  noise of the measured tip", _number(path.measured.noise_mm, 3))
     table.add_row("  predicted by the model", _number(path.predicted_mm, 3))
+
+
+def _add_tip_plans(table: ColumnTable, plans: TipPlans) -> None:
+    """Add what the tip controller needed."""
+    failed = [
+        f"{count} {words}" for count, words in ((plans.not_solved, "not solved"), (plans.refused, "refused")) if count
+    ]
+    table.add_row("plans of the tip controller", ", ".join([str(plans.count), *failed]))
+    table.add_row("  at a limit of pressure or rate", str(plans.constrained))
+    if not math.isnan(plans.solve_p99_ms):
+        solve = (plans.solve_p50_ms, plans.solve_p99_ms, plans.solve_max_ms)
+        table.add_row("  solver time p50/p99/max [ms]", " / ".join(_number(ms, 1) for ms in solve))
 
 
 def _number(value: float, digits: int) -> str:

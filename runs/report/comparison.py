@@ -15,7 +15,7 @@ from runs.report.colours import RUNS
 from runs.report.drawing import FigureSpecification, decimated, legend, path_indices, svg
 from runs.report.figures import across
 from runs.report.gaps import tip_with_gaps
-from runs.report.numbers import plain, three
+from runs.report.numbers import listed, plain, three
 from runs.run import Run
 from runs.summary import Summary
 
@@ -36,7 +36,8 @@ def section(runs: Sequence[Run], summaries: Sequence[Summary]) -> str:
     mark = f'<p class="note"><b>Simulated:</b> {simulated}; nothing here was measured on a real manipulator.</p>\n'
     found = differences.table(runs) + differences.repeatability(runs)
     note = "<p class=small><code>rig report RUN</code> writes the whole report of one run.</p>\n"
-    parts = (head, mark if simulated else "", table(runs, summaries), found, papers, shown, note)
+    tables = table(runs, summaries) + by_controller(runs, summaries)
+    parts = (head, mark if simulated else "", tables, found, papers, shown, note)
     return f'<section class="run">\n{"".join(parts)}</section>\n'
 
 
@@ -97,6 +98,47 @@ def by_axis(runs: Sequence[Run], summaries: Sequence[Summary]) -> str:
     title = "<h2>Root mean square error by direction</h2>"
     caption = "<p class=small>As the paper's Table 5: over every frame.</p>"
     return f"<div>{title}\n<table><tr>{head}</tr>{rows}</table>{caption}</div>" if rows else ""
+
+
+def by_controller(runs: Sequence[Run], summaries: Sequence[Summary]) -> str:
+    """Return the errors of each run on its tip paths, as true as they are known; nothing without a path."""
+    rows = []
+    for run, s in zip(runs, summaries, strict=True):
+        if s.tip_path is None:
+            continue
+        error, learned = s.tip_path.truth or s.tip_path.measured, run.header.learned_from
+        words = (
+            f"{escape(run.header.run_id)}{_marked(s.simulated)}",
+            escape(run.header.tip_controller),
+            escape(", ".join(learned)),
+        )
+        numbers = (
+            plain(error.rms_mm, 3),
+            plain(error.lag_mm, 3),
+            plain(error.contour_mm, 3),
+            plain(s.tip_path.measured.noise_mm, 3),
+            plain(error.max_mm, 3),
+            listed(error.periods_mm, 3),
+            plain(s.tip_plans.solve_p99_ms, 1) if s.tip_plans else "",
+        )
+        cells = "".join(f"<td>{word}</td>" for word in words) + "".join(f"<td class=n>{n}</td>" for n in numbers)
+        rows.append(f"<tr>{cells}</tr>")
+    heads = (
+        "rms<br>[mm]",
+        "lag<br>[mm]",
+        "across the path<br>[mm]",
+        "noise, measured<br>[mm]",
+        "largest<br>[mm]",
+        "rms of each period<br>[mm]",
+        "solver p99<br>[ms]",
+    )
+    head = "<th>run</th><th>controller</th><th>learned from</th>" + "".join(
+        f"<th class=n>{name}</th>" for name in heads
+    )
+    title = "<h2>Tip to reference</h2>"
+    caption = "<p class=small>Of the true tip where a run was simulated, else of the measured one; without lead-in.</p>"
+    body = f'<div class="scroll"><table><tr>{head}</tr>{"".join(rows)}</table></div>'
+    return f"{title}\n{body}\n{caption}\n" if rows else ""
 
 
 def _marked(simulated: bool) -> str:

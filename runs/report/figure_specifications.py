@@ -12,12 +12,9 @@ import numpy as np
 
 from runs.report import auxiliary_figure, estimates_figure, figures, pictures, reference_figure
 from runs.report.drawing import FigureSpecification
-from runs.report.numbers import plain
+from runs.report.numbers import listed, plain
 from runs.run import Run
 from runs.summary import MOVED_MM, SETTLED_PART, Summary, settled_steps
-
-MOST_PERIODS = 12
-"""Periods of a tip path whose errors the caption lists."""
 
 Z_DOWN = "z points from the base along the hanging arm and is drawn downwards."
 
@@ -116,8 +113,7 @@ def _reference(run: Run, summary: Summary) -> FigureSpecification | None:
         f"model's is that under the feed-forward set-points, {plain(path.predicted_mm, 3)} mm rms on the path."
     )
     if len(periods) > 1:
-        shown = ", ".join(plain(error, 3) for error in periods[:MOST_PERIODS])
-        caption += f" Rms of each period: {shown}{' ..' if len(periods) > MOST_PERIODS else ''} mm."
+        caption += f" Rms of each period: {listed(periods, 3)} mm."
     return FigureSpecification("reference", "Tip and reference", reference_figure.draw, (9, 4.6), caption)
 
 

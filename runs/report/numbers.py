@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 DASH = "–"
+MOST_LISTED = 12
+"""Numbers that a list shows."""
 
 
 def plain(value: float, digits: int) -> str:
@@ -22,6 +25,13 @@ def significant(value: float, digits: int) -> str:
 def with_unit(value: float, unit: str, digits: int) -> str:
     """Return a number and its unit."""
     return f"{plain(value, digits)} <small>{unit}</small>" if not math.isinf(value) else "never"
+
+
+def listed(values: Sequence[float], digits: int) -> str:
+    """Return the first numbers of a list."""
+    return ", ".join(plain(value, digits) for value in values[:MOST_LISTED]) + (
+        " .." if len(values) > MOST_LISTED else ""
+    )
 
 
 def three(values: tuple[float, float, float], digits: int) -> str:

@@ -16,8 +16,8 @@ from runs.overwriting import refuse_existing
 from runs.report import comparison, pictures
 from runs.report.drawing import svg
 from runs.report.figure_processes import drawn
-from runs.report.figure_specifications import MOST_PERIODS, figure_specifications
-from runs.report.numbers import DASH, plain, significant, three, with_unit
+from runs.report.figure_specifications import figure_specifications
+from runs.report.numbers import DASH, listed, plain, significant, three, with_unit
 from runs.run import Run
 from runs.summary import BAND_BAR, Summary, summarise
 
@@ -173,6 +173,8 @@ def _tiles(s: Summary) -> str:
             (with_unit(error.contour_mm, "mm", 3), "of it across the path"),
             (with_unit(s.tip_path.measured.noise_mm, "mm", 3), "noise of the measured tip"),
         ]
+    if s.tip_plans is not None:
+        tiles.append((with_unit(s.tip_plans.solve_p99_ms, "ms", 1), "solver time of the tip controller, 99 % below"))
     shown = (
         f'<div class="tile"><b>{value}</b><span>{label}</span></div>' for value, label in tiles if DASH not in value
     )
@@ -238,7 +240,6 @@ def _periodic(summary: Summary) -> str:
     )
     rows = ""
     for motion in summary.periodic:
-        errors = ", ".join(plain(error, 2) for error in motion.error_mm[:MOST_PERIODS])
         cells = (
             escape(motion.label),
             plain(motion.period_s, 3),
@@ -250,7 +251,7 @@ def _periodic(summary: Summary) -> str:
             plain(motion.model_ratio, 3),
             plain(motion.model_lag_ms, 1),
             plain(motion.model_loop_percent, 1),
-            errors + (" .." if len(motion.error_mm) > MOST_PERIODS else ""),
+            listed(motion.error_mm, 2),
         )
         rows += f"<tr>{''.join(f'<td class=n>{cell}</td>' for cell in cells)}</tr>"
     note = (

@@ -13,6 +13,7 @@ import runs
 from rig.cli.app import app
 from rig.config import loader
 from runs.records import Status
+from runs.report.page import page
 from runs.run import Run
 
 PROTOCOL = """\
@@ -113,6 +114,31 @@ def test_a_run_that_learns_follows_better_and_says_from_which_run_it_learned(con
     assert np.isnan(disturbance[~moving]).all()
     # The simulated arm differs from the model by more than a millimetre.
     assert np.linalg.norm(disturbance[moving], axis=1).max() > 1.0
+
+
+def test_a_report_of_runs_compares_how_the_tip_followed(controlled: dict[str, Run]) -> None:
+    text = page([controlled["horizon"], controlled["horizon that learns"]])
+    (table,) = re.findall(r"<h2>Tip to reference</h2>(.*?)</table>", text, re.DOTALL)
+    heads, first, second = re.findall(r"<tr>(.*?)</tr>", table, re.DOTALL)
+    assert "learned from" in heads
+    cells = [re.findall(r"<td[^>]*>(.*?)</td>", row) for row in (first, second)]
+    assert [row[1] for row in cells] == ["horizon", "horizon"]
+    assert [row[2] for row in cells] == ["", controlled["horizon"].header.run_id]
+    assert 0 < float(cells[1][3]) < float(cells[0][3])
+    assert len(cells[0][8].split(", ")) == 2
+
+
+def test_the_summary_counts_the_plans(controlled: dict[str, Run]) -> None:
+    run = controlled["horizon"]
+    plans = run.summary.tip_plans
+    assert run.tip_control is not None
+    assert plans is not None
+    assert plans.count == len(run.tip_control.time_s)
+    assert (plans.not_solved, plans.refused) == (0, 0)
+    shown = CliRunner().invoke(app, ["show", str(run.path)]).output
+    assert "plans of the tip controller" in shown
+    # In virtual time no time is measured.
+    assert "solver time" not in shown
 
 
 @pytest.mark.parametrize(
