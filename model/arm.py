@@ -1,4 +1,4 @@
-"""The arm as data: geometry, material, cap, gravity, and which of the paper's models describes it."""
+"""The arm as data: geometry, material, actuation, cap, gravity, and which of the paper's models describes it."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from model.actuation import ActuationLaw, Proportional
 from model.geometry import Geometry
 from model.material import Material
 
@@ -24,7 +25,7 @@ PASSIVE_BELOW_PA = 2000.0
 
 @dataclass(frozen=True)
 class Arm:
-    """One arm: geometry, material, cap, gravity, and which of the paper's models describes it.
+    """One arm: geometry, material, actuation, cap, gravity, and which of the paper's models describes it.
 
     variant: 'homogeneous' (eq 16, no radial pressure effect), 'homogeneous+rpe', or 'inhomogeneous+rpe', in which each
     tube follows eq 32. modulus_rule says how the inhomogeneous section finds each E_i. 'pointwise' (default) solves
@@ -34,6 +35,7 @@ class Arm:
     silent, P_i A_in.
     rpe_as says how the radial pressure stretches a section of frozen moduli (4.4): as the equivalent 'force' of eq 22
     on each tube (default), or as a free 'strain' of the whole section, the plane through the tubes' own free strains.
+    actuation is the law of the push on the caps (model/actuation.py).
     cap_mass_kg hangs at the tip. With cap_inertia it also resists acceleration, with its own rotational inertia
     cap_inertia_kg_m2 about the section's axes. gravity_m_s2 is in the base frame: +z is an arm that hangs. rod_weight
     adds the walls' own weight, which the paper leaves out.
@@ -49,6 +51,7 @@ class Arm:
     rpe_as: Literal["force", "strain"] = "force"
     cap_inertia: bool = False
     cap_inertia_kg_m2: Triple = field(default=(0.0, 0.0, 0.0))
+    actuation: ActuationLaw = field(default=Proportional())
 
     def __post_init__(self) -> None:
         if self.variant not in get_args(Variant):
@@ -91,6 +94,11 @@ class Arm:
         return self.section_rule not in ("linear", "pointwise")
 
     @property
+    def by_pressure(self) -> bool:
+        """Whether the section depends on the pressures beyond proportion, so that each row of these has its own."""
+        return self.frozen or self.actuation.grows
+
+    @property
     def line_density_kg_m(self) -> float:
         """rho A of all walls [kg/m]."""
         return self.material.density_kg_m3 * self.geometry.wall_area_m2 * self.geometry.actuators
@@ -108,7 +116,7 @@ class Arm:
 
     def _wall_force_n(self, pressure_pa: Array) -> Array:
         """The force n that eq 33 takes for each tube: its own push, or by the paper what the cap hands to the rest."""
-        push = pressure_pa * self.geometry.chamber_area_m2
+        push: Array = self.actuation.push_pa(pressure_pa) * self.geometry.chamber_area_m2
         if not self.section_rule.startswith("paper"):
             return push
         passive = pressure_pa < PASSIVE_BELOW_PA

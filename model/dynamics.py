@@ -182,7 +182,7 @@ class Dynamics:
         self._work = self._problem.work()
 
     def _advance(self, rows: Array) -> ArmTrajectory:
-        if self._arm.frozen and len(rows):
+        if self._arm.by_pressure and len(rows):
             if not np.isfinite(rows).all():
                 raise ValueError(NOT_FINITE)
             self._problem = KernelArguments.of(self._arm, rows, self._scheme.c0)

@@ -8,10 +8,12 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from model.actuation import PA_PER_BAR
 from model.arm import Arm
+from model.geometry import Geometry
 from model.kernels import layout
 from model.loads import Loads
-from model.section import PA_PER_BAR, CrossSection, section, upper
+from model.section import CrossSection, section, upper
 
 Array = NDArray[np.float64]
 
@@ -20,10 +22,11 @@ Array = NDArray[np.float64]
 class KernelArguments:
     """One arm on N + 1 nodes, as the kernels take it. The rod's line runs through the centroid of the walls.
 
-    stiffness (R, 24), rest (R, 6), per_pressure (R, 6, N): sections, one for each row of pressures where their rule
-    freezes the moduli, else one for all. prepared: a work array with the first of them in it. cap (19,): what the arm
-    itself hangs on the tip, as it stands at `layout.END`. Problems are shared, so the kernels take a copy of the work
-    array, and the others are never written.
+    stiffness (R, 24), per_pressure (R, 6, N): sections, one for each row of pressures where their rule freezes the
+    moduli, else one for all. rest (Q, 6): the wrench at zero strain, without the part in proportion to the pressures;
+    one for each row where the rule freezes the moduli or the push grows. prepared: a work array with the first section
+    in it. cap (19,): what the arm itself hangs on the tip, as it stands at `layout.END`. Problems are shared, so the
+    kernels take a copy of the work array, and the others are never written.
     """
 
     law: int
@@ -40,14 +43,19 @@ class KernelArguments:
 
     @classmethod
     def of(cls, arm: Arm, pressure_pa: Array, c0: float = 0.0) -> KernelArguments:
-        """Prepare the arm; pressures (R, N) matter only to the section rules that freeze each modulus."""
-        known = _prepared(arm, c0)
-        if not arm.frozen:
-            return known
-        stiffness, rest, per_pressure = _frozen(arm, c0).at(arm.stiffness_n(pressure_pa))
-        work = known.prepared.copy()
-        work.reshape(-1, layout.LANES)[layout.AXIAL : layout.OFFSET] = stiffness[0, :, None]
-        return replace(known, prepared=work, stiffness=stiffness, rest=rest, per_pressure=per_pressure)
+        """Prepare the arm; pressures (R, N) matter only to an arm whose sections differ `by_pressure`."""
+        prepared = _prepared(arm, c0)
+        if arm.frozen:
+            stiffness, rest, per_pressure = _frozen(arm, c0).at(arm.stiffness_n(pressure_pa))
+            work = prepared.prepared.copy()
+            work.reshape(-1, layout.LANES)[layout.AXIAL : layout.OFFSET] = stiffness[0, :, None]
+            prepared = replace(prepared, prepared=work, stiffness=stiffness, rest=rest, per_pressure=per_pressure)
+        if arm.actuation.grows:
+            beyond = arm.actuation.push_pa(pressure_pa) - pressure_pa
+            # No matrix product: its rounding depends on the number of rows.
+            wrench = (beyond[:, None, :] * _push_wrench(arm.geometry)).sum(axis=2)
+            prepared = replace(prepared, rest=prepared.rest + wrench)
+        return prepared
 
     @classmethod
     def _build(cls, arm: Arm, c0: float) -> KernelArguments:
@@ -59,8 +67,7 @@ class KernelArguments:
         whole = section(geometry, xy, stiffness_n, material.shear_ratio, arm.rpe_per_bar, arm.rpe_as)
         if pointwise:
             # Each tube's own law carries the strain at rest and the free strain; only the push on the caps remains.
-            push = section(geometry, xy, np.zeros(len(xy)), material.shear_ratio, 0.0)
-            whole = CrossSection(whole.axial, whole.shear, push.rest, push.per_pressure)
+            whole = CrossSection(whole.axial, whole.shear, np.zeros(6), _push_wrench(geometry))
         work = _work(arm, xy, whole, c0, pointwise)
         return cls(
             law=layout.POINTWISE if pointwise else layout.LINEAR,
@@ -104,6 +111,13 @@ class KernelArguments:
 @lru_cache(maxsize=32)
 def _no_load(nodes: int) -> Array:
     return np.zeros(6 * (2 * nodes + 1))
+
+
+@lru_cache(maxsize=64)
+def _push_wrench(geometry: Geometry) -> Array:
+    """Wrench (6, N) per pascal of each push pressure, about the centroid of the walls."""
+    xy = geometry.positions_m - geometry.centroid_m
+    return section(geometry, xy, np.zeros(len(xy)), 1.0, 0.0).per_pressure
 
 
 def _cap(arm: Arm, centre: Array) -> Array:

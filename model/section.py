@@ -18,11 +18,10 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from model.actuation import PA_PER_BAR
 from model.geometry import Geometry
 
 Array = NDArray[np.float64]
-
-PA_PER_BAR = 1e5
 
 
 @dataclass(frozen=True)

@@ -103,8 +103,10 @@ def tip_gradient(arm: Arm, pressure_pa: ArrayLike, loads: Loads | None = None, n
     """The tip at rest and its gradient by the section's material and the pressures. Raises as `statics` does."""
     pressure, nodes = pressures(arm, pressure_pa), steps_along(arm, nodes)
     names = _material(arm)
-    frozen = arm.frozen
-    stack = _Stack.of(arm, _varied(arm, pressure), nodes, pressure[None]) if frozen else _kept.stack(arm, nodes)
+    if arm.by_pressure:
+        stack = _Stack.of(arm, _varied(arm, pressure), nodes, pressure[None])
+    else:
+        stack = _kept.stack(arm, nodes)
     hung = stack.nothing
     if loads is not None:
         load, loaded = stack.first.load(arm, loads, nodes)
@@ -227,12 +229,16 @@ def _check_changes(arm: Arm, changes: Sequence[Variation], rows: Array) -> None:
     if not np.isfinite(rows).all():
         raise ValueError("pressures must be finite")
     for change in changes:
-        if change.arm.section_rule != arm.section_rule or change.arm.geometry.actuators != arm.geometry.actuators:
-            raise ValueError("a change must keep the number of actuators and the section rule")
+        if _kind(change.arm) != _kind(arm):
+            raise ValueError("a change must keep the number of actuators, the section rule and the actuation law")
         if not (np.isfinite(change.step) and change.step != 0):
             raise ValueError(f"a change needs a step that is not zero, got {change.step}")
         if change.pressure_pa is not None and change.pressure_pa.shape != rows.shape:
             raise ValueError(f"a change has pressures of shape {change.pressure_pa.shape}, the arm {rows.shape}")
+
+
+def _kind(arm: Arm) -> tuple[int, str, str]:
+    return arm.geometry.actuators, arm.section_rule, arm.actuation.name
 
 
 def _material(arm: Arm) -> tuple[str, ...]:
@@ -351,13 +357,14 @@ class _Stack:
         """The part for some rows, with work arrays of its own."""
         works = layout.aligned(*self.works.shape)
         works[:] = self.works
-        at = slice(None) if len(self.stiffness) == 1 else rows
         first = self.first
+        at = slice(None) if len(self.stiffness) == 1 else rows
+        at_rest = slice(None) if len(self.rest) == 1 else rows
         return replace(
-            self, works=works, work=first.work(), stiffness=self.stiffness[at], rest=self.rest[at],
+            self, works=works, work=first.work(), stiffness=self.stiffness[at], rest=self.rest[at_rest],
             per_pressure=self.per_pressure[at],
             first=replace(
-                first, stiffness=first.stiffness[at], rest=first.rest[at], per_pressure=first.per_pressure[at]
+                first, stiffness=first.stiffness[at], rest=first.rest[at_rest], per_pressure=first.per_pressure[at]
             ),
         )  # fmt: skip
 

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from calibration.identify.data import Poses
-from calibration.identify.parameters import Parameter, Prior, Setup, known, named
+from calibration.identify.parameters import PUSH_GROWTH, Parameter, Prior, Setup, known, named
 
 # A turn about an axis with this share of gravity along it does not change the direction of gravity.
 _PARALLEL = 0.999
@@ -38,6 +38,8 @@ def nuisance_parameters(setup: Setup, data: Sequence[Poses], free: Sequence[Para
     inert = set(_INERT_IN_VARIANT[setup.arm.variant])
     if not moving:
         inert |= MOTION_ONLY | (set() if setup.arm.rod_weight else {"density_kg_m3"})
+    if not setup.arm.actuation.grows:
+        inert.add(PUSH_GROWTH)
     gravity = np.array(setup.arm.gravity_m_s2)
     along = np.abs(gravity) >= _PARALLEL * np.linalg.norm(gravity)
     inert |= {f"gravity_r{axis}_rad" for axis, parallel in zip("xyz", along, strict=True) if parallel}

@@ -97,6 +97,9 @@ Write = Callable[[Setup, float], Setup]
 DATA_SHEET_SHARE, LENGTH_M, MOUNTING_M, MOUNTING_RAD, GAIN = 0.05, 5e-4, 2e-3, 0.03, 0.01
 # Of a retardation time, which no data sheet states; and of the sensors' times and zeros.
 DAMPING_S, LAG_S, FILTER_S, OFFSET_PA = 0.02, 0.005, 0.002, 500.0
+# Of the growth of the push, which no data sheet states either.
+GROWTH_PER_BAR = 0.1
+PUSH_GROWTH = "push_growth_per_bar"
 # An inner radius is at most this fraction of the outer one.
 _THINNEST_WALL = 0.98
 
@@ -155,6 +158,10 @@ def known(actuators: int) -> dict[str, Parameter]:
         replace(
             _material("damping_s", "s", "Kelvin-Voigt retardation time", 0.0, 1.0, least=0.02),
             uncertainty=_constant(DAMPING_S),
+        ),
+        Parameter(
+            PUSH_GROWTH, "1/bar", "k, growth of the push pressures", lambda s: s.arm.actuation.growth_per_bar, _grown,
+            lambda x: max(abs(x), 0.2), _constant(GROWTH_PER_BAR), -0.5, 5.0,
         ),
         Parameter(
             "cap_mass_kg", "kg", "mass of the end cap", lambda s: s.arm.cap_mass_kg,
@@ -288,6 +295,12 @@ def _geometry(name: str, unit: str, about: str, share: float) -> Parameter:
         return replace(setup, arm=replace(setup.arm, geometry=replace(setup.arm.geometry, **changed)))
 
     return Parameter(name, unit, about, read, write, lambda x: share * abs(x), _constant(LENGTH_M), 1e-6, 10.0)
+
+
+def _grown(setup: Setup, x: float) -> Setup:
+    """The setup with another growth of the push; the same where the push does not grow."""
+    law = setup.arm.actuation
+    return replace(setup, arm=replace(setup.arm, actuation=replace(law, growth_per_bar=x))) if law.grows else setup
 
 
 def _constant(std: float) -> Callable[[float], float]:

@@ -172,6 +172,7 @@ def _arm(setup: Setup) -> dict[str, Any]:
             "density_kg_m3": material.density_kg_m3,
             "damping_s": material.damping_s,
         },
+        "actuation": {"law": arm.actuation.name, "growth_per_bar": arm.actuation.growth_per_bar},
         "cap_mass_g": 1e3 * arm.cap_mass_kg,
     }
 

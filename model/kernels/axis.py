@@ -117,7 +117,8 @@ def motion(
 ) -> int:
     """Advance through the rows of pressure (T, N); fills tips (T, 3), turns (T, 3, 3), good (T,).
 
-    stiffness (R, 24), rest (R, 6), per_pressure (R, 6, N): of each row's section; R is T, or 1 for the same in all.
+    stiffness (R, 24), rest (Q, 6), per_pressure (R, 6, N): of each row's section; R and Q are T, or 1 for the same in
+    all.
     pool: a room, as `shooting.room_in` takes it. Returns the number of passes, or -1, having done nothing, where a
     pressure is not finite.
     """
@@ -127,11 +128,11 @@ def motion(
                 return -1
     total, sections, room = 0, stiffness.shape[0], room_within(pool, x.shape[0] // 2 - 1)
     for t in range(pressure.shape[0]):
-        r = t % sections
+        r, q = t % sections, t % rest.shape[0]
         if sections > 1:
             stiffen(w, stiffness[r])
         passes = advance(
-            w, law, actuators, rest[r], per_pressure[r], free, before, pressure[t], load, loaded, tip, length,
+            w, law, actuators, rest[q], per_pressure[r], free, before, pressure[t], load, loaded, tip, length,
             segments, scale, scheme, trail, x, room, tolerance,
         )  # fmt: skip
         good[t] = passes > 0
@@ -169,10 +170,10 @@ def equilibria(
     Each row has an arm of its own, or all have the first one; its section (stiffness, rest, per_pressure) the same.
     """
     for b in range(pressure.shape[0]):
-        k, r = b % works.shape[0], b % rest.shape[0]
+        k, r, q = b % works.shape[0], b % stiffness.shape[0], b % rest.shape[0]
         stiffen(works[k], stiffness[r])
         passes = equilibrium(
-            works[k], law, actuators, rest[r], per_pressure[r], free[k], pressure[b], load[k], loaded, tips[k],
+            works[k], law, actuators, rest[q], per_pressure[r], free[k], pressure[b], load[k], loaded, tips[k],
             length[k], scale[k], room, tolerance,
         )  # fmt: skip
         good[b], unstable[b] = passes > 0, passes == UNSTABLE

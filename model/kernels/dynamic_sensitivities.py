@@ -93,7 +93,7 @@ def dynamic_sensitivities(
     c0, c1, c2, d1 = scheme[0], scheme[1], scheme[2], scheme[4]
     followed, now, sections = steps.shape[0] > 0, 0, stiffness.shape[0]
     for t in range(pressure.shape[0]):
-        r, hangs = t % sections, hung[t % hung.shape[0]]
+        r, q, hangs = t % sections, t % rest.shape[0], hung[t % hung.shape[0]]
         apply_tip_load(tip, hangs, here)
         solved = 1
         if t == 0 and followed:
@@ -116,7 +116,7 @@ def dynamic_sensitivities(
             if sections > 1:
                 stiffen(w, stiffness[r])
             solved = advance(
-                w, law, actuators, rest[r], per_pressure[r], free, before, row, load, loaded, here, length, segments,
+                w, law, actuators, rest[q], per_pressure[r], free, before, row, load, loaded, here, length, segments,
                 scale, scheme, trail, x, solver, tolerance,
             )  # fmt: skip
             if solved > 0 and followed:
@@ -124,7 +124,7 @@ def dynamic_sensitivities(
                 _update_history(past, room, now, c1 + d1 * c0, c2, d1)
                 now = 1 - now
                 apply_pressure(
-                    works, actuators, lane_stiffness[r], lane_rest[r], lane_per_pressure[r], frees, ends, pressure[t],
+                    works, actuators, lane_stiffness[r], lane_rest[q], lane_per_pressure[r], frees, ends, pressure[t],
                     hangs,
                 )  # fmt: skip
                 followed = tangents(

@@ -44,7 +44,7 @@ def static_sensitivities(
 ) -> None:  # fmt: skip
     """One equilibrium per row of pressure (K, W, N, 8), and how its tip answers to each neighbour's change.
 
-    The arm: work (size,), its sections stiffness (R, 24), rest (R, 6), per_pressure (R, 6, N), tip (19,). The lanes:
+    The arm: work (size,), its sections stiffness (R, 24), rest (Q, 6), per_pressure (R, 6, N), tip (19,). The lanes:
     works (W, size) and as `press` takes them, of the sections and of hung one for each row or one for all. Fills
     place (K, 3), turned (K, 3, 3), by (K, P, 6), good and unstable (K,).
     """
@@ -52,14 +52,14 @@ def static_sensitivities(
     nothing = np.zeros((works.shape[0], 1, 1))
     segments = room.shares.shape[0]
     for t in range(pressure.shape[0]):
-        r = t % stiffness.shape[0]
+        r, q = t % stiffness.shape[0], t % rest.shape[0]
         hangs = hung[t % hung.shape[0]]
         apply_tip_load(tip, hangs, here)
         for k in range(actuators):
             row[k] = pressure[t, 0, k, 0]
         stiffen(work, stiffness[r])
         solved = equilibrium(
-            work, law, actuators, rest[r], per_pressure[r], free, row, load, loaded, here, length, scale, solver,
+            work, law, actuators, rest[q], per_pressure[r], free, row, load, loaded, here, length, scale, solver,
             tolerance,
         )  # fmt: skip
         good[t], unstable[t] = solved > 0, solved == UNSTABLE
@@ -67,7 +67,7 @@ def static_sensitivities(
             place_tip(solver.x, length, centre, place, turned, t)
             if steps.shape[0] > 0:
                 apply_pressure(
-                    works, actuators, lane_stiffness[r], lane_rest[r], lane_per_pressure[r], frees, ends, pressure[t],
+                    works, actuators, lane_stiffness[r], lane_rest[q], lane_per_pressure[r], frees, ends, pressure[t],
                     hangs,
                 )  # fmt: skip
                 found = tangents(

@@ -14,13 +14,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import root
 
+from model.actuation import PA_PER_BAR
 from model.arm import Arm
 from model.errors import NotConverged
 from model.loads import Loads
 from model.paper.kernels import SAMPLE, STATE, jacobian, shoot, turn
 from model.pressures import pressures
 from model.schemes import DEFAULT_ALPHA, scheme_named
-from model.section import PA_PER_BAR
 from model.shape import Shape
 
 Array = NDArray[np.float64]
@@ -68,7 +68,7 @@ class NeutralSection:
         free = arm.rpe_per_bar * pressure_pa / PA_PER_BAR
         if "stretch as strain" in as_printed and arm.variant != "homogeneous":
             free = free + 1.0
-        push = pressure_pa * geometry.chamber_area_m2
+        push = arm.actuation.push_pa(pressure_pa) * geometry.chamber_area_m2
         rest_v, rest_u = np.array([0.0, 0.0, 1.0]), np.zeros(3)
         if arm.rpe_as == "force":
             push = push + stiffness * free

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 import model
@@ -14,7 +16,8 @@ GRAVITY_M_S2 = 9.81
 def model_arm(config: RigConfig, variant: Variant | None = None) -> model.Arm:
     """Return the arm with the rig's stated parameters; `variant` overrides the rig's model variant."""
     arm = config.arm
-    return _arm(config, arm.geometry, arm.material, arm.cap_mass_g, variant or config.model.variant)
+    built = _arm(config, arm.geometry, arm.material, arm.cap_mass_g, variant or config.model.variant)
+    return replace(built, actuation=arm.actuation.as_law())
 
 
 def true_arm(config: RigConfig) -> model.Arm:

@@ -15,9 +15,10 @@ from protocols.problems import closest
 from protocols.validation import ValidationFault
 
 if TYPE_CHECKING:
+    from rig.config.arm_sections import ArmConfig
     from rig.config.card_sections import CardConfig
     from rig.config.input_sections import AuxiliaryInput, EmergencyStop
-    from rig.config.sections import ArmConfig, BoardConfig, CameraConfig, Control, GeometryConfig, Limits, Sensor
+    from rig.config.sections import BoardConfig, CameraConfig, Control, GeometryConfig, Limits, Sensor
     from rig.config.simulator_sections import Simulator
     from rig.valves.base import ValveSection
 

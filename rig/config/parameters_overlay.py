@@ -13,6 +13,7 @@ from pydantic import Field
 
 from calibration.vision.transforms import RigidTransform
 from protocols import BadInputError, Problem, document
+from rig.config.arm_sections import ActuationConfig
 from rig.config.calibration_overlay import as_stated
 from rig.config.optics import placement_of, rigid
 from rig.config.schema import RigConfig
@@ -52,6 +53,7 @@ class IdentifiedArm(Section):
 
     geometry: GeometryConfig
     material: MaterialConfig
+    actuation: ActuationConfig = ActuationConfig()
     cap_mass_g: NonNegative
 
 
@@ -195,6 +197,9 @@ def _check(config: RigConfig, rig: str, parameters: Parameters, variant: Variant
     if found.identified.variant != required:
         by = "that --model names" if variant else f"of {rig}"
         refuse(("identified", "variant"), found.identified.variant, f"{required}, the model {by}; another with --model")
+    law, own = found.arm.actuation.law, config.arm.actuation.law
+    if law != own:
+        refuse(("arm", "actuation", "law"), law, f"{own}, the actuation law of {rig}")
     now, then = config.arm.geometry, found.identified.geometry
     if len(then.actuator_angles_deg) != config.actuators:
         refuse(

@@ -12,12 +12,12 @@ from pydantic.json_schema import SkipJsonSchema
 
 from protocols.validation import faults
 from rig.config import consistency
+from rig.config.arm_sections import ArmConfig
 from rig.config.card_sections import AnyCard
 from rig.config.input_sections import AuxiliaryInput, EmergencyStop
 from rig.config.metadata import Metadata
 from rig.config.sections import (
     AnyCamera,
-    ArmConfig,
     BoardConfig,
     Control,
     Limits,

@@ -354,16 +354,6 @@ class MaterialConfig(Section):
     )
 
 
-class ArmConfig(Section):
-    """The manipulator. `gravity_direction` is that of the weight in the rod-base frame."""
-
-    geometry: GeometryConfig
-    material: MaterialConfig
-    cap_mass_g: MassG = 50.0
-    gravity_direction: Triple = (0.0, 0.0, 1.0)
-    gravity_on_rod: Flag = False
-
-
 class ModelConfig(Section):
     """The model that runs beside the rig."""
 

@@ -38,6 +38,7 @@ class Uncertainties(Section):
     shear_ratio: _Stated = None
     density_kg_m3: _Stated = None
     damping_s: _Stated = None
+    push_growth_per_bar: _Stated = Field(default=None, description="of the push pressures; default 0.1")
     cap_mass_g: _Stated = Field(default=None, description="0.5 for a cap that was weighed")
     gravity_direction_deg: _Angle = None
     base_translation_mm: _Stated = Field(default=None, description="rod base in the frame of the measured tips")
@@ -69,6 +70,7 @@ _PARAMETERS: dict[str, tuple[str, float]] = {
     "shear_ratio": ("shear_ratio", 1.0),
     "density_kg_m3": ("density_kg_m3", 1.0),
     "damping_s": ("damping_s", 1.0),
+    "push_growth_per_bar": ("push_growth_per_bar", 1.0),
     "cap_mass_g": ("cap_mass_kg", _G),
     "gravity_direction_deg": ("gravity", _DEG),
     "base_translation_mm": ("base_translation", _MM),

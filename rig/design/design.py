@@ -68,7 +68,7 @@ def design(
     """
     _check_inputs(config, duration_s, criterion)
     errors = errors or MeasurementErrors()
-    chosen = tuple(free) or (*default_parameters(config.model.variant), "shear_ratio", "damping_s")
+    chosen = tuple(free) or (*default_parameters(config), "shear_ratio", "damping_s")
     candidates = blocks(config)
     if not candidates:
         fault = f"limits that leave room for a block of {BLOCK_S:g} s: more rate_bar_per_s"

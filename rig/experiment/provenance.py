@@ -75,6 +75,8 @@ def quantities(config: RigConfig) -> tuple[Quantity, ...]:
     add("model", "shear_ratio", "1", material.shear_ratio)
     add("model", "density", "kg/m3", material.density_kg_m3)
     add("model", "damping", "s", material.damping_s)
+    if arm.actuation.as_law().grows:
+        add("model", "push_growth", "1/bar", arm.actuation.growth_per_bar)
     add("model", "cap_mass", "g", arm.cap_mass_g)
     add("model", "gravity_direction", "1", *arm.gravity_direction)
     for sensor in config.sensors:

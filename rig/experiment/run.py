@@ -155,7 +155,7 @@ def request(
         from rig.observation.online_estimation import default_parameters, estimated_quantities
 
         variant_used = chosen or config.model.variant
-        adapted = estimated_quantities(config, variant_used, adapt or default_parameters(variant_used))
+        adapted = estimated_quantities(config, variant_used, adapt or default_parameters(config, variant_used))
     return RunRequest(
         protocol=loaded_protocol,
         rig=rig_read,

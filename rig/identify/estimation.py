@@ -114,7 +114,7 @@ def from_poses(
         UnknownParameter: a name is unknown, or a prior belongs to a parameter without effect on the data.
     """
     moving = any(one.moving for one in data)
-    chosen = tuple(free) or (*default_parameters(config.model.variant), *(("damping_s",) if moving else ()))
+    chosen = tuple(free) or (*default_parameters(config), *(("damping_s",) if moving else ()))
     start = Setup(model_arm(config))
     beside = nuisance_parameters(start, data, named(chosen, config.actuators))
     check_priors(priors, (*chosen, *(p.name for p in beside)), config.actuators)

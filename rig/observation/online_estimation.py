@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import model
-from calibration.identify.parameters import Prior, Setup
+from calibration.identify.parameters import PUSH_GROWTH, Prior, Setup
 from calibration.identify.recursive_estimator import RecursiveEstimator
 from model.statics import statics
 from rig.config.arm_model import TipLoad, model_arm
@@ -20,9 +20,11 @@ DEFAULT_PARAMETERS = ("law", "rpe_per_bar", "base", "sensor_offsets")
 DEFAULT_PARAMETERS_HOMOGENEOUS = ("youngs_modulus_pa", "rpe_per_bar", "base", "sensor_offsets")
 
 
-def default_parameters(variant: Variant) -> tuple[str, ...]:
-    """Return the default free parameters, also those of `rig identify`."""
-    return DEFAULT_PARAMETERS_HOMOGENEOUS if variant.startswith("homogeneous") else DEFAULT_PARAMETERS
+def default_parameters(config: RigConfig, variant: Variant | None = None) -> tuple[str, ...]:
+    """Return the default free parameters, also those of `rig identify`; `variant` overrides the rig's."""
+    homogeneous = (variant or config.model.variant).startswith("homogeneous")
+    growth = (PUSH_GROWTH,) if config.arm.actuation.as_law().grows else ()
+    return (*(DEFAULT_PARAMETERS_HOMOGENEOUS if homogeneous else DEFAULT_PARAMETERS), *growth)
 
 
 def recursive_estimator(config: RigConfig, variant: Variant | None, parameters: Sequence[str]) -> RecursiveEstimator:

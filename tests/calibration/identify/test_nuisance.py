@@ -13,6 +13,7 @@ from calibration.identify.nuisance import nuisance_parameters, stated_values
 from calibration.identify.parameters import named
 from calibration.identify.search import search
 from calibration.identify.simulated_experiments import MeasurementErrors, perform, plan
+from model.actuation import OwnPressure
 
 START = Setup(model.Arm.paper())
 RAMP = np.linspace(0.15e5, 0.65e5, 8)[:, None]
@@ -57,7 +58,9 @@ def test_what_has_no_effect_on_the_data_is_not_estimated() -> None:
     in_motion = {p.name for p in nuisance_parameters(START, [replace(PLANNED[0], period_s=0.03)], free)}
     assert in_motion - at_rest == {"damping_s", "density_kg_m3", "sensor_lag_s", "sensor_filter_s"}
     every = set(known(3))
-    assert every - in_motion == {"a1_per_n", "a2_per_n2", "youngs_modulus_pa", "gravity_rz_rad"}
+    assert every - in_motion == {"a1_per_n", "a2_per_n2", "youngs_modulus_pa", "gravity_rz_rad", "push_growth_per_bar"}
+    growing = Setup(replace(START.arm, actuation=OwnPressure()))
+    assert {p.name for p in nuisance_parameters(growing, PLANNED, free)} - at_rest == {"push_growth_per_bar"}
 
 
 def test_the_error_bar_says_which_stated_value_it_comes_from() -> None:
