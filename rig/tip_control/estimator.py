@@ -36,11 +36,14 @@ LEARNING_FRAMES = 90
 """Frames after the start in which a large NIS is no surprise: the estimates are still far off."""
 JUMP_KG = 0.15
 JUMP_M = 1e-4
+SETTLING_FRAMES = 12
+"""Frames after a surprise in which the arm still swings: each gives payload and offset anew, and nothing else."""
 
 
 class EstimatorState(NamedTuple):
     """Estimates `z` (n,) with covariance (n, n), and the number of surprising frames in succession and of all frames.
 
+    `settling`: frames until the arm has settled after a surprise.
     z: gains (V,), lag, payload, offset (3,), then a_k and b_k (3,) of each harmonic.
     """
 
@@ -48,6 +51,7 @@ class EstimatorState(NamedTuple):
     covariance: Array
     surprises: int = 0
     frames: int = 0
+    settling: int = 0
 
 
 class TipEstimator:
@@ -127,20 +131,23 @@ class TipEstimator:
         gap = measured_m - predicted
         innovation = slope @ covariance @ slope.T + noise
         nis = float(gap @ np.linalg.solve(innovation, gap))
-        surprises = state.surprises + 1 if nis > SURPRISE_NIS and state.frames > LEARNING_FRAMES else 0
-        if surprises >= SURPRISES:
+        surprises, settling = 0, max(0, state.settling - 1)
+        if nis > SURPRISE_NIS and state.frames > LEARNING_FRAMES and not settling:
+            surprises = state.surprises + 1
+            if surprises < SURPRISES:
+                # It may be a wrong measurement.
+                return EstimatorState(state.z, covariance, surprises, state.frames + 1), nis
+            surprises, settling = 0, SETTLING_FRAMES
+        moves = np.ones(self._size)
+        if settling:
             jump = self._each(0.0, 0.0, JUMP_KG, JUMP_M, np.zeros(6 * HARMONICS))
             covariance = covariance + np.diag(jump**2)
             innovation = slope @ covariance @ slope.T + noise
-            surprises = 0
-        elif surprises:
-            # One surprising frame may be a wrong measurement: it counts as little as one at the limit would.
-            noise = noise * nis / SURPRISE_NIS
-            innovation = slope @ covariance @ slope.T + noise
-        gain = np.linalg.solve(innovation, slope @ covariance).T
+            moves = np.sign(jump)
+        gain = moves[:, None] * np.linalg.solve(innovation, slope @ covariance).T
         keep = np.eye(self._size) - gain @ slope
         after = keep @ covariance @ keep.T + gain @ noise @ gain.T  # Joseph form
-        return EstimatorState(state.z + gain @ gap, after, surprises, state.frames + 1), nis
+        return EstimatorState(state.z + gain @ gap, after, surprises, state.frames + 1, settling), nis
 
     def _each(self, gain: float, lag: float, payload: float, offset: float, waves: Array) -> Array:
         return np.concatenate([np.full(self._valves, gain), [lag, payload], np.full(3, offset), waves])
