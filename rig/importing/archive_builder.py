@@ -83,6 +83,7 @@ def import_table(data: Path, mapping_file: Path, folder: Path, operator: str = "
     read = times(columns, mapping)
     t_ns = read.t_ns
     gauge_pa, ambient_pa = _pressures(columns, mapping)
+    gauge_pa = _delayed(t_ns, gauge_pa, mapping.pressures.delay_s)
     tip_m, covariance_m2 = placed(columns, mapping)
     asked_pa, valve_v, weight_kg = _asked(columns, mapping), _valves(columns, mapping), _weight(columns, mapping)
     pull = wrench(columns, mapping)
@@ -237,6 +238,14 @@ def _frames(columns: ColumnReader, t_ns: Ints) -> Ints:
     return np.concatenate([[0], np.cumsum(whole)])
 
 
+def _delayed(t_ns: Ints, gauge_pa: Floats, delay_s: float) -> Floats:
+    """Pressures (n, N) of `delay_s` earlier, interpolated linearly; before the first row, those of it."""
+    if not delay_s:
+        return gauge_pa
+    time_s = (t_ns - t_ns[0]) * 1e-9
+    return np.stack([np.interp(time_s - delay_s, time_s, column) for column in gauge_pa.T], axis=1)
+
+
 def _pressures(columns: ColumnReader, mapping: Mapping) -> tuple[Floats, Floats]:
     """Return gauge pressures (n, N) and the subtracted ambient pressures (N,) [Pa]."""
     pressures = mapping.pressures
@@ -334,6 +343,8 @@ def _quantities(mapping: Mapping, file: Path, ambient_pa: Floats) -> tuple[Quant
         how = f"mean of the first {pressures.ambient_rows} rows" if pressures.ambient_rows else source
         ambient = tuple(float(p) / PA_PER_BAR for p in ambient_pa)
         found.append(Quantity("calibration", "ambient_pressure", ambient, "bar", how))
+    if pressures.delay_s:
+        found.append(Quantity("calibration", "pressure_delay", (pressures.delay_s,), "s", source))
     if mapping.tip is not None and mapping.tip.offset_mm is not None:
         found.append(Quantity("calibration", "tip_offset", mapping.tip.offset_mm, "mm", source))
     return tuple(found)

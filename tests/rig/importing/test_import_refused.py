@@ -195,6 +195,13 @@ class TestBadData:
         run = bring(text, SMALL.replace("gauge", "absolute, ambient_rows: 2"))
         assert "moves by 0.1 bar within the first 2 rows" in warnings_of(run)
 
+    def test_pressures_that_lead_the_tip_are_delayed(self, bring: Bring) -> None:
+        text = "0,0.1,1,2,3\n0.1,0.2,1,2,3\n0.2,0.4,1,2,3\n0.3,0.4,1,2,3\n"
+        run = bring(text, SMALL.replace("gauge", "gauge, delay_s: 0.15"))
+        assert run.pressure.measured_bar[:, 0] == pytest.approx([0.1, 0.1, 0.15, 0.3])
+        (delay,) = (q for q in run.header.quantities if q.name == "pressure_delay")
+        assert delay.value == (0.15,)
+
     def test_more_ambient_rows_than_rows_are_refused(self, bring: Bring) -> None:
         assert "4 rows" in complaint(bring, self.rows(), SMALL.replace("gauge", "absolute, ambient_rows: 5"))
 
