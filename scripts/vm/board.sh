@@ -3,6 +3,7 @@
 #
 #   board.sh VENV [PYTEST ARGUMENT..]
 #
+# SOFTRIG_BOARD_TRIALS is the number of trials of each fault in tests/board/test_safe_state.py (1).
 # Without more it is a PCI-1711 under the driver of Debian's kernel. SOFTRIG_LINUX_COMEDI names a folder with comedi.ko
 # and adv_pci1710.ko of Linux-Comedi, built for the kernel in $SOFTRIG_VM_CACHE/release: then it is a PCI-1716.
 # The exit status is pytest's; 3 where the guest never came to run it.
@@ -38,6 +39,7 @@ checkout='$checkout'
 python='$venv/bin/python'
 board=$board
 drivers='$drivers'
+trials=${SOFTRIG_BOARD_TRIALS:-1}
 arguments='$(printf '%q ' "${@:-$checkout/tests/board}")'
 END
 cp "$here/pci1716/guest.sh" "$out/guest.sh"
@@ -64,7 +66,7 @@ timeout "${SOFTRIG_VM_LIMIT_S:-1200}" "$program" -L /usr/share/qemu -L /usr/shar
     -device "$board,id=board,bench=bench" -serial "file:$cache/board-console" \
     -chardev "socket,id=monitor,path=$sockets/monitor,server=on,wait=off" -mon chardev=monitor,mode=control \
     -chardev "socket,id=line,path=$sockets/monitor" -serial chardev:line \
-    -kernel "$cache/kernel/boot/vmlinuz-$release" -initrd "$cache/initrd" -append "console=ttyS0 quiet panic=-1" \
+    -kernel "$cache/kernel/boot/vmlinuz-$release" -initrd "$cache/initrd" -append "console=ttyS0 quiet panic=-1 mitigations=off" \
     -fsdev "local,path=/,security_model=none,readonly=on,multidevs=remap,id=root" \
     -device virtio-9p-pci,fsdev=root,mount_tag=root \
     -fsdev "local,path=$out,security_model=none,id=out" -device virtio-9p-pci,fsdev=out,mount_tag=out &

@@ -35,13 +35,14 @@ END
 }
 
 # One processor at a time, and one without AVX: QEMU 7.2 crashes now and then where two are emulated by two threads,
-# and programs in its guest with it; its emulation of AVX is of that same release.
+# and programs in its guest with it; its emulation of AVX is of that same release. `mitigations=off`, because the emulator
+# forgets its translation of addresses at each switch of the page table: 38 µs for a system call, and 1.6 µs without.
 emulate() {
     local root="local,path=/,security_model=none,readonly=on,multidevs=remap"
     local out="local,path=$cache/out,security_model=none"
     timeout "$limit_s" qemu-system-x86_64 -accel tcg,thread=single -cpu Nehalem -M q35 -smp 2 -m "$memory_mib" \
         -nodefaults -no-reboot -display none -serial "file:$cache/console" \
-        -kernel "$cache/kernel/boot/vmlinuz-$release" -initrd "$cache/initrd" -append "console=ttyS0 quiet panic=-1" \
+        -kernel "$cache/kernel/boot/vmlinuz-$release" -initrd "$cache/initrd" -append "console=ttyS0 quiet panic=-1 mitigations=off" \
         -fsdev "$root,id=root" -device virtio-9p-pci,fsdev=root,mount_tag=root \
         -fsdev "$out,id=out" -device virtio-9p-pci,fsdev=out,mount_tag=out &
     machine=$!

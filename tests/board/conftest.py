@@ -12,6 +12,7 @@ import pytest
 from rig.hardware.cards.base import CardSetup, Channel
 from rig.hardware.cards.comedi import ComediCard
 from tests.board.monitor import Monitor
+from tests.hardware import forked_run
 
 CARD = "/dev/comedi0"
 OpenBoard = Callable[..., ComediCard]
@@ -40,6 +41,20 @@ def board(monitor: Monitor) -> Iterator[Monitor]:
     monitor.set("open-inputs", 0)
     for channel in range(16):
         monitor.set(f"ai{channel}", 0.0)
+
+
+@pytest.fixture(scope="session")
+def kernels(tmp_path_factory: pytest.TempPathFactory) -> None:
+    """What a run compiles is loaded before one is forked."""
+    forked_run.load_kernels("mock-no-camera", tmp_path_factory.mktemp("kernels"))
+
+
+@pytest.fixture
+def bench(monitor: Monitor) -> Iterator[Monitor]:
+    """The board with the simulator behind it."""
+    monitor.set("coupled", value=True)
+    yield monitor
+    monitor.set("coupled", value=False)
 
 
 @pytest.fixture

@@ -5,11 +5,16 @@ from __future__ import annotations
 import json
 import os
 import select
+from contextlib import suppress
 from typing import Any
 
 LINE = "/dev/ttyS1"
 PATH = "/machine/peripheral/board"
-GREETING_S = 1.0
+ANSWER_S = 30.0
+HANDSHAKE_S = 1.0
+HANDSHAKES = 20
+ABANDON = b"\xff"
+"""Makes QEMU's parser forget what it has read: opening the line may have sent part of a character."""
 
 
 class Monitor:
@@ -18,11 +23,13 @@ class Monitor:
     def __init__(self, line: str = LINE) -> None:
         self._line = os.open(line, os.O_RDWR | os.O_NOCTTY)
         self._rest = b""
-        # The greeting came before the guest listened. Where its end is lost, the first answer is lost with it.
-        self._send("qmp_capabilities")
-        while select.select([self._line], [], [], GREETING_S)[0]:
-            os.read(self._line, 4096)
-        self._execute("qmp_capabilities")
+        self._sent = 0
+        for _ in range(HANDSHAKES):
+            os.write(self._line, ABANDON)
+            # After the first time it is an error, which does not matter.
+            if self._answer(self._send("qmp_capabilities"), HANDSHAKE_S) is not None:
+                return
+        raise TimeoutError(f"QEMU's monitor does not answer on {line}")
 
     def close(self) -> None:
         """Close the line."""
@@ -41,25 +48,31 @@ class Monitor:
         """Voltages of the two D/A converters."""
         return [self.get("ao0"), self.get("ao1")]
 
-    def _send(self, command: str, **arguments: object) -> None:
-        order = json.dumps({"execute": command, "arguments": arguments, "id": command}).encode() + b"\n"
+    def _send(self, command: str, **arguments: object) -> int:
+        """Send a command; its number, which the answer repeats."""
+        self._sent += 1
+        order = json.dumps({"execute": command, "arguments": arguments, "id": self._sent}).encode() + b"\n"
         while order:
             order = order[os.write(self._line, order) :]
+        return self._sent
 
     def _execute(self, command: str, **arguments: object) -> dict[str, Any]:
-        self._send(command, **arguments)
-        while True:
-            answer = self._next()
-            if answer.get("id") == command:
-                if "error" in answer and command != "qmp_capabilities":  # a second time is an error, and no matter
-                    raise ValueError(f"{command} {arguments}: {answer['error']['desc']}")
-                return answer
+        answer = self._answer(self._send(command, **arguments), ANSWER_S)
+        if answer is None:
+            raise TimeoutError(f"QEMU's monitor did not answer {command} {arguments} within {ANSWER_S:g} s")
+        if "error" in answer:
+            raise ValueError(f"{command} {arguments}: {answer['error']['desc']}")
+        return answer
 
-    def _next(self) -> dict[str, Any]:
-        while b"\n" not in self._rest:
+    def _answer(self, number: int, patience_s: float) -> dict[str, Any] | None:
+        """The answer to that command; None where the line is silent for so long. Anything else is skipped."""
+        while True:
+            while b"\n" in self._rest:
+                line, _, self._rest = self._rest.partition(b"\n")
+                with suppress(TypeError, ValueError):  # the end of a message whose beginning was lost
+                    answer = dict(json.loads(line))
+                    if answer.get("id") == number:
+                        return answer
+            if not select.select([self._line], [], [], patience_s)[0]:
+                return None
             self._rest += os.read(self._line, 4096)
-        line, _, self._rest = self._rest.partition(b"\n")
-        try:
-            return dict(json.loads(line))
-        except ValueError:  # the end of a greeting whose beginning came before the guest listened
-            return {}

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import re
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -12,19 +11,13 @@ import pytest
 
 import runs
 from rig.config.loader import load
+from tests.board.board_run import OUT_V, emulated_rig
 from tests.board.conftest import OpenBoard, reload_driver
 from tests.board.monitor import Monitor
 from tests.hardware import forked_run
 
 CLOSED_V = 5.0
 FILLING_V = 5.8
-SECTIONS_OF_A_CAMERA = re.compile(r"^(cameras|board|control|limits):.*?(?=^\S|\Z)", re.MULTILINE | re.DOTALL)
-SLOW = """
-limits: {pressure_bar: 0.7, rate_bar_per_s: 1.0, rate_margin_bar_per_s: 1000, tracking_bar: 0.05, tracking_s: 10,
-  frozen_s: 30, stale_s: 5, no_tip_s: 30, hung_s: 5}
-control: {rate_hz: 20, bandwidth_hz: 1, integral_s: 1, volume_ml: 60}
-"""
-"""An emulated processor is too slow for 200 Hz."""
 PROTOCOL = """
 title: One step behind the emulated board
 steps:
@@ -34,14 +27,6 @@ steps:
 """
 
 
-@pytest.fixture
-def bench(monitor: Monitor) -> Iterator[Monitor]:
-    """The board with the simulator behind it."""
-    monitor.set("coupled", value=True)
-    yield monitor
-    monitor.set("coupled", value=False)
-
-
 def until(condition: Callable[[], bool], what: str, patience_s: float = 30.0) -> None:
     end = time.monotonic() + patience_s
     while not condition():
@@ -49,33 +34,58 @@ def until(condition: Callable[[], bool], what: str, patience_s: float = 30.0) ->
         time.sleep(0.02)
 
 
+class Chamber:
+    """The first chamber of the bench as a program of the guest sees it: through an input of the board."""
+
+    def __init__(self, open_board: OpenBoard) -> None:
+        self.card = open_board((0, 1), acquisition="instruction")
+        self.card.start()
+
+    @property
+    def sensor_v(self) -> float:
+        return float(self.card.read().volts[0, 0])
+
+    def fill(self) -> float:
+        """Put it under pressure and close its valve; the sensor's voltage before [V]."""
+        vented_v = self.sensor_v
+        self.card.write(np.array([FILLING_V, CLOSED_V]))
+        until(lambda: self.sensor_v > vented_v + 0.15, "the chamber does not fill")
+        self.card.write(np.array([CLOSED_V, CLOSED_V]))
+        return vented_v
+
+    def await_vented(self, vented_v: float) -> None:
+        until(lambda: self.sensor_v < vented_v + 0.05, "the chamber does not vent")
+
+
 def test_loading_the_driver_vents_a_chamber_under_pressure(bench: Monitor, open_board: OpenBoard) -> None:
     """Loading writes 0 V, at which the valve opens its exhaust."""
-    card = open_board((0, 1), acquisition="instruction")
-    card.start()
-
-    def sensor_v() -> float:
-        return float(card.read().volts[0, 0])
-
-    vented_v = sensor_v()
-    card.write(np.array([FILLING_V, CLOSED_V]))
-    until(lambda: sensor_v() > vented_v + 0.15, "the chamber does not fill")
-    card.write(np.array([CLOSED_V, CLOSED_V]))
-    card.close()
+    chamber = Chamber(open_board)
+    vented_v = chamber.fill()
+    chamber.card.close()
     reload_driver()
     assert bench.outputs_v == [0.0, 0.0]
-    card = open_board((0, 1), acquisition="instruction")
-    card.start()
-    until(lambda: sensor_v() < vented_v + 0.05, "the chamber does not vent")
+    Chamber(open_board).await_vented(vented_v)
 
 
+def test_a_reset_of_the_board_vents_a_chamber_and_the_read_back_does_not_show_it(
+    bench: Monitor, open_board: OpenBoard
+) -> None:
+    """As after a short interruption of its supply; the driver answers a read-back from its memory."""
+    chamber = Chamber(open_board)
+    vented_v = chamber.fill()
+    bench.set("reset", value=True)
+    assert bench.outputs_v == [0.0, 0.0]
+    np.testing.assert_allclose(chamber.card.readback(), CLOSED_V, atol=OUT_V)
+    chamber.await_vented(vented_v)
+    chamber.card.write(np.array([CLOSED_V, CLOSED_V]))
+    np.testing.assert_allclose(bench.outputs_v, CLOSED_V, atol=OUT_V)
+
+
+@pytest.mark.usefixtures("kernels")
 def test_a_run_regulates_the_simulated_chambers_through_the_driver(bench: Monitor, tmp_path: Path) -> None:
-    stated = (Path(forked_run.__file__).parents[2] / "rig/rigs/pci1716.yaml").read_text()
-    text = SECTIONS_OF_A_CAMERA.sub("", stated).replace("driver: comedi,", "driver: comedi, emulated: true,") + SLOW
-    rig_file, protocol = tmp_path / "emulated.yaml", tmp_path / "step.yaml"
-    rig_file.write_text(text)
+    rig_file, protocol = emulated_rig(tmp_path), tmp_path / "step.yaml"
     protocol.write_text(PROTOCOL)
-    process = forked_run.run(str(rig_file), str(protocol), tmp_path / "runs")
+    process = forked_run.run(rig_file, str(protocol), tmp_path / "runs")
     said, _ = process.communicate(timeout=600)
     assert process.returncode == 0, said.decode()
     (archive,) = (tmp_path / "runs").glob("*.h5")
@@ -85,5 +95,5 @@ def test_a_run_regulates_the_simulated_chambers_through_the_driver(bench: Monito
     held = (run.pressure.protocol_s > 12) & (run.pressure.protocol_s < 15)
     assert held.any()
     np.testing.assert_allclose(run.pressure.measured_bar[held, 0], 0.3, atol=0.03)
-    vent_v = [valve.safe_v(vent=False) for valve in load(str(rig_file)).valves]
-    np.testing.assert_allclose(bench.outputs_v, vent_v, atol=0.01)
+    vent_v = [valve.safe_v(vent=False) for valve in load(rig_file).valves]
+    np.testing.assert_allclose(bench.outputs_v, vent_v, atol=OUT_V)

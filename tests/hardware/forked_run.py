@@ -30,21 +30,51 @@ from rig.realtime.child_process import ChildJob
 
 _NAME = 15
 """PR_SET_NAME: a process is found by the name of its module."""
+SHORT = """
+title: Half a second in virtual time
+steps:
+  - ramp: {actuators: [1], to_bar: 0.05, duration_s: 0.5}
+"""
 READY = (control_process, observer_process, watchdog_process)
+
+
+def load_kernels(rig: str, folder: Path) -> None:
+    """Load what a run on such a rig compiles, by a short run in virtual time: a fork then has it already."""
+    from rig.cli.app import main
+
+    protocol = folder / "short.yaml"
+    protocol.write_text(SHORT)
+    arguments = ["run", str(protocol), "--rig", rig, "--out", str(folder / "short"), "--fast", "--yes", "--no-report"]
+    before, sys.argv = sys.argv, ["rig", *arguments]
+    status: object = 0
+    try:
+        main()
+    except SystemExit as ending:
+        status = ending.code
+    finally:
+        sys.argv = before
+    if status:
+        raise RuntimeError(f"rig {' '.join(arguments)} ended with status {status}")
 
 
 def run(rig_file: str, protocol: str, out: Path) -> subprocess.Popen[bytes]:
     """Start a run."""
 
-    def supervise() -> None:
+    return forked(["rig", "run", protocol, "--rig", rig_file, "--out", str(out), "--yes", "--no-report"])
+
+
+def forked(arguments: list[str]) -> subprocess.Popen[bytes]:
+    """Start a command of softrig; what it prints is its `stdout`."""
+
+    def command() -> None:
         from rig.cli.app import main
 
         process_group.spawn = _spawn
         supervisor.START_TIMEOUT_S = 400.0
-        sys.argv = ["rig", "run", protocol, "--rig", rig_file, "--out", str(out), "--yes", "--no-report"]
+        sys.argv = arguments
         main()
 
-    return _forked("supervisor", supervise, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, stdin=subprocess.DEVNULL)
+    return _forked("supervisor", command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, stdin=subprocess.DEVNULL)
 
 
 def members(supervisor: int) -> dict[str, int]:

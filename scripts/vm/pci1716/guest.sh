@@ -21,7 +21,7 @@ else
 fi
 cd "$checkout" || exit
 eval "set -- $arguments"
-export PYTHONPATH=$checkout SOFTRIG_BOARD=$board
+export PYTHONPATH=$checkout SOFTRIG_BOARD=$board SOFTRIG_BOARD_TRIALS=$trials
 # What the host compiled for any processor of its kind serves the guest, which would take minutes.
 export SOFTRIG_CACHE=$cache/kernels NUMBA_CPU_NAME=generic NUMBA_CPU_FEATURES=
 "$python" -u -m pytest -o faulthandler_timeout=900 -p no:cacheprovider -p no:randomly -v --durations=5 "$@"

@@ -80,6 +80,7 @@ struct Board {
     uint16_t codes[OUTPUTS];
     double inputs_v[INPUTS], outputs_v[OUTPUTS], on_multiplexer_v;
     int64_t exchanged_ns;
+    uint64_t outputs_changed_ns, digital_written_ns;
 
     bool coupled, hung, irq_lost, irq_stuck;
     uint32_t open_inputs;
@@ -159,6 +160,7 @@ static void update_outputs(Board *b)
                                         : span->high * code / steps;
     }
     if (memcmp(before, b->outputs_v, sizeof(before))) {
+        b->outputs_changed_ns = now_ns();
         bench_exchange(b, now_ns());
     }
 }
@@ -386,6 +388,7 @@ static void board_write(void *opaque, hwaddr at, uint64_t value, unsigned size)
         break;
     case DIGITAL:
         b->digital_out = value;
+        b->digital_written_ns = now_ns();
         bench_exchange(b, now_ns());
         break;
     case COUNTER0:
@@ -496,6 +499,14 @@ static void set_coupled(Object *object, bool coupled, Error **errp)
     }
 }
 
+/* As a short interruption of the board's supply: it answers again at once, without what was written before. */
+static void set_reset(Object *object, bool reset, Error **errp)
+{
+    if (reset) {
+        board_reset(DEVICE(object));
+    }
+}
+
 static bool get_hung(Object *object, Error **errp)
 {
     return FAMILY(object)->hung;
@@ -526,6 +537,9 @@ static void board_init(Object *object)
     object_property_add_bool(object, "irq-stuck", get_irq_stuck, set_irq_stuck);
     object_property_add_uint32_ptr(object, "open-inputs", &b->open_inputs, OBJ_PROP_FLAG_READWRITE);
     object_property_add_uint64_ptr(object, "overruns", &b->overruns, OBJ_PROP_FLAG_READ);
+    object_property_add_bool(object, "reset", NULL, set_reset);
+    object_property_add_uint64_ptr(object, "outputs-changed-ns", &b->outputs_changed_ns, OBJ_PROP_FLAG_READ);
+    object_property_add_uint64_ptr(object, "digital-written-ns", &b->digital_written_ns, OBJ_PROP_FLAG_READ);
     object_property_add_uint64_ptr(object, "conversions", &b->conversions, OBJ_PROP_FLAG_READ);
 }
 

@@ -1,0 +1,129 @@
+"""A run on the emulated board: its rig and protocol, and the times of a fault and of the safe state by the board."""
+
+from __future__ import annotations
+
+import ctypes
+import fcntl
+import os
+import re
+import signal
+from contextlib import suppress
+from pathlib import Path
+
+import numpy as np
+
+import runs
+from rig.config.loader import load
+from rig.hardware.cards.comedi_device import Device
+from runs.run import Run
+from tests.board.conftest import CARD
+from tests.board.monitor import Monitor
+from tests.hardware import forked_run
+from tests.hardware.forked_run import members, wait_until
+
+OUT_V = 0.01
+LONG_S, SHORT_S = 600.0, 120.0
+SECTIONS_OF_A_CAMERA = re.compile(r"^(cameras|board|control|limits):.*?(?=^\S|\Z)", re.MULTILINE | re.DOTALL)
+SLOW = """
+limits: {pressure_bar: 0.7, rate_bar_per_s: 1.0, rate_margin_bar_per_s: 1000, tracking_bar: 0.05, tracking_s: 10,
+  frozen_s: 30, stale_s: 5, no_tip_s: 30, hung_s: 5}
+control: {rate_hz: 20, bandwidth_hz: 1, integral_s: 1, volume_ml: 60}
+"""
+"""An emulated processor is too slow for 200 Hz."""
+RAMP = """
+title: A ramp that lasts longer than any fault
+steps:
+  - ramp: {actuators: [1], to_bar: 0.5, duration_s: 120}
+"""
+
+
+def emulated_rig(folder: Path) -> str:
+    """The rig `pci1716` without its camera, on the emulated board, as a file in `folder`."""
+    stated = (Path(forked_run.__file__).parents[2] / "rig/rigs/pci1716.yaml").read_text()
+    text = SECTIONS_OF_A_CAMERA.sub("", stated).replace("driver: comedi,", "driver: comedi, emulated: true,") + SLOW
+    path = folder / "emulated.yaml"
+    path.write_text(text)
+    return str(path)
+
+
+class DigitalMark:
+    """A change of the board's digital outputs, whose time the board keeps, beside that of its D/A outputs."""
+
+    _INSN = (2 << 30) | (40 << 16) | (ord("d") << 8) | 12
+    """COMEDI_INSN: _IOR('d', 12, struct comedi_insn)."""
+    _BITS = 0xC000002
+    """INSN_BITS."""
+
+    class _Instruction(ctypes.Structure):
+        _fields_ = (
+            ("insn", ctypes.c_uint),
+            ("n", ctypes.c_uint),
+            ("data", ctypes.POINTER(ctypes.c_uint)),
+            ("subdevice", ctypes.c_uint),
+            ("chanspec", ctypes.c_uint),
+            ("unused", ctypes.c_uint * 3),
+        )
+
+    def __init__(self) -> None:
+        device = Device(CARD)
+        self._subdevice = [kind for kind, _ in device.subdevices].index("do")
+        device.close()
+        self._node = os.open(CARD, os.O_RDWR)
+
+    def set(self) -> None:
+        """Mark the present moment."""
+        data = (ctypes.c_uint * 2)(1, 1)
+        fcntl.ioctl(self._node, self._INSN, self._Instruction(self._BITS, 2, data, self._subdevice))
+
+    def close(self) -> None:
+        os.close(self._node)
+
+
+class BoardRun:
+    """A run that drives a valve of the emulated board."""
+
+    def __init__(self, folder: Path, monitor: Monitor) -> None:
+        folder.mkdir(exist_ok=True)
+        self.rig_file = emulated_rig(folder)
+        protocol = folder / "ramp.yaml"
+        protocol.write_text(RAMP)
+        self.safe_v = [valve.safe_v(vent=False) for valve in load(self.rig_file).valves]
+        self._monitor, self._out = monitor, folder / "runs"
+        monitor.set("reset", value=True)  # another test may have left the outputs at any voltage
+        self.process = forked_run.run(self.rig_file, str(protocol), self._out)
+        try:
+            wait_until(lambda: self.process.poll() is not None or not self.safe(), LONG_S, "a valve is driven")
+            assert self.process.poll() is None, self.said()
+        except BaseException:
+            self.end()
+            raise
+        self.members = members(self.process.pid)
+
+    def safe(self) -> bool:
+        """True where each D/A output has its safe voltage."""
+        return bool(np.allclose(self._monitor.outputs_v, self.safe_v, atol=OUT_V))
+
+    def safe_after_ms(self, patience_s: float = SHORT_S) -> float:
+        """Time from the digital mark to the last change of a D/A output, once these are safe."""
+        wait_until(self.safe, patience_s, "the D/A outputs are safe")
+        return float(self._monitor.get("outputs-changed-ns") - self._monitor.get("digital-written-ns")) * 1e-6
+
+    def said(self) -> str:
+        """Everything that was printed, once the run is over."""
+        said = self.process.communicate(timeout=LONG_S)[0].decode(errors="replace")
+        print(said)
+        return said
+
+    def archive(self) -> Run:
+        """The archive that is left."""
+        (path,) = self._out.glob("*.h5")
+        return runs.open(path)
+
+    def end(self) -> None:
+        """No process of the run is left."""
+        for pid in members(self.process.pid).values():
+            with suppress(ProcessLookupError):
+                os.kill(pid, signal.SIGKILL)
+        self.process.wait()
+        if self.process.stdout is not None:
+            self.process.stdout.close()
