@@ -15,8 +15,9 @@ from calibration.identify.fit import identify
 from calibration.identify.held_out_prediction import with_mean_sensor_offsets
 from calibration.identify.least_squares import LeastSquaresProblem
 from calibration.identify.parallel_map import Progress, parallel_map
-from calibration.identify.parameters import Prior, Setup, named
+from calibration.identify.parameters import PUSH_GROWTH, Prior, Setup, named
 from calibration.identify.tip_predictor import SUBSTEPS, Predictor
+from model.actuation import ACTUATION_LAWS, ActuationLaw, Proportional
 
 Array = NDArray[np.float64]
 
@@ -92,7 +93,7 @@ class ModelComparison:
 
 
 def candidates(setup: Setup, free: Iterable[str] = (), moving: bool = False) -> tuple[Candidate, ...]:
-    """The paper's three models, the inhomogeneous one by each rule for E_i.
+    """The paper's three models, the inhomogeneous one by each rule for E_i, and linear walls with a growing push.
 
     With moving runs each has two variants: without damping and with fitted damping. Damping has no effect on static
     runs.
@@ -100,8 +101,12 @@ def candidates(setup: Setup, free: Iterable[str] = (), moving: bool = False) -> 
     extra = tuple(free)
     linear, law = ("youngs_modulus_pa", *extra), ("a1_per_n", "a2_per_n2", *extra)
 
-    def of(variant: model.arm.Variant, rule: model.arm.ModulusRule = "pointwise") -> Setup:
-        return replace(setup, arm=replace(setup.arm, variant=variant, modulus_rule=rule))
+    def of(
+        variant: model.arm.Variant,
+        rule: model.arm.ModulusRule = "pointwise",
+        actuation: ActuationLaw = Proportional(),  # noqa: B008 - immutable
+    ) -> Setup:
+        return replace(setup, arm=replace(setup.arm, variant=variant, modulus_rule=rule, actuation=actuation))
 
     out = [
         Candidate("homogeneous", of("homogeneous"), linear),
@@ -109,6 +114,11 @@ def candidates(setup: Setup, free: Iterable[str] = (), moving: bool = False) -> 
     ]
     rules: tuple[model.arm.ModulusRule, ...] = ("pointwise", "secant", "tangent", "paper-secant", "paper-tangent")
     out += [Candidate(f"inhomogeneous+rpe, {r}", of("inhomogeneous+rpe", r), (*law, "rpe_per_bar")) for r in rules]
+    growing = [growing_law() for growing_law in ACTUATION_LAWS.values() if growing_law.grows]
+    out += [
+        Candidate(f"homogeneous, {push.name}", of("homogeneous", actuation=push), (*linear, PUSH_GROWTH))
+        for push in growing
+    ]
     return (
         tuple(one for still in out for one in (still.without_damping(), still.with_damping())) if moving else tuple(out)
     )

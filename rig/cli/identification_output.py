@@ -210,7 +210,7 @@ def comparison(found: RunComparison, as_json: bool) -> None:
     for row in compared.rows:
         _, _, rule = row.candidate.name.partition(", ")
         table.add_row(
-            f"yes, {rule}" if row.candidate.inhomogeneous else "no",
+            ", ".join(part for part in ("yes" if row.candidate.inhomogeneous else "no", rule) if part),
             "yes" if row.candidate.radial else "no",
             *((_damping(row),) if found.moving else ()),
             f"{row.error_percent:.2f}",
