@@ -1,6 +1,6 @@
 """Tracking error of the tip in closed loop, over arms drawn at random, for each controller.
 
-    python -m benchmarks.tip_control [--arms 20] [--seed 1] [--controllers horizon ..] [--frequencies 0.1 ..]
+    python -m benchmarks.tip_control [--arms 20] [--controllers horizon ..] [--frequencies 0.1 ..] [--repetitions 2]
 
 Pure simulation (rig.tip_control.simulation): the truth is the dynamic rod model with other parameters, a pressure lag
 of 15 ms, a camera at 30 Hz with 0.1 mm noise per coordinate, and 40 ms from frame to plan. Printed is the RMS of the
@@ -17,8 +17,9 @@ from numpy.typing import NDArray
 
 import model
 from rig.tip_control.interface import TipControlSettings
+from rig.tip_control.learning import DisturbanceLearner, Repetition
 from rig.tip_control.registry import CONTROLLERS, FEED_FORWARD, controller_class
-from rig.tip_control.simulation import Task, Truth, simulate
+from rig.tip_control.simulation import CYCLE_S, ClosedLoop, Task, Truth, simulate
 from rig.tip_control.static_map import StaticMap
 from rig.tip_control.tip_dynamics import TipDynamics
 
@@ -29,6 +30,8 @@ HEIGHT_M = 0.19
 LEAD_IN_S = 2.0
 PERIODS = 5
 GRID_S = 0.005
+END_S = 0.6
+"""Last part of a run that is not counted: what is learned there lacks the path that follows."""
 
 
 def circle(phase: Array) -> Array:
@@ -93,6 +96,31 @@ class Feedforward:
         )
 
 
+def repeated(
+    learner: DisturbanceLearner, task: Task, run: ClosedLoop, noise_m: float, frame_s: float, seed: int
+) -> Task:
+    """The task with what one more run has shown."""
+    frames = slice(0, None, round(frame_s / CYCLE_S))
+    times, tips = run.times_s[frames], run.tip_m[frames]
+    measured = tips + noise_m * np.random.default_rng(seed).standard_normal(tips.shape)
+    given = np.array([task.learned_m(t) for t in times])
+    once = Repetition(run.times_s, run.setpoint_pa, times, measured, given)
+    learned = learner.disturbance([once], run.times_s)
+    feed = np.array([task.feedforward_pa(t) for t in run.times_s])
+    before = np.tile(feed[0], (round(1 / CYCLE_S), 1))
+    corrected = learner.setpoints(feed, before, run.reference_m - learned, CYCLE_S)
+
+    end_s, period_s = float(run.times_s[-1]), task.period_s or 0.0
+
+    def at(values: Array, t_s: float) -> Array:
+        """Beyond the end of the run, which the controller sees, the last period is continued."""
+        if t_s > end_s:
+            t_s = end_s - period_s + (t_s - end_s) % period_s
+        return np.array([np.interp(t_s, run.times_s, column) for column in values.T])
+
+    return replace(task, feedforward_pa=lambda t: at(corrected, t), learned_m=lambda t: at(learned, t))
+
+
 def main() -> None:
     """Print one row for each path, frequency and controller."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -101,9 +129,11 @@ def main() -> None:
     parser.add_argument("--paths", nargs="+", default=list(PATHS))
     parser.add_argument("--frequencies", nargs="+", type=float, default=[0.1, 0.5, 1.0])
     parser.add_argument("--controllers", nargs="+", default=[FEED_FORWARD, *reversed(CONTROLLERS)])
+    parser.add_argument("--repetitions", type=int, default=0, help="runs from which the last one learns")
     args = parser.parse_args()
     arm = published()
     settings = TipControlSettings(arm, (0, 1, 2), LIMIT_PA, RATE_PA_S, 1 / 30, 0.04, 0.015)
+    knowing, learner = replace(settings, learned=True), DisturbanceLearner(settings)
     feedforward = Feedforward(arm)
     controllers = {
         name: None if name == FEED_FORWARD else controller_class(name)(settings) for name in args.controllers
@@ -116,8 +146,13 @@ def main() -> None:
             for name, controller in controllers.items():
                 rng, errors, solves = np.random.default_rng(args.seed), [], []
                 for k in range(args.arms):
-                    run = simulate(settings, controller, drawn(rng), task, args.seed + k)
-                    errors.append(1e3 * run.rms_m(LEAD_IN_S + 2 / frequency))
+                    truth, asked, current = drawn(rng), task, controller
+                    for repetition in range(args.repetitions + 1):
+                        run = simulate(settings, current, truth, asked, args.seed + k)
+                        if repetition < args.repetitions:
+                            asked = repeated(learner, asked, run, truth.noise_m, settings.frame_s, repetition)
+                            current = None if name == FEED_FORWARD else controller_class(name)(knowing)
+                    errors.append(1e3 * run.rms_m(LEAD_IN_S + 2 / frequency, task.duration_s - END_S))
                     solves.append(run.solve_s)
                 times = 1e3 * np.concatenate(solves)
                 spent = f"{np.median(times):.2f} / {np.percentile(times, 99):.2f}" if len(times) else "-"

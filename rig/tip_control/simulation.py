@@ -25,13 +25,17 @@ _HISTORY_S = 1.0
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """A reference over `duration_s`: position and velocity (3,) and the set-points (V,) at a time."""
+    """A reference over `duration_s`: position and velocity (3,) and the set-points (V,) at a time.
+
+    `learned_m`: the disturbance (3,) at a time that earlier runs have shown; the controller steers the arm without it.
+    """
 
     duration_s: float
     position_m: Callable[[float], Array] = field(repr=False)
     velocity_m_s: Callable[[float], Array] = field(repr=False)
     feedforward_pa: Callable[[float], Array] = field(repr=False)
     period_s: float | None
+    learned_m: Callable[[float], Array] = field(default=lambda t_s: np.zeros(3), repr=False)
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,7 +107,13 @@ def simulate(
             at, seen = pending.pop(0)
             rows = slice(max(0, k + 1 - kept), k + 1)
             measured = Measurement(
-                at, seen, max(truth.noise_m, 1e-6) ** 2 * np.eye(3), times[rows], setpoints[rows], pressures[rows], now
+                at,
+                seen - task.learned_m(at),
+                max(truth.noise_m, 1e-6) ** 2 * np.eye(3),
+                times[rows],
+                setpoints[rows],
+                pressures[rows],
+                now,
             )
             begun = time.perf_counter()
             plan = controller.step(state, _window(task, settings.reference_times(now)), measured)
@@ -123,7 +133,7 @@ def _between(tips: Array, times: Array, k: int, at_s: float) -> Array:
 def _window(task: Task, times: Array) -> Reference:
     return Reference(
         times,
-        np.array([task.position_m(t) for t in times]),
+        np.array([task.position_m(t) - task.learned_m(t) for t in times]),
         np.array([task.velocity_m_s(t) for t in times]),
         np.array([task.feedforward_pa(t) for t in times]),
         task.period_s,
