@@ -86,9 +86,9 @@ def motions(trials: int, seed: int) -> list[CoverageTrial]:
 
 
 def drawn(trials: int, seed: int) -> list[CoverageTrial]:
-    """Weights, two ramps and eight seconds of a sine, every time of an arm of which next to nothing is as in the file.
+    """Weights, two ramps and eight seconds of a sine, each time of another arm: almost every parameter is drawn.
 
-    Much of what is free can be exchanged, and is then held at values that are wrong.
+    Parameters that the data cannot separate are held at wrong values.
     """
     rng, errors = np.random.default_rng([seed, 2]), MeasurementErrors((3e-5, 3e-5, 6e-5), 10.0, 300.0)
     ramp, time_s = np.linspace(0.15e5, 0.65e5, 11)[:, None], np.arange(240) / 30

@@ -194,6 +194,6 @@ def _angle(a: Floats, b: Floats) -> float:
 
 
 def _freedom(board: Board) -> float:
-    """A pose of its own takes six of a view's numbers: its residuals are so much too small."""
+    """Factor that corrects a view's residuals for the six degrees of freedom of its pose."""
     count = 2 * len(board.corners_m)
     return float(np.sqrt(count / (count - 6)))

@@ -53,7 +53,7 @@ def identify(
     not free is exact.
 
     Raises:
-        NoData: no measured tip.
+        NoDataError: no measured tip.
         UnknownParameter: a name in `free` or `priors`.
     """
     if not any(poses.has_tip.any() for poses in data):

@@ -154,7 +154,7 @@ def compare_models(
     The other arguments are those of `parallel_map`.
 
     Raises:
-        NoData: fewer than two runs.
+        NoDataError: fewer than two runs.
     """
     if len(data) < 2:
         raise NoDataError("models are compared by predicting runs left out: give at least two runs")

@@ -118,7 +118,7 @@ def elongation(poses: Poses, length_m: float) -> Elongation:
     """Elongation of an arm under equal pressures or weights, from its plateaus.
 
     Raises:
-        NoData: no plateau without pressure and weight, or nothing but such.
+        NoDataError: no plateau without pressure and weight, or no other plateau.
     """
     pressure = poses.pressure_pa.mean(axis=1)
     free = (np.abs(poses.pressure_pa) < _UNPRESSURISED_PA).all(axis=1)
@@ -141,7 +141,7 @@ def line(x: Array, strain: Array) -> RegressionLine:
     """Least squares through the origin.
 
     Raises:
-        NoData: fewer than two points.
+        NoDataError: fewer than two points.
     """
     if len(x) < 2:
         raise NoDataError("one elongation makes no line: take the arm to two levels at least")
@@ -189,7 +189,7 @@ def fit_tube(
     free keeps the value it has in `start`.
 
     Raises:
-        NoData: fewer elongations than free numbers.
+        NoDataError: fewer elongations than free numbers.
         ValueError: a name that the tube does not have.
     """
     for name in free:

@@ -24,7 +24,7 @@ _MAX_RESIDUALS = 100
 
 @dataclass(frozen=True)
 class Baseline:
-    """Identified parameters that lay over the rig of the runs already: what is found with it counts from there.
+    """Identified parameters that the rig of the runs already had; new estimates are relative to them.
 
     setup: how they mount and measure the arm. geometry: of the rig beneath them, as a document holds it; None where the
     search did not begin at the rig with them in it.
@@ -85,7 +85,7 @@ def content(
 ) -> dict[str, Any]:
     """Everything of a fit that a later reader needs, in plain numbers.
 
-    What is to be laid over a rig counts from the rig without any parameters; estimates, from the one with `baseline`.
+    The overlay is relative to the rig without parameters; the estimates are relative to the rig with `baseline`.
     """
     ends = {(p.name, p.run): ["open" if end is None else end for end in p.interval] for p in profiles}
     setup = fit.setup if baseline is None else fit.setup.without_baseline(baseline.setup)

@@ -159,8 +159,8 @@ def _column_medians(values: Floats) -> Floats:
 def _uncertainty(variance: Floats, spread: Floats) -> tuple[float, Floats]:
     """The grey values' variance about the fits, and the corners' covariance (n, 2, 2).
 
-    A few dozen pixels tell their own noise badly, all of the board's together well; but a corner in glare or shadow is
-    as bad as it looks.
+    The noise is pooled over the board, because one corner has too few pixels to estimate it; a corner with much larger
+    residuals, as in glare or shadow, keeps its own variance.
     """
     pooled = _median(variance)
     total = np.empty_like(spread)

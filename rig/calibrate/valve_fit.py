@@ -23,7 +23,7 @@ Floats = NDArray[np.float64]
 # Openings in these shares of the full flow lie on the straight part next to the dead zone.
 _EDGE_SHARES = (0.004, 0.028)
 _LEAST_EDGE_POINTS = 3
-# What no scatter shows: steps of the sweep, soft edges.
+# Least uncertainty: the scatter shows neither the steps of the sweep nor rounded edges.
 _LEAST_EDGE_STD_V = 0.003
 _LEAST_FLOW_SHARE = 0.02
 _TAIL_STD_SHARE = 0.15
@@ -188,11 +188,11 @@ def _curve(offset: Floats, flow: Floats, std: Floats, middle: float) -> tuple[Fl
             if mine.any():
                 sides.append((size - side * middle, float(np.mean(side * flow[mine])), float(np.mean(std[mine]))))
         at = np.array(sides)
-        # The sides stand for offsets that differ by the middle's own; half of what they differ by is doubt.
-        doubt = float(np.ptp(at[:, 1])) / 2 if len(at) > 1 and abs(middle) < 0.01 else 0.0
+        # The offset of the middle shifts both sides; half of their difference is the uncertainty.
+        asymmetry = float(np.ptp(at[:, 1])) / 2 if len(at) > 1 and abs(middle) < 0.01 else 0.0
         volts.append(float(at[:, 0].mean()))
         mean.append(float(at[:, 1].mean()))
-        spread.append(float(np.hypot(at[:, 2].mean() / np.sqrt(len(at)), doubt)))
+        spread.append(float(np.hypot(at[:, 2].mean() / np.sqrt(len(at)), asymmetry)))
     return np.array(volts), np.array(mean), np.array(spread)
 
 

@@ -81,7 +81,7 @@ def sweep(config: RigConfig, driver: BenchDriver, index: int) -> list[RateMeasur
 
 
 def rate_of(time_s: Floats, pressure_pa: Floats, offset_v: float, outward: bool) -> RateMeasurement:
-    """The line through what a pressure (n,) did, without its beginning, when the spool was still on its way.
+    """Fit a line to a pressure (n,), without the time at its beginning in which the spool still moves.
 
     Raises:
         CalibrationError: there are too few samples.

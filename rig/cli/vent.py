@@ -53,7 +53,7 @@ def vent(option: str | None) -> None:
 def _vented(config: RigConfig, unverified: tuple[str, ...]) -> str:
     if unverified:
         cards = f"card {', '.join(unverified)} has no read-back"
-        return f"every output of rig {config.name} was told to vent; {cards}: look at the gauge"
+        return f"every output of rig {config.name} was commanded to vent; {cards}: look at the gauge"
     mock = all(card.simulated for card in config.cards.values())
     simulated = " (simulated: no hardware was touched)" if mock else ""
     return f"every chamber of rig {config.name} is open to the exhaust{simulated}"

@@ -29,9 +29,8 @@ class SensorSettings:
 class SensorState(NamedTuple):
     """State of one actuator's interlocks after a step; a named tuple for speed, six per cycle.
 
-    The anchor is the last reading that differed from the one before it by a count; `expected_pa` is the
-    pressure change that the valve should have caused since. `left_*` belong to the last reading that differed from the
-    one before it by more than noise.
+    `anchor_*`: since the last change of the reading by at least one count; `expected_pa` is the pressure change that
+    the valve should have caused since. `left_*`: since the last change by more than noise.
     """
 
     pressure_pa: float = math.nan

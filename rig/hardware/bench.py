@@ -47,7 +47,7 @@ class Bench:
         at_0, at_1 = ([float(s.pressure_pa(np.array(v))) for s in self._sensors] for v in (0.0, 1.0))
         self._pa_at_0_v = np.array(at_0)
         self._pa_per_v = np.array(at_1) - self._pa_at_0_v
-        self._told_v: NDArray[np.float64] | None = None
+        self._commanded_v: NDArray[np.float64] | None = None
         self._units = [valve.output_unit for valve in config.valves]
         self._auxiliary = tuple(config.inputs.values())
         self._digital = _digital_cards(config, self._cards)
@@ -119,10 +119,10 @@ class Bench:
 
     def write(self, valve_v: NDArray[np.float64]) -> None:
         """Set every valve (V,) [V]."""
-        self._told_v = None
+        self._commanded_v = None
         for name, column in self._safe.columns.items():
             self._cards[name].write(valve_v[column])
-        self._told_v = valve_v.copy()
+        self._commanded_v = valve_v.copy()
 
     def external_write(self) -> str:
         """Message about a valve that another program has moved since the last `write`; empty if there is none.
@@ -130,14 +130,14 @@ class Bench:
         Raises:
             CardError: a card cannot be read back.
         """
-        if self._told_v is None:
+        if self._commanded_v is None:
             return ""
         stands = self.readback()
-        off = np.abs(stands - self._told_v) > self._safe.tolerance_v
+        off = np.abs(stands - self._commanded_v) > self._safe.tolerance_v
         for i in np.flatnonzero(off).tolist():
             return (
-                f"valve {i + 1} stands at {stands[i]:.3f} {self._units[i]} and not at the {self._told_v[i]:.3f} "
-                f"{self._units[i]} that it was told: another program has written to the card (`rig vent`?)"
+                f"valve {i + 1} reads back {stands[i]:.3f} {self._units[i]} instead of the commanded "
+                f"{self._commanded_v[i]:.3f} {self._units[i]}: another program has written to the card (`rig vent`?)"
             )
         return ""
 
@@ -148,10 +148,10 @@ class Bench:
         Raises:
             CardError: a card cannot be read back.
         """
-        if self._told_v is None:
+        if self._commanded_v is None:
             return False
         stands = self.readback()
-        off = np.abs(stands - self._told_v) > self._safe.tolerance_v
+        off = np.abs(stands - self._commanded_v) > self._safe.tolerance_v
         return bool(np.all(np.abs(stands - self._safe.vent_v)[off] <= self._safe.tolerance_v[off]))
 
     def unsafe_output(self) -> str:

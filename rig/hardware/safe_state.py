@@ -92,8 +92,9 @@ class SafeOutputs:
             if abs(stands[i] - safe) > self.tolerance_v[i]:
                 unit = valve.output_unit
                 raise CardError(
-                    f"valve {i + 1} (card {valve.card}, output {valve.channel}) was told {safe:.3f} {unit} but stands "
-                    f"at {stands[i]:.3f} {unit}: check that nothing else drives the card"
+                    f"valve {i + 1} (card {valve.card}, output {valve.channel}) reads back "
+                    f"{stands[i]:.3f} {unit} instead of the commanded {safe:.3f} {unit}: check that nothing else "
+                    "drives the card"
                 )
         return tuple(name for name, column in self.columns.items() if np.isnan(stands[column]).any())
 

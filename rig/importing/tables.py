@@ -46,14 +46,14 @@ class SourceTable(Protocol):
         """The numbers (n,) of a column, NaN where a cell says that nothing was measured.
 
         Raises:
-            BadInput: there is no such column, or it holds what is no number: the first cells, and how many more.
+            BadInputError: the column is missing or has cells without a number; names the first ones and the total.
         """
 
     def texts(self, column: Key) -> Sequence[str]:
         """The cells (n,) of a column as they are written, where they are no numbers; empty where nothing was measured.
 
         Raises:
-            BadInput: there is no such column, or the file keeps none but numbers.
+            BadInputError: the column is missing, or the file format has numbers only.
         """
 
     def problem(self, row: int, column: Key, value: str, expected: str, suggestion: str = "") -> Problem:

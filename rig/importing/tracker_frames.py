@@ -50,7 +50,7 @@ def wrench(columns: ColumnReader, mapping: Mapping) -> Floats:
         return np.zeros((1, 6))
     if wrench.zero_rows is not None:
         force, moment = _zeroed(columns, wrench, force, moment)
-    _doubt_lever(columns, force, moment)
+    _warn_of_lever(columns, force, moment)
     moment = moment + np.cross(np.array(wrench.at_mm) * 1e-3, force)
     frame = RigidTransform.from_vectors(np.radians(mapping.frame.rotation_deg), (0.0, 0.0, 0.0)).rotation
     turn = turn if base is None else base @ turn
@@ -103,8 +103,8 @@ def _at_first(columns: ColumnReader, turn: Floats, rows: int) -> Floats:
     return np.asarray(mean.as_matrix())
 
 
-def _doubt_lever(columns: ColumnReader, force: Floats, moment: Floats) -> None:
-    """Warn of moments (n, 3) that no arm's length makes of the forces (n, 3): one of the units is another."""
+def _warn_of_lever(columns: ColumnReader, force: Floats, moment: Floats) -> None:
+    """Warn if moments (n, 3) over forces (n, 3) exceed the longest lever: a unit is probably wrong."""
     pull, turning = (float(np.nanmax(np.abs(v), initial=0.0)) for v in (force, moment))
     if turning > LONGEST_LEVER_M * pull > 0:
         warning = (

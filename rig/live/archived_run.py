@@ -19,7 +19,7 @@ from rig.config.loader import recorded
 from rig.config.schema import RigConfig
 from rig.config.sections import PA_PER_BAR
 from rig.live.messages import Message
-from rig.live.packets import ViewOverlay, ViewUpdate, auxiliary, estimates
+from rig.live.packets import ViewOverlay, ViewUpdate, auxiliary, estimates, lateness_cycles
 from rig.observation.overlay import arm_lines
 from rig.realtime.shared_state import LINE_POINTS
 from runs.records import DetectionStatus
@@ -161,7 +161,7 @@ class ArchivedRun:
         }
         if tick >= 0:
             protocol_s = float(pressure.protocol_s[tick])
-            recent = run.timing.lateness_us[max(0, tick - 200) : tick + 1]
+            recent = run.timing.lateness_us[max(0, tick + 1 - lateness_cycles(run.header.control_hz)) : tick + 1]
             now |= {
                 "protocol": protocol_s,
                 "left": self.duration_s - protocol_s,

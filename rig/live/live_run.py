@@ -21,6 +21,7 @@ from rig.live.packets import (
     bar,
     estimates,
     jpeg,
+    lateness_cycles,
     track_row,
 )
 from rig.realtime.shared_state import Stage
@@ -32,8 +33,6 @@ EVENTS_KEPT = 500
 WATCH_EVERY_S = 1.0
 IDLE_PACKET_S = 0.2
 """A packet is due after this time even without a new camera frame."""
-LATENESS_WINDOW = 200
-"""Control cycles over which the maximum lateness is shown."""
 FAR = float("-inf")
 
 
@@ -57,7 +56,7 @@ class LiveRun:
         self.adaptation: NDArray[np.void] | None = None
         self.missed = self.dropped = self.ticks = 0
         self.view: tuple[NDArray[np.void], NDArray[np.uint8]] | None = None
-        self._lateness = np.zeros(LATENESS_WINDOW)
+        self._lateness = np.zeros(lateness_cycles(config.control.rate_hz))
         self._mean = RunningMean()
         self._picture: tuple[int, bytes] = (-1, b"")
         self._watched = 0.0
@@ -136,7 +135,7 @@ class LiveRun:
 
     def _take_samples(self, rows: NDArray[np.void]) -> None:
         for row in rows:
-            self._lateness[self.ticks % LATENESS_WINDOW] = row["lateness_ns"]
+            self._lateness[self.ticks % len(self._lateness)] = row["lateness_ns"]
             if self.ticks % CHART_DECIMATION == 0:
                 t_s = self.seconds(int(row["t_ns"]))
                 self.pressure.add(np.concatenate([[t_s], bar(row["setpoint_pa"]), bar(row["measured_pa"])]))

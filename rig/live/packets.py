@@ -19,7 +19,14 @@ Floats = NDArray[np.float64]
 MM = 1e3
 HISTORY_ROWS = 4000
 JPEG_QUALITY = 80
+LATENESS_WINDOW_S = 1.0
+"""Time over which the maximum lateness is shown."""
 _LENGTH = struct.Struct("<I")
+
+
+def lateness_cycles(control_hz: float) -> int:
+    """Number of control cycles over which the maximum lateness is shown."""
+    return max(1, round(LATENESS_WINDOW_S * control_hz))
 
 
 class History:

@@ -26,8 +26,8 @@ _SAMPLED_ROWS = 16
 """Row step for the comparison with the previous picture; sensor noise never repeats exactly."""
 # Exposures closer than this count as simultaneous.
 _SIMULTANEOUS_NS = 100_000
-# Speeds are told from pictures no further apart than so many periods. One camera's is right but for this share;
-# corners' but for this share of its greatest change between the last pictures, as long as they have moved alike.
+# Speeds are estimated from pictures at most _RECENT_PERIODS apart. Relative error of the speed of one camera:
+# _SPEED_SHARE; of the corners: _CHANGE_SHARE of their largest change between the last pictures.
 _RECENT_PERIODS = 4.5
 _SPEED_SHARE = 0.3
 _CHANGE_SHARE = 1.0

@@ -1,1 +1,1 @@
-"""The two ways to run the same steps: real time in processes, virtual time in one."""
+"""The real-time executor: supervisor, control, observer, watchdog and tip controller as processes."""

@@ -27,7 +27,7 @@ DISK_S = 2.0
 
 _SEEN = {
     DetectionStatus.NO_BOARD: "no board in the picture: light, lens cap, something before the camera?",
-    DetectionStatus.AMBIGUOUS: "the board cannot be told from its half turn, or is cut off",
+    DetectionStatus.AMBIGUOUS: "the board's orientation is ambiguous (half a turn), or the board is cut off",
     DetectionStatus.POOR_FIT: "the board's corners do not fit a plane board",
     DetectionStatus.NO_FRAME: "the camera repeats the same picture bit for bit: it is frozen, or delivers old pictures",
     DetectionStatus.DISAGREE: "the cameras contradict each other: was one moved, or is its calibration another's?",
@@ -137,7 +137,7 @@ class HealthMonitor:
             if camera:
                 yield from self._paced(t_ns, dropped)
             if self._cameras:
-                yield from self._blind(row)
+                yield from self._idle_camera(row)
 
     def _paced(self, t_ns: int, dropped: int) -> Iterator[Event]:
         """Check the camera rate: a driver may set another rate than requested."""
@@ -158,7 +158,7 @@ class HealthMonitor:
             case False:
                 yield _over(self._off_pace, t_ns, "observer", "the camera keeps its pace again")
 
-    def _blind(self, row: NDArray[np.void]) -> Iterator[Event]:
+    def _idle_camera(self, row: NDArray[np.void]) -> Iterator[Event]:
         """Report a camera that contributes nothing: the tip is then measured by the others."""
         t_ns, dropped = int(row["t_ns"]), int(row["dropped"])
         for (name, trouble), seen, skew in zip(self._cameras, row["camera_seen"], row["camera_skew_s"], strict=True):
@@ -167,7 +167,7 @@ class HealthMonitor:
                     if np.isnan(skew):
                         why = "gives no pictures"
                     elif seen == DetectionStatus.NO_FRAME:
-                        why = "adds nothing: its pictures repeat, or too many are dropped to tell how the board moves"
+                        why = "adds nothing: its pictures repeat, or too many are dropped to estimate motion"
                     else:
                         why = f"adds nothing: {_SEEN.get(DetectionStatus(seen), DetectionStatus(seen).name)}"
                     yield _warning(t_ns, "observer", f"camera {name} {why}; the tip is measured without it")

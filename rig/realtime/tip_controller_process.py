@@ -1,7 +1,8 @@
 """The process of the tip controller: a plan from every frame that the observer has measured.
 
 It has no device and can write to its own pages of the shared memory only (see `SharedState`). The control process
-checks each plan and keeps within the limits of the rig; when this process dies, hangs or is late it goes on without.
+checks each plan and keeps within the limits of the rig; without plans it returns to the
+set-points of the protocol.
 """
 
 from __future__ import annotations

@@ -66,7 +66,7 @@ def main() -> int:
     memory.publish_stage("watchdog", Stage.FAILED if trouble else Stage.DONE, said)
     if ended:
         # No other process is left to report it.
-        print(f"{said}: the command that held the card was ended, to make the valves safe", file=sys.stderr)
+        print(f"{said}: the process that held the card was ended to make the valves safe", file=sys.stderr)
     outputs.close()
     disable_realtime_scheduling()
     return 1 if trouble else 0

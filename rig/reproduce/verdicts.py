@@ -23,7 +23,7 @@ def table3(printed: Sequence[float], here: Sequence[float], origin: Origin) -> s
         return f"Table 3 agrees within {100 * AGREES:g} %: {numbers}"
     text = f"Table 3 is not reproduced: {numbers}; {', '.join(missed)}"
     if len(missed) < len(here):
-        text += ". That the others are close reproduces nothing while these miss"
+        text += ". The table counts as reproduced only if all values agree"
     if origin == "simulated":
         text += "; the simulated arm follows the inhomogeneous model, so its small error is no evidence for the model"
     return text

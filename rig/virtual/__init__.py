@@ -1,1 +1,1 @@
-"""The virtual-time executor: the whole run in one process."""
+"""The virtual-time executor: plant and control in this process, rendering and vision in two child processes."""

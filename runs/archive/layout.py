@@ -95,10 +95,6 @@ def status(journal: Journal) -> tuple[Status, str]:
     return Status.RECOVERED, "the run was cut off; the archive was made from what its journal holds"
 
 
-def _seconds(journal: Journal, t_ns: NDArray[np.int64]) -> NDArray[np.float64]:
-    return np.asarray((t_ns - journal.header.started_t_ns) / 1e9)
-
-
 def _entry(journal: Journal) -> Group:
     header = journal.header
     end_ns = end_t_ns(journal)

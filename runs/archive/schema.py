@@ -43,7 +43,7 @@ Dimension = int | str
 
 @dataclass(frozen=True)
 class ExpectedDataset:
-    """One dataset: `kind` is that of its numbers as `digest.kind_of` has it, `TEXT` or `BYTES`."""
+    """One dataset: `kind` is that of its numbers as `checksum.kind_of` returns it, `TEXT` or `BYTES`."""
 
     path: str
     kind: str

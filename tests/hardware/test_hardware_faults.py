@@ -54,7 +54,7 @@ def test_a_foreign_write_to_the_card_is_detected_at_the_next_check(open_card: Op
     assert bench.external_write() == ""
     other = open_card((), bipolar(VALVES[1]))
     other.write(np.array([7.0]))
-    assert "valve 2 stands at 7.000 V and not at the 2.000 V that it was told" in bench.external_write()
+    assert "valve 2 reads back 7.000 V instead of the commanded 2.000 V" in bench.external_write()
     bench.close()
 
 

@@ -201,8 +201,7 @@ class Device:
         """
         pc = _pycomedi()
         self.path = path
-        # Comedilib keeps no reason that could be trusted, so the kernel is asked first; and again where somebody may
-        # have come in between.
+        # The error of Comedilib is unreliable, so the kernel is asked first, and again if the card was taken meanwhile.
         for again in (True, False):
             if (trouble := closed(path)) is not None:
                 raise trouble

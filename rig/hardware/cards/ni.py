@@ -120,7 +120,7 @@ class NidaqmxCard:
     def write(self, volts: NDArray[np.float64]) -> None:
         """Set the outputs, each clipped to its range; again for a moment while another process is writing."""
         if not np.all(np.isfinite(volts)):
-            raise CardError(f"card {self._setup.device} was told {volts.tolist()} V; nothing was written")
+            raise CardError(f"card {self._setup.device} cannot set {volts.tolist()} V; nothing was written")
         low, high = zip(*((one.low_v, one.high_v) for one in self._setup.outputs), strict=True)
         inside = np.clip(volts, low, high).tolist()
         until = time.monotonic() + WRITE_AGAIN_S

@@ -146,7 +146,7 @@ class SerialCard:
     def write(self, volts: NDArray[np.float64]) -> None:
         """Set the pressures [bar], each clipped to its range; also the heartbeat. Other channels are vented."""
         if not np.all(np.isfinite(volts)):
-            raise CardError(f"{self.description} was told {volts.tolist()} bar; nothing was written")
+            raise CardError(f"{self.description} cannot set {volts.tolist()} bar; nothing was written")
         asked = [self._controller.vent_pa] * self._controller.channels
         for channel, bar in zip(self._setup.outputs, volts.tolist(), strict=True):
             asked[channel.number] = round(min(max(bar, channel.low_v), channel.high_v) * PA_PER_BAR)
@@ -213,7 +213,9 @@ class SerialCard:
         if sent is None:
             raise CardError(f"{self.description} acknowledges a command that was not sent ({answer.sequence})")
         if answer.setpoint_pa != sent:
-            raise CardError(f"{self.description} was told {list(sent)} Pa and holds {list(answer.setpoint_pa)} Pa")
+            raise CardError(
+                f"{self.description} holds {list(answer.setpoint_pa)} Pa instead of the commanded {list(sent)} Pa"
+            )
         self._applied = answer
 
     def _take_status(self, answer: Status, now_ns: int) -> None:

@@ -171,7 +171,7 @@ def test_vent_does_not_claim_what_a_card_without_read_back_cannot_show(
     with cards_locked(running, "protocol ramp-a"):
         assert inside("vent") == 0
     said = capsys.readouterr().out
-    assert "was told to vent; card daq has no read-back: look at the gauge" in said
+    assert "was commanded to vent; card daq has no read-back: look at the gauge" in said
     assert "open to the exhaust" not in said
 
 

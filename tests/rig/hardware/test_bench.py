@@ -121,7 +121,9 @@ def test_arming_writes_the_safe_state_and_checks_the_readback(bench: Bench, card
     assert bench.readback().tolist() == [0.0, 5.0]
     cards["other"].outputs = np.array([4.0])
     cards["other"].deaf = True
-    with pytest.raises(CardError, match=r"valve 2 \(card other, output 1\) was told 5.000 V but stands at 4.000 V"):
+    with pytest.raises(
+        CardError, match=r"valve 2 \(card other, output 1\) reads back 4.000 V instead of the commanded 5.000 V"
+    ):
         bench.arm()
 
 

@@ -132,7 +132,7 @@ def test_outputs_that_do_not_read_back_vented_are_not_called_vented(
     config: RigConfig, registers: Registers, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(MockCard, "readback", lambda card: np.array([0.0, 7.0]))
-    with pytest.raises(CardError, match=r"valve 2 .* was told 0\.000 V but stands at 7\.000 V"):
+    with pytest.raises(CardError, match=r"valve 2 .* reads back 7\.000 V instead of the commanded 0\.000 V"):
         vent(config)
 
 

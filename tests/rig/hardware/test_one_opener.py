@@ -167,7 +167,7 @@ def test_a_hung_holder_of_the_card_is_ended_though_another_process_is_monitored(
         watchdog.kill()
         watchdog.wait()
         os.close(memory.fd)
-    assert "the control process hung: the command that held the card was ended" in capfd.readouterr().err
+    assert "the control process hung: the process that held the card was ended" in capfd.readouterr().err
 
 
 @pytest.mark.realtime

@@ -241,7 +241,7 @@ HELLO = "I softrig 1 4 0 150000 0 50000"
     ("lies", "says"),
     [
         ({"W": ["A 9 1 0 0 0 0"]}, r"acknowledges a command that was not sent \(9\)"),
-        ({"W": ["A 1 1 0 0 0 0"]}, r"was told \[20000, 0, 20000, 0\] Pa and holds \[0, 0, 0, 0\] Pa"),
+        ({"W": ["A 1 1 0 0 0 0"]}, r"holds \[0, 0, 0, 0\] Pa instead of the commanded \[20000, 0, 20000, 0\] Pa"),
         ({"W": ["S 5 1 1 0 1 2 3 4", "S 2 1 1 0 1 2 3 4"]}, "has restarted"),
         ({"W": ["S 5 1 1 0 1 2 3"]}, "sends 3 pressures"),
     ],

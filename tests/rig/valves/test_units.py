@@ -68,7 +68,7 @@ def test_an_external_write_is_reported_in_bar() -> None:
     bench.arm()
     bench.write(np.array([0.4, 0.0]))
     card.write(np.array([0.0, 0.0]))
-    assert "valve 1 stands at 0.000 bar and not at the 0.400 bar that it was told" in bench.external_write()
+    assert "valve 1 reads back 0.000 bar instead of the commanded 0.400 bar" in bench.external_write()
 
 
 @pytest.mark.parametrize(
