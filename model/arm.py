@@ -115,7 +115,7 @@ class Arm:
         return 1.0 / (material.a1_per_n + share * material.a2_per_n2 * force)
 
     def _wall_force_n(self, pressure_pa: Array) -> Array:
-        """The force n that eq 33 takes for each tube: its own push, or by the paper what the cap hands to the rest."""
+        """The force n of eq 33 of each tube: its push; by the paper's rules passive tubes share that of the others."""
         push: Array = self.actuation.push_pa(pressure_pa) * self.geometry.chamber_area_m2
         if not self.section_rule.startswith("paper"):
             return push

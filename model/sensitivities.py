@@ -34,7 +34,7 @@ LINEAR_PARAMETERS = ("youngs_modulus_pa", "rpe_per_bar", "shear_ratio")
 EQ_32_PARAMETERS = ("a1_per_n", "a2_per_n2", "rpe_per_bar", "shear_ratio")
 STEP = 1e-7
 PRESSURE_STEP_PA = 0.01
-# What a step is a share of where the parameter itself is zero.
+# Reference magnitude for the step of a parameter that is zero.
 USUAL = {"youngs_modulus_pa": 1e5, "rpe_per_bar": 0.05, "a1_per_n": 1e-2, "a2_per_n2": 1e-4, "shear_ratio": 0.4}
 
 

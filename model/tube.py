@@ -67,11 +67,11 @@ class Tube:
             raise ValueError(f"fibre_angle_deg must be finite, got {self.fibre_angle_deg}")
 
     def under_pressure(self, pressure_pa: float) -> PrincipalStretches:
-        """Closed tube: the pressure acts on the wall and on the caps, N = P pi r_i^2. Raises Ballooned."""
+        """Closed tube: the pressure acts on the wall and on the caps, N = P pi r_i^2. Raises BallooningError."""
         return self._path(lambda hoop, pull, load, _: (hoop - load, pull), pressure_pa, self.shear_modulus_pa, "Pa")
 
     def under_radial_pressure(self, pressure_pa: float) -> PrincipalStretches:
-        """The pressure acts on the wall alone, N = 0: the RPE of eq 6. Raises Ballooned."""
+        """The pressure acts on the wall alone, N = 0: the RPE of eq 6. Raises BallooningError."""
         area = math.pi * self.inner_radius_m**2
 
         def balance(hoop: Array, pull: Array, load: Array, radial: Array) -> tuple[Array, Array]:
@@ -80,7 +80,7 @@ class Tube:
         return self._path(balance, pressure_pa, self.shear_modulus_pa, "Pa")
 
     def under_force(self, force_n: float) -> PrincipalStretches:
-        """An axial force pulls, without pressure. Raises Ballooned."""
+        """An axial force pulls, without pressure. Raises BallooningError."""
         unit = self.shear_modulus_pa * self._wall_area_m2
         return self._path(lambda hoop, pull, load, _: (hoop, pull - load), force_n, unit, "N")
 

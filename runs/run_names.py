@@ -53,6 +53,10 @@ def _in_data(part: str) -> Path | None:
         stems = sorted(path.stem for path in DATA.iterdir() if path.suffix == SUFFIX and part in path.stem)
     except OSError:
         return None
+    # A replay keeps the name of its run and appends to it.
+    ending = [stem for stem in stems if stem.endswith(f"-{part}")]
+    if len(ending) == 1:
+        stems = ending
     if len(stems) > 1:
         shown = ", ".join(stems[:MOST_SHOWN]) + (", .." if len(stems) > MOST_SHOWN else "")
         raise ArchiveError(f"{part}: {len(stems)} runs in data/ have this in their id: {shown}; give more of it")

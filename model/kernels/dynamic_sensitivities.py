@@ -36,7 +36,7 @@ def _join(row: Array, first: Array, shares: Array, arm: Array, p: int, count: in
 
 @leaf
 def _combine(x: Array, segments: int, room: Lanes, states: Array, derivatives: Array) -> None:
-    """Turn the lanes, after `neighbours`, into the solved neighbours; all other lanes become the arm x."""
+    """Compute the perturbed solution in each lane from the tangents; lanes without one become the arm x."""
     n, count = states.shape[1] - 1, room.parts.shape[0]
     per = n // segments
     for j in range(n + 1):
@@ -84,10 +84,10 @@ def dynamic_sensitivities(
 ) -> None:  # fmt: skip
     """A motion from rest by BDF-alpha, and how its tip answers to each neighbour's change.
 
-    The arm as `axis.motion` takes it, at rest in x; the lanes as `press` takes them, `still_..` those of the arm at
-    rest. pressure (1 + T, W, N, 8): at rest, then step by step; sections and hung one for each of these rows, or one
-    for all. past (W, N + 1, 192): room for the lanes' history. Without neighbours the lanes rest. Of every so many
-    steps it fills place, turned, by (1 + T / every, ..) and good.
+    The arm as `axis.motion` takes it, at rest in x; the lanes as `apply_pressure` takes them, `still_..` those of the
+    arm at rest. pressure (1 + T, W, N, 8): at rest, then step by step; sections and hung one for each of these rows,
+    or one for all. past (W, N + 1, 192): room for the lanes' history. Without neighbours the lanes rest. Of every so
+    many steps it fills place, turned, by (1 + T / every, ..) and good.
     """
     row, here = np.empty(actuators), tip.copy()
     c0, c1, c2, d1 = scheme[0], scheme[1], scheme[2], scheme[4]

@@ -126,7 +126,7 @@ def _searched(
     if passes > 0:
         return int(passes)
     set_pressures(w, actuators, rest, per_pressure, free, pressure)
-    passes = _let_go(w, law, actuators, load, loaded, tip, length, scale, room, tolerance)
+    passes = _relax_dynamically(w, law, actuators, load, loaded, tip, length, scale, room, tolerance)
     if passes > 0:
         return int(passes)
     if not found:
@@ -199,11 +199,11 @@ def _followed(
 
 
 @kernel
-def _let_go(
+def _relax_dynamically(
     w: Array, law: int, actuators: int, load: Array, loaded: bool, tip: Array, length: float, scale: Array,
     room: Workspace, tolerance: float,
 ) -> int:  # fmt: skip
-    """Let the arm in room.x go under all that acts on it, by backward Euler, until it rests in a stable equilibrium.
+    """Integrate the arm in room.x by backward Euler under its full load until it rests in a stable equilibrium.
 
     Time steps of about the time that a shear wave takes along the arm damp the swing and let the arm leave an unstable
     equilibrium. Returns the number of passes of the equilibrium, or NONE.

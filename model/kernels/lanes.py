@@ -161,7 +161,7 @@ def apply_pressure(
 
 @called
 def apply_tip_load(tip: Array, hung: Array, here: Array) -> None:
-    """What hangs on the arm's own tip (19,) with what `press` hangs there too."""
+    """Tip load (19,) of the arm itself, with the load that `apply_pressure` adds."""
     for c in range(HANGS):
         here[c] = tip[c]
     for c in range(6):

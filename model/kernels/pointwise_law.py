@@ -55,7 +55,7 @@ def _on(total: float, a: Triple, b: Triple) -> float:
 
 @inlined
 def tubes(w: Array, i: int, v3: float, u1: float, u2: float) -> Any:
-    """What the three tubes at TRIO, of lane i, answer to the strains: as of `_tube`, each for all three."""
+    """`_tube` for the three tubes at TRIO of lane i."""
     a1, a2 = w[TUBE * LANES + i], w[(TUBE + 1) * LANES + i]
     x1, y1, free1 = triple(w, TRIO, i)
     x2, y2, free2 = triple(w, TRIO + PER_TUBE, i)

@@ -101,7 +101,7 @@ def _cap(w: Array, i: int, f: Triple, couple: Triple, place: Triple, c0: float, 
 
 @leaf
 def tip_residual(w: Array, law: int, past: Past, own: bool, c0: float, heavy: bool) -> None:
-    """What the wrench at the tip, the node, lacks of what hangs on it (eqs 23-25, 28) [N, N m], in the wrench's place.
+    """Residual of the tip's boundary condition (eqs 23-25, 28) [N, N m], written in place of the wrench.
 
     After the tip's stage, which leaves the tubes' sums; past and own as there. What hangs on the tip stands at END;
     heavy: it resists acceleration.
@@ -143,10 +143,10 @@ def newton(
     """Solve for the states at the nodes, and their slopes, from a guess in room.x; N divides by `segments`.
 
     The history stands in `room` too. tip (19,): what hangs there, as it stands at END. All nodes are moved along the
-    computed directions. What is left after an update is of the order of its size, in units of `scale`, times that of
-    its strains and orientations, which make the equations nonlinear: it stops when this product is below the square of
-    `tolerance`. An update of strains and orientations longer than LONGEST is shortened to that; one longer than
-    `longest` is refused. Returns the number of passes, or -1 when `most` were not enough (no int: numba would compile
+    computed directions. The error after an update is of the order of its size, in units of `scale`, times the size of
+    its part in strains and orientations: the iteration stops when this product is below the square of `tolerance`. An
+    update of strains and orientations longer than LONGEST is shortened to that; one longer than `longest` is refused.
+    Returns the number of passes, or -1 when `most` were not enough (no int: numba would compile
     this anew for every constant) or an update was refused.
     """
     history, states, derivatives, x = room.history, room.states, room.derivatives, room.x

@@ -21,7 +21,7 @@ Array = Any
 
 @leaf
 def _answers(x: Array, works: Array, room: Lanes, steps: Array, by: Array) -> None:
-    """How tip and turn answer (P, 6) to each neighbour's change of size steps (P,), after `neighbours` in one go."""
+    """Derivatives (P, 6) of tip and rotation by each change of size steps (P,), after the tangents are solved."""
     n = room.states.shape[2] - 1
     for p in range(works.shape[0]):
         places(works[p], room.states[0, p], room.derivatives[0, p], x[n], room.place[p])
@@ -45,8 +45,8 @@ def static_sensitivities(
     """One equilibrium per row of pressure (K, W, N, 8), and how its tip answers to each neighbour's change.
 
     The arm: work (size,), its sections stiffness (R, 24), rest (Q, 6), per_pressure (R, 6, N), tip (19,). The lanes:
-    works (W, size) and as `press` takes them, of the sections and of hung one for each row or one for all. Fills
-    place (K, 3), turned (K, 3, 3), by (K, P, 6), good and unstable (K,).
+    works (W, size) and as `apply_pressure` takes them, of the sections and of hung one for each row or one for all.
+    Fills place (K, 3), turned (K, 3, 3), by (K, P, 6), good and unstable (K,).
     """
     row, here = np.empty(actuators), tip.copy()
     nothing = np.zeros((works.shape[0], 1, 1))

@@ -39,7 +39,7 @@ def stiffen(w: Array, stiffness: Array) -> None:
 
 @leaf
 def copy_rows(a: Array, b: Array) -> None:
-    """Rows of a to b; an assignment of whole arrays brings in code that words an error."""
+    """Copy rows of a to b; for an assignment of whole arrays numba adds code that formats errors."""
     for j in range(a.shape[0]):
         for c in range(STATE):
             b[j, c] = a[j, c]
@@ -159,12 +159,13 @@ def advance(
     room: Workspace,
     tolerance: float,
 ) -> int:
-    """One time step. Returns the number of passes, or -1, in which case nothing but work array and room has changed.
+    """One time step. Returns the number of passes, or -1: then only work array and room are changed.
 
     scheme: c0, c1, c2, c3, d1. x (2 N + 2, 16): the last solution and its slopes; trail (2, 2 N + 2, 16): the two
-    before. before (3, N): the last three's pressures. The guess is extrapolated where that foretells the pressures
-    better than the last ones do. room.history: y^h at the nodes, its slopes, and the same at the mid-points, (N + 1) x
-    16 each. Where a step fails: more segments, then the pressures led from the last ones to the new ones in parts.
+    before. before (3, N): the last three's pressures. The guess is extrapolated if extrapolation also predicts the
+    pressures better than the last ones do. room.history: y^h at the nodes, its slopes, and the same at the mid-points,
+    (N + 1) x 16 each. Where a step fails: more segments, then the pressures led from the last ones to the new ones in
+    parts.
     """
     n = room.states.shape[0] - 1
     c0, y = scheme[0], room.x

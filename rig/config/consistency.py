@@ -285,6 +285,9 @@ def _arm(arm: ArmConfig) -> Iterator[ValidationFault]:
 def _geometry(geometry: GeometryConfig) -> Iterator[ValidationFault]:
     if geometry.inner_radius_mm >= geometry.outer_radius_mm:
         yield ValidationFault(("inner_radius_mm",), f"less than outer_radius_mm, {geometry.outer_radius_mm:g} mm")
+    if geometry.length_mm < 2 * geometry.outer_radius_mm:
+        expected = f"at least the diameter of a tube, {2 * geometry.outer_radius_mm:g} mm: is it in millimetres?"
+        yield ValidationFault(("length_mm",), expected)
     for (i, a), (j, b) in itertools.combinations(enumerate(geometry.actuator_angles_deg), 2):
         apart = 2 * geometry.circle_radius_mm * abs(math.sin(math.radians(a - b) / 2))
         if apart < 2 * geometry.outer_radius_mm * (1 - 1e-6):

@@ -199,7 +199,7 @@ def plan(request: RunRequest) -> Plan:
         request.variant,
         request.seed,
         request.adapted,
-        tip_controller(request.config, request.rig_file, request.controller) if trajectory.tip else "",
+        tip_controller(request.config, request.rig_file, request.controller, bool(trajectory.tip)),
         learned_from,
     )
 

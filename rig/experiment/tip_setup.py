@@ -17,12 +17,16 @@ if TYPE_CHECKING:
     from protocols.tip_inverse import TipInverse
 
 
-def tip_controller(config: RigConfig, rig_file: Path, chosen: str | None) -> str:
-    """The name of the controller, which can be used: the chosen one, or that of the rig.
+def tip_controller(config: RigConfig, rig_file: Path, chosen: str | None, moves_tip: bool) -> str:
+    """The name of the controller, which can be used: the chosen one, or that of the rig; empty without a tip path.
 
     Raises:
-        BadInputError: it cannot be used, or the rig has no camera.
+        BadInputError: it cannot be used, the rig has no camera, or one is chosen for a protocol without a tip path.
     """
+    if not moves_tip:
+        if chosen is not None:
+            raise BadInputError([Problem("--controller", 0, 0, "", chosen, "a protocol with a tip path")])
+        return ""
     from rig.tip_control.registry import FEED_FORWARD, UnknownControllerError, controller_class
 
     name = chosen or config.tip_control.controller

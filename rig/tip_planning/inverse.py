@@ -36,7 +36,7 @@ class RigTipInverse:
             raise TipRefusedError(
                 f"the coordinates {axes}",
                 f"at most {valves}, because rig {rig} has {valves} valve{'s' if valves > 1 else ''}: "
-                "give the step `coordinates`",
+                "give the step `coordinates`, or use a rig with more valves, such as mock-3",
             )
         path, repeated = _shortened(request.path)
         try:

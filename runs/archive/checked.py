@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import os
+import re
 import stat
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
@@ -155,6 +156,11 @@ def _why(path: Path, fault: Exception) -> str:
     """Return why a file is not readable as an archive."""
     if isinstance(fault, FileNotFoundError):
         return "no such file"
+    if path.is_file() and path.stat().st_size == 0:
+        return "not an archive of softrig: it is empty"
+    if cut := re.search(r"eof = (\d+),.*stored_eof = (\d+)", str(fault)):
+        found, stated = (int(number) / 1e6 for number in cut.groups())
+        return f"cut off: {found:.3f} of {stated:.3f} MB; copy it again, or rebuild it from its journal (rig recover)"
     if isinstance(fault, PermissionError) or _is_hdf5(path):
         return f"not an archive of softrig ({_in_words(fault)})"
     return "not an archive of softrig: it is no HDF5 file"

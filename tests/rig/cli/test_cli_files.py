@@ -78,6 +78,13 @@ def test_an_ambiguous_part_of_a_run_id_is_refused_with_the_matching_ids(data: Pa
     assert resolve(Path("ramp-a")) == data / "ramp-a.h5"
 
 
+def test_the_name_of_a_run_is_not_that_of_its_replay(data: Path) -> None:
+    replay = data / f"{SECOND}-replay.h5"
+    replay.write_bytes((data / f"{SECOND}.h5").read_bytes())
+    assert resolve(Path("sine-1")) == data / f"{SECOND}.h5"
+    assert resolve(Path("replay")) == replay
+
+
 def test_last_of_an_empty_folder_is_no_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     for name in ("last", "20260102"):

@@ -124,6 +124,7 @@ FAULTS = [
     (("distortion: .[^,]+,", "distortion: ["), "cameras, front, lens, distortion", "a list of 5 numbers"),
     (("squares_y: 6", "squares_y: 7"), "board, squares_y", "an odd number of squares one way"),
     (("inner_radius_mm: 9.5", "inner_radius_mm: 95"), "arm, geometry, inner_radius_mm", "less than outer_radius_mm"),
+    (("length_mm: 170", "length_mm: 0.17"), "arm, geometry, length_mm", "at least the diameter of a tube, 28 mm"),
     (("120, 240", "120, 130"), "arm, geometry, actuator_angles_deg #3", "room for the tubes"),
     (("cap_mass_g: 50\n", "gravity_direction: [0, 0, 0]\n"), "arm, gravity_direction", "a direction"),
     (("cap_mass_g: 50\n", "gravity_on_rod: yes\n"), "arm, gravity_on_rod", "true or false"),

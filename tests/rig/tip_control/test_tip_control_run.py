@@ -92,6 +92,12 @@ def test_an_unknown_controller_is_one_message(tmp_path: Path) -> None:
     assert "feed-forward, horizon" in wrong.output
 
 
+def test_a_controller_for_a_protocol_without_a_tip_path_is_refused() -> None:
+    found = CliRunner().invoke(app, ["run", "ramp-a", "--fast", "--yes", "--controller", "horizon"])
+    assert found.exit_code == 2
+    assert "a protocol with a tip path" in found.output
+
+
 def test_a_plan_of_a_controller_is_taken_in_the_cycle_in_which_it_starts(controlled: dict[str, Run]) -> None:
     plans = controlled["horizon"].tip_control
     assert plans is not None

@@ -318,7 +318,7 @@ def test_a_full_disk_leaves_the_journal_and_no_half_archive(tmp_path: Path, room
 @pytest.mark.parametrize(
     ("content", "said"),
     [
-        (b"", "it is no HDF5 file$"),
+        (b"", "it is empty$"),
         (b"no HDF5 at all", "it is no HDF5 file$"),
         (b"\x89HDF\r\n\x1a\n" + bytes(100), r"not an archive of softrig \(.+\)$"),
     ],
@@ -327,6 +327,15 @@ def test_a_file_that_is_not_an_archive_gives_one_message(tmp_path: Path, content
     path = tmp_path / "a.h5"
     path.write_bytes(content)
     with pytest.raises(ArchiveError, match=said):
+        runs.open(path)
+
+
+def test_an_archive_that_was_cut_off_is_called_so(tmp_path: Path) -> None:
+    path = tmp_path / "a.h5"
+    with h5py.File(path, "w") as file:
+        file["x"] = np.zeros(10_000)
+    path.write_bytes(path.read_bytes()[:40_000])
+    with pytest.raises(ArchiveError, match=r"cut off: 0\.040 of 0\.08\d MB; copy it again"):
         runs.open(path)
 
 
