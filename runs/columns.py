@@ -159,7 +159,13 @@ class Tip(Table):
         "model_ok", "<i4", about="0 where the model could not solve the step", read=lambda stored: stored.astype(bool)
     )
     pressure_bar = Column("pressure_pa", axes=("actuator",), unit="bar", about="input of the model", convert=_bar)
-    weight_g = Column("weight_kg", unit="g", about="weight on the end cap", convert=lambda kg: kg * 1e3, missing=0)
+    weight_g = Column(
+        "weight_kg",
+        unit="g",
+        about="weight on the end cap; zero if force_N is measured",
+        convert=lambda kg: kg * 1e3,
+        missing=0,
+    )
     force_n = Column(
         "force_n",
         axes=("axis",),

@@ -165,6 +165,7 @@ def in_motion(run: Run) -> Poses:
     usable = _usable(run)
     if not usable.any():
         raise NoDataError(f"{run.header.run_id}: no frame shows the tip while pressures were recorded")
+    loaded = _load_is_known(run)
     index = tip.frame - tip.frame[0]
     length = int(index[usable][-1]) + 1
     # Cameras do not always deliver the requested rate.
@@ -192,7 +193,7 @@ def in_motion(run: Run) -> Poses:
         pressure_pa=pressure,
         pressure_std_pa=np.where(clipped, np.hypot(spread, samples.clipped_std_pa * _repeats(clipped)), spread),
         weight_kg=weight,
-        wrench=_at(frame_s, tip.time_s, _wrench(run)),
+        wrench=_at(frame_s, tip.time_s[loaded], _wrench(run)[loaded]),
         tip_m=measured,
         covariance_m2=covariance,
         frames=np.ones(length, np.int64),
@@ -251,6 +252,11 @@ def _usable(run: Run) -> NDArray[np.bool_]:
         run.pressure.time_s[[0, -1]] + np.array([-1.0, 1.0]) * _PRESSURE_MARGIN_FRAMES / run.header.camera_hz
     )
     usable &= (tip.time_s >= first_s) & (tip.time_s <= last_s)
+    loaded = _load_is_known(run)
+    known = np.flatnonzero(loaded)
+    if len(loaded) and not (len(known) and loaded[known[0] : known[-1] + 1].all()):
+        raise NoDataError(f"{run.header.run_id}: the measured tip force is missing in some frames")
+    usable &= loaded
     covariance = tip.covariance_mm2[usable]
     if not np.isfinite(covariance).all():
         raise NoDataError(
@@ -320,6 +326,12 @@ def _live(model_mm: Array) -> Array | None:
 def _wrench(run: Run) -> Array:
     """Force and moment (M, 6) at the measured point."""
     return np.concatenate([run.tip.force_n, run.tip.moment_n_m], axis=1)
+
+
+def _load_is_known(run: Run) -> NDArray[np.bool_]:
+    """Frames (M,) with a force and moment; one that is measured is NaN before its first sample."""
+    known: NDArray[np.bool_] = np.asarray(np.isfinite(_wrench(run)).all(axis=1))
+    return known
 
 
 def _at(time_s: Array, sampled_s: Array, samples: Array) -> Array:

@@ -28,7 +28,8 @@ EXPLAINED = {
     "sensors": "One pressure sensor for each actuator. Gauge pressure is linear in voltage from `span_V` "
     "to `span_bar`; both are 0 to 10 by default.",
     "inputs": "Optional: quantities that are recorded beside the pressures, such as force or temperature. Each is "
-    "linear in voltage, from `span_V` to `span` in its `unit`.",
+    "linear in voltage, from `span_V` to `span` in its `unit`. One with a `tip_force_direction` "
+    "measures the load of the tip, which the model then takes.",
     "emergency_stops": "Optional: normally-closed contacts at digital inputs. One that opens, or whose wire breaks, "
     "ends the run and vents every chamber.",
     "limits": "Limits of set-points and samples. A run that violates one ends, and the "

@@ -5,10 +5,13 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 import model
 from rig.config.schema import RigConfig
 from rig.config.sections import GeometryConfig, MaterialConfig, Variant
+
+Floats = NDArray[np.float64]
 
 GRAVITY_M_S2 = 9.81
 
@@ -63,14 +66,16 @@ def model_material(material: MaterialConfig) -> model.Material:
 
 
 class TipLoad:
-    """Dead loads at the end cap as loads of the model; the same weight gives the same object."""
+    """Dead loads at the tip as loads of the model; the same weight without a force gives the same object."""
 
     def __init__(self, config: RigConfig) -> None:
         self._gravity_m_s2 = np.array(gravity_m_s2(config))
         self._loads: dict[float, model.Loads | None] = {0.0: None}
 
-    def carrying(self, weight_kg: float) -> model.Loads | None:
-        """Return the load of a weight [kg] at the tip; None for zero."""
+    def carrying(self, weight_kg: float, force_n: Floats | None = None) -> model.Loads | None:
+        """Return the load of a weight [kg] and a force (3,) [N] at the tip; None for zero."""
+        if force_n is not None and force_n.any():
+            return model.Loads(tip_force_n=weight_kg * self._gravity_m_s2 + force_n)
         if weight_kg not in self._loads:
             self._loads[weight_kg] = model.Loads(tip_force_n=weight_kg * self._gravity_m_s2)
         return self._loads[weight_kg]

@@ -135,6 +135,8 @@ def _input_values(inputs: Inputs, control: Control, simulator: Simulator | None)
         low, high = one.range_V
         if one.span_V[0] < low or one.span_V[1] > high:
             yield ValidationFault(("inputs", name, "span_V"), f"a span inside range_V, {low:g} to {high:g} V")
+        if one.tip_force_direction is not None and one.unit != "N":
+            yield ValidationFault(("inputs", name, "unit"), "N, because the input has a tip_force_direction")
     for name in simulator.inputs if simulator is not None else ():
         if name not in inputs:
             expected = f"one of the inputs: {', '.join(inputs) or 'the rig has none'}"

@@ -11,13 +11,19 @@ from numpy.typing import NDArray
 from pydantic import AfterValidator, Field
 from pydantic.json_schema import SkipJsonSchema
 
-from rig.config.sections import Index, NonNegative, Number, Positive, Section, VoltSpan, Word
+from rig.config.sections import Index, NonNegative, Number, Positive, Section, Triple, VoltSpan, Word
 
 
 def _two_values(span: tuple[float, float]) -> tuple[float, float]:
     if span[0] == span[1]:
         raise ValueError("two different numbers")
     return span
+
+
+def _some_direction(vector: Triple) -> Triple:
+    if not any(vector):
+        raise ValueError("a direction, not three zeros")
+    return vector
 
 
 class AuxiliaryInput(Section):
@@ -40,6 +46,11 @@ class AuxiliaryInput(Section):
     margin_V: NonNegative = 0.1
     rate_hz: Positive | SkipJsonSchema[None] = Field(
         default=None, description="new values per second, each the mean since the last; default: the control rate"
+    )
+    tip_force_direction: Annotated[Triple, AfterValidator(_some_direction)] | SkipJsonSchema[None] = Field(
+        default=None,
+        description="the input measures the force on the arm's tip along this direction of the rod-base frame: it is "
+        "the tip load of the model",
     )
 
     def value(self, volts: NDArray[np.float64]) -> NDArray[np.float64]:

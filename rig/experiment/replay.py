@@ -24,6 +24,7 @@ from rig.experiment.provenance import git_state, quantities, versions
 from rig.experiment.run import free_id
 from rig.hardware.cameras.base import Frame, FrameSet
 from rig.observation.observer import Observer
+from rig.observation.tip_force import MeasuredTipForce
 from runs.archive.writer import ArchiveError, finalise
 from runs.journal.journal import SUFFIX, JournalWriter
 from runs.records import RunFooter, blank, sample_dtype
@@ -46,7 +47,7 @@ def replay(
 
     Raises:
         ArchiveError: the run has no pictures.
-        BadInputError: the rig is invalid, or has another number of actuators.
+        BadInputError: the rig is invalid, has another number of actuators, or measures a force that the run did not.
     """
     if not len(run.frames.index):
         raise ArchiveError(f"{run.path} holds no pictures: there is nothing to replay")
@@ -134,6 +135,7 @@ def _observed(run: Run, config: RigConfig, variant: Variant) -> Iterator[NDArray
     clock = run.header.started_t_ns
     ticks_ns = _nanoseconds(run.pressure.time_s, clock)
     measured_pa = run.pressure.measured_bar * PA_PER_BAR
+    aux = _auxiliary(run, config)
     truth_mm = run.simulated.tip_mm if run.simulated is not None else np.full((len(tip.frame), 3), np.nan)
     row_of = {int(frame): row for row, frame in enumerate(tip.frame)}
     camera_of = _cameras(run, config)
@@ -161,8 +163,23 @@ def _observed(run: Run, config: RigConfig, variant: Variant) -> Iterator[NDArray
             float(tip.protocol_s[row]),
             dropped,
             float(tip.weight_g[row]) * 1e-3,
+            sample_aux=aux[seen:until],
         )
         seen = until
+
+
+def _auxiliary(run: Run, config: RigConfig) -> NDArray[np.float64]:
+    """Return the run's auxiliary inputs (n, I) in the order of the rig's; NaN for one that the run did not have."""
+    recorded = [channel.name for channel in run.header.auxiliary]
+    missing = next((name for name in MeasuredTipForce(config).inputs if name not in recorded), None)
+    if missing is not None:
+        expected = f"a rig whose tip force the run has measured: {run.header.run_id} has no input {missing}"
+        raise BadInputError([Problem("--rig", 0, 0, "", config.name, expected)])
+    aux = np.full((len(run.pressure.time_s), len(config.inputs)), np.nan)
+    for k, name in enumerate(config.inputs):
+        if run.auxiliary is not None and name in recorded:
+            aux[:, k] = run.auxiliary.value[:, recorded.index(name)]
+    return aux
 
 
 def _referred(run: Run, observed: Iterator[NDArray[np.void]]) -> Iterator[NDArray[np.void]]:

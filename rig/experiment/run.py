@@ -152,6 +152,10 @@ def request(
         if not config.cameras:
             expected = f"a rig with a camera: rig {config.name} has none, so there is no measured tip to estimate from"
             raise BadInputError([Problem("--adapt", 0, 0, "", "an online estimation", expected)])
+        measured = [name for name, one in config.inputs.items() if one.tip_force_direction is not None]
+        if measured:
+            expected = f"a rig that does not measure the tip force: the estimator does not use input {measured[0]}"
+            raise BadInputError([Problem("--adapt", 0, 0, "", "an online estimation", expected)])
         from rig.observation.online_estimation import default_parameters, estimated_quantities
 
         variant_used = chosen or config.model.variant

@@ -132,16 +132,13 @@ class ArchivedRun:
 
     @lru_cache(maxsize=256)  # noqa: B019 - one source lives as long as its process
     def _shape(self, frame: int) -> model.Shape | None:
-        pressure = self.run.tip.pressure_bar[frame] * PA_PER_BAR
-        if self._arm is None or not np.all(np.isfinite(pressure)):
+        tip = self.run.tip
+        pressure, force_n = tip.pressure_bar[frame] * PA_PER_BAR, tip.force_n[frame]
+        if self._arm is None or not np.isfinite([*pressure, *force_n]).all():
             return None
+        loads = self._tip_load.carrying(float(tip.weight_g[frame]) * KG_PER_G, force_n)
         try:
-            return statics(
-                self._arm,
-                pressure,
-                self._tip_load.carrying(float(self.run.tip.weight_g[frame]) * KG_PER_G),
-                doubt_units=False,
-            )
+            return statics(self._arm, pressure, loads, doubt_units=False)
         except model.NotConverged:
             return None
 

@@ -22,6 +22,7 @@ from rig.hardware.cameras.base import FrameSet
 from rig.observation.multi_camera import MultiCameraTipEstimator
 from rig.observation.overlay import backbone
 from rig.observation.single_camera import Measurement
+from rig.observation.tip_force import MeasuredTipForce
 from runs.records import DetectionStatus, blank, observation_dtype
 
 if TYPE_CHECKING:
@@ -176,6 +177,7 @@ class Observer:
         )
         self._tip_load = TipLoad(config)
         self._pressures = PressureInterpolator(config.actuators)
+        self._tip_force, self._forces = MeasuredTipForce(config), PressureInterpolator(3)
         self._reference, self._protocol_times = reference, PressureInterpolator(1)
         self._blank = blank((), observation_dtype(config.actuators, len(config.cameras)))
         self._model_m = np.full(3, np.nan)
@@ -199,15 +201,25 @@ class Observer:
         dropped: int = 0,
         weight_kg: float = 0.0,
         sample_protocol_s: Floats | None = None,
+        sample_aux: Floats | None = None,
     ) -> NDArray[np.void]:
         """Process one frame set with the samples (k,), (k, N) since the last one; return a row ().
 
         `weight_kg` is the weight on the end cap. `sample_protocol_s` (k,), the protocol times of the samples, give the
-        reference of the tip at the time of the frame. `age_ns` stays zero; the caller sets it.
+        reference of the tip at the time of the frame. `sample_aux` (k, I), the auxiliary inputs, give the force on the
+        tip if the rig measures it: this force then includes the weight, and without it the model has no solution.
+        `age_ns` stays zero; the caller sets it.
         """
         self._pressures.extend(np.asarray(sample_t_ns, dtype=np.int64), np.asarray(sample_pa, dtype=np.float64))
         seen = self._tip_estimator.measure(frame_set)
-        shape = self._model.follow(frame_set, self._pressures, self._tip_load.carrying(weight_kg))
+        force_n = np.zeros(3)
+        if self._tip_force:
+            if sample_aux is not None:
+                self._forces.extend(np.asarray(sample_t_ns, dtype=np.int64), self._tip_force.of(sample_aux))
+            weight_kg, force_n = 0.0, self._forces.at(frame_set.t_ns)
+        shape = None
+        if np.isfinite(force_n).all():
+            shape = self._model.follow(frame_set, self._pressures, self._tip_load.carrying(weight_kg, force_n))
         self.measurement, self.shape = seen, shape
         if shape is not None:
             self._model_m = np.array(shape.tip_m, dtype=np.float64)
@@ -216,7 +228,7 @@ class Observer:
         row["protocol_s"], row["dropped"] = protocol_s, dropped
         row["seen"], row["model_ok"] = seen.seen, shape is not None
         row["pressure_pa"] = self._pressures.at(frame_set.t_ns)
-        row["weight_kg"] = weight_kg
+        row["weight_kg"], row["force_n"] = weight_kg, force_n
         row["measured_m"], row["covariance_m2"] = seen.tip_m, seen.covariance_m2
         row["reprojection_px"] = seen.reprojection_px
         row["model_m"] = self._model_m

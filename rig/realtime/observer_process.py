@@ -13,6 +13,7 @@ from rig.hardware.cameras.synchroniser import CameraSynchroniser
 from rig.observation.observer import Observer
 from rig.observation.picture_recorder import PictureRecorder
 from rig.observation.prediction_clock import PredictionClock
+from rig.observation.tip_force import auxiliary_values
 from rig.realtime.child_process import ChildJob, await_turn, leave, receive, supervisor_monitor
 from rig.realtime.failsafe import FailsafeThread
 from rig.realtime.preview import PreviewPublisher
@@ -92,7 +93,8 @@ def _warm_up(job: ChildJob, shots: list[FrameSet]) -> None:
     observer = _observer(job)
     for index, shot in enumerate(shots):
         times = np.array([shot.t_ns])
-        observer.step(replace(shot, index=index), times, np.zeros((1, config.actuators)), 0.0)
+        aux = np.zeros((1, len(config.inputs)))
+        observer.step(replace(shot, index=index), times, np.zeros((1, config.actuators)), 0.0, sample_aux=aux)
 
 
 def _record(job: ChildJob, observer: Observer, memory: SharedState, shot: FrameSet, dropped: int) -> None:
@@ -102,7 +104,16 @@ def _record(job: ChildJob, observer: Observer, memory: SharedState, shot: FrameS
     latest = ticks[max(0, int(ticks["t_ns"].searchsorted(shot.t_ns, side="right")) - 1)]
     protocol_s = float(latest["protocol_s"])
     weight_kg = job.plan.trajectory.weight_kg(protocol_s)
-    row = observer.step(shot, ticks["t_ns"], ticks["measured_pa"], protocol_s, dropped, weight_kg, ticks["protocol_s"])
+    row = observer.step(
+        shot,
+        ticks["t_ns"],
+        ticks["measured_pa"],
+        protocol_s,
+        dropped,
+        weight_kg,
+        ticks["protocol_s"],
+        auxiliary_values(ticks),
+    )
     row["age_ns"] = time.monotonic_ns() - shot.t_ns
     memory.observations.push(row)
     if observer.adaptation is not None:

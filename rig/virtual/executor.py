@@ -26,6 +26,7 @@ from rig.hardware.cards.base import CardError
 from rig.hardware.safe_state import VENTING_S, VentVerification, armed_sentence, failure_of
 from rig.observation.observer import Observer
 from rig.observation.picture_recorder import PictureRecorder
+from rig.observation.tip_force import auxiliary_values
 from rig.realtime.health_monitor import HealthMonitor
 from rig.simulator.plant import Plant
 from rig.tip_control.monitor import SOURCE, TipControlMonitor, failure_message
@@ -223,8 +224,9 @@ class _VirtualRun:
         ticks, self._unseen = self._samples.recent(self._unseen), 0
         weight_kg = self._plan.trajectory.weight_kg(protocol_s)
         samples = FrameSamples(
-            ticks["t_ns"].copy(), ticks["measured_pa"].copy(), protocol_s, weight_kg, ticks["protocol_s"].copy()
-        )
+            ticks["t_ns"].copy(), ticks["measured_pa"].copy(), protocol_s, weight_kg, ticks["protocol_s"].copy(),
+            auxiliary_values(ticks),
+        )  # fmt: skip
         self._pipeline.submit(frame, t_ns, exposures, samples)
 
     def _steer(self, controller: TipControlSession, now: int) -> None:

@@ -35,8 +35,9 @@ _CLOSED = (EOFError, OSError)
 
 @dataclass(frozen=True)
 class FrameSamples:
-    """What the observer needs beside the pictures: the samples `t_ns` (k,), `measured_pa` (k, N) since the last frame
-    set and their protocol times, the protocol time of the newest one and the weight on the end cap.
+    """What the observer needs beside the pictures: the samples `t_ns` (k,), `measured_pa` (k, N) and `aux` (k, I; None
+    without auxiliary inputs) since the last frame set and their protocol times, the protocol time of the newest one and
+    the weight on the end cap.
     """
 
     t_ns: NDArray[np.int64]
@@ -44,6 +45,7 @@ class FrameSamples:
     protocol_s: float
     weight_kg: float
     protocol_times_s: NDArray[np.float64]
+    aux: NDArray[np.float64] | None
 
 
 @dataclass(frozen=True)
@@ -99,7 +101,7 @@ class FrameStages:
         """Measure the next frame set."""
         row = self._observer.step(
             frame_set, samples.t_ns, samples.measured_pa, samples.protocol_s, 0, samples.weight_kg,
-            samples.protocol_times_s,
+            samples.protocol_times_s, samples.aux,
         )  # fmt: skip
         adaptation = self._observer.adaptation
         return FrameResult(

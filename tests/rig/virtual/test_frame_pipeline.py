@@ -19,7 +19,7 @@ from rig.virtual.frame_pipeline import FramePipeline, FrameProcessError, FrameRe
 from runs.records import Event, Status
 
 SHAPE = (4, 6)
-SAMPLES = FrameSamples(np.zeros(1, np.int64), np.zeros((1, 3)), 0.0, 0.0, np.zeros(1))
+SAMPLES = FrameSamples(np.zeros(1, np.int64), np.zeros((1, 3)), 0.0, 0.0, np.zeros(1), np.zeros((1, 0)))
 
 
 class Numbers(FrameStages):
