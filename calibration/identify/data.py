@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d, uniform_filter1d
 
+from calibration.identify.pressure_history import PressureHistory, pressure_history
 from calibration.identify.pressure_smoothing import curve, noise_std, smoothed
 from runs.records import DetectionStatus
 from runs.run import Run
@@ -47,8 +48,8 @@ class Poses:
     sensor offsets. weight_kg (K,) is the tip load on the cap. wrench (K, 6): measured force [N] and moment [N m] at the
     measured point, in the frame of the tips. tip_m (K, 3) in the rod-base frame with covariance_m2 (K, 3, 3); both NaN
     in frames without a tip. frames (K,): camera frames per entry. time_s (K,) counts from the start of the run; for a
-    plateau it is the end. period_s is zero for static poses. live_m (K, 3): tips of the model that ran beside the
-    experiment, NaN where there was none; None if there was no such model.
+    plateau it is the end. period_s is zero for static poses. history: of the pressures. live_m (K, 3):
+    tips of the model that ran beside the experiment, NaN where there was none; None if there was no such model.
     """
 
     run_id: str
@@ -62,6 +63,7 @@ class Poses:
     covariance_m2: Array
     frames: NDArray[np.int64]
     time_s: Array
+    history: PressureHistory
     live_m: Array | None = None
 
     def __len__(self) -> int:
@@ -100,6 +102,7 @@ class Poses:
             covariance_m2=self.covariance_m2[chosen],
             frames=self.frames[chosen],
             time_s=self.time_s[chosen],
+            history=self.history.only(chosen),
             live_m=None if self.live_m is None else self.live_m[chosen],
         )
 
@@ -151,6 +154,7 @@ def at_rest(run: Run, settle_s: float = SETTLE_S) -> Poses:
         covariance_m2=covariance * averaged[:, None, None],
         frames=count,
         time_s=np.array([tip.time_s[k[-1]] for k in plateaus]),
+        history=pressure_history(samples.time_s, samples.pa, np.array([tip.time_s[k].mean() for k in plateaus])),
         live_m=_live(np.array([_model_mm(run)[k].mean(axis=0) for k in plateaus])),
     )
 
@@ -198,6 +202,7 @@ def in_motion(run: Run) -> Poses:
         covariance_m2=covariance,
         frames=np.ones(length, np.int64),
         time_s=frame_s,
+        history=pressure_history(samples.time_s, course, frame_s),
         live_m=_live(live),
     )
 

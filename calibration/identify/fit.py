@@ -12,6 +12,7 @@ from calibration.identify.data import NoDataError, Poses
 from calibration.identify.information import covariance as covariance_of
 from calibration.identify.least_squares import LeastSquaresProblem, Solution
 from calibration.identify.likelihood import OUTLIER, drifting, whitened
+from calibration.identify.model_error_posterior import model_error_posterior
 from calibration.identify.nuisance import nuisance_parameters
 from calibration.identify.parameters import Prior, Setup, named
 from calibration.identify.results import NORMAL_95, Estimate, Fit, RunFit, Verdict
@@ -71,13 +72,18 @@ def identify(
     joint = searched.best
     nuisances = {p.name for p in held}
     solution, fixed = _fix_undetermined(problem, joint, nuisances)
-    estimates, covariance = _estimates(problem, solution, joint, fixed, nuisances)
+    error = None if stated is None else model_error_posterior(problem, solution, fixed)
+    wide = _joint_covariance(problem, solution, fixed)
+    if error is not None and error.found:
+        wide = error.second[: len(wide), : len(wide)]
+    estimates, covariance = _estimates(problem, solution, joint, fixed, nuisances, wide)
     estimates = tuple(replace(e, stated=(stated or {}).get(e.name), prior=known.get(e.name)) for e in estimates)
     return Fit(
         setup=problem.setup(solution.z),
         start=start,
         estimates=estimates,
         covariance=covariance,
+        joint_covariance=wide,
         runs=_runs(problem, solution),
         log_likelihood=solution.log_likelihood,
         loss=solution.loss,
@@ -92,6 +98,7 @@ def identify(
         start_losses=searched.losses,
         problem=problem,
         solution=solution,
+        model_error=error,
     )
 
 
@@ -172,6 +179,7 @@ def _estimates(
     joint: Solution,
     fixed: Mapping[int, Verdict],
     nuisances: Collection[str],
+    wide: Array,
 ) -> tuple[tuple[Estimate, ...], Array]:
     n = len(problem.unknowns)
     only = [i for i in range(n) if i not in fixed]
@@ -180,7 +188,7 @@ def _estimates(
     joint_std = _std(scaled + np.eye(n) / _PRIOR_SPANS**2)
     wide_std = joint_std * _span_factors(joint)
     covariance = np.zeros((n, n))
-    covariance[np.ix_(only, only)] = _marginal(problem, solution, only)
+    covariance[np.ix_(only, only)] = wide[np.ix_(only, only)]
     prior_std = 1 / np.sqrt(np.maximum(np.diagonal(solution.prior_information), 1e-300))
     out = []
     for i, unknown in enumerate(problem.unknowns):
@@ -197,14 +205,14 @@ def _estimates(
     return tuple(out), covariance * np.outer(rates, rates)
 
 
-def _marginal(problem: LeastSquaresProblem, solution: Solution, only: list[int]) -> Array:
-    """Covariance of the unknowns `only`, in spans, marginal over errors of `UNDETERMINED_SPANS` in the fixed ones."""
-    if len(only) == len(problem.unknowns):
+def _joint_covariance(problem: LeastSquaresProblem, solution: Solution, fixed: Collection[int]) -> Array:
+    """Covariance (n, n) of all unknowns, in spans; the fixed ones have errors of `UNDETERMINED_SPANS`."""
+    if not fixed:
         return covariance_of(solution.information)
     every = range(len(problem.unknowns))
     whole = problem.solution(solution.z, every, solution.weights, solution.discrepancy_m, solution.solved)
-    guessed = np.diag([0.0 if i in only else 1 / UNDETERMINED_SPANS**2 for i in every])
-    return covariance_of(whole.information + guessed)[np.ix_(only, only)]
+    guessed = np.diag([1 / UNDETERMINED_SPANS**2 if i in fixed else 0.0 for i in every])
+    return covariance_of(whole.information + guessed)
 
 
 def _partners(information: Array, i: int) -> list[int]:

@@ -1,4 +1,4 @@
-"""Prediction of held-out runs by a fit."""
+"""Prediction of held-out runs by a fit, with prediction intervals."""
 
 from __future__ import annotations
 
@@ -7,26 +7,70 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import chi2
 
 from calibration.identify.data import Poses
+from calibration.identify.least_squares import LeastSquaresProblem
+from calibration.identify.model_error import error_columns
 from calibration.identify.parameters import Setup, known
-from calibration.identify.results import Fit, rms
+from calibration.identify.results import NORMAL_95, Fit, rms
 from calibration.identify.tip_predictor import Predictor
+from calibration.identify.unknown import Unknown
 
 Array = NDArray[np.float64]
+
+# Squared Mahalanobis distance that 95 % of normal tips stay below.
+_ELLIPSOID_95 = float(chi2.ppf(0.95, 3))
 
 
 @dataclass(frozen=True)
 class Prediction:
-    """Distances (K,) [m] from measured to predicted tips, by the starting setup and by the fit; NaN without a tip."""
+    """Predicted tips (K, 3) of a run, their uncertainty, and what was measured.
+
+    covariance_m2 (K, 3, 3): of measured minus predicted, with the errors of the parameters, of the sensor offsets of
+    this run, of the pressures, of the model and of the measured tip. measured_m (K, 3) and before_m (K,), the distance
+    [m] by the starting setup, are NaN without a tip.
+    """
 
     run_id: str
     period_s: float
     under_wrench: bool
     """Whether the prediction uses a measured wrench at the tip."""
+    time_s: Array
+    measured_m: Array
     predicted_m: Array
+    covariance_m2: Array
     before_m: Array
-    error_m: Array
+
+    @property
+    def error_m(self) -> Array:
+        """Distances (K,) [m] from measured to predicted tips; NaN without a tip."""
+        out: Array = np.linalg.norm(self.measured_m - self.predicted_m, axis=1)
+        return out
+
+    @property
+    def interval_m(self) -> Array:
+        """95 % prediction intervals (K, 3, 2) [m] of the measured tips, per axis."""
+        half = NORMAL_95 * np.sqrt(np.diagonal(self.covariance_m2, axis1=1, axis2=2))
+        return np.stack([self.predicted_m - half, self.predicted_m + half], axis=2)
+
+    @property
+    def share_in_95(self) -> Array:
+        """Shares (4,) of the tips inside their 95 % intervals along x, y, z, and their 95 % ellipsoids."""
+        known = np.isfinite(self.error_m)
+        if not known.any():
+            return np.full(4, math.nan)
+        gap, covariance = (self.measured_m - self.predicted_m)[known], self.covariance_m2[known]
+        std = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
+        distance2 = np.einsum("ki,ki->k", gap, np.linalg.solve(covariance, gap[:, :, None])[:, :, 0])
+        inside = np.column_stack([np.abs(gap) <= NORMAL_95 * std, distance2 <= _ELLIPSOID_95])
+        out: Array = inside.mean(axis=0)
+        return out
+
+    @property
+    def std_m(self) -> float:
+        """Root mean square of the stated standard deviation of the distance."""
+        return float(np.sqrt(np.nanmean(np.trace(self.covariance_m2, axis1=1, axis2=2))))
 
     @property
     def unsolved(self) -> int:
@@ -67,14 +111,50 @@ def with_mean_sensor_offsets(fit: Fit) -> Setup:
 
 
 def predict(fit: Fit, poses: Poses) -> Prediction:
-    """Predict a run; its sensor offsets are the means of those of the fitted runs."""
-    predictor = Predictor(poses, fit.problem.substeps)
-    tips, before = predictor(with_mean_sensor_offsets(fit)), predictor(fit.start)
+    """Predict a run; its sensor offsets are those of its fitted part, else the means of those of the fitted runs.
+
+    The intervals are those of the linearised model (delta method).
+    """
+    seen = next((run for run, other in enumerate(fit.problem.data) if other.source == poses.source), None)
+    setup = with_mean_sensor_offsets(fit) if seen is None else fit.runs[seen].setup
+    problem = LeastSquaresProblem(
+        [poses], fit.start, fit.problem.free, fit.problem.priors, substeps=fit.problem.substeps
+    )
+    z = np.array([u.of(u.parameter.read(setup)) for u in problem.unknowns])
+    slope = problem.slopes(z, range(len(z)))[0]
+    place = {(u.parameter.name, u.run): i for i, u in enumerate(fit.problem.unknowns)}
+    # A per-run unknown of a new run is not among those of the fit.
+    at = [place.get((u.parameter.name, None if u.run is None else seen)) for u in problem.unknowns]
+    fitted = [k for k, i in enumerate(at) if i is not None]
+    by_fit = np.zeros((len(poses), 3, len(place)))
+    by_fit[:, :, [i for i in at if i is not None]] = slope[:, :, fitted]
+    second, noise_m = fit.joint_covariance, fit.discrepancy_m
+    if (found := fit.model_error) is not None:
+        response = Predictor(poses).push_response(problem.setup(z, 0))
+        by_fit = np.concatenate([by_fit, error_columns(poses, response, found.reference_pa).tip_m], axis=2)
+        second, noise_m = found.second, found.noise_m
+    covariance = np.nan_to_num(poses.covariance_m2) + problem.pressure_covariances(z)[0] + noise_m**2 * np.eye(3)
+    covariance = covariance + np.einsum("kin,nm,kjm->kij", by_fit, second, by_fit, optimize=True)
+    for k, unknown in enumerate(problem.unknowns):
+        if at[k] is None:
+            column = slope[:, :, k]
+            covariance += _new_run_variance(fit, unknown, float(z[k])) * column[:, :, None] * column[:, None, :]
     return Prediction(
         run_id=poses.run_id,
         period_s=poses.period_s,
         under_wrench=bool(poses.wrench.any()),
-        predicted_m=tips,
-        before_m=np.linalg.norm(poses.tip_m - before, axis=1),
-        error_m=np.linalg.norm(poses.tip_m - tips, axis=1),
+        time_s=poses.time_s,
+        measured_m=poses.tip_m,
+        predicted_m=problem.predicted(z)[0],
+        covariance_m2=covariance,
+        before_m=np.linalg.norm(poses.tip_m - Predictor(poses, fit.problem.substeps)(fit.start), axis=1),
     )
+
+
+def _new_run_variance(fit: Fit, unknown: Unknown, z: float) -> float:
+    """Mean square error of z, in squared spans, if the value of a new run is drawn from the prior of the unknown."""
+    expected = fit[unknown.parameter.name].expected
+    value = unknown.at(z)
+    if expected is None:
+        return (unknown.parameter.uncertainty(value) / unknown.rate(z)) ** 2
+    return (expected.std**2 + (value - expected.mean) ** 2) / unknown.rate(z) ** 2

@@ -159,7 +159,7 @@ class LeastSquaresProblem:
         ]
         if masked:
             rows = [self._filtered(run, own) for run, own in enumerate(rows)]
-        return rows, self._prior_rows(z)[0]
+        return rows, self.prior_rows(z)[0]
 
     def _perturbed(self, z: Array, run: int, which: Sequence[int]) -> tuple[list[Setup], list[float]]:
         """A run's setups with one perturbed unknown each, and the steps; backward at the upper bound."""
@@ -197,7 +197,7 @@ class LeastSquaresProblem:
     def weights(self, z: Array, fitted: float) -> tuple[tuple[Weights, ...], float]:
         """The weights of the residuals near z, and the model discrepancy [m]."""
         predicted = self.predicted(z)
-        pressure = self._pressure_covariances(z)
+        pressure = self.pressure_covariances(z)
         covariances, residuals, seen_covariances = [], [], []
         for run, (poses, tips) in enumerate(zip(self.data, predicted, strict=True)):
             covariance = poses.covariance_m2 + pressure[run]
@@ -237,7 +237,7 @@ class LeastSquaresProblem:
             squares = float((rows[-1][0] ** 2).sum())
             loss += squares
             log_likelihood -= 0.5 * (squares + weights[run].log_det)
-        prior_rows, prior_gap = self._prior_rows(z)
+        prior_rows, prior_gap = self.prior_rows(z)
         loss += float(prior_gap @ prior_gap)
         prior = prior_rows.T @ prior_rows
         information, correlation = self._information(rows, prior, only)
@@ -267,14 +267,14 @@ class LeastSquaresProblem:
 
     def loss(self, z: Array, weights: tuple[Weights, ...], correlation: Sequence[float]) -> float:
         """Robust sum of squares at given weights, with priors; each run is divided by its correlation factor."""
-        gap = self._prior_rows(z)[1]
+        gap = self.prior_rows(z)[1]
         total = float(gap @ gap)
         for run, (poses, tips) in enumerate(zip(self.data, self.predicted(z), strict=True)):
             robust, _ = huber(whitened(poses, tips, weights[run]))
             total += float((self._filtered(run, robust) ** 2 * self._count(run)[:, None]).sum()) / correlation[run]
         return total
 
-    def _pressure_covariances(self, z: Array) -> list[Array]:
+    def pressure_covariances(self, z: Array) -> list[Array]:
         """Tip covariances (K, 3, 3) by pressure errors, per run; recomputed only after a noticeable change of z."""
         if self._pressure is None or np.abs(z - self._pressure[0]).max(initial=0.0) > _SAME_COVARIANCE:
             found = [p.pressure_covariance(self.setup(z, run)) for run, p in enumerate(self._predictors)]
@@ -344,7 +344,7 @@ class LeastSquaresProblem:
         for run, tips in enumerate(self.predicted(z)):
             robust, _ = huber(whitened(self.data[run], tips, weights[run]))
             rows.append((self._filtered(run, robust) * np.sqrt(self._count(run))[:, None]).ravel())
-        return np.concatenate([*rows, self._prior_rows(z)[1], z[only] / _RIDGE_SPANS])
+        return np.concatenate([*rows, self.prior_rows(z)[1], z[only] / _RIDGE_SPANS])
 
     def _slope_rows(self, z: Array, only: list[int], weights: tuple[Weights, ...]) -> Array:
         """Jacobian of `_rows` by the unknowns `only`."""
@@ -355,9 +355,9 @@ class LeastSquaresProblem:
             _, out = huber(whitened(self.data[run], at[run], weights[run]), turned)
             assert out is not None
             rows.append((self._filtered(run, out) * np.sqrt(self._count(run))[:, None, None]).reshape(-1, len(only)))
-        return np.concatenate([*rows, self._prior_rows(z)[0][:, only], np.eye(len(only)) / _RIDGE_SPANS])
+        return np.concatenate([*rows, self.prior_rows(z)[0][:, only], np.eye(len(only)) / _RIDGE_SPANS])
 
-    def _prior_rows(self, z: Array) -> tuple[Array, Array]:
+    def prior_rows(self, z: Array) -> tuple[Array, Array]:
         """Rows (m, n) and gaps (m,) of the priors in standard deviations."""
         rows, gaps = [], []
         for i, unknown in enumerate(self.unknowns):

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.identify.least_squares import LeastSquaresProblem, Solution
+from calibration.identify.model_error_posterior import ModelErrorPosterior
 from calibration.identify.parameters import Prior, Setup
 
 Array = NDArray[np.float64]
@@ -124,14 +125,16 @@ class Fit:
     """Parameters of an arm.
 
     setup: with every shared `used` value. covariance (n, n): of the fitted values, in the order of `estimates`; zero
-    for fixed parameters, whose assumed error of half a span enters the other error bars. discrepancy_m: standard
-    deviation per axis of the model error that the stated errors do not explain.
+    for fixed parameters, whose assumed error of half a span enters the other error bars. joint_covariance (n, n): of
+    all unknowns with that error of the fixed ones, in spans. discrepancy_m: standard deviation per axis of the model
+    error that the stated errors do not explain.
     """
 
     setup: Setup
     start: Setup
     estimates: tuple[Estimate, ...]
     covariance: Array
+    joint_covariance: Array = field(repr=False)
     runs: tuple[RunFit, ...]
     log_likelihood: float
     loss: float
@@ -149,6 +152,8 @@ class Fit:
     """-2 ln L at the end of the search from each starting point, relative to the best."""
     problem: LeastSquaresProblem = field(repr=False)
     solution: Solution = field(repr=False)
+    model_error: ModelErrorPosterior | None = field(default=None, repr=False)
+    """What the residuals leave possible of errors of the model; None where what is not free counts as exact."""
 
     def __getitem__(self, name: str) -> Estimate:
         """The estimate of that name; of a per-run parameter that of the first run."""

@@ -14,6 +14,7 @@ from calibration.identify.data import MIN_FRAMES, Poses
 from calibration.identify.fit import identify
 from calibration.identify.parallel_map import Progress, parallel_map
 from calibration.identify.parameters import Prior, Setup, known, named
+from calibration.identify.pressure_history import pressure_history
 from calibration.identify.pressure_smoothing import smoothed
 from calibration.identify.tip_predictor import FINE_SUBSTEPS, SUBSTEPS, Predictor
 
@@ -45,9 +46,10 @@ def plan(
 ) -> Poses:
     """An experiment that has not been done: pressures (K, N), weights (K,), tips unknown."""
     errors, k = errors or MeasurementErrors(), len(pressure_pa)
+    time_s = np.arange(k, dtype=np.float64) * (period_s or 1.0)
     return Poses(
         run_id=run_id,
-        source="simulated",
+        source=f"simulated {run_id}",
         period_s=period_s,
         pressure_pa=pressure_pa,
         pressure_std_pa=np.full(pressure_pa.shape, errors.pressure_pa),
@@ -56,15 +58,23 @@ def plan(
         tip_m=np.full((k, 3), np.nan),
         covariance_m2=np.tile(np.diag(np.square(errors.tip_m)), (k, 1, 1)),
         frames=np.full(k, 1 if period_s else MIN_FRAMES, np.int64),
-        time_s=np.arange(k, dtype=np.float64) * (period_s or 1.0),
+        time_s=time_s,
+        history=pressure_history(time_s, pressure_pa, time_s),
     )
 
 
-def perform(planned: Poses, truth: Setup, rng: np.random.Generator, errors: MeasurementErrors | None = None) -> Poses:
+def perform(
+    planned: Poses,
+    truth: Setup,
+    rng: np.random.Generator,
+    errors: MeasurementErrors | None = None,
+    felt_pa: Array | None = None,
+) -> Poses:
     """Do a planned experiment on a simulated arm; its pressures are the true ones, the result's the measured ones.
 
-    A motion's true pressures go through the planned ones in a smooth curve; measured ones come as late as `truth` says
-    and are smoothed, as those of an archive.
+    felt_pa (K, N): pressures that a static arm responds to, where these are not its own. A motion's true pressures go
+    through the planned ones in a smooth curve; measured ones come as late as `truth` says and are smoothed, as those of
+    an archive.
     """
     errors = errors or MeasurementErrors()
     plant = replace(truth, sensor_offset_pa=(), sensor_gain=(), sensor_lag_s=0.0)
@@ -86,7 +96,7 @@ def perform(planned: Poses, truth: Setup, rng: np.random.Generator, errors: Meas
         samples = read(curve(sampled_s - truth.sensor_lag_s), errors.pressure_pa * _SAMPLES**0.5)
         measured_pa = smoothed(samples)[0][::_SAMPLES]
     else:
-        tips = Predictor(planned)(plant)
+        tips = Predictor(planned if felt_pa is None else replace(planned, pressure_pa=felt_pa))(plant)
         measured_pa = read(planned.pressure_pa, errors.pressure_pa)
     return replace(
         planned,

@@ -29,6 +29,15 @@ SUBSTEPS = 2
 FINE_SUBSTEPS = 8
 _MAX_SOLVED = 64
 _MAX_SENSITIVITIES = 40
+_LOAD_STEP = 1e-3
+
+
+@dataclass(frozen=True)
+class PushResponse:
+    """Derivatives of tips by_pressure (K, 3, N) [m/Pa] and by_load (K, 3) [m], a relative change of the load."""
+
+    by_pressure: Array
+    by_load: Array
 
 
 @dataclass
@@ -113,15 +122,39 @@ class Predictor:
         poses = self.poses
         if not poses.pressure_std_pa.any():
             return np.zeros((len(poses), 3, 3))
-        some = np.unique(np.linspace(0, len(poses) - 1, min(len(poses), _MAX_SENSITIVITIES)).round().astype(int))
-        still, step = Predictor(replace(poses.only(some), period_s=0.0)), sensitivities.PRESSURE_STEP_PA
-        zeros = setup.sensor_offset_pa + step * np.eye(poses.actuators)
-        perturbed = [replace(setup, sensor_offset_pa=tuple(own)) for own in zeros.tolist()]
-        slope = np.nan_to_num(still.slopes(setup, perturbed, [step] * len(perturbed))).swapaxes(1, 2)
-        nearest = np.abs(np.arange(len(poses))[:, None] - some).argmin(axis=1)
+        still, nearest = self._at_rest()
+        slope = _by_pressure(still, setup).swapaxes(1, 2)
         spread = slope[nearest] * poses.pressure_std_pa[:, :, None]
         out: Array = np.swapaxes(spread, 1, 2) @ spread
         return out
+
+    def push_response(self, setup: Setup) -> PushResponse:
+        """How the tips at rest respond to the pressures that push the arm, and to the load."""
+        still, nearest = self._at_rest()
+        poses = still.poses
+        by_pressure = _by_pressure(still, setup) * -np.array(setup.sensor_gain)
+        by_load = np.zeros((len(poses), 3))
+        if poses.weight_kg.any() or poses.wrench.any():
+            more = 1.0 + _LOAD_STEP
+            heavier = Predictor(replace(poses, weight_kg=poses.weight_kg * more, wrench=poses.wrench * more))
+            by_load = np.nan_to_num((heavier(setup) - still(setup)) / _LOAD_STEP)
+        return PushResponse(by_pressure[nearest], by_load[nearest])
+
+    def _at_rest(self) -> tuple[Predictor, NDArray[np.intp]]:
+        """A predictor of some poses as equilibria, and the number (K,) of the nearest of them for each pose."""
+        count = len(self.poses)
+        some = np.unique(np.linspace(0, count - 1, min(count, _MAX_SENSITIVITIES)).round().astype(int))
+        nearest = np.abs(np.arange(count)[:, None] - some).argmin(axis=1)
+        return Predictor(replace(self.poses.only(some), period_s=0.0)), nearest
+
+
+def _by_pressure(still: Predictor, setup: Setup) -> Array:
+    """Derivatives (K, 3, N) of tips at rest by the offsets of the sensors."""
+    step = sensitivities.PRESSURE_STEP_PA
+    zeros = setup.sensor_offset_pa + step * np.eye(still.poses.actuators)
+    perturbed = [replace(setup, sensor_offset_pa=tuple(own)) for own in zeros.tolist()]
+    out: Array = np.nan_to_num(still.slopes(setup, perturbed, [step] * len(perturbed)))
+    return out
 
 
 def _left_jacobian(rotvec: Array) -> Array:

@@ -44,11 +44,30 @@ def fits_by_start(found: FitsByStart) -> None:
         )
 
 
-def estimates(fit: Fit, as_json: bool, under: Baseline | None = None) -> None:
+def as_json(fit: Fit, under: Baseline | None, predicted: Sequence[Prediction]) -> None:
+    """Print the content of a parameter file and the predictions of held-out runs, as JSON."""
+    facts = content(fit, baseline=under) | {"predictions": [_prediction_facts(one) for one in predicted]}
+    typer.echo(json.dumps(plain_json(facts), indent=2))
+
+
+def _prediction_facts(found: Prediction) -> dict[str, object]:
+    return {
+        "run": found.run_id,
+        "rms_before_mm": 1e3 * found.rms_before_m,
+        "rms_mm": 1e3 * found.rms_m,
+        "mean_mm": 1e3 * found.mean_m,
+        "std_mm": 1e3 * found.std_m,
+        "share_in_95": dict(zip(("x", "y", "z", "ellipsoid"), found.share_in_95.tolist(), strict=True)),
+        "time_s": found.time_s.tolist(),
+        "measured_mm": (1e3 * found.measured_m).tolist(),
+        "predicted_mm": (1e3 * found.predicted_m).tolist(),
+        "interval_95_mm": (1e3 * found.interval_m).tolist(),
+        "covariance_mm2": (1e6 * found.covariance_m2).tolist(),
+    }
+
+
+def estimates(fit: Fit) -> None:
     """Print the estimates with error bars or verdicts, what was held, and the residuals of each run."""
-    if as_json:
-        typer.echo(json.dumps(plain_json(content(fit, baseline=under)), indent=2))
-        return
     screen = console()
     free = [(e, fixed) for e, fixed in zip(fit.estimates, fit.fixed, strict=True) if not e.nuisance]
     table = Table(box=None, padding=(0, 2, 0, 0))
@@ -188,6 +207,8 @@ def prediction_errors(found: Sequence[Prediction], beside_json: bool) -> None:
         how = ", under its measured wrench" if one.under_wrench else ""
         errors = f"rms {1e3 * one.rms_before_m:.3f} -> {1e3 * one.rms_m:.3f} mm, "
         errors += f"mean {1e3 * one.mean_m:.3f} mm, 95 % below {1e3 * one.p95_m:.3f} mm"
+        x, y, z, whole = (f"{100 * share:.0f} %" for share in one.share_in_95)
+        errors += f"; stated {1e3 * one.std_m:.3f} mm; in their 95 % intervals: x {x}, y {y}, z {z}, ellipsoid {whole}"
         if one.unsolved:
             errors += f"; {one.unsolved} of {len(one.error_m)} frames have no prediction and are excluded"
         results([f"{one.run_id} (left out{how}): {errors}"], beside_json)

@@ -132,8 +132,11 @@ def fit(
         output.failure(best)
         raise typer.Exit(FAULT)
     output.fits_by_start(found)
-    output.estimates(best, json, under)
     predictions = done.predictions()
+    if json:
+        output.as_json(best, under, predictions)
+    else:
+        output.estimates(best)
     output.prediction_errors(predictions, json)
     intervals: tuple[LikelihoodProfile, ...] = ()
     refits = None

@@ -113,6 +113,25 @@ def test_the_report_holds_everything_and_loads_nothing(
     assert low < high
 
 
+def test_json_holds_the_predictions_with_intervals_from_which_their_coverage_follows(
+    bench: dict[str, str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    free = "law,rpe_per_bar,sensor_offsets"
+    rig(bench["weights"], bench["one"], "--leave-out", bench["two"], "--free", free, "--json")
+    said = capsys.readouterr()
+    (found,) = json.loads(said.out)["predictions"]
+    assert found["run"] == "two"
+    measured, predicted = np.array(found["measured_mm"]), np.array(found["predicted_mm"])
+    low, high = np.moveaxis(np.array(found["interval_95_mm"]), 2, 0)
+    std = np.sqrt(np.diagonal(np.array(found["covariance_mm2"]), axis1=1, axis2=2))
+    assert measured.shape == std.shape == (len(found["time_s"]), 3)
+    assert high - low == pytest.approx(2 * 1.96 * std, rel=1e-3)
+    inside = ((low <= measured) & (measured <= high)).mean(axis=0)
+    assert inside == pytest.approx([found["share_in_95"][axis] for axis in "xyz"])
+    assert found["rms_mm"] == pytest.approx(np.sqrt(((measured - predicted) ** 2).sum(axis=1).mean()))
+    assert re.search(r"two \(left out\): .*; stated [\d.]+ mm; in their 95 % intervals: x \d+ %", said.err)
+
+
 def test_a_comparison_ends_with_a_table_like_the_papers_and_a_sentence(
     bench: dict[str, str], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -1,0 +1,110 @@
+"""Terms of the model error: effects of real arms that the model does not contain, with plausible amounts.
+
+Each term is an error of the pressures that push the arm, or of the load, linear in a few coefficients. The tips respond
+to it as they respond to pressures and loads. So an error that the fitted parameters absorb on the fitted poses shows up
+in other poses as far as the model says.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calibration.identify.data import Poses
+from calibration.identify.tip_predictor import PushResponse
+
+Array = NDArray[np.float64]
+
+_PA_PER_BAR = 1e5
+
+
+@dataclass(frozen=True)
+class ModelErrorTerm:
+    """One kind of model error.
+
+    scale: standard deviation of its amplitude over arms, before anything is known of this one. push: by poses and their
+    reference pressure [Pa], the pressure errors (K, N, m) [Pa] per unit of its m coefficients; None for the load, whose
+    one coefficient is a relative error of its effect.
+    """
+
+    name: str
+    about: str
+    scale: float
+    push: Callable[[Poses, float], Array] | None
+
+
+def _per_actuator(amount: Array) -> Array:
+    """Errors (K, N, N + 1): of each actuator with its own coefficient, and of all with a common one; amount (K, N)."""
+    own = amount[:, :, None] * np.eye(amount.shape[1])
+    out: Array = np.concatenate([own, amount[:, :, None]], axis=2) / np.sqrt(2.0)
+    return out
+
+
+def _gain(poses: Poses, _: float) -> Array:
+    return _per_actuator(poses.pressure_pa)
+
+
+def _coupling(poses: Poses, _: float) -> Array:
+    pressure, count = poses.pressure_pa, poses.actuators
+    pairs = [(i, j) for i in range(count) for j in range(count) if i != j]
+    out = np.zeros((len(poses), count, len(pairs) + 1))
+    for k, (i, j) in enumerate(pairs):
+        out[:, i, k] = pressure[:, j]
+    out[:, :, -1] = pressure.sum(axis=1, keepdims=True) - pressure
+    out /= np.sqrt(2.0)
+    return out
+
+
+def _own_curvature(poses: Poses, reference_pa: float) -> Array:
+    return _per_actuator(poses.pressure_pa**2 / reference_pa)
+
+
+def _sum_curvature(poses: Poses, reference_pa: float) -> Array:
+    others = poses.pressure_pa.sum(axis=1, keepdims=True) - poses.pressure_pa
+    return _per_actuator(poses.pressure_pa * others / reference_pa)
+
+
+def _direction(poses: Poses, _: float) -> Array:
+    return _per_actuator(poses.history.direction * _PA_PER_BAR)
+
+
+def _creep(poses: Poses, _: float) -> Array:
+    missing = poses.pressure_pa[:, :, None] - poses.history.lagged_pa
+    return np.concatenate([_per_actuator(missing[:, :, k]) for k in range(missing.shape[2])], axis=2)
+
+
+TERMS = (
+    ModelErrorTerm("gain", "unequal actuators", 0.03, _gain),
+    ModelErrorTerm("coupling", "a share of the pressures of the other chambers", 0.04, _coupling),
+    ModelErrorTerm("own pressure", "a push that is not proportional to the pressure", 0.08, _own_curvature),
+    ModelErrorTerm("combination", "a push that depends on the pressures of the others", 0.04, _sum_curvature),
+    ModelErrorTerm("direction", "hysteresis: the direction of the last change", 0.01, _direction),
+    ModelErrorTerm("time since step", "creep behind the pressure", 0.04, _creep),
+    ModelErrorTerm("load", "an arm that is stiffer or softer under loads", 0.03, None),
+)
+
+
+@dataclass(frozen=True)
+class ErrorColumns:
+    """How tips respond to each coefficient of the terms: tip_m (K, 3, m), and the term (m,) of each coefficient."""
+
+    tip_m: Array
+    term: NDArray[np.intp]
+
+
+def error_columns(
+    poses: Poses, response: PushResponse, reference_pa: float, terms: Sequence[ModelErrorTerm] = TERMS
+) -> ErrorColumns:
+    """The columns of all terms for some poses."""
+    columns, numbers = [], []
+    for k, term in enumerate(terms):
+        if term.push is None:
+            column = response.by_load[:, :, None]
+        else:
+            column = np.einsum("kin,knm->kim", response.by_pressure, term.push(poses, reference_pa))
+        columns.append(column)
+        numbers += [k] * column.shape[2]
+    return ErrorColumns(np.concatenate(columns, axis=2), np.array(numbers))

@@ -1,0 +1,67 @@
+"""History of the pressures at a pose: time since the last change, direction of that change, lagged pressures."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import lfilter
+
+Array = NDArray[np.float64]
+
+# Time constants of the lagged pressures.
+LAGS_S = (1.0, 10.0, 100.0)
+# A smaller movement of a pressure is no change of its direction.
+DEAD_BAND_PA = 300.0
+# Samples per second that the history is computed from.
+_RATE_HZ = 20.0
+
+
+@dataclass(frozen=True)
+class PressureHistory:
+    """The past of the pressures of K poses.
+
+    since_change_s (K,): time since the last change of any pressure. direction (K, N): sign of the last change of each
+    pressure, 0 before its first. lagged_pa (K, N, L): the pressures behind first-order lags of `LAGS_S`.
+    """
+
+    since_change_s: Array
+    direction: Array
+    lagged_pa: Array
+
+    def only(self, chosen: NDArray[np.bool_] | NDArray[np.intp]) -> PressureHistory:
+        """The history of some of the poses."""
+        return PressureHistory(self.since_change_s[chosen], self.direction[chosen], self.lagged_pa[chosen])
+
+
+def pressure_history(time_s: Array, pressure_pa: Array, at_s: Array) -> PressureHistory:
+    """The history at times (K,) of pressures (n, N) sampled at times (n,); before the first sample they were zero.
+
+    Changes below the dead band are ignored: a play operator follows each pressure.
+    """
+    count = max(2, 1 + int(np.ceil((time_s[-1] - time_s[0]) * _RATE_HZ)))
+    grid_s = np.linspace(time_s[0], time_s[-1], count)
+    grid = np.stack([np.interp(grid_s, time_s, column) for column in pressure_pa.T], axis=1)
+    moved = _movements(grid)
+    place = np.clip(np.searchsorted(grid_s, at_s, side="right") - 1, 0, count - 1)
+    changed = np.maximum.accumulate(np.where(moved != 0, np.arange(count)[:, None], -1), axis=0)
+    last = changed[place]
+    direction = np.where(last >= 0, np.take_along_axis(moved, np.maximum(last, 0), axis=0), 0.0)
+    since_s = at_s - np.where(last.max(axis=1) >= 0, grid_s[np.maximum(last.max(axis=1), 0)], grid_s[0])
+    step_s = grid_s[1] - grid_s[0]
+    lagged = []
+    for lag_s in LAGS_S:
+        keep = np.exp(-step_s / lag_s)
+        lagged.append(np.asarray(lfilter([1 - keep], [1, -keep], grid, axis=0))[place])
+    return PressureHistory(np.maximum(since_s, 0.0), direction, np.stack(lagged, axis=2))
+
+
+def _movements(pressure_pa: Array) -> Array:
+    """Sign (n, N) of each movement of a play operator that follows pressures (n, N) from zero."""
+    out, value = np.zeros_like(pressure_pa), np.zeros(pressure_pa.shape[1])
+    for k, row in enumerate(pressure_pa):
+        followed = np.clip(value, row - DEAD_BAND_PA, row + DEAD_BAND_PA)
+        out[k] = np.sign(followed - value)
+        value = followed
+    return out
