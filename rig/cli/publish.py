@@ -19,13 +19,20 @@ def publish(
         typer.Option(metavar="NAME", help="Creator, as 'Ada Lovelace 0000-0002-1825-0097'; may be repeated."),
     ] = None,
     licence: Annotated[str, typer.Option(metavar="SPDX", help="Licence of the data, as CC-BY-4.0.")] = "",
+    elabftw: Annotated[
+        str, typer.Option(metavar="URL", help="Also add the crate to this eLabFTW server, as a new experiment.")
+    ] = "",
     replace: Replace = False,
 ) -> None:
-    """Write runs as a crate (RO-Crate) for a data repository: metadata, checksums, licence, fields."""
+    """Write runs as a crate (RO-Crate) for a data repository: metadata, checksums, licence, fields.
+
+    --elabftw takes the key of the API from the environment variable ELABFTW_API_KEY.
+    """
     from protocols.problems import BadInputError, Problem
     from rig.cli.run_names import resolve
     from rig.publish.crate import write
     from rig.publish.description import describe
+    from rig.publish.elabftw import Notebook, entry
     from runs.run import Run
 
     if to.suffix.lower() != ".zip":
@@ -33,4 +40,8 @@ def publish(
     runs = [Run(path) for path in dict.fromkeys(resolve(archive) for archive in archives)]
     if (names := [run.path.name for run in runs]) and len(set(names)) < len(names):
         raise BadInputError([Problem("RUN", 0, 0, "", ", ".join(names), "archives of different file names")])
-    typer.echo(write(runs, describe(runs, title, creator or (), licence), to, replace=replace))
+    description = describe(runs, title, creator or (), licence)
+    notebook = Notebook.of_environment(elabftw) if elabftw else None
+    typer.echo(write(runs, description, to, replace=replace))
+    if notebook is not None:
+        typer.echo(notebook.add(description.title, *entry(runs, description), to))
