@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import signal
 import sys
+import threading
 
 
 def _stand_in_for_closed() -> None:
@@ -24,6 +25,28 @@ def _stand_in_for_closed() -> None:
         sys.stderr = open(2, "w", closefd=False)  # noqa: SIM115
 
 
+def _repeat_ignored_interrupts() -> None:
+    """Send SIGINT again when Python ignores its KeyboardInterrupt.
+
+    Python ignores every exception in a destructor and in the callback of a weak reference; the command would go on.
+    """
+    report = sys.unraisablehook
+
+    def hook(ignored: sys.UnraisableHookArgs) -> None:
+        if issubclass(ignored.exc_type, KeyboardInterrupt):
+            main_thread = threading.main_thread().ident
+            assert main_thread is not None
+            # Not at once: that exception would be raised in this hook, and ignored too.
+            threading.Timer(_REPEAT_S, signal.pthread_kill, (main_thread, signal.SIGINT)).start()
+        else:
+            report(ignored)
+
+    sys.unraisablehook = hook
+
+
+_REPEAT_S = 0.01
+
+
 def main() -> None:
     """Load the command, then obey it."""
     _stand_in_for_closed()
@@ -40,6 +63,7 @@ def main() -> None:
 
     if loud:
         signal.signal(signal.SIGINT, signal.default_int_handler)
+        _repeat_ignored_interrupts()
     try:
         cli.main()
     except KeyboardInterrupt:  # before the command line is read; a command reports it itself

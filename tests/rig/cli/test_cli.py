@@ -113,6 +113,25 @@ def test_ctrl_c_before_the_command_line_is_read_ends_the_program_silently() -> N
     assert (done.returncode, done.stdout, done.stderr) == (130, "", "")
 
 
+def test_ctrl_c_that_falls_into_a_weak_references_callback_still_ends_the_command() -> None:
+    code = (
+        "import signal, time, weakref\n"
+        "class Thing: pass\n"
+        "from rig.cli import app\n"
+        "@app.app.command()\n"
+        "def wait():\n"
+        "    thing = Thing()\n"
+        "    reference = weakref.ref(thing, lambda gone: signal.raise_signal(signal.SIGINT))\n"
+        "    del thing\n"
+        "    time.sleep(30)\n"
+        "    print('the command went on')\n"
+        "import sys; sys.argv = ['rig', 'wait']\n"
+        "from rig.__main__ import main; main()"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (130, "", "interrupted\n")
+
+
 def test_ctrl_c_while_modules_load_ends_the_program_silently() -> None:
     interrupted_in_an_import = (
         "import os, signal, sys\n"
