@@ -21,7 +21,7 @@ os.environ["NUMBA_DISABLE_JIT"] = "1"
 import numpy as np
 from rod import DT, path_of_sine
 
-import model.kernels.pointwise_law
+import model.laws.quadratic_compliance
 from model import Arm
 from model.dynamics import Dynamics
 from model.kernels.axis import place_tip
@@ -142,7 +142,7 @@ def count(roots: list[Number]) -> Counter[str]:
 
 def second(variant: str, nodes: int) -> dict[str, int]:
     """Steps, passes and operations of the benchmark's second."""
-    model.kernels.pointwise_law.math = SimpleNamespace(sqrt=root)  # type: ignore[attr-defined]
+    model.laws.quadratic_compliance.math = SimpleNamespace(sqrt=root)  # type: ignore[attr-defined]
     arm = Arm.paper(variant)  # type: ignore[arg-type]
     path = path_of_sine(30)
     moving = Dynamics(arm, DT, nodes=nodes)
@@ -156,7 +156,7 @@ def second(variant: str, nodes: int) -> dict[str, int]:
         # With up to three tubes, there are no others: what is added for them is no operation.
         work[OTHERS * LANES : (OTHERS + SUMS) * LANES] = 0.0
         done = advance(
-            work, problem.law, problem.actuators, problem.rest[0], problem.per_pressure[0], problem.free_per_pa, before,
+            work, problem.walls, problem.rest[0], problem.per_pressure[0], problem.free_per_pa, before,
             row, moving._load, moving._loaded, moving._tip, problem.length_m, moving._segments, problem.scale,
             moving._coefficients, trail, x, room, TOLERANCE_IN_MOTION,
         )  # fmt: skip

@@ -42,8 +42,8 @@ def statics(
 ) -> Tips:
     """Tips at rest for rows of pressure_pa (B, N) [Pa]: one arm for all rows, or one arm per row.
 
-    The arms must share the number of actuators, the section rule and the actuation law. nodes: steps along each arm, by
-    default as many as the most slender one needs. Raises ValueError for what does not fit.
+    The arms must share the number of actuators, the constitutive law and the actuation law. nodes: steps along each
+    arm, by default as many as the most slender one needs. Raises ValueError for what does not fit.
     """
     rows = np.array(pressure_pa, dtype=np.float64)
     given = [arms] if isinstance(arms, Arm) else list(arms)
@@ -67,7 +67,7 @@ def statics(
             works = layout.aligned(len(problems), len(first.prepared))
             works[:] = [p.prepared for p in problems]
             equilibria(
-                works, first.law, first.actuators,
+                works, first.walls,
                 np.concatenate([p.stiffness for p in problems]), np.concatenate([p.rest for p in problems]),
                 np.concatenate([p.per_pressure for p in problems]), np.array([p.free_per_pa for p in problems]),
                 rows[at], np.array([load for load, _ in loads]), any(loaded for _, loaded in loads),
@@ -109,9 +109,11 @@ def motions(
 def _check(arms: list[Arm], pressure: Array, axes: int) -> None:
     if not arms:
         raise ValueError("no arm given")
-    kinds = {(arm.geometry.actuators, arm.section_rule, arm.actuation.name) for arm in arms}
+    kinds = {arm.kind for arm in arms}
     if len(kinds) > 1:
-        raise ValueError(f"the arms of a batch must share actuators, section rule and actuation, got {sorted(kinds)}")
+        raise ValueError(
+            f"the arms of a batch must share actuators, constitutive law and actuation, got {sorted(kinds)}"
+        )
     actuators, *_ = kinds.pop()
     if pressure.ndim != axes or pressure.shape[-1] != actuators:
         raise ValueError(f"pressure_pa must have {axes} axes, the last of {actuators}, got shape {pressure.shape}")

@@ -89,7 +89,7 @@ class Dynamics:
         """The arm in motion, after `start`, as `dynamic_sensitivities` takes it: nothing on its tip but the cap."""
         problem = self._problem
         return (
-            self._work, problem.law, problem.actuators, problem.free_per_pa, self._before, self._load, self._loaded,
+            self._work, problem.walls, problem.free_per_pa, self._before, self._load, self._loaded,
             problem.cap, problem.length_m, self._segments, problem.scale, self._coefficients, self._trail, self._x,
             self._room, TOLERANCE_IN_MOTION, problem.centre_m,
         )  # fmt: skip
@@ -190,7 +190,7 @@ class Dynamics:
         problem, count = self._problem, len(rows)
         tips, turns, good = np.empty((count, 3)), np.empty((count, 3, 3)), np.empty(count, dtype=np.bool_)
         passes = motion(
-            self._work, problem.law, problem.actuators, problem.stiffness, problem.rest, problem.per_pressure,
+            self._work, problem.walls, problem.stiffness, problem.rest, problem.per_pressure,
             problem.free_per_pa, self._before, rows, self._load, self._loaded, self._tip, problem.length_m,
             self._segments, problem.scale, self._coefficients, self._trail, self._x, self._pool, TOLERANCE_IN_MOTION,
             problem.centre_m, tips, turns, good,
@@ -207,10 +207,7 @@ class Dynamics:
     def _growth(self) -> float:
         """Exponent by which the stiffest mode grows along the arm within one time step's equations, c0 L / c_shear."""
         material, geometry = self._arm.material, self._arm.geometry
-        stiffness = float(self._arm.stiffness_n(np.zeros(geometry.actuators)).min())
-        if self._arm.section_rule != "linear":
-            # A tube that follows eq 32 is about half as stiff at the paper's highest pressure.
-            stiffness *= 0.5
+        stiffness = self._arm.law.softest * float(self._arm.stiffness_n(np.zeros(geometry.actuators)).min())
         slowest = math.sqrt(material.shear_ratio * stiffness / (material.density_kg_m3 * geometry.wall_area_m2))
         return self._scheme.c0 * geometry.length_m / slowest
 

@@ -12,6 +12,9 @@ from model.actuation import PA_PER_BAR
 from model.arm import Arm
 from model.geometry import Geometry
 from model.kernels import layout
+from model.kernels.law import Walls, kernel_law
+from model.laws.base import TubeLaw
+from model.laws.quadratic_compliance import QuadraticCompliance
 from model.loads import Loads
 from model.section import CrossSection, section, upper
 
@@ -29,8 +32,7 @@ class KernelArguments:
     kernels take a copy of the work array, and the others are never written.
     """
 
-    law: int
-    actuators: int
+    walls: Walls
     prepared: Array
     stiffness: Array
     rest: Array
@@ -45,7 +47,7 @@ class KernelArguments:
     def of(cls, arm: Arm, pressure_pa: Array, c0: float = 0.0) -> KernelArguments:
         """Prepare the arm; pressures (R, N) matter only to an arm whose sections differ `by_pressure`."""
         prepared = _prepared(arm, c0)
-        if arm.frozen:
+        if arm.law.frozen:
             stiffness, rest, per_pressure = _frozen(arm, c0).at(arm.stiffness_n(pressure_pa))
             work = prepared.prepared.copy()
             work.reshape(-1, layout.LANES)[layout.AXIAL : layout.OFFSET] = stiffness[0, :, None]
@@ -62,7 +64,7 @@ class KernelArguments:
         geometry, material = arm.geometry, arm.material
         centre = geometry.centroid_m
         xy = geometry.positions_m - centre
-        pointwise = arm.section_rule == "pointwise"
+        pointwise = arm.law.pointwise
         stiffness_n = arm.stiffness_n(np.zeros(len(xy)))
         whole = section(geometry, xy, stiffness_n, material.shear_ratio, arm.rpe_per_bar, arm.rpe_as)
         if pointwise:
@@ -70,8 +72,7 @@ class KernelArguments:
             whole = CrossSection(whole.axial, whole.shear, np.zeros(6), _push_wrench(geometry))
         work = _work(arm, xy, whole, c0, pointwise)
         return cls(
-            law=layout.POINTWISE if pointwise else layout.LINEAR,
-            actuators=len(xy),
+            walls=_walls(arm),
             prepared=work,
             stiffness=work.reshape(-1, layout.LANES)[None, layout.AXIAL : layout.OFFSET, 0].copy(),
             rest=whole.rest[None],
@@ -111,6 +112,12 @@ class KernelArguments:
 @lru_cache(maxsize=32)
 def _no_load(nodes: int) -> Array:
     return np.zeros(6 * (2 * nodes + 1))
+
+
+def _walls(arm: Arm) -> Walls:
+    # Where no tube follows a law any will do: kernels of the default one are always compiled.
+    law = arm.law if isinstance(arm.law, TubeLaw) else QuadraticCompliance()
+    return Walls(arm.law.pointwise, kernel_law(law.name, law.response), arm.geometry.actuators)
 
 
 @lru_cache(maxsize=64)
@@ -185,6 +192,15 @@ def _scale(length_m: float, c0: float) -> Array:
     return np.concatenate([scale, 1 / scale])
 
 
+def _law_constants(arm: Arm) -> list[float]:
+    constants = arm.law.constants(arm.material, arm.geometry)
+    if len(constants) > layout.LAW_CONSTANTS:
+        raise ValueError(
+            f"the law {arm.law.name} has {len(constants)} constants, the kernels take {layout.LAW_CONSTANTS}"
+        )
+    return [*constants, *[0.0] * (layout.LAW_CONSTANTS - len(constants))]
+
+
 def _work(arm: Arm, xy: Array, whole: CrossSection, c0: float, pointwise: bool) -> Array:
     work = layout.aligned(layout.work_size(len(xy)) // layout.LANES, layout.LANES)
     geometry, material = arm.geometry, arm.material
@@ -192,7 +208,7 @@ def _work(arm: Arm, xy: Array, whole: CrossSection, c0: float, pointwise: bool) 
     x, y = xy.T
     xx, yy, xys = (area * x * x + second).sum(), (area * y * y + second).sum(), (area * x * y).sum()
     inertia = material.density_kg_m3 * np.array([yy, xx, -xys, xx + yy])
-    tube = [material.a1_per_n, material.a2_per_n2, material.shear_ratio, second / area]
+    tube = [material.shear_ratio, second / area, *_law_constants(arm)]
     tau = material.damping_s
     grown = 1 + tau * c0
     share = tau if pointwise else grown

@@ -30,8 +30,6 @@ from model.statics import steps_along
 
 Array = NDArray[np.float64]
 
-LINEAR_PARAMETERS = ("youngs_modulus_pa", "rpe_per_bar", "shear_ratio")
-EQ_32_PARAMETERS = ("a1_per_n", "a2_per_n2", "rpe_per_bar", "shear_ratio")
 STEP = 1e-7
 PRESSURE_STEP_PA = 0.01
 # Reference magnitude for the step of a parameter that is zero.
@@ -102,7 +100,7 @@ class TipGradient:
 def tip_gradient(arm: Arm, pressure_pa: ArrayLike, loads: Loads | None = None, nodes: int | None = None) -> TipGradient:
     """The tip at rest and its gradient by the section's material and the pressures. Raises as `statics` does."""
     pressure, nodes = pressures(arm, pressure_pa), steps_along(arm, nodes)
-    names = _material(arm)
+    names = _parameters(arm)
     if arm.by_pressure:
         stack = _Stack.of(arm, _varied(arm, pressure), nodes, pressure[None])
     else:
@@ -229,30 +227,26 @@ def _check_changes(arm: Arm, changes: Sequence[Variation], rows: Array) -> None:
     if not np.isfinite(rows).all():
         raise ValueError("pressures must be finite")
     for change in changes:
-        if _kind(change.arm) != _kind(arm):
-            raise ValueError("a change must keep the number of actuators, the section rule and the actuation law")
+        if change.arm.kind != arm.kind:
+            raise ValueError("a change must keep the number of actuators, the constitutive law and the actuation law")
         if not (np.isfinite(change.step) and change.step != 0):
             raise ValueError(f"a change needs a step that is not zero, got {change.step}")
         if change.pressure_pa is not None and change.pressure_pa.shape != rows.shape:
             raise ValueError(f"a change has pressures of shape {change.pressure_pa.shape}, the arm {rows.shape}")
 
 
-def _kind(arm: Arm) -> tuple[int, str, str]:
-    return arm.geometry.actuators, arm.section_rule, arm.actuation.name
-
-
-def _material(arm: Arm) -> tuple[str, ...]:
+def _parameters(arm: Arm) -> tuple[str, ...]:
     """The material's fields that the section rests on."""
-    return LINEAR_PARAMETERS if arm.section_rule == "linear" else EQ_32_PARAMETERS
+    return (*arm.law.parameters, "rpe_per_bar", "shear_ratio")
 
 
 def _varied(arm: Arm, pressure: Array) -> list[Variation]:
     """Changes of these fields and then of each pressure (N,)."""
     changes = []
-    for name in _material(arm):
+    for name in _parameters(arm):
         value = getattr(arm.material, name)
         # A parameter that is zero, such as no effect of the radial pressure, moves by a share of what is usual.
-        step = STEP * abs(value) or STEP * USUAL[name]
+        step = STEP * abs(value) or STEP * USUAL.get(name, 1.0)
         changes.append(Variation(step, replace(arm, material=replace(arm.material, **{name: value + step}))))
     pressed = pressure + PRESSURE_STEP_PA * np.eye(len(pressure))
     return changes + [Variation(PRESSURE_STEP_PA, arm, own[None]) for own in pressed]
@@ -395,7 +389,7 @@ def _solve(stack: _Stack, rows: Array, hung: Array, nodes: int, room: Lanes) -> 
     place, turned, by = np.empty((count, 3)), np.empty((count, 3, 3)), np.empty((count, neighbours, 6))
     good, unstable = np.empty(count, dtype=np.bool_), np.empty(count, dtype=np.bool_)
     static_sensitivities(
-        stack.work, stack.works, first.law, first.actuators, first.stiffness, first.rest, first.per_pressure,
+        stack.work, stack.works, first.walls, first.stiffness, first.rest, first.per_pressure,
         first.free_per_pa, stack.stiffness, stack.rest, stack.per_pressure, stack.frees, stack.ends, rows, hung,
         stack.load, stack.loaded, stack.loaded_lanes, stack.heavy, first.cap, first.length_m, first.scale,
         first.centre_m, TOLERANCE_AT_REST, workspace_for(nodes), room, stack.steps, place, turned, by, good, unstable,

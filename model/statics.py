@@ -80,7 +80,7 @@ def states(arguments: KernelArguments, pressure: Array, tip: Array, load: Array,
     """
     room = workspace_for(len(load) // 12)
     passes = equilibrium(
-        arguments.work(), arguments.law, arguments.actuators, arguments.rest[0], arguments.per_pressure[0],
+        arguments.work(), arguments.walls, arguments.rest[0], arguments.per_pressure[0],
         arguments.free_per_pa, pressure, load, loaded, tip, arguments.length_m, arguments.scale, room,
         TOLERANCE_AT_REST,
     )  # fmt: skip

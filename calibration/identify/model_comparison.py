@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-import model
 from calibration.identify.data import NoDataError, Poses
 from calibration.identify.fit import identify
 from calibration.identify.held_out_prediction import with_mean_sensor_offsets
@@ -17,7 +17,8 @@ from calibration.identify.least_squares import LeastSquaresProblem
 from calibration.identify.parallel_map import Progress, parallel_map
 from calibration.identify.parameters import PUSH_GROWTH, Prior, Setup, named
 from calibration.identify.tip_predictor import SUBSTEPS, Predictor
-from model.actuation import ACTUATION_LAWS, ActuationLaw, Proportional
+from model.actuation import ACTUATION_LAWS, Proportional
+from model.variants import MODULUS_RULES, POINTWISE, VARIANTS
 
 Array = NDArray[np.float64]
 
@@ -58,12 +59,12 @@ class Candidate:
     @property
     def inhomogeneous(self) -> bool:
         """First column of Table 3."""
-        return self.start.arm.variant.startswith("inhomogeneous")
+        return self.start.arm.law.pointwise or self.start.arm.law.frozen
 
     @property
     def radial(self) -> bool:
         """Second column of Table 3."""
-        return self.start.arm.variant != "homogeneous"
+        return self.start.arm.radial_effect
 
 
 @dataclass(frozen=True)
@@ -93,30 +94,30 @@ class ModelComparison:
 
 
 def candidates(setup: Setup, free: Iterable[str] = (), moving: bool = False) -> tuple[Candidate, ...]:
-    """The paper's three models, the inhomogeneous one by each rule for E_i, and linear walls with a growing push.
+    """Every variant of the model, the inhomogeneous one by each rule for E_i, and linear walls with a growing push.
 
     With moving runs each has two variants: without damping and with fitted damping. Damping has no effect on static
     runs.
     """
     extra = tuple(free)
-    linear, law = ("youngs_modulus_pa", *extra), ("a1_per_n", "a2_per_n2", *extra)
 
-    def of(
-        variant: model.arm.Variant,
-        rule: model.arm.ModulusRule = "pointwise",
-        actuation: ActuationLaw = Proportional(),  # noqa: B008 - immutable
-    ) -> Setup:
-        return replace(setup, arm=replace(setup.arm, variant=variant, modulus_rule=rule, actuation=actuation))
+    def candidate(name: str, free: Iterable[str], **changes: Any) -> Candidate:
+        arm = replace(setup.arm, **{"actuation": Proportional(), "modulus_rule": POINTWISE, **changes})
+        return Candidate(name, replace(setup, arm=arm), (*arm.law.parameters, *extra, *free))
 
-    out = [
-        Candidate("homogeneous", of("homogeneous"), linear),
-        Candidate("homogeneous+rpe", of("homogeneous+rpe"), (*linear, "rpe_per_bar")),
-    ]
-    rules: tuple[model.arm.ModulusRule, ...] = ("pointwise", "secant", "tangent", "paper-secant", "paper-tangent")
-    out += [Candidate(f"inhomogeneous+rpe, {r}", of("inhomogeneous+rpe", r), (*law, "rpe_per_bar")) for r in rules]
+    out = []
+    for variant in VARIANTS.values():
+        radial = ("rpe_per_bar",) if variant.radial_effect else ()
+        if variant.rules:
+            out += [
+                candidate(f"{variant.name}, {rule}", radial, variant=variant.name, modulus_rule=rule)
+                for rule in MODULUS_RULES
+            ]
+        else:
+            out.append(candidate(variant.name, radial, variant=variant.name))
     growing = [growing_law() for growing_law in ACTUATION_LAWS.values() if growing_law.grows]
     out += [
-        Candidate(f"homogeneous, {push.name}", of("homogeneous", actuation=push), (*linear, PUSH_GROWTH))
+        candidate(f"homogeneous, {push.name}", (PUSH_GROWTH,), variant="homogeneous", actuation=push)
         for push in growing
     ]
     return (

@@ -8,15 +8,11 @@ import numpy as np
 
 from calibration.identify.data import Poses
 from calibration.identify.parameters import PUSH_GROWTH, Parameter, Prior, Setup, known, named
+from model.variants import VARIANTS, variant_named
 
 # A turn about an axis with this share of gravity along it does not change the direction of gravity.
 _PARALLEL = 0.999
 MOTION_ONLY = frozenset({"damping_s", "sensor_lag_s", "sensor_filter_s"})
-_INERT_IN_VARIANT = {
-    "homogeneous": {"a1_per_n", "a2_per_n2", "rpe_per_bar"},
-    "homogeneous+rpe": {"a1_per_n", "a2_per_n2"},
-    "inhomogeneous+rpe": {"youngs_modulus_pa"},
-}
 
 
 def stated_values(setup: Setup, uncertainties: Mapping[str, float]) -> dict[str, Prior]:
@@ -35,7 +31,8 @@ def stated_values(setup: Setup, uncertainties: Mapping[str, float]) -> dict[str,
 def nuisance_parameters(setup: Setup, data: Sequence[Poses], free: Sequence[Parameter]) -> tuple[Parameter, ...]:
     """The parameters that the tips of the data depend on and that are not free."""
     moving = any(poses.moving for poses in data)
-    inert = set(_INERT_IN_VARIANT[setup.arm.variant])
+    own = variant_named(setup.arm.variant).parameters
+    inert = {name for variant in VARIANTS.values() for name in variant.parameters} - set(own)
     if not moving:
         inert |= MOTION_ONLY | (set() if setup.arm.rod_weight else {"density_kg_m3"})
     if not setup.arm.actuation.grows:

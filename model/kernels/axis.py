@@ -8,6 +8,7 @@ import numpy as np
 
 from model.kernels.equilibrium import UNSTABLE, equilibrium
 from model.kernels.jit import kernel
+from model.kernels.law import Walls
 from model.kernels.shooting import Workspace, room_within
 from model.kernels.time_stepping import advance, stiffen
 from model.kernels.vec3 import Triple, called, cross, inlined, leaf, plus, rotation
@@ -91,8 +92,7 @@ def place_tip(x: Array, length: float, centre: Array, place: Array, turned: Arra
 @kernel
 def motion(
     w: Array,
-    law: int,
-    actuators: int,
+    walls: Walls,
     stiffness: Array,
     rest: Array,
     per_pressure: Array,
@@ -123,7 +123,7 @@ def motion(
     pressure is not finite.
     """
     for t in range(pressure.shape[0]):
-        for k in range(actuators):
+        for k in range(walls.actuators):
             if not abs(pressure[t, k]) < np.inf:
                 return -1
     total, sections, room = 0, stiffness.shape[0], room_within(pool, x.shape[0] // 2 - 1)
@@ -132,7 +132,7 @@ def motion(
         if sections > 1:
             stiffen(w, stiffness[r])
         passes = advance(
-            w, law, actuators, rest[q], per_pressure[r], free, before, pressure[t], load, loaded, tip, length,
+            w, walls, rest[q], per_pressure[r], free, before, pressure[t], load, loaded, tip, length,
             segments, scale, scheme, trail, x, room, tolerance,
         )  # fmt: skip
         good[t] = passes > 0
@@ -145,8 +145,7 @@ def motion(
 @kernel
 def equilibria(
     works: Array,
-    law: int,
-    actuators: int,
+    walls: Walls,
     stiffness: Array,
     rest: Array,
     per_pressure: Array,
@@ -173,7 +172,7 @@ def equilibria(
         k, r, q = b % works.shape[0], b % stiffness.shape[0], b % rest.shape[0]
         stiffen(works[k], stiffness[r])
         passes = equilibrium(
-            works[k], law, actuators, rest[q], per_pressure[r], free[k], pressure[b], load[k], loaded, tips[k],
+            works[k], walls, rest[q], per_pressure[r], free[k], pressure[b], load[k], loaded, tips[k],
             length[k], scale[k], room, tolerance,
         )  # fmt: skip
         good[b], unstable[b] = passes > 0, passes == UNSTABLE

@@ -9,6 +9,7 @@ import numpy as np
 from model.kernels.axis import place_tip
 from model.kernels.jit import kernel
 from model.kernels.lanes import FIRST, Lanes, apply_pressure, apply_tip_load, places
+from model.kernels.law import Walls
 from model.kernels.layout import LANES, STATE
 from model.kernels.shooting import Workspace
 from model.kernels.tangents import tangents
@@ -74,7 +75,7 @@ def _update_history(past: Array, room: Lanes, last: int, a: float, b: float, d: 
 
 @kernel
 def dynamic_sensitivities(
-    w: Array, law: int, actuators: int, free: float, before: Array, load: Array, loaded: bool, tip: Array,
+    w: Array, walls: Walls, free: float, before: Array, load: Array, loaded: bool, tip: Array,
     length: float, segments: int, scale: Array, scheme: Array, trail: Array, x: Array, solver: Workspace,
     tolerance: float, centre: Array, stiffness: Array, rest: Array, per_pressure: Array, still_scale: Array,
     still_works: Array, still_stiffness: Array, still_rest: Array, still_per_pressure: Array, works: Array,
@@ -89,7 +90,7 @@ def dynamic_sensitivities(
     or one for all. past (W, N + 1, 192): room for the lanes' history. Without neighbours the lanes rest. Of every so
     many steps it fills place, turned, by (1 + T / every, ..) and good.
     """
-    row, here = np.empty(actuators), tip.copy()
+    row, here = np.empty(walls.actuators), tip.copy()
     c0, c1, c2, d1 = scheme[0], scheme[1], scheme[2], scheme[4]
     followed, now, sections = steps.shape[0] > 0, 0, stiffness.shape[0]
     for t in range(pressure.shape[0]):
@@ -98,11 +99,11 @@ def dynamic_sensitivities(
         solved = 1
         if t == 0 and followed:
             apply_pressure(
-                still_works, actuators, still_stiffness[0], still_rest[0], still_per_pressure[0], frees, ends,
+                still_works, walls.actuators, still_stiffness[0], still_rest[0], still_per_pressure[0], frees, ends,
                 pressure[t], hangs,
             )  # fmt: skip
             followed = tangents(
-                still_works, law, actuators, past, load, loaded_lanes, 0.0, heavy, segments, still_scale, x, room,
+                still_works, walls, past, load, loaded_lanes, 0.0, heavy, segments, still_scale, x, room,
                 room.states[0], room.derivatives[0],
             )  # fmt: skip
             _combine(x, segments, room, room.states[0], room.derivatives[0])
@@ -111,12 +112,12 @@ def dynamic_sensitivities(
             # An arm at rest has no rates: y^h = -c0 y.
             _update_history(past, room, now, -c0, 0.0, 0.0)
         if t > 0:
-            for k in range(actuators):
+            for k in range(walls.actuators):
                 row[k] = pressure[t, 0, k, 0]
             if sections > 1:
                 stiffen(w, stiffness[r])
             solved = advance(
-                w, law, actuators, rest[q], per_pressure[r], free, before, row, load, loaded, here, length, segments,
+                w, walls, rest[q], per_pressure[r], free, before, row, load, loaded, here, length, segments,
                 scale, scheme, trail, x, solver, tolerance,
             )  # fmt: skip
             if solved > 0 and followed:
@@ -124,11 +125,11 @@ def dynamic_sensitivities(
                 _update_history(past, room, now, c1 + d1 * c0, c2, d1)
                 now = 1 - now
                 apply_pressure(
-                    works, actuators, lane_stiffness[r], lane_rest[q], lane_per_pressure[r], frees, ends, pressure[t],
-                    hangs,
+                    works, walls.actuators, lane_stiffness[r], lane_rest[q], lane_per_pressure[r], frees, ends,
+                    pressure[t], hangs,
                 )  # fmt: skip
                 followed = tangents(
-                    works, law, actuators, past, load, loaded_lanes, c0, heavy, segments, scale, x, room,
+                    works, walls, past, load, loaded_lanes, c0, heavy, segments, scale, x, room,
                     room.states[now], room.derivatives[now],
                 )  # fmt: skip
                 _combine(x, segments, room, room.states[now], room.derivatives[now])

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from model.kernels.jit import kernel
+from model.kernels.law import Walls
 from model.kernels.layout import C0, LAG, LANES, LINE_DENSITY, RATE, SHEAR_INVERSE, SLOPE, STAGE, STATE, WRENCH
 from model.kernels.rod import resting_wrench, strain_changes
 from model.kernels.shooting import LONGEST, TOLERANCE_IN_MOTION, Workspace, newton
@@ -30,7 +31,7 @@ NUDGE = 1e-4  # force that moves an arm out of an unstable equilibrium, as a sha
 
 
 @leaf
-def uniform_guess(w: Array, law: int, actuators: int, tip: Array, scale: Array, room: Workspace) -> None:
+def uniform_guess(w: Array, walls: Walls, tip: Array, scale: Array, room: Workspace) -> None:
     """Fill x with the strains that the section would have everywhere if the tip's load did not turn with the arm."""
     x = room.x
     n = room.states.shape[0] - 1
@@ -40,11 +41,11 @@ def uniform_guess(w: Array, law: int, actuators: int, tip: Array, scale: Array, 
     force = three(tip, 0)
     moment = plus(plus(three(tip, 3), 1.0, cross(three(tip, 10), force)), 1.0, cross(three(tip, 16), three(tip, 13)))
     for _ in range(8):
-        resting_wrench(w, law, actuators)
+        resting_wrench(w, walls)
         for i in range(LANES):
             put(w, RATE, i, plus(force, -1.0, triple(w, WRENCH, i)))
             put(w, RATE + 3, i, plus(moment, -1.0, triple(w, WRENCH + 3, i)))
-        strain_changes(w, law)
+        strain_changes(w, walls)
         largest = 0.0
         for c in range(6):
             for i in range(LANES):
@@ -60,8 +61,7 @@ def uniform_guess(w: Array, law: int, actuators: int, tip: Array, scale: Array, 
 @called
 def equilibrium(
     w: Array,
-    law: int,
-    actuators: int,
+    walls: Walls,
     rest: Array,
     per_pressure: Array,
     free: float,
@@ -82,18 +82,16 @@ def equilibrium(
     """
     for m in range(room.history.shape[0]):
         room.history[m] = 0.0
-    set_pressures(w, actuators, rest, per_pressure, free, pressure)
-    uniform_guess(w, law, actuators, tip, scale, room)
+    set_pressures(w, walls.actuators, rest, per_pressure, free, pressure)
+    uniform_guess(w, walls, tip, scale, room)
     # One segment; a plain 1 would have numba compile Newton's method once more, for this constant. A shortened update
     # would depend on the direction in which the arm stands, and with it the equilibrium that is found.
-    passes = newton(
-        w, law, actuators, load, loaded, tip, 0.0, length, np.int64(1), scale, room, tolerance, 20.0, LONGEST
-    )
-    if passes > 0 and is_stable(w, law, actuators, room.x, length, tip):
+    passes = newton(w, walls, load, loaded, tip, 0.0, length, np.int64(1), scale, room, tolerance, 20.0, LONGEST)
+    if passes > 0 and is_stable(w, walls, room.x, length, tip):
         return int(passes)
     return int(
         _searched(
-            w, law, actuators, rest, per_pressure, free, pressure, load, loaded, tip, length, scale, room, tolerance,
+            w, walls, rest, per_pressure, free, pressure, load, loaded, tip, length, scale, room, tolerance,
             passes > 0,
         )
     )  # fmt: skip
@@ -102,8 +100,7 @@ def equilibrium(
 @kernel
 def _searched(
     w: Array,
-    law: int,
-    actuators: int,
+    walls: Walls,
     rest: Array,
     per_pressure: Array,
     free: float,
@@ -120,23 +117,19 @@ def _searched(
     """What `equilibrium` does where the first guess does not suffice; found: an unstable one stands in room.x."""
     x = room.x
     unstable = x.copy()
-    passes = _followed(
-        w, law, actuators, rest, per_pressure, free, pressure, load, loaded, tip, length, scale, room, tolerance
-    )
+    passes = _followed(w, walls, rest, per_pressure, free, pressure, load, loaded, tip, length, scale, room, tolerance)
     if passes > 0:
         return int(passes)
-    set_pressures(w, actuators, rest, per_pressure, free, pressure)
-    passes = _relax_dynamically(w, law, actuators, load, loaded, tip, length, scale, room, tolerance)
+    set_pressures(w, walls.actuators, rest, per_pressure, free, pressure)
+    passes = _relax_dynamically(w, walls, load, loaded, tip, length, scale, room, tolerance)
     if passes > 0:
         return int(passes)
     if not found:
-        uniform_guess(w, law, actuators, tip, scale, room)
-        passes = newton(
-            w, law, actuators, load, loaded, tip, 0.0, length, np.int64(1), scale, room, tolerance, 20.0, np.inf
-        )
+        uniform_guess(w, walls, tip, scale, room)
+        passes = newton(w, walls, load, loaded, tip, 0.0, length, np.int64(1), scale, room, tolerance, 20.0, np.inf)
         if passes < 0:
             return NONE
-        if is_stable(w, law, actuators, x, length, tip):
+        if is_stable(w, walls, x, length, tip):
             return int(passes)
         return UNSTABLE
     copy_rows(unstable, x)
@@ -146,8 +139,7 @@ def _searched(
 @kernel
 def _followed(
     w: Array,
-    law: int,
-    actuators: int,
+    walls: Walls,
     rest: Array,
     per_pressure: Array,
     free: float,
@@ -173,7 +165,7 @@ def _followed(
     done, stride, total, segments = 0.0, 0.125, 0, divisor(n, 4)
     while done < 1.0:
         share = min(1.0, done + stride)
-        for k in range(actuators):
+        for k in range(walls.actuators):
             some[k] = share * pressure[k]
         for k in range(load.shape[0]):
             some_load[k] = share * load[k]
@@ -181,12 +173,12 @@ def _followed(
             some_tip[k] = share * tip[k]
         for k in range(13, 16):
             some_tip[k] = share * tip[k]
-        set_pressures(w, actuators, rest, per_pressure, free, some)
+        set_pressures(w, walls.actuators, rest, per_pressure, free, some)
         passes = newton(
-            w, law, actuators, some_load, loaded, some_tip, 0.0, length, segments, scale, room, tolerance, 20.0,
+            w, walls, some_load, loaded, some_tip, 0.0, length, segments, scale, room, tolerance, 20.0,
             0.5 * LONGEST,
         )  # fmt: skip
-        if passes > 0 and is_stable(w, law, actuators, x, length, some_tip):
+        if passes > 0 and is_stable(w, walls, x, length, some_tip):
             total += passes
             done, stride = share, 2.0 * stride
             copy_rows(x, good)
@@ -200,7 +192,7 @@ def _followed(
 
 @kernel
 def _relax_dynamically(
-    w: Array, law: int, actuators: int, load: Array, loaded: bool, tip: Array, length: float, scale: Array,
+    w: Array, walls: Walls, load: Array, loaded: bool, tip: Array, length: float, scale: Array,
     room: Workspace, tolerance: float,
 ) -> int:  # fmt: skip
     """Integrate the arm in room.x by backward Euler under its full load until it rests in a stable equilibrium.
@@ -235,7 +227,7 @@ def _relax_dynamically(
                     history[STATE * j + c] = -c0 * before[j, c]
             between(history, size, length / n)
             moved = newton(
-                w, law, actuators, load, loaded, some_tip, c0, length, divisor(n, max(1, int(0.5 * c0 * wave_s))),
+                w, walls, load, loaded, some_tip, c0, length, divisor(n, max(1, int(0.5 * c0 * wave_s))),
                 own_scale, room, TOLERANCE_IN_MOTION, 20.0, np.inf,
             )  # fmt: skip
             if moved < 0:
@@ -259,10 +251,8 @@ def _relax_dynamically(
             history[m] = 0.0
         _stop(x)
         copy_rows(x, before)
-        passes = newton(
-            w, law, actuators, load, loaded, tip, 0.0, length, divisor(n, 4), scale, room, tolerance, 20.0, LONGEST
-        )
-        if passes > 0 and is_stable(w, law, actuators, x, length, tip):
+        passes = newton(w, walls, load, loaded, tip, 0.0, length, divisor(n, 4), scale, room, tolerance, 20.0, LONGEST)
+        if passes > 0 and is_stable(w, walls, x, length, tip):
             return int(passes)
         if passes < 0:
             copy_rows(before, x)

@@ -113,13 +113,24 @@ def kernel(
     before = config.CACHE_DIR
     config.CACHE_DIR = str(folder)
     try:
-        options: dict[str, Any] = {"fastmath": fastmath, "forceinline": inlined, "_nrt": allocates}
-        options |= {"no_cpython_wrapper": not called, "no_cfunc_wrapper": True}
-        compiled = numba.njit(error_model="numpy", nogil=True, **options)(function)
+        compiled = _compiled(function, fastmath, inlined, allocates, called)
         compiled._cache = _CompiledKernels(function)  # type: ignore[no-untyped-call]
         return compiled
     finally:
         config.CACHE_DIR = before
+
+
+def inlined_function(function: Callable[..., Any]) -> Any:
+    """Compile a function that makes no array into every kernel that calls it. Nothing of its own is kept on disk."""
+    return _compiled(function, _FAST, inlined=True, allocates=False, called=False)
+
+
+def _compiled(
+    function: Callable[..., Any], fastmath: bool | set[str], inlined: bool, allocates: bool, called: bool
+) -> Any:
+    options: dict[str, Any] = {"fastmath": fastmath, "forceinline": inlined, "_nrt": allocates}
+    options |= {"no_cpython_wrapper": not called, "no_cfunc_wrapper": True}
+    return numba.njit(error_model="numpy", nogil=True, **options)(function)
 
 
 def _candidates() -> list[Path]:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
+from model.kernels.law import Walls
 from model.kernels.layout import (
     AXIAL,
     CENTRE,
@@ -94,7 +95,7 @@ def _recall_between(w: Array, a: Array, b: Array) -> None:
 
 @leaf
 def integrate_lanes(
-    w: Array, law: int, actuators: int, past: Array, moving: bool, load: Array, loaded: bool, first: int, last: int,
+    w: Array, walls: Walls, past: Array, moving: bool, load: Array, loaded: bool, first: int, last: int,
     states: Array, derivatives: Array,
 ) -> None:  # fmt: skip
     """Integrate the node's state, all lanes, from node `first` to node `last`, as `rod.integrate` does.
@@ -110,18 +111,18 @@ def integrate_lanes(
             states[j, i] = w[NODE * LANES + i]
         if moving:
             _recall(w, past[j])
-        stage(w, law, actuators, OWN, True, load, loaded, 2 * j, NODE, STAGE, 0.5)
+        stage(w, walls, OWN, True, load, loaded, 2 * j, NODE, STAGE, 0.5)
         for i in range(12 * LANES):
             derivatives[j, i] = w[SLOPE * LANES + i]
         if j == n:
             break
         if moving:
             _recall_between(w, past[j], past[j + 1])
-        stage(w, law, actuators, OWN, True, load, loaded, 2 * j + 1, STAGE, THIRD, 0.5)
-        stage(w, law, actuators, OWN, True, load, loaded, 2 * j + 1, THIRD, FOURTH, 1.0)
+        stage(w, walls, OWN, True, load, loaded, 2 * j + 1, STAGE, THIRD, 0.5)
+        stage(w, walls, OWN, True, load, loaded, 2 * j + 1, THIRD, FOURTH, 1.0)
         if moving:
             _recall(w, past[j + 1])
-        stage(w, law, actuators, OWN, True, load, loaded, 2 * j + 2, FOURTH, NODE, 1.0 / 6.0)
+        stage(w, walls, OWN, True, load, loaded, 2 * j + 2, FOURTH, NODE, 1.0 / 6.0)
 
 
 @leaf

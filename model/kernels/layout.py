@@ -46,10 +46,12 @@ SHEAR = AXIAL + 6  # stiffness over (v1, v2, u3), in the same order
 AXIAL_INVERSE = SHEAR + 6
 SHEAR_INVERSE = AXIAL_INVERSE + 6
 OFFSET = SHEAR_INVERSE + 6  # what the pressures and the strain at rest add to the wrench: n1 n2 n3 m1 m2 m3
-TUBE = OFFSET + 6  # a1, a2, gamma, I_o / A_m of one tube
+TUBE = OFFSET + 6  # gamma, I_o / A_m of one tube
+LAW = TUBE + 2  # constants of its law
+LAW_CONSTANTS = 4
 # Tubes come in trios, the last filled up with tubes of no share. Per tube: x, y, free strain, share (1, or 0), and of
 # its place xx, xy, yy and xx + yy + 2 I_o / A_m.
-TRIO = TUBE + 4  # the trio being summed: the last, or the only one
+TRIO = LAW + LAW_CONSTANTS  # the trio being summed: the last, or the only one
 PER_TUBE = 8
 PER_TRIO = 3 * PER_TUBE
 STRIDE = TRIO + PER_TRIO  # step along the arm
@@ -64,9 +66,6 @@ WEIGHT = PAST + HISTORY  # load per metre beyond the one that all share: force a
 CENTRE = WEIGHT + 6  # centroid of the walls
 GATHER = CENTRE + 2  # sum of a step along the arm
 MORE = GATHER + STATE  # where there are several trios, all of them
-
-LINEAR = 0
-POINTWISE = 1
 
 
 def trios(actuators: int) -> int:

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from model.kernels.law import Walls
 from model.kernels.layout import (
     AXIAL,
     AXIAL_INVERSE,
@@ -21,12 +22,10 @@ from model.kernels.layout import (
     LAG,
     LANES,
     LINE_DENSITY,
-    LINEAR,
     LOAD,
     NODE,
     OFFSET,
     PAST,
-    POINTWISE,
     PULLS,
     RATE,
     SHEAR,
@@ -40,7 +39,7 @@ from model.kernels.layout import (
     WEIGHT,
     WRENCH,
 )
-from model.kernels.pointwise_law import pointwise_slopes, pointwise_wrench, sum_others, sum_tubes, tubes
+from model.kernels.pointwise_section import pointwise_slopes, pointwise_wrench, sum_others, sum_tubes, tubes
 from model.kernels.vec3 import Six, Triple, cross, dot, inlined, leaf, plus, put, rotation, six, three, times, triple
 
 Array = Any
@@ -184,26 +183,26 @@ def _linear_stage(w: Array, past: Past, own: bool, at: int, to: int, ahead: floa
 
 
 @inlined
-def _sum_others_at(w: Array, actuators: int, at: int) -> None:
-    if actuators > 3:
+def _sum_others_at(w: Array, walls: Walls, at: int) -> None:
+    if walls.actuators > 3:
         for i in range(LANES):
             put(w, STRAINS, i, triple(w, at + 2, i))
-        sum_others(w, actuators)
+        sum_others(w, walls)
 
 
 @inlined
-def _pointwise_stage(w: Array, actuators: int, past: Past, own: bool, at: int, to: int, ahead: float) -> None:
-    """The same where each tube follows eq 32 at its own place.
+def _pointwise_stage(w: Array, walls: Walls, past: Past, own: bool, at: int, to: int, ahead: float) -> None:
+    """The same where each tube follows its law at its own place.
 
     Roots and divisions of the tubes come first: what needs none of their answers fills the wait for them.
     """
-    _sum_others_at(w, actuators, at)
+    _sum_others_at(w, walls, at)
     for i in range(LANES):
         here = own_past(w, i) if own else past
         v_h, u_h, _, _, v_hs, u_hs = here
         further = ahead * w[STRIDE * LANES + i]
         v, u, c0 = triple(w, at, i), triple(w, at + 3, i), w[C0 * LANES + i]
-        answers = tubes(w, i, v[2], u[0], u[1])
+        answers = tubes(w, walls, i, v[2], u[0], u[1])
         force, couple = _move_motion(w, i, here, at, to, further)
         sum_tubes(w, i, answers, PULLS)
         n, m = pointwise_wrench(w, i, c0, v, u, v_h, u_h)
@@ -227,31 +226,31 @@ def _loads_in_section(w: Array, load: Array, own: bool, row: int, at: int) -> No
 
 
 @inlined
-def wrench(w: Array, law: int, i: int, at: int, v_h: Triple, u_h: Triple) -> tuple[Triple, Triple]:
+def wrench(w: Array, walls: Walls, i: int, at: int, v_h: Triple, u_h: Triple) -> tuple[Triple, Triple]:
     """Total wrench of one lane, whose state stands at `at`; of a pointwise section, after its tubes were summed."""
     v, u = triple(w, at, i), triple(w, at + 3, i)
-    if law == LINEAR:
+    if not walls.pointwise:
         return linear_wrench(six(w, AXIAL, i), six(w, SHEAR, i), six(w, OFFSET, i), w[LAG * LANES + i], v, u, v_h, u_h)  # type: ignore[no-any-return]
     return pointwise_wrench(w, i, w[C0 * LANES + i], v, u, v_h, u_h)  # type: ignore[no-any-return]
 
 
 @leaf
-def resting_wrench(w: Array, law: int, actuators: int) -> None:
+def resting_wrench(w: Array, walls: Walls) -> None:
     """Total wrench at the stage, all lanes, of an arm that has no history."""
     zero = (0.0, 0.0, 0.0)
-    if law != LINEAR:
-        _sum_others_at(w, actuators, STAGE)
+    if walls.pointwise:
+        _sum_others_at(w, walls, STAGE)
         for i in range(LANES):
             v3, u1, u2 = triple(w, STAGE + 2, i)
-            sum_tubes(w, i, tubes(w, i, v3, u1, u2), PULLS)
+            sum_tubes(w, i, tubes(w, walls, i, v3, u1, u2), PULLS)
     for i in range(LANES):
-        n, m = wrench(w, LINEAR, i, STAGE, zero, zero) if law == LINEAR else wrench(w, POINTWISE, i, STAGE, zero, zero)
+        n, m = wrench(w, walls, i, STAGE, zero, zero)
         put(w, WRENCH, i, n)
         put(w, WRENCH + 3, i, m)
 
 
 @leaf
-def strain_changes(w: Array, law: int) -> None:
+def strain_changes(w: Array, walls: Walls) -> None:
     """Static changes of the stage's strains that change its wrench by what stands at the rate, to first order.
 
     For a pointwise section after `resting_wrench`, which leaves the tubes' sums.
@@ -259,7 +258,7 @@ def strain_changes(w: Array, law: int) -> None:
     zero = (0.0, 0.0, 0.0)
     for i in range(LANES):
         n, m = triple(w, RATE, i), triple(w, RATE + 3, i)
-        if law == LINEAR:
+        if not walls.pointwise:
             v_s, u_s = linear_slopes(six(w, AXIAL_INVERSE, i), six(w, SHEAR_INVERSE, i), 0.0, n, m, zero, zero)
         else:
             v, u = triple(w, STAGE, i), triple(w, STAGE + 3, i)
@@ -270,7 +269,7 @@ def strain_changes(w: Array, law: int) -> None:
 
 @inlined
 def stage(
-    w: Array, law: int, actuators: int, past: Past, own: bool, load: Array, loaded: bool, row: int, at: int, to: int,
+    w: Array, walls: Walls, past: Past, own: bool, load: Array, loaded: bool, row: int, at: int, to: int,
     ahead: float,
 ) -> None:  # fmt: skip
     """One stage of RK4, all lanes: slopes of the state at `at`, and the state at `to`, `ahead` of a stride further.
@@ -280,17 +279,16 @@ def stage(
     """
     if loaded:
         _loads_in_section(w, load, own, row, at)
-    if law == LINEAR:
+    if not walls.pointwise:
         _linear_stage(w, past, own, at, to, ahead)
     else:
-        _pointwise_stage(w, actuators, past, own, at, to, ahead)
+        _pointwise_stage(w, walls, past, own, at, to, ahead)
 
 
 @leaf
 def integrate(
     w: Array,
-    law: int,
-    actuators: int,
+    walls: Walls,
     history: Array,
     load: Array,
     loaded: bool,
@@ -312,13 +310,13 @@ def integrate(
         for i in range(STATE * LANES):
             states[j, i] = w[NODE * LANES + i]
         at = STATE * j
-        stage(w, law, actuators, past_of(history, size, at), False, load, loaded, 2 * j, NODE, STAGE, 0.5)
+        stage(w, walls, past_of(history, size, at), False, load, loaded, 2 * j, NODE, STAGE, 0.5)
         for i in range(12 * LANES):
             derivatives[j, i] = w[SLOPE * LANES + i]
         if j == n:
             break
         past = past_of(history, size, 2 * size + at)
-        stage(w, law, actuators, past, False, load, loaded, 2 * j + 1, STAGE, THIRD, 0.5)
-        stage(w, law, actuators, past, False, load, loaded, 2 * j + 1, THIRD, FOURTH, 1.0)
+        stage(w, walls, past, False, load, loaded, 2 * j + 1, STAGE, THIRD, 0.5)
+        stage(w, walls, past, False, load, loaded, 2 * j + 1, THIRD, FOURTH, 1.0)
         past = past_of(history, size, at + STATE)
-        stage(w, law, actuators, past, False, load, loaded, 2 * j + 2, FOURTH, NODE, 1.0 / 6.0)
+        stage(w, walls, past, False, load, loaded, 2 * j + 2, FOURTH, NODE, 1.0 / 6.0)

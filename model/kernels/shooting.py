@@ -15,7 +15,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from model.kernels.jit import kernel
-from model.kernels.layout import END, HANGS, LANES, LINEAR, LOAD, NODE, POINTWISE, PULL, STATE, STRIDE, WRENCH, aligned
+from model.kernels.law import Walls
+from model.kernels.layout import END, HANGS, LANES, LOAD, NODE, PULL, STATE, STRIDE, WRENCH, aligned
 from model.kernels.linear_algebra import orthonormalise, solve_six
 from model.kernels.rod import Past, integrate, own_past, past_of, wrench
 from model.kernels.simd import broadcast, horizontal_sum, horizontal_sum_slopes
@@ -100,7 +101,7 @@ def _cap(w: Array, i: int, f: Triple, couple: Triple, place: Triple, c0: float, 
 
 
 @leaf
-def tip_residual(w: Array, law: int, past: Past, own: bool, c0: float, heavy: bool) -> None:
+def tip_residual(w: Array, walls: Walls, past: Past, own: bool, c0: float, heavy: bool) -> None:
     """Residual of the tip's boundary condition (eqs 23-25, 28) [N, N m], written in place of the wrench.
 
     After the tip's stage, which leaves the tubes' sums; past and own as there. What hangs on the tip stands at END;
@@ -108,7 +109,7 @@ def tip_residual(w: Array, law: int, past: Past, own: bool, c0: float, heavy: bo
     """
     for i in range(LANES):
         v_h, u_h, q_h, o_h, _, _ = own_past(w, i) if own else past
-        n, m = wrench(w, LINEAR, i, NODE, v_h, u_h) if law == LINEAR else wrench(w, POINTWISE, i, NODE, v_h, u_h)
+        n, m = wrench(w, walls, i, NODE, v_h, u_h)
         h = (NODE + 12) * LANES + i
         d1, d2, d3 = rotation((w[h], w[h + LANES], w[h + 2 * LANES], w[h + 3 * LANES]))
         force, moment, place = triple(w, END, i), triple(w, END + 3, i), triple(w, END + 10, i)
@@ -126,8 +127,7 @@ def tip_residual(w: Array, law: int, past: Past, own: bool, c0: float, heavy: bo
 @leaf
 def newton(
     w: Array,
-    law: int,
-    actuators: int,
+    walls: Walls,
     load: Array,
     loaded: bool,
     tip: Array,
@@ -181,7 +181,7 @@ def newton(
                     for k in range(6):
                         w[at + 1 + k] += STEP * unit * directions[s, k, c]
                     w[at + 7] += reach[s] * unit * directions[s, 6, c]
-            integrate(w, law, actuators, history, load, loaded, s * per, (s + 1) * per, states, derivatives)
+            integrate(w, walls, history, load, loaded, s * per, (s + 1) * per, states, derivatives)
             if s == segments - 1:
                 break
             for c in range(STATE):
@@ -201,7 +201,7 @@ def newton(
                 for c in range(STATE):
                     directions[s + 1, 6, c] -= along[s + 1, k] * directions[s + 1, k, c]
         past = past_of(history, STATE * (n + 1), STATE * n)
-        tip_residual(w, law, past, False, c0, heavy)
+        tip_residual(w, walls, past, False, c0, heavy)
         for i in range(6):
             at = (WRENCH + i) * LANES
             lacking = w[at]

@@ -18,7 +18,8 @@ from typing import Any
 import numpy as np
 
 from model.kernels.jit import kernel
-from model.kernels.layout import AXIAL, CHANGES, LANES, LINEAR, SECANTS, SHEAR, STAGE, TANGENTS, TUBE, WRENCH
+from model.kernels.law import Walls
+from model.kernels.layout import AXIAL, CHANGES, LANES, SECANTS, SHEAR, STAGE, TANGENTS, TUBE, WRENCH
 from model.kernels.rod import resting_wrench
 from model.kernels.vec3 import dot, inlined, leaf, rotation, three, triple
 
@@ -37,18 +38,18 @@ NEUTRAL = 1e-7
 
 
 @inlined
-def _blocks(w: Array, law: int, i: int):  # type: ignore[no-untyped-def]
+def _blocks(w: Array, walls: Walls, i: int):  # type: ignore[no-untyped-def]
     """Of lane i, after `resting_wrench`: axial block 11, 12, 13, 22, 23, 33, and shear block 11, 13, 23, 33.
 
     The parts of the tangent that are symmetric anyway.
     """
-    if law == LINEAR:
+    if not walls.pointwise:
         a, s = AXIAL * LANES + i, SHEAR * LANES + i
         return (
             w[a], w[a + LANES], w[a + 2 * LANES], w[a + 3 * LANES], w[a + 4 * LANES], w[a + 5 * LANES],
             w[s], w[s + 2 * LANES], w[s + 4 * LANES], w[s + 5 * LANES],
         )  # fmt: skip
-    gamma, spread = w[(TUBE + 2) * LANES + i], w[(TUBE + 3) * LANES + i]
+    gamma, spread = w[TUBE * LANES + i], w[(TUBE + 1) * LANES + i]
     t0, tx, ty = triple(w, TANGENTS, i)
     txx, txy, tyy = triple(w, TANGENTS + 3, i)
     k0, kx, ky = triple(w, SECANTS, i)
@@ -59,9 +60,9 @@ def _blocks(w: Array, law: int, i: int):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def _least(w: Array, law: int, i: int):  # type: ignore[no-untyped-def]
+def _least(w: Array, walls: Walls, i: int):  # type: ignore[no-untyped-def]
     """Numbers a, b with (gamma, kappa) K (gamma, kappa) >= a |gamma|^2 + b |kappa|^2, but for `_beside`."""
-    a11, a12, a13, a22, a23, a33, s11, s13, s23, s33 = _blocks(w, law, i)
+    a11, a12, a13, a22, a23, a33, s11, s13, s23, s33 = _blocks(w, walls, i)
     over = 1.0 / (1.0 - LEFT)
     apart = math.sqrt((a22 - a33) * (a22 - a33) + 4.0 * a23 * a23)
     bending = 0.5 * (a22 + a33 - apart) - over * (a12 * a12 + a13 * a13) / a11
@@ -75,7 +76,7 @@ def _beside(w: Array, i: int):  # type: ignore[no-untyped-def]
 
     Factors of |gamma|^2, |gamma| |kappa| and |kappa|^2.
     """
-    gamma, spread = w[(TUBE + 2) * LANES + i], w[(TUBE + 3) * LANES + i]
+    gamma, spread = w[TUBE * LANES + i], w[(TUBE + 1) * LANES + i]
     v1, v2, _ = triple(w, STAGE, i)
     u1, u2, u3 = triple(w, STAGE + 3, i)
     e0, ex, ey = triple(w, CHANGES, i)
@@ -91,7 +92,7 @@ def _beside(w: Array, i: int):  # type: ignore[no-untyped-def]
 
 
 @leaf
-def surely_stable(w: Array, law: int, actuators: int, x: Array, length: float, tip: Array) -> bool:
+def surely_stable(w: Array, walls: Walls, x: Array, length: float, tip: Array) -> bool:
     """Whether an inequality shows the solved arm x to be stable. False decides nothing.
 
     |theta|' <= |kappa| and theta = 0 at the base give int |theta|^2 <= (2 L / pi)^2 int |kappa|^2. With bounds on K and
@@ -105,18 +106,18 @@ def surely_stable(w: Array, law: int, actuators: int, x: Array, length: float, t
             j = min(first + i, n)
             for c in range(6):
                 w[(STAGE + c) * LANES + i] = x[j, c]
-        resting_wrench(w, law, actuators)
+        resting_wrench(w, walls)
         for i in range(LANES):
             v, f, m = triple(w, STAGE, i), triple(w, WRENCH, i), triple(w, WRENCH + 3, i)
             size = math.sqrt(dot(f, f))
             force, moment = max(force, size), max(moment, dot(m, m))
             pressed = max(pressed, 0.5 * (size * math.sqrt(dot(v, v)) - dot(f, v)))
-            if law != LINEAR:
-                a, b = _least(w, law, i)
+            if walls.pointwise:
+                a, b = _least(w, walls, i)
                 less, between, least = _beside(w, i)
                 stiff, bending, mixed = min(stiff, a - less), min(bending, b - least), max(mixed, between)
-    if law == LINEAR:
-        stiff, bending = _least(w, law, 0)
+    if not walls.pointwise:
+        stiff, bending = _least(w, walls, 0)
     place, lever, pull = three(tip, 10), three(tip, 16), three(tip, 13)
     ends = math.sqrt(dot(three(tip, 0), three(tip, 0)) * dot(place, place)) + math.sqrt(
         dot(lever, lever) * dot(pull, pull)
@@ -128,19 +129,19 @@ def surely_stable(w: Array, law: int, actuators: int, x: Array, length: float, t
 
 
 @leaf
-def _fill_tangent(w: Array, law: int, i: int, h: Array) -> None:
+def _fill_tangent(w: Array, walls: Walls, i: int, h: Array) -> None:
     """Symmetric part of the tangent of lane i over (gamma, kappa), into h (9, 9)."""
     for r in range(6):
         for c in range(6):
             h[r, c] = 0.0
-    a11, a12, a13, a22, a23, a33, s11, s13, s23, s33 = _blocks(w, law, i)
+    a11, a12, a13, a22, a23, a33, s11, s13, s23, s33 = _blocks(w, walls, i)
     h[0, 0], h[1, 1], h[5, 5] = s11, s11, s33
     h[0, 5], h[1, 5] = s13, s23
-    if law == LINEAR:
+    if not walls.pointwise:
         h[0, 1], h[1, 1] = w[(SHEAR + 1) * LANES + i], w[(SHEAR + 3) * LANES + i]
     h[2, 2], h[2, 3], h[2, 4], h[3, 3], h[3, 4], h[4, 4] = a11, a12, a13, a22, a23, a33
-    if law != LINEAR:
-        gamma, spread = w[(TUBE + 2) * LANES + i], w[(TUBE + 3) * LANES + i]
+    if walls.pointwise:
+        gamma, spread = w[TUBE * LANES + i], w[(TUBE + 1) * LANES + i]
         v1, v2, _ = triple(w, STAGE, i)
         u1, u2, u3 = triple(w, STAGE + 3, i)
         e0, ex, ey = triple(w, CHANGES, i)
@@ -184,9 +185,9 @@ def _sway(a: tuple[float, float, float], b: tuple[float, float, float], d: Array
 
 
 @leaf
-def _fill(w: Array, law: int, actuators: int, i: int, h: Array) -> None:
+def _fill(w: Array, walls: Walls, i: int, h: Array) -> None:
     """The second variation's integrand at lane i over (gamma, kappa, theta), h (9, 9)."""
-    _fill_tangent(w, law, i, h)
+    _fill_tangent(w, walls, i, h)
     v, n, m = triple(w, STAGE, i), triple(w, WRENCH, i), triple(w, WRENCH + 3, i)
     _fill_spin(h, 0, 1.0, n)
     _fill_spin(h, 3, 0.5, m)
@@ -267,7 +268,7 @@ def _points(w: Array, x: Array, first: int, h: float) -> None:
 
 
 @kernel
-def negative_directions(w: Array, law: int, actuators: int, x: Array, length: float, tip: Array) -> int:
+def negative_directions(w: Array, walls: Walls, x: Array, length: float, tip: Array) -> int:
     """How many independent directions lower the potential energy of the solved arm x (2 N + 2, 16): 0 is stable.
 
     The inertia of the second variation in quadratic elements, one a step, with two Gauss points each. Eliminated from
@@ -288,7 +289,7 @@ def negative_directions(w: Array, law: int, actuators: int, x: Array, length: fl
     first = LANES // 2 * ((n - 1) // (LANES // 2))
     for begin in range(first, -1, -(LANES // 2)):
         _points(w, x, begin, step)
-        resting_wrench(w, law, actuators)
+        resting_wrench(w, walls)
         for e in range(min(begin + LANES // 2, n) - 1, begin - 1, -1):
             for r in range(ELEMENT):
                 for c in range(ELEMENT):
@@ -298,7 +299,7 @@ def negative_directions(w: Array, law: int, actuators: int, x: Array, length: fl
                     k[2 * NODE_UNKNOWNS + r, 2 * NODE_UNKNOWNS + c] = held[r, c]
             for g in range(2):
                 i = 2 * (e - begin) + g
-                _fill(w, law, actuators, i, h)
+                _fill(w, walls, i, h)
                 soft = NEUTRAL * min(h[3, 3], min(h[4, 4], h[5, 5])) * (0.5 * math.pi / length) ** 2
                 for r in range(6, STRAINED):
                     h[r, r] -= soft
@@ -312,8 +313,8 @@ def negative_directions(w: Array, law: int, actuators: int, x: Array, length: fl
 
 
 @kernel
-def is_stable(w: Array, law: int, actuators: int, x: Array, length: float, tip: Array) -> bool:
+def is_stable(w: Array, walls: Walls, x: Array, length: float, tip: Array) -> bool:
     """Whether the solved arm x is stable: by the inequality if that suffices."""
-    if surely_stable(w, law, actuators, x, length, tip):
+    if surely_stable(w, walls, x, length, tip):
         return True
-    return bool(negative_directions(w, law, actuators, x, length, tip) == 0)
+    return bool(negative_directions(w, walls, x, length, tip) == 0)

@@ -10,6 +10,7 @@ from model.kernels.axis import place_tip
 from model.kernels.equilibrium import UNSTABLE, equilibrium
 from model.kernels.jit import kernel
 from model.kernels.lanes import FIRST, Lanes, apply_pressure, apply_tip_load, places
+from model.kernels.law import Walls
 from model.kernels.layout import LANES
 from model.kernels.shooting import Workspace
 from model.kernels.tangents import tangents
@@ -36,7 +37,7 @@ def _answers(x: Array, works: Array, room: Lanes, steps: Array, by: Array) -> No
 
 @kernel
 def static_sensitivities(
-    work: Array, works: Array, law: int, actuators: int, stiffness: Array, rest: Array, per_pressure: Array,
+    work: Array, works: Array, walls: Walls, stiffness: Array, rest: Array, per_pressure: Array,
     free: float, lane_stiffness: Array, lane_rest: Array, lane_per_pressure: Array, frees: Array, ends: Array,
     pressure: Array, hung: Array, load: Array, loaded: bool, loaded_lanes: bool, heavy: bool, tip: Array,
     length: float, scale: Array, centre: Array, tolerance: float, solver: Workspace, room: Lanes, steps: Array,
@@ -48,18 +49,18 @@ def static_sensitivities(
     works (W, size) and as `apply_pressure` takes them, of the sections and of hung one for each row or one for all.
     Fills place (K, 3), turned (K, 3, 3), by (K, P, 6), good and unstable (K,).
     """
-    row, here = np.empty(actuators), tip.copy()
+    row, here = np.empty(walls.actuators), tip.copy()
     nothing = np.zeros((works.shape[0], 1, 1))
     segments = room.shares.shape[0]
     for t in range(pressure.shape[0]):
         r, q = t % stiffness.shape[0], t % rest.shape[0]
         hangs = hung[t % hung.shape[0]]
         apply_tip_load(tip, hangs, here)
-        for k in range(actuators):
+        for k in range(walls.actuators):
             row[k] = pressure[t, 0, k, 0]
         stiffen(work, stiffness[r])
         solved = equilibrium(
-            work, law, actuators, rest[q], per_pressure[r], free, row, load, loaded, here, length, scale, solver,
+            work, walls, rest[q], per_pressure[r], free, row, load, loaded, here, length, scale, solver,
             tolerance,
         )  # fmt: skip
         good[t], unstable[t] = solved > 0, solved == UNSTABLE
@@ -67,11 +68,11 @@ def static_sensitivities(
             place_tip(solver.x, length, centre, place, turned, t)
             if steps.shape[0] > 0:
                 apply_pressure(
-                    works, actuators, lane_stiffness[r], lane_rest[q], lane_per_pressure[r], frees, ends, pressure[t],
-                    hangs,
+                    works, walls.actuators, lane_stiffness[r], lane_rest[q], lane_per_pressure[r], frees, ends,
+                    pressure[t], hangs,
                 )  # fmt: skip
                 found = tangents(
-                    works, law, actuators, nothing, load, loaded_lanes, 0.0, heavy, segments, scale, solver.x, room,
+                    works, walls, nothing, load, loaded_lanes, 0.0, heavy, segments, scale, solver.x, room,
                     room.states[0], room.derivatives[0],
                 )  # fmt: skip
                 if found:

@@ -9,6 +9,7 @@ from __future__ import annotations
 from typing import Any
 
 from model.kernels.lanes import FIRST, OWN, Lanes, integrate_lanes
+from model.kernels.law import Walls
 from model.kernels.layout import LANES, NODE, STATE, WRENCH
 from model.kernels.linear_algebra import orthonormalise, solve_six_rows
 from model.kernels.shooting import tip_residual
@@ -21,7 +22,7 @@ STEP = 1e-7  # of the moved base strains, in scaled states
 
 @leaf
 def tangents(
-    works: Array, law: int, actuators: int, past: Array, load: Array, loaded: bool, c0: float, heavy: bool,
+    works: Array, walls: Walls, past: Array, load: Array, loaded: bool, c0: float, heavy: bool,
     segments: int, scale: Array, x: Array, room: Lanes, states: Array, derivatives: Array,
 ) -> bool:  # fmt: skip
     """One pass from the solved arm x (2 N + 2, 16): fills states, derivatives (W, N + 1, 128) and the shares of them.
@@ -54,7 +55,7 @@ def tangents(
                     for k in range(6):
                         w[at + 1 + k] += STEP * scale[c] * directions[s, k, c]
             integrate_lanes(
-                w, law, actuators, past[p], c0 > 0.0, load, loaded, s * per, (s + 1) * per, states[p], derivatives[p]
+                w, walls, past[p], c0 > 0.0, load, loaded, s * per, (s + 1) * per, states[p], derivatives[p]
             )  # fmt: skip
         if s == segments - 1:
             break
@@ -80,7 +81,7 @@ def tangents(
             for c in range(STATE):
                 parts[f, c] *= scale[c]
     for p in range(works.shape[0]):
-        tip_residual(works[p], law, OWN, True, c0, heavy)
+        tip_residual(works[p], walls, OWN, True, c0, heavy)
     for i in range(6):
         at = (WRENCH + i) * LANES
         for k in range(6):

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from model.kernels.jit import kernel
+from model.kernels.law import Walls
 from model.kernels.layout import AXIAL, LANES, MORE, OFFSET, PER_TUBE, STATE, TRIO
 from model.kernels.shooting import Workspace, newton
 from model.kernels.vec3 import called, inlined, leaf
@@ -48,8 +49,7 @@ def copy_rows(a: Array, b: Array) -> None:
 @kernel
 def _continuation(
     w: Array,
-    law: int,
-    actuators: int,
+    walls: Walls,
     rest: Array,
     per_pressure: Array,
     free: float,
@@ -71,12 +71,10 @@ def _continuation(
     done, stride, total = 0.0, 0.125, 0
     while done < 1.0:
         share = min(1.0, done + stride)
-        for k in range(actuators):
+        for k in range(walls.actuators):
             some[k] = last[k] + (pressure[k] - last[k]) * share
-        set_pressures(w, actuators, rest, per_pressure, free, some)
-        passes = newton(
-            w, law, actuators, load, loaded, tip, c0, length, segments, scale, room, tolerance, 40.0, np.inf
-        )
+        set_pressures(w, walls.actuators, rest, per_pressure, free, some)
+        passes = newton(w, walls, load, loaded, tip, c0, length, segments, scale, room, tolerance, 40.0, np.inf)
         if passes > 0:
             total += passes
             done, stride = share, 2.0 * stride
@@ -140,8 +138,7 @@ def _update_history(scheme: Array, y: Array, x: Array, trail: Array, history: Ar
 @inlined
 def advance(
     w: Array,
-    law: int,
-    actuators: int,
+    walls: Walls,
     rest: Array,
     per_pressure: Array,
     free: float,
@@ -169,21 +166,21 @@ def advance(
     """
     n = room.states.shape[0] - 1
     c0, y = scheme[0], room.x
-    set_pressures(w, actuators, rest, per_pressure, free, pressure)
+    set_pressures(w, walls.actuators, rest, per_pressure, free, pressure)
     ahead, off = 0.0, 0.0
-    for k in range(actuators):
+    for k in range(walls.actuators):
         off += abs(pressure[k] - before[0, k])
         ahead += abs(pressure[k] - 3.0 * (before[0, k] - before[1, k]) - before[2, k])
     _guess(x, trail, ahead <= off, n, segments, y)
-    passes = newton(w, law, actuators, load, loaded, tip, c0, length, segments, scale, room, tolerance, 8.0, np.inf)
+    passes = newton(w, walls, load, loaded, tip, c0, length, segments, scale, room, tolerance, 8.0, np.inf)
     if passes < 0:
         finer = divisor(n, max(4, 2 * segments))
         _guess(x, trail, False, n, finer, y)
-        passes = newton(w, law, actuators, load, loaded, tip, c0, length, finer, scale, room, tolerance, 25.0, np.inf)
+        passes = newton(w, walls, load, loaded, tip, c0, length, finer, scale, room, tolerance, 25.0, np.inf)
         if passes < 0:
             _guess(x, trail, False, n, finer, y)
             passes = _continuation(
-                w, law, actuators, rest, per_pressure, free, before[0], pressure, load, loaded, tip, c0, length,
+                w, walls, rest, per_pressure, free, before[0], pressure, load, loaded, tip, c0, length,
                 finer, scale, room, tolerance,
             )  # fmt: skip
             if passes < 0:
@@ -192,7 +189,7 @@ def advance(
         over = 1.0 / (y[j, 12] ** 2 + y[j, 13] ** 2 + y[j, 14] ** 2 + y[j, 15] ** 2) ** 0.5
         for c in range(12, 16):
             y[j, c] *= over
-    for k in range(actuators):
+    for k in range(walls.actuators):
         before[2, k] = before[1, k]
         before[1, k] = before[0, k]
         before[0, k] = pressure[k]

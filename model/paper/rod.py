@@ -42,7 +42,7 @@ class NeutralSection:
     @classmethod
     def of(cls, arm: Arm, pressure_pa: Array, as_printed: frozenset[Erratum] = frozenset()) -> NeutralSection:
         """The section of an arm whose moduli are frozen: any variant or rule but the pointwise one."""
-        if arm.section_rule == "pointwise":
+        if arm.law.pointwise:
             raise ValueError(
                 "the paper's formulation needs one modulus per tube: choose modulus_rule 'secant', 'tangent', "
                 "'paper-secant' or 'paper-tangent', or a homogeneous variant"
@@ -66,7 +66,7 @@ class NeutralSection:
             ]
         )
         free = arm.rpe_per_bar * pressure_pa / PA_PER_BAR
-        if "stretch as strain" in as_printed and arm.variant != "homogeneous":
+        if "stretch as strain" in as_printed and arm.radial_effect:
             free = free + 1.0
         push = arm.actuation.push_pa(pressure_pa) * geometry.chamber_area_m2
         rest_v, rest_u = np.array([0.0, 0.0, 1.0]), np.zeros(3)

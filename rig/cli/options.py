@@ -79,7 +79,7 @@ Format = Annotated[str, typer.Option("--format", help="Format of the output.")]
 Variant = Annotated[
     str | None,
     typer.Option(
-        "--model", help="homogeneous, homogeneous+rpe or inhomogeneous+rpe.", show_default="the variant of the rig"
+        "--model", help="Variant of the model, such as homogeneous+rpe.", show_default="the variant of the rig"
     ),
 ]
 Controller = Annotated[

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, JsonValue, model_validator
 from pydantic.json_schema import SkipJsonSchema
 
+from model.variants import VARIANTS, variant_named
 from protocols.validation import ValidationFault, faults
 from rig.config.drivers import CAMERA_DRIVERS
 from rig.config.plugins import PluginSections
@@ -20,7 +21,12 @@ from rig.config.plugins import PluginSections
 PA_PER_BAR = 1e5
 
 
-Variant = Literal["homogeneous", "homogeneous+rpe", "inhomogeneous+rpe"]
+def _variant(name: str) -> str:
+    variant_named(name)
+    return name
+
+
+Variant = Annotated[str, AfterValidator(_variant), Field(json_schema_extra={"enum": list(VARIANTS)})]
 
 
 def _rising(span: tuple[float, float]) -> tuple[float, float]:

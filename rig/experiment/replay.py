@@ -13,10 +13,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from model.variants import VARIANTS
 from protocols import BadInputError, Problem
 from rig.config import loader
 from rig.config.loader import RigFile
-from rig.config.model_variant import VARIANTS
 from rig.config.parameters_overlay import read as read_parameters
 from rig.config.schema import RigConfig
 from rig.config.sections import PA_PER_BAR, Variant
@@ -114,9 +114,9 @@ def replay_rig(
 
 def _variant(run: Run) -> Variant:
     name = run.header.model_variant
-    if (known := next((v for v in VARIANTS if v == name), None)) is None:
+    if name not in VARIANTS:
         raise ArchiveError(f"{run.path}: entry/model/variant: found {name!r}, expected one of {', '.join(VARIANTS)}")
-    return known
+    return name
 
 
 def _picture(run: Run, k: int) -> NDArray[np.uint8]:

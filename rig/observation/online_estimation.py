@@ -11,20 +11,18 @@ import model
 from calibration.identify.parameters import PUSH_GROWTH, Prior, Setup
 from calibration.identify.recursive_estimator import RecursiveEstimator
 from model.statics import statics
+from model.variants import variant_named
 from rig.config.arm_model import TipLoad, model_arm
 from rig.config.schema import RigConfig
 from rig.config.sections import PA_PER_BAR, Variant
 from runs.records import Quantity, adaptation_dtype, blank
 
-DEFAULT_PARAMETERS = ("law", "rpe_per_bar", "base", "sensor_offsets")
-DEFAULT_PARAMETERS_HOMOGENEOUS = ("youngs_modulus_pa", "rpe_per_bar", "base", "sensor_offsets")
-
 
 def default_parameters(config: RigConfig, variant: Variant | None = None) -> tuple[str, ...]:
     """Return the default free parameters, also those of `rig identify`; `variant` overrides the rig's."""
-    homogeneous = (variant or config.model.variant).startswith("homogeneous")
+    law = variant_named(variant or config.model.variant).law
     growth = (PUSH_GROWTH,) if config.arm.actuation.as_law().grows else ()
-    return (*(DEFAULT_PARAMETERS_HOMOGENEOUS if homogeneous else DEFAULT_PARAMETERS), *growth)
+    return (*law.parameters, "rpe_per_bar", "base", "sensor_offsets", *growth)
 
 
 def recursive_estimator(config: RigConfig, variant: Variant | None, parameters: Sequence[str]) -> RecursiveEstimator:

@@ -23,7 +23,7 @@ def backbones(path: Path) -> None:
             p = statics(Arm.paper(), bar * PA_PER_BAR * np.array(driven)).p_m * 1e3
             axes.plot(p[:, 0], p[:, 2], color="0.75", linewidth=0.8)
     for variant, mark in (("homogeneous", "^"), ("homogeneous+rpe", "s"), ("inhomogeneous+rpe", "o")):
-        arm = Arm.paper(variant)  # type: ignore[arg-type]
+        arm = Arm.paper(variant)
         tips = [
             statics(arm, bar * PA_PER_BAR * np.array(driven)).tip_m * 1e3
             for driven in ((1.0, 0.0, 0.0), (0.0, 1.0, 1.0))

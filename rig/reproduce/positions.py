@@ -10,7 +10,6 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from calibration.identify.data import at_rest
-from model.arm import Variant
 from model.statics import statics
 from rig.config.arm_model import model_arm
 from rig.config.loader import recorded
@@ -25,7 +24,7 @@ from runs.run import Run
 
 Array = NDArray[np.float64]
 
-MODELS: tuple[tuple[Variant, str, str, str], ...] = (
+MODELS: tuple[tuple[str, str, str, str], ...] = (
     ("homogeneous", "homogeneous", MUTED, "^"),
     ("homogeneous+rpe", "homogeneous, RPE", ACTUATORS[1], "s"),
     ("inhomogeneous+rpe", "inhomogeneous, RPE", MODEL, "x"),
@@ -40,7 +39,7 @@ class RestPositions:
         self.origin = origin(runs["ramp-a"], runs["ramp-b"])
         self.pressure_pa: list[Array] = []
         self.measured_m: list[Array] = []
-        self.tips_m: dict[Variant, list[Array]] = {variant: [] for variant, *_ in MODELS}
+        self.tips_m: dict[str, list[Array]] = {variant: [] for variant, *_ in MODELS}
         for name in ("ramp-a", "ramp-b"):
             run = runs[name]
             arm = model_arm(recorded(run.header, run.path).config)
@@ -55,7 +54,7 @@ class RestPositions:
                 tips.append(np.array([statics(believed, p, doubt_units=False).tip_m for p in pressure]))
             self.arm = replace(arm, variant="inhomogeneous+rpe")
 
-    def error_percent(self, variant: Variant, reading: int = 0) -> float:
+    def error_percent(self, variant: str, reading: int = 0) -> float:
         """Mean normalised error over both cases, by a definition of `rig.reproduce.table3.ERROR_DEFINITIONS`."""
         error = ERROR_DEFINITIONS[reading].error
         pairs = zip(self.tips_m[variant], self.measured_m, strict=True)

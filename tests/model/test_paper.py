@@ -12,7 +12,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from model import Arm, Geometry, Loads, Material
-from model.arm import ModulusRule
 from model.dynamics import Dynamics
 from model.paper.rod import NeutralSection, PaperRod
 from model.schemes import scheme_named
@@ -20,10 +19,10 @@ from model.statics import statics
 from tests.support.budget import examples
 
 BAR = 1e5
-FROZEN: tuple[ModulusRule, ...] = ("secant", "tangent", "paper-secant", "paper-tangent")
+FROZEN: tuple[str, ...] = ("secant", "tangent", "paper-secant", "paper-tangent")
 
 
-def frozen(rule: ModulusRule = "secant") -> Arm:
+def frozen(rule: str = "secant") -> Arm:
     return replace(Arm.paper(), modulus_rule=rule)
 
 
@@ -57,7 +56,7 @@ def test_the_schemes_have_the_coefficients_of_table_2(name: str, alpha: float, p
 @given(noise=st.tuples(*[st.floats(-0.01, 0.01)] * 3))
 @examples(20)
 def test_a_passive_tube_stays_passive_under_the_sensors_noise(
-    rule: ModulusRule, bar: tuple[float, ...], noise: tuple[float, ...]
+    rule: str, bar: tuple[float, ...], noise: tuple[float, ...]
 ) -> None:
     # The paper's sensor is good to 0.01 bar; its n on a passive tube is an even share of what the others push.
     arm = frozen(rule)
@@ -75,7 +74,7 @@ def test_a_passive_tube_stays_passive_under_the_sensors_noise(
 @pytest.mark.parametrize("rpe_as", ["force", "strain"])
 @pytest.mark.parametrize("solver", ["lm", "dogleg"])
 @pytest.mark.parametrize("rule", FROZEN)
-def test_both_formulations_agree_at_rest(rule: ModulusRule, solver: str, rpe_as: str, bar: tuple[float, ...]) -> None:
+def test_both_formulations_agree_at_rest(rule: str, solver: str, rpe_as: str, bar: tuple[float, ...]) -> None:
     arm = replace(frozen(rule), rpe_as=rpe_as)
     p = np.array(bar) * BAR
     printed = PaperRod(arm, steps=100, solver=solver).statics(p)  # type: ignore[arg-type]

@@ -52,7 +52,7 @@ def index_of_the_straight_arm(arm: Arm, force_n: float, nodes: int = 20) -> int:
     work = problem.work()
     work.reshape(-1, LANES)[OFFSET : OFFSET + 6] = problem.rest[0][:, None]
     tip = problem.tip(Loads(tip_force_n=(0.0, 0.0, -force_n)))
-    return int(negative_directions(work, problem.law, problem.actuators, x, problem.length_m, tip))
+    return int(negative_directions(work, problem.walls, x, problem.length_m, tip))
 
 
 @pytest.mark.parametrize(("about_x", "half_waves", "before"), [(True, 1, 0), (True, 2, 1)])

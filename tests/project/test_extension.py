@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from model.arm import Arm
 from rig.config import loader
 from rig.control.sensor_state import RegulatorDemand, SensorState
 from rig.hardware.bench import open_bench
@@ -77,6 +78,18 @@ def test_the_example_fault_passes_its_trial(known: dict[str, Any], tmp_path: Pat
     trial = virtual.trial(fault, folder, 1.0, seed=1)
     assert (trial.wrong, trial.status) == ("", "finished")
     assert not (folder / "rig.yaml").exists()
+
+
+def test_the_example_law_has_consistent_derivatives(known: dict[str, Any]) -> None:
+    law, arm = known["Cubic"](), Arm.paper()
+    constants = (*law.constants(arm.material, arm.geometry), 0.0, 0.0)
+    for strain in (-0.1, 0.0, 0.2):
+        force, tangent, side, growth = law.response(strain, constants, 1.0)
+        ahead, back = (law.response(strain + step, constants, 1.0) for step in (1e-6, -1e-6))
+        assert force == pytest.approx(side * strain)
+        assert tangent == pytest.approx((ahead[0] - back[0]) / 2e-6, rel=1e-6)
+        assert growth == pytest.approx((ahead[2] - back[2]) / 2e-6, rel=1e-6, abs=1e-6)
+    assert side > law.response(0.0, constants, 1.0)[2] == law.stiffness_n(arm.material, arm.geometry)
 
 
 def test_the_examples_of_the_page_are_complete_extensions(known: dict[str, Any]) -> None:

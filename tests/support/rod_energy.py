@@ -14,6 +14,7 @@ from scipy.linalg import eig_banded
 from scipy.spatial.transform import Rotation
 
 from model import Arm, Loads, Shape
+from model.laws.quadratic_compliance import QuadraticCompliance
 
 Array = NDArray[np.float64]
 UNKNOWNS = 12  # of an element: displacement and rotation of both its ends
@@ -88,7 +89,7 @@ def wrench_of(arm: Arm, pressure_pa: Array, strains: Array) -> Array:
     for (x, y), pressed, stiffness in zip(geometry.positions_m, pressure_pa, arm.stiffness_n(pressure_pa), strict=True):
         strain, k = v3 - 1 + y * u1 - x * u2 - arm.rpe_per_bar * pressed / 1e5, np.full(len(v3), stiffness)
         pull = k * strain
-        if arm.section_rule == "pointwise":
+        if isinstance(arm.law, QuadraticCompliance):
             a1, a2 = material.a1_per_n, material.a2_per_n2
             pull = 2 * strain / (a1 + np.sqrt(a1 * a1 + 4 * a2 * abs(strain)))
             k = 2 / (a1 + np.sqrt(a1 * a1 + 4 * a2 * np.hypot(strain, 5e-3)))

@@ -17,13 +17,14 @@ from rig.cli.app import main
 from rig.config import parameters_overlay as parameter_files
 from rig.config.arm_model import model_arm, true_arm
 from rig.config.loader import load
-from rig.observation.online_estimation import DEFAULT_PARAMETERS, OnlineEstimation, estimated_quantities
+from rig.observation.online_estimation import OnlineEstimation, default_parameters, estimated_quantities
 from runs.records import DetectionStatus, observation_dtype
 from runs.report.figure_specifications import figure_specifications
 from runs.run import Run
 from runs.summary import summarise
 
 PERIOD_S = 2 * np.pi
+DEFAULT_PARAMETERS = default_parameters(load("mock"))
 ONE_PERIOD = """
 title: Somewhat more than one period of sine-1
 steps:

@@ -1,14 +1,15 @@
-"""The section whose tubes each follow eq 32 at their own place (section.py derives what is summed)."""
+"""The section whose tubes each follow a law at their own place (section.py derives what is summed)."""
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
+from model.kernels.law import Walls, respond
 from model.kernels.layout import (
     AXIAL,
     CHANGES,
     LANES,
+    LAW,
     MORE,
     OFFSET,
     OTHERS,
@@ -27,25 +28,6 @@ from model.kernels.vec3 import Triple, inlined, leaf, plus, put, six, times, tri
 
 Array = Any
 
-# Eq 32 continued oddly has a kink in its secant stiffness at zero force, which no rubber has and Newton's method trips
-# over. The wall force keeps the law as it is; shear, own bending and torsion take the secant rounded over this strain.
-ROUNDING = 5e-3
-
-
-@inlined
-def _tube(strain: float, a1: float, a2: float, share: float) -> tuple[float, float, float, float]:
-    """Wall force of a strain, its derivative; rounded secant stiffness, its derivative; all times `share` (1, or 0)."""
-    root = math.sqrt(a1 * a1 + 4.0 * a2 * abs(strain))
-    rounded = math.sqrt(strain * strain + ROUNDING * ROUNDING)
-    round_root = math.sqrt(a1 * a1 + 4.0 * a2 * rounded)
-    # Roots and divisions cost more than anything else here: one division serves for four quotients.
-    far, round_far, both = a1 + root, a1 + round_root, round_root * rounded
-    plain, round_plain = root * far, both * round_far
-    inverse = share / (plain * round_plain)
-    over, round_over = inverse * round_plain, inverse * plain
-    half = both * round_over
-    return 2.0 * strain * (root * over), far * over, 2.0 * half, -4.0 * a2 * strain * round_over * half
-
 
 @inlined
 def _on(total: float, a: Triple, b: Triple) -> float:
@@ -54,17 +36,18 @@ def _on(total: float, a: Triple, b: Triple) -> float:
 
 
 @inlined
-def tubes(w: Array, i: int, v3: float, u1: float, u2: float) -> Any:
-    """`_tube` for the three tubes at TRIO of lane i."""
-    a1, a2 = w[TUBE * LANES + i], w[(TUBE + 1) * LANES + i]
+def tubes(w: Array, walls: Walls, i: int, v3: float, u1: float, u2: float) -> Any:
+    """Responses of the three tubes at TRIO of lane i."""
+    at = LAW * LANES + i
+    constants = w[at], w[at + LANES], w[at + 2 * LANES], w[at + 3 * LANES]
     x1, y1, free1 = triple(w, TRIO, i)
     x2, y2, free2 = triple(w, TRIO + PER_TUBE, i)
     x3, y3, free3 = triple(w, TRIO + 2 * PER_TUBE, i)
     share = (TRIO + 3) * LANES + i
     share1, share2, share3 = w[share], w[share + PER_TUBE * LANES], w[share + 2 * PER_TUBE * LANES]
-    f1, t1, k1, e1 = _tube(v3 - 1.0 + y1 * u1 - x1 * u2 - free1, a1, a2, share1)
-    f2, t2, k2, e2 = _tube(v3 - 1.0 + y2 * u1 - x2 * u2 - free2, a1, a2, share2)
-    f3, t3, k3, e3 = _tube(v3 - 1.0 + y3 * u1 - x3 * u2 - free3, a1, a2, share3)
+    f1, t1, k1, e1 = respond(walls.law, v3 - 1.0 + y1 * u1 - x1 * u2 - free1, constants, share1)
+    f2, t2, k2, e2 = respond(walls.law, v3 - 1.0 + y2 * u1 - x2 * u2 - free2, constants, share2)
+    f3, t3, k3, e3 = respond(walls.law, v3 - 1.0 + y3 * u1 - x3 * u2 - free3, constants, share3)
     return (f1, f2, f3), (t1, t2, t3), (k1, k2, k3), (e1, e2, e3)
 
 
@@ -97,11 +80,11 @@ def sum_tubes(w: Array, i: int, answers: Any, to: int) -> None:
 
 
 @leaf
-def sum_others(w: Array, actuators: int) -> None:
+def sum_others(w: Array, walls: Walls) -> None:
     """Sum over all trios but the last, all lanes, at the strains kept for it, and make the last one ready."""
     for i in range(SUMS * LANES):
         w[OTHERS * LANES + i] = 0.0
-    last = (actuators - 1) // 3
+    last = (walls.actuators - 1) // 3
     for k in range(last + 1):
         # Copied to a constant place, or the compiler gives up on vector instructions.
         at = (MORE + PER_TRIO * k) * LANES
@@ -110,7 +93,7 @@ def sum_others(w: Array, actuators: int) -> None:
         if k < last:
             for i in range(LANES):
                 v3, u1, u2 = triple(w, STRAINS, i)
-                sum_tubes(w, i, tubes(w, i, v3, u1, u2), OTHERS)
+                sum_tubes(w, i, tubes(w, walls, i, v3, u1, u2), OTHERS)
 
 
 @inlined
@@ -120,7 +103,7 @@ def pointwise_wrench(w: Array, i: int, c0: float, v: Triple, u: Triple, v_h: Tri
     a = times(six(w, AXIAL, i), (v_t[2], u_t[0], u_t[1]))
     b = times(six(w, SHEAR, i), (v_t[0], v_t[1], u_t[2]))
     offset, pull = six(w, OFFSET, i), triple(w, PULLS, i)
-    gamma, spread = w[(TUBE + 2) * LANES + i], w[(TUBE + 3) * LANES + i]
+    gamma, spread = w[TUBE * LANES + i], w[(TUBE + 1) * LANES + i]
     k0, kx, ky = triple(w, SECANTS, i)
     kr = w[(SECANTS + 3) * LANES + i]
     return (
@@ -144,7 +127,7 @@ def pointwise_slopes(w: Array, i: int, c0: float, v: Triple, u: Triple, n: Tripl
     f1, f2, f6 = plus((n[0], n[1], m[2]), -1.0, times((s11, s12, s13, s22, s23, s33), (v_h[0], v_h[1], u_h[2])))
     v1, v2 = v[0], v[1]
     u1, u2, u3 = u
-    gamma, spread = w[(TUBE + 2) * LANES + i], w[(TUBE + 3) * LANES + i]
+    gamma, spread = w[TUBE * LANES + i], w[(TUBE + 1) * LANES + i]
     t0, tx, ty = triple(w, TANGENTS, i)
     txx, txy, tyy = triple(w, TANGENTS + 3, i)
     t11, t12, t13 = c0 * a11 + t0, c0 * a12 + ty, c0 * a13 - tx

@@ -1,0 +1,1 @@
+"""Constitutive laws of the walls; model/variants.py registers them."""

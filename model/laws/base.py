@@ -1,0 +1,70 @@
+"""What a constitutive law of the walls is: a relation of one tube's strain and axial force."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from model.geometry import Geometry
+from model.material import Material
+
+Array = NDArray[np.float64]
+Constants = tuple[float, float, float, float]
+Response = tuple[float, float, float, float]
+
+
+class ConstitutiveLaw(ABC):
+    """A law of constant stiffness, unless it is a `TubeLaw`.
+
+    parameters: the fields of `Material` that it rests on. frozen: the stiffness follows from the pressures, so that
+    each row of these has a section of its own. softest: the smallest tangent stiffness in ordinary use, as a share of
+    that at zero strain.
+    """
+
+    name: str
+    parameters: ClassVar[tuple[str, ...]]
+    frozen: ClassVar[bool] = False
+    pointwise: ClassVar[bool] = False
+    softest: ClassVar[float] = 1.0
+
+    @abstractmethod
+    def stiffness_n(self, material: Material, geometry: Geometry) -> float:
+        """Axial stiffness [N] of one tube at zero strain."""
+
+    def constants(self, material: Material, geometry: Geometry) -> tuple[float, ...]:
+        """The numbers that the kernels take of a `TubeLaw`."""
+        return ()
+
+    def stiffness_under_pressure_n(
+        self, material: Material, geometry: Geometry, pressure_pa: Array, push_pa: Array
+    ) -> Array:
+        """Axial stiffness [N] of each tube (.., N) under gauge pressures and push pressures (.., N) [Pa]."""
+        return np.full(pressure_pa.shape, self.stiffness_n(material, geometry))
+
+
+class TubeLaw(ConstitutiveLaw):
+    """A law that each tube follows at its own place, at every point of the rod.
+
+    The kernels are compiled for each such law.
+    """
+
+    pointwise = True
+
+    @abstractmethod
+    def constants(self, material: Material, geometry: Geometry) -> tuple[float, ...]:
+        """The numbers that `response` takes, at most four."""
+
+    @staticmethod
+    @abstractmethod
+    def response(strain: float, constants: Constants, share: float) -> Response:
+        """Wall force [N] of an axial strain and its derivative; side stiffness [N] and its derivative.
+
+        The side stiffness is the secant stiffness, force over strain, which the tube has against shear, and for bending
+        and torsion about its own axis. It must be smooth and positive. All four numbers are times `share`: 1, or 0 for
+        a place without a tube. constants: those of the law, filled up with zeros.
+
+        Compiled by numba: `math` and plain numbers only.
+        """

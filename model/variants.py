@@ -1,0 +1,68 @@
+"""The variants of the model, by the names that a rig file takes: a constitutive law, with or without radial effect."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from model.laws.base import ConstitutiveLaw
+from model.laws.constant_modulus import ConstantModulus
+from model.laws.quadratic_compliance import FrozenCompliance, QuadraticCompliance
+
+POINTWISE = "pointwise"
+_FROZEN = (
+    FrozenCompliance("secant", tangent=False, passive_share=False),
+    FrozenCompliance("tangent", tangent=True, passive_share=False),
+    FrozenCompliance("paper-secant", tangent=False, passive_share=True),
+    FrozenCompliance("paper-tangent", tangent=True, passive_share=True),
+)
+MODULUS_RULES = (POINTWISE, *(law.name for law in _FROZEN))
+
+
+@dataclass(frozen=True)
+class ModelVariant:
+    """A variant: its law, and whether the radial pressure effect of eq 30 stretches the walls.
+
+    rules: the laws that take the place of `law` under the modulus rules other than 'pointwise'; a variant without them
+    follows its law under every rule.
+    """
+
+    name: str
+    law: ConstitutiveLaw
+    radial_effect: bool
+    rules: Mapping[str, ConstitutiveLaw] = field(default_factory=dict)
+
+    def law_under(self, modulus_rule: str) -> ConstitutiveLaw:
+        """The law under a modulus rule."""
+        return self.rules.get(modulus_rule, self.law)
+
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        """The fields of `Material` that distinguish this variant from the others."""
+        return (*self.law.parameters, *(("rpe_per_bar",) if self.radial_effect else ()))
+
+
+VARIANTS: dict[str, ModelVariant] = {}
+
+
+def register(variant: ModelVariant) -> None:
+    """Make a variant known under its name; ValueError for a name that is taken."""
+    if variant.name in VARIANTS:
+        raise ValueError(f"there is already a variant {variant.name!r}")
+    VARIANTS[variant.name] = variant
+
+
+def variant_named(name: str) -> ModelVariant:
+    """The variant of a name; ValueError for an unknown one."""
+    if name not in VARIANTS:
+        raise ValueError(f"unknown variant {name!r}: {', '.join(VARIANTS)}")
+    return VARIANTS[name]
+
+
+register(ModelVariant("homogeneous", ConstantModulus(), radial_effect=False))
+register(ModelVariant("homogeneous+rpe", ConstantModulus(), radial_effect=True))
+register(
+    ModelVariant(
+        "inhomogeneous+rpe", QuadraticCompliance(), radial_effect=True, rules={law.name: law for law in _FROZEN}
+    )
+)
