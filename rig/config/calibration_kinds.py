@@ -1,0 +1,291 @@
+"""What each kind of calibration file changes in a rig's YAML, and which rigs it fits: an object for each kind."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Mapping
+from typing import Any, Generic, NamedTuple, TypeVar
+
+import numpy as np
+
+from protocols import Problem
+from protocols.problems import closest
+from rig.config.calibration_files import LoadedCalibration
+from rig.config.calibration_schema import (
+    CalibrationFile,
+    CameraFile,
+    CameraIdentity,
+    CardIdentity,
+    DLTFile,
+    PressureFile,
+    SensorCalibration,
+    ToolFile,
+    ValveCalibration,
+)
+from rig.config.optics import placement_of, rigid
+from rig.config.schema import RigConfig
+from rig.config.sections import LensConfig, Placement, Sensor
+from rig.valves.base import ValveSection
+from rig.valves.flow import FlowValve
+
+Faults = Iterator[Problem]
+YamlPath = tuple[str | int, ...]
+File = TypeVar("File", bound=CalibrationFile)
+
+
+class Subject(NamedTuple):
+    """One part of a rig that a file calibrates: its path in the file's YAML, a unique key, a description."""
+
+    path: YamlPath
+    key: tuple[str, object]
+    description: str
+
+
+class CalibrationOverlay(ABC, Generic[File]):
+    """One calibration file as a change of a rig's YAML."""
+
+    def __init__(self, calibration: LoadedCalibration, found: File) -> None:
+        self.calibration = calibration
+        self.found = found
+
+    @abstractmethod
+    def subjects(self) -> Iterator[Subject]:
+        """Yield what the file calibrates."""
+
+    @abstractmethod
+    def apply(self, data: dict[str, Any], config: RigConfig) -> None:
+        """Put the calibrated values into the YAML `data` of a rig; `config` is its parsed form."""
+
+    def cameras(self) -> Iterator[tuple[YamlPath, CameraIdentity]]:
+        """Yield the cameras that the file is for, with their paths in its YAML."""
+        return iter(())
+
+    def lenses(self) -> dict[str, LensConfig]:
+        """Return the lenses that the file calibrates, by camera."""
+        return {}
+
+    def misfits(self, config: RigConfig, lenses: Mapping[str, LensConfig]) -> Faults:
+        """Yield the reasons why the file does not belong to the rig; lenses: those of all files, by camera."""
+        for here, camera in self.cameras():
+            yield from _other_camera(config, self.calibration, here, camera)
+
+
+class LensOverlay(CalibrationOverlay[CameraFile]):
+    """The lens of a camera."""
+
+    def subjects(self) -> Iterator[Subject]:
+        """Yield the lens."""
+        name = self.found.camera.name
+        yield Subject(("camera", "name"), ("lens", name), f"the lens of camera '{name}'")
+
+    def apply(self, data: dict[str, Any], config: RigConfig) -> None:
+        """Replace the lens."""
+        data["cameras"][self.found.camera.name]["lens"] = self.found.lens.model_dump(mode="json")
+
+    def cameras(self) -> Iterator[tuple[YamlPath, CameraIdentity]]:
+        """Yield the camera of the lens."""
+        yield ("camera",), self.found.camera
+
+    def lenses(self) -> dict[str, LensConfig]:
+        """Return the lens."""
+        return {self.found.camera.name: self.found.lens}
+
+
+class PlacementOverlay(CalibrationOverlay[DLTFile]):
+    """The places of cameras."""
+
+    def subjects(self) -> Iterator[Subject]:
+        """Yield each camera's place."""
+        for i, item in enumerate(self.found.cameras):
+            name = item.camera.name
+            yield Subject(("cameras", i, "camera", "name"), ("place", name), f"the place of camera '{name}'")
+
+    def apply(self, data: dict[str, Any], config: RigConfig) -> None:
+        """Replace the placements."""
+        for camera in self.found.cameras:
+            _place_camera(data, config, camera.camera.name, camera.placement)
+
+    def cameras(self) -> Iterator[tuple[YamlPath, CameraIdentity]]:
+        """Yield each camera."""
+        for i, item in enumerate(self.found.cameras):
+            yield ("cameras", i, "camera"), item.camera
+
+    def misfits(self, config: RigConfig, lenses: Mapping[str, LensConfig]) -> Faults:
+        """As of every file; another frame, and another lens: a place is valid only with the lens it was found with."""
+        yield from super().misfits(config, lenses)
+        if self.found.world != "rod base":
+            expected = "rod base: the rig's cameras stand in that frame; calibrate with control points in it, or --base"
+            yield self.calibration.problem(("world",), self.found.world, expected)
+        for i, item in enumerate(self.found.cameras):
+            name = item.camera.name
+            if item.lens is None or name not in config.cameras:
+                continue
+            used = lenses.get(name, config.cameras[name].lens)
+            mine, theirs = (np.array([v.fx_px, v.fy_px, v.cx_px, v.cy_px, *v.distortion]) for v in (item.lens, used))
+            if not np.allclose(mine, theirs, rtol=1e-5, atol=1e-7):
+                expected = f"{used.fx_px:g} and so on, the lens of camera {name} in rig {config.name}: the place was "
+                expected += "found through another lens; name that lens's calibration, too"
+                yield self.calibration.problem(("cameras", i, "lens"), f"fx_px {item.lens.fx_px:g}", expected)
+
+
+class BoardOverlay(CalibrationOverlay[ToolFile]):
+    """The board on the tip."""
+
+    def subjects(self) -> Iterator[Subject]:
+        """Yield the board."""
+        yield Subject(("kind",), ("tool", ""), "the board on the tip")
+
+    def apply(self, data: dict[str, Any], config: RigConfig) -> None:
+        """Replace the placement of the board."""
+        data["board"]["placement"] = self.found.placement.model_dump(mode="json")
+
+    def cameras(self) -> Iterator[tuple[YamlPath, CameraIdentity]]:
+        """Yield the camera that saw the board."""
+        yield ("camera",), self.found.camera
+
+    def misfits(self, config: RigConfig, lenses: Mapping[str, LensConfig]) -> Faults:
+        """As of every file, and another board."""
+        yield from super().misfits(config, lenses)
+        if config.board is None:
+            expected = f"no calibration of a tool: rig {config.name} has no board"
+            yield self.calibration.problem(("board",), "a board", expected)
+            return
+        have = (config.board.squares_x - 1, config.board.squares_y - 1)
+        board = self.found.board
+        if tuple(board.corners) != have:
+            expected = f"{have[0]}x{have[1]} inner corners, as the board of rig {config.name}"
+            yield self.calibration.problem(("board", "corners"), "x".join(map(str, board.corners)), expected)
+        if abs(board.square_mm - config.board.square_mm) > 1e-3 * config.board.square_mm:
+            expected = f"{config.board.square_mm:g}, as the board of rig {config.name}"
+            yield self.calibration.problem(("board", "square_mm"), board.square_mm, expected)
+
+
+class PressureOverlay(CalibrationOverlay[PressureFile]):
+    """The scales of pressure sensors, and the flow curves of valves."""
+
+    def subjects(self) -> Iterator[Subject]:
+        """Yield each sensor and each valve."""
+        for i, scale in enumerate(self.found.sensors):
+            description = f"the sensor of actuator {scale.actuator}"
+            yield Subject(("sensors", i, "actuator"), ("sensor", scale.actuator), description)
+        for i, sweep in enumerate(self.found.valves):
+            yield Subject(("valves", i, "valve"), ("valve", sweep.valve), f"valve {sweep.valve}")
+
+    def apply(self, data: dict[str, Any], config: RigConfig) -> None:
+        """Replace the spans of the sensors and the curves of the valves."""
+        for scale in self.found.sensors:
+            for sensor in data["sensors"]:
+                if int(sensor["actuator"]) == scale.actuator:
+                    sensor["span_V"] = list(scale.span_V)
+                    sensor["span_bar"] = [scale.offset_bar + scale.scale_bar_per_V * v for v in scale.span_V]
+        for sweep in self.found.valves:
+            data["valves"][sweep.valve - 1] |= {
+                "closed_V": sweep.closed_V,
+                "dead_zone_V": sweep.dead_zone_V,
+                "full_flow_l_min": sweep.full_flow_l_min,
+                "flow_curve_V": list(sweep.flow_curve_V),
+                "flow_curve_percent": list(sweep.flow_curve_percent),
+            }
+
+    def misfits(self, config: RigConfig, lenses: Mapping[str, LensConfig]) -> Faults:
+        """Yield another sensor, valve or channel."""
+        yield from self._other_sensors(config)
+        yield from self._other_valves(config)
+
+    def _other_sensors(self, config: RigConfig) -> Faults:
+        sensors = {s.actuator: s for s in config.sensors}
+        for i, scale in enumerate(self.found.sensors):
+            here: YamlPath = ("sensors", i)
+            if scale.actuator not in sensors:
+                yield self.calibration.problem((*here, "actuator"), scale.actuator, f"an actuator of rig {config.name}")
+                continue
+            sensor = sensors[scale.actuator]
+            yield from _other_channel(
+                config, self.calibration, here, scale, sensor, f"the sensor of actuator {scale.actuator}"
+            )
+            if sensor.unit != "V":
+                expected = f"a sensor in volts; that of actuator {scale.actuator} gives {sensor.unit}"
+                yield self.calibration.problem((*here, "actuator"), scale.actuator, expected)
+            elif tuple(scale.span_V) != tuple(sensor.span_V):
+                expected = f"{list(sensor.span_V)}, as the sensor of rig {config.name}"
+                yield self.calibration.problem((*here, "span_V"), list(scale.span_V), expected)
+
+    def _other_valves(self, config: RigConfig) -> Faults:
+        for i, sweep in enumerate(self.found.valves):
+            here: YamlPath = ("valves", i)
+            if sweep.valve > len(config.valves):
+                yield self.calibration.problem((*here, "valve"), sweep.valve, f"a valve from 1 to {len(config.valves)}")
+                continue
+            valve = config.valves[sweep.valve - 1]
+            if not isinstance(valve, FlowValve):
+                expected = f"a valve that meters flow; valve {sweep.valve} of rig {config.name} regulates by itself"
+                yield self.calibration.problem((*here, "valve"), sweep.valve, expected)
+                continue
+            yield from _other_channel(config, self.calibration, here, sweep, valve, f"valve {sweep.valve}")
+            if not valve.range_V[0] < sweep.closed_V < valve.range_V[1]:
+                expected = f"a voltage inside range_V of the valve, {valve.range_V[0]:g} to {valve.range_V[1]:g} V"
+                yield self.calibration.problem((*here, "closed_V"), sweep.closed_V, expected)
+
+
+OVERLAYS: dict[type[CalibrationFile], type[CalibrationOverlay[Any]]] = {
+    CameraFile: LensOverlay,
+    DLTFile: PlacementOverlay,
+    ToolFile: BoardOverlay,
+    PressureFile: PressureOverlay,
+}
+
+
+def overlay_of(calibration: LoadedCalibration) -> CalibrationOverlay[Any]:
+    """Return the overlay of a file."""
+    return OVERLAYS[type(calibration.found)](calibration, calibration.found)
+
+
+def _place_camera(data: dict[str, Any], config: RigConfig, name: str, found: Placement) -> None:
+    if config.simulator is not None:
+        # The true camera pose stays: the stated placement changes, so the simulated error absorbs the difference.
+        stands = rigid(config.cameras[name].placement) @ rigid(config.simulator.error_of(name))
+        errors = data["simulator"].setdefault("camera_errors", {})
+        errors[name] = placement_of(rigid(found).inverse() @ stands).model_dump(mode="json")
+    data["cameras"][name]["placement"] = found.model_dump(mode="json")
+
+
+def _other_camera(
+    config: RigConfig, calibration: LoadedCalibration, here: YamlPath, identity: CameraIdentity
+) -> Faults:
+    if identity.name not in config.cameras:
+        known = ", ".join(config.cameras) or "it has none"
+        expected = f"a camera of rig {config.name}: {known}"
+        problem = calibration.problem((*here, "name"), identity.name, expected)
+        yield Problem(**{**problem.__dict__, "suggestion": closest(identity.name, config.cameras)})
+        return
+    camera = config.cameras[identity.name]
+    where = f"cameras, {identity.name} of rig {config.name}"
+    for key in ("width_px", "height_px"):
+        has, wants = getattr(identity, key), getattr(camera, key)
+        if has != wants:
+            expected = f"{wants}, as {where}: a calibration holds at its own resolution only"
+            yield calibration.problem((*here, key), has, expected)
+    for key in ("driver", "device"):
+        has, wants = getattr(identity, key), getattr(camera, key)
+        if has is not None and has != wants:
+            yield calibration.problem((*here, key), has, f"{wants}, as {where}: this is another camera's calibration")
+
+
+def _other_channel(
+    config: RigConfig,
+    calibration: LoadedCalibration,
+    here: YamlPath,
+    part: SensorCalibration | ValveCalibration,
+    stated: Sensor | ValveSection,
+    what: str,
+) -> Faults:
+    card = config.cards[stated.card]
+    identity = CardIdentity(name=stated.card, driver=card.driver, device=card.device)
+    for key in ("name", "driver", "device"):
+        has, wants = getattr(part.card, key), getattr(identity, key)
+        if has != wants:
+            expected = f"{wants}, the card of {what} in rig {config.name}: this was measured through another card"
+            yield calibration.problem((*here, "card", key), has, expected)
+    if part.channel != stated.channel:
+        expected = f"{stated.channel}, the channel of {what} in rig {config.name}"
+        yield calibration.problem((*here, "channel"), part.channel, expected)
