@@ -20,6 +20,7 @@ Image = NDArray[np.uint8]
 _SAMPLES = 64
 _STILL = np.zeros(3)
 _NOISE_SPARE = (61, 83)
+_RAYS_SPARE_PX = 40
 
 
 @dataclass(frozen=True)
@@ -41,9 +42,7 @@ class Scene:
         self._board, self._optics, self._seed = board, optics, seed
         self._lens = lens
         width, height = size
-        y, x = np.mgrid[-1 : height + 1, -1 : width + 1]
-        rays = lens.rays(np.stack([x.ravel(), y.ravel()], axis=-1).astype(np.float64))
-        self._rays = np.ascontiguousarray(rays.T).reshape(2, height + 2, width + 2)
+        self._rays = _PixelRays(lens, size)
         rng = np.random.default_rng([seed, 0xB0A2D])
         self._light = _light(size, optics.lighting)
         self._backdrop = _backdrop(size, self._light, rng)
@@ -77,7 +76,7 @@ class Scene:
                 (x0, y0),
                 self._light,
                 self._backdrop,
-                self._rays,
+                self._rays.covering(box),
                 at_middle,
                 at_close - at_open,
                 self._samples,
@@ -109,6 +108,30 @@ class Scene:
         if np.any(high - low < 2):
             return None
         return int(low[0]), int(low[1]), int(high[0]), int(high[1])
+
+
+class _PixelRays:
+    """Undistorted rays of the pixels, found where a board was: the inverse distortion of a whole picture is slow."""
+
+    def __init__(self, lens: Lens, size: tuple[int, int]) -> None:
+        self._lens, self._size = lens, size
+        self._rays = np.zeros((2, size[1] + 2, size[0] + 2))
+        self._known = (*size, 0, 0)
+
+    def covering(self, box: tuple[int, int, int, int]) -> Floats:
+        """Rays (2, height + 2, width + 2) of the picture with a rim of one pixel, valid in `box` and one pixel around.
+
+        `box` is x0, y0, x1, y1 in pixels, the last two exclusive.
+        """
+        known = self._known
+        if box[0] < known[0] or box[1] < known[1] or box[2] > known[2] or box[3] > known[3]:
+            x0, y0 = (max(0, min(box[k], known[k]) - _RAYS_SPARE_PX) for k in (0, 1))
+            x1, y1 = (min(self._size[k], max(box[k + 2], known[k + 2]) + _RAYS_SPARE_PX) for k in (0, 1))
+            y, x = np.mgrid[y0 - 1 : y1 + 1, x0 - 1 : x1 + 1]
+            rays = self._lens.rays(np.stack([x.ravel(), y.ravel()], axis=-1).astype(np.float64))
+            self._rays[:, y0 : y1 + 2, x0 : x1 + 2] = rays.T.reshape(2, *x.shape)
+            self._known = (x0, y0, x1, y1)
+        return self._rays
 
 
 def _outline(board: Board) -> Floats:

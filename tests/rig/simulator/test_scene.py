@@ -44,6 +44,13 @@ def test_same_seed_and_index_give_the_same_picture_and_others_do_not() -> None:
     assert not np.array_equal(first, still(pose, 7, scene(seed=2)))
 
 
+def test_a_picture_is_the_same_after_others_of_the_board_elsewhere() -> None:
+    view = scene()
+    for index, x in enumerate((0.0, 0.05, -0.09)):
+        pose = facing(x)
+        assert np.array_equal(still(pose, index, view), still(pose, index, scene()))
+
+
 def test_noise_has_the_level_that_was_asked_for() -> None:
     view = scene(Optics(0.6, 3.0))
     pictures = np.array([still(facing(), index, view) for index in range(24)], dtype=np.float64)
