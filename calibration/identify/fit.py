@@ -73,10 +73,10 @@ def identify(
     nuisances = {p.name for p in held}
     solution, fixed = _fix_undetermined(problem, joint, nuisances)
     error = None if stated is None else model_error_posterior(problem, solution, fixed)
-    wide = _joint_covariance(problem, solution, fixed)
-    if error is not None and error.found:
-        wide = error.second[: len(wide), : len(wide)]
+    alone = _joint_covariance(problem, solution, fixed)
+    wide = alone if error is None else error.second[: len(alone), : len(alone)]
     estimates, covariance = _estimates(problem, solution, joint, fixed, nuisances, wide)
+    rates = problem.rates(solution.z)
     estimates = tuple(replace(e, stated=(stated or {}).get(e.name), prior=known.get(e.name)) for e in estimates)
     return Fit(
         setup=problem.setup(solution.z),
@@ -84,6 +84,7 @@ def identify(
         estimates=estimates,
         covariance=covariance,
         joint_covariance=wide,
+        fitted_covariance=alone * np.outer(rates, rates),
         runs=_runs(problem, solution),
         log_likelihood=solution.log_likelihood,
         loss=solution.loss,

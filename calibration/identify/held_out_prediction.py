@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from calibration.identify.data import Poses
+from calibration.identify.fit_range import outside
 from calibration.identify.least_squares import LeastSquaresProblem
 from calibration.identify.model_error import error_columns
 from calibration.identify.parameters import Setup, known
@@ -41,6 +42,8 @@ class Prediction:
     predicted_m: Array
     covariance_m2: Array
     before_m: Array
+    outside: tuple[str, ...]
+    """Where the run leaves the range of the fit."""
 
     @property
     def error_m(self) -> Array:
@@ -148,6 +151,7 @@ def predict(fit: Fit, poses: Poses) -> Prediction:
         predicted_m=problem.predicted(z)[0],
         covariance_m2=covariance,
         before_m=np.linalg.norm(poses.tip_m - Predictor(poses, fit.problem.substeps)(fit.start), axis=1),
+        outside=outside(fit.problem.data, poses),
     )
 
 

@@ -27,13 +27,30 @@ class ModelErrorTerm:
 
     scale: standard deviation of its amplitude over arms, before anything is known of this one. push: by poses and their
     reference pressure [Pa], the pressure errors (K, N, m) [Pa] per unit of its m coefficients; None for the load, whose
-    one coefficient is a relative error of its effect.
+    one coefficient is a relative error of its effect. by_pair: its
+    coefficients belong to pairs of actuators. unit, factor: of its size for readers.
     """
 
     name: str
     about: str
     scale: float
     push: Callable[[Poses, float], Array] | None
+    by_pair: bool = False
+    unit: str = "%"
+    factor: float = 100.0
+
+    def size(self, coefficients: Array, actuators: int) -> Array:
+        """Root mean square (S,) over the actuators, or pairs of them, of the errors by coefficients (S, m).
+
+        The coefficients are one or more groups, each with one coefficient per actuator or pair and a common one.
+        """
+        if self.push is None:
+            return np.abs(coefficients[:, 0])
+        count = actuators * (actuators - 1) if self.by_pair else actuators
+        groups = coefficients.reshape(len(coefficients), -1, count + 1)
+        total = (groups[:, :, :-1] + groups[:, :, -1:]).sum(axis=1) / np.sqrt(2.0)
+        rms: Array = np.sqrt((total**2).mean(axis=1))
+        return rms
 
 
 def _per_actuator(amount: Array) -> Array:
@@ -78,10 +95,12 @@ def _creep(poses: Poses, _: float) -> Array:
 
 TERMS = (
     ModelErrorTerm("gain", "unequal actuators", 0.03, _gain),
-    ModelErrorTerm("coupling", "a share of the pressures of the other chambers", 0.04, _coupling),
+    ModelErrorTerm("coupling", "a share of the pressures of the other chambers", 0.04, _coupling, by_pair=True),
     ModelErrorTerm("own pressure", "a push that is not proportional to the pressure", 0.08, _own_curvature),
     ModelErrorTerm("combination", "a push that depends on the pressures of the others", 0.04, _sum_curvature),
-    ModelErrorTerm("direction", "hysteresis: the direction of the last change", 0.01, _direction),
+    ModelErrorTerm(
+        "direction", "hysteresis: the direction of the last change", 0.01, _direction, unit="mbar", factor=1000.0
+    ),
     ModelErrorTerm("time since step", "creep behind the pressure", 0.04, _creep),
     ModelErrorTerm("load", "an arm that is stiffer or softer under loads", 0.03, None),
 )

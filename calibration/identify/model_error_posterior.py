@@ -1,8 +1,9 @@
 """Posterior of the model error given the residuals of a fit, and its effect on the parameters.
 
-The coefficients of the terms are random effects with normal distributions. The amplitudes of the terms are averaged
-over their posterior distribution by Monte Carlo with importance weights (Kennedy and O'Hagan 2001, with a parametric
-discrepancy).
+Each term is present or absent. The coefficients of a term that is present are random effects with normal distributions
+and a common standard deviation, the term's amplitude. Presence, amplitudes and the independent error of the tips are
+averaged over their posterior distribution by Gibbs sampling (Kennedy and O'Hagan 2001 with a parametric discrepancy;
+George and McCulloch 1993 for the selection of terms).
 """
 
 from __future__ import annotations
@@ -13,24 +14,46 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import logsumexp
-from scipy.stats import halfnorm, qmc
+from scipy.stats import halfnorm
 
 from calibration.identify.least_squares import LeastSquaresProblem, Solution
 from calibration.identify.likelihood import OUTLIER, Weights, whitened
-from calibration.identify.model_error import TERMS, error_columns
+from calibration.identify.model_error import TERMS, ModelErrorTerm, error_columns
 from calibration.identify.tip_predictor import Predictor
 
 Array = NDArray[np.float64]
 
-# Samples of the amplitudes.
-_SAMPLES = 512
+# Probability that a term is present before anything is known of this arm.
+PRESENT = 0.5
+# Probability above which a term counts as found.
+FOUND = 0.95
+# Amplitudes of a term that is present: these quantiles of a half-normal distribution, all equally probable.
+_QUANTILES = (np.arange(6) + 0.5) / 6
+# Sweeps of the sampler, and those before them that do not count.
+_SWEEPS, _BURN_IN = 200, 30
 # Independent errors of the tips that are considered, as shares of the discrepancy of the fit.
 _NOISE_SHARES = (0.05, 0.3, 0.6, 1.0)
-# Log Bayes factor from which a model error counts as found.
-FOUND = math.log(20.0)
 # Standard deviation, in spans, of the ridge term of the search, and of unknowns that are held as undetermined.
 _RIDGE_SPANS, _HELD_SPANS = 5.0, 0.5
+
+
+@dataclass(frozen=True)
+class Effect:
+    """What the residuals say of one term: how probable it is, and its size.
+
+    mean, std: size (see `ModelErrorTerm.size`) if the effect is present. below: 95 % bound of the size.
+    """
+
+    term: ModelErrorTerm
+    probability: float
+    mean: float
+    std: float
+    below: float
+
+    @property
+    def found(self) -> bool:
+        """Whether the residuals show this effect."""
+        return self.probability > FOUND
 
 
 @dataclass(frozen=True)
@@ -38,24 +61,23 @@ class ModelErrorPosterior:
     """Posterior of the errors of the fitted unknowns and of the coefficients of the model error, together.
 
     second (n + m, n + m): mean squares and products of both, about the fit and zero; unknowns in spans. noise_m:
-    independent error of the tips. amplitudes: root mean square amplitude of each term, by its name. log_bayes_factor:
-    evidence for a model error of this kind.
+    independent error of the tips. effects: one for each term. absent: probability that no term is present.
     """
 
     second: Array
     noise_m: float
     reference_pa: float
-    amplitudes: dict[str, float]
-    log_bayes_factor: float
+    effects: tuple[Effect, ...]
+    absent: float
 
     @property
-    def found(self) -> bool:
-        """Whether the residuals show a model error."""
-        return self.log_bayes_factor > FOUND
+    def found(self) -> tuple[Effect, ...]:
+        """The effects that the residuals show."""
+        return tuple(one for one in self.effects if one.found)
 
 
 @dataclass(frozen=True)
-class _Normal:
+class NormalEquations:
     """Normal equations of unknowns d and coefficients c: sums of squares, marginal over d."""
 
     inverse: Array
@@ -78,44 +100,38 @@ def model_error_posterior(
         error_columns(poses, Predictor(poses).push_response(problem.setup(solution.z, run)), reference_pa)
         for run, poses in enumerate(problem.data)
     ]
-    term = columns[0].term
     noises = [share * solution.discrepancy_m for share in _NOISE_SHARES] if solution.discrepancy_m else [0.0]
-    equations = [_normal(problem, solution, fixed, [c.tip_m for c in columns], noise) for noise in noises]
-    unit = qmc.Sobol(len(TERMS), seed=0).random(_SAMPLES)
-    drawn = np.array([one.scale for one in TERMS]) * _half_normal(unit)
-    amplitudes = drawn[:, term]
-    logs, means, squares = zip(*(_coefficients(one, amplitudes) for one in equations), strict=True)
-    weights = np.exp(np.array(logs) - logsumexp(np.array(logs)))
-    n, m = len(solution.z), len(term)
-    second = np.zeros((n + m, n + m))
-    for one, weight, mean, square in zip(equations, weights, means, squares, strict=True):
-        c, cc, total = weight @ mean, np.einsum("s,skl->kl", weight, square), weight.sum()
-        u, a = one.at_fit, one.absorbed
-        crossed = np.outer(u, c) - a @ cc
-        second[:n, :n] += total * (one.inverse + np.outer(u, u)) - np.outer(u, a @ c) - np.outer(a @ c, u)
-        second[:n, :n] += a @ cc @ a.T
-        second[:n, n:] += crossed
-        second[n:, :n] += crossed.T
-        second[n:, n:] += cc
-    without = logsumexp([one.constant for one in equations])
+    equations = [normal_equations(problem, solution, fixed, [c.tip_m for c in columns], noise) for noise in noises]
+    drawn = sample(equations, columns[0].term, np.array([one.scale for one in TERMS]))
+    sizes = np.column_stack(
+        [
+            one.size(drawn.coefficients[:, columns[0].term == k], problem.data[0].actuators)
+            for k, one in enumerate(TERMS)
+        ]
+    )
     return ModelErrorPosterior(
-        second=second,
-        noise_m=float(np.sqrt(weights.sum(axis=1) @ np.square(noises))),
+        second=drawn.second,
+        noise_m=float(np.sqrt(np.mean(np.square(noises)[drawn.noise]))),
         reference_pa=reference_pa,
-        amplitudes={one.name: float(np.sqrt(weights.sum(axis=0) @ drawn[:, k] ** 2)) for k, one in enumerate(TERMS)},
-        log_bayes_factor=float(logsumexp(np.array(logs)) - math.log(_SAMPLES) - without),
+        effects=tuple(
+            _effect(one, float(drawn.probability[k]), sizes[:, k], drawn.present[:, k]) for k, one in enumerate(TERMS)
+        ),
+        absent=drawn.absent,
     )
 
 
-def _half_normal(unit: Array) -> Array:
-    """Half-normal quantiles."""
-    out: Array = halfnorm.ppf(np.clip(unit, 1e-6, 1 - 1e-6))
-    return out
+def _effect(term: ModelErrorTerm, probability: float, size: Array, present: NDArray[np.bool_]) -> Effect:
+    chosen = size[present] if present.any() else np.zeros(1)
+    # The smallest amplitude that is considered.
+    least = float(halfnorm.ppf(_QUANTILES[0])) * term.scale
+    return Effect(
+        term, probability, float(chosen.mean()), float(chosen.std()), max(least, float(np.quantile(size, 0.95)))
+    )
 
 
-def _normal(
+def normal_equations(
     problem: LeastSquaresProblem, solution: Solution, fixed: Collection[int], columns: Sequence[Array], noise_m: float
-) -> _Normal:
+) -> NormalEquations:
     n, z = len(solution.z), solution.z
     rows, gap = problem.prior_rows(z)
     held = np.array([1 / _HELD_SPANS**2 if i in fixed else 0.0 for i in range(n)])
@@ -145,14 +161,91 @@ def _normal(
     inverse = np.asarray(np.linalg.inv(information), np.float64)
     absorbed, at_fit = inverse @ cross, inverse @ g
     constant += 0.5 * float(g @ at_fit) - 0.5 * float(np.linalg.slogdet(information)[1])
-    return _Normal(inverse, at_fit, absorbed, seen - cross.T @ absorbed, b - cross.T @ at_fit, constant)
+    return NormalEquations(inverse, at_fit, absorbed, seen - cross.T @ absorbed, b - cross.T @ at_fit, constant)
 
 
-def _coefficients(equations: _Normal, amplitudes: Array) -> tuple[Array, Array, Array]:
-    """Log evidence (S,), mean (S, m) and mean products (S, m, m) of the coefficients for amplitudes (S, m) of them."""
-    m = amplitudes.shape[1]
-    scaled = np.eye(m) + amplitudes[:, :, None] * equations.seen * amplitudes[:, None, :]
-    covariance = amplitudes[:, :, None] * np.linalg.inv(scaled) * amplitudes[:, None, :]
-    mean = covariance @ equations.gradient
-    log = equations.constant - 0.5 * np.linalg.slogdet(scaled)[1] + 0.5 * mean @ equations.gradient
-    return log, mean, covariance + mean[:, :, None] * mean[:, None, :]
+@dataclass(frozen=True)
+class Sampled:
+    """Samples of the model error: coefficients (S, m), present (S, terms), noise (S,) as its number.
+
+    second (n + m, n + m): as of `ModelErrorPosterior`. probability (terms,) of presence; absent: that of no term.
+    """
+
+    second: Array
+    coefficients: Array
+    present: NDArray[np.bool_]
+    noise: NDArray[np.intp]
+    probability: Array
+    absent: float
+
+
+def sample(
+    equations: Sequence[NormalEquations], term: NDArray[np.intp], scale: Array, sweeps: int = _SWEEPS
+) -> Sampled:
+    """Gibbs samples given the normal equations for each noise, the term (m,) of each coefficient, and scale (terms,).
+
+    Each sweep draws the amplitude of each term given the others (zero: absent), and the noise; the coefficients are
+    integrated out. The seed is fixed.
+    """
+    rng = np.random.default_rng(0)
+    count, m = len(scale), len(term)
+    n = len(equations[0].at_fit)
+    levels = np.concatenate([[0.0], halfnorm.ppf(_QUANTILES)])
+    prior = np.log(np.concatenate([[1 - PRESENT], np.full(len(_QUANTILES), PRESENT / len(_QUANTILES))]))
+    level, noise = np.zeros(count, np.intp), len(equations) - 1
+    second, probability, absent = np.zeros((n + m, n + m)), np.zeros(count), 0.0
+    coefficients, present, noises = [], [], []
+    for sweep in range(-_BURN_IN, sweeps):
+        for k in range(count):
+            trial = np.tile((scale * levels[level])[term], (len(levels), 1))
+            trial[:, term == k] = (scale[k] * levels)[:, None]
+            chance = _normalised(log_evidence(equations[noise], trial) + prior)
+            level[k] = rng.choice(len(levels), p=chance)
+            if sweep >= 0:
+                probability[k] += (1 - chance[0]) / sweeps
+                absent += chance[0] / (count * sweeps) if not level[np.arange(count) != k].any() else 0.0
+        amplitude = (scale * levels[level])[term]
+        if len(equations) > 1:
+            chance = _normalised(np.array([log_evidence(one, amplitude[None])[0] for one in equations]))
+            noise = int(rng.choice(len(equations), p=chance))
+        if sweep >= 0:
+            mean, covariance = coefficients_given(equations[noise], amplitude)
+            second += _second(equations[noise], mean, covariance) / sweeps
+            coefficients.append(rng.multivariate_normal(mean, covariance, method="eigh"))
+            present.append(level > 0)
+            noises.append(noise)
+    return Sampled(second, np.array(coefficients), np.array(present), np.array(noises), probability, absent)
+
+
+def _normalised(log: Array) -> Array:
+    chance = np.exp(log - log.max())
+    out: Array = chance / chance.sum()
+    return out
+
+
+def log_evidence(equations: NormalEquations, amplitudes: Array) -> Array:
+    """Log evidence (S,) for the standard deviations (S, m) of the coefficients, up to a common constant."""
+    scaled = np.eye(amplitudes.shape[1]) + amplitudes[:, :, None] * equations.seen * amplitudes[:, None, :]
+    lower = np.linalg.cholesky(scaled)
+    pulled = np.linalg.solve(lower, (amplitudes * equations.gradient)[:, :, None])[:, :, 0]
+    log_root = np.log(np.diagonal(lower, axis1=1, axis2=2)).sum(axis=1)
+    out: Array = equations.constant - log_root + 0.5 * (pulled**2).sum(axis=1)
+    return out
+
+
+def coefficients_given(equations: NormalEquations, amplitude: Array) -> tuple[Array, Array]:
+    """Mean (m,) and covariance (m, m) of the coefficients with the standard deviations (m,)."""
+    scaled = np.eye(len(amplitude)) + amplitude[:, None] * equations.seen * amplitude
+    covariance = amplitude[:, None] * np.linalg.inv(scaled) * amplitude
+    return covariance @ equations.gradient, covariance
+
+
+def _second(equations: NormalEquations, mean: Array, covariance: Array) -> Array:
+    """Mean squares and products (n + m, n + m) of unknowns and coefficients."""
+    absorbed = equations.absorbed
+    centre = np.concatenate([equations.at_fit - absorbed @ mean, mean])
+    onto = np.concatenate([-absorbed, np.eye(len(mean))])
+    out: Array = np.outer(centre, centre) + onto @ covariance @ onto.T
+    n = len(equations.at_fit)
+    out[:n, :n] += equations.inverse
+    return out

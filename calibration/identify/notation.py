@@ -64,10 +64,17 @@ def _unit(name: str, unit: str) -> tuple[str, float]:
     return _OF_PARAMETER.get(name) or _UNITS.get(unit, (unit, 1.0))
 
 
-def rounded(name: str, unit: str, value: float) -> str:
+def rounded(name: str, unit: str, value: float, digits: int = 4) -> str:
     """A parameter's value without uncertainty, given in SI units, in the unit of the bench."""
     shown, factor = _unit(name, unit)
-    return f"{value * factor:.4g} {shown}".rstrip()
+    return f"{value * factor:.{digits}g} {shown}".rstrip()
+
+
+def interval(name: str, unit: str, ends: tuple[float | None, float | None]) -> str:
+    """An interval, given in SI units, in the unit of the bench; an end that is None is open."""
+    shown, factor = _unit(name, unit)
+    low, high = ("open" if end is None else f"{end * factor:.4g}" for end in ends)
+    return f"{low} .. {high} {shown}".rstrip()
 
 
 def quantity(name: str, unit: str, value: float, std: float) -> str:

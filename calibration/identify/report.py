@@ -9,8 +9,18 @@ from pathlib import Path
 
 from calibration.identify import figures
 from calibration.identify.bootstrap import Bootstrap
+from calibration.identify.findings import (
+    DEPENDENCE_HEADS,
+    EFFECT_HEADS,
+    Findings,
+    dependence_caption,
+    effect_caption,
+    findings,
+)
 from calibration.identify.held_out_prediction import Prediction
+from calibration.identify.notation import Scale, interval, quantity, rounded
 from calibration.identify.profile_likelihood import LikelihoodProfile
+from calibration.identify.residual_dependence import Dependence
 from calibration.identify.results import Estimate, Fit
 from runs.report.drawing import svg
 
@@ -18,13 +28,14 @@ from runs.report.drawing import svg
 def write(
     fit: Fit,
     path: Path,
+    dependences: Sequence[Dependence],
     profiles: Sequence[LikelihoodProfile] = (),
     refits: Bootstrap | None = None,
     left_out: Sequence[Prediction] = (),
     truth: Mapping[str, float] | None = None,
 ) -> Path:
     """Write the page. `truth`: the simulator's own values by parameter, where the runs were simulated."""
-    known = truth or {}
+    known, shown = truth or {}, findings(fit, dependences)
     style = resources.files("runs.report").joinpath("report.css").read_text(encoding="utf-8")
     simulated = '<span class="badge simulated">simulated</span>' if known else ""
     parts = [
@@ -32,8 +43,9 @@ def write(
         f'<p class="sub">{len(fit.runs)} runs, {fit.measured} numbers measured, {fit.fitted} fitted, '
         f"{escape(fit.setup.arm.variant)}</p></header>",
         _tiles(fit, left_out),
-        _notes(fit, bool(known)),
+        _notes(fit, shown, bool(known)),
         _parameters(fit, profiles, refits, known),
+        _model_error(shown),
     ]
     rows = sum(1 for e in fit.estimates if e.std and not e.nuisance)
     drawn = [("Intervals", svg(figures.estimates, (9, 0.8 + 0.55 * rows), "e", fit, profiles, known))] if rows else []
@@ -79,10 +91,14 @@ def _tiles(fit: Fit, left_out: Sequence[Prediction]) -> str:
     )
 
 
-def _notes(fit: Fit, simulated: bool) -> str:
+def _notes(fit: Fit, shown: Findings, simulated: bool) -> str:
     notes = []
     if simulated:
         notes.append("<b>These runs were simulated.</b> Nothing here was measured on a real manipulator.")
+    if shown.effective:
+        notes.append(f"<b>{escape(shown.effective)}</b>")
+    if shown.range_note:
+        notes.append(escape(shown.range_note))
     if fit.open_directions:
         items = "".join(f"<li>{escape(words)}</li>" for words in fit.open_directions)
         notes.append(f"The data leave these combinations (in plausible spans) open:<ul>{items}</ul>")
@@ -98,34 +114,44 @@ def _parameters(
 ) -> str:
     by_key = {(p.name, p.run): p for p in profiles}
     again = {} if refits is None else dict(zip(zip(refits.names, refits.runs, strict=True), refits.std, strict=True))
-    heads = ["parameter", "run", "value", "std", "95 % by curvature"]
-    heads += ["95 % by profile"] * bool(profiles) + ["std by refits"] * bool(again) + ["truth"] * bool(truth) + ["unit"]
+    heads = ["parameter", "run", "value", "95 % by curvature", "rig file or prior"]
+    heads += ["95 % by profile"] * bool(profiles) + ["std by refits"] * bool(again) + ["truth"] * bool(truth)
     rows = []
     for e, fixed in zip(fit.estimates, fit.fixed, strict=True):
-        cells = [e.name, e.run, *_value_cells(e, fixed)]
+        expected = "" if e.expected is None else quantity(e.name, e.unit, e.expected.mean, e.expected.std)
+        cells = [e.name, e.run, *_value_cells(e, fixed), expected]
         if profiles:
             found = by_key.get((e.name, e.run))
-            cells.append(
-                "" if found is None else "flat" if found.flat else " .. ".join(_end(x) for x in found.interval)
-            )
+            cells.append("" if found is None else "flat" if found.flat else interval(e.name, e.unit, found.interval))
         if again:
             std = again.get((e.name, e.run))
-            cells.append("" if std is None else f"{std:.2g}")
+            cells.append("" if std is None else rounded(e.name, e.unit, std, 2))
         if truth:
-            cells.append(f"{truth[e.name]:.6g}" if e.name in truth and not e.run else "")
-        rows.append([*cells, e.unit])
+            cells.append(rounded(e.name, e.unit, truth[e.name], 5) if e.name in truth and not e.run else "")
+        rows.append(cells)
     return f'<h2>Parameters</h2>\n<div class="scroll">{_table(heads, rows)}</div>'
 
 
 def _value_cells(e: Estimate, fixed: bool) -> list[str]:
     if e.value is None or e.std is None or e.interval is None:
         others = f" ({', '.join(e.partners)})" if e.partners else ""
-        return [f"{e.verdict.value}{others}", "", f"{'held at' if fixed else 'used'} {e.used:.5g}"]
-    return [f"{e.value:.6g}", f"{e.std:.2g}", f"{e.interval[0]:.5g} .. {e.interval[1]:.5g}"]
+        used = f"{'held at' if fixed else 'used'} {rounded(e.name, e.unit, e.used)}"
+        return [f"{e.verdict.value}{others}", used]
+    scale = Scale.of(e.name, e.unit, e.value, e.std)
+    return [scale.with_uncertainty(e.value, e.std), f"{scale.interval(e.interval)}{scale.suffix}"]
 
 
-def _end(value: float | None) -> str:
-    return "open" if value is None else f"{value:.5g}"
+def _model_error(shown: Findings) -> str:
+    tables = (
+        (effect_caption(), EFFECT_HEADS, shown.effects),
+        (dependence_caption(), DEPENDENCE_HEADS, shown.dependences),
+    )
+    parts = [
+        f'<p>{escape(caption)}</p>\n<div class="scroll">{_table(heads, rows)}</div>'
+        for caption, heads, rows in tables
+        if rows
+    ]
+    return "\n".join(["<h2>Errors of the model</h2>", *parts]) if parts else ""
 
 
 def _runs(fit: Fit, left_out: Sequence[Prediction]) -> str:
@@ -145,7 +171,12 @@ def _runs(fit: Fit, left_out: Sequence[Prediction]) -> str:
     rows += [
         [p.run_id, "left out", "", "", f"{1e3 * p.rms_before_m:.3f}", f"{1e3 * p.rms_m:.3f}", ""] for p in left_out
     ]
-    return f'<h2>Data</h2>\n<div class="scroll">{_table(heads, rows)}</div>'
+    left = "".join(
+        f'<div class="note">{escape(p.run_id)} leaves the range of the fit: {escape(words)}</div>'
+        for p in left_out
+        for words in p.outside
+    )
+    return f'<h2>Data</h2>\n<div class="scroll">{_table(heads, rows)}</div>{left}'
 
 
 def _table(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> str:

@@ -75,7 +75,7 @@ class Estimate:
             return (self.used - self.prior.mean) / self.prior.std
         if self.stated is None:
             return 0.0
-        return (self.used - self.stated.mean) / math.hypot(self.stated.std, self.joint_std)
+        return (self.used - self.stated.mean) / math.hypot(self.stated.std, max(self.joint_std, self.std or 0.0))
 
     @property
     def identified(self) -> bool:
@@ -126,7 +126,8 @@ class Fit:
 
     setup: with every shared `used` value. covariance (n, n): of the fitted values, in the order of `estimates`; zero
     for fixed parameters, whose assumed error of half a span enters the other error bars. joint_covariance (n, n): of
-    all unknowns with that error of the fixed ones, in spans. discrepancy_m: standard deviation per axis of the model
+    all unknowns with that error of the fixed ones, in spans. Both include the model error; fitted_covariance (n, n) is
+    `covariance` without it. discrepancy_m: standard deviation per axis of the model
     error that the stated errors do not explain.
     """
 
@@ -135,6 +136,7 @@ class Fit:
     estimates: tuple[Estimate, ...]
     covariance: Array
     joint_covariance: Array = field(repr=False)
+    fitted_covariance: Array = field(repr=False)
     runs: tuple[RunFit, ...]
     log_likelihood: float
     loss: float
@@ -180,16 +182,23 @@ class Fit:
     def contributions(self, estimate: Estimate) -> tuple[tuple[Estimate, float], ...]:
         """The estimates whose prior uncertainty enters that of `estimate`, with the share of its variance [0, 1].
 
-        Largest first; what remains comes from the data. By the covariance C: (C_ij / prior_j)^2 / C_ii.
+        Largest first; what remains comes from the data and from the model error. By the covariance C of the fit, and
+        the variance v of the estimate: (C_ij / prior_j)^2 / v.
         """
         i = self.estimates.index(estimate)
-        variance = self.covariance[i, i]
+        variance = max(self.covariance[i, i], self.fitted_covariance[i, i])
         found = [
-            (other, float((self.covariance[i, j] / other.prior.std) ** 2 / variance))
+            (other, float((self.fitted_covariance[i, j] / other.prior.std) ** 2 / variance))
             for j, other in enumerate(self.estimates)
             if other.prior is not None and variance > 0
         ]
         return tuple(sorted(found, key=lambda one: -one[1]))
+
+    def by_model_error(self, estimate: Estimate) -> float:
+        """The share of the variance of an estimate that comes from the model error, [0, 1]."""
+        i = self.estimates.index(estimate)
+        variance = self.covariance[i, i]
+        return max(0.0, 1 - float(self.fitted_covariance[i, i] / variance)) if variance > 0 else 0.0
 
     @property
     def drifts(self) -> str:

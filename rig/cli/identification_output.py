@@ -11,11 +11,20 @@ from rich.table import Table
 from rich.text import Text
 
 from calibration.identify.bootstrap import Bootstrap
+from calibration.identify.findings import (
+    DEPENDENCE_HEADS,
+    EFFECT_HEADS,
+    Findings,
+    dependence_caption,
+    effect_caption,
+    findings,
+)
 from calibration.identify.held_out_prediction import Prediction
 from calibration.identify.model_comparison import ComparisonRow
-from calibration.identify.notation import Scale, quantity, rounded
+from calibration.identify.notation import Scale, interval, quantity, rounded
 from calibration.identify.parameters_document import Baseline, content
 from calibration.identify.profile_likelihood import LikelihoodProfile
+from calibration.identify.residual_dependence import Dependence
 from calibration.identify.results import Estimate, Fit, RunFit
 from rig.cli.console import console
 from rig.cli.json_output import plain_json
@@ -23,7 +32,7 @@ from rig.identify.estimation import FitsByStart
 from rig.identify.model_comparison import RunComparison
 from rig.reproduce.identification import PaperEstimate, PaperEstimates
 
-# A prior that gives more than this share of the variance of an estimate is named beside it.
+# A source that gives more than this share of the variance of an estimate is named beside it.
 _MOST = 0.5
 
 
@@ -44,10 +53,40 @@ def fits_by_start(found: FitsByStart) -> None:
         )
 
 
-def as_json(fit: Fit, under: Baseline | None, predicted: Sequence[Prediction]) -> None:
-    """Print the content of a parameter file and the predictions of held-out runs, as JSON."""
-    facts = content(fit, baseline=under) | {"predictions": [_prediction_facts(one) for one in predicted]}
+def as_json(
+    fit: Fit, under: Baseline | None, predicted: Sequence[Prediction], dependences: Sequence[Dependence]
+) -> None:
+    """Print the content of a parameter file, the model error and the predictions of held-out runs, as JSON."""
+    facts = content(fit, baseline=under) | {
+        "model_error": _model_error_facts(fit, findings(fit, dependences)),
+        "residual_dependence": [
+            {"on": one.quantity, "about": one.about, "share": one.share, "p_value": one.p_value} for one in dependences
+        ],
+        "predictions": [_prediction_facts(one) for one in predicted],
+    }
     typer.echo(json.dumps(plain_json(facts), indent=2))
+
+
+def _model_error_facts(fit: Fit, found: Findings) -> dict[str, object]:
+    posterior = fit.model_error
+    return {
+        "effective_parameters": bool(found.effective),
+        "sentences": [words for words in (found.effective, found.range_note) if words],
+        "none_probability": None if posterior is None else posterior.absent,
+        "effects": [
+            {
+                "name": one.term.name,
+                "about": one.term.about,
+                "probability": one.probability,
+                "found": one.found,
+                "unit": one.term.unit,
+                "size": one.mean * one.term.factor,
+                "std": one.std * one.term.factor,
+                "below_95": one.below * one.term.factor,
+            }
+            for one in (() if posterior is None else posterior.effects)
+        ],
+    }
 
 
 def _prediction_facts(found: Prediction) -> dict[str, object]:
@@ -58,6 +97,7 @@ def _prediction_facts(found: Prediction) -> dict[str, object]:
         "mean_mm": 1e3 * found.mean_m,
         "std_mm": 1e3 * found.std_m,
         "share_in_95": dict(zip(("x", "y", "z", "ellipsoid"), found.share_in_95.tolist(), strict=True)),
+        "outside_fit": list(found.outside),
         "time_s": found.time_s.tolist(),
         "measured_mm": (1e3 * found.measured_m).tolist(),
         "predicted_mm": (1e3 * found.predicted_m).tolist(),
@@ -66,8 +106,8 @@ def _prediction_facts(found: Prediction) -> dict[str, object]:
     }
 
 
-def estimates(fit: Fit) -> None:
-    """Print the estimates with error bars or verdicts, what was held, and the residuals of each run."""
+def estimates(fit: Fit, dependences: Sequence[Dependence]) -> None:
+    """Print the estimates with error bars or verdicts, what was held, the residuals and the model error."""
     screen = console()
     free = [(e, fixed) for e, fixed in zip(fit.estimates, fit.fixed, strict=True) if not e.nuisance]
     table = Table(box=None, padding=(0, 2, 0, 0))
@@ -79,8 +119,8 @@ def estimates(fit: Fit) -> None:
             undetermined.append(_verdict(e, fixed))
         else:
             scale = Scale.of(e.name, e.unit, e.value, e.std)
-            interval = f"{scale.interval(e.interval)}{scale.suffix}"
-            table.add_row(e.name, scale.with_uncertainty(e.value, e.std), interval, _expected(e), e.run)
+            ends = f"{scale.interval(e.interval)}{scale.suffix}"
+            table.add_row(e.name, scale.with_uncertainty(e.value, e.std), ends, _expected(e), e.run)
     screen.print(table)
     for words in undetermined:
         screen.print(Text(words, "yellow"), soft_wrap=True)
@@ -90,12 +130,35 @@ def estimates(fit: Fit) -> None:
         _residuals(run)
     if fit.discrepancy_m:
         screen.print(f"the model is off by {1e3 * fit.discrepancy_m:.3f} mm per axis beyond the stated errors")
+    _model_error(findings(fit, dependences))
+
+
+def _model_error(found: Findings) -> None:
+    """Print what the residuals show of the errors of the model."""
+    screen = console()
+    tables = (
+        (effect_caption(), EFFECT_HEADS, found.effects),
+        (dependence_caption(), DEPENDENCE_HEADS, found.dependences),
+    )
+    for caption, heads, rows in tables:
+        if rows:
+            screen.print(caption, soft_wrap=True)
+            table = Table(box=None, padding=(0, 2, 0, 0))
+            for head in heads:
+                table.add_column(head, overflow="fold")
+            for row in rows:
+                table.add_row(*row)
+            screen.print(table)
+    if found.range_note:
+        screen.print(Text(found.range_note, "yellow"), soft_wrap=True)
+    if found.effective:
+        screen.print(Text(found.effective, "bold yellow"), soft_wrap=True)
 
 
 _CONTRADICTION = (
     "The result contradicts what the rig file states. Either that is wrong, or the arm does what the model does not "
-    "contain (creep, hysteresis, softening). Then these numbers describe this run only and their error bars are too "
-    "small: identify from more runs, with other chambers and loads, and compare with --leave-out."
+    "contain. Then these numbers describe this run only: identify from more runs, with other chambers and loads, and "
+    "compare with --leave-out."
 )
 
 
@@ -130,6 +193,8 @@ def _warnings(fit: Fit) -> None:
     by_source: dict[str, list[str]] = defaultdict(list)
     for found in fit.estimates:
         if found.identified and not found.nuisance and not found.run:
+            if fit.by_model_error(found) > _MOST:
+                by_source["possible errors of the model"].append(found.name)
             for one, share in fit.contributions(found):
                 if share > _MOST and one.name != found.name:
                     by_source[f"{one.name} ({_expected(one)})"].append(found.name)
@@ -185,9 +250,8 @@ def results(lines: Iterable[str], beside_json: bool) -> None:
 def profile_intervals(found: Iterable[LikelihoodProfile], beside_json: bool) -> None:
     """Print the intervals of profile likelihoods."""
     for one in found:
-        ends = " .. ".join("open" if end is None else f"{end:.5g}" for end in one.interval)
-        flat = "flat: not bounded by the data"
-        results([f"{one.name}: 95 % by profile {flat if one.flat else f'{ends} {one.unit}'}"], beside_json)
+        ends = "flat: not bounded by the data" if one.flat else interval(one.name, one.unit, one.interval)
+        results([f"{one.name}: 95 % by profile {ends}"], beside_json)
 
 
 def bootstrap_errors(fit: Fit, found: Bootstrap, samples: int, beside_json: bool) -> None:
@@ -197,7 +261,8 @@ def bootstrap_errors(fit: Fit, found: Bootstrap, samples: int, beside_json: bool
     for name, run, std in zip(found.names, found.runs, found.std, strict=True):
         if (name, run) in bars:
             own, unit = bars[name, run]
-            lines.append(f"{name} {run}: +- {std:.2g} by {samples} refits, {own:.2g} by the likelihood [{unit}]")
+            by_refits, by_likelihood = (rounded(name, unit, x, 2) for x in (std, own or 0.0))
+            lines.append(f"{name} {run}: +- {by_refits} by {samples} refits, {by_likelihood} by the likelihood")
     results(lines, beside_json)
 
 
@@ -212,6 +277,7 @@ def prediction_errors(found: Sequence[Prediction], beside_json: bool) -> None:
         if one.unsolved:
             errors += f"; {one.unsolved} of {len(one.error_m)} frames have no prediction and are excluded"
         results([f"{one.run_id} (left out{how}): {errors}"], beside_json)
+        results([f"{one.run_id} leaves the range of the fit: {words}" for words in one.outside], beside_json)
 
 
 def comparison(found: RunComparison, as_json: bool) -> None:

@@ -106,6 +106,7 @@ def fit(
     from calibration.identify.parameters_document import write
     from calibration.identify.profile_likelihood import profiles
     from calibration.identify.report import write as write_report
+    from calibration.identify.residual_dependence import residual_dependence
     from rig.cli import identification_output as output
     from rig.cli.progress import progress_bar, state_of
     from rig.identify import estimation, initial_setup
@@ -133,10 +134,11 @@ def fit(
         raise typer.Exit(FAULT)
     output.fits_by_start(found)
     predictions = done.predictions()
+    dependences = residual_dependence(best)
     if json:
-        output.as_json(best, under, predictions)
+        output.as_json(best, under, predictions, dependences)
     else:
-        output.estimates(best)
+        output.estimates(best, dependences)
     output.prediction_errors(predictions, json)
     intervals: tuple[LikelihoodProfile, ...] = ()
     refits = None
@@ -152,7 +154,7 @@ def fit(
         typer.echo(estimation.draw_predictions(predictions, figure), err=json)
     if report is not None:
         truth = initial_setup.truth_of(opened.seen[0])
-        typer.echo(write_report(best, report, intervals, refits, predictions, truth), err=json)
+        typer.echo(write_report(best, report, dependences, intervals, refits, predictions, truth), err=json)
     if to is not None:
         written = write(best, to, intervals, under)
         typer.echo(written, err=json)

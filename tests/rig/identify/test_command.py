@@ -87,6 +87,7 @@ def test_the_report_holds_everything_and_loads_nothing(
     html, said = page.read_text(), capsys.readouterr()
     for heading in (
         "Parameters",
+        "Errors of the model",
         "Intervals",
         "Residuals",
         "quantiles",
@@ -119,8 +120,22 @@ def test_json_holds_the_predictions_with_intervals_from_which_their_coverage_fol
     free = "law,rpe_per_bar,sensor_offsets"
     rig(bench["weights"], bench["one"], "--leave-out", bench["two"], "--free", free, "--json")
     said = capsys.readouterr()
-    (found,) = json.loads(said.out)["predictions"]
+    facts = json.loads(said.out)
+    (found,) = facts["predictions"]
     assert found["run"] == "two"
+    assert [words[:32] for words in found["outside_fit"]] == [
+        "the pressure of chamber 2 reache",
+        "the pressure of chamber 3 reache",
+        "these chambers are pressed toget",
+    ]
+    assert (
+        "two leaves the range of the fit: these chambers are pressed together, but not in the fit: 2 and 3" in said.err
+    )
+    assert {one["on"] for one in facts["residual_dependence"]} >= {"pressure", "load", "direction"}
+    effects = facts["model_error"]["effects"]
+    assert len(effects) == 7
+    assert all(0 <= one["probability"] <= 1 and one["below_95"] >= 0 for one in effects)
+    assert facts["model_error"]["effective_parameters"] == any(one["found"] for one in effects)
     measured, predicted = np.array(found["measured_mm"]), np.array(found["predicted_mm"])
     low, high = np.moveaxis(np.array(found["interval_95_mm"]), 2, 0)
     std = np.sqrt(np.diagonal(np.array(found["covariance_mm2"]), axis1=1, axis2=2))
