@@ -106,6 +106,7 @@ def test_a_check_imports_nothing_that_only_a_run_needs(tmp_path: Path) -> None:
 def test_ctrl_c_before_the_command_line_is_read_ends_the_program_silently() -> None:
     code = (
         "import signal, typer.main\n"
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
         "typer.main.get_command = lambda app: signal.raise_signal(signal.SIGINT)\n"
         "from rig.__main__ import main; main()"
     )
@@ -116,6 +117,7 @@ def test_ctrl_c_before_the_command_line_is_read_ends_the_program_silently() -> N
 def test_ctrl_c_that_falls_into_a_weak_references_callback_still_ends_the_command() -> None:
     code = (
         "import signal, time, weakref\n"
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
         "class Thing: pass\n"
         "from rig.cli import app\n"
         "@app.app.command()\n"

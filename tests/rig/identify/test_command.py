@@ -337,7 +337,7 @@ def test_damping_is_free_by_default_where_a_run_moves(
     monkeypatch.setattr(estimation, "identify", lambda data, start, free, *_, **__: free)
     free: Any = estimation.from_poses(load("mock"), [cast(Poses, SimpleNamespace(moving=moving))], (), {})
     assert ("damping_s" in free) == damped
-    assert {"law", "rpe_per_bar", "base", "sensor_offsets"} <= set(free)
+    assert {"a1_per_n", "a2_per_n2", "rpe_per_bar", "base", "sensor_offsets"} <= set(free)
 
 
 def test_a_result_that_contradicts_the_rig_file_is_called_one(
