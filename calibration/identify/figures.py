@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
-from scipy.stats import norm
+from scipy.special import ndtri
 
 import model
 from calibration.identify.held_out_prediction import Prediction
@@ -104,7 +104,7 @@ def quantiles(figure: Figure, fit: Fit) -> None:
     axes = figure.subplots()
     for k, (run, poses, weights) in enumerate(zip(fit.runs, fit.problem.data, fit.solution.weights, strict=True)):
         values = np.sort(whitened(poses, run.predicted_m, weights)[poses.has_tip].ravel())
-        at = norm.ppf((np.arange(len(values)) + 0.5) / len(values))
+        at = ndtri((np.arange(len(values)) + 0.5) / len(values))
         axes.plot(at, values, ".", ms=3.5, color=colour(k), label=run.run_id)
     axes.plot([-3, 3], [-3, 3], color=INK, lw=0.8)
     axes.set_xlabel("normal distribution")

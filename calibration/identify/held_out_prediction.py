@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from calibration.identify.data import Poses
 from calibration.identify.fit_range import outside
@@ -21,7 +21,7 @@ from calibration.identify.unknown import Unknown
 Array = NDArray[np.float64]
 
 # Squared Mahalanobis distance that 95 % of normal tips stay below.
-_ELLIPSOID_95 = float(chi2.ppf(0.95, 3))
+_ELLIPSOID_95 = float(chdtri(3, 0.05))
 
 
 @dataclass(frozen=True)

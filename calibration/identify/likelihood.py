@@ -11,16 +11,16 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 from scipy.optimize import brentq
-from scipy.stats import chi2
+from scipy.special import chdtr, chdtri
 
 from calibration.identify.data import Poses
 
 Array = NDArray[np.float64]
 
 # Threshold of the Huber loss, as a Mahalanobis distance: 1 % of normal tips lie beyond it.
-OUTLIER = math.sqrt(chi2.ppf(0.99, 3))
+OUTLIER = math.sqrt(chdtri(3, 0.01))
 # Expected square per axis of a normal tip, clipped at the threshold.
-_EXPECTED_SQUARE = float(chi2.cdf(OUTLIER**2, 5)) + OUTLIER**2 * 0.01 / 3
+_EXPECTED_SQUARE = float(chdtr(5, OUTLIER**2)) + OUTLIER**2 * 0.01 / 3
 _UNSOLVED_RESIDUAL = 1e3
 _MAX_DISCREPANCY_M = 10.0
 # Pressures have a signal at a frequency where their power, smoothed over so many bins, exceeds this ratio to noise.

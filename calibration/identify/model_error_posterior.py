@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import halfnorm
+from scipy.special import ndtri
 
 from calibration.identify.least_squares import LeastSquaresProblem, Solution
 from calibration.identify.likelihood import OUTLIER, Weights, whitened
@@ -123,7 +123,7 @@ def model_error_posterior(
 def _effect(term: ModelErrorTerm, probability: float, size: Array, present: NDArray[np.bool_]) -> Effect:
     chosen = size[present] if present.any() else np.zeros(1)
     # The smallest amplitude that is considered.
-    least = float(halfnorm.ppf(_QUANTILES[0])) * term.scale
+    least = float(ndtri(0.5 + 0.5 * _QUANTILES[0])) * term.scale
     return Effect(
         term, probability, float(chosen.mean()), float(chosen.std()), max(least, float(np.quantile(size, 0.95)))
     )
@@ -190,7 +190,7 @@ def sample(
     rng = np.random.default_rng(0)
     count, m = len(scale), len(term)
     n = len(equations[0].at_fit)
-    levels = np.concatenate([[0.0], halfnorm.ppf(_QUANTILES)])
+    levels = np.concatenate([[0.0], ndtri(0.5 + 0.5 * np.asarray(_QUANTILES))])
     prior = np.log(np.concatenate([[1 - PRESENT], np.full(len(_QUANTILES), PRESENT / len(_QUANTILES))]))
     level, noise = np.zeros(count, np.intp), len(equations) - 1
     second, probability, absent = np.zeros((n + m, n + m)), np.zeros(count), 0.0

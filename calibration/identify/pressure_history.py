@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import lfilter
+from scipy.linalg import solve_banded
 
 Array = NDArray[np.float64]
 
@@ -53,7 +53,8 @@ def pressure_history(time_s: Array, pressure_pa: Array, at_s: Array) -> Pressure
     lagged = []
     for lag_s in LAGS_S:
         keep = np.exp(-step_s / lag_s)
-        lagged.append(np.asarray(lfilter([1 - keep], [1, -keep], grid, axis=0))[place])
+        diagonals = np.array([np.ones(count), np.full(count, -keep)])
+        lagged.append(np.asarray(solve_banded((1, 0), diagonals, (1 - keep) * grid))[place])
     return PressureHistory(np.maximum(since_s, 0.0), direction, np.stack(lagged, axis=2))
 
 

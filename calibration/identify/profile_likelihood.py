@@ -7,14 +7,14 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from calibration.identify.results import Estimate, Fit
 
 Array = NDArray[np.float64]
 
 # Rise of the sum of squares at the ends of a 95 % interval (likelihood ratio, chi-squared).
-RISE_95 = float(chi2.ppf(0.95, 1))
+RISE_95 = float(chdtri(1, 0.05))
 # Points of a profile, in standard deviations to either side.
 _STEPS = (0.7, 1.4, 2.0, 2.8, 4.0, 6.0)
 _EVALUATIONS = 6
