@@ -190,7 +190,7 @@ def sample(
     rng = np.random.default_rng(0)
     count, m = len(scale), len(term)
     n = len(equations[0].at_fit)
-    levels = np.concatenate([[0.0], ndtri(0.5 + 0.5 * np.asarray(_QUANTILES))])
+    levels = np.concatenate([[0.0], ndtri(0.5 + 0.5 * _QUANTILES)])
     prior = np.log(np.concatenate([[1 - PRESENT], np.full(len(_QUANTILES), PRESENT / len(_QUANTILES))]))
     level, noise = np.zeros(count, np.intp), len(equations) - 1
     second, probability, absent = np.zeros((n + m, n + m)), np.zeros(count), 0.0
