@@ -21,6 +21,8 @@ GRAVITY_M_S2 = 9.81
 PUBLISHED_WEIGHTS_KG: Array = np.linspace(0.1, 1.2, 12)
 PUBLISHED_MODULUS_PA = 289142.05
 _UNPRESSURISED_PA = 2e3
+# A measured force below this is the noise of its sensor.
+_UNLOADED_N = 0.02
 _TUBE_NAMES = ("shear_modulus_pa", "interface_radius_m", "fibre_modulus_pa", "fibre_angle_deg", "rubber_fraction")
 
 
@@ -115,17 +117,19 @@ class PublishedModulus:
 
 
 def elongation(poses: Poses, length_m: float) -> Elongation:
-    """Elongation of an arm under equal pressures or weights, from its plateaus.
+    """Elongation of an arm under equal pressures or weights, from its plateaus without a measured force.
 
     Raises:
-        NoDataError: no plateau without pressure and weight, or no other plateau.
+        NoDataError: no plateau without pressure, weight and measured force, or no other plateau.
     """
+    pulled = np.linalg.norm(poses.wrench[:, :3], axis=1) > _UNLOADED_N
     pressure = poses.pressure_pa.mean(axis=1)
     free = (np.abs(poses.pressure_pa) < _UNPRESSURISED_PA).all(axis=1)
-    nothing = free & (poses.weight_kg == 0)
+    nothing = free & (poses.weight_kg == 0) & ~pulled
     if not nothing.any():
-        raise NoDataError(f"{poses.run_id}: no plateau without pressure and weight to count the elongation from")
-    loaded = ~nothing
+        missing = "no plateau without pressure, weight and measured force"
+        raise NoDataError(f"{poses.run_id}: {missing} to count the elongation from")
+    loaded = ~nothing & ~pulled
     if not loaded.any():
         raise NoDataError(f"{poses.run_id}: nothing stretches the arm")
     along = poses.tip_m[:, 2]

@@ -47,7 +47,7 @@ def replay(
 
     Raises:
         ArchiveError: the run has no pictures.
-        BadInputError: the rig is invalid, has another number of actuators, or measures a force that the run did not.
+        BadInputError: the rig is invalid, has another number of actuators, or measures another tip force than the run.
     """
     if not len(run.frames.index):
         raise ArchiveError(f"{run.path} holds no pictures: there is nothing to replay")
@@ -169,11 +169,20 @@ def _observed(run: Run, config: RigConfig, variant: Variant) -> Iterator[NDArray
 
 
 def _auxiliary(run: Run, config: RigConfig) -> NDArray[np.float64]:
-    """Return the run's auxiliary inputs (n, I) in the order of the rig's; NaN for one that the run did not have."""
+    """Return the run's auxiliary inputs (n, I) in the order of the rig's; NaN for one that the run did not have.
+
+    Raises:
+        BadInputError: the rig measures another tip force than the run.
+    """
     recorded = [channel.name for channel in run.header.auxiliary]
-    missing = next((name for name in MeasuredTipForce(config).inputs if name not in recorded), None)
+    used = MeasuredTipForce(config).inputs
+    missing = next((name for name in used if name not in recorded), None)
     if missing is not None:
         expected = f"a rig whose tip force the run has measured: {run.header.run_id} has no input {missing}"
+        raise BadInputError([Problem("--rig", 0, 0, "", config.name, expected)])
+    measured = MeasuredTipForce(loader.recorded(run.header, run.path).config).inputs
+    if lost := [name for name in measured if name not in used]:
+        expected = f"a rig whose input {lost[0]} has a tip_force_direction, as in the run"
         raise BadInputError([Problem("--rig", 0, 0, "", config.name, expected)])
     aux = np.full((len(run.pressure.time_s), len(config.inputs)), np.nan)
     for k, name in enumerate(config.inputs):

@@ -100,11 +100,24 @@ def test_the_free_strain_of_an_arm_is_identified_from_both_extension_experiments
     assert found.softening.a1_per_n == pytest.approx(arm.material.a1_per_n, rel=1e-3)
 
 
+def test_plateaus_under_a_measured_force_are_no_elongation_by_weights() -> None:
+    arm = model.Arm.paper()
+    weights = np.linspace(0, 1.2, 7)
+    poses = perform(plan("w", np.zeros((7, 3)), weights), Setup(arm), np.random.default_rng(0), EXACT)
+    wrench = np.zeros((7, 6))
+    wrench[[0, 3], 0] = 0.5, 1e-3
+    with pytest.raises(NoDataError, match="no plateau without pressure, weight and measured force"):
+        elongation(replace(poses, wrench=wrench), arm.geometry.length_m)
+    wrench[0], wrench[5, 2] = 0.0, -0.5
+    under = elongation(replace(poses, wrench=wrench), arm.geometry.length_m)
+    assert under.force_n * 3 / 9.81 == pytest.approx(weights[[1, 2, 3, 4, 6]], rel=1e-3)
+
+
 def test_elongation_needs_an_unloaded_plateau() -> None:
     poses = perform(
         plan("w", np.zeros((3, 3)), np.array([0.1, 0.2, 0.3])), Setup(model.Arm.paper()), np.random.default_rng(0)
     )
-    with pytest.raises(NoDataError, match="no plateau without pressure and weight"):
+    with pytest.raises(NoDataError, match="no plateau without pressure, weight and measured force"):
         elongation(poses, 0.17)
     with pytest.raises(ValueError, match="a tube has no stiffness"):
         fit_tube([Elongation(np.ones(3), np.ones(3), np.ones(3), 0.17)], tube(), ("stiffness",))

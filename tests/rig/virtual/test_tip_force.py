@@ -108,6 +108,12 @@ def test_a_replay_with_a_force_that_the_run_did_not_measure_is_refused(run: Run,
         replay(run, tmp_path, rig=str(rig))
 
 
+def test_a_replay_that_would_lose_the_measured_force_is_refused(run: Run, tmp_path: Path) -> None:
+    rig = rig_file(tmp_path, f"inputs:\n  {LOAD.replace(', tip_force_direction: [0, 0, 2]', '')}")
+    with pytest.raises(BadInputError, match="whose input load has a tip_force_direction, as in the run"):
+        replay(run, tmp_path, rig=str(rig))
+
+
 def test_without_a_value_of_the_force_the_model_has_no_solution(tmp_path: Path) -> None:
     observer = Observer(load(str(rig_file(tmp_path, f"inputs:\n  {LOAD}", "mock-no-camera"))))
     times, pressures, nothing = np.array([10**9]), np.zeros((1, 3)), FrameSet(0, (), 10**9)
