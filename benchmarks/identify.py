@@ -21,7 +21,6 @@ from calibration.identify import figures
 from calibration.identify.data import Poses
 from calibration.identify.fit import identify
 from calibration.identify.nuisance import stated_values
-from calibration.identify.parallel_map import parallel_map
 from calibration.identify.parameters import Prior, Setup, named
 from calibration.identify.simulated_experiments import (
     LAG_PRIOR,
@@ -33,6 +32,7 @@ from calibration.identify.simulated_experiments import (
     plan,
     run_trial,
 )
+from calibration.parallel_map import parallel_map
 from rig.identify.estimation import from_runs
 from rig.observation.online_estimation import DEFAULT_PARAMETERS
 from runs.report.drawing import save

@@ -23,10 +23,10 @@ from calibration.identify.data import SETTLE_S, Poses
 from calibration.identify.fit import identify
 from calibration.identify.held_out_prediction import predict
 from calibration.identify.nuisance import stated_values
-from calibration.identify.parallel_map import parallel_map
 from calibration.identify.parameters import Prior, Setup, named
 from calibration.identify.pressure_history import pressure_history
 from calibration.identify.simulated_experiments import MeasurementErrors, drawn_setup, perform, plan
+from calibration.parallel_map import parallel_map
 from rig.simulator.arm_effects.base import ArmEffectSection
 from rig.simulator.arm_effects.coupling import CouplingSection
 from rig.simulator.arm_effects.creep import CreepBranch, CreepSection

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from calibration.identify.data import Poses
 from calibration.identify.least_squares import LeastSquaresProblem
-from calibration.identify.parallel_map import Progress, parallel_map
 from calibration.identify.parameters import Prior, Setup, named
 from calibration.identify.results import Fit
+from calibration.parallel_map import Progress, parallel_map
 
 Array = NDArray[np.float64]
 Kind = Literal["drawn", "resampled"]

@@ -14,9 +14,9 @@ from calibration.identify.data import NoDataError, Poses
 from calibration.identify.fit import identify
 from calibration.identify.held_out_prediction import with_mean_sensor_offsets
 from calibration.identify.least_squares import LeastSquaresProblem
-from calibration.identify.parallel_map import Progress, parallel_map
 from calibration.identify.parameters import PUSH_GROWTH, Prior, Setup, named
 from calibration.identify.tip_predictor import SUBSTEPS, Predictor
+from calibration.parallel_map import Progress, parallel_map
 from model.actuation import ACTUATION_LAWS, Proportional
 from model.variants import MODULUS_RULES, POINTWISE, VARIANTS
 

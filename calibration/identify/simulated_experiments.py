@@ -12,11 +12,11 @@ from scipy.interpolate import CubicSpline
 
 from calibration.identify.data import MIN_FRAMES, Poses
 from calibration.identify.fit import identify
-from calibration.identify.parallel_map import Progress, parallel_map
 from calibration.identify.parameters import Prior, Setup, known, named
 from calibration.identify.pressure_history import pressure_history
 from calibration.identify.pressure_smoothing import smoothed
 from calibration.identify.tip_predictor import FINE_SUBSTEPS, SUBSTEPS, Predictor
+from calibration.parallel_map import Progress, parallel_map
 
 Array = NDArray[np.float64]
 

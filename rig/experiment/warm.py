@@ -14,6 +14,18 @@ def main() -> int:
     """Compile the rod's and the plant's kernels into the cache on disk; the exit status."""
     if status := model_warm.main():
         return status
+    if not measure_frames():
+        print("rig.experiment.warm: failed: the simulated camera did not see the board", file=sys.stderr)
+        return 1
+    print("rig.experiment.warm: simulator and vision are ready")
+    return 0
+
+
+def measure_frames() -> bool:
+    """Render and measure frames of the mock rig, which loads or compiles every kernel for it.
+
+    False if the last one does not show the board.
+    """
     import numpy as np
 
     from rig.config.loader import load
@@ -30,11 +42,7 @@ def main() -> int:
     for index in range(3):
         t_ns = (index + 1) * FRAME_NS - 1
         row = observer.step(FrameSet.of(camera.frame_at(index, t_ns)), np.array([t_ns]), pressure_pa, 0.0)
-    if row["seen"] != DetectionStatus.MEASURED:
-        print("rig.experiment.warm: failed: the simulated camera did not see the board", file=sys.stderr)
-        return 1
-    print("rig.experiment.warm: simulator and vision are ready")
-    return 0
+    return bool(row["seen"] == DetectionStatus.MEASURED)
 
 
 if __name__ == "__main__":

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Protocol
 
-from calibration.identify.parallel_map import parallel_results
+from calibration.parallel_map import parallel_results
 from rig.execution.plan import NullOperator, Plan, StartError
 from rig.experiment import run as experiment
 from rig.experiment.run import RunRequest

@@ -10,11 +10,14 @@ import json
 import math
 import struct
 from dataclasses import asdict
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
 from runs.records import Event, ImageAnnotations, Picture, RunFooter, RunHeader
+
+if TYPE_CHECKING:
+    from pydantic import TypeAdapter
 
 T = TypeVar("T", RunHeader, RunFooter, Event)
 
@@ -35,6 +38,8 @@ _ROS_TYPES = {"<i8": "int64", "<i4": "int32", "<f8": "float64", "<f4": "float32"
 _STAMP = struct.Struct("<III")
 _LENGTH = struct.Struct("<I")
 _FRAME = struct.Struct("<q")
+_ADAPTERS: dict[Any, TypeAdapter[Any]] = {}
+"""Building one takes longer than reading a message."""
 
 PICTURE_DEFINITION = f"""std_msgs/Header header
 string format
@@ -76,7 +81,10 @@ def from_json(kind: type[T], data: bytes) -> T:
     """Return what `to_json` was given; `ValueError` where the data is no such thing."""
     from pydantic import TypeAdapter  # an archive is read without it
 
-    return TypeAdapter(kind).validate_json(data)
+    if kind not in _ADAPTERS:
+        _ADAPTERS[kind] = TypeAdapter(kind)
+    value: T = _ADAPTERS[kind].validate_json(data)
+    return value
 
 
 def row_definition(row: np.dtype[np.void]) -> str:

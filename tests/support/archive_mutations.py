@@ -304,8 +304,9 @@ def large_chunk(file: h5py.File, random: Random) -> str:
         file, random, lambda node: not is_text(node) and node.dtype.kind in "iuf" and node.ndim == 1 and node.size
     )
     data = np.asarray(file[path][()])
+    chunk = int(random.choice([20_000_000, 2_000_000]))
     node = replaced(
-        file, path, shape=data.shape, dtype=data.dtype, maxshape=(None,), chunks=(20_000_000,), compression="gzip"
+        file, path, shape=data.shape, dtype=data.dtype, maxshape=(None,), chunks=(chunk,), compression="gzip"
     )
     node[...] = data
     return path
@@ -384,7 +385,7 @@ def names_of_the_run(file: h5py.File, random: Random) -> str:
 
 def many_names(file: h5py.File, random: Random) -> str:
     group = str(random.choice(["calibration", "versions"]))
-    for number in range(3000):
+    for number in range(int(random.choice([3000, 300]))):
         file[f"entry/{group}/many{number}"] = "1" if group == "versions" else 1.0
     return group
 

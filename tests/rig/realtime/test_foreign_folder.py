@@ -19,7 +19,7 @@ HOSTILE = "import os\nos.open({marker!r}, os.O_CREAT | os.O_WRONLY)\nos._exit(77
 POOL = """
 import operator
 
-from calibration.identify.parallel_map import parallel_map
+from calibration.parallel_map import parallel_map
 
 if __name__ == "__main__":
     print([int(result) for result in parallel_map(operator.neg, [1, 2, 3], workers=2)])

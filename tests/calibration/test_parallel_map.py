@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from calibration.identify.parallel_map import NoClusterError, WorkerDiedError, parallel_map
+from calibration.parallel_map import NoClusterError, WorkerDiedError, parallel_map
 from tests.support.parallel_tasks import Task, deadly, squared, squared_but_killed_once
 
 
@@ -42,7 +42,7 @@ def test_stored_results_are_not_computed_again(tmp_path: Path) -> None:
 
 
 def test_a_task_that_kills_every_worker_raises(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("calibration.identify.parallel_map._MAX_RESTARTS", 1)
+    monkeypatch.setattr("calibration.parallel_map._MAX_RESTARTS", 1)
     with pytest.raises(WorkerDiedError, match="2 tasks are remaining"):
         parallel_map(deadly, tasks(tmp_path, 2), workers=2)
 
@@ -66,6 +66,6 @@ def test_a_dask_cluster_gives_the_same_results_though_a_worker_is_killed(tmp_pat
 @pytest.mark.filterwarnings("ignore")
 def test_a_missing_scheduler_gives_one_message(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("distributed")
-    monkeypatch.setattr("calibration.identify.parallel_map._CONNECT_TIMEOUT", "1s")
+    monkeypatch.setattr("calibration.parallel_map._CONNECT_TIMEOUT", "1s")
     with pytest.raises(NoClusterError, match="no Dask scheduler answers"):
         parallel_map(squared, tasks(tmp_path), scheduler="tcp://127.0.0.1:1")
