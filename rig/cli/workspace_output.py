@@ -27,7 +27,7 @@ def check_drawing(to: Path, replace: bool) -> None:
     """
     if to.suffix.lower() not in KINDS:
         raise BadInputError([Problem("--to", 0, 0, "", str(to), f"a file whose name ends with {', '.join(KINDS)}")])
-    refuse_existing([to], replace=replace)
+    refuse_existing([to, to.with_suffix(".csv")], replace=replace)
 
 
 def save(space: Workspace, to: Path) -> None:

@@ -143,4 +143,4 @@ def draw(figure: Figure, space: Workspace) -> None:
     for axes in (beside, above):
         axes.set_xlabel("x [mm]")
         axes.set_aspect("equal", adjustable="datalim")
-    drawing.legend(above, columns=5)
+    drawing.legend(above, columns=10)

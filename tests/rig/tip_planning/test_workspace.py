@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 from typer.testing import CliRunner
 
 import protocols
@@ -17,7 +18,8 @@ from rig.config.loader import load
 from rig.tip_planning.assessment import assess
 from rig.tip_planning.inverse import RigTipInverse
 from rig.tip_planning.path_follower import drive_of
-from rig.tip_planning.workspace import workspace
+from rig.tip_planning.workspace import Section, Workspace, draw, workspace
+from runs.report import drawing
 
 RIG = load("mock-3")
 
@@ -65,3 +67,28 @@ def test_margins_are_those_of_the_set_points_and_a_stated_uncertainty_lowers_the
     (known,) = assess(RIG.model_copy(update={"uncertainties": uncertain}), trajectory)
     assert known.expected_error_mm < 0.6 * path.expected_error_mm
     assert known.pressure_std_bar < path.pressure_std_bar
+
+
+def test_the_legend_of_the_drawing_is_inside_the_figure(tmp_path: Path) -> None:
+    radii, angles = np.linspace(0.0, 80.0, 5), np.linspace(0.0, 6.0, 12)
+    inside = np.tile(radii[:, None] < 50.0, (1, len(angles)))
+    sections = tuple(Section(height, radii, angles, inside) for height in (174.0, 184.0, 194.0, 204.0, 214.0))
+    space = Workspace(np.array([[-80.0, 0.0, 160.0], [80.0, 0.0, 220.0]]), sections)
+
+    def draw_and_measure(figure: Figure) -> None:
+        draw(figure, space)
+        figure.draw_without_rendering()
+        legend = figure.axes[1].get_legend()
+        assert legend is not None
+        assert legend.get_window_extent().x1 <= figure.bbox.x1
+
+    drawing.save(draw_and_measure, (9, 4.6), tmp_path / "reach.png")
+
+
+def test_the_points_of_another_drawing_are_not_overwritten(tmp_path: Path) -> None:
+    points = tmp_path / "reach.csv"
+    points.write_text("mine")
+    to = str(tmp_path / "reach.png")
+    assert CliRunner().invoke(app, ["workspace", "--rig", "mock-3", "--to", to]).exit_code != 0
+    assert points.read_text() == "mine"
+    assert not (tmp_path / "reach.png").exists()
