@@ -57,8 +57,8 @@ def check_screen(request: RunRequest, plan: Plan) -> Group:
         facts.add_row("operator", _counted(len(trajectory.prompts), "prompt"))
     limits = config.limits
     stopped_bar = limits.pressure_bar + limits.pressure_margin_bar
-    held = f"{limits.pressure_bar:g} bar in each chamber, ends above {stopped_bar:g} bar"
-    facts.add_row("limits", f"{held}; {limits.rate_bar_per_s:g} bar/s")
+    held = f"at most {limits.pressure_bar:g} bar in each chamber, above {stopped_bar:g} bar the run is aborted"
+    facts.add_row("limits", f"{held}; at most {limits.rate_bar_per_s:g} bar/s")
     facts.add_row("rig", f"{config.name}{_how_simulated(config)}, chosen by {request.rig_source}")
     facts.add_row("model", f"{request.variant}, {config.model.mode}")
     if not config.cameras:

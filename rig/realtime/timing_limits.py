@@ -112,7 +112,8 @@ def stated(config: RigConfig, granted: Scheduling) -> str:
     hung_s = timing.control_hung_ns * 1e-9
     if timing.profile is TimingProfile.SIMULATED:
         return (
-            f"simulated bench, no valve at stake: a process counts as hung after {hung_s:g} s, not {STRICT_HUNG_S:g} s"
+            f"simulated bench, no valve at stake: a process that does nothing for {hung_s:g} s ends the run "
+            f"({STRICT_HUNG_S:g} s with real valves and real-time scheduling)"
         )
     reaction = f"the watchdog takes the valves {hung_s * 1e3:.0f} ms after control hangs"
     if REAL_TIME in granted:

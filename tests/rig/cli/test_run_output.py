@@ -68,7 +68,7 @@ def test_a_table_on_a_narrow_terminal_is_a_list_of_rows_without_a_cut_word() -> 
 
 def test_the_check_screen_states_the_timing_limits_of_the_run() -> None:
     said = " ".join(checked("ramp-a", "mock", 110).split())
-    assert "limits 0.7 bar in each chamber, ends above 0.75 bar; 1 bar/s" in said
+    assert "limits at most 0.7 bar in each chamber, above 0.75 bar the run is aborted; at most 1 bar/s" in said
     assert "duration 50.0 s, 14 segments" in said
 
 
