@@ -147,35 +147,37 @@ def request(
 
         rig_read = rig_read.identified(read_parameters(parameters), chosen)
     config = rig_read.config
-    adapted: tuple[Quantity, ...] = ()
-    if adapt is not None:
-        if not config.cameras:
-            expected = f"a rig with a camera: rig {config.name} has none, so there is no measured tip to estimate from"
-            raise BadInputError([Problem("--adapt", 0, 0, "", "an online estimation", expected)])
-        measured = [name for name, one in config.inputs.items() if one.tip_force_direction is not None]
-        if measured:
-            expected = f"a rig that does not measure the tip force: the estimator does not use input {measured[0]}"
-            raise BadInputError([Problem("--adapt", 0, 0, "", "an online estimation", expected)])
-        from rig.observation.online_estimation import default_parameters, estimated_quantities
-
-        variant_used = chosen or config.model.variant
-        adapted = estimated_quantities(config, variant_used, adapt or default_parameters(config, variant_used))
+    variant_used = chosen or config.model.variant
     return RunRequest(
         protocol=loaded_protocol,
         rig=rig_read,
         fast=fast,
         seed=seed,
         folder=folder,
-        variant=chosen or config.model.variant,
+        variant=variant_used,
         operator=operator,
         notes=notes,
         report=report,
-        adapted=adapted,
+        adapted=() if adapt is None else _estimated_online(config, variant_used, adapt),
         rig_source=source,
         metadata=stated,
         controller=controller,
         learn_from=tuple(learn_from),
     )
+
+
+def _estimated_online(config: RigConfig, variant: Variant, names: Sequence[str]) -> tuple[Quantity, ...]:
+    """The parameters that are estimated during the run; the default ones without names. Raises as `request` does."""
+    if not config.cameras:
+        expected = f"a rig with a camera: rig {config.name} has none, so there is no measured tip to estimate from"
+        raise BadInputError([Problem("--adapt", 0, 0, "", "an online estimation", expected)])
+    measured = [name for name, one in config.inputs.items() if one.tip_force_direction is not None]
+    if measured:
+        expected = f"a rig that does not measure the tip force: the estimator does not use input {measured[0]}"
+        raise BadInputError([Problem("--adapt", 0, 0, "", "an online estimation", expected)])
+    from rig.observation.online_estimation import default_parameters, estimated_quantities
+
+    return estimated_quantities(config, variant, names or default_parameters(config, variant))
 
 
 def _collecting(problems: list[Problem], read: Callable[[Name], Loaded], name: Name) -> Loaded | None:
@@ -219,54 +221,17 @@ def run(
     Raises:
         CardError, StartError, JournalError: the run did not start; the valves are safe and no archive exists.
     """
-    if request.fast:
-        from rig.virtual.executor import run as execute
-    else:
-        from rig.realtime.supervisor import run as execute
-    # Imported here, because `rig check` needs neither HDF5 nor MCAP.
-    from runs.archive.writer import ArchiveError, finalise
-    from runs.journal.journal import JournalWriter
-
     request.folder.mkdir(parents=True, exist_ok=True)
     if (free := shutil.disk_usage(request.folder).free) < SPARE_DISK_BYTES:
         raise StartError(
             f"{request.folder}: only {free / 1e6:.0f} MB free, a run needs {SPARE_DISK_BYTES / 1e6:.0f} MB"
         )
-    journal: JournalWriter | None = None
-    patience_s = timing_limits(decided.config, obtainable()).disk_s
+    # Imported here: `rig check` needs neither HDF5 nor MCAP, and a run that ends should not wait for them.
+    from runs.archive.writer import ArchiveError, finalise
 
-    def armed(t_ns: int) -> JournalWriter:
-        nonlocal journal
-        # The first control cycle lies in the future; virtual time starts now.
-        ahead_ns = 0 if request.fast else t_ns - time.monotonic_ns()
-        about = header(request, decided, t_ns, ahead_ns)
-        while journal is None:
-            path = request.folder / f"{about.run_id}.mcap"
-            try:
-                journal = JournalWriter(path, about, live=not request.fast, patience_s=patience_s)
-            except JournalExistsError:  # another process has taken the id since
-                about = replace(about, run_id=free_id(request.folder, about.run_id))
-        if request.rig_source in (Source.ENVIRONMENT, Source.FOLDER):
-            # The recorded command does not contain the rig.
-            message = f"the rig is {request.rig_file.absolute()}, chosen by {request.rig_source}"
-            journal.event(Event(t_ns, Level.INFO, "supervisor", message))
-        return journal
-
-    warnings: list[str] = []
-    with nullcontext() if request.fast else cards_locked(decided.config, f"protocol {request.protocol.name}"):
-        try:
-            outcome = execute(decided, armed, operator)
-        except Exception as error:
-            if journal is None:
-                raise
-            # In virtual time the newest record gives the time.
-            ended_ns = journal.newest_t_ns if request.fast else time.monotonic_ns()
-            outcome = Outcome(Status.ABORTED, _abort_message(error), ended_ns)
-            with suppress(JournalError):
-                if not isinstance(error, _EXPECTED):
-                    journal.event(Event(ended_ns, Level.FAULT, "supervisor", traceback.format_exc()))
-    assert journal is not None
+    outcome, journal = _execute(request, decided, operator)
     archive = report = parameters = None
+    warnings: list[str] = []
     try:
         if not journal.wait_until_synced(DISK_WARNING_AFTER_S):
             waiting = f"waiting for the disk to take the rest of {journal.path}"
@@ -286,6 +251,50 @@ def run(
         except OSError as error:
             warnings.append(f"the adapted parameters could not be written: {error}; they are in {archive}")
     return RunResult(outcome, archive, report, parameters, tuple(warnings))
+
+
+def _execute(request: RunRequest, decided: Plan, operator: OperatorInterface) -> tuple[Outcome, JournalWriter]:
+    """Run the plan; an error after the journal was created ends the run as aborted."""
+    if request.fast:
+        from rig.virtual.executor import run as execute
+    else:
+        from rig.realtime.supervisor import run as execute
+    from runs.journal.journal import JournalWriter
+
+    patience_s = timing_limits(decided.config, obtainable()).disk_s
+    journal: JournalWriter | None = None
+
+    def armed(t_ns: int) -> JournalWriter:
+        nonlocal journal
+        # The first control cycle lies in the future; virtual time starts now.
+        ahead_ns = 0 if request.fast else t_ns - time.monotonic_ns()
+        about = header(request, decided, t_ns, ahead_ns)
+        while journal is None:
+            path = request.folder / f"{about.run_id}.mcap"
+            try:
+                journal = JournalWriter(path, about, live=not request.fast, patience_s=patience_s)
+            except JournalExistsError:  # another process has taken the id since
+                about = replace(about, run_id=free_id(request.folder, about.run_id))
+        if request.rig_source in (Source.ENVIRONMENT, Source.FOLDER):
+            # The recorded command does not contain the rig.
+            message = f"the rig is {request.rig_file.absolute()}, chosen by {request.rig_source}"
+            journal.event(Event(t_ns, Level.INFO, "supervisor", message))
+        return journal
+
+    with nullcontext() if request.fast else cards_locked(decided.config, f"protocol {request.protocol.name}"):
+        try:
+            outcome = execute(decided, armed, operator)
+        except Exception as error:
+            if journal is None:
+                raise
+            # In virtual time the newest record gives the time.
+            ended_ns = journal.newest_t_ns if request.fast else time.monotonic_ns()
+            outcome = Outcome(Status.ABORTED, _abort_message(error), ended_ns)
+            with suppress(JournalError):
+                if not isinstance(error, _EXPECTED):
+                    journal.event(Event(ended_ns, Level.FAULT, "supervisor", traceback.format_exc()))
+    assert journal is not None
+    return outcome, journal
 
 
 def _abort_message(error: Exception) -> str:
