@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protocols.problems import BadInputError, Problem
-from protocols.schema import Repeat, Step
+from protocols.schema import InnerSteps, Step
 from protocols.source_positions import Document, path_text
 from protocols.steps.base import MOST_SEGMENTS, LeafStep
 from protocols.tip_inverse import HISTORY_S, HISTORY_STEP_S, TipInverse, TipRefusedError, TipRequest
@@ -36,10 +36,9 @@ def _count(steps: Sequence[Step], base: Path, document: Document, found: list[Pr
     total = 0
     for index, step in enumerate(steps):
         body, at = step.body, (*base, index, step.kind)
-        if isinstance(body, Repeat):
-            count, at = body.times * _count(body.steps, (*at, "steps"), document, found), (*at, "times")
-        elif isinstance(body, tuple):
-            count = _count(body, at, document, found)
+        if isinstance(body, InnerSteps):
+            count = body.times * _count(body.steps, (*at, *body.path), document, found)
+            at = (*at, *body.count_path)
         else:
             count, decisive = body.most_segments
             at = (*at, *decisive)
@@ -95,11 +94,9 @@ class _Expander:
     def play(self, steps: Sequence[Step], base: Path) -> None:
         for index, step in enumerate(steps):
             body, here = step.body, (*base, index, step.kind)
-            if isinstance(body, Repeat):
+            if isinstance(body, InnerSteps):
                 for _ in range(body.times):
-                    self.play(body.steps, (*here, "steps"))
-            elif isinstance(body, tuple):
-                self.play(body, here)
+                    self.play(body.steps, (*here, *body.path))
             elif not self._lacking(body, here):
                 self._line = self._document.position(here).key_line
                 self._path = here

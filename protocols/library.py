@@ -16,7 +16,7 @@ from protocols.document import Document
 from protocols.expansion import expand, too_long
 from protocols.parameters import ParameterValue
 from protocols.problems import BadInputError, Problem
-from protocols.schema import ProtocolFile, Repeat, Step
+from protocols.schema import InnerSteps, ProtocolFile, Step
 from protocols.source_positions import path_text, shortened
 from protocols.steps.base import LeafStep
 from protocols.steps.tip import Tip
@@ -158,10 +158,8 @@ def _leaves(steps: Sequence[Step], base: tuple[str | int, ...]) -> Iterator[tupl
     """Path and content of every step that is not made of steps."""
     for index, step in enumerate(steps):
         body, here = step.body, (*base, index, step.kind)
-        if isinstance(body, Repeat):
-            yield from _leaves(body.steps, (*here, "steps"))
-        elif isinstance(body, tuple):
-            yield from _leaves(body, here)
+        if isinstance(body, InnerSteps):
+            yield from _leaves(body.steps, (*here, *body.path))
         else:
             yield here, body
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import Annotated, Any, NamedTuple
 
 from pydantic import ConfigDict, Discriminator, Field, Tag, model_validator
 from pydantic.json_schema import SkipJsonSchema
@@ -29,6 +29,18 @@ class Repeat(StepPart):
 
     times: Annotated[int, Field(ge=1, le=MOST_SEGMENTS, strict=True)]
     steps: Annotated[tuple[Step, ...], Field(min_length=1)]
+
+
+class InnerSteps(NamedTuple):
+    """The steps that a step is made of, below `path` of its own YAML, and how often they are played.
+
+    count_path: the path of the value that decides how often.
+    """
+
+    steps: tuple[Step, ...]
+    path: tuple[str, ...] = ()
+    times: int = 1
+    count_path: tuple[str, ...] = ()
 
 
 class Step(StepPart):
@@ -79,10 +91,14 @@ class Step(StepPart):
         return next(iter(self.model_fields_set))
 
     @property
-    def body(self) -> LeafStep | Repeat | tuple[Step, ...]:
+    def body(self) -> LeafStep | InnerSteps:
         """What is under that key."""
         body: LeafStep | Repeat | tuple[Step, ...] | str = getattr(self, self.kind)
-        return PromptStep(message=body) if isinstance(body, str) else body
+        if isinstance(body, str):
+            return PromptStep(message=body)
+        if isinstance(body, Repeat):
+            return InnerSteps(body.steps, ("steps",), body.times, ("times",))
+        return body if isinstance(body, LeafStep) else InnerSteps(body)
 
 
 class ProtocolFile(StepPart):

@@ -11,6 +11,7 @@ from scipy.ndimage import maximum_filter1d, uniform_filter1d
 
 from calibration.identify.pressure_history import PressureHistory, pressure_history
 from calibration.identify.pressure_smoothing import curve, noise_std, smoothed
+from runs.interpolation import interpolated
 from runs.records import DetectionStatus
 from runs.run import Run
 
@@ -182,8 +183,9 @@ def in_motion(run: Run) -> Poses:
     step_s = float(np.median(np.diff(samples.time_s))) if len(samples.time_s) > 1 else period_s
     deviation = np.maximum(deviation, noise_std(samples.pa) * min(1.0, np.sqrt(step_s / period_s)))
     frame_s = np.interp(every, index, tip.time_s)
-    pressure, spread = curve(samples.time_s, course, frame_s)[0], _at(frame_s, samples.time_s, deviation)
-    clipped = _at(frame_s, samples.time_s, maximum_filter1d(samples.clipped.astype(float), _CLIP_WINDOW, axis=0)) > 0
+    pressure, spread = curve(samples.time_s, course, frame_s)[0], interpolated(frame_s, samples.time_s, deviation)
+    near_limit = maximum_filter1d(samples.clipped.astype(float), _CLIP_WINDOW, axis=0)
+    clipped = interpolated(frame_s, samples.time_s, near_limit) > 0
     weight = tip.weight_g[np.clip(np.searchsorted(index, every, side="right") - 1, 0, None)] * KG_PER_G
     measured, covariance = np.full((length, 3), np.nan), np.full((length, 3, 3), np.nan)
     measured[index[usable]] = tip.measured_mm[usable] * M_PER_MM
@@ -197,7 +199,7 @@ def in_motion(run: Run) -> Poses:
         pressure_pa=pressure,
         pressure_std_pa=np.where(clipped, np.hypot(spread, samples.clipped_std_pa * _repeats(clipped)), spread),
         weight_kg=weight,
-        wrench=_at(frame_s, tip.time_s[loaded], _wrench(run)[loaded]),
+        wrench=interpolated(frame_s, tip.time_s[loaded], _wrench(run)[loaded]),
         tip_m=measured,
         covariance_m2=covariance,
         frames=np.ones(length, np.int64),
@@ -337,11 +339,6 @@ def _load_is_known(run: Run) -> NDArray[np.bool_]:
     """Frames (M,) with a force and moment; one that is measured is NaN before its first sample."""
     known: NDArray[np.bool_] = np.asarray(np.isfinite(_wrench(run)).all(axis=1))
     return known
-
-
-def _at(time_s: Array, sampled_s: Array, samples: Array) -> Array:
-    """Samples (n, N) interpolated linearly at other times, (M, N)."""
-    return np.stack([np.interp(time_s, sampled_s, column) for column in samples.T], axis=1)
 
 
 def _unchanged(time_s: Array, setpoint: Array, frame_s: Array) -> NDArray[np.bool_]:

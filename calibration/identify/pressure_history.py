@@ -8,6 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_banded
 
+from runs.interpolation import interpolated
+
 Array = NDArray[np.float64]
 
 # Time constants of the lagged pressures.
@@ -42,7 +44,7 @@ def pressure_history(time_s: Array, pressure_pa: Array, at_s: Array) -> Pressure
     """
     count = max(2, 1 + int(np.ceil((time_s[-1] - time_s[0]) * _RATE_HZ)))
     grid_s = np.linspace(time_s[0], time_s[-1], count)
-    grid = np.stack([np.interp(grid_s, time_s, column) for column in pressure_pa.T], axis=1)
+    grid = interpolated(grid_s, time_s, pressure_pa)
     moved = _movements(grid)
     place = np.clip(np.searchsorted(grid_s, at_s, side="right") - 1, 0, count - 1)
     changed = np.maximum.accumulate(np.where(moved != 0, np.arange(count)[:, None], -1), axis=0)

@@ -131,7 +131,8 @@ def write(found: CalibrationFile, path: Path, *, replace: bool = False) -> Path:
 
 def sha256_of(path: Path) -> str:
     """Return the SHA-256 of a file."""
-    return hashlib.sha256(path.read_bytes()).hexdigest()
+    with path.open("rb") as content:
+        return hashlib.file_digest(content, "sha256").hexdigest()
 
 
 def rounded(values: Any, digits: int = 6) -> Any:

@@ -79,6 +79,11 @@ class RigConfig(Section):
         return len(self.arm.geometry.actuator_angles_deg)
 
     @property
+    def sensors_by_actuator(self) -> list[Sensor]:
+        """The pressure sensors in the order of their actuators."""
+        return sorted(self.sensors, key=lambda sensor: sensor.actuator)
+
+    @property
     def observation_hz(self) -> float:
         """Observations per second: the rate of the cameras, without any the rate of the model."""
         return next((camera.rate_hz for camera in self.cameras.values()), self.model.rate_hz)

@@ -146,11 +146,11 @@ class BrokenSensors(SampleInterlock):
     def of(cls, config: RigConfig) -> Self:
         """The electrical spans of the sensors, in the order of the actuators."""
         spans = []
-        for sensor in _ordered(config):
+        for sensor in config.sensors_by_actuator:
             low, high = sorted(sensor.signal_span)
             margin, ceiling = sensor.signal_margin, sensor.signal_range[1] - sensor_state.count_v(sensor)
             spans.append((low - margin, high + margin, ceiling))
-        return cls(tuple(spans), tuple(sensor.unit for sensor in _ordered(config)))
+        return cls(tuple(spans), tuple(sensor.unit for sensor in config.sensors_by_actuator))
 
     def trip(self, sample: Sample, *, new: bool) -> Trip | None:
         """Compare each voltage of a new scan."""
@@ -312,7 +312,7 @@ class InterlockSettings:
 
 def settings(config: RigConfig) -> InterlockSettings:
     """The registered interlocks with the limits of a rig, sensors in the order of the actuators."""
-    sensors = _ordered(config)
+    sensors = config.sensors_by_actuator
     tracking_pa = config.limits.tracking_bar * PA_PER_BAR
     return InterlockSettings(
         sample=tuple(kind.of(config) for kind in SAMPLE_INTERLOCKS),
@@ -361,10 +361,6 @@ def evaluate(
         for condition in s.actuators[i]:
             first = first or condition.trip(sample.t_ns, after, asked)
     return tuple(moved), first
-
-
-def _ordered(config: RigConfig) -> list[Sensor]:
-    return sorted(config.sensors, key=lambda sensor: sensor.actuator)
 
 
 def _trip_bar(t_ns: int, source: str, what: str, value: float, limit: float, unit: str = "bar") -> Trip:

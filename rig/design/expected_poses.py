@@ -12,6 +12,7 @@ from calibration.identify.data import SETTLE_S, Poses
 from calibration.identify.simulated_experiments import MeasurementErrors, plan
 from protocols import SetPointTrajectory
 from rig.config.schema import RigConfig
+from runs.interpolation import interpolated
 
 Array = NDArray[np.float64]
 
@@ -44,4 +45,4 @@ def _followed(trajectory: SetPointTrajectory, times_s: Array, bandwidth_hz: floa
     fine_s = np.arange(0.0, times_s[-1] + 0.005, 0.005)
     keep = np.exp(-2 * np.pi * bandwidth_hz * 0.005)
     smooth = lfilter([1 - keep], [1, -keep], trajectory.sample(fine_s.tolist()), axis=0)
-    return np.stack([np.interp(times_s, fine_s, column) for column in smooth.T], axis=1)
+    return interpolated(times_s, fine_s, smooth)

@@ -42,7 +42,7 @@ class Bench:
         """`cards` are open, by their names in the rig, set up by `card_setup`; a part of them suffices for writing."""
         self._cards = dict(cards)
         self._safe = SafeOutputs(config, self._cards)
-        self._sensors = sorted(config.sensors, key=lambda s: s.actuator)
+        self._sensors = config.sensors_by_actuator
         # A sensor is linear in voltage: two points define it.
         at_0, at_1 = ([float(s.pressure_pa(np.array(v))) for s in self._sensors] for v in (0.0, 1.0))
         self._pa_at_0_v = np.array(at_0)

@@ -186,7 +186,7 @@ def truth_of(run: Run) -> dict[str, float]:
         actuator_turn_rad=tuple(np.arctan2(across, (stated * built).sum(axis=1)).tolist()),
         sensor_gain=tuple(
             _bar_per_v(one) / _bar_per_v(other)
-            for one, other in zip(_by_actuator(config), _by_actuator(config.as_built), strict=True)
+            for one, other in zip(config.sensors_by_actuator, config.as_built.sensors_by_actuator, strict=True)
         ),
         sensor_filter_s=simulator.sensor.lag_ms * 1e-3,
     )
@@ -200,10 +200,6 @@ def truth_of(run: Run) -> dict[str, float]:
 def _triple(values: NDArray[np.float64]) -> tuple[float, float, float]:
     x, y, z = (float(v) for v in values)
     return x, y, z
-
-
-def _by_actuator(config: RigConfig) -> list[Sensor]:
-    return sorted(config.sensors, key=lambda sensor: sensor.actuator)
 
 
 def _bar_per_v(sensor: Sensor) -> float:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import platform
 import re
 import shlex
@@ -18,6 +17,7 @@ from numpy.typing import NDArray
 from protocols.problems import BadInputError, Problem
 from protocols.source_positions import Document
 from rig.config import loader
+from rig.config.calibration_files import sha256_of
 from rig.config.sections import PA_PER_BAR
 from rig.experiment.provenance import git_state, versions
 from rig.experiment.run import free_id
@@ -29,6 +29,7 @@ from rig.importing.tracker_frames import placed, wrench
 from rig.valves.iso6358 import ATMOSPHERE_PA
 from runs.archive.writer import finalise
 from runs.export.exporters import SIMULATED
+from runs.interpolation import interpolated
 from runs.journal.journal import SUFFIX, JournalWriter
 from runs.records import (
     DetectionStatus,
@@ -97,7 +98,7 @@ def import_table(data: Path, mapping_file: Path, folder: Path, operator: str = "
     now = datetime.now(UTC)
     commit, diff = git_state()
     folder.mkdir(parents=True, exist_ok=True)
-    source = f"{data.name}, SHA-256 {hashlib.sha256(data.read_bytes()).hexdigest()}"
+    source = f"{data.name}, SHA-256 {sha256_of(data)}"
     rate_hz = 1e9 / float(np.median(np.diff(t_ns)))
     header = RunHeader(
         run_id=free_id(folder, f"{now.astimezone():%Y%m%d-%H%M%S}-{_word(data.stem)}"),
@@ -243,7 +244,7 @@ def _delayed(t_ns: Ints, gauge_pa: Floats, delay_s: float) -> Floats:
     if not delay_s:
         return gauge_pa
     time_s = (t_ns - t_ns[0]) * 1e-9
-    return np.stack([np.interp(time_s - delay_s, time_s, column) for column in gauge_pa.T], axis=1)
+    return interpolated(time_s - delay_s, time_s, gauge_pa)
 
 
 def _pressures(columns: ColumnReader, mapping: Mapping) -> tuple[Floats, Floats]:

@@ -10,6 +10,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from rig.config.calibration_files import sha256_of
 from rig.publish.description import LICENCES, Creator, Description
 from rig.publish.field_list import field_list
 from runs import annotation_file
@@ -47,7 +48,7 @@ def write(runs: Sequence[Run], description: Description, target: Path, *, replac
         README: _readme(runs, description, field_list([run.path for run in runs])),
         DATACITE: _json(_datacite(runs, description, now)),
     }
-    sums = {f"data/{file.name}": _sha256(file) for file in files}
+    sums = {f"data/{file.name}": sha256_of(file) for file in files}
     sums |= {name: hashlib.sha256(text.encode()).hexdigest() for name, text in texts.items()}
     texts[CHECKSUMS] = "".join(f"{digest}  {name}\n" for name, digest in sums.items())
     sizes = {f"data/{file.name}": file.stat().st_size for file in files}
@@ -207,8 +208,3 @@ def _ref(identifier: str) -> dict[str, str]:
 
 def _json(value: object) -> str:
     return json.dumps(value, indent=2, ensure_ascii=False) + "\n"
-
-
-def _sha256(file: Path) -> str:
-    with file.open("rb") as content:
-        return hashlib.file_digest(content, "sha256").hexdigest()

@@ -200,7 +200,7 @@ class PlantCard:
 
     def __init__(self, plant: Plant, config: RigConfig, name: str) -> None:
         self._plant = plant
-        sensors = sorted((s for s in config.sensors if s.card == name), key=lambda s: s.actuator)
+        sensors = [s for s in config.sensors_by_actuator if s.card == name]
         columns = [s.actuator - 1 for s in sensors]
         together = bool(columns) and columns == list(range(columns[0], columns[-1] + 1))
         self._columns = slice(columns[0], columns[-1] + 1) if together else np.array(columns, np.int64)

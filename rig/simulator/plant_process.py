@@ -47,7 +47,7 @@ class _SimulatedCard:
         card = config.cards[name]
         self._card: PlantCard = plant.card(name)
         self._inputs = card.inputs
-        sensors = sorted((s for s in config.sensors if s.card == name), key=lambda s: s.actuator)
+        sensors = [s for s in config.sensors_by_actuator if s.card == name]
         self._columns = [s.channel for s in sensors]
         self._columns += [i.channel for i in config.inputs.values() if i.card == name]
         self._channels = [v.channel for v in config.valves if v.card == name]

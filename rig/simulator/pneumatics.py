@@ -150,7 +150,7 @@ def chambers(config: RigConfig, truth: Simulator) -> ChamberTable:
 
 def sensors(config: RigConfig, truth: Simulator, seed: int) -> SensorTable:
     """The true sensors of a rig; their offsets are drawn from the seed."""
-    ordered = sorted(config.sensors, key=lambda s: s.actuator)
+    ordered = config.sensors_by_actuator
     span_v = np.array([s.signal_span for s in ordered])
     span_pa = np.array([s.span_bar for s in ordered]) * PA_PER_BAR
     lag_s = truth.sensor.lag_ms * 1e-3

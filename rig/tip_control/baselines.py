@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from rig.tip_control.interface import Measurement, Plan, Reference, TipControlSettings
 from rig.tip_control.static_map import StaticMap
+from runs.interpolation import interpolated
 
 Array = NDArray[np.float64]
 
@@ -46,7 +47,7 @@ class InverseIntegral:
         integral, past = state
         row = np.concatenate([[reference.times_s[0]], reference.position_m[0]])
         past = np.vstack([past[-30:], row])
-        wanted = np.array([np.interp(measurement.time_s, past[:, 0], column) for column in past[:, 1:].T])
+        wanted = interpolated(measurement.time_s, past[:, 0], past[:, 1:])
         error = wanted - measurement.tip_m
         if past[0, 0] <= measurement.time_s and np.isfinite(measurement.tip_m).all():
             integral = integral + self.GAIN_PER_S * self._settings.frame_s * np.nan_to_num(error)

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from rig.tip_control.estimator import EstimatorState, TipEstimator
 from rig.tip_control.interface import Estimate, Measurement, Plan, Reference, SolveStatus, TipControlSettings
-from rig.tip_control.interpolation import interpolated
 from rig.tip_control.static_map import StaticMap
 from rig.tip_control.tip_dynamics import TipDynamics
+from runs.interpolation import interpolated
 
 Array = NDArray[np.float64]
 

@@ -12,8 +12,8 @@ from protocols.tip_inverse import HISTORY_STEP_S, TipInverse, TipRequest, TipSol
 from protocols.tip_paths import fade
 from rig.config.sections import PA_PER_BAR
 from rig.tip_control.interface import TipControlSettings
-from rig.tip_control.interpolation import interpolated
 from rig.tip_control.learning import STEP_S, DisturbanceLearner, Repetition
+from runs.interpolation import interpolated
 from runs.records import Status
 from runs.run import Run
 

@@ -17,9 +17,9 @@ from scipy.interpolate import CubicSpline
 from scipy.ndimage import gaussian_filter1d
 
 from rig.tip_control.interface import TipControlSettings
-from rig.tip_control.interpolation import interpolated
 from rig.tip_control.static_map import StaticMap
 from rig.tip_control.tip_dynamics import TipDynamics
+from runs.interpolation import interpolated
 
 Array = NDArray[np.float64]
 

@@ -13,10 +13,10 @@ from rig.config.schema import RigConfig
 from rig.config.sections import PA_PER_BAR, Variant
 from rig.execution.plan import Plan as RunPlan
 from rig.tip_control.interface import Measurement, Reference, TipControlSettings
-from rig.tip_control.interpolation import interpolated
 from rig.tip_control.plan_record import StampedPlan
 from rig.tip_control.registry import controller_class
 from runs.columns import PLAN_AHEAD_S
+from runs.interpolation import interpolated
 from runs.records import DetectionStatus, blank, tip_control_dtype
 
 Array = NDArray[np.float64]

@@ -16,6 +16,7 @@ from protocols.tip_paths import ScaledPath, TipPath, TipStart, fade
 from rig.config.arm_model import TipLoad, model_arm
 from rig.config.schema import RigConfig
 from rig.config.sections import PA_PER_BAR, Variant
+from runs.interpolation import interpolated
 
 Array = NDArray[np.float64]
 
@@ -116,4 +117,4 @@ def _resampled(before_pa: Array, dt_s: float) -> Array:
     """The set-points before a motion on another grid that ends at the same time."""
     given = -HISTORY_STEP_S * np.arange(len(before_pa) - 1, -1, -1)
     wanted = -dt_s * np.arange(max(2, round(HISTORY_S / dt_s)), -1, -1)
-    return np.column_stack([np.interp(wanted, given, column) for column in before_pa.T])
+    return interpolated(wanted, given, before_pa)

@@ -13,7 +13,7 @@ def card_setup(config: RigConfig, name: str) -> CardSetup:
     the order of the rig file.
     """
     card = config.cards[name]
-    sensors = sorted((s for s in config.sensors if s.card == name), key=lambda s: s.actuator)
+    sensors = [s for s in config.sensors_by_actuator if s.card == name]
     auxiliary = [i for i in config.inputs.values() if i.card == name]
     valves = [v for v in config.valves if v.card == name]
     return CardSetup(

@@ -36,7 +36,7 @@ class Bench:
         self._plant = Plant(config, SEED, 0)
         self._card = self._plant.card(CARD)
         self._card.start()
-        self._sensors = [s.channel for s in sorted(config.sensors, key=lambda s: s.actuator)]
+        self._sensors = [s.channel for s in config.sensors_by_actuator]
         self._valves = [v.channel for v in config.valves]
         self._outputs_v: NDArray[np.float64] = np.zeros(OUTPUTS)
         self._answer = np.zeros(1, FROM_BENCH)
