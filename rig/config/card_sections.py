@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import functools
+import operator
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import ConfigDict, Field, model_validator
 
 from protocols.validation import ValidationFault, faults
-from rig.config.drivers import CARD_DRIVERS
+from rig.config.drivers import Driver, DriverRegistry
 from rig.config.plugins import PluginSections
 from rig.config.sections import Index, Positive, Section, Word
 
@@ -114,12 +116,47 @@ class UninstalledCardConfig(CardConfig):
     model_config = ConfigDict(extra="ignore")
 
 
+_KEPT = "outputs keep their values; the watchdog writes the safe state"
+CARD_DRIVERS = DriverRegistry(
+    "cards",
+    Driver(
+        "comedi",
+        "rig.hardware.cards.comedi",
+        "cards with a Comedi driver (Linux), such as PCI-1716",
+        _KEPT,
+        section=ComediCardConfig,
+    ),
+    Driver(
+        "serial",
+        "rig.hardware.cards.serial",
+        "a pressure controller on a serial port, such as an Arduino",
+        "the controller vents by itself after some 50 ms without a command",
+        section=SerialCardConfig,
+    ),
+    Driver(
+        "nidaqmx",
+        "rig.hardware.cards.ni",
+        "NI-DAQmx devices (softrig[nidaqmx]); not tried on a device",
+        _KEPT,
+        section=NidaqmxCardConfig,
+    ),
+    Driver(
+        "mock",
+        "rig.hardware.cards.mock",
+        "a card of the simulated bench",
+        _KEPT,
+        simulated=True,
+        section=MockCardConfig,
+    ),
+)
+
 if TYPE_CHECKING:
     AnyCard = CardConfig
 else:
     AnyCard = Annotated[
         Annotated[
-            ComediCardConfig | SerialCardConfig | NidaqmxCardConfig | MockCardConfig, Field(discriminator="driver")
+            functools.reduce(operator.or_, (driver.section for driver in CARD_DRIVERS.built_in.values())),
+            Field(discriminator="driver"),
         ],
         PluginSections(
             "driver",

@@ -40,13 +40,17 @@ class Plugin:
 
 @dataclass(frozen=True)
 class Driver:
-    """A registered driver: `module` holds its `driver()` function, or `plugin` is the object of another package."""
+    """A registered driver: `module` holds its `driver()` function, or `plugin` is the object of another package.
+
+    `section` is the model of its section in the rig file, where a driver of softrig has one of its own.
+    """
 
     name: str
     module: str = ""
     about: str = ""
     safe_state: str = ""
     simulated: bool = False
+    section: type[BaseModel] | None = None
     package: str = "softrig"
     plugin: Plugin | None = None
 
@@ -154,19 +158,6 @@ def _checked(name: str, found: object) -> Plugin:
     return found
 
 
-KEPT = "outputs keep their values; the watchdog writes the safe state"
-CARD_DRIVERS = DriverRegistry(
-    "cards",
-    Driver("comedi", "rig.hardware.cards.comedi", "cards with a Comedi driver (Linux), such as PCI-1716", KEPT),
-    Driver(
-        "serial",
-        "rig.hardware.cards.serial",
-        "a pressure controller on a serial port, such as an Arduino",
-        "the controller vents by itself after some 50 ms without a command",
-    ),
-    Driver("nidaqmx", "rig.hardware.cards.ni", "NI-DAQmx devices (softrig[nidaqmx]); not tried on a device", KEPT),
-    Driver("mock", "rig.hardware.cards.mock", "a card of the simulated bench", KEPT, simulated=True),
-)
 CAMERA_DRIVERS = DriverRegistry(
     "cameras",
     Driver("opencv", "rig.hardware.cameras.opencv", "V4L2 cameras, folders of pictures and video files"),

@@ -9,7 +9,6 @@ import struct
 from pathlib import Path
 from typing import Any
 
-from rig.config.drivers import CAMERA_DRIVERS
 from rig.config.schema import RigConfig
 from rig.config.sections import CameraConfig
 from rig.doctor.machine import group_name
@@ -36,9 +35,9 @@ def cameras(root: Path = Path("/")) -> list[Finding]:
 def rig_cameras(config: RigConfig, root: Path = Path("/")) -> list[Finding]:
     """Whether the cameras that a rig names are there and may be opened; none is, a run may be using them."""
     return [
-        _realsense(f"rig's camera {name}", camera) if camera.driver == "realsense" else _named(name, camera, root)
+        _CHECKS[camera.driver](f"rig's camera {name}", camera, root)
         for name, camera in config.cameras.items()
-        if camera.driver in CAMERA_DRIVERS.built_in and not camera.is_mock
+        if camera.driver in _CHECKS
     ]
 
 
@@ -95,10 +94,9 @@ def _gives_pictures(device: Path, hardware: bool) -> bool:
     return bool((of_node if of_all & _TOLD_BY_NODE else of_all) & _VIDEO_CAPTURE)
 
 
-def _named(name: str, camera: CameraConfig, root: Path) -> Finding:
+def _opencv(topic: str, camera: CameraConfig, root: Path) -> Finding:
     from rig.hardware.cameras.recorded import is_recording  # brings OpenCV with it
 
-    topic = f"rig's camera {name}"
     if is_recording(camera.device):
         there = Path(str(camera.device)).exists()
         found = f"recording {camera.device}" + ("" if there else " does not exist")
@@ -114,7 +112,7 @@ def _named(name: str, camera: CameraConfig, root: Path) -> Finding:
     return Finding(topic, "missing", f"{path} does not exist (video devices present: {present})", remedy)
 
 
-def _realsense(topic: str, camera: CameraConfig) -> Finding:
+def _realsense(topic: str, camera: CameraConfig, root: Path) -> Finding:
     wanted = str(camera.device)
     if Path(wanted).suffix in RECORDINGS:
         there = Path(wanted).is_file()
@@ -129,3 +127,7 @@ def _realsense(topic: str, camera: CameraConfig) -> Finding:
         return Finding(topic, "ok", f"RealSense {wanted}")
     present = ", ".join(serials) or "none"
     return Finding(topic, "missing", f"no RealSense {wanted} (present: {present})", f"{_PLUG_IN}, or correct `device`")
+
+
+_CHECKS = {"opencv": _opencv, "realsense": _realsense}
+"""Checks by the driver of a camera."""

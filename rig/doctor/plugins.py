@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from rig.config.card_sections import CardConfig
-from rig.config.drivers import CAMERA_DRIVERS, CARD_DRIVERS, Driver
+from rig.config.card_sections import CARD_DRIVERS, CardConfig
+from rig.config.drivers import CAMERA_DRIVERS, Driver
 from rig.config.schema import RigConfig
 from rig.config.sections import CameraConfig
 from rig.hardware.finding import Finding

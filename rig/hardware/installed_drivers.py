@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from rig.config.card_sections import CardConfig
-from rig.config.drivers import CAMERA_DRIVERS, CARD_DRIVERS, TRACKER_DRIVERS, InstalledDriver
+from rig.config.card_sections import CARD_DRIVERS, CardConfig
+from rig.config.drivers import CAMERA_DRIVERS, TRACKER_DRIVERS, InstalledDriver
 from rig.config.plugins import PluginError, package_of
 from rig.config.sections import CameraConfig, Section
 from rig.valves.base import ValveSection

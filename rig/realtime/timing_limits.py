@@ -67,7 +67,7 @@ class TimingLimits:
 
 def valves_at_stake(config: RigConfig) -> bool:
     """True if a card of the rig is real hardware."""
-    return any(card.driver != "mock" for card in config.cards.values())
+    return any(not card.is_mock for card in config.cards.values())
 
 
 def timing_limits(config: RigConfig, granted: Scheduling) -> TimingLimits:
@@ -84,7 +84,7 @@ def timing_limits(config: RigConfig, granted: Scheduling) -> TimingLimits:
     if valves_at_stake(config):
         hung_s = max(STRICT_HUNG_S, min(limits.stale_s, ORDINARY_HUNG_S))
         return TimingLimits(TimingProfile.ORDINARY, round(hung_s * 1e9), frame_s=limits.no_tip_s)
-    real_cameras = any(camera.driver != "mock" for camera in config.cameras.values())
+    real_cameras = any(not camera.is_mock for camera in config.cameras.values())
     silent_ns = round(SIMULATED_HUNG_S * 1e9)
     return TimingLimits(
         TimingProfile.SIMULATED,

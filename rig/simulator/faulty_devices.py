@@ -93,4 +93,4 @@ class FaultySensors:
             case SensorFault.OFFSET:
                 return np.clip(volts + by_v, low, high)
             case _:
-                return volts
+                raise ValueError(f"sensor fault {fault.name} has no effect on the volts")

@@ -7,7 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from rig.config.drivers import CAMERA_DRIVERS, CARD_DRIVERS, TRACKER_DRIVERS
+from rig.config.card_sections import CARD_DRIVERS
+from rig.config.drivers import CAMERA_DRIVERS, TRACKER_DRIVERS
 
 
 def install(

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from rig.config.card_sections import CardConfig
-from rig.config.drivers import CARD_DRIVERS
+from rig.config.card_sections import CARD_DRIVERS, CardConfig
 from rig.hardware.cards.base import Card, CardSetup
 
 

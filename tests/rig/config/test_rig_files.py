@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 from protocols import BadInputError, Problem
 from protocols.document import parse, validate
 from rig.config import consistency
-from rig.config.drivers import CAMERA_DRIVERS, CARD_DRIVERS, DriverRegistry
+from rig.config.card_sections import CARD_DRIVERS
+from rig.config.drivers import CAMERA_DRIVERS, DriverRegistry
 from rig.config.loader import load, path_of, text
 from rig.config.schema import RigConfig
 from tests.support.budget import examples
