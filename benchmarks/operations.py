@@ -149,7 +149,7 @@ def second(variant: str, nodes: int) -> dict[str, int]:
     moving.start(path[0])
     problem, total, passes = moving._problem, Counter[str](), 0
     room = type(moving._room)(*(given(part) for part in moving._room))
-    work, trail, x = (given(a) for a in (problem.prepared, moving._trail, moving._x))
+    work, past_states, x = (given(a) for a in (problem.prepared, moving._past_states, moving._x))
     place, turned = given(np.zeros((1, 3))), given(np.zeros((1, 3, 3)))
     before = moving._before
     for row in path[1:]:
@@ -158,7 +158,7 @@ def second(variant: str, nodes: int) -> dict[str, int]:
         done = advance(
             work, problem.walls, problem.rest[0], problem.per_pressure[0], problem.free_per_pa, before,
             row, moving._load, moving._loaded, moving._tip, problem.length_m, moving._segments, problem.scale,
-            moving._coefficients, trail, x, room, TOLERANCE_IN_MOTION,
+            moving._coefficients, past_states, x, room, TOLERANCE_IN_MOTION,
         )  # fmt: skip
         assert done > 0
         passes += done
@@ -170,7 +170,7 @@ def second(variant: str, nodes: int) -> dict[str, int]:
         needed.clear()
         known.clear()
         work[:] = given(work)
-        trail, x = given(trail), given(x)
+        past_states, x = given(past_states), given(x)
         room = room._replace(history=given(room.history))
     counted = {kind: total[kind] for kind in COUNTED}
     return {"steps": len(path) - 1, "passes": passes, "all": sum(counted.values()), **counted}

@@ -89,9 +89,9 @@ class Dynamics:
         """The arm in motion, after `start`, as `dynamic_sensitivities` takes it: nothing on its tip but the cap."""
         problem = self._problem
         return (
-            self._work, problem.walls, problem.free_per_pa, self._before, self._load, self._loaded,
-            problem.cap, problem.length_m, self._segments, problem.scale, self._coefficients, self._trail, self._x,
-            self._room, TOLERANCE_IN_MOTION, problem.centre_m,
+            self._work, problem.walls, problem.free_per_pa, self._before, self._load, self._loaded, problem.cap,
+            problem.length_m, self._segments, problem.scale, self._coefficients, self._past_states, self._x, self._room,
+            TOLERANCE_IN_MOTION, problem.centre_m,
         )  # fmt: skip
 
     def start(self, pressure_pa: ArrayLike, loads: Loads | None = None) -> Shape:
@@ -114,8 +114,8 @@ class Dynamics:
         self._work = self._problem.work()
         self._pool = aligned(workspace_size(n))
         self._room = workspace_in(self._pool, n)
-        self._trail = aligned(2, 2 * n + 2, STATE)
-        initialise_history(self._coefficients, self._x, self._trail, resting.length_m, self._room)
+        self._past_states = aligned(2, 2 * n + 2, STATE)
+        initialise_history(self._coefficients, self._x, self._past_states, resting.length_m, self._room)
         self._before = np.stack([pressure] * 3)
         self._loads, self._tip, self._load, self._loaded = None, tip, load, loaded
         self._started = True
@@ -172,8 +172,8 @@ class Dynamics:
         size, history = self._x.size, self._room.history
         for weight, past in (
             (scheme.c1 - before.c1, self._x),
-            (scheme.c2 - before.c2, self._trail[0]),
-            (scheme.c3 - before.c3, self._trail[1]),
+            (scheme.c2 - before.c2, self._past_states[0]),
+            (scheme.c3 - before.c3, self._past_states[1]),
         ):
             history[:size] += weight * past.ravel()
         _fill_between(history, size, self._problem.length_m / self._nodes)
@@ -192,8 +192,8 @@ class Dynamics:
         passes = motion(
             self._work, problem.walls, problem.stiffness, problem.rest, problem.per_pressure,
             problem.free_per_pa, self._before, rows, self._load, self._loaded, self._tip, problem.length_m,
-            self._segments, problem.scale, self._coefficients, self._trail, self._x, self._pool, TOLERANCE_IN_MOTION,
-            problem.centre_m, tips, turns, good,
+            self._segments, problem.scale, self._coefficients, self._past_states, self._x, self._pool,
+            TOLERANCE_IN_MOTION, problem.centre_m, tips, turns, good,
         )  # fmt: skip
         if passes < 0:
             raise ValueError(NOT_FINITE)

@@ -105,14 +105,14 @@ def tip_gradient(arm: Arm, pressure_pa: ArrayLike, loads: Loads | None = None, n
         stack = _Stack.of(arm, _varied(arm, pressure), nodes, pressure[None])
     else:
         stack = _kept.stack(arm, nodes)
-    hung = stack.nothing
+    tip_loads = stack.nothing
     if loads is not None:
         load, loaded = stack.first.load(arm, loads, nodes)
         # What is kept must not remember a load.
         stack = replace(stack.own(slice(None)), load=load, loaded=loaded, loaded_lanes=loaded or stack.loaded_lanes)
-        hung = hung + np.concatenate([loads.tip(), loads.pull()])[:, None]
+        tip_loads = tip_loads + np.concatenate([loads.tip(), loads.pull()])[:, None]
     rows = pressure[:, None] + _shifts(len(names), len(pressure))
-    found = _solve(stack, rows, hung, nodes, _kept.lanes(len(stack.steps), nodes))
+    found = _solve(stack, rows, tip_loads, nodes, _kept.lanes(len(stack.steps), nodes))
     if not found.ok[0]:
         raise (Unstable if found.unstable[0] else NotConverged).at(pressure)
     by = found.tip_by[0]
@@ -134,7 +134,7 @@ def statics(
     """
     rows, nodes = _rows(arm, pressure_pa), steps_along(arm, nodes)
     _check_changes(arm, changes, rows)
-    hung = _tip_loads(arm, changes, len(rows), weight_kg, pull)
+    tip_loads = _tip_loads(arm, changes, len(rows), weight_kg, pull)
     stack = _Stack.of(arm, changes, nodes, rows)
     lane_rows = _lane_rows(rows, [change.pressure_pa for change in changes])
     parts: dict[int, Gradients] = {}
@@ -143,7 +143,9 @@ def statics(
         if len(span):
             at = slice(span.start, span.stop)
             room = Lanes.of(len(changes), nodes, 1)
-            parts[span.start] = _solve(stack.own(at), lane_rows[at], hung if len(hung) == 1 else hung[at], nodes, room)
+            parts[span.start] = _solve(
+                stack.own(at), lane_rows[at], tip_loads if len(tip_loads) == 1 else tip_loads[at], nodes, room
+            )
 
     spread(part, len(rows), workers)
     each = [parts[start] for start in sorted(parts)]
@@ -172,7 +174,7 @@ def motion(
     _check_changes(arm, changes, rows)
     if every < 1:
         raise ValueError(f"answers are asked for every so many steps, at least 1, got {every}")
-    hung = _tip_loads(arm, changes, len(rows), weight_kg, pull)
+    tip_loads = _tip_loads(arm, changes, len(rows), weight_kg, pull)
     count, neighbours = 1 + (len(rows) - 1) // every, len(changes)
     place, turned = np.full((count, 3), np.nan), np.full((count, 3, 3), np.nan)
     by, good = np.full((count, neighbours, 6), np.nan), np.zeros(count, dtype=np.bool_)
@@ -181,7 +183,7 @@ def motion(
     n = dynamics.nodes
     still = _Stack.of(arm, changes, n, rows[:1])
     here = np.empty(layout.HANGS)
-    apply_tip_load(still.first.cap, hung[0], here)
+    apply_tip_load(still.first.cap, tip_loads[0], here)
     try:
         dynamics.begin(still.first, rows[0], here, still.load, still.loaded)
     except NotConverged as fault:
@@ -192,7 +194,7 @@ def motion(
         *dynamics.arguments(), swinging.first.stiffness, swinging.first.rest, swinging.first.per_pressure,
         still.first.scale, still.works, still.stiffness, still.rest, still.per_pressure, swinging.works,
         swinging.stiffness, swinging.rest, swinging.per_pressure, swinging.frees, swinging.ends,
-        _lane_rows(rows, [change.pressure_pa for change in changes]), hung, swinging.loaded_lanes, swinging.heavy,
+        _lane_rows(rows, [change.pressure_pa for change in changes]), tip_loads, swinging.loaded_lanes, swinging.heavy,
         layout.aligned(len(swinging.ends), n + 1, 24 * layout.LANES), Lanes.of(neighbours, n, dynamics.segments),
         swinging.steps, every, place, turned, by, good,
     )  # fmt: skip
@@ -288,16 +290,16 @@ def _tip_loads(
         if some is not None and len(some.force_n) != count:
             raise ValueError(f"what pulls has {len(some.force_n)} rows, the pressures {count}")
     lanes = passes(len(changes)) * layout.LANES
-    hung = np.zeros((lanes, count if pull is not None or weight.any() else 1, 12))
+    tip_loads = np.zeros((lanes, count if pull is not None or weight.any() else 1, 12))
     own = [(arm, pull)] * lanes
     own[FIRST : FIRST + len(changes)] = [(change.arm, change.pull or pull) for change in changes]
-    for lane, (one, pulls) in zip(hung, own, strict=True):
+    for lane, (one, pulls) in zip(tip_loads, own, strict=True):
         if weight.any():
             lane[:, :3] = weight[:, None] * np.asarray(one.gravity_m_s2)
         if pulls is not None:
             lane[:, :3] += pulls.force_n
             lane[:, 3:6], lane[:, 6:9], lane[:, 9:] = pulls.moment_n_m, pulls.force_n, pulls.point_m
-    return np.ascontiguousarray(hung.reshape(-1, layout.LANES, *hung.shape[1:]).transpose(2, 0, 3, 1))
+    return np.ascontiguousarray(tip_loads.reshape(-1, layout.LANES, *tip_loads.shape[1:]).transpose(2, 0, 3, 1))
 
 
 @dataclass(frozen=True)
@@ -383,14 +385,14 @@ def _lanes_at_rest(neighbours: int, nodes: int) -> Lanes:
 _kept = _Kept()
 
 
-def _solve(stack: _Stack, rows: Array, hung: Array, nodes: int, room: Lanes) -> Gradients:
+def _solve(stack: _Stack, rows: Array, tip_loads: Array, nodes: int, room: Lanes) -> Gradients:
     """For pressures (K, W, N, 8); the stack's work arrays are written to."""
     count, first, neighbours = len(rows), stack.first, len(stack.steps)
     place, turned, by = np.empty((count, 3)), np.empty((count, 3, 3)), np.empty((count, neighbours, 6))
     good, unstable = np.empty(count, dtype=np.bool_), np.empty(count, dtype=np.bool_)
     static_sensitivities(
         stack.work, stack.works, first.walls, first.stiffness, first.rest, first.per_pressure,
-        first.free_per_pa, stack.stiffness, stack.rest, stack.per_pressure, stack.frees, stack.ends, rows, hung,
+        first.free_per_pa, stack.stiffness, stack.rest, stack.per_pressure, stack.frees, stack.ends, rows, tip_loads,
         stack.load, stack.loaded, stack.loaded_lanes, stack.heavy, first.cap, first.length_m, first.scale,
         first.centre_m, TOLERANCE_AT_REST, workspace_for(nodes), room, stack.steps, place, turned, by, good, unstable,
     )  # fmt: skip

@@ -106,7 +106,7 @@ def motion(
     segments: int,
     scale: Array,
     scheme: Array,
-    trail: Array,
+    past_states: Array,
     x: Array,
     pool: Array,
     tolerance: float,
@@ -133,7 +133,7 @@ def motion(
             stiffen(w, stiffness[r])
         passes = advance(
             w, walls, rest[q], per_pressure[r], free, before, pressure[t], load, loaded, tip, length,
-            segments, scale, scheme, trail, x, room, tolerance,
+            segments, scale, scheme, past_states, x, room, tolerance,
         )  # fmt: skip
         good[t] = passes > 0
         if passes > 0:

@@ -76,31 +76,31 @@ def _update_history(past: Array, room: Lanes, last: int, a: float, b: float, d: 
 @kernel
 def dynamic_sensitivities(
     w: Array, walls: Walls, free: float, before: Array, load: Array, loaded: bool, tip: Array,
-    length: float, segments: int, scale: Array, scheme: Array, trail: Array, x: Array, solver: Workspace,
+    length: float, segments: int, scale: Array, scheme: Array, past_states: Array, x: Array, solver: Workspace,
     tolerance: float, centre: Array, stiffness: Array, rest: Array, per_pressure: Array, still_scale: Array,
     still_works: Array, still_stiffness: Array, still_rest: Array, still_per_pressure: Array, works: Array,
     lane_stiffness: Array, lane_rest: Array, lane_per_pressure: Array, frees: Array, ends: Array, pressure: Array,
-    hung: Array, loaded_lanes: bool, heavy: bool, past: Array, room: Lanes, steps: Array, every: int, place: Array,
+    tip_loads: Array, loaded_lanes: bool, heavy: bool, past: Array, room: Lanes, steps: Array, every: int, place: Array,
     turned: Array, by: Array, good: Array,
 ) -> None:  # fmt: skip
     """A motion from rest by BDF-alpha, and how its tip answers to each neighbour's change.
 
     The arm as `axis.motion` takes it, at rest in x; the lanes as `apply_pressure` takes them, `still_..` those of the
-    arm at rest. pressure (1 + T, W, N, 8): at rest, then step by step; sections and hung one for each of these rows,
-    or one for all. past (W, N + 1, 192): room for the lanes' history. Without neighbours the lanes rest. Of every so
-    many steps it fills place, turned, by (1 + T / every, ..) and good.
+    arm at rest. pressure (1 + T, W, N, 8): at rest, then step by step; sections and tip_loads one for each of these
+    rows, or one for all. past (W, N + 1, 192): room for the lanes' history. Without neighbours the lanes rest. Of every
+    so many steps it fills place, turned, by (1 + T / every, ..) and good.
     """
     row, here = np.empty(walls.actuators), tip.copy()
     c0, c1, c2, d1 = scheme[0], scheme[1], scheme[2], scheme[4]
     followed, now, sections = steps.shape[0] > 0, 0, stiffness.shape[0]
     for t in range(pressure.shape[0]):
-        r, q, hangs = t % sections, t % rest.shape[0], hung[t % hung.shape[0]]
-        apply_tip_load(tip, hangs, here)
+        r, q, tip_load = t % sections, t % rest.shape[0], tip_loads[t % tip_loads.shape[0]]
+        apply_tip_load(tip, tip_load, here)
         solved = 1
         if t == 0 and followed:
             apply_pressure(
                 still_works, walls.actuators, still_stiffness[0], still_rest[0], still_per_pressure[0], frees, ends,
-                pressure[t], hangs,
+                pressure[t], tip_load,
             )  # fmt: skip
             followed = tangents(
                 still_works, walls, past, load, loaded_lanes, 0.0, heavy, segments, still_scale, x, room,
@@ -118,7 +118,7 @@ def dynamic_sensitivities(
                 stiffen(w, stiffness[r])
             solved = advance(
                 w, walls, rest[q], per_pressure[r], free, before, row, load, loaded, here, length, segments,
-                scale, scheme, trail, x, solver, tolerance,
+                scale, scheme, past_states, x, solver, tolerance,
             )  # fmt: skip
             if solved > 0 and followed:
                 # y_t of the last step is c0 times its solution plus its history.
@@ -126,7 +126,7 @@ def dynamic_sensitivities(
                 now = 1 - now
                 apply_pressure(
                     works, walls.actuators, lane_stiffness[r], lane_rest[q], lane_per_pressure[r], frees, ends,
-                    pressure[t], hangs,
+                    pressure[t], tip_load,
                 )  # fmt: skip
                 followed = tangents(
                     works, walls, past, load, loaded_lanes, c0, heavy, segments, scale, x, room,

@@ -128,12 +128,12 @@ def integrate_lanes(
 @leaf
 def apply_pressure(
     works: Array, actuators: int, stiffness: Array, rest: Array, per_pressure: Array, free: Array, ends: Array,
-    pressure: Array, hung: Array,
+    pressure: Array, tip_loads: Array,
 ) -> None:  # fmt: skip
     """Write sections, pressures (W, N, 8) and loads at the tip into the work arrays (W, size), lane by lane.
 
     stiffness (W, 24, 8), rest (W, 6, 8), per_pressure (W, 6, N, 8), free (W, 8) and ends (W, 19, 8): as of
-    `KernelArguments`. hung (W, 12, 8): force and moment beyond that, a part of the force that pulls elsewhere, and
+    `KernelArguments`. tip_loads (W, 12, 8): force and moment beyond that, a part of the force that pulls elsewhere, and
     where.
     """
     first = TRIO if actuators <= 3 else MORE
@@ -153,21 +153,21 @@ def apply_pressure(
                 w[(END + c) * LANES + i] = ends[p, c, i]
         for c in range(6):
             for i in range(LANES):
-                w[(END + c) * LANES + i] += hung[p, c, i]
-                w[(PULL + c) * LANES + i] += hung[p, 6 + c, i]
+                w[(END + c) * LANES + i] += tip_loads[p, c, i]
+                w[(PULL + c) * LANES + i] += tip_loads[p, 6 + c, i]
         for k in range(actuators):
             for i in range(LANES):
                 w[(first + PER_TUBE * k + 2) * LANES + i] = free[p, i] * pressure[p, k, i]
 
 
 @called
-def apply_tip_load(tip: Array, hung: Array, here: Array) -> None:
+def apply_tip_load(tip: Array, tip_loads: Array, here: Array) -> None:
     """Tip load (19,) of the arm itself, with the load that `apply_pressure` adds."""
     for c in range(HANGS):
         here[c] = tip[c]
     for c in range(6):
-        here[c] += hung[0, c, 0]
-        here[HANGS - 6 + c] += hung[0, 6 + c, 0]
+        here[c] += tip_loads[0, c, 0]
+        here[HANGS - 6 + c] += tip_loads[0, 6 + c, 0]
 
 
 @leaf

@@ -124,6 +124,101 @@ def tip_residual(w: Array, walls: Walls, past: Past, own: bool, c0: float, heavy
         put(w, WRENCH + 3, i, plus(m, -1.0, couple))
 
 
+@inlined
+def _start_segment(w: Array, room: Workspace, scale: Array, s: int, start: int) -> None:
+    """Set the lanes at the start of segment s, node `start`: the guess and the runs that are moved along directions."""
+    x, directions, reach = room.x, room.directions, room.reach
+    for c in range(STATE):
+        broadcast(w, NODE + c, x[start, c])
+    if s == 0:
+        for k in range(6):
+            w[(NODE + k) * LANES + 1 + k] += STEP * scale[k]
+    else:
+        particular = 0.0
+        for c in range(STATE):
+            particular += directions[s, 6, c] ** 2
+        reach[s] = STEP / particular**0.5 if particular > 0.0 else 0.0
+        for c in range(STATE):
+            at, unit = (NODE + c) * LANES, scale[c]
+            for k in range(6):
+                w[at + 1 + k] += STEP * unit * directions[s, k, c]
+            w[at + 7] += reach[s] * unit * directions[s, 6, c]
+
+
+@inlined
+def _carry_directions(w: Array, room: Workspace, scale: Array, s: int, end: int) -> bool:
+    """Directions of segment s + 1 from where segment s ends, at node `end`, made orthonormal; False where they are not.
+
+    The seventh one closes the gap between the segments; its parts along the others stand in `along`.
+    """
+    x, directions, along, reach = room.x, room.directions, room.along, room.reach
+    for c in range(STATE):
+        at = (NODE + c) * LANES
+        for k in range(6):
+            directions[s + 1, k, c] = (w[at + 1 + k] - w[at]) * (scale[STATE + c] / STEP)
+        carried = (w[at + 7] - w[at]) / (reach[s] * scale[c]) if reach[s] > 0.0 else 0.0
+        directions[s + 1, 6, c] = carried + (w[at] - x[end, c]) / scale[c]
+    if not orthonormalise(directions[s + 1, :6], room.triangle[s + 1]):
+        return False
+    for k in range(6):
+        share = 0.0
+        for c in range(STATE):
+            share += directions[s + 1, k, c] * directions[s + 1, 6, c]
+        along[s + 1, k] = share
+    for k in range(6):
+        for c in range(STATE):
+            directions[s + 1, 6, c] -= along[s + 1, k] * directions[s + 1, k, c]
+    return True
+
+
+@inlined
+def _solve_tip(w: Array, room: Workspace, last: int) -> bool:
+    """Shares of the last segment's directions that meet the tip's condition, in room.right; False for none."""
+    reach, matrix, right = room.reach, room.matrix, room.right
+    for i in range(6):
+        at = (WRENCH + i) * LANES
+        lacking = w[at]
+        carried = (w[at + 7] - lacking) / reach[last] if reach[last] > 0.0 else 0.0
+        right[i] = -lacking - carried
+        for k in range(6):
+            matrix[i, k] = (w[at + 1 + k] - lacking) * (1.0 / STEP)
+    return solve_six(matrix, right)  # type: ignore[no-any-return]
+
+
+@inlined
+def _fill_weights(room: Workspace, last: int) -> None:
+    """Weights of the lanes in the update, of every segment, from the last to the first."""
+    weights, reach, right, along, triangle = room.weights, room.reach, room.right, room.along, room.triangle
+    for s in range(last, -1, -1):
+        for k in range(6):
+            weights[s, k + 1] = right[k] * (1.0 / STEP)
+        weights[s, 7] = 1.0 / reach[s] if reach[s] > 0.0 else 0.0
+        # Against lane 0.
+        weights[s, 0] = 0.0
+        for i in range(1, LANES):
+            weights[s, 0] -= weights[s, i]
+        if s > 0:
+            for k in range(5, -1, -1):
+                total = right[k] - along[s, k]
+                for c in range(k + 1, 6):
+                    total -= triangle[s, k, c] * right[c]
+                right[k] = total / triangle[s, k, k]
+
+
+@inlined
+def _measure_update(moved: Array, scale: Array) -> tuple[float, float, float]:
+    """Of an update, in units of `scale`: the largest part in velocities, in strains and orientations; their total."""
+    swift, bent, total = 0.0, 0.0, 0.0
+    for c in range(6):
+        swift = max(swift, moved[0, 6 + c] * scale[STATE + 6 + c])
+        bent = max(bent, moved[0, c] * scale[STATE + c])
+    for c in range(12, STATE):
+        bent = max(bent, moved[0, c] * scale[STATE + c])
+    for c in range(STATE):
+        total += moved[1, c]
+    return swift, bent, total
+
+
 @leaf
 def newton(
     w: Array,
@@ -151,93 +246,34 @@ def newton(
     """
     history, states, derivatives, x = room.history, room.states, room.derivatives, room.x
     heavy = tip[6] > 0.0 or tip[7] > 0.0 or tip[8] > 0.0 or tip[9] > 0.0
-    directions, triangle, along, weights = room.directions, room.triangle, room.along, room.weights
-    reach, moved, matrix, right = room.reach, room.moved, room.matrix, room.right
+    weights, moved = room.weights, room.moved
     n = states.shape[0] - 1
-    per = n // segments
-    last = segments - 1
+    per, last = n // segments, segments - 1
     broadcast(w, STRIDE, length / n)
     for c in range(HANGS):
         broadcast(w, END + c, tip[c])
     if not loaded:
         for c in range(6):
             broadcast(w, LOAD + c, 0.0)
-    reach[0] = 0.0
+    room.reach[0] = 0.0
     previous = np.inf
     for passes in range(1, int(most) + 1):
         for s in range(segments):
-            for c in range(STATE):
-                broadcast(w, NODE + c, x[s * per, c])
-            if s == 0:
-                for k in range(6):
-                    w[(NODE + k) * LANES + 1 + k] += STEP * scale[k]
-            else:
-                particular = 0.0
-                for c in range(STATE):
-                    particular += directions[s, 6, c] ** 2
-                reach[s] = STEP / particular**0.5 if particular > 0.0 else 0.0
-                for c in range(STATE):
-                    at, unit = (NODE + c) * LANES, scale[c]
-                    for k in range(6):
-                        w[at + 1 + k] += STEP * unit * directions[s, k, c]
-                    w[at + 7] += reach[s] * unit * directions[s, 6, c]
+            _start_segment(w, room, scale, s, s * per)
             integrate(w, walls, history, load, loaded, s * per, (s + 1) * per, states, derivatives)
-            if s == segments - 1:
-                break
-            for c in range(STATE):
-                at = (NODE + c) * LANES
-                for k in range(6):
-                    directions[s + 1, k, c] = (w[at + 1 + k] - w[at]) * (scale[STATE + c] / STEP)
-                carried = (w[at + 7] - w[at]) / (reach[s] * scale[c]) if reach[s] > 0.0 else 0.0
-                directions[s + 1, 6, c] = carried + (w[at] - x[(s + 1) * per, c]) / scale[c]
-            if not orthonormalise(directions[s + 1, :6], triangle[s + 1]):
+            if s < last and not _carry_directions(w, room, scale, s, (s + 1) * per):
                 return -1
-            for k in range(6):
-                dot = 0.0
-                for c in range(STATE):
-                    dot += directions[s + 1, k, c] * directions[s + 1, 6, c]
-                along[s + 1, k] = dot
-            for k in range(6):
-                for c in range(STATE):
-                    directions[s + 1, 6, c] -= along[s + 1, k] * directions[s + 1, k, c]
         past = past_of(history, STATE * (n + 1), STATE * n)
         tip_residual(w, walls, past, False, c0, heavy)
-        for i in range(6):
-            at = (WRENCH + i) * LANES
-            lacking = w[at]
-            carried = (w[at + 7] - lacking) / reach[last] if reach[last] > 0.0 else 0.0
-            right[i] = -lacking - carried
-            for k in range(6):
-                matrix[i, k] = (w[at + 1 + k] - lacking) * (1.0 / STEP)
-        if not solve_six(matrix, right):
+        if not _solve_tip(w, room, last):
             return -1
-        for s in range(last, -1, -1):
-            for k in range(6):
-                weights[s, k + 1] = right[k] * (1.0 / STEP)
-            weights[s, 7] = 1.0 / reach[s] if reach[s] > 0.0 else 0.0
-            # Against lane 0.
-            weights[s, 0] = 0.0
-            for i in range(1, LANES):
-                weights[s, 0] -= weights[s, i]
-            if s > 0:
-                for k in range(5, -1, -1):
-                    total = right[k] - along[s, k]
-                    for c in range(k + 1, 6):
-                        total -= triangle[s, k, c] * right[c]
-                    right[k] = total / triangle[s, k, k]
+        _fill_weights(room, last)
         for c in range(STATE):
             moved[0, c], moved[1, c] = 0.0, 0.0
         for s in range(segments):
             for j in range(s * per, (s + 1) * per + (1 if s == last else 0)):
                 horizontal_sum(weights, s, states, j, x, moved)
-        swift, bent, total = 0.0, 0.0, 0.0
-        for c in range(6):
-            swift = max(swift, moved[0, 6 + c] * scale[STATE + 6 + c])
-            bent = max(bent, moved[0, c] * scale[STATE + c])
-        for c in range(12, STATE):
-            bent = max(bent, moved[0, c] * scale[STATE + c])
-        for c in range(STATE):
-            total += moved[1, c]
+        swift, bent, total = _measure_update(moved, scale)
         largest = max(swift, bent)
         # A maximum swallows a NaN and would call the step solved; a sum does not.
         if not total < np.inf:

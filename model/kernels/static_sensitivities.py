@@ -39,14 +39,14 @@ def _answers(x: Array, works: Array, room: Lanes, steps: Array, by: Array) -> No
 def static_sensitivities(
     work: Array, works: Array, walls: Walls, stiffness: Array, rest: Array, per_pressure: Array,
     free: float, lane_stiffness: Array, lane_rest: Array, lane_per_pressure: Array, frees: Array, ends: Array,
-    pressure: Array, hung: Array, load: Array, loaded: bool, loaded_lanes: bool, heavy: bool, tip: Array,
+    pressure: Array, tip_loads: Array, load: Array, loaded: bool, loaded_lanes: bool, heavy: bool, tip: Array,
     length: float, scale: Array, centre: Array, tolerance: float, solver: Workspace, room: Lanes, steps: Array,
     place: Array, turned: Array, by: Array, good: Array, unstable: Array,
 ) -> None:  # fmt: skip
     """One equilibrium per row of pressure (K, W, N, 8), and how its tip answers to each neighbour's change.
 
     The arm: work (size,), its sections stiffness (R, 24), rest (Q, 6), per_pressure (R, 6, N), tip (19,). The lanes:
-    works (W, size) and as `apply_pressure` takes them, of the sections and of hung one for each row or one for all.
+    works (W, size) and as `apply_pressure` takes them, of the sections and of tip_loads one for each row or for all.
     Fills place (K, 3), turned (K, 3, 3), by (K, P, 6), good and unstable (K,).
     """
     row, here = np.empty(walls.actuators), tip.copy()
@@ -54,8 +54,8 @@ def static_sensitivities(
     segments = room.shares.shape[0]
     for t in range(pressure.shape[0]):
         r, q = t % stiffness.shape[0], t % rest.shape[0]
-        hangs = hung[t % hung.shape[0]]
-        apply_tip_load(tip, hangs, here)
+        tip_load = tip_loads[t % tip_loads.shape[0]]
+        apply_tip_load(tip, tip_load, here)
         for k in range(walls.actuators):
             row[k] = pressure[t, 0, k, 0]
         stiffen(work, stiffness[r])
@@ -69,7 +69,7 @@ def static_sensitivities(
             if steps.shape[0] > 0:
                 apply_pressure(
                     works, walls.actuators, lane_stiffness[r], lane_rest[q], lane_per_pressure[r], frees, ends,
-                    pressure[t], hangs,
+                    pressure[t], tip_load,
                 )  # fmt: skip
                 found = tangents(
                     works, walls, nothing, load, loaded_lanes, 0.0, heavy, segments, scale, solver.x, room,

@@ -111,10 +111,10 @@ def between(history: Array, size: int, h: float) -> None:
 
 
 @called
-def initialise_history(scheme: Array, x: Array, trail: Array, length: float, room: Workspace) -> None:
-    """The past of the first time step of an arm that has long been at rest in x: trail, and the room's history."""
+def initialise_history(scheme: Array, x: Array, past_states: Array, length: float, room: Workspace) -> None:
+    """The past of the first time step of an arm that has long been at rest in x: past_states, and room.history."""
     history, share = room.history, scheme[1] + scheme[2] + scheme[3]
-    flat, past = x.reshape(x.size), trail.reshape(2, x.size)
+    flat, past = x.reshape(x.size), past_states.reshape(2, x.size)
     for m in range(x.size):
         history[m] = share * flat[m]
         past[0, m] = flat[m]
@@ -123,10 +123,10 @@ def initialise_history(scheme: Array, x: Array, trail: Array, length: float, roo
 
 
 @inlined
-def _update_history(scheme: Array, y: Array, x: Array, trail: Array, history: Array) -> None:
+def _update_history(scheme: Array, y: Array, x: Array, past_states: Array, history: Array) -> None:
     """After a time step to y: the history y^h (eq 26) of the next step, and all the past one step back."""
     c0, c1, c2, c3, d1 = scheme[0], scheme[1], scheme[2], scheme[3], scheme[4]
-    now, last, past = y.reshape(y.size), x.reshape(y.size), trail.reshape(2, y.size)
+    now, last, past = y.reshape(y.size), x.reshape(y.size), past_states.reshape(2, y.size)
     for m in range(now.size):
         rate = c0 * now[m] + history[m]
         history[m] = c1 * now[m] + c2 * last[m] + c3 * past[0, m] + d1 * rate
@@ -151,14 +151,14 @@ def advance(
     segments: int,
     scale: Array,
     scheme: Array,
-    trail: Array,
+    past_states: Array,
     x: Array,
     room: Workspace,
     tolerance: float,
 ) -> int:
     """One time step. Returns the number of passes, or -1: then only work array and room are changed.
 
-    scheme: c0, c1, c2, c3, d1. x (2 N + 2, 16): the last solution and its slopes; trail (2, 2 N + 2, 16): the two
+    scheme: c0, c1, c2, c3, d1. x (2 N + 2, 16): the last solution and its slopes; past_states (2, 2 N + 2, 16): the two
     before. before (3, N): the last three's pressures. The guess is extrapolated if extrapolation also predicts the
     pressures better than the last ones do. room.history: y^h at the nodes, its slopes, and the same at the mid-points,
     (N + 1) x 16 each. Where a step fails: more segments, then the pressures led from the last ones to the new ones in
@@ -171,14 +171,14 @@ def advance(
     for k in range(walls.actuators):
         off += abs(pressure[k] - before[0, k])
         ahead += abs(pressure[k] - 3.0 * (before[0, k] - before[1, k]) - before[2, k])
-    _guess(x, trail, ahead <= off, n, segments, y)
+    _guess(x, past_states, ahead <= off, n, segments, y)
     passes = newton(w, walls, load, loaded, tip, c0, length, segments, scale, room, tolerance, 8.0, np.inf)
     if passes < 0:
         finer = divisor(n, max(4, 2 * segments))
-        _guess(x, trail, False, n, finer, y)
+        _guess(x, past_states, False, n, finer, y)
         passes = newton(w, walls, load, loaded, tip, c0, length, finer, scale, room, tolerance, 25.0, np.inf)
         if passes < 0:
-            _guess(x, trail, False, n, finer, y)
+            _guess(x, past_states, False, n, finer, y)
             passes = _continuation(
                 w, walls, rest, per_pressure, free, before[0], pressure, load, loaded, tip, c0, length,
                 finer, scale, room, tolerance,
@@ -193,14 +193,14 @@ def advance(
         before[2, k] = before[1, k]
         before[1, k] = before[0, k]
         before[0, k] = pressure[k]
-    _update_history(scheme, y, x, trail, room.history)
+    _update_history(scheme, y, x, past_states, room.history)
     between(room.history, x.size // 2, length / n)
     return int(passes)
 
 
 @leaf
-def _guess(x: Array, trail: Array, ahead: bool, n: int, segments: int, y: Array) -> None:
+def _guess(x: Array, past_states: Array, ahead: bool, n: int, segments: int, y: Array) -> None:
     """Where each segment starts: the last solution, or ahead of the last three by a parabola."""
     for j in range(0, n, n // segments):
         for c in range(STATE):
-            y[j, c] = 3.0 * (x[j, c] - trail[0, j, c]) + trail[1, j, c] if ahead else x[j, c]
+            y[j, c] = 3.0 * (x[j, c] - past_states[0, j, c]) + past_states[1, j, c] if ahead else x[j, c]
