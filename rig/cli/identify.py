@@ -240,7 +240,8 @@ def _check_places(places: Mapping[str, Path | None], replace: bool) -> None:
             raise typer.BadParameter(f"{place}: {above} is a file, not a folder", param_hint=option)
         if option == "--figure" and place.suffix.lower() not in FIGURES:
             raise typer.BadParameter(f"{place}: a name that ends with .png, .pdf or .svg", param_hint=option)
-        refuse_existing([place], replace=replace)
+        points = [place.with_suffix(".csv")] if option == "--figure" else []
+        refuse_existing([place, *points], replace=replace)
 
 
 def _refuse(why: str, options: Mapping[str, object]) -> None:

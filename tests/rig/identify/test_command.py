@@ -288,7 +288,9 @@ def test_an_invalid_output_path_is_refused_before_the_search(
     monkeypatch.setattr("rig.identify.estimation.most_likely_fit", lambda *_: pytest.fail("the search had begun"))
     (tmp_path / "short.yaml").write_text(text("mock").replace("length_mm: 170", "length_mm: 140"), encoding="utf-8")
     found = str(tmp_path / "found.yaml")
+    (tmp_path / "points.csv").write_text("another's", encoding="utf-8")
     for options, said in (
+        (["--figure", str(tmp_path / "points.png"), "--split-s", "15"], "points.csv exists: name another file"),
         (["--figure", str(tmp_path / "a.xyz"), "--split-s", "15"], "a name that ends with .png, .pdf or .svg"),
         (["--rig-file", found, "--report", str(tmp_path)], "a file, not a folder"),
         (["--to", str(tmp_path / "short.yaml" / "a.yaml")], "is a file, not a folder"),
