@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -9,15 +10,26 @@ import typer
 from rig.cli.options import Archive
 
 
+def _opened(archive: Path) -> Path:
+    """The path of a run's archive, which is readable.
+
+    Raises:
+        BadInputError, ArchiveError: there is no such run, or it is no archive.
+    """
+    from rig.cli.run_names import resolve
+    from runs.run import Run
+
+    return Run(resolve(archive)).path
+
+
 def note(archive: Archive, text: Annotated[str, typer.Argument(metavar="TEXT", help="The note, in quotes.")]) -> None:
     """Add a note to a run; the archive stays as it is."""
     from protocols.problems import BadInputError, Problem
-    from rig.cli.run_names import resolve
     from runs.annotation_file import add_note, path_of
 
     if not text.strip():
         raise BadInputError([Problem("TEXT", 0, 0, "", repr(text), "a note, which is not empty")])
-    found = resolve(archive)
+    found = _opened(archive)
     add_note(found, text.strip())
     typer.echo(path_of(found))
 
@@ -29,14 +41,13 @@ def tag(
 ) -> None:
     """Add tags to a run, or remove them; the archive stays as it is."""
     from protocols.problems import BadInputError, Problem, closest
-    from rig.cli.run_names import resolve
     from runs.annotation_file import TAG, add_tag, path_of, read, remove_tag
 
     words = "a word of at most 40 letters, digits, '_', '.' and '-'"
     problems = [Problem("TAG", 0, 0, "", name or "''", words) for name in tags if not TAG.fullmatch(name)]
     if problems:
         raise BadInputError(problems)
-    found = resolve(archive)
+    found = _opened(archive)
     present = read(found).tags
     if remove:
         expected = f"a tag of this run: {', '.join(present)}" if present else "a tag of this run; it has none"

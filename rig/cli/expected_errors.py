@@ -33,6 +33,7 @@ EXPECTED_ERRORS = {
     "runs.overwriting.WouldOverwriteError": BAD_INPUT,
     "runs.archive.checked.ArchiveError": BAD_INPUT,
     "runs.export.exporters.ExportError": BAD_INPUT,
+    "runs.export.exporters.ExportWriteError": FAULT,
     "calibration.camera.CalibrationError": BAD_INPUT,
     "calibration.dlt.DLTError": BAD_INPUT,
     "calibration.views.ViewsError": BAD_INPUT,

@@ -203,7 +203,13 @@ def last_screen(screen: Console, result: RunResult) -> None:
         from runs.summary import summarise
 
         run = Run(result.archive)
-        parts += [summary_table(summarise(run), run.timing.counters), f"archive  {result.archive}"]
+        summary = summarise(run)
+        parts.append(summary_table(summary, run.timing.counters))
+        if summary.frames and summary.camera and not summary.frames_measured:
+            parts.append(
+                Text(f"no tip was measured in {summary.frames} frames: does the camera see the board?", "bold red")
+            )
+        parts.append(f"archive  {result.archive}")
     if result.report is not None:
         parts.append(f"report   {result.report}")
     if result.parameters is not None:

@@ -27,7 +27,11 @@ SIMULATED = "simulated"
 
 
 class ExportError(Exception):
-    """The export could not be written; the message has the reason."""
+    """The run or the request cannot be exported; the message has the reason."""
+
+
+class ExportWriteError(ExportError):
+    """The files of an export cannot be written."""
 
 
 def export(
@@ -40,7 +44,8 @@ def export(
     Raises:
         ArchiveError: there is no archive.
         WouldOverwriteError: a file exists, and `replace` is False.
-        ExportError: the files cannot be written.
+        ExportError: the format is unknown or cannot hold this run.
+        ExportWriteError: the files cannot be written.
     """
     if to not in FORMATS:
         raise ExportError(f"cannot export to {to!r}; there are {', '.join(FORMATS)}")
@@ -53,7 +58,7 @@ def export(
     except WouldOverwriteError:
         raise
     except OSError as fault:
-        raise ExportError(f"cannot write to {place}: {fault.strerror or fault}") from fault
+        raise ExportWriteError(f"cannot write to {place}: {fault.strerror or fault}") from fault
 
 
 def _csv(source: Path, stem: Path) -> tuple[Path, ...]:
@@ -254,4 +259,4 @@ FORMATS: dict[str, Callable[[Path, Path], tuple[Path, ...]]] = {
     "yaml": _yaml,
 }
 
-__all__ = ["FORMATS", "ArchiveError", "ExportError", "export"]
+__all__ = ["FORMATS", "ArchiveError", "ExportError", "ExportWriteError", "export"]

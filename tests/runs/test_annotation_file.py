@@ -160,3 +160,12 @@ def test_cycles_are_rises_and_falls_whatever_the_noise(
     steady = np.full_like(pressure, 0.2)
     steady[::7] = np.nan
     assert pressure_cycles(np.stack([steady, pressure], axis=1)) == count
+
+
+def test_a_note_on_what_is_no_archive_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    empty = tmp_path / "empty.h5"
+    empty.touch()
+    assert rig("note", empty, "a good run") == 2
+    assert rig("tag", empty, "good") == 2
+    assert "empty.h5" in capsys.readouterr().err
+    assert [file.name for file in tmp_path.iterdir()] == ["empty.h5"]

@@ -340,6 +340,13 @@ def test_simulate_writes_only_the_models_tip_in_the_same_layout(here: Path, caps
     assert run.tip.model_mm[-1, 0] < -10.0
 
 
+def test_a_run_in_which_no_frame_showed_the_tip_says_so(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (here / "short.yaml").write_text(SHORT)
+    (here / "dark.yaml").write_text(loader.text("mock").replace("noise_grey: 2.0", "noise_grey: 2.0, lighting: 0.05"))
+    assert inside("run", "short.yaml", "--rig", "dark.yaml", "--fast", "--yes", "--no-report") == 0
+    assert "no tip was measured in" in capsys.readouterr().out
+
+
 @pytest.mark.parametrize("gone", ["openpty", "pipe"])
 def test_a_closed_terminal_does_not_change_how_a_run_ends(gone: str) -> None:
     program = (

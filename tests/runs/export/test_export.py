@@ -14,7 +14,7 @@ from scipy.io import loadmat, netcdf_file
 import runs
 import tests.support.synthetic_runs as made_up
 from runs.archive.writer import ArchiveError, finalise
-from runs.export.exporters import ExportError, export
+from runs.export.exporters import ExportError, ExportWriteError, export
 from runs.journal.journal import JournalWriter
 from runs.records import Event, Level, RunFooter, Status
 from runs.table import table
@@ -162,5 +162,5 @@ def test_invalid_requests_are_refused_in_one_sentence(archive: Path, tmp_path: P
     with pytest.raises(ArchiveError, match="no such file"):
         export(tmp_path / "none.h5", "csv")
     (tmp_path / "file").touch()
-    with pytest.raises(ExportError, match="cannot write to"):
+    with pytest.raises(ExportWriteError, match="cannot write to"):
         export(archive, "csv", tmp_path / "file")
