@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -155,6 +156,13 @@ class Expectation:
             return {"type": "object", "properties": {tag: {"enum": list(schema["discriminator"]["mapping"])}}}
         kind = "array" if isinstance(data, list) else "object" if isinstance(data, dict) else ""
         return next((branch for branch in branches if branch.get("type") == kind), schema)
+
+
+def in_bounds(schema: Schema, number: float) -> bool:
+    """Whether a number is within the bounds of a schema."""
+    lowest, highest = schema.get("minimum", -math.inf), schema.get("maximum", math.inf)
+    above, below = schema.get("exclusiveMinimum", -math.inf), schema.get("exclusiveMaximum", math.inf)
+    return bool(lowest <= number <= highest and above < number < below)
 
 
 def _inside(data: Any, step: str | int) -> Any:

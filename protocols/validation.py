@@ -11,7 +11,7 @@ from typing import Any, TypeVar, get_args, get_origin
 from pydantic import BaseModel, TypeAdapter, ValidationError
 from pydantic_core import ErrorDetails, PydanticCustomError
 
-from protocols.expectations import Expectation, unit_of, wants_number
+from protocols.expectations import Expectation, Schema, in_bounds, unit_of, wants_number
 from protocols.problems import BadInputError, Problem, closest
 from protocols.source_positions import Document, SourcePosition, path_text, shortened
 
@@ -218,7 +218,7 @@ class _Translator:
             if "enum" in schema or "const" in schema:
                 return closest(value, [str(word) for word in schema.get("enum", [schema.get("const")])])
             unit = unit_of(next((step for step in reversed(path) if isinstance(step, str)), ""))
-            return _corrected_number(value, unit, position.quoted) if wants_number(schema) else ""
+            return _corrected_number(value, unit, schema, position.quoted) if wants_number(schema) else ""
         if isinstance(value, float) and wanted == "integer" and value.is_integer():
             return str(int(value))
         if isinstance(value, int | float):
@@ -271,12 +271,14 @@ def _key_of(position: SourcePosition) -> SourcePosition:
     return replace(position, line=position.key_line, column=position.key_column) if position.key_line else position
 
 
-def _corrected_number(text: str, unit: str, quoted: bool) -> str:
-    """The number in a text such as '0.15', '0,15', 1e5 or, if the unit is s, '4 s'."""
+def _corrected_number(text: str, unit: str, schema: Schema, quoted: bool) -> str:
+    """The number in a text such as '0.15', '0,15', 1e5 or, if the unit is s, '4 s'; empty if the schema refuses it."""
     match = re.fullmatch(r"\s*([-+]?\d*[.,]?\d+)([eE][-+]?\d{1,2})?\s*(.*)", text)
     if not match or match[3].strip() not in {"", unit}:
         return ""
     number = match[1].replace(",", ".")
     if match[2]:
         number = f"{Decimal(number + match[2]):f}"
+    if not in_bounds(schema, float(number)):
+        return ""
     return f"{number}, without quotes" if quoted and not match[3] else number

@@ -78,6 +78,8 @@ def test_the_message_names_place_value_expectation_and_suggestion() -> None:
         ("'4'", "a number", "4, without quotes"),
         ("4 ms", "a number", ""),
         ("1e1", "a number", "10"),
+        ("1e9", "a number", ""),
+        ("'-4'", "a number", ""),
         (".nan", "a number", ""),
         (".inf", "a number", ""),
         ("1.0e+999", "a number", ""),
