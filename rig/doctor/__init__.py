@@ -21,6 +21,7 @@ def examine(folder: Path, config: RigConfig | None = None) -> tuple[Finding, ...
         *cameras.cameras(),
         *(cameras.rig_cameras(config) if config else ()),
         *(plugins.rig_devices(config) if config else ()),
+        machine.processor(),
         machine.real_time(),
         machine.memory_lock(),
         machine.disk(folder),

@@ -21,11 +21,27 @@ ENOUGH_BYTES = 2_000_000_000
 SLOW_S = 1.0
 """Longest acceptable time to write one megabyte."""
 _MEGABYTES = 8
+_ORDERED_STORES = ("x86_64", "AMD64")
 
 
 def python() -> Finding:
     """Return the versions of Python and the kernel."""
     return Finding("Python", "ok", f"{platform.python_version()} at {sys.executable}, kernel {platform.release()}")
+
+
+def processor() -> Finding:
+    """Check that stores of one process become visible to others in their order.
+
+    The ring buffers of a run write a row, then its number, without a memory barrier: x86-64 keeps this order, ARM does
+    not.
+    """
+    name = platform.machine()
+    if name in _ORDERED_STORES:
+        return Finding("processor", "ok", name)
+    found = f"{name}: rows that one process of a run writes may reach another one incomplete"
+    return Finding(
+        "processor", "missing", found, "run experiments on an x86-64 computer; archives can be read anywhere"
+    )
 
 
 def real_time() -> Finding:

@@ -344,6 +344,14 @@ def test_memory_that_may_not_be_locked_names_the_line_to_add(monkeypatch: pytest
     assert "'@root - memlock unlimited'" in said.remedy
 
 
+@pytest.mark.parametrize(("name", "verdict"), [("x86_64", "ok"), ("aarch64", "missing")])
+def test_a_processor_that_reorders_stores_is_reported(name: str, verdict: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(platform, "machine", lambda: name)
+    said = computer.processor()
+    assert (said.topic, said.verdict) == ("processor", verdict)
+    assert said.found.startswith(name)
+
+
 def test_free_space_and_speed_of_the_disk_are_measured_and_nothing_is_left_on_it(tmp_path: Path) -> None:
     said = computer.disk(tmp_path / "data" / "deep")
     assert f"GB free at {tmp_path}" in said.found
