@@ -80,7 +80,8 @@ def model_with_a_caller(folder: Path) -> Path:
 def test_a_changed_callee_in_another_file_is_never_served_stale(tmp_path: Path) -> None:
     # numba's own cache would return 2: it looks only at the caller's file.
     package = model_with_a_caller(tmp_path)
-    for value in (1, 5):
+    # Sources of two lengths: by its own rule Python takes one of the same length and second for unchanged.
+    for value in (1, 50):
         (package / "small.py").write_text(SMALL_KERNELS.format(value=value))
         assert python("from model.caller import twice; print(twice())", tmp_path, tmp_path / "cache") == str(2 * value)
 
