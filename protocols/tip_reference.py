@@ -83,7 +83,7 @@ class TipMotion:
 class TipReference:
     """The motions of a protocol in ascending order; between them there is no reference, nor at the end of a motion.
 
-    After the end of the protocol its time stands still, while the chambers vent.
+    After the end of the protocol its time does not advance, while the chambers vent.
     """
 
     motions: tuple[TipMotion, ...] = ()

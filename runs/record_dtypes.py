@@ -7,8 +7,8 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.typing import NDArray
 
-from runs.column_declaration import Table
 from runs.columns import ADAPTATIONS, AUXILIARY, BACKBONE_POINTS, OBSERVATIONS, PLAN_AHEAD_S, SAMPLES, TIP_CONTROL
+from runs.columns.declaration import Table
 
 _ZERO = {
     c.record

@@ -11,49 +11,67 @@ from calibration.identify.notation import Scale
 from calibration.identify.residual_dependence import SIGNIFICANT, Dependence
 from calibration.identify.results import Fit
 
-EFFECT_HEADS = ("effect that the model lacks", "probability", "size")
-DEPENDENCE_HEADS = ("residuals depend on", "share of variance", "p-value", "")
+
+@dataclass(frozen=True)
+class FindingsTable:
+    """A table as text."""
+
+    caption: str
+    heads: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
 
 
 @dataclass(frozen=True)
 class Findings:
-    """Sentences about the model error, and rows of the tables with `EFFECT_HEADS` and `DEPENDENCE_HEADS`.
+    """Sentences about the model error, and tables of its effects and of what the residuals depend on.
 
     effective: why the parameters are effective ones; empty if the residuals show no model error.
     """
 
     effective: str
     range_note: str
-    effects: list[tuple[str, ...]]
-    dependences: list[tuple[str, ...]]
+    tables: tuple[FindingsTable, ...]
 
 
 def findings(fit: Fit, dependences: Sequence[Dependence]) -> Findings:
     """The findings of a fit whose residuals have these dependences."""
     effects = () if fit.model_error is None else fit.model_error.effects
+    tables = (
+        FindingsTable(
+            f"Effects that the model lacks (found above a probability of {100 * FOUND:.0f} %; all are in the error "
+            "bars with their probability):",
+            ("effect that the model lacks", "probability", "size"),
+            tuple((one.term.about, probability(one.probability), size(one)) for one in effects),
+        ),
+        FindingsTable(
+            f"What is left of the residuals (permutation test within runs; significant below {SIGNIFICANT:g}):",
+            ("residuals depend on", "share of variance", "p-value", ""),
+            tuple(_row(one) for one in dependences),
+        ),
+    )
     return Findings(
         effective=_effective(fit),
         range_note=""
         if loaded(fit.problem.data)
         else "No load was on the arm in these runs: its stiffness under load is undetermined.",
-        effects=[(one.term.about, probability(one.probability), size(one)) for one in effects],
-        dependences=[_row(one) for one in dependences],
+        tables=tuple(table for table in tables if table.rows),
     )
 
 
 def _effective(fit: Fit) -> str:
     found = () if fit.model_error is None else fit.model_error.found
-    named = "; ".join(f"{one.term.about}, {size(one)}" for one in found)
-    if named:
-        why = f"The arm does what the model does not contain: {named}."
-    elif fit.discrepancy_m:
-        why = (
-            f"The model is off by {1e3 * fit.discrepancy_m:.3f} mm per axis beyond the stated errors, and "
-            "the residuals do not say by which effect."
-        )
-    else:
+    reasons = []
+    if found:
+        named = "; ".join(f"{one.term.about}, {size(one)}" for one in found)
+        reasons.append(f"The arm does what the model does not contain: {named}.")
+    if fit.discrepancy_m:
+        reasons.append(f"The model is off by {1e3 * fit.discrepancy_m:.3f} mm per axis beyond the stated errors.")
+        if not found:
+            reasons.append("The residuals do not show which effect causes this.")
+    if not reasons:
         return ""
-    return f"{why} These parameters are effective ones: they describe this arm in the range of these runs only."
+    reasons.append("These parameters are effective ones: they describe this arm in the range of these runs only.")
+    return " ".join(reasons)
 
 
 def probability(value: float) -> str:
@@ -75,16 +93,3 @@ def _row(one: Dependence) -> tuple[str, ...]:
         return (one.quantity, "", "", "does not vary within a run")
     verdict = "significant" if one.significant else ""
     return (one.quantity, f"{100 * one.share:.0f} %", f"{one.p_value:.3f}", verdict)
-
-
-def effect_caption() -> str:
-    """What the table of the effects shows."""
-    return (
-        f"Effects that the model lacks (found above a probability of {100 * FOUND:.0f} %; all are in the error bars "
-        "with their probability):"
-    )
-
-
-def dependence_caption() -> str:
-    """What the table of the dependences shows."""
-    return f"What is left of the residuals (permutation test within runs; significant below {SIGNIFICANT:g}):"

@@ -9,14 +9,7 @@ from pathlib import Path
 
 from calibration.identify import figures
 from calibration.identify.bootstrap import Bootstrap
-from calibration.identify.findings import (
-    DEPENDENCE_HEADS,
-    EFFECT_HEADS,
-    Findings,
-    dependence_caption,
-    effect_caption,
-    findings,
-)
+from calibration.identify.findings import Findings, findings
 from calibration.identify.held_out_prediction import Prediction
 from calibration.identify.notation import Scale, interval, quantity, rounded
 from calibration.identify.profile_likelihood import LikelihoodProfile
@@ -142,14 +135,9 @@ def _value_cells(e: Estimate, fixed: bool) -> list[str]:
 
 
 def _model_error(shown: Findings) -> str:
-    tables = (
-        (effect_caption(), EFFECT_HEADS, shown.effects),
-        (dependence_caption(), DEPENDENCE_HEADS, shown.dependences),
-    )
     parts = [
-        f'<p>{escape(caption)}</p>\n<div class="scroll">{_table(heads, rows)}</div>'
-        for caption, heads, rows in tables
-        if rows
+        f'<p>{escape(table.caption)}</p>\n<div class="scroll">{_table(table.heads, table.rows)}</div>'
+        for table in shown.tables
     ]
     return "\n".join(["<h2>Errors of the model</h2>", *parts]) if parts else ""
 

@@ -11,14 +11,7 @@ from rich.table import Table
 from rich.text import Text
 
 from calibration.identify.bootstrap import Bootstrap
-from calibration.identify.findings import (
-    DEPENDENCE_HEADS,
-    EFFECT_HEADS,
-    Findings,
-    dependence_caption,
-    effect_caption,
-    findings,
-)
+from calibration.identify.findings import Findings, findings
 from calibration.identify.held_out_prediction import Prediction
 from calibration.identify.model_comparison import ComparisonRow
 from calibration.identify.notation import Scale, interval, quantity, rounded
@@ -128,27 +121,20 @@ def estimates(fit: Fit, dependences: Sequence[Dependence]) -> None:
     _warnings(fit)
     for run in fit.runs:
         _residuals(run)
-    if fit.discrepancy_m:
-        screen.print(f"the model is off by {1e3 * fit.discrepancy_m:.3f} mm per axis beyond the stated errors")
     _model_error(findings(fit, dependences))
 
 
 def _model_error(found: Findings) -> None:
     """Print what the residuals show of the errors of the model."""
     screen = console()
-    tables = (
-        (effect_caption(), EFFECT_HEADS, found.effects),
-        (dependence_caption(), DEPENDENCE_HEADS, found.dependences),
-    )
-    for caption, heads, rows in tables:
-        if rows:
-            screen.print(caption, soft_wrap=True)
-            table = Table(box=None, padding=(0, 2, 0, 0))
-            for head in heads:
-                table.add_column(head, overflow="fold")
-            for row in rows:
-                table.add_row(*row)
-            screen.print(table)
+    for shown in found.tables:
+        screen.print(shown.caption, soft_wrap=True)
+        table = Table(box=None, padding=(0, 2, 0, 0))
+        for head in shown.heads:
+            table.add_column(head, overflow="fold")
+        for row in shown.rows:
+            table.add_row(*row)
+        screen.print(table)
     if found.range_note:
         screen.print(Text(found.range_note, "yellow"), soft_wrap=True)
     if found.effective:

@@ -194,7 +194,7 @@ def durations(subject: CardSubject) -> str:
 
 
 def second_opener(subject: CardSubject) -> str:
-    """A second process writes the outputs, or is told which process has the card."""
+    """A second process writes the outputs, or gets an error that names the process that has the card."""
     needs_outputs(subject)
     volts = subject.volts(0.6)
     with closing(subject.open()) as card:

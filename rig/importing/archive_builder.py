@@ -22,10 +22,11 @@ from rig.config.sections import PA_PER_BAR
 from rig.experiment.provenance import git_state, versions
 from rig.experiment.run import free_id
 from rig.importing.columns import ColumnReader
-from rig.importing.mapping import KILOGRAMS, PASCALS, VOLTS, Mapping, PressureUnit, load
+from rig.importing.mapping import Mapping, load
 from rig.importing.tables import read as read_table
 from rig.importing.timestamps import RowTimes, times
 from rig.importing.tracker_frames import placed, wrench
+from rig.importing.units import KILOGRAMS, PASCALS, VOLTS, PressureUnit
 from rig.valves.iso6358 import ATMOSPHERE_PA
 from runs.archive.writer import finalise
 from runs.export.exporters import SIMULATED
@@ -274,7 +275,9 @@ def _pressures(columns: ColumnReader, mapping: Mapping) -> tuple[Floats, Floats]
         off_pa = _vented(columns, mapping, raw_pa, pressures.ambient_rows)
     for column, ambient in zip(pressures.columns, off_pa / PA_PER_BAR, strict=True):
         if not AMBIENT_BAR[0] <= ambient <= AMBIENT_BAR[1]:
-            columns.warn(f"the ambient pressure taken off column {column} is {ambient:.4g} bar: is it really absolute?")
+            columns.warn(
+                f"the ambient pressure subtracted from column {column} is {ambient:.4g} bar: is it really absolute?"
+            )
     return raw_pa - off_pa, off_pa
 
 

@@ -18,32 +18,7 @@ from protocols.document import validate as validated
 from protocols.source_positions import path_text
 from protocols.validation import ValidationFault, faults
 from rig.config.sections import Bar, Count, Flag, Index, Moment, NonNegative, Placement, Section, Triple, Word
-
-SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0}
-PASCALS = {
-    "Pa": 1.0,
-    "hPa": 100.0,
-    "kPa": 1e3,
-    "MPa": 1e6,
-    "mbar": 100.0,
-    "bar": 1e5,
-    "psi": 6894.757293168361,
-    "atm": 101325.0,
-    "mmHg": 133.322387415,
-}
-METRES = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "in": 0.0254}
-KILOGRAMS = {"kg": 1.0, "g": 1e-3}
-VOLTS = {"V": 1.0, "mV": 1e-3}
-NEWTONS = {"N": 1.0, "mN": 1e-3}
-NEWTON_METRES = {"N m": 1.0, "N cm": 1e-2, "N mm": 1e-3, "mN m": 1e-3}
-
-TimeUnit = Literal["s", "ms", "us", "ns", "min"]
-PressureUnit = Literal["Pa", "hPa", "kPa", "MPa", "mbar", "bar", "psi", "atm", "mmHg"]
-LengthUnit = Literal["m", "cm", "mm", "um", "in"]
-MassUnit = Literal["kg", "g"]
-VoltUnit = Literal["V", "mV"]
-ForceUnit = Literal["N", "mN"]
-MomentUnit = Literal["N m", "N cm", "N mm", "mN m"]
+from rig.importing.units import ForceUnit, LengthUnit, MassUnit, MomentUnit, PressureUnit, TimeUnit, VoltUnit
 
 
 def _list_or_one(value: Any) -> str:
@@ -82,7 +57,7 @@ class TableFormat(Section):
     )
     variable: Word | SkipJsonSchema[None] = Field(default=None, description="of the .mat file: a matrix or a struct")
     delimiter: Literal["comma", "semicolon", "tab", "bar", "space"] | SkipJsonSchema[None] = Field(
-        default=None, description="found out where it is not said"
+        default=None, description="found automatically if left out"
     )
     decimal: Literal["point", "comma"] = "point"
     header: Flag = Field(default=True, description="the first line names the columns")
@@ -116,7 +91,7 @@ class RowTime(Section):
 
 
 class WeightColumn(Section):
-    """What hung on the end cap."""
+    """Weight on the end cap."""
 
     column: Column
     unit: MassUnit
@@ -125,7 +100,7 @@ class WeightColumn(Section):
 class PressureColumnsSection(Section):
     """Measured pressure of every actuator, in the order of the actuators.
 
-    What is absolute has the ambient pressure taken off: a stated one, or each column's mean over its first rows.
+    From absolute pressures the ambient pressure is subtracted: a stated one, or each column's mean over its first rows.
     """
 
     columns: Annotated[tuple[Column, ...], Field(min_length=1)]
@@ -143,8 +118,7 @@ class PressureColumnsSection(Section):
         found = _units(self.columns, self.unit)
         if self.reading == "gauge":
             found += [
-                ValidationFault((name,), "nothing: gauge pressures have no ambient pressure to take off")
-                for name in given
+                ValidationFault((name,), "nothing: gauge pressures contain no ambient pressure") for name in given
             ]
         elif not given:
             found.append(ValidationFault((), "absolute pressures need ambient_rows or ambient_bar"))
@@ -158,7 +132,7 @@ class PressureColumnsSection(Section):
 
 
 class SetPoints(Section):
-    """Gauge pressure that was asked for, of every actuator."""
+    """Gauge set-point of every actuator."""
 
     columns: Annotated[tuple[Column, ...], Field(min_length=1)]
     unit: PressureUnits
@@ -170,7 +144,7 @@ class SetPoints(Section):
 
 
 class Valves(Section):
-    """Voltage that was commanded, of every valve."""
+    """Commanded voltage of every valve."""
 
     columns: Annotated[tuple[Column, ...], Field(min_length=1)]
     unit: VoltUnit
@@ -196,10 +170,10 @@ def _order(text: str) -> str:
 
 
 class Orientation(Section):
-    """What turns vectors of the sensor's axes into the tracker's.
+    """Rotation from the sensor's axes to the tracker's.
 
     `order`: a unit quaternion as `wxyz` or `xyzw`; a rotation `matrix`, nine columns row by row; a rotation `vector`;
-    or three Euler angles about axes that stand still (`xyz`, `zyz`, ..) or that turn along (`ZYX`, ..), in turn.
+    or three Euler angles, about fixed axes (`xyz`, `zyz`, ..) or about rotating axes (`ZYX`, ..), in this order.
     """
 
     columns: Annotated[tuple[Column, ...], Field(min_length=3, max_length=9)]
@@ -221,13 +195,13 @@ class Orientation(Section):
 
 
 class BaseOrientation(Orientation):
-    """Of the base sensor; `ignore` where it is not to be believed, or does not matter because the base stands still."""
+    """Orientation of the base sensor; `ignore` it if it is unreliable or the base does not move."""
 
     use: Literal["turn", "ignore"] = "turn"
 
 
 class BaseSensor(Section):
-    """The sensor at the rod's base. Its position is taken off the tip's; its orientation turns the difference."""
+    """The sensor at the rod's base: its position is subtracted from the tip's, its orientation rotates the result."""
 
     position: Position
     orientation: BaseOrientation | SkipJsonSchema[None] = None
@@ -269,20 +243,20 @@ class Wrench(Section):
     """A measured wrench at the tip. `at_mm` is where it is measured, from the tool centre point along the axes named.
 
     `axes`: of the tracker (of the base sensor, where its orientation is used), or of the tip sensor, turning with it.
-    A load cell that stands otherwise on the tip: `rotation_deg`, a rotation vector, turns vectors of its axes into the
-    tip sensor's; or in the first `aligned_rows` its axes stood as the tracker's.
+    For a load cell with another orientation than the tip sensor: `rotation_deg`, the rotation vector from its axes to
+    the tip sensor's; or `aligned_rows`, the first rows, in which its axes are parallel to the tracker's.
     """
 
     force: Force
     moment: Torque | SkipJsonSchema[None] = None
     axes: Literal["tracker", "tip"]
-    on: Literal["arm", "surroundings"] = Field(default="arm", description="what the numbers say is pushed")
+    on: Literal["arm", "surroundings"] = Field(default="arm", description="the body that the measured force acts on")
     at_mm: Triple = (0.0, 0.0, 0.0)
     zero_rows: Count | SkipJsonSchema[None] = Field(
-        default=None, description="first rows, with nothing pulling: their mean is taken off"
+        default=None, description="first rows, without load: their mean is subtracted"
     )
     aligned_rows: Count | SkipJsonSchema[None] = Field(
-        default=None, description="first rows, in which the load cell's axes stood as the tracker's"
+        default=None, description="first rows, in which the load cell's axes are parallel to the tracker's"
     )
     rotation_deg: Triple | SkipJsonSchema[None] = Field(
         default=None, description="rotation vector, from the load cell's axes to the tip sensor's"
@@ -344,7 +318,7 @@ class Mapping(Section):
             expected = "offset_mm or a wrench beside it: an archive keeps no orientation of the tip"
             yield ValidationFault(("tip", "orientation"), expected)
         if self.base is not None and self.tip is None:
-            yield ValidationFault(("base",), "a tip beside it: the base sensor's position is taken off the tip's")
+            yield ValidationFault(("base",), "a tip beside it: the base sensor's position is subtracted from the tip's")
 
     def _faults_of_columns(self) -> Iterator[ValidationFault]:
         """Columns that have two meanings, and kinds of column that the file cannot have."""

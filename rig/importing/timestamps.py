@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 
 from protocols.problems import Problem
 from rig.importing.columns import ColumnReader
-from rig.importing.mapping import SECONDS, Mapping
+from rig.importing.mapping import Mapping
 from rig.importing.tables import Key, some
+from rig.importing.units import SECONDS
 
 LONGEST_S = 9e9
 """Times beyond this have no nanoseconds in 64 bits."""

@@ -11,8 +11,9 @@ from scipy.spatial.transform import Rotation
 from calibration.vision.transforms import RigidTransform
 from protocols.problems import Problem
 from rig.importing.columns import ColumnReader
-from rig.importing.mapping import METRES, NEWTON_METRES, NEWTONS, BaseSensor, Mapping, Orientation, Position, Wrench
+from rig.importing.mapping import BaseSensor, Mapping, Orientation, Position, Wrench
 from rig.importing.tables import some
+from rig.importing.units import METRES, NEWTON_METRES, NEWTONS
 
 UNIT = 0.01
 """A quaternion's norm may be off by this: trackers write three or four digits."""

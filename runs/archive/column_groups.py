@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from runs import columns
 from runs.archive.fields import ComputedColumn, Field, Group, RowTable, Value, row_chunks
-from runs.column_declaration import Column, Table
+from runs.columns.declaration import Column, Table
 from runs.journal.journal import Journal
 
 

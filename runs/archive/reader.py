@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from runs.archive.checked import content_sha256, opened
 from runs.archive.fields import PA_PER_BAR, QUANTITY_GROUPS
 from runs.archive.provenance import metadata, study_run
-from runs.column_declaration import Table, Values
 from runs.columns import (
     Adaptation,
     Auxiliary,
@@ -27,6 +26,7 @@ from runs.columns import (
     Tip,
     TipControl,
 )
+from runs.columns.declaration import Table, Values
 from runs.records import AuxiliaryChannel, Event, Interval, Level, Quantity, RecordedFile, RunHeader, Status
 
 Floats = NDArray[np.float64]

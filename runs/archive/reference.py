@@ -8,8 +8,8 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from runs.column_declaration import Table
 from runs.columns import ADAPTATIONS, AUXILIARY, AXES, OBSERVATIONS, SAMPLES, TIP_CONTROL
+from runs.columns.declaration import Table
 
 
 def table(kind: type[Table]) -> str:

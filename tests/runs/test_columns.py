@@ -14,8 +14,8 @@ import runs
 import tests.support.synthetic_runs as made_up
 from runs.archive import schema
 from runs.archive.writer import ArchiveError, finalise
-from runs.column_declaration import Column
 from runs.columns import ADAPTATIONS, AUXILIARY, OBSERVATIONS, SAMPLES, Tip
+from runs.columns.declaration import Column
 from runs.export.exporters import export
 from runs.journal.journal import JournalWriter
 from runs.record_dtypes import blank

@@ -103,21 +103,26 @@ def test_a_check_imports_nothing_that_only_a_run_needs(tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
 
 
+def ended_by_ctrl_c(code: str) -> tuple[int, str, str]:
+    """Exit status, output and errors of a program that sends SIGINT to itself."""
+    # A shell ignores SIGINT for what it starts in the background.
+    program = f"import signal\nsignal.signal(signal.SIGINT, signal.default_int_handler)\n{code}"
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
+    return done.returncode, done.stdout, done.stderr
+
+
 def test_ctrl_c_before_the_command_line_is_read_ends_the_program_silently() -> None:
     code = (
-        "import signal, typer.main\n"
-        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
+        "import typer.main\n"
         "typer.main.get_command = lambda app: signal.raise_signal(signal.SIGINT)\n"
         "from rig.__main__ import main; main()"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
-    assert (done.returncode, done.stdout, done.stderr) == (130, "", "")
+    assert ended_by_ctrl_c(code) == (130, "", "")
 
 
 def test_ctrl_c_that_falls_into_a_weak_references_callback_still_ends_the_command() -> None:
     code = (
-        "import signal, time, weakref\n"
-        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
+        "import time, weakref\n"
         "class Thing: pass\n"
         "from rig.cli import app\n"
         "@app.app.command()\n"
@@ -130,8 +135,7 @@ def test_ctrl_c_that_falls_into_a_weak_references_callback_still_ends_the_comman
         "import sys; sys.argv = ['rig', 'wait']\n"
         "from rig.__main__ import main; main()"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
-    assert (done.returncode, done.stdout, done.stderr) == (130, "", "interrupted\n")
+    assert ended_by_ctrl_c(code) == (130, "", "interrupted\n")
 
 
 def test_ctrl_c_while_modules_load_ends_the_program_silently() -> None:

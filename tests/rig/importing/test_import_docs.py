@@ -6,19 +6,18 @@ import re
 from pathlib import Path
 from typing import get_args
 
-from rig.importing.mapping import (
+from rig.importing.mapping import Mapping, load
+from rig.importing.units import (
     KILOGRAMS,
     METRES,
     PASCALS,
     SECONDS,
     VOLTS,
     LengthUnit,
-    Mapping,
     MassUnit,
     PressureUnit,
     TimeUnit,
     VoltUnit,
-    load,
 )
 
 ROOT = Path(__file__).parents[3]

@@ -1,0 +1,65 @@
+"""Columns of the control cycles: pressures, auxiliary inputs and timing."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+
+from runs.columns.conversions import protocol_time_column, time_column, to_bar, to_us
+from runs.columns.declaration import Column, Table, Values
+
+
+class Pressure(Table):
+    """Control cycles: (n,), per actuator (n, N), per valve (n, V). Gauge pressures."""
+
+    group, rows, signal, about = "pressure", "N", "measured_bar", "one row per control cycle"
+
+    time_s = time_column("time of the newest scan of the cycle")
+    tick = Column("tick", "<i8", about="number of the control cycle")
+    protocol_s = protocol_time_column()
+    setpoint_bar = Column("setpoint_pa", axes=("actuator",), unit="bar", about="set-point", convert=to_bar)
+    measured_bar = Column(
+        "measured_pa", axes=("actuator",), unit="bar", about="mean of the scans since the last cycle", convert=to_bar
+    )
+    valve_v = Column(
+        "valve_v",
+        axes=("valve",),
+        unit="V",
+        about="voltage commanded next, if the valve takes one",
+        dataset="valve_V",
+    )
+    scans = Column("scans", "<i4", about="number of scans in the mean")
+
+
+class Auxiliary(Table):
+    """Auxiliary inputs (n, I) at the control cycles, each in its own unit."""
+
+    group, rows, signal = "aux", "N", "value"
+    about = "auxiliary inputs of the rig file, one row per control cycle"
+
+    time_s = time_column("time of the newest scan of the cycle")
+    value = Column(
+        "aux", axes=("input",), about="mean of the scans since the last value; NaN outside the span of the sensor"
+    )
+
+    def __init__(self, values: Mapping[str, Values], inputs: Iterable[str], units: Iterable[str]) -> None:
+        super().__init__(values)
+        self.inputs = tuple(inputs)
+        self.units = tuple(units)
+
+
+class Timing(Table):
+    """Timing of the control cycles (n,), and losses of the whole run."""
+
+    group, rows, signal = "timing", "N", "lateness_us"
+
+    time_s = time_column("time of the newest scan of the cycle")
+    overruns = Column("missed", "<i4", about="deadlines missed since the last cycle")
+    lateness_us = Column("lateness_ns", "<i8", unit="us", about="how late the control cycle began", convert=to_us)
+
+    def __init__(
+        self, values: Mapping[str, Values], dropped_frames: int, ring_overflows: int, counters: Mapping[str, int]
+    ) -> None:
+        super().__init__(values)
+        self.dropped_frames = dropped_frames
+        self.ring_overflows = ring_overflows
+        self.counters = dict(counters)

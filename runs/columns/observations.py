@@ -1,0 +1,155 @@
+"""Columns of the camera frames: the measured tip, and what model and simulator say beside it."""
+
+from __future__ import annotations
+
+from enum import IntEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from runs.columns.conversions import (
+    COUNT,
+    MM_PER_M,
+    deviation,
+    protocol_time_column,
+    time_column,
+    to_bar,
+    to_mm,
+    to_us,
+)
+from runs.columns.declaration import Column, Table, Values
+
+BACKBONE_POINTS = 11
+"""Points of the model's backbone, evenly spaced along the arm at rest."""
+_UPPER = (np.array([0, 0, 0, 1, 1, 2]), np.array([0, 1, 2, 1, 2, 2]))
+_FULL = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])
+
+
+class DetectionStatus(IntEnum):
+    """Result of the tip measurement in a frame."""
+
+    MEASURED = 0
+    NO_BOARD = 1
+    AMBIGUOUS = 2
+    POOR_FIT = 3
+    NO_FRAME = 4
+    DISAGREE = 5
+    NO_CAMERA = 6
+
+
+def _error_mm(rows: NDArray[np.void]) -> Values:
+    return np.asarray(np.linalg.norm(rows["measured_m"] * MM_PER_M - rows["model_m"] * MM_PER_M, axis=1))
+
+
+_STATUSES = ", ".join(f"{s.value} {s.name.lower()}" for s in DetectionStatus)
+
+
+class Tip(Table):
+    """Camera frames (m,): tool centre points (m, 3) in the rod-base frame; NaN without a measurement."""
+
+    group, rows, signal = "tip", "M", "error_mm"
+    about = "one row per camera frame; NaN where nothing was measured"
+
+    time_s = time_column("middle of the exposure")
+    frame = Column("frame", "<i8", about="number of the camera's frame")
+    protocol_s = protocol_time_column()
+    seen = Column("seen", "<i4", about=_STATUSES, among=tuple(DetectionStatus))
+    model_ok = Column(
+        "model_ok", "<i4", about="0 where the model could not solve the step", read=lambda stored: stored.astype(bool)
+    )
+    pressure_bar = Column("pressure_pa", axes=("actuator",), unit="bar", about="input of the model", convert=to_bar)
+    weight_g = Column(
+        "weight_kg",
+        unit="g",
+        about="weight on the end cap; zero if force_N is measured",
+        convert=lambda kg: kg * 1e3,
+        missing=0,
+    )
+    force_n = Column(
+        "force_n",
+        axes=("axis",),
+        unit="N",
+        about="measured force on the arm at the measured point, rod-base axes; zero where none was measured",
+        dataset="force_N",
+        missing=0,
+    )
+    moment_n_m = Column(
+        "moment_n_m",
+        axes=("axis",),
+        unit="N.m",
+        about="of the same wrench, about the measured point",
+        dataset="moment_Nm",
+        missing=0,
+    )
+    measured_mm = Column(
+        "measured_m", axes=("axis",), unit="mm", about="tool centre point measured by the camera", convert=to_mm
+    )
+    uncertainty_mm = Column(
+        of=lambda rows: deviation(rows["covariance_m2"]) * MM_PER_M,
+        axes=("axis",),
+        unit="mm",
+        about="standard uncertainty of measured_mm, per axis",
+    )
+    covariance_mm2 = Column(
+        "covariance_m2",
+        axes=("component",),
+        shape=("axis", "axis"),
+        unit="mm^2",
+        about="covariance of measured_mm: xx, xy, xz, yy, yz, zz",
+        convert=lambda covariance: covariance[:, _UPPER[0], _UPPER[1]] * MM_PER_M**2,
+        read=lambda stored: stored[:, _FULL],
+    )
+    model_mm = Column(
+        "model_m",
+        axes=("axis",),
+        unit="mm",
+        about="tool centre point of the model; where `model_ok` is 0, the last solved one",
+        convert=to_mm,
+    )
+    error_mm = Column(of=_error_mm, unit="mm", about="distance between measured and model tip")
+    reprojection_px = Column("reprojection_px", unit="px", about="rms over the board's corners")
+    age_us = Column("age_ns", "<i8", unit="us", about="from exposure to result", convert=to_us)
+    dropped = Column("dropped", "<i4", about="frames lost before this frame", limits=COUNT)
+    camera_seen = Column(
+        "camera_seen",
+        "<i4",
+        axes=("camera",),
+        about="detection status of each camera, as `seen`; the tip uses the cameras with 0",
+        among=tuple(DetectionStatus),
+    )
+    camera_skew_us = Column(
+        "camera_skew_s",
+        axes=("camera",),
+        unit="us",
+        about="exposure relative to time; NaN where a camera gave no picture",
+        convert=lambda seconds: seconds * 1e6,
+    )
+
+
+class Backbone(Table):
+    """The model's centre line (m, points, 3) from base to tip, at the times of `Tip`; NaN without a solution."""
+
+    group, rows, signal = "backbone", "M", "model_mm"
+    about = "one row per camera frame; NaN where the model could not solve the step"
+
+    time_s = time_column("middle of the exposure")
+    model_mm = Column(
+        "backbone_m",
+        "<f4",
+        axes=("station", "axis"),
+        unit="mm",
+        about="centre line of the model from the base to the tip; NaN where the step was not solved",
+        convert=to_mm,
+    )
+
+
+class Simulated(Table):
+    """The simulator's own tool centre point (m, 3), at the times of `Tip`."""
+
+    group, rows, signal = "simulator", "M", "tip_mm"
+    about = "SIMULATED truth; measurements are in /entry/tip"
+
+    time_s = time_column("middle of the exposure")
+    tip_mm = Column(
+        "truth_m", axes=("axis",), unit="mm", about="SIMULATED: true tool centre point of the simulator", convert=to_mm
+    )

@@ -1,0 +1,132 @@
+"""Columns of a run that follows a tip path: reference, learned disturbance and the plans of the tip controller."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from enum import IntEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from runs.columns.conversions import COUNT, MM_PER_M, SECONDS, time_column, to_bar, to_mm, to_us
+from runs.columns.declaration import Column, Table, Values
+
+PLAN_AHEAD_S = (0.0, 0.1, 0.2, 0.3)
+"""Times after the start of a plan at which its set-points are recorded."""
+
+
+class SolveStatus(IntEnum):
+    """How the tip controller found a plan."""
+
+    SOLVED = 0
+    NOT_SOLVED = 1
+    """The solver failed: the plan continues the one before."""
+    REFUSED = 2
+    """The control loop cannot follow it (not finite, not in order, out of limits, old): it follows the one before."""
+
+
+def _reference_error_mm(rows: NDArray[np.void]) -> Values:
+    off = (rows["measured_m"] - rows["reference_m"]) * MM_PER_M
+    known = np.isfinite(rows["reference_m"]).any(axis=1) & np.isfinite(rows["measured_m"]).all(axis=1)
+    return np.where(known, np.sqrt(np.nansum(off**2, axis=1)), np.nan)
+
+
+class Reference(Table):
+    """Where the tip has to be (m, 3), at the times of `Tip`; NaN outside tip paths and in free coordinates."""
+
+    group, rows, signal = "reference", "M", "error_mm"
+    about = "one row per camera frame; NaN outside tip paths, and in coordinates that are not controlled"
+
+    time_s = time_column("middle of the exposure")
+    reference_mm = Column(
+        "reference_m", axes=("axis",), unit="mm", about="reference of the tool centre point", convert=to_mm
+    )
+    predicted_mm = Column(
+        "predicted_m",
+        axes=("axis",),
+        unit="mm",
+        about="tool centre point of the model under the feed-forward set-points, computed before the run",
+        convert=to_mm,
+    )
+    motion = Column("tip_motion", "<i4", about="number of the protocol's tip path, from 1; 0 outside")
+    period = Column(
+        "tip_period",
+        "<i4",
+        about="number of the path's period, from 1; 0 outside and in the lead-in; 1 without periods",
+    )
+    error_mm = Column(
+        of=_reference_error_mm, unit="mm", about="distance between measured tip and reference, controlled coordinates"
+    )
+
+
+class Learning(Table):
+    """What a run was given of earlier runs (m, 3), at the times of `Tip`. Only for runs that learn."""
+
+    group, rows, signal = "learning", "M", "disturbance_mm"
+    about = "iterative learning: what earlier runs have shown of the arm beyond the controller's model"
+
+    time_s = time_column("middle of the exposure")
+    disturbance_mm = Column(
+        "learned_m",
+        axes=("axis",),
+        unit="mm",
+        about="learned difference between the tip and that of the controller's model; NaN outside tip paths",
+        convert=to_mm,
+    )
+
+    def __init__(self, values: Mapping[str, Values], learned_from: Iterable[str]) -> None:
+        super().__init__(values)
+        self.learned_from = tuple(learned_from)
+
+
+class TipControl(Table):
+    """What the tip controller found from each frame (m,), and its plan. Only for runs with a tip controller."""
+
+    group, rows, signal = "tip_control", "M", "predicted_mm"
+    about = "one row per plan of the tip controller"
+
+    time_s = time_column("middle of the exposure of the frame that led to the plan")
+    frame = Column("frame", "<i8", about="as in /entry/tip")
+    start_s = Column("start_s", unit="s", about="protocol time from which the plan is followed", limits=SECONDS)
+    late_ms = Column(
+        "late_s",
+        unit="ms",
+        about="from start_s to when the control loop took the plan; 0 in virtual time",
+        convert=lambda s: s * 1e3,
+    )
+    status = Column(
+        "status",
+        "<i4",
+        about=f"{', '.join(f'{s.value} {s.name.lower()}' for s in SolveStatus)}",
+        among=tuple(SolveStatus),
+    )
+    iterations = Column("iterations", "<i4", about="iterations of the solver", limits=COUNT)
+    active = Column("active", "<i4", about="active constraints of the solver", limits=COUNT)
+    solve_us = Column(
+        "solve_ns",
+        "<i8",
+        unit="us",
+        about="time of the step; 0 in virtual time, which repeats bit for bit",
+        convert=to_us,
+    )
+    plan_bar = Column(
+        "plan_pa",
+        axes=("ahead", "valve"),
+        unit="bar",
+        about="set-points of the plan at these times after its start; NaN beyond its end",
+        convert=to_bar,
+    )
+    predicted_mm = Column(
+        "predicted_m",
+        axes=("axis",),
+        unit="mm",
+        about="tip that the controller expects at the start of the plan; NaN without a prediction",
+        convert=to_mm,
+    )
+    payload_g = Column(
+        "payload_kg", unit="g", about="estimated payload beyond the cap of the rig file", convert=lambda kg: kg * 1e3
+    )
+    payload_std_g = Column(
+        "payload_std_kg", unit="g", about="one standard deviation of payload_g", convert=lambda kg: kg * 1e3
+    )
+    nis = Column("nis", about="normalised innovation squared of the frame; 3 on average if the estimator is consistent")
