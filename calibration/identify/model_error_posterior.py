@@ -14,6 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import solve_triangular
 from scipy.special import ndtri
 
 from calibration.identify.least_squares import LeastSquaresProblem, Solution
@@ -133,12 +134,13 @@ def normal_equations(
     problem: LeastSquaresProblem, solution: Solution, fixed: Collection[int], columns: Sequence[Array], noise_m: float
 ) -> NormalEquations:
     n, z = len(solution.z), solution.z
-    rows, gap = problem.prior_rows(z)
+    prior, gap = problem.prior_rows(z)
     held = np.array([1 / _HELD_SPANS**2 if i in fixed else 0.0 for i in range(n)])
-    information = rows.T @ rows + np.diag(held + 1 / _RIDGE_SPANS**2)
-    g = -rows.T @ gap
     m = columns[0].shape[2]
-    cross, seen, b, constant = np.zeros((n, m)), np.zeros((m, m)), np.zeros(m), 0.0
+    on_unknowns = [prior, np.diag(np.sqrt(held + 1 / _RIDGE_SPANS**2))]
+    on_coefficients = [np.zeros((len(prior) + n, m))]
+    residual = [-gap, np.zeros(n)]
+    constant = 0.0
     predicted, pressure = problem.predicted(z), problem.pressure_covariances(z)
     slopes = problem.slopes(z, range(n))
     for run, poses in enumerate(problem.data):
@@ -150,18 +152,20 @@ def normal_equations(
         # Correlated entries count as fewer independent ones.
         whitener = weights.whitener[good] / math.sqrt(max(solution.correlation[run], 1.0))
         own = np.einsum("kij,kj->ki", whitener, (poses.tip_m - predicted[run])[good]).ravel()
-        jacobian = np.einsum("kij,kjn->kin", whitener, slopes[run][good]).reshape(-1, n)
-        effect = np.einsum("kij,kjn->kin", whitener, columns[run][good]).reshape(-1, m)
-        information += jacobian.T @ jacobian
-        cross += jacobian.T @ effect
-        seen += effect.T @ effect
-        g += jacobian.T @ own
-        b += effect.T @ own
+        on_unknowns.append(np.einsum("kij,kjn->kin", whitener, slopes[run][good]).reshape(-1, n))
+        on_coefficients.append(np.einsum("kij,kjn->kin", whitener, columns[run][good]).reshape(-1, m))
+        residual.append(own)
         constant -= 0.5 * float(own @ own) + 0.5 * weights.log_det / max(solution.correlation[run], 1.0)
-    inverse = np.asarray(np.linalg.inv(information), np.float64)
-    absorbed, at_fit = inverse @ cross, inverse @ g
-    constant += 0.5 * float(g @ at_fit) - 0.5 * float(np.linalg.slogdet(information)[1])
-    return NormalEquations(inverse, at_fit, absorbed, seen - cross.T @ absorbed, b - cross.T @ at_fit, constant)
+    effect, rows = np.concatenate(on_coefficients), np.concatenate(residual)
+    # Orthogonal projection, not products of the columns: where the data leave unknowns open, these lose the digits that
+    # decide what is left for the coefficients.
+    basis, triangle = np.linalg.qr(np.concatenate(on_unknowns))
+    onto_effect, onto_rows = basis.T @ effect, basis.T @ rows
+    rest = effect - basis @ onto_effect
+    rest -= basis @ (basis.T @ rest)
+    root = solve_triangular(triangle, np.eye(n))
+    constant += 0.5 * float(onto_rows @ onto_rows) - float(np.log(np.abs(np.diagonal(triangle))).sum())
+    return NormalEquations(root @ root.T, root @ onto_rows, root @ onto_effect, rest.T @ rest, rest.T @ rows, constant)
 
 
 @dataclass(frozen=True)
@@ -209,9 +213,9 @@ def sample(
             chance = _normalised(np.array([log_evidence(one, amplitude[None])[0] for one in equations]))
             noise = int(rng.choice(len(equations), p=chance))
         if sweep >= 0:
-            mean, covariance = coefficients_given(equations[noise], amplitude)
-            second += _second(equations[noise], mean, covariance) / sweeps
-            coefficients.append(rng.multivariate_normal(mean, covariance, method="eigh"))
+            mean, root = coefficients_given(equations[noise], amplitude)
+            second += _second(equations[noise], mean, root) / sweeps
+            coefficients.append(mean + root @ rng.standard_normal(m))
             present.append(level > 0)
             noises.append(noise)
     return Sampled(second, np.array(coefficients), np.array(present), np.array(noises), probability, absent)
@@ -234,18 +238,18 @@ def log_evidence(equations: NormalEquations, amplitudes: Array) -> Array:
 
 
 def coefficients_given(equations: NormalEquations, amplitude: Array) -> tuple[Array, Array]:
-    """Mean (m,) and covariance (m, m) of the coefficients with the standard deviations (m,)."""
+    """Mean (m,) of the coefficients with the standard deviations (m,), and a root (m, m) of their covariance."""
     scaled = np.eye(len(amplitude)) + amplitude[:, None] * equations.seen * amplitude
-    covariance = amplitude[:, None] * np.linalg.inv(scaled) * amplitude
-    return covariance @ equations.gradient, covariance
+    root: Array = amplitude[:, None] * np.linalg.inv(np.linalg.cholesky(scaled)).T
+    return root @ (root.T @ equations.gradient), root
 
 
-def _second(equations: NormalEquations, mean: Array, covariance: Array) -> Array:
-    """Mean squares and products (n + m, n + m) of unknowns and coefficients."""
+def _second(equations: NormalEquations, mean: Array, root: Array) -> Array:
+    """Mean squares and products (n + m, n + m) of unknowns and coefficients; root: of the coefficients' covariance."""
     absorbed = equations.absorbed
     centre = np.concatenate([equations.at_fit - absorbed @ mean, mean])
-    onto = np.concatenate([-absorbed, np.eye(len(mean))])
-    out: Array = np.outer(centre, centre) + onto @ covariance @ onto.T
+    spread = np.concatenate([-absorbed @ root, root])
+    out: Array = np.outer(centre, centre) + spread @ spread.T
     n = len(equations.at_fit)
     out[:n, :n] += equations.inverse
     return out

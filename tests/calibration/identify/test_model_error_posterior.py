@@ -79,7 +79,8 @@ def test_the_evidence_is_the_marginal_likelihood_of_a_linear_gaussian_model() ->
 def test_coefficients_and_unknowns_have_the_posterior_of_a_linear_gaussian_model() -> None:
     equations, residual, jacobian, effect, prior = linear_problem()
     amplitude = np.linspace(0.01, 0.06, 12)
-    mean, covariance = coefficients_given(equations, amplitude)
+    mean, root = coefficients_given(equations, amplitude)
+    covariance = root @ root.T
     both = np.concatenate([jacobian, effect], axis=1)
     inverse = np.zeros((15, 15))
     inverse[:3, :3] = np.linalg.inv(prior)
@@ -120,7 +121,8 @@ def test_samples_agree_with_the_enumeration_of_all_amplitudes_and_noises() -> No
     for k, (i, j) in itertools.product(range(2), itertools.product(range(7), repeat=2)):
         amplitude = np.array([scale[0] * levels[i]] * 2 + [scale[1] * levels[j]])
         weight = chance[i] * chance[j] * np.exp(float(log_evidence(equations[k], amplitude[None])[0]) - biggest)
-        mean, covariance = coefficients_given(equations[k], amplitude)
+        mean, root = coefficients_given(equations[k], amplitude)
+        covariance = root @ root.T
         u, a = equations[k].at_fit, equations[k].absorbed
         onto = np.concatenate([-a, np.eye(3)])
         centre = np.concatenate([u - a @ mean, mean])
@@ -194,6 +196,21 @@ def test_error_bars_hold_for_an_arm_with_coupled_chambers_that_single_combinatio
     free = np.array([not e.nuisance for e in fit.estimates])
     assert np.abs(errors_z / without)[free].max() > 4.0
     assert np.abs(errors_z / np.array(fit.std))[free].max() < 2.6
+
+
+def test_a_single_ramp_that_leaves_most_parameters_open_has_a_posterior() -> None:
+    # The columns of the parameters are then nearly dependent: products of them have lost the digits that matter here.
+    rng, errors = np.random.default_rng(2), MeasurementErrors((3e-5, 3e-5, 6e-5), 20.0, 0.0)
+    planned = plan("one", np.linspace(0.0, 0.65e5, 12)[:, None] * [1, 0, 0], errors=errors)
+    stated = stated_values(START, {})
+    data = [perform(planned, drawn_setup(START, stated, rng), rng, errors)]
+    fit = identify(data, START, ("law", "rpe_per_bar", "base"), stated=stated)
+    columns = [error_columns(one, Predictor(one).push_response(START), 0.65e5).tip_m for one in data]
+    for noise_m in (0.0, NOISE_M):
+        seen = normal_equations(fit.problem, fit.solution, (), columns, noise_m).seen
+        values = np.linalg.eigvalsh(seen)
+        assert seen == pytest.approx(seen.T, rel=1e-9, abs=1e-9 * values[-1])
+        assert values[0] > -1e-9 * values[-1]
 
 
 def test_the_size_of_an_effect_is_the_root_mean_square_over_actuators_or_pairs() -> None:
