@@ -7,6 +7,9 @@ import signal
 import sys
 import threading
 
+_REPEAT_S = 0.01
+"""Delay of a repeated SIGINT."""
+
 
 def _stand_in_for_closed() -> None:
     """Put the null device where standard input, output or error was closed (`rig run .. <&- >&- 2>&-`).
@@ -42,9 +45,6 @@ def _repeat_ignored_interrupts() -> None:
             report(ignored)
 
     sys.unraisablehook = hook
-
-
-_REPEAT_S = 0.01
 
 
 def main() -> None:

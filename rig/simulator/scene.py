@@ -60,6 +60,11 @@ class Scene:
             ]
         )
 
+    def prepare(self) -> None:
+        """Find the rays of the whole picture, so that no frame in real time has to wait for them."""
+        height, width = self._light.shape
+        self._rays.covering((0, 0, width, height))
+
     def render(self, opened: RigidTransform, middle: RigidTransform, closed: RigidTransform, index: int) -> Image:
         """Render (height, width) uint8 of the board's frame in the camera's at the exposure's start, middle and end."""
         height, width = self._light.shape
@@ -111,7 +116,7 @@ class Scene:
 
 
 class _PixelRays:
-    """Undistorted rays of the pixels, found where a board was: the inverse distortion of a whole picture is slow."""
+    """Undistorted rays of the pixels, found where the board appears: those of a whole picture take some 75 ms."""
 
     def __init__(self, lens: Lens, size: tuple[int, int]) -> None:
         self._lens, self._size = lens, size

@@ -117,7 +117,7 @@ class MockCamera:
 
     def start(self) -> None:
         """Begin the exposures of real time anew, with the scene made."""
-        _ = self.scene
+        self.scene.prepare()
         self._start_ns = time.monotonic_ns() + self._exposure_ns
 
     def frame_at(self, index: int, t_ns: int) -> Frame:

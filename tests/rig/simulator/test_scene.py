@@ -51,6 +51,12 @@ def test_a_picture_is_the_same_after_others_of_the_board_elsewhere() -> None:
         assert np.array_equal(still(pose, index, view), still(pose, index, scene()))
 
 
+def test_a_prepared_scene_gives_the_same_picture() -> None:
+    prepared = scene()
+    prepared.prepare()
+    assert np.array_equal(still(facing(0.03), 1, prepared), still(facing(0.03), 1, scene()))
+
+
 def test_noise_has_the_level_that_was_asked_for() -> None:
     view = scene(Optics(0.6, 3.0))
     pictures = np.array([still(facing(), index, view) for index in range(24)], dtype=np.float64)
