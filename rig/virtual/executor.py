@@ -26,7 +26,6 @@ from rig.hardware.cards.base import CardError
 from rig.hardware.safe_state import VENTING_S, VentVerification, armed_sentence, failure_of
 from rig.observation.observer import Observer
 from rig.observation.picture_recorder import PictureRecorder
-from rig.observation.tip_force import auxiliary_values
 from rig.realtime.health_monitor import HealthMonitor
 from rig.simulator.plant import Plant
 from rig.tip_control.monitor import SOURCE, TipControlMonitor, failure_message
@@ -99,9 +98,8 @@ class _VirtualRun:
         rate_hz = config.control.rate_hz
         self._batch_ticks = max(1, round(BATCH_S * rate_hz))
         self._history_ticks = max(1, round(HISTORY_S * rate_hz))
-        self._samples = _RecentRows(
-            sample_dtype(config.actuators, len(config.valves), len(config.inputs)), self._history_ticks
-        )
+        self._sample_rows = sample_dtype(config.actuators, len(config.valves), len(config.inputs))
+        self._samples = _RecentRows(self._sample_rows, self._history_ticks)
         self._observations = _RecentRows(observation_dtype(config.actuators, len(config.cameras)), self._history_ticks)
         self._adaptations = _RecentRows(adaptation_dtype(len(plan.adapted)), self._history_ticks)
         self._plans = _RecentRows(tip_control_dtype(len(config.valves)), self._history_ticks)
@@ -120,7 +118,8 @@ class _VirtualRun:
         plan = self._plan
         adapted = [quantity.name for quantity in plan.adapted]
         observer = Observer(plan.config, plan.variant, adapted, plan.trajectory.tip)
-        return FrameStages(tuple(self._cameras.values()), observer, PictureRecorder(self._plan.config))
+        cameras = tuple(self._cameras.values())
+        return FrameStages(cameras, observer, PictureRecorder(plan.config), self._sample_rows)
 
     def run(self, pipeline: FramePipeline, open_record: OpenRecord) -> Outcome:
         """Arm, run cycles until the run ends, write the safe state."""
@@ -223,11 +222,7 @@ class _VirtualRun:
             raise failures[0]
         ticks, self._unseen = self._samples.recent(self._unseen), 0
         weight_kg = self._plan.trajectory.weight_kg(protocol_s)
-        samples = FrameSamples(
-            ticks["t_ns"].copy(), ticks["measured_pa"].copy(), protocol_s, weight_kg, ticks["protocol_s"].copy(),
-            auxiliary_values(ticks),
-        )  # fmt: skip
-        self._pipeline.submit(frame, t_ns, exposures, samples)
+        self._pipeline.submit(frame, t_ns, exposures, FrameSamples(ticks.tobytes(), protocol_s, weight_kg))
 
     def _steer(self, controller: TipControlSession, now: int) -> None:
         """Give the controller each frame once its delay has passed, and the control loop the plan."""

@@ -6,12 +6,15 @@ import mmap
 import multiprocessing
 import os
 import signal
+import threading
 import traceback
 import warnings
+from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from multiprocessing.context import ForkProcess
+from queue import SimpleQueue
 from types import TracebackType
 
 import numpy as np
@@ -21,10 +24,13 @@ from rig.hardware.cameras.base import Frame, FrameSet
 from rig.hardware.cameras.mock import Exposure, MockCamera
 from rig.observation.observer import Observer
 from rig.observation.picture_recorder import PictureRecorder
+from rig.observation.tip_force import auxiliary_values
 from runs.records import Picture
 
 MOST_IN_FLIGHT = 40
 """Frame sets for which the shared memory has room."""
+_BATCH = 3
+"""Frame sets in one message: a message costs several times what its content does."""
 
 _LESS_URGENT = 5
 """Rendering waits where processors are short: measuring takes longer and sets the pace."""
@@ -35,17 +41,13 @@ _CLOSED = (EOFError, OSError)
 
 @dataclass(frozen=True)
 class FrameSamples:
-    """What the observer needs beside the pictures: the samples `t_ns` (k,), `measured_pa` (k, N) and `aux` (k, I; None
-    without auxiliary inputs) since the last frame set and their protocol times, the protocol time of the newest one and
-    the weight on the end cap.
+    """What the observer needs beside the pictures: the samples since the last frame set as bytes of the rows that the
+    run records, the protocol time of the newest one and the weight on the end cap.
     """
 
-    t_ns: NDArray[np.int64]
-    measured_pa: NDArray[np.float64]
+    rows: bytes
     protocol_s: float
     weight_kg: float
-    protocol_times_s: NDArray[np.float64]
-    aux: NDArray[np.float64] | None
 
 
 @dataclass(frozen=True)
@@ -68,11 +70,25 @@ class _RenderedFrame:
 
 
 @dataclass(frozen=True)
+class _RenderedSet:
+    """A frame set whose pictures are in one slot of the shared memory; None is a camera without a frame."""
+
+    index: int
+    due_ns: int
+    slot: int
+    frames: tuple[_RenderedFrame | None, ...]
+
+
+@dataclass(frozen=True)
 class _Failure:
     """An exception in a child process."""
 
     message: str
     traceback: str
+
+
+_Request = tuple[tuple[int, int, Sequence[Exposure | None]], FrameSamples]
+"""Number, due time and exposures of a frame set, and the samples beside it."""
 
 
 class FrameProcessError(Exception):
@@ -86,8 +102,16 @@ class FrameProcessError(Exception):
 class FrameStages:
     """The two stages of a frame set: the cameras' pictures, then the observer's row."""
 
-    def __init__(self, cameras: Sequence[MockCamera], observer: Observer, recorder: PictureRecorder) -> None:
+    def __init__(
+        self,
+        cameras: Sequence[MockCamera],
+        observer: Observer,
+        recorder: PictureRecorder,
+        sample_rows: np.dtype[np.void],
+    ) -> None:
+        """`sample_rows` is the type of the rows in `FrameSamples`."""
         self._cameras, self._observer, self._recorder = cameras, observer, recorder
+        self._sample_rows = sample_rows
 
     def render(self, index: int, due_ns: int, exposures: Sequence[Exposure | None]) -> FrameSet:
         """Render the frame set due at a time; an exposure that is None is a camera without a frame."""
@@ -99,9 +123,10 @@ class FrameStages:
 
     def measure(self, frame_set: FrameSet, samples: FrameSamples) -> FrameResult:
         """Measure the next frame set."""
+        rows = np.frombuffer(samples.rows, self._sample_rows)
         row = self._observer.step(
-            frame_set, samples.t_ns, samples.measured_pa, samples.protocol_s, 0, samples.weight_kg,
-            samples.protocol_times_s, samples.aux,
+            frame_set, rows["t_ns"], rows["measured_pa"], samples.protocol_s, 0, samples.weight_kg,
+            rows["protocol_s"], auxiliary_values(rows),
         )  # fmt: skip
         adaptation = self._observer.adaptation
         return FrameResult(
@@ -121,7 +146,10 @@ class FramePipeline:
     def __init__(self, stages: FrameStages, cameras: int, shape: tuple[int, int]) -> None:
         """Start the children; `shape` (height, width) is the largest of the pictures."""
         self.in_flight = 0
-        """Frame sets whose results have not been received."""
+        """Frame sets whose results have not been returned."""
+        self._unsent: list[_Request] = []
+        self._received: deque[FrameResult | _Failure] = deque()
+        self._batches: SimpleQueue[list[FrameResult | _Failure] | None] = SimpleQueue()
         size = MOST_IN_FLIGHT * cameras * shape[0] * shape[1]
         memory = mmap.mmap(-1, max(1, size))
         pictures = np.frombuffer(memory, np.uint8, size).reshape(MOST_IN_FLIGHT, cameras, *shape)
@@ -144,16 +172,21 @@ class FramePipeline:
         }
         for pipe in (exposures, samples, frame_sets, rendered, results):
             pipe.close()
+        # Reads while this process writes: each pipe holds 64 KiB, and two processes that both write would wait forever.
+        self._reader = threading.Thread(target=self._read, daemon=True)
+        self._reader.start()
 
     def __enter__(self) -> FramePipeline:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
-        for pipe in (self._exposures, self._samples, self._results):
+        for pipe in (self._exposures, self._samples):
             pipe.close()
         for child in self._children.values():
             child.kill()
             child.join()
+        self._reader.join()
+        self._results.close()
 
     def submit(self, index: int, due_ns: int, exposures: Sequence[Exposure | None], samples: FrameSamples) -> None:
         """Pass on the next frame set, due at a time.
@@ -162,12 +195,10 @@ class FramePipeline:
             FrameProcessError: a child has ended.
         """
         assert self.in_flight < MOST_IN_FLIGHT
-        try:
-            self._exposures.send((index, due_ns, exposures))
-            self._samples.send(samples)
-        except OSError as error:
-            raise self._ended() from error
+        self._unsent.append(((index, due_ns, exposures), samples))
         self.in_flight += 1
+        if len(self._unsent) == _BATCH:
+            self._send()
 
     def result(self) -> FrameResult:
         """Wait for the result of the oldest frame set in flight.
@@ -175,15 +206,35 @@ class FramePipeline:
         Raises:
             FrameProcessError: a child has failed or ended; no frame set is in flight then.
         """
-        try:
-            result: FrameResult | _Failure = self._results.recv()
-        except _CLOSED as error:
-            raise self._ended() from error
+        if not self._received and self.in_flight == len(self._unsent):
+            self._send()
+        if not self._received:
+            batch = self._batches.get()
+            if batch is None:
+                raise self._ended()
+            self._received.extend(batch)
+        result = self._received.popleft()
         if isinstance(result, _Failure):
             self.in_flight = 0
             raise FrameProcessError(result.message, result.traceback)
         self.in_flight -= 1
         return result
+
+    def _send(self) -> None:
+        requests, self._unsent = self._unsent, []
+        try:
+            self._exposures.send([exposed for exposed, _ in requests])
+            self._samples.send([samples for _, samples in requests])
+        except OSError as error:
+            raise self._ended() from error
+
+    def _read(self) -> None:
+        """Receive batches of results; None says that no more will come."""
+        try:
+            while True:
+                self._batches.put(self._results.recv())
+        except _CLOSED:
+            self._batches.put(None)
 
     def _ended(self) -> FrameProcessError:
         self.in_flight = 0
@@ -198,24 +249,29 @@ class FramePipeline:
 
 
 def _render(stages: FrameStages, exposures: Connection, pictures: NDArray[np.uint8], rendered: Connection) -> None:
+    """Render batches of frame sets into the slots of the shared memory, in turn."""
     slot = 0
     while True:
-        index, due_ns, exposed = exposures.recv()
-        try:
-            frame_set = stages.render(index, due_ns, exposed)
-        except Exception as error:
-            rendered.send(_failure(error))
-            return
-        heads: list[_RenderedFrame | None] = []
-        for picture, frame in zip(pictures[slot], frame_set.frames, strict=True):
-            if frame is None:
-                heads.append(None)
-                continue
-            height, width = frame.image.shape
-            picture[:height, :width] = frame.image
-            heads.append(_RenderedFrame(frame.index, frame.t_ns, (height, width), frame.truth_m))
-        rendered.send((index, due_ns, slot, heads))
-        slot = (slot + 1) % len(pictures)
+        batch: list[_RenderedSet | _Failure] = []
+        for index, due_ns, exposed in exposures.recv():
+            try:
+                frame_set = stages.render(index, due_ns, exposed)
+            except Exception as error:
+                rendered.send([*batch, _failure(error)])
+                return
+            heads = tuple(map(_copied, pictures[slot], frame_set.frames))
+            batch.append(_RenderedSet(index, due_ns, slot, heads))
+            slot = (slot + 1) % len(pictures)
+        rendered.send(batch)
+
+
+def _copied(room: NDArray[np.uint8], frame: Frame | None) -> _RenderedFrame | None:
+    """Copy the picture of a frame into the shared memory."""
+    if frame is None:
+        return None
+    height, width = frame.image.shape
+    room[:height, :width] = frame.image
+    return _RenderedFrame(frame.index, frame.t_ns, (height, width), frame.truth_m)
 
 
 def _measure(
@@ -225,24 +281,28 @@ def _measure(
     samples: Connection,
     results: Connection,
 ) -> None:
+    """Measure batches of frame sets whose pictures are in the shared memory."""
     while True:
-        received = frame_sets.recv()
-        if isinstance(received, _Failure):
-            results.send(received)
-            return
-        index, due_ns, slot, heads = received
-        frames = tuple(
-            None
-            if head is None
-            else Frame(head.index, head.t_ns, picture[: head.shape[0], : head.shape[1]], head.truth_m)
-            for head, picture in zip(heads, pictures[slot], strict=True)
-        )
-        try:
-            result = stages.measure(FrameSet(index, frames, due_ns), samples.recv())
-        except Exception as error:
-            results.send(_failure(error))
-            return
-        results.send(result)
+        batch: list[FrameResult | _Failure] = []
+        for rendered, at_frame in zip(frame_sets.recv(), samples.recv(), strict=False):
+            if isinstance(rendered, _Failure):
+                results.send([*batch, rendered])
+                return
+            frames = tuple(map(_in_memory, rendered.frames, pictures[rendered.slot]))
+            try:
+                batch.append(stages.measure(FrameSet(rendered.index, frames, rendered.due_ns), at_frame))
+            except Exception as error:
+                results.send([*batch, _failure(error)])
+                return
+        results.send(batch)
+
+
+def _in_memory(head: _RenderedFrame | None, room: NDArray[np.uint8]) -> Frame | None:
+    """A frame whose picture stays in the shared memory."""
+    if head is None:
+        return None
+    height, width = head.shape
+    return Frame(head.index, head.t_ns, room[:height, :width], head.truth_m)
 
 
 def _failure(error: Exception) -> _Failure:

@@ -19,14 +19,14 @@ from rig.virtual.frame_pipeline import FramePipeline, FrameProcessError, FrameRe
 from runs.records import Event, Status
 
 SHAPE = (4, 6)
-SAMPLES = FrameSamples(np.zeros(1, np.int64), np.zeros((1, 3)), 0.0, 0.0, np.zeros(1), np.zeros((1, 0)))
+SAMPLES = FrameSamples(b"", 0.0, 0.0)
 
 
 class Numbers(FrameStages):
     """Stages without a camera: the picture holds the frame's number, the result its sum."""
 
     def __init__(self) -> None:
-        super().__init__((), None, None)  # type: ignore[arg-type]
+        super().__init__((), None, None, None)  # type: ignore[arg-type]
 
     def render(self, index: int, due_ns: int, exposures: object) -> FrameSet:
         """A picture of the number; the second camera gives none."""
@@ -61,6 +61,22 @@ def test_results_come_in_the_order_of_the_frames_with_the_pictures_of_their_own(
             pipeline.submit(index, 0, (), SAMPLES)
         found = [pipeline.result().observation.decode() for _ in range(30)]
     assert found == [repr((10 * index, 24 * index)) for index in range(1, 31)]
+
+
+class Large(Numbers):
+    """Stages whose results are as large as pictures."""
+
+    def measure(self, frame_set: FrameSet, samples: FrameSamples) -> FrameResult:
+        """A result that fills most of a pipe."""
+        return FrameResult(bytes(50_000), None, [])
+
+
+def test_samples_and_results_larger_than_a_pipe_do_not_stop_it() -> None:
+    samples = FrameSamples(bytes(50_000), 0.0, 0.0)
+    with FramePipeline(Large(), 2, SHAPE) as pipeline:
+        for index in range(1, 31):
+            pipeline.submit(index, 0, (), samples)
+        assert [len(pipeline.result().observation) for _ in range(30)] == [50_000] * 30
 
 
 @pytest.mark.parametrize(
@@ -106,7 +122,7 @@ def test_a_signal_to_the_process_group_ends_no_child(number: signal.Signals) -> 
 
 def test_the_children_end_with_the_process_of_the_run() -> None:
     with FramePipeline(Numbers(), 2, SHAPE) as pipeline:
-        for pipe in (pipeline._exposures, pipeline._samples, pipeline._results):
+        for pipe in (pipeline._exposures, pipeline._samples):
             pipe.close()
         for child in pipeline._children.values():
             child.join(60)
