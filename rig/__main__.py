@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import signal
 import sys
@@ -68,6 +69,9 @@ def main() -> None:
         cli.main()
     except KeyboardInterrupt:  # before the command line is read; a command reports it itself
         sys.exit(INTERRUPTED)
+    finally:
+        # At its end Python collects garbage among all objects: 0.2 s, and the system takes the memory back anyway.
+        gc.freeze()
 
 
 if __name__ == "__main__":
