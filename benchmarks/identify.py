@@ -33,8 +33,9 @@ from calibration.identify.simulated_experiments import (
     run_trial,
 )
 from calibration.parallel_map import parallel_map
+from rig.config.loader import load
 from rig.identify.estimation import from_runs
-from rig.observation.online_estimation import DEFAULT_PARAMETERS
+from rig.observation.online_estimation import default_parameters
 from runs.report.drawing import save
 
 Array = NDArray[np.float64]
@@ -142,7 +143,9 @@ def by_default(kind: str, trials: int, seed: int) -> list[CoverageTrial]:
     known_damping = replace(start.arm.material, damping_s=0.02)
     truth = replace(start, arm=replace(start.arm, material=known_damping))
     stated = stated_values(truth, {"damping_s": 0.005, "sensor_filter_s": 1e-9})
-    free = (*DEFAULT_PARAMETERS[:-1], *(("damping_s",) if kind == "moving" else ()))
+    # A trial frees the offsets of its sensors by itself.
+    shared = [name for name in default_parameters(load("mock-ideal")) if name != "sensor_offsets"]
+    free = (*shared, *(("damping_s",) if kind == "moving" else ()))
     return [CoverageTrial(planned, truth, truth, free, errors, seed * 1_000_003 + k, stated) for k in range(trials)]
 
 
