@@ -14,6 +14,7 @@ from calibration.identify.data import Poses
 from calibration.identify.least_squares import LeastSquaresProblem
 from calibration.identify.parameters import Prior, Setup, named
 from calibration.identify.results import Fit
+from calibration.identify.unknown import with_own_values
 from calibration.parallel_map import Progress, parallel_map
 
 Array = NDArray[np.float64]
@@ -50,6 +51,7 @@ class Refit:
     data: tuple[Poses, ...]
     start: Setup
     free: tuple[str, ...]
+    per_run: tuple[str, ...]
     priors: tuple[tuple[str, Prior], ...]
     z: tuple[float, ...]
     fixed: tuple[int, ...]
@@ -82,6 +84,7 @@ def bootstrap(
         data=tuple(problem.data),
         start=problem.start,
         free=tuple(p.name for p in problem.free),
+        per_run=tuple(p.name for p in problem.free if p.per_run),
         priors=tuple(problem.priors.items()),
         z=tuple(fit.solution.z.tolist()),
         fixed=fixed,
@@ -111,7 +114,8 @@ def refit(task: Refit) -> Array:
         ]
     else:
         counts = [_counts(rng, poses) for poses in data]
-    problem = LeastSquaresProblem(data, task.start, named(task.free, actuators), priors, counts)
+    free = with_own_values(named(task.free, actuators), task.per_run, actuators)
+    problem = LeastSquaresProblem(data, task.start, free, priors, counts)
     known = [i for i, u in enumerate(problem.unknowns) if u.parameter.name in priors]
     if task.kind == "drawn":
         # The prior means are random, too: draw them around the values that are the truth here.

@@ -15,9 +15,9 @@ from calibration.identify.likelihood import OUTLIER, drifting, whitened
 from calibration.identify.model_error_posterior import model_error_posterior
 from calibration.identify.nuisance import nuisance_parameters
 from calibration.identify.parameters import Prior, Setup, named
-from calibration.identify.results import NORMAL_95, Estimate, Fit, RunFit, Verdict
+from calibration.identify.results import NORMAL_95, Estimate, Fit, RunFit, Verdict, with_means_of_runs
 from calibration.identify.search import Progress, initial_point, point_of, search
-from calibration.identify.unknown import Unknown
+from calibration.identify.unknown import Unknown, with_own_values
 
 Array = NDArray[np.float64]
 
@@ -42,6 +42,7 @@ def identify(
     initial_values: Mapping[tuple[str, str], float] | None = None,
     substeps: int = 0,
     stated: Mapping[str, Prior] | None = None,
+    per_run: Iterable[str] = (),
     progress: Progress = lambda text: None,
 ) -> Fit:
     """Maximum likelihood of the free parameters over all runs, static and moving ones together.
@@ -51,11 +52,12 @@ def identify(
     example by a fit to similar data; undetermined parameters are still fixed at `start`. substeps: see
     `LeastSquaresProblem`. stated: value and uncertainty of every parameter, by name. With it, what is not free is
     estimated, too, with its stated value as prior, so that its uncertainty is in all error bars; without it, what is
-    not free is exact.
+    not free is exact. per_run: names of parameters, free or not, with a value of their own in each run, as a mounting
+    that was undone between the runs.
 
     Raises:
         NoDataError: no measured tip.
-        UnknownParameter: a name in `free` or `priors`.
+        UnknownParameter: a name in `free`, `priors` or `per_run`.
     """
     if not any(poses.has_tip.any() for poses in data):
         raise NoDataError("no run holds a measured tip")
@@ -66,7 +68,8 @@ def identify(
     held = () if stated is None else nuisance_parameters(start, data, parameters)
     given = {p.name: prior for name, prior in (priors or {}).items() for p in named([name], actuators)}
     known = {p.name: (stated or {})[p.name] for p in held} | given
-    problem = LeastSquaresProblem(data, start, (*parameters, *held), known, substeps=substeps)
+    every = with_own_values((*parameters, *held), per_run, actuators)
+    problem = LeastSquaresProblem(data, start, every, known, substeps=substeps)
     first = initial_point(problem, progress) if initial_values is None else point_of(problem, initial_values)
     searched = search(problem, first, starts, seed, progress)
     joint = searched.best
@@ -79,7 +82,7 @@ def identify(
     rates = problem.rates(solution.z)
     estimates = tuple(replace(e, stated=(stated or {}).get(e.name), prior=known.get(e.name)) for e in estimates)
     return Fit(
-        setup=problem.setup(solution.z),
+        setup=with_means_of_runs(problem.setup(solution.z), estimates),
         start=start,
         estimates=estimates,
         covariance=covariance,

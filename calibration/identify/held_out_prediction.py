@@ -13,7 +13,6 @@ from calibration.identify.data import Poses
 from calibration.identify.fit_range import outside
 from calibration.identify.least_squares import LeastSquaresProblem
 from calibration.identify.model_error import error_columns
-from calibration.identify.parameters import Setup, known
 from calibration.identify.results import NORMAL_95, Fit, rms
 from calibration.identify.tip_predictor import Predictor
 from calibration.identify.unknown import Unknown
@@ -103,23 +102,13 @@ class Prediction:
         return rms(self.before_m)
 
 
-def with_mean_sensor_offsets(fit: Fit) -> Setup:
-    """The fitted setup with each sensor offset at its mean over the runs in which it is identified."""
-    setup = fit.setup
-    for name, parameter in known(setup.arm.geometry.actuators).items():
-        values = [e.value for e in fit.estimates if e.name == name and e.run and e.value is not None]
-        if values:
-            setup = parameter.write(setup, float(np.mean(values)))
-    return setup
-
-
 def predict(fit: Fit, poses: Poses) -> Prediction:
-    """Predict a run; its sensor offsets are those of its fitted part, else the means of those of the fitted runs.
+    """Predict a run; what is per run, as sensor offsets, is that of its fitted part, else the mean of all runs.
 
     The intervals are those of the linearised model (delta method).
     """
     seen = next((run for run, other in enumerate(fit.problem.data) if other.source == poses.source), None)
-    setup = with_mean_sensor_offsets(fit) if seen is None else fit.runs[seen].setup
+    setup = fit.setup if seen is None else fit.runs[seen].setup
     problem = LeastSquaresProblem(
         [poses], fit.start, fit.problem.free, fit.problem.priors, substeps=fit.problem.substeps
     )

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from calibration.identify.data import NoDataError, Poses
 from calibration.identify.fit import identify
-from calibration.identify.held_out_prediction import with_mean_sensor_offsets
 from calibration.identify.least_squares import LeastSquaresProblem
 from calibration.identify.parameters import PUSH_GROWTH, Prior, Setup, named
 from calibration.identify.tip_predictor import SUBSTEPS, Predictor
@@ -223,7 +222,7 @@ def prediction_errors(task: ComparisonFit) -> Array:
     fit = identify(
         task.data, candidate.start, candidate.free, dict(task.priors), initial_values=initial_values, substeps=SUBSTEPS
     )
-    setup, found = with_mean_sensor_offsets(fit), []
+    setup, found = fit.setup, []
     for poses in task.held_out:
         moved, seen = excursion(poses), poses.has_tip
         error = np.linalg.norm(poses.tip_m - Predictor(poses)(setup), axis=1)

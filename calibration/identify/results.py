@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 
 from calibration.identify.least_squares import LeastSquaresProblem, Solution
 from calibration.identify.model_error_posterior import ModelErrorPosterior
-from calibration.identify.parameters import Prior, Setup
+from calibration.identify.parameters import Prior, Setup, known
 
 Array = NDArray[np.float64]
 
@@ -40,7 +41,7 @@ def rms(distance_m: Array) -> float:
 class Estimate:
     """One free parameter. `value`, `std` and `interval` are None if it is not identified.
 
-    used: the value in `Fit.setup`, for every verdict. run: the run of a per-run parameter, empty for a shared one.
+    used: the value in the fit, for every verdict. run: the run of a per-run parameter, empty for a shared one.
     partners: parameters that it is exchangeable with. joint_std: standard deviation in the joint fit of all unknowns.
     nuisance: not free, but estimated with its stated value as prior. prior: as it entered the fit. stated: value and
     uncertainty before the fit, also where they did not enter it.
@@ -81,6 +82,15 @@ class Estimate:
     def identified(self) -> bool:
         """Whether the data determine it."""
         return self.value is not None
+
+
+def with_means_of_runs(setup: Setup, estimates: Sequence[Estimate]) -> Setup:
+    """The setup with each parameter that has a value per run at the mean of those that are identified."""
+    for name, parameter in known(setup.arm.geometry.actuators).items():
+        values = [e.value for e in estimates if e.name == name and e.run and e.value is not None]
+        if values:
+            setup = parameter.write(setup, float(np.mean(values)))
+    return setup
 
 
 @dataclass(frozen=True)
@@ -124,11 +134,11 @@ class RunFit:
 class Fit:
     """Parameters of an arm.
 
-    setup: with every shared `used` value. covariance (n, n): of the fitted values, in the order of `estimates`; zero
-    for fixed parameters, whose assumed error of half a span enters the other error bars. joint_covariance (n, n): of
-    all unknowns with that error of the fixed ones, in spans. Both include the model error; fitted_covariance (n, n) is
-    `covariance` without it. discrepancy_m: standard deviation per axis of the model
-    error that the stated errors do not explain.
+    setup: with every shared `used` value, and the means of the identified values per run. covariance (n, n): of the
+    fitted values, in the order of `estimates`; zero for fixed parameters, whose assumed error of half a span enters the
+    other error bars. joint_covariance (n, n): of all unknowns with that error of the fixed ones, in spans. Both include
+    the model error; fitted_covariance (n, n) is `covariance` without it. discrepancy_m: standard deviation per axis of
+    the model error that the stated errors do not explain.
     """
 
     setup: Setup

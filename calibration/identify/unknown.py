@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 
-from calibration.identify.parameters import Parameter, Setup
+from calibration.identify.parameters import Parameter, Setup, UnknownParameter, named
 
 # Upper bound of a parameter as a fraction of the limit that it must stay below.
 _BOUND_FRACTION = 0.98
@@ -55,3 +56,18 @@ class Unknown:
     def upper(self) -> float:
         """Upper bound of z."""
         return self.of(self.most)
+
+
+def with_own_values(parameters: Sequence[Parameter], names: Iterable[str], actuators: int) -> tuple[Parameter, ...]:
+    """The parameters; those of `names` have a value of their own in each run.
+
+    Raises:
+        UnknownParameter: a name is unknown, or none of its members is among the parameters.
+    """
+    estimated, own = {p.name for p in parameters}, set[str]()
+    for name in names:
+        members = {p.name for p in named([name], actuators)} & estimated
+        if not members:
+            raise UnknownParameter(f"{name} cannot differ between the runs: it has no effect on them")
+        own |= members
+    return tuple(replace(p, per_run=p.per_run or p.name in own) for p in parameters)

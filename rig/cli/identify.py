@@ -54,6 +54,15 @@ def fit(
             help="Initial rig, by name or file; default: the first run's. Of several, the likeliest is used.",
         ),
     ] = None,
+    per_run: Annotated[
+        str,
+        typer.Option(
+            "--per-run",
+            metavar="NAME,..",
+            help="Parameters or groups, free or not, with a value of their own in each run, as base,tool after "
+            "a new mounting.",
+        ),
+    ] = "",
     starts: Annotated[
         int | None,
         typer.Option(
@@ -127,7 +136,7 @@ def fit(
     opened = _opened(archives, leave_out or [], one_arm=bool(start))
     data = read_data(opened, start=start or [], quasi_static=quasi_static, every=every, split_s=split_s, read=_read)
     with state_of("searching") as show:
-        done = from_data(data, free=_names(free), priors=priors, starts=starts, progress=show)
+        done = from_data(data, free=_names(free), priors=priors, per_run=_names(per_run), starts=starts, progress=show)
     found, best, under = done.found, done.best, done.baseline
     if best.worse_than_start:
         output.failure(best)

@@ -90,9 +90,10 @@ def most_likely_fit(
     priors: Mapping[str, Prior],
     starts: int | None = None,
     progress: SearchProgress = lambda text: None,
+    per_run: Sequence[str] = (),
 ) -> FitsByStart:
     """Identify from each initial rig, as `from_poses` does; the best fit is the one of maximum likelihood."""
-    fits = {name: from_poses(rig.config, data, free, priors, starts, progress) for name, rig in rigs.items()}
+    fits = {name: from_poses(rig.config, data, free, priors, starts, progress, per_run) for name, rig in rigs.items()}
     return FitsByStart(rigs, fits, max(fits, key=lambda name: fits[name].log_likelihood))
 
 
@@ -103,15 +104,17 @@ def from_poses(
     priors: Mapping[str, Prior],
     starts: int | None = None,
     progress: SearchProgress = lambda text: None,
+    per_run: Sequence[str] = (),
 ) -> Fit:
     """Identify an arm from runs, starting from a rig's arm.
 
     By default the parameters of `rig run --adapt` are free, and for dynamic runs the damping: otherwise base and law
     would absorb the lag of a motion. Every other number that the tip depends on is a nuisance parameter: it is
-    estimated, too, with the rig's value and its standard uncertainty as prior.
+    estimated, too, with the rig's value and its standard uncertainty as prior. Parameters of `per_run`, free or not,
+    have a value of their own in each run.
 
     Raises:
-        UnknownParameter: a name is unknown, or a prior belongs to a parameter without effect on the data.
+        UnknownParameter: a name is unknown, or a prior or `per_run` names a parameter without effect on the data.
     """
     moving = any(one.moving for one in data)
     chosen = tuple(free) or (*default_parameters(config), *(("damping_s",) if moving else ()))
@@ -126,6 +129,7 @@ def from_poses(
         sensor_priors(stated) | _by_parameter(priors, config.actuators),
         starts,
         stated=stated,
+        per_run=per_run,
         progress=progress,
     )
 

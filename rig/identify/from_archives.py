@@ -117,18 +117,19 @@ def from_data(
     *,
     free: Sequence[str],
     priors: Mapping[str, Prior],
+    per_run: Sequence[str] = (),
     starts: int | None = None,
     progress: SearchProgress = lambda text: None,
 ) -> Identification:
     """Identify from each initial rig as `estimation.most_likely_fit` does.
 
     Raises:
-        UnknownParameter: a name is unknown, or a prior belongs to a parameter without effect on the data.
+        UnknownParameter: a name is unknown, or a prior or `per_run` names a parameter without effect on the data.
         BadInputError: a prior or the number of starts is invalid.
     """
     if starts is not None and starts < 1:
         raise BadInputError([Problem("--starts", 0, 0, "", str(starts), "an integer of at least 1")])
-    found = estimation.most_likely_fit(data.rigs, data.seen, free, priors, starts, progress)
+    found = estimation.most_likely_fit(data.rigs, data.seen, free, priors, starts, progress, per_run)
     best = found.fits[found.best]
     baseline = None
     if not best.worse_than_start:

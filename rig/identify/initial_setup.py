@@ -99,7 +99,7 @@ def _check_rigs(archives: Sequence[Run]) -> tuple[str, ...]:
             known = rig.cameras.get(name)
             if known is not None and known.placement != camera.placement:
                 note = f"{run.header.run_id}: its rig places camera {name} elsewhere than that of {first.header.run_id}"
-                notes.append(f"{note}; one base is estimated for both")
+                notes.append(f"{note}; one base is estimated for both, but with --per-run base")
     return tuple(notes)
 
 

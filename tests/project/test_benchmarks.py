@@ -1,4 +1,4 @@
-"""Benchmarks and scripts use only what the project has: nothing runs them in `make test`, so nothing else would tell."""
+"""Benchmarks and scripts, which `make test` does not run, import only what the project has."""
 
 import ast
 from pathlib import Path

@@ -329,7 +329,28 @@ def test_runs_with_different_camera_placements_are_reported_to_share_one_base(
     rig(bench["one"], bench["two"], status=2)
     assert "front" not in capsys.readouterr().err
     rig(bench["one"], other, status=2)
-    assert "moved: its rig places camera front elsewhere than that of one" in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert "moved: its rig places camera front elsewhere than that of one" in said
+    assert "--per-run base" in said
+
+
+def test_a_base_per_run_is_reported_for_each_run_and_its_mean_is_written(
+    bench: dict[str, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "arm.yaml"
+    rig(bench["one"], bench["two"], "--free", "law,base_x_m", "--per-run", "base_x_m", "--to", str(file), "--json")
+    found = json.loads(capsys.readouterr().out)
+    own = {e["run"]: e["value"] for e in found["estimates"] if e["name"] == "base_x_m"}
+    assert set(own) == {runs.open(bench[name]).header.run_id for name in ("one", "two")}
+    written = read(file).found.mounting.base_translation_mm
+    assert written[0] == pytest.approx(1e3 * sum(own.values()) / 2, abs=1e-9)
+
+
+def test_what_cannot_differ_between_the_runs_is_refused(
+    bench: dict[str, str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    rig(bench["one"], "--free", "law", "--per-run", "damping_s", status=2)
+    assert "damping_s cannot differ between the runs: it has no effect on them" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(("moving", "damped"), [(True, True), (False, False)])
