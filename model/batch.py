@@ -21,6 +21,8 @@ from model.schemes import DEFAULT_ALPHA
 from model.statics import steps_along
 
 Array = NDArray[np.float64]
+ROWS_PER_THREAD = 150
+"""Fewer rows are solved before a further thread has started."""
 AT_ONCE = 1024  # arms prepared for the kernels, each in an array of its own
 
 
@@ -77,7 +79,7 @@ def statics(
                 unstable[at],
             )  # fmt: skip
 
-    spread(part, count, workers)
+    spread(part, count, workers, ROWS_PER_THREAD)
     return Tips(place, turned, good, unstable)
 
 
@@ -123,10 +125,12 @@ def _check(arms: list[Arm], pressure: Array, axes: int) -> None:
         raise ValueError("pressures must be finite")
 
 
-def spread(part: Callable[[range], None], count: int, workers: int | None) -> None:
-    """Run part(range) over contiguous shares of the rows, one thread per core; the kernels release the GIL."""
+def spread(part: Callable[[range], None], count: int, workers: int | None, least: int = 1) -> None:
+    """Run part(range) over contiguous shares of the rows on `workers` threads; the kernels release the GIL.
 
-    threads = max(1, min(count, workers if workers is not None else os.cpu_count() or 1))
+    By default one thread per core, as long as each has at least `least` rows.
+    """
+    threads = max(1, min(count, workers) if workers is not None else min(count // least, os.cpu_count() or 1))
     edges = [count * k // threads for k in range(threads + 1)]
     spans = [range(a, b) for a, b in pairwise(edges)]
     if threads == 1:

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from model.arm import Arm
-from model.batch import spread
+from model.batch import ROWS_PER_THREAD, spread
 from model.dynamics import Dynamics
 from model.errors import NotConverged, Unstable
 from model.kernel_arguments import KernelArguments
@@ -147,7 +147,7 @@ def statics(
                 stack.own(at), lane_rows[at], tip_loads if len(tip_loads) == 1 else tip_loads[at], nodes, room
             )
 
-    spread(part, len(rows), workers)
+    spread(part, len(rows), workers, ROWS_PER_THREAD)
     each = [parts[start] for start in sorted(parts)]
     return Gradients(
         *(np.concatenate([getattr(one, name) for one in each]) for name in ("tip_m", "tip_rotation", "ok")),
