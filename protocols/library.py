@@ -23,6 +23,7 @@ from protocols.steps.tip import Tip
 from protocols.substitution import KEY, Substitution, substitute
 from protocols.tip_inverse import TipInverse
 from protocols.trajectory import SetPointTrajectory
+from protocols.validation import json_schema
 
 FOLDER = Path(__file__).parent / "library"
 MOST_NEIGHBOURS = 200
@@ -125,7 +126,7 @@ def _validated(document: Document, settings: Mapping[str, float]) -> tuple[Proto
     """The protocol with its parameters replaced by their values."""
     if not settings and KEY not in document.data:
         return yaml_document.validate(ProtocolFile, document), Substitution(document)
-    substitution = substitute(document, ProtocolFile.model_json_schema(), settings)
+    substitution = substitute(document, json_schema(ProtocolFile), settings)
     try:
         return yaml_document.validate(ProtocolFile, substitution.document), substitution
     except BadInputError as error:
