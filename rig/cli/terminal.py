@@ -194,8 +194,7 @@ def _path_error_mm(row: NDArray[np.void]) -> float:
 
 
 def _line(progress: Progress) -> str:
-    left = progress.duration_s - progress.protocol_s
-    parts = [f"{progress.protocol_s:7.1f} s, {_clock(left)} left"]
+    parts = [f"{progress.protocol_s:7.1f} of {progress.duration_s:.1f} s"]
     if progress.sample is not None:
         pairs = zip(progress.sample["setpoint_pa"], progress.sample["measured_pa"], strict=True)
         parts.append("bar " + " ".join(f"{s / PA_PER_BAR:.3f}/{m / PA_PER_BAR:.3f}" for s, m in pairs))
@@ -245,10 +244,9 @@ def _screen(title: str, progress: Progress) -> FittedDisplay:
         style = "yellow" if progress.missed or progress.dropped else "dim"
         blocks.append(DisplayBlock((Text(late, style), NOTHING), DisplayPriority.TIMING))
     clock = f"{_clock(progress.protocol_s)} of {_clock(progress.duration_s)}"
-    left = f"{clock}, {_clock(progress.duration_s - progress.protocol_s)} left"
     way = Table.grid(Column(max_width=50), Column(no_wrap=True), padding=(0, 1))
-    way.add_row(ProgressBar(total=progress.duration_s, completed=progress.protocol_s), left)
-    blocks.append(DisplayBlock((way, Text(left))))
+    way.add_row(ProgressBar(total=progress.duration_s, completed=progress.protocol_s), clock)
+    blocks.append(DisplayBlock((way, Text(clock))))
     blocks.append(DisplayBlock((Text("p pauses, Ctrl-C stops", "dim"), NOTHING), DisplayPriority.HINT))
     if progress.adaptation is not None:
         found = _estimates(progress.adapted, progress.adaptation)
