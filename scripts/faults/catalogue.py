@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from rig.simulator.faults import CameraFault, SensorFault, ValveFault
 from runs.records import Status
 from scripts.faults.environment import DAY_NS
@@ -55,8 +57,14 @@ def _process(
     return Fault(name, "process", injection, ends, says, virtual=False, within_s=within_s, remark=remark)
 
 
-def _tip_control(name: str, injection: Signal | BenchFault, ends: tuple[Status, ...], says: str) -> Fault:
+def _tip_control(name: str, injection: Signal, ends: tuple[Status, ...], says: str) -> Fault:
     return Fault(name, "tip control", injection, ends, says, virtual=False, bench=TIP)
+
+
+def _while_tip_is_controlled(camera: Fault) -> Fault:
+    """The same fault of the camera while the tip controller steers by it."""
+    name = f"{camera.name} while the tip is controlled"
+    return replace(camera, name=name, kind="tip control", bench=TIP, virtual=camera is CAMERA_FROZEN)
 
 
 SENSORS = (
@@ -122,10 +130,13 @@ CARD = (
     ),
     Fault("card overruns, 2000 scans", "card", BenchFault({"lost_scans": 2000}), ABORTED, "no pressure sample"),
 )
+CAMERA_FROZEN = Fault(
+    "camera frozen", "camera", BenchFault({"camera": CameraFault.FROZEN}), FINISHED, "repeats the same picture"
+)
 CAMERA = (
     Fault("camera unplugged", "camera", BenchFault({"camera": CameraFault.UNPLUGGED}), ABORTED, "camera"),
     Fault("camera gives no more pictures", "camera", BenchFault({"camera": CameraFault.SILENT}), ABORTED, "camera"),
-    Fault("camera frozen", "camera", BenchFault({"camera": CameraFault.FROZEN}), FINISHED, "repeats the same picture"),
+    CAMERA_FROZEN,
     Fault("camera black", "camera", BenchFault({"camera": CameraFault.BLACK}), FINISHED, "no board in the picture"),
     Fault(
         "camera repeats every picture", "camera", BenchFault({"camera": CameraFault.DUPLICATED}), FINISHED, "repeats"
@@ -222,9 +233,7 @@ TIP_CONTROL = (
         ABORTED,
         "observer process has been silent",
     ),
-    _tip_control(
-        "camera unplugged while the tip is controlled", BenchFault({"camera": CameraFault.UNPLUGGED}), ABORTED, "camera"
-    ),
+    *map(_while_tip_is_controlled, CAMERA),
 )
 ALL_FIVE = (SUPERVISOR, WATCHDOG, CONTROL, OBSERVER, PLANT)
 SURROUNDINGS = (
