@@ -29,6 +29,12 @@ def pytest_configure() -> None:
         providers._get_local_constants = lambda: none
 
 
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_auto_num_workers() -> int:
+    """One more test process than processors: tests wait for processes, disks and clocks of their own."""
+    return len(os.sched_getaffinity(0)) + 1
+
+
 def pytest_collection_finish() -> None:
     """Test processes run hundreds of commands."""
     avoid_repeated_work()
