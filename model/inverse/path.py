@@ -73,11 +73,14 @@ class PathInverse:
             return tips[-1], np.zeros(3)
         return tips[-1], (1.5 * tips[-1] - 2 * tips[-2] + 0.5 * tips[-3]) / self._dt_s
 
-    def follow(self, target_m: Array, coordinates: tuple[int, ...], before_pa: Array) -> PathFollowing:
+    def follow(
+        self, target_m: Array, coordinates: tuple[int, ...], before_pa: Array, enough_m: float = 0.0
+    ) -> PathFollowing:
         """Pressures for targets (n, 3) [m] in some coordinates, from the last of before_pa (k, N) on.
 
         Gauss-Newton over all samples: first statics on a coarse grid, then the dynamic model, whose error is mapped to
-        pressures by the static gradients and the arm's second-order response.
+        pressures by the static gradients and the arm's second-order response. With `enough_m`
+        the largest error counts instead of the root mean square, and it ends when that is at most `enough_m`.
 
         Raises:
             NotConverged: the arm has no equilibrium to start from.
@@ -92,11 +95,12 @@ class PathInverse:
         for _ in range(DYNAMIC_STEPS):
             tips = self._tips(before_pa, pressure[1:] @ self._matrix.T, 1)
             error = target_m[:, axes] - tips[:, axes]
-            size = float(np.sqrt(np.mean(error[np.isfinite(error)] ** 2)))
+            worst = float(np.linalg.norm(error, axis=1).max())
+            size = worst if enough_m else float(np.sqrt(np.mean(error[np.isfinite(error)] ** 2)))
             improved = size < LEAST_PROGRESS * least
-            if size < least:
+            if size < least or best is None:
                 best, least = PathFollowing(pressure, tips), size
-            if not improved or size < SMALL_M:
+            if not improved or size < SMALL_M or worst <= enough_m:
                 break
             shift = self._correction(np.nan_to_num(error), response)
             pressure = limited_step(gradient, shift, pressure, self._drive, self._dt_s)

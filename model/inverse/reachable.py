@@ -17,7 +17,9 @@ from model.sensitivities import Variation
 Array = NDArray[np.float64]
 
 STARTS = (0.1, 0.5, 0.9)
-"""Starting points of the search, relative to the highest pressure, for each valve."""
+"""Pressures of each valve among which the search starts, relative to the highest pressure."""
+SEARCHES = 4
+"""Starting points of the search: those whose tips are the nearest to the target."""
 GRADIENT_STEP_PA = 0.01
 MM_PER_M = 1e3
 
@@ -36,19 +38,22 @@ def nearest_reachable(
 ) -> ReachablePoint:
     """The point nearest to target_m (3,) in some coordinates that the tip reaches at rest.
 
-    Bounded least squares (dogleg in a box) with the model's gradients, from several starting points.
+    Bounded least squares (dogleg in a box) with the model's gradients, from the nearest points of a coarse grid.
     """
     axes, matrix = list(coordinates), drive.matrix()
-    weight = np.array([weight_kg]) if weight_kg else None
     solved: dict[bytes, sensitivities.Gradients] = {}
+
+    def at(pressure_bar: Array) -> sensitivities.Gradients:
+        rows = (pressure_bar * PA_PER_BAR) @ matrix.T
+        changes = [Variation(GRADIENT_STEP_PA, arm, rows + GRADIENT_STEP_PA * column) for column in matrix.T]
+        weights = np.full(len(rows), weight_kg) if weight_kg else None
+        return sensitivities.statics(arm, rows, changes, weights, workers=1)
 
     def gradients(pressure_bar: Array) -> sensitivities.Gradients:
         key = pressure_bar.tobytes()
         if key not in solved:
-            row = (matrix @ (pressure_bar * PA_PER_BAR))[None]
-            changes = [Variation(GRADIENT_STEP_PA, arm, row + GRADIENT_STEP_PA * column) for column in matrix.T]
             solved.clear()
-            solved[key] = sensitivities.statics(arm, row, changes, weight, workers=1)
+            solved[key] = at(pressure_bar[None])
         return solved[key]
 
     def error_mm(pressure_bar: Array) -> Array:
@@ -58,11 +63,12 @@ def nearest_reachable(
         return gradients(pressure_bar).tip_by[0, axes] * MM_PER_M * PA_PER_BAR
 
     highest = drive.highest_pa / PA_PER_BAR
+    grid = highest * np.array(list(product(STARTS, repeat=drive.valves)))
+    coarse = at(grid)
+    distance_m = np.linalg.norm(coarse.tip_m[:, axes] - target_m[axes], axis=1)
+    nearest = [k for k in np.argsort(distance_m, kind="stable") if coarse.ok[k]][:SEARCHES]
     best: tuple[float, Array] | None = None
-    for shares in product(STARTS, repeat=drive.valves):
-        start = highest * np.array(shares)
-        if not gradients(start).ok[0]:
-            continue
+    for start in grid[nearest]:
         try:
             found = least_squares(
                 error_mm, start, gradient, bounds=(0.0, highest), method="dogbox", xtol=1e-12, ftol=1e-12, gtol=1e-12

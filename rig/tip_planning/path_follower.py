@@ -58,8 +58,10 @@ class PathFollower:
         self.drive = drive_of(config)
         self._loads = TipLoad(config)
 
-    def follow(self, request: TipRequest, path: TipPath, slowed: float = 1.0) -> TimedFollowing:
+    def follow(self, request: TipRequest, path: TipPath, slowed: float = 1.0, enough_m: float = 0.0) -> TimedFollowing:
         """The pressures of `path`, whether within the tolerance or not; `slowed` is its share of the asked speed.
+
+        With `enough_m` it answers only whether the largest error can be at most that: it ends as soon as that is known.
 
         Raises:
             ArithmeticError, NotConverged: there is no solution.
@@ -74,22 +76,26 @@ class PathFollower:
         lead = round(request.lead_in_s / dt_s)
         times: Array = np.arange(-lead, math.ceil(path.duration_s / dt_s - 1e-9) + 1.0) * dt_s
         target, _ = fade(start, path, lead * dt_s, times)
-        following = inverse.follow(target, request.coordinates, before)
+        following = inverse.follow(target, request.coordinates, before, enough_m)
         return TimedFollowing(times, target, start, following, following.error_m(target, request.coordinates))
 
     def within(self, request: TipRequest, found: TimedFollowing) -> bool:
         """True if the tip of the model stays within the tolerance."""
         return bool(np.all(found.error_m <= request.tolerance_m))
 
-    def feasible(self, request: TipRequest, speed: float, size: float) -> bool:
-        """True if the path can be followed at this share of its speed and size."""
+    def worst_m(self, request: TipRequest, speed: float, size: float) -> float:
+        """Largest error of the path at this share of its speed and size; infinite without a solution.
+
+        Of a path that stays within the tolerance it is an upper bound.
+        """
         path: TipPath = ScaledPath(request.path, speed, size)
         if path.period_s is not None and path.period_s + SETTLED_S < path.duration_s:
             path = FirstPeriods(path, path.period_s + SETTLED_S)
         try:
-            return self.within(request, self.follow(request, path, speed))
+            worst = float(self.follow(request, path, speed, request.tolerance_m).error_m.max())
         except NO_SOLUTION:
-            return False
+            return math.inf
+        return worst if math.isfinite(worst) else math.inf
 
 
 @dataclass(frozen=True, eq=False)

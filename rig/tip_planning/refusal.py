@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from itertools import count
 
 import numpy as np
 from numpy.typing import NDArray
 
 from model.inverse.reachable import ReachablePoint, nearest_reachable
 from protocols.tip_inverse import TipRefusedError, TipRequest
+from protocols.tip_paths import length_m
 from rig.config.sections import PA_PER_BAR
 from rig.tip_planning.path_follower import PathFollower, TimedFollowing
 
@@ -18,7 +20,11 @@ Array = NDArray[np.float64]
 MM = 1e3
 SMALLEST = 0.1
 """Smallest share of speed and size that is tried."""
-HALVINGS = 6
+FIRST = 0.8
+LINEAR = 4
+"""Trials by regula falsi; where the error is far from linear, bisection follows."""
+RESOLUTION = 0.02
+"""A share that is stated is possible, and one that is larger by more than this is not."""
 LEAD_IN_FELT_S = 0.5
 """How far into the path a lead-in that is too short has an effect."""
 BINDING_S = 0.15
@@ -44,29 +50,33 @@ def refusal(follower: PathFollower, request: TipRequest, found: TimedFollowing) 
     off = MM * float(found.error_m[first])
     text = f"{_point(target, request.coordinates)} at {at_s:.2f} s ({where}); the model's tip is {off:.2f} mm off"
     cause = _out_of_reach(follower, nearest) if out_of_reach else _too_fast(follower, found, first)
+    worst_m = float(found.error_m.max())
     expected = f"a path that the arm follows within {MM * request.tolerance_m:g} mm; {cause}; "
     if out_of_reach:
         place = _point(nearest.tip_m, request.coordinates)
         expected += f"the nearest reachable point is {place}, {MM * nearest.distance_m:.2f} mm away"
     else:
         expected += "at rest the arm reaches the point"
-    return TipRefusedError(text, f"{expected}; {_remedies(follower, request, t_s, out_of_reach)}")
+    return TipRefusedError(text, f"{expected}; {_remedies(follower, request, t_s, out_of_reach, worst_m)}")
 
 
 def _nearest(follower: PathFollower, request: TipRequest, target_m: Array) -> ReachablePoint:
     return nearest_reachable(follower.arm, follower.drive, target_m, request.coordinates, request.weight_kg)
 
 
-def _remedies(follower: PathFollower, request: TipRequest, t_s: float, out_of_reach: bool) -> str:
+def _remedies(follower: PathFollower, request: TipRequest, t_s: float, out_of_reach: bool, worst_m: float) -> str:
     if t_s < 0 and not out_of_reach:
         return "a longer lead_in_s may do"
+    if length_m(request.path) == 0:
+        return "give a point within its reach" if out_of_reach else "a longer lead_in_s may do"
     found = []
-    speed = 0.0 if out_of_reach else _largest(lambda share: follower.feasible(request, share, 1.0))
+    tolerance_m = request.tolerance_m
+    speed = 0.0 if out_of_reach else largest_share(lambda s: follower.worst_m(request, s, 1.0), worst_m, tolerance_m)
     if speed:
         period = request.path.period_s
         means = f" (period_s: {period / speed:.3g})" if period else ""
         found.append(f"{speed:.2f} of this speed{means}")
-    size = _largest(lambda share: follower.feasible(request, 1.0, share))
+    size = largest_share(lambda s: follower.worst_m(request, 1.0, s), worst_m, tolerance_m)
     if size:
         found.append(f"{size:.2f} of this size about {_point(request.path.centre_m(), request.coordinates)}")
     if not found:
@@ -74,15 +84,37 @@ def _remedies(follower: PathFollower, request: TipRequest, t_s: float, out_of_re
     return f"largest possible: {', or '.join(found)}"
 
 
-def _largest(feasible: Callable[[float], bool]) -> float:
-    """The largest share below 1 that is feasible, by bisection, rounded down; 0 if there is none."""
-    low, high = SMALLEST, 1.0
-    if not feasible(low):
-        return 0.0
-    for _ in range(HALVINGS):
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if feasible(middle) else (low, middle)
-    return math.floor(100 * low) / 100
+def largest_share(worst_m: Callable[[float], float], at_full_m: float, tolerance_m: float) -> float:
+    """The largest share below 1 whose error is within the tolerance, rounded down to 0.01; 0 if SMALLEST is not.
+
+    Regula falsi, because the error rises almost linearly beyond the largest share; then bisection. `at_full_m` is the
+    error at 1; that of a share within the tolerance may be an upper bound.
+    """
+    low, low_m, high, high_m = SMALLEST, math.nan, 1.0, at_full_m
+    share, step = FIRST, RESOLUTION
+    for trial in count(1):
+        error_m = worst_m(share)
+        before, before_m = high, high_m
+        if error_m <= tolerance_m:
+            low, low_m = share, error_m
+        elif share <= SMALLEST:
+            return 0.0
+        else:
+            high, high_m = share, error_m
+        bracketed = not math.isnan(low_m)
+        if bracketed and high - low <= RESOLUTION:
+            return math.floor(100 * low) / 100
+        other, other_m = (low, low_m) if bracketed else (before, before_m)
+        # An upper bound of the error leads to too small a step: each success doubles the least step.
+        step = 2 * step if error_m <= tolerance_m else RESOLUTION
+        nearest = min(low + 0.5 * step, 0.5 * (low + high)) if bracketed else SMALLEST
+        farthest = max(high - 0.5 * RESOLUTION, 0.5 * (low + high))
+        slope = (high_m - other_m) / (high - other)
+        line = high - (high_m - tolerance_m) / slope if math.isfinite(slope) and slope > 0 else 0.5 * (low + high)
+        share = min(max(line, nearest), farthest)
+        if trial >= LINEAR:
+            share = 0.5 * (low + high) if bracketed else SMALLEST
+    raise AssertionError("an unlimited count has ended")
 
 
 def _out_of_reach(follower: PathFollower, nearest: ReachablePoint) -> str:

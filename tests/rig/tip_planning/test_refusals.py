@@ -16,6 +16,7 @@ from rig.config.arm_model import model_arm
 from rig.config.loader import load
 from rig.experiment.preflight import check
 from rig.tip_planning.inverse import RigTipInverse
+from rig.tip_planning.refusal import RESOLUTION, largest_share
 
 
 @cache
@@ -111,3 +112,24 @@ def test_consecutive_paths_join_without_a_stop() -> None:
     assert second.velocity_m_s[0] == pytest.approx(first.velocity_m_s[-1], abs=2e-3)
     assert second.position_m[0] == pytest.approx(first.position_m[-1], abs=1e-4)
     assert check(load("mock-3"), played) == ()
+
+
+@pytest.mark.parametrize("limit", [0.05, 0.11, 0.3, 0.568, 0.79, 0.81, 0.93, 0.99])
+@pytest.mark.parametrize("bend", [1.0, 2.0, 0.5])
+def test_the_largest_share_is_found_to_its_resolution_in_few_solutions(limit: float, bend: float) -> None:
+    tried = []
+
+    def worst_m(share: float) -> float:
+        tried.append(share)
+        excess = np.sign(share - limit) * abs(share - limit) ** bend
+        # Within the tolerance only a bound is known, and far beyond it there is no solution.
+        return 5e-4 if excess <= 0 else 5e-4 + 0.02 * excess
+
+    found = largest_share(worst_m, worst_m(1.0), 5e-4)
+    if limit < 0.1:
+        assert found == 0
+    else:
+        assert limit - RESOLUTION - 0.01 <= found <= limit
+    assert len(tried) <= 12
+    without = largest_share(lambda share: 1e-4 if share <= limit else np.inf, np.inf, 5e-4)
+    assert without == 0 if limit < 0.1 else limit - RESOLUTION - 0.01 <= without <= limit
