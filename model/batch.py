@@ -15,6 +15,7 @@ from model.arm import Arm
 from model.dynamics import ArmTrajectory, Dynamics
 from model.kernel_arguments import KernelArguments
 from model.kernels import layout
+from model.kernels.arguments import ArmArguments, TipPoses
 from model.kernels.axis import equilibria
 from model.kernels.shooting import TOLERANCE_AT_REST, Workspace
 from model.schemes import DEFAULT_ALPHA
@@ -68,16 +69,21 @@ def statics(
             first = problems[0]
             works = layout.aligned(len(problems), len(first.prepared))
             works[:] = [p.prepared for p in problems]
-            equilibria(
-                works, first.walls,
-                np.concatenate([p.stiffness for p in problems]), np.concatenate([p.rest for p in problems]),
-                np.concatenate([p.per_pressure for p in problems]), np.array([p.free_per_pa for p in problems]),
-                rows[at], np.array([load for load, _ in loads]), any(loaded for _, loaded in loads),
-                np.array([p.cap for p in problems]),
-                np.array([p.length_m for p in problems]), np.array([p.scale for p in problems]),
-                np.array([p.centre_m for p in problems]), TOLERANCE_AT_REST, room, place[at], turned[at], good[at],
-                unstable[at],
-            )  # fmt: skip
+            arms_here = ArmArguments(
+                work=works,
+                stiffness=np.concatenate([p.stiffness for p in problems]),
+                rest=np.concatenate([p.rest for p in problems]),
+                per_pressure=np.concatenate([p.per_pressure for p in problems]),
+                free_per_pa=np.array([p.free_per_pa for p in problems]),
+                load=np.array([load for load, _ in loads]),
+                loaded=any(loaded for _, loaded in loads),
+                tip=np.array([p.cap for p in problems]),
+                length=np.array([p.length_m for p in problems]),
+                scale=np.array([p.scale for p in problems]),
+                centre=np.array([p.centre_m for p in problems]),
+            )
+            tips = TipPoses(place[at], turned[at], good[at])
+            equilibria(first.walls, arms_here, rows[at], room, TOLERANCE_AT_REST, tips, unstable[at])
 
     spread(part, count, workers, ROWS_PER_THREAD)
     return Tips(place, turned, good, unstable)

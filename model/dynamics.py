@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -12,9 +11,10 @@ from numpy.typing import ArrayLike, NDArray
 from model.arm import Arm
 from model.errors import Unstable
 from model.kernel_arguments import KernelArguments
+from model.kernels.arguments import ArmArguments, MotionState, TipPoses
 from model.kernels.axis import motion
 from model.kernels.layout import STATE, aligned
-from model.kernels.shooting import TOLERANCE_IN_MOTION, workspace_in, workspace_size
+from model.kernels.shooting import TOLERANCE_IN_MOTION, Workspace, workspace_in, workspace_size
 from model.kernels.time_stepping import initialise_history
 from model.loads import Loads
 from model.pressures import pressures
@@ -85,14 +85,20 @@ class Dynamics:
         """The shortest time step whose waves the steps along the arm follow."""
         return self._dt_s * self._even_growth / self._nodes
 
-    def arguments(self) -> tuple[Any, ...]:
-        """The arm in motion, after `start`, as `dynamic_sensitivities` takes it: nothing on its tip but the cap."""
-        problem = self._problem
-        return (
-            self._work, problem.walls, problem.free_per_pa, self._before, self._load, self._loaded, problem.cap,
-            problem.length_m, self._segments, problem.scale, self._coefficients, self._past_states, self._x, self._room,
-            TOLERANCE_IN_MOTION, problem.centre_m,
-        )  # fmt: skip
+    @property
+    def state(self) -> MotionState:
+        """Where the motion stands, as the kernels take it; after `start`."""
+        return self._state
+
+    @property
+    def arm_with_cap(self) -> ArmArguments:
+        """The arm in motion with nothing on its tip but the cap, as the kernels take it; after `start`."""
+        return self._problem.arm(self._work, self._problem.cap, self._load, self._loaded)
+
+    @property
+    def room(self) -> Workspace:
+        """What a time step is solved in; after `start`."""
+        return self._room
 
     def start(self, pressure_pa: ArrayLike, loads: Loads | None = None) -> Shape:
         """Begin at rest under gauge pressures (N,) [Pa]; raises as `statics` does."""
@@ -118,6 +124,7 @@ class Dynamics:
         initialise_history(self._coefficients, self._x, self._past_states, resting.length_m, self._room)
         self._before = np.stack([pressure] * 3)
         self._loads, self._tip, self._load, self._loaded = None, tip, load, loaded
+        self._prepare()
         self._started = True
 
     def step(self, pressure_pa: ArrayLike, loads: Loads | None = None, dt_s: float | None = None) -> Shape:
@@ -180,6 +187,12 @@ class Dynamics:
         self._scheme, self._coefficients = scheme, _array(scheme)
         self._problem = KernelArguments.of(self._arm, self._before[:1], scheme.c0)
         self._work = self._problem.work()
+        self._prepare()
+
+    def _prepare(self) -> None:
+        """Set the kernels' arguments, which most steps share."""
+        self._arm_arguments = self._problem.arm(self._work, self._tip, self._load, self._loaded)
+        self._state = MotionState(self._before, self._segments, self._coefficients, self._past_states, self._x)
 
     def _advance(self, rows: Array) -> ArmTrajectory:
         if self._arm.by_pressure and len(rows):
@@ -187,22 +200,21 @@ class Dynamics:
                 raise ValueError(NOT_FINITE)
             self._problem = KernelArguments.of(self._arm, rows, self._scheme.c0)
             self._work = self._problem.work()
-        problem, count = self._problem, len(rows)
-        tips, turns, good = np.empty((count, 3)), np.empty((count, 3, 3)), np.empty(count, dtype=np.bool_)
+            self._prepare()
+        count = len(rows)
+        tips = TipPoses(np.empty((count, 3)), np.empty((count, 3, 3)), np.empty(count, dtype=np.bool_))
         passes = motion(
-            self._work, problem.walls, problem.stiffness, problem.rest, problem.per_pressure,
-            problem.free_per_pa, self._before, rows, self._load, self._loaded, self._tip, problem.length_m,
-            self._segments, problem.scale, self._coefficients, self._past_states, self._x, self._pool,
-            TOLERANCE_IN_MOTION, problem.centre_m, tips, turns, good,
-        )  # fmt: skip
+            self._problem.walls, self._arm_arguments, self._state, rows, self._pool, TOLERANCE_IN_MOTION, tips
+        )
         if passes < 0:
             raise ValueError(NOT_FINITE)
-        return ArmTrajectory(tips, turns, good)
+        return ArmTrajectory(*tips)
 
     def _set_loads(self, loads: Loads | None) -> None:
         self._tip = self._problem.tip(loads)
         self._load, self._loaded = self._problem.load(self._arm, loads, self._nodes)
         self._loads = loads
+        self._prepare()
 
     def _growth(self) -> float:
         """Exponent by which the stiffest mode grows along the arm within one time step's equations, c0 L / c_shear."""

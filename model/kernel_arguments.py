@@ -12,6 +12,7 @@ from model.actuation import PA_PER_BAR
 from model.arm import Arm
 from model.geometry import Geometry
 from model.kernels import layout
+from model.kernels.arguments import ArmArguments
 from model.kernels.law import Walls, kernel_law
 from model.laws.base import TubeLaw
 from model.laws.quadratic_compliance import QuadraticCompliance
@@ -83,6 +84,13 @@ class KernelArguments:
             scale=_scale(geometry.length_m, c0),
             cap=_cap(arm, centre),
         )
+
+    def arm(self, work: Array, tip: Array, load: Array, loaded: bool) -> ArmArguments:
+        """The arm with a work array, the wrench on its tip and its distributed load, as the outer kernels take it."""
+        return ArmArguments(
+            work, self.stiffness, self.rest, self.per_pressure, self.free_per_pa, load, loaded, tip, self.length_m,
+            self.scale, self.centre_m,
+        )  # fmt: skip
 
     def work(self) -> Array:
         """A work array of one's own."""

@@ -20,9 +20,10 @@ from model.dynamics import Dynamics
 from model.errors import NotConverged, Unstable
 from model.kernel_arguments import KernelArguments
 from model.kernels import layout
+from model.kernels.arguments import LaneArguments, TipAnswers
 from model.kernels.dynamic_sensitivities import dynamic_sensitivities
 from model.kernels.lanes import FIRST, Lanes, apply_tip_load, passes
-from model.kernels.shooting import TOLERANCE_AT_REST, workspace_for
+from model.kernels.shooting import TOLERANCE_AT_REST, TOLERANCE_IN_MOTION, workspace_for
 from model.kernels.static_sensitivities import static_sensitivities
 from model.loads import Loads
 from model.pressures import pressures
@@ -105,11 +106,14 @@ def tip_gradient(arm: Arm, pressure_pa: ArrayLike, loads: Loads | None = None, n
         stack = _Stack.of(arm, _varied(arm, pressure), nodes, pressure[None])
     else:
         stack = _kept.stack(arm, nodes)
-    tip_loads = stack.nothing
+    tip_loads = np.zeros((1, len(stack.lanes.works), 12, layout.LANES))
     if loads is not None:
         load, loaded = stack.first.load(arm, loads, nodes)
         # What is kept must not remember a load.
-        stack = replace(stack.own(slice(None)), load=load, loaded=loaded, loaded_lanes=loaded or stack.loaded_lanes)
+        stack = stack.own(slice(None))
+        stack = replace(
+            stack, lanes=stack.lanes._replace(loaded=loaded or stack.lanes.loaded), load=load, loaded=loaded
+        )
         tip_loads = tip_loads + np.concatenate([loads.tip(), loads.pull()])[:, None]
     rows = pressure[:, None] + _shifts(len(names), len(pressure))
     found = _solve(stack, rows, tip_loads, nodes, _kept.lanes(len(stack.steps), nodes))
@@ -190,13 +194,15 @@ def motion(
         unstable[0] = isinstance(fault, Unstable)
         return _gradients(place, turned, good, by, unstable)
     swinging = _Stack.of(arm, changes, n, rows, dynamics.c0)
+    arm_in_motion = dynamics.arm_with_cap._replace(
+        stiffness=swinging.first.stiffness, rest=swinging.first.rest, per_pressure=swinging.first.per_pressure
+    )
     dynamic_sensitivities(
-        *dynamics.arguments(), swinging.first.stiffness, swinging.first.rest, swinging.first.per_pressure,
-        still.first.scale, still.works, still.stiffness, still.rest, still.per_pressure, swinging.works,
-        swinging.stiffness, swinging.rest, swinging.per_pressure, swinging.frees, swinging.ends,
-        _lane_rows(rows, [change.pressure_pa for change in changes]), tip_loads, swinging.loaded_lanes, swinging.heavy,
-        layout.aligned(len(swinging.ends), n + 1, 24 * layout.LANES), Lanes.of(neighbours, n, dynamics.segments),
-        swinging.steps, every, place, turned, by, good,
+        still.first.walls, arm_in_motion, dynamics.state, still.lanes, still.first.scale, swinging.lanes,
+        _lane_rows(rows, [change.pressure_pa for change in changes]), tip_loads, swinging.steps, every,
+        layout.aligned(len(swinging.lanes.works), n + 1, 24 * layout.LANES), dynamics.room,
+        Lanes.of(neighbours, n, dynamics.segments), TOLERANCE_IN_MOTION,
+        TipAnswers(place, turned, by, good, unstable),
     )  # fmt: skip
     lost = ~good
     place[lost], turned[lost], by[lost] = np.nan, np.nan, np.nan
@@ -307,19 +313,11 @@ class _Stack:
     """The arm and its neighbours as the kernels take them; one section for each row of pressures, or one for all."""
 
     first: KernelArguments
-    works: Array
-    stiffness: Array
-    rest: Array
-    per_pressure: Array
-    frees: Array
-    ends: Array
+    lanes: LaneArguments
     load: Array
     loaded: bool
-    loaded_lanes: bool
-    heavy: bool
     work: Array
     steps: Array
-    nothing: Array
 
     @classmethod
     def of(cls, arm: Arm, changes: Sequence[Variation], nodes: int, rows: Array, c0: float = 0.0) -> _Stack:
@@ -341,28 +339,27 @@ class _Stack:
         load, loaded = first.load(arm, None, nodes)
         sections = [p.stiffness for p in each], [p.rest for p in each], [p.per_pressure for p in each]
         stiffness, rest, per_pressure = (np.ascontiguousarray(_lanes(order, part).swapaxes(0, 1)) for part in sections)
-        return cls(
-            first, works.reshape(len(works), -1), stiffness, rest, per_pressure,
-            _lanes(order, [p.free_per_pa for p in each]), ends, load, loaded, loaded or bool(np.any(heavier)),
-            any(one.cap_inertia for one in arms), first.work(),
-            np.array([change.step for change in changes], dtype=np.float64),
-            np.zeros((1, len(works), 12, layout.LANES)),
+        lanes = LaneArguments(
+            works.reshape(len(works), -1), stiffness, rest, per_pressure, _lanes(order, [p.free_per_pa for p in each]),
+            ends, loaded or bool(np.any(heavier)), any(one.cap_inertia for one in arms),
         )  # fmt: skip
+        steps = np.array([change.step for change in changes], dtype=np.float64)
+        return cls(first, lanes, load, loaded, first.work(), steps)
 
     def own(self, rows: slice) -> _Stack:
         """The part for some rows, with work arrays of its own."""
-        works = layout.aligned(*self.works.shape)
-        works[:] = self.works
-        first = self.first
-        at = slice(None) if len(self.stiffness) == 1 else rows
-        at_rest = slice(None) if len(self.rest) == 1 else rows
-        return replace(
-            self, works=works, work=first.work(), stiffness=self.stiffness[at], rest=self.rest[at_rest],
-            per_pressure=self.per_pressure[at],
-            first=replace(
-                first, stiffness=first.stiffness[at], rest=first.rest[at_rest], per_pressure=first.per_pressure[at]
-            ),
-        )  # fmt: skip
+        lanes, first = self.lanes, self.first
+        works = layout.aligned(*lanes.works.shape)
+        works[:] = lanes.works
+        at = slice(None) if len(lanes.stiffness) == 1 else rows
+        at_rest = slice(None) if len(lanes.rest) == 1 else rows
+        own = lanes._replace(
+            works=works, stiffness=lanes.stiffness[at], rest=lanes.rest[at_rest], per_pressure=lanes.per_pressure[at]
+        )
+        first = replace(
+            first, stiffness=first.stiffness[at], rest=first.rest[at_rest], per_pressure=first.per_pressure[at]
+        )
+        return replace(self, first=first, lanes=own, work=first.work())
 
 
 class _Kept(threading.local):
@@ -390,10 +387,18 @@ def _solve(stack: _Stack, rows: Array, tip_loads: Array, nodes: int, room: Lanes
     count, first, neighbours = len(rows), stack.first, len(stack.steps)
     place, turned, by = np.empty((count, 3)), np.empty((count, 3, 3)), np.empty((count, neighbours, 6))
     good, unstable = np.empty(count, dtype=np.bool_), np.empty(count, dtype=np.bool_)
+    arm = first.arm(stack.work, first.cap, stack.load, stack.loaded)
+    answers = TipAnswers(place, turned, by, good, unstable)
     static_sensitivities(
-        stack.work, stack.works, first.walls, first.stiffness, first.rest, first.per_pressure,
-        first.free_per_pa, stack.stiffness, stack.rest, stack.per_pressure, stack.frees, stack.ends, rows, tip_loads,
-        stack.load, stack.loaded, stack.loaded_lanes, stack.heavy, first.cap, first.length_m, first.scale,
-        first.centre_m, TOLERANCE_AT_REST, workspace_for(nodes), room, stack.steps, place, turned, by, good, unstable,
-    )  # fmt: skip
+        first.walls,
+        arm,
+        stack.lanes,
+        rows,
+        tip_loads,
+        stack.steps,
+        workspace_for(nodes),
+        room,
+        TOLERANCE_AT_REST,
+        answers,
+    )
     return _gradients(place, turned, good, by, unstable)

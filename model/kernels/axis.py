@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from model.kernels.arguments import ArmArguments, MotionState, TipPoses
 from model.kernels.equilibrium import UNSTABLE, equilibrium
 from model.kernels.jit import kernel
 from model.kernels.law import Walls
@@ -91,93 +92,58 @@ def place_tip(x: Array, length: float, centre: Array, place: Array, turned: Arra
 
 @kernel
 def motion(
-    w: Array,
-    walls: Walls,
-    stiffness: Array,
-    rest: Array,
-    per_pressure: Array,
-    free: float,
-    before: Array,
-    pressure: Array,
-    load: Array,
-    loaded: bool,
-    tip: Array,
-    length: float,
-    segments: int,
-    scale: Array,
-    scheme: Array,
-    past_states: Array,
-    x: Array,
-    pool: Array,
-    tolerance: float,
-    centre: Array,
-    tips: Array,
-    turns: Array,
-    good: Array,
+    walls: Walls, arm: ArmArguments, state: MotionState, pressure: Array, pool: Array, tolerance: float, tips: TipPoses
 ) -> int:
-    """Advance through the rows of pressure (T, N); fills tips (T, 3), turns (T, 3, 3), good (T,).
+    """Advance through the rows of pressure (T, N); fills the tips (T,).
 
-    stiffness (R, 24), rest (Q, 6), per_pressure (R, 6, N): of each row's section; R and Q are T, or 1 for the same in
-    all.
-    pool: a room, as `shooting.room_in` takes it. Returns the number of passes, or -1, having done nothing, where a
+    pool: a room, as `shooting.room_within` takes it. Returns the number of passes, or -1, having done nothing, where a
     pressure is not finite.
     """
     for t in range(pressure.shape[0]):
         for k in range(walls.actuators):
             if not abs(pressure[t, k]) < np.inf:
                 return -1
-    total, sections, room = 0, stiffness.shape[0], room_within(pool, x.shape[0] // 2 - 1)
+    total, sections, room = 0, arm.stiffness.shape[0], room_within(pool, state.x.shape[0] // 2 - 1)
     for t in range(pressure.shape[0]):
-        r, q = t % sections, t % rest.shape[0]
+        r, q = t % sections, t % arm.rest.shape[0]
         if sections > 1:
-            stiffen(w, stiffness[r])
+            stiffen(arm.work, arm.stiffness[r])
         passes = advance(
-            w, walls, rest[q], per_pressure[r], free, before, pressure[t], load, loaded, tip, length,
-            segments, scale, scheme, past_states, x, room, tolerance,
+            arm.work, walls, arm.rest[q], arm.per_pressure[r], arm.free_per_pa, state.before, pressure[t], arm.load,
+            arm.loaded, arm.tip, arm.length, state.segments, arm.scale, state.coefficients, state.past_states, state.x,
+            room, tolerance,
         )  # fmt: skip
-        good[t] = passes > 0
+        tips.good[t] = passes > 0
         if passes > 0:
             total += passes
-        place_tip(x, length, centre, tips, turns, t)
+        place_tip(state.x, arm.length, arm.centre, tips.place, tips.turned, t)
     return total
 
 
 @kernel
 def equilibria(
-    works: Array,
     walls: Walls,
-    stiffness: Array,
-    rest: Array,
-    per_pressure: Array,
-    free: Array,
+    arms: ArmArguments,
     pressure: Array,
-    load: Array,
-    loaded: bool,
-    tips: Array,
-    length: Array,
-    scale: Array,
-    centre: Array,
-    tolerance: float,
     room: Workspace,
-    place: Array,
-    turned: Array,
-    good: Array,
+    tolerance: float,
+    tips: TipPoses,
     unstable: Array,
 ) -> None:
-    """One equilibrium per row of pressure (B, N); fills place, turned, good and unstable.
+    """One equilibrium per row of pressure (B, N); fills the tips and unstable (B,).
 
     Each row has an arm of its own, or all have the first one; its section (stiffness, rest, per_pressure) the same.
     """
     for b in range(pressure.shape[0]):
-        k, r, q = b % works.shape[0], b % stiffness.shape[0], b % rest.shape[0]
-        stiffen(works[k], stiffness[r])
+        k, r, q = b % arms.work.shape[0], b % arms.stiffness.shape[0], b % arms.rest.shape[0]
+        stiffen(arms.work[k], arms.stiffness[r])
         passes = equilibrium(
-            works[k], walls, rest[q], per_pressure[r], free[k], pressure[b], load[k], loaded, tips[k],
-            length[k], scale[k], room, tolerance,
+            arms.work[k], walls, arms.rest[q], arms.per_pressure[r], arms.free_per_pa[k], pressure[b], arms.load[k],
+            arms.loaded, arms.tip[k], arms.length[k], arms.scale[k], room, tolerance,
         )  # fmt: skip
-        good[b], unstable[b] = passes > 0, passes == UNSTABLE
+        tips.good[b], unstable[b] = passes > 0, passes == UNSTABLE
         if passes > 0:
-            place_tip(room.x, length[k], centre[k], place, turned, b)
+            place_tip(room.x, arms.length[k], arms.centre[k], tips.place, tips.turned, b)
         else:
-            place[b] = np.nan
-            turned[b] = np.nan
+            tips.place[b] = np.nan
+            tips.turned[b] = np.nan

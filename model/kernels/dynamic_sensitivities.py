@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from model.kernels.arguments import ArmArguments, LaneArguments, MotionState, TipAnswers
 from model.kernels.axis import place_tip
 from model.kernels.jit import kernel
 from model.kernels.lanes import FIRST, Lanes, apply_pressure, apply_tip_load, places
@@ -75,35 +76,44 @@ def _update_history(past: Array, room: Lanes, last: int, a: float, b: float, d: 
 
 @kernel
 def dynamic_sensitivities(
-    w: Array, walls: Walls, free: float, before: Array, load: Array, loaded: bool, tip: Array,
-    length: float, segments: int, scale: Array, scheme: Array, past_states: Array, x: Array, solver: Workspace,
-    tolerance: float, centre: Array, stiffness: Array, rest: Array, per_pressure: Array, still_scale: Array,
-    still_works: Array, still_stiffness: Array, still_rest: Array, still_per_pressure: Array, works: Array,
-    lane_stiffness: Array, lane_rest: Array, lane_per_pressure: Array, frees: Array, ends: Array, pressure: Array,
-    tip_loads: Array, loaded_lanes: bool, heavy: bool, past: Array, room: Lanes, steps: Array, every: int, place: Array,
-    turned: Array, by: Array, good: Array,
-) -> None:  # fmt: skip
+    walls: Walls,
+    arm: ArmArguments,
+    motion: MotionState,
+    still: LaneArguments,
+    still_scale: Array,
+    swinging: LaneArguments,
+    pressure: Array,
+    tip_loads: Array,
+    steps: Array,
+    every: int,
+    past: Array,
+    solver: Workspace,
+    room: Lanes,
+    tolerance: float,
+    answers: TipAnswers,
+) -> None:
     """A motion from rest by BDF-alpha, and how its tip answers to each neighbour's change.
 
-    The arm as `axis.motion` takes it, at rest in x; the lanes as `apply_pressure` takes them, `still_..` those of the
-    arm at rest. pressure (1 + T, W, N, 8): at rest, then step by step; sections and tip_loads one for each of these
-    rows, or one for all. past (W, N + 1, 192): room for the lanes' history. Without neighbours the lanes rest. Of every
-    so many steps it fills place, turned, by (1 + T / every, ..) and good.
+    The arm stands at rest in the motion's x; `still` are the lanes of the arm at rest, `swinging` those of the moving
+    one. pressure (1 + T, W, N, 8): at rest, then step by step; sections and tip_loads one for each of these rows, or
+    one for all. past (W, N + 1, 192): room for the lanes' history. steps (P,): sizes of the changes; without neighbours
+    the lanes rest. Fills the answers (1 + T / every,) of every so many steps.
     """
-    row, here = np.empty(walls.actuators), tip.copy()
+    row, here, x = np.empty(walls.actuators), arm.tip.copy(), motion.x
+    scheme, segments = motion.coefficients, motion.segments
     c0, c1, c2, d1 = scheme[0], scheme[1], scheme[2], scheme[4]
-    followed, now, sections = steps.shape[0] > 0, 0, stiffness.shape[0]
+    followed, now, sections = steps.shape[0] > 0, 0, arm.stiffness.shape[0]
     for t in range(pressure.shape[0]):
-        r, q, tip_load = t % sections, t % rest.shape[0], tip_loads[t % tip_loads.shape[0]]
-        apply_tip_load(tip, tip_load, here)
+        r, q, tip_load = t % sections, t % arm.rest.shape[0], tip_loads[t % tip_loads.shape[0]]
+        apply_tip_load(arm.tip, tip_load, here)
         solved = 1
         if t == 0 and followed:
             apply_pressure(
-                still_works, walls.actuators, still_stiffness[0], still_rest[0], still_per_pressure[0], frees, ends,
-                pressure[t], tip_load,
+                still.works, walls.actuators, still.stiffness[0], still.rest[0], still.per_pressure[0], still.frees,
+                still.ends, pressure[t], tip_load,
             )  # fmt: skip
             followed = tangents(
-                still_works, walls, past, load, loaded_lanes, 0.0, heavy, segments, still_scale, x, room,
+                still.works, walls, past, arm.load, still.loaded, 0.0, still.heavy, segments, still_scale, x, room,
                 room.states[0], room.derivatives[0],
             )  # fmt: skip
             _combine(x, segments, room, room.states[0], room.derivatives[0])
@@ -115,29 +125,29 @@ def dynamic_sensitivities(
             for k in range(walls.actuators):
                 row[k] = pressure[t, 0, k, 0]
             if sections > 1:
-                stiffen(w, stiffness[r])
+                stiffen(arm.work, arm.stiffness[r])
             solved = advance(
-                w, walls, rest[q], per_pressure[r], free, before, row, load, loaded, here, length, segments,
-                scale, scheme, past_states, x, solver, tolerance,
+                arm.work, walls, arm.rest[q], arm.per_pressure[r], arm.free_per_pa, motion.before, row, arm.load,
+                arm.loaded, here, arm.length, segments, arm.scale, scheme, motion.past_states, x, solver, tolerance,
             )  # fmt: skip
             if solved > 0 and followed:
                 # y_t of the last step is c0 times its solution plus its history.
                 _update_history(past, room, now, c1 + d1 * c0, c2, d1)
                 now = 1 - now
                 apply_pressure(
-                    works, walls.actuators, lane_stiffness[r], lane_rest[q], lane_per_pressure[r], frees, ends,
-                    pressure[t], tip_load,
+                    swinging.works, walls.actuators, swinging.stiffness[r], swinging.rest[q], swinging.per_pressure[r],
+                    swinging.frees, swinging.ends, pressure[t], tip_load,
                 )  # fmt: skip
                 followed = tangents(
-                    works, walls, past, load, loaded_lanes, c0, heavy, segments, scale, x, room,
-                    room.states[now], room.derivatives[now],
+                    swinging.works, walls, past, arm.load, swinging.loaded, c0, swinging.heavy, segments, arm.scale, x,
+                    room, room.states[now], room.derivatives[now],
                 )  # fmt: skip
                 _combine(x, segments, room, room.states[now], room.derivatives[now])
         if t % every == 0:
             at = t // every
-            good[at] = solved > 0
-            place_tip(x, length, centre, place, turned, at)
+            answers.good[at] = solved > 0
+            place_tip(x, arm.length, arm.centre, answers.place, answers.turned, at)
             if followed:
-                _moved(x, works, room, room.states[now], room.derivatives[now], steps, by[at])
+                _moved(x, swinging.works, room, room.states[now], room.derivatives[now], steps, answers.by[at])
             else:
-                by[at] = np.nan
+                answers.by[at] = np.nan

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from model.kernels.arguments import ArmArguments, LaneArguments, TipAnswers
 from model.kernels.axis import place_tip
 from model.kernels.equilibrium import UNSTABLE, equilibrium
 from model.kernels.jit import kernel
@@ -37,49 +38,53 @@ def _answers(x: Array, works: Array, room: Lanes, steps: Array, by: Array) -> No
 
 @kernel
 def static_sensitivities(
-    work: Array, works: Array, walls: Walls, stiffness: Array, rest: Array, per_pressure: Array,
-    free: float, lane_stiffness: Array, lane_rest: Array, lane_per_pressure: Array, frees: Array, ends: Array,
-    pressure: Array, tip_loads: Array, load: Array, loaded: bool, loaded_lanes: bool, heavy: bool, tip: Array,
-    length: float, scale: Array, centre: Array, tolerance: float, solver: Workspace, room: Lanes, steps: Array,
-    place: Array, turned: Array, by: Array, good: Array, unstable: Array,
-) -> None:  # fmt: skip
+    walls: Walls,
+    arm: ArmArguments,
+    lanes: LaneArguments,
+    pressure: Array,
+    tip_loads: Array,
+    steps: Array,
+    solver: Workspace,
+    room: Lanes,
+    tolerance: float,
+    answers: TipAnswers,
+) -> None:
     """One equilibrium per row of pressure (K, W, N, 8), and how its tip answers to each neighbour's change.
 
-    The arm: work (size,), its sections stiffness (R, 24), rest (Q, 6), per_pressure (R, 6, N), tip (19,). The lanes:
-    works (W, size) and as `apply_pressure` takes them, of the sections and of tip_loads one for each row or for all.
-    Fills place (K, 3), turned (K, 3, 3), by (K, P, 6), good and unstable (K,).
+    tip_loads (K, W, 12, 8): what hangs on the lanes' tips beyond the cap, one for each row or for all. steps (P,):
+    sizes of the changes. Fills the answers.
     """
-    row, here = np.empty(walls.actuators), tip.copy()
-    nothing = np.zeros((works.shape[0], 1, 1))
+    row, here = np.empty(walls.actuators), arm.tip.copy()
+    nothing = np.zeros((lanes.works.shape[0], 1, 1))
     segments = room.shares.shape[0]
     for t in range(pressure.shape[0]):
-        r, q = t % stiffness.shape[0], t % rest.shape[0]
+        r, q = t % arm.stiffness.shape[0], t % arm.rest.shape[0]
         tip_load = tip_loads[t % tip_loads.shape[0]]
-        apply_tip_load(tip, tip_load, here)
+        apply_tip_load(arm.tip, tip_load, here)
         for k in range(walls.actuators):
             row[k] = pressure[t, 0, k, 0]
-        stiffen(work, stiffness[r])
+        stiffen(arm.work, arm.stiffness[r])
         solved = equilibrium(
-            work, walls, rest[q], per_pressure[r], free, row, load, loaded, here, length, scale, solver,
-            tolerance,
+            arm.work, walls, arm.rest[q], arm.per_pressure[r], arm.free_per_pa, row, arm.load, arm.loaded, here,
+            arm.length, arm.scale, solver, tolerance,
         )  # fmt: skip
-        good[t], unstable[t] = solved > 0, solved == UNSTABLE
+        answers.good[t], answers.unstable[t] = solved > 0, solved == UNSTABLE
         if solved > 0:
-            place_tip(solver.x, length, centre, place, turned, t)
+            place_tip(solver.x, arm.length, arm.centre, answers.place, answers.turned, t)
             if steps.shape[0] > 0:
                 apply_pressure(
-                    works, walls.actuators, lane_stiffness[r], lane_rest[q], lane_per_pressure[r], frees, ends,
-                    pressure[t], tip_load,
+                    lanes.works, walls.actuators, lanes.stiffness[r], lanes.rest[q], lanes.per_pressure[r], lanes.frees,
+                    lanes.ends, pressure[t], tip_load,
                 )  # fmt: skip
                 found = tangents(
-                    works, walls, nothing, load, loaded_lanes, 0.0, heavy, segments, scale, solver.x, room,
-                    room.states[0], room.derivatives[0],
+                    lanes.works, walls, nothing, arm.load, lanes.loaded, 0.0, lanes.heavy, segments, arm.scale,
+                    solver.x, room, room.states[0], room.derivatives[0],
                 )  # fmt: skip
                 if found:
-                    _answers(solver.x, works, room, steps, by[t])
+                    _answers(solver.x, lanes.works, room, steps, answers.by[t])
                 else:
-                    by[t] = np.nan
+                    answers.by[t] = np.nan
         else:
-            place[t] = np.nan
-            turned[t] = np.nan
-            by[t] = np.nan
+            answers.place[t] = np.nan
+            answers.turned[t] = np.nan
+            answers.by[t] = np.nan

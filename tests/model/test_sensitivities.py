@@ -96,6 +96,7 @@ def test_in_motion_every_parameters_slope_is_that_of_whole_predictions(
 ) -> None:
     # What Newton's method leaves of a step differs from one parameter to the next: here it leaves nothing.
     monkeypatch.setattr("model.dynamics.TOLERANCE_IN_MOTION", 1e-7)
+    monkeypatch.setattr("model.sensitivities.TOLERANCE_IN_MOTION", 1e-7)
     # Steps of 50 ms are simple shooting, those of 4 ms eight segments.
     k = np.arange(9)
     path = np.stack([0.3 + 0.2 * np.sin(0.3 * k), 0.1 + 0 * k, 0.2 * (k > 3)], axis=1) * BAR
@@ -185,6 +186,7 @@ def test_dynamic_tip_gradients_by_pressures_geometry_weight_and_wrench_equal_fin
 ) -> None:
     # What Newton's method leaves of a step differs from one neighbour to the next: here it leaves nothing.
     monkeypatch.setattr("model.dynamics.TOLERANCE_IN_MOTION", 1e-7)
+    monkeypatch.setattr("model.sensitivities.TOLERANCE_IN_MOTION", 1e-7)
     path = np.array([[0.3, 0.1, 0.2], [0.4, 0.1, 0.2], [0.5, 0.2, 0.1], [0.3, 0.3, 0.1], [0.2, 0.3, 0.2]]) * BAR
     push, hung = np.array([1e4, -5e3, 2e3]), np.array([0.0, 0.1, 0.1, 0.0, 0.2]) if pull is None else np.zeros(5)
 
