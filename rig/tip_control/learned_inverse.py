@@ -59,16 +59,19 @@ class EarlierRun:
             if len(gaps) and gaps.max() > LONGEST_GAP_S:
                 found_s = f"{gaps.max():.2f} s of a tip path without one"
                 raise NotRepeatedError(f"a run with a measured tip every {LONGEST_GAP_S:g} s; this one has {found_s}")
-            moving = (pressure.protocol_s >= asked[0]) & (pressure.protocol_s <= asked[-1])
+            # At the start of a motion the protocol may have waited for a prompt.
+            moving = (pressure.protocol_s > asked[0]) & (pressure.protocol_s <= asked[-1])
             if (np.diff(pressure.protocol_s[moving]) <= 0).any():
                 raise NotRepeatedError("a run that was not paused on its tip paths")
+        samples = _last_of_equal(pressure.protocol_s)
+        frames = np.flatnonzero(seen)[_last_of_equal(frame_s[seen])]
         return cls(
             run.header.run_id,
-            pressure.protocol_s,
-            PA_PER_BAR * pressure.setpoint_bar[:, first_actuators],
-            frame_s[seen],
-            1e-3 * tip.measured_mm[seen],
-            np.zeros((int(seen.sum()), 3)) if learned is None else 1e-3 * learned.disturbance_mm[seen],
+            pressure.protocol_s[samples],
+            PA_PER_BAR * pressure.setpoint_bar[samples][:, first_actuators],
+            frame_s[frames],
+            1e-3 * tip.measured_mm[frames],
+            np.zeros((len(frames), 3)) if learned is None else 1e-3 * learned.disturbance_mm[frames],
         )
 
     def repetition(self, begin_s: float, stop_s: float) -> Repetition:
@@ -79,6 +82,11 @@ class EarlierRun:
             self.sample_s[samples], self.setpoint_pa[samples],
             self.frame_s[frames], self.tip_m[frames], self.learned_m[frames],
         )  # fmt: skip
+
+
+def _last_of_equal(times_s: Array) -> NDArray[np.bool_]:
+    """Which of the times (n,), none before an earlier one, are the last of those equal to them."""
+    return np.append(np.diff(times_s) > 0, np.ones(min(1, len(times_s)), dtype=np.bool_))
 
 
 class LearnedInverse:
