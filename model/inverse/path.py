@@ -50,7 +50,7 @@ class PathFollowing:
 
 
 @dataclass(frozen=True)
-class Response:
+class SecondOrderResponse:
     """Second-order response of the tip: shift = tip + lag d/dt tip + inertia d2/dt2 tip [s, s^2]."""
 
     lag_s: float
@@ -107,7 +107,7 @@ class PathInverse:
         assert best is not None
         return best
 
-    def _correction(self, error: Array, response: Response) -> Array:
+    def _correction(self, error: Array, response: SecondOrderResponse) -> Array:
         smooth = gaussian_filter1d(error, SMOOTHING_S / self._dt_s, axis=0, mode="nearest")
         rate = np.gradient(smooth, self._dt_s, axis=0)
         acceleration = np.gradient(rate, self._dt_s, axis=0)
@@ -152,7 +152,7 @@ class PathInverse:
             tips, gradient = tips[nearest], gradient[nearest]
         return tips, gradient
 
-    def _response(self, pressure: Array, axes: list[int]) -> Response:
+    def _response(self, pressure: Array, axes: list[int]) -> SecondOrderResponse:
         """Lag and inertia by least squares over the responses to a step of each valve's pressure."""
         count = max(12, round(RESPONSE_S / self._dt_s))
         rest = pressure[None] @ self._matrix.T
@@ -167,7 +167,7 @@ class PathInverse:
             left.append(np.column_stack([rate[1:].ravel(), acceleration[1:].ravel()]))
             right.append((settled - tips[2:-1]).ravel())
         lag, inertia = np.linalg.lstsq(np.vstack(left), np.concatenate(right), rcond=None)[0]
-        return Response(max(float(lag), 0.0), max(float(inertia), 0.0))
+        return SecondOrderResponse(max(float(lag), 0.0), max(float(inertia), 0.0))
 
     def _rest(self, pressure_pa: Array) -> Array:
         dynamics = Dynamics(self._arm, self._dt_s)

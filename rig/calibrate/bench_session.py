@@ -16,7 +16,7 @@ from protocols import SetPointTrajectory
 from rig.calibrate.bench_driver import BenchClock, BenchDriver, TrippedError, made_safe
 from rig.config.schema import RigConfig
 from rig.control.control_loop import ValveOutputs
-from rig.execution.plan import Plan, StartError
+from rig.execution.plan import RunPlan, StartError
 from rig.hardware.bench import Bench, open_bench
 from rig.hardware.lock import cards_locked
 from rig.realtime.child_process import ChildJob, ended_within, spawn
@@ -139,7 +139,7 @@ def _watched(config: RigConfig, rig_file: Path) -> Iterator[tuple[SharedState, P
     """Keep the watchdog process; the one whose death it watches for lives exactly as long as this one needs it."""
     memory = SharedState.create(StateLayout.of(config))
     nothing = SetPointTrajectory(0.0, config.actuators, (), (), "")
-    plan = Plan(config, rig_file, nothing, config.model.variant, 0)
+    plan = RunPlan(config, rig_file, nothing, config.model.variant, 0)
     watchdog = spawn("rig.realtime.watchdog_process", ChildJob(plan, memory.fd, os.getpid()))
     life = ProcessMonitor(watchdog.pid)
     # It ends when its input is closed: by the kernel when we die.

@@ -11,9 +11,9 @@ from rich.text import Text
 
 from rig.cli.column_table import ColumnTable
 from rig.config.drivers import InstalledDriver
-from rig.contract.check import CheckResult, Verdict
+from rig.contract.check import CheckResult, CheckVerdict
 
-_STYLE = {Verdict.PASS: "green", Verdict.FAIL: "bold red", Verdict.SKIPPED: "dim"}
+_STYLE = {CheckVerdict.PASS: "green", CheckVerdict.FAIL: "bold red", CheckVerdict.SKIPPED: "dim"}
 
 
 def table(rows: Sequence[InstalledDriver]) -> Table:

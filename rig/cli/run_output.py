@@ -20,7 +20,7 @@ from rig.cli.exit_status import DONE, FAULT, INTERRUPTED
 from rig.cli.printable import printable
 from rig.config.schema import RigConfig
 from rig.config.sections import PA_PER_BAR
-from rig.execution.plan import Plan
+from rig.execution.plan import RunPlan
 from rig.experiment.preflight import peak_pa
 from rig.experiment.run import RunRequest, RunResult
 from rig.hardware.safe_state import safe_voltages
@@ -43,7 +43,7 @@ def title(request: RunRequest) -> str:
     return f"{request.protocol.name} on {request.config.name}{marked}, {how}, model {request.variant}"
 
 
-def check_screen(request: RunRequest, plan: Plan) -> Group:
+def check_screen(request: RunRequest, plan: RunPlan) -> Group:
     """Return the check screen: limits, peak pressure, valves, duration."""
     config, trajectory = plan.config, plan.trajectory
     facts = Table(box=None, show_header=False, padding=(0, 2, 0, 0))
@@ -102,12 +102,12 @@ def verdict(request: RunRequest) -> Text:
     return Text(f"nothing is wrong: rig {request.config.name} can run {request.protocol.name}", "bold green")
 
 
-def peak_bar(plan: Plan) -> list[float]:
+def peak_bar(plan: RunPlan) -> list[float]:
     """Return the highest set-point of each actuator [bar]."""
     return [pa / PA_PER_BAR for pa in peak_pa(plan.trajectory)]
 
 
-def check_json(request: RunRequest, plan: Plan) -> str:
+def check_json(request: RunRequest, plan: RunPlan) -> str:
     """Return the check screen as JSON."""
     return json.dumps(
         {
@@ -127,7 +127,7 @@ def check_json(request: RunRequest, plan: Plan) -> str:
     )
 
 
-def _tip_paths_json(plan: Plan) -> dict[str, object]:
+def _tip_paths_json(plan: RunPlan) -> dict[str, object]:
     """Return the assessments of the tip paths; nothing for a protocol without any."""
     if not plan.trajectory.tip:
         return {}
@@ -136,7 +136,7 @@ def _tip_paths_json(plan: Plan) -> dict[str, object]:
     return {"tip_paths": [asdict(path) for path in assess(plan.config, plan.trajectory, plan.variant)]}
 
 
-def sketch(plan: Plan, width: int, height: int = 10) -> Text:
+def sketch(plan: RunPlan, width: int, height: int = 10) -> Text:
     """Plot the set-points over time as text; actuators with equal set-points share a symbol."""
     columns = max(20, min(width, 110) - 12)
     times = np.linspace(0.0, plan.trajectory.duration_s, columns)
@@ -158,7 +158,7 @@ def sketch(plan: Plan, width: int, height: int = 10) -> Text:
     return Text("\n".join(lines), no_wrap=True, overflow="crop")
 
 
-def tip_paths(plan: Plan) -> Table:
+def tip_paths(plan: RunPlan) -> Table:
     """Return margins and expected errors of the tip paths."""
     from rig.tip_planning.assessment import assess
 

@@ -8,7 +8,7 @@ from rich.console import Console
 
 from rig.cli import run_output
 from rig.cli.terminal import Terminal
-from rig.execution.plan import Plan
+from rig.execution.plan import RunPlan
 from rig.execution.stop_signals import StopSignals
 from rig.experiment import run as experiment
 from rig.experiment.run import RunRequest
@@ -21,7 +21,7 @@ class StudyTerminal:
     def __init__(self, screen: Console) -> None:
         self._screen = screen
 
-    def run(self, request: RunRequest, plan: Plan) -> Status:
+    def run(self, request: RunRequest, plan: RunPlan) -> Status:
         """Perform a run; return how it ended."""
         place = request.study
         assert place is not None

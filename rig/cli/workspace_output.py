@@ -14,7 +14,7 @@ from rig.config.schema import RigConfig
 from runs.overwriting import refuse_existing
 
 if TYPE_CHECKING:
-    from rig.tip_planning.workspace import Workspace
+    from rig.tip_planning.workspace import TipWorkspace
 
 KINDS = (".png", ".pdf", ".svg")
 
@@ -30,7 +30,7 @@ def check_drawing(to: Path, replace: bool) -> None:
     refuse_existing([to, to.with_suffix(".csv")], replace=replace)
 
 
-def save(space: Workspace, to: Path) -> None:
+def save(space: TipWorkspace, to: Path) -> None:
     """Draw what can be reached."""
     from rig.tip_planning import workspace
     from runs.report import drawing
@@ -39,7 +39,7 @@ def save(space: Workspace, to: Path) -> None:
     drawing.save(workspace.draw, (9, 4.6), to, space, mark="computed by the model")
 
 
-def table(space: Workspace, config: RigConfig) -> Group:
+def table(space: TipWorkspace, config: RigConfig) -> Group:
     """Return the extent and the sections as text."""
     low, high = space.height_mm
     limits = config.limits
@@ -58,7 +58,7 @@ def table(space: Workspace, config: RigConfig) -> Group:
     return Group(facts, sections)
 
 
-def as_json(space: Workspace, config: RigConfig) -> str:
+def as_json(space: TipWorkspace, config: RigConfig) -> str:
     """Return the same as JSON."""
     return json.dumps(
         {

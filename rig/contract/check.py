@@ -13,7 +13,7 @@ from rig.hardware.cards.base import CardError
 Subject = TypeVar("Subject")
 
 
-class Verdict(StrEnum):
+class CheckVerdict(StrEnum):
     """Result of a check."""
 
     PASS = "pass"
@@ -35,14 +35,14 @@ class CheckResult:
 
     device: str
     check: str
-    verdict: Verdict
+    verdict: CheckVerdict
     found: str
     expected: str
 
     @property
     def failed(self) -> bool:
         """True if the driver broke the contract."""
-        return self.verdict is Verdict.FAIL
+        return self.verdict is CheckVerdict.FAIL
 
 
 @dataclass(frozen=True)
@@ -56,16 +56,16 @@ class Check(Generic[Subject]):
     def result(self, device: str, subject: Subject) -> CheckResult:
         """Run the check; whatever the driver raises is a result."""
         try:
-            verdict, found = Verdict.PASS, self.run(subject)
+            verdict, found = CheckVerdict.PASS, self.run(subject)
         except NotApplicableError as error:
-            verdict, found = Verdict.SKIPPED, str(error)
+            verdict, found = CheckVerdict.SKIPPED, str(error)
         except BrokenContractError as error:
-            verdict, found = Verdict.FAIL, str(error)
+            verdict, found = CheckVerdict.FAIL, str(error)
         except (CardError, CameraError) as error:
-            verdict, found = Verdict.FAIL, f"{type(error).__name__}: {error}"
+            verdict, found = CheckVerdict.FAIL, f"{type(error).__name__}: {error}"
         except Exception as error:  # the code of another package may raise anything
             verdict, found = (
-                Verdict.FAIL,
+                CheckVerdict.FAIL,
                 f"{type(error).__name__}: {error}; only CardError or CameraError may be raised",
             )
         return CheckResult(device, self.name, verdict, found, self.expected)

@@ -14,7 +14,7 @@ from rig.config.sections import PA_PER_BAR
 from rig.control import step as control
 from rig.control.auxiliary import AuxiliaryMeans
 from rig.control.protocol_position import ProtocolPosition, advance, skip
-from rig.execution.plan import Plan
+from rig.execution.plan import RunPlan
 from rig.hardware.bench import BenchScans
 from rig.tip_control.plan_follower import PlanFollower, SetPointSource
 from rig.tip_control.plan_record import StampedPlan
@@ -39,7 +39,7 @@ class ValveOutputs(Protocol):
 class ControlLoop:
     """The state of the control loop between cycles. It reads no clock: the caller passes the time."""
 
-    def __init__(self, plan: Plan, bench: ValveOutputs, *, time_may_stop: bool = False) -> None:
+    def __init__(self, plan: RunPlan, bench: ValveOutputs, *, time_may_stop: bool = False) -> None:
         """`time_may_stop`: the bench is a simulation whose time stops while it or this process is delayed."""
         config = plan.config
         self.period_ns = round(1e9 / config.control.rate_hz)

@@ -15,7 +15,7 @@ from rig.control.interlocks import Sample, Trip
 from rig.control.sensor_state import RegulatorDemand, SensorState
 from rig.valves.base import Regulator, RegulatorState
 
-__all__ = ["ControlOutput", "ControlSettings", "Sample", "State", "Trip", "initial", "prepare", "step"]
+__all__ = ["ControlOutput", "ControlSettings", "ControlState", "Sample", "Trip", "initial", "prepare", "step"]
 
 BLIND_PERIODS = 3.0
 """Periods without a scan after which a flow-metering valve is closed, because its flow is no longer measured."""
@@ -44,7 +44,7 @@ REJOIN_S = 0.1
 """How long scans may be late after a stall, while a card or its simulator catches up."""
 
 
-class State(NamedTuple):
+class ControlState(NamedTuple):
     """State between control steps. Once `trip` is set every command is the safe one, or vents as the trip says.
 
     `rejoined_ns` is the end of the last stall after which the timers of the interlocks were reset.
@@ -79,18 +79,18 @@ def prepare(config: RigConfig) -> ControlSettings:
     )
 
 
-def initial(settings: ControlSettings) -> State:
+def initial(settings: ControlSettings) -> ControlState:
     """The state before the first sample."""
-    return State(None, (RegulatorState(),) * len(settings.valves), (SensorState(),) * len(settings.valve_of))
+    return ControlState(None, (RegulatorState(),) * len(settings.valves), (SensorState(),) * len(settings.valve_of))
 
 
 def step(
     settings: ControlSettings,
-    state: State,
+    state: ControlState,
     sample: Sample,
     setpoint_pa: NDArray[np.float64],
     rate_pa_s: NDArray[np.float64],
-) -> tuple[State, ControlOutput]:
+) -> tuple[ControlState, ControlOutput]:
     """Return the valve voltages for a sample, the set-points (N,) [Pa] and their rates of change (N,) [Pa/s].
 
     Without a new scan the valves keep their voltages for three periods; then flow-metering valves are closed, and
@@ -110,7 +110,9 @@ def step(
     return state, ControlOutput(np.array(voltages), None)
 
 
-def _step(settings: ControlSettings, state: State, sample: Sample, setpoint: list[float], rate: list[float]) -> State:
+def _step(
+    settings: ControlSettings, state: ControlState, sample: Sample, setpoint: list[float], rate: list[float]
+) -> ControlState:
     before, limits, pressure = state, settings.limits, sample.pressure_pa.tolist()
     new = sample.scan_t_ns != state.scan_t_ns
     passed = settings.period_s if state.scan_t_ns is None else (sample.scan_t_ns - state.scan_t_ns) * 1e-9
@@ -137,10 +139,12 @@ def _step(settings: ControlSettings, state: State, sample: Sample, setpoint: lis
         target = sum(setpoint[a] for a in s.actuators) / n
         slope = sum(rate[a] for a in s.actuators) / n
         valves.append(regulator.step(s, valve, dt, mean, target, slope))
-    return State(sample.scan_t_ns, tuple(valves), watches, None, state.rejoined_ns)
+    return ControlState(sample.scan_t_ns, tuple(valves), watches, None, state.rejoined_ns)
 
 
-def _rejoin(settings: ControlSettings, state: State, t_ns: int, pressure: list[float], *, every_time: bool) -> State:
+def _rejoin(
+    settings: ControlSettings, state: ControlState, t_ns: int, pressure: list[float], *, every_time: bool
+) -> ControlState:
     """Restart the references at the measured pressures after a stall.
 
     The timers of the interlocks are reset, too, but not again within twice the tracking time, so that a machine that

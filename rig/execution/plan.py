@@ -17,7 +17,7 @@ from runs.records import AuxiliaryChannel, Event, Picture, Quantity, Status
 
 
 @dataclass(frozen=True)
-class Plan:
+class RunPlan:
     """The plan of one run; immutable."""
 
     config: RigConfig

@@ -22,7 +22,7 @@ from rig.config.loader import RigChoice, RigFile, Source, read
 from rig.config.model_variant import variant_named
 from rig.config.schema import RigConfig
 from rig.config.sections import Variant
-from rig.execution.plan import OperatorInterface, Outcome, Plan, StartError
+from rig.execution.plan import OperatorInterface, Outcome, RunPlan, StartError
 from rig.experiment import report_process
 from rig.experiment.preflight import check
 from rig.experiment.provenance import git_state, protocol_parameters, quantities, versions
@@ -188,7 +188,7 @@ def _collecting(problems: list[Problem], read: Callable[[Name], Loaded], name: N
         return None
 
 
-def plan(request: RunRequest) -> Plan:
+def plan(request: RunRequest) -> RunPlan:
     """Expand and check a request without touching any device.
 
     Raises:
@@ -198,7 +198,7 @@ def plan(request: RunRequest) -> Plan:
     trajectory = request.protocol.expand(request.config.actuators, inverse)
     if problems := check(request.config, trajectory, request.protocol, request.rig_file):
         raise BadInputError(problems)
-    return Plan(
+    return RunPlan(
         request.config,
         request.rig_file,
         trajectory,
@@ -212,7 +212,7 @@ def plan(request: RunRequest) -> Plan:
 
 def run(
     request: RunRequest,
-    decided: Plan,
+    decided: RunPlan,
     operator: OperatorInterface,
     write_report: Callable[[Path], Path] = report_process.here,
 ) -> RunResult:
@@ -253,7 +253,7 @@ def run(
     return RunResult(outcome, archive, report, parameters, tuple(warnings))
 
 
-def _execute(request: RunRequest, decided: Plan, operator: OperatorInterface) -> tuple[Outcome, JournalWriter]:
+def _execute(request: RunRequest, decided: RunPlan, operator: OperatorInterface) -> tuple[Outcome, JournalWriter]:
     """Run the plan; an error after the journal was created ends the run as aborted."""
     if request.fast:
         from rig.virtual.executor import run as execute
@@ -311,7 +311,7 @@ def _parameters(archive: Path) -> Path | None:
     return write_parameters(Run(archive))
 
 
-def header(request: RunRequest, decided: Plan, t_ns: int, ahead_ns: int = 0) -> RunHeader:
+def header(request: RunRequest, decided: RunPlan, t_ns: int, ahead_ns: int = 0) -> RunHeader:
     """Return the header of a run whose first sample is due at `t_ns`, `ahead_ns` from now."""
     now = datetime.now(UTC) + timedelta(microseconds=ahead_ns / 1e3)
     commit, diff = git_state()

@@ -14,7 +14,7 @@ import model
 from model.dynamics import Dynamics
 from model.statics import statics
 from rig.config.arm_model import TipLoad, model_arm
-from rig.execution.plan import Plan
+from rig.execution.plan import RunPlan
 from rig.experiment.run import RunRequest, header
 from rig.observation.overlay import backbone
 from runs.archive.writer import finalise
@@ -24,7 +24,7 @@ from runs.records import MODEL_ALONE, DetectionStatus, RunFooter, Status, blank,
 _Solve = Callable[[NDArray[np.float64], model.Loads | None], model.Shape]
 
 
-def simulate(request: RunRequest, plan: Plan, static: bool) -> Path:
+def simulate(request: RunRequest, plan: RunPlan, static: bool) -> Path:
     """Simulate the tip for chambers that follow the set-points exactly; return the archive.
 
     Weights of the protocol's prompts load the model. The rows have no measured tip (`DetectionStatus.NO_FRAME`); the

@@ -46,7 +46,7 @@ _HEADERS = [
 
 
 @dataclass(frozen=True)
-class Session:
+class LoginSession:
     """Name of the user, and whether the session may send commands."""
 
     who: str
@@ -64,7 +64,7 @@ class AccessTokens:
 
     operator: str = field(default_factory=lambda: secrets.token_urlsafe(24), repr=False)
     guest: str = field(default_factory=lambda: secrets.token_urlsafe(24), repr=False)
-    _sessions: dict[str, Session] = field(default_factory=dict, repr=False)
+    _sessions: dict[str, LoginSession] = field(default_factory=dict, repr=False)
 
     def open(self, token: str, who: str) -> str | None:
         """Open a session and return its cookie; None for an invalid token."""
@@ -80,10 +80,10 @@ class AccessTokens:
             guest = next((key for key, session in self._sessions.items() if not session.operator), None)
             self._sessions.pop(guest or next(iter(self._sessions)))
         name = self.owner if is_operator and self.owner else printable(who)
-        self._sessions[cookie] = Session(name or ("operator" if is_operator else "guest"), is_operator)
+        self._sessions[cookie] = LoginSession(name or ("operator" if is_operator else "guest"), is_operator)
         return cookie
 
-    def session(self, cookie: str) -> Session | None:
+    def session(self, cookie: str) -> LoginSession | None:
         """Return the session of a cookie; None for an unknown one."""
         return self._sessions.get(cookie)
 
@@ -131,7 +131,7 @@ class AuthenticationMiddleware:
             return "this request comes from another site"
         return None
 
-    def _session(self, headers: dict[str, str]) -> Session | None:
+    def _session(self, headers: dict[str, str]) -> LoginSession | None:
         try:
             morsel = SimpleCookie(headers.get("cookie", "")).get(self._cookie)
         except CookieError:

@@ -10,7 +10,7 @@ import struct
 from pathlib import Path
 from typing import Any
 
-from rig.execution.plan import Plan, StartError
+from rig.execution.plan import RunPlan, StartError
 from rig.realtime.control_socket import PACKET_BYTES, socket_paths
 from rig.realtime.shared_state import SharedState, StateLayout
 
@@ -64,7 +64,7 @@ class ClientSession:
             raise StartError(f"the run at {path} does not answer: {error}") from error
         with os.fdopen(plan_fd, "rb") as file:
             file.seek(0)
-            self.plan: Plan = pickle.load(file)  # written by a run of this user, in a folder of mode 0700
+            self.plan: RunPlan = pickle.load(file)  # written by a run of this user, in a folder of mode 0700
         self.memory = SharedState(memory_fd, StateLayout.of(self.plan.config, len(self.plan.adapted)), readonly=True)
         connection.setblocking(False)
         self.ended = False

@@ -5,7 +5,7 @@ from __future__ import annotations
 from fastapi import Request
 from nicegui import ui
 
-from rig.live.authentication import SESSION, Session
+from rig.live.authentication import SESSION, LoginSession
 from rig.live.run_source import RunSource
 
 HEAD = '<link rel="stylesheet" href="/live/live.css"><script type="module" src="/live/live.js"></script>'
@@ -16,7 +16,7 @@ def define(source: RunSource) -> None:
 
     @ui.page("/", title="softrig")
     def index(request: Request) -> None:
-        session: Session = request.scope[SESSION]
+        session: LoginSession = request.scope[SESSION]
         ui.add_head_html(HEAD)
         ui.colors(primary="#0072b2", warning="#8a5a00", negative="#b3261e")
         with ui.element("main").props("id=softrig"):
@@ -54,7 +54,7 @@ def _header() -> None:
     _part("div", "banner").props("role=alert hidden")
 
 
-def _prompt(session: Session) -> None:
+def _prompt(session: LoginSession) -> None:
     with _part("div", "prompt").props("hidden role=alert"):
         _part("span", "prompt-text")
         if session.operator:
@@ -109,7 +109,7 @@ def _panel(name: str, title: str) -> ui.element:
     return panel
 
 
-def _actions(session: Session) -> None:
+def _actions(session: LoginSession) -> None:
     with ui.element("footer"):
         if not session.operator:
             ui.html("View only.", sanitize=False)

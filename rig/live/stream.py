@@ -14,7 +14,7 @@ from typing import Any
 
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
-from rig.live.authentication import SESSION, Session
+from rig.live.authentication import SESSION, LoginSession
 from rig.live.messages import Message, MessageError, parse
 from rig.live.run_source import RunSource, Viewer
 
@@ -29,7 +29,7 @@ _guests = 0
 async def stream(socket: WebSocket, source: RunSource) -> None:
     """Serve one browser until it disconnects."""
     global _guests
-    session: Session = socket.scope[SESSION]
+    session: LoginSession = socket.scope[SESSION]
     guest = not session.operator
     if guest and _guests >= MOST_GUESTS:
         await socket.close(1013)
@@ -46,7 +46,7 @@ async def stream(socket: WebSocket, source: RunSource) -> None:
         _guests -= guest
 
 
-async def _serve(socket: WebSocket, source: RunSource, session: Session, about: dict[str, Any]) -> None:
+async def _serve(socket: WebSocket, source: RunSource, session: LoginSession, about: dict[str, Any]) -> None:
     viewer = source.viewer()
     ready = asyncio.Event()
     lock = asyncio.Lock()
@@ -66,7 +66,7 @@ async def _serve(socket: WebSocket, source: RunSource, session: Session, about: 
 async def _listen(
     socket: WebSocket,
     viewer: Viewer,
-    session: Session,
+    session: LoginSession,
     ready: asyncio.Event,
     lock: asyncio.Lock,
     acting: bool,

@@ -17,7 +17,7 @@ from calibration.vision.transforms import RigidTransform
 from rig.config.optics import board_in_tip, board_of, camera_in_base, lens_of
 from rig.config.schema import RigConfig
 from rig.hardware.cameras.base import Frame, FrameSet
-from rig.observation.single_camera import Measurement, SingleCameraTipEstimator
+from rig.observation.single_camera import SingleCameraTipEstimator, TipMeasurement
 from runs.records import DetectionStatus
 
 Floats = NDArray[np.float64]
@@ -70,7 +70,7 @@ class MultiCameraTipEstimator:
             else []
         )
 
-    def measure(self, frame_set: FrameSet) -> Measurement:
+    def measure(self, frame_set: FrameSet) -> TipMeasurement:
         """Measure the tip in the next frame set, at the time of its leading frame."""
         detections = [self._detect(k, frame) for k, frame in enumerate(frame_set.frames)]
         found = self._measure_jointly(frame_set, detections) or self._measure_alone(frame_set, detections)
@@ -92,7 +92,7 @@ class MultiCameraTipEstimator:
             return Detection(DetectionStatus.NO_FRAME)
         return self._estimators[k].tracker.detect(frame.image)
 
-    def _measure_jointly(self, frame_set: FrameSet, detections: Sequence[Detection]) -> Measurement | None:
+    def _measure_jointly(self, frame_set: FrameSet, detections: Sequence[Detection]) -> TipMeasurement | None:
         """Measure the tip from all cameras that see the board; None with fewer than two."""
         corners = {
             k: moved
@@ -113,18 +113,18 @@ class MultiCameraTipEstimator:
         allowed = _WORST_PX + _PLACE_STDS * max(self._place_std_px(camera) for camera in cameras)
         if pose is None or pose.reprojection_px > allowed:
             statuses = tuple(DetectionStatus.DISAGREE if s is DetectionStatus.MEASURED else s for s in seen)
-            return Measurement.none(DetectionStatus.DISAGREE, statuses)
+            return TipMeasurement.none(DetectionStatus.DISAGREE, statuses)
         for k in corners:
             self._estimators[k].tracker.correct_flip(detections[k], self._places[k].inverse() @ pose.rigid)
         tip, covariance = tip_in_base(pose, self._board_in_tip, self._world_in_base)
-        return Measurement(DetectionStatus.MEASURED, tip, covariance, pose.reprojection_px, None, seen)
+        return TipMeasurement(DetectionStatus.MEASURED, tip, covariance, pose.reprojection_px, None, seen)
 
-    def _measure_alone(self, frame_set: FrameSet, detections: Sequence[Detection]) -> Measurement:
+    def _measure_alone(self, frame_set: FrameSet, detections: Sequence[Detection]) -> TipMeasurement:
         """Measure the tip from the first camera that can do so alone."""
         seen = tuple(detection.status for detection in detections)
         if DetectionStatus.MEASURED not in seen:
             reason = next((s for s in seen if s is not DetectionStatus.NO_FRAME), DetectionStatus.NO_FRAME)
-            return Measurement.none(reason, seen)
+            return TipMeasurement.none(reason, seen)
         k = seen.index(DetectionStatus.MEASURED)
         found = self._estimators[k].measurement_of(detections[k])
         frame = frame_set.frames[k]

@@ -21,7 +21,7 @@ from rig.config.sections import Variant
 from rig.hardware.cameras.base import FrameSet
 from rig.observation.multi_camera import MultiCameraTipEstimator
 from rig.observation.overlay import backbone
-from rig.observation.single_camera import Measurement
+from rig.observation.single_camera import TipMeasurement
 from rig.observation.tip_force import MeasuredTipForce
 from runs.records import DetectionStatus, blank, observation_dtype
 
@@ -49,14 +49,14 @@ class _LiveModel(Protocol):
 class _TipEstimator(Protocol):
     """Measures the tip in the rig's frame sets, in order."""
 
-    def measure(self, frame_set: FrameSet) -> Measurement: ...
+    def measure(self, frame_set: FrameSet) -> TipMeasurement: ...
 
 
 class _NoTip:
     """The tip estimator of a rig without cameras: it measures nothing."""
 
-    def measure(self, frame_set: FrameSet) -> Measurement:
-        return Measurement.none(DetectionStatus.NO_CAMERA, ())
+    def measure(self, frame_set: FrameSet) -> TipMeasurement:
+        return TipMeasurement.none(DetectionStatus.NO_CAMERA, ())
 
 
 class PressureInterpolator:
@@ -181,7 +181,7 @@ class Observer:
         self._reference, self._protocol_times = reference, PressureInterpolator(1)
         self._blank = blank((), observation_dtype(config.actuators, len(config.cameras)))
         self._model_m = np.full(3, np.nan)
-        self.measurement: Measurement | None = None
+        self.measurement: TipMeasurement | None = None
         """Measurement of the last frame set; `shape` is the model's. For overlays."""
         self.shape: model.Shape | None = None
         self.adaptation: NDArray[np.void] | None = None

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 import model
 from rig.config.optics import camera_in_base, lens_of
 from rig.config.schema import RigConfig
-from rig.observation.single_camera import Measurement
+from rig.observation.single_camera import TipMeasurement
 from runs.records import BACKBONE_POINTS, ImageAnnotations
 
 Floats = NDArray[np.float64]
@@ -40,7 +40,7 @@ class OverlayProjector:
         self._base_in_camera = camera_in_base(config.cameras[camera]).inverse()
         self._config, self._points = config, points
 
-    def project(self, measurement: Measurement, shape: model.Shape | None) -> Overlay:
+    def project(self, measurement: TipMeasurement, shape: model.Shape | None) -> Overlay:
         """Return the overlay of a frame from its measurement and the modelled shape (None without convergence)."""
         corners = measurement.corners_px
         return Overlay(

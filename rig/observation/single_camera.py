@@ -17,7 +17,7 @@ Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Measurement:
+class TipMeasurement:
     """The tip (3,) [m] in the rod-base frame with covariance (3, 3); NaN and no corners unless `seen` is MEASURED.
 
     `corners_px` are those in the picture of the first camera that has one. `cameras` is what each of the rig's cameras
@@ -34,7 +34,7 @@ class Measurement:
     """The corners in each camera's picture."""
 
     @classmethod
-    def none(cls, seen: DetectionStatus, cameras: tuple[DetectionStatus, ...]) -> Measurement:
+    def none(cls, seen: DetectionStatus, cameras: tuple[DetectionStatus, ...]) -> TipMeasurement:
         """Return a measurement without a tip, with the reason."""
         return cls(seen, np.full(3, np.nan), np.full((3, 3), np.nan), float("nan"), None, cameras)
 
@@ -48,14 +48,14 @@ class SingleCameraTipEstimator:
         self._board_in_tip = board_in_tip(config)
         self._camera_in_base = camera_in_base(camera)
 
-    def measure(self, image: NDArray[np.uint8]) -> Measurement:
+    def measure(self, image: NDArray[np.uint8]) -> TipMeasurement:
         """Measure the tip in the next picture, (height, width) grey or (height, width, 3) BGR."""
         return self.measurement_of(self.tracker.detect(image))
 
-    def measurement_of(self, detection: Detection) -> Measurement:
+    def measurement_of(self, detection: Detection) -> TipMeasurement:
         """Return the tip from this camera's detection alone."""
         if detection.pose is None or detection.corners is None:
-            return Measurement.none(detection.status, (detection.status,))
+            return TipMeasurement.none(detection.status, (detection.status,))
         tip, covariance = tip_in_base(detection.pose, self._board_in_tip, self._camera_in_base)
         seen, pose = detection.status, detection.pose
-        return Measurement(seen, tip, covariance, pose.reprojection_px, detection.corners.px, (seen,))
+        return TipMeasurement(seen, tip, covariance, pose.reprojection_px, detection.corners.px, (seen,))

@@ -13,7 +13,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NoReturn
 
-from rig.execution.plan import Plan
+from rig.execution.plan import RunPlan
 from rig.realtime.process_monitor import ProcessMonitor
 from rig.realtime.shared_state import SharedState, StateLayout, Stop
 
@@ -24,7 +24,7 @@ TURN_S = 0.002
 class ChildJob:
     """The job of a child process, passed on its standard input."""
 
-    plan: Plan
+    plan: RunPlan
     fd: int
     supervisor_pid: int
 

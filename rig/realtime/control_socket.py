@@ -22,7 +22,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from rig.execution.plan import Plan
+from rig.execution.plan import RunPlan
 from rig.hardware.runtime_folder import subfolder
 from rig.realtime.operator_commands import CommandKind, CommandResult, OperatorCommand, user_name
 from rig.realtime.shared_state import SharedState
@@ -66,7 +66,7 @@ def _remove_stale_sockets() -> None:
 class ControlSocket:
     """The listening control socket of one run. `close` may be called more than once."""
 
-    def __init__(self, plan: Plan, memory: SharedState) -> None:
+    def __init__(self, plan: RunPlan, memory: SharedState) -> None:
         """Create and bind the socket.
 
         Raises:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 
-from rig.execution.plan import OperatorInterface, Plan, Progress
+from rig.execution.plan import OperatorInterface, Progress, RunPlan
 from rig.realtime.control_socket import ControlSocket
 from rig.realtime.data_recorder import DataRecorder
 from rig.realtime.operator_commands import CommandHandler, CommandKind, CommandResult, OperatorCommand, user_name
@@ -19,7 +19,7 @@ class OperatorSession:
     """Takes commands from the terminal and from attached pages, and shows the progress of the run."""
 
     def __init__(
-        self, plan: Plan, memory: SharedState, operator: OperatorInterface, event: Callable[[Level, str, str], None]
+        self, plan: RunPlan, memory: SharedState, operator: OperatorInterface, event: Callable[[Level, str, str], None]
     ) -> None:
         """`event` records an event; it is called only after the run has begun."""
         self._plan, self._memory, self._operator, self._event = plan, memory, operator, event

@@ -8,7 +8,7 @@ import time
 from collections.abc import Iterable
 from typing import NamedTuple
 
-from rig.execution.plan import Plan
+from rig.execution.plan import RunPlan
 from rig.realtime.child_process import ChildJob, ended_within, spawn
 from rig.realtime.process_monitor import ProcessMonitor
 from rig.realtime.scheduling import HeartbeatMonitor
@@ -34,7 +34,7 @@ class ProcessFault(NamedTuple):
 class ProcessGroup:
     """The processes of one run; a tip controller and a simulated plant if it has them."""
 
-    def __init__(self, plan: Plan, memory: SharedState, plant: Simulation | None, period_s: float) -> None:
+    def __init__(self, plan: RunPlan, memory: SharedState, plant: Simulation | None, period_s: float) -> None:
         """`period_s` is the period at which `fault` is called."""
         self._plan, self._memory, self._plant = plan, memory, plant
         self._children: dict[str, subprocess.Popen[bytes]] = {}

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from dataclasses import replace
 
-from rig.execution.plan import OpenRecord, OperatorInterface, Outcome, Plan, StartError, StoppedError
+from rig.execution.plan import OpenRecord, OperatorInterface, Outcome, RunPlan, StartError, StoppedError
 from rig.hardware.cards.base import CardError
 from rig.hardware.cards.registry import card_type
 from rig.hardware.safe_state import UNSAFE, armed_sentence
@@ -37,7 +37,7 @@ STOPPED = {
 }
 
 
-def run(plan: Plan, open_record: OpenRecord, operator: OperatorInterface) -> Outcome:
+def run(plan: RunPlan, open_record: OpenRecord, operator: OperatorInterface) -> Outcome:
     """Run one plan in real time; return once the valves are safe and every process has ended.
 
     Raises:
@@ -64,7 +64,11 @@ class Supervisor:
     """Supervises one run: `run`, then `end`."""
 
     def __init__(
-        self, plan: Plan, operator: OperatorInterface, plant: Simulation | None, expected: Scheduling = Scheduling.NONE
+        self,
+        plan: RunPlan,
+        operator: OperatorInterface,
+        plant: Simulation | None,
+        expected: Scheduling = Scheduling.NONE,
     ) -> None:
         """`plant` is the simulated plant, if the rig has one; `expected` is the scheduling that can be had."""
         self.timing = timing_limits(plan.config, expected)

@@ -13,7 +13,7 @@ from types import TracebackType
 from protocols import BadInputError, Problem
 from rig.config.loader import RigChoice, chosen_rig, load
 from rig.config.schema import RigConfig
-from rig.execution.plan import Plan
+from rig.execution.plan import RunPlan
 from rig.execution.stop_signals import StopSignals
 from rig.experiment import report_process
 from rig.experiment import run as experiment
@@ -72,7 +72,7 @@ class Session:
     ) -> None:
         self._entered = False
 
-    def check(self, protocol: Path | str, *, settings: Mapping[str, float] | None = None) -> Plan:
+    def check(self, protocol: Path | str, *, settings: Mapping[str, float] | None = None) -> RunPlan:
         """Check a protocol as `rig check` does; return its plan, which has the set-points over time.
 
         Raises:
@@ -192,7 +192,7 @@ class Session:
             raise BadInputError([problem])
 
 
-def _check_arming(request: RunRequest, plan: Plan, yes: bool, answer: Answer | None) -> None:
+def _check_arming(request: RunRequest, plan: RunPlan, yes: bool, answer: Answer | None) -> None:
     problems = []
     if valves_at_stake(request.config) and not yes:
         expected = f"yes=True: rig {request.config.name} has real valves, and this arms them without a question"
@@ -204,7 +204,7 @@ def _check_arming(request: RunRequest, plan: Plan, yes: bool, answer: Answer | N
         raise BadInputError(problems)
 
 
-def _run(request: RunRequest, plan: Plan, answer: Answer | None) -> RunResult:
+def _run(request: RunRequest, plan: RunPlan, answer: Answer | None) -> RunResult:
     """Run a plan. Signals reach only the main thread of Python; a run in another thread leaves them alone."""
     in_main_thread = threading.current_thread() is threading.main_thread()
     with ExitStack() as stack:

@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from rig.execution.plan import Plan
+from rig.execution.plan import RunPlan
 from rig.experiment.run import RunRequest, RunResult
 from rig.session.prompts import Answer
 from rig.study import execution
@@ -19,11 +19,11 @@ from runs.study.page import write
 class FunctionStudyOperator:
     """Performs runs by `perform`, rests by sleeping, and passes each prompt to `answer`."""
 
-    def __init__(self, perform: Callable[[RunRequest, Plan], RunResult], answer: Answer | None) -> None:
+    def __init__(self, perform: Callable[[RunRequest, RunPlan], RunResult], answer: Answer | None) -> None:
         self._perform = perform
         self._answer = answer
 
-    def run(self, request: RunRequest, plan: Plan) -> Status:
+    def run(self, request: RunRequest, plan: RunPlan) -> Status:
         """Perform a run; return how it ended."""
         return self._perform(request, plan).outcome.status
 

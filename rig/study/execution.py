@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Protocol
 
 from calibration.parallel_map import parallel_results
-from rig.execution.plan import NullOperator, Plan, StartError
+from rig.execution.plan import NullOperator, RunPlan, StartError
 from rig.experiment import run as experiment
 from rig.experiment.run import RunRequest
 from rig.study.plan import StopRules
@@ -36,7 +36,7 @@ class StudyStoppedError(Exception):
 class StudyOperator(Protocol):
     """The operator's side of a study in real time. Each method raises `KeyboardInterrupt` when the operator stops."""
 
-    def run(self, request: RunRequest, plan: Plan) -> Status:
+    def run(self, request: RunRequest, plan: RunPlan) -> Status:
         """Perform a run; return how it ended."""
 
     def rest(self, seconds: float) -> None:
@@ -149,7 +149,7 @@ def run_real(study: Study, operator: StudyOperator) -> None:
         rules.check()
 
 
-def _performed(operator: StudyOperator, request: RunRequest, plan: Plan) -> None:
+def _performed(operator: StudyOperator, request: RunRequest, plan: RunPlan) -> None:
     if operator.run(request, plan) is Status.INTERRUPTED:
         raise KeyboardInterrupt
 

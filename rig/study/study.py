@@ -16,7 +16,7 @@ from protocols.problems import closest
 from protocols.source_positions import Document, path_text
 from protocols.substitution import KEY
 from rig.config.loader import RigChoice, read
-from rig.execution.plan import Plan
+from rig.execution.plan import RunPlan
 from rig.experiment import run as experiment
 from rig.experiment.run import RunRequest
 from rig.study.plan import PlannedRun, StudyPlan, planned_runs
@@ -38,16 +38,16 @@ class Study:
     folder: Path
     runs: tuple[PlannedRun, ...]
     requests: tuple[RunRequest, ...]
-    plans: tuple[Plan, ...]
-    conditioning: tuple[RunRequest, Plan] | None
+    plans: tuple[RunPlan, ...]
+    conditioning: tuple[RunRequest, RunPlan] | None
 
-    def request(self, run: PlannedRun) -> tuple[RunRequest, Plan]:
+    def request(self, run: PlannedRun) -> tuple[RunRequest, RunPlan]:
         """The request and the plan of a run."""
         seed = self.plan.seed + run.number
         request = replace(self.requests[run.combination - 1], seed=seed, study=self._place(run, StudyRole.RUN))
         return request, replace(self.plans[run.combination - 1], seed=seed)
 
-    def conditioning_request(self, run: PlannedRun) -> tuple[RunRequest, Plan] | None:
+    def conditioning_request(self, run: PlannedRun) -> tuple[RunRequest, RunPlan] | None:
         """The request and the plan of the conditioning before a run; None without conditioning."""
         if self.conditioning is None:
             return None
@@ -100,7 +100,7 @@ def load(
     protocol = _protocol(source, plan.protocol, ("protocol",))
     if problems := list(_setting_problems(source, plan, protocol)):
         raise BadInputError(problems)
-    checked: list[tuple[RunRequest, Plan]] = []
+    checked: list[tuple[RunRequest, RunPlan]] = []
     found: dict[Problem, list[str]] = {}
 
     def check(name: Path, settings: Mapping[str, float], what: str) -> None:

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.tip_control.interface import Measurement, Plan, Reference, TipControlSettings
+from rig.tip_control.interface import ControllerMeasurement, ReferenceTrajectory, SetPointPlan, TipControlSettings
 from rig.tip_control.static_map import StaticMap
 from runs.interpolation import interpolated
 
@@ -24,7 +24,7 @@ class StaticInverse:
         """No memory."""
         return None
 
-    def step(self, state: Any, reference: Reference, measurement: Measurement) -> Plan:
+    def step(self, state: Any, reference: ReferenceTrajectory, measurement: ControllerMeasurement) -> SetPointPlan:
         """The inverse of each point of the reference."""
         return inverse_plan(self._map, reference, reference.position_m, state)
 
@@ -42,7 +42,7 @@ class InverseIntegral:
         """The integral (3,) [m], and the last references (.., 4): time and position."""
         return np.zeros(3), np.empty((0, 4))
 
-    def step(self, state: Any, reference: Reference, measurement: Measurement) -> Plan:
+    def step(self, state: Any, reference: ReferenceTrajectory, measurement: ControllerMeasurement) -> SetPointPlan:
         """The inverse of the shifted reference; the inverse is the Jacobian's, solved to the end."""
         integral, past = state
         row = np.concatenate([[reference.times_s[0]], reference.position_m[0]])
@@ -54,7 +54,7 @@ class InverseIntegral:
         return inverse_plan(self._map, reference, reference.position_m + integral, (integral, past))
 
 
-def inverse_plan(static_map: StaticMap, reference: Reference, position_m: Array, state: Any) -> Plan:
+def inverse_plan(static_map: StaticMap, reference: ReferenceTrajectory, position_m: Array, state: Any) -> SetPointPlan:
     """The plan of the static inverses of positions (H, 3) [m]."""
     pressure = static_map.inverse(position_m, reference.feedforward_pa[0])
-    return Plan(reference.times_s, pressure, np.full(position_m.shape, np.nan), state)
+    return SetPointPlan(reference.times_s, pressure, np.full(position_m.shape, np.nan), state)

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.tip_control.interface import Estimate
+from rig.tip_control.interface import PayloadEstimate
 from rig.tip_control.static_map import LARGEST_PAYLOAD_KG, StaticMap
 
 Array = NDArray[np.float64]
@@ -83,9 +83,11 @@ class TipEstimator:
         """Payload beyond the model's cap [kg]."""
         return float(np.clip(state.z[self._payload], -LARGEST_PAYLOAD_KG, LARGEST_PAYLOAD_KG))
 
-    def estimate(self, state: EstimatorState, nis: float) -> Estimate:
+    def estimate(self, state: EstimatorState, nis: float) -> PayloadEstimate:
         """What is recorded."""
-        return Estimate(self.payload_kg(state), float(np.sqrt(state.covariance[self._payload, self._payload])), nis)
+        return PayloadEstimate(
+            self.payload_kg(state), float(np.sqrt(state.covariance[self._payload, self._payload])), nis
+        )
 
     def disturbance(self, state: EstimatorState, times_s: Array, period_s: float | None) -> Array:
         """The disturbance (K, 3) [m] at times (K,)."""

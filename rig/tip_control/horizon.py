@@ -14,7 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.tip_control.estimator import EstimatorState, TipEstimator
-from rig.tip_control.interface import Estimate, Measurement, Plan, Reference, SolveStatus, TipControlSettings
+from rig.tip_control.interface import (
+    ControllerMeasurement,
+    PayloadEstimate,
+    ReferenceTrajectory,
+    SetPointPlan,
+    SolveStatus,
+    TipControlSettings,
+)
 from rig.tip_control.static_map import StaticMap
 from rig.tip_control.tip_dynamics import TipDynamics
 from runs.interpolation import interpolated
@@ -80,13 +87,13 @@ class HorizonControl:
         """Nothing is known."""
         return HorizonState(None, math.nan, self._estimator.start(), np.empty(0), np.empty((0, self._map.valves)))
 
-    def step(self, state: Any, reference: Reference, measurement: Measurement) -> Plan:
+    def step(self, state: Any, reference: ReferenceTrajectory, measurement: ControllerMeasurement) -> SetPointPlan:
         """Correct the estimates by the frame, predict past the delays, and solve for the plan."""
         state, nis = self._observed(state, reference.period_s, measurement)
         return self._planned(state, reference, measurement, self._estimator.estimate(state.estimator, nis))
 
     def _observed(
-        self, state: HorizonState, period_s: float | None, measurement: Measurement
+        self, state: HorizonState, period_s: float | None, measurement: ControllerMeasurement
     ) -> tuple[HorizonState, float]:
         """The state at the time of the frame, and the NIS."""
         lag_s, passed_s = self._settings.pressure_lag_s, measurement.time_s - state.time_s
@@ -108,7 +115,13 @@ class HorizonControl:
             )
         return state._replace(tip=tip, time_s=measurement.time_s, estimator=estimator), nis
 
-    def _planned(self, state: HorizonState, reference: Reference, measurement: Measurement, estimate: Estimate) -> Plan:
+    def _planned(
+        self,
+        state: HorizonState,
+        reference: ReferenceTrajectory,
+        measurement: ControllerMeasurement,
+        estimate: PayloadEstimate,
+    ) -> SetPointPlan:
         """The plan from the start on: one Gauss-Newton step about the last plan."""
         start_s, frame_s = measurement.start_s, self._settings.frame_s
         knots_s = start_s + frame_s * np.array(KNOTS, dtype=np.float64)
@@ -129,7 +142,7 @@ class HorizonControl:
         times = start_s + self._step_s * np.arange(HORIZON * STEPS_PER_FRAME + 1, dtype=np.float64)
         setpoint = interpolated(times, reference.times_s, reference.feedforward_pa) + _hat(times, knots_s) @ deviation
         setpoint = np.clip(setpoint, 0.0, self._settings.pressure_limit_pa)  # the constraints are soft
-        return Plan(
+        return SetPointPlan(
             times, setpoint, interpolated(times, prediction.grid_s, prediction.moved(_changed(deviation, before))),
             state._replace(times_s=times, setpoint_pa=setpoint),
             SolveStatus.SOLVED if solved else SolveStatus.NOT_SOLVED,
@@ -139,8 +152,8 @@ class HorizonControl:
     def _prediction(
         self,
         state: HorizonState,
-        reference: Reference,
-        measurement: Measurement,
+        reference: ReferenceTrajectory,
+        measurement: ControllerMeasurement,
         knots_s: Array,
         deviation: Array,
         stop_s: float,
@@ -168,7 +181,7 @@ class HorizonControl:
     def _cost(
         self,
         prediction: _Prediction,
-        reference: Reference,
+        reference: ReferenceTrajectory,
         frames_s: Array,
         knots_s: Array,
         deviation: Array,
@@ -202,7 +215,9 @@ class HorizonControl:
         return np.kron(rows, np.eye(valves)), low.reshape(-1) / _PA_PER_BAR, high.reshape(-1) / _PA_PER_BAR
 
 
-def _last_deviation(state: HorizonState, reference: Reference, knots_s: Array, now_pa: Array, feed_pa: Array) -> Array:
+def _last_deviation(
+    state: HorizonState, reference: ReferenceTrajectory, knots_s: Array, now_pa: Array, feed_pa: Array
+) -> Array:
     """Deviations (k, V) of the last plan from the feed-forward at the new knots, from where the set-points are."""
     if len(state.times_s):
         last = interpolated(knots_s, state.times_s, state.setpoint_pa)

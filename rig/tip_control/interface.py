@@ -51,7 +51,7 @@ class TipControlSettings:
         return max(self.valve_of) + 1
 
 
-class Reference(NamedTuple):
+class ReferenceTrajectory(NamedTuple):
     """The reference at the times (H,) `times_s` from the start of the plan on, half a camera period apart.
 
     `position_m` and `velocity_m_s` (H, 3): NaN in a coordinate that is not controlled, and beyond the end of the
@@ -66,7 +66,7 @@ class Reference(NamedTuple):
     period_s: float | None
 
 
-class Measurement(NamedTuple):
+class ControllerMeasurement(NamedTuple):
     """One camera frame, and the set-points and pressures up to the start of the plan.
 
     `time_s`, `tip_m` (3,), `covariance_m2` (3, 3): of the frame, NaN if the tip was not measured. `sample_s` (k,) in
@@ -83,7 +83,7 @@ class Measurement(NamedTuple):
     start_s: float
 
 
-class Estimate(NamedTuple):
+class PayloadEstimate(NamedTuple):
     """What an estimator knows: payload [kg], its standard deviation, and the normalised innovation squared (NIS)."""
 
     payload_kg: float = float("nan")
@@ -91,7 +91,7 @@ class Estimate(NamedTuple):
     nis: float = float("nan")
 
 
-class Plan(NamedTuple):
+class SetPointPlan(NamedTuple):
     """Set-points (K, V) `setpoint_pa` at ascending times (K,) `times_s`, linear in between.
 
     `state` is for the next step. `predicted_m` (K, 3): the tip that the controller expects at these times, NaN if it
@@ -105,7 +105,7 @@ class Plan(NamedTuple):
     status: SolveStatus = SolveStatus.SOLVED
     iterations: int = 0
     active: int = 0
-    estimate: Estimate = Estimate()
+    estimate: PayloadEstimate = PayloadEstimate()
 
 
 class TipController(Protocol):
@@ -114,5 +114,5 @@ class TipController(Protocol):
     def start(self) -> Any:
         """The state before the first step."""
 
-    def step(self, state: Any, reference: Reference, measurement: Measurement) -> Plan:
+    def step(self, state: Any, reference: ReferenceTrajectory, measurement: ControllerMeasurement) -> SetPointPlan:
         """The plan that follows from one frame. A pure function: all memory is in the state."""

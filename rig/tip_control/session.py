@@ -11,8 +11,8 @@ from protocols.tip_reference import TipMotion
 from rig.config.arm_model import model_arm
 from rig.config.schema import RigConfig
 from rig.config.sections import PA_PER_BAR, Variant
-from rig.execution.plan import Plan as RunPlan
-from rig.tip_control.interface import Measurement, Reference, TipControlSettings
+from rig.execution.plan import RunPlan
+from rig.tip_control.interface import ControllerMeasurement, ReferenceTrajectory, TipControlSettings
 from rig.tip_control.plan_record import StampedPlan
 from rig.tip_control.registry import controller_class
 from runs.columns import PLAN_AHEAD_S
@@ -74,7 +74,7 @@ class TipControlSession:
         seen = observation["seen"] == DetectionStatus.MEASURED
         # The controller steers the arm without its learned difference from the model.
         learned = motion.learned_differences_m(np.clip([frame_protocol_s, start_s], motion.start_s, motion.stop_s))
-        measurement = Measurement(
+        measurement = ControllerMeasurement(
             frame_protocol_s,
             np.array(observation["measured_m"]) - learned[0] if seen else np.full(3, np.nan),
             np.array(observation["covariance_m2"]),
@@ -104,7 +104,7 @@ class TipControlSession:
     def rehearse(self) -> None:
         """Step once on made-up data, so that imports and compilation are done before the start."""
         motion, valves = self._trajectory.tip.motions[0], len(self._actuators)
-        measurement = Measurement(
+        measurement = ControllerMeasurement(
             motion.start_s - self._settings.frame_s,
             motion.position_m[0],
             1e-8 * np.eye(3),
@@ -115,7 +115,7 @@ class TipControlSession:
         )
         self._controller.step(self._controller.start(), self._reference(motion, motion.start_s), measurement)
 
-    def _reference(self, motion: TipMotion, start_s: float) -> Reference:
+    def _reference(self, motion: TipMotion, start_s: float) -> ReferenceTrajectory:
         times = self._settings.reference_times(start_s)
         within = np.minimum(times, motion.stop_s)
         over = (times > motion.stop_s)[:, None]
@@ -123,4 +123,4 @@ class TipControlSession:
         velocity = motion.velocities_m_s(within) - motion.learned_rates_m_s(within)
         position, velocity = np.where(over, np.nan, position), np.where(over, np.nan, velocity)
         feed = self._trajectory.sample(times.tolist())[:, self._actuators]
-        return Reference(times, position, velocity, feed, motion.period_s)
+        return ReferenceTrajectory(times, position, velocity, feed, motion.period_s)

@@ -14,7 +14,13 @@ from numpy.typing import NDArray
 
 import model
 from model.dynamics import Dynamics
-from rig.tip_control.interface import Measurement, Plan, Reference, TipController, TipControlSettings
+from rig.tip_control.interface import (
+    ControllerMeasurement,
+    ReferenceTrajectory,
+    SetPointPlan,
+    TipController,
+    TipControlSettings,
+)
 from rig.tip_control.plan_follower import PlanFollower
 
 Array = NDArray[np.float64]
@@ -62,7 +68,7 @@ class ClosedLoop:
     reference_m: Array
     tip_m: Array
     setpoint_pa: Array
-    plans: tuple[Plan, ...] = field(repr=False)
+    plans: tuple[SetPointPlan, ...] = field(repr=False)
     solve_s: Array = field(repr=False)
 
     def rms_m(self, from_s: float, to_s: float = np.inf) -> float:
@@ -106,7 +112,7 @@ def simulate(
         if controller is not None and pending and pending[0][0] + settings.delay_s <= now:
             at, seen = pending.pop(0)
             rows = slice(max(0, k + 1 - kept), k + 1)
-            measured = Measurement(
+            measured = ControllerMeasurement(
                 at,
                 seen - task.learned_m(at),
                 max(truth.noise_m, 1e-6) ** 2 * np.eye(3),
@@ -130,8 +136,8 @@ def _between(tips: Array, times: Array, k: int, at_s: float) -> Array:
     return seen
 
 
-def _window(task: Task, times: Array) -> Reference:
-    return Reference(
+def _window(task: Task, times: Array) -> ReferenceTrajectory:
+    return ReferenceTrajectory(
         times,
         np.array([task.position_m(t) - task.learned_m(t) for t in times]),
         np.array([task.velocity_m_s(t) for t in times]),

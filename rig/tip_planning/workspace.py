@@ -30,7 +30,7 @@ EDGE = -1e-9
 
 
 @dataclass(frozen=True, eq=False)
-class Section:
+class WorkspaceSection:
     """What is reached at a height [mm]: at radii (R,) [mm] and angles (A,) [rad] about the axis, reached (R, A)."""
 
     height_mm: float
@@ -51,11 +51,11 @@ class Section:
 
 
 @dataclass(frozen=True, eq=False)
-class Workspace:
+class TipWorkspace:
     """Tips (n, 3) [mm] on a grid of the pressures, and horizontal sections of a volume; none of a surface or a line."""
 
     tip_mm: Array
-    sections: tuple[Section, ...]
+    sections: tuple[WorkspaceSection, ...]
 
     @property
     def height_mm(self) -> tuple[float, float]:
@@ -68,7 +68,7 @@ class Workspace:
         return float(np.linalg.norm(self.tip_mm[:, :2], axis=1).max())
 
 
-def workspace(config: RigConfig, variant: Variant | None = None) -> Workspace:
+def workspace(config: RigConfig, variant: Variant | None = None) -> TipWorkspace:
     """Sample what the rig's arm reaches at rest.
 
     Raises:
@@ -81,10 +81,10 @@ def workspace(config: RigConfig, variant: Variant | None = None) -> Workspace:
     finite = tips[np.isfinite(tips).all(axis=1)]
     if not len(finite):
         raise ArithmeticError(f"the arm of rig {config.name} has no stable equilibrium within its limits")
-    return Workspace(finite, _sections(tips, levels) if drive.valves == 3 else ())
+    return TipWorkspace(finite, _sections(tips, levels) if drive.valves == 3 else ())
 
 
-def _sections(tips: Array, levels: int) -> tuple[Section, ...]:
+def _sections(tips: Array, levels: int) -> tuple[WorkspaceSection, ...]:
     """Sections of the image of the cube of three pressures, whose cells are mapped as tetrahedra."""
     grid = tips.reshape(levels, levels, levels, 3)
     corners = np.array(
@@ -107,7 +107,7 @@ def _sections(tips: Array, levels: int) -> tuple[Section, ...]:
         crossing = cells[(heights.min(axis=1) <= height) & (heights.max(axis=1) >= height)]
         points = np.column_stack([plane, np.full(len(plane), height)])
         reached = _inside(crossing, points).reshape(RADII, ANGLES)
-        found.append(Section(height, radii, angles, reached))
+        found.append(WorkspaceSection(height, radii, angles, reached))
     return tuple(found)
 
 
@@ -123,7 +123,7 @@ def _inside(cells: Array, points: Array) -> NDArray[np.bool_]:
     return found
 
 
-def draw(figure: Figure, space: Workspace) -> None:
+def draw(figure: Figure, space: TipWorkspace) -> None:
     """The tips from the side, and the sections, or the tips, from above."""
     beside, above = drawing.panels(figure, columns=2)[0]
     beside.plot(space.tip_mm[:, 0], space.tip_mm[:, 2], ".", ms=1.2, color=MEASURED, alpha=0.5)

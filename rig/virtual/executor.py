@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from rig.config.schema import RigConfig
 from rig.control.control_loop import ControlLoop
-from rig.execution.plan import OpenRecord, OperatorInterface, Outcome, Plan, Progress, Recorder, StartError
+from rig.execution.plan import OpenRecord, OperatorInterface, Outcome, Progress, Recorder, RunPlan, StartError
 from rig.hardware.bench import Bench
 from rig.hardware.cameras.base import CameraError
 from rig.hardware.cameras.mock import Exposure, MockCamera
@@ -54,7 +54,7 @@ FRAMES_IN_FLIGHT = 30
 SHOW_S = 0.1
 
 
-def run(plan: Plan, open_record: OpenRecord, operator: OperatorInterface) -> Outcome:
+def run(plan: RunPlan, open_record: OpenRecord, operator: OperatorInterface) -> Outcome:
     """Run one plan in virtual time; return once the (simulated) valves are safe.
 
     Raises:
@@ -75,7 +75,7 @@ def run(plan: Plan, open_record: OpenRecord, operator: OperatorInterface) -> Out
 
 
 class _VirtualRun:
-    def __init__(self, plan: Plan, operator: OperatorInterface) -> None:
+    def __init__(self, plan: RunPlan, operator: OperatorInterface) -> None:
         config = plan.config
         self._plan = plan
         self._operator = operator
@@ -290,7 +290,7 @@ class _VirtualRun:
         self._operator.report(event)
 
 
-def _tip_control(plan: Plan) -> TipControlSession | None:
+def _tip_control(plan: RunPlan) -> TipControlSession | None:
     """The tip controller, if the run has one: it takes a solver and the model's kernels.
 
     Raises:

@@ -21,7 +21,7 @@ from runs.report.numbers import DASH, significant
 from runs.report.page import html_document
 from runs.run import Run
 from runs.study.linear_model import LinearModel, fit
-from runs.study.responses import RESPONSES, Response
+from runs.study.responses import RESPONSES, ResponseVariable
 
 _FACTS = ("number", "run", "block", "combination", "start_utc")
 
@@ -128,7 +128,7 @@ def _body(name: str, title: str, planned: int, table: StudyTable) -> Iterator[st
 
 
 def _response(
-    response: Response,
+    response: ResponseVariable,
     factors: dict[str, tuple[float, ...]],
     table: StudyTable,
     y: NDArray[np.float64],
@@ -172,7 +172,7 @@ def _table(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 def _draw(
     figure: Figure,
-    response: Response,
+    response: ResponseVariable,
     factors: dict[str, tuple[float, ...]],
     table: StudyTable,
     y: NDArray[np.float64],

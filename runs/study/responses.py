@@ -12,7 +12,7 @@ from runs.run import Run
 
 
 @dataclass(frozen=True)
-class Response:
+class ResponseVariable:
     """A number of a run."""
 
     name: str
@@ -28,9 +28,11 @@ def _travel_mm(run: Run) -> float:
 
 
 RESPONSES = (
-    Response("tip_travel", "mm", "largest distance of the measured tip from its first position", _travel_mm),
-    Response("mean_error", "mm", "mean distance of measured and modelled tip", lambda run: run.summary.error_mm.mean),
-    Response("largest_error", "mm", "the largest", lambda run: run.summary.error_mm.max),
-    Response("settled_error", "mm", "mean over the dwells", lambda run: run.summary.settled_error_mm),
-    Response("tracking", "bar", "rms of measured minus set-point", lambda run: run.summary.tracking_rms_bar),
+    ResponseVariable("tip_travel", "mm", "largest distance of the measured tip from its first position", _travel_mm),
+    ResponseVariable(
+        "mean_error", "mm", "mean distance of measured and modelled tip", lambda run: run.summary.error_mm.mean
+    ),
+    ResponseVariable("largest_error", "mm", "the largest", lambda run: run.summary.error_mm.max),
+    ResponseVariable("settled_error", "mm", "mean over the dwells", lambda run: run.summary.settled_error_mm),
+    ResponseVariable("tracking", "bar", "rms of measured minus set-point", lambda run: run.summary.tracking_rms_bar),
 )

@@ -9,7 +9,7 @@ import pytest
 from rig.config.loader import load
 from rig.contract import card_checks
 from rig.contract.card_checks import CARD_CHECKS, CardSubject
-from rig.contract.check import Check, Verdict
+from rig.contract.check import Check, CheckVerdict
 from tests.hardware.rig_of_the_machine import LOOPED
 
 EMULATED_S = 400.0
@@ -23,5 +23,5 @@ def test_the_comedi_driver_keeps_the_contract(check: Check[CardSubject], monkeyp
     subject = CardSubject(load(LOOPED), "daq", Path(LOOPED))
     result = check.result("daq", subject)
     subject.make_safe()
-    expected = Verdict.SKIPPED if check.name == "vanished device" else Verdict.PASS
+    expected = CheckVerdict.SKIPPED if check.name == "vanished device" else CheckVerdict.PASS
     assert result.verdict is expected, result

@@ -19,10 +19,10 @@ from rig.hardware.cards.serial_protocol import (
     SEQUENCES,
     Acknowledgement,
     Answer,
+    ControllerState,
     Identity,
     LineReader,
-    State,
-    Status,
+    SerialSample,
     drive,
     encoded,
 )
@@ -63,7 +63,7 @@ class SerialCard:
         self._port = SerialPort(setup.device, config.baud)
         self._reader = LineReader()
         self._identity: Identity | None = None
-        self._status: Status | None = None
+        self._status: SerialSample | None = None
         self._applied: Acknowledgement | None = None
         self._sequence = 0
         self._sent: dict[int, tuple[int, ...]] = {}
@@ -178,7 +178,7 @@ class SerialCard:
         if self._applied is None:
             return np.full(len(outputs), np.nan)
         held = self._applied.setpoint_pa
-        if self._status is not None and self._status.state is State.SILENT:
+        if self._status is not None and self._status.state is ControllerState.SILENT:
             held = (self._controller.vent_pa,) * self._controller.channels
         return np.array([held[i] for i in outputs]) / PA_PER_BAR
 
@@ -218,7 +218,7 @@ class SerialCard:
             )
         self._applied = answer
 
-    def _take_status(self, answer: Status, now_ns: int) -> None:
+    def _take_status(self, answer: SerialSample, now_ns: int) -> None:
         assert self._clock is not None
         before = -1 if self._status is None else self._status.count
         if answer.count <= before:
@@ -242,7 +242,7 @@ class SerialCard:
                 f"{self.description} has been silent for {(now_ns - self._quiet_since_ns) * 1e-6:.0f} ms",
                 "is it powered?",
             )
-        if self._status is not None and self._status.state is State.SILENT:
+        if self._status is not None and self._status.state is ControllerState.SILENT:
             raise CardError(
                 f"{self.description} has vented by itself: no command reached it for "
                 f"{self._controller.silence_us / 1000:g} ms"

@@ -17,7 +17,7 @@ LONGEST = 256
 """Bytes without a line feed after which the rest is dropped."""
 
 
-class State(IntEnum):
+class ControllerState(IntEnum):
     """State of the controller."""
 
     VENTED = 0
@@ -38,12 +38,12 @@ class Identity:
 
 
 @dataclass(frozen=True)
-class Status:
+class SerialSample:
     """A sample: its number, the controller's time [us], state, lines it has rejected, pressures."""
 
     count: int
     t_us: int
-    state: State
+    state: ControllerState
     rejected: int
     measured_pa: tuple[int, ...]
 
@@ -53,11 +53,11 @@ class Acknowledgement:
     """A command that was obeyed: its sequence number, the state, and the set-points that now hold."""
 
     sequence: int
-    state: State
+    state: ControllerState
     setpoint_pa: tuple[int, ...]
 
 
-Answer = Identity | Status | Acknowledgement
+Answer = Identity | SerialSample | Acknowledgement
 
 
 def encoded(body: str) -> bytes:
@@ -83,10 +83,10 @@ def decoded(line: bytes) -> Answer | None:
         numbers_ = [int(word) for word in words]
         if kind == "S":
             count, t_us, state, rejected, *pressures = numbers_
-            return Status(count, t_us, State(state), rejected, tuple(pressures))
+            return SerialSample(count, t_us, ControllerState(state), rejected, tuple(pressures))
         if kind == "A":
             sequence, state, *pressures = numbers_
-            return Acknowledgement(sequence, State(state), tuple(pressures))
+            return Acknowledgement(sequence, ControllerState(state), tuple(pressures))
     except (ValueError, TypeError):
         return None
     return None

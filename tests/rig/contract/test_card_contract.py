@@ -14,7 +14,7 @@ import pytest
 from rig.cli.app import main
 from rig.config import loader
 from rig.contract.card_checks import CARD_CHECKS, CardSubject
-from rig.contract.check import CheckResult, Verdict
+from rig.contract.check import CheckResult, CheckVerdict
 from rig.contract.session import Unplug, bench_of, card_subjects
 from rig.hardware.lock import lock_file
 from scripts.rig_process import write_rig
@@ -77,7 +77,7 @@ def driver_sample_s() -> float:
 
 
 def test_the_example_driver_keeps_the_contract_by_the_fixtures(driver_check: CheckResult) -> None:
-    assert driver_check.verdict is Verdict.PASS, driver_check
+    assert driver_check.verdict is CheckVerdict.PASS, driver_check
 
 
 def test_the_mock_card_keeps_the_contract(tmp_path: Path) -> None:
@@ -89,7 +89,7 @@ def test_the_mock_card_keeps_the_contract(tmp_path: Path) -> None:
             found = [check.result("daq", replace(subject, sample_s=SAMPLE_S)) for check in CARD_CHECKS]
     finally:
         lock_file(config.cards["daq"]).unlink(missing_ok=True)
-    assert [result.verdict for result in found] == [Verdict.PASS] * len(CARD_CHECKS), found
+    assert [result.verdict for result in found] == [CheckVerdict.PASS] * len(CARD_CHECKS), found
 
 
 @pytest.mark.parametrize(
@@ -135,7 +135,7 @@ def test_a_rig_without_the_channels_or_the_cable_skips_and_says_why(site: Path, 
     config = loader.load(box_rig(tmp_path, "pneubox"))
     subject = CardSubject(config, "daq", tmp_path / "rig.yaml", None, SAMPLE_S)
     result = CHECKS["vanished device"].result("daq", subject)
-    assert (result.verdict, result.found) == (Verdict.SKIPPED, "the device was not unplugged")
+    assert (result.verdict, result.found) == (CheckVerdict.SKIPPED, "the device was not unplugged")
 
 
 def test_outputs_of_a_real_card_are_not_moved_without_confirmation(capsys: pytest.CaptureFixture[str]) -> None:

@@ -18,7 +18,7 @@ import pytest
 
 from rig.config import loader
 from rig.contract.card_checks import CARD_CHECKS, CardSubject
-from rig.contract.check import Verdict
+from rig.contract.check import CheckVerdict
 from rig.hardware.cards import ni
 from rig.hardware.cards.base import CardError, CardSetup, Channel
 
@@ -66,7 +66,7 @@ def test_the_card_keeps_the_contract(device: str, stand_in: ModuleType, tmp_path
         loader.load(rig_file), "daq", rig_file, lambda: stand_in.file_of(device).unlink(missing_ok=True), SAMPLE_S
     )
     found = {check.name: check.result("daq", subject) for check in CARD_CHECKS}
-    skipped = [name for name, result in found.items() if result.verdict is Verdict.SKIPPED]
+    skipped = [name for name, result in found.items() if result.verdict is CheckVerdict.SKIPPED]
     # The device is not asked what its outputs are.
     assert skipped == ["opening", "read-back"]
     assert [str(result) for result in found.values() if result.failed] == []

@@ -16,7 +16,7 @@ import rig.config.loader
 import runs
 from protocols import BadInputError, SetPointTrajectory
 from rig.config.schema import RigConfig
-from rig.execution.plan import Plan
+from rig.execution.plan import RunPlan
 from rig.hardware.bench import open_bench
 from rig.hardware.cards.base import CardBusyError
 from rig.hardware.safe_state import WatchdogOutputs, open_outputs
@@ -143,7 +143,7 @@ def test_a_hung_holder_of_the_card_is_ended_though_another_process_is_monitored(
     """As in a calibration, which drives the valves in the operator's own command."""
     memory = SharedState.create(StateLayout.of(config))
     nothing = SetPointTrajectory(0.0, config.actuators, (), (), "")
-    plan = Plan(config, tmp_path / "rig.yaml", nothing, config.model.variant, 0)
+    plan = RunPlan(config, tmp_path / "rig.yaml", nothing, config.model.variant, 0)
     plan.rig_file.write_text(rig_text(device))
     watchdog = spawn("rig.realtime.watchdog_process", ChildJob(plan, memory.fd, os.getpid()))
     try:

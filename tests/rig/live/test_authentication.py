@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rig.live.authentication import COOKIE, SESSION, AccessTokens, AuthenticationMiddleware, Session
+from rig.live.authentication import COOKIE, SESSION, AccessTokens, AuthenticationMiddleware, LoginSession
 from tests.support.budget import examples
 
 HOST = "192.168.1.20:8090"
@@ -114,7 +114,7 @@ def test_a_guest_token_opens_view_only_sessions_again_and_again(keys: AccessToke
     for _ in range(3):
         cookie = keys.open(keys.guest, "")
         assert cookie is not None
-        assert keys.session(cookie) == Session("guest", operator=False)
+        assert keys.session(cookie) == LoginSession("guest", operator=False)
 
 
 def test_the_cookie_is_kept_from_scripts_and_other_sites_and_holds_no_token(
@@ -211,7 +211,7 @@ def test_control_characters_and_bidirectional_marks_of_a_name_are_not_recorded()
     keys = AccessTokens()
     cookie = keys.open(keys.operator, "\x1b[2Jada\u202e eve\n ")
     assert cookie is not None
-    assert keys.session(cookie) == Session("[2Jada eve", operator=True)
+    assert keys.session(cookie) == LoginSession("[2Jada eve", operator=True)
 
 
 def test_every_answer_forbids_frames_and_foreign_scripts(gate: AuthenticationMiddleware, keys: AccessTokens) -> None:

@@ -17,7 +17,7 @@ import pytest
 import rig.config.loader
 from protocols import SetPointTrajectory
 from rig.config.schema import RigConfig
-from rig.execution.plan import Plan
+from rig.execution.plan import RunPlan
 from rig.realtime import watchdog_process
 from rig.realtime.child_process import ChildJob, await_turn, ended_within, supervisor_monitor
 from rig.realtime.failsafe import FailsafeThread, force_safe_state
@@ -80,7 +80,7 @@ def dead() -> int:
 
 def job(config: RigConfig, memory: SharedState, supervisor: int) -> ChildJob:
     nothing = SetPointTrajectory(0.0, config.actuators, (), (), "")
-    return ChildJob(Plan(config, path_of("none"), nothing, config.model.variant, 0), memory.fd, supervisor)
+    return ChildJob(RunPlan(config, path_of("none"), nothing, config.model.variant, 0), memory.fd, supervisor)
 
 
 def until(condition: Callable[[], bool]) -> None:

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 import runs
-from rig.execution.plan import NullOperator, OpenRecord, OperatorInterface, Outcome, Plan
+from rig.execution.plan import NullOperator, OpenRecord, OperatorInterface, Outcome, RunPlan
 from rig.experiment import run as experiment
 from rig.realtime import health_monitor, supervisor
 from rig.realtime.data_recorder import DataRecorder
@@ -57,7 +57,7 @@ def request_(tmp_path: Path) -> experiment.RunRequest:
 def test_waiting_for_the_disk_is_reported_and_the_archive_is_complete(
     request_: experiment.RunRequest, disk: threading.Event, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def ended_on_a_stalled_disk(plan: Plan, open_record: OpenRecord, operator: OperatorInterface) -> Outcome:
+    def ended_on_a_stalled_disk(plan: RunPlan, open_record: OpenRecord, operator: OperatorInterface) -> Outcome:
         record = open_record(time.monotonic_ns())
         disk.clear()
         record.event(Event(time.monotonic_ns(), Level.INFO, "control", "the valves are in their safe state"))
@@ -80,7 +80,7 @@ def test_the_supervisor_warns_of_a_stalled_disk_and_continues(
     monkeypatch.setattr(health_monitor, "DISK_S", 0.0)
     listener = Listener(disk, "has not taken the record")
 
-    def supervised(plan: Plan, open_record: OpenRecord, operator: OperatorInterface) -> Outcome:
+    def supervised(plan: RunPlan, open_record: OpenRecord, operator: OperatorInterface) -> Outcome:
         parent = supervisor.Supervisor(plan, operator, None)
         journal = open_record(time.monotonic_ns())
         parent.record = DataRecorder(plan.config, parent.memory, journal, operator)

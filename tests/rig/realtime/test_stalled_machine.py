@@ -10,7 +10,7 @@ import pytest
 from rig.config import loader
 from rig.control import step as control
 from rig.control.control_loop import ControlLoop
-from rig.execution.plan import Plan
+from rig.execution.plan import RunPlan
 from rig.experiment import run as experiment
 from rig.hardware.bench import Bench
 from rig.hardware.cameras import mock
@@ -38,7 +38,7 @@ steps:
 
 
 @pytest.fixture(scope="module")
-def moving(tmp_path_factory: pytest.TempPathFactory) -> Plan:
+def moving(tmp_path_factory: pytest.TempPathFactory) -> RunPlan:
     folder = tmp_path_factory.mktemp("moving")
     (folder / "moving.yaml").write_text(MOVING)
     return experiment.plan(experiment.request(str(folder / "moving.yaml"), "mock", folder=folder, fast=True, seed=1))
@@ -46,7 +46,7 @@ def moving(tmp_path_factory: pytest.TempPathFactory) -> Plan:
 
 @pytest.mark.parametrize("at_s", [0.3, 0.9])
 @pytest.mark.parametrize("still_s", [0.2, 0.6])
-def test_after_a_stall_the_pressures_return_within_the_rate_limit(moving: Plan, still_s: float, at_s: float) -> None:
+def test_after_a_stall_the_pressures_return_within_the_rate_limit(moving: RunPlan, still_s: float, at_s: float) -> None:
     """The plant continues during the stall with unchanged valves, like a real one."""
     plant = Plant(moving.config, 1, 0, moving_arm=False)
     bench = Bench(moving.config, {name: plant.card(name) for name in moving.config.cards})
@@ -115,7 +115,7 @@ class TestSilence:
 
 
 def test_the_supervisor_blames_no_process_for_a_stall_unless_it_stays_silent_afterwards(
-    moving: Plan, monkeypatch: pytest.MonkeyPatch
+    moving: RunPlan, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     timing, now = TimingLimits(TimingProfile.STRICT, control_hung_ns=30 * MS), 10**9
     memory = SharedState.create(StateLayout.of(moving.config))

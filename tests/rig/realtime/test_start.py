@@ -19,7 +19,7 @@ import numpy as np
 import pytest
 
 from rig.control import regulator
-from rig.execution.plan import NullOperator, Outcome, Plan, StartError
+from rig.execution.plan import NullOperator, Outcome, RunPlan, StartError
 from rig.experiment import run as experiment
 from rig.hardware import runtime_folder
 from rig.hardware.bench import BenchScans
@@ -44,7 +44,7 @@ def request_() -> experiment.RunRequest:
 
 
 @pytest.fixture(scope="module")
-def plan(request_: experiment.RunRequest) -> Plan:
+def plan(request_: experiment.RunRequest) -> RunPlan:
     return experiment.plan(request_)
 
 
@@ -93,7 +93,9 @@ class SlowBench:
         raise AssertionError("a rehearsal moves no valve")
 
 
-def test_control_rehearses_a_cycle_though_the_first_scans_are_late(plan: Plan, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_control_rehearses_a_cycle_though_the_first_scans_are_late(
+    plan: RunPlan, monkeypatch: pytest.MonkeyPatch
+) -> None:
     steps = []
 
     def counted(*arguments: object) -> object:
@@ -107,7 +109,7 @@ def test_control_rehearses_a_cycle_though_the_first_scans_are_late(plan: Plan, m
 
 
 def test_the_calendar_time_is_anchored_at_the_first_cycle_not_at_the_start_of_the_journal(
-    request_: experiment.RunRequest, plan: Plan
+    request_: experiment.RunRequest, plan: RunPlan
 ) -> None:
     before_ns = time.time_ns()
     about = experiment.header(request_, plan, t_ns=5, ahead_ns=10**12)
@@ -116,27 +118,27 @@ def test_the_calendar_time_is_anchored_at_the_first_cycle_not_at_the_start_of_th
 
 
 @pytest.fixture
-def memory(plan: Plan) -> Iterator[SharedState]:
+def memory(plan: RunPlan) -> Iterator[SharedState]:
     memory = SharedState.create(StateLayout.of(plan.config))
     yield memory
     os.close(memory.fd)
 
 
 @pytest.fixture
-def group(plan: Plan, memory: SharedState) -> ProcessGroup:
+def group(plan: RunPlan, memory: SharedState) -> ProcessGroup:
     """The processes of a run of that plan; none is started."""
     return ProcessGroup(plan, memory, None, supervisor.PERIOD_S)
 
 
 @pytest.fixture
-def parent(plan: Plan) -> Iterator[supervisor.Supervisor]:
+def parent(plan: RunPlan) -> Iterator[supervisor.Supervisor]:
     parent = supervisor.Supervisor(plan, NullOperator(), None)
     yield parent
     os.close(parent.memory.fd)
 
 
 @pytest.fixture
-def own_parent(own_plan: Plan) -> Iterator[supervisor.Supervisor]:
+def own_parent(own_plan: RunPlan) -> Iterator[supervisor.Supervisor]:
     """A supervisor of a run on the card of `registers`."""
     parent = supervisor.Supervisor(own_plan, NullOperator(), None)
     yield parent
@@ -198,7 +200,7 @@ def test_valves_that_no_process_can_make_safe_are_reported_though_the_run_did_no
     ("program", "said"),
     [("import sys; sys.exit(7)", "exit status 7"), ("print('hello', flush=True); input()", "its output is b'hello")],
 )
-def test_a_simulator_that_does_not_start_is_reported(plan: Plan, program: str, said: str, tmp_path: Path) -> None:
+def test_a_simulator_that_does_not_start_is_reported(plan: RunPlan, program: str, said: str, tmp_path: Path) -> None:
     process = subprocess.Popen(
         [sys.executable, "-c", program], stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
     )
@@ -217,7 +219,7 @@ def test_a_simulator_that_does_not_start_is_reported(plan: Plan, program: str, s
 
 
 def test_a_job_larger_than_a_pipe_is_handed_over_before_the_child_reads_it(
-    plan: Plan, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+    plan: RunPlan, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     loading = tmp_path / "loading"
     loading.write_text("#!/bin/sh\nexec sleep 20\n")
@@ -235,7 +237,7 @@ def test_a_job_larger_than_a_pipe_is_handed_over_before_the_child_reads_it(
 
 
 @pytest.mark.parametrize("name", ["watchdog", "control", "observer"])
-def test_a_process_stopped_before_its_start_takes_its_job_and_exits(plan: Plan, name: str) -> None:
+def test_a_process_stopped_before_its_start_takes_its_job_and_exits(plan: RunPlan, name: str) -> None:
     memory = SharedState.create(StateLayout.of(plan.config))
     memory.simulator_starting = 1
     memory.request_stop(Stop.SAFE)
@@ -279,7 +281,7 @@ def registers() -> Iterator[Registers]:
 
 
 @pytest.fixture
-def own_plan(plan: Plan, registers: Registers) -> Plan:
+def own_plan(plan: RunPlan, registers: Registers) -> RunPlan:
     """A plan for that card."""
     cards = {
         name: card.model_copy(update={"device": f"started-{os.getpid()}"}) for name, card in plan.config.cards.items()
@@ -288,7 +290,7 @@ def own_plan(plan: Plan, registers: Registers) -> Plan:
 
 
 def test_an_error_in_control_is_reported_by_name_and_the_valves_are_safe(
-    own_plan: Plan, registers: Registers, monkeypatch: pytest.MonkeyPatch
+    own_plan: RunPlan, registers: Registers, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     memory = SharedState.create(StateLayout.of(own_plan.config))
     memory.publish_stage("watchdog", Stage.READY)
@@ -329,7 +331,7 @@ def test_outputs_that_do_not_read_back_safe_at_the_end_are_not_called_safe(
 
 
 def test_control_sockets_of_killed_runs_are_removed_and_others_kept(
-    plan: Plan, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+    plan: RunPlan, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.setattr(runtime_folder, "BASE", tmp_path)
     memory = SharedState.create(StateLayout.of(plan.config))
@@ -348,7 +350,7 @@ def test_control_sockets_of_killed_runs_are_removed_and_others_kept(
 
 
 def test_the_reason_for_the_end_is_reported_even_if_the_watchdog_has_to_be_killed(
-    plan: Plan, monkeypatch: pytest.MonkeyPatch
+    plan: RunPlan, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A stalled process has not exited when the run ends."""
     ended = Outcome(Status.ABORTED, "the watchdog process has been silent for 1.2 s", 5, {"missed_deadlines": 3})
@@ -366,13 +368,13 @@ def test_the_reason_for_the_end_is_reported_even_if_the_watchdog_has_to_be_kille
     assert outcome.counters == ended.counters
 
 
-def recorded(parent: supervisor.Supervisor, plan: Plan) -> None:
+def recorded(parent: supervisor.Supervisor, plan: RunPlan) -> None:
     """Let a supervisor discard its records."""
     parent.record = DataRecorder(plan.config, parent.memory, Unwritten(), NullOperator())
 
 
 def test_a_run_stopped_while_its_supervisor_stalled_is_not_called_finished(
-    parent: supervisor.Supervisor, plan: Plan, monkeypatch: pytest.MonkeyPatch
+    parent: supervisor.Supervisor, plan: RunPlan, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The supervisor stalls right after it checked for a stop request, and wakes after the end."""
     recorded(parent, plan)
@@ -431,7 +433,7 @@ def test_the_exit_status_of_a_process_killed_for_silence_is_not_reported(
     assert parent.end() == ""
 
 
-def test_a_process_stopped_while_it_starts_is_reported(plan: Plan, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_process_stopped_while_it_starts_is_reported(plan: RunPlan, monkeypatch: pytest.MonkeyPatch) -> None:
     class Listener(NullOperator):
         reported = ""
 
@@ -462,7 +464,7 @@ def test_a_process_stopped_while_it_starts_is_reported(plan: Plan, monkeypatch: 
     ],
 )
 def test_remaining_air_is_reported_whatever_ends_a_run(
-    plan: Plan, monkeypatch: pytest.MonkeyPatch, error: Exception, told: str
+    plan: RunPlan, monkeypatch: pytest.MonkeyPatch, error: Exception, told: str
 ) -> None:
     def supervised(parent: supervisor.Supervisor, _: object) -> Outcome:
         parent.memory.publish_stage("control", Stage.FAILED, "the air stays")

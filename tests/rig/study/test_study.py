@@ -15,7 +15,7 @@ import rig
 from protocols import BadInputError
 from rig.cli.app import main
 from rig.config.loader import RigChoice, Source
-from rig.execution.plan import Plan
+from rig.execution.plan import RunPlan
 from rig.experiment import run as experiment
 from rig.experiment.run import RunRequest
 from rig.session.prompts import FunctionOperator
@@ -143,7 +143,7 @@ class ScriptedOperator:
         self.steps: list[str] = []
         self._stop_at = stop_at
 
-    def run(self, request: RunRequest, plan: Plan) -> Status:
+    def run(self, request: RunRequest, plan: RunPlan) -> Status:
         place = request.study
         assert place is not None
         self._note(f"{place.role} {place.number}")

@@ -15,7 +15,7 @@ from model.statics import statics
 from rig.tip_control import horizon
 from rig.tip_control.estimator import TipEstimator
 from rig.tip_control.horizon import HorizonControl
-from rig.tip_control.interface import Measurement, Reference, SolveStatus, TipControlSettings
+from rig.tip_control.interface import ControllerMeasurement, ReferenceTrajectory, SolveStatus, TipControlSettings
 from rig.tip_control.plan_follower import LONGEST_S, PlanFollower, SetPointSource
 from rig.tip_control.registry import CONTROLLERS, UnknownControllerError, controller_class
 from rig.tip_control.simulation import Task, Truth, simulate
@@ -176,8 +176,10 @@ def test_a_frame_without_a_tip_leaves_a_plan(monkeypatch: pytest.MonkeyPatch) ->
     controller = HorizonControl(SETTINGS)
     times, feed = np.arange(0, 1, 1 / 30), np.full((30, 3), 3e4)
     tip = StaticMap.of(ARM, (0, 1, 2), LIMIT_PA).tips(feed)
-    reference = Reference(times, tip, np.zeros((30, 3)), feed, None)
-    measured = Measurement(-0.04, np.full(3, np.nan), np.eye(3), np.array([-0.1, 0.0]), feed[:2], feed[:2], 0.0)
+    reference = ReferenceTrajectory(times, tip, np.zeros((30, 3)), feed, None)
+    measured = ControllerMeasurement(
+        -0.04, np.full(3, np.nan), np.eye(3), np.array([-0.1, 0.0]), feed[:2], feed[:2], 0.0
+    )
     plan = controller.step(controller.start(), reference, measured)
     assert plan.status is SolveStatus.SOLVED
     np.testing.assert_allclose(plan.setpoint_pa, 3e4, atol=1.0)

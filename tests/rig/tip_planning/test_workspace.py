@@ -18,7 +18,7 @@ from rig.config.loader import load
 from rig.tip_planning.assessment import assess
 from rig.tip_planning.inverse import RigTipInverse
 from rig.tip_planning.path_follower import drive_of
-from rig.tip_planning.workspace import Section, Workspace, draw, workspace
+from rig.tip_planning.workspace import TipWorkspace, WorkspaceSection, draw, workspace
 from runs.report import drawing
 
 RIG = load("mock-3")
@@ -72,8 +72,8 @@ def test_margins_are_those_of_the_set_points_and_a_stated_uncertainty_lowers_the
 def test_the_legend_of_the_drawing_is_inside_the_figure(tmp_path: Path) -> None:
     radii, angles = np.linspace(0.0, 80.0, 5), np.linspace(0.0, 6.0, 12)
     inside = np.tile(radii[:, None] < 50.0, (1, len(angles)))
-    sections = tuple(Section(height, radii, angles, inside) for height in (174.0, 184.0, 194.0, 204.0, 214.0))
-    space = Workspace(np.array([[-80.0, 0.0, 160.0], [80.0, 0.0, 220.0]]), sections)
+    sections = tuple(WorkspaceSection(height, radii, angles, inside) for height in (174.0, 184.0, 194.0, 204.0, 214.0))
+    space = TipWorkspace(np.array([[-80.0, 0.0, 160.0], [80.0, 0.0, 220.0]]), sections)
 
     def draw_and_measure(figure: Figure) -> None:
         draw(figure, space)
