@@ -10,7 +10,7 @@ from pathlib import Path
 from protocols.document import read_text
 from protocols.problems import BadInputError, Problem, closest
 from protocols.source_positions import shortened
-from protocols.steps.base import HIGHEST_BAR, LONGEST_S
+from protocols.steps.base import HIGHEST_BAR, LONGEST_S, LOWEST_BAR
 
 LARGEST_FILE = 20_000_000
 MOST_PROBLEMS = 20
@@ -36,7 +36,7 @@ def column_name(actuator: int) -> str:
 
 def read_samples(path: Path, actuators: tuple[int, ...]) -> tuple[SampleColumns, str]:
     """The set-points [bar] of actuators; as `read_columns`."""
-    return read_columns(path, dict.fromkeys(map(column_name, actuators), (0.0, HIGHEST_BAR, "bar")))
+    return read_columns(path, dict.fromkeys(map(column_name, actuators), (LOWEST_BAR, HIGHEST_BAR, "bar")))
 
 
 def read_columns(path: Path, columns: Bounds, *, timed: bool = True) -> tuple[SampleColumns, str]:

@@ -20,14 +20,15 @@ from protocols.waveforms import Waveform
 
 MOST_SEGMENTS = 20_000
 LONGEST_S = 1e6
-HIGHEST_BAR = 100.0
+LOWEST_BAR, HIGHEST_BAR = -1.0, 100.0
 
 
 def _list_or_number(value: Any) -> str:
     return "each" if isinstance(value, list | tuple) else "all"
 
 
-Bar = Annotated[float, Field(ge=0, le=HIGHEST_BAR, allow_inf_nan=False, strict=True)]
+Bar = Annotated[float, Field(ge=LOWEST_BAR, le=HIGHEST_BAR, allow_inf_nan=False, strict=True)]
+BarOrZero = Annotated[float, Field(ge=0, le=HIGHEST_BAR, allow_inf_nan=False, strict=True)]
 BarAbove = Annotated[float, Field(gt=0, le=HIGHEST_BAR, allow_inf_nan=False, strict=True)]
 Grams = Annotated[float, Field(ge=0, le=1e5, allow_inf_nan=False, strict=True)]
 Number = Annotated[float, Field(ge=-1e6, le=1e6, allow_inf_nan=False, strict=True)]
@@ -40,6 +41,9 @@ Text = Annotated[str, Field(min_length=1)]
 
 BarEach = Annotated[
     Annotated[Bar, Tag("all")] | Annotated[tuple[Bar, ...], Tag("each")], Discriminator(_list_or_number)
+]
+AmplitudeEach = Annotated[
+    Annotated[BarOrZero, Tag("all")] | Annotated[tuple[BarOrZero, ...], Tag("each")], Discriminator(_list_or_number)
 ]
 NumberEach = Annotated[
     Annotated[Number, Tag("all")] | Annotated[tuple[Number, ...], Tag("each")], Discriminator(_list_or_number)

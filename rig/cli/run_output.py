@@ -58,6 +58,9 @@ def check_screen(request: RunRequest, plan: RunPlan) -> Group:
     limits = config.limits
     stopped_bar = limits.pressure_bar + limits.pressure_margin_bar
     held = f"at most {limits.pressure_bar:g} bar in each chamber, above {stopped_bar:g} bar the run is aborted"
+    if limits.lowest_pressure_bar < 0:
+        stopped_bar = limits.lowest_pressure_bar - limits.pressure_margin_bar
+        held += f"; at least {limits.lowest_pressure_bar:g} bar, below {stopped_bar:g} bar the run is aborted"
     facts.add_row("limits", f"{held}; at most {limits.rate_bar_per_s:g} bar/s")
     facts.add_row("rig", f"{config.name}{_how_simulated(config)}, chosen by {request.rig_source}")
     facts.add_row("model", f"{request.variant}, {config.model.mode}")

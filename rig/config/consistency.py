@@ -190,12 +190,14 @@ def _sensors(sensors: Sensors) -> Iterator[ValidationFault]:
 def _reach(limits: Limits, valves: Valves, sensors: Sensors) -> Iterator[ValidationFault]:
     """Check that valves and sensors cover the permitted pressures."""
     for index, valve in _valves_of(valves):
-        yield from _below(("valves", index), valve.reach_faults(limits.pressure_bar))
-    highest = limits.pressure_bar + limits.pressure_margin_bar
+        yield from _below(("valves", index), valve.reach_faults(limits))
+    margin = limits.pressure_margin_bar
+    highest, lowest = limits.pressure_bar + margin, limits.lowest_pressure_bar
+    # A calibrated span may start slightly above 0; lower pressures read as its lower end.
+    bottom, words = (margin, "0") if lowest == 0 else (lowest - margin, f"{lowest - margin:g}")
     for index, sensor in _numbered(sensors):
-        # A calibrated span may start slightly above 0; lower pressures read as its lower end.
-        if not sensor.span_bar[0] <= limits.pressure_margin_bar < highest <= sensor.span_bar[1]:
-            expected = f"a span from 0 to the limit with its margin ({highest:g} bar) at least"
+        if not sensor.span_bar[0] <= bottom < highest <= sensor.span_bar[1]:
+            expected = f"a span from {words} to the limit with its margin ({highest:g} bar) at least"
             yield ValidationFault(("sensors", index, "span_bar"), expected)
 
 

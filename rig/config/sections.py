@@ -205,6 +205,9 @@ class Limits(Section):
     pressure_bar: Annotated[float, Field(gt=0, le=10, allow_inf_nan=False, strict=True)] = Field(
         description="highest set-point and, with its margin, highest pressure"
     )
+    lowest_pressure_bar: Annotated[float, Field(ge=-1, le=0, allow_inf_nan=False, strict=True)] = Field(
+        default=0.0, description="lowest set-point and, with the margin, lowest pressure; below 0 with a vacuum supply"
+    )
     pressure_margin_bar: NonNegative = 0.05
     rate_bar_per_s: Positive = Field(description="fastest set-point change of a continuous segment")
     rate_margin_bar_per_s: NonNegative = Field(default=1.0, description="with it, fastest change a sensor may show")

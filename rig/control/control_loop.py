@@ -60,7 +60,10 @@ class ControlLoop:
         if plan.controls_tip:
             limits = config.limits
             self._follower = PlanFollower(
-                len(config.valves), limits.pressure_bar * PA_PER_BAR, limits.rate_bar_per_s * PA_PER_BAR
+                len(config.valves),
+                limits.pressure_bar * PA_PER_BAR,
+                limits.rate_bar_per_s * PA_PER_BAR,
+                limits.lowest_pressure_bar * PA_PER_BAR,
             )
         self._valve_of = [0] * config.actuators
         for index, valve in enumerate(config.valves):

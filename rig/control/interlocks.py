@@ -189,6 +189,26 @@ class OverPressure(ActuatorInterlock):
 
 
 @dataclass(frozen=True)
+class UnderPressure(ActuatorInterlock):
+    """The pressure is below the lowest one with its margin."""
+
+    actuator: int
+    limit_pa: float
+
+    @classmethod
+    def of(cls, config: RigConfig, sensor: Sensor) -> Self:
+        """The limit of the rig file."""
+        limits = config.limits
+        return cls(sensor.actuator, (limits.lowest_pressure_bar - limits.pressure_margin_bar) * PA_PER_BAR)
+
+    def trip(self, t_ns: int, w: SensorState, asked: RegulatorDemand) -> Trip | None:
+        """Compare the pressure."""
+        if w.pressure_pa >= self.limit_pa:
+            return None
+        return _trip_bar(t_ns, "under-pressure", f"actuator {self.actuator} is at", w.pressure_pa, self.limit_pa)
+
+
+@dataclass(frozen=True)
 class PressureRate(ActuatorInterlock):
     """The filtered rate of the pressure is above the limit with its margin."""
 
@@ -294,6 +314,7 @@ class Tracking(ActuatorInterlock):
 SAMPLE_INTERLOCKS: tuple[type[SampleInterlock], ...] = (EmergencyStops, StaleSamples, BrokenSensors)
 ACTUATOR_INTERLOCKS: tuple[type[ActuatorInterlock], ...] = (
     OverPressure,
+    UnderPressure,
     PressureRate,
     FrozenReading,
     UnledReading,
@@ -313,11 +334,12 @@ class InterlockSettings:
 def settings(config: RigConfig) -> InterlockSettings:
     """The registered interlocks with the limits of a rig, sensors in the order of the actuators."""
     sensors = config.sensors_by_actuator
-    tracking_pa = config.limits.tracking_bar * PA_PER_BAR
+    tracking_pa, lowest_pa = config.limits.tracking_bar * PA_PER_BAR, config.limits.lowest_pressure_bar * PA_PER_BAR
     return InterlockSettings(
         sample=tuple(kind.of(config) for kind in SAMPLE_INTERLOCKS),
         sensors=tuple(
-            SensorSettings(sensor_state.count_v(s), s.accuracy_bar * PA_PER_BAR, tracking_pa) for s in sensors
+            SensorSettings(sensor_state.count_v(s), s.accuracy_bar * PA_PER_BAR, tracking_pa, lowest_pa)
+            for s in sensors
         ),
         actuators=tuple(tuple(kind.of(config, s) for kind in ACTUATOR_INTERLOCKS) for s in sensors),
     )

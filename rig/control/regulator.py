@@ -17,7 +17,7 @@ def step(
     """Advance one valve by `dt_s`: the set-point and its rate of change belong to the new instant."""
     before = state.reference_pa
     if math.isnan(before):
-        before = max(measured_pa, 0.0)
+        before = max(measured_pa, s.lowest_pa)
     reference = _follow(before, setpoint_pa, rate_pa_s, s.filter_per_s, s.rate_limit_pa_s, dt_s)
     return s.command(state.integral_pa_s, dt_s, measured_pa, reference, (reference - before) / dt_s)
 

@@ -19,11 +19,15 @@ NOISE_SHARE = 0.5
 
 @dataclass(frozen=True)
 class SensorSettings:
-    """What the state of one sensor depends on: one count of 16 bits, the accuracy, and the largest tracking error."""
+    """What the state of one sensor depends on.
+
+    One count of 16 bits, the accuracy, the largest tracking error, and the lowest pressure that its valve can reach.
+    """
 
     count_v: float
     accuracy_pa: float
     tracking_pa: float
+    lowest_pa: float = 0.0
 
 
 class SensorState(NamedTuple):
@@ -90,8 +94,8 @@ def updated(
         anchor, still, expected, held = volts, 0.0, 0.0, asked.integral_pa_s
     else:
         anchor, still, held = watch.anchor_v, watch.anchor_s + counted, watch.anchor_integral_pa_s
-        # A chamber cannot be emptied below the atmosphere, whatever the valve does.
-        expected = max(watch.expected_pa + (asked.rate_pa_s - held) * counted, -max(pressure, 0.0))
+        # A chamber cannot be emptied below the lowest pressure, whatever the valve does.
+        expected = max(watch.expected_pa + (asked.rate_pa_s - held) * counted, -max(pressure - s.lowest_pa, 0.0))
     left, left_reference, left_s = watch.left_pa, watch.left_reference_pa, watch.left_s + counted
     if abs(pressure - left) > NOISE_SHARE * s.accuracy_pa:
         left, left_reference, left_s = pressure, asked.reference_pa, 0.0

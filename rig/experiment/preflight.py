@@ -65,7 +65,7 @@ class _PreflightCheck:
     def _violations(self, segment: Segment, before: tuple[float, ...]) -> Iterator[tuple[str, float, Problem]]:
         """Yield each violated rule, the excess, and the problem."""
         limits = self._config.limits
-        highest = limits.pressure_bar * PA_PER_BAR
+        highest, lowest = limits.pressure_bar * PA_PER_BAR, limits.lowest_pressure_bar * PA_PER_BAR
         fastest = limits.rate_bar_per_s * PA_PER_BAR
         levels = _extremes(segment)
         for index, (low, high, slope) in enumerate(levels):
@@ -73,8 +73,9 @@ class _PreflightCheck:
             if high > highest + TINY_PA:
                 expected = f"at most {limits.pressure_bar:g} bar (limits, pressure_bar{self._rig})"
                 yield "level", high - highest, self._problem(segment, f"{who} at {_bar(high)}", expected)
-            if low < -TINY_PA:
-                yield "below", -low, self._problem(segment, f"{who} at {_bar(low)}", "gauge pressures of 0 or more")
+            if low < lowest - TINY_PA:
+                expected = f"at least {limits.lowest_pressure_bar:g} bar (limits, lowest_pressure_bar{self._rig})"
+                yield "below", lowest - low, self._problem(segment, f"{who} at {_bar(low)}", expected)
             if slope > fastest * (1 + 1e-9):
                 expected = f"at most {limits.rate_bar_per_s:g} bar/s (limits, rate_bar_per_s{self._rig})"
                 yield "rate", slope - fastest, self._problem(segment, f"{who} at {_bar(slope)}/s", expected)

@@ -31,6 +31,7 @@ RETRY_S = 0.002
 VENTING_S = 1.0
 """Default time limit; a chamber vents in a few tenths of a second."""
 VENTED_PA = 0.1 * PA_PER_BAR
+"""A chamber is vented when its pressure is within this of that at the exhaust of its valve."""
 
 
 def safe_voltages(config: RigConfig, *, vent: bool = False) -> tuple[float, ...]:
@@ -264,8 +265,14 @@ class VentVerification:
         """`patience_s` is how long the caller waits; it is part of the message."""
         self._patience_s = patience_s
         self._bench = bench
-        venting = [a - 1 for valve in config.valves if vent or valve.safe_state == "vent" for a in valve.actuators]
+        venting = {
+            a - 1: valve.vented_pa
+            for valve in config.valves
+            if vent or valve.safe_state == "vent"
+            for a in valve.actuators
+        }
         self._venting: NDArray[np.int64] = np.array(sorted(venting), np.int64)
+        self._vented_pa: NDArray[np.float64] = np.array([venting[a] for a in sorted(venting)])
         self._pressure_pa: NDArray[np.float64] | None = None
 
     def done(self) -> bool:
@@ -277,7 +284,7 @@ class VentVerification:
         scans = self._bench.read()
         if len(scans.t_ns):
             self._pressure_pa = scans.pressure_pa[-1, self._venting]
-        return self._pressure_pa is not None and bool(np.all(self._pressure_pa < VENTED_PA))
+        return self._pressure_pa is not None and bool(self._vented(self._pressure_pa).all())
 
     def verdict(self) -> str:
         """Message about chambers that are not empty; empty if all are empty or there is no scan."""
@@ -285,8 +292,10 @@ class VentVerification:
             return ""
         full = [
             f"actuator {a + 1} at {p / PA_PER_BAR:.2f} bar"
-            for a, p in zip(self._venting.tolist(), self._pressure_pa.tolist(), strict=True)
-            if p >= VENTED_PA
+            for a, p, vented in zip(
+                self._venting.tolist(), self._pressure_pa.tolist(), self._vented(self._pressure_pa), strict=True
+            )
+            if not vented
         ]
         if not full:
             return ""
@@ -294,6 +303,9 @@ class VentVerification:
             f"{', '.join(full)} {self._patience_s:g} s after the valves were commanded to vent: a valve is stuck or "
             "its ports are the wrong way round, or a sensor is broken; shut the air off by hand"
         )
+
+    def _vented(self, pressure_pa: NDArray[np.float64]) -> NDArray[np.bool_]:
+        return np.abs(pressure_pa - self._vented_pa) < VENTED_PA
 
     def outcome(self, checks: Iterable[object]) -> str:
         """Check once per item of `checks`, which lets time pass, until every chamber is empty; return the verdict."""

@@ -50,6 +50,8 @@ class ValveTable(NamedTuple):
     critical_ratio: Floats
     pa_at_zero_v: Floats
     pa_per_v: Floats
+    lowest_pa: Floats
+    highest_pa: Floats
 
 
 class ChamberTable(NamedTuple):
@@ -113,6 +115,8 @@ def valves(config: RigConfig, truth: SimulatedValve) -> ValveTable:
         critical_ratio=np.array([valve.critical_ratio for valve in true]),
         pa_at_zero_v=np.array([valve.pa_at_zero_v for valve in true]),
         pa_per_v=np.array([valve.pa_per_v for valve in true]),
+        lowest_pa=np.array([valve.lowest_pa for valve in true]),
+        highest_pa=np.array([valve.highest_pa for valve in true]),
     )
     for i, valve in enumerate(true):
         if valve.curve_v:
@@ -306,7 +310,8 @@ def advance(
         for a in range(n):
             i = c.valve[a]
             if v.regulates[i]:
-                target = max(v.pa_at_zero_v[i] + v.pa_per_v[i] * air.spool_v[i], ATMOSPHERE_PA)
+                asked = v.pa_at_zero_v[i] + v.pa_per_v[i] * air.spool_v[i]
+                target = min(max(asked, v.lowest_pa[i]), v.highest_pa[i])
                 air.pressure_pa[a] += c.regulator_gain * (target - air.pressure_pa[a])
             else:
                 air.pressure_pa[a] += dt * rate[a]

@@ -41,8 +41,10 @@ class SetPoint(NamedTuple):
 class PlanFollower:
     """The set-points of the newest plan at a protocol time, inside box and rate limit."""
 
-    def __init__(self, valves: int, limit_pa: float, rate_limit_pa_s: float) -> None:
+    def __init__(self, valves: int, limit_pa: float, rate_limit_pa_s: float, lowest_pa: float = 0.0) -> None:
+        """`lowest_pa` is the lowest set-point of the protocol; that of a plan is 0."""
         self._valves, self._limit_pa, self._rate_pa_s = valves, limit_pa, rate_limit_pa_s
+        self._lowest_pa = lowest_pa
         self._times_s: Array = np.empty(0)
         self._setpoint_pa: Array = np.empty((0, valves))
         self._last: Array | None = None
@@ -93,7 +95,7 @@ class PlanFollower:
             wanted = feed_pa
         last = wanted if self._last is None else self._last
         room = self._rate_pa_s * dt_s
-        limited = np.clip(np.clip(wanted, 0.0, self._limit_pa), last - room, last + room)
+        limited = np.clip(np.clip(wanted, self._lowest_pa, self._limit_pa), last - room, last + room)
         moved = (limited - last) / dt_s if dt_s > 0 else np.zeros(self._valves)
         rate = moved if planned else np.where(limited == feed_pa, feed_rate_pa_s, moved)
         self._last = limited

@@ -51,9 +51,13 @@ class RegulatorState(NamedTuple):
 
 @dataclass(frozen=True)
 class Regulator(ABC):
-    """Settings of one valve's regulator in SI: indices (from 0) of its actuators, rate limit and set-point filter."""
+    """Settings of one valve's regulator in SI.
+
+    Indices (from 0) of its actuators, lowest set-point (gauge), rate limit and set-point filter.
+    """
 
     actuators: tuple[int, ...]
+    lowest_pa: float
     rate_limit_pa_s: float
     filter_per_s: float
 
@@ -71,7 +75,8 @@ class ValveTruth:
     A metered path has the share `curve_fraction` of the sonic `conductance` [m3/(s Pa)] open at the distance `curve_v`
     from `closed_v`, to the supply at `supply_pa` (absolute) in the direction of `fill_sign`, else to the exhaust;
     `leak` is the conductance of the closed valve. With `pa_per_v` other than 0 the valve holds the absolute pressure
-    `pa_at_zero_v + pa_per_v * voltage` by itself. The spool follows the voltage within `half_hysteresis_v`.
+    `pa_at_zero_v + pa_per_v * voltage` by itself, between `lowest_pa` and `highest_pa`, those of its supplies.
+    The spool follows the voltage within `half_hysteresis_v`.
     """
 
     closed_v: float = 0.0
@@ -85,6 +90,8 @@ class ValveTruth:
     critical_ratio: float = 0.3
     pa_at_zero_v: float = 0.0
     pa_per_v: float = 0.0
+    lowest_pa: float = ATMOSPHERE_PA
+    highest_pa: float = math.inf
 
 
 class SimulatedValve(Section):
@@ -123,6 +130,11 @@ class ValveSection(Section, ABC):
         """The voltage that vents the chambers."""
 
     @property
+    def vented_pa(self) -> float:
+        """The gauge pressure of a vented chamber."""
+        return 0.0
+
+    @property
     def closed_v(self) -> float | None:
         """The voltage that stops the flow when control has no sample; None if the valve keeps its voltage then."""
         return None
@@ -149,18 +161,19 @@ class ValveSection(Section, ABC):
         """Faults between the keys of this section; paths start at the section."""
         yield from ()
 
-    def reach_faults(self, pressure_bar: float) -> Faults:
-        """Faults that keep the valve from reaching the limit of the pressure (gauge); paths start at the section."""
+    def reach_faults(self, limits: Limits) -> Faults:
+        """Faults that keep the valve from reaching the limits of the pressure (gauge); paths start at the section."""
         yield from ()
 
     def simulated_faults(self, truth: SimulatedValve) -> Faults:
         """True parameters that this valve cannot have; paths start at the parameters."""
         yield from ()
 
-    def _filter(self, limits: Limits, control: Control) -> tuple[tuple[int, ...], float, float]:
+    def _filter(self, limits: Limits, control: Control) -> tuple[tuple[int, ...], float, float, float]:
         """The fields that every regulator has."""
         filter_per_s = REFERENCE_SHARE * 2 * math.pi * control.bandwidth_hz
-        return tuple(a - 1 for a in self.actuators), limits.rate_bar_per_s * PA_PER_BAR, filter_per_s
+        lowest_pa = limits.lowest_pressure_bar * PA_PER_BAR
+        return tuple(a - 1 for a in self.actuators), lowest_pa, limits.rate_bar_per_s * PA_PER_BAR, filter_per_s
 
 
 class VoltageValve(ValveSection):

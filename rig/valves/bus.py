@@ -8,12 +8,12 @@ from pydantic import Field
 
 from protocols.validation import ValidationFault
 from rig.config.sections import PA_PER_BAR, BarSpan, Control, Limits
-from rig.valves.base import Faults, SimulatedValve, ValveSection, ValveTruth
+from rig.valves.base import Faults, SimulatedValve, ValveTruth
 from rig.valves.iso6358 import ATMOSPHERE_PA
-from rig.valves.pressure import PressureRegulator
+from rig.valves.pressure import PressureRegulator, RegulatingValve, range_faults
 
 
-class BusValve(ValveSection):
+class BusValve(RegulatingValve):
     """A pressure regulator that takes its set-point as a number, over a bus.
 
     `vent_bar` is the gauge pressure of its exhaust, which need not be the bottom of the range: with a vacuum supply the
@@ -40,6 +40,11 @@ class BusValve(ValveSection):
         """The set-point that vents [bar]."""
         return self.vent_bar
 
+    @property
+    def vented_pa(self) -> float:
+        """The gauge pressure of the exhaust."""
+        return self.vent_bar * PA_PER_BAR
+
     def regulator(self, limits: Limits, control: Control) -> PressureRegulator:
         """The set-point, from pascal to bar."""
         low, high = self.range_bar
@@ -47,7 +52,7 @@ class BusValve(ValveSection):
 
     def simulated(self, truth: SimulatedValve) -> ValveTruth:
         """The pressure is the set-point."""
-        return ValveTruth(pa_at_zero_v=ATMOSPHERE_PA, pa_per_v=PA_PER_BAR)
+        return self.held(ValveTruth(pa_at_zero_v=ATMOSPHERE_PA, pa_per_v=PA_PER_BAR))
 
     def faults(self) -> Faults:
         """A vent level outside the range."""
@@ -55,10 +60,7 @@ class BusValve(ValveSection):
         if not low <= self.vent_bar <= high:
             yield ValidationFault(("vent_bar",), f"a pressure inside range_bar, {low:g} to {high:g} bar")
 
-    def reach_faults(self, pressure_bar: float) -> Faults:
-        """A range that does not include the permitted pressures."""
-        low, high = self.range_bar
-        if not low <= 0 < pressure_bar <= high:
-            yield ValidationFault(
-                ("range_bar",), f"a range from 0 to limits, pressure_bar ({pressure_bar:g} bar) at least"
-            )
+    def reach_faults(self, limits: Limits) -> Faults:
+        """A range that does not include the permitted pressures, and supplies that do not reach them."""
+        yield from range_faults("range_bar", self.range_bar, limits)
+        yield from self.supply_faults(limits)

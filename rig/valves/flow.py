@@ -140,13 +140,14 @@ class FlowValve(VoltageValve):
 
     def regulator(self, limits: Limits, control: Control) -> FlowRegulator:
         """The pressure control of this valve."""
-        actuators, rate_limit, filter_per_s = self._filter(limits, control)
+        actuators, lowest_pa, rate_limit, filter_per_s = self._filter(limits, control)
         gain = 2 * math.pi * control.bandwidth_hz
         volts, fractions = self.opening_curve(self.dead_zone_V)
         soft_v = _interpolate(SOFT_FRACTION, fractions, volts)
         above = [(f, v) for f, v in zip(fractions, volts, strict=True) if f > SOFT_FRACTION]
         return FlowRegulator(
             actuators=actuators,
+            lowest_pa=lowest_pa,
             rate_limit_pa_s=rate_limit,
             filter_per_s=filter_per_s,
             gain_per_s=gain,
@@ -187,11 +188,14 @@ class FlowValve(VoltageValve):
             yield ValidationFault(("closed_V",), f"a voltage inside range_V, {low:g} to {high:g} V")
         yield from flow_curve_faults(self)
 
-    def reach_faults(self, pressure_bar: float) -> Faults:
-        """A supply that is too low."""
-        if self.supply_bar <= pressure_bar:
-            expected = f"more than limits, pressure_bar ({pressure_bar:g} bar): the valve cannot fill that far"
+    def reach_faults(self, limits: Limits) -> Faults:
+        """A supply that is too low, and a vacuum, which its exhaust to the atmosphere cannot reach."""
+        if self.supply_bar <= limits.pressure_bar:
+            expected = f"more than limits, pressure_bar ({limits.pressure_bar:g} bar): the valve cannot fill that far"
             yield ValidationFault(("supply_bar",), expected)
+        if limits.lowest_pressure_bar < 0:
+            lowest = f"limits, lowest_pressure_bar ({limits.lowest_pressure_bar:g} bar)"
+            yield ValidationFault(("type",), f"pressure or bus for {lowest}: a flow valve vents to the atmosphere")
 
     def simulated_faults(self, truth: SimulatedValve) -> Faults:
         """A dead zone that covers one side of the range, and a leak as large as the flow of the open valve."""

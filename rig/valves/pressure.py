@@ -4,12 +4,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Literal
+import math
+from dataclasses import dataclass, replace
+from typing import Annotated, Literal
+
+from pydantic import Field
+from pydantic.json_schema import SkipJsonSchema
 
 from protocols.validation import ValidationFault
-from rig.config.sections import PA_PER_BAR, BarSpan, Control, Limits, VoltSpan
-from rig.valves.base import Faults, Regulator, RegulatorState, SimulatedValve, ValveTruth, VoltageValve
+from rig.config.sections import PA_PER_BAR, Bar, BarSpan, Control, Limits, VoltSpan
+from rig.valves.base import Faults, Regulator, RegulatorState, SimulatedValve, ValveSection, ValveTruth, VoltageValve
 from rig.valves.iso6358 import ATMOSPHERE_PA
 
 
@@ -31,7 +35,32 @@ class PressureRegulator(Regulator):
         return RegulatorState(reference_pa, 0.0, reference_rate_pa_s, volts)
 
 
-class PressureValve(VoltageValve):
+class RegulatingValve(ValveSection):
+    """A valve that holds the pressure by itself, between those of its two supplies."""
+
+    supply_bar: Bar | SkipJsonSchema[None] = Field(
+        default=None, description="gauge pressure at the supply port; default: high enough for the limits"
+    )
+    vacuum_bar: Annotated[float, Field(ge=-1, le=0, allow_inf_nan=False, strict=True)] = Field(
+        default=0.0, description="gauge pressure of the vacuum supply; 0: the exhaust is the atmosphere"
+    )
+
+    def supply_faults(self, limits: Limits) -> Faults:
+        """Supplies that do not reach the limits of the pressure."""
+        if self.supply_bar is not None and self.supply_bar <= limits.pressure_bar:
+            expected = f"more than limits, pressure_bar ({limits.pressure_bar:g} bar): the valve cannot fill that far"
+            yield ValidationFault(("supply_bar",), expected)
+        if limits.lowest_pressure_bar < self.vacuum_bar:
+            expected = f"at most limits, lowest_pressure_bar ({limits.lowest_pressure_bar:g} bar): the vacuum supply"
+            yield ValidationFault(("vacuum_bar",), expected)
+
+    def held(self, truth: ValveTruth) -> ValveTruth:
+        """The simulated valve with the pressures of its supplies."""
+        highest_pa = math.inf if self.supply_bar is None else self.supply_bar * PA_PER_BAR + ATMOSPHERE_PA
+        return replace(truth, lowest_pa=self.vacuum_bar * PA_PER_BAR + ATMOSPHERE_PA, highest_pa=highest_pa)
+
+
+class PressureValve(VoltageValve, RegulatingValve):
     """An electro-pneumatic regulator that takes a set-point voltage and holds the pressure by itself."""
 
     type: Literal["pressure"]
@@ -56,7 +85,8 @@ class PressureValve(VoltageValve):
         """The stated characteristic."""
         (low_v, high_v), (low_bar, high_bar) = self.span_V, self.span_bar
         pa_per_v = (high_bar - low_bar) / (high_v - low_v) * PA_PER_BAR
-        return ValveTruth(pa_at_zero_v=low_bar * PA_PER_BAR - low_v * pa_per_v + ATMOSPHERE_PA, pa_per_v=pa_per_v)
+        pa_at_zero_v = low_bar * PA_PER_BAR - low_v * pa_per_v + ATMOSPHERE_PA
+        return self.held(ValveTruth(pa_at_zero_v=pa_at_zero_v, pa_per_v=pa_per_v))
 
     def faults(self) -> Faults:
         """A span outside the range of the output."""
@@ -64,9 +94,17 @@ class PressureValve(VoltageValve):
         if self.span_V[0] < low or self.span_V[1] > high:
             yield ValidationFault(("span_V",), f"a span inside range_V, {low:g} to {high:g} V")
 
-    def reach_faults(self, pressure_bar: float) -> Faults:
-        """A span that does not include the permitted pressures."""
-        if not self.span_bar[0] <= 0 < pressure_bar <= self.span_bar[1]:
-            yield ValidationFault(
-                ("span_bar",), f"a span from 0 to limits, pressure_bar ({pressure_bar:g} bar) at least"
-            )
+    def reach_faults(self, limits: Limits) -> Faults:
+        """A span that does not include the permitted pressures, and supplies that do not reach them."""
+        yield from range_faults("span_bar", self.span_bar, limits)
+        yield from self.supply_faults(limits)
+
+
+def range_faults(key: str, span_bar: tuple[float, float], limits: Limits) -> Faults:
+    """A range of set-points that does not include the permitted pressures; `key` is its place in the section."""
+    if not span_bar[0] <= limits.lowest_pressure_bar < limits.pressure_bar <= span_bar[1]:
+        lowest = "0"
+        if limits.lowest_pressure_bar < 0:
+            lowest = f"limits, lowest_pressure_bar ({limits.lowest_pressure_bar:g} bar)"
+        expected = f"a range from {lowest} to limits, pressure_bar ({limits.pressure_bar:g} bar) at least"
+        yield ValidationFault((key,), expected)

@@ -93,11 +93,9 @@ def test_the_example_law_has_consistent_derivatives(known: dict[str, Any]) -> No
 
 
 def test_the_examples_of_the_page_are_complete_extensions(known: dict[str, Any]) -> None:
-    vacuum = known["Vacuum"](1)
-    assert vacuum.trip(0, SensorState(pressure_pa=0.0), RegulatorDemand(0.0, 0.0, 0.0, 0.0)) is None
-    assert (
-        "below -0.2 bar" in vacuum.trip(0, SensorState(pressure_pa=-3e4), RegulatorDemand(0.0, 0.0, 0.0, 0.0)).message
-    )
+    leak = known["Leak"](1)
+    assert leak.trip(0, SensorState(), RegulatorDemand(0.0, 0.0, 0.0, 0.0)) is None
+    assert "more than 0.3 bar/s" in leak.trip(0, SensorState(), RegulatorDemand(0.0, 0.0, 0.0, 4e4)).message
 
     played: list[tuple[str, list[float]]] = []
 

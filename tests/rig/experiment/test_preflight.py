@@ -56,6 +56,8 @@ def test_every_named_protocol_runs_on_the_named_rigs(name: str, rig: str) -> Non
          "actuator 1 at 1.875 bar/s", "at most 1 bar/s"),
         ("sine: {actuators: [1], mean_bar: 0.3, amplitude_bar: 0.25, omega_rad_s: 8, periods: 9, lead_in_s: 4}",
          "actuator 1 at 2 bar/s", "at most 1 bar/s"),
+        ("sine: {actuators: [1], mean_bar: 0.1, amplitude_bar: 0.2, omega_rad_s: 1, periods: 1, lead_in_s: 4}",
+         "actuator 1 at -0.1 bar", "at least 0 bar (limits, lowest_pressure_bar in bench.yaml)"),
         ("sine: {actuators: [1], mean_bar: 0.3, amplitude_bar: 0.1, omega_rad_s: 1, periods: 1}",
          "actuator 1 jumps from 0 bar to 0.3 bar", "lead_in_s"),
         ("ramp: {actuators: [2], to_bar: 0.5, duration_s: 5}",
@@ -76,7 +78,7 @@ def test_a_set_point_below_the_atmosphere_is_refused_whoever_made_the_trajectory
     segment = Segment(0.0, 1.0, "ramp", "down", (1,), 7, (-2000.0, 0.0, 0.0), dips)
     (problem,) = check(RIG, SetPointTrajectory(1.0, 3, (segment,), (), "made.py"))
     assert (problem.line, problem.value) == (7, "actuator 1 at -0.02 bar")
-    assert problem.expected == "gauge pressures of 0 or more"
+    assert problem.expected == "at least 0 bar (limits, lowest_pressure_bar)"
 
 
 def test_a_step_is_reported_once_for_each_rule_however_often_it_repeats(tmp_path: Path) -> None:
