@@ -209,7 +209,7 @@ def test_drivers_lists_plugins_with_package_keys_and_safe_state(site: Path, caps
     )
     assert (slow["about"], slow["keys"]) == (
         "A valve that takes its time.",
-        ["range_V", "span_V", "span_bar", "seconds"],
+        ["supply_bar", "vacuum_bar", "range_V", "span_V", "span_bar", "seconds"],
     )
     assert rows["cards", "comedi"]["package"] == "softrig"
 
